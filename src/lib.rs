@@ -109,6 +109,7 @@ pub mod plate;
 pub mod pointing;
 pub mod preflight;
 pub mod provenance;
+pub mod reasons;
 pub mod refine;
 pub mod registration;
 pub mod report;

@@ -3,6 +3,7 @@
 //! A position on the sensor and one on the plate are two types, so that mixing them does not compile.
 
 use nalgebra::{Matrix2, Vector2};
+use std::fmt;
 use std::str::FromStr;
 
 /// One mil, the unit of the plate, in millimetres.
@@ -103,27 +104,41 @@ impl<P> Estimate<P> {
     }
 }
 
+/// A reason, by what programs call it, which stays, and by what people read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Reason {
+    /// In snake case.
+    pub code: &'static str,
+    pub sentence: &'static str,
+}
+
 /// An expected refusal: what was asked for, what was measured and the limit it missed. It is data, not an error:
 /// a frame without a Sun is no failure of the program.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rejected {
-    pub reason: &'static str,
+    pub reason: Reason,
     pub measured: f64,
     pub limit: f64,
 }
 
+impl fmt::Display for Reason {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(self.sentence)
+    }
+}
+
 impl Rejected {
     /// Refuses what was measured below a limit, or not at all.
-    pub fn at_least(limit: f64, measured: f64, reason: &'static str) -> Result<(), Self> {
+    pub fn at_least(limit: f64, measured: f64, reason: Reason) -> Result<(), Self> {
         Self::unless(measured >= limit, limit, measured, reason)
     }
 
     /// Refuses what was measured above a limit, or not at all.
-    pub fn at_most(limit: f64, measured: f64, reason: &'static str) -> Result<(), Self> {
+    pub fn at_most(limit: f64, measured: f64, reason: Reason) -> Result<(), Self> {
         Self::unless(measured <= limit, limit, measured, reason)
     }
 
-    fn unless(holds: bool, limit: f64, measured: f64, reason: &'static str) -> Result<(), Self> {
+    fn unless(holds: bool, limit: f64, measured: f64, reason: Reason) -> Result<(), Self> {
         holds.then_some(()).ok_or(Self {
             reason,
             measured,

@@ -115,7 +115,7 @@ impl Close {
             steps_per_dn * f64::from(self.light[inside(y) * Self::SIDE + inside(x)])
         };
         let blur = self.scene.blur_px * blur_error;
-        let mut refiner = Refiner::new(&demo().plate.cross, SCALE_MIL_PER_PX, blur);
+        let mut refiner = Refiner::new(&demo().plate.cross, SCALE_MIL_PER_PX, blur, cutout.noise);
         let start = SensorPx::new(self.mark.x + 0.24, self.mark.y - 0.18);
         refiner.refine(&cutout, &light, &self.jacobian, start)
     }

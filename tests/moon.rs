@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use serde_json::Value;
 use solaspect::frame::{Frame, Pixels};
 use solaspect::moon::{Disc, Expected, Optics, Radius, Settings, Stopped, by_extremities, solve};
+use solaspect::reasons::moon as reasons;
 use solaspect::simulate::moon::{MoonConditions, MoonScene, Shown};
 use solaspect::units::Measured;
 use std::ops::Range;
@@ -52,8 +53,8 @@ struct Error {
 fn errors(conditions: &MoonConditions, scenes: u64, known: Known) -> Vec<Error> {
     let error = |number: u64| {
         let scene = conditions.scene(1, number);
-        let disc = look(&scene, known)
-            .unwrap_or_else(|(stage, why)| panic!("{known:?} {number}: {stage:?} {why:?}"));
+        let disc =
+            look(&scene, known).unwrap_or_else(|stopped| panic!("{known:?} {number}: {stopped}"));
         let off = disc.centre.position.vector() - scene.centre.vector();
         if off.norm() > 2.0 {
             println!("scene {number}: off by {:.1} px", off.norm());
@@ -276,8 +277,8 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
     }
     let reason = |scene: &MoonScene, expected: &Expected| {
         let frame = scene.frame().unwrap();
-        let (_, why) = solve(&Settings::default(), &frame, expected).unwrap_err();
-        why.reason
+        let stopped = solve(&Settings::default(), &frame, expected).unwrap_err();
+        stopped.rejected.reason.code
     };
     // A lamp is a whole disc; the ephemeris has a crescent, or another size.
     let lamp = lit(15.0, 0.999..1.0).scene(3, 0);
@@ -306,12 +307,12 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
     let dotted = (0..2048 * 2048).map(|n| if is_lit(&n) { 200 } else { 10 });
     let dotted = Pixels::U8(dotted.collect());
     let dotted = Frame::new(2048, 2048, dotted, 255, Default::default()).unwrap();
-    let (_, why) = solve(&Settings::default(), &dotted, &Expected::default()).unwrap_err();
-    assert_eq!(why.reason, "too_many_lights");
+    let stopped = solve(&Settings::default(), &dotted, &Expected::default()).unwrap_err();
+    assert_eq!(stopped.rejected.reason, reasons::MANY_LIGHTS);
     let white = Pixels::U8(vec![255; 720 * 578]);
     let white = Frame::new(720, 578, white, 255, Default::default()).unwrap();
-    let (_, why) = solve(&Settings::default(), &white, &Expected::default()).unwrap_err();
-    assert_eq!(why.reason, "too_bright");
+    let stopped = solve(&Settings::default(), &white, &Expected::default()).unwrap_err();
+    assert_eq!(stopped.rejected.reason, reasons::TOO_BRIGHT);
 }
 
 /// How many of some frames of stars, of lamps and of the unfiltered Sun pass for the Moon, where its size and phase are known.
@@ -434,7 +435,7 @@ fn the_command_tells_what_the_simulator_drew_and_where_it_is_in_the_sky() {
         &path("frame_00000.fits"),
     ]);
     let line: Value = serde_json::from_slice(&set.stdout).unwrap();
-    assert_eq!(line["reason"]["reason"], "below_horizon", "{line}");
+    assert_eq!(line["reason"]["code"], "below_horizon", "{line}");
 }
 
 #[test]

@@ -217,7 +217,10 @@ fn offsets_are_turned_by_the_smoothed_roll_and_what_is_odd_is_told_with_pictures
         said.contains("roll camera: 20 files: 19 fine, 0 coarse, 1 none"),
         "{said}"
     );
-    assert!(said.contains("1 not fine: light: too_bright"), "{said}");
+    assert!(
+        said.contains("1 not fine: light: the frame is bright all over"),
+        "{said}"
+    );
     let rows = Columns::read(out.path(), "ASPECT");
     let columns = [
         "BODY_ROLL_DEG",
@@ -240,7 +243,10 @@ fn offsets_are_turned_by_the_smoothed_roll_and_what_is_odd_is_told_with_pictures
     }
     assert!(body[4].is_nan() && telescope[4] == demo.mounting.roll_deg.value);
     let page = fs::read_to_string(out.path().join("report.html")).unwrap();
-    assert!(page.contains("Roll and pitch of the body") && page.contains("light: too_bright"));
+    assert!(
+        page.contains("Roll and pitch of the body")
+            && page.contains("light: the frame is bright all over")
+    );
     let pictures = page.matches("<img").count();
     let without = temporary();
     let output = command(folder.path(), without.path(), &[])

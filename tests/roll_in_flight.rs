@@ -9,9 +9,10 @@ use solaspect::camera::{CameraError, Exposure, FrameSource, Settings, Take};
 use solaspect::config::Switch;
 use solaspect::fits::{Compression, FitsFile, Value};
 use solaspect::frame::{Frame, Pixels, Region};
-use solaspect::horizon::{Levels, Quality};
+use solaspect::horizon::Quality;
 use solaspect::instrument::{DirectionCamera, MountedCamera, builtin};
 use solaspect::pointing::Roll;
+use solaspect::reasons::horizon as reasons;
 use solaspect::service::{Answer, Camera, Flight, FlightTally, Service};
 use solaspect::simulate::earth::{Aim, Air, EarthConditions, EarthScene, SwingingGondola};
 use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
@@ -252,9 +253,11 @@ fn a_horizon_that_is_overexposed_or_old_costs_the_sun_nothing() {
         std::thread::sleep(Duration::from_millis(5));
     }
     let tally = flight.end();
-    assert_eq!(tally.roll.because(Levels::TOO_BRIGHT), 1, "{tally}");
+    assert_eq!(tally.roll.because(reasons::TOO_BRIGHT), 1, "{tally}");
     assert!(
-        tally.to_string().contains("1 x light: too_bright"),
+        tally
+            .to_string()
+            .contains("1 x light: the frame is bright all over"),
         "{tally}"
     );
     assert_eq!(tally.lost(), 0, "{tally}");
@@ -278,7 +281,7 @@ fn a_frame_of_another_size_or_from_below_the_limb_is_stored_with_the_reason() {
             .nadir
             .as_ref()
             .err()
-            .map(|(_, rejected)| rejected.reason)
+            .map(|stopped| stopped.rejected.reason.code)
     };
     for expected in [Some("not_above_the_limb"), Some("wrong_size"), None] {
         let answer = flight.horizon();

@@ -10,7 +10,8 @@ use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
 use crate::moon;
 use crate::pointing::{Offset, Roll};
-use crate::units::{Measured, Rejected};
+use crate::reasons::{Stage, Stopped};
+use crate::units::Measured;
 use jiff::Timestamp;
 use serde::Serialize;
 use std::borrow::Cow;
@@ -48,16 +49,19 @@ pub struct Record {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reason {
     pub stage: &'static str,
+    /// For programs; none of what a file says of its time or place.
+    pub code: Option<&'static str>,
     pub reason: Cow<'static, str>,
     pub measured: Option<f64>,
     pub limit: Option<f64>,
 }
 
 impl Reason {
-    fn new(stage: &'static str, rejected: &Rejected) -> Self {
+    pub fn of<S: Stage>(Stopped { stage, rejected }: &Stopped<S>) -> Self {
         Self {
-            stage,
-            reason: rejected.reason.into(),
+            stage: stage.name(),
+            code: Some(rejected.reason.code),
+            reason: rejected.reason.sentence.into(),
             measured: Some(rejected.measured),
             limit: Some(rejected.limit),
         }
@@ -67,6 +71,7 @@ impl Reason {
     pub fn of_file(stage: &'static str, warning: &Warning) -> Self {
         Self {
             stage,
+            code: None,
             reason: warning.to_string().into(),
             measured: None,
             limit: None,
@@ -176,9 +181,7 @@ impl Record {
             file: file.into(),
             utc: utc.map(Utc::from),
             quality: solution.quality.name(),
-            reason: solution
-                .stopped
-                .map(|stopped| Reason::new(stopped.stage.name(), &stopped.rejected)),
+            reason: solution.stopped.as_ref().map(Reason::of),
             sun_px: aspect.map(|a| [a.sun_px.position.x, a.sun_px.position.y]),
             sun_px_sigma: aspect.map(|a| a.sun_px.sigma()),
             sun_radius_px: aspect.map(|a| a.sun_radius_px.value),
@@ -209,11 +212,10 @@ impl Record {
         roll_deg: Option<Measured>,
         solve_time: Duration,
     ) -> Self {
-        let reason = |(stage, rejected): &horizon::Stopped| Reason::new(stage.name(), rejected);
         Self {
             utc: utc.map(Utc::from),
             quality: solution.quality().name(),
-            reason: solution.nadir.as_ref().err().map(reason),
+            reason: solution.nadir.as_ref().err().map(Reason::of),
             roll_deg: roll_deg.map(RollRecord::from),
             ..Self::new("", None, &Solution::none(), None, Some(solve_time))
         }
@@ -235,9 +237,9 @@ impl Record {
                 moon: Some(MoonRecord::new(disc, direction)),
                 ..none
             },
-            Err((stage, rejected)) => Self {
+            Err(stopped) => Self {
                 utc: utc.map(Utc::from),
-                reason: Some(Reason::new(stage.name(), rejected)),
+                reason: Some(Reason::of(stopped)),
                 ..none
             },
         }

@@ -10,6 +10,7 @@ use crate::frame::{Frame, Mask};
 use crate::geometry::{Mapping, MappingKind};
 use crate::instrument::Mounting;
 use crate::limb::DiscLight;
+use crate::reasons::sun;
 use crate::registration::{self, Pair};
 use crate::units::{self, Rejected, SensorPx};
 use nalgebra::Matrix2;
@@ -86,7 +87,7 @@ impl Pipeline<'_> {
         };
         let ids = match read(mounting) {
             Err(unread) if mirrored() => Err(Unread::Contradicting(Rejected {
-                reason: "the marks are those of the plate's mirror image",
+                reason: sun::MIRROR_IMAGE,
                 ..unread.rejected()
             })),
             read => read,
@@ -107,7 +108,7 @@ impl Pipeline<'_> {
         )
         .map(|fit| fit.mapping)
         .ok_or(Unread::Undecided(Rejected {
-            reason: "the marks determine no mapping",
+            reason: sun::NO_MAPPING,
             measured: pairs.len() as f64,
             limit: self.settings.fiducial.min_marks as f64,
         }))

@@ -6,6 +6,7 @@ use crate::estimation::CONTRADICTION_SIGMAS;
 use crate::geometry::{Mapping, TILT_PER_PX};
 use crate::limb::{self, Limb};
 use crate::plate::{MarkId, Plate};
+use crate::reasons::sun;
 use crate::registration::{self, Outline, Pair, Registration};
 use crate::units::{Estimate, Measured, Rejected, SensorPx};
 use nalgebra::{Matrix2, Vector2};
@@ -32,7 +33,7 @@ impl Pipeline<'_> {
         };
         let pairs: Vec<Pair> = marks.iter().map(pair).collect();
         let (count, least) = (pairs.len() as f64, self.settings.fiducial.min_marks as f64);
-        Rejected::at_least(least, count, "too few marks have an id")?;
+        Rejected::at_least(least, count, sun::FEW_MARKS)?;
         let points = limb.points.iter().map(|p| (p.at, p.sigma_px));
         let outline = Outline {
             ellipse: limb.outline.ellipse,
@@ -47,11 +48,11 @@ impl Pipeline<'_> {
             &self.settings.registration,
         )
         .ok_or(Rejected {
-            reason: "the marks determine no mapping",
+            reason: sun::NO_MAPPING,
             measured: count,
             limit: least,
         })?;
-        let reason = "the marks do not fit a mapping";
+        let reason = sun::MARKS_OFF_MAPPING;
         Rejected::at_most(MAX_RESIDUAL_PX, registration.residual_px, reason)?;
         Ok(registration)
     }
@@ -77,14 +78,14 @@ impl Pipeline<'_> {
                 // Along the tilt the scale changes twice as much as across it.
                 CONTRADICTION_SIGMAS * sigma + 2.0 * TILT_PER_PX * from_sun_px,
                 (scale.value / stated.value - 1.0).abs(),
-                "the marks' scale contradicts the stated one",
+                sun::SCALE,
             )?;
         }
         let sigma_mil = radius_mil.sigma.hypot(disc.radius_mil.sigma);
         Rejected::at_most(
             CONTRADICTION_SIGMAS * (sigma_mil / radius_mil.value).hypot(printed),
             (disc.radius_mil.value / radius_mil.value - 1.0).abs(),
-            "the disc's radius contradicts the expected one",
+            sun::RADIUS_OF_DISC,
         )
     }
 
@@ -116,7 +117,7 @@ impl Pipeline<'_> {
         adopted.or_else(calibrated).ok_or(Stopped {
             stage: Stage::Registration,
             rejected: Rejected {
-                reason: "the calibration's mapping cannot be inverted",
+                reason: sun::CALIBRATION_SINGULAR,
                 measured: 0.0,
                 limit: 0.0,
             },
@@ -139,14 +140,14 @@ impl Pipeline<'_> {
         let radius_mil = aspect.sun_radius_px.value * aspect.mapping.scale_mil_per_px.value;
         let deviation = (radius_mil / self.radius_mil.value - 1.0).abs();
         let limit = self.settings.limb.max_radius_deviation;
-        let reason = "the disc is not of the Sun's size";
+        let reason = sun::SIZE;
         Rejected::at_most(limit, deviation, reason).map_err(at(Stage::Aspect))?;
         Ok(aspect)
     }
 
     /// Marks do not serve where the Sun moved so far that its size and light mislead who reads them.
     pub(super) fn check_motion(&self, limb: &Limb) -> Result<(), Stopped> {
-        let reason = "the Sun moved too far during the exposure";
+        let reason = sun::MOVED;
         Rejected::at_most(MOST_MOTION_PX, self.motion_px(limb), reason).map_err(at(Stage::Limb))
     }
 
@@ -203,13 +204,13 @@ pub(super) fn check_borrowed(borrowed: &Aspect, own: &Registration) -> Result<()
     let apart = there.position.vector() - here.position.vector();
     let inverse = (there.covariance + here.covariance).try_inverse();
     let sigmas = inverse.map_or(0.0, |inverse| apart.dot(&(inverse * apart)).sqrt());
-    let reason = "the frame's marks contradict the mapping that it would borrow";
+    let reason = sun::BORROWED_CONTRADICTED;
     Rejected::at_most(CONTRADICTION_SIGMAS, sigmas, reason)
 }
 
 /// The quality, and why a coarse solution is not fine where nothing before says so.
 pub(super) fn judge(aspect: &Aspect, adopted: &Adopted) -> (Quality, Option<Stopped>) {
-    let reason = "only part of the limb is seen";
+    let reason = sun::PART_OF_LIMB;
     match Rejected::at_least(LEAST_FINE_LIMB, aspect.limb_fraction, reason) {
         Err(rejected) => (Quality::Coarse, Some(at(Stage::Aspect)(rejected))),
         Ok(()) if adopted.own().is_some() => (Quality::Fine, None),
@@ -240,9 +241,9 @@ fn limb_fraction(limb: &Limb) -> f64 {
 
 fn check_round(limb: &Limb) -> Result<(), Rejected> {
     let outline = &limb.outline;
-    let reason = "too much of the limb is off its outline";
+    let reason = sun::OFF_OUTLINE;
     Rejected::at_least(LEAST_ON_OUTLINE, outline.accepted_share(), reason)?;
-    let reason = "what is bright is not round";
+    let reason = sun::NOT_ROUND;
     Rejected::at_most(MAX_SCATTER_PX, outline.scatter_px, reason)
 }
 

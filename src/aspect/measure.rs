@@ -149,6 +149,7 @@ impl Pipeline<'_> {
             &plate.cross,
             self.disc_scale(light),
             self.mark_blur_px(light),
+            light.noise(),
         );
         let coma = self.coma_shift(light, marks.len());
         let refined = |mark: &Mark| {

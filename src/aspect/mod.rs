@@ -71,7 +71,7 @@ pub fn solve(
 /// # Algorithm
 /// 1. Levels of background and disc.
 /// 2. The disc, by sparse chords: about the prior's place first, then anywhere.
-/// 3. Its light, by radial medians.
+/// 3. Its light and its outline, from every fourth row.
 /// 4. A mapping from sensor to plate: the prior's, if the marks are where it predicts them; else an acquired one, from marks that are
 ///    found on the flattened disc and read from the code in their spacings.
 /// 5. Limb and marks by their own pixels: the limb without those near any mark of the plate, seen or not; the marks where the mapping

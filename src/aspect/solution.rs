@@ -6,10 +6,10 @@ use crate::frame::Levels;
 use crate::geometry::{Circle, LocalSimilarity};
 use crate::limb::LimbPoint;
 use crate::plate::MarkId;
+use crate::reasons;
 use crate::registration::Registration;
-use crate::units::{Estimate, Measured, PlateMil, Rejected, SensorPx};
+use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use nalgebra::Matrix2;
-use std::fmt;
 
 /// How good a solution is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -59,18 +59,14 @@ impl Stage {
     }
 }
 
-/// Why a frame went no further than it did.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stopped {
-    pub stage: Stage,
-    pub rejected: Rejected,
-}
-
-impl fmt::Display for Stopped {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}: {}", self.stage.name(), self.rejected.reason)
+impl reasons::Stage for Stage {
+    fn name(self) -> &'static str {
+        Self::name(self)
     }
 }
+
+/// Why a frame went no further than it did.
+pub type Stopped = reasons::Stopped<Stage>;
 
 /// A mark of the plate with its id.
 #[derive(Debug, Clone, Copy, PartialEq)]

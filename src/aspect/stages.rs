@@ -7,6 +7,7 @@ use crate::frame::{Cutout, Frame, Levels, Mask, PixelNoise, Region};
 use crate::geometry::{Circle, Ellipse, Mapping};
 use crate::instrument::Instrument;
 use crate::limb::{self, DiscLight, DiscSearch, KnownOutline, Limb, LimbFit, OutlinePrior};
+pub(super) use crate::reasons::at;
 use crate::units::{Measured, Rejected};
 
 /// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
@@ -119,11 +120,10 @@ impl<'a> Pipeline<'a> {
         levels: &Levels,
         disc: &Circle,
     ) -> Result<DiscImage, Stopped> {
-        let mut cutout = cutout(frame, self.instrument, levels, disc);
+        let cutout = cutout(frame, self.instrument, levels, disc);
         let disc_dn = levels.disc_dn - levels.background_dn;
         let light = self.limb_fit(disc_dn, &cutout).rough(&Ellipse::from(*disc));
         let light = light.map_err(at(Stage::Limb))?;
-        cutout.noise = light.noise();
         Ok(DiscImage {
             disc_dn,
             cutout,
@@ -241,8 +241,4 @@ pub(crate) fn marks_mask(
         });
     }
     mask
-}
-
-pub(super) fn at(stage: Stage) -> impl Fn(Rejected) -> Stopped {
-    move |rejected| Stopped { stage, rejected }
 }

@@ -3,7 +3,7 @@
 //! Residuals come in units of their stated sigmas. The loss weights them by their size over the scale; scale and weights are
 //! found together with the parameters (iteratively reweighted least squares: Holland and Welsch, 1977).
 
-use super::normal::{Normal, Solved};
+use super::normal::{Normal, Prior, Solved};
 use super::robust::{Loss, MEDIAN_LENGTH_2D, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median};
 use crate::units::Measured;
 use nalgebra::{SMatrix, SVector};
@@ -15,23 +15,6 @@ pub struct Linearised<const D: usize, const N: usize> {
     pub residual: SVector<f64, D>,
     /// Derivatives of the prediction by the parameters.
     pub jacobian: SMatrix<f64, D, N>,
-}
-
-/// What is known of the parameters beforehand, each on its own.
-#[derive(Debug, Clone, Copy)]
-pub struct Prior<const N: usize> {
-    pub mean: SVector<f64, N>,
-    /// 1 / variance; 0 where nothing is known, infinite where the parameter is held: a fit must start with it at the mean.
-    pub information: SVector<f64, N>,
-}
-
-impl<const N: usize> Prior<N> {
-    pub fn none() -> Self {
-        Self {
-            mean: SVector::zeros(),
-            information: SVector::zeros(),
-        }
-    }
 }
 
 /// By how much the sigmas of observations and prior are inflated.
@@ -190,23 +173,6 @@ fn normal_equations<const D: usize, const N: usize>(
         }
     }
     normal
-}
-
-impl<const N: usize> Prior<N> {
-    /// What is known of the parameters that are not held.
-    fn free(&self) -> SVector<f64, N> {
-        self.information
-            .map(|known| if known.is_finite() { known } else { 0.0 })
-    }
-
-    fn gradient(&self, parameters: &SVector<f64, N>) -> SVector<f64, N> {
-        self.free().component_mul(&(self.mean - parameters))
-    }
-
-    fn cost(&self, parameters: &SVector<f64, N>) -> f64 {
-        let off = parameters - self.mean;
-        self.free().dot(&off.component_mul(&off))
-    }
 }
 
 /// A loss of residuals over their scale; all count alike where they have none.

@@ -17,9 +17,9 @@ pub mod spectrum;
 
 pub use kalman::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 pub use least_squares::{
-    FitError, Fitted, LeastSquares, Linearised, Prior, Scale, regression, regression_by,
+    FitError, Fitted, LeastSquares, Linearised, Scale, regression, regression_by,
 };
-pub use normal::{Normal, Solved};
+pub use normal::{Normal, Prior, Solved};
 pub use robust::{
     CONTRADICTION_SIGMAS, Loss, MEDIAN_CHI2_2D, MEDIAN_LENGTH_2D, MEDIAN_SIGMA, QUARTILE_SIGMAS,
     SIGMA_PER_MEDIAN, TUKEY_SIGMAS, TUKEY_SIGMAS_2D, clipped_sigma, median, median_and_scatter,

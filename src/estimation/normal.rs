@@ -1,10 +1,43 @@
 //! Normal equations of a few parameters.
 
-use super::least_squares::Prior;
 use nalgebra::{SMatrix, SVector};
 
 /// An unknown with less than this part of its information independent of those before it is not determined.
 const LEAST_OWN_PART: f64 = 1e-10;
+
+/// What is known of the parameters beforehand, each on its own.
+#[derive(Debug, Clone, Copy)]
+pub struct Prior<const N: usize> {
+    pub mean: SVector<f64, N>,
+    /// 1 / variance; 0 where nothing is known, infinite where the parameter is held: a fit must start with it at the mean.
+    pub information: SVector<f64, N>,
+}
+
+impl<const N: usize> Prior<N> {
+    pub fn none() -> Self {
+        Self {
+            mean: SVector::zeros(),
+            information: SVector::zeros(),
+        }
+    }
+}
+
+impl<const N: usize> Prior<N> {
+    /// What is known of the parameters that are not held.
+    fn free(&self) -> SVector<f64, N> {
+        self.information
+            .map(|known| if known.is_finite() { known } else { 0.0 })
+    }
+
+    pub(super) fn gradient(&self, parameters: &SVector<f64, N>) -> SVector<f64, N> {
+        self.free().component_mul(&(self.mean - parameters))
+    }
+
+    pub(super) fn cost(&self, parameters: &SVector<f64, N>) -> f64 {
+        let off = parameters - self.mean;
+        self.free().dot(&off.component_mul(&off))
+    }
+}
 
 /// The normal equations of observations near some parameters, residuals and slopes in units of their sigmas.
 #[derive(Debug, Clone, Copy, PartialEq)]

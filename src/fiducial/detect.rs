@@ -3,36 +3,9 @@
 use super::candidates::candidates;
 use super::cross::turned;
 use super::template::{Template, Window};
-use super::{CrossShape, FlatDisc, Settings};
-use crate::frame::Region;
-use crate::geometry::Ellipse;
+use super::{CrossShape, FlatDisc, Lighting, Settings};
 use crate::units::SensorPx;
 use nalgebra::{Complex, Matrix2, Vector2};
-
-/// Whether the whole mark is lit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Lighting {
-    /// All four tips of the cross lie inside the limb and on the sensor.
-    Full,
-    /// The limb or the sensor's edge cuts the cross: its detected position is biased, and it must not decide a mapping.
-    Cut,
-}
-
-impl Lighting {
-    /// Of a cross at a place whose arms, the columns, reach so far from it, on a disc of which the sensor shows a region.
-    pub fn of(at: SensorPx, arms: &Matrix2<f64>, disc: &Ellipse, region: &Region) -> Self {
-        let mut tips = arms
-            .column_iter()
-            .flat_map(|arm| [at.vector() + arm, at.vector() - arm]);
-        let lit = |tip: Vector2<f64>| {
-            disc.excess(tip) < -TIP_MARGIN_PX && region.holds(tip.into(), TIP_MARGIN_PX)
-        };
-        match tips.all(lit) {
-            true => Self::Full,
-            false => Self::Cut,
-        }
-    }
-}
 
 /// A mark that was found, without an id yet.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -62,8 +35,6 @@ const PARABOLA_SIGMA_PX: f64 = 0.01;
 const DISTURBANCE_PX2: f64 = 6.0;
 /// The structure of a clean cross, between pixels and blurred as it may be, over what the filter explains of it.
 const CLEAN_SHARE: f64 = 1.4;
-/// How far inside the limb a tip must be to count as lit: the outline's own uncertainty.
-const TIP_MARGIN_PX: f64 = 0.25;
 /// The contrast that the fourfold part of a cross shows, over that of the whole: 1 for a cross in focus, 0.3 in haze that
 /// the filter does not know of, and 0 but for noise of what is round.
 const FOURFOLD_SHARE: std::ops::Range<f64> = 0.2..2.0;

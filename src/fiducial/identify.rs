@@ -22,6 +22,7 @@ use super::prior::{
 };
 use super::{Detection, Lighting, Settings};
 use crate::plate::{MarkId, Plate};
+use crate::reasons::sun;
 use crate::units::Rejected;
 
 /// Why detections have no ids.
@@ -60,7 +61,7 @@ pub fn identify(
     let is_full = |n: &usize| detections[*n].lighting == Lighting::Full;
     let full: Vec<usize> = (0..detections.len()).filter(is_full).collect();
     let (count, least) = (full.len() as f64, settings.min_marks as f64);
-    Rejected::at_least(least, count, "too few fully lit marks")?;
+    Rejected::at_least(least, count, sun::FEW_LIT_MARKS)?;
     let from_sun_px = prior.sun_distance_px(prior.plate_centre);
     let error_px = PREDICTION_ERROR * (from_sun_px + prior.outline.mean_radius());
     let reach_mil = (settings.max_centre_shift_px + error_px) * prior.mil_per_px();
@@ -121,33 +122,33 @@ fn decide(
     labellings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let Some(best) = labellings.first() else {
         return Err(Unread::Undecided(Rejected {
-            reason: "the marks' spacings allow no labelling",
+            reason: sun::NO_LABELLING,
             measured: 0.0,
             limit: settings.min_marks as f64,
         }));
     };
-    let reason = "the best labelling explains too few fully lit marks";
+    let reason = sun::FEW_MARKS_EXPLAINED;
     let (marks, least) = (best.full as f64, settings.min_marks as f64);
     Rejected::at_least(least, marks, reason)?;
-    let reason = "poor identification: the best labelling's evidence is too weak";
+    let reason = sun::WEAK_LABELLING;
     Rejected::at_least(DECISIVE_ODDS, best.score, reason)?;
     let rivals = || labellings.iter().filter(|rival| rival.contradicts(best));
     let equal = odds(best, rivals().filter(|rival| rival.full >= best.full));
-    let reason = "two labellings of the marks fit alike";
+    let reason = sun::TWO_LABELLINGS;
     Rejected::at_least(DECISIVE_ODDS, equal, reason)?;
     let fewer = odds(best, rivals().filter(|rival| rival.full < best.full));
     let least = match best.full < full {
         true => FALSE_MARK_ODDS_AMONG_FALSE,
         false => FALSE_MARK_ODDS,
     };
-    let reason = "the best labelling may rest on a false detection";
+    let reason = sun::FALSE_DETECTION;
     Rejected::at_least(least, fewer, reason)?;
     let (centre, sigma_px) = (best.plate_centre, best.centre_sigma_px);
     let excess = prior.shift_excess(centre, sigma_px, settings.max_centre_shift_px);
-    let reason = "the best labelling puts the plate's centre too far away";
+    let reason = sun::CENTRE_FAR_AWAY;
     Rejected::at_most(1.0, excess, reason).map_err(Unread::Contradicting)?;
     let excess = prior.scale_excess(best.scale_mil_per_px);
-    let reason = "the best labelling's scale contradicts the stated one";
+    let reason = sun::SCALE_OF_LABELLING;
     Rejected::at_most(1.0, excess, reason).map_err(Unread::Contradicting)?;
     Ok(best.usable())
 }

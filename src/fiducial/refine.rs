@@ -16,7 +16,7 @@
 use super::CrossShape;
 use super::mark_fit::{CONTRAST, Lists, MarkFit, Settled, X, Y};
 use super::patch::Illumination;
-use crate::frame::Cutout;
+use crate::frame::{Cutout, PixelNoise};
 use crate::plate::Cross;
 use crate::units::{Estimate, SensorPx};
 use nalgebra::{Matrix2, Vector2};
@@ -43,16 +43,18 @@ pub struct RefinedMark {
 pub struct Refiner {
     shape: CrossShape,
     scale_mil_per_px: f64,
+    noise: PixelNoise,
     lists: Lists,
 }
 
 impl Refiner {
-    /// For crosses of the plate at a scale and a lens's blur (1 sigma). A blur that is off by a fifth moves no mark.
-    pub fn new(cross: &Cross, scale_mil_per_px: f64, lens_blur_px: f64) -> Self {
+    /// For crosses of the plate at a scale and a lens's blur (1 sigma), on pixels of some noise. A blur that is off by a fifth moves no mark.
+    pub fn new(cross: &Cross, scale_mil_per_px: f64, lens_blur_px: f64, noise: PixelNoise) -> Self {
         let shape = CrossShape::new(cross, scale_mil_per_px, lens_blur_px);
         Self {
             shape,
             scale_mil_per_px,
+            noise,
             lists: Lists::default(),
         }
     }
@@ -84,7 +86,7 @@ impl Refiner {
             shape: &self.shape,
             to_arms: jacobian.try_inverse()? / self.scale_mil_per_px,
             reach,
-            noise: cutout.noise,
+            noise: self.noise,
         };
         // What is farther off than an arm is wide is another mark, or none.
         let farthest_px = self.shape.blurred_half_width_px();

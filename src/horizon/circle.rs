@@ -11,6 +11,7 @@ use super::{LEAST_PLACES, Settings, Sphere, Stage, Stopped, no_horizon, stopped}
 use crate::estimation::{median, regression};
 use crate::frame::{Frame, Region};
 use crate::instrument::DirectionCamera;
+use crate::reasons::horizon as reasons;
 use crate::units::EARTH_RADIUS_M;
 use crate::with_view;
 use nalgebra::{Rotation3, UnitVector3, Vector2, Vector3};
@@ -130,7 +131,10 @@ fn in_part(
 ) -> Result<Circle, Stopped> {
     let part = frame.cropped(region).ok_or_else(|| no_horizon(0))?;
     let radius_px = camera.lens.mean_focal_px() * sphere.half_angle_rad.value.tan();
-    let levels = Levels::of(&part, radius_px).map_err(|rejected| (Stage::Light, rejected))?;
+    let levels = Levels::of(&part, radius_px).map_err(|rejected| Stopped {
+        stage: Stage::Light,
+        rejected,
+    })?;
     let threshold_dn = settings.threshold_dn.unwrap_or(levels.border_dn());
     let mask: Vec<Region> = camera
         .mask
@@ -153,12 +157,12 @@ fn in_part(
         return Err(no_horizon(rays.len()));
     }
     let expected = sphere.half_angle_rad.value;
-    let circle =
-        through(&rays, expected).ok_or_else(|| stopped(Stage::Fit, "undetermined", 0.0, 0.0))?;
+    let circle = through(&rays, expected)
+        .ok_or_else(|| stopped(Stage::Fit, reasons::UNDETERMINED, 0.0, 0.0))?;
     let ratio = circle.half_angle_rad.tan() / expected.tan();
     match RADIUS_RATIO.contains(&ratio) {
         true => Ok(circle),
-        false => Err(stopped(Stage::Fit, "radius", ratio, 1.0)),
+        false => Err(stopped(Stage::Fit, reasons::RADIUS, ratio, 1.0)),
     }
 }
 

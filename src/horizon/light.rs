@@ -4,6 +4,7 @@ use super::sphere::Sphere;
 use crate::estimation::{SIGMA_PER_MEDIAN, median};
 use crate::frame::{Frame, Sample, View};
 use crate::instrument::DirectionCamera;
+use crate::reasons::horizon as reasons;
 use crate::units::{Rejected, SensorPx};
 use crate::with_view;
 use nalgebra::UnitVector3;
@@ -61,7 +62,7 @@ impl Levels {
             noise_dn,
         } = with_view!(frame, view => Sampled::of(&view, spacing_px));
         let saturation = f64::from(frame.saturation_dn());
-        Rejected::at_most(MOST_MEAN * saturation, mean, Self::TOO_BRIGHT)?;
+        Rejected::at_most(MOST_MEAN * saturation, mean, reasons::TOO_BRIGHT)?;
         let sphere_share = PI * radius_px * radius_px / (frame.width() * frame.height()) as f64;
         let bright_share = (PART_OF_SPHERE * sphere_share).min(BRIGHT_SHARE);
         let mut quantile = |share: f64| {
@@ -75,7 +76,7 @@ impl Levels {
         };
         let contrast = levels.bright_dn - levels.dark_dn;
         let limit = (LEAST_CONTRAST * saturation).max(LEAST_CONTRAST_SIGMAS * noise_dn);
-        Rejected::at_least(limit, contrast, Self::TOO_DARK)?;
+        Rejected::at_least(limit, contrast, reasons::TOO_DARK)?;
         Ok(levels)
     }
 
@@ -166,10 +167,10 @@ impl Raster {
         let sky = edge + sphere.outside_rad;
         let outside = self.light_where(nadir, |cosine| cosine < sky.cos());
         if let Some(share) = inside.map(bright_share) {
-            Rejected::at_least(LEAST_INSIDE, share, "dark_inside")?;
+            Rejected::at_least(LEAST_INSIDE, share, reasons::DARK_INSIDE)?;
         }
         if let Some(share) = outside.map(bright_share) {
-            Rejected::at_most(MOST_OUTSIDE, share, "bright_outside")?;
+            Rejected::at_most(MOST_OUTSIDE, share, reasons::BRIGHT_OUTSIDE)?;
         }
         Ok(())
     }

@@ -36,6 +36,8 @@ pub use sphere::{Ellipsoid, Refraction, Sphere, Viewpoint};
 use crate::estimation::FitError;
 use crate::frame::{Frame, Sample, View};
 use crate::instrument::DirectionCamera;
+use crate::reasons::horizon as reasons;
+use crate::units::Reason;
 use crate::units::Rejected;
 use crate::with_view;
 use border::Binary;
@@ -95,7 +97,13 @@ impl Stage {
 }
 
 /// The stage that went no further, and why.
-pub type Stopped = (Stage, Rejected);
+pub type Stopped = crate::reasons::Stopped<Stage>;
+
+impl crate::reasons::Stage for Stage {
+    fn name(self) -> &'static str {
+        Self::name(self)
+    }
+}
 
 /// How good a nadir is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -260,7 +268,7 @@ impl Search<'_> {
         view: &View<'_, T>,
         near: Option<UnitVector3<f64>>,
     ) -> Solution {
-        let mut solution = Solution::none(stopped(Stage::Light, "no_light", 0.0, 0.0));
+        let mut solution = Solution::none(stopped(Stage::Light, reasons::NO_LIGHT, 0.0, 0.0));
         solution.nadir = self.stages(frame, view, near, &mut solution);
         solution
     }
@@ -272,8 +280,10 @@ impl Search<'_> {
         near: Option<UnitVector3<f64>>,
         solution: &mut Solution,
     ) -> Result<Nadir, Stopped> {
-        let levels =
-            Levels::of(frame, self.radius_px()).map_err(|rejected| (Stage::Light, rejected))?;
+        let levels = Levels::of(frame, self.radius_px()).map_err(|rejected| Stopped {
+            stage: Stage::Light,
+            rejected,
+        })?;
         solution.levels = Some(levels);
         let start = match near {
             Some(near) => near,
@@ -285,7 +295,10 @@ impl Search<'_> {
         enough(nadir.agreeing(), solution.places)?;
         raster
             .is_filled(self.sphere, &nadir.direction.unit, &levels)
-            .map_err(|rejected| (Stage::Fit, rejected))?;
+            .map_err(|rejected| Stopped {
+                stage: Stage::Fit,
+                rejected,
+            })?;
         Ok(nadir)
     }
 
@@ -357,7 +370,7 @@ impl Search<'_> {
             solution.places = profiles.len();
             let far_sky_dn = raster.far_sky_dn(&sphere, &last.direction.unit);
             let edge = profiles.edge(least_dn, levels.noise_dn, far_sky_dn);
-            let edge = edge.ok_or_else(|| stopped(Stage::Edge, "no_limb", 0.0, 0.0))?;
+            let edge = edge.ok_or_else(|| stopped(Stage::Edge, reasons::NO_LIMB, 0.0, 0.0))?;
             solution.edge = rays(&edge.points, edge.sigma_rad);
             solution.clouded = edge.clouded;
             enough(solution.edge.rays.len(), solution.places)?;
@@ -413,7 +426,7 @@ fn enough(seen: usize, places: usize) -> Result<(), Stopped> {
         true => Ok(()),
         false => Err(stopped(
             Stage::Edge,
-            "little_edge",
+            reasons::LITTLE_EDGE,
             seen as f64,
             least as f64,
         )),
@@ -423,26 +436,31 @@ fn enough(seen: usize, places: usize) -> Result<(), Stopped> {
 /// Too few points of borders agree.
 fn no_horizon(points: usize) -> Stopped {
     let limit = LEAST_PLACES as f64;
-    stopped(Stage::Detection, "no_horizon", points as f64, limit)
+    stopped(Stage::Detection, reasons::NO_HORIZON, points as f64, limit)
 }
 
 fn unfitted(error: NadirError) -> Stopped {
     match error {
-        NadirError::Rays(rays) => {
-            stopped(Stage::Fit, "little_edge", rays as f64, LEAST_PLACES as f64)
+        NadirError::Rays(rays) => stopped(
+            Stage::Fit,
+            reasons::LITTLE_EDGE,
+            rays as f64,
+            LEAST_PLACES as f64,
+        ),
+        NadirError::Fit(FitError::Undetermined) => {
+            stopped(Stage::Fit, reasons::UNDETERMINED, 0.0, 0.0)
         }
-        NadirError::Fit(FitError::Undetermined) => stopped(Stage::Fit, "undetermined", 0.0, 0.0),
-        NadirError::Fit(FitError::NotConverged) => stopped(Stage::Fit, "not_converged", 0.0, 0.0),
+        NadirError::Fit(FitError::NotConverged) => {
+            stopped(Stage::Fit, reasons::NOT_CONVERGED, 0.0, 0.0)
+        }
     }
 }
 
-fn stopped(stage: Stage, reason: &'static str, measured: f64, limit: f64) -> Stopped {
-    (
-        stage,
-        Rejected {
-            reason,
-            measured,
-            limit,
-        },
-    )
+fn stopped(stage: Stage, reason: Reason, measured: f64, limit: f64) -> Stopped {
+    let rejected = Rejected {
+        reason,
+        measured,
+        limit,
+    };
+    Stopped { stage, rejected }
 }

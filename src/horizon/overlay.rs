@@ -118,13 +118,7 @@ fn captions(solution: &Solution, title: &str) -> Vec<String> {
                 solution.places,
             ));
         }
-        Err((stage, rejected)) => lines.push(format!(
-            "{}: {} ({:.2}, limit {:.2})",
-            stage.name(),
-            rejected.reason,
-            rejected.measured,
-            rejected.limit
-        )),
+        Err(stopped) => lines.push(stopped.in_full()),
     }
     lines
 }

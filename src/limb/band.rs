@@ -310,7 +310,8 @@ mod tests {
             let pixels = band.begins[n]..band.begins[n + 1];
             let shift = mean(&band.distance_px[pixels.clone()]) - mean(&before[pixels]);
             let at = ellipse().from_disc(middle_of_sector(n, SECTORS));
-            assert!((f64::from(shift) - moved.excess(at)).abs() < 0.002);
+            // Distances are of first order: 0.4 px of 80 leave 0.002 px.
+            assert!((f64::from(shift) - moved.excess(at)).abs() < 0.003);
         }
     }
 

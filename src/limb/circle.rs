@@ -6,6 +6,7 @@ use crate::estimation::{
     CONTRADICTION_SIGMAS, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS,
 };
 use crate::geometry::Circle;
+use crate::reasons::sun;
 use crate::units::{Measured, Rejected};
 use nalgebra::{Matrix2, RowVector3, SVector, Vector1, Vector2, Vector3};
 
@@ -39,7 +40,7 @@ pub(super) fn agreed_circle(
 ) -> Result<Circle, Rejected> {
     let enough = settings.min_crossings as f64;
     let count = crossings.len() as f64;
-    Rejected::at_least(enough, count, "too few chords cross a limb")?;
+    Rejected::at_least(enough, count, sun::FEW_CHORDS)?;
     let consensus = Consensus {
         crossings,
         radius_px,
@@ -47,12 +48,12 @@ pub(super) fn agreed_circle(
     };
     let best = consensus.best_circle();
     let agreeing = best.map_or(0, |circle| consensus.on(&circle).count()) as f64;
-    let reason = "too few crossings lie on a circle of the Sun's size";
+    let reason = sun::NO_CIRCLE;
     Rejected::at_least(enough, agreeing, reason)?;
     let fit = best
         .and_then(|circle| consensus.refined(&circle))
         .ok_or(Rejected {
-            reason: "the crossings determine no circle",
+            reason: sun::CIRCLE_UNDETERMINED,
             measured: agreeing,
             limit: enough,
         })?;
@@ -139,12 +140,12 @@ impl Consensus<'_> {
         let near = self.crossings.iter();
         let near = near.filter(|c| circle.excess(c.at).abs() < NEAR * circle.radius);
         let agreeing = self.on(&circle).count() as f64 / near.count().max(1) as f64;
-        let reason = "what crosses the threshold near the circle is no limb";
+        let reason = sun::NO_LIMB;
         Rejected::at_least(LEAST_AGREEING, agreeing, reason)?;
         let arc = arc_fraction(self.on(&circle).map(|c| c.at), circle.centre);
-        Rejected::at_least(LEAST_ARC, arc, "too little of the limb is seen")?;
+        Rejected::at_least(LEAST_ARC, arc, sun::LITTLE_LIMB)?;
         let sigma_px = centre_sigma_px(fit);
-        let reason = "the limb does not determine where the disc is";
+        let reason = sun::DISC_UNDETERMINED;
         Rejected::at_most(MAX_CENTRE_SIGMA_PX, sigma_px, reason)
     }
 }

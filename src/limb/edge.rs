@@ -16,13 +16,16 @@
 //! Residuals are weighted by Tukey's biweight, against hot pixels and scratches.
 
 use super::band::{Band, SectorPixels, middle_of_sector};
-use super::profile::Profile;
+use super::shape::{
+    BACKGROUND, COMA, COMA_BLURS, EdgeModel, ILLUMINATION, MOTION, QUANTITY, SHIFT, SMOOTH, Shape,
+    UNEVEN_BACKGROUND, course, smooth_terms,
+};
 use super::sums::{COLUMNS, SECTOR, Weighing, sector_sums};
 use crate::estimation::{Normal, Prior, clipped_sigma};
 use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
-use nalgebra::{Matrix2, RowSVector, SMatrix, SVector, Vector2};
+use nalgebra::{RowSVector, SMatrix, SVector, Vector2};
 
 /// A point of the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,27 +35,10 @@ pub struct LimbPoint {
     pub sigma_px: f64,
 }
 
-/// What differs from sector to sector, by index: the limb's shift outwards (px), excess illumination (a fraction),
-/// background (DN), excess of the blur's variance (px^2), the displaced part of the light times its displacement (px).
-const SHIFT: usize = 0;
-const ILLUMINATION: usize = 1;
-const BACKGROUND: usize = 2;
-const BLUR: usize = 3;
-const COMA_SHIFT: usize = 4;
 /// Those that a sector has of its own, beside the smooth course: shift, illumination, background.
 const OWN: usize = 3;
 
-/// The blur of the light that coma displaces, in blurs. With this one the marks' shift follows from the limb's whatever the
-/// true one is, from 1.1 to 3.7, to 3 %.
-pub const COMA_BLURS: f64 = 2.1;
-
-/// Coefficients of the smooth courses: illumination 1, x, y; background 1, x, y, cos 2 phi, sin 2 phi; variance of the blur 1,
-/// cos 2 phi, sin 2 phi; coma x, y.
-const SMOOTH: usize = 13;
-const UNEVEN_BACKGROUND: std::ops::Range<usize> = 4..8;
-const MOTION: std::ops::Range<usize> = 9..11;
-const COMA: std::ops::Range<usize> = 11..13;
-/// 1 sigma of each before the fit: illumination, background in parts of the plateau, px^2, px. They hold what a short arc does
+/// 1 sigma of each coefficient of the smooth courses before the fit: illumination, background in parts of the plateau, px^2, px. They hold what a short arc does
 /// not determine.
 const PRIOR: [f64; SMOOTH] = [
     0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.03, 0.03, 1.0, 1.0, 1.0, 0.3, 0.3,
@@ -69,109 +55,6 @@ const LEAST_OWN_PART: f64 = 1e-3;
 /// A point so uncertain, or so far from the ellipse, is rejected; in blurs.
 const MOST_SIGMA_BLURS: f64 = 0.75;
 const MOST_SHIFT_BLURS: f64 = 3.2;
-
-/// How the limb departs round the disc from one and the same profile.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Shape {
-    coefficients: SVector<f64, SMOOTH>,
-}
-
-impl Shape {
-    pub(super) const NONE: Self = Self {
-        coefficients: SVector::<f64, SMOOTH>::from_array_storage(nalgebra::ArrayStorage([
-            [0.0; SMOOTH]
-        ])),
-    };
-
-    /// What a sector in a direction has of it.
-    pub(super) fn at(&self, w: Vector2<f64>) -> SVector<f64, SECTOR> {
-        course(&smooth_terms(w), &self.coefficients)
-    }
-
-    /// The harmonics of the blur's variance at twice the azimuth, px^2: along x and along the diagonal.
-    pub(super) fn motion_px2(&self) -> Vector2<f64> {
-        self.coefficients.fixed_rows::<2>(MOTION.start).into_owned()
-    }
-
-    /// Excess of the blur's variance all round, px^2.
-    pub(super) fn blur_px2(&self) -> f64 {
-        self.coefficients[MOTION.start - 1]
-    }
-}
-
-/// Which of a sector's quantities each coefficient belongs to.
-const QUANTITY: [usize; SMOOTH] = [
-    ILLUMINATION,
-    ILLUMINATION,
-    ILLUMINATION,
-    BACKGROUND,
-    BACKGROUND,
-    BACKGROUND,
-    BACKGROUND,
-    BACKGROUND,
-    BLUR,
-    BLUR,
-    BLUR,
-    COMA_SHIFT,
-    COMA_SHIFT,
-];
-
-/// By what each coefficient is multiplied in a direction.
-fn smooth_terms(w: Vector2<f64>) -> SVector<f64, SMOOTH> {
-    let w = w.normalize();
-    let (c2, s2) = (w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
-    SVector::from([1.0, w.x, w.y, 1.0, w.x, w.y, c2, s2, 1.0, c2, s2, w.x, w.y])
-}
-
-/// The quantities of a sector with these terms.
-fn course(
-    terms: &SVector<f64, SMOOTH>,
-    coefficients: &SVector<f64, SMOOTH>,
-) -> SVector<f64, SECTOR> {
-    let mut course = SVector::zeros();
-    for n in 0..SMOOTH {
-        course[QUANTITY[n]] += terms[n] * coefficients[n];
-    }
-    course
-}
-
-/// The model of a frame's limb, all round.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct EdgeModel {
-    pub profile: Profile,
-    /// How far outwards or inwards the limb may lie all round, since the profile is uncertain, 1 sigma, px.
-    pub place_sigma_px: f64,
-    pub shape: Shape,
-    /// Covariance of the shape's coefficients; zero where they are held.
-    pub covariance: SMatrix<f64, SMOOTH, SMOOTH>,
-    pub noise: PixelNoise,
-    /// The unit of what is near and far: the profile's blur, and at least the expected one, px.
-    pub resolution_px: f64,
-    /// How far the limb may be from the ellipse that the band lies about, px.
-    pub shift_sigma_px: f64,
-    /// Pixels whose expected light is above this saturate too often to be of use, DN.
-    pub saturated_dn: f64,
-}
-
-impl EdgeModel {
-    /// The profile of a sector.
-    fn profile_at(&self, course: &SVector<f64, SECTOR>) -> Profile {
-        let variance = self.profile.blur_px.powi(2) + course[BLUR];
-        self.profile.with_blur(variance.max(0.0).sqrt())
-    }
-
-    /// The part of the light that coma displaces times its displacement, px, and the covariance of that.
-    pub(super) fn coma(&self) -> (Vector2<f64>, Matrix2<f64>) {
-        let own = self.covariance.fixed_view::<2, 2>(COMA.start, COMA.start);
-        let coefficients = self.shape.coefficients.fixed_rows::<2>(COMA.start);
-        (coefficients.into_owned(), own.into_owned())
-    }
-
-    /// Light well inside the limb, DN.
-    fn plateau_dn(&self) -> f64 {
-        self.profile.at(-4.0 * self.profile.blur_px) - self.profile.background_dn
-    }
-}
 
 /// Points of the limb about an ellipse, and the model with which they were measured.
 pub(super) struct EdgeFit {

@@ -1,14 +1,16 @@
-//! The outline of the disc from the whole limb: points and ellipse in turn, until neither moves.
+//! The outline of the disc: roughly from every fourth row, then from the whole limb; points and ellipse in turn, until neither moves.
 
 use super::band::{Band, Reach, Wanted};
-use super::edge::{EdgeFit, EdgeModel, LimbPoint, Shape, fit_edge, noise};
+use super::edge::{EdgeFit, LimbPoint, fit_edge, noise};
 use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::profile::{Brightness, MODEL_SIGMA_PX, Profile};
+use super::shape::{EdgeModel, Shape};
 use super::{LIMB_DARKENING, Settings};
 use crate::estimation::{MEDIAN_SIGMA, median};
 use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
+use crate::reasons::sun;
 use crate::units::Rejected;
 use nalgebra::Matrix2;
 
@@ -128,12 +130,12 @@ impl LimbFit<'_> {
                 light.outline = found.ellipse;
                 if moved_px < STEADY_BLURS * blur_px {
                     light.edge = fit.model;
-                    light.edge.noise = noise(&band, &light.edge);
                     light.edge.shift_sigma_px = LATER_SHIFT_BLURS * blur_px;
                     return Ok(light);
                 }
             }
-            (outline, profile) = (light.outline, light.edge.profile);
+            // Again in a band as wide as the blur asks for; what else is expected stays.
+            (outline, profile.blur_px) = (light.outline, blur_px);
         }
     }
 
@@ -171,12 +173,15 @@ impl LimbFit<'_> {
         let mut light = *rough;
         let blur_px = light.edge.profile.blur_px;
         let mut band = Band::of(&self.wanted(&light.outline, mask, blur_px, 1));
+        light.edge.noise = noise(&band, &light.edge);
         let mut pass = 0;
         loop {
             pass += 1;
             let (fit, outline) = self.pass(&band, &light)?;
             let moved_px = moved_px(&light.outline, &outline.ellipse);
-            if moved_px < SETTLED_BLURS * blur_px || pass == PASSES {
+            let settled =
+                moved_px < SETTLED_BLURS * blur_px && fit.model.shape.is_near(&light.edge.shape);
+            if settled || pass == PASSES {
                 self.check(&outline, &rough.outline, fit.model.resolution_px)?;
                 return Ok(Limb::new(fit, outline));
             }
@@ -219,13 +224,13 @@ impl LimbFit<'_> {
             return Err(self.too_few(accepted));
         }
         let away = (fit.ellipse.centre - start.centre).norm();
-        let reason = "limb fit diverged from the disc that was found";
+        let reason = sun::LIMB_DIVERGED;
         Rejected::at_most(MOST_BLURS_AWAY * resolution_px, away, reason)
     }
 
     fn too_few(&self, points: usize) -> Rejected {
         Rejected {
-            reason: "too few points lie on the limb",
+            reason: sun::FEW_LIMB_POINTS,
             measured: points as f64,
             limit: self.settings.min_limb_points as f64,
         }

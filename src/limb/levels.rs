@@ -8,6 +8,7 @@
 use super::Settings;
 use crate::estimation::QUARTILE_SIGMAS;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Sample};
+use crate::reasons::sun;
 use crate::units::Rejected;
 use crate::with_view;
 
@@ -39,7 +40,7 @@ pub fn levels(frame: &Frame, settings: &Settings) -> Result<Levels, Rejected> {
     let (background_dn, noise_dn) = sampled(frame).background();
     let disc_dn = brighter(frame, background_dn + BRIGHT_SIGMAS * noise_dn).disc_dn()?;
     let contrast_sigmas = (disc_dn - background_dn) / noise_dn;
-    let reason = "nothing outshines the background by enough";
+    let reason = sun::LOW_CONTRAST;
     Rejected::at_least(settings.min_contrast_sigma, contrast_sigmas, reason)?;
     Ok(Levels {
         background_dn,
@@ -164,7 +165,7 @@ impl Histogram {
 
     fn disc_dn(&self) -> Result<f64, Rejected> {
         let bright = self.total();
-        let reason = "too few pixels are brighter than the background";
+        let reason = sun::FEW_BRIGHT_PIXELS;
         Rejected::at_least(MIN_BRIGHT_PAIRS, bright, reason)?;
         Ok(self.quantile(DISC_QUANTILE * bright))
     }

@@ -1,6 +1,6 @@
 //! The light of the disc, as far as its edge shows it.
 
-use super::edge::EdgeModel;
+use super::shape::EdgeModel;
 use crate::frame::{PIXEL_VARIANCE_PX2, PixelNoise};
 use crate::geometry::Ellipse;
 use multiversion::multiversion;

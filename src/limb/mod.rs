@@ -23,16 +23,18 @@ mod light;
 mod outline;
 mod profile;
 mod search;
+mod shape;
 mod sums;
 
 pub use background::background;
-pub use edge::{COMA_BLURS, LimbPoint};
+pub use edge::LimbPoint;
 pub use fit::{KnownOutline, Limb, LimbFit};
 pub use levels::levels;
 pub use light::DiscLight;
 pub use outline::{OutlineFit, OutlinePrior, arc_fraction, fit_outline};
 pub use profile::{Brightness, Profile};
 pub use search::DiscSearch;
+pub use shape::COMA_BLURS;
 
 /// Linear limb darkening at 630 nm (Neckel and Labs 1994): light falls as 1 - u (1 - cos theta) towards the limb.
 const LIMB_DARKENING: f64 = 0.56;

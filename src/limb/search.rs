@@ -6,6 +6,7 @@ use super::circle::agreed_circle;
 use super::{LIMB_DARKENING, Settings};
 use crate::frame::{Frame, Levels, Region};
 use crate::geometry::Circle;
+use crate::reasons::sun;
 use crate::units::Rejected;
 use nalgebra::Vector2;
 
@@ -45,7 +46,7 @@ impl DiscSearch<'_> {
     /// Looks for the disc, to a pixel or so, everywhere in a region of the frame.
     pub fn anywhere(&self, region: Region) -> Result<Circle, Rejected> {
         let mut reason = Rejected {
-            reason: "nothing is as bright and as wide as a disc",
+            reason: sun::NO_BRIGHT_PATCH,
             measured: 0.0,
             limit: 1.0,
         };
@@ -88,7 +89,7 @@ impl DiscSearch<'_> {
             line.read(y);
             for run in scan.runs(&line) {
                 count += 1;
-                let reason = "the frame is bright in too many places";
+                let reason = sun::MANY_BRIGHT_PLACES;
                 Rejected::at_most(most_runs as f64, count as f64, reason)?;
                 let run = Patch {
                     region: Region::sized(region.x0 + run.start, y, run.len(), 1),
@@ -265,8 +266,8 @@ fn check_filled(frame: &Frame, circle: &Circle, threshold_dn: f64) -> Result<(),
         }
     }
     let share = |right: f64, [dark, bright]: [f64; 2]| right / (dark + bright).max(1.0);
-    let reason = "the disc is not bright within";
+    let reason = sun::DARK_INSIDE;
     Rejected::at_least(LEAST_RIGHT, share(within[1], within), reason)?;
-    let reason = "the disc is not dark about";
+    let reason = sun::BRIGHT_OUTSIDE;
     Rejected::at_least(LEAST_RIGHT, share(about[0], about), reason)
 }

@@ -2,10 +2,12 @@
 
 use super::limb::{Limb, LimbFit, LimbPoint, Parameters, circle_of};
 use super::shading::{Sphere, lit};
-use super::{Candidate, Levels, MOST_RADIUS_DEVIATION, MOST_SATURATED, Stage, Stopped, stopped};
+use super::{Candidate, Levels, MOST_RADIUS_DEVIATION, MOST_SATURATED, Stage, Stopped};
 use crate::estimation::regression;
 use crate::frame::Frame;
 use crate::geometry::Circle;
+use crate::reasons::{at, moon as reasons};
+use crate::units::{Reason, Rejected};
 use nalgebra::{Matrix2, SVector, Vector2};
 
 /// An oval is no Moon: longest axis over shortest.
@@ -44,12 +46,12 @@ pub(super) fn check(
     check_radius(candidate, &circle)?;
     if limb.saturated > MOST_SATURATED {
         let glare = glare(candidate, frame, levels, &circle);
-        at_most("glare", glare, MOST_GLARE)?;
+        at_most(reasons::GLARE, glare, MOST_GLARE)?;
     }
     check_lit(candidate, &circle)?;
     if candidate.expected.phase_angle_deg.is_some() {
         let unlike = unlike(candidate, frame, levels, &found.fitted.parameters);
-        at_most("unlike", unlike, MOST_UNLIKE)?;
+        at_most(reasons::UNLIKE, unlike, MOST_UNLIKE)?;
     }
     match candidate.radius() {
         Some(_) => check_limb(found, limb),
@@ -64,21 +66,22 @@ fn check_limb(found: &LimbFit, limb: &Limb) -> Result<(), Stopped> {
     let sigma = covariance.trace().max(0.0).sqrt() / radius;
     let is_sharp = |point: &&LimbPoint| point.excess_px.sigma < MOST_POINT_SIGMA * radius;
     let sharp: Vec<&LimbPoint> = found.points.iter().filter(is_sharp).collect();
-    at_most("oval", axis_ratio(found), MOST_AXIS_RATIO)?;
-    at_most("rough", roughness_px(&sharp) / radius, MOST_ROUGHNESS)?;
-    at_most("uncertain", sigma, MOST_SIGMA)?;
+    at_most(reasons::OVAL, axis_ratio(found), MOST_AXIS_RATIO)?;
     at_most(
-        "blunt",
+        reasons::ROUGH,
+        roughness_px(&sharp) / radius,
+        MOST_ROUGHNESS,
+    )?;
+    at_most(reasons::UNCERTAIN, sigma, MOST_SIGMA)?;
+    at_most(
+        reasons::BLUNT,
         1.0 - sharp.len() as f64 / limb.seen().max(1) as f64,
         MOST_BLUNT,
     )
 }
 
-fn at_most(reason: &'static str, measured: f64, limit: f64) -> Result<(), Stopped> {
-    match measured <= limit {
-        true => Ok(()),
-        false => Err(stopped(Stage::Checks, reason, measured, limit)),
-    }
+fn at_most(reason: Reason, measured: f64, limit: f64) -> Result<(), Stopped> {
+    Rejected::at_most(limit, measured, reason).map_err(at(Stage::Checks))
 }
 
 fn check_radius(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
@@ -86,7 +89,7 @@ fn check_radius(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
         return Ok(());
     };
     let deviation = (circle.radius / expected.value - 1.0).abs();
-    at_most("radius", deviation, MOST_RADIUS_DEVIATION)
+    at_most(reasons::RADIUS, deviation, MOST_RADIUS_DEVIATION)
 }
 
 /// Whether as much of the disc is light as the expected phase tells, and it lies where that puts it.
@@ -96,7 +99,7 @@ fn check_lit(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
     };
     let expected = lit(expected.value);
     at_most(
-        "lit",
+        reasons::LIT,
         candidate.light_area(circle) - expected,
         MOST_LIT_DEVIATION,
     )?;
@@ -104,7 +107,7 @@ fn check_lit(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
         return Ok(());
     }
     let seen = candidate.sphere_by_middle(circle).lit();
-    at_most("lit", (seen - expected).abs(), MOST_LIT_DEVIATION)
+    at_most(reasons::LIT, (seen - expected).abs(), MOST_LIT_DEVIATION)
 }
 
 /// The share of the light's variance around a disc that is neither noise nor the shading of its sphere.

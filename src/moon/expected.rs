@@ -1,6 +1,7 @@
 //! What is known of the Moon before a frame is looked at.
 
 use crate::geometry::camera::Camera;
+use crate::reasons::moon as reasons;
 use crate::sky::sphere::{direction, separation_rad, tangents, travel};
 use crate::sky::{MoonPosition, SunPosition, horizon_deg};
 use crate::units::{ARCSEC_PER_RAD, Measured, Place, Rejected};
@@ -77,14 +78,11 @@ impl Expected {
 pub fn below_horizon(moon: &MoonPosition, place: Place) -> Option<Rejected> {
     let (measured, limit) = (moon.elevation_deg, horizon_deg(place) - BELOW_DEG);
     (measured < limit).then_some(Rejected {
-        reason: "below_horizon",
+        reason: reasons::BELOW_HORIZON,
         measured,
         limit,
     })
 }
-
-/// The reason of [`near_sun`].
-pub const NEAR_SUN: &str = "near_sun";
 
 /// That the Moon stands nearer to the Sun than some angle, and the Sun is up.
 pub fn near_sun(
@@ -101,7 +99,7 @@ pub fn near_sun(
     );
     let is_near = !is_night(sun, place) && measured < limit;
     is_near.then_some(Rejected {
-        reason: NEAR_SUN,
+        reason: reasons::NEAR_SUN,
         measured,
         limit,
     })

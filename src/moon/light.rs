@@ -2,6 +2,7 @@
 
 use crate::estimation::{QUARTILE_SIGMAS, SIGMA_PER_MEDIAN, median};
 use crate::frame::{Frame, Region};
+use crate::reasons::moon as reasons;
 use crate::units::Rejected;
 use std::f64::consts::SQRT_2;
 
@@ -62,7 +63,7 @@ impl Levels {
                     + QUARTILE_SIGMAS * noise_dn
             }
         };
-        Rejected::at_most(MOST_SKY * saturated_dn, dark_dn, "too_bright")?;
+        Rejected::at_most(MOST_SKY * saturated_dn, dark_dn, reasons::TOO_BRIGHT)?;
         Ok(Self {
             dark_dn,
             noise_dn,

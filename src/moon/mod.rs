@@ -25,9 +25,7 @@ mod plane;
 mod profile;
 mod shading;
 
-pub use expected::{
-    Expected, NEAR_SUN, Radius, below_horizon, is_night, local_from_camera, near_sun,
-};
+pub use expected::{Expected, Radius, below_horizon, is_night, local_from_camera, near_sun};
 pub use light::{Levels, bright_dn};
 pub use overlay::overlay;
 pub use shading::{Shading, Sphere, towards_sun};
@@ -35,6 +33,8 @@ pub use shading::{Shading, Sphere, towards_sun};
 use crate::frame::Frame;
 use crate::geometry::Circle;
 use crate::geometry::camera::Camera;
+use crate::reasons::moon as reasons;
+use crate::units::Reason;
 use crate::units::{Estimate, Measured, Rejected, SensorPx};
 use limb::{Contradiction, Known, Limb, LimbFit};
 use patch::{Outline, Patch, patches};
@@ -131,7 +131,13 @@ impl Stage {
 }
 
 /// The stage that went no further, and why.
-pub type Stopped = (Stage, Rejected);
+pub type Stopped = crate::reasons::Stopped<Stage>;
+
+impl crate::reasons::Stage for Stage {
+    fn name(self) -> &'static str {
+        Self::name(self)
+    }
+}
 
 /// How good a find is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -187,14 +193,17 @@ impl Disc {
 /// # Errors
 /// A frame that shows no light of some size.
 pub fn by_extremities(settings: &Settings, frame: &Frame) -> Result<(SensorPx, f64), Stopped> {
-    let levels = Levels::of(frame).map_err(|rejected| (Stage::Light, rejected))?;
+    let levels = Levels::of(frame).map_err(|rejected| Stopped {
+        stage: Stage::Light,
+        rejected,
+    })?;
     let level_dn = levels.least_dn();
     let largest = candidates(frame, levels.dark_dn + level_dn)?[0];
     let nothing = Expected::default();
     let candidate = Candidate::new(settings, &nothing, frame, &largest, &levels, level_dn);
     let candidate = candidate.ok_or_else(beyond_lens)?;
     let circle = extremities::circle(&candidate.outline.points);
-    let circle = circle.ok_or_else(|| stopped(Stage::Detection, "no_circle", 0.0, 0.0))?;
+    let circle = circle.ok_or_else(|| stopped(Stage::Detection, reasons::NO_CIRCLE, 0.0, 0.0))?;
     Ok((candidate.plane.sensor(circle.centre), circle.radius))
 }
 
@@ -203,7 +212,10 @@ pub fn by_extremities(settings: &Settings, frame: &Frame) -> Result<(SensorPx, f
 /// # Errors
 /// Where the frame shows none: the stage, and why. Of several lights, the reason of the largest.
 pub fn solve(settings: &Settings, frame: &Frame, expected: &Expected) -> Result<Disc, Stopped> {
-    let levels = Levels::of(frame).map_err(|rejected| (Stage::Light, rejected))?;
+    let levels = Levels::of(frame).map_err(|rejected| Stopped {
+        stage: Stage::Light,
+        rejected,
+    })?;
     let mut level_dn = levels.least_dn();
     if expected.radius.is_none() {
         // A crater beyond the terminator, or a bright part of the Moon, may pass for all of it.
@@ -245,8 +257,10 @@ fn solve_at(
 
 /// The patches that may be the Moon: at least one, the largest first.
 fn candidates(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Stopped> {
-    let mut found =
-        patches(frame, threshold_dn).map_err(|rejected| (Stage::Detection, rejected))?;
+    let mut found = patches(frame, threshold_dn).map_err(|rejected| Stopped {
+        stage: Stage::Detection,
+        rejected,
+    })?;
     let largest = found.first().map_or(0, |patch| patch.pixels);
     found.retain(|patch| patch.pixels >= LEAST_PIXELS);
     match found.is_empty() {
@@ -257,11 +271,11 @@ fn candidates(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Stopped> {
 
 fn no_moon(largest: usize) -> Stopped {
     let limit = LEAST_PIXELS as f64;
-    stopped(Stage::Detection, "no_moon", largest as f64, limit)
+    stopped(Stage::Detection, reasons::NO_MOON, largest as f64, limit)
 }
 
 fn beyond_lens() -> Stopped {
-    stopped(Stage::Detection, "beyond_lens", 0.0, 0.0)
+    stopped(Stage::Detection, reasons::BEYOND_LENS, 0.0, 0.0)
 }
 
 /// A light that may be the Moon.
@@ -298,7 +312,7 @@ impl<'a> Candidate<'a> {
             let expected = self.radius().map_or(0.0, |radius| radius.value);
             stopped(
                 Stage::Detection,
-                "no_disc",
+                reasons::NO_DISC,
                 self.outline.points.len() as f64,
                 expected,
             )
@@ -327,7 +341,7 @@ impl<'a> Candidate<'a> {
                 return Ok(self.disc(&found, &limb));
             }
         }
-        Err(stopped(Stage::Limb, "no_fit", 0.0, 0.0))
+        Err(stopped(Stage::Limb, reasons::NO_FIT, 0.0, 0.0))
     }
 
     /// The radius that is expected, round px.
@@ -461,17 +475,22 @@ fn fit(limb: &Limb) -> Result<LimbFit, Stopped> {
     let seen = limb.seen();
     if seen < LEAST_SECTORS {
         let limit = LEAST_SECTORS as f64;
-        return Err(stopped(Stage::Limb, "little_limb", seen as f64, limit));
+        return Err(stopped(
+            Stage::Limb,
+            reasons::LITTLE_LIMB,
+            seen as f64,
+            limit,
+        ));
     }
     limb.fit()
-        .map_err(|_| stopped(Stage::Limb, "no_fit", seen as f64, 0.0))
+        .map_err(|_| stopped(Stage::Limb, reasons::NO_FIT, seen as f64, 0.0))
 }
 
-fn stopped(stage: Stage, reason: &'static str, measured: f64, limit: f64) -> Stopped {
+fn stopped(stage: Stage, reason: Reason, measured: f64, limit: f64) -> Stopped {
     let rejected = Rejected {
         reason,
         measured,
         limit,
     };
-    (stage, rejected)
+    Stopped { stage, rejected }
 }

@@ -78,13 +78,7 @@ fn captions(found: &Result<Disc, Stopped>, title: &str) -> Vec<String> {
                 disc.bright_limb_deg
             ));
         }
-        Err((stage, rejected)) => lines.push(format!(
-            "{}: {} ({:.2}, limit {:.2})",
-            stage.name(),
-            rejected.reason,
-            rejected.measured,
-            rejected.limit
-        )),
+        Err(stopped) => lines.push(stopped.in_full()),
     }
     lines
 }

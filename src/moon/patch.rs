@@ -2,6 +2,7 @@
 
 use super::light::Levels;
 use crate::frame::{Frame, Region};
+use crate::reasons::moon as reasons;
 use crate::units::Rejected;
 use nalgebra::Vector2;
 
@@ -70,7 +71,7 @@ pub(super) fn patches(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Re
             });
         }
         above = here;
-        Rejected::at_most(MOST_RUNS as f64, patches.len() as f64, "too_many_lights")?;
+        Rejected::at_most(MOST_RUNS as f64, patches.len() as f64, reasons::MANY_LIGHTS)?;
     }
     let mut patches: Vec<Patch> = patches.into_iter().flatten().collect();
     patches.sort_by_key(|patch| std::cmp::Reverse(patch.pixels));

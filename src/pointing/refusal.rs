@@ -1,6 +1,7 @@
 //! Why there is no offset.
 
 use super::HIGHEST_ELEVATION_DEG;
+use crate::reasons::pointing as reasons;
 use crate::sky::SkyError;
 use crate::units::Rejected;
 
@@ -39,28 +40,26 @@ impl PointingError {
     /// The error as a frame's reason.
     pub fn rejected(&self) -> Rejected {
         let (reason, measured, limit) = match *self {
-            Self::NearZenith { elevation_deg } => (
-                "too near the zenith for azimuths",
-                elevation_deg,
-                HIGHEST_ELEVATION_DEG,
-            ),
+            Self::NearZenith { elevation_deg } => {
+                (reasons::NEAR_ZENITH, elevation_deg, HIGHEST_ELEVATION_DEG)
+            }
             Self::NoBoresight {
                 sun_from_vertical_deg,
                 sun_from_boresight_deg,
             } => (
-                "too near the zenith for any pointing",
+                reasons::NO_BORESIGHT,
                 sun_from_vertical_deg,
                 sun_from_boresight_deg,
             ),
-            Self::BehindTheLens { separation_deg } => ("Sun behind the lens", separation_deg, 90.0),
+            Self::BehindTheLens { separation_deg } => (reasons::BEHIND_LENS, separation_deg, 90.0),
             Self::OffTheDisc {
                 from_centre_arcsec,
                 limb_arcsec,
-            } => ("target off the disc", from_centre_arcsec, limb_arcsec),
+            } => (reasons::OFF_DISC, from_centre_arcsec, limb_arcsec),
             Self::BehindTheLimb {
                 from_centre_deg,
                 limb_deg,
-            } => ("target behind the limb", from_centre_deg, limb_deg),
+            } => (reasons::BEHIND_LIMB, from_centre_deg, limb_deg),
         };
         Rejected {
             reason,

@@ -38,14 +38,8 @@ fn nadir(table: &str, camera: &MountedCamera, solution: &Solution) -> Finding {
     let check = format!("{table} solves");
     let nadir = match &solution.nadir {
         Ok(nadir) => nadir,
-        Err((stage, rejected)) => {
-            let found = format!(
-                "no horizon ({}: {}: {:.3}, limit {:.3})",
-                stage.name(),
-                rejected.reason,
-                rejected.measured,
-                rejected.limit
-            );
+        Err(stopped) => {
+            let found = format!("no horizon ({})", stopped.in_full());
             let remedy = "no matter on the ground; else look at the frame with `solaspect horizon --overlay`";
             return Finding::warn(check, found, remedy);
         }

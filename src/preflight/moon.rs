@@ -41,13 +41,10 @@ pub(super) fn solves(
     let mut findings = vec![
         match moon::solve(&settings, frame, &Expected::of(&position)) {
             Ok(disc) => seen(check, &disc),
-            Err((stage, rejected)) => {
+            Err(stopped) => {
                 let found = format!(
-                    "no Moon ({}: {}: {:.3}, limit {:.3}), which stands at azimuth {:.1}, elevation {:.1} deg",
-                    stage.name(),
-                    rejected.reason,
-                    rejected.measured,
-                    rejected.limit,
+                    "no Moon ({}), which stands at azimuth {:.1}, elevation {:.1} deg",
+                    stopped.in_full(),
                     position.azimuth_deg,
                     position.elevation_deg
                 );

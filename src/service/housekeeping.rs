@@ -10,12 +10,13 @@ use super::tally::{FlightTally, quantile};
 use crate::aspect::{Adopted, Quality};
 use crate::clock::ClockStatus;
 use crate::geometry::MappingKind;
-use crate::horizon::{self, Levels};
+use crate::horizon;
 use crate::link::housekeeping::{Digits, MarkIds};
 use crate::link::{CameraRole, Housekeeping, MoonSight};
 use crate::log;
 use crate::navigation::nmea::{GpsCounts, Refusal};
 use crate::provenance::COMMIT;
+use crate::reasons::horizon as reasons;
 use crossbeam_channel::Receiver;
 use jiff::{SignedDuration, Timestamp};
 use std::time::{Duration, Instant};
@@ -197,7 +198,7 @@ fn tell_counts(told: &mut Housekeeping, tally: &FlightTally) {
     told.roll_coarse = small(roll.of(horizon::Quality::Coarse));
     told.roll_none = small(roll.of(horizon::Quality::None));
     told.roll_reasons =
-        [Levels::TOO_BRIGHT, Levels::TOO_DARK].map(|reason| small(roll.because(reason)));
+        [reasons::TOO_BRIGHT, reasons::TOO_DARK].map(|reason| small(roll.because(reason)));
     told.moon_found = small(moon.solved.values().sum::<u64>());
     told.moon_none = small(moon.none());
     told.moon_hidden = small(moon.hidden());

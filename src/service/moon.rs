@@ -17,6 +17,7 @@ use crate::log::worth_a_line;
 use crate::moon::{
     self, Disc, Expected, Levels, Optics, Settings, Shading, Stage, Stopped, bright_dn,
 };
+use crate::reasons::{at, moon as reasons};
 use crate::sky::{Ephemeris, MoonPosition};
 use crate::units::{Place, Rejected};
 use crossbeam_channel::Receiver;
@@ -24,9 +25,6 @@ use jiff::Timestamp;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
-
-/// A frame of another size than the camera's file states.
-const OTHER_SIZE: &str = "wrong_size";
 
 /// What the line asks of the Moon camera, and what that has seen last.
 #[derive(Debug, Clone, Copy, Default)]
@@ -129,17 +127,14 @@ impl MoonSolver {
     /// The Moon in a frame. One of another size than the camera's, or taken while the Moon cannot be seen, is stored and not searched.
     fn solve(&self, frame: &Frame, heavens: Option<&Heavens>) -> Result<Disc, Stopped> {
         if let Err(wrong) = self.camera.check(frame) {
-            return Err((
-                Stage::Light,
-                Rejected {
-                    reason: OTHER_SIZE,
-                    measured: wrong.width as f64,
-                    limit: wrong.expected_width as f64,
-                },
-            ));
+            return Err(at(Stage::Light)(Rejected {
+                reason: reasons::WRONG_SIZE,
+                measured: wrong.width as f64,
+                limit: wrong.expected_width as f64,
+            }));
         }
         if let Some(hidden) = heavens.and_then(|heavens| heavens.hidden) {
-            return Err((Stage::Sky, hidden));
+            return Err(at(Stage::Sky)(hidden));
         }
         let settings = Settings {
             shading: Shading::LommelSeeliger,
@@ -173,22 +168,20 @@ impl MoonSolver {
                 }
                 None => not_found(Stage::Detection),
             },
-            Err((Stage::Sky, rejected)) => MoonSight::NotVisible {
-                code: match rejected.reason {
-                    moon::NEAR_SUN => NEAR_SUN,
-                    _ => BELOW_HORIZON,
+            Err(Stopped { stage, rejected }) => match (stage, rejected.reason) {
+                (Stage::Sky, reasons::NEAR_SUN) => MoonSight::NotVisible { code: NEAR_SUN },
+                (Stage::Sky, _) => MoonSight::NotVisible {
+                    code: BELOW_HORIZON,
                 },
+                (_, reasons::WRONG_SIZE) => MoonSight::NotFound { code: WRONG_SIZE },
+                _ => not_found(*stage),
             },
-            Err((_, rejected)) if rejected.reason == OTHER_SIZE => {
-                MoonSight::NotFound { code: WRONG_SIZE }
-            }
-            Err((stage, _)) => not_found(*stage),
         }
     }
 
     fn note(&self, found: &Result<Disc, Stopped>) {
         let mut tally = self.tally.lock();
-        let (stage, rejected) = match found {
+        let Stopped { stage, rejected } = match found {
             Ok(disc) => {
                 *tally.solved.entry(disc.quality).or_default() += 1;
                 return;
@@ -198,7 +191,7 @@ impl MoonSolver {
         let count = tally.reasons.entry((*stage, rejected.reason)).or_default();
         *count += 1;
         if worth_a_line(*count) {
-            let (reason, frames) = (rejected.reason, *count);
+            let (reason, frames) = (rejected.reason.sentence, *count);
             let (measured, limit) = (rejected.measured, rejected.limit);
             match stage {
                 Stage::Sky => {
@@ -230,7 +223,12 @@ fn light(frame: &Frame, found: &Result<Disc, Stopped>) -> (Option<frame::Levels>
     let full_dn = f64::from(frame.saturation_dn());
     let levels = match (Levels::of(frame), found) {
         (Ok(levels), _) => levels,
-        (Err(_), Err((Stage::Sky, _))) => return (None, Brightness::NoDisc),
+        (
+            Err(_),
+            Err(Stopped {
+                stage: Stage::Sky, ..
+            }),
+        ) => return (None, Brightness::NoDisc),
         (Err(_), _) => {
             let (level, background) = (1.0, 1.0);
             return (None, Brightness::Disc { level, background });
@@ -249,7 +247,9 @@ fn light(frame: &Frame, found: &Result<Disc, Stopped>) -> (Option<frame::Levels>
     };
     let is_lit = disc_dn > levels.dark_dn + levels.least_dn();
     let brightness = match found {
-        Err((Stage::Sky, _)) => Brightness::NoDisc,
+        Err(Stopped {
+            stage: Stage::Sky, ..
+        }) => Brightness::NoDisc,
         _ if !is_lit => Brightness::NoDisc,
         _ => Brightness::Disc {
             level: disc_dn / full_dn,

@@ -15,6 +15,8 @@ use crate::horizon::{self, Levels, Settings, Solution, Stage};
 use crate::instrument::MountedCamera;
 use crate::log::worth_a_line;
 use crate::pointing::body_roll_deg;
+use crate::reasons::{Stopped, at, horizon as reasons};
+use crate::units::Reason;
 use crate::units::Rejected;
 use crossbeam_channel::Receiver;
 use nalgebra::{Rotation3, UnitVector3, Vector3};
@@ -195,7 +197,7 @@ impl RollSolver {
         if camera.check(frame).is_err() {
             return unsolved(
                 frame,
-                "wrong_size",
+                reasons::WRONG_SIZE,
                 frame.width() as f64,
                 camera.width_px as f64,
             );
@@ -206,7 +208,7 @@ impl RollSolver {
             None => {
                 let limit_m = commanded.roll.atmosphere_m;
                 let height_m = commanded.roll.height_m.or(height_m).unwrap_or_default();
-                unsolved(frame, "not_above_the_limb", height_m, limit_m)
+                unsolved(frame, reasons::NOT_ABOVE_LIMB, height_m, limit_m)
             }
         }
     }
@@ -214,11 +216,11 @@ impl RollSolver {
     fn note(&self, solution: &Solution) {
         let mut tally = self.tally.lock();
         *tally.solved.entry(solution.quality()).or_default() += 1;
-        if let Err((stage, rejected)) = &solution.nadir {
+        if let Err(Stopped { stage, rejected }) = &solution.nadir {
             let count = tally.reasons.entry((*stage, rejected.reason)).or_default();
             *count += 1;
             if worth_a_line(*count) {
-                let (stage, reason) = (stage.name(), rejected.reason);
+                let (stage, reason) = (stage.name(), rejected.reason.sentence);
                 let (measured, limit) = (rejected.measured, rejected.limit);
                 tracing::warn!(
                     stage,
@@ -234,7 +236,7 @@ impl RollSolver {
 }
 
 /// A frame that is not searched, with its light: the exposure follows that all the same.
-fn unsolved(frame: &Frame, reason: &'static str, measured: f64, limit: f64) -> Solution {
+fn unsolved(frame: &Frame, reason: Reason, measured: f64, limit: f64) -> Solution {
     let whole_px = frame.width().max(frame.height()) as f64;
     let rejected = Rejected {
         reason,
@@ -244,9 +246,9 @@ fn unsolved(frame: &Frame, reason: &'static str, measured: f64, limit: f64) -> S
     match Levels::of(frame, whole_px) {
         Ok(levels) => Solution {
             levels: Some(levels),
-            ..Solution::none((Stage::Light, rejected))
+            ..Solution::none(at(Stage::Light)(rejected))
         },
-        Err(light) => Solution::none((Stage::Light, light)),
+        Err(light) => Solution::none(at(Stage::Light)(light)),
     }
 }
 
@@ -259,10 +261,12 @@ fn brightness(solution: &Solution, saturation_dn: u16) -> Brightness {
             level: levels.bright_dn / full_dn,
             background: levels.dark_dn / full_dn,
         },
-        (None, Err((_, rejected))) if rejected.reason == Levels::TOO_BRIGHT => Brightness::Disc {
-            level: 1.0,
-            background: 1.0,
-        },
+        (None, Err(stopped)) if stopped.rejected.reason == reasons::TOO_BRIGHT => {
+            Brightness::Disc {
+                level: 1.0,
+                background: 1.0,
+            }
+        }
         _ => Brightness::NoDisc,
     }
 }

@@ -6,6 +6,7 @@ use crate::camera::CameraHealth;
 use crate::horizon;
 use crate::link::{LinkState, Rejected};
 use crate::moon;
+use crate::units::Reason;
 use crate::units::counted;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt;
@@ -86,7 +87,7 @@ impl CameraTally {
 pub struct SolverTally {
     pub solved: BTreeMap<Quality, u64>,
     /// Why frames went no further, coarse ones too.
-    pub reasons: BTreeMap<(Stage, &'static str), u64>,
+    pub reasons: BTreeMap<(Stage, Reason), u64>,
     /// Frames of the wrong size.
     pub misfits: u64,
     /// Answers that the line's queue had no room for.
@@ -143,7 +144,7 @@ impl SolverTally {
 pub struct RollTally {
     pub solved: BTreeMap<horizon::Quality, u64>,
     /// Why frames show no horizon.
-    pub reasons: BTreeMap<(horizon::Stage, &'static str), u64>,
+    pub reasons: BTreeMap<(horizon::Stage, Reason), u64>,
 }
 
 impl RollTally {
@@ -152,7 +153,7 @@ impl RollTally {
     }
 
     /// Frames that show no horizon for a reason.
-    pub fn because(&self, reason: &str) -> u64 {
+    pub fn because(&self, reason: Reason) -> u64 {
         let same = self.reasons.iter().filter(|((_, why), _)| *why == reason);
         same.map(|(_, count)| count).sum()
     }
@@ -177,7 +178,7 @@ impl RollTally {
 pub struct MoonTally {
     pub solved: BTreeMap<moon::Quality, u64>,
     /// Why frames show no Moon.
-    pub reasons: BTreeMap<(moon::Stage, &'static str), u64>,
+    pub reasons: BTreeMap<(moon::Stage, Reason), u64>,
 }
 
 impl MoonTally {

@@ -20,6 +20,7 @@ pub use events::{Crossing, Rising, crossings, horizon_deg, horizon_dip_deg, spel
 pub use orientation::{EarthOrientation, Extrapolated, OrientationTable, TableError};
 pub use refraction::Air;
 
+use crate::reasons::pointing as reasons;
 use crate::units::{ARCSEC_PER_RAD, Place, PlaceError, Rejected};
 use jiff::Timestamp;
 use jiff::civil::Date;
@@ -58,19 +59,15 @@ impl SkyError {
     pub fn rejected(&self) -> Rejected {
         let year = |utc: &Timestamp| 1970.0 + utc.as_second() as f64 / (365.2425 * 86_400.0);
         let (reason, measured, limit) = match self {
-            Self::Date(utc) => ("date outside the Earth's ephemeris", year(utc), 2100.0),
+            Self::Date(utc) => (reasons::DATE, year(utc), 2100.0),
             Self::Orientation { utc, first } => {
                 let limit = f64::from(first.year()) + f64::from(first.day_of_year() - 1) / 365.25;
-                (
-                    "date outside the table of Earth orientation",
-                    year(utc),
-                    limit,
-                )
+                (reasons::ORIENTATION, year(utc), limit)
             }
-            Self::Place(PlaceError::Latitude(found)) => ("latitude of the place", *found, 90.0),
-            Self::Place(PlaceError::Longitude(found)) => ("longitude of the place", *found, 360.0),
-            Self::Place(PlaceError::Height(found)) => ("height of the place", *found, 1e5),
-            Self::Place(PlaceError::Format(_)) => ("place not understood", 0.0, 0.0),
+            Self::Place(PlaceError::Latitude(found)) => (reasons::LATITUDE, *found, 90.0),
+            Self::Place(PlaceError::Longitude(found)) => (reasons::LONGITUDE, *found, 360.0),
+            Self::Place(PlaceError::Height(found)) => (reasons::HEIGHT, *found, 1e5),
+            Self::Place(PlaceError::Format(_)) => (reasons::PLACE, 0.0, 0.0),
         };
         Rejected {
             reason,

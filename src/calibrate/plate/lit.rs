@@ -173,7 +173,7 @@ impl LitPlate<'_> {
         let settings = &self.settings.registration;
         let fitted =
             registration::register(&pairs, None, mounting.handedness, distortion, settings)?;
-        let mut refiner = Refiner::new(&plate.cross, scale, blur_px);
+        let mut refiner = Refiner::new(&plate.cross, scale, blur_px, self.cutout.noise);
         let lamp = |_: f64, _: f64| self.light_dn;
         let refined = |(n, id): &(usize, _)| {
             let jacobian = fitted.mapping.sensor_jacobian(plate.position(*id));

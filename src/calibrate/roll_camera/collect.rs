@@ -47,7 +47,7 @@ impl Horizons<'_> {
                 utc,
                 nadir: nadir.direction,
             }),
-            Err((stage, rejected)) => Err(format!("{}: {}", stage.name(), rejected.reason)),
+            Err(stopped) => Err(stopped.to_string()),
         }
     }
 }

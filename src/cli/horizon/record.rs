@@ -1,5 +1,6 @@
 //! What is said of a frame of the horizon.
 
+use crate::archive::Reason;
 use crate::cli::frames::{REMARKS, Row};
 use crate::geometry::attitude::Direction;
 use crate::horizon::circle::Circle;
@@ -56,25 +57,6 @@ impl InBody {
         Self {
             nadir_body: Some(unit.into_inner().into()),
             ..Self::default()
-        }
-    }
-}
-
-#[derive(Serialize)]
-struct Reason {
-    stage: &'static str,
-    reason: &'static str,
-    measured: f64,
-    limit: f64,
-}
-
-impl Reason {
-    fn of((stage, rejected): &Stopped) -> Self {
-        Self {
-            stage: stage.name(),
-            reason: rejected.reason,
-            measured: rejected.measured,
-            limit: rejected.limit,
         }
     }
 }

@@ -215,7 +215,7 @@ impl Batch<'_> {
     /// That the Moon is below the horizon.
     fn not_up(&self, moon: Option<&MoonPosition>) -> Option<Stopped> {
         let below = moon::below_horizon(moon?, self.args.place?);
-        below.map(|rejected| (moon::Stage::Sky, rejected))
+        below.map(crate::reasons::at(moon::Stage::Sky))
     }
 
     fn find(&self, frame: &Frame, moon: Option<&MoonPosition>) -> Found {

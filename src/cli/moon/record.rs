@@ -1,5 +1,6 @@
 //! What is said of a frame of the Moon.
 
+use crate::archive::Reason;
 use crate::cli::frames::{REMARKS, Row};
 use crate::geometry::camera::Camera;
 use crate::moon::{Disc, Quality, Stopped};
@@ -47,14 +48,6 @@ pub(super) struct Record {
     solve_us: u64,
 }
 
-#[derive(Serialize)]
-struct Reason {
-    stage: &'static str,
-    reason: &'static str,
-    measured: f64,
-    limit: f64,
-}
-
 impl Record {
     pub fn of(
         file: &str,
@@ -65,13 +58,8 @@ impl Record {
     ) -> Self {
         let record = Self::none(file, time);
         match found {
-            Found::None((stage, rejected)) => Self {
-                reason: Some(Reason {
-                    stage: stage.name(),
-                    reason: rejected.reason,
-                    measured: rejected.measured,
-                    limit: rejected.limit,
-                }),
+            Found::None(stopped) => Self {
+                reason: Some(Reason::of(stopped)),
                 ..record
             },
             Found::Circle(centre, radius_px) => Self {

@@ -23,6 +23,7 @@ use crate::frame::Frame;
 use crate::horizon::{self, Settings, Solution, Sphere, Stage, Stopped};
 use crate::instrument::MountedCamera;
 use crate::provenance;
+use crate::reasons::{at, horizon as reasons};
 use crate::units::{Place, Rejected};
 
 /// What the roll camera's frames are solved with; everything that a frame's own record depends on.
@@ -94,11 +95,11 @@ impl RollRecipe {
     fn not_above_the_limb(&self, frame: &Frame) -> Stopped {
         let height_m = self.settings.height_m.or(self.height_m(frame));
         let rejected = Rejected {
-            reason: "not_above_the_limb",
+            reason: reasons::NOT_ABOVE_LIMB,
             measured: height_m.unwrap_or_default(),
             limit: self.settings.atmosphere_m,
         };
-        (Stage::Light, rejected)
+        at(Stage::Light)(rejected)
     }
 
     /// The solution of a frame, once more: for a picture of it. `None` where it cannot be solved.
@@ -156,11 +157,13 @@ body_from_camera = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
         assert!(low.facts.utc().is_some());
         let [low, lower] = [low, record(900.0, None)].map(|low| low.reason.unwrap());
         assert!(
-            low.starts_with("light: not_above_the_limb (measured 1200.0000"),
+            low.starts_with(
+                "light: the camera is not above the limb of the atmosphere (measured 1200.0000"
+            ),
             "{low}"
         );
         assert_eq!(output::kind(&low), output::kind(&lower));
         let stated = record(1_200.0, Some(38_000.0)).reason.unwrap();
-        assert!(!stated.contains("not_above_the_limb"), "{stated}");
+        assert!(!stated.contains("not above the limb"), "{stated}");
     }
 }

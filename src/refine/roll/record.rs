@@ -5,6 +5,7 @@ use crate::fits::Header;
 use crate::frame::FrameInfo;
 use crate::geometry::attitude::Direction;
 use crate::horizon::{Flag, Quality, Solution};
+use crate::reasons::Stopped;
 use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -67,7 +68,7 @@ impl HorizonRecord {
                 Quality::Coarse => Grade::Coarse,
                 Quality::Fine => Grade::Fine,
             },
-            reason: nadir.err().map(|(stage, rejected)| {
+            reason: nadir.err().map(|Stopped { stage, rejected }| {
                 let (stage, reason) = (stage.name(), rejected.reason);
                 let (measured, limit) = (rejected.measured, rejected.limit);
                 format!("{stage}: {reason} (measured {measured:.4}, limit {limit:.4})")

@@ -120,7 +120,10 @@ fn solved(exposure: Exposure) -> Outcome {
 
 fn stopped(stage: Stage) -> Stopped {
     let rejected = Rejected {
-        reason: "a test",
+        reason: crate::units::Reason {
+            code: "a_test",
+            sentence: "a test",
+        },
         measured: 1.0,
         limit: 2.0,
     };

@@ -47,7 +47,8 @@ impl Solution {
     fn reason(&self) -> Option<Reason> {
         self.inner.stopped.map(|stopped| Reason {
             stage: stopped.stage.name(),
-            reason: stopped.rejected.reason,
+            code: stopped.rejected.reason.code,
+            reason: stopped.rejected.reason.sentence,
             measured: stopped.rejected.measured,
             limit: stopped.rejected.limit,
         })
@@ -223,10 +224,11 @@ impl Solution {
     }
 }
 
-/// Why a frame went no further: the stage, the reason, what was measured and its limit, in the unit of what was tested.
+/// Why a frame went no further: the stage, the reason and its code, what was measured and its limit, in the unit of what was tested.
 #[pyclass(frozen, get_all, module = "solaspect")]
 pub struct Reason {
     stage: &'static str,
+    code: &'static str,
     reason: &'static str,
     measured: f64,
     limit: f64,

@@ -1,0 +1,135 @@
+//! How the limb departs, round the disc, from one and the same profile: smooth courses of illumination, background, blur and coma.
+
+use super::profile::Profile;
+use super::sums::SECTOR;
+use crate::frame::PixelNoise;
+use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+
+/// What differs from sector to sector, by index: the limb's shift outwards (px), excess illumination (a fraction),
+/// background (DN), excess of the blur's variance (px^2), the displaced part of the light times its displacement (px).
+pub(super) const SHIFT: usize = 0;
+pub(super) const ILLUMINATION: usize = 1;
+pub(super) const BACKGROUND: usize = 2;
+pub(super) const BLUR: usize = 3;
+pub(super) const COMA_SHIFT: usize = 4;
+/// The blur of the light that coma displaces, in blurs. With this one the marks' shift follows from the limb's whatever the
+/// true one is, from 1.1 to 3.7, to 3 %.
+pub const COMA_BLURS: f64 = 2.1;
+
+/// Coefficients of the smooth courses: illumination 1, x, y; background 1, x, y, cos 2 phi, sin 2 phi; variance of the blur 1,
+/// cos 2 phi, sin 2 phi; coma x, y.
+pub(super) const SMOOTH: usize = 13;
+pub(super) const UNEVEN_BACKGROUND: std::ops::Range<usize> = 4..8;
+pub(super) const MOTION: std::ops::Range<usize> = 9..11;
+pub(super) const COMA: std::ops::Range<usize> = 11..13;
+/// How the limb departs round the disc from one and the same profile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Shape {
+    pub(super) coefficients: SVector<f64, SMOOTH>,
+}
+
+impl Shape {
+    pub(super) const NONE: Self = Self {
+        coefficients: SVector::<f64, SMOOTH>::from_array_storage(nalgebra::ArrayStorage([
+            [0.0; SMOOTH]
+        ])),
+    };
+
+    /// What a sector in a direction has of it.
+    pub(super) fn at(&self, w: Vector2<f64>) -> SVector<f64, SECTOR> {
+        course(&smooth_terms(w), &self.coefficients)
+    }
+
+    /// Whether motion and coma are so nearly the same that a fit from the one leads to the other in a step.
+    pub(super) fn is_near(&self, other: &Self) -> bool {
+        const MOTION_PX2: f64 = 0.05;
+        const COMA_PX: f64 = 0.01;
+        let change = (self.coefficients - other.coefficients).abs();
+        let most = |effect: std::ops::Range<usize>| change.rows_range(effect).max();
+        most(MOTION) < MOTION_PX2 && most(COMA) < COMA_PX
+    }
+
+    /// The harmonics of the blur's variance at twice the azimuth, px^2: along x and along the diagonal.
+    pub(super) fn motion_px2(&self) -> Vector2<f64> {
+        self.coefficients.fixed_rows::<2>(MOTION.start).into_owned()
+    }
+
+    /// Excess of the blur's variance all round, px^2.
+    pub(super) fn blur_px2(&self) -> f64 {
+        self.coefficients[MOTION.start - 1]
+    }
+}
+
+/// Which of a sector's quantities each coefficient belongs to.
+pub(super) const QUANTITY: [usize; SMOOTH] = [
+    ILLUMINATION,
+    ILLUMINATION,
+    ILLUMINATION,
+    BACKGROUND,
+    BACKGROUND,
+    BACKGROUND,
+    BACKGROUND,
+    BACKGROUND,
+    BLUR,
+    BLUR,
+    BLUR,
+    COMA_SHIFT,
+    COMA_SHIFT,
+];
+
+/// By what each coefficient is multiplied in a direction.
+pub(super) fn smooth_terms(w: Vector2<f64>) -> SVector<f64, SMOOTH> {
+    let w = w.normalize();
+    let (c2, s2) = (w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
+    SVector::from([1.0, w.x, w.y, 1.0, w.x, w.y, c2, s2, 1.0, c2, s2, w.x, w.y])
+}
+
+/// The quantities of a sector with these terms.
+pub(super) fn course(
+    terms: &SVector<f64, SMOOTH>,
+    coefficients: &SVector<f64, SMOOTH>,
+) -> SVector<f64, SECTOR> {
+    let mut course = SVector::zeros();
+    for n in 0..SMOOTH {
+        course[QUANTITY[n]] += terms[n] * coefficients[n];
+    }
+    course
+}
+
+/// The model of a frame's limb, all round.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct EdgeModel {
+    pub profile: Profile,
+    /// How far outwards or inwards the limb may lie all round, since the profile is uncertain, 1 sigma, px.
+    pub place_sigma_px: f64,
+    pub shape: Shape,
+    /// Covariance of the shape's coefficients; zero where they are held.
+    pub covariance: SMatrix<f64, SMOOTH, SMOOTH>,
+    pub noise: PixelNoise,
+    /// The unit of what is near and far: the profile's blur, and at least the expected one, px.
+    pub resolution_px: f64,
+    /// How far the limb may be from the ellipse that the band lies about, px.
+    pub shift_sigma_px: f64,
+    /// Pixels whose expected light is above this saturate too often to be of use, DN.
+    pub saturated_dn: f64,
+}
+
+impl EdgeModel {
+    /// The profile of a sector.
+    pub(super) fn profile_at(&self, course: &SVector<f64, SECTOR>) -> Profile {
+        let variance = self.profile.blur_px.powi(2) + course[BLUR];
+        self.profile.with_blur(variance.max(0.0).sqrt())
+    }
+
+    /// The part of the light that coma displaces times its displacement, px, and the covariance of that.
+    pub(super) fn coma(&self) -> (Vector2<f64>, Matrix2<f64>) {
+        let own = self.covariance.fixed_view::<2, 2>(COMA.start, COMA.start);
+        let coefficients = self.shape.coefficients.fixed_rows::<2>(COMA.start);
+        (coefficients.into_owned(), own.into_owned())
+    }
+
+    /// Light well inside the limb, DN.
+    pub(super) fn plateau_dn(&self) -> f64 {
+        self.profile.at(-4.0 * self.profile.blur_px) - self.profile.background_dn
+    }
+}
