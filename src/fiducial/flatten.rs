@@ -219,6 +219,9 @@ impl Ground {
     const STRIDE_PX: usize = 7;
     /// Fewest pixels that determine the factor.
     const MIN_PIXELS: usize = 40;
+    /// Scatter of single pixels' ratios, and how far tilt and bend are from none, 1 sigma.
+    const RATIO_SIGMA: f64 = 0.05;
+    const UNEVEN_SIGMA: f64 = 0.15;
     /// Farther than this from the factor is a mark or a blemish: the limit of each pass.
     const LIMITS: [f64; 3] = [0.3, 0.15, 0.15];
 
@@ -253,6 +256,14 @@ impl Ground {
         let middle = median(self.pixels.iter().map(|pixel| pixel.ratio)).unwrap_or(1.0);
         let start = Vector4::new(middle, 0.0, 0.0, 0.0);
         let mut coefficients = start;
+        let lights = self.pixels.iter().map(|pixel| pixel.light);
+        let brightest = lights.fold(f64::MIN_POSITIVE, f64::max);
+        // What a saturated disc shows is a thin ring, which must not tell how the light bends.
+        let uneven = Self::UNEVEN_SIGMA.powi(-2);
+        let even = Prior {
+            mean: Vector4::zeros(),
+            information: Vector4::new(0.0, uneven, uneven, uneven),
+        };
         for limit in Self::LIMITS {
             let mut normal = Normal::zero();
             for GroundPixel {
@@ -262,10 +273,11 @@ impl Ground {
             } in &self.pixels
             {
                 if (ratio - basis.dot(&coefficients)).abs() < limit * middle {
-                    normal.add(basis, *ratio, light * light);
+                    let weight = (light / brightest / Self::RATIO_SIGMA).powi(2);
+                    normal.add(basis, *ratio, weight);
                 }
             }
-            match normal.solve(&Prior::none(), &Vector4::zeros()) {
+            match normal.solve(&even, &Vector4::zeros()) {
                 Some(solved) => coefficients = solved.step,
                 None => break,
             }
