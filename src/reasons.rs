@@ -82,6 +82,7 @@ reasons! {
     CENTRE_FAR_AWAY "centre_far_away" "the best labelling puts the plate's centre too far away"
     SCALE_OF_LABELLING "scale_of_labelling" "the best labelling's scale contradicts the stated one"
     MIRROR_IMAGE "mirror_image" "the marks are those of the plate's mirror image"
+    CENTRE_ELSEWHERE "centre_elsewhere" "the marks put the plate's centre far from where it is stated"
     FEW_MARKS "few_marks" "too few marks have an id"
     NO_MAPPING "no_mapping" "the marks determine no mapping"
     MARKS_OFF_MAPPING "marks_off_mapping" "the marks do not fit a mapping"

@@ -1,6 +1,6 @@
 //! What a frame's own marks say against the calibration outweighs it: no place is borrowed from a mapping that they contradict.
 
-use solaspect::aspect::{Expected, Quality, Settings, Solution, Stage, solve, solve_with};
+use solaspect::aspect::{Expected, Quality, Solution, Stage, solve};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::builtin;
 use solaspect::reasons::sun as reasons;
@@ -70,22 +70,21 @@ fn a_mirrored_picture_is_called_so_and_has_no_place() {
 
 #[test]
 fn a_camera_moved_farther_than_it_may_be_has_no_place_by_the_calibration() {
-    let mut instrument = builtin("demo").unwrap();
-    instrument.mounting.plate_centre_px.x += 60.0;
-    let mut settings = Settings::default();
-    settings.fiducial.max_centre_shift_px = 20.0;
-    let (mut none, mut all) = (0, 0);
-    for frame in &frames() {
-        let solution = solve_with(&settings, frame, &instrument, EXPECTED, None);
-        // A centre far from the Sun is too uncertain to contradict; the frame's own place is right then.
-        if solution.quality != Quality::Fine {
-            all += 1;
+    for by_px in [160.0, 300.0, 900.0] {
+        let mut instrument = builtin("demo").unwrap();
+        instrument.mounting.plate_centre_px.x += by_px;
+        let frames = frames();
+        let mut none = 0;
+        for frame in &frames {
+            let solution = solve(frame, &instrument, EXPECTED, None);
+            assert_ne!(solution.quality, Quality::Fine);
+            if solution.quality == Quality::None {
+                has_no_place(&solution);
+                none += 1;
+            }
         }
-        if solution.quality == Quality::None {
-            has_no_place(&solution);
-            none += 1;
-        }
+        // Few marks in a row do not tell where they are.
+        let all = frames.len();
+        assert!(none * 10 >= all * 8, "{none} of {all} at {by_px} px");
     }
-    assert!(all > 5, "{all}");
-    assert!(none * 10 >= all * 9, "{none} of {all}");
 }

@@ -22,6 +22,9 @@ const DISC_SCALE_SIGMA: f64 = 0.006;
 /// which haze may widen the disc. In simulated frames all are found from 0.5 on.
 const SURE_DEPTH: f64 = 0.75;
 
+/// The plate's centre may be as far as this from where it is stated when marks that cannot be read there are read anywhere, px.
+const ANYWHERE_PX: f64 = 2000.0;
+
 impl Pipeline<'_> {
     /// Limb and marks of a frame by itself: by the mapping that its marks give, or the limb alone.
     ///
@@ -75,23 +78,35 @@ impl Pipeline<'_> {
         image: &DiscImage,
         detections: &Detections,
     ) -> Result<Mapping, Unread> {
-        let read = |mounting: &Mounting| {
+        let read = |mounting: &Mounting, settings: &fiducial::Settings| {
             let prior = self.identification_prior(frame, &image.light, detections, mounting);
-            let plate = &self.instrument.plate;
-            fiducial::identify(&detections.marks, &prior, plate, &self.settings.fiducial)
+            fiducial::identify(&detections.marks, &prior, &self.instrument.plate, settings)
         };
-        let mounting = &self.instrument.mounting;
+        let (mounting, settings) = (&self.instrument.mounting, &self.settings.fiducial);
         let mirrored = || {
             let mut images = mirror_images(mounting, frame).into_iter();
-            images.any(|image| read(&image).is_ok())
+            images.any(|image| read(&image, settings).is_ok())
         };
-        let ids = match read(mounting) {
-            Err(unread) if mirrored() => Err(Unread::Contradicting(Rejected {
-                reason: sun::MIRROR_IMAGE,
-                ..unread.rejected()
-            })),
-            read => read,
-        }?;
+        let elsewhere = || {
+            let anywhere = Mounting {
+                plate_centre_sigma_px: ANYWHERE_PX,
+                ..*mounting
+            };
+            let settings = fiducial::Settings {
+                max_centre_shift_px: ANYWHERE_PX,
+                ..*settings
+            };
+            read(&anywhere, &settings).is_ok()
+        };
+        let ids = read(mounting, settings).map_err(|unread| {
+            let rejected = unread.rejected();
+            let because = |reason| Unread::Contradicting(Rejected { reason, ..rejected });
+            match unread {
+                Unread::Undecided(_) if mirrored() => because(sun::MIRROR_IMAGE),
+                Unread::Undecided(_) if elsewhere() => because(sun::CENTRE_ELSEWHERE),
+                unread => unread,
+            }
+        })?;
         let full = |(n, _): &&(usize, _)| detections.marks[*n].lighting == Lighting::Full;
         let pair = |(n, id): &(usize, _)| Pair {
             observed: detections.marks[*n].at,

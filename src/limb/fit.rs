@@ -66,8 +66,9 @@ impl KnownOutline {
 
 const PASSES: usize = 6;
 const ROUGH_PASSES: usize = 3;
-/// Points measured about an outline that was this near are as good as they get, in blurs.
+/// An outline that moved by less than this in a pass is as good as it gets: in blurs, and in sigmas of its centre.
 const SETTLED_BLURS: f64 = 0.08;
+const SETTLED_SIGMAS: f64 = 3.0;
 /// A profile taken about an outline that was farther off is smeared, in blurs.
 const STEADY_BLURS: f64 = 0.3;
 /// How far the passes may lead away from the first outline, in blurs.
@@ -179,8 +180,9 @@ impl LimbFit<'_> {
             pass += 1;
             let (fit, outline) = self.pass(&band, &light)?;
             let moved_px = moved_px(&light.outline, &outline.ellipse);
-            let settled =
-                moved_px < SETTLED_BLURS * blur_px && fit.model.shape.is_near(&light.edge.shape);
+            let sigma_px = outline.centre_covariance().trace().max(0.0).sqrt();
+            let settled = moved_px < (SETTLED_BLURS * blur_px).min(SETTLED_SIGMAS * sigma_px)
+                && fit.model.shape.is_near(&light.edge.shape);
             if settled || pass == PASSES {
                 self.check(&outline, &rough.outline, fit.model.resolution_px)?;
                 return Ok(Limb::new(fit, outline));
