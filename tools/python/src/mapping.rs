@@ -68,7 +68,13 @@ impl Mapping {
     #[getter]
     fn matrix<'py>(&self, py: Python<'py>) -> PyResult<Pairs<'py>> {
         // nalgebra stores columns.
-        let numbers = self.inner.mapping().matrix().transpose().as_slice().to_vec();
+        let numbers = self
+            .inner
+            .mapping()
+            .matrix()
+            .transpose()
+            .as_slice()
+            .to_vec();
         rows(py, numbers, 3)
     }
 
