@@ -73,7 +73,7 @@ plane_position!(SensorPx);
 plane_position!(PlateMil);
 
 /// A value with its 1-sigma uncertainty, both in the same unit.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Measured {
     pub value: f64,
     pub sigma: f64,

@@ -5,17 +5,22 @@ use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::builtin;
 use solaspect::reasons::sun as reasons;
 use solaspect::simulate::{Conditions, RandomScenes, SUN_RADIUS_ARCSEC};
+use solaspect::units::PlateMil;
 
 const EXPECTED: Option<Expected> = Some(Expected {
     radius_arcsec: SUN_RADIUS_ARCSEC,
 });
 
-/// Frames of the demo instrument that are fine as they are.
-fn frames() -> Vec<Frame> {
+/// Frames of the demo instrument that are fine as they are, and where the Sun is on the plate.
+fn frames() -> Vec<(Frame, PlateMil)> {
     let demo = builtin("demo").unwrap();
     let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 1).unwrap();
-    let frames = (0..24).map(|number| scenes.scene(number).unwrap().frame().unwrap());
-    let fine = |frame: &Frame| solve(frame, &demo, EXPECTED, None).quality == Quality::Fine;
+    let frames = (0..24).map(|number| {
+        let picture = scenes.scene(number).unwrap().picture().unwrap();
+        (picture.frame, picture.truth.sun.unwrap().plate)
+    });
+    let fine =
+        |(frame, _): &(Frame, _)| solve(frame, &demo, EXPECTED, None).quality == Quality::Fine;
     frames.filter(fine).collect()
 }
 
@@ -45,7 +50,7 @@ fn a_mirrored_picture_is_called_so_and_has_no_place() {
     let frames = frames();
     assert!(frames.len() > 15, "{}", frames.len());
     let mut told = [0; 2];
-    for frame in &frames {
+    for (frame, _) in &frames {
         let (last_x, last_y) = (frame.width() - 1, frame.height() - 1);
         let images = [
             reordered(frame, |x, y| (x, last_y - y)),
@@ -75,12 +80,19 @@ fn a_camera_moved_farther_than_it_may_be_has_no_place_by_the_calibration() {
         instrument.mounting.plate_centre_px.x += by_px;
         let frames = frames();
         let mut none = 0;
-        for frame in &frames {
+        for (frame, sun) in &frames {
             let solution = solve(frame, &instrument, EXPECTED, None);
-            assert_ne!(solution.quality, Quality::Fine);
-            if solution.quality == Quality::None {
-                has_no_place(&solution);
-                none += 1;
+            match solution.quality {
+                // Where a tilt of the camera could explain the shift.
+                Quality::Fine => {
+                    let found = solution.aspect.unwrap().sun_plate.position;
+                    assert!(found.distance(*sun) < 1.0, "{found:?} {sun:?}");
+                }
+                Quality::Coarse => {}
+                Quality::None => {
+                    has_no_place(&solution);
+                    none += 1;
+                }
             }
         }
         // Few marks in a row do not tell where they are.

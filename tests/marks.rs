@@ -379,7 +379,7 @@ impl Tally {
         };
         self.false_marks += found.marks.iter().filter(|d| !is_mark(d.at)).count();
         if fully_lit >= 4 {
-            let off = found.quarter_rotation_deg - picture.truth.mapping.rotation_deg(sun.px);
+            let off = found.quarter_rotation_deg.value - picture.truth.mapping.rotation_deg(sun.px);
             self.rotation_errors_deg
                 .push((off + 45.0).rem_euclid(90.0) - 45.0);
         }

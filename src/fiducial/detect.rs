@@ -4,7 +4,7 @@ use super::candidates::candidates;
 use super::cross::turned;
 use super::template::{Template, Window};
 use super::{CrossShape, FlatDisc, Lighting, Settings};
-use crate::units::SensorPx;
+use crate::units::{Measured, SensorPx};
 use nalgebra::{Complex, Matrix2, Vector2};
 
 /// A mark that was found, without an id yet.
@@ -26,7 +26,7 @@ pub struct Detections {
     pub marks: Vec<Detection>,
     /// Rotation of the arms from the axes of the disc's own coordinates ([`Ellipse::to_disc`](crate::geometry::Ellipse::to_disc); of a
     /// round disc: from the sensor's axes), modulo a quarter turn, 0 to 90 deg.
-    pub quarter_rotation_deg: f64,
+    pub quarter_rotation_deg: Measured,
 }
 
 /// Systematic error of a parabola's top over the sub-pixel phases, px; added to every mark's sigma.
@@ -40,6 +40,8 @@ const CLEAN_SHARE: f64 = 1.4;
 const FOURFOLD_SHARE: std::ops::Range<f64> = 0.2..2.0;
 /// That part must be significant by itself, by less than the whole.
 const FOURFOLD_SIGMA: f64 = 4.0;
+/// What pixels and neighbours leave of the arms' rotation beside the noise, 1 sigma, deg.
+const ARMS_SIGMA_DEG: f64 = 0.6;
 /// All marks of a plate have the same contrast; saturation, the limb and blemishes change it by less than this.
 const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
 
@@ -61,7 +63,7 @@ pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Detec
     let Some(rough_deg) = arms.common_deg(flat, centred.iter().copied()) else {
         return Detections::default(); // 3
     };
-    let search = CrossSearch::new(flat, shape, settings, &window, rough_deg);
+    let search = CrossSearch::new(flat, shape, settings, &window, rough_deg.value);
     let found = centred.iter().filter_map(|index| search.measure(*index)); // 4
     let marks = with_common_contrast(likest(found.collect(), shape)); // 5
     let full = marks.iter().filter(|m| m.lighting == Lighting::Full);
@@ -105,6 +107,8 @@ struct ArmRotation<'a> {
     window: &'a Window,
     real: Vec<f32>,
     imaginary: Vec<f32>,
+    /// Sum of the squares of either.
+    energy: f64,
 }
 
 impl<'a> ArmRotation<'a> {
@@ -121,9 +125,11 @@ impl<'a> ArmRotation<'a> {
                 direction2.powu(2) * (weight / (direction2.norm_sqr() + f32::MIN_POSITIVE));
             (fourth.re, fourth.im)
         };
-        let (real, imaginary) = window.x.iter().zip(&window.y).map(harmonic).unzip();
+        let (real, imaginary): (Vec<f32>, Vec<f32>) =
+            window.x.iter().zip(&window.y).map(harmonic).unzip();
         Self {
             window,
+            energy: imaginary.iter().map(|v| f64::from(v * v)).sum(),
             real,
             imaginary,
         }
@@ -131,8 +137,8 @@ impl<'a> ArmRotation<'a> {
 
     /// The rotation of the arms in the disc's coordinates that some places have in common, each to the nearest pixel: an
     /// offset turns opposite arms in opposite ways. `None` without places.
-    fn common_deg(&self, flat: &FlatDisc, places: impl Iterator<Item = usize>) -> Option<f64> {
-        let mut common = Complex::new(0.0_f32, 0.0);
+    fn common_deg(&self, flat: &FlatDisc, places: impl Iterator<Item = usize>) -> Option<Measured> {
+        let (mut common, mut variance) = (Complex::new(0.0_f32, 0.0), 0.0);
         for place in places.filter(|place| self.window.fits(flat, *place)) {
             let [re, im] = [&self.real, &self.imaginary]
                 .map(|weights| self.window.correlate(weights, flat, place));
@@ -140,11 +146,17 @@ impl<'a> ArmRotation<'a> {
             let [squares, _] = self.window.squares(flat, place);
             // A place counts by how fourfold it is, so that the many that are no marks hardly do.
             if squares > 0.0 {
-                common += harmonic * (harmonic.norm_sqr() / squares);
+                let counts = harmonic.norm_sqr() / squares;
+                common += harmonic * counts;
+                variance += (f64::from(counts) * flat.noise(place)).powi(2) * self.energy;
             }
         }
-        let angle = f64::from(common.arg()) / 4.0;
-        (common.norm() > 0.0).then(|| angle.to_degrees().rem_euclid(90.0))
+        let angle_deg = f64::from(common.arg()).to_degrees() / 4.0;
+        let noise_deg = (variance.sqrt() / f64::from(common.norm())).to_degrees() / 4.0;
+        (common.norm() > 0.0).then(|| {
+            let sigma_deg = noise_deg.hypot(ARMS_SIGMA_DEG);
+            Measured::new(angle_deg.rem_euclid(90.0), sigma_deg)
+        })
     }
 }
 

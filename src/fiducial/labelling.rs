@@ -16,8 +16,8 @@
 //! Shares, scatters and densities are those of [`prior`](super::prior).
 
 use super::prior::{
-    ARMS_SIGMA_RAD, CUT_FOUND_SHARE, GATE_SIGMAS, IdentificationPrior, LIMB_BIAS_WIDTHS,
-    LIT_LENGTHS, SCATTER_MIL, USABLE_LENGTHS, contrast_odds,
+    CUT_FOUND_SHARE, GATE_SIGMAS, IdentificationPrior, LIMB_BIAS_WIDTHS, LIT_LENGTHS, SCATTER_MIL,
+    USABLE_LENGTHS, contrast_odds,
 };
 use super::similarity::LocalSimilarity;
 use super::{Detection, Lighting};
@@ -215,8 +215,9 @@ impl<'a, 'l> Hypothesis<'a, 'l> {
         (id, printed): (MarkId, PlateMil),
         lists: &'l mut Lists,
     ) -> Self {
-        let radius = scene.prior.radius_mil;
-        let mut fit = LocalSimilarity::new(radius.sigma / radius.value, ARMS_SIGMA_RAD);
+        let (radius, rotation) = (scene.prior.radius_mil, scene.prior.quarter_rotation_deg);
+        let mut fit =
+            LocalSimilarity::new(radius.sigma / radius.value, rotation.sigma.to_radians());
         fit.add(first.offset, printed, first.variance);
         let sun = printed.vector() - first.offset;
         let reach = radius.value + GATE_SIGMAS * scene.largest_bias_mil();

@@ -20,8 +20,6 @@ pub(super) const LIT_LENGTHS: f64 = 0.7;
 pub(super) const USABLE_LENGTHS: f64 = 0.1;
 /// A detection whose residual is larger, in sigma, is not that mark.
 pub(super) const GATE_SIGMAS: f64 = 4.0;
-/// Error of the rotation by the crosses' arms, 1 sigma: three noisy marks determine it to a degree.
-pub(super) const ARMS_SIGMA_RAD: f64 = 0.6 * PI / 180.0;
 /// Error of a position predicted by scale and rotation alone, relative to its distance.
 pub(super) const PREDICTION_ERROR: f64 = 0.03;
 
@@ -69,7 +67,7 @@ pub struct IdentificationPrior {
     pub radius_mil: Measured,
     /// Rotation of the picture modulo a quarter turn, from the arms of the crosses, in the outline's own coordinates
     /// ([`Ellipse::to_disc`]).
-    pub quarter_rotation_deg: f64,
+    pub quarter_rotation_deg: Measured,
     pub handedness: Handedness,
     /// Stated position of the plate's centre on the sensor, and 1 sigma of it per axis.
     pub plate_centre: SensorPx,
@@ -94,7 +92,7 @@ impl IdentificationPrior {
     pub(super) fn quarter_turns(&self) -> impl Iterator<Item = (f64, Matrix2<f64>)> {
         let axes = self.handedness.axes() * self.radius_mil.value;
         [0.0, 90.0, 180.0, 270.0].into_iter().map(move |quarter| {
-            let rotation_deg = self.quarter_rotation_deg + quarter;
+            let rotation_deg = self.quarter_rotation_deg.value + quarter;
             let rotation = Rotation2::new(rotation_deg.to_radians());
             (rotation_deg, axes * rotation.matrix().transpose())
         })
