@@ -63,7 +63,7 @@ impl Band {
         self.begins.clear();
         self.begins.resize(wanted.sectors + 2, 0);
         for sector in sector {
-            self.begins[usize::from(*sector) + 1] += 1;
+            self.begins[*sector as usize + 1] += 1;
         }
         for n in 0..=wanted.sectors {
             self.begins[n + 1] += self.begins[n];
@@ -71,7 +71,7 @@ impl Band {
         self.distance_px.resize(sector.len(), 0.0);
         self.light_dn.resize(sector.len(), 0.0);
         for ((sector, distance_px), light_dn) in sector.iter().zip(distance_px).zip(light_dn) {
-            let place = &mut self.begins[usize::from(*sector)];
+            let place = &mut self.begins[*sector as usize];
             self.distance_px[*place] = *distance_px;
             self.light_dn[*place] = *light_dn;
             *place += 1;
@@ -112,9 +112,7 @@ struct Unsorted {
     distance_px: Vec<f32>,
     light_dn: Vec<f32>,
     /// Of pixels that are not wanted the number of sectors.
-    sector: Vec<u16>,
-    /// The sector of every pixel of a row, wanted or not.
-    sector_of_row: Vec<f32>,
+    sector: Vec<i32>,
 }
 
 impl Unsorted {
@@ -158,45 +156,39 @@ impl Unsorted {
     fn locate(&mut self, wanted: &Wanted<'_>, from: Vector2<f32>, masked: &[bool]) {
         let first = self.distance_px.len();
         self.distance_px.resize(first + masked.len(), 0.0);
-        self.sector_of_row.resize(masked.len(), 0.0);
+        self.sector.resize(first + masked.len(), 0);
         let distance_px = &mut self.distance_px[first..];
-        let sectors = wanted.sectors as f32;
-        locate(
-            wanted.ellipse,
-            from,
+        let Wanted {
+            ellipse,
+            reach,
             sectors,
-            distance_px,
-            &mut self.sector_of_row,
-        );
-        let [inside_px, outside_px] =
-            [wanted.reach.inside_px, wanted.reach.outside_px].map(|px| px as f32);
-        let not_wanted = wanted.sectors as u16;
-        self.sector.resize(first + masked.len(), not_wanted);
-        let places = distance_px.iter().zip(&self.sector_of_row).zip(masked);
-        for (sector, ((distance_px, of_row), masked)) in self.sector[first..].iter_mut().zip(places)
-        {
-            if *distance_px >= -inside_px && *distance_px < outside_px && !masked {
-                *sector = *of_row as u16;
-            }
-        }
+            ..
+        } = wanted;
+        let sector = &mut self.sector[first..];
+        locate(ellipse, reach, *sectors, from, masked, distance_px, sector);
     }
 }
 
 /// Distances outwards from an ellipse, to first order as [`Ellipse::excess`] gives them, and sectors of pixels of a row, of which
-/// the first lies `from` its centre.
+/// the first lies `from` its centre; the sector of pixels that are masked or out of reach is the number of sectors.
 ///
 /// Directions are counted by y / (|x| + |y|), which grows with the angle as evenly as sectors need and costs no arctangent.
 #[multiversion(targets("x86_64+avx2"))]
 fn locate(
     ellipse: &Ellipse,
+    reach: &Reach,
+    sectors: usize,
     from: Vector2<f32>,
-    sectors: f32,
+    masked: &[bool],
     distance_px: &mut [f32],
-    sector: &mut [f32],
+    sector: &mut [i32],
 ) {
+    let [inside_px, outside_px] = [reach.inside_px, reach.outside_px].map(|px| px as f32);
+    let not_wanted = sectors as i32 as f32;
     let inverse = ellipse.inverse().cast::<f32>();
     let (a, b, c) = (inverse.m11, inverse.m12, inverse.m22);
-    for (n, (distance_px, sector)) in distance_px.iter_mut().zip(sector).enumerate() {
+    let places = distance_px.iter_mut().zip(sector).zip(masked);
+    for (n, ((distance_px, sector), masked)) in places.enumerate() {
         let (x, y) = (from.x + n as i32 as f32, from.y);
         let (u, v) = (a * x + b * y, b * x + c * y);
         let r2 = u * u + v * v;
@@ -204,8 +196,11 @@ fn locate(
         let per_normal = 1.0 / (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
         let along = v / (u.abs() + v.abs() + f32::MIN_POSITIVE);
         let quarters = if u >= 0.0 { 1.0 + along } else { 3.0 - along };
-        *sector = smaller(quarters * (0.25 * sectors), sectors - 0.5);
-        *distance_px = (r2 - r2.sqrt()) * per_normal;
+        let away_px = (r2 - r2.sqrt()) * per_normal;
+        let is_wanted = (away_px >= -inside_px) & (away_px < outside_px) & !masked;
+        let found = smaller(quarters * (0.25 * not_wanted), not_wanted - 0.5);
+        *sector = (if is_wanted { found } else { not_wanted }) as i32;
+        *distance_px = away_px;
     }
 }
 
@@ -285,9 +280,13 @@ mod tests {
         for n in 0..SECTORS {
             let middle =
                 middle_of_sector(n, SECTORS).cast::<f32>() * ellipse().mean_radius() as f32;
-            let (mut distance_px, mut sector) = ([0.0], [0.0]);
-            let sectors = SECTORS as f32;
-            locate(&ellipse(), middle, sectors, &mut distance_px, &mut sector);
+            let (mut distance_px, mut sector) = ([0.0], [0]);
+            let reach = Reach {
+                inside_px: 1.0,
+                outside_px: 1.0,
+            };
+            let (px, sectors) = (&mut distance_px, &mut sector);
+            locate(&ellipse(), &reach, SECTORS, middle, &[false], px, sectors);
             assert_eq!(sector[0] as usize, n);
             assert!(distance_px[0].abs() < 1e-3);
         }

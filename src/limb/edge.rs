@@ -20,7 +20,7 @@ use super::shape::{
     BACKGROUND, COMA, COMA_BLURS, EdgeModel, ILLUMINATION, MOTION, QUANTITY, SHIFT, SMOOTH, Shape,
     UNEVEN_BACKGROUND, course, smooth_terms,
 };
-use super::sums::{COLUMNS, SECTOR, Weighing, sector_sums};
+use super::sums::{COLUMNS, SECTOR, Sums, Weighing, sector_sums};
 use crate::estimation::{Normal, Prior, clipped_sigma};
 use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
@@ -50,6 +50,8 @@ const UNEVEN_ILLUMINATION: f64 = 0.02;
 /// One sector of a blemish says nothing of the others: it counts as so many sigma.
 const MOST_DEPARTURE_SIGMAS: f64 = 4.0;
 
+/// A step is made at most so many times longer: where many pixels are outliers, weights say little of the way.
+const LONGEST_STEP: f64 = 1.5;
 /// Where less than this part of the information on the shift is independent of the illumination, it is not determined.
 const LEAST_OWN_PART: f64 = 1e-3;
 /// A point so uncertain, or so far from the ellipse, is rejected; in blurs.
@@ -63,18 +65,8 @@ pub(super) struct EdgeFit {
 }
 
 /// Fits every sector of a band about an ellipse.
-pub(super) fn fit_edge(
-    band: &Band,
-    ellipse: &Ellipse,
-    model: &EdgeModel,
-    sectors: usize,
-) -> EdgeFit {
-    let sectors: Vec<Sector> = band
-        .sectors()
-        .enumerate()
-        .filter(|(_, pixels)| !pixels.light_dn.is_empty())
-        .map(|(n, pixels)| Sector::new(middle_of_sector(n, sectors), pixels, model))
-        .collect();
+pub(super) fn fit_edge(band: &Band, ellipse: &Ellipse, model: &EdgeModel) -> EdgeFit {
+    let sectors = lit_sectors(band, model);
     let mut departure = Departure {
         illumination: UNEVEN_ILLUMINATION,
         background_dn: 0.0,
@@ -104,6 +96,44 @@ pub(super) fn fit_edge(
     EdgeFit { points, model }
 }
 
+/// The sectors that have pixels, with their steps as long as Newton's (see [`sums`](super::sums)).
+fn lit_sectors(band: &Band, model: &EdgeModel) -> Vec<Sector> {
+    let count = band.sectors().count();
+    let mut sectors = Vec::with_capacity(count);
+    let (mut information, mut newton) = (0.0, 0.0);
+    for (n, pixels) in band.sectors().enumerate() {
+        if pixels.light_dn.is_empty() {
+            continue;
+        }
+        let w = middle_of_sector(n, count);
+        let sums = sums_of(w, pixels, model);
+        information += sums.products[SHIFT][SHIFT];
+        newton += sums.newton;
+        sectors.push(Sector::new(w, &sums));
+    }
+    let longer = (information / newton).clamp(1.0, LONGEST_STEP);
+    for sector in &mut sectors {
+        sector.gradient *= longer;
+    }
+    sectors
+}
+
+/// The sums over the pixels of a sector in a direction.
+fn sums_of(w: Vector2<f64>, pixels: SectorPixels<'_>, model: &EdgeModel) -> Sums {
+    let course = model.shape.at(w);
+    let profile = model.profile_at(&course);
+    let weighing = Weighing {
+        profile: &profile,
+        wide: &profile.with_blur(COMA_BLURS * profile.blur_px),
+        course: course.cast::<f32>().into(),
+        noise: model.noise,
+        illumination_sigma: UNEVEN_ILLUMINATION,
+        shift_sigma_px: model.shift_sigma_px,
+        saturated_dn: model.saturated_dn,
+    };
+    sector_sums(&weighing, pixels.distance_px, pixels.light_dn)
+}
+
 /// The normal equations of a sector in steps from the model.
 struct Sector {
     w: Vector2<f64>,
@@ -113,24 +143,12 @@ struct Sector {
 }
 
 impl Sector {
-    fn new(w: Vector2<f64>, pixels: SectorPixels<'_>, model: &EdgeModel) -> Self {
-        let course = model.shape.at(w);
-        let profile = model.profile_at(&course);
-        let weighing = Weighing {
-            profile: &profile,
-            wide: &profile.with_blur(COMA_BLURS * profile.blur_px),
-            course: course.cast::<f32>().into(),
-            noise: model.noise,
-            illumination_sigma: UNEVEN_ILLUMINATION,
-            shift_sigma_px: model.shift_sigma_px,
-            saturated_dn: model.saturated_dn,
-        };
-        let sums = sector_sums(&weighing, pixels.distance_px, pixels.light_dn);
+    fn new(w: Vector2<f64>, Sums { products, .. }: &Sums) -> Self {
         Self {
             w,
             terms: smooth_terms(w),
-            information: SMatrix::from_fn(|m, n| sums[m][n]),
-            gradient: SVector::from_fn(|m, _| sums[m][COLUMNS - 1]),
+            information: SMatrix::from_fn(|m, n| products[m][n]),
+            gradient: SVector::from_fn(|m, _| products[m][COLUMNS - 1]),
         }
     }
 

@@ -66,9 +66,8 @@ impl KnownOutline {
 
 const PASSES: usize = 6;
 const ROUGH_PASSES: usize = 3;
-/// An outline that moved by less than this in a pass is as good as it gets: in blurs, and in sigmas of its centre.
+/// An outline that moved by less than this in a pass is as good as it gets, in blurs: the next one would move it by 3 % of that.
 const SETTLED_BLURS: f64 = 0.08;
-const SETTLED_SIGMAS: f64 = 3.0;
 /// A profile taken about an outline that was farther off is smeared, in blurs.
 const STEADY_BLURS: f64 = 0.3;
 /// How far the passes may lead away from the first outline, in blurs.
@@ -86,6 +85,8 @@ const WIDER_BLURS: f64 = 1.5;
 const MEDIANS_PER_BLUR: f64 = 3.0;
 const MIN_MEDIAN_PIXELS: usize = 10;
 const ROUGH_ROWS_PX: usize = 4;
+/// The limb bends too much in a sector that is wider than the circle's part.
+const LEAST_SECTORS: usize = 16;
 
 /// Fits the disc's outline to the whole limb of a frame.
 #[derive(Debug, Clone, Copy)]
@@ -180,9 +181,8 @@ impl LimbFit<'_> {
             pass += 1;
             let (fit, outline) = self.pass(&band, &light)?;
             let moved_px = moved_px(&light.outline, &outline.ellipse);
-            let sigma_px = outline.centre_covariance().trace().max(0.0).sqrt();
-            let settled = moved_px < (SETTLED_BLURS * blur_px).min(SETTLED_SIGMAS * sigma_px)
-                && fit.model.shape.is_near(&light.edge.shape);
+            let settled =
+                moved_px < SETTLED_BLURS * blur_px && fit.model.shape.is_near(&light.edge.shape);
             if settled || pass == PASSES {
                 self.check(&outline, &rough.outline, fit.model.resolution_px)?;
                 return Ok(Limb::new(fit, outline));
@@ -197,7 +197,7 @@ impl LimbFit<'_> {
 
     /// Points of the limb in a band, and the outline through them.
     fn pass(&self, band: &Band, light: &DiscLight) -> Result<(EdgeFit, OutlineFit), Rejected> {
-        let fit = fit_edge(band, &light.outline, &light.edge, self.settings.limb_points);
+        let fit = fit_edge(band, &light.outline, &light.edge);
         let outline = self.known.fit(&fit.points, &light.outline);
         let outline = outline.ok_or_else(|| self.too_few(fit.points.len()))?;
         Ok((fit, outline))
@@ -215,7 +215,8 @@ impl LimbFit<'_> {
             mask,
             ellipse,
             reach: reach(blur_px),
-            sectors: self.settings.limb_points,
+            // As many pixels in each whatever rows are read.
+            sectors: (self.settings.limb_points / every_row).max(LEAST_SECTORS),
             every_row,
         }
     }

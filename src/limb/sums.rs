@@ -1,9 +1,12 @@
 //! The kernel of the limb's fit: sums over the pixels of a sector, eight of them side by side.
+//!
+//! With Tukey's weights w a step by the normal equations is too short, since weights change on the way: Newton's step has d(r w)/dr
+//! in place of w. Of that one sum is enough, for the shift: it says how much longer the step ought to be.
 
 use super::profile::Profile;
 use crate::estimation::TUKEY_SIGMAS;
 use crate::frame::PixelNoise;
-use crate::kernels::LANES;
+use crate::kernels::{LANES, larger};
 use multiversion::multiversion;
 
 /// Quantities of a sector: shift, illumination, background, variance of the blur, coma.
@@ -25,9 +28,18 @@ pub(super) struct Weighing<'a> {
     pub saturated_dn: f64,
 }
 
-/// The derivatives and the residual of a pixel, and how much it counts (1 / DN^2).
+/// The sums over a sector.
+#[derive(Clone, Copy)]
+pub(super) struct Sums {
+    /// Weighted, of the products of every two columns.
+    pub products: [[f64; COLUMNS]; COLUMNS],
+    /// Of the squared derivative by the shift, weighted as Newton's step has it.
+    pub newton: f64,
+}
+
+/// The derivatives and the residual of a pixel, how much it counts (1 / DN^2), and for how much of that in Newton's step.
 #[inline(always)]
-fn terms(model: &Weighing<'_>, distance_px: f32, light_dn: f32) -> ([f32; COLUMNS], f32) {
+fn terms(model: &Weighing<'_>, distance_px: f32, light_dn: f32) -> ([f32; COLUMNS], f32, f32) {
     let (light, slope, bend) = model.profile.light_and_bend(distance_px);
     let (_, slope_wide) = model.wide.light(distance_px);
     let [_, illumination, background, _, coma] = model.course;
@@ -38,28 +50,29 @@ fn terms(model: &Weighing<'_>, distance_px: f32, light_dn: f32) -> ([f32; COLUMN
     let by_shift = model.shift_sigma_px as f32 * slope;
     let spread2 = variance + by_illumination * by_illumination + by_shift * by_shift;
     const TUKEY2: f32 = (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32;
-    let within = (1.0 - residual * residual / (TUKEY2 * spread2)).max(0.0);
+    let within = larger(1.0 - residual * residual / (TUKEY2 * spread2), 0.0);
     let weight = if light < model.saturated_dn as f32 {
-        within * within / variance
+        within / variance
     } else {
         0.0
     };
     (
         [-slope, light, 1.0, 0.5 * bend, -slope_wide, residual],
-        weight,
+        within * weight,
+        (5.0 * within - 4.0) * weight,
     )
 }
 
-/// Weighted sums over a sector's pixels of the products of every two columns, from the diagonal on; the rest is mirrored.
-pub(super) fn sector_sums(
-    model: &Weighing<'_>,
-    distance_px: &[f32],
-    light_dn: &[f32],
-) -> [[f64; COLUMNS]; COLUMNS] {
-    let mut sums = [[[0.0; LANES]; COLUMNS]; COLUMNS];
-    add(model, distance_px, light_dn, &mut sums);
-    let total = |m: usize, n: usize| f64::from(sums[m][n].iter().sum::<f32>());
-    std::array::from_fn(|m| std::array::from_fn(|n| total(m.min(n), m.max(n))))
+/// Sums over a sector's pixels.
+pub(super) fn sector_sums(model: &Weighing<'_>, distance_px: &[f32], light_dn: &[f32]) -> Sums {
+    let (mut sums, mut newton) = ([[[0.0; LANES]; COLUMNS]; COLUMNS], [0.0; LANES]);
+    add(model, distance_px, light_dn, &mut sums, &mut newton);
+    let total = |lanes: &[f32; LANES]| f64::from(lanes.iter().sum::<f32>());
+    let product = |m: usize, n: usize| total(&sums[m.min(n)][m.max(n)]);
+    Sums {
+        products: std::array::from_fn(|m| std::array::from_fn(|n| product(m, n))),
+        newton: total(&newton),
+    }
 }
 
 #[multiversion(targets("x86_64+avx2+fma"))]
@@ -68,9 +81,10 @@ fn add(
     distance_px: &[f32],
     light_dn: &[f32],
     sums: &mut [[[f32; LANES]; COLUMNS]; COLUMNS],
+    newton: &mut [f32; LANES],
 ) {
     let count = distance_px.len();
-    let mut local = *sums;
+    let (mut local, mut local_newton) = (*sums, *newton);
     for first in (0..count).step_by(LANES) {
         // The last group is filled up with pixels that do not count.
         let lanes = LANES.min(count - first);
@@ -81,11 +95,12 @@ fn add(
         let mut columns = [[0.0; LANES]; COLUMNS];
         let mut weights = [0.0; LANES];
         for k in 0..LANES {
-            let (values, weight) = terms(model, distance[k], light[k]);
+            let (values, weight, newton) = terms(model, distance[k], light[k]);
             for (column, value) in columns.iter_mut().zip(values) {
                 column[k] = value;
             }
             weights[k] = weight * counts[k];
+            local_newton[k] += newton * counts[k] * values[0] * values[0];
         }
         for m in 0..COLUMNS {
             for n in m..COLUMNS {
@@ -95,7 +110,7 @@ fn add(
             }
         }
     }
-    *sums = local;
+    (*sums, *newton) = (local, local_newton);
 }
 
 #[cfg(test)]
@@ -129,11 +144,14 @@ mod tests {
             .enumerate()
             .map(|(n, d)| profile.light(*d).0 + (n * 7919 % 13) as f32 - 6.0)
             .collect();
-        let found = sector_sums(&model, &distance, &light);
+        let Sums {
+            products: found,
+            newton,
+        } = sector_sums(&model, &distance, &light);
         for m in 0..COLUMNS {
             for n in 0..COLUMNS {
                 let product = |(d, l): (&f32, &f32)| {
-                    let (columns, weight) = terms(&model, *d, *l);
+                    let (columns, weight, _) = terms(&model, *d, *l);
                     f64::from(weight) * f64::from(columns[m]) * f64::from(columns[n])
                 };
                 let plain: f64 = distance.iter().zip(&light).map(product).sum();
@@ -141,5 +159,11 @@ mod tests {
                 assert!((found[m][n] - plain).abs() < 1e-5 * size, "{m}, {n}");
             }
         }
+        let pixels = distance.iter().zip(&light);
+        let plain = pixels.map(|(d, l)| {
+            let (columns, _, newton) = terms(&model, *d, *l);
+            f64::from(newton) * f64::from(columns[0]).powi(2)
+        });
+        assert!((newton / plain.sum::<f64>() - 1.0).abs() < 1e-5);
     }
 }
