@@ -34,10 +34,9 @@ impl Pipeline<'_> {
         let pairs: Vec<Pair> = marks.iter().map(pair).collect();
         let (count, least) = (pairs.len() as f64, self.settings.fiducial.min_marks as f64);
         Rejected::at_least(least, count, sun::FEW_MARKS)?;
-        let points = limb.points.iter().map(|p| (p.at, p.sigma_px));
         let outline = Outline {
             ellipse: limb.outline.ellipse,
-            points: &points.collect::<Vec<_>>(),
+            points: &limb.normal_points(),
             radius_mil: self.loose_radius_mil(),
         };
         let registration = registration::register(

@@ -28,7 +28,7 @@ const MORE_MARKS: usize = 2;
 /// After so many frames the marks are detected and identified again: a wrong id must not last.
 const MOST_IN_SUCCESSION: u32 = 30;
 /// Part of a shift by coma that is uncertain: the displaced light's own blur.
-const COMA_OPEN: f64 = 0.2;
+const COMA_OPEN: f64 = 0.12;
 
 /// Limb and marks by their own pixels.
 pub struct Measured {

@@ -236,8 +236,8 @@ pub(crate) fn marks_mask(
         let half_length = cross.arm_length_mil / 2.0 + margin_mil;
         let half_width = cross.arm_width_mil / 2.0 + margin_mil;
         mask.hide_where(seen, reach_px, |at| {
-            let along = (to_arms * (at.vector() - seen.vector())).abs();
-            along.max() < half_length && along.min() < half_width
+            let [u, v] = (to_arms * (at.vector() - seen.vector())).abs().into();
+            (u.max(v) < half_length) & (u.min(v) < half_width)
         });
     }
     mask

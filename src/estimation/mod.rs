@@ -22,7 +22,7 @@ pub use least_squares::{
 pub use normal::{Normal, Prior, Solved};
 pub use robust::{
     CONTRADICTION_SIGMAS, Loss, MEDIAN_CHI2_2D, MEDIAN_LENGTH_2D, MEDIAN_SIGMA, QUARTILE_SIGMAS,
-    SIGMA_PER_MEDIAN, TUKEY_SIGMAS, TUKEY_SIGMAS_2D, clipped_sigma, median, median_and_scatter,
-    median_size,
+    SIGMA_PER_MEDIAN, TUKEY_SIGMAS, TUKEY_SIGMAS_2D, clipped_sigma, median, median_among,
+    median_and_scatter, median_size, newton_over_weighted,
 };
 pub use schmidt::{Proposal, Role, ScaledRoot, symmetrise};

@@ -158,7 +158,7 @@ impl Mask {
         for y in near.y0.max(self.region.y0)..near.y1 {
             let row = self.row_mut(y);
             for x in near.x0.max(x0)..near.x1 {
-                row[x - x0] |= holds(SensorPx::new(x as f64, y as f64));
+                row[x - x0] |= holds(SensorPx::new(f64::from(x as u32), y as f64));
             }
         }
     }

@@ -5,6 +5,7 @@ use crate::geometry::Ellipse;
 use crate::kernels::smaller;
 use multiversion::multiversion;
 use nalgebra::Vector2;
+use std::f64::consts::PI;
 
 /// How far a band reaches from its ellipse, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -98,7 +99,7 @@ impl Band {
         self.begins.last().copied().unwrap_or(0)
     }
 
-    pub(super) fn sectors(&self) -> impl Iterator<Item = SectorPixels<'_>> {
+    pub(super) fn sectors(&self) -> impl Iterator<Item = SectorPixels<'_>> + Clone {
         self.begins.windows(2).map(|ends| SectorPixels {
             distance_px: &self.distance_px[ends[0]..ends[1]],
             light_dn: &self.light_dn[ends[0]..ends[1]],
@@ -132,6 +133,8 @@ impl Unsorted {
         let uneven = ((root.m11 - root.m22) / 2.0).hypot(root.m12) + 1.0;
         let outer = ellipse.mean_radius() + reach.outside_px + uneven;
         let inner = (ellipse.mean_radius() - reach.inside_px - uneven).max(0.0);
+        let room = PI * (outer * outer - inner * inner) / wanted.every_row as f64;
+        self.reserve(room as usize);
         for y in (region.y0..region.y1).step_by(wanted.every_row) {
             let dy2 = (y as f64 - centre.y).powi(2);
             let [from, to] = [inner, outer].map(|radius| (radius.powi(2) - dy2).max(0.0).sqrt());
@@ -150,6 +153,12 @@ impl Unsorted {
                 self.locate(wanted, first.cast(), &mask.row(y)[columns]);
             }
         }
+    }
+
+    fn reserve(&mut self, pixels: usize) {
+        self.distance_px.reserve(pixels);
+        self.light_dn.reserve(pixels);
+        self.sector.reserve(pixels);
     }
 
     /// Adds places and sectors of a row's pixels, of which the first lies `from` the ellipse's centre.

@@ -7,12 +7,12 @@ use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::profile::{Brightness, MODEL_SIGMA_PX, Profile};
 use super::shape::{EdgeModel, Shape};
 use super::{LIMB_DARKENING, Settings};
-use crate::estimation::{MEDIAN_SIGMA, median};
+use crate::estimation::{MEDIAN_SIGMA, median_among};
 use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
 use crate::reasons::sun;
-use crate::units::Rejected;
-use nalgebra::Matrix2;
+use crate::units::{Rejected, SensorPx};
+use nalgebra::{Matrix2, Vector2};
 
 /// The limb as one frame shows it.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +41,29 @@ impl Limb {
             light,
         }
     }
+
+    /// Means of a few neighbouring points each, and 1 sigma across the limb: the outline is so smooth that they tell as much of it
+    /// (astrometry's normal points).
+    pub fn normal_points(&self) -> Vec<(SensorPx, f64)> {
+        let ellipse = &self.outline.ellipse;
+        let mean = |points: &[LimbPoint]| {
+            let (mut w, mut away_px, mut information) = (Vector2::zeros(), 0.0, 0.0);
+            for point in points {
+                let (on_disc, own) = (ellipse.to_disc(point.at.vector()), point.sigma_px.powi(-2));
+                w += own * on_disc;
+                away_px += own * ellipse.excess_at(on_disc);
+                information += own;
+            }
+            let w = w.normalize();
+            let at = ellipse.from_disc(w) + ellipse.normal(w) * (away_px / information);
+            (SensorPx::from(at), information.powf(-0.5))
+        };
+        self.points.chunks(NEIGHBOURS).map(mean).collect()
+    }
 }
+
+/// Points of the limb that are averaged.
+const NEIGHBOURS: usize = 4;
 
 /// What is known of the outline before the limb is measured, in two grades.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -254,20 +276,35 @@ fn radial_medians(band: &Band, reach: &Reach, blur_px: f64, saturated_dn: f64) -
     let width_px = blur_px / MEDIANS_PER_BLUR;
     let first_px = -reach.inside_px;
     let bins = ((reach.outside_px - first_px) / width_px).ceil() as usize;
-    let mut values = vec![Vec::new(); bins];
-    for pixels in band.sectors() {
-        for (distance_px, light_dn) in pixels.distance_px.iter().zip(pixels.light_dn) {
-            let bin = (f64::from(*distance_px) - first_px) / width_px;
-            values[(bin as usize).min(bins - 1)].push(f64::from(*light_dn));
-        }
+    let bin = |distance_px: f32| {
+        let bin = (f64::from(distance_px) - first_px) / width_px;
+        (bin as usize).min(bins - 1)
+    };
+    // Values of a bin side by side.
+    let pixels = band
+        .sectors()
+        .flat_map(|s| s.distance_px.iter().zip(s.light_dn));
+    let mut ends = vec![0; bins];
+    pixels.clone().for_each(|(px, _)| ends[bin(*px)] += 1);
+    let mut begin = 0;
+    for end in &mut ends {
+        begin += std::mem::replace(end, begin);
     }
-    let enough = values.iter().enumerate();
-    let enough = enough.filter(|(_, values)| values.len() >= MIN_MEDIAN_PIXELS);
-    let medians = enough.filter_map(|(bin, values)| {
+    let mut values = vec![0.0; band.pixels()];
+    for (px, light_dn) in pixels {
+        let end = &mut ends[bin(*px)];
+        values[*end] = f64::from(*light_dn);
+        *end += 1;
+    }
+    let mut left = values.as_mut_slice();
+    let mut begin = 0;
+    let medians = ends.iter().enumerate().filter_map(|(bin, end)| {
+        let values = left.split_off_mut(..end - std::mem::replace(&mut begin, *end))?;
+        let enough = values.len() >= MIN_MEDIAN_PIXELS;
         Some(Brightness {
             distance_px: first_px + (bin as f64 + 0.5) * width_px,
-            dn: median(values)?,
             weight: values.len() as f64 / MEDIAN_SIGMA.powi(2),
+            dn: median_among(values).filter(|_| enough)?,
         })
     });
     medians.filter(|median| median.dn < saturated_dn).collect()

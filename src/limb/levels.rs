@@ -1,7 +1,7 @@
 //! Robust brightness levels of a frame (Cramer 2014, section 4.2.5, steps 2 to 4).
 //!
 //! The Sun covers 2 % of a whole frame and up to half of a small one, so background and noise come from the middle of the
-//! distribution of some twenty thousand pixels from all over the frame; where noise is cut off at zero the median and what
+//! distribution of some ten thousand pixels from all over the frame; where noise is cut off at zero the median and what
 //! lies above it do not mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has
 //! only some hundred pixels: every fourth row is searched for them. Hot pixels stand alone and do not count.
 
@@ -13,7 +13,7 @@ use crate::units::Rejected;
 use crate::with_view;
 
 /// Background and noise come from about so many pixels, which determine them to a hundredth of the noise, ...
-const SAMPLED_PIXELS: usize = 20_000;
+const SAMPLED_PIXELS: usize = 12_000;
 /// ... in groups of so many neighbours in every so many rows.
 const GROUP_PX: usize = 64;
 const SAMPLED_ROWS_PX: usize = 8;
