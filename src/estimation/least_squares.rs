@@ -3,7 +3,7 @@
 //! Residuals come in units of their stated sigmas. The loss weights them by their size over the scale; scale and weights are
 //! found together with the parameters (iteratively reweighted least squares: Holland and Welsch, 1977).
 
-use super::normal::{Normal, Prior, Solved};
+use super::normal::{Normal, Prior};
 use super::robust::{
     Loss, MEDIAN_LENGTH_2D, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median, newton_over_weighted,
 };
@@ -112,11 +112,8 @@ impl<const N: usize> LeastSquares<N> {
             weights.extend(rows.iter().map(|row| loss.weight(row)));
             let normal = normal_equations(&rows, &weights);
             let solved = normal.solve(&self.prior, &parameters);
-            let Solved {
-                step: full,
-                covariance,
-            } = solved.ok_or(FitError::Undetermined)?;
-            let full = full * loss.longer(&rows, &weights);
+            let solved = solved.ok_or(FitError::Undetermined)?;
+            let full = solved.step * loss.longer(&rows, &weights);
             let gain = full.dot(&self.prior.gradient(&parameters)) + full.dot(&normal.gradient);
             let better = (gain > (self.tolerance_sigmas * scale).powi(2)).then(|| {
                 let cost = |at: &_, rows: &[_]| loss.cost(rows) + self.prior.cost(at);
@@ -137,7 +134,7 @@ impl<const N: usize> LeastSquares<N> {
                 None => {
                     return Ok(Fitted {
                         parameters,
-                        covariance: covariance * scale.powi(2),
+                        covariance: solved.covariance() * scale.powi(2),
                         scatter: scale,
                         weights,
                     });

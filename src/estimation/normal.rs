@@ -1,6 +1,6 @@
 //! Normal equations of a few parameters.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Cholesky, Const, SMatrix, SVector};
 
 /// An unknown with less than this part of its information independent of those before it is not determined.
 const LEAST_OWN_PART: f64 = 1e-10;
@@ -48,11 +48,24 @@ pub struct Normal<const N: usize> {
     pub chi2: f64,
 }
 
-/// A step of the parameters, and their covariance after it: 0 for those that are held.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Solved normal equations.
+#[derive(Debug, Clone)]
 pub struct Solved<const N: usize> {
+    /// Of the parameters.
     pub step: SVector<f64, N>,
-    pub covariance: SMatrix<f64, N, N>,
+    root: Cholesky<f64, Const<N>>,
+    is_held: [bool; N],
+}
+
+impl<const N: usize> Solved<N> {
+    /// Covariance of the parameters after the step: 0 for those that are held.
+    pub fn covariance(&self) -> SMatrix<f64, N, N> {
+        let mut covariance = self.root.inverse();
+        for n in (0..N).filter(|n| self.is_held[*n]) {
+            covariance[(n, n)] = 0.0;
+        }
+        covariance
+    }
 }
 
 impl<const N: usize> Normal<N> {
@@ -113,13 +126,11 @@ impl<const N: usize> Normal<N> {
             return None;
         }
         let step = root.solve(&gradient);
-        let mut covariance = root.inverse();
-        for n in (0..N).filter(|n| prior.information[*n].is_infinite()) {
-            covariance[(n, n)] = 0.0;
-        }
-        step.iter()
-            .all(|v| v.is_finite())
-            .then_some(Solved { step, covariance })
+        step.iter().all(|v| v.is_finite()).then_some(Solved {
+            step,
+            root,
+            is_held: prior.information.map(f64::is_infinite).into(),
+        })
     }
 
     /// The sum of the squared residuals after a step, as far as they are linear.
@@ -145,7 +156,7 @@ mod tests {
     fn a_line_is_the_one_of_the_textbook() {
         let solved = line().solve(&Prior::none(), &SVector::zeros()).unwrap();
         assert!((solved.step - SVector::from([0.95, 2.15])).norm() < 1e-9);
-        assert!((solved.covariance[(1, 1)] - 0.01 / 2.0).abs() < 1e-12);
+        assert!((solved.covariance()[(1, 1)] - 0.01 / 2.0).abs() < 1e-12);
         assert!((line().chi2_after(&solved.step) - 1.5).abs() < 1e-9);
     }
 
@@ -155,15 +166,15 @@ mod tests {
         prior.information[1] = f64::INFINITY;
         let solved = line().solve(&prior, &SVector::from([0.0, 0.5])).unwrap();
         assert!((solved.step - SVector::from([3.1 + 0.5, -0.5])).norm() < 1e-9);
-        assert_eq!(solved.covariance[(1, 1)], 0.0);
-        assert!((solved.covariance[(0, 0)] - 0.01 / 3.0).abs() < 1e-12);
+        assert_eq!(solved.covariance()[(1, 1)], 0.0);
+        assert!((solved.covariance()[(0, 0)] - 0.01 / 3.0).abs() < 1e-12);
     }
 
     #[test]
     fn what_nothing_determines_is_refused() {
         let mut normal = Normal::zero();
         normal.add(&SVector::from([1.0, 2.0]), 1.0, 1.0);
-        assert_eq!(normal.solve(&Prior::none(), &SVector::zeros()), None);
+        assert!(normal.solve(&Prior::none(), &SVector::zeros()).is_none());
         let prior = Prior {
             mean: SVector::zeros(),
             information: SVector::from([0.0, 1.0]),

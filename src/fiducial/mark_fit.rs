@@ -107,7 +107,7 @@ impl MarkFit<'_> {
                 return None;
             }
             if let Some(solved) = settled {
-                let covariance = solved?.covariance;
+                let covariance = solved?.covariance();
                 return Some(Settled {
                     unknowns,
                     covariance: covariance.fixed_view::<2, 2>(X, X).into_owned(),

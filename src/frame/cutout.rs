@@ -3,6 +3,7 @@
 use super::{Frame, Region, Sample, View, any_above};
 use crate::units::SensorPx;
 use crate::with_view;
+use multiversion::multiversion;
 
 /// Variance of a pixel's value, DN^2: read noise and rounding, and photon noise in proportion to the light.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -96,9 +97,7 @@ impl Cutout {
         let region = self.region;
         for (y, row_dn) in (region.y0..).zip(&background.rows_dn) {
             let row = &view.row(y)[region.x0..region.x1];
-            let pairs = row.iter().zip(&background.columns_dn);
-            let light_dn = pairs.map(|(pixel, column_dn)| pixel.dn() - column_dn - row_dn);
-            self.light_dn.extend(light_dn);
+            subtract(row, &background.columns_dn, *row_dn, &mut self.light_dn);
             if any_above(row, below_saturation) {
                 for (masked, pixel) in self.mask.row_mut(y).iter_mut().zip(row) {
                     *masked |= *pixel > below_saturation;
@@ -116,6 +115,13 @@ impl Cutout {
         let width = self.region.width();
         &self.light_dn[(y - self.region.y0) * width..][..width]
     }
+}
+
+/// Adds a row's light: its pixels less the background of each column and of the row.
+#[multiversion(targets("x86_64+avx2"))]
+fn subtract<T: Sample>(row: &[T], columns_dn: &[f32], row_dn: f32, light_dn: &mut Vec<f32>) {
+    let pairs = row.iter().zip(columns_dn);
+    light_dn.extend(pairs.map(|(pixel, column_dn)| pixel.dn() - column_dn - row_dn));
 }
 
 /// Pixels of a region that do not count.

@@ -2,7 +2,7 @@
 
 use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
-use crate::kernels::smaller;
+use crate::kernels::{LANES, groups, smaller};
 use multiversion::multiversion;
 use nalgebra::Vector2;
 use std::f64::consts::PI;
@@ -63,19 +63,26 @@ impl Band {
         // What is not wanted comes last, in a sector of its own, and is left out.
         self.begins.clear();
         self.begins.resize(wanted.sectors + 2, 0);
+        let counts = &mut self.begins[1..];
         for sector in sector {
-            self.begins[*sector as usize + 1] += 1;
+            counts[*sector as usize] += 1;
         }
         for n in 0..=wanted.sectors {
             self.begins[n + 1] += self.begins[n];
         }
         self.distance_px.resize(sector.len(), 0.0);
         self.light_dn.resize(sector.len(), 0.0);
+        let begins = self.begins.as_mut_slice();
+        let (distances, lights) = (
+            &mut self.distance_px[..],
+            &mut self.light_dn[..sector.len()],
+        );
         for ((sector, distance_px), light_dn) in sector.iter().zip(distance_px).zip(light_dn) {
-            let place = &mut self.begins[*sector as usize];
-            self.distance_px[*place] = *distance_px;
-            self.light_dn[*place] = *light_dn;
-            *place += 1;
+            let begin = &mut begins[*sector as usize];
+            let place = *begin;
+            *begin = place + 1;
+            distances[place] = *distance_px;
+            lights[place] = *light_dn;
         }
         // Each begin has moved to the next one's place.
         self.begins.truncate(wanted.sectors);
@@ -110,8 +117,12 @@ impl Band {
 /// Pixels in the order of the rows.
 #[derive(Default)]
 struct Unsorted {
-    distance_px: Vec<f32>,
+    /// Places from the ellipse's centre, px.
+    x: Vec<f32>,
+    y: Vec<f32>,
     light_dn: Vec<f32>,
+    masked: Vec<bool>,
+    distance_px: Vec<f32>,
     /// Of pixels that are not wanted the number of sectors.
     sector: Vec<i32>,
 }
@@ -125,19 +136,16 @@ impl Unsorted {
             reach,
             ..
         } = wanted;
-        for list in [&mut self.distance_px, &mut self.light_dn] {
-            list.clear();
-        }
-        self.sector.clear();
         let (region, root, centre) = (cutout.region(), ellipse.root(), ellipse.centre);
         let uneven = ((root.m11 - root.m22) / 2.0).hypot(root.m12) + 1.0;
         let outer = ellipse.mean_radius() + reach.outside_px + uneven;
         let inner = (ellipse.mean_radius() - reach.inside_px - uneven).max(0.0);
         let room = PI * (outer * outer - inner * inner) / wanted.every_row as f64;
-        self.reserve(room as usize);
+        self.clear(room as usize);
         for y in (region.y0..region.y1).step_by(wanted.every_row) {
-            let dy2 = (y as f64 - centre.y).powi(2);
-            let [from, to] = [inner, outer].map(|radius| (radius.powi(2) - dy2).max(0.0).sqrt());
+            let dy = y as f64 - centre.y;
+            let half = |radius: f64| (radius * radius - dy * dy).max(0.0).sqrt();
+            let (from, to) = (half(inner), half(outer));
             // A row crosses the band twice, or along its top or bottom once.
             let spans = match from > 0.0 {
                 true => [(-to, -from), (from, to)],
@@ -147,69 +155,73 @@ impl Unsorted {
                 let column = |x: f64| (x.ceil().max(region.x0 as f64) as usize).min(region.x1);
                 let (start, end) = (column(centre.x + start), column(centre.x + end));
                 let columns = start - region.x0..end.max(start) - region.x0;
-                let first = Vector2::new(start as f64, y as f64) - centre;
+                let first = (start as f64 - centre.x) as f32;
+                let along = 0..columns.len() as i32;
+                self.x.extend(along.map(|n| first + n as f32));
+                self.y.resize(self.x.len(), dy as f32);
                 self.light_dn
                     .extend_from_slice(&cutout.row(y)[columns.clone()]);
-                self.locate(wanted, first.cast(), &mask.row(y)[columns]);
+                self.masked.extend_from_slice(&mask.row(y)[columns]);
             }
         }
+        // What fills the last group up is not wanted.
+        let whole = self.light_dn.len().next_multiple_of(LANES);
+        for list in [&mut self.x, &mut self.y, &mut self.light_dn] {
+            list.resize(whole, 0.0);
+        }
+        self.masked.resize(whole, true);
+        locate(ellipse, reach, wanted.sectors, self);
     }
 
-    fn reserve(&mut self, pixels: usize) {
-        self.distance_px.reserve(pixels);
-        self.light_dn.reserve(pixels);
-        self.sector.reserve(pixels);
-    }
-
-    /// Adds places and sectors of a row's pixels, of which the first lies `from` the ellipse's centre.
-    fn locate(&mut self, wanted: &Wanted<'_>, from: Vector2<f32>, masked: &[bool]) {
-        let first = self.distance_px.len();
-        self.distance_px.resize(first + masked.len(), 0.0);
-        self.sector.resize(first + masked.len(), 0);
-        let distance_px = &mut self.distance_px[first..];
-        let Wanted {
-            ellipse,
-            reach,
-            sectors,
-            ..
-        } = wanted;
-        let sector = &mut self.sector[first..];
-        locate(ellipse, reach, *sectors, from, masked, distance_px, sector);
+    fn clear(&mut self, room: usize) {
+        let Self {
+            x,
+            y,
+            light_dn,
+            masked,
+            distance_px,
+            sector,
+        } = self;
+        for list in [x, y, light_dn, distance_px] {
+            list.clear();
+            list.reserve(room);
+        }
+        masked.clear();
+        masked.reserve(room);
+        sector.clear();
+        sector.reserve(room);
     }
 }
 
-/// Distances outwards from an ellipse, to first order as [`Ellipse::excess`] gives them, and sectors of pixels of a row, of which
-/// the first lies `from` its centre; the sector of pixels that are masked or out of reach is the number of sectors.
+/// Finds the pixels' distances outwards from an ellipse, to first order as [`Ellipse::excess`] gives them, and their sectors; that
+/// of pixels which are masked or out of reach is the number of sectors.
 ///
 /// Directions are counted by y / (|x| + |y|), which grows with the angle as evenly as sectors need and costs no arctangent.
 #[multiversion(targets("x86_64+avx2"))]
-fn locate(
-    ellipse: &Ellipse,
-    reach: &Reach,
-    sectors: usize,
-    from: Vector2<f32>,
-    masked: &[bool],
-    distance_px: &mut [f32],
-    sector: &mut [i32],
-) {
+fn locate(ellipse: &Ellipse, reach: &Reach, sectors: usize, pixels: &mut Unsorted) {
     let [inside_px, outside_px] = [reach.inside_px, reach.outside_px].map(|px| px as f32);
     let not_wanted = sectors as i32 as f32;
     let inverse = ellipse.inverse().cast::<f32>();
     let (a, b, c) = (inverse.m11, inverse.m12, inverse.m22);
-    let places = distance_px.iter_mut().zip(sector).zip(masked);
-    for (n, ((distance_px, sector), masked)) in places.enumerate() {
-        let (x, y) = (from.x + n as i32 as f32, from.y);
-        let (u, v) = (a * x + b * y, b * x + c * y);
-        let r2 = u * u + v * v;
-        let (nx, ny) = (a * u + b * v, b * u + c * v);
-        let per_normal = 1.0 / (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
-        let along = v / (u.abs() + v.abs() + f32::MIN_POSITIVE);
-        let quarters = if u >= 0.0 { 1.0 + along } else { 3.0 - along };
-        let away_px = (r2 - r2.sqrt()) * per_normal;
-        let is_wanted = (away_px >= -inside_px) & (away_px < outside_px) & !masked;
-        let found = smaller(quarters * (0.25 * not_wanted), not_wanted - 0.5);
-        *sector = (if is_wanted { found } else { not_wanted }) as i32;
-        *distance_px = away_px;
+    let (masked, _) = pixels.masked.as_chunks::<LANES>();
+    let places = groups(&pixels.x).iter().zip(groups(&pixels.y));
+    for ((x, y), masked) in places.zip(masked) {
+        let (mut distance_px, mut sector) = ([0.0; LANES], [0; LANES]);
+        for k in 0..LANES {
+            let (u, v) = (a * x[k] + b * y[k], b * x[k] + c * y[k]);
+            let r2 = u * u + v * v;
+            let (nx, ny) = (a * u + b * v, b * u + c * v);
+            let per_normal = 1.0 / (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
+            let along = v / (u.abs() + v.abs() + f32::MIN_POSITIVE);
+            let quarters = if u >= 0.0 { 1.0 + along } else { 3.0 - along };
+            let away_px = (r2 - r2.sqrt()) * per_normal;
+            let is_wanted = (away_px >= -inside_px) & (away_px < outside_px) & !masked[k];
+            let found = smaller(quarters * (0.25 * not_wanted), not_wanted - 0.5);
+            sector[k] = (if is_wanted { found } else { not_wanted }) as i32;
+            distance_px[k] = away_px;
+        }
+        pixels.distance_px.extend(distance_px);
+        pixels.sector.extend(sector);
     }
 }
 
@@ -289,15 +301,19 @@ mod tests {
         for n in 0..SECTORS {
             let middle =
                 middle_of_sector(n, SECTORS).cast::<f32>() * ellipse().mean_radius() as f32;
-            let (mut distance_px, mut sector) = ([0.0], [0]);
             let reach = Reach {
                 inside_px: 1.0,
                 outside_px: 1.0,
             };
-            let (px, sectors) = (&mut distance_px, &mut sector);
-            locate(&ellipse(), &reach, SECTORS, middle, &[false], px, sectors);
-            assert_eq!(sector[0] as usize, n);
-            assert!(distance_px[0].abs() < 1e-3);
+            let mut pixels = Unsorted {
+                x: vec![middle.x; LANES],
+                y: vec![middle.y; LANES],
+                masked: vec![false; LANES],
+                ..Unsorted::default()
+            };
+            locate(&ellipse(), &reach, SECTORS, &mut pixels);
+            assert_eq!(pixels.sector[0] as usize, n);
+            assert!(pixels.distance_px[0].abs() < 1e-3);
         }
     }
 

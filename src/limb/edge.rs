@@ -273,9 +273,10 @@ impl Courses {
             let terms = &sector.terms;
             for n in 0..SMOOTH {
                 normal.gradient[n] += terms[n] * gradient[QUANTITY[n]];
-                for m in 0..=n {
-                    let product = terms[n] * terms[m] * own[(QUANTITY[m], QUANTITY[n])];
-                    normal.information[(n, m)] += product;
+                let with_quantities = own.column(QUANTITY[n]) * terms[n];
+                let mut column = normal.information.column_mut(n);
+                for m in n..SMOOTH {
+                    column[m] += terms[m] * with_quantities[QUANTITY[m]];
                 }
             }
         }
@@ -291,10 +292,11 @@ impl Courses {
         };
         let effects = [UNEVEN_BACKGROUND, MOTION, COMA].into_iter();
         let all = normal.solve(&prior, now);
+        let all = all.map(|all| (now + all.step, all.covariance()));
         for effect in effects {
             let holds = all
                 .as_ref()
-                .is_none_or(|all| !is_significant(&effect, &(now + all.step), &all.covariance));
+                .is_none_or(|(values, covariance)| !is_significant(&effect, values, covariance));
             if holds {
                 effect.for_each(|n| prior.information[n] = f64::INFINITY);
             }
@@ -302,7 +304,7 @@ impl Courses {
         let solved = normal.solve(&prior, now);
         let (step, covariance) = solved.map_or_else(
             || (SVector::zeros(), SMatrix::zeros()),
-            |solved| (solved.step, solved.covariance),
+            |solved| (solved.step, solved.covariance()),
         );
         Self {
             step,

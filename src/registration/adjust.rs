@@ -1,7 +1,7 @@
 //! Weighted least squares of a view of the plate and a circle on it: Gauss-Newton steps on the pairs and the points of the outline.
 
 use super::{Outline, Pair};
-use crate::estimation::{Normal, Prior, Solved};
+use crate::estimation::{Normal, Prior};
 use crate::geometry::view::{PARAMETERS, Parameters, UNIT_MIL, View, parameters_of};
 use crate::geometry::{Circle, Distortion, Handedness, MappingKind, TILT_PER_PX};
 use crate::units::{Measured, PlateMil, SensorPx};
@@ -223,9 +223,11 @@ impl Problem {
             let others = self.normal_of_others(&model)?;
             let weight = terms.inflation.powi(-2);
             let both = pairs.weighted(weight).with(&others);
-            let Solved { step, covariance } = both.solve(&held, &Unknowns::zeros())?;
+            let solved = both.solve(&held, &Unknowns::zeros())?;
+            let step = solved.step;
             let next = model.advanced(&step);
             if next.moved_px(&step) < SHORT_STEP_PX {
+                let covariance = solved.covariance();
                 return Some(Adjusted {
                     terms,
                     model: next,
