@@ -27,8 +27,8 @@ const MOST_CUT_SIGMA_PX: f64 = 0.3;
 const MORE_MARKS: usize = 2;
 /// After so many frames the marks are detected and identified again: a wrong id must not last.
 const MOST_IN_SUCCESSION: u32 = 30;
-/// Part of a shift by coma that is uncertain: the displaced light's own blur.
-const COMA_OPEN: f64 = 0.12;
+/// Part of a shift by coma that is uncertain, since the displaced light may be blurred more or less: see [`COMA_BLURS`].
+const COMA_OPEN: f64 = 0.05;
 
 /// Limb and marks by their own pixels.
 pub struct Measured {
