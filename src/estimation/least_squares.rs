@@ -4,9 +4,7 @@
 //! found together with the parameters (iteratively reweighted least squares: Holland and Welsch, 1977).
 
 use super::normal::{Normal, Prior};
-use super::robust::{
-    Loss, MEDIAN_LENGTH_2D, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median, newton_over_weighted,
-};
+use super::robust::{Loss, MEDIAN_LENGTH_2D, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median};
 use crate::units::Measured;
 use nalgebra::{SMatrix, SVector};
 
@@ -113,7 +111,7 @@ impl<const N: usize> LeastSquares<N> {
             let normal = normal_equations(&rows, &weights);
             let solved = normal.solve(&self.prior, &parameters);
             let solved = solved.ok_or(FitError::Undetermined)?;
-            let full = solved.step * loss.longer(&rows, &weights);
+            let full = solved.step;
             let gain = full.dot(&self.prior.gradient(&parameters)) + full.dot(&normal.gradient);
             let better = (gain > (self.tolerance_sigmas * scale).powi(2)).then(|| {
                 let cost = |at: &_, rows: &[_]| loss.cost(rows) + self.prior.cost(at);
@@ -194,18 +192,6 @@ impl Scaled {
 
     fn weight<const D: usize, const N: usize>(&self, row: &Linearised<D, N>) -> f64 {
         self.loss.weight(row.residual.norm() / self.scale)
-    }
-
-    /// How much longer a step ought to be than the weights make it.
-    fn longer<const D: usize, const N: usize>(
-        &self,
-        rows: &[Linearised<D, N>],
-        weights: &[f64],
-    ) -> f64 {
-        let newton = rows
-            .iter()
-            .map(|row| self.loss.newton(row.residual.norm() / self.scale, D));
-        newton_over_weighted(weights.iter().sum(), newton.sum())
     }
 
     fn cost<const D: usize, const N: usize>(&self, rows: &[Linearised<D, N>]) -> f64 {

@@ -41,19 +41,6 @@ impl Loss {
         }
     }
 
-    /// What Newton's step has in place of the weight, on average over the directions of a residual in so many axes. Steps by the
-    /// weights alone are too short, since these change on the way.
-    pub(super) fn newton(self, residual: f64, axes: usize) -> f64 {
-        match self {
-            Self::Squares => 1.0,
-            Self::Tukey(limit) => {
-                let square = (residual / limit).powi(2);
-                let inside = (1.0 - square).max(0.0);
-                inside * (inside - 4.0 * square / axes as f64)
-            }
-        }
-    }
-
     /// Cost of a residual in sigmas, near its square where it is small: twice the integral of residual times weight.
     pub fn cost(self, residual: f64) -> f64 {
         match self {
@@ -63,16 +50,6 @@ impl Loss {
                 limit.powi(2) / 3.0 * (1.0 - inside.powi(3))
             }
         }
-    }
-}
-
-/// How many times longer Newton's step is than the one by the weights, from the sums of both: at most by half, since where many
-/// residuals are outliers weights say little of the way.
-pub fn newton_over_weighted(weights: f64, newton: f64) -> f64 {
-    const LONGEST: f64 = 1.5;
-    match newton > 0.0 {
-        true => (weights / newton).clamp(1.0, LONGEST),
-        false => 1.0,
     }
 }
 

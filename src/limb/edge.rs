@@ -21,7 +21,7 @@ use super::shape::{
     UNEVEN_BACKGROUND, course, smooth_terms,
 };
 use super::sums::{COLUMNS, SECTOR, Sums, Weighing, sector_sums};
-use crate::estimation::{Normal, Prior, clipped_sigma, newton_over_weighted};
+use crate::estimation::{Normal, Prior, clipped_sigma};
 use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
@@ -50,6 +50,8 @@ const UNEVEN_ILLUMINATION: f64 = 0.02;
 /// One sector of a blemish says nothing of the others: it counts as so many sigma.
 const MOST_DEPARTURE_SIGMAS: f64 = 4.0;
 
+/// A step is made at most so many times longer than the weights make it.
+const LONGEST_STEP: f64 = 1.5;
 /// Where less than this part of the information on the shift is independent of the illumination, it is not determined.
 const LEAST_OWN_PART: f64 = 1e-3;
 /// A point so uncertain, or so far from the ellipse, is rejected; in blurs.
@@ -109,7 +111,11 @@ fn lit_sectors(band: &Band, model: &EdgeModel) -> Vec<Sector> {
         newton += sums.newton;
         sectors.push(Sector::new(w, &sums));
     }
-    let longer = newton_over_weighted(information, newton);
+    // Where many pixels are outliers, weights say little of the way.
+    let longer = match newton > 0.0 {
+        true => (information / newton).min(LONGEST_STEP),
+        false => 1.0,
+    };
     for sector in &mut sectors {
         sector.gradient *= longer;
     }
