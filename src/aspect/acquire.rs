@@ -96,18 +96,28 @@ impl Pipeline<'_> {
                 max_centre_shift_px: ANYWHERE_PX,
                 ..*settings
             };
-            read(&anywhere, &settings).is_ok()
+            read(&anywhere, &settings)
         };
         let ids = read(mounting, settings).map_err(|unread| {
             let rejected = unread.rejected();
             let because = |reason| Unread::Contradicting(Rejected { reason, ..rejected });
             match unread {
                 Unread::Undecided(_) if mirrored() => because(sun::MIRROR_IMAGE),
-                Unread::Undecided(_) if elsewhere() => because(sun::CENTRE_ELSEWHERE),
+                Unread::Undecided(_) if elsewhere().is_ok() => because(sun::CENTRE_ELSEWHERE),
                 unread => unread,
             }
         })?;
         let full = |(n, _): &&(usize, _)| detections.marks[*n].lighting == Lighting::Full;
+        // What is not read here may be because all are somewhere else.
+        let read_here = ids.iter().filter(full).count();
+        let lit = detections.marks.iter().map(|d| d.lighting);
+        if read_here < lit.filter(|lighting| *lighting == Lighting::Full).count() {
+            let there = elsewhere().unwrap_or_default();
+            let read_there = there.iter().filter(full).count() as f64;
+            let reason = sun::CENTRE_ELSEWHERE;
+            Rejected::at_most(read_here as f64, read_there, reason)
+                .map_err(Unread::Contradicting)?;
+        }
         let pair = |(n, id): &(usize, _)| Pair {
             observed: detections.marks[*n].at,
             printed: self.instrument.plate.position(*id),

@@ -50,6 +50,9 @@ const UNEVEN_ILLUMINATION: f64 = 0.02;
 /// One sector of a blemish says nothing of the others: it counts as so many sigma.
 const MOST_DEPARTURE_SIGMAS: f64 = 4.0;
 
+/// Variance of a place found with Tukey's weights w, of normal residuals r, over that which their weighted information tells:
+/// E[(r w)^2] E[w] / E[d(r w)/dr]^2.
+const TUKEY_VARIANCE: f64 = 0.963;
 /// A step is made at most so many times longer than the weights make it.
 const LONGEST_STEP: f64 = 1.5;
 /// Where less than this part of the information on the shift is independent of the illumination, it is not determined.
@@ -197,7 +200,7 @@ impl Sector {
             RowSVector::<f64, SMOOTH>::from_fn(|_, n| by_quantity[QUANTITY[n]] * self.terms[n]);
         // What the courses leave open moves whole parts of the limb: so many points must not average it away.
         let common = (by_courses * courses.covariance * by_courses.transpose())[0];
-        let variance = inverse.m11 + 0.5 * courses.sectors as f64 * common;
+        let variance = TUKEY_VARIANCE * inverse.m11 + 0.5 * courses.sectors as f64 * common;
         let sigma_px = variance.max(0.0).sqrt();
         let determined = sigma_px < MOST_SIGMA_BLURS * model.resolution_px
             && shift_px.abs() < MOST_SHIFT_BLURS * model.resolution_px;

@@ -131,7 +131,7 @@ mod tests {
             blur_px: 0.95,
             radius_px: 95.0,
         };
-        let root = Matrix2::new(95.3, 0.2, 0.2, 94.7);
+        let root = Matrix2::new(95.1, 0.05, 0.05, 94.9);
         let light = DiscLight {
             outline: Ellipse::new(Vector2::new(120.3, 110.8), root).unwrap(),
             edge: EdgeModel {

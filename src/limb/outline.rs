@@ -154,7 +154,7 @@ pub fn fit_outline(
 }
 
 /// By how much the points' sigmas must be inflated for what neighbouring points have in common: light that nothing models
-/// moves whole arcs of the limb. Never below 1.
+/// moves whole arcs of the limb. Hardly below 1, so that on average chance adds nothing.
 fn common_departure(points: &[LimbPoint], ellipse: &Ellipse, fitted: &Fitted<PARAMETERS>) -> f64 {
     let scatter = fitted.scatter.max(1.0);
     let (mut chi2, mut arcs) = (0.0, 0.0);
@@ -175,9 +175,7 @@ fn common_departure(points: &[LimbPoint], ellipse: &Ellipse, fitted: &Fitted<PAR
     if freedom < 1.0 {
         return 1.0;
     }
-    ((STATED_ARCS + chi2) / (STATED_ARCS + freedom))
-        .max(1.0)
-        .sqrt()
+    ((STATED_ARCS + chi2) / (STATED_ARCS + freedom)).sqrt()
 }
 
 /// The parameters of an ellipse.
