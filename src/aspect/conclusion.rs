@@ -129,7 +129,7 @@ impl Pipeline<'_> {
         let aspect = match adopted.own().and_then(|own| own.disc) {
             Some(disc) => Aspect {
                 sun_px: disc.on_sensor,
-                sun_radius_px: with_sigma_of_profile(disc.radius_px, limb),
+                sun_radius_px: self.with_sigma_of_profile(disc.radius_px, limb),
                 mapping: adopted.local_similarity(disc.on_sensor.position, self.instrument),
                 sun_plate: disc.on_plate,
                 limb_fraction: limb_fraction(limb),
@@ -179,7 +179,7 @@ impl Pipeline<'_> {
                 position: on_sensor,
                 covariance: centre,
             },
-            sun_radius_px: with_sigma_of_profile(radius_px, limb),
+            sun_radius_px: self.with_sigma_of_profile(radius_px, limb),
             mapping: adopted.local_similarity(on_sensor, self.instrument),
             sun_plate: Estimate {
                 position: on_plate,
@@ -187,6 +187,19 @@ impl Pipeline<'_> {
                     + adopted.covariance_mil2(on_plate, self.instrument),
             },
             limb_fraction: limb_fraction(limb),
+        }
+    }
+
+    /// A radius with the uncertainty of the limb's profile, which moves all points alike, as far as these determine the radius and not
+    /// what is stated of it.
+    fn with_sigma_of_profile(&self, radius_px: Measured, limb: &Limb) -> Measured {
+        let stated = limb.outline.radius_sigma_px() / self.stated_radius_px().sigma;
+        let by_points = (1.0 - stated.powi(2)).max(0.0);
+        Measured {
+            sigma: radius_px
+                .sigma
+                .hypot(by_points * limb.light.place_sigma_px()),
+            ..radius_px
         }
     }
 }
@@ -222,14 +235,6 @@ pub(crate) fn printed_mil(marks: &[Mark], plate: &Plate) -> f64 {
     let sigmas = marks.iter().map(|mark| plate.sigma_mil(mark.id));
     let squares: f64 = sigmas.map(|[x, y]| (x * x + y * y) / 2.0).sum();
     (squares / marks.len().max(1) as f64).sqrt()
-}
-
-/// A radius with the uncertainty of the limb's profile, which moves all points alike.
-fn with_sigma_of_profile(radius_px: Measured, limb: &Limb) -> Measured {
-    Measured {
-        sigma: radius_px.sigma.hypot(limb.light.place_sigma_px()),
-        ..radius_px
-    }
 }
 
 /// Part of the limb that is seen, 0 to 1.

@@ -160,7 +160,7 @@ impl<'a> Pipeline<'a> {
     }
 
     /// The disc's radius on the sensor by ephemeris and stated scale.
-    fn stated_radius_px(&self) -> Measured {
+    pub(super) fn stated_radius_px(&self) -> Measured {
         let scale = self.instrument.mounting.scale_mil_per_px;
         let relative =
             (scale.sigma / scale.value).hypot(self.radius_mil.sigma / self.radius_mil.value);

@@ -198,9 +198,6 @@ impl LimbFit<'_> {
         let blur_px = light.edge.profile.blur_px;
         let mut band = Band::of(&self.wanted(&light.outline, mask, blur_px, 1));
         light.edge.noise = noise(&band, &light.edge);
-        // The courses find light and blur again, from all rows.
-        let by_noise = light.edge.place_sigma_px / (ROUGH_ROWS_PX as f64).sqrt();
-        light.edge.place_sigma_px = by_noise.hypot(MODEL_SIGMA_PX);
         let mut pass = 0;
         loop {
             pass += 1;
