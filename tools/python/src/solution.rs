@@ -9,7 +9,8 @@ use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::PyDateTime;
 use solaspect::archive::Record;
-use solaspect::aspect::{self, Contradiction};
+use solaspect::aspect;
+use solaspect::calibrate::check::Contradiction;
 use solaspect::pointing;
 use std::time::Duration;
 

@@ -5,6 +5,7 @@ use crate::solution::Solution;
 use crate::{arguments, pixels};
 use pyo3::prelude::*;
 use solaspect::aspect::{self, Expected, Settings};
+use solaspect::calibrate::check;
 use solaspect::frame::FrameInfo;
 use solaspect::pointing;
 use solaspect::sky::Ephemeris;
@@ -61,7 +62,7 @@ pub fn solve<'py>(
             &mut ephemeris,
         );
         Solution {
-            contradictions: aspect::contradictions(&inner, &instrument),
+            contradictions: check::contradictions(&inner, &instrument),
             inner,
             utc,
             offset,
