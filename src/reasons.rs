@@ -25,6 +25,15 @@ impl<S: Stage> fmt::Display for Stopped<S> {
 }
 
 impl<S: Stage> Stopped<S> {
+    pub fn new(stage: S, reason: Reason, measured: f64, limit: f64) -> Self {
+        let rejected = Rejected {
+            reason,
+            measured,
+            limit,
+        };
+        Self { stage, rejected }
+    }
+
     /// With what was measured and its limit.
     pub fn in_full(&self) -> String {
         let Rejected {

@@ -111,7 +111,7 @@ impl<const N: usize> LeastSquares<N> {
             let normal = normal_equations(&rows, &weights);
             let solved = normal.solve(&self.prior, &parameters);
             let solved = solved.ok_or(FitError::Undetermined)?;
-            let full = solved.step;
+            let full = &solved.step;
             let gain = full.dot(&self.prior.gradient(&parameters)) + full.dot(&normal.gradient);
             let better = (gain > (self.tolerance_sigmas * scale).powi(2)).then(|| {
                 let cost = |at: &_, rows: &[_]| loss.cost(rows) + self.prior.cost(at);

@@ -20,9 +20,7 @@ impl<const N: usize> Prior<N> {
             information: SVector::zeros(),
         }
     }
-}
 
-impl<const N: usize> Prior<N> {
     /// What is known of the parameters that are not held.
     fn free(&self) -> SVector<f64, N> {
         self.information

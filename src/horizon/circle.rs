@@ -7,7 +7,7 @@
 use super::border::Binary;
 use super::edge::EdgeRay;
 use super::light::Levels;
-use super::{LEAST_PLACES, Settings, Sphere, Stage, Stopped, no_horizon, stopped};
+use super::{LEAST_PLACES, Settings, Sphere, Stage, Stopped, no_horizon};
 use crate::estimation::{median, regression};
 use crate::frame::{Frame, Region};
 use crate::instrument::DirectionCamera;
@@ -158,11 +158,11 @@ fn in_part(
     }
     let expected = sphere.half_angle_rad.value;
     let circle = through(&rays, expected)
-        .ok_or_else(|| stopped(Stage::Fit, reasons::UNDETERMINED, 0.0, 0.0))?;
+        .ok_or_else(|| Stopped::new(Stage::Fit, reasons::UNDETERMINED, 0.0, 0.0))?;
     let ratio = circle.half_angle_rad.tan() / expected.tan();
     match RADIUS_RATIO.contains(&ratio) {
         true => Ok(circle),
-        false => Err(stopped(Stage::Fit, reasons::RADIUS, ratio, 1.0)),
+        false => Err(Stopped::new(Stage::Fit, reasons::RADIUS, ratio, 1.0)),
     }
 }
 

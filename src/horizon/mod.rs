@@ -36,9 +36,7 @@ pub use sphere::{Ellipsoid, Refraction, Sphere, Viewpoint};
 use crate::estimation::FitError;
 use crate::frame::{Frame, Sample, View};
 use crate::instrument::DirectionCamera;
-use crate::reasons::horizon as reasons;
-use crate::units::Reason;
-use crate::units::Rejected;
+use crate::reasons::{at, horizon as reasons};
 use crate::with_view;
 use border::Binary;
 use consensus::consensus;
@@ -268,7 +266,7 @@ impl Search<'_> {
         view: &View<'_, T>,
         near: Option<UnitVector3<f64>>,
     ) -> Solution {
-        let mut solution = Solution::none(stopped(Stage::Light, reasons::NO_LIGHT, 0.0, 0.0));
+        let mut solution = Solution::none(Stopped::new(Stage::Light, reasons::NO_LIGHT, 0.0, 0.0));
         solution.nadir = self.stages(frame, view, near, &mut solution);
         solution
     }
@@ -280,10 +278,7 @@ impl Search<'_> {
         near: Option<UnitVector3<f64>>,
         solution: &mut Solution,
     ) -> Result<Nadir, Stopped> {
-        let levels = Levels::of(frame, self.radius_px()).map_err(|rejected| Stopped {
-            stage: Stage::Light,
-            rejected,
-        })?;
+        let levels = Levels::of(frame, self.radius_px()).map_err(at(Stage::Light))?;
         solution.levels = Some(levels);
         let start = match near {
             Some(near) => near,
@@ -295,10 +290,7 @@ impl Search<'_> {
         enough(nadir.agreeing(), solution.places)?;
         raster
             .is_filled(self.sphere, &nadir.direction.unit, &levels)
-            .map_err(|rejected| Stopped {
-                stage: Stage::Fit,
-                rejected,
-            })?;
+            .map_err(at(Stage::Fit))?;
         Ok(nadir)
     }
 
@@ -370,7 +362,7 @@ impl Search<'_> {
             solution.places = profiles.len();
             let far_sky_dn = raster.far_sky_dn(&sphere, &last.direction.unit);
             let edge = profiles.edge(least_dn, levels.noise_dn, far_sky_dn);
-            let edge = edge.ok_or_else(|| stopped(Stage::Edge, reasons::NO_LIMB, 0.0, 0.0))?;
+            let edge = edge.ok_or_else(|| Stopped::new(Stage::Edge, reasons::NO_LIMB, 0.0, 0.0))?;
             solution.edge = rays(&edge.points, edge.sigma_rad);
             solution.clouded = edge.clouded;
             enough(solution.edge.rays.len(), solution.places)?;
@@ -424,7 +416,7 @@ fn enough(seen: usize, places: usize) -> Result<(), Stopped> {
     let least = LEAST_PLACES.max((LEAST_SHARE * places as f64) as usize);
     match seen >= least {
         true => Ok(()),
-        false => Err(stopped(
+        false => Err(Stopped::new(
             Stage::Edge,
             reasons::LITTLE_EDGE,
             seen as f64,
@@ -436,31 +428,22 @@ fn enough(seen: usize, places: usize) -> Result<(), Stopped> {
 /// Too few points of borders agree.
 fn no_horizon(points: usize) -> Stopped {
     let limit = LEAST_PLACES as f64;
-    stopped(Stage::Detection, reasons::NO_HORIZON, points as f64, limit)
+    Stopped::new(Stage::Detection, reasons::NO_HORIZON, points as f64, limit)
 }
 
 fn unfitted(error: NadirError) -> Stopped {
     match error {
-        NadirError::Rays(rays) => stopped(
+        NadirError::Rays(rays) => Stopped::new(
             Stage::Fit,
             reasons::LITTLE_EDGE,
             rays as f64,
             LEAST_PLACES as f64,
         ),
         NadirError::Fit(FitError::Undetermined) => {
-            stopped(Stage::Fit, reasons::UNDETERMINED, 0.0, 0.0)
+            Stopped::new(Stage::Fit, reasons::UNDETERMINED, 0.0, 0.0)
         }
         NadirError::Fit(FitError::NotConverged) => {
-            stopped(Stage::Fit, reasons::NOT_CONVERGED, 0.0, 0.0)
+            Stopped::new(Stage::Fit, reasons::NOT_CONVERGED, 0.0, 0.0)
         }
     }
-}
-
-fn stopped(stage: Stage, reason: Reason, measured: f64, limit: f64) -> Stopped {
-    let rejected = Rejected {
-        reason,
-        measured,
-        limit,
-    };
-    Stopped { stage, rejected }
 }

@@ -38,8 +38,8 @@ pub struct LimbPoint {
 /// Those that a sector has of its own, beside the smooth course: shift, illumination, background.
 const OWN: usize = 3;
 
-/// 1 sigma of each coefficient of the smooth courses before the fit: illumination, background in parts of the plateau, px^2, px. They hold what a short arc does
-/// not determine.
+/// 1 sigma of each coefficient of the smooth courses before the fit: illumination, background in parts of the plateau, px^2,
+/// px. They hold what a short arc does not determine.
 const PRIOR: [f64; SMOOTH] = [
     0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.03, 0.03, 1.0, 1.0, 1.0, 0.3, 0.3,
 ];

@@ -22,6 +22,7 @@ pub(super) const SMOOTH: usize = 13;
 pub(super) const UNEVEN_BACKGROUND: std::ops::Range<usize> = 4..8;
 pub(super) const MOTION: std::ops::Range<usize> = 9..11;
 pub(super) const COMA: std::ops::Range<usize> = 11..13;
+
 /// How the limb departs round the disc from one and the same profile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Shape {

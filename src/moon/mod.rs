@@ -33,9 +33,8 @@ pub use shading::{Shading, Sphere, towards_sun};
 use crate::frame::Frame;
 use crate::geometry::Circle;
 use crate::geometry::camera::Camera;
-use crate::reasons::moon as reasons;
-use crate::units::Reason;
-use crate::units::{Estimate, Measured, Rejected, SensorPx};
+use crate::reasons::{at, moon as reasons};
+use crate::units::{Estimate, Measured, SensorPx};
 use limb::{Contradiction, Known, Limb, LimbFit};
 use patch::{Outline, Patch, patches};
 use plane::Plane;
@@ -193,17 +192,15 @@ impl Disc {
 /// # Errors
 /// A frame that shows no light of some size.
 pub fn by_extremities(settings: &Settings, frame: &Frame) -> Result<(SensorPx, f64), Stopped> {
-    let levels = Levels::of(frame).map_err(|rejected| Stopped {
-        stage: Stage::Light,
-        rejected,
-    })?;
+    let levels = Levels::of(frame).map_err(at(Stage::Light))?;
     let level_dn = levels.least_dn();
     let largest = candidates(frame, levels.dark_dn + level_dn)?[0];
     let nothing = Expected::default();
     let candidate = Candidate::new(settings, &nothing, frame, &largest, &levels, level_dn);
     let candidate = candidate.ok_or_else(beyond_lens)?;
     let circle = extremities::circle(&candidate.outline.points);
-    let circle = circle.ok_or_else(|| stopped(Stage::Detection, reasons::NO_CIRCLE, 0.0, 0.0))?;
+    let circle =
+        circle.ok_or_else(|| Stopped::new(Stage::Detection, reasons::NO_CIRCLE, 0.0, 0.0))?;
     Ok((candidate.plane.sensor(circle.centre), circle.radius))
 }
 
@@ -212,10 +209,7 @@ pub fn by_extremities(settings: &Settings, frame: &Frame) -> Result<(SensorPx, f
 /// # Errors
 /// Where the frame shows none: the stage, and why. Of several lights, the reason of the largest.
 pub fn solve(settings: &Settings, frame: &Frame, expected: &Expected) -> Result<Disc, Stopped> {
-    let levels = Levels::of(frame).map_err(|rejected| Stopped {
-        stage: Stage::Light,
-        rejected,
-    })?;
+    let levels = Levels::of(frame).map_err(at(Stage::Light))?;
     let mut level_dn = levels.least_dn();
     if expected.radius.is_none() {
         // A crater beyond the terminator, or a bright part of the Moon, may pass for all of it.
@@ -257,10 +251,7 @@ fn solve_at(
 
 /// The patches that may be the Moon: at least one, the largest first.
 fn candidates(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Stopped> {
-    let mut found = patches(frame, threshold_dn).map_err(|rejected| Stopped {
-        stage: Stage::Detection,
-        rejected,
-    })?;
+    let mut found = patches(frame, threshold_dn).map_err(at(Stage::Detection))?;
     let largest = found.first().map_or(0, |patch| patch.pixels);
     found.retain(|patch| patch.pixels >= LEAST_PIXELS);
     match found.is_empty() {
@@ -271,11 +262,11 @@ fn candidates(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Stopped> {
 
 fn no_moon(largest: usize) -> Stopped {
     let limit = LEAST_PIXELS as f64;
-    stopped(Stage::Detection, reasons::NO_MOON, largest as f64, limit)
+    Stopped::new(Stage::Detection, reasons::NO_MOON, largest as f64, limit)
 }
 
 fn beyond_lens() -> Stopped {
-    stopped(Stage::Detection, reasons::BEYOND_LENS, 0.0, 0.0)
+    Stopped::new(Stage::Detection, reasons::BEYOND_LENS, 0.0, 0.0)
 }
 
 /// A light that may be the Moon.
@@ -310,7 +301,7 @@ impl<'a> Candidate<'a> {
     fn solve(&self, frame: &Frame, levels: &Levels) -> Result<Disc, Stopped> {
         let circle = disc::circle(&self.outline, &self.radii(frame)).ok_or_else(|| {
             let expected = self.radius().map_or(0.0, |radius| radius.value);
-            stopped(
+            Stopped::new(
                 Stage::Detection,
                 reasons::NO_DISC,
                 self.outline.points.len() as f64,
@@ -341,7 +332,7 @@ impl<'a> Candidate<'a> {
                 return Ok(self.disc(&found, &limb));
             }
         }
-        Err(stopped(Stage::Limb, reasons::NO_FIT, 0.0, 0.0))
+        Err(Stopped::new(Stage::Limb, reasons::NO_FIT, 0.0, 0.0))
     }
 
     /// The radius that is expected, round px.
@@ -475,7 +466,7 @@ fn fit(limb: &Limb) -> Result<LimbFit, Stopped> {
     let seen = limb.seen();
     if seen < LEAST_SECTORS {
         let limit = LEAST_SECTORS as f64;
-        return Err(stopped(
+        return Err(Stopped::new(
             Stage::Limb,
             reasons::LITTLE_LIMB,
             seen as f64,
@@ -483,14 +474,5 @@ fn fit(limb: &Limb) -> Result<LimbFit, Stopped> {
         ));
     }
     limb.fit()
-        .map_err(|_| stopped(Stage::Limb, reasons::NO_FIT, seen as f64, 0.0))
-}
-
-fn stopped(stage: Stage, reason: Reason, measured: f64, limit: f64) -> Stopped {
-    let rejected = Rejected {
-        reason,
-        measured,
-        limit,
-    };
-    Stopped { stage, rejected }
+        .map_err(|_| Stopped::new(Stage::Limb, reasons::NO_FIT, seen as f64, 0.0))
 }
