@@ -250,11 +250,13 @@ impl Frame {
 
     /// Counts the values of some columns of a row; those beyond the last count as the last.
     pub fn count(&self, y: usize, columns: Range<usize>, counts: &mut [u32]) {
-        let last = counts.len() - 1;
+        let Some((last, others)) = counts.split_last_mut() else {
+            return;
+        };
         crate::with_view!(self, view => {
             for pixel in &view.row(y)[columns] {
                 let value: u32 = (*pixel).into();
-                counts[(value as usize).min(last)] += 1;
+                *others.get_mut(value as usize).unwrap_or(&mut *last) += 1;
             }
         });
     }

@@ -4,7 +4,7 @@
 //! found together with the parameters (iteratively reweighted least squares: Holland and Welsch, 1977).
 
 use super::normal::{Normal, Prior};
-use super::robust::{Loss, MEDIAN_LENGTH_2D, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median};
+use super::robust::{Loss, MEDIAN_LENGTH_2D, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median_among};
 use crate::units::Measured;
 use nalgebra::{SMatrix, SVector};
 
@@ -99,11 +99,12 @@ impl<const N: usize> LeastSquares<N> {
         let mut rows: Vec<Linearised<D, N>> = first.into_iter().collect();
         let mut moved_rows = Vec::with_capacity(rows.len());
         let mut weights = vec![1.0; rows.len()];
+        let mut sizes = Vec::new();
         let mut scale = 1.0;
         for step in 0..MOST_STEPS {
             let previous = scale;
             if step < SCALE_STEPS {
-                scale = self.scale.of(&rows, &weights);
+                scale = self.scale.of(&rows, &weights, &mut sizes);
             }
             let loss = Scaled::new(self.loss, scale);
             weights.clear();
@@ -201,7 +202,13 @@ impl Scaled {
 }
 
 impl Scale {
-    fn of<const D: usize, const N: usize>(self, rows: &[Linearised<D, N>], weights: &[f64]) -> f64 {
+    /// By these observations; `list` is one to be used for their residuals' sizes.
+    fn of<const D: usize, const N: usize>(
+        self,
+        rows: &[Linearised<D, N>],
+        weights: &[f64],
+        list: &mut Vec<f64>,
+    ) -> f64 {
         let sizes = rows.iter().map(|row| row.residual.norm());
         let freedom = |counted: f64| (counted * D as f64 - N as f64).max(1.0);
         match self {
@@ -216,7 +223,9 @@ impl Scale {
                     1 => SIGMA_PER_MEDIAN,
                     _ => 1.0 / MEDIAN_LENGTH_2D,
                 };
-                let middle = median(sizes).unwrap_or_default();
+                list.clear();
+                list.extend(sizes);
+                let middle = median_among(list).unwrap_or_default();
                 sigma_per_median * middle * (count / freedom(count)).sqrt()
             }
         }

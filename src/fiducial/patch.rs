@@ -55,7 +55,10 @@ impl Patch {
         let about = Region::around(place, reach, region.x1, region.y1)?.intersection(&region)?;
         self.map.take(about, illumination);
         let least = LEAST_LIGHT * self.map.brightest();
-        self.lists().into_iter().for_each(Vec::clear);
+        for list in self.lists() {
+            list.clear();
+            list.reserve(about.width() * about.height());
+        }
         for y in about.y0..about.y1 {
             let dy = y as f64 - place.y;
             let half = (reach * reach - dy * dy).max(0.0).sqrt();

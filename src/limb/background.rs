@@ -63,13 +63,14 @@ struct Scene {
 
 impl Scene {
     fn of<T: Sample>(view: &View<'_, T>, about: Region, disc: &Circle, levels: &Levels) -> Self {
+        let cells = about.width().div_ceil(CELL_PX) * about.height().div_ceil(CELL_PX);
         let mut scene = Self {
             about,
             middle: [
                 view.width as f64 / 2.0 - 0.5,
                 view.height as f64 / 2.0 - 0.5,
             ],
-            cells: Vec::new(),
+            cells: Vec::with_capacity(cells),
             column_sums: column_sums(view, about, disc, levels.background_dn),
         };
         for y in (about.y0..about.y1).step_by(CELL_PX) {
@@ -146,7 +147,7 @@ impl Scene {
 
     /// The coefficients of the terms: the plane's always, of the others those that are significant.
     fn fit(&self) -> Option<SVector<f64, TERMS>> {
-        let all = self.regression(&[true; TERMS])?;
+        let all = self.regression(&[true; TERMS], SVector::zeros())?;
         let significant = |n: usize| {
             let term = all.measured(n);
             term.value.abs() > SIGNIFICANT_SIGMAS * term.sigma
@@ -154,23 +155,27 @@ impl Scene {
         let used = std::array::from_fn(|n| n < PLANE || significant(n));
         let fit = match used == [true; TERMS] {
             true => all,
-            false => self.regression(&used)?,
+            false => self.regression(&used, all.parameters)?,
         };
         Some(fit.parameters)
     }
 
     /// Fits the terms that are used, the others held at 0; so is one that is the same in all cells.
-    fn regression(&self, used: &[bool; TERMS]) -> Option<Fitted<TERMS>> {
+    fn regression(
+        &self,
+        used: &[bool; TERMS],
+        start: SVector<f64, TERMS>,
+    ) -> Option<Fitted<TERMS>> {
         let held = |n: usize| !used[n] || (n >= PLANE && !self.varies(n));
         let fit = LeastSquares {
-            start: SVector::zeros(),
+            start: SVector::from_fn(|n, _| if held(n) { 0.0 } else { start[n] }),
             prior: Prior {
                 mean: SVector::zeros(),
                 information: SVector::from_fn(|n, _| if held(n) { f64::INFINITY } else { 0.0 }),
             },
             loss: Loss::Tukey(TUKEY_SIGMAS),
             scale: Scale::Median,
-            tolerance_sigmas: 0.01,
+            tolerance_sigmas: 0.05,
         };
         let rows = |coefficients: &SVector<f64, TERMS>| {
             let coefficients = *coefficients;

@@ -140,8 +140,10 @@ impl Unsorted {
         let uneven = ((root.m11 - root.m22) / 2.0).hypot(root.m12) + 1.0;
         let outer = ellipse.mean_radius() + reach.outside_px + uneven;
         let inner = (ellipse.mean_radius() - reach.inside_px - uneven).max(0.0);
-        let room = PI * (outer * outer - inner * inner) / wanted.every_row as f64;
-        self.clear(room as usize);
+        // A row's two spans may have a pixel more each than they are long.
+        let rows = (region.y1 - region.y0).div_ceil(wanted.every_row);
+        let area = PI * (outer * outer - inner * inner) / wanted.every_row as f64;
+        self.clear(area as usize + 2 * rows + LANES);
         for y in (region.y0..region.y1).step_by(wanted.every_row) {
             let dy = y as f64 - centre.y;
             let half = |radius: f64| (radius * radius - dy * dy).max(0.0).sqrt();

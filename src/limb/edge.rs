@@ -80,17 +80,16 @@ pub(super) fn fit_edge(band: &Band, ellipse: &Ellipse, model: &EdgeModel) -> Edg
         departure = shown;
         courses = Courses::fitted(&sectors, &departure, model);
     }
-    let found = sectors
-        .iter()
-        .filter_map(|s| Some((s.w, s.shift(&courses, &departure, model)?)));
     let point = |(w, (shift_px, sigma_px)): (Vector2<f64>, (f64, f64))| LimbPoint {
         at: (ellipse.from_disc(w) + ellipse.normal(w) * shift_px).into(),
         sigma_px,
     };
+    let measured = |s: &Sector| Some(point((s.w, s.shift(&courses, &departure, model)?)));
+    let mut points = Vec::with_capacity(sectors.len());
+    points.extend(sectors.iter().filter_map(measured));
     let shape = Shape {
         coefficients: model.shape.coefficients + courses.step,
     };
-    let points = found.map(point).collect();
     let model = EdgeModel {
         shape,
         covariance: courses.covariance,
@@ -218,8 +217,10 @@ struct Departure {
 impl Departure {
     /// As far as the sectors show it: the variance between them by DerSimonian and Laird's moments, never less than `self`.
     fn shown_by(&self, sectors: &[Sector], step: &SVector<f64, SMOOTH>) -> Self {
+        let left: Vec<_> = sectors.iter().map(|s| s.left(step)).collect();
         let between = |index: usize| {
-            let departures = sectors.iter().filter_map(|s| s.departure(index, step));
+            let each = sectors.iter().zip(&left);
+            let departures = each.filter_map(|(s, left)| s.departure(index, left));
             let (mut excess, mut count, mut weights) = (0.0, 0.0, 0.0);
             for (value, variance) in departures {
                 let squared = (value * value / variance).min(MOST_DEPARTURE_SIGMAS.powi(2));
@@ -246,9 +247,8 @@ impl Sector {
         self.gradient - self.information * course(&self.terms, step)
     }
 
-    /// What one quantity departs from its course, and the variance of that, the shift being free.
-    fn departure(&self, index: usize, step: &SVector<f64, SMOOTH>) -> Option<(f64, f64)> {
-        let gradient = self.left(step);
+    /// What one quantity departs from its course by what is left of the gradient, and the variance of that, the shift being free.
+    fn departure(&self, index: usize, gradient: &SVector<f64, SECTOR>) -> Option<(f64, f64)> {
         let (ss, si, ii) = (
             self.information.m11,
             self.information[(SHIFT, index)],
@@ -299,14 +299,16 @@ impl Courses {
                 _ => PRIOR[n].powi(-2),
             }),
         };
-        let effects = [UNEVEN_BACKGROUND, MOTION, COMA].into_iter();
-        let all = normal.solve(&prior, now);
-        let all = all.map(|all| (now + all.step, all.covariance()));
-        for effect in effects {
-            let holds = all
-                .as_ref()
-                .is_none_or(|(values, covariance)| !is_significant(&effect, values, covariance));
-            if holds {
+        let shown = normal.solve(&prior, now).map_or([false; 3], |all| {
+            let (values, covariance) = (now + all.step, all.covariance());
+            [
+                is_significant::<4>(&UNEVEN_BACKGROUND, &values, &covariance),
+                is_significant::<2>(&MOTION, &values, &covariance),
+                is_significant::<2>(&COMA, &values, &covariance),
+            ]
+        });
+        for (effect, shown) in [UNEVEN_BACKGROUND, MOTION, COMA].into_iter().zip(shown) {
+            if !shown {
                 effect.for_each(|n| prior.information[n] = f64::INFINITY);
             }
         }
@@ -323,16 +325,16 @@ impl Courses {
     }
 }
 
-/// Whether some coefficients are far from zero by their covariance.
-fn is_significant(
+/// Whether the `N` coefficients of an effect are far from zero by their covariance.
+fn is_significant<const N: usize>(
     effect: &std::ops::Range<usize>,
     coefficients: &SVector<f64, SMOOTH>,
     covariance: &SMatrix<f64, SMOOTH, SMOOTH>,
 ) -> bool {
-    let own = covariance.view((effect.start, effect.start), (effect.len(), effect.len()));
-    let value = coefficients.rows(effect.start, effect.len());
+    let own = covariance.fixed_view::<N, N>(effect.start, effect.start);
+    let value = coefficients.fixed_rows::<N>(effect.start);
     let solved = own.clone_owned().cholesky().map(|root| root.solve(&value));
-    solved.is_some_and(|solved| value.dot(&solved) > SIGNIFICANT_CHI2 * effect.len() as f64)
+    solved.is_some_and(|solved| value.dot(&solved) > SIGNIFICANT_CHI2 * N as f64)
 }
 
 /// The noise that pixels well away from the limb show: outside without the disc's light, inside with it.
@@ -340,9 +342,10 @@ pub(super) fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
     /// So many pixels are enough.
     const PIXELS: usize = 1000;
     let clear = (3.0 * model.profile.blur_px) as f32;
-    let (mut outside, mut inside, mut inside_dn) = (Vec::new(), Vec::new(), 0.0);
+    let mut inside_dn = 0.0;
     let sectors = band.sectors().count();
     let stride = (band.pixels() / PIXELS).max(1);
+    let [mut outside, mut inside] = [0; 2].map(|_| Vec::with_capacity(band.pixels() / stride));
     for (n, pixels) in band.sectors().enumerate() {
         let course = model.shape.at(middle_of_sector(n, sectors));
         let profile = model.profile_at(&course);

@@ -68,9 +68,15 @@ pub(super) fn sector_sums(model: &Weighing<'_>, distance_px: &[f32], light_dn: &
     let (mut sums, mut newton) = ([[[0.0; LANES]; COLUMNS]; COLUMNS], [0.0; LANES]);
     add(model, distance_px, light_dn, &mut sums, &mut newton);
     let total = |lanes: &[f32; LANES]| f64::from(lanes.iter().sum::<f32>());
-    let product = |m: usize, n: usize| total(&sums[m.min(n)][m.max(n)]);
+    let mut products = [[0.0; COLUMNS]; COLUMNS];
+    for m in 0..COLUMNS {
+        for n in m..COLUMNS {
+            products[m][n] = total(&sums[m][n]);
+            products[n][m] = products[m][n];
+        }
+    }
     Sums {
-        products: std::array::from_fn(|m| std::array::from_fn(|n| product(m, n))),
+        products,
         newton: total(&newton),
     }
 }
@@ -83,15 +89,19 @@ fn add(
     sums: &mut [[[f32; LANES]; COLUMNS]; COLUMNS],
     newton: &mut [f32; LANES],
 ) {
-    let count = distance_px.len();
     let (mut local, mut local_newton) = (*sums, *newton);
-    for first in (0..count).step_by(LANES) {
-        // The last group is filled up with pixels that do not count.
-        let lanes = LANES.min(count - first);
-        let (mut distance, mut light, mut counts) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-        distance[..lanes].copy_from_slice(&distance_px[first..first + lanes]);
-        light[..lanes].copy_from_slice(&light_dn[first..first + lanes]);
-        counts[..lanes].fill(1.0);
+    let (whole, rest) = distance_px.as_chunks::<LANES>();
+    let (whole_light, rest_light) = light_dn.as_chunks::<LANES>();
+    // The last group is filled up with pixels that do not count.
+    let (mut distance, mut light, mut counts) = ([0.0; LANES], [0.0; LANES], [1.0; LANES]);
+    for n in 0..=whole.len() {
+        if n < whole.len() {
+            (distance, light) = (whole[n], whole_light[n]);
+        } else {
+            distance[..rest.len()].copy_from_slice(rest);
+            light[..rest.len()].copy_from_slice(rest_light);
+            counts[rest.len()..].fill(0.0);
+        }
         let mut columns = [[0.0; LANES]; COLUMNS];
         let mut weights = [0.0; LANES];
         for k in 0..LANES {
