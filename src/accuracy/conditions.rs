@@ -138,6 +138,21 @@ pub fn moving(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator)
     recipe.conditions.smear_px = rng.random_range(0.0..MOST_PX);
 }
 
+/// A Sun that the Moon covers by some part of its diameter.
+pub fn eclipsed(recipe: &mut Recipe, parts: Range<f64>, rng: &mut Generator) {
+    recipe.conditions.covers.eclipse = rng.random_range(parts);
+}
+
+/// A cloud whose edge crosses the disc, and that takes a quarter to nine tenths of the light.
+pub fn clouded(recipe: &mut Recipe, rng: &mut Generator) {
+    recipe.conditions.covers.cloud = rng.random_range(0.25..0.9);
+}
+
+/// A strut before the disc, up to a quarter of its radius wide.
+pub fn strutted(recipe: &mut Recipe, rng: &mut Generator) {
+    recipe.conditions.covers.strut = rng.random_range(0.03..0.25);
+}
+
 /// Everything at once, each more or less, in half of the frames effects of optics and readout, too; every fourth frame without a
 /// usable Sun. The scale is anywhere within five of its sigmas, the rotation contradicts the stated one. The plate is as the
 /// instrument states

@@ -21,6 +21,8 @@ pub enum Demand {
     SolvedShare(f64),
     /// Least share of solved frames whose Sun is within [`NEAR_PX`] of the truth on the sensor.
     NearShare(f64),
+    /// Least share of frames that are fine.
+    FineShare(f64),
     /// No frame says it is fine.
     NoneFine,
     /// Error over stated sigma is neither much more nor much less than 1.
@@ -89,6 +91,7 @@ impl Demand {
             }
             Self::SolvedShare(limit) => at_least("solved share", found.solved_share(), limit),
             Self::NearShare(limit) => at_least("share within 0.5 px", found.near_share, limit),
+            Self::FineShare(limit) => at_least("fine share", found.fine_share(), limit),
             Self::NoneFine => (found.fine > 0).then(|| format!("{} frames are fine", found.fine)),
             Self::HonestSigma => {
                 let honest = |axes: [f64; 2]| axes.iter().all(|v| HONEST.contains(v));
@@ -141,6 +144,7 @@ impl fmt::Display for Demand {
                 )
             }
             Self::SolvedShare(limit) => write!(out, "{:.0} % solved", 100.0 * limit),
+            Self::FineShare(limit) => write!(out, "{:.0} % fine", 100.0 * limit),
             Self::NearShare(limit) => write!(out, "{:.0} % within {NEAR_PX} px", 100.0 * limit),
             Self::NoneFine => write!(out, "none fine"),
             Self::HonestSigma => write!(out, "error/sigma {} to {}", HONEST.start, HONEST.end),

@@ -2,7 +2,9 @@
 
 use crate::instrument::{Instrument, Mounting};
 use crate::plate::{MARKS, MarkId};
-use crate::simulate::{Conditions, LitMark, RandomScenes, Scene, SceneError, SunInView, Sunspot};
+use crate::simulate::{
+    Conditions, LitMark, RandomScenes, Scene, SceneError, Sun, SunInView, Sunspot,
+};
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
@@ -125,17 +127,17 @@ impl Recipe {
     fn suits(&self, scene: &Scene) -> bool {
         let lit = || fully_lit(scene).count();
         match &self.view {
-            View::Whole { lit_marks } => limb_share(scene) == 1.0 && lit_marks.contains(&lit()),
+            View::Whole { lit_marks } => is_whole(scene) && lit_marks.contains(&lit()),
             View::Partial {
                 limb_share: wanted,
                 lit_marks,
             } => wanted.contains(&limb_share(scene)) && lit_marks.contains(&lit()),
             View::Around(id) => {
-                limb_share(scene) == 1.0
+                is_whole(scene)
                     && ENOUGH_MARKS.contains(&lit())
                     && fully_lit(scene).any(|mark| mark.id == *id)
             }
-            View::AcrossMiddle => limb_share(scene) == 1.0 && reaches_middle(scene),
+            View::AcrossMiddle => is_whole(scene) && reaches_middle(scene),
             View::Absent => true,
         }
     }
@@ -147,6 +149,9 @@ fn reaches_middle(scene: &Scene) -> bool {
     let sun = scene.truth().sun;
     sun.is_some_and(|sun| (sun.px.x - middle).abs() < 0.8 * sun.radius_px)
 }
+
+/// Where covers leave less of the light, limb and marks count as hidden.
+const LEAST_LEFT: f64 = 0.8;
 
 /// The marks that show and of which the Sun lights all four tips and what blurs into them, wholly on the sensor.
 pub fn fully_lit(scene: &Scene) -> impl Iterator<Item = LitMark> + '_ {
@@ -160,21 +165,47 @@ pub fn fully_lit(scene: &Scene) -> impl Iterator<Item = LitMark> + '_ {
             let tip = PlateMil::new(mark.plate.x + x * reach, mark.plate.y + y * reach);
             on_sensor(scene, scene.mapping.to_sensor(tip))
         };
-        let shows = scene.mark_contrast > 0.0;
+        // A mark is judged by pixels around it, too, which what covers the Sun must leave as bright.
+        let is_clear = |(x, y)| {
+            let reach = 1.2 * half_mil + BLUR_MIL;
+            let tip = PlateMil::new(mark.plate.x + x * reach, mark.plate.y + y * reach);
+            let sun = scene.sun.as_ref();
+            sun.is_some_and(|sun| sun.left_by_covers(tip) > LEAST_LEFT)
+        };
+        let shows = scene.mark_contrast > 0.0 && tips.into_iter().all(is_clear);
         shows && mark.depth_mil >= half_mil + BLUR_MIL && tips.into_iter().all(on_sensor)
     })
 }
 
-/// The part of the limb that lies on the sensor, 0 to 1; 0 without a Sun.
+/// The part of the limb that lies on the sensor and that nothing hides, 0 to 1; 0 without a Sun.
 pub fn limb_share(scene: &Scene) -> f64 {
-    const POINTS: u32 = 720;
-    let Some(sun) = &scene.sun else { return 0.0 };
-    let seen = (0..POINTS).filter(|k| {
-        let angle = f64::from(*k) / f64::from(POINTS) * TAU;
-        let edge = sun.centre.vector() + unit(angle) * sun.radius_mil;
-        on_sensor(scene, scene.mapping.to_sensor(edge.into()))
-    });
-    seen.count() as f64 / f64::from(POINTS)
+    let seen = limb(scene).filter(|(is_clear, on_sensor)| *is_clear && *on_sensor);
+    seen.count() as f64 / LIMB_POINTS as f64
+}
+
+/// Whether the Sun's whole disc lies on the sensor.
+fn is_whole(scene: &Scene) -> bool {
+    limb(scene).filter(|(_, on_sensor)| *on_sensor).count() == LIMB_POINTS
+}
+
+/// Points along the limb at which it is looked at.
+const LIMB_POINTS: usize = 720;
+
+/// Whether nothing hides a point of the limb, and whether it is on the sensor, all round; nothing without a Sun.
+fn limb(scene: &Scene) -> impl Iterator<Item = (bool, bool)> + '_ {
+    let at = |sun: &Sun| {
+        let (centre, radius_mil) = (sun.centre.vector(), sun.radius_mil);
+        (0..LIMB_POINTS).map(move |k| {
+            let angle = k as f64 / LIMB_POINTS as f64 * TAU;
+            PlateMil::from(centre + unit(angle) * radius_mil)
+        })
+    };
+    scene.sun.iter().flat_map(move |sun| {
+        at(sun).map(move |edge| {
+            let is_clear = sun.left_by_covers(edge) > LEAST_LEFT;
+            (is_clear, on_sensor(scene, scene.mapping.to_sensor(edge)))
+        })
+    })
 }
 
 fn on_sensor(scene: &Scene, at: SensorPx) -> bool {

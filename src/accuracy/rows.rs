@@ -1,11 +1,11 @@
 //! The rows of the table: conditions and what is demanded under them.
 
 use super::conditions::{
-    COLUMN_SMEAR, LEAST_USABLE_LIMB, TAP_STEP_DN, all_effects, as_noisy_everywhere, blemished, cut,
-    displaced, mixed, moving, noise, photons, tilted, turned,
+    COLUMN_SMEAR, LEAST_USABLE_LIMB, TAP_STEP_DN, all_effects, as_noisy_everywhere, blemished,
+    clouded, cut, displaced, eclipsed, mixed, moving, noise, photons, strutted, tilted, turned,
 };
 use super::demand::Demand::{
-    self, FewUndecided, HonestSigma, HonestSigmaTo, MedianArcsec, MostArcsec, NearShare,
+    self, FewUndecided, FineShare, HonestSigma, HonestSigmaTo, MedianArcsec, MostArcsec, NearShare,
     NoWrongFine, NoWrongId, NoneFine, NoneMissed, SolvedShare, TimesIdeal,
 };
 use super::demand::HONEST;
@@ -157,7 +157,7 @@ impl Row {
 
 /// Every row, in the order of the table.
 pub fn rows() -> Vec<Row> {
-    [bounded(), borrowing(), reported(), effects()].concat()
+    [bounded(), borrowing(), reported(), effects(), covered()].concat()
 }
 
 /// The name of every part of the program: the rows, the marks, the runs.
@@ -361,5 +361,35 @@ fn effects() -> Vec<Row> {
             )
             .demanding(&[TimesIdeal(3.0), HonestSigmaTo(1.3)])
         },
+    ]
+}
+
+/// Rows of Suns that something hides in part.
+fn covered() -> Vec<Row> {
+    vec![
+        row(
+            "eclipse",
+            "the Moon covers 2 to 9 % of the diameter, up to 15 % of the limb",
+            |r, _, rng| eclipsed(r, 0.02..0.09, rng),
+        )
+        .demanding(&[FineShare(0.95), HonestSigma]),
+        row(
+            "eclipse-deep",
+            "the Moon covers 9 to 60 % of the diameter",
+            |r, _, rng| eclipsed(r, 0.09..0.6, rng),
+        )
+        .demanding(&[HonestSigma]),
+        row(
+            "cloud-edge",
+            "a cloud's edge across the disc takes 25 to 90 % of the light",
+            |r, _, rng| clouded(r, rng),
+        )
+        .demanding(&[HonestSigma]),
+        row(
+            "strut",
+            "a strut before the disc, up to a quarter of the radius wide",
+            |r, _, rng| strutted(r, rng),
+        )
+        .demanding(&[HonestSigma]),
     ]
 }

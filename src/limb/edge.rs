@@ -21,7 +21,7 @@ use super::shape::{
     UNEVEN_BACKGROUND, course, smooth_terms,
 };
 use super::sums::{COLUMNS, SECTOR, Sums, Weighing, sector_sums};
-use crate::estimation::{Normal, Prior, clipped_sigma};
+use crate::estimation::{Normal, Prior, clipped_sigma, median_among};
 use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
@@ -55,6 +55,12 @@ const MOST_DEPARTURE_SIGMAS: f64 = 4.0;
 const TUKEY_VARIANCE: f64 = 0.963;
 /// A step is made at most so many times longer than the weights make it.
 const LONGEST_STEP: f64 = 1.5;
+/// The light of sectors that show the limb, over that of most: vignetting and a first outline that is off by 2 px leave so much.
+const USUAL_LIGHT: std::ops::Range<f64> = 0.75..1.33;
+/// A sector that fits its own model so many sigma worse than the others do shows not only the limb.
+const MOST_MISFIT_SIGMAS: f64 = 4.0;
+/// A sector's own shift is so large that its model is not linear, in blurs.
+const MOST_LINEAR_BLURS: f64 = 0.3;
 /// Where less than this part of the information on the shift is independent of the illumination, it is not determined.
 const LEAST_OWN_PART: f64 = 1e-3;
 /// A point so uncertain, or so far from the ellipse, is rejected; in blurs.
@@ -69,7 +75,9 @@ pub(super) struct EdgeFit {
 
 /// Fits every sector of a band about an ellipse.
 pub(super) fn fit_edge(band: &Band, ellipse: &Ellipse, model: &EdgeModel) -> EdgeFit {
-    let sectors = lit_sectors(band, model);
+    let mut sectors = lit_sectors(band, model);
+    retain_limb(&mut sectors, model);
+    lengthen_steps(&mut sectors);
     let mut departure = Departure {
         illumination: UNEVEN_ILLUMINATION,
         background_dn: 0.0,
@@ -80,13 +88,16 @@ pub(super) fn fit_edge(band: &Band, ellipse: &Ellipse, model: &EdgeModel) -> Edg
         departure = shown;
         courses = Courses::fitted(&sectors, &departure, model);
     }
-    let point = |(w, (shift_px, sigma_px)): (Vector2<f64>, (f64, f64))| LimbPoint {
-        at: (ellipse.from_disc(w) + ellipse.normal(w) * shift_px).into(),
-        sigma_px,
+    let point = |sector: &Sector| {
+        let (shift_px, sigma_px) = sector.shift(&courses, &departure, model)?;
+        let at = ellipse.from_disc(sector.w) + ellipse.normal(sector.w) * shift_px;
+        Some(LimbPoint {
+            at: at.into(),
+            sigma_px,
+        })
     };
-    let measured = |s: &Sector| Some(point((s.w, s.shift(&courses, &departure, model)?)));
     let mut points = Vec::with_capacity(sectors.len());
-    points.extend(sectors.iter().filter_map(measured));
+    points.extend(sectors.iter().filter_map(point));
     let shape = Shape {
         coefficients: model.shape.coefficients + courses.step,
     };
@@ -98,30 +109,50 @@ pub(super) fn fit_edge(band: &Band, ellipse: &Ellipse, model: &EdgeModel) -> Edg
     EdgeFit { points, model }
 }
 
-/// The sectors that have pixels, with their steps as long as Newton's (see [`sums`](super::sums)).
+/// The sectors that have pixels.
 fn lit_sectors(band: &Band, model: &EdgeModel) -> Vec<Sector> {
     let count = band.sectors().count();
+    let lit = band.sectors().enumerate();
+    let lit = lit.filter(|(_, pixels)| !pixels.light_dn.is_empty());
     let mut sectors = Vec::with_capacity(count);
-    let (mut information, mut newton) = (0.0, 0.0);
-    for (n, pixels) in band.sectors().enumerate() {
-        if pixels.light_dn.is_empty() {
-            continue;
-        }
+    sectors.extend(lit.map(|(n, pixels)| {
         let w = middle_of_sector(n, count);
-        let sums = sums_of(w, pixels, model);
-        information += sums.products[SHIFT][SHIFT];
-        newton += sums.newton;
-        sectors.push(Sector::new(w, &sums));
-    }
+        Sector::new(w, &sums_of(w, pixels, model), pixels.light_dn.len())
+    }));
+    sectors
+}
+
+/// Makes steps as long as Newton's (see [`sums`](super::sums)).
+fn lengthen_steps(sectors: &mut [Sector]) {
+    let information: f64 = sectors.iter().map(|s| s.information.m11).sum();
+    let newton: f64 = sectors.iter().map(|s| s.newton).sum();
     // Where many pixels are outliers, weights say little of the way.
     let longer = match newton > 0.0 {
         true => (information / newton).min(LONGEST_STEP),
         false => 1.0,
     };
-    for sector in &mut sectors {
+    for sector in sectors {
         sector.gradient *= longer;
     }
-    sectors
+}
+
+/// Leaves out the sectors that show no limb, or not only one: what hides the limb, wholly or in part, leaves less light than most
+/// of the limb has; the edge of a shadow that crosses it leaves light that no smooth illumination explains.
+fn retain_limb(sectors: &mut Vec<Sector>, model: &EdgeModel) {
+    let lights = &mut sectors.iter().map(|s| s.light).collect::<Vec<_>>();
+    let most = median_among(lights).unwrap_or_default();
+    sectors.retain(|s| USUAL_LIGHT.contains(&(s.light / most)));
+    let misfit = |s: &Sector| s.misfit(model);
+    let mut all: Vec<f64> = sectors.iter().filter_map(misfit).collect();
+    let Some(usual) = median_among(&mut all) else {
+        return;
+    };
+    let is_usual = |s: &Sector| {
+        let chance = (2.0 / s.pixels).sqrt();
+        let most = usual * (1.0 + MOST_MISFIT_SIGMAS * chance);
+        misfit(s).is_none_or(|misfit| misfit < most)
+    };
+    sectors.retain(is_usual);
 }
 
 /// The sums over the pixels of a sector in a direction.
@@ -146,16 +177,39 @@ struct Sector {
     terms: SVector<f64, SMOOTH>,
     information: SMatrix<f64, SECTOR, SECTOR>,
     gradient: SVector<f64, SECTOR>,
+    /// Sum of the squared residuals, those of outliers hardly counted.
+    chi2: f64,
+    pixels: f64,
+    /// Information on the shift as Newton's step has it.
+    newton: f64,
+    /// The light that is seen over the profile's.
+    light: f64,
 }
 
 impl Sector {
-    fn new(w: Vector2<f64>, Sums { products, .. }: &Sums) -> Self {
+    fn new(w: Vector2<f64>, sums: &Sums, pixels: usize) -> Self {
+        let Sums { products, .. } = sums;
         Self {
             w,
             terms: smooth_terms(w),
             information: SMatrix::from_fn(|m, n| products[m][n]),
             gradient: SVector::from_fn(|m, _| products[m][COLUMNS - 1]),
+            chi2: products[COLUMNS - 1][COLUMNS - 1],
+            pixels: pixels as f64,
+            newton: sums.newton,
+            light: sums.light,
         }
+    }
+
+    /// What a shift, an illumination, a background and a blur of the sector's own leave of its squared residuals, over the weight of
+    /// its pixels. `None` where they are not determined, or the shift is so large that they do not say.
+    fn misfit(&self, model: &EdgeModel) -> Option<f64> {
+        const FREE: usize = 4;
+        let information = self.information.fixed_view::<FREE, FREE>(0, 0);
+        let gradient = self.gradient.fixed_rows::<FREE>(0);
+        let step = information.clone_owned().cholesky()?.solve(&gradient);
+        let near = step[SHIFT].abs() < MOST_LINEAR_BLURS * model.resolution_px;
+        near.then(|| (self.chi2 - step.dot(&gradient)) / self.information[(BACKGROUND, BACKGROUND)])
     }
 
     /// Information and gradient without the sector's own departures, which take what they may.

@@ -13,6 +13,10 @@ use multiversion::multiversion;
 pub(super) const SECTOR: usize = 5;
 /// Derivatives of the model by a sector's quantities and, last, the residual.
 pub(super) const COLUMNS: usize = SECTOR + 1;
+/// In the sums, in Newton's step, and among all.
+const WEIGHTS: usize = 3;
+/// Newton's sum, and the two that tell how much light there is.
+const OTHERS: usize = 3;
 
 /// The model of a sector, and what decides how much a pixel counts.
 #[derive(Clone, Copy)]
@@ -35,11 +39,17 @@ pub(super) struct Sums {
     pub products: [[f64; COLUMNS]; COLUMNS],
     /// Of the squared derivative by the shift, weighted as Newton's step has it.
     pub newton: f64,
+    /// The light that is seen over the profile's, by all pixels alike.
+    pub light: f64,
 }
 
-/// The derivatives and the residual of a pixel, how much it counts (1 / DN^2), and for how much of that in Newton's step.
+/// The derivatives and the residual of a pixel, and how much it counts (1 / DN^2): in the sums, in Newton's step, and as one among all.
 #[inline(always)]
-fn terms(model: &Weighing<'_>, distance_px: f32, light_dn: f32) -> ([f32; COLUMNS], f32, f32) {
+fn terms(
+    model: &Weighing<'_>,
+    distance_px: f32,
+    light_dn: f32,
+) -> ([f32; COLUMNS], [f32; WEIGHTS]) {
     let (light, slope, bend) = model.profile.light_and_bend(distance_px);
     let (_, slope_wide) = model.wide.light(distance_px);
     let [_, illumination, background, _, coma] = model.course;
@@ -51,22 +61,23 @@ fn terms(model: &Weighing<'_>, distance_px: f32, light_dn: f32) -> ([f32; COLUMN
     let spread2 = variance + by_illumination * by_illumination + by_shift * by_shift;
     const TUKEY2: f32 = (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32;
     let within = larger(1.0 - residual * residual / (TUKEY2 * spread2), 0.0);
-    let weight = if light < model.saturated_dn as f32 {
-        within / variance
+    let alike = if light < model.saturated_dn as f32 {
+        1.0 / variance
     } else {
         0.0
     };
+    let weight = within * alike;
     (
         [-slope, light, 1.0, 0.5 * bend, -slope_wide, residual],
-        within * weight,
-        (5.0 * within - 4.0) * weight,
+        [within * weight, (5.0 * within - 4.0) * weight, alike],
     )
 }
 
 /// Sums over a sector's pixels.
 pub(super) fn sector_sums(model: &Weighing<'_>, distance_px: &[f32], light_dn: &[f32]) -> Sums {
-    let (mut sums, mut newton) = ([[[0.0; LANES]; COLUMNS]; COLUMNS], [0.0; LANES]);
-    add(model, distance_px, light_dn, &mut sums, &mut newton);
+    let mut sums = [[[0.0; LANES]; COLUMNS]; COLUMNS];
+    let mut others = [[0.0; LANES]; OTHERS];
+    add(model, distance_px, light_dn, &mut sums, &mut others);
     let total = |lanes: &[f32; LANES]| f64::from(lanes.iter().sum::<f32>());
     let mut products = [[0.0; COLUMNS]; COLUMNS];
     for m in 0..COLUMNS {
@@ -75,9 +86,11 @@ pub(super) fn sector_sums(model: &Weighing<'_>, distance_px: &[f32], light_dn: &
             products[n][m] = products[m][n];
         }
     }
+    let [newton, seen, expected] = others.map(|lanes| total(&lanes));
     Sums {
         products,
-        newton: total(&newton),
+        newton,
+        light: seen / expected.max(f64::MIN_POSITIVE),
     }
 }
 
@@ -87,9 +100,10 @@ fn add(
     distance_px: &[f32],
     light_dn: &[f32],
     sums: &mut [[[f32; LANES]; COLUMNS]; COLUMNS],
-    newton: &mut [f32; LANES],
+    others: &mut [[f32; LANES]; OTHERS],
 ) {
-    let (mut local, mut local_newton) = (*sums, *newton);
+    let background_dn = model.profile.background_dn as f32 + model.course[2];
+    let (mut local, mut local_others) = (*sums, *others);
     let (whole, rest) = distance_px.as_chunks::<LANES>();
     let (whole_light, rest_light) = light_dn.as_chunks::<LANES>();
     // The last group is filled up with pixels that do not count.
@@ -105,12 +119,15 @@ fn add(
         let mut columns = [[0.0; LANES]; COLUMNS];
         let mut weights = [0.0; LANES];
         for k in 0..LANES {
-            let (values, weight, newton) = terms(model, distance[k], light[k]);
+            let (values, [weight, newton, alike]) = terms(model, distance[k], light[k]);
             for (column, value) in columns.iter_mut().zip(values) {
                 column[k] = value;
             }
             weights[k] = weight * counts[k];
-            local_newton[k] += newton * counts[k] * values[0] * values[0];
+            let by_light = alike * counts[k] * values[1];
+            local_others[0][k] += newton * counts[k] * values[0] * values[0];
+            local_others[1][k] += by_light * (light[k] - background_dn);
+            local_others[2][k] += by_light * values[1];
         }
         for m in 0..COLUMNS {
             for n in m..COLUMNS {
@@ -120,7 +137,7 @@ fn add(
             }
         }
     }
-    (*sums, *newton) = (local, local_newton);
+    (*sums, *others) = (local, local_others);
 }
 
 #[cfg(test)]
@@ -157,11 +174,12 @@ mod tests {
         let Sums {
             products: found,
             newton,
+            light: share,
         } = sector_sums(&model, &distance, &light);
         for m in 0..COLUMNS {
             for n in 0..COLUMNS {
                 let product = |(d, l): (&f32, &f32)| {
-                    let (columns, weight, _) = terms(&model, *d, *l);
+                    let (columns, [weight, ..]) = terms(&model, *d, *l);
                     f64::from(weight) * f64::from(columns[m]) * f64::from(columns[n])
                 };
                 let plain: f64 = distance.iter().zip(&light).map(product).sum();
@@ -169,11 +187,18 @@ mod tests {
                 assert!((found[m][n] - plain).abs() < 1e-5 * size, "{m}, {n}");
             }
         }
-        let pixels = distance.iter().zip(&light);
-        let plain = pixels.map(|(d, l)| {
-            let (columns, _, newton) = terms(&model, *d, *l);
+        let pixels = || distance.iter().zip(&light);
+        let plain = pixels().map(|(d, l)| {
+            let (columns, [_, newton, _]) = terms(&model, *d, *l);
             f64::from(newton) * f64::from(columns[0]).powi(2)
         });
         assert!((newton / plain.sum::<f64>() - 1.0).abs() < 1e-5);
+        let [mut seen, mut expected] = [0.0; 2];
+        for (d, l) in pixels() {
+            let (columns, [.., alike]) = terms(&model, *d, *l);
+            seen += f64::from(alike) * f64::from(columns[1]) * (f64::from(*l) - 0.3 - 0.5);
+            expected += f64::from(alike) * f64::from(columns[1]).powi(2);
+        }
+        assert!((share / (seen / expected) - 1.0).abs() < 1e-5);
     }
 }

@@ -1,5 +1,6 @@
 //! The Sun's disc, sub-sample by sub-sample: limb darkening, surface, spots, motion.
 
+use super::cover::Cover;
 use super::coverage::{Edge, Footprint};
 use super::grid::Grid;
 use super::scene::{Sun, Sunspot};
@@ -15,6 +16,7 @@ pub(super) struct Disc {
     darkening: f32,
     texture: Option<Texture>,
     spots: Vec<(Vector2<f32>, f32, f32)>,
+    covers: Vec<Cover>,
     footprint: Footprint,
 }
 
@@ -38,6 +40,7 @@ pub(super) fn exposures(sun: &Sun, grid: &Grid) -> Vec<Disc> {
                 darkening: sun.limb_darkening as f32,
                 texture: Texture::of(&sun.surface),
                 spots: sun.spots.iter().map(|s| spot(centre, s)).collect(),
+                covers: sun.covers.clone(),
                 footprint: grid.footprint,
             }
         })
@@ -65,13 +68,45 @@ impl Disc {
             }
         }
         for &(place, radius, contrast) in &self.spots {
-            let reach = radius + self.footprint.reach() as f32;
-            near_circle(xs, ys, place, 0.0..reach, |n, from_centre, r| {
-                let edge = self.edge(from_centre, r);
-                let share = edge.coverage(f64::from(radius) - r);
-                light[n] *= 1.0 - contrast * share as f32;
-            });
+            self.darken(xs, ys, light, place, radius, contrast);
         }
+        for cover in &self.covers {
+            match cover {
+                Cover::Disc {
+                    offset_mil,
+                    radius_mil,
+                } => {
+                    let place = self.centre + offset_mil.cast::<f32>();
+                    self.darken(xs, ys, light, place, *radius_mil as f32, 1.0);
+                }
+                Cover::Shadow { .. } => {
+                    for ((light, x), y) in light.iter_mut().zip(xs).zip(ys) {
+                        if *light > 0.0 {
+                            let from_centre = Vector2::new(x - self.centre.x, y - self.centre.y);
+                            *light *= cover.left(from_centre.cast()) as f32;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Takes a part of the light within a circle.
+    fn darken(
+        &self,
+        xs: &[f32],
+        ys: &[f32],
+        light: &mut [f32],
+        place: Vector2<f32>,
+        radius: f32,
+        contrast: f32,
+    ) {
+        let reach = radius + self.footprint.reach() as f32;
+        near_circle(xs, ys, place, 0.0..reach, |n, from_centre, r| {
+            let edge = self.edge(from_centre, r);
+            let share = edge.coverage(f64::from(radius) - r);
+            light[n] *= 1.0 - contrast * share as f32;
+        });
     }
 
     /// At the limb, where light falls as the root of the depth and ends, takes the mean over each sub-sample.

@@ -21,6 +21,7 @@
 mod blemish;
 mod blur;
 pub mod controller;
+mod cover;
 mod coverage;
 mod disc;
 mod drift;
@@ -44,6 +45,7 @@ mod texture;
 mod trajectory;
 
 pub use blemish::Counts;
+pub use cover::{Cover, Covers};
 pub use drift::{DriftError, DriftScenes};
 pub use flight::{Course, FlightScenes};
 pub use optics::Strengths;
@@ -113,6 +115,7 @@ enum Purpose {
     Navigation,
     Covered,
     EvenLamp,
+    Covers,
 }
 
 /// A seed for one purpose and one frame of a run.

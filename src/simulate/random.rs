@@ -6,7 +6,7 @@ use super::scene::{
     Blemishes, Depth, Noise, Readout, Scene, SceneError, StrayLight, Sun, Sunspot, Surface,
     keystoned, scattered,
 };
-use super::{EXPOSURE, Purpose, SUN_RADIUS_ARCSEC, derived_seed, frame_info, generator};
+use super::{Covers, EXPOSURE, Purpose, SUN_RADIUS_ARCSEC, derived_seed, frame_info, generator};
 use crate::geometry::{Mapping, SimilarityParameters};
 use crate::instrument::Instrument;
 use crate::units::{PlateMil, SensorPx};
@@ -47,6 +47,7 @@ pub struct Conditions {
     pub sunspots: usize,
     /// Whether the Sun has the surface of HMI's picture, turned and mirrored at random; see [`Surface::Hmi`].
     pub hmi: bool,
+    pub covers: Covers,
     pub blemishes: Counts,
     pub stray: Strengths,
     pub readout: Readout,
@@ -70,6 +71,7 @@ impl Conditions {
             smear_px: 0.0,
             sunspots: 0,
             hmi: false,
+            covers: Covers::default(),
             blemishes: Counts::default(),
             stray: Strengths::default(),
             readout: Readout::default(),
@@ -122,6 +124,7 @@ impl RandomScenes {
             peak_dn: conditions.peak_dn,
             surface: surface(conditions.hmi, seed),
             spots: sunspots(conditions.sunspots, radius_mil, seed),
+            covers: conditions.covers.random(radius_mil, seed),
             ..Sun::new(mapping.to_plate(middle(&template)), radius_mil)
         };
         Ok(Self {

@@ -1,6 +1,6 @@
 //! A scene, the frame it gives, and the truth about it.
 
-use super::{Purpose, generator};
+use super::{Cover, Purpose, generator};
 use crate::frame::{Frame, FrameError, FrameInfo};
 use crate::geometry::{Distortion, Mapping, MappingKind, SimilarityParameters};
 use crate::instrument::Instrument;
@@ -65,6 +65,7 @@ pub struct Sun {
     pub limb_darkening: f64,
     pub surface: Surface,
     pub spots: Vec<Sunspot>,
+    pub covers: Vec<Cover>,
     /// How far the image moves during the exposure.
     pub smear_mil: Vector2<f64>,
 }
@@ -104,8 +105,15 @@ impl Sun {
             limb_darkening: 0.56,
             surface: Surface::Plain,
             spots: Vec::new(),
+            covers: Vec::new(),
             smear_mil: Vector2::zeros(),
         }
+    }
+
+    /// What is left of the light behind what covers the Sun at a place, 0 to 1.
+    pub fn left_by_covers(&self, at: PlateMil) -> f64 {
+        let offset_mil = at.vector() - self.centre.vector();
+        self.covers.iter().map(|c| c.left(offset_mil)).product()
     }
 
     /// Points around the limb, on the sensor.
@@ -364,6 +372,7 @@ impl Scene {
                 depth_mil: sun.radius_mil - plate.distance(sun.centre),
             })
             .filter(|mark| mark.depth_mil > -reach && self.on_sensor(mark.px))
+            .filter(|mark| sun.left_by_covers(mark.plate) > 0.0)
             .collect()
     }
 

@@ -12,8 +12,8 @@ use crate::clock::parse_utc;
 use crate::fits::{self, Compression};
 use crate::instrument::Instrument;
 use crate::simulate::{
-    Conditions, Counts, Depth, DriftScenes, FORT_SUMNER, Noise, Picture, RandomScenes, Readout,
-    Strengths, SunInView, Truth,
+    Conditions, Counts, Covers, Depth, DriftScenes, FORT_SUMNER, Noise, Picture, RandomScenes,
+    Readout, Strengths, SunInView, Truth,
 };
 use crate::sky;
 use crate::units::{Place, SensorPx};
@@ -93,6 +93,15 @@ pub struct SunArgs {
     /// Sunspots on the disc, or "hmi": spots, granulation and limb darkening of SDO/HMI's picture of 2023-01-31, turned at random
     #[arg(long, visible_alias = "spots", value_name = "N|hmi", default_value = "0", value_parser = sunspots)]
     pub sunspots: Sunspots,
+    /// The part of the Sun's diameter that the Moon covers, from a side drawn at random
+    #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = Within(0.0, 1.0, ""))]
+    pub eclipse: f64,
+    /// What a cloud takes from the light, 0 to 1; its edge crosses the disc anywhere
+    #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = Within(0.0, 1.0, ""))]
+    pub cloud_edge: f64,
+    /// Width of a dark strut before the disc, in radii of the Sun
+    #[arg(long, value_name = "RADII", default_value_t = 0.0, value_parser = Within(0.0, 2.0, "radii"))]
+    pub strut: f64,
     /// How far the Sun moves during the exposure, each frame in another direction
     #[arg(long, value_name = "PX", default_value_t = 0.0, value_parser = Within(0.0, 50.0, "px"))]
     pub smear: f64,
@@ -367,6 +376,11 @@ impl SimulateArgs {
                 Sunspots::Hmi => 0,
             },
             hmi: sun.sunspots == Sunspots::Hmi,
+            covers: Covers {
+                eclipse: sun.eclipse,
+                cloud: sun.cloud_edge,
+                strut: sun.strut,
+            },
             blemishes: Counts {
                 hot_pixels: camera.hot_pixels.into(),
                 scratches_per_disc: optics.scratches.into(),
