@@ -117,6 +117,11 @@ fn marks_are_read_in_a_strongly_blurred_picture() {
 }
 
 #[test]
+fn what_hides_a_part_of_the_sun_leaves_the_rest_as_good_as_it_says() {
+    demands_are_met(&["eclipse", "eclipse-deep", "cloud-edge", "strut"]);
+}
+
+#[test]
 fn motion_in_the_exposure_gives_no_wrong_id_and_no_fine_frame_that_is_far_off() {
     demands_are_met(&[MOTION]);
 }

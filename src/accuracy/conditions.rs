@@ -1,6 +1,6 @@
 //! The conditions that the pipeline is judged under: how their frames depart from the standard one.
 
-use super::recipe::{ANY_MARKS, Generator, Recipe, View};
+use super::recipe::{ANY_MARKS, ENOUGH_MARKS, Generator, Recipe, View};
 use crate::instrument::Instrument;
 use crate::simulate::{Depth, Noise, Readout, Strengths};
 use rand::RngExt;
@@ -138,8 +138,11 @@ pub fn moving(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator)
     recipe.conditions.smear_px = rng.random_range(0.0..MOST_PX);
 }
 
-/// A Sun that the Moon covers by some part of its diameter.
+/// A Sun that the Moon covers by some part of its diameter; three marks or more are left.
 pub fn eclipsed(recipe: &mut Recipe, parts: Range<f64>, rng: &mut Generator) {
+    recipe.view = View::Whole {
+        lit_marks: ENOUGH_MARKS,
+    };
     recipe.conditions.covers.eclipse = rng.random_range(parts);
 }
 

@@ -246,7 +246,9 @@ impl Grid {
 fn check_filled(frame: &Frame, circle: &Circle, threshold_dn: f64) -> Result<(), Rejected> {
     /// Pixels that are checked.
     const PIXELS: usize = 400;
-    const LEAST_RIGHT: f64 = 0.8;
+    /// The Moon may cover half of it.
+    const LEAST_BRIGHT: f64 = 0.45;
+    const LEAST_DARK: f64 = 0.8;
     const INSIDE: f64 = 0.95;
     const OUTSIDE: std::ops::Range<f64> = 1.05..1.25;
     let (mut within, mut about) = ([0.0; 2], [0.0; 2]);
@@ -267,7 +269,7 @@ fn check_filled(frame: &Frame, circle: &Circle, threshold_dn: f64) -> Result<(),
     }
     let share = |right: f64, [dark, bright]: [f64; 2]| right / (dark + bright).max(1.0);
     let reason = sun::DARK_INSIDE;
-    Rejected::at_least(LEAST_RIGHT, share(within[1], within), reason)?;
+    Rejected::at_least(LEAST_BRIGHT, share(within[1], within), reason)?;
     let reason = sun::BRIGHT_OUTSIDE;
-    Rejected::at_least(LEAST_RIGHT, share(about[0], about), reason)
+    Rejected::at_least(LEAST_DARK, share(about[0], about), reason)
 }

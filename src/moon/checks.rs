@@ -53,10 +53,7 @@ pub(super) fn check(
         let unlike = unlike(candidate, frame, levels, &found.fitted.parameters);
         at_most(reasons::UNLIKE, unlike, MOST_UNLIKE)?;
     }
-    match candidate.radius() {
-        Some(_) => check_limb(found, limb),
-        None => Ok(()),
-    }
+    check_limb(found, limb)
 }
 
 /// Whether the limb is a circle of the expected radius all along its lit part, and not a piece of another thing's outline.

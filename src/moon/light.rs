@@ -6,8 +6,10 @@ use crate::reasons::moon as reasons;
 use crate::units::Rejected;
 use std::f64::consts::SQRT_2;
 
-/// One pixel in so many, in each axis, tells the sky.
-const RASTER_PX: usize = 24;
+/// One pixel in so many, in each axis, tells the sky; more of a small picture, which would show too few.
+const MOST_RASTER_PX: usize = 24;
+const LEAST_RASTER_PX: usize = 4;
+const RASTER_PLACES: usize = 1000;
 /// What is brighter than the sky by so many sigmas of a pixel's noise is of a light.
 const BRIGHT_SIGMAS: f64 = 4.0;
 /// A frame whose sky is brighter than this share of the saturated level is lost in glare.
@@ -39,6 +41,37 @@ pub struct Levels {
     pub saturated_dn: f64,
 }
 
+/// How far apart the pixels are that tell the sky.
+fn raster_px(frame: &Frame) -> usize {
+    let apart_px = (frame.width() * frame.height() / RASTER_PLACES).isqrt();
+    apart_px.clamp(LEAST_RASTER_PX, MOST_RASTER_PX)
+}
+
+/// Noise of a sky of which a part is clipped at 0 DN: what is left of it above. `None` where hardly any is clipped.
+fn clipped_noise_dn(frame: &Frame) -> Option<f64> {
+    /// So many pixels of a clipped sky make an estimate.
+    const LEAST_PIXELS: usize = 50;
+    /// A share of a sky whose mean is at 0 that lies within so many sigmas.
+    const SHARE: f64 = 0.98;
+    const SIGMAS: f64 = 2.054;
+    let raster_px = raster_px(frame);
+    let beside = raster_px / 2;
+    let rows = (beside..frame.height()).step_by(raster_px);
+    let columns = || (beside..frame.width().saturating_sub(beside)).step_by(raster_px);
+    let places = rows.flat_map(|y| columns().map(move |x| (x, y)));
+    // A pixel between two clipped ones is one of the sky, whatever its value.
+    let is_clipped = |x: usize, y: usize| frame.dn(x, y) == 0.0;
+    let sky = places.filter(|(x, y)| is_clipped(x - beside, *y) && is_clipped(x + beside, *y));
+    let mut sky: Vec<f64> = sky.map(|(x, y)| f64::from(frame.dn(x, y))).collect();
+    if sky.len() < LEAST_PIXELS {
+        return None;
+    }
+    let rank = (SHARE * sky.len() as f64) as usize;
+    let (_, most, _) = sky.select_nth_unstable_by(rank, f64::total_cmp);
+    // A value stands for those up to half a DN above it.
+    (*most > 0.0).then(|| (*most + 0.5) / SIGMAS)
+}
+
 impl Levels {
     /// The levels by a raster of pixels.
     ///
@@ -46,15 +79,18 @@ impl Levels {
     /// A frame that is bright all over.
     pub fn of(frame: &Frame) -> Result<Self, Rejected> {
         let saturated_dn = f64::from(frame.saturation_dn());
-        let rows = (RASTER_PX / 2..frame.height()).step_by(RASTER_PX);
-        let columns = || (RASTER_PX / 2..frame.width() - 1).step_by(RASTER_PX);
+        let raster_px = raster_px(frame);
+        let rows = (raster_px / 2..frame.height()).step_by(raster_px);
+        let columns = || (raster_px / 2..frame.width() - 1).step_by(raster_px);
         let pixel = |x: usize, y: usize| f64::from(frame.dn(x, y));
         let places = rows.flat_map(|y| columns().map(move |x| (x, y)));
         let (mut pixels, steps): (Vec<f64>, Vec<f64>) = places
             .map(|(x, y)| (pixel(x, y), (pixel(x + 1, y) - pixel(x, y)).abs()))
             .unzip();
         let step = median(&steps).unwrap_or(0.0);
-        let noise_dn = (step * SIGMA_PER_MEDIAN / SQRT_2).max(LEAST_NOISE_DN);
+        let noise_dn = (step * SIGMA_PER_MEDIAN / SQRT_2)
+            .max(clipped_noise_dn(frame).unwrap_or_default())
+            .max(LEAST_NOISE_DN);
         let dark_dn = match pixels.len() / 4 {
             0 => saturated_dn,
             // A large Moon leaves less than half of the picture to the sky.

@@ -143,7 +143,7 @@ impl crate::reasons::Stage for Stage {
 pub enum Quality {
     /// Most of the lit limb is seen.
     Fine,
-    /// The picture cuts the limb, or much of it is saturated.
+    /// The picture cuts the limb, much of it is saturated, or it contradicts the stated radius.
     Coarse,
 }
 
@@ -402,6 +402,11 @@ impl<'a> Candidate<'a> {
             .fixed_view::<2, 2>(0, 0)
             .into_owned();
         let is_whole = limb.seen() as f64 >= FINE_SHARE * limb.lit as f64;
+        let radius_px = found.fitted.measured(2);
+        let is_of_size = self.radius().is_none_or(|stated| {
+            let sigma = radius_px.sigma.hypot(stated.sigma);
+            (radius_px.value - stated.value).abs() < CONTRADICTION_SIGMAS * sigma
+        });
         let points = found.points.iter().map(|point| {
             let (sin, cos) = point.angle_rad.sin_cos();
             let radius = at[2] + point.excess_px.value;
@@ -415,11 +420,11 @@ impl<'a> Candidate<'a> {
         });
         Disc {
             centre: self.plane.estimate(centre, covariance),
-            radius_px: found.fitted.measured(2),
+            radius_px,
             aspect: self.plane.aspect(),
             phase_angle_deg: at[4].to_degrees().abs(),
             bright_limb_deg: self.plane.sensor_angle_rad(at[5]).to_degrees(),
-            quality: match is_whole && limb.saturated < MOST_SATURATED {
+            quality: match is_whole && is_of_size && limb.saturated < MOST_SATURATED {
                 true => Quality::Fine,
                 false => Quality::Coarse,
             },

@@ -6,8 +6,9 @@ use crate::reasons::moon as reasons;
 use crate::units::Rejected;
 use nalgebra::Vector2;
 
-/// A frame with more runs of bright pixels shows a pattern, and is no night sky.
-const MOST_RUNS: usize = 20_000;
+/// A frame with more runs of bright pixels, and one for every so many pixels, shows a pattern, and is no night sky.
+const MANY_RUNS: usize = 20_000;
+const PIXELS_PER_RUN: usize = 30;
 /// Columns that are looked at together: most of the sky is dark.
 const BLOCK_PX: usize = 96;
 /// A patch's outline stands at this share of what so many of its pixels exceed, above the sky.
@@ -39,8 +40,9 @@ impl Run {
 /// The patches of pixels above a threshold, the largest first.
 ///
 /// # Errors
-/// More than [`MOST_RUNS`] runs of bright pixels.
+/// Runs of bright pixels all over.
 pub(super) fn patches(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Rejected> {
+    let most_runs = MANY_RUNS.max(frame.width() * frame.height() / PIXELS_PER_RUN);
     let mut patches: Vec<Option<Patch>> = Vec::new();
     let mut above: Vec<Run> = Vec::new();
     for y in 0..frame.height() {
@@ -71,7 +73,7 @@ pub(super) fn patches(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Re
             });
         }
         above = here;
-        Rejected::at_most(MOST_RUNS as f64, patches.len() as f64, reasons::MANY_LIGHTS)?;
+        Rejected::at_most(most_runs as f64, patches.len() as f64, reasons::MANY_LIGHTS)?;
     }
     let mut patches: Vec<Patch> = patches.into_iter().flatten().collect();
     patches.sort_by_key(|patch| std::cmp::Reverse(patch.pixels));
