@@ -1,5 +1,6 @@
 //! What hides a part of the Sun: the Moon in an eclipse, the edge of a cloud, a strut.
 
+use super::optics::unit;
 use super::{Purpose, generator};
 use crate::kernels::normal_tail;
 use nalgebra::Vector2;
@@ -106,10 +107,6 @@ impl Covers {
         ];
         covers.into_iter().flatten().collect()
     }
-}
-
-fn unit(angle_rad: f64) -> Vector2<f64> {
-    Vector2::new(angle_rad.cos(), angle_rad.sin())
 }
 
 #[cfg(test)]

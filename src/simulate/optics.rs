@@ -187,6 +187,6 @@ fn shifted(mapping: &Mapping, by_px: Vector2<f64>) -> Option<Mapping> {
     Mapping::new(mapping.kind(), mapping.matrix() * back, lens)
 }
 
-fn unit(angle_rad: f64) -> Vector2<f64> {
+pub(super) fn unit(angle_rad: f64) -> Vector2<f64> {
     Vector2::new(angle_rad.cos(), angle_rad.sin())
 }
