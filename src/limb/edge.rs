@@ -21,8 +21,7 @@ use super::shape::{
     UNEVEN_BACKGROUND, course, smooth_terms,
 };
 use super::sums::{COLUMNS, SECTOR, Sums, Weighing, sector_sums};
-use crate::estimation::{Normal, Prior, clipped_sigma, median_among};
-use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
+use crate::estimation::{Normal, Prior, median_among};
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
 use nalgebra::{RowSVector, SMatrix, SVector, Vector2};
@@ -389,51 +388,4 @@ fn is_significant<const N: usize>(
     let value = coefficients.fixed_rows::<N>(effect.start);
     let solved = own.clone_owned().cholesky().map(|root| root.solve(&value));
     solved.is_some_and(|solved| value.dot(&solved) > SIGNIFICANT_CHI2 * N as f64)
-}
-
-/// The noise that pixels well away from the limb show: outside without the disc's light, inside with it.
-pub(super) fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
-    /// So many pixels are enough.
-    const PIXELS: usize = 1000;
-    let clear = (3.0 * model.profile.blur_px) as f32;
-    let mut inside_dn = 0.0;
-    let sectors = band.sectors().count();
-    let stride = (band.pixels() / PIXELS).max(1);
-    let [mut outside, mut inside] = [0; 2].map(|_| Vec::with_capacity(band.pixels() / stride));
-    for (n, pixels) in band.sectors().enumerate() {
-        let course = model.shape.at(middle_of_sector(n, sectors));
-        let profile = model.profile_at(&course);
-        let pixels = pixels
-            .distance_px
-            .iter()
-            .zip(pixels.light_dn)
-            .step_by(stride);
-        for (distance_px, light_dn) in pixels.filter(|(distance, _)| distance.abs() > clear) {
-            // So far out the disc leaves no light.
-            let light = match *distance_px > clear {
-                true => 0.0,
-                false => profile.light(*distance_px).0,
-            };
-            let expected = light * (1.0 + course[ILLUMINATION] as f32);
-            let residual =
-                light_dn - expected - (profile.background_dn + course[BACKGROUND]) as f32;
-            if *distance_px > clear {
-                outside.push(residual);
-            } else if f64::from(light) < model.saturated_dn {
-                inside.push(residual);
-                inside_dn += f64::from(expected);
-            }
-        }
-    }
-    let sigma = |residuals: &[f32], start: f64| {
-        clipped_sigma(residuals, start as f32, ROUNDING_NOISE_DN).unwrap_or(start)
-    };
-    let dark_dn = sigma(&outside, model.noise.dark_dn2.sqrt());
-    let light_dn = inside_dn / inside.len().max(1) as f64;
-    let bright_dn = sigma(&inside, model.noise.sigma_dn(light_dn));
-    let per_light_dn = (bright_dn.powi(2) - dark_dn.powi(2)) / light_dn.max(1.0);
-    PixelNoise {
-        dark_dn2: dark_dn.powi(2),
-        per_light_dn: per_light_dn.max(0.0),
-    }
 }

@@ -1,11 +1,11 @@
 //! The outline of the disc: roughly from every fourth row, then from the whole limb; points and ellipse in turn, until neither moves.
 
 use super::band::{Band, Reach, Wanted};
-use super::edge::{EdgeFit, LimbPoint, fit_edge, noise};
+use super::edge::{EdgeFit, LimbPoint, fit_edge};
 use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::profile::{Brightness, MODEL_SIGMA_PX, Profile};
-use super::shape::{EdgeModel, Shape};
+use super::shape::{EdgeModel, Shape, noise};
 use super::{LIMB_DARKENING, Settings};
 use crate::estimation::{MEDIAN_SIGMA, median_among};
 use crate::frame::{Cutout, Mask};
