@@ -1,5 +1,6 @@
 //! From a recipe and a seed to a scene.
 
+use crate::geometry::unit;
 use crate::instrument::{Instrument, Mounting};
 use crate::plate::{MARKS, MarkId};
 use crate::simulate::{
@@ -211,10 +212,6 @@ fn limb(scene: &Scene) -> impl Iterator<Item = (bool, bool)> + '_ {
 fn on_sensor(scene: &Scene, at: SensorPx) -> bool {
     let within = |v: f64, pixels: usize| (-0.5..pixels as f64 - 0.5).contains(&v);
     within(at.x, scene.width_px) && within(at.y, scene.height_px)
-}
-
-fn unit(angle: f64) -> Vector2<f64> {
-    Vector2::new(angle.cos(), angle.sin())
 }
 
 fn direction(rng: &mut Generator) -> Vector2<f64> {

@@ -17,6 +17,11 @@ pub(crate) fn turns(direction: Vector2<f64>) -> f64 {
     if direction.y < 0.0 { 1.0 - half } else { half }
 }
 
+/// The unit vector at an angle from +x towards +y.
+pub(crate) fn unit(angle_rad: f64) -> Vector2<f64> {
+    Vector2::new(angle_rad.cos(), angle_rad.sin())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -10,7 +10,7 @@ mod ellipse;
 mod mapping;
 pub mod view;
 
-pub(crate) use angle::turns;
+pub(crate) use angle::{turns, unit};
 pub use circle::Circle;
 pub use distortion::Distortion;
 pub use ellipse::Ellipse;

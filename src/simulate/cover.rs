@@ -1,7 +1,7 @@
 //! What hides a part of the Sun: the Moon in an eclipse, the edge of a cloud, a strut.
 
-use super::optics::unit;
 use super::{Purpose, generator};
+use crate::geometry::unit;
 use crate::kernels::normal_tail;
 use nalgebra::Vector2;
 use rand::RngExt;

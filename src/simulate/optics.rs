@@ -5,7 +5,7 @@
 
 use super::scene::{Coma, Extent, Ghost, Gradient, Readout, Scene, StrayLight};
 use super::{Purpose, generator};
-use crate::geometry::{Distortion, Mapping};
+use crate::geometry::{Distortion, Mapping, unit};
 use crate::units::SensorPx;
 use nalgebra::{Matrix3, Vector2};
 use rand::RngExt;
@@ -185,8 +185,4 @@ fn shifted(mapping: &Mapping, by_px: Vector2<f64>) -> Option<Mapping> {
     };
     let back = Matrix3::new_translation(&-by_px);
     Mapping::new(mapping.kind(), mapping.matrix() * back, lens)
-}
-
-pub(super) fn unit(angle_rad: f64) -> Vector2<f64> {
-    Vector2::new(angle_rad.cos(), angle_rad.sin())
 }
