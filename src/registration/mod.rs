@@ -34,7 +34,7 @@ mod choice;
 
 use crate::geometry::view::{PARAMETERS, ParameterCovariance, UNIT_MIL, View, propagated_sigma};
 use crate::geometry::{
-    Circle, Distortion, Ellipse, Handedness, LocalSimilarity, Mapping, MappingKind,
+    Circle, Distortion, Ellipse, Handedness, LocalSimilarity, Mapping, MappingKind, unit,
 };
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use adjust::{Adjusted, CIRCLE, Problem, UNKNOWNS};
@@ -141,7 +141,7 @@ impl Registration {
         // The direction on the plate of the largest picture, and the one across it.
         let square = jacobian.tr_mul(&jacobian);
         let angle = 0.5 * (2.0 * square.m12).atan2(square.m11 - square.m22);
-        let along = Vector2::new(angle.cos(), angle.sin());
+        let along = unit(angle);
         [along, Vector2::new(-along.y, along.x)].map(|along| {
             let picture = jacobian * along;
             let px_per_mil = picture.norm();

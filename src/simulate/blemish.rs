@@ -3,8 +3,8 @@
 use super::scene::{Blemishes, Depth, Dust, HotPixel, Leak, Scene, Scratch};
 use super::{Purpose, generator};
 use crate::frame::Pixels;
+use crate::geometry::unit;
 use crate::units::{PlateMil, SensorPx};
-use nalgebra::Vector2;
 use rand::RngExt;
 use std::f64::consts::{PI, TAU};
 
@@ -153,7 +153,7 @@ impl Draw<'_> {
             let middle = self.scene.mapping.to_plate(self.place(&mut rng)).vector();
             let angle = rng.random_range(0.0..TAU);
             let half = MEAN_LENGTH_MIL / 2.0 * rng.random_range(0.3..1.7);
-            let run = Vector2::new(angle.cos(), angle.sin()) * half;
+            let run = unit(angle) * half;
             Scratch {
                 start: (middle - run).into(),
                 end: (middle + run).into(),

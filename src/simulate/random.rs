@@ -7,7 +7,7 @@ use super::scene::{
     keystoned, scattered,
 };
 use super::{Covers, EXPOSURE, Purpose, SUN_RADIUS_ARCSEC, derived_seed, frame_info, generator};
-use crate::geometry::{Mapping, SimilarityParameters};
+use crate::geometry::{Mapping, SimilarityParameters, unit};
 use crate::instrument::Instrument;
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::Vector2;
@@ -201,7 +201,7 @@ impl RandomScenes {
                 rng.random_range(-reach..height + reach),
             );
             let direction = rng.random_range(0.0..TAU);
-            let smear_px = Vector2::new(direction.cos(), direction.sin()) * self.smear_px;
+            let smear_px = unit(direction) * self.smear_px;
             let sun = Sun {
                 centre: mapping.to_plate(seen),
                 smear_mil: mapping.plate_jacobian(seen) * smear_px,
@@ -276,7 +276,7 @@ fn sunspots(count: usize, radius_mil: f64, seed: u64) -> Vec<Sunspot> {
         let angle = rng.random_range(0.0..TAU);
         let distance = radius_mil * rng.random_range(0.0_f64..0.7).sqrt();
         Sunspot {
-            offset_mil: Vector2::new(angle.cos(), angle.sin()) * distance,
+            offset_mil: unit(angle) * distance,
             radius_mil: radius_mil * rng.random_range(0.01..0.03),
             contrast: rng.random_range(0.2..0.6),
         }

@@ -2,7 +2,7 @@
 
 use super::{Cover, Purpose, generator};
 use crate::frame::{Frame, FrameError, FrameInfo};
-use crate::geometry::{Distortion, Mapping, MappingKind, SimilarityParameters};
+use crate::geometry::{Distortion, Mapping, MappingKind, SimilarityParameters, unit};
 use crate::instrument::Instrument;
 use crate::plate::{MarkId, Plate};
 use crate::units::{PlateMil, SensorPx};
@@ -121,7 +121,7 @@ impl Sun {
         const POINTS: u32 = 64;
         (0..POINTS).map(move |k| {
             let angle = f64::from(k) / f64::from(POINTS) * std::f64::consts::TAU;
-            let edge = Vector2::new(angle.cos(), angle.sin()) * self.radius_mil;
+            let edge = unit(angle) * self.radius_mil;
             mapping.to_sensor((self.centre.vector() + edge).into())
         })
     }
