@@ -96,6 +96,8 @@ pub fn runs() -> Vec<Run> {
 
 /// Frames of rows of which much is demanded: in the small size, in the full.
 const MANY: [u64; 2] = [150, 3000];
+/// Frames of rows of Suns that something hides.
+const COVERED: [u64; 2] = [150, 5000];
 /// Frames of rows whose errors are reported only.
 const FEW: [u64; 2] = [60, 1000];
 /// Frames of rows about one effect beside ideal frames.
@@ -366,7 +368,7 @@ fn effects() -> Vec<Row> {
 
 /// Rows of Suns that something hides in part.
 fn covered() -> Vec<Row> {
-    vec![
+    let rows = vec![
         row(
             "eclipse",
             "the Moon covers 2 to 9 % of the diameter, up to 15 % of the limb",
@@ -391,5 +393,10 @@ fn covered() -> Vec<Row> {
             |r, _, rng| strutted(r, rng),
         )
         .demanding(&[HonestSigma]),
-    ]
+    ];
+    let searched = |row: Row| Row {
+        frames: COVERED,
+        ..row
+    };
+    rows.into_iter().map(searched).collect()
 }

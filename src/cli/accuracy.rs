@@ -57,6 +57,8 @@ fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
         None => Figures::Left,
     };
     let program = Program::new(size, &args.only, figures).context("--only")?;
+    // Before the run, which may outlast a commit.
+    let commit = commit();
     let progress = ProgressBar::new(program.frames());
     if let Ok(style) =
         ProgressStyle::with_template("{bar:40} {pos}/{len} frames {elapsed} of {duration}")
@@ -67,7 +69,7 @@ fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
     progress.finish_and_clear();
     say(text(&report).trim_end())?;
     if let Some(folder) = &args.out {
-        write_page(folder, &report)?;
+        write_page(folder, &report, commit.as_deref())?;
         for (name, svg) in report.figures()? {
             write(&folder.join("accuracy"), name, &svg)?;
         }
@@ -79,7 +81,7 @@ fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// Writes the report into the page of the folder, between the lines that mark its place.
-fn write_page(folder: &Path, report: &Report) -> anyhow::Result<()> {
+fn write_page(folder: &Path, report: &Report, commit: Option<&str>) -> anyhow::Result<()> {
     const PAGE: &str = "accuracy.md";
     let path = folder.join(PAGE);
     let before = match std::fs::read_to_string(&path) {
@@ -89,7 +91,7 @@ fn write_page(folder: &Path, report: &Report) -> anyhow::Result<()> {
             return Err(error).with_context(|| format!("cannot read {}", path.display()));
         }
     };
-    let page = page(report, commit().as_deref(), before.as_deref()).with_context(|| {
+    let page = page(report, commit, before.as_deref()).with_context(|| {
         format!(
             "{}: expected the lines that mark the place of the report",
             path.display()
