@@ -9,7 +9,8 @@ use rayon::prelude::*;
 use solaspect::accuracy::chance::{range_of_rms, rms};
 use solaspect::accuracy::conditions::displaced;
 use solaspect::accuracy::{
-    AspectError, Figures, MARKS, MIXED, MOTION, Program, Recipe, Size, Vary, View, names, text,
+    AspectError, Figures, MARKS, MIXED, MOON, MOTION, Program, Recipe, Size, Vary, View, names,
+    text,
 };
 use solaspect::aspect::{Adopted, Expected, Quality, Solution, Track, solve};
 use solaspect::fits;
@@ -114,6 +115,11 @@ fn stray_light_and_readout_leave_the_aspect_and_its_sigma_right() {
 #[test]
 fn marks_are_read_in_a_strongly_blurred_picture() {
     demands_are_met(&["blur"]);
+}
+
+#[test]
+fn the_moon_is_where_it_says_at_any_phase_and_what_is_none_is_refused() {
+    demands_are_met(&[MOON]);
 }
 
 #[test]

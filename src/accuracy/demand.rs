@@ -51,7 +51,7 @@ pub enum Precision {
 
 impl Precision {
     /// How many sigma of a statistic are allowed beyond a limit.
-    fn allowed_sigmas(self) -> f64 {
+    pub(super) fn allowed_sigmas(self) -> f64 {
         match self {
             Self::Measured => 0.0,
             Self::OfCount => 3.0,

@@ -4,12 +4,15 @@ use super::demand::Precision;
 use super::figures::{self, Sweeps};
 use super::marks::{self, MarkSummary};
 use super::mixed::MixedSummary;
+use super::moon::MoonRow;
+use super::moon_rows::moon_rows;
 use super::outcome::{About, AgainstIdeal, Summary};
 use super::recipe::{Recipe, Vary};
 use super::report::{MarksReport, Report, RowReport, RunReport};
-use super::rows::{Ideal, MARKS, MARKS_ROW, Row, Run, Size, names, rows, runs};
+use super::rows::{Ideal, MARKS, MARKS_ROW, MOON, Row, Run, Size, names, rows, runs};
 use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::Settings;
+use crate::frame::FrameError;
 use crate::instrument::{TomlError, builtin};
 use crate::simulate::{Scene, SceneError};
 
@@ -29,6 +32,8 @@ pub enum AccuracyError {
     #[error(transparent)]
     Scene(#[from] SceneError),
     #[error(transparent)]
+    Frame(#[from] FrameError),
+    #[error(transparent)]
     Instrument(#[from] TomlError),
 }
 
@@ -40,6 +45,7 @@ pub struct Program {
     rows: Vec<Row>,
     marks: bool,
     runs: Vec<Run>,
+    moons: Vec<MoonRow>,
     sweeps: bool,
 }
 
@@ -66,6 +72,10 @@ impl Program {
             rows: rows().into_iter().filter(|r| wanted(r.name)).collect(),
             marks: wanted(MARKS),
             runs: runs().into_iter().filter(|r| wanted(r.name)).collect(),
+            moons: match wanted(MOON) {
+                true => moon_rows(),
+                false => Vec::new(),
+            },
             sweeps: figures == Figures::Drawn && only.is_empty(),
         })
     }
@@ -84,10 +94,19 @@ impl Program {
             self.size.of(FRAMES_PER_PHASE) * phases + marks_row.map(|r| of_row(&r)).sum::<u64>();
         let of_run = |run: &Run| self.size.of(run.frames);
         let runs: u64 = self.runs.iter().map(of_run).sum();
+        let moons: u64 = self.moons.iter().map(|row| self.size.of(row.frames)).sum();
         rows + u64::from(self.marks) * marks
             + runs
+            + moons
             + self.standard_frames()
             + u64::from(self.sweeps) * figures::frames(self.size)
+    }
+
+    fn precision(&self) -> Precision {
+        match self.size {
+            Size::Small => Precision::OfCount,
+            Size::Full => Precision::Measured,
+        }
     }
 
     /// How many standard frames the rows are compared with.
@@ -108,12 +127,15 @@ impl Program {
         let rows = rows.collect::<Result<Vec<_>, _>>()?;
         let marks = self.marks.then(|| self.marks(&rows, done)).transpose()?;
         let runs = self.runs.iter().map(|run| self.search(run, done));
+        let precision = self.precision();
+        let moons = (self.moons.iter()).map(|row| row.run(self.size, precision, done));
         let sweeps = || Sweeps::run(&self.trial, self.size, done);
         Ok(Report {
             size: self.size,
             rows,
             marks,
             runs: runs.collect::<Result<_, _>>()?,
+            moons: moons.collect::<Result<_, _>>()?,
             sweeps: self.sweeps.then(sweeps).transpose()?,
         })
     }
@@ -158,12 +180,8 @@ impl Program {
                 AgainstIdeal::of(&outcomes, &ideal, row.about)
             }
         };
-        let precision = match self.size {
-            Size::Small => Precision::OfCount,
-            Size::Full => Precision::Measured,
-        };
         let demands = row.demands.iter();
-        let unmet = demands.filter_map(|d| d.unmet(&summary, precision));
+        let unmet = demands.filter_map(|d| d.unmet(&summary, self.precision()));
         Ok(RowReport {
             unmet: unmet.collect(),
             row: row.clone(),

@@ -3,8 +3,9 @@
 use super::figures::{self, Sweeps};
 use super::marks::{BiasMap, MarkSummary};
 use super::mixed::MixedSummary;
+use super::moon::MoonReport;
 use super::outcome::Summary;
-use super::rows::{MARKS, MARKS_ROW, Row, Run, Size};
+use super::rows::{MARKS, MARKS_ROW, MOON, Row, Run, Size};
 use super::trial::Outcome;
 use crate::report::plot::PlotError;
 
@@ -41,6 +42,7 @@ pub struct Report {
     pub rows: Vec<RowReport>,
     pub marks: Option<MarksReport>,
     pub runs: Vec<RunReport>,
+    pub moons: Vec<MoonReport>,
     /// What the figures need beyond the rows.
     pub sweeps: Option<Sweeps>,
 }
@@ -53,8 +55,10 @@ impl Report {
         let marks = self.marks.iter().flat_map(|m| &m.unmet);
         let runs = self.runs.iter();
         let runs = runs.filter_map(|r| Some((r.run.name, r.unmet.as_deref()?)));
+        let moons = self.moons.iter().flat_map(|moon| &moon.unmet);
         rows.chain(marks.map(|u| (MARKS, u.as_str())))
             .chain(runs)
+            .chain(moons.map(|u| (MOON, u.as_str())))
             .collect()
     }
 

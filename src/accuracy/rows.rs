@@ -40,6 +40,8 @@ pub const MARKS: &str = "marks";
 pub const MIXED: &str = "mixed";
 /// The name of the run of frames whose Sun moves during the exposure.
 pub const MOTION: &str = "motion";
+/// The name of the part about the Moon.
+pub const MOON: &str = "moon";
 
 /// A row of the table.
 #[derive(Debug, Clone)]
@@ -162,11 +164,11 @@ pub fn rows() -> Vec<Row> {
     [bounded(), borrowing(), reported(), effects(), covered()].concat()
 }
 
-/// The name of every part of the program: the rows, the marks, the runs.
+/// The name of every part of the program: the rows, the marks, the runs, the Moon.
 pub fn names() -> Vec<&'static str> {
     let rows = rows().into_iter().map(|row| row.name);
     let runs = runs().into_iter().map(|run| run.name);
-    rows.chain([MARKS]).chain(runs).collect()
+    rows.chain([MARKS]).chain(runs).chain([MOON]).collect()
 }
 
 /// Rows whose errors are bounded.

@@ -2,10 +2,11 @@
 
 use super::chance::relative_sigma_of_rms;
 use super::demand::HONEST;
+use super::moon::{Knowledge, MoonReport};
 use super::outcome::Summary;
 use super::program::Case;
 use super::report::{MarksReport, Report, RowReport, RunReport};
-use super::rows::Size;
+use super::rows::{MOON, Size};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
@@ -92,30 +93,85 @@ fn times_ideal(found: &Summary) -> String {
     })
 }
 
+const MOON_COLUMNS: usize = 10;
+const MOON_HEAD: [&str; MOON_COLUMNS] = [
+    "pictures",
+    "known",
+    "frames",
+    "fine",
+    "coarse",
+    "across, px",
+    "error/sigma",
+    "lit off by",
+    "lit error/sigma",
+    "demanded",
+];
+
+/// The cells of a row about the Moon.
+fn moon_cells(report: &MoonReport) -> [String; MOON_COLUMNS] {
+    let (row, found) = (&report.row, &report.found);
+    let demands = row.demands.iter().map(ToString::to_string);
+    let is_told = row.known != Knowledge::RadiusAndPhase;
+    [
+        row.title.clone(),
+        row.known.name().into(),
+        found.frames.to_string(),
+        percent(found.fine_share()),
+        found.coarse.to_string(),
+        number(found.across_px),
+        number(found.over_sigma),
+        number(found.lit.filter(|_| is_told)),
+        number(found.lit_over_sigma.filter(|_| is_told)),
+        demands.collect::<Vec<_>>().join(", "),
+    ]
+}
+
+/// A table for a terminal; nothing where it has no rows.
+fn text_table<const N: usize>(head: [&str; N], rows: &[[String; N]]) -> String {
+    let mut out = String::new();
+    if rows.is_empty() {
+        return out;
+    }
+    let width = |c: usize| {
+        let cells = rows.iter().map(|row| row[c].chars().count());
+        cells.chain([head[c].len()]).max().unwrap_or_default()
+    };
+    let mut line = |cells: [&str; N]| {
+        let padded = (0..N).map(|c| match c {
+            0 | 1 => format!("{:<1$}", cells[c], width(c)),
+            _ => format!("{:>1$}", cells[c], width(c)),
+        });
+        let line = padded.collect::<Vec<_>>().join("  ");
+        out.push_str(line.trim_end());
+        out.push('\n');
+    };
+    line(head);
+    rows.iter()
+        .for_each(|row| line(row.each_ref().map(String::as_str)));
+    out
+}
+
+/// A table in Markdown; nothing where it has no rows.
+fn markdown_table<const N: usize>(head: [&str; N], rows: &[[String; N]]) -> String {
+    if rows.is_empty() {
+        return String::new();
+    }
+    let line = |cells: &[&str]| format!("| {} |\n", cells.join(" | "));
+    let rows = rows
+        .iter()
+        .map(|cells| line(&cells.each_ref().map(String::as_str)));
+    line(&head) + &line(&["---"; N]) + &rows.collect::<String>()
+}
+
 /// The report for a terminal.
 pub fn text(report: &Report) -> String {
-    let rows: Vec<[String; COLUMNS]> = report.rows.iter().map(cells).collect();
-    let mut out = String::new();
-    if !rows.is_empty() {
-        let width = |c: usize| {
-            let cells = rows.iter().map(|row| row[c].chars().count());
-            cells.chain([HEAD[c].len()]).max().unwrap_or_default()
-        };
-        let mut line = |cells: [&str; COLUMNS]| {
-            let padded = (0..COLUMNS).map(|c| match c {
-                0 | 1 => format!("{:<1$}", cells[c], width(c)),
-                _ => format!("{:>1$}", cells[c], width(c)),
-            });
-            let line = padded.collect::<Vec<_>>().join("  ");
-            out.push_str(line.trim_end());
-            out.push('\n');
-        };
-        line(HEAD);
-        rows.iter()
-            .for_each(|row| line(row.each_ref().map(String::as_str)));
+    let rows: Vec<_> = report.rows.iter().map(cells).collect();
+    let moons: Vec<_> = report.moons.iter().map(moon_cells).collect();
+    let mut out = text_table(HEAD, &rows) + &beside(report);
+    if !moons.is_empty() {
+        out = format!("{out}\n{}", text_table(MOON_HEAD, &moons));
     }
-    out.push_str(&beside(report));
-    out
+    out + &demands_text(&report.unmet())
 }
 
 /// The line before what the program writes on the page.
@@ -123,40 +179,93 @@ const BEGIN: &str = "<!-- Written by `solaspect accuracy --out`: from here -->\n
 /// The line after it.
 const END: &str = "<!-- to here -->\n";
 
-/// A page with the report in it: between the two lines that mark its place on the page as it is, or a page of its own. `commit` is that of
-/// the program. `None` for a page without these lines.
-pub fn page(report: &Report, commit: Option<&str>, before: Option<&str>) -> Option<String> {
-    let before = before.map_or(format!("# Accuracy\n\n{BEGIN}{END}"), str::to_owned);
-    let (above, rest) = before.split_once(BEGIN)?;
-    let (_, below) = rest.split_once(END)?;
-    let written = markdown(report, commit);
-    Some(format!("{above}{BEGIN}\n{written}\n{END}{below}"))
+/// A page of the documentation that has a part of the report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Page {
+    Accuracy,
+    Moon,
 }
 
-/// The report in Markdown.
-fn markdown(report: &Report, commit: Option<&str>) -> String {
-    let size = match report.size {
-        Size::Small => "small",
-        Size::Full => "full",
-    };
-    let commit = commit.unwrap_or("unknown");
-    let mut out =
-        format!("Commit {commit}, {size} size. Seeds: 0 to one less than the frames.\n\n");
-    if !report.rows.is_empty() {
-        let line = |cells: &[&str]| format!("| {} |\n", cells.join(" | "));
-        out += &line(&HEAD);
-        out += &line(&["---"; COLUMNS]);
-        for row in &report.rows {
-            out += &line(&cells(row).each_ref().map(String::as_str));
-        }
-        out += "\nDemanded:\n";
-        for row in report.rows.iter().map(|report| &report.row) {
-            let demands = row.demands.iter().map(ToString::to_string);
-            let demands = demands.collect::<Vec<_>>().join(", ");
-            let _ = writeln!(out, "- {}: {demands}", row.name);
+impl Page {
+    /// The pages that have a part of a report.
+    pub fn of(report: &Report) -> impl Iterator<Item = Self> {
+        let is_of_sun =
+            !report.rows.is_empty() || report.marks.is_some() || !report.runs.is_empty();
+        let is_of_moon = !report.moons.is_empty();
+        let pages = [(Self::Accuracy, is_of_sun), (Self::Moon, is_of_moon)];
+        (pages.into_iter()).filter_map(|(page, is_told)| is_told.then_some(page))
+    }
+
+    /// Its file's name.
+    pub fn file(self) -> &'static str {
+        match self {
+            Self::Accuracy => "accuracy.md",
+            Self::Moon => "moon.md",
         }
     }
-    out + &beside(report)
+
+    fn title(self) -> &'static str {
+        match self {
+            Self::Accuracy => "Accuracy",
+            Self::Moon => "The Moon",
+        }
+    }
+
+    /// The page with its part of the report in it: between the two lines that mark its place on the page as it is, or on a page of its own.
+    /// `commit` is that of the program. `None` for a page without these lines.
+    pub fn with(
+        self,
+        report: &Report,
+        commit: Option<&str>,
+        before: Option<&str>,
+    ) -> Option<String> {
+        let empty = || format!("# {}\n\n{BEGIN}{END}", self.title());
+        let before = before.map_or_else(empty, str::to_owned);
+        let (above, rest) = before.split_once(BEGIN)?;
+        let (_, below) = rest.split_once(END)?;
+        let size = match report.size {
+            Size::Small => "small",
+            Size::Full => "full",
+        };
+        let commit = commit.unwrap_or("unknown");
+        let part = self.part(report);
+        Some(format!(
+            "{above}{BEGIN}\nCommit {commit}, {size} size. Seeds: 0 to one less than the frames.\n\n{part}\n{END}{below}"
+        ))
+    }
+
+    /// Its part of the report in Markdown.
+    fn part(self, report: &Report) -> String {
+        let unmet = report.unmet().into_iter();
+        match self {
+            Self::Accuracy => {
+                let unmet: Vec<_> = unmet.filter(|(part, _)| *part != MOON).collect();
+                let rows: Vec<_> = report.rows.iter().map(cells).collect();
+                let table = markdown_table(HEAD, &rows);
+                table + &demanded(report) + &beside(report) + &demands_text(&unmet)
+            }
+            Self::Moon => {
+                let unmet: Vec<_> = unmet.filter(|(part, _)| *part == MOON).collect();
+                let rows: Vec<_> = report.moons.iter().map(moon_cells).collect();
+                markdown_table(MOON_HEAD, &rows) + &demands_text(&unmet)
+            }
+        }
+    }
+}
+
+/// What is demanded of the rows, one a line.
+fn demanded(report: &Report) -> String {
+    let mut out = String::new();
+    if report.rows.is_empty() {
+        return out;
+    }
+    out += "\nDemanded:\n";
+    for row in report.rows.iter().map(|report| &report.row) {
+        let demands = row.demands.iter().map(ToString::to_string);
+        let demands = demands.collect::<Vec<_>>().join(", ");
+        let _ = writeln!(out, "- {}: {demands}", row.name);
+    }
+    out
 }
 
 /// What stands beside the table in both forms.
@@ -168,9 +277,7 @@ fn beside(report: &Report) -> String {
     for run in &report.runs {
         out += &run_text(run);
     }
-    out += &missed_text(report);
-    out += &demands_text(report);
-    out
+    out + &missed_text(report)
 }
 
 fn marks_text(report: &MarksReport) -> String {
@@ -261,8 +368,7 @@ fn missed_text(report: &Report) -> String {
     format!("\nThree marks fully lit, and not fine:\n{out}")
 }
 
-fn demands_text(report: &Report) -> String {
-    let unmet = report.unmet();
+fn demands_text(unmet: &[(&str, &str)]) -> String {
     if unmet.is_empty() {
         return "\nEvery demand is met.\n".into();
     }
@@ -318,6 +424,7 @@ pub fn case_text(case: &Case) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::accuracy::moon_rows::moon_rows;
     use crate::accuracy::outcome::{About, AgainstBound};
     use crate::accuracy::rows::{rows, runs};
 
@@ -328,6 +435,7 @@ mod tests {
             rows: Vec::new(),
             marks: None,
             runs: Vec::new(),
+            moons: Vec::new(),
             sweeps: None,
         };
         assert!(nothing.unmet().is_empty());
@@ -337,15 +445,20 @@ mod tests {
     #[test]
     fn a_report_replaces_what_stands_between_the_two_lines_and_nothing_else() {
         let before = format!("# A\n\ntext\n{BEGIN}old\n{END}\nmore\n");
-        let after = page(&nothing(), Some("abc"), Some(&before)).unwrap();
+        let after = Page::Accuracy
+            .with(&nothing(), Some("abc"), Some(&before))
+            .unwrap();
         assert!(after.starts_with(&format!("# A\n\ntext\n{BEGIN}\nCommit abc, small size")));
         assert!(after.ends_with(&format!("{END}\nmore\n")));
         assert!(!after.contains("old"));
-        let again = page(&nothing(), Some("abc"), Some(&after)).unwrap();
+        let again = Page::Accuracy
+            .with(&nothing(), Some("abc"), Some(&after))
+            .unwrap();
         assert_eq!(again, after);
-        assert_eq!(page(&nothing(), None, Some("# A\n")), None);
+        assert_eq!(Page::Moon.with(&nothing(), None, Some("# A\n")), None);
         assert!(
-            page(&nothing(), None, None)
+            Page::Accuracy
+                .with(&nothing(), None, None)
                 .unwrap()
                 .starts_with("# Accuracy\n")
         );
@@ -377,6 +490,21 @@ mod tests {
         }
         for run in runs() {
             assert!(written.contains(run.title), "{told}");
+        }
+    }
+
+    #[test]
+    fn the_page_of_the_moon_is_about_the_programs_rows() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/moon.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        let told = "run `solaspect accuracy --full --only moon --out docs`";
+        assert!(
+            page.contains(&format!("| {} |", MOON_HEAD.join(" | "))),
+            "{told}"
+        );
+        for row in moon_rows() {
+            let begin = format!("| {} | {} |", row.title, row.known.name());
+            assert!(page.contains(&begin), "{begin}: {told}");
         }
     }
 

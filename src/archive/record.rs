@@ -152,7 +152,7 @@ impl MoonRecord {
             centre_sigma_px: disc.centre.sigma(),
             radius_px: disc.radius_px.value,
             radius_sigma_px: disc.radius_px.sigma,
-            phase_angle_deg: disc.phase_angle_deg,
+            phase_angle_deg: disc.phase_angle_deg.value,
             bright_limb_deg: disc.bright_limb_deg,
             direction: direction.map(|direction| direction.unit.into_inner().into()),
             direction_sigma_deg: direction.map(|direction| direction.sigma_rad().to_degrees()),

@@ -1,7 +1,7 @@
 //! `solaspect accuracy`: how near the truth the pipeline comes, condition by condition.
 
 use super::output::say;
-use crate::accuracy::{Case, Figures, Program, Report, Size, case_text, page, text};
+use crate::accuracy::{Case, Figures, Page, Program, Report, Size, case_text, text};
 use crate::fits::{self, Compression};
 use anyhow::Context;
 use clap::Args;
@@ -18,11 +18,11 @@ pub struct AccuracyArgs {
     /// As many frames as for the documentation's tables, instead of the tests'
     #[arg(long)]
     full: bool,
-    /// Write the report into the page accuracy.md of this folder, between the two lines that mark its place, and the figures (SVG) into
-    /// its folder accuracy; `--full --out docs` renews the documentation
+    /// Write the report into the pages accuracy.md and moon.md of this folder, between the two lines that mark its place, and the figures
+    /// (SVG) into its folder accuracy; `--full --out docs` renews the documentation
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Only this part: a row's name, "marks", "mixed" or "motion"; may be given several times
+    /// Only this part: a row's name, "marks", "mixed", "motion" or "moon"; may be given several times
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
     /// Only the frame of this seed, of the one row or run that --only names, in detail; --out keeps it as FITS
@@ -69,7 +69,9 @@ fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
     progress.finish_and_clear();
     say(text(&report).trim_end())?;
     if let Some(folder) = &args.out {
-        write_page(folder, &report, commit.as_deref())?;
+        for page in Page::of(&report) {
+            write_page(folder, page, &report, commit.as_deref())?;
+        }
         for (name, svg) in report.figures()? {
             write(&folder.join("accuracy"), name, &svg)?;
         }
@@ -80,10 +82,14 @@ fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
     })
 }
 
-/// Writes the report into the page of the folder, between the lines that mark its place.
-fn write_page(folder: &Path, report: &Report, commit: Option<&str>) -> anyhow::Result<()> {
-    const PAGE: &str = "accuracy.md";
-    let path = folder.join(PAGE);
+/// Writes the report into a page of the folder, between the lines that mark its place.
+fn write_page(
+    folder: &Path,
+    page: Page,
+    report: &Report,
+    commit: Option<&str>,
+) -> anyhow::Result<()> {
+    let path = folder.join(page.file());
     let before = match std::fs::read_to_string(&path) {
         Ok(text) => Some(text),
         Err(error) if error.kind() == ErrorKind::NotFound => None,
@@ -91,13 +97,15 @@ fn write_page(folder: &Path, report: &Report, commit: Option<&str>) -> anyhow::R
             return Err(error).with_context(|| format!("cannot read {}", path.display()));
         }
     };
-    let page = page(report, commit, before.as_deref()).with_context(|| {
-        format!(
-            "{}: expected the lines that mark the place of the report",
-            path.display()
-        )
-    })?;
-    write(folder, PAGE, &page)
+    let text = page
+        .with(report, commit, before.as_deref())
+        .with_context(|| {
+            format!(
+                "{}: expected the lines that mark the place of the report",
+                path.display()
+            )
+        })?;
+    write(folder, page.file(), &text)
 }
 
 fn write(folder: &Path, name: &str, text: &str) -> anyhow::Result<()> {

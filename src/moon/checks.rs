@@ -1,14 +1,17 @@
 //! What is no Moon, or not the one that is expected.
 
-use super::limb::{Limb, LimbFit, LimbPoint, Parameters, circle_of};
-use super::shading::{Sphere, lit};
-use super::{Candidate, Levels, MOST_RADIUS_DEVIATION, MOST_SATURATED, Stage, Stopped};
+use super::candidate::{Candidate, View};
+use super::known::MOST_SATURATED;
+use super::limb::{Limb, LimbFit, LimbPoint};
+use super::sector::circle_of;
+use super::settle::Settled;
+use super::shading::lit;
+use super::{MOST_RADIUS_DEVIATION, Stage, Stopped};
 use crate::estimation::regression;
-use crate::frame::Frame;
 use crate::geometry::Circle;
 use crate::reasons::{at, moon as reasons};
 use crate::units::{Reason, Rejected};
-use nalgebra::{Matrix2, SVector, Vector2};
+use nalgebra::{SVector, Vector2};
 
 /// An oval is no Moon: longest axis over shortest.
 const MOST_AXIS_RATIO: f64 = 1.15;
@@ -16,13 +19,8 @@ const MOST_AXIS_RATIO: f64 = 1.15;
 const OVAL_SIGMAS: f64 = 4.0;
 /// A lit share that differs by more from the expected one is another thing's.
 const MOST_LIT_DEVIATION: f64 = 0.2;
-/// So much of the light's variance within and around a disc may be other than the shading tells, and so far out it counts, in radii.
-const MOST_UNLIKE: f64 = 0.25;
-const AROUND: f64 = 1.25;
-/// The edge, which is blurred, tells nothing.
-const EDGE_PX: f64 = 1.5;
-/// About so many pixels tell it.
-const TELLING_PX: f64 = 400.0;
+/// So much of the light's variance within and around a disc may be other than the shading tells.
+const MOST_UNLIKE: f64 = 0.3;
 /// Around a saturated disc, in its radii: where the sky is brighter than this share of the saturated level, no limb shows.
 const GLARE: std::ops::Range<f64> = 1.2..1.6;
 const MOST_GLARE: f64 = 0.2;
@@ -34,25 +32,23 @@ const MOST_SIGMA: f64 = 0.03;
 const MOST_POINT_SIGMA: f64 = 0.05;
 const MOST_BLUNT: f64 = 0.2;
 
+/// Where no radius is stated, a limb as blurred as this may be a cloud's or a corona's edge, px.
+const MOST_BLUR_PX: f64 = 2.0;
+
 /// Whether what was found may be the Moon.
-pub(super) fn check(
-    candidate: &Candidate,
-    frame: &Frame,
-    levels: &Levels,
-    found: &LimbFit,
-    limb: &Limb,
-) -> Result<(), Stopped> {
+pub(super) fn check(candidate: &Candidate, settled: &Settled, unlike: f64) -> Result<(), Stopped> {
+    let Settled { found, limb, .. } = settled;
     let circle = circle_of(&found.fitted.parameters);
     check_radius(candidate, &circle)?;
     if limb.saturated > MOST_SATURATED {
-        let glare = glare(candidate, frame, levels, &circle);
+        let glare = glare(&candidate.view, &circle);
         at_most(reasons::GLARE, glare, MOST_GLARE)?;
     }
-    check_lit(candidate, &circle)?;
-    if candidate.expected.phase_angle_deg.is_some() {
-        let unlike = unlike(candidate, frame, levels, &found.fitted.parameters);
-        at_most(reasons::UNLIKE, unlike, MOST_UNLIKE)?;
+    if candidate.expected.radius.is_none() {
+        at_most(reasons::BLUNT, found.fitted.parameters[3], MOST_BLUR_PX)?;
     }
+    check_lit(candidate, &circle)?;
+    at_most(reasons::UNLIKE, unlike, MOST_UNLIKE)?;
     check_limb(found, limb)
 }
 
@@ -107,44 +103,9 @@ fn check_lit(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
     at_most(reasons::LIT, (seen - expected).abs(), MOST_LIT_DEVIATION)
 }
 
-/// The share of the light's variance around a disc that is neither noise nor the shading of its sphere.
-fn unlike(candidate: &Candidate, frame: &Frame, levels: &Levels, at: &Parameters) -> f64 {
-    let circle = circle_of(at);
-    let sphere = Sphere::new(candidate.settings.shading, at[4]);
-    let bright_limb = Vector2::new(at[5].cos(), at[5].sin());
-    let reach = AROUND * circle.radius;
-    let step = (2.0 * reach / TELLING_PX.sqrt()).max(1.0) as usize;
-    let Some(region) = candidate.plane.region(&circle, reach, frame) else {
-        return 0.0;
-    };
-    let rows = (region.y0..region.y1).step_by(step);
-    let places = rows.flat_map(|y| (region.x0..region.x1).step_by(step).map(move |x| (x, y)));
-    let seen = places.filter_map(|(x, y)| {
-        let away = candidate.plane.round(x as f64, y as f64) - circle.centre;
-        let distance = away.norm().max(f64::MIN_POSITIVE);
-        let is_edge = (distance - circle.radius).abs() < EDGE_PX;
-        if is_edge || distance > reach {
-            return None;
-        }
-        let dn = f64::from(frame.dn(x, y));
-        let cos_angle = away.dot(&bright_limb) / distance;
-        let light = sphere.light_along(distance / circle.radius, cos_angle);
-        (dn < levels.saturated_dn).then(|| Vector2::new(light, dn))
-    });
-    let seen: Vec<Vector2<f64>> = seen.collect();
-    let count = seen.len().max(1) as f64;
-    let mean = seen.iter().sum::<Vector2<f64>>() / count;
-    let squares: Matrix2<f64> = seen
-        .iter()
-        .map(|seen| (seen - mean) * (seen - mean).transpose())
-        .sum();
-    let noise = count * levels.noise_dn.powi(2);
-    let left = squares.m22 - squares.m12.powi(2) / squares.m11.max(f64::MIN_POSITIVE) - noise;
-    (left / (squares.m22 - noise).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
-}
-
 /// How bright the sky around a disc is, of the saturated level.
-fn glare(candidate: &Candidate, frame: &Frame, levels: &Levels, circle: &Circle) -> f64 {
+fn glare(view: &View, circle: &Circle) -> f64 {
+    let (frame, levels) = (view.frame, view.levels);
     const PLACES: usize = 48;
     const DISTANCES: usize = 4;
     let (mut sum, mut count) = (0.0, 0);
@@ -154,7 +115,7 @@ fn glare(candidate: &Candidate, frame: &Frame, levels: &Levels, circle: &Circle)
         let distance = (GLARE.start + (GLARE.end - GLARE.start) * part) * circle.radius;
         let (sin, cos) = angle.sin_cos();
         let at = circle.centre + Vector2::new(cos, sin) * distance;
-        let seen = candidate.plane.sensor(at);
+        let seen = view.plane.sensor(at);
         let (x, y) = (seen.x.round(), seen.y.round());
         if x >= 0.0 && y >= 0.0 && x < frame.width() as f64 && y < frame.height() as f64 {
             sum += f64::from(frame.dn(x as usize, y as usize)) - levels.dark_dn;

@@ -74,7 +74,7 @@ fn captions(found: &Result<Disc, Stopped>, title: &str) -> Vec<String> {
             ));
             lines.push(format!(
                 "lit {:.2}   bright limb at {:.1} deg",
-                disc.lit(),
+                disc.lit().value,
                 disc.bright_limb_deg
             ));
         }

@@ -14,6 +14,9 @@ const BLOCK_PX: usize = 96;
 /// A patch's outline stands at this share of what so many of its pixels exceed, above the sky.
 const OUTLINE_SHARE: f64 = 0.4;
 const BRIGHT_SHARE: f64 = 0.1;
+/// And at no less than this share of what so many exceed: a thin crescent is so little of a disc with an earthshine.
+const CRESCENT_SHARE: f64 = 0.25;
+const BRIGHTEST_SHARE: f64 = 0.01;
 /// The outline is looked for so far around the patch.
 const MARGIN_PX: usize = 2;
 
@@ -178,10 +181,14 @@ impl Outline {
 fn outline_dn(frame: &Frame, region: &Region, pixels: usize, dark_dn: f64, least_dn: f64) -> f64 {
     let rows = (region.y0..region.y1).flat_map(|y| frame.row_dn(y, region.x0..region.x1));
     let mut light: Vec<f32> = rows.collect();
-    let rank = ((BRIGHT_SHARE * pixels as f64) as usize).min(light.len() - 1);
-    let (_, bright, _) = light.select_nth_unstable_by(rank, |a, b| b.total_cmp(a));
-    let above_sky = f64::from(*bright) - dark_dn;
-    dark_dn + (OUTLINE_SHARE * above_sky).max(least_dn)
+    let mut above_sky = |share: f64| {
+        let rank = ((share * pixels as f64) as usize).min(light.len() - 1);
+        let (_, dn, _) = light.select_nth_unstable_by(rank, |a, b| b.total_cmp(a));
+        f64::from(*dn) - dark_dn
+    };
+    let level_dn = OUTLINE_SHARE * above_sky(BRIGHT_SHARE);
+    let crescent_dn = CRESCENT_SHARE * above_sky(BRIGHTEST_SHARE);
+    dark_dn + level_dn.max(crescent_dn).max(least_dn)
 }
 
 /// Where a line of pixels first rises above a level and last falls below it, to a part of a pixel; not where the picture cuts it.

@@ -5,6 +5,7 @@ use crate::geometry::Circle;
 use crate::geometry::camera::Camera;
 use crate::units::{Estimate, SensorPx};
 use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
+use std::ops::Range;
 
 /// Takes the picture's px to round px, in which the disc's radius is its vertical half axis in the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -78,8 +79,34 @@ impl Plane {
         along.y.atan2(along.x)
     }
 
+    /// Takes every pixel, or one in so many of both axes, of some depths behind a circle: its place in round px, its DN.
+    pub fn each_near(
+        &self,
+        frame: &Frame,
+        circle: &Circle,
+        depths: &Range<f64>,
+        step: usize,
+        mut take: impl FnMut(Vector2<f64>, f32),
+    ) {
+        let outer = circle.radius - depths.start;
+        let inner = (circle.radius - depths.end).max(0.0);
+        let Some(region) = self.region(circle, outer, frame) else {
+            return;
+        };
+        for y in (region.y0..region.y1).step_by(step) {
+            let row = frame.row_dn(y, region.x0..region.x1);
+            for (x, dn) in (region.x0..region.x1).zip(row).step_by(step) {
+                let at = self.round(x as f64, y as f64);
+                let square = (at - circle.centre).norm_squared();
+                if (inner * inner..outer * outer).contains(&square) {
+                    take(at, dn);
+                }
+            }
+        }
+    }
+
     /// The frame's part within a distance from a circle's centre.
-    pub fn region(&self, circle: &Circle, reach: f64, frame: &Frame) -> Option<Region> {
+    fn region(&self, circle: &Circle, reach: f64, frame: &Frame) -> Option<Region> {
         let longest = self
             .to_sensor
             .row(0)

@@ -68,10 +68,14 @@ impl Sphere {
         if distance >= 1.0 {
             return 0.0;
         }
-        let to_observer = (1.0 - distance * distance).sqrt();
+        self.light_at(distance * cos_angle, (1.0 - distance * distance).sqrt())
+    }
+
+    /// Light of a place on the disc so far from its centre towards the bright limb, from whose normal the observer stands at an angle of this cosine.
+    pub fn light_at(&self, along: f64, to_observer: f64) -> f64 {
         let (sin, cos) = self.phase;
-        let to_sun = distance * cos_angle * sin + to_observer * cos;
-        self.shading.light(to_sun, to_observer)
+        self.shading
+            .light(along * sin + to_observer * cos, to_observer)
     }
 
     /// How far the light's middle lies from the disc's, towards the bright limb.
@@ -110,6 +114,11 @@ impl Sphere {
 /// The share of a sphere's disc that the Sun shines on.
 pub(super) fn lit(phase_angle_deg: f64) -> f64 {
     (1.0 + phase_angle_deg.to_radians().cos()) / 2.0
+}
+
+/// The phase angle at which the Sun shines on a share of a sphere's disc.
+pub(super) fn phase_rad_of_lit(lit: f64) -> f64 {
+    (2.0 * lit - 1.0).clamp(-1.0, 1.0).acos()
 }
 
 /// Towards the Sun from a sphere: x to the right, y down, z to the observer; the middle of the bright limb stands at an angle from +x towards

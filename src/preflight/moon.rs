@@ -67,7 +67,7 @@ fn seen(check: String, disc: &Disc) -> Finding {
         sigma[0],
         sigma[1],
         disc.radius_px.value,
-        100.0 * disc.lit()
+        100.0 * disc.lit().value
     );
     match disc.quality {
         Quality::Fine => Finding::pass(check, found),

@@ -116,6 +116,8 @@ enum Purpose {
     Covered,
     EvenLamp,
     Covers,
+    Seas,
+    NightSky,
 }
 
 /// A seed for one purpose and one frame of a run.

@@ -43,7 +43,9 @@ pub(super) struct Record {
     direction_sigma_deg: Option<f64>,
     direction_local: Option<[f64; 3]>,
     phase_angle_deg: Option<f64>,
+    phase_angle_sigma_deg: Option<f64>,
     lit: Option<f64>,
+    lit_sigma: Option<f64>,
     bright_limb_deg: Option<f64>,
     solve_us: u64,
 }
@@ -85,8 +87,10 @@ impl Record {
             centre_sigma_px: Some(disc.centre.sigma()),
             covariance_px2: Some(covariance.transpose().into()),
             direction_sigma_deg: direction.map(|direction| direction.sigma_rad().to_degrees()),
-            phase_angle_deg: Some(disc.phase_angle_deg),
-            lit: Some(disc.lit()),
+            phase_angle_deg: Some(disc.phase_angle_deg.value),
+            phase_angle_sigma_deg: Some(disc.phase_angle_deg.sigma),
+            lit: Some(disc.lit().value),
+            lit_sigma: Some(disc.lit().sigma),
             bright_limb_deg: Some(disc.bright_limb_deg),
             ..record
         }
@@ -124,7 +128,9 @@ impl Record {
             direction_sigma_deg: None,
             direction_local: None,
             phase_angle_deg: None,
+            phase_angle_sigma_deg: None,
             lit: None,
+            lit_sigma: None,
             bright_limb_deg: None,
             solve_us: time.as_micros() as u64,
         }
@@ -157,7 +163,9 @@ impl Row for Record {
             "direction_north",
             "direction_up",
             "phase_angle_deg",
+            "phase_angle_sigma_deg",
             "lit",
+            "lit_sigma",
             "bright_limb_deg",
             "solve_us",
         ]
@@ -174,7 +182,8 @@ impl Row for Record {
         row.extend((0..3).map(|n| number(self.direction.map(|d| d[n]))));
         row.push(number(self.direction_sigma_deg));
         row.extend((0..3).map(|n| number(self.direction_local.map(|d| d[n]))));
-        row.extend([self.phase_angle_deg, self.lit, self.bright_limb_deg].map(number));
+        row.extend([self.phase_angle_deg, self.phase_angle_sigma_deg].map(number));
+        row.extend([self.lit, self.lit_sigma, self.bright_limb_deg].map(number));
         row.push(self.solve_us.to_string());
         row
     }

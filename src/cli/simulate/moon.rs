@@ -32,6 +32,9 @@ pub struct MoonArgs {
     /// Craters (relief of 0.1 % of the radius, rms) and dark and bright ground (25 % either way)
     #[arg(long, requires = "moon")]
     craters: bool,
+    /// Seas: large plains half as bright as other ground
+    #[arg(long, requires = "moon")]
+    seas: bool,
     /// Light of the dark side, in that of the brightest limb
     #[arg(long, value_name = "F", default_value_t = 0.0, requires = "moon", value_parser = Within(0.0, 1.0, ""))]
     earthshine: f64,
@@ -87,6 +90,8 @@ enum Shows {
     Lamp,
     /// The unfiltered Sun
     Sun,
+    /// Clouds, and the glow or the corona of a Moon behind them
+    Clouds,
 }
 
 /// Makes the frames, `truth.csv` and the camera's file `cam.toml`.
@@ -158,6 +163,7 @@ fn conditions(args: &SimulateArgs) -> anyhow::Result<(MoonConditions, String)> {
             Scatters::Lambert => Shading::Lambert,
         },
         craters: moon.craters,
+        seas: moon.seas,
         earthshine: moon.earthshine,
         stars: moon.stars.into(),
         cut: moon.cut,
@@ -169,6 +175,7 @@ fn conditions(args: &SimulateArgs) -> anyhow::Result<(MoonConditions, String)> {
             Shows::Nothing => Shown::Nothing,
             Shows::Lamp => Shown::Lamp,
             Shows::Sun => Shown::Sun,
+            Shows::Clouds => Shown::Clouds,
         },
         peak_dn: plain.peak_dn * moon.exposure,
         background_dn: args.camera.background,

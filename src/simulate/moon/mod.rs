@@ -4,6 +4,7 @@
 
 mod followed;
 mod lights;
+mod night;
 mod surface;
 
 pub use followed::FollowedMoon;
@@ -19,6 +20,7 @@ use crate::moon::{Shading, Sphere, towards_sun};
 use crate::units::SensorPx;
 use lights::{Lamp, add_points};
 use nalgebra::{Vector2, Vector3};
+use night::Clouds;
 use rand::RngExt;
 use std::ops::Range;
 use surface::Surface;
@@ -37,6 +39,8 @@ pub enum Shown {
     Lamp,
     /// The unfiltered Sun, about as large as the Moon.
     Sun,
+    /// Clouds, and the glow or the corona of a Moon behind them that is not seen itself.
+    Clouds,
 }
 
 /// What pictures of the Moon have in common.
@@ -53,6 +57,8 @@ pub struct MoonConditions {
     pub lit: Range<f64>,
     pub shading: Shading,
     pub craters: bool,
+    /// Large plains half as bright as other ground.
+    pub seas: bool,
     /// Of the brightest place above the background.
     pub peak_dn: f64,
     pub background_dn: f64,
@@ -84,6 +90,7 @@ impl MoonConditions {
             lit: 0.1..1.0,
             shading: Shading::LommelSeeliger,
             craters: false,
+            seas: false,
             peak_dn: 200.0,
             background_dn: 10.0,
             noise: Noise {
@@ -201,6 +208,7 @@ impl MoonScene {
             Shown::Nothing => {}
             Shown::Lamp => Lamp::of(self).add(width, &mut light),
             Shown::Sun => self.glare(self.centre).add(width, &mut light),
+            Shown::Clouds => Clouds::of(self).add(width, &mut light),
         }
         if conditions.glow > 0.0 {
             self.add_glow(&mut light);

@@ -11,12 +11,17 @@ use nalgebra::{Rotation3, Vector2, Vector3};
 const ALBEDO: f64 = 0.25;
 const ALBEDO_CELLS: f64 = 3.0;
 const PATTERN_REACH: f64 = 0.3;
+/// Seas are this bright, in the light of other ground; so large, in radii; and so much of their pattern is shore.
+const SEA: f64 = 0.5;
+const SEA_RADII: f64 = 0.8;
+const SHORE: f64 = 0.06;
 
 pub(super) struct Surface {
     sun: Vector3<f64>,
     shading: Shading,
     earthshine: f64,
     ground: Option<Ground>,
+    seas: Option<Seas>,
 }
 
 /// Craters, and dark and bright ground.
@@ -36,6 +41,10 @@ impl Surface {
             ground: conditions.craters.then(|| Ground {
                 craters: Craters::new(scene.seed, scene.number),
                 albedo: Pattern::new(Purpose::Albedo, scene.seed, scene.number),
+                turn,
+            }),
+            seas: conditions.seas.then(|| Seas {
+                pattern: Pattern::new(Purpose::Seas, scene.seed, scene.number),
                 turn,
             }),
         }
@@ -70,7 +79,25 @@ impl Surface {
             Some(ground) => (ground.normal(&place), ground.albedo(&place)),
             None => (place, 1.0),
         };
-        within * albedo * (self.shading.light(normal.dot(&self.sun), place.z) + self.earthshine)
+        let sea = self.seas.as_ref().map_or(1.0, |seas| seas.albedo(&place));
+        within
+            * albedo
+            * sea
+            * (self.shading.light(normal.dot(&self.sun), place.z) + self.earthshine)
+    }
+}
+
+/// Large dark plains, which draw the middle of the light to one side.
+struct Seas {
+    pattern: Pattern,
+    turn: Rotation3<f64>,
+}
+
+impl Seas {
+    fn albedo(&self, place: &Vector3<f64>) -> f64 {
+        let off = self.pattern.at(&(self.turn * place / SEA_RADII)) - 0.5;
+        let land = (off / SHORE + 0.5).clamp(0.0, 1.0);
+        SEA + (1.0 - SEA) * land
     }
 }
 
