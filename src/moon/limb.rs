@@ -35,6 +35,7 @@ const OUTLINE_PX: f64 = 0.5;
 /// Blur of the optics beside that of the pixels, px, as far as it is known before.
 const BLUR_PX: Measured = Measured::new(0.8, 0.4);
 const POSSIBLE_BLUR_PX: std::ops::Range<f64> = 0.05..3.0;
+
 /// The pixels along a lit limb.
 pub(super) struct Limb {
     known: Known,
