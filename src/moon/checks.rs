@@ -2,7 +2,7 @@
 
 use super::candidate::{Candidate, View};
 use super::known::MOST_SATURATED;
-use super::limb::{Limb, LimbFit, LimbPoint};
+use super::limb::{BLUR_PX, LimbFit, LimbPoint};
 use super::sector::circle_of;
 use super::settle::Settled;
 use super::shading::lit;
@@ -32,8 +32,8 @@ const MOST_SIGMA: f64 = 0.03;
 const MOST_POINT_SIGMA: f64 = 0.05;
 const MOST_BLUNT: f64 = 0.2;
 
-/// Where no radius is stated, a limb as blurred as this may be a cloud's or a corona's edge, px.
-const MOST_BLUR_PX: f64 = 2.0;
+/// Where no radius is stated, a limb that is blurred by so many sigmas more than is usual may be a cloud's or a corona's edge.
+const BLUR_SIGMAS: f64 = 2.0;
 
 /// Whether what was found may be the Moon.
 pub(super) fn check(candidate: &Candidate, settled: &Settled, unlike: f64) -> Result<(), Stopped> {
@@ -45,17 +45,19 @@ pub(super) fn check(candidate: &Candidate, settled: &Settled, unlike: f64) -> Re
         at_most(reasons::GLARE, glare, MOST_GLARE)?;
     }
     if candidate.expected.radius.is_none() {
-        at_most(reasons::BLUNT, found.fitted.parameters[3], MOST_BLUR_PX)?;
+        let most_px = BLUR_PX.value + BLUR_SIGMAS * BLUR_PX.sigma;
+        at_most(reasons::BLUNT, settled.at()[3], most_px)?;
     }
     check_lit(candidate, &circle)?;
     at_most(reasons::UNLIKE, unlike, MOST_UNLIKE)?;
-    check_limb(found, limb)
+    check_limb(settled)
 }
 
 /// Whether the limb is a circle of the expected radius all along its lit part, and not a piece of another thing's outline.
-fn check_limb(found: &LimbFit, limb: &Limb) -> Result<(), Stopped> {
-    let radius = found.fitted.parameters[2];
-    let covariance = found.fitted.covariance.fixed_view::<2, 2>(0, 0);
+fn check_limb(settled: &Settled) -> Result<(), Stopped> {
+    let Settled { found, limb, .. } = settled;
+    let radius = settled.at()[2];
+    let covariance = settled.covariance();
     let sigma = covariance.trace().max(0.0).sqrt() / radius;
     let is_sharp = |point: &&LimbPoint| point.excess_px.sigma < MOST_POINT_SIGMA * radius;
     let sharp: Vec<&LimbPoint> = found.points.iter().filter(is_sharp).collect();

@@ -33,7 +33,7 @@ const ALIKE_PX: f64 = 12.0;
 /// An outline's circle lies about so far off the disc's, towards the light, px: it runs outside of the bright limb, and inside of the dim horns.
 const OUTLINE_PX: f64 = 0.5;
 /// Blur of the optics beside that of the pixels, px, as far as it is known before.
-const BLUR_PX: Measured = Measured::new(0.8, 0.4);
+pub(super) const BLUR_PX: Measured = Measured::new(0.8, 0.4);
 const POSSIBLE_BLUR_PX: std::ops::Range<f64> = 0.05..3.0;
 
 /// The pixels along a lit limb.

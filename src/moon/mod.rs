@@ -281,7 +281,6 @@ fn disc_of(candidate: &Candidate, settled: &Settled, face: &Face, phase_rad: Mea
     let Settled { found, limb, .. } = settled;
     let (at, plane) = (settled.at(), &candidate.view.plane);
     let centre = found.centre();
-    let covariance = found.fitted.covariance.fixed_view::<2, 2>(0, 0) + settled.other_side;
     let radius_px = found.fitted.measured(2);
     let is_of_size = candidate.radius().is_none_or(|stated| {
         let sigma = radius_px.sigma.hypot(stated.sigma);
@@ -308,7 +307,7 @@ fn disc_of(candidate: &Candidate, settled: &Settled, face: &Face, phase_rad: Mea
         (plane.sensor(round), agreement)
     });
     Disc {
-        centre: plane.estimate(centre, covariance),
+        centre: plane.estimate(centre, settled.covariance()),
         radius_px,
         aspect: plane.aspect(),
         phase_angle_deg: Measured::new(phase_rad.value.to_degrees(), phase_rad.sigma.to_degrees()),

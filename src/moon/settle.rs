@@ -39,12 +39,17 @@ pub(super) struct Settled {
     pub found: LimbFit,
     pub limb: Limb,
     /// What another side of the light adds to the covariance of the centre, px^2.
-    pub other_side: Matrix2<f64>,
+    other_side: Matrix2<f64>,
 }
 
 impl Settled {
     pub fn at(&self) -> &Parameters {
         &self.found.fitted.parameters
+    }
+
+    /// Of the centre, px^2: by the fit, and by other sides of the light.
+    pub fn covariance(&self) -> Matrix2<f64> {
+        self.found.fitted.covariance.fixed_view::<2, 2>(0, 0) + self.other_side
     }
 }
 
