@@ -70,6 +70,58 @@ fn lit(radius_px: f64, lit: Range<f64>) -> MoonConditions {
     }
 }
 
+/// A table of lit shares with the largest rms across the bright limb, px, for a known radius and a free one.
+fn hold(
+    conditions: impl Fn(Range<f64>) -> MoonConditions,
+    scenes: u64,
+    rows: &[(Range<f64>, f64, f64)],
+    sigmas: Range<f64>,
+) {
+    for (lit, known, free) in rows {
+        let conditions = conditions(lit.clone());
+        for (radius, most) in [(Knowledge::Radius, known), (Knowledge::Nothing, free)] {
+            let (across, over) = across_and_over_sigma(&conditions, scenes, radius);
+            assert!(across < *most, "lit {lit:?}, {radius:?}: {across} px");
+            assert!(
+                sigmas.contains(&over),
+                "lit {lit:?}, {radius:?}: {over} sigma"
+            );
+        }
+    }
+}
+
+const SMOOTH: [(Range<f64>, f64, f64); 3] = [
+    (0.10..0.25, 0.06, 0.20),
+    (0.25..0.60, 0.03, 0.10),
+    (0.60..1.00, 0.03, 0.05),
+];
+
+#[test]
+fn a_smooth_moons_centre_is_found_to_a_part_of_a_pixel_at_any_phase() {
+    // 2 sigma of an rms of 80 values.
+    hold(
+        |range| lit(15.0, range),
+        40,
+        &SMOOTH,
+        0.8 - 0.16..1.25 + 0.16,
+    );
+}
+
+#[test]
+fn a_moon_with_craters_is_found_to_a_quarter_of_a_pixel() {
+    let craters = |range| MoonConditions {
+        craters: true,
+        ..lit(15.0, range)
+    };
+    hold(craters, 24, &[(0.10..1.00, 0.25, 0.45)], 0.6..2.2);
+}
+
+#[test]
+fn a_large_moons_centre_is_found_to_hundredths_of_a_pixel() {
+    let (across, _) = across_and_over_sigma(&lit(227.0, 0.1..1.0), 10, Knowledge::RadiusAndPhase);
+    assert!(across < 0.025, "{across}");
+}
+
 #[test]
 fn a_full_moon_is_where_it_is_whatever_its_turn() {
     let full = lit(15.0, 0.999..1.0);
@@ -243,6 +295,29 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
     let white = Frame::new(720, 578, white, 255, Default::default()).unwrap();
     let stopped = solve(&Settings::default(), &white, &Expected::default()).unwrap_err();
     assert_eq!(stopped.rejected.reason, reasons::TOO_BRIGHT);
+}
+
+/// How many of some frames of stars, of lamps and of the unfiltered Sun pass for the Moon, where its size and phase are known.
+fn false_moons(frames: u64) -> usize {
+    let shown = [Shown::Nothing, Shown::Lamp, Shown::Sun];
+    let is_found = |number: &u64| {
+        let conditions = MoonConditions {
+            shown: shown[*number as usize % shown.len()],
+            stars: 60,
+            planets: 3,
+            ..MoonConditions::clear(15.0)
+        };
+        let scene = conditions.scene(5, *number);
+        look(&scene, Knowledge::RadiusAndPhase).is_ok()
+    };
+    let found: Vec<u64> = (0..frames).into_par_iter().filter(is_found).collect();
+    println!("{} of {frames} pass for the Moon: {found:?}", found.len());
+    found.len()
+}
+
+#[test]
+fn stars_lamps_and_the_unfiltered_sun_do_not_pass_for_the_moon() {
+    assert_eq!(false_moons(300), 0);
 }
 
 fn solaspect(args: &[&str]) -> Output {
