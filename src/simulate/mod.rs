@@ -118,6 +118,8 @@ enum Purpose {
     Covers,
     Seas,
     NightSky,
+    Sunlight,
+    Front,
 }
 
 /// A seed for one purpose and one frame of a run.

@@ -5,15 +5,15 @@ use super::{SimulateArgs, Within};
 use crate::cli::output::progress_bar;
 use crate::fits::{self, Compression};
 use crate::instrument::DirectionCamera;
-use crate::simulate::earth::{Aim, Air, Clouds, EarthConditions, EarthScene, Shape};
+use crate::simulate::earth::{Aim, Air, Clouds, EarthConditions, EarthScene, Glow, Haze, Shape};
 use anyhow::ensure;
 use clap::{Args, ValueEnum};
 use nalgebra::{Matrix3, Rotation3};
 
 /// The first line of `truth.csv`. The nadir is in the camera frame (x right, y down, z forward); `in_view` is 1 where some of the
-/// limb's edge is in the picture; `edge_m` is the height of that edge; bx, by, bz is the nadir in the body's axes, for a pair.
-const TRUTH_HEADER: &str =
-    "n,file,nx,ny,nz,roll_deg,pitch_deg,height_m,heading_deg,in_view,edge_m,latitude_deg,bx,by,bz";
+/// limb's edge is in the picture; `edge_m` is the height of that edge; bx, by, bz is the nadir in the body's axes, for a pair; `lit` the share of the edge in the
+/// picture on which the Sun shines.
+const TRUTH_HEADER: &str = "n,file,nx,ny,nz,roll_deg,pitch_deg,height_m,heading_deg,in_view,edge_m,latitude_deg,bx,by,bz,lit";
 
 /// The mountings of a pair: rows of the rotation from the camera to a body whose axes point forward, right and down.
 const PAIR: [(&str, [[f64; 3]; 3]); 2] = [
@@ -49,6 +49,24 @@ pub struct HorizonArgs {
     /// Night on a part of the Earth
     #[arg(long, requires = "horizon")]
     terminator: bool,
+    /// What else is in the picture; several with commas
+    #[arg(
+        long,
+        value_enum,
+        value_name = "WHAT",
+        value_delimiter = ',',
+        requires = "horizon"
+    )]
+    in_view: Vec<InView>,
+    /// Height over which the air's density falls to 1/e
+    #[arg(long, value_name = "M", default_value_t = Air::CLEAR.scale_m, requires = "horizon", value_parser = Within(3_000.0, 15_000.0, "m"))]
+    air_scale_m: f64,
+    /// A layer of haze at this height
+    #[arg(long, value_name = "M", requires = "horizon", value_parser = Within(1_000.0, 60_000.0, "m"))]
+    haze_m: Option<f64>,
+    /// Brightness of the airglow
+    #[arg(long, value_name = "DN", default_value_t = 0.0, requires = "horizon", value_parser = Within(0.0, 100.0, "DN"))]
+    airglow: f64,
     /// The Sun in the picture, with flares
     #[arg(long, requires = "horizon")]
     flares: bool,
@@ -61,6 +79,19 @@ pub struct HorizonArgs {
     /// The ground is the WGS 84 ellipsoid, and straight down is its normal
     #[arg(long, requires = "horizon")]
     ellipsoid: bool,
+}
+
+/// Things beside the Earth, or before it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum InView {
+    /// Struts and banners of the vehicle
+    Structure,
+    /// A full Moon
+    Moon,
+    /// Stray light that grows across the picture
+    Gradient,
+    /// Light above the limb that falls off over degrees
+    Glow,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -151,7 +182,7 @@ fn truth_line(
         format!("{:.9},{:.9},{:.9}", down.x, down.y, down.z)
     });
     format!(
-        "{number},{name},{x:.9},{y:.9},{z:.9},{:.7},{:.7},{:.3},{:.4},{},{:.1},{:.6},{body}",
+        "{number},{name},{x:.9},{y:.9},{z:.9},{:.7},{:.7},{:.3},{:.4},{},{:.1},{:.6},{body},{:.3}",
         scene.roll_deg,
         scene.pitch_deg,
         scene.conditions.height_m,
@@ -159,6 +190,7 @@ fn truth_line(
         u8::from(truth.arc_px > 0.0),
         truth.edge_m,
         scene.latitude_deg,
+        truth.lit,
     )
 }
 
@@ -173,6 +205,7 @@ fn conditions(args: &SimulateArgs) -> anyhow::Result<(EarthConditions, String)> 
         }
         None => plain_camera(&plain),
     };
+    let has = |what: InView| horizon.in_view.contains(&what);
     let conditions = EarthConditions {
         camera: camera.lens,
         width_px: camera.width_px,
@@ -193,6 +226,12 @@ fn conditions(args: &SimulateArgs) -> anyhow::Result<(EarthConditions, String)> 
         air: Air {
             varies_by: horizon.limb_brightness,
             varies_by_m: horizon.limb_height_m,
+            scale_m: horizon.air_scale_m,
+            haze: horizon.haze_m.map(|height_m| Haze {
+                height_m,
+                ..Haze::THIN
+            }),
+            airglow_dn: horizon.airglow,
             ..Air::CLEAR
         },
         clouds: horizon.clouds.map(|cover| Clouds {
@@ -201,6 +240,10 @@ fn conditions(args: &SimulateArgs) -> anyhow::Result<(EarthConditions, String)> 
         }),
         terminator: horizon.terminator,
         sun: horizon.flares,
+        glow: has(InView::Glow).then_some(Glow::BRIGHT),
+        structure: has(InView::Structure),
+        moon: has(InView::Moon),
+        gradient: has(InView::Gradient),
         spin_deg: horizon.spin,
         blur_px: args.optics.blur.unwrap_or(plain.blur_px),
         background_dn: args.camera.background,

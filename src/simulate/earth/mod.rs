@@ -4,10 +4,12 @@
 //! optical depth along the ray, which falls off exponentially with the ray's lowest height (Chapman's grazing incidence, for a layer that is
 //! thin against the Earth). Rays are straight.
 
+mod front;
 mod sky;
+mod sunlight;
 mod swing;
 
-pub use sky::{Air, Clouds, Shape};
+pub use sky::{Air, Clouds, Glow, Haze, Shape};
 pub use swing::SwingingGondola;
 
 use super::blur::Kernel;
@@ -17,6 +19,7 @@ use super::{Depth, Generator, Noise, Purpose, frame_info, generator};
 use crate::frame::{Frame, FrameError};
 use crate::geometry::camera::Camera;
 use crate::units::SensorPx;
+use front::Front;
 use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector2, Vector3};
 use rand::RngExt;
 use sky::Sky;
@@ -37,10 +40,18 @@ pub struct EarthConditions {
     pub air: Air,
     /// `None` for clear ground.
     pub clouds: Option<Clouds>,
-    /// Night on a part of the Earth.
+    /// Night on a part of the Earth: the Sun low, on any side, or where the picture shows it.
     pub terminator: bool,
     /// The Sun in view, with its flares.
     pub sun: bool,
+    /// Light above the limb that falls off over degrees.
+    pub glow: Option<Glow>,
+    /// Struts and banners of the vehicle in view.
+    pub structure: bool,
+    /// A full Moon in the picture, before whatever is there.
+    pub moon: bool,
+    /// Stray light that grows across the picture.
+    pub gradient: bool,
     /// Turn about the camera's vertical during the exposure, deg.
     pub spin_deg: f64,
     pub blur_px: f64,
@@ -80,6 +91,10 @@ impl EarthConditions {
             clouds: None,
             terminator: false,
             sun: false,
+            glow: None,
+            structure: false,
+            moon: false,
+            gradient: false,
             spin_deg: 0.0,
             blur_px: 0.8,
             background_dn: 6.0,
@@ -166,6 +181,8 @@ pub struct EarthTruth {
     pub edge_m: f64,
     /// Length of the edge that the picture shows, px.
     pub arc_px: f64,
+    /// Share of that edge on which the Sun shines with half of its light or more.
+    pub lit: f64,
 }
 
 impl EarthScene {
@@ -256,42 +273,60 @@ impl EarthScene {
         if let Some(glare) = self.glare() {
             glare.add(width, &mut light);
         }
+        let mut random = generator(self.seed, Purpose::Front, self.number);
+        let front = Front::drawn(conditions, &mut random);
+        for (n, dn) in light.iter_mut().enumerate() {
+            let at = Vector2::new((n % width) as f64, (n / width) as f64);
+            *dn = front.light_dn(&at, f64::from(*dn)) as f32;
+        }
         light
     }
 
-    /// The Sun in view, where the sky is: a picture without any has no Sun in it.
     fn glare(&self) -> Option<Glare> {
-        const MOST_TRIES: u32 = 50;
         const FLARES: usize = 7;
-        let conditions = &self.conditions;
-        if !conditions.sun {
+        let mut random = generator(self.seed, Purpose::Glare, self.number);
+        let sun = self.sun_among(&mut random)?;
+        let radius_px = SUN_RAD * self.conditions.camera.mean_focal_px();
+        let middle = self.picture_px() / 2.0;
+        Some(Glare::new(sun, radius_px, middle, FLARES, &mut random))
+    }
+
+    /// Where the picture has the Sun: on the sky. A picture without any has no Sun in it.
+    fn sun_px(&self) -> Option<SensorPx> {
+        self.sun_among(&mut generator(self.seed, Purpose::Glare, self.number))
+    }
+
+    fn sun_among(&self, random: &mut Generator) -> Option<SensorPx> {
+        const MOST_TRIES: u32 = 50;
+        if !self.conditions.sun {
             return None;
         }
-        let mut random = generator(self.seed, Purpose::Glare, self.number);
-        let picture = Vector2::new(conditions.width_px as f64, conditions.height_px as f64);
-        let place = |_| {
-            SensorPx::new(
-                random.random_range(0.1..0.9) * picture.x,
-                random.random_range(0.1..0.9) * picture.y,
-            )
+        let place = |_| -> SensorPx {
+            let within = self
+                .picture_px()
+                .map(|size| random.random_range(0.1..0.9) * size);
+            within.into()
         };
-        let sun = (0..MOST_TRIES).map(place).find(|at| self.shows_sky(*at))?;
-        let radius_px = SUN_RAD * conditions.camera.mean_focal_px();
-        Some(Glare::new(
-            sun,
-            radius_px,
-            picture / 2.0,
-            FLARES,
-            &mut random,
-        ))
+        (0..MOST_TRIES).map(place).find(|at| self.shows_sky(*at))
+    }
+
+    fn picture_px(&self) -> Vector2<f64> {
+        Vector2::new(
+            self.conditions.width_px as f64,
+            self.conditions.height_px as f64,
+        )
+    }
+
+    /// The angle from straight down to the ground's edge.
+    fn edge_angle_rad(&self) -> f64 {
+        let radius = self.conditions.shape.mean_radius_m();
+        (radius / (radius + self.conditions.height_m)).asin()
     }
 
     /// Whether a pixel sees what is above the ground.
     fn shows_sky(&self, at: SensorPx) -> bool {
-        let radius = self.conditions.shape.mean_radius_m();
-        let angle = (radius / (radius + self.conditions.height_m)).asin();
         let ray = self.conditions.camera.ray(at);
-        ray.is_some_and(|ray| (self.local_from_camera() * ray).z < angle.cos())
+        ray.is_some_and(|ray| (self.local_from_camera() * ray).z < self.edge_angle_rad().cos())
     }
 
     /// The turns of the camera that the exposure is the mean of, deg.
@@ -307,33 +342,44 @@ impl EarthScene {
 
     pub fn truth(&self) -> EarthTruth {
         let nadir = self.local_from_camera().inverse() * Vector3::z_axis();
-        let edge_m = Sky::of(self).edge_m();
+        let sky = Sky::of(self);
+        let edge_m = sky.edge_m();
+        let arc = self.arc(edge_m);
+        let lengths = || arc.iter().map(|(length_px, _)| length_px);
+        let lit = arc
+            .iter()
+            .filter(|(_, middle)| sky.lit_towards(middle) >= 0.5);
+        let arc_px = lengths().sum::<f64>();
         EarthTruth {
             nadir,
             edge_m,
-            arc_px: self.arc_px(edge_m),
+            arc_px,
+            lit: lit.map(|(length_px, _)| length_px).sum::<f64>() / arc_px.max(f64::MIN_POSITIVE),
         }
     }
 
-    /// Length of the edge within the picture.
-    fn arc_px(&self, edge_m: f64) -> f64 {
+    /// The edge within the picture: pieces' lengths, px, and the ray to each in north, east, down.
+    fn arc(&self, edge_m: f64) -> Vec<(f64, Vector3<f64>)> {
         const STEPS: u32 = 3600;
         let conditions = &self.conditions;
-        let (width, height) = (conditions.width_px as f64, conditions.height_px as f64);
-        let inside = |at: &SensorPx| (0.0..width).contains(&at.x) && (0.0..height).contains(&at.y);
+        let picture = self.picture_px();
+        let inside =
+            |at: &SensorPx| (0.0..picture.x).contains(&at.x) && (0.0..picture.y).contains(&at.y);
         let radius = conditions.shape.mean_radius_m();
         let angle = ((radius + edge_m) / (radius + conditions.height_m))
             .min(1.0)
             .asin();
         let camera_from_local = self.local_from_camera().inverse();
-        let seen = |n: u32| {
+        let ray = |n: u32| {
             let (sine, cosine) =
                 (f64::from(n) / f64::from(STEPS) * std::f64::consts::TAU).sin_cos();
-            let ray = Vector3::new(cosine * angle.sin(), sine * angle.sin(), angle.cos());
-            let ray = camera_from_local * UnitVector3::new_normalize(ray);
+            Vector3::new(cosine * angle.sin(), sine * angle.sin(), angle.cos())
+        };
+        let seen = |n: u32| {
+            let ray = camera_from_local * UnitVector3::new_normalize(ray(n));
             conditions.camera.pixel(&ray).filter(inside)
         };
-        let steps = (0..STEPS).filter_map(|n| Some(seen(n)?.distance(seen(n + 1)?)));
-        steps.sum()
+        let steps = (0..STEPS).filter_map(|n| Some((seen(n)?.distance(seen(n + 1)?), ray(n))));
+        steps.collect()
     }
 }

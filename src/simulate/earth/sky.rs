@@ -3,6 +3,7 @@
 use super::super::texture::{AlongLimb, Pattern};
 use super::super::{Purpose, generator};
 use super::EarthScene;
+use super::sunlight::Sunlight;
 use crate::units::EARTH_RADIUS_M;
 use libm::{erf, erfc};
 use nalgebra::{Matrix3, Vector3};
@@ -52,6 +53,10 @@ pub struct Air {
     pub depth: f64,
     /// Height over which the air's density falls to 1/e.
     pub scale_m: f64,
+    /// A layer that scatters more than the air about it.
+    pub haze: Option<Haze>,
+    /// Brightness of the airglow's layer at 90 km, DN: with no Sun, too.
+    pub airglow_dn: f64,
     /// Brightness along the limb: 1 sigma, relative.
     pub varies_by: f64,
     /// Height of the limb along it: 1 sigma.
@@ -66,6 +71,8 @@ impl Air {
         brightness_dn: 165.0,
         depth: 12.0,
         scale_m: 7_000.0,
+        haze: None,
+        airglow_dn: 0.0,
         varies_by: 0.0,
         varies_by_m: 0.0,
         length_deg: 10.0,
@@ -75,8 +82,70 @@ impl Air {
     fn top_m(&self) -> f64 {
         const SCALES: f64 = 15.0;
         const SIGMAS: f64 = 6.0;
-        SCALES * self.scale_m + SIGMAS * self.varies_by_m
+        let air_m = SCALES * self.scale_m + SIGMAS * self.varies_by_m;
+        match self.airglow_dn > 0.0 {
+            true => air_m.max(AIRGLOW.height_m + SIGMAS * AIRGLOW.thickness_m),
+            false => air_m,
+        }
     }
+
+    /// Optical depth of a ray that is lowest at a height and clear of the ground, by haze.
+    fn haze_depth(&self, height_m: f64) -> f64 {
+        self.haze
+            .map_or(0.0, |haze| haze.depth * haze.met(height_m))
+    }
+}
+
+/// A layer about the Earth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Haze {
+    pub height_m: f64,
+    /// Above it a ray meets less over this height, 1 sigma of a Gaussian.
+    pub thickness_m: f64,
+    /// Optical depth of a ray that grazes it.
+    pub depth: f64,
+}
+
+impl Haze {
+    /// As volcanoes leave it in the stratosphere.
+    pub const THIN: Self = Self {
+        height_m: 20_000.0,
+        thickness_m: 2_000.0,
+        depth: 0.2,
+    };
+
+    /// How much of the layer a ray that is lowest at a height meets, over one that grazes it: a shell is met the steeper, the lower the ray.
+    fn met(&self, height_m: f64) -> f64 {
+        let above = (height_m - self.height_m) / self.thickness_m;
+        match above {
+            0.0.. => (-0.5 * above * above).exp(),
+            _ => (1.0 - 2.0 * above).sqrt().recip(),
+        }
+    }
+}
+
+/// Oxygen's, as the space station's crew photographs it.
+const AIRGLOW: Haze = Haze {
+    height_m: 90_000.0,
+    thickness_m: 5_000.0,
+    depth: 0.0,
+};
+
+/// Light above the limb: sunlight that air, lens or window scatters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Glow {
+    /// At the limb, over the limb's brightness.
+    pub brightness: f64,
+    /// It falls to 1/e over this angle above the limb.
+    pub reach_deg: f64,
+}
+
+impl Glow {
+    /// Half as bright as the limb, over a few degrees.
+    pub const BRIGHT: Self = Self {
+        brightness: 0.5,
+        reach_deg: 3.0,
+    };
 }
 
 /// A deck of clouds.
@@ -112,8 +181,9 @@ pub(super) struct Sky<'a> {
     pattern: Pattern,
     brightness: AlongLimb,
     height: AlongLimb,
-    /// Towards the Sun, in the scaled frame.
-    sun: Vector3<f64>,
+    sunlight: Option<Sunlight>,
+    /// Of the ground's edge.
+    edge_angle_rad: f64,
 }
 
 impl<'a> Sky<'a> {
@@ -134,9 +204,6 @@ impl<'a> Sky<'a> {
             let random = generator(scene.seed, purpose, scene.weather);
             AlongLimb::new(sigma, air.length_deg, random)
         };
-        // Low above the horizon, to the right of where the camera looks: the terminator crosses the limb.
-        let bearing = (scene.heading_deg + 60.0).to_radians();
-        let sun = scaled_from_local * Vector3::new(bearing.cos(), bearing.sin(), 0.1);
         Self {
             scene,
             place: shape
@@ -146,12 +213,24 @@ impl<'a> Sky<'a> {
             pattern: Pattern::new(Purpose::Clouds, scene.seed, scene.weather),
             brightness: along(air.varies_by, Purpose::LimbBrightness),
             height: along(air.varies_by_m, Purpose::LimbHeight),
-            sun: sun.normalize(),
+            sunlight: Sunlight::of(scene),
+            edge_angle_rad: scene.edge_angle_rad(),
         }
     }
 
     /// Light of a ray (north, east, down; unit), DN.
     pub fn light_dn(&self, ray: &Vector3<f64>) -> f64 {
+        let glow = self.scene.conditions.glow;
+        self.earth_dn(ray) + glow.map_or(0.0, |glow| self.glow_dn(&glow, ray))
+    }
+
+    fn glow_dn(&self, glow: &Glow, ray: &Vector3<f64>) -> f64 {
+        let above_rad = ray.z.clamp(-1.0, 1.0).acos() - self.edge_angle_rad;
+        let falls = (-above_rad.max(0.0) / glow.reach_deg.to_radians()).exp();
+        glow.brightness * self.scene.conditions.air.brightness_dn * falls
+    }
+
+    fn earth_dn(&self, ray: &Vector3<f64>) -> f64 {
         let conditions = &self.scene.conditions;
         let passage = self.passage(ray);
         if passage.height_m > conditions.air.top_m() {
@@ -171,7 +250,8 @@ impl<'a> Sky<'a> {
             true => GROUND_DN * (-depth).exp(),
             false => 0.0,
         };
-        let clear = self.lit(&passage.lowest) * (haze + behind);
+        let airglow = conditions.air.airglow_dn * AIRGLOW.met(passage.height_m);
+        let clear = self.lit(&passage.lowest) * (haze + behind) + airglow;
         match conditions
             .clouds
             .and_then(|clouds| self.cloud(&clouds, &passage, &air))
@@ -189,6 +269,7 @@ impl<'a> Sky<'a> {
         Passage {
             lowest,
             height_m: (lowest.norm() - 1.0) * radius_m,
+            camera_m: self.scene.conditions.height_m,
             to_lowest_m,
             radius_m,
             along,
@@ -204,11 +285,16 @@ impl<'a> Sky<'a> {
 
     /// Share of the Sun's light where a ray is lowest.
     fn lit(&self, lowest: &Vector3<f64>) -> f64 {
-        const TWILIGHT: f64 = 0.05;
-        match self.scene.conditions.terminator {
-            true => (0.5 + self.sun.dot(&lowest.normalize()) / TWILIGHT).clamp(0.0, 1.0),
-            false => 1.0,
-        }
+        let Some(sunlight) = &self.sunlight else {
+            return 1.0;
+        };
+        let towards = (self.scaled_from_local * sunlight.towards.into_inner()).normalize();
+        sunlight.share(towards.dot(&lowest.normalize()))
+    }
+
+    /// The same of a ray (north, east, down; unit).
+    pub fn lit_towards(&self, ray: &Vector3<f64>) -> f64 {
+        self.lit(&self.passage(ray).lowest)
     }
 
     /// How much of a ray a deck of clouds covers, and its light; `None` above the clouds.
@@ -235,23 +321,16 @@ impl<'a> Sky<'a> {
     /// See [`EarthTruth::edge_m`](super::EarthTruth::edge_m).
     pub fn edge_m(&self) -> f64 {
         let conditions = &self.scene.conditions;
-        let step_m = (conditions.height_m / 1e5).min(1.0);
+        const STEPS: u32 = 100_000;
+        let step_m = (conditions.height_m / f64::from(STEPS)).min(1.0);
         let light = |step: u32| {
             let height_m = f64::from(step) * step_m;
             let passage = Passage::at(height_m, conditions.height_m, &conditions.shape);
             1.0 - (-passage.depth(&conditions.air)).exp()
         };
-        // The higher a ray passes, the less air it meets.
         let half = light(0) / 2.0;
-        let (mut bright, mut dim) = (0, 100_000);
-        while dim - bright > 1 {
-            let middle = (bright + dim) / 2;
-            match light(middle) < half {
-                true => dim = middle,
-                false => bright = middle,
-            }
-        }
-        f64::from(dim) * step_m
+        let bright = (0..STEPS).rev().find(|step| light(*step) >= half);
+        f64::from(bright.unwrap_or_default() + 1) * step_m
     }
 }
 
@@ -260,6 +339,7 @@ struct Passage {
     /// Its lowest place, in the scaled frame.
     lowest: Vector3<f64>,
     height_m: f64,
+    camera_m: f64,
     /// From the camera; negative for a ray that rises.
     to_lowest_m: f64,
     radius_m: f64,
@@ -274,6 +354,7 @@ impl Passage {
         Self {
             lowest: Vector3::z() * (lowest / radius_m),
             height_m,
+            camera_m,
             to_lowest_m: (camera * camera - lowest * lowest).max(0.0).sqrt(),
             radius_m,
             along: Vector3::x() / radius_m,
@@ -292,8 +373,14 @@ impl Passage {
             let u = -self.height_m / air.scale_m;
             return air.depth / 2.0 * scaled_erfc(u.sqrt());
         }
-        let before = erf(self.to_lowest_m / sigma_m / 2.0_f64.sqrt());
-        air.depth * (-self.height_m / air.scale_m).exp() * (1.0 + before) / 2.0
+        let before = self.to_lowest_m / sigma_m / 2.0_f64.sqrt();
+        if before < 0.0 {
+            // The lowest place lies behind the camera, deep within the Earth if the ray is steep: the air from the camera upwards.
+            let at_camera = (-self.camera_m / air.scale_m).exp();
+            return air.depth * at_camera * scaled_erfc(-before) / 2.0;
+        }
+        let depth = air.depth * (-self.height_m / air.scale_m).exp() * (1.0 + erf(before)) / 2.0;
+        depth + air.haze_depth(self.height_m)
     }
 
     /// Share of the air in front of a place so far before the lowest one, of that on the half of a ray which is lowest there.
