@@ -26,11 +26,7 @@ impl<S: Stage> fmt::Display for Stopped<S> {
 
 impl<S: Stage> Stopped<S> {
     pub fn new(stage: S, reason: Reason, measured: f64, limit: f64) -> Self {
-        let rejected = Rejected {
-            reason,
-            measured,
-            limit,
-        };
+        let rejected = Rejected::new(reason, measured, limit);
         Self { stage, rejected }
     }
 
@@ -124,13 +120,19 @@ reasons! {
     horizon:
     TOO_BRIGHT "too_bright" "the frame is bright all over"
     TOO_DARK "too_dark" "the frame is dark all over"
-    NO_LIGHT "no_light" "the frame has no levels of light and dark"
-    NO_HORIZON "no_horizon" "too few points of borders agree on a horizon"
-    NO_LIMB "no_limb" "no edge of the Earth was found"
+    NO_HORIZON "no_horizon" "too few sharp edges agree on a horizon"
+    NO_LIMB "no_limb" "nothing is bright before the sky along the edge"
+    SOFT_EDGE "soft_edge" "the edge is softer than that of the air"
+    UNEVEN_EDGE "uneven_edge" "light falls off unlike from place to place"
     LITTLE_EDGE "little_edge" "too little of the edge is seen"
     UNDETERMINED "undetermined" "the edge does not determine the fit"
     NOT_CONVERGED "not_converged" "the fit does not converge"
     RADIUS "radius" "the radius is not the Earth's"
+    UNCERTAIN "uncertain" "the edge determines the nadir too poorly"
+    LIGHT_ENDS "light_ends" "the light within the edge ends as sharply as it began"
+    NO_CONE "no_cone" "the edge is not that of a sphere, or the camera's file is wrong"
+    EDGE_HEIGHT "edge_height" "the edge has no height that air can have: the camera's file is wrong"
+    RIVAL "rival" "another edge in the frame is nearly as good"
     DARK_INSIDE "dark_inside" "the Earth is not bright within its edge"
     BRIGHT_OUTSIDE "bright_outside" "the sky is not dark outside the Earth's edge"
     WRONG_SIZE "wrong_size" "the frame is of another size than the camera's"

@@ -128,6 +128,14 @@ impl fmt::Display for Reason {
 }
 
 impl Rejected {
+    pub fn new(reason: Reason, measured: f64, limit: f64) -> Self {
+        Self {
+            reason,
+            measured,
+            limit,
+        }
+    }
+
     /// Refuses what was measured below a limit, or not at all.
     pub fn at_least(limit: f64, measured: f64, reason: Reason) -> Result<(), Self> {
         Self::unless(measured >= limit, limit, measured, reason)
@@ -139,11 +147,9 @@ impl Rejected {
     }
 
     fn unless(holds: bool, limit: f64, measured: f64, reason: Reason) -> Result<(), Self> {
-        holds.then_some(()).ok_or(Self {
-            reason,
-            measured,
-            limit,
-        })
+        holds
+            .then_some(())
+            .ok_or(Self::new(reason, measured, limit))
     }
 }
 

@@ -9,8 +9,8 @@ use rayon::prelude::*;
 use solaspect::accuracy::chance::{range_of_rms, rms};
 use solaspect::accuracy::conditions::displaced;
 use solaspect::accuracy::{
-    AspectError, Figures, MARKS, MIXED, MOON, MOTION, Program, Recipe, Size, Vary, View, names,
-    text,
+    AspectError, Figures, HORIZON, MARKS, MIXED, MOON, MOTION, Program, Recipe, Size, Vary, View,
+    names, text,
 };
 use solaspect::aspect::{Adopted, Expected, Quality, Solution, Track, solve};
 use solaspect::fits;
@@ -120,6 +120,11 @@ fn marks_are_read_in_a_strongly_blurred_picture() {
 #[test]
 fn the_moon_is_where_it_says_at_any_phase_and_what_is_none_is_refused() {
     demands_are_met(&[MOON]);
+}
+
+#[test]
+fn the_horizon_is_where_it_says_in_any_light_and_no_sky_has_one() {
+    demands_are_met(&[HORIZON]);
 }
 
 #[test]

@@ -15,11 +15,12 @@
 //! 4. For some frames of a row, the Cramer-Rao bound says how small the error could be ([`bound`]).
 //!
 //! Beside the rows: the errors and the sub-pixel bias of single marks ([`marks`]), and runs of mixed frames and of frames whose Sun moves,
-//! which search for wrong ids and for fine frames that are not ([`mixed`]), and pictures of the Moon ([`MoonRow`]). [`figures`] draws what a table cannot show.
+//! which search for wrong ids and for fine frames that are not ([`mixed`]), and pictures of the Moon
+//! ([`MoonRow`]) and of the Earth's limb ([`HorizonRow`]). [`figures`] draws what a table cannot show.
 //!
 //! ```text
 //! recipe <- conditions; bound, recipe <- trial; chance, trial <- outcome <- demand; conditions, demand <- rows
-//! chance, demand <- moon <- moon_rows
+//! chance, demand <- moon <- moon_rows; chance, demand <- horizon <- horizon_rows
 //! all of these <- marks, mixed, figures <- report <- program <- table
 //! ```
 
@@ -28,6 +29,8 @@ pub mod chance;
 pub mod conditions;
 pub mod demand;
 pub mod figures;
+mod horizon;
+mod horizon_rows;
 pub mod marks;
 pub mod mixed;
 mod moon;
@@ -41,11 +44,12 @@ mod table;
 mod trial;
 
 pub use demand::{Demand, Precision};
+pub use horizon::{HorizonDemand, HorizonReport, HorizonRow, HorizonSummary};
 pub use moon::{Knowledge, MoonDemand, MoonReport, MoonRow, MoonSummary};
 pub use outcome::{About, Summary};
 pub use program::{AccuracyError, Case, Figures, Program};
 pub use recipe::{Recipe, Vary, View};
 pub use report::{MarksReport, Report, RowReport, RunReport};
-pub use rows::{Ideal, MARKS, MIXED, MOON, MOTION, Row, Run, Size, names, rows, runs};
+pub use rows::{HORIZON, Ideal, MARKS, MIXED, MOON, MOTION, Row, Run, Size, names, rows, runs};
 pub use table::{Page, case_text, text};
 pub use trial::{AspectError, Bounded, MarkError, Outcome, Trial};

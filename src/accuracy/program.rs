@@ -2,6 +2,8 @@
 
 use super::demand::Precision;
 use super::figures::{self, Sweeps};
+use super::horizon::HorizonRow;
+use super::horizon_rows::horizon_rows;
 use super::marks::{self, MarkSummary};
 use super::mixed::MixedSummary;
 use super::moon::MoonRow;
@@ -9,7 +11,7 @@ use super::moon_rows::moon_rows;
 use super::outcome::{About, AgainstIdeal, Summary};
 use super::recipe::{Recipe, Vary};
 use super::report::{MarksReport, Report, RowReport, RunReport};
-use super::rows::{Ideal, MARKS, MARKS_ROW, MOON, Row, Run, Size, names, rows, runs};
+use super::rows::{HORIZON, Ideal, MARKS, MARKS_ROW, MOON, Row, Run, Size, names, rows, runs};
 use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::Settings;
 use crate::frame::FrameError;
@@ -46,6 +48,7 @@ pub struct Program {
     marks: bool,
     runs: Vec<Run>,
     moons: Vec<MoonRow>,
+    horizons: Vec<HorizonRow>,
     sweeps: bool,
 }
 
@@ -76,6 +79,10 @@ impl Program {
                 true => moon_rows(),
                 false => Vec::new(),
             },
+            horizons: match wanted(HORIZON) {
+                true => horizon_rows(),
+                false => Vec::new(),
+            },
             sweeps: figures == Figures::Drawn && only.is_empty(),
         })
     }
@@ -95,9 +102,11 @@ impl Program {
         let of_run = |run: &Run| self.size.of(run.frames);
         let runs: u64 = self.runs.iter().map(of_run).sum();
         let moons: u64 = self.moons.iter().map(|row| self.size.of(row.frames)).sum();
+        let horizons = self.horizons.iter().map(|row| self.size.of(row.frames));
         rows + u64::from(self.marks) * marks
             + runs
             + moons
+            + horizons.sum::<u64>()
             + self.standard_frames()
             + u64::from(self.sweeps) * figures::frames(self.size)
     }
@@ -129,6 +138,8 @@ impl Program {
         let runs = self.runs.iter().map(|run| self.search(run, done));
         let precision = self.precision();
         let moons = (self.moons.iter()).map(|row| row.run(self.size, precision, done));
+        let horizons = self.horizons.iter();
+        let horizons = horizons.map(|row| row.run(self.size, precision, done));
         let sweeps = || Sweeps::run(&self.trial, self.size, done);
         Ok(Report {
             size: self.size,
@@ -136,6 +147,7 @@ impl Program {
             marks,
             runs: runs.collect::<Result<_, _>>()?,
             moons: moons.collect::<Result<_, _>>()?,
+            horizons: horizons.collect::<Result<_, _>>()?,
             sweeps: self.sweeps.then(sweeps).transpose()?,
         })
     }

@@ -1,11 +1,12 @@
 //! What came of the program: its parts, what is not met, the figures.
 
 use super::figures::{self, Sweeps};
+use super::horizon::HorizonReport;
 use super::marks::{BiasMap, MarkSummary};
 use super::mixed::MixedSummary;
 use super::moon::MoonReport;
 use super::outcome::Summary;
-use super::rows::{MARKS, MARKS_ROW, MOON, Row, Run, Size};
+use super::rows::{HORIZON, MARKS, MARKS_ROW, MOON, Row, Run, Size};
 use super::trial::Outcome;
 use crate::report::plot::PlotError;
 
@@ -43,6 +44,7 @@ pub struct Report {
     pub marks: Option<MarksReport>,
     pub runs: Vec<RunReport>,
     pub moons: Vec<MoonReport>,
+    pub horizons: Vec<HorizonReport>,
     /// What the figures need beyond the rows.
     pub sweeps: Option<Sweeps>,
 }
@@ -56,9 +58,11 @@ impl Report {
         let runs = self.runs.iter();
         let runs = runs.filter_map(|r| Some((r.run.name, r.unmet.as_deref()?)));
         let moons = self.moons.iter().flat_map(|moon| &moon.unmet);
+        let horizons = self.horizons.iter().flat_map(|horizon| &horizon.unmet);
         rows.chain(marks.map(|u| (MARKS, u.as_str())))
             .chain(runs)
             .chain(moons.map(|u| (MOON, u.as_str())))
+            .chain(horizons.map(|u| (HORIZON, u.as_str())))
             .collect()
     }
 

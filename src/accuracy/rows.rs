@@ -43,6 +43,9 @@ pub const MOTION: &str = "motion";
 /// The name of the part about the Moon.
 pub const MOON: &str = "moon";
 
+/// The name of the part about the Earth's limb.
+pub const HORIZON: &str = "horizon";
+
 /// A row of the table.
 #[derive(Debug, Clone)]
 pub struct Row {
@@ -164,11 +167,14 @@ pub fn rows() -> Vec<Row> {
     [bounded(), borrowing(), reported(), effects(), covered()].concat()
 }
 
-/// The name of every part of the program: the rows, the marks, the runs, the Moon.
+/// The name of every part of the program: the rows, the marks, the runs, the Moon, the horizon.
 pub fn names() -> Vec<&'static str> {
     let rows = rows().into_iter().map(|row| row.name);
     let runs = runs().into_iter().map(|run| run.name);
-    rows.chain([MARKS]).chain(runs).chain([MOON]).collect()
+    rows.chain([MARKS])
+        .chain(runs)
+        .chain([MOON, HORIZON])
+        .collect()
 }
 
 /// Rows whose errors are bounded.

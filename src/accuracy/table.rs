@@ -2,11 +2,12 @@
 
 use super::chance::relative_sigma_of_rms;
 use super::demand::HONEST;
+use super::horizon::HorizonReport;
 use super::moon::{Knowledge, MoonReport};
 use super::outcome::Summary;
 use super::program::Case;
 use super::report::{MarksReport, Report, RowReport, RunReport};
-use super::rows::{MOON, Size};
+use super::rows::{HORIZON, MOON, Size};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
@@ -126,6 +127,39 @@ fn moon_cells(report: &MoonReport) -> [String; MOON_COLUMNS] {
     ]
 }
 
+const HORIZON_COLUMNS: usize = 10;
+const HORIZON_HEAD: [&str; HORIZON_COLUMNS] = [
+    "pictures",
+    "edge known to, m",
+    "frames",
+    "fine of those lit",
+    "coarse",
+    "roll, deg",
+    "pitch, deg",
+    "mean of pitch",
+    "error/sigma",
+    "demanded",
+];
+
+/// The cells of a row about the horizon.
+fn horizon_cells(report: &HorizonReport) -> [String; HORIZON_COLUMNS] {
+    let (row, found) = (&report.row, &report.found);
+    let demands = row.demands.iter().map(ToString::to_string);
+    let degrees = |value: Option<f64>| value.map_or("-".into(), |deg| format!("{deg:.4}"));
+    [
+        row.title.clone(),
+        row.edge_sigma_m.to_string(),
+        found.frames.to_string(),
+        percent(found.fine_share()),
+        found.coarse.to_string(),
+        degrees(found.roll_deg),
+        degrees(found.pitch_deg),
+        degrees(found.pitch_mean_deg),
+        number(found.over_sigma),
+        demands.collect::<Vec<_>>().join(", "),
+    ]
+}
+
 /// A table for a terminal; nothing where it has no rows.
 fn text_table<const N: usize>(head: [&str; N], rows: &[[String; N]]) -> String {
     let mut out = String::new();
@@ -171,6 +205,10 @@ pub fn text(report: &Report) -> String {
     if !moons.is_empty() {
         out = format!("{out}\n{}", text_table(MOON_HEAD, &moons));
     }
+    let horizons: Vec<_> = report.horizons.iter().map(horizon_cells).collect();
+    if !horizons.is_empty() {
+        out = format!("{out}\n{}", text_table(HORIZON_HEAD, &horizons));
+    }
     out + &demands_text(&report.unmet())
 }
 
@@ -184,6 +222,7 @@ const END: &str = "<!-- to here -->\n";
 pub enum Page {
     Accuracy,
     Moon,
+    Horizon,
 }
 
 impl Page {
@@ -192,7 +231,11 @@ impl Page {
         let is_of_sun =
             !report.rows.is_empty() || report.marks.is_some() || !report.runs.is_empty();
         let is_of_moon = !report.moons.is_empty();
-        let pages = [(Self::Accuracy, is_of_sun), (Self::Moon, is_of_moon)];
+        let pages = [
+            (Self::Accuracy, is_of_sun),
+            (Self::Moon, is_of_moon),
+            (Self::Horizon, !report.horizons.is_empty()),
+        ];
         (pages.into_iter()).filter_map(|(page, is_told)| is_told.then_some(page))
     }
 
@@ -201,6 +244,7 @@ impl Page {
         match self {
             Self::Accuracy => "accuracy.md",
             Self::Moon => "moon.md",
+            Self::Horizon => "horizon.md",
         }
     }
 
@@ -208,6 +252,7 @@ impl Page {
         match self {
             Self::Accuracy => "Accuracy",
             Self::Moon => "The Moon",
+            Self::Horizon => "The horizon",
         }
     }
 
@@ -239,7 +284,9 @@ impl Page {
         let unmet = report.unmet().into_iter();
         match self {
             Self::Accuracy => {
-                let unmet: Vec<_> = unmet.filter(|(part, _)| *part != MOON).collect();
+                let unmet: Vec<_> = unmet
+                    .filter(|(part, _)| ![MOON, HORIZON].contains(part))
+                    .collect();
                 let rows: Vec<_> = report.rows.iter().map(cells).collect();
                 let table = markdown_table(HEAD, &rows);
                 table + &demanded(report) + &beside(report) + &demands_text(&unmet)
@@ -248,6 +295,11 @@ impl Page {
                 let unmet: Vec<_> = unmet.filter(|(part, _)| *part == MOON).collect();
                 let rows: Vec<_> = report.moons.iter().map(moon_cells).collect();
                 markdown_table(MOON_HEAD, &rows) + &demands_text(&unmet)
+            }
+            Self::Horizon => {
+                let unmet: Vec<_> = unmet.filter(|(part, _)| *part == HORIZON).collect();
+                let rows: Vec<_> = report.horizons.iter().map(horizon_cells).collect();
+                markdown_table(HORIZON_HEAD, &rows) + &demands_text(&unmet)
             }
         }
     }
@@ -424,6 +476,7 @@ pub fn case_text(case: &Case) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::accuracy::horizon_rows::horizon_rows;
     use crate::accuracy::moon_rows::moon_rows;
     use crate::accuracy::outcome::{About, AgainstBound};
     use crate::accuracy::rows::{rows, runs};
@@ -436,6 +489,7 @@ mod tests {
             marks: None,
             runs: Vec::new(),
             moons: Vec::new(),
+            horizons: Vec::new(),
             sweeps: None,
         };
         assert!(nothing.unmet().is_empty());
@@ -504,6 +558,21 @@ mod tests {
         );
         for row in moon_rows() {
             let begin = format!("| {} | {} |", row.title, row.known.name());
+            assert!(page.contains(&begin), "{begin}: {told}");
+        }
+    }
+
+    #[test]
+    fn the_page_of_the_horizon_is_about_the_programs_rows() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/horizon.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        let told = "run `solaspect accuracy --full --only horizon --out docs`";
+        assert!(
+            page.contains(&format!("| {} |", HORIZON_HEAD.join(" | "))),
+            "{told}"
+        );
+        for row in horizon_rows() {
+            let begin = format!("| {} | {} |", row.title, row.edge_sigma_m);
             assert!(page.contains(&begin), "{begin}: {told}");
         }
     }

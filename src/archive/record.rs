@@ -215,7 +215,7 @@ impl Record {
         Self {
             utc: utc.map(Utc::from),
             quality: solution.quality().name(),
-            reason: solution.nadir.as_ref().err().map(Reason::of),
+            reason: solution.reason().map(Reason::of),
             roll_deg: roll_deg.map(RollRecord::from),
             ..Self::new("", None, &Solution::none(), None, Some(solve_time))
         }

@@ -1,49 +1,54 @@
 //! Which points lie on one sphere's edge: RANSAC (Fischler and Bolles 1981; Braun and Barf 2022, section 3.6) with the cone's half-angle
 //! known, so that two points and their bright sides tell the nadir.
 
-use super::edge::{EdgePoint, EdgeRay};
-use crate::geometry::camera::Camera;
+use super::edge::EdgeRay;
 use nalgebra::UnitVector3;
 
-/// Arcs from which guesses are made, the longest first.
-const MOST_ARCS: usize = 6;
-/// Pairs of each arc: at so many places, the ends of a pair apart by these parts of the arc.
-const PAIRS: usize = 12;
-const APART: [f64; 4] = [1.0, 0.5, 0.25, 0.12];
+/// Pairs from which guesses are made.
+const PAIRS: usize = 1000;
+/// Steps of the pairs through the points, by the plastic number: evenly spread, whatever their number (Roberts 2018, the sequence R2).
+const STEPS: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
 /// Guesses are judged by no more points than this.
 const MOST_JUDGES: usize = 200;
 /// Cosine of the angle by which the bright side may lie off the direction to the nadir.
 const LEAST_SAME_SIDE: f64 = 0.8;
 
-/// The nadir with which most of some points of all arcs agree, and how many these are. Arcs anywhere in the picture are of one cone.
+/// A nadir, and how many of some points agree with it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Guess {
+    pub nadir: UnitVector3<f64>,
+    pub agreeing: usize,
+}
+
+/// The nadir with which most of some points agree; then the one with which most of the others do, and so on, `most` at most.
 pub(super) fn consensus(
-    arcs: &[Vec<EdgePoint>],
-    camera: &Camera,
+    edge: &[EdgeRay],
     half_angle_rad: f64,
     tolerance_rad: f64,
-) -> Option<(UnitVector3<f64>, usize)> {
-    let mut rays: Vec<Vec<EdgeRay>> = arcs
-        .iter()
-        .map(|arc| arc.iter().filter_map(|p| EdgeRay::of(p, camera)).collect())
-        .collect();
-    rays.sort_by_key(|arc| std::cmp::Reverse(arc.len()));
-    let total: usize = rays.iter().map(Vec::len).sum();
-    let judges: Vec<EdgeRay> = rays
-        .iter()
-        .flatten()
-        .step_by(total.div_ceil(MOST_JUDGES).max(1))
-        .copied()
-        .collect();
+    most: usize,
+) -> Vec<Guess> {
     let cone = Cone::new(half_angle_rad, tolerance_rad);
-    let guesses = rays
-        .iter()
-        .take(MOST_ARCS)
-        .flat_map(|arc| guesses(arc, &cone));
-    let agreeing =
-        |nadir: &UnitVector3<f64>| judges.iter().filter(|ray| cone.has(nadir, ray)).count();
-    guesses
-        .map(|nadir| (nadir, agreeing(&nadir)))
-        .max_by_key(|(_, count)| *count)
+    let every = edge.len().div_ceil(MOST_JUDGES).max(1);
+    let mut judges: Vec<EdgeRay> = edge.iter().step_by(every).copied().collect();
+    let guesses = guesses(edge, &cone);
+    let mut found = Vec::new();
+    while found.len() < most {
+        let agreeing =
+            |nadir: &UnitVector3<f64>| judges.iter().filter(|ray| cone.has(nadir, ray)).count();
+        let counted = guesses.iter().map(|nadir| Guess {
+            nadir: *nadir,
+            agreeing: agreeing(nadir),
+        });
+        let Some(best) = counted
+            .max_by_key(|guess| guess.agreeing)
+            .filter(|guess| guess.agreeing > 0)
+        else {
+            break;
+        };
+        judges.retain(|ray| !cone.has(&best.nadir, ray));
+        found.push(best);
+    }
+    found
 }
 
 /// A cone about an unknown nadir.
@@ -83,20 +88,16 @@ impl Cone {
     }
 }
 
-/// The nadirs by pairs of points of an arc.
-fn guesses(arc: &[EdgeRay], cone: &Cone) -> Vec<UnitVector3<f64>> {
-    let mut guesses = Vec::new();
-    for apart in APART {
-        let step = ((arc.len() as f64 - 1.0) * apart) as usize;
-        if step == 0 {
-            continue;
-        }
-        let places = arc.len() - step;
-        let starts = (0..places).step_by(places.div_ceil(PAIRS));
-        for (one, other) in starts.map(|n| (&arc[n], &arc[n + step])) {
+/// The nadirs by pairs of points.
+fn guesses(edge: &[EdgeRay], cone: &Cone) -> Vec<UnitVector3<f64>> {
+    let pair = |n: usize| {
+        STEPS.map(|step| &edge[((n as f64 * step).fract() * edge.len() as f64) as usize])
+    };
+    let pairs = (0..if edge.is_empty() { 0 } else { PAIRS }).map(pair);
+    pairs
+        .flat_map(|[one, other]| {
             let both = cone.through(one, other).into_iter().flatten();
-            guesses.extend(both.filter(|nadir| cone.has(nadir, one) && cone.has(nadir, other)));
-        }
-    }
-    guesses
+            both.filter(|nadir| cone.has(nadir, one) && cone.has(nadir, other))
+        })
+        .collect()
 }

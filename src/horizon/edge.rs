@@ -12,6 +12,8 @@ pub struct EdgePoint {
     pub inward: Vector2<f64>,
     /// 1 sigma across the edge, by the camera's noise alone, px.
     pub sigma_px: f64,
+    /// By how much twilight may have moved it, all that are as dark alike: 1 sigma, px.
+    pub twilight_px: f64,
 }
 
 /// The edge in one picture. Rays that follow each other are neighbours.
@@ -46,6 +48,8 @@ pub struct EdgeRay {
     pub inward: Vector3<f64>,
     /// 1 sigma of the ray across the edge, by the camera's noise alone.
     pub sigma_rad: f64,
+    /// By how much twilight may have moved it, all that are as dark alike: 1 sigma.
+    pub twilight_rad: f64,
 }
 
 impl EdgeRay {
@@ -58,6 +62,7 @@ impl EdgeRay {
             unit,
             inward: across.try_normalize(0.0)?,
             sigma_rad: across.norm() * point.sigma_px,
+            twilight_rad: across.norm() * point.twilight_px,
         })
     }
 

@@ -15,39 +15,53 @@
 //!
 //! [`joint`] does the last step for cameras of one vehicle together. [`circle`] is a plainer way from the borders, for comparison.
 
+mod air;
 mod border;
 pub mod circle;
 mod consensus;
 mod departure;
 mod edge;
+mod inside;
 mod light;
+mod limb;
 mod nadir;
 mod overlay;
+mod places;
 mod profile;
+mod scan;
+mod shape;
 mod sphere;
+mod template;
 
 pub use departure::Departure;
 pub use edge::{EdgePoint, EdgeRay, EdgeRays};
 pub use light::Levels;
 pub use nadir::{Conic, EdgeHeight, Nadir, NadirError, nadir, pitch_deg, roll_deg};
-pub use overlay::overlay;
+pub use overlay::{overlay, overlay_of_circle};
 pub use sphere::{Ellipsoid, Refraction, Sphere, Viewpoint};
 
 use crate::estimation::FitError;
 use crate::frame::{Frame, Sample, View};
 use crate::instrument::DirectionCamera;
 use crate::reasons::{at, horizon as reasons};
+use crate::units::Rejected;
 use crate::with_view;
-use border::Binary;
-use consensus::consensus;
+use consensus::{Guess, consensus};
 use light::Raster;
 use nadir::LEAST_WEIGHT;
 use nalgebra::{Rotation3, UnitVector3};
+use places::Light;
 use profile::Profiles;
+use scan::Scan;
+use std::ops::Range;
 use std::slice::from_ref;
 
-/// Points of a border scatter by less.
-const BORDER_TOLERANCE_PX: f64 = 3.0;
+/// Points of an edge along lines of the picture scatter by less.
+const EDGE_TOLERANCE_PX: f64 = 3.0;
+/// So many points of one edge are a guess, and so many guesses are tried, if they have that share of the best one's points.
+const LEAST_POINTS: usize = 8;
+const MOST_GUESSES: usize = 3;
+const RIVAL_SHARE: f64 = 0.3;
 /// An edge whose height is to be found may stand so far off, m.
 const FITTED_TOLERANCE_M: f64 = 15_000.0;
 /// Profiles are read anew while the nadir moves by more, so often at most.
@@ -56,11 +70,21 @@ const MOST_ROUNDS: usize = 4;
 /// An edge is brighter than the sky by this share of the frame's contrast, and by so many sigmas of a pixel's noise.
 const LEAST_CONTRAST: f64 = 0.1;
 const LEAST_CONTRAST_SIGMAS: f64 = 4.0;
-/// A sphere shows its edge at so many places and this share of those in view.
+/// A sphere shows its edge at so many places and this share of those that show light.
 const LEAST_PLACES: usize = 12;
 const LEAST_SHARE: f64 = 0.4;
-/// A find is fine with so much of the edge seen, coarse below.
+/// A nadir is fine with so much of what is lit, and of all that is in view.
 const FINE_SHARE: f64 = 0.6;
+const FINE_PLACES: f64 = 0.25;
+/// No nadir is fine that is known less well, deg.
+const MOST_SIGMA_DEG: f64 = 0.6;
+/// A limb departs less from its sphere, m, 1 sigma.
+const MOST_DEPARTURE_M: f64 = 4_000.0;
+/// Heights that the edge of air can have, m.
+const EDGE_HEIGHTS_M: Range<f64> = 0.0..60_000.0;
+/// Nadirs that are farther apart than this are two, deg; the second is a rival with such a share of the first one's points.
+const APART_DEG: f64 = 2.0;
+const RIVAL_POINTS: f64 = 0.5;
 /// What more than this share of the places shows is told.
 const TOLD_SHARE: f64 = 0.1;
 
@@ -106,9 +130,9 @@ impl crate::reasons::Stage for Stage {
 /// How good a nadir is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Quality {
-    /// Most of the edge in view is seen.
+    /// Nothing speaks against it.
     Fine,
-    /// A smaller part.
+    /// Something does: see [`Solution::doubt`].
     Coarse,
     None,
 }
@@ -153,11 +177,15 @@ pub struct Solution {
     pub levels: Option<Levels>,
     /// Places of the edge that are in view.
     pub places: usize,
+    /// Those of them that show light of any kind.
+    pub lit: usize,
     /// The edge where it is seen.
     pub edge: EdgeRays,
     /// Share of the places with clouds in the limb.
     pub clouded: f64,
     pub nadir: Result<Nadir, Stopped>,
+    /// Why a nadir is not fine; none of one that is.
+    pub doubt: Option<Stopped>,
 }
 
 impl Solution {
@@ -166,9 +194,11 @@ impl Solution {
         Self {
             levels: None,
             places: 0,
+            lit: 0,
             edge: EdgeRays::default(),
             clouded: 0.0,
             nadir: Err(stopped),
+            doubt: None,
         }
     }
 
@@ -178,10 +208,38 @@ impl Solution {
     }
 
     pub fn quality(&self) -> Quality {
-        match &self.nadir {
-            Ok(_) if self.agreeing() as f64 >= FINE_SHARE * self.places as f64 => Quality::Fine,
-            Ok(_) => Quality::Coarse,
-            Err(_) => Quality::None,
+        match (&self.nadir, &self.doubt) {
+            (Ok(_), None) => Quality::Fine,
+            (Ok(_), Some(_)) => Quality::Coarse,
+            (Err(_), _) => Quality::None,
+        }
+    }
+
+    /// Why there is no nadir, or no fine one.
+    pub fn reason(&self) -> Option<&Stopped> {
+        self.nadir.as_ref().err().or(self.doubt.as_ref())
+    }
+
+    /// The better one of two, in doubt where the other is nearly as good.
+    fn or_rival(self, other: Self) -> Self {
+        let worth = |solution: &Self| (std::cmp::Reverse(solution.quality()), solution.agreeing());
+        let (best, rival) = match worth(&other) > worth(&self) {
+            true => (other, self),
+            false => (self, other),
+        };
+        let (Ok(one), Ok(two)) = (&best.nadir, &rival.nadir) else {
+            return best;
+        };
+        let apart_deg = one.direction.unit.angle(&two.direction.unit).to_degrees();
+        let (share, limit) = (
+            rival.agreeing() as f64 / best.agreeing() as f64,
+            RIVAL_POINTS,
+        );
+        let is_rival = apart_deg > APART_DEG && share > limit && rival.doubt.is_none();
+        let doubt = is_rival.then(|| Stopped::new(Stage::Fit, reasons::RIVAL, share, limit));
+        Self {
+            doubt: best.doubt.or(doubt),
+            ..best
         }
     }
 
@@ -217,7 +275,7 @@ pub fn solve(
     with_view!(frame, view => {
         let near = last.map(|nadir| search.find(frame, &view, Some(*nadir)));
         match near {
-            Some(found) if found.nadir.is_ok() => found,
+            Some(found) if found.quality() == Quality::Fine => found,
             _ => search.find(frame, &view, None),
         }
     })
@@ -246,7 +304,7 @@ pub fn joint(
     let mut weights = &nadir.weights[..];
     for (solution, _) in seen() {
         let (own, others) = weights.split_at(solution.edge.rays.len());
-        enough(nadir::agreeing(own), solution.places)?;
+        enough(nadir::agreeing(own), solution)?;
         weights = others;
     }
     Ok(nadir)
@@ -266,53 +324,81 @@ impl Search<'_> {
         view: &View<'_, T>,
         near: Option<UnitVector3<f64>>,
     ) -> Solution {
-        let mut solution = Solution::none(Stopped::new(Stage::Light, reasons::NO_LIGHT, 0.0, 0.0));
-        solution.nadir = self.stages(frame, view, near, &mut solution);
-        solution
+        let levels = match Levels::of(frame, self.radius_px()) {
+            Ok(levels) => levels,
+            Err(rejected) => return Solution::none(at(Stage::Light)(rejected)),
+        };
+        let guesses = match near {
+            Some(nadir) => vec![Guess { nadir, agreeing: 0 }],
+            None => self.detect(view, &levels),
+        };
+        let most = guesses.first().map_or(0, |guess| guess.agreeing);
+        let none = Solution {
+            levels: Some(levels),
+            ..Solution::none(no_horizon(most))
+        };
+        let raster = Raster::of(view, self.camera);
+        let mut best: Option<Solution> = None;
+        for guess in guesses
+            .iter()
+            .filter(|guess| near.is_some() || guess.agreeing >= LEAST_POINTS)
+        {
+            if best.as_ref().is_some_and(|best| best.nadir.is_ok())
+                && (guess.agreeing as f64) < RIVAL_SHARE * most as f64
+            {
+                break;
+            }
+            let mut found = none.clone();
+            found.nadir = self.stages(view, &levels, &raster, guess.nadir, &mut found);
+            best = Some(match best {
+                Some(best) => best.or_rival(found),
+                None => found,
+            });
+        }
+        best.unwrap_or(none)
     }
 
     fn stages<T: Sample>(
         &self,
-        frame: &Frame,
         view: &View<'_, T>,
-        near: Option<UnitVector3<f64>>,
+        levels: &Levels,
+        raster: &Raster,
+        start: UnitVector3<f64>,
         solution: &mut Solution,
     ) -> Result<Nadir, Stopped> {
-        let levels = Levels::of(frame, self.radius_px()).map_err(at(Stage::Light))?;
-        solution.levels = Some(levels);
-        let start = match near {
-            Some(near) => near,
-            None => self.detect(view, &levels)?,
-        };
-        let raster = Raster::of(view, self.camera);
-        let (sphere, plain) = self.edge(view, &levels, &raster, start, solution)?;
+        let (sphere, plain) = self.edge(view, levels, raster, start, solution)?;
         let nadir = fitted(self.settings, &sphere, from_ref(&solution.edge), &plain)?;
-        enough(nadir.agreeing(), solution.places)?;
+        enough(nadir.agreeing(), solution)?;
         raster
-            .is_filled(self.sphere, &nadir.direction.unit, &levels)
+            .is_filled(self.sphere, &nadir.direction.unit, levels)
             .map_err(at(Stage::Fit))?;
+        solution.doubt = self.doubt(solution, &nadir);
         Ok(nadir)
     }
 
-    /// The nadir that most points of bright borders agree with.
-    fn detect<T: Sample>(
-        &self,
-        view: &View<'_, T>,
-        levels: &Levels,
-    ) -> Result<UnitVector3<f64>, Stopped> {
-        // Braun and Barf 2022, section 5: no ellipse of the cone lies between rows this far apart.
-        let spacing_px = (2.0 * self.radius_px()).clamp(2.0, view.height as f64) as usize;
-        let threshold_dn = self.settings.threshold_dn.unwrap_or(levels.border_dn());
-        let arcs = Binary::new(view, threshold_dn, &self.camera.mask).arcs(spacing_px);
-        let tolerance =
-            self.tolerance_rad() + BORDER_TOLERANCE_PX / self.camera.lens.mean_focal_px();
+    /// The nadirs that most sharp edges agree with, the best one first.
+    fn detect<T: Sample>(&self, view: &View<'_, T>, levels: &Levels) -> Vec<Guess> {
+        let lens = &self.camera.lens;
+        let scan = Scan::new(
+            view,
+            self.scale_px(),
+            self.radius_px(),
+            self.least_dn(levels),
+        );
+        let points = scan.edges(view, &self.camera.mask);
+        let rays: Vec<EdgeRay> = points
+            .iter()
+            .filter_map(|point| EdgeRay::of(point, lens))
+            .collect();
+        let tolerance_rad = self.tolerance_rad() + EDGE_TOLERANCE_PX / lens.mean_focal_px();
         let half_angle_rad = self.sphere.half_angle_rad.value;
-        let (nadir, agreeing) = consensus(&arcs, &self.camera.lens, half_angle_rad, tolerance)
-            .ok_or_else(|| no_horizon(0))?;
-        match agreeing >= LEAST_PLACES {
-            true => Ok(nadir),
-            false => Err(no_horizon(agreeing)),
-        }
+        consensus(&rays, half_angle_rad, tolerance_rad, MOST_GUESSES)
+    }
+
+    /// By how much the limb is brighter than the sky at the least, DN.
+    fn least_dn(&self, levels: &Levels) -> f64 {
+        let contrast_dn = LEAST_CONTRAST * (levels.bright_dn - levels.dark_dn);
+        contrast_dn.max(LEAST_CONTRAST_SIGMAS * levels.noise_dn)
     }
 
     /// The smallest radius of the sphere in the picture, wherever it is.
@@ -339,8 +425,7 @@ impl Search<'_> {
         start: UnitVector3<f64>,
         solution: &mut Solution,
     ) -> Result<(Sphere, Nadir), Stopped> {
-        let contrast_dn = LEAST_CONTRAST * (levels.bright_dn - levels.dark_dn);
-        let least_dn = contrast_dn.max(LEAST_CONTRAST_SIGMAS * levels.noise_dn);
+        let least_dn = self.least_dn(levels);
         let lens = &self.camera.lens;
         let profiles = |sphere: &Sphere, nadir: &UnitVector3<f64>| {
             Profiles::of(view, &self.camera.mask, lens, sphere, nadir)
@@ -355,17 +440,23 @@ impl Search<'_> {
         let crossings = rays(&profiles(self.sphere, &start).crossings(least_dn), 0.0);
         let mut nadir = self.fit_as_sphere(self.sphere, &crossings)?;
         let mut sphere = *self.sphere;
+        let mut points = Vec::new();
         for _ in 0..MOST_ROUNDS {
             let last = nadir;
             sphere.half_angle_rad.value = last.half_angle_rad.value;
             let profiles = profiles(&sphere, &last.direction.unit);
-            solution.places = profiles.len();
-            let far_sky_dn = raster.far_sky_dn(&sphere, &last.direction.unit);
-            let edge = profiles.edge(least_dn, levels.noise_dn, far_sky_dn);
-            let edge = edge.ok_or_else(|| Stopped::new(Stage::Edge, reasons::NO_LIMB, 0.0, 0.0))?;
-            solution.edge = rays(&edge.points, edge.sigma_rad);
+            let light = Light {
+                least_dn,
+                noise_dn: levels.noise_dn,
+                far_sky_dn: raster.far_sky_dn(&sphere, &last.direction.unit),
+            };
+            solution.places = profiles.places.len();
+            let edge = limb::edge(&profiles, &sphere, &light).map_err(at(Stage::Edge))?;
+            points = edge.points;
+            solution.edge = rays(&points, edge.sigma_rad);
             solution.clouded = edge.clouded;
-            enough(solution.edge.rays.len(), solution.places)?;
+            solution.lit = edge.lit;
+            enough(solution.edge.rays.len(), solution)?;
             nadir = self.fit_as_sphere(&sphere, &solution.edge)?;
             let turned_rad = nadir.direction.unit.angle(&last.direction.unit);
             let raised_rad = nadir.half_angle_rad.value - last.half_angle_rad.value;
@@ -373,7 +464,36 @@ impl Search<'_> {
                 break;
             }
         }
+        if self.sphere.viewpoint.is_some() {
+            inside::goes_on(view, &self.camera.mask, &points, self.scale_px())
+                .map_err(at(Stage::Edge))?;
+        }
         Ok((sphere, nadir))
+    }
+
+    /// Over so many pixels the limb's light falls to 1/e.
+    fn scale_px(&self) -> f64 {
+        self.sphere.scale_rad() * self.camera.lens.mean_focal_px()
+    }
+
+    /// Why a nadir is not fine.
+    fn doubt(&self, solution: &Solution, nadir: &Nadir) -> Option<Stopped> {
+        let agreeing = nadir.agreeing() as f64;
+        let least = (FINE_SHARE * solution.lit as f64).max(FINE_PLACES * solution.places as f64);
+        let most_rad = MOST_DEPARTURE_M * self.sphere.rad_per_m;
+        let checks = || {
+            Rejected::at_least(least, agreeing, reasons::LITTLE_EDGE)?;
+            Rejected::at_most(MOST_SIGMA_DEG, nadir.sigma_deg(), reasons::UNCERTAIN)?;
+            if self.sphere.viewpoint.is_some() {
+                Rejected::at_most(most_rad, nadir.departure.sigma_rad, reasons::NO_CONE)?;
+            }
+            if let Some(edge) = nadir.edge_m(self.sphere) {
+                Rejected::at_least(EDGE_HEIGHTS_M.start, edge.value, reasons::EDGE_HEIGHT)?;
+                Rejected::at_most(EDGE_HEIGHTS_M.end, edge.value, reasons::EDGE_HEIGHT)?;
+            }
+            Ok(())
+        };
+        checks().map_err(at(Stage::Fit)).err()
     }
 
     /// The nadir of an edge that does not depart from its sphere.
@@ -412,22 +532,15 @@ fn departure(edges: &[EdgeRays], sphere: &Sphere, nadir: &Nadir) -> Departure {
     Departure::of_residuals(&left)
 }
 
-fn enough(seen: usize, places: usize) -> Result<(), Stopped> {
-    let least = LEAST_PLACES.max((LEAST_SHARE * places as f64) as usize);
-    match seen >= least {
-        true => Ok(()),
-        false => Err(Stopped::new(
-            Stage::Edge,
-            reasons::LITTLE_EDGE,
-            seen as f64,
-            least as f64,
-        )),
-    }
+/// Whether so many places show the edge, of those that show light.
+fn enough(seen: usize, solution: &Solution) -> Result<(), Stopped> {
+    let least = (LEAST_SHARE * solution.lit as f64).max(LEAST_PLACES as f64);
+    Rejected::at_least(least, seen as f64, reasons::LITTLE_EDGE).map_err(at(Stage::Edge))
 }
 
-/// Too few points of borders agree.
+/// Too few sharp edges agree.
 fn no_horizon(points: usize) -> Stopped {
-    let limit = LEAST_PLACES as f64;
+    let limit = LEAST_POINTS as f64;
     Stopped::new(Stage::Detection, reasons::NO_HORIZON, points as f64, limit)
 }
 

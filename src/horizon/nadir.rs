@@ -67,6 +67,8 @@ pub struct Nadir {
     pub height: EdgeHeight,
     pub half_angle_rad: Measured,
     pub conic: Conic,
+    /// How the edge was taken to depart from the sphere.
+    pub departure: Departure,
     /// Rms of the residuals over their sigmas.
     pub scatter: f64,
     /// The loss's weight of each ray, 0 to 1.
@@ -107,13 +109,17 @@ pub fn nadir(
     let moved = |by: &Vector3<f64>| {
         UnitVector3::new_normalize(start.into_inner() + tangents * by.fixed_rows::<2>(0))
     };
+    let sigma_rad = |ray: &EdgeRay| {
+        let own = ray.sigma_rad.hypot(ray.twilight_rad);
+        own.hypot(departure.sigma_rad)
+    };
     let linearise = |by: &Vector3<f64>| {
         let nadir = moved(by);
         let row = |ray: &EdgeRay| {
             let (angle, slope) = ray.angle_from(&nadir);
             let expected = sphere.half_angle_towards(&ray.unit, &nadir) + by.z * free_rad;
             let across = tangents.transpose() * slope;
-            let sigma = ray.sigma_rad.hypot(departure.sigma_rad);
+            let sigma = sigma_rad(ray);
             Linearised {
                 residual: Vector1::new((expected - angle) / sigma),
                 jacobian: RowVector3::new(across.x, across.y, -free_rad) / sigma,
@@ -137,7 +143,7 @@ pub fn nadir(
     let weighted = rows.iter().zip(&fitted.weights).zip(edge());
     let gradients: Vec<(Vector3<f64>, &EdgeRay)> = weighted
         .map(|((row, weight), ray)| {
-            let sigma = ray.sigma_rad.hypot(departure.sigma_rad);
+            let sigma = sigma_rad(ray);
             (row.jacobian.transpose() * (*weight / sigma), ray)
         })
         .collect();
@@ -151,7 +157,13 @@ pub fn nadir(
     let mut scatter: Matrix3<f64> = gradients.iter().map(noise).sum();
     // The prior's own, of the half-angle in units of what is free.
     scatter += Matrix3::from_diagonal(&Vector3::z());
-    scatter += departure.scatter(&gradients) + Departure::shared(held_rad).scatter(&gradients);
+    scatter += departure.scatter(&gradients) + sphere.departure.scatter(&gradients);
+    scatter += Departure::shared(held_rad).scatter(&gradients);
+    let twilight: Vector3<f64> = gradients
+        .iter()
+        .map(|(gradient, ray)| gradient * ray.twilight_rad)
+        .sum();
+    scatter += twilight * twilight.transpose();
     let mut left = &gradients[..];
     for picture in pictures {
         let (own, others) = left.split_at(picture.rays.len());
@@ -177,6 +189,7 @@ pub fn nadir(
             covariance_rad2: tangents * across_rad2 * tangents.transpose(),
         },
         half_angle_rad,
+        departure,
         scatter: fitted.scatter,
         weights: fitted.weights,
     })
@@ -331,6 +344,7 @@ mod tests {
                 at: (at.vector() + inward * noise).into(),
                 inward,
                 sigma_px: NOISE_PX,
+                twilight_px: 0.0,
             });
         }
         points
@@ -502,6 +516,7 @@ mod tests {
             at: SensorPx::new(100.0, 500.0),
             inward: Vector2::y(),
             sigma_px: NOISE_PX,
+            twilight_px: 0.0,
         };
         let one_place = of(&rays(&[point; 5]));
         assert!(one_place.is_err() || one_place.unwrap().sigma_deg() > 1.0);
@@ -516,6 +531,7 @@ mod tests {
             height: EdgeHeight::Given,
             half_angle_rad: Measured::new(1.4, 0.0),
             conic: Conic::Hyperbola,
+            departure: Departure::NONE,
             scatter: 1.0,
             weights: Vec::new(),
         };

@@ -1,17 +1,19 @@
 //! A picture of a frame on which a person sees what was taken for the horizon.
 
+use super::circle::Circle;
 use super::nadir::LEAST_WEIGHT;
 use super::sphere::Cone;
-use super::{Nadir, Solution, Sphere};
+use super::{Solution, Sphere, Stopped, pitch_deg, roll_deg};
 use crate::frame::Frame;
 use crate::instrument::DirectionCamera;
 use crate::report::{Canvas, Colour};
-use crate::units::SensorPx;
+use crate::units::{Measured, SensorPx};
 use image::RgbImage;
+use nalgebra::UnitVector3;
 use std::f64::consts::TAU;
 
 /// Below them two lines of legend.
-const CAPTION_LINES: u32 = 3;
+const CAPTION_LINES: u32 = 4;
 const STRIP_LINES: u32 = CAPTION_LINES + 2;
 const LEGEND: [(&str, Colour); 5] = [
     ("edge as seen", Colour::YELLOW),
@@ -31,21 +33,16 @@ pub fn overlay(
     sphere: &Sphere,
     title: &str,
 ) -> RgbImage {
-    let stretch = solution
+    let levels = solution
         .levels
-        .map_or((0.0, f64::from(frame.saturation_dn())), |levels| {
-            (levels.dark_dn, levels.bright_dn)
-        });
-    let mut canvas = Canvas::of_frame(frame, frame.region(), 1, stretch, STRIP_LINES);
-    for region in &camera.mask {
-        let [x0, x1, y0, y1] = [region.x0, region.x1, region.y0, region.y1].map(|v| v as f64);
-        let corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)];
-        for pair in corners.map(|(x, y)| SensorPx::new(x, y)).windows(2) {
-            canvas.line(pair[0], pair[1], Colour::BLUE);
-        }
-    }
+        .map(|levels| (levels.dark_dn, levels.bright_dn));
+    let mut canvas = canvas(frame, camera, levels);
     if let Ok(nadir) = &solution.nadir {
-        draw_sphere(&mut canvas, frame, nadir, camera, sphere);
+        let sphere = Sphere {
+            half_angle_rad: nadir.half_angle_rad,
+            ..*sphere
+        };
+        draw_sphere(&mut canvas, frame, &nadir.direction.unit, camera, &sphere);
     }
     let weights = solution.nadir.iter().flat_map(|nadir| &nadir.weights);
     let weights = weights.copied().chain(std::iter::repeat(0.0));
@@ -57,7 +54,46 @@ pub fn overlay(
         };
         canvas.dot(point.at, colour);
     }
-    for (line, text) in captions(solution, title).iter().enumerate() {
+    captioned(canvas, &captions(solution, title))
+}
+
+/// The same of a circle: the edge of the sphere that it tells, and the direction down.
+pub fn overlay_of_circle(
+    frame: &Frame,
+    circle: Result<&Circle, &Stopped>,
+    camera: &DirectionCamera,
+    title: &str,
+) -> RgbImage {
+    let mut canvas = canvas(frame, camera, None);
+    let told = match circle {
+        Ok(circle) => {
+            let sphere = Sphere::disc(Measured::new(circle.half_angle_rad, 0.0));
+            draw_sphere(&mut canvas, frame, &circle.nadir, camera, &sphere);
+            let (roll, pitch) = (roll_deg(&circle.nadir), pitch_deg(&circle.nadir));
+            format!("circle   roll {roll:.4}   pitch {pitch:.4} deg")
+        }
+        Err(stopped) => stopped.in_full(),
+    };
+    captioned(canvas, &[title.to_owned(), told])
+}
+
+/// The frame with the vehicle's own parts, stretched between two levels or to its limits.
+fn canvas(frame: &Frame, camera: &DirectionCamera, levels_dn: Option<(f64, f64)>) -> Canvas {
+    let limits_dn = (0.0, f64::from(frame.saturation_dn()));
+    let stretch = levels_dn.unwrap_or(limits_dn);
+    let mut canvas = Canvas::of_frame(frame, frame.region(), 1, stretch, STRIP_LINES);
+    for region in &camera.mask {
+        let [x0, x1, y0, y1] = [region.x0, region.x1, region.y0, region.y1].map(|v| v as f64);
+        let corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)];
+        for pair in corners.map(|(x, y)| SensorPx::new(x, y)).windows(2) {
+            canvas.line(pair[0], pair[1], Colour::BLUE);
+        }
+    }
+    canvas
+}
+
+fn captioned(mut canvas: Canvas, captions: &[String]) -> RgbImage {
+    for (line, text) in captions.iter().enumerate() {
         canvas.caption(line as u32, text, Colour::WHITE);
     }
     canvas.legend(CAPTION_LINES, &LEGEND);
@@ -67,16 +103,12 @@ pub fn overlay(
 fn draw_sphere(
     canvas: &mut Canvas,
     frame: &Frame,
-    nadir: &Nadir,
+    nadir: &UnitVector3<f64>,
     camera: &DirectionCamera,
     sphere: &Sphere,
 ) {
     const STEPS: u32 = 720;
-    let sphere = Sphere {
-        half_angle_rad: nadir.half_angle_rad,
-        ..*sphere
-    };
-    let cone = Cone::new(&sphere, &nadir.direction.unit);
+    let cone = Cone::new(sphere, nadir);
     let (width, height) = (frame.width() as f64, frame.height() as f64);
     let at = |n: u32| {
         let seen = camera
@@ -92,7 +124,7 @@ fn draw_sphere(
         }
     }
     let middle = SensorPx::new(width / 2.0, height / 2.0);
-    if let Some(down) = nadir.direction.unit.xy().try_normalize(0.0) {
+    if let Some(down) = nadir.xy().try_normalize(0.0) {
         let tip = middle.vector() + down * ARROW_PX;
         canvas.arrow(middle, tip.into(), Colour::MAGENTA);
         canvas.label(tip.into(), "down", Colour::MAGENTA);
@@ -102,23 +134,21 @@ fn draw_sphere(
 fn captions(solution: &Solution, title: &str) -> Vec<String> {
     let quality = solution.quality().name();
     let mut lines = vec![title.to_owned()];
-    match &solution.nadir {
-        Ok(nadir) => {
-            lines.push(format!(
-                "{quality}   roll {:.4}   pitch {:.4}   sigma {:.4} deg   {}",
-                nadir.roll_deg(),
-                nadir.pitch_deg(),
-                nadir.sigma_deg(),
-                nadir.conic.name(),
-            ));
-            lines.push(format!(
-                "{} of {} points of the edge agree, {} places in view",
-                solution.agreeing(),
-                solution.edge.rays.len(),
-                solution.places,
-            ));
-        }
-        Err(stopped) => lines.push(stopped.in_full()),
+    if let Ok(nadir) = &solution.nadir {
+        lines.push(format!(
+            "{quality}   roll {:.4}   pitch {:.4}   sigma {:.4} deg   {}",
+            nadir.roll_deg(),
+            nadir.pitch_deg(),
+            nadir.sigma_deg(),
+            nadir.conic.name(),
+        ));
+        lines.push(format!(
+            "{} of {} points of the edge agree, {} places in view",
+            solution.agreeing(),
+            solution.edge.rays.len(),
+            solution.places,
+        ));
     }
+    lines.extend(solution.reason().map(Stopped::in_full));
     lines
 }

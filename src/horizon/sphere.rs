@@ -1,5 +1,6 @@
 //! Where the edge of a sphere stands about the direction to its centre, and that of the Earth's ellipsoid about straight down.
 
+use super::departure::Departure;
 use crate::units::{EARTH_RADIUS_M, Measured, Place};
 use nalgebra::{Matrix3, Matrix3x2, UnitVector3, Vector2, Vector3};
 use sofars::coords::{eform, gd2gc};
@@ -10,6 +11,9 @@ const LIMB_INSIDE_M: f64 = 20_000.0;
 const LIMB_OUTSIDE_M: f64 = 60_000.0;
 /// By how much the border of what is bright may stand above or below the edge, m.
 const BORDER_HEIGHT_M: f64 = 4_000.0;
+/// An edge whose height is known to a sigma varies along the limb by this part of it: its correlation falls to 1/e over such an azimuth, rad.
+const VARIES: f64 = 0.2;
+const VARIES_RAD: f64 = 0.17;
 /// SOFA's number of the WGS 84 ellipsoid.
 const WGS84: i32 = 1;
 /// An edge's height is found by so many steps; each leaves a quarter of the last one's error at most.
@@ -19,10 +23,8 @@ const AZIMUTHS: u32 = 72;
 /// An axis so near straight down has no azimuth, rad.
 const LEAST_LEVEL: f64 = 1e-6;
 
-/// Of air at sea level for visible light, at 15 deg C and 1013 hPa (Edlen 1966). The scale height is that of the stratosphere, where the limb's
-/// edge is.
+/// Of air at sea level for visible light, at 15 deg C and 1013 hPa (Edlen 1966).
 const REFRACTIVITY: f64 = 2.77e-4;
-const REFRACTIVITY_SCALE_M: f64 = 7_000.0;
 
 /// Whether air bends the rays to the limb.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,13 +44,13 @@ impl Refraction {
     fn refractivity(self, height_m: f64) -> f64 {
         match self {
             Self::None => 0.0,
-            Self::StandardAir => REFRACTIVITY * (-height_m / REFRACTIVITY_SCALE_M).exp(),
+            Self::StandardAir => REFRACTIVITY * (-height_m / Sphere::SCALE_HEIGHT_M).exp(),
         }
     }
 
     /// Change of n r with r at a height.
     fn slope(self, height_m: f64) -> f64 {
-        let falls_per_m = self.refractivity(height_m) / REFRACTIVITY_SCALE_M;
+        let falls_per_m = self.refractivity(height_m) / Sphere::SCALE_HEIGHT_M;
         self.index(height_m) - falls_per_m * (EARTH_RADIUS_M + height_m)
     }
 }
@@ -67,11 +69,16 @@ pub struct Sphere {
     pub tolerance_rad: f64,
     /// Change of the half-angle with the edge's height; none of a sphere whose edge has no height.
     pub rad_per_m: f64,
+    /// How the edge departs from the sphere, as far as its height is unknown.
+    pub departure: Departure,
     /// From where the edge is seen; `None` of a sphere whose edge has no height.
     pub viewpoint: Option<Viewpoint>,
 }
 
 impl Sphere {
+    /// The air's density, and with it the limb's light, falls to 1/e over this height in the stratosphere, where the limb's edge is.
+    pub const SCALE_HEIGHT_M: f64 = 7_000.0;
+
     /// The Earth as a sphere, with its limb: see [`Viewpoint::half_angle_rad`]. `None` for a camera that is not above the edge.
     pub fn earth(height_m: Measured, edge_m: Measured, refraction: Refraction) -> Option<Self> {
         let viewpoint = Viewpoint {
@@ -87,6 +94,10 @@ impl Sphere {
             outside_rad: LIMB_OUTSIDE_M * rad_per_m,
             tolerance_rad: BORDER_HEIGHT_M * rad_per_m,
             rad_per_m,
+            departure: Departure {
+                sigma_rad: VARIES * edge_m.sigma * rad_per_m,
+                length_rad: VARIES_RAD * half_angle_rad.value.sin(),
+            },
             viewpoint: Some(viewpoint),
         })
     }
@@ -129,8 +140,14 @@ impl Sphere {
             outside_rad: 0.0,
             tolerance_rad: 0.0,
             rad_per_m: 0.0,
+            departure: Departure::NONE,
             viewpoint: None,
         }
+    }
+
+    /// Over this angle the limb's light falls to 1/e; none of a sharp edge.
+    pub fn scale_rad(&self) -> f64 {
+        Sphere::SCALE_HEIGHT_M * self.rad_per_m
     }
 
     /// The angle from straight down to the edge, on the side of a ray.

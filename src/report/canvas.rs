@@ -39,6 +39,9 @@ pub struct Canvas {
 
 /// Height of a line of text in the strip, px.
 const TEXT_LINE_PX: u32 = 18;
+/// Width of a letter, and of what is left free before a line, px.
+const LETTER_PX: u32 = 9;
+const MARGIN_PX: u32 = 6;
 
 impl Canvas {
     /// A region of a frame, each pixel `zoom` x `zoom`, brightness stretched from `black_dn` to `white_dn`, with
@@ -113,9 +116,15 @@ impl Canvas {
         self.draw(&Text::new(text, place, style));
     }
 
-    /// A line of text in the strip below the picture, counted from 0.
+    /// A line of text in the strip below the picture, counted from 0. The strip grows wider than the picture where the text is.
     pub fn caption(&mut self, line: u32, text: &str, colour: Colour) {
-        let place = Point::new(6, self.baseline(line));
+        let width = MARGIN_PX + LETTER_PX * (text.chars().count() as u32 + 1);
+        if width > self.image.width() {
+            let wide = RgbImage::new(width, self.image.height());
+            let narrow = std::mem::replace(&mut self.image, wide);
+            image::imageops::replace(&mut self.image, &narrow, 0, 0);
+        }
+        let place = Point::new(MARGIN_PX as i32, self.baseline(line));
         self.draw(&Text::new(
             text,
             place,
@@ -126,11 +135,10 @@ impl Canvas {
     /// What the colours mean, in the strip below the picture from a line on; goes on in the next line where one is full. Gives the
     /// first free line.
     pub fn legend(&mut self, first_line: u32, entries: &[(&str, Colour)]) -> u32 {
-        const LETTER_PX: i32 = 9;
         const SWATCH_PX: u32 = 12;
         let (mut line, mut x) = (first_line, 6);
         for (text, colour) in entries {
-            let width = SWATCH_PX as i32 + LETTER_PX * (text.chars().count() as i32 + 2);
+            let width = SWATCH_PX as i32 + LETTER_PX as i32 * (text.chars().count() as i32 + 2);
             if x > 6 && x + width > self.image.width() as i32 {
                 (line, x) = (line + 1, 6);
             }
@@ -228,5 +236,17 @@ mod tests {
         assert_eq!((image.width(), image.height()), (100, 50 + TEXT_LINE_PX));
         assert_eq!(image.get_pixel(37, 17).0, [255, 80, 80]);
         assert_eq!(image.get_pixel(0, 22).0, [110, 190, 255]);
+    }
+
+    #[test]
+    fn a_caption_is_whole_however_narrow_the_picture() {
+        let pixels = Pixels::U8(vec![0; 20 * 10]);
+        let frame = Frame::new(20, 10, pixels, 255, FrameInfo::default()).unwrap();
+        let mut canvas = Canvas::of_frame(&frame, frame.region(), 1, (0.0, 255.0), 1);
+        canvas.caption(0, "longer than the picture", Colour::WHITE);
+        let image = canvas.into_image();
+        let last = image.width() - 2 * LETTER_PX..image.width();
+        let is_written = |x: u32| (10..image.height()).any(|y| image.get_pixel(x, y).0 != [0; 3]);
+        assert!(image.width() > 20 && last.into_iter().any(is_written));
     }
 }

@@ -166,11 +166,12 @@ impl Batch<'_> {
         if let (Some(direction), Some(turn)) = (direction, body_from_camera) {
             record.body = InBody::of(&direction.turned(turn));
         }
-        if let Found::Cone(solution) = &found {
-            self.args.draw(path, |title| {
-                horizon::overlay(&frame, solution, optics, sphere, title)
-            })?;
-        }
+        self.args.draw(path, |title| match &found {
+            Found::Cone(solution) => horizon::overlay(&frame, solution, optics, sphere, title),
+            Found::Circle(found) => {
+                horizon::overlay_of_circle(&frame, found.as_ref(), optics, title)
+            }
+        })?;
         Ok(Solved {
             camera,
             found,

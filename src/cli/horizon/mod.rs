@@ -69,8 +69,8 @@ struct EdgeArgs {
     /// The height at which the limb has half of its brightness above the dark sky
     #[arg(long, value_name = "D", default_value_t = 0.0)]
     atmosphere_m: f64,
-    /// 1 sigma of the edge's height, all along the limb alike
-    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    /// 1 sigma of the edge's height, all along the limb alike; a fifth of it is taken to vary along the limb
+    #[arg(long, value_name = "M", default_value_t = 1_000.0)]
     edge_sigma_m: f64,
     /// Fit the edge's height, too, starting from --atmosphere-m
     #[arg(long)]
@@ -95,10 +95,6 @@ enum Method {
 }
 
 pub fn run(mut args: HorizonArgs) -> anyhow::Result<ExitCode> {
-    ensure!(
-        args.method == Method::Cone || args.frames.overlay.is_none(),
-        "--overlay: expected --method cone; a circle is not drawn"
-    );
     ensure!(
         args.method == Method::Cone || !(args.track || args.edge.fit_atmosphere),
         "--method circle: expected neither --track nor --fit-atmosphere"

@@ -105,12 +105,11 @@ impl Record {
     }
 
     pub fn of(file: &str, solution: &Solution, sphere: &Sphere, time: Duration) -> Self {
-        let stopped = solution.nadir.as_ref().err();
         let record = Self {
             quality: solution.quality().name(),
             edge_points: solution.edge.rays.len(),
             agreeing_points: solution.agreeing(),
-            ..Self::none(file, stopped, time)
+            ..Self::none(file, solution.reason(), time)
         };
         let Ok(nadir) = &solution.nadir else {
             return record;

@@ -1,0 +1,151 @@
+//! The edge of the limb to a part of a pixel, by profiles of its light.
+//!
+//! The edge is where the limb has half of its brightness above the sky. Brightness varies along the limb, and clouds lie beside
+//! it, so that half is found in two steps: the mean profile tells where half is, and each place is held against that profile
+//! where no cloud reaches, with a darkness, a brightness and a shift of its own.
+//!
+//! What has an edge is no limb yet: see [`Shape::check`].
+
+use super::edge::EdgePoint;
+use super::places::{Light, OfPlaces, is_limb, mean_profile, unlike};
+use super::profile::{INTERPOLATED_NOISE, Profiles, mean_dn};
+use super::shape::Shape;
+use super::sphere::Sphere;
+use super::template::{CLOUDED_SHARE, Limb, LimbFits};
+use crate::estimation::median;
+use crate::reasons::horizon as reasons;
+use crate::units::Rejected;
+
+/// Profiles and their mean are found in so many rounds.
+const ROUNDS: usize = 2;
+/// A place whose shift is known less well shows no edge.
+const MOST_SIGMA_STEPS: f64 = 2.0;
+/// A limb may be so much darker than the middle one, as it is near the terminator.
+const LEAST_BRIGHTNESS: f64 = 0.15;
+
+/// Where the limb is darker than the brightest, but for so much of its logarithm that may be weather, twilight moves half of its light: by so many scale
+/// heights for a factor of e.
+const LIKE_BRIGHT: f64 = 0.2;
+const TWILIGHT_SCALES: f64 = 0.4;
+/// Beyond noise, half of the places differ from the mean profile by this share of their brightness at most.
+const MOST_UNEVEN: f64 = 0.015;
+/// A limb that fades into night has less than this of the brightest at so many places before.
+const FADED: f64 = 0.7;
+const FADING_PLACES: usize = 4;
+/// Noise is known to this share of it.
+const NOISE_SIGMA: f64 = 0.7;
+
+/// The edge as the profiles show it.
+pub(super) struct Edge {
+    pub points: Vec<EdgePoint>,
+    /// How well it is known where the edge has half of the limb's brightness, all around alike.
+    pub sigma_rad: f64,
+    /// Share of the places with clouds.
+    pub clouded: f64,
+    /// Places that show light of any kind.
+    pub lit: usize,
+}
+
+/// The edge at every place that shows one.
+///
+/// # Errors
+/// What the profiles show is no limb.
+pub(super) fn edge(profiles: &Profiles, sphere: &Sphere, light: &Light) -> Result<Edge, Rejected> {
+    let mut limbs: Vec<Limb> = profiles
+        .light()
+        .map(|place| seen(profiles, place))
+        .collect();
+    let brightnesses = limbs.iter().map(|limb| limb.brightness_dn);
+    let most_dn = brightnesses.fold(0.0, f64::max);
+    let no_limb = || Rejected::new(reasons::NO_LIMB, most_dn, light.least_dn);
+    let mut clouded = 0.0;
+    let mut last = None;
+    for _ in 0..ROUNDS {
+        let mean = mean_profile(profiles, &limbs, light);
+        let fits = LimbFits::new(&mean, profiles.edge, light.noise_dn).ok_or_else(no_limb)?;
+        (limbs, clouded) = fits.limbs(profiles);
+        last = Some((mean, fits));
+    }
+    let (mean, fits) = last.ok_or_else(no_limb)?;
+    let of_places = OfPlaces::new(profiles, &limbs, light).ok_or_else(no_limb)?;
+    let shape = Shape::new(profiles, sphere, mean);
+    let half = shape.half(&of_places, clouded, light).ok_or_else(no_limb)?;
+    shape.check(&half)?;
+    if !half.is_clear && clouded <= CLOUDED_SHARE {
+        limbs = fits.above_clouds(profiles);
+    }
+    let least_dn = LEAST_BRIGHTNESS * of_places.limb_dn;
+    let shows_edge = |limb: &&Limb| {
+        is_limb(limb, light)
+            && limb.shift_sigma_steps < MOST_SIGMA_STEPS
+            && limb.brightness_dn > least_dn
+    };
+    check_alike(limbs.iter().filter(shows_edge), light.noise_dn)?;
+    let all = profiles.places.iter().zip(&limbs);
+    let seen = all.filter(|(_, limb)| shows_edge(limb));
+    let points = seen.map(|(place, limb)| {
+        let darker = (of_places.brightest_dn / limb.brightness_dn).ln() - LIKE_BRIGHT;
+        EdgePoint {
+            twilight_px: TWILIGHT_SCALES * shape.scale * profiles.step_px * darker.max(0.0),
+            ..place.point(half.steps.value + limb.shift_steps, limb.shift_sigma_steps)
+        }
+    });
+    Ok(Edge {
+        points: points.collect(),
+        sigma_rad: half.steps.sigma * profiles.step_rad,
+        clouded,
+        lit: lit(profiles, &limbs, light.least_dn, of_places.brightest_dn),
+    })
+}
+
+/// Whether light falls off alike at half of the places.
+fn check_alike<'a>(
+    limbs: impl Iterator<Item = &'a Limb> + Clone,
+    noise_dn: f64,
+) -> Result<(), Rejected> {
+    let uneven = median(limbs.clone().map(|limb| unlike(limb, noise_dn))).unwrap_or_default();
+    let noise = median(limbs.map(|limb| INTERPOLATED_NOISE * noise_dn / limb.brightness_dn));
+    let most = MOST_UNEVEN + NOISE_SIGMA * noise.unwrap_or_default();
+    Rejected::at_most(most, uneven, reasons::UNEVEN_EDGE)
+}
+
+/// How many of the places show light, or should: the limb fades into night, and where it ends while it is bright it is hidden, or no limb.
+fn lit(profiles: &Profiles, limbs: &[Limb], least_dn: f64, brightest_dn: f64) -> usize {
+    let is_lit = |light: &[f32]| {
+        let most = light.iter().copied().fold(f32::MIN, f32::max);
+        f64::from(most) - mean_dn(&light[profiles.sky()]) > least_dn
+    };
+    // The brightness of the places that show light; none of the others.
+    let bright: Vec<Option<f64>> = profiles
+        .light()
+        .zip(limbs)
+        .map(|(light, limb)| is_lit(light).then_some(limb.brightness_dn))
+        .collect();
+    let runs = bright.chunk_by(|one, next| one.is_some() == next.is_some());
+    let (mut count, mut from) = (0, 0);
+    for run in runs {
+        let (before, after) = (&bright[..from], &bright[from + run.len()..]);
+        from += run.len();
+        let beside = [
+            median(before.iter().rev().flatten().take(FADING_PLACES)),
+            median(after.iter().flatten().take(FADING_PLACES)),
+        ];
+        let mut beside = beside.into_iter().flatten().peekable();
+        let fades = |dn: f64| dn < FADED * brightest_dn;
+        let is_night = run[0].is_none() && (beside.peek().is_none() || beside.any(fades));
+        count += if is_night { 0 } else { run.len() };
+    }
+    count
+}
+
+/// The light of a place by the ends of its profile.
+fn seen(profiles: &Profiles, light: &[f32]) -> Limb {
+    let dark_dn = mean_dn(&light[profiles.sky()]);
+    Limb {
+        dark_dn,
+        brightness_dn: mean_dn(&light[..=profiles.edge]) - dark_dn,
+        shift_steps: 0.0,
+        shift_sigma_steps: 0.0,
+        scatter_dn: 0.0,
+    }
+}

@@ -1,0 +1,151 @@
+//! Where light falls off sharply along rows and columns of a picture: the limb before dark space, and whatever else has such an edge.
+//!
+//! A terminator, a glow or a gradient falls off over degrees, the limb over the scale height of the air (or a sharp sphere over the camera's
+//! blur). A fall counts where it takes place within this reach, and not beyond it.
+
+use super::edge::EdgePoint;
+use super::profile::{interpolated, is_inside};
+use crate::frame::{Region, Sample, View};
+use crate::units::SensorPx;
+use nalgebra::Vector2;
+
+/// Rows and columns are so far apart at most, and so many across a sphere or a picture that is small.
+const MOST_SPACING_PX: f64 = 40.0;
+const LINES_ACROSS_SPHERE: f64 = 8.0;
+const LINES_ACROSS_PICTURE: f64 = 24.0;
+/// The reach is so many scale heights, and within these.
+const REACH_SCALES: f64 = 2.0;
+const REACH_PX: std::ops::Range<f64> = 3.0..60.0;
+/// Of the radius of a sphere that is small.
+const MOST_REACH: f64 = 0.25;
+/// Samples of a line to each side of an edge.
+const SAMPLES: usize = 3;
+/// An edge that crosses a line at a smaller sine is left to the lines of the other direction.
+const LEAST_ACROSS: f64 = 0.6;
+/// Light is read at such distances from the edge, in reaches: near it, and where it falls off no more.
+const NEAR: [f64; 3] = [0.5, 1.0, 1.5];
+const FAR: [f64; 2] = [2.4, 3.0];
+/// Over the fall itself: how much the light may still fall further out, and further in, and how bright it is there at least.
+const MOST_FALL_OUTSIDE: f64 = 0.5;
+const MOST_FALL_INSIDE: f64 = 0.6;
+const LEAST_INSIDE: f64 = 0.4;
+/// 1 sigma of a point.
+const SIGMA_PX: f64 = 1.0;
+
+/// How a picture is scanned.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Scan {
+    spacing: usize,
+    /// Pixels from one sample of a line to the next.
+    stride: usize,
+    /// Over such a distance to each side the light of an edge falls off.
+    reach_px: f64,
+    least_dn: f64,
+}
+
+impl Scan {
+    /// For edges whose light falls to 1/e over `scale_px`, of a sphere of some radius in the picture; they are brighter than what is outside by
+    /// so much.
+    pub fn new<T>(view: &View<'_, T>, scale_px: f64, radius_px: f64, least_dn: f64) -> Self {
+        let shorter_px = view.width.min(view.height) as f64;
+        let spacing_px = (2.0 * radius_px / LINES_ACROSS_SPHERE)
+            .min(shorter_px / LINES_ACROSS_PICTURE)
+            .clamp(1.0, MOST_SPACING_PX);
+        let reach_px = (REACH_SCALES * scale_px).clamp(REACH_PX.start, REACH_PX.end);
+        let reach_px = reach_px.min((MOST_REACH * radius_px).max(1.0));
+        Self {
+            spacing: spacing_px as usize,
+            stride: ((reach_px / SAMPLES as f64) as usize).max(1),
+            reach_px,
+            least_dn,
+        }
+    }
+
+    /// The sharp edges along all lines.
+    pub fn edges<T: Sample>(&self, view: &View<'_, T>, mask: &[Region]) -> Vec<EdgePoint> {
+        let mut points = Vec::new();
+        let first = self.spacing / 2;
+        for y in (first..view.height).step_by(self.spacing) {
+            let light = view.row(y).iter().step_by(self.stride);
+            for x in self.falls(light.map(|pixel| pixel.dn())) {
+                points.extend(self.edge(view, mask, Vector2::new(x, y as f64), Vector2::x()));
+            }
+        }
+        for x in (first..view.width).step_by(self.spacing) {
+            let light = (0..view.height).step_by(self.stride);
+            for y in self.falls(light.map(|y| view.row(y)[x].dn())) {
+                points.extend(self.edge(view, mask, Vector2::new(x as f64, y), Vector2::y()));
+            }
+        }
+        points
+    }
+
+    /// Where the light of a line differs most from one side to the other, px.
+    fn falls(&self, light: impl Iterator<Item = f32>) -> Vec<f64> {
+        let light: Vec<f32> = light.collect();
+        let side = ((self.reach_px / self.stride as f64) as usize).max(1);
+        let windows = light.windows(2 * side);
+        // What the first side has above the second, from the sum before.
+        let mut fall = 0.0;
+        let mut falls = Vec::with_capacity(light.len());
+        for (n, window) in windows.enumerate() {
+            fall = match n {
+                0 => window[..side].iter().sum::<f32>() - window[side..].iter().sum::<f32>(),
+                _ => fall + 2.0 * window[side - 1] - light[n - 1] - window[2 * side - 1],
+            };
+            falls.push(fall.abs());
+        }
+        let least = (self.least_dn * side as f64) as f32;
+        let near = side.div_ceil(2);
+        let is_most = |n: usize| {
+            falls[n] > least
+                && falls[n.saturating_sub(near)..n]
+                    .iter()
+                    .all(|fall| *fall < falls[n])
+                && falls[n + 1..(n + near + 1).min(falls.len())]
+                    .iter()
+                    .all(|fall| *fall <= falls[n])
+        };
+        let place = |n: usize| (n as f64 + side as f64 - 0.5) * self.stride as f64;
+        (0..falls.len())
+            .filter(|n| is_most(*n))
+            .map(place)
+            .collect()
+    }
+
+    /// The edge at a place of a line, if it is sharp and crosses the line.
+    fn edge<T: Sample>(
+        &self,
+        view: &View<'_, T>,
+        mask: &[Region],
+        at: Vector2<f64>,
+        line: Vector2<f64>,
+    ) -> Option<EdgePoint> {
+        let light = |at: Vector2<f64>| -> Option<f64> {
+            let at = SensorPx::from(at);
+            is_inside(view, mask, at).then(|| f64::from(interpolated(view, at)))
+        };
+        let mean = |towards: Vector2<f64>, places: &[f64]| -> Option<f64> {
+            let sum: Option<f64> = places
+                .iter()
+                .map(|n| light(at + towards * (n * self.reach_px)))
+                .sum();
+            Some(sum? / places.len() as f64)
+        };
+        let rise = |axis: Vector2<f64>| Some(mean(axis, &NEAR)? - mean(-axis, &NEAR)?);
+        let inward = Vector2::new(rise(Vector2::x())?, rise(Vector2::y())?).try_normalize(0.0)?;
+        let (inside, outside) = (mean(inward, &NEAR)?, mean(-inward, &NEAR)?);
+        let (deep, far) = (mean(inward, &FAR)?, mean(-inward, &FAR)?);
+        let fall = inside - outside;
+        let is_sharp = fall > self.least_dn
+            && outside - far < MOST_FALL_OUTSIDE * fall
+            && deep - inside < MOST_FALL_INSIDE * fall
+            && deep - outside > LEAST_INSIDE * fall;
+        (is_sharp && inward.dot(&line).abs() > LEAST_ACROSS).then(|| EdgePoint {
+            at: at.into(),
+            inward,
+            sigma_px: SIGMA_PX,
+            twilight_px: 0.0,
+        })
+    }
+}

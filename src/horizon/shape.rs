@@ -1,0 +1,225 @@
+//! The mean profile of a limb: where it has half of its brightness, and whether it is a limb's at all.
+
+use super::air::Air;
+use super::places::{Light, OfPlaces};
+use super::profile::{INTERPOLATED_NOISE, Profiles, falls_through};
+use super::sphere::Sphere;
+use super::template::CLOUDED_SHARE;
+use crate::reasons::horizon as reasons;
+use crate::units::{Measured, Rejected};
+use std::ops::Range;
+
+/// By so many sigmas noise makes the last of the places without clouds darker (normal distribution, a tenth of them).
+const CLOUDLESS_SIGMAS: f64 = 1.282;
+/// 1 sigma of the usual blur of lens, pixels and interpolation.
+const BLUR_PX: f64 = 0.9;
+/// What blur takes from the limb's peak is known to this share of it.
+const BLUR_SIGMA: f64 = 0.5;
+/// The limb's brightness is known to this share of it.
+const BRIGHTNESS_SIGMA: f64 = 0.005;
+/// The darkest places may have clouds, too: 1 sigma, over what the middle one is brighter.
+const CLOUDS_LEFT: f64 = 0.6;
+/// Of the limb's brightness: light beyond the profile. More is glare.
+const MOST_BEYOND: f64 = 0.04;
+/// Of the limb's brightness: below, the air is above any cloud, and its law tells the brightness.
+const AIR_ALONE: f64 = 0.6;
+/// The same where no clouds are.
+const AIR_OF_CLEAR: f64 = 0.93;
+/// Brightness and law differ by more sigmas only where clouds lie all along the limb.
+const MOST_LAW_SIGMAS: f64 = 3.0;
+/// The sky begins so many scale heights above the edge, and is told by so many samples.
+const SKY_SCALES: f64 = 4.0;
+const LEAST_SKY: usize = 4;
+/// The sky's growth towards the edge that may be the limb's own, over its brightness.
+const OWN_SKY: f64 = 0.02;
+/// Sky that grows towards the limb grows on to the edge as it does, to this share.
+const SKY_SIGMA: f64 = 0.3;
+
+/// Light falls off within so many scale heights of half, or pixels where these are more, by this share of the brightness.
+const WITHIN_SCALES: f64 = 2.0;
+const WITHIN_PX: f64 = 2.0;
+const FALLS_WITHIN: Range<f64> = 0.6..1.7;
+/// The innermost samples, and what they have of the brightness at the least.
+const INNERMOST: usize = 4;
+const LEAST_INSIDE: f64 = 0.35;
+
+/// A mean profile that may be a limb's. Light falls off over a few scale heights of the air: a terminator, a glow or a gradient is softer, a strut
+/// sharper. What is inside is as bright as an Earth.
+pub(super) struct Shape {
+    /// Less the sky that grows towards it, from the inside outwards, and the sample on the edge.
+    light: Vec<f64>,
+    edge: usize,
+    /// The sky's growth for each step towards the edge.
+    glow: f64,
+    air: Option<Air>,
+    /// The sky's samples.
+    sky: Range<usize>,
+    /// Over so many steps light falls to 1/e.
+    pub scale: f64,
+    step_px: f64,
+}
+
+/// Where the mean profile has half of the limb's brightness.
+pub(super) struct Half {
+    /// Outwards from the edge of the cone.
+    pub steps: Measured,
+    brightness: f64,
+    /// The light has the law of air down to the thick air, and no place shows a cloud.
+    pub is_clear: bool,
+}
+
+/// The mean of two, weighted by their variances; as well known as they agree.
+fn weighted_mean(one: Measured, other: Measured) -> Measured {
+    let weights = [one, other].map(|m| m.sigma.powi(-2));
+    let sum = weights[0] + weights[1];
+    let apart_sigmas = (one.value - other.value).abs() / one.sigma.hypot(other.sigma);
+    Measured::new(
+        (one.value * weights[0] + other.value * weights[1]) / sum,
+        apart_sigmas.max(1.0) / sum.sqrt(),
+    )
+}
+
+impl Shape {
+    pub fn new(profiles: &Profiles, sphere: &Sphere, mean: Vec<f64>) -> Self {
+        let scale = sphere.scale_rad() / profiles.step_rad;
+        let air = Air::new(sphere, profiles.step_rad, BLUR_PX / profiles.step_px);
+        let mut shape = Self {
+            light: mean,
+            edge: profiles.edge,
+            glow: 0.0,
+            air,
+            sky: profiles.sky(),
+            scale,
+            step_px: profiles.step_px,
+        };
+        shape.glow = shape.growth();
+        for n in 0..shape.light.len() {
+            shape.light[n] -= shape.glow * (shape.light.len() - n.max(shape.edge)) as f64;
+        }
+        shape
+    }
+
+    /// By how much the sky grows with a step towards the limb, beyond what the limb's own light there does.
+    fn growth(&self) -> f64 {
+        let first = self.edge + (SKY_SCALES * self.scale).ceil() as usize;
+        let sky = first..self.light.len();
+        if sky.len() < LEAST_SKY {
+            return 0.0;
+        }
+        let middle = (sky.start + sky.end - 1) as f64 / 2.0;
+        let slope = |light: &dyn Fn(usize) -> f64| {
+            let (mut sum, mut squares) = (0.0, 0.0);
+            for n in sky.clone() {
+                let inwards = middle - n as f64;
+                sum += inwards * light(n);
+                squares += inwards * inwards;
+            }
+            sum / squares
+        };
+        let air = |n: usize| {
+            self.air
+                .as_ref()
+                .map_or(0.0, |air| air.usual_share(n as f64 - self.edge as f64))
+        };
+        let own = slope(&air) + OWN_SKY / (self.light.len() - self.edge) as f64;
+        (slope(&|n| self.light[n]) - own).max(0.0)
+    }
+
+    /// The light some steps outside of the edge.
+    fn at(&self, steps: f64) -> f64 {
+        let last = self.light.len() - 1;
+        let at = (self.edge as f64 + steps).clamp(0.0, last as f64);
+        let n = (at as usize).min(last - 1);
+        self.light[n] + (at - n as f64) * (self.light[n + 1] - self.light[n])
+    }
+
+    /// Where the light has half of the limb's brightness above the sky. Where no cloud is seen, places tell the brightness, and the law of the air does;
+    /// else the law alone, by the air above all clouds. Light that has another law leaves the places. `None` of no limb.
+    pub fn half(&self, places: &OfPlaces, clouded: f64, light: &Light) -> Option<Half> {
+        let noise =
+            INTERPOLATED_NOISE * light.noise_dn / places.limb_dn / (places.averaged as f64).sqrt();
+        let cloudless = places.cloudless + CLOUDLESS_SIGMAS * noise;
+        let clouds = (places.middle - cloudless).max(0.0);
+        // The limb's light reaches beyond the profile, above all to a balloon, which has some air above itself.
+        let beyond = |far_dn: f64| (places.sky_dn - far_dn) / places.limb_dn;
+        let beyond = light.far_sky_dn.map_or(0.0, beyond).clamp(0.0, MOST_BEYOND);
+        let sky = self.glow * (self.light.len() - self.edge) as f64;
+        let blurred = self.taken_by_blur();
+        let brightness = cloudless + blurred - sky;
+        let half = self.falls_through((brightness - beyond) / 2.0)?;
+        let fall = (self.at(half - 1.0) - self.at(half + 1.0)) / 2.0;
+        let of_clouds = (CLOUDS_LEFT * clouds).hypot(BRIGHTNESS_SIGMA);
+        let left = of_clouds.hypot(BLUR_SIGMA * blurred).hypot(SKY_SIGMA * sky);
+        let by_places = Measured::new(half, left / 2.0 / fall);
+        let is_alike = |law: &Measured| {
+            (law.value - half).abs() < MOST_LAW_SIGMAS * law.sigma.hypot(by_places.sigma)
+        };
+        let clear = match clouded <= CLOUDED_SHARE {
+            true => self.half_by_law(brightness, AIR_OF_CLEAR).filter(is_alike),
+            false => None,
+        };
+        let above_clouds = || self.half_by_law(brightness, AIR_ALONE).unwrap_or(by_places);
+        Some(Half {
+            steps: clear.map_or_else(above_clouds, |law| weighted_mean(law, by_places)),
+            brightness,
+            is_clear: clear.is_some(),
+        })
+    }
+
+    /// Steps from the edge to the last place where the light falls below a level.
+    fn falls_through(&self, level: f64) -> Option<f64> {
+        let light: Vec<f32> = self.light.iter().map(|light| *light as f32).collect();
+        Some(falls_through(&light, level)? - self.edge as f64)
+    }
+
+    /// The same by the law of the air, of light that is less than a share of the brightness.
+    fn half_by_law(&self, brightness: f64, most: f64) -> Option<Measured> {
+        let thick = self
+            .light
+            .iter()
+            .rposition(|light| *light > most * brightness);
+        let steps = |n: usize| n as f64 - self.edge as f64;
+        let air = thick.map_or(0, |n| n + 1)..self.sky.start;
+        let light: Vec<(f64, f64)> = air.map(|n| (steps(n), self.light[n])).collect();
+        let last = (steps(self.sky.start) + steps(self.sky.end - 1)) / 2.0;
+        self.air.as_ref()?.half(&light, last, brightness)
+    }
+
+    /// What blur has taken from the peak of the profile: as much, for its variance, as more blur takes again.
+    fn taken_by_blur(&self) -> f64 {
+        // Of the weights 1/4, 1/2, 1/4, in steps.
+        const VARIANCE: f64 = 0.5;
+        let light = &self.light;
+        let inner = 1..=self.edge.min(light.len().saturating_sub(2));
+        let peak = inner.max_by(|a, b| light[*a].total_cmp(&light[*b]));
+        let taken = |n: usize| light[n] - (light[n - 1] + 2.0 * light[n] + light[n + 1]) / 4.0;
+        let blur_steps = BLUR_PX / self.step_px;
+        peak.map_or(0.0, |n| taken(n).max(0.0) * blur_steps.powi(2) / VARIANCE)
+    }
+
+    /// Whether this is a limb.
+    ///
+    /// # Errors
+    /// The share of the brightness that says otherwise.
+    pub fn check(&self, half: &Half) -> Result<(), Rejected> {
+        let fall =
+            |steps: f64| self.at(half.steps.value - steps) - self.at(half.steps.value + steps);
+        let within = fall((WITHIN_SCALES * self.scale).max(WITHIN_PX / self.step_px));
+        let innermost = self.light[..INNERMOST].iter().sum::<f64>() / INNERMOST as f64;
+        Rejected::at_least(
+            FALLS_WITHIN.start,
+            within / half.brightness,
+            reasons::SOFT_EDGE,
+        )?;
+        Rejected::at_most(
+            FALLS_WITHIN.end,
+            within / half.brightness,
+            reasons::UNEVEN_EDGE,
+        )?;
+        Rejected::at_least(
+            LEAST_INSIDE,
+            innermost / half.brightness,
+            reasons::DARK_INSIDE,
+        )
+    }
+}
