@@ -5,11 +5,11 @@ use super::edge::EdgeRay;
 use nalgebra::UnitVector3;
 
 /// Pairs from which guesses are made.
-const PAIRS: usize = 1000;
+const PAIRS: usize = 500;
 /// Steps of the pairs through the points, by the plastic number: evenly spread, whatever their number (Roberts 2018, the sequence R2).
 const STEPS: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
 /// Guesses are judged by no more points than this.
-const MOST_JUDGES: usize = 200;
+const MOST_JUDGES: usize = 120;
 /// Cosine of the angle by which the bright side may lie off the direction to the nadir.
 const LEAST_SAME_SIDE: f64 = 0.8;
 

@@ -9,7 +9,9 @@ use crate::units::Rejected;
 /// Light is read so many scale heights apart, or pixels where these are more, and so often.
 const APART_SCALES: f64 = 3.0;
 const APART_PX: f64 = 4.0;
-const SAMPLES: usize = 40;
+const SAMPLES: usize = 30;
+/// At one place in so many.
+const EVERY: usize = 3;
 /// Over the edge's own fall: light that falls by so much from one sample to the next, to less than that, and for
 /// most of the way on, ends.
 const LEAST_FALL: f64 = 0.5;
@@ -46,6 +48,7 @@ pub(super) fn goes_on<T: Sample>(
             pair[0] - pair[1] > LEAST_FALL * fall && is_dark(&pair[1]) && 2 * left > rest.len()
         })
     };
-    let ending = edge.iter().filter(ends).count() as f64 / edge.len().max(1) as f64;
+    let some = || edge.iter().step_by(EVERY);
+    let ending = some().filter(ends).count() as f64 / some().count().max(1) as f64;
     Rejected::at_most(MOST_ENDING, ending, reasons::LIGHT_ENDS)
 }

@@ -26,8 +26,9 @@ const MOST_MEAN: f64 = 235.0 / 255.0;
 const LEAST_CONTRAST: f64 = 12.0 / 255.0;
 const LEAST_CONTRAST_SIGMAS: f64 = 10.0;
 
-/// One pixel in so many, in each axis, tells which side of the edge is bright.
-const RASTER_PX: usize = 32;
+/// One pixel in so many at most, in each axis, tells which side of the edge is bright, and so many rows of them.
+const MOST_RASTER_PX: usize = 48;
+const RASTER_LINES: usize = 24;
 /// Beyond the limb's light by so much, the sky is as dark as it is, rad.
 const FAR_RAD: f64 = 0.05;
 /// Of a raster's pixels within the sphere so many are bright, and of those of the sky at most so many. It takes some of each to tell.
@@ -119,8 +120,10 @@ pub(super) struct Raster {
 
 impl Raster {
     pub fn of<T: Sample>(view: &View<'_, T>, camera: &DirectionCamera) -> Self {
-        let rows = (0..view.height).step_by(RASTER_PX);
-        let raster = rows.flat_map(|y| (0..view.width).step_by(RASTER_PX).map(move |x| (x, y)));
+        let shorter_px = view.width.min(view.height);
+        let apart_px = (shorter_px / RASTER_LINES).clamp(1, MOST_RASTER_PX);
+        let rows = (0..view.height).step_by(apart_px);
+        let raster = rows.flat_map(|y| (0..view.width).step_by(apart_px).map(move |x| (x, y)));
         let is_seen = |(x, y): &(usize, usize)| !camera.mask.iter().any(|r| r.contains(*x, *y));
         let light = |(x, y): (usize, usize)| {
             let ray = camera.lens.ray(SensorPx::new(x as f64, y as f64))?;

@@ -38,6 +38,8 @@ const NOISE_SIGMA: f64 = 0.7;
 /// The edge as the profiles show it.
 pub(super) struct Edge {
     pub points: Vec<EdgePoint>,
+    /// Whether it is a limb's. A cone that is not yet aligned with the edge blurs it.
+    pub likeness: Result<(), Rejected>,
     /// How well it is known where the edge has half of the limb's brightness, all around alike.
     pub sigma_rad: f64,
     /// Share of the places with clouds.
@@ -49,7 +51,7 @@ pub(super) struct Edge {
 /// The edge at every place that shows one.
 ///
 /// # Errors
-/// What the profiles show is no limb.
+/// Nothing is bright before the sky.
 pub(super) fn edge(profiles: &Profiles, sphere: &Sphere, light: &Light) -> Result<Edge, Rejected> {
     let mut limbs: Vec<Limb> = profiles
         .light()
@@ -70,7 +72,6 @@ pub(super) fn edge(profiles: &Profiles, sphere: &Sphere, light: &Light) -> Resul
     let of_places = OfPlaces::new(profiles, &limbs, light).ok_or_else(no_limb)?;
     let shape = Shape::new(profiles, sphere, mean);
     let half = shape.half(&of_places, clouded, light).ok_or_else(no_limb)?;
-    shape.check(&half)?;
     if !half.is_clear && clouded <= CLOUDED_SHARE {
         limbs = fits.above_clouds(profiles);
     }
@@ -80,7 +81,8 @@ pub(super) fn edge(profiles: &Profiles, sphere: &Sphere, light: &Light) -> Resul
             && limb.shift_sigma_steps < MOST_SIGMA_STEPS
             && limb.brightness_dn > least_dn
     };
-    check_alike(limbs.iter().filter(shows_edge), light.noise_dn)?;
+    let alike = || check_alike(limbs.iter().filter(shows_edge), light.noise_dn);
+    let likeness = shape.check(&half).and_then(|()| alike());
     let all = profiles.places.iter().zip(&limbs);
     let seen = all.filter(|(_, limb)| shows_edge(limb));
     let points = seen.map(|(place, limb)| {
@@ -92,6 +94,7 @@ pub(super) fn edge(profiles: &Profiles, sphere: &Sphere, light: &Light) -> Resul
     });
     Ok(Edge {
         points: points.collect(),
+        likeness,
         sigma_rad: half.steps.sigma * profiles.step_rad,
         clouded,
         lit: lit(profiles, &limbs, light.least_dn, of_places.brightest_dn),

@@ -65,7 +65,7 @@ const RIVAL_SHARE: f64 = 0.3;
 /// An edge whose height is to be found may stand so far off, m.
 const FITTED_TOLERANCE_M: f64 = 15_000.0;
 /// Profiles are read anew while the nadir moves by more, so often at most.
-const SETTLED_PX: f64 = 0.2;
+const SETTLED_PX: f64 = 0.7;
 const MOST_ROUNDS: usize = 4;
 /// An edge is brighter than the sky by this share of the frame's contrast, and by so many sigmas of a pixel's noise.
 const LEAST_CONTRAST: f64 = 0.1;
@@ -440,7 +440,7 @@ impl Search<'_> {
         let crossings = rays(&profiles(self.sphere, &start).crossings(least_dn), 0.0);
         let mut nadir = self.fit_as_sphere(self.sphere, &crossings)?;
         let mut sphere = *self.sphere;
-        let mut points = Vec::new();
+        let (mut points, mut likeness) = (Vec::new(), Ok(()));
         for _ in 0..MOST_ROUNDS {
             let last = nadir;
             sphere.half_angle_rad.value = last.half_angle_rad.value;
@@ -452,7 +452,7 @@ impl Search<'_> {
             };
             solution.places = profiles.places.len();
             let edge = limb::edge(&profiles, &sphere, &light).map_err(at(Stage::Edge))?;
-            points = edge.points;
+            (points, likeness) = (edge.points, edge.likeness);
             solution.edge = rays(&points, edge.sigma_rad);
             solution.clouded = edge.clouded;
             solution.lit = edge.lit;
@@ -464,6 +464,7 @@ impl Search<'_> {
                 break;
             }
         }
+        likeness.map_err(at(Stage::Edge))?;
         if self.sphere.viewpoint.is_some() {
             inside::goes_on(view, &self.camera.mask, &points, self.scale_px())
                 .map_err(at(Stage::Edge))?;

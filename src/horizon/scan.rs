@@ -19,7 +19,7 @@ const REACH_PX: std::ops::Range<f64> = 3.0..60.0;
 /// Of the radius of a sphere that is small.
 const MOST_REACH: f64 = 0.25;
 /// Samples of a line to each side of an edge.
-const SAMPLES: usize = 3;
+const SAMPLES: usize = 2;
 /// An edge that crosses a line at a smaller sine is left to the lines of the other direction.
 const LEAST_ACROSS: f64 = 0.6;
 /// Light is read at such distances from the edge, in reaches: near it, and where it falls off no more.
