@@ -680,7 +680,9 @@ fn frames_of_a_pair_are_answered_with_the_nadir_of_their_body() {
     let down = Vector3::new(value(12), value(13), value(14));
     let (a, b) = (at("camA.toml"), at("camB.toml"));
     let frames = [at("camA_00000.fits"), at("camB_00000.fits")];
+    let exact = ["--edge-sigma-m", "0"];
     let edge = ["--height-m", "230000", "--atmosphere-m", &row[10]];
+    let edge = [&edge[..], &exact].concat();
     let command = [&["horizon", "--pair", &a, &b], &edge[..]].concat();
     let solved = solaspect(&[&command[..], &[&frames[0], &frames[1]]].concat());
     let answers_both = answers(&solved);

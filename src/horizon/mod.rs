@@ -65,7 +65,7 @@ const RIVAL_SHARE: f64 = 0.3;
 /// An edge whose height is to be found may stand so far off, m.
 const FITTED_TOLERANCE_M: f64 = 15_000.0;
 /// Profiles are read anew while the nadir moves by more, so often at most.
-const SETTLED_PX: f64 = 0.7;
+const SETTLED_PX: f64 = 0.2;
 const MOST_ROUNDS: usize = 4;
 /// An edge is brighter than the sky by this share of the frame's contrast, and by so many sigmas of a pixel's noise.
 const LEAST_CONTRAST: f64 = 0.1;
@@ -464,8 +464,8 @@ impl Search<'_> {
                 break;
             }
         }
-        likeness.map_err(at(Stage::Edge))?;
         if self.sphere.viewpoint.is_some() {
+            likeness.map_err(at(Stage::Edge))?;
             inside::goes_on(view, &self.camera.mask, &points, self.scale_px())
                 .map_err(at(Stage::Edge))?;
         }
