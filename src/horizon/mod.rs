@@ -70,6 +70,8 @@ const MOST_ROUNDS: usize = 4;
 /// An edge is brighter than the sky by this share of the frame's contrast, and by so many sigmas of a pixel's noise.
 const LEAST_CONTRAST: f64 = 0.1;
 const LEAST_CONTRAST_SIGMAS: f64 = 4.0;
+/// Beyond noise, a place of the limb differs from the others by this share of its brightness at most.
+const MOST_UNLIKE: f64 = 0.1;
 /// A sphere shows its edge at so many places and this share of those that show light.
 const LEAST_PLACES: usize = 12;
 const LEAST_SHARE: f64 = 0.4;
@@ -448,6 +450,8 @@ impl Search<'_> {
             let light = Light {
                 least_dn,
                 noise_dn: levels.noise_dn,
+                // Of a sharp edge, where pixels begin makes the profiles differ.
+                most_unlike: self.sphere.viewpoint.map_or(f64::INFINITY, |_| MOST_UNLIKE),
                 far_sky_dn: raster.far_sky_dn(&sphere, &last.direction.unit),
             };
             solution.places = profiles.places.len();

@@ -157,7 +157,14 @@ pub fn nadir(
     let mut scatter: Matrix3<f64> = gradients.iter().map(noise).sum();
     // The prior's own, of the half-angle in units of what is free.
     scatter += Matrix3::from_diagonal(&Vector3::z());
-    scatter += departure.scatter(&gradients) + sphere.departure.scatter(&gradients);
+    // What the residuals show of the edge's departure is a part of what its height's sigma lets expect, not more of it.
+    let shown = departure.scatter(&gradients);
+    let expected = sphere.departure.scatter(&gradients);
+    let of_nadir = |scatter: &Matrix3<f64>| scatter.m11 + scatter.m22;
+    scatter += match of_nadir(&expected) > of_nadir(&shown) {
+        true => expected,
+        false => shown,
+    };
     scatter += Departure::shared(held_rad).scatter(&gradients);
     let twilight: Vector3<f64> = gradients
         .iter()

@@ -10,8 +10,6 @@ const AVERAGED_PLACES: usize = 5;
 const CLOUDLESS_SHARE: f64 = 0.1;
 /// The brightest place is the one that so many are darker than.
 const BRIGHTEST: f64 = 0.9;
-/// Beyond noise, a place's profile differs from the mean one by this share of its brightness at most.
-const MOST_UNLIKE: f64 = 0.1;
 
 /// What is known of a frame's light, DN.
 #[derive(Debug, Clone, Copy)]
@@ -20,13 +18,15 @@ pub(super) struct Light {
     pub least_dn: f64,
     /// Of a pixel, 1 sigma.
     pub noise_dn: f64,
+    /// Beyond noise, a place's profile differs from the mean one by this share of its brightness at most.
+    pub most_unlike: f64,
     /// Of a pixel of the sky far from the limb, if any is in view.
     pub far_sky_dn: Option<f64>,
 }
 
 /// Whether a place shows what the others do, and not a part of the vehicle.
 pub(super) fn is_limb(limb: &Limb, light: &Light) -> bool {
-    limb.brightness_dn > light.least_dn && unlike(limb, light.noise_dn) < MOST_UNLIKE
+    limb.brightness_dn > light.least_dn && unlike(limb, light.noise_dn) < light.most_unlike
 }
 
 /// What a place's profile has beside the mean one and noise, over its brightness.

@@ -64,7 +64,7 @@ pub(super) struct Half {
     /// Outwards from the edge of the cone.
     pub steps: Measured,
     brightness: f64,
-    /// The light has the law of air down to the thick air, and no place shows a cloud.
+    /// The light has the law of air down to the thick air, and no place shows a cloud; or there is no air.
     pub is_clear: bool,
 }
 
@@ -103,9 +103,9 @@ impl Shape {
     fn growth(&self) -> f64 {
         let first = self.edge + (SKY_SCALES * self.scale).ceil() as usize;
         let sky = first..self.light.len();
-        if sky.len() < LEAST_SKY {
+        let Some(air) = self.air.as_ref().filter(|_| sky.len() >= LEAST_SKY) else {
             return 0.0;
-        }
+        };
         let middle = (sky.start + sky.end - 1) as f64 / 2.0;
         let slope = |light: &dyn Fn(usize) -> f64| {
             let (mut sum, mut squares) = (0.0, 0.0);
@@ -116,12 +116,8 @@ impl Shape {
             }
             sum / squares
         };
-        let air = |n: usize| {
-            self.air
-                .as_ref()
-                .map_or(0.0, |air| air.usual_share(n as f64 - self.edge as f64))
-        };
-        let own = slope(&air) + OWN_SKY / (self.light.len() - self.edge) as f64;
+        let usual = |n: usize| air.usual_share(n as f64 - self.edge as f64);
+        let own = slope(&usual) + OWN_SKY / (self.light.len() - self.edge) as f64;
         (slope(&|n| self.light[n]) - own).max(0.0)
     }
 
@@ -162,7 +158,7 @@ impl Shape {
         Some(Half {
             steps: clear.map_or_else(above_clouds, |law| weighted_mean(law, by_places)),
             brightness,
-            is_clear: clear.is_some(),
+            is_clear: clear.is_some() || self.air.is_none(),
         })
     }
 

@@ -12,7 +12,7 @@ const LIMB_OUTSIDE_M: f64 = 60_000.0;
 /// By how much the border of what is bright may stand above or below the edge, m.
 const BORDER_HEIGHT_M: f64 = 4_000.0;
 /// An edge whose height is known to a sigma varies along the limb by this part of it: its correlation falls to 1/e over such an azimuth, rad.
-const VARIES: f64 = 0.1;
+const VARIES: f64 = 0.05;
 const VARIES_RAD: f64 = 0.17;
 /// SOFA's number of the WGS 84 ellipsoid.
 const WGS84: i32 = 1;
