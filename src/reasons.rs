@@ -123,6 +123,7 @@ reasons! {
     NO_HORIZON "no_horizon" "too few sharp edges agree on a horizon"
     NO_LIMB "no_limb" "nothing is bright before the sky along the edge"
     SOFT_EDGE "soft_edge" "the edge is softer than that of the air"
+    SHARP_EDGE "sharp_edge" "the edge is sharper than that of the air"
     UNEVEN_EDGE "uneven_edge" "light falls off unlike from place to place"
     LITTLE_EDGE "little_edge" "too little of the edge is seen"
     UNDETERMINED "undetermined" "the edge does not determine the fit"

@@ -56,7 +56,7 @@ impl Case {
                 at: on,
                 inward,
                 sigma_px: 0.01,
-                twilight_px: 0.0,
+                of_brightness_px: 0.0,
             };
             in_view.then(|| EdgeRay::of(&point, &camera)).flatten()
         };

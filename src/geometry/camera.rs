@@ -117,6 +117,11 @@ impl Camera {
 
     /// The pixel that sees a ray. `None` beyond the limit of the lens.
     pub fn pixel(&self, ray: &UnitVector3<f64>) -> Option<SensorPx> {
+        if self.lens == Lens::Rectilinear {
+            let at = (ray.z > 0.0).then(|| ray.xy() / ray.z)?;
+            let from_centre = at.component_mul(&self.focal_px);
+            return Some((self.principal_point.vector() + from_centre).into());
+        }
         let (theta, outward) = polar(ray);
         let (r, _) = self.seen(theta)?;
         let from_centre = outward.component_mul(&self.focal_px) * r;
@@ -125,6 +130,11 @@ impl Camera {
 
     /// The ray that a pixel sees: the inverse of [`pixel`](Self::pixel). `None` beyond the limit of the lens.
     pub fn ray(&self, pixel: SensorPx) -> Option<UnitVector3<f64>> {
+        if self.lens == Lens::Rectilinear {
+            let at = self.in_plane(pixel);
+            let is_finite = at.iter().all(|v| v.is_finite());
+            return is_finite.then(|| UnitVector3::new_normalize(at.push(1.0)));
+        }
         let (theta, outward) = self.angles(pixel)?;
         let across = outward * theta.sin();
         let ray = Vector3::new(across.x, across.y, theta.cos());
@@ -174,9 +184,14 @@ impl Camera {
 
     /// Angle from the axis (rad), and the unit vector outwards in the image, of a pixel.
     fn angles(&self, pixel: SensorPx) -> Option<(f64, Vector2<f64>)> {
-        let from_centre = pixel.vector() - self.principal_point.vector();
-        let at = from_centre.component_div(&self.focal_px);
+        let at = self.in_plane(pixel);
         Some((self.angle(at.norm())?, outward(at)))
+    }
+
+    /// A pixel from the principal point, in focal lengths.
+    fn in_plane(&self, pixel: SensorPx) -> Vector2<f64> {
+        let from_centre = pixel.vector() - self.principal_point.vector();
+        from_centre.component_div(&self.focal_px)
     }
 
     /// The angle of a radius, by Newton's method within a bracket that every step narrows.

@@ -9,7 +9,7 @@ use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};
 use crate::units::{EARTH_RADIUS_M, Measured};
 use libm::erf;
 use nalgebra::{RowVector3, Vector1, Vector3};
-use std::f64::consts::{LN_2, SQRT_2};
+use std::f64::consts::{LN_2, PI, SQRT_2};
 
 /// Residuals are counted in this share of the limb's brightness: what the mean of many places has of noise. The law is not the air's where they are so
 /// many times larger.
@@ -54,54 +54,50 @@ impl Air {
         Vector3::new(1.0, LN_2.ln(), 0.0)
     }
 
-    /// Optical depth of a ray so many steps outside of the edge.
-    fn depth(&self, steps: f64, air: &Parameters) -> f64 {
+    /// Optical depth of a ray so many steps outside of the edge, and the derivative of its logarithm by that of the scale height.
+    fn depth(&self, steps: f64, air: &Parameters) -> (f64, f64) {
         let scale_m = Sphere::SCALE_HEIGHT_M * air.z.exp();
         let (sine, cosine) = (self.half_angle_rad + steps * self.step_rad).sin_cos();
-        let above_m = self.camera_radius_m * sine - self.edge_m;
+        let scales = (self.camera_radius_m * sine - self.edge_m) / scale_m;
         // Along a ray, density is a Gaussian about the lowest place.
         let to_lowest = self.camera_radius_m * cosine / (EARTH_RADIUS_M * scale_m).sqrt();
-        (air.y - above_m / scale_m).exp() * (1.0 + erf(to_lowest / SQRT_2)) / 2.0
+        let before = 1.0 + erf(to_lowest / SQRT_2);
+        let nearer = to_lowest * (-to_lowest * to_lowest / 2.0).exp() / (2.0 * PI).sqrt();
+        let depth = (air.y - scales).exp() * before / 2.0;
+        (depth, scales - nearer / before)
     }
 
-    fn share(&self, steps: f64, air: &Parameters) -> f64 {
-        1.0 - (-self.depth(steps, air)).exp()
+    /// Share of the thick air's light, and its derivatives by the logarithms of depth and scale height.
+    fn share(&self, steps: f64, air: &Parameters) -> Vector3<f64> {
+        let (depth, by_scale) = self.depth(steps, air);
+        let by_depth = depth * (-depth).exp();
+        Vector3::new(1.0 - (-depth).exp(), by_depth, by_depth * by_scale)
     }
 
     /// What a blurred picture shows of a share, to the second order of the blur.
-    fn blurred(&self, steps: f64, air: &Parameters) -> f64 {
+    fn blurred(&self, steps: f64, air: &Parameters) -> Vector3<f64> {
         (self.share(steps - self.blur_steps, air) + self.share(steps + self.blur_steps, air)) / 2.0
     }
 
     /// Light of the usual air over its brightness.
     pub fn usual_share(&self, steps: f64) -> f64 {
-        self.share(steps, &Self::usual())
+        self.share(steps, &Self::usual()).x
     }
 
     /// Steps from the edge to where half of the thick air's light is scattered, by light above that of the last step. `None` of light that
     /// has another law.
     pub fn half(&self, light: &[(f64, f64)], last: f64, brightness: f64) -> Option<Measured> {
         const STEP: f64 = 1e-4;
-        let shown = |steps: f64, air: &Parameters| self.blurred(steps, air) - self.share(last, air);
-        let row = |steps: f64, dn: f64, air: &Parameters| {
-            let share = shown(steps, air);
-            let moved = |axis: usize| {
-                let mut moved = *air;
-                moved[axis] += STEP;
-                air.x * (shown(steps, &moved) - share) / STEP
-            };
-            Linearised {
-                residual: Vector1::new((dn - air.x * share) / NOISE),
-                jacobian: RowVector3::new(share, moved(1), moved(2)) / NOISE,
-            }
-        };
         let rows = |air: &Parameters| {
-            Some(
-                light
-                    .iter()
-                    .map(|(steps, dn)| row(*steps, *dn, air))
-                    .collect::<Vec<_>>(),
-            )
+            let below = self.share(last, air);
+            let row = |(steps, dn): &(f64, f64)| {
+                let shown = self.blurred(*steps, air) - below;
+                Linearised {
+                    residual: Vector1::new((dn - air.x * shown.x) / NOISE),
+                    jacobian: RowVector3::new(shown.x, air.x * shown.y, air.x * shown.z) / NOISE,
+                }
+            };
+            Some(light.iter().map(row).collect::<Vec<_>>())
         };
         let mut start = Self::usual();
         start.x = brightness;
@@ -128,7 +124,8 @@ impl Air {
         };
         let slope = Vector3::new(0.0, moved(1)?, moved(2)?);
         let variance = (slope.transpose() * found.covariance * slope).x;
-        let scale_steps = 1.0 / (self.depth(half - 0.5, air) / self.depth(half + 0.5, air)).ln();
+        let scale_steps =
+            1.0 / (self.depth(half - 0.5, air).0 / self.depth(half + 0.5, air).0).ln();
         let blur = BLUR_SIGMA * self.blur_steps.powi(2) / scale_steps;
         let sigma = (SHARED_NOISE * variance.sqrt()).hypot(blur);
         sigma.is_finite().then(|| Measured::new(half, sigma))
@@ -138,8 +135,8 @@ impl Air {
     fn half_of(&self, air: &Parameters) -> Option<f64> {
         const STEPS: usize = 6;
         let half = (0..STEPS).fold(0.0, |at, _| {
-            let (before, after) = (self.depth(at - 0.5, air), self.depth(at + 0.5, air));
-            at + (self.depth(at, air) / LN_2).ln() / (before / after).ln()
+            let depth = |steps: f64| self.depth(steps, air).0;
+            at + (depth(at) / LN_2).ln() / (depth(at - 0.5) / depth(at + 0.5)).ln()
         });
         half.is_finite().then_some(half)
     }

@@ -230,7 +230,7 @@ fn points(cracks: &[(Corner, Heading)]) -> Vec<EdgePoint> {
             at: SensorPx::from((before + after) / 2.0),
             inward: Vector2::new(along.y, -along.x),
             sigma_px: SIGMA_PX,
-            twilight_px: 0.0,
+            of_brightness_px: 0.0,
         })
     })
     .collect()

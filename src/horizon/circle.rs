@@ -7,7 +7,8 @@
 use super::border::Binary;
 use super::edge::EdgeRay;
 use super::light::Levels;
-use super::{LEAST_PLACES, Settings, Sphere, Stage, Stopped, no_horizon};
+use super::search::{LEAST_PLACES, no_horizon};
+use super::{Settings, Sphere, Stage, Stopped};
 use crate::estimation::{median, regression};
 use crate::frame::{Frame, Region};
 use crate::instrument::DirectionCamera;

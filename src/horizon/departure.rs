@@ -74,6 +74,9 @@ impl Departure {
         gradients: &[(SVector<f64, N>, &EdgeRay)],
     ) -> SMatrix<f64, N, N> {
         let mut sum = SMatrix::zeros();
+        if self.sigma_rad == 0.0 {
+            return sum;
+        }
         let mut before = SVector::<f64, N>::zeros();
         let mut last: Option<&EdgeRay> = None;
         for (gradient, ray) in gradients {

@@ -12,8 +12,8 @@ pub struct EdgePoint {
     pub inward: Vector2<f64>,
     /// 1 sigma across the edge, by the camera's noise alone, px.
     pub sigma_px: f64,
-    /// By how much twilight may have moved it, all that are as dark alike: 1 sigma, px.
-    pub twilight_px: f64,
+    /// By how much its brightness may have moved it, all that are as dark or as bright alike: 1 sigma, px.
+    pub of_brightness_px: f64,
 }
 
 /// The edge in one picture. Rays that follow each other are neighbours.
@@ -48,8 +48,10 @@ pub struct EdgeRay {
     pub inward: Vector3<f64>,
     /// 1 sigma of the ray across the edge, by the camera's noise alone.
     pub sigma_rad: f64,
-    /// By how much twilight may have moved it, all that are as dark alike: 1 sigma.
-    pub twilight_rad: f64,
+    /// By how much its brightness may have moved it, all that are as dark or as bright alike: 1 sigma.
+    pub of_brightness_rad: f64,
+    /// By how much the edge still moves when its light is read anew.
+    pub unsettled_rad: f64,
 }
 
 impl EdgeRay {
@@ -62,7 +64,8 @@ impl EdgeRay {
             unit,
             inward: across.try_normalize(0.0)?,
             sigma_rad: across.norm() * point.sigma_px,
-            twilight_rad: across.norm() * point.twilight_px,
+            of_brightness_rad: across.norm() * point.of_brightness_px,
+            unsettled_rad: 0.0,
         })
     }
 

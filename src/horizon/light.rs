@@ -10,9 +10,10 @@ use crate::with_view;
 use nalgebra::UnitVector3;
 use std::f64::consts::{PI, SQRT_2};
 
-/// One pixel in so many is looked at, in each axis, and so many across a sphere that is small.
-const MOST_SPACING_PX: f64 = 24.0;
+/// One pixel in so many is looked at, in each axis, and so many across a sphere or a picture that is small.
+const MOST_SPACING_PX: f64 = 40.0;
 const ACROSS: f64 = 8.0;
+const RASTER_LINES: usize = 24;
 /// The dark sky is that of so many of the pixels, and bright is what so many exceed: a thousandth may be the Sun. Where that is looked for,
 /// bright is what a part of it exceeds.
 const DARK_SHARE: f64 = 0.02;
@@ -26,9 +27,8 @@ const MOST_MEAN: f64 = 235.0 / 255.0;
 const LEAST_CONTRAST: f64 = 12.0 / 255.0;
 const LEAST_CONTRAST_SIGMAS: f64 = 10.0;
 
-/// One pixel in so many at most, in each axis, tells which side of the edge is bright, and so many rows of them.
-const MOST_RASTER_PX: usize = 48;
-const RASTER_LINES: usize = 24;
+/// The same of the raster that tells which side of the edge is bright.
+const MOST_RASTER_PX: usize = 54;
 /// Beyond the limb's light by so much, the sky is as dark as it is, rad.
 const FAR_RAD: f64 = 0.05;
 /// Of a raster's pixels within the sphere so many are bright, and of those of the sky at most so many. It takes some of each to tell.
@@ -56,7 +56,9 @@ impl Levels {
     /// # Errors
     /// A frame that is dark, or bright, all over.
     pub fn of(frame: &Frame, radius_px: f64) -> Result<Self, Rejected> {
-        let spacing_px = (2.0 * radius_px / ACROSS).clamp(1.0, MOST_SPACING_PX) as usize;
+        let shorter_px = frame.width().min(frame.height());
+        let spacing_px = (2.0 * radius_px / ACROSS).min(MOST_SPACING_PX) as usize;
+        let spacing_px = spacing_px.min(shorter_px / RASTER_LINES).max(1);
         let Sampled {
             mut pixels,
             mean,

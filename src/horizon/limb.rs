@@ -26,12 +26,14 @@ const LEAST_BRIGHTNESS: f64 = 0.15;
 /// Where the limb is darker than the brightest, but for so much of its logarithm that may be weather, twilight moves half of its light: by so many scale
 /// heights for a factor of e.
 const LIKE_BRIGHT: f64 = 0.2;
-const TWILIGHT_SCALES: f64 = 0.4;
+const TWILIGHT_SCALES: f64 = 0.3;
 /// Beyond noise, half of the places differ from the mean profile by this share of their brightness at most.
 const MOST_UNEVEN: f64 = 0.015;
 /// A limb that fades into night has less than this of the brightest at so many places before.
 const FADED: f64 = 0.7;
 const FADING_PLACES: usize = 4;
+/// Above clouds, a place that is brighter by a factor of e may as well have its edge farther out, by so many scale heights.
+const CLOUDED_SCALES: f64 = 0.8;
 /// Noise is known to this share of it.
 const NOISE_SIGMA: f64 = 0.7;
 
@@ -44,6 +46,8 @@ pub(super) struct Edge {
     pub sigma_rad: f64,
     /// Share of the places with clouds.
     pub clouded: f64,
+    /// No cloud is seen, and all light has the law of air.
+    pub is_clear: bool,
     /// Places that show light of any kind.
     pub lit: usize,
 }
@@ -83,20 +87,27 @@ pub(super) fn edge(profiles: &Profiles, sphere: &Sphere, light: &Light) -> Resul
     };
     let alike = || check_alike(limbs.iter().filter(shows_edge), light.noise_dn);
     let likeness = shape.check(&half).and_then(|()| alike());
+    let moved_scales = |limb: &Limb| {
+        let darker = |than_dn: f64| (than_dn / limb.brightness_dn).ln();
+        let twilight = (darker(of_places.brightest_dn) - LIKE_BRIGHT).max(0.0);
+        let clouds = match clouded > CLOUDED_SHARE {
+            true => darker(of_places.limb_dn),
+            false => 0.0,
+        };
+        TWILIGHT_SCALES * twilight + CLOUDED_SCALES * clouds
+    };
     let all = profiles.places.iter().zip(&limbs);
     let seen = all.filter(|(_, limb)| shows_edge(limb));
-    let points = seen.map(|(place, limb)| {
-        let darker = (of_places.brightest_dn / limb.brightness_dn).ln() - LIKE_BRIGHT;
-        EdgePoint {
-            twilight_px: TWILIGHT_SCALES * shape.scale * profiles.step_px * darker.max(0.0),
-            ..place.point(half.steps.value + limb.shift_steps, limb.shift_sigma_steps)
-        }
+    let points = seen.map(|(place, limb)| EdgePoint {
+        of_brightness_px: moved_scales(limb) * shape.scale * profiles.step_px,
+        ..place.point(half.steps.value + limb.shift_steps, limb.shift_sigma_steps)
     });
     Ok(Edge {
         points: points.collect(),
         likeness,
         sigma_rad: half.steps.sigma * profiles.step_rad,
         clouded,
+        is_clear: half.is_clear,
         lit: lit(profiles, &limbs, light.least_dn, of_places.brightest_dn),
     })
 }

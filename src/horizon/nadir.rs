@@ -110,22 +110,22 @@ pub fn nadir(
         UnitVector3::new_normalize(start.into_inner() + tangents * by.fixed_rows::<2>(0))
     };
     let sigma_rad = |ray: &EdgeRay| {
-        let own = ray.sigma_rad.hypot(ray.twilight_rad);
+        let own = ray.sigma_rad.hypot(ray.of_brightness_rad);
         own.hypot(departure.sigma_rad)
     };
+    let edge: Vec<(&EdgeRay, f64)> = edge().map(|ray| (ray, sigma_rad(ray))).collect();
     let linearise = |by: &Vector3<f64>| {
         let nadir = moved(by);
-        let row = |ray: &EdgeRay| {
+        let row = |(ray, sigma): &(&EdgeRay, f64)| {
             let (angle, slope) = ray.angle_from(&nadir);
             let expected = sphere.half_angle_towards(&ray.unit, &nadir) + by.z * free_rad;
             let across = tangents.transpose() * slope;
-            let sigma = sigma_rad(ray);
             Linearised {
-                residual: Vector1::new((expected - angle) / sigma),
-                jacobian: RowVector3::new(across.x, across.y, -free_rad) / sigma,
+                residual: Vector1::new((expected - angle) / *sigma),
+                jacobian: RowVector3::new(across.x, across.y, -free_rad) / *sigma,
             }
         };
-        Some(edge().map(row).collect::<Vec<_>>())
+        Some(edge.iter().map(row).collect::<Vec<_>>())
     };
     let robust = LeastSquares {
         start: Vector3::zeros(),
@@ -140,12 +140,9 @@ pub fn nadir(
     };
     let fitted = robust.fit_after_plain(linearise)?;
     let rows = linearise(&fitted.parameters).unwrap_or_default();
-    let weighted = rows.iter().zip(&fitted.weights).zip(edge());
+    let weighted = rows.iter().zip(&fitted.weights).zip(&edge);
     let gradients: Vec<(Vector3<f64>, &EdgeRay)> = weighted
-        .map(|((row, weight), ray)| {
-            let sigma = sigma_rad(ray);
-            (row.jacobian.transpose() * (*weight / sigma), ray)
-        })
+        .map(|((row, weight), (ray, sigma))| (row.jacobian.transpose() * (*weight / sigma), *ray))
         .collect();
     let held_rad = match height {
         EdgeHeight::Given => given.sigma,
@@ -166,11 +163,15 @@ pub fn nadir(
         false => shown,
     };
     scatter += Departure::shared(held_rad).scatter(&gradients);
-    let twilight: Vector3<f64> = gradients
-        .iter()
-        .map(|(gradient, ray)| gradient * ray.twilight_rad)
-        .sum();
-    scatter += twilight * twilight.transpose();
+    // What moves all rays together, each by its own measure.
+    let together = |moved_rad: fn(&EdgeRay) -> f64| {
+        let moved = gradients
+            .iter()
+            .map(|(gradient, ray)| gradient * moved_rad(ray));
+        let sum: Vector3<f64> = moved.sum();
+        sum * sum.transpose()
+    };
+    scatter += together(|ray| ray.of_brightness_rad) + together(|ray| ray.unsettled_rad);
     let mut left = &gradients[..];
     for picture in pictures {
         let (own, others) = left.split_at(picture.rays.len());
@@ -351,7 +352,7 @@ mod tests {
                 at: (at.vector() + inward * noise).into(),
                 inward,
                 sigma_px: NOISE_PX,
-                twilight_px: 0.0,
+                of_brightness_px: 0.0,
             });
         }
         points
@@ -523,7 +524,7 @@ mod tests {
             at: SensorPx::new(100.0, 500.0),
             inward: Vector2::y(),
             sigma_px: NOISE_PX,
-            twilight_px: 0.0,
+            of_brightness_px: 0.0,
         };
         let one_place = of(&rays(&[point; 5]));
         assert!(one_place.is_err() || one_place.unwrap().sigma_deg() > 1.0);

@@ -35,23 +35,47 @@ pub(super) fn unlike(limb: &Limb, noise_dn: f64) -> f64 {
     (limb.scatter_dn.powi(2) - noise_dn.powi(2)).max(0.0).sqrt() / limb.brightness_dn
 }
 
-/// The middle of all profiles, each less its darkness and over its brightness. Nothing of no limb.
-pub(super) fn mean_profile(profiles: &Profiles, limbs: &[Limb], light: &Light) -> Vec<f64> {
-    let normal = normalised(profiles, limbs, light);
-    (0..profiles.length)
-        .filter_map(|n| median(normal.iter().map(|profile| profile[n])))
-        .collect()
+/// The light of all places that show the limb, each less its darkness and over its brightness.
+struct Normalised {
+    places: usize,
+    /// The innermost sample of each place, then the next.
+    light: Vec<f32>,
 }
 
-fn normalised(profiles: &Profiles, limbs: &[Limb], light: &Light) -> Vec<Vec<f64>> {
-    let bright = limbs.iter().zip(profiles.light());
-    bright
-        .filter(|(limb, _)| is_limb(limb, light))
-        .map(|(limb, light)| {
-            let above_dark = |dn: &f32| (f64::from(*dn) - limb.dark_dn) / limb.brightness_dn;
-            light.iter().map(above_dark).collect()
-        })
-        .collect()
+impl Normalised {
+    /// The innermost samples, so many.
+    fn of(profiles: &Profiles, samples: usize, limbs: &[Limb], light: &Light) -> Self {
+        let all = || limbs.iter().zip(profiles.light());
+        let shows_limb = |(limb, _): &(&Limb, &[f32])| is_limb(limb, light);
+        let places = all().filter(shows_limb).count();
+        let mut normal = vec![0.0; places * samples];
+        for (place, (limb, light)) in all().filter(shows_limb).enumerate() {
+            let (dark_dn, per_dn) = (limb.dark_dn as f32, 1.0 / limb.brightness_dn as f32);
+            let of_place = normal.iter_mut().skip(place).step_by(places);
+            for (normal, dn) in of_place.zip(light) {
+                *normal = (dn - dark_dn) * per_dn;
+            }
+        }
+        Self {
+            places,
+            light: normal,
+        }
+    }
+
+    /// The same sample of all places.
+    fn samples(&mut self) -> impl Iterator<Item = &mut [f32]> {
+        self.light.chunks_exact_mut(self.places.max(1))
+    }
+}
+
+/// The middle of all profiles. Nothing of no limb.
+pub(super) fn mean_profile(profiles: &Profiles, limbs: &[Limb], light: &Light) -> Vec<f64> {
+    let mut normal = Normalised::of(profiles, profiles.length, limbs, light);
+    let middle = |light: &mut [f32]| {
+        let middle = light.len() / 2;
+        f64::from(*light.select_nth_unstable_by(middle, f32::total_cmp).1)
+    };
+    normal.samples().map(middle).collect()
 }
 
 /// What the places of a limb have together.
@@ -71,8 +95,8 @@ pub(super) struct OfPlaces {
 impl OfPlaces {
     /// `None` of no limb.
     pub fn new(profiles: &Profiles, limbs: &[Limb], light: &Light) -> Option<Self> {
-        let normal = normalised(profiles, limbs, light);
-        let averaged = AVERAGED_PLACES.min(normal.len()).max(1);
+        let mut normal = Normalised::of(profiles, profiles.edge + 1, limbs, light);
+        let averaged = AVERAGED_PLACES.min(normal.places).max(1);
         let alike = || limbs.iter().filter(|limb| is_limb(limb, light));
         let mut bright: Vec<f64> = alike().map(|limb| limb.brightness_dn).collect();
         bright.sort_by(f64::total_cmp);
@@ -81,13 +105,12 @@ impl OfPlaces {
             sorted.get(place).copied()
         };
         let (mut cloudless, mut middle) = (f64::MIN, f64::MIN);
-        for n in 0..=profiles.edge {
-            let mean = |some: &[Vec<f64>]| some.iter().map(|place| place[n]).sum::<f64>();
-            let means = normal.windows(averaged).map(mean);
-            let mut light: Vec<f64> = means.map(|sum| sum / averaged as f64).collect();
-            light.sort_unstable_by(f64::total_cmp);
-            cloudless = cloudless.max(of_share(&light, CLOUDLESS_SHARE)?);
-            middle = middle.max(of_share(&light, 0.5)?);
+        for light in normal.samples() {
+            let means = light.windows(averaged).map(|some| some.iter().sum::<f32>());
+            let mut means: Vec<f64> = means.map(|sum| f64::from(sum) / averaged as f64).collect();
+            means.sort_unstable_by(f64::total_cmp);
+            cloudless = cloudless.max(of_share(&means, CLOUDLESS_SHARE)?);
+            middle = middle.max(of_share(&means, 0.5)?);
         }
         Some(Self {
             limb_dn: of_share(&bright, 0.5)?,

@@ -4,6 +4,7 @@ use super::edge::EdgePoint;
 use super::sphere::{Cone, Sphere};
 use crate::frame::{Region, Sample, View};
 use crate::geometry::camera::Camera;
+use crate::instrument::DirectionCamera;
 use crate::units::SensorPx;
 use nalgebra::{UnitVector3, Vector2};
 use std::f64::consts::TAU;
@@ -15,7 +16,7 @@ const LEAST_PLACES: usize = 96;
 const MOST_PLACES: usize = 960;
 /// Samples of a profile to each side of the edge.
 const LEAST_SAMPLES: usize = 6;
-const MOST_SAMPLES: usize = 48;
+const MOST_SAMPLES: usize = 42;
 /// The outer part of a profile shows the dark sky.
 const SKY_SHARE: f64 = 0.15;
 /// Noise of the light between four pixels over that of one, on average.
@@ -39,7 +40,7 @@ impl Place {
             at: self.at(steps),
             inward: -per_step.normalize(),
             sigma_px: sigma_steps * per_step.norm(),
-            twilight_px: 0.0,
+            of_brightness_px: 0.0,
         }
     }
 }
@@ -78,14 +79,17 @@ impl Steps {
 }
 
 impl Profiles {
-    /// Profiles at all places of a cone's edge that are in view with their whole profile, and not masked.
+    /// Profiles at one in so many places of a cone's edge, those that are in view with their whole profile, and not masked.
     pub fn of<T: Sample>(
         view: &View<'_, T>,
-        mask: &[Region],
-        camera: &Camera,
+        camera: &DirectionCamera,
         sphere: &Sphere,
         nadir: &UnitVector3<f64>,
+        every: usize,
     ) -> Self {
+        let DirectionCamera {
+            lens: camera, mask, ..
+        } = camera;
         let steps = Steps::of(sphere, camera);
         let length = steps.inside + 1 + steps.outside;
         let around = TAU * camera.mean_focal_px() * sphere.half_angle_rad.value.sin();
@@ -94,6 +98,7 @@ impl Profiles {
         let is_seen = |at: SensorPx| is_inside(view, mask, at);
         let around_rad = |n: usize| TAU * n as f64 / count as f64;
         let places: Vec<Place> = (0..count)
+            .step_by(every)
             .filter_map(|n| place(&cone, camera, &steps, around_rad(n), is_seen))
             .collect();
         let mut light_dn = Vec::with_capacity(places.len() * length);
@@ -176,15 +181,18 @@ pub(super) fn is_inside<T>(view: &View<'_, T>, mask: &[Region], at: SensorPx) ->
 }
 
 /// The light between four pixels, DN. The position must be inside the picture.
+#[inline]
 pub(super) fn interpolated<T: Sample>(view: &View<'_, T>, at: SensorPx) -> f32 {
-    let (x, y) = (at.x as usize, at.y as usize);
-    let (fx, fy) = ((at.x - x as f64) as f32, (at.y - y as f64) as f32);
+    // Small whole numbers are converted more quickly.
+    let (x, y) = (at.x as u32, at.y as u32);
+    let (right, below) = ((at.x - f64::from(x)) as f32, (at.y - f64::from(y)) as f32);
     let along = |row: &[T]| {
-        let pair = &row[x..x + 2];
-        pair[0].dn() + (pair[1].dn() - pair[0].dn()) * fx
+        let pair = &row[x as usize..][..2];
+        pair[0].dn() + (pair[1].dn() - pair[0].dn()) * right
     };
-    let (above, below) = (along(view.row(y)), along(view.row(y + 1)));
-    above + (below - above) * fy
+    let y = y as usize;
+    let (above_dn, below_dn) = (along(view.row(y)), along(view.row(y + 1)));
+    above_dn + (below_dn - above_dn) * below
 }
 
 pub(super) fn mean_dn(light: &[f32]) -> f64 {

@@ -10,9 +10,9 @@ use crate::units::SensorPx;
 use nalgebra::Vector2;
 
 /// Rows and columns are so far apart at most, and so many across a sphere or a picture that is small.
-const MOST_SPACING_PX: f64 = 40.0;
+const MOST_SPACING_PX: f64 = 54.0;
 const LINES_ACROSS_SPHERE: f64 = 8.0;
-const LINES_ACROSS_PICTURE: f64 = 24.0;
+const LINES_ACROSS_PICTURE: f64 = 20.0;
 /// The reach is so many scale heights, and within these.
 const REACH_SCALES: f64 = 2.0;
 const REACH_PX: std::ops::Range<f64> = 3.0..60.0;
@@ -145,7 +145,7 @@ impl Scan {
             at: at.into(),
             inward,
             sigma_px: SIGMA_PX,
-            twilight_px: 0.0,
+            of_brightness_px: 0.0,
         })
     }
 }

@@ -33,12 +33,16 @@ const LEAST_SKY: usize = 4;
 /// The sky's growth towards the edge that may be the limb's own, over its brightness.
 const OWN_SKY: f64 = 0.02;
 /// Sky that grows towards the limb grows on to the edge as it does, to this share.
-const SKY_SIGMA: f64 = 0.3;
+const SKY_SIGMA: f64 = 0.4;
 
 /// Light falls off within so many scale heights of half, or pixels where these are more, by this share of the brightness.
 const WITHIN_SCALES: f64 = 2.0;
 const WITHIN_PX: f64 = 2.0;
 const FALLS_WITHIN: Range<f64> = 0.6..1.7;
+/// The same of the core of the fall, which the air makes so wide that the camera's blur adds little; a panel's is all within.
+const CORE_SCALES: f64 = 0.5;
+const CORE_PX: f64 = 0.5;
+const MOST_WITHIN_CORE: f64 = 0.55;
 /// The innermost samples, and what they have of the brightness at the least.
 const INNERMOST: usize = 4;
 const LEAST_INSIDE: f64 = 0.35;
@@ -200,18 +204,16 @@ impl Shape {
     pub fn check(&self, half: &Half) -> Result<(), Rejected> {
         let fall =
             |steps: f64| self.at(half.steps.value - steps) - self.at(half.steps.value + steps);
-        let within = fall((WITHIN_SCALES * self.scale).max(WITHIN_PX / self.step_px));
+        let within = |scales: f64, px: f64| {
+            let steps = (scales * self.scale).max(px / self.step_px);
+            fall(steps) / half.brightness
+        };
+        let all = within(WITHIN_SCALES, WITHIN_PX);
         let innermost = self.light[..INNERMOST].iter().sum::<f64>() / INNERMOST as f64;
-        Rejected::at_least(
-            FALLS_WITHIN.start,
-            within / half.brightness,
-            reasons::SOFT_EDGE,
-        )?;
-        Rejected::at_most(
-            FALLS_WITHIN.end,
-            within / half.brightness,
-            reasons::UNEVEN_EDGE,
-        )?;
+        Rejected::at_least(FALLS_WITHIN.start, all, reasons::SOFT_EDGE)?;
+        Rejected::at_most(FALLS_WITHIN.end, all, reasons::UNEVEN_EDGE)?;
+        let core = within(CORE_SCALES, CORE_PX);
+        Rejected::at_most(MOST_WITHIN_CORE, core, reasons::SHARP_EDGE)?;
         Rejected::at_least(
             LEAST_INSIDE,
             innermost / half.brightness,

@@ -8,7 +8,7 @@ use std::f64::consts::{PI, TAU};
 
 /// The light of the Earth's limb falls off over these heights about its edge, m. Inside, clouds follow; outside, the sky is dark.
 const LIMB_INSIDE_M: f64 = 20_000.0;
-const LIMB_OUTSIDE_M: f64 = 60_000.0;
+const LIMB_OUTSIDE_M: f64 = 50_000.0;
 /// By how much the border of what is bright may stand above or below the edge, m.
 const BORDER_HEIGHT_M: f64 = 4_000.0;
 /// An edge whose height is known to a sigma varies along the limb by this part of it: its correlation falls to 1/e over such an azimuth, rad.

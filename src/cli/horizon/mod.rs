@@ -38,7 +38,7 @@ pub struct HorizonArgs {
     /// How the nadir is found
     #[arg(long, value_enum, default_value_t = Method::Cone)]
     method: Method,
-    /// Pixels of at least this many DN are bright [default: by the frame's own light]
+    /// With --method circle, pixels of at least this many DN are bright [default: by the frame's own light]
     #[arg(long, value_name = "DN")]
     threshold_dn: Option<f64>,
     /// Search near the previous frame's horizon first
@@ -98,6 +98,10 @@ pub fn run(mut args: HorizonArgs) -> anyhow::Result<ExitCode> {
     ensure!(
         args.method == Method::Cone || !(args.track || args.edge.fit_atmosphere),
         "--method circle: expected neither --track nor --fit-atmosphere"
+    );
+    ensure!(
+        args.method == Method::Circle || args.threshold_dn.is_none(),
+        "--threshold-dn: expected with --method circle, which follows a border"
     );
     let cameras = args.cameras()?;
     args.frames.prepare()?;
