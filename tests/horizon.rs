@@ -164,39 +164,7 @@ fn from_a_balloon_an_uneven_limb_leaves_four_hundredths_of_roll() {
 
 #[test]
 #[ignore = "minutes: the numbers in docs/horizon.md; cargo test --release --test promises horizon -- --ignored --nocapture"]
-fn errors_of_all_scenes_at_full_size() {
-    let clouds = |conditions| EarthConditions {
-        clouds: Some(Clouds::BRIGHT),
-        ..conditions
-    };
-    for (name, conditions) in [
-        ("230 km, clear", rocket()),
-        (
-            "230 km, clouds, limb 5 % and 200 m",
-            clouds(varying(rocket(), 0.05, 200.0)),
-        ),
-        ("38 km, clear", balloon()),
-        ("38 km, limb 2 % and 100 m", varying(balloon(), 0.02, 100.0)),
-        (
-            "38 km, clouds, limb 2 % and 100 m",
-            clouds(varying(balloon(), 0.02, 100.0)),
-        ),
-        (
-            "230 km, clouds, Sun, flares, 0.3 deg of spin",
-            EarthConditions {
-                sun: true,
-                spin_deg: 0.3,
-                ..clouds(rocket())
-            },
-        ),
-    ] {
-        let e = Errors::of(&conditions, FULL);
-        println!(
-            "| {name} | {:.4} | {:.4} | {:.4} | {:+.4} | {:.2} |",
-            e.nadir_rms, e.roll_rms, e.pitch_rms, e.pitch_mean, e.over_sigma
-        );
-        assert!((0.75..1.25).contains(&e.over_sigma), "{name}: {e:?}");
-    }
+fn errors_of_a_pair_at_full_size() {
     let pair = PairErrors::of(FULL);
     println!(
         "two cameras: {:.4} deg, {:.2} sigma; by circles, median of {}: {:.3} deg",

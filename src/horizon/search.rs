@@ -42,10 +42,12 @@ const MOST_UNLIKE: f64 = 0.1;
 /// A sphere shows its edge at so many places and this share of those that show light.
 pub(super) const LEAST_PLACES: usize = 12;
 const LEAST_SHARE: f64 = 0.4;
-/// A nadir is fine with so much of what is lit, and of all that is in view; what is short may be a panel's, or a flare's.
+/// A nadir is fine with so much of what is lit, and of all that is in view; and with so many places, or most of a small picture's: a short edge
+/// may be a flare's.
 const FINE_SHARE: f64 = 0.66;
 const FINE_PLACES: f64 = 0.25;
 const FINE_LEAST: f64 = 20.0;
+const FINE_MOST: f64 = 0.9;
 /// No nadir is fine that is known less well, deg.
 const MOST_SIGMA_DEG: f64 = 0.9;
 /// A limb departs less from its sphere, m, 1 sigma.
@@ -238,7 +240,8 @@ impl Search<'_> {
             Rejected::at_least(least, agreeing, reasons::LITTLE_EDGE)?;
             Rejected::at_most(MOST_SIGMA_DEG, nadir.sigma_deg(), reasons::UNCERTAIN)?;
             if self.sphere.viewpoint.is_some() {
-                Rejected::at_least(FINE_LEAST, agreeing, reasons::LITTLE_EDGE)?;
+                let least = FINE_LEAST.min(FINE_MOST * solution.places as f64);
+                Rejected::at_least(least, agreeing, reasons::LITTLE_EDGE)?;
                 Rejected::at_most(most_rad, nadir.departure.sigma_rad, reasons::NO_CONE)?;
             }
             if let Some(edge) = nadir.edge_m(self.sphere) {
