@@ -62,9 +62,18 @@ fn cloudy() -> Vec<HorizonRow> {
         })
         .demanding(&[FineShare(0.95), HonestSigma(0.8..1.4)])
     };
-    [25.0, 30.0, 34.0, 38.0, 45.0, 200.0, 300.0, 420.0]
-        .map(row)
-        .into()
+    let of_half = |title: &str, height_m| {
+        HorizonRow::new(title, [8, 200], height_m, EXACT_M, |_, m| {
+            with_clouds(Clouds::BRIGHT, varying_by_height(m))
+        })
+        .demanding(&[FineShare(0.95), HonestSigma(0.8..1.4)])
+    };
+    let mut rows = vec![
+        of_half("38 km, clouds over half of the ground", 38e3),
+        of_half("230 km, clouds over half of the ground", 230e3),
+    ];
+    rows.extend([25.0, 30.0, 34.0, 38.0, 45.0, 200.0, 300.0, 420.0].map(row));
+    rows
 }
 
 /// Scale heights of 6 to 9 km, haze layers, airglow.
@@ -168,6 +177,10 @@ fn with_any_clouds(rng: &mut Generator, conditions: EarthConditions) -> EarthCon
         height_m: rng.random_range(6e3..14e3),
         brightness_dn: rng.random_range(180.0..245.0),
     };
+    with_clouds(clouds, conditions)
+}
+
+fn with_clouds(clouds: Clouds, conditions: EarthConditions) -> EarthConditions {
     EarthConditions {
         clouds: Some(clouds),
         ..conditions
