@@ -28,7 +28,7 @@ pub(super) fn horizon_rows() -> Vec<HorizonRow> {
 
 fn with_an_exact_edge() -> Vec<HorizonRow> {
     let row = |title: &str, height_m, draw| {
-        HorizonRow::new(title, [8, 200], height_m, EXACT_M, draw)
+        HorizonRow::new(title, [16, 200], height_m, EXACT_M, draw)
             .demanding(&[FineShare(0.95), HonestSigma(0.75..1.25)])
     };
     vec![
