@@ -31,7 +31,7 @@ const FITTED_TOLERANCE_M: f64 = 15_000.0;
 /// The cone is first aligned at one place in so many.
 const CROSSINGS_APART: usize = 2;
 /// Profiles are read anew while the nadir moves by more, so often at most. Before clouds, the profiles' ends tell on what is found.
-const SETTLED_PX: f64 = 1.0;
+const SETTLED_PX: f64 = 0.3;
 const SETTLED_CLOUDED_PX: f64 = 0.2;
 const MOST_ROUNDS: usize = 8;
 /// An edge is brighter than the sky by this share of the frame's contrast, and by so many sigmas of a pixel's noise.
