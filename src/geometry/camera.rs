@@ -117,14 +117,15 @@ impl Camera {
 
     /// The pixel that sees a ray. `None` beyond the limit of the lens.
     pub fn pixel(&self, ray: &UnitVector3<f64>) -> Option<SensorPx> {
-        if self.lens == Lens::Rectilinear {
-            let at = (ray.z > 0.0).then(|| ray.xy() / ray.z)?;
-            let from_centre = at.component_mul(&self.focal_px);
-            return Some((self.principal_point.vector() + from_centre).into());
-        }
-        let (theta, outward) = polar(ray);
-        let (r, _) = self.seen(theta)?;
-        let from_centre = outward.component_mul(&self.focal_px) * r;
+        let at = match self.lens {
+            // The same without angles.
+            Lens::Rectilinear => (ray.z > 0.0).then(|| ray.xy() / ray.z)?,
+            Lens::KannalaBrandt(_) => {
+                let (theta, outward) = polar(ray);
+                outward * self.seen(theta)?.0
+            }
+        };
+        let from_centre = at.component_mul(&self.focal_px);
         Some((self.principal_point.vector() + from_centre).into())
     }
 

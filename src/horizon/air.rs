@@ -87,7 +87,6 @@ impl Air {
     /// Steps from the edge to where half of the thick air's light is scattered, by light above that of the last step. `None` of light that
     /// has another law.
     pub fn half(&self, light: &[(f64, f64)], last: f64, brightness: f64) -> Option<Measured> {
-        const STEP: f64 = 1e-4;
         let rows = |air: &Parameters| {
             let below = self.share(last, air);
             let row = |(steps, dn): &(f64, f64)| {
@@ -117,15 +116,11 @@ impl Air {
             .filter(|found| found.scatter < MOST_SCATTER)?;
         let air = &found.parameters;
         let half = self.half_of(air)?;
-        let moved = |axis: usize| {
-            let mut moved = *air;
-            moved[axis] += STEP;
-            Some((self.half_of(&moved)? - half) / STEP)
-        };
-        let slope = Vector3::new(0.0, moved(1)?, moved(2)?);
+        let depth = |steps: f64| self.depth(steps, air).0;
+        let scale_steps = 1.0 / (depth(half - 0.5) / depth(half + 0.5)).ln();
+        // The depth at half stays what it is, by whatever the air changes.
+        let slope = Vector3::new(0.0, 1.0, self.depth(half, air).1) * scale_steps;
         let variance = (slope.transpose() * found.covariance * slope).x;
-        let scale_steps =
-            1.0 / (self.depth(half - 0.5, air).0 / self.depth(half + 0.5, air).0).ln();
         let blur = BLUR_SIGMA * self.blur_steps.powi(2) / scale_steps;
         let sigma = (SHARED_NOISE * variance.sqrt()).hypot(blur);
         sigma.is_finite().then(|| Measured::new(half, sigma))

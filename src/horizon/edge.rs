@@ -25,6 +25,17 @@ pub struct EdgeRays {
 }
 
 impl EdgeRays {
+    /// Without the points beyond the limit of the lens. `sigma_rad` is what the picture's light has alike.
+    pub fn of(points: &[EdgePoint], camera: &Camera, sigma_rad: f64) -> Self {
+        let rays = points.iter();
+        Self {
+            rays: rays
+                .filter_map(|point| EdgeRay::of(point, camera))
+                .collect(),
+            sigma_rad,
+        }
+    }
+
     /// The same edge in another frame.
     pub fn turned(&self, rotation: &Rotation3<f64>) -> Self {
         let turned = |ray: &EdgeRay| EdgeRay {

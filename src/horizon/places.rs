@@ -2,7 +2,7 @@
 
 use super::profile::{INTERPOLATED_NOISE, Profiles};
 use super::template::Limb;
-use crate::estimation::median;
+use crate::estimation::{median, median_among};
 
 /// Places that are averaged, and the share of them that has no cloud, where the limb's brightness is read. Less, and the places that a flare or the
 /// Sun spoils would count.
@@ -39,7 +39,7 @@ pub(super) fn unlike(limb: &Limb, noise_dn: f64) -> f64 {
 struct Normalised {
     places: usize,
     /// The innermost sample of each place, then the next.
-    light: Vec<f32>,
+    light: Vec<f64>,
 }
 
 impl Normalised {
@@ -50,10 +50,9 @@ impl Normalised {
         let places = all().filter(shows_limb).count();
         let mut normal = vec![0.0; places * samples];
         for (place, (limb, light)) in all().filter(shows_limb).enumerate() {
-            let (dark_dn, per_dn) = (limb.dark_dn as f32, 1.0 / limb.brightness_dn as f32);
             let of_place = normal.iter_mut().skip(place).step_by(places);
             for (normal, dn) in of_place.zip(light) {
-                *normal = (dn - dark_dn) * per_dn;
+                *normal = (f64::from(*dn) - limb.dark_dn) / limb.brightness_dn;
             }
         }
         Self {
@@ -63,7 +62,7 @@ impl Normalised {
     }
 
     /// The same sample of all places.
-    fn samples(&mut self) -> impl Iterator<Item = &mut [f32]> {
+    fn samples(&mut self) -> impl Iterator<Item = &mut [f64]> {
         self.light.chunks_exact_mut(self.places.max(1))
     }
 }
@@ -71,11 +70,7 @@ impl Normalised {
 /// The middle of all profiles. Nothing of no limb.
 pub(super) fn mean_profile(profiles: &Profiles, limbs: &[Limb], light: &Light) -> Vec<f64> {
     let mut normal = Normalised::of(profiles, profiles.length, limbs, light);
-    let middle = |light: &mut [f32]| {
-        let middle = light.len() / 2;
-        f64::from(*light.select_nth_unstable_by(middle, f32::total_cmp).1)
-    };
-    normal.samples().map(middle).collect()
+    normal.samples().filter_map(median_among).collect()
 }
 
 /// What the places of a limb have together.
@@ -106,8 +101,8 @@ impl OfPlaces {
         };
         let (mut cloudless, mut middle) = (f64::MIN, f64::MIN);
         for light in normal.samples() {
-            let means = light.windows(averaged).map(|some| some.iter().sum::<f32>());
-            let mut means: Vec<f64> = means.map(|sum| f64::from(sum) / averaged as f64).collect();
+            let means = light.windows(averaged).map(|some| some.iter().sum::<f64>());
+            let mut means: Vec<f64> = means.map(|sum| sum / averaged as f64).collect();
             means.sort_unstable_by(f64::total_cmp);
             cloudless = cloudless.max(of_share(&means, CLOUDLESS_SHARE)?);
             middle = middle.max(of_share(&means, 0.5)?);

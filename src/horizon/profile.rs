@@ -181,7 +181,6 @@ pub(super) fn is_inside<T>(view: &View<'_, T>, mask: &[Region], at: SensorPx) ->
 }
 
 /// The light between four pixels, DN. The position must be inside the picture.
-#[inline]
 pub(super) fn interpolated<T: Sample>(view: &View<'_, T>, at: SensorPx) -> f32 {
     // Small whole numbers are converted more quickly.
     let (x, y) = (at.x as u32, at.y as u32);

@@ -8,8 +8,8 @@ use super::places::Light;
 use super::profile::Profiles;
 use super::scan::Scan;
 use super::{
-    Departure, EdgeHeight, EdgePoint, EdgeRay, EdgeRays, Levels, Nadir, Settings, Solution, Sphere,
-    Stage, Stopped, inside, limb,
+    Departure, EdgeHeight, EdgeRay, EdgeRays, Levels, Nadir, Settings, Solution, Sphere, Stage,
+    Stopped, inside, limb,
 };
 use crate::estimation::FitError;
 use crate::frame::{Frame, Sample, View};
@@ -54,6 +54,7 @@ const MOST_SIGMA_DEG: f64 = 0.9;
 const MOST_DEPARTURE_M: f64 = 4_500.0;
 /// Heights that the edge of air can have, m.
 const EDGE_HEIGHTS_M: Range<f64> = 0.0..60_000.0;
+
 /// What a frame is searched with.
 pub(super) struct Search<'a> {
     pub settings: &'a Settings,
@@ -130,13 +131,10 @@ impl Search<'_> {
             self.least_dn(levels),
         );
         let points = scan.edges(view, &self.camera.mask);
-        let rays: Vec<EdgeRay> = points
-            .iter()
-            .filter_map(|point| EdgeRay::of(point, lens))
-            .collect();
+        let edge = EdgeRays::of(&points, lens, 0.0);
         let tolerance_rad = self.tolerance_rad() + EDGE_TOLERANCE_PX / lens.mean_focal_px();
         let half_angle_rad = self.sphere.half_angle_rad.value;
-        consensus(&rays, half_angle_rad, tolerance_rad, MOST_GUESSES)
+        consensus(&edge.rays, half_angle_rad, tolerance_rad, MOST_GUESSES)
     }
 
     /// By how much the limb is brighter than the sky at the least, DN.
@@ -171,15 +169,8 @@ impl Search<'_> {
     ) -> Result<(Sphere, Nadir), Stopped> {
         let least_dn = self.least_dn(levels);
         let lens = &self.camera.lens;
-        let rays = |points: &[EdgePoint], sigma_rad: f64| EdgeRays {
-            rays: points
-                .iter()
-                .filter_map(|point| EdgeRay::of(point, lens))
-                .collect(),
-            sigma_rad,
-        };
         let some = Profiles::of(view, self.camera, self.sphere, &start, CROSSINGS_APART);
-        let crossings = rays(&some.crossings(least_dn), 0.0);
+        let crossings = EdgeRays::of(&some.crossings(least_dn), lens, 0.0);
         let mut nadir = self.fit_as_sphere(self.sphere, &crossings)?;
         let mut sphere = *self.sphere;
         let (mut points, mut likeness) = (Vec::new(), Ok(()));
@@ -197,7 +188,7 @@ impl Search<'_> {
             solution.places = profiles.places.len();
             let edge = limb::edge(&profiles, &sphere, &light).map_err(at(Stage::Edge))?;
             (points, likeness) = (edge.points, edge.likeness);
-            solution.edge = rays(&points, edge.sigma_rad);
+            solution.edge = EdgeRays::of(&points, lens, edge.sigma_rad);
             solution.clouded = edge.clouded;
             solution.lit = edge.lit;
             enough(solution.edge.rays.len(), solution)?;
