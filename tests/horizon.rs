@@ -18,7 +18,7 @@ const SEED: u64 = 1;
 const SMALL: u64 = 24;
 const FULL: u64 = 200;
 
-fn rocket() -> EarthConditions {
+pub fn rocket() -> EarthConditions {
     EarthConditions::clear(230_000.0)
 }
 
@@ -35,7 +35,7 @@ fn varying(conditions: EarthConditions, varies_by: f64, varies_by_m: f64) -> Ear
     EarthConditions { air, ..conditions }
 }
 
-fn camera(conditions: &EarthConditions) -> DirectionCamera {
+pub fn camera(conditions: &EarthConditions) -> DirectionCamera {
     DirectionCamera {
         width_px: conditions.width_px,
         height_px: conditions.height_px,
@@ -46,7 +46,7 @@ fn camera(conditions: &EarthConditions) -> DirectionCamera {
 }
 
 /// The sphere of a scene, its edge where the scene has it.
-fn sphere(scene: &EarthScene) -> Sphere {
+pub fn sphere(scene: &EarthScene) -> Sphere {
     let exact = |m| Measured::new(m, 0.0);
     let height = exact(scene.conditions.height_m);
     Sphere::earth(height, exact(scene.truth().edge_m), Refraction::None).unwrap()
@@ -459,7 +459,11 @@ fn a_circle_succeeds_in_nine_of_ten_clear_frames() {
 }
 
 /// A picture of a disc that is as bright all over, with the noise of 2 DN.
-fn picture_of_disc(camera: &DirectionCamera, centre: &UnitVector3<f64>, radius_rad: f64) -> Frame {
+pub fn picture_of_disc(
+    camera: &DirectionCamera,
+    centre: &UnitVector3<f64>,
+    radius_rad: f64,
+) -> Frame {
     const SAMPLES: usize = 4;
     let share = |x: usize, y: usize| {
         let part = |n: usize| (n as f64 + 0.5) / SAMPLES as f64 - 0.5;
@@ -537,7 +541,7 @@ fn nadir_and_sun_together_are_an_attitude() {
     );
 }
 
-fn solaspect(arguments: &[&str]) -> Output {
+pub fn solaspect(arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
     command
         .args(arguments)

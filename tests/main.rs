@@ -26,6 +26,7 @@ mod fuzz_seeds;
 mod gige;
 mod gondola_path;
 mod horizon;
+mod horizon_edges;
 mod horizon_sensitivity;
 mod hostile_files;
 mod identification;

@@ -33,7 +33,7 @@ const MOST_UNEVEN: f64 = 0.015;
 const FADED: f64 = 0.7;
 const FADING_PLACES: usize = 4;
 /// Above clouds, a place that is brighter by a factor of e may as well have its edge farther out, by so many scale heights.
-const CLOUDED_SCALES: f64 = 0.6;
+const CLOUDED_SCALES: f64 = 0.5;
 /// Noise is known to this share of it.
 const NOISE_SIGMA: f64 = 0.7;
 

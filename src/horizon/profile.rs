@@ -10,8 +10,7 @@ use nalgebra::{UnitVector3, Vector2};
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-/// Distance of places along the edge; many overlap what noise leaves to tell.
-const SPACING_PX: f64 = 12.0;
+/// Places all around the edge, whatever their distance.
 const LEAST_PLACES: usize = 96;
 const MOST_PLACES: usize = 960;
 /// Samples of a profile to each side of the edge.
@@ -79,13 +78,13 @@ impl Steps {
 }
 
 impl Profiles {
-    /// Profiles at one in so many places of a cone's edge, those that are in view with their whole profile, and not masked.
+    /// Profiles at places of a cone's edge so far from each other, those that are in view with their whole profile, and not masked.
     pub fn of<T: Sample>(
         view: &View<'_, T>,
         camera: &DirectionCamera,
         sphere: &Sphere,
         nadir: &UnitVector3<f64>,
-        every: usize,
+        spacing_px: f64,
     ) -> Self {
         let DirectionCamera {
             lens: camera, mask, ..
@@ -93,12 +92,11 @@ impl Profiles {
         let steps = Steps::of(sphere, camera);
         let length = steps.inside + 1 + steps.outside;
         let around = TAU * camera.mean_focal_px() * sphere.half_angle_rad.value.sin();
-        let count = ((around / SPACING_PX) as usize).clamp(LEAST_PLACES, MOST_PLACES);
+        let count = ((around / spacing_px) as usize).clamp(LEAST_PLACES, MOST_PLACES);
         let cone = Cone::new(sphere, nadir);
         let is_seen = |at: SensorPx| is_inside(view, mask, at);
         let around_rad = |n: usize| TAU * n as f64 / count as f64;
         let places: Vec<Place> = (0..count)
-            .step_by(every)
             .filter_map(|n| place(&cone, camera, &steps, around_rad(n), is_seen))
             .collect();
         let mut light_dn = Vec::with_capacity(places.len() * length);
@@ -131,9 +129,14 @@ impl Profiles {
     /// Where each profile falls through the middle of its own light: the edge as it is where nothing is known of the profile.
     pub fn crossings(&self, least_contrast_dn: f64) -> Vec<EdgePoint> {
         const SIGMA_STEPS: f64 = 1.0;
+        // Noise makes the brightest sample brighter than the limb.
+        const AVERAGED: usize = 5;
         let crossing = |(place, light): (&Place, &[f32])| {
             let dark = mean_dn(&light[self.sky()]);
-            let bright = f64::from(light.iter().copied().fold(f32::MIN, f32::max));
+            let bright = light
+                .windows(AVERAGED)
+                .map(mean_dn)
+                .fold(f64::MIN, f64::max);
             if bright - dark < least_contrast_dn {
                 return None;
             }

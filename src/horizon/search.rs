@@ -28,8 +28,11 @@ const MOST_GUESSES: usize = 3;
 const RIVAL_SHARE: f64 = 0.3;
 /// An edge whose height is to be found may stand so far off, m.
 const FITTED_TOLERANCE_M: f64 = 15_000.0;
-/// The cone is first aligned at one place in so many.
-const CROSSINGS_APART: usize = 2;
+/// Distance of places along the edge: those that the cone is first aligned with, roughly and once more, and all, of which many overlap what noise
+/// leaves to tell.
+const ROUGH_SPACING_PX: f64 = 96.0;
+const ALIGNING_SPACING_PX: f64 = 48.0;
+const SPACING_PX: f64 = 12.0;
 /// Profiles are read anew while the nadir moves by more, so often at most. Before clouds, the profiles' ends tell on what is found.
 const SETTLED_PX: f64 = 0.3;
 const SETTLED_CLOUDED_PX: f64 = 0.2;
@@ -169,15 +172,20 @@ impl Search<'_> {
     ) -> Result<(Sphere, Nadir), Stopped> {
         let least_dn = self.least_dn(levels);
         let lens = &self.camera.lens;
-        let some = Profiles::of(view, self.camera, self.sphere, &start, CROSSINGS_APART);
-        let crossings = EdgeRays::of(&some.crossings(least_dn), lens, 0.0);
-        let mut nadir = self.fit_as_sphere(self.sphere, &crossings)?;
+        let aligned = |start: &UnitVector3<f64>, spacing_px| {
+            let profiles = Profiles::of(view, self.camera, self.sphere, start, spacing_px);
+            let crossings = EdgeRays::of(&profiles.crossings(least_dn), lens, 0.0);
+            self.fit_as_sphere(self.sphere, &crossings)
+        };
+        let roughly = aligned(&start, ROUGH_SPACING_PX)?;
+        let mut nadir = aligned(&roughly.direction.unit, ALIGNING_SPACING_PX)?;
         let mut sphere = *self.sphere;
         let (mut points, mut likeness) = (Vec::new(), Ok(()));
         for _ in 0..MOST_ROUNDS {
             let last = nadir;
             sphere.half_angle_rad.value = last.half_angle_rad.value;
-            let profiles = Profiles::of(view, self.camera, &sphere, &last.direction.unit, 1);
+            let profiles =
+                Profiles::of(view, self.camera, &sphere, &last.direction.unit, SPACING_PX);
             let light = Light {
                 least_dn,
                 noise_dn: levels.noise_dn,

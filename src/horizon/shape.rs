@@ -33,7 +33,7 @@ const LEAST_SKY: usize = 4;
 /// The sky's growth towards the edge that may be the limb's own, over its brightness.
 const OWN_SKY: f64 = 0.02;
 /// Sky that grows towards the limb grows on to the edge as it does, to this share.
-const SKY_SIGMA: f64 = 0.4;
+const SKY_SIGMA: f64 = 0.5;
 
 /// Light falls off within so many scale heights of half, or pixels where these are more, by this share of the brightness.
 const WITHIN_SCALES: f64 = 2.0;
