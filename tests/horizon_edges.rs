@@ -1,11 +1,15 @@
-//! An edge that is no limb's gives no fine nadir, and the answer says why.
+//! What is a limb and what has an edge without being one: an answer says so, and so does the truth of a drawn scene.
 
 use super::horizon::{camera, picture_of_disc, rocket, solaspect, sphere};
+use nalgebra::{Rotation3, UnitVector3, Vector3};
+use solaspect::frame::Pixels;
 use solaspect::geometry::camera::Camera;
 use solaspect::horizon::{self, EdgeHeight, Quality, Settings};
 use solaspect::instrument::DirectionCamera;
 use solaspect::reasons::horizon as reasons;
+use solaspect::simulate::earth::EarthConditions;
 use solaspect::units::SensorPx;
+use std::f64::consts::TAU;
 
 const SEED: u64 = 2;
 
@@ -85,4 +89,49 @@ fn a_circle_is_drawn_like_a_cone_and_alone_has_a_threshold() {
         said.contains("--threshold-dn: expected with --method circle"),
         "{said}"
     );
+}
+
+#[test]
+fn the_truth_calls_lit_what_the_picture_shows_bright_inside_of_the_limb() {
+    const PLACES: u32 = 720;
+    const INSIDE_RAD: f64 = 0.03;
+    let conditions = EarthConditions {
+        terminator: true,
+        ..EarthConditions::clear(300_000.0)
+    };
+    let mut seen = Vec::new();
+    for number in 0..12 {
+        let scene = conditions.scene(SEED, number);
+        let (truth, lens) = (scene.truth(), &scene.conditions.camera);
+        let frame = scene.frame().unwrap();
+        let Pixels::U8(pixels) = frame.pixels() else {
+            panic!("8 bits")
+        };
+        let half_angle_rad = sphere(&scene).half_angle_rad.value;
+        let tilt = Rotation3::rotation_between(&Vector3::z_axis(), &truth.nadir).unwrap();
+        let dn = |around_rad: f64, angle_rad: f64| {
+            let (sine, cosine) = angle_rad.sin_cos();
+            let ray = Vector3::new(sine * around_rad.cos(), sine * around_rad.sin(), cosine);
+            let at = lens.pixel(&UnitVector3::new_normalize(tilt * ray))?;
+            let is_seen = (0.0..1919.0).contains(&at.x) && (0.0..1079.0).contains(&at.y);
+            is_seen.then(|| pixels[at.y.round() as usize * 1920 + at.x.round() as usize])
+        };
+        let places = (0..PLACES).map(|n| f64::from(n) * TAU / f64::from(PLACES));
+        let along: Vec<u8> = places
+            .filter(|around| dn(*around, half_angle_rad).is_some())
+            .filter_map(|around| dn(around, half_angle_rad - INSIDE_RAD))
+            .collect();
+        let bright = along.iter().filter(|dn| **dn > 60).count();
+        let share = bright as f64 / along.len() as f64;
+        assert!(
+            (share - truth.lit).abs() < 0.2,
+            "{number}: {share}, {}",
+            truth.lit
+        );
+        seen.push(truth.lit);
+    }
+    // Day, night and both are among them.
+    assert!(seen.iter().any(|lit| *lit > 0.9), "{seen:?}");
+    assert!(seen.iter().any(|lit| *lit < 0.1), "{seen:?}");
+    assert!(seen.iter().any(|lit| (0.1..0.9).contains(lit)), "{seen:?}");
 }
