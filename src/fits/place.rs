@@ -8,9 +8,9 @@
 use super::values::Values;
 use super::{Card, Problem};
 use crate::frame::Warning;
+use crate::geometry::earth;
 use crate::units::Place;
-use sofars::consts::WGS84;
-use sofars::coords::{gc2gd, gc2gde, gd2gc, gd2gce};
+use sofars::coords::{gc2gde, gd2gce};
 
 const GEODETIC: [&str; 3] = ["LATITUDE", "LONGITUD", "HEIGHT"];
 const GEOCENTRIC: [&str; 3] = ["OBSGEO-X", "OBSGEO-Y", "OBSGEO-Z"];
@@ -54,11 +54,8 @@ fn from_iau([latitude, longitude, height]: [f64; 3]) -> Result<Place, Problem> {
 pub(super) fn place_cards(place: Place) -> Vec<Card> {
     let geodetic = [place.latitude_deg, place.longitude_deg, place.height_m];
     let mut cards = cards(GEODETIC, geodetic);
-    let [latitude, longitude] = [place.latitude_deg, place.longitude_deg].map(f64::to_radians);
-    let Ok(xyz) = gd2gc(WGS84, longitude, latitude, place.height_m) else {
-        return cards;
-    };
     // To a tenth of a millimetre: more would be noise of the conversion.
+    let xyz: [f64; 3] = earth::ecef_m(&place).into();
     let xyz = xyz.map(|metres| (metres * 1e4).round() / 1e4);
     cards.extend(self::cards(GEOCENTRIC, xyz));
     let (radius, flattening) = IAU_1976;
@@ -77,7 +74,7 @@ fn cards(keywords: [&'static str; 3], values: [f64; 3]) -> Vec<Card> {
 }
 
 fn from_geocentric(field: &str, xyz: [f64; 3]) -> Result<Place, Problem> {
-    let (longitude, latitude, height) = gc2gd(WGS84, xyz)
+    let (longitude, latitude, height) = gc2gde(earth::EQUATOR_M, earth::FLATTENING, xyz)
         .map_err(|_| Problem::field(field, "a geocentric position in m", format!("{xyz:?}")))?;
     checked(field, latitude.to_degrees(), longitude.to_degrees(), height)
 }

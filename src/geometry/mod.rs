@@ -1,4 +1,4 @@
-//! Mappings between the sensor and the plate, the lens's distortion, cameras that see directions, and attitudes. No
+//! Mappings between the sensor and the plate, the lens's distortion, cameras that see directions, attitudes, and the Earth. No
 //! fitting here: that is [`registration`](crate::registration)'s work.
 
 mod angle;
@@ -6,6 +6,7 @@ pub mod attitude;
 pub mod camera;
 mod circle;
 mod distortion;
+pub mod earth;
 mod ellipse;
 mod mapping;
 pub mod view;

@@ -1,9 +1,9 @@
 //! Where the edge of a sphere stands about the direction to its centre, and that of the Earth's ellipsoid about straight down.
 
 use super::departure::Departure;
+use crate::geometry::earth::{EQUATOR_M, FLATTENING, ecef_m};
 use crate::units::{EARTH_RADIUS_M, Measured, Place};
 use nalgebra::{Matrix3, Matrix3x2, UnitVector3, Vector2, Vector3};
-use sofars::coords::{eform, gd2gc};
 use std::f64::consts::{PI, TAU};
 
 /// The light of the Earth's limb falls off over these heights about its edge, m. Inside, clouds follow; outside, the sky is dark.
@@ -14,8 +14,6 @@ const BORDER_HEIGHT_M: f64 = 4_000.0;
 /// An edge whose height is known to a sigma varies along the limb by this part of it: its correlation falls to 1/e over such an azimuth, rad.
 const VARIES: f64 = 0.05;
 const VARIES_RAD: f64 = 0.17;
-/// SOFA's number of the WGS 84 ellipsoid.
-const WGS84: i32 = 1;
 /// An edge's height is found by so many steps; each leaves a quarter of the last one's error at most.
 const HEIGHT_STEPS: usize = 20;
 /// Azimuths of which the half-angle's mean is taken.
@@ -235,12 +233,14 @@ impl Ellipsoid {
         heading_deg: f64,
         forward: UnitVector3<f64>,
     ) -> Option<Self> {
-        let (equator_m, flattening) = eform(WGS84).ok()?;
         let latitude = place.latitude_deg.to_radians();
         // The Earth is round about its axis, so that longitude does not matter.
-        let from_centre = Vector3::from(gd2gc(WGS84, 0.0, latitude, place.height_m).ok()?);
-        let polar_m = equator_m * (1.0 - flattening);
-        let axes_m = Vector3::new(equator_m, equator_m, polar_m).add_scalar(edge_m);
+        let from_centre = ecef_m(&Place {
+            longitude_deg: 0.0,
+            ..*place
+        });
+        let polar_m = EQUATOR_M * (1.0 - FLATTENING);
+        let axes_m = Vector3::new(EQUATOR_M, EQUATOR_M, polar_m).add_scalar(edge_m);
         let to_unit_sphere = Matrix3::from_diagonal(&axes_m.map(f64::recip));
         let at = to_unit_sphere * from_centre;
         // A ray at + t d touches the unit sphere where (at . d)^2 = d^2 (at^2 - 1).
@@ -250,7 +250,7 @@ impl Ellipsoid {
         let down = Vector3::new(-cosine, 0.0, -sine);
         let from_local = to_unit_sphere * Matrix3::from_columns(&[north, Vector3::y(), down]);
         let mut ellipsoid = Self {
-            cone: from_local.transpose() * touching * from_local * equator_m.powi(2),
+            cone: from_local.transpose() * touching * from_local * EQUATOR_M.powi(2),
             mean_rad: 0.0,
             over_sphere_rad: 0.0,
             heading_rad: heading_deg.to_radians(),

@@ -1,7 +1,6 @@
 //! Before the filter runs: it waits for a fix and two directions that were seen at about the same time, of which one may be straight down as
 //! the accelerometers feel it.
 
-use super::earth;
 use super::estimate::Estimate;
 use super::filter::{Filter, MOST_DRIFT_M_S, Trust, towards};
 use super::measurement::{Fix, Sighting, Towards};
@@ -10,6 +9,7 @@ use super::motion::{Interval, Motion};
 use super::settings::{Imu, Settings};
 use super::states::Layout;
 use crate::geometry::attitude::{Direction, Observation, attitude};
+use crate::geometry::earth;
 use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
 use std::sync::Arc;
 

@@ -1,6 +1,5 @@
 //! The filter while it runs: an estimate with the covariance of its errors, carried on by the IMU and corrected by measurements.
 
-use super::earth;
 use super::estimate::Estimate;
 use super::measurement::{Climb, Fix, Innovation, Sighting, Source, Towards, Verdict};
 use super::model::Model;
@@ -9,6 +8,7 @@ use super::settings::Vertical;
 use super::states::{ATTITUDE, MOTION, Opened, POSITION, Sensors, VELOCITY};
 use super::transition::Transition;
 use crate::estimation::{Proposal, Role};
+use crate::geometry::earth;
 use nalgebra::{DMatrix, Matrix2, Matrix3, Matrix3x2, SMatrix, UnitVector3, Vector2, Vector3};
 use std::sync::Arc;
 

@@ -3,8 +3,8 @@
 //!
 //! # The way of a flight
 //! 1. `begin`: the filter waits for a fix of GPS and two directions that were seen at about the same time.
-//! 2. `motion`: from sample to sample of the IMU position, velocity and attitude are carried on in ECEF (`earth`: WGS 84, J2, the Earth's
-//!    turning), cut where a measurement was taken.
+//! 2. `motion`: from sample to sample of the IMU position, velocity and attitude are carried on in ECEF ([`earth`](crate::geometry::earth): WGS 84, its
+//!    gravity and turning), cut where a measurement was taken.
 //! 3. `transition`: how errors of motion and IMU grow meanwhile; `states` lists them all.
 //! 4. `filter`: at a measurement the covariance is brought up to date, the innovation tested, and the errors that it shows are taken away.
 //!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
@@ -23,7 +23,6 @@ mod begin;
 mod constants;
 mod doubts;
 mod due;
-mod earth;
 mod estimate;
 pub mod files;
 mod filter;
@@ -46,7 +45,6 @@ mod transition;
 
 pub use constants::{Constant, ConstantErrors};
 pub use due::Due;
-pub use earth::gravity_m_s2;
 pub use live::{Counts, Live};
 pub use measurement::{
     Climb, Fix, Implausible, ImuSample, Innovation, Measurement, Sighting, Source, Towards, Verdict,

@@ -1,6 +1,6 @@
 //! How a body moves between two instants: the inertial mechanisation in ECEF.
 
-use super::earth;
+use crate::geometry::earth;
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Where a body is, how it moves, and how it is turned.

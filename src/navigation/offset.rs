@@ -1,7 +1,7 @@
 //! Where the telescope points by the attitude, minus its target.
 
-use super::earth::north_east_up;
 use super::solve::Row;
+use crate::geometry::earth::north_east_up;
 use crate::pointing::{Difference, PointingError, difference};
 use crate::units::Measured;
 use nalgebra::{Matrix2x3, Rotation3, UnitVector3, Vector3};

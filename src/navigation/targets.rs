@@ -1,8 +1,8 @@
 //! Where Sun and Moon are, seen from the flight.
 
-use super::earth::{geodetic_up, north_east_up};
 use super::measurement::{Fix, Towards};
 use super::settings::Target;
+use crate::geometry::earth::{geodetic_up, north_east_up};
 use crate::pointing::{self, PointingError, target_direction};
 use crate::sky::sphere::direction;
 use crate::sky::{Ephemeris, SkyError};

@@ -2,9 +2,10 @@
 
 use super::motion::{Interval, Motion};
 use super::settings::Imu;
+use super::states::Layout;
 use super::states::{ATTITUDE, DRIVING, MOTION, Opened, POSITION, VELOCITY};
-use super::{earth, states::Layout};
 use crate::estimation::symmetrise;
+use crate::geometry::earth;
 use nalgebra::{DMatrix, Matrix3, SMatrix, Vector3};
 
 type MotionMatrix = SMatrix<f64, MOTION, MOTION>;

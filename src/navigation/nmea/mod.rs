@@ -7,8 +7,8 @@ mod sentence;
 pub use judge::{Refusal, Refused};
 pub use sentence::Unreadable;
 
-use super::earth::{ecef_m, north_east_up};
 use super::measurement::{Climb, Fix};
+use crate::geometry::earth::{ecef_m, north_east_up};
 use crate::units::Place;
 use jiff::Timestamp;
 use judge::Said;

@@ -30,16 +30,19 @@ impl Shape {
         self.equator_m * (1.0 - self.flattening / 3.0)
     }
 
-    /// A place on longitude 0 by geodetic latitude and height, m from the centre.
-    fn place(&self, latitude_rad: f64, height_m: f64) -> Vector3<f64> {
+    pub fn polar_m(&self) -> f64 {
+        self.equator_m * (1.0 - self.flattening)
+    }
+
+    /// A place on longitude 0 by geodetic latitude and height, m from the centre: the ellipse at the reduced latitude, and the height along
+    /// its normal.
+    pub fn place(&self, latitude_rad: f64, height_m: f64) -> Vector3<f64> {
         let (sine, cosine) = latitude_rad.sin_cos();
-        let square = 1.0 - self.flattening * (2.0 - self.flattening) * sine * sine;
-        let normal_m = self.equator_m / square.sqrt();
-        let polar = (1.0 - self.flattening).powi(2) * normal_m;
+        let reduced = ((1.0 - self.flattening) * sine).atan2(cosine);
         Vector3::new(
-            (normal_m + height_m) * cosine,
+            self.equator_m * reduced.cos() + height_m * cosine,
             0.0,
-            (polar + height_m) * sine,
+            self.polar_m() * reduced.sin() + height_m * sine,
         )
     }
 }

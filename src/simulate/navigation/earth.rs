@@ -6,8 +6,6 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// Gravitational constant of the Earth times its mass, m^3/s^2.
 pub(super) const GM_M3_S2: f64 = 3.986_004_418e14;
-/// Of the potential's second harmonic.
-const J2: f64 = 1.082_629_82e-3;
 /// The Earth's rotation against inertial space.
 pub(super) const EARTH_RATE_RAD_S: f64 = 7.292_115e-5;
 
@@ -16,29 +14,39 @@ pub(super) fn earth_rate_rad_s() -> Vector3<f64> {
     Vector3::new(0.0, 0.0, EARTH_RATE_RAD_S)
 }
 
-/// Acceleration by attraction alone, without the centrifugal one.
+/// Acceleration by attraction alone, without the centrifugal one: that of the body whose gravity is the same all over WGS 84, in closed form
+/// (NIMA TR8350.2, section 4.1, with ellipsoidal coordinates u and beta).
 pub(super) fn gravitation_m_s2(position_m: &Vector3<f64>) -> Vector3<f64> {
-    let radius_m = position_m.norm();
-    let oblate = 1.5 * J2 * (Shape::WGS84.equator_m / radius_m).powi(2);
-    let polar = 5.0 * (position_m.z / radius_m).powi(2);
-    let across = 1.0 + oblate * (1.0 - polar);
-    let along = 1.0 + oblate * (3.0 - polar);
-    let scaled = position_m.component_mul(&Vector3::new(across, across, along));
-    scaled * (-GM_M3_S2 / radius_m.powi(3))
+    let (equator_m, polar_m) = (Shape::WGS84.equator_m, Shape::WGS84.polar_m());
+    let focal2 = equator_m.powi(2) - polar_m.powi(2);
+    let focal_m = focal2.sqrt();
+    let from_axis_m = position_m.xy().norm();
+    let beyond2 = position_m.norm_squared() - focal2;
+    let flat = 2.0 * focal_m * position_m.z / beyond2;
+    let u2 = beyond2 * (1.0 + (1.0 + flat * flat).sqrt()) / 2.0;
+    let (u, wide) = (u2.sqrt(), (u2 + focal2).sqrt());
+    let (sin, cos) = (position_m.z * wide).atan2(from_axis_m * u).sin_cos();
+    let w = ((u2 + focal2 * sin * sin) / (u2 + focal2)).sqrt();
+    let q = |u: f64| {
+        let ratio = u / focal_m;
+        ((1.0 + 3.0 * ratio * ratio) * (1.0 / ratio).atan() - 3.0 * ratio) / 2.0
+    };
+    let ratio = u / focal_m;
+    let steeper = 3.0 * (1.0 + ratio * ratio) * (1.0 - ratio * (1.0 / ratio).atan()) - 1.0;
+    let spun = (EARTH_RATE_RAD_S * equator_m).powi(2) / q(polar_m);
+    let along_u =
+        -(GM_M3_S2 + spun * focal_m * steeper * (sin * sin / 2.0 - 1.0 / 6.0)) / (wide * wide * w);
+    let along_beta = spun * q(u) * sin * cos / (wide * w);
+    let outwards = (along_u * u / wide * cos - along_beta * sin) / w;
+    let z = (along_u * sin + along_beta * u / wide * cos) / w;
+    let (sin_east, cos_east) = position_m.y.atan2(position_m.x).sin_cos();
+    Vector3::new(outwards * cos_east, outwards * sin_east, z)
 }
 
 /// Earth-fixed coordinates of a place.
 pub(super) fn position_m(place: &Place) -> Vector3<f64> {
-    let (sin, cos) = place.latitude_deg.to_radians().sin_cos();
-    let (sin_east, cos_east) = place.longitude_deg.to_radians().sin_cos();
-    let square = Shape::WGS84.flattening * (2.0 - Shape::WGS84.flattening);
-    let normal_m = Shape::WGS84.equator_m / (1.0 - square * sin * sin).sqrt();
-    let from_axis_m = (normal_m + place.height_m) * cos;
-    Vector3::new(
-        from_axis_m * cos_east,
-        from_axis_m * sin_east,
-        (normal_m * (1.0 - square) + place.height_m) * sin,
-    )
+    let on_meridian = Shape::WGS84.place(place.latitude_deg.to_radians(), place.height_m);
+    Rotation3::from_axis_angle(&Vector3::z_axis(), place.longitude_deg.to_radians()) * on_meridian
 }
 
 /// North, east and down at a place, which it takes to Earth-fixed axes.
@@ -79,5 +87,26 @@ impl FixedSun {
         let (sin_east, cos_east) =
             (self.longitude_deg.to_radians() - EARTH_RATE_RAD_S * t_s).sin_cos();
         Vector3::new(cos * cos_east, cos * sin_east, sin)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gravity_on_the_ellipsoid_is_the_published_one() {
+        // NIMA TR8350.2, table 3.4: normal gravity at equator and pole, m/s^2.
+        for (latitude_deg, published) in [(0.0, 9.780_325_335_9), (90.0, 9.832_184_937_8)] {
+            let place = Place::new(latitude_deg, 20.0, 0.0).unwrap();
+            let at_m = position_m(&place);
+            let turn = earth_rate_rad_s();
+            let gravity = gravitation_m_s2(&at_m) - turn.cross(&turn.cross(&at_m));
+            assert!(
+                (gravity.norm() - published).abs() < 1e-8,
+                "{}",
+                gravity.norm()
+            );
+        }
     }
 }

@@ -47,13 +47,20 @@ mod strapdown {
         pub velocity_m_s: Vector3<f64>,
     }
 
-    /// Of gravitation: its derivatives are taken numerically.
+    /// Of gravitation, by the zonal harmonics of WGS 84 (NIMA TR8350.2): its derivatives are taken numerically.
     fn potential(at: &Vector3<f64>) -> f64 {
-        let (mass, radius, oblateness) = (3.986_004_418e14, 6_378_137.0, 1.082_629_82e-3);
+        const HARMONICS: [f64; 3] = [1.082_629_821_3e-3, -2.370_911_2e-6, 6.083_46e-9];
+        let (mass, radius) = (3.986_004_418e14, 6_378_137.0);
         let distance = at.norm();
-        let sine = at.z / distance;
-        let legendre = (3.0 * sine * sine - 1.0) / 2.0;
-        mass / distance * (1.0 - oblateness * (radius / distance).powi(2) * legendre)
+        let s2 = (at.z / distance).powi(2);
+        let legendre = [
+            (3.0 * s2 - 1.0) / 2.0,
+            (35.0 * s2.powi(2) - 30.0 * s2 + 3.0) / 8.0,
+            (231.0 * s2.powi(3) - 315.0 * s2.powi(2) + 105.0 * s2 - 5.0) / 16.0,
+        ];
+        let terms = HARMONICS.iter().zip(legendre).zip(1..);
+        let flattened = terms.map(|((j, p), n)| j * p * (radius / distance).powi(2 * n));
+        mass / distance * (1.0 - flattened.sum::<f64>())
     }
 
     fn gravitation(at: &Vector3<f64>) -> Vector3<f64> {
