@@ -154,8 +154,25 @@ impl Path {
     /// The path at any times in order, by its own motion; `None` outside what was measured and in gaps that are too long to tell.
     pub fn at(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
         let measured = &self.motions.measured;
+        let told = |time_s: f64| {
+            let after = measured.partition_point(|moment| moment.time_s < time_s);
+            let last = measured.get(after)?;
+            let first = match last.time_s == time_s {
+                true => last,
+                false => &measured[after.checked_sub(1)?],
+            };
+            (last.time_s - first.time_s <= LONGEST_GAP_S).then_some(())
+        };
+        let points = self.anywhere(times_s).into_iter().zip(times_s);
+        points
+            .map(|(point, time_s)| point.filter(|_| told(*time_s).is_some()))
+            .collect()
+    }
+
+    /// The same, before, after and between what was measured: its variance grows with the distance in time.
+    pub fn anywhere(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
         let (mut moments, mut wanted) = (Vec::new(), Vec::with_capacity(times_s.len()));
-        let mut next = measured.iter().peekable();
+        let mut next = self.motions.measured.iter().peekable();
         for time_s in times_s {
             while let Some(moment) = next.next_if(|moment| moment.time_s <= *time_s) {
                 moments.push(*moment);
@@ -172,17 +189,7 @@ impl Path {
             return vec![None; times_s.len()];
         };
         let points = self.motions.points(&moments, &smoothed);
-        let told = |time_s: f64| {
-            let after = measured.partition_point(|moment| moment.time_s < time_s);
-            let last = measured.get(after)?;
-            let first = match last.time_s == time_s {
-                true => last,
-                false => &measured[after.checked_sub(1)?],
-            };
-            (last.time_s - first.time_s <= LONGEST_GAP_S).then_some(())
-        };
-        let at = |(time_s, n): (&f64, usize)| told(*time_s).map(|()| points[n]);
-        times_s.iter().zip(wanted).map(at).collect()
+        wanted.into_iter().map(|n| Some(points[n])).collect()
     }
 }
 

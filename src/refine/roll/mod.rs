@@ -6,6 +6,7 @@
 
 mod history;
 mod output;
+mod path;
 mod record;
 mod report;
 mod row;

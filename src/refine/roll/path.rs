@@ -1,0 +1,149 @@
+//! The path of the body's roll and pitch: fitted once, asked often.
+
+use super::super::motion::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
+use super::super::oddity::Oddity;
+use super::row::{RollRow, SmoothedRoll};
+use crate::estimation::{SIGMA_PER_MEDIAN, median};
+use crate::units::Measured;
+
+/// What the path counts in: about the error of a frame.
+const UNIT_DEG: f64 = 0.01;
+/// A roll known worse than this, 1 sigma, is not told.
+const MOST_SIGMA_DEG: f64 = 0.5;
+/// Fewer differences of neighbours tell nothing, nor do frames of which one step is so many times another.
+const LEAST_DIFFERENCES: usize = 20;
+const EVEN_STEPS: f64 = 1.5;
+/// At least this part of the stated sigmas changes from frame to frame: a camera that repeats a picture has differences of 0, and a path
+/// through frames without an error cannot be found.
+pub(super) const LEAST_CHANGING: f64 = 0.05;
+
+/// The body's path through frames.
+#[derive(Debug, Clone)]
+pub(super) struct RollPath {
+    seen: Vec<Seen>,
+    changing: [f64; 2],
+    max_age_s: f64,
+    path: Path,
+}
+
+impl RollPath {
+    /// Through frames in the order of time, of whose sigmas a part changes from frame to frame. `None` without any.
+    pub fn through(seen: Vec<Seen>, changing: [f64; 2], max_age_s: f64) -> Option<Self> {
+        let first_s = seen.first()?.time_s;
+        let moments: Vec<Moment> = seen
+            .iter()
+            .map(|seen| seen.moment(first_s, changing))
+            .collect();
+        Some(Self {
+            path: motion::path(&moments, &SharedErrors::default())?,
+            seen,
+            changing,
+            max_age_s,
+        })
+    }
+
+    /// The body at times, s since 1970 and in order; `None` where no frame is near.
+    pub fn at(&self, times_s: &[f64]) -> Vec<Option<SmoothedRoll>> {
+        let first_s = self.seen[0].time_s;
+        let since: Vec<f64> = times_s.iter().map(|time_s| time_s - first_s).collect();
+        let points = self.path.anywhere(&since);
+        let smoothed = |(time_s, point): (&f64, Option<PathPoint>)| {
+            let nearest = self.nearest(*time_s)?;
+            let near = (nearest.time_s - time_s).abs() <= self.max_age_s;
+            let smoothed = self.smoothed(&point?, nearest);
+            let known = smoothed.roll_deg.sigma < MOST_SIGMA_DEG;
+            (near && known).then_some(smoothed)
+        };
+        times_s.iter().zip(points).map(smoothed).collect()
+    }
+
+    /// A point of the path, with the errors that are alike in neighbours.
+    fn smoothed(&self, point: &PathPoint, nearest: &Seen) -> SmoothedRoll {
+        let angle = |axis: usize| {
+            let changing = point.variance[axis].max(0.0).sqrt() * UNIT_DEG;
+            let alike = (1.0 - self.changing[axis].powi(2)).max(0.0).sqrt();
+            let sigma = changing.hypot(nearest.angles_deg[axis].sigma * alike);
+            Measured::new(point.place[axis] * UNIT_DEG, sigma)
+        };
+        SmoothedRoll {
+            roll_deg: angle(0),
+            pitch_deg: angle(1),
+            rates_deg_per_s: point.speed.map(|speed| speed * UNIT_DEG),
+        }
+    }
+
+    fn nearest(&self, time_s: f64) -> Option<&Seen> {
+        let next = self.seen.partition_point(|seen| seen.time_s < time_s);
+        let both = [next.checked_sub(1), Some(next)];
+        let both = both.into_iter().flatten().filter_map(|n| self.seen.get(n));
+        let away = |seen: &&Seen| (seen.time_s - time_s).abs();
+        both.min_by(|a, b| away(a).total_cmp(&away(b)))
+    }
+}
+
+/// A frame that tells roll and pitch.
+#[derive(Debug, Clone)]
+pub(super) struct Seen {
+    time_s: f64,
+    time_sigma_s: f64,
+    angles_deg: [Measured; 2],
+}
+
+impl Seen {
+    pub fn of(row: &RollRow) -> Option<Self> {
+        let is_of_path = row.odd_time.is_none_or(Oddity::is_of_path);
+        Some(Self {
+            time_s: row.unix_s().filter(|_| is_of_path)?,
+            time_sigma_s: row.time_sigma_s.unwrap_or(0.0),
+            angles_deg: row.angles_deg()?,
+        })
+    }
+
+    fn moment(&self, first_s: f64, changing: [f64; 2]) -> Moment {
+        let axis = |axis: usize| {
+            let sigma = self.angles_deg[axis].sigma * changing[axis];
+            Measurement {
+                place: self.angles_deg[axis].value / UNIT_DEG,
+                variance: (sigma / UNIT_DEG).powi(2),
+                shared_variance: 0.0,
+            }
+        };
+        Moment {
+            time_s: self.time_s - first_s,
+            time_sigma_s: self.time_sigma_s,
+            measured: Some([axis(0), axis(1)]),
+        }
+    }
+}
+
+/// Which part of the stated sigmas changes from frame to frame, of roll and pitch: third differences tell, in which slow motion is
+/// nothing. All of it, where too few frames tell or the motion is too fast.
+pub(super) fn changing(rows: &[RollRow]) -> [f64; 2] {
+    let seen: Vec<Seen> = rows.iter().filter_map(Seen::of).collect();
+    let evenly = |four: &&[Seen]| {
+        let steps = four.windows(2).map(|pair| pair[1].time_s - pair[0].time_s);
+        let (least, most) = steps.fold((f64::INFINITY, 0.0_f64), |(least, most), step| {
+            (least.min(step), most.max(step))
+        });
+        least > 0.0 && most < EVEN_STEPS * least
+    };
+    [0, 1].map(|axis| {
+        let difference = |four: &[Seen]| {
+            let weights = [1.0, -3.0, 3.0, -1.0];
+            let angles = four.iter().map(|seen| seen.angles_deg[axis]);
+            let (sum, variance) = angles
+                .zip(weights)
+                .fold((0.0, 0.0), |(sum, variance), (a, w)| {
+                    (sum + w * a.value, variance + (w * a.sigma).powi(2))
+                });
+            (sum * sum / variance).sqrt()
+        };
+        let differences = seen.windows(4).filter(evenly).map(difference);
+        let differences: Vec<f64> = differences.collect();
+        let told = differences.len() >= LEAST_DIFFERENCES;
+        let scatter = median(&differences).filter(|scatter| told && scatter.is_finite());
+        scatter.map_or(1.0, |scatter| {
+            (scatter * SIGMA_PER_MEDIAN).clamp(LEAST_CHANGING, 1.0)
+        })
+    })
+}
