@@ -3,6 +3,7 @@
 //! A position on the sensor and one on the plate are two types, so that mixing them does not compile.
 
 use nalgebra::{Matrix2, Vector2};
+use serde::{Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
@@ -72,7 +73,7 @@ macro_rules! plane_position {
 plane_position!(SensorPx);
 plane_position!(PlateMil);
 
-/// A value with its 1-sigma uncertainty, both in the same unit.
+/// A value with its 1-sigma uncertainty, both in the same unit; written as the pair of them.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Measured {
     pub value: f64,
@@ -82,6 +83,12 @@ pub struct Measured {
 impl Measured {
     pub const fn new(value: f64, sigma: f64) -> Self {
         Self { value, sigma }
+    }
+}
+
+impl Serialize for Measured {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        [self.value, self.sigma].serialize(serializer)
     }
 }
 

@@ -10,6 +10,7 @@
 use crate::estimation::{median_and_scatter, regression};
 use crate::units::Measured;
 use nalgebra::Vector2;
+use serde::Serialize;
 use std::ops::Range;
 
 /// UTC that differs by more than this from one frame to the next has made a step, s, and what a clock that is being slewed gains in
@@ -53,10 +54,11 @@ pub fn corrected_ns(utc_ns: i64, correction_s: &Measured) -> i64 {
 }
 
 /// A step of UTC.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ClockStep {
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ClockStep<Frame> {
     /// The first frame after it.
-    pub frame: usize,
+    #[serde(rename = "file")]
+    pub frame: Frame,
     pub step_s: Measured,
 }
 
@@ -64,7 +66,7 @@ pub struct ClockStep {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Clocks {
     /// In the order of the monotonic clock.
-    pub steps: Vec<ClockStep>,
+    pub steps: Vec<ClockStep<usize>>,
     /// By how much UTC gained on the monotonic clock, where a start of the computer was long enough to tell; of the longest.
     pub drift: Option<Measured>,
     /// What is to be added to each frame's UTC, s; none where the clock is believed.

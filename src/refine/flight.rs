@@ -5,12 +5,13 @@
 //! Frames that were refused or coarse get a [second look](super::look): mapping and path are known now.
 
 use super::cameras::CameraFrames;
+use super::clock_facts::ClockFacts;
 use super::disc::{self, PlateDisc};
 use super::first_pass::{Done, Recipe, Span};
 use super::follow::Followed;
 use super::inputs::InputSummary;
 use super::journal::JournalError;
-use super::load::{ClockFacts, Loaded, load};
+use super::load::{Loaded, load};
 use super::look::{Known, Look};
 use super::mapping::MappingFacts;
 use super::motion;

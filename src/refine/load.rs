@@ -1,7 +1,8 @@
 //! The records of the first pass, without what the second pass does not hold for all frames at once.
 
 use super::cameras::CameraFrames;
-use super::clock;
+use super::clock::ClockStep;
+use super::clock_facts::ClockFacts;
 use super::drift::MarkObservation;
 use super::first_pass::{Done, Span, key};
 use super::inputs::{InputNotes, InputSummary};
@@ -49,21 +50,6 @@ pub(super) struct Loaded {
     pub clock: ClockFacts,
     /// What most fine frames say against the instrument, in words.
     pub contradiction: Option<String>,
-}
-
-/// What the computer's clock did in a flight.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct ClockFacts {
-    /// By how much UTC gains on the monotonic clock, parts in a million.
-    pub drift_ppm: Option<Measured>,
-    pub steps: Vec<ClockStep>,
-}
-
-/// A step of UTC, s, and the first file after it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ClockStep {
-    pub file: String,
-    pub step_s: Measured,
 }
 
 /// Reads what the span holds.
@@ -174,11 +160,15 @@ fn correct_times(entries: &mut [Entry]) -> ClockFacts {
         .iter()
         .map(|entry| Stamp::of(&entry.facts, place(entry)));
     let Times { timings, clocks } = Times::of(&stamps.collect::<Vec<Stamp>>());
-    let step = |step: &clock::ClockStep| ClockStep {
-        file: entries[step.frame].row.file.clone(),
+    let step = |step: &ClockStep<usize>| ClockStep {
+        frame: entries[step.frame].row.file.clone(),
         step_s: step.step_s,
     };
     let steps = clocks.steps.iter().map(step).collect();
+    let corrected = timings
+        .iter()
+        .filter(|timing| timing.correction_s.is_some());
+    let corrected = corrected.count();
     for (Entry { row, .. }, timing) in entries.iter_mut().zip(timings) {
         row.utc_ns = timing.utc_ns(row.utc_ns);
         row.utc_correction_s = timing.correction_s;
@@ -190,6 +180,7 @@ fn correct_times(entries: &mut [Entry]) -> ClockFacts {
             .drift
             .map(|drift| Measured::new(drift.value * 1e6, drift.sigma * 1e6)),
         steps,
+        corrected,
     }
 }
 

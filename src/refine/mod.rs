@@ -13,7 +13,7 @@ mod allan;
 mod camera_headers;
 mod cameras;
 mod clock;
-mod clock_summary;
+mod clock_facts;
 pub mod columns;
 mod copies;
 mod disc;
@@ -47,13 +47,14 @@ mod work;
 
 pub use camera_headers::{CameraHeader, CameraHeaders};
 pub use cameras::{CameraFrames, cameras};
+pub use clock::ClockStep;
+pub use clock_facts::ClockFacts;
 pub use copies::{CopiedFrame, Distinct, PixelDigests, distinct, may_be_copied};
 pub use disc::PlateDisc;
 pub use first_pass::{Done, FirstPass, Recipe, Shard, Span, Unsolved};
 pub use flight::{Flight, second_pass};
 pub use inputs::InputSummary;
 pub use journal::{Journal, JournalError};
-pub use load::{ClockFacts, ClockStep};
 pub use mapping::{
     FlightMapping, Jump, MappingFacts, MappingNumbers, Standing, TemperatureDependence,
 };

@@ -1,7 +1,7 @@
 //! What a refinement leaves: `aspect.fits`, `aspect.csv`, `summary.json`. The same archive, instrument and settings give the
 //! same bytes: nothing in them tells when they were made.
 
-use super::clock_summary::ClockSummary;
+use super::clock_facts::ClockFacts;
 use super::columns::{self, ASPECT, ASPECT_COLUMNS, ColumnRow, SMOOTHED, SMOOTHED_COLUMNS};
 use super::first_pass::{FirstPass, Recipe, hash_of};
 use super::flight::Flight;
@@ -78,7 +78,7 @@ pub struct Summary {
     pub radius_over_expected: Option<f64>,
     pub radius_by_temperature: RadiusSummary,
     pub mapping: Option<MappingSummary>,
-    pub clock: ClockSummary,
+    pub clock: ClockFacts,
     /// Random walk of the gondola's acceleration, mil/s^2 after a second.
     pub restless_mil_per_s2: Option<f64>,
     /// Swings of the gondola along the plate's x and y.
@@ -308,7 +308,7 @@ fn summary(flight: &Flight, recipe: &Recipe, table_hash: String) -> Summary {
         radius_over_expected: flight.radius_ratio.map(|ratio| ratio.value),
         radius_by_temperature: RadiusSummary::of(&flight.radius_by_temperature),
         mapping: flight.mapping.as_ref().map(|facts| mapping(facts, rows)),
-        clock: ClockSummary::of(flight),
+        clock: flight.clock.clone(),
         restless_mil_per_s2: flight.path.as_ref().map(|path| path.process_noise),
         swings: flight.path.as_ref().map_or_else(Default::default, |path| {
             path.swings
