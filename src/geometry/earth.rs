@@ -18,7 +18,7 @@ pub fn turn() -> Vector3<f64> {
     Vector3::new(0.0, 0.0, TURN_RAD_PER_S)
 }
 
-/// Acceleration by the Earth's mass at a place in ECEF, m/s^2, to the order of J4 (Vallado, "Fundamentals of Astrodynamics", 8.6).
+/// Acceleration by the Earth's mass at a place in ECEF, m/s^2: the gradient of the potential to J4 (Montenbruck and Gill, "Satellite Orbits", 3.2).
 pub fn gravitation(at_m: &Vector3<f64>) -> Vector3<f64> {
     let r = at_m.norm();
     let sine2 = (at_m.z / r).powi(2);
@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn gravity_is_that_of_the_ellipsoid() {
-        // Normal gravity at equator and pole (NIMA TR8350.2, table 3.4).
+        // Normal gravity at equator and pole (NIMA TR8350.2, chapter 3).
         for (at, normal) in [
             (Vector3::new(EQUATOR_M, 0.0, 0.0), 9.780_325_335_9),
             (Vector3::new(0.0, 0.0, 6_356_752.314), 9.832_184_937_8),

@@ -98,13 +98,13 @@ impl RollHistory {
         let coarse: Vec<usize> = (0..self.dated)
             .filter(|n| is_coarse(&self.rows[*n]))
             .collect();
+        if coarse.is_empty() {
+            return;
+        }
         let times: Vec<f64> = coarse
             .iter()
             .filter_map(|n| self.rows[*n].unix_s())
             .collect();
-        if coarse.is_empty() {
-            return;
-        }
         let by_fine = self.path(|row| row.quality == Grade::Fine);
         let by_fine = smoothed(by_fine.as_ref(), &times);
         for (n, expected) in coarse.into_iter().zip(by_fine) {

@@ -15,7 +15,7 @@ pub(super) fn earth_rate_rad_s() -> Vector3<f64> {
 }
 
 /// Acceleration by attraction alone, without the centrifugal one: that of the body whose gravity is the same all over WGS 84, in closed form
-/// (NIMA TR8350.2, section 4.1, with ellipsoidal coordinates u and beta).
+/// (NIMA TR8350.2, chapter 4, with ellipsoidal coordinates u and beta).
 pub(super) fn gravitation_m_s2(position_m: &Vector3<f64>) -> Vector3<f64> {
     let (equator_m, polar_m) = (Shape::WGS84.equator_m, Shape::WGS84.polar_m());
     let focal2 = equator_m.powi(2) - polar_m.powi(2);
@@ -96,7 +96,7 @@ mod tests {
 
     #[test]
     fn gravity_on_the_ellipsoid_is_the_published_one() {
-        // NIMA TR8350.2, table 3.4: normal gravity at equator and pole, m/s^2.
+        // NIMA TR8350.2, chapter 3: normal gravity at equator and pole, m/s^2.
         for (latitude_deg, published) in [(0.0, 9.780_325_335_9), (90.0, 9.832_184_937_8)] {
             let place = Place::new(latitude_deg, 20.0, 0.0).unwrap();
             let at_m = position_m(&place);
