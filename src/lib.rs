@@ -60,7 +60,8 @@
 //! | `kernels` | vectorised loops over pixels |
 //! | [`tables`] | rows of CSV tables and logs, the bad ones left out |
 //! | [`clock`] | times as other programs write them, to UTC; state of the computer's clock |
-//! | [`geometry`], [`estimation`], [`frame`] | mappings between sensor and plate, direction cameras, attitudes; robust scale, least squares and Kalman filter; a picture and the data on how it was taken |
+//! | [`geometry`], [`estimation`], [`frame`] | mappings between sensor and plate, direction cameras, attitudes; robust scale and least squares; a picture and the data on how it was taken |
+//! | [`smoothing`] | Kalman filter and smoother; a path between frames |
 //! | [`link`], [`report`], [`plate`], [`sky`], [`fits`] | packets and ports; drawing; the printed pattern; Sun and Moon; files |
 //! | [`instrument`] | camera, plate, optics and mounting, read from TOML and checked |
 //! | [`registration`] | fits a mapping to pairs of sensor and plate positions |
@@ -116,5 +117,6 @@ pub mod report;
 pub mod service;
 pub mod simulate;
 pub mod sky;
+pub mod smoothing;
 pub mod tables;
 pub mod units;

@@ -3,7 +3,7 @@
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::refine::motion::{Measurement, Moment, Path, SharedErrors, path};
+use solaspect::smoothing::{Measurement, Moment, Path, SharedErrors, path};
 use std::f64::consts::TAU;
 
 /// Of a frame's own place.

@@ -1,21 +1,18 @@
-//! Estimation: robust scale and loss, least squares for a few parameters, and the Kalman filter with its smoother.
+//! Estimation: robust scale and loss, and least squares for a few parameters.
 //!
 //! - `robust`: medians, scatter from medians, Tukey's loss, and the constants of the normal distribution that go with them.
 //! - `least_squares`: residuals with their derivatives, a prior and a loss to parameters, covariance and scatter. The
 //!   bundle adjustment of the plate has a solver of its own.
 //! - `normal`: the normal equations of a few parameters, for fits with steps of their own.
-//! - `kalman`: prediction, update and smoothing of a Gaussian state of any fixed size.
 //! - `spectrum`: the power spectral density of a motion.
 //! - `schmidt`: the update of an error of many states, some of which are only considered.
 
-mod kalman;
 mod least_squares;
 mod normal;
 mod robust;
 mod schmidt;
 pub mod spectrum;
 
-pub use kalman::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 pub use least_squares::{
     FitError, Fitted, LeastSquares, Linearised, Scale, regression, regression_by,
 };

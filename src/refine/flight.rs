@@ -14,7 +14,7 @@ use super::journal::JournalError;
 use super::load::{Loaded, load};
 use super::look::{Known, Look};
 use super::mapping::MappingFacts;
-use super::motion;
+use crate::smoothing;
 use super::oddity::Oddity;
 use super::radius::RadiusDependence;
 use super::record::{FrameRecord, Grade};
@@ -42,7 +42,7 @@ pub struct Flight {
     pub inputs: InputSummary,
     /// What most fine frames say against the instrument, in words: they are not its camera's.
     pub contradiction: Option<String>,
-    pub path: Option<motion::Path>,
+    pub path: Option<smoothing::Path>,
     /// The flight's radius over the expected one.
     pub radius_ratio: Option<Measured>,
     pub radius_by_temperature: RadiusDependence,

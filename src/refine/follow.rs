@@ -3,7 +3,7 @@
 //! A frame whose limb tells its own radius, which is the flight's, is of the Sun: it makes the path, wherever it is. One that shows
 //! less of the limb is held against the path of those.
 
-use super::motion::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
+use crate::smoothing::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
 use super::oddity::Oddity;
 use super::row::Row;
 use super::work::{TELLING_LIMB, Work};
@@ -96,7 +96,7 @@ impl Work<'_> {
             before = Some(time_s);
         }
         Followed {
-            path: motion::path(&moments, &self.shared_errors(first)),
+            path: smoothing::path(&moments, &self.shared_errors(first)),
             times_s: moments.iter().map(|moment| first + moment.time_s).collect(),
             at,
         }

@@ -3,7 +3,7 @@
 //! 1. Every frame on its own ([`Done::work`]): the fine pipeline without a prior, on all cores. What a frame gave is a compact
 //!    [`Record`], appended to a [`Journal`] at once; neither pixels nor solutions are kept. A run that is killed goes on where it was.
 //! 2. The flight as a whole ([`second_pass`]): one [`FlightMapping`] from the marks of all frames, each frame's Sun from its own
-//!    limb through that mapping, what is odd beside the other frames, the Sun's [path](motion) between them, and a second look at
+//!    limb through that mapping, what is odd beside the other frames, the Sun's [path](crate::smoothing) between them, and a second look at
 //!    frames that had failed.
 //!
 //! What comes out ([`write()`], [`Report`]) depends on archive, instrument and settings alone, bit for bit: not on the order in
@@ -29,7 +29,6 @@ mod journal;
 mod load;
 mod look;
 mod mapping;
-pub mod motion;
 mod oddities;
 mod oddity;
 mod output;

@@ -7,7 +7,7 @@ use super::first_pass::{FirstPass, Recipe, hash_of};
 use super::flight::Flight;
 use super::inputs::InputSummary;
 use super::mapping::{Jump, MappingFacts, TemperatureDependence};
-use super::motion::FoundSwing;
+use crate::smoothing::FoundSwing;
 use super::oddity::Oddity;
 use super::radius::RadiusDependence;
 use super::record::Grade;

@@ -3,7 +3,7 @@
 use super::columns::{STABILISATION, STABILISATION_COLUMNS, StabilisationRow, table};
 use super::flight::Flight;
 use super::follow::is_known;
-use super::motion::PathPoint;
+use crate::smoothing::PathPoint;
 use super::output::{OutputError, csv, whole, write_tables};
 use super::roll::RollHistory;
 use super::sky::Sky;

@@ -8,7 +8,7 @@ mod observations;
 pub(super) use observations::{MarkObservation, Observations};
 
 use super::view::{Covariance, Reference, STATES, State, UpperTriangle, packed};
-use crate::estimation::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
+use crate::smoothing::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 
 /// The random walk of the view, 1 sigma after a second: square roots of the process noise's density.

@@ -1,6 +1,6 @@
 //! The path of the body's roll and pitch: fitted once, asked often.
 
-use super::super::motion::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
+use crate::smoothing::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
 use super::super::oddity::Oddity;
 use super::row::{RollRow, SmoothedRoll};
 use crate::estimation::{SIGMA_PER_MEDIAN, median};
@@ -35,7 +35,7 @@ impl RollPath {
             .map(|seen| seen.moment(first_s, changing))
             .collect();
         Some(Self {
-            path: motion::path(&moments, &SharedErrors::default())?,
+            path: smoothing::path(&moments, &SharedErrors::default())?,
             seen,
             changing,
             max_age_s,

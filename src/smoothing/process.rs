@@ -1,7 +1,7 @@
 //! What moves along an axis: a place whose acceleration is a random walk, swings, and the error that neighbours share.
 
+use super::kalman::{Gaussian, Process, Step, log_likelihood, smooth};
 use super::{Moment, SharedErrors};
-use crate::estimation::{Gaussian, Process, Step, log_likelihood, smooth};
 use nalgebra::{Matrix1, Matrix2, Matrix3, SMatrix, SVector, Vector1};
 
 /// A swing of the gondola: a damped harmonic oscillator that white noise drives, x'' + 2 x' / damping_s + rate^2 x = noise.

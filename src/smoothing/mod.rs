@@ -1,5 +1,7 @@
-//! A path between frames: place, speed and acceleration, each axis on its own. The Sun moves so over the plate, and the gondola's body in
-//! roll and pitch.
+//! The Kalman filter and its smoother ([`Process`], [`smooth`]), and the path between frames that rests on them ([`path`], [`Path`]): fitted once,
+//! asked often. The mapping's drift is such a process; the Sun's way over the plate, and the body's in roll and pitch, are such paths.
+//!
+//! A path is place, speed and acceleration, each axis on its own.
 //!
 //! Its unit is about the size of the frames' errors: a mil on the plate, a hundredth of a degree in roll and pitch.
 //!
@@ -18,9 +20,12 @@
 //! Too much process noise costs little at a frame, for the place then follows the frame's own; too little is wrong with
 //! confidence.
 
+mod kalman;
 mod levels;
 mod process;
 mod swings;
+
+pub use kalman::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 
 use crate::estimation::median;
 use levels::Levels;
