@@ -89,6 +89,7 @@ pub mod calibrate;
 pub mod camera;
 pub mod cli;
 pub mod clock;
+pub mod columns;
 pub mod config;
 #[cfg(feature = "console")]
 pub mod console;
@@ -106,6 +107,7 @@ pub mod link;
 pub mod log;
 pub mod moon;
 pub mod navigation;
+pub mod observe;
 pub mod plate;
 pub mod pointing;
 pub mod preflight;

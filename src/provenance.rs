@@ -1,6 +1,9 @@
 //! Who made a file: the program, its version and the commit it was built from, and the hash of what it was told.
 
 use sha2::{Digest, Sha256};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader};
+use std::path::Path;
 
 /// Name and version of the program.
 pub const PROGRAM: &str = concat!("solaspect ", env!("CARGO_PKG_VERSION"));
@@ -17,8 +20,28 @@ pub const LONG_VERSION: &str = env!("SOLASPECT_VERSION");
 
 /// SHA-256 of bytes, in hexadecimal digits.
 pub fn sha256(bytes: impl AsRef<[u8]>) -> String {
-    let hash = Sha256::digest(bytes);
-    hash.iter().map(|byte| format!("{byte:02x}")).collect()
+    hexadecimal(&Sha256::digest(bytes))
+}
+
+/// SHA-256 of a file, in hexadecimal digits.
+///
+/// # Errors
+/// A file that cannot be read.
+pub fn sha256_of_file(path: &Path) -> io::Result<String> {
+    let mut file = BufReader::with_capacity(1 << 20, File::open(path)?);
+    let mut hash = Sha256::new();
+    while let bytes = file.fill_buf()?
+        && !bytes.is_empty()
+    {
+        let count = bytes.len();
+        hash.update(bytes);
+        file.consume(count);
+    }
+    Ok(hexadecimal(&hash.finalize()))
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

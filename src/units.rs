@@ -84,6 +84,11 @@ impl Measured {
     pub const fn new(value: f64, sigma: f64) -> Self {
         Self { value, sigma }
     }
+
+    /// So many times it.
+    pub fn scaled(self, by: f64) -> Self {
+        Self::new(self.value * by, self.sigma * by.abs())
+    }
 }
 
 impl Serialize for Measured {

@@ -1,11 +1,11 @@
 //! `solaspect calibrate camera` finds noise, gain, hot pixels, vignetting and blur, and says what it cannot find.
 
 use solaspect::aspect::{self, Expected, Quality};
-use solaspect::calibrate::frames::{self, Depth as FolderDepth, RejectedFrame};
 use solaspect::calibrate::revision::Revision;
 use solaspect::fits::{self, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{Instrument, builtin, builtin_text};
+use solaspect::observe::{self, RejectedFrame};
 use solaspect::simulate::{
     Conditions, Counts, Depth, HotPixel, Noise, RandomScenes, SUN_RADIUS_ARCSEC, Scene, Sun,
 };
@@ -498,10 +498,11 @@ fn a_frame_that_several_files_hold_counts_once_in_a_calibration() {
     let dark = vec![0; size.0 * size.1];
     picture("lens_cap_1.png", size, dark.clone());
     picture("lens_cap_2.png", size, dark);
-    let files = frames::list(&[folder.path().into()], FolderDepth::All).unwrap();
-    let (once, copies) = frames::each_once(files, [size.0, size.1]);
+    let files = observe::list(&[folder.path().into()], observe::Depth::All).unwrap();
+    let observed = observe::over(files, [size.0, size.1], &(), |_, _| ());
+    let (once, copies) = (observed.frames, observed.copies);
     let name = |path: &Path| path.file_name().unwrap().to_str().unwrap().to_owned();
-    let once: Vec<String> = once.iter().map(|path| name(path)).collect();
+    let once: Vec<String> = once.iter().map(|(path, _)| name(path)).collect();
     assert_eq!(
         once,
         [

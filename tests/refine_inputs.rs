@@ -140,7 +140,7 @@ fn a_frame_that_several_files_hold_counts_once() {
         "median_sigma_mil",
         "radius_over_expected",
         "mapping",
-        "swings",
+        "swings_mil",
     ] {
         assert_eq!(with[same], without[same], "{same}");
     }

@@ -314,8 +314,8 @@ fn between_frames_the_offset_is_known_at_the_rate_that_is_asked_for() {
     let times = table.floats("UNIX_S");
     let rows = ((FRAMES - 1) as f64 / RATE_HZ * ROWS_HZ) as usize + 1;
     assert_eq!(times.len(), rows);
-    let Values::Integer(valid) = table.values("VALID") else {
-        panic!("VALID is of integers");
+    let Values::Logical(valid) = table.values("VALID") else {
+        panic!("VALID is of truth values");
     };
     let [across, up] = ["OFFSET_XEL_DEG", "OFFSET_EL_DEG"].map(|name| table.floats(name));
     let [xx, yy, xy] =
@@ -329,7 +329,7 @@ fn between_frames_the_offset_is_known_at_the_rate_that_is_asked_for() {
         assert!((times[row] - start.as_second() as f64 - since_s).abs() < 1e-6);
         let last_before = (GAP.start - 1) as f64 / RATE_HZ;
         let in_gap = last_before < since_s && since_s < GAP.end as f64 / RATE_HZ;
-        assert_eq!(valid[row], i64::from(!in_gap), "{since_s}");
+        assert_eq!(valid[row], !in_gap, "{since_s}");
         assert_eq!(across[row].is_nan(), in_gap, "{since_s}");
         if in_gap {
             continue;

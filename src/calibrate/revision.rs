@@ -4,6 +4,7 @@ use crate::calibrate::numbers::value_text;
 use crate::instrument::{Instrument, TomlError};
 use crate::provenance::{self, COMMIT, PROGRAM};
 use crate::units::Measured;
+use anyhow::Context;
 use jiff::civil::Date;
 use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, InlineTable, Item, Table, TableLike, Value, value};
@@ -211,6 +212,24 @@ fn renew(table: &mut dyn TableLike, key: &str, mut value: Value) {
 pub fn number(value: f64, sigma: f64) -> Value {
     let text = value_text(Measured::new(value, sigma));
     text.parse().unwrap_or_else(|_| value.into())
+}
+
+/// Writes a file if it is one that everything else can read; else what stood there stays.
+///
+/// # Errors
+/// A file that cannot be written, or read again.
+pub fn write_if(
+    path: &Path,
+    text: &str,
+    read: impl FnOnce(&Path) -> Result<(), TomlError>,
+) -> anyhow::Result<()> {
+    let cannot_write = || format!("{}: cannot write", path.display());
+    let mut name = path.as_os_str().to_owned();
+    name.push(".part");
+    let part = PathBuf::from(name);
+    std::fs::write(&part, text).with_context(cannot_write)?;
+    read(&part)?;
+    std::fs::rename(&part, path).with_context(cannot_write)
 }
 
 #[cfg(test)]

@@ -3,16 +3,17 @@
 use super::output::{make_folder, progress_bar, say};
 use crate::fits::{self, FileError};
 use crate::frame::{Frame, Warnings};
+use crate::observe;
 use crate::units::counted;
 use anyhow::{Context, ensure};
 use clap::{Args, ValueEnum};
 use image::RgbImage;
 use indicatif::ProgressBar;
-use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 #[derive(Debug, Args)]
@@ -46,7 +47,7 @@ impl FramesArgs {
     /// # Errors
     /// A folder cannot be listed; the overlays' folder cannot be made, or the overlays of two frames would have one name.
     pub fn prepare(&mut self) -> anyhow::Result<()> {
-        self.frames = listed(&self.frames)?;
+        self.frames = observe::named(&self.frames)?;
         let Some(folder) = &self.overlay else {
             return Ok(());
         };
@@ -75,13 +76,6 @@ impl FramesArgs {
         self.warnings.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Logs how many frames had warnings of each kind, at the end of a run.
-    pub fn sum_up(&self) {
-        for (kind, frames) in self.warnings().counts() {
-            tracing::warn!("in {}: {kind}", counted(frames, "frame"));
-        }
-    }
-
     /// Writes a frame's overlay, where they are wanted.
     pub fn draw(&self, path: &Path, picture: impl FnOnce(&str) -> RgbImage) -> anyhow::Result<()> {
         let Some(folder) = &self.overlay else {
@@ -98,40 +92,44 @@ impl FramesArgs {
         &self,
         items: &[I],
         solve: impl Fn(&I) -> O + Sync,
-        mut take: impl FnMut(O) -> anyhow::Result<()>,
+        take: impl FnMut(O) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        let jobs = usize::from(self.jobs);
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
-        for some in items.chunks(jobs) {
-            let solved: Vec<O> = pool.install(|| some.par_iter().map(&solve).collect());
-            solved.into_iter().try_for_each(&mut take)?;
+        observe::in_order(items, self.jobs.into(), solve, take)
+    }
+
+    /// Prints the answer of each frame as `solve` gives them, in order, and how many frames had warnings of each kind.
+    ///
+    /// # Errors
+    /// Standard output takes nothing. A file that could not be read is a line of its own, and makes the run a failure.
+    pub fn print<R: Row>(
+        &self,
+        solve: impl FnOnce(&mut dyn FnMut(Answer<R>) -> anyhow::Result<()>) -> anyhow::Result<()>,
+    ) -> anyhow::Result<ExitCode> {
+        let mut printer = Printer::new::<R>(self.format)?;
+        let progress = self.progress();
+        let mut code = ExitCode::SUCCESS;
+        solve(&mut |answer| {
+            if answer.is_err() {
+                code = ExitCode::FAILURE;
+            }
+            progress.suspend(|| printer.print(&answer))?;
+            progress.inc(1);
+            Ok(())
+        })?;
+        progress.finish_and_clear();
+        for (kind, frames) in self.warnings().counts() {
+            tracing::warn!("in {}: {kind}", counted(frames, "frame"));
         }
-        Ok(())
+        Ok(code)
     }
 
     /// None beside a table on the same terminal, where a bar only flickers.
-    pub fn progress(&self) -> ProgressBar {
+    fn progress(&self) -> ProgressBar {
         if self.frames.len() < 2 || std::io::stdout().is_terminal() {
             return ProgressBar::hidden();
         }
         progress_bar(self.frames.len(), "frames")
     }
-}
-
-/// The files among `given` as they are named, and the frames of each folder; one without frames stays, for a line of its own.
-fn listed(given: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
-    let mut files = Vec::new();
-    for path in given {
-        let mut frames = match path.is_dir() {
-            true => fits::list_tree(path)?,
-            false => Vec::new(),
-        };
-        if frames.is_empty() {
-            frames.push(path.clone());
-        }
-        files.append(&mut frames);
-    }
-    Ok(files)
 }
 
 /// The frame's folder and name, so that frames of several folders do not meet in one.
@@ -180,7 +178,7 @@ struct BadFile<'a> {
 }
 
 /// Writes answers to standard output in one format.
-pub(super) struct Printer {
+struct Printer {
     format: Format,
     csv: csv::Writer<std::io::Stdout>,
 }

@@ -1,10 +1,11 @@
 //! `solaspect navigate`: the attitude by gyros between and beyond what cameras see.
 
-use super::attitude::{Attitude, AttitudeArgs, Basis, NavigationFile, add_attitude};
+use super::attitude::{self, AttitudeArgs};
 use super::options;
 use super::output::make_folder;
 use crate::navigation::files::{Seen, read_gps, read_imu, read_sun, read_vectors};
 use crate::navigation::{Fix, Flight, Measurement, Settings, Sighting, Sky, Targets};
+use crate::refine::{Attitude, Basis, NavigationFile, add_attitude};
 use crate::report::html::Page;
 use crate::tables::LeftOut;
 use anyhow::{Context, ensure};
@@ -60,7 +61,8 @@ pub fn run(args: &NavigateArgs) -> anyhow::Result<ExitCode> {
         true => Basis::WholeFlight,
         false => Basis::UpToThen,
     };
-    let mut attitude = Attitude::solve(&runs, basis, &args.out, &args.wanted)?;
+    let wanted = args.wanted.wanted();
+    let mut attitude = Attitude::solve(&runs, basis, &args.out, &wanted)?;
     attitude.write(epoch, args.fits)?;
     attitude.write_calibrated(&given, epoch, args.files())?;
     let (summary, counts) = (&attitude.summary, &attitude.counts);
@@ -69,7 +71,7 @@ pub fn run(args: &NavigateArgs) -> anyhow::Result<ExitCode> {
     let path = args.out.join("report.html");
     std::fs::write(&path, page.finish("Navigation"))
         .with_context(|| format!("{}: cannot write", path.display()))?;
-    attitude.print()
+    attitude::print(&attitude.found())
 }
 
 impl NavigateArgs {

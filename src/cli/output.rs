@@ -1,13 +1,14 @@
 //! What several commands write, their answers and beside them.
 
-use crate::instrument::TomlError;
 use crate::log;
+use crate::observe::Watch;
 use anyhow::Context;
 use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
 use std::fmt::{self, Display};
 use std::io::{self, ErrorKind, Write};
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Writes a line to standard output. A reader that has left does not want the rest: that is no error.
@@ -36,7 +37,7 @@ pub(super) fn progress_bar(count: usize, what: &str) -> ProgressBar {
 }
 
 /// How far a long run has got, on standard error: a bar on a terminal, elsewhere a line a minute.
-pub(super) struct Progress {
+struct Progress {
     command: &'static str,
     what: String,
     bar: ProgressBar,
@@ -88,23 +89,51 @@ impl Progress {
     }
 }
 
+/// Shows how far a run is, and ends it when the program is asked to end.
+pub(super) struct Follower {
+    command: &'static str,
+    progress: Mutex<Option<Progress>>,
+    cancelled: Arc<AtomicBool>,
+}
+
+impl Follower {
+    pub fn new(command: &'static str, cancelled: &Arc<AtomicBool>) -> Self {
+        Self {
+            command,
+            progress: Mutex::default(),
+            cancelled: Arc::clone(cancelled),
+        }
+    }
+
+    fn show(&self, progress: Option<Progress>) {
+        let mut shown = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(before) = std::mem::replace(&mut *shown, progress) {
+            before.finish();
+        }
+    }
+}
+
+impl Watch for Follower {
+    fn begin(&self, frames: usize, what: &str) {
+        self.show(Some(Progress::new(self.command, frames, what)));
+    }
+
+    fn step(&self) {
+        let shown = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        shown.iter().for_each(Progress::step);
+    }
+
+    fn end(&self) {
+        self.show(None);
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+}
+
 /// Makes a folder and those above it.
 pub(super) fn make_folder(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("{}: cannot make the folder", folder.display()))
-}
-
-/// Writes a file if it is one that everything else can read; else what stood there stays.
-pub(super) fn write_if(
-    path: &Path,
-    text: &str,
-    read: impl FnOnce(&Path) -> Result<(), TomlError>,
-) -> anyhow::Result<()> {
-    let cannot_write = || format!("{}: cannot write", path.display());
-    let mut name = path.as_os_str().to_owned();
-    name.push(".part");
-    let part = PathBuf::from(name);
-    std::fs::write(&part, text).with_context(cannot_write)?;
-    read(&part)?;
-    std::fs::rename(&part, path).with_context(cannot_write)
 }

@@ -1,6 +1,6 @@
 //! `solaspect solve`: one answer per frame.
 
-use super::frames::{Answer, FramesArgs, Printer, REMARKS, Row, bad_file};
+use super::frames::{Answer, FramesArgs, REMARKS, Row, bad_file};
 use super::options;
 use crate::archive::{Reason, Record};
 use crate::aspect::{self, Expected, Track};
@@ -52,47 +52,25 @@ pub fn run(mut args: SolveArgs) -> anyhow::Result<ExitCode> {
         settings: config.solver(),
         args: &args.frames,
     };
-    let mut printer = Printer::new::<Line>(args.frames.format)?;
-    let progress = args.frames.progress();
-    let mut failed = false;
     let mut told = Vec::new();
     let mut lack_place = 0;
-    let mut take = |solved: Solved| -> anyhow::Result<()> {
-        let answer = &solved.answer;
-        failed |= answer.is_err();
-        progress.suspend(|| printer.print(answer))?;
-        progress.inc(1);
-        if let Ok(line) = answer {
-            let file = &line.record.file;
-            progress.suspend(|| batch.warn_of(&solved.contradictions, file, &mut told));
-        }
-        lack_place += u64::from(solved.lacks_place);
-        Ok(())
-    };
-    if args.track {
-        let mut track: Option<Track> = None;
-        for path in &args.frames.frames {
-            let mut solved = batch.solve_file(path, track.as_ref());
-            track = solved.track.take().or(track);
-            take(solved)?;
-        }
-    } else {
-        let solve = |path: &PathBuf| batch.solve_file(path, None);
-        args.frames.in_order(&args.frames.frames, solve, take)?;
-    }
-    progress.finish_and_clear();
-    args.frames.sum_up();
+    let code = args.frames.print::<Line>(|print| {
+        let take = |solved: Solved| -> anyhow::Result<()> {
+            if let Ok(line) = &solved.answer {
+                batch.warn_of(&solved.contradictions, &line.record.file, &mut told);
+            }
+            lack_place += u64::from(solved.lacks_place);
+            print(solved.answer)
+        };
+        batch.solve(args.track, take)
+    })?;
     if lack_place > 0 {
         let frames = counted(lack_place, "frame");
         tracing::warn!(
             "no offset for {frames} without a place: name it with --place LAT,LON,HEIGHT_M or as [site] of --config"
         );
     }
-    Ok(if failed {
-        ExitCode::FAILURE
-    } else {
-        ExitCode::SUCCESS
-    })
+    Ok(code)
 }
 
 /// What came of a file.
@@ -116,6 +94,25 @@ struct Batch<'a> {
 }
 
 impl Batch<'_> {
+    /// Takes what came of every file, in order.
+    fn solve(
+        &self,
+        track: bool,
+        mut take: impl FnMut(Solved) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let files = &self.args.frames;
+        if !track {
+            let solve = |path: &PathBuf| self.solve_file(path, None);
+            return self.args.in_order(files, solve, take);
+        }
+        let mut track: Option<Track> = None;
+        files.iter().try_for_each(|path| {
+            let mut solved = self.solve_file(path, track.as_ref());
+            track = solved.track.take().or(track.take());
+            take(solved)
+        })
+    }
+
     fn solve_file(&self, path: &Path, prior: Option<&Track>) -> Solved {
         self.try_solve(path, prior).unwrap_or_else(|error| Solved {
             answer: bad_file(path, &error),

@@ -95,7 +95,11 @@ impl Layout {
     /// Ends the HDU: what must still be changed of its header is changed before this.
     pub fn end(&mut self) {
         self.fill(0);
-        let data = checksum::sum(&self.bytes[self.data..]);
+        self.seal(checksum::sum(&self.bytes[self.data..]));
+    }
+
+    /// Writes the checksums of an HDU whose data have this sum, wherever they are.
+    pub fn seal(&mut self, data: u32) {
         let datasum = text_card(DATASUM, &data.to_string());
         self.set_card(self.checksum_card + 1, &datasum);
         let header = checksum::sum(&self.bytes[self.header..self.data]);

@@ -31,6 +31,7 @@ mod reals;
 mod rice;
 mod saturation;
 mod section;
+mod stream;
 mod structure;
 mod table;
 mod tiffs;
@@ -48,7 +49,8 @@ pub use header::{Card, Header, Value};
 pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
 pub use pack::{Compression, Packing};
 pub use reals::frame_of_values;
-pub use write::{Column, FRAME_EXTENSION, Table, Values, encode_frame, encode_tables, write_frame};
+pub use stream::{CellForm, StoredColumn, StoredRow, TableFile};
+pub use write::{Column, FRAME_EXTENSION, Table, Values, encode_frame, write_frame};
 
 use crate::files::{self, Unread};
 use crate::frame::{Frame, FrameInfo};

@@ -13,6 +13,7 @@ const MOST_VALUES: usize = 1 << 22;
 enum Kind {
     Integer,
     Float,
+    Logical,
     Text,
 }
 
@@ -70,6 +71,7 @@ fn columns(header: &Header, data: &[u8]) -> Result<Vec<Column>, Problem> {
             values: match field.kind {
                 Kind::Integer => Values::Integer(cells.map(integer).collect()),
                 Kind::Float => Values::Float(cells.map(float).collect()),
+                Kind::Logical => Values::Logical(cells.map(|cell| cell == b"T").collect()),
                 Kind::Text => Values::Text(cells.map(text).collect()),
             },
             name: field.name,
@@ -93,7 +95,7 @@ fn fields(header: &Header) -> Result<Vec<Field>, Problem> {
         }
         let form = text("TFORM")?;
         let Some((kind, bytes)) = kind(&form) else {
-            let expected = "one number (B, I, J, K, E or D) or a text (A)";
+            let expected = "one number (B, I, J, K, E or D), a truth (L) or a text (A)";
             return Err(Problem::field(
                 format!("TFORM{n}"),
                 expected,
@@ -121,6 +123,7 @@ fn kind(form: &str) -> Option<(Kind, usize)> {
         (1.., 'A') => Kind::Text,
         (1, 'B' | 'I' | 'J' | 'K') => Kind::Integer,
         (1, 'E' | 'D') => Kind::Float,
+        (1, 'L') => Kind::Logical,
         _ => return None,
     };
     Some((kind, form.bytes()?))

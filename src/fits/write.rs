@@ -45,7 +45,9 @@ pub struct Column {
 pub enum Values {
     /// NaN, in FITS, is a value that is not known.
     Float(Vec<f64>),
+    /// As they are stored; TNULLn is not looked at.
     Integer(Vec<i64>),
+    Logical(Vec<bool>),
     Text(Vec<String>),
 }
 
@@ -54,6 +56,7 @@ impl Values {
         match self {
             Self::Float(values) => values.len(),
             Self::Integer(values) => values.len(),
+            Self::Logical(values) => values.len(),
             Self::Text(values) => values.len(),
         }
     }
@@ -67,6 +70,7 @@ impl Values {
         match self {
             Self::Float(_) => "floating-point numbers",
             Self::Integer(_) => "whole numbers",
+            Self::Logical(_) => "truth values",
             Self::Text(_) => "texts",
         }
     }
@@ -76,6 +80,7 @@ impl Values {
         match self {
             Self::Float(_) => "1D".into(),
             Self::Integer(_) => "1K".into(),
+            Self::Logical(_) => "1L".into(),
             Self::Text(_) => format!("{}A", self.bytes()),
         }
     }
@@ -84,6 +89,7 @@ impl Values {
     fn bytes(&self) -> usize {
         match self {
             Self::Float(_) | Self::Integer(_) => 8,
+            Self::Logical(_) => 1,
             Self::Text(texts) => {
                 let longest = texts.iter().map(|text| text.chars().count()).max();
                 longest.unwrap_or(1).max(1)
@@ -101,6 +107,10 @@ impl Values {
             Self::Integer(values) => {
                 let pairs = cells.zip(values);
                 pairs.for_each(|(cell, value)| cell.copy_from_slice(&value.to_be_bytes()));
+            }
+            Self::Logical(values) => {
+                let pairs = cells.zip(values);
+                pairs.for_each(|(cell, value)| cell[0] = if *value { b'T' } else { b'F' });
             }
             Self::Text(texts) => {
                 for (cell, text) in cells.zip(texts) {
@@ -174,31 +184,8 @@ pub fn encode_frame(
     Ok(file.into_bytes())
 }
 
-/// The bytes of a file of binary tables alone, behind a primary HDU without data but with these cards. Nothing in it tells when it was made:
-/// the same tables give the same bytes. Each is asked for when its turn comes, and dropped. Where the tables need no more than
-/// `expected_bytes`, memory is never moved.
-///
-/// # Errors
-/// Columns of unequal length.
-pub fn encode_tables(
-    expected_bytes: usize,
-    cards: &[Card],
-    tables: impl IntoIterator<Item = Table>,
-) -> Result<Vec<u8>, Problem> {
-    let mut file = Layout::new(OTHER_BYTES + expected_bytes);
-    begin_primary(&mut file)?;
-    put_cards(&mut file, &program())?;
-    put_cards(&mut file, cards)?;
-    file.end_header();
-    file.end();
-    for table in tables {
-        put_table(&mut file, &table, &[])?;
-    }
-    Ok(file.into_bytes())
-}
-
 /// Begins the primary HDU, which is without data.
-fn begin_primary(file: &mut Layout) -> Result<(), Problem> {
+pub(super) fn begin_primary(file: &mut Layout) -> Result<(), Problem> {
     file.begin();
     file.value("SIMPLE", "T", "a FITS file");
     file.value("BITPIX", "8", "bits of a value");
@@ -226,7 +213,7 @@ fn name_cards(name: &str, holds: Holds) -> [Card; 2] {
 }
 
 /// The program that writes the file.
-fn program() -> Vec<Card> {
+pub(super) fn program() -> Vec<Card> {
     let mut cards = vec![
         Card::new("ORIGIN", "solaspect"),
         Card::new("CREATOR", PROGRAM),
@@ -255,7 +242,7 @@ fn refuse_duplicates(own: &[Card], extra: &[Card]) -> Result<(), Problem> {
     }
 }
 
-fn put_cards(file: &mut Layout, cards: &[Card]) -> Result<(), Problem> {
+pub(super) fn put_cards(file: &mut Layout, cards: &[Card]) -> Result<(), Problem> {
     cards.iter().try_for_each(|card| put_card(file, card))
 }
 
@@ -301,25 +288,14 @@ fn put_table(file: &mut Layout, table: &Table, cards: &[Card]) -> Result<(), Pro
     }
     let widths: Vec<usize> = columns.iter().map(|column| column.values.bytes()).collect();
     let row_bytes: usize = widths.iter().sum();
-    file.begin();
-    file.text("XTENSION", "BINTABLE", "a table");
-    for (keyword, value, comment) in [
-        ("BITPIX", 8, "bits of a value"),
-        ("NAXIS", 2, "axes"),
-        ("NAXIS1", row_bytes, "bytes of a row"),
-        ("NAXIS2", rows, "rows"),
-        ("PCOUNT", 0, "no more data"),
-        ("GCOUNT", 1, "one group"),
-        ("TFIELDS", columns.len(), "columns"),
-    ] {
-        file.value(keyword, &value.to_string(), comment);
-    }
-    for (n, column) in columns.iter().enumerate() {
-        put_column_cards(file, n + 1, column);
-    }
-    file.text("EXTNAME", &table.name, "name of this extension");
-    put_cards(file, cards)?;
-    file.end_header();
+    let column_cards = columns.iter().map(|column| ColumnCards {
+        name: &column.name,
+        form: column.values.form(),
+        unit: &column.unit,
+        meaning: &column.meaning,
+        null: None,
+    });
+    put_table_header(file, &table.name, column_cards, [row_bytes, rows], cards)?;
     let bytes = file.bytes();
     let start = bytes.len();
     bytes.resize(start + rows * row_bytes, b' ');
@@ -335,17 +311,61 @@ fn put_table(file: &mut Layout, table: &Table, cards: &[Card]) -> Result<(), Pro
     Ok(())
 }
 
-/// Name, kind, unit and meaning of a column; a unit that FITS does not know stands in its comment alone.
-fn put_column_cards(file: &mut Layout, n: usize, column: &Column) {
-    let mut text = |keyword: &str, text: &str| file.text(&format!("{keyword}{n}"), text, "");
-    text("TTYPE", &column.name);
-    text("TFORM", &column.values.form());
-    if unit::is_known(&column.unit) {
-        text("TUNIT", &column.unit);
+/// What a table's header says of a column.
+pub(super) struct ColumnCards<'a> {
+    pub name: &'a str,
+    /// Its TFORM.
+    pub form: String,
+    pub unit: &'a str,
+    pub meaning: &'a str,
+    /// The number that stands for none.
+    pub null: Option<i64>,
+}
+
+/// Adds the header of a binary table, of so many bytes a row and so many rows.
+pub(super) fn put_table_header<'a>(
+    file: &mut Layout,
+    name: &str,
+    columns: impl ExactSizeIterator<Item = ColumnCards<'a>>,
+    [row_bytes, rows]: [usize; 2],
+    cards: &[Card],
+) -> Result<(), Problem> {
+    file.begin();
+    file.text("XTENSION", "BINTABLE", "a table");
+    for (keyword, value, comment) in [
+        ("BITPIX", 8, "bits of a value"),
+        ("NAXIS", 2, "axes"),
+        ("NAXIS1", row_bytes, "bytes of a row"),
+        ("NAXIS2", rows, "rows"),
+        ("PCOUNT", 0, "no more data"),
+        ("GCOUNT", 1, "one group"),
+        ("TFIELDS", columns.len(), "columns"),
+    ] {
+        file.value(keyword, &value.to_string(), comment);
     }
-    let comment = unit::column_comment(&column.meaning, &column.unit);
+    for (n, column) in (1..).zip(columns) {
+        put_column(file, n, &column);
+    }
+    file.text("EXTNAME", name, "name of this extension");
+    put_cards(file, cards)?;
+    file.end_header();
+    Ok(())
+}
+
+/// Name, kind, unit and meaning of a column; a unit that FITS does not know stands in its comment alone.
+fn put_column(file: &mut Layout, n: usize, column: &ColumnCards<'_>) {
+    let mut text = |keyword: &str, text: &str| file.text(&format!("{keyword}{n}"), text, "");
+    text("TTYPE", column.name);
+    text("TFORM", &column.form);
+    if unit::is_known(column.unit) {
+        text("TUNIT", column.unit);
+    }
+    let comment = unit::column_comment(column.meaning, column.unit);
     if !comment.is_empty() {
         text("TCOMM", &comment);
+    }
+    if let Some(null) = column.null {
+        file.value(&format!("TNULL{n}"), &null.to_string(), "");
     }
 }
 

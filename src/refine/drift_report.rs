@@ -1,48 +1,49 @@
 //! The report's part on the mapping: its drift over time and with the camera's temperature.
 
-use super::output::{MappingSummary, Summary, ThermalSummary};
-use super::report::Part;
-use super::row::Row;
+use super::mapping::TemperatureDependence;
+use super::output::Summary;
+use super::report::{Drawn, Part};
 use crate::report::plot::{self, Labels, Series};
+use crate::units::Measured;
 
 impl Part<'_> {
     pub(super) fn mapping(&mut self, summary: &Summary) {
         self.heading("Drift of the mapping");
-        let Some(mapping) = &summary.mapping else {
+        let Some(facts) = summary.mapping.as_ref().map(|mapping| &mapping.facts) else {
             return self.page.note("No marks were read.");
         };
         self.page.note(&format!(
             "Its process noise is {:.4} px after a second, and the marks' sigmas were inflated {:.2} times.",
-            mapping.wander_shift_px, mapping.sigmas_raised
+            facts.process_noise_px[0], facts.inflation
         ));
-        let centre = |axis: usize| move |row: &Row| Some(row.mapping?.centre_px[axis].value);
+        let centre = |axis: usize| move |row: &Drawn| Some(row.centre_px?[axis]);
         let [x, y] = [0, 1].map(|axis| self.over_time(centre(axis)));
         let title = "The plate's centre on the sensor";
         let labels = Labels::over_utc(title, "px since the first frame");
         let series = [from_first("x", &x), from_first("y", &y)];
         self.figure(plot::series(&labels, &series));
-        self.temperature(mapping);
+        self.temperature(facts.temperature);
     }
 
-    fn temperature(&mut self, mapping: &MappingSummary) {
+    fn temperature(&mut self, dependence: TemperatureDependence) {
         let [(slope_x, x), (slope_y, y)] = [self.by_temperature(0), self.by_temperature(1)];
         let Some((slope_x, slope_y)) = slope_x.zip(slope_y) else {
             return self
                 .page
                 .note("The headers hold no temperature of the camera, or only one.");
         };
-        match (&mapping.by_temperature, mapping.temperature_gain) {
-            (Some(thermal), _) => {
-                self.degrees(thermal);
+        match dependence {
+            TemperatureDependence::Linear { px_per_degc, .. } => {
+                self.degrees(px_per_degc);
                 self.page.note(&format!(
                     "The slopes of the figure, jumps taken off: {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y."
                 ));
             }
             // What is not determined gives no number.
-            (None, Some(_)) => self.page.note(
+            TemperatureDependence::Insignificant { .. } => self.page.note(
                 "How the mapping depends on the camera's temperature is not determined: temperature explains the marks no better than process noise does.",
             ),
-            (None, None) => self.page.note(
+            TemperatureDependence::NotObservable => self.page.note(
                 "How the mapping depends on the camera's temperature is not determined: too few headers hold it.",
             ),
         }
@@ -57,35 +58,31 @@ impl Part<'_> {
     }
 
     /// What a degree does, as it was estimated together with process noise and jumps.
-    fn degrees(&mut self, thermal: &ThermalSummary) {
-        let line = |name: &str, [value, sigma]: [f64; 2]| {
+    fn degrees(&mut self, px_per_degc: [Measured; 4]) {
+        let names = [
+            "shift in x",
+            "shift in y",
+            "stretch, 1000 mil from the plate's centre",
+            "turn, 1000 mil from the plate's centre",
+        ];
+        let line = |(name, Measured { value, sigma }): (&str, Measured)| {
             vec![name.to_owned(), format!("{value:.4} \u{b1} {sigma:.4}")]
         };
-        let lines = [
-            line("shift in x", thermal.shift_x_px_per_degc),
-            line("shift in y", thermal.shift_y_px_per_degc),
-            line(
-                "stretch, 1000 mil from the plate's centre",
-                thermal.stretch_px_per_degc,
-            ),
-            line(
-                "turn, 1000 mil from the plate's centre",
-                thermal.turn_px_per_degc,
-            ),
-        ];
+        let lines: Vec<Vec<String>> = names.into_iter().zip(px_per_degc).map(line).collect();
         self.page
             .table(&["with the camera's temperature", "px per degC"], &lines);
     }
 
     /// The plate's centre on one axis over temperature, and its slope between the jumps.
     fn by_temperature(&self, axis: usize) -> (Option<f64>, Vec<(f64, f64)>) {
-        let point = |row: &Row| Some((row.temperature_c?, row.mapping?.centre_px[axis].value));
-        let steady = self.rows.chunk_by(|_, next| next.jump_px.is_none());
-        let fine = |rows: &[Row]| -> Vec<_> {
-            let fine = rows.iter().filter(|row| row.is_fine());
-            fine.filter_map(point).collect()
+        let point = |row: &Drawn| {
+            let (degc, px) = (row.temperature_c?, row.centre_px?[axis]);
+            Some((f64::from(degc), f64::from(px)))
         };
-        let parts: Vec<Vec<(f64, f64)>> = steady.map(fine).collect();
+        let steady = self.rows.chunk_by(|row, next| row.jumps == next.jumps);
+        let parts: Vec<Vec<(f64, f64)>> = steady
+            .map(|rows| rows.iter().filter_map(point).collect())
+            .collect();
         (slope(&parts), parts.concat())
     }
 }

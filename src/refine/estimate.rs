@@ -11,16 +11,16 @@
 use super::drift::{
     Drift, Estimate, MarkObservation, Observations, ProcessNoise, Smoothed, ThermalCoefficients,
 };
-use super::load::Entry;
+use super::frames::{Frames, middle_of};
 use super::mapping::{FlightMapping, Jump, MappingFacts, Standing, TemperatureDependence};
 use super::temperature;
 use super::view::{Reference, State};
 use crate::estimation::{Loss, MEDIAN_CHI2_2D, TUKEY_SIGMAS_2D, median};
 use crate::geometry::Distortion;
-use crate::instrument::Instrument;
-use crate::units::{Measured, PlateMil};
+use crate::units::Measured;
 use nalgebra::{Matrix2, Matrix3, Vector2};
 use rayon::prelude::*;
+use std::mem;
 
 /// A frame so far from its neighbours' median is put aside, px, before and after the drift is known.
 const ALONE_PX: [f64; 3] = [4.0, 0.3, 0.1];
@@ -51,16 +51,23 @@ const NOISE_STEP: f64 = 2.0;
 const MOST_NOISE_TRIALS: usize = 24;
 
 impl FlightMapping {
-    /// The mapping at each of the frames, which are in the order of time, from their marks. `None` where no frame has any.
+    /// The mapping at each of the frames, from their marks; `times_s` from the first one. `None` where no frame has any.
     pub(super) fn estimate(
-        entries: &[Entry],
-        marks: Vec<MarkObservation>,
-        instrument: &Instrument,
+        times_s: &[f64],
+        Frames {
+            frames,
+            marks,
+            mappings,
+            ..
+        }: &mut Frames,
+        distortion: Distortion,
     ) -> Option<Self> {
-        let reference = reference(entries, instrument.camera.distortion)?;
-        let observations = observations(entries, marks);
-        let readings: Vec<Option<f64>> = entries.iter().map(|e| e.row.temperature_c).collect();
-        let temperature_c = temperature::from_the_middle(&observations.times_s(), &readings);
+        let reference = reference(&mem::take(mappings), distortion)?;
+        let observed = frames.iter().map(|frame| frame.observed.clone());
+        let moments = times_s.iter().copied().zip(observed);
+        let observations = Observations::new(mem::take(marks), moments);
+        let readings: Vec<Option<f64>> = frames.iter().map(|frame| frame.temperature_c).collect();
+        let temperature_c = temperature::from_the_middle(times_s, &readings);
         let mut work = Work::new(reference, observations);
         work.put_aside_at_first()?;
         work.settle_process_noise();
@@ -80,34 +87,9 @@ impl FlightMapping {
 }
 
 /// The middle of what the fine frames' own mappings say of four corners of the plate.
-fn reference(entries: &[Entry], distortion: Distortion) -> Option<Reference> {
-    let own: Vec<Matrix3<f64>> = entries
-        .iter()
-        .filter_map(|entry| Matrix3::from_row_slice(&entry.own_mapping?).try_inverse())
-        .collect();
-    let middle = |corner: PlateMil| {
-        let seen = |axis: usize| {
-            let at = own.iter().map(|m| {
-                let h = m * corner.vector().push(1.0);
-                h[axis] / h.z
-            });
-            median(at)
-        };
-        Some(Vector2::new(seen(0)?, seen(1)?))
-    };
-    let [a, b, c, d] = Reference::corners().map(middle);
+fn reference(mappings: &[Matrix3<f64>], distortion: Distortion) -> Option<Reference> {
+    let [a, b, c, d] = Reference::corners().map(|corner| middle_of(mappings, corner));
     Reference::through(&[a?, b?, c?, d?], distortion)
-}
-
-/// The frames' marks, by time.
-fn observations(entries: &[Entry], marks: Vec<MarkObservation>) -> Observations {
-    let first = entries.first().and_then(|entry| entry.row.utc_ns);
-    let since = |utc: i64| (utc - first.unwrap_or(utc)) as f64 / 1e9;
-    let moments = entries.iter().map(|entry| {
-        let time_s = entry.row.utc_ns.map_or(0.0, since);
-        (time_s, entry.marks.clone())
-    });
-    Observations::new(marks, moments)
 }
 
 /// The mapping in the making.
@@ -374,7 +356,7 @@ impl Work {
             Jump {
                 after: after.unwrap_or(estimates.len() - 1),
                 before,
-                shift_px: step.fixed_rows::<2>(0).into_owned(),
+                shift_px: [step[0], step[1]],
                 turn_deg: (step[3] / scale).to_degrees(),
             }
         };

@@ -1,8 +1,7 @@
 //! The report's part on jitter: spectrum, cumulative jitter and Allan deviation.
 
 use super::allan;
-use super::report::Part;
-use super::row::Row;
+use super::report::{Drawn, Part};
 use crate::estimation::median;
 use crate::estimation::spectrum;
 use crate::report::plot::{self, Curve, Labels, Stroke};
@@ -47,9 +46,8 @@ impl Part<'_> {
 
     /// The offsets from the target where they are known, else the Sun's places on the plate.
     fn motions(&self) -> (&'static str, [Motion; 2]) {
-        let offsets = self.offsets();
         let frame_sigma = |axis: usize| {
-            let sigmas = self.over_time(|row| Some(row.sun?.sigma()[axis]));
+            let sigmas = self.over_time(|row| Some(row.sigma_mil[axis]));
             Some(median(sigmas.iter().map(|(_, sigma)| sigma))? * self.arcsec_per_mil)
         };
         // Across and elevation mix the plate's axes: the mean variance of these.
@@ -57,23 +55,18 @@ impl Part<'_> {
         let mean = both.map(|(x, y)| (x.hypot(y)) / 2_f64.sqrt());
         let offset = |hue: usize, name| Motion {
             name,
-            points: offsets
-                .iter()
-                .map(|(t, offset)| (*t, offset[hue]))
-                .collect(),
+            points: self.over_time(|row| Some(row.offset_arcsec?[hue])),
             frame_sigma: mean.filter(|_| hue == 0),
             noise: "noise of the frames",
             noise_hue: GREY,
             hue,
         };
-        if !offsets.is_empty() {
-            return (
-                "the offset from the target",
-                [offset(0, "across"), offset(1, "elevation")],
-            );
+        let offsets = [offset(0, "across"), offset(1, "elevation")];
+        if !offsets[0].points.is_empty() {
+            return ("the offset from the target", offsets);
         }
         let place =
-            |row: &Row, axis: usize| Some(row.sun?.position.vector()[axis] * self.arcsec_per_mil);
+            |row: &Drawn, axis: usize| Some(f64::from(row.sun_mil[axis]) * self.arcsec_per_mil);
         let on_plate = |hue: usize, name| Motion {
             name,
             points: self.over_time(|row| place(row, hue)),

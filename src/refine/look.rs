@@ -6,7 +6,12 @@
 //! 2. The levels of the disc and its surroundings there, for haze has its own.
 //! 3. The limb, without the pixels of any mark of the plate, seen or not.
 
-use super::record::PackedPoint;
+use super::disc::{self, PlateDisc};
+use super::oddity::Oddity;
+use super::path::SunPath;
+use super::record::{Grade, PackedPoint};
+use super::suns::{Flight, LOOSE_RADIUS, Seen, Suns, TELLING_LIMB};
+use crate::archive::ArchiveReader;
 use crate::aspect::{self, Settings};
 use crate::estimation::{median, median_and_scatter};
 use crate::fiducial::CrossShape;
@@ -14,9 +19,11 @@ use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region};
 use crate::geometry::{Circle, Ellipse, Mapping};
 use crate::instrument::Instrument;
 use crate::limb::{self, DiscSearch, KnownOutline, Limb, LimbFit, OutlinePrior};
+use crate::observe::Pass;
 use crate::units::{Measured, PlateMil};
 use crate::with_view;
 use nalgebra::Vector2;
+use rayon::prelude::*;
 
 /// A place this vague is no place to start at: the disc is searched about it.
 const VAGUE_PX: f64 = 2.0;
@@ -45,8 +52,95 @@ const STATED: (f64, f64) = (0.1, 0.001);
 const LEAST_ON_OUTLINE: f64 = 0.6;
 const MAX_SCATTER_PX: f64 = 1.0;
 
+/// Where a disc is known worse than this, 1 sigma, a second look is of no use.
+const MOST_LOOK_SIGMA_MIL: f64 = 200.0;
+/// How far a frame's own disc may be from the one of the second look, 1 sigma.
+const OWN_DISC_SIGMA_MIL: f64 = 5.0;
+/// A frame's own disc is another thing if it is so many sigma off the path.
+const OTHER_THING_SIGMAS: f64 = 8.0;
+
+/// Looks again at the frames that did not give disc and marks by themselves, or read them wrongly: those, in order, that have another disc
+/// now.
+pub(super) fn look_again(
+    flight: &Flight,
+    suns: &Suns,
+    path: &SunPath,
+    pass: &Pass<'_>,
+) -> Vec<(usize, Seen)> {
+    let wants = |n: &usize| {
+        let own = flight.frames[*n].quality;
+        own != Grade::Fine || suns.odd[*n].contains(Oddity::Misread)
+    };
+    let wanted: Vec<usize> = (0..flight.frames.len()).filter(wants).collect();
+    pass.watch.begin(wanted.len(), "frames seen again");
+    let seen = wanted.par_iter().filter(|_| !pass.watch.is_cancelled());
+    let seen = seen.filter_map(|n| {
+        let seen = look(flight, suns, path, pass.archive, *n);
+        pass.watch.step();
+        Some((*n, seen?))
+    });
+    let seen = seen.collect();
+    pass.watch.end();
+    seen
+}
+
+fn look(
+    flight: &Flight,
+    suns: &Suns,
+    path: &SunPath,
+    archive: &ArchiveReader,
+    n: usize,
+) -> Option<Seen> {
+    let mapping = flight.mapping.as_ref()?.at(n)?;
+    let (centre, sigma_mil) = whereabouts(flight, suns, path, n, &mapping)?;
+    let expected = flight.frames[n].expected_radius_mil?;
+    let ratio = suns.known_ratio;
+    let known = Known {
+        instrument: &flight.recipe.instrument,
+        settings: &flight.recipe.settings,
+        mapping,
+        centre,
+        sigma_mil,
+        radius_mil: expected * ratio.value,
+    };
+    let file = archive.open_file(flight.timeline.file(n)).ok()?;
+    let file = file.of_size(known.instrument.camera.size_px());
+    let look = file.with_frame(|frame| known.look(frame)).ok()??;
+    // A limb of which little is seen does not determine its radius.
+    let sigma = match look.limb_part >= TELLING_LIMB {
+        true => LOOSE_RADIUS.sigma,
+        false => ratio.sigma,
+    };
+    let radius = Measured::new(known.radius_mil, expected * sigma);
+    let disc: PlateDisc = disc::on_plate(look.centre_px, &look.limb, &mapping, radius)?;
+    let sigma = sigma_mil.hypot(disc.centre.covariance.trace().sqrt());
+    let near = centre.distance(disc.centre.position) < OTHER_THING_SIGMAS * sigma;
+    flight.seen(n, disc, look.limb_part).filter(|_| near)
+}
+
+/// Where a frame's disc must be, and 1 sigma, mil: where the frame itself has it, unless the path says that this is another thing.
+fn whereabouts(
+    flight: &Flight,
+    suns: &Suns,
+    path: &SunPath,
+    n: usize,
+    at: &Mapping,
+) -> Option<(PlateMil, f64)> {
+    let by_path = path.place(n);
+    let by_path = by_path.filter(|(_, sigma)| *sigma < MOST_LOOK_SIGMA_MIL);
+    let Some(own) = &flight.frames[n].disc else {
+        return by_path;
+    };
+    let own = at.to_plate(own.centre_px);
+    let other = by_path.filter(|(place, sigma)| {
+        place.distance(own) > OTHER_THING_SIGMAS * sigma.hypot(OWN_DISC_SIGMA_MIL)
+    });
+    // The same disc again would be as odd.
+    other.or((!suns.odd[n].spoil()).then_some((own, OWN_DISC_SIGMA_MIL)))
+}
+
 /// What is known of a frame before its second look.
-pub(super) struct Known<'a> {
+struct Known<'a> {
     pub instrument: &'a Instrument,
     pub settings: &'a Settings,
     pub mapping: Mapping,
@@ -57,7 +151,7 @@ pub(super) struct Known<'a> {
 }
 
 /// What a second look gave.
-pub(super) struct Look {
+struct Look {
     pub centre_px: [f64; 2],
     pub limb_part: f64,
     pub limb: Vec<PackedPoint>,
@@ -65,7 +159,7 @@ pub(super) struct Look {
 
 impl Known<'_> {
     /// Looks at a frame. `None` where it shows no disc.
-    pub fn look(&self, frame: &Frame) -> Option<Look> {
+    fn look(&self, frame: &Frame) -> Option<Look> {
         let (start, levels) = self.start(frame)?;
         let limb = self.limb(frame, &start, &levels)?;
         let (centre, at) = (limb.outline.ellipse.centre, |p: &limb::LimbPoint| {

@@ -4,7 +4,8 @@ use super::drift::Estimate;
 use super::view::{Reference, unpacked};
 use crate::geometry::{LocalSimilarity, Mapping};
 use crate::units::{Measured, PlateMil};
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Matrix2;
+use serde::Serialize;
 
 /// Why a frame's marks do not count for the flight's mapping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -20,20 +21,24 @@ pub enum Standing {
 }
 
 /// A sudden change of the mapping.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Jump {
     /// The first frame after it, and the last one before it whose marks were read.
+    #[serde(skip)]
     pub after: usize,
+    #[serde(skip)]
     pub before: usize,
     /// Change of the plate's centre on the sensor.
-    pub shift_px: Vector2<f64>,
+    pub shift_px: [f64; 2],
     /// Change of rotation.
     pub turn_deg: f64,
 }
 
 /// What the mapping did in a flight.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MappingFacts {
+    /// The summary names their frames.
+    #[serde(skip)]
     pub jumps: Vec<Jump>,
     /// Process noise of the view, px after a second: shift; turn at 1000 mil from the plate's centre.
     pub process_noise_px: [f64; 2],
@@ -43,7 +48,8 @@ pub struct MappingFacts {
 }
 
 /// What the mapping has to do with the camera's temperature.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(tag = "dependence", rename_all = "snake_case")]
 pub enum TemperatureDependence {
     /// The headers hold no temperature that changes.
     NotObservable,
@@ -98,7 +104,8 @@ impl FlightMapping {
 
     /// The size of the jump that happened at a frame, or since the last marked one before it, px.
     pub fn own_jump(&self, frame: usize) -> Option<f64> {
-        self.jump_at(frame).map(|jump| jump.shift_px.norm())
+        let [x, y] = self.jump_at(frame)?.shift_px;
+        Some(x.hypot(y))
     }
 
     fn jump_at(&self, frame: usize) -> Option<&Jump> {
@@ -117,7 +124,7 @@ impl FlightMapping {
         let mut there = view.local_similarity(centre, &mapping, &covariance);
         let (shift_px, turn_deg) = match self.jump_at(frame) {
             Some(jump) => (jump.shift_px, jump.turn_deg),
-            None => (Vector2::zeros(), 0.0),
+            None => ([0.0; 2], 0.0),
         };
         let sigma = &mut there.rotation_deg.sigma;
         *sigma = sigma.hypot(turn_deg / 2.0);

@@ -1,70 +1,79 @@
-//! The best aspect history from a flight's archive, in two passes.
+//! The best aspect history of a flight from its archive: [`refine`].
 //!
-//! 1. Every frame on its own ([`Done::work`]): the fine pipeline without a prior, on all cores. What a frame gave is a compact
-//!    [`Record`], appended to a [`Journal`] at once; neither pixels nor solutions are kept. A run that is killed goes on where it was.
-//! 2. The flight as a whole ([`second_pass`]): one [`FlightMapping`] from the marks of all frames, each frame's Sun from its own
-//!    limb through that mapping, what is odd beside the other frames, the Sun's [path](crate::smoothing) between them, and a second look at
-//!    frames that had failed.
+//! 1. Every frame on its own ([`observe`](crate::observe)): the fine pipeline without a prior, on all cores. What a frame gave is a compact
+//!    [`FrameRecord`] in a journal; neither pixels nor solutions are kept. A run that is killed goes on where it was.
+//! 2. The flight as a whole ([`History::new`]). Each stage gives a column of the dated frames:
 //!
-//! What comes out ([`write()`], [`Report`]) depends on archive, instrument and settings alone, bit for bit: not on the order in
-//! which frames were done, by how many cores or machines, nor on how often the run was killed.
+//! | stage | |
+//! |---|---|
+//! | `timeline` | their times, held against the monotonic clock, the frames' numbers and each other, and their order |
+//! | `frames` | what each gave by itself, as far as the frames about it are judged by it |
+//! | `mapping` | one slowly varying view of the plate, with jumps, from the marks of all |
+//! | `suns` | each one's Sun from its own limb through that mapping |
+//! | `outliers` | what is odd beside the others |
+//! | `path` | the Sun's path between them ([`smoothing`](crate::smoothing)) |
+//! | `look` | a second look at those that had failed |
+//! | `roll`, `sky` | the body's roll where the horizon was seen; azimuth, elevation and the offset from the target |
+//!
+//! 3. A [`Row`] is put together from the columns and the record when it is asked for ([`History::rows`]), and never changed.
+//!
+//! What comes out depends on archive, instrument and settings alone, bit for bit: not on the order in which frames were done, by how many
+//! cores or machines, nor on how often the run was killed.
 
 mod allan;
-mod camera_headers;
-mod cameras;
+mod attitude;
 mod clock;
 mod clock_facts;
 pub mod columns;
-mod copies;
 mod disc;
 mod drift;
 mod drift_report;
 mod estimate;
-mod first_pass;
-mod flight;
-mod follow;
-mod inputs;
+mod files;
+mod frames;
+mod history;
 mod jitter_report;
-mod journal;
-mod load;
 mod look;
 mod mapping;
-mod oddities;
+mod navigation;
 mod oddity;
+mod outliers;
 mod output;
+mod path;
 mod radius;
+mod recipe;
 mod record;
 mod report;
 mod roll;
 mod row;
+mod run;
 mod sky;
 mod stabilisation;
+mod suns;
 mod temperature;
+mod timeline;
 mod times;
 mod view;
-mod work;
 
-pub use camera_headers::{CameraHeader, CameraHeaders};
-pub use cameras::{CameraFrames, cameras};
+pub use attitude::{Attitude, AttitudeFound, Basis, NavigationFile, Wanted, add_attitude};
 pub use clock::ClockStep;
 pub use clock_facts::ClockFacts;
-pub use copies::{CopiedFrame, Distinct, PixelDigests, distinct, may_be_copied};
 pub use disc::PlateDisc;
-pub use first_pass::{Done, FirstPass, Recipe, Shard, Span, Unsolved};
-pub use flight::{Flight, second_pass};
-pub use inputs::InputSummary;
-pub use journal::{Journal, JournalError};
-pub use mapping::{
-    FlightMapping, Jump, MappingFacts, MappingNumbers, Standing, TemperatureDependence,
+pub use files::Given;
+pub use history::{History, HistoryError};
+pub use mapping::{Jump, MappingFacts, MappingNumbers, TemperatureDependence};
+pub use navigation::Navigation;
+pub use oddity::{Oddities, Oddity, Order, TimeOddity};
+pub use output::{
+    Counts, MappingSummary, NamedJump, OutputError, Summary, write, write_stabilisation,
 };
-pub use oddity::{Oddity, Order};
-pub use output::{OutputError, Summary, write};
 pub use radius::RadiusDependence;
-pub use record::{
-    DiscRecord, FrameFacts, FrameRecord, Grade, InFlight, MarkRecord, PackedPoint, Record,
-};
-pub use report::Report;
-pub use roll::{RollHistory, RollRecipe, RollRow, RollSummary, write_roll};
-pub use row::{OwnRow, Row, SkyRow};
+pub use recipe::Recipe;
+pub use record::{DiscRecord, FrameRecord, Grade, InFlight, MarkRecord, PackedPoint};
+pub use report::{Report, Rows};
+pub use roll::{HorizonRecord, RollHistory, RollRecipe, RollRow, RollSummary};
+pub use row::{Row, SkyRow};
+pub use run::{Options, Refined, RefinedCamera, RefinedRoll, ShardDone, Stabilised, refine};
 pub use sky::Sky;
-pub use stabilisation::{RateError, stabilisation, write_stabilisation};
+pub use stabilisation::{RateError, StabilisationRow, stabilisation};
+pub use times::Timing;

@@ -1,6 +1,5 @@
 //! What may be odd about a frame.
 
-use std::borrow::Cow;
 use std::fmt;
 
 /// The part of a uniform distribution's width that is 1 sigma.
@@ -24,27 +23,9 @@ impl Order {
     }
 }
 
-/// What is odd about a frame, seen beside the others.
+/// What is odd about a frame's time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Oddity {
-    /// The radius is not that of the other frames.
-    Radius,
-    /// The limb is not as round as the mapping makes it.
-    Limb,
-    /// The place is off the path between the frames before and after.
-    Path,
-    /// The plate stands elsewhere on the sensor than in the frames before and after.
-    Knocked,
-    /// The marks were read wrongly.
-    Misread,
-    /// Far fewer marks were read than the disc lights.
-    FewMarks,
-    /// Much more or less light than in the frames before and after.
-    Light,
-    /// Much more noise than in the frames before and after.
-    Noise,
-    /// The frame alone showed no disc.
-    SecondLook,
+pub enum TimeOddity {
     /// UTC had stepped against the monotonic clock.
     Clock,
     /// Frames of one stamp were spread over the step to the next one.
@@ -59,60 +40,28 @@ pub enum Oddity {
     StoppedClock,
 }
 
-impl Oddity {
-    /// Whether it spoils the Sun's place; otherwise it is worth knowing and no more.
-    pub fn spoils(self) -> bool {
-        match self {
-            Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,
-            Self::Misread | Self::FewMarks | Self::Light | Self::Noise | Self::SecondLook => false,
-            _ => !self.is_of_time(),
-        }
-    }
-
-    /// Whether it is the time that is odd.
-    pub fn is_of_time(self) -> bool {
-        matches!(
-            self,
-            Self::Clock
-                | Self::CoarseTime { .. }
-                | Self::AgainstNumbers
-                | Self::SharedTime
-                | Self::ShuffledTime
-                | Self::StoppedClock
-        )
-    }
-
+impl TimeOddity {
     /// Whether the frame may tell where the smoothed path is at its time.
     pub fn is_of_path(self) -> bool {
-        !self.spoils()
-            && !matches!(
-                self,
-                Self::SharedTime | Self::ShuffledTime | Self::StoppedClock
-            )
+        matches!(
+            self,
+            Self::Clock | Self::CoarseTime { .. } | Self::AgainstNumbers
+        )
     }
+}
 
-    pub fn text(self) -> Cow<'static, str> {
-        let text = match self {
-            Self::Radius => "the radius is not that of the flight",
-            Self::Limb => "the limb does not fit the flight's mapping",
-            Self::Path => "off the path of the frames before and after",
-            Self::Knocked => "the plate stands elsewhere than in the frames before and after",
-            Self::Misread => "the marks were read wrongly",
-            Self::FewMarks => "far fewer marks were read than are lit",
-            Self::Light => "the light is not that of the frames before and after",
-            Self::Noise => "more noise than in the frames before and after",
-            Self::SecondLook => "seen only where the frames before and after have the disc",
+impl fmt::Display for TimeOddity {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
             Self::Clock => "the clock had stepped: the time is by the monotonic clock",
             Self::CoarseTime { step_us, by } => {
-                let step_s = step_us as f64 / 1e6;
-                let to = match step_us {
-                    1_000_000 => "whole seconds".into(),
-                    _ => format!("steps of {step_s} s"),
-                };
+                let step_s = *step_us as f64 / 1e6;
+                match step_us {
+                    1_000_000 => write!(out, "time stamped to whole seconds")?,
+                    _ => write!(out, "time stamped to steps of {step_s} s")?,
+                }
                 let sigma_s = step_s * SIGMA_PER_WIDTH;
-                let by = by.name();
-                return format!("time stamped to {to}: spread by {by}, 1 sigma {sigma_s:.2} s")
-                    .into();
+                return write!(out, ": spread by {}, 1 sigma {sigma_s:.2} s", by.name());
             }
             Self::AgainstNumbers => {
                 "the time contradicts the frames' numbers: it is by the numbers and the frames before and after"
@@ -126,13 +75,100 @@ impl Oddity {
             Self::StoppedClock => {
                 "the clock stood still: other frames have the same time, and the frame's own is not known"
             }
-        };
-        text.into()
+        })
+    }
+}
+
+/// What is odd about a frame, seen beside the others.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Oddity {
+    /// The frame alone showed no disc.
+    SecondLook,
+    /// The radius is not that of the other frames.
+    Radius,
+    /// The limb is not as round as the mapping makes it.
+    Limb,
+    /// Far fewer marks were read than the disc lights.
+    FewMarks,
+    /// Much more or less light than in the frames before and after.
+    Light,
+    /// Much more noise than in the frames before and after.
+    Noise,
+    /// The plate stands elsewhere on the sensor than in the frames before and after.
+    Knocked,
+    /// The marks were read wrongly.
+    Misread,
+    /// The place is off the path between the frames before and after.
+    Path,
+}
+
+impl Oddity {
+    const ALL: [Self; 9] = [
+        Self::SecondLook,
+        Self::Radius,
+        Self::Limb,
+        Self::FewMarks,
+        Self::Light,
+        Self::Noise,
+        Self::Knocked,
+        Self::Misread,
+        Self::Path,
+    ];
+
+    /// Whether it spoils the Sun's place; otherwise it is worth knowing and no more.
+    fn spoils(self) -> bool {
+        match self {
+            Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,
+            Self::Misread | Self::FewMarks | Self::Light | Self::Noise | Self::SecondLook => false,
+        }
     }
 }
 
 impl fmt::Display for Oddity {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(&self.text())
+        out.write_str(match self {
+            Self::SecondLook => "seen only where the frames before and after have the disc",
+            Self::Radius => "the radius is not that of the flight",
+            Self::Limb => "the limb does not fit the flight's mapping",
+            Self::FewMarks => "far fewer marks were read than are lit",
+            Self::Light => "the light is not that of the frames before and after",
+            Self::Noise => "more noise than in the frames before and after",
+            Self::Knocked => "the plate stands elsewhere than in the frames before and after",
+            Self::Misread => "the marks were read wrongly",
+            Self::Path => "off the path of the frames before and after",
+        })
+    }
+}
+
+/// All that is odd about a frame.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Oddities(u16);
+
+impl Oddities {
+    pub fn insert(&mut self, odd: Oddity) {
+        self.0 |= 1 << odd as u16;
+    }
+
+    pub fn contains(self, odd: Oddity) -> bool {
+        self.0 & (1 << odd as u16) != 0
+    }
+
+    /// Whether one of them spoils the Sun's place.
+    pub fn spoil(self) -> bool {
+        self.iter().any(Oddity::spoils)
+    }
+
+    pub fn iter(self) -> impl Iterator<Item = Oddity> {
+        Oddity::ALL
+            .into_iter()
+            .filter(move |odd| self.contains(*odd))
+    }
+}
+
+impl FromIterator<Oddity> for Oddities {
+    fn from_iter<I: IntoIterator<Item = Oddity>>(odd: I) -> Self {
+        let mut all = Self::default();
+        odd.into_iter().for_each(|odd| all.insert(odd));
+        all
     }
 }

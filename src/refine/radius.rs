@@ -4,12 +4,14 @@
 //! The mapping from camera to plate is that of the marks, so what the camera's own scale does is not in the radius. What is: a plate that
 //! is farther away makes the disc larger, a plate that expands makes it smaller in the plate's own mil.
 
-use super::row::Row;
+use super::frames::Frame;
+use super::suns::{Flight, Suns};
 use super::temperature;
-use super::work::TELLING_LIMB;
 use crate::estimation::regression;
 use crate::units::Measured;
 use nalgebra::Vector2;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
 
 /// The discs are told in so many blocks, one after the other: neighbours share the mapping's error, and a block's scatter holds it.
 const BLOCKS: usize = 40;
@@ -35,17 +37,30 @@ pub enum RadiusDependence {
     },
 }
 
+/// Slope and sigma, whether they are more than their errors, and both in words.
+impl Serialize for RadiusDependence {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(3))?;
+        map.serialize_entry("per_degc", &self.per_degc())?;
+        map.serialize_entry("determined", &matches!(self, Self::Linear { .. }))?;
+        map.serialize_entry("text", &self.text())?;
+        map.end()
+    }
+}
+
 impl RadiusDependence {
-    /// By the rows of a flight that have a time, in its order. A change with time that goes as the temperature does is not told apart.
-    pub(super) fn of(rows: &[Row]) -> Self {
-        let times_s: Vec<f64> = rows.iter().map(|row| row.unix_s().unwrap_or(0.0)).collect();
-        let readings: Vec<Option<f64>> = rows.iter().map(|row| row.temperature_c).collect();
+    /// By the dated frames of a flight. A change with time that goes as the temperature does is not told apart.
+    pub(super) fn of(flight: &Flight, suns: &Suns) -> Self {
+        let frames = flight.frames.iter().enumerate();
+        let times_s = (0..flight.frames.len()).filter_map(|n| flight.timeline.unix_s(n));
+        let times_s: Vec<f64> = times_s.collect();
+        let readings: Vec<Option<f64>> = flight.frames.iter().map(|f| f.temperature_c).collect();
         let Some(temperature_c) = temperature::from_the_middle(&times_s, &readings) else {
             return Self::NoTemperature;
         };
-        let discs = rows.iter().zip(temperature_c);
+        let discs = frames.zip(temperature_c);
         let discs: Vec<(f64, f64)> = discs
-            .filter_map(|(row, c)| Some((c, ratio(row)?)))
+            .filter_map(|((n, frame), c)| Some((c, ratio(suns, frame, n)?)))
             .collect();
         Self::through(&discs)
     }
@@ -98,11 +113,10 @@ impl RadiusDependence {
     }
 }
 
-/// The radius over the expected one, of fine frames that show enough of the limb to tell it.
-fn ratio(row: &Row) -> Option<f64> {
-    let tells = row.is_fine() && row.limb_part? >= TELLING_LIMB;
-    let ratio = row.disc?.radius_mil.value / row.expected_radius_mil?;
-    tells.then_some(ratio)
+/// The radius over the expected one, of fine frames that show enough of the limb to determine it.
+fn ratio(suns: &Suns, frame: &Frame, n: usize) -> Option<f64> {
+    suns.fine(frame, n).filter(|_| suns.is_sure(frame, n))?;
+    Some(suns.seen[n]?.disc.radius_mil.value / frame.expected_radius_mil?)
 }
 
 /// The slope of the blocks' means, as a part of the radius; its sigma is inflated by what successive blocks have in common.

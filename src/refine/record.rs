@@ -1,43 +1,17 @@
 //! What one frame gave, as small as the flight needs it: a row of the journal.
 
-use crate::archive::StoredFile;
+use super::timeline::Dated;
 use crate::aspect::{Adopted, Aspect, Mark, Solution};
 use crate::calibrate::check;
 use crate::fits::{Header, Value};
-use crate::frame::{FrameInfo, Warning};
+use crate::frame::FrameInfo;
 use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
+use crate::observe::FrameFacts;
 use crate::plate::MarkId;
-use crate::units::{Place, SensorPx};
-use jiff::Timestamp;
+use crate::units::{Estimate, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
-
-/// One file's row of the journal.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Record<T> {
-    pub input: StoredFile,
-    /// What the frame gave, or what is wrong with the file.
-    pub outcome: Result<T, String>,
-}
-
-/// When and where a frame was taken.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct FrameFacts {
-    /// Mid-exposure, ns since 1970.
-    pub utc_ns: Option<i64>,
-    pub monotonic_s: Option<f64>,
-    pub number: Option<u64>,
-    pub temperature_c: Option<f64>,
-    /// How long the shutter was open, s.
-    pub exposure_s: Option<f64>,
-    /// Latitude and longitude (deg) and height (m).
-    place: Option<[f64; 3]>,
-    /// What of the file was not used as it stands.
-    pub warnings: Vec<Warning>,
-    /// Why the frame has no time although its file states one.
-    pub untimed: Option<Warning>,
-}
 
 /// What one frame gave.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -114,6 +88,15 @@ pub struct PackedPoint([i16; 2], u16);
 const STEPS_PER_PX: f64 = 256.0;
 const SIGMA_STEPS_PER_PX: f64 = 1e4;
 
+impl DiscRecord {
+    pub fn on_plate(&self) -> Estimate<PlateMil> {
+        Estimate {
+            position: PlateMil::new(self.on_plate_mil[0], self.on_plate_mil[1]),
+            covariance: symmetric(self.covariance_mil2),
+        }
+    }
+}
+
 impl PackedPoint {
     pub(super) fn of(point: &LimbPoint, centre: Vector2<f64>) -> Self {
         let steps = ((point.at.vector() - centre) * STEPS_PER_PX).map(f64::round);
@@ -145,10 +128,6 @@ impl MarkRecord {
 
     pub fn at(&self) -> SensorPx {
         SensorPx::new(self.px[0], self.px[1])
-    }
-
-    pub fn covariance(&self) -> Matrix2<f64> {
-        symmetric(self.covariance_px2)
     }
 }
 
@@ -198,41 +177,13 @@ impl FrameRecord {
     }
 }
 
-impl FrameFacts {
-    pub(super) fn of(info: &FrameInfo) -> Self {
-        let nanoseconds = |utc: Timestamp| i64::try_from(utc.as_nanosecond()).ok();
-        Self {
-            utc_ns: info.mid_exposure.and_then(nanoseconds),
-            monotonic_s: info.monotonic.map(|time| time.as_secs_f64()),
-            number: info.number,
-            temperature_c: info.camera_temperature_c,
-            exposure_s: info.exposure.map(|exposure| exposure.as_secs_f64()),
-            warnings: info.warnings.clone(),
-            untimed: info.untimed.clone(),
-            place: info
-                .place
-                .map(|place| [place.latitude_deg, place.longitude_deg, place.height_m]),
-        }
+impl Dated for FrameRecord {
+    fn facts(&self) -> &FrameFacts {
+        &self.facts
     }
 
-    /// A frame's reason: why its time is not used, and its own.
-    pub(super) fn reason(&self, own: Option<&str>) -> String {
-        let untimed = self.untimed.as_ref().map(|why| format!("time: {why}"));
-        let own = own.map(str::to_owned);
-        untimed
-            .into_iter()
-            .chain(own)
-            .collect::<Vec<_>>()
-            .join("; ")
-    }
-
-    pub fn utc(&self) -> Option<Timestamp> {
-        Timestamp::from_nanosecond(self.utc_ns?.into()).ok()
-    }
-
-    pub fn place(&self) -> Option<Place> {
-        let [latitude, longitude, height] = self.place?;
-        Place::new(latitude, longitude, height).ok()
+    fn place(&self) -> Option<[f64; 2]> {
+        Some(self.disc.as_ref()?.on_plate_mil)
     }
 }
 

@@ -1,14 +1,16 @@
-//! The report: one page for people, made from the rows.
+//! The report: one page for people, made from the rows as they are written.
 
-use super::columns::SmoothedRow;
-use super::flight::Flight;
-use super::output::{OutputError, Summary, SwingSummary, whole};
+use super::history::History;
+use super::output::{Summary, swings_text};
+use super::record::Grade;
 use super::row::Row;
 use crate::archive::ArchiveReader;
+use crate::columns::whole;
 use crate::estimation::median;
-use crate::instrument::Instrument;
+use crate::fits::FileError;
 use crate::report::html::Page;
 use crate::report::plot::{self, Labels, PlotError, Series};
+use crate::smoothing::PathPoint;
 use crate::with_view;
 use image::{GrayImage, Luma};
 use std::collections::BTreeMap;
@@ -16,7 +18,7 @@ use std::io::Write;
 use std::path::Path;
 
 /// Pictures of a reason.
-pub(super) const PICTURES: usize = 3;
+const PICTURES: usize = 3;
 /// Pixels of the frame that make one of a picture.
 const SHRUNK: usize = 8;
 
@@ -27,15 +29,132 @@ pub struct Report {
     instruments: Vec<String>,
 }
 
+/// What the report shows of a fine row.
+pub(super) struct Drawn {
+    pub unix_s: f64,
+    pub sun_mil: [f32; 2],
+    pub sigma_mil: [f32; 2],
+    /// Per axis, of the limb's points and of the mapping.
+    parts_mil: Option<[f32; 2]>,
+    own_sigma_mil: Option<f32>,
+    calibration_arcsec: Option<f32>,
+    /// In flight minus refined.
+    in_flight_mil: Option<[f32; 2]>,
+    radius_ratio: Option<f64>,
+    pub centre_px: Option<[f32; 2]>,
+    pub temperature_c: Option<f32>,
+    /// Counts the jumps before it.
+    pub jumps: u32,
+    /// Across and in elevation.
+    pub offset_arcsec: Option<[f32; 2]>,
+}
+
+impl Drawn {
+    /// None of a row that is not fine.
+    fn of(row: &Row, jumps: u32) -> Option<Self> {
+        let sun = row.sun.filter(|_| row.is_fine())?;
+        let per_axis = |trace: f64| (trace.max(0.0) / 2.0).sqrt() as f32;
+        let (own, sky) = (row.own.as_ref(), row.sky.as_ref());
+        let own_disc = own.and_then(|own| own.disc.as_ref());
+        let in_flight = own.and_then(|own| own.in_flight.sun_mil);
+        Some(Self {
+            unix_s: row.unix_s()?,
+            sun_mil: [sun.position.x, sun.position.y].map(|mil| mil as f32),
+            sigma_mil: sun.sigma().map(|mil| mil as f32),
+            parts_mil: row.disc.map(|disc| {
+                let limb = disc.centre.covariance.trace();
+                [limb, sun.covariance.trace() - limb].map(per_axis)
+            }),
+            own_sigma_mil: own_disc.map(|disc| per_axis(disc.on_plate().covariance.trace())),
+            calibration_arcsec: sky.and_then(|sky| Some((sky.sigma_deg?[1] * 3600.0) as f32)),
+            in_flight_mil: in_flight
+                .map(|[x, y]| [x - sun.position.x, y - sun.position.y].map(|mil| mil as f32)),
+            radius_ratio: row
+                .disc
+                .zip(row.expected_radius_mil)
+                .map(|(disc, expected)| disc.radius_mil.value / expected),
+            centre_px: row.mapping.map(|m| m.centre_px.map(|px| px.value as f32)),
+            temperature_c: own.and_then(|own| Some(own.facts.temperature_c? as f32)),
+            jumps,
+            offset_arcsec: sky.and_then(|sky| {
+                let [_, elevation, across] = sky.offset_deg?;
+                Some([across, elevation].map(|deg| (deg * 3600.0) as f32))
+            }),
+        })
+    }
+}
+
+/// What the report shows of a camera's rows.
+#[derive(Default)]
+pub struct Rows {
+    pub(super) fine: Vec<Drawn>,
+    reasons: Reasons,
+    jumps: u32,
+}
+
+/// Why rows are not fine, or odd.
+#[derive(Default)]
+pub(super) struct Reasons(BTreeMap<String, Reason>);
+
+#[derive(Default)]
+pub(super) struct Reason {
+    /// Fine, coarse and none.
+    pub counts: [usize; 3],
+    /// The first of them.
+    pub files: Vec<String>,
+}
+
+impl Reasons {
+    /// Counts a row's reason, if there is one.
+    pub fn add(&mut self, reason: String, quality: Grade, file: &str) {
+        if reason.is_empty() {
+            return;
+        }
+        let reason = self.0.entry(reason).or_default();
+        let grades = [Grade::Fine, Grade::Coarse, Grade::None];
+        let counts = reason.counts.iter_mut().zip(grades);
+        counts.for_each(|(count, grade)| *count += usize::from(quality == grade));
+        if reason.files.len() < PICTURES {
+            reason.files.push(file.into());
+        }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// In the order of the alphabet.
+    pub fn iter(&self) -> impl Iterator<Item = (&str, &Reason)> {
+        self.0.iter().map(|(name, reason)| (name.as_str(), reason))
+    }
+
+    /// Each of the first files of each reason, with the reason.
+    pub fn files(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.iter()
+            .flat_map(|(name, reason)| reason.files.iter().map(move |file| (file.as_str(), name)))
+    }
+}
+
+impl Rows {
+    /// Takes a row, in the order of time.
+    pub fn take(&mut self, row: &Row) {
+        self.jumps += u32::from(row.jump_px.is_some());
+        self.fine.extend(Drawn::of(row, self.jumps));
+        if row.copy_of.is_none() {
+            self.reasons.add(row.reason(), row.quality, &row.file);
+        }
+    }
+}
+
 impl Report {
     /// Adds a camera's part; of several, `label` begins its headings.
     pub fn add(
         &mut self,
         label: Option<&str>,
         archive: &ArchiveReader,
-        flight: &Flight,
+        history: &History,
         summary: &Summary,
-        instrument: &Instrument,
+        rows: &Rows,
     ) {
         self.instruments
             .push(label.unwrap_or(&summary.instrument).into());
@@ -43,16 +162,16 @@ impl Report {
             page: &mut self.page,
             label: label.map_or(String::new(), |label| format!("{label}: ")),
             source: source(archive),
-            rows: &flight.rows,
-            arcsec_per_mil: instrument.optics.arcsec_per_mil(),
+            rows: &rows.fine,
+            arcsec_per_mil: history.instrument().optics.arcsec_per_mil(),
         };
         part.summary(summary);
-        part.path(&flight.smoothed_rows());
+        part.path(history);
         part.budget();
         part.in_flight();
         part.radius(summary);
         part.mapping(summary);
-        part.refusals(archive);
+        part.refusals(archive, &rows.reasons);
         part.pointing();
         part.jitter();
     }
@@ -71,7 +190,7 @@ impl Report {
     ///
     /// # Errors
     /// A file that cannot be written.
-    pub fn write(self, folder: &Path) -> Result<(), OutputError> {
+    pub fn write(self, folder: &Path) -> Result<(), FileError> {
         let title = format!("Aspect of {}", self.instruments.join(" and "));
         let text = self.page.finish(&title);
         whole(&folder.join("report.html"), |file| {
@@ -87,7 +206,8 @@ pub(super) struct Part<'a> {
     label: String,
     /// What captions of figures begin with.
     source: String,
-    pub rows: &'a [Row],
+    /// The fine ones.
+    pub rows: &'a [Drawn],
     pub arcsec_per_mil: f64,
 }
 
@@ -114,74 +234,68 @@ impl Part<'_> {
     }
 
     /// A value of the fine rows over time.
-    pub(super) fn over_time(&self, value: impl Fn(&Row) -> Option<f64>) -> Vec<(f64, f64)> {
-        let fine = self.rows.iter().filter(|row| row.is_fine());
-        fine.filter_map(|row| Some((row.unix_s()?, value(row)?)))
+    pub(super) fn over_time<V: Into<f64>>(
+        &self,
+        value: impl Fn(&Drawn) -> Option<V>,
+    ) -> Vec<(f64, f64)> {
+        let rows = self.rows.iter();
+        rows.filter_map(|row| Some((row.unix_s, value(row)?.into())))
             .collect()
     }
 
-    fn dots(&self, name: &str, value: impl Fn(&Row) -> Option<f64>) -> Series {
+    fn dots<V: Into<f64>>(&self, name: &str, value: impl Fn(&Drawn) -> Option<V>) -> Series {
         Series::dots(name, self.over_time(value))
-    }
-
-    /// The same without what is more than so many times the median, which would flatten the rest.
-    fn usual(&self, name: &str, value: impl Fn(&Row) -> Option<f64>) -> Series {
-        const MOST_MEDIANS: f64 = 5.0;
-        let mut series = self.dots(name, value);
-        let middle = median(series.points.iter().map(|(_, value)| value));
-        let most = middle.unwrap_or(0.0) * MOST_MEDIANS;
-        series.points.retain(|(_, value)| *value <= most);
-        series
     }
 
     fn summary(&mut self, summary: &Summary) {
         if !self.label.is_empty() {
             self.heading("summary");
         }
-        let mut rows: Vec<Vec<String>> = [
-            ("files", summary.files.to_string()),
+        let counts = &summary.counts;
+        let mut rows: Vec<[String; 2]> = [
+            ("files", counts.files.to_string()),
             (
                 "fine",
-                format!("{} ({} by themselves)", summary.fine, summary.own_fine),
+                format!("{} ({} by themselves)", counts.fine, summary.own_fine),
             ),
-            ("coarse", summary.coarse.to_string()),
-            ("none", summary.none.to_string()),
-            ("from", summary.first_utc.clone().unwrap_or_default()),
-            ("to", summary.last_utc.clone().unwrap_or_default()),
+            ("coarse", counts.coarse.to_string()),
+            ("none", counts.none.to_string()),
+            ("from", counts.first_utc.clone().unwrap_or_default()),
+            ("to", counts.last_utc.clone().unwrap_or_default()),
             ("program", summary.program.into()),
             (
                 "instrument",
                 format!("{}, {}", summary.instrument, summary.instrument_hash),
             ),
             ("settings", summary.settings_hash.clone()),
-            ("table", summary.table_hash.clone()),
+            ("table", summary.table_sha256.clone()),
         ]
-        .map(|(name, value)| vec![name.to_owned(), value])
+        .map(|(name, value)| [name.to_owned(), value])
         .into();
-        for jump in summary.mapping.iter().flat_map(|mapping| &mapping.jumps) {
-            rows.push(vec!["jump of the mapping".into(), jump.text()]);
-        }
+        let jumps = summary.mapping.iter().flat_map(|mapping| &mapping.jumps);
+        rows.extend(jumps.map(|jump| ["jump of the mapping".into(), jump.text()]));
         let inputs = summary.inputs.lines().into_iter();
-        rows.extend(inputs.map(|line| vec!["input".into(), line]));
-        rows.extend(summary.clock.lines().map(Vec::from));
-        for (axis, swings) in ["x", "y"].into_iter().zip(&summary.swings) {
-            rows.push(vec![
-                format!("swings along {axis}"),
-                SwingSummary::text(swings),
-            ]);
-        }
+        rows.extend(inputs.map(|line| ["input".into(), line]));
+        rows.extend(summary.clock.lines());
+        let swings = ["x", "y"].into_iter().zip(&summary.swings_mil);
+        rows.extend(
+            swings.map(|(axis, swings)| [format!("swings along {axis}"), swings_text(swings)]),
+        );
+        let rows: Vec<Vec<String>> = rows.into_iter().map(Vec::from).collect();
         self.page.table(&[], &rows);
         self.page.note("All times are UTC at mid-exposure.");
     }
 
-    fn path(&mut self, smoothed: &[SmoothedRow]) {
+    fn path(&mut self, history: &History) {
         self.heading("The Sun on the plate");
-        let dots = [("x", 0), ("y", 1)]
-            .map(|(name, axis)| self.dots(name, |row| Some(row.sun?.position.vector()[axis])));
+        let dots =
+            [("x", 0), ("y", 1)].map(|(name, axis)| self.dots(name, |row| Some(row.sun_mil[axis])));
         let lines = [("x, smoothed", 0), ("y, smoothed", 1)].map(|(name, axis)| {
             // Where nothing is known there is no number, and the line stops.
-            let value = move |row: &SmoothedRow| row.point.map_or(f64::NAN, |p| p[0][axis]);
-            Series::line(name, smoothed.iter().map(|row| (row.unix_s, value(row)))).in_hue(axis)
+            let value = |(unix_s, point): (f64, Option<&PathPoint>)| {
+                (unix_s, point.map_or(f64::NAN, |point| point.place[axis]))
+            };
+            Series::line(name, history.smoothed().map(value)).in_hue(axis)
         });
         let labels = Labels::over_utc("The Sun's centre on the plate", "mil");
         self.figure(plot::series(&labels, &[dots, lines].concat()));
@@ -190,38 +304,31 @@ impl Part<'_> {
     fn budget(&mut self) {
         self.heading("Error budget");
         let scale = self.arcsec_per_mil;
-        let per_axis = |trace: f64| (trace.max(0.0) / 2.0).sqrt() * scale;
-        let limb = |row: &Row| Some(per_axis(row.disc?.centre.covariance.trace()));
-        let all = |row: &Row| Some(per_axis(row.sun?.covariance.trace()));
-        let mapping = |row: &Row| {
-            let trace = row.sun?.covariance.trace() - row.disc?.centre.covariance.trace();
-            Some(per_axis(trace))
+        let arcsec = |mil: f32| f64::from(mil) * scale;
+        let all = |row: &Drawn| {
+            let [x, y] = row.sigma_mil;
+            Some(arcsec(x.hypot(y)) / 2_f64.sqrt())
         };
-        let own = |row: &Row| {
-            let [x, y] = row.own.sigma_mil?;
-            Some(per_axis(x * x + y * y))
-        };
-        let calibration = |row: &Row| Some(row.sky?.sigma_deg?[1] * 3600.0);
+        let part = |n: usize| move |row: &Drawn| Some(arcsec(row.parts_mil?[n]));
+        let own = |row: &Drawn| row.own_sigma_mil.map(arcsec);
         let line = |name: &str, points: Vec<(f64, f64)>| {
             let value = median(points.iter().map(|(_, value)| value));
             let value = value.map_or("not known".into(), |value| format!("{value:.4}"));
             vec![name.to_owned(), value]
         };
+        let calibration = "calibration, alike in all frames, not in the above";
         let rows = [
-            line("limb", self.over_time(limb)),
-            line("mapping", self.over_time(mapping)),
+            line("limb", self.over_time(part(0))),
+            line("mapping", self.over_time(part(1))),
             line("both: the refined place", self.over_time(all)),
             line("the frame by itself", self.over_time(own)),
-            line(
-                "calibration, alike in all frames, not in the above",
-                self.over_time(calibration),
-            ),
+            line(calibration, self.over_time(|row| row.calibration_arcsec)),
         ];
         self.page
             .table(&["part", "1 sigma per axis, arcsec, median"], &rows);
         let series = [
-            self.usual("refined", all),
-            self.usual("of the mapping", mapping),
+            usual(self.dots("refined", all)),
+            usual(self.dots("of the mapping", part(1))),
         ];
         let title = "Stated uncertainty, up to five times the median";
         let labels = Labels::over_utc(title, "1 sigma per axis, arcsec");
@@ -231,12 +338,8 @@ impl Part<'_> {
     fn in_flight(&mut self) {
         self.heading("In flight against refined");
         let scale = self.arcsec_per_mil;
-        let difference = |axis: usize| {
-            move |row: &Row| {
-                let refined = row.sun?.position.vector()[axis];
-                Some((row.in_flight.sun_mil?[axis] - refined) * scale)
-            }
-        };
+        let difference =
+            |axis: usize| move |row: &Drawn| Some(f64::from(row.in_flight_mil?[axis]) * scale);
         let series = [self.dots("x", difference(0)), self.dots("y", difference(1))];
         if series[0].points.is_empty() {
             return self
@@ -249,89 +352,73 @@ impl Part<'_> {
 
     fn radius(&mut self, summary: &Summary) {
         self.heading("Radius against ephemeris");
-        let ratio = |row: &Row| Some(row.disc?.radius_mil.value / row.expected_radius_mil?);
-        let series = [self.dots("seen over expected", ratio)];
+        let series = [self.dots("seen over expected", |row| row.radius_ratio)];
         let labels = Labels::over_utc("The disc's radius", "seen / expected");
         self.figure(plot::series(&labels, &series));
-        let text = &summary.radius_by_temperature.text;
+        let text = summary.radius_by_temperature.text();
         self.page
             .note(&format!("With the camera's temperature: {text}."));
     }
 
-    fn refusals(&mut self, archive: &ArchiveReader) {
+    fn refusals(&mut self, archive: &ArchiveReader, reasons: &Reasons) {
         self.heading("What is not fine, or odd");
-        let mut reasons: BTreeMap<String, Vec<&Row>> = BTreeMap::new();
-        for row in self.rows.iter().filter(|row| row.copy_of.is_none()) {
-            reasons.entry(row.reason()).or_default().push(row);
-        }
-        reasons.remove("");
         if reasons.is_empty() {
             return self.page.note("Every frame is fine, and none is odd.");
         }
-        let count = |(reason, rows): (&String, &Vec<&Row>)| {
-            let qualities = ["fine", "coarse", "none"].map(|quality| {
-                rows.iter()
-                    .filter(|row| row.quality.name() == quality)
-                    .count()
-                    .to_string()
-            });
-            [vec![reason.clone()], qualities.to_vec()].concat()
+        let count = |(name, reason): (&str, &Reason)| {
+            let counts = reason.counts.iter().map(usize::to_string);
+            [name.to_owned()].into_iter().chain(counts).collect()
         };
         let counts: Vec<Vec<String>> = reasons.iter().map(count).collect();
         self.page
             .table(&["reason", "fine", "coarse", "none"], &counts);
-        for (reason, rows) in &reasons {
-            for row in rows.iter().take(PICTURES) {
-                if let Some(picture) = thumbnail(archive, &row.file) {
-                    let caption = format!("{}: {reason}", row.file);
-                    self.page.picture(&picture, &caption);
-                }
+        for (file, name) in reasons.files() {
+            if let Some(picture) = thumbnail(archive, file) {
+                self.page.picture(&picture, &format!("{file}: {name}"));
             }
         }
     }
 
-    /// Offsets across and in elevation, arcsec, of fine rows.
-    pub(super) fn offsets(&self) -> Vec<(f64, [f64; 2])> {
-        let fine = self.rows.iter().filter(|row| row.is_fine());
-        let offset = |row: &Row| {
-            let [_, elevation, across] = row.sky?.offset_deg?;
-            Some((row.unix_s()?, [across * 3600.0, elevation * 3600.0]))
-        };
-        fine.filter_map(offset).collect()
-    }
-
     fn pointing(&mut self) {
         self.heading("Pointing");
-        let offsets = self.offsets();
-        if offsets.is_empty() {
+        let offsets = [0, 1].map(|axis| self.over_time(|row| Some(row.offset_arcsec?[axis])));
+        let [across, elevation] = &offsets;
+        if across.is_empty() {
             return self
                 .page
                 .note("No place is known, so there are no offsets.");
         }
-        let within = |limit: f64, inside: fn(&[f64; 2], f64) -> bool| {
-            let count = offsets
-                .iter()
-                .filter(|(_, offset)| inside(offset, limit))
-                .count();
-            format!("{:.1} %", 100.0 * count as f64 / offsets.len() as f64)
+        let within = |limit: f64, size: fn(f64, f64) -> f64| {
+            let both = across.iter().zip(elevation);
+            let inside = both.filter(|((_, x), (_, y))| size(*x, *y) <= limit);
+            let part = inside.count() as f64 / across.len() as f64;
+            format!("{:.1} %", 100.0 * part)
         };
         let row = |limit: f64| {
             vec![
                 format!("{limit} arcsec"),
-                within(limit, |offset, limit| offset[1].abs() <= limit),
-                within(limit, |offset, limit| offset[0].abs() <= limit),
-                within(limit, |offset, limit| offset[0].hypot(offset[1]) <= limit),
+                within(limit, |_, elevation| elevation.abs()),
+                within(limit, |across, _| across.abs()),
+                within(limit, f64::hypot),
             ]
         };
         let heads = ["within", "in elevation", "across", "of the target"];
         self.page.table(&heads, &[10.0, 30.0, 60.0].map(row));
         self.page.note("Part of the fine frames.");
-        let series = [("across", 0), ("elevation", 1)].map(|(name, axis)| {
-            Series::dots(name, offsets.iter().map(|(t, offset)| (*t, offset[axis])))
-        });
+        let named = ["across", "elevation"].into_iter().zip(offsets);
+        let series: Vec<Series> = named.map(|(name, axis)| Series::dots(name, axis)).collect();
         let labels = Labels::over_utc("Offset from the target", "arcsec");
         self.figure(plot::series(&labels, &series));
     }
+}
+
+/// Without what is more than so many times the median, which would flatten the rest.
+fn usual(mut series: Series) -> Series {
+    const MOST_MEDIANS: f64 = 5.0;
+    let middle = median(series.points.iter().map(|(_, value)| value));
+    let most = middle.unwrap_or(0.0) * MOST_MEDIANS;
+    series.points.retain(|(_, value)| *value <= most);
+    series
 }
 
 /// A frame, small and stretched to its brightest pixel; none where it cannot be read.

@@ -1,15 +1,14 @@
-//! One input file's row of the history.
+//! One file's row of the history.
 
-use super::copies::CopiedFrame;
 use super::disc::PlateDisc;
 use super::mapping::MappingNumbers;
-use super::oddity::Oddity;
-use super::record::{FrameRecord, Grade, InFlight};
-use crate::archive::StoredFile;
+use super::oddity::Oddities;
+use super::path::moved_mil2;
+use super::record::{FrameRecord, Grade};
+use super::times::Timing;
 use crate::geometry::attitude::Direction;
 use crate::units::{Estimate, Measured, PlateMil};
 use jiff::Timestamp;
-use nalgebra::{Matrix2, Vector2};
 
 /// Where the telescope pointed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,39 +27,23 @@ pub struct SkyRow {
     pub sun_elevation_deg: f64,
 }
 
-/// What a frame gave by itself.
-#[derive(Debug, Clone, PartialEq)]
-pub struct OwnRow {
-    pub quality: Grade,
-    /// Why it went no further; empty where nothing is to be said.
-    pub reason: String,
-    pub sun_mil: Option<[f64; 2]>,
-    pub sigma_mil: Option<[f64; 2]>,
-    pub sun_px: Option<[f64; 2]>,
-    pub marks: usize,
-    pub levels_dn: Option<[f64; 3]>,
-}
-
-/// One input file's row.
+/// One file's row, put together from what its frame gave and what the flight made of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
     pub file: String,
     /// The file whose frame this one holds once more.
     pub copy_of: Option<String>,
+    /// Mid-exposure, ns since 1970.
     pub utc_ns: Option<i64>,
-    /// What was added to the header's time, s, where the clock had stepped.
-    pub utc_correction_s: Option<Measured>,
-    /// 1 sigma of the time, s; none where it is as good as the header's.
-    pub time_sigma_s: Option<f64>,
+    pub timing: Timing,
     /// How fast the Sun moves over the plate along the smoothed path, mil/s, where the time has a sigma.
     pub speed_mil_per_s: Option<[f64; 2]>,
-    pub monotonic_s: Option<f64>,
-    pub number: Option<u64>,
-    pub temperature_c: Option<f64>,
+    /// What the frame gave by itself; none of a file without a frame.
+    pub own: Option<FrameRecord>,
     pub quality: Grade,
     /// Why the frame is not fine, where its own solution says it; empty where nothing is to be said.
     pub own_reason: String,
-    pub oddities: Vec<Oddity>,
+    pub oddities: Oddities,
     pub sun: Option<Estimate<PlateMil>>,
     pub disc: Option<PlateDisc>,
     /// Part of the limb that the disc rests on, 0 to 1.
@@ -69,110 +52,30 @@ pub struct Row {
     pub expected_radius_mil: Option<f64>,
     pub mapping: Option<MappingNumbers>,
     pub jump_px: Option<f64>,
-    pub own: OwnRow,
     pub sky: Option<SkyRow>,
     /// Straight down in the axes of the body, where the roll camera saw the horizon.
     pub body_nadir: Option<Direction>,
-    pub in_flight: InFlight,
 }
 
 impl Row {
-    /// Notes an oddity; one that spoils the frame takes its place away.
-    pub(super) fn note(&mut self, odd: Oddity) {
-        if self.oddities.contains(&odd) {
-            return;
-        }
-        self.oddities.push(odd);
-        if odd.spoils() {
-            self.quality = Grade::None;
-            self.sun = None;
-        }
-    }
-
-    /// Takes back what was odd, but for the time.
-    pub(super) fn take_back_oddities(&mut self) {
-        self.oddities.retain(|odd| odd.is_of_time());
-    }
-
     /// Why the frame is not fine, and what is odd about it; empty where nothing is to be said.
     pub fn reason(&self) -> String {
         let own = (!self.own_reason.is_empty()).then(|| self.own_reason.clone());
-        let odd = self.oddities.iter().map(|odd| format!("refine: {odd}"));
+        let odd = self.odd().map(|odd| format!("refine: {odd}"));
         own.into_iter().chain(odd).collect::<Vec<_>>().join("; ")
     }
 
-    /// A file that could not be read.
-    pub(super) fn unread(input: StoredFile, error: String) -> Self {
-        Self {
-            file: input.file,
-            copy_of: None,
-            utc_ns: None,
-            utc_correction_s: None,
-            time_sigma_s: None,
-            speed_mil_per_s: None,
-            monotonic_s: None,
-            number: None,
-            temperature_c: None,
-            quality: Grade::None,
-            own_reason: format!("file: {error}"),
-            oddities: Vec::new(),
-            sun: None,
-            disc: None,
-            limb_part: None,
-            expected_radius_mil: None,
-            mapping: None,
-            jump_px: None,
-            own: OwnRow {
-                quality: Grade::None,
-                reason: String::new(),
-                sun_mil: None,
-                sigma_mil: None,
-                sun_px: None,
-                marks: 0,
-                levels_dn: None,
-            },
-            sky: None,
-            body_nadir: None,
-            in_flight: InFlight::default(),
-        }
+    /// What is odd about its time and its frame, in words.
+    pub fn odd(&self) -> impl Iterator<Item = String> {
+        let of_time = self.timing.odd.map(|odd| odd.to_string());
+        of_time
+            .into_iter()
+            .chain(self.oddities.iter().map(|odd| odd.to_string()))
     }
 
-    /// A file that holds the frame of another one.
-    pub(super) fn copied(copy: &CopiedFrame) -> Self {
-        Self {
-            copy_of: Some(copy.first.clone()),
-            ..Self::unread(copy.input.clone(), copy.reason())
-        }
-    }
-
-    /// A frame as it gave itself.
-    pub(super) fn of(input: StoredFile, frame: &FrameRecord) -> Self {
-        let disc = frame.disc.as_ref();
-        let sun = disc.map(|disc| Estimate {
-            position: PlateMil::new(disc.on_plate_mil[0], disc.on_plate_mil[1]),
-            covariance: super::record::symmetric(disc.covariance_mil2),
-        });
-        Self {
-            utc_ns: frame.facts.utc_ns,
-            monotonic_s: frame.facts.monotonic_s,
-            number: frame.facts.number,
-            temperature_c: frame.facts.temperature_c,
-            quality: frame.quality,
-            own_reason: frame.facts.reason(frame.reason.as_deref()),
-            own: OwnRow {
-                quality: frame.quality,
-                reason: frame.reason.clone().unwrap_or_default(),
-                sun_mil: disc.map(|disc| disc.on_plate_mil),
-                sigma_mil: sun.map(|sun| sun.sigma()),
-                sun_px: disc.map(|disc| disc.centre_px),
-                marks: frame.marks.len(),
-                levels_dn: frame.levels_dn,
-            },
-            sun,
-            limb_part: disc.map(|disc| disc.limb_fraction),
-            in_flight: frame.in_flight.clone(),
-            ..Self::unread(input, String::new())
-        }
+    /// The frame's quality by itself.
+    pub fn own_quality(&self) -> Grade {
+        self.own.as_ref().map_or(Grade::None, |own| own.quality)
     }
 
     pub fn utc(&self) -> Option<Timestamp> {
@@ -189,26 +92,14 @@ impl Row {
         let sun = self.sun?;
         /// Over a shorter time no Sun moves far: s.
         const SHORT_S: f64 = 0.01;
-        match (self.time_sigma_s, self.speed_mil_per_s) {
-            (Some(_), Some(speed)) => Some(Estimate {
-                covariance: sun.covariance + self.moved_mil2(speed),
+        match (self.timing.sigma_s, self.speed_mil_per_s) {
+            (Some(sigma_s), Some(speed)) => Some(Estimate {
+                covariance: sun.covariance + moved_mil2(speed, sigma_s),
                 ..sun
             }),
             (Some(sigma_s), None) => (sigma_s < SHORT_S).then_some(sun),
             (None, _) => Some(sun),
         }
-    }
-
-    /// Covariance that the uncertainty of the time adds to a place that moves, mil^2.
-    pub(super) fn moved_mil2(&self, speed_mil_per_s: [f64; 2]) -> Matrix2<f64> {
-        let moved = Vector2::from(speed_mil_per_s) * self.time_sigma_s.unwrap_or(0.0);
-        moved * moved.transpose()
-    }
-
-    /// Whether the row's time is one of the smoothed path.
-    pub(super) fn is_timed(&self) -> bool {
-        let mut of_time = self.oddities.iter().filter(|odd| odd.is_of_time());
-        of_time.all(|odd| odd.is_of_path())
     }
 
     /// Whether the row's place is one of the flight's path.

@@ -7,7 +7,6 @@ use crate::pointing::{self, Offset, Roll, Target};
 use crate::sky::{Ephemeris, SunPosition};
 use crate::units::{Estimate, Place, PlateMil};
 use jiff::Timestamp;
-use rayon::prelude::*;
 
 /// What the sky takes beside the rows.
 #[derive(Debug, Clone)]
@@ -18,30 +17,16 @@ pub struct Sky {
     pub ephemeris: Ephemeris,
 }
 
-/// Rows that share an ephemeris, whose costly part is done once a second.
-const TOGETHER: usize = 256;
-
 impl Sky {
-    /// Fills in where the telescope pointed; `places` tells where each row's frame was taken, if it does.
-    pub fn fill(&self, instrument: &Instrument, rows: &mut [Row], places: &[Option<Place>]) {
-        let chunks = rows.par_chunks_mut(TOGETHER);
-        chunks
-            .zip(places.par_chunks(TOGETHER))
-            .for_each(|(rows, places)| {
-                let mut ephemeris = self.ephemeris.clone();
-                for (row, place) in rows.iter_mut().zip(places) {
-                    row.sky = self.row(row, instrument, place.or(self.place), &mut ephemeris);
-                }
-            });
-    }
-
-    fn row(
+    /// Where the telescope pointed by a row's Sun; `None` where that, or the place, is not known.
+    pub(super) fn row(
         &self,
         row: &Row,
         instrument: &Instrument,
-        place: Option<Place>,
         ephemeris: &mut Ephemeris,
     ) -> Option<SkyRow> {
+        let place = row.own.as_ref().and_then(|own| own.facts.place());
+        let place = place.or(self.place);
         let (sun_on_plate, utc) = (row.sun?, row.utc()?);
         let sun = ephemeris.sun(utc, place?).ok()?;
         let at = sun_on_plate.position;

@@ -1,79 +1,79 @@
 //! The telescope's offset at a constant rate, for stabilising images: the smoothed path between the frames.
 
-use super::columns::{STABILISATION, STABILISATION_COLUMNS, StabilisationRow, table};
-use super::flight::Flight;
-use super::follow::is_known;
-use crate::smoothing::PathPoint;
-use super::output::{OutputError, csv, whole, write_tables};
+use super::history::History;
+use super::path::is_known;
 use super::roll::RollHistory;
-use super::sky::Sky;
-use crate::archive::Flown;
 use crate::geometry::attitude::Direction;
-use crate::instrument::Instrument;
+use crate::observe::JournalError;
+use crate::pointing::Offset;
+use crate::smoothing::PathPoint;
 use crate::units::{Estimate, Place, PlateMil};
 use jiff::Timestamp;
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
-use std::iter;
-use std::path::Path;
 
 /// The table is made in memory.
 const MOST_ROWS: f64 = 10e6;
-/// A row takes no more bytes in the table.
-const ROW_BYTES: usize = 64;
 /// Rows that share an ephemeris, whose costly part is done once a second.
 const TOGETHER: usize = 1024;
 
-/// A rate that would make too many rows.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error(
-    "--rate: expected at most {MOST_ROWS} rows, found {rows} ({rate_hz} Hz for {duration_s:.0} s)"
-)]
-pub struct RateError {
-    rows: f64,
-    rate_hz: f64,
-    duration_s: f64,
+/// The telescope's offset at a moment between frames.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StabilisationRow {
+    pub unix_s: f64,
+    /// None where the path, the place or the target is not known.
+    pub offset: Option<Offset>,
+}
+
+/// Why there is no table.
+#[derive(Debug, thiserror::Error)]
+pub enum RateError {
+    #[error(
+        "--rate: expected at most {MOST_ROWS} rows, found {rows} ({rate_hz} Hz for {duration_s:.0} s)"
+    )]
+    TooManyRows {
+        rows: f64,
+        rate_hz: f64,
+        duration_s: f64,
+    },
+    #[error(transparent)]
+    Journal(#[from] JournalError),
 }
 
 /// The offset at the multiples of 1 / `rate_hz`, s since 1970, from the first dated frame to the last. Roll is that of the roll camera, where
 /// its history is given and near, else the instrument's.
 ///
 /// # Errors
-/// A rate that makes more than ten million rows.
+/// A rate that makes more than ten million rows; a journal that cannot be read.
 pub fn stabilisation(
-    flight: &Flight,
+    history: &History,
     rate_hz: f64,
-    instrument: &Instrument,
-    sky: &Sky,
     roll: Option<&RollHistory>,
 ) -> Result<Vec<StabilisationRow>, RateError> {
-    let Some((path, first_s)) = flight
-        .path
-        .as_ref()
-        .zip(flight.path_times_s.first().copied())
-    else {
+    let Some((path, [first_s, times_s @ ..])) = history.path() else {
         return Ok(Vec::new());
     };
-    let last_s = flight.path_times_s.last().copied().unwrap_or(first_s);
+    let last_s = times_s.last().unwrap_or(first_s);
     let (first, last) = ((first_s * rate_hz).ceil(), (last_s * rate_hz).floor());
     let rows = last - first + 1.0;
     if rows > MOST_ROWS {
-        return Err(RateError {
+        return Err(RateError::TooManyRows {
             rows,
             rate_hz,
             duration_s: last_s - first_s,
         });
     }
+    let (sky, instrument) = (history.sky(), history.instrument());
     let count = rows.max(0.0) as u64;
     let times_s: Vec<f64> = (0..count).map(|n| (first + n as f64) / rate_hz).collect();
     let since_first: Vec<f64> = times_s.iter().map(|time_s| time_s - first_s).collect();
     let points = path.at(&since_first);
     let nadirs = roll.map(|roll| roll.body_nadirs(&times_s));
-    let frames = FramePlaces::of(flight);
+    let places = history.places()?;
     let row = |n: usize, ephemeris: &mut _| {
         let utc = Timestamp::from_nanosecond((times_s[n] * 1e9) as i128).ok()?;
         let sun = points[n].as_ref().and_then(sun_on_plate)?;
-        let place = frames.before(times_s[n]).or(sky.place)?;
+        let place = place_before(&places, times_s[n]).or(sky.place)?;
         let nadir: Option<&Direction> = nadirs.as_ref().and_then(|nadirs| nadirs[n].as_ref());
         sky.offset(sun, utc, place, nadir, instrument, ephemeris)
     };
@@ -97,39 +97,8 @@ fn sun_on_plate(point: &PathPoint) -> Option<Estimate<PlateMil>> {
     })
 }
 
-/// Where the frames that say so were taken, in the order of time.
-struct FramePlaces(Vec<(f64, Place)>);
-
-impl FramePlaces {
-    fn of(flight: &Flight) -> Self {
-        let frames = flight.rows.iter().zip(&flight.places);
-        Self(
-            frames
-                .filter_map(|(row, place)| Some((row.unix_s()?, (*place)?)))
-                .collect(),
-        )
-    }
-
-    /// That of the last frame before a time.
-    fn before(&self, time_s: f64) -> Option<Place> {
-        let later = self.0.partition_point(|(taken_s, _)| *taken_s <= time_s);
-        Some(self.0.get(later.checked_sub(1)?)?.1)
-    }
-}
-
-/// Writes `stabilisation.fits` and `stabilisation.csv` of a flight to a folder.
-///
-/// # Errors
-/// A file that cannot be written.
-pub fn write_stabilisation(
-    folder: &Path,
-    rows: &[StabilisationRow],
-    flown: &Flown,
-) -> Result<(), OutputError> {
-    let made = iter::once_with(|| table(STABILISATION, STABILISATION_COLUMNS, rows));
-    let path = folder.join("stabilisation.fits");
-    write_tables(&path, flown, rows.len() * ROW_BYTES, made)?;
-    whole(&folder.join("stabilisation.csv"), |file| {
-        csv(file, STABILISATION_COLUMNS, rows)
-    })
+/// The place of the last frame before a time.
+fn place_before(places: &[(f64, Place)], time_s: f64) -> Option<Place> {
+    let later = places.partition_point(|(taken_s, _)| *taken_s <= time_s);
+    Some(places.get(later.checked_sub(1)?)?.1)
 }

@@ -30,6 +30,7 @@ pub use kalman::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 use crate::estimation::median;
 use levels::Levels;
 use process::{Axis, LONGEST_GAP_S, Smoothed, Swing};
+use serde::Serialize;
 use swings::{Fit, Stretch};
 
 /// A place along an axis.
@@ -94,7 +95,7 @@ pub struct Path {
 }
 
 /// A swing of the gondola along an axis.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FoundSwing {
     pub period_s: f64,
     /// In which its amplitude falls to 1/e where nothing drives it.

@@ -95,7 +95,7 @@ pub fn pose_folder(
 }
 
 pub fn calibrate(given: &[PathBuf], start: &Instrument) -> Result<Calibration, Refusal> {
-    plate::calibrate(given, start, &|_| (), &|| ())
+    plate::calibrate(given, start, &())
 }
 
 /// 1 sigma of a generated observation, px.

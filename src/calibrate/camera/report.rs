@@ -1,8 +1,8 @@
 //! The calibration as one page of HTML that needs nothing else.
 
 use super::calibration::CameraCalibration;
-use crate::calibrate::frames::RejectedFrame;
 use crate::calibrate::quantity::CalibratedQuantity;
+use crate::observe::RejectedFrame;
 use crate::report::html::Page;
 use crate::report::plot::{self, PlotError};
 

@@ -1,13 +1,12 @@
 //! Frames in memory, and what lights them.
 
 use crate::aspect::{self, Expected, Quality};
-use crate::calibrate::frames::{RejectedFrame, Setting, each_once};
-use crate::fits;
+use crate::calibrate::frames::Setting;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
+use crate::observe::{RejectedFrame, over};
 use crate::units::SensorPx;
 use anyhow::Context;
-use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
 /// Light scattered about the disc reaches so far beyond its limb, in its radii.
@@ -116,15 +115,18 @@ pub fn load(
     files: &[PathBuf],
     instrument: &Instrument,
 ) -> anyhow::Result<(Shots, Vec<RejectedFrame>)> {
-    let (files, mut rejected) = each_once(files.to_vec(), instrument.camera.size_px());
-    let mut frames = Vec::new();
-    for file in kept(&files) {
-        match fits::read_frame_of_size(file, instrument.camera.size_px()) {
-            Ok(frame) => {
-                check_size(&frame, instrument, file)?;
-                frames.push(Shot::without_sun(file, frame));
-            }
-            Err(error) => rejected.push(RejectedFrame::new(file, error.problem.to_string())),
+    let keep = kept(files);
+    let size_px = instrument.camera.size_px();
+    let observed = over(files.to_vec(), size_px, &(), |file, frame| {
+        let is_kept = keep.iter().any(|kept| *kept == file);
+        let check = check_size(&frame, instrument, file);
+        check.map(|()| is_kept.then(|| Shot::without_sun(file, frame)))
+    });
+    let (mut frames, mut rejected) = (Vec::new(), observed.copies);
+    for (file, outcome) in observed.frames {
+        match outcome {
+            Ok(shot) => frames.extend(shot?),
+            Err(unread) => rejected.push(RejectedFrame::new(file, unread)),
         }
     }
     Ok((Shots { frames }, rejected))
@@ -158,15 +160,15 @@ pub fn solve(
     files: &[PathBuf],
     instrument: &Instrument,
 ) -> anyhow::Result<(Shots, Vec<SunShot>, Vec<RejectedFrame>)> {
-    let (files, mut rejected) = each_once(files.to_vec(), instrument.camera.size_px());
-    let keep: Vec<&PathBuf> = kept(&files);
-    let solved: Vec<_> = files
-        .par_iter()
-        .map(|file| solve_one(file, instrument, keep.contains(&file)))
-        .collect::<anyhow::Result<_>>()?;
-    let (mut shots, mut suns) = (Shots::default(), Vec::new());
-    for (file, outcome) in files.iter().zip(solved) {
-        match outcome {
+    let keep = kept(files);
+    let size_px = instrument.camera.size_px();
+    let observed = over(files.to_vec(), size_px, &(), |file, frame| {
+        let is_kept = keep.iter().any(|kept| *kept == file);
+        check_size(&frame, instrument, file).map(|()| solve_one(file, frame, instrument, is_kept))
+    });
+    let (mut shots, mut suns, mut rejected) = (Shots::default(), Vec::new(), observed.copies);
+    for (file, outcome) in observed.frames {
+        match outcome.unwrap_or_else(|unread| Ok(Err(unread)))? {
             Ok((shot, sun)) => {
                 shots.frames.extend(shot);
                 suns.extend(sun);
@@ -180,21 +182,16 @@ pub fn solve(
 /// A frame of the Sun, whole if it is to be kept, and what it gave; else why it is rejected.
 type Solved = Result<(Option<Shot>, Option<SunShot>), String>;
 
-fn solve_one(file: &Path, instrument: &Instrument, keep: bool) -> anyhow::Result<Solved> {
-    let frame = match fits::read_frame_of_size(file, instrument.camera.size_px()) {
-        Ok(frame) => frame,
-        Err(error) => return Ok(Err(error.problem.to_string())),
-    };
-    check_size(&frame, instrument, file)?;
+fn solve_one(file: &Path, frame: Frame, instrument: &Instrument, keep: bool) -> Solved {
     let expected = frame.info.mid_exposure.and_then(Expected::at);
     let solution = aspect::solve(&frame, instrument, expected, None);
     let Some(levels) = solution.levels else {
         // Nothing bright: a dark frame among the others.
-        return Ok(Ok((keep.then(|| Shot::without_sun(file, frame)), None)));
+        return Ok((keep.then(|| Shot::without_sun(file, frame)), None));
     };
     let (Some(aspect), Some(adopted)) = (solution.aspect, solution.mapping) else {
         let why = solution.stopped.map_or("no Sun".into(), |s| s.to_string());
-        return Ok(Err(why));
+        return Err(why);
     };
     let fine = solution.quality == Quality::Fine;
     let sun_px = aspect.sun_px.position;
@@ -215,5 +212,5 @@ fn solve_one(file: &Path, instrument: &Instrument, keep: bool) -> anyhow::Result
         disc: Some((sun_px, aspect.sun_radius_px.value)),
         ..Shot::without_sun(file, frame)
     });
-    Ok(Ok((shot, fine.then_some(sun))))
+    Ok((shot, fine.then_some(sun)))
 }

@@ -4,11 +4,11 @@ use super::fit::{self, Fits, MountingFit, Pointings};
 use super::observation::{MountingError, SunObservation};
 use super::side::Side;
 use super::verdict;
-use crate::calibrate::frames::RejectedFrame;
 use crate::calibrate::quantity::{CalibratedQuantity, Verdict};
 use crate::calibrate::revision::{Provenance, Revision};
 use crate::geometry::Handedness;
 use crate::instrument::{Directions, Instrument};
+use crate::observe::RejectedFrame;
 
 /// The result of a calibration.
 #[derive(Debug, Clone)]

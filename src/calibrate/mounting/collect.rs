@@ -3,11 +3,12 @@
 use super::log::PointingLog;
 use super::observation::SunObservation;
 use crate::aspect::{self, Expected, Quality, Solution};
-use crate::calibrate::frames::{RejectedFrame, Setting, check_settings, each_once};
+use crate::calibrate::frames::{Setting, check_settings};
 use crate::fits;
 use crate::frame::Frame;
 use crate::geometry::Handedness;
 use crate::instrument::Instrument;
+use crate::observe::{RejectedFrame, over};
 use crate::pointing::Horizontal;
 use crate::sky::{Air, Ephemeris, SkyError, SunPosition};
 use crate::units::Place;
@@ -51,24 +52,28 @@ pub fn collect(
     files: &[PathBuf],
     frames: &Frames<'_>,
 ) -> anyhow::Result<(Vec<SunObservation>, Vec<RejectedFrame>, Handedness)> {
-    let (files, copies) = each_once(files.to_vec(), frames.instrument.camera.size_px());
-    let handedness = determined_handedness(&files, frames.instrument);
+    let handedness = determined_handedness(files, frames.instrument);
     let mut instrument = frames.instrument.clone();
     instrument.mounting.handedness = handedness;
     let frames = Frames {
         instrument: &instrument,
         ..frames.clone()
     };
-    let outcomes: Vec<_> = files
-        .par_iter()
-        .map_with(frames.ephemeris.clone(), |ephemeris, file| {
-            frames.observe(file, ephemeris)
-        })
-        .collect::<anyhow::Result<_>>()?;
-    let settings = outcomes.iter().filter_map(|(setting, _)| setting.as_ref());
-    check_settings(settings, frames.instrument)?;
-    let (mut observations, mut rejected, mut lacks) = (Vec::new(), Vec::new(), Vec::new());
-    for (file, (_, outcome)) in files.iter().zip(outcomes) {
+    let size_px = instrument.camera.size_px();
+    let observed = over(files.to_vec(), size_px, &(), |file, frame| {
+        frames.observe(file, &frame, &mut frames.ephemeris.clone())
+    });
+    let (mut observations, mut rejected) = (Vec::new(), Vec::new());
+    let (mut settings, mut lacks) = (Vec::new(), Vec::new());
+    for (file, outcome) in observed.frames {
+        let outcome = match outcome {
+            Ok(observed) => {
+                let (setting, outcome) = observed?;
+                settings.push(setting);
+                outcome
+            }
+            Err(unread) => Err((Lack::Other, unread)),
+        };
         match outcome {
             Ok(observation) => observations.push(observation),
             Err((lack, reason)) => {
@@ -77,8 +82,9 @@ pub fn collect(
             }
         }
     }
+    check_settings(&settings, frames.instrument)?;
     explain(&lacks, &rejected, observations.len())?;
-    rejected.extend(copies);
+    rejected.extend(observed.copies);
     Ok((observations, rejected, handedness))
 }
 
@@ -116,23 +122,21 @@ fn determined_handedness(files: &[PathBuf], instrument: &Instrument) -> Handedne
         Handedness::Direct => Handedness::Mirrored,
     };
     let step = files.len().div_ceil(SAMPLE).max(1);
-    let sample: Vec<_> = files.iter().step_by(step).collect();
-    let solved = |handedness: Handedness| {
+    let sample: Vec<PathBuf> = files.iter().step_by(step).cloned().collect();
+    let frames = sample.len();
+    let size_px = instrument.camera.size_px();
+    let fine_in = |frame: &Frame, handedness: Handedness| {
         let mut instrument = instrument.clone();
         instrument.mounting.handedness = handedness;
-        let is_fine = |file: &&&PathBuf| {
-            let solution = fits::read_frame_of_size(file, instrument.camera.size_px())
-                .ok()
-                .and_then(|frame| {
-                    let seen = instrument.seen_by(&frame).ok()?;
-                    Some(solve(&frame, &seen))
-                });
-            solution.is_some_and(|solution| solution.quality == Quality::Fine)
-        };
-        sample.par_iter().filter(is_fine).count()
+        let seen = instrument.seen_by(frame);
+        seen.is_ok_and(|seen| solve(frame, &seen).quality == Quality::Fine)
     };
-    let as_stated = solved(stated);
-    match 4 * as_stated < sample.len() && solved(other) > 2 * as_stated {
+    let fine = sample.par_iter().filter_map(|file| {
+        let frame = fits::read_frame_of_size(file, size_px).ok()?;
+        Some([stated, other].map(|handedness| usize::from(fine_in(&frame, handedness))))
+    });
+    let [as_stated, as_other] = fine.reduce(|| [0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    match 4 * as_stated < frames && as_other > 2 * as_stated {
         true => other,
         false => stated,
     }
@@ -148,18 +152,15 @@ impl Frames<'_> {
     fn observe(
         &self,
         file: &Path,
+        frame: &Frame,
         ephemeris: &mut Ephemeris,
-    ) -> anyhow::Result<(Option<Setting>, Result<SunObservation, Rejection>)> {
-        let frame = match fits::read_frame_of_size(file, self.instrument.camera.size_px()) {
-            Ok(frame) => frame,
-            Err(error) => return Ok((None, Err((Lack::Other, error.problem.to_string())))),
-        };
+    ) -> anyhow::Result<(Setting, Result<SunObservation, Rejection>)> {
         let seen = self
             .instrument
-            .seen_by(&frame)
+            .seen_by(frame)
             .with_context(|| format!("mixed instruments: {}", file.display()))?;
-        let observation = self.sun(file, (&frame, &seen), ephemeris);
-        Ok((Some(Setting::of(file, &frame)), observation))
+        let observation = self.sun(file, (frame, &seen), ephemeris);
+        Ok((Setting::of(file, frame), observation))
     }
 
     fn sun(

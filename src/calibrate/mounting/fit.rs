@@ -4,11 +4,11 @@ use super::observation::SunObservation;
 use super::scatter::{Residual, correlation, extra_variance};
 use super::side::Side;
 use super::start::{Start, start};
-use crate::calibrate::frames::RejectedFrame;
 use crate::estimation::{
     FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS_2D,
 };
 use crate::instrument::{Directions, Instrument};
+use crate::observe::RejectedFrame;
 use crate::pointing::{self, Horizontal, Roll};
 use crate::sky::SunPosition;
 use crate::units::{Measured, PlateMil};

@@ -3,9 +3,9 @@
 use super::calibration::Mounting;
 use super::fit::{MountingFit, Pointings};
 use super::scatter::Residual;
-use crate::calibrate::frames::RejectedFrame;
 use crate::calibrate::quantity::CalibratedQuantity;
 use crate::instrument::Instrument;
+use crate::observe::RejectedFrame;
 use crate::report::html::Page;
 use crate::report::plot::{self, Arrow, Density, Labels, PlotError, Series};
 

@@ -6,8 +6,9 @@ use super::observation::{FrameObservation, take_blurred};
 use super::poses::{self, Pose, Posed};
 use super::refusal::Refusal;
 use super::suspects::{SuspectMark, suspects};
-use crate::calibrate::frames::{Depth, RejectedFrame, each_once, list, sha256};
+use crate::fits;
 use crate::instrument::Instrument;
+use crate::observe::{Depth, RejectedFrame, Watch, list, sha256};
 use crate::units::{PlateMil, SensorPx};
 use jiff::Timestamp;
 use rayon::prelude::*;
@@ -49,8 +50,7 @@ fn sha256_of(folders: &[Folder]) -> String {
     sha256(&files)
 }
 
-/// Calibrates plate, lens and poses from frames and folders; `begin` is called with the number of files, `each` after every
-/// frame.
+/// Calibrates plate, lens and poses from frames and folders.
 ///
 /// # Errors
 /// A [`Refusal`] says what is wrong with the set of frames and what to take instead. Single bad frames are listed in
@@ -58,17 +58,17 @@ fn sha256_of(folders: &[Folder]) -> String {
 pub fn calibrate(
     given: &[PathBuf],
     start: &Instrument,
-    begin: &dyn Fn(usize),
-    each: &(dyn Fn() + Sync),
+    watch: &dyn Watch,
 ) -> Result<Calibration, Refusal> {
     /// Later passes over the rejected frames: each uses the plate as the one before measured it.
     const LATER_PASSES: usize = 3;
     let files = list(given, Depth::Nearest)?;
-    let frames_sha256 = sha256_of(&measure::folders(files.clone()));
-    let (files, copies) = each_once(files, start.camera.size_px());
     let folders = measure::folders(files);
-    begin(folders.iter().map(|folder| folder.files.len()).sum());
-    let mut observations = measure(&folders, start, each);
+    let frames_sha256 = sha256_of(&folders);
+    let files = folders
+        .iter()
+        .flat_map(|folder| folder.files.iter().cloned());
+    let (mut observations, copies) = measure(files.collect(), &folders, start, watch);
     let mut blurred = take_blurred(&mut observations.frames);
     observations.check_files(start)?;
     observations.check_coverage(start)?;
@@ -164,16 +164,16 @@ fn identify_again(
     let with_pose = |pose: &PoseFit| as_found(pose, fit, start);
     let instruments: Vec<Instrument> = fit.poses.iter().map(with_pose).collect();
     let one = |RejectedFrame { file, .. }: &RejectedFrame| {
-        let folder = folders.iter().position(|f| f.files.contains(file))?;
-        let solved = (0..instruments.len()).filter_map(|pose| {
+        let frame = fits::read_frame_of_size(file, start.camera.size_px()).ok()?;
+        let folder = measure::folder_of(folders, file);
+        let of_folder = |pose: &usize| posed.poses[*pose].folder == folders[folder].path;
+        let poses = (0..instruments.len()).filter(of_folder);
+        let solved = poses.filter_map(|pose| {
             let found = &instruments[pose];
-            if posed.poses[pose].folder != folders[folder].path {
-                return None;
-            }
-            let frame = measure::read(folder, file, found).1.ok()?;
+            let read = measure::read(folder, file, &frame, found).1.ok()?;
             let mapping = fit.poses[pose].mapping;
             let expected = |id| Some(mapping.to_sensor(found.plate.position(id)));
-            Some((frame.count_near(RIGHT_PX, expected), frame))
+            Some((read.count_near(RIGHT_PX, expected), read))
         });
         let best = solved.max_by_key(|(right, frame)| (*right, frame.marks.len()));
         Some(best?.1)

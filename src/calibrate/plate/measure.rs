@@ -4,11 +4,10 @@ use super::lit::{by_lamp, lit_levels};
 use super::observation::{FrameObservation, MarkObservation};
 use super::refusal::Refusal;
 use crate::aspect::{self, Adopted, Expected};
-use crate::calibrate::frames::{RejectedFrame, Setting, check_settings};
-use crate::fits;
+use crate::calibrate::frames::{Setting, check_settings};
 use crate::frame::Frame;
 use crate::instrument::{Instrument, WrongSize};
-use rayon::prelude::*;
+use crate::observe::{RejectedFrame, Watch, over};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -55,59 +54,57 @@ pub(super) struct FileFacts {
     has_time: bool,
 }
 
-/// Reads and solves all frames of all folders, several at a time; `each` is called after every one.
+/// Reads and solves all frames of all folders, each once; copies of others' frames are apart.
 pub(super) fn measure(
+    files: Vec<PathBuf>,
     folders: &[Folder],
     instrument: &Instrument,
-    each: &(dyn Fn() + Sync),
-) -> Observations {
-    let folders = folders.iter().enumerate();
-    let files: Vec<(usize, &PathBuf)> = folders
-        .flat_map(|(n, folder)| folder.files.iter().map(move |file| (n, file)))
-        .collect();
-    let one = |(folder, file): &(usize, &PathBuf)| {
-        let (facts, marks) = read(*folder, file, instrument);
-        each();
-        (
-            facts,
-            marks.map_err(|reason| RejectedFrame::new(*file, reason)),
-        )
-    };
-    let all: Vec<_> = files.par_iter().map(one).collect();
+    watch: &dyn Watch,
+) -> (Observations, Vec<RejectedFrame>) {
+    let observed = over(files, instrument.camera.size_px(), watch, |file, frame| {
+        read(folder_of(folders, file), file, &frame, instrument)
+    });
     let mut observations = Observations::default();
-    for (facts, frame) in all {
-        observations.files.extend(facts);
+    for (file, outcome) in observed.frames {
+        let frame = outcome.and_then(|(facts, marks)| {
+            observations.files.push(facts);
+            marks
+        });
         match frame {
             Ok(frame) => observations.frames.push(frame),
-            Err(rejected) => observations.rejected.push(rejected),
+            Err(reason) => observations.rejected.push(RejectedFrame::new(file, reason)),
         }
     }
-    observations
+    (observations, observed.copies)
+}
+
+/// The folder that a file lies in.
+pub(super) fn folder_of(folders: &[Folder], file: &Path) -> usize {
+    let path = file.parent().unwrap_or(Path::new(""));
+    let folder = folders.iter().position(|folder| folder.path == path);
+    folder.unwrap_or(folders.len())
 }
 
 /// What a file is, and its marks or why there are none.
 pub(super) fn read(
     pose: usize,
     file: &Path,
+    frame: &Frame,
     instrument: &Instrument,
-) -> (Option<FileFacts>, Result<FrameObservation, String>) {
-    let frame = match fits::read_frame_of_size(file, instrument.camera.size_px()) {
-        Ok(frame) => frame,
-        Err(error) => return (None, Err(error.problem.to_string())),
-    };
-    let wrong_size = instrument.check_size(&frame).err();
-    let marks = match (&wrong_size, lit_levels(&frame)) {
+) -> (FileFacts, Result<FrameObservation, String>) {
+    let wrong_size = instrument.check_size(frame).err();
+    let marks = match (&wrong_size, lit_levels(frame)) {
         (Some(wrong), _) => Err(wrong.to_string()),
-        (None, Some(levels)) => by_lamp(pose, file, &frame, &levels, instrument),
-        (None, None) => by_sun(pose, file, &frame, instrument),
+        (None, Some(levels)) => by_lamp(pose, file, frame, &levels, instrument),
+        (None, None) => by_sun(pose, file, frame, instrument),
     };
     let facts = FileFacts {
         file: file.into(),
-        setting: Setting::of(file, &frame).with_size(&frame),
+        setting: Setting::of(file, frame).with_size(frame),
         wrong_size,
         has_time: frame.info.mid_exposure.is_some(),
     };
-    (Some(facts), marks)
+    (facts, marks)
 }
 
 /// The marks of a frame of the Sun, those that the limb cuts too: their own pixels placed them, in the limb's illumination.

@@ -1,8 +1,8 @@
 //! What the frames show: positions of identified marks, by frame and pose.
 
-use crate::calibrate::frames::RejectedFrame;
 use crate::calibrate::numbers::median;
 use crate::geometry::Mapping;
+use crate::observe::RejectedFrame;
 use crate::plate::{MarkId, Plate};
 use crate::units::{PlateMil, SensorPx};
 use jiff::Timestamp;

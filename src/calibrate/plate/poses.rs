@@ -16,7 +16,7 @@ use super::measure::Folder;
 use super::observation::{FrameObservation, consensus};
 use super::refusal::Refusal;
 use super::slips;
-use crate::calibrate::frames::RejectedFrame;
+use crate::observe::RejectedFrame;
 use crate::plate::{MarkId, Plate};
 use crate::units::SensorPx;
 use std::cmp::Ordering;

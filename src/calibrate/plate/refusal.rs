@@ -1,7 +1,8 @@
 //! Why a calibration is refused, and what to take instead.
 
-use crate::calibrate::frames::{InputError, WrongFrames};
+use crate::calibrate::frames::WrongFrames;
 use crate::instrument::WrongSize;
+use crate::observe::InputError;
 use crate::units::counted;
 use std::path::PathBuf;
 

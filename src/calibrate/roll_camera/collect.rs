@@ -1,17 +1,16 @@
 //! From frames to sightings.
 
 use super::sighting::{Horizon, Known, Sighting};
-use crate::calibrate::frames::{RejectedFrame, each_once};
 use crate::calibrate::mounting::{AttitudeLog, SunObservation};
 use crate::config;
-use crate::fits;
+use crate::frame::Frame;
 use crate::horizon::{self, Settings};
 use crate::instrument::{DirectionCamera, Instrument};
+use crate::observe::{RejectedFrame, over};
 use crate::pointing::{body_nadir, sun_in_telescope};
 use crate::units::{Measured, Place};
 use jiff::Timestamp;
 use nalgebra::UnitVector3;
-use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
 /// Frames of the Sun further apart tell nothing of the moments between, s.
@@ -27,12 +26,9 @@ pub struct Horizons<'a> {
 }
 
 impl Horizons<'_> {
-    fn solve(&self, file: &Path) -> Result<Horizon, String> {
-        let frame = fits::read_frame_of_size(file, self.camera.size_px())
-            .map_err(|error| error.problem.to_string())?;
-        self.camera
-            .check(&frame)
-            .map_err(|error| error.to_string())?;
+    fn solve(&self, file: &Path, frame: &Frame) -> Result<Horizon, String> {
+        let size = self.camera.check(frame);
+        size.map_err(|error| error.to_string())?;
         let utc = frame.info.mid_exposure.ok_or("no time")?;
         let place = frame.info.place.or(self.place);
         let height_m = place.map(|place| place.height_m);
@@ -40,7 +36,7 @@ impl Horizons<'_> {
         let sphere = sphere.ok_or(
             "no height above the limb's edge: expected OBSGEO-H, or --place LAT,LON,HEIGHT_M",
         )?;
-        let solution = horizon::solve(&Settings::default(), &frame, self.camera, &sphere, None);
+        let solution = horizon::solve(&Settings::default(), frame, self.camera, &sphere, None);
         match solution.nadir {
             Ok(nadir) => Ok(Horizon {
                 file: file.into(),
@@ -54,13 +50,16 @@ impl Horizons<'_> {
 
 /// Solves frames of the horizon: those that show one, in the order of time, and the others.
 pub fn collect(files: &[PathBuf], horizons: &Horizons<'_>) -> (Vec<Horizon>, Vec<RejectedFrame>) {
-    let (files, copies) = each_once(files.to_vec(), horizons.camera.size_px());
-    let solved = files.par_iter().map(|file| {
-        let solved = horizons.solve(file);
+    let size_px = horizons.camera.size_px();
+    let observed = over(files.to_vec(), size_px, &(), |file, frame| {
+        horizons.solve(file, &frame)
+    });
+    let solved = observed.frames.into_iter().map(|(file, solved)| {
+        let solved = solved.and_then(|solved| solved);
         solved.map_err(|reason| RejectedFrame::new(file, reason))
     });
     let (mut seen, mut rejected) = parted(solved.collect());
-    rejected.extend(copies);
+    rejected.extend(observed.copies);
     seen.sort_by_key(|horizon| horizon.utc);
     (seen, rejected)
 }

@@ -2,9 +2,9 @@
 
 use super::edition::{Edition, print_rejected};
 use crate::calibrate::camera::{self, Inputs};
-use crate::calibrate::frames::{Depth, InputError, RejectedFrame, list, sha256};
 use crate::calibrate::revision::Provenance;
 use crate::cli::output::say;
+use crate::observe::{Depth, InputError, RejectedFrame, list, sha256};
 use anyhow::Context;
 use clap::Args;
 use jiff::tz::TimeZone;

@@ -1,10 +1,11 @@
 //! The instrument's file before a calibration and after it.
 
-use crate::calibrate::frames::RejectedFrame;
 use crate::calibrate::revision::Revision;
+use crate::calibrate::revision::write_if;
 use crate::cli::options;
-use crate::cli::output::{make_folder, say, write_if};
+use crate::cli::output::{make_folder, say};
 use crate::instrument::Instrument;
+use crate::observe::RejectedFrame;
 use crate::provenance::sha256;
 use crate::report::plot::PlotError;
 use anyhow::Context;

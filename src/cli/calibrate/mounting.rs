@@ -1,12 +1,12 @@
 //! `solaspect calibrate mounting`: boresight, clocking, plate distance, rule of directions and mirror.
 
 use super::edition::{Edition, print_rejected};
-use crate::calibrate::frames::{Depth, RejectedFrame, list, sha256};
 use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings};
 use crate::calibrate::revision::Provenance;
 use crate::cli::options;
 use crate::cli::output::say;
 use crate::geometry::Handedness;
+use crate::observe::{Depth, RejectedFrame, list, sha256};
 use crate::sky::Air;
 use crate::units::Place;
 use anyhow::Context;

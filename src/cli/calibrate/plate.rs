@@ -2,10 +2,11 @@
 
 use super::edition::Edition;
 use crate::calibrate::plate;
-use crate::cli::output::{progress_bar, say};
+use crate::cli::output::{Follower, say};
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use toml_edit::Item;
 
 /// Measure every mark of the plate, the lens's distortion and the camera's poses from frames
@@ -39,11 +40,8 @@ pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
     if again {
         say("the file rests on these very frames: its marks begin with the drawing")?;
     }
-    let progress = progress_bar(0, "frames");
-    let begin = |frames: usize| progress.set_length(frames as u64);
-    let calibration = plate::calibrate(&args.frames, &start, &begin, &|| progress.inc(1));
-    progress.finish_and_clear();
-    let calibration = calibration?;
+    let follower = Follower::new("calibrate plate", &Arc::default());
+    let calibration = plate::calibrate(&args.frames, &start, &follower)?;
     calibration.revise(&mut revision, &start);
     let file_sha256 = args.edition.write(&revision)?;
     args.edition.write_page("index.html", || {

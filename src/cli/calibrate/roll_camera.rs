@@ -3,14 +3,14 @@
 use super::edition::print_rejected;
 use super::mounting::MountingArgs;
 use crate::archive::is_of_roll_camera;
-use crate::calibrate::frames::{Depth, RejectedFrame, list, sha256};
 use crate::calibrate::mounting::{self, AttitudeLog, Frames, SunObservation};
-use crate::calibrate::revision::{Provenance, Revision};
+use crate::calibrate::revision::{Provenance, Revision, write_if};
 use crate::calibrate::roll_camera::{self, Horizon, Horizons, NAME, Sighting, Turn};
 use crate::cli::options;
-use crate::cli::output::{say, write_if};
+use crate::cli::output::say;
 use crate::config::Config;
 use crate::instrument::{Directions, MountedCamera, text_of};
+use crate::observe::{Depth, RejectedFrame, list, sha256};
 use anyhow::{Context, ensure};
 use jiff::tz::TimeZone;
 use std::path::{Path, PathBuf};

@@ -4,7 +4,7 @@ mod batch;
 mod pair;
 mod record;
 
-use super::frames::{FramesArgs, Printer};
+use super::frames::FramesArgs;
 use crate::horizon::{EdgeHeight, Refraction, Settings, Sphere};
 use crate::instrument::{DirectionCamera, MountedCamera};
 use crate::units::{Measured, Place};
@@ -127,21 +127,8 @@ pub fn run(mut args: HorizonArgs) -> anyhow::Result<ExitCode> {
         edge_m: args.edge.atmosphere_m,
         args: &args.frames,
     };
-    let mut printer = Printer::new::<Record>(args.frames.format)?;
-    let progress = args.frames.progress();
-    let mut failed = false;
-    batch.solve(args.track, |answer| {
-        failed |= answer.is_err();
-        progress.suspend(|| printer.print(&answer))?;
-        progress.inc(1);
-        Ok(())
-    })?;
-    progress.finish_and_clear();
-    args.frames.sum_up();
-    Ok(match failed {
-        true => ExitCode::FAILURE,
-        false => ExitCode::SUCCESS,
-    })
+    args.frames
+        .print::<Record>(|take| batch.solve(args.track, take))
 }
 
 impl HorizonArgs {

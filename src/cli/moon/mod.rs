@@ -2,7 +2,7 @@
 
 mod record;
 
-use super::frames::{Answer, FramesArgs, Printer, bad_file};
+use super::frames::{Answer, FramesArgs, bad_file};
 use super::options;
 use crate::clock::parse_utc;
 use crate::frame::Frame;
@@ -132,21 +132,9 @@ pub fn run(mut args: MoonArgs) -> anyhow::Result<ExitCode> {
         ephemeris: options::ephemeris(&options::config(None)?)?,
         args: &args,
     };
-    let mut printer = Printer::new::<Record>(args.frames.format)?;
-    let progress = args.frames.progress();
-    let mut failed = false;
-    let solve = |path: &PathBuf| batch.answer(path);
-    args.frames.in_order(&args.frames.frames, solve, |answer| {
-        failed |= answer.is_err();
-        progress.suspend(|| printer.print(&answer))?;
-        progress.inc(1);
-        Ok(())
-    })?;
-    progress.finish_and_clear();
-    args.frames.sum_up();
-    Ok(match failed {
-        true => ExitCode::FAILURE,
-        false => ExitCode::SUCCESS,
+    let frames = &args.frames;
+    frames.print::<Record>(|take| {
+        frames.in_order(&frames.frames, |path: &PathBuf| batch.answer(path), take)
     })
 }
 

@@ -277,7 +277,7 @@ mod tests {
             });
             let first = marks.len();
             marks.extend(observed);
-            ((n as f64 / 4.0, first..marks.len()), state)
+            ((n as f64 / 4.0, first as u32..marks.len() as u32), state)
         };
         let degrees = temperature_c().into_iter().take(moments).enumerate();
         let (moments, truth): (Vec<_>, Vec<_>) = degrees.map(&mut moment).unzip();

@@ -34,14 +34,14 @@ pub struct Observations {
 struct Moment {
     /// Since the first moment.
     time_s: f64,
-    marks: Range<usize>,
+    marks: Range<u32>,
 }
 
 impl Observations {
     /// Each moment, in order, with its time in s and the range of its marks.
     pub fn new(
         marks: Vec<MarkObservation>,
-        moments: impl Iterator<Item = (f64, Range<usize>)>,
+        moments: impl Iterator<Item = (f64, Range<u32>)>,
     ) -> Self {
         let moment = |(time_s, marks)| Moment { time_s, marks };
         Self {
@@ -54,10 +54,6 @@ impl Observations {
         self.moments.len()
     }
 
-    pub fn times_s(&self) -> Vec<f64> {
-        self.moments.iter().map(|moment| moment.time_s).collect()
-    }
-
     /// From the moment before to a moment; 0 where there is none before, or where time goes back.
     pub fn step_s(&self, moment: usize) -> f64 {
         let time_s = |moment: usize| self.moments[moment].time_s;
@@ -66,11 +62,17 @@ impl Observations {
 
     /// The marks of a moment.
     pub fn at(&self, moment: usize) -> &[MarkObservation] {
-        &self.marks[self.moments[moment].marks.clone()]
+        &self.marks[self.range(moment)]
     }
 
     pub fn at_mut(&mut self, moment: usize) -> &mut [MarkObservation] {
-        &mut self.marks[self.moments[moment].marks.clone()]
+        let range = self.range(moment);
+        &mut self.marks[range]
+    }
+
+    fn range(&self, moment: usize) -> Range<usize> {
+        let Range { start, end } = self.moments[moment].marks;
+        start as usize..end as usize
     }
 
     /// Whether any mark of a moment counts.

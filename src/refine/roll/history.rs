@@ -1,149 +1,120 @@
 //! The body's roll and pitch over the flight.
 
-use super::super::cameras::CameraFrames;
-use super::super::first_pass::{Done, Span};
-use super::super::follow::ODD_PATH_CHI2;
-use super::super::inputs::{InputNotes, InputSummary};
-use super::super::journal::JournalError;
 use super::super::oddity::Oddity;
-use super::super::record::{Grade, Record};
-use super::super::row::Row;
-use super::super::times::{Stamp, Times};
+use super::super::path::ODD_PATH_CHI2;
+use super::super::record::Grade;
+use super::super::timeline::{Entry, Timeline};
 use super::path::{RollPath, Seen, changing};
 use super::row::{RollRow, SmoothedRoll};
 use super::{HorizonRecord, RollRecipe};
 use crate::geometry::attitude::Direction;
+use crate::observe::{CameraFrames, Done, InputSummary, JournalError, Span};
 use crate::pointing::body_nadir;
 use crate::units::Measured;
-use rayon::prelude::*;
 
-/// The body's roll and pitch over the flight.
-#[derive(Debug, Clone)]
+/// The body's roll and pitch over the flight. Its rows are put together when they are asked for: what a frame gave stays in the journal.
+#[derive(Debug)]
 pub struct RollHistory {
-    /// In the order of time; frames without a time and files that could not be read come last, by name.
-    pub rows: Vec<RollRow>,
-    /// How many rows have a time: the first ones.
-    pub dated: usize,
+    timeline: Timeline<HorizonRecord>,
+    /// Of each dated frame.
+    smoothed: Vec<Option<SmoothedRoll>>,
+    /// The coarse ones that lie off the path of the fine ones, in order.
+    off: Vec<usize>,
+    path: Option<RollPath>,
     /// Which part of the stated sigmas changes from frame to frame, of roll and pitch. The rest is the limb's own shape and the camera's
     /// height, alike in neighbours.
     pub changing: [f64; 2],
-    /// What of the files was not used as it stands.
-    pub inputs: InputSummary,
-    max_age_s: f64,
-    path: Option<RollPath>,
-}
-
-/// The body at times, s since 1970 and in order.
-fn smoothed(path: Option<&RollPath>, times_s: &[f64]) -> Vec<Option<SmoothedRoll>> {
-    path.map_or_else(|| vec![None; times_s.len()], |path| path.at(times_s))
 }
 
 impl RollHistory {
-    /// The history of all frames that are done.
+    /// The history of all frames, each of which a pass has observed.
     ///
     /// # Errors
     /// A journal that cannot be read.
     pub fn new(
-        done: &Done<HorizonRecord>,
-        camera: &CameraFrames,
+        done: Done<HorizonRecord>,
+        camera: CameraFrames,
         recipe: &RollRecipe,
         span: &Span,
     ) -> Result<Self, JournalError> {
-        let records = camera.inputs.par_iter().map(|input| done.record(input));
-        let records: Vec<Option<Record<HorizonRecord>>> = records.collect::<Result<_, _>>()?;
-        let mut notes = InputNotes::default();
-        let mut rows = Vec::with_capacity(records.len());
-        for Record { input, outcome } in records.into_iter().flatten() {
-            match outcome {
-                Ok(record) if !span.holds(record.facts.utc()) => {}
-                Ok(record) => {
-                    notes.read(&input.file, &record.facts);
-                    rows.push(RollRow::of(input, record));
-                }
-                Err(error) => {
-                    notes.unreadable(&error);
-                    rows.push(RollRow::unread(input, &error));
-                }
-            }
-        }
-        rows.extend(notes.copies(&camera.copies, span).map(RollRow::copied));
-        let history = Self::of(rows, recipe.settings.max_age_s);
+        let timeline = Timeline::new(done, camera, span)?;
+        let mut seen = Vec::new();
+        let read = |n: usize| Ok(timeline.frame(n)?.map(|record| (n, record)));
+        timeline.each(timeline.dated(), read, |frame| {
+            seen.extend(frame.and_then(|(n, record)| Seen::of(&timeline, n, &record)));
+        })?;
+        let changing = changing(&seen);
+        let max_age_s = recipe.settings.max_age_s;
+        let path = |seen: Vec<Seen>| RollPath::through(seen, changing, max_age_s);
+        let fine: Vec<Seen> = seen
+            .iter()
+            .filter(|s| s.quality == Grade::Fine)
+            .copied()
+            .collect();
+        let off = match fine.len() == seen.len() {
+            true => Vec::new(),
+            false => off(path(fine).as_ref(), &seen),
+        };
+        seen.retain(|seen| off.binary_search(&seen.frame).is_err());
+        let path = path(seen);
+        let times_s = (0..timeline.dated()).filter_map(|n| timeline.unix_s(n));
         Ok(Self {
-            inputs: notes.finish(),
-            ..history
+            smoothed: smoothed(path.as_ref(), &times_s.collect::<Vec<f64>>()),
+            timeline,
+            off,
+            path,
+            changing,
         })
     }
 
-    fn of(mut rows: Vec<RollRow>, max_age_s: f64) -> Self {
-        correct_times(&mut rows);
-        let key = |row: &RollRow| (row.facts.utc_ns.is_none(), row.facts.utc_ns);
-        rows.sort_by(|a, b| key(a).cmp(&key(b)).then_with(|| a.file.cmp(&b.file)));
-        let dated = rows.partition_point(|row| row.facts.utc_ns.is_some());
-        let mut history = Self {
-            changing: changing(&rows[..dated]),
-            rows,
-            dated,
-            inputs: InputSummary::default(),
-            max_age_s,
-            path: None,
-        };
-        history.refuse_what_is_off();
-        history.smooth();
-        history
+    /// How many files there are.
+    pub fn len(&self) -> usize {
+        self.timeline.len()
     }
 
-    /// Takes the place of coarse frames away that lie off the path of the fine ones.
-    fn refuse_what_is_off(&mut self) {
-        let is_coarse = |row: &RollRow| row.quality == Grade::Coarse && row.nadir.is_some();
-        let coarse: Vec<usize> = (0..self.dated)
-            .filter(|n| is_coarse(&self.rows[*n]))
-            .collect();
-        if coarse.is_empty() {
-            return;
-        }
-        let times: Vec<f64> = coarse
-            .iter()
-            .filter_map(|n| self.rows[*n].unix_s())
-            .collect();
-        let by_fine = self.path(|row| row.quality == Grade::Fine);
-        let by_fine = smoothed(by_fine.as_ref(), &times);
-        for (n, expected) in coarse.into_iter().zip(by_fine) {
-            let row = &mut self.rows[n];
-            let Some((expected, [roll, pitch])) = expected.zip(row.angles_deg()) else {
-                continue;
-            };
-            let chi2 = |found: Measured, expected: Measured| {
-                let sigma = found.sigma.hypot(expected.sigma);
-                ((found.value - expected.value) / sigma).powi(2)
-            };
-            if chi2(roll, expected.roll_deg) + chi2(pitch, expected.pitch_deg) > ODD_PATH_CHI2 {
-                row.quality = Grade::None;
-                row.nadir = None;
-                row.reason = format!("refine: {}", Oddity::Path);
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// What of the files was not used as it stands.
+    pub fn inputs(&self) -> &InputSummary {
+        &self.timeline.inputs
+    }
+
+    /// A row for each file, in the order of time; frames without a time and files that could not be read come last, by name.
+    pub fn rows(&self) -> impl Iterator<Item = Result<RollRow, JournalError>> {
+        (0..self.len()).map(|n| self.row(n))
+    }
+
+    fn row(&self, n: usize) -> Result<RollRow, JournalError> {
+        let (own, copy_of, reason) = match self.timeline.entry(n)? {
+            Entry::None { error, copy_of } => (None, copy_of, format!("file: {error}")),
+            Entry::Frame(own) => {
+                let reason = own.facts.reason(own.reason.as_deref());
+                (Some(*own), None, reason)
             }
-        }
-    }
-
-    fn smooth(&mut self) {
-        let rows = &self.rows[..self.dated];
-        let times: Vec<f64> = rows.iter().filter_map(RollRow::unix_s).collect();
-        self.path = self.path(|_| true);
-        let smoothed = smoothed(self.path.as_ref(), &times);
-        for (row, smoothed) in self.rows.iter_mut().zip(smoothed) {
-            row.smoothed = smoothed;
-        }
-    }
-
-    /// Tells rows of a camera that sees the plate where straight down was in the body's axes when they were taken.
-    pub fn fill(&self, rows: &mut [Row]) {
-        let of_row = rows.iter().enumerate();
-        let dated: Vec<(usize, f64)> = of_row
-            .filter_map(|(n, row)| Some((n, row.unix_s()?)))
-            .collect();
-        let times: Vec<f64> = dated.iter().map(|(_, time_s)| *time_s).collect();
-        for ((n, _), nadir) in dated.iter().zip(self.body_nadirs(&times)) {
-            rows[*n].body_nadir = nadir;
-        }
+        };
+        let is_off = self.off.binary_search(&n).is_ok();
+        Ok(RollRow {
+            file: self.timeline.file(n).into(),
+            copy_of,
+            utc_ns: self.timeline.utc_ns(n),
+            timing: self.timeline.timing(n),
+            quality: match &own {
+                Some(own) if !is_off => own.quality,
+                _ => Grade::None,
+            },
+            reason: match is_off {
+                true => format!("refine: {}", Oddity::Path),
+                false => reason,
+            },
+            nadir: match &own {
+                Some(own) if !is_off => own.nadir.map(|nadir| nadir.direction()),
+                _ => None,
+            },
+            own,
+            smoothed: self.smoothed.get(n).copied().flatten(),
+        })
     }
 
     /// Straight down in the body's axes at times, s since 1970 and in order; `None` where no frame is near.
@@ -152,63 +123,30 @@ impl RollHistory {
         let smoothed = smoothed(self.path.as_ref(), times_s).into_iter();
         smoothed.map(|smoothed| smoothed.map(nadir)).collect()
     }
-
-    /// The path through the frames that count; `None` where these tell none.
-    fn path(&self, counts: impl Fn(&RollRow) -> bool) -> Option<RollPath> {
-        let rows = self.rows[..self.dated].iter();
-        let seen = rows.filter(|row| counts(row)).filter_map(Seen::of);
-        RollPath::through(seen.collect(), self.changing, self.max_age_s)
-    }
 }
 
-/// Holds the frames' times against the monotonic clock, their numbers and each other.
-fn correct_times(rows: &mut [RollRow]) {
-    let place = |row: &RollRow| row.angles_deg().map(|angles| angles.map(|a| a.value));
-    let stamps = rows.iter().map(|row| Stamp::of(&row.facts, place(row)));
-    let Times { timings, .. } = Times::of(&stamps.collect::<Vec<Stamp>>());
-    for (row, timing) in rows.iter_mut().zip(timings) {
-        row.facts.utc_ns = timing.utc_ns(row.facts.utc_ns);
-        row.utc_correction_s = timing.correction_s;
-        row.time_sigma_s = timing.sigma_s;
-        row.odd_time = timing.odd;
-    }
+/// The body at times, s since 1970 and in order.
+fn smoothed(path: Option<&RollPath>, times_s: &[f64]) -> Vec<Option<SmoothedRoll>> {
+    path.map_or_else(|| vec![None; times_s.len()], |path| path.at(times_s))
 }
 
-#[cfg(test)]
-mod tests {
-    use super::super::path::LEAST_CHANGING;
-    use super::*;
-    use crate::archive::StoredFile;
-
-    /// A fine frame, four a second.
-    fn fine(number: u32, roll_deg: f64) -> RollRow {
-        let input = StoredFile {
-            file: format!("roll_{number:04}.fits"),
-            bytes: 0,
-            written_ns: 0,
+/// The coarse frames that lie off the path of the fine ones.
+fn off(by_fine: Option<&RollPath>, seen: &[Seen]) -> Vec<usize> {
+    let coarse: Vec<&Seen> = seen.iter().filter(|s| s.quality == Grade::Coarse).collect();
+    let times_s: Vec<f64> = coarse.iter().map(|seen| seen.time_s).collect();
+    let expected = smoothed(by_fine, &times_s).into_iter();
+    let is_off = |(seen, expected): (&Seen, Option<SmoothedRoll>)| {
+        let chi2 = |found: Measured, expected: Measured| {
+            let sigma = found.sigma.hypot(expected.sigma);
+            ((found.value - expected.value) / sigma).powi(2)
         };
-        let [roll, pitch] = [roll_deg, 1.0].map(|deg| Measured::new(deg, 0.01));
-        let mut row = RollRow {
-            quality: Grade::Fine,
-            nadir: Some(body_nadir(roll, pitch)),
-            ..RollRow::unread(input, "")
-        };
-        row.facts.utc_ns = Some(i64::from(number) * 250_000_000);
-        row
-    }
-
-    #[test]
-    fn a_camera_that_repeats_a_picture_still_has_a_smoothed_roll() {
-        let stuck = (0..200).map(|number| fine(number, 2.0));
-        let swings =
-            (200..300).map(|number| fine(number, 2.0 + (f64::from(number - 200) / 9.0).sin()));
-        let history = RollHistory::of(stuck.chain(swings).collect(), 1.0);
-        assert_eq!(history.changing, [LEAST_CHANGING; 2]);
-        for row in &history.rows {
-            let roll = row.smoothed.unwrap().roll_deg;
-            let own = row.angles_deg().unwrap()[0];
-            assert!((roll.value - own.value).abs() < 0.01, "{row:?}");
-            assert!(roll.sigma > 0.0099, "{row:?}");
-        }
-    }
+        let ([roll, pitch], expected) = (seen.angles_deg, expected?);
+        let off = chi2(roll, expected.roll_deg) + chi2(pitch, expected.pitch_deg) > ODD_PATH_CHI2;
+        off.then_some(seen.frame)
+    };
+    coarse
+        .into_iter()
+        .zip(expected)
+        .filter_map(is_off)
+        .collect()
 }

@@ -1,8 +1,7 @@
 //! The roll camera's frames: each one's nadir, and the roll and pitch of the gondola's body as the flight has them.
 //!
-//! The first pass is the same as the other cameras', with frames of the horizon ([`RollRecipe`]). The second ([`RollHistory`]) puts
-//! them in the order of time and smooths them. The body's nadir at any time of the flight goes into the offsets of the cameras that see
-//! the plate.
+//! Each frame is observed by itself ([`RollRecipe`]), as those of the other cameras are. The history ([`RollHistory`]) puts them in the order of
+//! time and smooths them. The body's nadir at any time of the flight goes into the offsets of the cameras that see the plate.
 
 mod history;
 mod output;
@@ -14,16 +13,17 @@ mod row;
 pub use history::RollHistory;
 pub use output::{RollSummary, write_roll};
 pub use record::HorizonRecord;
-pub use row::{RollRow, SmoothedRoll};
+pub use report::RollRows;
+pub use row::{ROLL, ROLL_COLUMNS, RollRow};
 
-use super::first_pass::{FirstPass, JOURNAL_VERSION, Span, Taken, Unsolved, hash_of};
+use super::recipe::plain_toml;
 use crate::archive::{ArchiveReader, Flown, FlownFiles, StoredFile};
-use crate::config;
+use crate::config::{self, Config};
 use crate::fits::Header;
 use crate::frame::Frame;
 use crate::horizon::{self, Settings, Solution, Sphere, Stage, Stopped};
 use crate::instrument::MountedCamera;
-use crate::provenance;
+use crate::observe::{Observer, Span, Unsolved, with_frame};
 use crate::reasons::{at, horizon as reasons};
 use crate::units::{Place, Rejected};
 
@@ -38,38 +38,51 @@ pub struct RollRecipe {
     pub flown: Flown,
     /// What frames may name, where camera and configuration are the archive's.
     pub archived: FlownFiles,
+    /// Camera, settings and place.
+    stated: String,
 }
 
-impl FirstPass for RollRecipe {
-    type Frame = HorizonRecord;
+impl Observer for RollRecipe {
+    type Given = HorizonRecord;
 
-    fn hash(&self) -> u64 {
-        let text = format!(
-            "{} {JOURNAL_VERSION} {:?} {:?} {:?}",
-            provenance::VERSION,
-            self.camera,
-            self.settings,
-            self.place
-        );
-        hash_of(text.as_bytes())
+    fn stated(&self) -> String {
+        self.stated.clone()
     }
 
-    fn solve(
+    fn observe(
         &self,
         archive: &ArchiveReader,
         input: &StoredFile,
         span: &Span,
     ) -> Result<Option<HorizonRecord>, Unsolved> {
-        let size_px = self.camera.optics.size_px();
-        let Some(taken) = Taken::open(archive, input, span, size_px)? else {
-            return Ok(None);
-        };
-        taken.check(&self.archived)?;
-        taken.with_frame(|frame, header| self.record(frame, header).map_err(Unsolved::Unreadable))
+        let (size_px, archived) = (self.camera.optics.size_px(), &self.archived);
+        let record = |frame: &Frame, header: &Header| self.record(frame, header);
+        with_frame(archive, input, span, size_px, archived, record)
     }
 }
 
 impl RollRecipe {
+    /// A camera with the text that it was read from, and a configuration, of which roll and place count.
+    pub fn new(
+        (camera, text): (MountedCamera, String),
+        config: &Config,
+        archived: FlownFiles,
+    ) -> Self {
+        let stated = Config {
+            roll: config.roll,
+            site: config.site.clone(),
+            ..Config::default()
+        };
+        Self {
+            camera,
+            settings: config.roll,
+            place: config.site.place(),
+            stated: format!("{}\n{}", plain_toml(&text), plain_toml(&stated.to_toml())),
+            flown: Flown::new(config.to_toml(), Some(text)),
+            archived,
+        }
+    }
+
     fn record(&self, frame: &Frame, header: &Header) -> Result<HorizonRecord, String> {
         let optics = &self.camera.optics;
         optics.check(frame).map_err(|error| error.to_string())?;
@@ -130,16 +143,16 @@ body_from_camera = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
 
     /// Of a dark frame from some height, where settings may state another.
     fn record(of_frame_m: f64, stated_m: Option<f64>) -> HorizonRecord {
-        let recipe = RollRecipe {
-            camera: MountedCamera::parse(Path::new("roll.toml"), CAMERA).unwrap(),
-            settings: config::Roll {
-                height_m: stated_m,
-                ..config::Roll::default()
-            },
-            place: None,
-            flown: Flown::default(),
-            archived: FlownFiles::default(),
+        let camera = MountedCamera::parse(Path::new("roll.toml"), CAMERA).unwrap();
+        let roll = config::Roll {
+            height_m: stated_m,
+            ..config::Roll::default()
         };
+        let config = Config {
+            roll,
+            ..Config::default()
+        };
+        let recipe = RollRecipe::new((camera, CAMERA.into()), &config, FlownFiles::default());
         let info = FrameInfo {
             number: Some(7),
             mid_exposure: Some("2013-09-21T18:00:00Z".parse().unwrap()),

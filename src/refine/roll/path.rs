@@ -1,9 +1,12 @@
 //! The path of the body's roll and pitch: fitted once, asked often.
 
-use crate::smoothing::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
-use super::super::oddity::Oddity;
-use super::row::{RollRow, SmoothedRoll};
+use super::super::record::Grade;
+use super::super::timeline::Timeline;
+use super::HorizonRecord;
+use super::row::SmoothedRoll;
 use crate::estimation::{SIGMA_PER_MEDIAN, median};
+use crate::pointing::{body_pitch_deg, body_roll_deg};
+use crate::smoothing::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
 use crate::units::Measured;
 
 /// What the path counts in: about the error of a frame.
@@ -15,7 +18,7 @@ const LEAST_DIFFERENCES: usize = 20;
 const EVEN_STEPS: f64 = 1.5;
 /// At least this part of the stated sigmas changes from frame to frame: a camera that repeats a picture has differences of 0, and a path
 /// through frames without an error cannot be found.
-pub(super) const LEAST_CHANGING: f64 = 0.05;
+const LEAST_CHANGING: f64 = 0.05;
 
 /// The body's path through frames.
 #[derive(Debug, Clone)]
@@ -81,21 +84,30 @@ impl RollPath {
     }
 }
 
-/// A frame that tells roll and pitch.
-#[derive(Debug, Clone)]
+/// A frame that shows roll and pitch, at a time of the path.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Seen {
-    time_s: f64,
-    time_sigma_s: f64,
-    angles_deg: [Measured; 2],
+    /// Its place among the dated frames.
+    pub frame: usize,
+    pub quality: Grade,
+    pub time_s: f64,
+    pub time_sigma_s: f64,
+    pub angles_deg: [Measured; 2],
 }
 
 impl Seen {
-    pub fn of(row: &RollRow) -> Option<Self> {
-        let is_of_path = row.odd_time.is_none_or(Oddity::is_of_path);
+    pub fn of(
+        timeline: &Timeline<HorizonRecord>,
+        n: usize,
+        record: &HorizonRecord,
+    ) -> Option<Self> {
+        let nadir = record.nadir?.direction();
         Some(Self {
-            time_s: row.unix_s().filter(|_| is_of_path)?,
-            time_sigma_s: row.time_sigma_s.unwrap_or(0.0),
-            angles_deg: row.angles_deg()?,
+            frame: n,
+            quality: record.quality,
+            time_s: timeline.unix_s(n).filter(|_| timeline.is_timed(n))?,
+            time_sigma_s: timeline.timing(n).sigma_s.unwrap_or(0.0),
+            angles_deg: [body_roll_deg(&nadir), body_pitch_deg(&nadir)],
         })
     }
 
@@ -118,8 +130,7 @@ impl Seen {
 
 /// Which part of the stated sigmas changes from frame to frame, of roll and pitch: third differences tell, in which slow motion is
 /// nothing. All of it, where too few frames tell or the motion is too fast.
-pub(super) fn changing(rows: &[RollRow]) -> [f64; 2] {
-    let seen: Vec<Seen> = rows.iter().filter_map(Seen::of).collect();
+pub(super) fn changing(seen: &[Seen]) -> [f64; 2] {
     let evenly = |four: &&[Seen]| {
         let steps = four.windows(2).map(|pair| pair[1].time_s - pair[0].time_s);
         let (least, most) = steps.fold((f64::INFINITY, 0.0_f64), |(least, most), step| {
@@ -146,4 +157,36 @@ pub(super) fn changing(rows: &[RollRow]) -> [f64; 2] {
             (scatter * SIGMA_PER_MEDIAN).clamp(LEAST_CHANGING, 1.0)
         })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_that_repeats_a_picture_still_has_a_smoothed_roll() {
+        // Four frames a second.
+        let fine = |frame: usize, roll_deg: f64| Seen {
+            frame,
+            quality: Grade::Fine,
+            time_s: frame as f64 / 4.0,
+            time_sigma_s: 0.0,
+            angles_deg: [roll_deg, 1.0].map(|deg| Measured::new(deg, 0.01)),
+        };
+        let stuck = (0..200).map(|n| fine(n, 2.0));
+        let swings = (200..300).map(|n| fine(n, 2.0 + ((n - 200) as f64 / 9.0).sin()));
+        let seen: Vec<Seen> = stuck.chain(swings).collect();
+        let changing = changing(&seen);
+        assert_eq!(changing, [LEAST_CHANGING; 2]);
+        let times_s: Vec<f64> = seen.iter().map(|seen| seen.time_s).collect();
+        let path = RollPath::through(seen.clone(), changing, 1.0).unwrap();
+        for (seen, smoothed) in seen.iter().zip(path.at(&times_s)) {
+            let roll = smoothed.unwrap().roll_deg;
+            assert!(
+                (roll.value - seen.angles_deg[0].value).abs() < 0.01,
+                "{seen:?}"
+            );
+            assert!(roll.sigma > 0.0099, "{seen:?}");
+        }
+    }
 }

@@ -1,10 +1,13 @@
 //! What one frame of the horizon gave: a row of the journal.
 
-use super::super::record::{FrameFacts, Grade, InFlight};
+use super::super::record::{Grade, InFlight};
+use super::super::timeline::Dated;
 use crate::fits::Header;
 use crate::frame::FrameInfo;
 use crate::geometry::attitude::Direction;
 use crate::horizon::{Flag, Quality, Solution};
+use crate::observe::FrameFacts;
+use crate::pointing::{body_pitch_deg, body_roll_deg};
 use crate::reasons::Stopped;
 use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -47,6 +50,18 @@ impl NadirRecord {
             unit: UnitVector3::new_normalize(Vector3::from(self.unit)),
             covariance_rad2: Matrix3::from(self.covariance_rad2).transpose(),
         }
+    }
+}
+
+impl Dated for HorizonRecord {
+    fn facts(&self) -> &FrameFacts {
+        &self.facts
+    }
+
+    /// Roll and pitch, deg.
+    fn place(&self) -> Option<[f64; 2]> {
+        let nadir = self.nadir?.direction();
+        Some([body_roll_deg(&nadir).value, body_pitch_deg(&nadir).value])
     }
 }
 

@@ -1,25 +1,59 @@
 //! The roll camera's part of the report.
 
 use super::super::record::Grade;
-use super::super::report::{PICTURES, Report, source};
+use super::super::report::{Reasons, Report, source};
 use super::output::kind;
-use super::{RollHistory, RollRecipe, RollRow, RollSummary};
+use super::{RollRecipe, RollRow, RollSummary};
 use crate::archive::ArchiveReader;
 use crate::horizon;
 use crate::report::plot::{self, Labels, Mark, Series};
 use image::RgbImage;
 use image::imageops::thumbnail;
-use std::collections::BTreeMap;
 
 /// Pictures are so wide at most.
 const WIDTH_PX: u32 = 480;
+
+/// What the report shows of the roll camera's rows.
+#[derive(Default)]
+pub struct RollRows {
+    drawn: Vec<Drawn>,
+    odd: Reasons,
+}
+
+/// Roll and pitch at a frame, deg.
+struct Drawn {
+    unix_s: f64,
+    own: Option<[f32; 2]>,
+    smoothed: Option<[f32; 2]>,
+    roll_in_flight: Option<f32>,
+}
+
+impl RollRows {
+    /// Takes a row, in the order of time.
+    pub fn take(&mut self, row: &RollRow) {
+        let smoothed = row.smoothed.map(|s| [s.roll_deg, s.pitch_deg]);
+        self.drawn.extend(row.unix_s().map(|unix_s| {
+            Drawn {
+                unix_s,
+                own: row
+                    .angles_deg()
+                    .map(|angles| angles.map(|a| a.value as f32)),
+                smoothed: smoothed.map(|angles| angles.map(|a| a.value as f32)),
+                roll_in_flight: row.in_flight_deg().map(|[roll, _]| roll as f32),
+            }
+        }));
+        if row.quality != Grade::Fine && row.copy_of.is_none() {
+            self.odd.add(kind(&row.remark()), row.quality, &row.file);
+        }
+    }
+}
 
 impl Report {
     /// Adds the roll camera's part.
     pub fn add_roll(
         &mut self,
         archive: &ArchiveReader,
-        history: &RollHistory,
+        rows: &RollRows,
         summary: &RollSummary,
         recipe: &RollRecipe,
     ) {
@@ -29,44 +63,47 @@ impl Report {
                 format!("{sigma_deg:.4} deg")
             })
         };
-        let rows = [
-            ("frames of the roll camera", summary.files.to_string()),
-            ("fine", summary.fine.to_string()),
-            ("coarse", summary.coarse.to_string()),
-            ("none", summary.none.to_string()),
+        let numbers = [
+            (
+                "frames of the roll camera",
+                summary.counts.files.to_string(),
+            ),
+            ("fine", summary.counts.fine.to_string()),
+            ("coarse", summary.counts.coarse.to_string()),
+            ("none", summary.counts.none.to_string()),
             (
                 "1 sigma of a frame's roll, median",
                 sigma(summary.frame_sigma_deg),
             ),
             ("1 sigma, smoothed", sigma(summary.smoothed_sigma_deg)),
         ];
-        let mut rows = rows
+        let mut lines = numbers
             .map(|(name, value)| vec![name.to_owned(), value])
             .to_vec();
         let inputs = summary.inputs.lines().into_iter();
-        rows.extend(inputs.map(|line| vec!["input".into(), line]));
-        self.page.table(&[], &rows);
-        self.figures(archive, history);
-        self.odd_frames(archive, history, recipe);
+        lines.extend(inputs.map(|line| vec!["input".into(), line]));
+        self.page.table(&[], &lines);
+        self.figures(archive, &rows.drawn);
+        self.odd_frames(archive, &rows.odd, recipe);
     }
 
-    fn figures(&mut self, archive: &ArchiveReader, history: &RollHistory) {
-        let series = |name: &str, mark, value: &dyn Fn(&RollRow) -> Option<f64>| {
-            let rows = history.rows.iter();
-            let points = rows.filter_map(|row| Some((row.unix_s()?, value(row)?)));
+    fn figures(&mut self, archive: &ArchiveReader, rows: &[Drawn]) {
+        let series = |name: &str, mark, value: &dyn Fn(&Drawn) -> Option<f32>| {
+            let points = rows
+                .iter()
+                .filter_map(|row| Some((row.unix_s, value(row)?.into())));
             Series::new(name, mark, points)
         };
-        let own = |axis: usize| move |row: &RollRow| Some(row.angles_deg()?[axis].value);
-        let roll = |row: &RollRow| Some(row.smoothed?.roll_deg.value);
-        let pitch = |row: &RollRow| Some(row.smoothed?.pitch_deg.value);
+        let own = |axis: usize| move |row: &Drawn| Some(row.own?[axis]);
+        let smoothed = |axis: usize| move |row: &Drawn| Some(row.smoothed?[axis]);
         let angles = [
             series("roll", Mark::Dots, &own(0)),
             series("pitch", Mark::Dots, &own(1)),
-            series("roll, smoothed", Mark::Line, &roll).in_hue(0),
-            series("pitch, smoothed", Mark::Line, &pitch).in_hue(1),
+            series("roll, smoothed", Mark::Line, &smoothed(0)).in_hue(0),
+            series("pitch, smoothed", Mark::Line, &smoothed(1)).in_hue(1),
         ];
-        let in_flight = |row: &RollRow| Some(row.in_flight_deg?[0] - row.smoothed?.roll_deg.value);
-        let alone = |row: &RollRow| Some(row.angles_deg()?[0].value - row.smoothed?.roll_deg.value);
+        let in_flight = |row: &Drawn| Some(row.roll_in_flight? - row.smoothed?[0]);
+        let alone = |row: &Drawn| Some(row.own?[0] - row.smoothed?[0]);
         let differences = [
             series("frame by itself", Mark::Dots, &alone),
             series("in flight", Mark::Dots, &in_flight),
@@ -81,34 +118,27 @@ impl Report {
     }
 
     /// How many frames are not fine, by what is odd about them, and pictures of some with what was taken for the horizon.
-    fn odd_frames(&mut self, archive: &ArchiveReader, history: &RollHistory, recipe: &RollRecipe) {
-        let mut odd: BTreeMap<String, Vec<&RollRow>> = BTreeMap::new();
-        let is_odd = |row: &&RollRow| row.quality != Grade::Fine && row.copy_of.is_none();
-        for row in history.rows.iter().filter(is_odd) {
-            odd.entry(kind(&row.remark())).or_default().push(row);
-        }
+    fn odd_frames(&mut self, archive: &ArchiveReader, odd: &Reasons, recipe: &RollRecipe) {
         if odd.is_empty() {
             return;
         }
-        let counts: Vec<Vec<String>> = odd
+        let count = |counts: [usize; 3]| counts.iter().sum::<usize>().to_string();
+        let counts = odd
             .iter()
-            .map(|(remark, rows)| vec![remark.clone(), rows.len().to_string()])
-            .collect();
-        self.page.table(&["what is odd", "frames"], &counts);
-        for (remark, rows) in &odd {
-            for row in rows.iter().take(PICTURES) {
-                if let Some(picture) = overlay(archive, row, recipe) {
-                    let caption = format!("{}: {remark}", row.file);
-                    self.page.picture(&picture, &caption);
-                }
+            .map(|(name, odd)| vec![name.to_owned(), count(odd.counts)]);
+        self.page
+            .table(&["what is odd", "frames"], &counts.collect::<Vec<_>>());
+        for (file, remark) in odd.files() {
+            if let Some(picture) = overlay(archive, file, recipe) {
+                self.page.picture(&picture, &format!("{file}: {remark}"));
             }
         }
     }
 }
 
 /// A frame with what was taken for the horizon, made small. `None` where it cannot be read.
-fn overlay(archive: &ArchiveReader, row: &RollRow, recipe: &RollRecipe) -> Option<RgbImage> {
-    let frame = archive.open_file(&row.file).ok()?.frame().ok()?;
+fn overlay(archive: &ArchiveReader, file: &str, recipe: &RollRecipe) -> Option<RgbImage> {
+    let frame = archive.open_file(file).ok()?.frame().ok()?;
     let (solution, sphere) = recipe.solve_again(&frame)?;
     let picture = horizon::overlay(&frame, &solution, &recipe.camera.optics, &sphere, "");
     let (width, height) = picture.dimensions();

@@ -1,40 +1,31 @@
 //! One file of the roll camera in the history.
 
-use super::super::copies::CopiedFrame;
-use super::super::oddity::Oddity;
-use super::super::record::{FrameFacts, Grade};
+use super::super::record::Grade;
+use super::super::times::{TIME_SIGMA, Timing};
 use super::HorizonRecord;
-use crate::archive::StoredFile;
+use crate::columns::{Column, float, integer, text};
 use crate::geometry::attitude::Direction;
 use crate::pointing::{body_pitch_deg, body_roll_deg};
 use crate::units::Measured;
+use jiff::Timestamp;
 use nalgebra::Matrix3;
 
-/// One input file's row.
+/// One file's row, put together from what its frame gave and what the flight made of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RollRow {
     pub file: String,
     /// The file whose frame this one holds once more.
     pub copy_of: Option<String>,
-    /// Its time is corrected where the clock had stepped.
-    pub facts: FrameFacts,
-    pub utc_correction_s: Option<Measured>,
-    /// 1 sigma of the time, s; none where it is as good as the header's.
-    pub time_sigma_s: Option<f64>,
-    /// What is odd about the time.
-    pub odd_time: Option<Oddity>,
+    /// Mid-exposure, ns since 1970.
+    pub utc_ns: Option<i64>,
+    pub timing: Timing,
+    /// What the frame gave by itself; none of a file without a frame.
+    pub own: Option<HorizonRecord>,
     pub quality: Grade,
     /// Why there is no nadir; empty where nothing is to be said.
     pub reason: String,
-    /// What stands beside the edge, or hides it.
-    pub flags: String,
     /// Straight down in the body's axes, by this frame alone.
     pub nadir: Option<Direction>,
-    /// Places of the edge that are in view, and those that agree with the nadir.
-    pub places: usize,
-    pub agreeing: usize,
-    /// The body's roll in flight, and 1 sigma.
-    pub in_flight_deg: Option<[f64; 2]>,
     pub smoothed: Option<SmoothedRoll>,
 }
 
@@ -48,49 +39,13 @@ pub struct SmoothedRoll {
 }
 
 impl RollRow {
-    pub(super) fn unread(input: StoredFile, error: &str) -> Self {
-        Self {
-            file: input.file,
-            copy_of: None,
-            facts: FrameFacts::default(),
-            utc_correction_s: None,
-            time_sigma_s: None,
-            odd_time: None,
-            quality: Grade::None,
-            reason: format!("file: {error}"),
-            flags: String::new(),
-            nadir: None,
-            places: 0,
-            agreeing: 0,
-            in_flight_deg: None,
-            smoothed: None,
-        }
-    }
-
-    pub(super) fn copied(copy: &CopiedFrame) -> Self {
-        Self {
-            copy_of: Some(copy.first.clone()),
-            ..Self::unread(copy.input.clone(), &copy.reason())
-        }
-    }
-
-    pub(super) fn of(input: StoredFile, record: HorizonRecord) -> Self {
-        Self {
-            reason: record.facts.reason(record.reason.as_deref()),
-            facts: record.facts,
-            quality: record.quality,
-            flags: record.flags,
-            nadir: record.nadir.map(|nadir| nadir.direction()),
-            places: record.places,
-            agreeing: record.agreeing,
-            in_flight_deg: record.in_flight_deg,
-            ..Self::unread(input, "")
-        }
+    pub fn utc(&self) -> Option<Timestamp> {
+        Timestamp::from_nanosecond(self.utc_ns?.into()).ok()
     }
 
     /// Seconds since 1970.
     pub fn unix_s(&self) -> Option<f64> {
-        Some(self.facts.utc_ns? as f64 / 1e9)
+        Some(self.utc_ns? as f64 / 1e9)
     }
 
     /// Roll and pitch by this frame alone.
@@ -99,17 +54,22 @@ impl RollRow {
         Some([body_roll_deg(nadir), body_pitch_deg(nadir)])
     }
 
+    /// The body's roll in flight, and 1 sigma.
+    pub fn in_flight_deg(&self) -> Option<[f64; 2]> {
+        self.own.as_ref()?.in_flight_deg
+    }
+
     /// Why there is no roll, and what is odd about the time; empty where nothing is to be said.
-    pub fn told_reason(&self) -> String {
+    pub fn full_reason(&self) -> String {
         let own = (!self.reason.is_empty()).then(|| self.reason.clone());
-        let odd = self.odd_time.map(|odd| format!("refine: {odd}"));
+        let odd = self.timing.odd.map(|odd| format!("refine: {odd}"));
         own.into_iter().chain(odd).collect::<Vec<_>>().join("; ")
     }
 
     /// The nadir at the row's time, with what the uncertainty of that adds; none where it cannot be told how much that is.
     pub fn nadir_at_time(&self) -> Option<Direction> {
         let nadir = self.nadir?;
-        let Some(sigma_s) = self.time_sigma_s else {
+        let Some(sigma_s) = self.timing.sigma_s else {
             return Some(nadir);
         };
         let [roll, pitch] = self.smoothed?.rates_deg_per_s;
@@ -120,13 +80,49 @@ impl RollRow {
         })
     }
 
+    fn flags(&self) -> &str {
+        self.own.as_ref().map_or("", |own| own.flags.as_str())
+    }
+
     /// Why the frame is not fine; empty where it is.
     pub fn remark(&self) -> String {
         match self.quality {
             Grade::Coarse if self.reason.is_empty() => {
-                format!("little of the edge is seen: {}", self.flags)
+                format!("little of the edge is seen: {}", self.flags())
             }
             _ => self.reason.clone(),
         }
     }
 }
+
+/// The extension that holds a row for every file of the roll camera.
+pub const ROLL: &str = "ROLL";
+
+/// The columns of [`ROLL`].
+#[rustfmt::skip]
+pub const ROLL_COLUMNS: &[Column<RollRow>] = &[
+    text("FILE", "the frame's file, relative to the archive", |r| r.file.as_str().into()),
+    text("UTC", "mid-exposure, UTC, ISO 8601", |r| r.utc().map_or(String::new(), |utc| format!("{utc:.6}")).into()),
+    float("UNIX_S", "s", "mid-exposure, UTC, since 1970-01-01", |r| r.unix_s()),
+    float("UTC_CORRECTION_S", "s", "what was added to the header's time, where others contradict it", |r| Some(r.timing.correction_s?.value)),
+    float("UTC_SIGMA_S", "s", TIME_SIGMA, |r| r.timing.sigma_s),
+    float("MONO_S", "s", "mid-exposure on the monotonic clock", |r| r.own.as_ref()?.facts.monotonic_s),
+    integer("FRAMENUM", "number of the frame", |r| r.own.as_ref()?.facts.number.map(|number| number as i64)),
+    text("QUALITY", "fine: most of the edge in view is seen; coarse: less; none", |r| r.quality.name().into()),
+    text("REASON", "why there is no roll, and what is odd about the time; empty for the others", |r| r.full_reason().into()),
+    text("FLAGS", "what stands beside the edge or hides it: clouds, other_edges, no_edge", |r| r.flags().into()),
+    integer("PLACES", "places of the edge that are in view", |r| Some(r.own.as_ref()?.places as i64)),
+    integer("AGREEING", "those that agree with the nadir", |r| Some(r.own.as_ref()?.agreeing as i64)),
+    float("ROLL_DEG", "deg", "roll of the body by this frame alone, right side low positive", |r| Some(r.angles_deg()?[0].value)),
+    float("ROLL_SIGMA_DEG", "deg", "1 sigma of ROLL_DEG", |r| Some(r.angles_deg()?[0].sigma)),
+    float("PITCH_DEG", "deg", "pitch of the body by this frame alone, forward end high positive", |r| Some(r.angles_deg()?[1].value)),
+    float("PITCH_SIGMA_DEG", "deg", "1 sigma of PITCH_DEG", |r| Some(r.angles_deg()?[1].sigma)),
+    float("SMOOTHED_ROLL_DEG", "deg", "the roll as the frames about this one have it", |r| Some(r.smoothed?.roll_deg.value)),
+    float("SMOOTHED_ROLL_SIGMA_DEG", "deg", "1 sigma of SMOOTHED_ROLL_DEG, with what neighbours share", |r| Some(r.smoothed?.roll_deg.sigma)),
+    float("ROLL_RATE_DEG_PER_S", "deg/s", "how fast the roll changes", |r| Some(r.smoothed?.rates_deg_per_s[0])),
+    float("SMOOTHED_PITCH_DEG", "deg", "the pitch as the frames about this one have it", |r| Some(r.smoothed?.pitch_deg.value)),
+    float("SMOOTHED_PITCH_SIGMA_DEG", "deg", "1 sigma of SMOOTHED_PITCH_DEG, with what neighbours share", |r| Some(r.smoothed?.pitch_deg.sigma)),
+    float("PITCH_RATE_DEG_PER_S", "deg/s", "how fast the pitch changes", |r| Some(r.smoothed?.rates_deg_per_s[1])),
+    float("FLIGHT_ROLL_DEG", "deg", "BODYROLL of the header: the answer in flight", |r| Some(r.in_flight_deg()?[0])),
+    float("FLIGHT_ROLL_SIGMA_DEG", "deg", "BODYRLSG of the header", |r| Some(r.in_flight_deg()?[1])),
+];

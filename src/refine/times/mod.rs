@@ -12,12 +12,16 @@ mod counter;
 mod quantum;
 
 use super::clock::{Clocks, Reading, corrected_ns};
-use super::oddity::{Oddity, SIGMA_PER_WIDTH};
-use super::record::FrameFacts;
+use super::oddity::{SIGMA_PER_WIDTH, TimeOddity};
+use crate::observe::FrameFacts;
 use crate::units::{Measured, counted};
 use counter::Numbered;
 use quantum::Spread;
 use std::collections::{BTreeMap, HashMap};
+
+/// The meaning of a time's sigma, in tables.
+pub(super) const TIME_SIGMA: &str =
+    "1 sigma of the time, where the header's contradicts others; none where it is believed";
 
 /// Fewer frames of one time alone may well have been taken at it.
 const LEAST_STUCK: usize = 3;
@@ -46,17 +50,17 @@ impl Stamp {
 
 /// What is made of a frame's stamp.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Timing {
+pub struct Timing {
     /// What is to be added to the stamp, s.
     pub correction_s: Option<Measured>,
     /// 1 sigma of the time; none where the stamp is believed.
     pub sigma_s: Option<f64>,
     /// What is odd about it.
-    pub odd: Option<Oddity>,
+    pub odd: Option<TimeOddity>,
 }
 
 impl Timing {
-    fn corrected(shift_s: f64, sigma_s: f64, odd: Oddity) -> Self {
+    fn corrected(shift_s: f64, sigma_s: f64, odd: TimeOddity) -> Self {
         Self {
             correction_s: Some(Measured::new(shift_s, sigma_s)),
             sigma_s: Some(sigma_s),
@@ -66,7 +70,7 @@ impl Timing {
 
     /// The time of a stamp; none where the clock stood still.
     pub fn utc_ns(&self, stamped_ns: Option<i64>) -> Option<i64> {
-        let stamped_ns = stamped_ns.filter(|_| self.odd != Some(Oddity::StoppedClock))?;
+        let stamped_ns = stamped_ns.filter(|_| self.odd != Some(TimeOddity::StoppedClock))?;
         Some(match &self.correction_s {
             Some(correction_s) => corrected_ns(stamped_ns, correction_s),
             None => stamped_ns,
@@ -91,7 +95,7 @@ impl Times {
             clocks: Clocks::default(),
         };
         if is_stopped(stamps) {
-            times.note(stamps, Oddity::StoppedClock);
+            times.note(stamps, TimeOddity::StoppedClock);
             times.warn();
             return times;
         }
@@ -108,7 +112,7 @@ impl Times {
 
     /// One warning of each kind.
     fn warn(&self) {
-        let mut kinds: BTreeMap<Oddity, u64> = BTreeMap::new();
+        let mut kinds: BTreeMap<TimeOddity, u64> = BTreeMap::new();
         for odd in self.timings.iter().filter_map(|timing| timing.odd) {
             *kinds.entry(odd).or_default() += 1;
         }
@@ -117,7 +121,7 @@ impl Times {
         }
     }
 
-    fn note(&mut self, stamps: &[Stamp], odd: Oddity) {
+    fn note(&mut self, stamps: &[Stamp], odd: TimeOddity) {
         for (timing, stamp) in self.timings.iter_mut().zip(stamps) {
             timing.odd = stamp.utc_ns.map(|_| odd);
         }
@@ -130,9 +134,9 @@ impl Times {
             let by = spread.by.zip(spread.shifts_s[n]);
             self.timings[n] = match by {
                 Some((by, shift_s)) => {
-                    Timing::corrected(shift_s, sigma_s, Oddity::CoarseTime { step_us, by })
+                    Timing::corrected(shift_s, sigma_s, TimeOddity::CoarseTime { step_us, by })
                 }
-                None => Timing::corrected(spread.step_s / 2.0, sigma_s, Oddity::SharedTime),
+                None => Timing::corrected(spread.step_s / 2.0, sigma_s, TimeOddity::SharedTime),
             };
         }
     }
@@ -143,7 +147,7 @@ impl Times {
         self.clocks = Clocks::of(&readings);
         for (timing, shift_s) in self.timings.iter_mut().zip(&self.clocks.corrections_s) {
             if let Some(shift_s) = shift_s {
-                *timing = Timing::corrected(shift_s.value, shift_s.sigma, Oddity::Clock);
+                *timing = Timing::corrected(shift_s.value, shift_s.sigma, TimeOddity::Clock);
             }
         }
     }
@@ -168,13 +172,13 @@ impl Times {
                 .map_or(0.0, |shift| shift.value);
             let shift_s = before_s + correction_s.value;
             self.timings[n] =
-                Timing::corrected(shift_s, correction_s.sigma, Oddity::AgainstNumbers);
+                Timing::corrected(shift_s, correction_s.sigma, TimeOddity::AgainstNumbers);
         }
         for (n, sigma_s) in found.shuffled {
             self.timings[n] = Timing {
                 correction_s: None,
                 sigma_s: Some(sigma_s),
-                odd: Some(Oddity::ShuffledTime),
+                odd: Some(TimeOddity::ShuffledTime),
             };
         }
     }
@@ -200,9 +204,9 @@ impl Times {
                     Some(width_s) => {
                         let sigma_s = width_s * SIGMA_PER_WIDTH;
                         timing.sigma_s = Some(sigma_s.max(timing.sigma_s.unwrap_or(0.0)));
-                        timing.odd = Some(Oddity::SharedTime);
+                        timing.odd = Some(TimeOddity::SharedTime);
                     }
-                    None => timing.odd = Some(Oddity::StoppedClock),
+                    None => timing.odd = Some(TimeOddity::StoppedClock),
                 }
             }
         }

@@ -140,7 +140,7 @@ fn frames_of_a_whole_second_are_spread_over_it() {
                 let step_us = (step_s * 1e6) as u64;
                 assert_eq!(
                     timing.odd,
-                    Some(Oddity::CoarseTime { step_us, by }),
+                    Some(TimeOddity::CoarseTime { step_us, by }),
                     "{rate_hz}"
                 );
                 let sigma_s = timing.sigma_s.unwrap();
@@ -175,7 +175,7 @@ fn what_nothing_orders_is_not_of_the_path() {
     assert!(
         judged
             .iter()
-            .all(|(_, timing)| timing.odd == Some(Oddity::SharedTime))
+            .all(|(_, timing)| timing.odd == Some(TimeOddity::SharedTime))
     );
     assert!(
         judged
@@ -191,7 +191,7 @@ fn a_clock_that_stands_still_gives_no_time() {
     stamps.iter_mut().for_each(|stamp| stamp.utc_ns = first);
     for timing in Times::of(&stamps).timings {
         assert_eq!(timing.utc_ns(first), None);
-        assert_eq!(timing.odd, Some(Oddity::StoppedClock));
+        assert_eq!(timing.odd, Some(TimeOddity::StoppedClock));
     }
     // For a while only: the numbers tell.
     let mut stamps = steady(200);
@@ -207,7 +207,7 @@ fn a_clock_that_stands_still_gives_no_time() {
     // And where they do not, the time to the next stamp is the uncertainty.
     stamps.iter_mut().for_each(|stamp| stamp.number = None);
     for (error_s, timing) in &judged(&stamps)[50..70] {
-        assert_eq!(timing.odd, Some(Oddity::SharedTime));
+        assert_eq!(timing.odd, Some(TimeOddity::SharedTime));
         assert!(error_s.abs() < 4.0 * timing.sigma_s.unwrap());
     }
 }
@@ -245,7 +245,7 @@ fn of_shuffled_times_and_shuffled_numbers_the_motion_tells_which_is_wrong() {
     let all = judged(&times);
     assert!(
         all.iter()
-            .all(|(_, timing)| timing.odd == Some(Oddity::ShuffledTime))
+            .all(|(_, timing)| timing.odd == Some(TimeOddity::ShuffledTime))
     );
     let mut numbers = good.clone();
     (0..100).for_each(|n| numbers[n].number = good[shuffled(n)].number);
@@ -262,7 +262,7 @@ fn of_two_frames_with_one_number_and_time_neither_is_of_the_path() {
     let judged = judged(&stamps);
     assert_eq!(odd(&stamps), [19, 20]);
     for (error_s, timing) in &judged[19..21] {
-        assert_eq!(timing.odd, Some(Oddity::SharedTime));
+        assert_eq!(timing.odd, Some(TimeOddity::SharedTime));
         assert!(error_s.abs() < 3.0 * timing.sigma_s.unwrap());
     }
 }

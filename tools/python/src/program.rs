@@ -6,7 +6,11 @@ use clap::Parser;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use solaspect::cli::calibrate::{self, CalibrateArgs};
-use solaspect::cli::refine::{self, RefineArgs};
+use solaspect::cli::refine::RefineArgs;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
 
 #[derive(Parser)]
 #[command(name = "solaspect")]
@@ -15,17 +19,42 @@ enum Command {
     Refine(RefineArgs),
 }
 
-/// Runs `solaspect COMMAND OPTIONS...` in this process.
+/// Runs `solaspect COMMAND OPTIONS...` in this process. KeyboardInterrupt ends a refinement at its next frame; what is done is in its journal.
 #[pyfunction]
 pub fn run(py: Python<'_>, options: Vec<String>) -> PyResult<()> {
     let command = parse(options)?;
-    let outcome = py.detach(|| match command {
+    let cancelled = Arc::new(AtomicBool::new(false));
+    let work = || match command {
         Command::Calibrate(args) => calibrate::run(args),
-        Command::Refine(args) => refine::run(&args),
+        Command::Refine(args) => args.run(&cancelled),
+    };
+    let (outcome, interrupted) = py.detach(|| {
+        thread::scope(|scope| {
+            let work = scope.spawn(work);
+            let mut interrupted = None;
+            // Python sees its signals only where it is asked to, and the work does not ask.
+            while !work.is_finished() {
+                thread::sleep(POLL);
+                if let Err(error) = Python::attach(|py| py.check_signals()) {
+                    cancelled.store(true, Ordering::Relaxed);
+                    interrupted.get_or_insert(error);
+                }
+            }
+            (work.join(), interrupted)
+        })
     });
-    outcome.map_err(Failure::from)?;
+    if let Some(interrupted) = interrupted {
+        return Err(interrupted);
+    }
+    match outcome {
+        Ok(outcome) => outcome.map_err(Failure::from)?,
+        Err(panic) => std::panic::resume_unwind(panic),
+    };
     Ok(())
 }
+
+/// How often Python is asked for its signals.
+const POLL: Duration = Duration::from_millis(20);
 
 /// A time as the program's options take it.
 #[pyfunction]

@@ -1,30 +1,29 @@
 //! Frames that an archive holds more than once, as that of both disks of a mirroring flight: each counts once.
 
-use super::camera_headers::CameraHeader;
-use super::first_pass::{Done, FirstPass, JOURNAL_VERSION, Span, Unsolved, hash_of};
+use super::headers::CameraHeader;
 use super::journal::JournalError;
+use super::pass::{Done, Observer, Span, Unsolved};
 use crate::archive::{ArchiveReader, StoredFile};
 use crate::frame::{Compared, Copies, Identity, PixelDigest, may_be_copies};
-use crate::provenance;
 use rayon::prelude::*;
 use std::path::Path;
 
 /// Reads the pixels of frames that may be copies.
 #[derive(Debug, Clone, Copy)]
-pub struct PixelDigests;
+pub(super) struct PixelDigests;
 
-impl FirstPass for PixelDigests {
-    type Frame = PixelDigest;
-
-    fn hash(&self) -> u64 {
-        hash_of(format!("{} {JOURNAL_VERSION}", provenance::VERSION).as_bytes())
-    }
+impl Observer for PixelDigests {
+    type Given = PixelDigest;
 
     fn prefix(&self) -> &'static str {
         "pixels-"
     }
 
-    fn solve(
+    fn stated(&self) -> String {
+        String::new()
+    }
+
+    fn observe(
         &self,
         archive: &ArchiveReader,
         input: &StoredFile,
@@ -71,7 +70,7 @@ pub struct Distinct {
 ///
 /// # Errors
 /// A journal that cannot be read.
-pub fn may_be_copied(
+pub(super) fn may_be_copied(
     headers: &Done<CameraHeader>,
     inputs: &[StoredFile],
 ) -> Result<Vec<StoredFile>, JournalError> {
@@ -86,7 +85,7 @@ pub fn may_be_copied(
 ///
 /// # Errors
 /// A journal that cannot be read.
-pub fn distinct(
+pub(super) fn distinct(
     headers: &Done<CameraHeader>,
     digests: &Done<PixelDigest>,
     inputs: Vec<StoredFile>,

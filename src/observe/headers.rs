@@ -1,9 +1,8 @@
 //! What the frames' headers say of when, how and by which camera they were taken.
 
-use super::first_pass::{FirstPass, JOURNAL_VERSION, Span, Unsolved, hash_of};
+use super::pass::{Observer, Span, Unsolved};
 use crate::archive::{ArchiveReader, StoredFile, flown_sha256, sky_camera};
 use crate::frame::Identity;
-use crate::provenance;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -13,30 +12,22 @@ pub struct CameraHeader {
     pub(super) identity: Identity,
 }
 
-impl CameraHeader {
-    /// Of the instrument's file that the frame names.
-    pub(super) fn instrument_sha256(&self) -> Option<String> {
-        let [_, instrument] = &self.identity.flown_sha256;
-        instrument.clone()
-    }
-}
-
 /// Reads the headers of all frames, whichever camera took them.
 #[derive(Debug, Clone, Copy)]
 pub struct CameraHeaders;
 
-impl FirstPass for CameraHeaders {
-    type Frame = CameraHeader;
-
-    fn hash(&self) -> u64 {
-        hash_of(format!("{} {JOURNAL_VERSION}", provenance::VERSION).as_bytes())
-    }
+impl Observer for CameraHeaders {
+    type Given = CameraHeader;
 
     fn prefix(&self) -> &'static str {
         "cameras-"
     }
 
-    fn solve(
+    fn stated(&self) -> String {
+        String::new()
+    }
+
+    fn observe(
         &self,
         archive: &ArchiveReader,
         input: &StoredFile,

@@ -1,63 +1,47 @@
 //! The attitude between frames: the refined directions together with the flight's IMU and GPS.
 
+use super::attitude::{Attitude, AttitudeFound, Basis, NavigationFile, Wanted, add_attitude};
+use super::report::Report;
+use super::roll::RollRow;
+use super::row::Row;
+use super::sky::Sky;
 use crate::archive::ArchiveReader;
-use crate::cli::attitude::{Attitude, AttitudeArgs, Basis, NavigationFile, add_attitude};
-use crate::cli::output::say;
 use crate::geometry::attitude::Direction;
 use crate::instrument::{Directions, Instrument, SECOND};
 use crate::navigation::files::{read_gps, read_imu};
 use crate::navigation::{
-    self, CAMERAS_IN_FLIGHT, Fix, ImuSample, Measurement, Row, Sighting, Target, Targets,
+    self, CAMERAS_IN_FLIGHT, Fix, ImuSample, Measurement, Sighting, Target, Targets,
 };
+use crate::observe::CameraFrames;
 use crate::pointing::measured_sun_in_telescope;
-use crate::refine::{CameraFrames, Flight, Report, RollHistory, Sky};
 use anyhow::{Context, bail, ensure};
-use clap::Args;
 use jiff::Timestamp;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 /// The interval of the first sample is not longer, s.
 const LONGEST_S: f64 = 10.0;
 
-/// A FITS table is made in memory: more rows than that are left to attitude.csv.
-const MOST_FITS_ROWS: u64 = 1_000_000;
-
-#[derive(Debug, Args)]
-#[command(next_help_heading = "Attitude by gyros")]
-pub(super) struct NavigationArgs {
-    /// Samples of the IMU: attitude.csv, attitude.fits and offsets.csv tell the attitude between frames, too
-    #[arg(long, value_name = "CSV", num_args = 1.., requires = "gps")]
-    imu: Vec<PathBuf>,
-    /// Fixes of GPS
-    #[arg(long, value_name = "CSV", num_args = 1.., requires = "imu")]
-    gps: Vec<PathBuf>,
-    /// What the sensors are [default: the archive's newest navigation_*.toml]
-    #[arg(long, value_name = "NAV.toml", requires = "imu")]
-    navigation: Option<PathBuf>,
-    #[command(flatten)]
-    wanted: AttitudeArgs,
+/// The files of a flight's IMU and GPS.
+#[derive(Debug, Clone)]
+pub struct Navigation {
+    pub imu: Vec<PathBuf>,
+    pub gps: Vec<PathBuf>,
+    /// What the sensors are, NAV.toml; the archive's newest one where it is not named.
+    pub settings: Option<PathBuf>,
+    pub wanted: Wanted,
 }
 
-impl NavigationArgs {
-    /// Rows a second of the tables between frames, where it is stated.
-    pub fn rate_hz(&self) -> Option<f64> {
-        self.wanted.rate
-    }
-
-    /// The flight's sensors; `None` where none are named. Times count from 1970 where NAV.toml states no epoch.
-    pub fn read(
+impl Navigation {
+    /// The flight's sensors. Times count from 1970 where NAV.toml states no epoch.
+    pub(super) fn read(
         &self,
         archive: &ArchiveReader,
         in_archive: &[String],
-    ) -> anyhow::Result<Option<Sensors<'_>>> {
-        if self.imu.is_empty() {
-            return Ok(None);
-        }
-        let mut given = match (&self.navigation, in_archive.last()) {
+    ) -> anyhow::Result<Sensors<'_>> {
+        let mut given = match (&self.settings, in_archive.last()) {
             (Some(path), _) => NavigationFile::read(path)?,
-            // Their names tell when the program was started.
+            // Their names say when the program was started.
             (None, Some(newest)) => NavigationFile::of(archive.text(newest)?)?,
             (None, None) => bail!(
                 "{}: expected navigation_*.toml, found none: name a NAV.toml with --navigation",
@@ -65,14 +49,14 @@ impl NavigationArgs {
             ),
         };
         given.settings = given.settings.for_flight(&given.path)?;
-        Ok(Some(Sensors {
+        Ok(Sensors {
             epoch: given.settings.epoch_utc.unwrap_or(Timestamp::UNIX_EPOCH),
             runs: read_imu(&self.imu, &given.settings)?,
             fixes: read_gps(&self.gps, &given.settings)?,
             seen: Vec::new(),
             given,
-            args: self,
-        }))
+            of: self,
+        })
     }
 }
 
@@ -86,7 +70,7 @@ struct Seen {
 
 /// IMU and GPS of a flight, and the directions that its frames show.
 pub(super) struct Sensors<'a> {
-    args: &'a NavigationArgs,
+    of: &'a Navigation,
     given: NavigationFile,
     /// The instant of t_s = 0.
     epoch: Timestamp,
@@ -109,13 +93,8 @@ impl Sensors<'_> {
         Ok(())
     }
 
-    /// Notes the Sun of a camera's refined frames.
-    pub fn see_sun(
-        &mut self,
-        camera: &CameraFrames,
-        flight: &Flight,
-        instrument: &Instrument,
-    ) -> anyhow::Result<()> {
+    /// Refuses an instrument whose directions are not the telescope's.
+    pub fn check_instrument(&self, instrument: &Instrument) -> anyhow::Result<()> {
         let directions = instrument.mounting.directions;
         ensure!(
             directions == Directions::Telescope,
@@ -123,24 +102,24 @@ impl Sensors<'_> {
             instrument.name,
             directions.name()
         );
-        let [first, second, ..] = CAMERAS_IN_FLIGHT;
-        let name = if is_second(camera) { second } else { first };
-        for row in &flight.rows {
-            if let Some((utc, sun)) = row.utc().zip(row.sun_at_time()) {
-                let direction = measured_sun_in_telescope(&sun, instrument);
-                self.see(name, Target::Sun, utc, direction);
-            }
-        }
         Ok(())
     }
 
-    /// Notes the nadir of the roll camera's frames.
-    pub fn see_nadir(&mut self, history: &RollHistory) {
+    /// Notes the Sun of a camera's refined frame.
+    pub fn see_sun(&mut self, is_second: bool, row: &Row, instrument: &Instrument) {
+        let [first, second, ..] = CAMERAS_IN_FLIGHT;
+        let name = if is_second { second } else { first };
+        if let Some((utc, sun)) = row.utc().zip(row.sun_at_time()) {
+            let direction = measured_sun_in_telescope(&sun, instrument);
+            self.see(name, Target::Sun, utc, direction);
+        }
+    }
+
+    /// Notes the nadir of a frame of the roll camera.
+    pub fn see_nadir(&mut self, row: &RollRow) {
         let [_, _, roll_camera, _] = CAMERAS_IN_FLIGHT;
-        for row in &history.rows {
-            if let Some((utc, nadir)) = row.facts.utc().zip(row.nadir_at_time()) {
-                self.see(roll_camera, Target::Nadir, utc, nadir);
-            }
+        if let Some((utc, nadir)) = row.utc().zip(row.nadir_at_time()) {
+            self.see(roll_camera, Target::Nadir, utc, nadir);
         }
     }
 
@@ -163,32 +142,25 @@ impl Sensors<'_> {
         sky: &Sky,
         [archive, out]: [&Path; 2],
         report: &mut Report,
-    ) -> anyhow::Result<ExitCode> {
+    ) -> anyhow::Result<AttitudeFound> {
         self.expect_frames()?;
         let mut targets = self.targets(sky);
         let sightings = self.sightings(&mut targets)?;
         let measurements = Measurement::in_order(sightings, &self.fixes);
         let imu = std::mem::take(&mut self.runs);
         let runs = navigation::Flight::of_runs(&self.given.settings, imu, measurements);
-        let mut attitude = Attitude::solve(&runs, Basis::WholeFlight, out, &self.args.wanted)?;
+        let mut attitude = Attitude::solve(&runs, Basis::WholeFlight, out, &self.of.wanted)?;
         drop(runs);
-        let count = attitude.counts.written;
-        let with_fits = count <= MOST_FITS_ROWS;
-        if !with_fits {
-            say(format_args!(
-                "attitude.fits: expected at most {MOST_FITS_ROWS} rows, found {count}: not written; --rate thins them"
-            ))?;
-        }
-        attitude.write(Some(self.epoch), with_fits)?;
+        attitude.write(Some(self.epoch), true)?;
         attitude.write_calibrated(&self.given, Some(self.epoch), self.files(archive))?;
         self.write_offsets(&mut attitude, &mut targets, sky, out)?;
         let (summary, counts) = (&attitude.summary, &attitude.counts);
         add_attitude(report.page(), &self.given.settings, summary, counts)?;
-        attitude.print()
+        Ok(attitude.found())
     }
 
     fn files(&self, archive: &Path) -> Vec<String> {
-        let files = self.args.imu.iter().chain(&self.args.gps);
+        let files = self.of.imu.iter().chain(&self.of.gps);
         let files = files.map(PathBuf::as_path).chain([archive]);
         files.map(|path| path.display().to_string()).collect()
     }
@@ -253,7 +225,7 @@ impl Sensors<'_> {
         out: &Path,
     ) -> anyhow::Result<()> {
         let axes = self.given.settings.body_from_telescope();
-        let offset = |row: &Row| {
+        let offset = |row: &navigation::Row| {
             let towards = targets.aim(&sky.target, row.t_s).ok()?;
             navigation::offset(row, &axes, &towards).ok()?
         };
@@ -261,7 +233,8 @@ impl Sensors<'_> {
     }
 }
 
-fn is_second(camera: &CameraFrames) -> bool {
+/// Whether a camera is the telescope's second one, by its name.
+pub(super) fn is_second(camera: &CameraFrames) -> bool {
     let name = camera.taken_by.instrument.as_deref();
     name.is_some_and(|name| name.ends_with(SECOND))
 }

@@ -3,9 +3,9 @@
 //! A record is its length and its checksum (CRC-32), 4 bytes each, and its bytes. A program that is killed leaves a torn
 //! record at most, at the end: what does not match its checksum is cut off when the journal is next opened.
 
-use super::record::Record;
+use crate::archive::StoredFile;
 use crc::{CRC_32_ISO_HDLC, Crc};
-use serde::{Serialize, de::DeserializeOwned};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::marker::PhantomData;
@@ -36,6 +36,14 @@ pub enum JournalError {
     Foreign { path: PathBuf },
     #[error("{}: expected the record at byte {at} as it was written, found changed bytes", .path.display())]
     Changed { path: PathBuf, at: u64 },
+}
+
+/// What came of a file: a row of the journal.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Record<T> {
+    pub input: StoredFile,
+    /// What the frame gave, or what is wrong with the file.
+    pub outcome: Result<T, String>,
 }
 
 /// Where a record stands.
@@ -189,7 +197,6 @@ fn next<T: DeserializeOwned>(file: &mut impl Read) -> Option<(Record<T>, usize)>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::archive::StoredFile;
 
     fn record(n: u64) -> Record<u32> {
         let input = StoredFile {

@@ -1,35 +1,37 @@
 //! The tables that an attitude is written to: attitude.csv, attitude.fits, attitude.aem.
 
-use crate::fits::{Card, Column, Table, Values, encode_tables, format_time};
+use crate::columns::{self, Column, Widths, float, text};
+use crate::fits::{Card, format_time};
 use crate::navigation::aem::{Aem, Head, Stretches};
-use crate::navigation::{PropagatedOffset, Row};
+use crate::navigation::{PropagatedOffset, Row, Status};
 use anyhow::Context;
 use jiff::Timestamp;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
-/// Name, unit and meaning of the columns; the status follows.
-const COLUMNS: [(&str, &str, &str); 17] = [
-    ("t_s", "s", "time since the epoch"),
-    ("q0", "", "scalar: v_ecef = R(q) v_body"),
-    ("q1", "", "x"),
-    ("q2", "", "y"),
-    ("q3", "", "z"),
-    ("sx_rad", "rad", "1 sigma about the ECEF x axis"),
-    ("sy_rad", "rad", "1 sigma about the ECEF y axis"),
-    ("sz_rad", "rad", "1 sigma about the ECEF z axis"),
-    ("pxy_rad2", "rad2", "covariance"),
-    ("pxz_rad2", "rad2", "covariance"),
-    ("pyz_rad2", "rad2", "covariance"),
-    ("x_m", "m", "ECEF"),
-    ("y_m", "m", "ECEF"),
-    ("z_m", "m", "ECEF"),
-    ("vx_m_s", "m/s", "against the turning Earth"),
-    ("vy_m_s", "m/s", "against the turning Earth"),
-    ("vz_m_s", "m/s", "against the turning Earth"),
+/// The columns of the table ATTITUDE.
+#[rustfmt::skip]
+const COLUMNS: &[Column<Row>] = &[
+    float("t_s", "s", "time since the epoch", |r| Some(r.t_s)),
+    float("q0", "", "scalar: v_ecef = R(q) v_body", |r| Some(numbers(r)?[0])),
+    float("q1", "", "x", |r| Some(numbers(r)?[1])),
+    float("q2", "", "y", |r| Some(numbers(r)?[2])),
+    float("q3", "", "z", |r| Some(numbers(r)?[3])),
+    float("sx_rad", "rad", "1 sigma about the ECEF x axis", |r| Some(numbers(r)?[4])),
+    float("sy_rad", "rad", "1 sigma about the ECEF y axis", |r| Some(numbers(r)?[5])),
+    float("sz_rad", "rad", "1 sigma about the ECEF z axis", |r| Some(numbers(r)?[6])),
+    float("pxy_rad2", "rad2", "covariance", |r| Some(numbers(r)?[7])),
+    float("pxz_rad2", "rad2", "covariance", |r| Some(numbers(r)?[8])),
+    float("pyz_rad2", "rad2", "covariance", |r| Some(numbers(r)?[9])),
+    float("x_m", "m", "ECEF", |r| Some(numbers(r)?[10])),
+    float("y_m", "m", "ECEF", |r| Some(numbers(r)?[11])),
+    float("z_m", "m", "ECEF", |r| Some(numbers(r)?[12])),
+    float("vx_m_s", "m/s", "against the turning Earth", |r| Some(numbers(r)?[13])),
+    float("vy_m_s", "m/s", "against the turning Earth", |r| Some(numbers(r)?[14])),
+    float("vz_m_s", "m/s", "against the turning Earth", |r| Some(numbers(r)?[15])),
+    text("status", "docs/navigation.md", |r| r.status.name().into()),
 ];
-const STATUS: &str = "status";
 
 /// The numbers of a row after its time; `None` before the start.
 fn numbers(row: &Row) -> Option<[f64; 16]> {
@@ -53,8 +55,8 @@ pub fn write_csv(
     mut rows: impl Iterator<Item = std::io::Result<Row>>,
 ) -> anyhow::Result<()> {
     write_file(path, |file| {
-        let names = COLUMNS.map(|(name, ..)| name);
-        writeln!(file, "{},{STATUS}", names.join(","))?;
+        let names: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
+        writeln!(file, "{}", names.join(","))?;
         rows.try_for_each(|row| write_row(file, &row?))
     })
 }
@@ -67,7 +69,7 @@ pub fn write_offsets(
 ) -> anyhow::Result<()> {
     write_file(path, |file| {
         let names = PropagatedOffset::COLUMNS.join(",");
-        writeln!(file, "t_s,{names},{STATUS}")?;
+        writeln!(file, "t_s,{names},status")?;
         rows.try_for_each(|row| {
             let row = row?;
             let cells = offset(&row).map_or_else(Default::default, |offset| offset.cells());
@@ -97,41 +99,24 @@ fn write_row(file: &mut impl Write, row: &Row) -> std::io::Result<()> {
     writeln!(file, ",{}", row.status.name())
 }
 
-/// Writes `attitude.fits`: the table ATTITUDE, in memory while it is made.
+/// Writes `attitude.fits`: the table ATTITUDE.
 pub fn write_fits(
     path: &Path,
     epoch: Option<Timestamp>,
-    count: u64,
     rows: impl Iterator<Item = std::io::Result<Row>>,
 ) -> anyhow::Result<()> {
-    let mut columns: Vec<Vec<f64>> = Vec::new();
-    columns.resize_with(COLUMNS.len(), || Vec::with_capacity(count as usize));
-    let mut status = Vec::with_capacity(count as usize);
-    for row in rows {
-        let row = row.with_context(|| format!("{}: cannot write", path.display()))?;
-        let numbers = numbers(&row).unwrap_or([f64::NAN; 16]);
-        let cells = std::iter::once(row.t_s).chain(numbers);
-        let pairs = columns.iter_mut().zip(cells);
-        pairs.for_each(|(column, cell)| column.push(cell));
-        status.push(row.status.name().to_owned());
-    }
-    let column = |(name, unit, meaning): (&str, &str, &str), values: Values| Column {
-        name: name.into(),
-        unit: unit.into(),
-        meaning: meaning.into(),
-        values,
-    };
-    let numbers = COLUMNS.into_iter().zip(columns);
-    let numbers = numbers.map(|(head, values)| column(head, Values::Float(values)));
-    let status = column((STATUS, "", "docs/navigation.md"), Values::Text(status));
-    let table = Table {
-        name: "ATTITUDE".into(),
-        columns: numbers.chain([status]).collect(),
-    };
     let dated = epoch.map(|epoch| Card::new("DATEREF", format_time(epoch)));
     let cards: Vec<Card> = dated.into_iter().collect();
-    let bytes = encode_tables(count as usize * 160, &cards, [table])?;
-    std::fs::write(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
+    let longest = Status::ALL
+        .map(|status| status.name().len())
+        .into_iter()
+        .max();
+    let widths = Widths::of(COLUMNS, longest.unwrap_or(1));
+    columns::write_tables(path, &cards, |file| {
+        let rows = rows.map(|row| row.map_err(|cause| columns::refused(path, cause)));
+        columns::write_fits(file, "ATTITUDE", COLUMNS, &widths, rows)
+    })?;
+    Ok(())
 }
 
 /// Writes `attitude.aem`.

@@ -14,7 +14,7 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 const LIMIT_HUE: usize = 5;
 
 /// Adds what there is to see of an attitude.
-pub(in crate::cli) fn add_attitude(
+pub fn add_attitude(
     page: &mut Page,
     settings: &Settings,
     summary: &Summary,

@@ -1,30 +1,49 @@
 //! With which files an archive is refined: its own configuration and cameras, unless others are named.
 
-use super::RefineArgs;
-use crate::archive::{CONFIGURATION, Flown, FlownFile, FlownFiles, INSTRUMENT};
-use crate::cli::options;
+use super::recipe::Recipe;
+use super::roll::RollRecipe;
+use crate::archive::{CONFIGURATION, FlownFile, FlownFiles, INSTRUMENT};
 use crate::config::Config;
 use crate::instrument::{Instrument, MountedCamera, SECOND, builtin_text, text_of};
-use crate::refine::{CameraFrames, Recipe, RollRecipe};
+use crate::observe::CameraFrames;
+use crate::units::Place;
 use anyhow::{Context, bail, ensure};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-impl RefineArgs {
-    /// The configuration of `--config`, else what the archive's say of solver, place and target, else the defaults.
-    pub(super) fn configuration(&self, archived: &FlownFiles) -> anyhow::Result<Config> {
-        let mut config = match &self.config {
+/// What is named instead of the archive's own files.
+#[derive(Debug, Clone, Default)]
+pub struct Given {
+    /// Instruments, of which each camera takes its own: TOML files, or names of built-in ones.
+    pub instruments: Vec<PathBuf>,
+    pub roll_camera: Option<PathBuf>,
+    pub configuration: Option<PathBuf>,
+    /// Where the frames were taken, for frames that do not say so.
+    pub place: Option<Place>,
+}
+
+/// An archive's name with the files that stand in it, and what is named instead.
+pub(super) struct Files<'a> {
+    pub archive: &'a Path,
+    pub archived: FlownFiles,
+    pub given: &'a Given,
+}
+
+impl Files<'_> {
+    /// The configuration that is named, else what the archive's say of solver, place and target, else the defaults.
+    pub fn configuration(&self) -> anyhow::Result<Config> {
+        let mut config = match &self.given.configuration {
             Some(path) => Config::read(path)?,
-            None => self.archived_configuration(archived)?,
+            None => self.archived_configuration()?,
         };
-        if let Some(place) = self.place {
+        if let Some(place) = self.given.place {
             config.site = place.into();
         }
         Ok(config)
     }
 
-    fn archived_configuration(&self, archived: &FlownFiles) -> anyhow::Result<Config> {
+    fn archived_configuration(&self) -> anyhow::Result<Config> {
         let mut found: Vec<Config> = Vec::new();
-        for file in archived.of(CONFIGURATION) {
+        for file in self.archived.of(CONFIGURATION) {
             let flown = Config::parse(&file.path, &file.text)
                 .context("the archive's configuration cannot be used: name one with --config")?;
             // The rest is of the flight's computer alone.
@@ -52,31 +71,17 @@ impl RefineArgs {
     }
 
     /// What a camera's frames are refined with.
-    pub(super) fn recipe(
-        &self,
-        camera: &CameraFrames,
-        archived: &FlownFiles,
-        config: &Config,
-    ) -> anyhow::Result<Recipe> {
-        let (instrument, text) = self.instrument(archived, camera)?;
-        Ok(Recipe {
-            instrument,
-            settings: config.solver(),
-            flown: Flown::new(config.to_toml(), Some(text)),
-            archived: self.authority(archived.clone()),
-        })
+    pub fn recipe(&self, camera: &CameraFrames, config: &Config) -> anyhow::Result<Recipe> {
+        let authority = self.authority();
+        Ok(Recipe::new(self.instrument(camera)?, config, authority))
     }
 
-    /// A camera's instrument, with its text: the one of `--instrument` that is its own, else the archive's, else the built-in one
-    /// that its frames name, else the demo.
-    fn instrument(
-        &self,
-        archived: &FlownFiles,
-        camera: &CameraFrames,
-    ) -> anyhow::Result<(Instrument, String)> {
-        let flown = flown_with(archived, camera);
-        if !self.instrument.is_empty() {
-            let (instrument, text) = self.told_instrument(camera)?;
+    /// A camera's instrument, with its text: the one that is named and its own, else the archive's, else the built-in one that its frames
+    /// name, else the demo.
+    fn instrument(&self, camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
+        let flown = flown_with(&self.archived, camera);
+        if !self.given.instruments.is_empty() {
+            let (instrument, text) = self.given_instrument(camera)?;
             refuse_other_sensor(&instrument, &flown)?;
             return Ok((instrument, text));
         }
@@ -96,11 +101,12 @@ impl RefineArgs {
         }
     }
 
-    /// The first of `--instrument` that a camera's frames do not contradict.
-    fn told_instrument(&self, camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
+    /// The first of those named that a camera's frames do not contradict.
+    fn given_instrument(&self, camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
         let mut refused = None;
-        for path in &self.instrument {
-            let (instrument, text) = options::instrument_with_text(Some(path))?;
+        for path in &self.given.instruments {
+            let text = text_of(path)?;
+            let instrument = Instrument::parse(path, &text)?;
             match instrument.check_taken_by(&camera.taken_by) {
                 Ok(()) => return Ok((instrument, text)),
                 Err(wrong) => refused = Some((path, wrong)),
@@ -115,51 +121,42 @@ impl RefineArgs {
         )
     }
 
-    /// What frames may name: of what was told instead, anything.
-    fn authority(&self, mut archived: FlownFiles) -> FlownFiles {
-        let told = [
-            (self.config.is_some(), CONFIGURATION),
-            (!self.instrument.is_empty(), INSTRUMENT),
+    /// What frames may name: of what was named instead, anything.
+    fn authority(&self) -> FlownFiles {
+        let mut archived = self.archived.clone();
+        let named = [
+            (self.given.configuration.is_some(), CONFIGURATION),
+            (!self.given.instruments.is_empty(), INSTRUMENT),
         ];
-        for (_, kind) in told.iter().filter(|(is_told, _)| *is_told) {
+        for (_, kind) in named.iter().filter(|(is_named, _)| *is_named) {
             archived = archived.without(*kind);
         }
         archived
     }
 
-    /// What the roll camera's frames are refined with; `None` where neither the archive nor `--roll-camera` holds the camera's file.
-    pub(super) fn roll_recipe(
+    /// What the roll camera's frames are refined with; `None` where neither the archive nor anybody else names the camera's file.
+    pub fn roll_recipe(
         &self,
         camera: &CameraFrames,
-        archived: &FlownFiles,
         config: &Config,
     ) -> anyhow::Result<Option<RollRecipe>> {
-        let Some((mounted, text)) = self.roll_camera(camera, archived)? else {
-            return Ok(None);
-        };
-        let mut authority = self.authority(archived.clone());
-        if self.roll_camera.is_some() {
+        let mut authority = self.authority();
+        if self.given.roll_camera.is_some() {
             authority = authority.without(INSTRUMENT);
         }
-        Ok(Some(RollRecipe {
-            camera: mounted,
-            settings: config.roll,
-            place: config.site.place(),
-            flown: Flown::new(config.to_toml(), Some(text)),
-            archived: authority,
-        }))
+        let mounted = self.roll_camera(camera)?;
+        Ok(mounted.map(|mounted| RollRecipe::new(mounted, config, authority)))
     }
 
     fn roll_camera(
         &self,
         camera: &CameraFrames,
-        archived: &FlownFiles,
     ) -> anyhow::Result<Option<(MountedCamera, String)>> {
-        if let Some(path) = &self.roll_camera {
+        if let Some(path) = &self.given.roll_camera {
             let text = text_of(path)?;
             return Ok(Some((MountedCamera::parse(path, &text)?, text)));
         }
-        let named = different(archived).into_iter();
+        let named = different(&self.archived).into_iter();
         let named = named.filter(|file| camera.instruments_sha256.contains(file.sha256()));
         match named.collect::<Vec<_>>().as_slice() {
             [] => Ok(None),
@@ -208,7 +205,8 @@ fn flown_with<'a>(archived: &'a FlownFiles, camera: &CameraFrames) -> Vec<&'a Fl
 /// The built-in instrument that a camera's frames name; the demo where they name none.
 fn built_in(camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
     let Some(named) = camera.taken_by.instrument.as_deref() else {
-        return options::instrument_with_text(None);
+        let text = builtin_text("demo").unwrap_or_default();
+        return Ok((Instrument::parse(Path::new("demo"), text)?, text.into()));
     };
     let name = named.strip_suffix(SECOND).unwrap_or(named);
     let text = builtin_text(name).with_context(|| {

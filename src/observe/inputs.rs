@@ -1,13 +1,69 @@
-//! What of a camera's files was not used as it stands: copies, files that could not be read, values of headers.
+//! When and where frames were taken, and what of their files was not used as it stands: copies, files that could not be read, values of headers.
 
 use super::copies::CopiedFrame;
-use super::first_pass::Span;
-use super::record::FrameFacts;
-use crate::frame::{Unreadable, Warnings};
-use crate::units::counted;
+use super::pass::Span;
+use crate::frame::{FrameInfo, Unreadable, Warning, Warnings};
+use crate::units::{Place, counted};
+use jiff::Timestamp;
 use serde::ser::SerializeMap;
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use std::collections::BTreeMap;
+
+/// When and where a frame was taken.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct FrameFacts {
+    /// Mid-exposure, ns since 1970.
+    pub utc_ns: Option<i64>,
+    pub monotonic_s: Option<f64>,
+    pub number: Option<u64>,
+    pub temperature_c: Option<f64>,
+    /// How long the shutter was open, s.
+    pub exposure_s: Option<f64>,
+    /// Latitude and longitude (deg) and height (m).
+    place: Option<[f64; 3]>,
+    /// What of the file was not used as it stands.
+    pub warnings: Vec<Warning>,
+    /// Why the frame has no time although its file states one.
+    pub untimed: Option<Warning>,
+}
+
+impl FrameFacts {
+    pub fn of(info: &FrameInfo) -> Self {
+        let nanoseconds = |utc: Timestamp| i64::try_from(utc.as_nanosecond()).ok();
+        Self {
+            utc_ns: info.mid_exposure.and_then(nanoseconds),
+            monotonic_s: info.monotonic.map(|time| time.as_secs_f64()),
+            number: info.number,
+            temperature_c: info.camera_temperature_c,
+            exposure_s: info.exposure.map(|exposure| exposure.as_secs_f64()),
+            warnings: info.warnings.clone(),
+            untimed: info.untimed.clone(),
+            place: info
+                .place
+                .map(|place| [place.latitude_deg, place.longitude_deg, place.height_m]),
+        }
+    }
+
+    /// A frame's reason: why its time is not used, and its own.
+    pub fn reason(&self, own: Option<&str>) -> String {
+        let untimed = self.untimed.as_ref().map(|why| format!("time: {why}"));
+        let own = own.map(str::to_owned);
+        untimed
+            .into_iter()
+            .chain(own)
+            .collect::<Vec<_>>()
+            .join("; ")
+    }
+
+    pub fn utc(&self) -> Option<Timestamp> {
+        Timestamp::from_nanosecond(self.utc_ns?.into()).ok()
+    }
+
+    pub fn place(&self) -> Option<Place> {
+        let [latitude, longitude, height] = self.place?;
+        Place::new(latitude, longitude, height).ok()
+    }
+}
 
 /// Their counts.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -51,7 +107,7 @@ fn unreadable<S: Serializer>(unreadable: &Unreadable, serializer: S) -> Result<S
 
 /// Counts them while a camera's records are read.
 #[derive(Default)]
-pub(super) struct InputNotes {
+pub struct InputNotes {
     summary: InputSummary,
     warnings: Warnings,
 }
@@ -88,7 +144,6 @@ impl InputNotes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::{FrameInfo, Warning};
 
     #[test]
     fn warnings_and_unread_times_are_counted_by_kind_and_files_by_reason() {

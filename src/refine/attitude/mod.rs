@@ -3,10 +3,10 @@
 mod page;
 mod table;
 
-pub(super) use page::add_attitude;
+pub use page::add_attitude;
 
-use super::output::{say, write_if};
 use crate::calibrate::navigation::{Source, calibrated};
+use crate::calibrate::revision::write_if;
 use crate::instrument::toml_file::read_text;
 use crate::navigation::aem::Stretches;
 use crate::navigation::{
@@ -15,40 +15,35 @@ use crate::navigation::{
 };
 use crate::units::counted;
 use anyhow::Context;
-use clap::Args;
 use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Timestamp};
+use std::fmt;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use table::{write_aem, write_csv, write_fits, write_offsets};
 
-/// A flight that refuses more than this share of its measurements is not the one that its IMU tells of.
+/// A flight that refuses more than this share of its measurements is not the one that its IMU was on.
 const MOSTLY: f64 = 0.75;
 
 /// Which rows and files of an attitude are wanted.
-#[derive(Debug, Clone, Args)]
-pub(super) struct AttitudeArgs {
-    /// Rows a second [default: each sample of the IMU]
-    #[arg(long, value_name = "HZ", value_parser = parse_rate)]
-    pub rate: Option<f64>,
-    /// Write attitude.aem, too: an Attitude Ephemeris Message of CCSDS; the epoch must be known
-    #[arg(long, requires = "imu")]
+#[derive(Debug, Clone, Default)]
+pub struct Wanted {
+    /// Rows a second; all, where no rate is stated.
+    pub rate_hz: Option<f64>,
+    /// An Attitude Ephemeris Message of CCSDS, too; the epoch must be known.
     pub aem: bool,
-    /// Write NAV.toml anew, with the biases and misalignments that the filter ended with
-    #[arg(long, value_name = "OUT.toml", requires = "imu")]
-    calibrated: Option<PathBuf>,
+    /// NAV.toml anew, with the biases and misalignments that the filter ended with.
+    pub calibrated: Option<PathBuf>,
 }
 
-impl AttitudeArgs {
-    /// Which rows are wanted: all, where no rate is stated.
+impl Wanted {
     fn due(&self) -> impl FnMut(&Row) -> bool + use<> {
-        let (rate_hz, mut due) = (self.rate, Due::default());
+        let (rate_hz, mut due) = (self.rate_hz, Due::default());
         move |row| rate_hz.is_none_or(|rate_hz| due.takes(row.t_s, rate_hz))
     }
 }
 
 /// NAV.toml as it was read.
-pub(super) struct NavigationFile {
+pub struct NavigationFile {
     pub path: PathBuf,
     pub text: String,
     pub settings: Settings,
@@ -69,23 +64,17 @@ impl NavigationFile {
     }
 }
 
-fn parse_rate(text: &str) -> Result<f64, String> {
-    let rate: Option<f64> = text.parse().ok();
-    rate.filter(|rate| (1e-3..=1e5).contains(rate))
-        .ok_or_else(|| format!("expected a number from 0.001 to 100000 Hz, found \"{text}\""))
-}
-
 /// By which measurements the attitude is found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Basis {
+pub enum Basis {
     UpToThen,
     WholeFlight,
 }
 
 /// The attitude of a flight; its rows wait on disk.
-pub(super) struct Attitude<'a> {
+pub struct Attitude<'a> {
     folder: &'a Path,
-    wanted: &'a AttitudeArgs,
+    wanted: &'a Wanted,
     spool: Spool,
     stretches: Stretches,
     pub summary: Summary,
@@ -102,7 +91,7 @@ impl<'a> Attitude<'a> {
         runs: &[Flight],
         basis: Basis,
         folder: &'a Path,
-        wanted: &'a AttitudeArgs,
+        wanted: &'a Wanted,
     ) -> anyhow::Result<Self> {
         let on_disk = || format!("{}: cannot keep the attitude there", folder.display());
         let mut spool = Spool::in_folder(folder).with_context(on_disk)?;
@@ -145,8 +134,7 @@ impl<'a> Attitude<'a> {
         let [csv, fits, aem] = ["attitude.csv", "attitude.fits", "attitude.aem"].map(file);
         write_csv(&csv, self.rows()?)?;
         if with_fits {
-            let count = self.counts.written;
-            write_fits(&fits, epoch, count, self.rows()?)?;
+            write_fits(&fits, epoch, self.rows()?)?;
         }
         if let Some(epoch) = epoch.filter(|_| self.wanted.aem) {
             let stretches = self.stretches.clone();
@@ -193,14 +181,63 @@ impl<'a> Attitude<'a> {
         write_if(path, &text, |part| Settings::read(part).map(drop))
     }
 
-    /// Says in a line what came out. It is a failure where no row has an attitude, where most measurements were refused, and where the IMU's
-    /// numbers look like those of other units: a line says of which.
-    pub fn print(&self) -> anyhow::Result<ExitCode> {
-        let (counts, summary) = (&self.counts, &self.summary);
-        let innovations = summary.innovations.iter();
+    /// What came out.
+    pub fn found(&self) -> AttitudeFound {
+        let innovations = self.summary.innovations.iter();
         let refused = innovations.filter(|one| one.verdict == Verdict::Refused);
-        let refused = refused.count();
-        say(format_args!(
+        AttitudeFound {
+            counts: self.counts,
+            measurements: self.summary.innovations.len(),
+            refused: refused.count(),
+            restarts: self.summary.restarts,
+            suspected_units: self.suspected.clone(),
+        }
+    }
+}
+
+/// What came out of a flight's attitude.
+#[derive(Debug, Clone)]
+pub struct AttitudeFound {
+    pub counts: Counts,
+    pub measurements: usize,
+    /// Of these, the ones that contradicted the filter.
+    pub refused: usize,
+    pub restarts: u32,
+    /// Which other units the IMU's numbers may be in.
+    pub suspected_units: Vec<String>,
+}
+
+impl AttitudeFound {
+    fn is_mostly_refused(&self) -> bool {
+        self.refused as f64 > MOSTLY * self.measurements as f64
+    }
+
+    /// Whether rows have an attitude, most measurements agree with it, and the IMU's numbers are in its units.
+    pub fn is_sound(&self) -> bool {
+        let is_found = self.counts.of(Status::Waiting) < self.counts.rows();
+        is_found && !self.is_mostly_refused() && self.suspected_units.is_empty()
+    }
+
+    /// Why it is not to be trusted, in words.
+    pub fn doubts(&self) -> impl Iterator<Item = String> {
+        let mostly = self.is_mostly_refused().then(|| {
+            format!(
+                "{} of {} measurements contradict the gyros and accelerometers: the attitude is not to be trusted",
+                self.refused, self.measurements
+            )
+        });
+        mostly
+            .into_iter()
+            .chain(self.suspected_units.iter().cloned())
+    }
+}
+
+/// In a line, for people.
+impl fmt::Display for AttitudeFound {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let counts = &self.counts;
+        write!(
+            out,
             "{} rows: {} aligned, {} coasting, {} contradicted, {} by an unsound IMU, {} waiting, {} after {}; {} of {} measurements refused",
             counts.rows(),
             counts.of(Status::Aligned),
@@ -209,25 +246,10 @@ impl<'a> Attitude<'a> {
             counts.of(Status::Unsound),
             counts.of(Status::Waiting),
             counts.of(Status::Restarted),
-            counted(u64::from(summary.restarts), "restart"),
-            refused,
-            summary.innovations.len()
-        ))?;
-        let mostly_refused = refused as f64 > MOSTLY * summary.innovations.len() as f64;
-        let is_found = counts.of(Status::Waiting) < counts.rows();
-        if is_found && !mostly_refused && self.suspected.is_empty() {
-            return Ok(ExitCode::SUCCESS);
-        }
-        if mostly_refused {
-            tracing::error!(
-                "{refused} of {} measurements contradict the gyros and accelerometers: the attitude is not to be trusted",
-                summary.innovations.len()
-            );
-        }
-        for suspected in &self.suspected {
-            tracing::error!("{suspected}");
-        }
-        Ok(ExitCode::FAILURE)
+            counted(u64::from(self.restarts), "restart"),
+            self.refused,
+            self.measurements
+        )
     }
 }
 
@@ -255,7 +277,7 @@ fn smooth_run(run: &Flight, spool: &mut Spool) -> Option<std::io::Result<()>> {
 }
 
 /// Counts all rows, and the stretches of those that are written.
-fn look_over(spool: &mut Spool, wanted: &AttitudeArgs) -> std::io::Result<(Counts, Stretches)> {
+fn look_over(spool: &mut Spool, wanted: &Wanted) -> std::io::Result<(Counts, Stretches)> {
     let (mut counts, mut stretches) = (Counts::default(), Stretches::default());
     let mut is_due = wanted.due();
     for row in spool.rows()? {
@@ -271,7 +293,7 @@ fn look_over(spool: &mut Spool, wanted: &AttitudeArgs) -> std::io::Result<(Count
 
 /// Rows by their status.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Counts {
+pub struct Counts {
     /// In the order of [`Status::ALL`].
     by_status: [u64; Status::ALL.len()],
     /// At the rate that is wanted.

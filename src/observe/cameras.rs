@@ -1,13 +1,71 @@
 //! Which camera took which frames of an archive, by their headers.
 
-use super::camera_headers::CameraHeader;
-use super::copies::{CopiedFrame, Distinct};
-use super::first_pass::Done;
+use super::copies::{CopiedFrame, Distinct, PixelDigests, distinct, may_be_copied};
+use super::headers::{CameraHeader, CameraHeaders};
 use super::journal::JournalError;
+use super::pass::{Done, Pass, PassError};
 use crate::archive::{MOON_CAMERA, ROLL_CAMERA, StoredFile, plain};
 use crate::frame::TakenBy;
+use crate::units::counted;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+/// The cameras of an archive.
+#[derive(Debug, Default)]
+pub struct Cameras {
+    /// Those that see the plate.
+    pub plate: Vec<CameraFrames>,
+    pub roll: Option<CameraFrames>,
+    pub moon: Option<CameraFrames>,
+}
+
+/// The cameras of an archive by the headers of its frames, each frame once.
+///
+/// # Errors
+/// A pass that ends early.
+pub fn cameras(pass: &Pass<'_>, frames: Vec<StoredFile>) -> Result<Cameras, PassError> {
+    let frames = match pass.shard {
+        Some(shard) => shard.part(frames),
+        None => frames,
+    };
+    let headers = pass.over(&CameraHeaders, "headers", &frames)?;
+    let mut plate = by_camera(&headers, each_once(pass, &headers, frames)?)?;
+    let mut taken = |is_one: fn(&CameraFrames) -> bool| {
+        CameraFrames::together(plate.extract_if(.., |camera| is_one(camera)).collect())
+    };
+    Ok(Cameras {
+        roll: taken(CameraFrames::is_roll_camera),
+        moon: taken(CameraFrames::is_moon_camera),
+        plate,
+    })
+}
+
+/// The files without copies. A shard does not look for them: other shards may have the frames that its own are copies of.
+fn each_once(
+    pass: &Pass<'_>,
+    headers: &Done<CameraHeader>,
+    inputs: Vec<StoredFile>,
+) -> Result<Distinct, PassError> {
+    let alike = match pass.shard {
+        Some(_) => Vec::new(),
+        None => may_be_copied(headers, &inputs)?,
+    };
+    if alike.is_empty() {
+        return Ok(Distinct {
+            inputs,
+            ..Distinct::default()
+        });
+    }
+    let digests = pass.over(&PixelDigests, "frames compared", &alike)?;
+    let distinct = distinct(headers, &digests, inputs)?;
+    if let Some([first, other]) = distinct.contradicting.first() {
+        tracing::warn!(
+            "{other}: expected another number or time than that of {first}, found the same and other pixels ({})",
+            counted(distinct.contradicting.len() as u64, "such frame")
+        );
+    }
+    Ok(distinct)
+}
 
 /// The frames of one camera.
 #[derive(Debug, Clone, Default)]
@@ -32,9 +90,7 @@ impl CameraFrames {
     pub fn is_moon_camera(&self) -> bool {
         self.taken_by.instrument.as_deref() == Some(MOON_CAMERA)
     }
-}
 
-impl CameraFrames {
     /// The frames of several cameras as if they were one's; `None` of none.
     pub fn together(cameras: Vec<Self>) -> Option<Self> {
         cameras.into_iter().reduce(|mut all, camera| {
@@ -46,11 +102,8 @@ impl CameraFrames {
     }
 }
 
-/// The archive's cameras, by name, each with its frames.
-///
-/// # Errors
-/// A journal that cannot be read.
-pub fn cameras(
+/// The cameras by name, each with its frames.
+fn by_camera(
     done: &Done<CameraHeader>,
     Distinct { inputs, copies, .. }: Distinct,
 ) -> Result<Vec<CameraFrames>, JournalError> {
@@ -71,8 +124,8 @@ pub fn cameras(
     let mut cameras: BTreeMap<TakenBy, CameraFrames> = BTreeMap::new();
     for (input, header) in inputs.into_iter().zip(headers) {
         let (name, sha256) = header.map_or((before.clone(), None), |header| {
-            let sha256 = header.instrument_sha256();
-            (header.identity.taken_by, sha256)
+            let [_, instrument] = header.identity.flown_sha256;
+            (header.identity.taken_by, instrument)
         });
         before.clone_from(&name);
         let camera = cameras.entry(name).or_default();

@@ -1,0 +1,283 @@
+//! Frames that are named one by one, or by their folders: their files, their hash, one pass over them, and those rejected.
+
+use super::pass::Watch;
+use crate::fits::{self, FRAME_ENDINGS, Unlisted};
+use crate::frame::{Compared, Copies, Frame, Identity, PixelDigest, Unreadable, Warning, Warnings};
+use crate::provenance;
+use crate::report::html::Page;
+use crate::units::counted;
+use rayon::prelude::*;
+use sha2::{Digest, Sha256};
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// A frame that is not used, and why.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RejectedFrame {
+    pub file: PathBuf,
+    pub reason: String,
+}
+
+impl RejectedFrame {
+    pub fn new(file: impl Into<PathBuf>, reason: impl Into<String>) -> Self {
+        Self {
+            file: file.into(),
+            reason: reason.into(),
+        }
+    }
+
+    /// How many frames are rejected, and why the first is: the context of an error that may come of it.
+    pub fn count_and_first(rejected: &[Self]) -> String {
+        match rejected.first() {
+            Some(first) => {
+                let frames = counted(rejected.len() as u64, "frame");
+                format!("{frames} rejected, the first {first}")
+            }
+            None => "no calibration".into(),
+        }
+    }
+
+    /// All of them as a section of a page.
+    pub fn section(page: &mut Page, rejected: &[Self]) {
+        page.heading(&format!("Rejected frames: {}", rejected.len()));
+        let row = |frame: &Self| vec![frame.file.display().to_string(), frame.reason.clone()];
+        let rows: Vec<_> = rejected.iter().map(row).collect();
+        page.table(&["frame", "reason"], &rows);
+    }
+}
+
+impl fmt::Display for RejectedFrame {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}: {}", self.file.display(), self.reason)
+    }
+}
+
+/// Why the frames cannot be listed.
+#[derive(Debug, thiserror::Error)]
+pub enum InputError {
+    #[error("{path}: cannot read: {cause}", path = .path.display())]
+    Unreadable {
+        path: PathBuf,
+        cause: std::io::Error,
+    },
+    #[error("{}: expected frames (files that end in {}), found none", .0.display(), FRAME_ENDINGS.join(", "))]
+    NoFrames(PathBuf),
+}
+
+impl From<Unlisted> for InputError {
+    fn from(Unlisted { folder, cause }: Unlisted) -> Self {
+        Self::Unreadable {
+            path: folder,
+            cause,
+        }
+    }
+}
+
+/// Which of the frames below a given folder are meant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Depth {
+    /// Those in it; where it holds none, those in the folders in it.
+    Nearest,
+    /// Those in it and in all folders below it.
+    All,
+}
+
+/// The files of frames and of folders of them, folders in the order of their names.
+///
+/// # Errors
+/// A path that cannot be read, a folder without frames.
+pub fn list(given: &[PathBuf], depth: Depth) -> Result<Vec<PathBuf>, InputError> {
+    let mut files = Vec::new();
+    for path in given {
+        let kind = std::fs::metadata(path).map_err(|cause| InputError::Unreadable {
+            path: path.clone(),
+            cause,
+        })?;
+        let mut found = match (kind.is_dir(), depth) {
+            (false, _) => vec![path.clone()],
+            (true, Depth::Nearest) => nearest(path)?,
+            (true, Depth::All) => fits::list_tree(path)?,
+        };
+        if found.is_empty() {
+            return Err(InputError::NoFrames(path.clone()));
+        }
+        files.append(&mut found);
+    }
+    Ok(files)
+}
+
+/// The files among `given` as they are named, and the frames of each folder; one without frames stays, for a line of its own.
+///
+/// # Errors
+/// A folder that cannot be listed.
+pub fn named(given: &[PathBuf]) -> Result<Vec<PathBuf>, Unlisted> {
+    let mut files = Vec::new();
+    for path in given {
+        let mut frames = match path.is_dir() {
+            true => fits::list_tree(path)?,
+            false => Vec::new(),
+        };
+        if frames.is_empty() {
+            frames.push(path.clone());
+        }
+        files.append(&mut frames);
+    }
+    Ok(files)
+}
+
+/// Takes what each item comes to, in the order of the items, `jobs` of them at a time.
+///
+/// # Errors
+/// What `take` gives.
+pub fn in_order<I: Sync, O: Send>(
+    items: &[I],
+    jobs: usize,
+    solve: impl Fn(&I) -> O + Sync,
+    mut take: impl FnMut(O) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
+    for some in items.chunks(jobs.max(1)) {
+        let solved: Vec<O> = pool.install(|| some.par_iter().map(&solve).collect());
+        solved.into_iter().try_for_each(&mut take)?;
+    }
+    Ok(())
+}
+
+fn nearest(folder: &Path) -> Result<Vec<PathBuf>, Unlisted> {
+    let mut listing = fits::list_folder(folder)?;
+    if listing.files.is_empty() {
+        for folder in &listing.folders {
+            listing.files.append(&mut fits::list_folder(folder)?.files);
+        }
+    }
+    Ok(listing.files)
+}
+
+/// What a pass over files gave.
+#[derive(Debug)]
+pub struct Observed<T> {
+    /// In the order given, each frame once: what it gave, or why its file cannot be read.
+    pub frames: Vec<(PathBuf, Result<T, String>)>,
+    /// Files that hold the frame of another one.
+    pub copies: Vec<RejectedFrame>,
+}
+
+/// Opens each file once, several at a time, and gives what is made of its frame; of a file of several images the one of `size_px`. Warns of
+/// files that cannot be read, of values of headers that are not used, and of frames in one folder that cannot be told apart.
+pub fn over<T: Send>(
+    files: Vec<PathBuf>,
+    size_px: [usize; 2],
+    watch: &dyn Watch,
+    observe: impl Fn(&Path, Frame) -> T + Sync,
+) -> Observed<T> {
+    watch.begin(files.len(), "frames");
+    let one = |file: &PathBuf| {
+        let frame = fits::read_frame_of_size(file, size_px);
+        let observed = frame
+            .map_err(|error| error.problem.to_string())
+            .map(|frame| {
+                let seen = Seen::of(&frame);
+                (seen, observe(file, frame))
+            });
+        watch.step();
+        observed
+    };
+    let observed: Vec<Result<(Seen, T), String>> = files.par_iter().map(one).collect();
+    watch.end();
+    let seen: Vec<Option<&Seen>> = observed.iter().map(|o| Some(&o.as_ref().ok()?.0)).collect();
+    warn_of(&files, &observed);
+    let first_of = first_of(&files, &seen);
+    let mut all = Observed {
+        frames: Vec::new(),
+        copies: Vec::new(),
+    };
+    for ((file, first), observed) in files.iter().zip(first_of).zip(observed) {
+        match first {
+            Some(first) => {
+                let reason = format!("the same frame as {}", files[first].display());
+                all.copies.push(RejectedFrame::new(file, reason));
+            }
+            None => all
+                .frames
+                .push((file.clone(), observed.map(|(_, given)| given))),
+        }
+    }
+    all
+}
+
+/// By what a frame is recognised, and what of its file was not used.
+struct Seen {
+    identity: Identity,
+    digest: PixelDigest,
+    warnings: Vec<Warning>,
+}
+
+impl Seen {
+    fn of(frame: &Frame) -> Self {
+        Self {
+            identity: Identity::of(&frame.info),
+            digest: PixelDigest::of(frame),
+            warnings: frame.info.warnings.clone(),
+        }
+    }
+}
+
+/// The file whose frame each file holds once more.
+fn first_of(files: &[PathBuf], seen: &[Option<&Seen>]) -> Vec<Option<usize>> {
+    let read = seen
+        .iter()
+        .enumerate()
+        .filter_map(|(n, seen)| Some((n, (*seen)?)));
+    let (at, compared): (Vec<usize>, Vec<Compared>) = read
+        .map(|(n, seen)| {
+            let compared = Compared {
+                path: &files[n],
+                identity: &seen.identity,
+                digest: Some(seen.digest),
+            };
+            (n, compared)
+        })
+        .unzip();
+    let found = Copies::among(&compared);
+    for [first, other] in found.contradicting {
+        let (first, other) = (&files[at[first]], &files[at[other]]);
+        if first.parent() == other.parent() {
+            tracing::warn!(
+                "{}: expected another number or time than that of {}, found the same and other pixels",
+                other.display(),
+                first.display()
+            );
+        }
+    }
+    let mut first_of = vec![None; files.len()];
+    for (n, first) in found.of.iter().enumerate() {
+        first_of[at[n]] = first.map(|first| at[first]);
+    }
+    first_of
+}
+
+/// Warns of what was not used, and counts it.
+fn warn_of<T>(files: &[PathBuf], observed: &[Result<(Seen, T), String>]) {
+    let (mut warnings, mut unreadable) = (Warnings::default(), Unreadable::default());
+    for (file, observed) in files.iter().zip(observed) {
+        match observed {
+            Ok((seen, _)) => warnings.note(&file.display().to_string(), &seen.warnings),
+            Err(error) => unreadable.note(error),
+        }
+    }
+    // Of each kind of warning its first file was named already.
+    for (kind, files) in warnings.counts().filter(|(_, files)| *files > 1) {
+        tracing::warn!("{}: {kind}", counted(files, "file"));
+    }
+    if let Some(line) = unreadable.line() {
+        tracing::warn!("{line}");
+    }
+}
+
+/// SHA-256 over the sorted SHA-256 of the files that can be read, hexadecimal: whatever their names and order.
+pub fn sha256<F: AsRef<Path> + Sync>(files: &[F]) -> String {
+    let one = |file: &F| Some(Sha256::digest(fits::read_bytes(file.as_ref()).ok()?));
+    let mut hashes: Vec<_> = files.par_iter().filter_map(one).collect();
+    hashes.sort_unstable();
+    provenance::sha256(hashes.concat())
+}

@@ -1,0 +1,531 @@
+//! A pass over frames: each on its own, on all cores, its record in the journal as soon as it is made.
+
+use super::journal::{Journal, JournalError, Place, Record};
+use crate::archive::{ArchiveReader, FlownFiles, StoredFile};
+use crate::fits::{FileError, Header, Problem};
+use crate::frame::Frame;
+use crate::provenance;
+use jiff::Timestamp;
+use rayon::prelude::*;
+use serde::{Serialize, de::DeserializeOwned};
+use std::collections::HashMap;
+use std::hash::{Hash, Hasher};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+/// Counts with every change of what a record holds or how it is made.
+const JOURNAL_VERSION: u32 = 6;
+
+/// FNV-1a, the same on every machine and in every release of the compiler.
+pub fn hash_of(bytes: &[u8]) -> u64 {
+    let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, mix)
+}
+
+/// Who follows a pass, and may end it.
+pub trait Watch: Sync {
+    /// So many frames are to be done.
+    fn begin(&self, _frames: usize, _what: &str) {}
+
+    /// One more is done.
+    fn step(&self) {}
+
+    /// All are done.
+    fn end(&self) {}
+
+    /// Whether no further frame is to be begun.
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+}
+
+/// Nobody follows.
+impl Watch for () {}
+
+/// Why a pass ended before its last frame, or what it gave cannot be read again.
+#[derive(Debug, thiserror::Error)]
+pub enum PassError {
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+    #[error(
+        "{}: expected answers, found none to many requests, such as: {why}; run again to go on",
+        .archive.display()
+    )]
+    Silent { archive: PathBuf, why: String },
+    #[error("cancelled: what is done is in the journal; run again to go on")]
+    Cancelled,
+    #[error(
+        "{}: expected a journal of the same version, instrument and settings ({name}), found none",
+        .folder.display()
+    )]
+    NoJournal { folder: PathBuf, name: String },
+}
+
+/// One part of several that share the work.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shard {
+    /// From 1.
+    pub number: u32,
+    pub of: u32,
+}
+
+impl Shard {
+    /// Every Nth of all, from the Ith on.
+    pub fn part<T>(self, all: Vec<T>) -> Vec<T> {
+        let (skip, every) = (self.number as usize - 1, self.of as usize);
+        all.into_iter().skip(skip).step_by(every).collect()
+    }
+}
+
+impl std::str::FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts = text.split_once('/');
+        let shard = parts.and_then(|(number, of)| {
+            let (number, of) = (number.trim().parse().ok()?, of.trim().parse().ok()?);
+            (1..=of).contains(&number).then_some(Self { number, of })
+        });
+        shard.ok_or_else(|| format!("expected I/N with I from 1 to N, found \"{text}\""))
+    }
+}
+
+/// The first and the last mid-exposure that count; frames without a time count where neither is given.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Span {
+    pub since: Option<Timestamp>,
+    pub until: Option<Timestamp>,
+}
+
+impl Span {
+    pub fn holds(&self, utc: Option<Timestamp>) -> bool {
+        match utc {
+            Some(utc) => {
+                self.since.is_none_or(|since| utc >= since)
+                    && self.until.is_none_or(|until| utc <= until)
+            }
+            None => self.since.is_none() && self.until.is_none(),
+        }
+    }
+}
+
+/// What a pass makes of each frame.
+pub trait Observer: Sync {
+    /// What a frame gives.
+    type Given: Serialize + DeserializeOwned + Clone + Send;
+
+    /// What the journal's name begins with.
+    fn prefix(&self) -> &'static str {
+        ""
+    }
+
+    /// All that was stated and that a frame's record depends on, as text: the same text, the same records.
+    fn stated(&self) -> String;
+
+    /// What a file's frame gives; none where its time lies outside the span.
+    ///
+    /// # Errors
+    /// Why there is no frame, in words.
+    fn observe(
+        &self,
+        archive: &ArchiveReader,
+        input: &StoredFile,
+        span: &Span,
+    ) -> Result<Option<Self::Given>, Unsolved>;
+
+    /// A number that changes with the program's version and with what was stated.
+    fn hash(&self) -> u64 {
+        let stated = self.stated();
+        hash_of(format!("{} {JOURNAL_VERSION} {stated}", provenance::VERSION).as_bytes())
+    }
+
+    /// The journal's name.
+    fn journal_name(&self) -> String {
+        format!("{}{:016x}.journal", self.prefix(), self.hash())
+    }
+}
+
+/// A pass over an archive.
+#[derive(Clone, Copy)]
+pub struct Pass<'a> {
+    pub archive: &'a ArchiveReader,
+    /// The folder of the journal.
+    pub out: &'a Path,
+    /// Folders of other runs whose journals are read as well.
+    pub merge: &'a [PathBuf],
+    pub shard: Option<Shard>,
+    pub span: Span,
+    pub watch: &'a dyn Watch,
+}
+
+impl Pass<'_> {
+    /// Observes the inputs that neither this run's journal nor a merged one holds; `what` names them for the watch.
+    ///
+    /// # Errors
+    /// A journal that cannot be used, an object store that does not answer, a watch that cancels. Frames that cannot be read are no error,
+    /// but a record.
+    pub fn over<O: Observer>(
+        &self,
+        observer: &O,
+        what: &str,
+        inputs: &[StoredFile],
+    ) -> Result<Done<O::Given>, PassError> {
+        let name = observer.journal_name();
+        let others = self.merge.iter().map(|folder| folder.join(&name));
+        let others: Vec<PathBuf> = others.filter(|path| path.is_file()).collect();
+        let mut done = Done::open(&self.out.join(&name), &others)?;
+        let left = inputs.iter().filter(|input| !done.holds(input)).count();
+        self.watch.begin(left, what);
+        done.add(self, observer, inputs)?;
+        self.watch.end();
+        self.check()?;
+        Ok(done)
+    }
+
+    /// Refuses to go on where nobody answers, or nobody wants to.
+    ///
+    /// # Errors
+    /// An object store that does not answer, a watch that cancels.
+    pub fn check(&self) -> Result<(), PassError> {
+        if self.watch.is_cancelled() {
+            return Err(PassError::Cancelled);
+        }
+        match self.archive.is_lost() {
+            true => Err(PassError::Silent {
+                archive: self.archive.name().into(),
+                why: self
+                    .archive
+                    .unread_files()
+                    .into_values()
+                    .next()
+                    .unwrap_or_default(),
+            }),
+            false => Ok(()),
+        }
+    }
+
+    /// Refuses to merge where no folder holds an observer's journal, and warns of folders that hold none: a run with another instrument
+    /// would observe all frames again.
+    ///
+    /// # Errors
+    /// The first folder, where none holds one.
+    pub fn expect_journals(&self, observer: &impl Observer) -> Result<(), PassError> {
+        let name = observer.journal_name();
+        let lacks = |folder: &&PathBuf| !folder.join(&name).is_file();
+        let lacking: Vec<PassError> = self
+            .merge
+            .iter()
+            .filter(lacks)
+            .map(|folder| PassError::NoJournal {
+                folder: folder.clone(),
+                name: name.clone(),
+            })
+            .collect();
+        let all = lacking.len() == self.merge.len();
+        for lack in lacking {
+            if all {
+                return Err(lack);
+            }
+            tracing::warn!("{lack}: its frames are solved here");
+        }
+        Ok(())
+    }
+
+    fn goes_on(&self) -> bool {
+        !self.archive.is_lost() && !self.watch.is_cancelled()
+    }
+}
+
+/// Where the record of each input stands.
+#[derive(Debug)]
+pub struct Done<T> {
+    journals: Vec<Journal<T>>,
+    /// The journal's number and the place in it.
+    places: HashMap<u64, (usize, Place)>,
+    /// What holds for this run alone, and is in no journal: frames that contradict their archive, for another run may be told to use them,
+    /// and files that could not be read for now.
+    passing: HashMap<u64, Record<T>>,
+}
+
+/// An input's key: what the record must match.
+pub fn key(input: &StoredFile) -> u64 {
+    let mut hasher = Fnv::default();
+    input.hash(&mut hasher);
+    hasher.0
+}
+
+#[derive(Default)]
+struct Fnv(u64);
+
+impl Hasher for Fnv {
+    fn write(&mut self, bytes: &[u8]) {
+        self.0 = hash_of(&[&self.0.to_le_bytes(), bytes].concat());
+    }
+
+    fn finish(&self) -> u64 {
+        self.0
+    }
+}
+
+impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
+    /// Opens the run's own journal and reads those of other runs.
+    ///
+    /// # Errors
+    /// A journal that cannot be used.
+    pub fn open(own: &Path, others: &[PathBuf]) -> Result<Self, JournalError> {
+        let mut places = HashMap::new();
+        let mut journals = Vec::new();
+        for other in others {
+            let number = journals.len() + 1;
+            journals.push(Journal::read(other, |record, place| {
+                places.insert(key(&record.input), (number, place));
+            })?);
+        }
+        let own = Journal::open(own, |record, place| {
+            places.insert(key(&record.input), (0, place));
+        })?;
+        journals.insert(0, own);
+        Ok(Self {
+            journals,
+            places,
+            passing: HashMap::new(),
+        })
+    }
+
+    pub fn holds(&self, input: &StoredFile) -> bool {
+        self.places.contains_key(&key(input))
+    }
+
+    /// The record of an input, where it is done.
+    ///
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn record(&self, input: &StoredFile) -> Result<Option<Record<T>>, JournalError> {
+        self.record_of(key(input))
+    }
+
+    /// The same by the input's key.
+    ///
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn record_of(&self, key: u64) -> Result<Option<Record<T>>, JournalError> {
+        let Some((journal, place)) = self.places.get(&key) else {
+            return Ok(self.passing.get(&key).cloned());
+        };
+        self.journals[*journal].record(*place).map(Some)
+    }
+
+    /// How many inputs have no frame, for whatever reason.
+    ///
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn unreadable(&self, inputs: &[StoredFile]) -> Result<usize, JournalError> {
+        let mut unreadable = 0;
+        for input in inputs {
+            let record = self.record(input)?;
+            unreadable += usize::from(record.is_some_and(|record| record.outcome.is_err()));
+        }
+        Ok(unreadable)
+    }
+
+    /// Observes the inputs that are not done, several at a time, and notes each in the run's own journal.
+    fn add(
+        &mut self,
+        pass: &Pass<'_>,
+        observer: &impl Observer<Given = T>,
+        inputs: &[StoredFile],
+    ) -> Result<(), JournalError> {
+        let journal = &self.journals[0];
+        let passing = Mutex::new(HashMap::new());
+        let new: Vec<(u64, (usize, Place))> = inputs
+            .par_iter()
+            .filter(|input| !self.places.contains_key(&key(input)) && pass.goes_on())
+            .filter_map(|input| {
+                let outcome = observer
+                    .observe(pass.archive, input, &pass.span)
+                    .transpose()?;
+                pass.watch.step();
+                let (outcome, is_lasting) = match outcome {
+                    Ok(frame) => (Ok(frame), true),
+                    Err(Unsolved::Unreadable(error)) => (Err(error), true),
+                    Err(Unsolved::Unread(error) | Unsolved::Contradicting(error)) => {
+                        (Err(error), false)
+                    }
+                };
+                let input_key = key(input);
+                let record = Record {
+                    input: input.clone(),
+                    outcome,
+                };
+                if !is_lasting {
+                    let mut passing = passing.lock().unwrap_or_else(PoisonError::into_inner);
+                    passing.insert(input_key, record);
+                    return None;
+                }
+                let place = journal.append(&record);
+                Some(place.map(|place| (input_key, (0, place))))
+            })
+            .collect::<Result<_, JournalError>>()?;
+        self.places.extend(new);
+        let passing = passing.into_inner();
+        self.passing = passing.unwrap_or_else(PoisonError::into_inner);
+        Ok(())
+    }
+}
+
+/// Why a frame has no record of its own, in words.
+pub enum Unsolved {
+    /// What the file holds cannot be read.
+    Unreadable(String),
+    /// The file could not be opened or fetched: another attempt may succeed.
+    Unread(String),
+    /// It names another instrument or configuration than its archive's.
+    Contradicting(String),
+}
+
+/// What is made of a file's frame, of several images the one of this size; `None` where its time lies outside the span. A frame that names
+/// another instrument or configuration than its archive's is refused.
+///
+/// # Errors
+/// Why there is no frame, in words.
+pub fn with_frame<T>(
+    archive: &ArchiveReader,
+    input: &StoredFile,
+    span: &Span,
+    size_px: [usize; 2],
+    archived: &FlownFiles,
+    make: impl FnOnce(&Frame, &Header) -> Result<T, String>,
+) -> Result<Option<T>, Unsolved> {
+    let file = archive.open_file(&input.file)?.of_size(size_px);
+    let (info, header) = file.info()?;
+    if !span.holds(info.mid_exposure) {
+        return Ok(None);
+    }
+    let named = archived.check(&header);
+    named.map_err(|problem| Unsolved::Contradicting(problem.to_string()))?;
+    let made = file.with_frame(|frame| make(frame, &header))?;
+    made.map(Some).map_err(Unsolved::Unreadable)
+}
+
+/// The row names the file already.
+impl From<FileError> for Unsolved {
+    fn from(error: FileError) -> Self {
+        let text = error.problem.to_string();
+        match error.problem {
+            Problem::Io { .. } => Self::Unread(text),
+            _ => Self::Unreadable(text),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    /// Every frame is unread, unreadable or a number.
+    struct Numbers(Option<fn(String) -> Unsolved>);
+
+    impl Observer for Numbers {
+        type Given = u32;
+
+        fn stated(&self) -> String {
+            String::new()
+        }
+
+        fn observe(
+            &self,
+            _: &ArchiveReader,
+            _: &StoredFile,
+            _: &Span,
+        ) -> Result<Option<u32>, Unsolved> {
+            self.0.map_or(Ok(Some(7)), |error| Err(error("why".into())))
+        }
+    }
+
+    fn input(file: &str) -> StoredFile {
+        StoredFile {
+            file: file.into(),
+            bytes: 1,
+            written_ns: 2,
+        }
+    }
+
+    fn pass<'a>(archive: &'a ArchiveReader, out: &'a Path, watch: &'a dyn Watch) -> Pass<'a> {
+        Pass {
+            archive,
+            out,
+            merge: &[],
+            shard: None,
+            span: Span::default(),
+            watch,
+        }
+    }
+
+    #[test]
+    fn what_another_attempt_may_read_is_in_no_journal() {
+        let folder = tempfile::tempdir().unwrap();
+        let archive = ArchiveReader::open(folder.path(), folder.path()).unwrap();
+        let input = input("a.fits");
+        let second_try = |name: &str, error: fn(String) -> Unsolved| {
+            let out = folder.path().join(name);
+            std::fs::create_dir(&out).unwrap();
+            let outcomes = [Some(error), None].map(|error| {
+                let inputs = std::slice::from_ref(&input);
+                let done = pass(&archive, &out, &()).over(&Numbers(error), "frames", inputs);
+                done.unwrap().record(&input).unwrap().unwrap().outcome
+            });
+            assert_eq!(outcomes[0], Err("why".into()));
+            outcomes[1].clone()
+        };
+        assert_eq!(second_try("unread", Unsolved::Unread), Ok(7));
+        assert_eq!(second_try("contradicting", Unsolved::Contradicting), Ok(7));
+        let lasting = second_try("unreadable", Unsolved::Unreadable);
+        assert_eq!(lasting, Err("why".into()));
+    }
+
+    /// Cancels after so many frames.
+    struct Impatient {
+        left: AtomicUsize,
+    }
+
+    impl Watch for Impatient {
+        fn step(&self) {
+            self.left.fetch_sub(1, Ordering::Relaxed);
+        }
+
+        fn is_cancelled(&self) -> bool {
+            self.left.load(Ordering::Relaxed) == 0
+        }
+    }
+
+    #[test]
+    fn a_pass_that_is_cancelled_ends_at_the_next_frame_and_goes_on_from_its_journal() {
+        let folder = tempfile::tempdir().unwrap();
+        let archive = ArchiveReader::open(folder.path(), folder.path()).unwrap();
+        let inputs: Vec<StoredFile> = (0..50).map(|n| input(&format!("{n}.fits"))).collect();
+        let over = |frames: usize| {
+            let left = AtomicUsize::new(frames);
+            let watch = Impatient { left };
+            let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+            let outcome = one_core.unwrap().install(|| {
+                pass(&archive, folder.path(), &watch).over(&Numbers(None), "", &inputs)
+            });
+            (outcome, frames - watch.left.load(Ordering::Relaxed))
+        };
+        let (outcome, observed) = over(20);
+        assert!(matches!(outcome, Err(PassError::Cancelled)));
+        assert_eq!(observed, 20);
+        let (outcome, observed) = over(1000);
+        assert_eq!(observed, 30);
+        assert_eq!(outcome.unwrap().unreadable(&inputs).unwrap(), 0);
+    }
+
+    #[test]
+    fn a_shard_is_one_of_n() {
+        assert_eq!("2/4".parse(), Ok(Shard { number: 2, of: 4 }));
+        for text in ["0/4", "5/4", "1", "a/b", "1/0", ""] {
+            assert!(text.parse::<Shard>().is_err(), "{text}");
+        }
+    }
+}

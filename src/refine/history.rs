@@ -1,0 +1,307 @@
+//! The flight as a whole: from what each frame gave to the history.
+
+use super::clock_facts::ClockFacts;
+use super::frames::Frames;
+use super::look::look_again;
+use super::mapping::{FlightMapping, MappingFacts};
+use super::oddity::{Oddities, Oddity};
+use super::outliers::outliers;
+use super::path::{SunPath, is_known};
+use super::radius::RadiusDependence;
+use super::recipe::Recipe;
+use super::record::{FrameRecord, Grade};
+use super::roll::RollHistory;
+use super::row::Row;
+use super::sky::Sky;
+use super::suns::{Flight, Suns};
+use super::timeline::{Entry, Timeline};
+use crate::geometry::attitude::Direction;
+use crate::instrument::Instrument;
+use crate::observe::{CameraFrames, Done, InputSummary, JournalError, Pass, PassError};
+use crate::sky::Ephemeris;
+use crate::smoothing::{Path, PathPoint};
+use crate::units::{Measured, Place};
+use jiff::Timestamp;
+use rayon::prelude::*;
+
+/// Rows that are put together at a time, and those of them that share an ephemeris, whose costly part is done once a second.
+const TOGETHER: usize = 4096;
+const SAME_EPHEMERIS: usize = 256;
+
+/// The history of one camera's frames. Its rows are put together when they are asked for: what a frame gave stays in the journal.
+pub struct History {
+    flight: Flight,
+    suns: Suns,
+    path: SunPath,
+    /// The sky, and straight down in the body's axes at each dated frame where the roll camera saw the horizon.
+    sky: Sky,
+    nadirs: Vec<Option<Direction>>,
+    pub radius_by_temperature: RadiusDependence,
+}
+
+/// Why there is no history.
+#[derive(Debug, thiserror::Error)]
+pub enum HistoryError {
+    #[error(transparent)]
+    Pass(#[from] PassError),
+    /// Most fine frames contradict the instrument: they are not its camera's.
+    #[error("{0}")]
+    Contradiction(String),
+    #[error("expected frames from --since to --until, found none")]
+    Empty,
+}
+
+impl From<JournalError> for HistoryError {
+    fn from(error: JournalError) -> Self {
+        Self::Pass(error.into())
+    }
+}
+
+impl History {
+    /// Makes the history of a camera's frames, each of which a pass has observed: the clock, the mapping, the Suns, what is odd, the path, and
+    /// a second look at frames that had failed.
+    ///
+    /// # Errors
+    /// A journal that cannot be read; frames that are not of the instrument's camera; a pass that is to end.
+    pub fn new(
+        done: Done<FrameRecord>,
+        camera: CameraFrames,
+        recipe: Recipe,
+        sky: Sky,
+        pass: &Pass<'_>,
+    ) -> Result<Self, HistoryError> {
+        let timeline = Timeline::new(done, camera, &pass.span)?;
+        if timeline.is_empty() {
+            return Err(HistoryError::Empty);
+        }
+        let mut frames = Frames::read(&timeline, &recipe.instrument)?;
+        if let Some(contradiction) = frames.contradiction {
+            return Err(HistoryError::Contradiction(contradiction));
+        }
+        let distortion = recipe.instrument.camera.distortion;
+        let mapping = FlightMapping::estimate(&since_first(&timeline), &mut frames, distortion);
+        if mapping.is_none() {
+            tracing::warn!(
+                "the marks determine no mapping of the flight: each frame stands by itself"
+            );
+        }
+        let flight = Flight {
+            recipe,
+            timeline,
+            frames: frames.frames,
+            mapping,
+        };
+        let mut suns = Suns::find(&flight)?;
+        let all: Vec<usize> = (0..flight.frames.len()).collect();
+        suns.odd = outliers(&flight, &suns, &all);
+        let path = followed(&flight, &mut suns);
+        let again = look_again(&flight, &suns, &path, pass);
+        pass.check()?;
+        let path = match again.is_empty() {
+            true => path,
+            false => {
+                let numbers: Vec<usize> = again.iter().map(|(n, _)| *n).collect();
+                for (n, seen) in again {
+                    suns.seen[n] = Some(seen);
+                }
+                for (n, mut odd) in numbers.iter().zip(outliers(&flight, &suns, &numbers)) {
+                    if flight.frames[*n].disc.is_none() {
+                        odd.insert(Oddity::SecondLook);
+                    }
+                    suns.odd[*n] = odd;
+                }
+                followed(&flight, &mut suns)
+            }
+        };
+        Ok(Self {
+            radius_by_temperature: RadiusDependence::of(&flight, &suns),
+            nadirs: Vec::new(),
+            flight,
+            suns,
+            path,
+            sky,
+        })
+    }
+
+    /// With straight down in the body's axes at each dated frame.
+    pub fn with_roll(self, roll: &RollHistory) -> Self {
+        let timeline = &self.flight.timeline;
+        let times_s = (0..timeline.dated()).filter_map(|n| timeline.unix_s(n));
+        let times_s: Vec<f64> = times_s.collect();
+        Self {
+            nadirs: roll.body_nadirs(&times_s),
+            ..self
+        }
+    }
+
+    pub fn recipe(&self) -> &Recipe {
+        &self.flight.recipe
+    }
+
+    pub fn instrument(&self) -> &Instrument {
+        &self.flight.recipe.instrument
+    }
+
+    pub fn sky(&self) -> &Sky {
+        &self.sky
+    }
+
+    /// What of the files was not used as it stands.
+    pub fn inputs(&self) -> &InputSummary {
+        &self.flight.timeline.inputs
+    }
+
+    pub fn clock(&self) -> &ClockFacts {
+        &self.flight.timeline.clock
+    }
+
+    pub fn mapping(&self) -> Option<&MappingFacts> {
+        self.flight.mapping.as_ref().map(|mapping| &mapping.facts)
+    }
+
+    /// The flight's radius over the expected one.
+    pub fn radius_ratio(&self) -> Option<Measured> {
+        self.suns.radius_ratio
+    }
+
+    /// The smoothed path of the Sun over the plate, and the time of each of its points, s since 1970.
+    pub fn path(&self) -> Option<(&Path, &[f64])> {
+        Some((self.path.path.as_ref()?, &self.path.times_s))
+    }
+
+    /// The points of the smoothed path; none where it is a guess.
+    pub fn smoothed(&self) -> impl Iterator<Item = (f64, Option<&PathPoint>)> {
+        let points = self.path.path.iter().flat_map(|path| &path.points);
+        let times = self.path.times_s.iter().copied();
+        times.zip(points.map(|point| is_known(point).then_some(point)))
+    }
+
+    /// How many files there are.
+    pub fn len(&self) -> usize {
+        self.flight.timeline.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// How many of them have a time: the first ones.
+    pub fn dated(&self) -> usize {
+        self.flight.timeline.dated()
+    }
+
+    /// The file of a place in the history.
+    pub fn file(&self, n: usize) -> &str {
+        self.flight.timeline.file(n)
+    }
+
+    pub fn utc(&self, n: usize) -> Option<Timestamp> {
+        Timestamp::from_nanosecond(self.flight.timeline.utc_ns(n)?.into()).ok()
+    }
+
+    /// A row for each file, in the order of time; frames without a time and files that could not be read come last, by name.
+    pub fn rows(&self) -> impl Iterator<Item = Result<Row, JournalError>> {
+        (0..self.len()).step_by(TOGETHER).flat_map(|first| {
+            let some = first..self.len().min(first + TOGETHER);
+            let parts = some.into_par_iter().chunks(SAME_EPHEMERIS);
+            let rows = parts.flat_map_iter(|part| {
+                let mut ephemeris = self.sky.ephemeris.clone();
+                let rows = part.into_iter().map(|n| self.row(n, &mut ephemeris));
+                rows.collect::<Vec<_>>()
+            });
+            rows.collect::<Vec<_>>()
+        })
+    }
+
+    /// Where the dated frames that say so were taken, with the time, s since 1970.
+    ///
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn places(&self) -> Result<Vec<(f64, Place)>, JournalError> {
+        let timeline = &self.flight.timeline;
+        let mut places = Vec::new();
+        let read = |n: usize| {
+            let frame = timeline.frame(n)?;
+            let place = frame.and_then(|frame| frame.facts.place());
+            Ok(timeline.unix_s(n).zip(place))
+        };
+        timeline.each(timeline.dated(), read, |place| places.extend(place))?;
+        Ok(places)
+    }
+
+    fn row(&self, n: usize, ephemeris: &mut Ephemeris) -> Result<Row, JournalError> {
+        let Flight {
+            timeline,
+            frames,
+            mapping,
+            recipe,
+        } = &self.flight;
+        let (own, copy_of, error) = match timeline.entry(n)? {
+            Entry::Frame(frame) => (Some(*frame), None, None),
+            Entry::None { error, copy_of } => (None, copy_of, Some(format!("file: {error}"))),
+        };
+        let own_reason = own
+            .as_ref()
+            .map(|own| own.facts.reason(own.reason.as_deref()));
+        let timing = timeline.timing(n);
+        let mut row = Row {
+            file: timeline.file(n).into(),
+            copy_of,
+            utc_ns: timeline.utc_ns(n),
+            timing,
+            speed_mil_per_s: None,
+            quality: own.as_ref().map_or(Grade::None, |own| own.quality),
+            own_reason: own_reason.or(error).unwrap_or_default(),
+            oddities: Oddities::default(),
+            sun: own
+                .as_ref()
+                .and_then(|own| Some(own.disc.as_ref()?.on_plate())),
+            disc: None,
+            limb_part: own
+                .as_ref()
+                .and_then(|own| Some(own.disc.as_ref()?.limb_fraction)),
+            expected_radius_mil: None,
+            mapping: None,
+            jump_px: None,
+            sky: None,
+            body_nadir: None,
+            own,
+        };
+        let Some(frame) = frames.get(n) else {
+            return Ok(row);
+        };
+        row.oddities = self.suns.odd[n];
+        row.expected_radius_mil = frame.expected_radius_mil;
+        row.quality = self.suns.quality(frame, n);
+        row.sun = self.suns.sun(frame, n);
+        row.limb_part = self.suns.limb_part(frame, n);
+        row.speed_mil_per_s = timing.sigma_s.and_then(|_| self.path.speed(n));
+        row.body_nadir = self.nadirs.get(n).copied().flatten();
+        if let Some(seen) = &self.suns.seen[n] {
+            row.disc = Some(seen.disc);
+            row.mapping = mapping.as_ref().and_then(|mapping| mapping.numbers(n));
+            row.jump_px = mapping.as_ref().and_then(|mapping| mapping.own_jump(n));
+            if seen.quality == Grade::Fine && frame.disc.is_some() {
+                row.own_reason.clear();
+            }
+        }
+        row.sky = self.sky.row(&row, &recipe.instrument, ephemeris);
+        Ok(row)
+    }
+}
+
+/// The path of the fine frames; those that lie off it are odd from now on.
+fn followed(flight: &Flight, suns: &mut Suns) -> SunPath {
+    let (path, off) = SunPath::follow(flight, suns);
+    for n in off {
+        suns.odd[n].insert(Oddity::Path);
+    }
+    path
+}
+
+/// The times of the dated frames from the first one, s.
+fn since_first(timeline: &Timeline<FrameRecord>) -> Vec<f64> {
+    let times = (0..timeline.dated()).filter_map(|n| timeline.utc_ns(n));
+    let first = timeline.utc_ns(0).unwrap_or_default();
+    times.map(|utc_ns| (utc_ns - first) as f64 / 1e9).collect()
+}

@@ -1,0 +1,109 @@
+//! What is odd about a frame beside the others.
+
+use super::disc::PlateDisc;
+use super::frames::Frame;
+use super::mapping::Standing;
+use super::oddity::{Oddities, Oddity};
+use super::suns::{Flight, Suns};
+use crate::estimation::median;
+use crate::units::Measured;
+use rayon::prelude::*;
+
+/// So many times the flight's usual scatter is odd.
+const ODD_SIGMAS: f64 = 8.0;
+/// Smaller deviations of the radius are none, relative.
+const LEAST_ODD_RADIUS: f64 = 1e-3;
+/// A limb that scatters so many times more than usual is odd.
+const ODD_SCATTER: f64 = 2.0;
+/// Light or noise that differs by more than this factor from the frames about it is odd.
+const ODD_LIGHT: f64 = 1.3;
+const ODD_NOISE: f64 = 1.6;
+/// Frames to each side whose median is usual.
+const ABOUT: usize = 20;
+/// Fewer marks than this part of those that are lit is odd.
+const ODD_MARKS: f64 = 0.5;
+
+/// What is usual in a flight.
+struct Usual {
+    scatter: f64,
+    /// Each dated frame's light and noise over those of the frames about it.
+    light: Vec<Option<f64>>,
+    noise: Vec<Option<f64>>,
+}
+
+/// What is odd about each of some dated frames; nothing without a mapping of the flight.
+pub(super) fn outliers(flight: &Flight, suns: &Suns, of: &[usize]) -> Vec<Oddities> {
+    if flight.mapping.is_none() {
+        return vec![Oddities::default(); of.len()];
+    }
+    let discs = suns.seen.iter().flatten();
+    let scatter = median(discs.map(|seen| seen.disc.scatter));
+    let usual = Usual {
+        scatter: scatter.map_or(1.0, |scatter| scatter.max(1.0)),
+        light: about(flight, suns, |levels| levels[2] - levels[0]),
+        noise: about(flight, suns, |levels| levels[1]),
+    };
+    of.par_iter()
+        .map(|n| oddities(flight, suns, *n, &usual))
+        .collect()
+}
+
+fn oddities(flight: &Flight, suns: &Suns, n: usize, usual: &Usual) -> Oddities {
+    let frame = &flight.frames[n];
+    let of_disc = suns.seen[n].iter().flat_map(|seen| {
+        let disc = &seen.disc;
+        let far = |value: Option<f64>, most: f64| value.is_some_and(|value| value > most);
+        let light = usual.light[n].map(|light| light.max(1.0 / light));
+        let few = f64::from(frame.marks) < ODD_MARKS * lit_marks(flight, disc);
+        [
+            is_odd_radius(frame, disc, suns.radius_ratio).then_some(Oddity::Radius),
+            (disc.scatter > ODD_SCATTER * usual.scatter).then_some(Oddity::Limb),
+            few.then_some(Oddity::FewMarks),
+            far(light, ODD_LIGHT).then_some(Oddity::Light),
+            far(usual.noise[n], ODD_NOISE).then_some(Oddity::Noise),
+        ]
+    });
+    let standing = flight.mapping.as_ref().map(|mapping| mapping.standing[n]);
+    let of_marks = match standing {
+        Some(Standing::Alone) => Some(Oddity::Knocked),
+        Some(Standing::Misread) => Some(Oddity::Misread),
+        Some(Standing::Agrees | Standing::Unmarked) | None => None,
+    };
+    of_disc.flatten().chain(of_marks).collect()
+}
+
+/// Something of each dated frame's levels over the median of the frames about it that have a disc.
+fn about(flight: &Flight, suns: &Suns, value: impl Fn(&[f64; 3]) -> f64) -> Vec<Option<f64>> {
+    let lit: Vec<(usize, f64)> = (0..flight.frames.len())
+        .filter(|n| suns.seen[*n].is_some())
+        .filter_map(|n| Some((n, value(&flight.frames[n].levels_dn?.map(f64::from)))))
+        .collect();
+    let mut over = vec![None; flight.frames.len()];
+    for (k, (n, value)) in lit.iter().enumerate() {
+        let near = &lit[k.saturating_sub(ABOUT)..lit.len().min(k + ABOUT + 1)];
+        let usual = median(near.iter().map(|(_, value)| value));
+        over[*n] = usual
+            .filter(|usual| *usual > 0.0)
+            .map(|usual| value / usual);
+    }
+    over
+}
+
+/// How many marks lie well within the disc.
+fn lit_marks(flight: &Flight, disc: &PlateDisc) -> f64 {
+    let plate = &flight.recipe.instrument.plate;
+    let reach = disc.radius_mil.value - plate.cross.arm_length_mil;
+    let lit = plate
+        .marks()
+        .filter(|(_, at)| at.distance(disc.centre.position) < reach);
+    lit.count() as f64
+}
+
+fn is_odd_radius(frame: &Frame, disc: &PlateDisc, ratio: Option<Measured>) -> bool {
+    let Some((expected, ratio)) = frame.expected_radius_mil.zip(ratio) else {
+        return false;
+    };
+    let sigma = ratio.sigma.hypot(disc.radius_mil.sigma / expected);
+    let away = (disc.radius_mil.value / expected - ratio.value).abs();
+    away > (ODD_SIGMAS * sigma).max(LEAST_ODD_RADIUS)
+}

@@ -1,0 +1,166 @@
+//! The Sun's path as the frames have it, and the frames that lie off it.
+//!
+//! A frame whose limb determines its own radius, which is the flight's, is of the Sun: it makes the path, wherever it is. One that shows
+//! less of the limb is held against the path of those.
+
+use super::suns::{Flight, Suns};
+use crate::estimation::median;
+use crate::geometry::view::UNIT_MIL;
+use crate::smoothing::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
+use crate::units::{Estimate, PlateMil};
+use nalgebra::{Matrix2, Vector2};
+
+/// Off the path, chi^2 of two.
+pub(super) const ODD_PATH_CHI2: f64 = 100.0;
+
+/// Beyond this the path is a guess, 1 sigma.
+const MOST_SIGMA_MIL: f64 = 100.0;
+
+/// Whether the path is no guess at a point.
+pub(super) fn is_known(point: &PathPoint) -> bool {
+    let sigma = point.variance.map(f64::sqrt);
+    sigma.iter().all(|sigma| *sigma < MOST_SIGMA_MIL)
+}
+
+/// Covariance that the uncertainty of the time adds to a place that moves, mil^2.
+pub(super) fn moved_mil2(speed_mil_per_s: [f64; 2], time_sigma_s: f64) -> Matrix2<f64> {
+    let moved = Vector2::from(speed_mil_per_s) * time_sigma_s;
+    moved * moved.transpose()
+}
+
+/// The Sun's path; between two frames it has one more point.
+pub(super) struct SunPath {
+    pub path: Option<Path>,
+    /// Of each point, s since 1970.
+    pub times_s: Vec<f64>,
+    /// The point of each dated frame.
+    at: Vec<u32>,
+}
+
+impl SunPath {
+    /// The path of the fine frames, and those of them that lie off it.
+    pub fn follow(flight: &Flight, suns: &Suns) -> (Self, Vec<usize>) {
+        let is_sure = |n: usize| suns.is_sure(&flight.frames[n], n);
+        let path = Self::through(flight, suns, is_sure);
+        let doubtful: Vec<(usize, Estimate<PlateMil>)> = (0..flight.frames.len())
+            .filter(|n| !is_sure(*n))
+            .filter_map(|n| Some((n, suns.fine(&flight.frames[n], n)?)))
+            .collect();
+        if doubtful.is_empty() {
+            return (path, Vec::new());
+        }
+        let is_off = |(n, sun): &(usize, Estimate<PlateMil>)| {
+            let sigma_s = flight.timeline.timing(*n).sigma_s.unwrap_or(0.0);
+            path.point(*n)
+                .is_some_and(|point| is_off(sun, sigma_s, point))
+        };
+        let off: Vec<usize> = doubtful.iter().filter(|d| is_off(d)).map(|d| d.0).collect();
+        let counts = |n: usize| off.binary_search(&n).is_err();
+        (Self::through(flight, suns, counts), off)
+    }
+
+    /// The path of some of the fine frames.
+    fn through(flight: &Flight, suns: &Suns, counts: impl Fn(usize) -> bool) -> Self {
+        let timeline = &flight.timeline;
+        let first = timeline.unix_s(0).unwrap_or(0.0);
+        let (mut moments, mut at) = (Vec::new(), Vec::new());
+        let mut before: Option<f64> = None;
+        for n in 0..flight.frames.len() {
+            let time_s = timeline.unix_s(n).unwrap_or(first) - first;
+            if let Some(before) = before.filter(|before| time_s > *before) {
+                moments.push(Moment {
+                    time_s: (before + time_s) / 2.0,
+                    time_sigma_s: 0.0,
+                    measured: None,
+                });
+            }
+            let fine = suns.fine(&flight.frames[n], n);
+            let fine = fine.filter(|_| counts(n) && timeline.is_timed(n));
+            at.push(moments.len() as u32);
+            moments.push(Moment {
+                time_s,
+                time_sigma_s: timeline.timing(n).sigma_s.unwrap_or(0.0),
+                measured: fine.map(|sun| measurements(flight, suns, n, &sun)),
+            });
+            before = Some(time_s);
+        }
+        Self {
+            path: smoothing::path(&moments, &shared_errors(flight, suns, first)),
+            times_s: moments.iter().map(|moment| first + moment.time_s).collect(),
+            at,
+        }
+    }
+
+    fn point(&self, n: usize) -> Option<&PathPoint> {
+        Some(&self.path.as_ref()?.points[self.at[n] as usize])
+    }
+
+    /// Where the path most likely has the disc at a dated frame, and 1 sigma, mil.
+    pub fn place(&self, n: usize) -> Option<(PlateMil, f64)> {
+        let point = self.path.as_ref()?.likeliest[self.at[n] as usize];
+        let ([x, y], variance) = (point.place, point.variance);
+        let sigma = ((variance[0] + variance[1]) / 2.0).sqrt();
+        Some((PlateMil::new(x, y), sigma))
+    }
+
+    /// How fast the Sun moves at a dated frame, mil/s; `None` where the path is a guess.
+    pub fn speed(&self, n: usize) -> Option<[f64; 2]> {
+        let point = self.point(n)?;
+        is_known(point).then_some(point.speed)
+    }
+}
+
+/// How long the mapping's errors last. Those of a smoothed random walk are correlated over twice their variance over the density of the
+/// walk; jumps draw them anew.
+fn shared_errors(flight: &Flight, suns: &Suns, first_s: f64) -> SharedErrors {
+    let Some(mapping) = &flight.mapping else {
+        return SharedErrors::default();
+    };
+    let facts = &mapping.facts;
+    let time = |n: usize| {
+        let sun = suns.fine(&flight.frames[n], n)?;
+        suns.seen[n]?;
+        let scale = mapping.numbers(n)?.there.scale_mil_per_px.value;
+        let [shift, turn] = facts.process_noise_px.map(|px| (px * scale).powi(2));
+        let [x, y] = measurements(flight, suns, n, &sun);
+        let away = sun.position.vector().norm_squared() / UNIT_MIL.powi(2);
+        Some((x.shared_variance + y.shared_variance) / (shift + turn * away))
+    };
+    let jumps = facts.jumps.iter();
+    SharedErrors {
+        correlation_s: median((0..flight.frames.len()).filter_map(time)).unwrap_or(0.0),
+        jumps_s: jumps
+            .filter_map(|jump| Some(flight.timeline.unix_s(jump.after)? - first_s))
+            .collect(),
+    }
+}
+
+/// What a frame measures: its own errors are what the limb's points show; at a jump of the mapping all of them are.
+fn measurements(
+    flight: &Flight,
+    suns: &Suns,
+    n: usize,
+    sun: &Estimate<PlateMil>,
+) -> [Measurement; 2] {
+    let jump_px = flight.mapping.as_ref().and_then(|m| m.own_jump(n));
+    let (place, all) = (sun.position.vector(), sun.variance());
+    let seen = suns.seen[n].filter(|_| jump_px.is_none());
+    let own = seen.map_or(all, |seen| seen.disc.centre.variance());
+    [0, 1].map(|axis| Measurement {
+        place: place[axis],
+        variance: own[axis],
+        shared_variance: (all[axis] - own[axis]).max(0.0),
+    })
+}
+
+/// Whether a place, which is not of the path, lies off it.
+fn is_off(sun: &Estimate<PlateMil>, time_sigma_s: f64, point: &PathPoint) -> bool {
+    let off = sun.position.vector() - Vector2::from(point.place);
+    let sun = Estimate {
+        covariance: sun.covariance + moved_mil2(point.speed, time_sigma_s),
+        ..*sun
+    };
+    let [x, y] = sun.variance();
+    let chi2 = off.x.powi(2) / (x + point.variance[0]) + off.y.powi(2) / (y + point.variance[1]);
+    chi2 > ODD_PATH_CHI2
+}

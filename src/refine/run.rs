@@ -1,0 +1,391 @@
+//! From an archive to its history: what `solaspect refine` does, as a function.
+
+use super::attitude::AttitudeFound;
+use super::files::{Files, Given};
+use super::history::{History, HistoryError};
+use super::navigation::{Navigation, Sensors, is_second};
+use super::output::{Summary, write, write_stabilisation};
+use super::recipe::Recipe;
+use super::report::{Report, Rows};
+use super::roll::{RollHistory, RollRecipe, RollRows, RollSummary, write_roll};
+use super::sky::Sky;
+use super::stabilisation::stabilisation;
+use crate::archive::ArchiveReader;
+use crate::config::Config;
+use crate::frame::Unreadable;
+use crate::observe::{
+    self, CameraFrames, Cameras, InputSummary, Observer, Pass, Shard, Span, Watch,
+};
+use crate::preflight;
+use crate::units::counted;
+use anyhow::{Context, bail, ensure};
+use std::collections::BTreeMap;
+use std::fs::create_dir_all;
+use std::path::{Path, PathBuf};
+use std::thread::available_parallelism;
+
+/// Frames that are read from an object store for each core: each waits for the network several times as long as it is solved.
+const REMOTE_JOBS: usize = 8;
+
+/// How an archive is refined.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// The folder of journal and results; made if missing.
+    pub out: PathBuf,
+    pub given: Given,
+    /// Frames read and solved at a time; by default one for each core, from an object store eight.
+    pub jobs: Option<usize>,
+    /// A part of the frames, which are observed and no more.
+    pub shard: Option<Shard>,
+    /// Folders of other runs of the same archive, instrument and settings, whose journals are read.
+    pub merge: Vec<PathBuf>,
+    pub span: Span,
+    /// Rows a second of the table between frames.
+    pub rate_hz: Option<f64>,
+    pub navigation: Option<Navigation>,
+}
+
+/// What came out; it is written to the folder, too.
+#[derive(Default)]
+pub struct Refined {
+    /// The cameras of a shard, which have no history.
+    pub shard: Vec<ShardDone>,
+    pub cameras: Vec<RefinedCamera>,
+    pub roll: Option<RefinedRoll>,
+    pub attitude: Option<AttitudeFound>,
+    /// Which frames were left alone, and why.
+    pub notes: Vec<String>,
+    /// Files that could not be read for now, each with the reason.
+    pub unread: BTreeMap<String, String>,
+    /// Frames that were read, and files that cannot be.
+    frames: usize,
+    unreadable: Unreadable,
+}
+
+/// The frames of a camera that a shard has observed.
+pub struct ShardDone {
+    pub shard: Shard,
+    pub label: String,
+    pub files: usize,
+    pub unreadable: usize,
+}
+
+/// The history of a camera that sees the plate.
+pub struct RefinedCamera {
+    /// What tells it from others; none of a single one.
+    pub label: Option<String>,
+    pub history: History,
+    pub summary: Summary,
+    pub stabilised: Option<Stabilised>,
+}
+
+/// The table between frames.
+#[derive(Debug, Clone, Copy)]
+pub struct Stabilised {
+    pub rate_hz: f64,
+    pub rows: usize,
+    /// Those whose offset is known.
+    pub valid: usize,
+}
+
+pub struct RefinedRoll {
+    pub history: RollHistory,
+    pub summary: RollSummary,
+}
+
+impl Refined {
+    /// Refuses a run that is not whole: files that could not be read for now, or no frame at all.
+    ///
+    /// # Errors
+    /// The first such file; why the files cannot be read.
+    pub fn check(&self, archive: &Path) -> anyhow::Result<()> {
+        if let Some((file, why)) = self.unread.first_key_value() {
+            bail!(
+                "{}: expected to read all files, found {} that could not be read, such as {file}: {why}; run again to try again",
+                archive.display(),
+                self.unread.len()
+            );
+        }
+        match self.unreadable.line() {
+            Some(why) if self.frames == 0 => bail!(
+                "{}: expected frames that can be read, found none: {why}",
+                archive.display()
+            ),
+            _ => Ok(()),
+        }
+    }
+
+    fn count(&mut self, files: usize, inputs: &InputSummary) {
+        self.frames += inputs.frames(files);
+        self.unreadable.add(&inputs.unreadable);
+    }
+}
+
+/// Refines an archive: a folder tree of FITS frames, or the URL of objects. `watch` follows, and may end it: what is done is in the journal.
+///
+/// # Errors
+/// An archive, options or files that do not go together, frames that are not of the instrument's camera, a folder that cannot be written,
+/// a watch that cancels. Single bad frames are rows with the reason.
+pub fn refine(archive: &Path, options: &Options, watch: &dyn Watch) -> anyhow::Result<Refined> {
+    let archive = ArchiveReader::open(archive, &options.out)?;
+    let cores = available_parallelism().map_or(1, usize::from);
+    let usual = if archive.is_remote() {
+        REMOTE_JOBS * cores
+    } else {
+        cores
+    };
+    let jobs = options.jobs.unwrap_or(usual);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
+    pool.install(|| {
+        Run {
+            archive: &archive,
+            options,
+        }
+        .refine(watch)
+    })
+}
+
+/// A run with what all cameras share.
+struct Run<'a> {
+    archive: &'a ArchiveReader,
+    options: &'a Options,
+}
+
+impl Run<'_> {
+    fn refine(&self, watch: &dyn Watch) -> anyhow::Result<Refined> {
+        let (archive, options) = (self.archive, self.options);
+        let listing = archive.list()?;
+        let files = Files {
+            archive: archive.name(),
+            archived: archive.flown(&listing.flown)?,
+            given: &options.given,
+        };
+        let config = files.configuration()?;
+        let navigation = options
+            .navigation
+            .as_ref()
+            .filter(|_| options.shard.is_none());
+        let sensors = navigation.map(|n| n.read(archive, &listing.navigation));
+        let sensors = sensors.transpose()?;
+        make_folder(&options.out)?;
+        let pass = Pass {
+            archive,
+            out: &options.out,
+            merge: &options.merge,
+            shard: options.shard,
+            span: options.span,
+            watch,
+        };
+        let cameras = observe::cameras(&pass, listing.frames)?;
+        // What may be missing is said before hours of work.
+        let recipes = Recipes::of(&files, &cameras, &config)?;
+        if let Some(sensors) = &sensors {
+            sensors.check(&cameras.plate)?;
+            let instruments = recipes.plate.iter().map(|recipe| &recipe.instrument);
+            instruments
+                .into_iter()
+                .try_for_each(|i| sensors.check_instrument(i))?;
+        }
+        match options.shard {
+            Some(shard) => observe_shard(&pass, shard, &cameras, &recipes),
+            None => self.histories(&pass, cameras, recipes, &config, sensors),
+        }
+    }
+
+    /// The histories of all cameras, written with their report.
+    fn histories(
+        &self,
+        pass: &Pass<'_>,
+        cameras: Cameras,
+        recipes: Recipes,
+        config: &Config,
+        mut sensors: Option<Sensors<'_>>,
+    ) -> anyhow::Result<Refined> {
+        let mut ephemeris = preflight::ephemeris(config)?;
+        let sky = Sky {
+            target: preflight::target(config, &mut ephemeris)?,
+            place: config.site.place(),
+            ephemeris,
+        };
+        let (mut refined, mut report) = (Refined::default(), Report::default());
+        refined.notes = left_alone(&cameras, &recipes);
+        refined.frames = cameras.moon.as_ref().map_or(0, |moon| moon.inputs.len());
+        refined.notes.iter().for_each(|note| report.note(note));
+        let mut roll_rows = RollRows::default();
+        if let Some((camera, recipe)) = cameras.roll.zip(recipes.roll.as_ref()) {
+            let done = pass.over(recipe, "frames", &camera.inputs)?;
+            let history = RollHistory::new(done, camera, recipe, &pass.span)?;
+            let summary = write_roll(pass.out, &history, recipe, |row| {
+                roll_rows.take(row);
+                sensors
+                    .iter_mut()
+                    .for_each(|sensors| sensors.see_nadir(row));
+            })?;
+            refined.count(history.len(), history.inputs());
+            refined.roll = Some(RefinedRoll { history, summary });
+        }
+        let is_one = cameras.plate.len() == 1;
+        for (camera, recipe) in cameras.plate.into_iter().zip(recipes.plate) {
+            let (label, is_second) = (camera.label.clone(), is_second(&camera));
+            let history = self.history(pass, camera, recipe, &sky, refined.roll.as_ref())?;
+            let label = Some(label).filter(|_| !is_one);
+            let folder = label
+                .as_ref()
+                .map_or(pass.out.to_owned(), |l| pass.out.join(l));
+            make_folder(&folder)?;
+            let mut rows = Rows::default();
+            let summary = write(&folder, &history, |row| {
+                rows.take(row);
+                let see = |sensors: &mut Sensors| {
+                    sensors.see_sun(is_second, row, history.instrument());
+                };
+                sensors.iter_mut().for_each(see);
+            })?;
+            report.add(label.as_deref(), pass.archive, &history, &summary, &rows);
+            let stabilised = self.stabilise(&folder, &history, refined.roll.as_ref())?;
+            refined.count(history.len(), history.inputs());
+            refined.cameras.push(RefinedCamera {
+                label,
+                history,
+                summary,
+                stabilised,
+            });
+        }
+        if let Some((roll, recipe)) = refined.roll.as_ref().zip(recipes.roll.as_ref()) {
+            report.add_roll(pass.archive, &roll_rows, &roll.summary, recipe);
+        }
+        if let Some(sensors) = sensors {
+            let names = [pass.archive.name(), pass.out];
+            refined.attitude = Some(sensors.find_attitude(&sky, names, &mut report)?);
+        }
+        report.write(pass.out)?;
+        refined.unread = pass.archive.unread_files();
+        Ok(refined)
+    }
+
+    /// The history of one camera that sees the plate.
+    fn history(
+        &self,
+        pass: &Pass<'_>,
+        camera: CameraFrames,
+        recipe: Recipe,
+        sky: &Sky,
+        roll: Option<&RefinedRoll>,
+    ) -> anyhow::Result<History> {
+        pass.expect_journals(&recipe)?;
+        let done = pass.over(&recipe, "frames", &camera.inputs)?;
+        let history = History::new(done, camera, recipe, sky.clone(), pass);
+        let history = history.map_err(|error| match error {
+            HistoryError::Pass(error) => anyhow::Error::from(error),
+            error => anyhow::anyhow!("{}: {error}", pass.archive.name().display()),
+        })?;
+        Ok(match roll {
+            Some(roll) => history.with_roll(&roll.history),
+            None => history,
+        })
+    }
+
+    /// Writes the table between frames, where it is wanted.
+    fn stabilise(
+        &self,
+        folder: &Path,
+        history: &History,
+        roll: Option<&RefinedRoll>,
+    ) -> anyhow::Result<Option<Stabilised>> {
+        let Some(rate_hz) = self.options.rate_hz else {
+            return Ok(None);
+        };
+        let rows = stabilisation(history, rate_hz, roll.map(|roll| &roll.history))?;
+        write_stabilisation(folder, &rows, &history.recipe().flown)?;
+        Ok(Some(Stabilised {
+            rate_hz,
+            rows: rows.len(),
+            valid: rows.iter().filter(|row| row.offset.is_some()).count(),
+        }))
+    }
+}
+
+/// With what the frames of each camera are observed.
+struct Recipes {
+    plate: Vec<Recipe>,
+    /// None where the roll camera's file is missing.
+    roll: Option<RollRecipe>,
+}
+
+impl Recipes {
+    fn of(files: &Files<'_>, cameras: &Cameras, config: &Config) -> anyhow::Result<Self> {
+        let plate = cameras
+            .plate
+            .iter()
+            .map(|camera| files.recipe(camera, config));
+        let plate = plate.collect::<anyhow::Result<Vec<_>>>()?;
+        let roll = cameras
+            .roll
+            .as_ref()
+            .map(|camera| files.roll_recipe(camera, config));
+        let roll = roll.transpose()?.flatten();
+        ensure!(
+            !plate.is_empty() || cameras.roll.is_none() || roll.is_some(),
+            "{}: expected frames of a camera that sees the plate or the file of the roll camera (--roll-camera), found the roll camera's frames \
+             alone",
+            files.archive.display()
+        );
+        Ok(Self { plate, roll })
+    }
+}
+
+/// Which frames are left alone, in words.
+fn left_alone(cameras: &Cameras, recipes: &Recipes) -> Vec<String> {
+    let frames = |camera: &CameraFrames| counted(camera.inputs.len() as u64, "frame");
+    let moon = cameras.moon.as_ref().map(|camera| {
+        let frames = frames(camera);
+        format!("left alone: {frames} of the Moon camera; `solaspect moon` solves them")
+    });
+    let roll = cameras.roll.as_ref().filter(|_| recipes.roll.is_none());
+    let roll = roll.map(|camera| {
+        let frames = frames(camera);
+        format!(
+            "{frames} of the roll camera: its file is not in the archive; --roll-camera names it"
+        )
+    });
+    moon.into_iter().chain(roll).collect()
+}
+
+/// Observes a part of the frames, and no more.
+fn observe_shard(
+    pass: &Pass<'_>,
+    shard: Shard,
+    cameras: &Cameras,
+    recipes: &Recipes,
+) -> anyhow::Result<Refined> {
+    let mut refined = Refined::default();
+    if let Some((camera, recipe)) = cameras.roll.as_ref().zip(recipes.roll.as_ref()) {
+        refined.shard.push(shard_of(pass, shard, camera, recipe)?);
+    }
+    for (camera, recipe) in cameras.plate.iter().zip(&recipes.plate) {
+        pass.expect_journals(recipe)?;
+        refined.shard.push(shard_of(pass, shard, camera, recipe)?);
+    }
+    refined.notes = left_alone(cameras, recipes);
+    refined.unread = pass.archive.unread_files();
+    Ok(refined)
+}
+
+fn shard_of(
+    pass: &Pass<'_>,
+    shard: Shard,
+    camera: &CameraFrames,
+    observer: &impl Observer,
+) -> anyhow::Result<ShardDone> {
+    let done = pass.over(observer, "frames", &camera.inputs)?;
+    Ok(ShardDone {
+        shard,
+        label: camera.label.clone(),
+        files: camera.inputs.len(),
+        unreadable: done.unreadable(&camera.inputs)?,
+    })
+}
+
+fn make_folder(folder: &Path) -> anyhow::Result<()> {
+    create_dir_all(folder).with_context(|| format!("{}: cannot make the folder", folder.display()))
+}
