@@ -1134,14 +1134,14 @@ mod tables {
             "",
             "2D",
             "0A",
-            "1L",
+            "2L",
             "1PB(9)",
             "X",
             "99999999999999999999A",
             "?",
         ] {
             let message = format!(
-                "MARKS: TFORM2: expected one number (B, I, J, K, E or D) or a text (A), found '{form}'"
+                "MARKS: TFORM2: expected one number (B, I, J, K, E or D), a truth (L) or a text (A), found '{form}'"
             );
             assert_refused(&file(1, 9, &["1K", form], &[], &[0; 9]), &message);
         }

@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::smoothing::{Measurement, Moment, Path, SharedErrors, path};
+use solaspect::smoothing::{Measurement, Moment, PathPoint, SharedErrors, path};
 use std::f64::consts::TAU;
 
 const SIGMA_MIL: f64 = 0.1;
@@ -137,15 +137,13 @@ struct Errors {
 }
 
 impl Errors {
-    fn of(path: &Path, flown: &[Truth], wanted: impl Fn(usize) -> bool) -> Self {
+    fn of(path: &[PathPoint], flown: &[Truth], wanted: impl Fn(usize) -> bool) -> Self {
         let mut errors = Self::default();
         for n in (0..flown.len()).filter(|n| wanted(*n)) {
             for axis in 0..2 {
-                let error = path.points[n].place[axis] - flown[n].at_mil[axis];
+                let error = path[n].place[axis] - flown[n].at_mil[axis];
                 errors.mil.push(error);
-                errors
-                    .pulls
-                    .push(error / path.points[n].variance[axis].sqrt());
+                errors.pulls.push(error / path[n].variance[axis].sqrt());
             }
         }
         errors
@@ -162,11 +160,21 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
 }
 
+/// The path at each moment.
+fn points(moments: &[Moment]) -> Vec<PathPoint> {
+    let times: Vec<f64> = moments.iter().map(|moment| moment.time_s).collect();
+    let path = path(moments.iter().copied(), SharedErrors::default()).unwrap();
+    path.anywhere(&times)
+        .into_iter()
+        .map(Option::unwrap)
+        .collect()
+}
+
 /// Flies the segments and judges each by the truth.
 fn judge(segments: &[(Segment, f64)], rate_hz: f64, seed: u64) {
     let flown = flight(segments, rate_hz, seed);
     let moments = measured(&flown, seed + 1);
-    let path = path(&moments, &SharedErrors::default()).unwrap();
+    let path = points(&moments);
     for (n, (segment, _)) in segments.iter().enumerate() {
         let name = format!("{rate_hz} Hz, seed {seed}, {n}: {segment:?}");
         let errors = |seen: bool| {
@@ -220,10 +228,10 @@ fn the_path_is_known_as_well_as_it_says_in_rest_swing_slew_steps_and_gaps() {
 #[test]
 fn where_nothing_was_seen_the_sigma_grows_with_the_gap() {
     let flown = flight(&[(Swing, 30.0), (Gap, 20.0), (Swing, 30.0)], 4.0, 7);
-    let path = path(&measured(&flown, 8), &SharedErrors::default()).unwrap();
+    let path = points(&measured(&flown, 8));
     let sigma = |time_s: f64| {
         let n = flown.partition_point(|truth| truth.time_s < time_s);
-        path.points[n].variance[0].sqrt()
+        path[n].variance[0].sqrt()
     };
     let (frame, early, middle) = (sigma(30.0), sigma(38.25), sigma(39.5));
     assert!(frame < SIGMA_MIL, "{frame}");
@@ -240,5 +248,5 @@ fn a_path_without_a_measured_moment_is_none() {
         time_sigma_s: 0.0,
         measured: None,
     };
-    assert_eq!(path(&[nothing; 3], &SharedErrors::default()), None);
+    assert_eq!(path([nothing; 3], SharedErrors::default()), None);
 }

@@ -19,10 +19,6 @@ impl Observer for PixelDigests {
         "pixels-"
     }
 
-    fn stated(&self) -> String {
-        String::new()
-    }
-
     fn observe(
         &self,
         archive: &ArchiveReader,

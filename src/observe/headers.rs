@@ -23,10 +23,6 @@ impl Observer for CameraHeaders {
         "cameras-"
     }
 
-    fn stated(&self) -> String {
-        String::new()
-    }
-
     fn observe(
         &self,
         archive: &ArchiveReader,

@@ -108,6 +108,15 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
         })
     }
 
+    /// Lets others add to it: nothing more is added here.
+    ///
+    /// # Errors
+    /// A file that cannot be unlocked.
+    pub fn release(&self) -> Result<(), JournalError> {
+        let released = self.file.unlock();
+        released.map_err(|cause| io_error(&self.path, "unlock the journal", cause))
+    }
+
     /// Adds a record.
     ///
     /// # Errors

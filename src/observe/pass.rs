@@ -120,7 +120,9 @@ pub trait Observer: Sync {
     }
 
     /// All that was stated and that a frame's record depends on, as text: the same text, the same records.
-    fn stated(&self) -> String;
+    fn stated(&self) -> String {
+        String::new()
+    }
 
     /// What a file's frame gives; none where its time lies outside the span.
     ///
@@ -369,7 +371,8 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
         self.places.extend(new);
         let passing = passing.into_inner();
         self.passing = passing.unwrap_or_else(PoisonError::into_inner);
-        Ok(())
+        // Another camera of the same instrument has the same journal.
+        self.journals[0].release()
     }
 }
 
@@ -428,10 +431,6 @@ mod tests {
 
     impl Observer for Numbers {
         type Given = u32;
-
-        fn stated(&self) -> String {
-            String::new()
-        }
 
         fn observe(
             &self,

@@ -135,9 +135,9 @@ impl Work {
         let mut information = Matrix2::zeros();
         let mut sum = Vector2::zeros();
         for mark in self.observations.at(moment) {
-            let (picture, slopes) = self.reference.picture(mark.printed);
+            let (picture, slopes) = self.reference.picture(mark.printed());
             information += mark.information();
-            sum += mark.information() * (mark.seen - picture - slopes * state);
+            sum += mark.information() * (mark.seen() - picture - slopes * state);
         }
         let covariance = information.try_inverse()?;
         Some((covariance * sum, covariance.trace().max(0.0).sqrt()))
@@ -321,8 +321,8 @@ impl Work {
     fn weigh(&mut self, estimates: &[Estimate]) {
         let reference = self.reference;
         let chi2 = |mark: &MarkObservation, state: &State| {
-            let (picture, slopes) = reference.picture(mark.printed);
-            let residual = mark.seen - picture - slopes * state;
+            let (picture, slopes) = reference.picture(mark.printed());
+            let residual = mark.seen() - picture - slopes * state;
             residual.dot(&(mark.information() * residual))
         };
         let all = estimates.iter().enumerate().flat_map(|(n, estimate)| {

@@ -110,12 +110,11 @@ impl Frames {
 
 fn observation(mark: &MarkRecord, instrument: &Instrument) -> Option<MarkObservation> {
     let information = symmetric(mark.covariance_px2).try_inverse()?;
-    Some(MarkObservation {
-        seen: instrument.camera.distortion.correct(mark.at()).vector(),
-        printed: instrument.plate.position(mark.id()),
-        information: upper(&information).map(|part| part as f32),
-        weight: 1.0,
-    })
+    Some(MarkObservation::new(
+        instrument.camera.distortion.correct(mark.at()).vector(),
+        instrument.plate.position(mark.id()),
+        upper(&information).map(|part| part as f32),
+    ))
 }
 
 /// What frames say against the instrument.

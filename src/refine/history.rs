@@ -6,7 +6,7 @@ use super::look::look_again;
 use super::mapping::{FlightMapping, MappingFacts};
 use super::oddity::{Oddities, Oddity};
 use super::outliers::outliers;
-use super::path::{SunPath, is_known};
+use super::path::SunPath;
 use super::radius::RadiusDependence;
 use super::recipe::Recipe;
 use super::record::{FrameRecord, Grade};
@@ -164,16 +164,19 @@ impl History {
         self.suns.radius_ratio
     }
 
-    /// The smoothed path of the Sun over the plate, and the time of each of its points, s since 1970.
-    pub fn path(&self) -> Option<(&Path, &[f64])> {
-        Some((self.path.path.as_ref()?, &self.path.times_s))
+    /// The smoothed path of the Sun over the plate.
+    pub fn path(&self) -> Option<&Path> {
+        self.path.path.as_ref()
     }
 
-    /// The points of the smoothed path; none where it is a guess.
+    /// From when on the path counts its times, and the times of the first and the last dated frame, s since 1970.
+    pub(super) fn path_times_s(&self) -> Option<(f64, [f64; 2])> {
+        Some((self.path.first_s, self.path.ends_s()?))
+    }
+
+    /// The points of the smoothed path, each with its time, s since 1970; none where it is a guess.
     pub fn smoothed(&self) -> impl Iterator<Item = (f64, Option<&PathPoint>)> {
-        let points = self.path.path.iter().flat_map(|path| &path.points);
-        let times = self.path.times_s.iter().copied();
-        times.zip(points.map(|point| is_known(point).then_some(point)))
+        self.path.points()
     }
 
     /// How many files there are.

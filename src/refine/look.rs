@@ -73,9 +73,11 @@ pub(super) fn look_again(
     };
     let wanted: Vec<usize> = (0..flight.frames.len()).filter(wants).collect();
     pass.watch.begin(wanted.len(), "frames seen again");
-    let seen = wanted.par_iter().filter(|_| !pass.watch.is_cancelled());
-    let seen = seen.filter_map(|n| {
-        let seen = look(flight, suns, path, pass.archive, *n);
+    let places = path.places(&wanted);
+    let wanted = wanted.par_iter().zip(places);
+    let seen = wanted.filter(|_| !pass.watch.is_cancelled());
+    let seen = seen.filter_map(|(n, by_path)| {
+        let seen = look(flight, suns, by_path, pass.archive, *n);
         pass.watch.step();
         Some((*n, seen?))
     });
@@ -87,12 +89,12 @@ pub(super) fn look_again(
 fn look(
     flight: &Flight,
     suns: &Suns,
-    path: &SunPath,
+    by_path: Option<(PlateMil, f64)>,
     archive: &ArchiveReader,
     n: usize,
 ) -> Option<Seen> {
     let mapping = flight.mapping.as_ref()?.at(n)?;
-    let (centre, sigma_mil) = whereabouts(flight, suns, path, n, &mapping)?;
+    let (centre, sigma_mil) = whereabouts(flight, suns, by_path, n, &mapping)?;
     let expected = flight.frames[n].expected_radius_mil?;
     let ratio = suns.known_ratio;
     let known = Known {
@@ -122,11 +124,10 @@ fn look(
 fn whereabouts(
     flight: &Flight,
     suns: &Suns,
-    path: &SunPath,
+    by_path: Option<(PlateMil, f64)>,
     n: usize,
     at: &Mapping,
 ) -> Option<(PlateMil, f64)> {
-    let by_path = path.place(n);
     let by_path = by_path.filter(|(_, sigma)| *sigma < MOST_LOOK_SIGMA_MIL);
     let Some(own) = &flight.frames[n].disc else {
         return by_path;

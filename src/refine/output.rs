@@ -246,7 +246,7 @@ fn summary(
     let hex = |hash: u64| format!("{hash:016x}");
     let [instrument_hash, settings_hash] = recipe.stated_hashes().map(hex);
     let arcsec_per_mil = recipe.instrument.optics.arcsec_per_mil();
-    let path = history.path().map(|(path, _)| path);
+    let path = history.path();
     Summary {
         program: PROGRAM,
         commit: COMMIT,

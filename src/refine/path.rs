@@ -31,8 +31,11 @@ pub(super) fn moved_mil2(speed_mil_per_s: [f64; 2], time_sigma_s: f64) -> Matrix
 /// The Sun's path; between two frames it has one more point.
 pub(super) struct SunPath {
     pub path: Option<Path>,
-    /// Of each point, s since 1970.
-    pub times_s: Vec<f64>,
+    /// Of the first dated frame, since 1970: the path's times count from there.
+    pub first_s: f64,
+    /// Of each point.
+    times_s: Vec<f64>,
+    points: Vec<Option<PathPoint>>,
     /// The point of each dated frame.
     at: Vec<u32>,
 }
@@ -62,45 +65,68 @@ impl SunPath {
     /// The path of some of the fine frames.
     fn through(flight: &Flight, suns: &Suns, counts: impl Fn(usize) -> bool) -> Self {
         let timeline = &flight.timeline;
-        let first = timeline.unix_s(0).unwrap_or(0.0);
-        let (mut moments, mut at) = (Vec::new(), Vec::new());
-        let mut before: Option<f64> = None;
-        for n in 0..flight.frames.len() {
-            let time_s = timeline.unix_s(n).unwrap_or(first) - first;
-            if let Some(before) = before.filter(|before| time_s > *before) {
-                moments.push(Moment {
-                    time_s: (before + time_s) / 2.0,
-                    time_sigma_s: 0.0,
-                    measured: None,
-                });
-            }
-            let fine = suns.fine(&flight.frames[n], n);
-            let fine = fine.filter(|_| counts(n) && timeline.is_timed(n));
-            at.push(moments.len() as u32);
-            moments.push(Moment {
-                time_s,
-                time_sigma_s: timeline.timing(n).sigma_s.unwrap_or(0.0),
-                measured: fine.map(|sun| measurements(flight, suns, n, &sun)),
-            });
-            before = Some(time_s);
+        let first_s = timeline.unix_s(0).unwrap_or(0.0);
+        let since_first = |n: usize| timeline.unix_s(n).map_or(0.0, |time_s| time_s - first_s);
+        let moments = (0..flight.frames.len()).filter(|n| counts(*n) && timeline.is_timed(*n));
+        let moments = moments.map(|n| Moment {
+            time_s: since_first(n),
+            time_sigma_s: timeline.timing(n).sigma_s.unwrap_or(0.0),
+            measured: suns
+                .fine(&flight.frames[n], n)
+                .map(|sun| measurements(flight, suns, n, &sun)),
+        });
+        let path = smoothing::path(moments, shared_errors(flight, suns, first_s));
+        let (mut times_s, mut at) = (Vec::new(), Vec::new());
+        for time_s in (0..flight.frames.len()).map(since_first) {
+            let before = times_s.last().filter(|before| time_s > **before);
+            times_s.extend(before.map(|before| (before + time_s) / 2.0));
+            at.push(times_s.len() as u32);
+            times_s.push(time_s);
         }
         Self {
-            path: smoothing::path(&moments, &shared_errors(flight, suns, first)),
-            times_s: moments.iter().map(|moment| first + moment.time_s).collect(),
+            points: path
+                .as_ref()
+                .map_or(Vec::new(), |path| path.anywhere(&times_s)),
+            path,
+            first_s,
+            times_s,
             at,
         }
     }
 
-    fn point(&self, n: usize) -> Option<&PathPoint> {
-        Some(&self.path.as_ref()?.points[self.at[n] as usize])
+    /// Each point with its time, s since 1970; none where the path is a guess.
+    pub fn points(&self) -> impl Iterator<Item = (f64, Option<&PathPoint>)> {
+        let times = self.times_s.iter().map(|time_s| self.first_s + time_s);
+        let points = self.points.iter().map(Option::as_ref);
+        times.zip(points.map(|point| point.filter(|point| is_known(point))))
     }
 
-    /// Where the path most likely has the disc at a dated frame, and 1 sigma, mil.
-    pub fn place(&self, n: usize) -> Option<(PlateMil, f64)> {
-        let point = self.path.as_ref()?.likeliest[self.at[n] as usize];
-        let ([x, y], variance) = (point.place, point.variance);
-        let sigma = ((variance[0] + variance[1]) / 2.0).sqrt();
-        Some((PlateMil::new(x, y), sigma))
+    /// The times of the first and the last dated frame, s since 1970.
+    pub fn ends_s(&self) -> Option<[f64; 2]> {
+        let ends = [self.times_s.first()?, self.times_s.last()?];
+        Some(ends.map(|time_s| self.first_s + time_s))
+    }
+
+    fn point(&self, n: usize) -> Option<&PathPoint> {
+        self.points.get(self.at[n] as usize)?.as_ref()
+    }
+
+    /// Where the path most likely has the disc at each of some dated frames, in order, and 1 sigma, mil.
+    pub fn places(&self, of: &[usize]) -> Vec<Option<(PlateMil, f64)>> {
+        let times_s = of.iter().map(|n| self.times_s[self.at[*n] as usize]);
+        let times_s: Vec<f64> = times_s.collect();
+        let points = self.path.as_ref().map(|path| path.likeliest(&times_s));
+        let place = |PathPoint {
+                         place, variance, ..
+                     }| {
+            let [x, y] = place;
+            let sigma = f64::sqrt((variance[0] + variance[1]) / 2.0);
+            (PlateMil::new(x, y), sigma)
+        };
+        match points {
+            Some(points) => points.into_iter().map(|point| point.map(place)).collect(),
+            None => vec![None; of.len()],
+        }
     }
 
     /// How fast the Sun moves at a dated frame, mil/s; `None` where the path is a guess.

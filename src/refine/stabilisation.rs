@@ -50,10 +50,9 @@ pub fn stabilisation(
     rate_hz: f64,
     roll: Option<&RollHistory>,
 ) -> Result<Vec<StabilisationRow>, RateError> {
-    let Some((path, [first_s, times_s @ ..])) = history.path() else {
+    let Some((path, (first_s, [_, last_s]))) = history.path().zip(history.path_times_s()) else {
         return Ok(Vec::new());
     };
-    let last_s = times_s.last().unwrap_or(first_s);
     let (first, last) = ((first_s * rate_hz).ceil(), (last_s * rate_hz).floor());
     let rows = last - first + 1.0;
     if rows > MOST_ROWS {

@@ -1,6 +1,6 @@
 //! The process noise at every frame.
 
-use super::process::{Axis, Smoothed, Swing};
+use super::process::{Axis, Moments, Swing};
 use super::{Moment, SharedErrors};
 use crate::estimation::median;
 use rayon::prelude::*;
@@ -8,6 +8,8 @@ use rayon::prelude::*;
 /// The factor from each of the process noises that gondolas may have to the next, and how many there are.
 const NOISE_FACTOR: f64 = 3.0;
 const NOISES: usize = 20;
+/// Process noises that are tried at a time: the scores of each take memory.
+const TOGETHER: usize = 4;
 /// What a change to the next larger or smaller noise costs, natural logarithm of the likelihood.
 const CHANGE_COST: f64 = 2.0;
 /// In a gap the process noise is that of so many times its length before and after.
@@ -28,12 +30,18 @@ pub(super) struct Levels<'a> {
 impl Levels<'_> {
     /// The likeliest process noise of the step to each moment.
     pub fn likeliest(&self) -> Vec<f64> {
-        let by_noise: Vec<Vec<f32>> = (0..NOISES)
-            .into_par_iter()
-            .map(|level| self.foretold(self.noise(level)))
-            .collect();
-        let of_moment = |n: usize| std::array::from_fn(|level| by_noise[level][n]);
-        let scores: Vec<Scores> = (0..self.measured.len()).map(of_moment).collect();
+        let mut scores: Vec<Scores> = vec![[f32::NEG_INFINITY; NOISES]; self.measured.len()];
+        let noises: Vec<usize> = (0..NOISES).collect();
+        for some in noises.chunks(TOGETHER) {
+            let found: Vec<Vec<f32>> = some
+                .par_iter()
+                .map(|level| self.foretold(self.noise(*level)))
+                .collect();
+            for (level, found) in some.iter().zip(found) {
+                let scores = scores.iter_mut().rev().zip(found);
+                scores.for_each(|(scores, score)| scores[*level] = score);
+            }
+        }
         let levels = likeliest_levels(&scores);
         // A step's noise is the larger of its two frames'.
         let steps = (0..levels.len()).map(|n| levels[n].max(levels[n.saturating_sub(1)]));
@@ -45,33 +53,35 @@ impl Levels<'_> {
         self.least * NOISE_FACTOR.powi(level as i32)
     }
 
-    /// How well a constant process noise foretells each measured moment from all others: logarithm of the likelihood but for a
-    /// constant. One with which the filter fails foretells nothing.
+    /// How well a constant process noise foretells each measured moment from all others, from the last to the first: logarithm of the
+    /// likelihood but for a constant. One with which the filter fails foretells nothing.
     fn foretold(&self, noise: f64) -> Vec<f32> {
+        let moments = Moments::of(self.measured);
         let axis = Axis {
-            moments: self.measured,
+            moments: &moments,
             axis: self.axis,
             shared: self.shared,
             swings: self.swings,
             process_noise: &vec![noise; self.measured.len()],
         };
-        let Some(states) = axis.smoothed() else {
-            return vec![f32::NEG_INFINITY; self.measured.len()];
-        };
-        let score = |(state, moment): (&Smoothed, &Moment)| {
-            let measured = moment.measured?[self.axis];
-            let variance = measured.variance;
-            // The smoothed place holds this measurement: without it, the residual and its variance grow by the same factor.
-            let left = (variance - state.seen_variance).max(1e-9 * variance);
-            let factor = variance / left;
-            let chi2 = (measured.place - state.seen).powi(2) * factor / variance;
-            let score = -(chi2 + (factor * variance).ln()) / 2.0;
-            score.is_finite().then_some(score as f32)
-        };
-        let scores = states.iter().zip(self.measured).map(score);
-        scores
-            .map(|score| score.unwrap_or(f32::NEG_INFINITY))
-            .collect()
+        let mut scores = Vec::with_capacity(self.measured.len());
+        let smoothed = axis.smooth(|n, state| {
+            let score = self.measured[n].measured.map(|measured| {
+                let measured = measured[self.axis];
+                let variance = measured.variance;
+                // The smoothed place holds this measurement: without it, the residual and its variance grow by the same factor.
+                let left = (variance - state.seen_variance).max(1e-9 * variance);
+                let factor = variance / left;
+                let chi2 = (measured.place - state.seen).powi(2) * factor / variance;
+                (-(chi2 + (factor * variance).ln()) / 2.0) as f32
+            });
+            let score = score.filter(|score| score.is_finite());
+            scores.push(score.unwrap_or(f32::NEG_INFINITY));
+        });
+        match smoothed {
+            Some(()) => scores,
+            None => Vec::new(),
+        }
     }
 }
 

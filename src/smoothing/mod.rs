@@ -29,7 +29,7 @@ pub use kalman::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 
 use crate::estimation::median;
 use levels::Levels;
-use process::{Axis, LONGEST_GAP_S, Smoothed, Swing};
+use process::{Axis, LONGEST_GAP_S, Moments, Smoothed, Swing};
 use serde::Serialize;
 use swings::{Fit, Stretch};
 
@@ -83,15 +83,14 @@ pub struct PathPoint {
 /// The path of a flight.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Path {
-    pub points: Vec<PathPoint>,
-    /// The same with the likeliest process noise: where to look, not what to state.
-    pub likeliest: Vec<PathPoint>,
     /// The likeliest process noise, the median over moments and axes: square root of its density, unit/s^2.5. The acceleration walks
     /// by so many unit/s^2 in a second.
     pub process_noise: f64,
     /// The swings of each axis.
     pub swings: [Vec<FoundSwing>; 2],
-    motions: Motions,
+    axes: [Motion; 2],
+    shared: SharedErrors,
+    measured: Vec<Moment>,
 }
 
 /// A swing of the gondola along an axis.
@@ -113,14 +112,6 @@ const CAUTION: f64 = 9.0;
 /// Swings must explain so much of the flight.
 const CALM_PART: f64 = 0.8;
 
-/// How both axes move, and what was measured.
-#[derive(Debug, Clone, PartialEq)]
-struct Motions {
-    axes: [Motion; 2],
-    shared: SharedErrors,
-    measured: Vec<Moment>,
-}
-
 /// How an axis moves.
 #[derive(Debug, Clone, PartialEq)]
 struct Motion {
@@ -132,121 +123,132 @@ struct Motion {
 }
 
 /// The smoothed path through moments in the order of time. `None` where nothing was measured.
-pub fn path(moments: &[Moment], shared: &SharedErrors) -> Option<Path> {
-    let measured = moments.iter().filter(|moment| moment.measured.is_some());
-    let measured: Vec<Moment> = measured.copied().collect();
+pub fn path(moments: impl IntoIterator<Item = Moment>, shared: SharedErrors) -> Option<Path> {
+    let moments = moments.into_iter();
+    let measured: Vec<Moment> = moments.filter(|m| m.measured.is_some()).collect();
     measured.first()?;
     let (x, y) = rayon::join(
-        || motion(&measured, 0, shared),
-        || motion(&measured, 1, shared),
+        || motion(&measured, 0, &shared),
+        || motion(&measured, 1, &shared),
     );
-    let motions = Motions {
+    let path = Path {
+        process_noise: median(x.noise.iter().chain(&y.noise))?,
+        swings: [Vec::new(), Vec::new()],
         axes: [x, y],
-        shared: shared.clone(),
+        shared,
         measured,
     };
-    let stated = motions.smoothed(moments, Motion::cautious)?;
-    let axes = &motions.axes;
-    Some(Path {
-        likeliest: motions.points(moments, &motions.smoothed(moments, |_, noise| noise)?),
-        process_noise: median(axes.iter().flat_map(|axis| &axis.noise))?,
-        swings: std::array::from_fn(|axis| axes[axis].found(&stated[axis])),
-        points: motions.points(moments, &stated),
-        motions,
-    })
+    let swings = [path.found(0)?, path.found(1)?];
+    Some(Path { swings, ..path })
 }
 
 impl Path {
     /// The path at any times in order, by its own motion; `None` outside what was measured and in gaps that are too long to tell.
     pub fn at(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
-        let measured = &self.motions.measured;
-        let told = |time_s: f64| {
-            let after = measured.partition_point(|moment| moment.time_s < time_s);
-            let last = measured.get(after)?;
+        let is_within = |time_s: f64| {
+            let after = self.measured.partition_point(|m| m.time_s < time_s);
+            let last = self.measured.get(after)?;
             let first = match last.time_s == time_s {
                 true => last,
-                false => &measured[after.checked_sub(1)?],
+                false => &self.measured[after.checked_sub(1)?],
             };
             (last.time_s - first.time_s <= LONGEST_GAP_S).then_some(())
         };
-        let points = self.anywhere(times_s).into_iter().zip(times_s);
+        let mut points = self.anywhere(times_s);
+        for (point, time_s) in points.iter_mut().zip(times_s) {
+            *point = point.filter(|_| is_within(*time_s).is_some());
+        }
         points
-            .map(|(point, time_s)| point.filter(|_| told(*time_s).is_some()))
-            .collect()
     }
 
     /// The same, before, after and between what was measured: its variance grows with the distance in time.
     pub fn anywhere(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
-        let (mut moments, mut wanted) = (Vec::new(), Vec::with_capacity(times_s.len()));
-        let mut next = self.motions.measured.iter().peekable();
-        for time_s in times_s {
-            while let Some(moment) = next.next_if(|moment| moment.time_s <= *time_s) {
-                moments.push(*moment);
-            }
-            wanted.push(moments.len());
-            moments.push(Moment {
-                time_s: *time_s,
-                time_sigma_s: 0.0,
-                measured: None,
-            });
-        }
-        moments.extend(next);
-        let Some(smoothed) = self.motions.smoothed(&moments, Motion::cautious) else {
-            return vec![None; times_s.len()];
-        };
-        let points = self.motions.points(&moments, &smoothed);
-        wanted.into_iter().map(|n| Some(points[n])).collect()
+        self.points(times_s, Motion::cautious)
     }
-}
 
-impl Motions {
-    /// Both axes at moments in order.
-    fn smoothed(
-        &self,
-        moments: &[Moment],
-        noise: fn(&Motion, f64) -> f64,
-    ) -> Option<[Vec<Smoothed>; 2]> {
-        let step_to = |moment: &Moment| {
-            let next = self.measured.partition_point(|m| m.time_s < moment.time_s);
-            next.min(self.measured.len() - 1)
-        };
+    /// The same with the likeliest process noise: where to look, not what to state.
+    pub fn likeliest(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
+        self.points(times_s, |_, noise| noise)
+    }
+
+    /// The path at times in order. The times of neighbours may be wrong alike: smoothing does not reduce what that adds.
+    fn points(&self, times_s: &[f64], noise: fn(&Motion, f64) -> f64) -> Vec<Option<PathPoint>> {
+        let moments = Moments::with(&self.measured, times_s);
         let along = |axis: usize| {
-            let motion = &self.axes[axis];
-            let noises = moments
-                .iter()
-                .map(|moment| noise(motion, motion.noise[step_to(moment)]));
-            let along = Axis {
-                moments,
-                axis,
-                shared: &self.shared,
-                swings: &motion.swings,
-                process_noise: &noises.collect::<Vec<f64>>(),
-            };
-            along.smoothed()
+            let mut found = Vec::with_capacity(times_s.len());
+            self.smooth(axis, &moments, noise, |n, state| {
+                if moments.is_asked(n) {
+                    found.push([state.place, state.variance, state.speed]);
+                }
+            })?;
+            found.reverse();
+            Some(found)
         };
         let (x, y) = rayon::join(|| along(0), || along(1));
-        Some([x?, y?])
-    }
-
-    /// The path at moments in order. The times of neighbours may be wrong alike: smoothing does not reduce what that adds.
-    fn points(&self, moments: &[Moment], [x, y]: &[Vec<Smoothed>; 2]) -> Vec<PathPoint> {
+        let Some((x, y)) = x.zip(y) else {
+            return vec![None; times_s.len()];
+        };
         let mut next = 0;
-        let mut point = |moment: &Moment, x: &Smoothed, y: &Smoothed| {
-            let is_before = |m: &&Moment| m.time_s < moment.time_s;
+        let point = |((time_s, x), y): ((&f64, [f64; 3]), [f64; 3])| {
+            let is_before = |m: &&Moment| m.time_s < *time_s;
             next += self.measured[next..].iter().take_while(is_before).count();
             let near = &self.measured[next.saturating_sub(1)..self.measured.len().min(next + 1)];
-            let time_sigma_s = near
+            let sigma_s = near
                 .iter()
                 .fold(0.0_f64, |most, m| most.max(m.time_sigma_s));
-            let variance = |axis: &Smoothed| axis.variance + (axis.speed * time_sigma_s).powi(2);
-            PathPoint {
-                place: [x.place, y.place],
+            let variance = |[_, variance, speed]: [f64; 3]| variance + (speed * sigma_s).powi(2);
+            Some(PathPoint {
+                place: [x[0], y[0]],
                 variance: [variance(x), variance(y)],
-                speed: [x.speed, y.speed],
-            }
+                speed: [x[2], y[2]],
+            })
         };
-        let all = moments.iter().zip(x.iter().zip(y));
-        all.map(|(moment, (x, y))| point(moment, x, y)).collect()
+        times_s.iter().zip(x).zip(y).map(point).collect()
+    }
+
+    /// An axis at moments in order, from the last to the first.
+    fn smooth(
+        &self,
+        axis: usize,
+        moments: &Moments<'_>,
+        noise: fn(&Motion, f64) -> f64,
+        each: impl FnMut(usize, &Smoothed),
+    ) -> Option<()> {
+        let motion = &self.axes[axis];
+        let mut step = 0;
+        let noises = (0..moments.len()).map(|n| {
+            let time_s = moments.time_s(n);
+            let is_before = |m: &&Moment| m.time_s < time_s;
+            step += self.measured[step..].iter().take_while(is_before).count();
+            noise(motion, motion.noise[step.min(self.measured.len() - 1)])
+        });
+        let along = Axis {
+            moments,
+            axis,
+            shared: &self.shared,
+            swings: &motion.swings,
+            process_noise: &noises.collect::<Vec<f64>>(),
+        };
+        along.smooth(each)
+    }
+
+    /// The swings of an axis, as they are along the path.
+    fn found(&self, axis: usize) -> Option<Vec<FoundSwing>> {
+        let swings = &self.axes[axis].swings;
+        let mut squares = vec![0.0; swings.len()];
+        if !swings.is_empty() {
+            let moments = Moments::of(&self.measured);
+            self.smooth(axis, &moments, Motion::cautious, |_, state| {
+                let places = squares.iter_mut().zip(state.swings);
+                places.for_each(|(sum, place)| *sum += place.powi(2));
+            })?;
+        }
+        let found = |(swing, squares): (&Swing, f64)| FoundSwing {
+            period_s: swing.period_s(),
+            damping_s: swing.damping_s,
+            rms: (squares / self.measured.len() as f64).sqrt(),
+        };
+        Some(swings.iter().zip(squares).map(found).collect())
     }
 }
 
@@ -257,19 +259,6 @@ impl Motion {
             true => noise,
             false => CAUTION * noise,
         }
-    }
-
-    /// The swings, as they are along the path.
-    fn found(&self, along: &[Smoothed]) -> Vec<FoundSwing> {
-        let found = |(k, swing): (usize, &Swing)| {
-            let sum: f64 = along.iter().map(|point| point.swings[k].powi(2)).sum();
-            FoundSwing {
-                period_s: swing.period_s(),
-                damping_s: swing.damping_s,
-                rms: (sum / along.len() as f64).sqrt(),
-            }
-        };
-        self.swings.iter().enumerate().map(found).collect()
     }
 
     fn suffices(&self, noise: f64) -> bool {
@@ -306,7 +295,7 @@ fn motion(measured: &[Moment], axis: usize, shared: &SharedErrors) -> Motion {
     let swinging = with(swings, process_noise);
     let likelihood = |motion: &Motion| {
         let along = Axis {
-            moments: measured,
+            moments: &Moments::of(measured),
             axis,
             shared,
             swings: &motion.swings,

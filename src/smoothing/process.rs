@@ -1,7 +1,7 @@
 //! What moves along an axis: a place whose acceleration is a random walk, swings, and the error that neighbours share.
 
 use super::kalman::{Gaussian, Process, Step, log_likelihood, smooth};
-use super::{Moment, SharedErrors};
+use super::{Measurement, Moment, SharedErrors};
 use nalgebra::{Matrix1, Matrix2, Matrix3, SMatrix, SVector, Vector1};
 
 /// A swing of the gondola: a damped harmonic oscillator that white noise drives, x'' + 2 x' / damping_s + rate^2 x = noise.
@@ -49,9 +49,72 @@ const FIRST_SWING: f64 = 1e2;
 /// Over longer gaps nothing is said about the path.
 pub(super) const LONGEST_GAP_S: f64 = 10.0;
 
+/// Moments in the order of time: those that were measured, and between them times at which the motion is asked for.
+pub(super) struct Moments<'a> {
+    measured: &'a [Moment],
+    asked_s: &'a [f64],
+    /// The place of each moment among the asked ones, or among the measured ones.
+    order: Vec<Place>,
+}
+
+#[derive(Clone, Copy)]
+enum Place {
+    Measured(u32),
+    Asked(u32),
+}
+
+impl<'a> Moments<'a> {
+    /// The measured ones alone.
+    pub fn of(measured: &'a [Moment]) -> Self {
+        Self::with(measured, &[])
+    }
+
+    /// Times in order, each behind what was measured until then.
+    pub fn with(measured: &'a [Moment], asked_s: &'a [f64]) -> Self {
+        let mut order = Vec::with_capacity(measured.len() + asked_s.len());
+        let mut next = 0;
+        for (n, asked_s) in (0..).zip(asked_s) {
+            let until = measured[next..].iter().take_while(|m| m.time_s <= *asked_s);
+            let until = next + until.count();
+            order.extend((next..until).map(|n| Place::Measured(n as u32)));
+            order.push(Place::Asked(n));
+            next = until;
+        }
+        order.extend((next..measured.len()).map(|n| Place::Measured(n as u32)));
+        Self {
+            measured,
+            asked_s,
+            order,
+        }
+    }
+
+    pub fn len(&self) -> usize {
+        self.order.len()
+    }
+
+    pub fn is_asked(&self, n: usize) -> bool {
+        matches!(self.order[n], Place::Asked(_))
+    }
+
+    pub fn time_s(&self, n: usize) -> f64 {
+        match self.order[n] {
+            Place::Measured(n) => self.measured[n as usize].time_s,
+            Place::Asked(n) => self.asked_s[n as usize],
+        }
+    }
+
+    /// What was measured at a moment.
+    fn measured(&self, n: usize) -> Option<[Measurement; 2]> {
+        match self.order[n] {
+            Place::Measured(n) => self.measured[n as usize].measured,
+            Place::Asked(_) => None,
+        }
+    }
+}
+
 /// The motion along one axis.
 pub(super) struct Axis<'a> {
-    pub moments: &'a [Moment],
+    pub moments: &'a Moments<'a>,
     pub axis: usize,
     pub shared: &'a SharedErrors,
     pub swings: &'a [Swing],
@@ -83,47 +146,37 @@ impl Axis<'_> {
         }
     }
 
-    /// The motion at all moments. `None` where the filter fails.
-    pub fn smoothed(&self) -> Option<Vec<Smoothed>> {
+    /// The motion at each moment, from the last to the first. `None` where the filter fails.
+    pub fn smooth(&self, each: impl FnMut(usize, &Smoothed)) -> Option<()> {
         match self.swings.len() {
-            0 => self.smoothed_as::<WITHOUT_SWINGS>(),
-            1 => self.smoothed_as::<{ WITHOUT_SWINGS + 2 }>(),
-            2 => self.smoothed_as::<{ WITHOUT_SWINGS + 4 }>(),
-            _ => self.smoothed_as::<{ WITHOUT_SWINGS + 6 }>(),
+            0 => self.smooth_as::<WITHOUT_SWINGS>(each),
+            1 => self.smooth_as::<{ WITHOUT_SWINGS + 2 }>(each),
+            2 => self.smooth_as::<{ WITHOUT_SWINGS + 4 }>(each),
+            _ => self.smooth_as::<{ WITHOUT_SWINGS + 6 }>(each),
         }
     }
 
-    fn smoothed_as<const N: usize>(&self) -> Option<Vec<Smoothed>> {
-        let mut all = Vec::with_capacity(self.moments.len());
+    fn smooth_as<const N: usize>(&self, mut each: impl FnMut(usize, &Smoothed)) -> Option<()> {
         let place = places::<N>(0.0);
         smooth::<N>(self, |moment, state, _| {
             let variance = |of: &SVector<f64, N>| of.dot(&(state.covariance * of));
             let seen = places::<N>(self.shared_sigma(moment));
-            all.push(Smoothed {
+            let speeds = (1..N).step_by(2).filter(|n| *n != SHARED);
+            let swing = |k: usize| state.mean.get(WITHOUT_SWINGS + 2 * k).copied();
+            let smoothed = Smoothed {
                 place: place.dot(&state.mean),
                 variance: variance(&place),
-                speed: (1..N)
-                    .step_by(2)
-                    .filter(|n| *n != SHARED)
-                    .map(|n| state.mean[n])
-                    .sum(),
+                speed: speeds.map(|n| state.mean[n]).sum(),
                 seen: seen.dot(&state.mean),
                 seen_variance: variance(&seen),
-                swings: std::array::from_fn(|k| {
-                    state
-                        .mean
-                        .get(WITHOUT_SWINGS + 2 * k)
-                        .copied()
-                        .unwrap_or(0.0)
-                }),
-            });
-        })?;
-        all.reverse();
-        Some(all)
+                swings: std::array::from_fn(|k| swing(k).unwrap_or(0.0)),
+            };
+            each(moment, &smoothed);
+        })
     }
 
     fn shared_sigma(&self, moment: usize) -> f64 {
-        let measured = self.moments[moment].measured;
+        let measured = self.moments.measured(moment);
         measured.map_or(0.0, |seen| seen[self.axis].shared_variance.max(0.0).sqrt())
     }
 }
@@ -173,7 +226,7 @@ impl<const N: usize> Process<N> for Axis<'_> {
     }
 
     fn step(&self, moment: usize) -> Option<Step<N>> {
-        let [before, now] = [moment - 1, moment].map(|n| self.moments[n].time_s);
+        let [before, now] = [moment - 1, moment].map(|n| self.moments.time_s(n));
         let step_s = (now - before).max(0.0);
         if step_s > LONGEST_GAP_S {
             return None;
@@ -201,7 +254,7 @@ impl<const N: usize> Process<N> for Axis<'_> {
     }
 
     fn observe(&self, moment: usize, state: &mut Gaussian<N>) -> Option<f64> {
-        let Some(measured) = self.moments[moment].measured else {
+        let Some(measured) = self.moments.measured(moment) else {
             return Some(0.0);
         };
         let measured = measured[self.axis];

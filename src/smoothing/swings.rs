@@ -5,7 +5,7 @@
 //! 3. Process noise and swings of greatest likelihood from there, as long as a further swing pays for its three parameters
 //!    (Schwarz 1978).
 
-use super::process::{Axis, MOST_SWINGS, Swing};
+use super::process::{Axis, MOST_SWINGS, Moments, Swing};
 use super::{Moment, SharedErrors};
 use crate::estimation::{median, spectrum};
 use std::f64::consts::TAU;
@@ -128,12 +128,18 @@ impl<'a> Stretch<'a> {
             .iter()
             .map(|event| event.max(fit.process_noise))
             .collect();
-        self.along(fit, &noise).log_likelihood()
+        let moments = Moments::of(&self.moments);
+        self.along(&moments, fit, &noise).log_likelihood()
     }
 
-    fn along<'b>(&'b self, fit: &'b Fit, process_noise: &'b [f64]) -> Axis<'b> {
+    fn along<'b>(
+        &'b self,
+        moments: &'b Moments<'b>,
+        fit: &'b Fit,
+        process_noise: &'b [f64],
+    ) -> Axis<'b> {
         Axis {
-            moments: &self.moments,
+            moments,
             axis: self.axis,
             shared: self.shared,
             swings: &fit.swings,
@@ -148,16 +154,15 @@ impl<'a> Stretch<'a> {
             .iter()
             .map(|event| event.max(fit.process_noise))
             .collect();
-        let swung = self.along(fit, &noise).smoothed()?;
-        let left = self
-            .moments
-            .iter()
-            .zip(&swung)
-            .filter_map(|(moment, swung)| {
-                let place = moment.measured?[self.axis].place - swung.swings.iter().sum::<f64>();
-                Some((moment.time_s, place))
-            });
-        let left = evenly(&left.collect::<Vec<_>>(), self.step_s);
+        let (moments, mut left) = (Moments::of(&self.moments), Vec::new());
+        self.along(&moments, fit, &noise).smooth(|n, state| {
+            let moment = &self.moments[n];
+            let place = moment.measured.map(|measured| measured[self.axis].place);
+            let swung = state.swings.iter().sum::<f64>();
+            left.extend(place.map(|place| (moment.time_s, place - swung)));
+        })?;
+        left.reverse();
+        let left = evenly(&left, self.step_s);
         let spectrum = spectrum::density(&[left], self.step_s);
         let mut starts = Vec::new();
         for (frequency_hz, density) in peaks(&spectrum) {

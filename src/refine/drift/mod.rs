@@ -138,8 +138,8 @@ impl Drift<'_> {
         let (mut information, mut gradient, mut chi2) = (Covariance::zeros(), State::zeros(), 0.0);
         let marks = self.observations.at(moment).iter();
         for mark in marks.filter(|mark| mark.weight > 0.0) {
-            let (picture, slopes) = self.reference.picture(mark.printed);
-            let residual = mark.seen - picture - slopes * view;
+            let (picture, slopes) = self.reference.picture(mark.printed());
+            let residual = mark.seen() - picture - slopes * view;
             let weight = mark.information() * f64::from(mark.weight);
             let weighted = slopes.transpose() * weight;
             information += weighted * slopes;
@@ -268,12 +268,11 @@ mod tests {
                 let (view, slopes) = reference.picture(printed);
                 let error = Vector2::new(noise(MARK_SIGMA_PX), noise(MARK_SIGMA_PX));
                 let information = MARK_SIGMA_PX.powi(-2) as f32;
-                MarkObservation {
-                    seen: view + slopes * state + error,
+                MarkObservation::new(
+                    view + slopes * state + error,
                     printed,
-                    information: [information, 0.0, information],
-                    weight: 1.0,
-                }
+                    [information, 0.0, information],
+                )
             });
             let first = marks.len();
             marks.extend(observed);

@@ -33,12 +33,9 @@ impl RollPath {
     /// Through frames in the order of time, of whose sigmas a part changes from frame to frame. `None` without any.
     pub fn through(seen: Vec<Seen>, changing: [f64; 2], max_age_s: f64) -> Option<Self> {
         let first_s = seen.first()?.time_s;
-        let moments: Vec<Moment> = seen
-            .iter()
-            .map(|seen| seen.moment(first_s, changing))
-            .collect();
+        let moments = seen.iter().map(|seen| seen.moment(first_s, changing));
         Some(Self {
-            path: smoothing::path(&moments, &SharedErrors::default())?,
+            path: smoothing::path(moments, SharedErrors::default())?,
             seen,
             changing,
             max_age_s,
