@@ -70,7 +70,9 @@
 //! | [`pointing`] | from the Sun on the plate to an offset on the sky |
 //! | [`navigation`] | inertial navigation: the attitude between and beyond the frames |
 //! | [`simulate`] | scenes and trajectories with truth, controller emulator |
+//! | [`columns`] | tables by the declaration of their columns: FITS, CSV, the manual |
 //! | [`archive`], [`camera`] | files on disks; sources of frames |
+//! | [`observe`] | one pass over frames: journals, shards, copies, files that cannot be read |
 //! | [`config`] | the parameter table |
 //! | [`service`], `console`, [`calibrate`], [`refine`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; a flight in a browser (feature `console`); measuring the instrument; the best aspect history of a flight; errors on simulated frames; checks before a flight |
 //! | [`cli`] | one small file per command; no logic |

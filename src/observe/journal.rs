@@ -17,7 +17,7 @@ const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 /// Length and checksum.
 const HEAD: usize = 8;
 /// No record is longer.
-const MOST_BYTES: usize = 1 << 22;
+const MOST_BYTES: u32 = 1 << 22;
 /// How a journal begins.
 const MAGIC: &[u8; 8] = b"solasp1\n";
 
@@ -51,7 +51,9 @@ pub struct Record<T> {
 pub struct Place {
     /// Of its first byte behind length and checksum.
     start: u64,
-    bytes: usize,
+    bytes: u32,
+    /// Which of several journals, as their reader counts them; there are many places.
+    pub(super) journal: u32,
 }
 
 /// A journal of what frames gave, open for reading, and for adding to where it is one's own.
@@ -132,7 +134,8 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
         self.file.write_all_at(&bytes, *end).map_err(refused)?;
         let place = Place {
             start: *end + HEAD as u64,
-            bytes: body.len(),
+            bytes: body.len() as u32,
+            journal: 0,
         };
         *end += bytes.len() as u64;
         Ok(place)
@@ -143,7 +146,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// # Errors
     /// A disk that refuses, or bytes that have changed.
     pub fn record(&self, place: Place) -> Result<Record<T>, JournalError> {
-        let mut body = vec![0; place.bytes];
+        let mut body = vec![0; place.bytes as usize];
         let read = self.file.read_exact_at(&mut body, place.start);
         read.map_err(|cause| io_error(&self.path, "read a record", cause))?;
         postcard::from_bytes(&body).map_err(|_| JournalError::Changed {
@@ -178,24 +181,32 @@ fn read_all<T: DeserializeOwned>(
     let mut end = MAGIC.len() as u64;
     while let Some((record, bytes)) = next(&mut file) {
         let start = end + HEAD as u64;
-        each(record, Place { start, bytes });
-        end = start + bytes as u64;
+        let journal = 0;
+        each(
+            record,
+            Place {
+                start,
+                bytes,
+                journal,
+            },
+        );
+        end = start + u64::from(bytes);
     }
     Ok(end)
 }
 
 /// The next record with the length of its body; none at the end, and none where it is torn.
-fn next<T: DeserializeOwned>(file: &mut impl Read) -> Option<(Record<T>, usize)> {
+fn next<T: DeserializeOwned>(file: &mut impl Read) -> Option<(Record<T>, u32)> {
     let mut word = || {
         let mut bytes = [0; 4];
         file.read_exact(&mut bytes).ok()?;
         Some(u32::from_le_bytes(bytes))
     };
-    let (length, sum) = (word()? as usize, word()?);
+    let (length, sum) = (word()?, word()?);
     if length > MOST_BYTES {
         return None;
     }
-    let mut body = vec![0; length];
+    let mut body = vec![0; length as usize];
     file.read_exact(&mut body).ok()?;
     if CRC.checksum(&body) != sum {
         return None;

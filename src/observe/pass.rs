@@ -242,8 +242,7 @@ impl Pass<'_> {
 #[derive(Debug)]
 pub struct Done<T> {
     journals: Vec<Journal<T>>,
-    /// The journal's number and the place in it.
-    places: HashMap<u64, (usize, Place)>,
+    places: HashMap<u64, Place>,
     /// What holds for this run alone, and is in no journal: frames that contradict their archive, for another run may be told to use them,
     /// and files that could not be read for now.
     passing: HashMap<u64, Record<T>>,
@@ -278,13 +277,14 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
         let mut places = HashMap::new();
         let mut journals = Vec::new();
         for other in others {
-            let number = journals.len() + 1;
-            journals.push(Journal::read(other, |record, place| {
-                places.insert(key(&record.input), (number, place));
+            let number = journals.len() as u32 + 1;
+            journals.push(Journal::read(other, |record, mut place| {
+                place.journal = number;
+                places.insert(key(&record.input), place);
             })?);
         }
         let own = Journal::open(own, |record, place| {
-            places.insert(key(&record.input), (0, place));
+            places.insert(key(&record.input), place);
         })?;
         journals.insert(0, own);
         Ok(Self {
@@ -311,10 +311,12 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     /// # Errors
     /// A journal that cannot be read.
     pub fn record_of(&self, key: u64) -> Result<Option<Record<T>>, JournalError> {
-        let Some((journal, place)) = self.places.get(&key) else {
+        let Some(place) = self.places.get(&key) else {
             return Ok(self.passing.get(&key).cloned());
         };
-        self.journals[*journal].record(*place).map(Some)
+        self.journals[place.journal as usize]
+            .record(*place)
+            .map(Some)
     }
 
     /// How many inputs have no frame, for whatever reason.
@@ -339,7 +341,7 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     ) -> Result<(), JournalError> {
         let journal = &self.journals[0];
         let passing = Mutex::new(HashMap::new());
-        let new: Vec<(u64, (usize, Place))> = inputs
+        let new: Vec<(u64, Place)> = inputs
             .par_iter()
             .filter(|input| !self.places.contains_key(&key(input)) && pass.goes_on())
             .filter_map(|input| {
@@ -365,7 +367,7 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
                     return None;
                 }
                 let place = journal.append(&record);
-                Some(place.map(|place| (input_key, (0, place))))
+                Some(place.map(|place| (input_key, place)))
             })
             .collect::<Result<_, JournalError>>()?;
         self.places.extend(new);

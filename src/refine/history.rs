@@ -100,6 +100,7 @@ impl History {
         let path = match again.is_empty() {
             true => path,
             false => {
+                drop(path);
                 let numbers: Vec<usize> = again.iter().map(|(n, _)| *n).collect();
                 for (n, seen) in again {
                     suns.seen[n] = Some(seen);

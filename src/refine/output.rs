@@ -198,7 +198,7 @@ pub fn write(
     Ok(summary)
 }
 
-/// Writes a table as `name.fits` and `name.csv`.
+/// Writes a table as `name.fits` and `name.csv`; `each` sees every row.
 ///
 /// # Errors
 /// A file that cannot be written, or what a row gives.
@@ -207,8 +207,14 @@ pub(super) fn write_table<T, R: Borrow<T>, I: Iterator<Item = Result<R, OutputEr
     flown: &Flown,
     (name, columns): (&str, &[Column<T>]),
     rows: impl Fn() -> I,
+    mut each: impl FnMut(&T),
 ) -> Result<(), OutputError> {
-    let widths = columns::write_csv(&path.with_extension("csv"), columns, rows())?;
+    let seen = rows().inspect(|row| {
+        if let Ok(row) = row {
+            each(row.borrow());
+        }
+    });
+    let widths = columns::write_csv(&path.with_extension("csv"), columns, seen)?;
     let cards: Vec<Card> = flown.cards().collect();
     columns::write_tables(&path.with_extension("fits"), &cards, |file| {
         columns::write_fits(file, name, columns, &widths, rows())
@@ -226,7 +232,7 @@ pub fn write_stabilisation(
 ) -> Result<(), OutputError> {
     let table = (STABILISATION, STABILISATION_COLUMNS);
     let path = folder.join("stabilisation");
-    write_table(&path, flown, table, || rows.iter().map(Ok))
+    write_table(&path, flown, table, || rows.iter().map(Ok), |_| {})
 }
 
 pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), FileError> {

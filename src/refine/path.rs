@@ -58,6 +58,7 @@ impl SunPath {
                 .is_some_and(|point| is_off(sun, sigma_s, point))
         };
         let off: Vec<usize> = doubtful.iter().filter(|d| is_off(d)).map(|d| d.0).collect();
+        drop(path);
         let counts = |n: usize| off.binary_search(&n).is_err();
         (Self::through(flight, suns, counts), off)
     }

@@ -56,7 +56,7 @@ impl Levels<'_> {
     /// How well a constant process noise foretells each measured moment from all others, from the last to the first: logarithm of the
     /// likelihood but for a constant. One with which the filter fails foretells nothing.
     fn foretold(&self, noise: f64) -> Vec<f32> {
-        let moments = Moments::of(self.measured);
+        let moments = Moments::Measured(self.measured);
         let axis = Axis {
             moments: &moments,
             axis: self.axis,

@@ -173,7 +173,7 @@ impl Path {
 
     /// The path at times in order. The times of neighbours may be wrong alike: smoothing does not reduce what that adds.
     fn points(&self, times_s: &[f64], noise: fn(&Motion, f64) -> f64) -> Vec<Option<PathPoint>> {
-        let moments = Moments::with(&self.measured, times_s);
+        let moments = Moments::asked(&self.measured, times_s);
         let along = |axis: usize| {
             let mut found = Vec::with_capacity(times_s.len());
             self.smooth(axis, &moments, noise, |n, state| {
@@ -237,7 +237,7 @@ impl Path {
         let swings = &self.axes[axis].swings;
         let mut squares = vec![0.0; swings.len()];
         if !swings.is_empty() {
-            let moments = Moments::of(&self.measured);
+            let moments = Moments::Measured(&self.measured);
             self.smooth(axis, &moments, Motion::cautious, |_, state| {
                 let places = squares.iter_mut().zip(state.swings);
                 places.for_each(|(sum, place)| *sum += place.powi(2));
@@ -295,7 +295,7 @@ fn motion(measured: &[Moment], axis: usize, shared: &SharedErrors) -> Motion {
     let swinging = with(swings, process_noise);
     let likelihood = |motion: &Motion| {
         let along = Axis {
-            moments: &Moments::of(measured),
+            moments: &Moments::Measured(measured),
             axis,
             shared,
             swings: &motion.swings,

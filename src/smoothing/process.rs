@@ -49,66 +49,78 @@ const FIRST_SWING: f64 = 1e2;
 /// Over longer gaps nothing is said about the path.
 pub(super) const LONGEST_GAP_S: f64 = 10.0;
 
-/// Moments in the order of time: those that were measured, and between them times at which the motion is asked for.
-pub(super) struct Moments<'a> {
-    measured: &'a [Moment],
-    asked_s: &'a [f64],
-    /// The place of each moment among the asked ones, or among the measured ones.
-    order: Vec<Place>,
+/// Moments in the order of time.
+pub(super) enum Moments<'a> {
+    /// Those that were measured.
+    Measured(&'a [Moment]),
+    /// And between them times at which the motion is asked for.
+    Asked {
+        measured: &'a [Moment],
+        times_s: &'a [f64],
+        order: Vec<Place>,
+    },
 }
 
+/// A moment's place among the measured ones, or among the times that are asked for.
 #[derive(Clone, Copy)]
-enum Place {
+pub(super) enum Place {
     Measured(u32),
     Asked(u32),
 }
 
 impl<'a> Moments<'a> {
-    /// The measured ones alone.
-    pub fn of(measured: &'a [Moment]) -> Self {
-        Self::with(measured, &[])
-    }
-
     /// Times in order, each behind what was measured until then.
-    pub fn with(measured: &'a [Moment], asked_s: &'a [f64]) -> Self {
-        let mut order = Vec::with_capacity(measured.len() + asked_s.len());
+    pub fn asked(measured: &'a [Moment], times_s: &'a [f64]) -> Self {
+        let mut order = Vec::with_capacity(measured.len() + times_s.len());
         let mut next = 0;
-        for (n, asked_s) in (0..).zip(asked_s) {
-            let until = measured[next..].iter().take_while(|m| m.time_s <= *asked_s);
+        for (n, time_s) in (0..).zip(times_s) {
+            let until = measured[next..].iter().take_while(|m| m.time_s <= *time_s);
             let until = next + until.count();
             order.extend((next..until).map(|n| Place::Measured(n as u32)));
             order.push(Place::Asked(n));
             next = until;
         }
         order.extend((next..measured.len()).map(|n| Place::Measured(n as u32)));
-        Self {
+        Self::Asked {
             measured,
-            asked_s,
+            times_s,
             order,
         }
     }
 
     pub fn len(&self) -> usize {
-        self.order.len()
+        match self {
+            Self::Measured(measured) => measured.len(),
+            Self::Asked { order, .. } => order.len(),
+        }
     }
 
     pub fn is_asked(&self, n: usize) -> bool {
-        matches!(self.order[n], Place::Asked(_))
+        matches!(self, Self::Asked { order, .. } if matches!(order[n], Place::Asked(_)))
+    }
+
+    /// What was measured at a moment; its time alone, where it is one that is asked for.
+    fn at(&self, n: usize) -> Result<&'a Moment, f64> {
+        match self {
+            Self::Measured(measured) => Ok(&measured[n]),
+            Self::Asked {
+                measured,
+                times_s,
+                order,
+            } => match order[n] {
+                Place::Measured(n) => Ok(&measured[n as usize]),
+                Place::Asked(n) => Err(times_s[n as usize]),
+            },
+        }
     }
 
     pub fn time_s(&self, n: usize) -> f64 {
-        match self.order[n] {
-            Place::Measured(n) => self.measured[n as usize].time_s,
-            Place::Asked(n) => self.asked_s[n as usize],
-        }
+        self.at(n)
+            .map_or_else(|time_s| time_s, |moment| moment.time_s)
     }
 
-    /// What was measured at a moment.
-    fn measured(&self, n: usize) -> Option<[Measurement; 2]> {
-        match self.order[n] {
-            Place::Measured(n) => self.measured[n as usize].measured,
-            Place::Asked(_) => None,
-        }
+    fn measured(&self, n: usize) -> Option<&'a [Measurement; 2]> {
+        self.at(n).ok()?.measured.as_ref()
     }
 }
 

@@ -128,7 +128,7 @@ impl<'a> Stretch<'a> {
             .iter()
             .map(|event| event.max(fit.process_noise))
             .collect();
-        let moments = Moments::of(&self.moments);
+        let moments = Moments::Measured(&self.moments);
         self.along(&moments, fit, &noise).log_likelihood()
     }
 
@@ -154,7 +154,7 @@ impl<'a> Stretch<'a> {
             .iter()
             .map(|event| event.max(fit.process_noise))
             .collect();
-        let (moments, mut left) = (Moments::of(&self.moments), Vec::new());
+        let (moments, mut left) = (Moments::Measured(&self.moments), Vec::new());
         self.along(&moments, fit, &noise).smooth(|n, state| {
             let moment = &self.moments[n];
             let place = moment.measured.map(|measured| measured[self.axis].place);

@@ -48,11 +48,10 @@ pub fn write_roll(
 ) -> Result<RollSummary, OutputError> {
     let rows = || history.rows().map(|row| row.map_err(OutputError::from));
     let path = folder.join("roll");
-    write_table(&path, &recipe.flown, (ROLL, ROLL_COLUMNS), rows)?;
     let (mut counts, mut remarks) = (Counts::default(), BTreeMap::new());
     let (mut sigmas, mut smoothed) = (Vec::new(), Vec::new());
-    for row in rows() {
-        let row = row?;
+    let table = (ROLL, ROLL_COLUMNS);
+    write_table(&path, &recipe.flown, table, rows, |row| {
         let odd = row.timing.odd.map(|odd| odd.to_string());
         counts.add(row.quality, row.utc(), odd.into_iter());
         let remark = row.remark();
@@ -61,8 +60,8 @@ pub fn write_roll(
         }
         sigmas.extend(row.angles_deg().map(|[roll, _]| roll.sigma));
         smoothed.extend(row.smoothed.map(|smoothed| smoothed.roll_deg.sigma));
-        each(&row);
-    }
+        each(row);
+    })?;
     let summary = RollSummary {
         program: PROGRAM,
         commit: COMMIT,
