@@ -164,10 +164,7 @@ fn rms(values: &[f64]) -> f64 {
 fn points(moments: &[Moment]) -> Vec<PathPoint> {
     let times: Vec<f64> = moments.iter().map(|moment| moment.time_s).collect();
     let path = path(moments.iter().copied(), SharedErrors::default()).unwrap();
-    path.anywhere(&times)
-        .into_iter()
-        .map(Option::unwrap)
-        .collect()
+    path.anywhere(&times).unwrap()
 }
 
 /// Flies the segments and judges each by the truth.

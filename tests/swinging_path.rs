@@ -102,9 +102,9 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 /// Rms error, mil, and rms of error over sigma, of both axes.
 fn errors(path: &Path, flown: &[Axes]) -> (f64, f64) {
     let times: Vec<f64> = (0..flown.len()).map(time_s).collect();
-    let points = path.anywhere(&times);
+    let points = path.anywhere(&times).unwrap();
     let both = || {
-        points.iter().flatten().zip(flown).flat_map(|(p, truth)| {
+        points.iter().zip(flown).flat_map(|(p, truth)| {
             [0, 1].map(|axis| (p.place[axis] - truth[axis], p.variance[axis].sqrt()))
         })
     };

@@ -1,7 +1,7 @@
 //! What the dated frames gave by themselves, as far as the frames about them are judged by it.
 
 use super::drift::MarkObservation;
-use super::record::{FrameRecord, Grade, MarkRecord, symmetric, upper};
+use super::record::{DiscRecord, FrameRecord, Grade, MarkRecord, symmetric, upper};
 use super::timeline::Timeline;
 use crate::aspect::Stage;
 use crate::instrument::Instrument;
@@ -36,7 +36,6 @@ pub(super) struct Frame {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct OwnDisc {
     pub centre_px: SensorPx,
-    pub on_plate: Estimate<PlateMil>,
     /// Part of the limb that it rests on, 0 to 1.
     pub limb_part: f64,
 }
@@ -44,6 +43,8 @@ pub(super) struct OwnDisc {
 /// The dated frames of a flight, in the order of time.
 pub(super) struct Frames {
     pub frames: Vec<Frame>,
+    /// The Sun on the plate as each alone has it.
+    pub suns: Vec<Option<Estimate<PlateMil>>>,
     /// The marks of the fine frames.
     pub marks: Vec<MarkObservation>,
     /// Plate (mil) to ideal sensor (px), as the fine frames have it.
@@ -63,6 +64,7 @@ impl Frames {
     ) -> Result<Self, JournalError> {
         let mut all = Self {
             frames: Vec::with_capacity(timeline.dated()),
+            suns: Vec::with_capacity(timeline.dated()),
             marks: Vec::new(),
             mappings: Vec::new(),
             contradiction: None,
@@ -92,11 +94,12 @@ impl Frames {
             let inverse = own.and_then(|m| Matrix3::from_row_slice(&m).try_inverse());
             self.mappings.extend(inverse);
         }
+        self.suns
+            .push(record.disc.as_ref().map(DiscRecord::on_plate));
         self.frames.push(Frame {
             quality: record.quality,
             disc: record.disc.as_ref().map(|disc| OwnDisc {
                 centre_px: SensorPx::new(disc.centre_px[0], disc.centre_px[1]),
-                on_plate: disc.on_plate(),
                 limb_part: disc.limb_fraction,
             }),
             levels_dn: record.levels_dn.map(|levels| levels.map(|dn| dn as f32)),

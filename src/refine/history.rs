@@ -91,7 +91,7 @@ impl History {
             frames: frames.frames,
             mapping,
         };
-        let mut suns = Suns::find(&flight)?;
+        let mut suns = Suns::find(&flight, frames.suns)?;
         let all: Vec<usize> = (0..flight.frames.len()).collect();
         suns.odd = outliers(&flight, &suns, &all);
         let path = followed(&flight, &mut suns);
@@ -277,7 +277,7 @@ impl History {
         row.oddities = self.suns.odd[n];
         row.expected_radius_mil = frame.expected_radius_mil;
         row.quality = self.suns.quality(frame, n);
-        row.sun = self.suns.sun(frame, n);
+        row.sun = self.suns.sun(&self.flight, n);
         row.limb_part = self.suns.limb_part(frame, n);
         row.speed_mil_per_s = timing.sigma_s.and_then(|_| self.path.speed(n));
         row.body_nadir = self.nadirs.get(n).copied().flatten();

@@ -17,6 +17,22 @@
 //!
 //! 3. A [`Row`] is put together from the columns and the record when it is asked for ([`History::rows`]), and never changed.
 //!
+//! ```no_run
+//! use solaspect::refine::{Options, refine};
+//! use std::path::Path;
+//!
+//! let options = Options {
+//!     out: "best".into(),
+//!     ..Options::default()
+//! };
+//! // `()` follows nothing and cancels nothing; see [`Watch`](solaspect::observe::Watch).
+//! let refined = refine(Path::new("flight"), &options, &())?;
+//! for camera in &refined.cameras {
+//!     println!("{} of {} fine", camera.summary.counts.fine, camera.summary.counts.files);
+//! }
+//! # Ok::<(), anyhow::Error>(())
+//! ```
+//!
 //! What comes out depends on archive, instrument and settings alone, bit for bit: not on the order in which frames were done, by how many
 //! cores or machines, nor on how often the run was killed.
 

@@ -35,7 +35,7 @@ pub(super) struct SunPath {
     pub first_s: f64,
     /// Of each point.
     times_s: Vec<f64>,
-    points: Vec<Option<PathPoint>>,
+    points: Vec<PathPoint>,
     /// The point of each dated frame.
     at: Vec<u32>,
 }
@@ -47,7 +47,7 @@ impl SunPath {
         let path = Self::through(flight, suns, is_sure);
         let doubtful: Vec<(usize, Estimate<PlateMil>)> = (0..flight.frames.len())
             .filter(|n| !is_sure(*n))
-            .filter_map(|n| Some((n, suns.fine(&flight.frames[n], n)?)))
+            .filter_map(|n| Some((n, suns.fine(flight, n)?)))
             .collect();
         if doubtful.is_empty() {
             return (path, Vec::new());
@@ -73,7 +73,7 @@ impl SunPath {
             time_s: since_first(n),
             time_sigma_s: timeline.timing(n).sigma_s.unwrap_or(0.0),
             measured: suns
-                .fine(&flight.frames[n], n)
+                .fine(flight, n)
                 .map(|sun| measurements(flight, suns, n, &sun)),
         });
         let path = smoothing::path(moments, shared_errors(flight, suns, first_s));
@@ -87,7 +87,8 @@ impl SunPath {
         Self {
             points: path
                 .as_ref()
-                .map_or(Vec::new(), |path| path.anywhere(&times_s)),
+                .and_then(|path| path.anywhere(&times_s))
+                .unwrap_or_default(),
             path,
             first_s,
             times_s,
@@ -98,8 +99,8 @@ impl SunPath {
     /// Each point with its time, s since 1970; none where the path is a guess.
     pub fn points(&self) -> impl Iterator<Item = (f64, Option<&PathPoint>)> {
         let times = self.times_s.iter().map(|time_s| self.first_s + time_s);
-        let points = self.points.iter().map(Option::as_ref);
-        times.zip(points.map(|point| point.filter(|point| is_known(point))))
+        let points = self.points.iter();
+        times.zip(points.map(|point| is_known(point).then_some(point)))
     }
 
     /// The times of the first and the last dated frame, s since 1970.
@@ -109,14 +110,14 @@ impl SunPath {
     }
 
     fn point(&self, n: usize) -> Option<&PathPoint> {
-        self.points.get(self.at[n] as usize)?.as_ref()
+        self.points.get(self.at[n] as usize)
     }
 
     /// Where the path most likely has the disc at each of some dated frames, in order, and 1 sigma, mil.
     pub fn places(&self, of: &[usize]) -> Vec<Option<(PlateMil, f64)>> {
         let times_s = of.iter().map(|n| self.times_s[self.at[*n] as usize]);
         let times_s: Vec<f64> = times_s.collect();
-        let points = self.path.as_ref().map(|path| path.likeliest(&times_s));
+        let points = self.path.as_ref().and_then(|path| path.likeliest(&times_s));
         let place = |PathPoint {
                          place, variance, ..
                      }| {
@@ -125,7 +126,7 @@ impl SunPath {
             (PlateMil::new(x, y), sigma)
         };
         match points {
-            Some(points) => points.into_iter().map(|point| point.map(place)).collect(),
+            Some(points) => points.into_iter().map(|point| Some(place(point))).collect(),
             None => vec![None; of.len()],
         }
     }
@@ -145,7 +146,7 @@ fn shared_errors(flight: &Flight, suns: &Suns, first_s: f64) -> SharedErrors {
     };
     let facts = &mapping.facts;
     let time = |n: usize| {
-        let sun = suns.fine(&flight.frames[n], n)?;
+        let sun = suns.fine(flight, n)?;
         suns.seen[n]?;
         let scale = mapping.numbers(n)?.there.scale_mil_per_px.value;
         let [shift, turn] = facts.process_noise_px.map(|px| (px * scale).powi(2));

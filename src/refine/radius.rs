@@ -4,7 +4,6 @@
 //! The mapping from camera to plate is that of the marks, so what the camera's own scale does is not in the radius. What is: a plate that
 //! is farther away makes the disc larger, a plate that expands makes it smaller in the plate's own mil.
 
-use super::frames::Frame;
 use super::suns::{Flight, Suns};
 use super::temperature;
 use crate::estimation::regression;
@@ -51,16 +50,15 @@ impl Serialize for RadiusDependence {
 impl RadiusDependence {
     /// By the dated frames of a flight. A change with time that goes as the temperature does is not told apart.
     pub(super) fn of(flight: &Flight, suns: &Suns) -> Self {
-        let frames = flight.frames.iter().enumerate();
         let times_s = (0..flight.frames.len()).filter_map(|n| flight.timeline.unix_s(n));
         let times_s: Vec<f64> = times_s.collect();
         let readings: Vec<Option<f64>> = flight.frames.iter().map(|f| f.temperature_c).collect();
         let Some(temperature_c) = temperature::from_the_middle(&times_s, &readings) else {
             return Self::NoTemperature;
         };
-        let discs = frames.zip(temperature_c);
+        let discs = temperature_c.into_iter().enumerate();
         let discs: Vec<(f64, f64)> = discs
-            .filter_map(|((n, frame), c)| Some((c, ratio(suns, frame, n)?)))
+            .filter_map(|(n, c)| Some((c, ratio(flight, suns, n)?)))
             .collect();
         Self::through(&discs)
     }
@@ -114,8 +112,9 @@ impl RadiusDependence {
 }
 
 /// The radius over the expected one, of fine frames that show enough of the limb to determine it.
-fn ratio(suns: &Suns, frame: &Frame, n: usize) -> Option<f64> {
-    suns.fine(frame, n).filter(|_| suns.is_sure(frame, n))?;
+fn ratio(flight: &Flight, suns: &Suns, n: usize) -> Option<f64> {
+    let frame = &flight.frames[n];
+    suns.fine(flight, n).filter(|_| suns.is_sure(frame, n))?;
     Some(suns.seen[n]?.disc.radius_mil.value / frame.expected_radius_mil?)
 }
 

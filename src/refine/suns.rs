@@ -12,6 +12,7 @@ use crate::observe::JournalError;
 use crate::units::{Estimate, Measured, PlateMil};
 use nalgebra::Matrix2;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// The limb's part that makes a fine solution.
 const LEAST_FINE_LIMB: f64 = 0.4;
@@ -43,33 +44,35 @@ pub(super) struct Flight {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seen {
     pub disc: PlateDisc,
-    /// What the mapping adds to the covariance of its place, mil^2.
-    by_mapping: Matrix2<f64>,
     pub limb_part: f64,
     pub quality: Grade,
 }
 
-impl Seen {
-    /// The Sun, by limb and mapping together.
-    pub fn sun(&self) -> Estimate<PlateMil> {
-        let centre = self.disc.centre;
-        Estimate {
-            covariance: centre.covariance * (1.0 + SHARED_LIMB) + self.by_mapping,
-            ..centre
-        }
-    }
-}
-
 impl Flight {
+    /// What the mapping of a frame adds to the covariance of a place, mil^2.
+    fn by_mapping(&self, n: usize, place: PlateMil) -> Option<Matrix2<f64>> {
+        let mapping = self.mapping.as_ref()?;
+        Some(mapping.covariance_mil2(n, place, &mapping.at(n)?))
+    }
+
+    /// The Sun of a frame, by limb and mapping together.
+    fn sun(&self, n: usize, seen: &Seen) -> Option<Estimate<PlateMil>> {
+        let centre = seen.disc.centre;
+        let by_mapping = self.by_mapping(n, centre.position)?;
+        Some(Estimate {
+            covariance: centre.covariance * (1.0 + SHARED_LIMB) + by_mapping,
+            ..centre
+        })
+    }
+
     /// A disc as the flight's mapping has it: its quality is that of limb and mapping. `None` without a mapping.
     pub fn seen(&self, n: usize, disc: PlateDisc, limb_part: f64) -> Option<Seen> {
-        let mapping = self.mapping.as_ref()?;
-        let by_mapping = mapping.covariance_mil2(n, disc.centre.position, &mapping.at(n)?);
+        let by_mapping = self.by_mapping(n, disc.centre.position)?;
         let known = by_mapping.trace() < 2.0 * MOST_FINE_SIGMA_MIL.powi(2);
-        let fine = limb_part >= LEAST_FINE_LIMB && (known || mapping.own_jump(n).is_some());
+        let jumps = self.mapping.as_ref().and_then(|m| m.own_jump(n)).is_some();
+        let fine = limb_part >= LEAST_FINE_LIMB && (known || jumps);
         Some(Seen {
             disc,
-            by_mapping,
             limb_part,
             quality: if fine { Grade::Fine } else { Grade::Coarse },
         })
@@ -114,6 +117,8 @@ impl Flight {
 /// The Suns of the dated frames, and what is odd about them.
 pub(super) struct Suns {
     pub seen: Vec<Option<Seen>>,
+    /// Of frames that are not seen through the flight's mapping, as they alone have it.
+    own: BTreeMap<usize, Estimate<PlateMil>>,
     pub odd: Vec<Oddities>,
     /// The flight's radius over the expected one, where its discs determine it.
     pub radius_ratio: Option<Measured>,
@@ -126,7 +131,10 @@ impl Suns {
     ///
     /// # Errors
     /// A journal that cannot be read.
-    pub fn find(flight: &Flight) -> Result<Self, JournalError> {
+    pub fn find(
+        flight: &Flight,
+        own: Vec<Option<Estimate<PlateMil>>>,
+    ) -> Result<Self, JournalError> {
         let is_whole = |part: f64| part >= TELLING_LIMB;
         let mut found = flight.discs(is_whole, LOOSE_RADIUS)?;
         hold_to_usual_scatter(found.iter_mut().map(|(_, disc)| disc));
@@ -144,7 +152,10 @@ impl Suns {
             let own = flight.frames[n].disc;
             seen[n] = own.and_then(|own| flight.seen(n, disc, own.limb_part));
         }
+        let own = own.into_iter().enumerate();
+        let own = own.filter_map(|(n, own)| Some((n, own.filter(|_| seen[n].is_none())?)));
         Ok(Self {
+            own: own.collect(),
             seen,
             odd: vec![Oddities::default(); count],
             radius_ratio,
@@ -152,34 +163,31 @@ impl Suns {
         })
     }
 
-    /// The Sun of a frame and its quality, whatever is odd about it.
-    fn stated(&self, frame: &Frame, n: usize) -> (Grade, Option<Estimate<PlateMil>>) {
-        let only_again = self.odd[n].contains(Oddity::SecondLook);
-        match &self.seen[n] {
-            Some(seen) if only_again => (Grade::Coarse, Some(seen.sun())),
-            Some(seen) => (seen.quality, Some(seen.sun())),
-            None => (frame.quality, frame.disc.map(|disc| disc.on_plate)),
-        }
-    }
-
     /// A frame's quality: none where something spoils it.
     pub fn quality(&self, frame: &Frame, n: usize) -> Grade {
-        match self.odd[n].spoil() {
-            true => Grade::None,
-            false => self.stated(frame, n).0,
+        match &self.seen[n] {
+            _ if self.odd[n].spoil() => Grade::None,
+            Some(_) if self.odd[n].contains(Oddity::SecondLook) => Grade::Coarse,
+            Some(seen) => seen.quality,
+            None => frame.quality,
         }
     }
 
     /// The Sun of a frame; none where something spoils it.
-    pub fn sun(&self, frame: &Frame, n: usize) -> Option<Estimate<PlateMil>> {
-        let (_, sun) = self.stated(frame, n);
-        sun.filter(|_| !self.odd[n].spoil())
+    pub fn sun(&self, flight: &Flight, n: usize) -> Option<Estimate<PlateMil>> {
+        match &self.seen[n] {
+            _ if self.odd[n].spoil() => None,
+            Some(seen) => flight.sun(n, seen),
+            None => self.own.get(&n).copied(),
+        }
     }
 
     /// The Sun of a frame whose place is one of the flight's path.
-    pub fn fine(&self, frame: &Frame, n: usize) -> Option<Estimate<PlateMil>> {
-        let sun = self.sun(frame, n);
-        sun.filter(|_| self.quality(frame, n) == Grade::Fine)
+    pub fn fine(&self, flight: &Flight, n: usize) -> Option<Estimate<PlateMil>> {
+        match self.quality(&flight.frames[n], n) {
+            Grade::Fine => self.sun(flight, n),
+            Grade::Coarse | Grade::None => None,
+        }
     }
 
     /// Part of the limb that was seen, 0 to 1.

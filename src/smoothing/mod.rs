@@ -154,25 +154,27 @@ impl Path {
             };
             (last.time_s - first.time_s <= LONGEST_GAP_S).then_some(())
         };
-        let mut points = self.anywhere(times_s);
-        for (point, time_s) in points.iter_mut().zip(times_s) {
-            *point = point.filter(|_| is_within(*time_s).is_some());
-        }
+        let Some(points) = self.anywhere(times_s) else {
+            return vec![None; times_s.len()];
+        };
+        let points = points.into_iter().zip(times_s);
         points
+            .map(|(point, time_s)| is_within(*time_s).map(|()| point))
+            .collect()
     }
 
-    /// The same, before, after and between what was measured: its variance grows with the distance in time.
-    pub fn anywhere(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
+    /// The same, before, after and between what was measured: its variance grows with the distance in time. `None` where the filter fails.
+    pub fn anywhere(&self, times_s: &[f64]) -> Option<Vec<PathPoint>> {
         self.points(times_s, Motion::cautious)
     }
 
     /// The same with the likeliest process noise: where to look, not what to state.
-    pub fn likeliest(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
+    pub fn likeliest(&self, times_s: &[f64]) -> Option<Vec<PathPoint>> {
         self.points(times_s, |_, noise| noise)
     }
 
     /// The path at times in order. The times of neighbours may be wrong alike: smoothing does not reduce what that adds.
-    fn points(&self, times_s: &[f64], noise: fn(&Motion, f64) -> f64) -> Vec<Option<PathPoint>> {
+    fn points(&self, times_s: &[f64], noise: fn(&Motion, f64) -> f64) -> Option<Vec<PathPoint>> {
         let moments = Moments::asked(&self.measured, times_s);
         let along = |axis: usize| {
             let mut found = Vec::with_capacity(times_s.len());
@@ -185,9 +187,7 @@ impl Path {
             Some(found)
         };
         let (x, y) = rayon::join(|| along(0), || along(1));
-        let Some((x, y)) = x.zip(y) else {
-            return vec![None; times_s.len()];
-        };
+        let (x, y) = x.zip(y)?;
         let mut next = 0;
         let point = |((time_s, x), y): ((&f64, [f64; 3]), [f64; 3])| {
             let is_before = |m: &&Moment| m.time_s < *time_s;
@@ -197,13 +197,13 @@ impl Path {
                 .iter()
                 .fold(0.0_f64, |most, m| most.max(m.time_sigma_s));
             let variance = |[_, variance, speed]: [f64; 3]| variance + (speed * sigma_s).powi(2);
-            Some(PathPoint {
+            PathPoint {
                 place: [x[0], y[0]],
                 variance: [variance(x), variance(y)],
                 speed: [x[2], y[2]],
-            })
+            }
         };
-        times_s.iter().zip(x).zip(y).map(point).collect()
+        Some(times_s.iter().zip(x).zip(y).map(point).collect())
     }
 
     /// An axis at moments in order, from the last to the first.

@@ -41,11 +41,17 @@ pub(super) struct ThermalCoefficients {
     pub covariance: Matrix4<f64>,
 }
 
-/// The view at a moment with its covariance.
+/// The view at a moment with its covariance, in single precision: a flight has a hundred thousand.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Estimate {
-    pub state: State,
+    state: [f32; STATES],
     pub covariance: UpperTriangle,
+}
+
+impl Estimate {
+    pub fn state(&self) -> State {
+        State::from_iterator(self.state.into_iter().map(f64::from))
+    }
 }
 
 /// A jump may lie between a moment and the one before it.
@@ -102,7 +108,7 @@ impl Drift<'_> {
         smooth::<N>(self, |moment, state, disturbance| {
             let covariance = state.covariance.fixed_view::<STATES, STATES>(0, 0);
             smoothed.estimates.push(Estimate {
-                state: state.mean.fixed_rows::<STATES>(0).into_owned(),
+                state: std::array::from_fn(|n| state.mean[n] as f32),
                 covariance: packed(&covariance.into_owned()),
             });
             smoothed.thermal = thermal(state);
@@ -318,7 +324,7 @@ mod tests {
             assert!(sigma < 0.01);
         }
         let off =
-            |smoothed: &Smoothed, n: usize| (smoothed.estimates[n].state[0] - truth[n][0]).abs();
+            |smoothed: &Smoothed, n: usize| (smoothed.estimates[n].state()[0] - truth[n][0]).abs();
         let worst = |smoothed: &Smoothed| (250..350).map(|n| off(smoothed, n)).fold(0.0, f64::max);
         assert!(worst(&with) < 0.05 && worst(&without) > 4.0 * worst(&with));
         for n in 0..COUNT {

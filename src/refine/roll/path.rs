@@ -46,11 +46,13 @@ impl RollPath {
     pub fn at(&self, times_s: &[f64]) -> Vec<Option<SmoothedRoll>> {
         let first_s = self.seen[0].time_s;
         let since: Vec<f64> = times_s.iter().map(|time_s| time_s - first_s).collect();
-        let points = self.path.anywhere(&since);
-        let smoothed = |(time_s, point): (&f64, Option<PathPoint>)| {
+        let Some(points) = self.path.anywhere(&since) else {
+            return vec![None; times_s.len()];
+        };
+        let smoothed = |(time_s, point): (&f64, PathPoint)| {
             let nearest = self.nearest(*time_s)?;
             let near = (nearest.time_s - time_s).abs() <= self.max_age_s;
-            let smoothed = self.smoothed(&point?, nearest);
+            let smoothed = self.smoothed(&point, nearest);
             let known = smoothed.roll_deg.sigma < MOST_SIGMA_DEG;
             (near && known).then_some(smoothed)
         };

@@ -179,7 +179,7 @@ def refine(
 ) -> Refined:
     """Make the best aspect history from a flight's archive, as `solaspect refine` does; its summary is printed.
 
-    A run that was interrupted goes on where it was. The GIL is released meanwhile.
+    KeyboardInterrupt ends a run at the next frame; one that was interrupted goes on where it was. The GIL is released meanwhile.
 
     Parameters
     ----------
