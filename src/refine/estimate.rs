@@ -135,9 +135,9 @@ impl Work {
         let mut information = Matrix2::zeros();
         let mut sum = Vector2::zeros();
         for mark in self.observations.at(moment) {
-            let (picture, slopes) = self.reference.picture(mark.printed());
+            let (picture, slopes) = self.reference.picture(mark.printed);
             information += mark.information();
-            sum += mark.information() * (mark.seen() - picture - slopes * state);
+            sum += mark.information() * (mark.seen - picture - slopes * state);
         }
         let covariance = information.try_inverse()?;
         Some((covariance * sum, covariance.trace().max(0.0).sqrt()))
@@ -155,7 +155,7 @@ impl Work {
 
     /// Takes the weight of frames that stand alone, and gives it back to those that no longer do.
     fn put_aside(&mut self, estimates: Option<&[Estimate]>, stage: usize) {
-        let state = |n: usize| estimates.map_or(State::zeros(), |estimates| estimates[n].state());
+        let state = |n: usize| estimates.map_or(State::zeros(), |estimates| estimates[n].state);
         let residuals: Vec<(usize, Vector2<f64>, f64)> = (0..self.observations.len())
             .filter_map(|n| {
                 let (residual, sigma) = self.mean_residual(n, &state(n))?;
@@ -231,7 +231,7 @@ impl Work {
             self.jumps.insert(at, candidate.moment);
             let estimates = self.drift().smoothed()?.estimates;
             let [before, after] = [candidate.moment - 1, candidate.moment]
-                .map(|n| estimates[n].state().fixed_rows::<4>(0).into_owned());
+                .map(|n| estimates[n].state.fixed_rows::<4>(0).into_owned());
             if (after - before).norm() < LEAST_JUMP_PX {
                 self.jumps.remove(at);
                 break;
@@ -278,7 +278,7 @@ impl Work {
     fn time_jumps(&mut self) -> Option<()> {
         let estimates = self.drift().smoothed()?.estimates;
         let residual = |n: usize, side: usize| {
-            let mean = self.mean_residual(n, &estimates[side].state());
+            let mean = self.mean_residual(n, &estimates[side].state);
             mean.map_or(0.0, |(residual, _)| residual.norm())
         };
         let marked = |n: &usize| self.observations.counts(*n);
@@ -311,7 +311,7 @@ impl Work {
 
     /// Tells states from the middle of the flight, where the slopes are then true.
     fn move_reference(&mut self, estimates: &[Estimate]) -> Option<()> {
-        let middle = |n: usize| median(estimates.iter().map(|e| e.state()[n]));
+        let middle = |n: usize| median(estimates.iter().map(|e| e.state[n]));
         let state = State::from_fn(|n, _| middle(n).unwrap_or(0.0));
         self.reference = self.reference.moved(&state)?;
         Some(())
@@ -321,13 +321,13 @@ impl Work {
     fn weigh(&mut self, estimates: &[Estimate]) {
         let reference = self.reference;
         let chi2 = |mark: &MarkObservation, state: &State| {
-            let (picture, slopes) = reference.picture(mark.printed());
-            let residual = mark.seen() - picture - slopes * state;
+            let (picture, slopes) = reference.picture(mark.printed);
+            let residual = mark.seen - picture - slopes * state;
             residual.dot(&(mark.information() * residual))
         };
         let all = estimates.iter().enumerate().flat_map(|(n, estimate)| {
             let counted = self.observations.at(n).iter().filter(|s| s.weight > 0.0);
-            counted.map(|mark| chi2(mark, &estimate.state()))
+            counted.map(|mark| chi2(mark, &estimate.state))
         });
         let scatter = median(all).unwrap_or(0.0) / MEDIAN_CHI2_2D;
         let inflation = scatter.max(1.0 / self.inflated.powi(2));
@@ -336,7 +336,7 @@ impl Work {
             let counted = self.observations.at_mut(n).iter_mut();
             for mark in counted.filter(|mark| mark.weight > 0.0) {
                 mark.information = mark.information.map(|part| part / inflation as f32);
-                let residual = chi2(mark, &estimate.state()).sqrt();
+                let residual = chi2(mark, &estimate.state).sqrt();
                 mark.weight = LOSS.weight(residual).max(1e-6) as f32;
             }
         }
@@ -351,7 +351,7 @@ impl Work {
         let jump = |after: &usize| {
             let before = (0..*after).rev().find(marked);
             let before = before.unwrap_or(after - 1);
-            let step = estimates[*after].state() - estimates[before].state();
+            let step = estimates[*after].state - estimates[before].state;
             let after = (*after..estimates.len()).find(marked);
             Jump {
                 after: after.unwrap_or(estimates.len() - 1),

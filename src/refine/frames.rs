@@ -113,11 +113,12 @@ impl Frames {
 
 fn observation(mark: &MarkRecord, instrument: &Instrument) -> Option<MarkObservation> {
     let information = symmetric(mark.covariance_px2).try_inverse()?;
-    Some(MarkObservation::new(
-        instrument.camera.distortion.correct(mark.at()).vector(),
-        instrument.plate.position(mark.id()),
-        upper(&information).map(|part| part as f32),
-    ))
+    Some(MarkObservation {
+        seen: instrument.camera.distortion.correct(mark.at()).vector(),
+        printed: instrument.plate.position(mark.id()),
+        information: upper(&information).map(|part| part as f32),
+        weight: 1.0,
+    })
 }
 
 /// What frames say against the instrument.

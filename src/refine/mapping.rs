@@ -83,7 +83,7 @@ pub struct MappingNumbers {
 impl FlightMapping {
     /// The mapping at a frame. `None` where it cannot be inverted.
     pub fn at(&self, frame: usize) -> Option<Mapping> {
-        self.reference.mapping(&self.estimates[frame].state())
+        self.reference.mapping(&self.estimates[frame].state)
     }
 
     /// Covariance of a plate position got through the mapping of a frame, mil^2.

@@ -41,17 +41,11 @@ pub(super) struct ThermalCoefficients {
     pub covariance: Matrix4<f64>,
 }
 
-/// The view at a moment with its covariance, in single precision: a flight has a hundred thousand.
+/// The view at a moment with its covariance.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Estimate {
-    state: [f32; STATES],
+    pub state: State,
     pub covariance: UpperTriangle,
-}
-
-impl Estimate {
-    pub fn state(&self) -> State {
-        State::from_iterator(self.state.into_iter().map(f64::from))
-    }
 }
 
 /// A jump may lie between a moment and the one before it.
@@ -108,7 +102,7 @@ impl Drift<'_> {
         smooth::<N>(self, |moment, state, disturbance| {
             let covariance = state.covariance.fixed_view::<STATES, STATES>(0, 0);
             smoothed.estimates.push(Estimate {
-                state: std::array::from_fn(|n| state.mean[n] as f32),
+                state: state.mean.fixed_rows::<STATES>(0).into_owned(),
                 covariance: packed(&covariance.into_owned()),
             });
             smoothed.thermal = thermal(state);
@@ -144,8 +138,8 @@ impl Drift<'_> {
         let (mut information, mut gradient, mut chi2) = (Covariance::zeros(), State::zeros(), 0.0);
         let marks = self.observations.at(moment).iter();
         for mark in marks.filter(|mark| mark.weight > 0.0) {
-            let (picture, slopes) = self.reference.picture(mark.printed());
-            let residual = mark.seen() - picture - slopes * view;
+            let (picture, slopes) = self.reference.picture(mark.printed);
+            let residual = mark.seen - picture - slopes * view;
             let weight = mark.information() * f64::from(mark.weight);
             let weighted = slopes.transpose() * weight;
             information += weighted * slopes;
@@ -274,11 +268,12 @@ mod tests {
                 let (view, slopes) = reference.picture(printed);
                 let error = Vector2::new(noise(MARK_SIGMA_PX), noise(MARK_SIGMA_PX));
                 let information = MARK_SIGMA_PX.powi(-2) as f32;
-                MarkObservation::new(
-                    view + slopes * state + error,
+                MarkObservation {
+                    seen: view + slopes * state + error,
                     printed,
-                    [information, 0.0, information],
-                )
+                    information: [information, 0.0, information],
+                    weight: 1.0,
+                }
             });
             let first = marks.len();
             marks.extend(observed);
@@ -324,7 +319,7 @@ mod tests {
             assert!(sigma < 0.01);
         }
         let off =
-            |smoothed: &Smoothed, n: usize| (smoothed.estimates[n].state()[0] - truth[n][0]).abs();
+            |smoothed: &Smoothed, n: usize| (smoothed.estimates[n].state[0] - truth[n][0]).abs();
         let worst = |smoothed: &Smoothed| (250..350).map(|n| off(smoothed, n)).fold(0.0, f64::max);
         assert!(worst(&with) < 0.05 && worst(&without) > 4.0 * worst(&with));
         for n in 0..COUNT {

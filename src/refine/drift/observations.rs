@@ -5,37 +5,19 @@ use crate::units::PlateMil;
 use nalgebra::{Matrix2, Vector2};
 use std::ops::Range;
 
-/// A mark observed in a frame, for the flight's mapping. In single precision, for there are many: a ten-thousandth of a pixel and of a mil.
+/// A mark observed in a frame, for the flight's mapping.
 #[derive(Debug, Clone, Copy)]
 pub struct MarkObservation {
-    seen: [f32; 2],
-    printed: [f32; 2],
-    /// Inverse covariance, px^-2: xx, xy, yy.
+    /// Position on the ideal sensor, px.
+    pub seen: Vector2<f64>,
+    pub printed: PlateMil,
+    /// Inverse covariance, px^-2: xx, xy, yy. There are many of these.
     pub information: [f32; 3],
     /// 0 to 1.
     pub weight: f32,
 }
 
 impl MarkObservation {
-    /// Where a mark is seen on the ideal sensor (px), and where it stands on the plate.
-    pub fn new(seen: Vector2<f64>, printed: PlateMil, information: [f32; 3]) -> Self {
-        Self {
-            seen: [seen.x as f32, seen.y as f32],
-            printed: [printed.x as f32, printed.y as f32],
-            information,
-            weight: 1.0,
-        }
-    }
-
-    pub fn seen(&self) -> Vector2<f64> {
-        self.seen.map(f64::from).into()
-    }
-
-    pub fn printed(&self) -> PlateMil {
-        let [x, y] = self.printed.map(f64::from);
-        PlateMil::new(x, y)
-    }
-
     pub fn information(&self) -> Matrix2<f64> {
         symmetric(self.information.map(f64::from))
     }
