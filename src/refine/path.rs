@@ -115,20 +115,21 @@ impl SunPath {
 
     /// Where the path most likely has the disc at each of some dated frames, in order, and 1 sigma, mil.
     pub fn places(&self, of: &[usize]) -> Vec<Option<(PlateMil, f64)>> {
-        let times_s = of.iter().map(|n| self.times_s[self.at[*n] as usize]);
-        let times_s: Vec<f64> = times_s.collect();
-        let points = self.path.as_ref().and_then(|path| path.likeliest(&times_s));
-        let place = |PathPoint {
-                         place, variance, ..
-                     }| {
-            let [x, y] = place;
-            let sigma = f64::sqrt((variance[0] + variance[1]) / 2.0);
-            (PlateMil::new(x, y), sigma)
+        let path = self.path.as_ref().filter(|_| !of.is_empty());
+        // At all times, though few are asked for: a swing that is damped beyond its period is not the same in one step as in several.
+        let Some(points) = path.and_then(|path| path.likeliest(&self.times_s)) else {
+            return vec![None; of.len()];
         };
-        match points {
-            Some(points) => points.into_iter().map(|point| Some(place(point))).collect(),
-            None => vec![None; of.len()],
-        }
+        let place = |n: &usize| {
+            let PathPoint {
+                place: [x, y],
+                variance,
+                ..
+            } = points[self.at[*n] as usize];
+            let sigma = ((variance[0] + variance[1]) / 2.0).sqrt();
+            Some((PlateMil::new(x, y), sigma))
+        };
+        of.iter().map(place).collect()
     }
 
     /// How fast the Sun moves at a dated frame, mil/s; `None` where the path is a guess.
