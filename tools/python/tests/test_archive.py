@@ -1,9 +1,6 @@
 """An archive as tables, times, arrays and maps; refinement and calibration as functions."""
 
-import _thread
 import csv
-import threading
-import time
 
 import astropy.units as u
 import numpy as np
@@ -92,19 +89,6 @@ def test_refine_takes_its_options(archive, tmp_path):
     some = solaspect.refine(archive.directory, tmp_path, since=times[2], until=times[6].isot + "Z", jobs=1)
     assert 4 <= len(some.aspect()) <= 5
     assert some.summary["files"] == len(some.aspect())
-
-
-def test_an_interrupt_ends_a_refinement_and_the_next_one_goes_on(archive, tmp_path):
-    def interrupt():
-        while not [path for path in tmp_path.glob("*.journal") if not path.name.startswith("cameras-")]:
-            time.sleep(0.001)
-        _thread.interrupt_main()
-
-    threading.Thread(target=interrupt, daemon=True).start()
-    with pytest.raises(KeyboardInterrupt):
-        solaspect.refine(archive.directory, tmp_path, jobs=1)
-    assert not (tmp_path / "aspect.fits").exists()
-    assert len(solaspect.refine(archive.directory, tmp_path).aspect()) == len(archive.frames())
 
 
 def test_what_is_not_there_is_refused(tmp_path):
