@@ -158,6 +158,26 @@ pub(super) fn swings_text(swings: &[FoundSwing]) -> String {
     }
 }
 
+/// What the summary holds of the rows.
+#[derive(Default)]
+struct Tally {
+    counts: Counts,
+    own_fine: usize,
+    second_look: usize,
+    /// Of the fine frames, per axis.
+    sigmas_mil: Vec<[f64; 2]>,
+}
+
+impl Tally {
+    fn add(&mut self, row: &Row) {
+        self.counts.add(row.quality, row.utc(), row.odd());
+        self.own_fine += usize::from(row.own_quality() == Grade::Fine);
+        self.second_look += usize::from(row.oddities.contains(Oddity::SecondLook));
+        let fine = row.sun.filter(|_| row.is_fine());
+        self.sigmas_mil.extend(fine.map(|sun| sun.sigma()));
+    }
+}
+
 /// Writes tables and summary to a folder; `each` sees every row.
 ///
 /// # Errors
@@ -167,14 +187,10 @@ pub fn write(
     history: &History,
     mut each: impl FnMut(&Row),
 ) -> Result<Summary, OutputError> {
-    let (mut counts, mut sigmas) = (Counts::default(), Vec::new());
-    let (mut own_fine, mut second_look) = (0, 0);
+    let mut tally = Tally::default();
     let seen = history.rows().map(|row| {
         let row = row?;
-        counts.add(row.quality, row.utc(), row.odd());
-        own_fine += usize::from(row.own_quality() == Grade::Fine);
-        second_look += usize::from(row.oddities.contains(Oddity::SecondLook));
-        sigmas.extend(row.sun.filter(|_| row.is_fine()).map(|sun| sun.sigma()));
+        tally.add(&row);
         each(&row);
         Ok::<_, OutputError>(row)
     });
@@ -188,12 +204,7 @@ pub fn write(
         let path = history.smoothed().map(Ok::<_, OutputError>);
         columns::write_fits(file, SMOOTHED, &smoothed, &Widths::new(&smoothed), path)
     })?;
-    let sigma_mil = median(sigmas.iter().flatten());
-    let summary = Summary {
-        own_fine,
-        second_look,
-        ..summary(history, counts, sigma_mil, columns::sha256(&fits)?)
-    };
+    let summary = summary(history, tally, columns::sha256(&fits)?);
     write_json(&folder.join("summary.json"), &summary)?;
     Ok(summary)
 }
@@ -242,12 +253,8 @@ pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), File
     })
 }
 
-fn summary(
-    history: &History,
-    counts: Counts,
-    median_sigma_mil: Option<f64>,
-    table_sha256: String,
-) -> Summary {
+fn summary(history: &History, tally: Tally, table_sha256: String) -> Summary {
+    let median_sigma_mil = median(tally.sigmas_mil.iter().flatten());
     let recipe = history.recipe();
     let hex = |hash: u64| format!("{hash:016x}");
     let [instrument_hash, settings_hash] = recipe.stated_hashes().map(hex);
@@ -264,9 +271,9 @@ fn summary(
         configuration_sha256: recipe.flown.sha256(CONFIGURATION),
         instrument_sha256: recipe.flown.sha256(INSTRUMENT),
         table_sha256,
-        counts,
-        own_fine: 0,
-        second_look: 0,
+        counts: tally.counts,
+        own_fine: tally.own_fine,
+        second_look: tally.second_look,
         inputs: history.inputs().clone(),
         median_sigma_mil,
         median_sigma_arcsec: median_sigma_mil.map(|sigma| sigma * arcsec_per_mil),

@@ -5,7 +5,7 @@ use super::frames::Frame;
 use super::mapping::FlightMapping;
 use super::oddity::{Oddities, Oddity};
 use super::recipe::Recipe;
-use super::record::{FrameRecord, Grade, PackedPoint};
+use super::record::{FrameRecord, Grade};
 use super::timeline::Timeline;
 use crate::estimation::{median, median_and_scatter};
 use crate::observe::JournalError;
@@ -92,25 +92,17 @@ impl Flight {
             if !wanted(own.limb_part) {
                 return Ok(None);
             }
+            let Some(at) = self.mapping.as_ref().and_then(|mapping| mapping.at(n)) else {
+                return Ok(None);
+            };
             let record = self.timeline.frame(n)?;
             let limb = record.map_or(Vec::new(), |record| record.limb);
             let centre_px = [own.centre_px.x, own.centre_px.y];
-            let disc = self.on_plate(n, centre_px, &limb, ratio.scaled(expected));
+            let disc = disc::on_plate(centre_px, &limb, &at, ratio.scaled(expected));
             Ok(disc.map(|disc| (n, disc)))
         });
         let found: Vec<_> = found.collect::<Result<_, JournalError>>()?;
         Ok(found.into_iter().flatten().collect())
-    }
-
-    fn on_plate(
-        &self,
-        n: usize,
-        centre_px: [f64; 2],
-        limb: &[PackedPoint],
-        radius_mil: Measured,
-    ) -> Option<PlateDisc> {
-        let mapping = self.mapping.as_ref()?.at(n)?;
-        disc::on_plate(centre_px, limb, &mapping, radius_mil)
     }
 }
 
