@@ -116,7 +116,7 @@ impl SunPath {
     /// Where the path most likely has the disc at each of some dated frames, in order, and 1 sigma, mil.
     pub fn places(&self, of: &[usize]) -> Vec<Option<(PlateMil, f64)>> {
         let path = self.path.as_ref().filter(|_| !of.is_empty());
-        // At all times, though few are asked for: a swing that is damped beyond its period is not the same in one step as in several.
+        // At all times, though few are asked for: over a gap of the Suns the frames between carry the path.
         let Some(points) = path.and_then(|path| path.likeliest(&self.times_s)) else {
             return vec![None; of.len()];
         };

@@ -8,7 +8,7 @@ use nalgebra::{Matrix1, Matrix2, Matrix3, SMatrix, SVector, Vector1};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Swing {
     pub rate_rad_per_s: f64,
-    /// In which its amplitude falls to 1/e where nothing drives it.
+    /// In which its amplitude falls to 1/e where nothing drives it: a period at least.
     pub damping_s: f64,
     /// Square root of the noise's density, unit/s^1.5.
     pub drive: f64,
@@ -22,7 +22,7 @@ impl Swing {
     /// Of place and speed.
     fn transition(&self, step_s: f64) -> Matrix2<f64> {
         let (rate2, decay) = (self.rate_rad_per_s.powi(2), 1.0 / self.damping_s);
-        let damped = (rate2 - decay * decay).max(1e-12 * rate2).sqrt();
+        let damped = (rate2 - decay * decay).sqrt();
         let (sin, cos) = (damped * step_s).sin_cos();
         let sin = sin / damped;
         Matrix2::new(cos + decay * sin, sin, -rate2 * sin, cos - decay * sin)
@@ -274,5 +274,31 @@ impl<const N: usize> Process<N> for Axis<'_> {
         let residual = Vector1::new(measured.place - (jacobian * state.mean).x);
         let innovation = state.update(&residual, &jacobian, &Matrix1::new(measured.variance))?;
         Some(innovation.likelihood.log(f64::INFINITY))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_swing_is_the_same_in_one_step_and_in_ten() {
+        for periods in [1.0, 10.0, 1e7] {
+            let rate_rad_per_s = 0.7;
+            let swing = Swing {
+                rate_rad_per_s,
+                damping_s: periods * std::f64::consts::TAU / rate_rad_per_s,
+                drive: 0.2,
+            };
+            let (one, part) = (swing.transition(5.0), swing.transition(0.5));
+            let (mut ten, mut noise) = (Matrix2::identity(), Matrix2::zeros());
+            for _ in 0..10 {
+                ten = part * ten;
+                noise = part * noise * part.transpose() + swing.noise(&part);
+            }
+            assert!((ten - one).norm() < 1e-12);
+            let once = swing.noise(&one);
+            assert!((noise - once).norm() < 1e-6 * once.norm());
+        }
     }
 }

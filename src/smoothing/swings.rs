@@ -240,12 +240,11 @@ impl Fit {
                 swing.rate_rad_per_s =
                     (swing.rate_rad_per_s + by).clamp(SLOWEST, fastest.max(SLOWEST))
             }
-            1 => {
-                let [least, most] = DAMPING_PERIODS.map(|periods| periods * swing.period_s());
-                swing.damping_s = (swing.damping_s * by.exp()).clamp(least, most);
-            }
+            1 => swing.damping_s *= by.exp(),
             _ => swing.drive = (swing.drive * by.exp()).max(LEAST_DRIVE),
         }
+        let [least, most] = DAMPING_PERIODS.map(|periods| periods * swing.period_s());
+        swing.damping_s = swing.damping_s.clamp(least, most);
         moved
     }
 }

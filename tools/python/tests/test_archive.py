@@ -1,6 +1,8 @@
 """An archive as tables, times, arrays and maps; refinement and calibration as functions."""
 
+import _thread
 import csv
+import threading
 
 import astropy.units as u
 import numpy as np
@@ -10,6 +12,8 @@ from astropy.table import Table
 from astropy.time import Time
 
 import solaspect
+
+FEW_BYTES = 100
 
 
 def test_the_solution_log_is_a_table_with_times_and_units(archive):
@@ -89,6 +93,28 @@ def test_refine_takes_its_options(archive, tmp_path):
     some = solaspect.refine(archive.directory, tmp_path, since=times[2], until=times[6].isot + "Z", jobs=1)
     assert 4 <= len(some.aspect()) <= 5
     assert some.summary["files"] == len(some.aspect())
+
+
+def test_an_interrupted_refinement_ends_and_goes_on(archive, archive_directory, tmp_path):
+    ended = threading.Event()
+
+    def interrupt():
+        """As Ctrl-C does, once the journal holds a frame."""
+        while not ended.wait(0.01):
+            journals = [path for path in tmp_path.glob("*.journal") if not path.name.startswith("cameras-")]
+            if any(path.stat().st_size > FEW_BYTES for path in journals):
+                return _thread.interrupt_main()
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            solaspect.refine(archive_directory, tmp_path, jobs=1)
+    finally:
+        ended.set()
+        thread.join()
+    assert not (tmp_path / "aspect.fits").exists()
+    assert len(solaspect.refine(archive_directory, tmp_path).aspect()) == len(archive.frames())
 
 
 def test_what_is_not_there_is_refused(tmp_path):
