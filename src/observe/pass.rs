@@ -242,7 +242,8 @@ impl Pass<'_> {
 #[derive(Debug)]
 pub struct Done<T> {
     journals: Vec<Journal<T>>,
-    places: HashMap<u64, Place>,
+    /// By the input's key, in order.
+    places: Vec<(u64, Place)>,
     /// What holds for this run alone, and is in no journal: frames that contradict their archive, for another run may be told to use them,
     /// and files that could not be read for now.
     passing: HashMap<u64, Record<T>>,
@@ -274,28 +275,28 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     /// # Errors
     /// A journal that cannot be used.
     pub fn open(own: &Path, others: &[PathBuf]) -> Result<Self, JournalError> {
-        let mut places = HashMap::new();
+        let mut places = Vec::new();
         let mut journals = Vec::new();
         for other in others {
             let number = journals.len() as u32 + 1;
             journals.push(Journal::read(other, |record, mut place| {
                 place.journal = number;
-                places.insert(key(&record.input), place);
+                places.push((key(&record.input), place));
             })?);
         }
         let own = Journal::open(own, |record, place| {
-            places.insert(key(&record.input), place);
+            places.push((key(&record.input), place));
         })?;
         journals.insert(0, own);
         Ok(Self {
             journals,
-            places,
+            places: by_key(places),
             passing: HashMap::new(),
         })
     }
 
     pub fn holds(&self, input: &StoredFile) -> bool {
-        self.places.contains_key(&key(input))
+        place(&self.places, key(input)).is_some()
     }
 
     /// The record of an input, where it is done.
@@ -311,11 +312,11 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     /// # Errors
     /// A journal that cannot be read.
     pub fn record_of(&self, key: u64) -> Result<Option<Record<T>>, JournalError> {
-        let Some(place) = self.places.get(&key) else {
+        let Some(place) = place(&self.places, key) else {
             return Ok(self.passing.get(&key).cloned());
         };
         self.journals[place.journal as usize]
-            .record(*place)
+            .record(place)
             .map(Some)
     }
 
@@ -343,7 +344,7 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
         let passing = Mutex::new(HashMap::new());
         let new: Vec<(u64, Place)> = inputs
             .par_iter()
-            .filter(|input| !self.places.contains_key(&key(input)) && pass.goes_on())
+            .filter(|input| place(&self.places, key(input)).is_none() && pass.goes_on())
             .filter_map(|input| {
                 let outcome = observer
                     .observe(pass.archive, input, &pass.span)
@@ -371,11 +372,25 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
             })
             .collect::<Result<_, JournalError>>()?;
         self.places.extend(new);
+        self.places = by_key(std::mem::take(&mut self.places));
         let passing = passing.into_inner();
         self.passing = passing.unwrap_or_else(PoisonError::into_inner);
         // Another camera of the same instrument has the same journal.
         self.journals[0].release()
     }
+}
+
+/// In the order of the keys, of each the place that came last.
+fn by_key(mut places: Vec<(u64, Place)>) -> Vec<(u64, Place)> {
+    places.reverse();
+    places.sort_by_key(|(key, _)| *key);
+    places.dedup_by_key(|(key, _)| *key);
+    places
+}
+
+fn place(by_key: &[(u64, Place)], key: u64) -> Option<Place> {
+    let found = by_key.binary_search_by_key(&key, |(key, _)| *key);
+    Some(by_key[found.ok()?].1)
 }
 
 /// Why a frame has no record of its own, in words.

@@ -17,6 +17,7 @@ use super::temperature;
 use super::view::{Reference, State};
 use crate::estimation::{Loss, MEDIAN_CHI2_2D, TUKEY_SIGMAS_2D, median};
 use crate::geometry::Distortion;
+use crate::instrument::Instrument;
 use crate::units::Measured;
 use nalgebra::{Matrix2, Matrix3, Vector2};
 use rayon::prelude::*;
@@ -57,15 +58,16 @@ impl FlightMapping {
         Frames {
             frames,
             marks,
+            marks_end,
             mappings,
             ..
         }: &mut Frames,
-        distortion: Distortion,
+        instrument: &Instrument,
     ) -> Option<Self> {
-        let reference = reference(&mem::take(mappings), distortion)?;
-        let observed = frames.iter().map(|frame| frame.observed.clone());
-        let moments = times_s.iter().copied().zip(observed);
-        let observations = Observations::new(mem::take(marks), moments);
+        let reference = reference(&mem::take(mappings), instrument.camera.distortion)?;
+        let moments = times_s.iter().copied().zip(mem::take(marks_end));
+        let plate = instrument.plate.clone();
+        let observations = Observations::new(plate, mem::take(marks), moments);
         let readings: Vec<Option<f64>> = frames.iter().map(|frame| frame.temperature_c).collect();
         let temperature_c = temperature::from_the_middle(times_s, &readings);
         let mut work = Work::new(reference, observations);
@@ -135,7 +137,9 @@ impl Work {
         let mut information = Matrix2::zeros();
         let mut sum = Vector2::zeros();
         for mark in self.observations.at(moment) {
-            let (picture, slopes) = self.reference.picture(mark.printed);
+            let (picture, slopes) = self
+                .reference
+                .picture(self.observations.plate.position(mark.id));
             information += mark.information();
             sum += mark.information() * (mark.seen - picture - slopes * state);
         }
@@ -319,9 +323,9 @@ impl Work {
 
     /// Weights single marks, and inflates their sigmas to the scatter they show.
     fn weigh(&mut self, estimates: &[Estimate]) {
-        let reference = self.reference;
+        let (reference, plate) = (self.reference, self.observations.plate.clone());
         let chi2 = |mark: &MarkObservation, state: &State| {
-            let (picture, slopes) = reference.picture(mark.printed);
+            let (picture, slopes) = reference.picture(plate.position(mark.id));
             let residual = mark.seen - picture - slopes * state;
             residual.dot(&(mark.information() * residual))
         };

@@ -1,17 +1,16 @@
 //! What the dated frames gave by themselves, as far as the frames about them are judged by it.
 
 use super::drift::MarkObservation;
-use super::record::{DiscRecord, FrameRecord, Grade, MarkRecord, symmetric, upper};
+use super::record::{FrameRecord, Grade, MarkRecord, symmetric, upper};
 use super::timeline::Timeline;
 use crate::aspect::Stage;
 use crate::instrument::Instrument;
 use crate::observe::JournalError;
 use crate::sky::sun_angular_radius;
-use crate::units::{Estimate, PlateMil, SensorPx};
+use crate::units::{PlateMil, SensorPx};
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector2};
 use std::collections::BTreeMap;
-use std::ops::Range;
 
 /// Fewer frames that contradict the instrument are misread.
 const LEAST_CONTRADICTING: usize = 3;
@@ -25,8 +24,6 @@ pub(super) struct Frame {
     pub levels_dn: Option<[f32; 3]>,
     /// Marks that were read.
     pub marks: u16,
-    /// Which of the flight's marks are the fine frame's.
-    pub observed: Range<u32>,
     pub temperature_c: Option<f64>,
     /// The disc's radius by ephemeris and plate distance.
     pub expected_radius_mil: Option<f64>,
@@ -43,10 +40,9 @@ pub(super) struct OwnDisc {
 /// The dated frames of a flight, in the order of time.
 pub(super) struct Frames {
     pub frames: Vec<Frame>,
-    /// The Sun on the plate as each alone has it.
-    pub suns: Vec<Option<Estimate<PlateMil>>>,
-    /// The marks of the fine frames.
+    /// The marks of the fine frames, and where those of each frame end among them.
     pub marks: Vec<MarkObservation>,
+    pub marks_end: Vec<u32>,
     /// Plate (mil) to ideal sensor (px), as the fine frames have it.
     pub mappings: Vec<Matrix3<f64>>,
     /// What most frames say against the instrument, in words: they are not its camera's.
@@ -64,8 +60,8 @@ impl Frames {
     ) -> Result<Self, JournalError> {
         let mut all = Self {
             frames: Vec::with_capacity(timeline.dated()),
-            suns: Vec::with_capacity(timeline.dated()),
             marks: Vec::new(),
+            marks_end: Vec::with_capacity(timeline.dated()),
             mappings: Vec::new(),
             contradiction: None,
         };
@@ -85,7 +81,6 @@ impl Frames {
     fn add(&mut self, utc_ns: i64, record: &FrameRecord, instrument: &Instrument) {
         let utc = Timestamp::from_nanosecond(utc_ns.into()).ok();
         let angular = utc.and_then(|utc| sun_angular_radius(utc).ok());
-        let first = self.marks.len() as u32;
         if record.quality == Grade::Fine {
             let marks = record.marks.iter();
             self.marks
@@ -94,8 +89,7 @@ impl Frames {
             let inverse = own.and_then(|m| Matrix3::from_row_slice(&m).try_inverse());
             self.mappings.extend(inverse);
         }
-        self.suns
-            .push(record.disc.as_ref().map(DiscRecord::on_plate));
+        self.marks_end.push(self.marks.len() as u32);
         self.frames.push(Frame {
             quality: record.quality,
             disc: record.disc.as_ref().map(|disc| OwnDisc {
@@ -104,7 +98,6 @@ impl Frames {
             }),
             levels_dn: record.levels_dn.map(|levels| levels.map(|dn| dn as f32)),
             marks: record.marks.len() as u16,
-            observed: first..self.marks.len() as u32,
             temperature_c: record.facts.temperature_c,
             expected_radius_mil: angular.map(|angular| instrument.optics.radius_mil(angular)),
         });
@@ -115,7 +108,7 @@ fn observation(mark: &MarkRecord, instrument: &Instrument) -> Option<MarkObserva
     let information = symmetric(mark.covariance_px2).try_inverse()?;
     Some(MarkObservation {
         seen: instrument.camera.distortion.correct(mark.at()).vector(),
-        printed: instrument.plate.position(mark.id()),
+        id: mark.id(),
         information: upper(&information).map(|part| part as f32),
         weight: 1.0,
     })

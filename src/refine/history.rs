@@ -78,8 +78,8 @@ impl History {
         if let Some(contradiction) = frames.contradiction {
             return Err(HistoryError::Contradiction(contradiction));
         }
-        let distortion = recipe.instrument.camera.distortion;
-        let mapping = FlightMapping::estimate(&since_first(&timeline), &mut frames, distortion);
+        let times_s = since_first(&timeline);
+        let mapping = FlightMapping::estimate(&times_s, &mut frames, &recipe.instrument);
         if mapping.is_none() {
             tracing::warn!(
                 "the marks determine no mapping of the flight: each frame stands by itself"
@@ -91,7 +91,7 @@ impl History {
             frames: frames.frames,
             mapping,
         };
-        let mut suns = Suns::find(&flight, frames.suns)?;
+        let mut suns = Suns::find(&flight)?;
         let all: Vec<usize> = (0..flight.frames.len()).collect();
         suns.odd = outliers(&flight, &suns, &all);
         let path = followed(&flight, &mut suns);

@@ -40,7 +40,7 @@ pub(super) struct Drawn {
     calibration_arcsec: Option<f32>,
     /// In flight minus refined.
     in_flight_mil: Option<[f32; 2]>,
-    radius_ratio: Option<f64>,
+    radius_ratio: Option<f32>,
     pub centre_px: Option<[f32; 2]>,
     pub temperature_c: Option<f32>,
     /// Counts the jumps before it.
@@ -72,7 +72,7 @@ impl Drawn {
             radius_ratio: row
                 .disc
                 .zip(row.expected_radius_mil)
-                .map(|(disc, expected)| disc.radius_mil.value / expected),
+                .map(|(disc, expected)| (disc.radius_mil.value / expected) as f32),
             centre_px: row.mapping.map(|m| m.centre_px.map(|px| px.value as f32)),
             temperature_c: own.and_then(|own| Some(own.facts.temperature_c? as f32)),
             jumps,
@@ -288,17 +288,22 @@ impl Part<'_> {
 
     fn path(&mut self, history: &History) {
         self.heading("The Sun on the plate");
-        let dots =
-            [("x", 0), ("y", 1)].map(|(name, axis)| self.dots(name, |row| Some(row.sun_mil[axis])));
-        let lines = [("x, smoothed", 0), ("y, smoothed", 1)].map(|(name, axis)| {
+        let dots = |name, axis: usize| self.dots(name, |row| Some(row.sun_mil[axis]));
+        let line = |name, axis: usize| {
             // Where nothing is known there is no number, and the line stops.
             let value = |(unix_s, point): (f64, Option<&PathPoint>)| {
                 (unix_s, point.map_or(f64::NAN, |point| point.place[axis]))
             };
             Series::line(name, history.smoothed().map(value)).in_hue(axis)
-        });
+        };
+        let series = [
+            dots("x", 0),
+            dots("y", 1),
+            line("x, smoothed", 0),
+            line("y, smoothed", 1),
+        ];
         let labels = Labels::over_utc("The Sun's centre on the plate", "mil");
-        self.figure(plot::series(&labels, &[dots, lines].concat()));
+        self.figure(plot::series(&labels, &series));
     }
 
     fn budget(&mut self) {

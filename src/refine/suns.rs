@@ -123,10 +123,7 @@ impl Suns {
     ///
     /// # Errors
     /// A journal that cannot be read.
-    pub fn find(
-        flight: &Flight,
-        own: Vec<Option<Estimate<PlateMil>>>,
-    ) -> Result<Self, JournalError> {
+    pub fn find(flight: &Flight) -> Result<Self, JournalError> {
         let is_whole = |part: f64| part >= TELLING_LIMB;
         let mut found = flight.discs(is_whole, LOOSE_RADIUS)?;
         hold_to_usual_scatter(found.iter_mut().map(|(_, disc)| disc));
@@ -144,10 +141,13 @@ impl Suns {
             let own = flight.frames[n].disc;
             seen[n] = own.and_then(|own| flight.seen(n, disc, own.limb_part));
         }
-        let own = own.into_iter().enumerate();
-        let own = own.filter_map(|(n, own)| Some((n, own.filter(|_| seen[n].is_none())?)));
+        let mut own = BTreeMap::new();
+        for n in (0..count).filter(|n| seen[*n].is_none() && flight.frames[*n].disc.is_some()) {
+            let disc = flight.timeline.frame(n)?.and_then(|frame| frame.disc);
+            own.extend(disc.map(|disc| (n, disc.on_plate())));
+        }
         Ok(Self {
-            own: own.collect(),
+            own,
             seen,
             odd: vec![Oddities::default(); count],
             radius_ratio,

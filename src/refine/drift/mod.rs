@@ -138,7 +138,9 @@ impl Drift<'_> {
         let (mut information, mut gradient, mut chi2) = (Covariance::zeros(), State::zeros(), 0.0);
         let marks = self.observations.at(moment).iter();
         for mark in marks.filter(|mark| mark.weight > 0.0) {
-            let (picture, slopes) = self.reference.picture(mark.printed);
+            let (picture, slopes) = self
+                .reference
+                .picture(self.observations.plate.position(mark.id));
             let residual = mark.seen - picture - slopes * view;
             let weight = mark.information() * f64::from(mark.weight);
             let weighted = slopes.transpose() * weight;
@@ -229,6 +231,8 @@ impl<const N: usize> Process<N> for Drift<'_> {
 mod tests {
     use super::*;
     use crate::geometry::Distortion;
+    use crate::instrument::builtin;
+    use crate::plate::MarkId;
     use crate::units::PlateMil;
     use nalgebra::{Vector2, Vector4};
     use rand::{RngExt, SeedableRng};
@@ -252,7 +256,7 @@ mod tests {
     fn flight(moments: usize, px_per_degc: [f64; THERMAL]) -> (Observations, Vec<State>) {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);
         let mut noise = |sigma: f64| sigma * rng.sample::<f64, _>(StandardNormal);
-        let reference = reference();
+        let (reference, plate) = (reference(), builtin("demo").unwrap().plate);
         let mut walk = State::zeros();
         let seen = |n: usize| !(250..350).contains(&n);
         let mut marks = Vec::new();
@@ -263,25 +267,29 @@ mod tests {
             let mut warmed = state.fixed_rows_mut::<THERMAL>(0);
             warmed += Vector4::from(px_per_degc) * degrees;
             let observed = (0..9).filter(|_| seen(n)).map(|k| {
-                let at = |k: i32| 300.0 * f64::from(k % 3 - 1);
-                let printed = PlateMil::new(at(k), at(k / 3));
-                let (view, slopes) = reference.picture(printed);
+                let id = MarkId {
+                    i: k % 3 - 1,
+                    j: k / 3 - 1,
+                };
+                let (view, slopes) = reference.picture(plate.position(id));
                 let error = Vector2::new(noise(MARK_SIGMA_PX), noise(MARK_SIGMA_PX));
                 let information = MARK_SIGMA_PX.powi(-2) as f32;
                 MarkObservation {
                     seen: view + slopes * state + error,
-                    printed,
+                    id,
                     information: [information, 0.0, information],
                     weight: 1.0,
                 }
             });
-            let first = marks.len();
             marks.extend(observed);
-            ((n as f64 / 4.0, first as u32..marks.len() as u32), state)
+            ((n as f64 / 4.0, marks.len() as u32), state)
         };
         let degrees = temperature_c().into_iter().take(moments).enumerate();
         let (moments, truth): (Vec<_>, Vec<_>) = degrees.map(&mut moment).unzip();
-        (Observations::new(marks, moments.into_iter()), truth)
+        (
+            Observations::new(plate.clone(), marks, moments.into_iter()),
+            truth,
+        )
     }
 
     fn drift<'a>(

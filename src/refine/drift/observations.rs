@@ -1,7 +1,7 @@
 //! The moments of a flight and the marks observed then.
 
+use crate::plate::{MarkId, Plate};
 use crate::refine::record::symmetric;
-use crate::units::PlateMil;
 use nalgebra::{Matrix2, Vector2};
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use std::ops::Range;
 pub struct MarkObservation {
     /// Position on the ideal sensor, px.
     pub seen: Vector2<f64>,
-    pub printed: PlateMil,
+    pub id: MarkId,
     /// Inverse covariance, px^-2: xx, xy, yy. There are many of these.
     pub information: [f32; 3],
     /// 0 to 1.
@@ -24,29 +24,34 @@ impl MarkObservation {
 }
 
 /// The moments of the flight, and the marks observed then. All marks lie in one allocation, so that their memory is given back.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Observations {
     marks: Vec<MarkObservation>,
     moments: Vec<Moment>,
+    /// Whose marks they are.
+    pub plate: Plate,
 }
 
 #[derive(Debug, Clone)]
 struct Moment {
     /// Since the first moment.
     time_s: f64,
-    marks: Range<u32>,
+    /// Its marks lie between the end of the moment before and this.
+    end: u32,
 }
 
 impl Observations {
-    /// Each moment, in order, with its time in s and the range of its marks.
+    /// The marks of a plate, moment by moment, and each moment with its time in s and the end of its marks among all.
     pub fn new(
+        plate: Plate,
         marks: Vec<MarkObservation>,
-        moments: impl Iterator<Item = (f64, Range<u32>)>,
+        moments: impl Iterator<Item = (f64, u32)>,
     ) -> Self {
-        let moment = |(time_s, marks)| Moment { time_s, marks };
+        let moment = |(time_s, end)| Moment { time_s, end };
         Self {
             marks,
             moments: moments.map(moment).collect(),
+            plate,
         }
     }
 
@@ -71,8 +76,8 @@ impl Observations {
     }
 
     fn range(&self, moment: usize) -> Range<usize> {
-        let Range { start, end } = self.moments[moment].marks;
-        start as usize..end as usize
+        let end = |moment: usize| self.moments[moment].end as usize;
+        moment.checked_sub(1).map_or(0, end)..end(moment)
     }
 
     /// Whether any mark of a moment counts.
