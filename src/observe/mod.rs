@@ -21,5 +21,6 @@ pub use files::{Depth, InputError, Observed, RejectedFrame, in_order, list, name
 pub use inputs::{FrameFacts, InputNotes, InputSummary};
 pub use journal::{Journal, JournalError, Place, Record};
 pub use pass::{
-    Done, Observer, Pass, PassError, Shard, Span, Unsolved, Watch, hash_of, key, with_frame,
+    Done, Observer, Pass, PassError, Records, Shard, Span, Unsolved, Watch, hash_of, key,
+    with_frame,
 };

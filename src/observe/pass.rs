@@ -241,12 +241,24 @@ impl Pass<'_> {
 /// Where the record of each input stands.
 #[derive(Debug)]
 pub struct Done<T> {
-    journals: Vec<Journal<T>>,
+    records: Records<T>,
     /// By the input's key, in order.
     places: Vec<(u64, Place)>,
     /// What holds for this run alone, and is in no journal: frames that contradict their archive, for another run may be told to use them,
     /// and files that could not be read for now.
     passing: HashMap<u64, Record<T>>,
+}
+
+/// The records of a pass, by their places.
+#[derive(Debug)]
+pub struct Records<T>(Vec<Journal<T>>);
+
+impl<T: Serialize + DeserializeOwned> Records<T> {
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn read(&self, place: Place) -> Result<Record<T>, JournalError> {
+        self.0[place.journal as usize].record(place)
+    }
 }
 
 /// An input's key: what the record must match.
@@ -289,14 +301,24 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
         })?;
         journals.insert(0, own);
         Ok(Self {
-            journals,
+            records: Records(journals),
             places: by_key(places),
             passing: HashMap::new(),
         })
     }
 
     pub fn holds(&self, input: &StoredFile) -> bool {
-        place(&self.places, key(input)).is_some()
+        self.place(input).is_some()
+    }
+
+    /// Where the record of an input stands, if it is in a journal.
+    pub fn place(&self, input: &StoredFile) -> Option<Place> {
+        place(&self.places, key(input))
+    }
+
+    /// The records alone, for those who know their places.
+    pub fn into_records(self) -> Records<T> {
+        self.records
     }
 
     /// The record of an input, where it is done.
@@ -312,12 +334,10 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     /// # Errors
     /// A journal that cannot be read.
     pub fn record_of(&self, key: u64) -> Result<Option<Record<T>>, JournalError> {
-        let Some(place) = place(&self.places, key) else {
-            return Ok(self.passing.get(&key).cloned());
-        };
-        self.journals[place.journal as usize]
-            .record(place)
-            .map(Some)
+        match place(&self.places, key) {
+            Some(place) => self.records.read(place).map(Some),
+            None => Ok(self.passing.get(&key).cloned()),
+        }
     }
 
     /// How many inputs have no frame, for whatever reason.
@@ -340,7 +360,7 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
         observer: &impl Observer<Given = T>,
         inputs: &[StoredFile],
     ) -> Result<(), JournalError> {
-        let journal = &self.journals[0];
+        let journal = &self.records.0[0];
         let passing = Mutex::new(HashMap::new());
         let new: Vec<(u64, Place)> = inputs
             .par_iter()
@@ -376,7 +396,7 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
         let passing = passing.into_inner();
         self.passing = passing.unwrap_or_else(PoisonError::into_inner);
         // Another camera of the same instrument has the same journal.
-        self.journals[0].release()
+        self.records.0[0].release()
     }
 }
 

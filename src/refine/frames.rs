@@ -2,7 +2,7 @@
 
 use super::drift::MarkObservation;
 use super::record::{FrameRecord, Grade, MarkRecord, symmetric, upper};
-use super::timeline::Timeline;
+use super::timeline::{Entry, Held, Timeline};
 use crate::aspect::Stage;
 use crate::instrument::Instrument;
 use crate::observe::JournalError;
@@ -66,10 +66,10 @@ impl Frames {
             contradiction: None,
         };
         let mut against = Against::default();
-        let read = |n: usize| Ok((n, timeline.frame(n)?));
-        timeline.each(timeline.len(), read, |(n, record)| {
-            let Some(record) = record else { return };
-            against.note(timeline.file(n), &record);
+        let read = |n: usize| Ok((n, timeline.entry(n)?));
+        timeline.each(timeline.len(), read, |(n, Entry { file, held })| {
+            let Held::Frame(record) = held else { return };
+            against.note(&file, &record);
             if let Some(utc_ns) = timeline.utc_ns(n) {
                 all.add(utc_ns, &record, instrument);
             }

@@ -14,7 +14,7 @@ use super::roll::RollHistory;
 use super::row::Row;
 use super::sky::Sky;
 use super::suns::{Flight, Suns};
-use super::timeline::{Entry, Timeline};
+use super::timeline::{Entry, Held, Timeline};
 use crate::geometry::attitude::Direction;
 use crate::instrument::Instrument;
 use crate::observe::{CameraFrames, Done, InputSummary, JournalError, Pass, PassError};
@@ -195,7 +195,10 @@ impl History {
     }
 
     /// The file of a place in the history.
-    pub fn file(&self, n: usize) -> &str {
+    ///
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn file(&self, n: usize) -> Result<String, JournalError> {
         self.flight.timeline.file(n)
     }
 
@@ -240,16 +243,17 @@ impl History {
             mapping,
             recipe,
         } = &self.flight;
-        let (own, copy_of, error) = match timeline.entry(n)? {
-            Entry::Frame(frame) => (Some(*frame), None, None),
-            Entry::None { error, copy_of } => (None, copy_of, Some(format!("file: {error}"))),
+        let Entry { file, held } = timeline.entry(n)?;
+        let (own, copy_of, error) = match held {
+            Held::Frame(frame) => (Some(*frame), None, None),
+            Held::None { error, copy_of } => (None, copy_of, Some(format!("file: {error}"))),
         };
         let own_reason = own
             .as_ref()
             .map(|own| own.facts.reason(own.reason.as_deref()));
         let timing = timeline.timing(n);
         let mut row = Row {
-            file: timeline.file(n).into(),
+            file,
             copy_of,
             utc_ns: timeline.utc_ns(n),
             timing,

@@ -105,7 +105,7 @@ fn look(
         sigma_mil,
         radius_mil: expected * ratio.value,
     };
-    let file = archive.open_file(flight.timeline.file(n)).ok()?;
+    let file = archive.open_file(&flight.timeline.file(n).ok()?).ok()?;
     let file = file.of_size(known.instrument.camera.size_px());
     let look = file.with_frame(|frame| known.look(frame)).ok()??;
     // A limb of which little is seen does not determine its radius.

@@ -204,7 +204,7 @@ pub fn write(
         let path = history.smoothed().map(Ok::<_, OutputError>);
         columns::write_fits(file, SMOOTHED, &smoothed, &Widths::new(&smoothed), path)
     })?;
-    let summary = summary(history, tally, columns::sha256(&fits)?);
+    let summary = summary(history, tally, columns::sha256(&fits)?)?;
     write_json(&folder.join("summary.json"), &summary)?;
     Ok(summary)
 }
@@ -253,14 +253,21 @@ pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), File
     })
 }
 
-fn summary(history: &History, tally: Tally, table_sha256: String) -> Summary {
+fn summary(history: &History, tally: Tally, table_sha256: String) -> Result<Summary, JournalError> {
     let median_sigma_mil = median(tally.sigmas_mil.iter().flatten());
     let recipe = history.recipe();
     let hex = |hash: u64| format!("{hash:016x}");
     let [instrument_hash, settings_hash] = recipe.stated_hashes().map(hex);
     let arcsec_per_mil = recipe.instrument.optics.arcsec_per_mil();
     let path = history.path();
-    Summary {
+    let mapping = history.mapping().map(|facts| {
+        let jumps = facts.jumps.iter().map(|jump| named(history, jump));
+        Ok::<_, JournalError>(MappingSummary {
+            jumps: jumps.collect::<Result<_, _>>()?,
+            facts: facts.clone(),
+        })
+    });
+    Ok(Summary {
         program: PROGRAM,
         commit: COMMIT,
         times: "UTC at mid-exposure",
@@ -279,24 +286,17 @@ fn summary(history: &History, tally: Tally, table_sha256: String) -> Summary {
         median_sigma_arcsec: median_sigma_mil.map(|sigma| sigma * arcsec_per_mil),
         radius_over_expected: history.radius_ratio().map(|ratio| ratio.value),
         radius_by_temperature: history.radius_by_temperature,
-        mapping: history.mapping().map(|facts| MappingSummary {
-            jumps: facts
-                .jumps
-                .iter()
-                .map(|jump| named(history, jump))
-                .collect(),
-            facts: facts.clone(),
-        }),
+        mapping: mapping.transpose()?,
         clock: history.clock().clone(),
         path_process_noise_mil_per_s2_5: path.map(|path| path.process_noise),
         swings_mil: path.map_or_else(Default::default, |path| path.swings.clone()),
-    }
+    })
 }
 
-fn named(history: &History, jump: &Jump) -> NamedJump {
-    NamedJump {
-        file: history.file(jump.after).into(),
+fn named(history: &History, jump: &Jump) -> Result<NamedJump, JournalError> {
+    Ok(NamedJump {
+        file: history.file(jump.after)?,
         utc: history.utc(jump.after).map(|utc| format!("{utc:.6}")),
         jump: *jump,
-    }
+    })
 }

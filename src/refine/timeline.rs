@@ -4,9 +4,9 @@ use super::clock::ClockStep;
 use super::clock_facts::ClockFacts;
 use super::oddity::TimeOddity;
 use super::times::{Stamp, Times, Timing};
-use crate::archive::StoredFile;
 use crate::observe::{
-    CameraFrames, Done, FrameFacts, InputNotes, InputSummary, JournalError, Record, Span,
+    CameraFrames, Done, FrameFacts, InputNotes, InputSummary, JournalError, Place, Record, Records,
+    Span,
 };
 use crate::units::Measured;
 use rayon::prelude::*;
@@ -23,11 +23,10 @@ pub trait Dated: Serialize + DeserializeOwned + Clone + Send + Sync {
     fn place(&self) -> Option<[f64; 2]>;
 }
 
-/// The frames of a camera in the order of time; what they gave stays in the journal.
+/// The frames of a camera in the order of time; what they gave, and their names, stay in the journal.
 #[derive(Debug)]
 pub struct Timeline<T> {
-    done: Done<T>,
-    camera: CameraFrames,
+    records: Records<T>,
     dated: Vec<DatedFrame>,
     /// Frames without a time and files without a frame, by name.
     rest: Vec<Rest>,
@@ -38,8 +37,8 @@ pub struct Timeline<T> {
 
 #[derive(Debug, Clone)]
 struct DatedFrame {
-    /// Its place among the camera's inputs.
-    input: u32,
+    /// Of its record.
+    place: Place,
     utc_ns: i64,
     /// Where its stamp is not believed as it stands.
     timing: Option<Box<Timing>>,
@@ -47,13 +46,29 @@ struct DatedFrame {
 
 #[derive(Debug, Clone)]
 enum Rest {
-    Undated { input: u32, timing: Timing },
-    Unread { file: String, error: String },
-    Copy { file: String, first: String },
+    Undated {
+        file: String,
+        place: Place,
+        timing: Timing,
+    },
+    Unread {
+        file: String,
+        error: String,
+    },
+    Copy {
+        file: String,
+        first: String,
+    },
 }
 
-/// What a file of the timeline holds.
-pub enum Entry<T> {
+/// A file of the timeline and what it holds.
+pub struct Entry<T> {
+    pub file: String,
+    pub held: Held<T>,
+}
+
+/// What a file holds.
+pub enum Held<T> {
     Frame(Box<T>),
     /// No frame that counts: why.
     None {
@@ -114,28 +129,33 @@ impl<T: Dated> Timeline<T> {
         };
         let mut dated = Vec::with_capacity(stamps.len());
         for ((input, stamp), timing) in stamped.into_iter().zip(&stamps).zip(timings) {
+            let input = &camera.inputs[input as usize];
+            let Some(place) = done.place(input) else {
+                continue;
+            };
             match timing.utc_ns(stamp.utc_ns) {
                 Some(utc_ns) => dated.push(DatedFrame {
-                    input,
+                    place,
                     utc_ns,
                     timing: (timing != Timing::default()).then(|| Box::new(timing)),
                 }),
-                None => rest.push(Rest::Undated { input, timing }),
+                None => rest.push(Rest::Undated {
+                    file: input.file.clone(),
+                    place,
+                    timing,
+                }),
             }
         }
-        // Inputs are in the order of their paths.
-        dated.sort_by_key(|frame| (frame.utc_ns, frame.input));
-        let mut timeline = Self {
-            done,
-            camera,
+        // Those of one time stay in the order of their paths, as inputs are.
+        dated.sort_by_key(|frame| frame.utc_ns);
+        rest.sort_by(|a, b| a.file().cmp(b.file()));
+        Ok(Self {
+            records: done.into_records(),
             dated,
-            rest: Vec::new(),
+            rest,
             inputs: notes.finish(),
             clock,
-        };
-        rest.sort_by(|a, b| timeline.name(a).cmp(timeline.name(b)));
-        timeline.rest = rest;
-        Ok(timeline)
+        })
     }
 
     /// How many files there are.
@@ -153,11 +173,11 @@ impl<T: Dated> Timeline<T> {
     }
 
     /// The file of a place in the timeline.
-    pub fn file(&self, n: usize) -> &str {
-        match self.dated.get(n) {
-            Some(frame) => &self.input(frame.input).file,
-            None => self.name(&self.rest[n - self.dated.len()]),
-        }
+    ///
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn file(&self, n: usize) -> Result<String, JournalError> {
+        Ok(self.entry(n)?.file)
     }
 
     /// Mid-exposure, ns since 1970.
@@ -186,31 +206,33 @@ impl<T: Dated> Timeline<T> {
         self.timing(n).odd.is_none_or(TimeOddity::is_of_path)
     }
 
-    /// What a file holds.
+    /// A file and what it holds.
     ///
     /// # Errors
     /// A journal that cannot be read.
     pub fn entry(&self, n: usize) -> Result<Entry<T>, JournalError> {
-        let none = |error: &str, copy_of| Entry::None {
-            error: error.into(),
-            copy_of,
+        let none = |file: &String, error: String, copy_of| Entry {
+            file: file.clone(),
+            held: Held::None { error, copy_of },
         };
-        let input = match self.dated.get(n) {
-            Some(frame) => frame.input,
+        let place = match self.dated.get(n) {
+            Some(frame) => frame.place,
             None => match &self.rest[n - self.dated.len()] {
-                Rest::Undated { input, .. } => *input,
-                Rest::Unread { error, .. } => return Ok(none(error, None)),
-                Rest::Copy { first, .. } => {
+                Rest::Undated { place, .. } => *place,
+                Rest::Unread { file, error } => return Ok(none(file, error.clone(), None)),
+                Rest::Copy { file, first } => {
                     let error = format!("the same frame as {first}");
-                    return Ok(none(&error, Some(first.clone())));
+                    return Ok(none(file, error, Some(first.clone())));
                 }
             },
         };
-        let record = self.done.record(self.input(input))?;
-        Ok(match record.map(|record| record.outcome) {
-            Some(Ok(frame)) => Entry::Frame(Box::new(frame)),
-            Some(Err(error)) => none(&error, None),
-            None => none("no record", None),
+        let Record { input, outcome } = self.records.read(place)?;
+        Ok(match outcome {
+            Ok(frame) => Entry {
+                file: input.file,
+                held: Held::Frame(Box::new(frame)),
+            },
+            Err(error) => none(&input.file, error, None),
         })
     }
 
@@ -219,9 +241,9 @@ impl<T: Dated> Timeline<T> {
     /// # Errors
     /// A journal that cannot be read.
     pub fn frame(&self, n: usize) -> Result<Option<T>, JournalError> {
-        Ok(match self.entry(n)? {
-            Entry::Frame(frame) => Some(*frame),
-            Entry::None { .. } => None,
+        Ok(match self.entry(n)?.held {
+            Held::Frame(frame) => Some(*frame),
+            Held::None { .. } => None,
         })
     }
 
@@ -242,15 +264,14 @@ impl<T: Dated> Timeline<T> {
         }
         Ok(())
     }
+}
 
-    fn input(&self, input: u32) -> &StoredFile {
-        &self.camera.inputs[input as usize]
-    }
-
-    fn name<'a>(&'a self, rest: &'a Rest) -> &'a str {
-        match rest {
-            Rest::Undated { input, .. } => &self.input(*input).file,
-            Rest::Unread { file, .. } | Rest::Copy { file, .. } => file,
+impl Rest {
+    fn file(&self) -> &str {
+        match self {
+            Self::Undated { file, .. } | Self::Unread { file, .. } | Self::Copy { file, .. } => {
+                file
+            }
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::super::oddity::Oddity;
 use super::super::path::ODD_PATH_CHI2;
 use super::super::record::Grade;
-use super::super::timeline::{Entry, Timeline};
+use super::super::timeline::{Entry, Held, Timeline};
 use super::path::{RollPath, Seen, changing};
 use super::row::{RollRow, SmoothedRoll};
 use super::{HorizonRecord, RollRecipe};
@@ -87,16 +87,17 @@ impl RollHistory {
     }
 
     fn row(&self, n: usize) -> Result<RollRow, JournalError> {
-        let (own, copy_of, reason) = match self.timeline.entry(n)? {
-            Entry::None { error, copy_of } => (None, copy_of, format!("file: {error}")),
-            Entry::Frame(own) => {
+        let Entry { file, held } = self.timeline.entry(n)?;
+        let (own, copy_of, reason) = match held {
+            Held::None { error, copy_of } => (None, copy_of, format!("file: {error}")),
+            Held::Frame(own) => {
                 let reason = own.facts.reason(own.reason.as_deref());
                 (Some(*own), None, reason)
             }
         };
         let is_off = self.off.binary_search(&n).is_ok();
         Ok(RollRow {
-            file: self.timeline.file(n).into(),
+            file,
             copy_of,
             utc_ns: self.timeline.utc_ns(n),
             timing: self.timeline.timing(n),
