@@ -52,7 +52,7 @@ impl fmt::Display for RejectedFrame {
     }
 }
 
-/// Why the frames cannot be listed.
+/// Why the frames cannot be listed, or are not all read.
 #[derive(Debug, thiserror::Error)]
 pub enum InputError {
     #[error("{path}: cannot read: {cause}", path = .path.display())]
@@ -62,6 +62,8 @@ pub enum InputError {
     },
     #[error("{}: expected frames (files that end in {}), found none", .0.display(), FRAME_ENDINGS.join(", "))]
     NoFrames(PathBuf),
+    #[error("cancelled")]
+    Cancelled,
 }
 
 impl From<Unlisted> for InputError {
@@ -164,14 +166,20 @@ pub struct Observed<T> {
 
 /// Opens each file once, several at a time, and gives what is made of its frame; of a file of several images the one of `size_px`. Warns of
 /// files that cannot be read, of values of headers that are not used, and of frames in one folder that cannot be told apart.
+///
+/// # Errors
+/// [`InputError::Cancelled`].
 pub fn over<T: Send>(
     files: Vec<PathBuf>,
     size_px: [usize; 2],
     watch: &dyn Watch,
     observe: impl Fn(&Path, Frame) -> T + Sync,
-) -> Observed<T> {
+) -> Result<Observed<T>, InputError> {
     watch.begin(files.len(), "frames");
     let one = |file: &PathBuf| {
+        if watch.is_cancelled() {
+            return Err(InputError::Cancelled);
+        }
         let frame = fits::read_frame_of_size(file, size_px);
         let observed = frame
             .map_err(|error| error.problem.to_string())
@@ -180,10 +188,11 @@ pub fn over<T: Send>(
                 (seen, observe(file, frame))
             });
         watch.step();
-        observed
+        Ok(observed)
     };
-    let observed: Vec<Result<(Seen, T), String>> = files.par_iter().map(one).collect();
+    let observed = files.par_iter().map(one).collect::<Result<Vec<_>, _>>();
     watch.end();
+    let observed = observed?;
     let seen: Vec<Option<&Seen>> = observed.iter().map(|o| Some(&o.as_ref().ok()?.0)).collect();
     warn_of(&files, &observed);
     let first_of = first_of(&files, &seen);
@@ -202,7 +211,7 @@ pub fn over<T: Send>(
                 .push((file.clone(), observed.map(|(_, given)| given))),
         }
     }
-    all
+    Ok(all)
 }
 
 /// By what a frame is recognised, and what of its file was not used.
@@ -280,4 +289,38 @@ pub fn sha256<F: AsRef<Path> + Sync>(files: &[F]) -> String {
     let mut hashes: Vec<_> = files.par_iter().filter_map(one).collect();
     hashes.sort_unstable();
     provenance::sha256(hashes.concat())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    /// Ends a pass after so many frames.
+    struct Patience(AtomicUsize);
+
+    impl Watch for Patience {
+        fn step(&self) {
+            let less = |left: usize| Some(left.saturating_sub(1));
+            let _ = self
+                .0
+                .fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
+        }
+
+        fn is_cancelled(&self) -> bool {
+            self.0.load(Ordering::Relaxed) == 0
+        }
+    }
+
+    #[test]
+    fn a_cancelled_pass_ends_at_the_next_frame_and_says_so() {
+        let files: Vec<PathBuf> = (0..100).map(|n| format!("{n}.fits").into()).collect();
+        let pass = |frames| {
+            let patience = Patience(AtomicUsize::new(frames));
+            over(files.clone(), [8, 8], &patience, |_, _| ())
+        };
+        assert!(matches!(pass(10), Err(InputError::Cancelled)));
+        // No such file: a row with its reason each.
+        assert_eq!(pass(1000).unwrap().frames.len(), 100);
+    }
 }

@@ -7,8 +7,11 @@ use solaspect::geometry::Mapping;
 use solaspect::instrument::{Instrument, builtin};
 use std::time::Instant;
 
+/// Of frames of so many poses, all of which are found.
 fn fit(frames: &[FrameObservation], poses: usize) -> PlateFit {
-    plate::fit(frames, poses, &builtin("demo").unwrap()).unwrap()
+    let (posed, fit) = plate::fit_frames(frames, &builtin("demo").unwrap()).unwrap();
+    assert_eq!(posed.poses.len(), poses);
+    fit
 }
 
 fn judged(fit: &PlateFit, truth: &Instrument) -> (f64, f64) {

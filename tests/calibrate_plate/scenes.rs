@@ -118,8 +118,7 @@ pub fn observed(
         covariance_px2: Matrix2::identity() * NOISE_PX.powi(2),
     };
     FrameObservation {
-        file: format!("{number}").into(),
-        pose,
+        file: format!("pose_{pose}/{number}").into(),
         utc: None,
         mapping,
         sun: Some(PlateMil::new(0.0, 0.0)),

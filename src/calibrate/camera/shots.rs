@@ -4,7 +4,7 @@ use crate::aspect::{self, Expected, Quality};
 use crate::calibrate::frames::Setting;
 use crate::frame::Frame;
 use crate::instrument::Instrument;
-use crate::observe::{RejectedFrame, over};
+use crate::observe::{RejectedFrame, Watch, over};
 use crate::units::SensorPx;
 use anyhow::Context;
 use std::path::{Path, PathBuf};
@@ -114,14 +114,15 @@ pub struct SunShot {
 pub fn load(
     files: &[PathBuf],
     instrument: &Instrument,
+    watch: &dyn Watch,
 ) -> anyhow::Result<(Shots, Vec<RejectedFrame>)> {
     let keep = kept(files);
     let size_px = instrument.camera.size_px();
-    let observed = over(files.to_vec(), size_px, &(), |file, frame| {
+    let observed = over(files.to_vec(), size_px, watch, |file, frame| {
         let is_kept = keep.iter().any(|kept| *kept == file);
         let check = check_size(&frame, instrument, file);
         check.map(|()| is_kept.then(|| Shot::without_sun(file, frame)))
-    });
+    })?;
     let (mut frames, mut rejected) = (Vec::new(), observed.copies);
     for (file, outcome) in observed.frames {
         match outcome {
@@ -159,13 +160,14 @@ fn kept(files: &[PathBuf]) -> Vec<&PathBuf> {
 pub fn solve(
     files: &[PathBuf],
     instrument: &Instrument,
+    watch: &dyn Watch,
 ) -> anyhow::Result<(Shots, Vec<SunShot>, Vec<RejectedFrame>)> {
     let keep = kept(files);
     let size_px = instrument.camera.size_px();
-    let observed = over(files.to_vec(), size_px, &(), |file, frame| {
+    let observed = over(files.to_vec(), size_px, watch, |file, frame| {
         let is_kept = keep.iter().any(|kept| *kept == file);
         check_size(&frame, instrument, file).map(|()| solve_one(file, frame, instrument, is_kept))
-    });
+    })?;
     let (mut shots, mut suns, mut rejected) = (Shots::default(), Vec::new(), observed.copies);
     for (file, outcome) in observed.frames {
         match outcome.unwrap_or_else(|unread| Ok(Err(unread)))? {

@@ -8,7 +8,7 @@ use crate::fits;
 use crate::frame::Frame;
 use crate::geometry::Handedness;
 use crate::instrument::Instrument;
-use crate::observe::{RejectedFrame, over};
+use crate::observe::{RejectedFrame, Watch, over};
 use crate::pointing::Horizontal;
 use crate::sky::{Air, Ephemeris, SkyError, SunPosition};
 use crate::units::Place;
@@ -51,6 +51,7 @@ type Rejection = (Lack, String);
 pub fn collect(
     files: &[PathBuf],
     frames: &Frames<'_>,
+    watch: &dyn Watch,
 ) -> anyhow::Result<(Vec<SunObservation>, Vec<RejectedFrame>, Handedness)> {
     let handedness = determined_handedness(files, frames.instrument);
     let mut instrument = frames.instrument.clone();
@@ -60,9 +61,9 @@ pub fn collect(
         ..frames.clone()
     };
     let size_px = instrument.camera.size_px();
-    let observed = over(files.to_vec(), size_px, &(), |file, frame| {
+    let observed = over(files.to_vec(), size_px, watch, |file, frame| {
         frames.observe(file, &frame, &mut frames.ephemeris.clone())
-    });
+    })?;
     let (mut observations, mut rejected) = (Vec::new(), Vec::new());
     let (mut settings, mut lacks) = (Vec::new(), Vec::new());
     for (file, outcome) in observed.frames {

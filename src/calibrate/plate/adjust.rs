@@ -1,7 +1,7 @@
 //! One adjustment of all marks, the lens and every view: Gauss-Newton on normal equations.
 //!
-//! Within a pose camera and plate are one rigid body, which may drift evenly, so that the observations of a mark in a pose are one
-//! [`Cell`], their weighted mean at its mean time and their trend about it, and the work does not grow with the frames.
+//! Within a pose camera and plate are one rigid body, which may drift slowly, so that the observations of a mark in a pose are one
+//! [`Cell`], their weighted mean and their trend about it, and the work does not grow with the frames.
 //!
 //! Views, lens and marks leave a shift, a rotation and a scale open. Those are held by condition: the displacements of the
 //! measured marks from the drawing have none in common.
@@ -12,20 +12,37 @@ use crate::geometry::view::{PARAMETERS, ParameterCovariance, View, parameters_of
 use crate::units::PlateMil;
 use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, Vector2};
 
+/// The degree of the polynomial in time that a drift follows at most.
+pub(super) const DRIFT: usize = 3;
+
+/// The terms of a drift at a time within a pose, -1 to 1: the polynomials of Legendre from the first degree on, each 1 at the end.
+pub(super) fn drift_terms(time: f64) -> [f64; DRIFT] {
+    let t = time;
+    [t, (3.0 * t * t - 1.0) / 2.0, (5.0 * t * t - 3.0) * t / 2.0]
+}
+
+/// The drift of a pose along both axes: by how many px each term moves the plate's picture.
+pub(super) type Drift = [Vector2<f64>; DRIFT];
+
+/// How far a drift has moved the picture where its terms are so large, px.
+fn drifted(drift: &Drift, terms: &[f64; DRIFT]) -> Vector2<f64> {
+    drift.iter().zip(terms).map(|(px, term)| px * *term).sum()
+}
+
 /// The observations of a mark in a pose.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cell {
     pub mark: usize,
     /// Their weighted mean, px.
     pub seen: Vector2<f64>,
-    /// When, on the weighted mean; see [`State::drift_px`].
-    pub time: f64,
+    /// The terms of a drift then, on the weighted mean.
+    pub terms: [f64; DRIFT],
     /// Inverse of the mean's covariance, px^-2.
     pub weight: Matrix2<f64>,
-    /// What the observations say of a drift among themselves: weighted squares of their times about the mean, and the products of
-    /// these times with how far each was seen from the mean.
-    pub time_spread: Matrix2<f64>,
-    pub trend: Vector2<f64>,
+    /// What the observations say of a drift among themselves: weighted products of its terms about their means, and of these with how far
+    /// each was seen from the mean.
+    pub spread: [[Matrix2<f64>; DRIFT]; DRIFT],
+    pub trend: [Vector2<f64>; DRIFT],
 }
 
 /// A mark before it is measured.
@@ -44,7 +61,8 @@ pub(super) struct Freedoms {
     pub view: MappingKind,
     pub lens: [bool; LENS],
     pub marks: bool,
-    pub drift: bool,
+    /// So many terms of it.
+    pub drift: usize,
 }
 
 /// The unknowns. In vectors and matrices: the lens terms, x and y of every mark, the parameters of every view, the drifts.
@@ -53,9 +71,8 @@ pub(super) struct State {
     pub views: Vec<View>,
     pub lens: Lens,
     pub places: Vec<PlateMil>,
-    /// How far the plate's picture moves in half of each pose's duration. Times within a pose count from -1 at its first frame to 1 at
-    /// its last.
-    pub drift_px: Vec<Vector2<f64>>,
+    /// Times within a pose count from -1 at its first frame to 1 at its last.
+    pub drift_px: Vec<Drift>,
 }
 
 /// Index of a mark's x among the unknowns.
@@ -73,9 +90,9 @@ impl State {
         mark_index(self.places.len()) + PARAMETERS * pose
     }
 
-    /// Index of a drift's x among the unknowns.
+    /// Index of the x of a drift's first term among the unknowns.
     fn drift_index(&self, pose: usize) -> usize {
-        self.view_index(self.views.len()) + 2 * pose
+        self.view_index(self.views.len()) + 2 * DRIFT * pose
     }
 
     fn unknowns(&self) -> usize {
@@ -84,7 +101,7 @@ impl State {
 
     /// How far a pose has drifted at a time within it, px.
     pub(super) fn drifted(&self, pose: usize, time: f64) -> Vector2<f64> {
-        self.drift_px[pose] * time
+        drifted(&self.drift_px[pose], &drift_terms(time))
     }
 
     fn advance(&mut self, step: &DVector<f64>) {
@@ -98,8 +115,8 @@ impl State {
             *view = view.advanced(&step.into_owned());
         }
         let first = self.drift_index(0);
-        for (pose, drift_px) in self.drift_px.iter_mut().enumerate() {
-            *drift_px += step.fixed_rows::<2>(first + 2 * pose);
+        for (n, term) in self.drift_px.as_flattened_mut().iter_mut().enumerate() {
+            *term += step.fixed_rows::<2>(first + 2 * n);
         }
     }
 }
@@ -134,8 +151,8 @@ pub(super) enum Unknown {
     Mark(usize, usize),
     /// Pose and parameter.
     View(usize, usize),
-    /// Pose and axis.
-    Drift(usize, usize),
+    /// Pose, term and axis.
+    Drift(usize, usize, usize),
 }
 
 impl Settled {
@@ -151,7 +168,10 @@ impl Settled {
             n if n < LENS => Unknown::Lens(n),
             n if n < views => Unknown::Mark((n - LENS) / 2, (n - LENS) % 2),
             n if n < drifts => Unknown::View((n - views) / PARAMETERS, (n - views) % PARAMETERS),
-            n => Unknown::Drift((n - drifts) / 2, (n - drifts) % 2),
+            n => {
+                let n = n - drifts;
+                Unknown::Drift(n / (2 * DRIFT), n / 2 % DRIFT, n % 2)
+            }
         }
     }
 
@@ -172,7 +192,11 @@ impl Settled {
         self.block(self.state.view_index(pose))
     }
 
-    pub(super) fn drift_covariance(&self, pose: usize) -> Matrix2<f64> {
+    /// Of x and y of each term.
+    pub(super) fn drift_covariance(
+        &self,
+        pose: usize,
+    ) -> SMatrix<f64, { 2 * DRIFT }, { 2 * DRIFT }> {
         self.block(self.state.drift_index(pose))
     }
 }
@@ -185,11 +209,13 @@ struct Prior {
 }
 
 const STEPS: usize = 15;
+/// Two marks determine shift, rotation and scale of a view; what else there is of it has a prior.
+const LEAST_MARKS: usize = 2;
 /// A shorter step changes nothing: px, mil and parts of a view alike.
 const SETTLED_STEP: f64 = 1e-6;
 /// Holds what the gauge forbids, against any information from observations, mil^-2.
 const GAUGE_WEIGHT: f64 = 1e10;
-/// What a camera may drift in half of a pose's duration, 1 sigma per axis.
+/// What each term of a camera's drift may be, 1 sigma per axis.
 const DRIFT_PRIOR_PX: f64 = 1.0;
 
 impl Problem<'_> {
@@ -202,8 +228,8 @@ impl Problem<'_> {
         for n in (0..LENS).filter(|n| !self.freedoms.lens[*n]) {
             state.lens.terms[n] = 0.0;
         }
-        if !self.freedoms.drift {
-            state.drift_px.fill(Vector2::zeros());
+        for drift in &mut state.drift_px {
+            drift[self.freedoms.drift..].fill(Vector2::zeros());
         }
         let free = self.free(&state);
         let unknowns = state.unknowns();
@@ -239,17 +265,17 @@ impl Problem<'_> {
         })
     }
 
-    /// The unknowns that are adjusted. A view without observations stays as it is.
+    /// The unknowns that are adjusted. A view stays as it is where fewer marks are seen than determine it.
     fn free(&self, state: &State) -> Vec<usize> {
         let lens = (0..LENS).filter(|n| self.freedoms.lens[*n]);
         let marks = (LENS..state.view_index(0)).filter(|_| self.freedoms.marks);
-        let poses = (0..self.cells.len()).filter(|pose| !self.cells[*pose].is_empty());
+        let poses = (0..self.cells.len()).filter(|pose| self.cells[*pose].len() >= LEAST_MARKS);
         let views = poses.clone().flat_map(|pose| {
             let free = (state.view_index(pose)..).zip(parameters_of(self.freedoms.view));
             free.filter(|(_, free)| *free).map(|(n, _)| n)
         });
-        let drifting = poses.filter(|_| self.freedoms.drift);
-        let drifts = drifting.flat_map(|pose| [0, 1].map(|axis| state.drift_index(pose) + axis));
+        let terms = 2 * self.freedoms.drift;
+        let drifts = poses.flat_map(|pose| (state.drift_index(pose)..).take(terms));
         lens.chain(marks).chain(views).chain(drifts).collect()
     }
 
@@ -261,12 +287,14 @@ impl Problem<'_> {
         for (pose, cells) in self.cells.iter().enumerate() {
             for cell in cells {
                 let p = state.predict(pose, cell.mark);
-                let residual = cell.seen - p.seen - state.drifted(pose, cell.time);
-                let of_drift = Matrix2::identity() * cell.time;
+                let drift_px = &state.drift_px[pose];
+                let residual = cell.seen - p.seen - drifted(drift_px, &cell.terms);
+                let of_drift = cell.terms.map(|term| Matrix2::identity() * term);
+                let of_drift = of_drift.iter().flat_map(|term| term.column_iter());
                 let lens = p.lens.column_iter().enumerate();
                 let place = (mark_index(cell.mark)..).zip(p.place.column_iter());
                 let view = (state.view_index(pose)..).zip(p.view.column_iter());
-                let drift = (state.drift_index(pose)..).zip(of_drift.column_iter());
+                let drift = (state.drift_index(pose)..).zip(of_drift);
                 let slopes: Vec<_> = lens.chain(place).chain(view).chain(drift).collect();
                 for (a, slope) in &slopes {
                     let weighted = cell.weight * slope;
@@ -275,11 +303,17 @@ impl Problem<'_> {
                         information[(*b, *a)] += weighted.dot(slope);
                     }
                 }
-                let drift = state.drift_index(pose);
-                let mut of_drift = information.fixed_view_mut::<2, 2>(drift, drift);
-                of_drift += cell.time_spread;
-                let mut of_drift = gradient.fixed_rows_mut::<2>(drift);
-                of_drift += cell.trend - cell.time_spread * state.drift_px[pose];
+                let index = |term: usize| state.drift_index(pose) + 2 * term;
+                for (n, spread) in cell.spread.iter().enumerate() {
+                    let mut left = cell.trend[n];
+                    for (m, spread) in spread.iter().enumerate() {
+                        let mut both = information.fixed_view_mut::<2, 2>(index(n), index(m));
+                        both += spread;
+                        left -= spread * drift_px[m];
+                    }
+                    let mut of_term = gradient.fixed_rows_mut::<2>(index(n));
+                    of_term += left;
+                }
             }
         }
         for prior in self.priors(state) {
@@ -324,13 +358,18 @@ impl Problem<'_> {
                 })
             })
         });
-        let drifts = state.drift_px.iter().enumerate().flat_map(|(pose, drift)| {
-            [0, 1].map(|axis| Prior {
-                unknown: state.drift_index(pose) + axis,
-                off: drift[axis],
+        let terms = state
+            .drift_px
+            .as_flattened()
+            .iter()
+            .flat_map(|px| [px.x, px.y]);
+        let drifts = terms
+            .zip(state.drift_index(0)..)
+            .map(|(off, unknown)| Prior {
+                unknown,
+                off,
                 sigma: DRIFT_PRIOR_PX,
-            })
-        });
+            });
         lens.chain(marks).chain(views).chain(drifts).collect()
     }
 
@@ -373,7 +412,7 @@ impl Problem<'_> {
             lens if lens < LENS => self.freedoms.lens[lens],
             mark if mark < state.view_index(0) => self.freedoms.marks,
             view if view < state.drift_index(0) => false,
-            _ => self.freedoms.drift,
+            drift => (drift - state.drift_index(0)) / 2 % DRIFT < self.freedoms.drift,
         };
         let common = priors.iter().filter(|prior| is_free(prior.unknown));
         let part = |prior: &Prior| {

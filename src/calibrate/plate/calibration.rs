@@ -1,25 +1,27 @@
-//! From files to a plate calibration.
+//! From files to a plate calibration: observe, find the poses, fit, judge.
 
 use super::fit::{PlateFit, PoseFit, fit};
-use super::measure::{self, Folder, measure};
-use super::observation::{FrameObservation, take_blurred};
-use super::poses::{self, Pose, Posed};
+use super::measure::{self, measure};
+use super::observation::{FrameObservation, Pose, folder_of, take_blurred};
+use super::poses::{self, Posed};
 use super::refusal::Refusal;
+use super::rest::Shifts;
 use super::suspects::{SuspectMark, suspects};
 use crate::fits;
 use crate::instrument::Instrument;
-use crate::observe::{Depth, RejectedFrame, Watch, list, sha256};
+use crate::observe::{Depth, InputError, RejectedFrame, Watch, list, sha256};
 use crate::units::{PlateMil, SensorPx};
 use jiff::Timestamp;
 use rayon::prelude::*;
-use std::path::{Path, PathBuf};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
 
 /// A plate calibration: the fit and what it rests on.
 #[derive(Debug, Clone)]
 pub struct Calibration {
+    /// With their frames.
     pub poses: Vec<Pose>,
-    pub frames: Vec<FrameObservation>,
-    /// How many of them could be identified with the plate as found only.
+    /// How many frames could be identified with the plate as found only.
     pub read_later: usize,
     pub fit: PlateFit,
     pub rejected: Vec<RejectedFrame>,
@@ -27,8 +29,6 @@ pub struct Calibration {
     pub suspects: Vec<SuspectMark>,
     /// Of the files that were given; see [`frames_sha256`].
     pub frames_sha256: String,
-    /// When the last frame was taken.
-    pub last: Option<Timestamp>,
     /// The camera's name, as the frames have it.
     pub camera: Option<String>,
     /// The pose nearest to where the start's mounting states the camera: the others were made for the calibration.
@@ -37,17 +37,38 @@ pub struct Calibration {
     pub middle_px: SensorPx,
 }
 
+impl Calibration {
+    /// The frames of all poses, as [`Residual::frame`](super::Residual::frame) counts them.
+    pub fn frames(&self) -> impl Iterator<Item = &FrameObservation> {
+        self.poses.iter().flat_map(|pose| &pose.frames)
+    }
+
+    /// When the first and the last frame were taken.
+    pub fn span(&self) -> Option<[Timestamp; 2]> {
+        let times = || self.frames().filter_map(|frame| frame.utc);
+        Some([times().min()?, times().max()?])
+    }
+}
+
+/// Poses whose frames do not rest are parted so often at most.
+const MOST_PARTINGS: usize = 4;
+/// Passes over the rejected frames after the first: each uses the plate as the one before measured it.
+const LATER_PASSES: usize = 3;
+
 /// SHA-256 over the sorted SHA-256 of all files among frames and folders, hexadecimal: whatever their names and order.
 ///
 /// # Errors
 /// A path that cannot be read, a folder without frames.
 pub fn frames_sha256(given: &[PathBuf]) -> Result<String, Refusal> {
-    Ok(sha256_of(&measure::folders(list(given, Depth::Nearest)?)))
+    Ok(sha256(&files(given)?))
 }
 
-fn sha256_of(folders: &[Folder]) -> String {
-    let files: Vec<&PathBuf> = folders.iter().flat_map(|folder| &folder.files).collect();
-    sha256(&files)
+/// The files of frames and folders, each once.
+fn files(given: &[PathBuf]) -> Result<Vec<PathBuf>, Refusal> {
+    let mut known = BTreeSet::new();
+    let mut files = list(given, Depth::Nearest)?;
+    files.retain(|file| known.insert(file.clone()));
+    Ok(files)
 }
 
 /// Calibrates plate, lens and poses from frames and folders.
@@ -60,24 +81,21 @@ pub fn calibrate(
     start: &Instrument,
     watch: &dyn Watch,
 ) -> Result<Calibration, Refusal> {
-    /// Later passes over the rejected frames: each uses the plate as the one before measured it.
-    const LATER_PASSES: usize = 3;
-    let files = list(given, Depth::Nearest)?;
-    let folders = measure::folders(files);
-    let frames_sha256 = sha256_of(&folders);
-    let files = folders
-        .iter()
-        .flat_map(|folder| folder.files.iter().cloned());
-    let (mut observations, copies) = measure(files.collect(), &folders, start, watch);
+    let files = files(given)?;
+    let frames_sha256 = sha256(&files);
+    let (mut observations, copies) = measure(files, start, watch)?;
     let mut blurred = take_blurred(&mut observations.frames);
     observations.check_files(start)?;
     observations.check_coverage(start)?;
     let camera = observations.camera();
     let (mut frames, mut unread) = (observations.frames, observations.rejected);
-    let (mut posed, mut fit) = settle(&folders, &frames, start)?;
+    let (mut posed, mut fit) = fit_frames(&frames, start)?;
     let mut read_later = 0;
     for _ in 0..LATER_PASSES {
-        let mut read = identify_again(&unread, &folders, (&posed, &fit), start);
+        let mut read = identify_again(&unread, &posed.poses, &fit, start);
+        if watch.is_cancelled() {
+            return Err(InputError::Cancelled.into());
+        }
         if read.is_empty() {
             break;
         }
@@ -85,7 +103,7 @@ pub fn calibrate(
         read_later += read.len();
         frames.append(&mut read);
         blurred.extend(take_blurred(&mut frames));
-        (posed, fit) = settle(&folders, &frames, start)?;
+        (posed, fit) = fit_frames(&frames, start)?;
     }
     check_scales(&posed.poses, &fit)?;
     let mut rejected = [
@@ -98,65 +116,65 @@ pub fn calibrate(
     .concat();
     rejected.sort_by(|a, b| a.file.cmp(&b.file));
     Ok(Calibration {
-        last: posed.frames.iter().filter_map(|frame| frame.utc).max(),
         camera,
         mounted_pose: mounted_pose(&fit, start),
         middle_px: start.camera.middle_px(),
-        suspects: suspects(&posed.frames, &fit, start),
+        suspects: suspects(&posed.poses, &fit, start),
         frames_sha256,
         poses: posed.poses,
-        frames: posed.frames,
         read_later,
         fit,
         rejected,
     })
 }
 
-/// Finds the poses and fits, without the poses of which most frames contradict the others. The frames come with the index of their
-/// folder in the place of the pose.
-fn settle(
-    folders: &[Folder],
+/// What [`calibrate`] makes of frames that are read: the poses of each folder, those of which half of the frames or more contradict the others
+/// left out, and the fit.
+///
+/// # Errors
+/// As [`calibrate`].
+pub fn fit_frames(
     frames: &[FrameObservation],
     start: &Instrument,
 ) -> Result<(Posed, PlateFit), Refusal> {
-    let mut posed = poses::find(folders, frames, &start.plate)?;
+    let found = poses::find(frames, &start.plate)?;
+    let by_time = settle(found.clone(), start, 0);
+    let restless = |settled: &(Posed, PlateFit)| Shifts::of(&settled.1).restless();
+    let left = by_time.as_ref().map_or(usize::MAX, restless);
+    if left == 0 {
+        return by_time;
+    }
+    match settle(found.joined(), start, MOST_PARTINGS) {
+        Ok(by_place) if restless(&by_place) < left => Ok(by_place),
+        _ => by_time,
+    }
+}
+
+/// Fits the poses, those that do not rest parted up to so many times by where their frames have the plate, without those of which half of
+/// the frames or more contradict the others.
+fn settle(
+    mut posed: Posed,
+    start: &Instrument,
+    partings: usize,
+) -> Result<(Posed, PlateFit), Refusal> {
+    let mut parted = 0;
     loop {
-        let fit = fit(&posed.frames, posed.poses.len(), start).ok_or(Refusal::Undetermined)?;
-        if posed.reject(&fit)? == 0 {
+        let fit = fit(&posed.poses, start).ok_or_else(|| Refusal::undetermined(&posed.poses))?;
+        if parted < partings && posed.part(&fit) {
+            parted += 1;
+        } else if posed.reject(&fit)? == 0 {
             return Ok((posed, fit));
         }
     }
 }
 
-/// What [`calibrate`] makes of frames of one folder that are read: their poses and the fit.
-///
-/// # Errors
-/// As [`calibrate`].
-pub fn fit_folder(
-    path: &Path,
-    frames: &[FrameObservation],
-    start: &Instrument,
-) -> Result<(Vec<Pose>, PlateFit), Refusal> {
-    let folder = Folder {
-        path: path.into(),
-        files: Vec::new(),
-    };
-    let of_folder = |frame: &FrameObservation| FrameObservation {
-        pose: 0,
-        ..frame.clone()
-    };
-    let frames: Vec<_> = frames.iter().map(of_folder).collect();
-    let (posed, fit) = settle(&[folder], &frames, start)?;
-    Ok((posed.poses, fit))
-}
-
 /// A later pass over rejected frames: with the plate, the lens and the pose as found so far, marks can be identified for which
 /// two hypotheses were alike, or which lie far from where they were drawn. Of each frame the solution that agrees best with the
-/// pose it was made with. They come with the index of their folder in the place of the pose.
+/// pose it was made with.
 fn identify_again(
     rejected: &[RejectedFrame],
-    folders: &[Folder],
-    (posed, fit): (&Posed, &PlateFit),
+    poses: &[Pose],
+    fit: &PlateFit,
     start: &Instrument,
 ) -> Vec<FrameObservation> {
     /// A mark this near to where a pose puts it is the right one: others are 47 px off.
@@ -165,12 +183,11 @@ fn identify_again(
     let instruments: Vec<Instrument> = fit.poses.iter().map(with_pose).collect();
     let one = |RejectedFrame { file, .. }: &RejectedFrame| {
         let frame = fits::read_frame_of_size(file, start.camera.size_px()).ok()?;
-        let folder = measure::folder_of(folders, file);
-        let of_folder = |pose: &usize| posed.poses[*pose].folder == folders[folder].path;
+        let of_folder = |pose: &usize| poses[*pose].folder == folder_of(file);
         let poses = (0..instruments.len()).filter(of_folder);
         let solved = poses.filter_map(|pose| {
             let found = &instruments[pose];
-            let read = measure::read(folder, file, &frame, found).1.ok()?;
+            let read = measure::read(file, &frame, found).1.ok()?;
             let mapping = fit.poses[pose].mapping;
             let expected = |id| Some(mapping.to_sensor(found.plate.position(id)));
             Some((read.count_near(RIGHT_PX, expected), read))

@@ -1,6 +1,6 @@
 //! The simplest lens, views and drifts that the observations support.
 
-use super::adjust::{Freedoms, Settled, State};
+use super::adjust::{DRIFT, Freedoms, Settled, State};
 use super::camera::LENS;
 use super::robust::Bundle;
 use crate::geometry::MappingKind;
@@ -11,7 +11,7 @@ pub(super) const RICHEST: Freedoms = Freedoms {
     view: MappingKind::Homography,
     lens: [true; LENS],
     marks: true,
-    drift: true,
+    drift: DRIFT,
 };
 /// The lens's radial term r^2 alone: the first to be tried.
 const RADIAL: [bool; LENS] = [true, false, false, false];
@@ -20,13 +20,14 @@ const LENS_STEPS: [&[usize]; 2] = [&[2, 3], &[1]];
 /// Least gain in chi^2 for each added parameter, whatever the number of observations.
 const LEAST_GAIN: f64 = 9.0;
 
-/// Which views and lens terms were chosen, and whether the camera drifts within a pose.
+/// Which views, lens terms and drifts were chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Choice {
     pub kind: MappingKind,
     /// Radial r^2, radial r^4, decentring.
     pub lens: [bool; LENS],
-    pub drift: bool,
+    /// The degree in time of the drift within a pose; 0 where the camera rests.
+    pub drift: usize,
 }
 
 impl Choice {
@@ -96,8 +97,7 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
     };
     let parameters = |choice: Choice| {
         let terms = choice.lens.iter().filter(|free| **free).count();
-        let drift = if choice.drift { 2 } else { 0 };
-        (choice.kind.parameters() + drift) * bundle.poses + terms
+        (choice.kind.parameters() + 2 * choice.drift) * bundle.poses + terms
     };
     let mut best = fit(Choice {
         kind: MappingKind::Similarity,
@@ -125,11 +125,12 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
         terms.iter().for_each(|n| choice.lens[*n] = true);
         best = better(best, fit(choice), least_gain, parameters);
     }
-    let at_rest = fit(Choice {
-        drift: false,
-        ..best.0
-    })?;
-    best = better(at_rest, Some(best), least_gain, parameters);
+    let rigid = best.0;
+    best = fit(Choice { drift: 0, ..rigid })?;
+    for drift in 1..=DRIFT {
+        let drifting = fit(Choice { drift, ..rigid });
+        best = better(best, drifting, least_gain, parameters);
+    }
     Some((best.0, best.1))
 }
 

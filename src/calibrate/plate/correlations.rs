@@ -21,8 +21,8 @@ pub enum Parameter {
     Mark(MarkId, usize),
     /// A pose's parameter, as [`crate::geometry::view::Parameters`] counts them.
     View(usize, usize),
-    /// How a pose drifts along an axis.
-    Drift(usize, usize),
+    /// How a pose drifts: pose, term (the first is even in time) and axis.
+    Drift(usize, usize, usize),
 }
 
 const AXES: [&str; 2] = ["x", "y"];
@@ -46,7 +46,10 @@ impl Parameter {
             Self::Lens(term) => format!("lens, {}", LENS_TERMS[term]),
             Self::Mark(id, axis) => format!("mark {id}, {}", AXES[axis].to_uppercase()),
             Self::View(pose, term) => format!("pose {}, {}", pose + 1, VIEW_TERMS[term]),
-            Self::Drift(pose, axis) => format!("pose {}, drift {}", pose + 1, AXES[axis]),
+            Self::Drift(pose, term, axis) => {
+                let (pose, degree) = (pose + 1, term + 1);
+                format!("pose {pose}, drift {} of degree {degree}", AXES[axis])
+            }
         }
     }
 
@@ -67,7 +70,7 @@ pub(super) fn largest(settled: &Settled, ids: &[MarkId], count: usize) -> Vec<Co
         Unknown::Lens(term) => Parameter::Lens(term),
         Unknown::Mark(mark, axis) => Parameter::Mark(ids[mark], axis),
         Unknown::View(pose, term) => Parameter::View(pose, term),
-        Unknown::Drift(pose, axis) => Parameter::Drift(pose, axis),
+        Unknown::Drift(pose, term, axis) => Parameter::Drift(pose, term, axis),
     };
     let free: Vec<usize> = (0..covariance.nrows())
         .filter(|n| covariance[(*n, *n)] > 0.0)

@@ -1,10 +1,10 @@
 //! From observations to the plate: the steps in order.
 
-use super::adjust::{Freedoms, MarkPrior, Settled, State};
+use super::adjust::{DRIFT, Freedoms, MarkPrior, Settled, State};
 use super::camera::{LENS, Lens};
 use super::choose::{Choice, RICHEST, Separation, choose};
 use super::correlations::{Correlation, largest};
-use super::observation::{FrameObservation, consensus};
+use super::observation::{FrameObservation, Pose};
 use super::robust::{Bundle, Observation};
 use crate::geometry::view::{ParameterCovariance, UNIT_MIL, View};
 use crate::geometry::{Distortion, Mapping, MappingKind};
@@ -36,7 +36,7 @@ pub struct PoseFit {
     pub plate_centre_sigma_px: f64,
     pub scale_mil_per_px: Measured,
     pub rotation_deg: Measured,
-    /// How fast the plate's picture drifts along x and y; none where the camera rests, as far as the frames tell.
+    /// How fast the plate's picture drifts along x and y on the mean; none where the camera rests, as far as the frames tell.
     pub drift_px_per_h: Option<[Measured; 2]>,
     pub frames: usize,
 }
@@ -44,6 +44,7 @@ pub struct PoseFit {
 /// The residual of an observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Residual {
+    /// Among the frames of all poses, one pose after the other.
     pub frame: usize,
     pub pose: usize,
     pub id: MarkId,
@@ -93,7 +94,7 @@ const AS_STATED: Freedoms = Freedoms {
     view: MappingKind::Similarity,
     lens: [false; LENS],
     marks: false,
-    drift: false,
+    drift: 0,
 };
 
 impl PlateFit {
@@ -109,14 +110,13 @@ impl PlateFit {
 }
 
 /// Fits plate, lens and poses to the frames' observations. `None` where they do not determine them.
-pub fn fit(frames: &[FrameObservation], poses: usize, start: &Instrument) -> Option<PlateFit> {
-    let (mut bundle, ids, mut rejected, first) = gather(frames, poses, start)?;
+pub(super) fn fit(poses: &[Pose], start: &Instrument) -> Option<PlateFit> {
+    let (mut bundle, ids, first) = gather(poses, start)?;
     let by_drawing = bundle.by_drawing(&first, RICHEST)?;
     let rich = bundle.in_full(&by_drawing, RICHEST)?;
     let prior_factor = bundle.inflate_priors(&rich);
     let (choice, chosen) = choose(&bundle, &rich.state)?;
     let settled = bundle.in_full(&chosen.state, choice.freedoms())?;
-    rejected.extend(disagreeing(frames, &bundle));
     let before = bundle.settle(&first, AS_STATED)?.state;
     let residuals = residuals(&bundle, &settled, &before, &ids);
     Some(PlateFit {
@@ -125,65 +125,56 @@ pub fn fit(frames: &[FrameObservation], poses: usize, start: &Instrument) -> Opt
         distortion_sigma: lens_sigmas(&settled),
         separation: Separation::of(&bundle, &settled, choice),
         correlations: largest(&settled, &ids, LISTED_CORRELATIONS),
-        poses: pose_fits(&bundle, &settled, choice, frames)?,
+        poses: pose_fits(&bundle, &settled, choice, poses)?,
         sigma_factor: bundle.variance_factor.sqrt(),
         residual_px: rms_px(&residuals),
         residuals,
         prior_factor,
         choice,
-        rejected,
+        rejected: disagreeing(poses, &bundle),
     })
 }
 
-/// The bundle of all frames that agree within their pose, its marks' ids, the rejected frames, and the start.
-fn gather(
-    frames: &[FrameObservation],
-    poses: usize,
-    start: &Instrument,
-) -> Option<(Bundle, Vec<MarkId>, Vec<RejectedFrame>, State)> {
-    let mut rejected = Vec::new();
-    let (mut views, mut agreeing) = (Vec::new(), Vec::new());
-    for pose in 0..poses {
-        let of_pose = frames.iter().enumerate().filter(|(_, f)| f.pose == pose);
-        let of_pose: Vec<usize> = of_pose.map(|(n, _)| n).collect();
-        let agreed = consensus(frames, &of_pose, &start.plate)?;
-        views.push(View::of(&agreed.mapping)?.simplified(MappingKind::Similarity));
-        let others = of_pose.iter().filter(|n| !agreed.frames.contains(n));
-        let reason = "its marks lie elsewhere than those of the other frames of its pose";
-        rejected.extend(others.map(|n| RejectedFrame::new(&frames[*n].file, reason)));
-        agreeing.extend(agreed.frames);
+/// The bundle of all frames, its marks' ids, and the start.
+fn gather(poses: &[Pose], start: &Instrument) -> Option<(Bundle, Vec<MarkId>, State)> {
+    let views = poses.iter().map(|pose| {
+        let view = View::of(&pose.mapping)?;
+        Some(view.simplified(MappingKind::Similarity))
+    });
+    let views: Vec<View> = views.collect::<Option<_>>()?;
+    let frames = || poses.iter().flat_map(|pose| &pose.frames);
+    let seen = frames().flat_map(|frame| &frame.marks);
+    let ids: BTreeSet<MarkId> = seen.map(|mark| mark.id).collect();
+    let index: BTreeMap<MarkId, usize> = ids.iter().copied().zip(0..).collect();
+    let mut observations = Vec::new();
+    let mut frame = 0;
+    for (n, pose) in poses.iter().enumerate() {
+        let span = Span::of(pose);
+        for seen in &pose.frames {
+            let time = span.zip(seen.utc);
+            let time = time.map_or(0.0, |(span, utc)| span.time(utc));
+            observations.extend(seen.marks.iter().map(|mark| Observation {
+                frame,
+                pose: n,
+                mark: index[&mark.id],
+                seen: mark.at.vector(),
+                time,
+                covariance_px2: mark.covariance_px2,
+                weight: 1.0,
+            }));
+            frame += 1;
+        }
     }
-    let marks = agreeing.iter().flat_map(|n| &frames[*n].marks);
-    let mut index: BTreeMap<MarkId, usize> = marks.map(|mark| (mark.id, 0)).collect();
-    index
-        .values_mut()
-        .enumerate()
-        .for_each(|(n, slot)| *slot = n);
-    let spans: Vec<Option<Span>> = (0..poses).map(|pose| Span::of(frames, pose)).collect();
-    let observe = |n: usize| {
-        let (pose, index) = (frames[n].pose, &index);
-        let span = spans[pose].zip(frames[n].utc);
-        let time = span.map_or(0.0, |(span, utc)| span.time(utc));
-        frames[n].marks.iter().map(move |mark| Observation {
-            frame: n,
-            pose,
-            mark: index[&mark.id],
-            seen: mark.at.vector(),
-            time,
-            covariance_px2: mark.covariance_px2,
-            weight: 1.0,
-        })
-    };
     let prior = |id: &MarkId| MarkPrior {
         place: start.plate.position(*id),
         sigma_mil: start.plate.sigma_mil(*id),
         measured: true,
     };
     let bundle = Bundle {
-        observations: agreeing.iter().flat_map(|n| observe(*n)).collect(),
-        poses,
-        frames: frames.len(),
-        marks: index.keys().map(prior).collect(),
+        observations,
+        poses: poses.len(),
+        frames: frame,
+        marks: ids.iter().map(prior).collect(),
         lens_sigma_px: LENS_PRIOR_PX,
         variance_factor: 1.0,
     };
@@ -191,9 +182,9 @@ fn gather(
         views,
         lens: start_lens(start),
         places: bundle.marks.iter().map(|m| m.place).collect(),
-        drift_px: vec![Vector2::zeros(); poses],
+        drift_px: vec![[Vector2::zeros(); DRIFT]; poses.len()],
     };
-    Some((bundle, index.into_keys().collect(), rejected, state))
+    Some((bundle, ids.into_iter().collect(), state))
 }
 
 /// When the frames of a pose were taken.
@@ -205,9 +196,9 @@ struct Span {
 
 impl Span {
     /// `None` where not all tell their times, or all were taken at once.
-    fn of(frames: &[FrameObservation], pose: usize) -> Option<Self> {
-        let of_pose = frames.iter().filter(|frame| frame.pose == pose);
-        let times: Vec<Timestamp> = of_pose.map(|frame| frame.utc).collect::<Option<_>>()?;
+    fn of(pose: &Pose) -> Option<Self> {
+        let times = pose.frames.iter().map(|frame| frame.utc);
+        let times: Vec<Timestamp> = times.collect::<Option<_>>()?;
         let (first, last) = (*times.iter().min()?, *times.iter().max()?);
         let half_h = last.duration_since(first).as_secs_f64() / 7200.0;
         (half_h > 0.0).then_some(Self { first, half_h })
@@ -232,7 +223,9 @@ fn start_lens(start: &Instrument) -> Lens {
 }
 
 /// Frames of which nothing counts.
-fn disagreeing(frames: &[FrameObservation], bundle: &Bundle) -> Vec<RejectedFrame> {
+fn disagreeing(poses: &[Pose], bundle: &Bundle) -> Vec<RejectedFrame> {
+    let frames = poses.iter().flat_map(|pose| &pose.frames);
+    let frames: Vec<&FrameObservation> = frames.collect();
     let mut kept: BTreeMap<usize, f64> = BTreeMap::new();
     for o in &bundle.observations {
         *kept.entry(o.frame).or_default() += o.weight;
@@ -269,18 +262,22 @@ fn pose_fits(
     bundle: &Bundle,
     settled: &Settled,
     choice: Choice,
-    frames: &[FrameObservation],
+    poses: &[Pose],
 ) -> Option<Vec<PoseFit>> {
     let mut counting = vec![BTreeSet::new(); bundle.poses];
     for o in bundle.observations.iter().filter(|o| o.weight > 0.0) {
         counting[o.pose].insert(o.frame);
     }
     let drift = |pose: usize| {
-        let span = Span::of(frames, pose).filter(|_| choice.drift)?;
-        let (drift_px, covariance) = (settled.state.drift_px[pose], settled.drift_covariance(pose));
+        let span = Span::of(&poses[pose]).filter(|_| choice.drift > 0)?;
+        let (terms, covariance) = (settled.state.drift_px[pose], settled.drift_covariance(pose));
+        // From the first frame to the last, terms of odd degree move the picture by twice their size, the others not at all.
         Some([0, 1].map(|axis| {
-            let sigma_px = covariance[(axis, axis)].max(0.0).sqrt();
-            Measured::new(drift_px[axis] / span.half_h, sigma_px / span.half_h)
+            let odd = || (0..DRIFT).step_by(2);
+            let moved = odd().map(|n| terms[n][axis]).sum::<f64>();
+            let variances = odd().flat_map(|n| odd().map(move |m| (2 * n + axis, 2 * m + axis)));
+            let variance: f64 = variances.map(|at| covariance[at]).sum();
+            Measured::new(moved / span.half_h, variance.max(0.0).sqrt() / span.half_h)
         }))
     };
     let distortion = settled.state.lens.distortion();

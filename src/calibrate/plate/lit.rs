@@ -66,7 +66,6 @@ fn noise<T: Sample>(view: &View<'_, T>) -> f64 {
 
 /// The marks of a lit plate.
 pub(super) fn by_lamp(
-    pose: usize,
     file: &Path,
     frame: &Frame,
     levels: &Levels,
@@ -84,13 +83,14 @@ pub(super) fn by_lamp(
     };
     let windows: Vec<FrameObservation> = lit
         .windows()
-        .filter_map(|outline| lit.identify(outline, pose, file))
+        .filter_map(|outline| lit.identify(outline, file))
         .collect();
+    let windows: Vec<&FrameObservation> = windows.iter().collect();
     let all: Vec<usize> = (0..windows.len()).collect();
     let agreed =
         consensus(&windows, &all, &instrument.plate).ok_or("no marks could be identified")?;
     let mut marks: BTreeMap<_, MarkObservation> = BTreeMap::new();
-    for window in agreed.frames.iter().map(|n| &windows[*n]) {
+    for window in agreed.frames.iter().map(|n| windows[*n]) {
         for mark in &window.marks {
             let known = marks.entry(mark.id).or_insert(*mark);
             if known.at.distance(mark.at) > SAME_PLACE_PX {
@@ -106,7 +106,6 @@ pub(super) fn by_lamp(
     }
     Ok(FrameObservation {
         file: file.into(),
-        pose,
         utc: frame.info.mid_exposure,
         mapping: agreed.mapping,
         sun: None,
@@ -144,7 +143,7 @@ impl LitPlate<'_> {
     }
 
     /// The marks in a window, identified and refined; `None` where they cannot be identified.
-    fn identify(&self, outline: Ellipse, pose: usize, file: &Path) -> Option<FrameObservation> {
+    fn identify(&self, outline: Ellipse, file: &Path) -> Option<FrameObservation> {
         let instrument = self.instrument;
         let (plate, mounting) = (&instrument.plate, &instrument.mounting);
         let (scale, blur_px) = (
@@ -187,7 +186,6 @@ impl LitPlate<'_> {
         };
         Some(FrameObservation {
             file: file.into(),
-            pose,
             utc: self.frame.info.mid_exposure,
             mapping: fitted.mapping,
             sun: None,
@@ -249,7 +247,7 @@ mod tests {
         let scene = lit_frame(&demo);
         let picture = scene.picture().unwrap();
         let levels = lit_levels(&picture.frame).unwrap();
-        let seen = by_lamp(0, Path::new("lit"), &picture.frame, &levels, &demo).unwrap();
+        let seen = by_lamp(Path::new("lit"), &picture.frame, &levels, &demo).unwrap();
         let mut squares = 0.0;
         for mark in &seen.marks {
             let place = demo.plate.position(mark.id);

@@ -7,38 +7,13 @@ use crate::aspect::{self, Adopted, Expected};
 use crate::calibrate::frames::{Setting, check_settings};
 use crate::frame::Frame;
 use crate::instrument::{Instrument, WrongSize};
-use crate::observe::{RejectedFrame, Watch, over};
+use crate::observe::{InputError, RejectedFrame, Watch, over};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// The frames of a folder.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Folder {
-    pub path: PathBuf,
-    pub files: Vec<PathBuf>,
-}
-
-/// Files by the folder that they lie in, in the order given, each once.
-pub(super) fn folders(files: Vec<PathBuf>) -> Vec<Folder> {
-    let mut folders: Vec<Folder> = Vec::new();
-    for file in files {
-        let path = file.parent().unwrap_or(Path::new(""));
-        match folders.iter_mut().find(|folder| folder.path == path) {
-            Some(folder) if folder.files.contains(&file) => {}
-            Some(folder) => folder.files.push(file),
-            None => folders.push(Folder {
-                path: path.into(),
-                files: vec![file],
-            }),
-        }
-    }
-    folders
-}
 
 /// What all frames gave.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Observations {
-    /// They come with the index of their folder in the place of the pose.
     pub frames: Vec<FrameObservation>,
     pub rejected: Vec<RejectedFrame>,
     /// Of every file that could be read.
@@ -54,16 +29,18 @@ pub(super) struct FileFacts {
     has_time: bool,
 }
 
-/// Reads and solves all frames of all folders, each once; copies of others' frames are apart.
+/// Reads and solves all frames, each once; copies of others' frames are apart.
+///
+/// # Errors
+/// [`InputError::Cancelled`].
 pub(super) fn measure(
     files: Vec<PathBuf>,
-    folders: &[Folder],
     instrument: &Instrument,
     watch: &dyn Watch,
-) -> (Observations, Vec<RejectedFrame>) {
+) -> Result<(Observations, Vec<RejectedFrame>), InputError> {
     let observed = over(files, instrument.camera.size_px(), watch, |file, frame| {
-        read(folder_of(folders, file), file, &frame, instrument)
-    });
+        read(file, &frame, instrument)
+    })?;
     let mut observations = Observations::default();
     for (file, outcome) in observed.frames {
         let frame = outcome.and_then(|(facts, marks)| {
@@ -75,19 +52,11 @@ pub(super) fn measure(
             Err(reason) => observations.rejected.push(RejectedFrame::new(file, reason)),
         }
     }
-    (observations, observed.copies)
-}
-
-/// The folder that a file lies in.
-pub(super) fn folder_of(folders: &[Folder], file: &Path) -> usize {
-    let path = file.parent().unwrap_or(Path::new(""));
-    let folder = folders.iter().position(|folder| folder.path == path);
-    folder.unwrap_or(folders.len())
+    Ok((observations, observed.copies))
 }
 
 /// What a file is, and its marks or why there are none.
 pub(super) fn read(
-    pose: usize,
     file: &Path,
     frame: &Frame,
     instrument: &Instrument,
@@ -95,8 +64,8 @@ pub(super) fn read(
     let wrong_size = instrument.check_size(frame).err();
     let marks = match (&wrong_size, lit_levels(frame)) {
         (Some(wrong), _) => Err(wrong.to_string()),
-        (None, Some(levels)) => by_lamp(pose, file, frame, &levels, instrument),
-        (None, None) => by_sun(pose, file, frame, instrument),
+        (None, Some(levels)) => by_lamp(file, frame, &levels, instrument),
+        (None, None) => by_sun(file, frame, instrument),
     };
     let facts = FileFacts {
         file: file.into(),
@@ -108,12 +77,7 @@ pub(super) fn read(
 }
 
 /// The marks of a frame of the Sun, those that the limb cuts too: their own pixels placed them, in the limb's illumination.
-fn by_sun(
-    pose: usize,
-    file: &Path,
-    frame: &Frame,
-    instrument: &Instrument,
-) -> Result<FrameObservation, String> {
+fn by_sun(file: &Path, frame: &Frame, instrument: &Instrument) -> Result<FrameObservation, String> {
     /// Fewest marks of a frame that is used.
     const LEAST_MARKS: usize = 3;
     let Some(utc) = frame.info.mid_exposure else {
@@ -136,7 +100,6 @@ fn by_sun(
     };
     Ok(FrameObservation {
         file: file.into(),
-        pose,
         utc: Some(utc),
         mapping: own.mapping,
         sun: Some(aspect.sun_plate.position),

@@ -2,7 +2,7 @@
 //! frames with the Sun all over the plate.
 //!
 //! # Method
-//! Within a pose, camera and plate are one rigid body, so all frames of a pose share one mapping, which may drift evenly; where the camera
+//! Within a pose, camera and plate are one rigid body, so all frames of a pose share one mapping, which may drift slowly; where the camera
 //! slips, another pose begins. One robust bundle adjustment estimates the marks' displacements, the lens (radial and decentring terms, as many as the
 //! data support) and the mapping of every pose (shift, rotation and one scale; keystone where the data demand it). The
 //! shift, rotation and scale that the measured marks have in common are no property of the plate and are held at zero.
@@ -12,35 +12,36 @@
 //! moved between poses) these do not matter; where they do not, they split the two, and [`Separation`] says so.
 //!
 //! ```text
-//! refusal, observation <- lit <- measure <- poses <- calibration, suspects <- summary, write, certificate <- report
-//! camera <- adjust <- robust <- choose, correlations <- fit <- poses; slips <- poses
+//! observation <- refusal, lit <- measure <- poses <- calibration, suspects <- summary, write <- report
+//! camera <- adjust <- robust <- choose, correlations <- fit <- rest <- poses; adjust, motion <- slips <- poses; motion <- rest
 //! ```
 
 mod adjust;
 mod calibration;
 mod camera;
-mod certificate;
 mod choose;
 mod correlations;
 mod fit;
 mod lit;
 mod measure;
+mod motion;
 mod observation;
 mod poses;
 mod refusal;
 mod report;
+mod rest;
 mod robust;
 mod slips;
 mod summary;
 mod suspects;
 mod write;
 
-pub use calibration::{Calibration, calibrate, fit_folder, frames_sha256};
+pub use calibration::{Calibration, calibrate, fit_frames, frames_sha256};
 pub use choose::{Choice, Separation};
 pub use correlations::{Correlation, Parameter};
-pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual, fit};
-pub use observation::{FrameObservation, MarkObservation};
-pub use poses::Pose;
+pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual};
+pub use observation::{FrameObservation, MarkObservation, Pose};
+pub use poses::Posed;
 pub use refusal::Refusal;
 pub use report::html;
 pub use summary::summary;

@@ -1,4 +1,4 @@
-//! What the frames show: positions of identified marks, by frame and pose.
+//! What the frames show: the places of identified marks, by frame and pose.
 
 use crate::calibrate::numbers::median;
 use crate::geometry::Mapping;
@@ -8,7 +8,8 @@ use crate::units::{PlateMil, SensorPx};
 use jiff::Timestamp;
 use nalgebra::Matrix2;
 use std::collections::HashMap;
-use std::path::PathBuf;
+use std::fmt;
+use std::path::{Path, PathBuf};
 
 /// A mark observed in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -22,8 +23,6 @@ pub struct MarkObservation {
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameObservation {
     pub file: PathBuf,
-    /// Index of the pose that the frame belongs to; of the folder, until poses are found.
-    pub pose: usize,
     pub utc: Option<Timestamp>,
     /// The frame's own mapping, from its own marks.
     pub mapping: Mapping,
@@ -33,6 +32,11 @@ pub struct FrameObservation {
 }
 
 impl FrameObservation {
+    /// The folder that the frame lies in.
+    pub(super) fn folder(&self) -> &Path {
+        folder_of(&self.file)
+    }
+
     /// How many marks lie within a distance of where they are expected.
     pub(super) fn count_near(
         &self,
@@ -52,6 +56,42 @@ impl FrameObservation {
     }
 }
 
+/// The camera at rest, and the frames that it took.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pose {
+    /// The folder that holds its frames.
+    pub folder: PathBuf,
+    /// Which of the poses found in the folder, from 1; none where it is the only one.
+    pub number: Option<usize>,
+    /// The frame's own mapping that most frames agree with, before anything is adjusted.
+    pub mapping: Mapping,
+    pub frames: Vec<FrameObservation>,
+}
+
+impl Pose {
+    /// Another of the same folder and about the same mapping.
+    pub(super) fn with_frames(&self, frames: Vec<FrameObservation>) -> Self {
+        Self {
+            folder: self.folder.clone(),
+            number: None,
+            mapping: self.mapping,
+            frames,
+        }
+    }
+}
+
+impl fmt::Display for Pose {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}", self.folder.display())?;
+        self.number.map_or(Ok(()), |n| write!(out, " ({n})"))
+    }
+}
+
+/// The folder that a file lies in.
+pub(super) fn folder_of(file: &Path) -> &Path {
+    file.parent().unwrap_or(Path::new(""))
+}
+
 /// Takes out the frames of which even the best mark is far less certain than in most frames: blur, haze, smear.
 pub(super) fn take_blurred(frames: &mut Vec<FrameObservation>) -> Vec<RejectedFrame> {
     /// The best mark of a sharp frame is as certain as those of the other frames, within this factor.
@@ -68,7 +108,7 @@ pub(super) fn take_blurred(frames: &mut Vec<FrameObservation>) -> Vec<RejectedFr
     blurred.map(rejected).collect()
 }
 
-/// What the frames of a pose agree upon before anything is adjusted.
+/// What most frames agree upon before anything is adjusted.
 pub(super) struct Consensus {
     pub mapping: Mapping,
     /// The frames that agree, as indices into all frames.
@@ -77,8 +117,8 @@ pub(super) struct Consensus {
 
 /// The mapping that most of some frames agree with; `None` without frames.
 pub(super) fn consensus(
-    frames: &[FrameObservation],
-    of_pose: &[usize],
+    frames: &[&FrameObservation],
+    among: &[usize],
     plate: &Plate,
 ) -> Option<Consensus> {
     /// A frame's mapping rests on a few marks: elsewhere on the sensor it is off by pixels, and the lens adds some more.
@@ -92,17 +132,17 @@ pub(super) fn consensus(
             .map(|(id, at)| (id, mapping.to_sensor(at)))
             .collect();
         let agrees = |n: &&usize| {
-            let frame = &frames[**n];
+            let frame = frames[**n];
             let near = frame.count_near(AGREEING_PX, |id| expected.get(&id).copied());
             2 * near > frame.marks.len()
         };
         Consensus {
             mapping,
-            frames: of_pose.iter().filter(agrees).copied().collect(),
+            frames: among.iter().filter(agrees).copied().collect(),
         }
     };
-    let every = of_pose.len().div_ceil(TRIED).max(1);
-    let tried = of_pose.iter().step_by(every).rev();
+    let every = among.len().div_ceil(TRIED).max(1);
+    let tried = among.iter().step_by(every).rev();
     // From the back: of equals the last is taken, here the first frame's.
     tried
         .map(|n| agreeing(frames[*n].mapping))

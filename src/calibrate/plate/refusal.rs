@@ -1,9 +1,11 @@
 //! Why a calibration is refused, and what to take instead.
 
+use super::observation::Pose;
 use crate::calibrate::frames::WrongFrames;
 use crate::instrument::WrongSize;
 use crate::observe::InputError;
 use crate::units::counted;
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 /// A set of frames that gives no calibration.
@@ -57,7 +59,28 @@ pub enum Refusal {
         frames: usize,
     },
     #[error(
-        "the frames do not determine the plate; take frames with the Sun all over it in each pose"
+        "the frames do not determine the plate, that of the pose of fewest marks least: {pose} has {} that show {}; take frames with the Sun all over the plate in each pose",
+        counted(*.frames as u64, "frame"), counted(*.marks as u64, "mark")
     )]
-    Undetermined,
+    Undetermined {
+        pose: String,
+        frames: usize,
+        marks: usize,
+    },
+}
+
+impl Refusal {
+    /// That poses do not determine the plate: names the one that says least of it.
+    pub(super) fn undetermined(poses: &[Pose]) -> Self {
+        let marks = |pose: &Pose| {
+            let marks = pose.frames.iter().flat_map(|frame| &frame.marks);
+            marks.map(|mark| mark.id).collect::<BTreeSet<_>>().len()
+        };
+        let least = poses.iter().min_by_key(|pose| marks(pose));
+        Self::Undetermined {
+            pose: least.map_or_else(String::new, ToString::to_string),
+            frames: least.map_or(0, |pose| pose.frames.len()),
+            marks: least.map_or(0, marks),
+        }
+    }
 }

@@ -1,8 +1,7 @@
 //! The adjustment that a third of bad frames does not disturb.
 //!
 //! # Algorithm
-//! 1. In each pose, the mapping of the frame that most other frames agree with; frames that do not are rejected
-//!    ([`consensus`](super::observation::consensus)).
+//! 1. Each view begins where most frames of its pose have the plate ([`Pose`](super::observation::Pose)).
 //! 2. Views and lens with every mark where it was drawn, observations weighed down the farther off they are. A mark's own
 //!    displacement is the median of its residuals, so that errors show even before marks are adjusted.
 //! 3. All unknowns, the weights from normalised residuals, until the weights converge. A frame that loses half of its
@@ -10,7 +9,7 @@
 //!
 //! The scale of the residuals is their median: their own, not what the frames state.
 
-use super::adjust::{Cell, Freedoms, MarkPrior, Problem, Settled, State};
+use super::adjust::{Cell, DRIFT, Freedoms, MarkPrior, Problem, Settled, State, drift_terms};
 use crate::calibrate::numbers::median;
 use crate::estimation::{MEDIAN_LENGTH_2D, QUARTILE_SIGMAS};
 use nalgebra::{Matrix2, Vector2};
@@ -77,30 +76,36 @@ struct NormalisedResidual {
 struct CellSums {
     weight: Matrix2<f64>,
     seen: Vector2<f64>,
-    time: Matrix2<f64>,
-    time_squared: Matrix2<f64>,
-    time_seen: Vector2<f64>,
+    terms: [Matrix2<f64>; DRIFT],
+    squares: [[Matrix2<f64>; DRIFT]; DRIFT],
+    products: [Vector2<f64>; DRIFT],
 }
 
 impl CellSums {
     fn add(&mut self, weight: Matrix2<f64>, o: &Observation) {
         self.weight += weight;
         self.seen += weight * o.seen;
-        self.time += weight * o.time;
-        self.time_squared += weight * o.time.powi(2);
-        self.time_seen += weight * o.seen * o.time;
+        let terms = drift_terms(o.time);
+        for (n, a) in terms.into_iter().enumerate() {
+            self.terms[n] += weight * a;
+            self.products[n] += weight * o.seen * a;
+            for (m, b) in terms.into_iter().enumerate() {
+                self.squares[n][m] += weight * (a * b);
+            }
+        }
     }
 
     fn cell(&self, mark: usize) -> Option<Cell> {
         let seen = self.weight.try_inverse()? * self.seen;
-        let time = self.time.trace() / self.weight.trace();
+        let terms = self.terms.map(|term| term.trace() / self.weight.trace());
+        let spread = |n: usize, m: usize| self.squares[n][m] - self.terms[n] * terms[m];
         Some(Cell {
             mark,
             seen,
-            time,
+            terms,
             weight: self.weight,
-            time_spread: self.time_squared - self.time * time,
-            trend: self.time_seen - self.time * seen,
+            spread: std::array::from_fn(|n| std::array::from_fn(|m| spread(n, m))),
+            trend: std::array::from_fn(|n| self.products[n] - self.terms[n] * seen),
         })
     }
 }

@@ -1,7 +1,7 @@
 //! Marks that were lit and not read: where they are printed is not where they were looked for, or something covers them.
 
-use super::fit::PlateFit;
-use super::observation::FrameObservation;
+use super::fit::{PlateFit, PoseFit};
+use super::observation::{FrameObservation, Pose};
 use crate::instrument::Instrument;
 use crate::plate::MarkId;
 use crate::units::PlateMil;
@@ -35,18 +35,18 @@ const LEAST_SUN_ARCSEC: f64 = 943.0;
 const BORDER_PX: f64 = 20.0;
 
 /// The marks that are suspect, by id.
-pub(super) fn suspects(
-    frames: &[FrameObservation],
-    fit: &PlateFit,
-    start: &Instrument,
-) -> Vec<SuspectMark> {
+pub(super) fn suspects(poses: &[Pose], fit: &PlateFit, start: &Instrument) -> Vec<SuspectMark> {
     let mut read: BTreeMap<MarkId, usize> = BTreeMap::new();
     for residual in fit.kept() {
         *read.entry(residual.id).or_default() += 1;
     }
     let suspect = |(id, at): (MarkId, PlateMil)| {
-        let lit = frames.iter().filter(|frame| is_lit(at, frame, fit, start));
-        let (lit, read) = (lit.count(), read.get(&id).copied().unwrap_or(0));
+        let lit = poses.iter().zip(&fit.poses).map(|(pose, found)| {
+            let frames = pose.frames.iter();
+            let lit = frames.filter(|frame| is_lit(at, frame, found, start));
+            lit.count()
+        });
+        let (lit, read) = (lit.sum(), read.get(&id).copied().unwrap_or(0));
         let is_suspect = lit >= LEAST_LIT && (read as f64) < LEAST_READ * lit as f64;
         is_suspect.then_some(SuspectMark { id, lit, read })
     };
@@ -54,10 +54,10 @@ pub(super) fn suspects(
 }
 
 /// Whether all of a mark is lit and on the sensor.
-fn is_lit(at: PlateMil, frame: &FrameObservation, fit: &PlateFit, start: &Instrument) -> bool {
+fn is_lit(at: PlateMil, frame: &FrameObservation, pose: &PoseFit, start: &Instrument) -> bool {
     let reach_mil = start.optics.radius_mil(LEAST_SUN_ARCSEC) - start.plate.cross.arm_length_mil;
     let by_sun = frame.sun.is_none_or(|sun| sun.distance(at) < reach_mil);
-    let seen = fit.poses[frame.pose].mapping.to_sensor(at);
+    let seen = pose.mapping.to_sensor(at);
     let inside = |along: f64, size: usize| along > BORDER_PX && along < size as f64 - BORDER_PX;
     by_sun && inside(seen.x, start.camera.width_px) && inside(seen.y, start.camera.height_px)
 }

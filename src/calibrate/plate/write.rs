@@ -49,7 +49,7 @@ fn provenance(calibration: &Calibration) -> Provenance {
     Provenance {
         name: "plate",
         source: "solaspect calibrate plate".into(),
-        date: calibration.last.map(day),
+        date: calibration.span().map(|[_, last]| day(last)),
         frames: calibration.fit.poses.iter().map(|pose| pose.frames).sum(),
         frames_sha256: calibration.frames_sha256.clone(),
         camera: calibration.camera.clone(),

@@ -6,7 +6,7 @@ use crate::config;
 use crate::frame::Frame;
 use crate::horizon::{self, Settings};
 use crate::instrument::{DirectionCamera, Instrument};
-use crate::observe::{RejectedFrame, over};
+use crate::observe::{InputError, RejectedFrame, Watch, over};
 use crate::pointing::{body_nadir, sun_in_telescope};
 use crate::units::{Measured, Place};
 use jiff::Timestamp;
@@ -49,11 +49,18 @@ impl Horizons<'_> {
 }
 
 /// Solves frames of the horizon: those that show one, in the order of time, and the others.
-pub fn collect(files: &[PathBuf], horizons: &Horizons<'_>) -> (Vec<Horizon>, Vec<RejectedFrame>) {
+///
+/// # Errors
+/// [`InputError::Cancelled`].
+pub fn collect(
+    files: &[PathBuf],
+    horizons: &Horizons<'_>,
+    watch: &dyn Watch,
+) -> Result<(Vec<Horizon>, Vec<RejectedFrame>), InputError> {
     let size_px = horizons.camera.size_px();
-    let observed = over(files.to_vec(), size_px, &(), |file, frame| {
+    let observed = over(files.to_vec(), size_px, watch, |file, frame| {
         horizons.solve(file, &frame)
-    });
+    })?;
     let solved = observed.frames.into_iter().map(|(file, solved)| {
         let solved = solved.and_then(|solved| solved);
         solved.map_err(|reason| RejectedFrame::new(file, reason))
@@ -61,7 +68,7 @@ pub fn collect(files: &[PathBuf], horizons: &Horizons<'_>) -> (Vec<Horizon>, Vec
     let (mut seen, mut rejected) = parted(solved.collect());
     rejected.extend(observed.copies);
     seen.sort_by_key(|horizon| horizon.utc);
-    (seen, rejected)
+    Ok((seen, rejected))
 }
 
 /// Sightings at moments of which the body's attitude is known.

@@ -4,7 +4,7 @@ use super::edition::{Edition, print_rejected};
 use crate::calibrate::camera::{self, Inputs};
 use crate::calibrate::revision::Provenance;
 use crate::cli::output::say;
-use crate::observe::{Depth, InputError, RejectedFrame, list, sha256};
+use crate::observe::{Depth, InputError, RejectedFrame, Watch, list, sha256};
 use anyhow::Context;
 use clap::Args;
 use jiff::tz::TimeZone;
@@ -30,15 +30,15 @@ pub struct CameraArgs {
     flat: Option<PathBuf>,
 }
 
-pub fn run(args: CameraArgs) -> anyhow::Result<ExitCode> {
+pub fn run(args: CameraArgs, watch: &dyn Watch) -> anyhow::Result<ExitCode> {
     let (mut revision, stated) = args.edition.open()?;
     let frames = |given: &[PathBuf]| -> Result<_, InputError> { list(given, Depth::All) };
     let dark = frames(args.dark.as_slice())?;
     let flat = frames(args.flat.as_slice())?;
     let sun = frames(&args.frames)?;
-    let (dark_shots, dark_rejected) = camera::load(&dark, &stated)?;
-    let (flat_shots, flat_rejected) = camera::load(&flat, &stated)?;
-    let (sun_shots, suns, sun_rejected) = camera::solve(&sun, &stated)?;
+    let (dark_shots, dark_rejected) = camera::load(&dark, &stated, watch)?;
+    let (flat_shots, flat_rejected) = camera::load(&flat, &stated, watch)?;
+    let (sun_shots, suns, sun_rejected) = camera::solve(&sun, &stated, watch)?;
     let rejected = [dark_rejected, flat_rejected, sun_rejected].concat();
     let inputs = Inputs {
         dark: dark_shots,

@@ -7,8 +7,12 @@ mod mounting;
 mod plate;
 mod roll_camera;
 
+use super::options::interrupted;
+use super::output::Follower;
 use clap::{Args, Subcommand};
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// Measure the instrument from frames and write its new TOML file; report what changed between two calibrations
 #[derive(Debug, Args)]
@@ -25,14 +29,28 @@ enum Part {
     Plate(plate::PlateArgs),
 }
 
-pub fn run(args: CalibrateArgs) -> anyhow::Result<ExitCode> {
-    match args.part {
-        Part::Camera(args) => camera::run(args),
-        Part::Compare(args) => compare::run(&args),
-        Part::Mounting(args) => match &args.roll_camera {
-            Some(camera) => roll_camera::run(&args, camera),
-            None => mounting::run(args),
-        },
-        Part::Plate(args) => plate::run(&args),
+impl CalibrateArgs {
+    /// Calibrates, and prints what came out. `cancelled` ends it at the next frame.
+    ///
+    /// # Errors
+    /// Frames that give no calibration, files that cannot be read or written.
+    pub fn run(self, cancelled: &Arc<AtomicBool>) -> anyhow::Result<ExitCode> {
+        let follower = |command| Follower::new(command, cancelled);
+        match self.part {
+            Part::Camera(args) => camera::run(args, &follower("calibrate camera")),
+            Part::Compare(args) => compare::run(&args),
+            Part::Mounting(args) => {
+                let follower = follower("calibrate mounting");
+                match &args.roll_camera {
+                    Some(camera) => roll_camera::run(&args, camera, &follower),
+                    None => mounting::run(args, &follower),
+                }
+            }
+            Part::Plate(args) => plate::run(&args, &follower("calibrate plate")),
+        }
     }
+}
+
+pub fn run(args: CalibrateArgs) -> anyhow::Result<ExitCode> {
+    args.run(&interrupted()?)
 }

@@ -6,7 +6,7 @@ use crate::calibrate::revision::Provenance;
 use crate::cli::options;
 use crate::cli::output::say;
 use crate::geometry::Handedness;
-use crate::observe::{Depth, RejectedFrame, list, sha256};
+use crate::observe::{Depth, RejectedFrame, Watch, list, sha256};
 use crate::sky::Air;
 use crate::units::Place;
 use anyhow::Context;
@@ -67,7 +67,7 @@ pub struct MountingArgs {
     pub(super) config: Option<PathBuf>,
 }
 
-pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
+pub fn run(args: MountingArgs, watch: &dyn Watch) -> anyhow::Result<ExitCode> {
     let (mut revision, stated) = args.edition.open()?;
     let config = options::config(args.config.as_deref())?;
     let log = args
@@ -84,7 +84,7 @@ pub fn run(args: MountingArgs) -> anyhow::Result<ExitCode> {
         air: args.air,
         ephemeris: options::ephemeris(&config)?,
     };
-    let (observations, mut rejected, handedness) = mounting::collect(&files, &frames)?;
+    let (observations, mut rejected, handedness) = mounting::collect(&files, &frames, watch)?;
     let pointings = match log {
         Some(_) => Pointings::Known,
         None => Pointings::Fixed,

@@ -2,11 +2,11 @@
 
 use super::edition::Edition;
 use crate::calibrate::plate;
-use crate::cli::output::{Follower, say};
+use crate::cli::output::say;
+use crate::observe::Watch;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
 use toml_edit::Item;
 
 /// Measure every mark of the plate, the lens's distortion and the camera's poses from frames
@@ -29,7 +29,7 @@ pub struct PlateArgs {
     edition: Edition,
 }
 
-pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
+pub fn run(args: &PlateArgs, watch: &dyn Watch) -> anyhow::Result<ExitCode> {
     let (mut revision, mut start) = args.edition.open()?;
     let rests_on = revision.get("calibration.plate.frames_sha256");
     let rests_on = rests_on.and_then(Item::as_str).map(str::to_owned);
@@ -40,8 +40,7 @@ pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
     if again {
         say("the file rests on these very frames: its marks begin with the drawing")?;
     }
-    let follower = Follower::new("calibrate plate", &Arc::default());
-    let calibration = plate::calibrate(&args.frames, &start, &follower)?;
+    let calibration = plate::calibrate(&args.frames, &start, watch)?;
     calibration.revise(&mut revision, &start);
     let file_sha256 = args.edition.write(&revision)?;
     args.edition.write_page("index.html", || {

@@ -10,19 +10,23 @@ use crate::cli::options;
 use crate::cli::output::say;
 use crate::config::Config;
 use crate::instrument::{Directions, MountedCamera, text_of};
-use crate::observe::{Depth, RejectedFrame, list, sha256};
+use crate::observe::{Depth, RejectedFrame, Watch, list, sha256};
 use anyhow::{Context, ensure};
 use jiff::tz::TimeZone;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-pub(super) fn run(args: &MountingArgs, camera_file: &Path) -> anyhow::Result<ExitCode> {
+pub(super) fn run(
+    args: &MountingArgs,
+    camera_file: &Path,
+    watch: &dyn Watch,
+) -> anyhow::Result<ExitCode> {
     let text = text_of(camera_file)?;
     let camera = MountedCamera::parse(camera_file, &text)?;
     let mut revision = Revision::of(camera_file, &text)?;
     let config = options::config(args.config.as_deref())?;
     let files = list(&args.frames, Depth::All)?;
-    let (sightings, rejected) = sightings(args, &files, &camera, &config)?;
+    let (sightings, rejected) = sightings(args, &files, &camera, &config, watch)?;
     let turn = roll_camera::fit(&sightings, &camera.body_from_camera)
         .with_context(|| RejectedFrame::count_and_first(&rejected))?;
     turn.revise(&mut revision, &provenance(args, &turn, &sightings, &files));
@@ -50,6 +54,7 @@ fn sightings(
     files: &[PathBuf],
     camera: &MountedCamera,
     config: &Config,
+    watch: &dyn Watch,
 ) -> anyhow::Result<(Vec<Sighting>, Vec<RejectedFrame>)> {
     let place = args.place.or(config.site.place());
     let horizons = Horizons {
@@ -68,10 +73,10 @@ fn sightings(
         !horizon_files.is_empty(),
         "expected frames of the roll camera (named roll_*), found none; with --attitude any name will do"
     );
-    let (seen, mut rejected) = roll_camera::collect(&horizon_files, &horizons);
+    let (seen, mut rejected) = roll_camera::collect(&horizon_files, &horizons, watch)?;
     let (sightings, more) = match &args.attitude {
         Some(log) => roll_camera::with_attitude(seen, &AttitudeLog::read(log)?),
-        None => by_sun(args, &sun_files, seen, config)?,
+        None => by_sun(args, &sun_files, seen, config, watch)?,
     };
     rejected.extend(more);
     Ok((sightings, rejected))
@@ -82,6 +87,7 @@ fn by_sun(
     files: &[PathBuf],
     seen: Vec<Horizon>,
     config: &Config,
+    watch: &dyn Watch,
 ) -> anyhow::Result<(Vec<Sighting>, Vec<RejectedFrame>)> {
     let (_, telescope) = args.edition.open()?;
     ensure!(
@@ -101,7 +107,7 @@ fn by_sun(
         air: args.air,
         ephemeris: options::ephemeris(config)?,
     };
-    let (mut suns, mut rejected, _) = mounting::collect(files, &frames)?;
+    let (mut suns, mut rejected, _) = mounting::collect(files, &frames, watch)?;
     suns.sort_by_key(|sun: &SunObservation| sun.utc);
     let (sightings, more) = roll_camera::with_sun(seen, &suns, &telescope);
     rejected.extend(more);

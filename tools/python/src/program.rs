@@ -5,7 +5,7 @@ use crate::errors::Failure;
 use clap::Parser;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use solaspect::cli::calibrate::{self, CalibrateArgs};
+use solaspect::cli::calibrate::CalibrateArgs;
 use solaspect::cli::refine::RefineArgs;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,13 +19,14 @@ enum Command {
     Refine(RefineArgs),
 }
 
-/// Runs `solaspect COMMAND OPTIONS...` in this process. KeyboardInterrupt ends a refinement at its next frame; what is done is in its journal.
+/// Runs `solaspect COMMAND OPTIONS...` in this process. KeyboardInterrupt ends it at the next frame; what a refinement has done is in its
+/// journal.
 #[pyfunction]
 pub fn run(py: Python<'_>, options: Vec<String>) -> PyResult<()> {
     let command = parse(options)?;
     let cancelled = Arc::new(AtomicBool::new(false));
     let work = || match command {
-        Command::Calibrate(args) => calibrate::run(args),
+        Command::Calibrate(args) => args.run(&cancelled),
         Command::Refine(args) => args.run(&cancelled),
     };
     let (outcome, interrupted) = py.detach(|| {

@@ -1,0 +1,60 @@
+//! A motion of the camera in its mount, small beside a pixel's distance from the middle: shift, turn and stretch of the plate's picture.
+
+use crate::estimation::{
+    FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS_2D,
+};
+use nalgebra::{Matrix2x4, SMatrix, SVector, Vector2, Vector4};
+
+/// Displacements that are farther off than this do not count.
+pub(super) const LOSS: Loss = Loss::Tukey(TUKEY_SIGMAS_2D);
+/// Turns and stretches are displacements at this distance from the middle, px.
+const REACH_PX: f64 = 500.0;
+/// What displacements do not determine of a motion is none: so much is thought of, 1 sigma, px.
+const UNKNOWN_PX: f64 = 10.0;
+
+/// How far something has moved on the sensor.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Displacement {
+    /// Where, from the middle of the picture.
+    pub at: Vector2<f64>,
+    pub moved_px: Vector2<f64>,
+    /// 1 sigma of it per axis.
+    pub sigma_px: f64,
+}
+
+impl Displacement {
+    /// Displacement by one px of shift x, shift y, turn and stretch.
+    pub fn slopes(&self) -> Matrix2x4<f64> {
+        let at = self.at / REACH_PX;
+        Matrix2x4::new(1.0, 0.0, -at.y, at.x, 0.0, 1.0, at.x, at.y)
+    }
+
+    /// What a motion leaves of it, in its sigmas.
+    pub fn left_by(&self, motion: &Vector4<f64>) -> Vector2<f64> {
+        (self.moved_px - self.slopes() * motion) / self.sigma_px
+    }
+}
+
+/// The motion that displacements show, px along each of its slopes, which are given with each.
+pub(super) fn motion<'a, const N: usize>(
+    displacements: impl Iterator<Item = (&'a Displacement, SMatrix<f64, 2, N>)>,
+) -> Result<Fitted<N>, FitError> {
+    let fit = LeastSquares {
+        start: SVector::zeros(),
+        prior: Prior {
+            mean: SVector::zeros(),
+            information: SVector::repeat(UNKNOWN_PX.powi(-2)),
+        },
+        loss: LOSS,
+        scale: Scale::Median,
+        tolerance_sigmas: 1e-2,
+    };
+    let displacements: Vec<_> = displacements.collect();
+    fit.fit(|motion| {
+        let row = |(one, slopes): &(&Displacement, SMatrix<f64, 2, N>)| Linearised {
+            residual: (one.moved_px - slopes * motion) / one.sigma_px,
+            jacobian: slopes / one.sigma_px,
+        };
+        Some(displacements.iter().map(row).collect())
+    })
+}
