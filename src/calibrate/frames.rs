@@ -1,7 +1,8 @@
 //! What all frames of a calibration must have in common: one camera, which is the instrument's, at one setting.
 
 use crate::frame::{Frame, TakenBy};
-use crate::instrument::{Instrument, WrongCamera};
+use crate::instrument::{Instrument, WrongCamera, WrongSize};
+use crate::observe::{InputError, RejectedFrame};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -79,6 +80,48 @@ pub enum WrongFrames {
         file: PathBuf,
         wrong: Box<WrongCamera>,
     },
+}
+
+/// Why files give no frames for a calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum FramesError {
+    #[error(transparent)]
+    Input(#[from] InputError),
+    #[error(transparent)]
+    Wrong(#[from] WrongFrames),
+    #[error("mixed instruments: {}: {wrong}", .file.display())]
+    Size { file: PathBuf, wrong: WrongSize },
+    #[error(
+        "{}: expected frames of the whole sensor, {} x {} px, found a part of it; take them without a region",
+        .file.display(), .size_px[0], .size_px[1]
+    )]
+    Region { file: PathBuf, size_px: [usize; 2] },
+    /// All of them lack what each one needs.
+    #[error("{0}")]
+    Lacking(String),
+}
+
+/// Why frames give no calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrateError<E: std::fmt::Display> {
+    #[error(transparent)]
+    Frames(#[from] FramesError),
+    /// What the frames show does not determine it; what was rejected may say why.
+    #[error("{rejected}: {cause}")]
+    Undetermined { rejected: String, cause: E },
+}
+
+impl<E: std::fmt::Display> CalibrateError<E> {
+    pub(super) fn undetermined(rejected: &[RejectedFrame]) -> impl FnOnce(E) -> Self {
+        let rejected = RejectedFrame::count_and_first(rejected);
+        |cause| Self::Undetermined { rejected, cause }
+    }
+}
+
+impl<E: std::fmt::Display> From<InputError> for CalibrateError<E> {
+    fn from(error: InputError) -> Self {
+        Self::Frames(error.into())
+    }
 }
 
 /// Whether one camera, which is the instrument's, took all frames at one setting.

@@ -2,10 +2,12 @@
 
 use crate::calibrate::numbers::value_text;
 use crate::instrument::{Instrument, TomlError};
+use crate::observe::sha256;
 use crate::provenance::{self, COMMIT, PROGRAM};
 use crate::units::Measured;
-use anyhow::Context;
+use jiff::Timestamp;
 use jiff::civil::Date;
+use jiff::tz::TimeZone;
 use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, InlineTable, Item, Table, TableLike, Value, value};
 
@@ -26,6 +28,26 @@ pub struct Provenance {
 }
 
 impl Provenance {
+    /// Of so many frames, taken at some times, of some files: what was done, and from when to when.
+    pub fn over(
+        name: &'static str,
+        done: &str,
+        frames: usize,
+        times: impl Iterator<Item = Timestamp> + Clone,
+        files: &[PathBuf],
+    ) -> Self {
+        let first = times.clone().min().unwrap_or_default();
+        let last = times.max().unwrap_or_default();
+        Self {
+            name,
+            source: format!("{done}, {frames} frames from {first:.0} to {last:.0}"),
+            date: Some(TimeZone::UTC.to_datetime(last).date()),
+            frames,
+            frames_sha256: sha256(files),
+            camera: None,
+        }
+    }
+
     fn date_value(&self) -> Option<Value> {
         self.date?.to_string().parse().ok()
     }
@@ -214,6 +236,18 @@ pub fn number(value: f64, sigma: f64) -> Value {
     text.parse().unwrap_or_else(|_| value.into())
 }
 
+/// Why a new edition is not written.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    #[error("{}: cannot write: {cause}", .path.display())]
+    Io {
+        path: PathBuf,
+        cause: std::io::Error,
+    },
+    #[error(transparent)]
+    Unreadable(#[from] TomlError),
+}
+
 /// Writes a file if it is one that everything else can read; else what stood there stays.
 ///
 /// # Errors
@@ -222,14 +256,17 @@ pub fn write_if(
     path: &Path,
     text: &str,
     read: impl FnOnce(&Path) -> Result<(), TomlError>,
-) -> anyhow::Result<()> {
-    let cannot_write = || format!("{}: cannot write", path.display());
+) -> Result<(), WriteError> {
+    let cannot_write = |cause| WriteError::Io {
+        path: path.into(),
+        cause,
+    };
     let mut name = path.as_os_str().to_owned();
     name.push(".part");
     let part = PathBuf::from(name);
-    std::fs::write(&part, text).with_context(cannot_write)?;
+    std::fs::write(&part, text).map_err(cannot_write)?;
     read(&part)?;
-    std::fs::rename(&part, path).with_context(cannot_write)
+    std::fs::rename(&part, path).map_err(cannot_write)
 }
 
 #[cfg(test)]

@@ -47,6 +47,14 @@ pub enum Handedness {
 }
 
 impl Handedness {
+    /// As the instrument's file says it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mirrored => "mirrored",
+            Self::Direct => "direct",
+        }
+    }
+
     /// That of the mirror image.
     pub fn other(self) -> Self {
         match self {

@@ -57,6 +57,9 @@ struct RawCalibration {
     /// Over the sorted SHA-256 of the files.
     #[serde(rename = "frames_sha256")]
     _frames_sha256: String,
+    /// The beginning of each file's.
+    #[serde(default, rename = "frame_hashes")]
+    _frame_hashes: Option<String>,
     /// Of the last frame.
     #[serde(default, rename = "date")]
     _date: Option<Utc>,

@@ -283,12 +283,25 @@ fn warn_of<T>(files: &[PathBuf], observed: &[Result<(Seen, T), String>]) {
     }
 }
 
-/// SHA-256 over the sorted SHA-256 of the files that can be read, hexadecimal: whatever their names and order.
-pub fn sha256<F: AsRef<Path> + Sync>(files: &[F]) -> String {
-    let one = |file: &F| Some(Sha256::digest(fits::read_bytes(file.as_ref()).ok()?));
-    let mut hashes: Vec<_> = files.par_iter().filter_map(one).collect();
+/// The SHA-256 of a file.
+pub type Hash = [u8; 32];
+
+/// The hash of each file; none of one that cannot be read.
+pub fn hashes<F: AsRef<Path> + Sync>(files: &[F]) -> Vec<Option<Hash>> {
+    let one = |file: &F| Some(Sha256::digest(fits::read_bytes(file.as_ref()).ok()?).into());
+    files.par_iter().map(one).collect()
+}
+
+/// SHA-256 over sorted hashes, hexadecimal: whatever names and order the files have.
+pub fn sha256_of(hashes: &[Option<Hash>]) -> String {
+    let mut hashes: Vec<&Hash> = hashes.iter().flatten().collect();
     hashes.sort_unstable();
-    provenance::sha256(hashes.concat())
+    provenance::sha256(hashes.into_iter().flatten().copied().collect::<Vec<u8>>())
+}
+
+/// The same of the files that can be read.
+pub fn sha256<F: AsRef<Path> + Sync>(files: &[F]) -> String {
+    sha256_of(&hashes(files))
 }
 
 #[cfg(test)]

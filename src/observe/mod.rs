@@ -17,7 +17,10 @@ mod pass;
 
 pub use cameras::{CameraFrames, Cameras, cameras};
 pub use copies::{CopiedFrame, Distinct};
-pub use files::{Depth, InputError, Observed, RejectedFrame, in_order, list, named, over, sha256};
+pub use files::{
+    Depth, Hash, InputError, Observed, RejectedFrame, hashes, in_order, list, named, over, sha256,
+    sha256_of,
+};
 pub use inputs::{FrameFacts, InputNotes, InputSummary};
 pub use journal::{Journal, JournalError, Place, Record};
 pub use pass::{

@@ -37,7 +37,7 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
     // What is written is what was measured.
     let text = builtin_text("demo").unwrap();
     let mut revision = Revision::of(Path::new("demo"), text).unwrap();
-    calibration.revise(&mut revision, &start);
+    calibration.revise(&mut revision);
     let (written, _) = revision.finish().unwrap();
     let path = folder.path().join("b.toml");
     std::fs::write(&path, &written).unwrap();
@@ -57,7 +57,7 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
     let few = calibrate(&given[..1], &read).unwrap();
     assert!(few.fit.marks.len() < fit.marks.len());
     let mut revision = Revision::of(&path, &written).unwrap();
-    few.revise(&mut revision, &read);
+    few.revise(&mut revision);
     let (_, renewed) = revision.finish().unwrap();
     for mark in &fit.marks {
         assert!(renewed.plate.is_measured(mark.id), "{}", mark.id);
@@ -75,7 +75,7 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
         assert!(a.id == b.id && a.position.distance(b.position) < 1e-3);
     }
 
-    let page = plate::html(&calibration, &start, "0123abcd").unwrap();
+    let page = plate::html(&calibration, "0123abcd").unwrap();
     assert_eq!(page.matches("<svg").count(), 9);
     // A certificate: of what, by what, from which frames.
     let program = PROGRAM;
@@ -240,7 +240,7 @@ fn a_frame_of_the_lit_plate_measures_all_marks_at_once() {
 
     // Nobody knows when these frames were taken: the file does not say.
     let mut revision = Revision::of(Path::new("demo"), builtin_text("demo").unwrap()).unwrap();
-    calibration.revise(&mut revision, &builtin("demo").unwrap());
+    calibration.revise(&mut revision);
     let (written, _) = revision.finish().unwrap();
     let written: toml_edit::DocumentMut = written.parse().unwrap();
     assert!(written["calibration"]["plate"].get("date").is_none());
@@ -280,7 +280,7 @@ fn marks_that_are_lit_and_never_read_are_listed_as_suspect() {
         "{text}"
     );
     let mut revision = Revision::of(Path::new("demo"), builtin_text("demo").unwrap()).unwrap();
-    calibration.revise(&mut revision, &start);
+    calibration.revise(&mut revision);
     let (written, _) = revision.finish().unwrap();
     assert!(
         written.contains("suspect_marks = [[-2, 1], [0, 0], "),

@@ -1,5 +1,6 @@
 //! The plate's calibration against simulated frames of which the truth is known.
 
+mod counted;
 mod folders;
 mod frames;
 mod full_size;

@@ -4,7 +4,9 @@ use nalgebra::Matrix2;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::calibrate::plate::{self, Calibration, FrameObservation, MarkObservation, Refusal};
+use solaspect::calibrate::plate::{
+    self, Calibration, Counted, FrameObservation, MarkObservation, Refusal,
+};
 use solaspect::fits::{self, Compression};
 use solaspect::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::{Instrument, builtin};
@@ -95,7 +97,7 @@ pub fn pose_folder(
 }
 
 pub fn calibrate(given: &[PathBuf], start: &Instrument) -> Result<Calibration, Refusal> {
-    plate::calibrate(given, start, &())
+    plate::calibrate(given, start, &Counted::default(), &())
 }
 
 /// 1 sigma of a generated observation, px.

@@ -14,19 +14,21 @@
 //! What the frames do not determine keeps the instrument's value, with the reason.
 //!
 //! ```text
-//! shots <- dark <- light, transfer, flat; shots <- focus; all <- calibration <- report
+//! shots <- dark <- light, transfer, flat; shots <- focus; all <- calibration <- report <- from_frames
 //! ```
 
 mod calibration;
 mod dark;
 mod flat;
 mod focus;
+mod from_frames;
 mod light;
 mod report;
 mod shots;
 mod transfer;
 
 pub use calibration::{CameraCalibration, CameraError, Inputs, calibrate};
+pub use from_frames::{FromFrames, Given, from_frames};
 pub use light::WrongLight;
 pub use report::page;
 pub use shots::{Shot, Shots, SunShot, load, solve};

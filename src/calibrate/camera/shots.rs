@@ -1,12 +1,11 @@
 //! Frames in memory, and what lights them.
 
 use crate::aspect::{self, Expected, Quality};
-use crate::calibrate::frames::Setting;
+use crate::calibrate::frames::{FramesError, Setting};
 use crate::frame::Frame;
 use crate::instrument::Instrument;
 use crate::observe::{RejectedFrame, Watch, over};
 use crate::units::SensorPx;
-use anyhow::Context;
 use std::path::{Path, PathBuf};
 
 /// Light scattered about the disc reaches so far beyond its limb, in its radii.
@@ -115,7 +114,7 @@ pub fn load(
     files: &[PathBuf],
     instrument: &Instrument,
     watch: &dyn Watch,
-) -> anyhow::Result<(Shots, Vec<RejectedFrame>)> {
+) -> Result<(Shots, Vec<RejectedFrame>), FramesError> {
     let keep = kept(files);
     let size_px = instrument.camera.size_px();
     let observed = over(files.to_vec(), size_px, watch, |file, frame| {
@@ -134,16 +133,13 @@ pub fn load(
 }
 
 /// Pixels are identified by their place on the whole sensor: a part of it does not do.
-fn check_size(frame: &Frame, instrument: &Instrument, file: &Path) -> anyhow::Result<()> {
-    let name = file.display();
-    let seen = instrument.seen_by(frame);
-    let seen = seen.with_context(|| format!("mixed instruments: {name}"))?;
-    let (width, height) = (instrument.camera.width_px, instrument.camera.height_px);
-    anyhow::ensure!(
-        seen.camera.width_px == width && seen.camera.height_px == height,
-        "{name}: expected frames of the whole sensor, {width} x {height} px, found a part of it; take them without a region"
-    );
-    Ok(())
+fn check_size(frame: &Frame, instrument: &Instrument, file: &Path) -> Result<(), FramesError> {
+    let (file, size_px) = (file.to_owned(), instrument.camera.size_px());
+    match instrument.seen_by(frame) {
+        Err(wrong) => Err(FramesError::Size { file, wrong }),
+        Ok(seen) if seen.camera.size_px() != size_px => Err(FramesError::Region { file, size_px }),
+        Ok(_) => Ok(()),
+    }
 }
 
 /// The files whose frames are kept in memory: evenly chosen pairs that follow each other.
@@ -161,7 +157,7 @@ pub fn solve(
     files: &[PathBuf],
     instrument: &Instrument,
     watch: &dyn Watch,
-) -> anyhow::Result<(Shots, Vec<SunShot>, Vec<RejectedFrame>)> {
+) -> Result<(Shots, Vec<SunShot>, Vec<RejectedFrame>), FramesError> {
     let keep = kept(files);
     let size_px = instrument.camera.size_px();
     let observed = over(files.to_vec(), size_px, watch, |file, frame| {

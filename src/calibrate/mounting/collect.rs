@@ -3,7 +3,7 @@
 use super::log::PointingLog;
 use super::observation::SunObservation;
 use crate::aspect::{self, Expected, Quality, Solution};
-use crate::calibrate::frames::{Setting, check_settings};
+use crate::calibrate::frames::{FramesError, Setting, check_settings};
 use crate::fits;
 use crate::frame::Frame;
 use crate::geometry::Handedness;
@@ -12,7 +12,6 @@ use crate::observe::{RejectedFrame, Watch, over};
 use crate::pointing::Horizontal;
 use crate::sky::{Air, Ephemeris, SkyError, SunPosition};
 use crate::units::Place;
-use anyhow::{Context, bail};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -52,7 +51,7 @@ pub fn collect(
     files: &[PathBuf],
     frames: &Frames<'_>,
     watch: &dyn Watch,
-) -> anyhow::Result<(Vec<SunObservation>, Vec<RejectedFrame>, Handedness)> {
+) -> Result<(Vec<SunObservation>, Vec<RejectedFrame>, Handedness), FramesError> {
     let handedness = determined_handedness(files, frames.instrument);
     let mut instrument = frames.instrument.clone();
     instrument.mounting.handedness = handedness;
@@ -90,27 +89,28 @@ pub fn collect(
 }
 
 /// Why hardly a frame gave an observation, where most of them lack the same.
-fn explain(lacks: &[Lack], rejected: &[RejectedFrame], observations: usize) -> anyhow::Result<()> {
+fn explain(
+    lacks: &[Lack],
+    rejected: &[RejectedFrame],
+    observations: usize,
+) -> Result<(), FramesError> {
     /// Fewer observations than this want an explanation.
     const FEW: usize = 5;
     let all = lacks.len() + observations;
     let most = |lack: Lack| 2 * lacks.iter().filter(|l| **l == lack).count() > all;
-    match rejected.first() {
-        _ if observations >= FEW => Ok(()),
-        _ if most(Lack::Time) => bail!(
-            "frames without time: expected DATE-AVG or DATE-OBS in every frame, found none; take FITS frames with their UTC"
-        ),
-        _ if most(Lack::Place) => bail!(
-            "frames without place: expected OBSGEO-L, -B, -H in every frame, or --place LAT,LON,HEIGHT_M"
-        ),
-        Some(first) if most(Lack::Pointing) => bail!(
+    let lacking = match rejected.first() {
+        _ if observations >= FEW => return Ok(()),
+        _ if most(Lack::Time) => "frames without time: expected DATE-AVG or DATE-OBS in every frame, found none; take FITS frames with their UTC".into(),
+        _ if most(Lack::Place) => "frames without place: expected OBSGEO-L, -B, -H in every frame, or --place LAT,LON,HEIGHT_M".into(),
+        Some(first) if most(Lack::Pointing) => format!(
             "frames without pointing: expected pointings at the frames' times, found every frame outside them (the first is {})",
             first.reason
         ),
-        _ if observations > 0 => Ok(()),
-        Some(first) => bail!("no frame shows the Sun on the plate; the first, {first}"),
-        None => bail!("expected frames, found none"),
-    }
+        _ if observations > 0 => return Ok(()),
+        Some(first) => format!("no frame shows the Sun on the plate; the first, {first}"),
+        None => "expected frames, found none".into(),
+    };
+    Err(FramesError::Lacking(lacking))
 }
 
 /// How the camera sees the plate: the coded marks can be identified in one handedness only.
@@ -118,10 +118,7 @@ fn determined_handedness(files: &[PathBuf], instrument: &Instrument) -> Handedne
     /// Frames that are tried.
     const SAMPLE: usize = 24;
     let stated = instrument.mounting.handedness;
-    let other = match stated {
-        Handedness::Mirrored => Handedness::Direct,
-        Handedness::Direct => Handedness::Mirrored,
-    };
+    let other = stated.other();
     let step = files.len().div_ceil(SAMPLE).max(1);
     let sample: Vec<PathBuf> = files.iter().step_by(step).cloned().collect();
     let frames = sample.len();
@@ -155,11 +152,12 @@ impl Frames<'_> {
         file: &Path,
         frame: &Frame,
         ephemeris: &mut Ephemeris,
-    ) -> anyhow::Result<(Setting, Result<SunObservation, Rejection>)> {
-        let seen = self
-            .instrument
-            .seen_by(frame)
-            .with_context(|| format!("mixed instruments: {}", file.display()))?;
+    ) -> Result<(Setting, Result<SunObservation, Rejection>), FramesError> {
+        let seen = self.instrument.seen_by(frame);
+        let seen = seen.map_err(|wrong| FramesError::Size {
+            file: file.into(),
+            wrong,
+        })?;
         let observation = self.sun(file, (frame, &seen), ephemeris);
         Ok((Setting::of(file, frame), observation))
     }

@@ -17,12 +17,13 @@
 //! 4. `verdict`: each quantity is determined, with a sigma, or keeps the instrument's value.
 //!
 //! ```text
-//! observation <- collect; observation, side, scatter <- start <- fit <- verdict <- calibration <- report
+//! observation <- collect; observation, side, scatter <- start <- fit <- verdict <- calibration <- report <- from_frames
 //! ```
 
 mod calibration;
 mod collect;
 mod fit;
+mod from_frames;
 mod log;
 mod observation;
 mod report;
@@ -34,6 +35,7 @@ mod verdict;
 pub use calibration::{Mounting, calibrate};
 pub use collect::{Frames, collect};
 pub use fit::{MountingFit, Pointings, Unknown};
+pub use from_frames::{FromFrames, from_frames};
 pub use log::{AttitudeLog, PointingLog};
 pub use observation::{MountingError, SunObservation};
 pub use report::page;

@@ -1,5 +1,6 @@
 //! From files to a plate calibration: observe, find the poses, fit, judge.
 
+use super::counted::Counted;
 use super::fit::{PlateFit, PoseFit, fit};
 use super::measure::{self, measure};
 use super::observation::{FrameObservation, Pose, folder_of, take_blurred};
@@ -9,8 +10,8 @@ use super::rest::Shifts;
 use super::suspects::{SuspectMark, suspects};
 use crate::fits;
 use crate::instrument::Instrument;
-use crate::observe::{Depth, InputError, RejectedFrame, Watch, list, sha256};
-use crate::units::{PlateMil, SensorPx};
+use crate::observe::{Depth, Hash, InputError, RejectedFrame, Watch, hashes, list, sha256_of};
+use crate::units::PlateMil;
 use jiff::Timestamp;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
@@ -19,6 +20,9 @@ use std::path::PathBuf;
 /// A plate calibration: the fit and what it rests on.
 #[derive(Debug, Clone)]
 pub struct Calibration {
+    /// The instrument that it began with.
+    pub start: Instrument,
+    pub beginning: Beginning,
     /// With their frames.
     pub poses: Vec<Pose>,
     /// How many frames could be identified with the plate as found only.
@@ -27,14 +31,23 @@ pub struct Calibration {
     pub rejected: Vec<RejectedFrame>,
     /// Marks that were lit and not read.
     pub suspects: Vec<SuspectMark>,
-    /// Of the files that were given; see [`frames_sha256`].
+    /// Over the sorted SHA-256 of the files that were given, whatever their names and order.
     pub frames_sha256: String,
+    /// The frames that the new file rests on.
+    pub counted: Counted,
     /// The camera's name, as the frames have it.
     pub camera: Option<String>,
     /// The pose nearest to where the start's mounting states the camera: the others were made for the calibration.
     pub mounted_pose: usize,
-    /// The sensor's middle.
-    pub middle_px: SensorPx,
+}
+
+/// Where the marks of a calibration began.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Beginning {
+    /// Where the file has them.
+    File,
+    /// Where they were drawn, for the file rests on the given frames and no others.
+    Drawing,
 }
 
 impl Calibration {
@@ -55,14 +68,6 @@ const MOST_PARTINGS: usize = 4;
 /// Passes over the rejected frames after the first: each uses the plate as the one before measured it.
 const LATER_PASSES: usize = 3;
 
-/// SHA-256 over the sorted SHA-256 of all files among frames and folders, hexadecimal: whatever their names and order.
-///
-/// # Errors
-/// A path that cannot be read, a folder without frames.
-pub fn frames_sha256(given: &[PathBuf]) -> Result<String, Refusal> {
-    Ok(sha256(&files(given)?))
-}
-
 /// The files of frames and folders, each once.
 fn files(given: &[PathBuf]) -> Result<Vec<PathBuf>, Refusal> {
     let mut known = BTreeSet::new();
@@ -71,7 +76,7 @@ fn files(given: &[PathBuf]) -> Result<Vec<PathBuf>, Refusal> {
     Ok(files)
 }
 
-/// Calibrates plate, lens and poses from frames and folders.
+/// Calibrates plate, lens and poses from frames and folders, each frame once: those that the start's file rests on are set aside.
 ///
 /// # Errors
 /// A [`Refusal`] says what is wrong with the set of frames and what to take instead. Single bad frames are listed in
@@ -79,10 +84,18 @@ fn files(given: &[PathBuf]) -> Result<Vec<PathBuf>, Refusal> {
 pub fn calibrate(
     given: &[PathBuf],
     start: &Instrument,
+    counted: &Counted,
     watch: &dyn Watch,
 ) -> Result<Calibration, Refusal> {
-    let files = files(given)?;
-    let frames_sha256 = sha256(&files);
+    let Given {
+        files,
+        start,
+        beginning,
+        known,
+        frames_sha256,
+        counted,
+    } = Given::new(files(given)?, start, counted);
+    let start = &start;
     let (mut observations, copies) = measure(files, start, watch)?;
     let mut blurred = take_blurred(&mut observations.frames);
     observations.check_files(start)?;
@@ -107,6 +120,7 @@ pub fn calibrate(
     }
     check_scales(&posed.poses, &fit)?;
     let mut rejected = [
+        known,
         copies,
         blurred,
         unread,
@@ -118,14 +132,60 @@ pub fn calibrate(
     Ok(Calibration {
         camera,
         mounted_pose: mounted_pose(&fit, start),
-        middle_px: start.camera.middle_px(),
+        beginning,
+        counted,
         suspects: suspects(&posed.poses, &fit, start),
         frames_sha256,
         poses: posed.poses,
         read_later,
         fit,
         rejected,
+        start: start.clone(),
     })
+}
+
+/// What a calibration is made of.
+struct Given {
+    files: Vec<PathBuf>,
+    start: Instrument,
+    beginning: Beginning,
+    /// Frames that the start's file rests on.
+    known: Vec<RejectedFrame>,
+    frames_sha256: String,
+    counted: Counted,
+}
+
+impl Given {
+    fn new(files: Vec<PathBuf>, start: &Instrument, counted: &Counted) -> Self {
+        let hashes = hashes(&files);
+        let frames_sha256 = sha256_of(&hashes);
+        let is_known = |hash: &Option<Hash>| hash.is_some_and(|hash| counted.holds(&hash));
+        let again = counted.are(&frames_sha256) || hashes.iter().all(is_known);
+        let mut given = Self {
+            files: Vec::new(),
+            start: start.clone(),
+            beginning: Beginning::File,
+            known: Vec::new(),
+            frames_sha256,
+            counted: counted.with(hashes.iter().flatten()),
+        };
+        if again {
+            given.files = files;
+            given.start.plate = start.plate.as_drawn();
+            given.beginning = Beginning::Drawing;
+            given.counted = Counted::default().with(hashes.iter().flatten());
+            return given;
+        }
+        for (file, hash) in files.into_iter().zip(&hashes) {
+            match is_known(hash) {
+                true => given
+                    .known
+                    .push(RejectedFrame::new(file, "the file rests on it already")),
+                false => given.files.push(file),
+            }
+        }
+        given
+    }
 }
 
 /// What [`calibrate`] makes of frames that are read: the poses of each folder, those of which half of the frames or more contradict the others

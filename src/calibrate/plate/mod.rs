@@ -12,7 +12,7 @@
 //! moved between poses) these do not matter; where they do not, they split the two, and [`Separation`] says so.
 //!
 //! ```text
-//! observation <- refusal, lit <- measure <- poses <- calibration, suspects <- summary, write <- report
+//! counted <- calibration; observation <- refusal, lit <- measure <- poses <- calibration, suspects <- summary, write <- report
 //! camera <- adjust <- robust <- choose, correlations <- fit <- rest <- poses; adjust, motion <- slips <- poses; motion <- rest
 //! ```
 
@@ -21,6 +21,7 @@ mod calibration;
 mod camera;
 mod choose;
 mod correlations;
+mod counted;
 mod fit;
 mod lit;
 mod measure;
@@ -36,9 +37,10 @@ mod summary;
 mod suspects;
 mod write;
 
-pub use calibration::{Calibration, calibrate, fit_frames, frames_sha256};
+pub use calibration::{Beginning, Calibration, calibrate, fit_frames};
 pub use choose::{Choice, Separation};
 pub use correlations::{Correlation, Parameter};
+pub use counted::Counted;
 pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual};
 pub use observation::{FrameObservation, MarkObservation, Pose};
 pub use poses::Posed;

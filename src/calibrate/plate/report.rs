@@ -8,7 +8,6 @@ use super::summary::used;
 use super::suspects::SuspectMark;
 use crate::calibrate::numbers::{sigma_text, value_text};
 use crate::estimation::{MEDIAN_LENGTH_2D, median};
-use crate::instrument::Instrument;
 use crate::observe::RejectedFrame;
 use crate::plate::drawn_position;
 use crate::provenance::{COMMIT, PROGRAM};
@@ -18,18 +17,13 @@ use crate::units::SensorPx;
 use nalgebra::Vector2;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The report as one HTML page that needs nothing beside it. `start` is the instrument that the calibration began with,
-/// `file_sha256` that of the file it made.
+/// The report as one HTML page that needs nothing beside it. `file_sha256` is that of the file it made.
 ///
 /// # Errors
 /// A figure that cannot be drawn.
-pub fn html(
-    calibration: &Calibration,
-    start: &Instrument,
-    file_sha256: &str,
-) -> Result<String, PlotError> {
+pub fn html(calibration: &Calibration, file_sha256: &str) -> Result<String, PlotError> {
     let mut page = Page::default();
-    identity(&mut page, calibration, start, file_sha256);
+    identity(&mut page, calibration, file_sha256);
     page.heading("Result");
     page.preformatted(&used(calibration).join("\n"));
     suspects(&mut page, calibration);
@@ -45,13 +39,14 @@ pub fn html(
         page.figure(&figure?, &format!("{caption} Frames of {source}."));
     }
     RejectedFrame::section(&mut page, &calibration.rejected);
-    Ok(page.finish(&format!("Plate calibration of {}", start.name)))
+    Ok(page.finish(&format!("Plate calibration of {}", calibration.start.name)))
 }
 
 const UNKNOWN: &str = "not stated";
 
 /// What the calibration is of and rests on. `file_sha256` is that of the instrument's new file.
-fn identity(page: &mut Page, calibration: &Calibration, start: &Instrument, file_sha256: &str) {
+fn identity(page: &mut Page, calibration: &Calibration, file_sha256: &str) {
+    let start = &calibration.start;
     let time = |utc: Option<jiff::Timestamp>| utc.map_or(UNKNOWN.into(), |utc| utc.to_string());
     let span = calibration.span();
     let frames: usize = calibration.fit.poses.iter().map(|pose| pose.frames).sum();
@@ -310,7 +305,7 @@ const AFTER: Kind = ("calibrated", |r| r.residual_px);
 fn by_radius(calibration: &Calibration, which: &str, kinds: &[Kind]) -> Result<String, PlotError> {
     let series = kinds.iter().map(|(name, residual_px)| {
         let point = |r: &Residual| {
-            let from_middle = r.at.vector() - calibration.middle_px.vector();
+            let from_middle = r.at.vector() - calibration.start.camera.middle_px().vector();
             let radius = from_middle.norm();
             (radius, residual_px(r).dot(&from_middle) / radius.max(1e-9))
         };

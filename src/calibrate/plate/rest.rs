@@ -10,7 +10,7 @@ use crate::calibrate::numbers::median;
 use crate::estimation::MEDIAN_LENGTH_2D;
 use crate::plate::MarkId;
 use crate::units::SensorPx;
-use nalgebra::{Vector2, Vector4};
+use nalgebra::{Matrix4, Vector2, Vector4};
 use std::collections::BTreeMap;
 
 /// A frame that lies so many sigmas off does not rest.
@@ -21,8 +21,10 @@ const FEW: f64 = 0.1;
 const LEAST_FRAMES: usize = 3;
 /// So many frames a part has on the mean at least: what falls into more parts does not rest at all.
 const LEAST_MEAN: usize = 8;
-/// A motion is fitted to the frames that agree with it so often.
+/// A motion is fitted to the frames that agree with it so often, and so often frames go to the nearest motion.
 const ROUNDS: usize = 3;
+/// Most frames, and pairs of them, whose motions are tried.
+const TRIED: usize = 200;
 /// 1 sigma of a median of normal values over that of their mean.
 const MEDIAN_SIGMA: f64 = 1.25;
 
@@ -75,7 +77,7 @@ impl<'a> Shifts<'a> {
         if off < few { 0 } else { off }
     }
 
-    /// The frames of some poses, whose mappings are nearly one, by parts that each rest. `None` where they do not make any.
+    /// The frames of some poses, whose mappings are nearly one, by parts that each rest. `None` where they do not make such parts.
     pub fn parts(&self, poses: &[usize]) -> Option<Vec<Vec<usize>>> {
         let mapping = self.fit.poses[*poses.first()?].mapping;
         let marks = self.fit.marks.iter();
@@ -83,7 +85,7 @@ impl<'a> Shifts<'a> {
             .map(|mark| (mark.id, mapping.to_sensor(mark.position)))
             .collect();
         let frames = poses.iter().flat_map(|pose| &self.frames[*pose]);
-        let mut rest: BTreeMap<usize, Displacement> = frames
+        let shifts: BTreeMap<usize, Displacement> = frames
             .filter_map(|(frame, marks)| {
                 let known = marks.iter().copied();
                 let known: Vec<&Residual> = known.filter(|r| places.contains_key(&r.id)).collect();
@@ -92,14 +94,15 @@ impl<'a> Shifts<'a> {
                 (!known.is_empty()).then_some((*frame, shift))
             })
             .collect();
-        let all = rest.len();
-        let mut parts = Vec::new();
-        while let Some(part) = most_agreeing(&rest).filter(|part| part.len() >= LEAST_FRAMES) {
-            part.iter().for_each(|n| _ = rest.remove(n));
-            parts.push(part);
-        }
-        let are_parts = LEAST_MEAN * parts.len() <= all && rest.len() as f64 <= FEW * all as f64;
-        are_parts.then_some(parts)
+        let mut parts = parted(&shifts)?;
+        let all = poses.iter().flat_map(|pose| self.frames[*pose].keys());
+        let others = all.filter(|n| !parts.iter().any(|part| part.contains(n)));
+        let others: Vec<usize> = others.copied().collect();
+        // The adjustment judges what tells too little.
+        let first = parts.first_mut()?;
+        first.extend(others);
+        first.sort_unstable();
+        Some(parts)
     }
 }
 
@@ -114,24 +117,84 @@ fn shift(marks: &[&Residual], off_px: impl Fn(&Residual) -> Vector2<f64>) -> Dis
     }
 }
 
-/// The frames that agree with one motion: that of the frame with which most agree.
-fn most_agreeing(shifts: &BTreeMap<usize, Displacement>) -> Option<Vec<usize>> {
-    let with = |motion: &Vector4<f64>, sigmas: f64| -> Vec<usize> {
-        let agree = shifts
-            .iter()
-            .filter(|(_, shift)| shift.left_by(motion).norm() < sigmas);
-        agree.map(|(n, _)| *n).collect()
-    };
-    let of_frame =
-        |shift: &Displacement| Vector4::new(shift.moved_px.x, shift.moved_px.y, 0.0, 0.0);
-    let first = shifts.values().map(of_frame);
-    // Both of two frames have their errors.
-    let mut part = first
-        .map(|motion| with(&motion, OFF_SIGMAS * 2_f64.sqrt()))
-        .max_by_key(Vec::len)?;
-    for _ in 0..ROUNDS {
-        let slopes = part.iter().map(|n| (&shifts[n], shifts[n].slopes()));
-        part = with(&motion(slopes).ok()?.parameters, OFF_SIGMAS);
+/// Frames by the motions that most of them agree with, each with the one that leaves it least.
+fn parted(shifts: &BTreeMap<usize, Displacement>) -> Option<Vec<Vec<usize>>> {
+    let (mut rest, mut motions) = (shifts.clone(), Vec::new());
+    while let Some(motion) = most_agreed(&rest) {
+        let agreeing = agreeing(&rest, &motion, OFF_SIGMAS);
+        if agreeing.len() < LEAST_FRAMES {
+            break;
+        }
+        agreeing.iter().for_each(|n| _ = rest.remove(n));
+        motions.push(motion);
     }
-    Some(part)
+    if LEAST_MEAN * motions.len() > shifts.len() {
+        return None;
+    }
+    let left = |shift: &Displacement, motion: &Vector4<f64>| shift.left_by(motion).norm();
+    let mut parts: Vec<Vec<usize>> = Vec::new();
+    for _ in 0..ROUNDS {
+        parts = vec![Vec::new(); motions.len()];
+        for (n, shift) in shifts {
+            let lefts = motions.iter().map(|motion| left(shift, motion));
+            let nearest = lefts.enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
+            parts[nearest.0].push(*n);
+        }
+        parts.retain(|part| part.len() >= LEAST_FRAMES);
+        let fitted = parts.iter().map(|part| fitted(shifts, part));
+        motions = fitted.collect::<Option<_>>()?;
+    }
+    let off = shifts.values().filter(|shift| {
+        let lefts = motions.iter().map(|motion| left(shift, motion));
+        lefts.fold(f64::INFINITY, f64::min) > OFF_SIGMAS
+    });
+    (off.count() as f64 <= FEW * shifts.len() as f64).then_some(parts)
+}
+
+/// The motion that most frames agree with: of those of a frame alone, and of each with the next.
+fn most_agreed(shifts: &BTreeMap<usize, Displacement>) -> Option<Vector4<f64>> {
+    let frames: Vec<&Displacement> = shifts.values().collect();
+    let of_frame = |one: &&Displacement| Vector4::new(one.moved_px.x, one.moved_px.y, 0.0, 0.0);
+    let of_pair = |pair: &[&Displacement]| {
+        let mut slopes = Matrix4::zeros();
+        let mut moved = Vector4::zeros();
+        for (n, one) in pair.iter().enumerate() {
+            slopes
+                .fixed_view_mut::<2, 4>(2 * n, 0)
+                .copy_from(&one.slopes());
+            moved.fixed_rows_mut::<2>(2 * n).copy_from(&one.moved_px);
+        }
+        slopes.lu().solve(&moved)
+    };
+    let tried = frames.len().div_ceil(TRIED).max(1);
+    let alone = frames.iter().step_by(tried).map(of_frame);
+    let in_pairs = frames.windows(2).step_by(tried).filter_map(of_pair);
+    // Such a motion has the errors of its frames.
+    let with = |motion: &Vector4<f64>| agreeing(shifts, motion, 2.0 * OFF_SIGMAS);
+    let mut part = alone
+        .chain(in_pairs)
+        .map(|motion| with(&motion))
+        .max_by_key(Vec::len)?;
+    let mut motion = fitted(shifts, &part)?;
+    for _ in 1..ROUNDS {
+        part = agreeing(shifts, &motion, OFF_SIGMAS);
+        motion = fitted(shifts, &part)?;
+    }
+    Some(motion)
+}
+
+fn agreeing(
+    shifts: &BTreeMap<usize, Displacement>,
+    motion: &Vector4<f64>,
+    sigmas: f64,
+) -> Vec<usize> {
+    let agree = shifts
+        .iter()
+        .filter(|(_, shift)| shift.left_by(motion).norm() < sigmas);
+    agree.map(|(n, _)| *n).collect()
+}
+
+fn fitted(shifts: &BTreeMap<usize, Displacement>, part: &[usize]) -> Option<Vector4<f64>> {
+    let slopes = part.iter().map(|n| (&shifts[n], shifts[n].slopes()));
+    Some(motion(slopes).ok()?.parameters)
 }

@@ -1,6 +1,6 @@
 //! The result of a calibration as lines of text.
 
-use super::calibration::Calibration;
+use super::calibration::{Beginning, Calibration};
 use super::fit::{LENS_PRIOR_PX, PlateFit, PoseFit};
 use crate::plate::{MarkId, drawn_position};
 use crate::units::{SensorPx, counted};
@@ -30,6 +30,11 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
         calibration.rejected.len(),
         counted(calibration.poses.len() as u64, "pose")
     )];
+    if calibration.beginning == Beginning::Drawing {
+        let line =
+            "start      the file rests on these very frames: its marks begin with the drawing";
+        lines.push(line.into());
+    }
     let found = poses_of_folders(calibration).into_iter();
     lines.extend(found.map(|(path, poses)| {
         format!(

@@ -15,8 +15,8 @@ use toml_edit::{Array, ArrayOfTables, Item, Table, Value, value};
 impl Calibration {
     /// Writes marks, lens and mounting, and where they come from, into the file of the start instrument; all else stays as it
     /// is.
-    pub fn revise(&self, revision: &mut Revision, start: &Instrument) {
-        let fit = &self.fit;
+    pub fn revise(&self, revision: &mut Revision) {
+        let (fit, start) = (&self.fit, &self.start);
         let provenance = provenance(self);
         if fit.distortion != Distortion::NONE || start.camera.distortion != Distortion::NONE {
             distortion(revision, self, &provenance);
@@ -32,6 +32,7 @@ impl Calibration {
         revision.sign(&provenance.with_source(note));
         let poses = i64::try_from(self.poses.len()).unwrap_or(i64::MAX);
         revision.put("calibration.plate.poses", value(poses));
+        self.counted.list(revision);
         if !self.suspects.is_empty() {
             let ids = self.suspects.iter().map(|mark| id_value(mark.id));
             revision.put(

@@ -10,15 +10,17 @@
 //! its limb and the camera's height.
 //!
 //! ```text
-//! sighting <- fit <- report; sighting <- collect
+//! sighting <- fit <- report <- from_frames; sighting <- collect <- from_frames
 //! ```
 
 mod collect;
 mod fit;
+mod from_frames;
 mod report;
 mod sighting;
 
 pub use collect::{Horizons, collect, with_attitude, with_sun};
 pub use fit::{LIMIT_DEG, Turn, TurnError, fit};
+pub use from_frames::{FromFrames, Reference, from_frames};
 pub use report::NAME;
 pub use sighting::{Horizon, Known, Sighting};

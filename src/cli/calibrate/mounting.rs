@@ -1,17 +1,13 @@
 //! `solaspect calibrate mounting`: boresight, clocking, plate distance, rule of directions and mirror.
 
 use super::edition::{Edition, print_rejected};
-use crate::calibrate::mounting::{self, Frames, Mounting, PointingLog, Pointings};
-use crate::calibrate::revision::Provenance;
+use crate::calibrate::mounting::{self, Frames, PointingLog};
 use crate::cli::options;
 use crate::cli::output::say;
-use crate::geometry::Handedness;
-use crate::observe::{Depth, RejectedFrame, Watch, list, sha256};
+use crate::observe::Watch;
 use crate::sky::Air;
 use crate::units::Place;
-use anyhow::Context;
 use clap::Args;
-use jiff::tz::TimeZone;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -75,7 +71,6 @@ pub fn run(args: MountingArgs, watch: &dyn Watch) -> anyhow::Result<ExitCode> {
         .as_deref()
         .map(PointingLog::read)
         .transpose()?;
-    let files = list(&args.frames, Depth::All)?;
     let frames = Frames {
         instrument: &stated,
         place: args.place.or(config.site.place()),
@@ -84,62 +79,13 @@ pub fn run(args: MountingArgs, watch: &dyn Watch) -> anyhow::Result<ExitCode> {
         air: args.air,
         ephemeris: options::ephemeris(&config)?,
     };
-    let (observations, mut rejected, handedness) = mounting::collect(&files, &frames, watch)?;
-    let pointings = match log {
-        Some(_) => Pointings::Known,
-        None => Pointings::Fixed,
-    };
-    let mut seen = stated.clone();
-    seen.mounting.handedness = handedness;
-    let mounting = mounting::calibrate(&observations, pointings, &seen)
-        .with_context(|| RejectedFrame::count_and_first(&rejected))?;
-    rejected.extend(mounting.rejected.iter().cloned());
-    let provenance = provenance(&mounting, &files);
-    mounting.revise(&mut revision, &provenance);
-    let found = (handedness != stated.mounting.handedness).then(|| handedness_name(handedness));
-    if let Some(name) = found {
-        revision.set("mounting.handedness", name.into(), None, &provenance);
-    }
+    let found = mounting::from_frames(&args.frames, &frames, watch)?;
+    found.revise(&mut revision);
     args.edition.write(&revision)?;
-    say(mounting.agreement(&stated))?;
-    mounting.quantities.iter().try_for_each(say)?;
-    if let Some(name) = found {
-        say(format_args!("handedness: determined by the marks: {name}"))?;
-    }
-    print_rejected(&rejected)?;
-    args.edition.write_page("mounting.html", || {
-        mounting::page(&mounting, &seen, &provenance.source, &rejected)
-    })?;
+    found.lines().iter().try_for_each(say)?;
+    print_rejected(&found.rejected)?;
+    args.edition.write_page("mounting.html", || found.page())?;
     Ok(ExitCode::SUCCESS)
-}
-
-fn handedness_name(handedness: Handedness) -> &'static str {
-    match handedness {
-        Handedness::Mirrored => "mirrored",
-        Handedness::Direct => "direct",
-    }
-}
-
-fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
-    let way = match mounting.fit.pointings {
-        Pointings::Known => "known pointing",
-        Pointings::Fixed => "drift scan",
-    };
-    let times = || mounting.fit.residuals.iter().map(|r| r.utc);
-    let (first, last) = (
-        times().min().unwrap_or_default(),
-        times().max().unwrap_or_default(),
-    );
-    let taken = mounting.fit.accepted();
-    Provenance {
-        name: "mounting",
-        source: format!("mounting calibration, {way}, {taken} frames from {first:.0} to {last:.0}"),
-        date: Some(TimeZone::UTC.to_datetime(last).date()),
-        frames: taken,
-        frames_sha256: sha256(files),
-        // The Sun's path tells how the plate sits, not which camera sees it.
-        camera: None,
-    }
 }
 
 #[cfg(test)]

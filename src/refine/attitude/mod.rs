@@ -178,7 +178,9 @@ impl<'a> Attitude<'a> {
         };
         let (text, settings) = (&given.text, &given.settings);
         let text = calibrated(&given.path, text, settings, constants, &source)?;
-        write_if(path, &text, |part| Settings::read(part).map(drop))
+        Ok(write_if(path, &text, |part| {
+            Settings::read(part).map(drop)
+        })?)
     }
 
     /// What came out.

@@ -1,0 +1,95 @@
+//! From files to a mounting.
+
+use super::calibration::{Mounting, calibrate};
+use super::collect::{Frames, collect};
+use super::fit::Pointings;
+use super::observation::MountingError;
+use super::report::page;
+use crate::calibrate::frames::CalibrateError;
+use crate::calibrate::revision::{Provenance, Revision};
+use crate::geometry::Handedness;
+use crate::instrument::Instrument;
+use crate::observe::{Depth, RejectedFrame, Watch, list};
+use crate::report::plot::PlotError;
+use std::path::PathBuf;
+
+/// A mounting that frames gave, and what it was made of.
+#[derive(Debug, Clone)]
+pub struct FromFrames {
+    pub mounting: Mounting,
+    /// The instrument that it began with, but for how the camera sees the plate: as the marks say.
+    pub seen: Instrument,
+    /// How the camera sees the plate, where the instrument stated it otherwise.
+    pub other_handedness: Option<Handedness>,
+    pub rejected: Vec<RejectedFrame>,
+    pub provenance: Provenance,
+}
+
+/// Calibrates the mounting of an instrument from frames and folders of them.
+///
+/// # Errors
+/// Frames that are not the instrument's, or do not determine a mounting at all.
+pub fn from_frames(
+    given: &[PathBuf],
+    frames: &Frames<'_>,
+    watch: &dyn Watch,
+) -> Result<FromFrames, CalibrateError<MountingError>> {
+    let files = list(given, Depth::All)?;
+    let (observations, mut rejected, handedness) = collect(&files, frames, watch)?;
+    let pointings = match frames.log {
+        Some(_) => Pointings::Known,
+        None => Pointings::Fixed,
+    };
+    let mut seen = frames.instrument.clone();
+    seen.mounting.handedness = handedness;
+    let mounting = calibrate(&observations, pointings, &seen)
+        .map_err(CalibrateError::undetermined(&rejected))?;
+    rejected.extend(mounting.rejected.iter().cloned());
+    let stated = frames.instrument.mounting.handedness;
+    Ok(FromFrames {
+        provenance: provenance(&mounting, &files),
+        other_handedness: Some(handedness).filter(|found| *found != stated),
+        mounting,
+        seen,
+        rejected,
+    })
+}
+
+impl FromFrames {
+    /// Writes what was determined into an instrument's file; what was not stays as it is.
+    pub fn revise(&self, revision: &mut Revision) {
+        self.mounting.revise(revision, &self.provenance);
+        if let Some(found) = self.other_handedness {
+            let name = found.name().into();
+            revision.set("mounting.handedness", name, None, &self.provenance);
+        }
+    }
+
+    /// For people, without the rejected frames.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines = vec![self.mounting.agreement(&self.seen)];
+        lines.extend(self.mounting.quantities.iter().map(ToString::to_string));
+        let found = self.other_handedness.map(Handedness::name);
+        lines.extend(found.map(|name| format!("handedness: determined by the marks: {name}")));
+        lines
+    }
+
+    /// # Errors
+    /// A figure that cannot be drawn.
+    pub fn page(&self) -> Result<String, PlotError> {
+        let source = &self.provenance.source;
+        page(&self.mounting, &self.seen, source, &self.rejected)
+    }
+}
+
+fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
+    let way = match mounting.fit.pointings {
+        Pointings::Known => "known pointing",
+        Pointings::Fixed => "drift scan",
+    };
+    let times = mounting.fit.residuals.iter().map(|r| r.utc);
+    let frames = mounting.fit.accepted();
+    let done = format!("mounting calibration, {way}");
+    // The Sun's path tells how the plate sits, not which camera sees it.
+    Provenance::over("mounting", &done, frames, times, files)
+}

@@ -1,0 +1,59 @@
+//! The frames that an instrument's file rests on already: none of them counts twice.
+
+use crate::calibrate::revision::Revision;
+use crate::observe::Hash;
+use std::collections::BTreeSet;
+use toml_edit::{Item, value};
+
+/// Digits of a frame's SHA-256 that tell it from others: in one of five million sets of 10,000 frames two are taken for one.
+const DIGITS: usize = 12;
+/// Where the file lists them.
+const KEY: &str = "calibration.plate.frame_hashes";
+
+/// The frames that a file's marks rest on.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Counted {
+    /// Over all frames of the last calibration: older files list none.
+    of_all: Option<String>,
+    frames: BTreeSet<String>,
+}
+
+impl Counted {
+    /// Those that an instrument's file lists.
+    pub fn of(revision: &Revision) -> Self {
+        let text = |key: &str| revision.get(key).and_then(Item::as_str);
+        let frames = text(KEY).unwrap_or_default().split_whitespace();
+        Self {
+            of_all: text("calibration.plate.frames_sha256").map(str::to_owned),
+            frames: frames.map(str::to_owned).collect(),
+        }
+    }
+
+    /// Whether they are all the frames that are given, whose common hash is this.
+    pub(super) fn are(&self, frames_sha256: &str) -> bool {
+        self.of_all.as_deref() == Some(frames_sha256)
+    }
+
+    pub(super) fn holds(&self, frame: &Hash) -> bool {
+        self.frames.contains(&digits(frame))
+    }
+
+    /// With further frames.
+    pub(super) fn with<'a>(&self, frames: impl Iterator<Item = &'a Hash>) -> Self {
+        let frames = self.frames.iter().cloned().chain(frames.map(digits));
+        Self {
+            of_all: None,
+            frames: frames.collect(),
+        }
+    }
+
+    pub(super) fn list(&self, revision: &mut Revision) {
+        let frames: Vec<&str> = self.frames.iter().map(String::as_str).collect();
+        revision.put(KEY, value(frames.join(" ")));
+    }
+}
+
+fn digits(hash: &Hash) -> String {
+    let bytes = hash.iter().take(DIGITS / 2);
+    bytes.map(|byte| format!("{byte:02x}")).collect()
+}

@@ -1,0 +1,64 @@
+//! Frames that a file rests on already.
+
+use super::scenes::{K1, near, pose_folder, similarity, truth};
+use solaspect::calibrate::plate::{self, Beginning, Counted};
+use solaspect::calibrate::revision::Revision;
+use solaspect::geometry::SimilarityParameters;
+use solaspect::instrument::{Instrument, builtin_text};
+use std::path::{Path, PathBuf};
+
+#[test]
+fn no_frame_counts_twice_in_a_file() {
+    let (root, truth) = (tempfile::tempdir().unwrap(), truth(1.0, K1, 21));
+    // The camera is moved by so little that the mounting of one pose does for all.
+    let folders: Vec<PathBuf> = [0.0, 0.01, 0.02]
+        .into_iter()
+        .enumerate()
+        .map(|(pose, turn_deg)| {
+            pose_folder(root.path(), pose, 14, &truth, near, |_, conditions| {
+                conditions.similarity = SimilarityParameters {
+                    rotation_deg: turn_deg,
+                    ..similarity(0)
+                };
+            })
+        })
+        .collect();
+    let next = |text: &str, given: &[PathBuf]| {
+        let mut revision = Revision::of(Path::new("a.toml"), text).unwrap();
+        let start = Instrument::parse(Path::new("a.toml"), text).unwrap();
+        let counted = Counted::of(&revision);
+        let calibration = plate::calibrate(given, &start, &counted, &()).unwrap();
+        calibration.revise(&mut revision);
+        (calibration, revision.finish().unwrap().0)
+    };
+    let (first, text) = next(builtin_text("demo").unwrap(), &folders[..2]);
+    assert_eq!((first.beginning, first.poses.len()), (Beginning::File, 2));
+
+    // A pose that is known and a new one.
+    let (second, text) = next(&text, &folders[1..]);
+    assert_eq!((second.beginning, second.poses.len()), (Beginning::File, 1));
+    let set_aside = second
+        .rejected
+        .iter()
+        .filter(|r| r.reason.contains("rests on it already"));
+    assert_eq!(set_aside.count(), 14);
+    assert!(
+        second
+            .frames()
+            .all(|frame| frame.file.starts_with(&folders[2]))
+    );
+
+    // All of them, and some of them: the marks begin with the drawing, and the file rests on these alone.
+    let (third, all) = next(&text, &folders);
+    assert_eq!(
+        (third.beginning, third.poses.len()),
+        (Beginning::Drawing, 3)
+    );
+    let (fourth, some) = next(&text, &folders[..1]);
+    assert_eq!(fourth.beginning, Beginning::Drawing);
+    let hashes = |text: &str| {
+        let (_, list) = text.split_once("frame_hashes = \"").unwrap();
+        list.split('"').next().unwrap().split(' ').count()
+    };
+    assert_eq!([&text, &all, &some].map(|text| hashes(text)), [42, 42, 14]);
+}
