@@ -12,7 +12,7 @@
 use super::fit::PlateFit;
 use super::observation::{FrameObservation, Pose, consensus};
 use super::refusal::Refusal;
-use super::rest::Shifts;
+use super::rest::{Parts, Shifts};
 use super::slips;
 use crate::geometry::Mapping;
 use crate::observe::RejectedFrame;
@@ -144,10 +144,12 @@ impl Posed {
                 .iter()
                 .map(|n| (firsts[*n]..firsts[n + 1]).collect())
                 .collect();
-            let parts = Some(&poses)
-                .filter(|_| restless)
-                .and_then(|poses| shifts.parts(poses));
-            let parts = parts.unwrap_or_else(|| own.clone());
+            let parts = Some(&poses).filter(|_| restless);
+            let parts = parts.and_then(|poses| shifts.parts(poses));
+            let Parts { parts, untold } = parts.unwrap_or_else(|| Parts {
+                parts: own.clone(),
+                untold: Vec::new(),
+            });
             changed |= parts != own;
             let pose = &self.poses[poses[0]];
             parted.extend(
@@ -155,6 +157,12 @@ impl Posed {
                     pose.with_frames(part.iter().map(|n| frames[*n].clone()).collect())
                 }),
             );
+            let reason =
+                "neither its time nor a mark that other frames show tells which pose it is of";
+            let untold = untold
+                .iter()
+                .map(|n| RejectedFrame::new(&frames[*n].file, reason));
+            self.rejected.extend(untold);
         }
         self.poses = parted;
         self.number();

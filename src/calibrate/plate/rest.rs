@@ -9,7 +9,7 @@ use super::motion::{Displacement, motion};
 use crate::calibrate::numbers::median;
 use crate::estimation::MEDIAN_LENGTH_2D;
 use crate::plate::MarkId;
-use crate::units::SensorPx;
+use crate::units::PlateMil;
 use nalgebra::{Matrix4, Vector2, Vector4};
 use std::collections::BTreeMap;
 
@@ -28,29 +28,50 @@ const TRIED: usize = 200;
 /// 1 sigma of a median of normal values over that of their mean.
 const MEDIAN_SIGMA: f64 = 1.25;
 
+/// A mark of a frame that other frames saw too, and by how much its residual grows where these alone tell its place.
+#[derive(Debug, Clone, Copy)]
+struct Checked<'a> {
+    residual: &'a Residual,
+    growth: f64,
+}
+
 /// The frames of a fit, and how far off they lie.
 pub(super) struct Shifts<'a> {
     fit: &'a PlateFit,
-    /// The residuals of each frame's marks, by pose.
-    frames: Vec<BTreeMap<usize, Vec<&'a Residual>>>,
+    /// The marks of each frame, by pose.
+    frames: Vec<BTreeMap<usize, Vec<Checked<'a>>>>,
     /// Of the marks within the frames, over what these state.
     scatter: f64,
 }
 
+/// The frames of some poses by parts that each rest.
+pub(super) struct Parts {
+    pub parts: Vec<Vec<usize>>,
+    /// Frames of which nothing tells the part: no other frame saw their marks.
+    pub untold: Vec<usize>,
+}
+
 impl<'a> Shifts<'a> {
     pub fn of(fit: &'a PlateFit) -> Self {
-        let mut frames: Vec<BTreeMap<usize, Vec<&Residual>>> =
-            vec![BTreeMap::new(); fit.poses.len()];
+        let seen: BTreeMap<MarkId, usize> =
+            fit.marks.iter().map(|m| (m.id, m.observations)).collect();
+        let mut frames: Vec<BTreeMap<usize, Vec<Checked>>> = vec![BTreeMap::new(); fit.poses.len()];
         for residual in &fit.residuals {
-            let of_pose = &mut frames[residual.pose];
-            of_pose.entry(residual.frame).or_default().push(residual);
+            let marks = frames[residual.pose].entry(residual.frame).or_default();
+            let seen = seen.get(&residual.id).copied().unwrap_or(0);
+            let by_others = seen.saturating_sub(usize::from(residual.weight > 0.0));
+            if by_others > 0 {
+                let growth = seen as f64 / by_others as f64;
+                marks.push(Checked { residual, growth });
+            }
         }
         let within = frames.iter().flat_map(BTreeMap::values).flat_map(|marks| {
-            let shift = shift(marks, |r| r.residual_px).moved_px;
-            let freedom = (1.0 - 1.0 / marks.len() as f64).sqrt();
-            let left =
-                move |r: &&Residual| (r.residual_px - shift).norm() / (r.stated_px * freedom);
-            marks.iter().map(left)
+            let shift = from_own_pose(marks).map_or(Vector2::zeros(), |s| s.moved_px);
+            let freedom = (1.0 - 1.0 / marks.len().max(2) as f64).sqrt();
+            marks.iter().map(move |Checked { residual, growth }| {
+                let left = residual.residual_px * *growth - shift;
+                left.norm() / (residual.stated_px * growth.sqrt() * freedom)
+            })
         });
         let scatter = (median(within) / MEDIAN_LENGTH_2D).max(1.0);
         Self {
@@ -68,9 +89,10 @@ impl<'a> Shifts<'a> {
     /// How many frames of a pose are off; none where it rests.
     pub fn off(&self, pose: usize) -> usize {
         let frames = &self.frames[pose];
-        let is_off = |marks: &&Vec<&Residual>| {
-            let shift = shift(marks, |r| r.residual_px);
-            shift.moved_px.norm() > OFF_SIGMAS * self.scatter * shift.sigma_px
+        let is_off = |marks: &&Vec<Checked>| {
+            from_own_pose(marks).is_some_and(|shift| {
+                shift.moved_px.norm() > OFF_SIGMAS * self.scatter * shift.sigma_px
+            })
         };
         let off = frames.values().filter(is_off).count();
         let few = LEAST_FRAMES.max((FEW * frames.len() as f64) as usize);
@@ -78,43 +100,49 @@ impl<'a> Shifts<'a> {
     }
 
     /// The frames of some poses, whose mappings are nearly one, by parts that each rest. `None` where they do not make such parts.
-    pub fn parts(&self, poses: &[usize]) -> Option<Vec<Vec<usize>>> {
+    pub fn parts(&self, poses: &[usize]) -> Option<Parts> {
         let mapping = self.fit.poses[*poses.first()?].mapping;
         let marks = self.fit.marks.iter();
-        let places: BTreeMap<MarkId, SensorPx> = marks
-            .map(|mark| (mark.id, mapping.to_sensor(mark.position)))
-            .collect();
-        let frames = poses.iter().flat_map(|pose| &self.frames[*pose]);
-        let shifts: BTreeMap<usize, Displacement> = frames
+        let places: BTreeMap<MarkId, PlateMil> =
+            marks.map(|mark| (mark.id, mark.position)).collect();
+        let own_pose = |r: &Residual| {
+            r.at.vector() - r.residual_px - mapping.to_sensor(places[&r.id]).vector()
+        };
+        let frames = || poses.iter().flat_map(|pose| &self.frames[*pose]);
+        let shifts: BTreeMap<usize, Displacement> = frames()
             .filter_map(|(frame, marks)| {
-                let known = marks.iter().copied();
-                let known: Vec<&Residual> = known.filter(|r| places.contains_key(&r.id)).collect();
-                let mut shift = shift(&known, |r| r.at.vector() - places[&r.id].vector());
+                let mut shift = shift(marks, own_pose)?;
                 shift.sigma_px *= self.scatter;
-                (!known.is_empty()).then_some((*frame, shift))
+                Some((*frame, shift))
             })
             .collect();
         let mut parts = parted(&shifts)?;
-        let all = poses.iter().flat_map(|pose| self.frames[*pose].keys());
-        let others = all.filter(|n| !parts.iter().any(|part| part.contains(n)));
-        let others: Vec<usize> = others.copied().collect();
-        // The adjustment judges what tells too little.
-        let first = parts.first_mut()?;
-        first.extend(others);
-        first.sort_unstable();
-        Some(parts)
+        let told = |n: &usize| parts.iter().any(|part| part.contains(n));
+        let others = frames().map(|(n, _)| *n).filter(|n| !told(n));
+        let mut untold: Vec<usize> = others.collect();
+        if let [only] = parts.as_mut_slice() {
+            only.append(&mut untold);
+            only.sort_unstable();
+        }
+        Some(Parts { parts, untold })
     }
 }
 
-/// How far the marks of a frame are off, together: their median, whatever a few of them say that it misread.
-fn shift(marks: &[&Residual], off_px: impl Fn(&Residual) -> Vector2<f64>) -> Displacement {
-    let middle = |of: &dyn Fn(&Residual) -> f64| median(marks.iter().map(|r| of(r)));
-    let stated_px = middle(&|r| r.stated_px);
-    Displacement {
-        at: Vector2::new(middle(&|r| r.at.x), middle(&|r| r.at.y)),
-        moved_px: Vector2::new(middle(&|r| off_px(r).x), middle(&|r| off_px(r).y)),
-        sigma_px: MEDIAN_SIGMA * stated_px / (marks.len() as f64).sqrt(),
-    }
+fn from_own_pose(marks: &[Checked]) -> Option<Displacement> {
+    shift(marks, |_| Vector2::zeros())
+}
+
+/// How far the marks of a frame are off, together: their median, whatever a few of them say that it misread. `pose_px` is how far its pose is
+/// off there. `None` where no other frame tells their places.
+fn shift(marks: &[Checked], pose_px: impl Fn(&Residual) -> Vector2<f64>) -> Option<Displacement> {
+    let off_px = |m: &Checked| pose_px(m.residual) + m.residual.residual_px * m.growth;
+    let middle = |of: &dyn Fn(&Checked) -> f64| median(marks.iter().map(of));
+    let sigma_px = middle(&|m| m.residual.stated_px * m.growth.sqrt());
+    (!marks.is_empty()).then(|| Displacement {
+        at: Vector2::new(middle(&|m| m.residual.at.x), middle(&|m| m.residual.at.y)),
+        moved_px: Vector2::new(middle(&|m| off_px(m).x), middle(&|m| off_px(m).y)),
+        sigma_px: MEDIAN_SIGMA * sigma_px / (marks.len() as f64).sqrt(),
+    })
 }
 
 /// Frames by the motions that most of them agree with, each with the one that leaves it least.
