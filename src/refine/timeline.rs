@@ -131,6 +131,10 @@ impl<T: Dated> Timeline<T> {
         for ((input, stamp), timing) in stamped.into_iter().zip(&stamps).zip(timings) {
             let input = &camera.inputs[input as usize];
             let Some(place) = done.place(input) else {
+                rest.push(Rest::Unread {
+                    file: input.file.clone(),
+                    error: "no record".into(),
+                });
                 continue;
             };
             match timing.utc_ns(stamp.utc_ns) {

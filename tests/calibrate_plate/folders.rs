@@ -1,7 +1,7 @@
 //! Several folders, in some of which the camera slipped.
 
 use super::judged::{errors, worst};
-use super::scenes::{K1, generator, observed, truth};
+use super::scenes::{K1, generator, sun_frame, truth};
 use jiff::{SignedDuration, Timestamp};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -44,8 +44,6 @@ impl Folder {
         times: Times,
         normal: &mut impl FnMut() -> f64,
     ) -> Vec<FrameObservation> {
-        /// Marks of which the whole cross is lit.
-        const LIT_PX: f64 = 87.0;
         let first: Timestamp = "2013-09-21T15:00:00Z".parse().unwrap();
         let similarity = SimilarityParameters {
             plate_centre: SensorPx::new(647.5 + self.shift_px[0], 482.5 + self.shift_px[1]),
@@ -55,10 +53,7 @@ impl Folder {
         };
         let mapping = Mapping::similarity(similarity, truth.camera.distortion).unwrap();
         let frame = |n: usize| {
-            let (x, y) = (0.618_034 * n as f64 % 1.0, 0.754_878 * n as f64 % 1.0);
-            let sun = SensorPx::new(96.0 + 1103.0 * x, 96.0 + 773.0 * y);
-            let lit = |at: SensorPx| at.distance(sun) < LIT_PX;
-            let mut frame = observed((n, number), (truth, mapping), lit, &mut *normal);
+            let mut frame = sun_frame((n, number), (truth, mapping), &mut *normal);
             let at = n as f64 / self.frames as f64;
             let slipped = self.slip.as_ref().filter(|slip| at >= slip.at);
             let time = match (times, slipped) {

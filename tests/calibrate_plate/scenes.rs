@@ -128,6 +128,20 @@ pub fn observed(
     }
 }
 
+/// The n-th generated frame of the Sun, which is all over the sensor in the course of many.
+pub fn sun_frame(
+    (n, pose): (usize, usize),
+    seen_by: (&Instrument, Mapping),
+    normal: &mut impl FnMut() -> f64,
+) -> FrameObservation {
+    /// Marks of which the whole cross is lit.
+    const LIT_PX: f64 = 87.0;
+    // Steps of no period visit every part.
+    let (x, y) = (0.618_034 * n as f64 % 1.0, 0.754_878 * n as f64 % 1.0);
+    let sun = SensorPx::new(96.0 + 1103.0 * x, 96.0 + 773.0 * y);
+    observed((n, pose), seen_by, |at| at.distance(sun) < LIT_PX, normal)
+}
+
 /// Generated frames of the Sun all over the sensor, the poses in turn.
 pub fn sun_frames(
     truth: &Instrument,
@@ -135,18 +149,12 @@ pub fn sun_frames(
     keystone_deg: f64,
     seed: u64,
 ) -> Vec<FrameObservation> {
-    /// Marks of which the whole cross is lit.
-    const LIT_PX: f64 = 87.0;
     let mut normal = generator(seed);
     let distortion = truth.camera.distortion;
     let frame = |n: usize| {
         let pose = n % poses;
         let mapping = keystoned(similarity(pose), keystone_deg, 1296, distortion).unwrap();
-        // Steps of no period visit every part.
-        let (x, y) = (0.618_034 * n as f64 % 1.0, 0.754_878 * n as f64 % 1.0);
-        let sun = SensorPx::new(96.0 + 1103.0 * x, 96.0 + 773.0 * y);
-        let lit = |at: SensorPx| at.distance(sun) < LIT_PX;
-        observed((n, pose), (truth, mapping), lit, &mut normal)
+        sun_frame((n, pose), (truth, mapping), &mut normal)
     };
     let frames = (0..frames).map(frame);
     frames.filter(|frame| frame.marks.len() > 2).collect()

@@ -140,17 +140,13 @@ impl Posed {
         let mut parted = Vec::new();
         for poses in self.stands() {
             let restless = poses.len() > 1 || shifts.off(poses[0]) > 0;
-            let own: Vec<Vec<usize>> = poses
-                .iter()
-                .map(|n| (firsts[*n]..firsts[n + 1]).collect())
-                .collect();
-            let parts = Some(&poses).filter(|_| restless);
-            let parts = parts.and_then(|poses| shifts.parts(poses));
-            let Parts { parts, untold } = parts.unwrap_or_else(|| Parts {
-                parts: own.clone(),
-                untold: Vec::new(),
-            });
-            changed |= parts != own;
+            let Some(Parts { parts, untold }) = restless.then(|| shifts.parts(&poses)).flatten()
+            else {
+                parted.extend(poses.iter().map(|n| self.poses[*n].clone()));
+                continue;
+            };
+            let own = poses.iter().map(|n| (firsts[*n]..firsts[n + 1]).collect());
+            changed |= parts != own.collect::<Vec<Vec<usize>>>();
             let pose = &self.poses[poses[0]];
             parted.extend(
                 parts.iter().map(|part| {

@@ -47,7 +47,7 @@ pub(super) struct Shifts<'a> {
 /// The frames of some poses by parts that each rest.
 pub(super) struct Parts {
     pub parts: Vec<Vec<usize>>,
-    /// Frames of which nothing tells the part: no other frame saw their marks.
+    /// Frames of which nothing tells the part.
     pub untold: Vec<usize>,
 }
 
@@ -156,7 +156,7 @@ fn parted(shifts: &BTreeMap<usize, Displacement>) -> Option<Vec<Vec<usize>>> {
         agreeing.iter().for_each(|n| _ = rest.remove(n));
         motions.push(motion);
     }
-    if LEAST_MEAN * motions.len() > shifts.len() {
+    if motions.is_empty() || LEAST_MEAN * motions.len() > shifts.len() {
         return None;
     }
     let left = |shift: &Displacement, motion: &Vector4<f64>| shift.left_by(motion).norm();

@@ -27,23 +27,24 @@ pub(super) fn run(
         settings: config.roll,
         place,
     };
-    let log = args
-        .attitude
-        .as_deref()
-        .map(AttitudeLog::read)
-        .transpose()?;
-    let (_, telescope) = args.edition.open()?;
-    let frames = Frames {
-        instrument: &telescope,
-        place,
-        log: None,
-        apparent: false,
-        air: args.air,
-        ephemeris: options::ephemeris(&config)?,
-    };
-    let reference = match &log {
-        Some(log) => Reference::Attitude(log),
-        None => Reference::Sun(&frames),
+    let (log, telescope, frames);
+    let reference = match &args.attitude {
+        Some(path) => {
+            log = AttitudeLog::read(path)?;
+            Reference::Attitude(&log)
+        }
+        None => {
+            (_, telescope) = args.edition.open()?;
+            frames = Frames {
+                instrument: &telescope,
+                place,
+                log: None,
+                apparent: false,
+                air: args.air,
+                ephemeris: options::ephemeris(&config)?,
+            };
+            Reference::Sun(&frames)
+        }
     };
     let found = roll_camera::from_frames(&args.frames, &camera, &horizons, reference, watch)?;
     found.revise(&mut revision);
