@@ -6,6 +6,7 @@ mod accuracy;
 mod allocations;
 mod archive;
 mod calibrate_camera;
+mod calibrate_horizon_camera;
 mod calibrate_mounting;
 mod calibrate_plate;
 mod calibrate_roll_camera;

@@ -1,9 +1,8 @@
 //! Estimation: robust scale and loss, and least squares for a few parameters.
 //!
 //! - `robust`: medians, scatter from medians, Tukey's loss, and the constants of the normal distribution that go with them.
-//! - `least_squares`: residuals with their derivatives, a prior and a loss to parameters, covariance and scatter. The
-//!   bundle adjustment of the plate has a solver of its own.
-//! - `normal`: the normal equations of a few parameters, for fits with steps of their own.
+//! - `least_squares`: residuals with their derivatives, a prior and a loss to parameters, covariance and scatter.
+//! - `normal`: the normal equations of a few parameters or of many, for fits with steps of their own.
 //! - `spectrum`: the power spectral density of a motion.
 //! - `schmidt`: the update of an error of many states, some of which are only considered.
 
@@ -16,7 +15,7 @@ pub mod spectrum;
 pub use least_squares::{
     FitError, Fitted, LeastSquares, Linearised, Scale, regression, regression_by,
 };
-pub use normal::{Normal, Prior, Solved};
+pub use normal::{Large, LargeSolved, Normal, Prior, Solved};
 pub use robust::{
     CONTRADICTION_SIGMAS, Loss, MEDIAN_CHI2_2D, MEDIAN_LENGTH_2D, MEDIAN_SIGMA, QUARTILE_SIGMAS,
     SIGMA_PER_MEDIAN, TUKEY_SIGMAS, TUKEY_SIGMAS_2D, clipped_sigma, median, median_among,

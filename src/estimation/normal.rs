@@ -1,6 +1,6 @@
-//! Normal equations of a few parameters.
+//! Normal equations: of a few parameters, and of many of which each observation is of a few.
 
-use nalgebra::{Cholesky, Const, SMatrix, SVector};
+use nalgebra::{Cholesky, Const, DMatrix, DVector, Dyn, Matrix2, SMatrix, SVector, Vector2};
 
 /// An unknown with less than this part of its information independent of those before it is not determined.
 const LEAST_OWN_PART: f64 = 1e-10;
@@ -100,6 +100,22 @@ impl<const N: usize> Normal<N> {
         }
     }
 
+    /// What is left for the last `LEFT` of the parameters once the observations alone have told the `FIRST` (Schur complement). `None` where
+    /// they do not. FIRST + LEFT = N.
+    pub fn of_last<const FIRST: usize, const LEFT: usize>(&self) -> Option<Normal<LEFT>> {
+        let block = self.information.fixed_view::<FIRST, FIRST>(0, 0);
+        let mixed = self.information.fixed_view::<FIRST, LEFT>(0, FIRST);
+        let root = block.into_owned().cholesky()?;
+        let gradient = self.gradient.fixed_rows::<FIRST>(0);
+        let taken = mixed.transpose() * root.solve(&mixed.into_owned());
+        let step = root.solve(&gradient.into_owned());
+        Some(Normal {
+            information: self.information.fixed_view::<LEFT, LEFT>(FIRST, FIRST) - taken,
+            gradient: self.gradient.fixed_rows::<LEFT>(FIRST) - mixed.transpose() * step,
+            chi2: self.chi2 - gradient.dot(&step),
+        })
+    }
+
     /// The Gauss-Newton step from some parameters of which something is known; those of infinite information are held at their mean.
     /// `None` where the others are not determined.
     pub fn solve(&self, prior: &Prior<N>, parameters: &SVector<f64, N>) -> Option<Solved<N>> {
@@ -137,6 +153,86 @@ impl<const N: usize> Normal<N> {
     }
 }
 
+/// The normal equations of many unknowns. A prior is an observation as well.
+#[derive(Debug, Clone)]
+pub struct Large {
+    information: DMatrix<f64>,
+    gradient: DVector<f64>,
+}
+
+/// Solved normal equations of many unknowns.
+#[derive(Debug, Clone)]
+pub struct LargeSolved {
+    /// 0 for those that are held.
+    pub step: DVector<f64>,
+    root: Cholesky<f64, Dyn>,
+    held: Vec<usize>,
+}
+
+impl Large {
+    pub fn zero(unknowns: usize) -> Self {
+        Self {
+            information: DMatrix::zeros(unknowns, unknowns),
+            gradient: DVector::zeros(unknowns),
+        }
+    }
+
+    /// Adds an observation of `D` coordinates and some weight, the inverse of its covariance: the derivatives of its prediction by the unknowns that
+    /// it is of, and observed minus predicted.
+    pub fn add<const D: usize>(
+        &mut self,
+        slopes: &[(usize, SVector<f64, D>)],
+        residual: &SVector<f64, D>,
+        weight: &SMatrix<f64, D, D>,
+    ) {
+        for (a, slope) in slopes {
+            let weighted = weight * slope;
+            self.gradient[*a] += weighted.dot(residual);
+            for (b, slope) in slopes {
+                self.information[(*b, *a)] += weighted.dot(slope);
+            }
+        }
+    }
+
+    /// Adds to the information of two neighbouring unknowns with two others, or with themselves.
+    pub fn add_block(&mut self, [row, column]: [usize; 2], information: &Matrix2<f64>) {
+        let mut block = self.information.fixed_view_mut::<2, 2>(row, column);
+        block += information;
+    }
+
+    /// Adds to the gradient of two neighbouring unknowns.
+    pub fn add_gradient(&mut self, first: usize, gradient: &Vector2<f64>) {
+        let mut rows = self.gradient.fixed_rows_mut::<2>(first);
+        rows += gradient;
+    }
+
+    /// The Gauss-Newton step. `None` where the unknowns that are not held are not determined.
+    pub fn solve(mut self, is_held: impl Fn(usize) -> bool) -> Option<LargeSolved> {
+        let held: Vec<usize> = (0..self.gradient.len()).filter(|n| is_held(*n)).collect();
+        for n in &held {
+            self.information.row_mut(*n).fill(0.0);
+            self.information.column_mut(*n).fill(0.0);
+            (self.information[(*n, *n)], self.gradient[*n]) = (1.0, 0.0);
+        }
+        let root = self.information.cholesky()?;
+        let step = root.solve(&self.gradient);
+        step.iter()
+            .all(|v| v.is_finite())
+            .then_some(LargeSolved { step, root, held })
+    }
+}
+
+impl LargeSolved {
+    /// Covariance of the unknowns after the step: 0 for those that are held.
+    pub fn covariance(&self) -> DMatrix<f64> {
+        let mut covariance = self.root.inverse();
+        for n in &self.held {
+            covariance[(*n, *n)] = 0.0;
+        }
+        covariance
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -166,6 +262,31 @@ mod tests {
         assert!((solved.step - SVector::from([3.1 + 0.5, -0.5])).norm() < 1e-9);
         assert_eq!(solved.covariance()[(1, 1)], 0.0);
         assert!((solved.covariance()[(0, 0)] - 0.01 / 3.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_left_for_the_last_parameters_solves_to_the_same() {
+        let slope = line().of_last::<1, 1>().unwrap();
+        let solved = slope.solve(&Prior::none(), &SVector::zeros()).unwrap();
+        assert!((solved.step[0] - 2.15).abs() < 1e-9);
+        assert!((solved.covariance()[(0, 0)] - 0.01 / 2.0).abs() < 1e-12);
+        assert!((slope.chi2_after(&solved.step) - 1.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn many_unknowns_are_solved_as_a_few_are() {
+        let mut large = Large::zero(3);
+        for (x, y) in [(0.0, 1.0), (1.0, 3.0), (2.0, 5.3)] {
+            let slopes = [(0, SVector::from([1.0])), (2, SVector::from([x]))];
+            large.add(&slopes, &SVector::from([y]), &SMatrix::from([[100.0]]));
+        }
+        assert!(large.clone().solve(|_| false).is_none());
+        let solved = large.solve(|n| n == 1).unwrap();
+        let expected = DVector::from_vec(vec![0.95, 0.0, 2.15]);
+        assert!((&solved.step - expected).norm() < 1e-9);
+        let covariance = solved.covariance();
+        assert_eq!(covariance[(1, 1)], 0.0);
+        assert!((covariance[(2, 2)] - 0.01 / 2.0).abs() < 1e-12);
     }
 
     #[test]

@@ -100,6 +100,19 @@ impl Camera {
         }
     }
 
+    pub fn lens(&self) -> Lens {
+        self.lens
+    }
+
+    /// fx and fy.
+    pub fn focal_px(&self) -> [f64; 2] {
+        self.focal_px.into()
+    }
+
+    pub fn principal_point(&self) -> SensorPx {
+        self.principal_point
+    }
+
     /// Largest angle from the optical axis that the camera sees, rad, without the limit of the sensor's size.
     pub fn limit_rad(&self) -> f64 {
         self.limit_rad
@@ -108,6 +121,12 @@ impl Camera {
     /// The mean of the two focal lengths: pixels per rad at the axis of a lens that makes no distortion.
     pub fn mean_focal_px(&self) -> f64 {
         self.lens.radius(0.0).1 * (self.focal_px.x + self.focal_px.y) / 2.0
+    }
+
+    /// By how much the radius grows with the angle from the axis where a ray is seen, over what it does at the axis.
+    pub fn growth(&self, ray: &UnitVector3<f64>) -> f64 {
+        let (theta, _) = polar(ray);
+        self.lens.radius(theta).1 / self.lens.radius(0.0).1
     }
 
     /// The horizontal focal length over the vertical one: how many times as high as wide pixels are.

@@ -43,6 +43,7 @@ pub use edge::{EdgePoint, EdgeRay, EdgeRays};
 pub use light::Levels;
 pub use nadir::{Conic, EdgeHeight, Nadir, NadirError, nadir, pitch_deg, roll_deg};
 pub use overlay::{overlay, overlay_of_circle};
+pub(crate) use sphere::across;
 pub use sphere::{Ellipsoid, Refraction, Sphere, Viewpoint};
 
 use crate::frame::Frame;

@@ -235,6 +235,11 @@ impl Nadir {
         }
     }
 
+    /// Whether the n-th ray is a part of the edge.
+    pub fn agrees(&self, n: usize) -> bool {
+        self.weights.get(n).is_some_and(|w| *w > LEAST_WEIGHT)
+    }
+
     /// Of the rays of the edge, how many are a part of it.
     pub fn agreeing(&self) -> usize {
         agreeing(&self.weights)

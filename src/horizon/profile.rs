@@ -16,6 +16,8 @@ const MOST_PLACES: usize = 960;
 /// Samples of a profile to each side of the edge.
 const LEAST_SAMPLES: usize = 6;
 const MOST_SAMPLES: usize = 42;
+/// Where the picture grows outwards by less than this share of what it does at its axis, as near the limit of a lens, it shows no profile.
+const LEAST_GROWTH: f64 = 0.3;
 /// The outer part of a profile shows the dark sky.
 const SKY_SHARE: f64 = 0.15;
 /// Noise of the light between four pixels over that of one, on average.
@@ -31,6 +33,13 @@ impl Place {
     fn at(&self, steps: f64) -> SensorPx {
         let [c0, c1, c2] = self.path;
         (c0 + (c1 + c2 * steps) * steps).into()
+    }
+
+    /// Where the path turns back along x or y, if it does.
+    fn turns(&self) -> impl Iterator<Item = f64> + use<> {
+        let [_, c1, c2] = self.path;
+        let turns = [0, 1].map(|axis| -c1[axis] / (2.0 * c2[axis]));
+        turns.into_iter().filter(|t| t.is_finite())
     }
 
     pub fn point(&self, steps: f64, sigma_steps: f64) -> EdgePoint {
@@ -151,7 +160,8 @@ impl Profiles {
     }
 }
 
-/// The place of a cone's edge at an angle around the nadir; `None` where the ends or the middle of its profile are not seen.
+/// The place of a cone's edge at an angle around the nadir; `None` where its profile is not in view (its ends, its middle and where it
+/// turns), or too near the lens's limit.
 fn place(
     cone: &Cone<'_>,
     camera: &Camera,
@@ -164,13 +174,22 @@ fn place(
         is_seen(at).then(|| at.vector())
     };
     let (low, high) = (-(steps.inside as f64), steps.outside as f64);
+    if camera.growth(&cone.ray(around_rad, 0.0)) < LEAST_GROWTH {
+        return None;
+    }
     // The parabola through three pixels of the profile. Most places of a wide cone fail with the first.
     let (on, below, above) = (seen(0.0)?, seen(low)?, seen(high)?);
     let (to_low, to_high) = ((below - on) / low, (above - on) / high);
     let curvature = (to_high - to_low) / (high - low);
-    Some(Place {
+    let place = Place {
         path: [on, to_low - curvature * low, curvature],
-    })
+    };
+    // Between the three a bent path may leave the picture, farthest where it turns.
+    place
+        .turns()
+        .filter(|t| (low..high).contains(t))
+        .all(|t| is_seen(place.at(t)))
+        .then_some(place)
 }
 
 /// Whether the picture has all pixels about a position, and none of them is masked.

@@ -329,7 +329,7 @@ impl<'a> Cone<'a> {
 }
 
 /// Two unit vectors across a direction and each other.
-pub(super) fn across(unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
+pub(crate) fn across(unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
     let first = match unit.x.abs() < 0.5 {
         true => unit.cross(&Vector3::x()).normalize(),
         false => unit.cross(&Vector3::y()).normalize(),

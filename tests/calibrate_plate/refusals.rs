@@ -1,6 +1,7 @@
 //! Sets of frames that give no calibration.
 
 use super::scenes::calibrate;
+use solaspect::calibrate::plate::{Lack, Refusal};
 use solaspect::fits::{self, Compression};
 use solaspect::instrument::builtin;
 use solaspect::simulate::{Conditions, Depth, RandomScenes, Scene};
@@ -101,5 +102,20 @@ fn a_set_that_gives_no_calibration_is_refused_with_what_to_take_instead() {
     assert!(
         text.contains("nowhere") && text.contains("cannot read"),
         "{text}"
+    );
+}
+
+#[test]
+fn frames_that_do_not_determine_the_plate_are_named_with_the_parts_to_photograph() {
+    let lack = Lack {
+        pose: "folder, pose 2".into(),
+        frames: 3,
+        marks: 1,
+        unseen: vec!["the upper left", "the bottom"],
+    };
+    let text = Refusal::Undetermined(vec![lack]).to_string();
+    assert_eq!(
+        text,
+        "the frames do not determine the plate: folder, pose 2 has 3 frames that show 1 mark; take frames in it with the Sun in the upper left, the bottom of the plate"
     );
 }

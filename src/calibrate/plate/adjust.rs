@@ -7,10 +7,11 @@
 //! measured marks from the drawing have none in common.
 
 use super::camera::{LENS, Lens, Prediction, predict, prior_sigmas};
+use crate::estimation::{Large, LargeSolved};
 use crate::geometry::MappingKind;
 use crate::geometry::view::{PARAMETERS, ParameterCovariance, View, parameters_of};
 use crate::units::PlateMil;
-use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, Vector2};
+use nalgebra::{DMatrix, DVector, Matrix1, Matrix2, SMatrix, Vector1, Vector2};
 
 /// The degree of the polynomial in time that a drift follows at most.
 pub(super) const DRIFT: usize = 3;
@@ -99,6 +100,20 @@ impl State {
         self.drift_index(self.views.len())
     }
 
+    /// What the n-th unknown is of.
+    pub(super) fn unknown(&self, n: usize) -> Unknown {
+        let (views, drifts) = (self.view_index(0), self.drift_index(0));
+        match n {
+            n if n < LENS => Unknown::Lens(n),
+            n if n < views => Unknown::Mark((n - LENS) / 2, (n - LENS) % 2),
+            n if n < drifts => Unknown::View((n - views) / PARAMETERS, (n - views) % PARAMETERS),
+            n => {
+                let n = n - drifts;
+                Unknown::Drift(n / (2 * DRIFT), n / 2 % DRIFT, n % 2)
+            }
+        }
+    }
+
     /// How far a pose has drifted at a time within it, px.
     pub(super) fn drifted(&self, pose: usize, time: f64) -> Vector2<f64> {
         drifted(&self.drift_px[pose], &drift_terms(time))
@@ -161,20 +176,6 @@ impl Settled {
         &self.covariance
     }
 
-    /// What the n-th row of the covariance is of.
-    pub(super) fn unknown(&self, n: usize) -> Unknown {
-        let (views, drifts) = (self.state.view_index(0), self.state.drift_index(0));
-        match n {
-            n if n < LENS => Unknown::Lens(n),
-            n if n < views => Unknown::Mark((n - LENS) / 2, (n - LENS) % 2),
-            n if n < drifts => Unknown::View((n - views) / PARAMETERS, (n - views) % PARAMETERS),
-            n => {
-                let n = n - drifts;
-                Unknown::Drift(n / (2 * DRIFT), n / 2 % DRIFT, n % 2)
-            }
-        }
-    }
-
     fn block<const N: usize>(&self, first: usize) -> SMatrix<f64, N, N> {
         let block = self.covariance.fixed_view::<N, N>(first, first);
         block.into_owned()
@@ -198,6 +199,31 @@ impl Settled {
         pose: usize,
     ) -> SMatrix<f64, { 2 * DRIFT }, { 2 * DRIFT }> {
         self.block(self.state.drift_index(pose))
+    }
+}
+
+/// Adds the observations of a mark in a pose: their mean, and what they say of the drift among themselves.
+fn add_cell(normal: &mut Large, state: &State, pose: usize, cell: &Cell) {
+    let p = state.predict(pose, cell.mark);
+    let drift_px = &state.drift_px[pose];
+    let residual = cell.seen - p.seen - drifted(drift_px, &cell.terms);
+    let of_drift = cell.terms.map(|term| Matrix2::identity() * term);
+    let of_drift = of_drift.iter().flat_map(Matrix2::column_iter);
+    let lens = p.lens.column_iter().enumerate();
+    let place = (mark_index(cell.mark)..).zip(p.place.column_iter());
+    let view = (state.view_index(pose)..).zip(p.view.column_iter());
+    let drift = (state.drift_index(pose)..).zip(of_drift);
+    let slopes = lens.chain(place).chain(view).chain(drift);
+    let slopes: Vec<_> = slopes.map(|(n, slope)| (n, slope.into_owned())).collect();
+    normal.add(&slopes, &residual, &cell.weight);
+    let index = |term: usize| state.drift_index(pose) + 2 * term;
+    for (n, spread) in cell.spread.iter().enumerate() {
+        let mut left = cell.trend[n];
+        for (m, spread) in spread.iter().enumerate() {
+            normal.add_block([index(n), index(m)], spread);
+            left -= spread * drift_px[m];
+        }
+        normal.add_gradient(index(n), &left);
     }
 }
 
@@ -231,31 +257,14 @@ impl Problem<'_> {
         for drift in &mut state.drift_px {
             drift[self.freedoms.drift..].fill(Vector2::zeros());
         }
-        let free = self.free(&state);
-        let unknowns = state.unknowns();
         for _ in 0..STEPS {
-            let (information, gradient) = self.normal(&state, &free);
-            let of_free = information.cholesky()?.solve(&gradient);
-            let mut step = DVector::zeros(unknowns);
-            free.iter()
-                .zip(&of_free)
-                .for_each(|(n, value)| step[*n] = *value);
-            let size = step.norm_squared();
-            if !size.is_finite() {
-                return None;
-            }
+            let step = self.solved(&state)?.step;
             state.advance(&step);
-            if size < SETTLED_STEP.powi(2) {
+            if step.norm_squared() < SETTLED_STEP.powi(2) {
                 break;
             }
         }
-        let inverse = self.normal(&state, &free).0.cholesky()?.inverse();
-        let mut covariance = DMatrix::zeros(unknowns, unknowns);
-        for (column, m) in free.iter().enumerate() {
-            for (row, n) in free.iter().enumerate() {
-                covariance[(*n, *m)] = inverse[(row, column)];
-            }
-        }
+        let covariance = self.solved(&state)?.covariance();
         let priors = self.priors(&state);
         Some(Settled {
             chi2_prior: priors.iter().map(|p| (p.off / p.sigma).powi(2)).sum(),
@@ -265,72 +274,44 @@ impl Problem<'_> {
         })
     }
 
-    /// The unknowns that are adjusted. A view stays as it is where fewer marks are seen than determine it.
-    fn free(&self, state: &State) -> Vec<usize> {
-        let lens = (0..LENS).filter(|n| self.freedoms.lens[*n]);
-        let marks = (LENS..state.view_index(0)).filter(|_| self.freedoms.marks);
-        let poses = (0..self.cells.len()).filter(|pose| self.cells[*pose].len() >= LEAST_MARKS);
-        let views = poses.clone().flat_map(|pose| {
-            let free = (state.view_index(pose)..).zip(parameters_of(self.freedoms.view));
-            free.filter(|(_, free)| *free).map(|(n, _)| n)
-        });
-        let terms = 2 * self.freedoms.drift;
-        let drifts = poses.flat_map(|pose| (state.drift_index(pose)..).take(terms));
-        lens.chain(marks).chain(views).chain(drifts).collect()
+    /// Whether an unknown stays as it is: a view, where fewer marks are seen than determine it.
+    fn is_held(&self, unknown: Unknown) -> bool {
+        let is_told = |pose: usize| self.cells[pose].len() >= LEAST_MARKS;
+        let is_free = match unknown {
+            Unknown::Lens(term) => self.freedoms.lens[term],
+            Unknown::Mark(..) => self.freedoms.marks,
+            Unknown::View(pose, n) => parameters_of(self.freedoms.view)[n] && is_told(pose),
+            Unknown::Drift(pose, term, _) => term < self.freedoms.drift && is_told(pose),
+        };
+        !is_free
     }
 
-    /// The normal equations of the free unknowns: information and gradient.
-    fn normal(&self, state: &State, free: &[usize]) -> (DMatrix<f64>, DVector<f64>) {
-        let unknowns = state.unknowns();
-        let mut information = DMatrix::zeros(unknowns, unknowns);
-        let mut gradient = DVector::zeros(unknowns);
+    /// The Gauss-Newton step.
+    fn solved(&self, state: &State) -> Option<LargeSolved> {
+        let mut normal = Large::zero(state.unknowns());
         for (pose, cells) in self.cells.iter().enumerate() {
-            for cell in cells {
-                let p = state.predict(pose, cell.mark);
-                let drift_px = &state.drift_px[pose];
-                let residual = cell.seen - p.seen - drifted(drift_px, &cell.terms);
-                let of_drift = cell.terms.map(|term| Matrix2::identity() * term);
-                let of_drift = of_drift.iter().flat_map(|term| term.column_iter());
-                let lens = p.lens.column_iter().enumerate();
-                let place = (mark_index(cell.mark)..).zip(p.place.column_iter());
-                let view = (state.view_index(pose)..).zip(p.view.column_iter());
-                let drift = (state.drift_index(pose)..).zip(of_drift);
-                let slopes: Vec<_> = lens.chain(place).chain(view).chain(drift).collect();
-                for (a, slope) in &slopes {
-                    let weighted = cell.weight * slope;
-                    gradient[*a] += weighted.dot(&residual);
-                    for (b, slope) in &slopes {
-                        information[(*b, *a)] += weighted.dot(slope);
-                    }
-                }
-                let index = |term: usize| state.drift_index(pose) + 2 * term;
-                for (n, spread) in cell.spread.iter().enumerate() {
-                    let mut left = cell.trend[n];
-                    for (m, spread) in spread.iter().enumerate() {
-                        let mut both = information.fixed_view_mut::<2, 2>(index(n), index(m));
-                        both += spread;
-                        left -= spread * drift_px[m];
-                    }
-                    let mut of_term = gradient.fixed_rows_mut::<2>(index(n));
-                    of_term += left;
-                }
-            }
+            cells
+                .iter()
+                .for_each(|cell| add_cell(&mut normal, state, pose, cell));
         }
-        for prior in self.priors(state) {
-            let n = prior.unknown;
-            information[(n, n)] += prior.sigma.powi(-2);
-            gradient[n] -= prior.off / prior.sigma.powi(2);
+        for Prior {
+            unknown,
+            off,
+            sigma,
+        } in self.priors(state)
+        {
+            let weight = Matrix1::new(sigma.powi(-2));
+            normal.add(
+                &[(unknown, Vector1::new(1.0))],
+                &Vector1::new(-off),
+                &weight,
+            );
         }
         for (row, off) in self.gauge(state) {
-            for (a, slope_a) in &row {
-                gradient[*a] -= GAUGE_WEIGHT * slope_a * off;
-                for (b, slope_b) in &row {
-                    information[(*b, *a)] += GAUGE_WEIGHT * slope_a * slope_b;
-                }
-            }
+            let weight = Matrix1::new(GAUGE_WEIGHT);
+            normal.add(&row, &Vector1::new(-off), &weight);
         }
-        let of_free = information.select_rows(free).select_columns(free);
-        (of_free, gradient.select_rows(free))
+        normal.solve(|n| self.is_held(state.unknown(n)))
     }
 
     /// Of the lens terms, the marks, the views and the drifts, in this order.
@@ -376,7 +357,7 @@ impl Problem<'_> {
     /// What the displacements of the measured marks from their priors must not have in common: shift in x and y, rotation, scale.
     /// Marks count by what the priors know of them, so that those which were measured before keep their place beside those
     /// which were only drawn. Each is a unit vector over the unknowns, with how much of it the displacements have.
-    fn gauge(&self, state: &State) -> Vec<(Vec<(usize, f64)>, f64)> {
+    fn gauge(&self, state: &State) -> Vec<(Vec<(usize, Vector1<f64>)>, f64)> {
         let measured = || self.marks.iter().enumerate().filter(|(_, m)| m.measured);
         let weight =
             |m: &MarkPrior| 2.0 / m.sigma_mil.map(|sigma| sigma.powi(2)).iter().sum::<f64>();
@@ -399,7 +380,9 @@ impl Problem<'_> {
                 v.dot(&displacement)
             });
             let off: f64 = off.sum();
-            let row = unit.flat_map(|(n, _, v)| [0, 1].map(|axis| (mark_index(n) + axis, v[axis])));
+            let row = unit.flat_map(|(n, _, v)| {
+                [0, 1].map(|axis| (mark_index(n) + axis, Vector1::new(v[axis])))
+            });
             (row.collect(), off)
         };
         moves.into_iter().map(row).collect()
@@ -408,13 +391,11 @@ impl Problem<'_> {
     /// Each parameter counts by the part of its prior variance that the observations took away, those of a view in full.
     fn determined(&self, state: &State, priors: &[Prior], covariance: &DMatrix<f64>) -> f64 {
         let views = (self.freedoms.view.parameters() * state.views.len()) as f64;
-        let is_free = |n: usize| match n {
-            lens if lens < LENS => self.freedoms.lens[lens],
-            mark if mark < state.view_index(0) => self.freedoms.marks,
-            view if view < state.drift_index(0) => false,
-            drift => (drift - state.drift_index(0)) / 2 % DRIFT < self.freedoms.drift,
+        let is_common = |n: usize| match state.unknown(n) {
+            Unknown::View(..) => false,
+            unknown => !self.is_held(unknown),
         };
-        let common = priors.iter().filter(|prior| is_free(prior.unknown));
+        let common = priors.iter().filter(|prior| is_common(prior.unknown));
         let part = |prior: &Prior| {
             let left = covariance[(prior.unknown, prior.unknown)] / prior.sigma.powi(2);
             1.0 - left.min(1.0)

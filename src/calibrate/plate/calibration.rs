@@ -219,7 +219,8 @@ fn settle(
 ) -> Result<(Posed, PlateFit), Refusal> {
     let mut parted = 0;
     loop {
-        let fit = fit(&posed.poses, start).ok_or_else(|| Refusal::undetermined(&posed.poses))?;
+        let fit = fit(&posed.poses, start)
+            .ok_or_else(|| Refusal::undetermined(&posed.poses, &start.plate))?;
         if parted < partings && posed.part(&fit) {
             parted += 1;
         } else if posed.reject(&fit)? == 0 {

@@ -66,7 +66,7 @@ impl Parameter {
 /// The largest correlations by size: so many that lens or poses have a part in, and so many between different marks.
 pub(super) fn largest(settled: &Settled, ids: &[MarkId], count: usize) -> Vec<Correlation> {
     let covariance = settled.covariance();
-    let parameter = |n: usize| match settled.unknown(n) {
+    let parameter = |n: usize| match settled.state.unknown(n) {
         Unknown::Lens(term) => Parameter::Lens(term),
         Unknown::Mark(mark, axis) => Parameter::Mark(ids[mark], axis),
         Unknown::View(pose, term) => Parameter::View(pose, term),

@@ -44,7 +44,7 @@ pub use counted::Counted;
 pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual};
 pub use observation::{FrameObservation, MarkObservation, Pose};
 pub use poses::Posed;
-pub use refusal::Refusal;
+pub use refusal::{Lack, Refusal};
 pub use report::html;
 pub use summary::summary;
 pub use suspects::SuspectMark;

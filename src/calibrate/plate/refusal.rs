@@ -2,10 +2,13 @@
 
 use super::observation::Pose;
 use crate::calibrate::frames::WrongFrames;
+use crate::calibrate::parts::{named, part};
 use crate::instrument::WrongSize;
 use crate::observe::InputError;
-use crate::units::counted;
+use crate::plate::{MarkId, Plate};
+use crate::units::{PlateMil, counted};
 use std::collections::BTreeSet;
+use std::fmt;
 use std::path::PathBuf;
 
 /// A set of frames that gives no calibration.
@@ -58,29 +61,62 @@ pub enum Refusal {
         agreeing: usize,
         frames: usize,
     },
-    #[error(
-        "the frames do not determine the plate, that of the pose of fewest marks least: {pose} has {} that show {}; take frames with the Sun all over the plate in each pose",
-        counted(*.frames as u64, "frame"), counted(*.marks as u64, "mark")
-    )]
-    Undetermined {
-        pose: String,
-        frames: usize,
-        marks: usize,
-    },
+    #[error("the frames do not determine the plate: {}", .0.iter().map(Lack::to_string).collect::<Vec<_>>().join("; "))]
+    Undetermined(Vec<Lack>),
+}
+
+/// What the frames of a pose lack.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lack {
+    pub pose: String,
+    pub frames: usize,
+    pub marks: usize,
+    /// Parts of the plate of which they show no mark, or one alone; see [`PARTS`](crate::calibrate::parts::PARTS).
+    pub unseen: Vec<&'static str>,
+}
+
+impl fmt::Display for Lack {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [frames, marks] = [(self.frames, "frame"), (self.marks, "mark")]
+            .map(|(count, name)| counted(count as u64, name));
+        write!(out, "{} has {frames} that show {marks}", self.pose)?;
+        match &self.unseen[..] {
+            [] => write!(out, "; take more of them in it"),
+            parts => write!(
+                out,
+                "; take frames in it with the Sun in {} of the plate",
+                parts.join(", ")
+            ),
+        }
+    }
 }
 
 impl Refusal {
-    /// That poses do not determine the plate: names the one that says least of it.
-    pub(super) fn undetermined(poses: &[Pose]) -> Self {
-        let marks = |pose: &Pose| {
-            let marks = pose.frames.iter().flat_map(|frame| &frame.marks);
-            marks.map(|mark| mark.id).collect::<BTreeSet<_>>().len()
+    /// That poses do not determine the plate: those of fewest marks, and what to photograph in them.
+    pub(super) fn undetermined(poses: &[Pose], plate: &Plate) -> Self {
+        const LISTED: usize = 3;
+        /// Fewer marks of a part do not tell where it is.
+        const LEAST_MARKS: usize = 2;
+        let sizes = plate.marks().map(|(_, at)| at.x.abs().max(at.y.abs()));
+        let reach = sizes.fold(0.0, f64::max);
+        let part_of = |id: MarkId| {
+            let PlateMil { x, y } = plate.position(id);
+            part((x / reach + 1.0) / 2.0, (1.0 - y / reach) / 2.0)
         };
-        let least = poses.iter().min_by_key(|pose| marks(pose));
-        Self::Undetermined {
-            pose: least.map_or_else(String::new, ToString::to_string),
-            frames: least.map_or(0, |pose| pose.frames.len()),
-            marks: least.map_or(0, marks),
-        }
+        let lack = |pose: &Pose| {
+            let marks = pose.frames.iter().flat_map(|frame| &frame.marks);
+            let marks: BTreeSet<MarkId> = marks.map(|mark| mark.id).collect();
+            let count = |n: usize| marks.iter().filter(|id| part_of(**id) == n).count();
+            Lack {
+                pose: pose.to_string(),
+                frames: pose.frames.len(),
+                marks: marks.len(),
+                unseen: named(|n| count(n) < LEAST_MARKS),
+            }
+        };
+        let mut lacks: Vec<Lack> = poses.iter().map(lack).collect();
+        lacks.sort_by_key(|lack| lack.marks);
+        lacks.truncate(LISTED);
+        Self::Undetermined(lacks)
     }
 }

@@ -4,7 +4,7 @@ use super::sighting::{Horizon, Known, Sighting};
 use crate::calibrate::mounting::{AttitudeLog, SunObservation};
 use crate::config;
 use crate::frame::Frame;
-use crate::horizon::{self, Settings};
+use crate::horizon::{self, EdgeHeight, Settings, Sphere};
 use crate::instrument::{DirectionCamera, Instrument};
 use crate::observe::{InputError, RejectedFrame, Watch, over};
 use crate::pointing::{body_nadir, sun_in_telescope};
@@ -26,17 +26,33 @@ pub struct Horizons<'a> {
 }
 
 impl Horizons<'_> {
-    fn solve(&self, file: &Path, frame: &Frame) -> Result<Horizon, String> {
+    /// The sphere below the camera, and what a frame shows of it.
+    ///
+    /// # Errors
+    /// A frame of another size, or without height.
+    pub fn look(
+        &self,
+        frame: &Frame,
+        height: EdgeHeight,
+    ) -> Result<(Sphere, horizon::Solution), String> {
         let size = self.camera.check(frame);
         size.map_err(|error| error.to_string())?;
-        let utc = frame.info.mid_exposure.ok_or("no time")?;
         let place = frame.info.place.or(self.place);
-        let height_m = place.map(|place| place.height_m);
-        let sphere = self.settings.sphere(height_m);
+        let sphere = self.settings.sphere(place.map(|place| place.height_m));
         let sphere = sphere.ok_or(
             "no height above the limb's edge: expected OBSGEO-H, or --place LAT,LON,HEIGHT_M",
         )?;
-        let solution = horizon::solve(&Settings::default(), frame, self.camera, &sphere, None);
+        let settings = Settings {
+            height,
+            ..Settings::default()
+        };
+        let solution = horizon::solve(&settings, frame, self.camera, &sphere, None);
+        Ok((sphere, solution))
+    }
+
+    fn solve(&self, file: &Path, frame: &Frame) -> Result<Horizon, String> {
+        let utc = frame.info.mid_exposure.ok_or("no time")?;
+        let (_, solution) = self.look(frame, EdgeHeight::Given)?;
         match solution.nadir {
             Ok(nadir) => Ok(Horizon {
                 file: file.into(),

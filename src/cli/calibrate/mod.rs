@@ -3,6 +3,7 @@
 mod camera;
 mod compare;
 mod edition;
+mod horizon_camera;
 mod mounting;
 mod plate;
 mod roll_camera;
@@ -25,6 +26,7 @@ pub struct CalibrateArgs {
 enum Part {
     Camera(camera::CameraArgs),
     Compare(compare::CompareArgs),
+    HorizonCamera(horizon_camera::HorizonCameraArgs),
     Mounting(mounting::MountingArgs),
     Plate(plate::PlateArgs),
 }
@@ -39,6 +41,9 @@ impl CalibrateArgs {
         match self.part {
             Part::Camera(args) => camera::run(args, &follower("calibrate camera")),
             Part::Compare(args) => compare::run(&args),
+            Part::HorizonCamera(args) => {
+                horizon_camera::run(&args, &follower("calibrate horizon-camera"))
+            }
             Part::Mounting(args) => {
                 let follower = follower("calibrate mounting");
                 match &args.roll_camera {

@@ -1,0 +1,323 @@
+//! The camera of least squares: every frame has a nadir of its own, all have one camera and one height of the edge.
+//!
+//! Each frame's nadir is found as in flight ([`horizon::nadir`](crate::horizon::nadir())), with its loss; Gauss-Newton steps for what all share
+//! follow from what the frames leave once each has told its nadir.
+//!
+//! A limb's residuals are alike from place to place, and from frame to frame of one flight, so that the covariance is not that of noise: blocks of
+//! frames that follow each other are the draws from which it is told (the sandwich of Huber 1967).
+
+use super::edges::{Limb, uncrossed};
+use super::unknowns::{Change, Stated, UNKNOWNS, Unknown};
+use crate::calibrate::numbers::sigma_text;
+use crate::estimation::{Normal, Solved};
+use crate::geometry::camera::Camera;
+use crate::horizon::{Departure, EdgeHeight, EdgeRay, EdgeRays, Nadir, Sphere, across, nadir};
+use crate::instrument::DirectionCamera;
+use crate::units::Measured;
+use nalgebra::{SMatrix, SVector, UnitVector3};
+use rayon::prelude::*;
+use std::slice::from_ref;
+
+/// Fewer frames tell no scatter.
+const LEAST_FRAMES: usize = 30;
+/// So many blocks of frames.
+const BLOCKS: usize = 60;
+const MOST_STEPS: usize = 30;
+/// A shorter step ends the fit, in sigmas: a point that is now a part of the edge and now none moves it by less.
+const SETTLED_SIGMAS: f64 = 0.02;
+/// The camera's slopes are differences over this part of the sigma that its file is taken to have.
+const DIFFERENCE: f64 = 1e-3;
+/// Of a nadir and what all frames share.
+const OF_FRAME: usize = 2 + UNKNOWNS;
+
+/// A camera's optics by frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Optics {
+    pub camera: Camera,
+    /// By how much each unknown differs from what the file says; see [`Unknown`].
+    pub change: SVector<f64, UNKNOWNS>,
+    pub covariance: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    /// Rms of the edge from the cone, px, of the points that agree.
+    pub residual_px: f64,
+    pub frames: usize,
+    /// Of the edge that agree, and all.
+    pub agreeing: usize,
+    pub points: usize,
+    /// Parts of the picture that hardly a limb crosses; see [`PARTS`](crate::calibrate::parts::PARTS).
+    pub uncrossed: Vec<&'static str>,
+}
+
+impl Optics {
+    /// The change of an unknown.
+    pub fn changed(&self, unknown: Unknown) -> Measured {
+        let n = unknown as usize;
+        Measured::new(self.change[n], self.covariance[(n, n)].max(0.0).sqrt())
+    }
+
+    /// Whether the frames tell the optics well enough.
+    ///
+    /// # Errors
+    /// The first unknown that they do not tell.
+    pub fn check_determined(&self, file: &DirectionCamera) -> Result<(), OpticsError> {
+        for unknown in Unknown::TOLD {
+            let most = unknown.most_sigma(file);
+            let found = self.changed(unknown).sigma;
+            if found > most {
+                return Err(OpticsError::NotDetermined {
+                    unknown,
+                    most,
+                    found,
+                    instead: what_would(self),
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Why frames give no optics.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum OpticsError {
+    #[error("too few frames: expected at least {LEAST_FRAMES} that show the limb, found {0}")]
+    TooFew(usize),
+    #[error(
+        "the {} is not determined: expected a sigma of {} at most, found {}; {instead}",
+        .unknown.name(), sigma_text(*.most), sigma_text(*.found)
+    )]
+    NotDetermined {
+        unknown: Unknown,
+        most: f64,
+        found: f64,
+        instead: String,
+    },
+    #[error(
+        "no camera fits the frames: expected an edge that is a cone of rays, found none after {MOST_STEPS} steps; check size, focal length and heights"
+    )]
+    NoFit,
+}
+
+/// Fits the optics from what the camera's file says. Whether the frames tell them is [`Optics::check_determined`]'s to say.
+///
+/// # Errors
+/// Too few frames, or frames that no camera fits.
+pub fn fit(limbs: &[Limb], file: &DirectionCamera) -> Result<Optics, OpticsError> {
+    if limbs.len() < LEAST_FRAMES {
+        return Err(OpticsError::TooFew(limbs.len()));
+    }
+    let stated = Stated::new(file).ok_or(OpticsError::NoFit)?;
+    let prior = stated.prior();
+    let mut change = Change::zeros();
+    for _ in 0..MOST_STEPS {
+        let frames = of_frames(limbs, &stated, &change).ok_or(OpticsError::NoFit)?;
+        let sum = sum(&frames);
+        let solved = sum.solve(&prior, &change).ok_or(OpticsError::NoFit)?;
+        let covariance = sandwich(&frames, &solved, &prior.information);
+        let sigmas = covariance.diagonal().map(f64::sqrt);
+        if solved.step.component_div(&sigmas).amax() < SETTLED_SIGMAS {
+            return optics(limbs, &stated, change, covariance).ok_or(OpticsError::NoFit);
+        }
+        change += solved.step;
+    }
+    Err(OpticsError::NoFit)
+}
+
+fn sum(frames: &[Normal<UNKNOWNS>]) -> Normal<UNKNOWNS> {
+    frames
+        .iter()
+        .fold(Normal::zero(), |sum, frame| sum.with(frame))
+}
+
+/// What each frame says of what all share, its own nadir told. Nothing of a frame whose edge tells no nadir; `None` of no camera.
+fn of_frames(
+    limbs: &[Limb],
+    stated: &Stated<'_>,
+    change: &Change,
+) -> Option<Vec<Normal<UNKNOWNS>>> {
+    let cameras = Cameras::new(stated, change)?;
+    let frame = |limb: &Limb| {
+        let seen = Seen::by(&cameras.camera, limb, change)?;
+        cameras.normal(&seen).of_last::<2, UNKNOWNS>()
+    };
+    let frames = limbs.par_iter().map(frame);
+    Some(
+        frames
+            .map(|frame| frame.unwrap_or(Normal::zero()))
+            .collect(),
+    )
+}
+
+/// A limb as a camera has it.
+struct Seen {
+    /// With its edge as high as all frames have it.
+    sphere: Sphere,
+    /// 1 sigma of the half-angle that all frames share: of the edge's height, and of where a picture's light has it.
+    edge_rad: f64,
+    rays: Vec<EdgeRay>,
+    nadir: Nadir,
+}
+
+impl Seen {
+    /// `None` of an edge that tells no nadir.
+    fn by(camera: &Camera, limb: &Limb, change: &Change) -> Option<Self> {
+        let seen = |ray: &EdgeRay| {
+            let unit = camera.ray(ray.at)?;
+            Some(EdgeRay { unit, ..*ray })
+        };
+        let edge = EdgeRays {
+            rays: limb.edge.rays.iter().filter_map(seen).collect(),
+            sigma_rad: limb.edge.sigma_rad,
+        };
+        let mut sphere = limb.sphere;
+        let edge_rad = sphere.half_angle_rad.sigma.hypot(edge.sigma_rad);
+        sphere.half_angle_rad.value += change[Unknown::Edge as usize] * edge_rad;
+        let told = nadir(from_ref(&edge), &sphere, EdgeHeight::Given, Departure::NONE);
+        Some(Self {
+            nadir: told.ok()?,
+            rays: edge.rays,
+            sphere,
+            edge_rad,
+        })
+    }
+
+    /// The rays that are a part of the edge. They count alike: were they weighted by what is left of them, the slopes of the weights belonged into
+    /// the normal equations.
+    fn agreeing(&self) -> impl Iterator<Item = &EdgeRay> {
+        let rays = self.rays.iter().enumerate();
+        rays.filter(|(n, _)| self.nadir.agrees(*n))
+            .map(|(_, ray)| ray)
+    }
+
+    fn down(&self) -> &UnitVector3<f64> {
+        &self.nadir.direction.unit
+    }
+
+    /// By how much a ray is inside of the edge.
+    fn left_rad(&self, ray: &EdgeRay) -> f64 {
+        let down = self.down();
+        self.sphere.half_angle_towards(&ray.unit, down) - ray.angle_from(down).0
+    }
+
+    /// The ray of the edge that is next to a ray.
+    fn foot(&self, ray: &EdgeRay) -> UnitVector3<f64> {
+        let inward = self.down().into_inner() - ray.unit.into_inner() * ray.unit.dot(self.down());
+        let (sine, cosine) = self.left_rad(ray).sin_cos();
+        UnitVector3::new_normalize(ray.unit.into_inner() * cosine - inward.normalize() * sine)
+    }
+}
+
+/// A camera, and the same with each of its unknowns moved on by a little.
+struct Cameras {
+    camera: Camera,
+    moved: [(Camera, f64); UNKNOWNS - 1],
+}
+
+impl Cameras {
+    fn new(stated: &Stated<'_>, change: &Change) -> Option<Self> {
+        let camera = stated.camera(change)?;
+        let mut moved = [(camera, 1.0); UNKNOWNS - 1];
+        for (n, (camera, by)) in moved.iter_mut().enumerate() {
+            *by = DIFFERENCE * Unknown::ALL[n].stated_sigma(stated.file);
+            let mut change = *change;
+            change[n] += *by;
+            *camera = stated.camera(&change)?;
+        }
+        Some(Self { camera, moved })
+    }
+
+    /// The normal equations of a frame: of its nadir, and of what all share. Rays beyond a lens's limit are left out.
+    fn normal(&self, seen: &Seen) -> Normal<OF_FRAME> {
+        let mut normal = Normal::zero();
+        for ray in seen.agreeing() {
+            if let Some(slopes) = self.slopes(seen, ray) {
+                let own_rad = ray.sigma_rad.hypot(ray.of_brightness_rad);
+                let weight = (seen.nadir.scatter * own_rad).powi(-2);
+                normal.add(&slopes, seen.left_rad(ray), weight);
+            }
+        }
+        normal
+    }
+
+    /// Of a ray's angle from the edge, by the nadir and what all frames share. They are those of the edge next to the ray: the noise of a ray would
+    /// go into its own slopes, and a camera of longer focal length would seem better because all angles, noise as well, are smaller in it.
+    fn slopes(&self, seen: &Seen, ray: &EdgeRay) -> Option<SVector<f64, OF_FRAME>> {
+        let foot = EdgeRay {
+            unit: seen.foot(ray),
+            ..*ray
+        };
+        let at = self.camera.pixel(&foot.unit)?;
+        let (angle, by_nadir) = foot.angle_from(seen.down());
+        let by_nadir = across(seen.down()).transpose() * by_nadir;
+        let mut slopes = SVector::<f64, OF_FRAME>::zeros();
+        slopes.fixed_rows_mut::<2>(0).copy_from(&by_nadir);
+        for (n, (camera, by)) in self.moved.iter().enumerate() {
+            let unit = camera.ray(at)?;
+            slopes[2 + n] = (EdgeRay { unit, ..foot }.angle_from(seen.down()).0 - angle) / by;
+        }
+        slopes[2 + Unknown::Edge as usize] = -seen.edge_rad;
+        Some(slopes)
+    }
+}
+
+/// The covariance of the solution, by how the blocks of frames differ.
+fn sandwich(
+    frames: &[Normal<UNKNOWNS>],
+    solved: &Solved<UNKNOWNS>,
+    prior: &SVector<f64, UNKNOWNS>,
+) -> SMatrix<f64, UNKNOWNS, UNKNOWNS> {
+    let blocks = frames.chunks(frames.len().div_ceil(BLOCKS));
+    let count = blocks.len() as f64;
+    let scatter = blocks.map(|block| {
+        let sum = sum(block);
+        // What is left of it by the solution; without, a start that is wrong counted as scatter.
+        let gradient = sum.gradient - sum.information * solved.step;
+        gradient * gradient.transpose()
+    });
+    let scatter: SMatrix<f64, UNKNOWNS, UNKNOWNS> = scatter.sum();
+    // Five of the blocks' freedoms tell the camera.
+    let freedom = count / (count - (UNKNOWNS - 1) as f64);
+    let inverse = solved.covariance();
+    inverse * (scatter * freedom + SMatrix::from_diagonal(prior)) * inverse
+}
+
+fn optics(
+    limbs: &[Limb],
+    stated: &Stated<'_>,
+    change: Change,
+    covariance: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+) -> Option<Optics> {
+    let camera = stated.camera(&change)?;
+    let (mut squares, mut agreeing, mut points, mut frames) = (0.0, 0, 0, 0);
+    for seen in limbs
+        .iter()
+        .filter_map(|limb| Seen::by(&camera, limb, &change))
+    {
+        frames += 1;
+        points += seen.rays.len();
+        agreeing += seen.nadir.agreeing();
+        for ray in seen.agreeing() {
+            let px_per_rad = (camera.pixel_jacobian(&ray.unit)? * ray.inward).norm();
+            squares += (px_per_rad * seen.left_rad(ray)).powi(2);
+        }
+    }
+    Some(Optics {
+        camera,
+        change,
+        covariance,
+        residual_px: (squares / f64::max(agreeing as f64, 1.0)).sqrt(),
+        frames,
+        agreeing,
+        points,
+        uncrossed: uncrossed(limbs, stated.file),
+    })
+}
+
+/// What would tell optics that the frames do not.
+fn what_would(optics: &Optics) -> String {
+    match &optics.uncrossed[..] {
+        [] => "state the camera's height and roll.atmosphere_m with smaller sigmas, or take frames from higher up, where the limb curves more".into(),
+        parts => format!(
+            "tilt and roll the camera until the limb crosses all parts of the picture: hardly a frame has it in {}",
+            parts.join(", ")
+        ),
+    }
+}
