@@ -54,6 +54,13 @@ impl Optics {
         Measured::new(self.change[n], self.covariance[(n, n)].max(0.0).sqrt())
     }
 
+    /// By how much the unknowns differ from others, in sigmas: the one that does most.
+    pub(super) fn sigmas_from(&self, other: &Self) -> f64 {
+        let apart = (self.change - other.change).abs();
+        let sigmas = Unknown::ALL.map(|unknown| self.changed(unknown).sigma);
+        apart.component_div(&Change::from(sigmas)).max()
+    }
+
     /// Whether the frames tell the optics well enough.
     ///
     /// # Errors

@@ -5,15 +5,12 @@ use super::fit::{Optics, OpticsError, fit};
 use crate::calibrate::frames::CalibrateError;
 use crate::calibrate::revision::Provenance;
 use crate::calibrate::roll_camera::Horizons;
-use crate::geometry::camera::Camera;
 use crate::horizon::EdgeHeight;
-use crate::instrument::DirectionCamera;
 use crate::observe::{Depth, RejectedFrame, Watch, list};
-use crate::units::SensorPx;
 use std::path::PathBuf;
 
-/// A camera that moves a pixel's ray by less is the same, px.
-const SAME_PX: f64 = 0.3;
+/// A camera is the same of which no unknown changes by more, in sigmas.
+const SAME_SIGMAS: f64 = 0.3;
 /// The frames are looked at so often at most.
 const MOST_PASSES: usize = 6;
 
@@ -44,21 +41,25 @@ pub fn from_frames(
     let stated = horizons.camera;
     let mut camera = stated.clone();
     // The search follows an edge that a wrong camera bends where the edge's height is free.
-    let mut height = EdgeHeight::Fitted;
-    for _ in 0..MOST_PASSES {
+    let (mut height, mut last) = (EdgeHeight::Fitted, None);
+    let mut pass = 0;
+    loop {
+        pass += 1;
         let horizons = Horizons {
             camera: &camera,
             ..horizons.clone()
         };
         let (limbs, rejected) = collect(&files, &horizons, height, watch)?;
-        let undetermined = CalibrateError::undetermined(&rejected);
-        let optics = match fit(&limbs, stated) {
-            Ok(optics) => optics,
-            Err(error) => return Err(undetermined(error)),
-        };
-        let is_same = moved_px(&camera.lens, &optics.camera, stated) < SAME_PX;
-        if is_same && height == EdgeHeight::Given {
-            optics.check_determined(stated).map_err(undetermined)?;
+        let fitted = fit(&limbs, stated).and_then(|optics| {
+            let off = last.map_or(f64::INFINITY, |last: Optics| optics.sigmas_from(&last));
+            match off < SAME_SIGMAS {
+                true => optics.check_determined(stated).map(|()| (optics, true)),
+                false if pass == MOST_PASSES => Err(OpticsError::NoFit),
+                false => Ok((optics, false)),
+            }
+        });
+        let (optics, is_same) = fitted.map_err(CalibrateError::undetermined(&rejected))?;
+        if is_same {
             let times = limbs.iter().filter_map(|limb| limb.utc);
             return Ok(FromFrames {
                 provenance: Provenance::over(NAME, DONE, optics.frames, times, &files),
@@ -67,21 +68,7 @@ pub fn from_frames(
             });
         }
         camera.lens = optics.camera;
+        last = (height == EdgeHeight::Given).then_some(optics);
         height = EdgeHeight::Given;
     }
-    Err(CalibrateError::Undetermined {
-        rejected: String::new(),
-        cause: OpticsError::NoFit,
-    })
-}
-
-/// By how much a camera has a pixel's ray elsewhere than another, at the most of nine places that both see, px.
-fn moved_px(one: &Camera, other: &Camera, size: &DirectionCamera) -> f64 {
-    let places = [0.0, 0.5, 1.0].map(|part| [0.0, 0.5, 1.0].map(|other| [part, other]));
-    let moved = |[x, y]: &[f64; 2]| {
-        let at = SensorPx::new(x * size.width_px as f64, y * size.height_px as f64);
-        Some(other.pixel(&one.ray(at)?)?.distance(at))
-    };
-    let places = places.as_flattened().iter();
-    places.filter_map(moved).fold(0.0, f64::max)
 }

@@ -227,6 +227,9 @@ fn add_cell(normal: &mut Large, state: &State, pose: usize, cell: &Cell) {
     }
 }
 
+/// Of a condition by the unknowns that it is of.
+type Slopes = Vec<(usize, Vector1<f64>)>;
+
 /// A prior of one unknown: how far it is from its expectation, with 1 sigma.
 struct Prior {
     unknown: usize,
@@ -357,7 +360,7 @@ impl Problem<'_> {
     /// What the displacements of the measured marks from their priors must not have in common: shift in x and y, rotation, scale.
     /// Marks count by what the priors know of them, so that those which were measured before keep their place beside those
     /// which were only drawn. Each is a unit vector over the unknowns, with how much of it the displacements have.
-    fn gauge(&self, state: &State) -> Vec<(Vec<(usize, Vector1<f64>)>, f64)> {
+    fn gauge(&self, state: &State) -> Vec<(Slopes, f64)> {
         let measured = || self.marks.iter().enumerate().filter(|(_, m)| m.measured);
         let weight =
             |m: &MarkPrior| 2.0 / m.sigma_mil.map(|sigma| sigma.powi(2)).iter().sum::<f64>();
