@@ -7,7 +7,7 @@ use solaspect::instrument::{Instrument, builtin};
 use solaspect::pointing::sun_in_telescope;
 use solaspect::service::demo::{self, Demo};
 use solaspect::simulate::navigation::TelescopeFlight;
-use solaspect::simulate::{FORT_SUMNER, Trajectory};
+use solaspect::simulate::{FORT_SUMNER, Gondola, Trajectory};
 use solaspect::sky::sun_angular_radius;
 use solaspect::units::ARCSEC_PER_RAD;
 use std::fs;
@@ -23,7 +23,7 @@ fn telescope(instrument: &Instrument, duration: Duration) -> TelescopeFlight {
     let radius_arcsec = sun_angular_radius(start).unwrap();
     let radius_mil = instrument.optics.radius_mil(radius_arcsec);
     let course = Trajectory::demo(instrument, radius_mil, duration, SEED).unwrap();
-    TelescopeFlight::new(course, instrument, FORT_SUMNER, start, SEED)
+    TelescopeFlight::new(course, instrument, FORT_SUMNER, start, SEED).on(Gondola::Swinging)
 }
 
 /// Since the flight began; times count from 1970.

@@ -11,13 +11,15 @@ use crate::fits::Compression;
 use crate::instrument::{
     self, DEMO_HORIZON, DEMO_NAVIGATION, Instrument, MountedCamera, builtin_text,
 };
-use crate::link::{AnyPort, BytePort, Connection, Message, PortError, Propagated, SerialPort};
+use crate::link::{
+    AnyPort, BytePort, Connection, Message, PortError, Propagated, SerialPort, Solution,
+};
 use crate::navigation;
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::earth::SwingingGondola;
 use crate::simulate::navigation::TelescopeFlight;
 use crate::simulate::sensors::Sensors;
-use crate::simulate::{FORT_SUMNER, FlightScenes, Trajectory};
+use crate::simulate::{EXPOSURE, FORT_SUMNER, FlightScenes, Gondola, Trajectory};
 use crate::sky;
 use anyhow::anyhow;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -74,7 +76,7 @@ impl BytePort for Relayed {
 pub struct Glimpse {
     pub answer: Answer,
     /// The last offset that the controller got.
-    pub received: Option<crate::link::Solution>,
+    pub received: Option<Solution>,
 }
 
 /// What a demonstration came to.
@@ -86,6 +88,8 @@ pub struct Summary {
     pub fine_errors_arcsec: Vec<f64>,
     /// Offsets by the gyros against the truth.
     pub propagated: Vec<JudgedOffset>,
+    /// Those of the frames at times of which the horizon told the roll.
+    pub by_sun: Vec<JudgedOffset>,
     /// Errors of the body's roll against the truth, frames of the horizon, deg.
     pub roll_errors_deg: Vec<f64>,
     /// Frames called fine or coarse in which there was no Sun at all.
@@ -93,7 +97,7 @@ pub struct Summary {
     pub archive: PathBuf,
 }
 
-/// An offset by the gyros, held against the truth.
+/// An offset by the gyros or by the Sun, held against the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JudgedOffset {
     /// Of the last frame that it rests on.
@@ -108,12 +112,27 @@ impl JudgedOffset {
     pub fn of(said: &Propagated, flown: &mut TelescopeFlight, start: Timestamp) -> Option<Self> {
         let solution = &said.solution;
         let since = Duration::try_from(solution.time.duration_since(start)).ok()?;
+        Self::at(solution, since, f64::from(said.age_ms) / 1e3, flown)
+    }
+
+    /// The offset of a frame: that of the middle of its exposure, `None` where the flight has no truth.
+    fn by_sun(solution: &Solution, flown: &mut TelescopeFlight, start: Timestamp) -> Option<Self> {
+        let since = Duration::try_from(solution.time.duration_since(start)).ok()?;
+        Self::at(solution, since + EXPOSURE / 2, 0.0, flown)
+    }
+
+    fn at(
+        solution: &Solution,
+        since: Duration,
+        age_s: f64,
+        flown: &mut TelescopeFlight,
+    ) -> Option<Self> {
         let truth = flown.truth(since).ok()?;
         let across_deg = (solution.azimuth_deg - truth.offset.azimuth_deg)
             * truth.elevation_deg.to_radians().cos();
         let up_deg = solution.elevation_deg - truth.offset.elevation_deg;
         Some(Self {
-            age_s: f64::from(said.age_ms) / 1e3,
+            age_s,
             error_arcsec: [across_deg * 3600.0, up_deg * 3600.0],
             sigma_arcsec: solution.error_deg * 3600.0,
         })
@@ -201,9 +220,15 @@ pub fn run(
     let mut telescope = telescope(demo, &instrument, start)?;
     let propagated = controller.propagated.iter();
     let propagated = propagated.filter_map(|one| JudgedOffset::of(one, &mut telescope, start));
+    let propagated = propagated.collect();
+    // A telescope whose roll nothing has told yet is taken for level, and sent with a roll of 0.
+    let rolled = |solution: &&Solution| solution.roll_deg != 0.0;
+    let by_sun = controller.solutions.iter().filter(rolled);
+    let by_sun = by_sun.filter_map(|one| JudgedOffset::by_sun(one, &mut telescope, start));
     Ok(Summary {
         tally,
-        propagated: propagated.collect(),
+        propagated,
+        by_sun: by_sun.collect(),
         controller,
         fine_errors_arcsec: judge.fine_errors_arcsec,
         roll_errors_deg: judge.roll_errors_deg,
@@ -258,7 +283,8 @@ fn telescope(
 ) -> anyhow::Result<TelescopeFlight> {
     let course = trajectory(demo, instrument, start)?;
     let (place, seed) = (FORT_SUMNER, demo.seed);
-    Ok(TelescopeFlight::new(course, instrument, place, start, seed))
+    let flight = TelescopeFlight::new(course, instrument, place, start, seed);
+    Ok(flight.on(Gondola::Swinging))
 }
 
 fn navigation(gps: Connection, start: Timestamp) -> anyhow::Result<Navigation> {
@@ -371,31 +397,33 @@ impl fmt::Display for Summary {
             self.controller.errors,
             self.controller.faults.total(),
         )?;
-        let mut errors = self.fine_errors_arcsec.clone();
-        let mut arcsec = |fraction| quantile(&mut errors, fraction);
-        if let (Some(median), Some(most), Some(max)) = (arcsec(0.5), arcsec(0.95), arcsec(1.0)) {
-            writeln!(
-                out,
-                "aspect     error of fine frames: median {median:.3}, 95 % {most:.3}, max {max:.3} arcsec"
-            )?;
-        }
-        let mut errors: Vec<f64> = self
-            .propagated
-            .iter()
-            .flat_map(|one| one.error_arcsec)
-            .collect();
-        errors.iter_mut().for_each(|error| *error = error.abs());
-        let oldest_s = self
-            .propagated
-            .iter()
-            .map(|one| one.age_s)
-            .fold(0.0, f64::max);
-        let mut arcsec = |fraction| quantile(&mut errors, fraction);
-        if let (Some(median), Some(most), Some(max)) = (arcsec(0.5), arcsec(0.95), arcsec(1.0)) {
-            writeln!(
-                out,
-                "gyros      error of offsets up to {oldest_s:.1} s after a frame: median {median:.3}, 95 % {most:.3}, max {max:.3} arcsec"
-            )?;
+        let oldest_s = self.propagated.iter().map(|one| one.age_s);
+        let oldest_s = oldest_s.fold(0.0, f64::max);
+        let offsets = |of: &[JudgedOffset]| of.iter().flat_map(|one| one.error_arcsec).collect();
+        let rows: [(String, Vec<f64>); 3] = [
+            (
+                "aspect     error of fine frames".into(),
+                self.fine_errors_arcsec.clone(),
+            ),
+            (
+                "offsets    error of those by the Sun".into(),
+                offsets(&self.by_sun),
+            ),
+            (
+                format!("gyros      error of offsets up to {oldest_s:.1} s after a frame"),
+                offsets(&self.propagated),
+            ),
+        ];
+        for (what, mut errors) in rows {
+            errors.iter_mut().for_each(|error| *error = error.abs());
+            let mut arcsec = |fraction| quantile(&mut errors, fraction);
+            if let (Some(median), Some(most), Some(max)) = (arcsec(0.5), arcsec(0.95), arcsec(1.0))
+            {
+                writeln!(
+                    out,
+                    "{what}: median {median:.3}, 95 % {most:.3}, max {max:.3} arcsec"
+                )?;
+            }
         }
         let mut errors = self.roll_errors_deg.clone();
         let mut deg = |fraction| quantile(&mut errors, fraction);

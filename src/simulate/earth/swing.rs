@@ -2,16 +2,11 @@
 
 use super::{Aim, Air, EarthConditions, EarthScene};
 use crate::instrument::MountedCamera;
+use crate::simulate::gondola::Gondola;
 use crate::units::Place;
 use nalgebra::{Matrix3, Rotation3};
-use std::f64::consts::TAU;
 use std::time::Duration;
 
-/// Swings of a balloon's gondola: amplitude, deg, and period, s. The long one is the whole flight train's, the short one its own.
-const ROLL: [(f64, f64); 2] = [(0.8, 12.3), (0.2, 3.7)];
-const PITCH: [(f64, f64); 1] = [(0.3, 12.3)];
-/// It hangs a little askew, deg.
-const TILT_DEG: f64 = 1.5;
 /// Of the body's first axis, from north over east.
 const HEADING_DEG: f64 = 180.0;
 
@@ -49,7 +44,7 @@ impl SwingingGondola {
 
     /// The body's roll, some time after the start.
     pub fn roll_deg(&self, after: Duration) -> f64 {
-        TILT_DEG + swing_deg(&ROLL, after)
+        Gondola::Swinging.roll_deg(after)
     }
 
     /// What the camera sees then; `brightness` times as bright as usual.
@@ -62,7 +57,7 @@ impl SwingingGondola {
             latitude_deg: self.latitude_deg,
             heading_deg: HEADING_DEG,
             roll_deg: self.roll_deg(after),
-            pitch_deg: swing_deg(&PITCH, after),
+            pitch_deg: Gondola::Swinging.pitch_deg(after),
             seed: self.seed,
             number,
             weather: 0,
@@ -72,9 +67,4 @@ impl SwingingGondola {
             Rotation3::from_matrix_unchecked(Matrix3::new(0., 0., 1., 1., 0., 0., 0., 1., 0.));
         forward.seen_by(&(body_from_forward.inverse() * self.body_from_camera))
     }
-}
-
-fn swing_deg(swings: &[(f64, f64)], after: Duration) -> f64 {
-    let swing = |(deg, period_s): &(f64, f64)| deg * (TAU * after.as_secs_f64() / period_s).sin();
-    swings.iter().map(swing).sum()
 }

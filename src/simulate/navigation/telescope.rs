@@ -1,18 +1,19 @@
 //! IMU and GPS of the telescope whose camera a simulated flight shows: where the Sun stands on the plate tells how the telescope is turned.
 //!
-//! The telescope hangs still above one place and does not roll.
+//! The telescope hangs above one place and swings as its gondola does.
 
 use super::earth::{earth_rate_rad_s, ecef_from_north_east_down, gravitation_m_s2, position_m};
 use super::imu::{Imu, RATE_HZ};
 use super::{Drawn, ImuErrors, ImuRow, random};
 use crate::instrument::Instrument;
 use crate::link::ImuPacket;
-use crate::pointing::{self, Difference, PointingError, Roll};
+use crate::pointing::{self, Difference, Horizontal, PointingError};
 use crate::simulate::Generator;
 use crate::simulate::flight::Course;
+use crate::simulate::gondola::Gondola;
 use crate::sky::sphere::direction;
 use crate::sky::{Ephemeris, SkyError, SunPosition};
-use crate::units::{Measured, Place, PlateMil};
+use crate::units::{Place, PlateMil};
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rand::RngExt;
@@ -47,6 +48,7 @@ pub struct TelescopeTruth {
 /// The telescope of a simulated flight.
 pub struct TelescopeFlight {
     course: Course,
+    gondola: Gondola,
     instrument: Instrument,
     place: Place,
     start: Timestamp,
@@ -60,7 +62,7 @@ pub struct TelescopeFlight {
 }
 
 impl TelescopeFlight {
-    /// A flight that begins at `start`; the errors are the seed's.
+    /// A flight that begins at `start`, of a gondola that hangs still; the errors are the seed's.
     pub fn new(
         course: impl Into<Course>,
         instrument: &Instrument,
@@ -70,6 +72,7 @@ impl TelescopeFlight {
     ) -> Self {
         Self {
             course: course.into(),
+            gondola: Gondola::default(),
             instrument: instrument.clone(),
             place,
             start,
@@ -79,6 +82,11 @@ impl TelescopeFlight {
             gps: random(seed, Drawn::Gps),
             last: None,
         }
+    }
+
+    /// The same telescope on a gondola.
+    pub fn on(self, gondola: Gondola) -> Self {
+        Self { gondola, ..self }
     }
 
     /// Samples a second.
@@ -154,19 +162,25 @@ impl TelescopeFlight {
     /// # Errors
     /// Where the ephemeris does not reach, or no telescope points so.
     pub fn attitude(&mut self, since: Duration) -> Result<UnitQuaternion<f64>, NoFlight> {
-        let sun_on_plate = self.sun_on_plate(since);
-        let sun = self.sun(since)?;
-        let level = Roll::Measured(Measured::new(0.0, 0.0));
-        let towards = pointing::pointing(sun_on_plate, level, &self.instrument, &sun)?;
+        let (towards, roll_deg) = self.towards(since)?;
         let (sin, cos) = towards.azimuth_deg.to_radians().sin_cos();
         let (sin_up, cos_up) = towards.elevation_deg.to_radians().sin_cos();
         // North, east and down.
         let forward = Vector3::new(cos_up * cos, cos_up * sin, -sin_up);
         let right = Vector3::new(-sin, cos, 0.0);
         let axes = Matrix3::from_columns(&[forward, right, forward.cross(&right)]);
-        let local = Rotation3::from_matrix_unchecked(axes);
+        let roll = Rotation3::from_axis_angle(&Vector3::x_axis(), roll_deg.to_radians());
+        let local = Rotation3::from_matrix_unchecked(axes) * roll;
         let turned = ecef_from_north_east_down(&self.place) * local;
         Ok(UnitQuaternion::from_rotation_matrix(&turned))
+    }
+
+    /// Where the telescope points, and its roll about the boresight, deg.
+    fn towards(&mut self, since: Duration) -> Result<(Horizontal, f64), NoFlight> {
+        let (at, sun) = (self.sun_on_plate(since), self.sun(since)?);
+        let roll = pointing::roll_by_nadir(&self.gondola.nadir(since), at, &self.instrument, &sun);
+        let towards = pointing::pointing(at, roll, &self.instrument, &sun)?;
+        Ok((towards, roll.about_boresight_deg(&self.instrument).value))
     }
 
     /// Where the telescope points, minus the Sun's centre.
@@ -175,9 +189,7 @@ impl TelescopeFlight {
     /// As [`attitude`](Self::attitude).
     pub fn truth(&mut self, since: Duration) -> Result<TelescopeTruth, NoFlight> {
         let sun = self.sun(since)?;
-        let level = Roll::Measured(Measured::new(0.0, 0.0));
-        let sun_on_plate = self.sun_on_plate(since);
-        let towards = pointing::pointing(sun_on_plate, level, &self.instrument, &sun)?;
+        let (towards, _) = self.towards(since)?;
         let boresight = direction(towards.azimuth_deg, towards.elevation_deg);
         let centre = direction(sun.azimuth_deg, sun.elevation_deg);
         Ok(TelescopeTruth {
@@ -241,4 +253,43 @@ fn degrees_and_minutes(angle_deg: f64, digits: usize, [plus, minus]: [&str; 2]) 
 fn summed(body: &str) -> String {
     let sum = body.bytes().fold(0, |sum, byte| sum ^ byte);
     format!("${body}*{sum:02X}\r\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instrument::builtin;
+    use crate::pointing::sun_in_telescope;
+    use crate::simulate::{FORT_SUMNER, Trajectory};
+
+    #[test]
+    fn the_sun_is_where_the_plate_has_it_however_the_gondola_swings() {
+        let demo = builtin("demo").unwrap();
+        let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
+        for gondola in [Gondola::Still, Gondola::Swinging] {
+            let course = Trajectory::flight(&demo, 92.0, 1).unwrap();
+            let flight = TelescopeFlight::new(course, &demo, FORT_SUMNER, start, 1);
+            let mut flight = flight.on(gondola);
+            for second in [3, 40, 101] {
+                let since = Duration::from_secs(second);
+                let attitude = flight.attitude(since).unwrap();
+                let sun = flight.sun(since).unwrap();
+                let centre = direction(sun.azimuth_deg, sun.elevation_deg);
+                // North, east and up to down.
+                let centre = Vector3::new(centre.x, centre.y, -centre.z);
+                let fixed = ecef_from_north_east_down(&FORT_SUMNER) * centre;
+                let seen = attitude.inverse_transform_vector(&fixed);
+                let plate = sun_in_telescope(flight.sun_on_plate(since), &demo);
+                assert!(
+                    (seen - plate.into_inner()).norm() < 1e-9,
+                    "{gondola:?} {seen} {plate:?}"
+                );
+                let down = ecef_from_north_east_down(&FORT_SUMNER) * Vector3::z();
+                let low = attitude.inverse_transform_vector(&down).y;
+                let [roll, pitch] = [gondola.roll_deg(since), gondola.pitch_deg(since)];
+                let body = roll.to_radians().sin() * pitch.to_radians().cos();
+                assert!((low - body).abs() < 1e-9, "{gondola:?} {low} {body}");
+            }
+        }
+    }
 }
