@@ -9,8 +9,9 @@ use crate::horizon::EdgeHeight;
 use crate::observe::{Depth, RejectedFrame, Watch, list};
 use std::path::PathBuf;
 
-/// A camera is the same of which no unknown changes by more, in sigmas.
-const SAME_SIGMAS: f64 = 0.3;
+/// A camera is the same of which no unknown changes by more, in sigmas: with it, some places come into view or go, so that two cameras may follow
+/// each other for ever.
+const SAME_SIGMAS: f64 = 1.0;
 /// The frames are looked at so often at most.
 const MOST_PASSES: usize = 6;
 
