@@ -16,7 +16,7 @@ use solaspect::fits::Compression;
 use solaspect::geometry::camera::{Camera, Lens};
 use solaspect::horizon::{EdgePoint, EdgeRays, Sphere};
 use solaspect::instrument::DirectionCamera;
-use solaspect::simulate::earth::{Air, EarthConditions};
+use solaspect::simulate::earth::EarthConditions;
 use solaspect::units::{Measured, Place, SensorPx};
 use std::f64::consts::TAU;
 use std::fs;
@@ -234,18 +234,12 @@ fn drawn(seed: u64, width_px: usize, frames: u64) -> Drawn {
     let mut truth = Truth::drawn(&mut Xoshiro256PlusPlus::seed_from_u64(seed));
     truth.focal_px *= scale;
     truth.centre *= scale;
-    let clear = EarthConditions::clear(38_000.0);
     let lens = Lens::KannalaBrandt([1.0, truth.k2, 0.0, 0.0, 0.0]);
     let conditions = EarthConditions {
         camera: Camera::new(lens, [truth.focal_px; 2], truth.centre.into()).unwrap(),
         width_px,
         height_px,
-        air: Air {
-            varies_by: 0.02,
-            varies_by_m: 100.0,
-            ..clear.air
-        },
-        ..clear
+        ..EarthConditions::clear(38_000.0).varying(0.02, 100.0)
     };
     let folder = temporary();
     let store = Store::open(&folder.path().join("flight"), "roll", Compression::Rice).unwrap();

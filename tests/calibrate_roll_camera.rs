@@ -14,7 +14,7 @@ use solaspect::geometry::attitude::Direction;
 use solaspect::geometry::camera::Camera;
 use solaspect::instrument::{Instrument, MountedCamera, builtin};
 use solaspect::pointing::{Horizontal, Roll, sun_on_plate};
-use solaspect::simulate::earth::{Air, EarthConditions, EarthScene};
+use solaspect::simulate::earth::{EarthConditions, EarthScene};
 use solaspect::simulate::{FORT_SUMNER, Noise, Scene, Sun};
 use solaspect::sky::Ephemeris;
 use solaspect::units::{Measured, SensorPx};
@@ -257,18 +257,12 @@ fn middle(width_px: usize, height_px: usize) -> SensorPx {
 }
 
 fn conditions(width_px: usize) -> EarthConditions {
-    let clear = EarthConditions::clear(38_405.0);
     let height_px = width_px * 9 / 16;
     EarthConditions {
         camera: Camera::rectilinear(focal_px(width_px), middle(width_px, height_px)),
         width_px,
         height_px,
-        air: Air {
-            varies_by: 0.02,
-            varies_by_m: 100.0,
-            ..clear.air
-        },
-        ..clear
+        ..EarthConditions::clear(38_405.0).varying(0.02, 100.0)
     }
 }
 

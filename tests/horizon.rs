@@ -9,7 +9,7 @@ use solaspect::horizon::{
     self, EdgeHeight, Flag, Nadir, Quality, Refraction, Settings, Solution, Sphere, Stage,
 };
 use solaspect::instrument::DirectionCamera;
-use solaspect::simulate::earth::{Aim, Air, Clouds, EarthConditions, EarthScene, Shape};
+use solaspect::simulate::earth::{Aim, Clouds, EarthConditions, EarthScene, Shape};
 use solaspect::units::{Measured, Place, SensorPx};
 use std::process::{Command, Output};
 
@@ -24,15 +24,6 @@ pub fn rocket() -> EarthConditions {
 
 fn balloon() -> EarthConditions {
     EarthConditions::clear(38_000.0)
-}
-
-fn varying(conditions: EarthConditions, varies_by: f64, varies_by_m: f64) -> EarthConditions {
-    let air = Air {
-        varies_by,
-        varies_by_m,
-        ..conditions.air
-    };
-    EarthConditions { air, ..conditions }
 }
 
 pub fn camera(conditions: &EarthConditions) -> DirectionCamera {
@@ -131,7 +122,7 @@ fn from_a_rocket_the_nadir_of_a_clear_limb_is_known_to_a_hundredth_of_a_degree()
 fn from_a_rocket_clouds_and_an_uneven_limb_leave_three_hundredths() {
     let conditions = EarthConditions {
         clouds: Some(Clouds::BRIGHT),
-        ..varying(rocket(), 0.05, 200.0)
+        ..rocket().varying(0.05, 200.0)
     };
     let errors = Errors::of(&conditions, SMALL);
     assert!(errors.nadir_rms < 0.03, "{errors:?}");
@@ -157,7 +148,7 @@ fn from_a_balloon_roll_is_known_to_five_thousandths_and_pitch_to_a_hundredth() {
 
 #[test]
 fn from_a_balloon_an_uneven_limb_leaves_four_hundredths_of_roll() {
-    let errors = Errors::of(&varying(balloon(), 0.02, 100.0), SMALL);
+    let errors = Errors::of(&balloon().varying(0.02, 100.0), SMALL);
     assert!(errors.roll_rms < 0.04, "{errors:?}");
     errors.assert_honest();
 }

@@ -14,7 +14,7 @@ use solaspect::instrument::{DirectionCamera, MountedCamera, builtin};
 use solaspect::pointing::Roll;
 use solaspect::reasons::horizon as reasons;
 use solaspect::service::{Answer, Camera, Flight, FlightTally, Service};
-use solaspect::simulate::earth::{Aim, Air, EarthConditions, EarthScene, SwingingGondola};
+use solaspect::simulate::earth::{Aim, EarthConditions, EarthScene, SwingingGondola};
 use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
 use solaspect::units::Place;
 use std::collections::VecDeque;
@@ -57,15 +57,9 @@ impl FrameSource for Stepped {
 
 /// A gondola that rolls by some degrees, over a limb that varies by 2 % and 100 m.
 fn gondola(number: u64) -> EarthScene {
-    let clear = EarthConditions::clear(38_405.0);
     let conditions = EarthConditions {
         aim: Aim::Horizon { most_roll_deg: 3.0 },
-        air: Air {
-            varies_by: 0.02,
-            varies_by_m: 100.0,
-            ..clear.air
-        },
-        ..clear
+        ..EarthConditions::clear(38_405.0).varying(0.02, 100.0)
     };
     conditions.scene(7, number)
 }

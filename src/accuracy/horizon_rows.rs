@@ -156,10 +156,7 @@ fn skies() -> Vec<HorizonRow> {
 }
 
 fn varying(height_m: f64, varies_by: f64, varies_by_m: f64) -> EarthConditions {
-    let mut conditions = EarthConditions::clear(height_m);
-    conditions.air.varies_by = varies_by;
-    conditions.air.varies_by_m = varies_by_m;
-    conditions
+    EarthConditions::clear(height_m).varying(varies_by, varies_by_m)
 }
 
 /// A balloon sees a shorter limb than a rocket, which varies less.

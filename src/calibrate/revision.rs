@@ -8,6 +8,7 @@ use crate::units::Measured;
 use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
+use nalgebra::SMatrix;
 use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, InlineTable, Item, Table, TableLike, Value, value};
 
@@ -234,6 +235,12 @@ fn renew(table: &mut dyn TableLike, key: &str, mut value: Value) {
 pub fn number(value: f64, sigma: f64) -> Value {
     let text = value_text(Measured::new(value, sigma));
     text.parse().unwrap_or_else(|_| value.into())
+}
+
+/// A matrix, row by row.
+pub fn rows<const R: usize, const C: usize>(matrix: &SMatrix<f64, R, C>) -> Value {
+    let row = |n: usize| Value::Array(matrix.row(n).iter().copied().collect());
+    Value::Array((0..R).map(row).collect())
 }
 
 /// Why a new edition is not written.

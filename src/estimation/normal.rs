@@ -165,8 +165,9 @@ pub struct Large {
 pub struct LargeSolved {
     /// 0 for those that are held.
     pub step: DVector<f64>,
+    /// Of those that are not.
     root: Cholesky<f64, Dyn>,
-    held: Vec<usize>,
+    free: Vec<usize>,
 }
 
 impl Large {
@@ -207,27 +208,29 @@ impl Large {
     }
 
     /// The Gauss-Newton step. `None` where the unknowns that are not held are not determined.
-    pub fn solve(mut self, is_held: impl Fn(usize) -> bool) -> Option<LargeSolved> {
-        let held: Vec<usize> = (0..self.gradient.len()).filter(|n| is_held(*n)).collect();
-        for n in &held {
-            self.information.row_mut(*n).fill(0.0);
-            self.information.column_mut(*n).fill(0.0);
-            (self.information[(*n, *n)], self.gradient[*n]) = (1.0, 0.0);
+    pub fn solve(&self, is_held: impl Fn(usize) -> bool) -> Option<LargeSolved> {
+        let free: Vec<usize> = (0..self.gradient.len()).filter(|n| !is_held(*n)).collect();
+        let information = self.information.select_rows(&free).select_columns(&free);
+        let root = information.cholesky()?;
+        let of_free = root.solve(&self.gradient.select_rows(&free));
+        let mut step = DVector::zeros(self.gradient.len());
+        for (n, value) in free.iter().zip(&of_free) {
+            step[*n] = *value;
         }
-        let root = self.information.cholesky()?;
-        let step = root.solve(&self.gradient);
-        step.iter()
-            .all(|v| v.is_finite())
-            .then_some(LargeSolved { step, root, held })
+        let is_finite = step.iter().all(|v| v.is_finite());
+        is_finite.then_some(LargeSolved { step, root, free })
     }
 }
 
 impl LargeSolved {
     /// Covariance of the unknowns after the step: 0 for those that are held.
     pub fn covariance(&self) -> DMatrix<f64> {
-        let mut covariance = self.root.inverse();
-        for n in &self.held {
-            covariance[(*n, *n)] = 0.0;
+        let of_free = self.root.inverse();
+        let mut covariance = DMatrix::zeros(self.step.len(), self.step.len());
+        for (column, m) in self.free.iter().enumerate() {
+            for (row, n) in self.free.iter().enumerate() {
+                covariance[(*n, *m)] = of_free[(row, column)];
+            }
         }
         covariance
     }
@@ -280,7 +283,7 @@ mod tests {
             let slopes = [(0, SVector::from([1.0])), (2, SVector::from([x]))];
             large.add(&slopes, &SVector::from([y]), &SMatrix::from([[100.0]]));
         }
-        assert!(large.clone().solve(|_| false).is_none());
+        assert!(large.solve(|_| false).is_none());
         let solved = large.solve(|n| n == 1).unwrap();
         let expected = DVector::from_vec(vec![0.95, 0.0, 2.15]);
         assert!((&solved.step - expected).norm() < 1e-9);

@@ -19,7 +19,7 @@ const FREE_RAD: f64 = 0.05;
 /// Brightness and blur, which say where a picture's light has its edge, change over such angles along it.
 const LIGHT_RAD: f64 = 50.0;
 /// A point of less weight is no part of the edge.
-pub(super) const LEAST_WEIGHT: f64 = 0.1;
+const LEAST_WEIGHT: f64 = 0.1;
 
 /// Whether the height of the edge is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -237,7 +237,7 @@ impl Nadir {
 
     /// Whether the n-th ray is a part of the edge.
     pub fn agrees(&self, n: usize) -> bool {
-        self.weights.get(n).is_some_and(|w| *w > LEAST_WEIGHT)
+        self.weights.get(n).is_some_and(is_part)
     }
 
     /// Of the rays of the edge, how many are a part of it.
@@ -248,7 +248,12 @@ impl Nadir {
 
 /// How many of the rays of such weights are a part of the edge.
 pub(super) fn agreeing(weights: &[f64]) -> usize {
-    weights.iter().filter(|w| **w > LEAST_WEIGHT).count()
+    weights.iter().filter(|weight| is_part(weight)).count()
+}
+
+/// Whether a ray of such a weight is a part of the edge.
+pub(super) fn is_part(weight: &f64) -> bool {
+    *weight > LEAST_WEIGHT
 }
 
 /// How a picture's light puts the edge too far out, or in.

@@ -1,7 +1,7 @@
 //! A picture of a frame on which a person sees what was taken for the horizon.
 
 use super::circle::Circle;
-use super::nadir::LEAST_WEIGHT;
+use super::nadir::is_part;
 use super::sphere::Cone;
 use super::{Solution, Sphere, Stopped, pitch_deg, roll_deg};
 use crate::frame::Frame;
@@ -47,7 +47,7 @@ pub fn overlay(
     let weights = solution.nadir.iter().flat_map(|nadir| &nadir.weights);
     let weights = weights.copied().chain(std::iter::repeat(0.0));
     for (point, weight) in solution.edge.rays.iter().zip(weights) {
-        let colour = if weight > LEAST_WEIGHT {
+        let colour = if is_part(&weight) {
             Colour::YELLOW
         } else {
             Colour::RED

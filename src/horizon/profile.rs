@@ -174,11 +174,11 @@ fn place(
         is_seen(at).then(|| at.vector())
     };
     let (low, high) = (-(steps.inside as f64), steps.outside as f64);
+    // The parabola through three pixels of the profile. Most places of a wide cone fail with the first.
+    let (on, below, above) = (seen(0.0)?, seen(low)?, seen(high)?);
     if camera.growth(&cone.ray(around_rad, 0.0)) < LEAST_GROWTH {
         return None;
     }
-    // The parabola through three pixels of the profile. Most places of a wide cone fail with the first.
-    let (on, below, above) = (seen(0.0)?, seen(low)?, seen(high)?);
     let (to_low, to_high) = ((below - on) / low, (above - on) / high);
     let curvature = (to_high - to_low) / (high - low);
     let place = Place {

@@ -3,7 +3,7 @@
 
 use super::consensus::{Guess, consensus};
 use super::light::Raster;
-use super::nadir::{LEAST_WEIGHT, NadirError, nadir};
+use super::nadir::{NadirError, is_part, nadir};
 use super::places::Light;
 use super::profile::Profiles;
 use super::scan::Scan;
@@ -283,7 +283,7 @@ fn departure(edges: &[EdgeRays], sphere: &Sphere, nadir: &Nadir) -> Departure {
         ray.angle_from(down).0 - sphere.half_angle_towards(&ray.unit, down) - raised_rad
     };
     let rays = edges.iter().flat_map(|edge| &edge.rays).zip(&nadir.weights);
-    let agreeing = rays.filter(|(_, weight)| **weight > LEAST_WEIGHT);
+    let agreeing = rays.filter(|(_, weight)| is_part(weight));
     let left: Vec<(&EdgeRay, f64)> = agreeing.map(|(ray, _)| (ray, left(ray))).collect();
     Departure::of_residuals(&left)
 }

@@ -164,6 +164,21 @@ pub struct Observed<T> {
     pub copies: Vec<RejectedFrame>,
 }
 
+impl<T> Observed<Result<T, String>> {
+    /// What the frames gave, in the order of the files, and those that gave nothing: each with the reason, copies last.
+    pub fn parted(self) -> (Vec<T>, Vec<RejectedFrame>) {
+        let (mut given, mut rejected) = (Vec::new(), Vec::new());
+        for (file, outcome) in self.frames {
+            match outcome.flatten() {
+                Ok(one) => given.push(one),
+                Err(reason) => rejected.push(RejectedFrame::new(file, reason)),
+            }
+        }
+        rejected.extend(self.copies);
+        (given, rejected)
+    }
+}
+
 /// Opens each file once, several at a time, and gives what is made of its frame; of a file of several images the one of `size_px`. Warns of
 /// files that cannot be read, of values of headers that are not used, and of frames in one folder that cannot be told apart.
 ///

@@ -17,7 +17,7 @@ use crate::link::{
 use crate::navigation;
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::earth::SwingingGondola;
-use crate::simulate::navigation::TelescopeFlight;
+use crate::simulate::navigation::{TelescopeFlight, TelescopeTruth};
 use crate::simulate::sensors::Sensors;
 use crate::simulate::{EXPOSURE, FORT_SUMNER, FlightScenes, Gondola, Trajectory};
 use crate::sky;
@@ -110,33 +110,36 @@ pub struct JudgedOffset {
 impl JudgedOffset {
     /// `None` where the flight has no truth.
     pub fn of(said: &Propagated, flown: &mut TelescopeFlight, start: Timestamp) -> Option<Self> {
-        let solution = &said.solution;
-        let since = Duration::try_from(solution.time.duration_since(start)).ok()?;
-        Self::at(solution, since, f64::from(said.age_ms) / 1e3, flown)
+        let truth = flown.truth(since(start, &said.solution)?).ok()?;
+        Some(Self::against(
+            &truth,
+            &said.solution,
+            f64::from(said.age_ms) / 1e3,
+        ))
     }
 
     /// The offset of a frame: that of the middle of its exposure, `None` where the flight has no truth.
     fn by_sun(solution: &Solution, flown: &mut TelescopeFlight, start: Timestamp) -> Option<Self> {
-        let since = Duration::try_from(solution.time.duration_since(start)).ok()?;
-        Self::at(solution, since + EXPOSURE / 2, 0.0, flown)
+        let middle = since(start, solution)? + EXPOSURE / 2;
+        let truth = flown.truth(middle).ok()?;
+        Some(Self::against(&truth, solution, 0.0))
     }
 
-    fn at(
-        solution: &Solution,
-        since: Duration,
-        age_s: f64,
-        flown: &mut TelescopeFlight,
-    ) -> Option<Self> {
-        let truth = flown.truth(since).ok()?;
+    fn against(truth: &TelescopeTruth, solution: &Solution, age_s: f64) -> Self {
         let across_deg = (solution.azimuth_deg - truth.offset.azimuth_deg)
             * truth.elevation_deg.to_radians().cos();
         let up_deg = solution.elevation_deg - truth.offset.elevation_deg;
-        Some(Self {
+        Self {
             age_s,
             error_arcsec: [across_deg * 3600.0, up_deg * 3600.0],
             sigma_arcsec: solution.error_deg * 3600.0,
-        })
+        }
     }
+}
+
+/// The time that a solution states, since the start.
+fn since(start: Timestamp, solution: &Solution) -> Option<Duration> {
+    Duration::try_from(solution.time.duration_since(start)).ok()
 }
 
 /// Runs a demonstration; `show` is called with every answer. It ends early when `stopped` says so. `ground` is the line to a ground

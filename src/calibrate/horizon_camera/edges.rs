@@ -43,13 +43,7 @@ pub(super) fn collect(
             }),
         }
     })?;
-    let (mut limbs, mut rejected) = (Vec::new(), observed.copies);
-    for (file, limb) in observed.frames {
-        match limb.and_then(|limb| limb) {
-            Ok(limb) => limbs.push(limb),
-            Err(reason) => rejected.push(RejectedFrame::new(file, reason)),
-        }
-    }
+    let (mut limbs, rejected) = observed.parted();
     limbs.sort_by_key(|limb| limb.utc);
     Ok((limbs, rejected))
 }

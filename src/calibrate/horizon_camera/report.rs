@@ -4,7 +4,7 @@ use super::fit::Optics;
 use super::from_frames::FromFrames;
 use super::unknowns::Unknown;
 use crate::calibrate::numbers::{sigma_text, value_text};
-use crate::calibrate::revision::{Revision, number};
+use crate::calibrate::revision::{Revision, number, rows};
 use crate::geometry::camera::Lens;
 use crate::units::Measured;
 use toml_edit::{Array, Table, Value, value};
@@ -42,76 +42,69 @@ impl FromFrames {
         let mut table = Table::new();
         let unknowns: Array = Unknown::ALL.iter().map(|unknown| unknown.name()).collect();
         table["unknowns"] = value(unknowns);
-        let rows = optics.covariance.row_iter();
-        let rows: Array = rows
-            .map(|row| Value::Array(row.iter().copied().collect()))
-            .collect();
-        table["covariance"] = value(rows);
+        table["covariance"] = value(rows(&optics.covariance));
         table["residual_px"] = value(number(optics.residual_px, optics.residual_px));
         revision.note(provenance, table);
     }
 
     /// For people, without the rejected frames.
     pub fn lines(&self) -> Vec<String> {
-        self.optics.lines()
-    }
-}
-
-impl Optics {
-    fn focal_sigma_px(&self) -> f64 {
-        self.changed(Unknown::Focal).sigma * self.camera.focal_px()[0]
-    }
-
-    fn lines(&self) -> Vec<String> {
-        let Self {
+        let optics = &self.optics;
+        let Optics {
             frames,
             agreeing,
             points,
             residual_px,
             ..
-        } = self;
+        } = optics;
         let with_sigma = |what: &str, found: Measured, unit: &str| {
             format!(
-                "{what}: {} +- {} {unit}",
+                "{what}: {} +- {}{unit}",
                 value_text(found),
                 sigma_text(found.sigma)
             )
         };
-        let centre = self.camera.principal_point();
-        let of = |value: f64, unknown: Unknown| Measured::new(value, self.changed(unknown).sigma);
-        let [fx, fy] = self.camera.focal_px();
+        let centre = optics.camera.principal_point();
+        let of = |value: f64, unknown: Unknown| Measured::new(value, optics.changed(unknown).sigma);
+        let [fx, fy] = optics.camera.focal_px();
         let mut lines = vec![
             format!(
                 "{frames} frames; {agreeing} of {points} points of the limb's edge agree, {residual_px:.3} px rms from it"
             ),
             with_sigma(
                 "focal length in x",
-                Measured::new(fx, self.focal_sigma_px()),
-                "px",
+                Measured::new(fx, optics.focal_sigma_px()),
+                " px",
             ),
             with_sigma(
                 "focal length in y",
-                Measured::new(fy, self.focal_sigma_px()),
-                "px",
+                Measured::new(fy, optics.focal_sigma_px()),
+                " px",
             ),
-            with_sigma("centre in x", of(centre.x, Unknown::CentreX), "px"),
-            with_sigma("centre in y", of(centre.y, Unknown::CentreY), "px"),
+            with_sigma("centre in x", of(centre.x, Unknown::CentreX), " px"),
+            with_sigma("centre in y", of(centre.y, Unknown::CentreY), " px"),
         ];
-        if let Lens::KannalaBrandt(k) = self.camera.lens() {
+        if let Lens::KannalaBrandt(k) = optics.camera.lens() {
             lines.push(with_sigma("distortion k2", of(k[1], Unknown::Cubic), ""));
             lines.push(with_sigma("distortion k3", of(k[2], Unknown::Quintic), ""));
         }
         lines.push(with_sigma(
             "the limb's edge from the stated height",
-            self.changed(Unknown::Edge),
-            "stated sigmas",
+            optics.changed(Unknown::Edge),
+            " stated sigmas",
         ));
-        if !self.uncrossed.is_empty() {
-            let parts = self.uncrossed.join(", ");
+        if !optics.uncrossed.is_empty() {
+            let parts = optics.uncrossed.join(", ");
             lines.push(format!(
                 "hardly a frame has the limb in these parts of the picture: {parts}"
             ));
         }
         lines
+    }
+}
+
+impl Optics {
+    fn focal_sigma_px(&self) -> f64 {
+        self.changed(Unknown::Focal).sigma * self.camera.focal_px()[0]
     }
 }

@@ -293,9 +293,9 @@ impl Problem<'_> {
     fn solved(&self, state: &State) -> Option<LargeSolved> {
         let mut normal = Large::zero(state.unknowns());
         for (pose, cells) in self.cells.iter().enumerate() {
-            cells
-                .iter()
-                .for_each(|cell| add_cell(&mut normal, state, pose, cell));
+            for cell in cells {
+                add_cell(&mut normal, state, pose, cell);
+            }
         }
         for Prior {
             unknown,

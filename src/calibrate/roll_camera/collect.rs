@@ -77,12 +77,7 @@ pub fn collect(
     let observed = over(files.to_vec(), size_px, watch, |file, frame| {
         horizons.solve(file, &frame)
     })?;
-    let solved = observed.frames.into_iter().map(|(file, solved)| {
-        let solved = solved.and_then(|solved| solved);
-        solved.map_err(|reason| RejectedFrame::new(file, reason))
-    });
-    let (mut seen, mut rejected) = parted(solved.collect());
-    rejected.extend(observed.copies);
+    let (mut seen, rejected) = observed.parted();
     seen.sort_by_key(|horizon| horizon.utc);
     Ok((seen, rejected))
 }

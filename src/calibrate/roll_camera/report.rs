@@ -1,10 +1,10 @@
 //! The turn in words and in the camera's file.
 
 use super::fit::Turn;
-use crate::calibrate::revision::{Provenance, Revision, number};
+use crate::calibrate::revision::{Provenance, Revision, number, rows};
 use nalgebra::Rotation3;
 use std::fmt;
-use toml_edit::{Array, Table, Value, value};
+use toml_edit::{Array, Table, value};
 
 /// The name of the calibration in the file.
 pub const NAME: &str = "body_from_camera";
@@ -19,17 +19,10 @@ impl Turn {
     /// Writes the turn with its sigmas and covariance into a camera's file.
     pub fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
         let sigmas_deg = self.sigmas_deg();
-        let rows: Array = self
-            .body_from_camera
-            .matrix()
-            .row_iter()
-            .map(|row| row.iter().copied().collect::<Array>())
-            .map(Value::Array)
-            .collect();
         let worst_deg = sigmas_deg.into_iter().fold(0.0, f64::max);
         revision.set(
             "camera.body_from_camera",
-            Value::Array(rows),
+            rows(self.body_from_camera.matrix()),
             Some(worst_deg),
             provenance,
         );
@@ -40,12 +33,7 @@ impl Turn {
             .collect();
         table["sigmas_deg"] = value(sigmas);
         let covariance = self.covariance_rad2.map(|c| c * 1_f64.to_degrees().powi(2));
-        let rows: Array = covariance
-            .row_iter()
-            .map(|row| row.iter().copied().collect::<Array>())
-            .map(Value::Array)
-            .collect();
-        table["covariance_deg2"] = value(rows);
+        table["covariance_deg2"] = value(rows(&covariance));
         revision.note(provenance, table);
     }
 }

@@ -106,6 +106,12 @@ impl EarthConditions {
         }
     }
 
+    /// The same over a limb whose brightness and height vary along it, 1 sigma: by a part, and by m.
+    pub fn varying(mut self, varies_by: f64, varies_by_m: f64) -> Self {
+        (self.air.varies_by, self.air.varies_by_m) = (varies_by, varies_by_m);
+        self
+    }
+
     /// The scene of a seed and a number.
     pub fn scene(&self, seed: u64, number: u64) -> EarthScene {
         let mut random = generator(seed, Purpose::Earth, number);

@@ -1,6 +1,6 @@
 //! The Earth's limb as a camera of a swinging gondola sees it.
 
-use super::{Aim, Air, EarthConditions, EarthScene};
+use super::{Aim, EarthConditions, EarthScene};
 use crate::instrument::MountedCamera;
 use crate::simulate::gondola::Gondola;
 use crate::units::Place;
@@ -22,19 +22,13 @@ pub struct SwingingGondola {
 impl SwingingGondola {
     /// With a camera on it, at a place, over a limb that varies by 2 % and 100 m.
     pub fn new(camera: &MountedCamera, place: &Place, seed: u64) -> Self {
-        let clear = EarthConditions::clear(place.height_m);
         Self {
             conditions: EarthConditions {
                 camera: camera.optics.lens,
                 width_px: camera.optics.width_px,
                 height_px: camera.optics.height_px,
                 aim: Aim::Horizon { most_roll_deg: 0.0 },
-                air: Air {
-                    varies_by: 0.02,
-                    varies_by_m: 100.0,
-                    ..clear.air
-                },
-                ..clear
+                ..EarthConditions::clear(place.height_m).varying(0.02, 100.0)
             },
             latitude_deg: place.latitude_deg,
             body_from_camera: camera.body_from_camera,
