@@ -13,6 +13,8 @@ import warnings
 
 import astropy.units as u
 import numpy as np
+import sunpy.coordinates
+from astropy.coordinates import AltAz, EarthLocation, SkyCoord
 from astropy.io import fits
 from astropy.table import QTable, Table
 from astropy.time import Time
@@ -101,6 +103,51 @@ def check_smoothed(rows, smoothed):
     assert known.any() and (plain(smoothed["SIGMA_X_MIL"])[known] > 0).all()
 
 
+def on_the_sun(times, azimuth, elevation, location):
+    """Helioprojective coordinates of directions in the horizon, by sunpy: what it makes of a point as far away as the Sun."""
+    observer = SkyCoord(location.get_itrs(times))
+    distance = observer.transform_to(sunpy.coordinates.HeliographicStonyhurst(obstime=times)).radius
+    horizon = AltAz(obstime=times, location=location)
+    towards = SkyCoord(azimuth, elevation, distance, frame=horizon)
+    seen = towards.transform_to(sunpy.coordinates.Helioprojective(obstime=times, observer=observer))
+    return np.array([seen.Tx.to_value(u.arcsec), seen.Ty.to_value(u.arcsec)])
+
+
+def check_pointing(out):
+    """The pointing is where sunpy puts the direction in the horizon; times are what astropy reads."""
+    rows, header = table(out / "aspect.fits", "POINTING"), fits.getheader(out / "aspect.fits", "POINTING")
+    assert header["TIMESYS"] == "UTC" and header["TIMEUNIT"] == "s"
+    times = Time(header["MJDREF"], plain(rows["TIME"]) / 86400, format="mjd", scale="utc")
+    assert np.abs((times - Time(header["DATEREF"], scale="utc")).to_value("s") - plain(rows["TIME"])).max() < 1e-6
+    assert np.abs((times - Time(plain(rows["UNIX_S"]), format="unix", scale="utc")).to_value("s")).max() < 1e-6
+    valid = np.asarray(rows["VALID"])
+    assert valid.any() and ((rows["INVALID"] == "") == valid).all()
+    # Rows at whole seconds, of which the states tell where the Sun is.
+    seconds = Table.read(out / "pointing.fits", hdu="SECONDS")
+    known = np.isfinite(plain(rows["HPLN"])) & np.isin(plain(rows["UNIX_S"]), np.asarray(seconds["UNIX_S"], dtype=float))
+    rows, times = rows[known], times[known]
+    seconds = seconds[np.searchsorted(seconds["UNIX_S"], rows["UNIX_S"])]
+    location = EarthLocation.from_geocentric(*(plain(seconds[axis]) * u.m for axis in "XYZ"))
+    pointed = on_the_sun(times, rows["AZIMUTH"], rows["ELEVATION"], location)
+    off = pointed - np.array([plain(rows["HPLN"]), plain(rows["HPLT"])])
+    north, east, up = horizon_axes(location)
+    sun = np.stack([plain(seconds[f"SUN_{axis}"]) for axis in "XYZ"])
+    azimuth = np.degrees(np.arctan2((sun * east).sum(0), (sun * north).sum(0))) * u.deg
+    elevation = np.degrees(np.arcsin((sun * up).sum(0))) * u.deg
+    of_sun = on_the_sun(times, azimuth, elevation, location)
+    print(f"POINTING: {np.abs(off).max():.3f} arcsec from sunpy, {np.abs(off - of_sun).max():.4f} beside the Sun's own")
+    assert np.abs(off).max() < 0.3 and np.abs(off - of_sun).max() < 0.02
+    return len(valid)
+
+
+def horizon_axes(location):
+    """North, east and up in Earth-fixed axes."""
+    longitude, latitude = location.lon.rad, location.lat.rad
+    up = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
+    east = np.stack([-np.sin(longitude), np.cos(longitude), 0 * longitude])
+    return np.cross(up, east, axis=0), east, up
+
+
 def check_same(rows, out):
     """CSV and summary tell the same."""
     with open(out / "aspect.csv", newline="") as file:
@@ -117,12 +164,13 @@ def main(out, archive):
     path = out / "aspect.fits"
     with fits.open(path, checksum=True) as hdus:
         hdus.verify("exception")
-        assert [hdu.name for hdu in hdus][1:] == ["ASPECT", "SMOOTHED"]
+        assert [hdu.name for hdu in hdus][1:] == ["ASPECT", "SMOOTHED", "POINTING"]
         assert all("DATASUM" in hdu.header for hdu in hdus)
     rows, smoothed = table(path, "ASPECT"), table(path, "SMOOTHED")
     fine = check_rows(rows, archive)
     check_smoothed(rows, smoothed)
     check_same(rows, out)
+    check_pointing(out)
     rolls = check_roll(out, archive)
     page = (out / "report.html").read_text()
     assert "<svg" in page and not re.search(r"(src|href)=\"(?!data:)", page)

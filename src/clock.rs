@@ -8,7 +8,7 @@ mod utc;
 
 use std::io;
 use std::path::Path;
-pub use utc::{Scale, Utc, parse_utc, read_utc, utc_of_mjd, utc_text};
+pub use utc::{Scale, Utc, parse_utc, read_utc, utc_microseconds, utc_of_mjd, utc_text};
 
 /// Files that are there while a time service runs.
 const SERVICES: [(&str, &str); 5] = [

@@ -189,7 +189,7 @@ pub fn write_fits<T, R: Borrow<T>, E: From<FileError>>(
     })
 }
 
-/// Writes tables to a FITS file that is whole or absent; `cards` go into its primary header.
+/// Writes tables to a FITS file that is whole or absent; `cards` go into every header of it.
 ///
 /// # Errors
 /// What `fill` gives; a file that cannot be written.

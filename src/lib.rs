@@ -71,6 +71,7 @@
 //! | [`navigation`] | inertial navigation: the attitude between and beyond the frames |
 //! | [`simulate`] | scenes and trajectories with truth, controller emulator |
 //! | [`columns`] | tables by the declaration of their columns: FITS, CSV, the manual |
+//! | [`pointing_history`] | where the telescope pointed, as a function of time |
 //! | [`archive`], [`camera`] | files on disks; sources of frames |
 //! | [`observe`] | one pass over frames: journals, shards, copies, files that cannot be read |
 //! | [`config`] | the parameter table |
@@ -112,6 +113,7 @@ pub mod navigation;
 pub mod observe;
 pub mod plate;
 pub mod pointing;
+pub mod pointing_history;
 pub mod preflight;
 pub mod provenance;
 pub mod reasons;

@@ -43,6 +43,7 @@ mod navigation;
 mod navigation_in_flight;
 mod photon_transfer;
 mod pointing;
+mod pointing_history;
 mod power_cut;
 mod preflight;
 mod refine;

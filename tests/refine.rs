@@ -843,7 +843,10 @@ fn a_hundred_thousand_frames_take_less_than_300_mb() {
     println!("history {:.1} s", start.elapsed().as_secs_f64());
     told("history");
     let mut rows = Rows::default();
-    let summary = refining::write(out.path(), &history, |row| rows.take(row)).unwrap();
+    let written = refining::write_rows(out.path(), &history, |row| rows.take(row)).unwrap();
+    let pointing = history.pointing(None).unwrap();
+    told("pointing");
+    let summary = refining::write(out.path(), &history, written, None, &pointing, 10.0).unwrap();
     told("tables");
     let mut report = Report::default();
     report.add(None, &archive, &history, &summary, &rows);

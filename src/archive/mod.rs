@@ -32,7 +32,7 @@ pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use reader::ArchiveReader;
 pub use record::{
     MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord,
-    instrument_cards, tables,
+    instrument_cards, tables, target_cards,
 };
 pub use storage::{Listing, StoredFile};
 pub use store::{ArchiveError, Encoded, MARK, Store, UNFINISHED};

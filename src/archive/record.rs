@@ -9,7 +9,7 @@ use crate::horizon;
 use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
 use crate::moon;
-use crate::pointing::{Offset, Roll};
+use crate::pointing::{Offset, Roll, Target};
 use crate::reasons::{Stage, Stopped};
 use crate::units::Measured;
 use jiff::Timestamp;
@@ -380,6 +380,18 @@ impl Record {
             cards.push(Card::new("NMARKS", marks.len() as i64));
         }
         cards
+    }
+}
+
+/// The keywords of what the telescope is to point at: what stays about the Sun.
+pub fn target_cards(target: &Target) -> Vec<Card> {
+    match target {
+        Target::Fixed(place) => vec![
+            Card::new("OBJECT", "Sun"),
+            Card::new("TARGETX", place.x),
+            Card::new("TARGETY", place.y),
+        ],
+        Target::Feature(_) => vec![Card::new("OBJECT", "a feature of the Sun")],
     }
 }
 

@@ -30,7 +30,7 @@ impl AttitudeArgs {
     }
 }
 
-fn parse_rate(text: &str) -> Result<f64, String> {
+pub fn parse_rate(text: &str) -> Result<f64, String> {
     let rate: Option<f64> = text.parse().ok();
     rate.filter(|rate| (1e-3..=1e5).contains(rate))
         .ok_or_else(|| format!("expected a number from 0.001 to 100000 Hz, found \"{text}\""))

@@ -1,6 +1,6 @@
 //! `solaspect refine`: the best aspect history of a flight.
 
-use super::attitude::{self, AttitudeArgs};
+use super::attitude::{self, AttitudeArgs, parse_rate};
 use super::options::interrupted;
 use super::output::{Follower, say};
 use crate::clock::parse_utc;
@@ -63,6 +63,9 @@ pub struct RefineArgs {
     /// Where the frames were taken, for frames that do not say so
     #[arg(long, value_name = "LAT,LON,HEIGHT_M", allow_hyphen_values = true)]
     place: Option<Place>,
+    /// Rows a second of the table POINTING [default: 10]
+    #[arg(long, value_name = "HZ", value_parser = parse_rate)]
+    pointing_rate: Option<f64>,
     #[command(flatten)]
     navigation: NavigationArgs,
 }
@@ -102,6 +105,7 @@ impl RefineArgs {
                 until: self.until,
             },
             rate_hz: navigation.wanted.rate,
+            pointing_rate_hz: self.pointing_rate,
             navigation: (!navigation.imu.is_empty()).then(|| Navigation {
                 imu: navigation.imu.clone(),
                 gps: navigation.gps.clone(),
@@ -196,6 +200,10 @@ fn print_summary(summary: &Summary) -> anyhow::Result<()> {
     }
     for [name, value] in summary.clock.lines() {
         say(format_args!("{name}: {value}"))?;
+    }
+    if let Some(compared) = &summary.witnesses {
+        say(compared)?;
+        compared.findings.iter().try_for_each(say)?;
     }
     Ok(())
 }

@@ -8,7 +8,7 @@
 
 use jiff::civil::{Date, DateTime, date};
 use jiff::tz::Offset;
-use jiff::{SignedDuration, Timestamp, ToSpan};
+use jiff::{SignedDuration, Timestamp, ToSpan, Unit};
 use sofars::ts::dat;
 
 /// What was expected where a text is no time.
@@ -46,6 +46,11 @@ pub fn utc_text(utc: Utc, digits: usize) -> String {
     let before = utc.time - SignedDuration::from_secs(1);
     let before = format!("{before:.digits$}");
     format!("{}60{}", &before[..17], &before[19..])
+}
+
+/// ISO 8601 with Z, to the nearest microsecond.
+pub fn utc_microseconds(time: Timestamp) -> String {
+    format!("{:.6}", time.round(Unit::Microsecond).unwrap_or(time))
 }
 
 /// The scale of a time.
@@ -478,6 +483,14 @@ mod tests {
                 "{days}"
             );
         }
+    }
+
+    #[test]
+    fn a_time_that_a_float_has_made_a_little_less_is_written_as_it_was_meant() {
+        // 18:00:02.01 as seconds since 1970.
+        let since = SignedDuration::from_secs_f64(1_379_786_402.01);
+        let time = Timestamp::UNIX_EPOCH + since;
+        assert_eq!(utc_microseconds(time), "2013-09-21T18:00:02.010000Z");
     }
 
     #[test]

@@ -93,7 +93,7 @@ pub fn clock_cards(clock: &ClockStatus) -> Vec<Card> {
 }
 
 /// Days since 1858-11-17, to the microsecond.
-fn modified_julian_date(time: Timestamp) -> f64 {
+pub fn modified_julian_date(time: Timestamp) -> f64 {
     const OF_UNIX_EPOCH: f64 = 40_587.0;
     OF_UNIX_EPOCH + time.as_microsecond() as f64 / 86_400e6
 }

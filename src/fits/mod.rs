@@ -10,6 +10,7 @@
 //! flight's frames are to cost no more to store than to solve. The tests hold both against cfitsio, which shares nothing with them. The
 //! keywords are those of one table, [`keyword`].
 
+mod by_cfitsio;
 mod cards;
 mod checksum;
 mod choice;
@@ -41,7 +42,8 @@ mod unit;
 mod values;
 mod write;
 
-pub use cards::{clock_cards, format_time};
+pub use by_cfitsio::open_disk_file;
+pub use cards::{clock_cards, format_time, modified_julian_date};
 pub use checksum::Checksums;
 pub use error::{FileError, Problem};
 pub use file::FitsFile;

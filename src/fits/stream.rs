@@ -85,10 +85,12 @@ impl StoredRow {
 pub struct TableFile {
     path: PathBuf,
     file: BufWriter<File>,
+    /// In every header.
+    cards: Vec<Card>,
 }
 
 impl TableFile {
-    /// Begins a file, replacing what stood there; `cards` go into the primary header.
+    /// Begins a file, replacing what stood there; `cards` go into every header.
     ///
     /// # Errors
     /// A card that no keyword of the table is; a file that cannot be written.
@@ -106,6 +108,7 @@ impl TableFile {
         };
         Ok(Self {
             path: path.into(),
+            cards: cards.to_vec(),
             file: begun().map_err(|problem: Problem| problem.in_file(path))?,
         })
     }
@@ -123,7 +126,9 @@ impl TableFile {
     ) -> Result<(), E> {
         let row_bytes: usize = columns.iter().map(|column| column.form.bytes()).sum();
         let start = self.kept(|file| file.stream_position().map_err(refused))?;
-        let unfinished = self.kept(|_| header(name, columns, row_bytes, 0))?;
+        let cards = std::mem::take(&mut self.cards);
+        let header = |rows: usize| header(name, columns, &cards, [row_bytes, rows]);
+        let unfinished = self.kept(|_| header(0))?;
         let bytes = unfinished.into_bytes();
         self.kept(|file| file.write_all(&bytes).map_err(refused))?;
         let (mut count, mut row, mut sum) = (0, StoredRow::default(), DataSum::default());
@@ -145,13 +150,14 @@ impl TableFile {
             let fill = vec![0; data.next_multiple_of(BLOCK) - data];
             file.write_all(&fill).map_err(refused)?;
             let end = file.stream_position().map_err(refused)?;
-            let mut finished = header(name, columns, row_bytes, count)?;
+            let mut finished = header(count)?;
             finished.seal(sum.finish());
             file.seek(SeekFrom::Start(start)).map_err(refused)?;
             file.write_all(&finished.into_bytes()).map_err(refused)?;
             file.seek(SeekFrom::Start(end)).map_err(refused)?;
             Ok(())
         })?;
+        self.cards = cards;
         Ok(())
     }
 
@@ -185,10 +191,10 @@ fn refused(cause: io::Error) -> Problem {
 fn header(
     name: &str,
     columns: &[StoredColumn],
-    row_bytes: usize,
-    rows: usize,
+    cards: &[Card],
+    bytes_and_rows: [usize; 2],
 ) -> Result<Layout, Problem> {
-    let cards = columns.iter().map(|column| ColumnCards {
+    let heads = columns.iter().map(|column| ColumnCards {
         name: column.name,
         form: column.form.tform(),
         unit: column.unit,
@@ -196,7 +202,7 @@ fn header(
         null: (column.form == CellForm::Integer).then_some(NO_INTEGER),
     });
     let mut header = Layout::new(BLOCK);
-    put_table_header(&mut header, name, cards, [row_bytes, rows], &[])?;
+    put_table_header(&mut header, name, heads, bytes_and_rows, cards)?;
     Ok(header)
 }
 

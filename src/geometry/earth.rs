@@ -2,6 +2,7 @@
 
 use crate::units::Place;
 use nalgebra::{Matrix3, UnitVector3, Vector3};
+use sofars::coords::gc2gde;
 
 /// Of the Earth with its air, m^3/s^2 (WGS 84).
 const GRAVITY_M3_PER_S2: f64 = 3.986_004_418e14;
@@ -57,6 +58,12 @@ pub fn ecef_m(place: &Place) -> Vector3<f64> {
     let axis_m = (normal_m + place.height_m) * cos;
     let z_m = (normal_m * (1.0 - eccentricity2) + place.height_m) * sin;
     Vector3::new(axis_m * cos_east, axis_m * sin_east, z_m)
+}
+
+/// The place of a position in ECEF. `None` where no place near the Earth's surface is there.
+pub fn geodetic(at_m: &Vector3<f64>) -> Option<Place> {
+    let (longitude, latitude, height_m) = gc2gde(EQUATOR_M, FLATTENING, (*at_m).into()).ok()?;
+    Place::new(latitude.to_degrees(), longitude.to_degrees(), height_m).ok()
 }
 
 /// North, east and up at a place in ECEF, as columns.

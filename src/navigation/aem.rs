@@ -4,6 +4,7 @@
 //! components are those of the Hamilton quaternion that turns the body's vectors to the Earth's.
 
 use super::solve::Row;
+use crate::clock::utc_microseconds;
 use jiff::{SignedDuration, Timestamp};
 use std::io::{self, Write};
 
@@ -123,7 +124,7 @@ impl<'a, W: Write> Aem<'a, W> {
 
 /// A time as the standard has it: UTC without a zone, to the microsecond.
 fn utc(time: Timestamp) -> String {
-    format!("{time:.6}").trim_end_matches('Z').to_owned()
+    utc_microseconds(time).trim_end_matches('Z').to_owned()
 }
 
 #[cfg(test)]

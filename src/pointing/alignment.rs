@@ -15,7 +15,7 @@ use crate::geometry::attitude::Direction;
 use crate::instrument::{Directions, Instrument, Mounting};
 use crate::sky::sphere::{direction, tangents};
 use crate::units::{MIL_MM, Measured, PlateMil};
-use nalgebra::{Matrix2, Matrix3x2, Rotation3, UnitVector3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Rotation3, UnitVector3, Vector2, Vector3};
 use std::f64::consts::FRAC_PI_2;
 
 /// The telescope's roll: its turn about the boresight, positive with the right side low.
@@ -100,6 +100,8 @@ pub(super) struct Alignment {
     distance_mil: f64,
     /// Clocking less roll, deg. A roll to the right turns the plate's +Y clockwise; the clocking counts the other way.
     turn_deg: f64,
+    /// That turns directions on the plate.
+    roll_deg: f64,
     pub roll_sigma_deg: f64,
 }
 
@@ -112,6 +114,7 @@ impl Alignment {
             boresight_mil: mounting.boresight_mil.vector(),
             distance_mil: instrument.optics.plate_distance_mm.value / MIL_MM,
             turn_deg: mounting.clocking_deg.value - roll.value,
+            roll_deg: roll.value,
             roll_sigma_deg: roll.sigma,
         }
     }
@@ -171,14 +174,40 @@ impl Alignment {
         on_plane: &Vector2<f64>,
         sun: &Vector3<f64>,
     ) -> Result<Matrix2<f64>, PointingError> {
+        let boresight = self.boresight(on_plane, sun)?;
+        Ok(self.up_and_right(&boresight, sun).transpose() * carried(sun, &boresight))
+    }
+
+    /// Up and right, as columns, of a telescope without roll that points in a direction: what directions on the plate are counted from.
+    fn up_and_right(&self, boresight: &Vector3<f64>, sun: &Vector3<f64>) -> Matrix3x2<f64> {
         match self.directions {
-            Directions::Sun2013 => Ok(Matrix2::identity()),
+            Directions::Telescope => axes(boresight),
+            Directions::Sun2013 => carried(sun, boresight),
+        }
+    }
+
+    /// The telescope's own axes - forward, right, up - as columns, where it points in a direction.
+    pub fn telescope(&self, boresight: &Vector3<f64>, sun: &Vector3<f64>) -> Matrix3<f64> {
+        let level = self.up_and_right(boresight, sun);
+        let (up, right) = (level.column(0), level.column(1));
+        let (sin, cos) = self.roll_deg.to_radians().sin_cos();
+        Matrix3::from_columns(&[*boresight, right * cos - up * sin, up * cos + right * sin])
+    }
+
+    /// By how much a telescope turns about its boresight while that moves a little: what its up is counted from turns with the azimuth, or as
+    /// an axis does that is carried along great circles from the Sun (by the area between two of them).
+    pub fn turned_about(
+        &self,
+        boresight: &Vector3<f64>,
+        moved: &Vector3<f64>,
+        sun: &Vector3<f64>,
+    ) -> f64 {
+        match self.directions {
             Directions::Telescope => {
-                let boresight = self.boresight(on_plane, sun)?;
-                let along = Rotation3::rotation_between(sun, &boresight);
-                let carried = along.map_or(axes(sun), |along| along * axes(sun));
-                Ok(axes(&boresight).transpose() * carried)
+                let (_, across) = tangents(boresight);
+                -moved.dot(&across) * boresight.z / boresight.xy().norm()
             }
+            Directions::Sun2013 => sun.cross(boresight).dot(moved) / (1.0 + sun.dot(boresight)),
         }
     }
 
@@ -235,6 +264,12 @@ fn from_telescope(
 /// A direction on the plane that touches the sky at another: towards the zenith, and clockwise.
 pub(super) fn gnomonic(at: &Vector3<f64>, of: &Vector3<f64>) -> Vector2<f64> {
     axes(at).transpose() * of / of.dot(at)
+}
+
+/// The axes at the Sun as they come along the great circle to another direction.
+fn carried(sun: &Vector3<f64>, to: &Vector3<f64>) -> Matrix3x2<f64> {
+    let along = Rotation3::rotation_between(sun, to);
+    along.map_or(axes(sun), |along| along * axes(sun))
 }
 
 /// The axes of the plane that touches the sky at a direction, as columns: towards the zenith, and clockwise, which is towards

@@ -8,10 +8,12 @@
 //! All of it is on the sphere; nothing assumes small angles.
 
 mod alignment;
+mod attitude;
 mod refusal;
 mod target;
 
 pub use alignment::{Roll, body_nadir, body_pitch_deg, body_roll_deg};
+pub use attitude::{TelescopeAttitude, calibration_rad2, telescope_attitude};
 pub use refusal::PointingError;
 pub use target::{Feature, Target};
 
@@ -22,8 +24,9 @@ use crate::sky::sphere::{angles_deg, direction, separation_rad, tangents};
 use crate::sky::{Ephemeris, SunPosition};
 use crate::units::{ARCSEC_PER_RAD, Estimate, Measured, Place, PlateMil};
 use alignment::{Alignment, gnomonic};
+use attitude::{Errors, across_and_up};
 use jiff::Timestamp;
-use nalgebra::{Matrix2, UnitVector3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, UnitVector3, Vector3};
 use refusal::NoOffset;
 
 /// Above this elevation a difference of azimuths says nothing of use.
@@ -34,6 +37,22 @@ const HIGHEST_ELEVATION_DEG: f64 = 85.0;
 pub struct HelioprojectiveArcsec {
     pub x: f64,
     pub y: f64,
+}
+
+impl HelioprojectiveArcsec {
+    /// Of a direction in the axes about the Sun: to its centre, to solar west and north (Thompson 2006).
+    pub fn of_direction(v: &Vector3<f64>) -> Self {
+        Self {
+            x: v.y.atan2(v.x) * ARCSEC_PER_RAD,
+            y: v.z.asin() * ARCSEC_PER_RAD,
+        }
+    }
+
+    /// The unit vector towards it in these axes.
+    pub fn direction(self) -> Vector3<f64> {
+        let [longitude_deg, latitude_deg] = [self.x, self.y].map(|arcsec| arcsec / 3600.0);
+        direction(longitude_deg, latitude_deg)
+    }
 }
 
 /// A direction in the observer's horizon: azimuth from north through east, elevation without refraction.
@@ -140,8 +159,9 @@ pub fn offset(
 ) -> Result<Offset, PointingError> {
     let boresight = boresight(sun_on_plate.position, roll, instrument, sun)?;
     let difference = difference(&boresight, &target_direction(target, sun))?;
-    let [frame, calibration] = covariances_rad2(&sun_on_plate, roll, instrument, sun)?;
-    let covariance_deg2 = frame * 1_f64.to_degrees().powi(2);
+    let errors = Errors::new(&sun_on_plate, roll, instrument, sun)?;
+    let covariance_deg2 = across_and_up(&errors.frame_rad2) * 1_f64.to_degrees().powi(2);
+    let calibration = across_and_up(&errors.calibration_rad2) + errors.ut1_rad2;
     Ok(Offset {
         azimuth_deg: difference.azimuth_deg,
         elevation_deg: difference.elevation_deg,
@@ -207,10 +227,8 @@ pub fn helioprojective(
     let towards = boresight(sun_on_plate, roll, instrument, sun)?;
     let centre = sun_direction(sun);
     let (west, north) = west_and_north(&centre, sun);
-    Ok(HelioprojectiveArcsec {
-        x: towards.dot(&west).atan2(towards.dot(&centre)) * ARCSEC_PER_RAD,
-        y: towards.dot(&north).asin() * ARCSEC_PER_RAD,
-    })
+    let axes = Matrix3::from_columns(&[centre, west, north]);
+    Ok(HelioprojectiveArcsec::of_direction(&axes.tr_mul(&towards)))
 }
 
 /// Where on the plate a place about the Sun is seen while the Sun's centre stands at `sun_on_plate`: in the Sun's image, the
@@ -319,9 +337,12 @@ fn boresight(
 pub fn target_direction(target: HelioprojectiveArcsec, sun: &SunPosition) -> Vector3<f64> {
     let centre = sun_direction(sun);
     let (west, north) = west_and_north(&centre, sun);
-    let (sin_x, cos_x) = (target.x / ARCSEC_PER_RAD).sin_cos();
-    let (sin_y, cos_y) = (target.y / ARCSEC_PER_RAD).sin_cos();
-    centre * (cos_y * cos_x) + west * (cos_y * sin_x) + north * sin_y
+    Matrix3::from_columns(&[centre, west, north]) * target.direction()
+}
+
+/// The direction of solar north at the Sun's centre, towards north, east and up.
+pub fn solar_north(sun: &SunPosition) -> Vector3<f64> {
+    west_and_north(&sun_direction(sun), sun).1
 }
 
 /// Unit vectors at the Sun's centre to solar west and north.
@@ -331,44 +352,13 @@ fn west_and_north(centre: &Vector3<f64>, sun: &SunPosition) -> (Vector3<f64>, Ve
     (clockwise * cos - up * sin, up * cos + clockwise * sin)
 }
 
-/// Covariance of the pointing in true angle, across and in elevation: what the frame and what the calibration leave.
-fn covariances_rad2(
-    sun_on_plate: &Estimate<PlateMil>,
-    roll: Roll,
-    instrument: &Instrument,
-    sun: &SunPosition,
-) -> Result<[Matrix2<f64>; 2], PointingError> {
-    let alignment = Alignment::new(instrument, roll);
-    let on_plane = alignment.on_plane(sun_on_plate.position);
-    let [by_plane, by_sun] = alignment.derivatives(&on_plane, &sun_direction(sun))?;
-    let by_plate = by_plane * alignment.to_plane();
-    let by_turn = by_plane * Vector2::new(on_plane.y, -on_plane.x);
-    let mounting = &instrument.mounting;
-    let distance = instrument.optics.plate_distance_mm;
-    let [across_arcsec, up_arcsec] = sun.ut1_shift_arcsec;
-    let by_roll = squared(by_turn * alignment.roll_sigma_deg.to_radians());
-    let frame = by_plate * sun_on_plate.covariance * by_plate.transpose();
-    let calibration = by_plate * by_plate.transpose() * mounting.boresight_sigma_mil.powi(2)
-        + squared(by_turn * mounting.clocking_deg.sigma.to_radians())
-        + squared(by_plane * on_plane * (distance.sigma / distance.value))
-        + squared(by_sun * Vector2::new(up_arcsec, across_arcsec) / ARCSEC_PER_RAD);
-    Ok(match roll {
-        Roll::Stated => [frame, calibration + by_roll],
-        Roll::Measured(_) => [frame + by_roll, calibration],
-    })
-}
-
-/// The covariance of one error.
-fn squared(error: Vector2<f64>) -> Matrix2<f64> {
-    error * error.transpose()
-}
-
 /// 1 sigma per axis: the rms of the two.
 fn per_axis(covariance: &Matrix2<f64>) -> f64 {
     (covariance.trace().max(0.0) / 2.0).sqrt()
 }
 
-fn sun_direction(sun: &SunPosition) -> Vector3<f64> {
+/// The direction to the Sun's centre, towards north, east and up.
+pub fn sun_direction(sun: &SunPosition) -> Vector3<f64> {
     direction(sun.azimuth_deg, sun.elevation_deg)
 }
 

@@ -1,10 +1,11 @@
 //! The columns of the history, in one place: `aspect.fits`, `aspect.csv`, `stabilisation.fits` and the manual's page are made from these tables.
 
 use super::row::{Row, SkyRow};
-use super::stabilisation::StabilisationRow;
+use super::stabilisation::{StabilisationRow, StableOffset};
 use super::times::TIME_SIGMA;
+use crate::clock::utc_microseconds;
 use crate::columns::{Column, float, integer, logical, text};
-use crate::pointing::{Offset, body_roll_deg};
+use crate::pointing::body_roll_deg;
 use crate::smoothing::PathPoint;
 use crate::units::{Estimate, Measured, PlateMil};
 
@@ -36,7 +37,7 @@ pub const ASPECT: &str = "ASPECT";
 #[rustfmt::skip]
 pub const ASPECT_COLUMNS: &[Column<Row>] = &[
     text("FILE", "the frame's file, relative to the archive", |r| r.file.as_str().into()),
-    text("UTC", "mid-exposure, UTC, ISO 8601", |r| r.utc().map_or(String::new(), |utc| format!("{utc:.6}")).into()),
+    text("UTC", "mid-exposure, UTC, ISO 8601", |r| r.utc().map_or(String::new(), utc_microseconds).into()),
     float("UNIX_S", "s", "mid-exposure, UTC, since 1970-01-01", |r| r.unix_s()),
     float("UTC_CORRECTION_S", "s", "what was added to the header's time, where others contradict it", |r| Some(r.timing.correction_s?.value)),
     float("UTC_CORRECTION_SIGMA_S", "s", "1 sigma of UTC_CORRECTION_S", |r| Some(r.timing.correction_s?.sigma)),
@@ -121,7 +122,7 @@ pub const fn smoothed_columns<'a>() -> [Column<Smoothed<'a>>; 7] {
 /// The extension that holds the telescope's offset at a constant rate.
 pub const STABILISATION: &str = "STABILISATION";
 
-fn offset(row: &StabilisationRow, value: fn(&Offset) -> f64) -> Option<f64> {
+fn offset(row: &StabilisationRow, value: fn(&StableOffset) -> f64) -> Option<f64> {
     row.offset.as_ref().map(value)
 }
 
@@ -129,13 +130,13 @@ fn offset(row: &StabilisationRow, value: fn(&Offset) -> f64) -> Option<f64> {
 #[rustfmt::skip]
 pub const STABILISATION_COLUMNS: &[Column<StabilisationRow>] = &[
     float("UNIX_S", "s", "time, UTC, since 1970-01-01", |r| Some(r.unix_s)),
-    float("OFFSET_AZ_DEG", "deg", "azimuth, pointing minus target", |r| offset(r, |o| o.azimuth_deg)),
-    float("OFFSET_EL_DEG", "deg", "elevation, pointing minus target", |r| offset(r, |o| o.elevation_deg)),
-    float("OFFSET_XEL_DEG", "deg", "true angle across, pointing from target, to larger azimuth", |r| offset(r, |o| o.cross_elevation_deg)),
-    float("VAR_XEL_DEG2", "deg2", "variance across, of the path and the roll", |r| offset(r, |o| o.covariance_deg2[(0, 0)])),
-    float("VAR_EL_DEG2", "deg2", "variance in elevation, of the path and the roll", |r| offset(r, |o| o.covariance_deg2[(1, 1)])),
+    float("OFFSET_AZ_DEG", "deg", "azimuth, pointing minus target", |r| offset(r, |o| o.difference.azimuth_deg)),
+    float("OFFSET_EL_DEG", "deg", "elevation, pointing minus target", |r| offset(r, |o| o.difference.elevation_deg)),
+    float("OFFSET_XEL_DEG", "deg", "true angle across, pointing from target, to larger azimuth", |r| offset(r, |o| o.difference.cross_elevation_deg)),
+    float("VAR_XEL_DEG2", "deg2", "variance across, random part", |r| offset(r, |o| o.covariance_deg2[(0, 0)])),
+    float("VAR_EL_DEG2", "deg2", "variance in elevation, random part", |r| offset(r, |o| o.covariance_deg2[(1, 1)])),
     float("COV_XEL_EL_DEG2", "deg2", "covariance of OFFSET_XEL_DEG and OFFSET_EL_DEG", |r| offset(r, |o| o.covariance_deg2[(0, 1)])),
-    logical("VALID", "whether the offset is known", |r| r.offset.is_some()),
+    logical("VALID", "whether the offset may be used, as POINTING says", |r| r.is_valid),
 ];
 
 #[cfg(test)]
@@ -143,14 +144,16 @@ mod tests {
     use super::super::roll::{ROLL, ROLL_COLUMNS};
     use super::*;
     use crate::columns::markdown;
+    use crate::pointing_history::{POINTING, POINTING_COLUMNS};
 
     /// With SOLASPECT_WRITE_DOCS set, the page's tables are written instead.
     #[test]
     fn the_page_of_columns_is_that_of_the_tables() {
         let tables = format!(
-            "### {ASPECT}\n\n{}\n### {SMOOTHED}\n\n{}\n### {STABILISATION}\n\n{}\n### {ROLL}\n\n{}",
+            "### {ASPECT}\n\n{}\n### {SMOOTHED}\n\n{}\n### {POINTING}\n\n{}\n### {STABILISATION}\n\n{}\n### {ROLL}\n\n{}",
             markdown(ASPECT_COLUMNS),
             markdown(&smoothed_columns()),
+            markdown(POINTING_COLUMNS),
             markdown(STABILISATION_COLUMNS),
             markdown(ROLL_COLUMNS)
         );

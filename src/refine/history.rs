@@ -126,13 +126,17 @@ impl History {
 
     /// With straight down in the body's axes at each dated frame.
     pub fn with_roll(self, roll: &RollHistory) -> Self {
-        let timeline = &self.flight.timeline;
-        let times_s = (0..timeline.dated()).filter_map(|n| timeline.unix_s(n));
-        let times_s: Vec<f64> = times_s.collect();
+        let times_s: Vec<f64> = self.frame_times_s().collect();
         Self {
             nadirs: roll.body_nadirs(&times_s),
             ..self
         }
+    }
+
+    /// The times of the dated frames, s since 1970.
+    pub(super) fn frame_times_s(&self) -> impl Iterator<Item = f64> {
+        let timeline = &self.flight.timeline;
+        (0..timeline.dated()).filter_map(|n| timeline.unix_s(n))
     }
 
     pub fn recipe(&self) -> &Recipe {

@@ -56,6 +56,7 @@ mod oddity;
 mod outliers;
 mod output;
 mod path;
+mod pointing;
 mod radius;
 mod recipe;
 mod record;
@@ -70,6 +71,7 @@ mod temperature;
 mod timeline;
 mod times;
 mod view;
+mod witnesses;
 
 pub use attitude::{Attitude, AttitudeFound, Basis, NavigationFile, Wanted, add_attitude};
 pub use clock::ClockStep;
@@ -81,7 +83,8 @@ pub use mapping::{Jump, MappingFacts, MappingNumbers, TemperatureDependence};
 pub use navigation::Navigation;
 pub use oddity::{Oddities, Oddity, Order, TimeOddity};
 pub use output::{
-    Counts, MappingSummary, NamedJump, OutputError, Summary, write, write_stabilisation,
+    Counts, MappingSummary, NamedJump, OutputError, Summary, Written, write, write_rows,
+    write_stabilisation,
 };
 pub use radius::RadiusDependence;
 pub use recipe::Recipe;
@@ -93,3 +96,4 @@ pub use run::{Options, Refined, RefinedCamera, RefinedRoll, ShardDone, Stabilise
 pub use sky::Sky;
 pub use stabilisation::{RateError, StabilisationRow, stabilisation};
 pub use times::Timing;
+pub use witnesses::{Axis, Compared, ComparedAxis, Contradiction};

@@ -1,6 +1,7 @@
 //! The attitude between frames: the refined directions together with the flight's IMU and GPS.
 
-use super::attitude::{Attitude, AttitudeFound, Basis, NavigationFile, Wanted, add_attitude};
+use super::attitude::{self, Attitude, AttitudeFound, NavigationFile, Wanted, add_attitude};
+use super::pointing::{Slow, States, nearest};
 use super::report::Report;
 use super::roll::RollRow;
 use super::row::Row;
@@ -13,9 +14,11 @@ use crate::navigation::{
     self, CAMERAS_IN_FLIGHT, Fix, ImuSample, Measurement, Sighting, Target, Targets,
 };
 use crate::observe::CameraFrames;
-use crate::pointing::measured_sun_in_telescope;
+use crate::pointing::{calibration_rad2, measured_sun_in_telescope};
+use crate::pointing_history::{Basis, State};
 use anyhow::{Context, bail, ensure};
 use jiff::Timestamp;
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
@@ -49,8 +52,12 @@ impl Navigation {
             ),
         };
         given.settings = given.settings.for_flight(&given.path)?;
+        let epoch = given.settings.epoch_utc;
         Ok(Sensors {
-            epoch: given.settings.epoch_utc.unwrap_or(Timestamp::UNIX_EPOCH),
+            epoch: *given
+                .settings
+                .epoch_utc
+                .insert(epoch.unwrap_or(Timestamp::UNIX_EPOCH)),
             runs: read_imu(&self.imu, &given.settings)?,
             fixes: read_gps(&self.gps, &given.settings)?,
             seen: Vec::new(),
@@ -136,27 +143,75 @@ impl Sensors<'_> {
         }
     }
 
-    /// Finds the attitude by all of them, and writes it with the telescope's offsets.
+    /// Finds the attitude by all of them, and writes it with the telescope's offsets; gives the states of the telescope's pointing, too.
     pub fn find_attitude(
         mut self,
         sky: &Sky,
+        instrument: Option<&Instrument>,
         [archive, out]: [&Path; 2],
         report: &mut Report,
-    ) -> anyhow::Result<AttitudeFound> {
+    ) -> anyhow::Result<(AttitudeFound, States)> {
         self.expect_frames()?;
         let mut targets = self.targets(sky);
         let sightings = self.sightings(&mut targets)?;
         let measurements = Measurement::in_order(sightings, &self.fixes);
         let imu = std::mem::take(&mut self.runs);
         let runs = navigation::Flight::of_runs(&self.given.settings, imu, measurements);
-        let mut attitude = Attitude::solve(&runs, Basis::WholeFlight, out, &self.of.wanted)?;
+        let mut attitude =
+            Attitude::solve(&runs, attitude::Basis::WholeFlight, out, &self.of.wanted)?;
         drop(runs);
         attitude.write(Some(self.epoch), true)?;
         attitude.write_calibrated(&self.given, Some(self.epoch), self.files(archive))?;
         self.write_offsets(&mut attitude, &mut targets, sky, out)?;
         let (summary, counts) = (&attitude.summary, &attitude.counts);
         add_attitude(report.page(), &self.given.settings, summary, counts)?;
-        Ok(attitude.found())
+        let states = match instrument {
+            Some(instrument) => self.states(&mut attitude, &mut targets, instrument)?,
+            None => States::default(),
+        };
+        Ok((attitude.found(), states))
+    }
+
+    /// The states of the telescope's pointing: one at each sample of the IMU that has an attitude.
+    fn states(
+        &self,
+        attitude: &mut Attitude,
+        targets: &mut Targets,
+        instrument: &Instrument,
+    ) -> anyhow::Result<States> {
+        let epoch_s = self.epoch.as_duration().as_secs_f64();
+        let of_body = self.given.settings.body_from_telescope();
+        let seen = self.seen.iter().filter(|seen| seen.target == Target::Sun);
+        let mut suns_s: Vec<f64> = seen.map(|seen| seen.t_s).collect();
+        suns_s.sort_by(f64::total_cmp);
+        let mut states = States::default();
+        for row in attitude.all_rows()? {
+            let row = row?;
+            let Some((motion, covariance_rad2)) = row.attitude else {
+                continue;
+            };
+            let attitude = motion.attitude * UnitQuaternion::from_rotation_matrix(&of_body);
+            let sees_sun = nearest(&suns_s, |sun_s| *sun_s, row.t_s).is_some();
+            let state = State {
+                unix_s: epoch_s + row.t_s,
+                attitude,
+                rate_rad_s: Vector3::zeros(),
+                covariance_rad2: of_boresight(&covariance_rad2, &attitude),
+                basis: if sees_sun { Basis::Both } else { Basis::Gyros },
+                is_contradicted: row.status.is_doubted(),
+            };
+            let to_sun = targets.direction(Target::Sun, row.t_s)?;
+            states.push(state, || Slow {
+                unix_s: state.unix_s,
+                position_m: motion.position_m,
+                systematic_rad2: calibration_rad2(
+                    &attitude.inverse_transform_vector(&to_sun),
+                    instrument,
+                ),
+            });
+        }
+        set_rates(&mut states.states);
+        Ok(states)
     }
 
     fn files(&self, archive: &Path) -> Vec<String> {
@@ -230,6 +285,27 @@ impl Sensors<'_> {
             navigation::offset(row, &axes, &towards).ok()?
         };
         attitude.write_offsets(&out.join("offsets.csv"), offset)
+    }
+}
+
+/// The covariance about Earth-fixed axes as one of turns that move the boresight to the right and up, and about it.
+fn of_boresight(covariance_rad2: &Matrix3<f64>, attitude: &UnitQuaternion<f64>) -> Matrix3<f64> {
+    // A turn about down moves forward to the right, one about right moves it up.
+    let [forward, right, down] = [Vector3::x(), Vector3::y(), Vector3::z()].map(|v| attitude * v);
+    let axes = Matrix3::from_columns(&[down, right, forward]);
+    axes.tr_mul(covariance_rad2) * axes
+}
+
+/// The rates of states that stand close: from each one's neighbours.
+fn set_rates(states: &mut [State]) {
+    for n in 0..states.len() {
+        let [before, after] = [n.saturating_sub(1), (n + 1).min(states.len() - 1)];
+        let [before, after] = [before, after].map(|n| states[n]);
+        let turned = before.attitude.inverse() * after.attitude;
+        let length_s = after.unix_s - before.unix_s;
+        if length_s > 0.0 {
+            states[n].rate_rad_s = turned.scaled_axis() / length_s;
+        }
     }
 }
 

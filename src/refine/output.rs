@@ -12,11 +12,17 @@ use super::radius::RadiusDependence;
 use super::record::Grade;
 use super::row::Row;
 use super::stabilisation::StabilisationRow;
-use crate::archive::{CONFIGURATION, Flown, INSTRUMENT};
+use super::witnesses::Compared;
+use crate::archive::{CONFIGURATION, INSTRUMENT, instrument_cards, target_cards};
+use crate::clock::utc_microseconds;
 use crate::columns::{self, Column, Widths, whole};
 use crate::estimation::median;
 use crate::fits::{Card, FileError};
 use crate::observe::{InputSummary, JournalError, Observer};
+use crate::pointing::Roll;
+use crate::pointing_history::{
+    LONGEST_WORD, POINTING, POINTING_COLUMNS, PointingHistory, pointing_cards,
+};
 use crate::provenance::{COMMIT, PROGRAM};
 use crate::smoothing::FoundSwing;
 use jiff::Timestamp;
@@ -70,6 +76,8 @@ pub struct Summary {
     pub clock: ClockFacts,
     /// Of the acceleration: the square root of the density of its noise.
     pub path_process_noise_mil_per_s2_5: Option<f64>,
+    /// What cameras show against the attitude by gyros; none without an IMU.
+    pub witnesses: Option<Compared>,
     /// Swings of the gondola along the plate's x and y.
     pub swings_mil: [Vec<FoundSwing>; 2],
 }
@@ -104,7 +112,7 @@ impl Counts {
             *self.odd.entry(odd).or_default() += 1;
         }
         if let Some(utc) = utc {
-            let utc = format!("{utc:.6}");
+            let utc = utc_microseconds(utc);
             self.first_utc.get_or_insert_with(|| utc.clone());
             self.last_utc = Some(utc);
         }
@@ -178,15 +186,21 @@ impl Tally {
     }
 }
 
-/// Writes tables and summary to a folder; `each` sees every row.
+/// What is known of the rows once `aspect.csv` is written.
+pub struct Written {
+    tally: Tally,
+    widths: Widths,
+}
+
+/// Writes `aspect.csv` to a folder; `each` sees every row.
 ///
 /// # Errors
 /// A file that cannot be written, a journal that cannot be read.
-pub fn write(
+pub fn write_rows(
     folder: &Path,
     history: &History,
     mut each: impl FnMut(&Row),
-) -> Result<Summary, OutputError> {
+) -> Result<Written, OutputError> {
     let mut tally = Tally::default();
     let seen = history.rows().map(|row| {
         let row = row?;
@@ -195,18 +209,49 @@ pub fn write(
         Ok::<_, OutputError>(row)
     });
     let widths = columns::write_csv(&folder.join("aspect.csv"), ASPECT_COLUMNS, seen)?;
+    Ok(Written { tally, widths })
+}
+
+/// Writes `aspect.fits`, with the pointing at a rate, and the summary, to the same folder; `pointing.fits`, too.
+///
+/// # Errors
+/// As [`write_rows`].
+pub fn write(
+    folder: &Path,
+    history: &History,
+    written: Written,
+    witnesses: Option<Compared>,
+    pointing: &PointingHistory,
+    rate_hz: f64,
+) -> Result<Summary, OutputError> {
     let fits = folder.join("aspect.fits");
-    let cards: Vec<Card> = history.recipe().flown.cards().collect();
+    let cards = cards(history, pointing);
     columns::write_tables(&fits, &cards, |file| {
         let rows = history.rows().map(|row| row.map_err(OutputError::from));
-        columns::write_fits(file, ASPECT, ASPECT_COLUMNS, &widths, rows)?;
+        columns::write_fits(file, ASPECT, ASPECT_COLUMNS, &written.widths, rows)?;
         let smoothed = smoothed_columns();
         let path = history.smoothed().map(Ok::<_, OutputError>);
-        columns::write_fits(file, SMOOTHED, &smoothed, &Widths::new(&smoothed), path)
+        columns::write_fits(file, SMOOTHED, &smoothed, &Widths::new(&smoothed), path)?;
+        let rows = pointing.rows(rate_hz).map(Ok::<_, OutputError>);
+        let widths = Widths::of(POINTING_COLUMNS, LONGEST_WORD);
+        columns::write_fits(file, POINTING, POINTING_COLUMNS, &widths, rows)
     })?;
-    let summary = summary(history, tally, columns::sha256(&fits)?)?;
+    pointing.write(folder, &cards)?;
+    let summary = Summary {
+        witnesses,
+        ..summary(history, written.tally, columns::sha256(&fits)?)?
+    };
     write_json(&folder.join("summary.json"), &summary)?;
     Ok(summary)
+}
+
+/// What the headers of a history's tables say: times, instrument, target, and from where it was seen.
+fn cards(history: &History, pointing: &PointingHistory) -> Vec<Card> {
+    let mut cards = pointing_cards(pointing);
+    cards.extend(instrument_cards(history.instrument(), Roll::Stated));
+    cards.extend(target_cards(&history.sky().target));
+    cards.extend(history.recipe().flown.cards());
+    cards
 }
 
 /// Writes a table as `name.fits` and `name.csv`; `each` sees every row.
@@ -215,7 +260,7 @@ pub fn write(
 /// A file that cannot be written, or what a row gives.
 pub(super) fn write_table<T, R: Borrow<T>, I: Iterator<Item = Result<R, OutputError>>>(
     path: &Path,
-    flown: &Flown,
+    cards: &[Card],
     (name, columns): (&str, &[Column<T>]),
     rows: impl Fn() -> I,
     mut each: impl FnMut(&T),
@@ -226,8 +271,7 @@ pub(super) fn write_table<T, R: Borrow<T>, I: Iterator<Item = Result<R, OutputEr
         }
     });
     let widths = columns::write_csv(&path.with_extension("csv"), columns, seen)?;
-    let cards: Vec<Card> = flown.cards().collect();
-    columns::write_tables(&path.with_extension("fits"), &cards, |file| {
+    columns::write_tables(&path.with_extension("fits"), cards, |file| {
         columns::write_fits(file, name, columns, &widths, rows())
     })
 }
@@ -239,11 +283,13 @@ pub(super) fn write_table<T, R: Borrow<T>, I: Iterator<Item = Result<R, OutputEr
 pub fn write_stabilisation(
     folder: &Path,
     rows: &[StabilisationRow],
-    flown: &Flown,
+    history: &History,
+    pointing: &PointingHistory,
 ) -> Result<(), OutputError> {
     let table = (STABILISATION, STABILISATION_COLUMNS);
     let path = folder.join("stabilisation");
-    write_table(&path, flown, table, || rows.iter().map(Ok), |_| {})
+    let cards = cards(history, pointing);
+    write_table(&path, &cards, table, || rows.iter().map(Ok), |_| {})
 }
 
 pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), FileError> {
@@ -289,6 +335,7 @@ fn summary(history: &History, tally: Tally, table_sha256: String) -> Result<Summ
         mapping: mapping.transpose()?,
         clock: history.clock().clone(),
         path_process_noise_mil_per_s2_5: path.map(|path| path.process_noise),
+        witnesses: None,
         swings_mil: path.map_or_else(Default::default, |path| path.swings.clone()),
     })
 }
@@ -296,7 +343,7 @@ fn summary(history: &History, tally: Tally, table_sha256: String) -> Result<Summ
 fn named(history: &History, jump: &Jump) -> Result<NamedJump, JournalError> {
     Ok(NamedJump {
         file: history.file(jump.after)?,
-        utc: history.utc(jump.after).map(|utc| format!("{utc:.6}")),
+        utc: history.utc(jump.after).map(utc_microseconds),
         jump: *jump,
     })
 }

@@ -173,6 +173,7 @@ impl Report {
         part.mapping(summary);
         part.refusals(archive, &rows.reasons);
         part.pointing();
+        part.witnesses(summary);
         part.jitter();
     }
 
@@ -381,6 +382,17 @@ impl Part<'_> {
             if let Some(picture) = thumbnail(archive, file) {
                 self.page.picture(&picture, &format!("{file}: {name}"));
             }
+        }
+    }
+
+    fn witnesses(&mut self, summary: &Summary) {
+        if let Some(compared) = &summary.witnesses {
+            self.heading("Gyros against Sun and horizon");
+            let (heads, rows) = compared.table();
+            self.page.table(&heads, &rows);
+            let findings = compared.findings.iter();
+            findings.for_each(|finding| self.page.note(&finding.to_string()));
+            self.figure(compared.figure());
         }
     }
 

@@ -4,18 +4,21 @@ use super::attitude::AttitudeFound;
 use super::files::{Files, Given};
 use super::history::{History, HistoryError};
 use super::navigation::{Navigation, Sensors, is_second};
-use super::output::{Summary, write, write_stabilisation};
+use super::output::{Summary, Written, write, write_rows, write_stabilisation};
+use super::pointing::States;
 use super::recipe::Recipe;
 use super::report::{Report, Rows};
 use super::roll::{RollHistory, RollRecipe, RollRows, RollSummary, write_roll};
 use super::sky::Sky;
 use super::stabilisation::stabilisation;
+use super::witnesses::Witnesses;
 use crate::archive::ArchiveReader;
 use crate::config::Config;
 use crate::frame::Unreadable;
 use crate::observe::{
     self, CameraFrames, Cameras, InputSummary, Observer, Pass, Shard, Span, Watch,
 };
+use crate::pointing_history::PointingHistory;
 use crate::preflight;
 use crate::units::counted;
 use anyhow::{Context, bail, ensure};
@@ -26,6 +29,8 @@ use std::thread::available_parallelism;
 
 /// Frames that are read from an object store for each core: each waits for the network several times as long as it is solved.
 const REMOTE_JOBS: usize = 8;
+/// Of the table POINTING, where no other is wanted.
+const POINTING_RATE_HZ: f64 = 10.0;
 
 /// How an archive is refined.
 #[derive(Debug, Clone, Default)]
@@ -40,8 +45,10 @@ pub struct Options {
     /// Folders of other runs of the same archive, instrument and settings, whose journals are read.
     pub merge: Vec<PathBuf>,
     pub span: Span,
-    /// Rows a second of the table between frames.
+    /// Rows a second of the table of offsets between frames.
     pub rate_hz: Option<f64>,
+    /// Rows a second of the table POINTING; 10 by default.
+    pub pointing_rate_hz: Option<f64>,
     pub navigation: Option<Navigation>,
 }
 
@@ -75,6 +82,7 @@ pub struct RefinedCamera {
     /// What tells it from others; none of a single one.
     pub label: Option<String>,
     pub history: History,
+    pub pointing: PointingHistory,
     pub summary: Summary,
     pub stabilised: Option<Stabilised>,
 }
@@ -211,12 +219,13 @@ impl Run<'_> {
         refined.notes = left_alone(&cameras, &recipes);
         refined.frames = cameras.moon.as_ref().map_or(0, |moon| moon.inputs.len());
         refined.notes.iter().for_each(|note| report.note(note));
-        let mut roll_rows = RollRows::default();
+        let (mut roll_rows, mut nadirs) = (RollRows::default(), Witnesses::default());
         if let Some((camera, recipe)) = cameras.roll.zip(recipes.roll.as_ref()) {
             let done = pass.over(recipe, "frames", &camera.inputs)?;
             let history = RollHistory::new(done, camera, recipe, &pass.span)?;
             let summary = write_roll(pass.out, &history, recipe, |row| {
                 roll_rows.take(row);
+                nadirs.see_nadir(row);
                 sensors
                     .iter_mut()
                     .for_each(|sensors| sensors.see_nadir(row));
@@ -225,6 +234,7 @@ impl Run<'_> {
             refined.roll = Some(RefinedRoll { history, summary });
         }
         let is_one = cameras.plate.len() == 1;
+        let mut seen = Vec::new();
         for (camera, recipe) in cameras.plate.into_iter().zip(recipes.plate) {
             let (label, is_second) = (camera.label.clone(), is_second(&camera));
             let history = self.history(pass, camera, recipe, &sky, refined.roll.as_ref())?;
@@ -233,30 +243,39 @@ impl Run<'_> {
                 .as_ref()
                 .map_or(pass.out.to_owned(), |l| pass.out.join(l));
             make_folder(&folder)?;
-            let mut rows = Rows::default();
-            let summary = write(&folder, &history, |row| {
+            let (mut rows, mut witnesses) = (Rows::default(), nadirs.clone());
+            let written = write_rows(&folder, &history, |row| {
                 rows.take(row);
+                witnesses.see_sun(row, history.instrument());
                 let see = |sensors: &mut Sensors| {
                     sensors.see_sun(is_second, row, history.instrument());
                 };
                 sensors.iter_mut().for_each(see);
             })?;
-            report.add(label.as_deref(), pass.archive, &history, &summary, &rows);
-            let stabilised = self.stabilise(&folder, &history, refined.roll.as_ref())?;
             refined.count(history.len(), history.inputs());
-            refined.cameras.push(RefinedCamera {
+            seen.push(Seen {
                 label,
+                folder,
                 history,
-                summary,
-                stabilised,
+                rows,
+                witnesses,
+                written,
             });
+        }
+        let mut by_gyros = States::default();
+        if let Some(sensors) = sensors {
+            let names = [pass.archive.name(), pass.out];
+            let instrument = seen.first().map(|seen| seen.history.instrument());
+            let (found, states) = sensors.find_attitude(&sky, instrument, names, &mut report)?;
+            (refined.attitude, by_gyros) = (Some(found), states);
+        }
+        for seen in seen {
+            let roll = refined.roll.as_ref().map(|roll| &roll.history);
+            let camera = self.finish(seen, roll, &by_gyros, pass.archive, &mut report)?;
+            refined.cameras.push(camera);
         }
         if let Some((roll, recipe)) = refined.roll.as_ref().zip(recipes.roll.as_ref()) {
             report.add_roll(pass.archive, &roll_rows, &roll.summary, recipe);
-        }
-        if let Some(sensors) = sensors {
-            let names = [pass.archive.name(), pass.out];
-            refined.attitude = Some(sensors.find_attitude(&sky, names, &mut report)?);
         }
         report.write(pass.out)?;
         refined.unread = pass.archive.unread_files();
@@ -285,24 +304,69 @@ impl Run<'_> {
         })
     }
 
-    /// Writes the table between frames, where it is wanted.
+    /// Writes what a camera's history and the gyros say of the pointing.
+    fn finish(
+        &self,
+        seen: Seen,
+        roll: Option<&RollHistory>,
+        by_gyros: &States,
+        archive: &ArchiveReader,
+        report: &mut Report,
+    ) -> anyhow::Result<RefinedCamera> {
+        let Seen {
+            label,
+            folder,
+            history,
+            rows,
+            witnesses,
+            written,
+        } = seen;
+        let mut pointing = history.pointing_with(roll, by_gyros)?;
+        let compared = witnesses.compare(&pointing);
+        for finding in compared.iter().flat_map(|compared| &compared.findings) {
+            tracing::warn!("{finding}");
+            pointing.contradict(finding.during_s);
+        }
+        let rate_hz = self.options.pointing_rate_hz.unwrap_or(POINTING_RATE_HZ);
+        let summary = write(&folder, &history, written, compared, &pointing, rate_hz)?;
+        report.add(label.as_deref(), archive, &history, &summary, &rows);
+        Ok(RefinedCamera {
+            stabilised: self.stabilise(&folder, &history, &pointing)?,
+            label,
+            history,
+            pointing,
+            summary,
+        })
+    }
+
+    /// Writes the table of offsets between frames, where it is wanted.
     fn stabilise(
         &self,
         folder: &Path,
         history: &History,
-        roll: Option<&RefinedRoll>,
+        pointing: &PointingHistory,
     ) -> anyhow::Result<Option<Stabilised>> {
         let Some(rate_hz) = self.options.rate_hz else {
             return Ok(None);
         };
-        let rows = stabilisation(history, rate_hz, roll.map(|roll| &roll.history))?;
-        write_stabilisation(folder, &rows, &history.recipe().flown)?;
+        let rows = stabilisation(history, pointing, rate_hz)?;
+        write_stabilisation(folder, &rows, history, pointing)?;
         Ok(Some(Stabilised {
             rate_hz,
             rows: rows.len(),
             valid: rows.iter().filter(|row| row.offset.is_some()).count(),
         }))
     }
+}
+
+/// What is known of a camera once its rows are written.
+struct Seen {
+    label: Option<String>,
+    folder: PathBuf,
+    history: History,
+    rows: Rows,
+    witnesses: Witnesses,
+    written: Written,
 }
 
 /// With what the frames of each camera are observed.

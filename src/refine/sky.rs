@@ -30,7 +30,7 @@ impl Sky {
         let (sun_on_plate, utc) = (row.sun?, row.utc()?);
         let sun = ephemeris.sun(utc, place?).ok()?;
         let at = sun_on_plate.position;
-        let roll = roll(row.body_nadir.as_ref(), at, instrument, &sun);
+        let roll = roll_by(row.body_nadir.as_ref(), at, instrument, &sun);
         let towards = pointing::pointing(at, roll, instrument, &sun).ok()?;
         let boresight = pointing::helioprojective(at, roll, instrument, &sun).ok()?;
         let at_time = row.sun_at_time();
@@ -48,21 +48,6 @@ impl Sky {
         })
     }
 
-    /// The offset of a telescope that has the Sun there on its plate; `None` where sky or sphere give no answer.
-    pub(super) fn offset(
-        &self,
-        sun_on_plate: Estimate<PlateMil>,
-        utc: Timestamp,
-        place: Place,
-        body_nadir: Option<&Direction>,
-        instrument: &Instrument,
-        ephemeris: &mut Ephemeris,
-    ) -> Option<Offset> {
-        let sun = ephemeris.sun(utc, place).ok()?;
-        let roll = roll(body_nadir, sun_on_plate.position, instrument, &sun);
-        self.target_offset(sun_on_plate, utc, roll, instrument, &sun)
-    }
-
     fn target_offset(
         &self,
         sun_on_plate: Estimate<PlateMil>,
@@ -77,7 +62,7 @@ impl Sky {
 }
 
 /// The telescope's roll: by straight down in the body's axes where that is known, else as stated.
-fn roll(
+pub(super) fn roll_by(
     body_nadir: Option<&Direction>,
     sun_on_plate: PlateMil,
     instrument: &Instrument,

@@ -1,15 +1,14 @@
-//! The telescope's offset at a constant rate, for stabilising images: the smoothed path between the frames.
+//! The telescope's offset at a constant rate, for stabilising images: from the pointing between the frames.
 
 use super::history::History;
-use super::path::is_known;
-use super::roll::RollHistory;
-use crate::geometry::attitude::Direction;
+use crate::geometry::earth::geodetic;
 use crate::observe::JournalError;
-use crate::pointing::Offset;
-use crate::smoothing::PathPoint;
-use crate::units::{Estimate, Place, PlateMil};
+use crate::pointing::{Difference, difference};
+use crate::pointing_history::{Pointed, PointingHistory};
+use crate::sky::Ephemeris;
+use crate::units::{ARCSEC_PER_RAD, Place};
 use jiff::Timestamp;
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::Matrix2;
 use rayon::prelude::*;
 
 /// The table is made in memory.
@@ -21,8 +20,18 @@ const TOGETHER: usize = 1024;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StabilisationRow {
     pub unix_s: f64,
-    /// None where the path, the place or the target is not known.
-    pub offset: Option<Offset>,
+    /// None where the pointing or the target is not known.
+    pub offset: Option<StableOffset>,
+    /// Whether the pointing is valid.
+    pub is_valid: bool,
+}
+
+/// An offset with its uncertainty.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StableOffset {
+    pub difference: Difference,
+    /// Random part, in true angle: across (towards larger azimuth) and in elevation.
+    pub covariance_deg2: Matrix2<f64>,
 }
 
 /// Why there is no table.
@@ -40,17 +49,16 @@ pub enum RateError {
     Journal(#[from] JournalError),
 }
 
-/// The offset at the multiples of 1 / `rate_hz`, s since 1970, from the first dated frame to the last. Roll is that of the roll camera, where
-/// its history is given and near, else the instrument's.
+/// The offset at the multiples of 1 / `rate_hz`, s since 1970, from the first dated frame to the last.
 ///
 /// # Errors
-/// A rate that makes more than ten million rows; a journal that cannot be read.
+/// A rate that makes more than ten million rows.
 pub fn stabilisation(
     history: &History,
+    pointing: &PointingHistory,
     rate_hz: f64,
-    roll: Option<&RollHistory>,
 ) -> Result<Vec<StabilisationRow>, RateError> {
-    let Some((path, (first_s, [_, last_s]))) = history.path().zip(history.path_times_s()) else {
+    let Some((_, [first_s, last_s])) = history.path_times_s() else {
         return Ok(Vec::new());
     };
     let (first, last) = ((first_s * rate_hz).ceil(), (last_s * rate_hz).floor());
@@ -62,42 +70,47 @@ pub fn stabilisation(
             duration_s: last_s - first_s,
         });
     }
-    let (sky, instrument) = (history.sky(), history.instrument());
-    let count = rows.max(0.0) as u64;
-    let times_s: Vec<f64> = (0..count).map(|n| (first + n as f64) / rate_hz).collect();
-    let since_first: Vec<f64> = times_s.iter().map(|time_s| time_s - first_s).collect();
-    let points = path.at(&since_first);
-    let nadirs = roll.map(|roll| roll.body_nadirs(&times_s));
-    let places = history.places()?;
-    let row = |n: usize, ephemeris: &mut _| {
-        let utc = Timestamp::from_nanosecond((times_s[n] * 1e9) as i128).ok()?;
-        let sun = points[n].as_ref().and_then(sun_on_plate)?;
-        let place = place_before(&places, times_s[n]).or(sky.place)?;
-        let nadir: Option<&Direction> = nadirs.as_ref().and_then(|nadirs| nadirs[n].as_ref());
-        sky.offset(sun, utc, place, nadir, instrument, ephemeris)
-    };
-    let chunks = (0..times_s.len()).into_par_iter().chunks(TOGETHER);
+    let chunks = (0..rows.max(0.0) as usize).into_par_iter().chunks(TOGETHER);
     let rows = chunks.flat_map_iter(|chunk| {
-        let mut ephemeris = sky.ephemeris.clone();
-        let rows = chunk.into_iter().map(|n| StabilisationRow {
-            unix_s: times_s[n],
-            offset: row(n, &mut ephemeris),
+        let mut ephemeris = history.sky().ephemeris.clone();
+        let rows = chunk.into_iter().map(|n| {
+            let unix_s = (first + n as f64) / rate_hz;
+            let pointed = pointing.at(unix_s);
+            let place = pointing.position_m(unix_s);
+            let place = place.and_then(|at_m| geodetic(&at_m));
+            let offset = offset(history, &pointed, unix_s, place, &mut ephemeris);
+            StabilisationRow {
+                unix_s,
+                offset,
+                is_valid: pointed.is_valid() && offset.is_some(),
+            }
         });
         rows.collect::<Vec<_>>()
     });
     Ok(rows.collect())
 }
 
-/// The Sun on the plate; `None` where the path is a guess.
-fn sun_on_plate(point: &PathPoint) -> Option<Estimate<PlateMil>> {
-    is_known(point).then(|| Estimate {
-        position: Vector2::from(point.place).into(),
-        covariance: Matrix2::from_diagonal(&point.variance.into()),
+/// The offset from the history's target.
+fn offset(
+    history: &History,
+    pointed: &Pointed,
+    unix_s: f64,
+    place: Option<Place>,
+    ephemeris: &mut Ephemeris,
+) -> Option<StableOffset> {
+    let sight = pointed.sight.as_ref()?;
+    let utc = Timestamp::from_nanosecond((unix_s * 1e9) as i128).ok()?;
+    let sun = ephemeris.sun(utc, place?).ok()?;
+    let target = history.sky().target.at(utc, &sun).ok()?;
+    let (boresight, target) = (sight.boresight(), sight.direction(target));
+    let difference = difference(&boresight, &target).ok()?;
+    // From right and up of the telescope to across and up of the horizon.
+    let (sin, cos) = sight.roll_deg.to_radians().sin_cos();
+    let turn = Matrix2::new(cos, sin, -sin, cos);
+    let random_arcsec2 = sight.random_arcsec2.fixed_view::<2, 2>(0, 0);
+    let per_deg2 = (1_f64.to_degrees() / ARCSEC_PER_RAD).powi(2);
+    Some(StableOffset {
+        difference,
+        covariance_deg2: turn * random_arcsec2 * turn.transpose() * per_deg2,
     })
-}
-
-/// The place of the last frame before a time.
-fn place_before(places: &[(f64, Place)], time_s: f64) -> Option<Place> {
-    let later = places.partition_point(|(taken_s, _)| *taken_s <= time_s);
-    Some(places.get(later.checked_sub(1)?)?.1)
 }

@@ -120,11 +120,17 @@ impl<'a> Attitude<'a> {
         })
     }
 
+    /// All rows.
+    pub fn all_rows(&mut self) -> anyhow::Result<impl Iterator<Item = std::io::Result<Row>>> {
+        self.spool
+            .rows()
+            .context("the attitude cannot be read again")
+    }
+
     /// The rows that are wanted.
     pub fn rows(&mut self) -> anyhow::Result<impl Iterator<Item = std::io::Result<Row>>> {
         let mut is_due = self.wanted.due();
-        let rows = self.spool.rows();
-        let rows = rows.context("the attitude cannot be read again")?;
+        let rows = self.all_rows()?;
         Ok(rows.filter(move |row| row.as_ref().map_or(true, &mut is_due)))
     }
 

@@ -118,10 +118,15 @@ impl RollHistory {
         })
     }
 
-    /// Straight down in the body's axes at times, s since 1970 and in order; `None` where no frame is near.
+    /// The body at times, s since 1970 and in order; `None` where no frame is near.
+    pub fn at(&self, times_s: &[f64]) -> Vec<Option<SmoothedRoll>> {
+        smoothed(self.path.as_ref(), times_s)
+    }
+
+    /// Straight down in the body's axes at such times.
     pub fn body_nadirs(&self, times_s: &[f64]) -> Vec<Option<Direction>> {
         let nadir = |s: SmoothedRoll| body_nadir(s.roll_deg, s.pitch_deg);
-        let smoothed = smoothed(self.path.as_ref(), times_s).into_iter();
+        let smoothed = self.at(times_s).into_iter();
         smoothed.map(|smoothed| smoothed.map(nadir)).collect()
     }
 }

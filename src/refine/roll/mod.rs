@@ -14,7 +14,7 @@ pub use history::RollHistory;
 pub use output::{RollSummary, write_roll};
 pub use record::HorizonRecord;
 pub use report::RollRows;
-pub use row::{ROLL, ROLL_COLUMNS, RollRow};
+pub use row::{ROLL, ROLL_COLUMNS, RollRow, SmoothedRoll};
 
 use super::recipe::plain_toml;
 use crate::archive::{ArchiveReader, Flown, FlownFiles, StoredFile};

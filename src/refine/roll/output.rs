@@ -5,6 +5,7 @@ use super::{ROLL, ROLL_COLUMNS, RollHistory, RollRecipe, RollRow};
 use crate::archive::{CONFIGURATION, INSTRUMENT};
 use crate::columns;
 use crate::estimation::median;
+use crate::fits::Card;
 use crate::observe::InputSummary;
 use crate::provenance::{COMMIT, PROGRAM};
 use serde::Serialize;
@@ -51,7 +52,8 @@ pub fn write_roll(
     let (mut counts, mut remarks) = (Counts::default(), BTreeMap::new());
     let (mut sigmas, mut smoothed) = (Vec::new(), Vec::new());
     let table = (ROLL, ROLL_COLUMNS);
-    write_table(&path, &recipe.flown, table, rows, |row| {
+    let cards: Vec<Card> = recipe.flown.cards().collect();
+    write_table(&path, &cards, table, rows, |row| {
         let odd = row.timing.odd.map(|odd| odd.to_string());
         counts.add(row.quality, row.utc(), odd.into_iter());
         let remark = row.remark();

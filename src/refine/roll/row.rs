@@ -3,6 +3,7 @@
 use super::super::record::Grade;
 use super::super::times::{TIME_SIGMA, Timing};
 use super::HorizonRecord;
+use crate::clock::utc_microseconds;
 use crate::columns::{Column, float, integer, text};
 use crate::geometry::attitude::Direction;
 use crate::pointing::{body_pitch_deg, body_roll_deg};
@@ -102,7 +103,7 @@ pub const ROLL: &str = "ROLL";
 #[rustfmt::skip]
 pub const ROLL_COLUMNS: &[Column<RollRow>] = &[
     text("FILE", "the frame's file, relative to the archive", |r| r.file.as_str().into()),
-    text("UTC", "mid-exposure, UTC, ISO 8601", |r| r.utc().map_or(String::new(), |utc| format!("{utc:.6}")).into()),
+    text("UTC", "mid-exposure, UTC, ISO 8601", |r| r.utc().map_or(String::new(), utc_microseconds).into()),
     float("UNIX_S", "s", "mid-exposure, UTC, since 1970-01-01", |r| r.unix_s()),
     float("UTC_CORRECTION_S", "s", "what was added to the header's time, where others contradict it", |r| Some(r.timing.correction_s?.value)),
     float("UTC_SIGMA_S", "s", TIME_SIGMA, |r| r.timing.sigma_s),

@@ -8,6 +8,7 @@ mod marks;
 mod numbers;
 mod offset;
 mod pixels;
+mod pointing;
 mod program;
 mod simulate;
 mod solution;
@@ -25,6 +26,8 @@ mod _native {
     use super::marks::{Detection, Mark};
     #[pymodule_export]
     use super::offset::Offset;
+    #[pymodule_export]
+    use super::pointing::{PointingHistory, Pointings};
     #[pymodule_export]
     use super::program::{place_text, run, time_text};
     #[pymodule_export]

@@ -20,6 +20,7 @@ from ._native import (
 from .archive import Archive, Refined, open_archive, open_refined
 from .commands import calibrate_camera, calibrate_mounting, calibrate_plate, compare, refine, simulate
 from .errors import SolaspectError
+from .pointing import Pointing
 from .plotting import plot
 from .solving import solve
 
@@ -31,6 +32,7 @@ __all__ = [
     "Mapping",
     "Mark",
     "Offset",
+    "Pointing",
     "Reason",
     "Refined",
     "SimulatedFrame",

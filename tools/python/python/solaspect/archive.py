@@ -7,19 +7,31 @@ from __future__ import annotations
 
 import csv
 import json
+import re
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ._native import PointingHistory
 from .errors import SolaspectError
+from .plotting import plot_path
+from .pointing import pointing_at
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
     import numpy.typing as npt
     from astropy.io.fits import Header
+    import pandas
     from astropy.table import Table
+    from astropy.time import Time
+    from astropy.units import Quantity
+    from matplotlib.axes import Axes
     from sunpy.map import GenericMap
 
-    from ._types import PathLike
+    from ._types import AnyTime, PathLike
+    from .pointing import Pointing
 
 #: Units of the logs as astropy writes them: the endings of the columns' names, or what stands behind a name in brackets.
 UNITS = {
@@ -104,10 +116,14 @@ class Archive:
             return _image(hdus).header
 
     def map(self, frame: PathLike) -> GenericMap:
-        """A frame as a sunpy map, which knows where each pixel is on the Sun if the frame was solved."""
+        """A frame as a sunpy map, which knows where each pixel is on the Sun if the frame was solved.
+
+        Its pixels are floats, so that it can be rotated: what comes in from outside is NaN.
+        """
+        import numpy as np
         import sunpy.map
 
-        return sunpy.map.Map(self.directory / frame)
+        return sunpy.map.Map(self.array(frame).astype(np.float32), self.header(frame))
 
     def solutions(self) -> Table:
         """The solution log: one row for each solved frame of every start, in order. What is not known is masked.
@@ -160,10 +176,107 @@ class Refined:
         """The smoothed path of the Sun on the plate, at every frame and half-way between."""
         return self._table("SMOOTHED")
 
-    def _table(self, name: str) -> Table:
+    def at(
+        self,
+        times: Time | Sequence[AnyTime] | AnyTime,
+        *,
+        most_sigma: Quantity | float = 10.0,
+        fastest: Quantity | float = 450.0,
+    ) -> Pointing:
+        """Where the telescope pointed at any times of the flight, between the frames as well as at them.
+
+        Parameters
+        ----------
+        times
+            An astropy `Time` of any shape and scale, or what makes one.
+        most_sigma
+            Up to which 1 sigma of the boresight, in its worse axis, a pointing is valid, arcsec.
+        fastest
+            Up to which speed over the sky, arcsec/s.
+
+        Examples
+        --------
+        >>> pointing = refined.at("2013-09-21T18:00:03.25")  # doctest: +SKIP
+        >>> pointing.coord, pointing.north_angle, pointing.valid  # doctest: +SKIP
+        """
+        return pointing_at(self._history, times, most_sigma, fastest)
+
+    @cached_property
+    def _history(self) -> PointingHistory:
+        return PointingHistory.read(self.directory)
+
+    @property
+    def span(self) -> Time:
+        """The first and the last time at which the pointing is known."""
+        from astropy.time import Time
+
+        ends = self._history.ends_s
+        if ends is None:
+            raise SolaspectError(f"{self.directory}: expected times at which the pointing is known, found none", str(self.directory))
+        return Time(list(ends), format="unix", scale="utc")
+
+    def pointing(self) -> Table:
+        """The pointing at a constant rate, as `refine` wrote it; `at` gives it at any time."""
+        return self._table("POINTING")
+
+    def roll(self) -> Table:
+        """A row for each frame of the roll camera: docs/refine.md tells the columns."""
+        return self._table("ROLL", "roll.fits")
+
+    def attitude(self) -> Table:
+        """The attitude at the samples of the IMU."""
+        return self._table("ATTITUDE", "attitude.fits")
+
+    def stabilisation(self) -> Table:
+        """The offset from the target at the rate that `refine` was given."""
+        return self._table("STABILISATION", "stabilisation.fits")
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the boresight's path over the Sun: valid pointings blue, others grey, the limb orange."""
+        return plot_path(self.pointing(), ax)
+
+    def to_pandas(self, table: str = "aspect") -> pandas.DataFrame:
+        """A table as pandas takes it: "aspect", "smoothed", "pointing", "roll", "attitude" or "stabilisation"."""
+        known = ("aspect", "smoothed", "pointing", "roll", "attitude", "stabilisation")
+        if table not in known:
+            raise ValueError(f"table: expected one of {', '.join(known)}, found {table!r}")
+        return getattr(self, table)().to_pandas()
+
+    def _table(self, name: str, file: str = "aspect.fits") -> Table:
+        """A table in the machine's own bytes, texts as str, and a unit on each column that has one."""
+        import numpy as np
+        from astropy.io import fits
         from astropy.table import Table
 
-        return Table.read(self.directory / "aspect.fits", hdu=name, mask_invalid=False)
+        path = self.directory / file
+        if not path.is_file():
+            raise SolaspectError(f"{path}: expected the table {name} of a refined flight, found no file", str(path))
+        table = Table.read(path, hdu=name, mask_invalid=False)
+        header = fits.getheader(path, name)
+        for number, column in enumerate(table.colnames, 1):
+            values = table[column]
+            if values.dtype.kind == "S":
+                table[column] = np.char.decode(np.asarray(values), "ascii")
+            elif not values.dtype.isnative:
+                unit, description = values.unit, values.description
+                table[column] = values.astype(values.dtype.newbyteorder("="))
+                table[column].unit, table[column].description = unit, description
+            unit = _unit_in_comment(header.get(f"TCOMM{number}", ""))
+            if unit and table[column].unit is None:
+                table[column].unit = unit
+        return table
+
+
+def _unit_in_comment(comment: str) -> Any:
+    """The unit of a column that FITS does not know, mil or degC, as its comment tells it."""
+    import astropy.units as u
+
+    found = re.search(r"\((mil|degC)(\d?)(/\w+)?(?:, [^()]*)?\)$", comment)
+    if found is None:
+        return None
+    name, power, per = found.groups()
+    unit = u.Unit("25.4 um" if name == "mil" else "deg_C") ** int(power or 1)
+    return unit / u.Unit(per[1:].replace("pixel", "pix")) if per else unit
 
 
 def _image(hdus: Any) -> Any:

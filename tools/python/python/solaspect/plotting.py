@@ -10,6 +10,7 @@ from . import _native
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+    from astropy.table import Table
     from matplotlib.axes import Axes
 
     from ._native import Instrument, Mapping, Solution
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 LIMB, DISC, MARK, CUT, UNREAD, PLATE = "yellow", "lime", "deepskyblue", "orange", "red", "magenta"
 #: Length of the drawn axes of the plate, mil.
 AXIS_MIL = 350.0
+#: The limb, to a hundredth, whatever the day.
+SUN_RADIUS_ARCSEC = 960.0
 #: The picture reaches so many radii of the disc.
 REACH = 1.15
 
@@ -140,3 +143,19 @@ def _title(solution: Solution) -> str:
     if solution.reason is not None:
         lines.append(str(solution.reason))
     return "\n".join(lines)
+
+
+def plot_path(pointing: Table, ax: Axes | None = None) -> Axes:
+    """Draw where on the Sun a telescope pointed: the table POINTING."""
+    import matplotlib.pyplot as plt
+
+    if ax is None:
+        _, ax = plt.subplots(figsize=(7, 7), layout="constrained")
+    x, y = (np.asarray(pointing[name], dtype=float) for name in ("HPLN", "HPLT"))
+    valid = np.asarray(pointing["VALID"], dtype=bool)
+    for shown, colour, name in ((~valid, "0.7", "not valid"), (valid, "C0", "valid")):
+        ax.plot(x[shown], y[shown], ".", ms=2, color=colour, label=name)
+    ax.add_patch(plt.Circle((0, 0), SUN_RADIUS_ARCSEC, fill=False, color="orange", label="the Sun's limb"))
+    ax.set(xlabel="helioprojective longitude, arcsec", ylabel="helioprojective latitude, arcsec", aspect="equal")
+    ax.legend(loc="upper right")
+    return ax

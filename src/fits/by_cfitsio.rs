@@ -1,0 +1,44 @@
+//! Files that cfitsio opens: tables larger than memory, and tables of others, whose shapes the reader here need not know.
+//!
+//! A name is that of a file on disk: cfitsio's extended names, which may name filters, other machines or programs, are not understood.
+
+use fitsio::errors::{Error, FitsError};
+use fitsio::{FileOpenMode, FitsFile, sys};
+use std::ffi::CString;
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
+
+/// Opens a file on disk.
+///
+/// # Errors
+/// A file that is missing, cannot be read or written, or is no FITS.
+pub fn open_disk_file(path: &Path, mode: FileOpenMode) -> Result<FitsFile, Error> {
+    let name = CString::new(path.as_os_str().as_bytes())
+        .map_err(|_| Error::Message("a name without NUL was expected".into()))?;
+    let (mut file, mut status) = (std::ptr::null_mut(), 0);
+    let access = match mode {
+        FileOpenMode::READONLY => sys::READONLY,
+        FileOpenMode::READWRITE => sys::READWRITE,
+    };
+    // SAFETY: the name ends with NUL and outlives the call; what comes back is null or an open file, which FitsFile closes.
+    unsafe {
+        sys::ffdkopn(&raw mut file, name.as_ptr(), access as i32, &raw mut status);
+        match status {
+            0 => FitsFile::from_raw(file, mode),
+            status => Err(FitsError {
+                status,
+                message: message(status),
+            }
+            .into()),
+        }
+    }
+}
+
+/// What cfitsio says of a status.
+pub fn message(status: i32) -> String {
+    let mut text = [0u8; 31];
+    // SAFETY: cfitsio writes at most 30 characters and NUL.
+    unsafe { sys::ffgerr(status, text.as_mut_ptr().cast()) };
+    let text = text.split(|byte| *byte == 0).next().unwrap_or_default();
+    String::from_utf8_lossy(text).into_owned()
+}

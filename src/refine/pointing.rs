@@ -1,0 +1,268 @@
+//! The pointing of a flight as a function of time: its states are the attitude by gyros where there is one, else the smoothed path of the Sun
+//! with the roll.
+
+use super::history::History;
+use super::path::is_known;
+use super::roll::{RollHistory, SmoothedRoll};
+use super::sky::roll_by;
+use crate::geometry::earth::{ecef_m, geodetic, north_east_up};
+use crate::instrument::Instrument;
+use crate::observe::JournalError;
+use crate::pointing::{
+    TelescopeAttitude, body_nadir, solar_north, sun_direction, telescope_attitude,
+};
+use crate::pointing_history::{Basis, PointingHistory, Second, State};
+use crate::sky::{Ephemeris, SunPosition};
+use crate::smoothing::PathPoint;
+use crate::units::{Estimate, Measured, Place};
+use jiff::Timestamp;
+use nalgebra::{Matrix2, Matrix3, Rotation3, UnitQuaternion, UnitVector3, Vector2, Vector3};
+use rayon::prelude::*;
+
+/// Between frames states stand no farther apart, s: a swing of a second is a cubic to a thousandth of itself.
+const STEP_S: f64 = 0.1;
+/// Over longer times without a frame there are none.
+const LONGEST_STEP_S: f64 = 10.0;
+/// The path serves where no state by gyros is so near, s.
+const NEAR_S: f64 = 1.0;
+/// States that share an ephemeris, whose costly part is done once a second.
+const TOGETHER: usize = 1024;
+/// A rate is the turn in twice this, s, over that.
+const INSTANT_S: f64 = 1e-3;
+
+/// What changes slowly: noted once in each second that has a state.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Slow {
+    pub unix_s: f64,
+    /// In ECEF.
+    pub position_m: Vector3<f64>,
+    /// Of the calibration, as a [`Second`] has it.
+    pub systematic_rad2: Matrix3<f64>,
+}
+
+/// States in the order of time, with what changes slowly.
+#[derive(Debug, Clone, Default)]
+pub(super) struct States {
+    pub states: Vec<State>,
+    slow: Vec<Slow>,
+}
+
+impl States {
+    /// Adds a state behind the last; `slow` is asked once a second.
+    pub fn push(&mut self, state: State, slow: impl FnOnce() -> Slow) {
+        let second = state.unix_s.floor();
+        if self
+            .slow
+            .last()
+            .is_none_or(|last| last.unix_s.floor() < second)
+        {
+            self.slow.push(slow());
+        }
+        self.states.push(state);
+    }
+
+    /// With others, which lie elsewhere in time.
+    fn and(mut self, others: &Self) -> Self {
+        self.states.extend_from_slice(&others.states);
+        self.states.sort_by(|a, b| a.unix_s.total_cmp(&b.unix_s));
+        self.states.dedup_by_key(|state| state.unix_s);
+        self.slow.extend_from_slice(&others.slow);
+        self.slow.sort_by(|a, b| a.unix_s.total_cmp(&b.unix_s));
+        self
+    }
+}
+
+impl History {
+    /// Where the telescope pointed, as a function of time: along the smoothed path of the Sun, with the roll of the roll camera where it is
+    /// given and near, else as the instrument states it.
+    ///
+    /// # Errors
+    /// A journal that cannot be read.
+    pub fn pointing(&self, roll: Option<&RollHistory>) -> Result<PointingHistory, JournalError> {
+        self.pointing_with(roll, &States::default())
+    }
+
+    /// The same by gyros, where their states are.
+    pub(super) fn pointing_with(
+        &self,
+        roll: Option<&RollHistory>,
+        by_gyros: &States,
+    ) -> Result<PointingHistory, JournalError> {
+        let mut times_s = times_s(self);
+        times_s.retain(|time_s| nearest(&by_gyros.states, |s| s.unix_s, *time_s).is_none());
+        let all = by_path(self, roll, &times_s)?.and(by_gyros);
+        let seconds = seconds(&all, &self.sky().ephemeris);
+        Ok(PointingHistory::new(all.states, seconds))
+    }
+}
+
+/// The nearest of some things in the order of time, if it is near.
+pub(super) fn nearest<T>(things: &[T], time: impl Fn(&T) -> f64, time_s: f64) -> Option<&T> {
+    let next = things.partition_point(|thing| time(thing) < time_s);
+    let both = things[next.saturating_sub(1)..].iter().take(2);
+    let away = |thing: &&T| (time(thing) - time_s).abs();
+    let nearest = both.min_by(|a, b| away(a).total_cmp(&away(b)));
+    nearest.filter(|thing| away(thing) <= NEAR_S)
+}
+
+/// The times of the states of the path: the frames', and equal steps between.
+fn times_s(history: &History) -> Vec<f64> {
+    let frames: Vec<f64> = history.frame_times_s().collect();
+    let mut times_s = Vec::new();
+    for pair in frames.windows(2) {
+        let length_s = pair[1] - pair[0];
+        let steps = match length_s > LONGEST_STEP_S {
+            true => 1.0,
+            false => (length_s / STEP_S).ceil(),
+        };
+        times_s.extend((0..steps as u32).map(|n| pair[0] + length_s * f64::from(n) / steps));
+    }
+    times_s.extend(frames.last());
+    times_s
+}
+
+/// The states of the path.
+fn by_path(
+    history: &History,
+    roll: Option<&RollHistory>,
+    times_s: &[f64],
+) -> Result<States, JournalError> {
+    let Some((path, (first_s, _))) = history.path().zip(history.path_times_s()) else {
+        return Ok(States::default());
+    };
+    let since_first: Vec<f64> = times_s.iter().map(|time_s| time_s - first_s).collect();
+    let points = path.at(&since_first);
+    let rolls = roll.map(|roll| roll.at(times_s));
+    let places = history.places()?;
+    let sky = history.sky();
+    let moment = |n: usize| {
+        Some(Moment {
+            unix_s: times_s[n],
+            point: points[n].filter(is_known)?,
+            roll: rolls.as_ref().and_then(|rolls| rolls[n]),
+            place: place_before(&places, times_s[n]).or(sky.place)?,
+            instrument: history.instrument(),
+        })
+    };
+    let chunks = (0..times_s.len()).into_par_iter().chunks(TOGETHER);
+    let stated = chunks.flat_map_iter(|chunk| {
+        let mut ephemeris = sky.ephemeris.clone();
+        let stated = chunk
+            .into_iter()
+            .filter_map(|n| moment(n)?.state(&mut ephemeris));
+        let mut states = States::default();
+        stated.for_each(|(state, slow)| states.push(state, || slow));
+        [states]
+    });
+    let mut all = States::default();
+    for mut part in stated.collect::<Vec<States>>() {
+        all.states.append(&mut part.states);
+        all.slow.append(&mut part.slow);
+    }
+    Ok(all)
+}
+
+/// The place of the last frame before a time.
+fn place_before(places: &[(f64, Place)], time_s: f64) -> Option<Place> {
+    let later = places.partition_point(|(taken_s, _)| *taken_s <= time_s);
+    Some(places.get(later.checked_sub(1)?)?.1)
+}
+
+/// What tells the attitude at a moment of the path.
+struct Moment<'a> {
+    unix_s: f64,
+    point: PathPoint,
+    roll: Option<SmoothedRoll>,
+    place: Place,
+    instrument: &'a Instrument,
+}
+
+impl Moment<'_> {
+    fn state(&self, ephemeris: &mut Ephemeris) -> Option<(State, Slow)> {
+        let position_m = ecef_m(&self.place);
+        let to_earth = |of: &TelescopeAttitude| {
+            let axes = north_east_up(&position_m);
+            let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -1.0));
+            let turn = Rotation3::from_matrix_unchecked(axes * flip) * of.turn;
+            UnitQuaternion::from_rotation_matrix(&turn)
+        };
+        let now = self.attitude(0.0, ephemeris)?;
+        let [before, after] =
+            [-INSTANT_S, INSTANT_S].map(|later_s| self.attitude(later_s, ephemeris));
+        let turned = to_earth(&before?).inverse() * to_earth(&after?);
+        let state = State {
+            unix_s: self.unix_s,
+            attitude: to_earth(&now),
+            rate_rad_s: turned.scaled_axis() / (2.0 * INSTANT_S),
+            covariance_rad2: now.random_rad2,
+            basis: Basis::Sun,
+            is_contradicted: false,
+        };
+        let slow = Slow {
+            unix_s: self.unix_s,
+            position_m,
+            systematic_rad2: now.systematic_rad2,
+        };
+        Some((state, slow))
+    }
+
+    /// The attitude a little later, as Sun and body go on.
+    fn attitude(&self, later_s: f64, ephemeris: &mut Ephemeris) -> Option<TelescopeAttitude> {
+        let sun = sun_at(self.unix_s + later_s, self.place, ephemeris)?;
+        let place = Vector2::from(self.point.place) + Vector2::from(self.point.speed) * later_s;
+        let sun_on_plate = Estimate {
+            position: place.into(),
+            covariance: Matrix2::from_diagonal(&self.point.variance.into()),
+        };
+        let nadir = self.roll.map(|roll| {
+            let [roll_rate, pitch_rate] = roll.rates_deg_per_s;
+            let moved = |angle: Measured, rate: f64| {
+                Measured::new(angle.value + rate * later_s, angle.sigma)
+            };
+            body_nadir(
+                moved(roll.roll_deg, roll_rate),
+                moved(roll.pitch_deg, pitch_rate),
+            )
+        });
+        let roll = roll_by(nadir.as_ref(), sun_on_plate.position, self.instrument, &sun);
+        telescope_attitude(&sun_on_plate, roll, self.instrument, &sun).ok()
+    }
+}
+
+fn sun_at(unix_s: f64, place: Place, ephemeris: &mut Ephemeris) -> Option<SunPosition> {
+    let utc = Timestamp::from_nanosecond((unix_s * 1e9) as i128).ok()?;
+    ephemeris.sun(utc, place).ok()
+}
+
+/// The whole seconds about states, in the order of time.
+fn seconds(of: &States, ephemeris: &Ephemeris) -> Vec<Second> {
+    let ends = of.states.first().zip(of.states.last());
+    let Some(ends_s) = ends.map(|(first, last)| [first.unix_s.floor(), last.unix_s.ceil()]) else {
+        return Vec::new();
+    };
+    let [first, last] = ends_s.map(|time_s| time_s as i64);
+    let second = |unix_s: i64, ephemeris: &mut Ephemeris| {
+        let near = nearest(&of.slow, |slow| slow.unix_s, unix_s as f64)?;
+        let place = geodetic(&near.position_m)?;
+        let sun = sun_at(unix_s as f64, place, ephemeris)?;
+        let axes = north_east_up(&near.position_m);
+        let towards = |v: Vector3<f64>| UnitVector3::new_normalize(axes * v);
+        Some(Second {
+            unix_s,
+            position_m: near.position_m,
+            to_sun: towards(sun_direction(&sun)),
+            north: towards(solar_north(&sun)),
+            systematic_rad2: near.systematic_rad2,
+        })
+    };
+    let all: Vec<i64> = (first..=last).collect();
+    let chunks = all.par_chunks(TOGETHER);
+    let seconds = chunks.flat_map_iter(|chunk| {
+        let mut ephemeris = ephemeris.clone();
+        let seconds = chunk
+            .iter()
+            .filter_map(|unix_s| second(*unix_s, &mut ephemeris));
+        seconds.collect::<Vec<Second>>()
+    });
+    seconds.collect()
+}

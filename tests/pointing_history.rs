@@ -1,0 +1,450 @@
+//! Where a refined flight's telescope pointed at any time: photons come back to where on the Sun they came from, as well as is stated, and
+//! cameras that contradict the gyros are noticed.
+
+use crate::common::refined::{Columns, command, refine, rms, summary, temporary};
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::{Matrix2x3, UnitVector3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use rayon::prelude::*;
+use solaspect::archive::Store;
+use solaspect::fits::{self, Compression, Values};
+use solaspect::geometry::earth::{ecef_m, north_east_up};
+use solaspect::instrument::{DEMO_HORIZON, DEMO_NAVIGATION, MountedCamera, builtin};
+use solaspect::pointing::{HelioprojectiveArcsec, solar_north, sun_direction};
+use solaspect::pointing_history::PointingHistory;
+use solaspect::simulate::earth::SwingingGondola;
+use solaspect::simulate::navigation::TelescopeFlight;
+use solaspect::simulate::{FORT_SUMNER, FlightScenes, Gondola, Trajectory};
+use solaspect::sky::{Ephemeris, sun_angular_radius};
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use std::time::Duration;
+use tempfile::TempDir;
+
+const START: &str = "2013-09-21T18:00:00Z";
+const RATE_HZ: f64 = 4.0;
+
+fn start() -> Timestamp {
+    START.parse().unwrap()
+}
+
+fn utc(since: Duration) -> Timestamp {
+    start() + SignedDuration::try_from(since).unwrap()
+}
+
+/// A flight with its gondola.
+#[derive(Clone, Copy)]
+struct Plan {
+    gondola: Gondola,
+    duration: Duration,
+    seed: u64,
+}
+
+impl Plan {
+    /// The demonstration's, without the Sun from 60 to 75 % of it; one without end has slews, and gaps of 45 s.
+    fn course(&self) -> Trajectory {
+        const SHORT: Duration = Duration::from_secs(600);
+        let instrument = builtin("demo").unwrap();
+        let (radius_mil, seed) = (radius_mil(), self.seed);
+        match self.duration < SHORT {
+            true => Trajectory::demo(&instrument, radius_mil, self.duration, seed).unwrap(),
+            false => Trajectory::flight(&instrument, radius_mil, seed).unwrap(),
+        }
+    }
+
+    fn telescope(&self) -> TelescopeFlight {
+        let instrument = builtin("demo").unwrap();
+        let flight =
+            TelescopeFlight::new(self.course(), &instrument, FORT_SUMNER, start(), self.seed);
+        flight.on(self.gondola)
+    }
+
+    fn frames(&self) -> u64 {
+        (self.duration.as_secs_f64() * RATE_HZ) as u64
+    }
+
+    fn write_sun(&self, folder: &Path) {
+        let instrument = builtin("demo").unwrap();
+        let scenes = FlightScenes::new(&instrument, self.course(), radius_mil(), self.seed);
+        let scenes = scenes.unwrap();
+        fs::create_dir_all(folder).unwrap();
+        (0..self.frames()).into_par_iter().for_each(|n| {
+            let mut scene = scenes.scene(n, taken(n)).unwrap();
+            scene.info.mid_exposure = Some(utc(taken(n)));
+            scene.info.monotonic = Some(Duration::from_secs(5000) + taken(n));
+            scene.info.place = Some(FORT_SUMNER);
+            let path = folder.join(format!("frame_{n:06}.fits"));
+            fits::write_frame(&path, &scene.frame().unwrap(), &[], &[], Compression::Rice).unwrap();
+        });
+    }
+
+    fn write_horizon(&self, folder: &Path) {
+        let camera = MountedCamera::parse(Path::new("demo-horizon"), DEMO_HORIZON).unwrap();
+        let gondola = SwingingGondola::new(&camera, &FORT_SUMNER, self.seed);
+        let store = Store::open(folder, "roll", Compression::Rice).unwrap();
+        (0..self.frames()).into_par_iter().for_each(|n| {
+            let mut frame = gondola.scene(n, taken(n), 1.0).frame().unwrap();
+            frame.info.mid_exposure = Some(utc(taken(n)));
+            frame.info.monotonic = Some(Duration::from_secs(5000) + taken(n));
+            frame.info.place = Some(FORT_SUMNER);
+            store.write(&frame, &[], &[]).unwrap();
+        });
+    }
+
+    /// `imu.csv` and `gps.csv`.
+    fn write_sensors(&self, folder: &Path) {
+        let mut telescope = self.telescope();
+        let mut imu = String::from("t_s,fx_m_s2,fy_m_s2,fz_m_s2,wx_rad_s,wy_rad_s,wz_rad_s\n");
+        for n in 1..=self.duration.as_secs() * telescope.rate_hz() {
+            let sample = telescope.sample(n).unwrap();
+            let (t_s, [fx, fy, fz]) = (unix_s(sample.time), sample.force_m_s2);
+            let [wx, wy, wz] = sample.rate_rad_s;
+            writeln!(imu, "{t_s:.6},{fx},{fy},{fz},{wx},{wy},{wz}").unwrap();
+        }
+        fs::write(folder.join("imu.csv"), imu).unwrap();
+        let mut gps = String::from("t_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s\n");
+        let mut random = Xoshiro256PlusPlus::seed_from_u64(self.seed);
+        let at = ecef_m(&FORT_SUMNER);
+        for second in 0..=self.duration.as_secs() {
+            let mut normal = |sigma: f64| -> [f64; 3] {
+                [(); 3].map(|()| sigma * random.sample::<f64, _>(StandardNormal))
+            };
+            let [x, y, z] = (at + Vector3::from(normal(5.0))).into();
+            let [vx, vy, vz] = normal(0.05);
+            let t_s = start().as_second() as u64 + second;
+            writeln!(gps, "{t_s},{x},{y},{z},{vx},{vy},{vz}").unwrap();
+        }
+        fs::write(folder.join("gps.csv"), gps).unwrap();
+    }
+}
+
+fn radius_mil() -> f64 {
+    let radius_arcsec = sun_angular_radius(start()).unwrap();
+    builtin("demo").unwrap().optics.radius_mil(radius_arcsec)
+}
+
+fn taken(n: u64) -> Duration {
+    Duration::from_secs_f64((n as f64 + 0.5) / RATE_HZ)
+}
+
+fn unix_s(utc: Timestamp) -> f64 {
+    utc.as_duration().as_secs_f64()
+}
+
+const SHORT: Plan = Plan {
+    gondola: Gondola::Swinging,
+    duration: Duration::from_secs(40),
+    seed: 3,
+};
+
+/// A short flight with roll camera, IMU and GPS: its files, and what refining it leaves.
+fn flight() -> &'static (TempDir, PathBuf) {
+    static FLIGHT: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
+    FLIGHT.get_or_init(|| {
+        let root = temporary();
+        write(&SHORT, root.path());
+        let out = root.path().join("out");
+        refine(&root.path().join("archive"), &out, &options(root.path()));
+        (root, out)
+    })
+}
+
+fn write(plan: &Plan, root: &Path) {
+    plan.write_sun(&root.join("archive/sun"));
+    plan.write_horizon(&root.join("archive/roll"));
+    plan.write_sensors(root);
+    fs::write(root.join("NAV.toml"), DEMO_NAVIGATION).unwrap();
+    fs::write(root.join("CAM.toml"), DEMO_HORIZON).unwrap();
+}
+
+/// Options, the files of which are in a folder.
+fn options(root: &Path) -> Vec<&'static str> {
+    let of = [
+        ("--imu", "imu.csv"),
+        ("--gps", "gps.csv"),
+        ("--navigation", "NAV.toml"),
+        ("--roll-camera", "CAM.toml"),
+    ];
+    let named = of.into_iter().flat_map(|(option, file)| {
+        let path = root.join(file).to_str().unwrap().to_owned();
+        [option, path.leak()]
+    });
+    named.collect()
+}
+
+/// A photon put back: its error along the telescope's right and up, and 1 sigma of each, arcsec.
+struct PutBack {
+    source: &'static str,
+    is_valid: bool,
+    /// From the boresight.
+    away_arcsec: f64,
+    error: [f64; 2],
+    sigma: [f64; 2],
+}
+
+/// Photons that came from all over the Sun at random times, put back.
+fn put_back(plan: &Plan, history: &PointingHistory, photons: usize) -> Vec<PutBack> {
+    let (mut telescope, mut ephemeris) = (plan.telescope(), Ephemeris::default());
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(plan.seed + 100);
+    let to_earth = north_east_up(&ecef_m(&FORT_SUMNER));
+    let mut put_back = Vec::new();
+    for _ in 0..photons {
+        let since = Duration::from_secs_f64(random.random_range(0.0..plan.duration.as_secs_f64()));
+        let [x, y] = [(); 2].map(|()| random.random_range(-900.0..900.0));
+        let from = HelioprojectiveArcsec { x, y };
+        let pointed = history.at(unix_s(utc(since)));
+        let Some(sight) = pointed.sight else {
+            continue;
+        };
+        let sun = ephemeris.sun(utc(since), FORT_SUMNER).unwrap();
+        let [centre, north] = [sun_direction(&sun), solar_north(&sun)].map(|v| to_earth * v);
+        let along = from.direction();
+        let towards = centre * along.x + centre.cross(&north) * along.y + north * along.z;
+        let truth = telescope.attitude(since).unwrap();
+        let seen = truth.inverse_transform_vector(&towards);
+        let found = sight.helioprojective(&UnitVector3::new_normalize(seen));
+        let (right, up) = (seen.y / seen.x, -seen.z / seen.x);
+        let by_pointing = Matrix2x3::new(1.0, 0.0, up, 0.0, 1.0, -right);
+        let covariance = by_pointing * sight.random_arcsec2 * by_pointing.transpose();
+        // Solar west and north as the telescope has them.
+        let (sin, cos) = sight.north_angle_deg.to_radians().sin_cos();
+        let [west, north] = [found.x - from.x, found.y - from.y];
+        put_back.push(PutBack {
+            source: sight.basis.name(),
+            is_valid: pointed.is_valid(),
+            away_arcsec: right.hypot(up).to_degrees() * 3600.0,
+            error: [west * cos - north * sin, west * sin + north * cos],
+            sigma: [covariance.m11.sqrt(), covariance.m22.sqrt()],
+        });
+    }
+    put_back
+}
+
+/// Prints and gives the error, arcsec, and the error over sigma, rms of both axes; and the worst.
+fn judged<'a>(name: &str, photons: impl Iterator<Item = &'a PutBack>) -> [f64; 3] {
+    let (mut errors, mut ratios) = (Vec::new(), Vec::new());
+    for photon in photons {
+        errors.extend(photon.error);
+        ratios.extend([0, 1].map(|axis| photon.error[axis] / photon.sigma[axis]));
+    }
+    let worst = ratios
+        .iter()
+        .fold(0.0_f64, |most, ratio| most.max(ratio.abs()));
+    let of = [rms(&errors), rms(&ratios), worst];
+    println!(
+        "{name}: {} photons, {:.3} arcsec rms, {:.2} sigma rms, at most {:.1}",
+        errors.len() / 2,
+        of[0],
+        of[1],
+        of[2]
+    );
+    of
+}
+
+#[test]
+fn photons_come_back_to_where_on_the_sun_they_came_from() {
+    let (_, out) = flight();
+    let history = PointingHistory::read(out).unwrap();
+    let photons = put_back(&SHORT, &history, 20_000);
+    let valid = || photons.iter().filter(|photon| photon.is_valid);
+    let near = valid().filter(|photon| photon.source == "both" && photon.away_arcsec < 500.0);
+    let [error, ratio, _] = judged("near the boresight", near);
+    // The filter has just begun: an hour does better.
+    assert!(error < 0.3 && (0.6..1.25).contains(&ratio));
+    let with_sun = valid().filter(|photon| photon.source == "both");
+    let [_, ratio, _] = judged("with the Sun", with_sun);
+    assert!((0.6..1.25).contains(&ratio), "{ratio}");
+    let in_gap: Vec<&PutBack> = photons.iter().filter(|p| p.source == "gyros").collect();
+    judged("in the gap", in_gap.iter().copied());
+    assert!(in_gap.len() > 500, "{}", in_gap.len());
+    let [_, _, worst] = judged("all that are valid", valid());
+    assert!(worst < 6.0, "{worst}");
+    assert!(valid().count() > photons.len() / 2);
+}
+
+#[test]
+fn gyros_sun_and_horizon_agree_on_a_gondola_that_swings() {
+    let (_, out) = flight();
+    let witnesses = &summary(out)["witnesses"];
+    let axes = witnesses["axes"].as_array().unwrap();
+    assert_eq!(axes.len(), 3);
+    for axis in axes {
+        let [rms, most] = ["rms_over_sigma", "most_over_sigma"].map(|key| axis[key].as_f64());
+        assert!(rms.unwrap() < 1.25 && most.unwrap() < 5.0, "{axis}");
+        assert!(axis["frames"].as_u64().unwrap() > 100, "{axis}");
+    }
+    assert!(witnesses["findings"].as_array().unwrap().is_empty());
+    let page = fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(page.contains("Gyros against Sun and horizon"));
+}
+
+#[test]
+fn a_horizon_that_contradicts_the_gyros_is_a_finding_and_such_a_pointing_is_not_valid() {
+    let (root, _) = flight();
+    let out = temporary();
+    // The roll camera sits turned by half a degree against what its file says.
+    let turned = root.path().join("turned.toml");
+    fs::write(&turned, turned_horizon(0.5)).unwrap();
+    let mut options = options(root.path());
+    let camera = options.iter().position(|option| *option == "--roll-camera");
+    options[camera.unwrap() + 1] = turned.to_str().unwrap();
+    let output = command(&root.path().join("archive"), out.path(), &options);
+    let output = { output }.output().unwrap();
+    let [told, warned] = [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text));
+    assert!(
+        told.contains("the horizon contradicts the gyros in roll"),
+        "{told}"
+    );
+    assert!(
+        warned.contains("the horizon contradicts the gyros in roll"),
+        "{warned}"
+    );
+    let findings = &summary(out.path())["witnesses"]["findings"];
+    assert_eq!(findings[0]["axis"], "roll");
+    let reasons = Columns::read(out.path(), "POINTING");
+    let reasons = reasons.texts("INVALID");
+    let contradicted = reasons
+        .iter()
+        .filter(|reason| *reason == "contradicted")
+        .count();
+    assert!(
+        contradicted > reasons.len() / 2,
+        "{contradicted} of {}",
+        reasons.len()
+    );
+}
+
+/// The demonstration's horizon camera, turned about its body's forward axis.
+fn turned_horizon(deg: f64) -> String {
+    let camera = MountedCamera::parse(Path::new("demo-horizon"), DEMO_HORIZON).unwrap();
+    let turn = nalgebra::Rotation3::from_axis_angle(&Vector3::x_axis(), deg.to_radians());
+    let turned = turn * camera.body_from_camera;
+    let row = |n: usize| format!("{:?}", turned.matrix().row(n).iter().collect::<Vec<_>>());
+    let rows = format!("[{}, {}, {}]", row(0), row(1), row(2));
+    let mut text: toml::Table = DEMO_HORIZON.parse().unwrap();
+    let camera = text["camera"].as_table_mut().unwrap();
+    let rows: toml::Table = format!("turn = {rows}").parse().unwrap();
+    camera.insert("body_from_camera".into(), rows["turn"].clone());
+    text.to_string()
+}
+
+#[test]
+fn tables_of_any_rate_hold_what_the_states_say() {
+    let (root, out) = flight();
+    let other = temporary();
+    let mut options = options(root.path());
+    options.extend(["--pointing-rate", "3", "--rate", "7"]);
+    refine(&root.path().join("archive"), other.path(), &options);
+    let states = |folder: &Path| fs::read(folder.join("pointing.fits")).unwrap();
+    assert!(states(out) == states(other.path()));
+    let history = PointingHistory::read(out).unwrap();
+    for folder in [out, other.path()] {
+        let table = Columns::read(folder, "POINTING");
+        let columns: BTreeMap<&str, &[f64]> =
+            ["UNIX_S", "TIME", "HPLN", "NORTH_ANGLE", "ROLL", "VAR_UP"]
+                .map(|name| (name, table.floats(name)))
+                .into();
+        let times_s = columns["UNIX_S"];
+        assert!(times_s.len() > 100);
+        for (n, time_s) in times_s.iter().enumerate() {
+            let Some(sight) = history.at(*time_s).sight else {
+                assert!(columns["HPLN"][n].is_nan());
+                continue;
+            };
+            for (name, value) in [
+                ("HPLN", sight.helioprojective_arcsec.x),
+                ("NORTH_ANGLE", sight.north_angle_deg),
+                ("ROLL", sight.roll_deg),
+                ("VAR_UP", sight.random_arcsec2.m22),
+            ] {
+                assert!((columns[name][n] - value).abs() < 1e-7, "{name}");
+            }
+        }
+        let midnight = start().as_second() / 86_400 * 86_400;
+        assert!((times_s[0] - columns["TIME"][0] - midnight as f64).abs() < 1e-6);
+    }
+    follow_from_them(other.path(), &history);
+}
+
+/// The offsets at a rate are those of the pointing.
+fn follow_from_them(folder: &Path, history: &PointingHistory) {
+    let table = Columns::of(&folder.join("stabilisation.fits"), "STABILISATION");
+    let [times_s, across, up] =
+        ["UNIX_S", "OFFSET_XEL_DEG", "OFFSET_EL_DEG"].map(|name| table.floats(name));
+    let Values::Logical(valid) = table.values("VALID") else {
+        panic!("VALID");
+    };
+    let (mut known, mut ephemeris) = (0, Ephemeris::default());
+    for (n, time_s) in times_s.iter().enumerate() {
+        let pointed = history.at(*time_s);
+        let Some(sight) = pointed.sight else {
+            assert!(across[n].is_nan() && !valid[n]);
+            continue;
+        };
+        // The target is the Sun's centre.
+        let at = start() + SignedDuration::from_secs_f64(time_s - unix_s(start()));
+        let sun = ephemeris.sun(at, FORT_SUMNER).unwrap();
+        let away_deg = sight.horizontal.azimuth_deg - sun.azimuth_deg;
+        let sine = away_deg.to_radians().sin() * sight.horizontal.elevation_deg.to_radians().cos();
+        assert!((across[n] - sine.asin().to_degrees()).abs() * 3600.0 < 0.01);
+        let above_deg = sight.horizontal.elevation_deg - sun.elevation_deg;
+        assert!((up[n] - above_deg).abs() * 3600.0 < 0.01);
+        assert_eq!(valid[n], pointed.is_valid());
+        known += 1;
+    }
+    assert!(known > times_s.len() / 2);
+}
+
+#[test]
+fn without_gyros_and_horizon_the_suns_own_path_puts_them_back() {
+    let plan = Plan {
+        gondola: Gondola::Still,
+        ..SHORT
+    };
+    let (root, _) = flight();
+    let alone = temporary();
+    refine(&root.path().join("archive/sun"), alone.path(), &[]);
+    let history = PointingHistory::read(alone.path()).unwrap();
+    let photons = put_back(&plan, &history, 20_000);
+    assert!(photons.iter().all(|photon| photon.source == "sun"));
+    let [error, ratio, worst] = judged("by the Sun alone", photons.iter().filter(|p| p.is_valid));
+    assert!(error < 0.3 && worst < 6.0);
+    assert!((0.4..1.25).contains(&ratio), "{ratio}");
+}
+
+/// `cargo test --release --test promises -- --ignored an_hour_of_photons --nocapture`.
+#[test]
+#[ignore = "an hour of flight takes many minutes to simulate"]
+fn an_hour_of_photons_comes_back_with_honest_sigmas() {
+    let plan = Plan {
+        duration: Duration::from_secs(3600),
+        ..SHORT
+    };
+    let root = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("an-hour-of-photons");
+    if !root.join("whole").exists() {
+        write(&plan, &root);
+        fs::write(root.join("whole"), "").unwrap();
+    }
+    let out = root.join("out");
+    refine(&root.join("archive"), &out, &options(&root));
+    println!("{}", summary(&out)["witnesses"]);
+    let history = PointingHistory::read(&out).unwrap();
+    let photons = put_back(&plan, &history, 10_000_000);
+    let valid = || photons.iter().filter(|photon| photon.is_valid);
+    let by = |source: &'static str| valid().filter(move |photon| photon.source == source);
+    let near = by("both").filter(|photon| photon.away_arcsec < 100.0);
+    let [error, near_ratio, _] = judged("within 100 arcsec of the boresight", near);
+    let [_, ratio, _] = judged("with the Sun", by("both"));
+    let [_, in_gaps, _] = judged("in gaps", by("gyros"));
+    let [_, _, worst] = judged("all that are valid", valid());
+    assert!(error < 0.15, "{error}");
+    for ratio in [near_ratio, ratio, in_gaps] {
+        assert!((0.8..1.25).contains(&ratio), "{ratio}");
+    }
+    assert!(worst < 6.0, "{worst}");
+}

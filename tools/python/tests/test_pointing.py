@@ -1,0 +1,69 @@
+"""Where a refined flight's telescope pointed at any time."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+import sunpy.map
+from astropy.time import Time
+
+import solaspect
+
+
+def test_the_pointing_at_the_tables_times_is_the_tables(refined):
+    table = refined.pointing()
+    found = refined.at(Time(table["UNIX_S"].value, format="unix", scale="utc"))
+    for name, column, unit in (
+        ("hpln", "HPLN", u.arcsec),
+        ("north_angle", "NORTH_ANGLE", u.deg),
+        ("azimuth", "AZIMUTH", u.deg),
+        ("roll", "ROLL", u.deg),
+    ):
+        # A time through astropy keeps a microsecond, in which the telescope moves by a thousandth of an arcsecond.
+        near = np.abs(getattr(found, name) - table[column].quantity) < 1e-3 * unit
+        assert np.array_equal(near, np.isfinite(table[column])), name
+    assert np.array_equal(found.valid, table["VALID"])
+    assert list(found.invalid) == list(table["INVALID"])
+    assert list(found.source) == list(table["SOURCE"])
+
+
+def test_any_time_of_any_shape_and_scale_has_a_pointing(refined):
+    first, last = refined.span
+    middle = first + 0.4 * (last - first)
+    one, same = refined.at(middle), refined.at(middle.tt)
+    assert one.hpln.shape == () and abs(one.hpln - same.hpln) < 1e-3 * u.arcsec
+    many = refined.at(middle + np.linspace(0, 0.2, 6).reshape(2, 3) * u.s)
+    assert many.hpln.shape == (2, 3) and many.random.shape == (2, 3, 3, 3)
+    assert many.coord.observer.radius.to_value("AU").all()
+    assert many.sigma.unit == u.arcsec
+    before = refined.at(first - 1 * u.hour)
+    assert np.isnan(before.hpln) and not before.valid and before.invalid == "extrapolated"
+    assert not refined.at(middle, most_sigma=1 * u.marcsec).valid
+
+
+def test_the_coordinate_is_seen_from_the_balloon(refined):
+    first, last = refined.span
+    pointing = refined.at(first + 0.3 * (last - first))
+    assert pointing.coord.frame.name == "helioprojective"
+    assert pointing.location.height > 30 * u.km
+    assert 140e6 * u.km < pointing.observer.transform_to("heliographic_stonyhurst").radius < 160e6 * u.km
+
+
+def test_tables_are_in_the_machines_bytes_with_text_and_units(refined):
+    aspect = refined.aspect()
+    assert aspect["QUALITY"].dtype.kind == "U" and (aspect["QUALITY"] == "fine").any()
+    assert aspect["SUN_X_MIL"].unit == u.Unit("25.4 um") and aspect["TEMPERATURE_C"].unit == u.deg_C
+    assert refined.smoothed()["SPEED_X_MIL_PER_S"].unit == u.Unit("25.4 um / s")
+    for table in ("smoothed", "pointing"):
+        frame = refined.to_pandas(table)
+        assert len(frame) and frame.iloc[:3].notna().any().any()
+    with pytest.raises(ValueError, match="expected one of"):
+        refined.to_pandas("none")
+    with pytest.raises(solaspect.SolaspectError, match="attitude.fits"):
+        refined.attitude()
+
+
+def test_a_map_rotates_and_a_path_is_drawn(archive, refined):
+    fine = refined.aspect()["FILE"][0]
+    turned = archive.map(fine).rotate(10 * u.deg)
+    assert isinstance(turned, sunpy.map.GenericMap)
+    assert len(refined.plot().lines) == 2
