@@ -176,17 +176,27 @@ pub fn write_fits<T, R: Borrow<T>, E: From<FileError>>(
     widths: &Widths,
     rows: impl Iterator<Item = Result<R, E>>,
 ) -> Result<(), E> {
+    let heads = stored_columns(columns, widths);
+    file.table(name, &heads, rows, |row, stored| {
+        store(columns, widths, row.borrow(), stored);
+    })
+}
+
+/// The columns as FITS stores them.
+pub fn stored_columns<T>(columns: &[Column<T>], widths: &Widths) -> Vec<StoredColumn> {
     let stored = |(column, width): (&Column<T>, &usize)| StoredColumn {
         name: column.name,
         unit: column.unit,
         meaning: column.meaning,
         form: column.form(*width),
     };
-    let heads: Vec<StoredColumn> = columns.iter().zip(&widths.0).map(stored).collect();
-    file.table(name, &heads, rows, |row, stored| {
-        let cells = columns.iter().zip(&widths.0);
-        cells.for_each(|(column, width)| column.store(row.borrow(), *width, stored));
-    })
+    columns.iter().zip(&widths.0).map(stored).collect()
+}
+
+/// Adds a row's cells.
+pub fn store<T>(columns: &[Column<T>], widths: &Widths, row: &T, stored: &mut StoredRow) {
+    let cells = columns.iter().zip(&widths.0);
+    cells.for_each(|(column, width)| column.store(row, *width, stored));
 }
 
 /// Writes tables to a FITS file that is whole or absent; `cards` go into every header of it.
@@ -226,8 +236,7 @@ pub fn whole(
 
 /// That a file could not be written.
 pub fn refused(path: &Path, cause: io::Error) -> FileError {
-    let action = "write";
-    Problem::Io { action, cause }.in_file(path)
+    Problem::unwritten(cause).in_file(path)
 }
 
 /// SHA-256 of a file, hexadecimal.
@@ -235,10 +244,7 @@ pub fn refused(path: &Path, cause: io::Error) -> FileError {
 /// # Errors
 /// A file that cannot be read.
 pub fn sha256(path: &Path) -> Result<String, FileError> {
-    provenance::sha256_of_file(path).map_err(|cause| {
-        let action = "read";
-        Problem::Io { action, cause }.in_file(path)
-    })
+    provenance::sha256_of_file(path).map_err(|cause| Problem::unread(cause).in_file(path))
 }
 
 /// The table of columns of a page of the manual, in Markdown.

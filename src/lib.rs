@@ -74,6 +74,7 @@
 //! | [`pointing_history`] | where the telescope pointed, as a function of time |
 //! | [`archive`], [`camera`] | files on disks; sources of frames |
 //! | [`observe`] | one pass over frames: journals, shards, copies, files that cannot be read |
+//! | [`events`] | photons put on the Sun by a refined flight's pointing |
 //! | [`config`] | the parameter table |
 //! | [`service`], `console`, [`calibrate`], [`refine`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; a flight in a browser (feature `console`); measuring the instrument; the best aspect history of a flight; errors on simulated frames; checks before a flight |
 //! | [`cli`] | one small file per command; no logic |
@@ -97,6 +98,7 @@ pub mod config;
 #[cfg(feature = "console")]
 pub mod console;
 pub mod estimation;
+pub mod events;
 pub mod fiducial;
 mod files;
 pub mod fits;

@@ -8,6 +8,7 @@ pub mod config;
 #[cfg(feature = "console")]
 pub mod console;
 pub mod demo;
+pub mod events;
 pub mod fly;
 mod frames;
 pub mod horizon;
@@ -57,6 +58,7 @@ enum Command {
     Moon(moon::MoonArgs),
     Navigate(navigate::NavigateArgs),
     Refine(refine::RefineArgs),
+    Events(events::EventsArgs),
     Simulate(Box<simulate::SimulateArgs>),
     Sky(sky::SkyArgs),
     Config(config::ConfigArgs),
@@ -83,6 +85,7 @@ impl Program {
             Command::Moon(args) => moon::run(args),
             Command::Navigate(args) => navigate::run(&args),
             Command::Refine(args) => refine::run(&args),
+            Command::Events(args) => events::run(&args),
             Command::Simulate(args) => simulate::run(&args).map(|()| ExitCode::SUCCESS),
             Command::Sky(args) => sky::run(args).map(|()| ExitCode::SUCCESS),
             Command::Config(args) => config::run(&args),

@@ -153,6 +153,29 @@ pub fn utc_of_mjd(days: f64, scale: Scale) -> Result<Utc, &'static str> {
     instant(Civil::at(time.map_err(|_| EXPECTED)?), scale)
 }
 
+impl Scale {
+    /// The instant, s since 1970 UTC, at which a clock of this scale shows so many seconds since its own 1970-01-01; `None` outside the years
+    /// that are known. UTC is counted as POSIX does.
+    pub fn unix_s(self, seconds: f64) -> Option<f64> {
+        if self == Self::Utc {
+            return Some(seconds);
+        }
+        let label = Timestamp::from_nanosecond((seconds * 1e9) as i128).ok()?;
+        let civil = Civil::at(Offset::UTC.to_datetime(label));
+        let ahead = label.duration_since(instant(civil, self).ok()?.time);
+        Some(seconds - ahead.as_secs_f64())
+    }
+
+    /// What a clock of this scale shows at an instant: the inverse of [`unix_s`](Self::unix_s).
+    pub fn seconds(self, unix_s: f64) -> Option<f64> {
+        let Some(behind_tai) = self.behind_tai() else {
+            return Some(unix_s);
+        };
+        let time = Timestamp::from_nanosecond((unix_s * 1e9) as i128).ok()?;
+        Some(unix_s + leap_seconds(time)? as f64 - behind_tai.as_secs_f64())
+    }
+}
+
 /// A date and time of day in some scale.
 #[derive(Debug, Clone, Copy)]
 struct Civil {

@@ -34,14 +34,26 @@ pub enum Problem {
 }
 
 impl Problem {
-    pub(super) fn content(expected: impl Into<String>, found: impl Into<String>) -> Self {
+    /// That the operating system did not read.
+    pub(crate) fn unread(cause: io::Error) -> Self {
+        let action = "read";
+        Self::Io { action, cause }
+    }
+
+    /// That the operating system did not write.
+    pub(crate) fn unwritten(cause: io::Error) -> Self {
+        let action = "write";
+        Self::Io { action, cause }
+    }
+
+    pub(crate) fn content(expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::Content {
             expected: expected.into(),
             found: found.into(),
         }
     }
 
-    pub(super) fn field(
+    pub(crate) fn field(
         field: impl Into<String>,
         expected: impl Into<String>,
         found: impl ToString,
@@ -54,7 +66,7 @@ impl Problem {
     }
 
     /// Names the table that a field is in.
-    pub(super) fn within(self, table: &str) -> Self {
+    pub(crate) fn within(self, table: &str) -> Self {
         match self {
             Self::Field {
                 field,

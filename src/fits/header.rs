@@ -128,7 +128,7 @@ impl Header {
     }
 
     /// Whether a keyword has a value, readable or not.
-    pub(super) fn contains(&self, keyword: &str) -> bool {
+    pub fn contains(&self, keyword: &str) -> bool {
         self.content(keyword).is_some()
     }
 
@@ -171,7 +171,10 @@ impl Header {
     }
 
     /// A whole number; one written with a decimal point counts.
-    pub(super) fn integer(&self, keyword: &str) -> Result<Option<i64>, Problem> {
+    ///
+    /// # Errors
+    /// A value that is none.
+    pub fn integer(&self, keyword: &str) -> Result<Option<i64>, Problem> {
         self.typed(keyword, "a whole number", |value| match value {
             Value::Integer(number) => Some(*number),
             Value::Float(number) if number.fract() == 0.0 && number.abs() < 9e15 => {
@@ -181,7 +184,11 @@ impl Header {
         })
     }
 
-    pub(super) fn text(&self, keyword: &str) -> Result<Option<String>, Problem> {
+    /// A text in quotes.
+    ///
+    /// # Errors
+    /// A value that is none.
+    pub fn text(&self, keyword: &str) -> Result<Option<String>, Problem> {
         self.typed(keyword, "a text in quotes", |value| match value {
             Value::Text(text) => Some(text.clone()),
             _ => None,

@@ -10,11 +10,13 @@
 //! flight's frames are to cost no more to store than to solve. The tests hold both against cfitsio, which shares nothing with them. The
 //! keywords are those of one table, [`keyword`].
 
+mod amend;
 mod by_cfitsio;
 mod cards;
 mod checksum;
 mod choice;
 mod compressed;
+mod disk_file;
 mod error;
 mod file;
 mod form;
@@ -23,6 +25,7 @@ mod info;
 pub mod keyword;
 mod layout;
 mod listing;
+mod number_column;
 mod pack;
 mod picture;
 mod place;
@@ -42,13 +45,16 @@ mod unit;
 mod values;
 mod write;
 
+pub use amend::Amended;
 pub use by_cfitsio::open_disk_file;
 pub use cards::{clock_cards, format_time, modified_julian_date};
 pub use checksum::Checksums;
+pub use disk_file::{DiskFile, DiskHdu, DiskTable};
 pub use error::{FileError, Problem};
 pub use file::FitsFile;
 pub use header::{Card, Header, Value};
 pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
+pub use number_column::{Inward, NumberColumn};
 pub use pack::{Compression, Packing};
 pub use reals::frame_of_values;
 pub use stream::{CellForm, StoredColumn, StoredRow, TableFile};
@@ -162,13 +168,16 @@ pub(crate) fn check_length(bytes: u64) -> Result<(), Problem> {
 }
 
 fn read_at_most(path: &Path, most: u64) -> Result<Vec<u8>, Problem> {
-    files::read_start(path, most).map_err(|unread| match unread {
-        Unread::Io(cause) => Problem::Io {
-            action: "read",
-            cause,
-        },
-        other => Problem::content(other.expected(), other.found()),
-    })
+    files::read_start(path, most).map_err(Problem::of_unread)
+}
+
+impl Problem {
+    pub(crate) fn of_unread(unread: Unread) -> Self {
+        match unread {
+            Unread::Io(cause) => Self::unread(cause),
+            other => Self::content(other.expected(), other.found()),
+        }
+    }
 }
 
 /// The bytes of a file, gunzipped if need be.

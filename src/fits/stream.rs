@@ -7,7 +7,7 @@ use super::structure::BLOCK;
 use super::write::{ColumnCards, begin_primary, program, put_cards, put_table_header};
 use super::{FileError, Problem};
 use std::fs::File;
-use std::io::{self, BufWriter, Seek, SeekFrom, Write};
+use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// How a column's values are stored.
@@ -35,7 +35,7 @@ impl CellForm {
         }
     }
 
-    fn bytes(self) -> usize {
+    pub(super) fn bytes(self) -> usize {
         match self {
             Self::Text(characters) => characters,
             Self::Integer | Self::Float => 8,
@@ -55,11 +55,28 @@ pub struct StoredColumn {
     pub form: CellForm,
 }
 
+impl StoredColumn {
+    pub(super) fn cards(&self) -> ColumnCards<'_> {
+        ColumnCards {
+            name: self.name,
+            form: self.form.tform(),
+            unit: self.unit,
+            meaning: self.meaning,
+            null: (self.form == CellForm::Integer).then_some(NO_INTEGER),
+        }
+    }
+}
+
 /// A row in the making: a cell of each column, in their order.
 #[derive(Debug, Default)]
 pub struct StoredRow(Vec<u8>);
 
 impl StoredRow {
+    /// The bytes of the cells so far.
+    pub(super) fn bytes(&mut self) -> &mut Vec<u8> {
+        &mut self.0
+    }
+
     pub fn text(&mut self, text: &str, characters: usize) {
         let end = self.0.len() + characters;
         self.0.extend(text.chars().take(characters).map(printable));
@@ -102,8 +119,10 @@ impl TableFile {
             put_cards(&mut header, cards)?;
             header.end_header();
             header.end();
-            let mut file = BufWriter::with_capacity(1 << 20, File::create(path).map_err(refused)?);
-            file.write_all(&header.into_bytes()).map_err(refused)?;
+            let mut file =
+                BufWriter::with_capacity(1 << 20, File::create(path).map_err(Problem::unwritten)?);
+            file.write_all(&header.into_bytes())
+                .map_err(Problem::unwritten)?;
             Ok(file)
         };
         Ok(Self {
@@ -125,12 +144,12 @@ impl TableFile {
         mut fill: impl FnMut(&R, &mut StoredRow),
     ) -> Result<(), E> {
         let row_bytes: usize = columns.iter().map(|column| column.form.bytes()).sum();
-        let start = self.kept(|file| file.stream_position().map_err(refused))?;
+        let start = self.kept(|file| file.stream_position().map_err(Problem::unwritten))?;
         let cards = std::mem::take(&mut self.cards);
         let header = |rows: usize| header(name, columns, &cards, [row_bytes, rows]);
         let unfinished = self.kept(|_| header(0))?;
         let bytes = unfinished.into_bytes();
-        self.kept(|file| file.write_all(&bytes).map_err(refused))?;
+        self.kept(|file| file.write_all(&bytes).map_err(Problem::unwritten))?;
         let (mut count, mut row, mut sum) = (0, StoredRow::default(), DataSum::default());
         for item in rows {
             let item = item?;
@@ -142,19 +161,22 @@ impl TableFile {
                 return Err(wrong.in_file(&self.path).into());
             }
             sum.add(&row.0);
-            self.kept(|file| file.write_all(&row.0).map_err(refused))?;
+            self.kept(|file| file.write_all(&row.0).map_err(Problem::unwritten))?;
             count += 1;
         }
         self.kept(|file| {
             let data = count * row_bytes;
             let fill = vec![0; data.next_multiple_of(BLOCK) - data];
-            file.write_all(&fill).map_err(refused)?;
-            let end = file.stream_position().map_err(refused)?;
+            file.write_all(&fill).map_err(Problem::unwritten)?;
+            let end = file.stream_position().map_err(Problem::unwritten)?;
             let mut finished = header(count)?;
             finished.seal(sum.finish());
-            file.seek(SeekFrom::Start(start)).map_err(refused)?;
-            file.write_all(&finished.into_bytes()).map_err(refused)?;
-            file.seek(SeekFrom::Start(end)).map_err(refused)?;
+            file.seek(SeekFrom::Start(start))
+                .map_err(Problem::unwritten)?;
+            file.write_all(&finished.into_bytes())
+                .map_err(Problem::unwritten)?;
+            file.seek(SeekFrom::Start(end))
+                .map_err(Problem::unwritten)?;
             Ok(())
         })?;
         self.cards = cards;
@@ -167,8 +189,8 @@ impl TableFile {
     /// A file that cannot be written.
     pub fn finish(mut self) -> Result<(), FileError> {
         self.kept(|file| {
-            file.flush().map_err(refused)?;
-            file.get_ref().sync_all().map_err(refused)
+            file.flush().map_err(Problem::unwritten)?;
+            file.get_ref().sync_all().map_err(Problem::unwritten)
         })
     }
 
@@ -180,13 +202,6 @@ impl TableFile {
     }
 }
 
-fn refused(cause: io::Error) -> Problem {
-    Problem::Io {
-        action: "write",
-        cause,
-    }
-}
-
 /// The header of a table of so many rows.
 fn header(
     name: &str,
@@ -194,13 +209,7 @@ fn header(
     cards: &[Card],
     bytes_and_rows: [usize; 2],
 ) -> Result<Layout, Problem> {
-    let heads = columns.iter().map(|column| ColumnCards {
-        name: column.name,
-        form: column.form.tform(),
-        unit: column.unit,
-        meaning: column.meaning,
-        null: (column.form == CellForm::Integer).then_some(NO_INTEGER),
-    });
+    let heads = columns.iter().map(StoredColumn::cards);
     let mut header = Layout::new(BLOCK);
     put_table_header(&mut header, name, heads, bytes_and_rows, cards)?;
     Ok(header)
@@ -208,21 +217,21 @@ fn header(
 
 /// The sum of data that come in pieces.
 #[derive(Default)]
-struct DataSum {
+pub(super) struct DataSum {
     sum: u32,
     /// Of a word that is not whole yet.
     rest: Vec<u8>,
 }
 
 impl DataSum {
-    fn add(&mut self, bytes: &[u8]) {
+    pub fn add(&mut self, bytes: &[u8]) {
         self.rest.extend_from_slice(bytes);
         let whole = self.rest.len() / 4 * 4;
         self.sum = checksum::added(self.sum, checksum::sum(&self.rest[..whole]));
         self.rest.drain(..whole);
     }
 
-    fn finish(self) -> u32 {
+    pub fn finish(self) -> u32 {
         checksum::added(self.sum, checksum::sum(&self.rest))
     }
 }

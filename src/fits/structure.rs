@@ -117,7 +117,7 @@ fn hdu_at(bytes: &[u8], start: usize) -> Result<Hdu, Problem> {
 }
 
 /// Bytes of data that a header promises (FITS 4.0, equation 2); saturates instead of overflowing.
-fn data_size(header: &Header) -> Result<u64, Problem> {
+pub(super) fn data_size(header: &Header) -> Result<u64, Problem> {
     let axes = header.size("NAXIS", 0..=999)?;
     let bits = header.integer("BITPIX")?;
     let Some(bits @ (8 | 16 | 32 | 64 | -32 | -64)) = bits else {

@@ -8,6 +8,7 @@
 //! turn it about that, right side low positive.
 
 mod evaluate;
+mod intervals;
 mod seconds;
 mod state;
 mod store;
@@ -64,6 +65,12 @@ impl PointingHistory {
     /// Where the telescope was in the second before a time, s since 1970: in ECEF.
     pub fn position_m(&self, unix_s: f64) -> Option<Vector3<f64>> {
         Some(self.seconds.row(unix_s)?.position_m)
+    }
+
+    /// The times of two states that follow each other without a gap.
+    fn steps_s(&self) -> impl Iterator<Item = [f64; 2]> {
+        let steps = self.times_s.windows(2).map(|step| [step[0], step[1]]);
+        steps.filter(|[from, to]| to - from <= LONGEST_STEP_S)
     }
 
     /// Where the telescope pointed at a time, s since 1970.

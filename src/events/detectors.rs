@@ -1,0 +1,242 @@
+//! DET.toml: which columns hold a photon's time and place, and how each detector is mounted.
+
+use crate::instrument::TomlError;
+use crate::instrument::toml_file::{parse_strict, read_text};
+use crate::units::ARCSEC_PER_RAD;
+use nalgebra::{Rotation2, Vector2};
+use serde::Deserialize;
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// All that DET.toml states.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Detectors {
+    pub columns: PhotonColumns,
+    detectors: Vec<Detector>,
+}
+
+/// The names of the columns that are read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PhotonColumns {
+    pub time: String,
+    pub x: String,
+    pub y: String,
+    /// `None` where a detector without id has all photons.
+    pub id: Option<String>,
+}
+
+/// How a detector is mounted, with 1 sigma of each value, per axis where it has two.
+#[derive(Debug, Clone, PartialEq)]
+struct Detector {
+    id: Option<i64>,
+    scale_arcsec: f64,
+    scale_sigma_arcsec: f64,
+    centre: Vector2<f64>,
+    centre_sigma: f64,
+    rotation: Rotation2<f64>,
+    rotation_sigma_rad: f64,
+    mirrored: bool,
+    offset_arcsec: Vector2<f64>,
+    offset_sigma_arcsec: f64,
+}
+
+/// Where a photon came from, in the telescope's axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FromBoresight {
+    /// In the plane that touches the sky at the boresight, to the right and up.
+    pub right_rad: f64,
+    pub up_rad: f64,
+    /// Of what is stated of the detector, mean of the two axes.
+    pub variance_arcsec2: f64,
+}
+
+#[derive(Deserialize)]
+struct RawFile {
+    #[serde(default = "time_column")]
+    time_column: String,
+    #[serde(default = "x_column")]
+    x_column: String,
+    #[serde(default = "y_column")]
+    y_column: String,
+    #[serde(default = "id_column")]
+    id_column: String,
+    #[serde(default, rename = "detector")]
+    detectors: Vec<RawDetector>,
+}
+
+fn time_column() -> String {
+    "TIME".into()
+}
+
+fn x_column() -> String {
+    "X".into()
+}
+
+fn y_column() -> String {
+    "Y".into()
+}
+
+fn id_column() -> String {
+    "DET_ID".into()
+}
+
+#[derive(Deserialize)]
+struct RawDetector {
+    id: Option<i64>,
+    scale_arcsec: f64,
+    #[serde(default)]
+    scale_sigma_arcsec: f64,
+    centre: [f64; 2],
+    #[serde(default)]
+    centre_sigma: f64,
+    rotation_deg: f64,
+    #[serde(default)]
+    rotation_sigma_deg: f64,
+    #[serde(default)]
+    mirrored: bool,
+    #[serde(default)]
+    offset_arcsec: [f64; 2],
+    #[serde(default)]
+    offset_sigma_arcsec: f64,
+}
+
+const KEYS: &[&str] = &[
+    "time_column",
+    "x_column",
+    "y_column",
+    "id_column",
+    "detector.id",
+    "detector.scale_arcsec",
+    "detector.scale_sigma_arcsec",
+    "detector.centre",
+    "detector.centre_sigma",
+    "detector.rotation_deg",
+    "detector.rotation_sigma_deg",
+    "detector.mirrored",
+    "detector.offset_arcsec",
+    "detector.offset_sigma_arcsec",
+];
+
+impl Detectors {
+    /// # Errors
+    /// The file, the field, and what was expected there.
+    pub fn read(path: &Path) -> Result<Self, TomlError> {
+        Self::parse(path, &read_text(path)?)
+    }
+
+    /// Reads the text of such a file; `path` is for errors.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
+        let known: Vec<String> = KEYS.iter().map(|key| (*key).into()).collect();
+        let raw: RawFile = parse_strict(path, text, &known)?;
+        check_ids(path, &raw.detectors)?;
+        let detectors = raw.detectors.iter().enumerate();
+        let detectors = detectors.map(|(n, raw)| raw.checked(path, n));
+        let detectors: Vec<Detector> = detectors.collect::<Result<_, _>>()?;
+        let has_ids = detectors.iter().any(|detector| detector.id.is_some());
+        Ok(Self {
+            columns: PhotonColumns {
+                time: raw.time_column,
+                x: raw.x_column,
+                y: raw.y_column,
+                id: has_ids.then_some(raw.id_column),
+            },
+            detectors,
+        })
+    }
+
+    /// Where a photon came from that a detector has measured at a place; `None` where no detector has this id.
+    pub fn locate(&self, id: Option<f64>, place: [f64; 2]) -> Option<FromBoresight> {
+        let is_it = |detector: &&Detector| detector.id.map(|id| id as f64) == id;
+        let detector = self.detectors.iter().find(is_it)?;
+        Some(detector.locate(place.into()))
+    }
+
+    /// The ids, for messages.
+    pub fn ids(&self) -> String {
+        let ids = self.detectors.iter().filter_map(|detector| detector.id);
+        let ids: Vec<String> = ids.map(|id| id.to_string()).collect();
+        ids.join(", ")
+    }
+}
+
+/// Ids part the photons: each detector has its own, and only a single one needs none.
+fn check_ids(path: &Path, detectors: &[RawDetector]) -> Result<(), TomlError> {
+    if detectors.is_empty() {
+        let expected = "one [[detector]] or more";
+        return Err(TomlError::new(path, "detector", expected, "none"));
+    }
+    let mut seen = BTreeSet::new();
+    for (n, detector) in detectors.iter().enumerate() {
+        let field = format!("detector.{n}.id");
+        let expected = "an id of its own for each detector";
+        match detector.id {
+            Some(id) if !seen.insert(id) => {
+                return Err(TomlError::new(path, field, expected, format!("{id} again")));
+            }
+            None if detectors.len() > 1 => {
+                return Err(TomlError::new(path, field, expected, "none"));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+impl RawDetector {
+    fn checked(&self, path: &Path, n: usize) -> Result<Detector, TomlError> {
+        let wrong = |key: &str, expected, found: f64| {
+            let field = format!("detector.{n}.{key}");
+            Err(TomlError::new(path, field, expected, found.to_string()))
+        };
+        if self.scale_arcsec <= 0.0 {
+            return wrong("scale_arcsec", "a number above 0", self.scale_arcsec);
+        }
+        for (key, sigma) in [
+            ("scale_sigma_arcsec", self.scale_sigma_arcsec),
+            ("centre_sigma", self.centre_sigma),
+            ("rotation_sigma_deg", self.rotation_sigma_deg),
+            ("offset_sigma_arcsec", self.offset_sigma_arcsec),
+        ] {
+            if sigma < 0.0 {
+                return wrong(key, "a number from 0 on", sigma);
+            }
+        }
+        Ok(Detector {
+            id: self.id,
+            scale_arcsec: self.scale_arcsec,
+            scale_sigma_arcsec: self.scale_sigma_arcsec,
+            centre: self.centre.into(),
+            centre_sigma: self.centre_sigma,
+            rotation: Rotation2::new(self.rotation_deg.to_radians()),
+            rotation_sigma_rad: self.rotation_sigma_deg.to_radians(),
+            mirrored: self.mirrored,
+            offset_arcsec: self.offset_arcsec.into(),
+            offset_sigma_arcsec: self.offset_sigma_arcsec,
+        })
+    }
+}
+
+impl Detector {
+    fn locate(&self, place: Vector2<f64>) -> FromBoresight {
+        let mut from_axis = place - self.centre;
+        if self.mirrored {
+            from_axis.y = -from_axis.y;
+        }
+        let arcsec = self.rotation * from_axis * self.scale_arcsec + self.offset_arcsec;
+        let [right_rad, up_rad] = [arcsec.x, arcsec.y].map(|arcsec| arcsec / ARCSEC_PER_RAD);
+        // The scale moves a photon along its distance from the module's axis, the rotation across it.
+        let along = from_axis.norm() * self.scale_sigma_arcsec;
+        let across = from_axis.norm() * self.scale_arcsec * self.rotation_sigma_rad;
+        let centre = self.scale_arcsec * self.centre_sigma;
+        FromBoresight {
+            right_rad,
+            up_rad,
+            variance_arcsec2: self.offset_sigma_arcsec.powi(2)
+                + centre.powi(2)
+                + (along.powi(2) + across.powi(2)) / 2.0,
+        }
+    }
+}

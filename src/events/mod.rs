@@ -1,0 +1,435 @@
+//! Photons put on the Sun: the event list of a telescope, with each photon's helioprojective place by the pointing of a refined flight.
+//!
+//! Event lists are FITS files as X-ray astronomy keeps them (OGIP): a table EVENTS with a row for each photon, and tables of good time
+//! intervals. [`place_photons`] copies such a file. In the copy the photons' table has more columns ([`PHOTON_COLUMNS`]), the good time
+//! intervals are those in which the pointing is valid, too, and all else is as it was, byte for byte.
+//!
+//! A detector measures a photon at (x, y). How it is mounted ([`Detectors`]) makes of that two angles from the boresight, to the telescope's
+//! right R and up U in the plane that touches the sky there: the photon came from the direction forward + R right + U up. The pointing at the
+//! photon's time turns that into axes about the Sun.
+
+mod detectors;
+mod good_times;
+mod photons;
+mod times;
+
+pub use detectors::{Detectors, FromBoresight, PhotonColumns};
+pub use photons::{PHOTON_COLUMNS, Photon, Place};
+
+use crate::columns::{self, Widths};
+use crate::files;
+use crate::fits::{Amended, DiskFile, DiskHdu, DiskTable, FileError, Problem};
+use crate::instrument::TomlError;
+use crate::observe::Watch;
+use crate::pointing_history::{POINTING_FILE, PointingHistory, StoreError};
+use crate::provenance::LONG_VERSION;
+use flate2::read::MultiGzDecoder;
+use good_times::{GoodTimes, common};
+use photons::Measured;
+use std::collections::BTreeMap;
+use std::fs::{self, File, Permissions};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use tempfile::NamedTempFile;
+use times::{Counted, Keywords};
+
+/// After so many photons a watch is shown a step.
+const STEP: u64 = 1000;
+
+/// The files of a run.
+#[derive(Debug, Clone, Copy)]
+pub struct Files<'a> {
+    /// The folder of a refined flight.
+    pub refined: &'a Path,
+    /// The event list, plain or gzipped.
+    pub events: &'a Path,
+    /// DET.toml.
+    pub detectors: &'a Path,
+    /// The copy; what stood there is replaced.
+    pub out: &'a Path,
+}
+
+/// What a run did.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Placed {
+    pub photons: u64,
+    pub valid: u64,
+    /// How many are not, by the reason.
+    pub invalid: BTreeMap<&'static str, u64>,
+    pub exposures: Vec<Exposure>,
+}
+
+/// The length of the good time intervals of an extension, without and with a valid pointing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Exposure {
+    pub extension: String,
+    pub before_s: f64,
+    pub after_s: f64,
+}
+
+/// Why photons are not put on the Sun.
+#[derive(Debug, thiserror::Error)]
+pub enum EventsError {
+    #[error(transparent)]
+    Detectors(#[from] TomlError),
+    #[error(transparent)]
+    Pointing(#[from] StoreError),
+    /// The event list, or the copy.
+    #[error(transparent)]
+    File(#[from] FileError),
+    #[error("{}: expected a file other than those that are read, found {}", .out.display(), .input.display())]
+    Overwrites { out: PathBuf, input: PathBuf },
+    #[error("cancelled: {} is not written", .out.display())]
+    Cancelled { out: PathBuf },
+}
+
+/// Copies an event list, with each photon's place on the Sun.
+///
+/// Memory holds the flight's pointing and the good time intervals; photons pass through.
+///
+/// # Errors
+/// Files that cannot be read or are not what they should be, a photon of an unknown detector, a copy that cannot be written: then there is none.
+pub fn place_photons(files: Files<'_>, watch: &dyn Watch) -> Result<Placed, EventsError> {
+    refuse_overwriting(&files)?;
+    let detectors = Detectors::read(files.detectors)?;
+    let history = PointingHistory::read(files.refined)?;
+    let list = EventList::open(&files, &detectors)?;
+    let part = part_beside(files.out)?;
+    let mut run = Run {
+        files,
+        list: &list,
+        detectors,
+        history,
+        watch,
+        placed: Placed::default(),
+        span: None,
+    };
+    watch.begin(list.table.rows.div_ceil(STEP) as usize, "thousand photons");
+    let written = run.write(&part);
+    watch.end();
+    written?;
+    part.persist(files.out)
+        .map_err(|error| columns::refused(files.out, error.error))?;
+    Ok(run.placed)
+}
+
+/// Refuses to replace a file that is read, by whatever name.
+fn refuse_overwriting(files: &Files<'_>) -> Result<(), EventsError> {
+    let identity = |path: &Path| {
+        fs::metadata(path)
+            .ok()
+            .map(|found| (found.dev(), found.ino()))
+    };
+    let pointing = files.refined.join(POINTING_FILE);
+    let Some(out) = identity(files.out) else {
+        return Ok(());
+    };
+    let inputs = [files.events, files.detectors, &pointing];
+    match inputs
+        .into_iter()
+        .find(|input| identity(input) == Some(out))
+    {
+        None => Ok(()),
+        Some(input) => Err(EventsError::Overwrites {
+            out: files.out.into(),
+            input: input.into(),
+        }),
+    }
+}
+
+fn folder_of(path: &Path) -> &Path {
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    folder.unwrap_or(Path::new("."))
+}
+
+/// A file beside another, which it becomes when it is whole; until then it goes with the run.
+fn part_beside(path: &Path) -> Result<NamedTempFile, FileError> {
+    let mut builder = tempfile::Builder::new();
+    let builder = builder.prefix(".events-").suffix(".part");
+    // As of any new file: the umask takes its share.
+    let builder = builder.permissions(Permissions::from_mode(0o666));
+    let part = builder.tempfile_in(folder_of(path));
+    part.map_err(|cause| columns::refused(path, cause))
+}
+
+/// An open event list.
+struct EventList {
+    file: DiskFile,
+    /// Which HDU has the photons.
+    photons: usize,
+    table: DiskTable,
+    counted: Counted,
+    measured: Measured,
+}
+
+impl EventList {
+    fn open(files: &Files<'_>, detectors: &Detectors) -> Result<Self, FileError> {
+        let file = open(files.events, files.out)?;
+        let found = Self::of(file, detectors);
+        found.map_err(|problem| problem.in_file(files.events))
+    }
+
+    fn of(file: DiskFile, detectors: &Detectors) -> Result<Self, Problem> {
+        let photons = photons_hdu(&file, &detectors.columns.time)?;
+        let hdu = &file.hdus()[photons];
+        let keywords = Keywords {
+            own: &hdu.header,
+            primary: &file.hdus()[0].header,
+        };
+        let read = || {
+            let counted = keywords.counted()?.ok_or_else(|| {
+                Problem::field("MJDREF", "a day, here or in MJDREFI and MJDREFF", "none")
+            })?;
+            let table = hdu.table()?;
+            refuse_columns(&table)?;
+            let measured = Measured::of(hdu, &table, detectors, counted)?;
+            Ok((counted, table, measured))
+        };
+        let (counted, table, measured) =
+            read().map_err(|problem: Problem| problem.within(&hdu.name()))?;
+        Ok(Self {
+            photons,
+            table,
+            counted,
+            measured,
+            file,
+        })
+    }
+
+    fn hdu(&self) -> &DiskHdu {
+        &self.file.hdus()[self.photons]
+    }
+
+    fn primary(&self) -> &DiskHdu {
+        &self.file.hdus()[0]
+    }
+}
+
+/// Opens a FITS file; a gzipped one is unpacked beside the copy, for it may not fit into memory.
+fn open(path: &Path, out: &Path) -> Result<DiskFile, FileError> {
+    let unread = |problem: Problem| problem.in_file(path);
+    let unopened = |error| unread(Problem::of_unread(error));
+    let packed = files::open_regular(path).map_err(unopened)?;
+    let magic = files::read_start(path, 2).map_err(unopened)?;
+    if magic != [0x1f, 0x8b] {
+        return DiskFile::of(packed, path);
+    }
+    let mut plain =
+        tempfile::tempfile_in(folder_of(out)).map_err(|cause| columns::refused(out, cause))?;
+    unpack(packed, &mut plain).map_err(unread)?;
+    DiskFile::of(plain, path)
+}
+
+fn unpack(packed: File, plain: &mut File) -> Result<(), Problem> {
+    let copied = std::io::copy(&mut MultiGzDecoder::new(packed), plain);
+    let whole = |error: std::io::Error| {
+        Problem::content("a whole gzip file, and room for it", error.to_string())
+    };
+    copied.map(drop).map_err(whole)
+}
+
+/// The table with the photons: EVENTS, else the only one that has times.
+fn photons_hdu(file: &DiskFile, time: &str) -> Result<usize, Problem> {
+    let tables = || (0..).zip(file.hdus()).filter(|(_, hdu)| hdu.is_table());
+    if let Some((n, _)) = tables().find(|(_, hdu)| hdu.says("EXTNAME", "EVENTS")) {
+        return Ok(n);
+    }
+    let has_times = |hdu: &DiskHdu| {
+        let table = hdu.table();
+        table.is_ok_and(|table| {
+            table
+                .columns
+                .iter()
+                .any(|name| name.eq_ignore_ascii_case(time))
+        })
+    };
+    let timed: Vec<usize> = tables()
+        .filter(|(_, hdu)| has_times(hdu))
+        .map(|(n, _)| n)
+        .collect();
+    match timed[..] {
+        [n] => Ok(n),
+        _ => Err(Problem::content(
+            format!("a table EVENTS, or one table with a column {time}"),
+            format!("{} with one", timed.len()),
+        )),
+    }
+}
+
+/// Refuses a table that has columns of the names that are added.
+fn refuse_columns(table: &DiskTable) -> Result<(), Problem> {
+    let is_ours = |name: &&String| {
+        PHOTON_COLUMNS
+            .iter()
+            .any(|ours| ours.name.eq_ignore_ascii_case(name))
+    };
+    match table.columns.iter().find(is_ours) {
+        None => Ok(()),
+        Some(name) => Err(Problem::field(
+            format!("column {name}"),
+            "none of this name, which is added",
+            "one",
+        )),
+    }
+}
+
+/// A run in progress.
+struct Run<'a> {
+    files: Files<'a>,
+    list: &'a EventList,
+    detectors: Detectors,
+    history: PointingHistory,
+    watch: &'a dyn Watch,
+    placed: Placed,
+    /// The first and the last time of a photon.
+    span: Option<[f64; 2]>,
+}
+
+impl Run<'_> {
+    fn write(&mut self, part: &NamedTempFile) -> Result<(), EventsError> {
+        let unwritten = |cause| columns::refused(self.files.out, cause);
+        let file = part.as_file().try_clone().map_err(unwritten)?;
+        let list = self.list;
+        let mut copy = Amended::new(&list.file, file, self.files.out);
+        let history = self.provenance()?;
+        let valid = self.history.valid_intervals();
+        for (n, hdu) in list.file.hdus().iter().enumerate() {
+            if n == list.photons {
+                self.write_photons(&mut copy, &history)?;
+            } else if good_times::are_in(hdu) {
+                self.write_good_times(&mut copy, hdu, &valid, &history)?;
+            } else {
+                copy.copy(hdu)?;
+            }
+        }
+        if self.placed.exposures.is_empty() {
+            self.add_good_times(&mut copy, &valid, &history)?;
+        }
+        Ok(copy.finish()?)
+    }
+
+    /// Lines of HISTORY: which program, and from what.
+    fn provenance(&self) -> Result<Vec<String>, FileError> {
+        let pointing = self.files.refined.join(POINTING_FILE);
+        Ok(vec![
+            format!("solaspect {LONG_VERSION}: photons put on the Sun"),
+            format!("SHA-256 of the pointing, {POINTING_FILE}:"),
+            columns::sha256(&pointing)?,
+            "SHA-256 of what is stated of the detectors:".into(),
+            columns::sha256(self.files.detectors)?,
+        ])
+    }
+
+    fn write_photons(
+        &mut self,
+        copy: &mut Amended<'_>,
+        history: &[String],
+    ) -> Result<(), EventsError> {
+        let list = self.list;
+        let widths = Widths::new(PHOTON_COLUMNS);
+        let heads = columns::stored_columns(PHOTON_COLUMNS, &widths);
+        copy.widen(list.hdu(), &list.table, &heads, history, |row, stored| {
+            let photon = list.measured.place(row, &self.detectors, &self.history);
+            let photon = photon.map_err(|problem| self.within_row(problem))?;
+            columns::store(PHOTON_COLUMNS, &widths, &photon, stored);
+            self.count(&photon)
+        })
+    }
+
+    /// Names the row that is at fault.
+    fn within_row(&self, problem: Problem) -> FileError {
+        let row = self.placed.photons + 1;
+        let table = format!("{}, row {row}", self.list.hdu().name());
+        problem.within(&table).in_file(self.files.events)
+    }
+
+    fn count(&mut self, photon: &Photon) -> Result<(), EventsError> {
+        let placed = &mut self.placed;
+        placed.photons += 1;
+        match photon.invalid {
+            None => placed.valid += 1,
+            Some(why) => *placed.invalid.entry(why).or_default() += 1,
+        }
+        if let Some(time_s) = photon.unix_s {
+            let [first, last] = self.span.unwrap_or([time_s; 2]);
+            self.span = Some([first.min(time_s), last.max(time_s)]);
+        }
+        if !placed.photons.is_multiple_of(STEP) {
+            return Ok(());
+        }
+        self.watch.step();
+        match self.watch.is_cancelled() {
+            false => Ok(()),
+            true => Err(EventsError::Cancelled {
+                out: self.files.out.into(),
+            }),
+        }
+    }
+
+    fn write_good_times(
+        &mut self,
+        copy: &mut Amended<'_>,
+        hdu: &DiskHdu,
+        valid: &[[f64; 2]],
+        history: &[String],
+    ) -> Result<(), EventsError> {
+        let list = self.list;
+        let times = GoodTimes::of(hdu, list.primary(), list.counted)
+            .map_err(|problem| problem.within(&hdu.name()).in_file(self.files.events))?;
+        let found = times.intersected(&list.file, valid)?;
+        copy.replace(hdu, &times.table, &found.rows, history)?;
+        self.placed.exposures.push(Exposure {
+            extension: hdu.name(),
+            before_s: found.before_s,
+            after_s: found.after_s,
+        });
+        Ok(())
+    }
+
+    /// Adds good time intervals to a file that has none: between TSTART and TSTOP, or else the first and the last photon.
+    fn add_good_times(
+        &mut self,
+        copy: &mut Amended<'_>,
+        valid: &[[f64; 2]],
+        history: &[String],
+    ) -> Result<(), EventsError> {
+        let list = self.list;
+        let stated = stated_span(list);
+        let stated = stated.map_err(|problem| {
+            problem
+                .within(&list.hdu().name())
+                .in_file(self.files.events)
+        })?;
+        let span = stated.or(self.span).unwrap_or([0.0, 0.0]);
+        let parts: Vec<[f64; 2]> = common(span, valid).collect();
+        let time = |unix_s| list.counted.time(unix_s).unwrap_or(f64::NAN);
+        let rows: Vec<[f64; 2]> = parts.iter().map(|part| part.map(time)).collect();
+        let unit = list.counted.unit();
+        let columns = [
+            ("START", unit, "begin of a good time interval"),
+            ("STOP", unit, "its end"),
+        ];
+        let headers = [list.hdu(), list.primary()];
+        copy.add("GTI", columns, &rows, (times::KEYWORDS, &headers), history)?;
+        self.placed.exposures.push(Exposure {
+            extension: "GTI".into(),
+            before_s: span[1] - span[0],
+            after_s: parts.iter().map(|[start, stop]| stop - start).sum(),
+        });
+        Ok(())
+    }
+}
+
+/// From TSTART to TSTOP, s since 1970 UTC.
+fn stated_span(list: &EventList) -> Result<Option<[f64; 2]>, Problem> {
+    let keywords = Keywords {
+        own: &list.hdu().header,
+        primary: &list.primary().header,
+    };
+    let [start, stop] = ["TSTART", "TSTOP"].map(|keyword| keywords.number(keyword));
+    let unix_s = |time: Option<f64>| time.and_then(|time| list.counted.unix_s(time));
+    let span = unix_s(start?).zip(unix_s(stop?));
+    Ok(span.map(|(start, stop)| [start, stop]))
+}

@@ -1,0 +1,162 @@
+//! A photon on the Sun: its place, and how well that is known.
+
+use super::detectors::{Detectors, FromBoresight};
+use super::times::Counted;
+use crate::columns::{Column, float, logical};
+use crate::fits::{DiskHdu, DiskTable, NumberColumn, Problem};
+use crate::pointing::HelioprojectiveArcsec;
+use crate::pointing_history::{PointingHistory, Sight};
+use nalgebra::{Matrix2x3, Matrix3, UnitVector3, Vector3};
+
+/// What is found of a photon.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Photon {
+    /// UTC, s since 1970.
+    pub unix_s: Option<f64>,
+    /// `None` where time or position is unknown, or no pointing.
+    pub place: Option<Place>,
+    /// Why the place is not to be used; `None` where it is valid.
+    pub invalid: Option<&'static str>,
+}
+
+/// Where a photon came from, with 1 sigma per axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    pub helioprojective_arcsec: HelioprojectiveArcsec,
+    /// Random part of the pointing.
+    pub sigma_arcsec: f64,
+    /// Of the calibration, and of what is stated of the detector.
+    pub systematic_arcsec: f64,
+}
+
+fn place(photon: &Photon, value: fn(&Place) -> f64) -> Option<f64> {
+    photon.place.as_ref().map(value)
+}
+
+/// The columns that are added to the photons' table.
+#[rustfmt::skip]
+pub const PHOTON_COLUMNS: &[Column<Photon>] = &[
+    float("HPX", "arcsec", "helioprojective longitude, to solar west", |p| place(p, |at| at.helioprojective_arcsec.x)),
+    float("HPY", "arcsec", "helioprojective latitude, to solar north", |p| place(p, |at| at.helioprojective_arcsec.y)),
+    float("HP_SIGMA", "arcsec", "1 sigma per axis of the pointing, random part", |p| place(p, |at| at.sigma_arcsec)),
+    float("HP_SYS", "arcsec", "1 sigma per axis of calibration and detector", |p| place(p, |at| at.systematic_arcsec)),
+    logical("HP_VALID", "whether the place may be used", |p| p.invalid.is_none()),
+];
+
+/// The columns of a table that say when and where photons were measured.
+pub struct Measured {
+    time: NumberColumn,
+    x: NumberColumn,
+    y: NumberColumn,
+    id: Option<NumberColumn>,
+    counted: Counted,
+}
+
+impl Measured {
+    /// # Errors
+    /// A column that the table has not.
+    pub fn of(
+        hdu: &DiskHdu,
+        table: &DiskTable,
+        detectors: &Detectors,
+        counted: Counted,
+    ) -> Result<Self, Problem> {
+        let column = |name: &str| hdu.column(table, name);
+        let names = &detectors.columns;
+        let time = column(&names.time)?;
+        Ok(Self {
+            counted: counted.in_unit(&format!("unit of {}", time.name), time.unit.as_deref())?,
+            time,
+            x: column(&names.x)?,
+            y: column(&names.y)?,
+            id: names.id.as_deref().map(column).transpose()?,
+        })
+    }
+
+    /// Puts the photon of a row on the Sun.
+    ///
+    /// # Errors
+    /// The id of no detector.
+    pub fn place(
+        &self,
+        row: &[u8],
+        detectors: &Detectors,
+        history: &PointingHistory,
+    ) -> Result<Photon, Problem> {
+        let id = self.id.as_ref().and_then(|column| column.get(row));
+        let position = [&self.x, &self.y].map(|column| column.get(row).unwrap_or(f64::NAN));
+        let located = detectors.locate(id, position);
+        let located = located.ok_or_else(|| self.unknown(id, detectors))?;
+        let time = self.time.get(row).filter(|time| time.is_finite());
+        let unix_s = time.and_then(|time| self.counted.unix_s(time));
+        let Some(at) = unix_s else {
+            return Ok(Photon {
+                unix_s,
+                place: None,
+                invalid: Some("no time"),
+            });
+        };
+        let pointed = history.at(at);
+        let place = pointed.sight.and_then(|sight| on_the_sun(&sight, &located));
+        let invalid = match (pointed.invalid, place) {
+            (Some(why), _) => Some(why.name()),
+            (None, None) => Some("no position"),
+            (None, Some(_)) => None,
+        };
+        Ok(Photon {
+            unix_s,
+            place,
+            invalid,
+        })
+    }
+
+    fn unknown(&self, id: Option<f64>, detectors: &Detectors) -> Problem {
+        let column = self.id.as_ref().map_or("", |column| &column.name);
+        let expected = format!("the id of a detector ({})", detectors.ids());
+        let found = id.map_or("none".into(), |id| id.to_string());
+        Problem::field(format!("column {column}"), expected, found)
+    }
+}
+
+/// The place of a photon; `None` where its position is no number, or too far from the boresight to be one.
+fn on_the_sun(sight: &Sight, located: &FromBoresight) -> Option<Place> {
+    let FromBoresight {
+        right_rad,
+        up_rad,
+        variance_arcsec2,
+    } = *located;
+    let towards = UnitVector3::try_new(Vector3::new(1.0, right_rad, -up_rad), 0.0)?;
+    let variance = |covariance: &Matrix3<f64>| per_axis(covariance, right_rad, up_rad);
+    let place = Place {
+        helioprojective_arcsec: sight.helioprojective(&towards),
+        sigma_arcsec: variance(&sight.random_arcsec2).sqrt(),
+        systematic_arcsec: (variance(&sight.systematic_arcsec2) + variance_arcsec2).sqrt(),
+    };
+    let HelioprojectiveArcsec { x, y } = place.helioprojective_arcsec;
+    [x, y, place.sigma_arcsec]
+        .iter()
+        .all(|value| value.is_finite())
+        .then_some(place)
+}
+
+/// The variance of a direction, mean of its two axes: small turns move it with the boresight, and about that.
+fn per_axis(covariance: &Matrix3<f64>, right: f64, up: f64) -> f64 {
+    let moved = Matrix2x3::new(1.0, 0.0, up, 0.0, 1.0, -right);
+    (moved * covariance * moved.transpose()).trace() / 2.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::columns::markdown;
+
+    #[test]
+    fn the_page_has_these_columns() {
+        let page = include_str!("../../docs/events.md");
+        assert!(
+            page.contains(&markdown(PHOTON_COLUMNS)),
+            "{}",
+            markdown(PHOTON_COLUMNS)
+        );
+    }
+}
