@@ -52,6 +52,9 @@ const LATENCY_MS: f32 = 10.0;
 /// In which the Sun moves by 0.15 arcsec.
 const CLOCK_US: f32 = 10_000.0;
 
+/// Of `gyro_agreement`.
+const CONTRADICTED: u8 = 3;
+
 const STAGES: [&str; 7] = [
     "levels",
     "limb",
@@ -245,7 +248,7 @@ pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["navigation"],
         good: "2 (aligned) if the inertial filter is enabled",
-        otherwise: "1: it waits for samples, a fix and the Sun; 3: no frame for 10 s; 4: it has restarted; 5: frames contradict the gyros; 6: the IMU's values freeze, saturate or jump",
+        otherwise: "1: it waits for samples, a fix and the Sun; 3: no frame for 10 s; 4: it has restarted; 5: frames contradict the gyros, for seconds: the filter follows them; 6: the IMU's values freeze, saturate or jump",
         rules: &[Rule {
             name: "navigation",
             severity: Severity::Attention,
@@ -253,12 +256,35 @@ pub const WATCHES: &[Watch] = &[
                 1 => Some("the inertial filter waits for samples, a fix and the Sun".into()),
                 3 => Some("the inertial filter coasts: no frame for 10 s".into()),
                 4 => Some("the inertial filter has restarted".into()),
+                // The alarm below says it.
+                5 if minute.now.gyro_agreement == CONTRADICTED => None,
                 5 => Some("frames contradict the gyros: inertial offsets are uncertain".into()),
                 6 => Some(
                     "the IMU's values freeze, saturate or jump: inertial offsets are uncertain"
                         .into(),
                 ),
                 _ => None,
+            },
+        }],
+    },
+    Watch {
+        fields: &[
+            "gyro_agreement",
+            "gyro_right_sigmas",
+            "gyro_up_sigmas",
+            "gyro_roll_sigmas",
+        ],
+        good: "1; within 5 sigma",
+        otherwise: "2: a direction is more than 5 sigma from where the gyros have it; 3: for 10 s. One of the two is wrong: the filter follows the camera, which may have moved. The log names camera and axis",
+        rules: &[Rule {
+            name: "gyro_agreement",
+            severity: Severity::Alarm,
+            found: |minute| {
+                let words = gyros_against_sun(minute.now)
+                    .filter(|_| minute.now.gyro_agreement == CONTRADICTED)?;
+                Some(format!(
+                    "{words}: they contradict each other for 10 s, one of them is wrong"
+                ))
             },
         }],
     },
@@ -419,6 +445,20 @@ fn growth(what: &str, before: u64, now: u64) -> Option<String> {
     Some(format!(
         "{grown} {what} in the last minute, {now} since the start"
     ))
+}
+
+/// How far what the cameras show is from where the gyros have it; `None` where nothing is compared.
+pub fn gyros_against_sun(told: &Housekeeping) -> Option<String> {
+    let sigmas =
+        |value: Option<f32>| value.map_or("\u{2013}".into(), |value| format!("{value:.1}"));
+    let [right, up, roll] = [
+        told.gyro_right_sigmas,
+        told.gyro_up_sigmas,
+        told.gyro_roll_sigmas,
+    ]
+    .map(sigmas);
+    (told.gyro_agreement > 0)
+        .then(|| format!("Gyros against Sun: {right}, {up} sigma; roll {roll}"))
 }
 
 fn queue(waiting: u16, words: &str) -> Option<String> {

@@ -2,7 +2,7 @@
 
 use super::history::{Alarm, GYROS, HOUSEKEEPING, History, RECEIVED, SILENCE_S};
 use super::pictures::camera_name;
-use super::rules::Severity;
+use super::rules::{Severity, gyros_against_sun};
 use super::table::{Nanoseconds, nanoseconds, timestamp};
 use super::table::{Table, row_at};
 use crate::link::housekeeping::{FIELDS, Field};
@@ -156,7 +156,9 @@ impl View<'_> {
     pub fn housekeeping(&self, detail: Detail) -> Option<Value> {
         let rows = &self.history.housekeeping;
         let row = self.history.row(self.at)?;
-        let told = rows.told(row)?.csv_row();
+        let told = rows.told(row)?;
+        let gyros = gyros_against_sun(&told).filter(|_| detail == Detail::All);
+        let told = told.csv_row();
         let is_shown = |field: &&Field| detail == Detail::All || MAIN_FIELDS.contains(&field.name);
         let fields = FIELDS.iter().zip(told).filter(|(field, _)| is_shown(field));
         let fields: Map<String, Value> = fields
@@ -166,6 +168,7 @@ impl View<'_> {
             "time": utc(rows.times[row]),
             "arrived": utc(rows.arrived[row]),
             "fields": fields,
+            "gyros_against_sun": gyros,
         }))
     }
 

@@ -272,7 +272,8 @@ pub const TELEMETRY: &[TelemetryRow] = &[
 pub const CHOICES: &[(&str, &[(u16, &str)])] = &[
     ("quality", &[(0, "none"), (1, "coarse"), (2, "fine")]),
     ("mapping", &[(0, "none"), (1, "similarity"), (2, "affine"), (3, "homography"), (4, "prior"), (5, "calibration"), (6, "keystone")]),
-    ("navigation", &[(0, "none"), (1, "waiting"), (2, "aligned"), (3, "coasting"), (4, "restarted")]),
+    ("navigation", &[(0, "none"), (1, "waiting"), (2, "aligned"), (3, "coasting"), (4, "restarted"), (5, "contradicted"), (6, "unsound")]),
+    ("gyro_agreement", &[(0, "none"), (1, "within"), (2, "beyond"), (3, "contradicted")]),
 ];
 
 /// The row of a message's key.

@@ -7,6 +7,9 @@
 //!
 //! Where a finer direction agreed with the filter meanwhile, the coarser one is in doubt, and what it might tell is the angle about the finer.
 //!
+//! The doubt is gone seconds after the filter follows the directions, whether they or the gyros are wrong. `comparison` goes on to compare
+//! them with the gyros of before.
+//!
 //! Velocities that contradict the filter twice, or lie on one side of it for long, do the same for the accelerometers: the attitude does not
 //! follow what they feel.
 
@@ -110,6 +113,11 @@ impl Doubts {
     /// Whether directions contradict the gyros.
     pub fn any(&self) -> bool {
         self.gyros > 0.0 || self.refused.iter().any(|one| one.finer.is_none())
+    }
+
+    /// Whether the filter takes directions of every kind, and believes the gyros.
+    pub fn is_settled(&self) -> bool {
+        self.gyros == 0.0 && self.refused.is_empty()
     }
 
     /// What they add to the covariance of the attitude about the axes of ECEF, rad^2.

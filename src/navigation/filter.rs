@@ -22,6 +22,9 @@ const MOST_CLIMB_M_S: f64 = 20.0;
 /// Nor does the wind carry it faster, where a fix tells no velocity.
 pub(super) const MOST_DRIFT_M_S: f64 = 100.0;
 
+/// Cosine of a direction with the telescope's right beyond which it is to the side: 26 deg from it.
+const TO_THE_SIDE: f64 = 0.9;
+
 /// Which measurements are taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Trust {
@@ -187,7 +190,7 @@ impl Filter {
         let towards = earth::plumb(&motion.position_m);
         let body = motion.attitude.to_rotation_matrix();
         let predicted = body.inverse() * towards;
-        let across = across(&predicted);
+        let across = self.across(&predicted);
         let residual: Vector2<f64> = across.transpose() * down.into_inner();
         let by_attitude = across.transpose() * body.inverse().matrix() * towards.cross_matrix();
         let mut jacobian = DMatrix::zeros(2, self.model.layout.len());
@@ -221,7 +224,7 @@ impl Filter {
         let seen = true_body.into_inner() - self.estimate.cameras[camera].cross(&true_body);
         let predicted = UnitVector3::new_normalize(seen + correlated);
         let said = self.model.settings.cameras[camera].body_from_camera * sighting.unit;
-        let across = across(&predicted);
+        let across = self.across(&predicted);
         let residual: Vector2<f64> = across.transpose() * said.into_inner();
         let mut jacobian = DMatrix::zeros(2, self.model.layout.len());
         let mut set = |first: usize, by: Matrix3<f64>| {
@@ -258,6 +261,19 @@ impl Filter {
     pub fn towards(&self, sighting: &Sighting) -> UnitVector3<f64> {
         let at_m = &self.estimate.motion.position_m;
         towards(&sighting.towards, at_m, self.model.settings.vertical)
+    }
+
+    /// The telescope's right and up across a direction in the body's axes: two unit vectors.
+    fn across(&self, unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
+        let telescope = self.model.settings.body_from_telescope();
+        let right = telescope * Vector3::y_axis();
+        // A direction to the side has no right across it.
+        let beside = match unit.dot(&right).abs() < TO_THE_SIDE {
+            true => right,
+            false => -(telescope * Vector3::x_axis()),
+        };
+        let first = (beside.into_inner() - unit.into_inner() * unit.dot(&beside)).normalize();
+        Matrix3x2::from_columns(&[first, first.cross(unit)])
     }
 
     fn take<const M: usize>(
@@ -324,13 +340,4 @@ pub(super) fn towards(
             UnitVector3::new_normalize(-earth::geodetic_up(at_m))
         }
     }
-}
-
-/// Two unit vectors across a direction.
-fn across(unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
-    let least = unit.iamin();
-    let mut axis = Vector3::zeros();
-    axis[least] = 1.0;
-    let first = unit.cross(&axis).normalize();
-    Matrix3x2::from_columns(&[first, unit.cross(&first)])
 }

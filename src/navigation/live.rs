@@ -1,6 +1,7 @@
 //! The filter in flight: samples and measurements as they come. A measurement that comes late - its exposure, its solving, another camera took
 //! time - is put where it belongs: the filter goes on again from a state that it kept from before.
 
+use super::comparison::Comparison;
 use super::measurement::{ImuSample, Innovation, Measurement, Verdict};
 use super::model::Model;
 use super::run::{Flight, Run, Stop};
@@ -149,6 +150,11 @@ impl Live {
     /// Why the IMU's last values tell less than they say.
     pub fn unsound(&self) -> Option<Unsound> {
         self.run.unsound()
+    }
+
+    /// How far what cameras show is from where the gyros have it.
+    pub fn comparison(&self) -> &Comparison {
+        &self.run.comparison
     }
 
     /// What became of the measurements that no late one can change any more, and of those that are too late.

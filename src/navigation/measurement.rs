@@ -177,7 +177,7 @@ pub enum Verdict {
 pub struct Innovation {
     pub t_s: f64,
     pub source: Source,
-    /// Along each axis that was measured, and its 1 sigma; rad, m or m/s.
+    /// Along each axis that was measured, and its 1 sigma; rad, m or m/s. Of a direction: the telescope's right and up, as they stand across it.
     pub axes: Vec<(f64, f64)>,
     /// The same in units of its errors, independent of each other.
     pub whitened: Vec<f64>,

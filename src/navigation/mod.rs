@@ -9,7 +9,7 @@
 //! 4. `filter`: at a measurement the covariance is brought up to date, the innovation tested, and the errors that it shows are taken away.
 //!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
 //! 5. `soundness`: what an IMU's values do not tell, as they show by themselves; `doubts`: what is not known where directions contradict
-//!    the filter. Both grow its covariance.
+//!    the filter. Both grow its covariance. `comparison`: whether cameras and gyros agree, and for how long they have not.
 //! 6. `run`: many refused measurements in a row, and the filter begins anew.
 //! 7. `live` takes samples and measurements as they come in flight, and puts late ones where they belong.
 //! 8. `offset` tells from the attitude how far the telescope is from its target.
@@ -20,6 +20,7 @@
 
 pub mod aem;
 mod begin;
+mod comparison;
 mod constants;
 mod doubts;
 mod due;
@@ -43,6 +44,7 @@ mod suspected;
 mod targets;
 mod transition;
 
+pub use comparison::{Agreement, Axis, Comparison, Difference};
 pub use constants::{Constant, ConstantErrors};
 pub use due::Due;
 pub use live::{Counts, Live};

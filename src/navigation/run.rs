@@ -1,6 +1,7 @@
 //! A flight through the filter: IMU samples in their order, each measurement at its own time between them.
 
 use super::begin::{Waiting, white_rad};
+use super::comparison::Comparison;
 use super::doubts::{Doubts, ONE_SIDED_CHI2, Remedy};
 use super::filter::{Filter, MOST_CHI2, Trust};
 use super::measurement::{ImuSample, Innovation, Measurement, Sighting, Source, Verdict};
@@ -171,6 +172,7 @@ pub(super) struct Run {
     pub restarts: u32,
     refused: Vec<(Source, u32, f64)>,
     pub doubts: Doubts,
+    pub comparison: Comparison,
     /// At the last measurements.
     pub opened: Opened,
     soundness: Soundness,
@@ -193,6 +195,7 @@ impl Run {
             restarts: 0,
             refused: Vec::new(),
             doubts: Doubts::default(),
+            comparison: Comparison::default(),
             opened: Opened::zeros(),
             soundness: Soundness::default(),
             unknown: None,
@@ -258,6 +261,9 @@ impl Run {
             if t_s >= self.at_s && self.take(measurement, each) == Begun::Anew {
                 begun = Begun::Anew;
             }
+            if t_s >= self.at_s {
+                self.compare(measurement);
+            }
         }
         begun
     }
@@ -302,6 +308,7 @@ impl Run {
             velocity_random_walk: self.doubts.random_walk(Sensors::Accelerometers),
         };
         let part = interval.part(self.at_s, to_s);
+        self.comparison.advance(&part);
         let lost = part.lost.and(&doubt);
         let part = Interval { lost, ..part };
         match &mut self.phase {
@@ -339,6 +346,7 @@ impl Run {
                 let white_rad = white_rad(settings, &model.layout, sighting);
                 let innovation = filter.take_sighting(sighting, white_rad, Trust::Tested);
                 if let Some(innovation) = innovation {
+                    self.comparison.note(&innovation, filter);
                     self.note_sighting(sighting, innovation, each);
                 }
             }
@@ -349,6 +357,18 @@ impl Run {
             }
         }
         Begun::Before
+    }
+
+    /// Compares a measurement that the filter has dealt with with the gyros of before.
+    fn compare(&mut self, measurement: &Measurement) {
+        let Model { settings, layout } = &*self.model;
+        let white_rad = match measurement {
+            Measurement::Sighting(sighting) => white_rad(settings, layout, sighting),
+            Measurement::Fix(_) => 0.0,
+        };
+        let is_running = matches!(self.phase, Phase::Running(_));
+        let is_settled = is_running && self.doubts.is_settled();
+        self.comparison.take(measurement, white_rad, is_settled);
     }
 
     /// What a direction makes of the doubts, and they of the filter.
@@ -409,6 +429,7 @@ impl Run {
     fn begin_anew(&mut self, t_s: f64) {
         self.refused.clear();
         self.doubts = Doubts::default();
+        self.comparison.begin_anew();
         self.restarts += 1;
         self.restarted_s = Some(t_s);
         self.phase = Phase::Waiting(Waiting::default());

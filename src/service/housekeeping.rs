@@ -226,6 +226,10 @@ fn tell_navigation(told: &mut Housekeeping, tally: &NavigationTally) {
         told.propagated_sigma_deg = Some(offset.sigma_deg as f32);
         told.propagated_roll_deg = Some(offset.roll_deg.value as f32);
     }
+    let [right, up, roll] = tally.differences.map(|sigmas| Some(sigmas? as f32));
+    (told.gyro_right_sigmas, told.gyro_up_sigmas) = (right, up);
+    told.gyro_roll_sigmas = roll;
+    told.gyro_agreement = tally.agreement.map_or(0, |agreement| agreement as u8 + 1);
     told.imu_samples = small(tally.samples);
     told.imu_lost = small(tally.lost_samples + tally.unreadable);
     tell_gps(told, &tally.gps);

@@ -8,6 +8,8 @@ import { age, at, flight, on, speed, thin } from './view.js';
 const OLD_S = { packet: 5, solution: 5, housekeeping: 5, picture: 600 };
 /** What is counted on the line. */
 const LINE = ['packets', 'missing', 'rejected', 'doubled', 'late', 'doubtful', 'bits_per_s'];
+/** Of the agreement of cameras and gyros: none, within, beyond, contradicted. */
+const SEVERITIES = ['good', 'good', 'attention', 'alarm'];
 /** The newest of each kind. */
 const newest = {};
 
@@ -139,7 +141,10 @@ function valueOf(fields, name) {
   return whole ? fields[whole]?.[part] : fields[name];
 }
 
-function showHousekeeping({ time, fields }) {
+function showHousekeeping({ time, fields, gyros_against_sun: gyros }) {
+  const severity = SEVERITIES[fields.gyro_agreement ?? 0];
+  setText(byId('gyro-agreement'), gyros ? `${symbols[severity]} ${gyros}` : '');
+  byId('gyro-agreement').dataset.severity = severity;
   setText(byId('housekeeping-time'), `at ${dateTime(time)} UTC`);
   for (const [name, place] of values) setText(place, number(valueOf(fields, name)));
 }

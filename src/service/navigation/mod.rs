@@ -2,6 +2,7 @@
 //!
 //! Its clock is the samples' own time. A measurement stands at its own time, less its sensor's delay; it may come up to 3 s late.
 
+mod contradiction;
 mod gps;
 mod inputs;
 mod rows;
@@ -26,6 +27,7 @@ use crate::navigation::{
     Settings, Sighting, Sky, Status, Target, Targets, offset,
 };
 use crate::sky::Ephemeris;
+use contradiction::LastingContradiction;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Rotation3, Vector3};
@@ -171,6 +173,7 @@ struct Filter<'a> {
     settings: config::Navigation,
     version: u64,
     due: Due,
+    contradiction: LastingContradiction,
     rows: [VecDeque<Vec<String>>; NavigationLog::ALL.len()],
     handed_on_s: f64,
     /// Directions that could not be used for want of the target's.
@@ -203,6 +206,7 @@ impl<'a> Filter<'a> {
             version: own.controls.version(Topic::Other),
             settings: own.controls.config().navigation,
             due: Due::default(),
+            contradiction: LastingContradiction::default(),
             rows: Default::default(),
             handed_on_s: 0.0,
             unknown: 0,
@@ -234,6 +238,10 @@ impl<'a> Filter<'a> {
         let before_s = self.live.newest_s();
         let row = self.live.sample(felt);
         self.note(row.map(|row| row.status));
+        let mut tally = self.own.tally.lock();
+        let (comparison, settings) = (self.live.comparison(), &self.own.settings);
+        self.contradiction.note(comparison, settings, &mut tally);
+        drop(tally);
         // Passed over, or a packet that came twice.
         if self.live.newest_s() != Some(t_s) || before_s == Some(t_s) {
             return;

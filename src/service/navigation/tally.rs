@@ -1,7 +1,7 @@
 //! What the navigation counts, and what it knows now.
 
 use crate::navigation::nmea::GpsCounts;
-use crate::navigation::{PropagatedOffset, Status};
+use crate::navigation::{Agreement, Axis, Comparison, PropagatedOffset, Status};
 use std::fmt;
 
 /// What the navigation's threads count.
@@ -26,6 +26,8 @@ pub struct NavigationTally {
     pub restarts: u64,
     /// Times that the IMU was unsound, or directions contradicted it.
     pub doubted: u64,
+    /// Times that directions contradicted the gyros by more than 5 sigma for 10 s.
+    pub contradicted: u64,
     /// Offsets that were made, and of them those that are too uncertain to be sent.
     pub offsets: u64,
     pub uncertain: u64,
@@ -34,12 +36,22 @@ pub struct NavigationTally {
     /// `None` before the first sample.
     pub status: Option<Status>,
     pub latest: Option<PropagatedOffset>,
+    /// The latest differences of cameras from the gyros, in sigmas: right, up and roll of the telescope.
+    pub differences: [Option<f64>; 3],
+    /// `None` where nothing is compared.
+    pub agreement: Option<Agreement>,
 }
 
 impl NavigationTally {
     /// Nothing is known of now.
     pub(super) fn forget(&mut self) {
         (self.status, self.latest) = (None, None);
+        (self.differences, self.agreement) = Default::default();
+    }
+
+    pub(super) fn note_comparison(&mut self, comparison: &Comparison) {
+        self.differences = Axis::ALL.map(|axis| comparison.sigmas(axis));
+        self.agreement = comparison.agreement();
     }
 
     pub(in crate::service) fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -62,10 +74,11 @@ impl NavigationTally {
         )?;
         writeln!(
             out,
-            "           {} offsets, {} of them too uncertain to be sent, {} times of doubt, {} restarts, {} rows and {} sentences unreadable or lost, at last {}",
+            "           {} offsets, {} of them too uncertain to be sent, {} times of doubt, {} contradictions of 10 s, {} restarts, {} rows and {} sentences unreadable or lost, at last {}",
             self.offsets,
             self.uncertain,
             self.doubted,
+            self.contradicted,
             self.restarts,
             self.rows_lost,
             self.gps.unreadable,

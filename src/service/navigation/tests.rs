@@ -1,5 +1,6 @@
 //! Flights of simulated sensors through the filter, at the speed of the computer.
 
+mod comparison;
 mod faults;
 
 use super::*;

@@ -1,0 +1,48 @@
+//! Directions that contradict the gyros for 10 s: a line of the log where that begins, and one where it ends.
+
+use super::NavigationTally;
+use crate::log::worth_a_line;
+use crate::navigation::{Agreement, Comparison, Settings};
+
+/// Whether directions contradict the gyros, as it was last noted.
+#[derive(Debug, Default)]
+pub(super) struct LastingContradiction {
+    is_on: bool,
+}
+
+impl LastingContradiction {
+    /// Notes how cameras and gyros agree; the 1st, 2nd, 4th ... contradiction is logged.
+    pub fn note(
+        &mut self,
+        comparison: &Comparison,
+        settings: &Settings,
+        tally: &mut NavigationTally,
+    ) {
+        tally.note_comparison(comparison);
+        let is_on = tally.agreement == Some(Agreement::LastingContradiction);
+        let was_on = std::mem::replace(&mut self.is_on, is_on);
+        tally.contradicted += u64::from(is_on && !was_on);
+        if is_on == was_on || !worth_a_line(tally.contradicted) {
+            return;
+        }
+        let times = tally.contradicted;
+        match tally.agreement {
+            Some(Agreement::LastingContradiction) => {
+                let axes = lasting(comparison, settings);
+                tracing::warn!(axes, times, "directions contradict the gyros for 10 s");
+            }
+            Some(_) => tracing::info!(times, "directions contradict the gyros no more"),
+            None => tracing::info!(times, "directions are compared with the gyros anew"),
+        }
+    }
+}
+
+/// The cameras that contradict the gyros, with axis and difference.
+fn lasting(comparison: &Comparison, settings: &Settings) -> String {
+    let lasting = comparison.latest().filter(|(.., one)| one.lasts());
+    let words = lasting.map(|(axis, camera, one)| {
+        let camera = &settings.cameras[camera].name;
+        format!("{camera} {}: {:.1} sigma", axis.name(), one.sigmas)
+    });
+    words.collect::<Vec<_>>().join(", ")
+}
