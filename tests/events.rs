@@ -131,12 +131,21 @@ fn put_keys(file: &mut FitsFile, keys: &[(String, Key)]) {
         let (name, comment) = (c(name), c("as the test says"));
         unsafe {
             match value {
-                Number(number) => {
-                    sys::ffukyd(file.as_raw(), name.as_ptr(), *number, -17, comment.as_ptr(), &mut status)
-                }
-                Text(text) => {
-                    sys::ffukys(file.as_raw(), name.as_ptr(), c(text).as_ptr(), comment.as_ptr(), &mut status)
-                }
+                Number(number) => sys::ffukyd(
+                    file.as_raw(),
+                    name.as_ptr(),
+                    *number,
+                    -17,
+                    comment.as_ptr(),
+                    &mut status,
+                ),
+                Text(text) => sys::ffukys(
+                    file.as_raw(),
+                    name.as_ptr(),
+                    c(text).as_ptr(),
+                    comment.as_ptr(),
+                    &mut status,
+                ),
             }
         };
     }
@@ -155,15 +164,27 @@ impl Table {
     }
 
     fn column(&mut self, name: &str) -> &mut (&'static str, &'static str, &'static str, Vec<f64>) {
-        self.columns.iter_mut().find(|column| column.0 == name).unwrap()
+        self.columns
+            .iter_mut()
+            .find(|column| column.0 == name)
+            .unwrap()
     }
 
     fn put(&self, file: &mut FitsFile) {
-        let text = |part: fn(&(&'static str, &'static str, &'static str, Vec<f64>)) -> &'static str| {
-            self.columns.iter().map(|column| c(part(column))).collect::<Vec<_>>()
-        };
+        let text =
+            |part: fn(&(&'static str, &'static str, &'static str, Vec<f64>)) -> &'static str| {
+                self.columns
+                    .iter()
+                    .map(|column| c(part(column)))
+                    .collect::<Vec<_>>()
+            };
         let (names, forms, units) = (text(|c| c.0), text(|c| c.1), text(|c| c.2));
-        let pointers = |texts: &[CString]| texts.iter().map(|text| text.as_ptr().cast_mut()).collect::<Vec<_>>();
+        let pointers = |texts: &[CString]| {
+            texts
+                .iter()
+                .map(|text| text.as_ptr().cast_mut())
+                .collect::<Vec<_>>()
+        };
         let mut status = 0;
         unsafe {
             sys::ffcrtb(
@@ -183,7 +204,17 @@ impl Table {
         for (n, (.., values)) in (1..).zip(&self.columns) {
             let mut values = values.clone();
             let count = values.len() as i64;
-            unsafe { sys::ffpcld(file.as_raw(), n, 1, 1, count, values.as_mut_ptr(), &mut status) };
+            unsafe {
+                sys::ffpcld(
+                    file.as_raw(),
+                    n,
+                    1,
+                    1,
+                    count,
+                    values.as_mut_ptr(),
+                    &mut status,
+                )
+            };
         }
         unsafe { sys::ffpcks(file.as_raw(), &mut status) };
         assert_eq!(status, 0, "{}", self.name);
@@ -199,7 +230,10 @@ fn write(path: &Path, primary: &[(String, Key)], tables: &[Table]) {
 /// Photons as time since the start, x, y and detector.
 fn event_table(photons: &[[f64; 4]]) -> Table {
     let values = |n: usize| photons.iter().map(|photon| photon[n]).collect::<Vec<f64>>();
-    let times = values(0).into_iter().map(|s| s + START_S - MIDNIGHT_S).collect();
+    let times = values(0)
+        .into_iter()
+        .map(|s| s + START_S - MIDNIGHT_S)
+        .collect();
     Table {
         name: "EVENTS",
         keys: vec![
@@ -208,7 +242,12 @@ fn event_table(photons: &[[f64; 4]]) -> Table {
         ],
         columns: vec![
             ("TIME", "1D", "s", times),
-            ("PI", "1I", "chan", (0..photons.len()).map(|n| (n % 4096) as f64).collect()),
+            (
+                "PI",
+                "1I",
+                "chan",
+                (0..photons.len()).map(|n| (n % 4096) as f64).collect(),
+            ),
             ("X", "1D", "pixel", values(1)),
             ("Y", "1D", "pixel", values(2)),
             ("DET_ID", "1B", "", values(3)),
@@ -217,14 +256,24 @@ fn event_table(photons: &[[f64; 4]]) -> Table {
 }
 
 fn good_times(name: &'static str, intervals: &[[f64; 2]]) -> Table {
-    let ends = |n: usize| intervals.iter().map(|ends| ends[n] + START_S - MIDNIGHT_S).collect();
+    let ends = |n: usize| {
+        intervals
+            .iter()
+            .map(|ends| ends[n] + START_S - MIDNIGHT_S)
+            .collect()
+    };
     Table {
         name,
         keys: vec![("MJDREF".into(), Number(MJD_OF_MIDNIGHT))],
         columns: vec![
             ("START", "1D", "s", ends(0)),
             ("STOP", "1D", "s", ends(1)),
-            ("WEIGHT", "1J", "", (0..intervals.len()).map(|n| 100.0 + n as f64).collect()),
+            (
+                "WEIGHT",
+                "1J",
+                "",
+                (0..intervals.len()).map(|n| 100.0 + n as f64).collect(),
+            ),
         ],
     }
 }
@@ -252,7 +301,12 @@ impl Bench {
         self.folder.path().join(name)
     }
 
-    fn place(&self, events: &str, detectors: &str, watch: &dyn Watch) -> Result<Placed, EventsError> {
+    fn place(
+        &self,
+        events: &str,
+        detectors: &str,
+        watch: &dyn Watch,
+    ) -> Result<Placed, EventsError> {
         fs::write(self.at("det.toml"), detectors).unwrap();
         let files = Files {
             refined: self.folder.path(),
@@ -264,7 +318,12 @@ impl Bench {
     }
 
     /// Puts the photons of a list on the Sun, and gives the columns.
-    fn placed(&self, detectors: &str, primary: &[(String, Key)], tables: &[Table]) -> (Placed, Columns) {
+    fn placed(
+        &self,
+        detectors: &str,
+        primary: &[(String, Key)],
+        tables: &[Table],
+    ) -> (Placed, Columns) {
         write(&self.at("in.fits"), primary, tables);
         let placed = self.place("in.fits", detectors, &()).unwrap();
         (placed, Columns::read(&self.at("out.fits")))
@@ -272,11 +331,19 @@ impl Bench {
 
     fn refusal(&self, detectors: &str, tables: &[Table]) -> String {
         write(&self.at("in.fits"), &[], tables);
-        let error = self.place("in.fits", detectors, &()).unwrap_err().to_string();
+        let error = self
+            .place("in.fits", detectors, &())
+            .unwrap_err()
+            .to_string();
         assert!(!self.at("out.fits").exists(), "{error}");
         let left = fs::read_dir(self.folder.path()).unwrap();
         let names: Vec<_> = left.map(|entry| entry.unwrap().file_name()).collect();
-        assert!(names.iter().all(|name| !name.to_str().unwrap().starts_with('.')), "{names:?}");
+        assert!(
+            names
+                .iter()
+                .all(|name| !name.to_str().unwrap().starts_with('.')),
+            "{names:?}"
+        );
         error
     }
 }
@@ -302,7 +369,11 @@ impl Columns {
         let mut file = open_disk_file(path, FileOpenMode::READONLY).unwrap();
         let hdu = file.hdu("EVENTS").unwrap();
         Self {
-            hp: column("HPX").into_iter().zip(column("HPY")).map(|(x, y)| [x, y]).collect(),
+            hp: column("HPX")
+                .into_iter()
+                .zip(column("HPY"))
+                .map(|(x, y)| [x, y])
+                .collect(),
             sigma: column("HP_SIGMA"),
             systematic: column("HP_SYS"),
             valid: hdu.read_col(&mut file, "HP_VALID").unwrap(),
@@ -348,7 +419,10 @@ fn some_photons(count: usize, detectors: u64) -> Vec<[f64; 4]> {
 
 fn assert_close(found: [f64; 2], expected: [f64; 2], arcsec: f64, what: &str) {
     let distance = (found[0] - expected[0]).hypot(found[1] - expected[1]);
-    assert!(distance < arcsec, "{what}: {found:?}, expected {expected:?}");
+    assert!(
+        distance < arcsec,
+        "{what}: {found:?}, expected {expected:?}"
+    );
 }
 
 /// The places of photons whose pixels are arcsec from the boresight.
@@ -382,7 +456,11 @@ fn photons_land_where_the_rotation_says_for_every_turn_mirror_and_offset() {
         let (turn_deg, mirrored, offset): (f64, bool, [f64; 2]) = mounted[*id as usize];
         // In polar coordinates about the module's axis; to the other side, angles run backward.
         let (dx, dy) = (1.7 * (x - 12.5), 1.7 * (y + 7.0));
-        let angle = if mirrored { -dy.atan2(dx) } else { dy.atan2(dx) } + turn_deg.to_radians();
+        let angle = if mirrored {
+            -dy.atan2(dx)
+        } else {
+            dy.atan2(dx)
+        } + turn_deg.to_radians();
         let place = [
             dx.hypot(dy) * angle.cos() + offset[0],
             dx.hypot(dy) * angle.sin() + offset[1],
@@ -415,15 +493,30 @@ fn sigma_is_the_scatter_over_pointings_drawn_from_the_covariance() {
         at * UnitQuaternion::from_scaled_axis(Vector3::new(roll, up, right))
     };
     let expected = scatter(&mut |random| truth_arcsec(&moved(&random_rad2(), random), place));
-    assert!((columns.sigma[0] / expected - 1.0).abs() < 0.02, "{} {expected}", columns.sigma[0]);
+    assert!(
+        (columns.sigma[0] / expected - 1.0).abs() < 0.02,
+        "{} {expected}",
+        columns.sigma[0]
+    );
     let expected = scatter(&mut |random| {
         let turn = UnitQuaternion::from_scaled_axis(Vector3::z() * normal(random).to_radians());
-        let from_axis = Vector3::new(place[0] + 2.0 * normal(random), place[1] + 2.0 * normal(random), 0.0);
+        let from_axis = Vector3::new(
+            place[0] + 2.0 * normal(random),
+            place[1] + 2.0 * normal(random),
+            0.0,
+        );
         let on_sky = turn * from_axis * (1.0 + 0.02 * normal(random));
-        let offset = [on_sky.x + 3.0 * normal(random), on_sky.y + 3.0 * normal(random)];
+        let offset = [
+            on_sky.x + 3.0 * normal(random),
+            on_sky.y + 3.0 * normal(random),
+        ];
         truth_arcsec(&moved(&systematic_rad2(), random), offset)
     });
-    assert!((columns.systematic[0] / expected - 1.0).abs() < 0.02, "{} {expected}", columns.systematic[0]);
+    assert!(
+        (columns.systematic[0] / expected - 1.0).abs() < 0.02,
+        "{} {expected}",
+        columns.systematic[0]
+    );
 }
 
 #[test]
@@ -436,29 +529,42 @@ fn times_of_every_unit_zero_and_scale_give_the_same_places() {
         let mut table = plain.clone().without("MJDREF");
         let column = table.column("TIME");
         (column.1, column.2) = (form, "");
-        column.3 = photons.iter().map(|photon| (photon[0] + START_S - zero_s) / unit_s).collect();
+        column.3 = photons
+            .iter()
+            .map(|photon| (photon[0] + START_S - zero_s) / unit_s)
+            .collect();
         table
     };
     let days = 86_400.0;
     // TT is 32.184 s ahead of TAI, TAI 35 s of UTC then (IERS Bulletin C 43).
     let tt_s = 35.0 + 32.184;
-    let primary = |keys: &[(&str, Key)]| keys.iter().map(|(key, value)| ((*key).into(), *value)).collect();
+    let primary = |keys: &[(&str, Key)]| {
+        keys.iter()
+            .map(|(key, value)| ((*key).into(), *value))
+            .collect()
+    };
     let cases: Vec<(&str, Vec<(String, Key)>, Table)> = vec![
         ("seconds", vec![], plain.clone()),
         (
             "days",
             vec![],
-            counted(days, MIDNIGHT_S, "1D").with("MJDREF", Number(MJD_OF_MIDNIGHT)).with("TIMEUNIT", Text("d")),
+            counted(days, MIDNIGHT_S, "1D")
+                .with("MJDREF", Number(MJD_OF_MIDNIGHT))
+                .with("TIMEUNIT", Text("d")),
         ),
         (
             "milliseconds in integers",
             vec![],
-            counted(1e-3, MIDNIGHT_S, "1J").with("MJDREF", Number(MJD_OF_MIDNIGHT)).with("TIMEUNIT", Text("ms")),
+            counted(1e-3, MIDNIGHT_S, "1J")
+                .with("MJDREF", Number(MJD_OF_MIDNIGHT))
+                .with("TIMEUNIT", Text("ms")),
         ),
         (
             "microseconds in long integers",
             vec![],
-            counted(1e-6, MIDNIGHT_S, "1K").with("MJDREF", Number(MJD_OF_MIDNIGHT)).with("TIMEUNIT", Text("us")),
+            counted(1e-6, MIDNIGHT_S, "1K")
+                .with("MJDREF", Number(MJD_OF_MIDNIGHT))
+                .with("TIMEUNIT", Text("us")),
         ),
         (
             "seconds in scaled integers",
@@ -470,23 +576,37 @@ fn times_of_every_unit_zero_and_scale_give_the_same_places() {
         ),
         (
             "a whole and a fraction in the primary header, and a zero",
-            primary(&[("MJDREFI", Number(56_555.0)), ("MJDREFF", Number(0.25)), ("TIMEUNIT", Text("s"))]),
+            primary(&[
+                ("MJDREFI", Number(56_555.0)),
+                ("MJDREFF", Number(0.25)),
+                ("TIMEUNIT", Text("s")),
+            ]),
             counted(1.0, MIDNIGHT_S - 0.75 * days + 1234.5, "1D").with("TIMEZERO", Number(1234.5)),
         ),
         (
             "a zero in days",
-            primary(&[("MJDREF", Number(56_000.0)), ("TIMEUNIT", Text("d")), ("TIMEZERO", Number(556.0))]),
+            primary(&[
+                ("MJDREF", Number(56_000.0)),
+                ("TIMEUNIT", Text("d")),
+                ("TIMEZERO", Number(556.0)),
+            ]),
             counted(days, MIDNIGHT_S, "1D"),
         ),
         (
             "terrestrial time",
             vec![],
-            counted(1.0, MIDNIGHT_S - tt_s, "1D").without("TIMESYS").with("MJDREF", Number(MJD_OF_MIDNIGHT)).with("TIMESYS", Text("TT")),
+            counted(1.0, MIDNIGHT_S - tt_s, "1D")
+                .without("TIMESYS")
+                .with("MJDREF", Number(MJD_OF_MIDNIGHT))
+                .with("TIMESYS", Text("TT")),
         ),
         (
             "atomic time",
             vec![],
-            counted(1.0, MIDNIGHT_S - 35.0, "1D").without("TIMESYS").with("MJDREF", Number(MJD_OF_MIDNIGHT)).with("TIMESYS", Text("TAI")),
+            counted(1.0, MIDNIGHT_S - 35.0, "1D")
+                .without("TIMESYS")
+                .with("MJDREF", Number(MJD_OF_MIDNIGHT))
+                .with("TIMESYS", Text("TAI")),
         ),
     ];
     for (what, primary, table) in cases {
@@ -500,12 +620,19 @@ fn times_of_every_unit_zero_and_scale_give_the_same_places() {
     let unknown = plain.without("TIMESYS").with("TIMESYS", Text("LOCAL"));
     fs::remove_file(bench.at("out.fits")).unwrap();
     let error = bench.refusal(PLAIN, &[unknown]);
-    assert!(error.ends_with("in.fits: EVENTS: TIMESYS: expected UTC, TT, TAI, TDB or GPS, found 'LOCAL'"), "{error}");
+    assert!(
+        error.ends_with(
+            "in.fits: EVENTS: TIMESYS: expected UTC, TT, TAI, TDB or GPS, found 'LOCAL'"
+        ),
+        "{error}"
+    );
 }
 
 #[test]
 fn numbers_of_any_form_and_scaling_are_read_as_cfitsio_reads_them() {
-    let photons: Vec<[f64; 4]> = (0..40).map(|n| [n as f64, (n % 90) as f64, (n % 7) as f64 * 2.0, 1.0]).collect();
+    let photons: Vec<[f64; 4]> = (0..40)
+        .map(|n| [n as f64, (n % 90) as f64, (n % 7) as f64 * 2.0, 1.0])
+        .collect();
     let bench = Bench::plain();
     for form in ["1B", "1I", "1J", "1K", "1E", "1D"] {
         let mut table = event_table(&photons)
@@ -516,14 +643,18 @@ fn numbers_of_any_form_and_scaling_are_read_as_cfitsio_reads_them() {
         table.column("Y").1 = form;
         let (_, columns) = bench.placed(PLAIN, &[], &[table]);
         let out = bench.at("out.fits");
-        let read = column(&out, "EVENTS", "X").into_iter().zip(column(&out, "EVENTS", "Y"));
+        let read = column(&out, "EVENTS", "X")
+            .into_iter()
+            .zip(column(&out, "EVENTS", "Y"));
         for ((found, (x, y)), [s, ..]) in columns.hp.iter().zip(read).zip(&photons) {
             let expected = truth_arcsec(&attitude(START_S + s), [x, y]);
             assert_close(*found, expected, 1e-3, form);
         }
     }
     // cfitsio writes unsigned integers as signed ones with a zero; a null is no position.
-    let mut table = event_table(&photons).with("TZERO3", Number(32_768.0)).with("TNULL4", Number(4.0));
+    let mut table = event_table(&photons)
+        .with("TZERO3", Number(32_768.0))
+        .with("TNULL4", Number(4.0));
     table.column("X").1 = "1I";
     table.column("Y").1 = "1I";
     let (placed, columns) = bench.placed(PLAIN, &[], &[table]);
@@ -546,59 +677,123 @@ fn mistakes_are_errors_that_name_file_and_field_and_leave_no_copy() {
                [[detector]]\nid = 2\nscale_arcsec = 1\ncentre = [0, 0]\nrotation_deg = 0\n";
     let in_file = |detectors: &str, table: Table, end: &str| {
         let error = bench.refusal(detectors, &[table]);
-        assert!(error.contains("in.fits: ") && error.ends_with(end), "{error}");
+        assert!(
+            error.contains("in.fits: ") && error.ends_with(end),
+            "{error}"
+        );
     };
-    in_file(two, plain.clone(), "EVENTS, row 2: column DET_ID: expected the id of a detector (1, 2), found 7");
-    in_file(PLAIN, plain.clone().without("MJDREF"), "EVENTS: MJDREF: expected a day, here or in MJDREFI and MJDREFF, found none");
+    in_file(
+        two,
+        plain.clone(),
+        "EVENTS, row 2: column DET_ID: expected the id of a detector (1, 2), found 7",
+    );
+    in_file(
+        PLAIN,
+        plain.clone().without("MJDREF"),
+        "EVENTS: MJDREF: expected a day, here or in MJDREFI and MJDREFF, found none",
+    );
     in_file(
         PLAIN,
         plain.clone().without("MJDREF").with("MJDREF", Text("soon")),
         "EVENTS: MJDREF: expected a finite number, found 'soon'",
     );
-    in_file(PLAIN, plain.clone().with("TIMEUNIT", Text("weeks")), "EVENTS: TIMEUNIT: expected a unit of time (s, d, h, min, ms, us, ns), found 'weeks'");
+    in_file(
+        PLAIN,
+        plain.clone().with("TIMEUNIT", Text("weeks")),
+        "EVENTS: TIMEUNIT: expected a unit of time (s, d, h, min, ms, us, ns), found 'weeks'",
+    );
     for missing in ["TIME", "X", "Y"] {
         let mut table = plain.clone();
         table.column(missing).0 = "OTHER";
-        in_file(PLAIN, table.clone(), &format!("EVENTS: column {missing}: expected one of this name, found {} only",
-            table.columns.iter().map(|column| column.0).collect::<Vec<_>>().join(", ")));
+        in_file(
+            PLAIN,
+            table.clone(),
+            &format!(
+                "EVENTS: column {missing}: expected one of this name, found {} only",
+                table
+                    .columns
+                    .iter()
+                    .map(|column| column.0)
+                    .collect::<Vec<_>>()
+                    .join(", ")
+            ),
+        );
     }
     let mut vector = plain.clone();
     (vector.column("X").1, vector.column("X").3) = ("2D", vec![0.0; 4]);
-    in_file(PLAIN, vector, "EVENTS: column X: expected one number in each row (B, I, J, K, E or D), found '2D'");
+    in_file(
+        PLAIN,
+        vector,
+        "EVENTS: column X: expected one number in each row (B, I, J, K, E or D), found '2D'",
+    );
     let mut twice = plain.clone();
     twice.columns.push(("hpx", "1D", "", vec![0.0; 2]));
-    in_file(PLAIN, twice, "EVENTS: column hpx: expected none of this name, which is added, found one");
+    in_file(
+        PLAIN,
+        twice,
+        "EVENTS: column hpx: expected none of this name, which is added, found one",
+    );
     let mut unnamed = plain.clone();
     (unnamed.name, unnamed.column("TIME").0) = ("PHOTONS", "WHEN");
-    in_file(PLAIN, unnamed, "in.fits: expected a table EVENTS, or one table with a column TIME, found 0 with one");
+    in_file(
+        PLAIN,
+        unnamed,
+        "in.fits: expected a table EVENTS, or one table with a column TIME, found 0 with one",
+    );
     let mut interval = good_times("GTI", &[[0.0, 1.0]]);
     interval.column("STOP").0 = "END";
     write(&bench.at("in.fits"), &[], &[plain.clone(), interval]);
     let error = bench.place("in.fits", PLAIN, &()).unwrap_err().to_string();
-    assert!(error.ends_with("GTI: column STOP: expected one of this name, found START, END, WEIGHT only"), "{error}");
+    assert!(
+        error.ends_with(
+            "GTI: column STOP: expected one of this name, found START, END, WEIGHT only"
+        ),
+        "{error}"
+    );
 
     for (detectors, end) in [
-        ("", "det.toml: detector: expected one [[detector]] or more, found none"),
+        (
+            "",
+            "det.toml: detector: expected one [[detector]] or more, found none",
+        ),
         (
             &PLAIN.replace("scale_arcsec", "scale_arcsecs"),
             "det.toml: detector.0.scale_arcsecs: expected a known key (the nearest is \"detector.scale_arcsec\"), found an unknown key",
         ),
-        (&PLAIN.replace("1.0", "-1.0"), "det.toml: detector.0.scale_arcsec: expected a number above 0, found -1"),
-        (&two.replace("id = 2", "id = 1"), "det.toml: detector.1.id: expected an id of its own for each detector, found 1 again"),
-        (&two.replace("id = 2\n", ""), "det.toml: detector.1.id: expected an id of its own for each detector, found none"),
+        (
+            &PLAIN.replace("1.0", "-1.0"),
+            "det.toml: detector.0.scale_arcsec: expected a number above 0, found -1",
+        ),
+        (
+            &two.replace("id = 2", "id = 1"),
+            "det.toml: detector.1.id: expected an id of its own for each detector, found 1 again",
+        ),
+        (
+            &two.replace("id = 2\n", ""),
+            "det.toml: detector.1.id: expected an id of its own for each detector, found none",
+        ),
     ] {
         let error = bench.refusal(detectors, &[plain.clone()]);
         assert!(error.ends_with(end), "{error}");
     }
     fs::write(bench.at("in.fits"), "no FITS").unwrap();
     let error = bench.place("in.fits", PLAIN, &()).unwrap_err().to_string();
-    assert!(error.contains("in.fits: expected a FITS file, found a file that begins with \"no FITS\""), "{error}");
-    let error = bench.place("none.fits", PLAIN, &()).unwrap_err().to_string();
+    assert!(
+        error.contains("in.fits: expected a FITS file, found a file that begins with \"no FITS\""),
+        "{error}"
+    );
+    let error = bench
+        .place("none.fits", PLAIN, &())
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("none.fits: expected"), "{error}");
     fs::remove_file(bench.at("pointing.fits")).unwrap();
     write(&bench.at("in.fits"), &[], &[plain]);
     let error = bench.place("in.fits", PLAIN, &()).unwrap_err().to_string();
-    assert!(error.contains("pointing.fits: expected a refined flight's pointing.fits"), "{error}");
+    assert!(
+        error.contains("pointing.fits: expected a refined flight's pointing.fits"),
+        "{error}"
+    );
 }
 
 /// The HDUs of a file: cards and data.
@@ -627,23 +822,53 @@ fn rich_file(path: &Path, photons: &[[f64; 4]]) {
     let heap = |name| Table {
         name,
         keys: vec![],
-        columns: vec![("N", "1J", "", vec![1.0, 2.0, 3.0]), ("V", "1PE", "", vec![])],
+        columns: vec![
+            ("N", "1J", "", vec![1.0, 2.0, 3.0]),
+            ("V", "1PE", "", vec![]),
+        ],
     };
     let mut events = event_table(photons);
     events.columns.insert(2, ("V", "1PI(3)", "", vec![]));
     events.columns.push(("LAST", "3A", "", vec![]));
-    write(path, &[], &[heap("OTHER"), events, good_times("STDGTI01", &[[5.0, 25.5], [40.0, 99.0]]), heap("MORE")]);
+    write(
+        path,
+        &[],
+        &[
+            heap("OTHER"),
+            events,
+            good_times("STDGTI01", &[[5.0, 25.5], [40.0, 99.0]]),
+            heap("MORE"),
+        ],
+    );
     let mut file = FitsFile::edit(path).unwrap();
     let mut status = 0;
-    for (table, column, rows) in [("OTHER", 2, 3), ("EVENTS", 3, photons.len() as i64), ("MORE", 2, 3)] {
+    for (table, column, rows) in [
+        ("OTHER", 2, 3),
+        ("EVENTS", 3, photons.len() as i64),
+        ("MORE", 2, 3),
+    ] {
         file.hdu(table).unwrap();
         for row in 1..=rows {
             let mut values = vec![row as f64; (row % 4) as usize];
             let count = values.len() as i64;
-            unsafe { sys::ffpcld(file.as_raw(), column, row, 1, count, values.as_mut_ptr(), &mut status) };
+            unsafe {
+                sys::ffpcld(
+                    file.as_raw(),
+                    column,
+                    row,
+                    1,
+                    count,
+                    values.as_mut_ptr(),
+                    &mut status,
+                )
+            };
         }
         unsafe {
-            sys::ffphis(file.as_raw(), c("of the instrument's own program").as_ptr(), &mut status);
+            sys::ffphis(
+                file.as_raw(),
+                c("of the instrument's own program").as_ptr(),
+                &mut status,
+            );
             sys::ffpcks(file.as_raw(), &mut status);
         }
     }
@@ -667,34 +892,70 @@ fn what_is_not_added_stays_byte_for_byte_and_checksums_are_right() {
         ["NAXIS1", "NAXIS2", "TFIELDS", "CHECKSUM", "DATASUM"].contains(&keyword)
     };
     for n in [2, 3] {
-        let kept: Vec<&String> = before[n].0.iter().filter(|card| !structural(card)).collect();
+        let kept: Vec<&String> = before[n]
+            .0
+            .iter()
+            .filter(|card| !structural(card))
+            .collect();
         let mut left = after[n].0.iter();
         for card in kept {
             assert!(left.any(|found| found == card), "HDU {n}: {card}");
         }
     }
-    let added: Vec<&String> = after[2].0.iter().filter(|card| !before[2].0.contains(card)).collect();
-    let has = |text: &str| assert!(added.iter().any(|card| card.contains(text)), "{text}: {added:#?}");
-    for text in ["'HPX     '", "'HP_VALID'", "'arcsec  '", "HISTORY solaspect ", "helioprojective longitude"] {
+    let added: Vec<&String> = after[2]
+        .0
+        .iter()
+        .filter(|card| !before[2].0.contains(card))
+        .collect();
+    let has = |text: &str| {
+        assert!(
+            added.iter().any(|card| card.contains(text)),
+            "{text}: {added:#?}"
+        )
+    };
+    for text in [
+        "'HPX     '",
+        "'HP_VALID'",
+        "'arcsec  '",
+        "HISTORY solaspect ",
+        "helioprojective longitude",
+    ] {
         has(text);
     }
     has(&solaspect::provenance::sha256_of_file(&bench.at("pointing.fits")).unwrap());
 
     // Rows are their old bytes with 33 more; the heap follows.
     let row = 8 + 2 + 8 + 8 + 8 + 1 + 3;
-    let rows = |data: &[u8], bytes: usize| data.chunks(bytes).take(777).map(|r| r[..row].to_vec()).collect::<Vec<_>>();
+    let rows = |data: &[u8], bytes: usize| {
+        data.chunks(bytes)
+            .take(777)
+            .map(|r| r[..row].to_vec())
+            .collect::<Vec<_>>()
+    };
     assert!(rows(&before[2].1, row) == rows(&after[2].1, row + 33));
     let heap = |data: &[u8], bytes: usize| data[777 * bytes..].to_vec();
     let (old, new) = (heap(&before[2].1, row), heap(&after[2].1, row + 33));
     let common = old.len().min(new.len());
     assert!(old[..common] == new[..common] && common > 1000);
-    assert!(old.iter().chain(&new).skip(2 * common).all(|byte| *byte == 0) || old.len() != new.len());
+    assert!(
+        old.iter()
+            .chain(&new)
+            .skip(2 * common)
+            .all(|byte| *byte == 0)
+            || old.len() != new.len()
+    );
 
     // The second interval ends with the flight, and keeps its other column.
-    assert_eq!(column(&bench.at("out.fits"), "STDGTI01", "WEIGHT"), [100.0, 101.0]);
+    assert_eq!(
+        column(&bench.at("out.fits"), "STDGTI01", "WEIGHT"),
+        [100.0, 101.0]
+    );
     let stops = column(&bench.at("out.fits"), "STDGTI01", "STOP");
     let ends = stops.map(|stop| stop + MIDNIGHT_S - START_S);
-    assert!((ends[0] - 25.5).abs() < 1e-6 && (ends[1] - SECONDS as f64).abs() < 1e-3, "{ends:?}");
+    assert!(
+        (ends[0] - 25.5).abs() < 1e-6 && (ends[1] - SECONDS as f64).abs() < 1e-3,
+        "{ends:?}"
+    );
 }
 
 trait Map {
@@ -710,13 +971,18 @@ impl Map for Vec<f64> {
 fn intervals_are_those_in_which_the_pointing_is_valid() {
     let history = troubled();
     let intervals = history.valid_intervals();
-    assert!(intervals.windows(2).all(|pair| pair[0][1] < pair[1][0]), "{intervals:?}");
+    assert!(
+        intervals.windows(2).all(|pair| pair[0][1] < pair[1][0]),
+        "{intervals:?}"
+    );
     assert!(intervals.len() >= 5, "{intervals:?}");
     let step_s = 1.0 / 512.0;
     let mut differ_s = 0.0;
     for n in -512..(SECONDS as i64 + 2) * 512 {
         let unix_s = START_S + n as f64 * step_s;
-        let is_inside = intervals.iter().any(|[from, to]| (*from..=*to).contains(&unix_s));
+        let is_inside = intervals
+            .iter()
+            .any(|[from, to]| (*from..=*to).contains(&unix_s));
         let is_valid = history.at(unix_s).is_valid();
         assert!(is_valid || !is_inside, "{}", unix_s - START_S);
         if is_valid && !is_inside {
@@ -731,32 +997,63 @@ fn good_time_intervals_lie_inside_both_and_exposure_is_their_length() {
     let history = troubled();
     let bench = Bench::new(&history);
     let mut random = random(3);
-    let photons: Vec<[f64; 4]> = (0..20_000).map(|_| [random.random_range(-5.0..70.0), 0.0, 0.0, 1.0]).collect();
+    let photons: Vec<[f64; 4]> = (0..20_000)
+        .map(|_| [random.random_range(-5.0..70.0), 0.0, 0.0, 1.0])
+        .collect();
     let own = [[-3.0, 9.3], [12.5, 33.3], [34.0, 34.0], [37.25, 80.0]];
     let integers = |mut table: Table| {
         (table.column("START").1, table.column("STOP").1) = ("1J", "1J");
-        table.with("TSCAL1", Number(0.25)).with("TSCAL2", Number(0.25))
+        table
+            .with("TSCAL1", Number(0.25))
+            .with("TSCAL2", Number(0.25))
     };
-    for table in [good_times("GTI", &own), integers(good_times("STDGTI", &own)), good_times("STDGTI2", &own).without("MJDREF")] {
+    for table in [
+        good_times("GTI", &own),
+        integers(good_times("STDGTI", &own)),
+        good_times("STDGTI2", &own).without("MJDREF"),
+    ] {
         let name = table.name;
         let (placed, columns) = bench.placed(PLAIN, &[], &[event_table(&photons), table]);
-        let ends = |name_of: &str| column(&bench.at("out.fits"), name, name_of).map(|time| time + MIDNIGHT_S - START_S);
-        let found: Vec<[f64; 2]> = ends("START").into_iter().zip(ends("STOP")).map(|(a, b)| [a, b]).collect();
+        let ends = |name_of: &str| {
+            column(&bench.at("out.fits"), name, name_of).map(|time| time + MIDNIGHT_S - START_S)
+        };
+        let found: Vec<[f64; 2]> = ends("START")
+            .into_iter()
+            .zip(ends("STOP"))
+            .map(|(a, b)| [a, b])
+            .collect();
         let after_s: f64 = found.iter().map(|[from, to]| to - from).sum();
-        let [Exposure { extension, before_s, after_s: stated_s }] = &placed.exposures[..] else {
+        let [
+            Exposure {
+                extension,
+                before_s,
+                after_s: stated_s,
+            },
+        ] = &placed.exposures[..]
+        else {
             panic!("{placed:?}");
         };
         assert_eq!(extension, name);
-        assert!((before_s - 75.85).abs() < 0.3 && (stated_s - after_s).abs() < 1e-5, "{placed:?}");
-        let inside = |s: f64, all: &[[f64; 2]]| all.iter().any(|[from, to]| (*from..=*to).contains(&s));
+        assert!(
+            (before_s - 75.85).abs() < 0.3 && (stated_s - after_s).abs() < 1e-5,
+            "{placed:?}"
+        );
+        let inside =
+            |s: f64, all: &[[f64; 2]]| all.iter().any(|[from, to]| (*from..=*to).contains(&s));
         let mut lost = 0;
         for ([s, ..], valid) in photons.iter().zip(&columns.valid) {
             let is_inside = inside(*s, &found);
-            assert!(!is_inside || (*valid && inside(*s, &own.map(|[a, b]| [a - 0.13, b + 0.13]))), "{name}: {s}");
+            assert!(
+                !is_inside || (*valid && inside(*s, &own.map(|[a, b]| [a - 0.13, b + 0.13]))),
+                "{name}: {s}"
+            );
             lost += u32::from(*valid && inside(*s, &own) && !is_inside);
         }
         // Only ends in quarters of a second lose time.
-        assert!(lost < if name == "STDGTI" { 900 } else { 20 }, "{name}: {lost}");
+        assert!(
+            lost < if name == "STDGTI" { 900 } else { 20 },
+            "{name}: {lost}"
+        );
     }
 }
 
@@ -764,22 +1061,32 @@ fn good_time_intervals_lie_inside_both_and_exposure_is_their_length() {
 fn a_file_without_good_time_intervals_gets_them() {
     let history = troubled();
     let bench = Bench::new(&history);
-    let photons: Vec<[f64; 4]> = (0..700).map(|n| [n as f64 * 0.1 - 5.0, 0.0, 0.0, 1.0]).collect();
+    let photons: Vec<[f64; 4]> = (0..700)
+        .map(|n| [n as f64 * 0.1 - 5.0, 0.0, 0.0, 1.0])
+        .collect();
     let table = event_table(&photons).with("TIMEZERO", Number(0.0));
     let (placed, columns) = bench.placed(PLAIN, &[], &[table.clone()]);
     let starts = column(&bench.at("out.fits"), "GTI", "START");
     let stops = column(&bench.at("out.fits"), "GTI", "STOP");
     for ([s, ..], valid) in photons.iter().zip(&columns.valid) {
         let time = s + START_S - MIDNIGHT_S;
-        let is_inside = starts.iter().zip(&stops).any(|(from, to)| (*from..=*to).contains(&time));
+        let is_inside = starts
+            .iter()
+            .zip(&stops)
+            .any(|(from, to)| (*from..=*to).contains(&time));
         assert_eq!(is_inside, *valid, "{s}");
     }
     assert!((placed.exposures[0].before_s - 69.9).abs() < 1e-3);
     let cards = &parts(&bench.at("out.fits"))[2].0;
     for keyword in ["MJDREF  =", "TIMESYS =", "TIMEZERO="] {
-        assert!(cards.iter().any(|card| card.starts_with(keyword)), "{keyword} {cards:#?}");
+        assert!(
+            cards.iter().any(|card| card.starts_with(keyword)),
+            "{keyword} {cards:#?}"
+        );
     }
-    let stated = table.with("TSTART", Number(64_801.0)).with("TSTOP", Number(64_802.5));
+    let stated = table
+        .with("TSTART", Number(64_801.0))
+        .with("TSTOP", Number(64_802.5));
     let (placed, _) = bench.placed(PLAIN, &[], &[stated]);
     assert_eq!(placed.exposures[0].before_s, 1.5);
 }
@@ -792,20 +1099,37 @@ fn names_with_brackets_and_gzipped_lists_are_files_like_others() {
     bench.place("in.fits", PLAIN, &()).unwrap();
     let expected = fs::read(bench.at("out.fits")).unwrap();
     let plain = fs::read(bench.at("in.fits")).unwrap();
-    for name in ["a[1].fits", "a[col X=1].fits", "!in.fits", "in.fits(new.fits)"] {
+    for name in [
+        "a[1].fits",
+        "a[col X=1].fits",
+        "!in.fits",
+        "in.fits(new.fits)",
+    ] {
         fs::write(bench.at(name), &plain).unwrap();
         bench.place(name, PLAIN, &()).unwrap();
-        assert!(fs::read(bench.at("out.fits")).unwrap() == expected, "{name}");
+        assert!(
+            fs::read(bench.at("out.fits")).unwrap() == expected,
+            "{name}"
+        );
     }
-    let mut packed = flate2::write::GzEncoder::new(fs::File::create(bench.at("in.fits.gz")).unwrap(), flate2::Compression::fast());
+    let mut packed = flate2::write::GzEncoder::new(
+        fs::File::create(bench.at("in.fits.gz")).unwrap(),
+        flate2::Compression::fast(),
+    );
     packed.write_all(&plain).unwrap();
     packed.finish().unwrap();
     bench.place("in.fits.gz", PLAIN, &()).unwrap();
     assert!(fs::read(bench.at("out.fits")).unwrap() == expected);
     let whole = fs::read(bench.at("in.fits.gz")).unwrap();
     fs::write(bench.at("cut.fits.gz"), &whole[..whole.len() - 20]).unwrap();
-    let error = bench.place("cut.fits.gz", PLAIN, &()).unwrap_err().to_string();
-    assert!(error.contains("cut.fits.gz: expected a whole gzip file"), "{error}");
+    let error = bench
+        .place("cut.fits.gz", PLAIN, &())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("cut.fits.gz: expected a whole gzip file"),
+        "{error}"
+    );
     // What stood there stays when a run fails.
     assert!(fs::read(bench.at("out.fits")).unwrap() == expected);
 }
@@ -813,7 +1137,11 @@ fn names_with_brackets_and_gzipped_lists_are_files_like_others() {
 #[test]
 fn no_file_that_is_read_is_overwritten() {
     let bench = Bench::plain();
-    write(&bench.at("in.fits"), &[], &[event_table(&some_photons(5, 1))]);
+    write(
+        &bench.at("in.fits"),
+        &[],
+        &[event_table(&some_photons(5, 1))],
+    );
     fs::write(bench.at("det.toml"), PLAIN).unwrap();
     fs::hard_link(bench.at("in.fits"), bench.at("link.fits")).unwrap();
     for out in ["in.fits", "link.fits", "det.toml", "pointing.fits"] {
@@ -845,13 +1173,35 @@ fn photons_of_garbage_are_counted_by_reason_and_never_panic() {
         6 => f64::from_bits(random.random()),
         _ => random.random_range(-0.2..1.2) * scale,
     };
-    let photons: Vec<[f64; 4]> = (0..100_000).map(|_| [garbage(SECONDS as f64), garbage(300.0), garbage(300.0), 1.0]).collect();
+    let photons: Vec<[f64; 4]> = (0..100_000)
+        .map(|_| [garbage(SECONDS as f64), garbage(300.0), garbage(300.0), 1.0])
+        .collect();
     for scale in ["UTC", "TT"] {
-        let table = event_table(&photons).without("TIMESYS").with("TIMESYS", Text(scale));
-        let (placed, columns) = bench.placed(PLAIN, &[], &[table, good_times("GTI", &[[f64::NAN, 3.0], [f64::NEG_INFINITY, f64::INFINITY]])]);
+        let table = event_table(&photons)
+            .without("TIMESYS")
+            .with("TIMESYS", Text(scale));
+        let (placed, columns) = bench.placed(
+            PLAIN,
+            &[],
+            &[
+                table,
+                good_times(
+                    "GTI",
+                    &[[f64::NAN, 3.0], [f64::NEG_INFINITY, f64::INFINITY]],
+                ),
+            ],
+        );
         let invalid: u64 = placed.invalid.values().sum();
         assert_eq!((placed.photons, placed.valid + invalid), (100_000, 100_000));
-        for why in ["no time", "no position", "extrapolated", "gap", "contradicted", "slew", "uncertain"] {
+        for why in [
+            "no time",
+            "no position",
+            "extrapolated",
+            "gap",
+            "contradicted",
+            "slew",
+            "uncertain",
+        ] {
             assert!(placed.invalid[why] > 100, "{why}: {placed:?}");
         }
         for ((hp, valid), sigma) in columns.hp.iter().zip(&columns.valid).zip(&columns.sigma) {
@@ -873,17 +1223,33 @@ impl Watch for Impatient {
 #[test]
 fn a_run_that_is_cancelled_leaves_nothing() {
     let bench = Bench::plain();
-    write(&bench.at("in.fits"), &[], &[event_table(&some_photons(2000, 1))]);
+    write(
+        &bench.at("in.fits"),
+        &[],
+        &[event_table(&some_photons(2000, 1))],
+    );
     let error = bench.place("in.fits", PLAIN, &Impatient).unwrap_err();
     assert!(matches!(error, EventsError::Cancelled { .. }), "{error}");
-    assert_eq!(fs::read_dir(bench.folder.path()).unwrap().count(), 3, "pointing, list and detectors");
+    assert_eq!(
+        fs::read_dir(bench.folder.path()).unwrap().count(),
+        3,
+        "pointing, list and detectors"
+    );
 }
 
 /// Peak memory of this process, MB.
 fn peak_mb() -> f64 {
     let status = fs::read_to_string("/proc/self/status").unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
-    line.trim().trim_end_matches(" kB").trim().parse::<f64>().unwrap() / 1024.0
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))
+        .unwrap();
+    line.trim()
+        .trim_end_matches(" kB")
+        .trim()
+        .parse::<f64>()
+        .unwrap()
+        / 1024.0
 }
 
 /// How fast it is, and how much memory it takes: `cargo test --release --test promises -- --ignored --nocapture ten_million`.
@@ -892,7 +1258,11 @@ fn peak_mb() -> f64 {
 fn ten_million_photons_take_less_than_a_minute_and_no_more_memory_than_few() {
     let bench = Bench::new(&troubled());
     let run = |photons: &[[f64; 4]]| {
-        write(&bench.at("in.fits"), &[], &[event_table(photons), good_times("GTI", &[[0.0, 60.0]])]);
+        write(
+            &bench.at("in.fits"),
+            &[],
+            &[event_table(photons), good_times("GTI", &[[0.0, 60.0]])],
+        );
     };
     run(&some_photons(10_000_000, 1));
     // The list was made in memory; what the run itself takes is counted from here on.
@@ -900,31 +1270,58 @@ fn ten_million_photons_take_less_than_a_minute_and_no_more_memory_than_few() {
     let (before_mb, start) = (peak_mb(), Instant::now());
     let placed = bench.place("in.fits", PLAIN, &()).unwrap();
     let (seconds, grown_mb) = (start.elapsed().as_secs_f64(), peak_mb() - before_mb);
-    println!("{} photons in {seconds:.1} s, {grown_mb:.1} MB", placed.photons);
-    assert!(seconds < 60.0 && grown_mb < 64.0, "{seconds} s, {grown_mb} MB");
+    println!(
+        "{} photons in {seconds:.1} s, {grown_mb:.1} MB",
+        placed.photons
+    );
+    assert!(
+        seconds < 60.0 && grown_mb < 64.0,
+        "{seconds} s, {grown_mb} MB"
+    );
 }
 
 #[test]
 fn the_command_says_how_many_photons_are_valid_and_why_the_others_are_not() {
     let bench = Bench::new(&troubled());
     let photons: Vec<[f64; 4]> = (0..60).map(|n| [n as f64 + 0.4, 0.0, 0.0, 1.0]).collect();
-    write(&bench.at("in.fits"), &[], &[event_table(&photons), good_times("GTI", &[[0.0, 60.0]])]);
+    write(
+        &bench.at("in.fits"),
+        &[],
+        &[event_table(&photons), good_times("GTI", &[[0.0, 60.0]])],
+    );
     fs::write(bench.at("det.toml"), PLAIN).unwrap();
     let run = |events: &str| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_solaspect"));
         command.current_dir(bench.folder.path());
-        command.args(["events", ".", events, "--detectors", "det.toml", "--out", "out.fits"]);
+        command.args([
+            "events",
+            ".",
+            events,
+            "--detectors",
+            "det.toml",
+            "--out",
+            "out.fits",
+        ]);
         command.output().unwrap()
     };
     let output = run("in.fits");
     let text = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(0), "{text}");
-    for line in ["60 photons, ", " not valid: gap", " not valid: slew", "GTI: 60.000 s, "] {
+    for line in [
+        "60 photons, ",
+        " not valid: gap",
+        " not valid: slew",
+        "GTI: 60.000 s, ",
+    ] {
         assert!(text.contains(line), "{text}");
     }
     let output = run("none.fits");
     assert_eq!(output.status.code(), Some(1));
-    assert!(String::from_utf8(output.stderr).unwrap().contains("none.fits: expected"));
+    assert!(
+        String::from_utf8(output.stderr)
+            .unwrap()
+            .contains("none.fits: expected")
+    );
 }
 
 #[test]
