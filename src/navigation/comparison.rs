@@ -9,17 +9,19 @@ use super::filter::{Filter, Trust};
 use super::measurement::{Innovation, Measurement, Source};
 use super::motion::Interval;
 use super::settings::Target;
+use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// A difference of more sigmas is a contradiction: of good ones 1 in 1.7 million is.
-const MOST_SIGMAS: f64 = 5.0;
+pub const MOST_SIGMAS: f64 = 5.0;
 /// One that lasts so long is a finding, s.
-const LASTING_S: f64 = 10.0;
+pub const LASTING_S: f64 = 10.0;
 /// The attitude of before is carried on for so long, s. By then its own drift is as large as what it could show.
 const CARRIED_S: f64 = 600.0;
 
 /// An axis of the telescope along which the Sun, or about which the nadir, is compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Axis {
     /// The Sun, along the telescope's right.
     Right,

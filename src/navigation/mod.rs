@@ -44,7 +44,7 @@ mod suspected;
 mod targets;
 mod transition;
 
-pub use comparison::{Agreement, Axis, Comparison, Difference};
+pub use comparison::{Agreement, Axis, Comparison, Difference, LASTING_S, MOST_SIGMAS};
 pub use constants::{Constant, ConstantErrors};
 pub use due::Due;
 pub use live::{Counts, Live};

@@ -1,5 +1,6 @@
 //! The attitude at each sample of the IMU, by all measurements up to then.
 
+use super::comparison::{Axis, Difference};
 use super::constants::ConstantErrors;
 use super::filter::Filter;
 use super::measurement::Innovation;
@@ -75,6 +76,8 @@ pub struct SensorErrors {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Summary {
     pub innovations: Vec<Innovation>,
+    /// Of cameras from the gyros, in the order of time.
+    pub differences: Vec<(Axis, Difference)>,
     pub errors: Vec<SensorErrors>,
     /// 1 sigma of the attitude about the axes of ECEF, rad, with its time.
     pub attitude_sigmas: Vec<(f64, Vector3<f64>)>,
@@ -110,6 +113,7 @@ pub fn solve(flight: &Flight, mut each: impl FnMut(Row)) -> Summary {
             }
             (Stop::Node(_), _) => {}
         }
+        summary.note_differences(&run);
         summary.note_gap(seen_s, run.seen_s);
         seen_s = run.seen_s;
     }
@@ -126,6 +130,7 @@ impl Summary {
     /// Adds what a later flight of the same sensors comes to.
     pub fn append(&mut self, later: Self) {
         self.innovations.extend(later.innovations);
+        self.differences.extend(later.differences);
         self.errors.extend(later.errors);
         self.attitude_sigmas.extend(later.attitude_sigmas);
         self.gaps.extend(later.gaps);
@@ -141,6 +146,16 @@ impl Summary {
                 .map(|variance| variance.max(0.0).sqrt());
             self.attitude_sigmas.push((row.t_s, sigma));
         }
+    }
+
+    /// Those of the last measurements.
+    fn note_differences(&mut self, run: &Run) {
+        let noted_s = self.differences.last().map(|(_, last)| last.t_s);
+        let latest = run.comparison.latest();
+        let fresh = latest.filter(|(.., one)| noted_s.is_none_or(|noted_s| one.t_s > noted_s));
+        let mut fresh: Vec<(Axis, Difference)> = fresh.map(|(axis, _, one)| (axis, *one)).collect();
+        fresh.sort_by(|(_, a), (_, b)| a.t_s.total_cmp(&b.t_s));
+        self.differences.append(&mut fresh);
     }
 
     fn note_gap(&mut self, from_s: f64, to_s: f64) {

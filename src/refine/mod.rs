@@ -96,4 +96,4 @@ pub use run::{Options, Refined, RefinedCamera, RefinedRoll, ShardDone, Stabilise
 pub use sky::Sky;
 pub use stabilisation::{RateError, StabilisationRow, stabilisation};
 pub use times::Timing;
-pub use witnesses::{Axis, Compared, ComparedAxis, Contradiction};
+pub use witnesses::{Compared, ComparedAxis, Contradiction};

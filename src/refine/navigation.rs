@@ -6,12 +6,13 @@ use super::report::Report;
 use super::roll::RollRow;
 use super::row::Row;
 use super::sky::Sky;
+use super::witnesses::Difference;
 use crate::archive::ArchiveReader;
 use crate::geometry::attitude::Direction;
 use crate::instrument::{Directions, Instrument, SECOND};
 use crate::navigation::files::{read_gps, read_imu};
 use crate::navigation::{
-    self, CAMERAS_IN_FLIGHT, Fix, ImuSample, Measurement, Sighting, Target, Targets,
+    self, Axis, CAMERAS_IN_FLIGHT, Fix, ImuSample, Measurement, Sighting, Target, Targets,
 };
 use crate::observe::CameraFrames;
 use crate::pointing::{calibration_rad2, measured_sun_in_telescope};
@@ -65,6 +66,14 @@ impl Navigation {
             of: self,
         })
     }
+}
+
+/// What the gyros say of a flight.
+pub(super) struct ByGyros {
+    pub found: AttitudeFound,
+    pub states: States,
+    /// Of the cameras from them.
+    pub differences: Vec<Difference>,
 }
 
 /// A direction that a frame shows.
@@ -143,14 +152,14 @@ impl Sensors<'_> {
         }
     }
 
-    /// Finds the attitude by all of them, and writes it with the telescope's offsets; gives the states of the telescope's pointing, too.
+    /// Finds the attitude by all of them, and writes it with the telescope's offsets.
     pub fn find_attitude(
         mut self,
         sky: &Sky,
         instrument: Option<&Instrument>,
         [archive, out]: [&Path; 2],
         report: &mut Report,
-    ) -> anyhow::Result<(AttitudeFound, States)> {
+    ) -> anyhow::Result<ByGyros> {
         self.expect_frames()?;
         let mut targets = self.targets(sky);
         let sightings = self.sightings(&mut targets)?;
@@ -169,7 +178,22 @@ impl Sensors<'_> {
             Some(instrument) => self.states(&mut attitude, &mut targets, instrument)?,
             None => States::default(),
         };
-        Ok((attitude.found(), states))
+        let epoch_s = self.epoch.as_duration().as_secs_f64();
+        let difference = |(axis, one): &(Axis, navigation::Difference)| Difference {
+            unix_s: epoch_s + one.t_s,
+            axis: *axis,
+            sigmas: one.sigmas,
+        };
+        Ok(ByGyros {
+            differences: attitude
+                .summary
+                .differences
+                .iter()
+                .map(difference)
+                .collect(),
+            found: attitude.found(),
+            states,
+        })
     }
 
     /// The states of the telescope's pointing: one at each sample of the IMU that has an attitude.

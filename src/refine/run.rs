@@ -11,7 +11,7 @@ use super::report::{Report, Rows};
 use super::roll::{RollHistory, RollRecipe, RollRows, RollSummary, write_roll};
 use super::sky::Sky;
 use super::stabilisation::stabilisation;
-use super::witnesses::Witnesses;
+use super::witnesses::{Compared, Difference, Dips};
 use crate::archive::ArchiveReader;
 use crate::config::Config;
 use crate::frame::Unreadable;
@@ -219,13 +219,13 @@ impl Run<'_> {
         refined.notes = left_alone(&cameras, &recipes);
         refined.frames = cameras.moon.as_ref().map_or(0, |moon| moon.inputs.len());
         refined.notes.iter().for_each(|note| report.note(note));
-        let (mut roll_rows, mut nadirs) = (RollRows::default(), Witnesses::default());
+        let (mut roll_rows, mut dips) = (RollRows::default(), Dips::default());
         if let Some((camera, recipe)) = cameras.roll.zip(recipes.roll.as_ref()) {
             let done = pass.over(recipe, "frames", &camera.inputs)?;
             let history = RollHistory::new(done, camera, recipe, &pass.span)?;
             let summary = write_roll(pass.out, &history, recipe, |row| {
                 roll_rows.take(row);
-                nadirs.see_nadir(row);
+                dips.see(row);
                 sensors
                     .iter_mut()
                     .for_each(|sensors| sensors.see_nadir(row));
@@ -243,10 +243,9 @@ impl Run<'_> {
                 .as_ref()
                 .map_or(pass.out.to_owned(), |l| pass.out.join(l));
             make_folder(&folder)?;
-            let (mut rows, mut witnesses) = (Rows::default(), nadirs.clone());
+            let mut rows = Rows::default();
             let written = write_rows(&folder, &history, |row| {
                 rows.take(row);
-                witnesses.see_sun(row, history.instrument());
                 let see = |sensors: &mut Sensors| {
                     sensors.see_sun(is_second, row, history.instrument());
                 };
@@ -258,20 +257,25 @@ impl Run<'_> {
                 folder,
                 history,
                 rows,
-                witnesses,
                 written,
             });
         }
-        let mut by_gyros = States::default();
+        let (mut states, mut differences) = (States::default(), Vec::new());
         if let Some(sensors) = sensors {
             let names = [pass.archive.name(), pass.out];
             let instrument = seen.first().map(|seen| seen.history.instrument());
-            let (found, states) = sensors.find_attitude(&sky, instrument, names, &mut report)?;
-            (refined.attitude, by_gyros) = (Some(found), states);
+            let by_gyros = sensors.find_attitude(&sky, instrument, names, &mut report)?;
+            (states, differences) = (by_gyros.states, by_gyros.differences);
+            refined.attitude = Some(by_gyros.found);
         }
+        let others = Others {
+            roll: refined.roll.as_ref().map(|roll| &roll.history),
+            states: &states,
+            differences: &differences,
+            dips: &dips,
+        };
         for seen in seen {
-            let roll = refined.roll.as_ref().map(|roll| &roll.history);
-            let camera = self.finish(seen, roll, &by_gyros, pass.archive, &mut report)?;
+            let camera = self.finish(seen, &others, pass.archive, &mut report)?;
             refined.cameras.push(camera);
         }
         if let Some((roll, recipe)) = refined.roll.as_ref().zip(recipes.roll.as_ref()) {
@@ -308,8 +312,7 @@ impl Run<'_> {
     fn finish(
         &self,
         seen: Seen,
-        roll: Option<&RollHistory>,
-        by_gyros: &States,
+        others: &Others<'_>,
         archive: &ArchiveReader,
         report: &mut Report,
     ) -> anyhow::Result<RefinedCamera> {
@@ -318,11 +321,10 @@ impl Run<'_> {
             folder,
             history,
             rows,
-            witnesses,
             written,
         } = seen;
-        let mut pointing = history.pointing_with(roll, by_gyros)?;
-        let compared = witnesses.compare(&pointing);
+        let mut pointing = history.pointing_with(others.roll, others.states)?;
+        let compared = Compared::of(others.differences, others.dips, &pointing);
         for finding in compared.iter().flat_map(|compared| &compared.findings) {
             tracing::warn!("{finding}");
             pointing.contradict(finding.during_s);
@@ -365,8 +367,17 @@ struct Seen {
     folder: PathBuf,
     history: History,
     rows: Rows,
-    witnesses: Witnesses,
     written: Written,
+}
+
+/// What other sensors say of where the telescope points.
+struct Others<'a> {
+    roll: Option<&'a RollHistory>,
+    /// Of the pointing, by gyros.
+    states: &'a States,
+    /// Of cameras from the gyros.
+    differences: &'a [Difference],
+    dips: &'a Dips,
 }
 
 /// With what the frames of each camera are observed.

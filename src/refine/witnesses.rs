@@ -1,13 +1,11 @@
 //! Two witnesses of where the telescope points: what its cameras show, held against the attitude by the gyros.
 //!
-//! The Sun tells the boresight's two axes. Roll is compared by the dip of the telescope's second axis, which is the body's: that is what the
-//! horizon shows of it, at any elevation.
+//! Directions that the filter takes are compared as it meets them ([`navigation`](crate::navigation)). A roll camera that it does not take
+//! is compared by the dip of the telescope's second axis, which is the body's: that is what the horizon shows of the roll, at any elevation.
 
 use super::roll::RollRow;
-use super::row::Row;
 use crate::clock::utc_microseconds;
-use crate::instrument::Instrument;
-use crate::pointing::measured_sun_in_telescope;
+use crate::navigation::{Axis, LASTING_S, MOST_SIGMAS};
 use crate::pointing_history::{Basis, PointingHistory, Sight};
 use crate::report::plot::{Labels, PlotError, Series, series};
 use crate::units::{ARCSEC_PER_RAD, Measured};
@@ -15,126 +13,57 @@ use jiff::Timestamp;
 use serde::Serialize;
 use std::fmt;
 
-/// A difference beyond so many sigma, for so long, is a finding.
-const BEYOND_SIGMA: f64 = 5.0;
-const FOR_S: f64 = 10.0;
-
-/// About what the witnesses differ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Axis {
-    Right,
-    Up,
-    Roll,
-}
-
-impl Axis {
-    const ALL: [Self; 3] = [Self::Right, Self::Up, Self::Roll];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Right => "right",
-            Self::Up => "up",
-            Self::Roll => "roll",
-        }
-    }
-}
-
-/// What a camera showed at a time, rad: the Sun to the right of the boresight and above it, or how deep the second axis dips.
-#[derive(Clone, Copy)]
-struct Shown {
-    unix_s: f64,
-    axis: Axis,
-    found: Measured,
-}
-
-/// What the cameras of a flight showed.
-#[derive(Clone, Default)]
-pub(super) struct Witnesses(Vec<Shown>);
-
-impl Witnesses {
-    /// Notes the Sun of a refined frame.
-    pub fn see_sun(&mut self, row: &Row, instrument: &Instrument) {
-        let Some((unix_s, sun)) = row.unix_s().zip(row.sun_at_time()) else {
-            return;
-        };
-        let sun = measured_sun_in_telescope(&sun, instrument);
-        let sigma = |n: usize| sun.covariance_rad2[(n, n)].max(0.0).sqrt();
-        for (axis, found) in [
-            (Axis::Right, Measured::new(sun.unit.y, sigma(1))),
-            (Axis::Up, Measured::new(-sun.unit.z, sigma(2))),
-        ] {
-            self.0.push(Shown {
-                unix_s,
-                axis,
-                found,
-            });
-        }
-    }
-
-    /// Notes the horizon of a frame of the roll camera.
-    pub fn see_nadir(&mut self, row: &RollRow) {
-        if let Some((unix_s, nadir)) = row.unix_s().zip(row.nadir_at_time()) {
-            let sigma = nadir.covariance_rad2.m22.max(0.0).sqrt();
-            self.0.push(Shown {
-                unix_s,
-                axis: Axis::Roll,
-                found: Measured::new(nadir.unit.y, sigma),
-            });
-        }
-    }
-
-    /// Holds them against the pointing, where that rests on gyros. `None` where it never does.
-    pub fn compare(&self, pointing: &PointingHistory) -> Option<Compared> {
-        let difference = |shown: &Shown| {
-            let sight = pointing.at(shown.unix_s).sight?;
-            (sight.basis != Basis::Sun).then(|| shown.difference(&sight))
-        };
-        let axes = Axis::ALL.map(|axis| {
-            let mut differences: Vec<Difference> = self
-                .0
-                .iter()
-                .filter(|shown| shown.axis == axis)
-                .filter_map(difference)
-                .collect();
-            differences.sort_by(|a, b| a.unix_s.total_cmp(&b.unix_s));
-            differences
-        });
-        let is_empty = axes.iter().all(Vec::is_empty);
-        (!is_empty).then(|| Compared::of(axes))
-    }
-}
-
-impl Shown {
-    /// What was seen less what the gyros say.
-    fn difference(&self, sight: &Sight) -> Difference {
-        let random_rad2 = sight.random_arcsec2 / ARCSEC_PER_RAD.powi(2);
-        let to_sun = sight.sun_from_telescope.row(0);
-        let level = sight.horizon_from_telescope.row(2);
-        let (told, variance_rad2) = match self.axis {
-            Axis::Right => (to_sun[1], random_rad2.m11),
-            Axis::Up => (-to_sun[2], random_rad2.m22),
-            Axis::Roll => (-level[1], random_rad2.m33 * level[2].powi(2)),
-        };
-        Difference {
-            unix_s: self.unix_s,
-            rad: self.found.value - told,
-            sigma_rad: self.found.sigma.hypot(variance_rad2.max(0.0).sqrt()),
-        }
-    }
-}
-
 /// A difference of the witnesses.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Difference {
-    unix_s: f64,
-    rad: f64,
-    sigma_rad: f64,
+pub(super) struct Difference {
+    pub unix_s: f64,
+    pub axis: Axis,
+    /// Over its 1 sigma.
+    pub sigmas: f64,
 }
 
-impl Difference {
-    fn over_sigma(&self) -> f64 {
-        self.rad / self.sigma_rad
+/// How deep the telescope's second axis dips, as the roll camera showed it.
+#[derive(Clone, Copy)]
+struct Dip {
+    unix_s: f64,
+    rad: Measured,
+}
+
+/// What the roll camera of a flight showed.
+#[derive(Default)]
+pub(super) struct Dips(Vec<Dip>);
+
+impl Dips {
+    /// Notes the horizon of a frame.
+    pub fn see(&mut self, row: &RollRow) {
+        if let Some((unix_s, nadir)) = row.unix_s().zip(row.nadir_at_time()) {
+            let sigma = nadir.covariance_rad2.m22.max(0.0).sqrt();
+            let rad = Measured::new(nadir.unit.y, sigma);
+            self.0.push(Dip { unix_s, rad });
+        }
+    }
+
+    /// Held against the pointing, where that rests on gyros.
+    fn differences(&self, pointing: &PointingHistory) -> impl Iterator<Item = Difference> {
+        self.0.iter().filter_map(|dip| {
+            let sight = pointing.at(dip.unix_s).sight?;
+            (sight.basis != Basis::Sun).then(|| dip.difference(&sight))
+        })
+    }
+}
+
+impl Dip {
+    /// What was seen less what the gyros say.
+    fn difference(&self, sight: &Sight) -> Difference {
+        // A roll moves the second axis by as much as the third one points down.
+        let up = sight.horizon_from_telescope.row(2);
+        let variance_rad2 = sight.random_arcsec2.m33 / ARCSEC_PER_RAD.powi(2) * up[2].powi(2);
+        let sigma_rad = self.rad.sigma.hypot(variance_rad2.max(0.0).sqrt());
+        Difference {
+            unix_s: self.unix_s,
+            axis: Axis::Roll,
+            sigmas: (self.rad.value + up[1]) / sigma_rad,
+        }
     }
 }
 
@@ -153,7 +82,6 @@ pub struct Compared {
 pub struct ComparedAxis {
     pub axis: Axis,
     pub frames: usize,
-    pub rms_arcsec: f64,
     /// Of the differences over their sigma.
     pub rms_over_sigma: f64,
     pub most_over_sigma: f64,
@@ -171,32 +99,46 @@ pub struct Contradiction {
 }
 
 impl Compared {
-    fn of(differences: [Vec<Difference>; 3]) -> Self {
+    /// Of directions that the filter took, and of the roll camera where it took none. `None` where there is nothing to compare.
+    pub(super) fn of(
+        by_filter: &[Difference],
+        dips: &Dips,
+        pointing: &PointingHistory,
+    ) -> Option<Self> {
+        let differences = Axis::ALL.map(|axis| {
+            let own = by_filter.iter().filter(|one| one.axis == axis);
+            let own: Vec<Difference> = own.copied().collect();
+            match axis {
+                Axis::Roll if own.is_empty() => dips.differences(pointing).collect(),
+                _ => own,
+            }
+        });
         let of_axis = || Axis::ALL.into_iter().zip(&differences);
-        let seen = of_axis().filter(|(_, differences)| !differences.is_empty());
-        Self {
-            axes: seen
-                .map(|(axis, all)| ComparedAxis::of(axis, all))
-                .collect(),
-            findings: of_axis()
-                .flat_map(|(axis, all)| contradictions(axis, all))
-                .collect(),
+        let seen = of_axis().filter(|(_, all)| !all.is_empty());
+        let axes: Vec<ComparedAxis> = seen
+            .map(|(axis, all)| ComparedAxis::of(axis, all))
+            .collect();
+        let findings = of_axis()
+            .flat_map(|(axis, all)| contradictions(axis, all))
+            .collect();
+        (!axes.is_empty()).then_some(Self {
+            axes,
+            findings,
             differences,
-        }
+        })
     }
 
     /// The heads and the rows of a table of the axes.
-    pub(super) fn table(&self) -> ([&'static str; 5], Vec<Vec<String>>) {
+    pub(super) fn table(&self) -> ([&'static str; 4], Vec<Vec<String>>) {
         let row = |axis: &ComparedAxis| {
             vec![
                 axis.axis.name().to_owned(),
                 axis.frames.to_string(),
-                format!("{:.3}", axis.rms_arcsec),
                 format!("{:.2}", axis.rms_over_sigma),
                 format!("{:.1}", axis.most_over_sigma),
             ]
         };
-        let heads = ["axis", "frames", "rms, arcsec", "rms, sigma", "most, sigma"];
+        let heads = ["axis", "frames", "rms, sigma", "most, sigma"];
         (heads, self.axes.iter().map(row).collect())
     }
 
@@ -205,7 +147,7 @@ impl Compared {
         let drawn = Axis::ALL.into_iter().zip(&self.differences);
         let drawn = drawn.filter(|(_, differences)| !differences.is_empty());
         let dots = |(axis, all): (Axis, &Vec<Difference>)| {
-            let dots = all.iter().map(|one| (one.unix_s, one.over_sigma()));
+            let dots = all.iter().map(|one| (one.unix_s, one.sigmas));
             Series::dots(axis.name(), dots)
         };
         let title = "What cameras show less what the gyros say";
@@ -216,28 +158,23 @@ impl Compared {
 
 impl ComparedAxis {
     fn of(axis: Axis, all: &[Difference]) -> Self {
-        let rms = |value: fn(&Difference) -> f64| {
-            let squares: f64 = all.iter().map(|one| value(one).powi(2)).sum();
-            (squares / all.len() as f64).sqrt()
-        };
+        let squares: f64 = all.iter().map(|one| one.sigmas.powi(2)).sum();
         Self {
             axis,
             frames: all.len(),
-            rms_arcsec: rms(|one| one.rad) * ARCSEC_PER_RAD,
-            rms_over_sigma: rms(Difference::over_sigma),
+            rms_over_sigma: (squares / all.len() as f64).sqrt(),
             most_over_sigma: most(all),
         }
     }
 }
 
 fn most(all: &[Difference]) -> f64 {
-    let sigmas = all.iter().map(|one| one.over_sigma().abs());
-    sigmas.fold(0.0, f64::max)
+    all.iter().fold(0.0, |most, one| one.sigmas.abs().max(most))
 }
 
 /// The stretches in which all differences of an axis are too large.
 fn contradictions(axis: Axis, all: &[Difference]) -> Vec<Contradiction> {
-    let is_beyond = |one: &Difference| one.over_sigma().abs() > BEYOND_SIGMA;
+    let is_beyond = |one: &Difference| one.sigmas.abs() > MOST_SIGMAS;
     let stretches = all.chunk_by(|a, b| is_beyond(a) == is_beyond(b));
     let utc = |unix_s: f64| {
         let utc = Timestamp::from_microsecond((unix_s * 1e6).round() as i64);
@@ -246,7 +183,7 @@ fn contradictions(axis: Axis, all: &[Difference]) -> Vec<Contradiction> {
     let finding = |stretch: &[Difference]| {
         let (first, last) = stretch.first().zip(stretch.last())?;
         let during_s = [first.unix_s, last.unix_s];
-        (is_beyond(first) && during_s[1] - during_s[0] >= FOR_S).then(|| Contradiction {
+        (is_beyond(first) && during_s[1] - during_s[0] >= LASTING_S).then(|| Contradiction {
             axis,
             first_utc: utc(during_s[0]),
             last_utc: utc(during_s[1]),
