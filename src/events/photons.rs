@@ -8,6 +8,9 @@ use crate::pointing::HelioprojectiveArcsec;
 use crate::pointing_history::{PointingHistory, Sight};
 use nalgebra::{Matrix2x3, Matrix3, UnitVector3, Vector3};
 
+/// No telescope sees a photon further from its boresight; tangent of 45 deg.
+const FARTHEST: f64 = 1.0;
+
 /// What is found of a photon.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Photon {
@@ -118,25 +121,23 @@ impl Measured {
     }
 }
 
-/// The place of a photon; `None` where its position is no number, or too far from the boresight to be one.
+/// The place of a photon; `None` where its position is no number, or is further from the boresight than [`FARTHEST`].
 fn on_the_sun(sight: &Sight, located: &FromBoresight) -> Option<Place> {
     let FromBoresight {
         right_rad,
         up_rad,
         variance_arcsec2,
     } = *located;
-    let towards = UnitVector3::try_new(Vector3::new(1.0, right_rad, -up_rad), 0.0)?;
+    if !(right_rad.hypot(up_rad) <= FARTHEST) {
+        return None;
+    }
+    let towards = UnitVector3::new_normalize(Vector3::new(1.0, right_rad, -up_rad));
     let variance = |covariance: &Matrix3<f64>| per_axis(covariance, right_rad, up_rad);
-    let place = Place {
+    Some(Place {
         helioprojective_arcsec: sight.helioprojective(&towards),
         sigma_arcsec: variance(&sight.random_arcsec2).sqrt(),
         systematic_arcsec: (variance(&sight.systematic_arcsec2) + variance_arcsec2).sqrt(),
-    };
-    let HelioprojectiveArcsec { x, y } = place.helioprojective_arcsec;
-    [x, y, place.sigma_arcsec]
-        .iter()
-        .all(|value| value.is_finite())
-        .then_some(place)
+    })
 }
 
 /// The variance of a direction, mean of its two axes: small turns move it with the boresight, and about that.

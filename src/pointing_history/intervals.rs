@@ -16,8 +16,9 @@ impl PointingHistory {
     pub fn valid_intervals(&self) -> Vec<[f64; 2]> {
         let mut intervals: Vec<[f64; 2]> = Vec::new();
         for [from, to] in self.pieces_s() {
-            // What is valid in a piece ends before the next one begins.
-            let last = to.next_down();
+            // What is valid in a piece ends before the next one begins; the last state of all ends its own.
+            let is_end = self.times_s.last() == Some(&to);
+            let last = if is_end { to } else { to.next_down() };
             let part = match [from, last].map(|time_s| self.at(time_s).is_valid()) {
                 [true, true] => [from, last],
                 [true, false] => [from, self.edge_s(from, last)],
@@ -26,7 +27,9 @@ impl PointingHistory {
             };
             match intervals.last_mut() {
                 Some(before) if before[1].next_up() == part[0] => before[1] = part[1],
-                _ => intervals.push(part),
+                // One that ends where it begins is of no use.
+                _ if part[0] < part[1] => intervals.push(part),
+                _ => {}
             }
         }
         intervals
