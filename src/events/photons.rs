@@ -128,9 +128,9 @@ fn on_the_sun(sight: &Sight, located: &FromBoresight) -> Option<Place> {
         up_rad,
         variance_arcsec2,
     } = *located;
-    if !(right_rad.hypot(up_rad) <= FARTHEST) {
-        return None;
-    }
+    // No number is within the range.
+    let distance = Some(right_rad.hypot(up_rad));
+    distance.filter(|distance| (0.0..=FARTHEST).contains(distance))?;
     let towards = UnitVector3::new_normalize(Vector3::new(1.0, right_rad, -up_rad));
     let variance = |covariance: &Matrix3<f64>| per_axis(covariance, right_rad, up_rad);
     Some(Place {
