@@ -1,7 +1,7 @@
 //! Good time intervals: when the telescope observed, and its pointing is valid.
 
 use super::times::{Counted, Keywords};
-use crate::fits::{DiskFile, DiskHdu, DiskTable, Inward, NumberColumn, Problem};
+use crate::fits::{DiskFile, DiskHdu, DiskTable, FileError, Inward, NumberColumn, Problem};
 
 /// A table of good time intervals.
 pub struct GoodTimes<'a> {
@@ -42,7 +42,7 @@ impl<'a> GoodTimes<'a> {
             own: &hdu.header,
             primary: &primary.header,
         };
-        let counted = keywords.counted()?.unwrap_or(photons);
+        let counted = keywords.counted(photons.scale)?.unwrap_or(photons);
         let table = hdu.table()?;
         let end = |name: &str| {
             let column = hdu.column(&table, name)?;
@@ -65,7 +65,7 @@ impl<'a> GoodTimes<'a> {
         &self,
         file: &DiskFile,
         valid: &[[f64; 2]],
-    ) -> Result<Intersected, crate::fits::FileError> {
+    ) -> Result<Intersected, FileError> {
         let all = file.rows(self.hdu, &self.table)?;
         let mut found = Intersected {
             rows: Vec::new(),

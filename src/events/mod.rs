@@ -10,6 +10,7 @@
 
 mod detectors;
 mod good_times;
+mod list;
 mod photons;
 mod times;
 
@@ -17,21 +18,18 @@ pub use detectors::{Detectors, FromBoresight, PhotonColumns};
 pub use photons::{PHOTON_COLUMNS, Photon, Place};
 
 use crate::columns::{self, Widths};
-use crate::files;
-use crate::fits::{Amended, DiskFile, DiskHdu, DiskTable, FileError, Problem};
+use crate::fits::{Amended, DiskHdu, FileError, Problem};
 use crate::instrument::TomlError;
 use crate::observe::Watch;
 use crate::pointing_history::{POINTING_FILE, PointingHistory, StoreError};
 use crate::provenance::LONG_VERSION;
-use flate2::read::MultiGzDecoder;
 use good_times::{GoodTimes, common};
-use photons::Measured;
+use list::EventList;
 use std::collections::BTreeMap;
-use std::fs::{self, File, Permissions};
+use std::fs::{self, Permissions};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
-use times::{Counted, Keywords};
 
 /// After so many photons a watch is shown a step.
 const STEP: u64 = 1000;
@@ -93,7 +91,7 @@ pub fn place_photons(files: Files<'_>, watch: &dyn Watch) -> Result<Placed, Even
     refuse_overwriting(&files)?;
     let detectors = Detectors::read(files.detectors)?;
     let history = PointingHistory::read(files.refined)?;
-    let list = EventList::open(&files, &detectors)?;
+    let list = EventList::open(files.events, folder_of(files.out), &detectors)?;
     let part = part_beside(files.out)?;
     let mut run = Run {
         files,
@@ -152,127 +150,6 @@ fn part_beside(path: &Path) -> Result<NamedTempFile, FileError> {
     let builder = builder.permissions(Permissions::from_mode(0o666));
     let part = builder.tempfile_in(folder_of(path));
     part.map_err(|cause| columns::refused(path, cause))
-}
-
-/// An open event list.
-struct EventList {
-    file: DiskFile,
-    /// Which HDU has the photons.
-    photons: usize,
-    table: DiskTable,
-    counted: Counted,
-    measured: Measured,
-}
-
-impl EventList {
-    fn open(files: &Files<'_>, detectors: &Detectors) -> Result<Self, FileError> {
-        let file = open(files.events, files.out)?;
-        let found = Self::of(file, detectors);
-        found.map_err(|problem| problem.in_file(files.events))
-    }
-
-    fn of(file: DiskFile, detectors: &Detectors) -> Result<Self, Problem> {
-        let photons = photons_hdu(&file, &detectors.columns.time)?;
-        let hdu = &file.hdus()[photons];
-        let keywords = Keywords {
-            own: &hdu.header,
-            primary: &file.hdus()[0].header,
-        };
-        let read = || {
-            let counted = keywords.counted()?.ok_or_else(|| {
-                Problem::field("MJDREF", "a day, here or in MJDREFI and MJDREFF", "none")
-            })?;
-            let table = hdu.table()?;
-            refuse_columns(&table)?;
-            let measured = Measured::of(hdu, &table, detectors, counted)?;
-            Ok((counted, table, measured))
-        };
-        let (counted, table, measured) =
-            read().map_err(|problem: Problem| problem.within(&hdu.name()))?;
-        Ok(Self {
-            photons,
-            table,
-            counted,
-            measured,
-            file,
-        })
-    }
-
-    fn hdu(&self) -> &DiskHdu {
-        &self.file.hdus()[self.photons]
-    }
-
-    fn primary(&self) -> &DiskHdu {
-        &self.file.hdus()[0]
-    }
-}
-
-/// Opens a FITS file; a gzipped one is unpacked beside the copy, for it may not fit into memory.
-fn open(path: &Path, out: &Path) -> Result<DiskFile, FileError> {
-    let unread = |problem: Problem| problem.in_file(path);
-    let unopened = |error| unread(Problem::of_unread(error));
-    let packed = files::open_regular(path).map_err(unopened)?;
-    let magic = files::read_start(path, 2).map_err(unopened)?;
-    if magic != [0x1f, 0x8b] {
-        return DiskFile::of(packed, path);
-    }
-    let mut plain =
-        tempfile::tempfile_in(folder_of(out)).map_err(|cause| columns::refused(out, cause))?;
-    unpack(packed, &mut plain).map_err(unread)?;
-    DiskFile::of(plain, path)
-}
-
-fn unpack(packed: File, plain: &mut File) -> Result<(), Problem> {
-    let copied = std::io::copy(&mut MultiGzDecoder::new(packed), plain);
-    let whole = |error: std::io::Error| {
-        Problem::content("a whole gzip file, and room for it", error.to_string())
-    };
-    copied.map(drop).map_err(whole)
-}
-
-/// The table with the photons: EVENTS, else the only one that has times.
-fn photons_hdu(file: &DiskFile, time: &str) -> Result<usize, Problem> {
-    let tables = || (0..).zip(file.hdus()).filter(|(_, hdu)| hdu.is_table());
-    if let Some((n, _)) = tables().find(|(_, hdu)| hdu.says("EXTNAME", "EVENTS")) {
-        return Ok(n);
-    }
-    let has_times = |hdu: &DiskHdu| {
-        let table = hdu.table();
-        table.is_ok_and(|table| {
-            table
-                .columns
-                .iter()
-                .any(|name| name.eq_ignore_ascii_case(time))
-        })
-    };
-    let timed: Vec<usize> = tables()
-        .filter(|(_, hdu)| has_times(hdu))
-        .map(|(n, _)| n)
-        .collect();
-    match timed[..] {
-        [n] => Ok(n),
-        _ => Err(Problem::content(
-            format!("a table EVENTS, or one table with a column {time}"),
-            format!("{} with one", timed.len()),
-        )),
-    }
-}
-
-/// Refuses a table that has columns of the names that are added.
-fn refuse_columns(table: &DiskTable) -> Result<(), Problem> {
-    let is_ours = |name: &&String| {
-        PHOTON_COLUMNS
-            .iter()
-            .any(|ours| ours.name.eq_ignore_ascii_case(name))
-    };
-    match table.columns.iter().find(is_ours) {
-        None => Ok(()),
-        Some(name) => Err(Problem::field(
-            format!("column {name}"),
-            "none of this name, which is added",
-            "one",
-        )),
-    }
 }
 
 /// A run in progress.
@@ -396,7 +273,7 @@ impl Run<'_> {
         history: &[String],
     ) -> Result<(), EventsError> {
         let list = self.list;
-        let stated = stated_span(list);
+        let stated = list.stated_span();
         let stated = stated.map_err(|problem| {
             problem
                 .within(&list.hdu().name())
@@ -420,16 +297,4 @@ impl Run<'_> {
         });
         Ok(())
     }
-}
-
-/// From TSTART to TSTOP, s since 1970 UTC.
-fn stated_span(list: &EventList) -> Result<Option<[f64; 2]>, Problem> {
-    let keywords = Keywords {
-        own: &list.hdu().header,
-        primary: &list.primary().header,
-    };
-    let [start, stop] = ["TSTART", "TSTOP"].map(|keyword| keywords.number(keyword));
-    let unix_s = |time: Option<f64>| time.and_then(|time| list.counted.unix_s(time));
-    let span = unix_s(start?).zip(unix_s(stop?));
-    Ok(span.map(|(start, stop)| [start, stop]))
 }

@@ -29,7 +29,7 @@ const UNITS: [Unit; 7] = [
 /// How times of a table are counted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Counted {
-    scale: Scale,
+    pub scale: Scale,
     /// Of 0, s since 1970 by a clock of the scale.
     zero_s: f64,
     unit: Unit,
@@ -50,8 +50,11 @@ pub struct Keywords<'a> {
 }
 
 impl Keywords<'_> {
-    /// How keywords count times; `None` without a MJDREF.
-    pub fn counted(self) -> Result<Option<Counted>, Problem> {
+    /// How keywords count times, in this scale where TIMESYS names none; `None` without a MJDREF.
+    ///
+    /// # Errors
+    /// Values that are no numbers, units or scales.
+    pub fn counted(self, unstated: Scale) -> Result<Option<Counted>, Problem> {
         let Some(days) = self.sum(["MJDREF", "MJDREFI", "MJDREFF"])? else {
             return Ok(None);
         };
@@ -64,19 +67,21 @@ impl Keywords<'_> {
         };
         let [whole, part] = days;
         Ok(Some(Counted {
-            scale: self.scale()?,
+            scale: self.scale()?.unwrap_or(unstated),
             zero_s: (whole - MJD_OF_UNIX_EPOCH) * DAY_S + part * DAY_S + zero * unit.s,
             unit,
         }))
     }
 
-    fn scale(self) -> Result<Scale, Problem> {
+    fn scale(self) -> Result<Option<Scale>, Problem> {
         let Some(name) = self.text("TIMESYS")? else {
-            return Ok(Scale::Utc);
+            return Ok(None);
         };
-        Scale::named(&name).ok_or_else(|| {
-            Problem::field("TIMESYS", "UTC, TT, TAI, TDB or GPS", format!("'{name}'"))
-        })
+        let scale = Scale::named(&name).ok_or_else(|| {
+            let expected = "UTC, TT, TAI, TDB or GPS";
+            Problem::field("TIMESYS", expected, format!("'{name}'"))
+        })?;
+        Ok(Some(scale))
     }
 
     /// A keyword's number, or those of two that share it: the whole and the fraction.

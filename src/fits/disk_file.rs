@@ -162,6 +162,15 @@ impl DiskFile {
     }
 }
 
+impl DiskTable {
+    /// Whether there is a column of this name, in capitals or not.
+    pub fn has(&self, name: &str) -> bool {
+        self.columns
+            .iter()
+            .any(|column| column.eq_ignore_ascii_case(name))
+    }
+}
+
 impl DiskHdu {
     /// Where the next one begins.
     pub(super) fn end(&self) -> u64 {

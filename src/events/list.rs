@@ -1,0 +1,137 @@
+//! An event list on disk: where its photons are, and how it counts times.
+
+use super::detectors::Detectors;
+use super::photons::{Measured, PHOTON_COLUMNS};
+use super::times::{Counted, Keywords};
+use crate::clock::Scale;
+use crate::columns;
+use crate::files;
+use crate::fits::{DiskFile, DiskHdu, DiskTable, FileError, Problem};
+use flate2::read::MultiGzDecoder;
+use std::fs::File;
+use std::path::Path;
+
+/// An open event list.
+pub struct EventList {
+    pub file: DiskFile,
+    /// Which HDU has the photons.
+    pub photons: usize,
+    pub table: DiskTable,
+    /// How the keywords beside the photons count times.
+    pub counted: Counted,
+    pub measured: Measured,
+}
+
+impl EventList {
+    /// Opens a list, plain or gzipped; the folder takes what is unpacked, for it may not fit into memory.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or that has no photons with times and places.
+    pub fn open(path: &Path, folder: &Path, detectors: &Detectors) -> Result<Self, FileError> {
+        let found = open(path, folder)?;
+        Self::of(found, detectors).map_err(|problem| problem.in_file(path))
+    }
+
+    fn of(file: DiskFile, detectors: &Detectors) -> Result<Self, Problem> {
+        let photons = photons_hdu(&file, &detectors.columns.time)?;
+        let hdu = &file.hdus()[photons];
+        let primary = &file.hdus()[0].header;
+        let keywords = Keywords {
+            own: &hdu.header,
+            primary,
+        };
+        let read = || {
+            let counted = keywords.counted(Scale::Utc)?.ok_or_else(|| {
+                Problem::field("MJDREF", "a day, here or in MJDREFI and MJDREFF", "none")
+            })?;
+            let table = hdu.table()?;
+            refuse_columns(&table)?;
+            let measured = Measured::of(hdu, &table, detectors, counted)?;
+            Ok((counted, table, measured))
+        };
+        let (counted, table, measured) =
+            read().map_err(|problem: Problem| problem.within(&hdu.name()))?;
+        Ok(Self {
+            photons,
+            table,
+            counted,
+            measured,
+            file,
+        })
+    }
+
+    pub fn hdu(&self) -> &DiskHdu {
+        &self.file.hdus()[self.photons]
+    }
+
+    pub fn primary(&self) -> &DiskHdu {
+        &self.file.hdus()[0]
+    }
+
+    /// From TSTART to TSTOP, s since 1970 UTC, where both are stated.
+    ///
+    /// # Errors
+    /// Values that are no numbers.
+    pub fn stated_span(&self) -> Result<Option<[f64; 2]>, Problem> {
+        let keywords = Keywords {
+            own: &self.hdu().header,
+            primary: &self.primary().header,
+        };
+        let [start, stop] = ["TSTART", "TSTOP"].map(|keyword| keywords.number(keyword));
+        let unix_s = |time: Option<f64>| self.counted.unix_s(time?);
+        let span = unix_s(start?).zip(unix_s(stop?));
+        Ok(span.map(|(start, stop)| [start, stop]))
+    }
+}
+
+fn open(path: &Path, folder: &Path) -> Result<DiskFile, FileError> {
+    let refused = |problem: Problem| problem.in_file(path);
+    let unread = |error| refused(Problem::of_unread(error));
+    let packed = files::open_regular(path).map_err(unread)?;
+    let magic = files::read_start(path, 2).map_err(unread)?;
+    if magic != [0x1f, 0x8b] {
+        return DiskFile::of(packed, path);
+    }
+    let plain = tempfile::tempfile_in(folder);
+    let mut plain = plain.map_err(|cause| columns::refused(folder, cause))?;
+    unpack(packed, &mut plain).map_err(refused)?;
+    DiskFile::of(plain, path)
+}
+
+fn unpack(packed: File, plain: &mut File) -> Result<(), Problem> {
+    let copied = std::io::copy(&mut MultiGzDecoder::new(packed), plain);
+    let whole = |error: std::io::Error| {
+        Problem::content("a whole gzip file, and room for it", error.to_string())
+    };
+    copied.map(drop).map_err(whole)
+}
+
+/// The table with the photons: EVENTS, else the only one that has times.
+fn photons_hdu(file: &DiskFile, time: &str) -> Result<usize, Problem> {
+    let tables = || (0..).zip(file.hdus()).filter(|(_, hdu)| hdu.is_table());
+    if let Some((n, _)) = tables().find(|(_, hdu)| hdu.says("EXTNAME", "EVENTS")) {
+        return Ok(n);
+    }
+    let has_times = |hdu: &DiskHdu| hdu.table().is_ok_and(|table| table.has(time));
+    let timed = tables().filter(|(_, hdu)| has_times(hdu));
+    let timed: Vec<usize> = timed.map(|(n, _)| n).collect();
+    match timed[..] {
+        [n] => Ok(n),
+        _ => Err(Problem::content(
+            format!("a table EVENTS, or one table with a column {time}"),
+            format!("{} with one", timed.len()),
+        )),
+    }
+}
+
+/// Refuses a table that has columns of the names that are added.
+fn refuse_columns(table: &DiskTable) -> Result<(), Problem> {
+    match PHOTON_COLUMNS.iter().find(|ours| table.has(ours.name)) {
+        None => Ok(()),
+        Some(ours) => Err(Problem::field(
+            format!("column {}", ours.name),
+            "none of this name, which is added",
+            "one",
+        )),
+    }
+}

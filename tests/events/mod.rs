@@ -1,0 +1,11 @@
+//! Photons are put on the Sun where the telescope's rotation says, as exactly as their sigmas say, and what else an event list holds stays.
+//!
+//! The pointing is made by hand, so that the truth is a product of rotations. Event lists are written and read by cfitsio.
+
+mod command;
+mod copies;
+mod flight;
+mod intervals;
+mod lists;
+mod mistakes;
+mod places;
