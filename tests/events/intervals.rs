@@ -6,6 +6,7 @@ use super::lists::Key::{Number, Text};
 use super::lists::*;
 use rand::RngExt;
 use solaspect::events::Exposure;
+use std::slice::from_ref;
 
 #[test]
 fn intervals_are_those_in_which_the_pointing_is_valid() {
@@ -120,7 +121,7 @@ fn a_file_without_good_time_intervals_gets_them() {
         .map(|n| [n as f64 * 0.1 - 5.0, 0.0, 0.0, 1.0])
         .collect();
     let table = event_table(&photons).with("TIMEZERO", Number(0.0));
-    let (placed, columns) = bench.placed(PLAIN, &[], &[table.clone()]);
+    let (placed, columns) = bench.placed(PLAIN, &[], from_ref(&table));
     let starts = column(&bench.at("out.fits"), "GTI", "START");
     let stops = column(&bench.at("out.fits"), "GTI", "STOP");
     for ([s, ..], valid) in photons.iter().zip(&columns.valid) {

@@ -1,7 +1,7 @@
 //! Event lists, written and read by cfitsio, and what is made of them.
 
 use super::flight::{
-    ARCSEC, MIDNIGHT_S, MJD_OF_MIDNIGHT, SECONDS, START_S, attitude, seconds, states, truth_arcsec,
+    MIDNIGHT_S, MJD_OF_MIDNIGHT, SECONDS, START_S, attitude, seconds, states, truth_arcsec,
 };
 use Key::{Number, Text};
 use fitsio::{FileOpenMode, FitsFile, sys};
@@ -17,13 +17,18 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
+/// Keywords with their values.
+pub type Keys = Vec<(String, Key)>;
+
+/// Name, form, unit and values of a column.
+pub type Values = (&'static str, &'static str, &'static str, Vec<f64>);
+
 /// Keywords and columns of a table, as cfitsio is to write them.
 #[derive(Clone)]
 pub struct Table {
     pub name: &'static str,
-    pub keys: Vec<(String, Key)>,
-    /// Name, form, unit and values.
-    pub columns: Vec<(&'static str, &'static str, &'static str, Vec<f64>)>,
+    pub keys: Keys,
+    pub columns: Vec<Values>,
 }
 
 #[derive(Clone, Copy)]
@@ -73,10 +78,7 @@ impl Table {
         self
     }
 
-    pub fn column(
-        &mut self,
-        name: &str,
-    ) -> &mut (&'static str, &'static str, &'static str, Vec<f64>) {
+    pub fn column(&mut self, name: &str) -> &mut Values {
         self.columns
             .iter_mut()
             .find(|column| column.0 == name)
@@ -84,13 +86,12 @@ impl Table {
     }
 
     pub fn put(&self, file: &mut FitsFile) {
-        let text =
-            |part: fn(&(&'static str, &'static str, &'static str, Vec<f64>)) -> &'static str| {
-                self.columns
-                    .iter()
-                    .map(|column| c(part(column)))
-                    .collect::<Vec<_>>()
-            };
+        let text = |part: fn(&Values) -> &'static str| {
+            self.columns
+                .iter()
+                .map(|column| c(part(column)))
+                .collect::<Vec<_>>()
+        };
         let (names, forms, units) = (text(|c| c.0), text(|c| c.1), text(|c| c.2));
         let pointers = |texts: &[CString]| {
             texts

@@ -7,6 +7,7 @@ use rand::RngExt;
 use solaspect::events::EventsError;
 use solaspect::observe::Watch;
 use std::fs;
+use std::slice::from_ref;
 
 #[test]
 fn mistakes_are_errors_that_name_file_and_field_and_leave_no_copy() {
@@ -113,7 +114,7 @@ fn mistakes_are_errors_that_name_file_and_field_and_leave_no_copy() {
             "det.toml: detector.1.id: expected an id of its own for each detector, found none",
         ),
     ] {
-        let error = bench.refusal(detectors, &[plain.clone()]);
+        let error = bench.refusal(detectors, from_ref(&plain));
         assert!(error.ends_with(end), "{error}");
     }
     fs::write(bench.at("in.fits"), "no FITS").unwrap();

@@ -117,7 +117,7 @@ fn times_of_every_unit_zero_and_scale_give_the_same_places() {
             .map(|(key, value)| ((*key).into(), *value))
             .collect()
     };
-    let cases: Vec<(&str, Vec<(String, Key)>, Table)> = vec![
+    let cases: Vec<(&str, Keys, Table)> = vec![
         ("seconds", vec![], plain.clone()),
         (
             "days",
