@@ -36,6 +36,7 @@ fn offsets_go_on_while_the_sun_is_away_and_the_archive_keeps_what_they_rest_on()
     let navigation = &summary.tally.navigation;
     assert!(navigation.samples > 1200, "{summary}");
     assert_eq!((navigation.lost_samples, navigation.restarts), (0, 0));
+    assert_eq!(navigation.contradicted, 0);
     // From 60 to 75 % of the run no frame shows the Sun.
     let away = summary.propagated.iter().filter(|one| one.age_s > 0.5);
     assert!(away.count() > 10, "{summary}");

@@ -573,6 +573,25 @@ mod tests {
         };
         let words = "no Sun in 236 frames of the last minute; most stopped at limb";
         assert_eq!(found(sunless), [words]);
+        // The filter's doubt and the contradiction that lasts are said once.
+        let contradicted = Housekeeping {
+            navigation: 5,
+            gyro_agreement: 3,
+            gyro_right_sigmas: Some(-231.04),
+            gyro_up_sigmas: Some(0.4),
+            ..good.clone()
+        };
+        let state = "Gyros against Sun: -231.0, 0.4 sigma; roll \u{2013}";
+        assert_eq!(gyros_against_sun(&contradicted).as_deref(), Some(state));
+        let words = format!("{state}: they contradict each other for 10 s, one of them is wrong");
+        assert_eq!(found(contradicted.clone()), [words]);
+        let doubted = Housekeeping {
+            gyro_agreement: 2,
+            ..contradicted
+        };
+        let words = "frames contradict the gyros: inertial offsets are uncertain";
+        assert_eq!(found(doubted), [words]);
+        assert_eq!(gyros_against_sun(&good), None);
         let full = Housekeeping {
             disks: [Some(12), Some(98)],
             ..good

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 pub const MOST_SIGMAS: f64 = 5.0;
 /// One that lasts so long is a finding, s.
 pub const LASTING_S: f64 = 10.0;
-/// The attitude of before is carried on for so long, s. By then its own drift is as large as what it could show.
+/// The attitude of before is carried on for so long at most, s: a jump of the gyros that is over must not be an alarm for the whole flight.
 const CARRIED_S: f64 = 600.0;
 
 /// An axis of the telescope along which the Sun, or about which the nadir, is compared.
@@ -42,11 +42,11 @@ impl Axis {
         }
     }
 
-    /// The axes that a target tells, in the order of an innovation's.
-    fn told_by(target: Target) -> &'static [Self] {
+    /// The axes that a target measures, in the order of an innovation's.
+    fn measured_by(target: Target) -> &'static [Self] {
         match target {
             Target::Sun => &[Self::Right, Self::Up],
-            // The Sun tells the other one a thousand times better.
+            // The Sun measures the other one far better.
             Target::Nadir => &[Self::Roll],
             Target::Moon => &[],
         }
@@ -183,7 +183,7 @@ impl Comparison {
         let Source::Sighting { camera, target } = innovation.source else {
             return;
         };
-        let axes = Axis::told_by(target).iter().zip(&innovation.axes);
+        let axes = Axis::measured_by(target).iter().zip(&innovation.axes);
         for (axis, (residual_rad, sigma_rad)) in axes {
             let (t_s, sigmas) = (innovation.t_s, residual_rad / sigma_rad);
             let before = self.latest.get(&(*axis, camera));

@@ -354,6 +354,30 @@ mod tests {
     use super::*;
     use crate::link::housekeeping::FIELDS;
     use crate::navigation::nmea::{Heard, Refused};
+    use crate::navigation::{Agreement, Axis};
+
+    #[test]
+    fn each_axis_of_cameras_against_gyros_has_a_field_of_its_own() {
+        let mut told = Housekeeping::default();
+        tell_navigation(&mut told, &NavigationTally::default());
+        assert_eq!(told, Housekeeping::default());
+        let mut tally = NavigationTally::default();
+        for (axis, sigmas) in [(Axis::Right, 1.5), (Axis::Up, -7.25)] {
+            tally.differences[axis as usize] = Some(sigmas);
+        }
+        for (agreement, number) in [
+            (Agreement::Within, 1),
+            (Agreement::Beyond, 2),
+            (Agreement::LastingContradiction, 3),
+        ] {
+            tally.agreement = Some(agreement);
+            tell_navigation(&mut told, &tally);
+            assert_eq!(told.gyro_agreement, number);
+        }
+        assert_eq!(told.gyro_right_sigmas, Some(1.5));
+        assert_eq!(told.gyro_up_sigmas, Some(-7.25));
+        assert_eq!(told.gyro_roll_sigmas, None);
+    }
 
     #[test]
     fn each_reason_of_a_refused_fix_has_a_field_of_its_own() {

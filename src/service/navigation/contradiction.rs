@@ -31,7 +31,7 @@ impl LastingContradiction {
                 let axes = lasting(comparison, settings);
                 tracing::warn!(axes, times, "directions contradict the gyros for 10 s");
             }
-            Some(_) => tracing::info!(times, "directions contradict the gyros no more"),
+            Some(_) => tracing::info!(times, "directions no longer contradict the gyros"),
             None => tracing::info!(times, "directions are compared with the gyros anew"),
         }
     }

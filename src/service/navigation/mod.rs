@@ -7,6 +7,7 @@ mod gps;
 mod inputs;
 mod rows;
 mod sensor;
+mod sent;
 mod steps;
 mod tally;
 
@@ -20,7 +21,7 @@ use super::priority::Rank;
 use super::shared::Shared;
 use super::worker::{Life, Worker};
 use crate::config::{self, FlightClock, Host};
-use crate::link::{Connection, ImuPacket, Propagated, Solution};
+use crate::link::{Connection, ImuPacket};
 use crate::log::worth_a_line;
 use crate::navigation::{
     CAMERAS_IN_FLIGHT, Due, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row,
@@ -33,6 +34,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Rotation3, Vector3};
 use rows::{imu_row, propagated_row};
 use sensor::{Sensor, Speaks};
+use sent::propagated;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -238,10 +240,6 @@ impl<'a> Filter<'a> {
         let before_s = self.live.newest_s();
         let row = self.live.sample(felt);
         self.note(row.map(|row| row.status));
-        let mut tally = self.own.tally.lock();
-        let (comparison, settings) = (self.live.comparison(), &self.own.settings);
-        self.contradiction.note(comparison, settings, &mut tally);
-        drop(tally);
         // Passed over, or a packet that came twice.
         if self.live.newest_s() != Some(t_s) || before_s == Some(t_s) {
             return;
@@ -265,8 +263,10 @@ impl<'a> Filter<'a> {
         }
     }
 
-    fn note(&self, status: Option<Status>) {
+    fn note(&mut self, status: Option<Status>) {
+        let (comparison, settings) = (self.live.comparison(), &self.own.settings);
         let mut tally = self.own.tally.lock();
+        self.contradiction.note(comparison, settings, &mut tally);
         let counts = self.live.counts();
         tally.refused = counts.refused;
         tally.out_of_time = counts.out_of_time;
@@ -382,25 +382,6 @@ impl<'a> Filter<'a> {
                 self.own.tally.lock().rows_lost += count;
             }
         }
-    }
-}
-
-impl config::Navigation {
-    fn sends(&self, offset: &PropagatedOffset) -> bool {
-        self.send == config::Switch::On && offset.sigma_deg <= self.max_sigma_deg()
-    }
-}
-
-fn propagated(offset: &PropagatedOffset, utc: Timestamp, age_s: f64) -> Propagated {
-    Propagated {
-        solution: Solution {
-            azimuth_deg: offset.difference.azimuth_deg,
-            elevation_deg: offset.difference.elevation_deg,
-            roll_deg: offset.roll_deg.value,
-            error_deg: offset.sigma_deg,
-            time: utc,
-        },
-        age_ms: (1e3 * age_s).round().clamp(0.0, u16::MAX.into()) as u16,
     }
 }
 

@@ -7,6 +7,7 @@ use super::*;
 use crate::config::{Config, Switch, Value};
 use crate::geometry::attitude::Direction;
 use crate::instrument::{self, DEMO_NAVIGATION};
+use crate::link::Propagated;
 use crate::navigation::nmea::{Heard, Nmea, Refusal, TimedFix};
 use crate::pointing::sun_in_telescope;
 use crate::service::demo::JudgedOffset;
