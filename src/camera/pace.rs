@@ -23,9 +23,14 @@ impl Pace {
         self.start.is_some()
     }
 
+    /// Begins to count, unless it does already.
+    pub(super) fn begin(&mut self) -> Instant {
+        *self.start.get_or_insert_with(Instant::now)
+    }
+
     /// Waits until the next frame is due, with [`PATIENCE`]; whether it is. A late frame is due at once.
     pub(super) fn is_due(&mut self) -> bool {
-        let start = *self.start.get_or_insert_with(Instant::now);
+        let start = self.begin();
         let wait = self.due.saturating_sub(start.elapsed());
         std::thread::sleep(wait.min(PATIENCE));
         wait <= PATIENCE

@@ -7,7 +7,7 @@ use crate::simulate::{Depth, FlightScenes, Picture, Scene, TruthOfSun};
 use jiff::{SignedDuration, Timestamp};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// The truth of every frame so far by its number. It stays with the simulator's side; the solver never sees it.
 #[derive(Debug, Clone, Default)]
@@ -39,6 +39,14 @@ pub struct SimulatedCamera {
     duration: Option<Duration>,
     number: u64,
     truth: TruthLog,
+    /// The next exposure, drawn before its time: a camera's frame is there when its exposure ends, however long it takes to draw.
+    drawn: Option<Result<Drawn, CameraError>>,
+}
+
+/// An exposure, and the truth about it.
+struct Drawn {
+    exposure: Exposure,
+    truth: Option<TruthOfSun>,
 }
 
 impl SimulatedCamera {
@@ -59,6 +67,7 @@ impl SimulatedCamera {
             duration,
             number: 0,
             truth: TruthLog::default(),
+            drawn: None,
         }
     }
 
@@ -76,6 +85,19 @@ impl SimulatedCamera {
     fn is_over(&self) -> bool {
         let middle = self.pace.due() + self.period / 2;
         self.duration.is_some_and(|duration| middle > duration)
+    }
+
+    fn draw(&self) -> Result<Drawn, CameraError> {
+        let (scene, announced) = self.due_scene()?;
+        let Picture { frame, truth } = scene.picture()?;
+        let frame = match self.region {
+            Some(region) => read_out(frame, region)?,
+            None => frame,
+        };
+        Ok(Drawn {
+            exposure: Exposure { frame, announced },
+            truth: truth.sun,
+        })
     }
 
     /// The scene that is due, and the start of its exposure.
@@ -97,24 +119,20 @@ impl FrameSource for SimulatedCamera {
         if self.is_over() {
             return Ok(Take::End);
         }
+        self.pace.begin();
+        let drawn = self.drawn.take().unwrap_or_else(|| self.draw());
         if !self.pace.is_due() {
+            self.drawn = Some(drawn);
             return Ok(Take::NotYet);
         }
-        let due = self.due_scene();
         let number = self.number;
         self.number += 1;
         self.pace.advance(self.period);
-        let (scene, announced) = due?;
-        starts(announced);
-        let shutter = Instant::now();
-        let Picture { frame, truth } = scene.picture()?;
-        self.truth.note(number, truth.sun);
-        let frame = match self.region {
-            Some(region) => read_out(frame, region)?,
-            None => frame,
-        };
-        std::thread::sleep(self.scenes.exposure.saturating_sub(shutter.elapsed()));
-        Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
+        let Drawn { exposure, truth } = drawn?;
+        starts(exposure.announced);
+        std::thread::sleep(self.scenes.exposure);
+        self.truth.note(number, truth);
+        Ok(Take::Exposure(Box::new(exposure)))
     }
 
     fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
@@ -125,6 +143,7 @@ impl FrameSource for SimulatedCamera {
             PixelFormat::Mono12 => Depth::Twelve,
         };
         self.region = settings.region;
+        self.drawn = None;
         Ok(())
     }
 

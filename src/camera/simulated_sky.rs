@@ -33,7 +33,8 @@ impl SkyView {
     }
 }
 
-/// A camera that looks at the sky, at its own rate and on a clock that starts where it is told. It takes 0.1 s to draw a million pixels of the limb.
+/// A camera that looks at the sky, at its own rate and on a clock that starts where it is told. It draws a picture before its time: a million pixels of the limb take
+/// 0.1 s.
 pub struct SimulatedSky {
     view: SkyView,
     settings: Settings,
@@ -42,6 +43,8 @@ pub struct SimulatedSky {
     /// Length of the whole run; `None` without end.
     duration: Option<Duration>,
     number: u64,
+    /// The next exposure, drawn before its time.
+    drawn: Option<Result<Exposure, CameraError>>,
 }
 
 impl SimulatedSky {
@@ -59,7 +62,21 @@ impl SimulatedSky {
             start,
             duration,
             number: 0,
+            drawn: None,
         }
+    }
+
+    fn draw(&mut self) -> Result<Exposure, CameraError> {
+        let (due, exposure) = (self.pace.due(), self.settings.exposure());
+        let announced = self.start.checked_add(SignedDuration::try_from(due)?)?;
+        let middle = due + exposure / 2;
+        let brightness = exposure.as_secs_f64() / USUAL_EXPOSURE.as_secs_f64();
+        let utc = self.start.checked_add(SignedDuration::try_from(middle)?)?;
+        let mut frame = self.view.frame(self.number, (middle, utc), brightness)?;
+        frame.info.mid_exposure = Some(utc);
+        frame.info.monotonic = Some(middle);
+        frame.info.exposure = Some(exposure);
+        Ok(Exposure { frame, announced })
     }
 
     /// Whether the run holds as many frames as fit, to the nearest.
@@ -74,27 +91,23 @@ impl FrameSource for SimulatedSky {
         if self.is_over() {
             return Ok(Take::End);
         }
+        self.pace.begin();
+        let drawn = self.drawn.take().unwrap_or_else(|| self.draw());
         if !self.pace.is_due() {
+            self.drawn = Some(drawn);
             return Ok(Take::NotYet);
         }
-        let (due, exposure) = (self.pace.due(), self.settings.exposure());
-        let number = self.number;
         self.number += 1;
         self.pace.advance(self.settings.period());
-        let announced = self.start.checked_add(SignedDuration::try_from(due)?)?;
-        starts(announced);
-        let middle = due + exposure / 2;
-        let brightness = exposure.as_secs_f64() / USUAL_EXPOSURE.as_secs_f64();
-        let utc = self.start.checked_add(SignedDuration::try_from(middle)?)?;
-        let mut frame = self.view.frame(number, (middle, utc), brightness)?;
-        frame.info.mid_exposure = Some(utc);
-        frame.info.monotonic = Some(middle);
-        frame.info.exposure = Some(exposure);
-        Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
+        let exposure = drawn?;
+        starts(exposure.announced);
+        std::thread::sleep(self.settings.exposure());
+        Ok(Take::Exposure(Box::new(exposure)))
     }
 
     fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
         self.settings = settings.clone();
+        self.drawn = None;
         Ok(())
     }
 

@@ -66,7 +66,7 @@ fn between_states_a_swing_of_a_second_is_followed_to_a_twentieth_of_an_arcsecond
     }
     // At a state it is the state's.
     assert!(off_arcsec(&history, 0.7) < 1e-6);
-    assert!(history.at(14.9).is_valid());
+    assert!(history.at(14.9).sight.is_some());
 }
 
 #[test]
