@@ -18,11 +18,14 @@ from astropy.coordinates import AltAz, EarthLocation, SkyCoord
 from astropy.io import fits
 from astropy.table import QTable, Table
 from astropy.time import Time
+from astropy.utils import iers
 
 PAGE = pathlib.Path(__file__).parent.parent / "docs" / "refine.md"
 MIL = u.def_unit("mil", 25.4 * u.um)
 # No reader may find fault with any HDU.
 warnings.simplefilter("error")
+# What astropy brings along of the Earth's orientation reaches to the demonstration's day.
+iers.conf.auto_download = False
 
 
 def stated(name):
