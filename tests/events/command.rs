@@ -20,7 +20,7 @@ fn peak_mb() -> f64 {
         / 1024.0
 }
 
-/// How fast it is, and how much memory it takes: `cargo test --release --test promises -- --ignored --nocapture ten_million`.
+/// How fast it is, and how much memory it takes: `cargo test --test promises -- --ignored --nocapture ten_million`.
 #[test]
 #[ignore = "measures ten million photons, which takes a minute"]
 fn ten_million_photons_take_less_than_a_minute_and_no_more_memory_than_few() {
