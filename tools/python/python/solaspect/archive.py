@@ -256,7 +256,7 @@ class Refined:
         for number, column in enumerate(table.colnames, 1):
             values = table[column]
             if values.dtype.kind == "S":
-                table[column] = np.char.decode(np.asarray(values), "ascii")
+                table[column] = np.char.rstrip(np.char.decode(np.asarray(values), "ascii"))
             elif not values.dtype.isnative:
                 unit, description = values.unit, values.description
                 table[column] = values.astype(values.dtype.newbyteorder("="))
