@@ -799,8 +799,8 @@ mod bad_files {
             ),
             (
                 "TFORM1",
-                "TFORM1  = '9X'",
-                ["TFORM1: expected a column", "9X"],
+                "TFORM1  = '9Y'",
+                ["TFORM1: expected a column", "9Y"],
             ),
             (
                 "TFORM1",

@@ -27,7 +27,7 @@ mod _native {
     #[pymodule_export]
     use super::offset::Offset;
     #[pymodule_export]
-    use super::pointing::{PointingHistory, Pointings};
+    use super::pointing::PointingHistory;
     #[pymodule_export]
     use super::program::{place_text, run, time_text};
     #[pymodule_export]

@@ -2,36 +2,17 @@
 
 use crate::errors::Failure;
 use crate::numbers::rows;
-use numpy::{PyArray1, PyArray2, PyReadonlyArray1};
+use nalgebra::Matrix3;
+use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
-use solaspect::pointing_history::{self, Pointed, Sight};
+use pyo3::types::PyDict;
+use solaspect::pointing_history::{self, Limits, Pointed, Sight};
 use std::path::PathBuf;
 
 /// The pointing of a refined flight as a function of time.
 #[pyclass(frozen, module = "solaspect")]
 pub struct PointingHistory {
     inner: pointing_history::PointingHistory,
-}
-
-/// The pointing at some times; what is not known is NaN.
-#[pyclass(frozen, get_all, module = "solaspect")]
-pub struct Pointings {
-    /// (n,), arcsec.
-    hpln: Py<PyArray1<f64>>,
-    hplt: Py<PyArray1<f64>>,
-    /// (n,), deg.
-    north_angle: Py<PyArray1<f64>>,
-    azimuth: Py<PyArray1<f64>>,
-    elevation: Py<PyArray1<f64>>,
-    roll: Py<PyArray1<f64>>,
-    /// (n, 9), arcsec^2.
-    random: Py<PyArray2<f64>>,
-    systematic: Py<PyArray2<f64>>,
-    /// (n, 3), ECEF, m.
-    position_m: Py<PyArray2<f64>>,
-    valid: Py<PyArray1<bool>>,
-    invalid: Vec<&'static str>,
-    source: Vec<&'static str>,
 }
 
 #[pymethods]
@@ -48,65 +29,69 @@ impl PointingHistory {
 
     /// The first and the last time that is known, s since 1970.
     #[getter]
-    fn ends_s(&self) -> Option<[f64; 2]> {
-        self.inner.ends_s()
+    fn ends_s(&self) -> Option<(f64, f64)> {
+        self.inner.ends_s().map(Into::into)
     }
 
-    /// The pointing at times, s since 1970.
-    #[pyo3(signature = (unix_s, most_sigma_arcsec, fastest_arcsec_per_s))]
-    fn at(
+    /// The pointing at n times, s since 1970, as arrays by name: hpln and hplt, arcsec; north_angle, azimuth, elevation and roll, deg; random
+    /// and systematic, (n, 9), arcsec^2; position_m, (n, 3), ECEF; valid; and lists of text, invalid and source. What is not known is NaN.
+    fn at<'py>(
         &self,
-        py: Python<'_>,
-        unix_s: PyReadonlyArray1<'_, f64>,
+        py: Python<'py>,
+        unix_s: PyReadonlyArray1<'py, f64>,
         most_sigma_arcsec: f64,
         fastest_arcsec_per_s: f64,
-    ) -> PyResult<Pointings> {
+    ) -> PyResult<Bound<'py, PyDict>> {
         let times_s = unix_s.as_array().to_vec();
-        let limits = pointing_history::Limits {
+        let limits = Limits {
             most_sigma_arcsec,
             fastest_arcsec_per_s,
         };
         let (pointed, places): (Vec<Pointed>, Vec<[f64; 3]>) = py.detach(|| {
-            let of = |time_s: &f64| {
+            let at = |time_s: &f64| {
                 let place = self.inner.position_m(*time_s);
                 let place = place.map_or([f64::NAN; 3], Into::into);
                 (self.inner.within(&limits, *time_s), place)
             };
-            times_s.iter().map(of).unzip()
+            times_s.iter().map(at).unzip()
         });
         let sights: Vec<Option<&Sight>> = pointed.iter().map(|one| one.sight.as_ref()).collect();
-        let column = |value: fn(&Sight) -> f64| {
+        let found = PyDict::new(py);
+        let columns: [(&str, fn(&Sight) -> f64); 6] = [
+            ("hpln", |sight| sight.helioprojective_arcsec.x),
+            ("hplt", |sight| sight.helioprojective_arcsec.y),
+            ("north_angle", |sight| sight.north_angle_deg),
+            ("azimuth", |sight| sight.horizontal.azimuth_deg),
+            ("elevation", |sight| sight.horizontal.elevation_deg),
+            ("roll", |sight| sight.roll_deg),
+        ];
+        for (name, value) in columns {
             let values = sights.iter().map(|sight| sight.map_or(f64::NAN, value));
-            PyArray1::from_iter(py, values).unbind()
-        };
-        let matrices = |value: fn(&Sight) -> [f64; 9]| {
-            let values = sights.iter().flat_map(|sight| sight.map_or([f64::NAN; 9], value));
-            Ok::<_, PyErr>(rows(py, values.collect(), 9)?.unbind())
-        };
-        Ok(Pointings {
-            hpln: column(|sight| sight.helioprojective_arcsec.x),
-            hplt: column(|sight| sight.helioprojective_arcsec.y),
-            north_angle: column(|sight| sight.north_angle_deg),
-            azimuth: column(|sight| sight.horizontal.azimuth_deg),
-            elevation: column(|sight| sight.horizontal.elevation_deg),
-            roll: column(|sight| sight.roll_deg),
-            random: matrices(|sight| numbers(&sight.random_arcsec2))?,
-            systematic: matrices(|sight| numbers(&sight.systematic_arcsec2))?,
-            position_m: rows(py, places.into_iter().flatten().collect(), 3)?.unbind(),
-            valid: PyArray1::from_iter(py, pointed.iter().map(Pointed::is_valid)).unbind(),
-            invalid: pointed
-                .iter()
-                .map(|one| one.invalid.map_or("", |why| why.name()))
-                .collect(),
-            source: sights
-                .iter()
-                .map(|sight| sight.map_or("", |sight| sight.basis.name()))
-                .collect(),
-        })
+            found.set_item(name, PyArray1::from_iter(py, values))?;
+        }
+        let matrices: [(&str, fn(&Sight) -> Matrix3<f64>); 2] = [
+            ("random", |sight| sight.random_arcsec2),
+            ("systematic", |sight| sight.systematic_arcsec2),
+        ];
+        for (name, value) in matrices {
+            let unknown = Matrix3::from_element(f64::NAN);
+            let values = sights.iter().map(|sight| sight.map_or(unknown, value));
+            // Symmetric: the order of rows and columns is the same.
+            let numbers = values.flat_map(|matrix| <[f64; 9]>::try_from(matrix.as_slice()));
+            found.set_item(name, rows(py, numbers.flatten().collect(), 9)?)?;
+        }
+        let places = places.into_iter().flatten().collect();
+        found.set_item("position_m", rows(py, places, 3)?)?;
+        let valid = pointed.iter().map(Pointed::is_valid);
+        found.set_item("valid", PyArray1::from_iter(py, valid))?;
+        let invalid = pointed
+            .iter()
+            .map(|one| one.invalid.map_or("", |why| why.name()));
+        found.set_item("invalid", invalid.collect::<Vec<&str>>())?;
+        let source = sights
+            .iter()
+            .map(|sight| sight.map_or("", |sight| sight.basis.name()));
+        found.set_item("source", source.collect::<Vec<&str>>())?;
+        Ok(found)
     }
-}
-
-/// A symmetric matrix, row by row.
-fn numbers(matrix: &nalgebra::Matrix3<f64>) -> [f64; 9] {
-    std::array::from_fn(|n| matrix[(n / 3, n % 3)])
 }

@@ -6,10 +6,13 @@ import subprocess
 
 import matplotlib
 import pytest
+from astropy.utils import iers
 
 import solaspect
 
 matplotlib.use("Agg")
+# What astropy brings along of the Earth's orientation reaches to the demonstration's day.
+iers.conf.auto_download = False
 REPOSITORY = pathlib.Path(__file__).parents[3]
 
 

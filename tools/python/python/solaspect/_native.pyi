@@ -209,22 +209,7 @@ class PointingHistory:
     def read(folder: PathLike) -> PointingHistory: ...
     @property
     def ends_s(self) -> tuple[float, float] | None: ...
-    def at(self, unix_s: _Floats, most_sigma_arcsec: float, fastest_arcsec_per_s: float) -> Pointings: ...
-
-@final
-class Pointings:
-    hpln: _Floats
-    hplt: _Floats
-    north_angle: _Floats
-    azimuth: _Floats
-    elevation: _Floats
-    roll: _Floats
-    random: _Floats
-    systematic: _Floats
-    position_m: _Floats
-    valid: npt.NDArray[np.bool_]
-    invalid: list[str]
-    source: list[str]
+    def at(self, unix_s: _Floats, most_sigma_arcsec: float, fastest_arcsec_per_s: float) -> dict[str, Any]: ...
 
 def load(given: AnyInstrument) -> Instrument: ...
 def compare(before: AnyInstrument, after: AnyInstrument) -> dict[str, Any]: ...

@@ -148,6 +148,7 @@ def _title(solution: Solution) -> str:
 def plot_path(pointing: Table, ax: Axes | None = None) -> Axes:
     """Draw where on the Sun a telescope pointed: the table POINTING."""
     import matplotlib.pyplot as plt
+    from matplotlib.patches import Circle
 
     if ax is None:
         _, ax = plt.subplots(figsize=(7, 7), layout="constrained")
@@ -155,7 +156,7 @@ def plot_path(pointing: Table, ax: Axes | None = None) -> Axes:
     valid = np.asarray(pointing["VALID"], dtype=bool)
     for shown, colour, name in ((~valid, "0.7", "not valid"), (valid, "C0", "valid")):
         ax.plot(x[shown], y[shown], ".", ms=2, color=colour, label=name)
-    ax.add_patch(plt.Circle((0, 0), SUN_RADIUS_ARCSEC, fill=False, color="orange", label="the Sun's limb"))
+    ax.add_patch(Circle((0, 0), SUN_RADIUS_ARCSEC, fill=False, color="orange", label="the Sun's limb"))
     ax.set(xlabel="helioprojective longitude, arcsec", ylabel="helioprojective latitude, arcsec", aspect="equal")
     ax.legend(loc="upper right")
     return ax

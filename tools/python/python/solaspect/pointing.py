@@ -73,7 +73,13 @@ class Pointing:
         from astropy.coordinates import SkyCoord
         from sunpy.coordinates import Helioprojective
 
-        return SkyCoord(self.hpln, self.hplt, frame=Helioprojective(observer=self.observer, obstime=self.time))
+        # sunpy takes observers in a row, and no other array of them.
+        shape = self.hpln.shape
+        row = (lambda values: values.ravel()) if len(shape) > 1 else (lambda values: values)
+        time = row(self.time)
+        observer = SkyCoord(row(self.location).get_itrs(time))
+        coord = SkyCoord(row(self.hpln), row(self.hplt), frame=Helioprojective(observer=observer, obstime=time))
+        return coord.reshape(shape) if len(shape) > 1 else coord
 
     @property
     def observer(self) -> SkyCoord:
@@ -110,19 +116,19 @@ def pointing_at(history: PointingHistory, times: Any, most_sigma: Any, fastest: 
     def column(values: Any, *inner: int) -> Any:
         return np.asarray(values).reshape(shape + inner)
 
-    position = column(found.position_m, 3) * u.m
+    position = column(found["position_m"], 3) * u.m
     return Pointing(
         time=time,
-        hpln=column(found.hpln) * u.arcsec,
-        hplt=column(found.hplt) * u.arcsec,
-        north_angle=column(found.north_angle) * u.deg,
-        azimuth=column(found.azimuth) * u.deg,
-        elevation=column(found.elevation) * u.deg,
-        roll=column(found.roll) * u.deg,
-        random=column(found.random, 3, 3) * u.arcsec**2,
-        systematic=column(found.systematic, 3, 3) * u.arcsec**2,
-        valid=column(found.valid),
-        invalid=column(found.invalid),
-        source=column(found.source),
+        hpln=column(found["hpln"]) * u.arcsec,
+        hplt=column(found["hplt"]) * u.arcsec,
+        north_angle=column(found["north_angle"]) * u.deg,
+        azimuth=column(found["azimuth"]) * u.deg,
+        elevation=column(found["elevation"]) * u.deg,
+        roll=column(found["roll"]) * u.deg,
+        random=column(found["random"], 3, 3) * u.arcsec**2,
+        systematic=column(found["systematic"], 3, 3) * u.arcsec**2,
+        valid=column(found["valid"]),
+        invalid=column(found["invalid"]),
+        source=column(found["source"]),
         location=EarthLocation.from_geocentric(*np.moveaxis(position, -1, 0)),
     )
