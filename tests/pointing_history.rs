@@ -13,7 +13,7 @@ use solaspect::fits::{self, Compression, Values};
 use solaspect::geometry::earth::{ecef_m, geodetic, north_east_up};
 use solaspect::instrument::{DEMO_HORIZON, DEMO_NAVIGATION, MountedCamera, builtin};
 use solaspect::pointing::{HelioprojectiveArcsec, solar_north, sun_direction};
-use solaspect::pointing_history::PointingHistory;
+use solaspect::pointing_history::{Invalid, PointingHistory};
 use solaspect::simulate::earth::SwingingGondola;
 use solaspect::simulate::navigation::TelescopeFlight;
 use solaspect::simulate::{FORT_SUMNER, FlightScenes, Gondola, Trajectory};
@@ -437,7 +437,7 @@ fn follow_from_them(folder: &Path, history: &PointingHistory) {
         assert!((across[n] - sine.asin().to_degrees()).abs() * 3600.0 < 0.05);
         let above_deg = sight.horizontal.elevation_deg - sun.elevation_deg;
         assert!((up[n] - above_deg).abs() * 3600.0 < 0.05);
-        assert_eq!(valid[n], pointed.is_valid());
+        assert_eq!(valid[n], pointed.invalid != Some(Invalid::Contradicted));
         known += 1;
     }
     assert!(known > times_s.len() / 2);

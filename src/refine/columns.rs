@@ -136,7 +136,7 @@ pub const STABILISATION_COLUMNS: &[Column<StabilisationRow>] = &[
     float("VAR_XEL_DEG2", "deg2", "variance across, random part", |r| offset(r, |o| o.covariance_deg2[(0, 0)])),
     float("VAR_EL_DEG2", "deg2", "variance in elevation, random part", |r| offset(r, |o| o.covariance_deg2[(1, 1)])),
     float("COV_XEL_EL_DEG2", "deg2", "covariance of OFFSET_XEL_DEG and OFFSET_EL_DEG", |r| offset(r, |o| o.covariance_deg2[(0, 1)])),
-    logical("VALID", "whether the offset may be used, as POINTING says", |r| r.is_valid),
+    logical("VALID", "whether the offset is known, and no camera contradicts the gyros", |r| r.is_valid),
 ];
 
 #[cfg(test)]

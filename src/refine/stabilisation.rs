@@ -4,7 +4,7 @@ use super::history::History;
 use crate::geometry::earth::geodetic;
 use crate::observe::JournalError;
 use crate::pointing::{Difference, difference};
-use crate::pointing_history::{Pointed, PointingHistory};
+use crate::pointing_history::{Invalid, Pointed, PointingHistory};
 use crate::sky::Ephemeris;
 use crate::units::{ARCSEC_PER_RAD, Place};
 use jiff::Timestamp;
@@ -22,7 +22,7 @@ pub struct StabilisationRow {
     pub unix_s: f64,
     /// None where the pointing or the target is not known.
     pub offset: Option<StableOffset>,
-    /// Whether the pointing is valid.
+    /// Whether it is known, and nothing contradicts it. A slew and a large sigma, which is given, are no reason against it.
     pub is_valid: bool,
 }
 
@@ -82,7 +82,7 @@ pub fn stabilisation(
             StabilisationRow {
                 unix_s,
                 offset,
-                is_valid: pointed.is_valid() && offset.is_some(),
+                is_valid: offset.is_some() && pointed.invalid != Some(Invalid::Contradicted),
             }
         });
         rows.collect::<Vec<_>>()
