@@ -75,7 +75,10 @@ class Pointing:
 
         # sunpy takes observers in a row, and no other array of them.
         shape = self.hpln.shape
-        row = (lambda values: values.ravel()) if len(shape) > 1 else (lambda values: values)
+
+        def row(values: Any) -> Any:
+            return values.ravel() if len(shape) > 1 else values
+
         time = row(self.time)
         observer = SkyCoord(row(self.location).get_itrs(time))
         coord = SkyCoord(row(self.hpln), row(self.hplt), frame=Helioprojective(observer=observer, obstime=time))
