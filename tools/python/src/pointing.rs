@@ -9,6 +9,9 @@ use pyo3::types::PyDict;
 use solaspect::pointing_history::{self, Limits, Pointed, Sight};
 use std::path::PathBuf;
 
+/// What of a sight has a name in Python.
+type Named<T> = (&'static str, fn(&Sight) -> T);
+
 /// The pointing of a refined flight as a function of time.
 #[pyclass(frozen, module = "solaspect")]
 pub struct PointingHistory {
@@ -57,7 +60,7 @@ impl PointingHistory {
         });
         let sights: Vec<Option<&Sight>> = pointed.iter().map(|one| one.sight.as_ref()).collect();
         let found = PyDict::new(py);
-        let columns: [(&str, fn(&Sight) -> f64); 6] = [
+        let columns: [Named<f64>; 6] = [
             ("hpln", |sight| sight.helioprojective_arcsec.x),
             ("hplt", |sight| sight.helioprojective_arcsec.y),
             ("north_angle", |sight| sight.north_angle_deg),
@@ -69,7 +72,7 @@ impl PointingHistory {
             let values = sights.iter().map(|sight| sight.map_or(f64::NAN, value));
             found.set_item(name, PyArray1::from_iter(py, values))?;
         }
-        let matrices: [(&str, fn(&Sight) -> Matrix3<f64>); 2] = [
+        let matrices: [Named<Matrix3<f64>>; 2] = [
             ("random", |sight| sight.random_arcsec2),
             ("systematic", |sight| sight.systematic_arcsec2),
         ];
