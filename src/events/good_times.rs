@@ -1,12 +1,10 @@
 //! Good time intervals: when the telescope observed, and its pointing is valid.
 
 use super::times::{Counted, Keywords};
-use crate::fits::{DiskFile, DiskHdu, DiskTable, FileError, Inward, NumberColumn, Problem};
+use crate::fits::{AmendedTable, DiskHdu, FileError, Inward, NumberColumn, Problem};
 
-/// A table of good time intervals.
-pub struct GoodTimes<'a> {
-    hdu: &'a DiskHdu,
-    pub table: DiskTable,
+/// The columns of good time intervals.
+pub struct GoodTimes {
     start: End,
     stop: End,
 }
@@ -17,11 +15,9 @@ struct End {
     counted: Counted,
 }
 
-/// Intervals of a table, and how long they are together.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Intersected {
-    /// The new rows of the table.
-    pub rows: Vec<u8>,
+/// How long the intervals of a table are together, without and with a valid pointing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Lengths {
     pub before_s: f64,
     pub after_s: f64,
 }
@@ -29,85 +25,104 @@ pub struct Intersected {
 /// Whether an extension holds good time intervals.
 pub fn are_in(hdu: &DiskHdu) -> bool {
     let name = hdu.name().to_ascii_uppercase();
-    hdu.is_table() && (name == "GTI" || name.starts_with("STDGTI") || hdu.says("HDUCLAS1", "GTI"))
+    hdu.is_table && (name == "GTI" || name.starts_with("STDGTI") || hdu.says("HDUCLAS1", "GTI"))
 }
 
-impl<'a> GoodTimes<'a> {
-    /// The table in an extension. Its times are counted as its keywords say, or as the photons' where it has none.
+impl GoodTimes {
+    /// The columns in an extension. Its times are counted as its keywords say, or as the photons' where it has none.
     ///
     /// # Errors
     /// A table without START and STOP; keywords that are none.
-    pub fn of(hdu: &'a DiskHdu, primary: &DiskHdu, photons: Counted) -> Result<Self, Problem> {
+    pub fn of(hdu: &DiskHdu, primary: &DiskHdu, photons: Counted) -> Result<Self, Problem> {
         let keywords = Keywords {
             own: &hdu.header,
             primary: &primary.header,
         };
         let counted = keywords.counted(photons.scale)?.unwrap_or(photons);
-        let table = hdu.table()?;
         let end = |name: &str| {
-            let column = hdu.column(&table, name)?;
+            let column = hdu.column(name)?;
             let counted = counted.in_unit(&format!("unit of {name}"), column.unit.as_deref())?;
             Ok(End { column, counted })
         };
         Ok(Self {
-            hdu,
             start: end("START")?,
             stop: end("STOP")?,
-            table,
         })
     }
 
-    /// The parts of the intervals in which the pointing is valid. Each part has the row of its interval, whose other columns stay as they are.
+    /// Leaves of a table's intervals the parts in which the pointing is valid. Each part has the row of its interval, whose other columns stay
+    /// as they are.
     ///
     /// # Errors
-    /// A file that cannot be read.
-    pub fn intersected(
+    /// A table that cannot be read or written.
+    pub fn intersect(
         &self,
-        file: &DiskFile,
+        table: &mut AmendedTable,
         valid: &[[f64; 2]],
-    ) -> Result<Intersected, FileError> {
-        let all = file.rows(self.hdu, &self.table)?;
-        let mut found = Intersected {
-            rows: Vec::new(),
-            before_s: 0.0,
-            after_s: 0.0,
-        };
-        for row in all.chunks_exact(self.table.row_bytes.max(1)) {
-            let Some(own) = self.interval(row) else {
-                continue;
-            };
-            found.before_s += own[1] - own[0];
-            for part in common(own, valid) {
-                let mut row = row.to_vec();
-                self.start.put(part[0], own[0], Inward::Up, &mut row);
-                self.stop.put(part[1], own[1], Inward::Down, &mut row);
-                if let Some([start, stop]) = self.interval(&row) {
-                    found.after_s += stop - start;
-                    found.rows.extend(row);
-                }
-            }
+    ) -> Result<Lengths, FileError> {
+        let bytes = table.bytes()?;
+        let rows = bytes.chunks_exact((table.row_bytes()? as usize).max(1));
+        let before = self.intervals(table)?;
+        let own = before
+            .iter()
+            .zip(rows)
+            .filter_map(|(interval, row)| Some(((*interval)?, row)));
+        let parts: Vec<_> = own
+            .flat_map(|(own, row)| common(own, valid).map(move |part| (row, own, part)))
+            .collect();
+        table.set_rows(parts.len() as u64)?;
+        for (n, (row, own, part)) in (1..).zip(&parts) {
+            table.put_bytes(n, 0, row)?;
+            self.start.put(table, n, part[0], own[0], Inward::Up)?;
+            self.stop.put(table, n, part[1], own[1], Inward::Down)?;
         }
-        Ok(found)
+        let after = self.intervals(table)?;
+        // An interval may be shorter than what its columns can tell apart.
+        for row in (1..=after.len())
+            .rev()
+            .filter(|row| after[row - 1].is_none())
+        {
+            table.delete_row(row as u64)?;
+        }
+        let length =
+            |all: &[Option<[f64; 2]>]| all.iter().flatten().map(|[start, stop]| stop - start).sum();
+        Ok(Lengths {
+            before_s: length(&before),
+            after_s: length(&after),
+        })
     }
 
     /// UTC, s since 1970; `None` of a row without one that lasts.
-    fn interval(&self, row: &[u8]) -> Option<[f64; 2]> {
-        let [start, stop] = [self.start.get(row)?, self.stop.get(row)?];
-        (stop > start && (stop - start).is_finite()).then_some([start, stop])
+    fn intervals(&self, table: &mut AmendedTable) -> Result<Vec<Option<[f64; 2]>>, FileError> {
+        let [starts, stops] = [self.start.read(table)?, self.stop.read(table)?];
+        let interval = |(start, stop): (Option<f64>, Option<f64>)| {
+            let [start, stop] = [start?, stop?];
+            (stop > start && (stop - start).is_finite()).then_some([start, stop])
+        };
+        Ok(starts.into_iter().zip(stops).map(interval).collect())
     }
 }
 
 impl End {
-    fn get(&self, row: &[u8]) -> Option<f64> {
-        self.counted.unix_s(self.column.get(row)?)
+    /// UTC, s since 1970.
+    fn read(&self, table: &mut AmendedTable) -> Result<Vec<Option<f64>>, FileError> {
+        let mut times = vec![0.0; table.rows()? as usize];
+        table.read(&self.column, 1, &mut times)?;
+        let unix_s = |time| self.counted.unix_s(time);
+        Ok(times.into_iter().map(unix_s).collect())
     }
 
     /// Puts a time into a row, unless it is the one that stands there.
-    fn put(&self, unix_s: f64, own_s: f64, inward: Inward, row: &mut [u8]) {
+    fn put(
+        &self,
+        table: &mut AmendedTable,
+        row: u64,
+        unix_s: f64,
+        own_s: f64,
+        inward: Inward,
+    ) -> Result<(), FileError> {
         let time = self.counted.time(unix_s).filter(|_| unix_s != own_s);
-        if let Some(time) = time {
-            self.column.put(time, inward, row);
-        }
+        time.map_or(Ok(()), |time| table.put(&self.column, row, time, inward))
     }
 }
 

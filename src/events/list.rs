@@ -6,17 +6,18 @@ use super::times::{Counted, Keywords};
 use crate::clock::Scale;
 use crate::columns;
 use crate::files;
-use crate::fits::{DiskFile, DiskHdu, DiskTable, FileError, Problem};
+use crate::fits::{DiskFile, DiskHdu, FileError, Problem};
 use flate2::read::MultiGzDecoder;
 use std::fs::File;
 use std::path::Path;
+use tempfile::NamedTempFile;
 
 /// An open event list.
 pub struct EventList {
     pub file: DiskFile,
     /// Which HDU has the photons.
     pub photons: usize,
-    pub table: DiskTable,
+    pub rows: u64,
     /// How the keywords beside the photons count times.
     pub counted: Counted,
     pub measured: Measured,
@@ -44,16 +45,14 @@ impl EventList {
             let counted = keywords.counted(Scale::Utc)?.ok_or_else(|| {
                 Problem::field("MJDREF", "a day, here or in MJDREFI and MJDREFF", "none")
             })?;
-            let table = hdu.table()?;
-            refuse_columns(&table)?;
-            let measured = Measured::of(hdu, &table, detectors, counted)?;
-            Ok((counted, table, measured))
+            refuse_columns(hdu)?;
+            Ok((counted, hdu.rows()?, Measured::of(hdu, detectors, counted)?))
         };
-        let (counted, table, measured) =
+        let (counted, rows, measured) =
             read().map_err(|problem: Problem| problem.within(&hdu.name()))?;
         Ok(Self {
             photons,
-            table,
+            rows,
             counted,
             measured,
             file,
@@ -90,12 +89,13 @@ fn open(path: &Path, folder: &Path) -> Result<DiskFile, FileError> {
     let packed = files::open_regular(path).map_err(unread)?;
     let magic = files::read_start(path, 2).map_err(unread)?;
     if magic != [0x1f, 0x8b] {
-        return DiskFile::of(packed, path);
+        return DiskFile::open(path, path);
     }
-    let plain = tempfile::tempfile_in(folder);
+    let plain = NamedTempFile::with_prefix_in(".events-", folder);
     let mut plain = plain.map_err(|cause| columns::refused(folder, cause))?;
-    unpack(packed, &mut plain).map_err(refused)?;
-    DiskFile::of(plain, path)
+    unpack(packed, plain.as_file_mut()).map_err(refused)?;
+    // It is open, and may go from the folder.
+    DiskFile::open(plain.path(), path)
 }
 
 fn unpack(packed: File, plain: &mut File) -> Result<(), Problem> {
@@ -108,11 +108,11 @@ fn unpack(packed: File, plain: &mut File) -> Result<(), Problem> {
 
 /// The table with the photons: EVENTS, else the only one that has times.
 fn photons_hdu(file: &DiskFile, time: &str) -> Result<usize, Problem> {
-    let tables = || (0..).zip(file.hdus()).filter(|(_, hdu)| hdu.is_table());
+    let tables = || (0..).zip(file.hdus()).filter(|(_, hdu)| hdu.is_table);
     if let Some((n, _)) = tables().find(|(_, hdu)| hdu.says("EXTNAME", "EVENTS")) {
         return Ok(n);
     }
-    let has_times = |hdu: &DiskHdu| hdu.table().is_ok_and(|table| table.has(time));
+    let has_times = |hdu: &DiskHdu| hdu.columns().is_ok_and(|columns| is_among(time, &columns));
     let timed = tables().filter(|(_, hdu)| has_times(hdu));
     let timed: Vec<usize> = timed.map(|(n, _)| n).collect();
     match timed[..] {
@@ -124,12 +124,20 @@ fn photons_hdu(file: &DiskFile, time: &str) -> Result<usize, Problem> {
     }
 }
 
+/// Whether a column is among others, in capitals or not.
+fn is_among(name: &str, columns: &[String]) -> bool {
+    let mut columns = columns.iter();
+    columns.any(|column| column.eq_ignore_ascii_case(name))
+}
+
 /// Refuses a table that has columns of the names that are added.
-fn refuse_columns(table: &DiskTable) -> Result<(), Problem> {
-    match PHOTON_COLUMNS.iter().find(|ours| table.has(ours.name)) {
+fn refuse_columns(hdu: &DiskHdu) -> Result<(), Problem> {
+    let columns = hdu.columns()?;
+    let mut ours = PHOTON_COLUMNS.iter().map(|ours| ours.name);
+    match ours.find(|ours| is_among(ours, &columns)) {
         None => Ok(()),
         Some(ours) => Err(Problem::field(
-            format!("column {}", ours.name),
+            format!("column {ours}"),
             "none of this name, which is added",
             "one",
         )),

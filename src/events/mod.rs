@@ -18,7 +18,7 @@ pub use detectors::{Detectors, FromBoresight, PhotonColumns};
 pub use photons::{PHOTON_COLUMNS, Photon, Place};
 
 use crate::columns::{self, Widths};
-use crate::fits::{Amended, DiskHdu, FileError, Problem};
+use crate::fits::{AmendedTable, CellForm, DiskHdu, FileError, Problem, StoredColumn, StoredRow};
 use crate::instrument::TomlError;
 use crate::observe::Watch;
 use crate::pointing_history::{POINTING_FILE, PointingHistory, StoreError};
@@ -27,11 +27,12 @@ use good_times::{GoodTimes, common};
 use list::EventList;
 use std::collections::BTreeMap;
 use std::fs::{self, Permissions};
+use std::io::BufWriter;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
-/// After so many photons a watch is shown a step.
+/// Photons that are read at a time, after which a watch is shown a step.
 const STEP: u64 = 1000;
 
 /// The files of a run.
@@ -102,7 +103,7 @@ pub fn place_photons(files: Files<'_>, watch: &dyn Watch) -> Result<Placed, Even
         placed: Placed::default(),
         span: None,
     };
-    watch.begin(list.table.rows.div_ceil(STEP) as usize, "thousand photons");
+    watch.begin(list.rows.div_ceil(STEP) as usize, "thousand photons");
     let written = run.write(&part);
     watch.end();
     written?;
@@ -166,25 +167,36 @@ struct Run<'a> {
 
 impl Run<'_> {
     fn write(&mut self, part: &NamedTempFile) -> Result<(), EventsError> {
-        let unwritten = |cause| columns::refused(self.files.out, cause);
+        let out = self.files.out;
+        let unwritten = |cause| columns::refused(out, cause);
         let file = part.as_file().try_clone().map_err(unwritten)?;
-        let list = self.list;
-        let mut copy = Amended::new(&list.file, file, self.files.out);
+        let mut copy = BufWriter::with_capacity(1 << 20, file);
+        let from = &self.list.file;
         let history = self.provenance()?;
         let valid = self.history.valid_intervals();
-        for (n, hdu) in list.file.hdus().iter().enumerate() {
-            if n == list.photons {
-                self.write_photons(&mut copy, &history)?;
-            } else if good_times::are_in(hdu) {
-                self.write_good_times(&mut copy, hdu, &valid, &history)?;
-            } else {
-                copy.copy(hdu)?;
+        for (n, hdu) in from.hdus().iter().enumerate() {
+            if n != self.list.photons && !good_times::are_in(hdu) {
+                from.copy(hdu, &mut copy)?;
+                continue;
             }
+            let mut table = from.amended(hdu, folder_of(out))?;
+            match n == self.list.photons {
+                true => self.place(&mut table)?,
+                false => self.intersect(&mut table, hdu, &valid)?,
+            }
+            table.history(&history)?;
+            table.finish(&mut copy)?;
         }
         if self.placed.exposures.is_empty() {
-            self.add_good_times(&mut copy, &valid, &history)?;
+            let mut table = self.good_times(&valid)?;
+            table.history(&history)?;
+            table.finish(&mut copy)?;
         }
-        Ok(copy.finish()?)
+        from.copy_rest(&mut copy)?;
+        let file = copy
+            .into_inner()
+            .map_err(|error| unwritten(error.into_error()))?;
+        Ok(file.sync_all().map_err(unwritten)?)
     }
 
     /// Lines of HISTORY: which program, and from what.
@@ -199,64 +211,53 @@ impl Run<'_> {
         ])
     }
 
-    fn write_photons(
-        &mut self,
-        copy: &mut Amended<'_>,
-        history: &[String],
-    ) -> Result<(), EventsError> {
-        let list = self.list;
+    /// Adds the photons' places to their table.
+    fn place(&mut self, table: &mut AmendedTable) -> Result<(), EventsError> {
+        let (measured, rows) = (&self.list.measured, self.list.rows);
         let widths = Widths::new(PHOTON_COLUMNS);
-        let heads = columns::stored_columns(PHOTON_COLUMNS, &widths);
-        copy.widen(list.hdu(), &list.table, &heads, history, |row, stored| {
-            let photon = list.measured.place(row, &self.detectors, &self.history);
-            let photon = photon.map_err(|problem| self.within_row(problem))?;
-            columns::store(PHOTON_COLUMNS, &widths, &photon, stored);
-            self.count(&photon)
-        })
+        let behind = table.row_bytes()?;
+        table.add_columns(&columns::stored_columns(PHOTON_COLUMNS, &widths))?;
+        let mut stored = StoredRow::default();
+        for first in (1..=rows).step_by(STEP as usize) {
+            let count = STEP.min(rows + 1 - first) as usize;
+            for (n, row) in (first..).zip(measured.read(table, first, count)?) {
+                let photon = measured.place(&row, &self.detectors, &self.history);
+                let photon = photon.map_err(|problem| self.within_row(n, problem))?;
+                stored.clear();
+                columns::store(PHOTON_COLUMNS, &widths, &photon, &mut stored);
+                table.put_bytes(n, behind, stored.bytes())?;
+                self.placed.count(&photon);
+                self.span = photon.unix_s.map_or(self.span, |time_s| {
+                    let [first, last] = self.span.unwrap_or([time_s; 2]);
+                    Some([first.min(time_s), last.max(time_s)])
+                });
+            }
+            self.watch.step();
+            if self.watch.is_cancelled() {
+                let out = self.files.out.into();
+                return Err(EventsError::Cancelled { out });
+            }
+        }
+        Ok(())
     }
 
     /// Names the row that is at fault.
-    fn within_row(&self, problem: Problem) -> FileError {
-        let row = self.placed.photons + 1;
+    fn within_row(&self, row: u64, problem: Problem) -> FileError {
         let table = format!("{}, row {row}", self.list.hdu().name());
         problem.within(&table).in_file(self.files.events)
     }
 
-    fn count(&mut self, photon: &Photon) -> Result<(), EventsError> {
-        let placed = &mut self.placed;
-        placed.photons += 1;
-        match photon.invalid {
-            None => placed.valid += 1,
-            Some(why) => *placed.invalid.entry(why).or_default() += 1,
-        }
-        if let Some(time_s) = photon.unix_s {
-            let [first, last] = self.span.unwrap_or([time_s; 2]);
-            self.span = Some([first.min(time_s), last.max(time_s)]);
-        }
-        if !placed.photons.is_multiple_of(STEP) {
-            return Ok(());
-        }
-        self.watch.step();
-        match self.watch.is_cancelled() {
-            false => Ok(()),
-            true => Err(EventsError::Cancelled {
-                out: self.files.out.into(),
-            }),
-        }
-    }
-
-    fn write_good_times(
+    /// Leaves of good time intervals what has a valid pointing.
+    fn intersect(
         &mut self,
-        copy: &mut Amended<'_>,
+        table: &mut AmendedTable,
         hdu: &DiskHdu,
         valid: &[[f64; 2]],
-        history: &[String],
-    ) -> Result<(), EventsError> {
-        let list = self.list;
-        let times = GoodTimes::of(hdu, list.primary(), list.counted)
-            .map_err(|problem| problem.within(&hdu.name()).in_file(self.files.events))?;
-        let found = times.intersected(&list.file, valid)?;
-        copy.replace(hdu, &times.table, &found.rows, history)?;
+    ) -> Result<(), FileError> {
+        let times = GoodTimes::of(hdu, self.list.primary(), self.list.counted);
+        let times =
+            times.map_err(|problem| problem.within(&hdu.name()).in_file(self.files.events))?;
+        let found = times.intersect(table, valid)?;
         self.placed.exposures.push(Exposure {
             extension: hdu.name(),
             before_s: found.before_s,
@@ -265,36 +266,58 @@ impl Run<'_> {
         Ok(())
     }
 
-    /// Adds good time intervals to a file that has none: between TSTART and TSTOP, or else the first and the last photon.
-    fn add_good_times(
-        &mut self,
-        copy: &mut Amended<'_>,
-        valid: &[[f64; 2]],
-        history: &[String],
-    ) -> Result<(), EventsError> {
-        let list = self.list;
+    /// Good time intervals of a file that has none: between TSTART and TSTOP, or else the first and the last photon.
+    fn good_times(&mut self, valid: &[[f64; 2]]) -> Result<AmendedTable, FileError> {
+        const NAME: &str = "GTI";
+        let (list, counted) = (self.list, self.list.counted);
+        let photons = list.hdu();
         let stated = list.stated_span();
-        let stated = stated.map_err(|problem| {
-            problem
-                .within(&list.hdu().name())
-                .in_file(self.files.events)
-        })?;
+        let stated =
+            stated.map_err(|problem| problem.within(&photons.name()).in_file(self.files.events))?;
         let span = stated.or(self.span).unwrap_or([0.0, 0.0]);
         let parts: Vec<[f64; 2]> = common(span, valid).collect();
-        let time = |unix_s| list.counted.time(unix_s).unwrap_or(f64::NAN);
-        let rows: Vec<[f64; 2]> = parts.iter().map(|part| part.map(time)).collect();
-        let unit = list.counted.unit();
-        let columns = [
-            ("START", unit, "begin of a good time interval"),
-            ("STOP", unit, "its end"),
-        ];
-        let headers = [list.hdu(), list.primary()];
-        copy.add("GTI", columns, &rows, (times::KEYWORDS, &headers), history)?;
+
+        let mut table = AmendedTable::create(NAME, self.files.out, folder_of(self.files.out))?;
+        let column = |name, meaning| StoredColumn {
+            name,
+            unit: counted.unit(),
+            meaning,
+            form: CellForm::Float,
+        };
+        table.add_columns(&[
+            column("START", "begin of a good time interval"),
+            column("STOP", "its end"),
+        ])?;
+        for keyword in times::KEYWORDS {
+            let cards = [photons, list.primary()].map(|hdu| hdu.card(keyword));
+            if let Some(card) = cards.into_iter().flatten().next() {
+                table.card(card)?;
+            }
+        }
+        table.set_rows(parts.len() as u64)?;
+        let mut stored = StoredRow::default();
+        for (n, part) in (1..).zip(&parts) {
+            stored.clear();
+            for end in part {
+                stored.float(counted.time(*end));
+            }
+            table.put_bytes(n, 0, stored.bytes())?;
+        }
         self.placed.exposures.push(Exposure {
-            extension: "GTI".into(),
+            extension: NAME.into(),
             before_s: span[1] - span[0],
             after_s: parts.iter().map(|[start, stop]| stop - start).sum(),
         });
-        Ok(())
+        Ok(table)
+    }
+}
+
+impl Placed {
+    fn count(&mut self, photon: &Photon) {
+        self.photons += 1;
+        match photon.invalid {
+            None => self.valid += 1,
+            Some(why) => *self.invalid.entry(why).or_default() += 1,
+        }
     }
 }

@@ -3,7 +3,7 @@
 use super::detectors::{Detectors, FromBoresight};
 use super::times::Counted;
 use crate::columns::{Column, float, logical};
-use crate::fits::{DiskHdu, DiskTable, NumberColumn, Problem};
+use crate::fits::{AmendedTable, DiskHdu, FileError, NumberColumn, Problem};
 use crate::pointing::HelioprojectiveArcsec;
 use crate::pointing_history::{PointingHistory, Sight};
 use nalgebra::{Matrix2x3, Matrix3, UnitVector3, Vector3};
@@ -55,25 +55,51 @@ pub struct Measured {
     counted: Counted,
 }
 
+/// What a row says of a photon; NaN where it says nothing.
+pub struct Row {
+    time: f64,
+    position: [f64; 2],
+    id: Option<f64>,
+}
+
 impl Measured {
     /// # Errors
     /// A column that the table has not.
-    pub fn of(
-        hdu: &DiskHdu,
-        table: &DiskTable,
-        detectors: &Detectors,
-        counted: Counted,
-    ) -> Result<Self, Problem> {
-        let column = |name: &str| hdu.column(table, name);
+    pub fn of(hdu: &DiskHdu, detectors: &Detectors, counted: Counted) -> Result<Self, Problem> {
         let names = &detectors.columns;
-        let time = column(&names.time)?;
+        let time = hdu.column(&names.time)?;
         Ok(Self {
             counted: counted.in_unit(&format!("unit of {}", time.name), time.unit.as_deref())?,
             time,
-            x: column(&names.x)?,
-            y: column(&names.y)?,
-            id: names.id.as_deref().map(column).transpose()?,
+            x: hdu.column(&names.x)?,
+            y: hdu.column(&names.y)?,
+            id: names.id.as_deref().map(|id| hdu.column(id)).transpose()?,
         })
+    }
+
+    /// Photons of so many rows, from one on.
+    ///
+    /// # Errors
+    /// A table that cannot be read.
+    pub fn read(
+        &self,
+        table: &mut AmendedTable,
+        first: u64,
+        count: usize,
+    ) -> Result<impl Iterator<Item = Row> + use<>, FileError> {
+        let mut numbers = |column: &NumberColumn| {
+            let mut numbers = vec![0.0; count];
+            let read = table.read(column, first, &mut numbers);
+            read.map(|()| numbers)
+        };
+        let (times, x, y) = (numbers(&self.time)?, numbers(&self.x)?, numbers(&self.y)?);
+        let ids = self.id.as_ref().map(numbers).transpose()?;
+        let row = move |n: usize| Row {
+            time: times[n],
+            position: [x[n], y[n]],
+            id: ids.as_ref().map(|ids| ids[n]).filter(|id| !id.is_nan()),
+        };
+        Ok((0..count).map(row))
     }
 
     /// Puts the photon of a row on the Sun.
@@ -82,15 +108,13 @@ impl Measured {
     /// The id of no detector.
     pub fn place(
         &self,
-        row: &[u8],
+        row: &Row,
         detectors: &Detectors,
         history: &PointingHistory,
     ) -> Result<Photon, Problem> {
-        let id = self.id.as_ref().and_then(|column| column.get(row));
-        let position = [&self.x, &self.y].map(|column| column.get(row).unwrap_or(f64::NAN));
-        let located = detectors.locate(id, position);
-        let located = located.ok_or_else(|| self.unknown(id, detectors))?;
-        let time = self.time.get(row).filter(|time| time.is_finite());
+        let located = detectors.locate(row.id, row.position);
+        let located = located.ok_or_else(|| self.unknown(row.id, detectors))?;
+        let time = Some(row.time).filter(|time| time.is_finite());
         let unix_s = time.and_then(|time| self.counted.unix_s(time));
         let Some(at) = unix_s else {
             return Ok(Photon {

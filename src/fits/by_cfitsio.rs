@@ -2,8 +2,10 @@
 //!
 //! A name is that of a file on disk: cfitsio's extended names, which may name filters, other machines or programs, are not understood.
 
+use super::Problem;
 use fitsio::errors::{Error, FitsError};
-use fitsio::{FileOpenMode, FitsFile, sys};
+use fitsio::sys::{self, fitsfile};
+use fitsio::{FileOpenMode, FitsFile};
 use std::ffi::CString;
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
@@ -31,6 +33,24 @@ pub fn open_disk_file(path: &Path, mode: FileOpenMode) -> Result<FitsFile, Error
             }
             .into()),
         }
+    }
+}
+
+/// What a call of cfitsio gives, which is given the open file and a place for its status; `action` is what it was to do.
+pub(super) fn called<T>(
+    file: &mut FitsFile,
+    action: &str,
+    call: impl FnOnce(*mut fitsfile, &mut i32) -> T,
+) -> Result<T, Problem> {
+    let mut status = 0;
+    // SAFETY: the pointer is that of an open file, and is not used when the call is over.
+    let given = call(unsafe { file.as_raw() }, &mut status);
+    match status {
+        0 => Ok(given),
+        status => Err(Problem::content(
+            format!("cfitsio to {action}"),
+            format!("\"{}\"", message(status)),
+        )),
     }
 }
 

@@ -1,18 +1,20 @@
-//! A FITS file of any size whose data stay on disk: its HDUs by their headers, and the tables among them.
+//! A FITS file of any size whose data stay on disk: its HDUs, which are copied as they are, or one at a time as a table that is amended.
 
+use super::by_cfitsio::{called, open_disk_file};
 use super::form::Form;
 use super::header::CARD;
-use super::number_column::NumberColumn;
-use super::structure::{BLOCK, data_size};
-use super::{FileError, Header, Problem, checked_fits};
+use super::structure::data_size;
+use super::{FileError, Header, Problem, Value, checked_fits};
 use crate::files;
+use fitsio::{FileOpenMode, FitsFile, sys};
 use std::fs::File;
-use std::io::{self, ErrorKind};
+use std::io::{self, Seek, SeekFrom, Write};
+use std::ops::Range;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 /// The longest header that is read, bytes.
-const MOST_HEADER: usize = 16 << 20;
+const MOST_HEADER: u64 = 16 << 20;
 
 /// A FITS file, open to be read.
 #[derive(Debug)]
@@ -23,61 +25,92 @@ pub struct DiskFile {
     hdus: Vec<DiskHdu>,
 }
 
-/// A header, and where its data are.
+/// A header, and where its HDU is.
 #[derive(Debug)]
 pub struct DiskHdu {
     pub header: Header,
     /// The header as it stands, with its END and fill.
-    pub(super) cards: Vec<u8>,
-    pub(super) start: u64,
-    /// Of its data, without the fill of their last block.
-    pub(super) data: u64,
-    pub(super) data_bytes: u64,
+    cards: Vec<u8>,
+    /// With the fill of the last block, which the end of a file may lack.
+    bytes: Range<u64>,
+    /// Whether it is a binary table, and no compressed image.
+    pub is_table: bool,
 }
 
-/// How the rows of a binary table are laid out.
-#[derive(Debug, Clone)]
-pub struct DiskTable {
-    pub rows: u64,
-    pub row_bytes: usize,
-    pub columns: Vec<String>,
-    starts: Vec<usize>,
+/// A column with one number in each row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NumberColumn {
+    /// From 1 on.
+    pub(super) number: i32,
+    /// As TTYPEn has it.
+    pub name: String,
+    /// As TUNITn has it.
+    pub unit: Option<String>,
 }
 
 impl DiskFile {
-    /// Reads the headers of a file. Names are those of files on disk, whatever characters they have.
+    /// Reads the headers of a file; messages name it by `shown`. Names are those of files on disk, whatever characters they have.
     ///
     /// # Errors
     /// A file that cannot be read, is no FITS file, or is shorter than its headers promise.
-    pub fn open(path: &Path) -> Result<Self, FileError> {
-        let file = files::open_regular(path);
-        let file = file.map_err(|unread| Problem::of_unread(unread).in_file(path))?;
-        Self::of(file, path)
+    pub fn open(path: &Path, shown: &Path) -> Result<Self, FileError> {
+        Self::read(path, shown).map_err(|problem| problem.in_file(shown))
     }
 
-    /// The same of an open file; messages name it by the path.
-    ///
-    /// # Errors
-    /// As [`open`](Self::open).
-    pub fn of(file: File, path: &Path) -> Result<Self, FileError> {
-        Self::read(file, path).map_err(|problem| problem.in_file(path))
-    }
-
-    fn read(file: File, path: &Path) -> Result<Self, Problem> {
+    fn read(path: &Path, shown: &Path) -> Result<Self, Problem> {
+        let file = files::open_regular(path).map_err(Problem::of_unread)?;
         let mut found = Self {
-            path: path.into(),
+            path: shown.into(),
             bytes: file.metadata().map_err(Problem::unread)?.len(),
             file,
             hdus: Vec::new(),
         };
-        checked_fits(&found.at_most(0, CARD)?, "a FITS file")?;
-        let mut at = 0;
-        while at == 0 || found.at_most(at, 8)? == b"XTENSION" {
-            let hdu = found.hdu_at(at)?;
-            at = hdu.end();
+        checked_fits(&found.at_most(0, CARD as u64)?, "a FITS file")?;
+        let opened = open_disk_file(path, FileOpenMode::READONLY);
+        let mut by_cfitsio =
+            opened.map_err(|cause| Problem::content("a FITS file", cause.to_string()))?;
+        let mut end = 0;
+        // What follows the last HDU and is no extension is no part of the file's content (FITS 4.0, 3.5).
+        while end == 0 || found.at_most(end, 8)? == b"XTENSION" {
+            let hdu = found.next_hdu(&mut by_cfitsio)?;
+            end = hdu.bytes.end;
             found.hdus.push(hdu);
         }
         Ok(found)
+    }
+
+    /// The HDU behind those that are known.
+    fn next_hdu(&self, file: &mut FitsFile) -> Result<DiskHdu, Problem> {
+        let number = self.hdus.len() as i32 + 1;
+        let (mut kind, mut start, mut data, mut end) = (0, 0, 0, 0);
+        called(file, &format!("find HDU {number}"), |file, status| {
+            // SAFETY: all that is pointed to outlives the calls.
+            unsafe {
+                sys::ffmahd(file, number, &raw mut kind, status);
+                sys::ffghadll(file, &raw mut start, &raw mut data, &raw mut end, status)
+            }
+        })?;
+        let [start, data, end] = [start, data, end].map(|place| place as u64);
+        if data - start > MOST_HEADER {
+            let expected = format!("a header of at most {MOST_HEADER} bytes in HDU {number}");
+            return Err(Problem::content(expected, (data - start).to_string()));
+        }
+        let cards = self.at_most(start, data - start)?;
+        let (header, _) = Header::parse(&cards).unwrap_or_default();
+        let (promised, present) = (data_size(&header)?, self.bytes.saturating_sub(data));
+        if promised > present {
+            return Err(Problem::field(
+                "NAXISn",
+                format!("{promised} bytes of data after the header at byte {start}"),
+                format!("{present} before the end of the file"),
+            ));
+        }
+        Ok(DiskHdu {
+            header,
+            cards,
+            bytes: start..end,
+            is_table: kind == sys::BINARY_TBL as i32,
+        })
     }
 
     pub fn path(&self) -> &Path {
@@ -88,95 +121,57 @@ impl DiskFile {
         &self.hdus
     }
 
-    /// Bytes of the file.
-    pub(super) fn bytes(&self) -> u64 {
-        self.bytes
-    }
-
-    fn hdu_at(&self, start: u64) -> Result<DiskHdu, Problem> {
-        let cards = self.header_at(start)?;
-        let (header, _) = Header::parse(&cards).unwrap_or_default();
-        let data = start + cards.len() as u64;
-        let data_bytes = data_size(&header)?;
-        let present = self.bytes - data;
-        if data_bytes > present {
-            return Err(Problem::field(
-                "NAXISn",
-                format!("{data_bytes} bytes of data after the header at byte {start}"),
-                format!("{present} before the end of the file"),
-            ));
-        }
-        Ok(DiskHdu {
-            header,
-            cards,
-            start,
-            data,
-            data_bytes,
-        })
-    }
-
-    /// The blocks of a header.
-    fn header_at(&self, start: u64) -> Result<Vec<u8>, Problem> {
-        let mut header = Vec::new();
-        while header.len() < MOST_HEADER {
-            let block = self.at_most(start + header.len() as u64, BLOCK)?;
-            let ends = |card: &[u8]| card.starts_with(b"END     ");
-            let is_last = block.chunks_exact(CARD).any(ends);
-            let is_whole = block.len() == BLOCK;
-            header.extend(block);
-            match (is_last, is_whole) {
-                (true, _) => return Ok(header),
-                (false, true) => {}
-                (false, false) => break,
-            }
-        }
-        let expected = format!("an END card to close the header at byte {start}");
-        Err(Problem::content(expected, "none"))
-    }
-
     /// So many bytes from a place on, or fewer at the end of the file.
-    fn at_most(&self, start: u64, bytes: usize) -> Result<Vec<u8>, Problem> {
-        let rest = self.bytes.saturating_sub(start);
-        let mut read = vec![0; bytes.min(usize::try_from(rest).unwrap_or(bytes))];
-        self.fill(start, &mut read)?;
-        Ok(read)
+    fn at_most(&self, start: u64, bytes: u64) -> Result<Vec<u8>, Problem> {
+        let mut read = vec![0; bytes.min(self.bytes.saturating_sub(start)) as usize];
+        let filled = self.file.read_exact_at(&mut read, start);
+        filled.map_err(Problem::unread).map(|()| read)
     }
 
-    /// Reads the bytes from a place on.
-    pub(super) fn fill(&self, start: u64, bytes: &mut [u8]) -> Result<(), Problem> {
-        let read = self.file.read_exact_at(bytes, start);
-        read.map_err(|cause| match cause.kind() {
-            ErrorKind::UnexpectedEof => Problem::unread(io::Error::other("it became shorter")),
-            _ => Problem::unread(cause),
-        })
-    }
-
-    /// The rows of a table, for tables that fit into memory.
+    /// Copies an HDU as it is.
     ///
     /// # Errors
-    /// A file that cannot be read.
-    pub fn rows(&self, hdu: &DiskHdu, table: &DiskTable) -> Result<Vec<u8>, FileError> {
-        let bytes = table.rows as usize * table.row_bytes;
-        let rows = self.at_most(hdu.data, bytes);
-        rows.map_err(|problem| problem.in_file(&self.path))
+    /// Bytes that cannot be read or written.
+    pub fn copy(&self, hdu: &DiskHdu, to: &mut impl Write) -> Result<(), FileError> {
+        let Range { start, end } = hdu.bytes;
+        let copied = copy(&self.file, start..end.min(self.bytes), to);
+        // The last block of a file may lack its fill, which what follows needs.
+        let fill = vec![0; end.saturating_sub(self.bytes) as usize];
+        let copied = copied.and_then(|()| to.write_all(&fill).map_err(uncopied));
+        copied.map_err(|problem| problem.in_file(&self.path))
+    }
+
+    /// Copies what follows the last HDU.
+    ///
+    /// # Errors
+    /// Bytes that cannot be read or written.
+    pub fn copy_rest(&self, to: &mut impl Write) -> Result<(), FileError> {
+        let end = self.hdus.last().map_or(0, |hdu| hdu.bytes.end);
+        let copied = copy(&self.file, end.min(self.bytes)..self.bytes, to);
+        copied.map_err(|problem| problem.in_file(&self.path))
     }
 }
 
-impl DiskTable {
-    /// Whether there is a column of this name, in capitals or not.
-    pub fn has(&self, name: &str) -> bool {
-        self.columns
-            .iter()
-            .any(|column| column.eq_ignore_ascii_case(name))
-    }
+/// Copies a part of a file.
+pub(super) fn copy(from: &File, part: Range<u64>, to: &mut impl Write) -> Result<(), Problem> {
+    let mut from = from;
+    let bytes = part.end - part.start;
+    let mut copied = || {
+        from.seek(SeekFrom::Start(part.start))?;
+        match io::copy(&mut io::Read::take(from, bytes), to)? {
+            copied if copied == bytes => Ok(()),
+            _ => Err(io::Error::other("it became shorter")),
+        }
+    };
+    copied().map_err(uncopied)
+}
+
+fn uncopied(cause: io::Error) -> Problem {
+    let action = "copy";
+    Problem::Io { action, cause }
 }
 
 impl DiskHdu {
-    /// Where the next one begins.
-    pub(super) fn end(&self) -> u64 {
-        (self.data + self.data_bytes).next_multiple_of(BLOCK as u64)
-    }
-
     fn text(&self, keyword: &str) -> Option<String> {
         self.header.text(keyword).ok().flatten()
     }
@@ -192,59 +187,80 @@ impl DiskHdu {
         found.is_some_and(|found| found.trim().eq_ignore_ascii_case(text))
     }
 
-    /// Whether it is a binary table, and no compressed image.
-    pub fn is_table(&self) -> bool {
-        self.says("XTENSION", "BINTABLE") && !self.header.contains("ZIMAGE")
-    }
-
-    /// How the rows of the table are laid out.
+    /// Of a table.
     ///
     /// # Errors
-    /// Columns that FITS does not know, or that make other rows than NAXIS1 says.
-    pub fn table(&self) -> Result<DiskTable, Problem> {
-        let header = &self.header;
-        let mut table = DiskTable {
-            rows: header.size("NAXIS2", 0..=i64::MAX)?,
-            row_bytes: header.size("NAXIS1", 0..=i64::MAX)? as usize,
-            columns: Vec::new(),
-            starts: Vec::new(),
+    /// A header that does not say it.
+    pub fn rows(&self) -> Result<u64, Problem> {
+        self.header.size("NAXIS2", 0..=i64::MAX)
+    }
+
+    /// The first card of a keyword.
+    pub fn card(&self, keyword: &str) -> Option<&[u8]> {
+        let cards = self.cards.chunks_exact(CARD);
+        let mut cards = cards.take_while(|card| !card.starts_with(b"END     "));
+        cards.find(|card| card[..8].trim_ascii_end() == keyword.as_bytes())
+    }
+
+    /// The names of a table's columns.
+    ///
+    /// # Errors
+    /// Names that are no texts.
+    pub fn columns(&self) -> Result<Vec<String>, Problem> {
+        let count = self.header.size("TFIELDS", 0..=999)?;
+        let name = |n| {
+            let name = self.header.text(&format!("TTYPE{n}"))?;
+            Ok(name.unwrap_or_default().trim().into())
         };
-        let mut width = 0;
-        for n in 1..=header.size("TFIELDS", 0..=999)? {
-            let keyword = format!("TFORM{n}");
-            let form = header.text(&keyword)?.unwrap_or_default();
-            let bytes = Form::parse(&form).and_then(Form::bytes).ok_or_else(|| {
-                Problem::field(keyword, "the form of a column", format!("'{form}'"))
-            })?;
-            let name = header.text(&format!("TTYPE{n}"))?.unwrap_or_default();
-            table.columns.push(name.trim().into());
-            table.starts.push(width);
-            width += bytes;
-        }
-        if table.row_bytes != width {
-            let expected = format!("{width} bytes, as the columns need");
-            return Err(Problem::field("NAXIS1", expected, table.row_bytes));
-        }
-        let most = self.data_bytes / (width as u64).max(1);
-        if table.rows > most {
-            let expected = format!("at most {most} rows of {width} bytes");
-            return Err(Problem::field("NAXIS2", expected, table.rows));
-        }
-        Ok(table)
+        (1..=count).map(name).collect()
     }
 
     /// The column of numbers of a name, in capitals or not.
     ///
     /// # Errors
     /// None or several of the name, or one that has not one number in each row.
-    pub fn column(&self, table: &DiskTable, name: &str) -> Result<NumberColumn, Problem> {
-        let named = (0..).zip(&table.columns);
-        let mut named = named.filter(|(_, column)| column.eq_ignore_ascii_case(name));
-        let wrong = |found| Problem::field(format!("column {name}"), "one of this name", found);
-        match (named.next(), named.next()) {
-            (Some((n, _)), None) => NumberColumn::of(&self.header, n + 1, table.starts[n]),
-            (Some(_), Some(_)) => Err(wrong("several".into())),
-            (None, _) => Err(wrong(format!("{} only", table.columns.join(", ")))),
+    pub fn column(&self, name: &str) -> Result<NumberColumn, Problem> {
+        let columns = self.columns()?;
+        let field = || format!("column {name}");
+        let wrong = |found: &str| Problem::field(field(), "one of this name", found);
+        let mut named = (1..)
+            .zip(&columns)
+            .filter(|(_, column)| column.eq_ignore_ascii_case(name));
+        let (number, stored) = match (named.next(), named.next()) {
+            (Some(one), None) => one,
+            (Some(_), Some(_)) => return Err(wrong("several")),
+            (None, _) => return Err(wrong(&format!("{} only", columns.join(", ")))),
+        };
+        let text = |keyword| self.header.text(&format!("{keyword}{number}"));
+        let form = text("TFORM")?.unwrap_or_default();
+        let is_number = |form: Form| {
+            form.repeat == 1 && matches!(form.letter, 'B' | 'I' | 'J' | 'K' | 'E' | 'D')
+        };
+        if !Form::parse(&form).is_some_and(is_number) {
+            let expected = "one number in each row (B, I, J, K, E or D)";
+            return Err(Problem::field(field(), expected, format!("'{form}'")));
         }
+        // cfitsio passes over those that it cannot read.
+        for keyword in ["TSCAL", "TZERO"] {
+            self.header.number(&format!("{keyword}{number}"))?;
+        }
+        let null = format!("TNULL{number}");
+        match self.header.get(&null) {
+            None if !self.header.contains(&null) => {}
+            Some(Value::Integer(_)) => {}
+            other => {
+                let found = other.map_or("none".into(), Value::to_string);
+                return Err(Problem::field(
+                    null,
+                    "a whole number without a point",
+                    found,
+                ));
+            }
+        }
+        Ok(NumberColumn {
+            number,
+            name: stored.clone(),
+            unit: text("TUNIT")?.filter(|unit| !unit.trim().is_empty()),
+        })
     }
 }

@@ -31,15 +31,14 @@ impl Form {
         })
     }
 
-    /// Bytes of the column in a row; `None` for a letter that is none of FITS.
+    /// Bytes of the column in a row; `None` for kinds that no file of frames has.
     pub fn bytes(self) -> Option<usize> {
         let one = match self.letter {
-            'X' => return Some(self.repeat.div_ceil(8)),
             'B' | 'A' | 'L' => 1,
             'I' => 2,
             'J' | 'E' => 4,
-            'K' | 'D' | 'P' | 'C' => 8,
-            'Q' | 'M' => 16,
+            'K' | 'D' | 'P' => 8,
+            'Q' => 16,
             _ => return None,
         };
         Some(self.repeat * one)

@@ -128,7 +128,7 @@ impl Header {
     }
 
     /// Whether a keyword has a value, readable or not.
-    pub fn contains(&self, keyword: &str) -> bool {
+    pub(super) fn contains(&self, keyword: &str) -> bool {
         self.content(keyword).is_some()
     }
 
@@ -171,10 +171,7 @@ impl Header {
     }
 
     /// A whole number; one written with a decimal point counts.
-    ///
-    /// # Errors
-    /// A value that is none.
-    pub fn integer(&self, keyword: &str) -> Result<Option<i64>, Problem> {
+    pub(super) fn integer(&self, keyword: &str) -> Result<Option<i64>, Problem> {
         self.typed(keyword, "a whole number", |value| match value {
             Value::Integer(number) => Some(*number),
             Value::Float(number) if number.fract() == 0.0 && number.abs() < 9e15 => {

@@ -44,11 +44,6 @@ impl Layout {
         self.bytes.resize(start + CARD, b' ');
     }
 
-    /// Adds a card as it stands in another file.
-    pub fn foreign_card(&mut self, card: &[u8]) {
-        self.bytes.extend_from_slice(card);
-    }
-
     /// Writes the nth card of this header anew.
     pub fn set_card(&mut self, n: usize, text: &str) {
         let start = self.header + n * CARD;

@@ -9,8 +9,10 @@
 //! Both are done here, in safe code: a reader of foreign or damaged files has to check every size and offset anyway, and a
 //! flight's frames are to cost no more to store than to solve. The tests hold both against cfitsio, which shares nothing with them. The
 //! keywords are those of one table, [`keyword`].
+//!
+//! Tables of others, and tables larger than memory, cfitsio reads and writes: [`DiskFile`], [`AmendedTable`].
 
-mod amend;
+mod amended_table;
 mod by_cfitsio;
 mod cards;
 mod checksum;
@@ -25,7 +27,6 @@ mod info;
 pub mod keyword;
 mod layout;
 mod listing;
-mod number_column;
 mod pack;
 mod picture;
 mod place;
@@ -45,16 +46,15 @@ mod unit;
 mod values;
 mod write;
 
-pub use amend::Amended;
+pub use amended_table::{AmendedTable, Inward};
 pub use by_cfitsio::open_disk_file;
 pub use cards::{clock_cards, format_time, modified_julian_date};
 pub use checksum::Checksums;
-pub use disk_file::{DiskFile, DiskHdu, DiskTable};
+pub use disk_file::{DiskFile, DiskHdu, NumberColumn};
 pub use error::{FileError, Problem};
 pub use file::FitsFile;
 pub use header::{Card, Header, Value};
 pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
-pub use number_column::{Inward, NumberColumn};
 pub use pack::{Compression, Packing};
 pub use reals::frame_of_values;
 pub use stream::{CellForm, StoredColumn, StoredRow, TableFile};

@@ -35,7 +35,7 @@ impl CellForm {
         }
     }
 
-    pub(super) fn bytes(self) -> usize {
+    fn bytes(self) -> usize {
         match self {
             Self::Text(characters) => characters,
             Self::Integer | Self::Float => 8,
@@ -73,8 +73,13 @@ pub struct StoredRow(Vec<u8>);
 
 impl StoredRow {
     /// The bytes of the cells so far.
-    pub(super) fn bytes(&mut self) -> &mut Vec<u8> {
-        &mut self.0
+    pub fn bytes(&self) -> &[u8] {
+        &self.0
+    }
+
+    /// Empties it for the next row.
+    pub fn clear(&mut self) {
+        self.0.clear();
     }
 
     pub fn text(&mut self, text: &str, characters: usize) {
@@ -153,7 +158,7 @@ impl TableFile {
         let (mut count, mut row, mut sum) = (0, StoredRow::default(), DataSum::default());
         for item in rows {
             let item = item?;
-            row.0.clear();
+            row.clear();
             fill(&item, &mut row);
             if row.0.len() != row_bytes {
                 let expected = format!("{row_bytes} bytes, as the columns need");
@@ -217,21 +222,21 @@ fn header(
 
 /// The sum of data that come in pieces.
 #[derive(Default)]
-pub(super) struct DataSum {
+struct DataSum {
     sum: u32,
     /// Of a word that is not whole yet.
     rest: Vec<u8>,
 }
 
 impl DataSum {
-    pub fn add(&mut self, bytes: &[u8]) {
+    fn add(&mut self, bytes: &[u8]) {
         self.rest.extend_from_slice(bytes);
         let whole = self.rest.len() / 4 * 4;
         self.sum = checksum::added(self.sum, checksum::sum(&self.rest[..whole]));
         self.rest.drain(..whole);
     }
 
-    pub fn finish(self) -> u32 {
+    fn finish(self) -> u32 {
         checksum::added(self.sum, checksum::sum(&self.rest))
     }
 }

@@ -330,19 +330,6 @@ pub(super) fn put_table_header<'a>(
     [row_bytes, rows]: [usize; 2],
     cards: &[Card],
 ) -> Result<(), Problem> {
-    begin_table_header(file, name, columns, [row_bytes, rows]);
-    put_cards(file, cards)?;
-    file.end_header();
-    Ok(())
-}
-
-/// The same without an end: more cards may follow.
-pub(super) fn begin_table_header<'a>(
-    file: &mut Layout,
-    name: &str,
-    columns: impl ExactSizeIterator<Item = ColumnCards<'a>>,
-    [row_bytes, rows]: [usize; 2],
-) {
     file.begin();
     file.text("XTENSION", "BINTABLE", "a table");
     for (keyword, value, comment) in [
@@ -360,10 +347,13 @@ pub(super) fn begin_table_header<'a>(
         put_column(file, n, &column);
     }
     file.text("EXTNAME", name, "name of this extension");
+    put_cards(file, cards)?;
+    file.end_header();
+    Ok(())
 }
 
 /// Name, kind, unit and meaning of a column; a unit that FITS does not know stands in its comment alone.
-pub(super) fn put_column(file: &mut Layout, n: usize, column: &ColumnCards<'_>) {
+fn put_column(file: &mut Layout, n: usize, column: &ColumnCards<'_>) {
     let mut text = |keyword: &str, text: &str| file.text(&format!("{keyword}{n}"), text, "");
     text("TTYPE", column.name);
     text("TFORM", &column.form);

@@ -31,7 +31,7 @@ pub fn parts(path: &Path) -> Vec<(Vec<String>, Vec<u8>)> {
 }
 
 /// A list with an image, a table of another kind with a heap, and photons with a heap of their own.
-fn rich_file(path: &Path, photons: &[[f64; 4]]) {
+pub fn rich_file(path: &Path, photons: &[[f64; 4]]) {
     let heap = |name| Table {
         name,
         keys: vec![],

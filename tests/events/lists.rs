@@ -3,7 +3,7 @@
 use super::flight::{
     MIDNIGHT_S, MJD_OF_MIDNIGHT, SECONDS, START_S, attitude, seconds, states, truth_arcsec,
 };
-use Key::{Number, Text};
+use Key::{Number, Text, Whole};
 use fitsio::{FileOpenMode, FitsFile, sys};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -34,6 +34,7 @@ pub struct Table {
 #[derive(Clone, Copy)]
 pub enum Key {
     Number(f64),
+    Whole(i64),
     Text(&'static str),
 }
 pub fn c(text: &str) -> CString {
@@ -51,6 +52,13 @@ pub fn put_keys(file: &mut FitsFile, keys: &[(String, Key)]) {
                     name.as_ptr(),
                     *number,
                     -17,
+                    comment.as_ptr(),
+                    &mut status,
+                ),
+                Whole(number) => sys::ffukyj(
+                    file.as_raw(),
+                    name.as_ptr(),
+                    *number,
                     comment.as_ptr(),
                     &mut status,
                 ),

@@ -1,5 +1,6 @@
 //! Mistakes and garbage: errors that say where, counts that say why, and no copy of half a list.
 
+use super::copies::rich_file;
 use super::flight::*;
 use super::lists::Key::{Number, Text};
 use super::lists::*;
@@ -67,6 +68,20 @@ fn mistakes_are_errors_that_name_file_and_field_and_leave_no_copy() {
         vector,
         "EVENTS: column X: expected one number in each row (B, I, J, K, E or D), found '2D'",
     );
+    for (keyword, end) in [
+        (
+            "TNULL3",
+            "TNULL3: expected a whole number without a point, found 4",
+        ),
+        ("TZERO3", "TZERO3: expected a finite number, found 'soon'"),
+    ] {
+        let value = if keyword == "TNULL3" {
+            Number(4.0)
+        } else {
+            Text("soon")
+        };
+        in_file(PLAIN, plain.clone().with(keyword, value), end);
+    }
     let mut twice = plain.clone();
     twice.columns.push(("hpx", "1D", "", vec![0.0; 2]));
     in_file(
@@ -191,6 +206,40 @@ fn photons_of_garbage_are_counted_by_reason_and_never_panic() {
         let counted = columns.valid.iter().filter(|valid| **valid).count() as u64;
         assert_eq!(counted, placed.valid);
     }
+}
+
+#[test]
+fn damaged_lists_are_errors_or_lists_and_the_copy_is_whole_or_absent() {
+    let bench = Bench::plain();
+    rich_file(&bench.at("in.fits"), &some_photons(40, 1));
+    let whole = fs::read(bench.at("in.fits")).unwrap();
+    let mut random = random(9);
+    let mut outcomes = [0, 0];
+    for _ in 0..500 {
+        let mut damaged = whole.clone();
+        for _ in 0..random.random_range(1..6) {
+            let at = random.random_range(0..damaged.len());
+            // Of a card, most often a character that cards have.
+            damaged[at] = match random.random_range(0..4) {
+                0 => random.random(),
+                1 => b' ',
+                2 => b'9',
+                _ => b"-.()PQEDJKIBALX0123456789"[random.random_range(0..25)],
+            };
+        }
+        if random.random_range(0..8) == 0 {
+            damaged.truncate(random.random_range(0..damaged.len()));
+        }
+        fs::write(bench.at("in.fits"), &damaged).unwrap();
+        let _ = fs::remove_file(bench.at("out.fits"));
+        let outcome = bench.place("in.fits", PLAIN, &());
+        assert_eq!(outcome.is_ok(), bench.at("out.fits").exists());
+        outcomes[usize::from(outcome.is_ok())] += 1;
+        if let Err(error) = outcome {
+            assert!(error.to_string().contains("in.fits: "), "{error}");
+        }
+    }
+    assert!(outcomes.iter().all(|count| *count > 50), "{outcomes:?}");
 }
 
 struct Impatient;

@@ -1,7 +1,7 @@
 //! Where photons land, and how well that is known.
 
 use super::flight::*;
-use super::lists::Key::{Number, Text};
+use super::lists::Key::{Number, Text, Whole};
 use super::lists::*;
 use nalgebra::{Matrix3, UnitQuaternion, UnitVector3, Vector3};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -228,7 +228,7 @@ fn numbers_of_any_form_and_scaling_are_read_as_cfitsio_reads_them() {
     // cfitsio writes unsigned integers as signed ones with a zero; a null is no position.
     let mut table = event_table(&photons)
         .with("TZERO3", Number(32_768.0))
-        .with("TNULL4", Number(4.0));
+        .with("TNULL4", Whole(4));
     table.column("X").1 = "1I";
     table.column("Y").1 = "1I";
     let (placed, columns) = bench.placed(PLAIN, &[], &[table]);
