@@ -348,7 +348,9 @@ impl Work {
 
     fn finished(self, smoothed: Smoothed) -> FlightMapping {
         let Smoothed {
-            estimates, thermal, ..
+            mut estimates,
+            thermal,
+            ..
         } = smoothed;
         let scale = self.reference.view.unit_px();
         let marked = |n: &usize| self.observations.counts(*n);
@@ -364,9 +366,13 @@ impl Work {
                 turn_deg: (step[3] / scale).to_degrees(),
             }
         };
+        let jumps: Vec<Jump> = self.jumps.iter().map(jump).collect();
+        for jump in &jumps {
+            self.spread(jump, &mut estimates);
+        }
         FlightMapping {
             facts: MappingFacts {
-                jumps: self.jumps.iter().map(jump).collect(),
+                jumps,
                 process_noise_px: [self.process_noise.shift_px, self.process_noise.turn_px],
                 inflation: self.inflated,
                 temperature: self.temperature_dependence(thermal),
@@ -374,6 +380,26 @@ impl Work {
             standing: (0..estimates.len()).map(|n| self.standing(n)).collect(),
             reference: self.reference,
             estimates,
+        }
+    }
+
+    /// Nothing tells when the plate moved between the marked frames about a jump, suddenly or not. To the unmarked ones any time is as likely.
+    fn spread(&self, jump: &Jump, estimates: &mut [Estimate]) {
+        let between = jump.before + 1..jump.after;
+        let since_s: Vec<f64> = (between.start..=jump.after)
+            .scan(0.0, |since_s, n| {
+                *since_s += self.observations.step_s(n);
+                Some(*since_s)
+            })
+            .collect();
+        let (after, length_s) = (estimates[jump.after], since_s.last().copied());
+        for (n, since_s) in between.zip(&since_s) {
+            let part = length_s
+                .filter(|length_s| *length_s > 0.0)
+                .map_or(0.5, |length_s| since_s / length_s);
+            if self.standing(n) == Standing::Unmarked {
+                estimates[n] = estimates[n].or(&after, part);
+            }
         }
     }
 

@@ -102,14 +102,15 @@ impl FlightMapping {
         }
     }
 
-    /// The size of the jump that happened at a frame, or since the last marked one before it, px.
+    /// The size of the jump that happened at a marked frame, or since the one before it, px.
     pub fn own_jump(&self, frame: usize) -> Option<f64> {
         let [x, y] = self.jump_at(frame)?.shift_px;
         Some(x.hypot(y))
     }
 
     fn jump_at(&self, frame: usize) -> Option<&Jump> {
-        let mut jumps = self.facts.jumps.iter();
+        let is_marked = self.standing[frame] != Standing::Unmarked;
+        let mut jumps = self.facts.jumps.iter().filter(|_| is_marked);
         jumps.find(|jump| (jump.before + 1..=jump.after).contains(&frame))
     }
 

@@ -7,7 +7,7 @@ mod observations;
 
 pub(super) use observations::{MarkObservation, Observations};
 
-use super::view::{Covariance, Reference, STATES, State, UpperTriangle, packed};
+use super::view::{Covariance, Reference, STATES, State, UpperTriangle, packed, unpacked};
 use crate::smoothing::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 
@@ -46,6 +46,20 @@ pub(super) struct ThermalCoefficients {
 pub(super) struct Estimate {
     pub state: State,
     pub covariance: UpperTriangle,
+}
+
+impl Estimate {
+    /// Of this one or, with a probability, another.
+    pub fn or(&self, other: &Self, probability: f64) -> Self {
+        let step = other.state - self.state;
+        let [own, others] = [self, other].map(|one| unpacked(&one.covariance));
+        let rest = 1.0 - probability;
+        let apart = step * step.transpose() * probability * rest;
+        Self {
+            state: self.state + step * probability,
+            covariance: packed(&(own * rest + others * probability + apart)),
+        }
+    }
 }
 
 /// A jump may lie between a moment and the one before it.
@@ -238,6 +252,24 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_distr::StandardNormal;
     use rand_xoshiro::Xoshiro256PlusPlus;
+
+    #[test]
+    fn one_of_two_has_the_mean_of_both_and_the_scatter_about_it() {
+        let estimate = |state: f64, variance: f64| Estimate {
+            state: State::from_fn(|n, _| state * (n + 1) as f64),
+            covariance: packed(&(Covariance::identity() * variance)),
+        };
+        let both = [(estimate(1.0, 0.5), 0.75), (estimate(5.0, 2.0), 0.25)];
+        let mean: State = both.iter().map(|(one, part)| one.state * *part).sum();
+        let scatter = both.iter().map(|(one, part)| {
+            let off = one.state - mean;
+            (unpacked(&one.covariance) + off * off.transpose()) * *part
+        });
+        let expected: Covariance = scatter.sum();
+        let found = both[0].0.or(&both[1].0, both[1].1);
+        assert!((found.state - mean).norm() < 1e-12);
+        assert!((unpacked(&found.covariance) - expected).norm() < 1e-5 * expected.norm());
+    }
 
     const COUNT: usize = 600;
     const MARK_SIGMA_PX: f64 = 0.03;
