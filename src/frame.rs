@@ -380,7 +380,7 @@ pub const PIXEL_VARIANCE_PX2: f64 = 1.0 / 12.0;
 pub const ROUNDING_NOISE_DN: f64 = 0.2887;
 
 /// Brightness levels of a frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Levels {
     pub background_dn: f64,
     /// 1 sigma of the background.

@@ -4,6 +4,7 @@
 //! the limit that this missed ([`Stopped`]).
 
 use crate::units::{Reason, Rejected};
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use std::fmt;
 
 /// A stage of a solver.
@@ -12,7 +13,7 @@ pub trait Stage: Copy {
 }
 
 /// Why a frame went no further than it did.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Stopped<S> {
     pub stage: S,
     pub rejected: Rejected,
@@ -162,6 +163,32 @@ reasons! {
     BLUNT "blunt" "too much of the limb is blunt"
     RADIUS "radius" "the radius is not the Moon's"
     LIT "lit" "another part of the disc is lit than the Moon's phase tells"
+}
+
+/// Of all solvers.
+fn all() -> impl Iterator<Item = &'static Reason> {
+    [sun::ALL, pointing::ALL, horizon::ALL, moon::ALL]
+        .into_iter()
+        .flatten()
+}
+
+/// As code and sentence: solvers share codes.
+impl Serialize for Reason {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        (self.code, self.sentence).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Reason {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (code, sentence) = <(String, String)>::deserialize(deserializer)?;
+        let named = all().find(|reason| reason.code == code && reason.sentence == sentence);
+        named.copied().ok_or_else(|| {
+            de::Error::custom(format_args!(
+                "expected a reason of this version, found {code}"
+            ))
+        })
+    }
 }
 
 /// The page of the documentation that lists them.

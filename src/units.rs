@@ -3,7 +3,7 @@
 //! A position on the sensor and one on the plate are two types, so that mixing them does not compile.
 
 use nalgebra::{Matrix2, Vector2};
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
 
@@ -31,14 +31,14 @@ pub fn counted(count: u64, noun: &str) -> String {
 }
 
 /// A position on the sensor, px. Pixel (0, 0) is the centre of the first pixel; y grows down the rows.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SensorPx {
     pub x: f64,
     pub y: f64,
 }
 
 /// A position on the fiducial plate, mil from the plate's centre.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PlateMil {
     pub x: f64,
     pub y: f64,
@@ -91,6 +91,13 @@ impl Measured {
     }
 }
 
+impl<'de> Deserialize<'de> for Measured {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let [value, sigma] = Deserialize::deserialize(deserializer)?;
+        Ok(Self { value, sigma })
+    }
+}
+
 impl Serialize for Measured {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         [self.value, self.sigma].serialize(serializer)
@@ -98,7 +105,7 @@ impl Serialize for Measured {
 }
 
 /// A position with the covariance of its two coordinates, in the unit of the position, squared.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Estimate<P> {
     pub position: P,
     pub covariance: Matrix2<f64>,
@@ -126,7 +133,7 @@ pub struct Reason {
 
 /// An expected refusal: what was asked for, what was measured and the limit it missed. It is data, not an error:
 /// a frame without a Sun is no failure of the program.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Rejected {
     pub reason: Reason,
     pub measured: f64,

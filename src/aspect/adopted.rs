@@ -5,12 +5,13 @@ use crate::instrument::Instrument;
 use crate::registration::Registration;
 use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::Matrix2;
+use serde::{Deserialize, Serialize};
 
 /// How far a mapping may have moved since the frame that gave it.
 const PRIOR_DRIFT_PX: f64 = 0.5;
 
 /// The mapping that a solution rests on.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Adopted {
     /// Of this frame's marks.
     Own(Registration),

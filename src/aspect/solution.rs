@@ -10,9 +10,10 @@ use crate::reasons;
 use crate::registration::Registration;
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use nalgebra::Matrix2;
+use serde::{Deserialize, Serialize};
 
 /// How good a solution is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Quality {
     /// No Sun.
     None,
@@ -33,7 +34,7 @@ impl Quality {
 }
 
 /// The stages of the pipeline, in order, and what follows it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Stage {
     Levels,
     Limb,
@@ -69,7 +70,7 @@ impl reasons::Stage for Stage {
 pub type Stopped = reasons::Stopped<Stage>;
 
 /// A mark of the plate with its id.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Mark {
     pub id: MarkId,
     pub at: SensorPx,
@@ -85,7 +86,7 @@ impl Mark {
 }
 
 /// Where the Sun stands.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Aspect {
     /// The image of the disc's centre on the sensor.
     pub sun_px: Estimate<SensorPx>,
@@ -102,7 +103,7 @@ pub struct Aspect {
 }
 
 /// What one frame teaches for the next.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Track {
     pub disc: Circle,
     /// Frames in succession whose marks were measured where the prior predicted them, without detection.
@@ -112,7 +113,7 @@ pub struct Track {
 }
 
 /// What a frame gave.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Solution {
     pub quality: Quality,
     pub stopped: Option<Stopped>,

@@ -9,13 +9,14 @@ use crate::estimation::CONTRADICTION_SIGMAS;
 use crate::geometry::{MappingKind, TILT_PER_PX};
 use crate::instrument::Instrument;
 use crate::units::Measured;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// So many fine frames in a row that agree prove it: a single misread one does not.
 const PROVE: u32 = 3;
 
 /// What an instrument's file states of the camera, and every fine frame measures.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Quantity {
     Rotation,
     Scale,
@@ -61,7 +62,7 @@ impl Quantity {
 }
 
 /// A quantity that a fine frame contradicts by more than five sigmas, the stated one and the frame's in quadrature.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Contradiction {
     pub quantity: Quantity,
     pub stated: Measured,

@@ -7,6 +7,8 @@ use crate::units::counted;
 use clap::Args;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// Put the photons of an event list on the Sun, by the pointing of a refined flight
 ///
@@ -30,15 +32,25 @@ pub struct EventsArgs {
 }
 
 pub fn run(args: &EventsArgs) -> anyhow::Result<ExitCode> {
-    let follower = Follower::new("events", &interrupted()?);
-    let files = Files {
-        refined: &args.refined,
-        events: &args.events,
-        detectors: &args.detectors,
-        out: &args.out,
-    };
-    print(&place_photons(files, &follower)?)?;
-    Ok(ExitCode::SUCCESS)
+    args.run(&interrupted()?)
+}
+
+impl EventsArgs {
+    /// Puts the photons on the Sun, and prints how many.
+    ///
+    /// # Errors
+    /// Files that are not what they should be; a run that was cancelled.
+    pub fn run(&self, cancelled: &Arc<AtomicBool>) -> anyhow::Result<ExitCode> {
+        let follower = Follower::new("events", cancelled);
+        let files = Files {
+            refined: &self.refined,
+            events: &self.events,
+            detectors: &self.detectors,
+            out: &self.out,
+        };
+        print(&place_photons(files, &follower)?)?;
+        Ok(ExitCode::SUCCESS)
+    }
 }
 
 fn print(placed: &Placed) -> anyhow::Result<()> {

@@ -6,9 +6,10 @@ use super::template::{Template, Window};
 use super::{CrossShape, FlatDisc, Lighting, Settings};
 use crate::units::{Measured, SensorPx};
 use nalgebra::{Complex, Matrix2, Vector2};
+use serde::{Deserialize, Serialize};
 
 /// A mark that was found, without an id yet.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Detection {
     pub at: SensorPx,
     /// 1 sigma per axis.
@@ -21,7 +22,7 @@ pub struct Detection {
 }
 
 /// The marks that were found, and the rotation their arms show.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Detections {
     pub marks: Vec<Detection>,
     /// Rotation of the arms from the axes of the disc's own coordinates ([`Ellipse::to_disc`](crate::geometry::Ellipse::to_disc); of a

@@ -4,12 +4,13 @@ use crate::frame::Region;
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
 use nalgebra::{Matrix2, Vector2};
+use serde::{Deserialize, Serialize};
 
 /// How far inside the limb a tip must be to count as lit: the outline's own uncertainty.
 const TIP_MARGIN_PX: f64 = 0.25;
 
 /// Whether the whole mark is lit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Lighting {
     /// All four tips of the cross lie inside the limb and on the sensor.
     Full,

@@ -47,8 +47,9 @@ pub(super) fn called<T>(
     let given = call(unsafe { file.as_raw() }, &mut status);
     match status {
         0 => Ok(given),
-        status => Err(Problem::content(
-            format!("cfitsio to {action}"),
+        status => Err(Problem::field(
+            "cfitsio",
+            format!("to {action}"),
             format!("\"{}\"", message(status)),
         )),
     }

@@ -92,6 +92,16 @@ pub fn clock_cards(clock: &ClockStatus) -> Vec<Card> {
     cards
 }
 
+/// What says how times are counted: in seconds from a zero, UTC.
+pub fn zero_cards(zero: Timestamp) -> Vec<Card> {
+    vec![
+        Card::new("TIMESYS", "UTC"),
+        Card::new("TIMEUNIT", "s"),
+        Card::new("DATEREF", format_time(zero)),
+        Card::new("MJDREF", modified_julian_date(zero)),
+    ]
+}
+
 /// Days since 1858-11-17, to the microsecond.
 pub fn modified_julian_date(time: Timestamp) -> f64 {
     const OF_UNIX_EPOCH: f64 = 40_587.0;

@@ -48,7 +48,7 @@ mod write;
 
 pub use amended_table::{AmendedTable, Inward};
 pub use by_cfitsio::open_disk_file;
-pub use cards::{clock_cards, format_time, modified_julian_date};
+pub use cards::{clock_cards, format_time, modified_julian_date, zero_cards};
 pub use checksum::Checksums;
 pub use disk_file::{DiskFile, DiskHdu, NumberColumn};
 pub use error::{FileError, Problem};
@@ -56,6 +56,7 @@ pub use file::FitsFile;
 pub use header::{Card, Header, Value};
 pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
 pub use pack::{Compression, Packing};
+pub use place::place_cards;
 pub use reals::frame_of_values;
 pub use stream::{CellForm, StoredColumn, StoredRow, TableFile};
 pub use write::{Column, FRAME_EXTENSION, Table, Values, encode_frame, write_frame};

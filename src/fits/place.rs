@@ -51,7 +51,7 @@ fn from_iau([latitude, longitude, height]: [f64; 3]) -> Result<Place, Problem> {
 }
 
 /// The keywords of a place.
-pub(super) fn place_cards(place: Place) -> Vec<Card> {
+pub fn place_cards(place: Place) -> Vec<Card> {
     let geodetic = [place.latitude_deg, place.longitude_deg, place.height_m];
     let mut cards = cards(GEODETIC, geodetic);
     // To a tenth of a millimetre: more would be noise of the conversion.

@@ -1,9 +1,10 @@
 //! A circle, in any unit: on the sensor (px) or on the plate (mil).
 
 use nalgebra::{Matrix2, Vector2};
+use serde::{Deserialize, Serialize};
 
 /// A circle.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Circle {
     pub centre: Vector2<f64>,
     pub radius: f64,

@@ -5,9 +5,10 @@
 
 use crate::units::SensorPx;
 use nalgebra::{Matrix2, Vector2};
+use serde::{Deserialize, Serialize};
 
 /// Distortion of the lens, as it moves positions on the sensor.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Distortion {
     /// The point that does not move.
     pub centre: SensorPx,

@@ -4,9 +4,10 @@
 use super::distortion::Distortion;
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Which parameters of a [`View`](super::view::View) a mapping has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum MappingKind {
     /// Shift, rotation and one scale: 4 parameters.
     Similarity,
@@ -85,7 +86,7 @@ pub struct SimilarityParameters {
 }
 
 /// The mapping from sensor to plate.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Mapping {
     kind: MappingKind,
     to_plate: Matrix3<f64>,

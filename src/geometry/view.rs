@@ -12,6 +12,7 @@ use super::distortion::Distortion;
 use super::mapping::{Handedness, Mapping, MappingKind};
 use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Matrix3, RowSVector, SMatrix, SVector, Vector2};
+use serde::{Deserialize, Serialize};
 
 /// Number of parameters of a view.
 pub const PARAMETERS: usize = 8;
@@ -43,7 +44,7 @@ pub fn parameters_of(kind: MappingKind) -> [bool; PARAMETERS] {
 }
 
 /// How an ideal camera sees the plate.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct View {
     pub parameters: Parameters,
     /// Takes plate positions (mil) to w.
@@ -51,7 +52,7 @@ pub struct View {
 }
 
 /// Scale and rotation of the projected plate at one place.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LocalSimilarity {
     /// Plate length per pixel: the square root of the ratio of areas.
     pub scale_mil_per_px: Measured,

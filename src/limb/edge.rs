@@ -25,9 +25,10 @@ use crate::estimation::{Normal, Prior, median_among};
 use crate::geometry::Ellipse;
 use crate::units::SensorPx;
 use nalgebra::{RowSVector, SMatrix, SVector, Vector2};
+use serde::{Deserialize, Serialize};
 
 /// A point of the limb.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LimbPoint {
     pub at: SensorPx,
     /// 1 sigma across the limb.

@@ -6,6 +6,7 @@
 //! that occurs once in the pattern; a step in j is 90 mil along -X and a coded spacing along Y.
 
 use crate::units::PlateMil;
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// The largest |i| and |j| of a mark.
@@ -19,7 +20,7 @@ pub const MARKS: usize = (SIDE * SIDE) as usize;
 pub const FIXED_SPACING_MIL: f64 = 90.0;
 
 /// The name of a mark: its place in the pattern, each index from -7 to 7.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct MarkId {
     pub i: i32,
     pub j: i32,

@@ -16,10 +16,11 @@ use crate::instrument::{Directions, Instrument, Mounting};
 use crate::sky::sphere::{direction, tangents};
 use crate::units::{MIL_MM, Measured, PlateMil};
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Rotation3, UnitVector3, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
 
 /// The telescope's roll: its turn about the boresight, positive with the right side low.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Roll {
     /// The instrument's `mounting.roll_deg`. Its error is the same in every frame and belongs to the calibration.
     Stated,

@@ -28,6 +28,7 @@ use attitude::{Errors, across_and_up};
 use jiff::Timestamp;
 use nalgebra::{Matrix2, Matrix3, UnitVector3, Vector3};
 use refusal::NoOffset;
+use serde::{Deserialize, Serialize};
 
 /// Above this elevation a difference of azimuths says nothing of use.
 const HIGHEST_ELEVATION_DEG: f64 = 85.0;
@@ -64,7 +65,7 @@ pub struct Horizontal {
 
 /// Where the telescope points, minus the target.
 /// There is no offset in roll: one Sun tells two axes.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Offset {
     /// A plain difference of azimuths, -180 to 180, as the HEROES controller took it.
     pub azimuth_deg: f64,

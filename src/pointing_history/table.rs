@@ -3,7 +3,8 @@
 use super::evaluate::Pointed;
 use super::{PointingHistory, Sight};
 use crate::columns::{Column, float, logical, text};
-use crate::fits::{Card, format_time, modified_julian_date};
+use crate::fits::{Card, format_time, place_cards, zero_cards};
+use crate::geometry::earth::geodetic;
 use jiff::{Timestamp, Unit};
 
 /// The extension that holds the pointing.
@@ -78,7 +79,7 @@ impl PointingHistory {
     }
 }
 
-/// What the table's header says of its times.
+/// What the table's header says of its times, and where the telescope was in their middle.
 pub fn pointing_cards(history: &PointingHistory) -> Vec<Card> {
     let (Some(zero), Some(ends_s)) = (history.reference(), history.ends_s()) else {
         return Vec::new();
@@ -87,16 +88,16 @@ pub fn pointing_cards(history: &PointingHistory) -> Vec<Card> {
     let [from, to] =
         ends_s.map(|time_s| utc(time_s).and_then(|utc| utc.round(Unit::Microsecond).ok()));
     let zero_s = zero.as_second() as f64;
-    let mut cards = vec![
-        Card::new("TIMESYS", "UTC"),
-        Card::new("TIMEUNIT", "s"),
-        Card::new("DATEREF", format_time(zero)),
-        Card::new("MJDREF", modified_julian_date(zero)),
+    let mut cards = zero_cards(zero);
+    cards.extend([
         Card::new("TSTART", ends_s[0] - zero_s),
         Card::new("TSTOP", ends_s[1] - zero_s),
-    ];
+    ]);
     for (keyword, time) in [("DATE-BEG", from), ("DATE-END", to)] {
         cards.extend(time.map(|time| Card::new(keyword, format_time(time))));
     }
+    let middle_m = history.position_m((ends_s[0] + ends_s[1]) / 2.0);
+    let place = middle_m.and_then(|middle_m| geodetic(&middle_m));
+    cards.extend(place.into_iter().flat_map(place_cards));
     cards
 }

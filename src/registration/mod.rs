@@ -39,6 +39,7 @@ use crate::geometry::{
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use adjust::{Adjusted, CIRCLE, Problem, UNKNOWNS};
 use nalgebra::{Matrix2, RowSVector, SMatrix, Vector2};
+use serde::{Deserialize, Serialize};
 
 /// One point, observed on the sensor and printed on the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,7 +80,7 @@ impl Default for Settings {
 }
 
 /// The disc that an outline belongs to.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Disc {
     /// Its centre on the plate; the mapping's uncertainty included.
     pub on_plate: Estimate<PlateMil>,
@@ -92,7 +93,7 @@ pub struct Disc {
 }
 
 /// A fitted mapping with its uncertainty.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Registration {
     pub mapping: Mapping,
     /// Root mean square distance between observed and predicted positions, per axis.

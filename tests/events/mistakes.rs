@@ -71,7 +71,7 @@ fn mistakes_are_errors_that_name_file_and_field_and_leave_no_copy() {
     for (keyword, end) in [
         (
             "TNULL3",
-            "TNULL3: expected a whole number without a point, found 4",
+            "TNULL3: expected a whole number without a point, found 4.0",
         ),
         ("TZERO3", "TZERO3: expected a finite number, found 'soon'"),
     ] {

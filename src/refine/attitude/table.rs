@@ -1,7 +1,7 @@
 //! The tables that an attitude is written to: attitude.csv, attitude.fits, attitude.aem.
 
 use crate::columns::{self, Column, Widths, float, text};
-use crate::fits::{Card, format_time};
+use crate::fits::zero_cards;
 use crate::navigation::aem::{Aem, Head, Stretches};
 use crate::navigation::{PropagatedOffset, Row, Status};
 use anyhow::Context;
@@ -105,8 +105,7 @@ pub fn write_fits(
     epoch: Option<Timestamp>,
     rows: impl Iterator<Item = std::io::Result<Row>>,
 ) -> anyhow::Result<()> {
-    let dated = epoch.map(|epoch| Card::new("DATEREF", format_time(epoch)));
-    let cards: Vec<Card> = dated.into_iter().collect();
+    let cards = epoch.map(zero_cards).unwrap_or_default();
     let longest = Status::ALL
         .map(|status| status.name().len())
         .into_iter()

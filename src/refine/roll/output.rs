@@ -5,9 +5,10 @@ use super::{ROLL, ROLL_COLUMNS, RollHistory, RollRecipe, RollRow};
 use crate::archive::{CONFIGURATION, INSTRUMENT};
 use crate::columns;
 use crate::estimation::median;
-use crate::fits::Card;
+use crate::fits::zero_cards;
 use crate::observe::InputSummary;
 use crate::provenance::{COMMIT, PROGRAM};
+use jiff::Timestamp;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -52,7 +53,9 @@ pub fn write_roll(
     let (mut counts, mut remarks) = (Counts::default(), BTreeMap::new());
     let (mut sigmas, mut smoothed) = (Vec::new(), Vec::new());
     let table = (ROLL, ROLL_COLUMNS);
-    let cards: Vec<Card> = recipe.flown.cards().collect();
+    // UNIX_S counts from there.
+    let mut cards = zero_cards(Timestamp::UNIX_EPOCH);
+    cards.extend(recipe.flown.cards());
     write_table(&path, &cards, table, rows, |row| {
         let odd = row.timing.odd.map(|odd| odd.to_string());
         counts.add(row.quality, row.utc(), odd.into_iter());

@@ -7,6 +7,7 @@ mod mapping;
 mod marks;
 mod numbers;
 mod offset;
+mod pickled;
 mod pixels;
 mod pointing;
 mod program;

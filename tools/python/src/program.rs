@@ -6,6 +6,7 @@ use clap::Parser;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use solaspect::cli::calibrate::CalibrateArgs;
+use solaspect::cli::events::EventsArgs;
 use solaspect::cli::refine::RefineArgs;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,6 +17,7 @@ use std::time::Duration;
 #[command(name = "solaspect")]
 enum Command {
     Calibrate(CalibrateArgs),
+    Events(EventsArgs),
     Refine(RefineArgs),
 }
 
@@ -27,6 +29,7 @@ pub fn run(py: Python<'_>, options: Vec<String>) -> PyResult<()> {
     let cancelled = Arc::new(AtomicBool::new(false));
     let work = || match command {
         Command::Calibrate(args) => args.run(&cancelled),
+        Command::Events(args) => args.run(&cancelled),
         Command::Refine(args) => args.run(&cancelled),
     };
     let (outcome, interrupted) = py.detach(|| {

@@ -4,10 +4,12 @@ use crate::mapping::Mapping;
 use crate::marks::{Detection, Mark};
 use crate::numbers::{Pair, Pairs, as_json, datetime, matrix, pair, pairs};
 use crate::offset::Offset;
+use crate::pickled;
 use jiff::Timestamp;
 use numpy::PyArray1;
 use pyo3::prelude::*;
-use pyo3::types::PyDateTime;
+use pyo3::types::{PyBytes, PyDateTime};
+use serde::{Deserialize, Serialize};
 use solaspect::archive::Record;
 use solaspect::aspect;
 use solaspect::calibrate::check::Contradiction;
@@ -16,6 +18,7 @@ use std::time::Duration;
 
 /// What a frame gave, stage by stage. What it did not reach is None, or has no rows.
 #[pyclass(frozen, module = "solaspect")]
+#[derive(Serialize, Deserialize)]
 pub struct Solution {
     pub inner: aspect::Solution,
     pub utc: Option<Timestamp>,
@@ -37,6 +40,16 @@ impl Solution {
 
 #[pymethods]
 impl Solution {
+    /// A solution as `pickle` keeps it.
+    #[new]
+    fn of_pickled(bytes: &[u8]) -> PyResult<Self> {
+        pickled::value(bytes)
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyBytes>,)> {
+        Ok((PyBytes::new(py, &pickled::bytes(self)?),))
+    }
+
     /// "fine" (disc and mapping from this very frame), "coarse" (part of the disc, or a borrowed mapping) or "none".
     #[getter]
     fn quality(&self) -> &'static str {

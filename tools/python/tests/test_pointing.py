@@ -67,3 +67,19 @@ def test_a_map_rotates_and_a_path_is_drawn(archive, refined):
     turned = archive.map(fine).rotate(10 * u.deg)
     assert isinstance(turned, sunpy.map.GenericMap)
     assert len(refined.plot().lines) == 2
+
+
+def test_sunpys_time_series_read_the_pointing(refined):
+    pytest.importorskip("sunpy.timeseries")
+    import sunpy.timeseries
+
+    series = sunpy.timeseries.TimeSeries(refined.directory / "aspect.fits")
+    table = refined.pointing()
+    assert isinstance(series, solaspect.timeseries.PointingTimeSeries)
+    assert np.array_equal(series.quantity("HPLN"), table["HPLN"].quantity, equal_nan=True)
+    assert series.units["AZIMUTH"] == u.deg and series.units["VAR_UP"] == u.arcsec**2
+    since = (Time(series.time) - Time(table["UNIX_S"].value, format="unix")).to_value("us")
+    assert np.abs(since).max() < 1
+    assert series.plot().get_lines()
+    half = series.truncate(*(refined.span[0] + np.array([0, 0.5]) * (refined.span[1] - refined.span[0])).isot)
+    assert 0.4 < len(half.to_dataframe()) / len(table) < 0.6

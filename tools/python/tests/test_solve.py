@@ -1,5 +1,6 @@
 """Arrays in, solutions out; what cannot be is refused by the argument's name."""
 
+import copy
 import datetime
 import pathlib
 import pickle
@@ -273,3 +274,18 @@ def test_a_simulation_that_cannot_be_is_refused_by_its_option():
         solaspect.simulate(unknown=1)
     with pytest.raises(ValueError, match="^time:"):
         solaspect.simulate(utc="2013-09-21")
+
+
+def test_a_solution_pickles_whole(frame):
+    solution = solaspect.solve(frame.array, time=frame.time, place=(34.5, -104.2, 38_000))
+    again = pickle.loads(pickle.dumps(solution))
+    assert again.to_dict() == solution.to_dict() and repr(again) == repr(solution)
+    assert np.array_equal(again.limb_px, solution.limb_px) and len(again.detections) == len(solution.detections)
+    assert np.array_equal(again.mapping.to_plate([[10.0, 20.0]]), solution.mapping.to_plate([[10.0, 20.0]]))
+    # The prior of the next frame, too, and a frame without a Sun.
+    prior = [solaspect.solve(frame.array, prior=one.track).to_dict() | {"solve_us": 0} for one in (solution, again)]
+    assert prior[0] == prior[1]
+    none = copy.deepcopy(solaspect.solve(np.zeros_like(frame.array)))
+    assert none.quality == "none" and none.reason.code
+    with pytest.raises(ValueError, match="pickle: expected one of solaspect"):
+        solaspect.Solution(b"garbage")

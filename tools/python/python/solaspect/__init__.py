@@ -17,6 +17,7 @@ from ._native import (
     Solution,
     Track,
 )
+from . import _sunpy
 from .archive import Archive, Refined, open_archive, open_refined
 from .commands import calibrate_camera, calibrate_mounting, calibrate_plate, compare, refine, simulate
 from .errors import SolaspectError
@@ -51,3 +52,5 @@ __all__ = [
     "simulate",
     "solve",
 ]
+
+_sunpy.register()

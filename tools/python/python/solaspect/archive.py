@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ._native import PointingHistory
+from ._native import PointingHistory, run
 from .errors import SolaspectError
 from .plotting import plot_path
 from .pointing import pointing_at
@@ -230,6 +231,32 @@ class Refined:
     def stabilisation(self) -> Table:
         """The offset from the target at the rate that `refine` was given."""
         return self._table("STABILISATION", "stabilisation.fits")
+
+    def events(self, events: PathLike, out: PathLike, *, detectors: PathLike) -> Table:
+        """Put the photons of an event list on the Sun, as `solaspect events` does; docs/events.md tells the columns and DET.toml.
+
+        Parameters
+        ----------
+        events
+            The event list, FITS, plain or gzipped.
+        out
+            The copy with the photons' places; replaced if it exists.
+        detectors
+            DET.toml: how the detectors are mounted.
+
+        Returns
+        -------
+        Table
+            The photons of the copy. A list that is larger than memory is for the program.
+        """
+        from astropy.io import fits
+        from astropy.table import Table
+
+        options = [f"--detectors={os.fspath(detectors)}", f"--out={os.fspath(out)}"]
+        run(["events", *options, "--", os.fspath(self.directory), os.fspath(events)])
+        with fits.open(out) as hdus:
+            photons = next(n for n, hdu in enumerate(hdus) if n and "HP_VALID" in getattr(hdu, "columns", fits.ColDefs([])).names)
+            return Table.read(hdus, hdu=photons)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the boresight's path over the Sun: valid pointings blue, others grey, the limb orange."""
