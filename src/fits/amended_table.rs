@@ -5,7 +5,7 @@
 
 use super::by_cfitsio::{called, open_disk_file};
 use super::disk_file::{DiskFile, DiskHdu, NumberColumn, copy};
-use super::layout::Layout;
+use super::layout::{CHECKSUM, DATASUM, Layout, NO_CHECKSUM};
 use super::stream::StoredColumn;
 use super::structure::BLOCK;
 use super::write::begin_primary;
@@ -19,11 +19,6 @@ use tempfile::NamedTempFile;
 
 /// How often a number that a column cannot hold is put further off.
 const MOST_STEPS: i32 = 64;
-/// Cards of the checksums, with what they say.
-const CHECKSUM: [&str; 2] = ["CHECKSUM", "checksum of the HDU"];
-const DATASUM: [&str; 2] = ["DATASUM", "checksum of the data"];
-/// A CHECKSUM that is not known yet.
-const NO_CHECKSUM: &str = "0000000000000000";
 
 /// A table in the making, in a file of its own that goes with it. Rows count from 1 on, as FITS counts them.
 pub struct AmendedTable {

@@ -13,13 +13,17 @@ pub(super) struct Layout {
     data: usize,
     /// The card of its CHECKSUM, behind which that of its DATASUM stands.
     checksum_card: usize,
+    /// Whether a text of the header goes on in another card.
+    continues: bool,
 }
 
 /// Between its quotes a text has at most so many characters on a card.
 const TEXT: usize = CARD - 12;
 /// What the cards of the checksums say.
-const CHECKSUM: [&str; 2] = ["CHECKSUM", "checksum of the HDU"];
-const DATASUM: [&str; 2] = ["DATASUM", "checksum of the data"];
+pub(super) const CHECKSUM: [&str; 2] = ["CHECKSUM", "checksum of the HDU"];
+pub(super) const DATASUM: [&str; 2] = ["DATASUM", "checksum of the data"];
+/// A checksum that is not known yet.
+pub(super) const NO_CHECKSUM: &str = "0000000000000000";
 
 impl Layout {
     /// An empty file; memory is never moved where it needs no more bytes than expected.
@@ -29,12 +33,14 @@ impl Layout {
             header: 0,
             data: 0,
             checksum_card: 0,
+            continues: false,
         }
     }
 
     /// Begins an HDU.
     pub fn begin(&mut self) {
         self.header = self.bytes.len();
+        self.continues = false;
     }
 
     /// Adds a card. What may not stand in a header becomes '?', and what is too long ends with the card.
@@ -73,14 +79,22 @@ impl Layout {
             rest = rest.chars().skip(cut).collect();
             self.card(&format!("{start}'{part}&'"));
             start = "CONTINUE  ".into();
+            self.continues = true;
         }
         self.card(&last_text_card(&start, &rest, comment));
     }
 
     /// Ends the header; the data follow.
     pub fn end_header(&mut self) {
+        if self.continues {
+            // Readers of before FITS 4.0 look for it.
+            self.card(&text_card(
+                ["LONGSTRN", "texts may go on in CONTINUE cards"],
+                "OGIP 1.0",
+            ));
+        }
         self.checksum_card = (self.bytes.len() - self.header) / CARD;
-        self.card(&text_card(CHECKSUM, "0000000000000000"));
+        self.card(&text_card(CHECKSUM, NO_CHECKSUM));
         self.card(&text_card(DATASUM, "0"));
         self.card("END");
         self.fill(b' ');

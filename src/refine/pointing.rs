@@ -9,7 +9,7 @@ use crate::geometry::earth::{ecef_m, geodetic, north_east_up};
 use crate::instrument::Instrument;
 use crate::observe::JournalError;
 use crate::pointing::{
-    TelescopeAttitude, body_nadir, solar_north, sun_direction, telescope_attitude,
+    Roll, TelescopeAttitude, body_nadir, solar_north, sun_direction, telescope_attitude,
 };
 use crate::pointing_history::{Basis, PointingHistory, Second, State};
 use crate::sky::{Ephemeris, SunPosition};
@@ -225,6 +225,8 @@ impl Moment<'_> {
             )
         });
         let roll = roll_by(nadir.as_ref(), sun_on_plate.position, self.instrument, &sun);
+        // A gondola swings: how far its roll is from the stated one changes, and is no error of the calibration.
+        let roll = Roll::Measured(roll.about_boresight_deg(self.instrument));
         telescope_attitude(&sun_on_plate, roll, self.instrument, &sun).ok()
     }
 }

@@ -194,8 +194,8 @@ pub fn run(
                 let mut controller = Controller::new().with_sensors(sensors);
                 let over = || over.load(Ordering::Relaxed);
                 let report = controller.run(&mut far, over, heard).cloned();
-                // The far end goes back with the report: hanging up first is the service's part.
-                report.map(|report| (report, far))
+                // The far ends, of which the controller holds the receiver's, go back with the report: hanging up first is the service's part.
+                report.map(|report| (report, (far, controller)))
             })?
     };
     let (service, answers) = Service::start_watched(flight)?;
@@ -218,7 +218,7 @@ pub fn run(
     over.store(true, Ordering::Relaxed);
     let controller = controller.join();
     let tally = service.join()?;
-    let (controller, _far_end) =
+    let (controller, _far_ends) =
         controller.map_err(|_| anyhow!("the controller's thread has failed"))??;
     let mut telescope = telescope(demo, &instrument, start)?;
     let propagated = controller.propagated.iter();

@@ -34,6 +34,7 @@ const FILE: Group = Group {
         row("OBS_HDU", Integer, "", Written, "1 where an observation's pixels stand"),
         row("CHECKSUM", Text, "", Both, "checksum of the HDU"),
         row("DATASUM", Text, "", Both, "checksum of the data"),
+        row("LONGSTRN", Text, "", Written, "texts may go on in CONTINUE cards"),
     ],
 };
 

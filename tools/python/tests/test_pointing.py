@@ -4,6 +4,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 import sunpy.map
+from astropy.io import fits
 from astropy.time import Time
 
 import solaspect
@@ -83,3 +84,26 @@ def test_sunpys_time_series_read_the_pointing(refined):
     assert series.plot().get_lines()
     half = series.truncate(*(refined.span[0] + np.array([0, 0.5]) * (refined.span[1] - refined.span[0])).isot)
     assert 0.4 < len(half.to_dataframe()) / len(table) < 0.6
+
+
+def test_photons_are_put_on_the_sun_where_the_pointing_says(refined, tmp_path):
+    first, last = refined.span
+    midnight = Time(int(first.mjd), format="mjd", scale="utc")
+    times = first + np.linspace(0.1, 0.9, 50) * (last - first)
+    columns = [
+        fits.Column("TIME", "D", unit="s", array=(times - midnight).to_value("s")),
+        fits.Column("X", "D", array=np.zeros(50)),
+        fits.Column("Y", "D", array=np.zeros(50)),
+    ]
+    events = fits.BinTableHDU.from_columns(columns, name="EVENTS")
+    events.header["MJDREF"], events.header["TIMESYS"] = midnight.mjd, "UTC"
+    events.writeto(tmp_path / "events.fits")
+    detectors = tmp_path / "det.toml"
+    detectors.write_text("[[detector]]\nscale_arcsec = 1.0\ncentre = [0, 0]\nrotation_deg = 0\n")
+    photons = refined.events(tmp_path / "events.fits", tmp_path / "out.fits", detectors=detectors)
+    pointing = refined.at(times)
+    assert (photons["HP_VALID"] == pointing.valid).all() and pointing.valid.any()
+    known = np.isfinite(pointing.hpln)
+    assert np.abs(photons["HPX"].quantity - pointing.hpln)[known].max() < 1e-2 * u.arcsec
+    with pytest.raises(solaspect.SolaspectError, match="none.fits"):
+        refined.events(tmp_path / "none.fits", tmp_path / "out.fits", detectors=detectors)
