@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 __all__ = ["PointingTimeSeries"]
 
 
+def _is_pointing(meta: MetaDict) -> bool:
+    return meta.get("extname") == "POINTING" and meta.get("instrume") == "solar aspect camera"
+
+
 class PointingTimeSeries(GenericTimeSeries):  # type: ignore[misc]
     """The table POINTING of a refined flight, without its columns of text. docs/refine.md tells the columns."""
 
@@ -25,19 +29,18 @@ class PointingTimeSeries(GenericTimeSeries):  # type: ignore[misc]
 
     @classmethod
     def is_datasource_for(cls, **kwargs: Any) -> bool:
-        meta = kwargs.get("meta") or {}
-        return meta.get("extname") == "POINTING" and str(meta.get("creator", "")).startswith("solaspect")
+        return _is_pointing(MetaDict(kwargs.get("meta") or {}))
 
     @classmethod
     def _parse_hdus(cls, pairs: list[Any]) -> tuple[pandas.DataFrame, MetaDict, OrderedDict[str, u.Unit]]:
-        data, header = next((pair.data, pair.header) for pair in pairs if pair.header.get("extname") == "POINTING")
+        data, header = next((pair.data, meta) for pair in pairs if _is_pointing(meta := MetaDict(pair.header)))
         table = Table(data)
         names = [name for name in table.colnames if name != "TIME" and table[name].dtype.kind != "S"]
         times = Time(header["MJDREF"], table["TIME"] / 86400, format="mjd", scale="utc")
         values = {name: table[name].astype(table[name].dtype.newbyteorder("=")) for name in names}
         columns = [header[f"TTYPE{n}"] for n in range(1, header["TFIELDS"] + 1)]
         units = OrderedDict((name, u.Unit(header.get(f"TUNIT{columns.index(name) + 1}", ""))) for name in names)
-        return pandas.DataFrame(values, index=pandas.DatetimeIndex(times.to_value("datetime64"))), MetaDict(header), units
+        return pandas.DataFrame(values, index=pandas.DatetimeIndex(times.to_value("datetime64"))), header, units
 
     def plot(self, axes: Axes | None = None, columns: list[str] | None = None, **kwargs: Any) -> Axes:
         """Draw columns: the boresight's longitude and latitude if none are named."""
