@@ -19,6 +19,7 @@ mod contradictions;
 mod coordinates;
 mod disc_search;
 mod disks;
+mod encoded;
 mod events;
 mod fits;
 mod flight;
