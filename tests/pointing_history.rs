@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use solaspect::archive::Store;
 use solaspect::fits::{self, Compression, Values};
 use solaspect::geometry::earth::{ecef_m, geodetic, north_east_up};
-use solaspect::instrument::{DEMO_HORIZON, DEMO_NAVIGATION, MountedCamera, builtin, builtin_text};
+use solaspect::instrument::{DEMO_HORIZON, DEMO_NAVIGATION, MountedCamera, builtin};
 use solaspect::pointing::{HelioprojectiveArcsec, solar_north, sun_direction};
 use solaspect::pointing_history::{Invalid, PointingHistory};
 use solaspect::simulate::earth::SwingingGondola;
@@ -464,40 +464,14 @@ fn without_gyros_and_horizon_the_suns_own_path_puts_them_back() {
         ..SHORT
     };
     let (root, _) = flight();
-    let (alone, still) = (temporary(), still_instrument(root.path()));
-    let options = ["--instrument", &still];
-    refine(&root.path().join("archive/sun"), alone.path(), &options);
+    let alone = temporary();
+    refine(&root.path().join("archive/sun"), alone.path(), &[]);
     let history = PointingHistory::read(alone.path()).unwrap();
     let photons = put_back(&plan, &history, FEW);
     assert!(photons.iter().all(|photon| photon.source == "sun"));
     let [error, ratio, worst] = judged("by the Sun alone", photons.iter().filter(|p| p.is_valid));
     assert!(error < 0.3 && worst < 6.0);
     assert!((0.4..1.25).contains(&ratio), "{ratio}");
-}
-
-/// The file of an instrument on a gondola that does not roll; its name.
-fn still_instrument(folder: &Path) -> String {
-    let mut text: toml::Table = builtin_text("demo").unwrap().parse().unwrap();
-    let roll = text["mounting"]["roll_deg"].as_table_mut().unwrap();
-    roll.insert("sigma".into(), toml::Value::Integer(0));
-    let file = folder.join("still.toml");
-    fs::write(&file, text.to_string()).unwrap();
-    file.to_str().unwrap().to_owned()
-}
-
-#[test]
-fn a_roll_that_is_only_stated_makes_photons_far_from_the_sun_as_uncertain_as_it_is() {
-    // It rolls by up to 3 deg, and 1 deg is stated.
-    let (root, _) = flight();
-    let alone = temporary();
-    refine(&root.path().join("archive/sun"), alone.path(), &[]);
-    let history = PointingHistory::read(alone.path()).unwrap();
-    let photons = put_back(&SHORT, &history, FEW);
-    let [error, ratio, worst] = judged("with a stated roll", photons.iter());
-    assert!(error > 5.0 && ratio < 2.5 && worst < 6.0);
-    // Where the roll moves the boresight by more than 10 arcsec, it is not valid.
-    let valid = photons.iter().filter(|photon| photon.is_valid).count();
-    assert!((1..photons.len()).contains(&valid));
 }
 
 /// The Sun's frames that are taken from a flight of an hour: with those in which it is absent a minute of each quarter of an hour.
@@ -550,7 +524,6 @@ fn an_hour_of_photons_comes_back_with_honest_sigmas() {
     assert!(worst < 6.0, "{worst}");
 
     let (gyros, camera) = options.split_at(6);
-    let still = still_instrument(&root);
     for (name, archive, options, gondola) in [
         (
             "without roll camera",
@@ -559,12 +532,7 @@ fn an_hour_of_photons_comes_back_with_honest_sigmas() {
             Gondola::Swinging,
         ),
         ("without gyros", "archive", camera, Gondola::Swinging),
-        (
-            "by the Sun alone",
-            "archive/sun",
-            &["--instrument", &still],
-            Gondola::Still,
-        ),
+        ("by the Sun alone", "archive/sun", &[], Gondola::Still),
     ] {
         let photons = photons(name, archive, options, gondola);
         let valid = || photons.iter().filter(|photon| photon.is_valid);

@@ -74,7 +74,7 @@ impl States {
 
 impl History {
     /// Where the telescope pointed, as a function of time: along the smoothed path of the Sun, with the roll of the roll camera where it is
-    /// given and near, else as the instrument states it.
+    /// given and near; else as gyros have it in the rest of the flight, or as the instrument states it.
     ///
     /// # Errors
     /// A journal that cannot be read.
@@ -90,10 +90,31 @@ impl History {
     ) -> Result<PointingHistory, JournalError> {
         let mut times_s = times_s(self);
         times_s.retain(|time_s| nearest(&by_gyros.states, |s| s.unix_s, *time_s).is_none());
-        let all = by_path(self, roll, &times_s)?.and(by_gyros);
-        let seconds = seconds(&all, &self.sky().ephemeris);
+        let ephemeris = &self.sky().ephemeris;
+        let usual_roll_deg = usual_roll_deg(by_gyros);
+        let all = by_path(self, roll, usual_roll_deg, &times_s)?.and(by_gyros);
+        let seconds = seconds(&all, ephemeris);
         Ok(PointingHistory::new(all.states, seconds))
     }
+}
+
+/// The roll that gyros have measured in the flight, deg: its mean, and its scatter as 1 sigma. `None` without gyros.
+fn usual_roll_deg(by_gyros: &States) -> Option<Measured> {
+    let roll_deg = |slow: &Slow| {
+        let state = nearest(&by_gyros.states, |state| state.unix_s, slow.unix_s)?;
+        let up = north_east_up(&slow.position_m).column(2).into_owned();
+        let up = state.attitude.inverse_transform_vector(&up);
+        Some((-up.y).atan2(-up.z).to_degrees())
+    };
+    let rolls_deg: Vec<f64> = by_gyros.slow.iter().filter_map(roll_deg).collect();
+    let count = rolls_deg.len() as f64;
+    let mean = rolls_deg.iter().sum::<f64>() / count;
+    let square = rolls_deg
+        .iter()
+        .map(|roll| (roll - mean).powi(2))
+        .sum::<f64>()
+        / count;
+    (count > 0.0).then(|| Measured::new(mean, square.sqrt()))
 }
 
 /// The nearest of some things in the order of time, if it is near.
@@ -125,6 +146,7 @@ fn times_s(history: &History) -> Vec<f64> {
 fn by_path(
     history: &History,
     roll: Option<&RollHistory>,
+    usual_roll_deg: Option<Measured>,
     times_s: &[f64],
 ) -> Result<States, JournalError> {
     let Some((path, (first_s, _))) = history.path().zip(history.path_times_s()) else {
@@ -140,6 +162,7 @@ fn by_path(
             unix_s: times_s[n],
             point: points[n].filter(is_known)?,
             roll: rolls.as_ref().and_then(|rolls| rolls[n]),
+            usual_roll_deg,
             place: place_before(&places, times_s[n]).or(sky.place)?,
             instrument: history.instrument(),
         })
@@ -173,6 +196,8 @@ struct Moment<'a> {
     unix_s: f64,
     point: PathPoint,
     roll: Option<SmoothedRoll>,
+    /// For where the roll is not measured.
+    usual_roll_deg: Option<Measured>,
     place: Place,
     instrument: &'a Instrument,
 }
@@ -225,8 +250,10 @@ impl Moment<'_> {
             )
         });
         let roll = roll_by(nadir.as_ref(), sun_on_plate.position, self.instrument, &sun);
-        // A gondola swings: how far its roll is from the stated one changes, and is no error of the calibration.
-        let roll = Roll::Measured(roll.about_boresight_deg(self.instrument));
+        let roll = match (roll, self.usual_roll_deg) {
+            (Roll::Stated, Some(usual)) => Roll::Measured(usual),
+            (known, _) => known,
+        };
         telescope_attitude(&sun_on_plate, roll, self.instrument, &sun).ok()
     }
 }

@@ -226,6 +226,8 @@ pub type CameraFactory = Arc<dyn Fn() -> Result<Box<dyn FrameSource>, CameraErro
 pub(super) struct UnsolvedFrame {
     pub exposure: Exposure,
     pub arrived: Instant,
+    /// Of the exposure.
+    pub middle: Instant,
 }
 
 impl UnsolvedFrame {
@@ -247,12 +249,6 @@ impl UnsolvedFrame {
     pub fn began(&self) -> Instant {
         let exposure = self.exposure.frame.info.exposure.unwrap_or_default();
         self.arrived.checked_sub(exposure).unwrap_or(self.arrived)
-    }
-
-    /// When the middle of the exposure was.
-    pub fn middle(&self) -> Instant {
-        let half = self.exposure.frame.info.exposure.unwrap_or_default() / 2;
-        self.arrived.checked_sub(half).unwrap_or(self.arrived)
     }
 }
 

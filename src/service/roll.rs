@@ -140,7 +140,7 @@ impl RollSolver {
     pub fn run(self, frames: &Receiver<UnsolvedFrame>, life: &Life) {
         let mut last = None;
         while let Some(frame) = UnsolvedFrame::next(frames, &self.cameras_ended, life) {
-            let (middle, arrived) = (frame.middle(), frame.arrived);
+            let (middle, arrived) = (frame.middle, frame.arrived);
             let mut exposure = frame.exposure;
             let snapshot = self.outlet.controls.snapshot();
             // The file tells the place that its nadir rests on.

@@ -45,8 +45,11 @@ impl Solver {
         let mut mounting_version = None;
         let mut sun = SunSize::default();
         while let Some(frame) = UnsolvedFrame::next(frames, &self.cameras_ended, life) {
-            let middle = frame.middle();
-            let UnsolvedFrame { exposure, arrived } = frame;
+            let UnsolvedFrame {
+                exposure,
+                arrived,
+                middle,
+            } = frame;
             let version = self.outlet.controls.version(Topic::Mounting);
             let snapshot = self.outlet.controls.snapshot();
             // Commands about the mounting are about the first camera's.
