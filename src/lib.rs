@@ -119,6 +119,7 @@ pub mod pointing_history;
 pub mod preflight;
 pub mod provenance;
 pub mod reasons;
+pub mod record;
 pub mod refine;
 pub mod registration;
 pub mod report;

@@ -3,11 +3,12 @@
 use crate::common::flight::{self, frames_in};
 use jiff::{SignedDuration, Timestamp};
 use serde_json::Value;
-use solaspect::archive::{self, Record, Store};
+use solaspect::archive::{self, Store, keywords};
 use solaspect::aspect::{self, Expected};
 use solaspect::config;
 use solaspect::fits::{self, Card, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
+use solaspect::record::Record;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -56,9 +57,10 @@ fn small(compression: Compression) -> (TempDir, Vec<PathBuf>) {
     let write = |number| {
         let pixels = (0..96 * 64).map(|n| (n * 7 % 251) as u8).collect();
         let frame = Frame::new(96, 64, Pixels::U8(pixels), 255, info(number)).unwrap();
+        let keyword = |name| keywords::find(name).unwrap();
         let cards = [
-            Card::new("QUALITY", "none"),
-            Card::new("REASON", "disc: none found"),
+            Card::new(keyword("QUALITY"), "none"),
+            Card::new(keyword("REASON"), "disc: none found"),
         ];
         store.write(&frame, &cards, &[]).unwrap()
     };

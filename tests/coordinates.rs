@@ -1,13 +1,14 @@
 //! What a frame's file says of the sky is where the picture shows it: sunspots, the limb, the boresight.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
-use solaspect::archive::{Helioprojection, Record, Store, instrument_cards, sky_cards, tables};
+use solaspect::archive::{Helioprojection, Store, instrument_cards, sky_cards, tables};
 use solaspect::aspect::{self, Aspect, Expected, Quality, Settings, Solution};
 use solaspect::fits::{Compression, Header, Value, read_keywords};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::geometry::{Distortion, Handedness, LocalSimilarity, Mapping, SimilarityParameters};
 use solaspect::instrument::{Directions, Instrument, builtin};
 use solaspect::pointing::{HelioprojectiveArcsec, Roll, Target, offset, offset_of, pointing};
+use solaspect::record::Record;
 use solaspect::simulate::{Scene, Sun, Sunspot, keystoned};
 use solaspect::sky::sphere::{bearing_rad, direction, separation_rad, travel};
 use solaspect::sky::{Ephemeris, SunPosition};
@@ -436,7 +437,7 @@ fn a_frame_without_a_sun_a_time_or_a_place_has_no_world_coordinates() {
             &target,
             &mut Ephemeris::default(),
         );
-        cards.iter().map(|card| card.keyword).collect()
+        cards.iter().map(|card| card.keyword.name).collect()
     };
     let info = &frame.info;
     assert!(names(info, &solution).contains(&"CTYPE1"));

@@ -6,7 +6,7 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix2, Vector2};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::fits::{self, Card, Compression, Values};
+use solaspect::fits::{self, Card, Compression, Values, keyword};
 use solaspect::instrument::{self, Instrument};
 use solaspect::pointing::{self, HelioprojectiveArcsec, Roll};
 use solaspect::simulate::{
@@ -400,7 +400,7 @@ fn a_clock_that_steps_is_told_and_its_times_are_corrected() {
 
 /// The cards by which a frame names its instrument.
 fn named(name: &str) -> Vec<Card> {
-    vec![Card::new("OBSRVTRY", name)]
+    vec![Card::new(&keyword::OBSRVTRY, name)]
 }
 
 #[test]

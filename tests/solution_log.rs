@@ -2,11 +2,12 @@
 
 use crate::common::flight::{self, dark_frame};
 use jiff::Timestamp;
-use solaspect::archive::{Dirfile, ROLL_CAMERA, Record, Row, SolutionLog, Store};
+use solaspect::archive::{Dirfile, ROLL_CAMERA, SolutionLog, Store};
 use solaspect::aspect::{self, Expected, Settings};
 use solaspect::config;
 use solaspect::fits::{self, Compression, Header, Value};
 use solaspect::instrument;
+use solaspect::record::{Record, Row};
 use solaspect::service::FlightTally;
 use solaspect::service::demo::{self, Demo};
 use std::collections::BTreeMap;

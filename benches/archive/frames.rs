@@ -2,12 +2,13 @@
 
 use anyhow::Context;
 use jiff::{SignedDuration, Timestamp};
-use solaspect::archive::{Record, instrument_cards, sky_cards, tables};
+use solaspect::archive::{instrument_cards, sky_cards, tables};
 use solaspect::aspect::{self, Expected};
 use solaspect::fits::{Card, Table};
 use solaspect::frame::{Frame, FrameInfo};
 use solaspect::instrument::{Instrument, builtin};
 use solaspect::pointing::{Roll, Target, offset_of};
+use solaspect::record::Record;
 use solaspect::simulate::{self, Depth, Noise, RandomScenes};
 use solaspect::sky::Ephemeris;
 use solaspect::units::Place;

@@ -6,7 +6,7 @@
 //! telescope points.
 
 use crate::aspect::{Aspect, Solution};
-use crate::fits::Card;
+use crate::fits::{Card, keyword};
 use crate::frame::FrameInfo;
 use crate::geometry::Mapping;
 use crate::instrument::Instrument;
@@ -65,27 +65,27 @@ impl Helioprojection {
         let scale = self.scale_arcsec_per_px();
         let turn = self.arcsec_per_px / scale;
         vec![
-            Card::new("WCSAXES", 2),
-            Card::new("WCSNAME", "Helioprojective-cartesian"),
-            Card::new("CTYPE1", "HPLN-TAN"),
-            Card::new("CTYPE2", "HPLT-TAN"),
-            Card::new("CNAME1", "helioprojective longitude"),
-            Card::new("CNAME2", "helioprojective latitude"),
-            Card::new("CUNIT1", "arcsec"),
-            Card::new("CUNIT2", "arcsec"),
+            Card::new(&keyword::WCSAXES, 2),
+            Card::new(&keyword::WCSNAME, "Helioprojective-cartesian"),
+            Card::new(&keyword::CTYPE1, "HPLN-TAN"),
+            Card::new(&keyword::CTYPE2, "HPLT-TAN"),
+            Card::new(&keyword::CNAME1, "helioprojective longitude"),
+            Card::new(&keyword::CNAME2, "helioprojective latitude"),
+            Card::new(&keyword::CUNIT1, "arcsec"),
+            Card::new(&keyword::CUNIT2, "arcsec"),
             // FITS counts pixels from 1.
-            Card::new("CRPIX1", self.centre_px.x + 1.0),
-            Card::new("CRPIX2", self.centre_px.y + 1.0),
-            Card::new("CRVAL1", 0.0),
-            Card::new("CRVAL2", 0.0),
-            Card::new("CDELT1", scale),
-            Card::new("CDELT2", scale),
-            Card::new("PC1_1", turn.m11),
-            Card::new("PC1_2", turn.m12),
-            Card::new("PC2_1", turn.m21),
-            Card::new("PC2_2", turn.m22),
-            Card::new("LONPOLE", 180.0),
-            Card::new("LATPOLE", 0.0),
+            Card::new(&keyword::CRPIX1, self.centre_px.x + 1.0),
+            Card::new(&keyword::CRPIX2, self.centre_px.y + 1.0),
+            Card::new(&keyword::CRVAL1, 0.0),
+            Card::new(&keyword::CRVAL2, 0.0),
+            Card::new(&keyword::CDELT1, scale),
+            Card::new(&keyword::CDELT2, scale),
+            Card::new(&keyword::PC1_1, turn.m11),
+            Card::new(&keyword::PC1_2, turn.m12),
+            Card::new(&keyword::PC2_1, turn.m21),
+            Card::new(&keyword::PC2_2, turn.m22),
+            Card::new(&keyword::LONPOLE, 180.0),
+            Card::new(&keyword::LATPOLE, 0.0),
         ]
     }
 }
@@ -116,8 +116,8 @@ pub fn sky_cards(
     let mut cards = observer_cards(&sun, place);
     // A target behind the limb has no place there; the frame's reason says so.
     if let Ok(target) = target.at(utc, &sun) {
-        cards.push(Card::new("TARGETX", target.x));
-        cards.push(Card::new("TARGETY", target.y));
+        cards.push(Card::new(&keyword::TARGETX, target.x));
+        cards.push(Card::new(&keyword::TARGETY, target.y));
     }
     if let (Some(aspect), Some(adopted)) = (&solution.aspect, &solution.mapping) {
         match Helioprojection::new(aspect, adopted.mapping(), roll, instrument, &sun) {
@@ -150,10 +150,10 @@ fn error_cards(
     let random = |axis: usize| covariance[(axis, axis)].max(0.0).sqrt();
     let at_limb = turn_sigma_deg.to_radians() * solar_radius_arcsec(sun);
     vec![
-        Card::new("CRDER1", random(0)),
-        Card::new("CRDER2", random(1)),
-        Card::new("CSYER1", at_limb),
-        Card::new("CSYER2", at_limb),
+        Card::new(&keyword::CRDER1, random(0)),
+        Card::new(&keyword::CRDER2, random(1)),
+        Card::new(&keyword::CSYER1, at_limb),
+        Card::new(&keyword::CSYER2, at_limb),
     ]
 }
 
@@ -162,17 +162,17 @@ fn observer_cards(sun: &SunPosition, place: Place) -> Vec<Card> {
     let (longitude_deg, latitude_deg) = stonyhurst_deg(sun, place);
     let carrington_deg = (sun.l0_deg + longitude_deg).rem_euclid(360.0);
     vec![
-        Card::new("DSUN_OBS", sun.distance_au * AU_M),
-        Card::new("HGLN_OBS", longitude_deg),
-        Card::new("HGLT_OBS", latitude_deg),
-        Card::new("CRLN_OBS", carrington_deg),
-        Card::new("CRLT_OBS", latitude_deg),
-        Card::new("RSUN_REF", SUN_RADIUS_KM * 1e3),
-        Card::new("RSUN_OBS", solar_radius_arcsec(sun)),
-        Card::new("SOLAR_P0", sun.p_deg),
-        Card::new("NORTHANG", sun.zenith_to_north_deg),
-        Card::new("SUN-AZ", sun.azimuth_deg),
-        Card::new("SUN-EL", sun.elevation_deg),
+        Card::new(&keyword::DSUN_OBS, sun.distance_au * AU_M),
+        Card::new(&keyword::HGLN_OBS, longitude_deg),
+        Card::new(&keyword::HGLT_OBS, latitude_deg),
+        Card::new(&keyword::CRLN_OBS, carrington_deg),
+        Card::new(&keyword::CRLT_OBS, latitude_deg),
+        Card::new(&keyword::RSUN_REF, SUN_RADIUS_KM * 1e3),
+        Card::new(&keyword::RSUN_OBS, solar_radius_arcsec(sun)),
+        Card::new(&keyword::SOLAR_P0, sun.p_deg),
+        Card::new(&keyword::NORTHANG, sun.zenith_to_north_deg),
+        Card::new(&keyword::SUN_AZ, sun.azimuth_deg),
+        Card::new(&keyword::SUN_EL, sun.elevation_deg),
     ]
 }
 

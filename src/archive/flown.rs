@@ -2,6 +2,7 @@
 //! file of each for every start of the program. Their hashes stand in the header of every frame.
 
 use super::store::Encoded;
+use crate::fits::keyword::{self, Keyword};
 use crate::fits::{Card, Header, Problem, Value};
 use crate::instrument::TomlError;
 use crate::instrument::toml_file::read_text;
@@ -13,21 +14,21 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FlownKind {
     pub name: &'static str,
-    pub keyword: &'static str,
+    pub keyword: &'static Keyword,
 }
 
 pub const CONFIGURATION: FlownKind = FlownKind {
     name: "configuration",
-    keyword: "CONFSHA",
+    keyword: &keyword::CONFSHA,
 };
 pub const INSTRUMENT: FlownKind = FlownKind {
     name: "instrument",
-    keyword: "INSTSHA",
+    keyword: &keyword::INSTSHA,
 };
 
 /// SHA-256 of configuration and instrument's file that a frame's header names.
 pub fn flown_sha256(header: &Header) -> [Option<String>; 2] {
-    [CONFIGURATION, INSTRUMENT].map(|kind| match header.get(kind.keyword) {
+    [CONFIGURATION, INSTRUMENT].map(|kind| match header.get(kind.keyword.name) {
         Some(Value::Text(sha256)) => Some(sha256.clone()),
         _ => None,
     })
@@ -164,13 +165,13 @@ impl FlownFiles {
     /// The keyword, what was expected and what was found.
     pub fn check(&self, header: &Header) -> Result<(), Problem> {
         for kind in [CONFIGURATION, INSTRUMENT] {
-            let Some(Value::Text(named)) = header.get(kind.keyword) else {
+            let Some(Value::Text(named)) = header.get(kind.keyword.name) else {
                 continue;
             };
             let mut known = self.of(kind).peekable();
             if known.peek().is_some() && !known.any(|file| file.sha256 == *named) {
                 return Err(Problem::Field {
-                    field: kind.keyword.into(),
+                    field: kind.keyword.name.into(),
                     expected: format!("the SHA-256 of a file {}_*.toml of the archive", kind.name),
                     found: format!("'{named}'"),
                 });

@@ -6,10 +6,8 @@
 
 use super::disk::Disk;
 use super::growing::Growing;
-use super::record::Record;
 use super::store::{ArchiveError, During};
-use crate::aspect::{Quality, Solution, Stage};
-use crate::frame::Levels;
+use crate::record::Row;
 use jiff::Timestamp;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -21,112 +19,6 @@ const MOST_NAMESAKES: u32 = 1000;
 
 /// Rows that a power cut may cost.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
-
-/// What the logs tell of a frame. `record.file` is empty where its picture was not stored.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Row {
-    /// Number of the frame in its sequence.
-    pub number: Option<u64>,
-    pub quality: Quality,
-    /// Where the frame stopped.
-    pub stopped: Option<Stage>,
-    pub levels: Option<Levels>,
-    pub record: Record,
-    /// Whether the picture is on the disk of the log itself; `None` where it is on none.
-    pub on_own_disk: Option<bool>,
-    pub upkeep: Upkeep,
-}
-
-/// How the archive was when a frame came.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Upkeep {
-    /// Of each disk; `None` where there is none, or where it does not say.
-    pub free_percent: [Option<f64>; 2],
-    /// Pictures that waited for a disk.
-    pub waiting: u64,
-    /// Pictures so far that no disk has.
-    pub unstored: u64,
-}
-
-impl Row {
-    /// The row of a solved frame; `record` is made of the same solution.
-    pub fn new(number: Option<u64>, solution: &Solution, record: Record) -> Self {
-        Self {
-            number,
-            quality: solution.quality,
-            stopped: solution.stopped.map(|stopped| stopped.stage),
-            levels: solution.levels,
-            record,
-            on_own_disk: None,
-            upkeep: Upkeep::default(),
-        }
-    }
-
-    /// Names of the columns that the log has before those of [`Record::CSV_COLUMNS`] and after them.
-    const BEFORE: [&'static str; 1] = ["frame"];
-    const AFTER: [&'static str; 15] = [
-        "reason_measured",
-        "reason_limit",
-        "offset_cross_elevation_deg",
-        "offset_calibration_sigma_deg",
-        "background_dn",
-        "noise_dn",
-        "disc_dn",
-        "disk",
-        "roll_deg",
-        "roll_sigma_deg",
-        "moon_x_px",
-        "moon_y_px",
-        "moon_sigma_x_px",
-        "moon_sigma_y_px",
-        "moon_radius_px",
-    ];
-
-    /// What the column `disk` says of a picture: it is on the disk of the log itself, or on the other one.
-    pub const THIS_DISK: &'static str = "this";
-    pub const OTHER_DISK: &'static str = "other";
-
-    /// Names of the log's columns, each with its unit.
-    pub fn csv_columns() -> Vec<&'static str> {
-        [&Self::BEFORE[..], &Record::CSV_COLUMNS, &Self::AFTER].concat()
-    }
-
-    /// The fields of the columns; what is not known is empty.
-    fn csv_fields(&self) -> Vec<String> {
-        let number = |value: Option<f64>| {
-            let value = value.filter(|value| value.is_finite());
-            value.map_or(String::new(), |value| value.to_string())
-        };
-        let reason = self.record.reason.as_ref();
-        let offset = self.record.offset_deg.as_ref();
-        let roll = self.record.roll_deg.as_ref();
-        let moon = self.record.moon.as_ref();
-        let mut fields = vec![self.number.map_or(String::new(), |n| n.to_string())];
-        fields.extend(self.record.csv_row());
-        fields.extend([
-            number(reason.and_then(|reason| reason.measured)),
-            number(reason.and_then(|reason| reason.limit)),
-            number(offset.map(|offset| offset.cross_elevation)),
-            number(offset.map(|offset| offset.calibration_sigma)),
-            number(self.levels.map(|levels| levels.background_dn)),
-            number(self.levels.map(|levels| levels.noise_dn)),
-            number(self.levels.map(|levels| levels.disc_dn)),
-            match self.on_own_disk {
-                Some(true) => Self::THIS_DISK.into(),
-                Some(false) => Self::OTHER_DISK.into(),
-                None => String::new(),
-            },
-            number(roll.map(|roll| roll.value)),
-            number(roll.map(|roll| roll.sigma)),
-            number(moon.map(|moon| moon.centre_px[0])),
-            number(moon.map(|moon| moon.centre_px[1])),
-            number(moon.map(|moon| moon.centre_sigma_px[0])),
-            number(moon.map(|moon| moon.centre_sigma_px[1])),
-            number(moon.map(|moon| moon.radius_px)),
-        ]);
-        fields
-    }
-}
 
 /// A log of one start in one archive: `<what>_<start>.csv`, a file that is made with its first row.
 ///

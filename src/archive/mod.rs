@@ -1,7 +1,7 @@
 //! How a frame survives: a name that sorts by time, and a file that is whole or absent; and beside the files every
 //! frame's numbers, as a log and as telemetry.
 //!
-//! Which values of a solution fill which keywords, columns and fields is decided in one place, [`Record`]; the world
+//! Which values of a solution fill which keywords, columns and fields is decided in one place, [`record`](crate::record); the world
 //! coordinates of the pixels are made in [`Helioprojection`]. An archive is read through [`ArchiveReader`], from a folder or an object store.
 
 pub mod check;
@@ -9,14 +9,15 @@ mod coordinates;
 mod dirfile;
 pub mod disk;
 mod flown;
+mod frame_file;
 mod growing;
+pub mod keywords;
 mod log;
 mod name;
 #[cfg(feature = "object-store")]
 mod objects;
 mod policy;
 mod reader;
-mod record;
 mod storage;
 mod store;
 
@@ -26,13 +27,10 @@ pub use flown::{
     CONFIGURATION, Flown, FlownFile, FlownFiles, FlownKind, INSTRUMENT, flown_sha256,
     navigation_file,
 };
-pub use log::{Log, Row, SolutionLog, Upkeep};
+pub use frame_file::{instrument_cards, tables, target_cards};
+pub use log::{Log, SolutionLog};
 pub use name::{MOON_CAMERA, NameTime, ROLL_CAMERA, is_of_roll_camera, name, plain, sky_camera};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use reader::ArchiveReader;
-pub use record::{
-    MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord,
-    instrument_cards, tables, target_cards,
-};
 pub use storage::{Listing, StoredFile};
 pub use store::{ArchiveError, Encoded, MARK, Store, UNFINISHED};

@@ -8,7 +8,7 @@
 use super::disk::{Absent, Disk, Entry, EntryKind, LocalDisk, Lock, Space};
 use super::name::{NameTime, name};
 use crate::bounded::within;
-use crate::fits::{Card, FileError, Packing, Problem, Table, encode_frame};
+use crate::fits::{Card, FileError, Packing, Problem, Table, encode_frame, keyword};
 use crate::frame::Frame;
 use jiff::Timestamp;
 use std::io::{self, ErrorKind};
@@ -317,7 +317,7 @@ impl Store {
         let name = self.free_name(&name)?;
         let mut cards = cards.to_vec();
         let file_name = name.file_name().unwrap_or_default().to_string_lossy();
-        cards.push(Card::new("FILENAME", &*file_name));
+        cards.push(Card::new(&keyword::FILENAME, &*file_name));
         let bytes = encode_frame(frame, &cards, tables, self.packing)
             .map_err(|problem: Problem| problem.in_file(&self.root.join(&name)))?;
         Ok(Encoded { name, bytes })
@@ -610,13 +610,13 @@ mod tests {
     #[test]
     fn a_refused_frame_leaves_no_file_and_names_the_path() {
         let root = tempfile::tempdir().unwrap();
-        let card = [Card::new("NOSUCH", 1.0)];
+        let card = [Card::new(&keyword::EXTNAME, "TWICE")];
         let error = store(root.path())
             .write(&frame(Some("2013-09-21T18:00:00Z")), &card, &[])
             .unwrap_err()
             .to_string();
         assert!(
-            error.contains("demo_20130921T180000.000_00000007.fits: NOSUCH"),
+            error.contains("demo_20130921T180000.000_00000007.fits: EXTNAME"),
             "{error}"
         );
         let left: Vec<_> = fs::read_dir(root.path()).unwrap().flatten().collect();

@@ -2,11 +2,11 @@
 
 use super::frames::{Answer, FramesArgs, REMARKS, Row, bad_file};
 use super::options;
-use crate::archive::{Reason, Record};
 use crate::aspect::{self, Expected, Track};
 use crate::calibrate::check::{self, Contradiction, Quantity};
 use crate::instrument::Instrument;
 use crate::pointing::{self, Target};
+use crate::record::{Reason, Record};
 use crate::report;
 use crate::sky::Ephemeris;
 use crate::units::{Place, counted};
@@ -189,11 +189,11 @@ struct Line {
 
 impl Row for Line {
     fn csv_columns() -> Vec<&'static str> {
-        Record::CSV_COLUMNS.to_vec()
+        Record::csv_columns()
     }
 
     fn csv_row(&self) -> Vec<String> {
-        self.record.csv_row().into()
+        self.record.csv_row()
     }
 
     fn table_columns() -> &'static [(&'static str, usize)] {

@@ -1,8 +1,8 @@
 //! How a frame was taken, to keywords.
 
-use super::Card;
 use super::header::Value;
 use super::place::place_cards;
+use super::{Card, keyword};
 use crate::clock::ClockStatus;
 use crate::frame::{Frame, FrameInfo};
 use jiff::Timestamp;
@@ -24,14 +24,20 @@ pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
     let mut cards = time_cards(info);
     let mut add =
         |keyword, value: Option<Value>| cards.extend(value.map(|v| Card::new(keyword, v)));
-    add("FRAMENUM", info.number.map(|n| Value::Integer(n as i64)));
-    add("MONOTIME", info.monotonic.map(|t| t.as_secs_f64().into()));
     add(
-        "UTCSTEP",
+        &keyword::FRAMENUM,
+        info.number.map(|n| Value::Integer(n as i64)),
+    );
+    add(
+        &keyword::MONOTIME,
+        info.monotonic.map(|t| t.as_secs_f64().into()),
+    );
+    add(
+        &keyword::UTCSTEP,
         info.utc_step.map(|step| step.as_secs_f64().into()),
     );
     add(
-        "CAMCLOCK",
+        &keyword::CAMCLOCK,
         info.camera_clock
             .and_then(|t| i64::try_from(t.as_nanos()).ok())
             .map(Value::Integer),
@@ -39,20 +45,23 @@ pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
     let corner = |along: fn((usize, usize)) -> usize| {
         info.corner_px.map(|at| Value::Integer(along(at) as i64))
     };
-    add("CORNER-X", corner(|(x, _)| x));
-    add("CORNER-Y", corner(|(_, y)| y));
-    add("CAMERA", info.camera.clone().map(Value::Text));
-    add("GAIN", info.analogue_gain.map(Value::Float));
-    add("PREAMP", info.preamp_gain.map(Value::Float));
-    add("CAMTEMP", info.camera_temperature_c.map(Value::Float));
-    let depth = u16::BITS - frame.saturation_dn().leading_zeros();
-    add("BITDEPTH", Some(Value::Integer(depth.into())));
+    add(&keyword::CORNER_X, corner(|(x, _)| x));
+    add(&keyword::CORNER_Y, corner(|(_, y)| y));
+    add(&keyword::CAMERA, info.camera.clone().map(Value::Text));
+    add(&keyword::GAIN, info.analogue_gain.map(Value::Float));
+    add(&keyword::PREAMP, info.preamp_gain.map(Value::Float));
     add(
-        "SATURATE",
+        &keyword::CAMTEMP,
+        info.camera_temperature_c.map(Value::Float),
+    );
+    let depth = u16::BITS - frame.saturation_dn().leading_zeros();
+    add(&keyword::BITDEPTH, Some(Value::Integer(depth.into())));
+    add(
+        &keyword::SATURATE,
         Some(Value::Integer(frame.saturation_dn().into())),
     );
-    add("BTYPE", Some("Intensity".into()));
-    add("BUNIT", Some("adu".into()));
+    add(&keyword::BTYPE, Some("Intensity".into()));
+    add(&keyword::BUNIT, Some("adu".into()));
     cards.extend(info.place.map(place_cards).unwrap_or_default());
     cards
 }
@@ -61,13 +70,17 @@ pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
 /// themselves, and say so.
 fn time_cards(info: &FrameInfo) -> Vec<Card> {
     let (start, end) = (info.exposure_start(), info.exposure_end());
-    let mut cards = vec![Card::new("TIMESYS", "UTC")];
+    let mut cards = vec![Card::new(&keyword::TIMESYS, "UTC")];
     for (keyword, julian, time) in [
-        ("DATEREF", "MJDREF", start.or(info.mid_exposure)),
-        ("DATE-OBS", "MJD-OBS", start),
-        ("DATE-BEG", "MJD-BEG", start),
-        ("DATE-AVG", "MJD-AVG", info.mid_exposure),
-        ("DATE-END", "MJD-END", end),
+        (
+            &keyword::DATEREF,
+            &keyword::MJDREF,
+            start.or(info.mid_exposure),
+        ),
+        (&keyword::DATE_OBS, &keyword::MJD_OBS, start),
+        (&keyword::DATE_BEG, &keyword::MJD_BEG, start),
+        (&keyword::DATE_AVG, &keyword::MJD_AVG, info.mid_exposure),
+        (&keyword::DATE_END, &keyword::MJD_END, end),
     ] {
         if let Some(time) = time {
             cards.push(Card::new(keyword, format_time(time)));
@@ -75,8 +88,8 @@ fn time_cards(info: &FrameInfo) -> Vec<Card> {
         }
     }
     if let Some(exposure) = info.exposure {
-        cards.push(Card::new("EXPTIME", exposure.as_secs_f64()));
-        cards.push(Card::new("XPOSURE", exposure.as_secs_f64()));
+        cards.push(Card::new(&keyword::EXPTIME, exposure.as_secs_f64()));
+        cards.push(Card::new(&keyword::XPOSURE, exposure.as_secs_f64()));
     }
     cards
 }
@@ -84,21 +97,25 @@ fn time_cards(info: &FrameInfo) -> Vec<Card> {
 /// The keywords that say how well the computer's clock was held, from which the frame's times come.
 pub fn clock_cards(clock: &ClockStatus) -> Vec<Card> {
     let mut cards = vec![
-        Card::new("CLKSYNC", clock.synchronised),
-        Card::new("CLKOFF", clock.offset_us * 1e-6),
-        Card::new("CLKERR", clock.max_error_us * 1e-6),
+        Card::new(&keyword::CLKSYNC, clock.synchronised),
+        Card::new(&keyword::CLKOFF, clock.offset_us * 1e-6),
+        Card::new(&keyword::CLKERR, clock.max_error_us * 1e-6),
     ];
-    cards.extend(clock.source.map(|source| Card::new("CLKSRC", source)));
+    cards.extend(
+        clock
+            .source
+            .map(|source| Card::new(&keyword::CLKSRC, source)),
+    );
     cards
 }
 
 /// What says how times are counted: in seconds from a zero, UTC.
 pub fn zero_cards(zero: Timestamp) -> Vec<Card> {
     vec![
-        Card::new("TIMESYS", "UTC"),
-        Card::new("TIMEUNIT", "s"),
-        Card::new("DATEREF", format_time(zero)),
-        Card::new("MJDREF", modified_julian_date(zero)),
+        Card::new(&keyword::TIMESYS, "UTC"),
+        Card::new(&keyword::TIMEUNIT, "s"),
+        Card::new(&keyword::DATEREF, format_time(zero)),
+        Card::new(&keyword::MJDREF, modified_julian_date(zero)),
     ]
 }
 
@@ -122,10 +139,10 @@ mod tests {
         };
         let card = |keyword, value: Value| Card::new(keyword, value);
         let held = [
-            card("CLKSYNC", true.into()),
-            card("CLKOFF", (-250e-6).into()),
-            card("CLKERR", 1500e-6.into()),
-            card("CLKSRC", "chrony".into()),
+            card(&keyword::CLKSYNC, true.into()),
+            card(&keyword::CLKOFF, (-250e-6).into()),
+            card(&keyword::CLKERR, 1500e-6.into()),
+            card(&keyword::CLKSRC, "chrony".into()),
         ];
         assert_eq!(clock_cards(&clock), held);
         clock.source = None;

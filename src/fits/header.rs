@@ -1,6 +1,7 @@
 //! The cards of one header: keyword and value, as FITS 4.0 (section 4) writes them.
 
 use super::Problem;
+use super::keyword::Keyword;
 use std::fmt;
 
 /// Bytes of a card.
@@ -74,12 +75,12 @@ pub struct Header {
 /// A keyword of the table in [`keyword`](super::keyword) with its value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Card {
-    pub keyword: &'static str,
+    pub keyword: &'static Keyword,
     pub value: Value,
 }
 
 impl Card {
-    pub fn new(keyword: &'static str, value: impl Into<Value>) -> Self {
+    pub fn new(keyword: &'static Keyword, value: impl Into<Value>) -> Self {
         Self {
             keyword,
             value: value.into(),

@@ -5,6 +5,7 @@
 //! et al. 2015, section 4.1.3), which puts a height 3 m lower. They are read in this order: files of others have the
 //! latter two.
 
+use super::keyword::{self, Keyword};
 use super::values::Values;
 use super::{Card, Problem};
 use crate::frame::Warning;
@@ -12,9 +13,12 @@ use crate::geometry::earth;
 use crate::units::Place;
 use sofars::coords::{gc2gde, gd2gce};
 
-const GEODETIC: [&str; 3] = ["LATITUDE", "LONGITUD", "HEIGHT"];
-const GEOCENTRIC: [&str; 3] = ["OBSGEO-X", "OBSGEO-Y", "OBSGEO-Z"];
-const GEODETIC_IAU: [&str; 3] = ["OBSGEO-B", "OBSGEO-L", "OBSGEO-H"];
+const GEODETIC: Triple = [&keyword::LATITUDE, &keyword::LONGITUD, &keyword::HEIGHT];
+const GEOCENTRIC: Triple = [&keyword::OBSGEO_X, &keyword::OBSGEO_Y, &keyword::OBSGEO_Z];
+const GEODETIC_IAU: Triple = [&keyword::OBSGEO_B, &keyword::OBSGEO_L, &keyword::OBSGEO_H];
+
+/// Keywords that only make sense together.
+type Triple = [&'static Keyword; 3];
 
 /// Equatorial radius (m) and flattening of the IAU's ellipsoid of 1976.
 const IAU_1976: (f64, f64) = (6_378_140.0, 1.0 / 298.2577);
@@ -26,7 +30,7 @@ pub(super) fn read_place(values: &mut Values) -> (Option<Place>, Option<Warning>
 
 fn place(values: &mut Values) -> Option<Place> {
     type Convert = fn([f64; 3]) -> Result<Place, Problem>;
-    let forms: [([&str; 3], Convert); 3] = [
+    let forms: [(Triple, Convert); 3] = [
         (GEODETIC, |[b, l, h]| {
             checked("LATITUDE/LONGITUD/HEIGHT", b, l, h)
         }),
@@ -66,7 +70,7 @@ pub fn place_cards(place: Place) -> Vec<Card> {
     cards
 }
 
-fn cards(keywords: [&'static str; 3], values: [f64; 3]) -> Vec<Card> {
+fn cards(keywords: Triple, values: [f64; 3]) -> Vec<Card> {
     let pairs = keywords.into_iter().zip(values);
     pairs
         .map(|(keyword, value)| Card::new(keyword, value))
@@ -93,7 +97,8 @@ fn checked(field: &str, latitude: f64, longitude: f64, height: f64) -> Result<Pl
 }
 
 /// Three numbers that only make sense together.
-fn triple(values: &mut Values, keywords: [&str; 3]) -> Option<[f64; 3]> {
+fn triple(values: &mut Values, keywords: Triple) -> Option<[f64; 3]> {
+    let keywords = keywords.map(|keyword| keyword.name);
     let stated = keywords.map(|keyword| values.header.contains(keyword));
     let numbers = keywords.map(|keyword| values.number(keyword));
     if let [Some(x), Some(y), Some(z)] = numbers {

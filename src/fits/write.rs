@@ -5,7 +5,7 @@
 
 use super::cards::{format_time, info_cards};
 use super::header::{Card, Value};
-use super::keyword::{self, Kind};
+use super::keyword::{self, Keyword, Kind};
 use super::layout::{Layout, printable};
 use super::pack::{self, Packing};
 use super::{FileError, Problem, unit};
@@ -205,20 +205,23 @@ enum Holds {
 }
 
 fn obs_hdu(holds: Holds) -> Card {
-    Card::new("OBS_HDU", i64::from(matches!(holds, Holds::Observation)))
+    Card::new(
+        &keyword::OBS_HDU,
+        i64::from(matches!(holds, Holds::Observation)),
+    )
 }
 
 fn name_cards(name: &str, holds: Holds) -> [Card; 2] {
-    [Card::new("EXTNAME", name), obs_hdu(holds)]
+    [Card::new(&keyword::EXTNAME, name), obs_hdu(holds)]
 }
 
 /// The program that writes the file.
 pub(super) fn program() -> Vec<Card> {
     let mut cards = vec![
-        Card::new("ORIGIN", "solaspect"),
-        Card::new("CREATOR", PROGRAM),
+        Card::new(&keyword::ORIGIN, "solaspect"),
+        Card::new(&keyword::CREATOR, PROGRAM),
     ];
-    cards.extend(COMMIT.map(|commit| Card::new("SWCOMMIT", commit)));
+    cards.extend(COMMIT.map(|commit| Card::new(&keyword::SWCOMMIT, commit)));
     cards
 }
 
@@ -226,18 +229,18 @@ pub(super) fn program() -> Vec<Card> {
 fn provenance() -> Vec<Card> {
     let now = Timestamp::from_second(Timestamp::now().as_second()).unwrap_or_default();
     let mut cards = program();
-    cards.push(Card::new("DATE", format_time(now)));
+    cards.push(Card::new(&keyword::DATE, format_time(now)));
     // In part: SOLARNET wants WAVEUNIT as a power of ten, where FITS and sunpy want a unit.
-    cards.push(Card::new("SOLARNET", 0.5));
+    cards.push(Card::new(&keyword::SOLARNET, 0.5));
     cards
 }
 
 /// A keyword stands once in a header; one from above may not contradict the frame's own.
 fn refuse_duplicates(own: &[Card], extra: &[Card]) -> Result<(), Problem> {
-    let mut seen: BTreeSet<&str> = own.iter().map(|card| card.keyword).collect();
-    seen.extend(["EXTNAME", "OBS_HDU"]);
-    match extra.iter().find(|card| !seen.insert(card.keyword)) {
-        Some(card) => Err(Problem::field(card.keyword, "one value", "a second")),
+    let mut seen: BTreeSet<&str> = own.iter().map(|card| card.keyword.name).collect();
+    seen.extend([keyword::EXTNAME, keyword::OBS_HDU].map(|keyword| keyword.name));
+    match extra.iter().find(|card| !seen.insert(card.keyword.name)) {
+        Some(card) => Err(Problem::field(card.keyword.name, "one value", "a second")),
         None => Ok(()),
     }
 }
@@ -247,22 +250,21 @@ pub(super) fn put_cards(file: &mut Layout, cards: &[Card]) -> Result<(), Problem
 }
 
 fn put_card(file: &mut Layout, card: &Card) -> Result<(), Problem> {
-    let row = keyword::find(card.keyword)
-        .ok_or_else(|| Problem::field(card.keyword, "a keyword of the table", "another"))?;
-    let comment = row.comment();
-    let number = match (&card.value, row.kind) {
+    let Keyword { name, kind, .. } = *card.keyword;
+    let comment = card.keyword.comment();
+    let number = match (&card.value, kind) {
         (Value::Text(text), Kind::Text | Kind::Time) => {
-            file.text(card.keyword, text, &comment);
+            file.text(name, text, &comment);
             return Ok(());
         }
         (Value::Integer(number), Kind::Integer | Kind::Float) => number.to_string(),
         (Value::Float(number), Kind::Float) if number.is_finite() => float(*number),
         (Value::Logical(truth), Kind::Logical) => Value::Logical(*truth).to_string(),
         (value, kind) => {
-            return Err(Problem::field(card.keyword, format!("{kind:?}"), value));
+            return Err(Problem::field(name, format!("{kind:?}"), value));
         }
     };
-    file.value(card.keyword, &number, &comment);
+    file.value(name, &number, &comment);
     Ok(())
 }
 

@@ -3,7 +3,7 @@
 use super::evaluate::Pointed;
 use super::{PointingHistory, Sight};
 use crate::columns::{Column, float, logical, text};
-use crate::fits::{Card, format_time, place_cards, zero_cards};
+use crate::fits::{Card, format_time, keyword, place_cards, zero_cards};
 use crate::geometry::earth::geodetic;
 use jiff::{Timestamp, Unit};
 
@@ -90,10 +90,10 @@ pub fn pointing_cards(history: &PointingHistory) -> Vec<Card> {
     let zero_s = zero.as_second() as f64;
     let mut cards = zero_cards(zero);
     cards.extend([
-        Card::new("TSTART", ends_s[0] - zero_s),
-        Card::new("TSTOP", ends_s[1] - zero_s),
+        Card::new(&keyword::TSTART, ends_s[0] - zero_s),
+        Card::new(&keyword::TSTOP, ends_s[1] - zero_s),
     ]);
-    for (keyword, time) in [("DATE-BEG", from), ("DATE-END", to)] {
+    for (keyword, time) in [(&keyword::DATE_BEG, from), (&keyword::DATE_END, to)] {
         cards.extend(time.map(|time| Card::new(keyword, format_time(time))));
     }
     let middle_m = history.position_m((ends_s[0] + ends_s[1]) / 2.0);

@@ -1,13 +1,13 @@
 //! A solved frame, and what of it waits for the next housekeeping.
 
 use super::flight::Station;
-use crate::archive::{Record, RollRecord, Row};
 use crate::aspect::{Quality, Solution};
 use crate::camera::Exposure;
 use crate::geometry::attitude::Direction;
 use crate::horizon;
 use crate::moon::{self, Disc, Stopped};
 use crate::pointing::{Offset, Target};
+use crate::record::{Record, RollRecord, Row};
 use crate::units::Measured;
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -1,7 +1,8 @@
 //! The keywords of archived frames: of the right kind, as a line of a list, as a row of a table.
 
 use super::field;
-use crate::fits::keyword::{self, GROUPS, Keyword, Kind};
+use crate::archive::keywords;
+use crate::fits::keyword::{Keyword, Kind};
 use crate::fits::{FileError, FitsFile, Header, Problem, Value};
 use jiff::Timestamp;
 use jiff::civil::DateTime;
@@ -13,7 +14,7 @@ use std::path::Path;
 fn check_kinds(header: &Header) -> Result<(), Problem> {
     let known = header
         .iter()
-        .filter_map(|(name, value)| Some((keyword::find(name)?, value)));
+        .filter_map(|(name, value)| Some((keywords::find(name)?, value)));
     for (keyword, value) in known {
         let expected = match (keyword.kind, value) {
             (Kind::Text, Value::Text(_)) | (Kind::Logical, Value::Logical(_)) => continue,
@@ -106,10 +107,9 @@ pub struct Group {
 /// As [`Row::read`].
 pub fn grouped(file: &FitsFile) -> Result<Vec<Group>, FileError> {
     let header = checked(file)?;
-    let own = |group: &keyword::Group| Group {
-        title: group.title,
-        cards: group
-            .keywords
+    let own = |(title, keywords): (&'static str, Vec<&Keyword>)| Group {
+        title,
+        cards: keywords
             .iter()
             .filter_map(|row| {
                 let value = header.get(row.name)?.to_string();
@@ -119,9 +119,9 @@ pub fn grouped(file: &FitsFile) -> Result<Vec<Group>, FileError> {
     };
     let others = header
         .iter()
-        .filter(|(name, _)| keyword::find(name).is_none())
+        .filter(|(name, _)| keywords::find(name).is_none())
         .map(|(name, value)| (name.into(), value.to_string(), String::new()));
-    let mut groups: Vec<Group> = GROUPS.iter().map(own).collect();
+    let mut groups: Vec<Group> = keywords::groups().map(own).collect();
     groups.push(Group {
         title: "Structure and others",
         cards: others.collect(),
@@ -132,8 +132,8 @@ pub fn grouped(file: &FitsFile) -> Result<Vec<Group>, FileError> {
 
 /// The keywords that have columns: all but those about the file itself.
 fn columns() -> impl Iterator<Item = &'static Keyword> {
-    let about_frames = GROUPS.iter().filter(|group| group.title != "File");
-    about_frames.flat_map(|group| group.keywords)
+    let about_frames = keywords::groups().filter(|(title, _)| *title != "File");
+    about_frames.flat_map(|(_, keywords)| keywords)
 }
 
 /// The names of the columns, each with its unit: `file`, the keywords, `error`.

@@ -5,7 +5,7 @@
 //! other are known to be there.
 
 use super::BadFile;
-use crate::archive::Row;
+use crate::record::Row;
 use csv::{ReaderBuilder, StringRecord};
 use jiff::Timestamp;
 use serde::Serialize;

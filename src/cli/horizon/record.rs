@@ -1,10 +1,10 @@
 //! What is said of a frame of the horizon.
 
-use crate::archive::Reason;
 use crate::cli::frames::{REMARKS, Row};
 use crate::geometry::attitude::Direction;
 use crate::horizon::circle::Circle;
 use crate::horizon::{Conic, Flag, Quality, Solution, Sphere, Stopped, pitch_deg, roll_deg};
+use crate::record::Reason;
 use nalgebra::UnitVector3;
 use serde::Serialize;
 use std::time::Duration;

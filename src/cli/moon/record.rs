@@ -1,9 +1,9 @@
 //! What is said of a frame of the Moon.
 
-use crate::archive::Reason;
 use crate::cli::frames::{REMARKS, Row};
 use crate::geometry::camera::Camera;
 use crate::moon::{Disc, Quality, Stopped};
+use crate::record::Reason;
 use crate::units::SensorPx;
 use nalgebra::Rotation3;
 use serde::Serialize;

@@ -4,11 +4,12 @@
 //! is room for them. The telemetry tells the same numbers again, and is not worth waiting for.
 
 use super::picture::Told;
-use crate::archive::{ArchiveError, Dirfile, Log, Row, SolutionLog, Store};
+use crate::archive::{ArchiveError, Dirfile, Log, SolutionLog, Store};
 use crate::backoff::Backoff;
 use crate::link::Housekeeping;
 use crate::link::housekeeping::{FIELDS, Field};
 use crate::log::worth_a_line;
+use crate::record::Row;
 use crate::service::command_log::CommandNote;
 use crate::service::navigation::{NavigationLog, NavigationRows};
 use crossbeam_channel::{Receiver, RecvTimeoutError};

@@ -10,7 +10,7 @@ use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDateTime};
 use serde::{Deserialize, Serialize};
-use solaspect::archive::Record;
+use solaspect::record::Record;
 use solaspect::aspect;
 use solaspect::calibrate::check::Contradiction;
 use solaspect::pointing;

@@ -1,8 +1,25 @@
-//! The table of keywords as a page of markdown.
+//! All keywords of an archived frame, in groups: those of frames, and those of a solution. The page `docs/keywords.md` is made from them.
 
-use super::table::{FOREIGN, GROUPS};
-use super::{Group, Kind, Use};
+use crate::fits::keyword::{FOREIGN, GROUPS, Group, Keyword, Kind, Use};
+use crate::record;
 use std::fmt::Write;
+
+/// The title of what a solution says.
+const SOLUTION: &str = "Solution";
+
+/// All groups but those of [`FOREIGN`], which are never written: titles and keywords.
+pub fn groups() -> impl Iterator<Item = (&'static str, Vec<&'static Keyword>)> {
+    let of = |group: &'static Group| (group.title, group.keywords.iter().collect());
+    let solution = (SOLUTION, record::keywords().collect());
+    GROUPS.iter().map(of).chain([solution])
+}
+
+/// The row of a keyword.
+pub fn find(name: &str) -> Option<&'static Keyword> {
+    let frames = GROUPS.iter().flat_map(|group| group.keywords);
+    let mut all = frames.chain(record::keywords());
+    all.find(|keyword| keyword.name == name)
+}
 
 const COORDINATES: &str = "
 ## What the world coordinates are
@@ -59,13 +76,19 @@ place has no world coordinates, and false ones do harm |
 pub fn markdown() -> String {
     let mut page = String::from(
         "# Keywords of an archived frame\n\n\
-         This page is made from the table in `src/fits/keyword/table.rs`.\n\n\
+         This page is made from the tables in `src/fits/keyword/table.rs` and `src/record.rs`.\n\n\
          They stand in the header of the HDU that holds the pixels. On reading, that header goes before the primary \
          one. Times are UTC. A value that is not known has no keyword; a frame without a Sun, a time or a place has no \
          world coordinates.\n",
     );
-    GROUPS.iter().for_each(|group| add(&mut page, group));
-    FOREIGN.iter().for_each(|group| add(&mut page, group));
+    groups().for_each(|(title, keywords)| add(&mut page, title, &keywords));
+    for group in FOREIGN {
+        add(
+            &mut page,
+            group.title,
+            &group.keywords.iter().collect::<Vec<_>>(),
+        );
+    }
     page.push_str(FOREIGN_NOTE);
     page.push_str(COORDINATES);
     page.push_str(TABLES);
@@ -73,14 +96,14 @@ pub fn markdown() -> String {
     page
 }
 
-fn add(page: &mut String, group: &Group) {
+fn add(page: &mut String, title: &str, keywords: &[&Keyword]) {
     // Writing to a String cannot fail.
     let _ = write!(
         page,
         "\n## {}\n\n| keyword | value | unit | use | meaning |\n|---|---|---|---|---|\n",
-        group.title
+        title
     );
-    for keyword in group.keywords {
+    for keyword in keywords {
         let _ = writeln!(
             page,
             "| `{}` | {} | {} | {} | {} |",
@@ -108,5 +131,40 @@ fn use_name(used: Use) -> &'static str {
         Use::Written => "written",
         Use::Read => "read",
         Use::Both => "written, read",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn every_keyword_is_a_legal_and_unique_name_whose_comment_fits_beside_a_number() {
+        let foreign = || FOREIGN.iter().flat_map(|group| group.keywords);
+        let all = || groups().flat_map(|(_, keywords)| keywords).chain(foreign());
+        let names: BTreeSet<&str> = all().map(|keyword| keyword.name).collect();
+        assert_eq!(names.len(), all().count());
+        for keyword in all() {
+            let legal = |b: u8| b.is_ascii_uppercase() || b.is_ascii_digit() || b"-_".contains(&b);
+            assert!(keyword.name.bytes().all(legal), "{keyword:?}");
+            assert!((1..=8).contains(&keyword.name.len()), "{keyword:?}");
+            assert!(!keyword.meaning.is_empty(), "{keyword:?}");
+            assert!(keyword.comment().len() <= 47, "{keyword:?}");
+        }
+    }
+
+    /// With SOLASPECT_WRITE_DOCS set, the page is written instead.
+    #[test]
+    fn the_page_of_keywords_is_the_table() {
+        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/keywords.md");
+        if std::env::var_os("SOLASPECT_WRITE_DOCS").is_some() {
+            std::fs::write(page, markdown()).unwrap();
+        }
+        let committed = std::fs::read_to_string(page).unwrap();
+        assert!(
+            committed == markdown(),
+            "docs/keywords.md is not the table: run this test with SOLASPECT_WRITE_DOCS=1"
+        );
     }
 }

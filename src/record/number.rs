@@ -1,0 +1,136 @@
+//! A number of a record, and its names in each form that has it.
+
+use super::Row;
+use crate::fits::Card;
+use crate::fits::keyword::{Keyword, Kind, Use, row};
+use std::borrow::Cow;
+
+/// A number of a frame, or what else is said of it: what it is, and its names in each form that has it.
+#[derive(Clone, Copy)]
+pub struct Number {
+    value: Value,
+    pub column: Option<(&'static str, Digits)>,
+    pub keyword: Option<Keyword>,
+    pub field: Option<Field>,
+}
+
+/// What is said of a row.
+#[derive(Clone, Copy)]
+pub enum Value {
+    Text(fn(&Row) -> Option<Cow<'_, str>>),
+    Count(fn(&Row) -> Option<u64>),
+    Number(fn(&Row) -> Option<f64>),
+    Code(fn(&Row) -> u8),
+}
+
+/// How a number is written to CSV: so many digits behind the point, or as many as make it.
+#[derive(Clone, Copy)]
+pub enum Digits {
+    Six,
+    Nine,
+    All,
+}
+
+/// A field of the telemetry.
+#[derive(Clone, Copy)]
+pub struct Field {
+    pub name: &'static str,
+    pub unit: &'static str,
+    pub meaning: &'static str,
+    pub value: Value,
+}
+
+const fn say(value: Value) -> Number {
+    Number {
+        value,
+        column: None,
+        keyword: None,
+        field: None,
+    }
+}
+
+pub const fn text(value: fn(&Row) -> Option<Cow<'_, str>>) -> Number {
+    say(Value::Text(value))
+}
+
+pub const fn count(value: fn(&Row) -> Option<u64>) -> Number {
+    say(Value::Count(value))
+}
+
+pub const fn number(value: fn(&Row) -> Option<f64>) -> Number {
+    say(Value::Number(value))
+}
+
+pub const fn code(value: fn(&Row) -> u8) -> Number {
+    say(Value::Code(value))
+}
+
+impl Number {
+    /// A column of the logs.
+    pub const fn column(self, name: &'static str, digits: Digits) -> Self {
+        let column = Some((name, digits));
+        Self { column, ..self }
+    }
+
+    /// A keyword of FITS headers.
+    pub const fn keyword(
+        self,
+        name: &'static str,
+        unit: &'static str,
+        meaning: &'static str,
+    ) -> Self {
+        let kind = match self.value {
+            Value::Text(_) => Kind::Text,
+            Value::Count(_) | Value::Code(_) => Kind::Integer,
+            Value::Number(_) => Kind::Float,
+        };
+        let keyword = Some(row(name, kind, unit, Use::Written, meaning));
+        Self { keyword, ..self }
+    }
+
+    /// A field of the telemetry.
+    pub const fn field(
+        self,
+        name: &'static str,
+        unit: &'static str,
+        meaning: &'static str,
+    ) -> Self {
+        let field = Some(Field {
+            name,
+            unit,
+            meaning,
+            value: self.value,
+        });
+        Self { field, ..self }
+    }
+
+    /// As CSV has it; empty where it is not known.
+    pub fn text(&self, row: &Row) -> String {
+        let digits = self.column.map_or(Digits::All, |(_, digits)| digits);
+        let text = match self.value {
+            Value::Text(value) => value(row).map(Cow::into_owned),
+            Value::Count(value) => value(row).map(|count| count.to_string()),
+            Value::Code(value) => Some(value(row).to_string()),
+            Value::Number(value) => value(row).and_then(|number| match digits {
+                Digits::Six => Some(format!("{number:.6}")),
+                Digits::Nine => Some(format!("{number:.9}")),
+                Digits::All => number.is_finite().then(|| number.to_string()),
+            }),
+        };
+        text.unwrap_or_default()
+    }
+
+    /// As a header has it; a number that is not finite has no place there.
+    pub fn card(&'static self, row: &Row) -> Option<Card> {
+        let keyword = self.keyword.as_ref()?;
+        match self.value {
+            Value::Text(value) => Some(Card::new(keyword, &*value(row)?)),
+            Value::Count(value) => Some(Card::new(keyword, value(row)? as i64)),
+            Value::Code(value) => Some(Card::new(keyword, i64::from(value(row)))),
+            Value::Number(value) => {
+                let number = value(row).filter(|number| number.is_finite())?;
+                Some(Card::new(keyword, number))
+            }
+        }
+    }
+}
