@@ -68,6 +68,7 @@
 //! | [`limb`], [`fiducial`] | the disc's edge; the marks and their ids |
 //! | [`aspect`], [`horizon`], [`moon`] | the pipeline on one page; the nadir from the Earth's limb; the Moon's centre at any phase |
 //! | [`pointing`] | from the Sun on the plate to an offset on the sky |
+//! | [`record`] | what is said of a frame: each number once, with its names in every form |
 //! | [`navigation`] | inertial navigation: the attitude between and beyond the frames |
 //! | [`simulate`] | scenes and trajectories with truth, controller emulator |
 //! | [`columns`] | tables by the declaration of their columns: FITS, CSV, the manual |

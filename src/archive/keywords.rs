@@ -76,7 +76,7 @@ place has no world coordinates, and false ones do harm |
 pub fn markdown() -> String {
     let mut page = String::from(
         "# Keywords of an archived frame\n\n\
-         This page is made from the tables in `src/fits/keyword/table.rs` and `src/record.rs`.\n\n\
+         This page is made from the tables in `src/fits/keyword/table.rs` and `src/record/mod.rs`.\n\n\
          They stand in the header of the HDU that holds the pixels. On reading, that header goes before the primary \
          one. Times are UTC. A value that is not known has no keyword; a frame without a Sun, a time or a place has no \
          world coordinates.\n",
