@@ -6,10 +6,7 @@
 
 use jiff::Timestamp;
 use solaspect::archive::disk::LocalDisk;
-use solaspect::archive::{
-    Dirfile, MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord, Row,
-    SolutionLog, Upkeep,
-};
+use solaspect::archive::{Dirfile, SolutionLog};
 use solaspect::aspect::{Quality, Solution, Stage};
 use solaspect::clock::Utc;
 use solaspect::frame::Levels;
@@ -17,6 +14,9 @@ use solaspect::link::housekeeping::{FIELDS, LAYOUT, MarkIds, fields_by_layout};
 use solaspect::link::{
     AspectCommand, COMMANDS, ExposureStart, GpsFix, Housekeeping, Message, MoonAnswer, MoonFix,
     MoonRequest, MoonSight, Propagated, Telemetry,
+};
+use solaspect::record::{
+    MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord, Row, Upkeep,
 };
 use std::fmt::Write;
 use std::fs;
@@ -280,7 +280,7 @@ fn logs(text: &mut String) {
         let line = serde_json::to_string(&row.record).unwrap();
         writeln!(text, "json {line}").unwrap();
         for card in row.record.cards() {
-            writeln!(text, "card {} = {}", card.keyword, card.value).unwrap();
+            writeln!(text, "card {} = {}", card.keyword.name, card.value).unwrap();
         }
         let csv = row.record.csv_row();
         writeln!(text, "csv {}", csv.join(";")).unwrap();
