@@ -7,6 +7,7 @@ use crate::archive::{ArchiveError, Flown, MOON_CAMERA, ROLL_CAMERA, Store};
 use crate::bounded::within;
 use crate::camera::{CameraError, Exposure, FrameSource};
 use crate::config::{Config, FlightClock};
+use crate::frame::FrameInfo;
 use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera};
 use crate::link::{Connection, picture};
 use crate::navigation::Settings;
@@ -14,6 +15,7 @@ use crate::pointing::Target;
 use crate::provenance::sha256;
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
+use jiff::Timestamp;
 use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -226,8 +228,40 @@ pub type CameraFactory = Arc<dyn Fn() -> Result<Box<dyn FrameSource>, CameraErro
 pub(super) struct UnsolvedFrame {
     pub exposure: Exposure,
     pub arrived: Instant,
-    /// Of the exposure.
-    pub middle: Instant,
+    pub middle: Middle,
+}
+
+/// The middle of an exposure: by the frame's own time, and by its arrival, which a busy computer delays.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Middle {
+    pub utc: Option<Timestamp>,
+    pub by_arrival: Instant,
+}
+
+impl Middle {
+    /// No frame is delayed by more: the clock has made a step.
+    const LONGEST_DELAY_S: f64 = 2.0;
+
+    pub fn of(info: &FrameInfo, arrived: Instant) -> Self {
+        let half = info.exposure.unwrap_or_default() / 2;
+        Self {
+            utc: info.mid_exposure,
+            by_arrival: arrived.checked_sub(half).unwrap_or(arrived),
+        }
+    }
+
+    /// How long after this one another was, s; negative before.
+    pub fn until(&self, other: &Self) -> f64 {
+        let (from, to) = (self.by_arrival, other.by_arrival);
+        let by_arrival = match to.checked_duration_since(from) {
+            Some(after) => after.as_secs_f64(),
+            None => -from.saturating_duration_since(to).as_secs_f64(),
+        };
+        let by_utc = self.utc.zip(other.utc);
+        let by_utc = by_utc.map(|(from, to)| to.duration_since(from).as_secs_f64());
+        let agrees = |by_utc: &f64| (by_utc - by_arrival).abs() < Self::LONGEST_DELAY_S;
+        by_utc.filter(agrees).unwrap_or(by_arrival)
+    }
 }
 
 impl UnsolvedFrame {

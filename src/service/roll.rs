@@ -2,7 +2,7 @@
 
 use super::answer::Answer;
 use super::control::Snapshot;
-use super::flight::{Station, UnsolvedFrame};
+use super::flight::{Middle, Station, UnsolvedFrame};
 use super::outlet::Outlet;
 use super::shared::Shared;
 use super::tally::RollTally;
@@ -40,8 +40,7 @@ pub(super) type LatestNadir = Shared<Option<SeenNadir>>;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SeenNadir {
     pub direction: Direction,
-    /// Middle of the exposure.
-    at: Instant,
+    at: Middle,
     /// When the frame was there.
     pub arrived: Instant,
     /// How it turns in these axes, by the latest frames.
@@ -53,11 +52,11 @@ pub(super) struct SeenNadir {
 
 impl SeenNadir {
     /// A direction, where no frames before tell how it turns.
-    fn first(direction: Direction, at: Instant) -> Self {
+    fn first(direction: Direction, at: Middle) -> Self {
         Self {
             direction,
             at,
-            arrived: at,
+            arrived: at.by_arrival,
             turn_rad_per_s: Vector3::zeros(),
             missed_rad: USUAL_RAD_PER_S,
             after_s: 1.0,
@@ -65,11 +64,11 @@ impl SeenNadir {
     }
 
     /// What comes after it.
-    fn next(last: Option<Self>, direction: Direction, at: Instant) -> Self {
+    fn next(last: Option<Self>, direction: Direction, at: Middle) -> Self {
         let Some(last) = last else {
             return Self::first(direction, at);
         };
-        let step_s = seconds(last.at, at);
+        let step_s = last.at.until(&at);
         if step_s <= 0.0 || step_s > RATE_VALID_S {
             return Self::first(direction, at);
         }
@@ -81,7 +80,7 @@ impl SeenNadir {
         Self {
             direction,
             at,
-            arrived: at,
+            arrived: at.by_arrival,
             turn_rad_per_s: last.turn_rad_per_s.lerp(&rate, follows),
             missed_rad: (kept + (1.0 - MISS_KEPT) * miss_rad.powi(2) / 2.0).sqrt(),
             after_s: step_s,
@@ -90,8 +89,8 @@ impl SeenNadir {
 
     /// The direction at the middle of another exposure, by how it turns, and less certain by what such a turn misses; `None` where the two
     /// are too far apart.
-    pub fn at(self, moment: Instant, max_age: Duration) -> Option<Direction> {
-        let after_s = seconds(self.at, moment);
+    pub fn at(self, moment: &Middle, max_age: Duration) -> Option<Direction> {
+        let after_s = self.at.until(moment);
         let near = after_s.abs() <= max_age.as_secs_f64();
         near.then(|| {
             self.turned(after_s)
@@ -114,14 +113,6 @@ impl SeenNadir {
         let part = after_s.abs() / self.after_s;
         let still = (self.turn_rad_per_s.norm() + USUAL_RAD_PER_S) * after_s.abs();
         (self.missed_rad * part.max(part.powi(2))).min(still)
-    }
-}
-
-/// From one moment to another, which may be before it.
-fn seconds(from: Instant, to: Instant) -> f64 {
-    match to.checked_duration_since(from) {
-        Some(after) => after.as_secs_f64(),
-        None => -from.saturating_duration_since(to).as_secs_f64(),
     }
 }
 
@@ -287,6 +278,7 @@ fn levels_alone(solution: &Solution) -> aspect::Solution {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use jiff::Timestamp;
 
     fn down(roll_rad: f64) -> Direction {
         let unit = Vector3::new(0.0, roll_rad.sin(), roll_rad.cos());
@@ -297,8 +289,11 @@ mod tests {
         0.02 * (std::f64::consts::TAU * time_s / 3.7).sin()
     }
 
-    fn after(start: Instant, time_s: f64) -> Instant {
-        start + Duration::from_secs_f64(time_s)
+    fn after(start: Instant, time_s: f64) -> Middle {
+        Middle {
+            utc: None,
+            by_arrival: start + Duration::from_secs_f64(time_s),
+        }
     }
 
     /// How far the direction of some frames is off a swing, and its sigma beside the frames' own, at a time.
@@ -309,12 +304,25 @@ mod tests {
             let direction = down(swing_rad(*frame_s));
             seen = Some(SeenNadir::next(seen, direction, after(start, *frame_s)));
         }
-        let found = seen?.at(after(start, time_s), Duration::from_secs(1))?;
+        let found = seen?.at(&after(start, time_s), Duration::from_secs(1))?;
         let error = found.unit.y.asin() - swing_rad(time_s);
         Some((
             error.abs(),
             (found.sigma_rad().powi(2) - 1e-8).max(0.0).sqrt(),
         ))
+    }
+
+    #[test]
+    fn frames_own_times_count_unless_the_clock_has_made_a_step() {
+        let start = Instant::now();
+        let middle = |utc_ms: i64, arrived_ms: u64| Middle {
+            utc: Some(Timestamp::from_millisecond(utc_ms).unwrap()),
+            by_arrival: start + Duration::from_millis(arrived_ms),
+        };
+        let first = middle(1_000_000, 3000);
+        assert_eq!(first.until(&middle(1_000_250, 3900)), 0.25);
+        assert_eq!(first.until(&middle(999_750, 2700)), -0.25);
+        assert_eq!(first.until(&middle(4_600_250, 3300)), 0.3);
     }
 
     #[test]

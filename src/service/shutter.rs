@@ -1,7 +1,7 @@
 //! A camera's thread: it sets the camera, announces each exposure on the line, and hands the frame to the solver.
 
 use super::control::{Controls, Topic};
-use super::flight::{CameraFactory, Station, UnsolvedFrame};
+use super::flight::{CameraFactory, Middle, Station, UnsolvedFrame};
 use super::line::LinkEvent;
 use super::shared::Shared;
 use super::silence::{self, Silence};
@@ -69,7 +69,7 @@ impl Shutter {
             return;
         };
         let mut dial = Dial::new(&self.controls, &self.station);
-        let (mut clock, mut zero) = (ClockWatch::default(), MonotonicZero::default());
+        let mut clock = ClockWatch::default();
         if source.frames_wait() {
             self.silence.lock().end(Instant::now());
         }
@@ -95,11 +95,10 @@ impl Shutter {
                         silence::tell(self.station.index + 1, change);
                     }
                     let arrived = Instant::now();
-                    let middle = zero.middle(&exposure.frame.info, arrived);
                     self.hand_on(UnsolvedFrame {
+                        middle: Middle::of(&exposure.frame.info, arrived),
                         exposure: *exposure,
                         arrived,
-                        middle,
                     });
                 }
                 Ok(Take::NotYet) => {}
@@ -230,31 +229,6 @@ impl Dial {
     }
 }
 
-/// When exposures were, by the monotonic clock of the camera's frames: their arrival may be delayed, by a busy computer too. The clock's zero
-/// is where the least delayed frame has it.
-#[derive(Default)]
-struct MonotonicZero(Option<Instant>);
-
-/// No frame is delayed by more: the camera has begun anew, and counts anew.
-const LONGEST_DELAY: Duration = Duration::from_secs(2);
-
-impl MonotonicZero {
-    /// The middle of a frame's exposure; of one without a monotonic time, as it arrived.
-    fn middle(&mut self, info: &FrameInfo, arrived: Instant) -> Instant {
-        let half = info.exposure.unwrap_or_default() / 2;
-        let by_arrival = arrived.checked_sub(half).unwrap_or(arrived);
-        let zero = |since| Some((since, by_arrival.checked_sub(since)?));
-        let Some((since, zero)) = info.monotonic.and_then(zero) else {
-            return by_arrival;
-        };
-        let known = self.0;
-        let known = known.filter(|known| zero.saturating_duration_since(*known) < LONGEST_DELAY);
-        let zero = known.map_or(zero, |known| known.min(zero));
-        self.0 = Some(zero);
-        zero + since
-    }
-}
-
 /// Notices when UTC makes a step against the monotonic clock.
 #[derive(Default)]
 struct ClockWatch {
@@ -285,29 +259,6 @@ impl ClockWatch {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn delays_of_frames_do_not_shift_their_times_and_a_camera_that_begins_anew_is_followed() {
-        let start = Instant::now();
-        let mut zero = MonotonicZero::default();
-        let mut middle = |since_ms: u64, counted_ms: u64, delay_ms: u64| {
-            let info = FrameInfo {
-                monotonic: Some(Duration::from_millis(counted_ms)),
-                exposure: Some(Duration::from_millis(20)),
-                ..FrameInfo::default()
-            };
-            let arrived = start + Duration::from_millis(since_ms + 10 + delay_ms);
-            let found = zero.middle(&info, arrived);
-            found.duration_since(start).as_millis() as u64 - since_ms
-        };
-        assert_eq!(middle(1000, 1000, 40), 40);
-        for (n, delay_ms) in [3, 150, 30, 900, 4].into_iter().enumerate() {
-            let since_ms = 1250 + 250 * n as u64;
-            assert_eq!(middle(since_ms, since_ms, delay_ms), 3);
-        }
-        assert_eq!(middle(9000, 50, 20), 20);
-        assert_eq!(middle(9250, 300, 3), 3);
-    }
 
     #[test]
     fn a_step_of_utc_is_noticed_and_told_with_its_frame() {

@@ -2,7 +2,7 @@
 
 use super::answer::Answer;
 use super::control::{Seat, Snapshot, Topic};
-use super::flight::{Station, UnsolvedFrame};
+use super::flight::{Middle, Station, UnsolvedFrame};
 use super::line::{LinkEvent, Outcome};
 use super::outlet::Outlet;
 use super::roll::LatestNadir;
@@ -111,7 +111,7 @@ impl Solver {
     fn solve(
         &mut self,
         mut exposure: Exposure,
-        middle: Instant,
+        middle: Middle,
         commanded: &Snapshot,
         track: &mut Option<Track>,
         sun: &mut SunSize,
@@ -141,7 +141,7 @@ impl Solver {
         exposure.frame.info.place = place;
         let max_age = commanded.roll.max_age();
         let seen = self.nadir.copy();
-        let nadir = seen.and_then(|seen| seen.at(middle, max_age));
+        let nadir = seen.and_then(|seen| seen.at(&middle, max_age));
         let offset = pointing::offset_of(
             &mut solution,
             utc,
