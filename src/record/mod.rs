@@ -349,7 +349,7 @@ fn columns(numbers: &'static [Number]) -> impl Iterator<Item = &'static str> {
     numbers.iter().filter_map(|number| Some(number.column?.0))
 }
 
-/// The fields of the telemetry, in the order of [`FIELDS`].
+/// The fields of the telemetry, in the order in which they are written.
 pub fn fields() -> impl Iterator<Item = &'static Field> {
     FIELDS.iter().filter_map(|number| number.field.as_ref())
 }

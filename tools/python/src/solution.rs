@@ -10,10 +10,10 @@ use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDateTime};
 use serde::{Deserialize, Serialize};
-use solaspect::record::Record;
 use solaspect::aspect;
 use solaspect::calibrate::check::Contradiction;
 use solaspect::pointing;
+use solaspect::record::Record;
 use std::time::Duration;
 
 /// What a frame gave, stage by stage. What it did not reach is None, or has no rows.
