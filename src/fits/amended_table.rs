@@ -3,7 +3,7 @@
 //!
 //! In the whole file cfitsio would change more than was asked for: of each HDU that it passes, it rewrites the lengths in TFORMn and the fill.
 
-use super::by_cfitsio::{called, open_disk_file};
+use super::by_cfitsio::{called, open_disk_file, unopened};
 use super::disk_file::{DiskFile, DiskHdu, NumberColumn, copy};
 use super::layout::{CHECKSUM, DATASUM, Layout, NO_CHECKSUM};
 use super::stream::StoredColumn;
@@ -104,7 +104,7 @@ impl AmendedTable {
     ) -> Result<Self, FileError> {
         let opened = || {
             let file = open_disk_file(own.path(), FileOpenMode::READWRITE);
-            let mut file = file.map_err(|cause| Problem::content("a table", cause.to_string()))?;
+            let mut file = file.map_err(|cause| Problem::content("a table", unopened(cause)))?;
             called(&mut file, "open the table", begin)?;
             Ok(file)
         };

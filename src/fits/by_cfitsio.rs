@@ -55,6 +55,14 @@ pub(super) fn called<T>(
     }
 }
 
+/// What cfitsio says of a file that it does not open.
+pub(super) fn unopened(cause: Error) -> String {
+    match cause {
+        Error::Fits(FitsError { message, .. }) => format!("\"{message}\""),
+        other => other.to_string(),
+    }
+}
+
 /// What cfitsio says of a status.
 pub fn message(status: i32) -> String {
     let mut text = [0u8; 31];

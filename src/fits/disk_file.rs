@@ -1,6 +1,6 @@
 //! A FITS file of any size whose data stay on disk: its HDUs, which are copied as they are, or one at a time as a table that is amended.
 
-use super::by_cfitsio::{called, open_disk_file};
+use super::by_cfitsio::{called, open_disk_file, unopened};
 use super::form::Form;
 use super::header::CARD;
 use super::structure::data_size;
@@ -68,7 +68,7 @@ impl DiskFile {
         checked_fits(&found.at_most(0, CARD as u64)?, "a FITS file")?;
         let opened = open_disk_file(path, FileOpenMode::READONLY);
         let mut by_cfitsio =
-            opened.map_err(|cause| Problem::content("a FITS file", cause.to_string()))?;
+            opened.map_err(|cause| Problem::content("a FITS file", unopened(cause)))?;
         let mut end = 0;
         // What follows the last HDU and is no extension is no part of the file's content (FITS 4.0, 3.5).
         while end == 0 || found.at_most(end, 8)? == b"XTENSION" {

@@ -138,6 +138,16 @@ fn mistakes_are_errors_that_name_file_and_field_and_leave_no_copy() {
         error.contains("in.fits: expected a FITS file, found a file that begins with \"no FITS\""),
         "{error}"
     );
+    fs::write(
+        bench.at("in.fits"),
+        format!("{:2880}", "SIMPLE  = 'T       '"),
+    )
+    .unwrap();
+    let error = bench.place("in.fits", PLAIN, &()).unwrap_err().to_string();
+    assert!(
+        error.ends_with("in.fits: expected a FITS file, found \"illegal SIMPLE keyword value\""),
+        "{error}"
+    );
     let error = bench
         .place("none.fits", PLAIN, &())
         .unwrap_err()
