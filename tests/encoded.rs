@@ -12,8 +12,8 @@ use solaspect::clock::Utc;
 use solaspect::frame::Levels;
 use solaspect::link::housekeeping::{FIELDS, LAYOUT, MarkIds, fields_by_layout};
 use solaspect::link::{
-    AspectCommand, COMMANDS, ExposureStart, GpsFix, Housekeeping, Message, MoonAnswer, MoonFix,
-    MoonRequest, MoonSight, Propagated, Telemetry,
+    AspectCommand, COMMANDS, CommandOutcome, ExposureStart, GpsFix, Housekeeping, Message,
+    MoonAnswer, MoonFix, MoonRequest, MoonSight, NoSolution, Propagated, Receipt, Telemetry,
 };
 use solaspect::record::{
     MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord, Row, Upkeep,
@@ -46,12 +46,12 @@ fn messages() -> Vec<Message> {
         error_deg: 2.5e-5,
         time,
     };
-    let moon = |sight| Message::Moon(MoonAnswer { request: 9, sight });
+    let moon = |sight| Message::from(MoonAnswer { request: 9, sight });
     let mut all = vec![
         Message::TrackingOn,
         Message::TrackingOff,
         Message::Solution(solution),
-        Message::Error { code: 7 },
+        Message::Error(NoSolution { code: 7 }),
         Message::ExposureStart(ExposureStart { camera: 1, time }),
         Message::Propagated(Propagated {
             solution,
@@ -94,12 +94,12 @@ fn packets(text: &mut String) {
         assert_eq!(&Message::decode(packet.payload()).unwrap(), message);
     }
     for told in [
-        Telemetry::Receipt { sequence: 7 },
-        Telemetry::Result {
+        Telemetry::Receipt(Receipt { sequence: 7 }),
+        Telemetry::Result(CommandOutcome {
             sequence: 7,
             key: 0x0105,
             value: 2,
-        },
+        }),
     ] {
         let packet = told.packet(time()).unwrap();
         writeln!(text, "telemetry {}", hex(&packet.encode())).unwrap();

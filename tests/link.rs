@@ -5,8 +5,9 @@ use solaspect::config::Config;
 use solaspect::instrument;
 use solaspect::link::code::{angle_code, angle_from_code, pair3b, position_from_pair3b};
 use solaspect::link::{
-    AspectCommand, BytePort, Computer, Direction, Exposure, ExposureStart, GpsFix, LinkState,
-    Message, Packet, Parser, Responder, SerialPort, Solution, Telemetry, id,
+    AspectCommand, BytePort, CommandOutcome, Computer, Direction, Exposure, ExposureStart, GpsFix,
+    LinkState, Message, NoSolution, Packet, Parser, Receipt, Responder, SerialPort, Solution,
+    Telemetry, id,
 };
 use solaspect::pointing::{HelioprojectiveArcsec, Target};
 use solaspect::service::control::Controls;
@@ -70,9 +71,9 @@ impl Line {
                 time: Timestamp::new(self.number("s"), self.number::<i32>("ms") * 1_000_000)
                     .unwrap(),
             }),
-            ["error"] => Message::Error {
+            ["error"] => Message::Error(NoSolution {
                 code: self.number("code"),
-            },
+            }),
             ["ctl_start_tracking"] => Message::StartTracking,
             ["ctl_stop_tracking"] => Message::StopTracking,
             ["sas_cmd", "set_target"] => self.aspect("set_target", &["x", "y"]),
@@ -99,12 +100,12 @@ impl Line {
     fn telemetry(&self) -> Telemetry {
         let sequence = self.number("cmdseq");
         match self.words[1] {
-            "ack_receipt" => Telemetry::Receipt { sequence },
-            _ => Telemetry::Result {
+            "ack_receipt" => Telemetry::Receipt(Receipt { sequence }),
+            _ => Telemetry::Result(CommandOutcome {
                 sequence,
                 key: u16::from_str_radix(self.fields["key"].trim_start_matches("0x"), 16).unwrap(),
                 value: self.number("err"),
-            },
+            }),
         }
     }
 }
@@ -359,12 +360,12 @@ fn the_ground_sets_the_target_over_a_serial_line_in_spite_of_noise() {
     assert_eq!(
         answers,
         [
-            Telemetry::Receipt { sequence },
-            Telemetry::Result {
+            Telemetry::Receipt(Receipt { sequence }),
+            Telemetry::Result(CommandOutcome {
                 sequence,
                 key,
                 value
-            }
+            })
         ]
     );
     let (x, y) = (-300.0, 450.0);

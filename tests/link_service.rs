@@ -11,7 +11,7 @@ use solaspect::instrument::{self, Instrument};
 use solaspect::link::ground::{Answered, ask, order};
 use solaspect::link::{
     Action, AspectCommand, BytePort, COMMANDS, Computer, Connection, Direction, Guard, Key,
-    LocalEnd, Message, Packet, Parser, Peer, PortAddress, SerialPort, UdpPort, id,
+    LocalEnd, Message, NoSolution, Packet, Parser, Peer, PortAddress, SerialPort, UdpPort, id,
 };
 use solaspect::service::{Camera, Flight, FlightTally, Service};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -222,7 +222,7 @@ fn over_udp_a_packet_is_a_datagram() {
     ground.write(&packet.encode(), LONG).unwrap();
     let (mut heard, mut buffer) = (Vec::new(), [0; 2048]);
     let finish = Instant::now() + LONG;
-    while !heard.contains(&Some(Message::Error { code: 1 })) {
+    while !heard.contains(&Some(Message::Error(NoSolution { code: 1 }))) {
         assert!(Instant::now() < finish, "{heard:?}");
         let count = ours.read(&mut buffer, Duration::from_millis(50)).unwrap();
         if count == 0 {

@@ -4,7 +4,7 @@ use super::options;
 use super::output::say;
 use crate::files;
 use crate::link::byte_log::{self, Burst, Contents};
-use crate::link::describe::{describe, from_hex, message_in_words, result_in_words};
+use crate::link::describe::{describe, from_hex, result_in_words};
 use crate::link::ground::{ask, ask_for_moon, order};
 use crate::link::port::BAUD;
 use crate::link::{
@@ -189,7 +189,7 @@ fn send(args: &SendArgs) -> anyhow::Result<ExitCode> {
         Message::MoonRequest(request) => {
             match ask_for_moon(port.as_mut(), request, sequence, args.timeout)? {
                 Ok(answer) => {
-                    say(message_in_words(&Message::Moon(answer)))?;
+                    say(Message::from(answer).words())?;
                     return Ok(ExitCode::SUCCESS);
                 }
                 Err(refused) => refused,

@@ -2,16 +2,16 @@
 
 use super::access::{Refused, unguessable};
 use super::history::History;
-use super::orders::{
-    ARMED, OTHERS, Orders, OtherCommand, OtherVariable, Request, named_changes_flight, reading,
-    telling,
-};
+use super::orders::{ARMED, Orders, Request, changes_flight, reading, telling};
 use super::receive::Outgoing;
 use super::request::{Answer, Body, Console, Failure};
 use super::view::utc;
 use crate::config::{Allowed, Parameter, parameters};
 use crate::link::command::{COMMANDS, CommandRow, Kind, Variable};
+use crate::link::ground::orderable;
 use crate::link::housekeeping::FIELDS;
+use crate::link::message::MessageRow;
+use crate::link::number::Field;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
@@ -24,7 +24,7 @@ pub async fn table(State(console): State<Console>) -> Json<Value> {
     let history = console.shared().history();
     let orders = console.shared().orders();
     let rows = COMMANDS.iter().map(|row| command(row, &history, &orders));
-    let rows = rows.chain(OTHERS.iter().map(other));
+    let rows = rows.chain(orderable().map(message));
     Json(json!({
         "computers": [1, 2],
         "commands": rows.collect::<Vec<_>>(),
@@ -86,32 +86,28 @@ fn present(row: &CommandRow, variable: usize, history: &History, orders: &Orders
     })
 }
 
-fn other(command: &OtherCommand) -> Value {
-    let variable = |variable: &OtherVariable| {
-        let OtherVariable {
-            name,
-            unit,
-            low,
-            high,
-        } = variable;
+/// A command that is a message of its own.
+fn message(row: &MessageRow) -> Value {
+    let variable = |field: Field| {
+        let range = field.range;
         json!({
-            "name": name,
-            "unit": unit,
+            "name": field.name,
+            "unit": field.unit,
             "kind": "number",
-            "range": format!("a number from {low} to {high}"),
-            "low": low,
-            "high": high,
+            "range": range.map(|(low, high)| format!("a number from {low} to {high}")),
+            "low": range.map(|(low, _)| low),
+            "high": range.map(|(_, high)| high),
             "step": null,
             "present": null,
             "read_by": null,
         })
     };
     json!({
-        "name": command.name,
+        "name": row.name,
         "key": null,
-        "documentation": command.documentation,
-        "changes_flight": named_changes_flight(command.name),
-        "variables": command.variables.iter().map(variable).collect::<Vec<_>>(),
+        "documentation": row.documentation,
+        "changes_flight": changes_flight(row.name),
+        "variables": row.fields().into_iter().map(variable).collect::<Vec<_>>(),
         "reads": null,
     })
 }

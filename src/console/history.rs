@@ -6,7 +6,7 @@ use super::rules::{self, Minute, Rule, Severity};
 use super::table::{Column, Nanoseconds, Steady, Table, nanoseconds, place, row_at};
 use crate::link::picture::{Section, Tag};
 use crate::link::{
-    CommandPacket, Housekeeping, Message, Messages, Packet, Solution, TelemetryPacket,
+    CommandPacket, Housekeeping, Message, Messages, NoSolution, Packet, Solution, TelemetryPacket,
 };
 use jiff::Timestamp;
 use std::collections::BTreeMap;
@@ -208,7 +208,7 @@ impl History {
                     let row = numbers(&solution, None);
                     self.take_solution(nanoseconds(solution.time), arrived, &row);
                 }
-                Message::Error { code } => {
+                Message::Error(NoSolution { code }) => {
                     let row = [None, None, None, None, Some(code.into())];
                     self.take_solution(self.announced.unwrap_or(arrived), arrived, &row);
                 }

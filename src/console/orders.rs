@@ -4,7 +4,7 @@ use crate::link::command::{Action, COMMANDS, CommandRow, row_named, row_of};
 use crate::link::control::result;
 use crate::link::describe::{describe, hex, result_in_words};
 use crate::link::ground::{Answered, OrderError, order};
-use crate::link::{Computer, Message, Packet, Telemetry, id};
+use crate::link::{Computer, Packet, Telemetry, id};
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, VecDeque};
@@ -93,22 +93,11 @@ impl Request {
         Ok(Composed {
             bytes: packet.encode(),
             words: describe(&Packet::Command(packet)),
-            changes_flight: changes_flight(&message),
+            changes_flight: changes_flight(&self.name),
             sequence,
             text,
             computer,
         })
-    }
-}
-
-/// Whether the flight is another one after it: all but reading, and asking for pictures or the Moon.
-fn changes_flight(message: &Message) -> bool {
-    match message {
-        Message::Aspect(command) => {
-            row_of(command.key()).is_none_or(|row| row.action.changes_flight())
-        }
-        Message::MoonRequest(_) => false,
-        _ => true,
     }
 }
 
@@ -249,12 +238,8 @@ impl Orders {
             return false;
         };
         let (sequence, answer) = match Telemetry::decode(packet) {
-            Ok(Telemetry::Receipt { sequence }) => (sequence, None),
-            Ok(Telemetry::Result {
-                sequence,
-                key,
-                value,
-            }) => (sequence, Some(Answered { key, value })),
+            Ok(Telemetry::Receipt(receipt)) => (receipt.sequence, None),
+            Ok(Telemetry::Result(result)) => (result.sequence, Some(Answered::from(result))),
             Err(_) => return false,
         };
         let recent = |row: &&mut Row| row.sequence == sequence && row.is_open();
@@ -381,72 +366,16 @@ pub fn telling(row: &CommandRow, variable: usize) -> Option<&'static str> {
     }
 }
 
-/// A command that is no row of the table.
-pub struct OtherCommand {
-    pub name: &'static str,
-    pub documentation: &'static str,
-    pub variables: &'static [OtherVariable],
-}
-
-/// A number that goes with it, from `low` to `high`.
-pub struct OtherVariable {
-    pub name: &'static str,
-    pub unit: &'static str,
-    pub low: f64,
-    pub high: f64,
-}
-
-const LATITUDE: OtherVariable = OtherVariable {
-    name: "latitude",
-    unit: "deg",
-    low: -90.0,
-    high: 90.0,
-};
-const LONGITUDE: OtherVariable = OtherVariable {
-    name: "longitude",
-    unit: "deg",
-    low: -360.0,
-    high: 360.0,
-};
-const HEIGHT: OtherVariable = OtherVariable {
-    name: "height",
-    unit: "m",
-    low: -1000.0,
-    high: 100_000.0,
-};
-
-/// The commands that are no rows of the table.
-pub const OTHERS: [OtherCommand; 4] = [
-    OtherCommand {
-        name: "start_tracking",
-        documentation: "ask for solutions, as the controller does",
-        variables: &[],
-    },
-    OtherCommand {
-        name: "stop_tracking",
-        documentation: "ask for no more solutions",
-        variables: &[],
-    },
-    OtherCommand {
-        name: "gps",
-        documentation: "tell the gondola's place",
-        variables: &[LATITUDE, LONGITUDE],
-    },
-    OtherCommand {
-        name: "moon",
-        documentation: "ask where the Moon is, seen from a place",
-        variables: &[LATITUDE, LONGITUDE, HEIGHT],
-    },
-];
-
-/// Whether a command of a name changes the flight.
-pub fn named_changes_flight(name: &str) -> bool {
-    row_named(name).map_or(name != "moon", |row| row.action.changes_flight())
+/// Whether the flight is another one after a command: all but reading, and asking for pictures or the Moon. An unknown one may change it.
+pub fn changes_flight(name: &str) -> bool {
+    let of_command = |row: &CommandRow| row.action.changes_flight();
+    row_named(name).map_or(name != "moon", of_command)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::link::{CommandOutcome, Receipt};
 
     fn request(name: &str, values: &[&str]) -> Request {
         Request {
@@ -518,18 +447,21 @@ mod tests {
         let (key, value) = (0x1A10, (-30_i16).cast_unsigned());
         assert!(!answer(
             &mut orders,
-            Telemetry::Receipt {
+            Telemetry::Receipt(Receipt {
                 sequence: sequence + 1
-            }
+            })
         ));
-        assert!(answer(&mut orders, Telemetry::Receipt { sequence }));
         assert!(answer(
             &mut orders,
-            Telemetry::Result {
+            Telemetry::Receipt(Receipt { sequence })
+        ));
+        assert!(answer(
+            &mut orders,
+            Telemetry::Result(CommandOutcome {
                 sequence,
                 key,
                 value
-            }
+            })
         ));
         let row = orders.rows().next().unwrap();
         assert_eq!(
@@ -567,7 +499,7 @@ mod tests {
         );
         assert_eq!(read("set_clocking", 0), Some("get_clocking"));
         assert_eq!(read("no_op", 0), None);
-        assert!(!named_changes_flight("send_roll_picture") && !named_changes_flight("moon"));
-        assert!(named_changes_flight("quit") && named_changes_flight("start_tracking"));
+        assert!(!changes_flight("send_roll_picture") && !changes_flight("moon"));
+        assert!(changes_flight("quit") && changes_flight("start_tracking"));
     }
 }

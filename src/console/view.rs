@@ -303,8 +303,7 @@ fn alarm_json(alarm: &Alarm) -> Value {
 
 /// Why there is no solution.
 fn error_in_words(code: u16) -> &'static str {
-    let known = ERROR_CODES.iter().find(|(known, ..)| *known == code);
-    known.map_or("unknown error", |(.., meaning)| *meaning)
+    ERROR_CODES.meaning(code).unwrap_or("unknown error")
 }
 
 /// A field's text as JSON: numbers where it holds some, null where not known.
@@ -336,7 +335,7 @@ pub fn fields(history: &History) -> Vec<Value> {
             _ => format!("{}[{part}]", one.name),
         };
         (0..one.parts.max(1)).map(move |part| {
-            let mut json = field(HOUSEKEEPING, &name(part), one.unit, one.documentation);
+            let mut json = field(HOUSEKEEPING, &name(part), one.unit, &one.documentation());
             json["number"] = json!(one.parts > 0);
             json
         })

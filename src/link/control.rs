@@ -1,8 +1,8 @@
 //! What the responder asks of the flight service: to carry commands out, and to take the gondola's place.
 
 use super::command::Command;
-use super::message::GpsFix;
-use super::moon::MoonRequest;
+use super::message::{GpsFix, MoonRequest};
+use super::number::Codes;
 use crate::units::is_nowhere;
 
 /// Results of commands; a read answers with its value instead.
@@ -15,6 +15,15 @@ pub mod result {
     /// No such command; of a read: what it asks for is not known.
     pub const UNKNOWN: u16 = 0xFFFF;
 }
+
+/// Results of commands that read nothing.
+#[rustfmt::skip] // One row, one line.
+pub static RESULTS: Codes = Codes { name: "result_code", rows: &[
+    (result::DONE, "done", "done"),
+    (result::NOT_IMPLEMENTED, "not_implemented", "not implemented, or the packet lacks variables"),
+    (result::REFUSED, "refused", "a value is out of range, or there is no such parameter; nothing has changed"),
+    (result::UNKNOWN, "unknown", "no such command; of a read: not known (no such parameter or disk, a gain that was never set)"),
+] };
 
 /// What came of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

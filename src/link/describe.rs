@@ -4,10 +4,11 @@ use super::command::{CommandRow, Kind, row_of};
 use super::control::result;
 use super::housekeeping::Housekeeping;
 use super::imu::ImuPacket;
-use super::message::{self, AspectCommand, Message, Messages, Telemetry};
-use super::moon::{MoonAnswer, MoonSight, NOT_FOUND, NOT_VISIBLE};
+use super::message::{AspectCommand, Message, Messages, key, message_of};
+use super::number::Field;
 use super::packet::{CommandPacket, Packet, TelemetryPacket, telemetry_type};
 use super::picture::Section;
+use super::telemetry::{CommandOutcome, Telemetry};
 use crate::units::counted;
 use jiff::Timestamp;
 
@@ -33,29 +34,10 @@ pub struct CommandInWords {
 impl CommandInWords {
     /// The command of a key; `message` is its message, where that could be read.
     pub fn of(key: u16, message: Option<&Message>) -> Self {
-        let values: Vec<f64> = match message {
-            Some(Message::Aspect(command)) => row_of(key).map_or(Vec::new(), |row| {
-                let codes = row.variables.iter().zip(command.variables());
-                codes
-                    .map(|(variable, code)| variable.kind.value(*code))
-                    .collect()
-            }),
-            Some(Message::Gps(fix)) => vec![fix.latitude_deg.into(), fix.longitude_deg.into()],
-            Some(Message::MoonRequest(request)) => {
-                vec![
-                    request.latitude_deg,
-                    request.longitude_deg,
-                    request.height_m,
-                ]
-            }
-            _ => Vec::new(),
-        };
-        let name = match message {
-            Some(Message::StartTracking) => "start_tracking",
-            Some(Message::StopTracking) => "stop_tracking",
-            Some(Message::Gps(_)) => "gps",
-            Some(Message::MoonRequest(_)) => "moon",
-            _ => row_of(key).map_or("", |row| row.name),
+        let (name, values) = match message {
+            Some(Message::Aspect(command)) => (name_of_command(key), natural(key, command)),
+            Some(message) => (name_of_message(key), numbers(message)),
+            None => (name_of_command(key), Vec::new()),
         };
         let values: Vec<String> = values.iter().map(f64::to_string).collect();
         Self {
@@ -64,6 +46,36 @@ impl CommandInWords {
             values: values.join(" "),
         }
     }
+}
+
+fn name_of_command(key: u16) -> &'static str {
+    row_of(key).map_or("", |row| row.name)
+}
+
+fn name_of_message(key: u16) -> &'static str {
+    message_of(key).map_or("", |row| row.name)
+}
+
+/// The variables of a command in natural units.
+fn natural(key: u16, command: &AspectCommand) -> Vec<f64> {
+    let variables = row_of(key).map_or(&[][..], |row| row.variables);
+    let codes = variables.iter().zip(command.variables());
+    let natural = codes.map(|(variable, code)| variable.kind.value(*code));
+    natural.collect()
+}
+
+/// The numbers of a message's fields.
+fn numbers(message: &Message) -> Vec<f64> {
+    let (Ok(payload), Some(row)) = (message.payload(), message_of(message.key())) else {
+        return Vec::new();
+    };
+    let mut rest = payload.get(2..).unwrap_or_default();
+    let number = |field: Field| {
+        let (number, after) = field.number.read(rest)?;
+        rest = after;
+        Some(number)
+    };
+    row.fields().into_iter().map_while(number).collect()
 }
 
 /// The result of a command in words; `value` is what has come.
@@ -107,56 +119,9 @@ fn command(packet: &CommandPacket) -> String {
 /// A message in words.
 pub fn message_in_words(message: &Message) -> String {
     match message {
-        Message::TrackingOn => "tracking is on".into(),
-        Message::TrackingOff => "tracking is off".into(),
-        Message::StartTracking => "start tracking".into(),
-        Message::StopTracking => "stop tracking".into(),
-        Message::Solution(s) => format!(
-            "solution azimuth {} elevation {} roll {} error {} deg at {}",
-            s.azimuth_deg, s.elevation_deg, s.roll_deg, s.error_deg, s.time
-        ),
-        Message::Propagated(p) => format!(
-            "by gyros azimuth {} elevation {} roll {} error {} deg at {}, {} ms after a frame",
-            p.solution.azimuth_deg,
-            p.solution.elevation_deg,
-            p.solution.roll_deg,
-            p.solution.error_deg,
-            p.solution.time,
-            p.age_ms
-        ),
-        Message::Error { code } => format!("no solution, error {code}"),
-        Message::ExposureStart(e) => format!("exposure of camera {} at {}", e.camera, e.time),
-        Message::Gps(fix) => format!(
-            "GPS latitude {} longitude {} deg",
-            fix.latitude_deg, fix.longitude_deg
-        ),
-        Message::MoonRequest(request) => format!(
-            "where is the Moon from latitude {} longitude {} deg height {} m",
-            request.latitude_deg, request.longitude_deg, request.height_m
-        ),
-        Message::Moon(answer) => moon(answer),
         Message::Aspect(command) => aspect(command),
+        message => message.words(),
     }
-}
-
-fn moon(answer: &MoonAnswer) -> String {
-    let because = |codes: &[(u16, &str, &'static str)], code| {
-        let row = codes.iter().find(|(number, ..)| *number == code);
-        row.map_or("unknown reason", |(.., meaning)| *meaning)
-    };
-    let said = match answer.sight {
-        MoonSight::Found(fix) => format!(
-            "found at {} {} px, towards {:?}, at {}",
-            fix.x_px, fix.y_px, fix.direction, fix.time
-        ),
-        MoonSight::NotVisible { code } => {
-            format!("not visible ({code}): {}", because(NOT_VISIBLE, code))
-        }
-        MoonSight::NotFound { code } => {
-            format!("not found ({code}): {}", because(NOT_FOUND, code))
-        }
-    };
-    format!("Moon of seq {}: {said}", answer.request)
 }
 
 fn aspect(command: &AspectCommand) -> String {
@@ -207,10 +172,7 @@ fn telemetry(packet: &TelemetryPacket) -> String {
         }
         telemetry_type::IDLE => "idle".into(),
         telemetry_type::IMU => match ImuPacket::decode(packet) {
-            Ok(s) => format!(
-                "IMU sample {}: force {:?} m/s^2, rate {:?} rad/s",
-                s.counter, s.force_m_s2, s.rate_rad_s
-            ),
+            Ok(packet) => packet.sample().words(),
             Err(error) => format!("IMU: {error}"),
         },
         kind => format!("type {kind:02x}"),
@@ -220,28 +182,19 @@ fn telemetry(packet: &TelemetryPacket) -> String {
 
 fn answer(packet: &TelemetryPacket) -> String {
     match Telemetry::decode(packet) {
-        Ok(Telemetry::Receipt { sequence }) => format!("receipt of seq {sequence}"),
-        Ok(Telemetry::Result {
-            sequence,
-            key,
-            value,
-        }) => {
-            let name = name_of(key);
+        Ok(Telemetry::Receipt(receipt)) => receipt.words(),
+        Ok(Telemetry::Result(result)) => {
+            let CommandOutcome { key, value, .. } = result;
+            let name = match key {
+                // The no-op of computer 1 has the key of the start of tracking.
+                key::START_TRACKING => "start_tracking or no_op",
+                key if message_of(key).is_some() => name_of_message(key),
+                key => name_of_command(key),
+            };
             let said = result_in_words(key, value);
-            format!("result of seq {sequence}, {name} ({key:#06x}): {said}")
+            format!("{}, {name} ({key:#06x}): {said}", result.words())
         }
         Err(error) => error.to_string(),
-    }
-}
-
-/// What a result is of. The no-op of computer 1 has the key of the start of tracking.
-fn name_of(key: u16) -> &'static str {
-    match key {
-        message::key::START_TRACKING => "start_tracking or no_op",
-        message::key::STOP_TRACKING => "stop_tracking",
-        message::key::GPS => "gps",
-        message::key::MOON_REQUEST => "moon",
-        key => row_of(key).map_or("", |row| row.name),
     }
 }
 

@@ -1,7 +1,266 @@
-//! The fields of a payload, read and written one by one; each error names its message and what was expected.
+//! The fields of a payload. A table of them ([`fields!`]) makes the struct, its codec, and its description; each error names its message and
+//! what was expected.
 
+use super::number::{Codes, Field, Number};
 use super::packet::PacketError;
 use jiff::{SignedDuration, Timestamp};
+
+/// What a row of a table says of a field: see [`Field`].
+pub struct Said {
+    pub name: &'static str,
+    pub unit: &'static str,
+    pub documentation: &'static str,
+    pub codes: Option<&'static Codes>,
+    pub range: Option<(f64, f64)>,
+}
+
+impl Said {
+    fn field(&self, number: Number) -> Field {
+        Field {
+            name: self.name,
+            number,
+            count: 1,
+            unit: self.unit,
+            documentation: self.documentation,
+            codes: self.codes,
+            range: self.range,
+        }
+    }
+}
+
+/// How a value travels: as one number or several.
+pub trait Wire<T = Self> {
+    /// Its length.
+    const BYTES: usize;
+
+    /// Its fields, one for each number, as the rows say.
+    fn fields(said: &[Said]) -> Vec<Field>;
+
+    /// Reads it; `field` is its name in errors.
+    fn read(input: &mut Reader, field: &'static str) -> Result<T, MessageError>;
+
+    fn write(value: &T, out: &mut Writer, field: &'static str) -> Result<(), MessageError>;
+}
+
+impl Wire for u16 {
+    const BYTES: usize = 2;
+
+    fn fields(said: &[Said]) -> Vec<Field> {
+        said.iter().map(|said| said.field(Number::U16)).collect()
+    }
+
+    fn read(input: &mut Reader, _: &'static str) -> Result<Self, MessageError> {
+        input.take().map(Self::from_le_bytes)
+    }
+
+    fn write(value: &Self, out: &mut Writer, _: &'static str) -> Result<(), MessageError> {
+        out.bytes.extend(value.to_le_bytes());
+        Ok(())
+    }
+}
+
+macro_rules! real {
+    ($($type:ty, $number:ident);*) => {$(
+        impl Wire for $type {
+            const BYTES: usize = size_of::<$type>();
+
+            fn fields(said: &[Said]) -> Vec<Field> {
+                said.iter().map(|said| said.field(Number::$number)).collect()
+            }
+
+            fn read(input: &mut Reader, field: &'static str) -> Result<Self, MessageError> {
+                let value = Self::from_le_bytes(input.take()?);
+                finite(input.key, field, value.into()).map(|()| value)
+            }
+
+            fn write(value: &Self, out: &mut Writer, field: &'static str) -> Result<(), MessageError> {
+                finite(out.key, field, (*value).into())?;
+                out.bytes.extend(value.to_le_bytes());
+                Ok(())
+            }
+        }
+    )*};
+}
+
+real!(f32, F32; f64, F64);
+
+impl<T: Wire> Wire for [T; 3] {
+    const BYTES: usize = 3 * T::BYTES;
+
+    fn fields(said: &[Said]) -> Vec<Field> {
+        T::fields(said)
+    }
+
+    fn read(input: &mut Reader, field: &'static str) -> Result<Self, MessageError> {
+        Ok([
+            T::read(input, field)?,
+            T::read(input, field)?,
+            T::read(input, field)?,
+        ])
+    }
+
+    fn write(value: &Self, out: &mut Writer, field: &'static str) -> Result<(), MessageError> {
+        value.iter().try_for_each(|one| T::write(one, out, field))
+    }
+}
+
+/// Seconds and milliseconds since 1970: the whole time is rounded, so that .9996 s is the next second's 0 ms.
+pub struct Milliseconds;
+
+impl Wire<Timestamp> for Milliseconds {
+    const BYTES: usize = 6;
+
+    fn fields(said: &[Said]) -> Vec<Field> {
+        let numbers = [Number::U32, Number::U16];
+        let parts = said.iter().zip(numbers);
+        parts.map(|(said, number)| said.field(number)).collect()
+    }
+
+    /// Up to 1000 ms: the flight program of 2013 rounded without carrying.
+    fn read(input: &mut Reader, field: &'static str) -> Result<Timestamp, MessageError> {
+        let seconds = u32::from_le_bytes(input.take()?);
+        let milliseconds = u16::read(input, field)?;
+        let refused = || MessageError::Time {
+            key: input.key,
+            found: format!("{seconds} s {milliseconds} ms"),
+        };
+        let millisecond = i64::from(seconds) * 1000 + i64::from(milliseconds);
+        match milliseconds {
+            0..=1000 => Timestamp::from_millisecond(millisecond).map_err(|_| refused()),
+            _ => Err(refused()),
+        }
+    }
+
+    fn write(time: &Timestamp, out: &mut Writer, field: &'static str) -> Result<(), MessageError> {
+        let (seconds, nanoseconds) = unix_time(out.key, *time)?;
+        let milliseconds = (nanoseconds + 500_000) / 1_000_000;
+        let carried = seconds.checked_add(milliseconds / 1000);
+        let seconds = carried.ok_or_else(|| MessageError::Time {
+            key: out.key,
+            found: time.to_string(),
+        })?;
+        out.bytes.extend(seconds.to_le_bytes());
+        u16::write(&((milliseconds % 1000) as u16), out, field)
+    }
+}
+
+/// Seconds since 1970 in one number.
+pub struct Seconds;
+
+impl Wire<Timestamp> for Seconds {
+    const BYTES: usize = f64::BYTES;
+
+    fn fields(said: &[Said]) -> Vec<Field> {
+        f64::fields(said)
+    }
+
+    fn read(input: &mut Reader, field: &'static str) -> Result<Timestamp, MessageError> {
+        let time = f64::read(input, field)?;
+        let refused = || MessageError::Time {
+            key: input.key,
+            found: format!("{time} s"),
+        };
+        if !(0.0..=f64::from(u32::MAX)).contains(&time) {
+            return Err(refused());
+        }
+        // Rounded on their own, the nanoseconds may come to a whole second.
+        let nanoseconds = (time.fract() * 1e9).round() as i64;
+        let seconds = Timestamp::from_second(time as i64).map_err(|_| refused())?;
+        seconds
+            .checked_add(SignedDuration::from_nanos(nanoseconds))
+            .map_err(|_| refused())
+    }
+
+    fn write(time: &Timestamp, out: &mut Writer, field: &'static str) -> Result<(), MessageError> {
+        let (seconds, nanoseconds) = unix_time(out.key, *time)?;
+        f64::write(
+            &(f64::from(seconds) + f64::from(nanoseconds) / 1e9),
+            out,
+            field,
+        )
+    }
+}
+
+/// The codec of a field: its own type, or the one that is named.
+macro_rules! codec {
+    ($type:ty) => {
+        $type
+    };
+    ($type:ty, $codec:ty) => {
+        $codec
+    };
+}
+
+/// Payloads, each a struct with a row a field: the name, the type (`as` another codec than its own), the unit and what it is; then, where there are such, its
+/// [`Codes`] (`=> CODES`) or the range that a person may give (`in low, high`). A value of several numbers has a row for each in brackets, a payload
+/// within another has none. The sentence of a payload says it in words, its fields by their names.
+macro_rules! fields {
+    ($(
+        $(#[$about:meta])*
+        $name:ident, $words:expr => {$(
+            $(#[$note:meta])*
+            $field:ident: $type:ty $(as $codec:ty)?
+                $(, $unit:literal, $documentation:literal $(=> $codes:ident)? $(in $low:literal, $high:literal)?)?
+                $([$($part:literal, $part_unit:literal, $part_documentation:literal;)*])?;
+        )*}
+    )*) => {$(
+        $(#[$about])*
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        pub struct $name {$(
+            $(#[doc = $documentation])?
+            $(#[$note])*
+            pub $field: $type,
+        )*}
+
+        impl $crate::link::fields::Wire for $name {
+            const BYTES: usize = 0 $(+ <$crate::link::fields::codec!($type $(, $codec)?) as $crate::link::fields::Wire<$type>>::BYTES)*;
+
+            fn fields(_: &[$crate::link::fields::Said]) -> Vec<$crate::link::number::Field> {
+                let fields = [$(
+                    <$crate::link::fields::codec!($type $(, $codec)?) as $crate::link::fields::Wire<$type>>::fields(&[
+                        $($crate::link::fields::Said {
+                            name: stringify!($field),
+                            unit: $unit,
+                            documentation: $documentation,
+                            codes: None $(.or(Some(&$codes)))?,
+                            range: None $(.or(Some(($low, $high))))?,
+                        })?
+                        $($($crate::link::fields::Said {
+                            name: $part,
+                            unit: $part_unit,
+                            documentation: $part_documentation,
+                            codes: None,
+                            range: None,
+                        }),*)?
+                    ]),
+                )*];
+                fields.concat()
+            }
+
+            fn read(input: &mut $crate::link::fields::Reader, _: &'static str) -> Result<Self, $crate::link::fields::MessageError> {
+                Ok(Self {$(
+                    $field: <$crate::link::fields::codec!($type $(, $codec)?) as $crate::link::fields::Wire<$type>>::read(input, stringify!($field))?,
+                )*})
+            }
+
+            fn write(value: &Self, out: &mut $crate::link::fields::Writer, _: &'static str) -> Result<(), $crate::link::fields::MessageError> {
+                $(<$crate::link::fields::codec!($type $(, $codec)?) as $crate::link::fields::Wire<$type>>::write(&value.$field, out, stringify!($field))?;)*
+                Ok(())
+            }
+        }
+
+        impl $name {
+            /// In words.
+            #[allow(unused_variables, reason = "a sentence may leave a field out")]
+            pub fn words(&self) -> String {
+                let Self { $($field),* } = self;
+                $words
+            }
+        }
+    )*};
+}
+
+pub(super) use {codec, fields};
 
 /// Why a message cannot be read or written.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -70,36 +329,6 @@ impl Writer {
     pub fn finish(self) -> Vec<u8> {
         self.bytes
     }
-
-    pub fn u16(&mut self, value: u16) {
-        self.bytes.extend(value.to_le_bytes());
-    }
-
-    pub fn f32(&mut self, field: &'static str, value: f32) -> Result<(), MessageError> {
-        finite(self.key, field, value.into())?;
-        self.bytes.extend(value.to_le_bytes());
-        Ok(())
-    }
-
-    pub fn f64(&mut self, field: &'static str, value: f64) -> Result<(), MessageError> {
-        finite(self.key, field, value)?;
-        self.bytes.extend(value.to_le_bytes());
-        Ok(())
-    }
-
-    /// Seconds and milliseconds, the whole time rounded: .9996 s is the next second's 0 ms.
-    pub fn time_to_millisecond(&mut self, time: Timestamp) -> Result<(), MessageError> {
-        let (seconds, nanoseconds) = unix_time(self.key, time)?;
-        let milliseconds = (nanoseconds + 500_000) / 1_000_000;
-        let carried = seconds.checked_add(milliseconds / 1000);
-        let seconds = carried.ok_or_else(|| MessageError::Time {
-            key: self.key,
-            found: time.to_string(),
-        })?;
-        self.bytes.extend(seconds.to_le_bytes());
-        self.u16((milliseconds % 1000) as u16);
-        Ok(())
-    }
 }
 
 /// Reads a message's fields in order.
@@ -133,54 +362,6 @@ impl<'a> Reader<'a> {
         })?;
         self.rest = rest;
         Ok(*bytes)
-    }
-
-    pub fn u16(&mut self) -> Result<u16, MessageError> {
-        Ok(u16::from_le_bytes(self.take()?))
-    }
-
-    pub fn f32(&mut self, field: &'static str) -> Result<f32, MessageError> {
-        let value = f32::from_le_bytes(self.take()?);
-        finite(self.key, field, value.into())?;
-        Ok(value)
-    }
-
-    pub fn f64(&mut self, field: &'static str) -> Result<f64, MessageError> {
-        let value = f64::from_le_bytes(self.take()?);
-        finite(self.key, field, value)?;
-        Ok(value)
-    }
-
-    /// Up to 1000 ms: the flight program of 2013 rounded without carrying.
-    pub fn time_to_millisecond(&mut self) -> Result<Timestamp, MessageError> {
-        let seconds = u32::from_le_bytes(self.take()?);
-        let milliseconds = self.u16()?;
-        let refused = || MessageError::Time {
-            key: self.key,
-            found: format!("{seconds} s {milliseconds} ms"),
-        };
-        let millisecond = i64::from(seconds) * 1000 + i64::from(milliseconds);
-        match milliseconds {
-            0..=1000 => Timestamp::from_millisecond(millisecond).map_err(|_| refused()),
-            _ => Err(refused()),
-        }
-    }
-
-    pub fn time_f64(&mut self) -> Result<Timestamp, MessageError> {
-        let time = self.f64("time")?;
-        let refused = || MessageError::Time {
-            key: self.key,
-            found: format!("{time} s"),
-        };
-        if !(0.0..=f64::from(u32::MAX)).contains(&time) {
-            return Err(refused());
-        }
-        // Rounded on their own, the nanoseconds may come to a whole second.
-        let nanoseconds = (time.fract() * 1e9).round() as i64;
-        let seconds = Timestamp::from_second(time as i64).map_err(|_| refused())?;
-        seconds
-            .checked_add(SignedDuration::from_nanos(nanoseconds))
-            .map_err(|_| refused())
     }
 
     /// What is left, as 16-bit numbers; an odd last byte is left out.
@@ -254,7 +435,7 @@ mod tests {
         assert!(matches!(
             refused,
             Err(MessageError::NotFinite {
-                field: "azimuth",
+                field: "azimuth_deg",
                 ..
             })
         ));

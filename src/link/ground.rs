@@ -2,12 +2,14 @@
 
 use super::command::{COMMANDS, CommandRow, Computer, row_named};
 use super::control::result;
-use super::message::{AspectCommand, GpsFix, Message, MessageError, Messages, Telemetry};
-use super::moon::{MoonAnswer, MoonRequest};
+use super::message::{
+    AspectCommand, MESSAGES, Message, MessageError, MessageRow, Messages, MoonRequest, key,
+};
+use super::moon::MoonAnswer;
 use super::packet::{Direction, Packet, id};
 use super::parser::Parser;
 use super::port::{BytePort, PortError};
-use std::str::FromStr;
+use super::telemetry::{CommandOutcome, Telemetry};
 use std::time::{Duration, Instant};
 
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
@@ -16,7 +18,8 @@ const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 #[derive(Debug, thiserror::Error)]
 pub enum OrderError {
     #[error(
-        "command: expected a name or key of the command table, start_tracking, stop_tracking, gps or moon; found \"{found}\"{nearest}"
+        "command: expected a name or key of the command table, or one of {}; found \"{found}\"{nearest}",
+        message_names()
     )]
     Unknown { found: String, nearest: String },
     #[error("{name}: expected {expected} ({}), found {found} values", .variables.join(", "))]
@@ -44,18 +47,25 @@ pub enum OrderError {
     Port(#[from] PortError),
 }
 
-/// The message of an order. Commands of the table go by name or by key (`0x0412`), with their values in natural units.
+/// The message of an order. Commands of the table go by name or by key (`0x0412`), with their values in natural units; messages to the
+/// aspect system go by name.
 pub fn order(name: &str, values: &[String], computer: Computer) -> Result<Message, OrderError> {
-    match name {
-        "start_tracking" => no_values(name, values).map(|()| Message::StartTracking),
-        "stop_tracking" => no_values(name, values).map(|()| Message::StopTracking),
-        "gps" => gps(values),
-        "moon" => moon(values),
-        _ => {
-            let row = row(name)?;
-            Ok(Message::Aspect(command(row, values, computer)?))
-        }
+    match orderable().find(|row| row.name == name) {
+        Some(message) => of_message(message, values),
+        None => Ok(Message::Aspect(command(row(name)?, values, computer)?)),
     }
+}
+
+/// The messages to the aspect system; the aspect command has commands of its own.
+pub fn orderable() -> impl Iterator<Item = &'static MessageRow> {
+    let to_aspect = |row: &&MessageRow| row.direction == Direction::ToAspect;
+    let messages = MESSAGES.iter().filter(to_aspect);
+    messages.filter(|row| row.key != key::ASPECT_COMMAND)
+}
+
+fn message_names() -> String {
+    let names: Vec<&str> = orderable().map(|row| row.name).collect();
+    names.join(", ")
 }
 
 fn row(name: &str) -> Result<&'static CommandRow, OrderError> {
@@ -96,41 +106,25 @@ fn command(
     Ok(row.command(computer, &codes?)?)
 }
 
-fn gps(values: &[String]) -> Result<Message, OrderError> {
-    let names = ["latitude, deg".to_owned(), "longitude, deg".to_owned()];
-    count("gps", &names, values)?;
-    Ok(Message::Gps(GpsFix {
-        latitude_deg: number("gps", values, 0, "latitude")?,
-        longitude_deg: number("gps", values, 1, "longitude")?,
-    }))
-}
-
-fn moon(values: &[String]) -> Result<Message, OrderError> {
-    let names = ["latitude, deg", "longitude, deg", "height, m"].map(str::to_owned);
-    count("moon", &names, values)?;
-    Ok(Message::MoonRequest(MoonRequest {
-        latitude_deg: number("moon", values, 0, "latitude")?,
-        longitude_deg: number("moon", values, 1, "longitude")?,
-        height_m: number("moon", values, 2, "height")?,
-    }))
-}
-
-fn number<T: FromStr>(
-    name: &str,
-    values: &[String],
-    at: usize,
-    variable: &'static str,
-) -> Result<T, OrderError> {
-    values[at].parse().map_err(|_| OrderError::Value {
-        name: name.into(),
-        variable,
-        expected: "a number",
-        found: values[at].clone(),
-    })
-}
-
-fn no_values(name: &str, values: &[String]) -> Result<(), OrderError> {
-    count(name, &[], values)
+/// A message of which each number is given as text.
+fn of_message(row: &MessageRow, values: &[String]) -> Result<Message, OrderError> {
+    let fields = row.fields();
+    let names: Vec<String> = fields.iter().map(|field| field.name.into()).collect();
+    count(row.name, &names, values)?;
+    let mut payload = row.key.to_le_bytes().to_vec();
+    for (field, text) in fields.iter().zip(values) {
+        let bytes = field
+            .number
+            .bytes_of(text)
+            .ok_or_else(|| OrderError::Value {
+                name: row.name.into(),
+                variable: field.name,
+                expected: "a number",
+                found: text.clone(),
+            })?;
+        payload.extend(bytes);
+    }
+    Ok(Message::decode(&payload)?)
 }
 
 fn count(name: &str, variables: &[String], values: &[String]) -> Result<(), OrderError> {
@@ -150,6 +144,12 @@ fn count(name: &str, variables: &[String], values: &[String]) -> Result<(), Orde
 pub struct Answered {
     pub key: u16,
     pub value: u16,
+}
+
+impl From<CommandOutcome> for Answered {
+    fn from(CommandOutcome { key, value, .. }: CommandOutcome) -> Self {
+        Self { key, value }
+    }
 }
 
 impl Answered {
@@ -179,12 +179,10 @@ pub fn ask(
             return None;
         };
         match Telemetry::decode(packet) {
-            Ok(Telemetry::Receipt { sequence: of }) if of == sequence => received = true,
-            Ok(Telemetry::Result {
-                sequence: of,
-                key,
-                value,
-            }) if of == sequence && received => return Some(Answered { key, value }),
+            Ok(Telemetry::Receipt(receipt)) if receipt.sequence == sequence => received = true,
+            Ok(Telemetry::Result(result)) if result.sequence == sequence && received => {
+                return Some(Answered::from(result));
+            }
             _ => {}
         }
         None
@@ -206,19 +204,17 @@ pub fn ask_for_moon(
     let message = Message::MoonRequest(request);
     let answered = converse(port, &message, sequence, timeout, |packet| match packet {
         Packet::Telemetry(packet) => match Telemetry::decode(packet) {
-            Ok(Telemetry::Result {
-                sequence: of,
-                key,
-                value,
-            }) if of == sequence && value != result::DONE => Some(Err(Answered { key, value })),
+            Ok(Telemetry::Result(result))
+                if result.sequence == sequence && result.value != result::DONE =>
+            {
+                Some(Err(Answered::from(result)))
+            }
             _ => None,
         },
         Packet::Command(packet) => Messages::of(packet.payload())
-            .filter_map(|(_, message)| match message {
-                Ok(Message::Moon(answer)) if answer.request == sequence => Some(Ok(answer)),
-                _ => None,
-            })
-            .next(),
+            .filter_map(|(_, message)| message.ok()?.moon_answer())
+            .find(|answer| answer.request == sequence)
+            .map(Ok),
     })?;
     let what = "answer to the request for the Moon";
     answered.ok_or(OrderError::NoAnswer { what, timeout })
@@ -251,6 +247,7 @@ fn converse<T>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::link::GpsFix;
 
     fn say(name: &str, values: &[&str]) -> Result<Message, String> {
         let values: Vec<String> = values.iter().map(|v| (*v).into()).collect();
@@ -297,7 +294,7 @@ mod tests {
             ("store_frames", &["2"], &["1 (on) or 0 (off)", "2"]),
             ("set_twist", &["north"], &["angle", "north"]),
             ("gps", &["1", "x"], &["longitude", "x"]),
-            ("moon", &["1", "2"], &["expected 3", "height, m"]),
+            ("moon", &["1", "2"], &["expected 3", "height_m"]),
             ("stop_tracking", &["1"], &["expected 0"]),
         ] {
             let message = say(name, values).unwrap_err();

@@ -3,8 +3,9 @@
 //! The table below is the layout, the struct and the page on the protocol. The first byte of the payload is the
 //! layout's number: a field that is added, removed or changed makes a new one.
 
-use super::layout::{self, Number};
+use super::fields;
 use super::message::MessageError;
+use super::number::{self, Codes, Number};
 use super::packet::{TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
 use std::fmt;
@@ -37,7 +38,9 @@ pub struct Field {
     /// How many numbers it holds; 0 for one of digits or ids.
     pub parts: usize,
     pub unit: &'static str,
-    pub documentation: &'static str,
+    /// What its number stands for.
+    pub codes: Option<&'static Codes>,
+    about: &'static str,
     value: fn(&[u8], usize) -> Option<f64>,
 }
 
@@ -48,19 +51,29 @@ impl Field {
     }
 
     /// The same as a field of any payload.
-    pub fn plain(&self) -> layout::Field {
-        layout::Field {
+    pub fn plain(&self) -> number::Field {
+        number::Field {
             name: self.name,
             number: self.number,
             count: self.count,
             unit: self.unit,
-            documentation: self.documentation,
+            documentation: self.about,
+            codes: self.codes,
+            range: None,
         }
     }
 
-    /// What it means, and its type.
+    /// What it is.
+    pub fn documentation(&self) -> String {
+        match self.codes {
+            Some(codes) => format!("{}: {}", self.about, codes.in_words()),
+            None => self.about.into(),
+        }
+    }
+
+    /// What it is, and its type.
     pub fn in_words(&self) -> String {
-        format!("{} ({})", self.documentation, self.kind)
+        format!("{} ({})", self.documentation(), self.kind)
     }
 }
 
@@ -68,8 +81,17 @@ fn value_of<T: Wire>(mut bytes: &[u8], part: usize) -> Option<f64> {
     T::read(&mut bytes)?.value(part)
 }
 
+macro_rules! codes {
+    () => {
+        None
+    };
+    ($codes:ident) => {
+        Some(&$codes)
+    };
+}
+
 macro_rules! housekeeping {
-    ($($field:ident: $type:ty, $unit:literal, $documentation:literal;)*) => {
+    ($($field:ident: $type:ty, $unit:literal, $documentation:literal $(=> $codes:ident)?;)*) => {
         /// What is told of one second. `None` is what is not known.
         #[derive(Debug, Clone, PartialEq, Default)]
         pub struct Housekeeping {
@@ -85,7 +107,8 @@ macro_rules! housekeeping {
             bytes: <$type as Wire>::BYTES,
             parts: <$type as Wire>::PARTS,
             unit: $unit,
-            documentation: $documentation,
+            codes: codes!($($codes)?),
+            about: $documentation,
             value: value_of::<$type>,
         }),*];
 
@@ -130,6 +153,45 @@ macro_rules! housekeeping {
     };
 }
 
+static QUALITY: Codes = Codes {
+    name: "quality",
+    rows: &[
+        (0, "none", "none"),
+        (1, "coarse", "coarse"),
+        (2, "fine", "fine"),
+    ],
+};
+
+#[rustfmt::skip] // One row, one line.
+static MAPPING: Codes = Codes { name: "mapping", rows: &[
+    (0, "none", "none"),
+    (1, "similarity", "similarity"),
+    (2, "affine", "affine"),
+    (3, "homography", "homography"),
+    (4, "prior", "the prior's"),
+    (5, "calibration", "the calibration's"),
+    (6, "keystone", "keystone"),
+] };
+
+#[rustfmt::skip] // One row, one line.
+static NAVIGATION: Codes = Codes { name: "navigation", rows: &[
+    (0, "none", "none or without samples"),
+    (1, "waiting", "waiting"),
+    (2, "aligned", "aligned"),
+    (3, "coasting", "coasting"),
+    (4, "restarted", "restarted"),
+    (5, "contradicted", "contradicted by directions"),
+    (6, "unsound", "with an unsound IMU"),
+] };
+
+#[rustfmt::skip] // One row, one line.
+static GYRO_AGREEMENT: Codes = Codes { name: "gyro_agreement", rows: &[
+    (0, "none", "none compared"),
+    (1, "within", "within 5 sigma on each axis"),
+    (2, "beyond", "beyond on one"),
+    (3, "contradicted", "contradicted: beyond for 10 s or more"),
+] };
+
 housekeeping! {
     computer: u8, "", "which of the two computers";
     tracking: bool, "", "the controller wants solutions";
@@ -146,7 +208,7 @@ housekeeping! {
     none: u32, "", "frames without a Sun";
     stopped: [u16; 7], "", "frames that went no further than levels, limb, marks, identification, registration, aspect, pointing";
     number: u32, "", "number of the latest frame, which the fields to preamp_gain are about";
-    quality: u8, "", "0 none, 1 coarse, 2 fine";
+    quality: u8, "", "the solution's quality" => QUALITY;
     background_dn: Option<f32>, "DN", "level of the background";
     disc_dn: Option<f32>, "DN", "level of the disc";
     noise_dn: Option<f32>, "DN", "noise of the background, 1 sigma";
@@ -159,7 +221,7 @@ housekeeping! {
     limb_points: u16, "", "points of the limb";
     marks: u8, "", "marks with ids";
     ids: MarkIds, "", "the first 16 of their ids, a byte each: 16 (i + 8) + (j + 8), 0 for none";
-    mapping: u8, "", "0 none, 1 similarity, 2 affine, 3 homography, 4 the prior's, 5 the calibration's, 6 keystone";
+    mapping: u8, "", "the kind of the mapping" => MAPPING;
     scale_mil_per_px: Option<f32>, "mil/px", "the mapping's scale";
     rotation_deg: Option<f32>, "deg", "the mapping's rotation";
     residual_px: Option<f32>, "px", "rms residual of the marks per axis";
@@ -214,7 +276,7 @@ housekeeping! {
     moon_hidden: u32, "", "frames taken while the Moon could not be seen";
     moon_x_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
     moon_y_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
-    navigation: u8, "", "the filter by gyros: 0 none or without samples, 1 waiting, 2 aligned, 3 coasting, 4 restarted, 5 contradicted by directions, 6 with an unsound IMU";
+    navigation: u8, "", "the filter by gyros" => NAVIGATION;
     propagated_azimuth_deg: Option<f32>, "deg", "its latest offset in azimuth";
     propagated_elevation_deg: Option<f32>, "deg", "its latest offset in elevation";
     propagated_sigma_deg: Option<f32>, "deg", "the offset's 1 sigma per axis of true angle";
@@ -246,7 +308,7 @@ housekeeping! {
     gyro_right_sigmas: Option<f32>, "", "the Sun along the telescope's right, measured minus predicted by the gyros, in its 1 sigma";
     gyro_up_sigmas: Option<f32>, "", "the same along its up";
     gyro_roll_sigmas: Option<f32>, "", "roll by the nadir, measured minus predicted by the gyros, in its 1 sigma";
-    gyro_agreement: u8, "", "cameras and gyros: 0 none compared, 1 within 5 sigma on each axis, 2 beyond on one, 3 contradicted: beyond for 10 s or more";
+    gyro_agreement: u8, "", "cameras and gyros" => GYRO_AGREEMENT;
 }
 
 /// The ids of up to sixteen marks: i and j, each from -7 to 7.
@@ -316,7 +378,7 @@ impl Housekeeping {
     /// The packet made at `time`.
     pub fn packet(&self, time: Timestamp) -> Result<TelemetryPacket, MessageError> {
         let kind = telemetry_type::HOUSEKEEPING;
-        let time = super::fields::unix_time(kind.into(), time)?;
+        let time = fields::unix_time(kind.into(), time)?;
         Ok(TelemetryPacket::new(
             kind,
             id::ASPECT,

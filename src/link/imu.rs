@@ -1,10 +1,29 @@
 //! Samples of the gondola's inertial measurement unit (IMU), which come to the aspect system as telemetry, a packet each.
 
-use super::fields::{MessageError, Reader, Writer, unix_time};
+use super::fields::{MessageError, Reader, Wire, Writer, fields, unix_time};
 use super::packet::{TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
 
 const KIND: u16 = telemetry_type::IMU as u16;
+
+fields! {
+    /// What the payload of a sample's packet holds.
+    Sample, format!("IMU sample {counter}: force {force_m_s2:?} m/s^2, rate {rate_rad_s:?} rad/s") => {
+        counter: u16, "", "counts the samples (after 65535 comes 0)";
+        /// Specific force, m/s^2: acceleration less gravitation.
+        force_m_s2: [f32; 3] [
+            "force_x_m_s2", "m/s^2", "mean specific force along the IMU's x axis";
+            "force_y_m_s2", "m/s^2", "along its y axis";
+            "force_z_m_s2", "m/s^2", "along its z axis";
+        ];
+        /// Against inertial space, rad/s.
+        rate_rad_s: [f32; 3] [
+            "rate_x_rad_s", "rad/s", "mean rate against inertial space about the x axis";
+            "rate_y_rad_s", "rad/s", "about the y axis";
+            "rate_z_rad_s", "rad/s", "about the z axis";
+        ];
+    }
+}
 
 /// Means over the interval that ends at a time, in the IMU's own axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,19 +47,22 @@ impl ImuPacket {
         }
     }
 
+    /// Without its time.
+    pub fn sample(&self) -> Sample {
+        Sample {
+            counter: self.counter,
+            force_m_s2: self.force_m_s2,
+            rate_rad_s: self.rate_rad_s,
+        }
+    }
+
     /// The packet, as the controller sends it.
     ///
     /// # Errors
     /// Numbers that are not finite, times that do not fit.
     pub fn packet(&self) -> Result<TelemetryPacket, MessageError> {
         let mut out = Writer::after_key(KIND);
-        out.u16(self.counter);
-        for value in self.force_m_s2 {
-            out.f32("specific force", value)?;
-        }
-        for value in self.rate_rad_s {
-            out.f32("rate", value)?;
-        }
+        Sample::write(&self.sample(), &mut out, "sample")?;
         let time = unix_time(KIND, self.time)?;
         let payload = out.finish();
         Ok(TelemetryPacket::new(
@@ -61,11 +83,11 @@ impl ImuPacket {
             return Err(MessageError::UnknownTelemetry { kind });
         }
         let mut input = Reader::after_key(KIND, packet.payload());
-        let counter = input.u16()?;
-        let mut three = |field| -> Result<[f32; 3], MessageError> {
-            Ok([input.f32(field)?, input.f32(field)?, input.f32(field)?])
-        };
-        let (force_m_s2, rate_rad_s) = (three("specific force")?, three("rate")?);
+        let Sample {
+            counter,
+            force_m_s2,
+            rate_rad_s,
+        } = Sample::read(&mut input, "sample")?;
         let (seconds, nanoseconds) = packet.time();
         let time = i32::try_from(nanoseconds).ok();
         let time = time.and_then(|ns| Timestamp::new(seconds.into(), ns).ok());

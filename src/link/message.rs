@@ -3,22 +3,26 @@
 //! A payload holds one message or several, one after the other ([`Messages`]). A message begins with a key (u16) that
 //! names it; the rest is fixed by the key. A key of zero, or a rest too short for a key, ends the reading, so that a
 //! sender that pads its packets is understood.
+//!
+//! To add a message, add its row to the table of messages and its fields above; the codec, the words, the page on the protocol and the
+//! descriptions for other programs follow.
 
 pub use super::fields::MessageError;
-pub use super::layout::key;
 
-use super::fields::{Reader, Writer, unix_time};
-use super::layout::message_of;
-use super::moon::{MoonAnswer, MoonRequest};
-use super::packet::{CommandPacket, TelemetryPacket, id, telemetry_type};
+use super::fields::{Milliseconds, Reader, Said, Seconds, Wire, Writer, fields};
+use super::moon::{MoonAnswer, MoonFix, MoonSight, NOT_FOUND, NOT_VISIBLE};
+use super::number::{Codes, Field};
+use super::packet::CommandPacket;
+use super::packet::Direction::{self, ToAspect, ToController};
+use crate::units::{Place, PlaceError};
 use jiff::Timestamp;
 
 /// Error code of a frame whose Sun was found but whose time or place is not known.
 pub const NO_OFFSET: u16 = 100;
 
-/// What the controller is told of a frame without a solution: 1 to 7 for the stage that it did not pass. Code, name, meaning.
+/// What the controller is told of a frame without a solution: 1 to 7 for the stage that it did not pass.
 #[rustfmt::skip] // One row, one line.
-pub const ERROR_CODES: &[(u16, &str, &str)] = &[
+pub static ERROR_CODES: Codes = Codes { name: "error_code", rows: &[
     (1, "levels", "levels: no disc stands out of the background"),
     (2, "limb", "limb: no disc was found"),
     (3, "marks", "marks: too few were seen"),
@@ -27,66 +31,87 @@ pub const ERROR_CODES: &[(u16, &str, &str)] = &[
     (6, "aspect", "aspect: the Sun's place on the plate is not known"),
     (7, "pointing", "pointing: the target cannot be pointed at from here"),
     (NO_OFFSET, "no_offset", "the Sun was found, but time or place of the frame is not known"),
-];
+] };
 
 /// The camera's number in an exposure packet: 1, whichever computer sends it.
 pub const CAMERA: u16 = 1;
 
-/// Where the telescope points, minus the target, at the start of an exposure.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Solution {
-    /// Plain difference of azimuths, deg.
-    pub azimuth_deg: f64,
-    pub elevation_deg: f64,
-    pub roll_deg: f64,
-    /// 1 sigma per axis of true angle, deg.
-    pub error_deg: f64,
-    /// The time its exposure packet announced; sent to the nearest millisecond.
-    pub time: Timestamp,
-}
-
-impl Solution {
-    fn write(&self, out: &mut Writer) -> Result<(), MessageError> {
-        out.f64("azimuth", self.azimuth_deg)?;
-        out.f64("elevation", self.elevation_deg)?;
-        out.f64("roll", self.roll_deg)?;
-        out.f64("error", self.error_deg)?;
-        out.time_to_millisecond(self.time)
+fields! {
+    /// Where the telescope points, minus the target, at the start of an exposure.
+    Solution, format!("solution azimuth {azimuth_deg} elevation {elevation_deg} roll {roll_deg} error {error_deg} deg at {time}") => {
+        azimuth_deg: f64, "deg", "offset in azimuth, pointing minus target (a plain difference)";
+        elevation_deg: f64, "deg", "offset in elevation";
+        roll_deg: f64, "deg", "the body's roll by the horizon (0 where it is not known), or about the boresight where the offset is one by the gyros";
+        error_deg: f64, "deg", "the offset's 1 sigma per axis of true angle";
+        /// The time its exposure packet announced; sent to the nearest millisecond.
+        time: Timestamp as Milliseconds [
+            "seconds", "s", "its time, UTC since 1970";
+            "milliseconds", "ms", "of its time";
+        ];
     }
 
-    fn read(input: &mut Reader) -> Result<Self, MessageError> {
-        Ok(Self {
-            azimuth_deg: input.f64("azimuth")?,
-            elevation_deg: input.f64("elevation")?,
-            roll_deg: input.f64("roll")?,
-            error_deg: input.f64("error")?,
-            time: input.time_to_millisecond()?,
-        })
+    /// Where the telescope points, minus the target, by the gyros since a frame.
+    Propagated, format!("by gyros {}, {age_ms} ms after a frame", solution.words().trim_start_matches("solution ")) => {
+        /// Its time is that of the attitude.
+        solution: Solution;
+        age_ms: u16, "ms", "age of the last frame that it rests on (65535 for more)";
+    }
+
+    /// No solution for an announced exposure.
+    NoSolution, format!("no solution, error {code}") => {
+        code: u16, "", "why" => ERROR_CODES;
+    }
+
+    /// An exposure is about to start.
+    ExposureStart, format!("exposure of camera {camera} at {time}") => {
+        camera: u16, "", "1";
+        time: Timestamp as Seconds, "s", "start of the exposure, UTC since 1970";
+    }
+
+    /// The gondola's place, as the ground sends it.
+    GpsFix, format!("GPS latitude {latitude_deg} longitude {longitude_deg} deg") => {
+        latitude_deg: f32, "deg", "the gondola's latitude" in -90.0, 90.0;
+        longitude_deg: f32, "deg", "its longitude, east positive" in -360.0, 360.0;
+    }
+
+    /// The platform asks where the Moon is, and says where it is itself.
+    MoonRequest, format!("where is the Moon from latitude {latitude_deg} longitude {longitude_deg} deg height {height_m} m") => {
+        latitude_deg: f64, "deg", "the platform's latitude" in -90.0, 90.0;
+        longitude_deg: f64, "deg", "its longitude, east positive" in -360.0, 360.0;
+        height_m: f64, "m", "its height above the WGS 84 ellipsoid" in -1000.0, 100_000.0;
+    }
+
+    /// The Moon was found in a picture begun after the request.
+    MoonFound, format!("Moon of seq {request}: {}", fix.words()) => {
+        request: u16, "", "sequence number of the request's packet";
+        fix: MoonFix;
+    }
+
+    /// The ephemeris has the Moon where it cannot be seen.
+    MoonNotVisible, format!("Moon of seq {request}: not visible ({code}): {}", reason(&NOT_VISIBLE, *code)) => {
+        request: u16, "", "sequence number of the request's packet";
+        code: u16, "", "why" => NOT_VISIBLE;
+    }
+
+    /// The Moon should be in the picture and is not found.
+    MoonNotFound, format!("Moon of seq {request}: not found ({code}): {}", reason(&NOT_FOUND, *code)) => {
+        request: u16, "", "sequence number of the request's packet";
+        code: u16, "", "why" => NOT_FOUND;
     }
 }
 
-/// Where the telescope points, minus the target, by the gyros since a frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Propagated {
-    /// Its time is that of the attitude.
-    pub solution: Solution,
-    /// Of the last frame that the attitude rests on; 65535 stands for more.
-    pub age_ms: u16,
+fn reason(codes: &Codes, code: u16) -> &'static str {
+    codes.meaning(code).unwrap_or("unknown reason")
 }
 
-/// An exposure is about to start.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ExposureStart {
-    pub camera: u16,
-    pub time: Timestamp,
-}
-
-/// The gondola's place, as the ground sends it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GpsFix {
-    pub latitude_deg: f32,
-    /// East positive.
-    pub longitude_deg: f32,
+impl MoonRequest {
+    /// The platform's place.
+    ///
+    /// # Errors
+    /// Coordinates out of range.
+    pub fn place(&self) -> Result<Place, PlaceError> {
+        Place::new(self.latitude_deg, self.longitude_deg, self.height_m)
+    }
 }
 
 /// A command of the ground to the aspect system, as it travels: a key and as many variables as its low 4 bits say.
@@ -111,12 +136,6 @@ impl AspectCommand {
         Ok(Self { key, variables })
     }
 
-    fn read(input: &mut Reader) -> Result<Self, MessageError> {
-        let key = input.u16()?;
-        let variables = input.words().take(variable_count(key)).collect();
-        Self::new(key, variables)
-    }
-
     /// The key with the computers' bits.
     pub fn key(&self) -> u16 {
         self.key
@@ -125,111 +144,176 @@ impl AspectCommand {
     pub fn variables(&self) -> &[u16] {
         &self.variables
     }
+
+    fn words(&self) -> String {
+        format!("aspect command {:#06x} {:?}", self.key, self.variables)
+    }
 }
 
-/// A message in a command packet.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Message {
-    // From us to the controller.
-    TrackingOn,
-    TrackingOff,
-    Solution(Solution),
-    /// No solution for an announced exposure, with the reason's number.
-    Error {
-        code: u16,
-    },
-    ExposureStart(ExposureStart),
-    Propagated(Propagated),
-    Moon(MoonAnswer),
-    // To us, from the controller or the ground.
-    StartTracking,
-    StopTracking,
-    Gps(GpsFix),
-    MoonRequest(MoonRequest),
-    Aspect(AspectCommand),
+/// Its fields and length are those before the variables.
+impl Wire for AspectCommand {
+    const BYTES: usize = u16::BYTES;
+
+    fn fields(_: &[Said]) -> Vec<Field> {
+        u16::fields(&[Said {
+            name: "key",
+            unit: "",
+            documentation: "top 4 bits: computers, low 4 bits: number of variables",
+            codes: None,
+            range: None,
+        }])
+    }
+
+    fn read(input: &mut Reader, field: &'static str) -> Result<Self, MessageError> {
+        let key = u16::read(input, field)?;
+        let variables = input.words().take(variable_count(key)).collect();
+        Self::new(key, variables)
+    }
+
+    fn write(value: &Self, out: &mut Writer, field: &'static str) -> Result<(), MessageError> {
+        u16::write(&value.key, out, field)?;
+        let mut variables = value.variables.iter();
+        variables.try_for_each(|variable| u16::write(variable, out, field))
+    }
+}
+
+/// A message of a command packet, as a row of the table.
+#[derive(Debug, Clone, Copy)]
+pub struct MessageRow {
+    pub key: u16,
+    pub name: &'static str,
+    pub direction: Direction,
+    pub documentation: &'static str,
+    /// Length of its fields.
+    pub(super) bytes: usize,
+    fields: fn() -> Vec<Field>,
+}
+
+impl MessageRow {
+    /// The fields after the key. The aspect command has the words of its variables after them.
+    pub fn fields(&self) -> Vec<Field> {
+        (self.fields)()
+    }
+}
+
+/// A pattern for the body of a message.
+macro_rules! bind {
+    ($name:pat, $body:ident) => {
+        $name
+    };
+}
+
+/// A row a message, with the struct of its fields where it has some: the constant of its key, the key, its direction, name and meaning.
+macro_rules! messages {
+    ($($message:ident $(($body:ident))? = $constant:ident, $key:literal, $direction:ident, $name:literal, $documentation:literal;)*) => {
+        /// The keys of messages.
+        pub mod key {
+            $(pub const $constant: u16 = $key;)*
+        }
+
+        /// A message in a command packet.
+        #[derive(Debug, Clone, PartialEq)]
+        pub enum Message {
+            $(#[doc = $documentation] $message $(($body))?,)*
+        }
+
+        /// The messages, in the order of their keys.
+        pub const MESSAGES: &[MessageRow] = &[$(MessageRow {
+            key: $key,
+            name: $name,
+            direction: $direction,
+            documentation: $documentation,
+            bytes: 0 $(+ <$body as Wire>::BYTES)?,
+            fields: || [Vec::new() $(, <$body as Wire>::fields(&[]))?].concat(),
+        }),*];
+
+        impl Message {
+            pub fn key(&self) -> u16 {
+                match self {
+                    $(Self::$message $((bind!(_, $body)))? => $key,)*
+                }
+            }
+
+            pub(super) fn payload(&self) -> Result<Vec<u8>, MessageError> {
+                let mut out = Writer::new(self.key());
+                match self {
+                    $(Self::$message $((bind!(body, $body)))? => {
+                        $(<$body as Wire>::write(body, &mut out, $name)?;)?
+                    })*
+                }
+                Ok(out.finish())
+            }
+
+            /// Reads the first message of a command packet's payload.
+            pub fn decode(payload: &[u8]) -> Result<Self, MessageError> {
+                let mut input = Reader::new(payload)?;
+                match input.key() {
+                    $($key => Ok(Self::$message $((<$body as Wire>::read(&mut input, $name)?))?),)*
+                    key => Err(MessageError::UnknownKey { key }),
+                }
+            }
+
+            /// In words.
+            pub fn words(&self) -> String {
+                match self {
+                    $(Self::$message $((bind!(body, $body)))? => {
+                        let words = None $(.or(Some($body::words(body))))?;
+                        words.unwrap_or_else(|| $documentation.into())
+                    })*
+                }
+            }
+        }
+    };
+}
+
+messages! {
+    Gps(GpsFix) = GPS, 0x000A, ToAspect, "gps", "the gondola's place";
+    StartTracking = START_TRACKING, 0x1000, ToAspect, "start_tracking", "start tracking";
+    StopTracking = STOP_TRACKING, 0x1001, ToAspect, "stop_tracking", "stop tracking";
+    MoonRequest(MoonRequest) = MOON_REQUEST, 0x1010, ToAspect, "moon", "where is the Moon?";
+    Aspect(AspectCommand) = ASPECT_COMMAND, 0x10FF, ToAspect, "aspect_command", "a command of the ground; as many variables, 16 bits each, as its key says";
+    TrackingOn = TRACKING_ON, 0x1100, ToController, "tracking_on", "tracking is on";
+    TrackingOff = TRACKING_OFF, 0x1101, ToController, "tracking_off", "tracking is off";
+    Solution(Solution) = SOLUTION, 0x1102, ToController, "solution", "offset of an announced exposure";
+    Error(NoSolution) = ERROR, 0x1103, ToController, "error", "no solution for an announced exposure";
+    ExposureStart(ExposureStart) = EXPOSURE_START, 0x1104, ToController, "exposure_start", "an exposure is about to start";
+    Propagated(Propagated) = PROPAGATED, 0x1105, ToController, "propagated", "an offset by the gyros";
+    MoonFound(MoonFound) = MOON_FOUND, 0x1110, ToController, "moon_found", "the Moon is found";
+    MoonNotVisible(MoonNotVisible) = MOON_NOT_VISIBLE, 0x1111, ToController, "moon_not_visible", "the Moon is not visible";
+    MoonNotFound(MoonNotFound) = MOON_NOT_FOUND, 0x1112, ToController, "moon_not_found", "the Moon is not found";
+}
+
+impl From<MoonAnswer> for Message {
+    fn from(MoonAnswer { request, sight }: MoonAnswer) -> Self {
+        match sight {
+            MoonSight::Found(fix) => Self::MoonFound(MoonFound { request, fix }),
+            MoonSight::NotVisible { code } => {
+                Self::MoonNotVisible(MoonNotVisible { request, code })
+            }
+            MoonSight::NotFound { code } => Self::MoonNotFound(MoonNotFound { request, code }),
+        }
+    }
 }
 
 impl Message {
-    pub fn key(&self) -> u16 {
-        match self {
-            Self::TrackingOn => key::TRACKING_ON,
-            Self::TrackingOff => key::TRACKING_OFF,
-            Self::Solution(_) => key::SOLUTION,
-            Self::Error { .. } => key::ERROR,
-            Self::ExposureStart(_) => key::EXPOSURE_START,
-            Self::Propagated(_) => key::PROPAGATED,
-            Self::StartTracking => key::START_TRACKING,
-            Self::StopTracking => key::STOP_TRACKING,
-            Self::Gps(_) => key::GPS,
-            Self::MoonRequest(_) => key::MOON_REQUEST,
-            Self::Moon(answer) => answer.sight.key(),
-            Self::Aspect(_) => key::ASPECT_COMMAND,
-        }
+    /// The answer to a request for the Moon, where the message is one.
+    pub fn moon_answer(&self) -> Option<MoonAnswer> {
+        let (request, sight) = match *self {
+            Self::MoonFound(MoonFound { request, fix }) => (request, MoonSight::Found(fix)),
+            Self::MoonNotVisible(MoonNotVisible { request, code }) => {
+                (request, MoonSight::NotVisible { code })
+            }
+            Self::MoonNotFound(MoonNotFound { request, code }) => {
+                (request, MoonSight::NotFound { code })
+            }
+            _ => return None,
+        };
+        Some(MoonAnswer { request, sight })
     }
 
     /// The message as a packet. Numbers that are not finite and times that do not fit are refused.
     pub fn packet(&self, target: u8, sequence: u16) -> Result<CommandPacket, MessageError> {
         Ok(CommandPacket::new(target, sequence, self.payload()?)?)
-    }
-
-    fn payload(&self) -> Result<Vec<u8>, MessageError> {
-        let mut out = Writer::new(self.key());
-        match self {
-            Self::TrackingOn | Self::TrackingOff | Self::StartTracking | Self::StopTracking => {}
-            Self::Solution(solution) => solution.write(&mut out)?,
-            Self::Propagated(propagated) => {
-                propagated.solution.write(&mut out)?;
-                out.u16(propagated.age_ms);
-            }
-            Self::Error { code } => out.u16(*code),
-            Self::ExposureStart(exposure) => {
-                out.u16(exposure.camera);
-                let (seconds, nanoseconds) = unix_time(key::EXPOSURE_START, exposure.time)?;
-                out.f64("time", f64::from(seconds) + f64::from(nanoseconds) / 1e9)?;
-            }
-            Self::Gps(fix) => {
-                out.f32("latitude", fix.latitude_deg)?;
-                out.f32("longitude", fix.longitude_deg)?;
-            }
-            Self::MoonRequest(request) => request.write(&mut out)?,
-            Self::Moon(answer) => answer.write(&mut out)?,
-            Self::Aspect(command) => {
-                out.u16(command.key);
-                command.variables.iter().for_each(|&v| out.u16(v));
-            }
-        }
-        Ok(out.finish())
-    }
-
-    /// Reads the first message of a command packet's payload.
-    pub fn decode(payload: &[u8]) -> Result<Self, MessageError> {
-        let mut input = Reader::new(payload)?;
-        Ok(match input.key() {
-            key::TRACKING_ON => Self::TrackingOn,
-            key::TRACKING_OFF => Self::TrackingOff,
-            key::SOLUTION => Self::Solution(Solution::read(&mut input)?),
-            key::PROPAGATED => Self::Propagated(Propagated {
-                solution: Solution::read(&mut input)?,
-                age_ms: input.u16()?,
-            }),
-            key::ERROR => Self::Error { code: input.u16()? },
-            key::EXPOSURE_START => Self::ExposureStart(ExposureStart {
-                camera: input.u16()?,
-                time: input.time_f64()?,
-            }),
-            key::START_TRACKING => Self::StartTracking,
-            key::STOP_TRACKING => Self::StopTracking,
-            key::GPS => Self::Gps(GpsFix {
-                latitude_deg: input.f32("latitude")?,
-                longitude_deg: input.f32("longitude")?,
-            }),
-            key::MOON_REQUEST => Self::MoonRequest(MoonRequest::read(&mut input)?),
-            key::MOON_FOUND | key::MOON_NOT_VISIBLE | key::MOON_NOT_FOUND => {
-                Self::Moon(MoonAnswer::read(&mut input)?)
-            }
-            key::ASPECT_COMMAND => Self::Aspect(AspectCommand::read(&mut input)?),
-            key => return Err(MessageError::UnknownKey { key }),
-        })
     }
 }
 
@@ -299,54 +383,16 @@ fn stated_length(payload: &[u8]) -> Option<usize> {
         key::ASPECT_COMMAND => variable_count(first_word(payload.get(2..)?)?),
         _ => 0,
     };
-    Some(2 + message_of(key)?.bytes() + 2 * variables)
+    Some(2 + message_of(key)?.bytes + 2 * variables)
 }
 
 fn first_word(bytes: &[u8]) -> Option<u16> {
     bytes.first_chunk().map(|word| u16::from_le_bytes(*word))
 }
 
-/// What a telemetry packet of the link says: every command is answered by a receipt and a result.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Telemetry {
-    /// The command with this sequence number has arrived.
-    Receipt { sequence: u16 },
-    /// What came of it: `value` is 0 (done), 1 (not implemented), 0xFFFF (unknown), or what a read has read.
-    Result { sequence: u16, key: u16, value: u16 },
-}
-
-impl Telemetry {
-    /// The answer as a packet made at `time`.
-    pub fn packet(&self, time: Timestamp) -> Result<TelemetryPacket, MessageError> {
-        let (kind, words) = match *self {
-            Self::Receipt { sequence } => (telemetry_type::RECEIPT, vec![sequence]),
-            Self::Result {
-                sequence,
-                key,
-                value,
-            } => (telemetry_type::RESULT, vec![sequence, key, value]),
-        };
-        let payload = words.iter().flat_map(|word| word.to_le_bytes()).collect();
-        let time = unix_time(kind.into(), time)?;
-        Ok(TelemetryPacket::new(kind, id::ASPECT, time, payload)?)
-    }
-
-    /// Reads a receipt or a result.
-    pub fn decode(packet: &TelemetryPacket) -> Result<Self, MessageError> {
-        let kind = packet.kind();
-        let mut input = Reader::after_key(kind.into(), packet.payload());
-        match kind {
-            telemetry_type::RECEIPT => Ok(Self::Receipt {
-                sequence: input.u16()?,
-            }),
-            telemetry_type::RESULT => Ok(Self::Result {
-                sequence: input.u16()?,
-                key: input.u16()?,
-                value: input.u16()?,
-            }),
-            kind => Err(MessageError::UnknownTelemetry { kind }),
-        }
-    }
+/// The row of a message's key.
+pub fn message_of(key: u16) -> Option<&'static MessageRow> {
+    MESSAGES.iter().find(|row| row.key == key)
 }
 
 /// How many variables an aspect command has: the low 4 bits of its key.
@@ -357,7 +403,7 @@ pub fn variable_count(key: u16) -> usize {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::link::moon::{MoonFix, MoonSight};
+    use crate::link::moon::{MoonAnswer, MoonFix, MoonSight};
 
     pub(in crate::link) fn every_message() -> Vec<Message> {
         let time = Timestamp::from_second(1_379_786_400).unwrap();
@@ -371,7 +417,7 @@ pub(super) mod tests {
                 error_deg: 1e-5,
                 time,
             }),
-            Message::Error { code: 8 },
+            Message::Error(NoSolution { code: 8 }),
             Message::Propagated(Propagated {
                 solution: Solution {
                     azimuth_deg: -0.1,
@@ -393,7 +439,7 @@ pub(super) mod tests {
                 longitude_deg: -104.25,
                 height_m: 38_000.0,
             }),
-            Message::Moon(MoonAnswer {
+            Message::from(MoonAnswer {
                 request: 9,
                 sight: MoonSight::Found(MoonFix {
                     x_px: 359.5,
@@ -403,11 +449,11 @@ pub(super) mod tests {
                     time,
                 }),
             }),
-            Message::Moon(MoonAnswer {
+            Message::from(MoonAnswer {
                 request: 10,
                 sight: MoonSight::NotVisible { code: 2 },
             }),
-            Message::Moon(MoonAnswer {
+            Message::from(MoonAnswer {
                 request: 11,
                 sight: MoonSight::NotFound { code: 1 },
             }),

@@ -14,22 +14,26 @@ pub mod command;
 pub mod connection;
 pub mod control;
 pub mod describe;
-mod fields;
+pub mod fields;
 pub mod ground;
 pub mod guard;
 pub mod housekeeping;
 pub mod imu;
 pub mod key;
-pub mod layout;
 pub mod message;
 pub mod moon;
+pub mod number;
 pub mod packet;
 pub mod parser;
 pub mod picture;
 pub mod port;
 pub mod responder;
 pub mod schema;
+pub mod telemetry;
 pub mod udp;
+
+#[cfg(test)]
+mod tables;
 
 pub use command::{Action, COMMANDS, CameraRole, Command, CommandError, CommandRow, Computer};
 pub use connection::{AnyPort, Connection, PortAddress};
@@ -39,13 +43,14 @@ pub use housekeeping::Housekeeping;
 pub use imu::ImuPacket;
 pub use key::{Key, Seal};
 pub use message::{
-    AspectCommand, ExposureStart, GpsFix, Message, MessageError, Messages, Propagated, Solution,
-    Telemetry,
+    AspectCommand, ExposureStart, GpsFix, Message, MessageError, Messages, MoonRequest, NoSolution,
+    Propagated, Solution,
 };
-pub use moon::{MoonAnswer, MoonFix, MoonRequest, MoonSight};
+pub use moon::{MoonAnswer, MoonFix, MoonSight};
 pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket, id};
 pub use parser::{Parser, Rejected};
 pub use picture::Picture;
 pub use port::{BytePort, PortError, SerialPort};
 pub use responder::{Exposure, LinkState, Reply, Responder};
+pub use telemetry::{CommandOutcome, Receipt, Telemetry};
 pub use udp::{LocalEnd, UdpPort};

@@ -10,6 +10,7 @@
 //!
 //! Source: HEROES flight program, 2013; samples of an IMU are this project's.
 
+use super::number::Codes;
 use crc::{CRC_16_MODBUS, Crc, Table};
 
 /// The two bytes every packet begins with: 0xC39A, little-endian.
@@ -29,6 +30,14 @@ pub mod id {
     pub const ASPECT: u8 = 0x30;
     pub const EVERYONE: u8 = 0xFF;
 }
+
+/// The ids with names.
+#[rustfmt::skip] // One row, one line.
+pub static PARTIES: Codes = Codes { name: "party", rows: &[
+    (id::CONTROLLER as u16, "controller", "the controller"),
+    (id::ASPECT as u16, "aspect_system", "the aspect system"),
+    (id::EVERYONE as u16, "everyone", "everyone"),
+] };
 
 /// The types of telemetry.
 pub mod telemetry_type {

@@ -14,6 +14,7 @@
 
 use super::fields::unix_time;
 use super::message::MessageError;
+use super::number::Codes;
 use super::packet::{TelemetryPacket, id, telemetry_type};
 use crate::frame::{Frame, Pixels};
 use jiff::Timestamp;
@@ -27,6 +28,14 @@ pub const MOON_CAMERA: u8 = 7;
 /// The largest width and height that 12 bits hold.
 const LARGEST: usize = 4095;
 const EIGHT_BITS: u32 = 3;
+
+/// Types of a tag's value.
+#[rustfmt::skip] // One row, one line.
+pub static TAG_TYPES: Codes = Codes { name: "tag_type", rows: &[
+    (16, "text", "text, padded with zeros"),
+    (41, "whole", "i32"),
+    (82, "number", "f64"),
+] };
 
 /// What a tag says.
 #[derive(Debug, Clone, PartialEq)]

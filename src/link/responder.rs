@@ -22,11 +22,12 @@ use super::command::{Action, Command, CommandError, Computer, row_of};
 use super::control::{CommandResult, Control};
 use super::describe::{CommandInWords, result_in_words};
 use super::message::{
-    AspectCommand, CAMERA, ExposureStart, Message, MessageError, Messages, Propagated, Solution,
-    Telemetry, key,
+    AspectCommand, CAMERA, ExposureStart, Message, MessageError, Messages, MoonRequest, NoSolution,
+    Propagated, Solution, key,
 };
-use super::moon::{MoonAnswer, MoonRequest};
+use super::moon::MoonAnswer;
 use super::packet::{CommandPacket, id};
+use super::telemetry::{CommandOutcome, Receipt, Telemetry};
 use jiff::Timestamp;
 use std::collections::VecDeque;
 
@@ -187,7 +188,7 @@ impl Responder {
         answers: Vec<(u16, Answer)>,
         now: Timestamp,
     ) -> Result<Vec<Vec<u8>>, MessageError> {
-        let receipt = Telemetry::Receipt { sequence };
+        let receipt = Telemetry::Receipt(Receipt { sequence });
         let mut packets = vec![receipt.packet(now)?.encode()];
         for (key, answer) in answers {
             let result = match &answer {
@@ -234,7 +235,7 @@ impl Responder {
         exposure: Exposure,
         code: u16,
     ) -> Result<Option<Vec<u8>>, MessageError> {
-        self.conclude(exposure, &Message::Error { code })
+        self.conclude(exposure, &Message::Error(NoSolution { code }))
     }
 
     /// The packet with an offset by the gyros; `None` where it must not go.
@@ -247,7 +248,7 @@ impl Responder {
 
     /// The packet that answers a request for the Moon.
     pub fn moon(&mut self, answer: MoonAnswer) -> Result<Vec<u8>, MessageError> {
-        self.numbered(&Message::Moon(answer))
+        self.numbered(&answer.into())
     }
 
     /// Takes an announcement back: its packet could not be written, or nothing will be said of it.
@@ -388,11 +389,11 @@ fn result_packet(
     now: Timestamp,
 ) -> Result<Vec<u8>, MessageError> {
     let value = result.code();
-    let result = Telemetry::Result {
+    let result = Telemetry::Result(CommandOutcome {
         sequence,
         key,
         value,
-    };
+    });
     Ok(result.packet(now)?.encode())
 }
 

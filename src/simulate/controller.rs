@@ -332,7 +332,7 @@ impl Controller {
             }
             Message::ExposureStart(exposure) => self.take_announcement(exposure),
             Message::Solution(solution) => self.take_solution(solution),
-            Message::Error { .. } => {
+            Message::Error(_) => {
                 self.report.errors += 1;
                 self.check_asked();
             }
@@ -340,12 +340,10 @@ impl Controller {
                 self.report.propagated.push(*propagated);
                 self.check_asked();
             }
-            Message::Moon(answer) => self.report.moon.push(*answer),
-            Message::StartTracking
-            | Message::StopTracking
-            | Message::Gps(_)
-            | Message::MoonRequest(_)
-            | Message::Aspect(_) => self.report.faults.unexpected += 1,
+            message => match message.moon_answer() {
+                Some(answer) => self.report.moon.push(answer),
+                None => self.report.faults.unexpected += 1,
+            },
         }
     }
 
@@ -381,16 +379,14 @@ impl Controller {
             return;
         }
         match Telemetry::decode(packet) {
-            Ok(Telemetry::Receipt { sequence }) => {
+            Ok(Telemetry::Receipt(receipt)) => {
                 self.report.receipts += 1;
-                self.check_sent(sequence);
+                self.check_sent(receipt.sequence);
             }
-            Ok(Telemetry::Result {
-                sequence, value, ..
-            }) => {
+            Ok(Telemetry::Result(result)) => {
                 self.report.results += 1;
-                self.check_sent(sequence);
-                if value != crate::link::control::result::DONE {
+                self.check_sent(result.sequence);
+                if result.value != crate::link::control::result::DONE {
                     self.report.faults.refused += 1;
                 }
             }

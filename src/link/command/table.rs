@@ -1,8 +1,8 @@
 //! The commands of the ground in one table. Source: HEROES flight program, 2013.
 
 use crate::link::code::{angle_code, angle_from_code};
-use crate::link::layout::Number;
 use crate::link::message::{AspectCommand, MessageError};
+use crate::link::number::Number;
 use Action::{
     NoOp, Quit, Read, ReadDisk, ReadNumbered, ResetValues, SendPicture, Set, SetNumbered,
     StartSending, StopSending,

@@ -74,12 +74,12 @@ fn said(bytes: &[u8]) -> Said {
 }
 
 fn answers(sequence: u16, key: u16, value: u16) -> Vec<Said> {
-    let receipt = Telemetry::Receipt { sequence };
-    let outcome = Telemetry::Result {
+    let receipt = Telemetry::Receipt(Receipt { sequence });
+    let outcome = Telemetry::Result(CommandOutcome {
         sequence,
         key,
         value,
-    };
+    });
     vec![Said::Answer(receipt), Said::Answer(outcome)]
 }
 
@@ -221,11 +221,11 @@ fn every_command_of_a_packet_is_carried_out_and_answered_in_order() {
     let reply = responder.handle(&packet, time(0), &mut Desk).unwrap();
     let result = |key, value| {
         let sequence = 0x71;
-        Said::Answer(Telemetry::Result {
+        Said::Answer(Telemetry::Result(CommandOutcome {
             sequence,
             key,
             value,
-        })
+        }))
     };
     let mut expected = answers(0x71, 0x1412, result::DONE);
     expected.push(result(0x1481, result::REFUSED));
@@ -305,7 +305,10 @@ fn a_solution_goes_only_while_tracking_and_sending_and_after_its_own_announcemen
     assert_eq!(said(&packet), Said::Message(Message::Solution(solution(3))));
     assert_eq!(conclude(&mut responder, 3), Ok(None), "sent already");
     let packet = responder.error(exposure(4), 8).unwrap().unwrap();
-    assert_eq!(said(&packet), Said::Message(Message::Error { code: 8 }));
+    assert_eq!(
+        said(&packet),
+        Said::Message(Message::Error(NoSolution { code: 8 }))
+    );
     assert_eq!(
         conclude(&mut responder, 4),
         Ok(None),
@@ -358,7 +361,7 @@ fn sending_stops_when_the_announced_exposure_is_concluded_and_says_so_then() {
     tell(&mut responder, &Message::StartTracking);
     responder.exposure_starts(exposure(1)).unwrap();
     let (said, changed) = tell(&mut responder, &aspect(0x1040, &[]));
-    let receipt = Said::Answer(Telemetry::Receipt { sequence: 5 });
+    let receipt = Said::Answer(Telemetry::Receipt(Receipt { sequence: 5 }));
     assert_eq!((said, changed), (vec![receipt], false));
     assert!(responder.is_stopping());
     assert_eq!(responder.stopped(time(1)), Ok(vec![]));
@@ -458,5 +461,5 @@ fn a_request_for_the_moon_is_answered_at_once_by_its_result_and_waits_for_what_i
         sight: MoonSight::NotFound { code: 1 },
     };
     let packet = responder.moon(answer).unwrap();
-    assert_eq!(said(&packet), Said::Message(Message::Moon(answer)));
+    assert_eq!(said(&packet), Said::Message(answer.into()));
 }

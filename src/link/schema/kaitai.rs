@@ -6,8 +6,10 @@ mod payloads;
 
 use super::CHECKSUM;
 use super::yaml::{Yaml, map};
-use crate::link::layout::{Field, MESSAGES, Number, Payload, TELEMETRY};
+use crate::link::message::MESSAGES;
+use crate::link::number::{Field, Number};
 use crate::link::packet::{Direction, SYNC, id, telemetry_type};
+use crate::link::telemetry::{Payload, TELEMETRY};
 
 const ABOUT: &str = "The controller link of solaspect, made by `solaspect link describe --format ksy`. The top level reads a stream of packets \
 of the aspect system, to the controller and the ground; the type to_aspect reads one of packets to the aspect system. Checksums are \
@@ -56,17 +58,17 @@ fn types() -> Vec<(String, Yaml)> {
     ];
     let fixed = fixed.map(|(name, body)| (name.to_owned(), body));
     let told = TELEMETRY.iter().filter_map(|row| match row.payload {
-        Payload::Fields(fields) => Some((row.name, row.documentation, fields)),
+        Payload::Fields(fields) => Some((row.name, row.documentation, fields())),
         _ => None,
     });
     let said = MESSAGES
         .iter()
         .filter(|row| row.name != "aspect_command")
-        .map(|row| (row.name, row.documentation, row.fields));
+        .map(|row| (row.name, row.documentation, row.fields()));
     let rows = told.chain(said).filter(|(.., fields)| !fields.is_empty());
     let rows = rows.map(|(name, documentation, fields)| {
         let fields = fields.iter();
-        let fields = fields.map(|field| of_field(name, field, field.documentation));
+        let fields = fields.map(|field| of_field(field, field.documentation));
         let body = documented(documentation).with("seq", fields.collect::<Vec<_>>());
         match name {
             "result" => (name.into(), body.with("instances", commands::of_result())),
@@ -122,7 +124,7 @@ fn packet(direction: Direction) -> Yaml {
 fn telemetry() -> Yaml {
     let cases = TELEMETRY.iter().map(|row| {
         let body = match row.payload {
-            Payload::Fields([]) => "nothing",
+            Payload::Fields(fields) if fields().is_empty() => "nothing",
             _ => row.name,
         };
         (format!("telemetry_type::{}", row.name), body)
@@ -195,15 +197,15 @@ fn wire(number: Number) -> &'static str {
 }
 
 /// A field of a type.
-fn of_field(owner: &str, field: &Field, documentation: &str) -> Yaml {
+fn of_field(field: &Field, documentation: &str) -> Yaml {
     let mut yaml = attribute(field.name, wire(field.number));
     if field.count > 1 {
         yaml = yaml
             .with("repeat", "expr")
             .with("repeat-expr", Yaml::Number(field.count as i64));
     }
-    if let Some(name) = enums::of_field(owner, field.name) {
-        yaml = yaml.with("enum", name);
+    if let Some(codes) = field.codes {
+        yaml = yaml.with("enum", codes.name);
     }
     with_unit(yaml.with("doc", documentation), field.unit)
 }

@@ -1,7 +1,8 @@
 use super::*;
 use crate::link::command::COMMANDS;
 use crate::link::housekeeping::FIELDS;
-use crate::link::layout::{MESSAGES, TELEMETRY};
+use crate::link::message::MESSAGES;
+use crate::link::telemetry::TELEMETRY;
 use std::collections::HashSet;
 use xml::Element;
 use yaml::{Yaml, map};

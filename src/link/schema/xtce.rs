@@ -6,7 +6,7 @@ mod types;
 
 use super::CHECKSUM;
 use super::xml::Element;
-use crate::link::layout::Number;
+use crate::link::number::Number;
 
 const ABOUT: &str = "The controller link of solaspect, made by `solaspect link describe --format xtce`. Containers of packets: TelemetryPacket, with telemetry \
 either way, and CommandPacket, with messages of the aspect system to the controller, which are sent one in a packet. Numbers are \

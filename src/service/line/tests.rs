@@ -9,7 +9,8 @@ use crate::link::ground::order;
 use crate::link::message::NO_OFFSET;
 use crate::link::picture::Section;
 use crate::link::{
-    BytePort, Guard, Key, Message, Packet, Picture, Seal, SerialPort, Telemetry, id,
+    BytePort, CommandOutcome, Guard, Key, Message, NoSolution, Packet, Picture, Seal, SerialPort,
+    Telemetry, id,
 };
 use crate::pointing::{Offset, Roll, Target};
 use crate::units::{Measured, Rejected};
@@ -218,9 +219,9 @@ impl Far {
         loop {
             assert!(Instant::now() < end, "no result of {of}");
             let result = self.answers().find_map(|answer| match answer {
-                Telemetry::Result {
+                Telemetry::Result(CommandOutcome {
                     sequence, value, ..
-                } if sequence == of => Some(value),
+                }) if sequence == of => Some(value),
                 _ => None,
             });
             match result {
@@ -251,7 +252,7 @@ impl Far {
     fn errors(&self) -> Vec<u16> {
         let messages = self.messages().into_iter();
         let code = |message| match message {
-            Message::Error { code } => Some(code),
+            Message::Error(NoSolution { code }) => Some(code),
             _ => None,
         };
         messages.filter_map(code).collect()

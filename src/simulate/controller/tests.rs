@@ -1,4 +1,5 @@
 use super::*;
+use crate::link::{CommandOutcome, NoSolution, Receipt};
 
 /// A port whose other end says what it is told to and keeps what it hears.
 #[derive(Default)]
@@ -92,7 +93,7 @@ fn a_flawless_conversation_has_no_fault() {
         solution(0),
         solution(250),
         announcement(500),
-        Message::Error { code: 3 },
+        Message::Error(NoSolution { code: 3 }),
         Message::TrackingOff,
     ]);
     assert_eq!(report.faults, Faults::default());
@@ -130,12 +131,14 @@ fn lost_broken_unreadable_and_unexpected_packets_are_faults() {
     let mut not_finite = packet(4, solution(0));
     not_finite[10..18].copy_from_slice(&f64::NAN.to_le_bytes());
     let not_finite = CommandPacket::new(id::CONTROLLER, 4, not_finite[8..].to_vec()).unwrap();
-    let stray_answer = Telemetry::Receipt { sequence: 77 }.packet(time(0)).unwrap();
-    let refusal = Telemetry::Result {
+    let stray_answer = Telemetry::Receipt(Receipt { sequence: 77 })
+        .packet(time(0))
+        .unwrap();
+    let refusal = Telemetry::Result(CommandOutcome {
         sequence: 1,
         key: 0x1000,
         value: 1,
-    };
+    });
     let report = report_of_packets(
         [
             packet(1, announcement(0)),

@@ -9,7 +9,9 @@ use jiff::{SignedDuration, Timestamp};
 use solaspect::camera::{Source, simulated_course};
 use solaspect::config::Config;
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::link::{AnyPort, LocalEnd, Message, PortAddress, SerialPort, port::BAUD};
+use solaspect::link::{
+    AnyPort, LocalEnd, Message, NoSolution, PortAddress, SerialPort, port::BAUD,
+};
 use solaspect::simulate::FORT_SUMNER;
 use solaspect::simulate::controller::{Controller, Report};
 use solaspect::simulate::navigation::TelescopeFlight;
@@ -105,7 +107,9 @@ fn print(message: &Message) {
                 ),
             );
         }
-        Message::Error { code } => say(io::stdout(), format_args!("no solution: error {code}")),
+        Message::Error(NoSolution { code }) => {
+            say(io::stdout(), format_args!("no solution: error {code}"))
+        }
         _ => {}
     }
 }

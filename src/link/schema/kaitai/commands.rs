@@ -2,7 +2,7 @@
 
 use super::{attribute, documented, switch, to_the_end, value, wire, with_unit};
 use crate::link::command::{COMMANDS, Kind, Variable};
-use crate::link::layout::MESSAGES;
+use crate::link::message::MESSAGES;
 use crate::link::schema::CHECKSUM;
 use crate::link::schema::yaml::{Yaml, map};
 
@@ -37,7 +37,7 @@ pub fn messages() -> Yaml {
 
 pub fn message() -> Yaml {
     let cases = MESSAGES.iter().map(|row| {
-        let body = if row.fields.is_empty() {
+        let body = if row.fields().is_empty() {
             "nothing"
         } else {
             row.name

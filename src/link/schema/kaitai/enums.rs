@@ -1,25 +1,14 @@
 //! Numbers with names.
 
 use crate::link::command::COMMANDS;
-use crate::link::layout::{CHOICES, MESSAGES, TELEMETRY};
-use crate::link::message::ERROR_CODES;
+use crate::link::control::RESULTS;
+use crate::link::housekeeping::FIELDS;
+use crate::link::message::{ERROR_CODES, MESSAGES};
 use crate::link::moon::{NOT_FOUND, NOT_VISIBLE};
+use crate::link::packet::PARTIES;
+use crate::link::picture::TAG_TYPES;
 use crate::link::schema::yaml::{Yaml, map};
-use crate::link::schema::{Names, PARTIES, RESULTS, TAG_TYPES};
-
-/// The enum of a field of a type.
-pub fn of_field(owner: &str, field: &str) -> Option<&'static str> {
-    match (owner, field) {
-        ("error", "code") => Some("error_code"),
-        ("moon_not_visible", "code") => Some("not_visible_code"),
-        ("moon_not_found", "code") => Some("not_found_code"),
-        ("housekeeping", name) => CHOICES
-            .iter()
-            .map(|(name, _)| *name)
-            .find(|other| *other == name),
-        _ => None,
-    }
-}
+use crate::link::telemetry::TELEMETRY;
 
 pub fn enums() -> Yaml {
     let telemetry = TELEMETRY
@@ -39,24 +28,23 @@ pub fn enums() -> Yaml {
             [padding].into_iter().chain(messages).collect(),
         ),
         ("command_name", commands.collect()),
-        ("party", PARTIES.into()),
-        ("result_code", RESULTS.into()),
-        ("error_code", ERROR_CODES.into()),
-        ("not_visible_code", NOT_VISIBLE.into()),
-        ("not_found_code", NOT_FOUND.into()),
-        ("tag_type", TAG_TYPES.into()),
+        ("party", PARTIES.rows.into()),
+        ("result_code", RESULTS.rows.into()),
+        ("error_code", ERROR_CODES.rows.into()),
+        ("not_visible_code", NOT_VISIBLE.rows.into()),
+        ("not_found_code", NOT_FOUND.rows.into()),
+        ("tag_type", TAG_TYPES.rows.into()),
     ];
     let lists = lists.map(|(name, rows)| (name.to_owned(), numbers(&rows)));
-    let choices = CHOICES.iter().map(|(name, rows)| {
-        let rows = rows
-            .iter()
-            .map(|(number, name)| (number.to_string(), (*name).into()));
-        ((*name).to_owned(), Yaml::Map(rows.collect()))
+    let choices = FIELDS.iter().filter_map(|field| field.codes).map(|codes| {
+        let rows = codes.rows.iter();
+        let rows = rows.map(|(number, name, _)| (number.to_string(), (*name).into()));
+        (codes.name.to_owned(), Yaml::Map(rows.collect()))
     });
     Yaml::Map(lists.into_iter().chain(choices).collect())
 }
 
-fn numbers(rows: &Names) -> Yaml {
+fn numbers(rows: &[(u16, &str, &str)]) -> Yaml {
     let rows = rows.iter().map(|(number, name, documentation)| {
         let row = map([("id", (*name).into()), ("doc", (*documentation).into())]);
         (format!("{number}"), row)

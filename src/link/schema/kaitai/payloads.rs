@@ -9,7 +9,7 @@ pub fn housekeeping() -> Yaml {
     let layout = format!("{LAYOUT}: the layout of this description; earlier ones end sooner");
     let mut seq = vec![attribute("layout", "u1").with("doc", layout)];
     seq.extend(fields_by_layout().map(|(since, field)| {
-        let field = of_field("housekeeping", &field.plain(), &field.in_words());
+        let field = of_field(&field.plain(), &field.in_words());
         field.with("if", format!("known_layout >= {since}"))
     }));
     seq.push(to_the_end("rest").with("doc", "what a later layout has"));

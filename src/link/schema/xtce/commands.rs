@@ -4,8 +4,8 @@ use super::{
     Role, checksum_type, enumeration, number_type, type_name, units, unsigned_bits, valid_range,
 };
 use crate::link::command::{COMMANDS, CommandRow, Kind, Variable};
-use crate::link::layout::{MESSAGES, MessageRow, Number};
-use crate::link::message::key;
+use crate::link::message::{MESSAGES, MessageRow, key};
+use crate::link::number::Number;
 use crate::link::packet::{Direction, SYNC, id};
 use crate::link::schema::xml::Element;
 
@@ -22,7 +22,7 @@ pub fn meta_data() -> Element {
         checksum_type(Role::Argument),
         computers(),
     ];
-    let fields = messages.iter().flat_map(|row| row.fields);
+    let fields = messages.iter().flat_map(|row| row.fields());
     let fields = fields.map(|field| number_type(Role::Argument, field.number, field.unit));
     let variables = COMMANDS
         .iter()
@@ -62,7 +62,8 @@ fn packet() -> Element {
 }
 
 fn message(row: &MessageRow) -> Element {
-    let arguments = row.fields.iter().map(|field| {
+    let fields = row.fields();
+    let arguments = fields.iter().map(|field| {
         let kind = number_type(Role::Argument, field.number, field.unit);
         argument(
             field.name,
@@ -71,9 +72,9 @@ fn message(row: &MessageRow) -> Element {
         )
     });
     let entries = [fixed(&row.key.to_le_bytes(), 16)].into_iter();
-    let entries = entries.chain(row.fields.iter().map(|field| reference(field.name)));
+    let entries = entries.chain(fields.iter().map(|field| reference(field.name)));
     MetaCommand::new(row.name, row.documentation)
-        .extending("packet", Some(2 + row.bytes()))
+        .extending("packet", Some(2 + row.bytes))
         .finish(arguments.collect(), entries.collect())
 }
 

@@ -3,9 +3,11 @@
 use super::types::{binary, camel, comparison, enumerated, integer, text, unix_seconds};
 use super::{Role, checksum_type, number_type, unsigned_bits};
 use crate::link::housekeeping::{LAYOUT, fields_by_layout};
-use crate::link::layout::{CHOICES, Field, MESSAGES, Number, Payload, TELEMETRY, TelemetryRow};
+use crate::link::message::MESSAGES;
+use crate::link::number::{Field, Number};
 use crate::link::packet::{Direction, id, telemetry_type};
 use crate::link::schema::xml::Element;
+use crate::link::telemetry::{Payload, TELEMETRY, TelemetryRow};
 
 const CAMERAS: &str = "1, 2: pitch-yaw; 6: roll; 7: Moon";
 /// Bytes of a picture's section before its pixels.
@@ -22,7 +24,7 @@ pub fn meta_data() -> Element {
         .iter()
         .filter(|row| row.direction == Direction::ToController)
     {
-        let entries = all.fields(&format!("message_{}", row.name), row.fields);
+        let entries = all.fields(&format!("message_{}", row.name), &row.fields());
         let criteria = [comparison("message_key", "==", row.key)];
         all.container(
             &camel(row.name),
@@ -174,7 +176,7 @@ impl Definitions {
 
     fn telemetry(&mut self, row: &TelemetryRow) {
         let entries = match row.payload {
-            Payload::Fields(fields) => self.fields(row.name, fields),
+            Payload::Fields(fields) => self.fields(row.name, &fields()),
             Payload::Housekeeping => {
                 vec![self.number("layout", Number::U8, "", "number of the layout")]
             }
@@ -193,7 +195,7 @@ impl Definitions {
             "TelemetryPacket",
             &criteria,
         );
-        if row.payload == Payload::Housekeeping {
+        if matches!(row.payload, Payload::Housekeeping) {
             (1..=LAYOUT).for_each(|layout| self.housekeeping(layout));
         }
     }
@@ -202,8 +204,8 @@ impl Definitions {
     fn housekeeping(&mut self, layout: u8) {
         let mut entries = Vec::new();
         for (_, field) in fields_by_layout().filter(|(since, _)| *since == layout) {
-            let kind = match CHOICES.iter().find(|(name, _)| *name == field.name) {
-                Some((name, choices)) => enumerated(name, choices),
+            let kind = match field.codes {
+                Some(codes) => enumerated(codes),
                 None => number_type(Role::Parameter, field.number, field.unit),
             };
             let names = (1..=field.count).map(|number| match field.count {

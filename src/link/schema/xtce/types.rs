@@ -1,7 +1,7 @@
 //! Types of parameters that are more than a number, and comparisons.
 
 use super::{encoding, enumeration, type_name, units};
-use crate::link::layout::Number;
+use crate::link::number::{Codes, Number};
 use crate::link::schema::xml::Element;
 
 pub fn comparison(parameter: &str, operator: &str, value: u16) -> Element {
@@ -20,12 +20,14 @@ pub fn integer(name: &str, encoding: Element) -> Element {
         .child(encoding)
 }
 
-pub fn enumerated(name: &str, choices: &[(u16, &'static str)]) -> Element {
+pub fn enumerated(codes: &Codes) -> Element {
     Element::new("EnumeratedParameterType")
-        .with("name", type_name("u8", name))
+        .with("name", type_name("u8", codes.name))
         .child(units(""))
         .child(encoding(Number::U8, "leastSignificantByteFirst"))
-        .child(enumeration(choices.iter().copied()))
+        .child(enumeration(
+            codes.rows.iter().map(|(number, name, _)| (*number, *name)),
+        ))
 }
 
 pub fn binary(name: &str, size: Element) -> Element {

@@ -1,0 +1,106 @@
+//! What a payload is described by: its numbers, their types, and what they stand for.
+
+use std::str::FromStr;
+
+/// How a number travels, little-endian.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Number {
+    U8,
+    U16,
+    I16,
+    U32,
+    F32,
+    F64,
+}
+
+impl Number {
+    /// Its length.
+    pub const fn bytes(self) -> usize {
+        match self {
+            Self::U8 => 1,
+            Self::U16 | Self::I16 => 2,
+            Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+
+    /// The name of its type.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::U8 => "u8",
+            Self::U16 => "u16",
+            Self::I16 => "i16",
+            Self::U32 => "u32",
+            Self::F32 => "f32",
+            Self::F64 => "f64",
+        }
+    }
+
+    /// The bytes of a number that a person has written; `None` where the text is none of this type.
+    pub fn bytes_of(self, text: &str) -> Option<Vec<u8>> {
+        fn parsed<T: FromStr>(text: &str) -> Option<T> {
+            text.parse().ok()
+        }
+        Some(match self {
+            Self::U8 => parsed::<u8>(text)?.to_le_bytes().to_vec(),
+            Self::U16 => parsed::<u16>(text)?.to_le_bytes().to_vec(),
+            Self::I16 => parsed::<i16>(text)?.to_le_bytes().to_vec(),
+            Self::U32 => parsed::<u32>(text)?.to_le_bytes().to_vec(),
+            Self::F32 => parsed::<f32>(text)?.to_le_bytes().to_vec(),
+            Self::F64 => parsed::<f64>(text)?.to_le_bytes().to_vec(),
+        })
+    }
+
+    /// The first of some bytes as a number, and the rest; `None` where there are too few.
+    pub fn read(self, bytes: &[u8]) -> Option<(f64, &[u8])> {
+        let (own, rest) = bytes.split_at_checked(self.bytes())?;
+        let value = match self {
+            Self::U8 => (*own.first()?).into(),
+            Self::U16 => u16::from_le_bytes(own.try_into().ok()?).into(),
+            Self::I16 => i16::from_le_bytes(own.try_into().ok()?).into(),
+            Self::U32 => u32::from_le_bytes(own.try_into().ok()?).into(),
+            Self::F32 => f32::from_le_bytes(own.try_into().ok()?).into(),
+            Self::F64 => f64::from_le_bytes(own.try_into().ok()?),
+        };
+        Some((value, rest))
+    }
+}
+
+/// What the numbers of a field stand for: number, name and meaning.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Codes {
+    pub name: &'static str,
+    pub rows: &'static [(u16, &'static str, &'static str)],
+}
+
+impl Codes {
+    /// What a number means.
+    pub fn meaning(&self, number: u16) -> Option<&'static str> {
+        let row = self.rows.iter().find(|(known, ..)| *known == number)?;
+        Some(row.2)
+    }
+
+    /// Each number with its meaning.
+    pub fn in_words(&self) -> String {
+        let rows = self.rows.iter();
+        let rows: Vec<String> = rows
+            .map(|(number, _, meaning)| format!("{number} {meaning}"))
+            .collect();
+        rows.join(", ")
+    }
+}
+
+/// A field of a payload: one number, or several of a kind.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Field {
+    pub name: &'static str,
+    pub number: Number,
+    pub count: usize,
+    /// Empty for counts and codes.
+    pub unit: &'static str,
+    pub documentation: &'static str,
+    /// Where its numbers stand for something.
+    pub codes: Option<&'static Codes>,
+    /// What a person may give for it; its type may hold more.
+    pub range: Option<(f64, f64)>,
+}
