@@ -77,6 +77,7 @@
 //! | [`observe`] | one pass over frames: journals, shards, copies, files that cannot be read |
 //! | [`events`] | photons put on the Sun by a refined flight's pointing |
 //! | [`config`] | the parameter table |
+//! | [`commands`] | what the ground may say in flight, what it sets, and words for all of it |
 //! | [`service`], `console`, [`calibrate`], [`refine`], [`accuracy`], [`preflight`] | threads, channels, bounds and overflow rules on one page; a flight in a browser (feature `console`); measuring the instrument; the best aspect history of a flight; errors on simulated frames; checks before a flight |
 //! | [`cli`] | one small file per command; no logic |
 //!
@@ -95,6 +96,7 @@ pub mod camera;
 pub mod cli;
 pub mod clock;
 pub mod columns;
+pub mod commands;
 pub mod config;
 #[cfg(feature = "console")]
 pub mod console;

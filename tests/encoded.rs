@@ -9,11 +9,12 @@ use solaspect::archive::disk::LocalDisk;
 use solaspect::archive::{Dirfile, SolutionLog};
 use solaspect::aspect::{Quality, Solution, Stage};
 use solaspect::clock::Utc;
+use solaspect::commands::COMMANDS;
 use solaspect::frame::Levels;
 use solaspect::link::housekeeping::{FIELDS, LAYOUT, MarkIds, fields_by_layout};
 use solaspect::link::{
-    AspectCommand, COMMANDS, CommandOutcome, ExposureStart, GpsFix, Housekeeping, Message,
-    MoonAnswer, MoonFix, MoonRequest, MoonSight, NoSolution, Propagated, Receipt, Telemetry,
+    AspectCommand, CommandOutcome, ExposureStart, GpsFix, Housekeeping, Message, MoonAnswer,
+    MoonFix, MoonRequest, MoonSight, NoSolution, Propagated, Receipt, Telemetry,
 };
 use solaspect::record::{
     MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord, Row, Upkeep,

@@ -9,17 +9,18 @@ use solaspect::archive::Store;
 use solaspect::archive::disk::LocalDisk;
 use solaspect::aspect::Quality;
 use solaspect::camera::{CameraError, Exposure, FolderCamera, FrameSource, Settings, Take};
+use solaspect::commands::{Seat, row_named};
 use solaspect::config::{self, Allowed, Config, Parameter, by_command, parameters};
 use solaspect::fits::{self, Compression, Value};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument;
 use solaspect::link::housekeeping::Digits;
 use solaspect::link::{
-    self, BytePort, CommandResult, Connection, Control, Direction, Housekeeping, Packet, Parser,
-    SerialPort,
+    BytePort, Carried, CommandResult, Computer, Connection, Control, Direction, Housekeeping,
+    Packet, Parser, SerialPort,
 };
 use solaspect::provenance;
-use solaspect::service::{Camera, Flight, FlightTally, Seat, Service};
+use solaspect::service::{Camera, Flight, FlightTally, Service};
 use solaspect::simulate::{Conditions, RandomScenes};
 use solaspect::units::PlateMil;
 use std::collections::VecDeque;
@@ -848,13 +849,12 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
             Allowed::Whole(..) => "set_integer",
             _ => "set_float",
         };
-        let command = link::Command {
-            row: link::command::row_named(name).unwrap(),
-            numbers: vec![number.into(), value],
-        };
+        let row = row_named(name).unwrap();
+        let code = row.variables[1].kind.code(value).unwrap();
+        let command = row.command(Computer::One, &[number, code]).unwrap();
         match controls.carry_out(&command) {
-            CommandResult::Done => {}
-            CommandResult::Refused => {
+            Carried::Result(CommandResult::Done) => {}
+            Carried::Result(CommandResult::Refused) => {
                 drop(go);
                 service.join().unwrap();
                 return None;

@@ -1,6 +1,7 @@
 //! The controller link: real packets byte for byte, and a conversation over a pseudo-terminal.
 
 use jiff::Timestamp;
+use solaspect::commands::controls::Controls;
 use solaspect::config::Config;
 use solaspect::instrument;
 use solaspect::link::code::{angle_code, angle_from_code, pair3b, position_from_pair3b};
@@ -10,7 +11,6 @@ use solaspect::link::{
     Telemetry, id,
 };
 use solaspect::pointing::{HelioprojectiveArcsec, Target};
-use solaspect::service::control::Controls;
 use solaspect::simulate::controller::{Controller, Faults};
 use solaspect::units::SensorPx;
 use std::collections::HashMap;
@@ -88,7 +88,7 @@ impl Line {
 
     fn aspect(&self, name: &str, variables: &[&str]) -> Message {
         assert_eq!(self.fields["sas"], "1");
-        let row = solaspect::link::COMMANDS
+        let row = solaspect::commands::COMMANDS
             .iter()
             .find(|row| row.name == name)
             .unwrap();

@@ -1,12 +1,12 @@
 //! `solaspect link` from a shell: it sends, reads and records.
 
+use solaspect::commands::controls::Controls;
 use solaspect::config::Config;
 use solaspect::link::byte_log;
 use solaspect::link::{
     BytePort, Computer, Direction, LinkState, Packet, Parser, Responder, SerialPort,
 };
 use solaspect::pointing::Target;
-use solaspect::service::control::Controls;
 use std::process::{Command, Output};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -183,7 +183,7 @@ fn a_line_is_recorded_and_the_record_is_read() {
         .lines()
         .find(|line| line.starts_with("error"))
         .unwrap();
-    let bytes = solaspect::link::describe::from_hex(packet.rsplit_once(' ').unwrap().1).unwrap();
+    let bytes = solaspect::link::hex::from_hex(packet.rsplit_once(' ').unwrap().1).unwrap();
     let port = far.name().to_owned();
     std::thread::scope(|scope| {
         let recording = scope.spawn(|| {

@@ -4,14 +4,15 @@
 use jiff::Timestamp;
 use solaspect::archive::Store;
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
+use solaspect::commands::{Action, COMMANDS, order};
 use solaspect::config::Config;
 use solaspect::fits::Compression;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{self, Instrument};
-use solaspect::link::ground::{Answered, ask, order};
+use solaspect::link::ground::{Answered, ask};
 use solaspect::link::{
-    Action, AspectCommand, BytePort, COMMANDS, Computer, Connection, Direction, Guard, Key,
-    LocalEnd, Message, NoSolution, Packet, Parser, Peer, PortAddress, SerialPort, UdpPort, id,
+    AspectCommand, BytePort, Computer, Connection, Direction, Guard, Key, LocalEnd, Message,
+    NoSolution, Packet, Parser, Peer, PortAddress, SerialPort, UdpPort, id,
 };
 use solaspect::service::{Camera, Flight, FlightTally, Service};
 use std::net::{Ipv4Addr, SocketAddr};

@@ -2,14 +2,14 @@
 
 use super::options;
 use super::output::say;
+use crate::commands::words::{describe, result_in_words};
+use crate::commands::{order, schema};
 use crate::files;
 use crate::link::byte_log::{self, Burst, Contents};
-use crate::link::describe::{describe, from_hex, result_in_words};
-use crate::link::ground::{ask, ask_for_moon, order};
+use crate::link::ground::{ask, ask_for_moon};
+use crate::link::hex::from_hex;
 use crate::link::port::BAUD;
-use crate::link::{
-    AnyPort, Computer, Direction, Key, LocalEnd, Message, PortAddress, UdpPort, schema,
-};
+use crate::link::{AnyPort, Computer, Direction, Key, LocalEnd, Message, PortAddress, UdpPort};
 use crate::units::counted;
 use anyhow::Context;
 use clap::{Args, Subcommand, ValueEnum};

@@ -6,9 +6,9 @@ use super::orders::{ARMED, Orders, Request, changes_flight, reading, telling};
 use super::receive::Outgoing;
 use super::request::{Answer, Body, Console, Failure};
 use super::view::utc;
+use crate::commands::order::orderable;
+use crate::commands::{COMMANDS, CommandRow, Variable};
 use crate::config::{Allowed, Parameter, parameters};
-use crate::link::command::{COMMANDS, CommandRow, Kind, Variable};
-use crate::link::ground::orderable;
 use crate::link::housekeeping::FIELDS;
 use crate::link::message::MessageRow;
 use crate::link::number::Field;
@@ -34,7 +34,7 @@ pub async fn table(State(console): State<Console>) -> Json<Value> {
 
 fn command(row: &'static CommandRow, history: &History, orders: &Orders) -> Value {
     let variable = |(n, variable): (usize, &Variable)| {
-        let (low, high, step) = limits(variable.kind);
+        let (low, high, step) = variable.kind.limits();
         json!({
             "name": variable.name,
             "unit": variable.unit,
@@ -55,16 +55,6 @@ fn command(row: &'static CommandRow, history: &History, orders: &Orders) -> Valu
         "variables": row.variables.iter().enumerate().map(variable).collect::<Vec<_>>(),
         "reads": row.reads.map(|reads| json!({"name": reads.name, "unit": reads.unit})),
     })
-}
-
-/// The least and the most of a kind, and the step between its numbers.
-fn limits(kind: Kind) -> (f64, f64, f64) {
-    match kind {
-        Kind::Unsigned => (0.0, 65_535.0, 1.0),
-        Kind::Signed => (-32_768.0, 32_767.0, 1.0),
-        Kind::Angle => (-1024.0, 7167.875, 0.125),
-        Kind::Switch => (0.0, 1.0, 1.0),
-    }
 }
 
 /// What is set now: as the housekeeping tells, or as it was read last.

@@ -1,9 +1,12 @@
 //! Commands to the flight: composed from the command table, armed, sent once, and followed until they are answered.
 
-use crate::link::command::{Action, COMMANDS, CommandRow, row_named, row_of};
+use crate::commands::words::{describe, result_in_words};
+use crate::commands::{COMMANDS, CommandRow, row_named, row_of, setting};
+use crate::commands::{OrderError, order};
 use crate::link::control::result;
-use crate::link::describe::{describe, hex, result_in_words};
-use crate::link::ground::{Answered, OrderError, order};
+use crate::link::ground::Answered;
+use crate::link::hex::hex;
+use crate::link::housekeeping::FIELDS;
 use crate::link::{Computer, Packet, Telemetry, id};
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
@@ -343,25 +346,23 @@ impl Orders {
 
 /// The command that reads what a variable of another sets.
 pub fn reading(row: &CommandRow, variable: usize) -> Option<&'static CommandRow> {
-    let Action::Set(keys) = row.action else {
-        return None;
-    };
-    let key = keys.get(variable)?;
-    COMMANDS
-        .iter()
-        .find(|row| matches!(row.action, Action::Read(read) if read == *key))
+    let set = row.variables.get(variable)?.settings;
+    let reads = |row: &&CommandRow| row.reads.is_some_and(|reads| reads.settings == set);
+    COMMANDS.iter().filter(|_| !set.is_empty()).find(reads)
 }
 
 /// The field of the housekeeping that tells what a variable of a command has set last.
 pub fn telling(row: &CommandRow, variable: usize) -> Option<&'static str> {
-    let Action::Set(keys) = row.action else {
-        return None;
-    };
-    match *keys.get(variable)? {
-        "camera.exposure_us" => Some("exposure_us"),
-        "camera.analogue_gain" => Some("analogue_gain"),
-        "camera.preamp_gain" => Some("preamp_gain"),
-        "store.pitch_yaw" if keys.len() == 1 => Some("storing"),
+    match row.variables.get(variable)?.settings {
+        [setting::STORE_PITCH_YAW] => Some("storing"),
+        [setting] => {
+            // The fields of the frame have the names of the first camera's parameters.
+            let name = setting.key().strip_prefix("camera.")?;
+            FIELDS
+                .iter()
+                .map(|field| field.name)
+                .find(|field| *field == name)
+        }
         _ => None,
     }
 }

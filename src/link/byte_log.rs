@@ -5,7 +5,7 @@ mod reader;
 
 pub use reader::{BadLine, Kind, LogError, Reader, Skipped};
 
-use super::describe::hex;
+use super::hex::hex;
 use super::packet::{Direction, Packet, PacketError};
 use super::parser::{Parser, Rejected};
 use jiff::Timestamp;
@@ -82,7 +82,7 @@ pub fn likely_direction(bursts: &[Burst]) -> Direction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::link::describe::from_hex;
+    use crate::link::hex::from_hex;
 
     #[test]
     fn a_log_is_read_as_it_was_written() {

@@ -1,7 +1,6 @@
 //! What the responder asks of the flight service: to carry commands out, and to take the gondola's place.
 
-use super::command::Command;
-use super::message::{GpsFix, MoonRequest};
+use super::message::{AspectCommand, GpsFix, MoonRequest};
 use super::number::Codes;
 use crate::units::is_nowhere;
 
@@ -51,9 +50,27 @@ impl CommandResult {
     }
 }
 
+/// What a command comes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Carried {
+    Result(CommandResult),
+    /// A wish of the conversation, which the responder fulfils.
+    StartSending,
+    StopSending,
+}
+
+impl From<CommandResult> for Carried {
+    fn from(result: CommandResult) -> Self {
+        Self::Result(result)
+    }
+}
+
 /// Carries out what goes beyond the conversation: settings are set, values are read.
 pub trait Control {
-    fn carry_out(&mut self, command: &Command) -> CommandResult;
+    /// Whether there is a command of this key, whatever its computers' bits.
+    fn knows(&self, key: u16) -> bool;
+
+    fn carry_out(&mut self, command: &AspectCommand) -> Carried;
 
     /// Why the last command was refused, where that is known; asking takes it away.
     fn take_reason(&mut self) -> Option<String> {

@@ -1,10 +1,7 @@
-//! The ground's side of the line: an order by name with values as people write them, and the wait for its answer.
+//! The ground's side of the line: a message is sent, and its answer waited for.
 
-use super::command::{COMMANDS, CommandRow, Computer, row_named};
 use super::control::result;
-use super::message::{
-    AspectCommand, MESSAGES, Message, MessageError, MessageRow, Messages, MoonRequest, key,
-};
+use super::message::{Message, MessageError, Messages, MoonRequest};
 use super::moon::MoonAnswer;
 use super::packet::{Direction, Packet, id};
 use super::parser::Parser;
@@ -14,28 +11,9 @@ use std::time::{Duration, Instant};
 
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Why an order cannot be given, or was not answered.
+/// Why a message was not answered.
 #[derive(Debug, thiserror::Error)]
-pub enum OrderError {
-    #[error(
-        "command: expected a name or key of the command table, or one of {}; found \"{found}\"{nearest}",
-        message_names()
-    )]
-    Unknown { found: String, nearest: String },
-    #[error("{name}: expected {expected} ({}), found {found} values", .variables.join(", "))]
-    Count {
-        name: String,
-        expected: usize,
-        variables: Vec<String>,
-        found: usize,
-    },
-    #[error("{name}, {variable}: expected {expected}, found \"{found}\"")]
-    Value {
-        name: String,
-        variable: &'static str,
-        expected: &'static str,
-        found: String,
-    },
+pub enum AskError {
     #[error("no {what} within {timeout:?}")]
     NoAnswer {
         what: &'static str,
@@ -45,98 +23,6 @@ pub enum OrderError {
     Message(#[from] MessageError),
     #[error(transparent)]
     Port(#[from] PortError),
-}
-
-/// The message of an order. Commands of the table go by name or by key (`0x0412`), with their values in natural units; messages to the
-/// aspect system go by name.
-pub fn order(name: &str, values: &[String], computer: Computer) -> Result<Message, OrderError> {
-    match orderable().find(|row| row.name == name) {
-        Some(message) => of_message(message, values),
-        None => Ok(Message::Aspect(command(row(name)?, values, computer)?)),
-    }
-}
-
-/// The messages to the aspect system; the aspect command has commands of its own.
-pub fn orderable() -> impl Iterator<Item = &'static MessageRow> {
-    let to_aspect = |row: &&MessageRow| row.direction == Direction::ToAspect;
-    let messages = MESSAGES.iter().filter(to_aspect);
-    messages.filter(|row| row.key != key::ASPECT_COMMAND)
-}
-
-fn message_names() -> String {
-    let names: Vec<&str> = orderable().map(|row| row.name).collect();
-    names.join(", ")
-}
-
-fn row(name: &str) -> Result<&'static CommandRow, OrderError> {
-    let by_key = || {
-        let key = u16::from_str_radix(name.strip_prefix("0x")?, 16).ok()?;
-        COMMANDS.iter().find(|row| row.key == key)
-    };
-    row_named(name).or_else(by_key).ok_or_else(|| {
-        let likeness = |row: &&CommandRow| (1e3 * strsim::jaro_winkler(name, row.name)) as u32;
-        let nearest = COMMANDS.iter().max_by_key(likeness);
-        OrderError::Unknown {
-            found: name.into(),
-            nearest: nearest.map_or(String::new(), |row| {
-                format!("; nearest is \"{}\"", row.name)
-            }),
-        }
-    })
-}
-
-fn command(
-    row: &CommandRow,
-    values: &[String],
-    computer: Computer,
-) -> Result<AspectCommand, OrderError> {
-    let names = row.variables.iter().map(ToString::to_string);
-    count(row.name, &names.collect::<Vec<_>>(), values)?;
-    let code = |(variable, text): (&super::command::Variable, &String)| {
-        let value: Option<f64> = text.parse().ok();
-        let code = value.and_then(|value| variable.kind.code(value));
-        code.ok_or_else(|| OrderError::Value {
-            name: row.name.into(),
-            variable: variable.name,
-            expected: variable.kind.range(),
-            found: text.clone(),
-        })
-    };
-    let codes: Result<Vec<u16>, _> = row.variables.iter().zip(values).map(code).collect();
-    Ok(row.command(computer, &codes?)?)
-}
-
-/// A message of which each number is given as text.
-fn of_message(row: &MessageRow, values: &[String]) -> Result<Message, OrderError> {
-    let fields = row.fields();
-    let names: Vec<String> = fields.iter().map(|field| field.name.into()).collect();
-    count(row.name, &names, values)?;
-    let mut payload = row.key.to_le_bytes().to_vec();
-    for (field, text) in fields.iter().zip(values) {
-        let bytes = field
-            .number
-            .bytes_of(text)
-            .ok_or_else(|| OrderError::Value {
-                name: row.name.into(),
-                variable: field.name,
-                expected: "a number",
-                found: text.clone(),
-            })?;
-        payload.extend(bytes);
-    }
-    Ok(Message::decode(&payload)?)
-}
-
-fn count(name: &str, variables: &[String], values: &[String]) -> Result<(), OrderError> {
-    if variables.len() == values.len() {
-        return Ok(());
-    }
-    Err(OrderError::Count {
-        name: name.into(),
-        expected: variables.len(),
-        variables: variables.to_vec(),
-        found: values.len(),
-    })
 }
 
 /// The key and value of a result.
@@ -152,27 +38,16 @@ impl From<CommandOutcome> for Answered {
     }
 }
 
-impl Answered {
-    /// Whether it was carried out: done, or read.
-    pub fn is_done(self) -> bool {
-        let reads = super::command::row_of(self.key).is_some_and(|row| row.reads.is_some());
-        match reads {
-            true => self.value != result::UNKNOWN,
-            false => self.value == result::DONE,
-        }
-    }
-}
-
 /// Sends an order and waits for receipt and result.
 ///
 /// # Errors
-/// [`OrderError::NoAnswer`] says which of them did not come; the port's own.
+/// [`AskError::NoAnswer`] says which of them did not come; the port's own.
 pub fn ask(
     port: &mut dyn BytePort,
     message: &Message,
     sequence: u16,
     timeout: Duration,
-) -> Result<Answered, OrderError> {
+) -> Result<Answered, AskError> {
     let mut received = false;
     let answered = converse(port, message, sequence, timeout, |packet| {
         let Packet::Telemetry(packet) = packet else {
@@ -188,7 +63,7 @@ pub fn ask(
         None
     })?;
     let what = if received { "result" } else { "receipt" };
-    answered.ok_or(OrderError::NoAnswer { what, timeout })
+    answered.ok_or(AskError::NoAnswer { what, timeout })
 }
 
 /// Sends a request for the Moon and waits for what was found, or for the result of one that is not carried out.
@@ -200,7 +75,7 @@ pub fn ask_for_moon(
     request: MoonRequest,
     sequence: u16,
     timeout: Duration,
-) -> Result<Result<MoonAnswer, Answered>, OrderError> {
+) -> Result<Result<MoonAnswer, Answered>, AskError> {
     let message = Message::MoonRequest(request);
     let answered = converse(port, &message, sequence, timeout, |packet| match packet {
         Packet::Telemetry(packet) => match Telemetry::decode(packet) {
@@ -217,7 +92,7 @@ pub fn ask_for_moon(
             .map(Ok),
     })?;
     let what = "answer to the request for the Moon";
-    answered.ok_or(OrderError::NoAnswer { what, timeout })
+    answered.ok_or(AskError::NoAnswer { what, timeout })
 }
 
 /// Sends a message and listens until a packet is what is waited for; `None` where none comes in time.
@@ -227,7 +102,7 @@ fn converse<T>(
     sequence: u16,
     timeout: Duration,
     mut is_awaited: impl FnMut(&Packet) -> Option<T>,
-) -> Result<Option<T>, OrderError> {
+) -> Result<Option<T>, AskError> {
     let packet = message.packet(id::ASPECT, sequence)?;
     port.write(&packet.encode(), WRITE_TIMEOUT)?;
     let start = Instant::now();
@@ -242,66 +117,4 @@ fn converse<T>(
         }
     }
     Ok(None)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::link::GpsFix;
-
-    fn say(name: &str, values: &[&str]) -> Result<Message, String> {
-        let values: Vec<String> = values.iter().map(|v| (*v).into()).collect();
-        order(name, &values, Computer::One).map_err(|error| error.to_string())
-    }
-
-    fn aspect(key: u16, variables: &[u16]) -> Result<Message, String> {
-        let command = AspectCommand::new(key, variables.to_vec()).unwrap();
-        Ok(Message::Aspect(command))
-    }
-
-    #[test]
-    fn orders_go_by_name_or_key_with_values_as_people_write_them() {
-        let target = aspect(0x1412, &[(-300_i16).cast_unsigned(), 450]);
-        assert_eq!(say("set_target", &["-300", "450"]), target);
-        assert_eq!(say("0x0412", &["-300", "450"]), target);
-        assert_eq!(say("set_clocking", &["-32.375"]), aspect(0x1621, &[0x1EFD]));
-        assert_eq!(say("start_tracking", &[]), Ok(Message::StartTracking));
-        let fix = GpsFix {
-            latitude_deg: 34.49,
-            longitude_deg: -104.25,
-        };
-        assert_eq!(say("gps", &["34.49", "-104.25"]), Ok(Message::Gps(fix)));
-    }
-
-    #[test]
-    fn a_wrong_order_is_refused_on_one_line_that_says_what_was_expected() {
-        for (name, values, words) in [
-            (
-                "set_targets",
-                &[][..],
-                &["set_targets", "\"set_target\""][..],
-            ),
-            (
-                "set_target",
-                &["1"],
-                &["set_target", "expected 2", "x (i16, arcsec)"],
-            ),
-            (
-                "set_target",
-                &["1", "40000"],
-                &["y", "-32768 to 32767", "40000"],
-            ),
-            ("store_frames", &["2"], &["1 (on) or 0 (off)", "2"]),
-            ("set_twist", &["north"], &["angle", "north"]),
-            ("gps", &["1", "x"], &["longitude", "x"]),
-            ("moon", &["1", "2"], &["expected 3", "height_m"]),
-            ("stop_tracking", &["1"], &["expected 0"]),
-        ] {
-            let message = say(name, values).unwrap_err();
-            for word in words {
-                assert!(message.contains(word), "{message} lacks {word}");
-            }
-            assert!(!message.contains('\n'));
-        }
-    }
 }

@@ -9,7 +9,7 @@
 //! The label, `solaspect: to computer 1` or `2`, is not sent: sender and recipient know who is meant. So what was signed for one computer
 //! is nothing to another that has the same secret, and neither is what a computer would sign for the ground.
 
-use super::command::Computer;
+use super::computer::Computer;
 use crate::files::{self, Unread};
 use hmac::{Hmac, KeyInit, Mac};
 use jiff::Timestamp;
@@ -116,7 +116,7 @@ impl Seal {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::link::describe::hex;
+    use crate::link::hex::hex;
 
     fn seal(computer: Computer) -> Seal {
         let key = Key::new(b"sixteen bytes or more").unwrap();

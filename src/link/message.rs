@@ -185,7 +185,7 @@ pub struct MessageRow {
     pub direction: Direction,
     pub documentation: &'static str,
     /// Length of its fields.
-    pub(super) bytes: usize,
+    pub bytes: usize,
     fields: fn() -> Vec<Field>,
 }
 
@@ -234,7 +234,8 @@ macro_rules! messages {
                 }
             }
 
-            pub(super) fn payload(&self) -> Result<Vec<u8>, MessageError> {
+            /// The message as it travels: its key and its fields.
+            pub fn payload(&self) -> Result<Vec<u8>, MessageError> {
                 let mut out = Writer::new(self.key());
                 match self {
                     $(Self::$message $((bind!(body, $body)))? => {

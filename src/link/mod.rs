@@ -10,13 +10,13 @@
 
 pub mod byte_log;
 pub mod code;
-pub mod command;
+pub mod computer;
 pub mod connection;
 pub mod control;
-pub mod describe;
 pub mod fields;
 pub mod ground;
 pub mod guard;
+pub mod hex;
 pub mod housekeeping;
 pub mod imu;
 pub mod key;
@@ -28,16 +28,15 @@ pub mod parser;
 pub mod picture;
 pub mod port;
 pub mod responder;
-pub mod schema;
 pub mod telemetry;
 pub mod udp;
 
 #[cfg(test)]
 mod tables;
 
-pub use command::{Action, COMMANDS, CameraRole, Command, CommandError, CommandRow, Computer};
+pub use computer::Computer;
 pub use connection::{AnyPort, Connection, PortAddress};
-pub use control::{CommandResult, Control};
+pub use control::{Carried, CommandResult, Control};
 pub use guard::{Guard, Peer};
 pub use housekeeping::Housekeeping;
 pub use imu::ImuPacket;
@@ -51,6 +50,6 @@ pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket,
 pub use parser::{Parser, Rejected};
 pub use picture::Picture;
 pub use port::{BytePort, PortError, SerialPort};
-pub use responder::{Exposure, LinkState, Reply, Responder};
+pub use responder::{Execution, Exposure, Heard, LinkState, Reply, Responder};
 pub use telemetry::{CommandOutcome, Receipt, Telemetry};
 pub use udp::{LocalEnd, UdpPort};

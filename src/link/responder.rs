@@ -18,9 +18,8 @@
 //! 7. A request for the Moon is answered by its result at once, and by what was found when a picture has been looked at, whoever
 //!    tracks or sends.
 
-use super::command::{Action, Command, CommandError, Computer, row_of};
-use super::control::{CommandResult, Control};
-use super::describe::{CommandInWords, result_in_words};
+use super::computer::Computer;
+use super::control::{Carried, CommandResult, Control};
 use super::message::{
     AspectCommand, CAMERA, ExposureStart, Message, MessageError, Messages, MoonRequest, NoSolution,
     Propagated, Solution, key,
@@ -47,11 +46,31 @@ pub struct LinkState {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reply {
     pub packets: Vec<Vec<u8>>,
-    /// The commands to this computer that the packet held, and what came of each.
-    pub commands: Vec<(CommandInWords, String)>,
+    /// The commands to this computer that the packet held.
+    pub commands: Vec<Heard>,
     /// Requests for the Moon that wait for a picture, each with its packet's sequence number.
     pub moon_requests: Vec<(u16, MoonRequest)>,
     pub changed: bool,
+}
+
+/// A command to this computer, and what came of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Heard {
+    /// With the computers' bits.
+    pub key: u16,
+    /// `None` where it could not be read.
+    pub message: Option<Message>,
+    pub execution: Execution,
+}
+
+/// What came of a command.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Execution {
+    Result(CommandResult),
+    /// With the reason, where it is known.
+    Refused(Option<String>),
+    /// It waits for the announced exposure.
+    Waits,
 }
 
 /// One exposure of one of this computer's cameras, known by the time that was announced.
@@ -92,16 +111,12 @@ enum Answer {
 }
 
 impl Answer {
-    fn in_words(&self, key: u16, control: &mut dyn Control) -> String {
+    fn execution(&self, control: &mut dyn Control) -> Execution {
         match self {
-            Self::Result(CommandResult::Refused) => match control.take_reason() {
-                Some(reason) => format!("refused: {reason}"),
-                None => "refused".into(),
-            },
-            Self::Result(CommandResult::Unknown) => "unknown".into(),
-            Self::Result(result) => result_in_words(key, result.code()),
-            Self::Message(_) => "done".into(),
-            Self::Later => "waits for the announced exposure".into(),
+            Self::Result(CommandResult::Refused) => Execution::Refused(control.take_reason()),
+            Self::Result(result) => Execution::Result(*result),
+            Self::Message(_) => Execution::Result(CommandResult::Done),
+            Self::Later => Execution::Waits,
         }
     }
 }
@@ -150,15 +165,19 @@ impl Responder {
             };
             let answer = match &message {
                 Ok(message) => self.execute(message, Stop { sequence, key }, control),
-                Err(error) => Answer::Result(malformed(error)),
+                Err(error) => Answer::Result(malformed(error, control)),
             };
-            let words = CommandInWords::of(key, message.as_ref().ok());
-            commands.push((words, answer.in_words(key, control)));
+            let execution = answer.execution(control);
             if let (Ok(Message::MoonRequest(request)), Answer::Result(CommandResult::Done)) =
                 (&message, &answer)
             {
                 moon_requests.push((sequence, *request));
             }
+            commands.push(Heard {
+                key,
+                message: message.ok(),
+                execution,
+            });
             answers.push((key, answer));
         }
         if answers.is_empty() {
@@ -172,12 +191,11 @@ impl Responder {
         })
     }
 
-    /// The commands to this computer that a packet holds.
-    pub fn commands_in(&self, packet: &CommandPacket) -> Vec<CommandInWords> {
-        let commands = Messages::of(packet.payload()).filter_map(|(bytes, message)| {
-            let key = self.key_for_us(bytes)?;
-            Some(CommandInWords::of(key, message.as_ref().ok()))
-        });
+    /// The commands to this computer that a packet holds: their keys, and the messages that could be read.
+    pub fn commands_in(&self, packet: &CommandPacket) -> Vec<(u16, Option<Message>)> {
+        let messages = Messages::of(packet.payload());
+        let commands =
+            messages.filter_map(|(bytes, message)| Some((self.key_for_us(bytes)?, message.ok())));
         commands.collect()
     }
 
@@ -342,21 +360,15 @@ impl Responder {
         stop: Stop,
         control: &mut dyn Control,
     ) -> Answer {
-        let result = match Command::try_from(command) {
-            Ok(command) => match command.row.action {
-                Action::NoOp => CommandResult::Done,
-                Action::StartSending => {
-                    self.state.sending = true;
-                    self.stopping = false;
-                    CommandResult::Done
-                }
-                Action::StopSending => return self.stop_sending(stop),
-                _ => control.carry_out(&command),
-            },
-            Err(CommandError::Switch { .. }) => CommandResult::Refused,
-            Err(CommandError::Unknown { .. }) => CommandResult::Unknown,
-        };
-        Answer::Result(result)
+        match control.carry_out(command) {
+            Carried::Result(result) => Answer::Result(result),
+            Carried::StartSending => {
+                self.state.sending = true;
+                self.stopping = false;
+                Answer::Result(CommandResult::Done)
+            }
+            Carried::StopSending => self.stop_sending(stop),
+        }
     }
 
     /// At once, where nothing will be said of the announced exposures.
@@ -372,11 +384,11 @@ impl Responder {
 }
 
 /// The result of a packet that is no message of ours.
-fn malformed(error: &MessageError) -> CommandResult {
+fn malformed(error: &MessageError, control: &dyn Control) -> CommandResult {
     match error {
         MessageError::UnknownKey { .. } => CommandResult::Unknown,
         // An aspect command outside the table is unknown, whatever its variables.
-        MessageError::Variables { key, .. } if row_of(*key).is_none() => CommandResult::Unknown,
+        MessageError::Variables { key, .. } if !control.knows(*key) => CommandResult::Unknown,
         MessageError::NotFinite { .. } => CommandResult::Refused,
         _ => CommandResult::NotImplemented,
     }

@@ -1,7 +1,7 @@
 //! Whether the instrument's numbers are recent, and how sure.
 
 use super::{Finding, Plan, PlannedCamera};
-use crate::link::CameraRole;
+use crate::commands::CameraRole;
 use jiff::{Timestamp, tz::Offset};
 
 /// Numbers that a knock or a transport changes.

@@ -7,10 +7,10 @@ use crate::calibrate::check;
 use crate::camera::{
     self, CameraError, CameraHealth, FrameSource, PixelFormat, Source, Surroundings, Take,
 };
+use crate::commands::CameraRole;
 use crate::config::Config;
 use crate::frame::Frame;
 use crate::instrument::{Instrument, SkyCamera};
-use crate::link::CameraRole;
 use crate::pointing;
 use std::time::{Duration, Instant};
 

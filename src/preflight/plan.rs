@@ -1,9 +1,9 @@
 //! What a configuration and the options of the command line make fly.
 
 use crate::camera::Source;
+use crate::commands::CameraRole;
 use crate::config::{self, Config, Switch};
 use crate::instrument::{Dated, Instrument, SkyCamera};
-use crate::link::CameraRole;
 use crate::pointing::{Feature, HelioprojectiveArcsec, PointingError, Target};
 use crate::sky::TableError;
 use crate::sky::{Ephemeris, OrientationTable, SkyError};

@@ -7,7 +7,7 @@ use super::bounded::within;
 use super::{Finding, Plan, PlannedCamera, camera};
 use crate::aspect::{self, Expected, Track};
 use crate::camera::{FrameSource, Take};
-use crate::link::CameraRole;
+use crate::commands::CameraRole;
 use crate::pointing::{self, Offset};
 use crate::sky::Ephemeris;
 use std::time::{Duration, Instant};

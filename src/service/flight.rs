@@ -1,11 +1,11 @@
 //! What a flight is made of.
 
-use super::control::{SavedError, SavedValues, Seat};
 use super::worker::Life;
 use crate::archive::disk::Lock;
 use crate::archive::{ArchiveError, Flown, MOON_CAMERA, ROLL_CAMERA, Store};
 use crate::bounded::within;
 use crate::camera::{CameraError, Exposure, FrameSource};
+use crate::commands::controls::{SavedError, SavedValues, Seat};
 use crate::config::{Config, FlightClock};
 use crate::frame::FrameInfo;
 use crate::instrument::{DirectionCamera, Instrument, MountedCamera, SkyCamera};

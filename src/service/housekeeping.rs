@@ -1,7 +1,6 @@
 //! What the ground is told each second, put together from the counts and the latest answer.
 
 use super::answer::{Answer, Recent};
-use super::control::Controls;
 use super::counts::Counts;
 use super::moon::MoonDesk;
 use super::navigation::NavigationTally;
@@ -9,10 +8,12 @@ use super::shared::Shared;
 use super::tally::{FlightTally, quantile};
 use crate::aspect::{Adopted, Quality};
 use crate::clock::ClockStatus;
+use crate::commands::CameraRole;
+use crate::commands::controls::Controls;
 use crate::geometry::MappingKind;
 use crate::horizon;
 use crate::link::housekeeping::{Digits, MarkIds};
-use crate::link::{CameraRole, Housekeeping, MoonSight};
+use crate::link::{Housekeeping, MoonSight};
 use crate::log;
 use crate::navigation::nmea::{GpsCounts, Refusal};
 use crate::provenance::COMMIT;

@@ -16,12 +16,12 @@ mod picture;
 
 pub(super) use event::{LinkEvent, Outcome, PropagatedEvent};
 
-use super::control::{Controls, Topic};
 use super::moon::MoonDesk;
 use super::navigation::Inputs;
 use super::shared::Shared;
 use super::tally::{LineTally, note_latency};
 use super::worker::Life;
+use crate::commands::controls::{Controls, Topic};
 use crate::config;
 use crate::link::{
     Computer, Connection, Direction, Exposure, Housekeeping, LinkState, MessageError, Parser,

@@ -45,8 +45,6 @@
 
 mod answer;
 mod archiver;
-mod command_log;
-pub mod control;
 mod counts;
 pub mod demo;
 mod flight;
@@ -56,7 +54,6 @@ mod moon;
 pub mod navigation;
 mod outlet;
 pub mod priority;
-mod protocol;
 mod roll;
 mod shared;
 mod shutter;
@@ -69,23 +66,21 @@ mod worker;
 
 pub use answer::{Answer, SolvedMoon};
 pub use archiver::DiskHealth;
-pub use command_log::CommandNote;
-pub use control::Seat;
 pub use flight::{Camera, CameraFactory, ClaimError, Flight, Navigation, Station};
-pub use protocol::protocol_page;
 pub use tally::{
     ArchiveTally, CameraTally, FlightTally, LineTally, MoonTally, RollTally, SolverTally, quantile,
 };
 
 use crate::archive::disk::Lock;
 use crate::camera::FrameSource;
+use crate::commands::Seat;
+use crate::commands::controls::{Controls, SavedValues, ValueSaver};
 use crate::config::Host;
 use crate::instrument::{DirectionCamera, MountedCamera, SkyCamera};
 use crate::link::{Connection, Housekeeping};
 use crate::provenance::sha256;
 use crate::sky::Ephemeris;
 use answer::Recent;
-use control::{Controls, SavedValues, ValueSaver};
 use counts::Counts;
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use flight::UnsolvedFrame;

@@ -1,7 +1,6 @@
 //! The Moon camera's solver: a frame of the night sky in, the Moon's place and direction out.
 
 use super::answer::{Answer, SolvedMoon};
-use super::control::Snapshot;
 use super::flight::{Station, UnsolvedFrame};
 use super::outlet::Outlet;
 use super::shared::Shared;
@@ -9,6 +8,7 @@ use super::tally::MoonTally;
 use super::worker::Life;
 use crate::aspect;
 use crate::camera::Brightness;
+use crate::commands::controls::Snapshot;
 use crate::frame::{self, Frame, Region};
 use crate::instrument::DirectionCamera;
 use crate::link::MoonSight;

@@ -2,13 +2,13 @@
 
 use super::answer::{Answer, Recent};
 use super::archiver::Archive;
-use super::control::Controls;
 use super::flight::Station;
 use super::line::LinkEvent;
 use super::navigation::Inputs;
 use super::shared::Shared;
 use super::shutter::Glimpse;
 use crate::camera::Brightness;
+use crate::commands::controls::Controls;
 use crate::frame::FrameInfo;
 use crate::instrument::Instrument;
 use crate::link::Picture;

@@ -1,7 +1,6 @@
 //! The roll camera's solver: a frame of the horizon in, straight down in the body's axes out.
 
 use super::answer::Answer;
-use super::control::Snapshot;
 use super::flight::{Middle, Station, UnsolvedFrame};
 use super::outlet::Outlet;
 use super::shared::Shared;
@@ -9,6 +8,7 @@ use super::tally::RollTally;
 use super::worker::Life;
 use crate::aspect;
 use crate::camera::{Brightness, Exposure};
+use crate::commands::controls::Snapshot;
 use crate::frame::{self, Frame};
 use crate::geometry::attitude::Direction;
 use crate::horizon::{self, Levels, Settings, Solution, Stage};

@@ -1,6 +1,5 @@
 //! A camera's thread: it sets the camera, announces each exposure on the line, and hands the frame to the solver.
 
-use super::control::{Controls, Topic};
 use super::flight::{CameraFactory, Middle, Station, UnsolvedFrame};
 use super::line::LinkEvent;
 use super::shared::Shared;
@@ -11,6 +10,7 @@ use crate::backoff::Backoff;
 use crate::camera::{
     AutoExposure, AutoExposureSettings, Brightness, CameraError, FrameSource, Settings, Take,
 };
+use crate::commands::controls::{Controls, Topic};
 use crate::frame::FrameInfo;
 use crate::link;
 use crate::log::worth_a_line;

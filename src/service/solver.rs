@@ -1,7 +1,6 @@
 //! The solver's thread: frame in, answer out, to the archive and to the line.
 
 use super::answer::Answer;
-use super::control::{Seat, Snapshot, Topic};
 use super::flight::{Middle, Station, UnsolvedFrame};
 use super::line::{LinkEvent, Outcome};
 use super::outlet::Outlet;
@@ -12,6 +11,7 @@ use super::worker::Life;
 use crate::aspect::{self, Expected, Solution, Stage, Track};
 use crate::calibrate::check::CalibrationCheck;
 use crate::camera::{Brightness, Exposure};
+use crate::commands::controls::{Seat, Snapshot, Topic};
 use crate::instrument::Instrument;
 use crate::link;
 use crate::log::worth_a_line;

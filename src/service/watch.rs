@@ -1,7 +1,6 @@
 //! The watch: it looks after every thread, tells the ground each second how all is, and feeds systemd's watchdog.
 
 use super::archiver::{self, Archive};
-use super::control::Controls;
 use super::counts::Counts;
 use super::housekeeping::{HousekeepingSource, Restarts};
 use super::line::LinkEvent;
@@ -11,6 +10,7 @@ use super::silence;
 use super::systemd::Systemd;
 use super::tally::FlightTally;
 use super::worker::{self, Worker};
+use crate::commands::controls::Controls;
 use crate::link::Housekeeping;
 use crossbeam_channel::{Receiver, Sender};
 use std::sync::Arc;

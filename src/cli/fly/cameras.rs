@@ -3,11 +3,12 @@
 use crate::archive::{self, MOON_CAMERA, ROLL_CAMERA};
 use crate::camera::{self, CameraError, FrameSource, Settings, Source, Surroundings};
 use crate::cli::options;
+use crate::commands::Seat;
 use crate::config::{self, Config};
 use crate::instrument::{
     DirectionCamera, Instrument, MountedCamera, SECOND, SkyCamera, TomlError, text_of,
 };
-use crate::service::{Camera, CameraFactory, Seat};
+use crate::service::{Camera, CameraFactory};
 use jiff::Timestamp;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

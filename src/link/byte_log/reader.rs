@@ -4,7 +4,7 @@
 //! are whole are found, and a cut one is rejected.
 
 use super::Burst;
-use crate::link::describe::from_hex;
+use crate::link::hex::from_hex;
 use crate::units::counted;
 use jiff::Timestamp;
 use std::collections::HashSet;

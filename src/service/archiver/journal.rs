@@ -6,11 +6,11 @@
 use super::picture::Told;
 use crate::archive::{ArchiveError, Dirfile, Log, SolutionLog, Store};
 use crate::backoff::Backoff;
+use crate::commands::CommandNote;
 use crate::link::Housekeeping;
 use crate::link::housekeeping::{FIELDS, Field};
 use crate::log::worth_a_line;
 use crate::record::Row;
-use crate::service::command_log::CommandNote;
 use crate::service::navigation::{NavigationLog, NavigationRows};
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;

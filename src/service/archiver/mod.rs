@@ -21,13 +21,13 @@ mod writer;
 pub use writer::DiskHealth;
 
 use super::answer::Answer;
-use super::command_log::CommandNote;
-use super::control::Controls;
 use super::flight::Station;
 use super::navigation::NavigationRows;
 use super::tally::ArchiveTally;
 use super::worker::{self, Job, Worker};
 use crate::archive::{Sharing, Store, navigation_file};
+use crate::commands::CommandNote;
+use crate::commands::controls::Controls;
 use crate::config;
 use crate::link::Housekeeping;
 use crate::log::worth_a_line;

@@ -1,8 +1,8 @@
 //! What comes over the line, and what is answered.
 
-use super::super::command_log::CommandNote;
 use super::Line;
-use crate::link::describe::CommandInWords;
+use crate::commands::CommandNote;
+use crate::commands::words::{CommandInWords, execution_in_words};
 use crate::link::guard::Refusal;
 use crate::link::{CommandPacket, Packet, TelemetryPacket};
 use crate::log::worth_a_line;
@@ -131,7 +131,8 @@ impl Line<'_> {
 
     /// Tells the command log what came of a packet that was not carried out.
     fn note_commands(&self, packet: &CommandPacket, sender: SocketAddr, result: &str) {
-        for command in self.responder.commands_in(packet) {
+        for (key, message) in self.responder.commands_in(packet) {
+            let command = CommandInWords::of(key, message.as_ref());
             let note = CommandNote::now(sender, command, result);
             self.controls.note_command(note);
         }
@@ -143,7 +144,9 @@ impl Line<'_> {
         match self.responder.handle(packet, now, &mut self.controls) {
             Ok(reply) => {
                 self.tally.lock().commands += reply.commands.len() as u64;
-                for (command, result) in reply.commands {
+                for heard in &reply.commands {
+                    let command = CommandInWords::of(heard.key, heard.message.as_ref());
+                    let result = execution_in_words(heard.key, &heard.execution);
                     let note = CommandNote::now(sender, command, result);
                     self.controls.note_command(note);
                 }

@@ -2,10 +2,10 @@
 
 use super::*;
 use crate::aspect::{Stage, Stopped};
+use crate::commands::order;
 use crate::config::Config;
 use crate::frame::{Frame, FrameInfo, Pixels};
 use crate::instrument::builtin;
-use crate::link::ground::order;
 use crate::link::message::NO_OFFSET;
 use crate::link::picture::Section;
 use crate::link::{
@@ -58,7 +58,7 @@ fn bench_over(
     change(&mut config.link);
     let mounting = builtin("demo").unwrap().mounting;
     let controls = Controls::new(config, Target::default(), mounting);
-    controls.note_cameras(&[crate::link::CameraRole::PitchYaw; 2]);
+    controls.note_cameras(&[crate::commands::CameraRole::PitchYaw; 2]);
     bench_of(connection, far, controls)
 }
 

@@ -1,6 +1,7 @@
 //! What the filter is told: samples of the IMU, fixes of GPS, and the directions that cameras have seen.
 
 use super::NavigationTally;
+use crate::commands::controls::Seat;
 use crate::geometry::attitude::Direction;
 use crate::instrument::SkyCamera;
 use crate::link::{ImuPacket, TelemetryPacket};
@@ -9,7 +10,6 @@ use crate::navigation::Target;
 use crate::navigation::nmea::TimedFix;
 use crate::pointing::measured_sun_in_telescope;
 use crate::service::answer::Answer;
-use crate::service::control::Seat;
 use crate::service::shared::Shared;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use jiff::Timestamp;

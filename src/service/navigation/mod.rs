@@ -15,11 +15,11 @@ pub(super) use inputs::{Input, Inputs, Seen};
 pub(super) use rows::{NavigationLog, NavigationRows};
 pub use tally::NavigationTally;
 
-use super::control::{Controls, Seat, Topic};
 use super::line::{LinkEvent, PropagatedEvent};
 use super::priority::Rank;
 use super::shared::Shared;
 use super::worker::{Life, Worker};
+use crate::commands::controls::{Controls, Seat, Topic};
 use crate::config::{self, FlightClock, Host};
 use crate::link::{Connection, ImuPacket};
 use crate::log::worth_a_line;

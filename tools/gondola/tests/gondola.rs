@@ -62,8 +62,12 @@ fn converse(line: Line) -> Output {
 struct Desk;
 
 impl Control for Desk {
-    fn carry_out(&mut self, _: &link::Command) -> CommandResult {
-        CommandResult::NotImplemented
+    fn knows(&self, _: u16) -> bool {
+        false
+    }
+
+    fn carry_out(&mut self, _: &link::AspectCommand) -> link::Carried {
+        CommandResult::Unknown.into()
     }
 
     fn take_fix(&mut self, _: GpsFix) -> CommandResult {

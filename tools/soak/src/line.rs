@@ -1,7 +1,7 @@
 //! The gondola's end of the line: the simulated controller at a pseudo-terminal that misbehaves when told to.
 
 use crate::navigation::{Judge, NavigationRun};
-use solaspect::link::ground::order;
+use solaspect::commands::order;
 use solaspect::link::{
     AnyPort, AspectCommand, BytePort, Computer, Connection, GpsFix, Message, PortError, SerialPort,
     id,

@@ -1,13 +1,13 @@
 //! Numbers with names.
 
-use crate::link::command::COMMANDS;
+use crate::commands::COMMANDS;
+use crate::commands::schema::yaml::{Yaml, map};
 use crate::link::control::RESULTS;
 use crate::link::housekeeping::FIELDS;
 use crate::link::message::{ERROR_CODES, MESSAGES};
 use crate::link::moon::{NOT_FOUND, NOT_VISIBLE};
 use crate::link::packet::PARTIES;
 use crate::link::picture::TAG_TYPES;
-use crate::link::schema::yaml::{Yaml, map};
 use crate::link::telemetry::TELEMETRY;
 
 pub fn enums() -> Yaml {

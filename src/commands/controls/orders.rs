@@ -1,37 +1,30 @@
-//! Commands become keys and values.
+//! Commands are carried out.
 
-use super::own::{LATITUDE, LONGITUDE};
 use super::{Controls, State};
+use crate::commands::setting::{
+    CLOCK_OFFSET, CLOCKING, LATITUDE, LONGITUDE, SITE_LATITUDE, SITE_LONGITUDE, Setting, TWIST,
+};
+use crate::commands::{Action, CameraRole, Command, CommandError, Kind, row_of};
 use crate::config::{Allowed, Parameter, Value, by_command, by_key};
-use crate::link::command::Kind;
-use crate::link::{Action, CameraRole, Command, CommandResult, Control, GpsFix, MoonRequest};
+use crate::link::{AspectCommand, Carried, CommandResult, Control, GpsFix, MoonRequest};
 use crate::log::worth_a_line;
 use std::sync::atomic::Ordering;
 
 impl Control for Controls {
-    fn carry_out(&mut self, command: &Command) -> CommandResult {
+    fn knows(&self, key: u16) -> bool {
+        row_of(key).is_some()
+    }
+
+    fn carry_out(&mut self, command: &AspectCommand) -> Carried {
+        let command = match Command::try_from(command) {
+            Ok(command) => command,
+            Err(CommandError::Switch { .. }) => return CommandResult::Refused.into(),
+            Err(CommandError::Unknown { .. }) => return CommandResult::Unknown.into(),
+        };
         match command.row.action {
-            Action::NoOp => CommandResult::Done,
-            // The responder's own.
-            Action::StartSending | Action::StopSending => CommandResult::NotImplemented,
-            Action::Quit => {
-                self.0.quits.store(true, Ordering::Relaxed);
-                CommandResult::Done
-            }
-            Action::SendPicture(role) => self.want_picture(role),
-            Action::Set(keys) => self.set_by_command(command.settings(keys)),
-            Action::SetNumbered => self.set_numbered(command),
-            Action::ResetValues => {
-                let reset = self.reset();
-                tracing::warn!(values = reset, "returned to the configuration by command");
-                CommandResult::Done
-            }
-            Action::Read(_) | Action::ReadNumbered | Action::ReadDisk => {
-                let read = self.state().read(command);
-                let code = command.row.reads.zip(read);
-                code.and_then(|(reads, number)| reads.kind.nearest_code(number))
-                    .map_or(CommandResult::Unknown, CommandResult::Value)
-            }
+            Action::StartSending => Carried::StartSending,
+            Action::StopSending => Carried::StopSending,
+            _ => self.execute(&command).into(),
         }
     }
 
@@ -68,11 +61,37 @@ impl Control for Controls {
 }
 
 impl Controls {
+    /// Carries out what goes beyond the conversation.
+    fn execute(&self, command: &Command) -> CommandResult {
+        match command.row.action {
+            // The conversation's own are not for here.
+            Action::NoOp | Action::StartSending | Action::StopSending => CommandResult::Done,
+            Action::Quit => {
+                self.0.quits.store(true, Ordering::Relaxed);
+                CommandResult::Done
+            }
+            Action::SendPicture(role) => self.want_picture(role),
+            Action::Set => self.set_by_command(command.settings()),
+            Action::SetNumbered => self.set_numbered(command),
+            Action::ResetValues => {
+                let reset = self.reset();
+                tracing::warn!(values = reset, "returned to the configuration by command");
+                CommandResult::Done
+            }
+            Action::Read | Action::ReadNumbered | Action::ReadDisk => {
+                let read = self.state().read(command);
+                let code = command.row.reads.zip(read);
+                code.and_then(|(reads, number)| reads.kind.nearest_code(number))
+                    .map_or(CommandResult::Unknown, CommandResult::Value)
+            }
+        }
+    }
+
     /// Takes a place that is believed. It is kept with the next values that are saved: a fix a second is no reason to write a file a second.
     pub(super) fn move_to(&self, fix: GpsFix) -> CommandResult {
         match self.apply(&[
-            (LATITUDE, Value::Number(fix.latitude_deg.into())),
-            (LONGITUDE, Value::Number(fix.longitude_deg.into())),
+            (LATITUDE.key(), Value::Number(fix.latitude_deg.into())),
+            (LONGITUDE.key(), Value::Number(fix.longitude_deg.into())),
         ]) {
             Ok(_) => CommandResult::Done,
             Err(_) => CommandResult::Refused,
@@ -100,16 +119,16 @@ impl Controls {
     /// numbers that can travel.
     fn set_by_command(
         &self,
-        settings: impl Iterator<Item = (&'static str, Kind, f64)>,
+        settings: impl Iterator<Item = (Setting, Kind, f64)>,
     ) -> CommandResult {
         let state = self.state().clone();
-        let stands = |(key, kind, number): &(&str, Kind, f64)| {
-            let now = state.value(key);
+        let stands = |(setting, kind, number): &(Setting, Kind, f64)| {
+            let now = state.value(*setting);
             now.is_some_and(|now| *number != now && kind.nearest_code(now) == kind.code(*number))
         };
         let settings: Vec<(&str, Value)> = settings
             .filter(|setting| !stands(setting))
-            .map(|(key, kind, number)| (key, value(kind, number)))
+            .map(|(setting, kind, number)| (setting.key(), value(kind, number)))
             .collect();
         match self.set(&settings) {
             Ok(()) => {
@@ -145,7 +164,8 @@ impl Controls {
             && let [_, variable] = command.row.variables
             && let Some(parameter) = numbered(number, variable.kind)
         {
-            return self.set_by_command(std::iter::once((parameter.key, variable.kind, set)));
+            let setting = Setting::new(parameter.key);
+            return self.set_by_command(std::iter::once((setting, variable.kind, set)));
         }
         self.state().reason = Some("no parameter of this number and type".into());
         CommandResult::Refused
@@ -183,10 +203,10 @@ impl State {
     fn read(&self, command: &Command) -> Option<f64> {
         let number = command.numbers.first().copied();
         match command.row.action {
-            Action::Read(key) => self.value(key),
+            Action::Read => self.value(*command.row.reads?.settings.first()?),
             Action::ReadNumbered => {
                 let kind = command.row.reads?.kind;
-                self.value(numbered(number?, kind)?.key)
+                self.value(Setting::new(numbered(number?, kind)?.key))
             }
             Action::ReadDisk => {
                 let at = (number? as usize).checked_sub(1)?;
@@ -196,19 +216,19 @@ impl State {
         }
     }
 
-    /// The number of a key that may be read.
-    fn value(&self, key: &str) -> Option<f64> {
-        match key {
-            "mounting.twist_deg" => Some(self.own.twist_deg.unwrap_or(self.stated.twist_deg)),
-            "mounting.clocking_deg" => {
+    /// The number of a setting that may be read.
+    fn value(&self, setting: Setting) -> Option<f64> {
+        match setting {
+            TWIST => Some(self.own.twist_deg.unwrap_or(self.stated.twist_deg)),
+            CLOCKING => {
                 let stated = self.stated.clocking_deg.value;
                 Some(self.own.clocking_deg.unwrap_or(stated))
             }
             // As GPS may know it.
-            "site.latitude_deg" => Some(self.place?.latitude_deg),
-            "site.longitude_deg" => Some(self.place?.longitude_deg),
-            "clock.offset_us" => self.clock_offset_us.map(|us| us as f64),
-            _ => match by_key(key)?.get(&self.config)? {
+            SITE_LATITUDE => Some(self.place?.latitude_deg),
+            SITE_LONGITUDE => Some(self.place?.longitude_deg),
+            CLOCK_OFFSET => self.clock_offset_us.map(|us| us as f64),
+            setting => match by_key(setting.key())?.get(&self.config)? {
                 Value::Whole(value) => Some(value as f64),
                 Value::Number(value) => Some(value),
                 Value::Text(_) => None,

@@ -3,11 +3,11 @@
 use super::{
     Role, checksum_type, enumeration, number_type, type_name, units, unsigned_bits, valid_range,
 };
-use crate::link::command::{COMMANDS, CommandRow, Kind, Variable};
+use crate::commands::schema::xml::Element;
+use crate::commands::{COMMANDS, CommandRow, Kind, Variable};
 use crate::link::message::{MESSAGES, MessageRow, key};
 use crate::link::number::Number;
 use crate::link::packet::{Direction, SYNC, id};
-use crate::link::schema::xml::Element;
 
 pub fn meta_data() -> Element {
     let messages = MESSAGES

@@ -1,28 +1,27 @@
 //! What the ground sets in flight, in one place: read by every thread, changed by command only.
 //!
-//! Each setting has a dotted key: that of its parameter, or one of the few that are no parameters (in `own`). A
-//! command becomes keys and values; so does a saved file. Both are checked in the same place, against the parameter
+//! Commands and files of saved values set the same [settings](super::setting). Both are checked in the same place, against the parameter
 //! table, and take effect all together or not at all.
 
 mod gps;
 mod orders;
-mod own;
 mod proof;
 mod saved;
 
 pub use proof::Proof;
 pub use saved::{SavedError, SavedValues, ValueSaver, differences, restore};
 
-use super::command_log::CommandNote;
+use super::note::CommandNote;
+use super::setting::{KEPT, LATITUDE, LONGITUDE, Own, SENDING, STAMP, Setting, TRACKING};
+use super::table::CameraRole;
 use crate::aspect;
 use crate::config::{self, Config, Value, by_key};
 use crate::instrument::{Instrument, Mounting};
-use crate::link::{CameraRole, CommandResult, GpsFix};
+use crate::link::{CommandResult, GpsFix};
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::units::Place;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use gps::Gps;
-use own::{KEPT, LATITUDE, LONGITUDE, Own};
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -236,7 +235,7 @@ impl Controls {
 
     /// Keeps what a command has made of the sending.
     pub fn note_sending(&self, on: bool) {
-        let _ = self.set(&[("link.sending", switch(on))]);
+        self.keep(SENDING, Value::Whole(on.into()));
     }
 
     /// Whether the controller wants solutions.
@@ -246,7 +245,7 @@ impl Controls {
 
     /// Keeps what the controller has said of tracking.
     pub fn note_tracking(&self, on: bool) {
-        let _ = self.set(&[("link.tracking", switch(on))]);
+        self.keep(TRACKING, Value::Whole(on.into()));
     }
 
     /// The newest stamp of a signed datagram, ns since 1970; 0 without one.
@@ -256,7 +255,7 @@ impl Controls {
 
     /// Keeps the stamp of a signed datagram.
     pub fn note_stamp_ns(&self, stamp: i64) {
-        let _ = self.set(&[("link.stamp_ns", Value::Whole(stamp))]);
+        self.keep(STAMP, Value::Whole(stamp));
     }
 
     /// Whether the ground wants the program to end.
@@ -311,6 +310,11 @@ impl Controls {
     /// Tells by how much the host's clock is ahead of true time.
     pub fn note_clock_offset(&self, microseconds: Option<i64>) {
         self.state().clock_offset_us = microseconds;
+    }
+
+    /// Keeps a value of the conversation, which nothing refuses.
+    fn keep(&self, setting: Setting, value: Value) {
+        let _ = self.set(&[(setting.key(), value)]);
     }
 
     /// Sets keys to values, all or none of them.
@@ -453,7 +457,7 @@ impl State {
         };
         let differs = |(key, value): (&String, &Value)| match by_key(key) {
             Some(_) => of_parameter(key, value),
-            None if KEPT.contains(&key.as_str()) => None,
+            None if is_kept(key) => None,
             None if Own::new().is(key, value) => None,
             None => Some(format!("{key} = {value} (set by command alone)")),
         };
@@ -473,7 +477,7 @@ impl State {
             longitude_deg: self.own.longitude_deg,
             ..own
         };
-        self.commanded.retain(|key, _| KEPT.contains(&key.as_str()));
+        self.commanded.retain(|key, _| is_kept(key));
         if self.own.latitude_deg.is_some() {
             self.move_to_fix();
         }
@@ -496,14 +500,15 @@ impl State {
     /// The ground knows better: the next fix is judged by no other.
     fn forget_fix(&mut self) {
         (self.own.latitude_deg, self.own.longitude_deg) = (None, None);
-        self.commanded.remove(LATITUDE);
-        self.commanded.remove(LONGITUDE);
+        self.commanded.remove(LATITUDE.key());
+        self.commanded.remove(LONGITUDE.key());
         self.gps.forget();
     }
 }
 
-fn switch(on: bool) -> Value {
-    Value::Whole(on.into())
+/// Whether the setting of a key outlives a reset.
+fn is_kept(key: &str) -> bool {
+    KEPT.iter().any(|kept| kept.key() == key)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! What the command log tells: every command with its time, its sender and what came of it.
 
-use crate::link::describe::CommandInWords;
+use super::words::CommandInWords;
 use jiff::Timestamp;
 
 /// A row of the command log.

@@ -2,11 +2,11 @@
 
 use super::types::{binary, camel, comparison, enumerated, integer, text, unix_seconds};
 use super::{Role, checksum_type, number_type, unsigned_bits};
+use crate::commands::schema::xml::Element;
 use crate::link::housekeeping::{LAYOUT, fields_by_layout};
 use crate::link::message::MESSAGES;
 use crate::link::number::{Field, Number};
 use crate::link::packet::{Direction, id, telemetry_type};
-use crate::link::schema::xml::Element;
 use crate::link::telemetry::{Payload, TELEMETRY, TelemetryRow};
 
 const CAMERAS: &str = "1, 2: pitch-yaw; 6: roll; 7: Moon";

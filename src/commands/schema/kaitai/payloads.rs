@@ -1,8 +1,8 @@
 //! Payloads of telemetry that are more than a table of numbers.
 
 use super::{attribute, documented, of_field, to_the_end, value};
+use crate::commands::schema::yaml::{Yaml, map};
 use crate::link::housekeeping::{LAYOUT, fields_by_layout};
-use crate::link::schema::yaml::{Yaml, map};
 
 /// Fields that a layout does not have are absent.
 pub fn housekeeping() -> Yaml {

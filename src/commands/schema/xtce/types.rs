@@ -1,8 +1,8 @@
 //! Types of parameters that are more than a number, and comparisons.
 
 use super::{encoding, enumeration, type_name, units};
+use crate::commands::schema::xml::Element;
 use crate::link::number::{Codes, Number};
-use crate::link::schema::xml::Element;
 
 pub fn comparison(parameter: &str, operator: &str, value: u16) -> Element {
     Element::new("Comparison")

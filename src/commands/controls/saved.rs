@@ -14,14 +14,14 @@ mod file;
 pub use file::SavedValues;
 
 use super::Controls;
-use super::own::{LATITUDE, LONGITUDE, TRACKING};
 use crate::archive::disk::Lock;
 use crate::backoff::Backoff;
+use crate::commands::CommandNote;
+use crate::commands::setting::{LATITUDE, LONGITUDE, TRACKING};
+use crate::commands::words::CommandInWords;
 use crate::config::saved::HEADER;
 use crate::config::{Refused, Value};
-use crate::link::describe::CommandInWords;
 use crate::log::worth_a_line;
-use crate::service::command_log::CommandNote;
 use crc::{CRC_32_ISO_HDLC, Crc};
 use crossbeam_channel::Sender;
 use jiff::Timestamp;
@@ -37,7 +37,7 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// How often the file is written anew while it holds a value that is for a short time only.
 const REFRESH: Duration = Duration::from_secs(60);
 /// The keys whose values are for a short time only.
-const SHORT_LIVED: [&str; 3] = [TRACKING, LATITUDE, LONGITUDE];
+const SHORT_LIVED: [&str; 3] = [TRACKING.key(), LATITUDE.key(), LONGITUDE.key()];
 /// The keys that tell when the file was written: the time, and the start of the computer.
 const WRITTEN_UTC: &str = "written.utc";
 const WRITTEN_BOOT: &str = "written.boot";
@@ -357,11 +357,11 @@ enum ShortLived {
 mod tests {
     use super::*;
     use crate::archive::MARK;
+    use crate::commands::{CameraRole, Seat};
     use crate::config::Config;
     use crate::instrument::builtin;
-    use crate::link::{CameraRole, CommandResult, Control, GpsFix};
+    use crate::link::{CommandResult, Control, GpsFix};
     use crate::pointing::Target;
-    use crate::service::Seat;
     use crossbeam_channel::bounded;
 
     fn controls() -> Controls {

@@ -1,19 +1,21 @@
 //! The page on the protocol: the interface document for whoever builds the other end, made from the tables that the
 //! program itself works by.
 
+use super::order::order;
+use super::table::COMMANDS;
+use super::words::describe;
 use crate::config::{Allowed, parameters};
 use crate::link::control::RESULTS;
-use crate::link::describe::{describe, hex};
-use crate::link::ground::order;
+use crate::link::hex::hex;
 use crate::link::message::{ERROR_CODES, MESSAGES};
 use crate::link::moon::{NOT_FOUND, NOT_VISIBLE};
 use crate::link::number::{Codes, Field};
 use crate::link::packet::PARTIES;
 use crate::link::telemetry::{Payload, TELEMETRY};
 use crate::link::{
-    AspectCommand, COMMANDS, CommandOutcome, Computer, Direction, ExposureStart, Message,
-    MoonAnswer, MoonFix, MoonSight, NoSolution, Packet, Receipt, Solution, Telemetry, housekeeping,
-    id, picture,
+    AspectCommand, CommandOutcome, Computer, Direction, ExposureStart, Message, MoonAnswer,
+    MoonFix, MoonSight, NoSolution, Packet, Receipt, Solution, Telemetry, housekeeping, id,
+    picture,
 };
 use jiff::Timestamp;
 

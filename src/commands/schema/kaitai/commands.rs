@@ -1,10 +1,10 @@
 //! Command packets, their messages, and the commands of the table.
 
 use super::{attribute, documented, switch, to_the_end, value, wire, with_unit};
-use crate::link::command::{COMMANDS, Kind, Variable};
+use crate::commands::schema::CHECKSUM;
+use crate::commands::schema::yaml::{Yaml, map};
+use crate::commands::{COMMANDS, Kind, Variable};
 use crate::link::message::MESSAGES;
-use crate::link::schema::CHECKSUM;
-use crate::link::schema::yaml::{Yaml, map};
 
 pub fn packet() -> Yaml {
     let payload = attribute("payload", "messages").with("size", "len_payload");

@@ -1,16 +1,30 @@
-//! The commands of the ground: one table, and what a command of it means. To add a command, add a row to the table; only one that
-//! does what none did before needs an [`Action`] too.
+//! What the ground may say in flight: one table of commands, what they set, and words for all of it.
+//!
+//! To add a command, add a row to the [table](COMMANDS). What it sets or reads is a parameter of the configuration, or a [setting](setting) that
+//! only commands have; one that does what none did before needs an [`Action`], too.
 //!
 //! A key's top 4 bits name the computers it is for, its low 4 bits the number of its variables; the table leaves
 //! the computers out. Source: HEROES flight program, 2013.
 
+pub mod controls;
+mod note;
+pub mod order;
+mod protocol;
+pub mod schema;
+pub mod setting;
 mod table;
+mod variable;
+pub mod words;
 
-pub use table::{
-    Action, COMMANDS, CameraRole, CommandRow, Computer, Kind, Variable, row_named, row_of,
-};
+pub use controls::{Controls, Seat};
+pub use note::CommandNote;
+pub use order::{OrderError, order};
+pub use protocol::protocol_page;
+pub use table::{Action, COMMANDS, CameraRole, CommandRow, row_named, row_of};
+pub use variable::{Kind, Variable};
 
-use super::message::AspectCommand;
+use crate::link::AspectCommand;
+use setting::Setting;
 
 /// A command of the table, with its variables in natural units.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,16 +35,13 @@ pub struct Command {
 }
 
 impl Command {
-    /// The settings that an [`Action::Set`] sets: key, kind and number of each.
-    pub fn settings(
-        &self,
-        keys: &'static [&'static str],
-    ) -> impl Iterator<Item = (&'static str, Kind, f64)> {
-        let kinds = self.row.variables.iter().map(|variable| variable.kind);
-        let numbers = kinds.zip(self.numbers.iter().copied()).cycle();
-        keys.iter()
-            .zip(numbers)
-            .map(|(key, (kind, number))| (*key, kind, number))
+    /// What its variables set, with kind and number of each.
+    pub fn settings(&self) -> impl Iterator<Item = (Setting, Kind, f64)> {
+        let variables = self.row.variables.iter().zip(&self.numbers);
+        variables.flat_map(|(variable, number)| {
+            let settings = variable.settings.iter();
+            settings.map(|setting| (*setting, variable.kind, *number))
+        })
     }
 }
 
@@ -63,8 +74,9 @@ impl TryFrom<&AspectCommand> for Command {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::link::Computer;
+    use crate::link::computer::COMPUTERS;
     use crate::link::message::variable_count;
-    use table::COMPUTERS;
 
     #[test]
     fn every_key_states_the_number_of_its_variables_and_none_occurs_twice() {
@@ -88,13 +100,11 @@ mod tests {
             assert_eq!(command.unwrap().row, row);
             let reads = matches!(
                 row.action,
-                Action::Read(_) | Action::ReadNumbered | Action::ReadDisk
+                Action::Read | Action::ReadNumbered | Action::ReadDisk
             );
             assert_eq!(reads, row.reads.is_some(), "{}", row.name);
-            if let Action::Set(keys) = row.action {
-                let variables = row.variables.len();
-                assert!(keys.len() == variables || variables == 1, "{}", row.name);
-            }
+            let sets = row.variables.iter().any(|v| !v.settings.is_empty());
+            assert_eq!(row.action == Action::Set, sets, "{}", row.name);
         }
     }
 
@@ -127,17 +137,6 @@ mod tests {
         assert_eq!(numbers(0), Ok(vec![0.0]));
         let (key, found) = (0x1431, 2);
         assert_eq!(set(2), Err(CommandError::Switch { key, found }));
-    }
-
-    #[test]
-    fn a_command_may_be_for_one_computer_for_both_or_for_none() {
-        let both = [Computer::One, Computer::Two];
-        let addressed = |key| both.map(|computer| computer.is_addressed_by(key));
-        assert_eq!(addressed(0x1412), [true, false]);
-        assert_eq!(addressed(0x2412), [false, true]);
-        assert_eq!(addressed(0x3412), [true, true]);
-        assert_eq!(addressed(0x0412), [false, false]);
-        assert_eq!(addressed(0x4412), [false, false]);
     }
 
     #[test]

@@ -1,5 +1,5 @@
 use super::*;
-use crate::link::command::COMMANDS;
+use crate::commands::COMMANDS;
 use crate::link::housekeeping::FIELDS;
 use crate::link::message::MESSAGES;
 use crate::link::telemetry::TELEMETRY;

@@ -1,14 +1,17 @@
 //! Packets in words, for people who read a line.
 
-use super::command::{CommandRow, Kind, row_of};
-use super::control::result;
-use super::housekeeping::Housekeeping;
-use super::imu::ImuPacket;
-use super::message::{AspectCommand, Message, Messages, key, message_of};
-use super::number::Field;
-use super::packet::{CommandPacket, Packet, TelemetryPacket, telemetry_type};
-use super::picture::Section;
-use super::telemetry::{CommandOutcome, Telemetry};
+use super::table::{CommandRow, row_of};
+use super::variable::Kind;
+use crate::link::control::result;
+use crate::link::hex::hex;
+use crate::link::message::{key, message_of};
+use crate::link::number::Field;
+use crate::link::packet::telemetry_type;
+use crate::link::picture::Section;
+use crate::link::{
+    AspectCommand, CommandOutcome, CommandPacket, CommandResult, Execution, Housekeeping,
+    ImuPacket, Message, Messages, Packet, Telemetry, TelemetryPacket,
+};
 use crate::units::counted;
 use jiff::Timestamp;
 
@@ -45,6 +48,17 @@ impl CommandInWords {
             name: name.into(),
             values: values.join(" "),
         }
+    }
+}
+
+/// What came of a command, in words.
+pub fn execution_in_words(key: u16, execution: &Execution) -> String {
+    match execution {
+        Execution::Result(CommandResult::Unknown) => "unknown".into(),
+        Execution::Result(result) => result_in_words(key, result.code()),
+        Execution::Refused(Some(reason)) => format!("refused: {reason}"),
+        Execution::Refused(None) => "refused".into(),
+        Execution::Waits => "waits for the announced exposure".into(),
     }
 }
 
@@ -198,24 +212,10 @@ fn answer(packet: &TelemetryPacket) -> String {
     }
 }
 
-/// Bytes in hexadecimal.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-/// Bytes from hexadecimal; white space between them does not matter.
-pub fn from_hex(text: &str) -> Option<Vec<u8>> {
-    let digits: Vec<u8> = text.bytes().filter(|b| !b.is_ascii_whitespace()).collect();
-    if !digits.len().is_multiple_of(2) || !digits.iter().all(u8::is_ascii_hexdigit) {
-        return None;
-    }
-    let byte = |pair: &[u8]| u8::from_str_radix(str::from_utf8(pair).ok()?, 16).ok();
-    digits.chunks_exact(2).map(byte).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::link::hex::from_hex;
     use crate::link::packet::Direction;
 
     fn said(direction: Direction, text: &str) -> String {
@@ -282,13 +282,5 @@ mod tests {
         assert_eq!(result_in_words(0x1C20, 0x1EFD), "angle -32.375 deg");
         assert_eq!(result_in_words(0x1451, 2), "refused: out of range");
         assert_eq!(result_in_words(0x1FF0, 0xFFFF), "unknown");
-    }
-
-    #[test]
-    fn hexadecimal_is_read_with_white_space_and_nothing_else() {
-        assert_eq!(from_hex("9A c3\n01"), Some(vec![0x9A, 0xC3, 1]));
-        assert_eq!(from_hex("9ac"), None);
-        assert_eq!(from_hex("+1"), None);
-        assert_eq!(from_hex("packets.bin"), None);
     }
 }
