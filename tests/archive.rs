@@ -234,7 +234,7 @@ fn flown(roots: &[&Path]) {
     };
     let stores = roots.iter().map(open).collect();
     let tally = flight::dark(stores, settings, FLOWN as u64, Duration::ZERO, |_| {});
-    assert_eq!(tally.archive.stored, FLOWN as u64);
+    assert_eq!(tally.counts.stored, FLOWN as u64);
 }
 
 const FLOWN: usize = 12;

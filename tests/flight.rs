@@ -192,8 +192,8 @@ fn a_camera_that_panics_is_opened_again_and_the_flight_goes_on() {
         }),
         root.path(),
     );
-    assert_eq!((tally.restarts, tally.camera.taken), (1, 7));
-    assert_eq!((tally.solver.frames(), tally.archive.stored), (7, 7));
+    assert_eq!((tally.restarts, tally.counts.taken), (1, 7));
+    assert_eq!((tally.solved(), tally.counts.stored), (7, 7));
     assert!(tally.lost() > 0, "a panic is no success");
 }
 
@@ -210,8 +210,8 @@ fn a_camera_that_hangs_is_left_alone_and_opened_again() {
         }),
         root.path(),
     );
-    assert_eq!((tally.restarts, tally.camera.taken), (1, 7));
-    assert_eq!(tally.archive.stored, 7);
+    assert_eq!((tally.restarts, tally.counts.taken), (1, 7));
+    assert_eq!(tally.counts.stored, 7);
 }
 
 #[test]
@@ -231,7 +231,7 @@ fn a_camera_that_pauses_between_frames_is_counted_as_silent_for_as_long() {
     // A slow machine may add pauses of its own.
     assert!(tally.camera.silences >= 1, "{tally}");
     assert!(tally.camera.silent >= Duration::from_millis(1500));
-    assert_eq!((tally.camera.taken, tally.restarts), (7, 0));
+    assert_eq!((tally.counts.taken, tally.restarts), (7, 0));
     assert!(tally.lost() > 0, "what it did not take is lost");
     assert!(tally.to_string().contains("camera     silent "), "{tally}");
 }
@@ -271,7 +271,7 @@ fn a_folder_that_pauses_as_its_frames_did_is_not_silent() {
     }
     let frames = FolderCamera::open(folder.path(), 4.0, 1.0).unwrap();
     let tally = fly(Camera::new(demo, frames), root.path());
-    assert_eq!((tally.camera.taken, tally.camera.silences), (3, 0));
+    assert_eq!((tally.counts.taken, tally.camera.silences), (3, 0));
     assert_eq!(tally.lost(), 0, "{tally}");
 }
 
@@ -374,7 +374,7 @@ fn a_camera_that_is_not_there_is_waited_for() {
         }
     }));
     let tally = fly(camera, root.path());
-    assert_eq!((tally.camera.failed, tally.camera.taken), (1, 3));
+    assert_eq!((tally.camera.failed, tally.counts.taken), (1, 3));
 }
 
 #[test]
@@ -396,12 +396,12 @@ fn a_frame_of_another_size_and_a_camera_that_fails_do_not_stop_the_flight() {
         root.path(),
     );
     let camera = (
-        tally.camera.taken,
+        tally.counts.taken,
         tally.camera.failed,
         tally.solver.misfits,
     );
     assert_eq!(camera, (4, 1, 1));
-    assert_eq!((tally.archive.stored, tally.restarts), (3, 0));
+    assert_eq!((tally.counts.stored, tally.restarts), (3, 0));
 }
 
 #[test]
@@ -530,7 +530,7 @@ fn each_camera_has_its_folder_and_a_roll_camera_is_stored_with_its_levels() {
     let service = Service::start(both).unwrap();
     wait_until("the flight's end", || service.is_finished());
     let tally = service.join().unwrap();
-    assert_eq!((tally.camera.taken, tally.archive.stored), (9, 9));
+    assert_eq!((tally.counts.taken, tally.counts.stored), (9, 9));
     for (folder, count) in [("demo", 5), ("roll", 4)] {
         let folder = root.path().join(folder);
         let files = frames_in(&folder);
@@ -572,7 +572,7 @@ fn the_ground_is_told_each_second_how_all_is() {
         unreachable!()
     };
     assert!(first.taken > 0 && second.taken > first.taken);
-    assert!(u64::from(second.taken) <= tally.camera.taken);
+    assert!(u64::from(second.taken) <= tally.counts.taken);
     assert_eq!((second.fine, second.coarse), (0, 0));
     assert!(second.stopped.iter().any(|&count| count > 0));
     assert!(second.sending && !second.tracking && second.storing);
@@ -879,11 +879,11 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
     wait_until("the flight's end", || service.is_finished());
     let tally = service.join().unwrap();
     let given = given.lock().unwrap();
-    let said = tally.line.errors + tally.line.solutions;
-    let line = (tally.line.announced, tally.line.outdated, said);
+    let said = tally.counts.errors + tally.counts.solutions;
+    let line = (tally.counts.announced, tally.counts.outdated, said);
     Some(format!(
         "{given:?} {solved:?} {line:?} {} {room:?}",
-        tally.archive.stored
+        tally.counts.stored
     ))
 }
 

@@ -144,7 +144,7 @@ fn values_set_by_command_outlive_a_restart_where_a_file_is_named() {
         12_000
     );
     assert_eq!(
-        end(service).line.announced,
+        end(service).counts.announced,
         0,
         "it does not send, as it was told"
     );
@@ -181,7 +181,7 @@ fn solving_goes_on_while_the_line_is_away_and_the_line_comes_back() {
     let tally = end(service);
     assert_eq!((tally.line.lost, tally.line.reopened), (1, 1), "{tally}");
     assert_eq!(tally.camera.lost, 0);
-    assert_eq!(tally.solver.frames(), tally.camera.taken);
+    assert_eq!(tally.solved(), tally.counts.taken);
     assert_eq!(tally.solver.unsent, 0);
 }
 
@@ -205,7 +205,7 @@ fn a_controller_that_reads_nothing_does_not_hold_up_the_solver() {
     std::thread::sleep(Duration::from_secs(2));
     let tally = end(service);
     assert_eq!(tally.camera.lost, 0);
-    assert_eq!(tally.solver.frames(), tally.camera.taken);
+    assert_eq!(tally.solved(), tally.counts.taken);
     assert_eq!(tally.solver.unsent + tally.camera.unannounced, 0);
 }
 

@@ -9,7 +9,6 @@ use solaspect::camera::{CameraError, Exposure, FrameSource, Settings, Take};
 use solaspect::config::Switch;
 use solaspect::fits::{Compression, FitsFile, Value};
 use solaspect::frame::{Frame, Pixels, Region};
-use solaspect::horizon::Quality;
 use solaspect::instrument::{DirectionCamera, MountedCamera, builtin};
 use solaspect::pointing::Roll;
 use solaspect::reasons::horizon as reasons;
@@ -203,8 +202,8 @@ fn the_horizons_roll_turns_offsets_and_is_in_answers_and_files() {
         sun_rolls.push(sun_roll.value);
     }
     let tally = flight.end();
-    assert_eq!(tally.roll.of(Quality::Fine), 3, "{tally}");
-    assert_eq!((tally.solver.frames(), tally.lost()), (4, 0), "{tally}");
+    assert_eq!(tally.counts.roll_fine, 3, "{tally}");
+    assert_eq!((tally.solved(), tally.lost()), (4, 0), "{tally}");
     for (folder, missing, told) in [("sun", 1, &sun_rolls), (ROLL_CAMERA, 0, &horizon_rolls)] {
         let files = frames_in(&root.path().join(folder));
         let rolls: Vec<f64> = files
@@ -284,7 +283,7 @@ fn a_frame_of_another_size_or_from_below_the_limb_is_stored_with_the_reason() {
         assert!(answer.solution.levels.is_some());
     }
     let tally = flight.end();
-    assert_eq!((tally.archive.stored, tally.lost()), (3, 0), "{tally}");
+    assert_eq!((tally.counts.stored, tally.lost()), (3, 0), "{tally}");
 }
 
 /// A small camera that looks along the gondola's first axis.

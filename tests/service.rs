@@ -1,7 +1,6 @@
 //! The demonstration: camera, solver, link and archive together, with nothing lost between them.
 
 use solaspect::archive::is_of_roll_camera;
-use solaspect::aspect::Quality;
 use solaspect::fits;
 use solaspect::service::demo::{self, Demo};
 use std::fs;
@@ -35,12 +34,12 @@ fn the_demonstration_loses_nothing_between_camera_controller_and_archive() {
     let summary = demo::run(&settings, None, |_| shown += 1, || false).unwrap();
     println!("{summary}");
     assert_eq!(summary.lost(), 0, "{summary}");
-    assert_eq!(summary.tally.camera.taken, 40);
+    assert_eq!(summary.tally.counts.taken, 40);
     assert_eq!(shown, 20);
 
-    let solver = &summary.tally.solver;
-    assert!(solver.of(Quality::Fine) >= 10, "{summary}");
-    assert!(solver.of(Quality::None) >= 1, "the Sun leaves: {summary}");
+    let counts = &summary.tally.counts;
+    assert!(counts.fine >= 10, "{summary}");
+    assert!(counts.none >= 1, "the Sun leaves: {summary}");
     let largest = summary
         .fine_errors_arcsec
         .iter()

@@ -328,7 +328,7 @@ fn frames_whose_picture_no_disk_took_are_in_the_log() {
         fs::write(folder.join("20130921T18"), "occupied").unwrap();
     }
     let summary = demonstration(root.path());
-    assert_eq!(summary.tally.archive.unstored, 40, "{summary}");
+    assert_eq!(summary.tally.counts.unstored, 40, "{summary}");
     let log = log_of(root.path());
     assert_eq!(log.len(), 20);
     assert!(log.iter().all(|row| row["file"].is_empty()));
@@ -345,7 +345,7 @@ fn frames_that_find_the_archives_queue_full_are_in_the_log() {
     let root = tempfile::tempdir().unwrap();
     let stores = vec![open(root.path())];
     let tally = dark_flight(stores, 0);
-    assert_eq!((tally.archive.overflowed, tally.archive.stored), (5, 0));
+    assert_eq!((tally.archive.overflowed, tally.counts.stored), (5, 0));
     let frames: Vec<String> = log_of(root.path())
         .iter()
         .map(|row| row["frame"].clone())
@@ -378,7 +378,7 @@ fn a_disk_that_has_gone_leaves_all_to_the_other() {
     let stores = vec![open(first.path()), open(second.path())];
     fs::remove_dir_all(first.path()).unwrap();
     let tally = dark_flight(stores, 64);
-    assert_eq!((tally.archive.stored, tally.archive.unstored), (5, 0));
+    assert_eq!((tally.counts.stored, tally.counts.unstored), (5, 0));
     assert!(tally.archive.refused > 0);
     assert_eq!(log_of(second.path()).len(), 5);
     assert!(!first.path().exists());
@@ -390,7 +390,7 @@ fn a_flight_goes_on_where_no_disk_takes_a_row() {
     let stores = vec![open(root.path())];
     fs::remove_dir_all(root.path()).unwrap();
     let tally = dark_flight(stores, 64);
-    assert_eq!((tally.solver.frames(), tally.archive.unstored), (5, 5));
+    assert_eq!((tally.solved(), tally.counts.unstored), (5, 5));
     assert!(!root.path().exists());
 }
 

@@ -10,6 +10,7 @@ use super::packet::{TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
 use std::fmt;
 use std::str::FromStr;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The layout that this program writes. Those before are read, too.
 pub const LAYOUT: u8 = 9;
@@ -90,16 +91,18 @@ macro_rules! codes {
     };
 }
 
+/// A section of rows that the flight counts (`count`), that are about the latest frame (`frame`), or about anything else (`system`). A row: the
+/// field, its type, its unit, what it is, and what its numbers stand for.
 macro_rules! housekeeping {
-    ($($field:ident: $type:ty, $unit:literal, $documentation:literal $(=> $codes:ident)?;)*) => {
-        /// What is told of one second. `None` is what is not known.
+    ($([$section:ident] $($field:ident: $type:ty, $unit:literal, $documentation:literal $(=> $codes:ident)?;)*)*) => {
+        /// The status of one second. `None` is what is not known.
         #[derive(Debug, Clone, PartialEq, Default)]
         pub struct Housekeeping {
-            $(#[doc = $documentation] pub $field: $type,)*
+            $($(#[doc = $documentation] pub $field: $type,)*)*
         }
 
         /// The fields of the payload after the layout's number, in order.
-        pub const FIELDS: &[Field] = &[$(Field {
+        pub const FIELDS: &[Field] = &[$($(Field {
             name: stringify!($field),
             kind: <$type as Wire>::KIND,
             number: <$type as Wire>::NUMBER,
@@ -110,13 +113,13 @@ macro_rules! housekeeping {
             codes: codes!($($codes)?),
             about: $documentation,
             value: value_of::<$type>,
-        }),*];
+        },)*)*];
 
         impl Housekeeping {
             /// The payload of its packet: the layout's number, then the fields.
             pub fn payload(&self) -> Vec<u8> {
                 let mut bytes = vec![LAYOUT];
-                $(self.$field.write(&mut bytes);)*
+                $($(self.$field.write(&mut bytes);)*)*
                 bytes
             }
 
@@ -128,29 +131,131 @@ macro_rules! housekeeping {
                     None => payload.to_vec(),
                 };
                 let mut rest = payload.strip_prefix(&[LAYOUT])?;
-                Some(Self { $($field: Wire::read(&mut rest)?,)* })
+                Some(Self { $($($field: Wire::read(&mut rest)?,)*)* })
             }
 
             /// The values as fields of a CSV row, in the order of [`FIELDS`]; what is not known is empty.
             pub fn csv_row(&self) -> Vec<String> {
-                vec![$(self.$field.text()),*]
+                vec![$($(self.$field.text(),)*)*]
             }
 
             /// Reads what [`csv_row`](Self::csv_row) writes; `value` gives the text of a field, `None` where the row lacks it.
             /// `None` where a text is no value of its field.
             pub fn from_csv<'a>(mut value: impl FnMut(&str) -> Option<&'a str>) -> Option<Self> {
-                Some(Self { $($field: match value(stringify!($field)) {
+                Some(Self { $($($field: match value(stringify!($field)) {
                     Some(text) => Wire::parse(text)?,
                     None => Default::default(),
-                },)* })
+                },)*)* })
             }
 
             /// Every field with its value in words.
             pub fn lines(&self) -> Vec<String> {
-                vec![$(format!("{} {:?} {}", stringify!($field), self.$field, $unit).trim_end().into(),)*]
+                vec![$($(format!("{} {:?} {}", stringify!($field), self.$field, $unit).trim_end().into(),)*)*]
+            }
+        }
+
+        sections!([] [] [] $($section { $($field: $type, $documentation;)* })*);
+    };
+}
+
+/// Sorts the rows by their sections: the counters that threads share, and the structs that complete them.
+macro_rules! sections {
+    ([$($done:tt)*] [$($frame:tt)*] [$($system:tt)*] count { $($rows:tt)* } $($rest:tt)*) => {
+        sections!([$($done)* $($rows)*] [$($frame)*] [$($system)*] $($rest)*);
+    };
+    ([$($counts:tt)*] [$($done:tt)*] [$($system:tt)*] frame { $($rows:tt)* } $($rest:tt)*) => {
+        sections!([$($counts)*] [$($done)* $($rows)*] [$($system)*] $($rest)*);
+    };
+    ([$($counts:tt)*] [$($frame:tt)*] [$($done:tt)*] system { $($rows:tt)* } $($rest:tt)*) => {
+        sections!([$($counts)*] [$($frame)*] [$($done)* $($rows)*] $($rest)*);
+    };
+    (
+        [$($count:ident: $count_type:ty, $count_documentation:literal;)*]
+        [$($frame:ident: $frame_type:ty, $frame_documentation:literal;)*]
+        [$($system:ident: $system_type:ty, $system_documentation:literal;)*]
+    ) => {
+        /// What the threads of a flight count.
+        #[derive(Debug, Default)]
+        pub struct Counters {
+            $(#[doc = $count_documentation] pub $count: Counter,)*
+        }
+
+        /// The counters at one time.
+        #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+        pub struct Counts {
+            $(#[doc = $count_documentation] pub $count: u64,)*
+        }
+
+        impl Counters {
+            pub fn now(&self) -> Counts {
+                Counts { $($count: self.$count.get(),)* }
+            }
+        }
+
+        /// What is known of the latest frame.
+        #[derive(Debug, Clone, PartialEq, Default)]
+        pub struct FrameStatus {
+            $(#[doc = $frame_documentation] pub $frame: $frame_type,)*
+        }
+
+        /// What is neither counted nor about a frame.
+        #[derive(Debug, Clone, PartialEq)]
+        pub struct SystemStatus {
+            $(#[doc = $system_documentation] pub $system: $system_type,)*
+        }
+
+        impl Housekeeping {
+            pub fn new(counts: &Counts, frame: FrameStatus, system: SystemStatus) -> Self {
+                Self {
+                    $($count: saturated(counts.$count),)*
+                    $($frame: frame.$frame,)*
+                    $($system: system.$system,)*
+                }
             }
         }
     };
+}
+
+/// A number that threads count up.
+#[derive(Debug, Default)]
+pub struct Counter(AtomicU64);
+
+impl Counter {
+    /// One more; how many there are now.
+    pub fn count(&self) -> u64 {
+        self.add(1)
+    }
+
+    /// So many more; how many there are now.
+    pub fn add(&self, more: u64) -> u64 {
+        self.0.fetch_add(more, Ordering::Relaxed) + more
+    }
+
+    pub fn get(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// A count as a field has room for it.
+pub fn saturated<T: TryFrom<u64> + Most>(count: u64) -> T {
+    T::try_from(count).unwrap_or(T::MOST)
+}
+
+/// The largest number of a type.
+pub trait Most {
+    const MOST: Self;
+}
+
+impl Most for u8 {
+    const MOST: Self = Self::MAX;
+}
+
+impl Most for u16 {
+    const MOST: Self = Self::MAX;
+}
+
+impl Most for u32 {
+    const MOST: Self = Self::MAX;
 }
 
 static QUALITY: Codes = Codes {
@@ -193,20 +298,26 @@ static GYRO_AGREEMENT: Codes = Codes { name: "gyro_agreement", rows: &[
 ] };
 
 housekeeping! {
+    [system]
     computer: u8, "", "which of the two computers";
     tracking: bool, "", "the controller wants solutions";
     sending: bool, "", "this computer sends them";
     storing: bool, "", "frames of the pitch-yaw camera are stored";
     clock_stepped: bool, "", "UTC has made a step since the last packet";
     uptime_s: u32, "s", "since the start of the program";
+    [count]
     taken: u32, "", "frames taken";
+    [system]
     lost: u32, "", "frames that the camera or the solver lost";
     incomplete: u16, "", "frames that arrived from the camera with parts missing, and were not used";
     reconnects: u16, "", "how often a camera was gone and came back";
+    [count]
     fine: u32, "", "frames solved finely";
     coarse: u32, "", "frames solved coarsely";
     none: u32, "", "frames without a Sun";
+    [system]
     stopped: [u16; 7], "", "frames that went no further than levels, limb, marks, identification, registration, aspect, pointing";
+    [frame]
     number: u32, "", "number of the latest frame, which the fields to preamp_gain are about";
     quality: u8, "", "the solution's quality" => QUALITY;
     background_dn: Option<f32>, "DN", "level of the background";
@@ -231,15 +342,18 @@ housekeeping! {
     exposure_us: u32, "us", "exposure time";
     analogue_gain: Option<f32>, "", "analogue gain";
     preamp_gain: Option<f32>, "", "pre-amplifier gain";
+    [system]
     camera_c: Option<f32>, "deg C", "temperature of the camera";
     computer_c: Option<f32>, "deg C", "temperature of the computer";
     disks: [Option<u8>; 2], "%", "how full the disks of the archive are";
+    [count]
     stored: u32, "", "frames stored";
     unstored: u32, "", "frames that no disk took";
     announced: u32, "", "exposures announced to the controller";
     solutions: u32, "", "solutions sent";
     errors: u32, "", "errors sent in their place";
     outdated: u32, "", "solutions too old to be sent";
+    [system]
     unsent: u32, "", "packets that the line did not take";
     reopened: u16, "", "how often the line was opened again";
     rejected: u32, "", "packets from the line that were broken";
@@ -249,7 +363,9 @@ housekeeping! {
     clock_offset_us: Option<f32>, "us", "by which the clock is ahead of true time";
     restarts: u16, "", "threads that were started again";
     takeovers: u16, "", "of these, threads that hung and were replaced";
+    [frame]
     simulated: bool, "", "the frames come from the simulator";
+    [system]
     calibration_contradicted: bool, "", "fine frames contradict the instrument's rotation, scale or centre by more than 5 sigma";
     silent_s: u32, "s", "time in which a camera gave no frames though it should have";
     queued_frames: u16, "", "frames that wait for a solver";
@@ -259,16 +375,21 @@ housekeeping! {
     disk_refusals: [u32; 2], "", "how often each disk of the archive refused";
     rows_refused: u32, "", "rows that a log refused or had no room for";
     gps_refused: u16, "", "GPS fixes that were not believed";
+    [count]
     datagrams_refused: u32, "", "datagrams refused: unknown sender, replayed, or not authentic";
+    [system]
     log_lines_lost: u32, "", "log lines that standard error did not take in time";
     commit: Digits, "", "commit that the program was built from, its first 8 hexadecimal digits";
     modified: bool, "", "the sources of the program were modified after that commit";
     configuration: Digits, "", "SHA-256 of the flight's configuration (`CONFSHA` of the frames), its first 8 hexadecimal digits";
+    [frame]
     roll_deg: Option<f32>, "deg", "roll by the horizon at the latest frame, right side low positive";
     roll_sigma_deg: Option<f32>, "deg", "its 1 sigma";
+    [count]
     roll_fine: u32, "", "frames of the horizon solved finely";
     roll_coarse: u32, "", "frames of the horizon solved coarsely";
     roll_none: u32, "", "frames without a horizon";
+    [system]
     roll_reasons: [u32; 2], "", "of these, frames that were too bright all over, and too dark";
     night: Option<u8>, "", "at the Moon camera's latest frame, by the ephemeris: 1 night, 0 day";
     moon_found: u32, "", "frames in which the Moon was found";
@@ -281,14 +402,18 @@ housekeeping! {
     propagated_elevation_deg: Option<f32>, "deg", "its latest offset in elevation";
     propagated_sigma_deg: Option<f32>, "deg", "the offset's 1 sigma per axis of true angle";
     propagated_roll_deg: Option<f32>, "deg", "roll about the boresight, right side low positive";
+    [count]
     propagated: u32, "", "offsets by the gyros that were sent";
     imu_samples: u32, "", "samples of the IMU";
+    [system]
     imu_lost: u16, "", "samples that are missing by their counter, or cannot be read";
     gps_fixes: u16, "", "fixes of the GPS receiver";
     gps_without_fix: u16, "", "times that it had none, or said the same again";
     navigation_refused: u16, "", "fixes and directions that contradict the filter";
     navigation_out_of_time: u16, "", "fixes and directions that came too late or too early";
+    [count]
     navigation_lost: u16, "", "inputs that the filter had no room for";
+    [system]
     navigation_restarts: u16, "", "times that the filter began anew";
     gps_no_fix: u16, "", "times that the GPS receiver said it has no fix";
     gps_estimated: u16, "", "its fixes that were not used: by dead reckoning";

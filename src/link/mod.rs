@@ -38,7 +38,7 @@ pub use computer::Computer;
 pub use connection::{AnyPort, Connection, PortAddress};
 pub use control::{Carried, CommandResult, Control};
 pub use guard::{Guard, Peer};
-pub use housekeeping::Housekeeping;
+pub use housekeeping::{Counters, Counts, Housekeeping};
 pub use imu::ImuPacket;
 pub use key::{Key, Seal};
 pub use message::{

@@ -1,4 +1,4 @@
-//! The counts of all threads, where every thread may see them.
+//! The tallies of all threads, where every thread may see them.
 
 use super::archiver::Gauges;
 use super::flight::UnsolvedFrame;
@@ -6,12 +6,15 @@ use super::navigation::NavigationTally;
 use super::shared::Shared;
 use super::silence::Silence;
 use super::tally::{CameraTally, FlightTally, LineTally, MoonTally, RollTally, SolverTally};
+use crate::link::Counters;
 use crossbeam_channel::Receiver;
+use std::sync::Arc;
 use std::time::Instant;
 
-/// The counts of all threads.
-#[derive(Clone)]
-pub(super) struct Counts {
+/// The tallies of all threads, and the counters that they share.
+#[derive(Clone, Default)]
+pub(super) struct Tallies {
+    pub counters: Arc<Counters>,
     pub cameras: Vec<Shared<CameraTally>>,
     pub silences: Vec<Shared<Silence>>,
     pub solvers: Vec<Shared<SolverTally>>,
@@ -24,7 +27,7 @@ pub(super) struct Counts {
     pub navigation: Shared<NavigationTally>,
 }
 
-impl Counts {
+impl Tallies {
     /// All that has happened.
     pub fn tally(&self) -> FlightTally {
         FlightTally {
@@ -36,6 +39,7 @@ impl Counts {
     /// The same, with the latencies of the last moment alone.
     pub fn brief(&self) -> FlightTally {
         let mut tally = FlightTally {
+            counts: self.counters.now(),
             archive: self.archive.tally(),
             line: self.line.lock().brief(),
             roll: self.roll.copy(),

@@ -377,10 +377,10 @@ impl Judge {
 impl Summary {
     /// What was lost on the way, and what arrived damaged; 0 when all went well.
     pub fn lost(&self) -> u64 {
-        let sent = self.tally.line.solutions;
+        let sent = self.tally.counts.solutions;
         let arrived = self.controller.solutions.len() as u64;
         let unstored =
-            self.tally.camera.taken - self.tally.archive.stored.min(self.tally.camera.taken);
+            self.tally.counts.taken - self.tally.counts.stored.min(self.tally.counts.taken);
         self.tally.lost().max(unstored)
             + sent.abs_diff(arrived)
             + self.controller.faults.total()

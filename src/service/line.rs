@@ -23,6 +23,7 @@ use super::tally::{LineTally, note_latency};
 use super::worker::Life;
 use crate::commands::controls::{Controls, Topic};
 use crate::config;
+use crate::link::Counters;
 use crate::link::{
     Computer, Connection, Direction, Exposure, Housekeeping, LinkState, MessageError, Parser,
     PortError, Responder,
@@ -32,6 +33,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
 use moon::MoonRequests;
 use picture::PictureUnderWay;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -60,6 +62,7 @@ pub(super) struct Line<'a> {
     stopping_since: Option<Instant>,
     picture: Option<PictureUnderWay>,
     tally: Shared<LineTally>,
+    counters: Arc<Counters>,
     /// The frame of the horizon whose roll went out last.
     last_roll: Option<Instant>,
     moon_desk: Shared<MoonDesk>,
@@ -73,6 +76,7 @@ impl<'a> Line<'a> {
         connection: &'a mut Connection,
         controls: Controls,
         tally: Shared<LineTally>,
+        counters: Arc<Counters>,
         moon_desk: Shared<MoonDesk>,
         navigation: Option<Inputs>,
     ) -> Self {
@@ -99,6 +103,7 @@ impl<'a> Line<'a> {
             stopping_since: None,
             picture: None,
             tally,
+            counters,
             moon_desk,
             moon_requests: MoonRequests::default(),
             navigation,
@@ -138,10 +143,9 @@ impl<'a> Line<'a> {
         self.look_at_settings();
         self.say(event);
         if self.stalled {
-            self.tally.lock().outdated += events
-                .try_iter()
-                .filter(|event| matches!(event, LinkEvent::Outcome(_)))
-                .count() as u64;
+            let is_outcome = |event: &LinkEvent| matches!(event, LinkEvent::Outcome(_));
+            let outdated = events.try_iter().filter(is_outcome).count();
+            self.counters.outdated.add(outdated as u64);
             self.responder.forget_all();
         }
     }
@@ -212,7 +216,7 @@ impl<'a> Line<'a> {
         match self.responder.exposure_starts(exposure) {
             Ok(Some(packet)) => {
                 if self.send(&packet) {
-                    self.tally.lock().announced += 1;
+                    self.counters.announced.count();
                 } else {
                     self.tally.lock().unannounced += u64::from(self.connection.is_wanted());
                     self.responder.forget(exposure);
@@ -234,7 +238,7 @@ impl<'a> Line<'a> {
         }
         let max_age = Duration::from_millis(self.settings.max_solution_age_ms.into());
         if outcome.age() > max_age {
-            self.tally.lock().outdated += 1;
+            self.counters.outdated.count();
             return self.responder.forget(exposure);
         }
         match self.conclusion(outcome) {
@@ -243,7 +247,7 @@ impl<'a> Line<'a> {
                 } else if outcome.solution().is_some() {
                     self.note_sent(outcome);
                 } else {
-                    self.tally.lock().errors += 1;
+                    self.counters.errors.count();
                 }
             }
             Ok(None) => {}
@@ -258,8 +262,8 @@ impl<'a> Line<'a> {
         match self.responder.propagated(event.propagated) {
             Ok(Some(packet)) => {
                 if self.send(&packet) {
+                    self.counters.propagated.count();
                     let mut tally = self.tally.lock();
-                    tally.propagated += 1;
                     note_latency(&mut tally.propagated_latencies, event.read.elapsed());
                 }
             }
@@ -269,8 +273,8 @@ impl<'a> Line<'a> {
     }
 
     fn note_sent(&mut self, outcome: &Outcome) {
+        self.counters.solutions.count();
         let mut tally = self.tally.lock();
-        tally.solutions += 1;
         note_latency(&mut tally.latencies, outcome.arrived.elapsed());
         let roll = outcome.roll_arrived;
         if let Some(arrived) = roll.filter(|_| roll != self.last_roll) {

@@ -77,11 +77,11 @@ use crate::commands::Seat;
 use crate::commands::controls::{Controls, SavedValues, ValueSaver};
 use crate::config::Host;
 use crate::instrument::{DirectionCamera, MountedCamera, SkyCamera};
-use crate::link::{Connection, Housekeeping};
+use crate::link::{Connection, Counters, Housekeeping};
 use crate::provenance::sha256;
 use crate::sky::Ephemeris;
 use answer::Recent;
-use counts::Counts;
+use counts::Tallies;
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use flight::UnsolvedFrame;
 use housekeeping::HousekeepingSource;
@@ -122,7 +122,7 @@ pub struct Service {
     values: Option<JoinHandle<u64>>,
     controls: Controls,
     gauges: archiver::Gauges,
-    counts: Counts,
+    tallies: Tallies,
     signals: Arc<Signals>,
 }
 
@@ -152,14 +152,22 @@ impl Service {
             .transpose()?;
         let configuration = flight.configuration_toml();
         let stations: Vec<Arc<Station>> = flight.stations(&configuration).map(Arc::new).collect();
+        let counters = Arc::<Counters>::default();
         let navigation_toml = flight.navigation.as_ref();
         let navigation_toml = navigation_toml.map(|navigation| &*navigation.settings_toml);
         let (stores, ephemeris) = (flight.stores, &flight.ephemeris);
-        let (archive, disks) =
-            archiver::start(stores, &stations, &controls, ephemeris, navigation_toml)?;
+        let (archive, disks) = archiver::start(
+            stores,
+            &stations,
+            &controls,
+            ephemeris,
+            navigation_toml,
+            &counters,
+        )?;
         let gauges = archive.gauges();
         let (to_line, events) = bounded(LINK_EVENTS);
-        let counts = Counts {
+        let tallies = Tallies {
+            counters: Arc::clone(&counters),
             cameras: Vec::new(),
             silences: Vec::new(),
             solvers: Vec::new(),
@@ -170,14 +178,15 @@ impl Service {
             moon: Shared::default(),
             navigation: Shared::default(),
         };
-        let (inputs, queue) = Inputs::new(counts.navigation.clone());
+        let (inputs, queue) = Inputs::new(tallies.navigation.clone(), Arc::clone(&counters));
         let inputs = flight.navigation.is_some().then_some(inputs);
         let moon_desk = Shared::<MoonDesk>::default();
         let host = flight.config.host;
         host.hold();
         let line = Talk {
             controls: controls.clone(),
-            tally: counts.line.clone(),
+            tally: tallies.line.clone(),
+            counters: Arc::clone(&counters),
             moon_desk: moon_desk.clone(),
             navigation: inputs.clone(),
             events,
@@ -193,7 +202,8 @@ impl Service {
                     controls: controls.clone(),
                     to_line: to_line.clone(),
                     rows: to_rows,
-                    tally: counts.navigation.clone(),
+                    tally: tallies.navigation.clone(),
+                    counters: Arc::clone(&counters),
                     ended: Arc::clone(&signals.cameras_ended),
                     clock: navigation.clock,
                 };
@@ -209,7 +219,7 @@ impl Service {
             to_line: to_line.clone(),
             watcher,
             signals: Arc::clone(&signals),
-            counts,
+            tallies,
             recent: Vec::new(),
             nadir: LatestNadir::default(),
             moon_desk: moon_desk.clone(),
@@ -221,7 +231,7 @@ impl Service {
         for (station, camera) in stations.iter().zip(cameras) {
             workers.add(station, camera)?;
         }
-        let counts = workers.counts.clone();
+        let tallies = workers.tallies.clone();
         let watch = Watch {
             cameras: workers.cameras,
             solvers: workers.solvers,
@@ -238,7 +248,7 @@ impl Service {
                 moon_desk,
                 &sha256(&configuration),
             ),
-            counts: workers.counts,
+            tallies: workers.tallies,
             signals: Arc::clone(&signals),
             gave_up: false,
             landed: None,
@@ -248,7 +258,7 @@ impl Service {
             values,
             controls,
             gauges,
-            counts,
+            tallies,
             signals,
         })
     }
@@ -284,7 +294,7 @@ impl Service {
 
     /// What has happened so far, with the latencies of the last moment.
     pub fn tally(&self) -> FlightTally {
-        let mut tally = self.counts.brief();
+        let mut tally = self.tallies.brief();
         tally.restarts = self.signals.restarts.load(Ordering::Relaxed);
         tally
     }
@@ -354,7 +364,7 @@ struct Workers {
     to_line: Sender<LinkEvent>,
     watcher: Option<Sender<Answer>>,
     signals: Arc<Signals>,
-    counts: Counts,
+    tallies: Tallies,
     recent: Vec<Shared<Recent>>,
     nadir: LatestNadir,
     moon_desk: Shared<MoonDesk>,
@@ -377,7 +387,7 @@ impl Workers {
             navigation: self.inputs.clone(),
         };
         self.recent.push(outlet.recent.clone());
-        self.counts.unsolved.push(unsolved.clone());
+        self.tallies.unsolved.push(unsolved.clone());
         match station.sky.clone() {
             Some(SkyCamera::Horizon(camera)) => {
                 self.add_roll_solver(station, camera, outlet, unsolved)?;
@@ -404,8 +414,9 @@ impl Workers {
             nadir: self.nadir.clone(),
             calibration: Shared::default(),
             tally: Shared::default(),
+            counters: Arc::clone(&self.tallies.counters),
         };
-        self.counts.solvers.push(solver.tally.clone());
+        self.tallies.solvers.push(solver.tally.clone());
         self.start_solver(station, move |life| solver.clone().run(&unsolved, life))
     }
 
@@ -422,7 +433,8 @@ impl Workers {
             outlet,
             cameras_ended: Arc::clone(&self.signals.cameras_ended),
             latest: self.nadir.clone(),
-            tally: self.counts.roll.clone(),
+            tally: self.tallies.roll.clone(),
+            counters: Arc::clone(&self.tallies.counters),
         };
         self.start_solver(station, move |life| solver.clone().run(&unsolved, life))
     }
@@ -441,7 +453,7 @@ impl Workers {
             outlet,
             cameras_ended: Arc::clone(&self.signals.cameras_ended),
             desk: self.moon_desk.clone(),
-            tally: self.counts.moon.clone(),
+            tally: self.tallies.moon.clone(),
         };
         self.start_solver(station, move |life| solver.clone().run(&unsolved, life))
     }
@@ -475,11 +487,12 @@ impl Workers {
             to_line: self.to_line.clone(),
             glimpse: glimpse.clone(),
             tally: Shared::default(),
+            counters: Arc::clone(&self.tallies.counters),
             silence: Shared::default(),
             stop: Arc::clone(&self.signals.stop),
         };
-        self.counts.cameras.push(shutter.tally.clone());
-        self.counts.silences.push(shutter.silence.clone());
+        self.tallies.cameras.push(shutter.tally.clone());
+        self.tallies.silences.push(shutter.silence.clone());
         let host = self.host;
         let name = format!("camera-{}", station.camera_number());
         self.cameras
@@ -496,6 +509,7 @@ impl Workers {
 struct Talk {
     controls: Controls,
     tally: Shared<LineTally>,
+    counters: Arc<Counters>,
     moon_desk: Shared<MoonDesk>,
     navigation: Option<Inputs>,
     events: Receiver<LinkEvent>,
@@ -511,10 +525,17 @@ impl Talk {
             host.hurried(Rank::First, move |life| {
                 let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
                 let (events, hang_up) = (talk.events, talk.hang_up);
-                let (controls, tally) = (talk.controls, talk.tally);
+                let (controls, tally, counters) = (talk.controls, talk.tally, talk.counters);
                 let (moon_desk, navigation) = (talk.moon_desk, talk.navigation);
-                Line::new(&mut connection, controls, tally, moon_desk, navigation)
-                    .run(&events, &hang_up, life);
+                Line::new(
+                    &mut connection,
+                    controls,
+                    tally,
+                    counters,
+                    moon_desk,
+                    navigation,
+                )
+                .run(&events, &hang_up, life);
             })
         })
     }

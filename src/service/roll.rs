@@ -11,8 +11,9 @@ use crate::camera::{Brightness, Exposure};
 use crate::commands::controls::Snapshot;
 use crate::frame::{self, Frame};
 use crate::geometry::attitude::Direction;
-use crate::horizon::{self, Levels, Settings, Solution, Stage};
+use crate::horizon::{self, Levels, Quality, Settings, Solution, Stage};
 use crate::instrument::MountedCamera;
+use crate::link::Counters;
 use crate::log::worth_a_line;
 use crate::pointing::body_roll_deg;
 use crate::reasons::{Stopped, at, horizon as reasons};
@@ -124,6 +125,7 @@ pub(super) struct RollSolver {
     pub cameras_ended: Arc<AtomicBool>,
     pub latest: LatestNadir,
     pub tally: Shared<RollTally>,
+    pub counters: Arc<Counters>,
 }
 
 impl RollSolver {
@@ -205,8 +207,12 @@ impl RollSolver {
     }
 
     fn note(&self, solution: &Solution) {
+        match solution.quality() {
+            Quality::Fine => self.counters.roll_fine.count(),
+            Quality::Coarse => self.counters.roll_coarse.count(),
+            Quality::None => self.counters.roll_none.count(),
+        };
         let mut tally = self.tally.lock();
-        *tally.solved.entry(solution.quality()).or_default() += 1;
         if let Err(Stopped { stage, rejected }) = &solution.nadir {
             let count = tally.reasons.entry((*stage, rejected.reason)).or_default();
             *count += 1;

@@ -12,7 +12,7 @@ use crate::camera::{
 };
 use crate::commands::controls::{Controls, Topic};
 use crate::frame::FrameInfo;
-use crate::link;
+use crate::link::{self, Counters};
 use crate::log::worth_a_line;
 use crossbeam_channel::{Sender, TrySendError};
 use jiff::{SignedDuration, Timestamp};
@@ -38,6 +38,7 @@ pub(super) struct Shutter {
     pub to_line: Sender<LinkEvent>,
     pub glimpse: Glimpse,
     pub tally: Shared<CameraTally>,
+    pub counters: Arc<Counters>,
     pub silence: Shared<Silence>,
     pub stop: Arc<AtomicBool>,
 }
@@ -148,9 +149,9 @@ impl Shutter {
 
     fn hand_on(&self, frame: UnsolvedFrame) {
         let full = matches!(self.to_solver.try_send(frame), Err(TrySendError::Full(_)));
-        let mut tally = self.tally.lock();
-        tally.taken += 1;
+        self.counters.taken.count();
         if full {
+            let mut tally = self.tally.lock();
             tally.lost += 1;
             if worth_a_line(tally.lost) {
                 let lost = tally.lost;

@@ -8,12 +8,12 @@ use super::roll::LatestNadir;
 use super::shared::Shared;
 use super::tally::SolverTally;
 use super::worker::Life;
-use crate::aspect::{self, Expected, Solution, Stage, Track};
+use crate::aspect::{self, Expected, Quality, Solution, Stage, Track};
 use crate::calibrate::check::CalibrationCheck;
 use crate::camera::{Brightness, Exposure};
 use crate::commands::controls::{Seat, Snapshot, Topic};
 use crate::instrument::Instrument;
-use crate::link;
+use crate::link::{self, Counters};
 use crate::log::worth_a_line;
 use crate::pointing;
 use crate::sky::Ephemeris;
@@ -34,6 +34,7 @@ pub(super) struct Solver {
     /// Outlives a thread that fails, as the counts do.
     pub calibration: Shared<CalibrationCheck>,
     pub tally: Shared<SolverTally>,
+    pub counters: Arc<Counters>,
 }
 
 impl Solver {
@@ -64,7 +65,7 @@ impl Solver {
             if life.is_over() {
                 return;
             }
-            count(&mut self.tally.lock(), &answer.solution);
+            self.count(&answer.solution);
             self.check_calibration(&answer.solution);
             tracing::debug!(
                 number = answer.exposure.frame.info.number,
@@ -221,17 +222,22 @@ impl Solver {
             }
         }
     }
-}
 
-fn count(tally: &mut SolverTally, solution: &Solution) {
-    *tally.solved.entry(solution.quality).or_default() += 1;
-    if let Some(stopped) = &solution.stopped {
-        let reason = (stopped.stage, stopped.rejected.reason);
-        let count = tally.reasons.entry(reason).or_default();
-        *count += 1;
-        if stopped.stage == Stage::Pointing && worth_a_line(*count) {
-            let (measured, limit) = (stopped.rejected.measured, stopped.rejected.limit);
-            tracing::warn!(reason = %stopped, measured, limit, frames = *count, "no offset");
+    fn count(&self, solution: &Solution) {
+        match solution.quality {
+            Quality::Fine => self.counters.fine.count(),
+            Quality::Coarse => self.counters.coarse.count(),
+            Quality::None => self.counters.none.count(),
+        };
+        if let Some(stopped) = &solution.stopped {
+            let reason = (stopped.stage, stopped.rejected.reason);
+            let mut tally = self.tally.lock();
+            let count = tally.reasons.entry(reason).or_default();
+            *count += 1;
+            if stopped.stage == Stage::Pointing && worth_a_line(*count) {
+                let (measured, limit) = (stopped.rejected.measured, stopped.rejected.limit);
+                tracing::warn!(reason = %stopped, measured, limit, frames = *count, "no offset");
+            }
         }
     }
 }

@@ -1,10 +1,10 @@
 //! What each thread counts, and what a flight comes to.
 
 use super::navigation::NavigationTally;
-use crate::aspect::{Quality, Stage};
+use crate::aspect::Stage;
 use crate::camera::CameraHealth;
 use crate::horizon;
-use crate::link::{LinkState, Rejected};
+use crate::link::{Counts, LinkState, Rejected};
 use crate::moon;
 use crate::units::Reason;
 use crate::units::counted;
@@ -15,7 +15,6 @@ use std::time::Duration;
 /// What a camera's thread counts.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct CameraTally {
-    pub taken: u64,
     /// Frames that the solver had no room for.
     pub lost: u64,
     /// Frames that the source could not give.
@@ -34,7 +33,6 @@ pub struct CameraTally {
 
 impl CameraTally {
     pub(super) fn add(&mut self, other: &Self) {
-        self.taken += other.taken;
         self.lost += other.lost;
         self.failed += other.failed;
         self.unannounced += other.unannounced;
@@ -51,11 +49,11 @@ impl CameraTally {
         own.temperature_c = own.temperature_c.or(other.temperature_c);
     }
 
-    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             out,
             "frames     {} taken, {} lost, {} failed",
-            self.taken, self.lost, self.failed
+            counts.taken, self.lost, self.failed
         )?;
         if self.silences > 0 {
             let times = if self.silences == 1 { "time" } else { "times" };
@@ -85,7 +83,6 @@ impl CameraTally {
 /// What the solver's thread counts.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SolverTally {
-    pub solved: BTreeMap<Quality, u64>,
     /// Why frames went no further, coarse ones too.
     pub reasons: BTreeMap<(Stage, Reason), u64>,
     /// Frames of the wrong size.
@@ -99,18 +96,7 @@ pub struct SolverTally {
 }
 
 impl SolverTally {
-    pub fn frames(&self) -> u64 {
-        self.solved.values().sum()
-    }
-
-    pub fn of(&self, quality: Quality) -> u64 {
-        self.solved.get(&quality).copied().unwrap_or(0)
-    }
-
     pub(super) fn add(&mut self, other: &Self) {
-        for (quality, count) in &other.solved {
-            *self.solved.entry(*quality).or_default() += count;
-        }
         for (reason, count) in &other.reasons {
             *self.reasons.entry(*reason).or_default() += count;
         }
@@ -121,14 +107,11 @@ impl SolverTally {
         self.contradicted |= other.contradicted;
     }
 
-    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(
-            out,
-            "solved     {} fine, {} coarse, {} none",
-            self.of(Quality::Fine),
-            self.of(Quality::Coarse),
-            self.of(Quality::None),
-        )?;
+    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Counts {
+            fine, coarse, none, ..
+        } = counts;
+        writeln!(out, "solved     {fine} fine, {coarse} coarse, {none} none")?;
         for ((stage, reason), count) in &self.reasons {
             writeln!(out, "           {count} x {}: {reason}", stage.name())?;
         }
@@ -142,29 +125,22 @@ impl SolverTally {
 /// What the roll camera's solver counts.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct RollTally {
-    pub solved: BTreeMap<horizon::Quality, u64>,
     /// Why frames show no horizon.
     pub reasons: BTreeMap<(horizon::Stage, Reason), u64>,
 }
 
 impl RollTally {
-    pub fn of(&self, quality: horizon::Quality) -> u64 {
-        self.solved.get(&quality).copied().unwrap_or(0)
-    }
-
     /// Frames that show no horizon for a reason.
     pub fn because(&self, reason: Reason) -> u64 {
         let same = self.reasons.iter().filter(|((_, why), _)| *why == reason);
         same.map(|(_, count)| count).sum()
     }
 
-    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        use horizon::Quality;
-        if self.solved.is_empty() {
+    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [fine, coarse, none] = [counts.roll_fine, counts.roll_coarse, counts.roll_none];
+        if fine + coarse + none == 0 {
             return Ok(());
         }
-        let [fine, coarse, none] =
-            [Quality::Fine, Quality::Coarse, Quality::None].map(|quality| self.of(quality));
         writeln!(out, "horizon    {fine} fine, {coarse} coarse, {none} none")?;
         for ((stage, reason), count) in &self.reasons {
             writeln!(out, "           {count} x {}: {reason}", stage.name())?;
@@ -222,10 +198,6 @@ impl MoonTally {
 /// What the archive's threads count.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ArchiveTally {
-    /// Frames on a disk; on both of two, once.
-    pub stored: u64,
-    /// Frames on no disk.
-    pub unstored: u64,
     /// Pictures given up because the disks could not follow.
     pub overflowed: u64,
     /// Pictures given up because the disks are nearly full.
@@ -245,12 +217,12 @@ pub struct ArchiveTally {
 }
 
 impl ArchiveTally {
-    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             out,
             "stored     {}, {} not: {} overflowed, {} no room, {} failed, {} unfinished; {} refusals, {} rows refused, {} rows lost, {} half-written removed",
-            self.stored,
-            self.unstored,
+            counts.stored,
+            counts.unstored,
             self.overflowed,
             self.no_room,
             self.failed,
@@ -266,11 +238,6 @@ impl ArchiveTally {
 /// What the link's thread counts.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct LineTally {
-    pub announced: u64,
-    pub solutions: u64,
-    pub errors: u64,
-    /// Solutions that came too late to be sent.
-    pub outdated: u64,
     /// Packets that the port did not take.
     pub failed: u64,
     /// Exposures that were not announced because the line could not follow.
@@ -285,16 +252,12 @@ pub struct LineTally {
     pub never_open: bool,
     /// What came over the line and was no packet.
     pub rejected: Rejected,
-    /// What came in datagrams and was not listened to: unknown senders, replays, no signature.
-    pub datagrams_refused: u64,
     pub commands: u64,
     pub moon_requests: u64,
     /// What the controller and the ground have set.
     pub conversation: LinkState,
     /// From a frame's arrival to its solution's last byte: the latest ten thousand.
     pub latencies: VecDeque<Duration>,
-    /// Offsets by the gyros.
-    pub propagated: u64,
     /// From the arrival of a sample of the IMU to the last byte of the offset that rests on it: as many.
     pub propagated_latencies: VecDeque<Duration>,
     /// From the arrival of a frame of the horizon to the last byte of the first solution that has its roll: as many.
@@ -327,11 +290,11 @@ impl LineTally {
         }
     }
 
-    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             out,
             "sent       {} solutions, {} errors, {} exposures announced, {} commands answered, {} outdated",
-            self.solutions, self.errors, self.announced, self.commands, self.outdated,
+            counts.solutions, counts.errors, counts.announced, self.commands, counts.outdated,
         )?;
         if self.never_open {
             write!(out, "\nline       never open: nothing was sent")?;
@@ -343,12 +306,12 @@ impl LineTally {
                 self.lost, self.reopened, self.unannounced,
             )?;
         }
-        if self.datagrams_refused > 0 {
-            let refused = counted(self.datagrams_refused, "datagram");
+        if counts.datagrams_refused > 0 {
+            let refused = counted(counts.datagrams_refused, "datagram");
             write!(out, "\nrefused    {refused}")?;
         }
-        if self.propagated > 0 {
-            let offsets = counted(self.propagated, "offset");
+        if counts.propagated > 0 {
+            let offsets = counted(counts.propagated, "offset");
             write!(out, "\nsent       {offsets} by the gyros")?;
         }
         let all = [
@@ -374,6 +337,7 @@ impl LineTally {
 /// What a whole flight comes to.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FlightTally {
+    pub counts: Counts,
     /// Of all cameras.
     pub camera: CameraTally,
     pub solver: SolverTally,
@@ -393,12 +357,22 @@ pub struct FlightTally {
 }
 
 impl FlightTally {
+    /// Frames of pitch-yaw cameras that were solved, whatever they show.
+    pub fn solved(&self) -> u64 {
+        self.counts.fine + self.counts.coarse + self.counts.none
+    }
+
+    /// Frames of the horizon that were solved, whatever they show.
+    pub fn rolls_solved(&self) -> u64 {
+        self.counts.roll_fine + self.counts.roll_coarse + self.counts.roll_none
+    }
+
     /// Frames, stored files, rows and packets that did not get where they should, and silences of cameras. A row that one disk
     /// refused and another has is not lost.
     pub fn lost(&self) -> u64 {
         let camera = self.camera.lost + self.camera.failed + self.camera.silences;
         let frames = camera + self.solver.misfits;
-        let files = self.archive.unstored + self.archive.rows_lost;
+        let files = self.counts.unstored + self.archive.rows_lost;
         let packets = self.camera.unannounced + self.solver.unsent + self.line.failed;
         let line = u64::from(self.line.never_open);
         frames + files + packets + line + self.restarts
@@ -407,7 +381,7 @@ impl FlightTally {
 
 impl fmt::Display for FlightTally {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.camera.tell(out)?;
+        self.camera.tell(&self.counts, out)?;
         if self.restarts > 0 {
             writeln!(
                 out,
@@ -418,12 +392,12 @@ impl fmt::Display for FlightTally {
         if self.log_lines_lost > 0 {
             writeln!(out, "log        {} lines lost", self.log_lines_lost)?;
         }
-        self.solver.tell(out)?;
-        self.roll.tell(out)?;
+        self.solver.tell(&self.counts, out)?;
+        self.roll.tell(&self.counts, out)?;
         self.moon.tell(out)?;
-        self.navigation.tell(out)?;
-        self.archive.tell(out)?;
-        self.line.tell(out)
+        self.navigation.tell(&self.counts, out)?;
+        self.archive.tell(&self.counts, out)?;
+        self.line.tell(&self.counts, out)
     }
 }
 

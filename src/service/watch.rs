@@ -1,7 +1,7 @@
 //! The watch: it looks after every thread, tells the ground each second how all is, and feeds systemd's watchdog.
 
 use super::archiver::{self, Archive};
-use super::counts::Counts;
+use super::counts::Tallies;
 use super::housekeeping::{HousekeepingSource, Restarts};
 use super::line::LinkEvent;
 use super::navigation::NavigationRows;
@@ -66,7 +66,7 @@ pub(super) struct Watch {
     pub to_line: Sender<LinkEvent>,
     pub controls: Controls,
     pub housekeeping: HousekeepingSource,
-    pub counts: Counts,
+    pub tallies: Tallies,
     pub signals: Arc<Signals>,
     /// Whether the flight was ended because threads could not be helped any more.
     pub gave_up: bool,
@@ -113,8 +113,9 @@ impl Watch {
         while self.line.look(Instant::now()) && begin.elapsed() < HANGING_UP {
             thread::sleep(LOOK_EVERY);
         }
-        let mut tally = self.counts.tally();
-        tally.archive = self.counts.archive.final_tally();
+        let mut tally = self.tallies.tally();
+        tally.archive = self.tallies.archive.final_tally();
+        tally.counts.unstored += tally.archive.unfinished;
         tally.restarts = self.restarts();
         tally.takeovers = self.takeovers();
         tally.gave_up = self.gave_up;
@@ -128,7 +129,7 @@ impl Watch {
                 archive.note_command(&note);
             }
         }
-        self.counts.archive.note_lost_commands(lost);
+        self.tallies.archive.note_lost_commands(lost);
     }
 
     /// Hands on what the archive keeps of the navigation.
@@ -166,7 +167,7 @@ impl Watch {
 
     /// Looks after all threads: whether the work is done and the line is to be hung up.
     fn is_over(&mut self, now: Instant) -> bool {
-        silence::look(&self.counts.silences);
+        silence::look(&self.tallies.silences);
         let taking = worker::look(&mut self.cameras, now);
         if !taking {
             self.signals.cameras_ended.store(true, Ordering::Relaxed);
@@ -205,7 +206,7 @@ impl Watch {
             takeovers: self.takeovers(),
         };
         let events = self.to_line.len();
-        let (time, told) = self.housekeeping.next(&self.counts, restarts, events);
+        let (time, told) = self.housekeeping.next(&self.tallies, restarts, events);
         if let Some(archive) = &self.archive {
             archive.note(time, &told);
         }

@@ -29,6 +29,7 @@ use crate::archive::{Sharing, Store, navigation_file};
 use crate::commands::CommandNote;
 use crate::commands::controls::Controls;
 use crate::config;
+use crate::link::Counters;
 use crate::link::Housekeeping;
 use crate::log::worth_a_line;
 use crate::record::Upkeep;
@@ -83,11 +84,16 @@ pub(super) fn start(
     controls: &Controls,
     ephemeris: &Ephemeris,
     navigation_toml: Option<&str>,
+    counters: &Arc<Counters>,
 ) -> std::io::Result<(Archive, Threads)> {
     let settings = controls.config().archive;
     let queues = queues(&settings, stores.len());
     let mut gauges = Gauges {
         queues: queues.clone(),
+        frames: Arc::new(FrameCounts {
+            offered: AtomicU64::default(),
+            counters: Arc::clone(counters),
+        }),
         ..Gauges::default()
     };
     let (mut logs, mut threads) = (Vec::new(), Threads::default());
@@ -256,8 +262,6 @@ impl Gauges {
 
     pub fn tally(&self) -> ArchiveTally {
         let mut tally = ArchiveTally {
-            stored: self.frames.stored.load(Ordering::Relaxed),
-            unstored: self.frames.unstored.load(Ordering::Relaxed),
             rows_refused: self.rows_overflowed.load(Ordering::Relaxed),
             rows_lost: self.rows.lost.load(Ordering::Relaxed),
             ..ArchiveTally::default()
@@ -279,14 +283,13 @@ impl Gauges {
     /// The counts when nobody waits any longer: what a disk that hangs has in its hands, and what still waits, is lost.
     pub fn final_tally(&self) -> ArchiveTally {
         let mut tally = self.tally();
-        let missing = |offered: &AtomicU64, kept: &AtomicU64| {
-            let kept = kept.load(Ordering::Relaxed);
-            offered.load(Ordering::Relaxed).saturating_sub(kept)
-        };
-        let unstored = missing(&self.frames.offered, &self.frames.stored);
-        tally.unfinished = unstored.saturating_sub(tally.unstored);
-        tally.unstored = unstored;
-        tally.rows_lost = missing(&self.rows.offered, &self.rows.kept);
+        let missing =
+            |offered: &AtomicU64, kept: u64| offered.load(Ordering::Relaxed).saturating_sub(kept);
+        let counts = self.frames.counters.now();
+        let unstored = missing(&self.frames.offered, counts.stored);
+        tally.unfinished = unstored.saturating_sub(counts.unstored);
+        let kept = self.rows.kept.load(Ordering::Relaxed);
+        tally.rows_lost = missing(&self.rows.offered, kept);
         tally
     }
 
@@ -296,7 +299,7 @@ impl Gauges {
         Upkeep {
             free_percent: [free(0), free(1)],
             waiting: self.waiting() as u64,
-            unstored: self.frames.unstored.load(Ordering::Relaxed),
+            unstored: self.frames.counters.unstored.get(),
         }
     }
 

@@ -1,6 +1,7 @@
 //! A solved frame on its way to the disks, and the word of what became of it.
 
 use crate::archive::Encoded;
+use crate::link::Counters;
 use crate::service::answer::Answer;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -29,8 +30,7 @@ impl Picture {
 #[derive(Debug, Default)]
 pub(super) struct FrameCounts {
     pub offered: AtomicU64,
-    pub stored: AtomicU64,
-    pub unstored: AtomicU64,
+    pub counters: Arc<Counters>,
 }
 
 /// Where a frame is.
@@ -67,7 +67,7 @@ impl Fate {
         if self.stored.swap(true, Ordering::Relaxed) {
             return;
         }
-        self.counts.stored.fetch_add(1, Ordering::Relaxed);
+        self.counts.counters.stored.count();
         for log in &self.to_logs {
             // A log that no longer listens has written its row without.
             let file = file.to_owned();
@@ -79,7 +79,7 @@ impl Fate {
 impl Drop for Fate {
     fn drop(&mut self) {
         if !self.stored.load(Ordering::Relaxed) {
-            self.counts.unstored.fetch_add(1, Ordering::Relaxed);
+            self.counts.counters.unstored.count();
         }
     }
 }

@@ -111,10 +111,7 @@ impl Line<'_> {
 
     /// `packet` is what was refused, where it was looked at so far.
     fn refuse(&mut self, refusal: Refusal, packet: Option<&CommandPacket>, sender: SocketAddr) {
-        let mut tally = self.tally.lock();
-        tally.datagrams_refused += 1;
-        let refused = tally.datagrams_refused;
-        drop(tally);
+        let refused = self.counters.datagrams_refused.count();
         if worth_a_line(refused) {
             tracing::warn!(%sender, %refusal, refused, "a datagram was refused");
             let result = format!("refused ({refused}): {refusal}");

@@ -9,8 +9,8 @@ use crate::instrument::builtin;
 use crate::link::message::NO_OFFSET;
 use crate::link::picture::Section;
 use crate::link::{
-    BytePort, CommandOutcome, Guard, Key, Message, NoSolution, Packet, Picture, Seal, SerialPort,
-    Telemetry, id,
+    BytePort, CommandOutcome, Counts, Guard, Key, Message, NoSolution, Packet, Picture, Seal,
+    SerialPort, Telemetry, id,
 };
 use crate::pointing::{Offset, Roll, Target};
 use crate::units::{Measured, Rejected};
@@ -28,7 +28,7 @@ const LONG: Duration = Duration::from_secs(30);
 struct Bench {
     events: Sender<LinkEvent>,
     hang_up: Arc<AtomicBool>,
-    thread: JoinHandle<LineTally>,
+    thread: JoinHandle<(LineTally, Counts)>,
     far: Far,
 }
 
@@ -68,16 +68,17 @@ fn bench_of(mut connection: Connection, far: SerialPort, controls: Controls) -> 
     let hang_up = Arc::new(AtomicBool::new(false));
     let hung_up = Arc::clone(&hang_up);
     let thread = std::thread::spawn(move || {
-        let tally = Shared::default();
+        let (tally, counters) = (Shared::default(), Arc::<Counters>::default());
         let mut line = Line::new(
             &mut connection,
             controls,
             tally.clone(),
+            Arc::clone(&counters),
             Shared::default(),
             None,
         );
         line.run(&receiver, &hung_up, &Life::new());
-        tally.copy()
+        (tally.copy(), counters.now())
     });
     let far = Far::new(far, computer);
     Bench {
@@ -166,7 +167,7 @@ impl Bench {
         }
     }
 
-    fn finish(self) -> LineTally {
+    fn finish(self) -> (LineTally, Counts) {
         drop(self.events);
         self.hang_up.store(true, Ordering::Relaxed);
         self.thread.join().unwrap()
@@ -282,8 +283,11 @@ fn solutions_go_at_the_divisor_with_their_own_sigma_after_their_announcements() 
         _ => None,
     });
     assert_eq!(sigma, Some(1.5e-5));
-    let tally = bench.finish();
-    assert_eq!((tally.announced, tally.solutions, tally.errors), (8, 2, 0));
+    let (_, counts) = bench.finish();
+    assert_eq!(
+        (counts.announced, counts.solutions, counts.errors),
+        (8, 2, 0)
+    );
 }
 
 #[test]
@@ -314,7 +318,7 @@ fn a_frame_without_a_solution_has_an_error_instead() {
     bench.settle();
     assert_eq!(bench.far.errors(), [2, NO_OFFSET, NO_OFFSET]);
     assert!(bench.far.solutions().is_empty());
-    assert_eq!(bench.finish().errors, 3);
+    assert_eq!(bench.finish().1.errors, 3);
 }
 
 #[test]
@@ -343,7 +347,7 @@ fn a_solution_is_too_old_by_its_age_since_mid_exposure() {
     }
     bench.settle();
     assert_eq!(bench.far.solutions(), times([0, 1, 4]));
-    assert_eq!(bench.finish().outdated, 2);
+    assert_eq!(bench.finish().1.outdated, 2);
 }
 
 #[test]
@@ -463,9 +467,9 @@ fn a_peer_that_takes_nothing_holds_up_nothing_and_hears_the_newest_afterwards() 
     let solutions = bench.far.solutions();
     assert!(solutions.is_sorted(), "never an older one after a newer");
     assert!(solutions.len() < many as usize, "some were dropped");
-    let tally = bench.finish();
+    let (tally, counts) = bench.finish();
     assert!(tally.failed > 0);
-    assert!(tally.outdated > 0);
+    assert!(counts.outdated > 0);
 }
 
 #[test]
@@ -506,7 +510,7 @@ fn a_port_that_was_unplugged_is_found_again_and_the_conversation_goes_on() {
         times([50]),
         "tracking still holds; nothing old comes"
     );
-    let tally = bench.finish();
+    let (tally, _) = bench.finish();
     assert_eq!((tally.lost, tally.reopened), (1, 1));
 }
 
@@ -591,7 +595,7 @@ fn housekeeping_and_a_picture_reach_the_ground_between_solutions() {
         Packet::Command(_) => None,
     });
     assert_eq!(heard, Some(told));
-    let tally = bench.finish();
+    let (tally, _) = bench.finish();
     assert_eq!((tally.pictures, tally.housekeeping), (1, 1));
 }
 
@@ -608,7 +612,7 @@ fn garbage_on_the_line_loses_no_command() {
             .unwrap();
         assert_eq!(bench.far.ask("no_op", &[]), 0);
     }
-    let tally = bench.finish();
+    let (tally, _) = bench.finish();
     assert_eq!(tally.commands, 20);
     assert!(tally.rejected.packets >= 20);
 }
@@ -654,36 +658,38 @@ fn ground_controls() -> Controls {
     Controls::new(Config::default(), Target::default(), mounting)
 }
 
-/// What a line that listens to the ground makes of datagrams: its counts and its answers.
+/// What a line that listens to the ground makes of datagrams: how many commands it has answered and datagrams refused, and its answers.
 fn heard(
     controls: &Controls,
     seal: Option<Seal>,
     datagrams: impl IntoIterator<Item = (Vec<u8>, &'static str)>,
-) -> (LineTally, Vec<Vec<u8>>) {
+) -> ((u64, u64), Vec<Vec<u8>>) {
     let mut port = Datagrams::default();
     let datagrams = datagrams.into_iter();
     port.to_read = datagrams.map(|(b, s)| (b, s.parse().unwrap())).collect();
     let (written, turns) = (Arc::clone(&port.written), port.to_read.len());
     let guard = Guard::new(vec!["10.0.0.1".parse().unwrap()], seal);
     let mut connection = Connection::over(port).guarded(guard);
-    let tally = Shared::default();
+    let (tally, counters) = (Shared::default(), Arc::<Counters>::default());
     let mut line = Line::new(
         &mut connection,
         controls.clone(),
         tally.clone(),
+        Arc::clone(&counters),
         Shared::default(),
         None,
     );
     (0..turns).for_each(|_| line.listen());
     let written = written.lock().unwrap().clone();
-    (tally.copy(), written)
+    let counted = (tally.copy().commands, counters.now().datagrams_refused);
+    (counted, written)
 }
 
 #[test]
 fn a_datagram_is_carried_out_once_and_only_if_a_peer_sent_it() {
     let controls = ground_controls();
     let set = |sequence, x| command(sequence, "set_target", &[x, "0"]);
-    let (tally, answers) = heard(
+    let (counted, answers) = heard(
         &controls,
         None,
         [
@@ -695,7 +701,7 @@ fn a_datagram_is_carried_out_once_and_only_if_a_peer_sent_it() {
         ],
     );
     assert_eq!(controls.config().target.x_arcsec, 200.0);
-    assert_eq!((tally.commands, tally.datagrams_refused), (2, 2));
+    assert_eq!(counted, (2, 2));
     assert_eq!(answers.len(), 6, "receipt and result, the first ones twice");
     assert_eq!(answers[4..], answers[..2]);
 }
@@ -708,10 +714,10 @@ fn with_a_key_a_command_is_signed_and_new_over_a_restart_too() {
     let signed = |x, stamp| (key.sign(&set(x), stamp), GROUND);
     let controls = ground_controls();
     let hear = |datagrams: [_; 2]| heard(&controls, Some(key.clone()), datagrams).0;
-    let tally = hear([(set("100"), GROUND), signed("200", 1000)]);
-    assert_eq!((tally.commands, tally.datagrams_refused), (1, 1));
-    let tally = hear([signed("200", 1000), signed("300", 1001)]);
-    assert_eq!((tally.commands, tally.datagrams_refused), (1, 1));
+    let counted = hear([(set("100"), GROUND), signed("200", 1000)]);
+    assert_eq!(counted, (1, 1));
+    let counted = hear([signed("200", 1000), signed("300", 1001)]);
+    assert_eq!(counted, (1, 1));
     assert_eq!(controls.config().target.x_arcsec, 300.0);
     assert_eq!(controls.stamp_ns(), 1001);
 }
@@ -731,8 +737,8 @@ fn nothing_that_was_signed_for_the_other_computer_is_carried_out() {
             .towards(Computer::Two)
             .sign(&command(1, name, values), 1000);
         let seal = Some(key.towards(Computer::One));
-        let (tally, answers) = heard(&controls, seal, [(replayed, GROUND)]);
-        assert_eq!((tally.commands, tally.datagrams_refused), (0, 1), "{name}");
+        let (counted, answers) = heard(&controls, seal, [(replayed, GROUND)]);
+        assert_eq!(counted, (0, 1), "{name}");
         assert!(answers.is_empty(), "{name}");
     }
     assert_eq!(controls.config(), Config::default());

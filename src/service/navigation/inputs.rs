@@ -4,7 +4,7 @@ use super::NavigationTally;
 use crate::commands::controls::Seat;
 use crate::geometry::attitude::Direction;
 use crate::instrument::SkyCamera;
-use crate::link::{ImuPacket, TelemetryPacket};
+use crate::link::{Counters, ImuPacket, TelemetryPacket};
 use crate::log::worth_a_line;
 use crate::navigation::Target;
 use crate::navigation::nmea::TimedFix;
@@ -13,6 +13,7 @@ use crate::service::answer::Answer;
 use crate::service::shared::Shared;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use jiff::Timestamp;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Five seconds of an IMU at 200 Hz.
@@ -43,22 +44,26 @@ pub(in crate::service) struct Seen {
 pub(in crate::service) struct Inputs {
     queue: Sender<Input>,
     tally: Shared<NavigationTally>,
+    counters: Arc<Counters>,
 }
 
 impl Inputs {
-    pub fn new(tally: Shared<NavigationTally>) -> (Self, Receiver<Input>) {
+    pub fn new(tally: Shared<NavigationTally>, counters: Arc<Counters>) -> (Self, Receiver<Input>) {
         let (queue, inputs) = bounded(INPUTS);
-        (Self { queue, tally }, inputs)
+        let own = Self {
+            queue,
+            tally,
+            counters,
+        };
+        (own, inputs)
     }
 
     /// Tells the filter. Where its queue is full the input is lost and counted: later ones are worth more.
     pub fn tell(&self, input: Input) {
         // A filter that has ended with the cameras needs no more.
         if let Err(TrySendError::Full(_)) = self.queue.try_send(input) {
-            let mut tally = self.tally.lock();
-            tally.overflowed += 1;
-            if worth_a_line(tally.overflowed) {
-                let lost = tally.overflowed;
+            let lost = self.counters.navigation_lost.count();
+            if worth_a_line(lost) {
                 tracing::error!(lost, "the navigation filter cannot follow: inputs are lost");
             }
         }

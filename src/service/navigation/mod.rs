@@ -21,7 +21,7 @@ use super::shared::Shared;
 use super::worker::{Life, Worker};
 use crate::commands::controls::{Controls, Seat, Topic};
 use crate::config::{self, FlightClock, Host};
-use crate::link::{Connection, ImuPacket};
+use crate::link::{Connection, Counters, ImuPacket};
 use crate::log::worth_a_line;
 use crate::navigation::{
     CAMERAS_IN_FLIGHT, Due, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row,
@@ -72,6 +72,7 @@ pub(super) struct Navigator {
     pub to_line: Sender<LinkEvent>,
     pub rows: Sender<NavigationRows>,
     pub tally: Shared<NavigationTally>,
+    pub counters: Arc<Counters>,
     pub ended: Arc<AtomicBool>,
     pub clock: FlightClock,
 }
@@ -256,8 +257,8 @@ impl<'a> Filter<'a> {
     }
 
     fn count(&mut self, sample: &ImuPacket) {
+        self.own.counters.imu_samples.count();
         let mut tally = self.own.tally.lock();
-        tally.samples += 1;
         if let Some(last) = self.last_sample.replace(*sample) {
             tally.lost_samples += last.missing_before(sample);
         }

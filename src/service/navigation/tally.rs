@@ -1,5 +1,6 @@
 //! What the navigation counts, and what it knows now.
 
+use crate::link::Counts;
 use crate::navigation::nmea::GpsCounts;
 use crate::navigation::{Agreement, Axis, Comparison, PropagatedOffset, Status};
 use std::fmt;
@@ -7,14 +8,10 @@ use std::fmt;
 /// What the navigation's threads count.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct NavigationTally {
-    /// Samples of the IMU that the filter has taken.
-    pub samples: u64,
     /// Samples that are missing by their counter.
     pub lost_samples: u64,
     /// Packets of the IMU and datagrams that are no good.
     pub unreadable: u64,
-    /// Inputs that the filter had no room for.
-    pub overflowed: u64,
     /// Of the GPS receiver.
     pub gps: GpsCounts,
     /// Directions of cameras.
@@ -54,15 +51,19 @@ impl NavigationTally {
         self.agreement = comparison.agreement();
     }
 
-    pub(in crate::service) fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if *self == Self::default() {
+    pub(in crate::service) fn tell(
+        &self,
+        counts: &Counts,
+        out: &mut fmt::Formatter<'_>,
+    ) -> fmt::Result {
+        if *self == Self::default() && counts.imu_samples == 0 {
             return Ok(());
         }
         writeln!(
             out,
             "navigation {} samples ({} lost, {} unreadable), {} fixes ({}), {} directions, \
              {} refused, {} out of time, {} overflowed",
-            self.samples,
+            counts.imu_samples,
             self.lost_samples,
             self.unreadable,
             self.gps.fixes,
@@ -70,7 +71,7 @@ impl NavigationTally {
             self.seen,
             self.refused,
             self.out_of_time,
-            self.overflowed,
+            counts.navigation_lost,
         )?;
         writeln!(
             out,

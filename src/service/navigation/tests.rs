@@ -43,6 +43,7 @@ fn navigator(config: Config, to_line: Sender<LinkEvent>) -> (Navigator, Receiver
         to_line,
         rows,
         tally: Shared::default(),
+        counters: Arc::default(),
         ended: Arc::default(),
         clock: FlightClock::starting(START.parse().unwrap()),
     };
@@ -413,8 +414,8 @@ fn what_commands_set_of_the_filter_changes_what_is_sent() {
 
 #[test]
 fn inputs_that_the_filter_has_no_room_for_are_counted_and_nobody_waits() {
-    let tally = Shared::default();
-    let (inputs, _queue) = Inputs::new(tally.clone());
+    let counters = Arc::<Counters>::default();
+    let (inputs, _queue) = Inputs::new(Shared::default(), Arc::clone(&counters));
     let start: Timestamp = START.parse().unwrap();
     let sample = ImuPacket {
         time: start,
@@ -424,7 +425,7 @@ fn inputs_that_the_filter_has_no_room_for_are_counted_and_nobody_waits() {
     };
     // The filter hangs.
     (0..3000).for_each(|_| inputs.tell(Input::Imu(sample, Instant::now())));
-    assert_eq!(tally.copy().overflowed, 3000 - 1024);
+    assert_eq!(counters.navigation_lost.get(), 3000 - 1024);
 }
 
 #[test]

@@ -40,7 +40,7 @@ impl Counts {
     fn flows(&self, fault: Fault) -> Vec<Flow> {
         let mut flows = vec![
             ("frames".into(), self.frames.given),
-            ("solutions".into(), self.tally.solver.frames()),
+            ("solutions".into(), self.tally.solved()),
             ("solutions received".into(), self.heard.solutions),
             ("housekeeping received".into(), self.heard.housekeeping),
         ];
@@ -149,7 +149,7 @@ impl Trial {
         }
         let seconds = (self.after.time - self.last_second.time).as_secs_f64();
         let least = (STEADY * seconds * rate_hz) as u64;
-        let solved = |c: &Counts| c.tally.solver.frames();
+        let solved = |c: &Counts| c.tally.solved();
         let received = |c: &Counts| c.heard.solutions;
         for (name, of) in [
             ("solved", solved as fn(&Counts) -> u64),
@@ -185,7 +185,7 @@ impl Trial {
             ("failed", of(|t| t.camera.failed), cost.failed),
             ("of another size", of(|t| t.solver.misfits), cost.misfits),
             ("not solved", of(|t| t.camera.lost), 0),
-            ("not stored", of(|t| t.archive.unstored), 0),
+            ("not stored", of(|t| t.counts.unstored), 0),
             ("rows lost", of(|t| t.archive.rows_lost), 0),
             ("threads restarted", of(|t| t.restarts), cost.restarts),
         ];

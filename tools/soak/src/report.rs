@@ -6,7 +6,6 @@ use crate::files::LogRows;
 use crate::judge::{Trial, UNDER_WAY};
 use crate::line::Heard;
 use crate::machine::{MemoryLog, Sample};
-use solaspect::horizon::Quality;
 use solaspect::service::{FlightTally, quantile};
 use std::fmt;
 use std::io::{self, Write};
@@ -76,9 +75,9 @@ impl Trials {
             trial.name,
             trial.length().as_secs_f64(),
             trial.growth(|c| c.frames.given),
-            trial.growth(|c| c.tally.archive.stored),
-            trial.growth(|c| c.tally.archive.unstored),
-            trial.growth(|c| c.tally.line.solutions),
+            trial.growth(|c| c.tally.counts.stored),
+            trial.growth(|c| c.tally.counts.unstored),
+            trial.growth(|c| c.tally.counts.solutions),
             trial.growth(|c| c.heard.solutions),
         ));
         self.injected += 1;
@@ -229,9 +228,8 @@ impl Run {
     fn wrong(&self) -> Vec<(&'static str, i64)> {
         let tally = &self.tally;
         let difference = |a: u64, b: u64| a as i64 - b as i64;
-        let solved = tally.solver.frames();
-        let archive = &tally.archive;
-        let sent_and_lost = difference(tally.line.solutions, self.heard.solutions);
+        let solved = tally.solved();
+        let sent_and_lost = difference(tally.counts.solutions, self.heard.solutions);
         let most = MOST_BYTES + self.queue_bytes;
         let largest = self.memory.largest_bytes() - self.drawn_bytes;
         let leak = self.seconds >= LEAK_SHOWS.as_secs()
@@ -241,7 +239,7 @@ impl Run {
         let roll = self.roll.as_ref();
         let roll_given = roll.map_or(0, |roll| roll.frames.given);
         let roll_in_files = roll.map_or(0, |roll| roll.in_files);
-        let rolls_solved = tally.roll.solved.values().sum::<u64>();
+        let rolls_solved = tally.rolls_solved();
         let mut wrong = vec![
             (
                 "faults that cost more than they may",
@@ -257,24 +255,27 @@ impl Run {
             ),
             (
                 "frames given, less taken",
-                difference(self.frames.given + roll_given, tally.camera.taken),
+                difference(self.frames.given + roll_given, tally.counts.taken),
             ),
             (
                 "frames taken, less solved, of another size and lost",
                 difference(
-                    tally.camera.taken,
+                    tally.counts.taken,
                     solved + rolls_solved + tally.solver.misfits + tally.camera.lost,
                 ),
             ),
             ("frames not solved", tally.camera.lost as i64),
             (
                 "frames solved, less stored and not stored",
-                difference(solved + rolls_solved, archive.stored + archive.unstored),
+                difference(
+                    solved + rolls_solved,
+                    tally.counts.stored + tally.counts.unstored,
+                ),
             ),
-            ("frames not stored", archive.unstored as i64),
+            ("frames not stored", tally.counts.unstored as i64),
             (
                 "frames stored, less those in files",
-                difference(archive.stored, self.in_files + roll_in_files),
+                difference(tally.counts.stored, self.in_files + roll_in_files),
             ),
             (
                 "solutions not received, without a fault",
@@ -303,7 +304,6 @@ impl Run {
             return Vec::new();
         };
         let tally = &self.tally;
-        let fine = tally.roll.solved.get(&Quality::Fine).copied();
         let mut latencies: Vec<Duration> = tally.line.roll_latencies.iter().copied().collect();
         let late = quantile(&mut latencies, 0.99).is_none_or(|most| most > MOST_ROLL_LATENCY);
         // A roll waits for the Sun's next frame, and that for the end of a fault.
@@ -315,7 +315,7 @@ impl Run {
             ),
             (
                 "frames of the horizon that are not fine",
-                roll.frames.given as i64 - fine.unwrap_or_default() as i64,
+                roll.frames.given as i64 - tally.counts.roll_fine as i64,
             ),
             ("roll that went out late", i64::from(late)),
         ]
@@ -344,10 +344,13 @@ impl Run {
         }
         wrong.extend([
             ("samples of the IMU lost", tally.lost_samples as i64),
-            ("inputs that the filter lost", tally.overflowed as i64),
+            (
+                "inputs that the filter lost",
+                self.tally.counts.navigation_lost as i64,
+            ),
             (
                 "offsets by the gyros sent, less received",
-                line.propagated as i64 - run.received as i64,
+                self.tally.counts.propagated as i64 - run.received as i64,
             ),
             (
                 "offsets by the gyros too few",

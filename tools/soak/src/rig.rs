@@ -64,7 +64,7 @@ pub struct Counts {
 impl Counts {
     /// Solutions that were sent and have not arrived.
     pub fn missing(&self) -> u64 {
-        let sent = self.tally.line.solutions;
+        let sent = self.tally.counts.solutions;
         sent.saturating_sub(self.heard.solutions)
     }
 }
