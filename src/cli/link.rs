@@ -3,7 +3,7 @@
 use super::options;
 use super::output::say;
 use crate::commands::words::{describe, result_in_words};
-use crate::commands::{order, schema};
+use crate::commands::{Dictionary, order};
 use crate::files;
 use crate::link::byte_log::{self, Burst, Contents};
 use crate::link::ground::{ask, ask_for_moon};
@@ -136,6 +136,8 @@ struct DescribeArgs {
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Format {
+    /// A dictionary for the ground system of NASA's F Prime
+    Json,
     /// Kaitai Struct: packets both ways
     Ksy,
     /// XTCE 1.2: telemetry, and commands to the aspect system
@@ -169,9 +171,11 @@ pub fn run(args: LinkArgs) -> anyhow::Result<ExitCode> {
         LinkCommand::Decode(args) => decode(&args),
         LinkCommand::Log(args) => log(&args),
         LinkCommand::Describe(args) => {
+            let dictionary = Dictionary::default();
             let description = match args.format {
-                Format::Ksy => schema::kaitai(),
-                Format::Xtce => schema::xtce(),
+                Format::Json => serde_json::to_string_pretty(&dictionary.json())?,
+                Format::Ksy => dictionary.kaitai(),
+                Format::Xtce => dictionary.xtce(),
             };
             say(description.trim_end())?;
             Ok(ExitCode::SUCCESS)

@@ -7,16 +7,17 @@
 //! the computers out. Source: HEROES flight program, 2013.
 
 pub mod controls;
+mod dictionary;
 mod note;
 pub mod order;
 mod protocol;
-pub mod schema;
 pub mod setting;
 mod table;
 mod variable;
 pub mod words;
 
 pub use controls::{Controls, Seat};
+pub use dictionary::Dictionary;
 pub use note::CommandNote;
 pub use order::{OrderError, order};
 pub use protocol::protocol_page;

@@ -1,0 +1,372 @@
+//! The dictionary as a description in XTCE 1.2 (XML Telemetric and Command Exchange, OMG).
+
+use super::{Dictionary, Entry, Item};
+use crate::commands::variable::Kind;
+use crate::link::Direction;
+use crate::link::housekeeping::LAYOUT;
+use crate::link::message::key;
+use crate::link::number::Number;
+use crate::link::packet::{id, telemetry_type};
+
+/// A parameter of telemetry or an argument of commands.
+#[derive(Clone, Copy)]
+enum Role {
+    Parameter,
+    Argument,
+}
+
+/// What is added to the text: each definition once.
+#[derive(Default)]
+struct Added {
+    types: Vec<String>,
+    parameters: Vec<String>,
+    containers: Vec<String>,
+}
+
+impl Dictionary {
+    /// The description: XML.
+    pub fn xtce(&self) -> String {
+        let mut added = Added::default();
+        // Those of the header, which the text has.
+        for (number, unit) in [(Number::U8, ""), (Number::U16, ""), (Number::U32, "ns")] {
+            added.types.push(number_type(Role::Parameter, number, unit));
+        }
+        for entry in &self.telemetry {
+            if is_generated(entry) {
+                let mut limits = vec![("packet_type", "==", entry.number)];
+                if entry.number == u16::from(telemetry_type::RECEIPT) {
+                    limits.push(("packet_source", "==", id::ASPECT.into()));
+                }
+                added.entry(entry, entry.name, "TelemetryPacket", &limits);
+            }
+        }
+        (1..=LAYOUT).for_each(|layout| self.layout(layout, &mut added));
+        let (to_us, from_us): (Vec<&Entry>, Vec<&Entry>) = self
+            .messages
+            .iter()
+            .partition(|entry| entry.direction == Direction::ToAspect);
+        for entry in from_us {
+            let prefix = format!("message_{}", entry.name);
+            let limits = [("message_key", "==", entry.number)];
+            added.entry(entry, &prefix, "CommandPacket", &limits);
+        }
+        let messages = to_us.into_iter();
+        let messages = messages.filter(|entry| entry.number != key::ASPECT_COMMAND);
+        let mut argument_types = vec![
+            number_type(Role::Argument, Number::U8, ""),
+            number_type(Role::Argument, Number::U16, ""),
+        ];
+        let items = messages.clone().chain(&self.commands);
+        for item in items.flat_map(|entry| &entry.items) {
+            let (_, kind) = argument_type(item);
+            kind.into_iter()
+                .for_each(|kind| push(&mut argument_types, kind));
+        }
+        let commands = messages
+            .map(message)
+            .chain(self.commands.iter().map(aspect_command));
+        let texts = [
+            ("version", env!("CARGO_PKG_VERSION").to_owned()),
+            ("parameter_types", added.types.join("\n")),
+            ("parameters", added.parameters.join("\n")),
+            ("containers", added.containers.join("\n")),
+            ("argument_types", argument_types.join("\n")),
+            ("commands", commands.collect::<Vec<_>>().join("\n")),
+        ];
+        let text = include_str!("xtce.xml").to_owned();
+        texts.iter().fold(text, |text, (name, own)| {
+            text.replace(&format!("@{name}@"), own)
+        })
+    }
+
+    /// What a layout of the housekeeping adds to the one before it.
+    fn layout(&self, layout: u8, added: &mut Added) {
+        let mut names = Vec::new();
+        let own = self
+            .housekeeping
+            .iter()
+            .filter(|(since, _)| *since == layout);
+        for (_, item) in own {
+            let kind = match item.codes {
+                Some(codes) => {
+                    let rows = codes.rows.iter();
+                    let rows = rows.map(|(value, label, _)| {
+                        format!(r#"<Enumeration value="{value}" label="{label}"/>"#)
+                    });
+                    let (name, encoding) = (type_name("u8", codes.name), encoding(Number::U8));
+                    let rows: String = rows.collect();
+                    format!(
+                        r#"<EnumeratedParameterType name="{name}"><UnitSet/>{encoding}<EnumerationList>{rows}</EnumerationList></EnumeratedParameterType>"#
+                    )
+                }
+                None => number_type(Role::Parameter, item.number, item.unit),
+            };
+            let own = (1..=item.count).map(|n| match item.count {
+                1 => item.name.to_owned(),
+                _ => format!("{}_{n}", item.name),
+            });
+            for name in own {
+                added.parameter(&name, &kind, &item.documentation);
+                names.push(name);
+            }
+        }
+        let base = match layout {
+            1 => "Housekeeping".to_owned(),
+            layout => format!("Housekeeping{}", layout - 1),
+        };
+        let limits = [
+            ("layout", ">=", layout.into()),
+            ("layout", "<=", LAYOUT.into()),
+        ];
+        let documentation = format!("housekeeping of layout {layout} or later");
+        added.container(
+            &format!("Housekeeping{layout}"),
+            &documentation,
+            &names,
+            &base,
+            &limits,
+        );
+    }
+}
+
+/// The text has the other containers.
+fn is_generated(entry: &Entry) -> bool {
+    let by_hand = [
+        telemetry_type::HOUSEKEEPING,
+        telemetry_type::PICTURE,
+        telemetry_type::PICTURE_TAG,
+    ];
+    !by_hand.map(u16::from).contains(&entry.number)
+}
+
+fn push(list: &mut Vec<String>, text: String) {
+    if !list.contains(&text) {
+        list.push(text);
+    }
+}
+
+impl Added {
+    fn parameter(&mut self, name: &str, kind: &str, documentation: &str) {
+        push(&mut self.types, kind.to_owned());
+        let reference = name_of(kind);
+        let about = about(documentation);
+        push(
+            &mut self.parameters,
+            format!(r#"<Parameter parameterTypeRef="{reference}" name="{name}"{about}/>"#),
+        );
+    }
+
+    /// A container of an entry's fields, whose names begin with a prefix.
+    fn entry(&mut self, entry: &Entry, prefix: &str, base: &str, limits: &[(&str, &str, u16)]) {
+        let mut names = Vec::new();
+        for item in &entry.items {
+            let name = format!("{prefix}_{}", item.name);
+            let kind = number_type(Role::Parameter, item.number, item.unit);
+            self.parameter(&name, &kind, &item.documentation);
+            names.push(name);
+        }
+        self.container(
+            &camel(entry.name),
+            entry.documentation,
+            &names,
+            base,
+            limits,
+        );
+    }
+
+    /// A container that extends another where some parameters are within limits.
+    fn container(
+        &mut self,
+        name: &str,
+        documentation: &str,
+        entries: &[String],
+        base: &str,
+        limits: &[(&str, &str, u16)],
+    ) {
+        let entries = entries
+            .iter()
+            .map(|name| format!(r#"<ParameterRefEntry parameterRef="{name}"/>"#));
+        let limits = limits.iter().map(|(parameter, operator, value)| {
+            let operator = escaped(operator);
+            format!(r#"<Comparison parameterRef="{parameter}" comparisonOperator="{operator}" value="{value}" useCalibratedValue="false"/>"#)
+        });
+        let (about, entries, limits) = (
+            about(documentation),
+            entries.collect::<String>(),
+            limits.collect::<String>(),
+        );
+        self.containers.push(format!(
+            r#"<SequenceContainer name="{name}"{about}><EntryList>{entries}</EntryList><BaseContainer containerRef="{base}"><RestrictionCriteria><ComparisonList>{limits}</ComparisonList></RestrictionCriteria></BaseContainer></SequenceContainer>"#
+        ));
+    }
+}
+
+/// A message to the aspect system.
+fn message(entry: &Entry) -> String {
+    let [low, high] = entry.number.to_le_bytes();
+    let bytes: usize = entry.items.iter().map(|item| item.number.bytes()).sum();
+    let key = format!(r#"<FixedValueEntry binaryValue="{low:02X}{high:02X}" sizeInBits="16"/>"#);
+    meta_command(entry, "packet", 2 + bytes, &key)
+}
+
+/// The computers are the top 4 bits of the key, which is little-endian.
+fn aspect_command(entry: &Entry) -> String {
+    let [low, high] = entry.number.to_le_bytes();
+    let key = format!(
+        r#"<FixedValueEntry binaryValue="{low:02X}" sizeInBits="8"/><ArgumentRefEntry argumentRef="computers"/><FixedValueEntry binaryValue="{high:02X}" sizeInBits="4"/>"#
+    );
+    meta_command(entry, "aspect_command", 4 + 2 * entry.items.len(), &key)
+}
+
+fn meta_command(entry: &Entry, base: &str, payload: usize, key: &str) -> String {
+    let (name, about_it) = (entry.name, about(entry.documentation));
+    let arguments = entry.items.iter().map(|item| {
+        let (kind, _) = argument_type(item);
+        let documentation = match item.kind {
+            None => about(&item.documentation),
+            // Its type has the range.
+            Some(_) => String::new(),
+        };
+        format!(
+            r#"<Argument argumentTypeRef="{kind}" name="{}"{documentation}/>"#,
+            item.name
+        )
+    });
+    let arguments = match entry.items.is_empty() {
+        true => String::new(),
+        false => format!(
+            "<ArgumentList>{}</ArgumentList>",
+            arguments.collect::<String>()
+        ),
+    };
+    let references = entry.items.iter();
+    let references: String = references
+        .map(|item| format!(r#"<ArgumentRefEntry argumentRef="{}"/>"#, item.name))
+        .collect();
+    format!(
+        r#"<MetaCommand name="{name}"{about_it}><BaseMetaCommand metaCommandRef="{base}"><ArgumentAssignmentList><ArgumentAssignment argumentName="payload_length" argumentValue="{payload}"/></ArgumentAssignmentList></BaseMetaCommand>{arguments}<CommandContainer name="{name}"><EntryList>{key}{references}</EntryList><BaseContainer containerRef="{base}"/></CommandContainer></MetaCommand>"#
+    )
+}
+
+/// The name of an argument's type, and the type where the text has none.
+fn argument_type(item: &Item) -> (String, Option<String>) {
+    match item.kind {
+        Some(Kind::Switch) => ("switch".into(), None),
+        Some(Kind::Angle) => {
+            let (name, units, range) = (
+                type_name("angle_code", item.unit),
+                units(item.unit),
+                valid(Kind::Angle.limits()),
+            );
+            let kind = format!(
+                r#"<FloatArgumentType sizeInBits="32" name="{name}">{units}<IntegerDataEncoding sizeInBits="16" encoding="unsigned" byteOrder="leastSignificantByteFirst"><DefaultCalibrator><PolynomialCalibrator><Term coefficient="-1024" exponent="0"/><Term coefficient="0.125" exponent="1"/></PolynomialCalibrator></DefaultCalibrator></IntegerDataEncoding>{range}</FloatArgumentType>"#
+            );
+            (name, Some(kind))
+        }
+        _ => {
+            let kind = number_type(Role::Argument, item.number, item.unit);
+            (name_of(&kind).to_owned(), Some(kind))
+        }
+    }
+}
+
+/// The type of a number in its unit, named after both. An integer argument has its range.
+fn number_type(role: Role, number: Number, unit: &str) -> String {
+    let role_name = match role {
+        Role::Parameter => "ParameterType",
+        Role::Argument => "ArgumentType",
+    };
+    let limits = match number {
+        Number::U8 => Some((0.0, 255.0, 1.0)),
+        Number::U16 => Some(Kind::Unsigned.limits()),
+        Number::I16 => Some(Kind::Signed.limits()),
+        Number::U32 => Some((0.0, u32::MAX.into(), 1.0)),
+        Number::F32 | Number::F64 => None,
+    };
+    let (name, units, encoding) = (
+        type_name(number.name(), unit),
+        units(unit),
+        encoding(number),
+    );
+    let bits = 8 * number.bytes();
+    match (limits, role) {
+        (None, _) => format!(
+            r#"<Float{role_name} sizeInBits="{bits}" name="{name}">{units}{encoding}</Float{role_name}>"#
+        ),
+        (Some(limits), role) => {
+            let signed = number == Number::I16;
+            let range = match role {
+                Role::Parameter => String::new(),
+                Role::Argument => valid(limits),
+            };
+            format!(
+                r#"<Integer{role_name} signed="{signed}" sizeInBits="{bits}" name="{name}">{units}{encoding}{range}</Integer{role_name}>"#
+            )
+        }
+    }
+}
+
+fn valid((low, high, _): (f64, f64, f64)) -> String {
+    format!(
+        r#"<ValidRangeSet><ValidRange minInclusive="{low}" maxInclusive="{high}"/></ValidRangeSet>"#
+    )
+}
+
+fn encoding(number: Number) -> String {
+    let (name, encoding) = match number {
+        Number::F32 | Number::F64 => ("FloatDataEncoding", "IEEE754_1985"),
+        Number::I16 => ("IntegerDataEncoding", "twosComplement"),
+        _ => ("IntegerDataEncoding", "unsigned"),
+    };
+    let bits = 8 * number.bytes();
+    format!(
+        r#"<{name} sizeInBits="{bits}" encoding="{encoding}" byteOrder="leastSignificantByteFirst"/>"#
+    )
+}
+
+fn units(unit: &str) -> String {
+    match unit {
+        "" => "<UnitSet/>".into(),
+        unit => format!("<UnitSet><Unit>{}</Unit></UnitSet>", escaped(unit)),
+    }
+}
+
+/// A name without what XTCE and programs do not allow in one.
+fn type_name(wire: &str, unit: &str) -> String {
+    let unit = unit
+        .replace('%', "percent")
+        .replace('/', "_per_")
+        .replace(' ', "_");
+    let unit = unit.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "");
+    match unit.is_empty() {
+        true => wire.into(),
+        false => format!("{wire}_{unit}"),
+    }
+}
+
+/// The name that a type has.
+fn name_of(kind: &str) -> &str {
+    let (_, rest) = kind.split_once(" name=\"").unwrap_or_default();
+    rest.split('"').next().unwrap_or_default()
+}
+
+fn about(documentation: &str) -> String {
+    match documentation {
+        "" => String::new(),
+        text => format!(" shortDescription=\"{}\"", escaped(text)),
+    }
+}
+
+fn escaped(text: &str) -> String {
+    let text = text.replace('&', "&amp;").replace('<', "&lt;");
+    text.replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// The name of a row as that of a container.
+fn camel(name: &str) -> String {
+    let words = name.split('_').map(|word| {
+        let (first, rest) = word.split_at(1.min(word.len()));
+        first.to_uppercase() + rest
+    });
+    words.collect()
+}
