@@ -22,12 +22,12 @@ fields = re.findall(r"^\| \d+ \| `(\w+)` \| ", page, re.M)
 assert fields[0] == "layout", fields[:3]
 assert [name.removeprefix("solaspect.") for name in (c.get_full_name() for c in packets["housekeeping"].get_ch_list())] == fields[1:]
 
-stated = re.findall(r"^\| 0x([0-9A-F]{4}) \| `(\w+)` \| (.*?) \| (.*?) \| ", page, re.M)
+stated = re.findall(r"^\| 0x([0-9A-F]{4}) \| `(\w+)` \|(.*?)\| (.*?) \| ", page, re.M)
 assert len(stated) > 40, stated
 for key, name, variables, _ in stated:
     command = commands[f"solaspect.{name}"]
     assert command.get_op_code() == 0x10FF0000 | int(key, 16), name
-    told = [variable.split(" (")[0] for variable in variables.split("; ") if variable]
+    told = [variable.split(" (")[0] for variable in variables.strip().split("; ") if variable]
     assert [argument[0] for argument in command.get_args()] == told, (name, told)
 
 for name in ("solution", "error", "exposure_start", "propagated", "moon_found", "receipt", "result"):

@@ -13,6 +13,7 @@ pub mod order;
 mod protocol;
 pub mod setting;
 mod table;
+mod text;
 mod variable;
 pub mod words;
 

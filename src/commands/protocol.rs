@@ -3,6 +3,7 @@
 
 use super::order::order;
 use super::table::COMMANDS;
+use super::text::filled;
 use super::words::describe;
 use crate::config::{Allowed, parameters};
 use crate::link::control::RESULTS;
@@ -21,7 +22,7 @@ use jiff::Timestamp;
 
 /// The page, in Markdown.
 pub fn protocol_page() -> String {
-    let tables: [(&str, String); 13] = [
+    let tables = [
         (
             "parties",
             codes(&PARTIES, "id", "who", |id| format!("0x{id:02X}")),
@@ -47,10 +48,7 @@ pub fn protocol_page() -> String {
         ("moon_camera", picture::MOON_CAMERA.to_string()),
         ("examples", examples()),
     ];
-    let page = include_str!("protocol/page.md").to_owned();
-    tables.iter().fold(page, |page, (name, table)| {
-        page.replace(&format!("@{name}@"), table)
-    })
+    filled(include_str!("protocol/page.md"), tables)
 }
 
 /// A table with a row for each of some rows of cells.

@@ -24,6 +24,17 @@ impl Number {
         }
     }
 
+    /// The least and the most of a whole number.
+    pub fn range(self) -> Option<(f64, f64)> {
+        match self {
+            Self::U8 => Some((0.0, u8::MAX.into())),
+            Self::U16 => Some((0.0, u16::MAX.into())),
+            Self::I16 => Some((i16::MIN.into(), i16::MAX.into())),
+            Self::U32 => Some((0.0, u32::MAX.into())),
+            Self::F32 | Self::F64 => None,
+        }
+    }
+
     /// The name of its type.
     pub const fn name(self) -> &'static str {
         match self {

@@ -10,38 +10,23 @@ seq:
 types:
   to_aspect:
     doc: "A stream of packets to the aspect system."
-    seq:
-      - {id: packets, type: packet_to_aspect, repeat: eos}
+    seq: [{id: packets, type: packet_to_aspect, repeat: eos}]
   packet_from_aspect:
     seq:
       - {id: sync, contents: [154, 195]}
       - {id: first, type: u1, doc: "type of telemetry, or target of a command packet"}
       - {id: second, type: u1, doc: "source of telemetry, or payload length of a command packet"}
-      - id: body
-        type:
-          switch-on: is_telemetry
-          cases:
-            "true": "telemetry(first, second)"
-            "false": "command(first, second)"
-    instances:
-      is_telemetry: {value: "@from_aspect@"}
+      - {id: body, type: {switch-on: is_telemetry, cases: {"true": "telemetry(first, second)", "false": "command(first, second)"}}}
+    instances: {is_telemetry: {value: "@from_aspect@"}}
   packet_to_aspect:
     seq:
       - {id: sync, contents: [154, 195]}
       - {id: first, type: u1, doc: "type of telemetry, or target of a command packet"}
       - {id: second, type: u1, doc: "source of telemetry, or payload length of a command packet"}
-      - id: body
-        type:
-          switch-on: is_telemetry
-          cases:
-            "true": "telemetry(first, second)"
-            "false": "command(first, second)"
-    instances:
-      is_telemetry: {value: "@to_aspect@"}
+      - {id: body, type: {switch-on: is_telemetry, cases: {"true": "telemetry(first, second)", "false": "command(first, second)"}}}
+    instances: {is_telemetry: {value: "@to_aspect@"}}
   telemetry:
-    params:
-      - {id: kind_code, type: u1}
-      - {id: source_code, type: u1}
+    params: [{id: kind_code, type: u1}, {id: source_code, type: u1}]
     seq:
       - {id: len_payload, type: u2}
       - {id: checksum, type: u2be, doc: "CRC-16/MODBUS over the whole packet with these two bytes zero; stored high byte first"}
@@ -57,15 +42,12 @@ types:
       kind: {value: kind_code, enum: telemetry_type}
       source: {value: source_code, enum: party}
   command:
-    params:
-      - {id: target_code, type: u1}
-      - {id: len_payload, type: u1}
+    params: [{id: target_code, type: u1}, {id: len_payload, type: u1}]
     seq:
       - {id: sequence, type: u2, doc: "the sender's number of the packet"}
       - {id: checksum, type: u2be, doc: "CRC-16/MODBUS over the whole packet with these two bytes zero; stored high byte first"}
       - {id: payload, type: messages, size: len_payload}
-    instances:
-      target: {value: target_code, enum: party}
+    instances: {target: {value: target_code, enum: party}}
   messages:
     doc: "Messages, one after the other. A key that is zero or not known ends them: its message holds the rest."
     seq:
@@ -97,24 +79,18 @@ types:
       num_variables: {value: "key & 0x000f"}
   words:
     doc: "Variables of a command that is not in the table."
-    params:
-      - {id: num_words, type: u1}
-    seq:
-      - {id: words, type: u2, repeat: expr, repeat-expr: num_words}
-  nothing:
-    doc: "No fields."
+    params: [{id: num_words, type: u1}]
+    seq: [{id: words, type: u2, repeat: expr, repeat-expr: num_words}]
+  nothing: {doc: "No fields."}
   rest:
     doc: "A message whose key is not known, or zeros that pad the packet."
-    seq:
-      - {id: bytes, size-eos: true}
+    seq: [{id: bytes, size-eos: true}]
   housekeeping:
     doc: "Status of the aspect system, each second. A field that the packet's layout does not have is absent."
-    seq:
-      - {id: layout, type: u1, doc: "@layout@: the layout of this description; earlier ones end sooner"}
+    seq: [{id: layout, type: u1, doc: "@layout@: the layout of this description; earlier ones end sooner"}]
 @housekeeping@
       - {id: rest, size-eos: true, doc: "what a later layout has"}
-    instances:
-      known_layout: {value: "layout <= @layout@ ? layout : 0", doc: "the layout; 0 for one that this description does not know"}
+    instances: {known_layout: {value: "layout <= @layout@ ? layout : 0", doc: "the layout; 0 for one that this description does not know"}}
   picture_section:
     doc: "A run of pixels of a picture."
     seq:

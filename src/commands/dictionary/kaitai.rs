@@ -1,6 +1,7 @@
 //! The dictionary as a description for Kaitai Struct (<https://kaitai.io>).
 
 use super::{Dictionary, Entry, Item};
+use crate::commands::text::filled;
 use crate::commands::variable::Kind;
 use crate::link::housekeeping::LAYOUT;
 use crate::link::message::key;
@@ -42,7 +43,7 @@ impl Dictionary {
         let codes = self.codes.iter();
         let codes = codes.map(|codes| numbers(codes.name, codes.rows));
         let enums = enums.into_iter().chain(codes);
-        let texts = [
+        let gaps = [
             ("layout", LAYOUT.to_string()),
             ("from_aspect", self.is_telemetry(Direction::ToController)),
             ("to_aspect", self.is_telemetry(Direction::ToAspect)),
@@ -59,10 +60,7 @@ impl Dictionary {
             ("types", lines(entries.map(structure))),
             ("enums", lines(enums)),
         ];
-        let text = include_str!("kaitai.ksy").to_owned();
-        texts.iter().fold(text, |text, (name, own)| {
-            text.replace(&format!("@{name}@"), own)
-        })
+        filled(include_str!("kaitai.ksy"), gaps)
     }
 
     /// Which packets of a direction are telemetry, by their bytes 2 and 3.

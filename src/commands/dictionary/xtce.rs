@@ -1,11 +1,12 @@
 //! The dictionary as a description in XTCE 1.2 (XML Telemetric and Command Exchange, OMG).
 
 use super::{Dictionary, Entry, Item};
+use crate::commands::text::filled;
 use crate::commands::variable::Kind;
 use crate::link::Direction;
 use crate::link::housekeeping::LAYOUT;
 use crate::link::message::key;
-use crate::link::number::Number;
+use crate::link::number::{Codes, Number};
 use crate::link::packet::{id, telemetry_type};
 
 /// A parameter of telemetry or an argument of commands.
@@ -31,27 +32,35 @@ impl Dictionary {
         for (number, unit) in [(Number::U8, ""), (Number::U16, ""), (Number::U32, "ns")] {
             added.types.push(number_type(Role::Parameter, number, unit));
         }
-        for entry in &self.telemetry {
-            if is_generated(entry) {
-                let mut limits = vec![("packet_type", "==", entry.number)];
-                if entry.number == u16::from(telemetry_type::RECEIPT) {
-                    limits.push(("packet_source", "==", id::ASPECT.into()));
-                }
-                added.entry(entry, entry.name, "TelemetryPacket", &limits);
+        // The text has these containers.
+        let by_hand = [
+            telemetry_type::HOUSEKEEPING,
+            telemetry_type::PICTURE,
+            telemetry_type::PICTURE_TAG,
+        ];
+        for entry in self
+            .telemetry
+            .iter()
+            .filter(|entry| !by_hand.map(u16::from).contains(&entry.number))
+        {
+            let mut limits = vec![("packet_type", "==", entry.number)];
+            if entry.number == u16::from(telemetry_type::RECEIPT) {
+                limits.push(("packet_source", "==", id::ASPECT.into()));
             }
+            added.entry(entry, "", "TelemetryPacket", &limits);
         }
         (1..=LAYOUT).for_each(|layout| self.layout(layout, &mut added));
-        let (to_us, from_us): (Vec<&Entry>, Vec<&Entry>) = self
-            .messages
-            .iter()
-            .partition(|entry| entry.direction == Direction::ToAspect);
-        for entry in from_us {
-            let prefix = format!("message_{}", entry.name);
-            let limits = [("message_key", "==", entry.number)];
-            added.entry(entry, &prefix, "CommandPacket", &limits);
+        let is_ours = |entry: &&Entry| entry.direction == Direction::ToController;
+        for entry in self.messages.iter().filter(is_ours) {
+            added.entry(
+                entry,
+                "message_",
+                "CommandPacket",
+                &[("message_key", "==", entry.number)],
+            );
         }
-        let messages = to_us.into_iter();
-        let messages = messages.filter(|entry| entry.number != key::ASPECT_COMMAND);
+        let is_generated = |entry: &&Entry| !is_ours(entry) && entry.number != key::ASPECT_COMMAND;
+        let messages = self.messages.iter().filter(is_generated);
         let mut argument_types = vec![
             number_type(Role::Argument, Number::U8, ""),
             number_type(Role::Argument, Number::U16, ""),
@@ -65,7 +74,7 @@ impl Dictionary {
         let commands = messages
             .map(message)
             .chain(self.commands.iter().map(aspect_command));
-        let texts = [
+        let gaps = [
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("parameter_types", added.types.join("\n")),
             ("parameters", added.parameters.join("\n")),
@@ -73,70 +82,30 @@ impl Dictionary {
             ("argument_types", argument_types.join("\n")),
             ("commands", commands.collect::<Vec<_>>().join("\n")),
         ];
-        let text = include_str!("xtce.xml").to_owned();
-        texts.iter().fold(text, |text, (name, own)| {
-            text.replace(&format!("@{name}@"), own)
-        })
+        filled(include_str!("xtce.xml"), gaps)
     }
 
     /// What a layout of the housekeeping adds to the one before it.
     fn layout(&self, layout: u8, added: &mut Added) {
-        let mut names = Vec::new();
         let own = self
             .housekeeping
             .iter()
             .filter(|(since, _)| *since == layout);
-        for (_, item) in own {
-            let kind = match item.codes {
-                Some(codes) => {
-                    let rows = codes.rows.iter();
-                    let rows = rows.map(|(value, label, _)| {
-                        format!(r#"<Enumeration value="{value}" label="{label}"/>"#)
-                    });
-                    let (name, encoding) = (type_name("u8", codes.name), encoding(Number::U8));
-                    let rows: String = rows.collect();
-                    format!(
-                        r#"<EnumeratedParameterType name="{name}"><UnitSet/>{encoding}<EnumerationList>{rows}</EnumerationList></EnumeratedParameterType>"#
-                    )
-                }
-                None => number_type(Role::Parameter, item.number, item.unit),
-            };
-            let own = (1..=item.count).map(|n| match item.count {
-                1 => item.name.to_owned(),
-                _ => format!("{}_{n}", item.name),
-            });
-            for name in own {
-                added.parameter(&name, &kind, &item.documentation);
-                names.push(name);
-            }
-        }
-        let base = match layout {
-            1 => "Housekeeping".to_owned(),
-            layout => format!("Housekeeping{}", layout - 1),
+        let (name, base) = match layout {
+            1 => ("Housekeeping1".to_owned(), "Housekeeping".to_owned()),
+            layout => (
+                format!("Housekeeping{layout}"),
+                format!("Housekeeping{}", layout - 1),
+            ),
         };
         let limits = [
             ("layout", ">=", layout.into()),
             ("layout", "<=", LAYOUT.into()),
         ];
         let documentation = format!("housekeeping of layout {layout} or later");
-        added.container(
-            &format!("Housekeeping{layout}"),
-            &documentation,
-            &names,
-            &base,
-            &limits,
-        );
+        let items = own.map(|(_, item)| item);
+        added.container((&name, &documentation), "", items, &base, &limits);
     }
-}
-
-/// The text has the other containers.
-fn is_generated(entry: &Entry) -> bool {
-    let by_hand = [
-        telemetry_type::HOUSEKEEPING,
-        telemetry_type::PICTURE,
-        telemetry_type::PICTURE_TAG,
-    ];
-    !by_hand.map(u16::from).contains(&entry.number)
 }
 
 fn push(list: &mut Vec<String>, text: String) {
@@ -146,59 +115,72 @@ fn push(list: &mut Vec<String>, text: String) {
 }
 
 impl Added {
-    fn parameter(&mut self, name: &str, kind: &str, documentation: &str) {
-        push(&mut self.types, kind.to_owned());
-        let reference = name_of(kind);
-        let about = about(documentation);
-        push(
-            &mut self.parameters,
-            format!(r#"<Parameter parameterTypeRef="{reference}" name="{name}"{about}/>"#),
-        );
-    }
-
-    /// A container of an entry's fields, whose names begin with a prefix.
+    /// A container of an entry's fields, whose names begin with that of the entry.
     fn entry(&mut self, entry: &Entry, prefix: &str, base: &str, limits: &[(&str, &str, u16)]) {
-        let mut names = Vec::new();
-        for item in &entry.items {
-            let name = format!("{prefix}_{}", item.name);
-            let kind = number_type(Role::Parameter, item.number, item.unit);
-            self.parameter(&name, &kind, &item.documentation);
-            names.push(name);
-        }
+        let prefix = format!("{prefix}{}_", entry.name);
+        let words = entry.name.split('_');
+        let words = words.map(|word| word[..1].to_uppercase() + &word[1..]);
+        let name: String = words.collect();
         self.container(
-            &camel(entry.name),
-            entry.documentation,
-            &names,
+            (&name, entry.documentation),
+            &prefix,
+            entry.items.iter(),
             base,
             limits,
         );
     }
 
-    /// A container that extends another where some parameters are within limits.
-    fn container(
+    /// A container, by its name and what it is, that extends another where some parameters are within limits; and the parameters of its items.
+    fn container<'a>(
         &mut self,
-        name: &str,
-        documentation: &str,
-        entries: &[String],
+        (name, documentation): (&str, &str),
+        prefix: &str,
+        items: impl Iterator<Item = &'a Item>,
         base: &str,
         limits: &[(&str, &str, u16)],
     ) {
-        let entries = entries
-            .iter()
-            .map(|name| format!(r#"<ParameterRefEntry parameterRef="{name}"/>"#));
+        let mut entries = String::new();
+        for (item, n) in items.flat_map(|item| (1..=item.count).map(move |n| (item, n))) {
+            let name = match item.count {
+                1 => format!("{prefix}{}", item.name),
+                _ => format!("{prefix}{}_{n}", item.name),
+            };
+            // Those of other telemetry stay numbers.
+            let kind = match item.codes.filter(|_| prefix.is_empty()) {
+                Some(codes) => enumerated(codes),
+                None => number_type(Role::Parameter, item.number, item.unit),
+            };
+            let (reference, about) = (name_of(&kind), about(&item.documentation));
+            push(
+                &mut self.parameters,
+                format!(r#"<Parameter parameterTypeRef="{reference}" name="{name}"{about}/>"#),
+            );
+            push(&mut self.types, kind);
+            entries += &format!(r#"<ParameterRefEntry parameterRef="{name}"/>"#);
+        }
         let limits = limits.iter().map(|(parameter, operator, value)| {
             let operator = escaped(operator);
             format!(r#"<Comparison parameterRef="{parameter}" comparisonOperator="{operator}" value="{value}" useCalibratedValue="false"/>"#)
         });
-        let (about, entries, limits) = (
-            about(documentation),
-            entries.collect::<String>(),
-            limits.collect::<String>(),
-        );
+        let (about, limits) = (about(documentation), limits.collect::<String>());
         self.containers.push(format!(
             r#"<SequenceContainer name="{name}"{about}><EntryList>{entries}</EntryList><BaseContainer containerRef="{base}"><RestrictionCriteria><ComparisonList>{limits}</ComparisonList></RestrictionCriteria></BaseContainer></SequenceContainer>"#
         ));
     }
+}
+
+fn enumerated(codes: &Codes) -> String {
+    let rows = codes.rows.iter();
+    let rows =
+        rows.map(|(value, label, _)| format!(r#"<Enumeration value="{value}" label="{label}"/>"#));
+    let (name, encoding, rows) = (
+        type_name("u8", codes.name),
+        encoding(Number::U8),
+        rows.collect::<String>(),
+    );
+    format!(
+        r#"<EnumeratedParameterType name="{name}"><UnitSet/>{encoding}<EnumerationList>{rows}</EnumerationList></EnumeratedParameterType>"#
+    )
 }
 
 /// A message to the aspect system.
@@ -253,10 +235,11 @@ fn argument_type(item: &Item) -> (String, Option<String>) {
     match item.kind {
         Some(Kind::Switch) => ("switch".into(), None),
         Some(Kind::Angle) => {
+            let (low, high, _) = Kind::Angle.limits();
             let (name, units, range) = (
                 type_name("angle_code", item.unit),
                 units(item.unit),
-                valid(Kind::Angle.limits()),
+                valid((low, high)),
             );
             let kind = format!(
                 r#"<FloatArgumentType sizeInBits="32" name="{name}">{units}<IntegerDataEncoding sizeInBits="16" encoding="unsigned" byteOrder="leastSignificantByteFirst"><DefaultCalibrator><PolynomialCalibrator><Term coefficient="-1024" exponent="0"/><Term coefficient="0.125" exponent="1"/></PolynomialCalibrator></DefaultCalibrator></IntegerDataEncoding>{range}</FloatArgumentType>"#
@@ -276,20 +259,13 @@ fn number_type(role: Role, number: Number, unit: &str) -> String {
         Role::Parameter => "ParameterType",
         Role::Argument => "ArgumentType",
     };
-    let limits = match number {
-        Number::U8 => Some((0.0, 255.0, 1.0)),
-        Number::U16 => Some(Kind::Unsigned.limits()),
-        Number::I16 => Some(Kind::Signed.limits()),
-        Number::U32 => Some((0.0, u32::MAX.into(), 1.0)),
-        Number::F32 | Number::F64 => None,
-    };
     let (name, units, encoding) = (
         type_name(number.name(), unit),
         units(unit),
         encoding(number),
     );
     let bits = 8 * number.bytes();
-    match (limits, role) {
+    match (number.range(), role) {
         (None, _) => format!(
             r#"<Float{role_name} sizeInBits="{bits}" name="{name}">{units}{encoding}</Float{role_name}>"#
         ),
@@ -306,7 +282,7 @@ fn number_type(role: Role, number: Number, unit: &str) -> String {
     }
 }
 
-fn valid((low, high, _): (f64, f64, f64)) -> String {
+fn valid((low, high): (f64, f64)) -> String {
     format!(
         r#"<ValidRangeSet><ValidRange minInclusive="{low}" maxInclusive="{high}"/></ValidRangeSet>"#
     )
@@ -360,13 +336,4 @@ fn about(documentation: &str) -> String {
 fn escaped(text: &str) -> String {
     let text = text.replace('&', "&amp;").replace('<', "&lt;");
     text.replace('>', "&gt;").replace('"', "&quot;")
-}
-
-/// The name of a row as that of a container.
-fn camel(name: &str) -> String {
-    let words = name.split('_').map(|word| {
-        let (first, rest) = word.split_at(1.min(word.len()));
-        first.to_uppercase() + rest
-    });
-    words.collect()
 }
