@@ -194,7 +194,7 @@ fn housekeeping_fields() -> String {
     ]];
     let mut at = 1;
     for field in housekeeping::FIELDS {
-        let (name, kind) = (format!("`{}`", field.name), field.kind.to_owned());
+        let (name, kind) = (format!("`{}`", field.name), field.kind());
         rows.push([
             at.to_string(),
             name,

@@ -88,6 +88,7 @@ macro_rules! switch {
     };
 }
 
+#[rustfmt::skip] // One rule, one line where it is short.
 pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["fine"],
@@ -131,48 +132,16 @@ pub const WATCHES: &[Watch] = &[
         }],
     },
     Watch {
-        fields: &[
-            "lost",
-            "unstored",
-            "outdated",
-            "unsent",
-            "rejected",
-            "datagrams_refused",
-            "restarts",
-        ],
+        fields: &["lost", "unstored", "outdated", "unsent", "rejected", "datagrams_refused", "restarts"],
         good: "constant",
         otherwise: "see above",
         rules: &[
-            counter!(
-                lost,
-                Alarm,
-                "frame lost by camera or solver|frames lost by camera or solver"
-            ),
-            counter!(
-                unstored,
-                Alarm,
-                "frame that no disk took|frames that no disk took"
-            ),
-            counter!(
-                outdated,
-                Attention,
-                "solution too old to be sent|solutions too old to be sent"
-            ),
-            counter!(
-                unsent,
-                Attention,
-                "packet that the line did not take|packets that the line did not take"
-            ),
-            counter!(
-                rejected,
-                Attention,
-                "broken packet from the line|broken packets from the line"
-            ),
-            counter!(
-                datagrams_refused,
-                Attention,
-                "datagram refused|datagrams refused"
-            ),
+            counter!(lost, Alarm, "frame lost by camera or solver|frames lost by camera or solver"),
+            counter!(unstored, Alarm, "frame that no disk took|frames that no disk took"),
+            counter!(outdated, Attention, "solution too old to be sent|solutions too old to be sent"),
+            counter!(unsent, Attention, "packet that the line did not take|packets that the line did not take"),
+            counter!(rejected, Attention, "broken packet from the line|broken packets from the line"),
+            counter!(datagrams_refused, Attention, "datagram refused|datagrams refused"),
             counter!(restarts, Alarm, "thread restarted|threads restarted"),
         ],
     },
@@ -181,24 +150,9 @@ pub const WATCHES: &[Watch] = &[
         good: "1",
         otherwise: "the controller has not asked for solutions; this computer sends none; frames are not stored",
         rules: &[
-            switch!(
-                tracking,
-                Attention,
-                false,
-                "tracking is off: the controller has not asked for solutions"
-            ),
-            switch!(
-                sending,
-                Attention,
-                false,
-                "sending is off: this computer sends no solutions"
-            ),
-            switch!(
-                storing,
-                Attention,
-                false,
-                "frames of the pitch-yaw camera are not stored"
-            ),
+            switch!(tracking, Attention, false, "tracking is off: the controller has not asked for solutions"),
+            switch!(sending, Attention, false, "sending is off: this computer sends no solutions"),
+            switch!(storing, Attention, false, "frames of the pitch-yaw camera are not stored"),
         ],
     },
     Watch {
@@ -238,12 +192,7 @@ pub const WATCHES: &[Watch] = &[
         fields: &["calibration_contradicted"],
         good: "0",
         otherwise: "three fine frames in a row agree that rotation, scale or plate centre are more than 5 sigma from the instrument's file: the wrong file, or the camera was moved. The log and the flight's summary name key, stated and measured value. Frames without marks borrow what was measured",
-        rules: &[switch!(
-            calibration_contradicted,
-            Alarm,
-            true,
-            "fine frames contradict the instrument's file: the wrong file, or the camera was moved"
-        )],
+        rules: &[switch!(calibration_contradicted, Alarm, true, "fine frames contradict the instrument's file: the wrong file, or the camera was moved")],
     },
     Watch {
         fields: &["navigation"],
@@ -268,12 +217,7 @@ pub const WATCHES: &[Watch] = &[
         }],
     },
     Watch {
-        fields: &[
-            "gyro_agreement",
-            "gyro_right_sigmas",
-            "gyro_up_sigmas",
-            "gyro_roll_sigmas",
-        ],
+        fields: &["gyro_agreement", "gyro_right_sigmas", "gyro_up_sigmas", "gyro_roll_sigmas"],
         good: "1; within 5 sigma",
         otherwise: "2: a direction is more than 5 sigma from where the gyros have it; 3: for 10 s. One of the two is wrong: the filter follows the camera, which may have moved. The log names camera and axis",
         rules: &[Rule {
@@ -292,23 +236,14 @@ pub const WATCHES: &[Watch] = &[
         fields: &["simulated"],
         good: "0",
         otherwise: "the frames are the simulator's, and so are the offsets",
-        rules: &[switch!(
-            simulated,
-            Attention,
-            true,
-            "the frames are the simulator's, and so are the offsets"
-        )],
+        rules: &[switch!(simulated, Attention, true, "the frames are the simulator's, and so are the offsets")],
     },
     Watch {
         fields: &["takeovers", "log_lines_lost", "gps_refused"],
         good: "constant",
         otherwise: "see above",
         rules: &[
-            counter!(
-                takeovers,
-                Alarm,
-                "thread hung and was replaced|threads hung and were replaced"
-            ),
+            counter!(takeovers, Alarm, "thread hung and was replaced|threads hung and were replaced"),
             counter!(log_lines_lost, Attention, "log line lost|log lines lost"),
             counter!(gps_refused, Attention, "GPS fix refused|GPS fixes refused"),
         ],
@@ -332,11 +267,7 @@ pub const WATCHES: &[Watch] = &[
                     )
                 },
             },
-            counter!(
-                rows_refused,
-                Attention,
-                "row that a log refused|rows that a log refused"
-            ),
+            counter!(rows_refused, Attention, "row that a log refused|rows that a log refused"),
         ],
     },
     Watch {
@@ -389,12 +320,7 @@ pub const WATCHES: &[Watch] = &[
         fields: &["commit", "modified", "configuration"],
         good: "as installed; 0; the first digits of `sha256sum` of `configuration_<start>.toml`",
         otherwise: "another program, or another configuration or instrument, than was meant",
-        rules: &[switch!(
-            modified,
-            Attention,
-            true,
-            "the program was built from modified sources"
-        )],
+        rules: &[switch!(modified, Attention, true, "the program was built from modified sources")],
     },
     Watch {
         fields: &["latency_99_ms"],

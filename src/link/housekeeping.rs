@@ -31,7 +31,6 @@ const EARLIER: [(u8, &str); 8] = [
 #[derive(Debug, Clone, Copy)]
 pub struct Field {
     pub name: &'static str,
-    pub kind: &'static str,
     /// What it is made of, and how many of them.
     pub number: Number,
     pub count: usize,
@@ -42,6 +41,7 @@ pub struct Field {
     /// What its number stands for.
     pub codes: Option<&'static Codes>,
     about: &'static str,
+    kind: fn() -> String,
     value: fn(&[u8], usize) -> Option<f64>,
 }
 
@@ -72,9 +72,14 @@ impl Field {
         }
     }
 
+    /// Its type, in words.
+    pub fn kind(&self) -> String {
+        (self.kind)()
+    }
+
     /// What it is, and its type.
     pub fn in_words(&self) -> String {
-        format!("{} ({})", self.documentation(), self.kind)
+        format!("{} ({})", self.documentation(), self.kind())
     }
 }
 
@@ -104,14 +109,14 @@ macro_rules! housekeeping {
         /// The fields of the payload after the layout's number, in order.
         pub const FIELDS: &[Field] = &[$($(Field {
             name: stringify!($field),
-            kind: <$type as Wire>::KIND,
             number: <$type as Wire>::NUMBER,
-            count: <$type as Wire>::BYTES / <$type as Wire>::NUMBER.bytes(),
+            count: <$type as Wire>::COUNT,
             bytes: <$type as Wire>::BYTES,
             parts: <$type as Wire>::PARTS,
             unit: $unit,
             codes: codes!($($codes)?),
             about: $documentation,
+            kind: <$type as Wire>::kind,
             value: value_of::<$type>,
         },)*)*];
 
@@ -316,7 +321,7 @@ housekeeping! {
     coarse: u32, "", "frames solved coarsely";
     none: u32, "", "frames without a Sun";
     [system]
-    stopped: [u16; 7], "", "frames that went no further than levels, limb, marks, identification, registration, aspect, pointing";
+    stopped: [u16; 7], "", "frames that went no further than levels, limb, marks, identification, registration, aspect, pointing; from 0 again after 65535";
     [frame]
     number: u32, "", "number of the latest frame, which the fields to preamp_gain are about";
     quality: u8, "", "the solution's quality" => QUALITY;
@@ -520,21 +525,200 @@ impl Housekeeping {
     }
 }
 
-/// How a field travels.
+/// How a field travels: so many numbers of a kind.
 trait Wire: Sized {
-    const KIND: &'static str;
     const NUMBER: Number;
-    const BYTES: usize;
+    const COUNT: usize = 1;
+    const BYTES: usize = Self::COUNT * Self::NUMBER.bytes();
+    /// Its type, in words.
+    fn kind() -> String;
     fn write(&self, bytes: &mut Vec<u8>);
     fn read(rest: &mut &[u8]) -> Option<Self>;
     /// In words; empty where not known, parts apart by blanks.
     fn text(&self) -> String;
     /// Reads what [`text`](Self::text) says.
     fn parse(text: &str) -> Option<Self>;
-    /// How many numbers it holds.
-    const PARTS: usize = 1;
+    /// How many of its numbers mean something to a reader.
+    const PARTS: usize = Self::COUNT;
     /// One of them.
     fn value(&self, part: usize) -> Option<f64>;
+}
+
+/// A field that is one number, which double precision holds in full.
+trait Single: Sized {
+    const NUMBER: Number;
+    /// What it stands for beside a number.
+    const NOTE: &'static str = "";
+    /// As it travels.
+    fn number(&self) -> f64;
+    fn of(number: f64) -> Self;
+    fn in_words(&self) -> String;
+    fn from_words(text: &str) -> Option<Self>;
+    const PARTS: usize = 1;
+    /// `None` where not known.
+    fn known(&self) -> Option<f64> {
+        Some(self.number())
+    }
+}
+
+impl<T: Single> Wire for T {
+    const NUMBER: Number = <T as Single>::NUMBER;
+    const PARTS: usize = <T as Single>::PARTS;
+
+    fn kind() -> String {
+        format!("{}{}", <T as Single>::NUMBER.name(), T::NOTE)
+    }
+
+    fn write(&self, bytes: &mut Vec<u8>) {
+        <T as Single>::NUMBER.write(self.number(), bytes);
+    }
+
+    fn read(rest: &mut &[u8]) -> Option<Self> {
+        let (number, after) = <T as Single>::NUMBER.read(rest)?;
+        *rest = after;
+        Some(Self::of(number))
+    }
+
+    fn text(&self) -> String {
+        self.in_words()
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        Self::from_words(text)
+    }
+
+    fn value(&self, _: usize) -> Option<f64> {
+        self.known()
+    }
+}
+
+impl<T: Single, const N: usize> Wire for [T; N] {
+    const NUMBER: Number = <T as Single>::NUMBER;
+    const COUNT: usize = N;
+
+    fn kind() -> String {
+        format!("{N} x {}", T::kind())
+    }
+
+    fn write(&self, bytes: &mut Vec<u8>) {
+        self.iter().for_each(|value| value.write(bytes));
+    }
+
+    fn read(rest: &mut &[u8]) -> Option<Self> {
+        let values: Option<Vec<T>> = (0..N).map(|_| T::read(rest)).collect();
+        values?.try_into().ok()
+    }
+
+    fn text(&self) -> String {
+        let texts: Vec<String> = self.iter().map(Single::in_words).collect();
+        texts.join(" ")
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        let parts: Option<Vec<T>> = text.split(' ').map(Single::from_words).collect();
+        parts?.try_into().ok()
+    }
+
+    fn value(&self, part: usize) -> Option<f64> {
+        self.get(part)?.known()
+    }
+}
+
+macro_rules! whole {
+    ($($type:ty, $number:ident);*) => {$(
+        impl Single for $type {
+            const NUMBER: Number = Number::$number;
+
+            fn number(&self) -> f64 {
+                (*self).into()
+            }
+
+            fn of(number: f64) -> Self {
+                number as Self
+            }
+
+            fn in_words(&self) -> String {
+                self.to_string()
+            }
+
+            fn from_words(text: &str) -> Option<Self> {
+                text.parse().ok()
+            }
+        }
+    )*};
+}
+
+whole!(u8, U8; u16, U16; u32, U32);
+
+impl Single for bool {
+    const NUMBER: Number = Number::U8;
+    const NOTE: &'static str = ", 1 or 0";
+
+    fn number(&self) -> f64 {
+        u8::from(*self).into()
+    }
+
+    fn of(number: f64) -> Self {
+        number != 0.0
+    }
+
+    fn in_words(&self) -> String {
+        u8::from(*self).to_string()
+    }
+
+    fn from_words(text: &str) -> Option<Self> {
+        u8::from_str(text).ok().map(|byte| byte != 0)
+    }
+}
+
+impl Single for Option<f32> {
+    const NUMBER: Number = Number::F32;
+    const NOTE: &'static str = ", NaN where not known";
+
+    fn number(&self) -> f64 {
+        self.map_or(f64::NAN, f64::from)
+    }
+
+    fn of(number: f64) -> Self {
+        (!number.is_nan()).then_some(number as f32)
+    }
+
+    fn in_words(&self) -> String {
+        self.map_or(String::new(), |value| value.to_string())
+    }
+
+    fn from_words(text: &str) -> Option<Self> {
+        parse_known(text)
+    }
+
+    fn known(&self) -> Option<f64> {
+        self.map(f64::from)
+    }
+}
+
+impl Single for Option<u8> {
+    const NUMBER: Number = Number::U8;
+    const NOTE: &'static str = ", 255 where not known";
+
+    fn number(&self) -> f64 {
+        self.unwrap_or(u8::MAX).into()
+    }
+
+    fn of(number: f64) -> Self {
+        Some(number as u8).filter(|byte| *byte != u8::MAX)
+    }
+
+    fn in_words(&self) -> String {
+        self.map_or(String::new(), |value| value.to_string())
+    }
+
+    fn from_words(text: &str) -> Option<Self> {
+        parse_known(text)
+    }
+
+    fn known(&self) -> Option<f64> {
+        self.map(f64::from)
+    }
 }
 
 /// Reads what is empty where it is not known.
@@ -545,249 +729,44 @@ fn parse_known<T: FromStr>(text: &str) -> Option<Option<T>> {
     }
 }
 
-/// Reads so many parts with blanks between them.
-fn parse_parts<T: Wire, const N: usize>(text: &str) -> Option<[T; N]> {
-    let parts: Option<Vec<T>> = text.split(' ').map(T::parse).collect();
-    parts?.try_into().ok()
-}
-
-fn texts<T: Wire>(parts: &[T]) -> String {
-    let texts: Vec<String> = parts.iter().map(Wire::text).collect();
-    texts.join(" ")
-}
-
-fn known(value: Option<impl ToString>) -> String {
-    value.map_or(String::new(), |value| value.to_string())
-}
-
-fn take<const N: usize>(rest: &mut &[u8]) -> Option<[u8; N]> {
-    let (bytes, after) = rest.split_first_chunk()?;
-    *rest = after;
-    Some(*bytes)
-}
-
-macro_rules! whole_wire {
-    ($($type:ty, $number:ident);*) => {$(
-        impl Wire for $type {
-            const KIND: &'static str = stringify!($type);
-            const NUMBER: Number = Number::$number;
-            const BYTES: usize = size_of::<$type>();
-
-            fn write(&self, bytes: &mut Vec<u8>) {
-                bytes.extend(self.to_le_bytes());
-            }
-
-            fn read(rest: &mut &[u8]) -> Option<Self> {
-                take(rest).map(Self::from_le_bytes)
-            }
-
-            fn text(&self) -> String {
-                self.to_string()
-            }
-
-            fn parse(text: &str) -> Option<Self> {
-                text.parse().ok()
-            }
-
-            fn value(&self, _: usize) -> Option<f64> {
-                Some((*self).into())
-            }
-        }
-    )*};
-}
-
-whole_wire!(u8, U8; u16, U16; u32, U32);
-
-impl Wire for bool {
-    const KIND: &'static str = "u8, 1 or 0";
-    const NUMBER: Number = Number::U8;
-    const BYTES: usize = 1;
-
-    fn write(&self, bytes: &mut Vec<u8>) {
-        bytes.push((*self).into());
-    }
-
-    fn read(rest: &mut &[u8]) -> Option<Self> {
-        u8::read(rest).map(|byte| byte != 0)
-    }
-
-    fn text(&self) -> String {
-        u8::from(*self).to_string()
-    }
-
-    fn parse(text: &str) -> Option<Self> {
-        u8::parse(text).map(|byte| byte != 0)
-    }
-
-    fn value(&self, _: usize) -> Option<f64> {
-        Some(u8::from(*self).into())
-    }
-}
-
-impl Wire for Option<f32> {
-    const KIND: &'static str = "f32, NaN where not known";
-    const NUMBER: Number = Number::F32;
-    const BYTES: usize = 4;
-
-    fn write(&self, bytes: &mut Vec<u8>) {
-        bytes.extend(self.unwrap_or(f32::NAN).to_le_bytes());
-    }
-
-    fn read(rest: &mut &[u8]) -> Option<Self> {
-        let value = f32::from_le_bytes(take(rest)?);
-        Some((!value.is_nan()).then_some(value))
-    }
-
-    fn text(&self) -> String {
-        known(*self)
-    }
-
-    fn parse(text: &str) -> Option<Self> {
-        parse_known(text)
-    }
-
-    fn value(&self, _: usize) -> Option<f64> {
-        self.map(f64::from)
-    }
-}
-
-impl Wire for Option<u8> {
-    const KIND: &'static str = "u8, 255 where not known";
-    const NUMBER: Number = Number::U8;
-    const BYTES: usize = 1;
-
-    fn write(&self, bytes: &mut Vec<u8>) {
-        bytes.push(self.unwrap_or(u8::MAX));
-    }
-
-    fn read(rest: &mut &[u8]) -> Option<Self> {
-        let value = u8::read(rest)?;
-        Some((value != u8::MAX).then_some(value))
-    }
-
-    fn text(&self) -> String {
-        known(*self)
-    }
-
-    fn parse(text: &str) -> Option<Self> {
-        parse_known(text)
-    }
-
-    fn value(&self, _: usize) -> Option<f64> {
-        self.map(f64::from)
-    }
-}
-
-impl Wire for [u16; 7] {
-    const KIND: &'static str = "7 x u16, from 0 again after 65535";
-    const NUMBER: Number = Number::U16;
-    const BYTES: usize = 14;
-
-    fn write(&self, bytes: &mut Vec<u8>) {
-        self.iter().for_each(|value| value.write(bytes));
-    }
-
-    fn read(rest: &mut &[u8]) -> Option<Self> {
-        let mut values = [0; 7];
-        for value in &mut values {
-            *value = u16::read(rest)?;
-        }
-        Some(values)
-    }
-
-    fn text(&self) -> String {
-        texts(self)
-    }
-
-    fn parse(text: &str) -> Option<Self> {
-        parse_parts(text)
-    }
-
-    const PARTS: usize = 7;
-
-    fn value(&self, part: usize) -> Option<f64> {
-        self.get(part).map(|value| f64::from(*value))
-    }
-}
-
-impl<T: Pair> Wire for [T; 2] {
-    const KIND: &'static str = T::PAIR;
-    const NUMBER: Number = T::NUMBER;
-    const BYTES: usize = 2 * T::BYTES;
-
-    fn write(&self, bytes: &mut Vec<u8>) {
-        self.iter().for_each(|value| value.write(bytes));
-    }
-
-    fn read(rest: &mut &[u8]) -> Option<Self> {
-        Some([T::read(rest)?, T::read(rest)?])
-    }
-
-    fn text(&self) -> String {
-        texts(self)
-    }
-
-    fn parse(text: &str) -> Option<Self> {
-        parse_parts(text)
-    }
-
-    const PARTS: usize = 2;
-
-    fn value(&self, part: usize) -> Option<f64> {
-        self.get(part)?.value(0)
-    }
-}
-
-/// A field of which there are two.
-trait Pair: Wire {
-    const PAIR: &'static str;
-}
-
-impl Pair for u32 {
-    const PAIR: &'static str = "2 x u32";
-}
-
-impl Pair for Option<u8> {
-    const PAIR: &'static str = "2 x u8, 255 where not known";
-}
-
-impl Wire for Digits {
-    const KIND: &'static str = "u32, 0 where not known";
+impl Single for Digits {
     const NUMBER: Number = Number::U32;
-    const BYTES: usize = 4;
+    const NOTE: &'static str = ", 0 where not known";
+    const PARTS: usize = 0;
 
-    fn write(&self, bytes: &mut Vec<u8>) {
-        self.0.unwrap_or(0).write(bytes);
+    fn number(&self) -> f64 {
+        self.0.unwrap_or(0).into()
     }
 
-    fn read(rest: &mut &[u8]) -> Option<Self> {
-        let digits = u32::read(rest)?;
-        Some(Self((digits != 0).then_some(digits)))
+    fn of(number: f64) -> Self {
+        Self(Some(number as u32).filter(|digits| *digits != 0))
     }
 
-    fn text(&self) -> String {
+    fn in_words(&self) -> String {
         self.0
             .map_or(String::new(), |digits| format!("{digits:08x}"))
     }
 
-    fn parse(text: &str) -> Option<Self> {
+    fn from_words(text: &str) -> Option<Self> {
         match text {
             "" => Some(Self(None)),
             text => u32::from_str_radix(text, 16).ok().map(|n| Self(Some(n))),
         }
     }
 
-    const PARTS: usize = 0;
-
-    fn value(&self, _: usize) -> Option<f64> {
+    fn known(&self) -> Option<f64> {
         None
     }
 }
 
 impl Wire for MarkIds {
-    const KIND: &'static str = "16 x u8";
     const NUMBER: Number = Number::U8;
-    const BYTES: usize = 16;
+    const COUNT: usize = 16;
+    const PARTS: usize = 0;
+
+    fn kind() -> String {
+        "16 x u8".into()
+    }
 
     fn write(&self, bytes: &mut Vec<u8>) {
         let nibble = |index: i32| (index + 8).clamp(0, 15) as u8;
@@ -796,7 +775,7 @@ impl Wire for MarkIds {
     }
 
     fn read(rest: &mut &[u8]) -> Option<Self> {
-        let bytes: [u8; 16] = take(rest)?;
+        let bytes = <[u8; 16]>::read(rest)?;
         let index = |nibble: u8| i32::from(nibble) - 8;
         Some(Self(bytes.map(|byte| {
             let (i, j) = (index(byte >> 4), index(byte & 15));
@@ -817,8 +796,6 @@ impl Wire for MarkIds {
         let ids: Option<Vec<[i32; 2]>> = text.split_whitespace().map(id).collect();
         ids.map(Self::new)
     }
-
-    const PARTS: usize = 0;
 
     fn value(&self, _: usize) -> Option<f64> {
         None

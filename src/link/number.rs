@@ -62,6 +62,18 @@ impl Number {
         })
     }
 
+    /// Adds a number, which must be one of its type.
+    pub fn write(self, number: f64, bytes: &mut Vec<u8>) {
+        match self {
+            Self::U8 => bytes.push(number as u8),
+            Self::U16 => bytes.extend((number as u16).to_le_bytes()),
+            Self::I16 => bytes.extend((number as i16).to_le_bytes()),
+            Self::U32 => bytes.extend((number as u32).to_le_bytes()),
+            Self::F32 => bytes.extend((number as f32).to_le_bytes()),
+            Self::F64 => bytes.extend(number.to_le_bytes()),
+        }
+    }
+
     /// The first of some bytes as a number, and the rest; `None` where there are too few.
     pub fn read(self, bytes: &[u8]) -> Option<(f64, &[u8])> {
         let (own, rest) = bytes.split_at_checked(self.bytes())?;
