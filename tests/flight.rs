@@ -9,16 +9,13 @@ use solaspect::archive::Store;
 use solaspect::archive::disk::LocalDisk;
 use solaspect::aspect::Quality;
 use solaspect::camera::{CameraError, Exposure, FolderCamera, FrameSource, Settings, Take};
-use solaspect::commands::{Seat, row_named};
+use solaspect::commands::Seat;
 use solaspect::config::{self, Allowed, Config, Parameter, by_command, parameters};
 use solaspect::fits::{self, Compression, Value};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument;
 use solaspect::link::housekeeping::Digits;
-use solaspect::link::{
-    BytePort, Carried, CommandResult, Computer, Connection, Control, Direction, Housekeeping,
-    Packet, Parser, SerialPort,
-};
+use solaspect::link::{BytePort, Connection, Direction, Housekeeping, Packet, Parser, SerialPort};
 use solaspect::provenance;
 use solaspect::service::{Camera, Flight, FlightTally, Service};
 use solaspect::simulate::{Conditions, RandomScenes};
@@ -842,24 +839,18 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
     wait_until("the disk's room", || {
         service.disks()[0].free_percent.is_some()
     });
-    let mut controls = service.controls().clone();
+    let controls = service.controls().clone();
     controls.note_tracking(true);
     for &(number, value) in settings {
-        let name = match by_command(number).unwrap().allowed {
-            Allowed::Whole(..) => "set_integer",
-            _ => "set_float",
+        let parameter = by_command(number).unwrap();
+        let value = match parameter.allowed {
+            Allowed::Whole(..) => config::Value::Whole(value as i64),
+            _ => config::Value::Number(value),
         };
-        let row = row_named(name).unwrap();
-        let code = row.variables[1].kind.code(value).unwrap();
-        let command = row.command(Computer::One, &[number, code]).unwrap();
-        match controls.carry_out(&command) {
-            Carried::Result(CommandResult::Done) => {}
-            Carried::Result(CommandResult::Refused) => {
-                drop(go);
-                service.join().unwrap();
-                return None;
-            }
-            other => panic!("{number}: {other:?}"),
+        if controls.set(&[(parameter.key, value)]).is_err() {
+            drop(go);
+            service.join().unwrap();
+            return None;
         }
     }
     // A disk is looked at each second.

@@ -12,8 +12,8 @@ pub use proof::Proof;
 pub use saved::{SavedError, SavedValues, ValueSaver, differences, restore};
 
 use super::note::CommandNote;
+use super::role::CameraRole;
 use super::setting::{KEPT, LATITUDE, LONGITUDE, Own, SENDING, STAMP, Setting, TRACKING};
-use super::table::CameraRole;
 use crate::aspect;
 use crate::config::{self, Config, Value, by_key};
 use crate::instrument::{Instrument, Mounting};

@@ -11,6 +11,7 @@ mod dictionary;
 mod note;
 pub mod order;
 mod protocol;
+mod role;
 pub mod setting;
 mod table;
 mod text;
@@ -22,7 +23,8 @@ pub use dictionary::Dictionary;
 pub use note::CommandNote;
 pub use order::{OrderError, order};
 pub use protocol::protocol_page;
-pub use table::{Action, COMMANDS, CameraRole, CommandRow, row_named, row_of};
+pub use role::CameraRole;
+pub use table::{Action, COMMANDS, CommandRow, row_named, row_of};
 pub use variable::{Kind, Variable};
 
 use crate::link::AspectCommand;

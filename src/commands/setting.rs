@@ -1,6 +1,6 @@
 //! What commands set and read in flight: parameters of the configuration, and what is set by commands alone.
 
-use super::table::CameraRole;
+use super::role::CameraRole;
 use crate::config::{Refused, Value};
 use crate::instrument::TURN_DEG;
 

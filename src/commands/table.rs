@@ -1,5 +1,6 @@
 //! The commands of the ground in one table. Source: HEROES flight program, 2013.
 
+use super::role::CameraRole;
 use super::setting::{self, Setting, parameter};
 use super::variable::{Kind, Variable};
 use crate::link::computer::COMPUTERS;
@@ -9,18 +10,6 @@ use Action::{
     StartSending, StopSending,
 };
 use CameraRole::{Moon, PitchYaw, Roll};
-
-/// The cameras that commands tell apart.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum CameraRole {
-    PitchYaw,
-    Roll,
-    Moon,
-}
-
-impl CameraRole {
-    pub const COUNT: usize = 3;
-}
 
 /// What a command does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
