@@ -26,7 +26,7 @@ pub enum OrderError {
     Value {
         name: String,
         variable: &'static str,
-        expected: &'static str,
+        expected: String,
         found: String,
     },
     #[error(transparent)]
@@ -84,7 +84,7 @@ fn command(
         code.ok_or_else(|| OrderError::Value {
             name: row.name.into(),
             variable: variable.name,
-            expected: variable.kind.range(),
+            expected: variable.kind.range().into(),
             found: text.clone(),
         })
     };
@@ -99,16 +99,20 @@ fn of_message(row: &MessageRow, values: &[String]) -> Result<Message, OrderError
     count(row.name, &names, values)?;
     let mut payload = row.key.to_le_bytes().to_vec();
     for (field, text) in fields.iter().zip(values) {
-        let bytes = field
-            .number
-            .bytes_of(text)
-            .ok_or_else(|| OrderError::Value {
-                name: row.name.into(),
-                variable: field.name,
-                expected: "a number",
-                found: text.clone(),
-            })?;
-        payload.extend(bytes);
+        let in_range = |value: f64| {
+            let range = field.range;
+            range.is_none_or(|(low, high)| (low..=high).contains(&value))
+        };
+        let is_allowed = text.parse().is_ok_and(in_range);
+        let bytes = field.number.bytes_of(text).filter(|_| is_allowed);
+        payload.extend(bytes.ok_or_else(|| OrderError::Value {
+            name: row.name.into(),
+            variable: field.name,
+            expected: field.range.map_or("a number".into(), |(low, high)| {
+                format!("a number from {low} to {high}")
+            }),
+            found: text.clone(),
+        })?);
     }
     Ok(Message::decode(&payload)?)
 }
@@ -186,6 +190,12 @@ mod tests {
             ("store_frames", &["2"], &["1 (on) or 0 (off)", "2"]),
             ("set_twist", &["north"], &["angle", "north"]),
             ("gps", &["1", "x"], &["longitude", "x"]),
+            ("gps", &["91", "0"], &["latitude", "-90 to 90", "91"]),
+            (
+                "moon",
+                &["1", "2", "inf"],
+                &["height_m", "-1000 to 100000", "inf"],
+            ),
             ("moon", &["1", "2"], &["expected 3", "height_m"]),
             ("stop_tracking", &["1"], &["expected 0"]),
         ] {
