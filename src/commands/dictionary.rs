@@ -136,9 +136,11 @@ impl Dictionary {
     /// and what is said to it its commands. Opcodes are keys of messages; those of aspect commands have their own key in the low 16 bits. Numbers
     /// stand for what travels: angles for their codes.
     pub fn json(&self) -> Value {
-        let from_aspect =
-            |entry: &&Entry| entry.direction == Direction::ToController && !entry.items.is_empty();
-        let events = self.messages.iter().chain(&self.telemetry);
+        let from_aspect = |entry: &&Entry| entry.direction == Direction::ToController;
+        // Housekeeping and pictures have no fields here.
+        let answers = self.telemetry.iter();
+        let answers = answers.filter(|entry| !entry.items.is_empty());
+        let events = self.messages.iter().chain(answers);
         let to_aspect = |entry: &&Entry| {
             entry.direction == Direction::ToAspect && entry.number != key::ASPECT_COMMAND
         };

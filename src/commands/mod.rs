@@ -1,6 +1,6 @@
 //! What the ground may say in flight: one table of commands, what they set, and words for all of it.
 //!
-//! To add a command, add a row to the [table](COMMANDS). What it sets or reads is a parameter of the configuration, or a [setting](setting) that
+//! To add a command, add a row to the [table](COMMANDS). What it sets or reads is a parameter of the configuration, or a [setting] that
 //! only commands have; one that does what none did before needs an [`Action`], too.
 //!
 //! A key's top 4 bits name the computers it is for, its low 4 bits the number of its variables; the table leaves

@@ -54,7 +54,8 @@ fn message_names() -> String {
     names.join(", ")
 }
 
-fn row(name: &str) -> Result<&'static CommandRow, OrderError> {
+/// The row of a name or a key.
+pub fn row(name: &str) -> Result<&'static CommandRow, OrderError> {
     let by_key = || {
         let key = u16::from_str_radix(name.strip_prefix("0x")?, 16).ok()?;
         COMMANDS.iter().find(|row| row.key == key)
@@ -194,7 +195,7 @@ mod tests {
             (
                 "moon",
                 &["1", "2", "inf"],
-                &["height_m", "-1000 to 100000", "inf"],
+                &["height_m", "-1000 to 2000000", "inf"],
             ),
             ("moon", &["1", "2"], &["expected 3", "height_m"]),
             ("stop_tracking", &["1"], &["expected 0"]),

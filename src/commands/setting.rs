@@ -4,7 +4,7 @@ use super::role::CameraRole;
 use crate::config::{Refused, Value};
 use crate::instrument::TURN_DEG;
 
-/// Something that a command sets or reads. It is made from a field of the configuration ([`parameter!`]) or named here: one that is misspelled
+/// Something that a command sets or reads. It is made from a field of the configuration (the macro `parameter`) or named here: one that is misspelled
 /// does not compile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Setting(&'static str);

@@ -1,5 +1,6 @@
 //! Packets in words, for people who read a line.
 
+use super::order::orderable;
 use super::table::{CommandRow, row_of};
 use super::variable::Kind;
 use crate::link::control::result;
@@ -39,8 +40,8 @@ impl CommandInWords {
     pub fn of(key: u16, message: Option<&Message>) -> Self {
         let (name, values) = match message {
             Some(Message::Aspect(command)) => (name_of_command(key), natural(key, command)),
-            Some(message) => (name_of_message(key), numbers(message)),
-            None => (name_of_command(key), Vec::new()),
+            Some(message) if is_ordered(key) => (name_of_message(key), numbers(message)),
+            _ => (name_of_command(key), Vec::new()),
         };
         let values: Vec<String> = values.iter().map(f64::to_string).collect();
         Self {
@@ -64,6 +65,11 @@ pub fn execution_in_words(key: u16, execution: &Execution) -> String {
 
 fn name_of_command(key: u16) -> &'static str {
     row_of(key).map_or("", |row| row.name)
+}
+
+/// Whether it is the key of a message that is ordered by its name.
+fn is_ordered(key: u16) -> bool {
+    orderable().any(|row| row.key == key)
 }
 
 fn name_of_message(key: u16) -> &'static str {
@@ -202,7 +208,7 @@ fn answer(packet: &TelemetryPacket) -> String {
             let name = match key {
                 // The no-op of computer 1 has the key of the start of tracking.
                 key::START_TRACKING => "start_tracking or no_op",
-                key if message_of(key).is_some() => name_of_message(key),
+                key if is_ordered(key) => name_of_message(key),
                 key => name_of_command(key),
             };
             let said = result_in_words(key, value);

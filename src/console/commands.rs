@@ -80,8 +80,10 @@ fn present(row: &CommandRow, variable: usize, history: &History, orders: &Orders
 fn message(row: &MessageRow) -> Value {
     let variable = |field: Field| {
         let range = field.range;
+        // The unit stands beside it.
+        let name = field.name.strip_suffix(&format!("_{}", field.unit));
         json!({
-            "name": field.name,
+            "name": name.unwrap_or(field.name),
             "unit": field.unit,
             "kind": "number",
             "range": range.map(|(low, high)| format!("a number from {low} to {high}")),

@@ -1,8 +1,9 @@
 //! Commands to the flight: composed from the command table, armed, sent once, and followed until they are answered.
 
+use crate::commands::OrderError;
+use crate::commands::order::{self, order};
 use crate::commands::words::{describe, result_in_words};
-use crate::commands::{COMMANDS, CommandRow, row_named, row_of, setting};
-use crate::commands::{OrderError, order};
+use crate::commands::{COMMANDS, CommandRow, row_of, setting};
 use crate::link::control::result;
 use crate::link::ground::Answered;
 use crate::link::hex::hex;
@@ -370,7 +371,7 @@ pub fn telling(row: &CommandRow, variable: usize) -> Option<&'static str> {
 /// Whether the flight is another one after a command: all but reading, and asking for pictures or the Moon. An unknown one may change it.
 pub fn changes_flight(name: &str) -> bool {
     let of_command = |row: &CommandRow| row.action.changes_flight();
-    row_named(name).map_or(name != "moon", of_command)
+    order::row(name).map_or(name != "moon", of_command)
 }
 
 #[cfg(test)]
@@ -492,7 +493,8 @@ mod tests {
 
     #[test]
     fn what_is_set_is_read_by_a_command_where_there_is_one() {
-        let read = |name: &str, variable| reading(row_named(name)?, variable).map(|row| row.name);
+        let read =
+            |name: &str, variable| reading(order::row(name).ok()?, variable).map(|row| row.name);
         assert_eq!(read("set_target", 1), Some("get_target_y"));
         assert_eq!(
             read("set_pitch_yaw_exposure", 0),

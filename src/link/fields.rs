@@ -1,4 +1,4 @@
-//! The fields of a payload. A table of them ([`fields!`]) makes the struct, its codec, and its description; each error names its message and
+//! The fields of a payload. A table of them (the macro `fields`) makes the struct, its codec, and its description; each error names its message and
 //! what was expected.
 
 use super::number::{Codes, Field, Number};

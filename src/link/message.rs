@@ -77,8 +77,8 @@ fields! {
     /// The platform asks where the Moon is, and says where it is itself.
     MoonRequest, format!("where is the Moon from latitude {latitude_deg} longitude {longitude_deg} deg height {height_m} m") => {
         latitude_deg: f64, "deg", "the platform's latitude" in -90.0, 90.0;
-        longitude_deg: f64, "deg", "its longitude, east positive" in -360.0, 360.0;
-        height_m: f64, "m", "its height above the WGS 84 ellipsoid" in -1000.0, 100_000.0;
+        longitude_deg: f64, "deg", "its longitude, east positive" in -180.0, 360.0;
+        height_m: f64, "m", "its height above the WGS 84 ellipsoid" in -1000.0, 2_000_000.0;
     }
 
     /// The Moon was found in a picture begun after the request.
@@ -115,7 +115,7 @@ impl MoonRequest {
 }
 
 /// A command of the ground to the aspect system, as it travels: a key and as many variables as its low 4 bits say.
-/// Its top 4 bits name the computers it is for; [`Command`](super::Command) is what it means.
+/// Its top 4 bits name the computers it is for; what it means is in the table of commands.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AspectCommand {
     key: u16,
@@ -268,10 +268,10 @@ macro_rules! messages {
 }
 
 messages! {
-    Gps(GpsFix) = GPS, 0x000A, ToAspect, "gps", "the gondola's place";
+    Gps(GpsFix) = GPS, 0x000A, ToAspect, "gps", "take this as the gondola's place";
     StartTracking = START_TRACKING, 0x1000, ToAspect, "start_tracking", "start tracking";
     StopTracking = STOP_TRACKING, 0x1001, ToAspect, "stop_tracking", "stop tracking";
-    MoonRequest(MoonRequest) = MOON_REQUEST, 0x1010, ToAspect, "moon", "where is the Moon?";
+    MoonRequest(MoonRequest) = MOON_REQUEST, 0x1010, ToAspect, "moon", "say where the Moon is, seen from a place";
     Aspect(AspectCommand) = ASPECT_COMMAND, 0x10FF, ToAspect, "aspect_command", "a command of the ground; as many variables, 16 bits each, as its key says";
     TrackingOn = TRACKING_ON, 0x1100, ToController, "tracking_on", "tracking is on";
     TrackingOff = TRACKING_OFF, 0x1101, ToController, "tracking_off", "tracking is off";

@@ -1,4 +1,4 @@
-//! The line to the gondola's controller: packets, messages, the command table and the port.
+//! The line to the gondola's controller: packets, messages, the conversation and the port.
 //!
 //! ```text
 //! port (bytes) -> Parser -> Packet -> Message -> Responder -> packets to send and what has changed

@@ -1,9 +1,9 @@
 //! What the ground is told each second, put together from the counts and the latest answer.
 
 use super::answer::{Answer, Recent};
-use super::counts::Tallies;
 use super::moon::MoonDesk;
 use super::shared::Shared;
+use super::tallies::Tallies;
 use super::tally::{FlightTally, SolverTally, quantile};
 use crate::aspect::Adopted;
 use crate::clock::ClockStatus;

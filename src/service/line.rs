@@ -273,8 +273,9 @@ impl<'a> Line<'a> {
     }
 
     fn note_sent(&mut self, outcome: &Outcome) {
-        self.counters.solutions.count();
+        // Under the lock, for the latencies are those of the solutions counted.
         let mut tally = self.tally.lock();
+        self.counters.solutions.count();
         note_latency(&mut tally.latencies, outcome.arrived.elapsed());
         let roll = outcome.roll_arrived;
         if let Some(arrived) = roll.filter(|_| roll != self.last_roll) {

@@ -45,7 +45,6 @@
 
 mod answer;
 mod archiver;
-mod counts;
 pub mod demo;
 mod flight;
 mod housekeeping;
@@ -60,6 +59,7 @@ mod shutter;
 mod silence;
 mod solver;
 mod systemd;
+mod tallies;
 mod tally;
 mod watch;
 mod worker;
@@ -81,7 +81,6 @@ use crate::link::{Connection, Counters, Housekeeping};
 use crate::provenance::sha256;
 use crate::sky::Ephemeris;
 use answer::Recent;
-use counts::Tallies;
 use crossbeam_channel::{Receiver, Sender, bounded, unbounded};
 use flight::UnsolvedFrame;
 use housekeeping::HousekeepingSource;
@@ -98,6 +97,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
+use tallies::Tallies;
 use watch::{Signals, Watch};
 use worker::{Life, Worker};
 

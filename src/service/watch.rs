@@ -1,13 +1,13 @@
 //! The watch: it looks after every thread, tells the ground each second how all is, and feeds systemd's watchdog.
 
 use super::archiver::{self, Archive};
-use super::counts::Tallies;
 use super::housekeeping::{HousekeepingSource, Restarts};
 use super::line::LinkEvent;
 use super::navigation::NavigationRows;
 use super::shared::Shared;
 use super::silence;
 use super::systemd::Systemd;
+use super::tallies::Tallies;
 use super::tally::FlightTally;
 use super::worker::{self, Worker};
 use crate::commands::controls::Controls;
@@ -114,7 +114,7 @@ impl Watch {
             thread::sleep(LOOK_EVERY);
         }
         let mut tally = self.tallies.tally();
-        tally.archive = self.tallies.archive.final_tally();
+        tally.archive = self.tallies.archive.final_tally(&tally.counts);
         tally.counts.unstored += tally.archive.unfinished;
         tally.restarts = self.restarts();
         tally.takeovers = self.takeovers();

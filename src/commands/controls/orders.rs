@@ -64,8 +64,9 @@ impl Controls {
     /// Carries out what goes beyond the conversation.
     fn execute(&self, command: &Command) -> CommandResult {
         match command.row.action {
+            Action::NoOp => CommandResult::Done,
             // The conversation's own are not for here.
-            Action::NoOp | Action::StartSending | Action::StopSending => CommandResult::Done,
+            Action::StartSending | Action::StopSending => CommandResult::NotImplemented,
             Action::Quit => {
                 self.0.quits.store(true, Ordering::Relaxed);
                 CommandResult::Done

@@ -3,7 +3,7 @@ use crate::commands::COMMANDS;
 use crate::commands::setting::CLOCK_OFFSET;
 use crate::instrument::builtin;
 use crate::link::code::angle_code;
-use crate::link::{Carried, CommandResult, Computer, Control, GpsFix};
+use crate::link::{AspectCommand, Carried, CommandResult, Computer, Control, GpsFix};
 
 fn controls() -> Controls {
     let mounting = builtin("demo").unwrap().mounting;
@@ -31,6 +31,20 @@ fn angle(value: f64) -> u16 {
 const DONE: CommandResult = CommandResult::Done;
 const REFUSED: CommandResult = CommandResult::Refused;
 const UNKNOWN: CommandResult = CommandResult::Unknown;
+
+#[test]
+fn a_switch_that_is_neither_on_nor_off_is_refused_and_an_unknown_key_is_unknown() {
+    let mut controls = controls();
+    let mut carried = |key, variables| {
+        let command = AspectCommand::new(key, variables).unwrap();
+        controls.carry_out(&command)
+    };
+    assert_eq!(carried(0x1421, vec![2]), Carried::Result(REFUSED));
+    assert_eq!(carried(0x1421, vec![1]), Carried::Result(DONE));
+    assert_eq!(carried(0x1FF0, vec![]), Carried::Result(UNKNOWN));
+    assert_eq!(carried(0x1030, vec![]), Carried::StartSending);
+    assert_eq!(carried(0x1040, vec![]), Carried::StopSending);
+}
 
 #[test]
 fn every_key_of_the_command_table_is_a_setting() {

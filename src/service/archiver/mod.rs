@@ -29,8 +29,8 @@ use crate::archive::{Sharing, Store, navigation_file};
 use crate::commands::CommandNote;
 use crate::commands::controls::Controls;
 use crate::config;
-use crate::link::Counters;
 use crate::link::Housekeeping;
+use crate::link::{Counters, Counts};
 use crate::log::worth_a_line;
 use crate::record::Upkeep;
 use crate::sky::Ephemeris;
@@ -281,11 +281,10 @@ impl Gauges {
     }
 
     /// The counts when nobody waits any longer: what a disk that hangs has in its hands, and what still waits, is lost.
-    pub fn final_tally(&self) -> ArchiveTally {
+    pub fn final_tally(&self, counts: &Counts) -> ArchiveTally {
         let mut tally = self.tally();
         let missing =
             |offered: &AtomicU64, kept: u64| offered.load(Ordering::Relaxed).saturating_sub(kept);
-        let counts = self.frames.counters.now();
         let unstored = missing(&self.frames.offered, counts.stored);
         tally.unfinished = unstored.saturating_sub(counts.unstored);
         let kept = self.rows.kept.load(Ordering::Relaxed);

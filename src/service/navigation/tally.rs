@@ -56,7 +56,7 @@ impl NavigationTally {
         counts: &Counts,
         out: &mut fmt::Formatter<'_>,
     ) -> fmt::Result {
-        if *self == Self::default() && counts.imu_samples == 0 {
+        if *self == Self::default() && counts.imu_samples + counts.navigation_lost == 0 {
             return Ok(());
         }
         writeln!(

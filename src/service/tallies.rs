@@ -38,10 +38,12 @@ impl Tallies {
 
     /// The same, with the latencies of the last moment alone.
     pub fn brief(&self) -> FlightTally {
+        let line = self.line.lock();
+        let (counts, line) = (self.counters.now(), line.brief());
         let mut tally = FlightTally {
-            counts: self.counters.now(),
+            counts,
             archive: self.archive.tally(),
-            line: self.line.lock().brief(),
+            line,
             roll: self.roll.copy(),
             moon: self.moon.copy(),
             navigation: self.navigation.copy(),
