@@ -8,9 +8,7 @@ doc: "The controller link of solaspect, made by `solaspect link describe --forma
 seq:
   - {id: packets, type: packet_from_aspect, repeat: eos}
 types:
-  to_aspect:
-    doc: "A stream of packets to the aspect system."
-    seq: [{id: packets, type: packet_to_aspect, repeat: eos}]
+  to_aspect: {doc: "A stream of packets to the aspect system.", seq: [{id: packets, type: packet_to_aspect, repeat: eos}]}
   packet_from_aspect:
     seq:
       - {id: sync, contents: [154, 195]}
@@ -82,12 +80,11 @@ types:
     params: [{id: num_words, type: u1}]
     seq: [{id: words, type: u2, repeat: expr, repeat-expr: num_words}]
   nothing: {doc: "No fields."}
-  rest:
-    doc: "A message whose key is not known, or zeros that pad the packet."
-    seq: [{id: bytes, size-eos: true}]
+  rest: {doc: "A message whose key is not known, or zeros that pad the packet.", seq: [{id: bytes, size-eos: true}]}
   housekeeping:
     doc: "Status of the aspect system, each second. A field that the packet's layout does not have is absent."
-    seq: [{id: layout, type: u1, doc: "@layout@: the layout of this description; earlier ones end sooner"}]
+    seq:
+      - {id: layout, type: u1, doc: "@layout@: the layout of this description; earlier ones end sooner"}
 @housekeeping@
       - {id: rest, size-eos: true, doc: "what a later layout has"}
     instances: {known_layout: {value: "layout <= @layout@ ? layout : 0", doc: "the layout; 0 for one that this description does not know"}}

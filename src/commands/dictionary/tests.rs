@@ -17,6 +17,13 @@ fn everything_of_the_tables_is_described() {
         !ksy.contains('@') && !xtce.contains('@'),
         "a text is missing"
     );
+    let lines: Vec<&str> = ksy.lines().collect();
+    for pair in lines.windows(2) {
+        // What is closed has no more items on the next line.
+        let is_closed = pair[0].ends_with(']') || pair[0].ends_with("}");
+        let indent = |line: &str| line.len() - line.trim_start().len();
+        assert!(!is_closed || indent(pair[1]) <= indent(pair[0]), "{pair:?}");
+    }
     let parameters = names(&xtce, "Parameter");
     for field in FIELDS {
         assert!(
