@@ -24,7 +24,7 @@ pub use note::CommandNote;
 pub use order::{OrderError, order};
 pub use protocol::protocol_page;
 pub use role::CameraRole;
-pub use table::{Action, COMMANDS, CommandRow, row_named, row_of};
+pub use table::{Action, COMMANDS, CommandRow, row_of};
 pub use variable::{Kind, Variable};
 
 use crate::link::AspectCommand;

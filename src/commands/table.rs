@@ -125,12 +125,8 @@ const fn find(
     documentation: &'static str,
 ) -> CommandRow {
     CommandRow {
-        key,
-        name,
-        variables,
-        action,
         reads: Some(reads),
-        documentation,
+        ..does(key, name, variables, action, documentation)
     }
 }
 

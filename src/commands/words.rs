@@ -38,9 +38,9 @@ pub struct CommandInWords {
 impl CommandInWords {
     /// The command of a key; `message` is its message, where that could be read.
     pub fn of(key: u16, message: Option<&Message>) -> Self {
-        let (name, values) = match message {
-            Some(Message::Aspect(command)) => (name_of_command(key), natural(key, command)),
-            Some(message) if is_ordered(key) => (name_of_message(key), numbers(message)),
+        let (name, values) = match (message, name_of_message(key)) {
+            (Some(Message::Aspect(command)), _) => (name_of_command(key), natural(key, command)),
+            (Some(message), Some(name)) => (name, numbers(message)),
             _ => (name_of_command(key), Vec::new()),
         };
         let values: Vec<String> = values.iter().map(f64::to_string).collect();
@@ -67,13 +67,10 @@ fn name_of_command(key: u16) -> &'static str {
     row_of(key).map_or("", |row| row.name)
 }
 
-/// Whether it is the key of a message that is ordered by its name.
-fn is_ordered(key: u16) -> bool {
-    orderable().any(|row| row.key == key)
-}
-
-fn name_of_message(key: u16) -> &'static str {
-    message_of(key).map_or("", |row| row.name)
+/// The name by which a message is ordered, where the key is of one.
+fn name_of_message(key: u16) -> Option<&'static str> {
+    let row = orderable().find(|row| row.key == key)?;
+    Some(row.name)
 }
 
 /// The variables of a command in natural units.
@@ -208,8 +205,7 @@ fn answer(packet: &TelemetryPacket) -> String {
             let name = match key {
                 // The no-op of computer 1 has the key of the start of tracking.
                 key::START_TRACKING => "start_tracking or no_op",
-                key if is_ordered(key) => name_of_message(key),
-                key => name_of_command(key),
+                key => name_of_message(key).unwrap_or_else(|| name_of_command(key)),
             };
             let said = result_in_words(key, value);
             format!("{}, {name} ({key:#06x}): {said}", result.words())

@@ -78,10 +78,8 @@ impl HousekeepingSource {
             self.note_simulated_time(answer);
         }
         let frame = answer.as_ref().map_or(FrameStatus::default(), frame_status);
-        let system = SystemStatus {
-            solve_ms: solve_ms(solve_times, answer.as_ref()),
-            ..self.system(tallies, &tally, restarts, events)
-        };
+        let solve_ms = solve_ms(solve_times, answer.as_ref());
+        let system = self.system(tallies, &tally, restarts, events, solve_ms);
         let told = Housekeeping::new(&tally.counts, frame, system);
         self.before = tally;
         (Timestamp::now() + self.ahead, Box::new(told))
@@ -116,6 +114,7 @@ impl HousekeepingSource {
         tally: &FlightTally,
         restarts: Restarts,
         events: usize,
+        solve_ms: Option<f32>,
     ) -> SystemStatus {
         let FlightTally {
             camera,
@@ -162,7 +161,7 @@ impl HousekeepingSource {
             rejected: saturated(line.rejected.packets),
             latency_ms,
             latency_99_ms,
-            solve_ms: None,
+            solve_ms,
             clock_offset_us: offset_us.map(|us| us as f32),
             restarts: saturated(restarts.all),
             takeovers: saturated(restarts.takeovers),

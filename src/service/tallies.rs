@@ -38,8 +38,11 @@ impl Tallies {
 
     /// The same, with the latencies of the last moment alone.
     pub fn brief(&self) -> FlightTally {
-        let line = self.line.lock();
-        let (counts, line) = (self.counters.now(), line.brief());
+        let (counts, line) = {
+            // Together: latencies are those of the solutions counted. The line waits meanwhile, and for no more than that.
+            let line = self.line.lock();
+            (self.counters.now(), line.brief())
+        };
         let mut tally = FlightTally {
             counts,
             archive: self.archive.tally(),
