@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
 use solaspect::geometry::Mapping;
 use solaspect::instrument::{self, Instrument};
-use solaspect::service::{Camera, Flight, Service};
+use solaspect::service::{Flight, FlightCamera, Service};
 use solaspect::simulate::{Scene, Sun};
 use solaspect::sky;
 use solaspect::units::PlateMil;
@@ -58,16 +58,16 @@ fn main() -> anyhow::Result<()> {
         number: 0,
     };
     // `Flight` also takes archives (`stores`), the controller's line and a configuration.
-    let flight = Flight::of(Camera::new(instrument, camera));
+    let flight = Flight::of(vec![FlightCamera::of_plate(instrument, camera)]);
     let (service, answers) = Service::start_watched(flight)?;
     for answer in answers {
-        let Some(aspect) = answer.solution.aspect else {
+        let Some(aspect) = answer.sun().and_then(|sun| sun.solution.aspect.as_ref()) else {
             continue;
         };
         let at = aspect.sun_plate.position;
         println!(
             "{}: Sun at {:.1}, {:.1} mil",
-            answer.solution.quality.name(),
+            answer.solved.quality.name(),
             at.x,
             at.y
         );

@@ -8,7 +8,7 @@ use solaspect::commands::controls::{Controls, SavedValues, restore};
 use solaspect::commands::words::describe;
 use solaspect::config::Config;
 use solaspect::fits::{self, FitsFile};
-use solaspect::instrument::{Instrument, Mounting, builtin};
+use solaspect::instrument::{Instrument, Mounting, Role, builtin};
 use solaspect::link::byte_log::{self, Burst};
 use solaspect::link::{Direction, Parser};
 use solaspect::navigation::Settings;
@@ -284,7 +284,8 @@ pub fn nav_toml(bytes: &[u8]) {
         return;
     };
     let path = Path::new("fuzz.toml");
-    let settings = Settings::parse(path, text).and_then(|settings| settings.for_flight(path));
+    let settings = Settings::parse(path, text)
+        .and_then(|settings| settings.for_flight(path, &Role::table_names()));
     if let Err(error) = settings {
         assert!(error.to_string().contains("fuzz.toml"), "{error}");
     }

@@ -100,6 +100,7 @@ pub mod commands;
 pub mod config;
 #[cfg(feature = "console")]
 pub mod console;
+pub mod demo;
 pub mod estimation;
 pub mod events;
 pub mod fiducial;
@@ -116,6 +117,7 @@ pub mod log;
 pub mod moon;
 pub mod navigation;
 pub mod observe;
+pub mod plan;
 pub mod plate;
 pub mod pointing;
 pub mod pointing_history;

@@ -12,6 +12,13 @@ pub trait Stage: Copy {
     fn name(self) -> &'static str;
 }
 
+/// A stage by its name, whatever the solver.
+impl Stage for &'static str {
+    fn name(self) -> &'static str {
+        self
+    }
+}
+
 /// Why a frame went no further than it did.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Stopped<S> {
@@ -29,6 +36,12 @@ impl<S: Stage> Stopped<S> {
     pub fn new(stage: S, reason: Reason, measured: f64, limit: f64) -> Self {
         let rejected = Rejected::new(reason, measured, limit);
         Self { stage, rejected }
+    }
+
+    /// The same, with the stage by its name.
+    pub fn named(&self) -> Stopped<&'static str> {
+        let (stage, rejected) = (self.stage.name(), self.rejected);
+        Stopped { stage, rejected }
     }
 
     /// With what was measured and its limit.

@@ -4,11 +4,11 @@ use jiff::Timestamp;
 use solaspect::aspect::{self, Expected, Quality};
 use solaspect::camera::{
     self, CameraError, Exposure, FrameSource, PixelFormat, Settings, SimulatedCamera, Source,
-    Surroundings, Take,
+    Surroundings, Take, View,
 };
 use solaspect::fits::{self, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels, Region};
-use solaspect::instrument;
+use solaspect::instrument::{self, Sees};
 use solaspect::simulate::{FlightScenes, Trajectory};
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -23,7 +23,12 @@ fn simulated(rate_hz: f64, duration: Option<Duration>) -> SimulatedCamera {
     let instrument = instrument::builtin("demo").unwrap();
     let trajectory = Trajectory::flight(&instrument, RADIUS_MIL, 1).unwrap();
     let scenes = FlightScenes::new(&instrument, trajectory, RADIUS_MIL, 1).unwrap();
-    SimulatedCamera::new(scenes, rate_hz, noon(), duration)
+    let settings = Settings {
+        rate_hz,
+        ..Settings::default()
+    };
+    let view = View::Plate(Box::new(scenes));
+    SimulatedCamera::new(view, &settings, noon(), duration)
 }
 
 /// The next exposure and the times that were announced for it; `None` at the end.
@@ -136,8 +141,7 @@ fn a_region_that_reaches_over_the_sensor_is_an_error_and_a_good_one_mends_it() {
 fn opened(source: &str, speed: f64) -> Result<Box<dyn FrameSource>, CameraError> {
     let instrument = instrument::builtin("demo").unwrap();
     let around = Surroundings {
-        sky: None,
-        instrument: &instrument,
+        sees: Sees::Plate(Box::new(instrument)),
         seed: 1,
         start: None,
         duration: None,

@@ -8,16 +8,15 @@ use jiff::{SignedDuration, Timestamp};
 use solaspect::archive::Store;
 use solaspect::archive::disk::LocalDisk;
 use solaspect::aspect::Quality;
-use solaspect::camera::{CameraError, Exposure, FolderCamera, FrameSource, Settings, Take};
-use solaspect::commands::Seat;
+use solaspect::camera::{Camera, CameraError, Exposure, FolderCamera, FrameSource, Settings, Take};
 use solaspect::config::{self, Allowed, Config, Parameter, by_command, parameters};
 use solaspect::fits::{self, Compression, Value};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
-use solaspect::instrument;
+use solaspect::instrument::{self, Role, Sees};
 use solaspect::link::housekeeping::Digits;
 use solaspect::link::{BytePort, Connection, Direction, Housekeeping, Packet, Parser, SerialPort};
 use solaspect::provenance;
-use solaspect::service::{Camera, Flight, FlightTally, Service};
+use solaspect::service::{Flight, FlightCamera, FlightTally, Service};
 use solaspect::simulate::{Conditions, RandomScenes};
 use solaspect::units::PlateMil;
 use std::collections::VecDeque;
@@ -56,14 +55,10 @@ fn taken(number: u64) -> Result<Take, CameraError> {
 }
 
 /// A camera that can be opened again and again.
-fn scripted(deed: Deed) -> Camera {
+fn scripted(deed: Deed) -> FlightCamera {
     let calls = Arc::new(AtomicU64::new(0));
-    Camera {
-        seat: Seat::PitchYaw,
-        instrument: instrument::builtin("demo").unwrap(),
-        instrument_toml: None,
-        folder: PathBuf::new(),
-        sky: None,
+    FlightCamera {
+        camera: Camera::of_plate(instrument::builtin("demo").unwrap()),
         source: None,
         open: Some(Arc::new(move || {
             let calls = Arc::clone(&calls);
@@ -72,10 +67,10 @@ fn scripted(deed: Deed) -> Camera {
     }
 }
 
-fn flight(camera: Camera, stores: Vec<Store>) -> Flight {
+fn flight(camera: FlightCamera, stores: Vec<Store>) -> Flight {
     Flight {
         stores,
-        ..Flight::of(camera)
+        ..Flight::of(vec![camera])
     }
 }
 
@@ -92,7 +87,7 @@ fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
-fn fly(camera: Camera, root: &Path) -> FlightTally {
+fn fly(camera: FlightCamera, root: &Path) -> FlightTally {
     let service = Service::start(flight(camera, vec![open(root)])).unwrap();
     wait_until("the flight's end", || service.is_finished());
     service.join().unwrap()
@@ -116,19 +111,17 @@ fn an_archive_holds_what_it_was_flown_with_and_every_frame_and_the_ground_name_i
     let instrument_toml = instrument::builtin_text("demo").unwrap();
     let mut told = Vec::new();
     for exposure_us in [9_000, 12_000] {
-        let camera = Camera {
-            instrument_toml: Some(instrument_toml.into()),
-            ..scripted(|call| match call {
-                4 => {
-                    // Until the second's housekeeping.
-                    std::thread::sleep(Duration::from_millis(1500));
-                    Ok(Take::End)
-                }
-                number => taken(number),
-            })
-        };
+        let mut camera = scripted(|call| match call {
+            4 => {
+                // Until the second's housekeeping.
+                std::thread::sleep(Duration::from_millis(1500));
+                Ok(Take::End)
+            }
+            number => taken(number),
+        });
+        camera.camera.toml = Some(instrument_toml.into());
         let mut flight = flight(camera, vec![open(root.path())]);
-        flight.config.camera.exposure_us = exposure_us;
+        flight.config.cameras.first_mut().exposure_us = exposure_us;
         flight.config.link.key_file = Some(key_file.clone());
         let service = Service::start(flight).unwrap();
         wait_until("the flight's end", || service.is_finished());
@@ -153,7 +146,8 @@ fn an_archive_holds_what_it_was_flown_with_and_every_frame_and_the_ground_name_i
     let flown = |text: &String| {
         Config::parse(Path::new("flown"), text)
             .unwrap()
-            .camera
+            .cameras
+            .first()
             .exposure_us
     };
     assert_eq!(
@@ -267,7 +261,7 @@ fn a_folder_that_pauses_as_its_frames_did_is_not_silent() {
         fits::write_frame(&path, &frame, &[], &[], Compression::Rice).unwrap();
     }
     let frames = FolderCamera::open(folder.path(), 4.0, 1.0).unwrap();
-    let tally = fly(Camera::new(demo, frames), root.path());
+    let tally = fly(FlightCamera::of_plate(demo, frames), root.path());
     assert_eq!((tally.counts.taken, tally.camera.silences), (3, 0));
     assert_eq!(tally.lost(), 0, "{tally}");
 }
@@ -322,23 +316,27 @@ fn a_flight_with_the_wrong_cameras_file_says_so_and_borrows_what_it_measured() {
     frames.push_back(part(&without, (300, 300), (600, 500)));
     let mut wrong = demo;
     wrong.mounting.rotation_deg.value = 180.0;
-    let flight = flight(Camera::new(wrong, Given(frames)), Vec::new());
+    let flight = flight(FlightCamera::of_plate(wrong, Given(frames)), Vec::new());
     let (service, answers) = Service::start_watched(flight).unwrap();
     let answers: Vec<_> = answers.iter().take(6).collect();
     wait_until("the flight's end", || service.is_finished());
     let tally = service.join().unwrap();
-    let qualities = answers.iter().map(|answer| answer.solution.quality);
+    let qualities = answers.iter().map(|answer| answer.solved.quality);
     assert_eq!(qualities.filter(|q| *q == Quality::Fine).count(), 4);
     for answer in &answers[4..] {
-        let solution = &answer.solution;
+        let solution = &answer.sun().unwrap().solution;
         assert_eq!(solution.quality, Quality::Coarse);
-        let found = solution.aspect.unwrap().sun_plate;
+        let found = solution.aspect.as_ref().unwrap().sun_plate;
         let sigma_mil = (found.covariance.trace() / 2.0).sqrt();
         let off_mil = found.position.distance(truth);
         assert!(off_mil < 5.0 * sigma_mil, "{off_mil} at {sigma_mil} mil");
     }
-    assert!(tally.solver.contradicted);
-    assert_eq!(tally.solver.contradictions.len(), 1, "{tally}");
+    assert!(tally.solver(Role::PitchYaw).contradicted);
+    assert_eq!(
+        tally.solver(Role::PitchYaw).contradictions.len(),
+        1,
+        "{tally}"
+    );
     let said = "demo: mounting.rotation_deg: stated 180 +- 1, measured ";
     assert!(tally.to_string().contains(said), "{tally}");
 }
@@ -395,7 +393,7 @@ fn a_frame_of_another_size_and_a_camera_that_fails_do_not_stop_the_flight() {
     let camera = (
         tally.counts.taken,
         tally.camera.failed,
-        tally.solver.misfits,
+        tally.solver(Role::PitchYaw).misfits,
     );
     assert_eq!(camera, (4, 1, 1));
     assert_eq!((tally.counts.stored, tally.restarts), (3, 0));
@@ -471,19 +469,19 @@ fn the_exposure_follows_the_light_where_that_is_wanted_and_commands_set_it_where
     for auto in [true, false] {
         let mut config = Config::default();
         if auto {
-            config.camera.auto_exposure = solaspect::config::Switch::On;
+            config.cameras.first_mut().auto_exposure = solaspect::config::Switch::On;
         }
-        config.camera.exposure_us = 2_000;
+        config.cameras.first_mut().exposure_us = 2_000;
         let told = Arc::new(Mutex::new(Vec::new()));
         let (look, go) = unbounded();
         let camera = Lit {
-            settings: config.camera.settings(),
+            settings: config.cameras.first().settings(),
             told: Arc::clone(&told),
             number: 0,
             go,
         };
         let mut flight = flight(
-            Camera::new(instrument::builtin("demo").unwrap(), camera),
+            FlightCamera::of_plate(instrument::builtin("demo").unwrap(), camera),
             vec![],
         );
         flight.config = config;
@@ -518,12 +516,10 @@ fn each_camera_has_its_folder_and_a_roll_camera_is_stored_with_its_levels() {
         scripted(|call| if call < 5 { taken(call) } else { Ok(Take::End) }),
         vec![open(root.path())],
     );
-    both.camera.folder = "demo".into();
+    both.cameras[0].camera.folder = "demo".into();
     let mut roll = scripted(|call| if call < 4 { taken(call) } else { Ok(Take::End) });
-    roll.seat = Seat::Roll;
-    roll.instrument.name = "roll".into();
-    roll.folder = "roll".into();
-    both.other_cameras = vec![roll];
+    roll.camera = Camera::new("roll_camera", Role::Roll, Sees::Unstated);
+    both.cameras.push(roll);
     let service = Service::start(both).unwrap();
     wait_until("the flight's end", || service.is_finished());
     let tally = service.join().unwrap();
@@ -831,7 +827,7 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
     let mut instrument = instrument::builtin("demo").unwrap();
     // As if the plate's centre had been measured a little wrong.
     instrument.mounting.plate_centre_px.x += 8.0;
-    let mut flight = flight(Camera::new(instrument, camera), vec![store]);
+    let mut flight = flight(FlightCamera::of_plate(instrument, camera), vec![store]);
     flight.line = Connection::over(near);
     // A machine that has other things to do makes no solution too old.
     flight.config.link.max_solution_age_ms = 30_000;
@@ -862,7 +858,8 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
     let solve = |_| {
         go.send(()).unwrap();
         let answer = answers.recv().unwrap();
-        format!("{:?} {:?}", answer.solution.quality, answer.solution)
+        let solution = &answer.sun().unwrap().solution;
+        format!("{:?} {solution:?}", answer.solved.quality)
     };
     let solved: Vec<String> = (0..FRAMES).map(solve).collect();
     let room = room();

@@ -1,4 +1,4 @@
-//! Imports run in no circle between the files of the library.
+//! Imports run in no circle, between the files of the library and between its folders.
 //!
 //! A file may import from the module that contains it: only imports to the side are counted.
 
@@ -137,23 +137,33 @@ fn resolve(files: &BTreeMap<Module, File>, from: &Module, path: &[String]) -> Op
     Some(at)
 }
 
-/// Every file that can be reached from one.
-fn reached<'m>(
-    edges: &'m BTreeMap<Module, BTreeSet<Module>>,
-    from: &Module,
-) -> BTreeSet<&'m Module> {
-    let mut seen = BTreeSet::new();
-    let mut open: Vec<&Module> = edges[from].iter().collect();
-    while let Some(module) = open.pop() {
-        if seen.insert(module) {
-            open.extend(&edges[module]);
+/// The names of modules that stand in a circle of imports.
+fn circular<N: Ord + Clone>(edges: &BTreeMap<N, BTreeSet<N>>) -> Vec<N> {
+    let reaches_itself = |from: &&N| {
+        let (mut seen, mut open) = (BTreeSet::new(), vec![*from]);
+        while let Some(node) = open.pop() {
+            open.extend(
+                edges
+                    .get(node)
+                    .into_iter()
+                    .flatten()
+                    .filter(|next| seen.insert(*next)),
+            );
         }
-    }
-    seen
+        seen.contains(*from)
+    };
+    edges.keys().filter(reaches_itself).cloned().collect()
 }
 
-#[test]
-fn imports_run_in_no_circle() {
+/// Where two modules part: the children of the deepest folder that holds both, each with all that it holds. `None` where one holds the other.
+fn parting(from: &Module, to: &Module) -> Option<(Module, Module)> {
+    let shared = from.iter().zip(to).take_while(|(a, b)| a == b).count();
+    let child = |module: &Module| module.get(..=shared).map(<[String]>::to_vec);
+    child(from).zip(child(to))
+}
+
+/// The imports of every file: the file, and the files that it takes something from.
+fn imports() -> BTreeMap<Module, BTreeSet<Module>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let read = |(module, path): (Module, PathBuf)| {
         let text = fs::read_to_string(&path).unwrap();
@@ -163,23 +173,36 @@ fn imports_run_in_no_circle() {
         (module, file)
     };
     let files: BTreeMap<Module, File> = sources(&root).into_iter().map(read).collect();
-    let edges_of = |(module, file): (&Module, &File)| {
-        let ends = file
-            .paths
-            .iter()
-            .filter_map(|path| resolve(&files, module, path));
-        let aside = ends.filter(|end| !module.starts_with(end));
+    let imports_of = |(module, file): (&Module, &File)| {
+        let paths = file.paths.iter().chain(file.exports.values());
+        let ends = paths.filter_map(|path| resolve(&files, module, path));
+        let aside = ends.filter(|end| !module.starts_with(end) && !end.starts_with(module));
         (module.clone(), aside.collect())
     };
-    let edges: BTreeMap<Module, BTreeSet<Module>> = files.iter().map(edges_of).collect();
-    assert!(
-        edges.values().map(BTreeSet::len).sum::<usize>() > 300,
-        "few imports were found"
-    );
-    let circular: Vec<String> = edges
-        .keys()
-        .filter(|module| reached(&edges, module).contains(module))
-        .map(|module| module.join("::"))
-        .collect();
-    assert!(circular.is_empty(), "in a circle: {circular:#?}");
+    let imports: BTreeMap<_, BTreeSet<_>> = files.iter().map(imports_of).collect();
+    let count: usize = imports.values().map(BTreeSet::len).sum();
+    assert!(count > 300, "few imports were found");
+    imports
+}
+
+fn words(modules: &[Module]) -> Vec<String> {
+    modules.iter().map(|module| module.join("::")).collect()
+}
+
+#[test]
+fn imports_run_in_no_circle_of_files() {
+    let circular = circular(&imports());
+    assert!(circular.is_empty(), "in a circle: {:#?}", words(&circular));
+}
+
+#[test]
+fn imports_run_in_no_circle_of_folders() {
+    let mut edges: BTreeMap<Module, BTreeSet<Module>> = BTreeMap::new();
+    for (from, ends) in imports() {
+        for (here, there) in ends.iter().filter_map(|end| parting(&from, end)) {
+            edges.entry(here).or_default().insert(there);
+        }
+    }
+    let circular = circular(&edges);
+    assert!(circular.is_empty(), "in a circle: {:#?}", words(&circular));
 }

@@ -8,13 +8,14 @@ use solaspect::commands::{Action, COMMANDS, order};
 use solaspect::config::Config;
 use solaspect::fits::Compression;
 use solaspect::frame::{Frame, FrameInfo, Pixels};
+use solaspect::instrument::Role;
 use solaspect::instrument::{self, Instrument};
 use solaspect::link::ground::{Answered, ask};
 use solaspect::link::{
     AspectCommand, BytePort, Computer, Connection, Direction, Guard, Key, LocalEnd, Message,
     NoSolution, Packet, Parser, Peer, PortAddress, SerialPort, UdpPort, id,
 };
-use solaspect::service::{Camera, Flight, FlightTally, Service};
+use solaspect::service::{Flight, FlightCamera, FlightTally, Service};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -62,7 +63,7 @@ fn fly_with(line: Connection, config: Config, stores: Vec<Store>) -> Service {
         config,
         line,
         stores,
-        ..Flight::of(Camera::new(instrument, camera))
+        ..Flight::of(vec![FlightCamera::of_plate(instrument, camera)])
     };
     Service::start(flight).unwrap()
 }
@@ -182,7 +183,7 @@ fn solving_goes_on_while_the_line_is_away_and_the_line_comes_back() {
     assert_eq!((tally.line.lost, tally.line.reopened), (1, 1), "{tally}");
     assert_eq!(tally.camera.lost, 0);
     assert_eq!(tally.solved(), tally.counts.taken);
-    assert_eq!(tally.solver.unsent, 0);
+    assert_eq!(tally.solver(Role::PitchYaw).unsent, 0);
 }
 
 /// Asks again until somebody listens.
@@ -206,7 +207,10 @@ fn a_controller_that_reads_nothing_does_not_hold_up_the_solver() {
     let tally = end(service);
     assert_eq!(tally.camera.lost, 0);
     assert_eq!(tally.solved(), tally.counts.taken);
-    assert_eq!(tally.solver.unsent + tally.camera.unannounced, 0);
+    assert_eq!(
+        tally.solver(Role::PitchYaw).unsent + tally.camera.unannounced,
+        0
+    );
 }
 
 #[test]

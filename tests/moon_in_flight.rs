@@ -3,15 +3,17 @@
 use crate::common::flight::frames_in;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};
 use jiff::Timestamp;
-use solaspect::archive::{MOON_CAMERA, Store};
-use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
+use solaspect::archive::Store;
+use solaspect::aspect::Quality;
+use solaspect::camera::{Camera, CameraError, Exposure, FrameSource, Take};
 use solaspect::fits::{Compression, FitsFile, Value};
 use solaspect::frame::Frame;
-use solaspect::instrument::{DirectionCamera, builtin};
+use solaspect::instrument::{DirectionCamera, Role, Sees, builtin};
 use solaspect::link::ground::{Answered, ask_for_moon};
 use solaspect::link::moon::{BELOW_HORIZON, FIRST_STAGE, NO_PICTURE};
 use solaspect::link::{Connection, MoonRequest, MoonSight, SerialPort};
-use solaspect::service::{Answer, Camera, Flight, Service};
+use solaspect::moon::Stage;
+use solaspect::service::{Answer, Flight, FlightCamera, Found, Service};
 use solaspect::simulate::FORT_SUMNER;
 use solaspect::simulate::moon::{FollowedMoon, MoonConditions, MoonScene};
 use std::path::Path;
@@ -77,11 +79,15 @@ impl Night {
         let (to_camera, moon) = unbounded();
         let (near, far) = SerialPort::pair().unwrap();
         let demo = builtin("demo").unwrap();
-        let mut flight = Flight::of(Camera {
+        let of_sun = Camera {
             folder: "sun".into(),
-            ..Camera::new(demo.clone(), Handed(sun))
-        });
-        flight.other_cameras = vec![Camera::of_moon(demo, camera(), Handed(moon))];
+            ..Camera::of_plate(demo)
+        };
+        let of_moon = Camera::new("moon_camera", Role::Moon, Sees::Moon(camera()));
+        let mut flight = Flight::of(vec![
+            FlightCamera::new(of_sun, Handed(sun)),
+            FlightCamera::new(of_moon, Handed(moon)),
+        ]);
         let open = |root| Store::open(root, "demo", Compression::Rice).unwrap();
         flight.stores = archive.map(open).into_iter().collect();
         flight.line = Connection::over(near);
@@ -181,10 +187,9 @@ fn a_request_for_the_moon_is_answered_by_the_next_picture() {
     service.stop();
     let tally = service.join().unwrap();
     assert_eq!(tally.line.moon_requests, 4);
-    assert!(
-        tally.moon.hidden() >= 1 && tally.moon.none() >= 1,
-        "{tally}"
-    );
+    let moon = tally.solver(Role::Moon);
+    let hidden = moon.stopped_at(Stage::Sky);
+    assert!(hidden >= 1 && moon.of(Quality::None) > hidden, "{tally}");
     assert_eq!(tally.lost(), 0, "{tally}");
 }
 
@@ -206,7 +211,9 @@ fn what_the_moon_camera_saw_is_in_files_log_telemetry_and_housekeeping() {
     let up = scene(UP);
     night.ask(&[frame(&up, UP)]);
     let solved = night.answers.try_iter().last().unwrap();
-    let found = solved.moon.unwrap();
+    let Found::Moon(found) = &solved.solved.found else {
+        panic!("{solved:?}");
+    };
     let centre = found.found.as_ref().unwrap().centre.position;
     let end = Instant::now() + LONG;
     let told = loop {
@@ -226,7 +233,7 @@ fn what_the_moon_camera_saw_is_in_files_log_telemetry_and_housekeeping() {
     drop(to_camera);
     service.stop();
     service.join().unwrap();
-    let folder = root.path().join(MOON_CAMERA);
+    let folder = root.path().join("moon");
     let files = frames_in(&folder);
     assert!(!files.is_empty());
     for file in &files {

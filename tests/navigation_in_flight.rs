@@ -1,8 +1,8 @@
 //! The filter in flight: frames, an IMU on the controller's line and a GPS receiver of its own, with offsets by the gyros while the Sun is away.
 
+use solaspect::demo::{self, Demo};
 use solaspect::navigation::files::{read_gps, read_imu};
 use solaspect::navigation::{Climb, Settings};
-use solaspect::service::demo::{self, Demo};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;

@@ -3,9 +3,9 @@
 use crate::common::refined::{Columns, command, refine, rms, temporary};
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use solaspect::demo::{self, Demo};
 use solaspect::instrument::{Instrument, builtin};
 use solaspect::pointing::sun_in_telescope;
-use solaspect::service::demo::{self, Demo};
 use solaspect::simulate::navigation::TelescopeFlight;
 use solaspect::simulate::{FORT_SUMNER, Gondola, Trajectory};
 use solaspect::sky::sun_angular_radius;

@@ -4,18 +4,19 @@ use crate::common::flight::frames_in;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};
 use jiff::Timestamp;
 use nalgebra::{Matrix3, Rotation3};
-use solaspect::archive::{ROLL_CAMERA, Store};
-use solaspect::camera::{CameraError, Exposure, FrameSource, Settings, Take};
+use solaspect::archive::Store;
+use solaspect::aspect::Quality;
+use solaspect::camera::{Camera, CameraError, Exposure, FrameSource, Settings, Take};
 use solaspect::config::Switch;
 use solaspect::fits::{Compression, FitsFile, Value};
 use solaspect::frame::{Frame, Pixels, Region};
-use solaspect::instrument::{DirectionCamera, MountedCamera, builtin};
-use solaspect::pointing::Roll;
+use solaspect::instrument::{DirectionCamera, MountedCamera, Role, Sees, builtin};
+use solaspect::pointing::{Offset, Roll};
 use solaspect::reasons::horizon as reasons;
-use solaspect::service::{Answer, Camera, Flight, FlightTally, Service};
+use solaspect::service::{Answer, Flight, FlightCamera, FlightTally, Service};
 use solaspect::simulate::earth::{Aim, EarthConditions, EarthScene, SwingingGondola};
 use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
-use solaspect::units::Place;
+use solaspect::units::{Measured, Place};
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -118,15 +119,19 @@ impl Stepwise {
         let demo = builtin("demo").unwrap();
         let camera = Camera {
             folder: PathBuf::from("sun"),
-            ..Camera::new(demo.clone(), source(suns(4), sun, &Arc::default()))
+            ..Camera::of_plate(demo)
         };
-        let mut flight = Flight::of(camera);
-        let source = source(horizons, roll, &told_us);
-        flight.other_cameras = vec![Camera::of_horizon(demo, roll_camera(), source)];
+        let sees = Sees::Horizon(roll_camera());
+        let of_horizon = Camera::new("roll_camera", Role::Roll, sees);
+        let mut flight = Flight::of(vec![
+            FlightCamera::new(camera, source(suns(4), sun, &Arc::default())),
+            FlightCamera::new(of_horizon, source(horizons, roll, &told_us)),
+        ]);
         let open = |root| Store::open(root, "demo", Compression::Rice).unwrap();
         flight.stores = archive.map(open).into_iter().collect();
         flight.config.roll.max_age_s = max_age_s;
-        flight.config.roll_camera.auto_exposure = Switch::On;
+        let roll = flight.config.cameras.named_mut("roll_camera").unwrap();
+        roll.auto_exposure = Switch::On;
         let (service, answers) = Service::start_watched(flight).unwrap();
         Self {
             service,
@@ -157,6 +162,14 @@ impl Stepwise {
     }
 }
 
+fn roll(answer: &Answer) -> Option<Measured> {
+    answer.solved.roll.map(|roll| roll.deg)
+}
+
+fn offset(answer: &Answer) -> Offset {
+    answer.sun().unwrap().offset.unwrap()
+}
+
 fn number(path: &Path, keyword: &str) -> Option<f64> {
     match FitsFile::open(path)
         .unwrap()
@@ -179,32 +192,32 @@ fn the_horizons_roll_turns_offsets_and_is_in_answers_and_files() {
     let frames = scenes.iter().map(|scene| scene.frame().unwrap()).collect();
     let flight = Stepwise::start(frames, 3600.0, Some(root.path()));
     let before = flight.sun();
-    assert_eq!(before.roll_deg, None);
-    assert_eq!(before.offset.unwrap().roll, Roll::Stated);
+    assert_eq!(roll(&before), None);
+    assert_eq!(offset(&before).roll, Roll::Stated);
     let (mut horizon_rolls, mut sun_rolls) = (Vec::new(), Vec::new());
     for scene in &scenes {
         std::thread::sleep(NO_RATE);
         let seen = flight.horizon();
-        let roll = seen.roll_deg.unwrap();
-        let off_deg = roll.value - scene.roll_deg;
-        assert!(off_deg.abs() < 0.04, "{roll:?} for {}", scene.roll_deg);
-        assert!(off_deg.abs() < 5.0 * roll.sigma, "{roll:?}");
+        let seen_roll = roll(&seen).unwrap();
+        let off_deg = seen_roll.value - scene.roll_deg;
+        assert!(off_deg.abs() < 0.04, "{seen_roll:?} for {}", scene.roll_deg);
+        assert!(off_deg.abs() < 5.0 * seen_roll.sigma, "{seen_roll:?}");
         let sun = flight.sun();
-        let sun_roll = sun.roll_deg.unwrap();
-        let turned_deg = sun_roll.value - roll.value;
+        let sun_roll = roll(&sun).unwrap();
+        let turned_deg = sun_roll.value - seen_roll.value;
         assert!(turned_deg.abs() < 0.001, "{turned_deg}");
         // The telescope stands higher than the horizon camera looks, so that its roll about the boresight is larger.
-        let Roll::Measured(about_boresight) = sun.offset.unwrap().roll else {
-            panic!("{:?}", sun.offset);
+        let Roll::Measured(about_boresight) = offset(&sun).roll else {
+            panic!("{:?}", offset(&sun));
         };
-        assert!(about_boresight.value / roll.value > 1.2);
-        horizon_rolls.push(roll.value);
+        assert!(about_boresight.value / seen_roll.value > 1.2);
+        horizon_rolls.push(seen_roll.value);
         sun_rolls.push(sun_roll.value);
     }
     let tally = flight.end();
-    assert_eq!(tally.counts.roll_fine, 3, "{tally}");
+    assert_eq!(tally.solver(Role::Roll).of(Quality::Fine), 3, "{tally}");
     assert_eq!((tally.solved(), tally.lost()), (4, 0), "{tally}");
-    for (folder, missing, told) in [("sun", 1, &sun_rolls), (ROLL_CAMERA, 0, &horizon_rolls)] {
+    for (folder, missing, told) in [("sun", 1, &sun_rolls), ("roll", 0, &horizon_rolls)] {
         let files = frames_in(&root.path().join(folder));
         let rolls: Vec<f64> = files
             .iter()
@@ -231,13 +244,13 @@ fn a_horizon_that_is_overexposed_or_old_costs_the_sun_nothing() {
     let horizon = gondola(3).frame().unwrap();
     let frames = VecDeque::from([horizon.clone(), white(&horizon)]);
     let flight = Stepwise::start(frames, 0.01, None);
-    assert!(flight.horizon().roll_deg.is_some());
+    assert!(roll(&flight.horizon()).is_some());
     std::thread::sleep(Duration::from_millis(50));
     let sun = flight.sun();
-    assert_eq!(sun.roll_deg, None, "older than roll.max_age_s");
-    assert_eq!(sun.offset.unwrap().roll, Roll::Stated);
-    assert_eq!(flight.horizon().roll_deg, None);
-    assert!(flight.sun().offset.is_some());
+    assert_eq!(roll(&sun), None, "older than roll.max_age_s");
+    assert_eq!(offset(&sun).roll, Roll::Stated);
+    assert_eq!(roll(&flight.horizon()), None);
+    assert!(flight.sun().sun().unwrap().offset.is_some());
     // The exposure follows the limb's light, and falls at once where there is too much.
     let falls = |told_us: &[u32]| told_us.last().is_some_and(|us| *us < 15_000);
     let start = Instant::now();
@@ -246,7 +259,11 @@ fn a_horizon_that_is_overexposed_or_old_costs_the_sun_nothing() {
         std::thread::sleep(Duration::from_millis(5));
     }
     let tally = flight.end();
-    assert_eq!(tally.roll.because(reasons::TOO_BRIGHT), 1, "{tally}");
+    assert_eq!(
+        tally.solver(Role::Roll).because(reasons::TOO_BRIGHT),
+        1,
+        "{tally}"
+    );
     assert!(
         tally
             .to_string()
@@ -269,18 +286,14 @@ fn a_frame_of_another_size_or_from_below_the_limb_is_stored_with_the_reason() {
     let frames = VecDeque::from([low, part, horizon]);
     let flight = Stepwise::start(frames, 3600.0, Some(root.path()));
     let reason = |answer: &Answer| {
-        let horizon = answer.horizon.as_ref().unwrap();
-        horizon
-            .nadir
-            .as_ref()
-            .err()
-            .map(|stopped| stopped.rejected.reason.code)
+        let stopped = answer.solved.stopped;
+        stopped.map(|stopped| stopped.rejected.reason.code)
     };
     for expected in [Some("not_above_the_limb"), Some("wrong_size"), None] {
         let answer = flight.horizon();
         assert_eq!(reason(&answer), expected);
         // The exposure follows the light of all of them.
-        assert!(answer.solution.levels.is_some());
+        assert!(answer.solved.levels.is_some());
     }
     let tally = flight.end();
     assert_eq!((tally.counts.stored, tally.lost()), (3, 0), "{tally}");
@@ -335,7 +348,7 @@ fn a_flight_of_two_simulated_cameras_tells_the_gondolas_roll() {
     );
     let camera = MountedCamera::parse(Path::new("roll.toml"), SMALL_CAMERA).unwrap();
     let gondola = SwingingGondola::new(&camera, &FORT_SUMNER, 1);
-    let files = frames_in(&root.path().join("archive").join(ROLL_CAMERA));
+    let files = frames_in(&root.path().join("archive").join("roll"));
     assert_eq!(files.len(), 12);
     let mut squares = 0.0;
     for file in &files {
@@ -347,7 +360,7 @@ fn a_flight_of_two_simulated_cameras_tells_the_gondolas_roll() {
     // Few places tell little of how the limb departs from its sphere, so that a small picture's sigma is careful.
     assert!((0.2..1.7).contains(&ratio), "{ratio}");
     // What the roll camera was flown with is in the archive.
-    let kept = std::fs::read_dir(root.path().join("archive").join(ROLL_CAMERA)).unwrap();
+    let kept = std::fs::read_dir(root.path().join("archive").join("roll")).unwrap();
     let kept = kept.map(|entry| entry.unwrap().path());
     let instrument = kept.filter(|path| path.extension().is_some_and(|e| e == "toml"));
     let texts: Vec<String> = instrument

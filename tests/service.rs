@@ -1,8 +1,10 @@
 //! The demonstration: camera, solver, link and archive together, with nothing lost between them.
 
-use solaspect::archive::is_of_roll_camera;
+use solaspect::archive::role_of;
+use solaspect::aspect::Quality;
+use solaspect::demo::{self, Demo};
 use solaspect::fits;
-use solaspect::service::demo::{self, Demo};
+use solaspect::instrument::Role;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -37,9 +39,9 @@ fn the_demonstration_loses_nothing_between_camera_controller_and_archive() {
     assert_eq!(summary.tally.counts.taken, 40);
     assert_eq!(shown, 20);
 
-    let counts = &summary.tally.counts;
-    assert!(counts.fine >= 10, "{summary}");
-    assert!(counts.none >= 1, "the Sun leaves: {summary}");
+    let solved = summary.tally.solver(Role::PitchYaw);
+    assert!(solved.of(Quality::Fine) >= 10, "{summary}");
+    assert!(solved.of(Quality::None) >= 1, "the Sun leaves: {summary}");
     let largest = summary
         .fine_errors_arcsec
         .iter()
@@ -53,7 +55,7 @@ fn the_demonstration_loses_nothing_between_camera_controller_and_archive() {
 
     let (rolls, stored): (Vec<PathBuf>, Vec<PathBuf>) = files(folder.path())
         .into_iter()
-        .partition(|file| is_of_roll_camera(file));
+        .partition(|file| role_of(file).is_some());
     assert_eq!((rolls.len(), stored.len()), (20, 20));
     for (number, path) in stored.iter().enumerate() {
         let frame = fits::read_frame(path).unwrap();

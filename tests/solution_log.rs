@@ -2,14 +2,14 @@
 
 use crate::common::flight::{self, dark_frame};
 use jiff::Timestamp;
-use solaspect::archive::{Dirfile, ROLL_CAMERA, SolutionLog, Store};
+use solaspect::archive::{Dirfile, SolutionLog, Store};
 use solaspect::aspect::{self, Expected, Settings};
 use solaspect::config;
+use solaspect::demo::{self, Demo};
 use solaspect::fits::{self, Compression, Header, Value};
 use solaspect::instrument;
 use solaspect::record::{Record, Row};
 use solaspect::service::FlightTally;
-use solaspect::service::demo::{self, Demo};
 use std::collections::BTreeMap;
 use std::fs::{self, OpenOptions};
 use std::io::Write;
@@ -322,7 +322,7 @@ fn a_disk_that_refuses_says_so_and_is_tried_again_with_the_next_row() {
 fn frames_whose_picture_no_disk_took_are_in_the_log() {
     let root = tempfile::tempdir().unwrap();
     // Where the hours' folders should be.
-    let rolls = root.path().join(ROLL_CAMERA);
+    let rolls = root.path().join("roll");
     fs::create_dir(&rolls).unwrap();
     for folder in [root.path(), &rolls] {
         fs::write(folder.join("20130921T18"), "occupied").unwrap();

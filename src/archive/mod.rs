@@ -29,7 +29,7 @@ pub use flown::{
 };
 pub use frame_file::{instrument_cards, tables, target_cards};
 pub use log::{Log, SolutionLog};
-pub use name::{MOON_CAMERA, NameTime, ROLL_CAMERA, is_of_roll_camera, name, plain, sky_camera};
+pub use name::{NameTime, name, plain, role_of};
 pub use policy::{Overflow, Room, Sharing, SpaceLimits};
 pub use reader::ArchiveReader;
 pub use storage::{Listing, StoredFile};

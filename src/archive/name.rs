@@ -1,28 +1,14 @@
 //! The names of archived frames: they sort by time, and a folder holds an hour.
 
+use crate::instrument::Role;
 use jiff::Timestamp;
 use std::path::{Path, PathBuf};
 
-/// The roll camera: its frames and logs go into a folder of this name under the archive's root, and name it as their instrument.
-pub const ROLL_CAMERA: &str = "roll";
-/// The same of the Moon camera.
-pub const MOON_CAMERA: &str = "moon";
-
-/// Whether a file is of the roll camera, by its name.
-pub fn is_of_roll_camera(path: &Path) -> bool {
-    sky_camera(path) == Some(ROLL_CAMERA)
-}
-
-/// The camera that looks at the sky, and at no plate, of which a file is, by its name.
-pub fn sky_camera(path: &Path) -> Option<&'static str> {
+/// The role and the ordinal (from 1) of the camera of which a file is, by its name; `None` of a camera that an instrument names.
+pub fn role_of(path: &Path) -> Option<(Role, usize)> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let camera = stem
-        .split('_')
-        .next()
-        .filter(|name| name.len() < stem.len());
-    [ROLL_CAMERA, MOON_CAMERA]
-        .into_iter()
-        .find(|name| camera == Some(name))
+    let (camera, _) = stem.split_once('_')?;
+    Role::labelled(camera)
 }
 
 /// The time that a frame's name tells.

@@ -94,16 +94,6 @@ pub fn solve_with(
     solution
 }
 
-/// The levels of a frame, and nothing more: for cameras whose pictures nobody solves yet.
-pub fn levels_only(settings: &Settings, frame: &Frame, instrument: &Instrument) -> Solution {
-    let mut solution = Solution::none();
-    match Pipeline::new(settings, instrument, None).levels(frame) {
-        Ok(levels) => solution.levels = Some(levels),
-        Err(stopped) => solution.stopped = Some(stopped),
-    }
-    solution
-}
-
 fn run(
     work: &Pipeline<'_>,
     frame: &Frame,

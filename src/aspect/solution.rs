@@ -47,6 +47,16 @@ pub enum Stage {
 }
 
 impl Stage {
+    pub const ALL: [Self; 7] = [
+        Self::Levels,
+        Self::Limb,
+        Self::Marks,
+        Self::Identification,
+        Self::Registration,
+        Self::Aspect,
+        Self::Pointing,
+    ];
+
     pub fn name(self) -> &'static str {
         match self {
             Self::Levels => "levels",

@@ -4,17 +4,17 @@ mod auto_exposure;
 mod folder;
 #[cfg(feature = "gige")]
 pub mod gige;
+mod identity;
 mod pace;
 mod settings;
 mod simulated;
-mod simulated_sky;
 mod source;
 
 pub use auto_exposure::{AutoExposure, AutoExposureSettings, Brightness};
 pub use folder::FolderCamera;
+pub use identity::{Camera, tell_apart};
 pub use settings::{PixelFormat, Settings};
-pub use simulated::{SimulatedCamera, TruthLog};
-pub use simulated_sky::{SimulatedSky, SkyView};
+pub use simulated::{SimulatedCamera, TruthLog, View};
 pub use source::{NoSource, Source, Surroundings, open, simulated_course};
 
 use crate::fits::FileError;

@@ -1,13 +1,18 @@
 //! The simulator as a camera: it takes its time over every exposure, as a camera does.
 
 use super::pace::Pace;
-use super::{CameraError, Exposure, FrameSource, PixelFormat, Settings, Take, settings};
+use super::{CameraError, Exposure, FrameSource, PixelFormat, Settings, Take};
 use crate::frame::{Frame, Region};
-use crate::simulate::{Depth, FlightScenes, Picture, Scene, TruthOfSun};
+use crate::simulate::earth::SwingingGondola;
+use crate::simulate::moon::FollowedMoon;
+use crate::simulate::{Depth, FlightScenes, Picture, SceneError, TruthOfSun};
 use jiff::{SignedDuration, Timestamp};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
+
+/// The exposure at which limb and Moon are as bright as the simulator's usual ones.
+const USUAL_EXPOSURE: Duration = Duration::from_millis(15);
 
 /// The truth of every frame so far by its number. It stays with the simulator's side; the solver never sees it.
 #[derive(Debug, Clone, Default)]
@@ -26,11 +31,72 @@ impl TruthLog {
     }
 }
 
+/// What a simulated camera looks at.
+pub enum View {
+    /// The Sun on the plate.
+    Plate(Box<FlightScenes>),
+    /// The Earth's limb from a swinging gondola.
+    Horizon(Box<SwingingGondola>),
+    Moon(Box<FollowedMoon>),
+}
+
+impl View {
+    /// The frame of a number, the middle of its exposure being at a time of the flight.
+    fn draw(
+        &mut self,
+        number: u64,
+        at: &Moment,
+        settings: &Settings,
+    ) -> Result<Drawn, CameraError> {
+        let brightness = settings.exposure().as_secs_f64() / USUAL_EXPOSURE.as_secs_f64();
+        let sky = |frame: Result<Frame, _>| -> Result<Drawn, CameraError> {
+            let frame = frame.map_err(SceneError::from)?;
+            Ok(Drawn { frame, truth: None })
+        };
+        let mut drawn = match self {
+            Self::Plate(scenes) => {
+                scenes.exposure = settings.exposure();
+                scenes.template.depth = match settings.pixel_format {
+                    PixelFormat::Mono8 => Depth::Eight,
+                    PixelFormat::Mono12 => Depth::Twelve,
+                };
+                let Picture { frame, truth } = scenes.scene(number, at.since_start)?.picture()?;
+                let frame = match settings.region {
+                    Some(region) => read_out(frame, region)?,
+                    None => frame,
+                };
+                let truth = truth.sun;
+                Drawn { frame, truth }
+            }
+            Self::Horizon(gondola) => {
+                sky(gondola.scene(number, at.since_start, brightness).frame())?
+            }
+            Self::Moon(moon) => sky(moon.scene(number, at.utc, brightness)?.frame())?,
+        };
+        let info = &mut drawn.frame.info;
+        info.mid_exposure = Some(at.utc);
+        info.monotonic = Some(at.since_start);
+        info.exposure = Some(settings.exposure());
+        Ok(drawn)
+    }
+}
+
+/// The middle of an exposure.
+struct Moment {
+    since_start: Duration,
+    utc: Timestamp,
+}
+
+/// A frame, and the truth about it.
+struct Drawn {
+    frame: Frame,
+    truth: Option<TruthOfSun>,
+}
+
 /// A camera that sees a simulated flight, at its own rate and on a clock that starts where it is told.
 pub struct SimulatedCamera {
-    scenes: FlightScenes,
-    period: Duration,
-    region: Option<Region>,
+    view: View,
+    settings: Settings,
     pace: Pace,
     start: Timestamp,
     /// How far the flight was when the first frame was taken.
@@ -39,28 +105,22 @@ pub struct SimulatedCamera {
     duration: Option<Duration>,
     number: u64,
     truth: TruthLog,
-    /// The next exposure, drawn before its time: a camera's frame is there when its exposure ends, however long it takes to draw.
-    drawn: Option<Result<Drawn, CameraError>>,
-}
-
-/// An exposure, and the truth about it.
-struct Drawn {
-    exposure: Exposure,
-    truth: Option<TruthOfSun>,
+    /// The next exposure and its announced time, drawn before its time: a camera's frame is there when its exposure ends, however long it takes to
+    /// draw.
+    drawn: Option<Result<(Drawn, Timestamp), CameraError>>,
 }
 
 impl SimulatedCamera {
-    /// A flight from `start` on, at `rate_hz`, for `duration` or without end.
+    /// A flight from `start` on, for `duration` or without end.
     pub fn new(
-        scenes: FlightScenes,
-        rate_hz: f64,
+        view: View,
+        settings: &Settings,
         start: Timestamp,
         duration: Option<Duration>,
     ) -> Self {
         Self {
-            scenes,
-            period: settings::period(rate_hz),
-            region: None,
+            view,
+            settings: settings.clone(),
             pace: Pace::default(),
             start,
             ahead: Duration::ZERO,
@@ -76,41 +136,28 @@ impl SimulatedCamera {
         Self { ahead, ..self }
     }
 
-    /// The truth of the frames that this camera takes.
+    /// The truth of the frames of a plate that this camera takes.
     pub fn truth(&self) -> TruthLog {
         self.truth.clone()
     }
 
     /// Whether the run holds as many frames as fit, to the nearest.
     fn is_over(&self) -> bool {
-        let middle = self.pace.due() + self.period / 2;
+        let middle = self.pace.due() + self.settings.period() / 2;
         self.duration.is_some_and(|duration| middle > duration)
     }
 
-    fn draw(&self) -> Result<Drawn, CameraError> {
-        let (scene, announced) = self.due_scene()?;
-        let Picture { frame, truth } = scene.picture()?;
-        let frame = match self.region {
-            Some(region) => read_out(frame, region)?,
-            None => frame,
-        };
-        Ok(Drawn {
-            exposure: Exposure { frame, announced },
-            truth: truth.sun,
-        })
-    }
-
-    /// The scene that is due, and the start of its exposure.
-    fn due_scene(&self) -> Result<(Scene, Timestamp), CameraError> {
-        let since_start = self.ahead + self.pace.due();
-        let middle = since_start + self.scenes.exposure / 2;
+    /// The frame that is due, and the start of its exposure.
+    fn draw(&mut self) -> Result<(Drawn, Timestamp), CameraError> {
+        let begin = self.ahead + self.pace.due();
+        let since_start = begin + self.settings.exposure() / 2;
         let at = |since: Duration| -> Result<Timestamp, jiff::Error> {
             self.start.checked_add(SignedDuration::try_from(since)?)
         };
-        let mut scene = self.scenes.scene(self.number, middle)?;
-        scene.info.mid_exposure = Some(at(middle)?);
-        scene.info.monotonic = Some(middle);
-        Ok((scene, at(since_start)?))
+        let (announced, utc) = (at(begin)?, at(since_start)?);
+        let middle = Moment { since_start, utc };
+        let drawn = self.view.draw(self.number, &middle, &self.settings)?;
+        Ok((drawn, announced))
     }
 }
 
@@ -127,22 +174,18 @@ impl FrameSource for SimulatedCamera {
         }
         let number = self.number;
         self.number += 1;
-        self.pace.advance(self.period);
-        let Drawn { exposure, truth } = drawn?;
-        starts(exposure.announced);
-        std::thread::sleep(self.scenes.exposure);
-        self.truth.note(number, truth);
-        Ok(Take::Exposure(Box::new(exposure)))
+        self.pace.advance(self.settings.period());
+        let (Drawn { frame, truth }, announced) = drawn?;
+        starts(announced);
+        std::thread::sleep(self.settings.exposure());
+        if let View::Plate(_) = self.view {
+            self.truth.note(number, truth);
+        }
+        Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
     }
 
     fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
-        self.period = settings.period();
-        self.scenes.exposure = settings.exposure();
-        self.scenes.template.depth = match settings.pixel_format {
-            PixelFormat::Mono8 => Depth::Eight,
-            PixelFormat::Mono12 => Depth::Twelve,
-        };
-        self.region = settings.region;
+        self.settings = settings.clone();
         self.drawn = None;
         Ok(())
     }

@@ -2,10 +2,8 @@
 
 #[cfg(feature = "gige")]
 use super::gige::GigeCamera;
-use super::{
-    CameraError, FolderCamera, FrameSource, Settings, SimulatedCamera, SimulatedSky, SkyView,
-};
-use crate::instrument::{Instrument, SkyCamera};
+use super::{CameraError, FolderCamera, FrameSource, Settings, SimulatedCamera, View};
+use crate::instrument::{Instrument, Sees, builtin};
 use crate::simulate::earth::SwingingGondola;
 use crate::simulate::moon::FollowedMoon;
 use crate::simulate::{Course, FORT_SUMNER, FlightScenes, Pieces, Trajectory};
@@ -64,10 +62,8 @@ impl fmt::Display for Source {
 
 /// What opening a source needs to know beside its settings.
 #[derive(Debug, Clone)]
-pub struct Surroundings<'a> {
-    pub instrument: &'a Instrument,
-    /// For a camera that looks at the sky.
-    pub sky: Option<&'a SkyCamera>,
+pub struct Surroundings {
+    pub sees: Sees,
     /// Seed of the simulator, and when its flight begins; unset, now.
     pub seed: u64,
     pub start: Option<Timestamp>,
@@ -94,48 +90,42 @@ pub fn open(
         Source::Folder(folder) => {
             Box::new(FolderCamera::open(folder, settings.rate_hz, around.speed)?)
         }
-        Source::Simulated(file) => match around.sky {
-            Some(camera) => Box::new(SimulatedSky::new(
-                sky_view(camera, around.seed),
-                settings,
-                Timestamp::now(),
-                around.duration,
-            )),
-            None => Box::new(simulated(file.as_deref(), settings, around)?),
-        },
+        Source::Simulated(file) => Box::new(simulated(file.as_deref(), settings, around)?),
     };
     camera.apply(settings)?;
     Ok(camera)
 }
 
-/// What a camera sees that looks at the sky above Fort Sumner, now: the limb from a swinging gondola, whatever path the Sun takes on the plate of
-/// another camera; or the Moon, which it follows.
-fn sky_view(camera: &SkyCamera, seed: u64) -> SkyView {
-    match camera {
-        SkyCamera::Horizon(camera) => {
-            SkyView::Horizon(Box::new(SwingingGondola::new(camera, &FORT_SUMNER, seed)))
-        }
-        SkyCamera::Moon(camera) => {
-            SkyView::Moon(Box::new(FollowedMoon::new(camera, FORT_SUMNER, seed)))
-        }
-    }
-}
-
+/// A simulated camera above Fort Sumner. One of a plate is as far into its flight as the clock is; limb and Moon are those of now, whatever path the
+/// Sun takes on the plate of another camera. One of which nothing is stated takes the frames of the demo.
 fn simulated(
     file: Option<&Path>,
     settings: &Settings,
     around: &Surroundings,
 ) -> Result<SimulatedCamera, CameraError> {
-    let now = Timestamp::now();
-    let start = around.start.unwrap_or(now);
-    let Surroundings {
-        instrument, seed, ..
-    } = *around;
-    let course = simulated_course(file, instrument, start, seed)?;
-    let scenes = FlightScenes::new(instrument, course, radius_mil(instrument, start)?, seed)?;
-    let ahead = Duration::try_from(now.duration_since(start)).unwrap_or_default();
-    let camera = SimulatedCamera::new(scenes, settings.rate_hz, start, around.duration);
-    Ok(camera.ahead_by(ahead))
+    let (now, seed) = (Timestamp::now(), around.seed);
+    let of_plate = |instrument: &Instrument| -> Result<SimulatedCamera, CameraError> {
+        let start = around.start.unwrap_or(now);
+        let course = simulated_course(file, instrument, start, seed)?;
+        let scenes = FlightScenes::new(instrument, course, radius_mil(instrument, start)?, seed)?;
+        let ahead = Duration::try_from(now.duration_since(start)).unwrap_or_default();
+        let view = View::Plate(Box::new(scenes));
+        let camera = SimulatedCamera::new(view, settings, start, around.duration);
+        Ok(camera.ahead_by(ahead))
+    };
+    let of_sky = |view| SimulatedCamera::new(view, settings, now, around.duration);
+    Ok(match &around.sees {
+        Sees::Plate(instrument) => of_plate(instrument)?,
+        Sees::Unstated => of_plate(&builtin("demo")?)?,
+        Sees::Horizon(camera) => {
+            let gondola = SwingingGondola::new(camera, &FORT_SUMNER, seed);
+            of_sky(View::Horizon(Box::new(gondola)))
+        }
+        Sees::Moon(camera) => {
+            let moon = FollowedMoon::new(camera, FORT_SUMNER, seed);
+            of_sky(View::Moon(Box::new(moon)))
+        }
+    })
 }
 
 /// Where the Sun goes in a simulated flight: as a file tells, or on a path of rests and slews without end.

@@ -2,7 +2,7 @@
 
 use super::output::say;
 use crate::config::{example, parameters_page};
-use crate::preflight::{self, Options, Plan, Remark, Remarks};
+use crate::plan::{Options, Plan, Remark, Remarks};
 use clap::{Args, Subcommand};
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -41,7 +41,9 @@ pub fn run(args: &ConfigArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn check(file: Option<&Path>, as_json: bool) -> anyhow::Result<ExitCode> {
-    let (plan, remarks) = preflight::survey(file, &Options::default());
+    let (plan, mut remarks) = Plan::survey(file, &Options::default());
+    plan.look(&mut remarks);
+    let plan = Some(plan).filter(|_| !remarks.has_errors());
     match as_json {
         true => say(json(plan.as_ref(), &remarks))?,
         false => print_lines(plan.as_ref(), &remarks)?,

@@ -2,8 +2,8 @@
 
 use super::options;
 use super::output::say;
+use crate::demo::{self, Demo, Glimpse};
 use crate::log;
-use crate::service::demo::{self, Demo, Glimpse};
 use anyhow::Context;
 use clap::Args;
 use std::io::IsTerminal;
@@ -75,8 +75,9 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
 fn line(glimpse: &Glimpse) -> String {
     let answer = &glimpse.answer;
     let number = answer.exposure.frame.info.number.unwrap_or_default();
-    let quality = answer.solution.quality.name();
-    let sun = match (&answer.solution.aspect, &answer.solution.stopped) {
+    let quality = answer.solved.quality.name();
+    let aspect = answer.sun().and_then(|sun| sun.solution.aspect.as_ref());
+    let sun = match (aspect, &answer.solved.stopped) {
         (Some(aspect), _) => {
             let (at, sigma) = (aspect.sun_plate.position, aspect.sun_plate.sigma());
             format!("Sun ({:8.2}, {:8.2}) +- {:.2} mil", at.x, at.y, sigma[0])

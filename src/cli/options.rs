@@ -3,8 +3,8 @@
 use crate::camera::Source;
 use crate::config::Config;
 use crate::instrument::{Instrument, builtin_text, text_of};
+use crate::plan::{self, Options};
 use crate::pointing::Target;
-use crate::preflight::{self, Options};
 use crate::sky::Ephemeris;
 use clap::Args;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
@@ -72,12 +72,12 @@ pub(super) fn config(path: Option<&Path>) -> anyhow::Result<Config> {
 
 /// The ephemeris with the configured table of Earth orientation, else the program's own.
 pub(super) fn ephemeris(config: &Config) -> anyhow::Result<Ephemeris> {
-    Ok(preflight::ephemeris(config)?)
+    Ok(plan::ephemeris(config)?)
 }
 
 /// The configured target; with an epoch, the feature that stood there then.
 pub(super) fn target(config: &Config, ephemeris: &mut Ephemeris) -> anyhow::Result<Target> {
-    Ok(preflight::target(config, ephemeris)?)
+    Ok(plan::target(config, ephemeris)?)
 }
 
 /// A length of time such as 20s, 1.5s, 500ms, 10m or 8h; a bare number is in seconds.

@@ -12,11 +12,11 @@ pub use proof::Proof;
 pub use saved::{SavedError, SavedValues, ValueSaver, differences, restore};
 
 use super::note::CommandNote;
-use super::role::CameraRole;
 use super::setting::{KEPT, LATITUDE, LONGITUDE, Own, SENDING, STAMP, Setting, TRACKING};
 use crate::aspect;
-use crate::config::{self, Config, Value, by_key};
-use crate::instrument::{Instrument, Mounting};
+use crate::camera::Camera;
+use crate::config::{self, Config, ConfiguredCamera, Value, by_key};
+use crate::instrument::{Instrument, Mounting, Role};
 use crate::link::{CommandResult, GpsFix};
 use crate::pointing::{HelioprojectiveArcsec, Target};
 use crate::units::Place;
@@ -28,26 +28,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Rows that may wait for the command log.
 const NOTES: usize = 1024;
-
-/// A camera's place in a flight, each with a table of parameters of its own. Commands to the pitch-yaw camera go to the
-/// first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Seat {
-    PitchYaw,
-    SecondPitchYaw,
-    Roll,
-    Moon,
-}
-
-impl Seat {
-    pub fn role(self) -> CameraRole {
-        match self {
-            Self::PitchYaw | Self::SecondPitchYaw => CameraRole::PitchYaw,
-            Self::Roll => CameraRole::Roll,
-            Self::Moon => CameraRole::Moon,
-        }
-    }
-}
 
 /// What may change in flight, by who wants to know.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,7 +56,7 @@ impl Topic {
             "target" | "site" | "gps" => Self::Aim,
             "mounting" => Self::Mounting,
             "limb" | "fiducial" | "registration" => Self::Solver,
-            "camera" | "second_camera" | "roll_camera" | "moon_camera" => Self::Cameras,
+            table if table == "camera" || table.ends_with("_camera") => Self::Cameras,
             "store" => Self::Storing,
             "link" => Self::Link,
             _ => Self::Other,
@@ -128,7 +108,7 @@ struct Shared {
     state: Mutex<State>,
     versions: [AtomicU64; Topic::COUNT],
     quits: AtomicBool,
-    pictures: [AtomicBool; CameraRole::COUNT],
+    pictures: [AtomicBool; Role::COUNT],
     /// Tells the thread that saves values that something has changed; one such word is enough.
     changed: (Sender<()>, Receiver<()>),
     /// Rows for the command log.
@@ -143,26 +123,43 @@ struct State {
     place: Option<Place>,
     own: Own,
     gps: Gps,
-    /// The instrument's own.
-    stated: Mounting,
+    /// The instrument's own; `None` where no camera sees a plate.
+    stated: Option<Mounting>,
     /// All that commands have set, by key: what is saved.
     commanded: BTreeMap<String, Value>,
     disks: Vec<Option<u8>>,
     clock_offset_us: Option<i64>,
-    cameras: Vec<CameraRole>,
+    cameras: Vec<Role>,
     /// Configuration and target as they were before any command.
     origin: Arc<(Config, Target)>,
     /// What the solver's settings are tried on.
     proof: Option<Arc<Proof>>,
     /// How often a command's value was refused, by key.
-    refusals: BTreeMap<&'static str, u64>,
+    refusals: BTreeMap<String, u64>,
     /// Why the last command was refused.
     reason: Option<String>,
 }
 
 impl Controls {
-    /// The settings at the start of a flight. `target` is where the configuration points.
-    pub fn new(config: Config, target: Target, mounting: Mounting) -> Self {
+    /// The settings at the start of a flight of these cameras. `target` is where the configuration points.
+    pub fn of_flight<'c>(
+        config: Config,
+        target: Target,
+        cameras: impl Iterator<Item = &'c Camera> + Clone,
+    ) -> Self {
+        // Commands about the instrument are about the first camera's.
+        let instrument = cameras.clone().find_map(|camera| camera.sees.plate());
+        let mounting = instrument.map(|instrument| instrument.mounting);
+        let controls = Self::new(config, target, mounting);
+        controls.note_cameras(&cameras.map(|camera| camera.role).collect::<Vec<_>>());
+        if let Some(instrument) = instrument {
+            controls.note_instrument(instrument);
+        }
+        controls
+    }
+
+    /// The same of one pitch-yaw camera of an instrument that is mounted so.
+    pub fn new(config: Config, target: Target, mounting: impl Into<Option<Mounting>>) -> Self {
         let state = State {
             place: config.site.place(),
             own: Own::new(),
@@ -171,11 +168,11 @@ impl Controls {
             proof: None,
             config,
             target,
-            stated: mounting,
+            stated: mounting.into(),
             commanded: BTreeMap::new(),
             disks: Vec::new(),
             clock_offset_us: None,
-            cameras: vec![CameraRole::PitchYaw],
+            cameras: vec![Role::PitchYaw],
             refusals: BTreeMap::new(),
             reason: None,
         };
@@ -214,8 +211,10 @@ impl Controls {
     }
 
     /// How a camera is to be set now.
-    pub fn camera(&self, seat: Seat) -> config::Camera {
-        self.state().camera(seat).clone()
+    pub fn camera(&self, camera: &Camera) -> ConfiguredCamera {
+        let (name, role) = (&camera.name, camera.role);
+        let configured = self.state().config.cameras.named(name).cloned();
+        configured.unwrap_or_else(|| ConfiguredCamera::new(name, role))
     }
 
     /// By how much the host's clock is ahead of true time, where that is known.
@@ -224,7 +223,7 @@ impl Controls {
     }
 
     /// Whether the frames of a role's cameras are to be stored.
-    pub fn stores(&self, role: CameraRole) -> bool {
+    pub fn stores(&self, role: Role) -> bool {
         self.state().own.stores[role as usize]
     }
 
@@ -264,7 +263,7 @@ impl Controls {
     }
 
     /// Says which cameras there are; before that, a pitch-yaw camera only.
-    pub fn note_cameras(&self, roles: &[CameraRole]) {
+    pub fn note_cameras(&self, roles: &[Role]) {
         self.state().cameras = roles.to_vec();
     }
 
@@ -294,7 +293,7 @@ impl Controls {
     }
 
     /// Whether the ground wants the next picture of a role's camera; asking takes the wish away.
-    pub fn takes_picture(&self, role: CameraRole) -> bool {
+    pub fn takes_picture(&self, role: Role) -> bool {
         self.0.pictures[role as usize].swap(false, Ordering::Relaxed)
     }
 
@@ -388,15 +387,6 @@ impl Controls {
 }
 
 impl State {
-    fn camera(&self, seat: Seat) -> &config::Camera {
-        match seat {
-            Seat::PitchYaw => &self.config.camera,
-            Seat::SecondPitchYaw => &self.config.second_camera,
-            Seat::Roll => &self.config.roll_camera,
-            Seat::Moon => &self.config.moon_camera,
-        }
-    }
-
     fn set(&mut self, key: &str, value: &Value) -> Result<(), config::Refused> {
         match by_key(key) {
             Some(parameter) => parameter.set(&mut self.config, Some(value.clone()))?,
@@ -428,9 +418,7 @@ impl State {
         if let Some(wrong) = self.contradictions().into_iter().find(is_new) {
             return Err(wrong);
         }
-        let mut keys = settings
-            .iter()
-            .filter_map(|(key, _)| Some(by_key(key)?.key));
+        let mut keys = settings.iter().map(|(key, _)| *key);
         match (
             keys.find(|key| Topic::of(key) == Topic::Solver),
             &self.proof,
@@ -441,7 +429,7 @@ impl State {
     }
 
     fn contradictions(&self) -> Vec<config::Refused> {
-        let is_pitch_yaw = |role: &&CameraRole| **role == CameraRole::PitchYaw;
+        let is_pitch_yaw = |role: &&Role| **role == Role::PitchYaw;
         let pitch_yaw = self.cameras.iter().filter(is_pitch_yaw).count();
         self.config.contradictions(pitch_yaw)
     }

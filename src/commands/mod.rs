@@ -11,19 +11,17 @@ mod dictionary;
 mod note;
 pub mod order;
 mod protocol;
-mod role;
 pub mod setting;
 mod table;
 mod text;
 mod variable;
 pub mod words;
 
-pub use controls::{Controls, Seat};
+pub use controls::Controls;
 pub use dictionary::Dictionary;
 pub use note::CommandNote;
 pub use order::{OrderError, order};
 pub use protocol::protocol_page;
-pub use role::CameraRole;
 pub use table::{Action, COMMANDS, CommandRow, row_of};
 pub use variable::{Kind, Variable};
 

@@ -6,6 +6,7 @@ use super::table::COMMANDS;
 use super::text::filled;
 use super::words::describe;
 use crate::config::{Allowed, parameters};
+use crate::instrument::Role;
 use crate::link::control::RESULTS;
 use crate::link::hex::hex;
 use crate::link::message::{ERROR_CODES, MESSAGES};
@@ -44,11 +45,17 @@ pub fn protocol_page() -> String {
         ("parameters", numbered_parameters()),
         ("housekeeping", housekeeping_fields()),
         ("section_pixels", picture::SECTION_PIXELS.to_string()),
-        ("roll_camera", picture::ROLL_CAMERA.to_string()),
-        ("moon_camera", picture::MOON_CAMERA.to_string()),
+        ("roll_camera", Role::Roll.number().to_string()),
+        ("moon_camera", Role::Moon.number().to_string()),
+        ("roles", roles()),
         ("examples", examples()),
     ];
     filled(include_str!("protocol/page.md"), tables)
+}
+
+fn roles() -> String {
+    let role = |role: Role| format!("{} {}", role as u8, role.name());
+    Role::KINDS.map(role).join(", ")
 }
 
 /// A table with a row for each of some rows of cells.

@@ -1,8 +1,7 @@
 //! What commands set and read in flight: parameters of the configuration, and what is set by commands alone.
 
-use super::role::CameraRole;
 use crate::config::{Refused, Value};
-use crate::instrument::TURN_DEG;
+use crate::instrument::{Role, TURN_DEG};
 
 /// Something that a command sets or reads. It is made from a field of the configuration (the macro `parameter`) or named here: one that is misspelled
 /// does not compile.
@@ -35,6 +34,21 @@ macro_rules! parameter {
 }
 pub(super) use parameter;
 
+/// The same of a camera's parameter, by the camera's table.
+macro_rules! camera_parameter {
+    ($table:ident . $field:ident) => {{
+        let _: fn(&$crate::config::ConfiguredCamera) = |camera| {
+            let _ = &camera.$field;
+        };
+        $crate::commands::setting::Setting::new(concat!(
+            stringify!($table),
+            ".",
+            stringify!($field)
+        ))
+    }};
+}
+pub(super) use camera_parameter;
+
 /// The place, which GPS may know better than the configuration.
 pub const SITE_LATITUDE: Setting = parameter!(site.latitude_deg);
 pub const SITE_LONGITUDE: Setting = parameter!(site.longitude_deg);
@@ -64,7 +78,7 @@ pub(super) const KEPT: [Setting; 5] = [TRACKING, LATITUDE, LONGITUDE, SENDING, S
 pub(super) struct Own {
     pub accepts_gps: bool,
     /// By role.
-    pub stores: [bool; CameraRole::COUNT],
+    pub stores: [bool; Role::COUNT],
     pub sending: Option<bool>,
     /// Whether the controller wants solutions.
     pub tracking: bool,
@@ -104,7 +118,7 @@ impl Own {
     pub fn new() -> Self {
         Self {
             accepts_gps: true,
-            stores: [true; CameraRole::COUNT],
+            stores: [true; Role::COUNT],
             sending: None,
             tracking: false,
             stamp_ns: 0,
@@ -155,7 +169,7 @@ impl Own {
 
 fn refused(key: &'static str, expected: &str, value: &Value) -> Refused {
     Refused {
-        key,
+        key: key.into(),
         expected: expected.into(),
         found: value.to_string(),
     }

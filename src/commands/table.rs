@@ -1,15 +1,15 @@
 //! The commands of the ground in one table. Source: HEROES flight program, 2013.
 
-use super::role::CameraRole;
-use super::setting::{self, Setting, parameter};
+use super::setting::{self, Setting, camera_parameter, parameter};
 use super::variable::{Kind, Variable};
+use crate::instrument::Role;
 use crate::link::computer::COMPUTERS;
 use crate::link::{AspectCommand, Computer, MessageError};
 use Action::{
     NoOp, Quit, Read, ReadDisk, ReadNumbered, ResetValues, SendPicture, Set, SetNumbered,
     StartSending, StopSending,
 };
-use CameraRole::{Moon, PitchYaw, Roll};
+use Role::{Moon, PitchYaw, Roll};
 
 /// What a command does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -18,7 +18,7 @@ pub enum Action {
     StartSending,
     StopSending,
     Quit,
-    SendPicture(CameraRole),
+    SendPicture(Role),
     /// Sets the settings of its variables.
     Set,
     /// Sets the parameter that has the first variable as its number to the second.
@@ -157,13 +157,13 @@ mod variables {
     pub const STORE_ROLL: Variable = switch(&[setting::STORE_ROLL]);
     pub const STORE_MOON: Variable = switch(&[setting::STORE_MOON]);
     pub const ACCEPT_GPS: Variable = switch(&[setting::ACCEPT_GPS]);
-    pub const EXPOSURE: Variable = exposure(&[parameter!(camera.exposure_us)]);
-    pub const ANALOGUE: Variable = analogue(&[parameter!(camera.analogue_gain)]);
-    pub const PREAMP: Variable = preamp(&[parameter!(camera.preamp_gain)]);
-    pub const ROLL_EXPOSURE: Variable = exposure(&[parameter!(roll_camera.exposure_us)]);
-    pub const ROLL_ANALOGUE: Variable = analogue(&[parameter!(roll_camera.analogue_gain)]);
-    pub const ROLL_PREAMP: Variable = preamp(&[parameter!(roll_camera.preamp_gain)]);
-    pub const MOON_EXPOSURE: Variable = exposure(&[parameter!(moon_camera.exposure_us)]);
+    pub const EXPOSURE: Variable = exposure(&[camera_parameter!(camera.exposure_us)]);
+    pub const ANALOGUE: Variable = analogue(&[camera_parameter!(camera.analogue_gain)]);
+    pub const PREAMP: Variable = preamp(&[camera_parameter!(camera.preamp_gain)]);
+    pub const ROLL_EXPOSURE: Variable = exposure(&[camera_parameter!(roll_camera.exposure_us)]);
+    pub const ROLL_ANALOGUE: Variable = analogue(&[camera_parameter!(roll_camera.analogue_gain)]);
+    pub const ROLL_PREAMP: Variable = preamp(&[camera_parameter!(roll_camera.preamp_gain)]);
+    pub const MOON_EXPOSURE: Variable = exposure(&[camera_parameter!(moon_camera.exposure_us)]);
     pub const CLOCKING: Variable = variable("angle", Kind::Angle, "deg", &[setting::CLOCKING]);
     pub const TWIST: Variable = variable("angle", Kind::Angle, "deg", &[setting::TWIST]);
     pub const LATITUDE: Variable = variable("latitude", Kind::Angle, "deg", &[setting::SITE_LATITUDE]);

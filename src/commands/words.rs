@@ -10,8 +10,8 @@ use crate::link::number::Field;
 use crate::link::packet::telemetry_type;
 use crate::link::picture::Section;
 use crate::link::{
-    AspectCommand, CommandOutcome, CommandPacket, CommandResult, Execution, Housekeeping,
-    ImuPacket, Message, Messages, Packet, Telemetry, TelemetryPacket,
+    AspectCommand, CameraCounts, CommandOutcome, CommandPacket, CommandResult, Execution,
+    Housekeeping, ImuPacket, Message, Messages, Packet, Telemetry, TelemetryPacket,
 };
 use crate::units::counted;
 use jiff::Timestamp;
@@ -191,6 +191,10 @@ fn telemetry(packet: &TelemetryPacket) -> String {
         telemetry_type::IMU => match ImuPacket::decode(packet) {
             Ok(packet) => packet.sample().words(),
             Err(error) => format!("IMU: {error}"),
+        },
+        telemetry_type::CAMERA => match CameraCounts::decode(packet) {
+            Ok(counts) => counts.words(),
+            Err(error) => format!("camera counts: {error}"),
         },
         kind => format!("type {kind:02x}"),
     };

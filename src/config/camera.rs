@@ -2,14 +2,62 @@
 
 use crate::camera::{AutoExposureSettings, PixelFormat, Settings, Source};
 use crate::frame::Region;
+use crate::instrument::Role;
 use std::path::PathBuf;
 
-/// Which camera plays a role, and how it is run.
+/// The cameras of a configuration, by their tables: those of [`Role::tables`], the first pitch-yaw camera at their head, and any that a file adds.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Camera {
-    /// `None` where nobody plays the role.
+pub struct Cameras(Vec<ConfiguredCamera>);
+
+impl Default for Cameras {
+    fn default() -> Self {
+        let cameras = Role::tables().map(|(table, role)| ConfiguredCamera::new(table, role));
+        Self(cameras.collect())
+    }
+}
+
+impl Cameras {
+    /// The first pitch-yaw camera.
+    pub fn first(&self) -> &ConfiguredCamera {
+        &self.0[0]
+    }
+
+    pub fn first_mut(&mut self) -> &mut ConfiguredCamera {
+        &mut self.0[0]
+    }
+
+    pub fn named(&self, name: &str) -> Option<&ConfiguredCamera> {
+        self.iter().find(|camera| camera.name == name)
+    }
+
+    pub fn named_mut(&mut self, name: &str) -> Option<&mut ConfiguredCamera> {
+        self.0.iter_mut().find(|camera| camera.name == name)
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = &ConfiguredCamera> {
+        self.0.iter()
+    }
+
+    /// Those that are there: with a source.
+    pub fn flying(&self) -> impl Iterator<Item = &ConfiguredCamera> {
+        self.iter().filter(|camera| camera.source.is_some())
+    }
+
+    /// Adds a camera.
+    pub(super) fn push(&mut self, camera: ConfiguredCamera) {
+        self.0.push(camera);
+    }
+}
+
+/// A camera as its table configures it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ConfiguredCamera {
+    /// Of the table.
+    pub name: String,
+    pub role: Role,
+    /// `None` where there is no such camera.
     pub source: Option<Source>,
-    /// The instrument's file, or that of a camera that sees the horizon.
+    /// The file that states what it sees.
     pub instrument: Option<PathBuf>,
     pub rate_hz: f64,
     pub exposure_us: u32,
@@ -45,7 +93,7 @@ impl Switch {
     }
 }
 
-impl Camera {
+impl ConfiguredCamera {
     /// What the camera is told.
     pub fn settings(&self) -> Settings {
         Settings {
@@ -71,11 +119,14 @@ impl Camera {
     }
 }
 
-impl Default for Camera {
-    fn default() -> Self {
+impl ConfiguredCamera {
+    /// A camera with the defaults, and no source.
+    pub fn new(name: &str, role: Role) -> Self {
         let settings = Settings::default();
         let auto = AutoExposureSettings::default();
         Self {
+            name: name.into(),
+            role,
             source: None,
             instrument: None,
             rate_hz: settings.rate_hz,

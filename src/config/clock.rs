@@ -27,7 +27,7 @@ impl FlightClock {
 impl Config {
     /// The clock of a flight that begins now.
     pub fn clock(&self) -> FlightClock {
-        let is_simulated = matches!(self.camera.source, Some(Source::Simulated(_)));
+        let is_simulated = matches!(self.cameras.first().source, Some(Source::Simulated(_)));
         let start = self.simulation.start_utc.filter(|_| is_simulated);
         start.map_or_else(FlightClock::default, FlightClock::starting)
     }

@@ -1,47 +1,78 @@
 //! What contradicts itself in a configuration, though each value by itself is allowed: by the same rules for a file, a command and saved values.
 
-use super::{Camera, Config, Refused, by_key};
+use super::{Config, ConfiguredCamera, Refused};
+use crate::camera::Source;
+use crate::instrument::Role;
 use crate::link::PortAddress;
 
 impl Config {
     /// What keeps this configuration from flying: what is missing, and what contradicts itself.
     pub fn faults(&self) -> Vec<Refused> {
-        let cameras = [&self.camera, &self.second_camera];
-        let cameras = cameras.iter().filter(|camera| camera.source.is_some());
-        let contradictions = self.contradictions(cameras.count());
+        let plates = self
+            .cameras
+            .flying()
+            .filter(|camera| camera.role == Role::PitchYaw);
+        let contradictions = self.contradictions(plates.count());
         self.missing().into_iter().chain(contradictions).collect()
+    }
+
+    /// What a flight needs and no default can stand for: the first camera, the instrument of every real camera that sees a plate, and the file of one
+    /// that sees the Moon.
+    fn missing(&self) -> Vec<Refused> {
+        let none = |key: String, expected: &str| Refused {
+            key: key.into(),
+            expected: expected.into(),
+            found: "none".into(),
+        };
+        let mut missing = Vec::new();
+        let first = self.cameras.first();
+        if first.source.is_none() {
+            let expected =
+                "a camera, such as \"gige:192.168.1.20\" (\"simulated\" for the simulator)";
+            missing.push(none(format!("{}.source", first.name), expected));
+        }
+        for camera in self
+            .cameras
+            .flying()
+            .filter(|camera| camera.instrument.is_none())
+        {
+            let is_real = matches!(camera.source, Some(Source::Gige(_)));
+            let expected = match camera.role {
+                Role::PitchYaw if is_real => "the instrument's file, for a real camera",
+                Role::Moon => "the file of the camera that sees the Moon",
+                Role::PitchYaw | Role::Roll => continue,
+            };
+            missing.push(none(format!("{}.instrument", camera.name), expected));
+        }
+        if self.navigation.is_enabled() && self.navigation.settings.is_none() {
+            let expected =
+                "the file that states IMU, GPS and cameras: NAV.toml (docs/navigation.md)";
+            missing.push(none("navigation.settings".into(), expected));
+        }
+        missing
     }
 
     /// What contradicts itself, where so many pitch-yaw cameras fly.
     pub fn contradictions(&self, pitch_yaw_cameras: usize) -> Vec<Refused> {
         // The first one always flies.
-        let flies = |n: usize, camera: &Camera| n == 0 || camera.source.is_some();
-        let cameras = self.cameras().into_iter().enumerate();
-        let mut found: Vec<Refused> = cameras
-            .filter(|(n, (_, camera))| flies(*n, camera))
-            .map(|(_, camera)| camera)
-            .flat_map(|(table, camera)| exposure(table, camera))
-            .collect();
+        let first = self.cameras.first();
+        let others = self
+            .cameras
+            .flying()
+            .filter(|camera| camera.name != first.name);
+        let cameras = std::iter::once(first).chain(others);
+        let mut found: Vec<Refused> = cameras.flat_map(exposure).collect();
         found.extend(self.space());
         found.extend(self.sending_camera(pitch_yaw_cameras));
         found.extend(self.shared_ports());
         found
     }
 
-    fn cameras(&self) -> [(&'static str, &Camera); 4] {
-        [
-            ("camera", &self.camera),
-            ("second_camera", &self.second_camera),
-            ("roll_camera", &self.roll_camera),
-            ("moon_camera", &self.moon_camera),
-        ]
-    }
-
     fn space(&self) -> impl Iterator<Item = Refused> {
         let limits = self.archive.space_limits();
-        let above = |key, value: f64, limit, most: f64| {
+        let above = |key: &'static str, value: f64, limit, most: f64| {
             (value > most).then(|| Refused {
-                key,
+                key: key.into(),
                 expected: format!("at most {limit}, {most}"),
                 found: value.to_string(),
             })
@@ -57,7 +88,7 @@ impl Config {
     fn sending_camera(&self, pitch_yaw_cameras: usize) -> Option<Refused> {
         let sending = self.link.sending_camera;
         (sending as usize > pitch_yaw_cameras.max(1)).then(|| Refused {
-            key: "link.sending_camera",
+            key: "link.sending_camera".into(),
             expected: "a pitch-yaw camera that flies: 1, and 2 with a second_camera.source".into(),
             found: sending.to_string(),
         })
@@ -88,7 +119,7 @@ impl Config {
         let shared = |(n, (key, own)): (usize, &(&'static str, String))| {
             let (other, _) = taken[..n].iter().find(|(_, other)| other == own)?;
             Some(Refused {
-                key,
+                key: (*key).into(),
                 expected: format!("a port of its own, not that of {other}"),
                 found: own.clone(),
             })
@@ -98,26 +129,22 @@ impl Config {
 }
 
 /// An exposure ends before the next frame, and the shortest of automatic ones is shorter than the longest.
-fn exposure(table: &str, camera: &Camera) -> Vec<Refused> {
+fn exposure(camera: &ConfiguredCamera) -> Vec<Refused> {
     let period_us = 1e6 / camera.rate_hz;
     let (shortest, longest) = (camera.auto_exposure_min_us, camera.auto_exposure_max_us);
-    let refused = |name: &str, expected: String, found: u32| {
-        let key = by_key(&format!("{table}.{name}"))?.key;
-        let found = found.to_string();
-        Some(Refused {
-            key,
-            expected,
-            found,
-        })
+    let refused = |name: &str, expected: String, found: u32| Refused {
+        key: format!("{}.{name}", camera.name).into(),
+        expected,
+        found: found.to_string(),
     };
     let mut wrong = Vec::new();
     if f64::from(camera.exposure_us) > period_us {
         let expected = format!("less than the {period_us:.0} us from frame to frame at rate_hz");
-        wrong.extend(refused("exposure_us", expected, camera.exposure_us));
+        wrong.push(refused("exposure_us", expected, camera.exposure_us));
     }
     if camera.auto_exposure().is_some() && shortest >= longest {
         let expected = format!("less than auto_exposure_max_us, {longest}");
-        wrong.extend(refused("auto_exposure_min_us", expected, shortest));
+        wrong.push(refused("auto_exposure_min_us", expected, shortest));
     }
     wrong
 }

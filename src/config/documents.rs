@@ -3,6 +3,7 @@
 use super::parameter::Parameter;
 use super::table::parameters;
 use super::{Config, Value};
+use crate::instrument::Role;
 use std::fmt::Write;
 
 const WIDTH: usize = 100;
@@ -11,7 +12,8 @@ const WIDTH: usize = 100;
 pub fn example() -> String {
     let mut text = String::from(
         "# The configuration of solaspect: every parameter with its default. A file may leave out any of them;\n\
-         # those that are commented out here are unset by default.\n",
+         # those that are commented out here are unset by default.\n\
+         # Further cameras have tables of their own, [NAME_camera], with role = \"pitch_yaw\", \"roll\" or \"moon\".\n",
     );
     for (table, rows) in tables() {
         text += &format!("\n[{table}]\n");
@@ -27,18 +29,36 @@ impl Config {
     pub fn to_toml(&self) -> String {
         let mut text = String::new();
         for (table, rows) in tables() {
-            text += &format!("\n[{table}]\n");
-            let set = |row: &Parameter| {
-                let value = match row.get(self)? {
-                    // Rust shows some letters otherwise than TOML reads them.
-                    Value::Text(text) => toml::Value::from(text).to_string(),
-                    number => number.to_string(),
-                };
-                Some(format!("{} = {value}\n", row.name()))
-            };
-            text.extend(rows.iter().filter_map(set));
+            let usual = Role::tables().find(|(usual, _)| *usual == table);
+            let camera = self.cameras.named(table).map(|camera| camera.role);
+            let role = camera.filter(|role| usual.is_some_and(|(_, usual)| usual != *role));
+            text += &self.table_toml(table, role, rows);
+        }
+        let (first, names) = (self.cameras.first(), Role::table_names());
+        for camera in self.cameras.iter() {
+            if !names.contains(&&*camera.name) {
+                let rows = tables().find(|(table, _)| *table == first.name);
+                let rows = rows.map_or(&[][..], |(_, rows)| rows);
+                text += &self.table_toml(&camera.name, Some(camera.role), rows);
+            }
         }
         text
+    }
+
+    /// A table with what is set in it, and the role of a camera whose name does not tell it.
+    fn table_toml(&self, table: &str, role: Option<Role>, rows: &[Parameter]) -> String {
+        let role = role.map(|role| format!("role = \"{}\"\n", role.name()));
+        let set = |row: &Parameter| {
+            let value = match row.get_of(self, table)? {
+                // Rust shows some letters otherwise than TOML reads them.
+                Value::Text(text) => toml::Value::from(text).to_string(),
+                number => number.to_string(),
+            };
+            Some(format!("{} = {value}\n", row.name()))
+        };
+        let head = format!("\n[{table}]\n");
+        let lines = rows.iter().filter_map(set);
+        std::iter::once(head).chain(role).chain(lines).collect()
     }
 }
 
@@ -47,7 +67,9 @@ pub fn parameters_page() -> String {
     let mut text = String::from(
         "# Parameters\n\n\
          Every key of the configuration file. The number is the one by which aspect commands 0x0712 (whole\n\
-         numbers) and 0x0722 (others) set a parameter in flight. This page is made from the program's own table.\n",
+         numbers) and 0x0722 (others) set a parameter in flight. This page is made from the program's own table.\n\n\
+         Further cameras have tables of their own, `[NAME_camera]`, with the keys of `[camera]` and with `role`, which is `\"pitch_yaw\"`,\n\
+         `\"roll\"` or `\"moon\"`. Their frames have folders of their own, and the ground hears of them by telemetry of type 0x72.\n",
     );
     for (table, rows) in tables() {
         text += &format!(
@@ -140,8 +162,8 @@ mod tests {
         config.site.latitude_deg = Some(-77.85);
         config.site.longitude_deg = Some(1e-7);
         config.site.height_m = Some(38_405.0);
-        config.camera.source = "gige:192.168.1.20".parse().ok();
-        config.camera.region_px = "100,50,640,480".parse().ok();
+        config.cameras.first_mut().source = "gige:192.168.1.20".parse().ok();
+        config.cameras.first_mut().region_px = "100,50,640,480".parse().ok();
         config.target.epoch_utc = "2013-09-21T18:00:00.25Z".parse().ok();
         config.link.port = Some("/dev/serial/a \"quoted\" name\\ \u{7f}".into());
         for config in [Config::default(), config] {

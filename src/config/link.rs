@@ -83,7 +83,7 @@ fn peer(text: &str) -> Result<Peer, Refused> {
 
 fn refused(key: &'static str, expected: &str, found: String) -> Refused {
     Refused {
-        key,
+        key: key.into(),
         expected: expected.into(),
         found,
     }

@@ -20,7 +20,7 @@ pub mod saved;
 mod table;
 mod value;
 
-pub use camera::{Camera, Switch};
+pub use camera::{Cameras, ConfiguredCamera, Switch};
 pub use clock::FlightClock;
 pub use documents::{example, parameters_page};
 pub use host::{Host, Memory};
@@ -30,7 +30,6 @@ pub use table::{by_command, by_key, parameters};
 pub use value::Value;
 
 use crate::archive::{Overflow, Sharing, SpaceLimits};
-use crate::camera::Source;
 use crate::fits::{Compression, Packing};
 use crate::horizon::{Refraction, Sphere};
 use crate::units::{Measured, Place};
@@ -45,10 +44,7 @@ pub struct Config {
     pub site: Site,
     pub sky: Sky,
     pub target: Target,
-    pub camera: Camera,
-    pub second_camera: Camera,
-    pub roll_camera: Camera,
-    pub moon_camera: Camera,
+    pub cameras: Cameras,
     pub roll: Roll,
     pub moon: Moon,
     pub link: Link,
@@ -63,46 +59,6 @@ pub struct Config {
 }
 
 impl Config {
-    /// What a flight needs and no default can stand for: the first camera, and the instrument of every real camera that sees a
-    /// plate.
-    fn missing(&self) -> Vec<Refused> {
-        let mut missing = Vec::new();
-        let mut needs = |key, expected: &str| {
-            missing.push(Refused {
-                key,
-                expected: expected.into(),
-                found: "none".into(),
-            });
-        };
-        if self.camera.source.is_none() {
-            needs(
-                "camera.source",
-                "a camera, such as \"gige:192.168.1.20\" (\"simulated\" for the simulator)",
-            );
-        }
-        for (key, camera) in [
-            ("camera.instrument", &self.camera),
-            ("second_camera.instrument", &self.second_camera),
-        ] {
-            if matches!(camera.source, Some(Source::Gige(_))) && camera.instrument.is_none() {
-                needs(key, "the instrument's file, for a real camera");
-            }
-        }
-        if self.moon_camera.source.is_some() && self.moon_camera.instrument.is_none() {
-            needs(
-                "moon_camera.instrument",
-                "the file of the camera that sees the Moon",
-            );
-        }
-        if self.navigation.is_enabled() && self.navigation.settings.is_none() {
-            needs(
-                "navigation.settings",
-                "the file that states IMU, GPS and cameras: NAV.toml (docs/navigation.md)",
-            );
-        }
-        missing
-    }
-
     /// The tunable parts of the solver.
     pub fn solver(&self) -> aspect::Settings {
         aspect::Settings {

@@ -62,7 +62,7 @@ impl Navigation {
 
 fn address(key: &'static str, text: Option<&str>) -> Result<Option<PortAddress>, Refused> {
     let refused = |expected: &str| Refused {
-        key,
+        key: key.into(),
         expected: expected.into(),
         found: format!("\"{}\"", text.unwrap_or_default()),
     };

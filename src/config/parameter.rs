@@ -6,6 +6,7 @@ use crate::camera::Source;
 use crate::clock::parse_utc;
 use crate::frame::Region;
 use crate::instrument::toml_file::Utc;
+use std::borrow::Cow;
 use std::fmt;
 
 /// A parameter of the configuration.
@@ -21,9 +22,10 @@ pub struct Parameter {
     pub documentation: &'static str,
     /// What the example shows, commented out, where nothing is set by default.
     pub(super) sample: Option<Sample>,
-    pub(super) get: fn(&Config) -> Option<Value>,
+    /// The field's value; a camera's is that of the camera of a table.
+    pub(super) get: fn(&Config, &str) -> Option<Value>,
     /// Sets the field, or says `None` where its type cannot hold the value.
-    pub(super) set: fn(&mut Config, Option<Value>) -> Option<()>,
+    pub(super) set: fn(&mut Config, &str, Option<Value>) -> Option<()>,
 }
 
 /// A value to show.
@@ -84,7 +86,7 @@ impl Allowed {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{key}: expected {expected}, found {found}")]
 pub struct Refused {
-    pub key: &'static str,
+    pub key: Cow<'static, str>,
     pub expected: String,
     pub found: String,
 }
@@ -102,7 +104,12 @@ impl Parameter {
 
     /// The value in a configuration; `None` where nothing is set.
     pub fn get(&self, config: &Config) -> Option<Value> {
-        (self.get)(config)
+        self.get_of(config, self.table())
+    }
+
+    /// The same of another camera's table.
+    pub(super) fn get_of(&self, config: &Config, table: &str) -> Option<Value> {
+        (self.get)(config, table)
     }
 
     /// The value of `Config::default()`.
@@ -115,27 +122,38 @@ impl Parameter {
     /// # Errors
     /// A value of another type, outside the allowed ones, or none where one is needed.
     pub fn set(&self, config: &mut Config, value: Option<Value>) -> Result<(), Refused> {
+        self.set_of(config, self.table(), value)
+    }
+
+    fn set_of(
+        &self,
+        config: &mut Config,
+        table: &str,
+        value: Option<Value>,
+    ) -> Result<(), Refused> {
         let shown = value.as_ref().map_or("nothing".into(), Value::to_string);
         if value
             .as_ref()
             .is_none_or(|value| self.allowed.allows(value))
         {
-            (self.set)(config, value).ok_or_else(|| self.refused(shown))
+            (self.set)(config, table, value).ok_or_else(|| self.refused(shown))
         } else {
             Err(self.refused(shown))
         }
     }
 
+    /// As [`set`](Self::set), for the camera of a table where it is a camera's.
     pub(super) fn set_from_toml(
         &self,
         config: &mut Config,
+        table: &str,
         value: &toml::Value,
     ) -> Result<(), Refused> {
         match (self.allowed, Value::from_toml(value), value) {
-            (_, Some(value), _) => self.set(config, Some(value)),
+            (_, Some(value), _) => self.set_of(config, table, Some(value)),
             // A time without quotes is one with them: see `Utc`.
             (Allowed::Utc, _, toml::Value::Datetime(time)) => {
-                self.set(config, Some(Value::Text(time.to_string())))
+                self.set_of(config, table, Some(Value::Text(time.to_string())))
             }
             _ => Err(self.refused(found(value))),
         }
@@ -167,7 +185,7 @@ impl Parameter {
             Allowed::Text => "a text".into(),
         };
         Refused {
-            key: self.key,
+            key: self.key.into(),
             expected: expected.trim_end().into(),
             found,
         }

@@ -1,8 +1,9 @@
 //! The configuration from its TOML file: every error that it has, each with the file, the key and what was expected.
 
-use super::{Config, Parameter, by_key, parameters, value};
-use crate::instrument::TomlError;
+use super::value::{self, Field, Value};
+use super::{Config, ConfiguredCamera, Parameter, by_key, parameters};
 use crate::instrument::toml_file::{parse_loosely, read_text, unknown_key};
+use crate::instrument::{Role, TomlError};
 use std::path::Path;
 
 impl Config {
@@ -48,9 +49,11 @@ impl Config {
     ) {
         let is_known = parameters().iter().any(|p| p.table() == table);
         match content {
-            toml::Value::Table(values) if is_known || !values.is_empty() => {
+            toml::Value::Table(mut values) if is_known || !values.is_empty() => {
+                let role = self.read_role(path, table, values.remove("role"));
+                errors.extend(role.err());
                 let mut keyed = |(name, value): (&String, &toml::Value)| {
-                    self.read_value(path, &format!("{table}.{name}"), value)
+                    self.read_value(path, table, name, value)
                 };
                 errors.extend(values.iter().filter_map(|pair| keyed(pair).err()));
             }
@@ -61,12 +64,60 @@ impl Config {
         }
     }
 
-    fn read_value(&mut self, path: &Path, key: &str, value: &toml::Value) -> Result<(), TomlError> {
-        let parameter = by_key(key).ok_or_else(|| unknown(path, key))?;
-        parameter
-            .set_from_toml(self, value)
-            .map_err(|refused| TomlError::new(path, key, refused.expected, refused.found))
+    /// Takes the role of a camera's table: a table of a name that tells no role, ending in `_camera`, adds a camera.
+    fn read_role(
+        &mut self,
+        path: &Path,
+        table: &str,
+        role: Option<toml::Value>,
+    ) -> Result<(), TomlError> {
+        let key = format!("{table}.role");
+        let is_known = self.cameras.named(table).is_some();
+        let is_camera =
+            is_known || (table.ends_with("_camera") && (role.is_some() || !is_misspelled(table)));
+        let stated = match (&role, is_camera) {
+            (Some(_), false) => return Err(unknown(path, &key)),
+            (None, false) => return Ok(()),
+            (None, true) if is_known => return Ok(()),
+            (stated, true) => stated.as_ref().and_then(Value::from_toml),
+        };
+        let role = Role::from_value(stated).ok_or_else(|| {
+            let expected = format!("what the camera is for, one of {}", Role::NAMES.join(", "));
+            let found = role.as_ref().map_or("none".into(), value::found);
+            TomlError::new(path, &key, expected, found)
+        })?;
+        match self.cameras.named_mut(table) {
+            Some(camera) => camera.role = role,
+            None => self.cameras.push(ConfiguredCamera::new(table, role)),
+        }
+        Ok(())
     }
+
+    fn read_value(
+        &mut self,
+        path: &Path,
+        table: &str,
+        name: &str,
+        value: &toml::Value,
+    ) -> Result<(), TomlError> {
+        let key = format!("{table}.{name}");
+        let parameter = match self.cameras.named(table) {
+            // All cameras have the same parameters.
+            Some(_) => by_key(&format!("{}.{name}", self.cameras.first().name)),
+            None => by_key(&key),
+        };
+        parameter
+            .ok_or_else(|| unknown(path, &key))?
+            .set_from_toml(self, table, value)
+            .map_err(|refused| TomlError::new(path, &key, refused.expected, refused.found))
+    }
+}
+
+/// Whether a table is called nearly as one that is known.
+fn is_misspelled(table: &str) -> bool {
+    Role::table_names()
+        .iter()
+        .any(|known| strsim::damerau_levenshtein(known, table) <= 2)
 }
 
 /// The error for an unknown key or table. A parameter of the same name in another table is nearest, whatever
@@ -102,8 +153,8 @@ mod tests {
     fn what_a_file_leaves_out_keeps_its_default() {
         assert_eq!(parse(""), Ok(Config::default()));
         let config = parse("[camera]\nrate_hz = 10\n").unwrap();
-        assert_eq!(config.camera.rate_hz, 10.0);
-        assert_eq!(config.camera.exposure_us, 15_000);
+        assert_eq!(config.cameras.first().rate_hz, 10.0);
+        assert_eq!(config.cameras.first().exposure_us, 15_000);
     }
 
     #[test]
@@ -133,18 +184,55 @@ mod tests {
              [roll_camera]\nsource = \"gige:BOBCAT7\"\npixel_format = \"mono12\"\n",
         )
         .unwrap();
-        assert_eq!(config.camera.source, None);
-        assert_eq!(config.camera.settings().exposure_us, 8000);
-        assert!(config.camera.auto_exposure().is_some());
-        let second = &config.second_camera;
+        assert_eq!(config.cameras.first().source, None);
+        assert_eq!(config.cameras.first().settings().exposure_us, 8000);
+        assert!(config.cameras.first().auto_exposure().is_some());
+        let second = config.cameras.named("second_camera").unwrap();
         assert_eq!(second.source, Some(Source::Gige("192.168.1.21".into())));
         assert_eq!(
             second.settings().region,
             Some(Region::sized(100, 50, 640, 480))
         );
         assert_eq!(second.auto_exposure(), None);
-        let roll = config.roll_camera.settings();
+        let roll = config.cameras.named("roll_camera").unwrap().settings();
         assert_eq!(roll.pixel_format, PixelFormat::Mono12);
+    }
+
+    #[test]
+    fn a_table_of_any_name_adds_a_camera_that_states_its_role() {
+        let text = "[camera]\nsource = \"simulated\"\n[port_camera]\nrole = \"roll\"\nrate_hz = 2.5\n[roll_camera]\nrole = \"moon\"\n";
+        let config = parse(text).unwrap();
+        let role = |name| config.cameras.named(name).map(|camera| camera.role);
+        assert_eq!(role("port_camera"), Some(Role::Roll));
+        assert_eq!(role("roll_camera"), Some(Role::Moon));
+        assert_eq!(role("second_camera"), Some(Role::PitchYaw));
+        assert_eq!(config.cameras.named("port_camera").unwrap().rate_hz, 2.5);
+        assert_eq!(parse(&config.to_toml()), Ok(config));
+        for (text, words) in [
+            (
+                "[port_camera]\nrate_hz = 2\n",
+                "port_camera.role: expected what the camera is for, one of pitch_yaw, roll, moon, found none",
+            ),
+            (
+                "[port_camera]\nrole = \"rol\"\n",
+                "port_camera.role: expected what the camera is for, one of pitch_yaw, roll, moon, found \"rol\"",
+            ),
+            (
+                "[port_camera]\nrole = \"roll\"\nrate_hertz = 2\n",
+                "port_camera.rate_hertz: expected a known key",
+            ),
+            (
+                "[rol_camera]\nrate_hz = 2\n",
+                "rol_camera.rate_hz: expected a known key",
+            ),
+            (
+                "[link]\nrole = \"roll\"\n",
+                "link.role: expected a known key",
+            ),
+        ] {
+            let message = parse(text).unwrap_err();
+            assert!(message.contains(words), "{message}");
+        }
     }
 
     #[test]
@@ -154,7 +242,7 @@ mod tests {
         let mut keys: Vec<&str> = errors.iter().map(|error| error.field.as_str()).collect();
         keys.sort_unstable();
         assert_eq!(keys, ["camera.exposre_us", "camera.rate_hz", "lnk", "site"]);
-        assert_eq!(config.camera.exposure_us, 700);
+        assert_eq!(config.cameras.first().exposure_us, 700);
     }
 
     #[test]

@@ -14,17 +14,36 @@ use crate::fits::Compression;
 use Allowed::{Name, Number, Text, Utc, Whole};
 use std::sync::LazyLock;
 
+/// A row of a field of the configuration, `table.field`, or of one of the configured cameras, `[table].field`.
 macro_rules! row {
-    ($table:ident . $field:ident, $unit:literal, $allowed:expr, command $command:literal, $documentation:expr) => {
-        row!(@ $table.$field, $unit, $allowed, Some($command), None, $documentation)
+    ($home:tt . $field:ident, $unit:literal, $allowed:expr, command $command:literal, $documentation:expr) => {
+        row!(@ $home.$field, ($unit, $allowed, Some($command), None, $documentation))
     };
-    ($table:ident . $field:ident, $unit:literal, $allowed:expr, sample $sample:expr, $documentation:expr) => {
-        row!(@ $table.$field, $unit, $allowed, None, Some($sample), $documentation)
+    ($home:tt . $field:ident, $unit:literal, $allowed:expr, sample $sample:expr, $documentation:expr) => {
+        row!(@ $home.$field, ($unit, $allowed, None, Some($sample), $documentation))
     };
-    ($table:ident . $field:ident, $unit:literal, $allowed:expr, $documentation:expr) => {
-        row!(@ $table.$field, $unit, $allowed, None, None, $documentation)
+    ($home:tt . $field:ident, $unit:literal, $allowed:expr, $documentation:expr) => {
+        row!(@ $home.$field, ($unit, $allowed, None, None, $documentation))
     };
-    (@ $table:ident . $field:ident, $unit:literal, $allowed:expr, $command:expr, $sample:expr, $documentation:expr) => {
+    (@ [$table:ident] . $field:ident, $said:tt) => {
+        row!(= $table.$field, $said,
+            |config, table| config.cameras.named(table)?.$field.value(),
+            |config, table, value| {
+                config.cameras.named_mut(table)?.$field = Field::from_value(value)?;
+                Some(())
+            }
+        )
+    };
+    (@ $table:ident . $field:ident, $said:tt) => {
+        row!(= $table.$field, $said,
+            |config, _| config.$table.$field.value(),
+            |config, _, value| {
+                config.$table.$field = Field::from_value(value)?;
+                Some(())
+            }
+        )
+    };
+    (= $table:ident . $field:ident, ($unit:literal, $allowed:expr, $command:expr, $sample:expr, $documentation:expr), $get:expr, $set:expr) => {
         Parameter {
             key: concat!(stringify!($table), ".", stringify!($field)),
             unit: $unit,
@@ -32,11 +51,8 @@ macro_rules! row {
             command: $command,
             documentation: $documentation,
             sample: $sample,
-            get: |config| config.$table.$field.value(),
-            set: |config, value| {
-                config.$table.$field = Field::from_value(value)?;
-                Some(())
-            },
+            get: $get,
+            set: $set,
         }
     };
 }
@@ -45,34 +61,34 @@ macro_rules! row {
 /// exposure, analogue gain and pre-amplifier gain are set in flight.
 macro_rules! camera_rows {
     ($table:ident, instrument $file:literal, $instrument:literal, rate ($($rate:literal)?), exposure $exposure:literal, analogue $analogue:literal, preamp $preamp:literal) => {[
-        row!($table.source, "", Allowed::Source, sample Sample::Text("gige:192.168.1.20"),
+        row!([$table].source, "", Allowed::Source, sample Sample::Text("gige:192.168.1.20"),
             "Where the camera's frames come from: a GigE Vision camera by IP address or serial number, the frames of a folder, or the simulator. Unset, there is no such camera; [camera] must be set, \"simulated\" for the simulator."),
-        row!($table.instrument, "", Text, sample Sample::Text($file), $instrument),
-        row!($table.rate_hz, "Hz", Number(0.01, 100.0), $(command $rate,)?
+        row!([$table].instrument, "", Text, sample Sample::Text($file), $instrument),
+        row!([$table].rate_hz, "Hz", Number(0.01, 100.0), $(command $rate,)?
             "Frames per second. The 2013 camera gives up to 26. A higher rate increases the load on solver and disks."),
-        row!($table.exposure_us, "us", Whole(1, 1_000_000),
+        row!([$table].exposure_us, "us", Whole(1, 1_000_000),
             concat!("Exposure time. ", $exposure, "A longer one raises the signal until the disc saturates, and the smear while slewing.")),
-        row!($table.analogue_gain, "", Number(-1e6, 1e6), sample Sample::Number(400.0),
+        row!([$table].analogue_gain, "", Number(-1e6, 1e6), sample Sample::Number(400.0),
             concat!("Analogue gain in the camera's own scale; unset, the camera keeps its own.", $analogue)),
-        row!($table.preamp_gain, "", Number(-1e6, 1e6), sample Sample::Number(-3.0),
+        row!([$table].preamp_gain, "", Number(-1e6, 1e6), sample Sample::Number(-3.0),
             concat!("Pre-amplifier gain in the camera's own scale; unset, the camera keeps its own.", $preamp)),
-        row!($table.region_px, "px", Allowed::Region, sample Sample::Text("100,50,640,480"),
+        row!([$table].region_px, "px", Allowed::Region, sample Sample::Text("100,50,640,480"),
             "Part of the sensor that is read; unset, all of it. Positions on the sensor then count from its corner."),
-        row!($table.pixel_format, "", Name(&PixelFormat::NAMES),
+        row!([$table].pixel_format, "", Name(&PixelFormat::NAMES),
             "How the camera digitises: 8 bits, or 12 bits in two bytes, which double the traffic and the files."),
-        row!($table.auto_exposure, "", Name(&["off", "on"]),
+        row!([$table].auto_exposure, "", Name(&["off", "on"]),
             "Whether the exposure is controlled by the brightness; it then starts at exposure_us."),
-        row!($table.auto_exposure_target, "", Number(0.1, 0.95),
+        row!([$table].auto_exposure_target, "", Number(0.1, 0.95),
             "Target level of the disc's 99th percentile, or of the limb for a horizon camera, or of the Moon, as a fraction of full scale. A higher value lowers the noise and leaves less margin for glints."),
-        row!($table.auto_exposure_band, "", Number(0.01, 0.5),
+        row!([$table].auto_exposure_band, "", Number(0.01, 0.5),
             "Largest relative difference from the best exposure before it is changed."),
-        row!($table.auto_exposure_max_factor, "", Number(1.05, 10.0),
+        row!([$table].auto_exposure_max_factor, "", Number(1.05, 10.0),
             "The largest factor by which the exposure changes from one frame to the next."),
-        row!($table.auto_exposure_hold_frames, "", Whole(0, 100_000),
+        row!([$table].auto_exposure_hold_frames, "", Whole(0, 100_000),
             "Frames for which the exposure is held when the disc or the limb suddenly dims or is lost; then it increases slowly. A higher value bridges longer clouds."),
-        row!($table.auto_exposure_min_us, "us", Whole(1, 1_000_000),
+        row!([$table].auto_exposure_min_us, "us", Whole(1, 1_000_000),
             "Shortest automatic exposure."),
-        row!($table.auto_exposure_max_us, "us", Whole(1, 1_000_000),
+        row!([$table].auto_exposure_max_us, "us", Whole(1, 1_000_000),
             "Longest automatic exposure. A higher value allows more smear."),
     ]};
 }
@@ -168,8 +184,8 @@ static TABLE: &[Parameter] = &[
         "File with a secret of 16 bytes or more that ground and controller share. If set, commands over UDP must be signed with it (docs/protocol.md), as `solaspect link send --key-file` does; unset, they need not be."),
     row!(link.computer, "", Whole(1, 2),
         "Which of the aspect system's two computers this is: commands are addressed to one or both. Computer 1 sends solutions from the start, computer 2 when aspect command 0x0030 says so."),
-    row!(link.sending_camera, "", Whole(1, 2), command 4,
-        "Which of this computer's pitch-yaw cameras sends to the controller, if there are two."),
+    row!(link.sending_camera, "", Whole(1, 5), command 4,
+        "Which of this computer's pitch-yaw cameras sends to the controller, if there are several, in the order of their tables."),
     row!(link.solution_divisor, "", Whole(1, 1000), command 2,
         "One solution in this many goes to the controller: 1 sends all, 4 at 4 Hz one a second."),
     row!(link.max_solution_age_ms, "ms", Whole(1, 60_000), command 3,

@@ -6,6 +6,7 @@ use crate::camera::{PixelFormat, Source};
 use crate::clock::parse_utc;
 use crate::fits::Compression;
 use crate::frame::Region;
+use crate::instrument::Role;
 use jiff::Timestamp;
 use std::fmt;
 use std::path::PathBuf;
@@ -153,7 +154,15 @@ macro_rules! named_field {
     )*};
 }
 
-named_field!(Compression, Memory, Overflow, PixelFormat, Sharing, Switch);
+named_field!(
+    Compression,
+    Memory,
+    Overflow,
+    PixelFormat,
+    Role,
+    Sharing,
+    Switch
+);
 
 impl Field for Region {
     fn value(&self) -> Option<Value> {

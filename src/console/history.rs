@@ -1,7 +1,7 @@
 //! All that the ground knows of a flight: what packets and logs have brought, in the order of its own time.
 
 use super::housekeeping::HousekeepingRows;
-use super::pictures::{CAMERAS, Partial};
+use super::pictures::Partial;
 use super::rules::{self, Minute, Rule, Severity};
 use super::table::{Column, Nanoseconds, Steady, Table, nanoseconds, place, row_at};
 use crate::link::picture::{Section, Tag};
@@ -274,9 +274,6 @@ impl History {
         (time, arrived): (Nanoseconds, Nanoseconds),
         change: impl FnOnce(&mut Partial),
     ) {
-        if !CAMERAS.contains(&camera) {
-            return;
-        }
         if self.pictures.len() >= MOST_PICTURES && !self.pictures.contains_key(&(camera, time)) {
             // By arrival: a picture may say any time.
             let oldest = self.pictures.iter().min_by_key(|(_, known)| known.arrived);

@@ -2,7 +2,8 @@
 
 use super::table::{Nanoseconds, timestamp};
 use crate::frame::{Frame, FrameInfo, Pixels};
-use crate::link::picture::{MOON_CAMERA, ROLL_CAMERA, Section, Tag};
+use crate::instrument::Role;
+use crate::link::picture::{Section, Tag};
 use image::{Rgb, RgbImage};
 
 /// Where pixels have not come: a hatch of these.
@@ -95,18 +96,9 @@ impl Partial {
     }
 }
 
-/// The numbers of cameras on the line.
-pub const CAMERAS: [u8; 4] = [1, 2, ROLL_CAMERA, MOON_CAMERA];
-
 /// What a camera of a number on the line is called.
 pub fn camera_name(number: u8) -> String {
-    match number {
-        1 => "pitch-yaw camera".into(),
-        2 => "second pitch-yaw camera".into(),
-        ROLL_CAMERA => "roll camera".into(),
-        MOON_CAMERA => "Moon camera".into(),
-        number => format!("camera {number}"),
-    }
+    Role::numbered(number).unwrap_or_else(|| format!("camera {number}"))
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! When the numbers of an instrument were measured: for people and for the check before a flight, not for the solver.
 
 use super::toml_file::{TomlError, Utc};
-use super::{Instrument, builtin, raw};
+use super::{Instrument, raw};
 use jiff::civil::Date;
 use jiff::tz::Offset;
 use std::path::Path;
@@ -15,18 +15,12 @@ pub struct Dated {
 }
 
 impl Instrument {
-    /// Reads an instrument's file, or the built-in "demo" without one, with the dates of its mounting, in the order of
-    /// the file.
+    /// Checks an instrument's text, and tells the dates of its mounting in the order of the file.
     ///
     /// # Errors
     /// As [`Instrument::read`].
-    pub fn read_with_dates(path: Option<&Path>) -> Result<(Self, Vec<Dated>), TomlError> {
-        let Some(path) = path else {
-            let text = builtin::builtin_text("demo").unwrap_or_default();
-            return Ok((builtin("demo")?, dates(text, "mounting")));
-        };
-        let text = builtin::text_of(path)?;
-        Ok((raw::parse(path, &text)?, dates(&text, "mounting")))
+    pub fn parse_with_dates(path: &Path, text: &str) -> Result<(Self, Vec<Dated>), TomlError> {
+        Ok((raw::parse(path, text)?, dates(text, "mounting")))
     }
 }
 

@@ -67,23 +67,6 @@ impl MountedCamera {
     }
 }
 
-/// A camera that looks at the sky and at no plate.
-#[derive(Debug, Clone, PartialEq)]
-pub enum SkyCamera {
-    /// At the horizon, for roll.
-    Horizon(MountedCamera),
-    Moon(DirectionCamera),
-}
-
-impl SkyCamera {
-    pub fn horizon(&self) -> Option<&MountedCamera> {
-        match self {
-            Self::Horizon(camera) => Some(camera),
-            Self::Moon(_) => None,
-        }
-    }
-}
-
 /// A frame that is not this camera's.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(

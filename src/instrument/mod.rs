@@ -9,14 +9,18 @@ mod dates;
 mod direction_camera;
 mod directions;
 mod raw;
+pub mod role;
+mod sees;
 mod sensor;
 pub mod toml_file;
 
 pub use builtin::{DEMO_HORIZON, DEMO_NAVIGATION, builtin, builtin_names, builtin_text, text_of};
 pub use dates::Dated;
 pub(crate) use direction_camera::rotation_of_rows;
-pub use direction_camera::{DirectionCamera, MountedCamera, SkyCamera, WrongFrameSize};
+pub use direction_camera::{DirectionCamera, MountedCamera, WrongFrameSize};
 pub use directions::Directions;
+pub use role::Role;
+pub use sees::{Sees, Stated};
 pub use sensor::{Noise, Sensor, Thermal, Vignetting};
 pub use toml_file::TomlError;
 
@@ -162,9 +166,6 @@ pub struct WrongCamera {
     pub found: String,
 }
 
-/// What is added to the name of the second of two cameras that fly with instruments of one name.
-pub const SECOND: &str = "-2";
-
 impl Instrument {
     /// Whether a frame is this instrument's, by what its header says of instrument and camera.
     ///
@@ -178,7 +179,7 @@ impl Instrument {
             found: found.into(),
         };
         if let Some(named) = &by.instrument
-            && named.strip_suffix(SECOND).unwrap_or(named) != self.name
+            && role::one_of_several(named).0 != self.name
             && *named != self.name
         {
             return Err(wrong("OBSRVTRY", &self.name, named));

@@ -42,22 +42,28 @@ pub trait Wire<T = Self> {
     fn write(value: &T, out: &mut Writer, field: &'static str) -> Result<(), MessageError>;
 }
 
-impl Wire for u16 {
-    const BYTES: usize = 2;
+macro_rules! whole {
+    ($($type:ty, $number:ident);*) => {$(
+        impl Wire for $type {
+            const BYTES: usize = size_of::<$type>();
 
-    fn fields(said: &[Said]) -> Vec<Field> {
-        said.iter().map(|said| said.field(Number::U16)).collect()
-    }
+            fn fields(said: &[Said]) -> Vec<Field> {
+                said.iter().map(|said| said.field(Number::$number)).collect()
+            }
 
-    fn read(input: &mut Reader, _: &'static str) -> Result<Self, MessageError> {
-        input.take().map(Self::from_le_bytes)
-    }
+            fn read(input: &mut Reader, _: &'static str) -> Result<Self, MessageError> {
+                input.take().map(Self::from_le_bytes)
+            }
 
-    fn write(value: &Self, out: &mut Writer, _: &'static str) -> Result<(), MessageError> {
-        out.bytes.extend(value.to_le_bytes());
-        Ok(())
-    }
+            fn write(value: &Self, out: &mut Writer, _: &'static str) -> Result<(), MessageError> {
+                out.bytes.extend(value.to_le_bytes());
+                Ok(())
+            }
+        }
+    )*};
 }
+
+whole!(u16, U16; u32, U32);
 
 macro_rules! real {
     ($($type:ty, $number:ident);*) => {$(

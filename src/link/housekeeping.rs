@@ -96,8 +96,8 @@ macro_rules! codes {
     };
 }
 
-/// A section of rows that the flight counts (`count`), that are about the latest frame (`frame`), or about anything else (`system`). A row: the
-/// field, its type, its unit, what it is, and what its numbers stand for.
+/// Sections of rows, each a struct of its own, in the order of the payload: what threads count (`count`), what is known of the latest frame
+/// (`frame`), and so on. A row: the field, its type, its unit, what it is, and what its numbers stand for.
 macro_rules! housekeeping {
     ($([$section:ident] $($field:ident: $type:ty, $unit:literal, $documentation:literal $(=> $codes:ident)?;)*)*) => {
         /// The status of one second. `None` is what is not known.
@@ -159,66 +159,98 @@ macro_rules! housekeeping {
             }
         }
 
-        sections!([] [] [] $($section { $($field: $type, $documentation;)* })*);
+        sections!(Counts, count, $($section { $($field: $type, $documentation;)* })*);
+        sections!(FrameStatus, frame, $($section { $($field: $type, $documentation;)* })*);
+        sections!(CamerasStatus, cameras, $($section { $($field: $type, $documentation;)* })*);
+        sections!(LineStatus, line, $($section { $($field: $type, $documentation;)* })*);
+        sections!(ArchiveStatus, archive, $($section { $($field: $type, $documentation;)* })*);
+        sections!(NavigationStatus, navigation, $($section { $($field: $type, $documentation;)* })*);
+        sections!(GpsStatus, gps, $($section { $($field: $type, $documentation;)* })*);
+        sections!(SystemStatus, system, $($section { $($field: $type, $documentation;)* })*);
+
+        impl From<Parts> for Housekeeping {
+            fn from(parts: Parts) -> Self {
+                Self { $($($field: parts.$section.$field.told(),)*)* }
+            }
+        }
     };
 }
 
-/// Sorts the rows by their sections: the counters that threads share, and the structs that complete them.
+/// The struct of a section: the rows of that name, and no others.
 macro_rules! sections {
-    ([$($done:tt)*] [$($frame:tt)*] [$($system:tt)*] count { $($rows:tt)* } $($rest:tt)*) => {
-        sections!([$($done)* $($rows)*] [$($frame)*] [$($system)*] $($rest)*);
-    };
-    ([$($counts:tt)*] [$($done:tt)*] [$($system:tt)*] frame { $($rows:tt)* } $($rest:tt)*) => {
-        sections!([$($counts)*] [$($done)* $($rows)*] [$($system)*] $($rest)*);
-    };
-    ([$($counts:tt)*] [$($frame:tt)*] [$($done:tt)*] system { $($rows:tt)* } $($rest:tt)*) => {
-        sections!([$($counts)*] [$($frame)*] [$($done)* $($rows)*] $($rest)*);
-    };
-    (
-        [$($count:ident: $count_type:ty, $count_documentation:literal;)*]
-        [$($frame:ident: $frame_type:ty, $frame_documentation:literal;)*]
-        [$($system:ident: $system_type:ty, $system_documentation:literal;)*]
-    ) => {
+    // A row of the section, or of another one.
+    (@count $struct:ident [$($done:tt)*] count { $($rows:tt)* } $($rest:tt)*) => { sections!(@count $struct [$($done)* $($rows)*] $($rest)*); };
+    (@frame $struct:ident [$($done:tt)*] frame { $($rows:tt)* } $($rest:tt)*) => { sections!(@frame $struct [$($done)* $($rows)*] $($rest)*); };
+    (@cameras $struct:ident [$($done:tt)*] cameras { $($rows:tt)* } $($rest:tt)*) => { sections!(@cameras $struct [$($done)* $($rows)*] $($rest)*); };
+    (@line $struct:ident [$($done:tt)*] line { $($rows:tt)* } $($rest:tt)*) => { sections!(@line $struct [$($done)* $($rows)*] $($rest)*); };
+    (@archive $struct:ident [$($done:tt)*] archive { $($rows:tt)* } $($rest:tt)*) => { sections!(@archive $struct [$($done)* $($rows)*] $($rest)*); };
+    (@navigation $struct:ident [$($done:tt)*] navigation { $($rows:tt)* } $($rest:tt)*) => { sections!(@navigation $struct [$($done)* $($rows)*] $($rest)*); };
+    (@gps $struct:ident [$($done:tt)*] gps { $($rows:tt)* } $($rest:tt)*) => { sections!(@gps $struct [$($done)* $($rows)*] $($rest)*); };
+    (@system $struct:ident [$($done:tt)*] system { $($rows:tt)* } $($rest:tt)*) => { sections!(@system $struct [$($done)* $($rows)*] $($rest)*); };
+    (@$section:ident $struct:ident [$($done:tt)*] $other:ident { $($rows:tt)* } $($rest:tt)*) => { sections!(@$section $struct [$($done)*] $($rest)*); };
+    (@count $struct:ident [$($field:ident: $type:ty, $documentation:literal;)*]) => {
         /// What the threads of a flight count.
         #[derive(Debug, Default)]
         pub struct Counters {
-            $(#[doc = $count_documentation] pub $count: Counter,)*
+            $(#[doc = $documentation] pub $field: Counter,)*
         }
 
         /// The counters at one time.
         #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-        pub struct Counts {
-            $(#[doc = $count_documentation] pub $count: u64,)*
+        pub struct $struct {
+            $(#[doc = $documentation] pub $field: u64,)*
         }
 
         impl Counters {
-            pub fn now(&self) -> Counts {
-                Counts { $($count: self.$count.get(),)* }
-            }
-        }
-
-        /// What is known of the latest frame.
-        #[derive(Debug, Clone, PartialEq, Default)]
-        pub struct FrameStatus {
-            $(#[doc = $frame_documentation] pub $frame: $frame_type,)*
-        }
-
-        /// What is neither counted nor about a frame.
-        #[derive(Debug, Clone, PartialEq)]
-        pub struct SystemStatus {
-            $(#[doc = $system_documentation] pub $system: $system_type,)*
-        }
-
-        impl Housekeeping {
-            pub fn new(counts: &Counts, frame: FrameStatus, system: SystemStatus) -> Self {
-                Self {
-                    $($count: saturated(counts.$count),)*
-                    $($frame: frame.$frame,)*
-                    $($system: system.$system,)*
-                }
+            pub fn now(&self) -> $struct {
+                $struct { $($field: self.$field.get(),)* }
             }
         }
     };
+    (@$section:ident $struct:ident [$($field:ident: $type:ty, $documentation:literal;)*]) => {
+        #[doc = concat!("The fields of the section `", stringify!($section), "`.")]
+        #[derive(Debug, Clone, PartialEq, Default)]
+        pub struct $struct {
+            $(#[doc = $documentation] pub $field: $type,)*
+        }
+    };
+    ($struct:ident, $section:ident, $($rest:tt)*) => { sections!(@$section $struct [] $($rest)*); };
+}
+
+/// All that housekeeping tells, by those who know it. Whoever adds a field is told by the compiler where it is missing.
+#[derive(Debug, Clone, Default)]
+pub struct Parts {
+    pub count: Counts,
+    pub frame: FrameStatus,
+    pub cameras: CamerasStatus,
+    pub line: LineStatus,
+    pub archive: ArchiveStatus,
+    pub navigation: NavigationStatus,
+    pub gps: GpsStatus,
+    pub system: SystemStatus,
+}
+
+/// How a part's value becomes that of its field: as it is, and counts as far as there is room for them.
+trait Tell<T> {
+    fn told(self) -> T;
+}
+
+impl<T> Tell<T> for T {
+    fn told(self) -> T {
+        self
+    }
+}
+
+impl Tell<u16> for u64 {
+    fn told(self) -> u16 {
+        saturated(self)
+    }
+}
+
+impl Tell<u32> for u64 {
+    fn told(self) -> u32 {
+        saturated(self)
+    }
 }
 
 /// A number that threads count up.
@@ -305,22 +337,24 @@ static GYRO_AGREEMENT: Codes = Codes { name: "gyro_agreement", rows: &[
 housekeeping! {
     [system]
     computer: u8, "", "which of the two computers";
+    [line]
     tracking: bool, "", "the controller wants solutions";
     sending: bool, "", "this computer sends them";
+    [system]
     storing: bool, "", "frames of the pitch-yaw camera are stored";
+    [cameras]
     clock_stepped: bool, "", "UTC has made a step since the last packet";
+    [system]
     uptime_s: u32, "s", "since the start of the program";
     [count]
     taken: u32, "", "frames taken";
-    [system]
+    [cameras]
     lost: u32, "", "frames that the camera or the solver lost";
     incomplete: u16, "", "frames that arrived from the camera with parts missing, and were not used";
     reconnects: u16, "", "how often a camera was gone and came back";
-    [count]
     fine: u32, "", "frames solved finely";
     coarse: u32, "", "frames solved coarsely";
     none: u32, "", "frames without a Sun";
-    [system]
     stopped: [u16; 7], "", "frames that went no further than levels, limb, marks, identification, registration, aspect, pointing; from 0 again after 65535";
     [frame]
     number: u32, "", "number of the latest frame, which the fields to preamp_gain are about";
@@ -347,9 +381,11 @@ housekeeping! {
     exposure_us: u32, "us", "exposure time";
     analogue_gain: Option<f32>, "", "analogue gain";
     preamp_gain: Option<f32>, "", "pre-amplifier gain";
-    [system]
+    [cameras]
     camera_c: Option<f32>, "deg C", "temperature of the camera";
+    [system]
     computer_c: Option<f32>, "deg C", "temperature of the computer";
+    [archive]
     disks: [Option<u8>; 2], "%", "how full the disks of the archive are";
     [count]
     stored: u32, "", "frames stored";
@@ -358,27 +394,33 @@ housekeeping! {
     solutions: u32, "", "solutions sent";
     errors: u32, "", "errors sent in their place";
     outdated: u32, "", "solutions too old to be sent";
-    [system]
+    [line]
     unsent: u32, "", "packets that the line did not take";
     reopened: u16, "", "how often the line was opened again";
     rejected: u32, "", "packets from the line that were broken";
     latency_ms: Option<f32>, "ms", "from frame to packet, median of the second";
     latency_99_ms: Option<f32>, "ms", "the same, 99 %";
+    [cameras]
     solve_ms: Option<f32>, "ms", "time of solving, median of the second";
+    [system]
     clock_offset_us: Option<f32>, "us", "by which the clock is ahead of true time";
     restarts: u16, "", "threads that were started again";
     takeovers: u16, "", "of these, threads that hung and were replaced";
     [frame]
     simulated: bool, "", "the frames come from the simulator";
-    [system]
+    [cameras]
     calibration_contradicted: bool, "", "fine frames contradict the instrument's rotation, scale or centre by more than 5 sigma";
     silent_s: u32, "s", "time in which a camera gave no frames though it should have";
     queued_frames: u16, "", "frames that wait for a solver";
+    [archive]
     queued_pictures: u16, "", "solved frames that wait for a disk";
     queued_rows: u16, "", "rows that wait for the logs";
+    [line]
     queued_events: u16, "", "events that wait for the line";
+    [archive]
     disk_refusals: [u32; 2], "", "how often each disk of the archive refused";
     rows_refused: u32, "", "rows that a log refused or had no room for";
+    [system]
     gps_refused: u16, "", "GPS fixes that were not believed";
     [count]
     datagrams_refused: u32, "", "datagrams refused: unknown sender, replayed, or not authentic";
@@ -390,11 +432,10 @@ housekeeping! {
     [frame]
     roll_deg: Option<f32>, "deg", "roll by the horizon at the latest frame, right side low positive";
     roll_sigma_deg: Option<f32>, "deg", "its 1 sigma";
-    [count]
+    [cameras]
     roll_fine: u32, "", "frames of the horizon solved finely";
     roll_coarse: u32, "", "frames of the horizon solved coarsely";
     roll_none: u32, "", "frames without a horizon";
-    [system]
     roll_reasons: [u32; 2], "", "of these, frames that were too bright all over, and too dark";
     night: Option<u8>, "", "at the Moon camera's latest frame, by the ephemeris: 1 night, 0 day";
     moon_found: u32, "", "frames in which the Moon was found";
@@ -402,6 +443,7 @@ housekeeping! {
     moon_hidden: u32, "", "frames taken while the Moon could not be seen";
     moon_x_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
     moon_y_px: Option<f32>, "px", "the centre of the Moon's disc in the latest frame";
+    [navigation]
     navigation: u8, "", "the filter by gyros" => NAVIGATION;
     propagated_azimuth_deg: Option<f32>, "deg", "its latest offset in azimuth";
     propagated_elevation_deg: Option<f32>, "deg", "its latest offset in elevation";
@@ -410,16 +452,19 @@ housekeeping! {
     [count]
     propagated: u32, "", "offsets by the gyros that were sent";
     imu_samples: u32, "", "samples of the IMU";
-    [system]
+    [navigation]
     imu_lost: u16, "", "samples that are missing by their counter, or cannot be read";
+    [gps]
     gps_fixes: u16, "", "fixes of the GPS receiver";
     gps_without_fix: u16, "", "times that it had none, or said the same again";
+    [navigation]
     navigation_refused: u16, "", "fixes and directions that contradict the filter";
     navigation_out_of_time: u16, "", "fixes and directions that came too late or too early";
     [count]
     navigation_lost: u16, "", "inputs that the filter had no room for";
-    [system]
+    [navigation]
     navigation_restarts: u16, "", "times that the filter began anew";
+    [gps]
     gps_no_fix: u16, "", "times that the GPS receiver said it has no fix";
     gps_estimated: u16, "", "its fixes that were not used: by dead reckoning";
     gps_manual: u16, "", "the same: a place that was typed in";
@@ -434,7 +479,9 @@ housekeeping! {
     gps_out_of_time: u16, "", "the same: more than 3 s from the IMU's clock";
     gps_unreadable: u16, "", "sentences of the receiver with a wrong checksum, wrong fields or no end";
     gps_noise_bytes: u32, "", "bytes of the receiver that are part of no sentence";
+    [system]
     values_set: u16, "", "values set by command that are others in the configuration";
+    [navigation]
     gyro_right_sigmas: Option<f32>, "", "the Sun along the telescope's right, measured minus predicted by the gyros, in its 1 sigma";
     gyro_up_sigmas: Option<f32>, "", "the same along its up";
     gyro_roll_sigmas: Option<f32>, "", "roll by the nadir, measured minus predicted by the gyros, in its 1 sigma";

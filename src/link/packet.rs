@@ -45,6 +45,7 @@ pub mod telemetry_type {
     pub const IDLE: u8 = 0x03;
     pub const HOUSEKEEPING: u8 = 0x70;
     pub const IMU: u8 = 0x71;
+    pub const CAMERA: u8 = 0x72;
     pub const PICTURE: u8 = 0x82;
     pub const PICTURE_TAG: u8 = 0x83;
     pub const RESULT: u8 = 0xE1;

@@ -21,10 +21,6 @@ use jiff::Timestamp;
 
 /// Pixels of a section. With both headers 124 bytes, 11 ms at 115200 baud.
 pub const SECTION_PIXELS: usize = 100;
-/// The roll camera's number; pitch-yaw cameras are 1 and 2.
-pub const ROLL_CAMERA: u8 = 6;
-/// The Moon camera's.
-pub const MOON_CAMERA: u8 = 7;
 /// The largest width and height that 12 bits hold.
 const LARGEST: usize = 4095;
 const EIGHT_BITS: u32 = 3;

@@ -19,6 +19,37 @@ fields! {
         key: u16, "", "key of the message, or of the aspect command with its computers";
         value: u16, "", "0 done, 1 not implemented, 2 refused, 65535 unknown, or what a read has read";
     }
+
+    /// What is counted of a camera that is not the first of its role.
+    CameraCounts, format!("camera {camera}: {fine} fine, {coarse} coarse, {none} none, {lost} lost") => {
+        camera: u16, "", "number of the camera, as in its pictures";
+        role: u16, "", "number of its role";
+        fine: u32, "", "frames solved finely";
+        coarse: u32, "", "frames solved coarsely";
+        none: u32, "", "frames that show nothing, or are not solved";
+        lost: u32, "", "frames that the camera or the solver lost";
+    }
+}
+
+impl CameraCounts {
+    /// The counts of a second as a packet made at `time`.
+    pub fn packet(&self, time: Timestamp) -> Result<TelemetryPacket, MessageError> {
+        let kind = telemetry_type::CAMERA;
+        let mut out = Writer::after_key(kind.into());
+        Self::write(self, &mut out, "camera counts")?;
+        let time = unix_time(kind.into(), time)?;
+        Ok(TelemetryPacket::new(kind, id::ASPECT, time, out.finish())?)
+    }
+
+    /// Reads the packet.
+    pub fn decode(packet: &TelemetryPacket) -> Result<Self, MessageError> {
+        let kind = packet.kind();
+        if kind != telemetry_type::CAMERA {
+            return Err(MessageError::UnknownTelemetry { kind });
+        }
+        let mut input = Reader::after_key(kind.into(), packet.payload());
+        Self::read(&mut input, "camera counts")
+    }
 }
 
 /// A type of telemetry.
@@ -64,6 +95,7 @@ pub const TELEMETRY: &[TelemetryRow] = &[
     row(telemetry_type::IDLE, "idle", ToController, Payload::Fields(Vec::new), "nothing to report"),
     row(telemetry_type::HOUSEKEEPING, "housekeeping", ToController, Payload::Housekeeping, "status, each second"),
     row(telemetry_type::IMU, "imu_sample", ToAspect, Payload::Fields(|| Sample::fields(&[])), "a sample of the IMU; the header's time is the end of its interval"),
+    row(telemetry_type::CAMERA, "camera_counts", ToController, Payload::Fields(|| CameraCounts::fields(&[])), "each second for every camera that is not the first of its role"),
     row(telemetry_type::PICTURE, "picture_section", ToController, Payload::PictureSection, "pixels of a picture, row by row"),
     row(telemetry_type::PICTURE_TAG, "picture_tag", ToController, Payload::PictureTag, "a keyword of a picture"),
     row(telemetry_type::RESULT, "result", ToController, Payload::Fields(|| CommandOutcome::fields(&[])), "what came of a command"),

@@ -54,7 +54,7 @@ pub use measurement::{
 pub use motion::Motion;
 pub use offset::{PropagatedOffset, offset};
 pub use run::Flight;
-pub use settings::{CAMERAS_IN_FLIGHT, Camera, Gps, Group, Imu, Settings, Target, Vertical};
+pub use settings::{Camera, Gps, Group, Imu, Settings, Target, Vertical};
 pub use smooth::smooth;
 pub use solve::{Row, SensorErrors, Status, Summary, solve};
 pub use soundness::Unsound;

@@ -1,8 +1,8 @@
 //! What the filter rests on, as NAV.toml states it.
 
 use crate::geometry::attitude::Direction;
-use crate::instrument::rotation_of_rows;
 use crate::instrument::toml_file::{TomlError, Utc, parse_strict, read_text};
+use crate::instrument::{Role, rotation_of_rows};
 use jiff::Timestamp;
 use nalgebra::{Rotation3, Vector3};
 use serde::Deserialize;
@@ -17,6 +17,15 @@ pub enum Target {
 }
 
 impl Target {
+    /// What a camera of a role points at.
+    pub fn of(role: Role) -> Self {
+        match role {
+            Role::PitchYaw => Self::Sun,
+            Role::Roll => Self::Nadir,
+            Role::Moon => Self::Moon,
+        }
+    }
+
     pub const ALL: [Self; 3] = [Self::Sun, Self::Nadir, Self::Moon];
 
     pub fn name(self) -> &'static str {
@@ -65,8 +74,8 @@ const CONSIDERED: [Group; 4] = [
     Group::CorrelatedErrors,
 ];
 
-/// What cameras are called in flight: as their tables in the configuration, the telescope's own first.
-pub const CAMERAS_IN_FLIGHT: [&str; 4] = ["camera", "second_camera", "roll_camera", "moon_camera"];
+/// The camera whose telescope points, as its table in the configuration is called.
+const TELESCOPE: &str = "camera";
 
 /// No fix is better, m and m/s: two of one time would contradict each other.
 const LEAST_FIX: f64 = 1e-4;
@@ -293,18 +302,19 @@ impl Settings {
         })
     }
 
-    /// Settings that can fly: cameras are called as in [`CAMERAS_IN_FLIGHT`], and the axes of the first are what offsets rest on.
+    /// Settings that can fly with cameras of these names, those of their tables in the configuration: no others may be named, and the axes of the
+    /// telescope's own are what offsets rest on.
     ///
     /// # Errors
     /// The file, the field, and what was expected there.
-    pub fn for_flight(self, path: &Path) -> Result<Self, TomlError> {
-        let (check, names) = (Check(path), CAMERAS_IN_FLIGHT);
+    pub fn for_flight(self, path: &Path, names: &[&str]) -> Result<Self, TomlError> {
+        let check = Check(path);
         let is_unknown = |camera: &&Camera| !names.contains(&camera.name.as_str());
         if let Some(camera) = self.cameras.iter().find(is_unknown) {
             let expected = format!("one of {}", names.join(", "));
             return Err(check.error("camera.name", &expected, &camera.name));
         }
-        let telescope = self.camera(names[0]).map(|n| &self.cameras[n]);
+        let telescope = self.camera(TELESCOPE).map(|n| &self.cameras[n]);
         for (field, value, least) in [
             (
                 "imu.velocity_random_walk",
@@ -342,7 +352,7 @@ impl Settings {
 
     /// From the telescope's axes - forward, right, down - to the body's: those of the first camera in flight; the same axes where none is named.
     pub fn body_from_telescope(&self) -> Rotation3<f64> {
-        let telescope = self.camera(CAMERAS_IN_FLIGHT[0]);
+        let telescope = self.camera(TELESCOPE);
         telescope.map_or_else(Rotation3::identity, |n| self.cameras[n].body_from_camera)
     }
 

@@ -4,8 +4,9 @@ use super::copies::{CopiedFrame, Distinct, PixelDigests, distinct, may_be_copied
 use super::headers::{CameraHeader, CameraHeaders};
 use super::journal::JournalError;
 use super::pass::{Done, Pass, PassError};
-use crate::archive::{MOON_CAMERA, ROLL_CAMERA, StoredFile, plain};
+use crate::archive::{StoredFile, plain};
 use crate::frame::TakenBy;
+use crate::instrument::Role;
 use crate::units::counted;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -15,8 +16,10 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 pub struct Cameras {
     /// Those that see the plate.
     pub plate: Vec<CameraFrames>,
+    /// The first that sees the horizon.
     pub roll: Option<CameraFrames>,
-    pub moon: Option<CameraFrames>,
+    /// The rest of those that see no plate.
+    pub others: Vec<CameraFrames>,
 }
 
 /// The cameras of an archive by the headers of its frames, each frame once.
@@ -29,13 +32,28 @@ pub fn cameras(pass: &Pass<'_>, frames: Vec<StoredFile>) -> Result<Cameras, Pass
         None => frames,
     };
     let headers = pass.over(&CameraHeaders, "headers", &frames)?;
-    let mut plate = by_camera(&headers, each_once(pass, &headers, frames)?)?;
-    let mut taken = |is_one: fn(&CameraFrames) -> bool| {
-        CameraFrames::together(plate.extract_if(.., |camera| is_one(camera)).collect())
+    let frames = by_camera(&headers, each_once(pass, &headers, frames)?)?;
+    let mut plate = Vec::new();
+    let mut taken: BTreeMap<(Role, usize), Vec<CameraFrames>> = BTreeMap::new();
+    for camera in frames {
+        match camera.named_role() {
+            Some(named) => taken.entry(named).or_default().push(camera),
+            None => plate.push(camera),
+        }
+    }
+    let mut others: Vec<CameraFrames> = taken
+        .into_values()
+        .filter_map(CameraFrames::together)
+        .collect();
+    let is_roll = |camera: &CameraFrames| {
+        camera
+            .named_role()
+            .is_some_and(|(role, _)| role == Role::Roll)
     };
+    let roll = others.iter().position(is_roll);
     Ok(Cameras {
-        roll: taken(CameraFrames::is_roll_camera),
-        moon: taken(CameraFrames::is_moon_camera),
+        roll: roll.map(|n| others.remove(n)),
+        others,
         plate,
     })
 }
@@ -82,13 +100,9 @@ pub struct CameraFrames {
 }
 
 impl CameraFrames {
-    /// Whether this is the camera that sees the horizon: no plate, no Sun.
-    pub fn is_roll_camera(&self) -> bool {
-        self.taken_by.instrument.as_deref() == Some(ROLL_CAMERA)
-    }
-
-    pub fn is_moon_camera(&self) -> bool {
-        self.taken_by.instrument.as_deref() == Some(MOON_CAMERA)
+    /// The role and the ordinal that its name tells; `None` of a camera that sees a plate.
+    pub fn named_role(&self) -> Option<(Role, usize)> {
+        Role::labelled(self.taken_by.instrument.as_deref()?)
     }
 
     /// The frames of several cameras as if they were one's; `None` of none.

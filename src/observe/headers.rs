@@ -1,7 +1,7 @@
 //! What the frames' headers say of when, how and by which camera they were taken.
 
 use super::pass::{Observer, Span, Unsolved};
-use crate::archive::{ArchiveReader, StoredFile, flown_sha256, sky_camera};
+use crate::archive::{ArchiveReader, StoredFile, flown_sha256, role_of};
 use crate::frame::Identity;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -31,7 +31,10 @@ impl Observer for CameraHeaders {
     ) -> Result<Option<CameraHeader>, Unsolved> {
         let (info, header) = archive.info(input)?;
         // Roll and Moon camera have no instrument of the plate that their headers could name.
-        let by_name = || sky_camera(Path::new(&input.file)).map(str::to_owned);
+        let by_name = || {
+            let (role, ordinal) = role_of(Path::new(&input.file))?;
+            role.label(ordinal)
+        };
         let mut identity = Identity::of(&info);
         identity.flown_sha256 = flown_sha256(&header);
         let instrument = &mut identity.taken_by.instrument;

@@ -1,7 +1,8 @@
 //! Whether the instrument's numbers are recent, and how sure.
 
-use super::{Finding, Plan, PlannedCamera};
-use crate::commands::CameraRole;
+use super::Finding;
+use crate::instrument::Instrument;
+use crate::plan::{Plan, PlannedCamera};
 use jiff::{Timestamp, tz::Offset};
 
 /// Numbers that a knock or a transport changes.
@@ -14,15 +15,18 @@ const PERISHABLE: [&str; 5] = [
 ];
 
 pub(super) fn check(plan: &Plan, camera: &PlannedCamera) -> Vec<Finding> {
-    match camera.role {
-        CameraRole::PitchYaw => vec![age(plan, camera, Timestamp::now()), sigmas(camera)],
-        CameraRole::Roll | CameraRole::Moon => Vec::new(),
+    match camera.camera.sees.plate() {
+        Some(instrument) => vec![
+            age(plan, camera, Timestamp::now()),
+            sigmas(&camera.camera.name, instrument),
+        ],
+        None => Vec::new(),
     }
 }
 
 fn age(plan: &Plan, camera: &PlannedCamera, now: Timestamp) -> Finding {
-    let check = format!("{} calibration", camera.table);
-    let name = &camera.instrument.name;
+    let check = format!("{} calibration", camera.camera.name);
+    let name = &camera.camera.label;
     let perishable = |key: &str| PERISHABLE.contains(&key);
     let dates = camera.dates.iter().filter(|dated| perishable(&dated.key));
     let Some(oldest) = dates.min_by_key(|dated| dated.date) else {
@@ -57,9 +61,8 @@ fn age(plan: &Plan, camera: &PlannedCamera, now: Timestamp) -> Finding {
     Finding::pass(check, found)
 }
 
-fn sigmas(camera: &PlannedCamera) -> Finding {
-    let check = format!("{} boresight", camera.table);
-    let instrument = &camera.instrument;
+fn sigmas(camera: &str, instrument: &Instrument) -> Finding {
+    let check = format!("{camera} boresight");
     let mounting = &instrument.mounting;
     let boresight_arcsec = mounting.boresight_sigma_mil * instrument.optics.arcsec_per_mil();
     let (clocking_deg, roll_deg) = (mounting.clocking_deg.sigma, mounting.roll_deg.sigma);

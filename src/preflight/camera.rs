@@ -1,17 +1,21 @@
-//! Whether a camera answers, with the settings it was given, and what it sees.
+//! Whether a camera answers, with the settings it was given, and what the flight's solver finds in its frames.
 
-use super::bounded::{findings_within, within};
-use super::{DIM, Finding, Plan, PlannedCamera, SATURATED};
-use crate::aspect::{self, Expected, Quality, Solution};
+use super::Finding;
+use super::bounded::within;
+use crate::aspect::Quality;
 use crate::calibrate::check;
 use crate::camera::{
-    self, CameraError, CameraHealth, FrameSource, PixelFormat, Source, Surroundings, Take,
+    Brightness, CameraError, CameraHealth, Exposure, FrameSource, PixelFormat, Source, Take,
 };
-use crate::commands::CameraRole;
-use crate::config::Config;
+use crate::commands::controls::Snapshot;
 use crate::frame::Frame;
-use crate::instrument::{Instrument, SkyCamera};
-use crate::pointing;
+use crate::horizon;
+use crate::instrument::{Role, WrongSize};
+use crate::moon;
+use crate::plan::{Plan, PlannedCamera, Replay};
+use crate::service::messages::UnsolvedFrame;
+use crate::service::solvers::{Solver, solver};
+use crate::service::{Found, Solved, SolvedSun};
 use std::time::{Duration, Instant};
 
 /// For a camera to be found and to give its first frame.
@@ -20,12 +24,43 @@ const PATIENCE: Duration = Duration::from_secs(15);
 const LONGEST: Duration = Duration::from_secs(30);
 /// Frames are taken for about so long.
 const LOOK_S: f64 = 1.0;
+/// Light from here on, of full scale, is cut off.
+const SATURATED: f64 = 0.985;
+/// Light this dim, of full scale, gives noisy answers.
+const DIM: f64 = 0.1;
+/// No gondola hangs so much askew.
+const MOST_ROLL_DEG: f64 = 15.0;
 const PLUG: &str =
     "is it powered and plugged in, on this network, and nobody else's? see docs/camera.md";
 
+/// A camera that is tried, with the flight's solver.
+pub(super) struct Trial {
+    pub source: Box<dyn FrameSource>,
+    solver: Box<dyn Solver>,
+    commanded: Snapshot,
+}
+
+impl Trial {
+    /// Opens a planned camera, as the flight does.
+    pub fn open(plan: &Plan, planned: &PlannedCamera) -> Result<Self, CameraError> {
+        Ok(Self {
+            source: plan.opener(planned, Replay::default())()?,
+            solver: solver(&planned.camera, plan.ephemeris()),
+            commanded: plan.controls().snapshot(),
+        })
+    }
+
+    pub fn solve(&mut self, exposure: Exposure) -> Result<Solved, WrongSize> {
+        let mut frame = UnsolvedFrame::arrived(exposure);
+        self.solver.solve(&mut frame, &self.commanded)
+    }
+}
+
 /// What taking frames gave.
 struct TrialFrames {
-    last: Option<Frame>,
+    last: Option<Exposure>,
+    /// What the last one shows.
+    solved: Option<Result<Solved, WrongSize>>,
     taken: u32,
     failed: Option<String>,
     /// From the first frame to the last.
@@ -33,77 +68,39 @@ struct TrialFrames {
     health: CameraHealth,
 }
 
-/// Opens a planned camera, as the flight does.
-pub(super) fn open(
-    config: &Config,
-    planned: &PlannedCamera,
-) -> Result<Box<dyn FrameSource>, CameraError> {
-    let around = Surroundings {
-        instrument: &planned.instrument,
-        sky: planned.sky.as_ref(),
-        seed: config.simulation.seed,
-        start: config.simulation.start_utc,
-        duration: None,
-        speed: 1.0,
-    };
-    camera::open(&planned.source, &planned.config.settings(), &around)
-}
-
 pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
-    let check = planned.table;
-    let (config, camera) = (plan.config.clone(), planned.clone());
+    let check = &planned.camera.name;
+    let (of_plan, of_camera) = (plan.clone(), planned.clone());
     let take = move || {
-        open(&config, &camera).map(|mut open| take_frames(open.as_mut(), camera.config.rate_hz))
+        let mut trial = Trial::open(&of_plan, &of_camera)?;
+        let mut frames = take_frames(trial.source.as_mut(), of_camera.configured.rate_hz);
+        let last = frames.last.clone();
+        frames.solved = last.map(|exposure| trial.solve(exposure));
+        Ok::<_, CameraError>(frames)
     };
-    let trial = match within(PATIENCE + LONGEST, take) {
-        Ok(Ok(trial)) => trial,
+    let frames = match within(PATIENCE + LONGEST, take) {
+        Ok(Ok(frames)) => frames,
         Ok(Err(error)) => return vec![Finding::fail(check, error.to_string(), PLUG)],
         Err(no_answer) => return vec![Finding::fail(check, no_answer.to_string(), PLUG)],
     };
-    let Some(frame) = &trial.last else {
-        let reason = trial.failed.unwrap_or("no frame came".into());
-        return vec![Finding::fail(
-            check,
-            format!("{}: {reason}", planned.source),
-            PLUG,
-        )];
+    let Some((exposure, solved)) = frames.last.as_ref().zip(frames.solved.as_ref()) else {
+        let reason = frames.failed.unwrap_or("no frame came".into());
+        let found = format!("{}: {reason}", planned.source);
+        return vec![Finding::fail(check, found, PLUG)];
     };
+    let frame = &exposure.frame;
     let mut findings = vec![
-        rate(planned, &trial),
-        settings(planned, frame, &trial.health),
+        rate(planned, &frames),
+        settings(planned, frame, &frames.health),
     ];
-    findings.extend(health(check, &trial));
-    match (planned.role, planned.instrument.seen_by(frame)) {
-        (CameraRole::Roll | CameraRole::Moon, _) => {
-            if let Some(camera) = planned.sky.clone() {
-                let (plan, table, frame) = (plan.clone(), planned.table, frame.clone());
-                findings.extend(findings_within(
-                    PATIENCE,
-                    &format!("{table} solves"),
-                    "tell the program's makers",
-                    move || match camera {
-                        SkyCamera::Horizon(camera) => {
-                            super::horizon::solves(&plan, table, &camera, &frame)
-                        }
-                        SkyCamera::Moon(camera) => {
-                            super::moon::solves(&plan, table, &camera, &frame)
-                        }
-                    },
-                ));
-            }
-        }
-        (CameraRole::PitchYaw, Ok(instrument)) => {
-            let seen = PlannedCamera {
-                instrument: instrument.into_owned(),
-                ..planned.clone()
-            };
-            findings.extend(solves(plan, &seen, frame));
-        }
-        (CameraRole::PitchYaw, Err(wrong)) => findings.push(Finding::fail(
-            check,
-            wrong.to_string(),
-            "give the camera its own instrument file",
-        )),
+    findings.extend(health(check, &frames));
+    let own_file = "give the camera its own instrument file";
+    if let Err(wrong) = planned.camera.sees.check(frame) {
+        findings.push(Finding::fail(check, wrong, own_file));
+    } else if let Ok(solved) = solved {
+        findings.extend(light(check, solved, planned.camera.role));
+        findings.extend(contradicted(check, solved));
+        findings.extend(shows(check, solved));
     }
     findings
 }
@@ -112,6 +109,7 @@ fn take_frames(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
     let wanted = (LOOK_S * rate_hz).clamp(5.0, 60.0) as u32;
     let mut trial = TrialFrames {
         last: None,
+        solved: None,
         taken: 0,
         failed: None,
         lasted: Duration::ZERO,
@@ -128,7 +126,7 @@ fn take_frames(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
             Ok(Take::Exposure(exposure)) => {
                 trial.taken += 1;
                 trial.lasted = first.get_or_insert_with(Instant::now).elapsed();
-                trial.last = Some(exposure.frame);
+                trial.last = Some(*exposure);
             }
             Ok(Take::NotYet) => {}
             Ok(Take::End) => break,
@@ -145,21 +143,21 @@ fn take_frames(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
 
 fn rate(planned: &PlannedCamera, trial: &TrialFrames) -> Finding {
     let (source, taken) = (&planned.source, trial.taken);
-    let wanted_hz = planned.config.rate_hz;
+    let wanted_hz = planned.configured.rate_hz;
     let lasted_s = trial.lasted.as_secs_f64();
     let is_own_pace = matches!(source, Source::Folder(_));
     if taken < 3 || is_own_pace || lasted_s <= 0.0 {
         return Finding::pass(
-            planned.table,
+            &planned.camera.name,
             format!("{source} answers; frames taken: {taken}"),
         );
     }
     let rate_hz = f64::from(taken - 1) / lasted_s;
     let found = format!("{source} answers; {taken} frames at {rate_hz:.1} Hz of {wanted_hz} Hz");
     match rate_hz >= 0.9 * wanted_hz {
-        true => Finding::pass(planned.table, found),
+        true => Finding::pass(&planned.camera.name, found),
         false => Finding::warn(
-            planned.table,
+            &planned.camera.name,
             format!("{found}: too slow"),
             "shorten exposure_us, lower rate_hz, or look at the network",
         ),
@@ -168,7 +166,7 @@ fn rate(planned: &PlannedCamera, trial: &TrialFrames) -> Finding {
 
 /// What the frame says of its settings, against what was asked. A folder's frames were taken as they were.
 fn settings(planned: &PlannedCamera, frame: &Frame, health: &CameraHealth) -> Finding {
-    let check = format!("{} settings", planned.table);
+    let check = format!("{} settings", planned.camera.name);
     if matches!(planned.source, Source::Folder(_)) {
         return Finding::pass(check, "those of a folder's frames are their own");
     }
@@ -176,7 +174,7 @@ fn settings(planned: &PlannedCamera, frame: &Frame, health: &CameraHealth) -> Fi
     if health.refused_settings > 0 {
         wrong.push(format!("{} were refused", health.refused_settings));
     }
-    let asked = planned.config.settings();
+    let asked = planned.configured.settings();
     let mut compare = |name: &str, asked: Option<f64>, found: Option<f64>| {
         if let (Some(asked), Some(found)) = (asked, found)
             && (found - asked).abs() > 0.02 * asked.abs().max(1.0)
@@ -236,131 +234,128 @@ fn health(check: &str, trial: &TrialFrames) -> Option<Finding> {
         .then(|| Finding::warn(format!("{check} health"), faults.join("; "), remedy))
 }
 
-/// Solves a frame of the right size, and judges its light.
-fn solves(plan: &Plan, planned: &PlannedCamera, frame: &Frame) -> Vec<Finding> {
-    let (plan, planned_too, frame) = (plan.clone(), planned.clone(), frame.clone());
-    let table = planned.table;
-    let work = move || {
-        let expected = frame.info.mid_exposure.and_then(Expected::at);
-        let (settings, instrument) = (plan.config.solver(), &planned_too.instrument);
-        let solution = aspect::solve_with(&settings, &frame, instrument, expected, None);
-        let mut findings = vec![light(table, &solution, frame.saturation_dn())];
-        findings.extend(contradicted(table, &solution, instrument));
-        findings.push(aspect(&plan, &planned_too, &frame, solution));
-        findings
-    };
-    findings_within(
-        PATIENCE,
-        &format!("{table} solves"),
-        "tell the program's makers",
-        work,
-    )
-}
-
 /// A fine frame that contradicts what the instrument's file states of the camera.
-fn contradicted(table: &str, solution: &Solution, instrument: &Instrument) -> Option<Finding> {
-    let found: Vec<String> = check::contradictions(solution, instrument)
+fn contradicted(camera: &str, solved: &Solved) -> Option<Finding> {
+    let Found::Sun(sun) = &solved.found else {
+        return None;
+    };
+    let found: Vec<String> = check::contradictions(&sun.solution, &sun.instrument)
         .iter()
         .map(ToString::to_string)
         .collect();
     let remedy = "is it this camera's file, and was the camera moved? see docs/calibration.md";
     (!found.is_empty()).then(|| {
-        let found = format!("instrument {}: {}", instrument.name, found.join("; "));
-        Finding::warn(
-            format!("{table} contradicts its calibration"),
-            found,
-            remedy,
-        )
+        let found = format!("instrument {}: {}", sun.instrument.name, found.join("; "));
+        let check = format!("{camera} contradicts its calibration");
+        Finding::warn(check, found, remedy)
     })
 }
 
-fn light(table: &str, solution: &Solution, saturation_dn: u16) -> Finding {
-    let check = format!("{table} light");
-    let full_dn = f64::from(saturation_dn);
-    let Some(levels) = solution.levels else {
-        let found = "dark: no disc is seen";
-        return Finding::warn(
-            check,
-            found,
-            "no matter indoors; else open the cap, point at the Sun, lengthen exposure_us",
-        );
+/// The light by which an exposure that follows it is judged.
+fn light(camera: &str, solved: &Solved, role: Role) -> Option<Finding> {
+    let check = format!("{camera} light");
+    let (level, background) = match solved.brightness {
+        Brightness::Disc { level, background } => (level, background),
+        // Horizon and Moon may be out of view, and nothing is wrong with the light.
+        Brightness::NoDisc if role != Role::PitchYaw => return None,
+        Brightness::NoDisc => {
+            let remedy =
+                "no matter indoors; else open the cap, point at the Sun, lengthen exposure_us";
+            return Some(Finding::warn(check, "dark: no disc is seen", remedy));
+        }
     };
-    let (disc, background) = (levels.disc_dn / full_dn, levels.background_dn / full_dn);
-    let found = format!(
-        "disc at {:.0} % of full scale, background at {:.0} %",
-        100.0 * disc,
-        100.0 * background
-    );
-    if disc >= SATURATED {
-        return Finding::warn(
-            check,
-            format!("{found}: saturated"),
-            "shorten exposure_us, or set auto_exposure",
-        );
-    }
-    match disc < DIM {
-        true => Finding::warn(
-            check,
-            format!("{found}: dim"),
-            "lengthen exposure_us, or set auto_exposure",
-        ),
-        false => Finding::pass(check, found),
-    }
+    let what = match role {
+        Role::PitchYaw => "disc",
+        Role::Roll => "limb and clouds",
+        Role::Moon => "brightest light",
+    };
+    let [light, dark] = [level, background].map(|part| 100.0 * part);
+    let found = format!("{what} at {light:.0} % of full scale, background at {dark:.0} %");
+    Some(if level >= SATURATED {
+        let remedy = "shorten exposure_us, or set auto_exposure";
+        Finding::warn(check, format!("{found}: saturated"), remedy)
+    } else if level < DIM {
+        let remedy = "lengthen exposure_us, or set auto_exposure";
+        Finding::warn(check, format!("{found}: dim"), remedy)
+    } else {
+        Finding::pass(check, found)
+    })
 }
 
-fn aspect(plan: &Plan, planned: &PlannedCamera, frame: &Frame, mut solution: Solution) -> Finding {
-    let check = format!("{} solves", planned.table);
-    let reason = solution.stopped.map_or(String::new(), |stopped| {
-        let limit = stopped.rejected;
-        format!(
-            " ({stopped}: {:.3}, limit {:.3})",
-            limit.measured, limit.limit
-        )
-    });
-    let quality = solution.quality;
-    let Some(aspect) = solution.aspect else {
-        let remedy =
-            "no matter without a Sun; else look at the frame with `solaspect solve --overlay`";
-        return Finding::warn(check, format!("no Sun{reason}"), remedy);
+/// What a frame shows; `None` of a camera whose frames are not solved.
+fn shows(camera: &str, solved: &Solved) -> Option<Finding> {
+    let check = format!("{camera} solves");
+    let why = solved.stopped.map(|stopped| stopped.in_full());
+    let (what, command, found) = match &solved.found {
+        Found::Sun(sun) => ("Sun", "solve", the_sun(sun)),
+        Found::Nadir(solution) => ("horizon", "horizon", the_roll(solved, solution)),
+        Found::Moon(moon) => ("Moon", "moon", moon.found.as_ref().ok().map(the_moon)),
+        Found::Nothing => return None,
     };
-    let [sx, sy] = aspect.sun_plate.sigma();
-    let scale = planned.instrument.optics.arcsec_per_mil();
-    let at = aspect.sun_plate.position;
-    let mut found = format!(
-        "{}{reason}: the Sun at {:.1}, {:.1} mil, 1 sigma {:.2} arcsec, {} marks",
-        quality.name(),
+    let look = format!("look at the frame with `solaspect {command} --overlay`");
+    let is_hidden = |stage: &str| stage == moon::Stage::Sky.name();
+    let Some(found) = found else {
+        let found = format!("no {what} ({})", why.unwrap_or_default());
+        let remedy = format!("no matter without one in view; else {look}");
+        return Some(match solved.stopped {
+            Some(stopped) if is_hidden(stopped.stage) => Finding::pass(check, found),
+            _ => Finding::warn(check, found, &remedy),
+        });
+    };
+    let doubt = why.map_or(String::new(), |why| format!(" ({why})"));
+    let found = format!("{}{doubt}: {found}", solved.quality.name());
+    let is_askew = |roll_deg: f64| roll_deg.abs() > MOST_ROLL_DEG;
+    let is_nadir = matches!(solved.found, Found::Nadir(_));
+    Some(match solved.quality {
+        _ if is_nadir && solved.roll.is_some_and(|roll| is_askew(roll.deg.value)) => {
+            Finding::warn(check, found, "is body_from_camera right?")
+        }
+        Quality::Fine => Finding::pass(check, found),
+        Quality::Coarse | Quality::None => Finding::warn(check, found, &look),
+    })
+}
+
+fn the_sun(sun: &SolvedSun) -> Option<String> {
+    let solution = &sun.solution;
+    let plate = solution.aspect.as_ref()?.sun_plate;
+    let ([sx, sy], at) = (plate.sigma(), plate.position);
+    let scale = sun.instrument.optics.arcsec_per_mil();
+    let offset = match sun.offset {
+        Some(offset) => format!(
+            "offset {:.4}, {:.4} deg",
+            offset.azimuth_deg, offset.elevation_deg
+        ),
+        None => "no offset, for want of a time, a place or a sky".into(),
+    };
+    Some(format!(
+        "the Sun at {:.1}, {:.1} mil, 1 sigma {:.2} arcsec, {} marks; {offset}",
         at.x,
         at.y,
         scale * (0.5 * (sx * sx + sy * sy)).sqrt(),
         solution.marks.len()
-    );
-    let place = frame.info.place.or(plan.config.site.place());
-    let utc = frame.info.mid_exposure;
-    let mut ephemeris = plan.ephemeris();
-    let offset = pointing::offset_of(
-        &mut solution,
-        utc,
-        place,
-        &plan.target,
-        None,
-        &planned.instrument,
-        &mut ephemeris,
-    );
-    match offset {
-        Some(offset) => {
-            found += &format!(
-                "; offset {:.4}, {:.4} deg",
-                offset.azimuth_deg, offset.elevation_deg
-            );
-        }
-        None => found += "; no offset, for want of a time, a place or a sky",
-    }
-    match quality {
-        Quality::Fine => Finding::pass(check, found),
-        _ => Finding::warn(
-            check,
-            found,
-            "look at the frame with `solaspect solve --overlay`",
-        ),
-    }
+    ))
+}
+
+fn the_roll(solved: &Solved, solution: &horizon::Solution) -> Option<String> {
+    let roll_deg = solved.roll?.deg;
+    Some(format!(
+        "roll {:.3} +- {:.3} deg, {} of {} places of the limb",
+        roll_deg.value,
+        roll_deg.sigma,
+        solution.agreeing(),
+        solution.places
+    ))
+}
+
+fn the_moon(disc: &moon::Disc) -> String {
+    let (centre, sigma) = (disc.centre.position, disc.centre.sigma());
+    format!(
+        "centre at {:.2}, {:.2} px (+- {:.2}, {:.2}), radius {:.2} px, {:.0} % lit",
+        centre.x,
+        centre.y,
+        sigma[0],
+        sigma[1],
+        disc.radius_px.value,
+        100.0 * disc.lit().value
+    )
 }

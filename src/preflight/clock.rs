@@ -1,9 +1,10 @@
 //! Whether the clock tells the time.
 
 use super::bounded::within;
-use super::{Finding, Plan, Verdict};
+use super::{Finding, Verdict};
 use crate::camera::Source;
 use crate::clock::ClockStatus;
+use crate::plan::Plan;
 use jiff::{Timestamp, tz::Offset};
 use std::process::{Command, Stdio};
 use std::time::Duration;

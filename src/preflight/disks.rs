@@ -1,17 +1,19 @@
 //! Whether the archive's disks are there, have room, and are fast enough.
 
+use super::Finding;
 use super::bounded::findings_within;
-use super::{Finding, Plan};
 use crate::archive::disk::{Disk, LocalDisk};
 use crate::archive::{ArchiveError, Room, Sharing, SpaceLimits, Store};
 use crate::camera::PixelFormat;
 use crate::fits::Packing;
+use crate::plan::{Plan, PlannedCamera, device};
 use std::io::{self, ErrorKind};
-use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+/// Of a frame.
+const USUAL_PX: [usize; 2] = [1296, 966];
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Writing is timed for so long, and over so many files at most.
 const TIMED: Duration = Duration::from_millis(500);
@@ -43,15 +45,13 @@ impl Demand {
             PixelFormat::Mono8 => 1,
             PixelFormat::Mono12 => 2,
         };
-        let size = |camera: &super::PlannedCamera| {
-            let sensor = &camera.instrument.camera;
-            sensor.width_px * sensor.height_px * bytes(camera.config.pixel_format)
+        // A camera of which no file says its size is taken for one of the usual size.
+        let size = |one: &PlannedCamera| {
+            let [width, height] = one.camera.sees.size_px().unwrap_or(USUAL_PX);
+            width * height * bytes(one.configured.pixel_format)
         };
-        let rate_hz: f64 = plan
-            .cameras
-            .iter()
-            .map(|camera| camera.config.rate_hz)
-            .sum();
+        let rates = plan.cameras.iter().map(|one| one.configured.rate_hz);
+        let rate_hz: f64 = rates.sum();
         let shares = match archive.sharing {
             Sharing::Alternate => disks.max(1) as f64,
             Sharing::Mirror => 1.0,
@@ -60,7 +60,7 @@ impl Demand {
             instrument: plan
                 .cameras
                 .first()
-                .map_or(String::new(), |c| c.instrument.name.clone()),
+                .map_or(String::new(), |one| one.camera.label.clone()),
             packing: archive.packing(),
             limits: archive.space_limits(),
             frame_bytes: plan.cameras.iter().map(size).max().unwrap_or(0),
@@ -252,10 +252,4 @@ fn apart(first: &Path, second: &Path) -> Finding {
             "make sure by other means that they are on two disks",
         ),
     }
-}
-
-/// The device that holds a folder, or the nearest one above it that is there.
-pub(super) fn device(folder: &Path) -> Option<u64> {
-    let there = |folder: &Path| folder.metadata().ok();
-    folder.ancestors().find_map(there).map(|found| found.dev())
 }

@@ -1,10 +1,11 @@
 //! Whether the GPS receiver has a fix that the flight would use.
 
+use super::Finding;
 use super::bounded::within;
-use super::{Finding, Plan};
 use crate::config::FlightClock;
 use crate::link::{LocalEnd, PortAddress, PortError};
 use crate::navigation::nmea::{GpsCounts, Heard, Nmea, Refusal, Refused, TimedFix};
+use crate::plan::Plan;
 use crate::sky::sphere::{direction, separation_rad};
 use crate::units::Place;
 use std::time::{Duration, Instant};
@@ -19,13 +20,10 @@ const GPS_PORT: &str =
     "is the receiver on, is navigation.gps_port its line and navigation.gps_baud its speed?";
 
 pub(super) fn check(plan: &Plan) -> Finding {
-    let address = match plan.config.navigation.gps_address() {
-        Ok(Some(address)) => address,
-        Ok(None) => {
-            let found = "no receiver: the filter never begins";
-            return Finding::fail("gps", found, "set navigation.gps_port");
-        }
-        Err(refused) => return Finding::fail("gps", refused.to_string(), GPS_PORT),
+    let address = plan.navigation.as_ref().and_then(|one| one.gps.clone());
+    let Some(address) = address else {
+        let found = "no receiver: the filter never begins";
+        return Finding::fail("gps", found, "set navigation.gps_port");
     };
     let baud = plan.config.navigation.gps_baud;
     let clock = plan.config.clock();

@@ -1,9 +1,9 @@
 //! Whether the controller's line can be opened, and whether somebody speaks on it.
 
+use super::Finding;
 use super::bounded::within;
-use super::{Finding, Plan};
-use crate::config::Refused;
-use crate::link::{BytePort, Direction, LocalEnd, Parser, PortAddress, PortError};
+use crate::link::{BytePort, Direction, Parser, PortError};
+use crate::plan::Plan;
 use std::time::{Duration, Instant};
 
 const CHECK: &str = "link";
@@ -22,25 +22,19 @@ struct Heard {
 }
 
 pub(super) fn check(plan: &Plan, wait: Option<Duration>) -> Finding {
-    let link = plan.config.link.clone();
-    let Some(port) = link.port.clone() else {
-        return no_port();
+    let Some((address, local)) = plan.line.clone() else {
+        let found = "no port: nothing would be sent";
+        return Finding::warn(CHECK, found, "set link.port");
     };
-    let end = || -> Result<(Option<PortAddress>, LocalEnd), Refused> {
-        link.guard()?;
-        Ok((link.address()?, link.local_end()?))
-    };
-    let (address, local) = match end() {
-        Ok((Some(address), local)) => (address, local),
-        Ok((None, _)) => return no_port(),
-        Err(refused) => {
-            let advice = format!("set {}", refused.key);
-            return Finding::fail(CHECK, refused.to_string(), &advice);
-        }
-    };
+    let link = &plan.config.link;
+    let (baud, port) = (link.baud, link.port.clone().unwrap_or_default());
+    if let Err(refused) = link.guard() {
+        let advice = format!("set {}", refused.key);
+        return Finding::fail(CHECK, refused.to_string(), &advice);
+    }
     let limit = PATIENCE + wait.unwrap_or_default();
     let tried = within(limit, move || -> Result<Option<Heard>, PortError> {
-        let mut open = address.open(link.baud, local)?;
+        let mut open = address.open(baud, local)?;
         wait.map(|wait| listen(open.as_mut(), wait)).transpose()
     });
     match (tried, wait) {
@@ -49,10 +43,6 @@ pub(super) fn check(plan: &Plan, wait: Option<Duration>) -> Finding {
         (Ok(Ok(None)), _) => Finding::pass(CHECK, format!("{port} opens; nobody was waited for")),
         (Ok(Ok(Some(heard))), wait) => judge(&port, &heard, wait.unwrap_or_default()),
     }
-}
-
-fn no_port() -> Finding {
-    Finding::warn(CHECK, "no port: nothing would be sent", "set link.port")
 }
 
 /// Listens until the first good packet, or for `wait`.

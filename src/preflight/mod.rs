@@ -1,11 +1,11 @@
 //! Before the flight: is the configuration right, and does everything answer that it names?
 //!
 //! ```text
-//! configuration -> survey -> Plan and Remarks -> run -> Findings: clock, sky, disks, link, cameras, polarity
+//! configuration -> Plan and Remarks -> run -> Findings: clock, sky, disks, link, cameras, polarity
 //! ```
 //!
-//! Each check is given its time and no more, on a thread of its own that is left behind where it does not come back: a dead
-//! network disk or a camera that hangs is a finding, and so is a check that panics.
+//! The [plan](crate::plan) is the flight's, and so are the solvers that try a frame of each camera. Each check is given its time and no more, on a thread
+//! of its own that is left behind where it does not come back: a dead network disk or a camera that hangs is a finding, and so is a check that panics.
 
 mod bounded;
 mod calibration;
@@ -14,30 +14,43 @@ mod clock;
 mod disks;
 mod finding;
 mod gps;
-mod horizon;
 mod link;
-mod moon;
 mod navigation;
-mod plan;
 mod polarity;
-mod remarks;
 mod sky;
 
 pub use clock::judge as judge_clock;
 pub use disks::{Demand, check_folder};
 pub use finding::{Finding, Verdict};
-pub use plan::{NoTarget, Options, Plan, PlannedCamera, ephemeris, target};
 pub use polarity::{Axis, Motion, Operator, Trend};
-pub use remarks::{Remark, Remarks, Severity, survey};
 
-use crate::link::PortAddress;
+use crate::plan::{Options, Plan, Remark, Severity};
 use std::path::Path;
 use std::time::Duration;
 
-/// Light from here on, of full scale, is cut off.
-const SATURATED: f64 = 0.985;
-/// Light this dim, of full scale, gives noisy answers.
-const DIM: f64 = 0.1;
+/// Keys of which the checks before a flight tell more.
+const CHECKED_LATER: [&str; 4] = [
+    "archive.directory",
+    "archive.second_directory",
+    "link.port",
+    "site",
+];
+
+/// Whether another line of the page will say the same.
+fn is_checked_later(remark: &Remark) -> bool {
+    let key = remark.what.field.as_str();
+    remark.severity == Severity::Warning && CHECKED_LATER.contains(&key)
+}
+
+impl From<&Remark> for Finding {
+    fn from(remark: &Remark) -> Self {
+        let what = remark.what.to_string();
+        match remark.severity {
+            Severity::Error => Self::fail("configuration", what, remark.remedy),
+            Severity::Warning => Self::warn("configuration", what, remark.remedy),
+        }
+    }
+}
 
 /// How far the check goes.
 #[derive(Default)]
@@ -51,12 +64,10 @@ pub struct Extent<'a> {
 /// Makes every check of a configuration (the defaults without a file), in order. `tell` hears of each finding as it is
 /// made. Where the configuration has errors, clock, disks and line are checked as far as it names them.
 pub fn run(file: Option<&Path>, options: &Options, extent: Extent, tell: &mut dyn FnMut(Finding)) {
-    let (plan, remarks) = remarks::survey_anyway(file, options);
-    let news = remarks
-        .list
-        .iter()
-        .filter(|remark| !remark.is_checked_later());
-    news.map(Remark::finding).for_each(&mut *tell);
+    let (plan, mut remarks) = Plan::survey(file, options);
+    plan.look(&mut remarks);
+    let news = remarks.list.iter().filter(|one| !is_checked_later(one));
+    news.map(Finding::from).for_each(&mut *tell);
     if remarks.has_errors() {
         check_in_part(&plan, extent.wait_for_controller, tell);
     } else {
@@ -70,8 +81,7 @@ fn check_in_part(plan: &Plan, wait: Option<Duration>, tell: &mut dyn FnMut(Findi
     if !plan.folders().is_empty() {
         disks::check(plan).into_iter().for_each(&mut *tell);
     }
-    let port = plan.config.link.port.as_deref();
-    if port.is_some_and(|port| port.parse::<PortAddress>().is_ok()) {
+    if plan.line.is_some() {
         tell(link::check(plan, wait));
     }
 }

@@ -1,12 +1,11 @@
 //! Whether the IMU speaks, feels gravity and turns the right way.
 
+use super::Finding;
 use super::bounded::within;
 use super::polarity::Operator;
-use super::{Finding, Plan};
-use crate::config::Refused;
 use crate::geometry::earth::gravity_m_s2;
-use crate::link::{AnyPort, Direction, ImuPacket, LocalEnd, Packet, Parser, PortError};
-use crate::navigation::Settings;
+use crate::link::{Direction, ImuPacket, LocalEnd, Packet, Parser, PortError};
+use crate::plan::Plan;
 use jiff::Timestamp;
 use nalgebra::{Rotation3, Vector3};
 use std::time::{Duration, Instant};
@@ -35,7 +34,7 @@ const IMU_PORT: &str = "is the IMU on, does the controller send telemetry of typ
 const AXES: &str = "check the IMU's axes and signs, and how body_from_camera of NAV.toml has the telescope lie in them";
 
 pub(super) fn check(plan: &Plan) -> Vec<Finding> {
-    if !plan.config.navigation.is_enabled() {
+    if plan.navigation.is_none() {
         return Vec::new();
     }
     let mut findings = at_rest(plan);
@@ -45,7 +44,7 @@ pub(super) fn check(plan: &Plan) -> Vec<Finding> {
 
 /// The tilts by hand.
 pub(super) fn check_axes(plan: &Plan, operator: &mut dyn Operator) -> Vec<Finding> {
-    if !plan.config.navigation.is_enabled() {
+    if plan.navigation.is_none() {
         return Vec::new();
     }
     let tilts = [Tilt::ForwardUp, Tilt::RightLow];
@@ -261,10 +260,17 @@ impl Tilt {
 
 /// Listens to the IMU where it speaks, for so long.
 fn listen_to_imu(plan: &Plan, time: Duration) -> Result<Heard, String> {
-    let open = imu_port(plan)?;
-    let telescope = telescope_from_body(plan)?;
+    let navigation = plan.navigation.as_ref().ok_or("no navigation is planned")?;
+    // From the IMU's axes to the telescope's: forward, right and down.
+    let telescope = navigation.settings.body_from_telescope().inverse();
+    // The IMU's own line, else the controller's.
+    let own = navigation.imu.clone().map(|own| (own, LocalEnd::default()));
+    let (address, local) = own
+        .or(plan.line.clone())
+        .ok_or("neither navigation.imu_port nor link.port is set")?;
+    let baud = plan.config.link.baud;
     let tried = within(PATIENCE + time, move || -> Result<Heard, PortError> {
-        let mut port = open()?;
+        let mut port = address.open(baud, local)?;
         let mut parser = Parser::new(Direction::ToAspect);
         let mut heard = Heard::default();
         let mut buffer = [0; 2048];
@@ -289,15 +295,6 @@ fn listen_to_imu(plan: &Plan, time: Duration) -> Result<Heard, String> {
     }
 }
 
-/// From the IMU's axes to the telescope's: forward, right and down.
-fn telescope_from_body(plan: &Plan) -> Result<Rotation3<f64>, String> {
-    let path = plan.config.navigation.settings.as_deref();
-    let path = path.ok_or("navigation.settings is not set")?;
-    let settings = Settings::read(path).and_then(|settings| settings.for_flight(path));
-    let settings = settings.map_err(|error| error.to_string())?;
-    Ok(settings.body_from_telescope().inverse())
-}
-
 fn turned(sample: ImuPacket, telescope: &Rotation3<f64>) -> ImuPacket {
     let turn = |v: [f32; 3]| {
         (telescope * Vector3::from(v).cast::<f64>())
@@ -309,22 +306,6 @@ fn turned(sample: ImuPacket, telescope: &Rotation3<f64>) -> ImuPacket {
         rate_rad_s: turn(sample.rate_rad_s),
         ..sample
     }
-}
-
-/// The IMU's own line, else the controller's.
-fn imu_port(
-    plan: &Plan,
-) -> Result<impl FnOnce() -> Result<AnyPort, PortError> + Send + use<>, String> {
-    let words = |refused: Refused| refused.to_string();
-    let link = &plan.config.link;
-    let own = plan.config.navigation.imu_address().map_err(words)?;
-    let (address, local) = match (own, link.address().map_err(words)?) {
-        (Some(own), _) => (own, LocalEnd::default()),
-        (None, Some(shared)) => (shared, link.local_end().map_err(words)?),
-        (None, None) => return Err("neither navigation.imu_port nor link.port is set".into()),
-    };
-    let baud = link.baud;
-    Ok(move || address.open(baud, local))
 }
 
 #[cfg(test)]

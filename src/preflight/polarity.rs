@@ -3,13 +3,13 @@
 //! A wrong twist, clocking or handedness sends the controller the wrong way, with fine solutions. Only a motion whose
 //! direction is known tells.
 
+use super::Finding;
 use super::bounded::within;
-use super::{Finding, Plan, PlannedCamera, camera};
-use crate::aspect::{self, Expected, Track};
-use crate::camera::{FrameSource, Take};
-use crate::commands::CameraRole;
-use crate::pointing::{self, Offset};
-use crate::sky::Ephemeris;
+use super::camera::Trial;
+use crate::camera::Take;
+use crate::plan::{Plan, PlannedCamera};
+use crate::pointing::Offset;
+use crate::service::Found;
 use std::time::{Duration, Instant};
 
 /// How long a slew is waited for.
@@ -112,21 +112,12 @@ impl Trend {
     }
 }
 
-/// A camera that is watched, with what its frames teach.
-struct Watch {
-    plan: Plan,
-    planned: PlannedCamera,
-    camera: Box<dyn FrameSource>,
-    ephemeris: Ephemeris,
-    track: Option<Track>,
-}
-
 pub(super) fn check(plan: &Plan, operator: &mut dyn Operator) -> Vec<Finding> {
     let mut findings = Vec::new();
     for planned in plan
         .cameras
         .iter()
-        .filter(|camera| camera.role == CameraRole::PitchYaw)
+        .filter(|one| one.camera.sees.plate().is_some())
     {
         findings.extend(check_camera(plan, planned, operator));
     }
@@ -135,16 +126,7 @@ pub(super) fn check(plan: &Plan, operator: &mut dyn Operator) -> Vec<Finding> {
 
 fn check_camera(plan: &Plan, planned: &PlannedCamera, operator: &mut dyn Operator) -> Vec<Finding> {
     let (plan, planned) = (plan.clone(), planned.clone());
-    let opened = within(PATIENCE, move || {
-        let camera = camera::open(&plan.config, &planned)?;
-        Ok::<_, crate::camera::CameraError>(Watch {
-            ephemeris: plan.ephemeris(),
-            plan,
-            planned,
-            camera,
-            track: None,
-        })
-    });
+    let opened = within(PATIENCE, move || Trial::open(&plan, &planned));
     let failed = |found: String| vec![Finding::fail("polarity", found, "see the camera")];
     let mut watch = match opened {
         Ok(Ok(watch)) => watch,
@@ -163,7 +145,7 @@ fn check_camera(plan: &Plan, planned: &PlannedCamera, operator: &mut dyn Operato
             continue;
         }
         let watched = within(WATCH + PATIENCE, move || {
-            let outcome = watch.follow(axis);
+            let outcome = follow(&mut watch, axis);
             (watch, outcome)
         });
         match watched {
@@ -210,50 +192,27 @@ fn judge(axis: Axis, trend: &Trend, motion: Option<Motion>) -> Finding {
     }
 }
 
-impl Watch {
-    /// Takes and solves frames until the offset has moved along the axis, or for the time there is.
-    fn follow(&mut self, axis: Axis) -> (Trend, Option<Motion>) {
-        let mut trend = Trend::default();
-        let start = Instant::now();
-        while start.elapsed() < WATCH {
-            match self.camera.next(&mut |_| {}) {
-                Ok(Take::Exposure(exposure)) => {
-                    let Some(offset) = self.offset(&exposure.frame) else {
-                        continue;
-                    };
-                    let motion = trend.push(axis.of(&offset), offset.sigma_deg);
-                    if motion.is_some() {
-                        return (trend, motion);
-                    }
+/// Takes and solves frames until the offset has moved along the axis, or for the time there is.
+fn follow(trial: &mut Trial, axis: Axis) -> (Trend, Option<Motion>) {
+    let mut trend = Trend::default();
+    let start = Instant::now();
+    while start.elapsed() < WATCH {
+        match trial.source.next(&mut |_| {}) {
+            Ok(Take::Exposure(exposure)) => {
+                let solved = trial.solve(*exposure);
+                let Ok(Found::Sun(sun)) = solved.map(|solved| solved.found) else {
+                    continue;
+                };
+                let offset = sun.offset;
+                let moved = |offset: Offset| trend.push(axis.of(&offset), offset.sigma_deg);
+                if let Some(motion) = offset.and_then(moved) {
+                    return (trend, Some(motion));
                 }
-                Ok(Take::NotYet) => {}
-                Ok(Take::End) => break,
-                Err(_) => std::thread::sleep(Duration::from_millis(20)),
             }
+            Ok(Take::NotYet) => {}
+            Ok(Take::End) => break,
+            Err(_) => std::thread::sleep(Duration::from_millis(20)),
         }
-        (trend, None)
     }
-
-    fn offset(&mut self, frame: &crate::frame::Frame) -> Option<Offset> {
-        let instrument = &*self.planned.instrument.seen_by(frame).ok()?;
-        let utc = frame.info.mid_exposure;
-        let settings = self.plan.config.solver();
-        let expected = utc.and_then(Expected::at);
-        let mut solution =
-            aspect::solve_with(&settings, frame, instrument, expected, self.track.as_ref());
-        if solution.track.is_some() {
-            self.track.clone_from(&solution.track);
-        }
-        let place = frame.info.place.or(self.plan.config.site.place());
-        let target = &self.plan.target;
-        pointing::offset_of(
-            &mut solution,
-            utc,
-            place,
-            target,
-            None,
-            instrument,
-            &mut self.ephemeris,
-        )
-    }
+    (trend, None)
 }

@@ -1,6 +1,7 @@
 //! Whether the sky is known on this day, and from where it is seen.
 
-use super::{Finding, Plan};
+use super::Finding;
+use crate::plan::Plan;
 use jiff::{Timestamp, ToSpan, tz::Offset};
 
 /// A table that ends sooner is worth renewing.

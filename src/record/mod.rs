@@ -213,19 +213,28 @@ impl Record {
         }
     }
 
-    /// What a frame of the horizon says, with the body's roll by it.
-    pub fn of_horizon(
+    /// A frame that is stored and not solved.
+    pub fn unsolved(
         utc: Option<Timestamp>,
-        solution: &horizon::Solution,
-        roll_deg: Option<Measured>,
+        stopped: Option<&Stopped<&'static str>>,
         solve_time: Duration,
     ) -> Self {
         Self {
-            utc: utc.map(Utc::from),
+            reason: stopped.map(Reason::of),
+            ..Self::new("", utc, &Solution::none(), None, Some(solve_time))
+        }
+    }
+
+    /// What a frame of the horizon says, but for the body's roll by it.
+    pub fn of_horizon(
+        utc: Option<Timestamp>,
+        solution: &horizon::Solution,
+        solve_time: Duration,
+    ) -> Self {
+        Self {
             quality: solution.quality().name(),
             reason: solution.reason().map(Reason::of),
-            roll_deg: roll_deg.map(RollRecord::from),
-            ..Self::new("", None, &Solution::none(), None, Some(solve_time))
+            ..Self::unsolved(utc, None, solve_time)
         }
     }
 
@@ -236,17 +245,14 @@ impl Record {
         direction: Option<&Direction>,
         solve_time: Duration,
     ) -> Self {
-        let none = Self::new("", None, &Solution::none(), None, Some(solve_time));
+        let none = Self::unsolved(utc, None, solve_time);
         match found {
             Ok(disc) => Self {
-                utc: utc.map(Utc::from),
                 quality: disc.quality.name(),
-                reason: None,
                 moon: Some(MoonRecord::new(disc, direction)),
                 ..none
             },
             Err(stopped) => Self {
-                utc: utc.map(Utc::from),
                 reason: Some(Reason::of(stopped)),
                 ..none
             },
@@ -275,7 +281,7 @@ impl Record {
 
     /// A row of which no more is known.
     fn alone(&self) -> Row {
-        Row::new(None, &Solution::none(), self.clone())
+        Row::bare(None, self.clone())
     }
 
     /// "stage: reason", as FITS and CSV write it.
@@ -315,10 +321,20 @@ impl Row {
     /// The row of a solved frame; `record` is made of the same solution.
     pub fn new(number: Option<u64>, solution: &Solution, record: Record) -> Self {
         Self {
-            number,
             quality: solution.quality,
             stopped: solution.stopped.map(|stopped| stopped.stage),
             levels: solution.levels,
+            ..Self::bare(number, record)
+        }
+    }
+
+    /// The row of a record, of which no more is known.
+    pub fn bare(number: Option<u64>, record: Record) -> Self {
+        Self {
+            number,
+            quality: Quality::None,
+            stopped: None,
+            levels: None,
             record,
             on_own_disk: None,
             upkeep: Upkeep::default(),

@@ -4,7 +4,8 @@ use super::recipe::Recipe;
 use super::roll::RollRecipe;
 use crate::archive::{CONFIGURATION, FlownFile, FlownFiles, INSTRUMENT};
 use crate::config::Config;
-use crate::instrument::{Instrument, MountedCamera, SECOND, builtin_text, text_of};
+use crate::instrument::role::one_of_several;
+use crate::instrument::{Instrument, MountedCamera, builtin_text, text_of};
 use crate::observe::CameraFrames;
 use crate::units::Place;
 use anyhow::{Context, bail, ensure};
@@ -208,7 +209,7 @@ fn built_in(camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
         let text = builtin_text("demo").unwrap_or_default();
         return Ok((Instrument::parse(Path::new("demo"), text)?, text.into()));
     };
-    let name = named.strip_suffix(SECOND).unwrap_or(named);
+    let name = one_of_several(named).0;
     let text = builtin_text(name).with_context(|| {
         format!(
             "expected the file of instrument \"{name}\", which the frames name (OBSRVTRY), found none in the archive and none built in: \

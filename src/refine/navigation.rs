@@ -9,11 +9,10 @@ use super::sky::Sky;
 use super::witnesses::Difference;
 use crate::archive::ArchiveReader;
 use crate::geometry::attitude::Direction;
-use crate::instrument::{Directions, Instrument, SECOND};
+use crate::instrument::role::one_of_several;
+use crate::instrument::{Directions, Instrument, Role};
 use crate::navigation::files::{read_gps, read_imu};
-use crate::navigation::{
-    self, Axis, CAMERAS_IN_FLIGHT, Fix, ImuSample, Measurement, Sighting, Target, Targets,
-};
+use crate::navigation::{self, Axis, Fix, ImuSample, Measurement, Sighting, Target, Targets};
 use crate::observe::CameraFrames;
 use crate::pointing::{calibration_rad2, measured_sun_in_telescope};
 use crate::pointing_history::{Basis, State};
@@ -52,7 +51,9 @@ impl Navigation {
                 archive.name().display()
             ),
         };
-        given.settings = given.settings.for_flight(&given.path)?;
+        given.settings = given
+            .settings
+            .for_flight(&given.path, &Role::table_names())?;
         let epoch = given.settings.epoch_utc;
         Ok(Sensors {
             epoch: *given
@@ -103,7 +104,7 @@ impl Sensors<'_> {
         let second = cameras.len() - first.len();
         ensure!(
             first.len() <= 1 && second <= 1,
-            "--imu: expected one camera, and a second one whose name ends in \"{SECOND}\", found {} and {second} of these: refine the folder of one",
+            "--imu: expected one camera, and a second one whose name ends in \"-2\", found {} and {second} of these: refine the folder of one",
             first.join(", ")
         );
         Ok(())
@@ -123,8 +124,7 @@ impl Sensors<'_> {
 
     /// Notes the Sun of a camera's refined frame.
     pub fn see_sun(&mut self, is_second: bool, row: &Row, instrument: &Instrument) {
-        let [first, second, ..] = CAMERAS_IN_FLIGHT;
-        let name = if is_second { second } else { first };
+        let name = Role::PitchYaw.table(if is_second { 2 } else { 1 });
         if let Some((utc, sun)) = row.utc().zip(row.sun_at_time()) {
             let direction = measured_sun_in_telescope(&sun, instrument);
             self.see(name, Target::Sun, utc, direction);
@@ -133,15 +133,14 @@ impl Sensors<'_> {
 
     /// Notes the nadir of a frame of the roll camera.
     pub fn see_nadir(&mut self, row: &RollRow) {
-        let [_, _, roll_camera, _] = CAMERAS_IN_FLIGHT;
         if let Some((utc, nadir)) = row.utc().zip(row.nadir_at_time()) {
-            self.see(roll_camera, Target::Nadir, utc, nadir);
+            self.see(Role::Roll.table(1), Target::Nadir, utc, nadir);
         }
     }
 
     /// Directions of a camera that NAV.toml does not name are not used.
-    fn see(&mut self, name: &str, target: Target, utc: Timestamp, direction: Direction) {
-        if let Some(camera) = self.given.settings.camera(name) {
+    fn see(&mut self, name: Option<&str>, target: Target, utc: Timestamp, direction: Direction) {
+        if let Some(camera) = name.and_then(|name| self.given.settings.camera(name)) {
             let delay_s = self.given.settings.cameras[camera].delay_s;
             self.seen.push(Seen {
                 t_s: utc.duration_since(self.epoch).as_secs_f64() - delay_s,
@@ -336,5 +335,5 @@ fn set_rates(states: &mut [State]) {
 /// Whether a camera is the telescope's second one, by its name.
 pub(super) fn is_second(camera: &CameraFrames) -> bool {
     let name = camera.taken_by.instrument.as_deref();
-    name.is_some_and(|name| name.ends_with(SECOND))
+    name.is_some_and(|name| one_of_several(name).1 == 2)
 }

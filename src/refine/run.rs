@@ -8,18 +8,21 @@ use super::output::{Summary, Written, write, write_rows, write_stabilisation};
 use super::pointing::States;
 use super::recipe::Recipe;
 use super::report::{Report, Rows};
-use super::roll::{RollHistory, RollRecipe, RollRows, RollSummary, write_roll};
+use super::roll::{RollHistory, RollRecipe};
+use super::roll_output::{RollSummary, write_roll};
+use super::roll_report::RollRows;
 use super::sky::Sky;
 use super::stabilisation::stabilisation;
 use super::witnesses::{Compared, Difference, Dips};
 use crate::archive::ArchiveReader;
 use crate::config::Config;
 use crate::frame::Unreadable;
+use crate::instrument::Role;
 use crate::observe::{
     self, CameraFrames, Cameras, InputSummary, Observer, Pass, Shard, Span, Watch,
 };
+use crate::plan;
 use crate::pointing_history::PointingHistory;
-use crate::preflight;
 use crate::units::counted;
 use anyhow::{Context, bail, ensure};
 use std::collections::BTreeMap;
@@ -209,15 +212,15 @@ impl Run<'_> {
         config: &Config,
         mut sensors: Option<Sensors<'_>>,
     ) -> anyhow::Result<Refined> {
-        let mut ephemeris = preflight::ephemeris(config)?;
+        let mut ephemeris = plan::ephemeris(config)?;
         let sky = Sky {
-            target: preflight::target(config, &mut ephemeris)?,
+            target: plan::target(config, &mut ephemeris)?,
             place: config.site.place(),
             ephemeris,
         };
         let (mut refined, mut report) = (Refined::default(), Report::default());
         refined.notes = left_alone(&cameras, &recipes);
-        refined.frames = cameras.moon.as_ref().map_or(0, |moon| moon.inputs.len());
+        refined.frames = cameras.others.iter().map(|other| other.inputs.len()).sum();
         refined.notes.iter().for_each(|note| report.note(note));
         let (mut roll_rows, mut dips) = (RollRows::default(), Dips::default());
         if let Some((camera, recipe)) = cameras.roll.zip(recipes.roll.as_ref()) {
@@ -412,9 +415,17 @@ impl Recipes {
 /// Which frames are left alone, in words.
 fn left_alone(cameras: &Cameras, recipes: &Recipes) -> Vec<String> {
     let frames = |camera: &CameraFrames| counted(camera.inputs.len() as u64, "frame");
-    let moon = cameras.moon.as_ref().map(|camera| {
-        let frames = frames(camera);
-        format!("left alone: {frames} of the Moon camera; `solaspect moon` solves them")
+    let others = cameras.others.iter().map(|camera| {
+        let (frames, label) = (frames(camera), &camera.label);
+        match camera.named_role() {
+            Some((Role::Moon, 1)) => {
+                format!("left alone: {frames} of the Moon camera; `solaspect moon` solves them")
+            }
+            Some((Role::Roll, _)) => format!(
+                "left alone: {frames} of another roll camera, \"{label}\": refine its folder by itself"
+            ),
+            _ => format!("left alone: {frames} of camera \"{label}\""),
+        }
     });
     let roll = cameras.roll.as_ref().filter(|_| recipes.roll.is_none());
     let roll = roll.map(|camera| {
@@ -423,7 +434,7 @@ fn left_alone(cameras: &Cameras, recipes: &Recipes) -> Vec<String> {
             "{frames} of the roll camera: its file is not in the archive; --roll-camera names it"
         )
     });
-    moon.into_iter().chain(roll).collect()
+    others.chain(roll).collect()
 }
 
 /// Observes a part of the frames, and no more.

@@ -1,21 +1,23 @@
 //! What the ground is told each second, put together from the counts and the latest answer.
 
-use super::answer::{Answer, Recent};
-use super::moon::MoonDesk;
+use super::messages::{Answer, MoonDesk};
 use super::shared::Shared;
-use super::tallies::Tallies;
+use super::tallies::{CameraTallies, Tallies};
 use super::tally::{FlightTally, SolverTally, quantile};
-use crate::aspect::Adopted;
+use crate::aspect::{Adopted, Quality, Stage};
 use crate::clock::ClockStatus;
-use crate::commands::CameraRole;
 use crate::commands::controls::Controls;
 use crate::geometry::MappingKind;
-use crate::link::housekeeping::{Digits, FrameStatus, MarkIds, SystemStatus, saturated};
-use crate::link::{Housekeeping, MoonSight};
+use crate::instrument::Role;
+use crate::link::housekeeping::{
+    ArchiveStatus, CamerasStatus, Digits, FrameStatus, GpsStatus, LineStatus, MarkIds,
+    NavigationStatus, Parts, SystemStatus, saturated,
+};
+use crate::link::{CameraCounts, Housekeeping, MoonSight};
+use crate::moon;
 use crate::navigation::nmea::Refusal;
 use crate::provenance::COMMIT;
 use crate::reasons::horizon as reasons;
-use crossbeam_channel::Receiver;
 use jiff::{SignedDuration, Timestamp};
 use std::time::{Duration, Instant};
 
@@ -36,8 +38,6 @@ pub(super) struct Restarts {
 /// Makes the second's housekeeping.
 pub(super) struct HousekeepingSource {
     controls: Controls,
-    /// Of each pitch-yaw camera.
-    recent: Vec<Shared<Recent>>,
     moon_desk: Shared<MoonDesk>,
     /// SHA-256 of the flight's configuration.
     configuration: Digits,
@@ -50,13 +50,11 @@ pub(super) struct HousekeepingSource {
 impl HousekeepingSource {
     pub fn new(
         controls: Controls,
-        recent: Vec<Shared<Recent>>,
         moon_desk: Shared<MoonDesk>,
         configuration_sha256: &str,
     ) -> Self {
         Self {
             controls,
-            recent,
             moon_desk,
             configuration: Digits::of(configuration_sha256),
             start: Instant::now(),
@@ -71,18 +69,25 @@ impl HousekeepingSource {
         tallies: &Tallies,
         restarts: Restarts,
         events: usize,
-    ) -> (Timestamp, Box<Housekeeping>) {
+    ) -> (Timestamp, Box<Housekeeping>, Vec<CameraCounts>) {
         let tally = tallies.brief();
-        let (answer, solve_times) = self.take_recent();
+        let (answer, solve_times) = self.take_recent(tallies);
         if let Some(answer) = &answer {
             self.note_simulated_time(answer);
         }
-        let frame = answer.as_ref().map_or(FrameStatus::default(), frame_status);
-        let solve_ms = solve_ms(solve_times, answer.as_ref());
-        let system = self.system(tallies, &tally, restarts, events, solve_ms);
-        let told = Housekeeping::new(&tally.counts, frame, system);
+        let told = Housekeeping::from(Parts {
+            count: tally.counts,
+            frame: answer.as_ref().map_or(FrameStatus::default(), frame_status),
+            cameras: self.cameras(tallies, &tally, solve_ms(solve_times, answer.as_ref())),
+            line: self.line(&tally, events),
+            archive: archive_status(tallies, &tally),
+            navigation: navigation_status(&tally),
+            gps: gps_status(&tally),
+            system: self.system(&tally, restarts),
+        });
         self.before = tally;
-        (Timestamp::now() + self.ahead, Box::new(told))
+        let counts = tallies.cameras.iter().filter_map(further).collect();
+        (Timestamp::now() + self.ahead, Box::new(told), counts)
     }
 
     /// A simulated flight has the time of its frames, which may begin on any day: its housekeeping belongs beside them.
@@ -97,127 +102,103 @@ impl HousekeepingSource {
     }
 
     /// What the sending camera's solver has left since the last packet.
-    fn take_recent(&self) -> (Option<Answer>, Vec<Duration>) {
-        let camera = self.controls.config().link.sending_camera as usize;
-        let Some(recent) = self.recent.get(camera.saturating_sub(1)) else {
+    fn take_recent(&self, tallies: &Tallies) -> (Option<Answer>, Vec<Duration>) {
+        let number = self.controls.config().link.sending_camera;
+        let sends = |camera: &&CameraTallies| u32::from(camera.station.number) == number;
+        let Some(camera) = tallies.cameras.iter().find(sends) else {
             return (None, Vec::new());
         };
-        let mut recent = recent.lock();
+        let mut recent = camera.recent.lock();
         let solve_times = std::mem::take(&mut recent.solve_times);
         (recent.answer.take(), solve_times)
     }
 
-    /// All that is not about a frame. Whoever adds a field to the table is told here by the compiler.
-    fn system(
+    /// Of all cameras, and of the first one of each role.
+    fn cameras(
         &self,
         tallies: &Tallies,
         tally: &FlightTally,
-        restarts: Restarts,
-        events: usize,
         solve_ms: Option<f32>,
-    ) -> SystemStatus {
-        let FlightTally {
-            camera,
-            solver,
-            roll,
-            navigation,
-            line,
-            ..
-        } = tally;
-        let offset_us = ClockStatus::read()
-            .ok()
-            .map(|clock| clock.offset_us.round() as i64);
-        self.controls.note_clock_offset(offset_us);
+    ) -> CamerasStatus {
+        let first = |role| {
+            let mut of_role = tally.solvers.iter().filter(move |one| one.role == role);
+            of_role
+                .next()
+                .map_or(SolverTally::default(), |one| one.solver.clone())
+        };
+        let [sun, roll, moon] = [Role::PitchYaw, Role::Roll, Role::Moon].map(first);
+        let count = |solver: &SolverTally, quality| saturated(solver.of(quality));
         let seen = self.moon_desk.lock().seen;
-        let moon = seen.and_then(|seen| match seen.sight {
-            MoonSight::Found(fix) => Some((fix.x_px as f32, fix.y_px as f32)),
+        let fix = seen.and_then(|seen| match seen.sight {
+            MoonSight::Found(fix) => Some(fix),
             _ => None,
         });
-        let disks = tallies.archive.disks();
-        let used = |disk: usize| Some((100.0 - disks.get(disk)?.free_percent?) as u8);
-        let refused = |disk: usize| disks.get(disk).map_or(0, |d| d.refused + d.rows_refused);
-        let frames: usize = tallies.unsolved.iter().map(Receiver::len).sum();
-        let [latency_ms, latency_99_ms] = self.latencies(tally);
-        let offset = navigation.latest.as_ref();
-        let [right, up, roll_sigmas] = navigation.differences.map(|sigmas| Some(sigmas? as f32));
-        let gps = |refusal| saturated(navigation.gps.refused(refusal));
-        let stale = [Refusal::NoFix, Refusal::Repeated, Refusal::OutOfTime];
-        SystemStatus {
-            computer: self.controls.config().link.computer as u8,
-            tracking: line.conversation.tracking,
-            sending: line.conversation.sending,
-            storing: self.controls.stores(CameraRole::PitchYaw),
+        let hidden = moon.stopped_at(moon::Stage::Sky);
+        let camera = &tally.camera;
+        let misfits: u64 = tally.solvers.iter().map(|one| one.solver.misfits).sum();
+        let waiting: usize = tallies.cameras.iter().map(|one| one.unsolved.len()).sum();
+        CamerasStatus {
             clock_stepped: camera.utc_steps > self.before.camera.utc_steps,
-            uptime_s: saturated(self.start.elapsed().as_secs()),
-            lost: saturated(camera.lost + camera.failed + solver.misfits),
+            lost: saturated(camera.lost + camera.failed + misfits),
             incomplete: saturated(camera.health.incomplete),
             reconnects: saturated(camera.health.reconnects),
-            stopped: stopped(solver),
+            fine: count(&sun, Quality::Fine),
+            coarse: count(&sun, Quality::Coarse),
+            none: count(&sun, Quality::None),
+            stopped: stopped(&sun),
             camera_c: camera.health.temperature_c.map(|c| c as f32),
-            computer_c: computer_c(),
-            disks: [used(0), used(1)],
+            solve_ms,
+            calibration_contradicted: tally.solver(Role::PitchYaw).contradicted,
+            silent_s: saturated(camera.silent.as_secs()),
+            queued_frames: saturated(waiting as u64),
+            roll_fine: count(&roll, Quality::Fine),
+            roll_coarse: count(&roll, Quality::Coarse),
+            roll_none: count(&roll, Quality::None),
+            roll_reasons: [reasons::TOO_BRIGHT, reasons::TOO_DARK]
+                .map(|reason| saturated(roll.because(reason))),
+            night: seen.and_then(|seen| seen.is_night).map(u8::from),
+            moon_found: saturated(moon.frames() - moon.of(Quality::None)),
+            moon_none: saturated(moon.of(Quality::None).saturating_sub(hidden)),
+            moon_hidden: saturated(hidden),
+            moon_x_px: fix.map(|fix| fix.x_px as f32),
+            moon_y_px: fix.map(|fix| fix.y_px as f32),
+        }
+    }
+
+    fn line(&self, tally: &FlightTally, events: usize) -> LineStatus {
+        let line = &tally.line;
+        let [latency_ms, latency_99_ms] = self.latencies(tally);
+        LineStatus {
+            tracking: line.conversation.tracking,
+            sending: line.conversation.sending,
             unsent: saturated(line.failed + line.unannounced),
             reopened: saturated(line.reopened),
             rejected: saturated(line.rejected.packets),
             latency_ms,
             latency_99_ms,
-            solve_ms,
+            queued_events: saturated(events as u64),
+        }
+    }
+
+    fn system(&self, tally: &FlightTally, restarts: Restarts) -> SystemStatus {
+        let offset_us = ClockStatus::read()
+            .ok()
+            .map(|clock| clock.offset_us.round() as i64);
+        self.controls.note_clock_offset(offset_us);
+        SystemStatus {
+            computer: self.controls.config().link.computer as u8,
+            storing: self.controls.stores(Role::PitchYaw),
+            uptime_s: saturated(self.start.elapsed().as_secs()),
+            computer_c: computer_c(),
             clock_offset_us: offset_us.map(|us| us as f32),
             restarts: saturated(restarts.all),
             takeovers: saturated(restarts.takeovers),
-            calibration_contradicted: solver.contradicted,
-            silent_s: saturated(camera.silent.as_secs()),
-            queued_frames: saturated(frames as u64),
-            queued_pictures: saturated(tallies.archive.waiting() as u64),
-            queued_rows: saturated(tallies.archive.waiting_rows() as u64),
-            queued_events: saturated(events as u64),
-            disk_refusals: [saturated(refused(0)), saturated(refused(1))],
-            rows_refused: saturated(tally.archive.rows_refused),
             gps_refused: saturated(self.controls.gps_refused()),
             log_lines_lost: saturated(tally.log_lines_lost),
             commit: Digits::of(COMMIT.unwrap_or_default()),
             modified: COMMIT.is_some_and(|commit| commit.ends_with("-dirty")),
             configuration: self.configuration,
-            roll_reasons: [reasons::TOO_BRIGHT, reasons::TOO_DARK]
-                .map(|reason| saturated(roll.because(reason))),
-            night: seen.and_then(|seen| seen.is_night).map(u8::from),
-            moon_found: saturated(tally.moon.solved.values().sum::<u64>()),
-            moon_none: saturated(tally.moon.none()),
-            moon_hidden: saturated(tally.moon.hidden()),
-            moon_x_px: moon.map(|(x, _)| x),
-            moon_y_px: moon.map(|(_, y)| y),
-            navigation: navigation.status.map_or(0, |status| status as u8 + 1),
-            propagated_azimuth_deg: offset.map(|o| o.difference.azimuth_deg as f32),
-            propagated_elevation_deg: offset.map(|o| o.difference.elevation_deg as f32),
-            propagated_sigma_deg: offset.map(|o| o.sigma_deg as f32),
-            propagated_roll_deg: offset.map(|o| o.roll_deg.value as f32),
-            imu_lost: saturated(navigation.lost_samples + navigation.unreadable),
-            gps_fixes: saturated(navigation.gps.fixes),
-            gps_without_fix: saturated(stale.iter().map(|why| navigation.gps.refused(*why)).sum()),
-            navigation_refused: saturated(navigation.refused),
-            navigation_out_of_time: saturated(navigation.out_of_time),
-            navigation_restarts: saturated(navigation.restarts),
-            gps_no_fix: gps(Refusal::NoFix),
-            gps_estimated: gps(Refusal::Estimated),
-            gps_manual: gps(Refusal::Manual),
-            gps_simulator: gps(Refusal::Simulated),
-            gps_incomplete: gps(Refusal::Incomplete),
-            gps_week_rollover: gps(Refusal::WeekRollover),
-            gps_another_day: gps(Refusal::AnotherDay),
-            gps_no_place: gps(Refusal::Nowhere),
-            gps_out_of_range: gps(Refusal::Impossible),
-            gps_jumps: gps(Refusal::Jump),
-            gps_repeated: gps(Refusal::Repeated),
-            gps_out_of_time: gps(Refusal::OutOfTime),
-            gps_unreadable: saturated(navigation.gps.unreadable),
-            gps_noise_bytes: saturated(navigation.gps.noise_bytes),
             values_set: saturated(self.controls.differences().len() as u64),
-            gyro_right_sigmas: right,
-            gyro_up_sigmas: up,
-            gyro_roll_sigmas: roll_sigmas,
-            gyro_agreement: navigation
-                .agreement
-                .map_or(0, |agreement| agreement as u8 + 1),
         }
     }
 
@@ -233,26 +214,97 @@ impl HousekeepingSource {
     }
 }
 
+/// What is told of a camera by itself; `None` of the first one of a role, of which the fields of housekeeping tell.
+fn further(camera: &CameraTallies) -> Option<CameraCounts> {
+    let station = &camera.station;
+    let (taken, solver) = (camera.camera.copy(), camera.solver.copy());
+    (station.ordinal > 1).then(|| CameraCounts {
+        camera: station.number.into(),
+        role: station.camera.role as u16,
+        fine: saturated(solver.of(Quality::Fine)),
+        coarse: saturated(solver.of(Quality::Coarse)),
+        none: saturated(solver.of(Quality::None)),
+        lost: saturated(taken.lost + taken.failed + solver.misfits),
+    })
+}
+
+fn archive_status(tallies: &Tallies, tally: &FlightTally) -> ArchiveStatus {
+    let disks = tallies.archive.disks();
+    let used = |disk: usize| Some((100.0 - disks.get(disk)?.free_percent?) as u8);
+    let refused = |disk: usize| disks.get(disk).map_or(0, |d| d.refused + d.rows_refused);
+    ArchiveStatus {
+        disks: [used(0), used(1)],
+        queued_pictures: saturated(tallies.archive.waiting() as u64),
+        queued_rows: saturated(tallies.archive.waiting_rows() as u64),
+        disk_refusals: [saturated(refused(0)), saturated(refused(1))],
+        rows_refused: saturated(tally.archive.rows_refused),
+    }
+}
+
+fn navigation_status(tally: &FlightTally) -> NavigationStatus {
+    let navigation = &tally.navigation;
+    let offset = navigation.latest.as_ref();
+    let [right, up, roll_sigmas] = navigation.differences.map(|sigmas| Some(sigmas? as f32));
+    NavigationStatus {
+        navigation: navigation.status.map_or(0, |status| status as u8 + 1),
+        propagated_azimuth_deg: offset.map(|o| o.difference.azimuth_deg as f32),
+        propagated_elevation_deg: offset.map(|o| o.difference.elevation_deg as f32),
+        propagated_sigma_deg: offset.map(|o| o.sigma_deg as f32),
+        propagated_roll_deg: offset.map(|o| o.roll_deg.value as f32),
+        imu_lost: saturated(navigation.lost_samples + navigation.unreadable),
+        navigation_refused: saturated(navigation.refused),
+        navigation_out_of_time: saturated(navigation.out_of_time),
+        navigation_restarts: saturated(navigation.restarts),
+        gyro_right_sigmas: right,
+        gyro_up_sigmas: up,
+        gyro_roll_sigmas: roll_sigmas,
+        gyro_agreement: navigation
+            .agreement
+            .map_or(0, |agreement| agreement as u8 + 1),
+    }
+}
+
+fn gps_status(tally: &FlightTally) -> GpsStatus {
+    let gps = &tally.navigation.gps;
+    let refused = |refusal| saturated(gps.refused(refusal));
+    let stale = [Refusal::NoFix, Refusal::Repeated, Refusal::OutOfTime];
+    GpsStatus {
+        gps_fixes: saturated(gps.fixes),
+        gps_without_fix: saturated(stale.iter().map(|why| gps.refused(*why)).sum()),
+        gps_no_fix: refused(Refusal::NoFix),
+        gps_estimated: refused(Refusal::Estimated),
+        gps_manual: refused(Refusal::Manual),
+        gps_simulator: refused(Refusal::Simulated),
+        gps_incomplete: refused(Refusal::Incomplete),
+        gps_week_rollover: refused(Refusal::WeekRollover),
+        gps_another_day: refused(Refusal::AnotherDay),
+        gps_no_place: refused(Refusal::Nowhere),
+        gps_out_of_range: refused(Refusal::Impossible),
+        gps_jumps: refused(Refusal::Jump),
+        gps_repeated: refused(Refusal::Repeated),
+        gps_out_of_time: refused(Refusal::OutOfTime),
+        gps_unreadable: saturated(gps.unreadable),
+        gps_noise_bytes: saturated(gps.noise_bytes),
+    }
+}
+
 /// The layout wants these to begin again after 65535.
 fn stopped(solver: &SolverTally) -> [u16; 7] {
-    let mut stopped = [0; 7];
-    for ((stage, _), count) in &solver.reasons {
-        let stopped: &mut u16 = &mut stopped[*stage as usize];
-        *stopped = stopped.wrapping_add(*count as u16);
-    }
-    stopped
+    Stage::ALL.map(|stage| solver.stopped_at(stage) as u16)
 }
 
 fn solve_ms(mut solve_times: Vec<Duration>, answer: Option<&Answer>) -> Option<f32> {
-    let latest = answer.map(|answer| answer.solve_time);
+    let latest = answer.map(|answer| answer.solved.solve_time);
     quantile(&mut solve_times, 0.5).or(latest).map(milliseconds)
 }
 
 fn frame_status(answer: &Answer) -> FrameStatus {
-    let (info, solution) = (&answer.exposure.frame.info, &answer.solution);
-    let (levels, offset) = (solution.levels, answer.offset.as_ref());
+    let (info, sun) = (&answer.exposure.frame.info, answer.sun());
+    let (solution, levels) = (sun.map(|sun| &sun.solution), answer.solved.levels);
+    let offset = sun.and_then(|sun| sun.offset.as_ref());
+    let marks = solution.map_or(&[][..], |solution| &solution.marks);
     // Only together are they those of this frame.
-    let placed = solution.aspect.as_ref().zip(solution.mapping.as_ref());
+    let placed = solution.and_then(|one| one.aspect.as_ref().zip(one.mapping.as_ref()));
     let aspect = placed.map(|(aspect, _)| aspect);
     let adopted = placed.map(|(_, adopted)| adopted);
     let sun = aspect.map(|aspect| aspect.sun_px.position);
@@ -263,7 +315,7 @@ fn frame_status(answer: &Answer) -> FrameStatus {
     let one = |[x, y]: [f64; 2]| ((x * x + y * y) / 2.0).sqrt() as f32;
     FrameStatus {
         number: saturated(info.number.unwrap_or_default()),
-        quality: solution.quality as u8,
+        quality: answer.solved.quality as u8,
         background_dn: levels.map(|levels| levels.background_dn as f32),
         disc_dn: levels.map(|levels| levels.disc_dn as f32),
         noise_dn: levels.map(|levels| levels.noise_dn as f32),
@@ -273,9 +325,9 @@ fn frame_status(answer: &Answer) -> FrameStatus {
         plate_x_mil: plate.map(|plate| plate.x as f32),
         plate_y_mil: plate.map(|plate| plate.y as f32),
         plate_sigma_mil: aspect.map(|aspect| one(aspect.sun_plate.sigma())),
-        limb_points: saturated(solution.limb.len() as u64),
-        marks: saturated(solution.marks.len() as u64),
-        ids: MarkIds::new(solution.marks.iter().map(|mark| [mark.id.i, mark.id.j])),
+        limb_points: saturated(solution.map_or(0, |one| one.limb.len()) as u64),
+        marks: saturated(marks.len() as u64),
+        ids: MarkIds::new(marks.iter().map(|mark| [mark.id.i, mark.id.j])),
         mapping: adopted.map_or(0, mapping_code),
         scale_mil_per_px: mapping.map(|(mapping, sun)| mapping.scale_mil_per_px(sun) as f32),
         rotation_deg: mapping.map(|(mapping, sun)| mapping.rotation_deg(sun) as f32),
@@ -287,8 +339,8 @@ fn frame_status(answer: &Answer) -> FrameStatus {
         analogue_gain: info.analogue_gain.map(|gain| gain as f32),
         preamp_gain: info.preamp_gain.map(|gain| gain as f32),
         simulated: info.is_simulated(),
-        roll_deg: answer.roll_deg.map(|roll| roll.value as f32),
-        roll_sigma_deg: answer.roll_deg.map(|roll| roll.sigma as f32),
+        roll_deg: answer.solved.roll.map(|roll| roll.deg.value as f32),
+        roll_sigma_deg: answer.solved.roll.map(|roll| roll.deg.sigma as f32),
     }
 }
 
@@ -323,12 +375,12 @@ mod tests {
     use crate::navigation::nmea::{Heard, Refused};
     use crate::navigation::{Agreement, Axis};
     use crate::pointing::Target;
-    use crate::service::navigation::NavigationTally;
+    use crate::service::tally::NavigationTally;
 
     fn packet(tallies: &Tallies) -> Housekeeping {
         let mounting = crate::instrument::builtin("demo").unwrap().mounting;
         let controls = Controls::new(Config::default(), Target::default(), mounting);
-        let mut source = HousekeepingSource::new(controls, Vec::new(), Shared::default(), "");
+        let mut source = HousekeepingSource::new(controls, Shared::default(), "");
         let restarts = Restarts {
             all: 2,
             takeovers: 1,

@@ -9,15 +9,12 @@
 //! 4. A port that is lost is opened again; nothing else waits for it.
 //! 5. What comes by wire is taken. What comes in datagrams passes the [guard](crate::link::guard) first.
 
-mod event;
 mod hearing;
 mod moon;
+mod outcome;
 mod picture;
 
-pub(super) use event::{LinkEvent, Outcome, PropagatedEvent};
-
-use super::moon::MoonDesk;
-use super::navigation::Inputs;
+use super::messages::{LinkEvent, MoonDesk, Outcome, PropagatedEvent, TakesSamples};
 use super::shared::Shared;
 use super::tally::{LineTally, note_latency};
 use super::worker::Life;
@@ -25,8 +22,8 @@ use crate::commands::controls::{Controls, Topic};
 use crate::config;
 use crate::link::Counters;
 use crate::link::{
-    Computer, Connection, Direction, Exposure, Housekeeping, LinkState, MessageError, Parser,
-    PortError, Responder,
+    Computer, Connection, Direction, Exposure, LinkState, MessageError, Parser, PortError,
+    Responder, TelemetryPacket,
 };
 use crate::log::worth_a_line;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
@@ -45,6 +42,17 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 const BACKLOG: usize = 512;
 /// An offset by the gyros that has waited for longer is not sent: the next one is better.
 const OLDEST_OFFSET: Duration = Duration::from_millis(100);
+
+/// What the link's thread shares with the others.
+#[derive(Clone)]
+pub(super) struct Around {
+    pub controls: Controls,
+    pub tally: Shared<LineTally>,
+    pub counters: Arc<Counters>,
+    pub moon_desk: Shared<MoonDesk>,
+    /// Where samples of the IMU go; `None` where no filter flies.
+    pub navigation: Option<Arc<dyn TakesSamples>>,
+}
 
 pub(super) struct Line<'a> {
     connection: &'a mut Connection,
@@ -68,18 +76,18 @@ pub(super) struct Line<'a> {
     moon_desk: Shared<MoonDesk>,
     moon_requests: MoonRequests,
     /// Where samples of the IMU go; `None` where no filter flies.
-    navigation: Option<Inputs>,
+    navigation: Option<Arc<dyn TakesSamples>>,
 }
 
 impl<'a> Line<'a> {
-    pub fn new(
-        connection: &'a mut Connection,
-        controls: Controls,
-        tally: Shared<LineTally>,
-        counters: Arc<Counters>,
-        moon_desk: Shared<MoonDesk>,
-        navigation: Option<Inputs>,
-    ) -> Self {
+    pub fn new(connection: &'a mut Connection, around: Around) -> Self {
+        let Around {
+            controls,
+            tally,
+            counters,
+            moon_desk,
+            navigation,
+        } = around;
         let version = controls.version(Topic::Link);
         let settings = controls.config().link;
         let computer = Computer::numbered(settings.computer).unwrap_or(Computer::One);
@@ -155,18 +163,24 @@ impl<'a> Line<'a> {
             LinkEvent::ExposureStarts(exposure) => self.announce(exposure),
             LinkEvent::Outcome(outcome) => self.conclude(&outcome),
             LinkEvent::Propagated(event) => self.propagate(&event),
-            LinkEvent::Housekeeping(time, told) => self.tell(time, &told),
+            LinkEvent::Housekeeping(time, told) => self.tell(told.packet(time)),
+            LinkEvent::Cameras(time, counts) => {
+                for counts in counts {
+                    self.tell(counts.packet(time));
+                }
+            }
             LinkEvent::Picture(picture) => {
                 self.picture = Some(PictureUnderWay::new(picture, Instant::now()));
             }
         }
     }
 
-    fn tell(&mut self, time: Timestamp, told: &Housekeeping) {
+    /// Tells the ground how all is.
+    fn tell(&mut self, packet: Result<TelemetryPacket, MessageError>) {
         if self.backlog() > BACKLOG {
             return;
         }
-        match told.packet(time) {
+        match packet {
             Ok(packet) => {
                 self.tally.lock().housekeeping += u64::from(self.send(&packet.encode()));
             }
@@ -277,7 +291,7 @@ impl<'a> Line<'a> {
         let mut tally = self.tally.lock();
         self.counters.solutions.count();
         note_latency(&mut tally.latencies, outcome.arrived.elapsed());
-        let roll = outcome.roll_arrived;
+        let roll = outcome.roll.map(|roll| roll.arrived);
         if let Some(arrived) = roll.filter(|_| roll != self.last_roll) {
             note_latency(&mut tally.roll_latencies, arrived.elapsed());
         }

@@ -1,17 +1,16 @@
 //! A camera's thread: it sets the camera, announces each exposure on the line, and hands the frame to the solver.
 
-use super::flight::{CameraFactory, Middle, Station, UnsolvedFrame};
-use super::line::LinkEvent;
+use super::flight::CameraFactory;
+use super::messages::{Glimpse, LinkEvent, Station, UnsolvedFrame};
 use super::shared::Shared;
 use super::silence::{self, Silence};
 use super::tally::CameraTally;
 use super::worker::Life;
 use crate::backoff::Backoff;
-use crate::camera::{
-    AutoExposure, AutoExposureSettings, Brightness, CameraError, FrameSource, Settings, Take,
-};
+use crate::camera::{AutoExposure, AutoExposureSettings, CameraError, FrameSource, Settings, Take};
 use crate::commands::controls::{Controls, Topic};
 use crate::frame::FrameInfo;
+use crate::instrument::Role;
 use crate::link::{self, Counters};
 use crate::log::worth_a_line;
 use crossbeam_channel::{Sender, TrySendError};
@@ -26,9 +25,6 @@ const PAUSE: Duration = Duration::from_millis(10);
 /// UTC may differ by this much from one frame to the next against the monotonic clock: more is a step. A clock that is
 /// being slewed gains half a millisecond a second.
 const STEP: SignedDuration = SignedDuration::from_millis(20);
-
-/// A frame's brightness and its exposure, us: what the solver tells the shutter.
-pub(super) type Glimpse = Shared<Option<(Brightness, u32)>>;
 
 #[derive(Clone)]
 pub(super) struct Shutter {
@@ -64,7 +60,7 @@ impl Shutter {
         open: Option<CameraFactory>,
         life: &Life,
     ) {
-        let settings = self.controls.camera(self.station.seat).settings();
+        let settings = self.controls.camera(&self.station.camera).settings();
         self.silence.lock().begin(Instant::now(), &settings);
         let Some(mut source) = source.or_else(|| self.open(open.as_ref()?, life)) else {
             return;
@@ -95,12 +91,7 @@ impl Shutter {
                         let change = self.silence.lock().frame(Instant::now());
                         silence::tell(self.station.index + 1, change);
                     }
-                    let arrived = Instant::now();
-                    self.hand_on(UnsolvedFrame {
-                        middle: Middle::of(&exposure.frame.info, arrived),
-                        exposure: *exposure,
-                        arrived,
-                    });
+                    self.hand_on(UnsolvedFrame::arrived(*exposure));
                 }
                 Ok(Take::NotYet) => {}
                 Ok(Take::End) => return,
@@ -133,10 +124,10 @@ impl Shutter {
     }
 
     fn announce(&self, start: Timestamp) {
-        let camera = self.station.camera_number();
-        if !self.station.sees_plate() {
+        if self.station.camera.role != Role::PitchYaw {
             return;
         }
+        let camera = self.station.number.into();
         let event = LinkEvent::ExposureStarts(link::Exposure { camera, start });
         if self.to_line.try_send(event).is_err() {
             let mut tally = self.tally.lock();
@@ -181,7 +172,7 @@ struct Dial {
 impl Dial {
     fn new(controls: &Controls, station: &Station) -> Self {
         let version = controls.version(Topic::Cameras);
-        let camera = controls.camera(station.seat);
+        let camera = controls.camera(&station.camera);
         Self {
             version,
             settings: camera.settings(),
@@ -202,7 +193,7 @@ impl Dial {
         let version = controls.version(Topic::Cameras);
         if version != self.version {
             self.version = version;
-            let camera = controls.camera(station.seat);
+            let camera = controls.camera(&station.camera);
             self.set &= self.settings == camera.settings();
             self.settings = camera.settings();
             if !self.set {

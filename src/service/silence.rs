@@ -124,8 +124,8 @@ pub(super) fn tell(camera: usize, change: Option<Change>) {
 }
 
 /// Looks after all cameras, and logs which has fallen silent.
-pub(super) fn look(silences: &[Shared<Silence>]) {
-    for (index, silence) in silences.iter().enumerate() {
+pub(super) fn look<'s>(silences: impl Iterator<Item = &'s Shared<Silence>>) {
+    for (index, silence) in silences.enumerate() {
         let change = silence.lock().look(Instant::now());
         tell(index + 1, change);
     }

@@ -1,11 +1,12 @@
 //! The tallies of all threads, where every thread may see them.
 
 use super::archiver::Gauges;
-use super::flight::UnsolvedFrame;
-use super::navigation::NavigationTally;
+use super::messages::{Recent, Station, UnsolvedFrame};
 use super::shared::Shared;
 use super::silence::Silence;
-use super::tally::{CameraTally, FlightTally, LineTally, MoonTally, RollTally, SolverTally};
+use super::tally::{
+    CameraSolved, CameraTally, FlightTally, LineTally, NavigationTally, SolverTally,
+};
 use crate::link::Counters;
 use crossbeam_channel::Receiver;
 use std::sync::Arc;
@@ -15,16 +16,22 @@ use std::time::Instant;
 #[derive(Clone, Default)]
 pub(super) struct Tallies {
     pub counters: Arc<Counters>,
-    pub cameras: Vec<Shared<CameraTally>>,
-    pub silences: Vec<Shared<Silence>>,
-    pub solvers: Vec<Shared<SolverTally>>,
-    /// Frames that wait for each solver: only their number is of interest here.
-    pub unsolved: Vec<Receiver<UnsolvedFrame>>,
+    pub cameras: Vec<CameraTallies>,
     pub archive: Gauges,
     pub line: Shared<LineTally>,
-    pub roll: Shared<RollTally>,
-    pub moon: Shared<MoonTally>,
     pub navigation: Shared<NavigationTally>,
+}
+
+/// Those of a camera's threads.
+#[derive(Clone)]
+pub(super) struct CameraTallies {
+    pub station: Arc<Station>,
+    pub camera: Shared<CameraTally>,
+    pub silence: Shared<Silence>,
+    pub solver: Shared<SolverTally>,
+    /// Frames that wait for its solver: only their number is of interest here.
+    pub unsolved: Receiver<UnsolvedFrame>,
+    pub recent: Shared<Recent>,
 }
 
 impl Tallies {
@@ -47,22 +54,19 @@ impl Tallies {
             counts,
             archive: self.archive.tally(),
             line,
-            roll: self.roll.copy(),
-            moon: self.moon.copy(),
             navigation: self.navigation.copy(),
             log_lines_lost: crate::log::lost_lines(),
             ..FlightTally::default()
         };
-        for camera in &self.cameras {
-            tally.camera.add(&camera.lock());
-        }
-        for silence in &self.silences {
-            let (silences, silent) = silence.lock().total(Instant::now());
+        for own in &self.cameras {
+            tally.camera.add(&own.camera.lock());
+            let (silences, silent) = own.silence.lock().total(Instant::now());
             tally.camera.silences += silences;
             tally.camera.silent += silent;
-        }
-        for solver in &self.solvers {
-            tally.solver.add(&solver.lock());
+            tally.solvers.push(CameraSolved {
+                role: own.station.camera.role,
+                solver: own.solver.copy(),
+            });
         }
         tally
     }

@@ -1,13 +1,13 @@
 //! What each thread counts, and what a flight comes to.
 
-use super::navigation::NavigationTally;
-use crate::aspect::Stage;
+use crate::aspect::Quality;
 use crate::camera::CameraHealth;
-use crate::horizon;
+use crate::instrument::Role;
 use crate::link::{Counts, LinkState, Rejected};
-use crate::moon;
-use crate::units::Reason;
-use crate::units::counted;
+use crate::navigation::nmea::GpsCounts;
+use crate::navigation::{Agreement, PropagatedOffset, Status};
+use crate::reasons;
+use crate::units::{Reason, counted};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt;
 use std::time::Duration;
@@ -80,11 +80,12 @@ impl CameraTally {
     }
 }
 
-/// What the solver's thread counts.
+/// What a solver's thread counts.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SolverTally {
-    /// Why frames went no further, coarse ones too.
-    pub reasons: BTreeMap<(Stage, Reason), u64>,
+    pub solved: BTreeMap<Quality, u64>,
+    /// Why frames went no further, by stage and reason; coarse ones too.
+    pub reasons: BTreeMap<(&'static str, Reason), u64>,
     /// Frames of the wrong size.
     pub misfits: u64,
     /// Answers that the line's queue had no room for.
@@ -96,7 +97,34 @@ pub struct SolverTally {
 }
 
 impl SolverTally {
-    pub(super) fn add(&mut self, other: &Self) {
+    pub fn of(&self, quality: Quality) -> u64 {
+        self.solved.get(&quality).copied().unwrap_or(0)
+    }
+
+    /// All frames that were solved, whatever they show.
+    pub fn frames(&self) -> u64 {
+        self.solved.values().sum()
+    }
+
+    /// Frames that went no further for a reason.
+    pub fn because(&self, reason: Reason) -> u64 {
+        let same = self.reasons.iter().filter(|((_, why), _)| *why == reason);
+        same.map(|(_, count)| count).sum()
+    }
+
+    /// Frames that went no further than a stage.
+    pub fn stopped_at(&self, stage: impl reasons::Stage) -> u64 {
+        let here = self
+            .reasons
+            .iter()
+            .filter(|((name, _), _)| *name == stage.name());
+        here.map(|(_, count)| count).sum()
+    }
+
+    fn add(&mut self, other: &Self) {
+        for (quality, count) in &other.solved {
+            *self.solved.entry(*quality).or_default() += count;
+        }
         for (reason, count) in &other.reasons {
             *self.reasons.entry(*reason).or_default() += count;
         }
@@ -107,13 +135,12 @@ impl SolverTally {
         self.contradicted |= other.contradicted;
     }
 
-    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Counts {
-            fine, coarse, none, ..
-        } = counts;
-        writeln!(out, "solved     {fine} fine, {coarse} coarse, {none} none")?;
+    fn tell(&self, name: &str, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [fine, coarse, none] =
+            [Quality::Fine, Quality::Coarse, Quality::None].map(|quality| self.of(quality));
+        writeln!(out, "{name:<10} {fine} fine, {coarse} coarse, {none} none")?;
         for ((stage, reason), count) in &self.reasons {
-            writeln!(out, "           {count} x {}: {reason}", stage.name())?;
+            writeln!(out, "           {count} x {stage}: {reason}")?;
         }
         for contradiction in &self.contradictions {
             writeln!(out, "contradicted by fine frames: {contradiction}")?;
@@ -122,77 +149,11 @@ impl SolverTally {
     }
 }
 
-/// What the roll camera's solver counts.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct RollTally {
-    /// Why frames show no horizon.
-    pub reasons: BTreeMap<(horizon::Stage, Reason), u64>,
-}
-
-impl RollTally {
-    /// Frames that show no horizon for a reason.
-    pub fn because(&self, reason: Reason) -> u64 {
-        let same = self.reasons.iter().filter(|((_, why), _)| *why == reason);
-        same.map(|(_, count)| count).sum()
-    }
-
-    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [fine, coarse, none] = [counts.roll_fine, counts.roll_coarse, counts.roll_none];
-        if fine + coarse + none == 0 {
-            return Ok(());
-        }
-        writeln!(out, "horizon    {fine} fine, {coarse} coarse, {none} none")?;
-        for ((stage, reason), count) in &self.reasons {
-            writeln!(out, "           {count} x {}: {reason}", stage.name())?;
-        }
-        Ok(())
-    }
-}
-
-/// What the Moon camera's solver counts.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct MoonTally {
-    pub solved: BTreeMap<moon::Quality, u64>,
-    /// Why frames show no Moon.
-    pub reasons: BTreeMap<(moon::Stage, Reason), u64>,
-}
-
-impl MoonTally {
-    pub fn of(&self, quality: moon::Quality) -> u64 {
-        self.solved.get(&quality).copied().unwrap_or(0)
-    }
-
-    /// Frames that were taken while the Moon could not be seen.
-    pub fn hidden(&self) -> u64 {
-        self.without(|stage| stage == moon::Stage::Sky)
-    }
-
-    /// Frames that should show the Moon and do not.
-    pub fn none(&self) -> u64 {
-        self.without(|stage| stage != moon::Stage::Sky)
-    }
-
-    fn without(&self, counts: impl Fn(moon::Stage) -> bool) -> u64 {
-        let reasons = self.reasons.iter().filter(|((stage, _), _)| counts(*stage));
-        reasons.map(|(_, count)| count).sum()
-    }
-
-    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        use moon::Quality;
-        if *self == Self::default() {
-            return Ok(());
-        }
-        let [fine, coarse] = [Quality::Fine, Quality::Coarse].map(|quality| self.of(quality));
-        let (none, hidden) = (self.none(), self.hidden());
-        writeln!(
-            out,
-            "Moon       {fine} fine, {coarse} coarse, {none} none, {hidden} while it could not be seen"
-        )?;
-        for ((stage, reason), count) in &self.reasons {
-            writeln!(out, "           {count} x {}: {reason}", stage.name())?;
-        }
-        Ok(())
-    }
+/// What the solver of one camera has counted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraSolved {
+    pub role: Role,
+    pub solver: SolverTally,
 }
 
 /// What the archive's threads count.
@@ -334,15 +295,82 @@ impl LineTally {
     }
 }
 
+/// What the navigation's threads count.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct NavigationTally {
+    /// Samples that are missing by their counter.
+    pub lost_samples: u64,
+    /// Packets of the IMU and datagrams that are no good.
+    pub unreadable: u64,
+    /// Of the GPS receiver.
+    pub gps: GpsCounts,
+    /// Directions of cameras.
+    pub seen: u64,
+    /// Measurements that contradict the filter, and that came too late or too early.
+    pub refused: u64,
+    pub out_of_time: u64,
+    /// Times that the filter began anew.
+    pub restarts: u64,
+    /// Times that the IMU was unsound, or directions contradicted it.
+    pub doubted: u64,
+    /// Times that directions contradicted the gyros by more than 5 sigma for 10 s.
+    pub contradicted: u64,
+    /// Offsets that were made, and of them those that are too uncertain to be sent.
+    pub offsets: u64,
+    pub uncertain: u64,
+    /// Rows for the archive that found no room.
+    pub rows_lost: u64,
+    /// `None` before the first sample.
+    pub status: Option<Status>,
+    pub latest: Option<PropagatedOffset>,
+    /// The latest differences of cameras from the gyros, in sigmas: right, up and roll of the telescope.
+    pub differences: [Option<f64>; 3],
+    /// `None` where nothing is compared.
+    pub agreement: Option<Agreement>,
+}
+
+impl NavigationTally {
+    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if *self == Self::default() && counts.imu_samples + counts.navigation_lost == 0 {
+            return Ok(());
+        }
+        writeln!(
+            out,
+            "navigation {} samples ({} lost, {} unreadable), {} fixes ({}), {} directions, \
+             {} refused, {} out of time, {} overflowed",
+            counts.imu_samples,
+            self.lost_samples,
+            self.unreadable,
+            self.gps.fixes,
+            self.gps,
+            self.seen,
+            self.refused,
+            self.out_of_time,
+            counts.navigation_lost,
+        )?;
+        writeln!(
+            out,
+            "           {} offsets, {} of them too uncertain to be sent, {} times of doubt, {} contradictions of 10 s, {} restarts, {} rows and {} sentences unreadable or lost, at last {}",
+            self.offsets,
+            self.uncertain,
+            self.doubted,
+            self.contradicted,
+            self.restarts,
+            self.rows_lost,
+            self.gps.unreadable,
+            self.status.map_or("without samples", Status::name),
+        )
+    }
+}
+
 /// What a whole flight comes to.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FlightTally {
     pub counts: Counts,
     /// Of all cameras.
     pub camera: CameraTally,
-    pub solver: SolverTally,
-    pub roll: RollTally,
-    pub moon: MoonTally,
+    /// Of each camera, in the order of the flight's.
+    pub solvers: Vec<CameraSolved>,
     pub navigation: NavigationTally,
     pub archive: ArchiveTally,
     pub line: LineTally,
@@ -357,23 +385,29 @@ pub struct FlightTally {
 }
 
 impl FlightTally {
-    /// Frames of pitch-yaw cameras that were solved, whatever they show.
-    pub fn solved(&self) -> u64 {
-        self.counts.fine + self.counts.coarse + self.counts.none
+    /// Of all cameras of a role together.
+    pub fn solver(&self, role: Role) -> SolverTally {
+        let mut all = SolverTally::default();
+        let of_role = self.solvers.iter().filter(|camera| camera.role == role);
+        of_role.for_each(|camera| all.add(&camera.solver));
+        all
     }
 
-    /// Frames of the horizon that were solved, whatever they show.
-    pub fn rolls_solved(&self) -> u64 {
-        self.counts.roll_fine + self.counts.roll_coarse + self.counts.roll_none
+    /// Frames of pitch-yaw cameras that were solved, whatever they show.
+    pub fn solved(&self) -> u64 {
+        self.solver(Role::PitchYaw).frames()
     }
 
     /// Frames, stored files, rows and packets that did not get where they should, and silences of cameras. A row that one disk
     /// refused and another has is not lost.
     pub fn lost(&self) -> u64 {
         let camera = self.camera.lost + self.camera.failed + self.camera.silences;
-        let frames = camera + self.solver.misfits;
+        let solvers = || self.solvers.iter().map(|camera| &camera.solver);
+        let frames = camera + solvers().map(|solver| solver.misfits).sum::<u64>();
         let files = self.counts.unstored + self.archive.rows_lost;
-        let packets = self.camera.unannounced + self.solver.unsent + self.line.failed;
+        let packets = self.camera.unannounced
+            + solvers().map(|solver| solver.unsent).sum::<u64>()
+            + self.line.failed;
         let line = u64::from(self.line.never_open);
         frames + files + packets + line + self.restarts
     }
@@ -392,9 +426,16 @@ impl fmt::Display for FlightTally {
         if self.log_lines_lost > 0 {
             writeln!(out, "log        {} lines lost", self.log_lines_lost)?;
         }
-        self.solver.tell(&self.counts, out)?;
-        self.roll.tell(&self.counts, out)?;
-        self.moon.tell(out)?;
+        for role in Role::KINDS {
+            let solver = self.solver(role);
+            if role == Role::PitchYaw || solver != SolverTally::default() {
+                let name = match role {
+                    Role::PitchYaw => "solved",
+                    other => other.name(),
+                };
+                solver.tell(name, out)?;
+            }
+        }
         self.navigation.tell(&self.counts, out)?;
         self.archive.tell(&self.counts, out)?;
         self.line.tell(&self.counts, out)

@@ -2,8 +2,7 @@
 
 use super::archiver::{self, Archive};
 use super::housekeeping::{HousekeepingSource, Restarts};
-use super::line::LinkEvent;
-use super::navigation::NavigationRows;
+use super::messages::{LinkEvent, NavigationRows};
 use super::shared::Shared;
 use super::silence;
 use super::systemd::Systemd;
@@ -167,7 +166,7 @@ impl Watch {
 
     /// Looks after all threads: whether the work is done and the line is to be hung up.
     fn is_over(&mut self, now: Instant) -> bool {
-        silence::look(&self.tallies.silences);
+        silence::look(self.tallies.cameras.iter().map(|camera| &camera.silence));
         let taking = worker::look(&mut self.cameras, now);
         if !taking {
             self.signals.cameras_ended.store(true, Ordering::Relaxed);
@@ -206,13 +205,16 @@ impl Watch {
             takeovers: self.takeovers(),
         };
         let events = self.to_line.len();
-        let (time, told) = self.housekeeping.next(&self.tallies, restarts, events);
+        let (time, told, further) = self.housekeeping.next(&self.tallies, restarts, events);
         if let Some(archive) = &self.archive {
             archive.note(time, &told);
         }
         *self.signals.housekeeping.lock() = Some((*told).clone());
         // A line that is stuck has more urgent things to say.
         let _ = self.to_line.try_send(LinkEvent::Housekeeping(time, told));
+        if !further.is_empty() {
+            let _ = self.to_line.try_send(LinkEvent::Cameras(time, further));
+        }
     }
 
     fn takeovers(&self) -> u64 {

@@ -10,7 +10,7 @@ use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument::{self, Instrument};
 use solaspect::link::Connection;
 use solaspect::pointing::Target;
-use solaspect::service::{Camera, Flight, FlightTally, Service};
+use solaspect::service::{Flight, FlightCamera, FlightTally, Service};
 use solaspect::sky::Ephemeris;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -102,7 +102,7 @@ fn looked(
     let flight = Flight {
         config,
         stores,
-        ..Flight::of(Camera::new(instrument, camera))
+        ..Flight::of(vec![FlightCamera::of_plate(instrument, camera)])
     };
     let (service, answers) = Service::start_watched(flight).unwrap();
     let looked_at = |service: &Service| {

@@ -4,11 +4,11 @@ use super::collect::{Horizons, collect, with_attitude, with_sun};
 use super::fit::{Turn, TurnError, fit};
 use super::report::NAME;
 use super::sighting::{Horizon, Sighting};
-use crate::archive::is_of_roll_camera;
+use crate::archive::role_of;
 use crate::calibrate::frames::{CalibrateError, FramesError};
 use crate::calibrate::mounting::{self, AttitudeLog, Frames, SunObservation};
 use crate::calibrate::revision::{Provenance, Revision};
-use crate::instrument::{Directions, MountedCamera};
+use crate::instrument::{Directions, MountedCamera, Role};
 use crate::observe::{Depth, RejectedFrame, Watch, list};
 use nalgebra::Rotation3;
 use std::path::PathBuf;
@@ -47,7 +47,7 @@ pub fn from_frames(
         Reference::Sun(_) => files
             .iter()
             .cloned()
-            .partition(|file| is_of_roll_camera(file)),
+            .partition(|file| role_of(file) == Some((Role::Roll, 1))),
     };
     if of_horizon.is_empty() {
         let lacking = "expected frames of the roll camera (named roll_*), found none; with --attitude any name will do";

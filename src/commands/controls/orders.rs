@@ -4,8 +4,9 @@ use super::{Controls, State};
 use crate::commands::setting::{
     CLOCK_OFFSET, CLOCKING, LATITUDE, LONGITUDE, SITE_LATITUDE, SITE_LONGITUDE, Setting, TWIST,
 };
-use crate::commands::{Action, CameraRole, Command, CommandError, Kind, row_of};
+use crate::commands::{Action, Command, CommandError, Kind, row_of};
 use crate::config::{Allowed, Parameter, Value, by_command, by_key};
+use crate::instrument::Role;
 use crate::link::{AspectCommand, Carried, CommandResult, Control, GpsFix, MoonRequest};
 use crate::log::worth_a_line;
 use std::sync::atomic::Ordering;
@@ -34,7 +35,7 @@ impl Control for Controls {
 
     fn look_for_moon(&mut self, request: &MoonRequest) -> CommandResult {
         let mut state = self.state();
-        if !state.cameras.contains(&CameraRole::Moon) {
+        if !state.cameras.contains(&Role::Moon) {
             return CommandResult::NotImplemented;
         }
         match request.place() {
@@ -141,7 +142,7 @@ impl Controls {
                 CommandResult::Done
             }
             Err(refused) => {
-                let times = self.count_refusal(refused.key);
+                let times = self.count_refusal(&refused.key);
                 self.state().reason = Some(refused.to_string());
                 if worth_a_line(times) {
                     tracing::warn!(%refused, times, "a command was refused");
@@ -152,9 +153,9 @@ impl Controls {
     }
 
     /// How often the key has been refused by now.
-    fn count_refusal(&self, key: &'static str) -> u64 {
+    fn count_refusal(&self, key: &str) -> u64 {
         let mut state = self.state();
-        let times = state.refusals.entry(key).or_default();
+        let times = state.refusals.entry(key.into()).or_default();
         *times += 1;
         *times
     }
@@ -172,7 +173,7 @@ impl Controls {
         CommandResult::Refused
     }
 
-    fn want_picture(&self, role: CameraRole) -> CommandResult {
+    fn want_picture(&self, role: Role) -> CommandResult {
         if !self.state().cameras.contains(&role) {
             return CommandResult::NotImplemented;
         }
@@ -220,10 +221,13 @@ impl State {
     /// The number of a setting that may be read.
     fn value(&self, setting: Setting) -> Option<f64> {
         match setting {
-            TWIST => Some(self.own.twist_deg.unwrap_or(self.stated.twist_deg)),
+            TWIST => self
+                .own
+                .twist_deg
+                .or(self.stated.map(|stated| stated.twist_deg)),
             CLOCKING => {
-                let stated = self.stated.clocking_deg.value;
-                Some(self.own.clocking_deg.unwrap_or(stated))
+                let stated = self.stated.map(|stated| stated.clocking_deg.value);
+                self.own.clocking_deg.or(stated)
             }
             // As GPS may know it.
             SITE_LATITUDE => Some(self.place?.latitude_deg),

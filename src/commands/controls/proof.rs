@@ -27,7 +27,7 @@ impl Proof {
 
     /// # Errors
     /// `key` has been set, and the solver finds no Sun where it did with its defaults.
-    pub fn check(&self, key: &'static str, config: &Config) -> Result<(), Refused> {
+    pub fn check(&self, key: &str, config: &Config) -> Result<(), Refused> {
         let Some(frame) = self.frame.get_or_init(|| self.draw()) else {
             return Ok(());
         };
@@ -36,7 +36,7 @@ impl Proof {
             return Ok(());
         }
         Err(Refused {
-            key,
+            key: key.to_owned().into(),
             expected: "settings of the solver with which a frame of this instrument is fine".into(),
             found: format!(
                 "with those of [limb], [fiducial] and [registration]: {}",

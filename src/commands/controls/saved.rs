@@ -357,9 +357,8 @@ enum ShortLived {
 mod tests {
     use super::*;
     use crate::archive::MARK;
-    use crate::commands::{CameraRole, Seat};
-    use crate::config::Config;
-    use crate::instrument::builtin;
+    use crate::config::{Config, ConfiguredCamera};
+    use crate::instrument::{Role, builtin};
     use crate::link::{CommandResult, Control, GpsFix};
     use crate::pointing::Target;
     use crossbeam_channel::bounded;
@@ -367,6 +366,10 @@ mod tests {
     fn controls() -> Controls {
         let mounting = builtin("demo").unwrap().mounting;
         Controls::new(Config::default(), Target::default(), mounting)
+    }
+
+    fn camera(controls: &Controls, name: &str) -> ConfiguredCamera {
+        controls.config().cameras.named(name).unwrap().clone()
     }
 
     /// Sets some of every kind of value.
@@ -426,8 +429,8 @@ mod tests {
         assert_eq!(restore(&after, &SavedValues::at(&path)), 9);
         assert_eq!(after.snapshot(), before.snapshot());
         assert_eq!(after.config(), before.config());
-        assert_eq!(after.camera(Seat::Roll).preamp_gain, Some(-3.0));
-        assert!(!after.stores(CameraRole::Roll));
+        assert_eq!(camera(&after, "roll_camera").preamp_gain, Some(-3.0));
+        assert!(!after.stores(Role::Roll));
         assert_eq!(after.sending(), Some(false));
         let left = [".values.toml.lock", "values.toml"];
         assert_eq!(names(folder.path()), left, "nothing else is left");
@@ -495,7 +498,7 @@ mod tests {
         restore_at(&in_the_laboratory, &SavedValues::at(&path), &next_day);
         assert!(!in_the_laboratory.tracking());
         assert_eq!(in_the_laboratory.snapshot().place, None);
-        assert_eq!(in_the_laboratory.camera(Seat::PitchYaw).exposure_us, 12_000);
+        assert_eq!(camera(&in_the_laboratory, "camera").exposure_us, 12_000);
     }
 
     #[test]
@@ -507,8 +510,8 @@ mod tests {
         let newer = ("camera.exposure_us", Value::Whole(700));
         controls.set(std::slice::from_ref(&newer)).unwrap();
         restore(&controls, &SavedValues::at(&path));
-        assert_eq!(controls.camera(Seat::PitchYaw).exposure_us, 700);
-        assert_eq!(controls.camera(Seat::Roll).preamp_gain, Some(-3.0));
+        assert_eq!(camera(&controls, "camera").exposure_us, 700);
+        assert_eq!(camera(&controls, "roll_camera").preamp_gain, Some(-3.0));
     }
 
     #[test]
@@ -589,7 +592,7 @@ mod tests {
         let second = controls();
         let set = |controls: &Controls| controls.note_tracking(true);
         assert_eq!(run(&second, &path, set), 1);
-        assert_eq!(second.camera(Seat::Roll).preamp_gain, None);
+        assert_eq!(camera(&second, "roll_camera").preamp_gain, None);
         assert_eq!(std::fs::read(&path).unwrap(), before);
         drop(first);
     }
@@ -622,7 +625,7 @@ mod tests {
         write_values(&path, &values);
         let controls = controls();
         assert_eq!(restore(&controls, &SavedValues::at(&path)), 1);
-        assert!(!controls.stores(CameraRole::Roll));
+        assert!(!controls.stores(Role::Roll));
         assert_eq!(controls.config(), Config::default());
     }
 

@@ -10,6 +10,10 @@ fn controls() -> Controls {
     Controls::new(Config::default(), Target::default(), mounting)
 }
 
+fn camera(controls: &Controls, name: &str) -> ConfiguredCamera {
+    controls.config().cameras.named(name).unwrap().clone()
+}
+
 /// What a command by name comes to, its variables as they travel.
 fn order(controls: &Controls, name: &str, variables: &[u16]) -> CommandResult {
     let row = COMMANDS.iter().find(|row| row.name == name).unwrap();
@@ -109,10 +113,10 @@ fn what_a_command_sets_a_command_reads() {
             "{get}"
         );
     }
-    assert_eq!(controls.camera(Seat::PitchYaw).exposure_us, 12_000);
-    assert_eq!(controls.camera(Seat::Roll).exposure_us, 50_000);
+    assert_eq!(camera(&controls, "camera").exposure_us, 12_000);
+    assert_eq!(camera(&controls, "roll_camera").exposure_us, 50_000);
     assert_eq!(controls.config().link.solution_divisor, 4);
-    assert_eq!(controls.config().camera.rate_hz, 2.5);
+    assert_eq!(camera(&controls, "camera").rate_hz, 2.5);
 }
 
 #[test]
@@ -169,7 +173,10 @@ fn what_is_out_of_range_is_refused_and_changes_nothing() {
         );
     }
     assert_eq!(controls.config(), before);
-    assert_eq!(controls.camera(Seat::Roll), before.roll_camera);
+    assert_eq!(
+        camera(&controls, "roll_camera"),
+        *before.cameras.named("roll_camera").unwrap()
+    );
     let snapshot = controls.snapshot();
     assert_eq!((snapshot.clocking_deg, snapshot.twist_deg), (None, None));
     assert_eq!(snapshot.place, None, "not half of it either");
@@ -211,7 +218,7 @@ fn what_is_not_known_is_read_as_unknown() {
 #[test]
 fn switches_quit_and_pictures_reach_those_who_ask() {
     let controls = controls();
-    let stores = || [CameraRole::PitchYaw, CameraRole::Roll].map(|role| controls.stores(role));
+    let stores = || [Role::PitchYaw, Role::Roll].map(|role| controls.stores(role));
     assert_eq!(stores(), [true, true]);
     assert_eq!(order(&controls, "store_frames", &[0]), DONE);
     assert_eq!(stores(), [false, false]);
@@ -220,20 +227,17 @@ fn switches_quit_and_pictures_reach_those_who_ask() {
     assert_eq!(order(&controls, "store_roll_frames", &[1]), DONE);
     assert_eq!(stores(), [true, true]);
 
-    assert!(!controls.takes_picture(CameraRole::PitchYaw));
+    assert!(!controls.takes_picture(Role::PitchYaw));
     assert_eq!(order(&controls, "send_pitch_yaw_picture", &[]), DONE);
-    assert!(controls.takes_picture(CameraRole::PitchYaw));
-    assert!(
-        !controls.takes_picture(CameraRole::PitchYaw),
-        "one picture only"
-    );
+    assert!(controls.takes_picture(Role::PitchYaw));
+    assert!(!controls.takes_picture(Role::PitchYaw), "one picture only");
     let without = order(&controls, "send_roll_picture", &[]);
     assert_eq!(
         without,
         CommandResult::NotImplemented,
         "there is no such camera"
     );
-    controls.note_cameras(&[CameraRole::PitchYaw, CameraRole::Roll]);
+    controls.note_cameras(&[Role::PitchYaw, Role::Roll]);
     assert_eq!(order(&controls, "send_roll_picture", &[]), DONE);
 
     assert!(!controls.quits());
@@ -340,7 +344,7 @@ fn a_value_that_contradicts_this_flight_is_refused_and_nothing_changes() {
     );
     controls.reset();
     assert_eq!(controls.config(), before);
-    controls.note_cameras(&[CameraRole::PitchYaw, CameraRole::PitchYaw]);
+    controls.note_cameras(&[Role::PitchYaw, Role::PitchYaw]);
     assert_eq!(integer("link.sending_camera", 2), DONE);
 }
 
@@ -363,7 +367,7 @@ fn what_was_read_and_is_written_again_is_the_same_value() {
     mounting.clocking_deg.value = -52.175;
     let mut config = Config::default();
     config.fiducial.min_contrast = 0.26;
-    config.camera.exposure_us = 100_000;
+    config.cameras.first_mut().exposure_us = 100_000;
     let controls = Controls::new(config.clone(), Target::default(), mounting);
     for (read, written) in [
         ("get_clocking", "set_clocking"),
@@ -410,7 +414,7 @@ fn reset_values_returns_to_the_configuration_and_keeps_the_conversation() {
     assert_eq!(order(&controls, "reset_values", &[]), DONE);
     assert!(controls.version(Topic::Cameras) > version);
     assert_eq!((controls.config(), controls.snapshot()), before);
-    assert!(controls.stores(CameraRole::Roll) && controls.differences().is_empty());
+    assert!(controls.stores(Role::Roll) && controls.differences().is_empty());
     assert!(controls.tracking());
     assert_eq!(controls.stamp_ns(), 7);
 }

@@ -4,17 +4,13 @@
 //! time and smooths them. The body's nadir at any time of the flight goes into the offsets of the cameras that see the plate.
 
 mod history;
-mod output;
 mod path;
 mod record;
-mod report;
 mod row;
 
 pub use history::RollHistory;
-pub use output::{RollSummary, write_roll};
 pub use record::HorizonRecord;
-pub use report::RollRows;
-pub use row::{ROLL, ROLL_COLUMNS, RollRow, SmoothedRoll};
+pub use row::{ROLL, ROLL_COLUMNS, RollRow, SmoothedRoll, kind};
 
 use super::recipe::plain_toml;
 use crate::archive::{ArchiveReader, Flown, FlownFiles, StoredFile};
@@ -117,7 +113,7 @@ impl RollRecipe {
     }
 
     /// The solution of a frame, once more: for a picture of it. `None` where it cannot be solved.
-    fn solve_again(&self, frame: &Frame) -> Option<(Solution, Sphere)> {
+    pub(super) fn solve_again(&self, frame: &Frame) -> Option<(Solution, Sphere)> {
         let optics = &self.camera.optics;
         optics.check(frame).ok()?;
         let sphere = self.sphere(frame)?;
@@ -176,7 +172,7 @@ body_from_camera = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
             ),
             "{low}"
         );
-        assert_eq!(output::kind(&low), output::kind(&lower));
+        assert_eq!(kind(&low), kind(&lower));
         let stated = record(1_200.0, Some(38_000.0)).reason.unwrap();
         assert!(!stated.contains("not above the limb"), "{stated}");
     }

@@ -96,6 +96,12 @@ impl RollRow {
     }
 }
 
+/// A remark without its numbers.
+pub fn kind(remark: &str) -> String {
+    let kind = remark.split_once(" (measured");
+    kind.map_or(remark, |(kind, _)| kind).into()
+}
+
 /// The extension that holds a row for every file of the roll camera.
 pub const ROLL: &str = "ROLL";
 

@@ -10,8 +10,9 @@ use crate::commands::CommandNote;
 use crate::link::Housekeeping;
 use crate::link::housekeeping::{FIELDS, Field};
 use crate::log::worth_a_line;
+use crate::navigation::{PropagatedOffset, files};
 use crate::record::Row;
-use crate::service::navigation::{NavigationLog, NavigationRows};
+use crate::service::messages::{NavigationLog, NavigationRows};
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
 use std::convert::Infallible;
@@ -114,6 +115,22 @@ pub(super) struct Journal {
     patience: Instant,
 }
 
+/// The first word of a log's files, and its columns; `t_s` counts from 1970, UTC, as the sensors have said it.
+fn navigation_log(log: NavigationLog) -> (&'static str, Vec<&'static str>) {
+    match log {
+        NavigationLog::Imu => ("imu", files::IMU.to_vec()),
+        NavigationLog::Gps => ("gps", [&files::GPS[..], &[files::CLIMB]].concat()),
+        NavigationLog::Propagated => {
+            let offset = [
+                &["t_s"][..],
+                &PropagatedOffset::COLUMNS,
+                &["age_s", "status"],
+            ];
+            ("propagated", offset.concat())
+        }
+    }
+}
+
 struct Book {
     folder: PathBuf,
     log: SolutionLog,
@@ -155,14 +172,9 @@ impl Journal {
                 start,
             ),
             navigation: NavigationLog::ALL.map(|log| {
-                let columns = log.columns().into_iter().map(str::to_owned);
-                Log::new(
-                    store.disk(),
-                    store.root(),
-                    log.name(),
-                    columns.collect(),
-                    start,
-                )
+                let (name, columns) = navigation_log(log);
+                let columns = columns.into_iter().map(str::to_owned).collect();
+                Log::new(store.disk(), store.root(), name, columns, start)
             }),
             visit: store.visits(),
             store,

@@ -20,9 +20,7 @@ mod writer;
 
 pub use writer::DiskHealth;
 
-use super::answer::Answer;
-use super::flight::Station;
-use super::navigation::NavigationRows;
+use super::messages::{Answer, Hears, NavigationRows, Station};
 use super::tally::ArchiveTally;
 use super::worker::{self, Job, Worker};
 use crate::archive::{Sharing, Store, navigation_file};
@@ -77,72 +75,67 @@ pub(super) struct Gauges {
 #[derive(Default)]
 pub(super) struct Threads(Vec<Worker>);
 
+/// What the archive's threads need of the flight.
+pub(super) struct Around<'f> {
+    pub stations: &'f [Arc<Station>],
+    pub controls: &'f Controls,
+    pub ephemeris: &'f Ephemeris,
+    pub navigation_toml: Option<&'f str>,
+    pub counters: &'f Arc<Counters>,
+}
+
 /// Starts the threads of every disk.
-pub(super) fn start(
-    stores: Vec<Store>,
-    stations: &[Arc<Station>],
-    controls: &Controls,
-    ephemeris: &Ephemeris,
-    navigation_toml: Option<&str>,
-    counters: &Arc<Counters>,
-) -> std::io::Result<(Archive, Threads)> {
-    let settings = controls.config().archive;
+pub(super) fn start(stores: Vec<Store>, around: &Around) -> std::io::Result<(Archive, Threads)> {
+    let settings = around.controls.config().archive;
     let queues = queues(&settings, stores.len());
     let mut gauges = Gauges {
         queues: queues.clone(),
         frames: Arc::new(FrameCounts {
             offered: AtomicU64::default(),
-            counters: Arc::clone(counters),
+            counters: Arc::clone(around.counters),
         }),
         ..Gauges::default()
     };
     let (mut logs, mut threads) = (Vec::new(), Threads::default());
-    let start = Timestamp::now();
-    let folders: Vec<PathBuf> = stations.iter().map(|s| s.folder.clone()).collect();
     let (flying, ended) = bounded(0);
-    for (n, store) in stores.into_iter().enumerate() {
-        let (queue, disk) = match settings.sharing {
-            Sharing::Alternate => (&queues[0], n),
-            Sharing::Mirror => (&queues[n], 0),
-        };
-        for station in stations {
-            store.add_flight_files(station.flown.files(&station.folder, start));
+    let start = Timestamp::now();
+    for (number, store) in stores.into_iter().enumerate() {
+        for station in around.stations {
+            let files = station.flown.files(&station.camera.folder, start);
+            store.add_flight_files(files);
         }
-        store.add_flight_files(navigation_toml.map(|text| navigation_file(text, start)));
-        let store = Arc::new(store);
-        let health = Arc::new(Mutex::new(DiskHealth {
+        let navigation = around.navigation_toml;
+        store.add_flight_files(navigation.map(|text| navigation_file(text, start)));
+        let (queue, disk) = match settings.sharing {
+            Sharing::Alternate => (&queues[0], number),
+            Sharing::Mirror => (&queues[number], 0),
+        };
+        let health = DiskHealth {
             root: store.root().into(),
             ..DiskHealth::default()
-        }));
-        let tally = Arc::new(JournalTally::default());
+        };
         let writer = Writer {
             disk,
-            store: Arc::clone(&store),
+            store: Arc::new(store),
             queue: Arc::clone(queue),
-            number: n,
-            controls: controls.clone(),
+            number,
+            controls: around.controls.clone(),
             clock: None,
-            ephemeris: ephemeris.clone(),
-            health: Arc::clone(&health),
+            ephemeris: around.ephemeris.clone(),
+            health: Arc::new(Mutex::new(health)),
         };
         let (to_log, entries) = bounded(ROWS);
+        let tally = Arc::new(JournalTally::default());
+        logs.push(to_log);
         gauges.entries.push(entries.clone());
-        threads.start(format!("archive-{}", n + 1), move || {
+        gauges.disks.push(Arc::clone(&writer.health));
+        gauges.journals.push(Arc::clone(&tally));
+        let folders = around.stations.iter().map(|s| s.camera.folder.clone());
+        threads.log(&writer, (folders.collect(), start), entries, &ended, &tally)?;
+        threads.start(format!("archive-{}", number + 1), move || {
             let writer = writer.clone();
             Box::new(move |_| writer.run())
         })?;
-        let (folders, counts) = (folders.clone(), Arc::clone(&tally));
-        let ended = ended.clone();
-        threads.start(format!("log-{}", n + 1), move || {
-            let store = Arc::clone(&store);
-            let (ended, counts) = (ended.clone(), Arc::clone(&counts));
-            let journal = Journal::new(store, n, &folders, start, ended, counts);
-            let entries: Receiver<Entry> = entries.clone();
-            Box::new(move |_| journal.run(&entries))
-        })?;
-        logs.push(to_log);
-        gauges.disks.push(health);
-        gauges.journals.push(tally);
     }
     let archive = Archive {
         queues,
@@ -167,13 +160,9 @@ fn queues(settings: &config::Archive, disks: usize) -> Vec<Arc<Queue<Picture>>> 
     }
 }
 
-impl Archive {
-    pub fn gauges(&self) -> Gauges {
-        self.gauges.clone()
-    }
-
+impl Hears for Archive {
     /// Stores a solved frame and its row, when and where there is room.
-    pub fn offer(&self, answer: &Answer) {
+    fn hear(&self, answer: &Answer) {
         let heard = self.hand_to_disks(answer);
         let deadline = Instant::now() + FATE_KNOWN;
         let upkeep = self.gauges.upkeep();
@@ -193,6 +182,12 @@ impl Archive {
             });
             self.log(log, entry);
         }
+    }
+}
+
+impl Archive {
+    pub fn gauges(&self) -> Gauges {
+        self.gauges.clone()
     }
 
     /// Keeps the second's housekeeping.
@@ -330,6 +325,25 @@ impl Threads {
     ) -> std::io::Result<()> {
         self.0.push(Worker::start(name, None, make)?);
         Ok(())
+    }
+
+    /// Starts the thread of a disk's logs: those of the cameras' folders, begun at a time.
+    fn log(
+        &mut self,
+        disk: &Writer,
+        (folders, start): (Vec<PathBuf>, Timestamp),
+        entries: Receiver<Entry>,
+        ended: &Receiver<Infallible>,
+        tally: &Arc<JournalTally>,
+    ) -> std::io::Result<()> {
+        let (store, number) = (Arc::clone(&disk.store), disk.number);
+        let (ended, tally) = (ended.clone(), Arc::clone(tally));
+        self.start(format!("log-{}", number + 1), move || {
+            let (ended, tally) = (ended.clone(), Arc::clone(&tally));
+            let journal = Journal::new(Arc::clone(&store), number, &folders, start, ended, tally);
+            let entries = entries.clone();
+            Box::new(move |_| journal.run(&entries))
+        })
     }
 
     /// Looks after the threads: whether the work of any goes on.

@@ -2,7 +2,7 @@
 
 use crate::archive::Encoded;
 use crate::link::Counters;
-use crate::service::answer::Answer;
+use crate::service::messages::Answer;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};

@@ -139,12 +139,13 @@ impl Writer {
 
     fn encode(&mut self, picture: &Picture) -> Result<Encoded, ArchiveError> {
         let answer = &picture.answer;
-        let (frame, solution) = (&answer.exposure.frame, &answer.solution);
-        let instrument = &answer.station.instrument;
+        let (frame, camera) = (&answer.exposure.frame, &answer.station.camera);
         let mut cards = answer.row().record.cards();
         cards.extend(answer.station.flown.cards());
-        if answer.station.sees_plate() {
-            let roll = answer.offset.map_or(Roll::Stated, |offset| offset.roll);
+        let mut marks = Vec::new();
+        if let Some(sun) = answer.sun() {
+            let (solution, instrument) = (&sun.solution, &sun.instrument);
+            let roll = sun.offset.map_or(Roll::Stated, |offset| offset.roll);
             cards.extend(instrument_cards(instrument, roll));
             cards.extend(self.clock.iter().flat_map(clock_cards));
             cards.extend(sky_cards(
@@ -155,14 +156,10 @@ impl Writer {
                 &answer.target,
                 &mut self.ephemeris,
             ));
+            marks = tables(solution);
         }
-        self.store.encode(
-            &answer.station.folder,
-            &instrument.name,
-            frame,
-            &cards,
-            &tables(solution),
-        )
+        self.store
+            .encode(&camera.folder, &camera.label, frame, &cards, &marks)
     }
 
     /// Measures the disk's free space, and says when its room has changed; looks at the clock and the settings, too.

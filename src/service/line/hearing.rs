@@ -51,7 +51,7 @@ impl Line<'_> {
     /// Samples of the IMU; where no filter flies they are for nobody.
     fn hear_telemetry(&self, packet: &TelemetryPacket) {
         if let Some(inputs) = &self.navigation {
-            inputs.tell_imu(packet, Instant::now());
+            inputs.take_sample(packet, Instant::now());
         }
     }
 

@@ -5,14 +5,15 @@ use crate::aspect::{Stage, Stopped};
 use crate::commands::order;
 use crate::config::Config;
 use crate::frame::{Frame, FrameInfo, Pixels};
-use crate::instrument::builtin;
+use crate::instrument::{Role, builtin};
 use crate::link::message::NO_OFFSET;
 use crate::link::picture::Section;
 use crate::link::{
-    BytePort, CommandOutcome, Counts, Guard, Key, Message, NoSolution, Packet, Picture, Seal,
-    SerialPort, Telemetry, id,
+    BytePort, CommandOutcome, Counts, Guard, Housekeeping, Key, Message, NoSolution, Packet,
+    Picture, Seal, SerialPort, Telemetry, id,
 };
 use crate::pointing::{Offset, Roll, Target};
+use crate::service::messages::SeenRoll;
 use crate::units::{Measured, Rejected};
 use crossbeam_channel::{Sender, unbounded};
 use nalgebra::Matrix2;
@@ -58,7 +59,7 @@ fn bench_over(
     change(&mut config.link);
     let mounting = builtin("demo").unwrap().mounting;
     let controls = Controls::new(config, Target::default(), mounting);
-    controls.note_cameras(&[crate::commands::CameraRole::PitchYaw; 2]);
+    controls.note_cameras(&[Role::PitchYaw; 2]);
     bench_of(connection, far, controls)
 }
 
@@ -69,14 +70,7 @@ fn bench_of(mut connection: Connection, far: SerialPort, controls: Controls) -> 
     let hung_up = Arc::clone(&hang_up);
     let thread = std::thread::spawn(move || {
         let (tally, counters) = (Shared::default(), Arc::<Counters>::default());
-        let mut line = Line::new(
-            &mut connection,
-            controls,
-            tally.clone(),
-            Arc::clone(&counters),
-            Shared::default(),
-            None,
-        );
+        let mut line = Line::new(&mut connection, around(controls, &tally, &counters));
         line.run(&receiver, &hung_up, &Life::new());
         (tally.copy(), counters.now())
     });
@@ -86,6 +80,16 @@ fn bench_of(mut connection: Connection, far: SerialPort, controls: Controls) -> 
         hang_up,
         thread,
         far,
+    }
+}
+
+fn around(controls: Controls, tally: &Shared<LineTally>, counters: &Arc<Counters>) -> Around {
+    Around {
+        controls,
+        tally: tally.clone(),
+        counters: Arc::clone(counters),
+        moon_desk: Shared::default(),
+        navigation: None,
     }
 }
 
@@ -114,8 +118,7 @@ fn solved(exposure: Exposure) -> Outcome {
         arrived: Instant::now(),
         shutter: None,
         offset: Some(offset(1.5e-5)),
-        roll_deg: None,
-        roll_arrived: None,
+        roll: None,
         stopped: None,
     }
 }
@@ -671,14 +674,7 @@ fn heard(
     let guard = Guard::new(vec!["10.0.0.1".parse().unwrap()], seal);
     let mut connection = Connection::over(port).guarded(guard);
     let (tally, counters) = (Shared::default(), Arc::<Counters>::default());
-    let mut line = Line::new(
-        &mut connection,
-        controls.clone(),
-        tally.clone(),
-        Arc::clone(&counters),
-        Shared::default(),
-        None,
-    );
+    let mut line = Line::new(&mut connection, around(controls.clone(), &tally, &counters));
     (0..turns).for_each(|_| line.listen());
     let written = written.lock().unwrap().clone();
     let counted = (tally.copy().commands, counters.now().datagrams_refused);
@@ -802,7 +798,10 @@ fn a_solution_says_the_roll_where_it_is_known_and_zero_where_it_is_not() {
             ..offset(1.0)
         };
         let outcome = Outcome {
-            roll_deg,
+            roll: roll_deg.map(|deg| SeenRoll {
+                deg,
+                arrived: Instant::now(),
+            }),
             offset: Some(offset),
             ..solved(exposure(0))
         };

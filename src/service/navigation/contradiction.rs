@@ -1,8 +1,8 @@
 //! Directions that contradict the gyros for 10 s: a line of the log where that begins, and one where it ends.
 
-use super::NavigationTally;
 use crate::log::worth_a_line;
-use crate::navigation::{Agreement, Comparison, Settings};
+use crate::navigation::{Agreement, Axis, Comparison, Settings};
+use crate::service::tally::NavigationTally;
 
 /// Whether directions contradict the gyros, as it was last noted.
 #[derive(Debug, Default)]
@@ -18,7 +18,8 @@ impl LastingContradiction {
         settings: &Settings,
         tally: &mut NavigationTally,
     ) {
-        tally.note_comparison(comparison);
+        tally.differences = Axis::ALL.map(|axis| comparison.sigmas(axis));
+        tally.agreement = comparison.agreement();
         let is_on = tally.agreement == Some(Agreement::LastingContradiction);
         let was_on = std::mem::replace(&mut self.is_on, is_on);
         tally.contradicted += u64::from(is_on && !was_on);

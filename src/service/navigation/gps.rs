@@ -1,10 +1,12 @@
 //! What the GPS receiver says is counted by kind, and what cannot be used is logged at its 1st, 2nd, 4th, 8th ... time.
 
 use super::rows::gps_row;
-use super::{Filter, NavigationLog, NavigationTally, Navigator};
+use super::{Filter, Navigator};
 use crate::log::worth_a_line;
 use crate::navigation::nmea::{Heard, Refusal, Refused, TimedFix};
 use crate::navigation::{Fix, Measurement};
+use crate::service::messages::NavigationLog;
+use crate::service::tally::NavigationTally;
 use crate::units::Place;
 
 /// A fix of a time that is further from the IMU's is of another day, or stale.

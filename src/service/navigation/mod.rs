@@ -9,23 +9,22 @@ mod rows;
 mod sensor;
 mod sent;
 mod steps;
-mod tally;
 
-pub(super) use inputs::{Input, Inputs, Seen};
-pub(super) use rows::{NavigationLog, NavigationRows};
-pub use tally::NavigationTally;
+pub(super) use inputs::Inputs;
 
-use super::line::{LinkEvent, PropagatedEvent};
+use super::messages::{Input, LinkEvent, NavigationLog, NavigationRows, PropagatedEvent, Seen};
 use super::priority::Rank;
 use super::shared::Shared;
+use super::tally::NavigationTally;
 use super::worker::{Life, Worker};
-use crate::commands::controls::{Controls, Seat, Topic};
+use crate::commands::controls::{Controls, Topic};
 use crate::config::{self, FlightClock, Host};
+use crate::instrument::Role;
 use crate::link::{Connection, Counters, ImuPacket};
 use crate::log::worth_a_line;
 use crate::navigation::{
-    CAMERAS_IN_FLIGHT, Due, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row,
-    Settings, Sighting, Sky, Status, Target, Targets, offset,
+    Due, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row, Settings, Sighting, Sky,
+    Status, Target, Targets, offset,
 };
 use crate::sky::Ephemeris;
 use contradiction::LastingContradiction;
@@ -52,21 +51,12 @@ const MOST_EVENTS: usize = 32;
 /// The archive gets rows of so much time at once.
 const ROWS_S: f64 = 1.0;
 
-/// The name by which the settings know a camera.
-fn camera_name(seat: Seat) -> &'static str {
-    let [first, second, roll, moon] = CAMERAS_IN_FLIGHT;
-    match seat {
-        Seat::PitchYaw => first,
-        Seat::SecondPitchYaw => second,
-        Seat::Roll => roll,
-        Seat::Moon => moon,
-    }
-}
-
 /// What the filter's thread shares with the others. It outlives a thread that fails; the filter does not.
 #[derive(Clone)]
 pub(super) struct Navigator {
     pub settings: Settings,
+    /// The flight's cameras, by name and role.
+    pub cameras: Vec<(String, Role)>,
     pub ephemeris: Ephemeris,
     pub controls: Controls,
     pub to_line: Sender<LinkEvent>,
@@ -127,7 +117,7 @@ impl Navigator {
                 }
             }
             if heard.elapsed() > SILENCE {
-                self.tally.lock().forget();
+                forget(&mut self.tally.lock());
             }
             match inputs.recv_timeout(PATIENCE) {
                 Ok(Input::Imu(sample, read)) => {
@@ -148,6 +138,12 @@ impl Navigator {
         }
         filter.iter_mut().for_each(Filter::hand_rows_on);
     }
+}
+
+/// Nothing is known of now.
+fn forget(tally: &mut NavigationTally) {
+    (tally.status, tally.latest) = (None, None);
+    (tally.differences, tally.agreement) = Default::default();
 }
 
 fn hurried(
@@ -187,12 +183,12 @@ impl<'a> Filter<'a> {
     /// Waits for what comes; `epoch` is about the first sample's time.
     fn new(own: &'a Navigator, epoch: Timestamp) -> Self {
         let settings = &own.settings;
-        let sees = |camera: &crate::navigation::Camera| match camera.name.as_str() {
-            name if name == camera_name(Seat::Roll) => vec![Target::Nadir],
-            name if name == camera_name(Seat::Moon) => vec![Target::Moon],
-            _ => vec![Target::Sun],
-        };
-        let sees: Vec<_> = settings.cameras.iter().map(sees).collect();
+        // One that does not fly sees nothing, whatever it is taken for.
+        let targets = settings.cameras.iter().map(|stated| {
+            let flown = own.cameras.iter().find(|(name, _)| *name == stated.name);
+            flown.map_or(Target::Sun, |(_, role)| Target::of(*role))
+        });
+        let sees: Vec<_> = targets.map(|target| vec![target]).collect();
         let sky = Sky::Ephemeris {
             ephemeris: Box::new(own.ephemeris.clone()),
             epoch,
@@ -292,7 +288,8 @@ impl<'a> Filter<'a> {
 
     fn seen(&mut self, seen: &Seen) {
         let settings = &self.own.settings;
-        let Some(camera) = settings.camera(camera_name(seen.seat)) else {
+        let name = self.own.cameras.get(seen.camera).map(|(name, _)| name);
+        let Some(camera) = name.and_then(|name| settings.camera(name)) else {
             return;
         };
         let t_s = self.since_epoch_s(seen.utc) - settings.cameras[camera].delay_s;

@@ -1,51 +1,8 @@
 //! What the archive keeps of the navigation: the sensors' words as `solaspect navigate` and `refine` read them, and the offsets by the gyros.
 
 use crate::link::ImuPacket;
-use crate::navigation::{Fix, PropagatedOffset, Status, files};
+use crate::navigation::{Fix, PropagatedOffset, Status};
 use jiff::Timestamp;
-use std::collections::VecDeque;
-
-/// A log of the navigation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::service) enum NavigationLog {
-    Imu,
-    Gps,
-    Propagated,
-}
-
-/// Rows of a log, of a second or so.
-#[derive(Debug, Clone, PartialEq)]
-pub(in crate::service) struct NavigationRows {
-    pub log: NavigationLog,
-    pub rows: VecDeque<Vec<String>>,
-}
-
-impl NavigationLog {
-    pub const ALL: [Self; 3] = [Self::Imu, Self::Gps, Self::Propagated];
-
-    /// The first word of its files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Imu => "imu",
-            Self::Gps => "gps",
-            Self::Propagated => "propagated",
-        }
-    }
-
-    /// `t_s` counts from 1970, UTC, as the sensors have said it.
-    pub fn columns(self) -> Vec<&'static str> {
-        match self {
-            Self::Imu => files::IMU.to_vec(),
-            Self::Gps => [&files::GPS[..], &[files::CLIMB]].concat(),
-            Self::Propagated => [
-                &["t_s"][..],
-                &PropagatedOffset::COLUMNS,
-                &["age_s", "status"],
-            ]
-            .concat(),
-        }
-    }
-}
 
 pub(super) fn imu_row(sample: &ImuPacket) -> Vec<String> {
     let numbers = sample.force_m_s2.iter().chain(&sample.rate_rad_s);

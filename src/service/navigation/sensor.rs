@@ -1,13 +1,14 @@
 //! A sensor with a line of its own: the IMU where it does not speak on the controller's, and the GPS receiver. A line that is lost is opened
 //! again.
 
-use super::NavigationTally;
-use super::inputs::{Input, Inputs};
+use super::inputs::Inputs;
 use crate::config::FlightClock;
 use crate::link::{Connection, Direction, Packet, Parser, PortError};
 use crate::log::worth_a_line;
 use crate::navigation::nmea::{Heard, Nmea};
+use crate::service::messages::{Input, TakesSamples};
 use crate::service::shared::Shared;
+use crate::service::tally::NavigationTally;
 use crate::service::worker::Life;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -78,7 +79,7 @@ impl Sensor {
                     let read = Instant::now();
                     for packet in packets.feed(bytes, start.elapsed()) {
                         if let Packet::Telemetry(packet) = packet {
-                            self.inputs.tell_imu(&packet, read);
+                            self.inputs.take_sample(&packet, read);
                         }
                     }
                 }

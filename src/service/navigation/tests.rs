@@ -5,12 +5,12 @@ mod faults;
 
 use super::*;
 use crate::config::{Config, Switch, Value};
+use crate::demo::JudgedOffset;
 use crate::geometry::attitude::Direction;
 use crate::instrument::{self, DEMO_NAVIGATION};
 use crate::link::Propagated;
 use crate::navigation::nmea::{Heard, Nmea, Refusal, TimedFix};
 use crate::pointing::sun_in_telescope;
-use crate::service::demo::JudgedOffset;
 use crate::simulate::navigation::TelescopeFlight;
 use crate::simulate::{FORT_SUMNER, SUN_RADIUS_ARCSEC, Trajectory};
 use crate::units::{ARCSEC_PER_RAD, PlateMil};
@@ -29,7 +29,7 @@ fn settings() -> Settings {
     let path = Path::new("NAV.toml");
     Settings::parse(path, DEMO_NAVIGATION)
         .unwrap()
-        .for_flight(path)
+        .for_flight(path, &Role::table_names())
         .unwrap()
 }
 
@@ -38,6 +38,9 @@ fn navigator(config: Config, to_line: Sender<LinkEvent>) -> (Navigator, Receiver
     let mounting = instrument::builtin("demo").unwrap().mounting;
     let navigator = Navigator {
         settings: settings(),
+        cameras: Role::tables()
+            .map(|(name, role)| (name.into(), role))
+            .collect(),
         ephemeris: Ephemeris::default(),
         controls: Controls::new(config, crate::pointing::Target::default(), mounting),
         to_line,
@@ -150,7 +153,7 @@ fn fly_judged(
             late.push_back((
                 n + 4,
                 Seen {
-                    seat: Seat::PitchYaw,
+                    camera: 0,
                     target: Target::Sun,
                     utc: start + SignedDuration::try_from(since).unwrap(),
                     direction: Direction::new(unit, SUN_ARCSEC / ARCSEC_PER_RAD),
@@ -433,7 +436,10 @@ fn a_file_that_cannot_fly_is_refused_by_its_field() {
     let path = Path::new("NAV.toml");
     let refused = |text: &str| {
         let settings = Settings::parse(path, text).unwrap();
-        settings.for_flight(path).unwrap_err().to_string()
+        settings
+            .for_flight(path, &Role::table_names())
+            .unwrap_err()
+            .to_string()
     };
     let camera = |name: &str, more: &str| {
         format!(

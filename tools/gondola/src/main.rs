@@ -122,10 +122,10 @@ fn sensors(path: &Path, gps: Option<&str>) -> anyhow::Result<Sensors> {
         let key = of("simulation.start_utc");
         format!("{key}: expected a time, so that camera and IMU fly together; found none")
     })?;
-    let Some(Source::Simulated(file)) = &config.camera.source else {
+    let Some(Source::Simulated(file)) = &config.cameras.first().source else {
         bail!("{}: expected a simulated camera", of("camera.source"));
     };
-    let instrument = match &config.camera.instrument {
+    let instrument = match &config.cameras.first().instrument {
         Some(path) => Instrument::read(path)?,
         None => builtin("demo")?,
     };

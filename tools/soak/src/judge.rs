@@ -3,6 +3,7 @@
 use crate::faults::Fault;
 use crate::machine::Sample;
 use crate::rig::{Counts, Rig};
+use solaspect::instrument::Role;
 use solaspect::service::FlightTally;
 use std::time::{Duration, Instant};
 
@@ -183,7 +184,11 @@ impl Trial {
         let of = |count: fn(&FlightTally) -> u64| self.growth(|c| count(&c.tally));
         let exact = [
             ("failed", of(|t| t.camera.failed), cost.failed),
-            ("of another size", of(|t| t.solver.misfits), cost.misfits),
+            (
+                "of another size",
+                of(|t| t.solver(Role::PitchYaw).misfits),
+                cost.misfits,
+            ),
             ("not solved", of(|t| t.camera.lost), 0),
             ("not stored", of(|t| t.counts.unstored), 0),
             ("rows lost", of(|t| t.archive.rows_lost), 0),
@@ -225,7 +230,11 @@ impl Trial {
         if !cost.packets {
             exact.push(("solutions lost", lost.saturating_sub(UNDER_WAY), 0));
             exact.push(("packets not sent", of(|t| t.line.failed), 0));
-            exact.push(("solutions unsent", of(|t| t.solver.unsent), 0));
+            exact.push((
+                "solutions unsent",
+                of(|t| t.solver(Role::PitchYaw).unsent),
+                0,
+            ));
             exact.push(("exposures unannounced", of(|t| t.camera.unannounced), 0));
             exact.push(("faults heard", self.growth(|c| c.heard.faults.total()), 0));
         }

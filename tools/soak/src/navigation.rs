@@ -3,11 +3,11 @@
 use crate::report::say;
 use jiff::Timestamp;
 use solaspect::config::FlightClock;
-use solaspect::instrument::{DEMO_NAVIGATION, Instrument};
+use solaspect::demo::JudgedOffset;
+use solaspect::instrument::{DEMO_NAVIGATION, Instrument, Role};
 use solaspect::link::{Connection, ImuPacket, Propagated, SerialPort};
 use solaspect::navigation::Settings;
 use solaspect::service::Navigation;
-use solaspect::service::demo::JudgedOffset;
 use solaspect::simulate::navigation::{FaultyImu, IMU_FAULTS, ImuFault, TelescopeFlight};
 use solaspect::simulate::sensors::{Sensors, Spoil};
 use solaspect::simulate::{Course, FORT_SUMNER, Piece, Pieces, Trajectory};
@@ -67,7 +67,8 @@ impl Parts {
         let ahead = Timestamp::now().duration_since(start);
         Ok(Self {
             flies: Navigation {
-                settings: Settings::parse(path, DEMO_NAVIGATION)?.for_flight(path)?,
+                settings: Settings::parse(path, DEMO_NAVIGATION)?
+                    .for_flight(path, &Role::table_names())?,
                 settings_toml: DEMO_NAVIGATION.into(),
                 imu: None,
                 gps: Some(Connection::over(near)),

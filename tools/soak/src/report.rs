@@ -6,6 +6,8 @@ use crate::files::LogRows;
 use crate::judge::{Trial, UNDER_WAY};
 use crate::line::Heard;
 use crate::machine::{MemoryLog, Sample};
+use solaspect::aspect::Quality;
+use solaspect::instrument::Role;
 use solaspect::service::{FlightTally, quantile};
 use std::fmt;
 use std::io::{self, Write};
@@ -239,7 +241,7 @@ impl Run {
         let roll = self.roll.as_ref();
         let roll_given = roll.map_or(0, |roll| roll.frames.given);
         let roll_in_files = roll.map_or(0, |roll| roll.in_files);
-        let rolls_solved = tally.rolls_solved();
+        let rolls_solved = tally.solver(Role::Roll).frames();
         let mut wrong = vec![
             (
                 "faults that cost more than they may",
@@ -261,7 +263,10 @@ impl Run {
                 "frames taken, less solved, of another size and lost",
                 difference(
                     tally.counts.taken,
-                    solved + rolls_solved + tally.solver.misfits + tally.camera.lost,
+                    solved
+                        + rolls_solved
+                        + tally.solver(Role::PitchYaw).misfits
+                        + tally.camera.lost,
                 ),
             ),
             ("frames not solved", tally.camera.lost as i64),
@@ -315,7 +320,7 @@ impl Run {
             ),
             (
                 "frames of the horizon that are not fine",
-                roll.frames.given as i64 - tally.counts.roll_fine as i64,
+                roll.frames.given as i64 - tally.solver(Role::Roll).of(Quality::Fine) as i64,
             ),
             ("roll that went out late", i64::from(late)),
         ]

@@ -9,13 +9,13 @@ use crate::machine::{self, MemoryLog};
 use crate::navigation::{self, ImuBench};
 use crate::stderr::Stderr;
 use anyhow::Context;
-use solaspect::archive::{ROLL_CAMERA, Store};
-use solaspect::camera::FrameSource;
+use solaspect::archive::Store;
+use solaspect::camera::{Camera, FrameSource};
 use solaspect::commands::controls::{SavedError, SavedValues};
 use solaspect::config::{Config, Switch};
 use solaspect::fits::Compression;
-use solaspect::instrument::{Instrument, MountedCamera};
-use solaspect::service::{Camera, Flight, FlightTally, Service};
+use solaspect::instrument::{Instrument, MountedCamera, Role, Sees};
+use solaspect::service::{Flight, FlightCamera, FlightTally, Service};
 use std::cell::{Cell, RefCell};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -138,25 +138,25 @@ impl Rig {
             let camera = RingCamera(Arc::clone(&opens));
             Ok(Box::new(camera) as Box<dyn FrameSource>)
         };
-        let camera = Camera {
+        let mut cameras = vec![FlightCamera {
             open: Some(Arc::new(open)),
-            ..Camera::new(parts.instrument.clone(), RingCamera(Arc::clone(&ring)))
-        };
+            ..FlightCamera::of_plate(instrument, RingCamera(Arc::clone(&ring)))
+        }];
         let roll_ring = parts.roll.as_ref().map(|roll| Arc::clone(&roll.ring));
         let roll_frames = roll_ring.as_ref().map(|ring| ring.end());
-        let roll_camera = parts.roll.map(|RollParts { ring, camera }| {
-            Camera::of_horizon(instrument, camera, RingCamera(ring))
-        });
+        cameras.extend(parts.roll.map(|RollParts { ring, camera }| {
+            let camera = Camera::new("roll_camera", Role::Roll, Sees::Horizon(camera));
+            FlightCamera::new(camera, RingCamera(ring))
+        }));
         let flight = Flight {
             config,
             line,
             navigation: flies,
             stores,
-            other_cameras: roll_camera.into_iter().collect(),
-            ..Flight::of(camera)
+            ..Flight::of(cameras)
         };
         let frames = ring.end();
-        let in_roll_folder = parts.roots.iter().map(|root| root.join(ROLL_CAMERA));
+        let in_roll_folder = parts.roots.iter().map(|root| root.join("roll"));
         let roll_files =
             roll_frames.map(|frames| Files::new(in_roll_folder.collect(), parts.keep, frames));
         Ok(Self {

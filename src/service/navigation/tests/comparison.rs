@@ -22,9 +22,14 @@ name = "roll_camera"
 body_from_camera = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
 "#;
 
+/// The cameras, in the order of [`navigator`].
+const SUN: usize = 0;
+const SECOND_SUN: usize = 1;
+const HORIZON: usize = 2;
+
 /// What a camera shows is moved along the telescope's right meanwhile.
 struct Moved {
-    seat: Seat,
+    camera: usize,
     rad: f64,
     time_s: Range<f64>,
 }
@@ -32,7 +37,7 @@ struct Moved {
 impl Moved {
     fn sun(arcsec: f64, time_s: Range<f64>) -> Self {
         Self {
-            seat: Seat::PitchYaw,
+            camera: SUN,
             rad: arcsec / ARCSEC_PER_RAD,
             time_s,
         }
@@ -74,7 +79,7 @@ fn nadir(flown: &mut TelescopeFlight, since: Duration) -> UnitVector3<f64> {
 fn fly_compared(
     duration_s: u64,
     seed: u64,
-    seats: &[Seat],
+    cameras: &[usize],
     is_seen: impl Fn(f64) -> bool,
     moved: &Moved,
 ) -> Compared {
@@ -109,9 +114,9 @@ fn fly_compared(
                 filter.fix(&fix);
             }
         }
-        for seat in seats.iter().filter(|_| n % (rate / FRAMES_HZ) == 0) {
-            let (target, unit, sigma_rad) = match seat {
-                Seat::Roll => {
+        for camera in cameras.iter().filter(|_| n % (rate / FRAMES_HZ) == 0) {
+            let (target, unit, sigma_rad) = match *camera {
+                HORIZON => {
                     let sigma_rad = NADIR_DEG.to_radians();
                     (Target::Nadir, nadir(&mut flown, since), sigma_rad)
                 }
@@ -124,14 +129,14 @@ fn fly_compared(
                 continue;
             }
             let mut error = Vector3::from_fn(|_, _| sigma_rad * normal());
-            if *seat == moved.seat && moved.time_s.contains(&t_s) {
+            if *camera == moved.camera && moved.time_s.contains(&t_s) {
                 error.y += moved.rad;
             }
             let unit = UnitVector3::new_normalize(unit.into_inner() + error);
             late.push_back((
                 n + LATE,
                 Seen {
-                    seat: *seat,
+                    camera: *camera,
                     target,
                     utc: start + SignedDuration::try_from(since).unwrap(),
                     direction: Direction::new(unit, sigma_rad),
@@ -169,8 +174,8 @@ fn fly_clean(duration_s: u64, seeds: u64) {
     let never = Moved::sun(0.0, 0.0..0.0);
     let mut sigmas: [Vec<f64>; 3] = Default::default();
     for seed in 1..=seeds {
-        let seats = [Seat::PitchYaw, Seat::Roll];
-        let compared = fly_compared(duration_s, seed, &seats, with_gaps, &never);
+        let cameras = [SUN, HORIZON];
+        let compared = fly_compared(duration_s, seed, &cameras, with_gaps, &never);
         assert_eq!(compared.span_s(Agreement::Beyond), None, "{seed}");
         assert_eq!(
             (compared.tally.contradicted, compared.tally.restarts),
@@ -203,9 +208,9 @@ fn cameras_and_gyros_of_an_hour_agree_in_its_whole_length_by_their_own_sigmas() 
 #[test]
 fn a_sun_that_is_moved_contradicts_the_gyros_after_10_s_and_until_the_first_frame_that_is_not() {
     for (seed, arcsec) in [(1, 100.0), (2, -100.0)] {
-        let seats = [Seat::PitchYaw, Seat::Roll];
+        let cameras = [SUN, HORIZON];
         let moved = Moved::sun(arcsec, 60.0..90.0);
-        let compared = fly_compared(150, seed, &seats, |_| true, &moved);
+        let compared = fly_compared(150, seed, &cameras, |_| true, &moved);
         let (begin_s, beyond_s) = compared.span_s(Agreement::Beyond).unwrap();
         let (found_s, over_s) = compared.span_s(Agreement::LastingContradiction).unwrap();
         println!("beyond {begin_s} to {beyond_s}, found {found_s} to {over_s}");
@@ -232,7 +237,7 @@ fn a_sun_that_is_moved_contradicts_the_gyros_after_10_s_and_until_the_first_fram
 #[test]
 fn a_sun_that_is_moved_for_less_than_10_s_is_no_lasting_contradiction() {
     let moved = Moved::sun(100.0, 60.0..69.9);
-    let compared = fly_compared(100, 3, &[Seat::PitchYaw, Seat::Roll], |_| true, &moved);
+    let compared = fly_compared(100, 3, &[SUN, HORIZON], |_| true, &moved);
     assert!(compared.span_s(Agreement::Beyond).is_some());
     assert_eq!(compared.span_s(Agreement::LastingContradiction), None);
     assert_eq!(compared.tally.contradicted, 0);
@@ -242,7 +247,7 @@ fn a_sun_that_is_moved_for_less_than_10_s_is_no_lasting_contradiction() {
 fn a_camera_that_stays_moved_is_compared_with_what_the_filter_has_made_of_it_after_ten_minutes() {
     // The sigma of the gyros' own drift would hide 100 arcsec before that.
     let moved = Moved::sun(2000.0, 60.0..f64::INFINITY);
-    let compared = fly_compared(700, 4, &[Seat::PitchYaw, Seat::Roll], |_| true, &moved);
+    let compared = fly_compared(700, 4, &[SUN, HORIZON], |_| true, &moved);
     let (found_s, _) = compared.span_s(Agreement::LastingContradiction).unwrap();
     assert!(near(found_s, 70.0));
     let at = |t_s: f64| {
@@ -257,11 +262,11 @@ fn a_camera_that_stays_moved_is_compared_with_what_the_filter_has_made_of_it_aft
 #[test]
 fn a_horizon_that_is_moved_contradicts_the_roll_though_the_filter_begins_anew() {
     let moved = Moved {
-        seat: Seat::Roll,
+        camera: HORIZON,
         rad: 0.5f64.to_radians(),
         time_s: 60.0..90.0,
     };
-    let compared = fly_compared(120, 5, &[Seat::PitchYaw, Seat::Roll], |_| true, &moved);
+    let compared = fly_compared(120, 5, &[SUN, HORIZON], |_| true, &moved);
     let (found_s, over_s) = compared.span_s(Agreement::LastingContradiction).unwrap();
     println!("found {found_s} to {over_s}; {:?}", compared.tally);
     assert!(compared.tally.restarts > 0);
@@ -271,11 +276,11 @@ fn a_horizon_that_is_moved_contradicts_the_roll_though_the_filter_begins_anew() 
 #[test]
 fn one_of_two_cameras_that_is_moved_is_found_beside_one_that_agrees() {
     let moved = Moved {
-        seat: Seat::SecondPitchYaw,
+        camera: SECOND_SUN,
         ..Moved::sun(100.0, 60.0..90.0)
     };
-    let seats = [Seat::PitchYaw, Seat::SecondPitchYaw, Seat::Roll];
-    let compared = fly_compared(120, 6, &seats, |_| true, &moved);
+    let cameras = [SUN, SECOND_SUN, HORIZON];
+    let compared = fly_compared(120, 6, &cameras, |_| true, &moved);
     let (found_s, over_s) = compared.span_s(Agreement::LastingContradiction).unwrap();
     println!("found {found_s} to {over_s}; {:?}", compared.tally);
     assert!(near(found_s, 70.0) && near(over_s + 0.01, 90.0));

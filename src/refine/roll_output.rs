@@ -1,7 +1,7 @@
 //! What a refinement leaves of the roll camera: `roll.fits`, `roll.csv`, `roll.json`.
 
-use super::super::output::{Counts, OutputError, write_json, write_table};
-use super::{ROLL, ROLL_COLUMNS, RollHistory, RollRecipe, RollRow};
+use super::output::{Counts, OutputError, write_json, write_table};
+use super::roll::{ROLL, ROLL_COLUMNS, RollHistory, RollRecipe, RollRow, kind};
 use crate::archive::{CONFIGURATION, INSTRUMENT};
 use crate::columns;
 use crate::estimation::median;
@@ -83,10 +83,4 @@ pub fn write_roll(
     };
     write_json(&folder.join("roll.json"), &summary)?;
     Ok(summary)
-}
-
-/// A remark without its numbers.
-pub(super) fn kind(remark: &str) -> String {
-    let kind = remark.split_once(" (measured");
-    kind.map_or(remark, |(kind, _)| kind).into()
 }

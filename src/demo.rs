@@ -1,20 +1,21 @@
 //! The whole system on one machine with nothing attached: simulated cameras of Sun and horizon, the real service, a real archive, and
 //! a simulated controller at the other end of a pseudo-terminal.
 
-use super::tally::{FlightTally, quantile};
-use super::{Answer, Camera, Flight, Navigation, Service};
 use crate::archive::Store;
 use crate::aspect::Quality;
-use crate::camera::{SimulatedCamera, SimulatedSky, SkyView, TruthLog};
+use crate::camera::{Camera, Settings, SimulatedCamera, TruthLog, View};
 use crate::config::{Config, FlightClock, Switch};
 use crate::fits::Compression;
 use crate::instrument::{
-    self, DEMO_HORIZON, DEMO_NAVIGATION, Instrument, MountedCamera, builtin_text,
+    self, DEMO_HORIZON, DEMO_NAVIGATION, Instrument, MountedCamera, Role, Sees, builtin_text,
 };
 use crate::link::{
     AnyPort, BytePort, Connection, Message, PortError, Propagated, SerialPort, Solution,
 };
 use crate::navigation;
+use crate::service::{
+    Answer, Flight, FlightCamera, FlightTally, Found, Navigation, Service, quantile,
+};
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::earth::SwingingGondola;
 use crate::simulate::navigation::{TelescopeFlight, TelescopeTruth};
@@ -25,10 +26,11 @@ use anyhow::anyhow;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::{Timestamp, civil};
 use std::fmt;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 /// What a demonstration is made of.
@@ -152,52 +154,23 @@ pub fn run(
 ) -> anyhow::Result<Summary> {
     let instrument = instrument::builtin("demo")?;
     let start = launch_day()?;
-    let camera = camera(demo, &instrument, start)?;
-    let truth = camera.truth();
-    let (roll_camera, gondola) = roll_camera(demo, &instrument, start)?;
+    let (cameras, truth, gondola) = cameras(demo, &instrument, start)?;
     let (near, line) = SerialPort::pair()?;
-    let mut far = Relayed { line, ground };
     let (gps_near, gps_far) = SerialPort::pair()?;
-    let sensors = Sensors::new(
-        telescope(demo, &instrument, start)?,
-        Some(Box::new(gps_far)),
-        Duration::ZERO,
-    );
+    let gps = Some(Box::new(gps_far) as Box<dyn BytePort + Send>);
+    let sensors = Sensors::new(telescope(demo, &instrument, start)?, gps, Duration::ZERO);
     let store = Store::open(&demo.archive, &instrument.name, Compression::Rice)?;
-    let mut config = Config::default();
-    config.camera.rate_hz = demo.rate_hz;
-    config.navigation.send = Switch::On;
     let arcsec_per_mil = instrument.optics.arcsec_per_mil();
     let flight = Flight {
-        config,
+        config: configuration(demo),
         line: Connection::over(near),
         stores: vec![store],
         navigation: Some(navigation(Connection::over(gps_near), start)?),
-        other_cameras: vec![roll_camera],
-        ..Flight::of(Camera {
-            instrument_toml: builtin_text("demo").map(str::to_owned),
-            ..Camera::new(instrument.clone(), camera)
-        })
+        ..Flight::of(cameras)
     };
     let received = Arc::new(Mutex::new(None));
     let over = Arc::new(AtomicBool::new(false));
-    let controller = {
-        let (received, over) = (Arc::clone(&received), Arc::clone(&over));
-        thread::Builder::new()
-            .name("controller".into())
-            .spawn(move || {
-                let heard = |message: &Message| {
-                    if let Message::Solution(solution) = message {
-                        *received.lock().unwrap_or_else(PoisonError::into_inner) = Some(*solution);
-                    }
-                };
-                let mut controller = Controller::new().with_sensors(sensors);
-                let over = || over.load(Ordering::Relaxed);
-                let report = controller.run(&mut far, over, heard).cloned();
-                // The far ends, of which the controller holds the receiver's, go back with the report: hanging up first is the service's part.
-                report.map(|report| (report, (far, controller)))
-            })?
-    };
+    let controller = control(Relayed { line, ground }, sensors, &received, &over)?;
     let (service, answers) = Service::start_watched(flight)?;
     let mut judge = Judge {
         truth,
@@ -208,7 +181,7 @@ pub fn run(
         false_suns: 0,
     };
     watch(&service, &answers, stopped, |answer| {
-        if answer.horizon.is_some() {
+        if let Found::Nadir(_) = answer.solved.found {
             return judge.hear_horizon(&answer);
         }
         judge.hear(&answer);
@@ -246,16 +219,72 @@ fn launch_day() -> anyhow::Result<Timestamp> {
     Ok(jiff::tz::Offset::UTC.to_timestamp(noon)?)
 }
 
-fn camera(
+/// The controller's thread, which gives its ends of the lines back with its report: hanging up first is the service's part.
+fn control(
+    mut far: Relayed,
+    sensors: Sensors,
+    received: &Arc<Mutex<Option<Solution>>>,
+    over: &Arc<AtomicBool>,
+) -> io::Result<JoinHandle<Result<(Report, (Relayed, Controller)), PortError>>> {
+    let (received, over) = (Arc::clone(received), Arc::clone(over));
+    let run = move || {
+        let heard = |message: &Message| {
+            if let Message::Solution(solution) = message {
+                *received.lock().unwrap_or_else(PoisonError::into_inner) = Some(*solution);
+            }
+        };
+        let mut controller = Controller::new().with_sensors(sensors);
+        let over = || over.load(Ordering::Relaxed);
+        let report = controller.run(&mut far, over, heard).cloned();
+        report.map(|report| (report, (far, controller)))
+    };
+    thread::Builder::new().name("controller".into()).spawn(run)
+}
+
+fn configuration(demo: &Demo) -> Config {
+    let mut config = Config::default();
+    config.cameras.first_mut().rate_hz = demo.rate_hz;
+    config.navigation.send = Switch::On;
+    config
+}
+
+/// The camera of the plate with its truth, and the roll camera with the gondola on which it swings.
+fn cameras(
     demo: &Demo,
     instrument: &Instrument,
     start: Timestamp,
-) -> anyhow::Result<SimulatedCamera> {
+) -> anyhow::Result<(Vec<FlightCamera>, TruthLog, SwingingGondola)> {
+    let config = configuration(demo);
+    let simulated = |view, settings: &Settings| {
+        SimulatedCamera::new(view, settings, start, Some(demo.duration))
+    };
     let course = trajectory(demo, instrument, start)?;
     let radius_mil = radius_mil(instrument, start)?;
     let scenes = FlightScenes::new(instrument, course, radius_mil, demo.seed)?;
-    let camera = SimulatedCamera::new(scenes, demo.rate_hz, start, Some(demo.duration));
-    Ok(camera)
+    let sun = simulated(
+        View::Plate(Box::new(scenes)),
+        &config.cameras.first().settings(),
+    );
+    let truth = sun.truth();
+    let plate = Camera {
+        toml: builtin_text("demo").map(str::to_owned),
+        ..Camera::of_plate(instrument.clone())
+    };
+    let mounted = MountedCamera::parse(Path::new("demo-horizon"), DEMO_HORIZON)?;
+    let gondola = SwingingGondola::new(&mounted, &FORT_SUMNER, demo.seed);
+    let horizon = simulated(
+        View::Horizon(Box::new(gondola.clone())),
+        &Settings::default(),
+    );
+    let roll = Camera {
+        toml: Some(DEMO_HORIZON.into()),
+        ..Camera::new("roll_camera", Role::Roll, Sees::Horizon(mounted))
+    };
+    let cameras = vec![
+        FlightCamera::new(plate, sun),
+        FlightCamera::new(roll, horizon),
+    ];
+    Ok((cameras, truth, gondola))
 }
 
 fn trajectory(
@@ -293,31 +322,13 @@ fn telescope(
 fn navigation(gps: Connection, start: Timestamp) -> anyhow::Result<Navigation> {
     let path = Path::new("demo-nav");
     Ok(Navigation {
-        settings: navigation::Settings::parse(path, DEMO_NAVIGATION)?.for_flight(path)?,
+        settings: navigation::Settings::parse(path, DEMO_NAVIGATION)?
+            .for_flight(path, &Role::table_names())?,
         settings_toml: DEMO_NAVIGATION.into(),
         imu: None,
         gps: Some(gps),
         clock: FlightClock::starting(start),
     })
-}
-
-/// A camera that sees the horizon, and the gondola on which it swings.
-fn roll_camera(
-    demo: &Demo,
-    instrument: &Instrument,
-    start: Timestamp,
-) -> anyhow::Result<(Camera, SwingingGondola)> {
-    let text = DEMO_HORIZON;
-    let mounted = MountedCamera::parse(Path::new("demo-horizon"), text)?;
-    let gondola = SwingingGondola::new(&mounted, &FORT_SUMNER, demo.seed);
-    let settings = Config::default().roll_camera.settings();
-    let view = SkyView::Horizon(Box::new(gondola.clone()));
-    let source = SimulatedSky::new(view, &settings, start, Some(demo.duration));
-    let camera = Camera {
-        instrument_toml: Some(text.into()),
-        ..Camera::of_horizon(instrument.clone(), mounted, source)
-    };
-    Ok((camera, gondola))
 }
 
 fn watch(
@@ -351,19 +362,19 @@ struct Judge {
 impl Judge {
     fn hear_horizon(&mut self, answer: &Answer) {
         let since_start = answer.exposure.frame.info.monotonic;
-        if let Some((roll_deg, since_start)) = answer.roll_deg.zip(since_start) {
-            let error_deg = roll_deg.value - self.gondola.roll_deg(since_start);
+        if let Some((roll, since_start)) = answer.solved.roll.zip(since_start) {
+            let error_deg = roll.deg.value - self.gondola.roll_deg(since_start);
             self.roll_errors_deg.push(error_deg.abs());
         }
     }
 
     fn hear(&mut self, answer: &Answer) {
         let number = answer.exposure.frame.info.number;
-        let Some(aspect) = &answer.solution.aspect else {
+        let Some(aspect) = answer.sun().and_then(|sun| sun.solution.aspect.as_ref()) else {
             return;
         };
         match number.and_then(|number| self.truth.of(number)) {
-            Some(Some(sun)) if answer.solution.quality == Quality::Fine => {
+            Some(Some(sun)) if answer.solved.quality == Quality::Fine => {
                 let error_mil = aspect.sun_plate.position.distance(sun.plate);
                 self.fine_errors_arcsec
                     .push(error_mil * self.arcsec_per_mil);

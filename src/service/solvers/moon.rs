@@ -1,58 +1,31 @@
-//! The Moon camera's solver: a frame of the night sky in, the Moon's place and direction out.
+//! The solver of a Moon camera: a frame of the night sky in, the Moon's place and direction out.
 
-use super::answer::{Answer, SolvedMoon};
-use super::flight::{Station, UnsolvedFrame};
-use super::outlet::Outlet;
-use super::shared::Shared;
-use super::tally::MoonTally;
-use super::worker::Life;
-use crate::aspect;
+use super::{Solver, timed};
+use crate::aspect::Quality;
 use crate::camera::Brightness;
 use crate::commands::controls::Snapshot;
 use crate::frame::{self, Frame, Region};
-use crate::instrument::DirectionCamera;
+use crate::geometry::attitude::Direction;
+use crate::instrument::{DirectionCamera, WrongSize};
 use crate::link::MoonSight;
 use crate::link::moon::{BELOW_HORIZON, FIRST_STAGE, MoonFix, NEAR_SUN, WRONG_SIZE};
-use crate::log::worth_a_line;
 use crate::moon::{
     self, Disc, Expected, Levels, Optics, Settings, Shading, Stage, Stopped, bright_dn,
 };
 use crate::reasons::{at, moon as reasons};
+use crate::service::messages::{Found, MoonDesk, SeenMoon, Solved, SolvedMoon, UnsolvedFrame};
+use crate::service::shared::Shared;
+use crate::service::tally::SolverTally;
 use crate::sky::{Ephemeris, MoonPosition};
 use crate::units::{Place, Rejected};
-use crossbeam_channel::Receiver;
 use jiff::Timestamp;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
-use std::time::Instant;
 
-/// What the line asks of the Moon camera, and what that has seen last.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct MoonDesk {
-    /// Where the platform was at the latest request.
-    pub asked_from: Option<Place>,
-    pub seen: Option<SeenMoon>,
-}
-
-/// What came of the Moon camera's last frame.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct SeenMoon {
-    /// When its exposure began.
-    pub began: Instant,
-    pub sight: MoonSight,
-    /// Whether the Sun was below the horizon; `None` where time or place is not known.
-    pub is_night: Option<bool>,
-}
-
-#[derive(Clone)]
 pub(super) struct MoonSolver {
-    pub station: Arc<Station>,
-    pub camera: DirectionCamera,
-    pub ephemeris: Ephemeris,
-    pub outlet: Outlet,
-    pub cameras_ended: Arc<AtomicBool>,
-    pub desk: Shared<MoonDesk>,
-    pub tally: Shared<MoonTally>,
+    camera: DirectionCamera,
+    ephemeris: Ephemeris,
+    desk: Shared<MoonDesk>,
+    /// At the last frame; `None` where its time or place is not known.
+    is_night: Option<bool>,
 }
 
 /// Where the ephemeris has Moon and Sun, and whether the Moon can be seen.
@@ -63,51 +36,12 @@ struct Heavens {
 }
 
 impl MoonSolver {
-    /// Solves until the camera ends, or another thread has taken over.
-    pub fn run(mut self, frames: &Receiver<UnsolvedFrame>, life: &Life) {
-        while let Some(mut frame) = UnsolvedFrame::next(frames, &self.cameras_ended, life) {
-            let began = frame.began();
-            let snapshot = self.outlet.controls.snapshot();
-            let asked_from = self.desk.lock().asked_from;
-            let info = &mut frame.exposure.frame.info;
-            // The platform knows best; the file tells the place that its answer rests on.
-            info.place = asked_from.or(info.place).or(snapshot.place);
-            let utc = info.mid_exposure;
-            let start = Instant::now();
-            let heavens = utc
-                .zip(info.place)
-                .and_then(|(utc, place)| self.heavens(utc, place, &snapshot));
-            let found = self.solve(&frame.exposure.frame, heavens.as_ref());
-            let solve_time = start.elapsed();
-            if life.is_over() {
-                return;
-            }
-            let is_night = heavens.map(|heavens| heavens.is_night);
-            self.desk.lock().seen = Some(SeenMoon {
-                began,
-                sight: self.sight(&found, utc.unwrap_or_else(Timestamp::now)),
-                is_night,
-            });
-            self.note(&found);
-            let (levels, brightness) = light(&frame.exposure.frame, &found);
-            let direction = found.as_ref().ok().and_then(|disc| self.direction(disc));
-            let answer = Answer {
-                station: Arc::clone(&self.station),
-                exposure: Arc::new(frame.exposure),
-                solution: Arc::new(aspect::Solution {
-                    levels,
-                    ..aspect::Solution::none()
-                }),
-                offset: None,
-                horizon: None,
-                moon: Some(Arc::new(SolvedMoon { found, direction })),
-                roll_deg: None,
-                roll_arrived: None,
-                target: snapshot.target,
-                solve_time,
-                to_be_stored: self.outlet.stores(&self.station),
-            };
-            self.outlet.hand_on(answer, brightness);
+    pub fn new(camera: DirectionCamera, ephemeris: Ephemeris, desk: Shared<MoonDesk>) -> Self {
+        Self {
+            camera,
+            ephemeris,
+            desk,
+            is_night: None,
         }
     }
 
@@ -125,7 +59,7 @@ impl MoonSolver {
     }
 
     /// The Moon in a frame. One of another size than the camera's, or taken while the Moon cannot be seen, is stored and not searched.
-    fn solve(&self, frame: &Frame, heavens: Option<&Heavens>) -> Result<Disc, Stopped> {
+    fn disc(&self, frame: &Frame, heavens: Option<&Heavens>) -> Result<Disc, Stopped> {
         if let Err(wrong) = self.camera.check(frame) {
             return Err(at(Stage::Light)(Rejected {
                 reason: reasons::WRONG_SIZE,
@@ -144,7 +78,7 @@ impl MoonSolver {
         moon::solve(&settings, frame, &expected)
     }
 
-    fn direction(&self, disc: &Disc) -> Option<crate::geometry::attitude::Direction> {
+    fn direction(&self, disc: &Disc) -> Option<Direction> {
         self.camera.lens.direction(&disc.centre)
     }
 
@@ -178,31 +112,59 @@ impl MoonSolver {
             },
         }
     }
+}
 
-    fn note(&self, found: &Result<Disc, Stopped>) {
-        let mut tally = self.tally.lock();
-        let Stopped { stage, rejected } = match found {
-            Ok(disc) => {
-                *tally.solved.entry(disc.quality).or_default() += 1;
-                return;
-            }
-            Err(stopped) => stopped,
-        };
-        let count = tally.reasons.entry((*stage, rejected.reason)).or_default();
-        *count += 1;
-        if worth_a_line(*count) {
-            let (reason, frames) = (rejected.reason.sentence, *count);
-            let (measured, limit) = (rejected.measured, rejected.limit);
-            match stage {
-                Stage::Sky => {
-                    tracing::info!(reason, measured, limit, frames, "the Moon cannot be seen");
-                }
-                _ => {
-                    let stage = stage.name();
-                    tracing::warn!(stage, reason, measured, limit, frames, "no Moon");
-                }
-            }
+impl Solver for MoonSolver {
+    fn solve(
+        &mut self,
+        frame: &mut UnsolvedFrame,
+        commanded: &Snapshot,
+    ) -> Result<Solved, WrongSize> {
+        let asked_from = self.desk.lock().asked_from;
+        let frame = &mut frame.exposure.frame;
+        let info = &mut frame.info;
+        // The platform knows best; the file tells the place that its answer rests on.
+        info.place = asked_from.or(info.place).or(commanded.place);
+        let known = info.mid_exposure.zip(info.place);
+        let ((heavens, found), solve_time) = timed(|| {
+            let heavens = known.and_then(|(utc, place)| self.heavens(utc, place, commanded));
+            let found = self.disc(frame, heavens.as_ref());
+            (heavens, found)
+        });
+        self.is_night = heavens.map(|heavens| heavens.is_night);
+        let (levels, brightness) = light(frame, &found);
+        let disc = found.as_ref().ok();
+        Ok(Solved {
+            quality: match disc.map(|disc| disc.quality) {
+                Some(moon::Quality::Fine) => Quality::Fine,
+                Some(moon::Quality::Coarse) => Quality::Coarse,
+                None => Quality::None,
+            },
+            stopped: found.as_ref().err().map(Stopped::named),
+            levels,
+            brightness,
+            roll: None,
+            solve_time,
+            found: Found::Moon(Box::new(SolvedMoon {
+                direction: disc.and_then(|disc| self.direction(disc)),
+                found,
+            })),
+        })
+    }
+
+    fn leave(&mut self, frame: &UnsolvedFrame, solved: &Solved, _: &mut SolverTally) {
+        if let Found::Moon(moon) = &solved.found {
+            let utc = frame.exposure.frame.info.mid_exposure;
+            self.desk.lock().seen = Some(SeenMoon {
+                began: frame.began(),
+                sight: self.sight(&moon.found, utc.unwrap_or_else(Timestamp::now)),
+                is_night: self.is_night,
+            });
         }
+    }
+
+    fn complaint(&self, stage: &str) -> Option<&'static str> {
+        (stage != Stage::Sky.name()).then_some("no Moon")
     }
 }
 

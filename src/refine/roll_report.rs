@@ -1,9 +1,9 @@
 //! The roll camera's part of the report.
 
-use super::super::record::Grade;
-use super::super::report::{Reasons, Report, source};
-use super::output::kind;
-use super::{RollRecipe, RollRow, RollSummary};
+use super::record::Grade;
+use super::report::{Reasons, Report, source};
+use super::roll::{RollRecipe, RollRow, kind};
+use super::roll_output::RollSummary;
 use crate::archive::ArchiveReader;
 use crate::horizon;
 use crate::report::plot::{self, Labels, Mark, Series};

@@ -1,0 +1,57 @@
+//! Which camera of a flight takes the frames.
+
+use crate::instrument::role::of_several;
+use crate::instrument::{Instrument, Role, Sees};
+use std::path::PathBuf;
+
+/// A camera of a flight.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Camera {
+    /// Its table in the configuration.
+    pub name: String,
+    pub role: Role,
+    pub sees: Sees,
+    /// The file that states what it sees, letter by letter; `None` where none does.
+    pub toml: Option<String>,
+    /// What its frames and logs are named by, and its instrument in headers.
+    pub label: String,
+    /// Of its frames and logs under the archive's root; empty for the root itself.
+    pub folder: PathBuf,
+}
+
+impl Camera {
+    /// The first camera of its role. One that sees no plate has a folder of its own.
+    pub fn new(name: &str, role: Role, sees: Sees) -> Self {
+        let label = role.label(1);
+        let folder = label.as_deref().unwrap_or_default().into();
+        let instrument = sees.plate().map(|instrument| instrument.name.clone());
+        Self {
+            name: name.into(),
+            role,
+            label: label.or(instrument).unwrap_or_else(|| name.into()),
+            folder,
+            sees,
+            toml: None,
+        }
+    }
+
+    /// The first pitch-yaw camera.
+    pub fn of_plate(instrument: Instrument) -> Self {
+        Self::new("camera", Role::PitchYaw, Sees::Plate(Box::new(instrument)))
+    }
+}
+
+/// Labels cameras that fly together, each otherwise than those before it.
+pub fn tell_apart(cameras: &mut [Camera]) {
+    for index in 0..cameras.len() {
+        let (before, rest) = cameras.split_at_mut(index);
+        let camera = &mut rest[0];
+        let shared = camera.label.clone();
+        let is_taken = |label: &String| before.iter().any(|other| other.label == *label);
+        let labels = (1..).map(|ordinal| of_several(&shared, ordinal));
+        camera.label = { labels }.find(|label| !is_taken(label)).unwrap_or(shared);
+        if let Sees::Plate(instrument) = &mut camera.sees {
+            instrument.name.clone_from(&camera.label);
+        }
+    }
+}

@@ -1,0 +1,195 @@
+//! What cameras are for: each role once, with all of its names.
+
+/// What a camera of a flight is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Role {
+    /// It sees the plate: the controller hears of it.
+    PitchYaw,
+    /// It sees the horizon.
+    Roll,
+    Moon,
+}
+
+/// The names of a role.
+struct Names {
+    role: Role,
+    /// In the configuration.
+    name: &'static str,
+    in_words: &'static str,
+    /// The tables of the configuration whose cameras have this role unless they say otherwise.
+    tables: &'static [&'static str],
+    /// Frames, folders and logs of its camera, and its instrument in headers; none where the instrument has a name of its own.
+    label: Option<&'static str>,
+    /// Its first camera on the line.
+    number: u8,
+}
+
+const ROLES: [Names; Role::COUNT] = [
+    Names {
+        role: Role::PitchYaw,
+        name: "pitch_yaw",
+        in_words: "pitch-yaw camera",
+        tables: &["camera", "second_camera"],
+        label: None,
+        number: 1,
+    },
+    Names {
+        role: Role::Roll,
+        name: "roll",
+        in_words: "roll camera",
+        tables: &["roll_camera"],
+        label: Some("roll"),
+        number: 6,
+    },
+    Names {
+        role: Role::Moon,
+        name: "moon",
+        in_words: "Moon camera",
+        tables: &["moon_camera"],
+        label: Some("moon"),
+        number: 7,
+    },
+];
+
+/// Pitch-yaw cameras have the numbers from 1 to this on the line; further cameras of other roles those above [`Role::LAST`].
+const MOST_PITCH_YAW: u8 = 5;
+
+impl Role {
+    pub const COUNT: usize = 3;
+    pub const KINDS: [Self; Self::COUNT] = [Self::PitchYaw, Self::Roll, Self::Moon];
+    pub const NAMES: [&'static str; Self::COUNT] = [ROLES[0].name, ROLES[1].name, ROLES[2].name];
+    /// The largest number on the line of a role's first camera.
+    const LAST: u8 = 7;
+
+    fn names(self) -> &'static Names {
+        &ROLES[self as usize]
+    }
+
+    pub fn name(self) -> &'static str {
+        self.names().name
+    }
+
+    pub fn in_words(self) -> &'static str {
+        self.names().in_words
+    }
+
+    /// The configuration's tables of cameras that need not state their role.
+    pub fn tables() -> impl Iterator<Item = (&'static str, Self)> {
+        let tables = |names: &'static Names| names.tables.iter().map(|table| (*table, names.role));
+        ROLES.iter().flat_map(tables)
+    }
+
+    /// The names of these tables.
+    pub fn table_names() -> Vec<&'static str> {
+        Self::tables().map(|(table, _)| table).collect()
+    }
+
+    /// The table of its `ordinal`-th camera (from 1), where that is one of those.
+    pub fn table(self, ordinal: usize) -> Option<&'static str> {
+        let tables = self.names().tables;
+        tables.get(ordinal.checked_sub(1)?).copied()
+    }
+
+    /// What the frames of its `ordinal`-th camera (from 1) are named by; `None` where the instrument names them.
+    pub fn label(self, ordinal: usize) -> Option<String> {
+        Some(of_several(self.names().label?, ordinal))
+    }
+
+    /// The role and the ordinal of a camera whose frames are named so; `None` of the name of an instrument.
+    pub fn labelled(name: &str) -> Option<(Self, usize)> {
+        let (label, ordinal) = one_of_several(name);
+        let names = ROLES.iter().find(|names| names.label == Some(label))?;
+        Some((names.role, ordinal))
+    }
+
+    /// Numbers on the line of cameras of these roles, in their order. Those of a role's first camera are always the same.
+    pub fn numbers(roles: &[Self]) -> Vec<u8> {
+        let mut further = Self::LAST;
+        let mut number = |(index, role): (usize, &Self)| {
+            let before = roles[..index].iter().filter(|other| *other == role).count() as u8;
+            let first = role.names().number;
+            match role {
+                _ if before == 0 => first,
+                Self::PitchYaw if first + before <= MOST_PITCH_YAW => first + before,
+                _ => {
+                    further += 1;
+                    further
+                }
+            }
+        };
+        roles.iter().enumerate().map(|one| number(one)).collect()
+    }
+
+    /// What a camera of a number on the line is called, where the number alone tells.
+    pub fn numbered(number: u8) -> Option<String> {
+        let is_one = |names: &&Names| names.number == number;
+        match ROLES.iter().find(is_one) {
+            Some(names) => Some(names.in_words.into()),
+            None if number == 2 => Some(format!("second {}", Self::PitchYaw.in_words())),
+            None => None,
+        }
+    }
+
+    /// Its first camera's number on the line.
+    pub fn number(self) -> u8 {
+        self.names().number
+    }
+}
+
+/// The name of one of several cameras that would be called the same, by its ordinal from 1.
+pub fn of_several(name: &str, ordinal: usize) -> String {
+    match ordinal {
+        ..=1 => name.into(),
+        _ => format!("{name}-{ordinal}"),
+    }
+}
+
+/// The name that such cameras share, and the ordinal.
+pub fn one_of_several(name: &str) -> (&str, usize) {
+    let split = name.rsplit_once('-').and_then(|(shared, number)| {
+        let ordinal = number.parse().ok().filter(|ordinal| *ordinal > 1)?;
+        // As `of_several` writes it.
+        (number.starts_with(|c: char| c.is_ascii_digit() && c != '0')).then_some((shared, ordinal))
+    });
+    split.unwrap_or((name, 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Role::{Moon, PitchYaw, Roll};
+
+    #[test]
+    fn a_row_of_the_table_stands_at_its_roles_place() {
+        for role in Role::KINDS {
+            assert_eq!(role.names().role, role);
+            assert!(role.number() <= Role::LAST);
+        }
+    }
+
+    #[test]
+    fn a_roles_first_camera_has_its_own_number_and_no_two_cameras_have_the_same() {
+        let usual = [PitchYaw, PitchYaw, Roll, Moon];
+        assert_eq!(Role::numbers(&usual), [1, 2, 6, 7]);
+        assert_eq!(Role::numbers(&[PitchYaw, Roll, Roll, Moon]), [1, 6, 8, 7]);
+        let mut many = Role::numbers(&[PitchYaw, PitchYaw, Roll, Roll, PitchYaw, Moon, Moon]);
+        assert_eq!(many, [1, 2, 6, 8, 3, 7, 9]);
+        many.sort_unstable();
+        many.dedup();
+        assert_eq!(many.len(), 7);
+    }
+
+    #[test]
+    fn a_label_tells_role_and_ordinal() {
+        for (role, ordinal) in [(Roll, 1), (Roll, 2), (Moon, 1), (Moon, 12)] {
+            let label = role.label(ordinal).unwrap();
+            assert_eq!(Role::labelled(&label), Some((role, ordinal)));
+        }
+        for instrument in [
+            "pyas-f", "rollo", "roll-x", "roll-1", "roll-02", "demo-2", "",
+        ] {
+            assert_eq!(Role::labelled(instrument), None, "{instrument}");
+        }
+        assert_eq!(PitchYaw.label(1), None);
+    }
+}

@@ -1,0 +1,102 @@
+//! What a camera of a flight sees, by its file.
+
+use super::{Dated, DirectionCamera, Instrument, MountedCamera, Role, TomlError, text_of};
+use crate::frame::Frame;
+use std::path::Path;
+
+/// What a camera sees, and what that is found with.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Sees {
+    /// The Sun on the plate.
+    Plate(Box<Instrument>),
+    /// The horizon, for roll.
+    Horizon(MountedCamera),
+    Moon(DirectionCamera),
+    /// No file says what: its frames are stored, and not solved.
+    Unstated,
+}
+
+/// What a camera sees, and the file that says so.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stated {
+    pub sees: Sees,
+    /// The file, letter by letter; `None` where there is none.
+    pub toml: Option<String>,
+    /// When values of an instrument were measured.
+    pub dates: Vec<Dated>,
+}
+
+impl Stated {
+    /// Reads the file of a camera of a role, or takes a built-in one's name. Without a file, a camera that looks at a plate is the built-in demo.
+    ///
+    /// # Errors
+    /// The file, the field, and what was expected there.
+    pub fn read(role: Role, file: Option<&Path>) -> Result<Self, TomlError> {
+        let demo = (role == Role::PitchYaw).then_some(Path::new("demo"));
+        let Some(path) = file.or(demo) else {
+            return Ok(Self {
+                sees: Sees::Unstated,
+                toml: None,
+                dates: Vec::new(),
+            });
+        };
+        // A file named "demo" is no built-in instrument, unless it was asked for.
+        let text = match file {
+            Some(path) => text_of(path)?,
+            None => super::builtin_text("demo").unwrap_or_default().into(),
+        };
+        let (sees, dates) = match role {
+            Role::PitchYaw => {
+                let (instrument, dates) = Instrument::parse_with_dates(path, &text)?;
+                (Sees::Plate(Box::new(instrument)), dates)
+            }
+            Role::Roll => (
+                Sees::Horizon(MountedCamera::parse(path, &text)?),
+                Vec::new(),
+            ),
+            Role::Moon => (Sees::Moon(DirectionCamera::parse(path, &text)?), Vec::new()),
+        };
+        let toml = Some(text);
+        Ok(Self { sees, toml, dates })
+    }
+}
+
+impl Sees {
+    pub fn plate(&self) -> Option<&Instrument> {
+        match self {
+            Self::Plate(instrument) => Some(instrument),
+            _ => None,
+        }
+    }
+
+    pub fn horizon(&self) -> Option<&MountedCamera> {
+        match self {
+            Self::Horizon(camera) => Some(camera),
+            _ => None,
+        }
+    }
+
+    /// Width and height of its frames, px, where a file states them.
+    pub fn size_px(&self) -> Option<[usize; 2]> {
+        match self {
+            Self::Plate(instrument) => Some(instrument.camera.size_px()),
+            Self::Horizon(camera) => Some(camera.optics.size_px()),
+            Self::Moon(camera) => Some(camera.size_px()),
+            Self::Unstated => None,
+        }
+    }
+
+    /// Whether a frame is of this camera's size, or a part of its sensor where it may be.
+    ///
+    /// # Errors
+    /// Both sizes, in words.
+    pub fn check(&self, frame: &Frame) -> Result<(), String> {
+        let wrong = match self {
+            Self::Plate(instrument) => instrument.seen_by(frame).err().map(|e| e.to_string()),
+            Self::Horizon(camera) => camera.optics.check(frame).err().map(|e| e.to_string()),
+            Self::Moon(camera) => camera.check(frame).err().map(|e| e.to_string()),
+            Self::Unstated => None,
+        };
+        wrong.map_or(Ok(()), Err)
+    }
+}

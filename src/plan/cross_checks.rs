@@ -1,0 +1,140 @@
+//! What of a configuration contradicts itself, or cannot be meant, told without a look at any other file.
+
+use super::Remarks;
+use crate::camera::Source;
+use crate::config::{self, Config, ConfiguredCamera};
+use crate::instrument::Role;
+
+pub(super) fn check(config: &Config, remarks: &mut Remarks) {
+    for fault in config.faults() {
+        remarks.error(&fault.key, fault.expected, fault.found);
+    }
+    for camera in config.cameras.flying() {
+        exposure(camera, remarks);
+        waits(camera, config, remarks);
+        if let Some(source @ Source::Gige(_)) = &camera.source
+            && cfg!(not(feature = "gige"))
+        {
+            remarks.not_built(&format!("{}.source", camera.name), source.to_string());
+        }
+    }
+    same_sources(config, remarks);
+    archive(&config.archive, remarks);
+    link(config, remarks);
+    navigation(&config.navigation, remarks);
+    if config.site.place().is_none() {
+        remarks.warn(
+            "site",
+            "a place, for offsets where neither frames nor GPS tell one",
+            "none",
+        );
+    }
+}
+
+/// Whether what is asked of a camera comes in time: a roll that is too old for the next frame of the Sun before the next of the horizon comes, and a
+/// request for the Moon, which waits for the exposure that runs, the next one, and its reading.
+fn waits(camera: &ConfiguredCamera, config: &Config, remarks: &mut Remarks) {
+    let period_s = 1.0 / camera.rate_hz;
+    let rate = format!("{}.rate_hz", camera.name);
+    let (roll_s, moon_s) = (config.roll.max_age_s, config.moon.answer_within_s);
+    match camera.role {
+        Role::Roll if camera.instrument.is_some() && roll_s < period_s => {
+            let expected = format!("{period_s:.3} s or more, as from frame to frame at {rate}");
+            remarks.warn("roll.max_age_s", expected, roll_s.to_string());
+        }
+        Role::Moon if moon_s < 2.0 * period_s => {
+            let least_s = 2.0 * period_s;
+            let expected = format!("{least_s:.3} s or more, two periods of {rate}");
+            remarks.warn("moon.answer_within_s", expected, moon_s.to_string());
+        }
+        _ => {}
+    }
+}
+
+fn exposure(camera: &ConfiguredCamera, remarks: &mut Remarks) {
+    let (shortest, longest) = (camera.auto_exposure_min_us, camera.auto_exposure_max_us);
+    let period_us = 1e6 / camera.rate_hz;
+    let key = |name: &str| format!("{}.{name}", camera.name);
+    if camera.auto_exposure().is_none() || shortest >= longest {
+        return;
+    }
+    if !(shortest..=longest).contains(&camera.exposure_us) {
+        let expected =
+            format!("one that automatic exposure may choose, {shortest} to {longest} us");
+        remarks.warn(
+            &key("exposure_us"),
+            expected,
+            camera.exposure_us.to_string(),
+        );
+    }
+    if f64::from(longest) > period_us {
+        let expected = format!("less than the {period_us:.0} us from frame to frame at rate_hz");
+        remarks.warn(&key("auto_exposure_max_us"), expected, longest.to_string());
+    }
+}
+
+/// A camera can be opened once; a folder or the simulator may serve twice, if that is meant.
+fn same_sources(config: &Config, remarks: &mut Remarks) {
+    let cameras: Vec<&ConfiguredCamera> = config.cameras.flying().collect();
+    for (n, camera) in cameras.iter().enumerate() {
+        let is_same = |other: &&&ConfiguredCamera| other.source == camera.source;
+        let Some(other) = cameras[..n].iter().find(is_same) else {
+            continue;
+        };
+        let key = format!("{}.source", camera.name);
+        let expected = format!("another source than that of {}", other.name);
+        let sees_sky = camera.role != Role::PitchYaw && camera.instrument.is_some();
+        match &camera.source {
+            None => {}
+            // The simulator then draws the horizon or the Moon.
+            Some(Source::Simulated(_)) if sees_sky => {}
+            Some(source @ Source::Gige(_)) => remarks.error(&key, expected, source.to_string()),
+            Some(source) => remarks.warn(&key, expected, source.to_string()),
+        }
+    }
+}
+
+fn archive(archive: &config::Archive, remarks: &mut Remarks) {
+    match (&archive.directory, &archive.second_directory) {
+        (None, None) => remarks.warn("archive.directory", "a folder, to keep frames", "none"),
+        (Some(first), Some(second)) if first == second => {
+            let found = second.display().to_string();
+            remarks.error(
+                "archive.second_directory",
+                "another folder than the first",
+                found,
+            );
+        }
+        _ => {}
+    }
+}
+
+fn link(config: &Config, remarks: &mut Remarks) {
+    let link = &config.link;
+    match link.address() {
+        Ok(None) => remarks.warn(
+            "link.port",
+            "the controller's port",
+            "none: nothing is sent",
+        ),
+        Ok(Some(_)) => {
+            let rest = [link.local_end().map(drop), link.guard().map(drop)];
+            for refused in rest.into_iter().filter_map(Result::err) {
+                remarks.error(&refused.key, refused.expected, refused.found);
+            }
+        }
+        Err(refused) => remarks.error(&refused.key, refused.expected, refused.found),
+    }
+}
+
+fn navigation(own: &config::Navigation, remarks: &mut Remarks) {
+    for address in [own.imu_address(), own.gps_address()] {
+        if let Err(refused) = address {
+            remarks.error(&refused.key, refused.expected, refused.found);
+        }
+    }
+    if own.is_enabled() && own.settings.is_some() && own.gps_port.is_none() {
+        let expected = "a GPS receiver: without a fix the filter never begins";
+        remarks.warn("navigation.gps_port", expected, "none");
+    }
+}

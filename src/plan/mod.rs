@@ -1,0 +1,322 @@
+//! What is to fly: the configuration with the files that it names, checked.
+//!
+//! ```text
+//! configuration + options -> Plan and Remarks -> Flight
+//! ```
+//!
+//! `preflight`, `config check` and `fly` make the same plan, with the same checks of every value against the others. Only a plan without errors
+//! flies, unless it is forced to.
+
+mod cross_checks;
+mod look;
+mod remarks;
+mod words;
+
+pub use look::device;
+pub use remarks::{Remark, Remarks, Severity};
+
+use crate::archive::plain;
+use crate::aspect;
+use crate::camera::{self, Camera, CameraError, FrameSource, Source, Surroundings, tell_apart};
+use crate::commands::controls::{Controls, Proof};
+use crate::config::{Config, ConfiguredCamera};
+use crate::instrument::toml_file::{document, read_text};
+use crate::instrument::{Dated, Stated};
+use crate::link::{LocalEnd, PortAddress};
+use crate::navigation;
+use crate::pointing::{Feature, HelioprojectiveArcsec, PointingError, Target};
+use crate::sky::{Ephemeris, OrientationTable, SkyError, TableError};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// What the command line says instead of the configuration.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    pub instrument: Option<PathBuf>,
+    pub camera: Option<Source>,
+    /// The controller's port.
+    pub serial: Option<String>,
+    /// The archive's folders, the second one if any; empty where the configuration's hold.
+    pub archive: Vec<PathBuf>,
+}
+
+impl Options {
+    /// Puts what was said over the configuration.
+    pub fn over(&self, config: &mut Config) {
+        let mut folders = self.archive.iter().cloned();
+        if let Some(first) = folders.next() {
+            config.archive.directory = Some(first);
+            config.archive.second_directory = folders.next();
+        }
+        if let Some(instrument) = &self.instrument {
+            config.cameras.first_mut().instrument = Some(instrument.clone());
+        }
+        if let Some(source) = &self.camera {
+            config.cameras.first_mut().source = Some(source.clone());
+        }
+        if let Some(port) = &self.serial {
+            config.link.port = Some(port.clone());
+        }
+    }
+}
+
+/// A camera that is to fly.
+#[derive(Debug, Clone)]
+pub struct PlannedCamera {
+    pub camera: Camera,
+    pub configured: ConfiguredCamera,
+    pub source: Source,
+    /// When values of its instrument were measured.
+    pub dates: Vec<Dated>,
+}
+
+/// The navigation that is to fly.
+#[derive(Debug, Clone)]
+pub struct PlannedNavigation {
+    pub settings: navigation::Settings,
+    /// The file of the settings, letter by letter.
+    pub toml: String,
+    /// The IMU's own line; `None` where it speaks on the controller's.
+    pub imu: Option<PortAddress>,
+    pub gps: Option<PortAddress>,
+}
+
+/// What is to fly.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    pub config: Config,
+    /// In the order of their tables.
+    pub cameras: Vec<PlannedCamera>,
+    /// Where the controller is, and the end of a UDP line here.
+    pub line: Option<(PortAddress, LocalEnd)>,
+    /// `None` where no filter flies.
+    pub navigation: Option<PlannedNavigation>,
+    pub orientation: Arc<OrientationTable>,
+    pub target: Target,
+}
+
+/// How the frames of a plan's cameras come.
+#[derive(Debug, Clone, Copy)]
+pub struct Replay {
+    /// Length of a simulated run; `None` without end.
+    pub duration: Option<Duration>,
+    /// How many times faster than it was taken a folder is replayed.
+    pub speed: f64,
+}
+
+impl Default for Replay {
+    /// Without end, and as fast as it was taken.
+    fn default() -> Self {
+        let (duration, speed) = (None, 1.0);
+        Self { duration, speed }
+    }
+}
+
+impl Plan {
+    /// Reads a configuration (the defaults without a file) and every file that it names, and checks all against each other. What is wrong is left
+    /// out of the plan, or stays at its default, and is an error among the remarks.
+    pub fn survey(file: Option<&Path>, options: &Options) -> (Self, Remarks) {
+        let mut remarks = Remarks::of(file.unwrap_or(Path::new("defaults")));
+        let mut config = Config::default();
+        let read = |file: &Path| {
+            let text = read_text(file)?;
+            document(file, &text)?;
+            Ok(text)
+        };
+        let text = file.map(|file| (file, remarks.noted(read(file))));
+        let was_read = !matches!(text, Some((_, None)));
+        if let Some((file, Some(text))) = text {
+            let (read, errors) = Config::parse_all(file, &text);
+            config = read;
+            errors.into_iter().for_each(|what| remarks.wrong(what));
+        }
+        options.over(&mut config);
+        if was_read {
+            cross_checks::check(&config, &mut remarks);
+        }
+        (Self::of(config, &mut remarks), remarks)
+    }
+
+    /// What the files say that the configuration names.
+    fn of(config: Config, remarks: &mut Remarks) -> Self {
+        let cameras = cameras(&config, remarks);
+        let orientation = orientation(&config).map_err(|error| {
+            let expected = "a table as tools/iers makes it";
+            remarks.error("sky.earth_orientation", expected, error.to_string());
+        });
+        let known = orientation.is_ok();
+        let orientation = orientation.unwrap_or_else(|()| OrientationTable::built_in());
+        let mut ephemeris = Ephemeris::new(Arc::clone(&orientation));
+        let target = target(&config, &mut ephemeris).map_err(|error| match error {
+            // It has been said why.
+            _ if !known => {}
+            NoTarget::Epoch(error) => {
+                let expected = "a time of which the sky is known";
+                remarks.error("target.epoch_utc", expected, error.to_string());
+            }
+            NoTarget::Place(error) => {
+                let expected = "a place on the disc, for one with an epoch";
+                remarks.error("target", expected, error.to_string());
+            }
+        });
+        let line = config.link.address().and_then(|address| {
+            let local = config.link.local_end()?;
+            Ok(address.map(|address| (address, local)))
+        });
+        let plan = Self {
+            navigation: navigation(&config, remarks),
+            line: line.ok().flatten(),
+            cameras,
+            orientation,
+            target: target.unwrap_or_default(),
+            config,
+        };
+        plan.prove(remarks);
+        plan
+    }
+
+    /// Whether the solver's settings leave a Sun.
+    fn prove(&self, remarks: &mut Remarks) {
+        let instrument = self.cameras.iter().find_map(|one| one.camera.sees.plate());
+        let is_changed = self.config.solver() != aspect::Settings::default();
+        if let Some(instrument) = instrument.filter(|_| is_changed)
+            && let Err(refused) =
+                Proof::of(instrument).check("[limb], [fiducial], [registration]", &self.config)
+        {
+            remarks.error(&refused.key, refused.expected, refused.found);
+        }
+    }
+
+    /// What the ground may set in such a flight.
+    pub fn controls(&self) -> Controls {
+        let cameras = self.cameras.iter().map(|one| &one.camera);
+        Controls::of_flight(self.config.clone(), self.target, cameras)
+    }
+
+    pub fn ephemeris(&self) -> Ephemeris {
+        Ephemeris::new(Arc::clone(&self.orientation))
+    }
+
+    /// The archive's folders, the preferred one first.
+    pub fn folders(&self) -> Vec<PathBuf> {
+        let archive = &self.config.archive;
+        let both = [&archive.directory, &archive.second_directory];
+        both.into_iter().flatten().cloned().collect()
+    }
+
+    /// Opens a camera of it.
+    ///
+    /// # Errors
+    /// As [`camera::open`].
+    pub fn opener(
+        &self,
+        planned: &PlannedCamera,
+        replay: Replay,
+    ) -> impl Fn() -> Result<Box<dyn FrameSource>, CameraError> + Send + Sync + use<> {
+        let around = Surroundings {
+            sees: planned.camera.sees.clone(),
+            seed: self.config.simulation.seed,
+            start: self.config.simulation.start_utc,
+            duration: replay.duration,
+            speed: replay.speed,
+        };
+        let (source, settings) = (planned.source.clone(), planned.configured.settings());
+        move || camera::open(&source, &settings, &around)
+    }
+}
+
+/// The cameras with what they see; each file that is wrong is noted, and its camera left out. With several, each has a folder of its own.
+fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
+    let mut planned = Vec::new();
+    for configured in config.cameras.flying() {
+        let Some(source) = configured.source.clone() else {
+            continue;
+        };
+        let (name, role) = (&configured.name, configured.role);
+        let stated = Stated::read(role, configured.instrument.as_deref());
+        let Some(Stated { sees, toml, dates }) = remarks.noted(stated) else {
+            continue;
+        };
+        planned.push(PlannedCamera {
+            camera: Camera {
+                toml,
+                ..Camera::new(name, role, sees)
+            },
+            configured: configured.clone(),
+            source,
+            dates,
+        });
+    }
+    let mut cameras: Vec<Camera> = planned.iter().map(|one| one.camera.clone()).collect();
+    tell_apart(&mut cameras);
+    let is_alone = cameras.len() == 1;
+    for (planned, camera) in planned.iter_mut().zip(cameras) {
+        planned.camera = camera;
+        if !is_alone {
+            planned.camera.folder = plain(&planned.camera.label).into();
+        }
+    }
+    planned
+}
+
+fn navigation(config: &Config, remarks: &mut Remarks) -> Option<PlannedNavigation> {
+    let own = &config.navigation;
+    let path = own.settings.as_deref().filter(|_| own.is_enabled())?;
+    let names: Vec<&str> = config.cameras.iter().map(|one| one.name.as_str()).collect();
+    let toml = remarks.noted(read_text(path))?;
+    let settings = navigation::Settings::parse(path, &toml);
+    let settings = settings.and_then(|settings| settings.for_flight(path, &names));
+    let settings = remarks.noted(settings)?;
+    if settings.plumb_rad <= 0.0 && settings.cameras.len() < 2 {
+        let expected = "filter.plumb_sigma_deg in its file, or a second camera: one direction tells no attitude";
+        remarks.warn("navigation.settings", expected, "neither");
+    }
+    Some(PlannedNavigation {
+        settings,
+        toml,
+        // What is wrong with these has been said.
+        imu: own.imu_address().ok().flatten(),
+        gps: own.gps_address().ok().flatten(),
+    })
+}
+
+/// The ephemeris with the configured table of Earth orientation, else the program's own.
+///
+/// # Errors
+/// A table that is refused.
+pub fn ephemeris(config: &Config) -> Result<Ephemeris, TableError> {
+    orientation(config).map(Ephemeris::new)
+}
+
+fn orientation(config: &Config) -> Result<Arc<OrientationTable>, TableError> {
+    match &config.sky.earth_orientation {
+        Some(path) => OrientationTable::read(path).map(Arc::new),
+        None => Ok(OrientationTable::built_in()),
+    }
+}
+
+/// Why a configured target cannot be pointed at.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NoTarget {
+    #[error("target.epoch_utc: {0}")]
+    Epoch(#[from] SkyError),
+    #[error("target: {0}")]
+    Place(#[from] PointingError),
+}
+
+/// The configured target; with an epoch, the feature that stood there then.
+///
+/// # Errors
+/// An epoch of which the sky is not known, a feature off the disc.
+pub fn target(config: &Config, ephemeris: &mut Ephemeris) -> Result<Target, NoTarget> {
+    let at = HelioprojectiveArcsec {
+        x: config.target.x_arcsec,
+        y: config.target.y_arcsec,
+    };
+    let Some(epoch) = config.target.epoch_utc else {
+        return Ok(Target::Fixed(at));
+    };
+    let disc = ephemeris.disc(epoch)?;
+    Ok(Target::Feature(Feature::seen(at, epoch, &disc)?))
+}

@@ -1,0 +1,130 @@
+//! What is wrong with a configuration, or odd: every error at once.
+
+use crate::bounded::within;
+use crate::instrument::TomlError;
+use serde::Serialize;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    Error,
+    /// It would fly, though perhaps not as was meant.
+    Warning,
+}
+
+/// One thing that is wrong with a configuration, or odd.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Remark {
+    pub severity: Severity,
+    pub what: TomlError,
+    /// What to do about it.
+    pub remedy: &'static str,
+}
+
+/// A folder of a day's frames may take seconds to list.
+const PATIENCE: Duration = Duration::from_secs(20);
+const PARAMETERS: &str = "see docs/parameters.md";
+const BUILD: &str = "take a program built with `--features gige`, or another camera";
+
+impl fmt::Display for Remark {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let severity = match self.severity {
+            Severity::Error => "error",
+            Severity::Warning => "warning",
+        };
+        write!(out, "{severity}: {}", self.what)
+    }
+}
+
+/// The remarks on a configuration, in the order of the looking.
+#[derive(Debug, Clone, Default)]
+pub struct Remarks {
+    file: PathBuf,
+    pub list: Vec<Remark>,
+}
+
+impl Remarks {
+    /// No remarks on a file yet.
+    pub(super) fn of(file: &Path) -> Self {
+        Self {
+            file: file.into(),
+            list: Vec::new(),
+        }
+    }
+
+    fn add(&mut self, severity: Severity, what: TomlError) {
+        let remedy = match what.path == self.file {
+            true => PARAMETERS,
+            false => "name a file that is there and sound",
+        };
+        self.list.push(Remark {
+            severity,
+            what,
+            remedy,
+        });
+    }
+
+    /// An error in a key of the configuration.
+    pub(super) fn error(
+        &mut self,
+        key: &str,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) {
+        let what = TomlError::new(&self.file, key, expected, found);
+        self.add(Severity::Error, what);
+    }
+
+    pub(super) fn warn(
+        &mut self,
+        key: &str,
+        expected: impl Into<String>,
+        found: impl Into<String>,
+    ) {
+        let what = TomlError::new(&self.file, key, expected, found);
+        self.add(Severity::Warning, what);
+    }
+
+    /// Something that is wrong in a file.
+    pub(super) fn wrong(&mut self, what: TomlError) {
+        self.add(Severity::Error, what);
+    }
+
+    /// A source of frames that this program cannot have.
+    pub(super) fn not_built(&mut self, key: &str, found: String) {
+        let expected = "a program built with `--features gige` for such a camera";
+        self.list.push(Remark {
+            severity: Severity::Error,
+            what: TomlError::new(&self.file, key, expected, found),
+            remedy: BUILD,
+        });
+    }
+
+    /// The value of a file, or the error noted.
+    pub(super) fn noted<T>(&mut self, result: Result<T, TomlError>) -> Option<T> {
+        result.map_err(|what| self.add(Severity::Error, what)).ok()
+    }
+
+    /// What `work` gives, or an error in a key of the configuration where the disk that it looks at hangs.
+    pub(super) fn answered<T: Send + 'static>(
+        &mut self,
+        key: &str,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Option<T> {
+        within(PATIENCE, work)
+            .map_err(|none| self.error(key, "a disk that answers", none.to_string()))
+            .ok()
+    }
+
+    pub fn errors(&self) -> impl Iterator<Item = &Remark> {
+        let is_error = |remark: &&Remark| remark.severity == Severity::Error;
+        self.list.iter().filter(is_error)
+    }
+
+    pub fn has_errors(&self) -> bool {
+        self.errors().next().is_some()
+    }
+}

@@ -1,0 +1,301 @@
+//! The threads of a flight are started here, each with what it shares with the others.
+
+use super::archiver::{self, Archive};
+use super::flight::{Flight, FlightCamera, Navigation};
+use super::housekeeping::HousekeepingSource;
+use super::line::{self, Line};
+use super::messages::{
+    Answer, Glimpse, Hears, LinkEvent, NavigationRows, Station, TakesSamples, UnsolvedFrame,
+};
+use super::navigation::{Inputs, Navigator};
+use super::priority::Rank;
+use super::shared::Shared;
+use super::shutter::Shutter;
+use super::solvers::{Shelf, solver_with};
+use super::solving::Solving;
+use super::tallies::{CameraTallies, Tallies};
+use super::watch::{Signals, Watch};
+use super::worker::Worker;
+use super::{SAVED_VALUES, Service};
+use crate::commands::controls::{Controls, SavedValues, ValueSaver};
+use crate::config::Host;
+use crate::link::{Connection, Counters};
+use crate::provenance::sha256;
+use crate::sky::Ephemeris;
+use crossbeam_channel::{Receiver, Sender, bounded};
+use std::io;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+/// Frames that may wait for the solver: a third of a second at 26 frames/s.
+const UNSOLVED: usize = 8;
+/// Events that may wait for the line.
+const LINK_EVENTS: usize = 256;
+/// A camera that gives no word for so long hangs. It gives one each second, and may take two to be set.
+const CAMERA_PATIENCE: Duration = Duration::from_secs(10);
+/// So does a solver. It takes a hundredth of a second for a frame.
+const SOLVER_PATIENCE: Duration = Duration::from_secs(5);
+/// Of the navigation, for the archive: seconds of three logs.
+const NAVIGATION_ROWS: usize = 64;
+
+/// Starts the threads of a flight; every answer goes to the watcher, too.
+pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io::Result<Service> {
+    let cameras = flight.cameras.iter().map(|one| &one.camera);
+    let controls = Controls::of_flight(flight.config.clone(), flight.target, cameras);
+    let signals = Arc::<Signals>::default();
+    let values = keep_values(&mut flight, &controls, &signals)?;
+    let configuration = flight.configuration_toml();
+    let stations = flight.stations(&configuration);
+    let navigation_toml = flight.navigation.as_ref().map(|one| &*one.settings_toml);
+    let counters = Arc::<Counters>::default();
+    let (archive, disks) = archiver::start(
+        std::mem::take(&mut flight.stores),
+        &archiver::Around {
+            stations: &stations,
+            controls: &controls,
+            ephemeris: &flight.ephemeris,
+            navigation_toml,
+            counters: &counters,
+        },
+    )?;
+    flight.config.host.hold();
+    let (to_line, events) = bounded(LINK_EVENTS);
+    let mut crew = Crew {
+        host: flight.config.host,
+        controls: controls.clone(),
+        ephemeris: flight.ephemeris,
+        archive: archive.clone(),
+        to_line: to_line.clone(),
+        watcher,
+        signals: Arc::clone(&signals),
+        tallies: Tallies {
+            counters,
+            archive: archive.gauges(),
+            ..Tallies::default()
+        },
+        shelf: Shelf::default(),
+        inputs: None,
+        cameras: Vec::new(),
+        solvers: Vec::new(),
+    };
+    let (navigation, navigation_rows) = crew.start_navigation(flight.navigation, &stations)?;
+    let line = crew.start_line(flight.line, events)?;
+    for (station, camera) in stations.iter().zip(flight.cameras) {
+        crew.add(station, camera)?;
+    }
+    let tallies = crew.tallies.clone();
+    let watch = Watch {
+        cameras: crew.cameras,
+        solvers: crew.solvers,
+        navigation,
+        navigation_rows,
+        disks,
+        line,
+        archive: Some(archive),
+        to_line,
+        controls: controls.clone(),
+        housekeeping: HousekeepingSource::new(
+            controls.clone(),
+            crew.shelf.moon,
+            &sha256(&configuration),
+        ),
+        tallies: crew.tallies,
+        signals: Arc::clone(&signals),
+        gave_up: false,
+        landed: None,
+    };
+    Ok(Service {
+        watch: spawn("watch", move || watch.run())?,
+        values,
+        controls,
+        tallies,
+        signals,
+    })
+}
+
+/// Starts the thread that reads and saves what commands set, where that is wanted, and waits a moment for what was saved.
+fn keep_values(
+    flight: &mut Flight,
+    controls: &Controls,
+    signals: &Signals,
+) -> io::Result<Option<JoinHandle<u64>>> {
+    let lock = flight.saved_values.take();
+    let Some(file) = SavedValues::of(&flight.config) else {
+        return Ok(None);
+    };
+    let name = file.path().display().to_string();
+    let saver = ValueSaver::new(controls.clone(), file, lock);
+    let ends = Arc::clone(&signals.hang_up);
+    let (restored, wait) = bounded(1);
+    let values = spawn("values", move || saver.run(&restored, &ends))?;
+    if wait.recv_timeout(SAVED_VALUES).is_err() {
+        tracing::error!(
+            file = name,
+            "the disk hangs: starting without the saved values"
+        );
+    }
+    Ok(Some(values))
+}
+
+/// The threads of cameras and solvers so far, and what all threads share.
+struct Crew {
+    host: Host,
+    controls: Controls,
+    ephemeris: Ephemeris,
+    archive: Archive,
+    to_line: Sender<LinkEvent>,
+    watcher: Option<Sender<Answer>>,
+    signals: Arc<Signals>,
+    tallies: Tallies,
+    /// Of the first camera of each role.
+    shelf: Shelf,
+    /// Where the navigation filter is told; `None` where none flies.
+    inputs: Option<Inputs>,
+    cameras: Vec<Worker>,
+    solvers: Vec<Worker>,
+}
+
+impl Crew {
+    /// Starts the filter and its sensors, where one flies.
+    fn start_navigation(
+        &mut self,
+        navigation: Option<Navigation>,
+        stations: &[Arc<Station>],
+    ) -> io::Result<(Vec<Worker>, Receiver<NavigationRows>)> {
+        let (rows, kept) = bounded(NAVIGATION_ROWS);
+        let Some(navigation) = navigation else {
+            return Ok((Vec::new(), kept));
+        };
+        let (tally, counters) = (&self.tallies.navigation, &self.tallies.counters);
+        let (inputs, queue) = Inputs::new(tally.clone(), Arc::clone(counters));
+        let cameras = stations.iter().map(|station| &station.camera);
+        let navigator = Navigator {
+            settings: navigation.settings,
+            cameras: cameras.map(|one| (one.name.clone(), one.role)).collect(),
+            ephemeris: self.ephemeris.clone(),
+            controls: self.controls.clone(),
+            to_line: self.to_line.clone(),
+            rows,
+            tally: tally.clone(),
+            counters: Arc::clone(counters),
+            ended: Arc::clone(&self.signals.cameras_ended),
+            clock: navigation.clock,
+        };
+        let (imu, gps) = (navigation.imu, navigation.gps);
+        let workers = navigator.start(imu, gps, &inputs, &queue, self.host)?;
+        self.inputs = Some(inputs);
+        Ok((workers, kept))
+    }
+
+    fn start_line(
+        &self,
+        connection: Connection,
+        events: Receiver<LinkEvent>,
+    ) -> io::Result<Worker> {
+        let navigation = self.inputs.clone();
+        let around = line::Around {
+            controls: self.controls.clone(),
+            tally: self.tallies.line.clone(),
+            counters: Arc::clone(&self.tallies.counters),
+            moon_desk: self.shelf.moon.clone(),
+            navigation: navigation.map(|inputs| Arc::new(inputs) as Arc<dyn TakesSamples>),
+        };
+        let (host, hang_up) = (self.host, Arc::clone(&self.signals.hang_up));
+        // Held by one life after the other: the port outlives a thread that panicked.
+        let connection = Arc::new(Mutex::new(connection));
+        Worker::start("link", None, move || {
+            let (around, connection) = (around.clone(), Arc::clone(&connection));
+            let (events, hang_up) = (events.clone(), Arc::clone(&hang_up));
+            host.hurried(Rank::First, move |life| {
+                let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
+                Line::new(&mut connection, around).run(&events, &hang_up, life);
+            })
+        })
+    }
+
+    fn add(&mut self, station: &Arc<Station>, camera: FlightCamera) -> io::Result<()> {
+        let (to_solver, unsolved) = bounded(UNSOLVED);
+        let tallies = CameraTallies {
+            station: Arc::clone(station),
+            camera: Shared::default(),
+            silence: Shared::default(),
+            solver: Shared::default(),
+            unsolved,
+            recent: Shared::default(),
+        };
+        let glimpse = Glimpse::default();
+        self.add_solver(&tallies, glimpse.clone())?;
+        self.add_camera(&tallies, glimpse, to_solver, camera)?;
+        self.tallies.cameras.push(tallies);
+        Ok(())
+    }
+
+    fn add_solver(&mut self, tallies: &CameraTallies, glimpse: Glimpse) -> io::Result<()> {
+        let station = Arc::clone(&tallies.station);
+        let mut hearers: Vec<Arc<dyn Hears>> = Vec::new();
+        if let Some(inputs) = &self.inputs {
+            hearers.push(Arc::new(inputs.clone()));
+        }
+        hearers.push(Arc::new(tallies.recent.clone()));
+        hearers.push(Arc::new(self.archive.clone()));
+        if let Some(watcher) = &self.watcher {
+            hearers.push(Arc::new(watcher.clone()));
+        }
+        let solving = Solving {
+            station: Arc::clone(&station),
+            controls: self.controls.clone(),
+            frames: tallies.unsolved.clone(),
+            cameras_ended: Arc::clone(&self.signals.cameras_ended),
+            to_line: self.to_line.clone(),
+            glimpse,
+            hearers,
+            tally: tallies.solver.clone(),
+        };
+        let shelf = self.shelf.of(&station);
+        let (host, ephemeris) = (self.host, self.ephemeris.clone());
+        let name = format!("solver-{}", station.index + 1);
+        let worker = Worker::start(name, Some(SOLVER_PATIENCE), move || {
+            let solver = solver_with(&station, ephemeris.clone(), shelf.clone());
+            let solving = solving.clone();
+            host.hurried(Rank::Solver, move |life| solving.run(solver, life))
+        })?;
+        self.solvers.push(worker);
+        Ok(())
+    }
+
+    fn add_camera(
+        &mut self,
+        tallies: &CameraTallies,
+        glimpse: Glimpse,
+        to_solver: Sender<UnsolvedFrame>,
+        camera: FlightCamera,
+    ) -> io::Result<()> {
+        let shutter = Shutter {
+            station: Arc::clone(&tallies.station),
+            controls: self.controls.clone(),
+            to_solver,
+            to_line: self.to_line.clone(),
+            glimpse,
+            tally: tallies.camera.clone(),
+            counters: Arc::clone(&self.tallies.counters),
+            silence: tallies.silence.clone(),
+            stop: Arc::clone(&self.signals.stop),
+        };
+        let (host, mut source) = (self.host, camera.source);
+        let name = format!("camera-{}", tallies.station.index + 1);
+        let worker = Worker::start(name, Some(CAMERA_PATIENCE), move || {
+            let (shutter, source, open) = (shutter.clone(), source.take(), camera.open.clone());
+            host.hurried(Rank::First, move |life| shutter.run(source, open, life))
+        })?;
+        self.cameras.push(worker);
+        Ok(())
+    }
+}
+
+fn spawn<T: Send + 'static>(
+    name: &str,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> io::Result<JoinHandle<T>> {
+    thread::Builder::new().name(name.into()).spawn(work)
+}

@@ -1,0 +1,243 @@
+//! What threads tell each other, and what they leave for each other to look at. Every stage knows this file, and no other stage.
+
+use super::shared::Shared;
+use crate::archive::Flown;
+use crate::aspect::{self, Quality};
+use crate::camera::{Brightness, Camera, Exposure};
+use crate::frame::Levels;
+use crate::geometry::attitude::Direction;
+use crate::horizon;
+use crate::instrument::Instrument;
+use crate::link::{self, Housekeeping, ImuPacket, MoonSight, Picture, Propagated, TelemetryPacket};
+use crate::moon;
+use crate::navigation::Target as SeenTarget;
+use crate::navigation::nmea::TimedFix;
+use crate::pointing::{Offset, Target};
+use crate::reasons::Stopped;
+use crate::units::{Measured, Place};
+use jiff::Timestamp;
+use nalgebra::Vector3;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// A camera's place in the flight.
+#[derive(Debug, Clone)]
+pub struct Station {
+    pub camera: Camera,
+    /// Among the flight's cameras, from 0.
+    pub index: usize,
+    /// Among those of its role, from 1.
+    pub ordinal: usize,
+    /// On the line, where a picture says which camera took it.
+    pub number: u8,
+    /// What its frames are taken and solved with.
+    pub flown: Arc<Flown>,
+}
+
+/// A frame on its way from the camera to the solver, with the moment it arrived.
+pub struct UnsolvedFrame {
+    pub exposure: Exposure,
+    pub arrived: Instant,
+    pub middle: Middle,
+}
+
+/// The middle of an exposure: by the frame's own time, and by its arrival, which a busy computer delays.
+#[derive(Debug, Clone, Copy)]
+pub struct Middle {
+    pub utc: Option<Timestamp>,
+    pub by_arrival: Instant,
+}
+
+/// A frame's brightness and its exposure, us: what the solver tells the shutter.
+pub(super) type Glimpse = Shared<Option<(Brightness, u32)>>;
+
+/// A solved frame.
+#[derive(Debug, Clone)]
+pub struct Answer {
+    /// Of the camera that took the frame.
+    pub station: Arc<Station>,
+    pub exposure: Arc<Exposure>,
+    pub solved: Arc<Solved>,
+    /// What its offset is from.
+    pub target: Target,
+    /// Whether the picture goes to the archive; the row always does.
+    pub to_be_stored: bool,
+}
+
+/// What came of a frame.
+#[derive(Debug, Clone)]
+pub struct Solved {
+    pub found: Found,
+    pub quality: Quality,
+    /// Stage and reason where the frame went no further; of a coarse frame, too.
+    pub stopped: Option<Stopped<&'static str>>,
+    pub levels: Option<Levels>,
+    /// What an exposure that follows the light is judged by.
+    pub brightness: Brightness,
+    pub roll: Option<SeenRoll>,
+    /// Of the solver alone.
+    pub solve_time: Duration,
+}
+
+/// What a frame shows, by what its camera sees.
+#[derive(Debug, Clone)]
+pub enum Found {
+    Sun(Box<SolvedSun>),
+    Nadir(Box<horizon::Solution>),
+    Moon(Box<SolvedMoon>),
+    /// The frame is stored, and not solved.
+    Nothing,
+}
+
+#[derive(Debug, Clone)]
+pub struct SolvedSun {
+    pub solution: aspect::Solution,
+    pub offset: Option<Offset>,
+    /// As it was when the frame was taken: as commands have set it, and the part of the sensor that was read.
+    pub instrument: Arc<Instrument>,
+}
+
+#[derive(Debug, Clone)]
+pub struct SolvedMoon {
+    pub found: Result<moon::Disc, moon::Stopped>,
+    /// In the camera's axes.
+    pub direction: Option<Direction>,
+}
+
+/// The body's roll, by this frame of the horizon or by the one nearest to this frame of the Sun.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SeenRoll {
+    pub deg: Measured,
+    /// When that frame of the horizon was there.
+    pub arrived: Instant,
+}
+
+/// Somebody who is told of every solved frame.
+pub(super) trait Hears: Send + Sync {
+    fn hear(&self, answer: &Answer);
+}
+
+/// Somebody who takes samples of the IMU.
+pub(super) trait TakesSamples: Send + Sync {
+    /// Takes a packet that was read at a time.
+    fn take_sample(&self, packet: &TelemetryPacket, read: Instant);
+}
+
+/// What the horizon said last; the solvers of the other cameras look.
+pub(super) type LatestNadir = Shared<Option<SeenNadir>>;
+
+/// Straight down in the axes of the body that carries the cameras: forward, right, down.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SeenNadir {
+    pub direction: Direction,
+    pub at: Middle,
+    /// When the frame was there.
+    pub arrived: Instant,
+    /// How it turns in these axes, by the latest frames.
+    pub turn_rad_per_s: Vector3<f64>,
+    /// How far such a turn has missed the frame that came, 1 sigma per axis, and after how long.
+    pub missed_rad: f64,
+    pub after_s: f64,
+}
+
+/// What the line asks of the Moon camera, and what that has seen last.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct MoonDesk {
+    /// Where the platform was at the latest request.
+    pub asked_from: Option<Place>,
+    pub seen: Option<SeenMoon>,
+}
+
+/// What came of the Moon camera's last frame.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SeenMoon {
+    /// When its exposure began.
+    pub began: Instant,
+    pub sight: MoonSight,
+    /// Whether the Sun was below the horizon; `None` where time or place is not known.
+    pub is_night: Option<bool>,
+}
+
+/// What a solver leaves for the next housekeeping.
+#[derive(Debug, Default)]
+pub(super) struct Recent {
+    pub answer: Option<Answer>,
+    /// Of the frames since the last packet.
+    pub solve_times: Vec<Duration>,
+}
+
+/// What the link is told.
+pub(super) enum LinkEvent {
+    ExposureStarts(link::Exposure),
+    Outcome(Box<Outcome>),
+    /// An offset by the gyros.
+    Propagated(PropagatedEvent),
+    /// The second's housekeeping, and its time.
+    Housekeeping(Timestamp, Box<Housekeeping>),
+    /// What cameras count of which housekeeping does not tell, at a time.
+    Cameras(Timestamp, Vec<link::CameraCounts>),
+    /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.
+    Picture(Box<Picture>),
+}
+
+/// An offset by the gyros.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct PropagatedEvent {
+    pub propagated: Propagated,
+    /// When the sample was read that it rests on.
+    pub read: Instant,
+}
+
+/// What came of an exposure.
+pub(super) struct Outcome {
+    pub exposure: link::Exposure,
+    /// When the frame was there.
+    pub arrived: Instant,
+    /// How long the shutter was open, where it is known.
+    pub shutter: Option<Duration>,
+    pub offset: Option<Offset>,
+    /// The body's, where it is known.
+    pub roll: Option<SeenRoll>,
+    pub stopped: Option<aspect::Stopped>,
+}
+
+/// What one of the sensors has told the navigation filter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Input {
+    /// A sample, and when it was read.
+    Imu(ImuPacket, Instant),
+    Fix(TimedFix),
+    Seen(Seen),
+}
+
+/// A direction that a camera has seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Seen {
+    /// Among the flight's cameras, from 0.
+    pub camera: usize,
+    pub target: SeenTarget,
+    /// Mid-exposure.
+    pub utc: Timestamp,
+    /// In axes that are forward, right and down in the telescope or the body that carries the camera; a Moon camera's own.
+    pub direction: Direction,
+}
+
+/// A log of the navigation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum NavigationLog {
+    Imu,
+    Gps,
+    Propagated,
+}
+
+/// Rows of a log, of a second or so.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct NavigationRows {
+    pub log: NavigationLog,
+    pub rows: VecDeque<Vec<String>>,
+}
+
+impl NavigationLog {
+    pub const ALL: [Self; 3] = [Self::Imu, Self::Gps, Self::Propagated];
+}

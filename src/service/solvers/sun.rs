@@ -1,0 +1,164 @@
+//! The solver of a pitch-yaw camera: a frame of the plate in, the Sun's place and the offset from the target out.
+
+use super::{Shelf, Solver};
+use crate::aspect::{self, Expected, Stage, Track};
+use crate::camera::Brightness;
+use crate::commands::controls::Snapshot;
+use crate::instrument::{Instrument, WrongSize};
+use crate::pointing;
+use crate::reasons::Stopped;
+use crate::service::messages::{Found, SeenRoll, Solved, SolvedSun, Station, UnsolvedFrame};
+use crate::service::tally::SolverTally;
+use crate::sky::Ephemeris;
+use jiff::{SignedDuration, Timestamp};
+use std::sync::Arc;
+use std::time::Instant;
+
+pub(super) struct SunSolver {
+    camera: u8,
+    stated: Instrument,
+    /// As commands have set it.
+    mounted: Instrument,
+    /// The same as the last frame saw it: the part of the sensor that was read.
+    instrument: Arc<Instrument>,
+    /// Whether commands about the mounting are about this camera's: about the first one's.
+    is_commanded: bool,
+    ephemeris: Ephemeris,
+    shelf: Shelf,
+    /// What the last frame taught.
+    track: Option<Track>,
+    sun: SunSize,
+}
+
+impl SunSolver {
+    pub fn new(
+        station: &Station,
+        instrument: Instrument,
+        ephemeris: Ephemeris,
+        shelf: Shelf,
+    ) -> Self {
+        Self {
+            camera: station.number,
+            instrument: Arc::new(instrument.clone()),
+            mounted: instrument.clone(),
+            stated: instrument,
+            is_commanded: station.ordinal == 1,
+            ephemeris,
+            shelf,
+            track: None,
+            sun: SunSize::default(),
+        }
+    }
+
+    /// Fits the instrument to the frame. Where it changes - the ground has turned camera or plate, or another part of the sensor is read - what the
+    /// last frames taught no longer holds.
+    fn fit(&mut self, frame: &UnsolvedFrame, commanded: &Snapshot) -> Result<(), WrongSize> {
+        if self.is_commanded {
+            self.mounted.mounting = commanded.mounting(&self.stated.mounting);
+        }
+        let seen = self.mounted.seen_by(&frame.exposure.frame)?;
+        if *seen != *self.instrument {
+            self.instrument = Arc::new(seen.into_owned());
+            self.track = None;
+        }
+        Ok(())
+    }
+}
+
+impl Solver for SunSolver {
+    fn solve(
+        &mut self,
+        frame: &mut UnsolvedFrame,
+        commanded: &Snapshot,
+    ) -> Result<Solved, WrongSize> {
+        self.fit(frame, commanded)?;
+        let middle = frame.middle;
+        let frame = &mut frame.exposure.frame;
+        let utc = frame.info.mid_exposure;
+        let size = utc.and_then(|utc| self.sun.at(utc));
+        let start = Instant::now();
+        let prior = self.track.as_ref();
+        // Without a mapping of an earlier frame the calibration's is borrowed, but not what frames have disproved.
+        let corrected = match prior.is_some_and(|prior| prior.registration.is_some()) {
+            true => None,
+            false => self.shelf.calibration.lock().corrected(&self.instrument),
+        };
+        let instrument = corrected.as_ref().unwrap_or(&self.instrument);
+        let mut solution = aspect::solve_with(&commanded.solver, frame, instrument, size, prior);
+        let solve_time = start.elapsed();
+        if solution.track.is_some() {
+            self.track.clone_from(&solution.track);
+        }
+        // The file tells the place that its offset and its coordinates rest on.
+        frame.info.place = frame.info.place.or(commanded.place);
+        let seen = self.shelf.nadir.copy();
+        let nadir = seen.and_then(|seen| seen.at(&middle, commanded.roll.max_age()));
+        let offset = pointing::offset_of(
+            &mut solution,
+            utc,
+            frame.info.place,
+            &commanded.target,
+            nadir.as_ref(),
+            &self.instrument,
+            &mut self.ephemeris,
+        );
+        let roll = nadir.zip(seen).map(|(nadir, seen)| SeenRoll {
+            deg: pointing::body_roll_deg(&nadir),
+            arrived: seen.arrived,
+        });
+        Ok(Solved {
+            quality: solution.quality,
+            stopped: solution.stopped.as_ref().map(Stopped::named),
+            levels: solution.levels,
+            brightness: Brightness::of(solution.levels.as_ref(), frame.saturation_dn()),
+            roll,
+            solve_time,
+            found: Found::Sun(Box::new(SolvedSun {
+                solution,
+                offset,
+                instrument: Arc::clone(&self.instrument),
+            })),
+        })
+    }
+
+    /// Says once what fine frames have disproved of the calibration.
+    fn leave(&mut self, _: &UnsolvedFrame, solved: &Solved, tally: &mut SolverTally) {
+        let Found::Sun(sun) = &solved.found else {
+            return;
+        };
+        let mut calibration = self.shelf.calibration.lock();
+        let proven = calibration.note(&sun.solution, &self.instrument);
+        tally.contradicted = calibration.proven().next().is_some();
+        for contradiction in proven {
+            let (camera, name) = (self.camera, &self.instrument.name);
+            tracing::error!(camera, instrument = name, %contradiction, "fine frames contradict the calibration");
+            tally
+                .contradictions
+                .insert(format!("{name}: {contradiction}"));
+        }
+    }
+
+    fn complaint(&self, stage: &str) -> Option<&'static str> {
+        (stage == Stage::Pointing.name()).then_some("no offset")
+    }
+}
+
+/// The Sun's size changes by a thousandth in a day: one look at the ephemeris serves for a second and more.
+#[derive(Default)]
+struct SunSize {
+    last: Option<(Timestamp, Option<Expected>)>,
+}
+
+impl SunSize {
+    fn at(&mut self, utc: Timestamp) -> Option<Expected> {
+        const VALID: SignedDuration = SignedDuration::from_secs(60);
+        match self.last {
+            Some((then, size)) if utc.duration_since(then).abs() < VALID => size,
+            _ => {
+                let size = Expected::at(utc);
+                self.last = Some((utc, size));
+                size
+            }
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! A solver's thread: frame in, answer out, to the line and to all who hear of answers.
+
+use super::messages::{
+    Answer, Found, Glimpse, Hears, LinkEvent, Outcome, Solved, Station, UnsolvedFrame,
+};
+use super::shared::Shared;
+use super::solvers::Solver;
+use super::tally::SolverTally;
+use super::worker::Life;
+use crate::commands::controls::Controls;
+use crate::instrument::WrongSize;
+use crate::link::picture::{Tag, TagValue};
+use crate::link::{self, Picture};
+use crate::log::worth_a_line;
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+use jiff::Timestamp;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// How long a solver waits for a frame before it shows that it is at work.
+const PATIENCE: Duration = Duration::from_millis(200);
+
+/// What a solver's thread shares with the others.
+#[derive(Clone)]
+pub(super) struct Solving {
+    pub station: Arc<Station>,
+    pub controls: Controls,
+    pub frames: Receiver<UnsolvedFrame>,
+    pub cameras_ended: Arc<AtomicBool>,
+    pub to_line: Sender<LinkEvent>,
+    /// Where the camera learns of its frames' brightness.
+    pub glimpse: Glimpse,
+    /// Who is told of the answers, in this order.
+    pub hearers: Vec<Arc<dyn Hears>>,
+    pub tally: Shared<SolverTally>,
+}
+
+impl Solving {
+    /// Solves until the camera ends, or another thread has taken over.
+    pub fn run(&self, mut solver: Box<dyn Solver>, life: &Life) {
+        while let Some(mut frame) = self.next(life) {
+            let commanded = self.controls.snapshot();
+            let solved = match solver.solve(&mut frame, &commanded) {
+                Ok(solved) => solved,
+                Err(wrong) => {
+                    self.note_misfit(&wrong);
+                    continue;
+                }
+            };
+            if life.is_over() {
+                return;
+            }
+            let mut tally = self.tally.lock();
+            solver.leave(&frame, &solved, &mut tally);
+            self.note(&solved, solver.as_ref(), &mut tally);
+            drop(tally);
+            let arrived = frame.arrived;
+            let answer = Answer {
+                station: Arc::clone(&self.station),
+                exposure: Arc::new(frame.exposure),
+                solved: Arc::new(solved),
+                target: commanded.target,
+                to_be_stored: self.controls.stores(self.station.camera.role),
+            };
+            self.hand_on(&answer, arrived);
+        }
+    }
+
+    /// The next frame to be solved; `None` when the camera has ended, or another thread has taken over.
+    fn next(&self, life: &Life) -> Option<UnsolvedFrame> {
+        while !life.is_over() {
+            life.beat();
+            match self.frames.recv_timeout(PATIENCE) {
+                Ok(frame) => return Some(frame),
+                Err(_) if self.cameras_ended.load(Ordering::Relaxed) => return None,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return None,
+            }
+        }
+        None
+    }
+
+    fn note_misfit(&self, wrong: &WrongSize) {
+        let mut tally = self.tally.lock();
+        tally.misfits += 1;
+        if worth_a_line(tally.misfits) {
+            tracing::error!(error = %wrong, misfits = tally.misfits, "not this camera's frame");
+        }
+    }
+
+    fn note(&self, solved: &Solved, solver: &dyn Solver, tally: &mut SolverTally) {
+        let (quality, solve_us) = (solved.quality.name(), solved.solve_time.as_micros() as u64);
+        tracing::debug!(camera = self.station.number, quality, solve_us, "solved");
+        *tally.solved.entry(solved.quality).or_default() += 1;
+        let Some(stopped) = &solved.stopped else {
+            return;
+        };
+        let reason = (stopped.stage, stopped.rejected.reason);
+        let count = tally.reasons.entry(reason).or_default();
+        *count += 1;
+        if let Some(complaint) = solver.complaint(stopped.stage)
+            && worth_a_line(*count)
+        {
+            let (measured, limit) = (stopped.rejected.measured, stopped.rejected.limit);
+            tracing::warn!(reason = %stopped, measured, limit, frames = *count, "{complaint}");
+        }
+    }
+
+    /// The line first: a solution does not wait for a disk.
+    fn hand_on(&self, answer: &Answer, arrived: Instant) {
+        self.tell_line(answer, arrived);
+        if self.controls.takes_picture(self.station.camera.role) {
+            self.send_picture(answer);
+        }
+        if let Some(exposure) = answer.exposure.frame.info.exposure {
+            let exposure_us = exposure.as_micros() as u32;
+            *self.glimpse.lock() = Some((answer.solved.brightness, exposure_us));
+        }
+        for hearer in &self.hearers {
+            hearer.hear(answer);
+        }
+    }
+
+    /// Of frames of the plate the controller hears.
+    fn tell_line(&self, answer: &Answer, arrived: Instant) {
+        let Found::Sun(sun) = &answer.solved.found else {
+            return;
+        };
+        let outcome = Outcome {
+            exposure: link::Exposure {
+                camera: self.station.number.into(),
+                start: answer.exposure.announced,
+            },
+            arrived,
+            shutter: answer.exposure.frame.info.exposure,
+            offset: sun.offset,
+            roll: answer.solved.roll,
+            stopped: sun.solution.stopped,
+        };
+        let event = LinkEvent::Outcome(Box::new(outcome));
+        if self.to_line.try_send(event).is_err() {
+            let mut tally = self.tally.lock();
+            tally.unsent += 1;
+            if worth_a_line(tally.unsent) {
+                let unsent = tally.unsent;
+                tracing::warn!(unsent, "the line is stuck: a solution was not sent");
+            }
+        }
+    }
+
+    /// What the ground has asked for.
+    fn send_picture(&self, answer: &Answer) {
+        let frame = &answer.exposure.frame;
+        let time = frame.info.mid_exposure.unwrap_or_else(Timestamp::now);
+        match Picture::new(frame, self.station.number, self.tags(answer), time) {
+            Ok(Some(picture)) => {
+                // A line that is stuck carries no pictures.
+                let _ = self.to_line.try_send(LinkEvent::Picture(Box::new(picture)));
+            }
+            Ok(None) => tracing::warn!("the frame is too large for a picture"),
+            Err(error) => tracing::warn!(%error, "no picture"),
+        }
+    }
+
+    /// What a picture says of itself.
+    fn tags(&self, answer: &Answer) -> Vec<Tag> {
+        let tag = |name: &str, value, comment: &str| Tag {
+            name: name.into(),
+            value,
+            comment: comment.into(),
+        };
+        let info = &answer.exposure.frame.info;
+        let instrument = TagValue::Text(self.station.camera.label.clone());
+        let mut tags = vec![tag("INSTRUME", instrument, "instrument")];
+        if let Some(exposure) = info.exposure {
+            let seconds = TagValue::Number(exposure.as_secs_f64());
+            tags.push(tag("EXPTIME", seconds, "exposure, s"));
+        }
+        if let Some(camera) = &info.camera {
+            tags.push(tag("CAMERA", TagValue::Text(camera.clone()), "camera"));
+        }
+        if let Some(number) = info.number {
+            let number = TagValue::Whole(number as i32);
+            tags.push(tag("FRAMENUM", number, "number of the frame"));
+        }
+        tags
+    }
+}
