@@ -47,26 +47,23 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
     let values = keep_values(&mut flight, &controls, &signals)?;
     let configuration = flight.configuration_toml();
     let stations = flight.stations(&configuration);
-    let navigation_toml = flight.navigation.as_ref().map(|one| &*one.settings_toml);
     let counters = Arc::<Counters>::default();
-    let (archive, disks) = archiver::start(
-        std::mem::take(&mut flight.stores),
-        &archiver::Around {
-            stations: &stations,
-            controls: &controls,
-            ephemeris: &flight.ephemeris,
-            navigation_toml,
-            counters: &counters,
-        },
-    )?;
+    let stores = std::mem::take(&mut flight.stores);
+    let around = archiver::Around {
+        stations: &stations,
+        controls: &controls,
+        ephemeris: &flight.ephemeris,
+        navigation_toml: flight.navigation.as_ref().map(|one| &*one.settings_toml),
+        counters: &counters,
+    };
+    let (archive, disks) = archiver::start(stores, &around)?;
     flight.config.host.hold();
     let (to_line, events) = bounded(LINK_EVENTS);
     let mut crew = Crew {
         host: flight.config.host,
         controls: controls.clone(),
         ephemeris: flight.ephemeris,
-        archive: archive.clone(),
-        to_line: to_line.clone(),
+        to_line,
         watcher,
         signals: Arc::clone(&signals),
         tallies: Tallies {
@@ -74,37 +71,19 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
             archive: archive.gauges(),
             ..Tallies::default()
         },
+        archive,
         shelf: Shelf::default(),
         inputs: None,
         cameras: Vec::new(),
         solvers: Vec::new(),
     };
-    let (navigation, navigation_rows) = crew.start_navigation(flight.navigation, &stations)?;
+    let navigation = crew.start_navigation(flight.navigation, &stations)?;
     let line = crew.start_line(flight.line, events)?;
     for (station, camera) in stations.iter().zip(flight.cameras) {
         crew.add(station, camera)?;
     }
     let tallies = crew.tallies.clone();
-    let watch = Watch {
-        cameras: crew.cameras,
-        solvers: crew.solvers,
-        navigation,
-        navigation_rows,
-        disks,
-        line,
-        archive: Some(archive),
-        to_line,
-        controls: controls.clone(),
-        housekeeping: HousekeepingSource::new(
-            controls.clone(),
-            crew.shelf.moon,
-            &sha256(&configuration),
-        ),
-        tallies: crew.tallies,
-        signals: Arc::clone(&signals),
-        gave_up: false,
-        landed: None,
-    };
+    let watch = crew.watch(navigation, disks, line, &sha256(&configuration));
     Ok(Service {
         watch: spawn("watch", move || watch.run())?,
         values,
@@ -212,6 +191,33 @@ impl Crew {
                 Line::new(&mut connection, around).run(&events, &hang_up, life);
             })
         })
+    }
+
+    /// The watch over all of them.
+    fn watch(
+        self,
+        (navigation, navigation_rows): (Vec<Worker>, Receiver<NavigationRows>),
+        disks: archiver::Threads,
+        line: Worker,
+        configuration_sha256: &str,
+    ) -> Watch {
+        let (controls, moon_desk) = (self.controls.clone(), self.shelf.moon);
+        Watch {
+            cameras: self.cameras,
+            solvers: self.solvers,
+            navigation,
+            navigation_rows,
+            disks,
+            line,
+            archive: Some(self.archive),
+            to_line: self.to_line,
+            controls: self.controls,
+            housekeeping: HousekeepingSource::new(controls, moon_desk, configuration_sha256),
+            tallies: self.tallies,
+            signals: self.signals,
+            gave_up: false,
+            landed: None,
+        }
     }
 
     fn add(&mut self, station: &Arc<Station>, camera: FlightCamera) -> io::Result<()> {

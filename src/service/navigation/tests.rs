@@ -96,6 +96,27 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     (sum / f64::from(count)).sqrt()
 }
 
+/// What a camera shows so long after the start.
+fn seen(camera: usize, target: Target, since: Duration, direction: Direction) -> Seen {
+    let start: Timestamp = START.parse().unwrap();
+    Seen {
+        camera,
+        target,
+        utc: start + SignedDuration::try_from(since).unwrap(),
+        direction,
+    }
+}
+
+/// The fixes of some sentences, all of which are one.
+fn fixes(receiver: &mut Nmea, sentences: &str) -> Vec<TimedFix> {
+    let heard = receiver.feed(sentences.as_bytes(), START.parse().unwrap());
+    let fix = |heard| match heard {
+        Heard::Fix(fix) => fix,
+        other => panic!("{other:?}"),
+    };
+    heard.into_iter().map(fix).collect()
+}
+
 /// Flies the simulated telescope. Frames show the Sun where `is_seen` says so of their time, and are solved 40 ms late; `spoil` may change what
 /// the IMU says, or lose it, and `receive` a fix.
 fn fly(
@@ -137,28 +158,17 @@ fn fly_judged(
         let since = Duration::from_millis(n * 1000 / rate);
         if n % rate == 0 {
             let sentences = flown.sentences(n / rate).unwrap();
-            for heard in receiver.feed(sentences.as_bytes(), start) {
-                let Heard::Fix(fix) = heard else {
-                    panic!("{heard:?}");
-                };
-                let received = receive(n / rate, fix);
-                received.iter().for_each(|fix| filter.fix(fix));
-            }
+            let fixes = fixes(&mut receiver, &sentences).into_iter();
+            let received = fixes.filter_map(|fix| receive(n / rate, fix));
+            received.for_each(|fix| filter.fix(&fix));
         }
         if n % (rate / frames_hz) == 0 && is_seen(since.as_secs_f64()) {
             let sun = flown.sun_on_plate(since);
             let sigma_mil = SUN_ARCSEC / instrument.optics.arcsec_per_mil();
             let sun = PlateMil::new(sun.x + sigma_mil * normal(), sun.y + sigma_mil * normal());
             let unit = sun_in_telescope(sun, &instrument);
-            late.push_back((
-                n + 4,
-                Seen {
-                    camera: 0,
-                    target: Target::Sun,
-                    utc: start + SignedDuration::try_from(since).unwrap(),
-                    direction: Direction::new(unit, SUN_ARCSEC / ARCSEC_PER_RAD),
-                },
-            ));
+            let direction = Direction::new(unit, SUN_ARCSEC / ARCSEC_PER_RAD);
+            late.push_back((n + 4, seen(0, Target::Sun, since, direction)));
         }
         while late.front().is_some_and(|(due, _)| *due <= n) {
             filter.seen(&late.pop_front().unwrap().1);

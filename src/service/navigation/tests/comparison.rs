@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::geometry::earth::ecef_m;
+use crate::instrument::Instrument;
 use crate::navigation::{Agreement, Axis};
 use crate::simulate::Gondola;
 use nalgebra::UnitVector3;
@@ -56,10 +57,27 @@ struct Compared {
     known: Vec<Known>,
     /// The differences of each axis, in sigmas.
     sigmas: [Vec<f64>; 3],
+    /// When each was compared last, s.
+    compared_s: [Option<f64>; 3],
     tally: NavigationTally,
 }
 
 impl Compared {
+    fn note(&mut self, t_s: f64, filter: &Filter, tally: &NavigationTally) {
+        for (axis, _, one) in filter.live.comparison().latest() {
+            let last_s = &mut self.compared_s[axis as usize];
+            if last_s.is_none_or(|last_s| one.t_s > last_s) {
+                *last_s = Some(one.t_s);
+                self.sigmas[axis as usize].push(one.sigmas);
+            }
+        }
+        self.known.push(Known {
+            t_s,
+            agreement: tally.agreement,
+            status: tally.status,
+        });
+    }
+
     /// When an agreement was known, from the first to the last sample, s.
     fn span_s(&self, agreement: Agreement) -> Option<(f64, f64)> {
         let is_so = |known: &&Known| known.agreement == Some(agreement);
@@ -73,6 +91,26 @@ impl Compared {
 fn nadir(flown: &mut TelescopeFlight, since: Duration) -> UnitVector3<f64> {
     let down = UnitVector3::new_normalize(-ecef_m(&FORT_SUMNER));
     flown.attitude(since).unwrap().inverse() * down
+}
+
+/// What a camera shows, without error but with its sigma.
+fn shown(
+    camera: usize,
+    flown: &mut TelescopeFlight,
+    since: Duration,
+    instrument: &Instrument,
+) -> Seen {
+    let (target, unit, sigma_rad) = match camera {
+        HORIZON => {
+            let sigma_rad = NADIR_DEG.to_radians();
+            (Target::Nadir, nadir(flown, since), sigma_rad)
+        }
+        _ => {
+            let sun = sun_in_telescope(flown.sun_on_plate(since), instrument);
+            (Target::Sun, sun, SUN_ARCSEC / ARCSEC_PER_RAD)
+        }
+    };
+    seen(camera, target, since, Direction::new(unit, sigma_rad))
 }
 
 /// Flies a telescope that swings with its gondola. Four times a second its cameras show the Sun, where `is_seen` says so, and the nadir.
@@ -100,66 +138,35 @@ fn fly_compared(
     let mut receiver = Nmea::default();
     let mut late = VecDeque::new();
     let mut compared = Compared::default();
-    let mut compared_s = [f64::NEG_INFINITY; 3];
     let rate = flown.rate_hz();
     for n in 1..=duration_s * rate {
         let since = Duration::from_millis(n * 1000 / rate);
         let t_s = since.as_secs_f64();
         if n % rate == 0 {
             let sentences = flown.sentences(n / rate).unwrap();
-            for heard in receiver.feed(sentences.as_bytes(), start) {
-                let Heard::Fix(fix) = heard else {
-                    panic!("{heard:?}");
-                };
-                filter.fix(&fix);
-            }
+            fixes(&mut receiver, &sentences)
+                .iter()
+                .for_each(|fix| filter.fix(fix));
         }
         for camera in cameras.iter().filter(|_| n % (rate / FRAMES_HZ) == 0) {
-            let (target, unit, sigma_rad) = match *camera {
-                HORIZON => {
-                    let sigma_rad = NADIR_DEG.to_radians();
-                    (Target::Nadir, nadir(&mut flown, since), sigma_rad)
-                }
-                _ => {
-                    let sun = sun_in_telescope(flown.sun_on_plate(since), &instrument);
-                    (Target::Sun, sun, SUN_ARCSEC / ARCSEC_PER_RAD)
-                }
-            };
-            if target == Target::Sun && !is_seen(t_s) {
+            let mut shown = shown(*camera, &mut flown, since, &instrument);
+            if shown.target == Target::Sun && !is_seen(t_s) {
                 continue;
             }
+            let sigma_rad = shown.direction.sigma_rad();
             let mut error = Vector3::from_fn(|_, _| sigma_rad * normal());
             if *camera == moved.camera && moved.time_s.contains(&t_s) {
                 error.y += moved.rad;
             }
-            let unit = UnitVector3::new_normalize(unit.into_inner() + error);
-            late.push_back((
-                n + LATE,
-                Seen {
-                    camera: *camera,
-                    target,
-                    utc: start + SignedDuration::try_from(since).unwrap(),
-                    direction: Direction::new(unit, sigma_rad),
-                },
-            ));
+            let unit = UnitVector3::new_normalize(shown.direction.unit.into_inner() + error);
+            shown.direction = Direction::new(unit, sigma_rad);
+            late.push_back((n + LATE, shown));
         }
         while late.front().is_some_and(|(due, _)| *due <= n) {
             filter.seen(&late.pop_front().unwrap().1);
         }
         filter.sample(&flown.sample(n).unwrap(), Instant::now());
-        for (axis, _, one) in filter.live.comparison().latest() {
-            let last_s = &mut compared_s[axis as usize];
-            if one.t_s > *last_s {
-                *last_s = one.t_s;
-                compared.sigmas[axis as usize].push(one.sigmas);
-            }
-        }
-        let tally = navigator.tally.lock();
-        compared.known.push(Known {
-            t_s,
-            agreement: tally.agreement,
-            status: tally.status,
-        });
+        compared.note(t_s, &filter, &navigator.tally.lock());
     }
     compared.tally = navigator.tally.copy();
     compared
