@@ -11,6 +11,7 @@ mod calibrate_mounting;
 mod calibrate_plate;
 mod calibrate_roll_camera;
 mod camera;
+mod cameras;
 mod cli;
 mod command_line;
 #[cfg(feature = "console")]

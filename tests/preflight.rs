@@ -293,8 +293,8 @@ fn a_camera_of_another_size_fails_with_both_sizes() {
 #[test]
 fn what_a_camera_sees_is_judged_by_its_light() {
     for (kind, light, solves) in [
-        ("standard", "pass: disc at", "pass: fine"),
-        ("saturated", "warn: disc at", ""),
+        ("standard", "pass: light at", "pass: fine"),
+        ("saturated", "warn: light at", ""),
         ("night", "warn: dark", "warn: no Sun"),
     ] {
         let folder = folder();

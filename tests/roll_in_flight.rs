@@ -343,7 +343,7 @@ fn a_flight_of_two_simulated_cameras_tells_the_gondolas_roll() {
     let said = String::from_utf8(flown.stdout).unwrap();
     assert!(flown.status.success(), "{said}");
     assert!(
-        said.contains("horizon    12 fine, 0 coarse, 0 none"),
+        said.contains("roll       12 fine, 0 coarse, 0 none"),
         "{said}"
     );
     let camera = MountedCamera::parse(Path::new("roll.toml"), SMALL_CAMERA).unwrap();

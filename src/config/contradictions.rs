@@ -31,18 +31,22 @@ impl Config {
                 "a camera, such as \"gige:192.168.1.20\" (\"simulated\" for the simulator)";
             missing.push(none(format!("{}.source", first.name), expected));
         }
+        if first.role != Role::PitchYaw {
+            missing.push(Refused {
+                key: format!("{}.role", first.name).into(),
+                expected: "\"pitch_yaw\": the controller hears of this camera".into(),
+                found: format!("\"{}\"", first.role.name()),
+            });
+        }
         for camera in self
             .cameras
             .flying()
             .filter(|camera| camera.instrument.is_none())
         {
             let is_real = matches!(camera.source, Some(Source::Gige(_)));
-            let expected = match camera.role {
-                Role::PitchYaw if is_real => "the instrument's file, for a real camera",
-                Role::Moon => "the file of the camera that sees the Moon",
-                Role::PitchYaw | Role::Roll => continue,
-            };
-            missing.push(none(format!("{}.instrument", camera.name), expected));
+            let expected = camera.role.needed_file(is_real);
+            let key = format!("{}.instrument", camera.name);
+            missing.extend(expected.map(|expected| none(key, expected)));
         }
         if self.navigation.is_enabled() && self.navigation.settings.is_none() {
             let expected =

@@ -16,12 +16,26 @@ struct Names {
     /// In the configuration.
     name: &'static str,
     in_words: &'static str,
+    /// What it looks at.
+    target: &'static str,
     /// The tables of the configuration whose cameras have this role unless they say otherwise.
     tables: &'static [&'static str],
     /// Frames, folders and logs of its camera, and its instrument in headers; none where the instrument has a name of its own.
     label: Option<&'static str>,
     /// Its first camera on the line.
     number: u8,
+    /// Which of its cameras need a file that states what they see, and what that is.
+    file: (Need, &'static str),
+}
+
+/// Which cameras need something.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Need {
+    /// Those that are no simulation and no folder.
+    Real,
+    All,
+    /// Without it, frames are stored and not solved.
+    No,
 }
 
 const ROLES: [Names; Role::COUNT] = [
@@ -29,25 +43,31 @@ const ROLES: [Names; Role::COUNT] = [
         role: Role::PitchYaw,
         name: "pitch_yaw",
         in_words: "pitch-yaw camera",
+        target: "Sun",
         tables: &["camera", "second_camera"],
         label: None,
         number: 1,
+        file: (Need::Real, "the instrument's file, for a real camera"),
     },
     Names {
         role: Role::Roll,
         name: "roll",
         in_words: "roll camera",
+        target: "horizon",
         tables: &["roll_camera"],
         label: Some("roll"),
         number: 6,
+        file: (Need::No, "the file of the camera that sees the horizon"),
     },
     Names {
         role: Role::Moon,
         name: "moon",
         in_words: "Moon camera",
+        target: "Moon",
         tables: &["moon_camera"],
         label: Some("moon"),
         number: 7,
+        file: (Need::All, "the file of the camera that sees the Moon"),
     },
 ];
 
@@ -71,6 +91,18 @@ impl Role {
 
     pub fn in_words(self) -> &'static str {
         self.names().in_words
+    }
+
+    /// What it looks at.
+    pub fn target(self) -> &'static str {
+        self.names().target
+    }
+
+    /// The file that a camera needs to fly; `None` where it needs none.
+    pub fn needed_file(self, is_real: bool) -> Option<&'static str> {
+        let (need, file) = self.names().file;
+        let is_needed = need == Need::All || (need == Need::Real && is_real);
+        is_needed.then_some(file)
     }
 
     /// The configuration's tables of cameras that need not state their role.

@@ -76,6 +76,16 @@ impl Sees {
         }
     }
 
+    /// What becomes of its frames.
+    pub fn in_words(&self) -> String {
+        match self {
+            Self::Plate(instrument) => format!("instrument \"{}\"", instrument.name),
+            Self::Horizon(_) => "solved for roll".into(),
+            Self::Moon(_) => "solved for the Moon".into(),
+            Self::Unstated => "stored and not solved".into(),
+        }
+    }
+
     /// Width and height of its frames, px, where a file states them.
     pub fn size_px(&self) -> Option<[usize; 2]> {
         match self {

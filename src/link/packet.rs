@@ -238,7 +238,10 @@ fn is_telemetry(direction: Direction, kind: u8, source: u8) -> bool {
         (Direction::ToAspect, kind) => kind == IMU,
         (Direction::ToController, RECEIPT) => source == id::ASPECT,
         (Direction::ToController, kind) => {
-            matches!(kind, IDLE | HOUSEKEEPING | PICTURE | PICTURE_TAG | RESULT)
+            matches!(
+                kind,
+                IDLE | HOUSEKEEPING | CAMERA | PICTURE | PICTURE_TAG | RESULT
+            )
         }
     }
 }

@@ -2,7 +2,6 @@
 
 use super::{Plan, PlannedCamera};
 use crate::config::{ConfiguredCamera, Switch};
-use crate::instrument::Sees;
 use std::fmt;
 
 impl fmt::Display for PlannedCamera {
@@ -24,12 +23,7 @@ impl fmt::Display for PlannedCamera {
             },
             pixel_format.name()
         )?;
-        match &self.camera.sees {
-            Sees::Plate(instrument) => write!(out, ", instrument \"{}\"", instrument.name),
-            Sees::Horizon(_) => write!(out, ", solved for roll"),
-            Sees::Moon(_) => write!(out, ", solved for the Moon"),
-            Sees::Unstated => write!(out, ", stored and not solved"),
-        }
+        write!(out, ", {}", self.camera.sees.in_words())
     }
 }
 

@@ -5,17 +5,16 @@ use super::bounded::within;
 use crate::aspect::Quality;
 use crate::calibrate::check;
 use crate::camera::{
-    Brightness, CameraError, CameraHealth, Exposure, FrameSource, PixelFormat, Source, Take,
+    Brightness, Camera, CameraError, CameraHealth, Exposure, FrameSource, PixelFormat, Source, Take,
 };
 use crate::commands::controls::Snapshot;
 use crate::frame::Frame;
-use crate::horizon;
 use crate::instrument::{Role, WrongSize};
 use crate::moon;
 use crate::plan::{Plan, PlannedCamera, Replay};
 use crate::service::messages::UnsolvedFrame;
 use crate::service::solvers::{Solver, solver};
-use crate::service::{Found, Solved, SolvedSun};
+use crate::service::{Found, SeenRoll, Solved};
 use std::time::{Duration, Instant};
 
 /// For a camera to be found and to give its first frame.
@@ -100,7 +99,7 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     } else if let Ok(solved) = solved {
         findings.extend(light(check, solved, planned.camera.role));
         findings.extend(contradicted(check, solved));
-        findings.extend(shows(check, solved));
+        findings.extend(shows(&planned.camera, solved));
     }
     findings
 }
@@ -264,13 +263,8 @@ fn light(camera: &str, solved: &Solved, role: Role) -> Option<Finding> {
             return Some(Finding::warn(check, "dark: no disc is seen", remedy));
         }
     };
-    let what = match role {
-        Role::PitchYaw => "disc",
-        Role::Roll => "limb and clouds",
-        Role::Moon => "brightest light",
-    };
     let [light, dark] = [level, background].map(|part| 100.0 * part);
-    let found = format!("{what} at {light:.0} % of full scale, background at {dark:.0} %");
+    let found = format!("light at {light:.0} % of full scale, background at {dark:.0} %");
     Some(if level >= SATURATED {
         let remedy = "shorten exposure_us, or set auto_exposure";
         Finding::warn(check, format!("{found}: saturated"), remedy)
@@ -283,79 +277,32 @@ fn light(camera: &str, solved: &Solved, role: Role) -> Option<Finding> {
 }
 
 /// What a frame shows; `None` of a camera whose frames are not solved.
-fn shows(camera: &str, solved: &Solved) -> Option<Finding> {
-    let check = format!("{camera} solves");
+fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
+    if let Found::Nothing = solved.found {
+        return None;
+    }
+    let check = format!("{} solves", camera.name);
     let why = solved.stopped.map(|stopped| stopped.in_full());
-    let (what, command, found) = match &solved.found {
-        Found::Sun(sun) => ("Sun", "solve", the_sun(sun)),
-        Found::Nadir(solution) => ("horizon", "horizon", the_roll(solved, solution)),
-        Found::Moon(moon) => ("Moon", "moon", moon.found.as_ref().ok().map(the_moon)),
-        Found::Nothing => return None,
-    };
-    let look = format!("look at the frame with `solaspect {command} --overlay`");
-    let is_hidden = |stage: &str| stage == moon::Stage::Sky.name();
-    let Some(found) = found else {
-        let found = format!("no {what} ({})", why.unwrap_or_default());
-        let remedy = format!("no matter without one in view; else {look}");
+    let look = "look at the frame with --overlay of solve, horizon or moon";
+    let Some(found) = solved.in_words() else {
+        let found = format!("no {} ({})", camera.role.target(), why.unwrap_or_default());
+        let is_hidden = |stage: &str| stage == moon::Stage::Sky.name();
         return Some(match solved.stopped {
             Some(stopped) if is_hidden(stopped.stage) => Finding::pass(check, found),
-            _ => Finding::warn(check, found, &remedy),
+            _ => {
+                let remedy = format!("no matter where none is in view; else {look}");
+                Finding::warn(check, found, &remedy)
+            }
         });
     };
     let doubt = why.map_or(String::new(), |why| format!(" ({why})"));
     let found = format!("{}{doubt}: {found}", solved.quality.name());
-    let is_askew = |roll_deg: f64| roll_deg.abs() > MOST_ROLL_DEG;
-    let is_nadir = matches!(solved.found, Found::Nadir(_));
+    let is_askew = |roll: SeenRoll| roll.deg.value.abs() > MOST_ROLL_DEG;
     Some(match solved.quality {
-        _ if is_nadir && solved.roll.is_some_and(|roll| is_askew(roll.deg.value)) => {
+        _ if camera.role == Role::Roll && solved.roll.is_some_and(is_askew) => {
             Finding::warn(check, found, "is body_from_camera right?")
         }
         Quality::Fine => Finding::pass(check, found),
-        Quality::Coarse | Quality::None => Finding::warn(check, found, &look),
+        Quality::Coarse | Quality::None => Finding::warn(check, found, look),
     })
-}
-
-fn the_sun(sun: &SolvedSun) -> Option<String> {
-    let solution = &sun.solution;
-    let plate = solution.aspect.as_ref()?.sun_plate;
-    let ([sx, sy], at) = (plate.sigma(), plate.position);
-    let scale = sun.instrument.optics.arcsec_per_mil();
-    let offset = match sun.offset {
-        Some(offset) => format!(
-            "offset {:.4}, {:.4} deg",
-            offset.azimuth_deg, offset.elevation_deg
-        ),
-        None => "no offset, for want of a time, a place or a sky".into(),
-    };
-    Some(format!(
-        "the Sun at {:.1}, {:.1} mil, 1 sigma {:.2} arcsec, {} marks; {offset}",
-        at.x,
-        at.y,
-        scale * (0.5 * (sx * sx + sy * sy)).sqrt(),
-        solution.marks.len()
-    ))
-}
-
-fn the_roll(solved: &Solved, solution: &horizon::Solution) -> Option<String> {
-    let roll_deg = solved.roll?.deg;
-    Some(format!(
-        "roll {:.3} +- {:.3} deg, {} of {} places of the limb",
-        roll_deg.value,
-        roll_deg.sigma,
-        solution.agreeing(),
-        solution.places
-    ))
-}
-
-fn the_moon(disc: &moon::Disc) -> String {
-    let (centre, sigma) = (disc.centre.position, disc.centre.sigma());
-    format!(
-        "centre at {:.2}, {:.2} px (+- {:.2}, {:.2}), radius {:.2} px, {:.0} % lit",
-        centre.x,
-        centre.y,
-        sigma[0],
-        sigma[1],
-        disc.radius_px.value,
-        100.0 * disc.lit().value
-    )
 }

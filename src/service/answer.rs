@@ -1,6 +1,6 @@
 //! What is said of a solved frame.
 
-use super::messages::{Answer, Found, Hears, Recent, SolvedSun};
+use super::messages::{Answer, Found, Hears, Recent, Solved, SolvedSun};
 use super::shared::Shared;
 use crate::aspect;
 use crate::record::{Record, RollRecord, Row};
@@ -65,4 +65,52 @@ impl Hears for Sender<Answer> {
         // A watcher that has left misses nothing that matters.
         let _ = self.send(answer.clone());
     }
+}
+
+impl Solved {
+    /// What a frame shows, in words; `None` where it shows nothing.
+    pub fn in_words(&self) -> Option<String> {
+        match &self.found {
+            Found::Sun(sun) => sun_in_words(sun),
+            Found::Nadir(solution) => {
+                let roll = self.roll?.deg;
+                let (agreeing, places) = (solution.agreeing(), solution.places);
+                Some(format!(
+                    "roll {:.3} +- {:.3} deg, {agreeing} of {places} places of the limb",
+                    roll.value, roll.sigma
+                ))
+            }
+            Found::Moon(moon) => {
+                let disc = moon.found.as_ref().ok()?;
+                let (centre, [x, y]) = (disc.centre.position, disc.centre.sigma());
+                Some(format!(
+                    "centre at {:.2}, {:.2} px (+- {x:.2}, {y:.2}), radius {:.2} px, {:.0} % lit",
+                    centre.x,
+                    centre.y,
+                    disc.radius_px.value,
+                    100.0 * disc.lit().value
+                ))
+            }
+            Found::Nothing => None,
+        }
+    }
+}
+
+fn sun_in_words(sun: &SolvedSun) -> Option<String> {
+    let plate = sun.solution.aspect.as_ref()?.sun_plate;
+    let ([sx, sy], at) = (plate.sigma(), plate.position);
+    let sigma_arcsec = sun.instrument.optics.arcsec_per_mil() * (0.5 * (sx * sx + sy * sy)).sqrt();
+    let offset = match sun.offset {
+        Some(offset) => format!(
+            "offset {:.4}, {:.4} deg",
+            offset.azimuth_deg, offset.elevation_deg
+        ),
+        None => "no offset, for want of a time, a place or a sky".into(),
+    };
+    Some(format!(
+        "the Sun at {:.1}, {:.1} mil, 1 sigma {sigma_arcsec:.2} arcsec, {} marks; {offset}",
+        at.x,
+        at.y,
+        sun.solution.marks.len()
+    ))
 }

@@ -344,7 +344,9 @@ fn a_value_that_contradicts_this_flight_is_refused_and_nothing_changes() {
     );
     controls.reset();
     assert_eq!(controls.config(), before);
-    controls.note_cameras(&[Role::PitchYaw, Role::PitchYaw]);
+    controls.note_cameras(&[Role::PitchYaw, Role::Roll]);
+    assert_eq!(integer("link.sending_camera", 2), REFUSED);
+    controls.note_cameras(&[Role::PitchYaw, Role::Roll, Role::PitchYaw]);
     assert_eq!(integer("link.sending_camera", 2), DONE);
 }
 
