@@ -8,6 +8,7 @@ use crate::camera::Source;
 use crate::plan::{Plan, Remarks, Replay};
 use crate::provenance;
 use crate::service::{Flight, FlightTally, Service};
+use anyhow::bail;
 use clap::Args;
 use jiff::Timestamp;
 use live::LiveLine;
@@ -36,13 +37,17 @@ const ENDING: Duration = Duration::from_millis(1500);
 
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     let (plan, remarks) = Plan::survey(args.over.config.as_deref(), &args.over.options());
-    check(&remarks, args.force)?;
+    let errors: Vec<String> = remarks.errors().map(|one| one.what.to_string()).collect();
+    if !errors.is_empty() && !args.force {
+        bail!("{}", errors.join("\n"));
+    }
     let replay = Replay {
         duration: args.duration,
         speed: args.speed,
     };
     let mut flight = Flight::of_plan(&plan, replay);
     say_who_flies(&plan, &flight);
+    say_what_is_odd(&remarks);
     flight.claim()?;
     flight.open_cameras()?;
     let interrupted = options::interrupted()?;
@@ -68,25 +73,6 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     live.end();
     say(&tally)?;
     Ok(exit_code(&tally, told_to_end))
-}
-
-/// Only a plan without errors flies, unless it is forced to: then the log says what is wrong with it.
-fn check(remarks: &Remarks, force: bool) -> anyhow::Result<()> {
-    let errors: Vec<String> = remarks
-        .errors()
-        .map(|error| error.what.to_string())
-        .collect();
-    if !errors.is_empty() && !force {
-        anyhow::bail!("{}", errors.join("\n"));
-    }
-    for remark in &remarks.list {
-        tracing::warn!("{remark}");
-    }
-    if !errors.is_empty() {
-        let errors = errors.len();
-        tracing::error!(errors, "flies by --force: the plan has errors");
-    }
-    Ok(())
 }
 
 fn exit_code(tally: &FlightTally, told_to_end: bool) -> ExitCode {
@@ -118,5 +104,16 @@ fn say_who_flies(plan: &Plan, flight: &Flight) {
         .is_some_and(|first| is_simulated(&first.source))
     {
         tracing::warn!("the frames are the simulator's, and so is what is sent of them");
+    }
+}
+
+/// What is wrong with a plan that flies by force, and what one should know of any.
+fn say_what_is_odd(remarks: &Remarks) {
+    for remark in &remarks.list {
+        tracing::warn!("{remark}");
+    }
+    let errors = remarks.errors().count();
+    if errors > 0 {
+        tracing::error!(errors, "flies by --force: the plan has errors");
     }
 }
