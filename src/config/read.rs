@@ -338,7 +338,7 @@ mod tests {
             let message = parse(text).unwrap_err();
             assert!(message.starts_with("c.toml: "), "{message}");
             assert!(!message.contains('\n'), "{message}");
-            for word in words {
+            for word in *words {
                 assert!(message.contains(word), "{message} lacks {word}");
             }
         }
