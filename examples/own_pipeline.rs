@@ -4,7 +4,7 @@
 //! `cargo run --release --example own_pipeline`
 
 use anyhow::anyhow;
-use solaspect::aspect::{Pipeline, Settings, Stopped};
+use solaspect::aspect::{Pipeline, SolverSettings, Stopped};
 use solaspect::frame::Frame;
 use solaspect::instrument::{self, Instrument};
 use solaspect::limb::Limb;
@@ -17,7 +17,7 @@ use solaspect::units::Rejected;
 /// The first stage that rejects the frame, with its reason.
 fn guide(frame: &Frame, instrument: &Instrument) -> anyhow::Result<Limb> {
     let rejected = |r: Rejected| anyhow!("{}: {} against {}", r.reason, r.measured, r.limit);
-    let settings = Settings::default();
+    let settings = SolverSettings::default();
     let stages = Pipeline::new(&settings, instrument, None);
     let stopped = |stopped: Stopped| anyhow!("{stopped}");
     let levels = stages.levels(frame).map_err(stopped)?; // background and disc

@@ -11,7 +11,7 @@ use solaspect::fits::{self, FitsFile};
 use solaspect::instrument::{Instrument, Mounting, Role, builtin};
 use solaspect::link::byte_log::{self, Burst};
 use solaspect::link::{Direction, Parser};
-use solaspect::navigation::Settings;
+use solaspect::navigation::NavigationSettings;
 use solaspect::navigation::files::{self, read_gps, read_imu, read_sun, read_vectors};
 use solaspect::navigation::nmea::{Heard, Nmea};
 use solaspect::observe::Journal;
@@ -29,10 +29,10 @@ const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 static MOUNTING: LazyLock<Mounting> =
     LazyLock::new(|| builtin("demo").expect("the demo instrument").mounting);
 
-static NAVIGATION: LazyLock<Settings> = LazyLock::new(|| {
+static NAVIGATION: LazyLock<NavigationSettings> = LazyLock::new(|| {
     let text =
         "[[camera]]\nname = \"camera\"\nbody_from_camera = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n";
-    Settings::parse(Path::new("NAV.toml"), text).expect("a camera")
+    NavigationSettings::parse(Path::new("NAV.toml"), text).expect("a camera")
 });
 
 /// A kind of input: its name, which is that of its target and its folder of seeds, and what reads it.
@@ -284,7 +284,7 @@ pub fn nav_toml(bytes: &[u8]) {
         return;
     };
     let path = Path::new("fuzz.toml");
-    let settings = Settings::parse(path, text)
+    let settings = NavigationSettings::parse(path, text)
         .and_then(|settings| settings.for_flight(path, &Role::table_names()));
     if let Err(error) = settings {
         assert!(error.to_string().contains("fuzz.toml"), "{error}");

@@ -3,7 +3,7 @@
 
 use crate::archive::Store;
 use crate::aspect::Quality;
-use crate::camera::{Camera, Settings, SimulatedCamera, TruthLog, View};
+use crate::camera::{Camera, CameraSettings, SimulatedCamera, TruthLog, View};
 use crate::config::{Config, FlightClock, Switch};
 use crate::fits::Compression;
 use crate::instrument::{
@@ -255,7 +255,7 @@ fn cameras(
     start: Timestamp,
 ) -> anyhow::Result<(Vec<FlightCamera>, TruthLog, SwingingGondola)> {
     let config = configuration(demo);
-    let simulated = |view, settings: &Settings| {
+    let simulated = |view, settings: &CameraSettings| {
         SimulatedCamera::new(view, settings, start, Some(demo.duration))
     };
     let course = trajectory(demo, instrument, start)?;
@@ -274,7 +274,7 @@ fn cameras(
     let gondola = SwingingGondola::new(&mounted, &FORT_SUMNER, demo.seed);
     let horizon = simulated(
         View::Horizon(Box::new(gondola.clone())),
-        &Settings::default(),
+        &CameraSettings::default(),
     );
     let roll = Camera {
         toml: Some(DEMO_HORIZON.into()),
@@ -322,7 +322,7 @@ fn telescope(
 fn navigation(gps: Connection, start: Timestamp) -> anyhow::Result<Navigation> {
     let path = Path::new("demo-nav");
     Ok(Navigation {
-        settings: navigation::Settings::parse(path, DEMO_NAVIGATION)?
+        settings: navigation::NavigationSettings::parse(path, DEMO_NAVIGATION)?
             .for_flight(path, &Role::table_names())?,
         settings_toml: DEMO_NAVIGATION.into(),
         imu: None,

@@ -144,14 +144,14 @@ impl LeftOut {
 }
 
 /// A row that is being read.
-pub struct Row<'a> {
+pub struct TableRow<'a> {
     pub line: u64,
     record: &'a ByteRecord,
     /// The file ends within it, or behind it without an end of line: its last number may be cut.
     is_last: bool,
 }
 
-impl Row<'_> {
+impl TableRow<'_> {
     /// How many columns it has.
     pub fn width(&self) -> usize {
         self.record.len()
@@ -198,7 +198,7 @@ impl Row<'_> {
     }
 }
 
-impl fmt::Display for Row<'_> {
+impl fmt::Display for TableRow<'_> {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let texts: Vec<&str> = (0..self.width()).map(|n| self.text(n)).collect();
         out.write_str(&texts.join(","))
@@ -220,7 +220,7 @@ pub fn quoted(text: &str) -> String {
 /// A file that cannot be read, and what `each` does not want to go on after.
 pub fn read_rows(
     path: &Path,
-    mut each: impl FnMut(&Row) -> Result<(), TableError>,
+    mut each: impl FnMut(&TableRow) -> Result<(), TableError>,
 ) -> Result<(), TableError> {
     let mut line = 0;
     let unreadable = |line, error: io::Error| {
@@ -244,7 +244,7 @@ pub fn read_rows(
             record.clear();
             let fields = text.split(|byte| *byte == b',');
             fields.for_each(|field| record.push_field(field.trim_ascii()));
-            each(&Row {
+            each(&TableRow {
                 line,
                 record: &record,
                 is_last: end == End::OfFile,

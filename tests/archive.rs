@@ -381,7 +381,7 @@ fn solved() -> (TempDir, PathBuf, Record) {
     frame.info.number.get_or_insert(0);
     let utc = frame.info.mid_exposure;
     let expected = utc.and_then(Expected::at);
-    let settings = aspect::Settings::default();
+    let settings = aspect::SolverSettings::default();
     let solution = aspect::solve_with(&settings, &frame, &instrument, expected, None);
     let record = Record::new("", utc, &solution, None, None);
     let tables = archive::tables(&solution);

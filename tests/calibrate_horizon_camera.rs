@@ -13,7 +13,7 @@ use solaspect::calibrate::horizon_camera::{
 use solaspect::calibrate::roll_camera::Horizons;
 use solaspect::config::Roll;
 use solaspect::fits::Compression;
-use solaspect::geometry::camera::{Camera, Lens};
+use solaspect::geometry::camera::{CameraModel, Lens};
 use solaspect::horizon::{EdgePoint, EdgeRays, Sphere};
 use solaspect::instrument::DirectionCamera;
 use solaspect::simulate::earth::EarthConditions;
@@ -62,7 +62,7 @@ fn file() -> DirectionCamera {
     DirectionCamera {
         width_px: SIZE_PX[0],
         height_px: SIZE_PX[1],
-        lens: Camera::new(lens, [FOCAL_PX; 2], SensorPx::new(959.5, 539.5)).unwrap(),
+        lens: CameraModel::new(lens, [FOCAL_PX; 2], SensorPx::new(959.5, 539.5)).unwrap(),
         body_from_camera: None,
         mask: Vec::new(),
     }
@@ -236,7 +236,7 @@ fn drawn(seed: u64, width_px: usize, frames: u64) -> Drawn {
     truth.centre *= scale;
     let lens = Lens::KannalaBrandt([1.0, truth.k2, 0.0, 0.0, 0.0]);
     let conditions = EarthConditions {
-        camera: Camera::new(lens, [truth.focal_px; 2], truth.centre.into()).unwrap(),
+        camera: CameraModel::new(lens, [truth.focal_px; 2], truth.centre.into()).unwrap(),
         width_px,
         height_px,
         ..EarthConditions::clear(38_000.0).varying(0.02, 100.0)

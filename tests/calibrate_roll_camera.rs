@@ -11,7 +11,7 @@ use solaspect::archive::Store;
 use solaspect::calibrate::roll_camera::{Horizon, Known, Sighting, fit};
 use solaspect::fits::Compression;
 use solaspect::geometry::attitude::Direction;
-use solaspect::geometry::camera::Camera;
+use solaspect::geometry::camera::CameraModel;
 use solaspect::instrument::{Instrument, MountedCamera, builtin};
 use solaspect::pointing::{Horizontal, Roll, sun_on_plate};
 use solaspect::simulate::earth::{EarthConditions, EarthScene};
@@ -259,7 +259,7 @@ fn middle(width_px: usize, height_px: usize) -> SensorPx {
 fn conditions(width_px: usize) -> EarthConditions {
     let height_px = width_px * 9 / 16;
     EarthConditions {
-        camera: Camera::rectilinear(focal_px(width_px), middle(width_px, height_px)),
+        camera: CameraModel::rectilinear(focal_px(width_px), middle(width_px, height_px)),
         width_px,
         height_px,
         ..EarthConditions::clear(38_405.0).varying(0.02, 100.0)

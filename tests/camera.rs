@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use solaspect::aspect::{self, Expected, Quality};
 use solaspect::camera::{
-    self, CameraError, Exposure, FrameSource, PixelFormat, Settings, SimulatedCamera, Source,
+    self, CameraError, CameraSettings, Exposure, FrameSource, PixelFormat, SimulatedCamera, Source,
     Surroundings, Take, View,
 };
 use solaspect::fits::{self, Compression};
@@ -23,9 +23,9 @@ fn simulated(rate_hz: f64, duration: Option<Duration>) -> SimulatedCamera {
     let instrument = instrument::builtin("demo").unwrap();
     let trajectory = Trajectory::flight(&instrument, RADIUS_MIL, 1).unwrap();
     let scenes = FlightScenes::new(&instrument, trajectory, RADIUS_MIL, 1).unwrap();
-    let settings = Settings {
+    let settings = CameraSettings {
         rate_hz,
-        ..Settings::default()
+        ..CameraSettings::default()
     };
     let view = View::Plate(Box::new(scenes));
     SimulatedCamera::new(view, &settings, noon(), duration)
@@ -90,10 +90,10 @@ fn a_slow_camera_gives_control_back_while_no_frame_is_due() {
 fn the_simulator_takes_exposure_region_format_and_rate_in_flight() {
     let mut camera = simulated(50.0, None);
     let (first, _) = next(&mut camera).unwrap();
-    let shorter = Settings {
+    let shorter = CameraSettings {
         rate_hz: 20.0,
         exposure_us: 7_500,
-        ..Settings::default()
+        ..CameraSettings::default()
     };
     camera.apply(&shorter).unwrap();
     let (second, _) = next(&mut camera).unwrap();
@@ -101,7 +101,7 @@ fn the_simulator_takes_exposure_region_format_and_rate_in_flight() {
     let ratio = disc_dn(&second.frame) / disc_dn(&first.frame);
     assert!((ratio - 0.5).abs() < 0.03, "{ratio}");
 
-    let part = Settings {
+    let part = CameraSettings {
         exposure_us: 60_000,
         region: Some(Region::sized(100, 50, 640, 480)),
         pixel_format: PixelFormat::Mono12,
@@ -124,9 +124,9 @@ fn the_simulator_takes_exposure_region_format_and_rate_in_flight() {
 #[test]
 fn a_region_that_reaches_over_the_sensor_is_an_error_and_a_good_one_mends_it() {
     let mut camera = simulated(50.0, None);
-    let wrong = Settings {
+    let wrong = CameraSettings {
         region: Some(Region::sized(1000, 0, 640, 480)),
-        ..Settings::default()
+        ..CameraSettings::default()
     };
     camera.apply(&wrong).unwrap();
     let message = camera.next(&mut |_| {}).unwrap_err().to_string();
@@ -134,7 +134,7 @@ fn a_region_that_reaches_over_the_sensor_is_an_error_and_a_good_one_mends_it() {
         message,
         "camera.region_px: expected a part of the sensor's 1296 x 966 px, found 1000,0,640,480"
     );
-    camera.apply(&Settings::default()).unwrap();
+    camera.apply(&CameraSettings::default()).unwrap();
     assert!(next(&mut camera).is_some());
 }
 
@@ -147,9 +147,9 @@ fn opened(source: &str, speed: f64) -> Result<Box<dyn FrameSource>, CameraError>
         duration: None,
         speed,
     };
-    let settings = Settings {
+    let settings = CameraSettings {
         rate_hz: 50.0,
-        ..Settings::default()
+        ..CameraSettings::default()
     };
     camera::open(&source.parse::<Source>().unwrap(), &settings, &around)
 }
@@ -257,7 +257,7 @@ fn a_part_of_the_sensor_gives_the_same_aspect_as_the_whole() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/frames/standard");
     let whole = fits::read_frame(&data.join("frame_00000.fits")).unwrap();
     let expected = whole.info.mid_exposure.and_then(Expected::at);
-    let settings = aspect::Settings::default();
+    let settings = aspect::SolverSettings::default();
     let solve = |frame: &Frame| {
         let seen = instrument.seen_by(frame).unwrap();
         aspect::solve_with(&settings, frame, &seen, expected, None)

@@ -3,7 +3,7 @@
 use jiff::Timestamp;
 use serde_json::{Value, json};
 use solaspect::aspect;
-use solaspect::console::{Ground, Running, Secret, Settings, Source};
+use solaspect::console::{ConsoleSettings, Ground, Running, Secret, Source};
 use solaspect::demo::{self, Demo};
 use solaspect::instrument::builtin;
 use solaspect::link::byte_log::{self, Burst};
@@ -24,7 +24,7 @@ const TOKEN: &str = "the token of this test's console";
 fn ground(archive: Option<&Path>) -> Ground {
     Ground {
         instrument: builtin("demo").unwrap(),
-        settings: aspect::Settings::default(),
+        settings: aspect::SolverSettings::default(),
         target: Target::default(),
         place: Some(FORT_SUMNER),
         ephemeris: Ephemeris::new(OrientationTable::built_in()),
@@ -32,8 +32,8 @@ fn ground(archive: Option<&Path>) -> Ground {
     }
 }
 
-fn settings(source: Source) -> Settings {
-    Settings {
+fn settings(source: Source) -> ConsoleSettings {
+    ConsoleSettings {
         source,
         line: None,
         gondola: None,
@@ -61,7 +61,7 @@ fn free_port() -> u16 {
 }
 
 /// A console that receives datagrams, and a socket that sends them.
-fn over_udp(change: impl FnOnce(&mut Settings)) -> (Running, UdpSocket) {
+fn over_udp(change: impl FnOnce(&mut ConsoleSettings)) -> (Running, UdpSocket) {
     let port = free_port();
     let mut settings = settings(Source::Udp(local(port)));
     change(&mut settings);
@@ -338,7 +338,7 @@ fn a_picture_is_shown_as_it_arrives_and_solved_when_it_is_whole() {
 
 #[test]
 fn a_console_without_a_token_shows_and_does_nothing_else() {
-    let refused = Running::start(Settings {
+    let refused = Running::start(ConsoleSettings {
         listen: (Ipv4Addr::UNSPECIFIED, 0).into(),
         ..settings(Source::Udp(local(free_port())))
     });
@@ -444,7 +444,7 @@ fn a_command_reaches_the_flight_program_is_acknowledged_and_what_changes_the_fli
     let log = folder.path().join("log.csv");
     let gondola = free_port();
     let port = free_port();
-    let console = Running::start(Settings {
+    let console = Running::start(ConsoleSettings {
         gondola: Some(local(gondola)),
         token: Some(Secret::of(TOKEN)),
         command_log: log.clone(),
@@ -594,7 +594,7 @@ fn flown(folder: &Path, seconds: u64) {
 fn an_archive_is_shown_with_its_frames_and_replayed_at_any_speed() {
     let folder = tempfile::tempdir().unwrap();
     flown(folder.path(), 6);
-    let console = Running::start(Settings {
+    let console = Running::start(ConsoleSettings {
         ground: ground(Some(folder.path())),
         ..settings(Source::Archive(folder.path().into()))
     });
@@ -702,12 +702,12 @@ fn consoles_that_relay_in_a_ring_pass_each_datagram_on_once() {
     let path = folder.path().join("flight.log");
     let far_port = free_port();
     let port = free_port();
-    let near = Running::start(Settings {
+    let near = Running::start(ConsoleSettings {
         recording: Some(path.clone()),
         relays: vec![local(far_port)],
         ..settings(Source::Udp(local(port)))
     });
-    let far = Running::start(Settings {
+    let far = Running::start(ConsoleSettings {
         relays: vec![local(port)],
         ..settings(Source::Udp(local(far_port)))
     });

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 use solaspect::archive::{Helioprojection, Store, instrument_cards, sky_cards, tables};
-use solaspect::aspect::{self, Aspect, Expected, Quality, Settings, Solution};
+use solaspect::aspect::{self, Aspect, Expected, Quality, Solution, SolverSettings};
 use solaspect::fits::{Compression, Header, Value, read_keywords};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::geometry::{Distortion, Handedness, LocalSimilarity, Mapping, SimilarityParameters};
@@ -286,7 +286,13 @@ impl Case {
 
 fn solve(frame: &Frame, instrument: &Instrument) -> Solution {
     let expected = frame.info.mid_exposure.and_then(Expected::at);
-    aspect::solve_with(&Settings::default(), frame, instrument, expected, None)
+    aspect::solve_with(
+        &SolverSettings::default(),
+        frame,
+        instrument,
+        expected,
+        None,
+    )
 }
 
 /// Where the spot is in the pixels: the centroid of what it takes from an evenly bright Sun without marks.

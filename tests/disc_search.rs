@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use solaspect::frame::{Frame, FrameInfo, Levels, Pixels, Region};
 use solaspect::geometry::{Circle, Mapping};
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::limb::{self, DiscSearch, Settings};
+use solaspect::limb::{self, DiscSearch, LimbSettings};
 use solaspect::simulate::{
     Conditions, Depth, Noise, RandomScenes, SUN_RADIUS_ARCSEC, Scene, Sun, SunInView,
 };
@@ -28,7 +28,7 @@ fn frames(in_ci: u64) -> u64 {
 }
 
 fn find(frame: &Frame, radius_px: f64) -> Option<Circle> {
-    let settings = Settings::default();
+    let settings = LimbSettings::default();
     let levels = limb::levels(frame, &settings).ok()?;
     let search = search(frame, &levels, radius_px, &settings);
     search.anywhere(frame.region()).ok()
@@ -38,7 +38,7 @@ fn search<'a>(
     frame: &'a Frame,
     levels: &'a Levels,
     radius_px: f64,
-    settings: &'a Settings,
+    settings: &'a LimbSettings,
 ) -> DiscSearch<'a> {
     let instrument = demo();
     let scale = instrument.mounting.scale_mil_per_px.value;
@@ -300,9 +300,9 @@ fn a_disc_near_where_it_was_is_found_though_more_crossings_are_asked_for() {
     let frame = frame_of(|x, y| lit((x - 612.0).hypot(y - 431.0) < 95.2));
     let region = Region::sized(480, 300, 280, 280);
     for min_crossings in [8, 48, 120] {
-        let settings = Settings {
+        let settings = LimbSettings {
             min_crossings,
-            ..Settings::default()
+            ..LimbSettings::default()
         };
         let levels = limb::levels(&frame, &settings).unwrap();
         let search = search(&frame, &levels, 95.2, &settings);
@@ -402,7 +402,7 @@ fn levels_are_the_frames_own_though_little_of_the_disc_is_seen() {
             cut(&mut part, Cut::Edge, 0.15, rng);
             for (scene, disc_dn) in [(whole, 160.0..235.0), (part, 90.0..190.0)] {
                 let frame = scene.frame().unwrap();
-                let levels = limb::levels(&frame, &Settings::default()).unwrap();
+                let levels = limb::levels(&frame, &LimbSettings::default()).unwrap();
                 // Digitising adds a variance of 1/12.
                 let noise = noise_dn.hypot(0.2887);
                 // Whole numbers as coarse as the noise tell it less well.

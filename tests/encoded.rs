@@ -17,7 +17,8 @@ use solaspect::link::{
     MoonFix, MoonRequest, MoonSight, NoSolution, Propagated, Receipt, Telemetry,
 };
 use solaspect::record::{
-    MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord, Row, Upkeep,
+    LoggedRow, MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord,
+    Upkeep,
 };
 use std::fmt::Write;
 use std::fs;
@@ -171,7 +172,7 @@ fn nothing() -> Record {
 }
 
 /// A frame of the Sun, one that went nowhere, and one of the Moon.
-fn rows() -> [Row; 3] {
+fn rows() -> [LoggedRow; 3] {
     let sun = Record {
         file: "sun/frame.fits".into(),
         quality: "fine",
@@ -231,9 +232,9 @@ fn rows() -> [Row; 3] {
         }),
         ..nothing()
     };
-    let row = |number, record| Row::new(number, &Solution::none(), record);
+    let row = |number, record| LoggedRow::new(number, &Solution::none(), record);
     [
-        Row {
+        LoggedRow {
             quality: Quality::Fine,
             levels: Some(Levels {
                 background_dn: 12.5,
@@ -248,12 +249,12 @@ fn rows() -> [Row; 3] {
             },
             ..row(Some(7), sun)
         },
-        Row {
+        LoggedRow {
             stopped: Some(Stage::Levels),
             on_own_disk: Some(false),
             ..row(None, dark)
         },
-        Row {
+        LoggedRow {
             quality: Quality::Coarse,
             ..row(Some(u64::from(u32::MAX) + 2), moon)
         },

@@ -8,7 +8,9 @@ use jiff::{SignedDuration, Timestamp};
 use solaspect::archive::Store;
 use solaspect::archive::disk::LocalDisk;
 use solaspect::aspect::Quality;
-use solaspect::camera::{Camera, CameraError, Exposure, FolderCamera, FrameSource, Settings, Take};
+use solaspect::camera::{
+    Camera, CameraError, CameraSettings, Exposure, FolderCamera, FrameSource, Take,
+};
 use solaspect::config::{self, Allowed, Config, Parameter, by_command, parameters};
 use solaspect::fits::{self, Compression, Value};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
@@ -427,7 +429,7 @@ fn a_step_of_utc_is_told_in_the_frames_header_and_counted() {
 
 /// A camera that shows a disc whose light follows the exposure, and tells what it was set to.
 struct Lit {
-    settings: Settings,
+    settings: CameraSettings,
     told: Arc<Mutex<Vec<u32>>>,
     number: u64,
     go: Receiver<()>,
@@ -457,7 +459,7 @@ impl FrameSource for Lit {
         Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
     }
 
-    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+    fn apply(&mut self, settings: &CameraSettings) -> Result<(), CameraError> {
         self.settings = settings.clone();
         self.told.lock().unwrap().push(settings.exposure_us);
         Ok(())
@@ -898,7 +900,7 @@ impl FrameSource for Prompted {
         Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
     }
 
-    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+    fn apply(&mut self, settings: &CameraSettings) -> Result<(), CameraError> {
         self.given.lock().unwrap().push(settings.rate_hz);
         Ok(())
     }

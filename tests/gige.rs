@@ -3,7 +3,7 @@
 
 use jiff::Timestamp;
 use solaspect::camera::gige::GigeCamera;
-use solaspect::camera::{CameraError, Exposure, FrameSource, PixelFormat, Settings, Take};
+use solaspect::camera::{CameraError, CameraSettings, Exposure, FrameSource, PixelFormat, Take};
 use solaspect::fits;
 use solaspect::frame::{Frame, Pixels, Region};
 use std::io::{BufRead, BufReader};
@@ -69,12 +69,12 @@ fn frame(camera: &mut GigeCamera) -> Frame {
     next(camera, &mut Vec::new()).frame
 }
 
-fn settings() -> Settings {
-    Settings {
+fn settings() -> CameraSettings {
+    CameraSettings {
         rate_hz: 20.0,
         exposure_us: 7_500,
         region: Some(Region::sized(100, 50, 640, 480)),
-        ..Settings::default()
+        ..CameraSettings::default()
     }
 }
 
@@ -88,7 +88,7 @@ fn brightness(frame: &Frame) -> f64 {
     f64::from(sorted[sorted.len() * 99 / 100]) / f64::from(frame.saturation_dn())
 }
 
-fn assert_settings_hold(frame: &Frame, settings: &Settings) {
+fn assert_settings_hold(frame: &Frame, settings: &CameraSettings) {
     let region = settings.region.unwrap();
     assert_eq!(
         (frame.width(), frame.height()),
@@ -102,7 +102,7 @@ fn assert_settings_hold(frame: &Frame, settings: &Settings) {
 fn frames_come_with_their_settings_times_and_temperature() {
     let _turn = port();
     let _fake = Fake::start(&[]);
-    let wanted = Settings {
+    let wanted = CameraSettings {
         analogue_gain: Some(3.0),
         preamp_gain: Some(-3.0),
         ..settings()
@@ -134,7 +134,7 @@ fn settings_are_taken_in_flight_and_a_refused_one_is_told() {
     let mut camera = GigeCamera::new(ADDRESS, &settings());
     let before = brightness(&frame(&mut camera));
 
-    let longer = Settings {
+    let longer = CameraSettings {
         exposure_us: 15_000,
         region: Some(Region::sized(0, 0, 1296, 966)),
         pixel_format: PixelFormat::Mono12,
@@ -146,7 +146,7 @@ fn settings_are_taken_in_flight_and_a_refused_one_is_told() {
     assert_eq!(after.saturation_dn(), 4095);
     assert!(brightness(&after) > before.min(0.5), "{before}");
 
-    let impossible = Settings {
+    let impossible = CameraSettings {
         analogue_gain: Some(400.0),
         ..longer.clone()
     };

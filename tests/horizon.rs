@@ -6,7 +6,7 @@ use solaspect::frame::{Frame, FrameInfo, Pixels, Region};
 use solaspect::geometry::attitude::{Direction, Observation, attitude};
 use solaspect::horizon::circle::{self, circle};
 use solaspect::horizon::{
-    self, EdgeHeight, Flag, Nadir, Quality, Refraction, Settings, Solution, Sphere, Stage,
+    self, EdgeHeight, Flag, HorizonSettings, Nadir, Quality, Refraction, Solution, Sphere, Stage,
 };
 use solaspect::instrument::DirectionCamera;
 use solaspect::simulate::earth::{Aim, Clouds, EarthConditions, EarthScene, Shape};
@@ -46,7 +46,13 @@ pub fn sphere(scene: &EarthScene) -> Sphere {
 fn solved(scene: &EarthScene) -> Solution {
     let frame = scene.frame().unwrap();
     let camera = camera(&scene.conditions);
-    horizon::solve(&Settings::default(), &frame, &camera, &sphere(scene), None)
+    horizon::solve(
+        &HorizonSettings::default(),
+        &frame,
+        &camera,
+        &sphere(scene),
+        None,
+    )
 }
 
 /// Square of the error over its covariance, in one axis.
@@ -218,7 +224,8 @@ fn a_horizon_that_is_known_is_found_again_near_by_with_the_same_answer() {
         let scene = balloon().scene(SEED, number);
         let frame = scene.frame().unwrap();
         let (camera, sphere) = (camera(&scene.conditions), sphere(&scene));
-        let solve = |last| horizon::solve(&Settings::default(), &frame, &camera, &sphere, last);
+        let solve =
+            |last| horizon::solve(&HorizonSettings::default(), &frame, &camera, &sphere, last);
         let alone = solve(None).nadir.unwrap();
         let down = alone.direction.unit;
         // A degree off, as a gondola's swing from one frame to the next.
@@ -257,7 +264,7 @@ fn what_a_mask_hides_moves_no_horizon() {
     .unwrap();
     camera.mask = vec![boom];
     let solution = horizon::solve(
-        &Settings::default(),
+        &HorizonSettings::default(),
         &shadowed,
         &camera,
         &sphere(&scene),
@@ -282,7 +289,13 @@ fn a_frame_that_is_dark_or_white_is_refused_at_once() {
     for (dn, reason) in [(4, "too_dark"), (255, "too_bright")] {
         let pixels = Pixels::U8(vec![dn; 1920 * 1080]);
         let frame = Frame::new(1920, 1080, pixels, 255, FrameInfo::default()).unwrap();
-        let solution = horizon::solve(&Settings::default(), &frame, &camera, &sphere(&scene), None);
+        let solution = horizon::solve(
+            &HorizonSettings::default(),
+            &frame,
+            &camera,
+            &sphere(&scene),
+            None,
+        );
         let stopped = solution.nadir.unwrap_err();
         assert_eq!(stopped.stage, Stage::Light);
         assert_eq!(stopped.rejected.reason.code, reason);
@@ -308,7 +321,8 @@ fn with_a_place_straight_down_is_the_ellipsoids_normal() {
                 Sphere::earth_at(&place, 0.0, edge, straight, heading, Vector3::z_axis()).unwrap();
             let frame = scene.frame().unwrap();
             let camera = camera(&conditions);
-            let solution = horizon::solve(&Settings::default(), &frame, &camera, &sphere, None);
+            let solution =
+                horizon::solve(&HorizonSettings::default(), &frame, &camera, &sphere, None);
             squares += error_over_sigma_squared(&solution.nadir.unwrap().direction, &truth.nadir);
         }
         // As a sphere's, its curvature would mislead by a tenth of a degree at middle latitudes.
@@ -323,9 +337,9 @@ fn with_a_place_straight_down_is_the_ellipsoids_normal() {
 
 #[test]
 fn the_height_of_the_limb_is_found_where_the_edge_curves() {
-    let settings = Settings {
+    let settings = HorizonSettings {
         height: EdgeHeight::Fitted,
-        ..Settings::default()
+        ..HorizonSettings::default()
     };
     let mut squares = [0.0; 2];
     const FRAMES: u64 = 12;
@@ -377,7 +391,7 @@ impl PairErrors {
             ..rocket()
         };
         let [one, other] = pair();
-        let settings = Settings::default();
+        let settings = HorizonSettings::default();
         let camera = camera(&conditions);
         let of_scene = |number| {
             let first = conditions.scene(SEED, number);
@@ -442,7 +456,7 @@ fn a_circle_succeeds_in_nine_of_ten_clear_frames() {
         let scene = rocket().scene(SEED, *number);
         let (camera, sphere) = (camera(&scene.conditions), sphere(&scene));
         let frame = scene.frame().unwrap();
-        let found = circle(&Settings::default(), &frame, &camera, &sphere);
+        let found = circle(&HorizonSettings::default(), &frame, &camera, &sphere);
         found.is_ok_and(|circle| circle.succeeds(&sphere, &scene.truth().nadir))
     };
     let successes = (0..FRAMES).into_par_iter().filter(succeeds).count();
@@ -485,7 +499,7 @@ fn the_sun_and_the_moon_are_found_as_spheres_in_a_plain_camera() {
         let camera = DirectionCamera {
             width_px: 640,
             height_px: 480,
-            lens: solaspect::geometry::camera::Camera::rectilinear(focal_px, middle),
+            lens: solaspect::geometry::camera::CameraModel::rectilinear(focal_px, middle),
             ..camera(&lens)
         };
         let radius_rad = f64::to_radians(radius_deg);
@@ -493,7 +507,8 @@ fn the_sun_and_the_moon_are_found_as_spheres_in_a_plain_camera() {
         for (x, y) in [(320.0, 240.0), (101.3, 77.7), (555.5, 400.2)] {
             let centre = camera.lens.ray(SensorPx::new(x, y)).unwrap();
             let frame = picture_of_disc(&camera, &centre, radius_rad);
-            let solution = horizon::solve(&Settings::default(), &frame, &camera, &sphere, None);
+            let solution =
+                horizon::solve(&HorizonSettings::default(), &frame, &camera, &sphere, None);
             let found = solution.nadir.unwrap().direction;
             let off_px = found.unit.angle(&centre) * focal_px;
             assert!(off_px < 0.1, "{off_px} px at {x}, {y}, f = {focal_px} px");

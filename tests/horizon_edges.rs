@@ -3,8 +3,8 @@
 use super::horizon::{camera, picture_of_disc, rocket, solaspect, sphere};
 use nalgebra::{Rotation3, UnitVector3, Vector3};
 use solaspect::frame::Pixels;
-use solaspect::geometry::camera::Camera;
-use solaspect::horizon::{self, EdgeHeight, Quality, Settings};
+use solaspect::geometry::camera::CameraModel;
+use solaspect::horizon::{self, EdgeHeight, HorizonSettings, Quality};
 use solaspect::instrument::DirectionCamera;
 use solaspect::reasons::horizon as reasons;
 use solaspect::simulate::earth::EarthConditions;
@@ -20,7 +20,7 @@ fn a_panel_with_the_edge_of_an_earth_is_too_sharp_to_be_one() {
     let camera = camera(&scene.conditions);
     let down = scene.truth().nadir;
     let frame = picture_of_disc(&camera, &down, sphere.half_angle_rad.value);
-    let solution = horizon::solve(&Settings::default(), &frame, &camera, &sphere, None);
+    let solution = horizon::solve(&HorizonSettings::default(), &frame, &camera, &sphere, None);
     assert_ne!(solution.quality(), Quality::Fine);
     let reason = solution.reason().unwrap().rejected.reason;
     assert_eq!(reason, reasons::SHARP_EDGE);
@@ -31,9 +31,9 @@ fn a_fitted_height_that_no_air_has_says_that_the_cameras_file_is_wrong() {
     let scene = rocket().scene(SEED, 1);
     let frame = scene.frame().unwrap();
     let sphere = sphere(&scene);
-    let settings = Settings {
+    let settings = HorizonSettings {
         height: EdgeHeight::Fitted,
-        ..Settings::default()
+        ..HorizonSettings::default()
     };
     let solved = |focal_share: f64| {
         let right = camera(&scene.conditions);
@@ -41,7 +41,7 @@ fn a_fitted_height_that_no_air_has_says_that_the_cameras_file_is_wrong() {
             [right.width_px, right.height_px].map(|size| (size as f64 - 1.0) / 2.0);
         let focal_px = focal_share * right.lens.mean_focal_px();
         let file = DirectionCamera {
-            lens: Camera::rectilinear(focal_px, SensorPx::new(width, height)),
+            lens: CameraModel::rectilinear(focal_px, SensorPx::new(width, height)),
             ..right
         };
         horizon::solve(&settings, &frame, &file, &sphere, None)

@@ -1,7 +1,7 @@
 //! How well an edge tells roll and pitch, by height, field, resolution and atmosphere: Braun and Barf 2022, section 4, figures 19 to 22.
 
 use nalgebra::{UnitVector3, Vector3};
-use solaspect::geometry::camera::Camera;
+use solaspect::geometry::camera::CameraModel;
 use solaspect::horizon::{
     Departure, EdgeHeight, EdgePoint, EdgeRay, EdgeRays, Refraction, Sphere, nadir,
 };
@@ -37,7 +37,7 @@ impl Case {
         let width = self.rows * 16.0 / 9.0;
         let focal_px = width / 2.0 / (self.field_deg / 2.0).to_radians().tan();
         let middle = SensorPx::new((width - 1.0) / 2.0, (self.rows - 1.0) / 2.0);
-        let camera = Camera::rectilinear(focal_px, middle);
+        let camera = CameraModel::rectilinear(focal_px, middle);
         let exact = |km: f64| Measured::new(km * 1e3, 0.0);
         let (height, edge) = (exact(self.height_km), exact(self.atmosphere_km));
         let sphere = Sphere::earth(height, edge, Refraction::None)?;

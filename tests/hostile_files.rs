@@ -5,7 +5,7 @@ use crate::common::flight::frames_in;
 use solaspect::config::Config;
 use solaspect::instrument::{DirectionCamera, Instrument, MountedCamera};
 use solaspect::link::{BytePort, SerialPort};
-use solaspect::navigation::Settings;
+use solaspect::navigation::NavigationSettings;
 use solaspect::simulate::Pieces;
 use std::collections::BTreeSet;
 use std::fs;
@@ -193,7 +193,7 @@ fn no_number_of_a_file_is_infinite_or_none_and_a_huge_one_ends_too() {
         ),
         (
             include_str!("../calibration/demo-nav.toml").into(),
-            |path| read(Settings::read(path)),
+            |path| read(NavigationSettings::read(path)),
         ),
         (PIECES.into(), |path| read(Pieces::read(path))),
         (Config::default().to_toml(), |path| read(Config::read(path))),

@@ -6,7 +6,9 @@ use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::fiducial::{Detection, IdentificationPrior, Lighting, Settings, Unread, identify};
+use solaspect::fiducial::{
+    Detection, FiducialSettings, IdentificationPrior, Lighting, Unread, identify,
+};
 use solaspect::geometry::{Distortion, Ellipse, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::builtin;
 use solaspect::plate::{MarkId, Plate};
@@ -124,7 +126,12 @@ type Labelled = (Detection, Option<MarkId>);
 
 fn read(look: &Look, list: &[Labelled], plate: &Plate) -> Result<Vec<(usize, MarkId)>, Unread> {
     let detections: Vec<Detection> = list.iter().map(|(detection, _)| *detection).collect();
-    identify(&detections, &look.sight(), plate, &Settings::default())
+    identify(
+        &detections,
+        &look.sight(),
+        plate,
+        &FiducialSettings::default(),
+    )
 }
 
 fn wrong_ids(found: &[(usize, MarkId)], list: &[Labelled]) -> usize {
@@ -203,7 +210,7 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
                 let list: Vec<Labelled> = lit.map(seen).collect();
                 let found = read(&look, &list, &plate);
                 let marks = fully_lit(&list);
-                if marks.len() < Settings::default().min_marks {
+                if marks.len() < FiducialSettings::default().min_marks {
                     assert!(found.is_err(), "{id}: {} marks are too few", marks.len());
                 }
                 if !marks.contains(&id) || !shows_both_codes(&marks) {

@@ -5,7 +5,7 @@ use solaspect::fits;
 use solaspect::frame::{Background, Cutout, Mask, PixelNoise};
 use solaspect::geometry::Ellipse;
 use solaspect::instrument::builtin;
-use solaspect::limb::{self, DiscSearch, KnownOutline, Limb, LimbFit, OutlinePrior, Settings};
+use solaspect::limb::{self, DiscSearch, KnownOutline, Limb, LimbFit, LimbSettings, OutlinePrior};
 use solaspect::simulate::{Conditions, Noise, RandomScenes, SUN_RADIUS_ARCSEC};
 use solaspect::units::Measured;
 use std::path::Path;
@@ -18,7 +18,7 @@ const RADIUS_PX: f64 = 202.910;
 fn the_sun_of_hmi_is_found_where_its_header_says() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hmi/continuum.fits");
     let frame = fits::read_frame(&path).unwrap();
-    let settings = Settings::default();
+    let settings = LimbSettings::default();
     let levels = limb::levels(&frame, &settings).unwrap();
     let search = DiscSearch {
         frame: &frame,
@@ -76,7 +76,7 @@ fn limb_under(change: impl Fn(&mut Conditions), seed: u64) -> (Limb, Quality) {
     let expected = Some(Expected {
         radius_arcsec: SUN_RADIUS_ARCSEC,
     });
-    let settings = aspect::Settings::default();
+    let settings = aspect::SolverSettings::default();
     let pipeline = Pipeline::new(&settings, &instrument, expected);
     let levels = pipeline.levels(&frame).unwrap();
     let disc = pipeline.find_disc(&frame, &levels, None).unwrap();

@@ -4,7 +4,7 @@
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 use solaspect::fiducial::{
-    CrossShape, Detections, FlatDisc, Lighting, RefinedMark, Refiner, Settings, detect,
+    CrossShape, Detections, FiducialSettings, FlatDisc, Lighting, RefinedMark, Refiner, detect,
 };
 use solaspect::frame::{Background, Cutout, Frame, PixelNoise, ROUNDING_NOISE_DN};
 use solaspect::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, SimilarityParameters};
@@ -329,7 +329,7 @@ fn tally(frames: u64, change: impl Fn(&mut Conditions) + Sync) -> Tally {
 /// The marks found on the true disc, displaced as a first fit of the limb may be, in the light and at the blur that it tells.
 fn found(picture: &Picture, instrument: &Instrument, lens_blur_px: f64) -> Detections {
     let sun = picture.truth.sun.unwrap();
-    let levels = limb::levels(&picture.frame, &limb::Settings::default()).unwrap();
+    let levels = limb::levels(&picture.frame, &limb::LimbSettings::default()).unwrap();
     let cutout = whole(&picture.frame, levels.background_dn, levels.noise_dn);
     let circle = Circle {
         centre: sun.px.vector() + Vector2::new(0.1, -0.1),
@@ -348,7 +348,7 @@ fn found(picture: &Picture, instrument: &Instrument, lens_blur_px: f64) -> Detec
     let scale = picture.truth.mapping.scale_mil_per_px(sun.px);
     let shape = CrossShape::new(&instrument.plate.cross, scale, lens_blur_px);
     let flat = FlatDisc::new(&cutout, Ellipse::from(circle), &light, &shape).unwrap();
-    detect(&flat, &shape, &Settings::default())
+    detect(&flat, &shape, &FiducialSettings::default())
 }
 
 impl Tally {

@@ -5,7 +5,9 @@ use rayon::prelude::*;
 use serde_json::Value;
 use solaspect::accuracy::Knowledge;
 use solaspect::frame::{Frame, Pixels};
-use solaspect::moon::{Disc, Expected, Optics, Radius, Settings, Stopped, by_extremities, solve};
+use solaspect::moon::{
+    Disc, Expected, MoonSettings, Optics, Radius, Stopped, by_extremities, solve,
+};
 use solaspect::reasons::moon as reasons;
 use solaspect::simulate::moon::{MoonConditions, MoonScene, Shown};
 use solaspect::units::Measured;
@@ -13,7 +15,7 @@ use std::ops::Range;
 use std::process::{Command, Output};
 
 fn look(scene: &MoonScene, known: Knowledge) -> Result<Disc, Stopped> {
-    let settings = Settings {
+    let settings = MoonSettings {
         shading: scene.conditions.shading,
         optics: Optics::Aspect(scene.conditions.pixel_aspect),
     };
@@ -237,7 +239,7 @@ fn the_circle_by_eight_extremities_is_within_seven_hundredths_of_the_radius() {
         let errors = (0..40).map(|number| {
             let scene = conditions.scene(2, number);
             let frame = scene.frame().unwrap();
-            let (centre, _) = by_extremities(&Settings::default(), &frame).unwrap();
+            let (centre, _) = by_extremities(&MoonSettings::default(), &frame).unwrap();
             centre.distance(scene.centre) / radius_px
         });
         let found = rms(errors);
@@ -259,7 +261,7 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
     }
     let reason = |scene: &MoonScene, expected: &Expected| {
         let frame = scene.frame().unwrap();
-        let stopped = solve(&Settings::default(), &frame, expected).unwrap_err();
+        let stopped = solve(&MoonSettings::default(), &frame, expected).unwrap_err();
         stopped.rejected.reason.code
     };
     // A lamp is a whole disc; the ephemeris has a crescent, or another size.
@@ -271,7 +273,7 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
     };
     assert!(
         solve(
-            &Settings::default(),
+            &MoonSettings::default(),
             &lamp.frame().unwrap(),
             &with(15.0, 5.0)
         )
@@ -289,11 +291,11 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
     let dotted = (0..2048 * 2048).map(|n| if is_lit(&n) { 200 } else { 10 });
     let dotted = Pixels::U8(dotted.collect());
     let dotted = Frame::new(2048, 2048, dotted, 255, Default::default()).unwrap();
-    let stopped = solve(&Settings::default(), &dotted, &Expected::default()).unwrap_err();
+    let stopped = solve(&MoonSettings::default(), &dotted, &Expected::default()).unwrap_err();
     assert_eq!(stopped.rejected.reason, reasons::MANY_LIGHTS);
     let white = Pixels::U8(vec![255; 720 * 578]);
     let white = Frame::new(720, 578, white, 255, Default::default()).unwrap();
-    let stopped = solve(&Settings::default(), &white, &Expected::default()).unwrap_err();
+    let stopped = solve(&MoonSettings::default(), &white, &Expected::default()).unwrap_err();
     assert_eq!(stopped.rejected.reason, reasons::TOO_BRIGHT);
 }
 

@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use solaspect::calibrate::navigation::{Source as Rests, calibrated};
 use solaspect::fits::Values;
 use solaspect::navigation::{
-    Climb, Constant, Fix, Flight, Group, ImuSample, Innovation, Live, Measurement, Row, Settings,
-    Sighting, Sky, Source, Target, Targets, Towards, Verdict, smooth, solve,
+    Climb, Constant, Fix, Flight, Group, ImuSample, Innovation, Live, Measurement, NavigationRow,
+    NavigationSettings, Sighting, Sky, Source, Target, Targets, Towards, Verdict, smooth, solve,
 };
 use solaspect::simulate::navigation::{self as simulate, FlightPlan, TruthRow};
 use solaspect::units::ARCSEC_PER_RAD;
@@ -364,9 +364,13 @@ fn an_attitude_is_the_same_in_all_its_forms() {
 }
 
 /// A simulated flight as the filter takes it.
-fn flight(plan: &FlightPlan, seed: u64, change: impl Fn(&mut Settings)) -> (Flight, Vec<TruthRow>) {
+fn flight(
+    plan: &FlightPlan,
+    seed: u64,
+    change: impl Fn(&mut NavigationSettings),
+) -> (Flight, Vec<TruthRow>) {
     let flown = plan.fly(seed);
-    let mut settings = Settings::parse("NAV.toml".as_ref(), &flown.config_toml).unwrap();
+    let mut settings = NavigationSettings::parse("NAV.toml".as_ref(), &flown.config_toml).unwrap();
     change(&mut settings);
     let imu = flown.imu.iter().map(|row| ImuSample {
         t_s: row.t_s,
@@ -424,7 +428,7 @@ struct Off {
 }
 
 impl Off {
-    fn new(row: &Row, truth: &TruthRow, sun: Vector3<f64>) -> Option<Self> {
+    fn new(row: &NavigationRow, truth: &TruthRow, sun: Vector3<f64>) -> Option<Self> {
         assert_eq!(row.t_s, truth.t_s);
         let (motion, covariance) = row.attitude?;
         let error = truth.ecef_from_body * motion.attitude.inverse();
@@ -479,7 +483,7 @@ struct Flown {
 fn fly(
     plan: &FlightPlan,
     seeds: std::ops::Range<u64>,
-    change: impl Fn(&mut Settings) + Sync,
+    change: impl Fn(&mut NavigationSettings) + Sync,
     wanted: impl Fn(f64) -> bool + Sync,
 ) -> Flown {
     let one = |seed: u64| {
@@ -589,7 +593,7 @@ fn aligned_rocket() -> FlightPlan {
     plan
 }
 
-fn estimate_all(settings: &mut Settings) {
+fn estimate_all(settings: &mut NavigationSettings) {
     settings.considered = vec![
         Group::Misalignment,
         Group::AccelerometerScale,
@@ -693,7 +697,7 @@ fn rockets(seeds: std::ops::Range<u64>, bounds: &Bounds) {
     for (name, change, most_deg) in [
         (
             "rocket, cameras aligned, correlated errors considered",
-            (|_| ()) as fn(&mut Settings),
+            (|_| ()) as fn(&mut NavigationSettings),
             0.10,
         ),
         (
@@ -823,7 +827,7 @@ fn measurements_that_come_late_give_the_same_answer_and_a_wrong_one_in_a_hundred
     assert!(refused >= sightings / 100, "{refused} of {sightings}");
     assert_eq!(summary.restarts, 0);
     let sun = Vector3::x();
-    let off = |row: &Row| Off::new(row, truth.last().unwrap(), sun).unwrap();
+    let off = |row: &NavigationRow| Off::new(row, truth.last().unwrap(), sun).unwrap();
     assert!(off(&row).largest_sigmas() < 4.0);
     let apart = (off(&row).error - off(&good).error).norm();
     assert!(apart < 1e-4, "{apart}");
@@ -950,7 +954,7 @@ fn hold_calibrations(plan: &FlightPlan, seeds: std::ops::Range<u64>) {
         let path = "NAV.toml".as_ref();
         let (text, settings) = (&flown.config_toml, &first.settings);
         let text = calibrated(path, text, settings, &found, &rests).unwrap();
-        let learnt = Settings::parse(path, &text).unwrap();
+        let learnt = NavigationSettings::parse(path, &text).unwrap();
         for (own, before) in learnt.cameras.iter().zip(&settings.cameras) {
             assert!(own.misalignment_rad <= before.misalignment_rad);
             let aligned = before.misalignment_rad == 0.0;

@@ -2,7 +2,7 @@
 
 use solaspect::demo::{self, Demo};
 use solaspect::navigation::files::{read_gps, read_imu};
-use solaspect::navigation::{Climb, Settings};
+use solaspect::navigation::{Climb, NavigationSettings};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -51,7 +51,7 @@ fn offsets_go_on_while_the_sun_is_away_and_the_archive_keeps_what_they_rest_on()
 
     let root = folder.path();
     let file = only(root, "navigation_");
-    let flown = Settings::read(&file).unwrap();
+    let flown = NavigationSettings::read(&file).unwrap();
     let imu = read_imu(&[only(root, "imu_")], &flown).unwrap();
     let samples = imu.iter().map(Vec::len).sum::<usize>();
     assert_eq!(

@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use nalgebra::{Matrix3, Rotation3};
 use solaspect::archive::Store;
 use solaspect::aspect::Quality;
-use solaspect::camera::{Camera, CameraError, Exposure, FrameSource, Settings, Take};
+use solaspect::camera::{Camera, CameraError, CameraSettings, Exposure, FrameSource, Take};
 use solaspect::config::Switch;
 use solaspect::fits::{Compression, FitsFile, Value};
 use solaspect::frame::{Frame, Pixels, Region};
@@ -45,7 +45,7 @@ impl FrameSource for Stepped {
         })
     }
 
-    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+    fn apply(&mut self, settings: &CameraSettings) -> Result<(), CameraError> {
         self.told_us.lock().unwrap().push(settings.exposure_us);
         Ok(())
     }

@@ -3,12 +3,12 @@
 use crate::common::flight::{self, dark_frame};
 use jiff::Timestamp;
 use solaspect::archive::{Dirfile, SolutionLog, Store};
-use solaspect::aspect::{self, Expected, Settings};
+use solaspect::aspect::{self, Expected, SolverSettings};
 use solaspect::config;
 use solaspect::demo::{self, Demo};
 use solaspect::fits::{self, Compression, Header, Value};
 use solaspect::instrument;
-use solaspect::record::{Record, Row};
+use solaspect::record::{LoggedRow, Record};
 use solaspect::service::FlightTally;
 use std::collections::BTreeMap;
 use std::fs::{self, OpenOptions};
@@ -475,14 +475,14 @@ fn open(root: &Path) -> Store {
 }
 
 /// The row of a frame that shows nothing.
-fn dark_row(number: u64) -> Row {
+fn dark_row(number: u64) -> LoggedRow {
     let instrument = instrument::builtin("demo").unwrap();
     let frame = dark_frame(&instrument, number);
     let utc = frame.info.mid_exposure;
     let size = utc.and_then(Expected::at);
-    let solution = aspect::solve_with(&Settings::default(), &frame, &instrument, size, None);
+    let solution = aspect::solve_with(&SolverSettings::default(), &frame, &instrument, size, None);
     let record = Record::new("", utc, &solution, None, None);
-    Row::new(Some(number), &solution, record)
+    LoggedRow::new(Some(number), &solution, record)
 }
 
 /// A flight of five frames in the dark.

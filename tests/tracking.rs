@@ -76,7 +76,7 @@ impl Flight {
             None,
             self.instrument.mounting.handedness,
             self.instrument.camera.distortion,
-            &registration::Settings::default(),
+            &registration::RegistrationSettings::default(),
         );
         Track {
             registration: Some(registration.unwrap()),

@@ -9,7 +9,7 @@ use anyhow::{Context, ensure};
 use nalgebra::{Rotation3, UnitVector3};
 use solaspect::fits::{self, Compression};
 use solaspect::frame::Frame;
-use solaspect::horizon::{Refraction, Settings, Solution, Sphere, solve};
+use solaspect::horizon::{HorizonSettings, Refraction, Solution, Sphere, solve};
 use solaspect::instrument::DirectionCamera;
 use solaspect::simulate::earth::{Clouds, EarthConditions, EarthScene};
 use solaspect::units::Measured;
@@ -80,7 +80,7 @@ impl Exposure {
     fn solve(&self, known: bool) -> Solution {
         let last = known.then_some(&self.last);
         solve(
-            &Settings::default(),
+            &HorizonSettings::default(),
             &self.frame,
             &self.camera,
             &self.sphere,

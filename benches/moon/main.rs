@@ -7,7 +7,7 @@ mod callgrind;
 
 use anyhow::{Context, ensure};
 use solaspect::frame::Frame;
-use solaspect::moon::{Disc, Expected, Radius, Settings, Stopped, solve};
+use solaspect::moon::{Disc, Expected, MoonSettings, Radius, Stopped, solve};
 use solaspect::simulate::moon::MoonConditions;
 use solaspect::units::Measured;
 use std::hint::black_box;
@@ -43,7 +43,7 @@ fn exposures(radius_px: f64, known: &str) -> anyhow::Result<Vec<(Frame, Expected
 
 #[inline(never)]
 fn counted_moon(frame: &Frame, expected: &Expected) -> Result<Disc, Stopped> {
-    solve(&Settings::default(), frame, expected)
+    solve(&MoonSettings::default(), frame, expected)
 }
 
 fn time_ms((frame, expected): &(Frame, Expected)) -> f64 {

@@ -2,7 +2,7 @@
 
 use crate::flight::{Exposure, Flight};
 use anyhow::{Context, bail};
-use solaspect::aspect::{self, DiscImage, Pipeline, Settings, Solution};
+use solaspect::aspect::{self, DiscImage, Pipeline, Solution, SolverSettings};
 use solaspect::fiducial::{Detections, RefinedMark};
 use solaspect::frame::{Frame, Levels};
 use solaspect::geometry::Circle;
@@ -109,7 +109,7 @@ pub fn work_through(flight: &Flight) {
 
 /// `None` where a stage fails.
 fn by_stages(exposure: &Exposure, flight: &Flight, acquired: &Solution) -> Option<()> {
-    let settings = Settings::default();
+    let settings = SolverSettings::default();
     let (frame, instrument) = (&exposure.frame, &flight.instrument);
     let pipeline = Pipeline::new(&settings, instrument, flight.expected);
     let levels = black_box(counted_levels(&pipeline, frame))?;

@@ -7,7 +7,7 @@ use super::outcome::{About, MOST, Summary};
 use super::recipe::{ENOUGH_MARKS, Recipe, View};
 use super::rows::Size;
 use super::trial::{Bounded, Outcome, Trial, outcomes};
-use crate::aspect::{Quality, Settings};
+use crate::aspect::{Quality, SolverSettings};
 use crate::estimation::MEDIAN_LENGTH_2D;
 use crate::report::plot::{self, Arrow, Curve, Labels, PlotError, Stroke};
 use crate::simulate::SceneError;
@@ -37,7 +37,7 @@ pub fn frames(size: Size) -> u64 {
 }
 
 /// The settings that take so many points of the limb.
-fn with_limb_points(settings: Settings, points: usize) -> Settings {
+fn with_limb_points(settings: SolverSettings, points: usize) -> SolverSettings {
     let mut changed = settings;
     changed.limb.limb_points = points;
     changed

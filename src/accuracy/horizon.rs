@@ -5,7 +5,7 @@ use super::demand::Precision;
 use super::recipe::Generator;
 use super::rows::Size;
 use crate::frame::FrameError;
-use crate::horizon::{Quality, Refraction, Settings, Sphere, solve};
+use crate::horizon::{HorizonSettings, Quality, Refraction, Sphere, solve};
 use crate::instrument::DirectionCamera;
 use crate::simulate::earth::{EarthConditions, EarthScene};
 use crate::units::Measured;
@@ -124,7 +124,7 @@ impl HorizonRow {
         let height_m = Measured::new(scene.conditions.height_m, 0.0);
         let sphere = Sphere::earth(height_m, edge_m, Refraction::None);
         let camera = camera(&scene.conditions);
-        let settings = Settings::default();
+        let settings = HorizonSettings::default();
         let frame = scene.frame()?;
         let solved = sphere.map(|sphere| solve(&settings, &frame, &camera, &sphere, None));
         let nadir = solved

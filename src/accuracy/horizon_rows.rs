@@ -2,7 +2,7 @@
 
 use super::horizon::{HorizonDemand, HorizonRow};
 use super::recipe::Generator;
-use crate::geometry::camera::Camera;
+use crate::geometry::camera::CameraModel;
 use crate::simulate::Noise;
 use crate::simulate::earth::{Aim, Clouds, EarthConditions, Glow, Haze};
 use crate::units::SensorPx;
@@ -220,7 +220,7 @@ fn photograph(rng: &mut Generator) -> EarthConditions {
     let focal_px = width_px as f64 / 2.0 / (across_deg / 2.0).to_radians().tan();
     let [x, y] = [width_px, height_px].map(|size| (size as f64 - 1.0) / 2.0);
     let conditions = EarthConditions {
-        camera: Camera::rectilinear(focal_px, SensorPx::new(x, y)),
+        camera: CameraModel::rectilinear(focal_px, SensorPx::new(x, y)),
         width_px,
         height_px,
         aim: Aim::Horizon {

@@ -6,8 +6,8 @@
 //! number of threads.
 //!
 //! # Method
-//! 1. A row of the table is a name, conditions and demands ([`Row`]). Its conditions make a [`Recipe`] of a seed, and
-//!    a recipe a scene. Rows share their seeds: the same seed puts the Sun at the same place wherever the conditions
+//! 1. A row of the table is a name, conditions and demands ([`AccuracyRow`]). Its conditions make a [`Recipe`] of a seed,
+//!    and a recipe a scene. Rows share their seeds: the same seed puts the Sun at the same place wherever the conditions
 //!    allow it.
 //! 2. A [`Trial`] renders the scene, solves the frame without a prior and compares with the truth: an [`Outcome`].
 //! 3. A [`Summary`] has quantiles of the radial error (the Sun's centre on the plate, arcsec), the rms of error over
@@ -50,6 +50,8 @@ pub use outcome::{About, Summary};
 pub use program::{AccuracyError, Case, Figures, Program};
 pub use recipe::{Recipe, Vary, View};
 pub use report::{MarksReport, Report, RowReport, RunReport};
-pub use rows::{HORIZON, Ideal, MARKS, MIXED, MOON, MOTION, Row, Run, Size, names, rows, runs};
+pub use rows::{
+    AccuracyRow, HORIZON, Ideal, MARKS, MIXED, MOON, MOTION, Run, Size, names, rows, runs,
+};
 pub use table::{Page, case_text, text};
 pub use trial::{AspectError, Bounded, MarkError, Outcome, Trial};

@@ -6,7 +6,7 @@ use super::recipe::Generator;
 use super::rows::Size;
 use crate::frame::FrameError;
 use crate::geometry::unit;
-use crate::moon::{Disc, Expected, Optics, Quality, Radius, Settings, solve};
+use crate::moon::{Disc, Expected, MoonSettings, Optics, Quality, Radius, solve};
 use crate::simulate::moon::{MoonConditions, MoonScene};
 use crate::units::Measured;
 use nalgebra::Vector2;
@@ -147,7 +147,7 @@ impl MoonRow {
 
     fn found(&self, seed: u64) -> Result<Option<Found>, FrameError> {
         let scene = self.scene(seed);
-        let settings = Settings {
+        let settings = MoonSettings {
             shading: scene.conditions.shading,
             optics: Optics::Aspect(scene.conditions.pixel_aspect),
         };

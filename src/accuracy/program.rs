@@ -11,9 +11,11 @@ use super::moon_rows::moon_rows;
 use super::outcome::{About, AgainstIdeal, Summary};
 use super::recipe::{Recipe, Vary};
 use super::report::{MarksReport, Report, RowReport, RunReport};
-use super::rows::{HORIZON, Ideal, MARKS, MARKS_ROW, MOON, Row, Run, Size, names, rows, runs};
+use super::rows::{
+    AccuracyRow, HORIZON, Ideal, MARKS, MARKS_ROW, MOON, Run, Size, names, rows, runs,
+};
 use super::trial::{Bounded, Outcome, Trial, outcomes};
-use crate::aspect::Settings;
+use crate::aspect::SolverSettings;
 use crate::frame::FrameError;
 use crate::instrument::{TomlError, builtin};
 use crate::simulate::{Scene, SceneError};
@@ -44,7 +46,7 @@ pub enum AccuracyError {
 pub struct Program {
     pub size: Size,
     trial: Trial,
-    rows: Vec<Row>,
+    rows: Vec<AccuracyRow>,
     marks: bool,
     runs: Vec<Run>,
     moons: Vec<MoonRow>,
@@ -70,7 +72,7 @@ impl Program {
             size,
             trial: Trial {
                 instrument: builtin("demo")?,
-                settings: Settings::default(),
+                settings: SolverSettings::default(),
             },
             rows: rows().into_iter().filter(|r| wanted(r.name)).collect(),
             marks: wanted(MARKS),
@@ -89,7 +91,7 @@ impl Program {
 
     /// How many frames there are to solve.
     pub fn frames(&self) -> u64 {
-        let of_row = |row: &Row| match row.ideal {
+        let of_row = |row: &AccuracyRow| match row.ideal {
             Some(Ideal::Of(_)) => 2 * self.size.of(row.frames),
             Some(Ideal::Standard) | None => self.size.of(row.frames),
         };
@@ -120,7 +122,7 @@ impl Program {
 
     /// How many standard frames the rows are compared with.
     fn standard_frames(&self) -> u64 {
-        let compared = |row: &&Row| matches!(row.ideal, Some(Ideal::Standard));
+        let compared = |row: &&AccuracyRow| matches!(row.ideal, Some(Ideal::Standard));
         let frames = self
             .rows
             .iter()
@@ -167,7 +169,7 @@ impl Program {
 
     fn row(
         &self,
-        row: &Row,
+        row: &AccuracyRow,
         standard: &[Outcome],
         done: &(dyn Fn() + Sync),
     ) -> Result<RowReport, SceneError> {
@@ -255,7 +257,7 @@ impl Case {
         let vary = parts.find(|(name, _)| *name == part).map(|(_, vary)| vary);
         let trial = Trial {
             instrument: builtin("demo")?,
-            settings: Settings::default(),
+            settings: SolverSettings::default(),
         };
         let vary = vary.ok_or_else(|| unknown(part))?;
         let recipe = Recipe::drawn(vary, &trial.instrument, seed);
@@ -274,7 +276,7 @@ fn unknown(name: &str) -> AccuracyError {
     }
 }
 
-fn rows_named(name: &str) -> impl Iterator<Item = Row> + '_ {
+fn rows_named(name: &str) -> impl Iterator<Item = AccuracyRow> + '_ {
     rows().into_iter().filter(move |row| row.name == name)
 }
 

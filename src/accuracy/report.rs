@@ -6,14 +6,14 @@ use super::marks::{BiasMap, MarkSummary};
 use super::mixed::MixedSummary;
 use super::moon::MoonReport;
 use super::outcome::Summary;
-use super::rows::{HORIZON, MARKS, MARKS_ROW, MOON, Row, Run, Size};
+use super::rows::{AccuracyRow, HORIZON, MARKS, MARKS_ROW, MOON, Run, Size};
 use super::trial::Outcome;
 use crate::report::plot::PlotError;
 
 /// What came of a row.
 #[derive(Debug, Clone)]
 pub struct RowReport {
-    pub row: Row,
+    pub row: AccuracyRow,
     pub outcomes: Vec<Outcome>,
     pub summary: Summary,
     /// Why the row's demands are not met.

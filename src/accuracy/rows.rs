@@ -48,7 +48,7 @@ pub const HORIZON: &str = "horizon";
 
 /// A row of the table.
 #[derive(Debug, Clone)]
-pub struct Row {
+pub struct AccuracyRow {
     pub name: &'static str,
     pub title: &'static str,
     /// The frames that the errors are of.
@@ -109,8 +109,8 @@ const FEW: [u64; 2] = [60, 1000];
 const BESIDE_IDEAL: [u64; 2] = [24, 300];
 
 /// A row about fine frames whose errors are reported only.
-fn row(name: &'static str, title: &'static str, vary: Vary) -> Row {
-    Row {
+fn row(name: &'static str, title: &'static str, vary: Vary) -> AccuracyRow {
+    AccuracyRow {
         name,
         title,
         about: About::Fine,
@@ -121,7 +121,7 @@ fn row(name: &'static str, title: &'static str, vary: Vary) -> Row {
     }
 }
 
-impl Row {
+impl AccuracyRow {
     fn demanding(self, demands: &[Demand]) -> Self {
         Self {
             frames: MANY,
@@ -163,7 +163,7 @@ impl Row {
 }
 
 /// Every row, in the order of the table.
-pub fn rows() -> Vec<Row> {
+pub fn rows() -> Vec<AccuracyRow> {
     [bounded(), borrowing(), reported(), effects(), covered()].concat()
 }
 
@@ -178,7 +178,7 @@ pub fn names() -> Vec<&'static str> {
 }
 
 /// Rows whose errors are bounded.
-fn bounded() -> Vec<Row> {
+fn bounded() -> Vec<AccuracyRow> {
     vec![
         row("noise-1", "noise 1 DN", |r, _, _| noise(r, 1.0)).within(0.05, 0.15),
         row("standard", "noise 5 DN (standard)", |r, _, _| noise(r, 5.0)).within(0.15, 0.5),
@@ -210,7 +210,7 @@ fn bounded() -> Vec<Row> {
 }
 
 /// Rows about coarse frames, most of which borrow a mapping. It is off as far as its sigmas say.
-fn borrowing() -> Vec<Row> {
+fn borrowing() -> Vec<AccuracyRow> {
     vec![
         row(
             "partial-coarse",
@@ -227,7 +227,7 @@ fn borrowing() -> Vec<Row> {
         )
         .coarse()
         .demanding(&[SolvedShare(0.95), NearShare(0.99), HonestSigma]),
-        Row {
+        AccuracyRow {
             demands: vec![NoneFine, NoWrongId],
             ..row(
                 "partial-least",
@@ -262,7 +262,7 @@ fn borrowing() -> Vec<Row> {
 }
 
 /// Rows whose errors are reported only.
-fn reported() -> Vec<Row> {
+fn reported() -> Vec<AccuracyRow> {
     vec![
         row("vignetting", "vignetting 20 %", |r, _, _| {
             r.conditions.blemishes.vignetting = 0.2;
@@ -294,7 +294,7 @@ fn reported() -> Vec<Row> {
 }
 
 /// Rows about stray light, readout, photons, the real Sun and strong blur, beside ideal frames.
-fn effects() -> Vec<Row> {
+fn effects() -> Vec<AccuracyRow> {
     let ghost = "a ghost of 2 % of the light";
     vec![
         row("ghost", ghost, |r, _, _| r.conditions.stray.ghost = 0.02).beside_standard(2.0),
@@ -354,14 +354,14 @@ fn effects() -> Vec<Row> {
             r.conditions.hmi = true;
         })
         .beside_standard(1.3),
-        Row {
+        AccuracyRow {
             frames: BESIDE_IDEAL,
             ..row("blur", "strong blur (3.5 px)", |r, _, _| {
                 r.conditions.blur_px = 3.5;
             })
             .demanding(&[NoneMissed, HonestSigmaTo(HONEST.end)])
         },
-        Row {
+        AccuracyRow {
             frames: BESIDE_IDEAL,
             ideal: Some(Ideal::Standard),
             ..row(
@@ -375,7 +375,7 @@ fn effects() -> Vec<Row> {
 }
 
 /// Rows of Suns that something hides in part.
-fn covered() -> Vec<Row> {
+fn covered() -> Vec<AccuracyRow> {
     let rows = vec![
         row(
             "eclipse",
@@ -402,7 +402,7 @@ fn covered() -> Vec<Row> {
         )
         .demanding(&[HonestSigma]),
     ];
-    let searched = |row: Row| Row {
+    let searched = |row: AccuracyRow| AccuracyRow {
         frames: COVERED,
         ..row
     };

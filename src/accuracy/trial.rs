@@ -2,7 +2,7 @@
 
 use super::bound;
 use super::recipe::{Recipe, fully_lit, limb_share};
-use crate::aspect::{Expected, Quality, Settings, Solution, solve_with};
+use crate::aspect::{Expected, Quality, Solution, SolverSettings, solve_with};
 use crate::instrument::Instrument;
 use crate::plate::MarkId;
 use crate::simulate::{SUN_RADIUS_ARCSEC, Scene, SceneError};
@@ -75,7 +75,7 @@ pub struct MarkError {
 #[derive(Debug, Clone)]
 pub struct Trial {
     pub instrument: Instrument,
-    pub settings: Settings,
+    pub settings: SolverSettings,
 }
 
 /// Whether the Cramer-Rao bound of a frame is wanted: it costs several times as much as the frame.

@@ -15,7 +15,7 @@ mod sequence;
 pub use files::{Tree, TreeError, frames_of};
 #[cfg(feature = "object-store")]
 pub(super) use files::{is_fits, is_flown, is_navigation};
-pub use keywords::{Group, Row, csv_header, csv_row, grouped};
+pub use keywords::{Group, KeywordRow, csv_header, csv_row, grouped};
 pub use logged::MissingFile;
 pub use marks::{Mark, marks};
 pub use picture::stretched;

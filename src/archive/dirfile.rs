@@ -12,7 +12,7 @@ use super::disk::Disk;
 use super::growing::Growing;
 use super::log::make_new;
 use super::store::{ArchiveError, During};
-use crate::record::{Field, Row, Value, fields};
+use crate::record::{Field, LoggedRow, Value, fields};
 use jiff::Timestamp;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -35,7 +35,7 @@ impl Field {
     }
 
     /// NaN where it is not known.
-    fn bytes(&self, row: &Row) -> Vec<u8> {
+    fn bytes(&self, row: &LoggedRow) -> Vec<u8> {
         let number = match self.value {
             Value::Code(value) => return vec![value(row)],
             Value::Number(value) => value(row),
@@ -106,7 +106,7 @@ impl Dirfile {
     ///
     /// # Errors
     /// Where the disk refuses; the frame is then not in the dirfile, and the next one may be tried.
-    pub fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
+    pub fn append(&mut self, row: &LoggedRow) -> Result<(), ArchiveError> {
         let disk = self.disk.as_ref();
         self.made.take_if(|made| !made.reopen(disk));
         let made = match &mut self.made {
@@ -179,7 +179,7 @@ impl Made {
         !self.files.is_empty()
     }
 
-    fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
+    fn append(&mut self, row: &LoggedRow) -> Result<(), ArchiveError> {
         for (field, file) in fields().zip(&mut self.files) {
             file.append(&field.bytes(row))
                 .during("add to the telemetry", &self.folder.join(field.name))?;

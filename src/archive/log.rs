@@ -7,7 +7,7 @@
 use super::disk::Disk;
 use super::growing::Growing;
 use super::store::{ArchiveError, During};
-use crate::record::Row;
+use crate::record::LoggedRow;
 use jiff::Timestamp;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -52,7 +52,7 @@ struct Csv {
 impl SolutionLog {
     /// A log under an archive's root; its file is made with the first row and never stands in place of another.
     pub fn new(disk: Arc<dyn Disk>, root: &Path, start: Timestamp) -> Self {
-        let columns = Row::csv_columns().into_iter().map(str::to_owned);
+        let columns = LoggedRow::csv_columns().into_iter().map(str::to_owned);
         Self(Log::new(disk, root, "solutions", columns.collect(), start))
     }
 
@@ -60,7 +60,7 @@ impl SolutionLog {
     ///
     /// # Errors
     /// Where the disk refuses; the row is then not in the log, and may be tried again.
-    pub fn append(&mut self, row: &Row) -> Result<(), ArchiveError> {
+    pub fn append(&mut self, row: &LoggedRow) -> Result<(), ArchiveError> {
         self.0.append(&row.csv_fields())
     }
 

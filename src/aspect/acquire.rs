@@ -78,7 +78,7 @@ impl Pipeline<'_> {
         image: &DiscImage,
         detections: &Detections,
     ) -> Result<Mapping, Unread> {
-        let read = |mounting: &Mounting, settings: &fiducial::Settings| {
+        let read = |mounting: &Mounting, settings: &fiducial::FiducialSettings| {
             let prior = self.identification_prior(frame, &image.light, detections, mounting);
             fiducial::identify(&detections.marks, &prior, &self.instrument.plate, settings)
         };
@@ -92,7 +92,7 @@ impl Pipeline<'_> {
                 plate_centre_sigma_px: ANYWHERE_PX,
                 ..*mounting
             };
-            let settings = fiducial::Settings {
+            let settings = fiducial::FiducialSettings {
                 max_centre_shift_px: ANYWHERE_PX,
                 ..*settings
             };

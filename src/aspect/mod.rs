@@ -47,10 +47,10 @@ impl Expected {
 
 /// The tunable parts of every stage.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Settings {
-    pub limb: limb::Settings,
-    pub fiducial: fiducial::Settings,
-    pub registration: registration::Settings,
+pub struct SolverSettings {
+    pub limb: limb::LimbSettings,
+    pub fiducial: fiducial::FiducialSettings,
+    pub registration: registration::RegistrationSettings,
 }
 
 /// Solves a frame with the default settings; see [`solve_with`].
@@ -60,7 +60,13 @@ pub fn solve(
     expected: Option<Expected>,
     prior: Option<&Track>,
 ) -> Solution {
-    solve_with(&Settings::default(), frame, instrument, expected, prior)
+    solve_with(
+        &SolverSettings::default(),
+        frame,
+        instrument,
+        expected,
+        prior,
+    )
 }
 
 /// Finds the Sun's centre on the plate.
@@ -79,7 +85,7 @@ pub fn solve(
 /// 6. The mapping and the disc on the plate, adjusted together; where the marks give none, the prior's, else the calibration's.
 /// 7. The Sun's centre on plate and sensor, with covariance; quality.
 pub fn solve_with(
-    settings: &Settings,
+    settings: &SolverSettings,
     frame: &Frame,
     instrument: &Instrument,
     expected: Option<Expected>,

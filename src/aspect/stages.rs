@@ -1,7 +1,7 @@
 //! The steps of the pipeline up to the disc's light: each takes the products of earlier stages and calls the module that
 //! does it.
 
-use super::{Expected, Settings, Stage, Stopped};
+use super::{Expected, SolverSettings, Stage, Stopped};
 use crate::fiducial::CrossShape;
 use crate::frame::{Cutout, Frame, Levels, Mask, PixelNoise, Region};
 use crate::geometry::{Circle, Ellipse, Mapping};
@@ -43,7 +43,7 @@ pub struct DiscImage {
 
 /// What is known before a frame is read, for every stage.
 pub struct Pipeline<'a> {
-    pub(super) settings: &'a Settings,
+    pub(super) settings: &'a SolverSettings,
     pub(super) instrument: &'a Instrument,
     /// The Sun's expected radius on the plate.
     pub(super) radius_mil: Measured,
@@ -55,7 +55,7 @@ pub struct Pipeline<'a> {
 
 impl<'a> Pipeline<'a> {
     pub fn new(
-        settings: &'a Settings,
+        settings: &'a SolverSettings,
         instrument: &'a Instrument,
         expected: Option<Expected>,
     ) -> Self {

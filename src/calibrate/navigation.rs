@@ -2,7 +2,7 @@
 
 use super::revision::{Revision, number};
 use crate::instrument::TomlError;
-use crate::navigation::{Constant, ConstantErrors, Settings};
+use crate::navigation::{Constant, ConstantErrors, NavigationSettings};
 use crate::provenance::{COMMIT, PROGRAM};
 use jiff::civil::Date;
 use nalgebra::{DMatrix, Matrix3, Rotation3, Vector3};
@@ -27,7 +27,7 @@ pub struct Source {
 pub fn calibrated(
     path: &Path,
     text: &str,
-    settings: &Settings,
+    settings: &NavigationSettings,
     found: &ConstantErrors,
     source: &Source,
 ) -> Result<String, TomlError> {
@@ -61,12 +61,17 @@ pub fn calibrated(
     let signed = signature(settings, found, source, revision.sha256());
     revision.put("calibration", Item::Table(signed));
     let text = revision.text();
-    Settings::parse(path, &text)?;
+    NavigationSettings::parse(path, &text)?;
     Ok(text)
 }
 
 /// The table `[calibration]`.
-fn signature(settings: &Settings, found: &ConstantErrors, source: &Source, sha256: &str) -> Table {
+fn signature(
+    settings: &NavigationSettings,
+    found: &ConstantErrors,
+    source: &Source,
+    sha256: &str,
+) -> Table {
     let mut table = Table::new();
     let date = source.date.map(|date| date.to_string().parse::<Value>());
     if let Some(Ok(date)) = date {
@@ -87,7 +92,7 @@ fn signature(settings: &Settings, found: &ConstantErrors, source: &Source, sha25
 }
 
 /// The states of an error: what it is, its axis, its unit.
-fn names(constant: Constant, settings: &Settings) -> [String; 3] {
+fn names(constant: Constant, settings: &NavigationSettings) -> [String; 3] {
     let (name, unit) = match constant {
         Constant::AccelerometerBias => ("accelerometer_bias".into(), "m_s2"),
         Constant::GyroBias => ("gyro_bias".into(), "rad_s"),

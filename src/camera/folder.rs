@@ -1,7 +1,7 @@
 //! A folder of files as a camera: its frames in the order of their names, at the times at which they were taken.
 
 use super::pace::Pace;
-use super::{CameraError, Exposure, FrameSource, Settings, Take, settings};
+use super::{CameraError, CameraSettings, Exposure, FrameSource, Take, settings};
 use crate::fits;
 use crate::frame::{Frame, Warnings};
 use jiff::{SignedDuration, Timestamp};
@@ -103,7 +103,7 @@ impl FrameSource for FolderCamera {
     }
 
     /// Takes the rate; the rest was set when the frames were taken.
-    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+    fn apply(&mut self, settings: &CameraSettings) -> Result<(), CameraError> {
         self.period = settings.period();
         Ok(())
     }

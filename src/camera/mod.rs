@@ -13,7 +13,7 @@ mod source;
 pub use auto_exposure::{AutoExposure, AutoExposureSettings, Brightness};
 pub use folder::FolderCamera;
 pub use identity::{Camera, tell_apart};
-pub use settings::{PixelFormat, Settings};
+pub use settings::{CameraSettings, PixelFormat};
 pub use simulated::{SimulatedCamera, TruthLog, View};
 pub use source::{NoSource, Source, Surroundings, open, simulated_course};
 
@@ -106,7 +106,7 @@ pub trait FrameSource: Send {
     ///
     /// # Errors
     /// Where a setting was not taken; the others are.
-    fn apply(&mut self, _settings: &Settings) -> Result<(), CameraError> {
+    fn apply(&mut self, _settings: &CameraSettings) -> Result<(), CameraError> {
         Ok(())
     }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 /// What a camera is told. What is `None` stays as the camera has it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
+pub struct CameraSettings {
     pub rate_hz: f64,
     pub exposure_us: u32,
     /// The camera's own scale.
@@ -17,7 +17,7 @@ pub struct Settings {
     pub pixel_format: PixelFormat,
 }
 
-impl Default for Settings {
+impl Default for CameraSettings {
     fn default() -> Self {
         Self {
             rate_hz: 4.0,
@@ -30,7 +30,7 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl CameraSettings {
     pub fn exposure(&self) -> Duration {
         Duration::from_micros(self.exposure_us.into())
     }

@@ -1,7 +1,7 @@
 //! The simulator as a camera: it takes its time over every exposure, as a camera does.
 
 use super::pace::Pace;
-use super::{CameraError, Exposure, FrameSource, PixelFormat, Settings, Take};
+use super::{CameraError, CameraSettings, Exposure, FrameSource, PixelFormat, Take};
 use crate::frame::{Frame, Region};
 use crate::simulate::earth::SwingingGondola;
 use crate::simulate::moon::FollowedMoon;
@@ -46,7 +46,7 @@ impl View {
         &mut self,
         number: u64,
         at: &Moment,
-        settings: &Settings,
+        settings: &CameraSettings,
     ) -> Result<Drawn, CameraError> {
         let brightness = settings.exposure().as_secs_f64() / USUAL_EXPOSURE.as_secs_f64();
         let sky = |frame: Result<Frame, _>| -> Result<Drawn, CameraError> {
@@ -96,7 +96,7 @@ struct Drawn {
 /// A camera that sees a simulated flight, at its own rate and on a clock that starts where it is told.
 pub struct SimulatedCamera {
     view: View,
-    settings: Settings,
+    settings: CameraSettings,
     pace: Pace,
     start: Timestamp,
     /// How far the flight was when the first frame was taken.
@@ -114,7 +114,7 @@ impl SimulatedCamera {
     /// A flight from `start` on, for `duration` or without end.
     pub fn new(
         view: View,
-        settings: &Settings,
+        settings: &CameraSettings,
         start: Timestamp,
         duration: Option<Duration>,
     ) -> Self {
@@ -184,7 +184,7 @@ impl FrameSource for SimulatedCamera {
         Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
     }
 
-    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+    fn apply(&mut self, settings: &CameraSettings) -> Result<(), CameraError> {
         self.settings = settings.clone();
         self.drawn = None;
         Ok(())

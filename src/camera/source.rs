@@ -2,7 +2,7 @@
 
 #[cfg(feature = "gige")]
 use super::gige::GigeCamera;
-use super::{CameraError, FolderCamera, FrameSource, Settings, SimulatedCamera, View};
+use super::{CameraError, CameraSettings, FolderCamera, FrameSource, SimulatedCamera, View};
 use crate::instrument::{Instrument, Sees, builtin};
 use crate::simulate::earth::SwingingGondola;
 use crate::simulate::moon::FollowedMoon;
@@ -79,7 +79,7 @@ pub struct Surroundings {
 /// Where a folder holds no frames or a flight cannot be simulated, and for a kind of source that this build lacks.
 pub fn open(
     source: &Source,
-    settings: &Settings,
+    settings: &CameraSettings,
     around: &Surroundings,
 ) -> Result<Box<dyn FrameSource>, CameraError> {
     let mut camera: Box<dyn FrameSource> = match source {
@@ -100,7 +100,7 @@ pub fn open(
 /// Sun takes on the plate of another camera. One of which nothing is stated takes the frames of the demo.
 fn simulated(
     file: Option<&Path>,
-    settings: &Settings,
+    settings: &CameraSettings,
     around: &Surroundings,
 ) -> Result<SimulatedCamera, CameraError> {
     let (now, seed) = (Timestamp::now(), around.seed);

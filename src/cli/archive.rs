@@ -2,7 +2,7 @@
 
 use super::output::{make_folder, progress_bar};
 use crate::archive::check::{
-    self, BadFile, ContradictingFile, CopiedFile, Gap, MissingFile, Report, Row, Tree,
+    self, BadFile, ContradictingFile, CopiedFile, Gap, KeywordRow, MissingFile, Report, Tree,
 };
 use crate::fits::{self, FitsFile};
 use crate::log;
@@ -187,7 +187,10 @@ fn run_list(args: &ListArgs) -> anyhow::Result<bool> {
         args.folder.display()
     );
     let files = check::frames_of(std::slice::from_ref(&args.folder))?;
-    let rows: Vec<_> = files.par_iter().map(|path| Row::read(path)).collect();
+    let rows: Vec<_> = files
+        .par_iter()
+        .map(|path| KeywordRow::read(path))
+        .collect();
     let mut out = std::io::stdout().lock();
     let mut all_well = true;
     for row in rows {
@@ -206,7 +209,7 @@ fn run_list(args: &ListArgs) -> anyhow::Result<bool> {
     Ok(all_well)
 }
 
-fn list_line(row: &Row, folder: &Path) -> String {
+fn list_line(row: &KeywordRow, folder: &Path) -> String {
     let or_dash = |text: &Option<String>| text.clone().unwrap_or_else(|| "-".into());
     let sun = row
         .sun_plate_mil

@@ -4,7 +4,7 @@ use super::options;
 use super::output::say;
 use crate::archive::{CONFIGURATION, INSTRUMENT};
 use crate::config::Config;
-use crate::console::{Ground, Origin, Running, Secret, Settings, Source};
+use crate::console::{ConsoleSettings, Ground, Origin, Running, Secret, Source};
 use crate::demo::{self, Demo};
 use crate::link::port::BAUD;
 use crate::link::{Connection, Key, SerialPort};
@@ -92,7 +92,7 @@ pub fn run(args: ConsoleArgs) -> anyhow::Result<ExitCode> {
         ),
         None => (None, args.archive(), None),
     };
-    let console = Running::start(Settings {
+    let console = Running::start(ConsoleSettings {
         ground: args.ground(archive)?,
         line,
         key: args.key_file.as_deref().map(Key::read).transpose()?,

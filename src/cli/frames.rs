@@ -101,7 +101,7 @@ impl FramesArgs {
     ///
     /// # Errors
     /// Standard output takes nothing. A file that could not be read is a line of its own, and makes the run a failure.
-    pub fn print<R: Row>(
+    pub fn print<R: OutputRow>(
         &self,
         solve: impl FnOnce(&mut dyn FnMut(Answer<R>) -> anyhow::Result<()>) -> anyhow::Result<()>,
     ) -> anyhow::Result<ExitCode> {
@@ -146,7 +146,7 @@ fn picture_name(path: &Path) -> String {
 pub(super) const REMARKS: usize = 0;
 
 /// What is said of a frame.
-pub(super) trait Row: Serialize {
+pub(super) trait OutputRow: Serialize {
     /// Names of the columns in CSV; the first is the file's.
     fn csv_columns() -> Vec<&'static str>;
 
@@ -190,7 +190,7 @@ const FILE_WIDTH: usize = 21;
 const TABLE_WIDTH: usize = 100;
 
 impl Printer {
-    pub fn new<R: Row>(format: Option<Format>) -> anyhow::Result<Self> {
+    pub fn new<R: OutputRow>(format: Option<Format>) -> anyhow::Result<Self> {
         let on_terminal = std::io::stdout().is_terminal();
         let format = format.unwrap_or(if on_terminal {
             Format::Table
@@ -214,7 +214,7 @@ impl Printer {
         Ok(Self { format, csv })
     }
 
-    pub fn print<R: Row>(&mut self, answer: &Answer<R>) -> anyhow::Result<()> {
+    pub fn print<R: OutputRow>(&mut self, answer: &Answer<R>) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
         match (self.format, answer) {
             (Format::Jsonl, Ok(row)) => writeln!(out, "{}", serde_json::to_string(row)?)?,
@@ -236,7 +236,7 @@ impl Printer {
         Ok(())
     }
 
-    fn print_csv<R: Row>(&mut self, answer: &Answer<R>) -> anyhow::Result<()> {
+    fn print_csv<R: OutputRow>(&mut self, answer: &Answer<R>) -> anyhow::Result<()> {
         let (row, error) = match answer {
             Ok(row) => (row.csv_row(), ""),
             Err((file, error)) => {
@@ -254,7 +254,7 @@ impl Printer {
 
 /// The file, the quality to the left, numbers to the right, and the remarks last: on a line of their own where the line would grow
 /// too wide.
-fn table_line<R: Row>(file: &str, fields: impl Iterator<Item = String>) -> String {
+fn table_line<R: OutputRow>(file: &str, fields: impl Iterator<Item = String>) -> String {
     let mut line = format!("{:<FILE_WIDTH$}", tail(file));
     for (n, (field, (_, width))) in fields.zip(R::table_columns()).enumerate() {
         line += &match (n, *width) {

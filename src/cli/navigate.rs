@@ -4,7 +4,7 @@ use super::attitude::{self, AttitudeArgs};
 use super::options;
 use super::output::make_folder;
 use crate::navigation::files::{Seen, read_gps, read_imu, read_sun, read_vectors};
-use crate::navigation::{Fix, Flight, Measurement, Settings, Sighting, Sky, Targets};
+use crate::navigation::{Fix, Flight, Measurement, NavigationSettings, Sighting, Sky, Targets};
 use crate::refine::{Attitude, Basis, NavigationFile, add_attitude};
 use crate::report::html::Page;
 use crate::tables::LeftOut;
@@ -82,7 +82,7 @@ impl NavigateArgs {
     }
 
     /// The runs of the flight.
-    fn read(&self, settings: &Settings) -> anyhow::Result<Vec<Flight>> {
+    fn read(&self, settings: &NavigationSettings) -> anyhow::Result<Vec<Flight>> {
         let one = std::slice::from_ref::<PathBuf>;
         let imu = read_imu(one(&self.imu), settings)?;
         let fixes = read_gps(one(&self.gps), settings)?;
@@ -94,7 +94,7 @@ impl NavigateArgs {
     /// All measurements in the order of time.
     fn measurements(
         &self,
-        settings: &Settings,
+        settings: &NavigationSettings,
         fixes: &[Fix],
         seen: &[Seen],
     ) -> anyhow::Result<Vec<Measurement>> {

@@ -1,6 +1,6 @@
 //! `solaspect solve`: one answer per frame.
 
-use super::frames::{Answer, FramesArgs, REMARKS, Row, bad_file};
+use super::frames::{Answer, FramesArgs, OutputRow, REMARKS, bad_file};
 use super::options;
 use crate::aspect::{self, Expected, Track};
 use crate::calibrate::check::{self, Contradiction, Quantity};
@@ -89,7 +89,7 @@ struct Batch<'a> {
     place: Option<Place>,
     target: Target,
     ephemeris: Ephemeris,
-    settings: aspect::Settings,
+    settings: aspect::SolverSettings,
     args: &'a FramesArgs,
 }
 
@@ -187,7 +187,7 @@ struct Line {
     arcsec_per_mil: f64,
 }
 
-impl Row for Line {
+impl OutputRow for Line {
     fn csv_columns() -> Vec<&'static str> {
         Record::csv_columns()
     }

@@ -73,7 +73,7 @@ pub struct Snapshot {
     /// Where the ground has set it; else the instrument's own holds.
     pub clocking_deg: Option<f64>,
     pub twist_deg: Option<f64>,
-    pub solver: aspect::Settings,
+    pub solver: aspect::SolverSettings,
     pub roll: config::Roll,
     pub moon: config::Moon,
 }

@@ -1,6 +1,6 @@
 //! A camera of the flight: where its frames come from, and how it is run.
 
-use crate::camera::{AutoExposureSettings, PixelFormat, Settings, Source};
+use crate::camera::{AutoExposureSettings, CameraSettings, PixelFormat, Source};
 use crate::frame::Region;
 use crate::instrument::Role;
 use std::path::PathBuf;
@@ -95,8 +95,8 @@ impl Switch {
 
 impl ConfiguredCamera {
     /// What the camera is told.
-    pub fn settings(&self) -> Settings {
-        Settings {
+    pub fn settings(&self) -> CameraSettings {
+        CameraSettings {
             rate_hz: self.rate_hz,
             exposure_us: self.exposure_us,
             analogue_gain: self.analogue_gain,
@@ -122,7 +122,7 @@ impl ConfiguredCamera {
 impl ConfiguredCamera {
     /// A camera with the defaults, and no source.
     pub fn new(name: &str, role: Role) -> Self {
-        let settings = Settings::default();
+        let settings = CameraSettings::default();
         let auto = AutoExposureSettings::default();
         Self {
             name: name.into(),

@@ -53,15 +53,15 @@ pub struct Config {
     pub host: Host,
     pub preflight: Preflight,
     pub simulation: Simulation,
-    pub limb: limb::Settings,
-    pub fiducial: fiducial::Settings,
-    pub registration: registration::Settings,
+    pub limb: limb::LimbSettings,
+    pub fiducial: fiducial::FiducialSettings,
+    pub registration: registration::RegistrationSettings,
 }
 
 impl Config {
     /// The tunable parts of the solver.
-    pub fn solver(&self) -> aspect::Settings {
-        aspect::Settings {
+    pub fn solver(&self) -> aspect::SolverSettings {
+        aspect::SolverSettings {
             limb: self.limb,
             fiducial: self.fiducial,
             registration: self.registration,

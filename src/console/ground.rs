@@ -24,7 +24,7 @@ const CROSS_MIL: f64 = 150.0;
 #[derive(Clone)]
 pub struct Ground {
     pub instrument: Instrument,
-    pub settings: aspect::Settings,
+    pub settings: aspect::SolverSettings,
     pub target: Target,
     /// Where the gondola is, for the target's place on the plate.
     pub place: Option<Place>,

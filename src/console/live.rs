@@ -3,7 +3,7 @@
 //! Nothing is queued for a viewer but the events of one moment. Whoever reads slowly skips, and holds up nobody.
 
 use super::history::News;
-use super::orders::Row;
+use super::orders::OrderRow;
 use super::request::Console;
 use super::shared::Shared;
 use super::table::Nanoseconds;
@@ -86,7 +86,7 @@ struct Viewer {
     news: watch::Receiver<News>,
     /// What the viewer has been sent.
     seen: Option<News>,
-    rows: Vec<Row>,
+    rows: Vec<OrderRow>,
     events: VecDeque<(&'static str, String)>,
     moment: Instant,
     rate: Rate,
@@ -258,7 +258,7 @@ impl Viewer {
     }
 
     fn add_rows(&mut self) {
-        let rows: Vec<Row> = self.shared().orders().rows().take(ROWS).cloned().collect();
+        let rows: Vec<OrderRow> = self.shared().orders().rows().take(ROWS).cloned().collect();
         let new = rows.iter().rev().filter(|row| !self.rows.contains(row));
         let new: Vec<_> = new
             .filter_map(|row| serde_json::to_string(row).ok())

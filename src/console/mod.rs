@@ -74,7 +74,7 @@ use stored::Follower;
 const OUTBOX: usize = 16;
 
 /// What a console shows, and to whom.
-pub struct Settings {
+pub struct ConsoleSettings {
     pub source: Source,
     /// The line of a source that has no address of its own.
     pub line: Option<Connection>,
@@ -110,7 +110,7 @@ impl Running {
     /// # Errors
     /// An address that may not be listened on, or cannot; a source that cannot be opened or read; a log or a recording that cannot
     /// be written.
-    pub fn start(settings: Settings) -> anyhow::Result<Self> {
+    pub fn start(settings: ConsoleSettings) -> anyhow::Result<Self> {
         ensure!(
             settings.listen.ip().is_loopback() || settings.token.is_some(),
             "--listen {}: expected an address of this machine alone, such as 127.0.0.1:8080, or --token-file",
@@ -191,7 +191,7 @@ impl Reader {
 
 /// Opens the source.
 fn reader(
-    settings: Settings,
+    settings: ConsoleSettings,
     outbox: crossbeam_channel::Receiver<receive::Outgoing>,
 ) -> anyhow::Result<Reader> {
     match &settings.source {
@@ -227,7 +227,7 @@ fn reader(
 }
 
 /// The line of the source. A serial device that is not there is waited for; an address that cannot be listened on is an error.
-fn connection(settings: Settings) -> anyhow::Result<Connection> {
+fn connection(settings: ConsoleSettings) -> anyhow::Result<Connection> {
     if let Some(line) = settings.line {
         return Ok(line);
     }

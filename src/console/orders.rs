@@ -107,7 +107,7 @@ impl Request {
 
 /// A row of the log: a command, and what became of it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Row {
+pub struct OrderRow {
     pub number: u64,
     pub utc: Timestamp,
     pub command: String,
@@ -124,7 +124,7 @@ pub struct Row {
     sequence: u16,
 }
 
-impl Row {
+impl OrderRow {
     fn is_open(&self) -> bool {
         self.good.is_none()
     }
@@ -143,7 +143,7 @@ pub struct Orders {
     /// The one that is armed, by a name that cannot be guessed, and when.
     armed: Option<(String, Timestamp, Composed)>,
     /// The latest first.
-    rows: VecDeque<Row>,
+    rows: VecDeque<OrderRow>,
     number: u64,
     /// What reading commands have read, by their names.
     pub read: BTreeMap<&'static str, Read>,
@@ -201,7 +201,7 @@ impl Orders {
         name: &str,
         confirmed: bool,
         now: Timestamp,
-    ) -> Result<(Row, Vec<u8>), Refusal> {
+    ) -> Result<(OrderRow, Vec<u8>), Refusal> {
         let is_it = |(armed, since, _): &mut (String, Timestamp, Composed)| {
             armed == name && now.duration_since(*since) <= ARMED
         };
@@ -212,7 +212,7 @@ impl Orders {
             return Err(refusal);
         }
         self.number += 1;
-        let row = Row {
+        let row = OrderRow {
             number: self.number,
             utc: now,
             command: composed.text,
@@ -232,7 +232,7 @@ impl Orders {
     }
 
     /// The rows of the log, the latest first.
-    pub fn rows(&self) -> impl Iterator<Item = &Row> {
+    pub fn rows(&self) -> impl Iterator<Item = &OrderRow> {
         self.rows.iter()
     }
 
@@ -246,7 +246,7 @@ impl Orders {
             Ok(Telemetry::Result(result)) => (result.sequence, Some(Answered::from(result))),
             Err(_) => return false,
         };
-        let recent = |row: &&mut Row| row.sequence == sequence && row.is_open();
+        let recent = |row: &&mut OrderRow| row.sequence == sequence && row.is_open();
         let Some(row) = self.rows.iter_mut().find(recent) else {
             return false;
         };
@@ -276,7 +276,7 @@ impl Orders {
 
     /// Closes the rows that nobody answers; whether one has changed.
     pub fn give_up(&mut self, now: Timestamp) -> bool {
-        let is_due = |row: &&mut Row| row.is_open() && now.duration_since(row.utc) > PATIENCE;
+        let is_due = |row: &&mut OrderRow| row.is_open() && now.duration_since(row.utc) > PATIENCE;
         let mut due = Vec::new();
         for row in self.rows.iter_mut().filter(is_due) {
             let what = if row.received.is_some() {
@@ -310,13 +310,19 @@ impl Orders {
         self.note_or_warn(&row, "not sent", why, now);
     }
 
-    fn note_or_warn(&mut self, row: &Row, event: &str, words: &str, now: Timestamp) {
+    fn note_or_warn(&mut self, row: &OrderRow, event: &str, words: &str, now: Timestamp) {
         if let Err(error) = self.note(row, event, words, now) {
             tracing::error!(%error, "a row is missing in the log of commands");
         }
     }
 
-    fn note(&mut self, row: &Row, event: &str, words: &str, now: Timestamp) -> Result<(), Refusal> {
+    fn note(
+        &mut self,
+        row: &OrderRow,
+        event: &str,
+        words: &str,
+        now: Timestamp,
+    ) -> Result<(), Refusal> {
         let Some(Log { path, file }) = &mut self.log else {
             return Ok(());
         };

@@ -52,7 +52,7 @@ fn console() -> Console {
         access: Access::new(Some(Secret::of("nobody knows this token")), listen, None),
         ground: Ground {
             instrument: builtin("demo").unwrap(),
-            settings: aspect::Settings::default(),
+            settings: aspect::SolverSettings::default(),
             target: Target::default(),
             place: None,
             ephemeris: Ephemeris::new(OrientationTable::built_in()),

@@ -56,7 +56,7 @@ pub struct Measured {
 }
 
 /// What a row says of a photon; NaN where it says nothing.
-pub struct Row {
+pub struct PhotonRow {
     time: f64,
     position: [f64; 2],
     id: Option<f64>,
@@ -86,7 +86,7 @@ impl Measured {
         table: &mut AmendedTable,
         first: u64,
         count: usize,
-    ) -> Result<impl Iterator<Item = Row> + use<>, FileError> {
+    ) -> Result<impl Iterator<Item = PhotonRow> + use<>, FileError> {
         let mut numbers = |column: &NumberColumn| {
             let mut numbers = vec![0.0; count];
             let read = table.read(column, first, &mut numbers);
@@ -94,7 +94,7 @@ impl Measured {
         };
         let (times, x, y) = (numbers(&self.time)?, numbers(&self.x)?, numbers(&self.y)?);
         let ids = self.id.as_ref().map(numbers).transpose()?;
-        let row = move |n: usize| Row {
+        let row = move |n: usize| PhotonRow {
             time: times[n],
             position: [x[n], y[n]],
             id: ids.as_ref().map(|ids| ids[n]).filter(|id| !id.is_nan()),
@@ -108,7 +108,7 @@ impl Measured {
     /// The id of no detector.
     pub fn place(
         &self,
-        row: &Row,
+        row: &PhotonRow,
         detectors: &Detectors,
         history: &PointingHistory,
     ) -> Result<Photon, Problem> {

@@ -1,6 +1,6 @@
 //! Where the disc is dark over about the size of a mark, whatever the camera's rotation.
 
-use super::{CrossShape, FlatDisc, Settings};
+use super::{CrossShape, FiducialSettings, FlatDisc};
 use crate::kernels::column_sums;
 use crate::units::SensorPx;
 
@@ -16,7 +16,11 @@ const BOX_SIGMA: f64 = 4.0;
 const CANDIDATES_PER_DETECTION: usize = 2;
 
 /// Indices into the flattened disc's values of its darkest places, darkest first, half a mark apart at least.
-pub(super) fn candidates(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Vec<usize> {
+pub(super) fn candidates(
+    flat: &FlatDisc,
+    shape: &CrossShape,
+    settings: &FiducialSettings,
+) -> Vec<usize> {
     let boxes = Boxes::of(flat, shape);
     let pixels = (boxes.side_px * boxes.side_px) as f64;
     let mut dark: Vec<(usize, f32)> = boxes

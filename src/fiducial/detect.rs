@@ -3,7 +3,7 @@
 use super::candidates::candidates;
 use super::cross::turned;
 use super::template::{Template, Window};
-use super::{CrossShape, FlatDisc, Lighting, Settings};
+use super::{CrossShape, FiducialSettings, FlatDisc, Lighting};
 use crate::units::{Measured, SensorPx};
 use nalgebra::{Complex, Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -56,7 +56,7 @@ const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
 ///    cross, and as fourfold as one: sunspots and dust are round.
 /// 5. Of those too near to each other the likest; of all, those of the contrast that the frame's marks have in common.
 /// 6. The rotation again, from the marks' own places.
-pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &Settings) -> Detections {
+pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &FiducialSettings) -> Detections {
     let window = Window::within(shape.reach_px());
     let candidates = candidates(flat, shape, settings); // 1
     let centred = centred(flat, shape, &window, &candidates); // 2
@@ -164,7 +164,7 @@ impl<'a> ArmRotation<'a> {
 /// Matched filters for crosses of one rotation.
 struct CrossSearch<'a> {
     flat: &'a FlatDisc,
-    settings: &'a Settings,
+    settings: &'a FiducialSettings,
     window: &'a Window,
     cross: Template,
     /// Of the cross without its round part.
@@ -182,7 +182,7 @@ impl<'a> CrossSearch<'a> {
     fn new(
         flat: &'a FlatDisc,
         shape: &CrossShape,
-        settings: &'a Settings,
+        settings: &'a FiducialSettings,
         window: &'a Window,
         rotation_deg: f64,
     ) -> Self {

@@ -20,7 +20,7 @@ use super::prior::{
     DECISIVE_ODDS, FALSE_MARK_ODDS, FALSE_MARK_ODDS_AMONG_FALSE, IdentificationPrior,
     PREDICTION_ERROR, RIVAL_EXCESS,
 };
-use super::{Detection, Lighting, Settings};
+use super::{Detection, FiducialSettings, Lighting};
 use crate::plate::{MarkId, Plate};
 use crate::reasons::sun;
 use crate::units::Rejected;
@@ -56,7 +56,7 @@ pub fn identify(
     detections: &[Detection],
     prior: &IdentificationPrior,
     plate: &Plate,
-    settings: &Settings,
+    settings: &FiducialSettings,
 ) -> Result<Vec<(usize, MarkId)>, Unread> {
     let is_full = |n: &usize| detections[*n].lighting == Lighting::Full;
     let full: Vec<usize> = (0..detections.len()).filter(is_full).collect();
@@ -87,7 +87,7 @@ fn labellings(
     orders: &[Vec<usize>],
     reach_mil: f64,
     prior: &IdentificationPrior,
-    settings: &Settings,
+    settings: &FiducialSettings,
 ) -> Vec<Labelling> {
     let max_shift_px = settings.max_centre_shift_px;
     let mut lists = Lists::default();
@@ -117,7 +117,7 @@ fn decide(
     mut labellings: Vec<Labelling>,
     full: usize,
     prior: &IdentificationPrior,
-    settings: &Settings,
+    settings: &FiducialSettings,
 ) -> Result<Vec<(usize, MarkId)>, Unread> {
     labellings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let Some(best) = labellings.first() else {

@@ -38,7 +38,7 @@ pub use refine::{RefinedMark, Refiner};
 
 /// What can be tuned in finding and identifying marks.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct FiducialSettings {
     /// A mark's response must exceed this many sigma of the noise.
     pub detection_sigma: f64,
     /// A mark's least contrast, as a fraction of the light around it.
@@ -53,7 +53,7 @@ pub struct Settings {
     pub max_centre_shift_px: f64,
 }
 
-impl Default for Settings {
+impl Default for FiducialSettings {
     fn default() -> Self {
         Self {
             detection_sigma: 6.0,

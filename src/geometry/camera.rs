@@ -67,7 +67,7 @@ impl Lens {
 
 /// A camera: lens and pixels. Its rays are those of [`Lens`]'s range of growing radius.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Camera {
+pub struct CameraModel {
     lens: Lens,
     /// fx and fy.
     focal_px: Vector2<f64>,
@@ -75,7 +75,7 @@ pub struct Camera {
     limit_rad: f64,
 }
 
-impl Camera {
+impl CameraModel {
     /// `None` when a number is not finite, a focal length is not positive or the radius does not grow from the axis.
     pub fn new(lens: Lens, focal_px: [f64; 2], principal_point: SensorPx) -> Option<Self> {
         let limit_rad = lens.limit_rad();
@@ -271,14 +271,14 @@ mod tests {
 
     const CENTRE: SensorPx = SensorPx::new(630.0, 490.0);
 
-    fn cameras() -> [Camera; 3] {
+    fn cameras() -> [CameraModel; 3] {
         let lens = [
             Lens::Rectilinear,
             Lens::KannalaBrandt([1.0, -0.05, 0.01, -2e-3, 1e-4]),
             // An equidistant fish-eye, of all directions.
             Lens::KannalaBrandt([0.9, 0.0, 0.0, 0.0, 0.0]),
         ];
-        lens.map(|lens| Camera::new(lens, [800.0, 790.0], CENTRE).unwrap())
+        lens.map(|lens| CameraModel::new(lens, [800.0, 790.0], CENTRE).unwrap())
     }
 
     fn ray(theta: f64, phi: f64) -> UnitVector3<f64> {
@@ -286,7 +286,7 @@ mod tests {
         UnitVector3::new_normalize(Vector3::new(x, y, theta.cos()))
     }
 
-    fn rays(camera: &Camera) -> impl Iterator<Item = UnitVector3<f64>> + use<> {
+    fn rays(camera: &CameraModel) -> impl Iterator<Item = UnitVector3<f64>> + use<> {
         let limit = camera.limit_rad();
         (0..50).map(move |n| ray(limit * f64::from(n) / 50.5, f64::from(n)))
     }
@@ -342,7 +342,7 @@ mod tests {
         assert_eq!(fish_eye.limit_rad(), PI);
         // r = theta - theta^3 / 3 grows up to 1 rad, where it is 2/3.
         let lens = Lens::KannalaBrandt([1.0, -1.0 / 3.0, 0.0, 0.0, 0.0]);
-        let narrow = Camera::new(lens, [300.0, 300.0], CENTRE).unwrap();
+        let narrow = CameraModel::new(lens, [300.0, 300.0], CENTRE).unwrap();
         assert!((narrow.limit_rad() - 1.0).abs() < 1e-9);
         assert_eq!(narrow.pixel(&ray(1.001, 0.0)), None);
         assert_eq!(narrow.ray(SensorPx::new(630.0 + 200.1, 490.0)), None);
@@ -353,10 +353,13 @@ mod tests {
     #[test]
     fn a_lens_that_makes_no_image_is_refused() {
         let falling = Lens::KannalaBrandt([-1.0, 0.0, 0.0, 0.0, 0.0]);
-        assert_eq!(Camera::new(falling, [800.0; 2], CENTRE), None);
-        assert_eq!(Camera::new(Lens::Rectilinear, [800.0, 0.0], CENTRE), None);
+        assert_eq!(CameraModel::new(falling, [800.0; 2], CENTRE), None);
+        assert_eq!(
+            CameraModel::new(Lens::Rectilinear, [800.0, 0.0], CENTRE),
+            None
+        );
         let nan = Lens::KannalaBrandt([1.0, f64::NAN, 0.0, 0.0, 0.0]);
-        assert_eq!(Camera::new(nan, [800.0; 2], CENTRE), None);
+        assert_eq!(CameraModel::new(nan, [800.0; 2], CENTRE), None);
     }
 
     #[test]

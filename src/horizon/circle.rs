@@ -8,7 +8,7 @@ use super::border::Binary;
 use super::edge::EdgeRay;
 use super::light::Levels;
 use super::search::{LEAST_PLACES, no_horizon};
-use super::{Settings, Sphere, Stage, Stopped};
+use super::{HorizonSettings, Sphere, Stage, Stopped};
 use crate::estimation::{median, regression};
 use crate::frame::{Frame, Region};
 use crate::instrument::DirectionCamera;
@@ -58,7 +58,7 @@ impl Circle {
 /// # Errors
 /// Why the whole frame shows none, where no part does.
 pub fn circle(
-    settings: &Settings,
+    settings: &HorizonSettings,
     frame: &Frame,
     camera: &DirectionCamera,
     sphere: &Sphere,
@@ -124,7 +124,7 @@ fn middle(circles: &[Circle]) -> Option<Circle> {
 }
 
 fn in_part(
-    settings: &Settings,
+    settings: &HorizonSettings,
     frame: &Frame,
     camera: &DirectionCamera,
     sphere: &Sphere,

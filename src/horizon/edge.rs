@@ -1,6 +1,6 @@
 //! Points of the edge in a picture, and the rays to them.
 
-use crate::geometry::camera::Camera;
+use crate::geometry::camera::CameraModel;
 use crate::units::SensorPx;
 use nalgebra::{Rotation3, UnitVector3, Vector2, Vector3};
 
@@ -26,7 +26,7 @@ pub struct EdgeRays {
 
 impl EdgeRays {
     /// Without the points beyond the limit of the lens. `sigma_rad` is what the picture's light has alike.
-    pub fn of(points: &[EdgePoint], camera: &Camera, sigma_rad: f64) -> Self {
+    pub fn of(points: &[EdgePoint], camera: &CameraModel, sigma_rad: f64) -> Self {
         let rays = points.iter();
         Self {
             rays: rays
@@ -67,7 +67,7 @@ pub struct EdgeRay {
 
 impl EdgeRay {
     /// `None` beyond the limit of the lens.
-    pub fn of(point: &EdgePoint, camera: &Camera) -> Option<Self> {
+    pub fn of(point: &EdgePoint, camera: &CameraModel) -> Option<Self> {
         let unit = camera.ray(point.at)?;
         let across = camera.ray_jacobian(point.at)? * point.inward;
         Some(Self {

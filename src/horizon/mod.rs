@@ -61,7 +61,7 @@ const TOLD_SHARE: f64 = 0.1;
 
 /// How a frame is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Settings {
+pub struct HorizonSettings {
     /// For [`circle`], pixels of at least this are bright, DN; by the frame's own light where it is not stated.
     pub threshold_dn: Option<f64>,
     pub height: EdgeHeight,
@@ -232,7 +232,7 @@ impl Solution {
 
 /// Finds a sphere in a frame; near the last frame's nadir first, where there is one.
 pub fn solve(
-    settings: &Settings,
+    settings: &HorizonSettings,
     frame: &Frame,
     camera: &DirectionCamera,
     sphere: &Sphere,
@@ -258,7 +258,7 @@ pub fn solve(
 /// # Errors
 /// No camera that sees the edge, or a camera whose edge agrees too little with the nadir of all.
 pub fn joint(
-    settings: &Settings,
+    settings: &HorizonSettings,
     sphere: &Sphere,
     cameras: &[(&Solution, Rotation3<f64>)],
 ) -> Result<Nadir, Stopped> {

@@ -275,7 +275,7 @@ fn start<'a>(edge: impl Iterator<Item = &'a EdgeRay>, angle: f64) -> Option<Unit
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::camera::{Camera, Lens};
+    use crate::geometry::camera::{CameraModel, Lens};
     use crate::horizon::EdgePoint;
     use crate::horizon::Refraction;
     use crate::units::SensorPx;
@@ -291,10 +291,10 @@ mod tests {
     const DRAWN_POINTS: u32 = 2000;
 
     /// 94.4 deg across.
-    fn camera() -> Camera {
+    fn camera() -> CameraModel {
         let focal = SIZE_PX[0] / 2.0 / 47.2_f64.to_radians().tan();
         let centre = SensorPx::new(959.5, 539.5);
-        Camera::new(Lens::Rectilinear, [focal, focal], centre).unwrap()
+        CameraModel::new(Lens::Rectilinear, [focal, focal], centre).unwrap()
     }
 
     /// A nadir by the camera's roll and pitch.

@@ -3,7 +3,7 @@
 use super::edge::EdgePoint;
 use super::sphere::{Cone, Sphere};
 use crate::frame::{Region, Sample, View};
-use crate::geometry::camera::Camera;
+use crate::geometry::camera::CameraModel;
 use crate::instrument::DirectionCamera;
 use crate::units::SensorPx;
 use nalgebra::{UnitVector3, Vector2};
@@ -74,7 +74,7 @@ struct Steps {
 }
 
 impl Steps {
-    fn of(sphere: &Sphere, camera: &Camera) -> Self {
+    fn of(sphere: &Sphere, camera: &CameraModel) -> Self {
         let reach = sphere.inside_rad.max(sphere.outside_rad);
         let step_rad = (1.0 / camera.mean_focal_px()).max(reach / MOST_SAMPLES as f64);
         let samples = |reach_rad: f64| ((reach_rad / step_rad) as usize).max(LEAST_SAMPLES);
@@ -164,7 +164,7 @@ impl Profiles {
 /// turns), or too near the lens's limit.
 fn place(
     cone: &Cone<'_>,
-    camera: &Camera,
+    camera: &CameraModel,
     steps: &Steps,
     around_rad: f64,
     is_seen: impl Fn(SensorPx) -> bool,

@@ -8,8 +8,8 @@ use super::places::Light;
 use super::profile::Profiles;
 use super::scan::Scan;
 use super::{
-    Departure, EdgeHeight, EdgeRay, EdgeRays, Levels, Nadir, Settings, Solution, Sphere, Stage,
-    Stopped, inside, limb,
+    Departure, EdgeHeight, EdgeRay, EdgeRays, HorizonSettings, Levels, Nadir, Solution, Sphere,
+    Stage, Stopped, inside, limb,
 };
 use crate::estimation::FitError;
 use crate::frame::{Frame, Sample, View};
@@ -60,7 +60,7 @@ const EDGE_HEIGHTS_M: Range<f64> = 0.0..60_000.0;
 
 /// What a frame is searched with.
 pub(super) struct Search<'a> {
-    pub settings: &'a Settings,
+    pub settings: &'a HorizonSettings,
     pub camera: &'a DirectionCamera,
     pub sphere: &'a Sphere,
 }
@@ -266,7 +266,7 @@ impl Search<'_> {
 
 /// The nadir by the edge in one picture or more. How it departs from a sphere is found in what a plain fit leaves, unless it is stated.
 pub(super) fn fitted(
-    settings: &Settings,
+    settings: &HorizonSettings,
     sphere: &Sphere,
     edges: &[EdgeRays],
     plain: &Nadir,

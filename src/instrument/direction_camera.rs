@@ -16,7 +16,7 @@
 use super::builtin::text_of;
 use super::toml_file::{TomlError, Utc, parse_strict};
 use crate::frame::{Frame, Region};
-use crate::geometry::camera::{Camera, Lens};
+use crate::geometry::camera::{CameraModel, Lens};
 use crate::units::SensorPx;
 use nalgebra::{Matrix3, Rotation3};
 use serde::Deserialize;
@@ -27,7 +27,7 @@ use std::path::Path;
 pub struct DirectionCamera {
     pub width_px: usize,
     pub height_px: usize,
-    pub lens: Camera,
+    pub lens: CameraModel,
     /// Turns directions of the camera frame to the body's axes.
     pub body_from_camera: Option<Rotation3<f64>>,
     /// Parts of the picture that show the vehicle itself.
@@ -186,15 +186,16 @@ impl DirectionCamera {
         }
         let k = raw.kannala_brandt.map(Entry::value);
         let lens = k.map_or(Lens::Rectilinear, Lens::KannalaBrandt);
-        let lens =
-            Camera::new(lens, focal, SensorPx::new(centre[0], centre[1])).ok_or_else(|| {
+        let lens = CameraModel::new(lens, focal, SensorPx::new(centre[0], centre[1])).ok_or_else(
+            || {
                 let expected = "k1 to k5 of a radius that grows from the axis";
                 error(
                     "kannala_brandt",
                     expected,
                     format!("{:?}", k.unwrap_or_default()),
                 )
-            })?;
+            },
+        )?;
         let body_from_camera = match raw.body_from_camera.map(Entry::value) {
             Some(rows) => Some(rotation_of_rows(&rows).ok_or_else(|| {
                 let expected =

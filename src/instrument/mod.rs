@@ -38,7 +38,7 @@ pub struct Instrument {
     pub name: String,
     /// The name of its camera as frames have it (`CAMERA`); none where the file states none.
     pub camera_name: Option<String>,
-    pub camera: Camera,
+    pub camera: PlateCamera,
     /// How the camera's pixels answer to light.
     pub sensor: Sensor,
     pub plate: Plate,
@@ -48,7 +48,7 @@ pub struct Instrument {
 
 /// The camera that looks at the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Camera {
+pub struct PlateCamera {
     pub width_px: usize,
     pub height_px: usize,
     /// Bits of a pixel as the camera digitises it.
@@ -56,7 +56,7 @@ pub struct Camera {
     pub distortion: Distortion,
 }
 
-impl Camera {
+impl PlateCamera {
     /// Width and height of the sensor, px.
     pub fn size_px(&self) -> [usize; 2] {
         [self.width_px, self.height_px]

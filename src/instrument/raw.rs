@@ -1,7 +1,7 @@
 //! The instrument as the file says it, and the checks that make it an [`Instrument`].
 
 use super::toml_file::{TomlError, Utc, keys_of, parse_strict};
-use super::{Camera, Directions, Instrument, Mounting, Optics, TURN_DEG};
+use super::{Directions, Instrument, Mounting, Optics, PlateCamera, TURN_DEG};
 use crate::geometry::{Distortion, Handedness};
 use crate::plate::{Cross, MarkId, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
@@ -191,7 +191,7 @@ impl Checker<'_> {
         ))
     }
 
-    fn camera(&self, raw: RawCamera) -> Result<Camera, TomlError> {
+    fn camera(&self, raw: RawCamera) -> Result<PlateCamera, TomlError> {
         let side = 64.0..=65_536.0;
         self.within(
             "camera.width_px",
@@ -201,7 +201,7 @@ impl Checker<'_> {
         )?;
         self.within("camera.height_px", raw.height_px.value as f64, side, "px")?;
         self.within("camera.bits", f64::from(raw.bits.value), 8.0..=16.0, "bits")?;
-        Ok(Camera {
+        Ok(PlateCamera {
             width_px: raw.width_px.value,
             height_px: raw.height_px.value,
             bits: raw.bits.value,

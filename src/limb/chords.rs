@@ -3,7 +3,7 @@
 //! A chord is what is left of a bright run when hot pixels and marks are taken out (Cramer 2014, table 8); one that
 //! runs into the sensor's edge keeps the crossing that is seen.
 
-use super::Settings;
+use super::LimbSettings;
 use crate::frame::{Frame, Region};
 use nalgebra::Vector2;
 use std::ops::Range;
@@ -68,7 +68,7 @@ pub(super) struct Scan {
 
 impl Scan {
     /// A scan for a threshold and a mark's length from tip to tip, px.
-    pub(super) fn new(threshold_dn: f64, mark_length_px: f64, settings: &Settings) -> Self {
+    pub(super) fn new(threshold_dn: f64, mark_length_px: f64, settings: &LimbSettings) -> Self {
         /// A mark that is turned by an eighth is as much longer, and its blur with it.
         const LONGEST: f64 = 1.3;
         let gap = (LONGEST * mark_length_px).ceil() as usize;

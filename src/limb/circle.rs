@@ -1,7 +1,7 @@
 //! The circle that most crossings agree on: random sample consensus (Fischler and Bolles 1981), then least squares.
 
 use super::chords::Crossing;
-use super::{Settings, arc_fraction};
+use super::{LimbSettings, arc_fraction};
 use crate::estimation::{
     CONTRADICTION_SIGMAS, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS,
 };
@@ -36,7 +36,7 @@ const MAX_CENTRE_SIGMA_PX: f64 = 1.0;
 pub(super) fn agreed_circle(
     crossings: &[Crossing],
     radius_px: f64,
-    settings: &Settings,
+    settings: &LimbSettings,
 ) -> Result<Circle, Rejected> {
     let enough = settings.min_crossings as f64;
     let count = crossings.len() as f64;
@@ -65,7 +65,7 @@ pub(super) fn agreed_circle(
 struct Consensus<'a> {
     crossings: &'a [Crossing],
     radius_px: f64,
-    settings: &'a Settings,
+    settings: &'a LimbSettings,
 }
 
 impl Consensus<'_> {
@@ -280,7 +280,7 @@ mod tests {
         let consensus = Consensus {
             crossings: &some,
             radius_px: 95.0,
-            settings: &Settings::default(),
+            settings: &LimbSettings::default(),
         };
         assert_eq!(consensus.on(&TRUTH).count(), 46);
     }
@@ -288,7 +288,7 @@ mod tests {
     #[test]
     fn a_circle_is_found_though_an_eighth_of_the_crossings_is_off() {
         for off_px in [0.0, 1.9, -30.0] {
-            let circle = agreed_circle(&crossings(off_px), 95.0, &Settings::default()).unwrap();
+            let circle = agreed_circle(&crossings(off_px), 95.0, &LimbSettings::default()).unwrap();
             assert!((circle.centre - TRUTH.centre).norm() < 0.05, "{circle:?}");
             assert!((circle.radius - TRUTH.radius).abs() < 0.05, "{circle:?}");
         }

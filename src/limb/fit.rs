@@ -6,7 +6,7 @@ use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::profile::{Brightness, MODEL_SIGMA_PX, Profile};
 use super::shape::{EdgeModel, Shape, noise};
-use super::{LIMB_DARKENING, Settings};
+use super::{LIMB_DARKENING, LimbSettings};
 use crate::estimation::{MEDIAN_SIGMA, median_among};
 use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
@@ -119,7 +119,7 @@ pub struct LimbFit<'a> {
     /// The expected blur, 1 sigma, the pixel's own size included.
     pub blur_px: f64,
     pub known: KnownOutline,
-    pub settings: &'a Settings,
+    pub settings: &'a LimbSettings,
 }
 
 impl LimbFit<'_> {

@@ -5,7 +5,7 @@
 //! lies above it do not mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has
 //! only some hundred pixels: every fourth row is searched for them. Hot pixels stand alone and do not count.
 
-use super::Settings;
+use super::LimbSettings;
 use crate::estimation::QUARTILE_SIGMAS;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Sample};
 use crate::reasons::sun;
@@ -36,7 +36,7 @@ const MIN_BRIGHT_PAIRS: f64 = 32.0;
 const MOST_BETWEEN: f64 = 0.1;
 
 /// The levels of a frame; rejected when nothing outshines the background.
-pub fn levels(frame: &Frame, settings: &Settings) -> Result<Levels, Rejected> {
+pub fn levels(frame: &Frame, settings: &LimbSettings) -> Result<Levels, Rejected> {
     let (background_dn, noise_dn) = sampled(frame).background();
     let disc_dn = brighter(frame, background_dn + BRIGHT_SIGMAS * noise_dn).disc_dn()?;
     let contrast_sigmas = (disc_dn - background_dn) / noise_dn;
@@ -185,7 +185,7 @@ mod tests {
     #[test]
     fn levels_of_a_bright_square_on_a_dark_ground_are_its_own() {
         let square = frame(|x, y| if x / 40 == 2 && y / 40 == 2 { 200 } else { 7 });
-        let levels = levels(&square, &Settings::default()).unwrap();
+        let levels = levels(&square, &LimbSettings::default()).unwrap();
         assert!((levels.background_dn - 7.0).abs() <= 0.5);
         assert!((levels.disc_dn - 200.0).abs() <= 0.5);
     }
@@ -194,7 +194,7 @@ mod tests {
     fn the_ground_beside_a_disc_that_covers_half_of_a_picture_is_all_of_its_dark_half() {
         let even = |x: usize, y: usize| ((x * 7919 + y * 104_729) % 21) as u8;
         let half = frame(|x, y| if x < 100 { 200 } else { even(x, y) });
-        let levels = levels(&half, &Settings::default()).unwrap();
+        let levels = levels(&half, &LimbSettings::default()).unwrap();
         assert!((levels.background_dn - 10.0).abs() <= 1.0, "{levels:?}");
         // A quarter of an even spread lies between its middle and its upper quartile.
         let noise_dn = 21.0 / 4.0 / QUARTILE_SIGMAS;
@@ -207,7 +207,7 @@ mod tests {
     #[test]
     fn frames_of_one_value_have_no_disc() {
         for value in [0, 255] {
-            assert!(levels(&frame(|_, _| value), &Settings::default()).is_err());
+            assert!(levels(&frame(|_, _| value), &LimbSettings::default()).is_err());
         }
     }
 }

@@ -9,8 +9,8 @@
 //! known.
 //!
 //! # When it fails
-//! Fewer than [`Settings::min_crossings`] crossings on a circle of the expected size are refused, and so are fewer
-//! than [`Settings::min_limb_points`] points on an outline.
+//! Fewer than [`LimbSettings::min_crossings`] crossings on a circle of the expected size are refused, and so are fewer
+//! than [`LimbSettings::min_limb_points`] points on an outline.
 
 mod background;
 mod band;
@@ -41,7 +41,7 @@ const LIMB_DARKENING: f64 = 0.56;
 
 /// What can be tuned in finding the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct LimbSettings {
     /// Height of the limb's threshold between background and disc. Lower values stay clear of marks, higher ones
     /// of the noise. With a limb darkening of 0.56 and a blur of 0.95 px the disc's true edge stands at 0.26.
     pub level_fraction: f64,
@@ -61,7 +61,7 @@ pub struct Settings {
     pub max_radius_deviation: f64,
 }
 
-impl Default for Settings {
+impl Default for LimbSettings {
     fn default() -> Self {
         Self {
             level_fraction: 0.26,

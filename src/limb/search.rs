@@ -3,7 +3,7 @@
 
 use super::chords::{Axis, Line, Scan};
 use super::circle::agreed_circle;
-use super::{LIMB_DARKENING, Settings};
+use super::{LIMB_DARKENING, LimbSettings};
 use crate::frame::{Frame, Levels, Region};
 use crate::geometry::Circle;
 use crate::reasons::sun;
@@ -39,7 +39,7 @@ pub struct DiscSearch<'a> {
     pub radius_px: f64,
     /// A mark from tip to tip.
     pub mark_length_px: f64,
-    pub settings: &'a Settings,
+    pub settings: &'a LimbSettings,
 }
 
 impl DiscSearch<'_> {

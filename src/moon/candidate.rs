@@ -6,7 +6,7 @@ use super::light::Levels;
 use super::patch::{Outline, Patch};
 use super::plane::Plane;
 use super::shading::{Shading, Sphere, phase_rad_of_lit};
-use super::{MOST_RADIUS_DEVIATION, Settings};
+use super::{MOST_RADIUS_DEVIATION, MoonSettings};
 use crate::frame::Frame;
 use crate::geometry::Circle;
 use crate::units::Measured;
@@ -38,7 +38,7 @@ pub(super) struct Candidate<'a> {
 impl<'a> Candidate<'a> {
     /// `None` beyond the limit of the lens.
     pub fn new(
-        settings: &Settings,
+        settings: &MoonSettings,
         expected: &'a Expected,
         frame: &'a Frame,
         patch: &Patch,

@@ -1,6 +1,6 @@
 //! What is known of the Moon before a frame is looked at.
 
-use crate::geometry::camera::Camera;
+use crate::geometry::camera::CameraModel;
 use crate::reasons::moon as reasons;
 use crate::sky::sphere::{direction, separation_rad, tangents, travel};
 use crate::sky::{MoonPosition, SunPosition, horizon_deg};
@@ -50,7 +50,7 @@ impl Expected {
     pub fn seen_by(
         self,
         moon: &MoonPosition,
-        camera: &Camera,
+        camera: &CameraModel,
         local_from_camera: &Rotation3<f64>,
     ) -> Self {
         const STEP_RAD: f64 = 1e-3;

@@ -38,7 +38,7 @@ pub use overlay::overlay;
 pub use shading::{Shading, Sphere, towards_sun};
 
 use crate::frame::Frame;
-use crate::geometry::camera::Camera;
+use crate::geometry::camera::CameraModel;
 use crate::geometry::unit;
 use crate::reasons::{at, moon as reasons};
 use crate::units::{Estimate, Measured, SensorPx};
@@ -68,17 +68,17 @@ const AGREEING_SIGMAS: f64 = 4.0;
 pub enum Optics {
     /// Pixels so many times as high as wide: the disc's horizontal half axis over its vertical one.
     Aspect(f64),
-    Camera(Camera),
+    Camera(CameraModel),
 }
 
 /// How a frame is looked at.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct MoonSettings {
     pub shading: Shading,
     pub optics: Optics,
 }
 
-impl Default for Settings {
+impl Default for MoonSettings {
     fn default() -> Self {
         Self {
             shading: Shading::LommelSeeliger,
@@ -87,7 +87,7 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl MoonSettings {
     /// The plane of a disc near a place. A radius in px is that of an ellipse with the camera's axes; an angle is projected by its lens.
     fn plane(&self, expected: &Expected, at: SensorPx) -> Option<Plane> {
         match (&self.optics, expected.radius) {
@@ -185,7 +185,7 @@ impl Disc {
 ///
 /// # Errors
 /// A frame that shows no light of some size.
-pub fn by_extremities(settings: &Settings, frame: &Frame) -> Result<(SensorPx, f64), Stopped> {
+pub fn by_extremities(settings: &MoonSettings, frame: &Frame) -> Result<(SensorPx, f64), Stopped> {
     let levels = Levels::of(frame).map_err(at(Stage::Light))?;
     let level_dn = levels.least_dn();
     let largest = candidates(frame, levels.dark_dn + level_dn)?[0];
@@ -202,7 +202,7 @@ pub fn by_extremities(settings: &Settings, frame: &Frame) -> Result<(SensorPx, f
 ///
 /// # Errors
 /// Where the frame shows none: the stage, and why. Of several lights, the reason of the largest.
-pub fn solve(settings: &Settings, frame: &Frame, expected: &Expected) -> Result<Disc, Stopped> {
+pub fn solve(settings: &MoonSettings, frame: &Frame, expected: &Expected) -> Result<Disc, Stopped> {
     let levels = Levels::of(frame).map_err(at(Stage::Light))?;
     let mut level_dn = levels.least_dn();
     // A bright part of the Moon is no other light.
@@ -221,7 +221,7 @@ pub fn solve(settings: &Settings, frame: &Frame, expected: &Expected) -> Result<
 
 /// Finds the Moon among so many of the lights that stand by some DN above the sky, the largest first.
 fn solve_at(
-    settings: &Settings,
+    settings: &MoonSettings,
     frame: &Frame,
     expected: &Expected,
     levels: &Levels,

@@ -2,7 +2,7 @@
 
 use crate::frame::{Frame, Region};
 use crate::geometry::Circle;
-use crate::geometry::camera::Camera;
+use crate::geometry::camera::CameraModel;
 use crate::units::{Estimate, SensorPx};
 use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
 use std::ops::Range;
@@ -27,7 +27,7 @@ impl Plane {
     }
 
     /// Of a camera near a pixel; `None` where its lens sees nothing.
-    pub fn of_camera(camera: &Camera, at: SensorPx) -> Option<Self> {
+    pub fn of_camera(camera: &CameraModel, at: SensorPx) -> Option<Self> {
         let ray = camera.ray(at)?;
         let down = (Vector3::y() - ray.into_inner() * ray.y).try_normalize(1e-6)?;
         let right = down.cross(&ray);

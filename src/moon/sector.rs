@@ -27,7 +27,7 @@ const KNOWN_PHASE_RAD: f64 = 0.01;
 /// Centre x and y (round px), radius (px), blur (px), phase angle, and angle of the bright limb's middle (rad).
 pub(super) const PARAMETERS: usize = 6;
 pub(super) type Parameters = SVector<f64, PARAMETERS>;
-pub(super) type Row = Linearised<1, PARAMETERS>;
+pub(super) type SectorRow = Linearised<1, PARAMETERS>;
 pub(super) type RowVector = SMatrix<f64, 1, PARAMETERS>;
 
 pub(super) fn circle_of(at: &Parameters) -> Circle {
@@ -178,7 +178,13 @@ impl Sector {
     }
 
     /// Adds the pixels without what the sector's own sky and brightness explain.
-    pub fn add_rows(&self, at: &Parameters, lights: &Lights, noise_dn: f64, rows: &mut Vec<Row>) {
+    pub fn add_rows(
+        &self,
+        at: &Parameters,
+        lights: &Lights,
+        noise_dn: f64,
+        rows: &mut Vec<SectorRow>,
+    ) {
         let pixels = self.pixels.iter();
         let first = rows.len();
         rows.extend(pixels.map(|pixel| pixel.modelled(at, lights, &self.light.here)));
@@ -212,7 +218,7 @@ impl Sector {
 
 impl Pixel {
     /// The pixel's light where the ground's brightness is 1, in the residual's place, and its derivatives.
-    fn modelled(&self, at: &Parameters, lights: &Lights, profile: &Profile) -> Row {
+    fn modelled(&self, at: &Parameters, lights: &Lights, profile: &Profile) -> SectorRow {
         let away = self.at - Vector2::new(at[0], at[1]);
         let distance = away.norm().max(1.0);
         let unit = away / distance;
@@ -225,7 +231,7 @@ impl Pixel {
             + by_phase * (at[4] - lights.phase_rad)
             + by_side * (at[5] - lights.bright_limb_rad);
         let slope = here.slope;
-        Row {
+        SectorRow {
             residual: Vector1::new(light),
             jacobian: RowVector::from([
                 slope * unit.x,
@@ -250,7 +256,7 @@ pub(super) struct Pull {
 }
 
 impl Pull {
-    pub fn of(rows: &[Row]) -> Self {
+    pub fn of(rows: &[SectorRow]) -> Self {
         let (mut radial, mut by_excess) = (0.0, Parameters::zeros());
         for row in rows {
             radial += row.jacobian[2] * row.residual[0];

@@ -3,7 +3,7 @@
 //! The quaternion takes vectors of the Earth-fixed frame to the body's, scalar first; the standard's rotations turn the frame, so that its
 //! components are those of the Hamilton quaternion that turns the body's vectors to the Earth's.
 
-use super::solve::Row;
+use super::solve::NavigationRow;
 use crate::clock::utc_microseconds;
 use jiff::{SignedDuration, Timestamp};
 use std::io::{self, Write};
@@ -26,7 +26,7 @@ pub struct Stretches {
 
 impl Stretches {
     /// Notes the next row.
-    pub fn note(&mut self, row: &Row) {
+    pub fn note(&mut self, row: &NavigationRow) {
         match (&mut self.under_way, &row.attitude) {
             (Some((_, last)), Some(_)) => *last = row.t_s,
             (None, Some(_)) => self.under_way = Some((row.t_s, row.t_s)),
@@ -71,7 +71,7 @@ impl<'a, W: Write> Aem<'a, W> {
     ///
     /// # Errors
     /// What takes the bytes fails, or a time that no calendar has.
-    pub fn add(&mut self, row: &Row) -> io::Result<()> {
+    pub fn add(&mut self, row: &NavigationRow) -> io::Result<()> {
         let Some((motion, _)) = &row.attitude else {
             return self.close();
         };
@@ -133,13 +133,13 @@ mod tests {
     use crate::navigation::{Motion, Status};
     use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-    fn row(t_s: f64, attitude: Option<UnitQuaternion<f64>>) -> Row {
+    fn row(t_s: f64, attitude: Option<UnitQuaternion<f64>>) -> NavigationRow {
         let motion = |attitude| Motion {
             position_m: Vector3::zeros(),
             velocity_m_s: Vector3::zeros(),
             attitude,
         };
-        Row {
+        NavigationRow {
             t_s,
             attitude: attitude.map(|attitude| (motion(attitude), Matrix3::identity())),
             status: Status::Aligned,

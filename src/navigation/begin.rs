@@ -6,7 +6,7 @@ use super::filter::{Filter, MOST_DRIFT_M_S, Trust, towards};
 use super::measurement::{Fix, Sighting, Towards};
 use super::model::Model;
 use super::motion::{Interval, Motion};
-use super::settings::{Imu, Settings};
+use super::settings::{Imu, NavigationSettings};
 use super::states::Layout;
 use crate::geometry::attitude::{Direction, Observation, attitude};
 use crate::geometry::earth;
@@ -69,7 +69,7 @@ struct Seen {
 
 impl Seen {
     /// What has been added to its error since: by the gyro, and by how the target moves.
-    fn added_rad(&self, settings: &Settings, fix: &Fix) -> f64 {
+    fn added_rad(&self, settings: &NavigationSettings, fix: &Fix) -> f64 {
         let walk = settings.imu.angular_random_walk * self.age_s.sqrt();
         let moves = match self.sighting.towards {
             Towards::Known(_) => earth::TURN_RAD_PER_S,
@@ -99,7 +99,7 @@ impl Waiting {
         self.seen.retain(|seen| seen.age_s <= FRESH_S);
     }
 
-    pub fn note(&mut self, settings: &Settings, sighting: &Sighting) {
+    pub fn note(&mut self, settings: &NavigationSettings, sighting: &Sighting) {
         let same = |seen: &Seen| {
             (seen.sighting.camera, seen.sighting.target) == (sighting.camera, sighting.target)
         };
@@ -160,7 +160,7 @@ impl Waiting {
     }
 
     /// The two directions that tell most together: seen both, else one and straight down as it is felt.
-    fn pair(&self, settings: &Settings, fix: &Fix) -> Option<Pair<'_>> {
+    fn pair(&self, settings: &NavigationSettings, fix: &Fix) -> Option<Pair<'_>> {
         if let Some((first, second)) = self.seen_pair() {
             return Some(Pair::Seen(first, second));
         }
@@ -207,7 +207,11 @@ impl<'a> Pair<'a> {
 }
 
 /// The part of a direction's error that is white, 1 sigma of each angle.
-pub(super) fn white_rad(settings: &Settings, layout: &Layout, sighting: &Sighting) -> f64 {
+pub(super) fn white_rad(
+    settings: &NavigationSettings,
+    layout: &Layout,
+    sighting: &Sighting,
+) -> f64 {
     let target = sighting.target as usize;
     let correlated_rad = match layout.correlated[sighting.camera][target] {
         Some(_) => settings.correlated_rad[target],

@@ -5,8 +5,8 @@ use super::comparison::Comparison;
 use super::measurement::{ImuSample, Innovation, Measurement, Verdict};
 use super::model::Model;
 use super::run::{Flight, Run, Stop};
-use super::settings::{Settings, Target};
-use super::solve::{Row, row};
+use super::settings::{NavigationSettings, Target};
+use super::solve::{NavigationRow, row};
 use super::soundness::Unsound;
 use super::states::{Choice, Layout};
 use std::collections::VecDeque;
@@ -31,7 +31,7 @@ pub struct Live {
     kept: VecDeque<Run>,
     /// Of the last seconds: a late measurement may change them.
     innovations: VecDeque<Innovation>,
-    row: Option<Row>,
+    row: Option<NavigationRow>,
     counts: Counts,
     /// The last sample, if its time is another than the clock's so far: one alone is a slip, two are a gap or a clock that was set.
     stray: Option<ImuSample>,
@@ -49,7 +49,7 @@ pub struct Counts {
 
 impl Live {
     /// Waits for samples, fixes and directions; `sees` are the targets of each camera of the settings.
-    pub fn new(settings: Settings, sees: &[Vec<Target>]) -> Self {
+    pub fn new(settings: NavigationSettings, sees: &[Vec<Target>]) -> Self {
         let layout = Layout::new(&settings, sees, Choice::AsStated);
         let run = Run::new(Arc::new(Model {
             settings: settings.clone(),
@@ -71,7 +71,7 @@ impl Live {
     }
 
     /// Takes a sample of the IMU, which is later than all before; one that is not is passed over. The attitude at its time.
-    pub fn sample(&mut self, sample: ImuSample) -> Option<Row> {
+    pub fn sample(&mut self, sample: ImuSample) -> Option<NavigationRow> {
         if let Some(last) = self.recent.imu.last() {
             let is_near = |other: &ImuSample| (sample.t_s - other.t_s).abs() <= MOST_GAP_S;
             let stray = self.stray.take();
@@ -133,7 +133,7 @@ impl Live {
     }
 
     /// The attitude at the last sample; `None` before the first two.
-    pub fn now(&self) -> Option<Row> {
+    pub fn now(&self) -> Option<NavigationRow> {
         self.row
     }
 

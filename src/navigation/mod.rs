@@ -54,9 +54,9 @@ pub use measurement::{
 pub use motion::Motion;
 pub use offset::{PropagatedOffset, offset};
 pub use run::Flight;
-pub use settings::{Camera, Gps, Group, Imu, Settings, Target, Vertical};
+pub use settings::{Gps, Group, Imu, NavigationCamera, NavigationSettings, Target, Vertical};
 pub use smooth::smooth;
-pub use solve::{Row, SensorErrors, Status, Summary, solve};
+pub use solve::{NavigationRow, SensorErrors, Status, Summary, solve};
 pub use soundness::Unsound;
 pub use spool::Spool;
 pub use suspected::suspected_units;

@@ -1,6 +1,6 @@
 //! Where the telescope points by the attitude, minus its target.
 
-use super::solve::Row;
+use super::solve::NavigationRow;
 use crate::geometry::earth::north_east_up;
 use crate::pointing::{Difference, PointingError, difference};
 use crate::units::Measured;
@@ -48,7 +48,7 @@ impl PropagatedOffset {
 /// # Errors
 /// [`PointingError::NearZenith`] when the pointing or the target stands above 85 deg.
 pub fn offset(
-    row: &Row,
+    row: &NavigationRow,
     body_from_telescope: &Rotation3<f64>,
     target: &UnitVector3<f64>,
 ) -> Result<Option<PropagatedOffset>, PointingError> {

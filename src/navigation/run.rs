@@ -7,7 +7,7 @@ use super::filter::{Filter, MOST_CHI2, Trust};
 use super::measurement::{ImuSample, Innovation, Measurement, Sighting, Source, Verdict};
 use super::model::Model;
 use super::motion::{Interval, Lost};
-use super::settings::{Settings, Target};
+use super::settings::{NavigationSettings, Target};
 use super::soundness::{Soundness, Unsound};
 use super::states::{Choice, Layout, Opened, Sensors};
 use nalgebra::Vector3;
@@ -31,7 +31,7 @@ const NEIGHBOUR: f64 = 1.5;
 /// All that a flight is solved from, in the order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flight {
-    pub settings: Settings,
+    pub settings: NavigationSettings,
     pub imu: Vec<ImuSample>,
     pub measurements: Vec<Measurement>,
 }
@@ -39,7 +39,7 @@ pub struct Flight {
 impl Flight {
     /// Each run of the IMU with what was measured up to its end; both in the order of time.
     pub fn of_runs(
-        settings: &Settings,
+        settings: &NavigationSettings,
         runs: Vec<Vec<ImuSample>>,
         mut measurements: Vec<Measurement>,
     ) -> Vec<Self> {

@@ -128,7 +128,7 @@ pub struct Gps {
 }
 
 #[derive(Debug, Clone, PartialEq)]
-pub struct Camera {
+pub struct NavigationCamera {
     pub name: String,
     pub body_from_camera: Rotation3<f64>,
     pub misalignment_rad: f64,
@@ -139,12 +139,12 @@ pub struct Camera {
 
 /// All that NAV.toml states.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
+pub struct NavigationSettings {
     /// The instant of t_s = 0.
     pub epoch_utc: Option<Timestamp>,
     pub imu: Imu,
     pub gps: Gps,
-    pub cameras: Vec<Camera>,
+    pub cameras: Vec<NavigationCamera>,
     /// Of the directions to Sun, nadir and Moon: the part of their errors that is correlated in time, 1 sigma of each angle.
     pub correlated_rad: [f64; 3],
     pub vertical: Vertical,
@@ -267,7 +267,7 @@ const KEYS: &[&str] = &[
     "calibration",
 ];
 
-impl Settings {
+impl NavigationSettings {
     /// # Errors
     /// The file, the field, and what was expected there.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
@@ -309,7 +309,7 @@ impl Settings {
     /// The file, the field, and what was expected there.
     pub fn for_flight(self, path: &Path, names: &[&str]) -> Result<Self, TomlError> {
         let check = Check(path);
-        let is_unknown = |camera: &&Camera| !names.contains(&camera.name.as_str());
+        let is_unknown = |camera: &&NavigationCamera| !names.contains(&camera.name.as_str());
         if let Some(camera) = self.cameras.iter().find(is_unknown) {
             let expected = format!("one of {}", names.join(", "));
             return Err(check.error("camera.name", &expected, &camera.name));
@@ -487,14 +487,14 @@ impl RawGps {
     }
 }
 
-fn cameras(raw: Vec<RawCamera>, check: &Check) -> Result<Vec<Camera>, TomlError> {
-    let mut cameras: Vec<Camera> = Vec::new();
+fn cameras(raw: Vec<RawCamera>, check: &Check) -> Result<Vec<NavigationCamera>, TomlError> {
+    let mut cameras: Vec<NavigationCamera> = Vec::new();
     for raw in raw {
         let field = |name: &str| format!("camera \"{}\": {name}", raw.name);
         if cameras.iter().any(|camera| camera.name == raw.name) {
             return Err(check.error("camera.name", "names that differ", raw.name));
         }
-        cameras.push(Camera {
+        cameras.push(NavigationCamera {
             body_from_camera: rotation_of_rows(&raw.body_from_camera).ok_or_else(|| {
                 let expected = "three rows of a rotation (orthonormal to 1e-4, right-handed)";
                 let found = format!("{:?}", raw.body_from_camera);

@@ -6,7 +6,7 @@
 use super::estimate::Estimate;
 use super::motion::Motion;
 use super::run::{Begun, Flight, Phase, Run, Stop};
-use super::solve::{Row, row};
+use super::solve::{NavigationRow, row};
 use super::states::{ATTITUDE, Choice, Layout, MOTION, POSITION, VELOCITY};
 use super::transition::Transition;
 use crate::estimation::{ScaledRoot, symmetrise};
@@ -28,7 +28,7 @@ struct Node {
 
 /// What the filter was at a sample of the IMU.
 struct Sample {
-    row: Row,
+    row: NavigationRow,
     /// Since the last measurement.
     since: Transition,
 }
@@ -45,7 +45,7 @@ struct Smoothed {
 }
 
 /// Smoothes a flight: the rows from the last to the first. `None` where a covariance is not positive.
-pub fn smooth(flight: &Flight, mut each: impl FnMut(Row)) -> Option<()> {
+pub fn smooth(flight: &Flight, mut each: impl FnMut(NavigationRow)) -> Option<()> {
     let model = flight.model(Choice::AllEstimated);
     let layout = &model.layout;
     let mut kept = vec![Run::new(Arc::clone(&model))];
@@ -154,7 +154,7 @@ impl Later {
 
 impl Backwards<'_> {
     /// Goes back through entries: each node's samples follow it.
-    fn go(&mut self, entries: &[Entry], each: &mut impl FnMut(Row)) -> Option<()> {
+    fn go(&mut self, entries: &[Entry], each: &mut impl FnMut(NavigationRow)) -> Option<()> {
         // A block ends with the node that the one after it began with, which is smoothed already.
         let entries = match (&mut self.later, entries.split_last()) {
             (Some((later, _)), Some((Entry::Node(node), before))) => {
@@ -180,7 +180,12 @@ impl Backwards<'_> {
         Some(())
     }
 
-    fn pass(&mut self, node: &Node, samples: &[Entry], each: &mut impl FnMut(Row)) -> Option<()> {
+    fn pass(
+        &mut self,
+        node: &Node,
+        samples: &[Entry],
+        each: &mut impl FnMut(NavigationRow),
+    ) -> Option<()> {
         let step = self.later.as_ref().and_then(|(later, smoothed)| {
             let transition = later.transition.as_ref()?;
             Step::new(self.layout, node, transition, later, smoothed)
@@ -262,7 +267,7 @@ impl<'a> Step<'a> {
     }
 
     /// The row of a sample between the nodes.
-    fn sample(&self, node: &Node, sample: &Sample) -> Option<Row> {
+    fn sample(&self, node: &Node, sample: &Sample) -> Option<NavigationRow> {
         let (motion, covariance) = sample.row.attitude?;
         let rest = self.transition.since(&sample.since)?;
         let now = sample.since.predicted(self.layout, &node.covariance);
@@ -275,7 +280,7 @@ impl<'a> Step<'a> {
         let learnt = &self.later.covariance - &self.predicted;
         let added = gain.transpose() * learnt * &gain;
         let added: Matrix3<f64> = added.fixed_view::<3, 3>(0, 0).into_owned();
-        Some(Row {
+        Some(NavigationRow {
             attitude: Some((motion, covariance + added)),
             ..sample.row
         })

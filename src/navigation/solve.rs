@@ -55,7 +55,7 @@ impl Status {
 
 /// The attitude at a sample of the IMU, with the motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Row {
+pub struct NavigationRow {
     pub t_s: f64,
     /// `None` before the start.
     pub attitude: Option<(Motion, Matrix3<f64>)>,
@@ -93,7 +93,7 @@ pub struct Summary {
 const KEPT_EVERY_S: f64 = 1.0;
 
 /// Solves a flight; `each` gets the rows in the order of time.
-pub fn solve(flight: &Flight, mut each: impl FnMut(Row)) -> Summary {
+pub fn solve(flight: &Flight, mut each: impl FnMut(NavigationRow)) -> Summary {
     let mut run = Run::new(flight.model(Choice::AsStated));
     let mut summary = Summary::default();
     let mut kept_s = [f64::NEG_INFINITY; 2];
@@ -138,7 +138,7 @@ impl Summary {
         self.constants = later.constants.or(self.constants.take());
     }
 
-    fn note_sigma(&mut self, row: &Row, kept_s: &mut f64) {
+    fn note_sigma(&mut self, row: &NavigationRow, kept_s: &mut f64) {
         if let Some((_, covariance)) = row.attitude.filter(|_| row.t_s - *kept_s >= KEPT_EVERY_S) {
             *kept_s = row.t_s;
             let sigma = covariance
@@ -166,7 +166,7 @@ impl Summary {
 }
 
 /// What the filter says at a sample.
-pub(super) fn row(run: &Run, t_s: f64) -> Row {
+pub(super) fn row(run: &Run, t_s: f64) -> NavigationRow {
     let attitude = match &run.phase {
         Phase::Waiting(_) => None,
         Phase::Running(filter) => {
@@ -174,7 +174,7 @@ pub(super) fn row(run: &Run, t_s: f64) -> Row {
             Some((filter.estimate.motion, covariance))
         }
     };
-    Row {
+    NavigationRow {
         t_s,
         attitude,
         status: status(run, t_s),

@@ -201,13 +201,13 @@ impl Axis {
 mod tests {
     use super::*;
     use crate::instrument::DEMO_NAVIGATION;
-    use crate::navigation::Settings;
+    use crate::navigation::NavigationSettings;
     use std::path::Path;
 
     const STEP_S: f64 = 0.01;
 
     fn walks(rates: impl Iterator<Item = f64>) -> Vec<f64> {
-        let imu = Settings::parse(Path::new("NAV.toml"), DEMO_NAVIGATION)
+        let imu = NavigationSettings::parse(Path::new("NAV.toml"), DEMO_NAVIGATION)
             .unwrap()
             .imu;
         let mut soundness = Soundness::default();

@@ -1,7 +1,7 @@
 //! Rows of an attitude on disk: a flight of twelve hours has millions, which the smoother gives from the last to the first.
 
 use super::motion::Motion;
-use super::solve::{Row, Status};
+use super::solve::{NavigationRow, Status};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
@@ -50,7 +50,7 @@ impl Spool {
     ///
     /// # Errors
     /// A disk that does not take it.
-    pub fn push(&mut self, row: &Row) -> io::Result<()> {
+    pub fn push(&mut self, row: &NavigationRow) -> io::Result<()> {
         self.waiting.extend(encoded(row));
         self.rows += 1;
         match self.waiting.len() < BLOCK * ROW_BYTES {
@@ -63,7 +63,7 @@ impl Spool {
     ///
     /// # Errors
     /// A disk that does not take it.
-    pub fn replace(&mut self, n: u64, row: &Row) -> io::Result<()> {
+    pub fn replace(&mut self, n: u64, row: &NavigationRow) -> io::Result<()> {
         self.flush()?;
         self.file.write_all_at(&encoded(row), n * ROW_BYTES as u64)
     }
@@ -72,7 +72,9 @@ impl Spool {
     ///
     /// # Errors
     /// A disk that does not take or give them.
-    pub fn rows(&mut self) -> io::Result<impl Iterator<Item = io::Result<Row>> + use<'_>> {
+    pub fn rows(
+        &mut self,
+    ) -> io::Result<impl Iterator<Item = io::Result<NavigationRow>> + use<'_>> {
         self.flush()?;
         self.file.seek(SeekFrom::Start(0))?;
         let mut file = BufReader::with_capacity(BLOCK * ROW_BYTES, &self.file);
@@ -92,7 +94,7 @@ impl Spool {
     }
 }
 
-fn encoded(row: &Row) -> [u8; ROW_BYTES] {
+fn encoded(row: &NavigationRow) -> [u8; ROW_BYTES] {
     let mut numbers = [0.0; NUMBERS];
     numbers[0] = row.t_s;
     if let Some((motion, covariance)) = &row.attitude {
@@ -109,7 +111,7 @@ fn encoded(row: &Row) -> [u8; ROW_BYTES] {
     bytes
 }
 
-fn decoded(bytes: &[u8; ROW_BYTES]) -> Row {
+fn decoded(bytes: &[u8; ROW_BYTES]) -> NavigationRow {
     let (cells, _) = bytes.as_chunks::<8>();
     let numbers: Vec<f64> = cells.iter().map(|cell| f64::from_le_bytes(*cell)).collect();
     let vector = |first: usize| Vector3::from_column_slice(&numbers[first..first + 3]);
@@ -122,7 +124,7 @@ fn decoded(bytes: &[u8; ROW_BYTES]) -> Row {
     };
     let covariance = Matrix3::from_column_slice(&numbers[11..20]);
     let status = Status::ALL.get(usize::from(bytes[ROW_BYTES - 1]));
-    Row {
+    NavigationRow {
         t_s: numbers[0],
         attitude: has_attitude.then_some((motion, covariance)),
         status: status.copied().unwrap_or(Status::Waiting),
@@ -133,7 +135,7 @@ fn decoded(bytes: &[u8; ROW_BYTES]) -> Row {
 mod tests {
     use super::*;
 
-    fn row(n: u64, status: Status) -> Row {
+    fn row(n: u64, status: Status) -> NavigationRow {
         let x = n as f64;
         let motion = Motion {
             position_m: Vector3::new(x, 2.0 * x, -3.0),
@@ -141,7 +143,7 @@ mod tests {
             attitude: UnitQuaternion::from_euler_angles(0.1 * x, 0.2, -0.3),
         };
         let covariance = Matrix3::from_fn(|a, b| x + (a * 3 + b) as f64);
-        Row {
+        NavigationRow {
             t_s: 0.01 * x,
             attitude: (status != Status::Waiting).then_some((motion, covariance)),
             status,
@@ -155,7 +157,7 @@ mod tests {
         assert!(spool.is_empty());
         let all = Status::ALL;
         let count = 2 * BLOCK as u64 + 10;
-        let mut rows: Vec<Row> = (0..count)
+        let mut rows: Vec<NavigationRow> = (0..count)
             .map(|n| row(n, all[n as usize % all.len()]))
             .collect();
         for row in &rows {
@@ -167,7 +169,7 @@ mod tests {
         }
         assert_eq!(spool.len(), count);
         for _ in 0..2 {
-            let back: io::Result<Vec<Row>> = spool.rows().unwrap().collect();
+            let back: io::Result<Vec<NavigationRow>> = spool.rows().unwrap().collect();
             assert!(back.unwrap() == rows);
         }
     }

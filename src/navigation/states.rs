@@ -12,7 +12,7 @@
 //!
 //! States that are known exactly (sigma 0) are left out.
 
-use super::settings::{Group, Settings, Target};
+use super::settings::{Group, NavigationSettings, Target};
 use crate::estimation::Role;
 use nalgebra::SVector;
 use std::ops::Range;
@@ -85,7 +85,7 @@ pub(super) struct Layout {
 
 impl Layout {
     /// `used` are the targets that each camera sees; `estimated` says that nothing is only considered.
-    pub fn new(settings: &Settings, used: &[Vec<Target>], choice: Choice) -> Self {
+    pub fn new(settings: &NavigationSettings, used: &[Vec<Target>], choice: Choice) -> Self {
         let mut layout = Self {
             imu: [None; 6],
             cameras: Vec::new(),

@@ -74,7 +74,7 @@ pub struct PlannedCamera {
 /// The navigation that is to fly.
 #[derive(Debug, Clone)]
 pub struct PlannedNavigation {
-    pub settings: navigation::Settings,
+    pub settings: navigation::NavigationSettings,
     /// The file of the settings, letter by letter.
     pub toml: String,
     /// The IMU's own line; `None` where it speaks on the controller's.
@@ -179,7 +179,7 @@ impl Plan {
     /// Whether the solver's settings leave a Sun.
     fn prove(&self, remarks: &mut Remarks) {
         let instrument = self.cameras.iter().find_map(|one| one.camera.sees.plate());
-        let is_changed = self.config.solver() != aspect::Settings::default();
+        let is_changed = self.config.solver() != aspect::SolverSettings::default();
         if let Some(instrument) = instrument.filter(|_| is_changed)
             && let Err(refused) =
                 Proof::of(instrument).check("[limb], [fiducial], [registration]", &self.config)
@@ -265,7 +265,7 @@ fn navigation(config: &Config, remarks: &mut Remarks) -> Option<PlannedNavigatio
     let path = own.settings.as_deref().filter(|_| own.is_enabled())?;
     let names: Vec<&str> = config.cameras.iter().map(|one| one.name.as_str()).collect();
     let toml = remarks.noted(read_text(path))?;
-    let settings = navigation::Settings::parse(path, &toml);
+    let settings = navigation::NavigationSettings::parse(path, &toml);
     let settings = settings.and_then(|settings| settings.for_flight(path, &names));
     let settings = remarks.noted(settings)?;
     if settings.plumb_rad <= 0.0 && settings.cameras.len() < 2 {

@@ -280,8 +280,8 @@ impl Record {
     }
 
     /// A row of which no more is known.
-    fn alone(&self) -> Row {
-        Row::bare(None, self.clone())
+    fn alone(&self) -> LoggedRow {
+        LoggedRow::bare(None, self.clone())
     }
 
     /// "stage: reason", as FITS and CSV write it.
@@ -293,7 +293,7 @@ impl Record {
 
 /// What the logs tell of a frame. `record.file` is empty where its picture was not stored.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct LoggedRow {
     /// Number of the frame in its sequence.
     pub number: Option<u64>,
     pub quality: Quality,
@@ -317,7 +317,7 @@ pub struct Upkeep {
     pub unstored: u64,
 }
 
-impl Row {
+impl LoggedRow {
     /// The row of a solved frame; `record` is made of the same solution.
     pub fn new(number: Option<u64>, solution: &Solution, record: Record) -> Self {
         Self {
@@ -466,7 +466,7 @@ numbers! {
     BACKGROUND: number(|r| Some(r.levels?.background_dn)).column("background_dn", All).field("LEVEL_BACKGROUND", "DN", "level of the background");
     NOISE: number(|r| Some(r.levels?.noise_dn)).column("noise_dn", All).field("LEVEL_NOISE", "DN", "1 sigma of the background");
     DISC: number(|r| Some(r.levels?.disc_dn)).column("disc_dn", All).field("LEVEL_DISC", "DN", "level of the disc");
-    DISK: text(|r| Some(if r.on_own_disk? { Row::THIS_DISK } else { Row::OTHER_DISK }.into())).column("disk", All);
+    DISK: text(|r| Some(if r.on_own_disk? { LoggedRow::THIS_DISK } else { LoggedRow::OTHER_DISK }.into())).column("disk", All);
     SOLVE_US: count(|r| r.record.solve_us).column("solve_us", All);
     SOLVE_TIME: number(|r| r.record.solve_us.map(|us| us as f64 * 1e-6)).keyword("SOLVETIM", "s", "wall time of the solver")
         .field("SOLVE_TIME", "s", "wall time of the solver");

@@ -1,6 +1,6 @@
 //! A number of a record, and its names in each form that has it.
 
-use super::Row;
+use super::LoggedRow;
 use crate::fits::Card;
 use crate::fits::keyword::{Keyword, Kind, Use, row};
 use std::borrow::Cow;
@@ -17,10 +17,10 @@ pub struct Number {
 /// What is said of a row.
 #[derive(Clone, Copy)]
 pub enum Value {
-    Text(fn(&Row) -> Option<Cow<'_, str>>),
-    Count(fn(&Row) -> Option<u64>),
-    Number(fn(&Row) -> Option<f64>),
-    Code(fn(&Row) -> u8),
+    Text(fn(&LoggedRow) -> Option<Cow<'_, str>>),
+    Count(fn(&LoggedRow) -> Option<u64>),
+    Number(fn(&LoggedRow) -> Option<f64>),
+    Code(fn(&LoggedRow) -> u8),
 }
 
 /// How a number is written to CSV: so many digits behind the point, or as many as make it.
@@ -49,19 +49,19 @@ const fn say(value: Value) -> Number {
     }
 }
 
-pub const fn text(value: fn(&Row) -> Option<Cow<'_, str>>) -> Number {
+pub const fn text(value: fn(&LoggedRow) -> Option<Cow<'_, str>>) -> Number {
     say(Value::Text(value))
 }
 
-pub const fn count(value: fn(&Row) -> Option<u64>) -> Number {
+pub const fn count(value: fn(&LoggedRow) -> Option<u64>) -> Number {
     say(Value::Count(value))
 }
 
-pub const fn number(value: fn(&Row) -> Option<f64>) -> Number {
+pub const fn number(value: fn(&LoggedRow) -> Option<f64>) -> Number {
     say(Value::Number(value))
 }
 
-pub const fn code(value: fn(&Row) -> u8) -> Number {
+pub const fn code(value: fn(&LoggedRow) -> u8) -> Number {
     say(Value::Code(value))
 }
 
@@ -105,7 +105,7 @@ impl Number {
     }
 
     /// As CSV has it; empty where it is not known.
-    pub fn text(&self, row: &Row) -> String {
+    pub fn text(&self, row: &LoggedRow) -> String {
         let digits = self.column.map_or(Digits::All, |(_, digits)| digits);
         let text = match self.value {
             Value::Text(value) => value(row).map(Cow::into_owned),
@@ -121,7 +121,7 @@ impl Number {
     }
 
     /// As a header has it; a number that is not finite has no place there.
-    pub fn card(&'static self, row: &Row) -> Option<Card> {
+    pub fn card(&'static self, row: &LoggedRow) -> Option<Card> {
         let keyword = self.keyword.as_ref()?;
         match self.value {
             Value::Text(value) => Some(Card::new(keyword, &*value(row)?)),

@@ -1,6 +1,6 @@
 //! The columns of the history, in one place: `aspect.fits`, `aspect.csv`, `stabilisation.fits` and the manual's page are made from these tables.
 
-use super::row::{Row, SkyRow};
+use super::row::{RefinedRow, SkyRow};
 use super::stabilisation::{StabilisationRow, StableOffset};
 use super::times::TIME_SIGMA;
 use crate::clock::utc_microseconds;
@@ -9,24 +9,24 @@ use crate::pointing::body_roll_deg;
 use crate::smoothing::PathPoint;
 use crate::units::{Estimate, Measured, PlateMil};
 
-fn sky(row: &Row, value: fn(&SkyRow) -> Option<f64>) -> Option<f64> {
+fn sky(row: &RefinedRow, value: fn(&SkyRow) -> Option<f64>) -> Option<f64> {
     row.sky.as_ref().and_then(value)
 }
 
-fn own_sun(row: &Row) -> Option<Estimate<PlateMil>> {
+fn own_sun(row: &RefinedRow) -> Option<Estimate<PlateMil>> {
     Some(row.own.as_ref()?.disc.as_ref()?.on_plate())
 }
 
-fn own_px(row: &Row) -> Option<[f64; 2]> {
+fn own_px(row: &RefinedRow) -> Option<[f64; 2]> {
     Some(row.own.as_ref()?.disc.as_ref()?.centre_px)
 }
 
 /// Where the mapping puts the plate's centre along an axis.
-fn centre(row: &Row, axis: usize) -> Option<Measured> {
+fn centre(row: &RefinedRow, axis: usize) -> Option<Measured> {
     Some(row.mapping?.centre_px[axis])
 }
 
-fn body_roll(row: &Row) -> Option<Measured> {
+fn body_roll(row: &RefinedRow) -> Option<Measured> {
     Some(body_roll_deg(row.body_nadir.as_ref()?))
 }
 
@@ -35,7 +35,7 @@ pub const ASPECT: &str = "ASPECT";
 
 /// The columns of [`ASPECT`].
 #[rustfmt::skip]
-pub const ASPECT_COLUMNS: &[Column<Row>] = &[
+pub const ASPECT_COLUMNS: &[Column<RefinedRow>] = &[
     text("FILE", "the frame's file, relative to the archive", |r| r.file.as_str().into()),
     text("UTC", "mid-exposure, UTC, ISO 8601", |r| r.utc().map_or(String::new(), utc_microseconds).into()),
     float("UNIX_S", "s", "mid-exposure, UTC, since 1970-01-01", |r| r.unix_s()),

@@ -11,7 +11,7 @@ use super::radius::RadiusDependence;
 use super::recipe::Recipe;
 use super::record::{FrameRecord, Grade};
 use super::roll::RollHistory;
-use super::row::Row;
+use super::row::RefinedRow;
 use super::sky::Sky;
 use super::suns::{Flight, Suns};
 use super::timeline::{Entry, Held, Timeline};
@@ -211,7 +211,7 @@ impl History {
     }
 
     /// A row for each file, in the order of time; frames without a time and files that could not be read come last, by name.
-    pub fn rows(&self) -> impl Iterator<Item = Result<Row, JournalError>> {
+    pub fn rows(&self) -> impl Iterator<Item = Result<RefinedRow, JournalError>> {
         (0..self.len()).step_by(TOGETHER).flat_map(|first| {
             let some = first..self.len().min(first + TOGETHER);
             let parts = some.into_par_iter().chunks(SAME_EPHEMERIS);
@@ -240,7 +240,7 @@ impl History {
         Ok(places)
     }
 
-    fn row(&self, n: usize, ephemeris: &mut Ephemeris) -> Result<Row, JournalError> {
+    fn row(&self, n: usize, ephemeris: &mut Ephemeris) -> Result<RefinedRow, JournalError> {
         let Flight {
             timeline,
             frames,
@@ -256,7 +256,7 @@ impl History {
             .as_ref()
             .map(|own| own.facts.reason(own.reason.as_deref()));
         let timing = timeline.timing(n);
-        let mut row = Row {
+        let mut row = RefinedRow {
             file,
             copy_of,
             utc_ns: timeline.utc_ns(n),

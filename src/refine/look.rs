@@ -12,7 +12,7 @@ use super::path::SunPath;
 use super::record::{Grade, PackedPoint};
 use super::suns::{Flight, LOOSE_RADIUS, Seen, Suns, TELLING_LIMB};
 use crate::archive::ArchiveReader;
-use crate::aspect::{self, Settings};
+use crate::aspect::{self, SolverSettings};
 use crate::estimation::{median, median_and_scatter};
 use crate::fiducial::CrossShape;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region};
@@ -143,7 +143,7 @@ fn whereabouts(
 /// What is known of a frame before its second look.
 struct Known<'a> {
     pub instrument: &'a Instrument,
-    pub settings: &'a Settings,
+    pub settings: &'a SolverSettings,
     pub mapping: Mapping,
     /// Where the disc must be, and 1 sigma.
     pub centre: PlateMil,
@@ -236,7 +236,7 @@ impl Known<'_> {
         };
         let cutout = aspect::cutout(frame, self.instrument, levels, &disc);
         let mask = aspect::marks_mask(&cutout, self.instrument, start, &self.mapping);
-        let settings = limb::Settings {
+        let settings = limb::LimbSettings {
             limb_points: self.points(levels),
             ..self.settings.limb
         };

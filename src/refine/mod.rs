@@ -15,7 +15,8 @@
 //! | `look` | a second look at those that had failed |
 //! | `roll`, `sky` | the body's roll where the horizon was seen; azimuth, elevation and the offset from the target |
 //!
-//! 3. A [`Row`] is put together from the columns and the record when it is asked for ([`History::rows`]), and never changed.
+//! 3. A [`RefinedRow`] is put together from the columns and the record when it is asked for ([`History::rows`]), and never
+//!    changed.
 //!
 //! ```no_run
 //! use solaspect::refine::{Options, refine};
@@ -94,7 +95,7 @@ pub use record::{DiscRecord, FrameRecord, Grade, InFlight, MarkRecord, PackedPoi
 pub use report::{Report, Rows};
 pub use roll::{HorizonRecord, RollHistory, RollRecipe, RollRow};
 pub use roll_output::RollSummary;
-pub use row::{Row, SkyRow};
+pub use row::{RefinedRow, SkyRow};
 pub use run::{Options, Refined, RefinedCamera, RefinedRoll, ShardDone, Stabilised, refine};
 pub use sky::Sky;
 pub use stabilisation::{RateError, StabilisationRow, stabilisation};

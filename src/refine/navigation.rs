@@ -4,7 +4,7 @@ use super::attitude::{self, Attitude, AttitudeFound, NavigationFile, Wanted, add
 use super::pointing::{Slow, States, nearest};
 use super::report::Report;
 use super::roll::RollRow;
-use super::row::Row;
+use super::row::RefinedRow;
 use super::sky::Sky;
 use super::witnesses::Difference;
 use crate::archive::ArchiveReader;
@@ -123,7 +123,7 @@ impl Sensors<'_> {
     }
 
     /// Notes the Sun of a camera's refined frame.
-    pub fn see_sun(&mut self, is_second: bool, row: &Row, instrument: &Instrument) {
+    pub fn see_sun(&mut self, is_second: bool, row: &RefinedRow, instrument: &Instrument) {
         let name = Role::PitchYaw.table(if is_second { 2 } else { 1 });
         if let Some((utc, sun)) = row.utc().zip(row.sun_at_time()) {
             let direction = measured_sun_in_telescope(&sun, instrument);
@@ -303,7 +303,7 @@ impl Sensors<'_> {
         out: &Path,
     ) -> anyhow::Result<()> {
         let axes = self.given.settings.body_from_telescope();
-        let offset = |row: &navigation::Row| {
+        let offset = |row: &navigation::NavigationRow| {
             let towards = targets.aim(&sky.target, row.t_s).ok()?;
             navigation::offset(row, &axes, &towards).ok()?
         };

@@ -10,7 +10,7 @@ use super::mapping::{Jump, MappingFacts};
 use super::oddity::Oddity;
 use super::radius::RadiusDependence;
 use super::record::Grade;
-use super::row::Row;
+use super::row::RefinedRow;
 use super::stabilisation::StabilisationRow;
 use super::witnesses::Compared;
 use crate::archive::{CONFIGURATION, INSTRUMENT, instrument_cards, target_cards};
@@ -177,7 +177,7 @@ struct Tally {
 }
 
 impl Tally {
-    fn add(&mut self, row: &Row) {
+    fn add(&mut self, row: &RefinedRow) {
         self.counts.add(row.quality, row.utc(), row.odd());
         self.own_fine += usize::from(row.own_quality() == Grade::Fine);
         self.second_look += usize::from(row.oddities.contains(Oddity::SecondLook));
@@ -199,7 +199,7 @@ pub struct Written {
 pub fn write_rows(
     folder: &Path,
     history: &History,
-    mut each: impl FnMut(&Row),
+    mut each: impl FnMut(&RefinedRow),
 ) -> Result<Written, OutputError> {
     let mut tally = Tally::default();
     let seen = history.rows().map(|row| {

@@ -11,7 +11,7 @@ use crate::observe::{Observer, Span, Unsolved, hash_of, with_frame};
 #[derive(Debug, Clone)]
 pub struct Recipe {
     pub instrument: Instrument,
-    pub settings: aspect::Settings,
+    pub settings: aspect::SolverSettings,
     /// The effective configuration and the instrument's file.
     pub flown: Flown,
     /// What frames may name, where instrument and configuration are the archive's.

@@ -3,7 +3,7 @@
 use super::history::History;
 use super::output::{Summary, swings_text};
 use super::record::Grade;
-use super::row::Row;
+use super::row::RefinedRow;
 use crate::archive::ArchiveReader;
 use crate::columns::whole;
 use crate::estimation::median;
@@ -51,7 +51,7 @@ pub(super) struct Drawn {
 
 impl Drawn {
     /// None of a row that is not fine.
-    fn of(row: &Row, jumps: u32) -> Option<Self> {
+    fn of(row: &RefinedRow, jumps: u32) -> Option<Self> {
         let sun = row.sun.filter(|_| row.is_fine())?;
         let per_axis = |trace: f64| (trace.max(0.0) / 2.0).sqrt() as f32;
         let (own, sky) = (row.own.as_ref(), row.sky.as_ref());
@@ -137,7 +137,7 @@ impl Reasons {
 
 impl Rows {
     /// Takes a row, in the order of time.
-    pub fn take(&mut self, row: &Row) {
+    pub fn take(&mut self, row: &RefinedRow) {
         self.jumps += u32::from(row.jump_px.is_some());
         self.fine.extend(Drawn::of(row, self.jumps));
         if row.copy_of.is_none() {

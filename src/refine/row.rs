@@ -29,7 +29,7 @@ pub struct SkyRow {
 
 /// One file's row, put together from what its frame gave and what the flight made of it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Row {
+pub struct RefinedRow {
     pub file: String,
     /// The file whose frame this one holds once more.
     pub copy_of: Option<String>,
@@ -57,7 +57,7 @@ pub struct Row {
     pub body_nadir: Option<Direction>,
 }
 
-impl Row {
+impl RefinedRow {
     /// Why the frame is not fine, and what is odd about it; empty where nothing is to be said.
     pub fn reason(&self) -> String {
         let own = (!self.own_reason.is_empty()).then(|| self.own_reason.clone());

@@ -1,6 +1,6 @@
 //! From the Sun on the plate to the sky, for every row.
 
-use super::row::{Row, SkyRow};
+use super::row::{RefinedRow, SkyRow};
 use crate::geometry::attitude::Direction;
 use crate::instrument::Instrument;
 use crate::pointing::{self, Offset, Roll, Target};
@@ -21,7 +21,7 @@ impl Sky {
     /// Where the telescope pointed by a row's Sun; `None` where that, or the place, is not known.
     pub(super) fn row(
         &self,
-        row: &Row,
+        row: &RefinedRow,
         instrument: &Instrument,
         ephemeris: &mut Ephemeris,
     ) -> Option<SkyRow> {

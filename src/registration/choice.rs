@@ -1,6 +1,6 @@
 //! Which kind of mapping, which pairs, and with what sigmas.
 
-use super::Settings;
+use super::RegistrationSettings;
 use super::adjust::{Adjusted, Covariance, Model, Problem, Terms};
 use crate::geometry::MappingKind;
 
@@ -32,7 +32,7 @@ const TILTED_ODDS: f64 = 0.3;
 
 /// The simplest mapping that the data support, without the pairs that are outliers. The covariance holds what pairs and outline
 /// cannot tell: a tilt, and which of a few marks is displaced.
-pub(super) fn choose(problem: &mut Problem, settings: &Settings) -> Option<Adjusted> {
+pub(super) fn choose(problem: &mut Problem, settings: &RegistrationSettings) -> Option<Adjusted> {
     if problem.pairs() < LEAST_TO_REJECT {
         let displaced = DISPLACED_SHARE * MAX_NORMALISED_RESIDUAL.powi(2);
         problem.inflate_pairs((1.0 + displaced).sqrt());
@@ -50,7 +50,7 @@ pub(super) fn choose(problem: &mut Problem, settings: &Settings) -> Option<Adjus
 
 /// The simplest mapping that the data support. An outline that contradicts pairs which agree among themselves is not the image
 /// of a circle, since the Sun moved; its sigmas are inflated until both agree.
-fn agreeing(problem: &mut Problem, settings: &Settings) -> Option<Adjusted> {
+fn agreeing(problem: &mut Problem, settings: &RegistrationSettings) -> Option<Adjusted> {
     let mut best = simplest(problem, settings)?;
     if best.terms.inflation < CONTRADICTED_INFLATION || !pairs_agree(problem, settings) {
         return Some(best);
@@ -69,7 +69,7 @@ fn agreeing(problem: &mut Problem, settings: &Settings) -> Option<Adjusted> {
 }
 
 /// Whether a similarity explains the pairs by themselves.
-fn pairs_agree(problem: &Problem, settings: &Settings) -> bool {
+fn pairs_agree(problem: &Problem, settings: &RegistrationSettings) -> bool {
     let alone = || {
         let start = problem.similarity_of_pairs()?;
         fit_kind(problem, &start, MappingKind::Similarity, settings)
@@ -79,7 +79,7 @@ fn pairs_agree(problem: &Problem, settings: &Settings) -> bool {
     })
 }
 
-fn simplest(problem: &Problem, settings: &Settings) -> Option<Adjusted> {
+fn simplest(problem: &Problem, settings: &RegistrationSettings) -> Option<Adjusted> {
     let start = problem.similarity()?;
     let similarity = fit_kind(problem, &start, MappingKind::Similarity, settings)?;
     let mut best = similarity;
@@ -109,7 +109,12 @@ fn simplest(problem: &Problem, settings: &Settings) -> Option<Adjusted> {
 
 /// By how much a richer kind lowers chi^2, for every parameter that it adds. `None` where one of the two cannot be
 /// fitted with the inflation of both.
-fn gain(problem: &Problem, simple: &Adjusted, rich: &Adjusted, settings: &Settings) -> Option<f64> {
+fn gain(
+    problem: &Problem,
+    simple: &Adjusted,
+    rich: &Adjusted,
+    settings: &RegistrationSettings,
+) -> Option<f64> {
     // Both take the same sigmas: those that the richer one's residuals show, if they determine them.
     let inflation = match rich.redundancy < MIN_REDUNDANCY {
         true => simple.terms.inflation,
@@ -143,7 +148,7 @@ pub(super) fn fit_kind(
     problem: &Problem,
     start: &Model,
     kind: MappingKind,
-    settings: &Settings,
+    settings: &RegistrationSettings,
 ) -> Option<Adjusted> {
     let terms = Terms {
         kind,
@@ -164,7 +169,7 @@ pub(super) fn fit_kind(
 ///
 /// Residuals that the stated sigmas can explain are weighed against these. Larger ones count alone, and the fewer they are
 /// the wider: Student's distribution of nu degrees of freedom is wider than its scale by sqrt(nu / (nu - 2)).
-fn inflation(adjusted: &Adjusted, settings: &Settings) -> f64 {
+fn inflation(adjusted: &Adjusted, settings: &RegistrationSettings) -> f64 {
     let (chi2, freedom) = (adjusted.chi2_pairs, adjusted.redundancy.max(0.5));
     let explained = freedom + EXPLAINED_SIGMAS * (2.0 * freedom).sqrt();
     let variance = if chi2 < explained {
@@ -178,7 +183,7 @@ fn inflation(adjusted: &Adjusted, settings: &Settings) -> f64 {
 
 /// How much more pairs must gain whose sigmas come from few residuals: the quantile of F(2, nu) over that of
 /// F(2, infinity), which is chi^2 per parameter. Stated sigmas that explain the residuals count for their own freedom.
-fn f_ratio(rich: &Adjusted, settings: &Settings) -> f64 {
+fn f_ratio(rich: &Adjusted, settings: &RegistrationSettings) -> f64 {
     let stated = match rich.terms.inflation < EXPLAINED_INFLATION {
         true => settings.prior_freedom,
         false => 0.0,

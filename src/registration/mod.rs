@@ -10,9 +10,9 @@
 //!
 //! # Which kind of mapping
 //! The simplest that the data support: similarity, keystone, affine, homography. A richer kind is taken when it lowers
-//! chi^2 by more than [`Settings::min_gain`] for every parameter it adds. The outline's gain counts in full. The pairs' gain
-//! counts by the sigmas that the richer kind's residuals show, and the less the fewer these are (the F test); with too few
-//! residuals it does not count, else one bad pair bends the mapping to itself.
+//! chi^2 by more than [`RegistrationSettings::min_gain`] for every parameter it adds. The outline's gain counts in full. The
+//! pairs' gain counts by the sigmas that the richer kind's residuals show, and the less the fewer these are (the F test); with
+//! too few residuals it does not count, else one bad pair bends the mapping to itself.
 //!
 //! Where pairs that fit a similarity contradict the outline, the outline's sigmas are inflated until both agree: then it is not
 //! the image of a circle.
@@ -24,7 +24,7 @@
 //! # Uncertainty
 //! The covariance follows from the sigmas of pairs and outline. Where the pairs' residuals are larger than their sigmas
 //! allow, these are inflated to fit (variance components after Förstner). Few redundant coordinates say little: they are
-//! weighed against the stated sigmas as if those rested on [`Settings::prior_freedom`] degrees of freedom.
+//! weighed against the stated sigmas as if those rested on [`RegistrationSettings::prior_freedom`] degrees of freedom.
 //!
 //! Beside an outline, the covariance of a mapping without tilt is averaged with that of a tilted one, by how probable a tilt
 //! is after the data. Fewer pairs than can show which of them is an outlier have sigmas that allow for one.
@@ -63,14 +63,14 @@ pub struct Outline<'a> {
 
 /// How a mapping is chosen.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
+pub struct RegistrationSettings {
     /// Least gain in chi^2, per added parameter.
     pub min_gain: f64,
     /// Weight of the stated sigmas against the residuals, in degrees of freedom.
     pub prior_freedom: f64,
 }
 
-impl Default for Settings {
+impl Default for RegistrationSettings {
     fn default() -> Self {
         Self {
             min_gain: 9.0,
@@ -161,7 +161,7 @@ pub fn register(
     outline: Option<&Outline<'_>>,
     handedness: Handedness,
     distortion: Distortion,
-    settings: &Settings,
+    settings: &RegistrationSettings,
 ) -> Option<Registration> {
     let mut problem = Problem::new(pairs, outline, handedness, distortion)?;
     let chosen = choice::choose(&mut problem, settings)?;
@@ -174,7 +174,7 @@ pub fn fit(
     kind: MappingKind,
     handedness: Handedness,
     distortion: Distortion,
-    settings: &Settings,
+    settings: &RegistrationSettings,
 ) -> Option<Registration> {
     let problem = Problem::new(pairs, None, handedness, distortion)?;
     let fitted = choice::fit_kind(&problem, &problem.similarity()?, kind, settings)?;
@@ -286,7 +286,7 @@ mod tests {
             None,
             Handedness::Mirrored,
             *truth.distortion(),
-            &Settings::default(),
+            &RegistrationSettings::default(),
         )
         .unwrap()
     }
@@ -379,7 +379,7 @@ mod tests {
                 Some(&outline),
                 Handedness::Mirrored,
                 Distortion::NONE,
-                &Settings::default(),
+                &RegistrationSettings::default(),
             )
             .unwrap()
         };
@@ -403,7 +403,7 @@ mod tests {
                 None,
                 Handedness::Mirrored,
                 Distortion::NONE,
-                &Settings::default()
+                &RegistrationSettings::default()
             ),
             None
         );

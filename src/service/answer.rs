@@ -3,7 +3,7 @@
 use super::messages::{Answer, Found, Hears, Recent, Solved, SolvedSun};
 use super::shared::Shared;
 use crate::aspect;
-use crate::record::{Record, RollRecord, Row};
+use crate::record::{LoggedRow, Record, RollRecord};
 use crossbeam_channel::Sender;
 
 impl Answer {
@@ -16,7 +16,7 @@ impl Answer {
     }
 
     /// What the logs tell of it, before its picture is stored.
-    pub(super) fn row(&self) -> Row {
+    pub(super) fn row(&self) -> LoggedRow {
         let (info, solved) = (&self.exposure.frame.info, &*self.solved);
         let (utc, time) = (info.mid_exposure, solved.solve_time);
         let (mut record, stopped) = match &solved.found {
@@ -39,11 +39,11 @@ impl Answer {
             }
         };
         record.roll_deg = solved.roll.map(|roll| RollRecord::from(roll.deg));
-        Row {
+        LoggedRow {
             quality: solved.quality,
             levels: solved.levels,
             stopped,
-            ..Row::bare(info.number, record)
+            ..LoggedRow::bare(info.number, record)
         }
     }
 }

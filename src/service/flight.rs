@@ -9,7 +9,7 @@ use crate::commands::controls::{SavedError, SavedValues};
 use crate::config::{Config, FlightClock};
 use crate::instrument::{Instrument, Role};
 use crate::link::{Connection, LocalEnd, PortAddress};
-use crate::navigation::Settings;
+use crate::navigation::NavigationSettings;
 use crate::plan::{Plan, PlannedCamera, PlannedNavigation, Replay};
 use crate::pointing::Target;
 use crate::provenance::sha256;
@@ -195,7 +195,7 @@ pub(crate) fn stations(cameras: &[&Camera], configuration: &str) -> Vec<Arc<Stat
 
 /// The navigation of a flight.
 pub struct Navigation {
-    pub settings: Settings,
+    pub settings: NavigationSettings,
     /// The file of the settings, letter by letter, for the archive.
     pub settings_toml: String,
     /// The IMU's own line; none where it speaks on the controller's.

@@ -7,7 +7,9 @@ use super::silence::{self, Silence};
 use super::tally::CameraTally;
 use super::worker::Life;
 use crate::backoff::Backoff;
-use crate::camera::{AutoExposure, AutoExposureSettings, CameraError, FrameSource, Settings, Take};
+use crate::camera::{
+    AutoExposure, AutoExposureSettings, CameraError, CameraSettings, FrameSource, Take,
+};
 use crate::commands::controls::{Controls, Topic};
 use crate::frame::FrameInfo;
 use crate::instrument::Role;
@@ -163,7 +165,7 @@ impl Shutter {
 /// The camera's settings: the commanded ones, and the exposure that follows the light where that is wanted.
 struct Dial {
     version: u64,
-    settings: Settings,
+    settings: CameraSettings,
     auto: Option<(AutoExposureSettings, AutoExposure)>,
     /// Whether the source has been given the settings.
     set: bool,

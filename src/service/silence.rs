@@ -1,7 +1,7 @@
 //! Whether a camera gives frames: a dead one may hold its thread in a call of the driver, so the watch looks from outside.
 
 use super::shared::Shared;
-use crate::camera::Settings;
+use crate::camera::CameraSettings;
 use std::time::{Duration, Instant};
 
 /// A camera whose last frame is not older than this is not silent.
@@ -37,13 +37,13 @@ pub(super) enum Change {
 
 impl Silence {
     /// The camera is to give frames with these settings from now on. A silence that another thread left goes on.
-    pub fn begin(&mut self, now: Instant, settings: &Settings) {
+    pub fn begin(&mut self, now: Instant, settings: &CameraSettings) {
         self.expect(settings);
         self.since.get_or_insert(now + OPENING);
     }
 
     /// The settings by which the next frames are taken.
-    pub fn expect(&mut self, settings: &Settings) {
+    pub fn expect(&mut self, settings: &CameraSettings) {
         let exposure = settings.exposure();
         self.limit = LEAST.max(3 * settings.period().max(exposure) + exposure);
     }
@@ -135,15 +135,15 @@ pub(super) fn look<'s>(silences: impl Iterator<Item = &'s Shared<Silence>>) {
 mod tests {
     use super::*;
 
-    fn at_26_hz() -> Settings {
-        Settings {
+    fn at_26_hz() -> CameraSettings {
+        CameraSettings {
             rate_hz: 26.0,
-            ..Settings::default()
+            ..CameraSettings::default()
         }
     }
 
     /// A clock that stands at so many milliseconds, and a silence that began at 0.
-    fn begun(settings: &Settings) -> (impl Fn(u64) -> Instant + use<>, Silence) {
+    fn begun(settings: &CameraSettings) -> (impl Fn(u64) -> Instant + use<>, Silence) {
         let start = Instant::now();
         let mut silence = Silence::default();
         silence.begin(start, settings);
@@ -174,10 +174,10 @@ mod tests {
 
     #[test]
     fn a_slow_camera_is_given_three_of_its_periods() {
-        let slow = Settings {
+        let slow = CameraSettings {
             rate_hz: 0.05,
             exposure_us: 1_000_000,
-            ..Settings::default()
+            ..CameraSettings::default()
         };
         let (at, mut silence) = begun(&slow);
         silence.frame(at(0));

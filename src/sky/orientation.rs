@@ -76,11 +76,11 @@ impl fmt::Display for Extrapolated {
 #[derive(Debug, Clone, PartialEq)]
 pub struct OrientationTable {
     /// By growing date, two at least.
-    rows: Vec<Row>,
+    rows: Vec<OrientationRow>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Row {
+struct OrientationRow {
     mjd: f64,
     orientation: EarthOrientation,
 }
@@ -129,7 +129,7 @@ impl OrientationTable {
             expected,
             found: found.into(),
         };
-        let mut rows: Vec<Row> = Vec::new();
+        let mut rows: Vec<OrientationRow> = Vec::new();
         let mut lines = (1..)
             .zip(text.lines())
             .filter(|(_, line)| !line.starts_with('#'));
@@ -139,8 +139,8 @@ impl OrientationTable {
             None => return Err(malformed(1, COLUMNS, "")),
         }
         for (number, line) in lines {
-            let row =
-                Row::parse(line).ok_or_else(|| malformed(number, "five finite numbers", line))?;
+            let row = OrientationRow::parse(line)
+                .ok_or_else(|| malformed(number, "five finite numbers", line))?;
             if rows.last().is_some_and(|last| last.mjd >= row.mjd) {
                 return Err(malformed(number, "dates that grow", line));
             }
@@ -189,7 +189,8 @@ impl OrientationTable {
             .rows
             .partition_point(|row| row.mjd < end.mjd - TREND_DAYS);
         let from = &self.rows[year.min(self.rows.len() - 2)];
-        let ut1_tai_s = |row: &Row| row.orientation.ut1_utc_s - row.orientation.tai_utc_s;
+        let ut1_tai_s =
+            |row: &OrientationRow| row.orientation.ut1_utc_s - row.orientation.tai_utc_s;
         let s_per_day = (ut1_tai_s(end) - ut1_tai_s(from)) / (end.mjd - from.mjd);
         let days = mjd - end.mjd;
         let ut1_utc_s = end.orientation.ut1_utc_s + s_per_day * days;
@@ -213,7 +214,7 @@ impl OrientationTable {
 
     /// The days of the first and the last row; the table ends as its last day begins.
     pub fn dates(&self) -> [Date; 2] {
-        let date = |row: &Row| {
+        let date = |row: &OrientationRow| {
             let second = ((row.mjd - UNIX_EPOCH_MJD) * DAY_S) as i64;
             let day = Timestamp::from_second(second).unwrap_or(Timestamp::MAX);
             Offset::UTC.to_datetime(day).date()
@@ -222,7 +223,7 @@ impl OrientationTable {
     }
 }
 
-impl Row {
+impl OrientationRow {
     fn parse(line: &str) -> Option<Self> {
         let number = |text: &str| text.trim().parse().ok().filter(|n: &f64| n.is_finite());
         let numbers: Option<Vec<f64>> = line.split(',').map(number).collect();

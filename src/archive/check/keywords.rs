@@ -50,7 +50,7 @@ pub(super) fn checked(file: &FitsFile) -> Result<Header, FileError> {
 
 /// A frame's line in a list of the archive. What the frame does not tell is `None`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Row {
+pub struct KeywordRow {
     pub file: String,
     /// Mid-exposure.
     pub utc: Option<String>,
@@ -60,7 +60,7 @@ pub struct Row {
     pub number: Option<i64>,
 }
 
-impl Row {
+impl KeywordRow {
     /// Reads the line from a file's keywords.
     ///
     /// # Errors
@@ -104,7 +104,7 @@ pub struct Group {
 /// The keywords of a file in the groups of the table, those that the table does not know last.
 ///
 /// # Errors
-/// As [`Row::read`].
+/// As [`KeywordRow::read`].
 pub fn grouped(file: &FitsFile) -> Result<Vec<Group>, FileError> {
     let header = checked(file)?;
     let own = |(title, keywords): (&'static str, Vec<&Keyword>)| Group {

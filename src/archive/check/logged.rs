@@ -5,7 +5,7 @@
 //! other are known to be there.
 
 use super::BadFile;
-use crate::record::Row;
+use crate::record::LoggedRow;
 use csv::{ReaderBuilder, StringRecord};
 use jiff::Timestamp;
 use serde::Serialize;
@@ -121,8 +121,8 @@ fn read(log: &Path) -> io::Result<Vec<LoggedFrame>> {
         let text = |column: Option<usize>| column.and_then(|column| row.get(column));
         let on_own_disk = match (disk, text(disk)) {
             // A log from before there was the column.
-            (None, _) | (_, Some(Row::THIS_DISK)) => true,
-            (_, Some(Row::OTHER_DISK)) => false,
+            (None, _) | (_, Some(LoggedRow::THIS_DISK)) => true,
+            (_, Some(LoggedRow::OTHER_DISK)) => false,
             _ => continue,
         };
         let Some(file) = text(file).filter(|file| !file.is_empty()) else {

@@ -10,7 +10,7 @@ use super::edges::{Limb, uncrossed};
 use super::unknowns::{Change, Stated, UNKNOWNS, Unknown};
 use crate::calibrate::numbers::sigma_text;
 use crate::estimation::{Normal, Solved};
-use crate::geometry::camera::Camera;
+use crate::geometry::camera::CameraModel;
 use crate::horizon::{Departure, EdgeHeight, EdgeRay, EdgeRays, Nadir, Sphere, across, nadir};
 use crate::instrument::DirectionCamera;
 use crate::units::Measured;
@@ -33,7 +33,7 @@ const OF_FRAME: usize = 2 + UNKNOWNS;
 /// A camera's optics by frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Optics {
-    pub camera: Camera,
+    pub camera: CameraModel,
     /// By how much each unknown differs from what the file says; see [`Unknown`].
     pub change: SVector<f64, UNKNOWNS>,
     pub covariance: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
@@ -165,7 +165,7 @@ struct Seen {
 
 impl Seen {
     /// `None` of an edge that tells no nadir.
-    fn by(camera: &Camera, limb: &Limb, change: &Change) -> Option<Self> {
+    fn by(camera: &CameraModel, limb: &Limb, change: &Change) -> Option<Self> {
         let seen = |ray: &EdgeRay| {
             let unit = camera.ray(ray.at)?;
             Some(EdgeRay { unit, ..*ray })
@@ -214,8 +214,8 @@ impl Seen {
 
 /// A camera, and the same with each of its unknowns moved on by a little.
 struct Cameras {
-    camera: Camera,
-    moved: [(Camera, f64); UNKNOWNS - 1],
+    camera: CameraModel,
+    moved: [(CameraModel, f64); UNKNOWNS - 1],
 }
 
 impl Cameras {

@@ -1,7 +1,7 @@
 //! What is unknown of a camera that sees the horizon, and how well its file is taken to know it.
 
 use crate::estimation::{Normal, Prior};
-use crate::geometry::camera::{Camera, Lens};
+use crate::geometry::camera::{CameraModel, Lens};
 use crate::instrument::DirectionCamera;
 use crate::units::SensorPx;
 use nalgebra::SVector;
@@ -90,7 +90,7 @@ impl<'a> Stated<'a> {
     }
 
     /// `None` of no camera.
-    pub fn camera(&self, change: &Change) -> Option<Camera> {
+    pub fn camera(&self, change: &Change) -> Option<CameraModel> {
         let lens = &self.file.lens;
         let mut k = self.k;
         k[1] += change[Unknown::Cubic as usize];
@@ -103,7 +103,7 @@ impl<'a> Stated<'a> {
             centre.x + change[Unknown::CentreX as usize],
             centre.y + change[Unknown::CentreY as usize],
         );
-        Camera::new(Lens::KannalaBrandt(k), focal_px, centre)
+        CameraModel::new(Lens::KannalaBrandt(k), focal_px, centre)
     }
 
     pub fn prior(&self) -> Prior<UNKNOWNS> {

@@ -39,12 +39,12 @@ const ATTITUDE: Columns = Columns {
 };
 
 /// An instant and two angles, deg.
-type Row = (Timestamp, [f64; 2]);
+type AngleRow = (Timestamp, [f64; 2]);
 
 /// Pairs of angles, deg, in the order of time.
 #[derive(Debug, Clone, PartialEq)]
 struct AngleLog {
-    rows: Vec<Row>,
+    rows: Vec<AngleRow>,
     gap_s: f64,
 }
 
@@ -81,7 +81,7 @@ impl AngleLog {
         Ok(log)
     }
 
-    fn new(mut rows: Vec<Row>) -> Option<Self> {
+    fn new(mut rows: Vec<AngleRow>) -> Option<Self> {
         rows.sort_by_key(|row| row.0);
         rows.dedup_by_key(|row| row.0);
         let spacing_s = median(rows.windows(2).map(|w| seconds(w[0].0, w[1].0)));
@@ -103,7 +103,7 @@ impl AngleLog {
             }
         }
         // Beside a gap, and at the log's ends.
-        let away_s = |row: &&Row| seconds(row.0, utc).abs();
+        let away_s = |row: &&AngleRow| seconds(row.0, utc).abs();
         let nearest = before.into_iter().chain(after);
         let nearest = nearest.min_by(|a, b| away_s(a).total_cmp(&away_s(b)));
         match nearest.filter(|row| away_s(row) <= SAME_TIME_S) {
@@ -113,7 +113,7 @@ impl AngleLog {
     }
 
     /// Why an instant between two neighbouring rows, or beyond one, is not known.
-    fn nothing_about(before: Option<&Row>, after: Option<&Row>) -> String {
+    fn nothing_about(before: Option<&AngleRow>, after: Option<&AngleRow>) -> String {
         match (before, after) {
             (Some(before), Some(after)) => {
                 let apart_s = seconds(before.0, after.0);
@@ -190,7 +190,7 @@ fn between(a: [f64; 2], b: [f64; 2], part: f64) -> Horizontal {
 }
 
 /// The columns of UTC and both angles by their headings; `None` where one has none.
-fn named(heading: &tables::Row, columns: &Columns) -> Option<[usize; 3]> {
+fn named(heading: &tables::TableRow, columns: &Columns) -> Option<[usize; 3]> {
     let column = |names: &[&str]| {
         (0..heading.width()).find(|n| {
             let text = heading.text(*n).to_lowercase();
@@ -205,7 +205,11 @@ fn named(heading: &tables::Row, columns: &Columns) -> Option<[usize; 3]> {
     ])
 }
 
-fn row(record: &tables::Row, places: [usize; 3], columns: &Columns) -> Result<Row, BadRow> {
+fn row(
+    record: &tables::TableRow,
+    places: [usize; 3],
+    columns: &Columns,
+) -> Result<AngleRow, BadRow> {
     record.check(3, usize::MAX)?;
     let texts = places.map(|n| record.text(n));
     let wrong = |column: &str, expected, found: &str| {

@@ -79,7 +79,7 @@ pub(super) fn by_lamp(
         cutout: Cutout::new(frame, region, &background, noise),
         light_dn: levels.disc_dn - levels.background_dn,
         instrument,
-        settings: aspect::Settings::default(),
+        settings: aspect::SolverSettings::default(),
     };
     let windows: Vec<FrameObservation> = lit
         .windows()
@@ -120,7 +120,7 @@ struct LitPlate<'a> {
     /// Of the lamp, above the background.
     light_dn: f64,
     instrument: &'a Instrument,
-    settings: aspect::Settings,
+    settings: aspect::SolverSettings,
 }
 
 impl LitPlate<'_> {

@@ -4,7 +4,7 @@ use super::sighting::{Horizon, Known, Sighting};
 use crate::calibrate::mounting::{AttitudeLog, SunObservation};
 use crate::config;
 use crate::frame::Frame;
-use crate::horizon::{self, EdgeHeight, Settings, Sphere};
+use crate::horizon::{self, EdgeHeight, HorizonSettings, Sphere};
 use crate::instrument::{DirectionCamera, Instrument};
 use crate::observe::{InputError, RejectedFrame, Watch, over};
 use crate::pointing::{body_nadir, sun_in_telescope};
@@ -42,9 +42,9 @@ impl Horizons<'_> {
         let sphere = sphere.ok_or(
             "no height above the limb's edge: expected OBSGEO-H, or --place LAT,LON,HEIGHT_M",
         )?;
-        let settings = Settings {
+        let settings = HorizonSettings {
             height,
-            ..Settings::default()
+            ..HorizonSettings::default()
         };
         let solution = horizon::solve(&settings, frame, self.camera, &sphere, None);
         Ok((sphere, solution))

@@ -1,6 +1,6 @@
 //! Settings of a camera: written, read back and compared.
 
-use crate::camera::{CameraError, PixelFormat, Settings};
+use crate::camera::{CameraError, CameraSettings, PixelFormat};
 use aravis::Camera;
 use aravis::prelude::*;
 use std::time::Duration;
@@ -18,7 +18,7 @@ pub(super) fn has(camera: &Camera, feature: &str) -> bool {
 }
 
 /// Applies every setting, reads it back, and tells those that the camera did not take.
-pub(super) fn configure(camera: &Camera, settings: &Settings) -> (Actual, Vec<CameraError>) {
+pub(super) fn configure(camera: &Camera, settings: &CameraSettings) -> (Actual, Vec<CameraError>) {
     let mut refused = Vec::new();
     refused.extend(set_format(camera, settings).err());
     refused.extend(set_region(camera, settings).err());
@@ -28,7 +28,7 @@ pub(super) fn configure(camera: &Camera, settings: &Settings) -> (Actual, Vec<Ca
 }
 
 /// Applies the settings that may change while the stream runs.
-pub(super) fn adjust(camera: &Camera, settings: &Settings) -> (Actual, Vec<CameraError>) {
+pub(super) fn adjust(camera: &Camera, settings: &CameraSettings) -> (Actual, Vec<CameraError>) {
     let mut refused = Vec::new();
     refused.extend(set_exposure(camera, settings).err());
     if let Some(gain) = settings.analogue_gain {
@@ -58,7 +58,7 @@ fn refusal(
     }
 }
 
-fn set_format(camera: &Camera, settings: &Settings) -> Result<(), CameraError> {
+fn set_format(camera: &Camera, settings: &CameraSettings) -> Result<(), CameraError> {
     let wanted = match settings.pixel_format {
         PixelFormat::Mono8 => "Mono8",
         PixelFormat::Mono12 => "Mono12",
@@ -72,7 +72,7 @@ fn set_format(camera: &Camera, settings: &Settings) -> Result<(), CameraError> {
     }
 }
 
-fn set_region(camera: &Camera, settings: &Settings) -> Result<(), CameraError> {
+fn set_region(camera: &Camera, settings: &CameraSettings) -> Result<(), CameraError> {
     let wanted = match settings.region {
         Some(region) => [region.x0, region.y0, region.width(), region.height()]
             .map(|pixels| i32::try_from(pixels).unwrap_or(i32::MAX)),
@@ -99,7 +99,7 @@ fn set_region(camera: &Camera, settings: &Settings) -> Result<(), CameraError> {
     }
 }
 
-fn set_exposure(camera: &Camera, settings: &Settings) -> Result<(), CameraError> {
+fn set_exposure(camera: &Camera, settings: &CameraSettings) -> Result<(), CameraError> {
     let wanted_us = f64::from(settings.exposure_us);
     // Cameras without an automatic exposure have nothing to switch off.
     let _ = camera.set_exposure_time_auto(aravis::Auto::Off);

@@ -2,7 +2,7 @@
 
 use super::configure::{Actual, adjust, configure, has};
 use super::numbers::Numbers;
-use crate::camera::{CameraError, CameraHealth, Settings};
+use crate::camera::{CameraError, CameraHealth, CameraSettings};
 use crate::frame::{Frame, FrameInfo, Pixels};
 use aravis::prelude::*;
 use aravis::{Aravis, Buffer, BufferStatus, Camera, PixelFormat, Stream};
@@ -34,7 +34,7 @@ pub(super) fn count(health: &SharedHealth, note: impl FnOnce(&mut CameraHealth))
 /// How a camera is opened.
 pub(super) struct Opening {
     pub address: String,
-    pub settings: Settings,
+    pub settings: CameraSettings,
     /// Zero of the monotonic times.
     pub zero: Instant,
     /// Number of the first frame.
@@ -56,7 +56,7 @@ pub(super) struct Device {
     name: String,
     camera: Camera,
     stream: Stream,
-    settings: Settings,
+    settings: CameraSettings,
     /// As the camera has them.
     actual: Actual,
     temperature: Option<(Instant, f64)>,
@@ -121,7 +121,7 @@ impl Device {
     /// Applies every setting. Inner error: a setting that the camera did not take; outer: the camera is gone.
     pub(super) fn apply(
         &mut self,
-        settings: &Settings,
+        settings: &CameraSettings,
     ) -> Result<Result<(), CameraError>, CameraError> {
         let reshaped = settings.region != self.settings.region
             || settings.pixel_format != self.settings.pixel_format;

@@ -12,7 +12,7 @@ mod numbers;
 mod worker;
 
 use super::pace::{PATIENCE, Pace};
-use super::{CameraError, CameraHealth, Exposure, FrameSource, Settings, Take};
+use super::{CameraError, CameraHealth, CameraSettings, Exposure, FrameSource, Take};
 use crate::backoff::Backoff;
 use device::{Opening, SharedHealth, count};
 use jiff::Timestamp;
@@ -37,7 +37,7 @@ enum Phase {
 /// A GigE Vision camera that is brought back whenever it goes.
 pub struct GigeCamera {
     address: String,
-    settings: Settings,
+    settings: CameraSettings,
     link: Option<Link>,
     phase: Phase,
     /// Since when the camera owes an answer.
@@ -57,7 +57,7 @@ pub struct GigeCamera {
 
 impl GigeCamera {
     /// The camera at an IP address, or the one with a serial number or Aravis id. It need not be there yet.
-    pub fn new(address: &str, settings: &Settings) -> Self {
+    pub fn new(address: &str, settings: &CameraSettings) -> Self {
         Self {
             address: address.into(),
             settings: settings.clone(),
@@ -181,7 +181,7 @@ impl FrameSource for GigeCamera {
     }
 
     /// A camera that is away, or does not answer in time, gets the settings when it is back.
-    fn apply(&mut self, settings: &Settings) -> Result<(), CameraError> {
+    fn apply(&mut self, settings: &CameraSettings) -> Result<(), CameraError> {
         self.settings = settings.clone();
         let Some(link) = &self.link else {
             return Ok(());

@@ -1,14 +1,14 @@
 //! The thread that the camera belongs to: it does as it is ordered, one order after the other.
 
 use super::device::{Device, Fault, Opening};
-use crate::camera::{CameraError, Settings};
+use crate::camera::{CameraError, CameraSettings};
 use crate::frame::Frame;
 use crossbeam_channel::{Receiver, Sender, unbounded};
 use std::time::{Duration, Instant};
 
 enum Order {
     Take,
-    Apply(Box<Settings>),
+    Apply(Box<CameraSettings>),
 }
 
 /// What the thread has to tell.
@@ -44,7 +44,7 @@ impl Link {
         let _ = self.orders.send(Order::Take);
     }
 
-    pub(super) fn apply(&self, settings: &Settings) {
+    pub(super) fn apply(&self, settings: &CameraSettings) {
         let _ = self.orders.send(Order::Apply(Box::new(settings.clone())));
     }
 

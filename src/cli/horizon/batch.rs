@@ -6,7 +6,7 @@ use super::record::{InBody, Record};
 use crate::cli::frames::{Answer, FramesArgs, bad_file};
 use crate::frame::Frame;
 use crate::horizon::circle::{self, Circle, circle};
-use crate::horizon::{self, Nadir, Settings, Solution, Sphere, Stopped};
+use crate::horizon::{self, HorizonSettings, Nadir, Solution, Sphere, Stopped};
 use crate::instrument::DirectionCamera;
 use anyhow::Context;
 use nalgebra::{Rotation3, UnitVector3};
@@ -34,7 +34,7 @@ pub(super) struct Batch<'a> {
     pub cameras: Vec<Mounted>,
     pub pair: Option<Pair>,
     pub method: Method,
-    pub settings: Settings,
+    pub settings: HorizonSettings,
     pub edge_m: f64,
     pub args: &'a FramesArgs,
 }

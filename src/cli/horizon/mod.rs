@@ -5,7 +5,7 @@ mod pair;
 mod record;
 
 use super::frames::FramesArgs;
-use crate::horizon::{EdgeHeight, Refraction, Settings, Sphere};
+use crate::horizon::{EdgeHeight, HorizonSettings, Refraction, Sphere};
 use crate::instrument::{DirectionCamera, MountedCamera};
 use crate::units::{Measured, Place};
 use anyhow::{Context, ensure};
@@ -116,7 +116,7 @@ pub fn run(mut args: HorizonArgs) -> anyhow::Result<ExitCode> {
         cameras,
         pair,
         method: args.method,
-        settings: Settings {
+        settings: HorizonSettings {
             threshold_dn: args.threshold_dn,
             height: match args.edge.fit_atmosphere {
                 true => EdgeHeight::Fitted,

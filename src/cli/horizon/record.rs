@@ -1,6 +1,6 @@
 //! What is said of a frame of the horizon.
 
-use crate::cli::frames::{REMARKS, Row};
+use crate::cli::frames::{OutputRow, REMARKS};
 use crate::geometry::attitude::Direction;
 use crate::horizon::circle::Circle;
 use crate::horizon::{Conic, Flag, Quality, Solution, Sphere, Stopped, pitch_deg, roll_deg};
@@ -157,7 +157,7 @@ impl Record {
     }
 }
 
-impl Row for Record {
+impl OutputRow for Record {
     fn csv_columns() -> Vec<&'static str> {
         vec![
             "file",

@@ -7,7 +7,7 @@ use super::options;
 use crate::clock::parse_utc;
 use crate::frame::Frame;
 use crate::instrument::DirectionCamera;
-use crate::moon::{self, Disc, Expected, Optics, Radius, Settings, Stopped, local_from_camera};
+use crate::moon::{self, Disc, Expected, MoonSettings, Optics, Radius, Stopped, local_from_camera};
 use crate::sky::{Ephemeris, MoonPosition};
 use crate::units::{Measured, Place};
 use anyhow::{Context, ensure};
@@ -122,7 +122,7 @@ pub fn run(mut args: MoonArgs) -> anyhow::Result<ExitCode> {
         .transpose()?;
     args.frames.prepare()?;
     let batch = Batch {
-        settings: Settings {
+        settings: MoonSettings {
             shading: args.shading.into(),
             optics: camera
                 .as_ref()
@@ -140,7 +140,7 @@ pub fn run(mut args: MoonArgs) -> anyhow::Result<ExitCode> {
 
 /// What all frames share.
 struct Batch<'a> {
-    settings: Settings,
+    settings: MoonSettings,
     camera: Option<DirectionCamera>,
     ephemeris: Ephemeris,
     args: &'a MoonArgs,

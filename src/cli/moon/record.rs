@@ -1,7 +1,7 @@
 //! What is said of a frame of the Moon.
 
-use crate::cli::frames::{REMARKS, Row};
-use crate::geometry::camera::Camera;
+use crate::cli::frames::{OutputRow, REMARKS};
+use crate::geometry::camera::CameraModel;
 use crate::moon::{Disc, Quality, Stopped};
 use crate::record::Reason;
 use crate::units::SensorPx;
@@ -54,7 +54,7 @@ impl Record {
     pub fn of(
         file: &str,
         found: &Found,
-        lens: Option<&Camera>,
+        lens: Option<&CameraModel>,
         local_from_camera: Option<&Rotation3<f64>>,
         time: Duration,
     ) -> Self {
@@ -77,7 +77,7 @@ impl Record {
         }
     }
 
-    fn of_disc(disc: &Disc, lens: Option<&Camera>, record: Self) -> Self {
+    fn of_disc(disc: &Disc, lens: Option<&CameraModel>, record: Self) -> Self {
         let covariance = &disc.centre.covariance;
         let direction = lens.and_then(|lens| lens.direction(&disc.centre));
         Self {
@@ -100,7 +100,7 @@ impl Record {
     fn towards(
         self,
         centre: SensorPx,
-        lens: Option<&Camera>,
+        lens: Option<&CameraModel>,
         local_from_camera: Option<&Rotation3<f64>>,
     ) -> Self {
         let ray = lens.and_then(|lens| lens.ray(centre));
@@ -142,7 +142,7 @@ impl Record {
     }
 }
 
-impl Row for Record {
+impl OutputRow for Record {
     fn csv_columns() -> Vec<&'static str> {
         vec![
             "file",

@@ -105,7 +105,7 @@ enum Looks {
 }
 
 /// A camera of the vehicle: what its files' names begin with.
-struct Camera {
+struct VehicleCamera {
     frames: &'static str,
     file: String,
     toml: String,
@@ -113,9 +113,9 @@ struct Camera {
 }
 
 /// The one camera, or those of a pair.
-fn cameras(args: &SimulateArgs, toml: &str) -> anyhow::Result<Vec<Camera>> {
+fn cameras(args: &SimulateArgs, toml: &str) -> anyhow::Result<Vec<VehicleCamera>> {
     if !args.horizon.pair {
-        return Ok(vec![Camera {
+        return Ok(vec![VehicleCamera {
             frames: "frame",
             file: "cam.toml".into(),
             toml: toml.into(),
@@ -128,7 +128,7 @@ fn cameras(args: &SimulateArgs, toml: &str) -> anyhow::Result<Vec<Camera>> {
     );
     let mounted = |(name, rows): (&'static str, [[f64; 3]; 3])| {
         let matrix = Matrix3::from_fn(|row, column| rows[row][column]);
-        Camera {
+        VehicleCamera {
             frames: name,
             file: format!("{name}.toml"),
             toml: format!("{}\nbody_from_camera = {rows:?}\n", toml.trim_end()),

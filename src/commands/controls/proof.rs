@@ -52,11 +52,11 @@ impl Proof {
         let radius_mil = instrument.optics.radius_mil(RADIUS_ARCSEC);
         scene.sun = Some(Sun::new(instrument.mounting.boresight_mil, radius_mil));
         let frame = scene.frame().ok()?;
-        let proves = self.solve(&aspect::Settings::default(), &frame) == Quality::Fine;
+        let proves = self.solve(&aspect::SolverSettings::default(), &frame) == Quality::Fine;
         proves.then_some(frame)
     }
 
-    fn solve(&self, settings: &aspect::Settings, frame: &Frame) -> Quality {
+    fn solve(&self, settings: &aspect::SolverSettings, frame: &Frame) -> Quality {
         let expected = Some(Expected {
             radius_arcsec: RADIUS_ARCSEC,
         });

@@ -3,7 +3,7 @@
 use super::parts::{Late, Part, parts, usual_step_s, without_overlaps};
 use super::{FileRows, IMU, read_files, read_table};
 use crate::navigation::measurement::ImuSample;
-use crate::navigation::settings::Settings;
+use crate::navigation::settings::NavigationSettings;
 use crate::tables::{BadRow, Kind, LeftOut, TableError};
 use std::path::{Path, PathBuf};
 
@@ -15,7 +15,10 @@ const MOST_MISSING: f64 = 10.0;
 ///
 /// # Errors
 /// File, line and column: files that cannot be read, or without two samples that can.
-pub fn read_imu(paths: &[PathBuf], settings: &Settings) -> Result<Vec<Vec<ImuSample>>, TableError> {
+pub fn read_imu(
+    paths: &[PathBuf],
+    settings: &NavigationSettings,
+) -> Result<Vec<Vec<ImuSample>>, TableError> {
     let tables = read_files(paths, |path| read_samples(path, settings))?;
     let (mut all, mut left_out) = (Vec::new(), Vec::new());
     for (file, (rows, mut bad)) in tables.into_iter().enumerate() {
@@ -81,7 +84,10 @@ fn at_gaps(mut run: Vec<ImuSample>, most_s: f64) -> Vec<Vec<ImuSample>> {
     pieces
 }
 
-fn read_samples(path: &Path, settings: &Settings) -> Result<FileRows<ImuSample>, TableError> {
+fn read_samples(
+    path: &Path,
+    settings: &NavigationSettings,
+) -> Result<FileRows<ImuSample>, TableError> {
     read_table(path, IMU, |row| {
         let sample = ImuSample {
             t_s: row.time_s()? - settings.imu.delay_s,

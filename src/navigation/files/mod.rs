@@ -6,8 +6,8 @@ mod parts;
 pub use imu::read_imu;
 
 use super::measurement::{Climb, Fix, Implausible, ImuSample};
-use super::settings::{Settings, Target};
-use crate::tables::{BadRow, Kind, LeftOut, Row, TableError, quoted, read_rows};
+use super::settings::{NavigationSettings, Target};
+use crate::tables::{BadRow, Kind, LeftOut, TableError, TableRow, quoted, read_rows};
 use nalgebra::{UnitVector3, Vector3};
 use parts::{Late, Part, Read, Timed, parts, without_overlaps};
 use std::collections::BTreeSet;
@@ -70,7 +70,7 @@ fn read_table<T, const N: usize>(
 }
 
 /// How many columns a heading names.
-fn width_of(path: &Path, heading: &Row, columns: &[&str]) -> Result<usize, TableError> {
+fn width_of(path: &Path, heading: &TableRow, columns: &[&str]) -> Result<usize, TableError> {
     let count = columns.len();
     let whole = heading.check(1, usize::MAX);
     whole.map_err(|bad| bad.at(path, heading.line))?;
@@ -87,7 +87,7 @@ fn width_of(path: &Path, heading: &Row, columns: &[&str]) -> Result<usize, Table
 
 /// A row of a table with the names of its columns.
 struct Cells<'a, const N: usize> {
-    row: &'a Row<'a>,
+    row: &'a TableRow<'a>,
     columns: [&'static str; N],
 }
 
@@ -222,7 +222,7 @@ fn in_order<T: Timed, K: Ord>((rows, mut left_out): FileRows<T>, key: impl Fn(&T
 ///
 /// # Errors
 /// As [`read_imu`].
-pub fn read_gps(paths: &[PathBuf], settings: &Settings) -> Result<Vec<Fix>, TableError> {
+pub fn read_gps(paths: &[PathBuf], settings: &NavigationSettings) -> Result<Vec<Fix>, TableError> {
     let tables = read_files(paths, |path| read_fixes(path, settings))?;
     let mut fixes: Vec<Fix> = Vec::new();
     for table in tables {
@@ -234,7 +234,7 @@ pub fn read_gps(paths: &[PathBuf], settings: &Settings) -> Result<Vec<Fix>, Tabl
     Ok(fixes)
 }
 
-fn read_fixes(path: &Path, settings: &Settings) -> Result<FileRows<Fix>, TableError> {
+fn read_fixes(path: &Path, settings: &NavigationSettings) -> Result<FileRows<Fix>, TableError> {
     read_table(path, GPS, |row| {
         let fix = Fix {
             t_s: row.time_s()? - settings.gps.delay_s,
@@ -269,7 +269,7 @@ pub struct Seen {
 ///
 /// # Errors
 /// As [`read_imu`].
-pub fn read_vectors(path: &Path, settings: &Settings) -> Result<Vec<Seen>, TableError> {
+pub fn read_vectors(path: &Path, settings: &NavigationSettings) -> Result<Vec<Seen>, TableError> {
     let table = read_table(path, VECTORS, |row| {
         let name = row.text(1);
         let camera = settings.camera(name).ok_or_else(|| {
@@ -298,7 +298,7 @@ pub fn read_vectors(path: &Path, settings: &Settings) -> Result<Vec<Seen>, Table
     Ok(in_order(table, |seen| (seen.camera, seen.target)))
 }
 
-fn sigma_rad(row: &Cells<7>, settings: &Settings, target: Target) -> Result<f64, BadRow> {
+fn sigma_rad(row: &Cells<7>, settings: &NavigationSettings, target: Target) -> Result<f64, BadRow> {
     let sigma_rad = row.number(6)?;
     let correlated_rad = settings.correlated_rad[target as usize];
     let refused = |expected: String| {

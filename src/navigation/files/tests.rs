@@ -5,8 +5,8 @@ use crate::instrument::DEMO_NAVIGATION;
 use crate::navigation::ImuSample;
 use std::fs;
 
-fn settings() -> Settings {
-    Settings::parse(Path::new("NAV.toml"), DEMO_NAVIGATION).unwrap()
+fn settings() -> NavigationSettings {
+    NavigationSettings::parse(Path::new("NAV.toml"), DEMO_NAVIGATION).unwrap()
 }
 
 /// IMU logs with these times, a file each; the samples of each run: its first and last time, and how many.

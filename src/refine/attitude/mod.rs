@@ -10,8 +10,8 @@ use crate::calibrate::revision::write_if;
 use crate::instrument::toml_file::read_text;
 use crate::navigation::aem::Stretches;
 use crate::navigation::{
-    Due, Flight, PropagatedOffset, Row, Settings, Spool, Status, Summary, Verdict, smooth, solve,
-    suspected_units,
+    Due, Flight, NavigationRow, NavigationSettings, PropagatedOffset, Spool, Status, Summary,
+    Verdict, smooth, solve, suspected_units,
 };
 use crate::units::counted;
 use anyhow::Context;
@@ -36,7 +36,7 @@ pub struct Wanted {
 }
 
 impl Wanted {
-    fn due(&self) -> impl FnMut(&Row) -> bool + use<> {
+    fn due(&self) -> impl FnMut(&NavigationRow) -> bool + use<> {
         let (rate_hz, mut due) = (self.rate_hz, Due::default());
         move |row| rate_hz.is_none_or(|rate_hz| due.takes(row.t_s, rate_hz))
     }
@@ -46,7 +46,7 @@ impl Wanted {
 pub struct NavigationFile {
     pub path: PathBuf,
     pub text: String,
-    pub settings: Settings,
+    pub settings: NavigationSettings,
 }
 
 impl NavigationFile {
@@ -57,7 +57,7 @@ impl NavigationFile {
     /// The same of a path and its text.
     pub fn of((path, text): (PathBuf, String)) -> anyhow::Result<Self> {
         Ok(Self {
-            settings: Settings::parse(&path, &text)?,
+            settings: NavigationSettings::parse(&path, &text)?,
             path,
             text,
         })
@@ -121,14 +121,16 @@ impl<'a> Attitude<'a> {
     }
 
     /// All rows.
-    pub fn all_rows(&mut self) -> anyhow::Result<impl Iterator<Item = std::io::Result<Row>>> {
+    pub fn all_rows(
+        &mut self,
+    ) -> anyhow::Result<impl Iterator<Item = std::io::Result<NavigationRow>>> {
         self.spool
             .rows()
             .context("the attitude cannot be read again")
     }
 
     /// The rows that are wanted.
-    pub fn rows(&mut self) -> anyhow::Result<impl Iterator<Item = std::io::Result<Row>>> {
+    pub fn rows(&mut self) -> anyhow::Result<impl Iterator<Item = std::io::Result<NavigationRow>>> {
         let mut is_due = self.wanted.due();
         let rows = self.all_rows()?;
         Ok(rows.filter(move |row| row.as_ref().map_or(true, &mut is_due)))
@@ -153,7 +155,7 @@ impl<'a> Attitude<'a> {
     pub fn write_offsets(
         &mut self,
         path: &Path,
-        offset: impl FnMut(&Row) -> Option<PropagatedOffset>,
+        offset: impl FnMut(&NavigationRow) -> Option<PropagatedOffset>,
     ) -> anyhow::Result<()> {
         write_offsets(path, self.rows()?, offset)
     }
@@ -185,7 +187,7 @@ impl<'a> Attitude<'a> {
         let (text, settings) = (&given.text, &given.settings);
         let text = calibrated(&given.path, text, settings, constants, &source)?;
         Ok(write_if(path, &text, |part| {
-            Settings::read(part).map(drop)
+            NavigationSettings::read(part).map(drop)
         })?)
     }
 
@@ -317,7 +319,7 @@ impl Counts {
         self.by_status.iter().sum()
     }
 
-    fn count(&mut self, row: &Row) {
+    fn count(&mut self, row: &NavigationRow) {
         self.by_status[row.status as usize] += 1;
     }
 }

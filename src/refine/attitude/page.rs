@@ -1,7 +1,7 @@
 //! What a page shows of an attitude.
 
 use super::Counts;
-use crate::navigation::{SensorErrors, Settings, Source, Status, Summary, Verdict};
+use crate::navigation::{NavigationSettings, SensorErrors, Source, Status, Summary, Verdict};
 use crate::report::html::Page;
 use crate::report::plot::{Labels, Series, series};
 use crate::units::ARCSEC_PER_RAD;
@@ -16,7 +16,7 @@ const LIMIT_HUE: usize = 5;
 /// Adds what there is to see of an attitude.
 pub fn add_attitude(
     page: &mut Page,
-    settings: &Settings,
+    settings: &NavigationSettings,
     summary: &Summary,
     counts: &Counts,
 ) -> anyhow::Result<()> {
@@ -38,7 +38,7 @@ struct Clock {
 }
 
 impl Clock {
-    fn of(settings: &Settings) -> Self {
+    fn of(settings: &NavigationSettings) -> Self {
         let unix_s = |epoch: Timestamp| epoch.as_nanosecond() as f64 / 1e9;
         Self {
             epoch_unix_s: settings.epoch_utc.map(unix_s),
@@ -95,7 +95,7 @@ fn gaps(page: &mut Page, summary: &Summary) {
 fn innovations(
     page: &mut Page,
     clock: Clock,
-    settings: &Settings,
+    settings: &NavigationSettings,
     summary: &Summary,
 ) -> anyhow::Result<()> {
     page.heading("Innovations");
@@ -153,7 +153,7 @@ fn innovations(
     Ok(())
 }
 
-fn name(settings: &Settings, source: Source) -> String {
+fn name(settings: &NavigationSettings, source: Source) -> String {
     match source {
         Source::Plumb => "gravity".into(),
         Source::Position => "GPS position".into(),
@@ -177,7 +177,7 @@ type Figure = (&'static str, Vec<(f64, Triad)>);
 fn sensors(
     page: &mut Page,
     clock: Clock,
-    settings: &Settings,
+    settings: &NavigationSettings,
     errors: &[SensorErrors],
 ) -> anyhow::Result<()> {
     page.heading("Sensors");

@@ -3,7 +3,7 @@
 use crate::columns::{self, Column, Widths, float, text};
 use crate::fits::zero_cards;
 use crate::navigation::aem::{Aem, Head, Stretches};
-use crate::navigation::{PropagatedOffset, Row, Status};
+use crate::navigation::{NavigationRow, PropagatedOffset, Status};
 use anyhow::Context;
 use jiff::Timestamp;
 use std::fs::File;
@@ -12,7 +12,7 @@ use std::path::Path;
 
 /// The columns of the table ATTITUDE.
 #[rustfmt::skip]
-const COLUMNS: &[Column<Row>] = &[
+const COLUMNS: &[Column<NavigationRow>] = &[
     float("t_s", "s", "time since the epoch", |r| Some(r.t_s)),
     float("q0", "", "scalar: v_ecef = R(q) v_body", |r| Some(numbers(r)?[0])),
     float("q1", "", "x", |r| Some(numbers(r)?[1])),
@@ -34,7 +34,7 @@ const COLUMNS: &[Column<Row>] = &[
 ];
 
 /// The numbers of a row after its time; `None` before the start.
-fn numbers(row: &Row) -> Option<[f64; 16]> {
+fn numbers(row: &NavigationRow) -> Option<[f64; 16]> {
     let (motion, covariance) = row.attitude.as_ref()?;
     let [w, i, j, k] = motion.quaternion();
     let sigma = |n: usize| covariance[(n, n)].max(0.0).sqrt();
@@ -52,7 +52,7 @@ fn numbers(row: &Row) -> Option<[f64; 16]> {
 /// Writes `attitude.csv`.
 pub fn write_csv(
     path: &Path,
-    mut rows: impl Iterator<Item = std::io::Result<Row>>,
+    mut rows: impl Iterator<Item = std::io::Result<NavigationRow>>,
 ) -> anyhow::Result<()> {
     write_file(path, |file| {
         let names: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
@@ -64,8 +64,8 @@ pub fn write_csv(
 /// Writes `offsets.csv`.
 pub fn write_offsets(
     path: &Path,
-    mut rows: impl Iterator<Item = std::io::Result<Row>>,
-    mut offset: impl FnMut(&Row) -> Option<PropagatedOffset>,
+    mut rows: impl Iterator<Item = std::io::Result<NavigationRow>>,
+    mut offset: impl FnMut(&NavigationRow) -> Option<PropagatedOffset>,
 ) -> anyhow::Result<()> {
     write_file(path, |file| {
         let names = PropagatedOffset::COLUMNS.join(",");
@@ -79,7 +79,7 @@ pub fn write_offsets(
     })
 }
 
-fn write_row(file: &mut impl Write, row: &Row) -> std::io::Result<()> {
+fn write_row(file: &mut impl Write, row: &NavigationRow) -> std::io::Result<()> {
     write!(file, "{}", row.t_s)?;
     let Some(numbers) = numbers(row) else {
         return writeln!(file, ",,,,,,,,,,,,,,,,,{}", row.status.name());
@@ -103,7 +103,7 @@ fn write_row(file: &mut impl Write, row: &Row) -> std::io::Result<()> {
 pub fn write_fits(
     path: &Path,
     epoch: Option<Timestamp>,
-    rows: impl Iterator<Item = std::io::Result<Row>>,
+    rows: impl Iterator<Item = std::io::Result<NavigationRow>>,
 ) -> anyhow::Result<()> {
     let cards = epoch.map(zero_cards).unwrap_or_default();
     let longest = Status::ALL
@@ -123,7 +123,7 @@ pub fn write_aem(
     path: &Path,
     epoch: Timestamp,
     stretches: Stretches,
-    mut rows: impl Iterator<Item = std::io::Result<Row>>,
+    mut rows: impl Iterator<Item = std::io::Result<NavigationRow>>,
 ) -> anyhow::Result<()> {
     let head = Head {
         epoch,

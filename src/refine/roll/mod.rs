@@ -17,7 +17,7 @@ use crate::archive::{ArchiveReader, Flown, FlownFiles, StoredFile};
 use crate::config::{self, Config};
 use crate::fits::Header;
 use crate::frame::Frame;
-use crate::horizon::{self, Settings, Solution, Sphere, Stage, Stopped};
+use crate::horizon::{self, HorizonSettings, Solution, Sphere, Stage, Stopped};
 use crate::instrument::MountedCamera;
 use crate::observe::{Observer, Span, Unsolved, with_frame};
 use crate::reasons::{at, horizon as reasons};
@@ -83,7 +83,9 @@ impl RollRecipe {
         let optics = &self.camera.optics;
         optics.check(frame).map_err(|error| error.to_string())?;
         let solution = match self.sphere(frame) {
-            Some(sphere) => horizon::solve(&Settings::default(), frame, optics, &sphere, None),
+            Some(sphere) => {
+                horizon::solve(&HorizonSettings::default(), frame, optics, &sphere, None)
+            }
             None => Solution::none(self.not_above_the_limb(frame)),
         };
         let turn = &self.camera.body_from_camera;
@@ -117,7 +119,7 @@ impl RollRecipe {
         let optics = &self.camera.optics;
         optics.check(frame).ok()?;
         let sphere = self.sphere(frame)?;
-        let solution = horizon::solve(&Settings::default(), frame, optics, &sphere, None);
+        let solution = horizon::solve(&HorizonSettings::default(), frame, optics, &sphere, None);
         Some((solution, sphere))
     }
 }

@@ -11,7 +11,7 @@ use crate::link::Housekeeping;
 use crate::link::housekeeping::{FIELDS, Field};
 use crate::log::worth_a_line;
 use crate::navigation::{PropagatedOffset, files};
-use crate::record::Row;
+use crate::record::LoggedRow;
 use crate::service::messages::{NavigationLog, NavigationRows};
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
@@ -36,7 +36,7 @@ pub(super) enum Entry {
 pub(super) struct RowEntry {
     /// Of the camera, in the order of the flight's.
     pub station: usize,
-    pub row: Box<Row>,
+    pub row: Box<LoggedRow>,
     /// Tells where the frame is; `None` where it is not to be stored, or has been told.
     pub told: Option<Receiver<Told>>,
     /// When the row is written without the file's name.

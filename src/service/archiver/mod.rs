@@ -35,7 +35,7 @@ use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use jiff::Timestamp;
 use journal::{Entry, FATE_KNOWN, Journal, JournalTally, RowCounts, RowEntry, RowFate};
-use picture::{Fate, FrameCounts, Picture, Told};
+use picture::{Fate, FrameCounts, StoredPicture, Told};
 use queue::{GivenUp, Queue, Rules};
 use std::convert::Infallible;
 use std::path::PathBuf;
@@ -50,7 +50,7 @@ const ROWS: usize = 10_000;
 /// The solver's end of the archive.
 #[derive(Clone)]
 pub(super) struct Archive {
-    queues: Vec<Arc<Queue<Picture>>>,
+    queues: Vec<Arc<Queue<StoredPicture>>>,
     logs: Vec<Sender<Entry>>,
     /// Closed with the last copy: then no row is tried again.
     _flying: Sender<Infallible>,
@@ -60,7 +60,7 @@ pub(super) struct Archive {
 /// What the archive counts, for telemetry.
 #[derive(Clone, Default)]
 pub(super) struct Gauges {
-    queues: Vec<Arc<Queue<Picture>>>,
+    queues: Vec<Arc<Queue<StoredPicture>>>,
     disks: Vec<SharedHealth>,
     journals: Vec<Arc<JournalTally>>,
     /// What waits for each log.
@@ -147,7 +147,7 @@ pub(super) fn start(stores: Vec<Store>, around: &Around) -> std::io::Result<(Arc
 }
 
 /// One queue that all disks take from, or one for each.
-fn queues(settings: &config::Archive, disks: usize) -> Vec<Arc<Queue<Picture>>> {
+fn queues(settings: &config::Archive, disks: usize) -> Vec<Arc<Queue<StoredPicture>>> {
     let rules = Rules {
         bound: settings.queue_frames,
         overflow: settings.overflow,
@@ -226,7 +226,7 @@ impl Archive {
             return vec![None; self.logs.len()];
         }
         let (fate, heard) = Fate::new(self.logs.len(), &self.gauges.frames);
-        let picture = Picture::new(answer.clone(), fate);
+        let picture = StoredPicture::new(answer.clone(), fate);
         for queue in &self.queues {
             match queue.offer(picture.clone()) {
                 GivenUp::ForSpeed(frames) if worth_a_line(frames) => {

@@ -9,14 +9,14 @@ use std::sync::{Arc, OnceLock};
 
 /// A frame that is to be stored. Copies of it share their fate and their bytes.
 #[derive(Clone)]
-pub(super) struct Picture {
+pub(super) struct StoredPicture {
     pub answer: Answer,
     pub fate: Arc<Fate>,
     /// The file's bytes, made by the first disk that needs them.
     pub encoded: Arc<OnceLock<Encoded>>,
 }
 
-impl Picture {
+impl StoredPicture {
     pub fn new(answer: Answer, fate: Fate) -> Self {
         Self {
             answer,

@@ -1,6 +1,6 @@
 //! A disk's thread: it takes pictures from the queue and brings them to its disk.
 
-use super::picture::Picture;
+use super::picture::StoredPicture;
 use super::queue::{Queue, Taken, Waiting};
 use crate::archive::{ArchiveError, Encoded, Room, Store, instrument_cards, sky_cards, tables};
 use crate::backoff::Backoff;
@@ -51,7 +51,7 @@ pub(super) struct Writer {
     /// Its number in the queue.
     pub disk: usize,
     pub store: Arc<Store>,
-    pub queue: Arc<Queue<Picture>>,
+    pub queue: Arc<Queue<StoredPicture>>,
     /// Its number on this computer, from 0.
     pub number: usize,
     pub controls: Controls,
@@ -99,7 +99,7 @@ impl Writer {
     }
 
     /// Stores a picture; an error is the disk's, which then has given it back.
-    fn keep(&mut self, waiting: Waiting<Picture>) -> Result<(), ArchiveError> {
+    fn keep(&mut self, waiting: Waiting<StoredPicture>) -> Result<(), ArchiveError> {
         match self.store(&waiting.picture) {
             Ok(path) => {
                 tracing::debug!(file = %path.display(), "stored");
@@ -122,7 +122,7 @@ impl Writer {
         }
     }
 
-    fn store(&mut self, picture: &Picture) -> Result<PathBuf, ArchiveError> {
+    fn store(&mut self, picture: &StoredPicture) -> Result<PathBuf, ArchiveError> {
         match picture.encoded.get() {
             Some(encoded) if !self.store.has(&encoded.name) => self.store.put(encoded),
             Some(_) => {
@@ -137,7 +137,7 @@ impl Writer {
         }
     }
 
-    fn encode(&mut self, picture: &Picture) -> Result<Encoded, ArchiveError> {
+    fn encode(&mut self, picture: &StoredPicture) -> Result<Encoded, ArchiveError> {
         let answer = &picture.answer;
         let (frame, camera) = (&answer.exposure.frame, &answer.station.camera);
         let mut cards = answer.row().record.cards();

@@ -1,7 +1,7 @@
 //! Directions that contradict the gyros for 10 s: a line of the log where that begins, and one where it ends.
 
 use crate::log::worth_a_line;
-use crate::navigation::{Agreement, Axis, Comparison, Settings};
+use crate::navigation::{Agreement, Axis, Comparison, NavigationSettings};
 use crate::service::tally::NavigationTally;
 
 /// Whether directions contradict the gyros, as it was last noted.
@@ -15,7 +15,7 @@ impl LastingContradiction {
     pub fn note(
         &mut self,
         comparison: &Comparison,
-        settings: &Settings,
+        settings: &NavigationSettings,
         tally: &mut NavigationTally,
     ) {
         tally.differences = Axis::ALL.map(|axis| comparison.sigmas(axis));
@@ -39,7 +39,7 @@ impl LastingContradiction {
 }
 
 /// The cameras that contradict the gyros, with axis and difference.
-fn lasting(comparison: &Comparison, settings: &Settings) -> String {
+fn lasting(comparison: &Comparison, settings: &NavigationSettings) -> String {
     let lasting = comparison.latest().filter(|(.., one)| one.lasts());
     let words = lasting.map(|(axis, camera, one)| {
         let camera = &settings.cameras[camera].name;

@@ -23,8 +23,8 @@ use crate::instrument::Role;
 use crate::link::{Connection, Counters, ImuPacket};
 use crate::log::worth_a_line;
 use crate::navigation::{
-    Due, ImuSample, Live, Measurement, NoDirection, PropagatedOffset, Row, Settings, Sighting, Sky,
-    Status, Target, Targets, offset,
+    Due, ImuSample, Live, Measurement, NavigationRow, NavigationSettings, NoDirection,
+    PropagatedOffset, Sighting, Sky, Status, Target, Targets, offset,
 };
 use crate::sky::Ephemeris;
 use contradiction::LastingContradiction;
@@ -54,7 +54,7 @@ const ROWS_S: f64 = 1.0;
 /// What the filter's thread shares with the others. It outlives a thread that fails; the filter does not.
 #[derive(Clone)]
 pub(super) struct Navigator {
-    pub settings: Settings,
+    pub settings: NavigationSettings,
     /// The flight's cameras, by name and role.
     pub cameras: Vec<(String, Role)>,
     pub ephemeris: Ephemeris,
@@ -318,7 +318,7 @@ impl<'a> Filter<'a> {
     }
 
     /// Tells line and archive the offset at a row.
-    fn tell(&mut self, row: &Row, read: Instant) {
+    fn tell(&mut self, row: &NavigationRow, read: Instant) {
         let Some((utc, offset)) = self.offset(row) else {
             self.own.tally.lock().latest = None;
             return;
@@ -338,7 +338,7 @@ impl<'a> Filter<'a> {
     }
 
     /// The offset at a row and its time; `None` before the start, and where the target cannot be pointed at.
-    fn offset(&mut self, row: &Row) -> Option<(Timestamp, PropagatedOffset)> {
+    fn offset(&mut self, row: &NavigationRow) -> Option<(Timestamp, PropagatedOffset)> {
         row.attitude?;
         let target = self.own.controls.snapshot().target;
         let towards = self.targets.aim(&target, row.t_s).ok()?;

@@ -25,9 +25,9 @@ const START: &str = "2013-09-21T18:00:00Z";
 const SUN_ARCSEC: f64 = 0.11;
 const FRAMES_HZ: u64 = 4;
 
-fn settings() -> Settings {
+fn settings() -> NavigationSettings {
     let path = Path::new("NAV.toml");
-    Settings::parse(path, DEMO_NAVIGATION)
+    NavigationSettings::parse(path, DEMO_NAVIGATION)
         .unwrap()
         .for_flight(path, &Role::table_names())
         .unwrap()
@@ -445,7 +445,7 @@ fn inputs_that_the_filter_has_no_room_for_are_counted_and_nobody_waits() {
 fn a_file_that_cannot_fly_is_refused_by_its_field() {
     let path = Path::new("NAV.toml");
     let refused = |text: &str| {
-        let settings = Settings::parse(path, text).unwrap();
+        let settings = NavigationSettings::parse(path, text).unwrap();
         settings
             .for_flight(path, &Role::table_names())
             .unwrap_err()

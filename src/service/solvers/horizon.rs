@@ -5,7 +5,7 @@ use crate::aspect::Quality;
 use crate::camera::Brightness;
 use crate::commands::controls::Snapshot;
 use crate::frame::{self, Frame};
-use crate::horizon::{self, Levels, Settings, Solution, Stage};
+use crate::horizon::{self, HorizonSettings, Levels, Solution, Stage};
 use crate::instrument::{MountedCamera, WrongSize};
 use crate::pointing::body_roll_deg;
 use crate::reasons::{Stopped, at, horizon as reasons};
@@ -41,7 +41,7 @@ impl HorizonSolver {
         match commanded.roll.sphere(height_m) {
             Some(sphere) => {
                 let last = self.last.as_ref();
-                horizon::solve(&Settings::default(), frame, camera, &sphere, last)
+                horizon::solve(&HorizonSettings::default(), frame, camera, &sphere, last)
             }
             None => {
                 let limit_m = commanded.roll.atmosphere_m;

@@ -10,7 +10,7 @@ use crate::instrument::{DirectionCamera, WrongSize};
 use crate::link::MoonSight;
 use crate::link::moon::{BELOW_HORIZON, FIRST_STAGE, MoonFix, NEAR_SUN, WRONG_SIZE};
 use crate::moon::{
-    self, Disc, Expected, Levels, Optics, Settings, Shading, Stage, Stopped, bright_dn,
+    self, Disc, Expected, Levels, MoonSettings, Optics, Shading, Stage, Stopped, bright_dn,
 };
 use crate::reasons::{at, moon as reasons};
 use crate::service::messages::{Found, MoonDesk, SeenMoon, Solved, SolvedMoon, UnsolvedFrame};
@@ -70,7 +70,7 @@ impl MoonSolver {
         if let Some(hidden) = heavens.and_then(|heavens| heavens.hidden) {
             return Err(at(Stage::Sky)(hidden));
         }
-        let settings = Settings {
+        let settings = MoonSettings {
             shading: Shading::LommelSeeliger,
             optics: Optics::Camera(self.camera.lens),
         };

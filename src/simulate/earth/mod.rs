@@ -17,7 +17,7 @@ use super::glare::{Glare, SUN_RAD};
 use super::noise::{Readings, read_out};
 use super::{Depth, Generator, Noise, Purpose, frame_info, generator};
 use crate::frame::{Frame, FrameError};
-use crate::geometry::camera::Camera;
+use crate::geometry::camera::CameraModel;
 use crate::units::SensorPx;
 use front::Front;
 use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector2, Vector3};
@@ -30,7 +30,7 @@ const MARGIN_PX: usize = 8;
 /// What is drawn at random for each picture, and what is not.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EarthConditions {
-    pub camera: Camera,
+    pub camera: CameraModel,
     pub width_px: usize,
     pub height_px: usize,
     /// The ground's shape; the camera is this high above it.
@@ -77,7 +77,7 @@ impl EarthConditions {
         const SIZE_PX: [usize; 2] = [1920, 1080];
         let middle = SIZE_PX.map(|size| (size as f64 - 1.0) / 2.0);
         let focal_px = SIZE_PX[0] as f64 / 2.0 / 47.2_f64.to_radians().tan();
-        let camera = Camera::rectilinear(focal_px, SensorPx::new(middle[0], middle[1]));
+        let camera = CameraModel::rectilinear(focal_px, SensorPx::new(middle[0], middle[1]));
         Self {
             camera,
             width_px: SIZE_PX[0],

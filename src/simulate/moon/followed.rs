@@ -1,7 +1,7 @@
 //! The Moon in a camera that follows it across the sky.
 
 use super::{MoonConditions, MoonScene, Shown};
-use crate::geometry::camera::Camera;
+use crate::geometry::camera::CameraModel;
 use crate::instrument::DirectionCamera;
 use crate::sky::{Ephemeris, SkyError, horizon_dip_deg};
 use crate::units::{ARCSEC_PER_RAD, Place, SensorPx};
@@ -80,7 +80,7 @@ impl FollowedMoon {
 }
 
 /// An angle downwards from a camera's axis, px.
-fn vertical_px(camera: &Camera, angle_rad: f64) -> f64 {
+fn vertical_px(camera: &CameraModel, angle_rad: f64) -> f64 {
     let (sin, cos) = angle_rad.sin_cos();
     let at = |ray: UnitVector3<f64>| camera.pixel(&ray).map(|at| at.y);
     let edge = at(UnitVector3::new_unchecked(Vector3::new(0.0, sin, cos)));
@@ -91,7 +91,7 @@ fn vertical_px(camera: &Camera, angle_rad: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::moon::{Expected, Optics, Settings, below_horizon, solve};
+    use crate::moon::{Expected, MoonSettings, Optics, below_horizon, solve};
     use crate::simulate::FORT_SUMNER;
 
     const CAMERA: &str = "[camera]\nwidth_px = 720\nheight_px = 578\ncentre_px = [359.5, 288.5]\nfocal_px = [3300, 3300]\n";
@@ -100,9 +100,9 @@ mod tests {
     fn the_moon_that_is_followed_is_the_ephemeris_s_and_below_the_limb_there_is_none() {
         let camera = DirectionCamera::parse("cam.toml".as_ref(), CAMERA).unwrap();
         let mut followed = FollowedMoon::new(&camera, FORT_SUMNER, 1);
-        let settings = Settings {
+        let settings = MoonSettings {
             optics: Optics::Camera(camera.lens),
-            ..Settings::default()
+            ..MoonSettings::default()
         };
         let (mut up, mut down) = (0, 0);
         for hours in 0..24 {

@@ -28,18 +28,18 @@ impl Flight {
 }
 
 /// A line of a table.
-trait Row {
+trait CsvRow {
     const HEADER: &str;
 
     fn write(&self, file: &mut impl Write) -> io::Result<()>;
 }
 
-fn table<T: Row>(folder: &Path, name: &str, rows: &[T]) -> Result<(), WriteError> {
+fn table<T: CsvRow>(folder: &Path, name: &str, rows: &[T]) -> Result<(), WriteError> {
     let path = folder.join(name);
     write_rows(&path, rows).map_err(|cause| WriteError { path, cause })
 }
 
-fn write_rows<T: Row>(path: &Path, rows: &[T]) -> io::Result<()> {
+fn write_rows<T: CsvRow>(path: &Path, rows: &[T]) -> io::Result<()> {
     let mut file = BufWriter::new(File::create(path)?);
     writeln!(file, "{}", T::HEADER)?;
     for row in rows {
@@ -61,7 +61,7 @@ fn numbers<'a>(
     writeln!(file)
 }
 
-impl Row for ImuRow {
+impl CsvRow for ImuRow {
     const HEADER: &str = "t_s,fx_m_s2,fy_m_s2,fz_m_s2,wx_rad_s,wy_rad_s,wz_rad_s";
 
     fn write(&self, file: &mut impl Write) -> io::Result<()> {
@@ -70,7 +70,7 @@ impl Row for ImuRow {
     }
 }
 
-impl Row for GpsRow {
+impl CsvRow for GpsRow {
     const HEADER: &str = "t_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s";
 
     fn write(&self, file: &mut impl Write) -> io::Result<()> {
@@ -79,7 +79,7 @@ impl Row for GpsRow {
     }
 }
 
-impl Row for VectorRow {
+impl CsvRow for VectorRow {
     const HEADER: &str = "t_s,camera,target,x,y,z,sigma_rad";
 
     fn write(&self, file: &mut impl Write) -> io::Result<()> {
@@ -93,7 +93,7 @@ impl Row for VectorRow {
     }
 }
 
-impl Row for TruthRow {
+impl CsvRow for TruthRow {
     const HEADER: &str = "t_s,q0,q1,q2,q3,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s";
 
     fn write(&self, file: &mut impl Write) -> io::Result<()> {
@@ -104,7 +104,7 @@ impl Row for TruthRow {
     }
 }
 
-impl Row for SunRow {
+impl CsvRow for SunRow {
     const HEADER: &str = "t_s,x,y,z";
 
     fn write(&self, file: &mut impl Write) -> io::Result<()> {

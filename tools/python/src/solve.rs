@@ -4,7 +4,7 @@ use crate::errors::value_error;
 use crate::solution::Solution;
 use crate::{arguments, pixels};
 use pyo3::prelude::*;
-use solaspect::aspect::{self, Expected, Settings};
+use solaspect::aspect::{self, Expected, SolverSettings};
 use solaspect::calibrate::check;
 use solaspect::frame::FrameInfo;
 use solaspect::pointing;
@@ -47,7 +47,7 @@ pub fn solve<'py>(
     let prior = prior.map(|track| &track.get().inner);
     Ok(py.detach(|| {
         let expected = utc.and_then(Expected::at);
-        let settings = Settings::default();
+        let settings = SolverSettings::default();
         let start = Instant::now();
         let mut inner = aspect::solve_with(&settings, &frame, &instrument, expected, prior);
         let solve_time = start.elapsed();

@@ -6,7 +6,7 @@ use solaspect::config::FlightClock;
 use solaspect::demo::JudgedOffset;
 use solaspect::instrument::{DEMO_NAVIGATION, Instrument, Role};
 use solaspect::link::{Connection, ImuPacket, Propagated, SerialPort};
-use solaspect::navigation::Settings;
+use solaspect::navigation::NavigationSettings;
 use solaspect::service::Navigation;
 use solaspect::simulate::navigation::{FaultyImu, IMU_FAULTS, ImuFault, TelescopeFlight};
 use solaspect::simulate::sensors::{Sensors, Spoil};
@@ -67,7 +67,7 @@ impl Parts {
         let ahead = Timestamp::now().duration_since(start);
         Ok(Self {
             flies: Navigation {
-                settings: Settings::parse(path, DEMO_NAVIGATION)?
+                settings: NavigationSettings::parse(path, DEMO_NAVIGATION)?
                     .for_flight(path, &Role::table_names())?,
                 settings_toml: DEMO_NAVIGATION.into(),
                 imu: None,

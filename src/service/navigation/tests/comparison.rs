@@ -133,7 +133,7 @@ fn fly_compared(
     let (mut navigator, _rows) = navigator(Config::default(), to_line);
     let path = Path::new("NAV.toml");
     let toml = DEMO_NAVIGATION.to_owned() + OTHER_CAMERAS;
-    navigator.settings = Settings::parse(path, &toml).unwrap();
+    navigator.settings = NavigationSettings::parse(path, &toml).unwrap();
     let mut filter = Filter::new(&navigator, start);
     let mut receiver = Nmea::default();
     let mut late = VecDeque::new();
