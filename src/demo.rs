@@ -220,12 +220,14 @@ fn launch_day() -> anyhow::Result<Timestamp> {
 }
 
 /// The controller's thread, which gives its ends of the lines back with its report: hanging up first is the service's part.
+type ControllerThread = JoinHandle<Result<(Report, (Relayed, Controller)), PortError>>;
+
 fn control(
     mut far: Relayed,
     sensors: Sensors,
     received: &Arc<Mutex<Option<Solution>>>,
     over: &Arc<AtomicBool>,
-) -> io::Result<JoinHandle<Result<(Report, (Relayed, Controller)), PortError>>> {
+) -> io::Result<ControllerThread> {
     let (received, over) = (Arc::clone(received), Arc::clone(over));
     let run = move || {
         let heard = |message: &Message| {

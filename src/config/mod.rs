@@ -7,6 +7,23 @@
 //!
 //! To add a parameter: a field in a struct that [`Config`] holds, its default, and one row in the table.
 
+/// A table of the configuration: each field with its default.
+macro_rules! defaults {
+    ($(#[$about:meta])* $name:ident { $($(#[$note:meta])* $field:ident: $type:ty = $default:expr,)* }) => {
+        $(#[$about])*
+        #[derive(Debug, Clone, PartialEq)]
+        pub struct $name {
+            $($(#[$note])* pub $field: $type,)*
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $default,)* }
+            }
+        }
+    };
+}
+
 mod camera;
 mod clock;
 mod contradictions;
@@ -113,25 +130,15 @@ pub struct Target {
     pub epoch_utc: Option<Timestamp>,
 }
 
-/// How the roll camera's horizon is solved and used.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Roll {
-    pub max_age_s: f64,
-    pub height_m: Option<f64>,
-    pub height_sigma_m: f64,
-    pub atmosphere_m: f64,
-    pub edge_sigma_m: f64,
-}
-
-impl Default for Roll {
-    fn default() -> Self {
-        Self {
-            max_age_s: 1.0,
-            height_m: None,
-            height_sigma_m: 500.0,
-            atmosphere_m: 20_000.0,
-            edge_sigma_m: 1_000.0,
-        }
+defaults! {
+    /// How the roll camera's horizon is solved and used.
+    #[derive(Copy)]
+    Roll {
+        max_age_s: f64 = 1.0,
+        height_m: Option<f64> = None,
+        height_sigma_m: f64 = 500.0,
+        atmosphere_m: f64 = 20_000.0,
+        edge_sigma_m: f64 = 1_000.0,
     }
 }
 
@@ -150,19 +157,12 @@ impl Roll {
     }
 }
 
-/// When the Moon camera's frames are solved, and how requests for the Moon are answered.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Moon {
-    pub clear_of_sun_deg: f64,
-    pub answer_within_s: f64,
-}
-
-impl Default for Moon {
-    fn default() -> Self {
-        Self {
-            clear_of_sun_deg: 15.0,
-            answer_within_s: 5.0,
-        }
+defaults! {
+    /// When the Moon camera's frames are solved, and how requests for the Moon are answered.
+    #[derive(Copy)]
+    Moon {
+        clear_of_sun_deg: f64 = 15.0,
+        answer_within_s: f64 = 5.0,
     }
 }
 
@@ -172,73 +172,38 @@ impl Moon {
     }
 }
 
-/// How the controller is spoken to.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Link {
-    pub port: Option<String>,
-    pub baud: u32,
-    pub udp_local_port: u32,
-    pub udp_bind: Option<String>,
-    pub udp_peers: Option<String>,
-    pub key_file: Option<PathBuf>,
-    pub computer: u32,
-    pub sending_camera: u32,
-    pub solution_divisor: u32,
-    pub max_solution_age_ms: u32,
-    pub saved_values: Option<PathBuf>,
-    pub restore_tracking_s: u32,
-}
-
-impl Default for Link {
-    fn default() -> Self {
-        Self {
-            port: None,
-            baud: 115_200,
-            udp_local_port: 2000,
-            udp_bind: None,
-            udp_peers: None,
-            key_file: None,
-            computer: 1,
-            sending_camera: 1,
-            solution_divisor: 1,
-            max_solution_age_ms: 500,
-            saved_values: None,
-            restore_tracking_s: 600,
-        }
+defaults! {
+    /// How the controller is spoken to.
+    Link {
+        port: Option<String> = None,
+        baud: u32 = 115_200,
+        udp_local_port: u32 = 2000,
+        udp_bind: Option<String> = None,
+        udp_peers: Option<String> = None,
+        key_file: Option<PathBuf> = None,
+        computer: u32 = 1,
+        sending_camera: u32 = 1,
+        solution_divisor: u32 = 1,
+        max_solution_age_ms: u32 = 500,
+        saved_values: Option<PathBuf> = None,
+        restore_tracking_s: u32 = 600,
     }
 }
 
-/// Where and how frames are kept.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Archive {
-    pub directory: Option<PathBuf>,
-    pub second_directory: Option<PathBuf>,
-    pub compression: Compression,
-    pub threads: usize,
-    pub sharing: Sharing,
-    pub queue_frames: usize,
-    pub overflow: Overflow,
-    pub store_every: u64,
-    pub warn_free_percent: f64,
-    pub thin_free_percent: f64,
-    pub stop_free_percent: f64,
-}
-
-impl Default for Archive {
-    fn default() -> Self {
-        Self {
-            directory: None,
-            second_directory: None,
-            compression: Compression::Rice,
-            threads: 1,
-            sharing: Sharing::Alternate,
-            queue_frames: 64,
-            overflow: Overflow::DropOldest,
-            store_every: 4,
-            warn_free_percent: 10.0,
-            thin_free_percent: 3.0,
-            stop_free_percent: 1.0,
-        }
+defaults! {
+    /// Where and how frames are kept.
+    Archive {
+        directory: Option<PathBuf> = None,
+        second_directory: Option<PathBuf> = None,
+        compression: Compression = Compression::Rice,
+        threads: usize = 1,
+        sharing: Sharing = Sharing::Alternate,
+        queue_frames: usize = 64,
+        overflow: Overflow = Overflow::DropOldest,
+        store_every: u64 = 4,
+        warn_free_percent: f64 = 10.0,
+        thin_free_percent: f64 = 3.0,
+        stop_free_percent: f64 = 1.0,
     }
 }
 
@@ -261,36 +226,19 @@ impl Archive {
     }
 }
 
-/// What is demanded before the flight.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Preflight {
-    pub max_clock_error_ms: f64,
-    pub max_calibration_age_days: f64,
-    pub min_archive_hours: f64,
-}
-
-impl Default for Preflight {
-    fn default() -> Self {
-        Self {
-            max_clock_error_ms: 100.0,
-            max_calibration_age_days: 365.0,
-            min_archive_hours: 12.0,
-        }
+defaults! {
+    /// What is demanded before the flight.
+    Preflight {
+        max_clock_error_ms: f64 = 100.0,
+        max_calibration_age_days: f64 = 365.0,
+        min_archive_hours: f64 = 12.0,
     }
 }
 
-/// How scenes are simulated.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Simulation {
-    pub seed: u64,
-    pub start_utc: Option<Timestamp>,
-}
-
-impl Default for Simulation {
-    fn default() -> Self {
-        Self {
-            seed: 1,
-            start_utc: None,
-        }
+defaults! {
+    /// How scenes are simulated.
+    Simulation {
+        seed: u64 = 1,
+        start_utc: Option<Timestamp> = None,
     }
 }

@@ -5,32 +5,18 @@ use crate::link::PortAddress;
 use crate::link::connection::EXPECTED;
 use std::path::PathBuf;
 
-/// Whether and how the navigation filter flies.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Navigation {
-    pub enabled: Switch,
-    /// NAV.toml.
-    pub settings: Option<PathBuf>,
-    pub imu_port: Option<String>,
-    pub gps_port: Option<String>,
-    pub gps_baud: u32,
-    pub rate_hz: f64,
-    pub send: Switch,
-    pub max_sigma_arcsec: f64,
-}
-
-impl Default for Navigation {
-    fn default() -> Self {
-        Self {
-            enabled: Switch::Off,
-            settings: None,
-            imu_port: None,
-            gps_port: None,
-            gps_baud: 9600,
-            rate_hz: 20.0,
-            send: Switch::Off,
-            max_sigma_arcsec: 60.0,
-        }
+defaults! {
+    /// Whether and how the navigation filter flies.
+    Navigation {
+        enabled: Switch = Switch::Off,
+        /// NAV.toml.
+        settings: Option<PathBuf> = None,
+        imu_port: Option<String> = None,
+        gps_port: Option<String> = None,
+        gps_baud: u32 = 9600,
+        rate_hz: f64 = 20.0,
+        send: Switch = Switch::Off,
+        max_sigma_arcsec: f64 = 60.0,
     }
 }
 

@@ -149,7 +149,7 @@ impl Role {
                 }
             }
         };
-        roles.iter().enumerate().map(|one| number(one)).collect()
+        roles.iter().enumerate().map(&mut number).collect()
     }
 
     /// What a camera of a number on the line is called, where the number alone tells.
