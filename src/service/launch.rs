@@ -14,9 +14,9 @@ use super::shutter::Shutter;
 use super::solvers::{Shelf, solver_with};
 use super::solving::Solving;
 use super::tallies::{CameraTallies, Tallies};
+use super::tally::FlightTally;
 use super::watch::{Signals, Watch};
 use super::worker::Worker;
-use super::{SAVED_VALUES, Service};
 use crate::commands::controls::{Controls, SavedValues, ValueSaver};
 use crate::config::Host;
 use crate::link::{Connection, Counters};
@@ -38,6 +38,19 @@ const CAMERA_PATIENCE: Duration = Duration::from_secs(10);
 const SOLVER_PATIENCE: Duration = Duration::from_secs(5);
 /// Of the navigation, for the archive: seconds of three logs.
 const NAVIGATION_ROWS: usize = 64;
+
+/// How long the start waits for the saved values, and the end for the last of them to be saved.
+pub(super) const SAVED_VALUES: Duration = Duration::from_millis(500);
+
+/// A running service.
+pub struct Service {
+    pub(super) watch: JoinHandle<FlightTally>,
+    /// Only where values set by command are saved.
+    pub(super) values: Option<JoinHandle<u64>>,
+    pub(super) controls: Controls,
+    pub(super) tallies: Tallies,
+    pub(super) signals: Arc<Signals>,
+}
 
 /// Starts the threads of a flight; every answer goes to the watcher, too.
 pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io::Result<Service> {

@@ -65,6 +65,7 @@ mod worker;
 
 pub use archiver::DiskHealth;
 pub use flight::{CameraFactory, ClaimError, Flight, FlightCamera, Navigation};
+pub use launch::Service;
 pub use messages::{Answer, Found, SeenRoll, Solved, SolvedMoon, SolvedSun, Station};
 pub use tally::{
     ArchiveTally, CameraSolved, CameraTally, FlightTally, LineTally, NavigationTally, SolverTally,
@@ -74,25 +75,10 @@ pub use tally::{
 use crate::commands::controls::Controls;
 use crate::link::Housekeeping;
 use crossbeam_channel::{Receiver, unbounded};
-use std::sync::Arc;
+use launch::SAVED_VALUES;
 use std::sync::atomic::Ordering;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
-use tallies::Tallies;
-use watch::Signals;
-
-/// How long the start waits for the saved values, and the end for the last of them to be saved.
-const SAVED_VALUES: Duration = Duration::from_millis(500);
-
-/// A running service.
-pub struct Service {
-    watch: JoinHandle<FlightTally>,
-    /// Only where values set by command are saved.
-    values: Option<JoinHandle<u64>>,
-    controls: Controls,
-    tallies: Tallies,
-    signals: Arc<Signals>,
-}
 
 /// A thread of the service that ended by a panic.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
