@@ -142,6 +142,27 @@ fn two_cameras_of_a_role_and_a_fifth_need_no_more_than_a_table() {
     assert!(u64::from(last[&2].fine) <= solved(2) as u64);
 }
 
+#[test]
+fn more_cameras_than_the_line_has_numbers_for_are_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("many.toml");
+    let table = |n: usize| format!("[a{n}_camera]\nrole = \"roll\"\nsource = \"simulated\"\n");
+    for (cameras, refused) in [(9, None), (10, Some("a9_camera.source"))] {
+        let further: String = (0..cameras).map(table).collect();
+        fs::write(
+            &file,
+            format!("[camera]\nsource = \"simulated\"\n{further}"),
+        )
+        .unwrap();
+        let (_, remarks) = Plan::survey(Some(&file), &Options::default());
+        let key = remarks
+            .errors()
+            .next()
+            .map(|error| error.what.field.clone());
+        assert_eq!(key.as_deref(), refused, "{cameras}");
+    }
+}
+
 fn solaspect(arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
     let command = command.args(arguments).env_remove("RUST_LOG");

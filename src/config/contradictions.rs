@@ -66,10 +66,27 @@ impl Config {
             .filter(|camera| camera.name != first.name);
         let cameras = std::iter::once(first).chain(others);
         let mut found: Vec<Refused> = cameras.flat_map(exposure).collect();
+        found.extend(self.too_many_cameras());
         found.extend(self.space());
         found.extend(self.sending_camera(pitch_yaw_cameras));
         found.extend(self.shared_ports());
         found
+    }
+
+    /// Cameras for which the line has no number.
+    fn too_many_cameras(&self) -> Option<Refused> {
+        let roles: Vec<Role> = self.cameras.flying().map(|camera| camera.role).collect();
+        let numbers = Role::numbers(&roles).into_iter();
+        let (_, camera) = numbers
+            .zip(self.cameras.flying())
+            .find(|(number, _)| *number > Role::MOST_NUMBERED)?;
+        Some(Refused {
+            key: format!("{}.source", camera.name).into(),
+            expected:
+                "at most eight cameras beside five of the plate and the first of each other role"
+                    .into(),
+            found: format!("{} cameras", roles.len()),
+        })
     }
 
     fn space(&self) -> impl Iterator<Item = Refused> {

@@ -13,7 +13,7 @@ pub fn example() -> String {
     let mut text = String::from(
         "# The configuration of solaspect: every parameter with its default. A file may leave out any of them;\n\
          # those that are commented out here are unset by default.\n\
-         # Further cameras have tables of their own, [NAME_camera], with role = \"pitch_yaw\", \"roll\" or \"moon\".\n",
+         # Further cameras have tables of their own, [NAME_camera], whose role is \"pitch_yaw\", \"roll\" or \"moon\".\n",
     );
     for (table, rows) in tables() {
         text += &format!("\n[{table}]\n");

@@ -74,7 +74,7 @@ impl Config {
         let key = format!("{table}.role");
         let is_known = self.cameras.named(table).is_some();
         let is_camera =
-            is_known || (table.ends_with("_camera") && (role.is_some() || !is_misspelled(table)));
+            is_known || (is_camera_name(table) && (role.is_some() || !is_misspelled(table)));
         let stated = match (&role, is_camera) {
             (Some(_), false) => return Err(unknown(path, &key)),
             (None, false) => return Ok(()),
@@ -111,6 +111,12 @@ impl Config {
             .set_from_toml(self, table, value)
             .map_err(|refused| TomlError::new(path, &key, refused.expected, refused.found))
     }
+}
+
+/// Whether a table may be a camera's by its name, which files may have without quotes.
+fn is_camera_name(table: &str) -> bool {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    table.ends_with("_camera") && table.chars().all(is_plain)
 }
 
 /// Whether a table is called nearly as one that is known.
@@ -228,6 +234,10 @@ mod tests {
             (
                 "[link]\nrole = \"roll\"\n",
                 "link.role: expected a known key",
+            ),
+            (
+                "[\"my own_camera\"]\nrole = \"roll\"\n",
+                "my own_camera.role: expected a known key",
             ),
         ] {
             let message = parse(text).unwrap_err();

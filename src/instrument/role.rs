@@ -80,6 +80,8 @@ impl Role {
     pub const NAMES: [&'static str; Self::COUNT] = [ROLES[0].name, ROLES[1].name, ROLES[2].name];
     /// The largest number on the line of a role's first camera.
     const LAST: u8 = 7;
+    /// The largest that a picture has room for.
+    pub const MOST_NUMBERED: u8 = 15;
 
     fn names(self) -> &'static Names {
         &ROLES[self as usize]
