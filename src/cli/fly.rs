@@ -5,7 +5,7 @@ mod live;
 use super::options::{self, ConfigurationArgs};
 use super::output::say;
 use crate::camera::Source;
-use crate::plan::{Plan, Remarks, Replay};
+use crate::plan::{Plan, Remarks, Replay, Severity};
 use crate::provenance;
 use crate::service::{Flight, FlightTally, Service};
 use anyhow::bail;
@@ -110,7 +110,10 @@ fn say_who_flies(plan: &Plan, flight: &Flight) {
 /// What is wrong with a plan that flies by force, and what one should know of any.
 fn say_what_is_odd(remarks: &Remarks) {
     for remark in &remarks.list {
-        tracing::warn!("{remark}");
+        match remark.severity {
+            Severity::Error => tracing::error!("{}", remark.what),
+            Severity::Warning => tracing::warn!("{}", remark.what),
+        }
     }
     let errors = remarks.errors().count();
     if errors > 0 {
