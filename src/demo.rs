@@ -154,7 +154,9 @@ pub fn run(
 ) -> anyhow::Result<Summary> {
     let instrument = instrument::builtin("demo")?;
     let start = launch_day()?;
-    let (cameras, truth, gondola) = cameras(demo, &instrument, start)?;
+    let config = configuration(demo);
+    let settings = config.cameras.first().settings();
+    let (cameras, truth, gondola) = cameras(demo, &instrument, &settings, start)?;
     let (near, line) = SerialPort::pair()?;
     let (gps_near, gps_far) = SerialPort::pair()?;
     let gps = Some(Box::new(gps_far) as Box<dyn BytePort + Send>);
@@ -162,7 +164,7 @@ pub fn run(
     let store = Store::open(&demo.archive, &instrument.name, Compression::Rice)?;
     let arcsec_per_mil = instrument.optics.arcsec_per_mil();
     let flight = Flight {
-        config: configuration(demo),
+        config,
         line: Connection::over(near),
         stores: vec![store],
         navigation: Some(navigation(Connection::over(gps_near), start)?),
@@ -254,19 +256,16 @@ fn configuration(demo: &Demo) -> Config {
 fn cameras(
     demo: &Demo,
     instrument: &Instrument,
+    settings: &CameraSettings,
     start: Timestamp,
 ) -> anyhow::Result<(Vec<FlightCamera>, TruthLog, SwingingGondola)> {
-    let config = configuration(demo);
     let simulated = |view, settings: &CameraSettings| {
         SimulatedCamera::new(view, settings, start, Some(demo.duration))
     };
     let course = trajectory(demo, instrument, start)?;
     let radius_mil = radius_mil(instrument, start)?;
     let scenes = FlightScenes::new(instrument, course, radius_mil, demo.seed)?;
-    let sun = simulated(
-        View::Plate(Box::new(scenes)),
-        &config.cameras.first().settings(),
-    );
+    let sun = simulated(View::Plate(Box::new(scenes)), settings);
     let truth = sun.truth();
     let plate = Camera {
         toml: builtin_text("demo").map(str::to_owned),

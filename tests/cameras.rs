@@ -61,7 +61,7 @@ fn flown(plan: &Plan, duration: Duration) -> (Vec<Answer>, Vec<TelemetryPacket>)
         duration: Some(duration),
         ..Replay::default()
     };
-    let mut flight = Flight::of_plan(plan, replay);
+    let mut flight = Flight::of_plan(plan, replay).unwrap();
     flight.line = Connection::over(near);
     let (service, answers) = Service::start_watched(flight).unwrap();
     let mut parser = Parser::new(Direction::ToController);
@@ -214,6 +214,18 @@ fn what_preflight_calls_an_error_flies_only_by_force_and_the_log_says_so() {
     for words in [error, "flies by --force", "roll.max_age_s: expected"] {
         assert!(log.contains(words), "{words} in {log}");
     }
+    // Without the camera that commands speak of nothing flies.
+    let config = "[camera]\nsource = \"simulated\"\ninstrument = \"/nowhere/i.toml\"\n[second_camera]\nsource = \"simulated\"\n";
+    fs::write(at("second.toml"), config).unwrap();
+    let second = [
+        "fly",
+        "--config",
+        &at("second.toml"),
+        "--duration",
+        "1s",
+        "--force",
+    ];
+    assert_eq!(solaspect(&second).status.code(), Some(1));
     assert!(
         frames_in(&folder.path().join("archive")).len() >= 3,
         "{log}"

@@ -41,13 +41,17 @@ impl Camera {
     }
 }
 
-/// Labels cameras that fly together, each otherwise than those before it.
-pub fn tell_apart(cameras: &mut [Camera]) {
+/// Labels cameras that fly together, so that the folders which are named by labels differ.
+pub fn tell_apart(cameras: &mut [Camera], folder: impl Fn(&str) -> String) {
     for index in 0..cameras.len() {
         let (before, rest) = cameras.split_at_mut(index);
         let camera = &mut rest[0];
         let shared = camera.label.clone();
-        let is_taken = |label: &String| before.iter().any(|other| other.label == *label);
+        let is_taken = |label: &String| {
+            before
+                .iter()
+                .any(|other| folder(&other.label) == folder(label))
+        };
         let labels = (1..).map(|ordinal| of_several(&shared, ordinal));
         camera.label = { labels }.find(|label| !is_taken(label)).unwrap_or(shared);
         if let Sees::Plate(instrument) = &mut camera.sees {

@@ -27,7 +27,7 @@ pub struct FlyArgs {
     /// End after this time [default: fly until SIGTERM, SIGINT or SIGHUP]
     #[arg(long, value_name = "TIME", value_parser = options::duration)]
     duration: Option<Duration>,
-    /// Fly although the plan has errors (see `solaspect config check`): what is wrong is left out, or stays at its default
+    /// Fly although the plan has errors (see `solaspect config check`): what is wrong is left out, or stays at its default; without the first camera nothing flies
     #[arg(long)]
     force: bool,
 }
@@ -38,14 +38,15 @@ const ENDING: Duration = Duration::from_millis(1500);
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     let (plan, remarks) = Plan::survey(args.over.config.as_deref(), &args.over.options());
     let errors: Vec<String> = remarks.errors().map(|one| one.what.to_string()).collect();
-    if !errors.is_empty() && !args.force {
+    let is_forced = args.force && plan.has_first_camera();
+    if !errors.is_empty() && !is_forced {
         bail!("{}", errors.join("\n"));
     }
     let replay = Replay {
         duration: args.duration,
         speed: args.speed,
     };
-    let mut flight = Flight::of_plan(&plan, replay);
+    let mut flight = Flight::of_plan(&plan, replay)?;
     say_who_flies(&plan, &flight);
     say_what_is_odd(&remarks);
     flight.claim()?;

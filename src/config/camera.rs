@@ -43,9 +43,14 @@ impl Cameras {
         self.iter().filter(|camera| camera.source.is_some())
     }
 
-    /// Adds a camera.
+    /// Adds a camera, among those that were added by name: numbers on the line follow their order.
     pub(super) fn push(&mut self, camera: ConfiguredCamera) {
-        self.0.push(camera);
+        let usual = Role::tables().count();
+        let later = self.0[usual..]
+            .iter()
+            .position(|other| other.name > camera.name);
+        self.0
+            .insert(later.map_or(self.0.len(), |at| usual + at), camera);
     }
 }
 

@@ -110,7 +110,7 @@ impl Config {
         let sending = self.link.sending_camera;
         (sending as usize > pitch_yaw_cameras.max(1)).then(|| Refused {
             key: "link.sending_camera".into(),
-            expected: "a pitch-yaw camera that flies: 1, and 2 with a second_camera.source".into(),
+            expected: format!("a pitch-yaw camera that flies: at most {pitch_yaw_cameras}"),
             found: sending.to_string(),
         })
     }

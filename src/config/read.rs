@@ -51,7 +51,14 @@ impl Config {
         match content {
             toml::Value::Table(mut values) if is_known || !values.is_empty() => {
                 let role = self.read_role(path, table, values.remove("role"));
-                errors.extend(role.err());
+                let is_camera = is_known || !is_camera_name(table);
+                if let Err(wrong) = role {
+                    errors.push(wrong);
+                    if !is_camera {
+                        // Its keys are those of a camera of which nobody knows what it is for.
+                        return;
+                    }
+                }
                 let mut keyed = |(name, value): (&String, &toml::Value)| {
                     self.read_value(path, table, name, value)
                 };

@@ -93,7 +93,7 @@ macro_rules! camera_rows {
     ]};
 }
 
-/// The cameras by role: two that see a plate, the one for roll, and the one that sees the Moon.
+/// The usual cameras: two that see a plate, one for roll, and one that sees the Moon, unless a file gives them another role.
 fn cameras() -> impl Iterator<Item = Parameter> {
     let camera = camera_rows!(
         camera,
@@ -198,7 +198,7 @@ static TABLE: &[Parameter] = &[
     row!(navigation.enabled, "", Name(&["off", "on"]),
         "Whether the inertial filter runs: attitude between frames and in gaps by gyros (docs/navigation.md)."),
     row!(navigation.settings, "", Text, sample Sample::Text("/etc/solaspect/nav.toml"),
-        "The file that states the errors of IMU, GPS and cameras, their axes and delays (docs/navigation.md). Its cameras have the names of the tables here: camera, second_camera, roll_camera, moon_camera; cameras that it does not name are not used."),
+        "The file that states the errors of IMU, GPS and cameras, their axes and delays (docs/navigation.md). Its cameras have the names of the tables here: camera, second_camera, roll_camera, moon_camera, and those of further ones; cameras that it does not name are not used."),
     row!(navigation.imu_port, "", Text, sample Sample::Text("udp:192.168.2.1:3000@3000"),
         "Where the IMU's samples (telemetry packets of type 0x71, docs/protocol.md) come from; unset, over the controller's line. As link.port; over UDP with the local port that the IMU sends to."),
     row!(navigation.gps_port, "", Text, sample Sample::Text("/dev/serial/by-id/usb-gps"),

@@ -92,7 +92,7 @@ macro_rules! switch {
 pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["fine"],
-        good: "grows with `taken`",
+        good: "grows with the frames of the first pitch-yaw camera",
         otherwise: "`coarse`: part of the disc, or too few marks; `none`: no Sun; `stopped` says at which stage",
         rules: &[Rule {
             name: "fine",

@@ -16,8 +16,9 @@ struct Names {
     /// In the configuration.
     name: &'static str,
     in_words: &'static str,
-    /// What it looks at.
+    /// What it looks at, and the command that finds that in a file.
     target: &'static str,
+    command: &'static str,
     /// The tables of the configuration whose cameras have this role unless they say otherwise.
     tables: &'static [&'static str],
     /// Frames, folders and logs of its camera, and its instrument in headers; none where the instrument has a name of its own.
@@ -44,6 +45,7 @@ const ROLES: [Names; Role::COUNT] = [
         name: "pitch_yaw",
         in_words: "pitch-yaw camera",
         target: "Sun",
+        command: "solve",
         tables: &["camera", "second_camera"],
         label: None,
         number: 1,
@@ -54,6 +56,7 @@ const ROLES: [Names; Role::COUNT] = [
         name: "roll",
         in_words: "roll camera",
         target: "horizon",
+        command: "horizon",
         tables: &["roll_camera"],
         label: Some("roll"),
         number: 6,
@@ -64,6 +67,7 @@ const ROLES: [Names; Role::COUNT] = [
         name: "moon",
         in_words: "Moon camera",
         target: "Moon",
+        command: "moon",
         tables: &["moon_camera"],
         label: Some("moon"),
         number: 7,
@@ -71,7 +75,8 @@ const ROLES: [Names; Role::COUNT] = [
     },
 ];
 
-/// Pitch-yaw cameras have the numbers from 1 to this on the line; further cameras of other roles those above [`Role::LAST`].
+/// Pitch-yaw cameras have the numbers from 1 to this on the line; those that are left, and further cameras of other roles, those above
+/// [`Role::LAST`].
 const MOST_PITCH_YAW: u8 = 5;
 
 impl Role {
@@ -98,6 +103,11 @@ impl Role {
     /// What it looks at.
     pub fn target(self) -> &'static str {
         self.names().target
+    }
+
+    /// The command of the program that finds it in a file.
+    pub fn command(self) -> &'static str {
+        self.names().command
     }
 
     /// The file that a camera needs to fly; `None` where it needs none.
@@ -139,19 +149,19 @@ impl Role {
     /// Numbers on the line of cameras of these roles, in their order. Those of a role's first camera are always the same.
     pub fn numbers(roles: &[Self]) -> Vec<u8> {
         let mut further = Self::LAST;
-        let mut number = |(index, role): (usize, &Self)| {
-            let before = roles[..index].iter().filter(|other| *other == role).count() as u8;
+        let number = |(index, role): (usize, &Self)| {
+            let before = roles[..index].iter().filter(|other| *other == role).count();
             let first = role.names().number;
-            match role {
-                _ if before == 0 => first,
-                Self::PitchYaw if first + before <= MOST_PITCH_YAW => first + before,
+            match u8::try_from(before).map_or(u8::MAX, |before| first.saturating_add(before)) {
+                number if before == 0 => number,
+                number if *role == Self::PitchYaw && number <= MOST_PITCH_YAW => number,
                 _ => {
-                    further += 1;
+                    further = further.saturating_add(1);
                     further
                 }
             }
         };
-        roles.iter().enumerate().map(&mut number).collect()
+        roles.iter().enumerate().map(number).collect()
     }
 
     /// What a camera of a number on the line is called, where the number alone tells.

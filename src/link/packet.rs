@@ -312,7 +312,7 @@ mod tests {
     #[test]
     fn telemetry_is_known_by_its_type_and_its_way() {
         let header = |kind, source| [SYNC[0], SYNC[1], kind, source, 7, 1];
-        for kind in [0x03, 0x70, 0x82, 0x83, 0xE1] {
+        for kind in [0x03, 0x70, 0x72, 0x82, 0x83, 0xE1] {
             assert_eq!(
                 Packet::length(ToController, &header(kind, 0x30)),
                 Some(16 + 263)

@@ -1,4 +1,4 @@
-//! What of a configuration contradicts itself, or cannot be meant, told without a look at any other file.
+//! What of a configuration contradicts itself, or cannot be meant. Of other files only the key of the line is read.
 
 use super::Remarks;
 use crate::camera::Source;
@@ -11,7 +11,10 @@ pub(super) fn check(config: &Config, remarks: &mut Remarks) {
     }
     for camera in config.cameras.flying() {
         exposure(camera, remarks);
-        waits(camera, config, remarks);
+        let first = config.cameras.flying().find(|one| one.role == camera.role);
+        if first.is_some_and(|first| first.name == camera.name) {
+            waits(camera, config, remarks);
+        }
         if let Some(source @ Source::Gige(_)) = &camera.source
             && cfg!(not(feature = "gige"))
         {
@@ -31,7 +34,7 @@ pub(super) fn check(config: &Config, remarks: &mut Remarks) {
     }
 }
 
-/// Whether what is asked of a camera comes in time: a roll that is too old for the next frame of the Sun before the next of the horizon comes, and a
+/// Whether what is asked of the first camera of its role comes in time: a roll that is too old for the next frame of the Sun before the next of the horizon comes, and a
 /// request for the Moon, which waits for the exposure that runs, the next one, and its reading.
 fn waits(camera: &ConfiguredCamera, config: &Config, remarks: &mut Remarks) {
     let period_s = 1.0 / camera.rate_hz;

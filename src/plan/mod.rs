@@ -31,7 +31,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// What the command line says instead of the configuration.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
     pub instrument: Option<PathBuf>,
     pub camera: Option<Source>,
@@ -114,10 +114,14 @@ impl Default for Replay {
 }
 
 impl Plan {
-    /// Reads a configuration (the defaults without a file) and every file that it names, and checks all against each other. What is wrong is left
-    /// out of the plan, or stays at its default, and is an error among the remarks.
+    /// Reads a configuration (the defaults without a file) and the files of its instruments, navigation and sky, and checks all against each other. What
+    /// is wrong is left out of the plan, or stays at its default, and is an error among the remarks.
     pub fn survey(file: Option<&Path>, options: &Options) -> (Self, Remarks) {
-        let mut remarks = Remarks::of(file.unwrap_or(Path::new("defaults")));
+        let nobody = match *options == Options::default() {
+            true => "defaults",
+            false => "the command line",
+        };
+        let mut remarks = Remarks::of(file.unwrap_or(Path::new(nobody)));
         let mut config = Config::default();
         let read = |file: &Path| {
             let text = read_text(file)?;
@@ -160,13 +164,22 @@ impl Plan {
                 remarks.error("target", expected, error.to_string());
             }
         });
-        let line = config.link.address().and_then(|address| {
-            let local = config.link.local_end()?;
-            Ok(address.map(|address| (address, local)))
-        });
+        // A line that is not as it was meant is none: its guard may be what is wrong.
+        let line = match remarks
+            .errors()
+            .any(|one| one.what.field.starts_with("link."))
+        {
+            true => None,
+            false => config
+                .link
+                .address()
+                .ok()
+                .flatten()
+                .zip(config.link.local_end().ok()),
+        };
         let plan = Self {
             navigation: navigation(&config, remarks),
-            line: line.ok().flatten(),
+            line,
             cameras,
             orientation,
             target: target.unwrap_or_default(),
@@ -192,6 +205,14 @@ impl Plan {
     pub fn controls(&self) -> Controls {
         let cameras = self.cameras.iter().map(|one| &one.camera);
         Controls::of_flight(self.config.clone(), self.target, cameras)
+    }
+
+    /// Whether the camera that commands speak of is there: nothing flies without it.
+    pub fn has_first_camera(&self) -> bool {
+        let first = &self.config.cameras.first().name;
+        self.cameras
+            .first()
+            .is_some_and(|one| one.camera.name == *first)
     }
 
     pub fn ephemeris(&self) -> Ephemeris {
@@ -249,8 +270,8 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
         });
     }
     let mut cameras: Vec<Camera> = planned.iter().map(|one| one.camera.clone()).collect();
-    tell_apart(&mut cameras);
-    let is_alone = cameras.len() == 1;
+    tell_apart(&mut cameras, plain);
+    let is_alone = config.cameras.flying().count() == 1;
     for (planned, camera) in planned.iter_mut().zip(cameras) {
         planned.camera = camera;
         if !is_alone {
@@ -268,6 +289,8 @@ fn navigation(config: &Config, remarks: &mut Remarks) -> Option<PlannedNavigatio
     let settings = navigation::NavigationSettings::parse(path, &toml);
     let settings = settings.and_then(|settings| settings.for_flight(path, &names));
     let settings = remarks.noted(settings)?;
+    // What is wrong with these has been said.
+    let (imu, gps) = (own.imu_address().ok()?, own.gps_address().ok()?);
     if settings.plumb_rad <= 0.0 && settings.cameras.len() < 2 {
         let expected = "filter.plumb_sigma_deg in its file, or a second camera: one direction tells no attitude";
         remarks.warn("navigation.settings", expected, "neither");
@@ -275,9 +298,8 @@ fn navigation(config: &Config, remarks: &mut Remarks) -> Option<PlannedNavigatio
     Some(PlannedNavigation {
         settings,
         toml,
-        // What is wrong with these has been said.
-        imu: own.imu_address().ok().flatten(),
-        gps: own.gps_address().ok().flatten(),
+        imu,
+        gps,
     })
 }
 

@@ -1,7 +1,7 @@
 //! Whether a camera answers, with the settings it was given, and what the flight's solver finds in its frames.
 
 use super::Finding;
-use super::bounded::within;
+use super::bounded::{findings_within, within};
 use crate::aspect::Quality;
 use crate::calibrate::check;
 use crate::camera::{
@@ -12,6 +12,7 @@ use crate::frame::Frame;
 use crate::instrument::{Role, WrongSize};
 use crate::moon;
 use crate::plan::{Plan, PlannedCamera, Replay};
+use crate::reasons::horizon::NOT_ABOVE_LIMB;
 use crate::service::messages::UnsolvedFrame;
 use crate::service::solvers::{Solver, solver};
 use crate::service::{Found, SeenRoll, Solved};
@@ -58,8 +59,6 @@ impl Trial {
 /// What taking frames gave.
 struct TrialFrames {
     last: Option<Exposure>,
-    /// What the last one shows.
-    solved: Option<Result<Solved, WrongSize>>,
     taken: u32,
     failed: Option<String>,
     /// From the first frame to the last.
@@ -72,43 +71,53 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     let (of_plan, of_camera) = (plan.clone(), planned.clone());
     let take = move || {
         let mut trial = Trial::open(&of_plan, &of_camera)?;
-        let mut frames = take_frames(trial.source.as_mut(), of_camera.configured.rate_hz);
-        let last = frames.last.clone();
-        frames.solved = last.map(|exposure| trial.solve(exposure));
-        Ok::<_, CameraError>(frames)
+        let frames = take_frames(trial.source.as_mut(), of_camera.configured.rate_hz);
+        Ok::<_, CameraError>((trial, frames))
     };
-    let frames = match within(PATIENCE + LONGEST, take) {
-        Ok(Ok(frames)) => frames,
+    let (trial, frames) = match within(PATIENCE + LONGEST, take) {
+        Ok(Ok(taken)) => taken,
         Ok(Err(error)) => return vec![Finding::fail(check, error.to_string(), PLUG)],
         Err(no_answer) => return vec![Finding::fail(check, no_answer.to_string(), PLUG)],
     };
-    let Some((exposure, solved)) = frames.last.as_ref().zip(frames.solved.as_ref()) else {
+    let Some(exposure) = frames.last.clone() else {
         let reason = frames.failed.unwrap_or("no frame came".into());
         let found = format!("{}: {reason}", planned.source);
         return vec![Finding::fail(check, found, PLUG)];
     };
-    let frame = &exposure.frame;
     let mut findings = vec![
         rate(planned, &frames),
-        settings(planned, frame, &frames.health),
+        settings(planned, &exposure.frame, &frames.health),
     ];
     findings.extend(health(check, &frames));
-    let own_file = "give the camera its own instrument file";
-    if let Err(wrong) = planned.camera.sees.check(frame) {
-        findings.push(Finding::fail(check, wrong, own_file));
-    } else if let Ok(solved) = solved {
-        findings.extend(light(check, solved, planned.camera.role));
-        findings.extend(contradicted(check, solved));
-        findings.extend(shows(&planned.camera, solved));
+    match planned.camera.sees.check(&exposure.frame) {
+        Ok(()) => findings.extend(solves(trial, planned.camera.clone(), exposure)),
+        Err(wrong) => {
+            let remedy = "give the camera its own instrument file";
+            findings.push(Finding::fail(check, wrong, remedy));
+        }
     }
     findings
+}
+
+/// Solves a frame of the right size, and judges its light.
+fn solves(mut trial: Trial, camera: Camera, exposure: Exposure) -> Vec<Finding> {
+    let check = format!("{} solves", camera.name);
+    let makers = "tell the program's makers";
+    findings_within(PATIENCE, &check, makers, move || {
+        let Ok(solved) = trial.solve(exposure) else {
+            return Vec::new();
+        };
+        let light = light(&camera.name, &solved, camera.role);
+        let contradicted = contradicted(&camera.name, &solved);
+        let shown = shows(&camera, &solved);
+        light.into_iter().chain(contradicted).chain(shown).collect()
+    })
 }
 
 fn take_frames(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
     let wanted = (LOOK_S * rate_hz).clamp(5.0, 60.0) as u32;
     let mut trial = TrialFrames {
         last: None,
-        solved: None,
         taken: 0,
         failed: None,
         lasted: Duration::ZERO,
@@ -283,12 +292,19 @@ fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
     }
     let check = format!("{} solves", camera.name);
     let why = solved.stopped.map(|stopped| stopped.in_full());
-    let look = "look at the frame with --overlay of solve, horizon or moon";
+    let look = format!(
+        "look at the frame with `solaspect {} --overlay`",
+        camera.role.command()
+    );
     let Some(found) = solved.in_words() else {
         let found = format!("no {} ({})", camera.role.target(), why.unwrap_or_default());
         let is_hidden = |stage: &str| stage == moon::Stage::Sky.name();
         return Some(match solved.stopped {
             Some(stopped) if is_hidden(stopped.stage) => Finding::pass(check, found),
+            Some(stopped) if stopped.rejected.reason == NOT_ABOVE_LIMB => {
+                let remedy = "no matter on the ground; else set roll.height_m";
+                Finding::warn(check, found, remedy)
+            }
             _ => {
                 let remedy = format!("no matter where none is in view; else {look}");
                 Finding::warn(check, found, &remedy)
@@ -303,6 +319,6 @@ fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
             Finding::warn(check, found, "is body_from_camera right?")
         }
         Quality::Fine => Finding::pass(check, found),
-        Quality::Coarse | Quality::None => Finding::warn(check, found, look),
+        Quality::Coarse | Quality::None => Finding::warn(check, found, &look),
     })
 }

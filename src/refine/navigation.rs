@@ -51,9 +51,12 @@ impl Navigation {
                 archive.name().display()
             ),
         };
-        given.settings = given
-            .settings
-            .for_flight(&given.path, &Role::table_names())?;
+        // A flight may have more cameras, whose tables end so.
+        let cameras = given.settings.cameras.clone();
+        let further = cameras.iter().map(|camera| camera.name.as_str());
+        let further = further.filter(|name| name.ends_with("_camera"));
+        let names: Vec<&str> = Role::table_names().into_iter().chain(further).collect();
+        given.settings = given.settings.for_flight(&given.path, &names)?;
         let epoch = given.settings.epoch_utc;
         Ok(Sensors {
             epoch: *given
@@ -99,9 +102,9 @@ pub(super) struct Sensors<'a> {
 impl Sensors<'_> {
     /// Refuses cameras of which nothing tells which one is the telescope's own.
     pub fn check(&self, cameras: &[CameraFrames]) -> anyhow::Result<()> {
-        let first = cameras.iter().filter(|camera| !is_second(camera));
+        let first = cameras.iter().filter(|camera| ordinal(camera) == 1);
         let first: Vec<&str> = first.map(|camera| camera.label.as_str()).collect();
-        let second = cameras.len() - first.len();
+        let second = cameras.iter().filter(|camera| ordinal(camera) == 2).count();
         ensure!(
             first.len() <= 1 && second <= 1,
             "--imu: expected one camera, and a second one whose name ends in \"-2\", found {} and {second} of these: refine the folder of one",
@@ -122,19 +125,19 @@ impl Sensors<'_> {
         Ok(())
     }
 
-    /// Notes the Sun of a camera's refined frame.
-    pub fn see_sun(&mut self, is_second: bool, row: &RefinedRow, instrument: &Instrument) {
-        let name = Role::PitchYaw.table(if is_second { 2 } else { 1 });
+    /// Notes the Sun of a refined frame of the pitch-yaw camera of an ordinal.
+    pub fn see_sun(&mut self, ordinal: usize, row: &RefinedRow, instrument: &Instrument) {
+        let name = Role::PitchYaw.table(ordinal);
         if let Some((utc, sun)) = row.utc().zip(row.sun_at_time()) {
             let direction = measured_sun_in_telescope(&sun, instrument);
             self.see(name, Target::Sun, utc, direction);
         }
     }
 
-    /// Notes the nadir of a frame of the roll camera.
-    pub fn see_nadir(&mut self, row: &RollRow) {
+    /// Notes the nadir of a frame of the roll camera of an ordinal.
+    pub fn see_nadir(&mut self, ordinal: usize, row: &RollRow) {
         if let Some((utc, nadir)) = row.utc().zip(row.nadir_at_time()) {
-            self.see(Role::Roll.table(1), Target::Nadir, utc, nadir);
+            self.see(Role::Roll.table(ordinal), Target::Nadir, utc, nadir);
         }
     }
 
@@ -332,8 +335,8 @@ fn set_rates(states: &mut [State]) {
     }
 }
 
-/// Whether a camera is the telescope's second one, by its name.
-pub(super) fn is_second(camera: &CameraFrames) -> bool {
+/// Which camera of its role it is, by its name, from 1.
+pub(super) fn ordinal(camera: &CameraFrames) -> usize {
     let name = camera.taken_by.instrument.as_deref();
-    name.is_some_and(|name| one_of_several(name).1 == 2)
+    name.map_or(1, |name| one_of_several(name).1)
 }

@@ -3,7 +3,7 @@
 use super::attitude::AttitudeFound;
 use super::files::{Files, Given};
 use super::history::{History, HistoryError};
-use super::navigation::{Navigation, Sensors, is_second};
+use super::navigation::{Navigation, Sensors, ordinal};
 use super::output::{Summary, Written, write, write_rows, write_stabilisation};
 use super::pointing::States;
 use super::recipe::Recipe;
@@ -224,6 +224,7 @@ impl Run<'_> {
         refined.notes.iter().for_each(|note| report.note(note));
         let (mut roll_rows, mut dips) = (RollRows::default(), Dips::default());
         if let Some((camera, recipe)) = cameras.roll.zip(recipes.roll.as_ref()) {
+            let roll_ordinal = ordinal(&camera);
             let done = pass.over(recipe, "frames", &camera.inputs)?;
             let history = RollHistory::new(done, camera, recipe, &pass.span)?;
             let summary = write_roll(pass.out, &history, recipe, |row| {
@@ -231,7 +232,7 @@ impl Run<'_> {
                 dips.see(row);
                 sensors
                     .iter_mut()
-                    .for_each(|sensors| sensors.see_nadir(row));
+                    .for_each(|sensors| sensors.see_nadir(roll_ordinal, row));
             })?;
             refined.count(history.len(), history.inputs());
             refined.roll = Some(RefinedRoll { history, summary });
@@ -239,7 +240,7 @@ impl Run<'_> {
         let is_one = cameras.plate.len() == 1;
         let mut seen = Vec::new();
         for (camera, recipe) in cameras.plate.into_iter().zip(recipes.plate) {
-            let (label, is_second) = (camera.label.clone(), is_second(&camera));
+            let (label, ordinal) = (camera.label.clone(), ordinal(&camera));
             let history = self.history(pass, camera, recipe, &sky, refined.roll.as_ref())?;
             let label = Some(label).filter(|_| !is_one);
             let folder = label
@@ -250,7 +251,7 @@ impl Run<'_> {
             let written = write_rows(&folder, &history, |row| {
                 rows.take(row);
                 let see = |sensors: &mut Sensors| {
-                    sensors.see_sun(is_second, row, history.instrument());
+                    sensors.see_sun(ordinal, row, history.instrument());
                 };
                 sensors.iter_mut().for_each(see);
             })?;

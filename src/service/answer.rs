@@ -19,31 +19,34 @@ impl Answer {
     pub(super) fn row(&self) -> LoggedRow {
         let (info, solved) = (&self.exposure.frame.info, &*self.solved);
         let (utc, time) = (info.mid_exposure, solved.solve_time);
-        let (mut record, stopped) = match &solved.found {
+        let row = match &solved.found {
             Found::Sun(sun) => {
-                let solution = &sun.solution;
-                let record = Record::new("", utc, solution, sun.offset, Some(time));
-                (record, solution.stopped.map(|stopped| stopped.stage))
+                let record = Record::new("", utc, &sun.solution, sun.offset, Some(time));
+                LoggedRow::new(info.number, &sun.solution, record)
             }
-            Found::Nadir(solution) => (Record::of_horizon(utc, solution, time), None),
+            Found::Nadir(solution) => {
+                LoggedRow::bare(info.number, Record::of_horizon(utc, solution, time))
+            }
             Found::Moon(moon) => {
-                let direction = moon.direction.as_ref();
-                (Record::of_moon(utc, &moon.found, direction, time), None)
+                let record = Record::of_moon(utc, &moon.found, moon.direction.as_ref(), time);
+                LoggedRow::bare(info.number, record)
             }
             Found::Nothing => {
-                let stopped = solved.stopped.map(|_| aspect::Stage::Levels);
-                (
-                    Record::unsolved(utc, solved.stopped.as_ref(), time),
-                    stopped,
-                )
+                let record = Record::unsolved(utc, solved.stopped.as_ref(), time);
+                LoggedRow {
+                    stopped: solved.stopped.map(|_| aspect::Stage::Levels),
+                    ..LoggedRow::bare(info.number, record)
+                }
             }
         };
-        record.roll_deg = solved.roll.map(|roll| RollRecord::from(roll.deg));
         LoggedRow {
             quality: solved.quality,
             levels: solved.levels,
-            stopped,
-            ..LoggedRow::bare(info.number, record)
+            record: Record {
+                roll_deg: solved.roll.map(|roll| RollRecord::from(roll.deg)),
+                ..row.record
+            },
+            ..row
         }
     }
 }

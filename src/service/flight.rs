@@ -1,13 +1,14 @@
 //! What a flight is made of.
 
+use super::frames::stations;
 use super::messages::Station;
 use crate::archive::disk::{LocalDisk, Lock};
-use crate::archive::{ArchiveError, Flown, Store};
+use crate::archive::{ArchiveError, Store};
 use crate::bounded::within;
 use crate::camera::{Camera, CameraError, FrameSource};
 use crate::commands::controls::{SavedError, SavedValues};
-use crate::config::{Config, FlightClock};
-use crate::instrument::{Instrument, Role};
+use crate::config::{Config, FlightClock, Refused};
+use crate::instrument::Instrument;
 use crate::link::{Connection, LocalEnd, PortAddress};
 use crate::navigation::NavigationSettings;
 use crate::plan::{Plan, PlannedCamera, PlannedNavigation, Replay};
@@ -65,7 +66,10 @@ impl Flight {
     }
 
     /// The flight of a plan. Cameras, ports and disks are opened later, and those that are not there are looked for in flight.
-    pub fn of_plan(plan: &Plan, replay: Replay) -> Self {
+    ///
+    /// # Errors
+    /// A key of the line that can no longer be read.
+    pub fn of_plan(plan: &Plan, replay: Replay) -> Result<Self, Refused> {
         let camera = |planned: &PlannedCamera| FlightCamera {
             camera: planned.camera.clone(),
             source: None,
@@ -76,15 +80,15 @@ impl Flight {
         let folders = plan.folders().into_iter();
         let store =
             |folder: PathBuf| Store::new(Arc::new(LocalDisk), &folder, name, archive.packing());
-        Self {
+        Ok(Self {
             config: plan.config.clone(),
             target: plan.target,
             ephemeris: plan.ephemeris(),
-            line: line(plan),
+            line: line(plan)?,
             navigation: plan.navigation.as_ref().map(|own| navigation(plan, own)),
             stores: folders.map(store).collect(),
             ..Self::of(plan.cameras.iter().map(camera).collect())
-        }
+        })
     }
 
     /// Takes archives and saved values for this program alone, before anything is sent or a camera opened. Disks that are not there, or
@@ -145,18 +149,13 @@ impl Flight {
     }
 }
 
-/// The line to the controller. Without its guard nothing is taken from it, and nothing sent.
-fn line(plan: &Plan) -> Connection {
+/// The line to the controller.
+fn line(plan: &Plan) -> Result<Connection, Refused> {
     let Some((address, local)) = plan.line.clone() else {
-        return Connection::none();
+        return Ok(Connection::none());
     };
-    match plan.config.link.guard() {
-        Ok(guard) => Connection::to(address, plan.config.link.baud, local).guarded(guard),
-        Err(refused) => {
-            tracing::error!(%refused, "there is no line");
-            Connection::none()
-        }
-    }
+    let link = &plan.config.link;
+    Ok(Connection::to(address, link.baud, local).guarded(link.guard()?))
 }
 
 fn navigation(plan: &Plan, own: &PlannedNavigation) -> Navigation {
@@ -171,26 +170,6 @@ fn navigation(plan: &Plan, own: &PlannedNavigation) -> Navigation {
         gps: connection(&own.gps, plan.config.navigation.gps_baud),
         clock: plan.config.clock(),
     }
-}
-
-/// The places of cameras that fly together.
-pub(crate) fn stations(cameras: &[&Camera], configuration: &str) -> Vec<Arc<Station>> {
-    let roles: Vec<Role> = cameras.iter().map(|camera| camera.role).collect();
-    let numbers = Role::numbers(&roles);
-    let station = |(index, camera): (usize, &&Camera)| {
-        let flown = Flown::new(configuration.into(), camera.toml.clone());
-        Arc::new(Station {
-            camera: (*camera).clone(),
-            index,
-            ordinal: roles[..=index]
-                .iter()
-                .filter(|role| **role == camera.role)
-                .count(),
-            number: numbers[index],
-            flown: Arc::new(flown),
-        })
-    };
-    cameras.iter().enumerate().map(station).collect()
 }
 
 /// The navigation of a flight.

@@ -148,7 +148,7 @@ impl HousekeepingSource {
             stopped: stopped(&sun),
             camera_c: camera.health.temperature_c.map(|c| c as f32),
             solve_ms,
-            calibration_contradicted: tally.solver(Role::PitchYaw).contradicted,
+            calibration_contradicted: tally.solvers.iter().any(|one| one.solver.contradicted),
             silent_s: saturated(camera.silent.as_secs()),
             queued_frames: saturated(waiting as u64),
             roll_fine: count(&roll, Quality::Fine),
@@ -217,8 +217,11 @@ impl HousekeepingSource {
 /// What is told of a camera by itself; `None` of the first one of a role, of which the fields of housekeeping tell.
 fn further(camera: &CameraTallies) -> Option<CameraCounts> {
     let station = &camera.station;
+    if station.ordinal == 1 {
+        return None;
+    }
     let (taken, solver) = (camera.camera.copy(), camera.solver.copy());
-    (station.ordinal > 1).then(|| CameraCounts {
+    Some(CameraCounts {
         camera: station.number.into(),
         role: station.camera.role as u16,
         fine: saturated(solver.of(Quality::Fine)),

@@ -11,7 +11,7 @@ use super::navigation::{Inputs, Navigator};
 use super::priority::Rank;
 use super::shared::Shared;
 use super::shutter::Shutter;
-use super::solvers::{Shelf, solver_with};
+use super::solvers::{MakeSolver, Memory, Shelf};
 use super::solving::Solving;
 use super::tallies::{CameraTallies, Tallies};
 use super::tally::FlightTally;
@@ -62,7 +62,7 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
     let stations = flight.stations(&configuration);
     let counters = Arc::<Counters>::default();
     let stores = std::mem::take(&mut flight.stores);
-    let around = archiver::Around {
+    let around = archiver::Surroundings {
         stations: &stations,
         controls: &controls,
         ephemeris: &flight.ephemeris,
@@ -186,7 +186,7 @@ impl Crew {
         events: Receiver<LinkEvent>,
     ) -> io::Result<Worker> {
         let navigation = self.inputs.clone();
-        let around = line::Around {
+        let around = line::Surroundings {
             controls: self.controls.clone(),
             tally: self.tallies.line.clone(),
             counters: Arc::clone(&self.tallies.counters),
@@ -271,12 +271,15 @@ impl Crew {
             hearers,
             tally: tallies.solver.clone(),
         };
-        let shelf = self.shelf.of(&station);
+        let memory = Memory {
+            tally: tallies.solver.clone(),
+            ..Memory::default()
+        };
         let (host, ephemeris) = (self.host, self.ephemeris.clone());
+        let made = MakeSolver::new(&station, ephemeris, &self.shelf, memory);
         let name = format!("solver-{}", station.index + 1);
         let worker = Worker::start(name, Some(SOLVER_PATIENCE), move || {
-            let solver = solver_with(&station, ephemeris.clone(), shelf.clone());
-            let solving = solving.clone();
+            let (solving, solver) = (solving.clone(), made.make());
             host.hurried(Rank::Solver, move |life| solving.run(solver, life))
         })?;
         self.solvers.push(worker);

@@ -45,7 +45,7 @@ const OLDEST_OFFSET: Duration = Duration::from_millis(100);
 
 /// What the link's thread shares with the others.
 #[derive(Clone)]
-pub(super) struct Around {
+pub(super) struct Surroundings {
     pub controls: Controls,
     pub tally: Shared<LineTally>,
     pub counters: Arc<Counters>,
@@ -80,8 +80,8 @@ pub(super) struct Line<'a> {
 }
 
 impl<'a> Line<'a> {
-    pub fn new(connection: &'a mut Connection, around: Around) -> Self {
-        let Around {
+    pub fn new(connection: &'a mut Connection, around: Surroundings) -> Self {
+        let Surroundings {
             controls,
             tally,
             counters,
@@ -163,7 +163,10 @@ impl<'a> Line<'a> {
             LinkEvent::ExposureStarts(exposure) => self.announce(exposure),
             LinkEvent::Outcome(outcome) => self.conclude(&outcome),
             LinkEvent::Propagated(event) => self.propagate(&event),
-            LinkEvent::Housekeeping(time, told) => self.tell(told.packet(time)),
+            LinkEvent::Housekeeping(time, told) => {
+                let is_sent = self.tell(told.packet(time));
+                self.tally.lock().housekeeping += u64::from(is_sent);
+            }
             LinkEvent::Cameras(time, counts) => {
                 for counts in counts {
                     self.tell(counts.packet(time));
@@ -175,16 +178,15 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Tells the ground how all is.
-    fn tell(&mut self, packet: Result<TelemetryPacket, MessageError>) {
-        if self.backlog() > BACKLOG {
-            return;
-        }
+    /// Tells the ground how all is; whether the port took it.
+    fn tell(&mut self, packet: Result<TelemetryPacket, MessageError>) -> bool {
         match packet {
-            Ok(packet) => {
-                self.tally.lock().housekeeping += u64::from(self.send(&packet.encode()));
+            _ if self.backlog() > BACKLOG => false,
+            Ok(packet) => self.send(&packet.encode()),
+            Err(error) => {
+                self.note_unsaid(&error, "the ground was not told");
+                false
             }
-            Err(error) => self.note_unsaid(&error, "housekeeping was not sent"),
         }
     }
 

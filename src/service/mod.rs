@@ -16,7 +16,7 @@
 //! ```
 //!
 //! Each camera has a thread and a solver of its own, numbered in the order of the cameras; what the solver finds depends on what its camera sees
-//! ([`solvers`]). Only solvers of a plate tell the controller. That of the first roll camera leaves the latest nadir where these look. That of the first Moon camera
+//! (`solvers`). Only solvers of a plate tell the controller. That of the first roll camera leaves the latest nadir where these look. That of the first Moon camera
 //! leaves what it saw where the link looks, which answers requests for the Moon with it. Where a navigation filter flies, its thread takes what
 //! IMU, GPS and solvers say, and tells the link an offset at some of the IMU's samples. Every disk of the archive has two threads; while it
 //! compresses a picture, the first may start `archive.threads` less one for it.
@@ -30,7 +30,7 @@
 //! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
 //! | inputs | samples, fixes and directions for the filter | the input is lost and counted: no solver and no line waits for the filter |
 //! | navigation's rows | what the archive keeps of it, a second at a time, from navigation to watch (64), and on among the rows | the rows are lost and counted |
-//! | LinkEvent | exposures about to start, solutions, offsets by the gyros, housekeeping | the event is dropped and counted: the line is stuck |
+//! | LinkEvent | exposures about to start, solutions, offsets by the gyros, housekeeping, counts of further cameras, pictures | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
 //! the last of its work. The link goes on answering commands until the service is joined.
@@ -45,7 +45,8 @@
 
 mod answer;
 mod archiver;
-pub(crate) mod flight;
+mod flight;
+mod frames;
 mod housekeeping;
 mod launch;
 mod line;

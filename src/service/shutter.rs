@@ -12,7 +12,6 @@ use crate::camera::{
 };
 use crate::commands::controls::{Controls, Topic};
 use crate::frame::FrameInfo;
-use crate::instrument::Role;
 use crate::link::{self, Counters};
 use crate::log::worth_a_line;
 use crossbeam_channel::{Sender, TrySendError};
@@ -126,7 +125,7 @@ impl Shutter {
     }
 
     fn announce(&self, start: Timestamp) {
-        if self.station.camera.role != Role::PitchYaw {
+        if self.station.camera.sees.plate().is_none() {
             return;
         }
         let camera = self.station.number.into();

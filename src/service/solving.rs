@@ -17,6 +17,7 @@ use jiff::Timestamp;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use tracing::Level;
 
 /// How long a solver waits for a frame before it shows that it is at work.
 const PATIENCE: Duration = Duration::from_millis(200);
@@ -51,10 +52,8 @@ impl Solving {
             if life.is_over() {
                 return;
             }
-            let mut tally = self.tally.lock();
-            solver.leave(&frame, &solved, &mut tally);
-            self.note(&solved, solver.as_ref(), &mut tally);
-            drop(tally);
+            solver.leave(&frame, &solved);
+            self.note(&frame, &solved, solver.as_ref());
             let arrived = frame.arrived;
             let answer = Answer {
                 station: Arc::clone(&self.station),
@@ -85,25 +84,36 @@ impl Solving {
         let mut tally = self.tally.lock();
         tally.misfits += 1;
         if worth_a_line(tally.misfits) {
-            tracing::error!(error = %wrong, misfits = tally.misfits, "not this camera's frame");
+            let (camera, misfits) = (self.station.number, tally.misfits);
+            tracing::error!(camera, error = %wrong, misfits, "not this camera's frame");
         }
     }
 
-    fn note(&self, solved: &Solved, solver: &dyn Solver, tally: &mut SolverTally) {
+    fn note(&self, frame: &UnsolvedFrame, solved: &Solved, solver: &dyn Solver) {
+        let (camera, number) = (self.station.number, frame.exposure.frame.info.number);
         let (quality, solve_us) = (solved.quality.name(), solved.solve_time.as_micros() as u64);
-        tracing::debug!(camera = self.station.number, quality, solve_us, "solved");
-        *tally.solved.entry(solved.quality).or_default() += 1;
+        tracing::debug!(camera, number, quality, solve_us, "solved");
+        let mut tally = self.tally.lock();
+        if !matches!(solved.found, Found::Nothing) {
+            *tally.solved.entry(solved.quality).or_default() += 1;
+        }
         let Some(stopped) = &solved.stopped else {
             return;
         };
         let reason = (stopped.stage, stopped.rejected.reason);
-        let count = tally.reasons.entry(reason).or_default();
-        *count += 1;
-        if let Some(complaint) = solver.complaint(stopped.stage)
-            && worth_a_line(*count)
-        {
-            let (measured, limit) = (stopped.rejected.measured, stopped.rejected.limit);
-            tracing::warn!(reason = %stopped, measured, limit, frames = *count, "{complaint}");
+        let frames = tally.reasons.entry(reason).or_default();
+        *frames += 1;
+        let frames = *frames;
+        drop(tally);
+        let Some((level, words)) = solver.complaint(solved).filter(|_| worth_a_line(frames)) else {
+            return;
+        };
+        let (measured, limit) = (stopped.rejected.measured, stopped.rejected.limit);
+        match level {
+            Level::INFO => {
+                tracing::info!(camera, reason = %stopped, measured, limit, frames, "{words}");
+            }
+            _ => tracing::warn!(camera, reason = %stopped, measured, limit, frames, "{words}"),
         }
     }
 

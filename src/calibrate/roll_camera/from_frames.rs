@@ -47,7 +47,7 @@ pub fn from_frames(
         Reference::Sun(_) => files
             .iter()
             .cloned()
-            .partition(|file| role_of(file) == Some((Role::Roll, 1))),
+            .partition(|file| role_of(file).is_some_and(|(role, _)| role == Role::Roll)),
     };
     if of_horizon.is_empty() {
         let lacking = "expected frames of the roll camera (named roll_*), found none; with --attitude any name will do";

@@ -1,7 +1,7 @@
 //! The archive in flight: pictures and rows, each disk with two threads of its own.
 //!
 //! ```text
-//!  solver --- offer(answer) ---> Queue (queue_frames) ---> archive-1 ---> disk 1   frames
+//!  solver --- hear(answer) ----> Queue (queue_frames) ---> archive-1 ---> disk 1   frames
 //!     |                            \---------------------> archive-2 ---> disk 2
 //!     |                                                         | Fate: the file's name
 //!     \------- Entry (10,000) ----> log-1 <---------------------/         disk 1   log, telemetry
@@ -76,7 +76,7 @@ pub(super) struct Gauges {
 pub(super) struct Threads(Vec<Worker>);
 
 /// What the archive's threads need of the flight.
-pub(super) struct Around<'f> {
+pub(super) struct Surroundings<'f> {
     pub stations: &'f [Arc<Station>],
     pub controls: &'f Controls,
     pub ephemeris: &'f Ephemeris,
@@ -85,7 +85,10 @@ pub(super) struct Around<'f> {
 }
 
 /// Starts the threads of every disk.
-pub(super) fn start(stores: Vec<Store>, around: &Around) -> std::io::Result<(Archive, Threads)> {
+pub(super) fn start(
+    stores: Vec<Store>,
+    around: &Surroundings,
+) -> std::io::Result<(Archive, Threads)> {
     let settings = around.controls.config().archive;
     let queues = queues(&settings, stores.len());
     let mut gauges = Gauges {

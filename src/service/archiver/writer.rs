@@ -142,7 +142,7 @@ impl Writer {
         let (frame, camera) = (&answer.exposure.frame, &answer.station.camera);
         let mut cards = answer.row().record.cards();
         cards.extend(answer.station.flown.cards());
-        let mut marks = Vec::new();
+        let mut columns = Vec::new();
         if let Some(sun) = answer.sun() {
             let (solution, instrument) = (&sun.solution, &sun.instrument);
             let roll = sun.offset.map_or(Roll::Stated, |offset| offset.roll);
@@ -156,10 +156,10 @@ impl Writer {
                 &answer.target,
                 &mut self.ephemeris,
             ));
-            marks = tables(solution);
+            columns = tables(solution);
         }
         self.store
-            .encode(&camera.folder, &camera.label, frame, &cards, &marks)
+            .encode(&camera.folder, &camera.label, frame, &cards, &columns)
     }
 
     /// Measures the disk's free space, and says when its room has changed; looks at the clock and the settings, too.

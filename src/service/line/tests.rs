@@ -83,8 +83,8 @@ fn bench_of(mut connection: Connection, far: SerialPort, controls: Controls) -> 
     }
 }
 
-fn around(controls: Controls, tally: &Shared<LineTally>, counters: &Arc<Counters>) -> Around {
-    Around {
+fn around(controls: Controls, tally: &Shared<LineTally>, counters: &Arc<Counters>) -> Surroundings {
+    Surroundings {
         controls,
         tally: tally.clone(),
         counters: Arc::clone(counters),

@@ -10,9 +10,9 @@ use crate::instrument::{MountedCamera, WrongSize};
 use crate::pointing::body_roll_deg;
 use crate::reasons::{Stopped, at, horizon as reasons};
 use crate::service::messages::{Found, LatestNadir, SeenNadir, SeenRoll, Solved, UnsolvedFrame};
-use crate::service::tally::SolverTally;
 use crate::units::{Reason, Rejected};
 use nalgebra::UnitVector3;
+use tracing::Level;
 
 pub(super) struct HorizonSolver {
     camera: MountedCamera,
@@ -88,7 +88,7 @@ impl Solver for HorizonSolver {
         })
     }
 
-    fn leave(&mut self, frame: &UnsolvedFrame, solved: &Solved, _: &mut SolverTally) {
+    fn leave(&mut self, frame: &UnsolvedFrame, solved: &Solved) {
         let Found::Nadir(solution) = &solved.found else {
             return;
         };
@@ -102,8 +102,8 @@ impl Solver for HorizonSolver {
         }
     }
 
-    fn complaint(&self, _: &str) -> Option<&'static str> {
-        Some("no horizon")
+    fn complaint(&self, solved: &Solved) -> Option<(Level, &'static str)> {
+        (solved.quality == Quality::None).then_some((Level::WARN, "no horizon"))
     }
 }
 

@@ -5,20 +5,19 @@ mod moon;
 mod nadir;
 mod sun;
 
-use super::flight::stations;
-use super::messages::{Found, LatestNadir, Middle, MoonDesk, Solved, Station, UnsolvedFrame};
+use super::messages::{Found, LatestNadir, MoonDesk, Solved, Station, UnsolvedFrame};
 use super::shared::Shared;
 use super::tally::SolverTally;
-use crate::aspect::Quality;
+use crate::aspect::{Quality, Stage};
 use crate::calibrate::check::CalibrationCheck;
-use crate::camera::{Brightness, Camera, Exposure};
+use crate::camera::{Brightness, Camera};
 use crate::commands::controls::Snapshot;
-use crate::frame::FrameInfo;
 use crate::instrument::{Role, Sees, WrongSize};
 use crate::limb;
 use crate::reasons::{Stopped, at};
 use crate::sky::Ephemeris;
 use std::time::{Duration, Instant};
+use tracing::Level;
 
 /// Finds in the frames of a camera what it sees.
 pub trait Solver: Send {
@@ -33,63 +32,75 @@ pub trait Solver: Send {
     ) -> Result<Solved, WrongSize>;
 
     /// Leaves what a frame has shown where others look for it.
-    fn leave(&mut self, _frame: &UnsolvedFrame, _solved: &Solved, _tally: &mut SolverTally) {}
+    fn leave(&mut self, _frame: &UnsolvedFrame, _solved: &Solved) {}
 
-    /// What is logged of a frame that stopped at a stage, now and then; `None` where that is nothing unusual.
-    fn complaint(&self, _stage: &str) -> Option<&'static str> {
+    /// What is logged, now and then, of a frame that went no further; `None` where that is nothing unusual.
+    fn complaint(&self, _solved: &Solved) -> Option<(Level, &'static str)> {
         None
     }
 }
 
-/// What solvers share, and leave for the line. Clones share it.
+/// What solvers leave for each other and for the line. Clones share it.
 #[derive(Clone, Default)]
 pub(super) struct Shelf {
     pub nadir: LatestNadir,
     pub moon: Shared<MoonDesk>,
-    /// It outlives a thread that fails, as the counts do.
-    pub calibration: Shared<CalibrationCheck>,
 }
 
 impl Shelf {
     /// What a camera's solver takes of it. Only the first roll camera tells the roll, and only the first Moon camera answers requests.
-    pub fn of(&self, station: &Station) -> Self {
-        match station.ordinal {
-            1 => Self {
-                calibration: Shared::default(),
-                ..self.clone()
-            },
-            _ => Self {
-                nadir: match station.camera.role {
-                    Role::PitchYaw => self.nadir.clone(),
-                    _ => LatestNadir::default(),
-                },
-                ..Self::default()
-            },
+    fn of(&self, station: &Station) -> Self {
+        match station.camera.role {
+            Role::PitchYaw => self.clone(),
+            _ if station.ordinal == 1 => self.clone(),
+            _ => Self::default(),
+        }
+    }
+}
+
+/// What a camera's solver knows from one life to the next. Clones share it.
+#[derive(Clone, Default)]
+pub(super) struct Memory {
+    pub calibration: Shared<CalibrationCheck>,
+    pub tally: Shared<SolverTally>,
+}
+
+/// Makes the solver of a camera's frames, for one life after the other.
+#[derive(Clone)]
+pub(super) struct MakeSolver {
+    pub station: Station,
+    pub ephemeris: Ephemeris,
+    pub shelf: Shelf,
+    pub memory: Memory,
+}
+
+impl MakeSolver {
+    pub fn new(station: &Station, ephemeris: Ephemeris, shelf: &Shelf, memory: Memory) -> Self {
+        Self {
+            shelf: shelf.of(station),
+            station: station.clone(),
+            ephemeris,
+            memory,
+        }
+    }
+
+    pub fn make(&self) -> Box<dyn Solver> {
+        let Self {
+            ephemeris, shelf, ..
+        } = self.clone();
+        match self.station.camera.sees.clone() {
+            Sees::Plate(instrument) => Box::new(sun::SunSolver::new(self, *instrument)),
+            Sees::Horizon(camera) => Box::new(horizon::HorizonSolver::new(camera, shelf.nadir)),
+            Sees::Moon(camera) => Box::new(moon::MoonSolver::new(camera, ephemeris, shelf.moon)),
+            Sees::Unstated => Box::new(Levels),
         }
     }
 }
 
 /// The solver of the frames of a camera that is tried alone.
 pub fn solver(camera: &Camera, ephemeris: Ephemeris) -> Box<dyn Solver> {
-    let [station] = &stations(&[camera], "")[..] else {
-        return Box::new(Levels);
-    };
-    solver_with(station, ephemeris, Shelf::default())
-}
-
-pub(super) fn solver_with(
-    station: &Station,
-    ephemeris: Ephemeris,
-    shelf: Shelf,
-) -> Box<dyn Solver> {
-    match station.camera.sees.clone() {
-        Sees::Plate(instrument) => {
-            Box::new(sun::SunSolver::new(station, *instrument, ephemeris, shelf))
-        }
-        Sees::Horizon(camera) => Box::new(horizon::HorizonSolver::new(camera, shelf.nadir)),
-        Sees::Moon(camera) => Box::new(moon::MoonSolver::new(camera, ephemeris, shelf.moon)),
-        Sees::Unstated => Box::new(Levels),
-    }
+    let station = Station::alone(camera);
+    MakeSolver::new(&station, ephemeris, &Shelf::default(), Memory::default()).make()
 }
 
 /// For a camera of which nothing is stated: only the frame's light is measured.
@@ -101,10 +112,10 @@ impl Solver for Levels {
         frame: &mut UnsolvedFrame,
         commanded: &Snapshot,
     ) -> Result<Solved, WrongSize> {
-        let start = Instant::now();
-        let frame = &frame.exposure.frame;
-        let levels = limb::levels(frame, &commanded.solver.limb);
-        let levels = levels.map_err(|rejected| at(crate::aspect::Stage::Levels)(rejected));
+        let frame = &mut frame.exposure.frame;
+        frame.info.place = frame.info.place.or(commanded.place);
+        let (levels, solve_time) = timed(|| limb::levels(frame, &commanded.solver.limb));
+        let levels = levels.map_err(at(Stage::Levels));
         Ok(Solved {
             found: Found::Nothing,
             quality: Quality::None,
@@ -112,52 +123,8 @@ impl Solver for Levels {
             brightness: Brightness::of(levels.as_ref().ok(), frame.saturation_dn()),
             levels: levels.ok(),
             roll: None,
-            solve_time: start.elapsed(),
+            solve_time,
         })
-    }
-}
-
-impl UnsolvedFrame {
-    /// A frame that has just come.
-    pub fn arrived(exposure: Exposure) -> Self {
-        let arrived = Instant::now();
-        Self {
-            middle: Middle::of(&exposure.frame.info, arrived),
-            exposure,
-            arrived,
-        }
-    }
-
-    /// When the exposure began.
-    fn began(&self) -> Instant {
-        let exposure = self.exposure.frame.info.exposure.unwrap_or_default();
-        self.arrived.checked_sub(exposure).unwrap_or(self.arrived)
-    }
-}
-
-impl Middle {
-    /// No frame is delayed by more: the clock has made a step.
-    const LONGEST_DELAY_S: f64 = 2.0;
-
-    fn of(info: &FrameInfo, arrived: Instant) -> Self {
-        let half = info.exposure.unwrap_or_default() / 2;
-        Self {
-            utc: info.mid_exposure,
-            by_arrival: arrived.checked_sub(half).unwrap_or(arrived),
-        }
-    }
-
-    /// How long after this one another was, s; negative before.
-    fn until(&self, other: &Self) -> f64 {
-        let (from, to) = (self.by_arrival, other.by_arrival);
-        let by_arrival = match to.checked_duration_since(from) {
-            Some(after) => after.as_secs_f64(),
-            None => -from.saturating_duration_since(to).as_secs_f64(),
-        };
-        let by_utc = self.utc.zip(other.utc);
-        let by_utc = by_utc.map(|(from, to)| to.duration_since(from).as_secs_f64());
-        let agrees = |by_utc: &f64| (by_utc - by_arrival).abs() < Self::LONGEST_DELAY_S;
-        by_utc.filter(agrees).unwrap_or(by_arrival)
     }
 }
 

@@ -15,10 +15,10 @@ use crate::moon::{
 use crate::reasons::{at, moon as reasons};
 use crate::service::messages::{Found, MoonDesk, SeenMoon, Solved, SolvedMoon, UnsolvedFrame};
 use crate::service::shared::Shared;
-use crate::service::tally::SolverTally;
 use crate::sky::{Ephemeris, MoonPosition};
 use crate::units::{Place, Rejected};
 use jiff::Timestamp;
+use tracing::Level;
 
 pub(super) struct MoonSolver {
     camera: DirectionCamera,
@@ -152,7 +152,7 @@ impl Solver for MoonSolver {
         })
     }
 
-    fn leave(&mut self, frame: &UnsolvedFrame, solved: &Solved, _: &mut SolverTally) {
+    fn leave(&mut self, frame: &UnsolvedFrame, solved: &Solved) {
         if let Found::Moon(moon) = &solved.found {
             let utc = frame.exposure.frame.info.mid_exposure;
             self.desk.lock().seen = Some(SeenMoon {
@@ -163,8 +163,11 @@ impl Solver for MoonSolver {
         }
     }
 
-    fn complaint(&self, stage: &str) -> Option<&'static str> {
-        (stage != Stage::Sky.name()).then_some("no Moon")
+    fn complaint(&self, solved: &Solved) -> Option<(Level, &'static str)> {
+        Some(match solved.stopped?.stage == Stage::Sky.name() {
+            true => (Level::INFO, "the Moon cannot be seen"),
+            false => (Level::WARN, "no Moon"),
+        })
     }
 }
 

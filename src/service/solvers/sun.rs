@@ -1,18 +1,17 @@
 //! The solver of a pitch-yaw camera: a frame of the plate in, the Sun's place and the offset from the target out.
 
-use super::{Shelf, Solver};
+use super::{MakeSolver, Memory, Solver, timed};
 use crate::aspect::{self, Expected, Stage, Track};
 use crate::camera::Brightness;
 use crate::commands::controls::Snapshot;
 use crate::instrument::{Instrument, WrongSize};
 use crate::pointing;
 use crate::reasons::Stopped;
-use crate::service::messages::{Found, SeenRoll, Solved, SolvedSun, Station, UnsolvedFrame};
-use crate::service::tally::SolverTally;
+use crate::service::messages::{Found, LatestNadir, SeenRoll, Solved, SolvedSun, UnsolvedFrame};
 use crate::sky::Ephemeris;
 use jiff::{SignedDuration, Timestamp};
 use std::sync::Arc;
-use std::time::Instant;
+use tracing::Level;
 
 pub(super) struct SunSolver {
     camera: u8,
@@ -24,27 +23,25 @@ pub(super) struct SunSolver {
     /// Whether commands about the mounting are about this camera's: about the first one's.
     is_commanded: bool,
     ephemeris: Ephemeris,
-    shelf: Shelf,
+    /// What the first roll camera has found.
+    nadir: LatestNadir,
+    memory: Memory,
     /// What the last frame taught.
     track: Option<Track>,
     sun: SunSize,
 }
 
 impl SunSolver {
-    pub fn new(
-        station: &Station,
-        instrument: Instrument,
-        ephemeris: Ephemeris,
-        shelf: Shelf,
-    ) -> Self {
+    pub fn new(made: &MakeSolver, instrument: Instrument) -> Self {
         Self {
-            camera: station.number,
+            camera: made.station.number,
             instrument: Arc::new(instrument.clone()),
             mounted: instrument.clone(),
             stated: instrument,
-            is_commanded: station.ordinal == 1,
-            ephemeris,
-            shelf,
+            is_commanded: made.station.ordinal == 1,
+            ephemeris: made.ephemeris.clone(),
+            nadir: made.shelf.nadir.clone(),
+            memory: made.memory.clone(),
             track: None,
             sun: SunSize::default(),
         }
@@ -76,22 +73,22 @@ impl Solver for SunSolver {
         let frame = &mut frame.exposure.frame;
         let utc = frame.info.mid_exposure;
         let size = utc.and_then(|utc| self.sun.at(utc));
-        let start = Instant::now();
         let prior = self.track.as_ref();
-        // Without a mapping of an earlier frame the calibration's is borrowed, but not what frames have disproved.
-        let corrected = match prior.is_some_and(|prior| prior.registration.is_some()) {
-            true => None,
-            false => self.shelf.calibration.lock().corrected(&self.instrument),
-        };
-        let instrument = corrected.as_ref().unwrap_or(&self.instrument);
-        let mut solution = aspect::solve_with(&commanded.solver, frame, instrument, size, prior);
-        let solve_time = start.elapsed();
+        let (mut solution, solve_time) = timed(|| {
+            // Without a mapping of an earlier frame the calibration's is borrowed, but not what frames have disproved.
+            let corrected = match prior.is_some_and(|prior| prior.registration.is_some()) {
+                true => None,
+                false => self.memory.calibration.lock().corrected(&self.instrument),
+            };
+            let instrument = corrected.as_ref().unwrap_or(&self.instrument);
+            aspect::solve_with(&commanded.solver, frame, instrument, size, prior)
+        });
         if solution.track.is_some() {
             self.track.clone_from(&solution.track);
         }
         // The file tells the place that its offset and its coordinates rest on.
         frame.info.place = frame.info.place.or(commanded.place);
-        let seen = self.shelf.nadir.copy();
+        let seen = self.nadir.copy();
         let nadir = seen.and_then(|seen| seen.at(&middle, commanded.roll.max_age()));
         let offset = pointing::offset_of(
             &mut solution,
@@ -122,12 +119,13 @@ impl Solver for SunSolver {
     }
 
     /// Says once what fine frames have disproved of the calibration.
-    fn leave(&mut self, _: &UnsolvedFrame, solved: &Solved, tally: &mut SolverTally) {
+    fn leave(&mut self, _: &UnsolvedFrame, solved: &Solved) {
         let Found::Sun(sun) = &solved.found else {
             return;
         };
-        let mut calibration = self.shelf.calibration.lock();
+        let mut calibration = self.memory.calibration.lock();
         let proven = calibration.note(&sun.solution, &self.instrument);
+        let mut tally = self.memory.tally.lock();
         tally.contradicted = calibration.proven().next().is_some();
         for contradiction in proven {
             let (camera, name) = (self.camera, &self.instrument.name);
@@ -138,8 +136,9 @@ impl Solver for SunSolver {
         }
     }
 
-    fn complaint(&self, stage: &str) -> Option<&'static str> {
-        (stage == Stage::Pointing.name()).then_some("no offset")
+    fn complaint(&self, solved: &Solved) -> Option<(Level, &'static str)> {
+        let stage = solved.stopped?.stage;
+        (stage == Stage::Pointing.name()).then_some((Level::WARN, "no offset"))
     }
 }
 
