@@ -185,7 +185,7 @@ static TABLE: &[Parameter] = &[
     row!(link.computer, "", Whole(1, 2),
         "Which of the aspect system's two computers this is: commands are addressed to one or both. Computer 1 sends solutions from the start, computer 2 when aspect command 0x0030 says so."),
     row!(link.sending_camera, "", Whole(1, 5), command 4,
-        "Which of this computer's pitch-yaw cameras sends to the controller, if there are several: [camera], [second_camera], then further ones by name."),
+        "Which of this computer's pitch-yaw cameras sends to the controller, if there are several: camera, second_camera, then further ones by name."),
     row!(link.solution_divisor, "", Whole(1, 1000), command 2,
         "One solution in this many goes to the controller: 1 sends all, 4 at 4 Hz one a second."),
     row!(link.max_solution_age_ms, "ms", Whole(1, 60_000), command 3,
