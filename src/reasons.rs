@@ -97,6 +97,7 @@ reasons! {
     FEW_MARKS_EXPLAINED "few_marks_explained" "the best labelling explains too few fully lit marks"
     WEAK_LABELLING "weak_labelling" "poor identification: the best labelling's evidence is too weak"
     TWO_LABELLINGS "two_labellings" "two labellings of the marks fit alike"
+    CENTRE_ALONE "centre_alone" "the marks fit several places of the plate: its stated centre alone decides between them"
     FALSE_DETECTION "false_detection" "the best labelling may rest on a false detection"
     CENTRE_FAR_AWAY "centre_far_away" "the best labelling puts the plate's centre too far away"
     SCALE_OF_LABELLING "scale_of_labelling" "the best labelling's scale contradicts the stated one"

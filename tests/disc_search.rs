@@ -46,7 +46,7 @@ fn search<'a>(
         frame,
         levels,
         radius_px,
-        mark_length_px: instrument.plate.cross.arm_length_mil / scale,
+        mark_length_px: instrument.plate.shape.size_mil() / scale,
         settings,
     }
 }

@@ -51,10 +51,10 @@ impl Look {
         IdentificationPrior {
             outline: self.outline,
             radius_mil: Measured::new(radius, 0.006 * radius),
-            quarter_rotation_deg: Measured::new(
+            quarter_rotation_deg: Some(Measured::new(
                 (self.rotation_deg() + self.rotation_error_deg).rem_euclid(90.0),
                 0.6,
-            ),
+            )),
             handedness: self.mapping.handedness(),
             plate_centre: self.plate_centre,
             // The lists' cameras were all moved.

@@ -4,7 +4,7 @@
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 use solaspect::fiducial::{
-    CrossShape, Detections, FiducialSettings, FlatDisc, Lighting, RefinedMark, Refiner, detect,
+    Detections, FiducialSettings, FlatDisc, Lighting, MarkImage, RefinedMark, Refiner, detect,
 };
 use solaspect::frame::{Background, Cutout, Frame, PixelNoise, ROUNDING_NOISE_DN};
 use solaspect::geometry::{Circle, Distortion, Ellipse, Handedness, Mapping, SimilarityParameters};
@@ -115,7 +115,7 @@ impl Close {
             steps_per_dn * f64::from(self.light[inside(y) * Self::SIDE + inside(x)])
         };
         let blur = self.scene.blur_px * blur_error;
-        let mut refiner = Refiner::new(&demo().plate.cross, SCALE_MIL_PER_PX, blur, cutout.noise);
+        let mut refiner = Refiner::new(&demo().plate.shape, SCALE_MIL_PER_PX, blur, cutout.noise);
         let start = SensorPx::new(self.mark.x + 0.24, self.mark.y - 0.18);
         refiner.refine(&cutout, &light, &self.jacobian, start)
     }
@@ -346,7 +346,7 @@ fn found(picture: &Picture, instrument: &Instrument, lens_blur_px: f64) -> Detec
     let light =
         |x: f64, y: f64| profile.at((Vector2::new(x, y) - circle.centre).norm() - circle.radius);
     let scale = picture.truth.mapping.scale_mil_per_px(sun.px);
-    let shape = CrossShape::new(&instrument.plate.cross, scale, lens_blur_px);
+    let shape = MarkImage::new(&instrument.plate.shape, scale, lens_blur_px);
     let flat = FlatDisc::new(&cutout, Ellipse::from(circle), &light, &shape).unwrap();
     detect(&flat, &shape, &FiducialSettings::default())
 }
@@ -379,7 +379,7 @@ impl Tally {
         };
         self.false_marks += found.marks.iter().filter(|d| !is_mark(d.at)).count();
         if fully_lit >= 4 {
-            let off = found.quarter_rotation_deg.value - picture.truth.mapping.rotation_deg(sun.px);
+            let off = found.arms_deg.unwrap().value - picture.truth.mapping.rotation_deg(sun.px);
             self.rotation_errors_deg
                 .push((off + 45.0).rem_euclid(90.0) - 45.0);
         }

@@ -63,7 +63,7 @@ impl Flight {
         let first = self.solve(&self.frames[0], None);
         let plate = &self.instrument.plate;
         let pair = |mark: &Mark| {
-            let printed = plate.position(mark.id);
+            let printed = plate.position(mark.id).unwrap();
             Pair {
                 observed: SensorPx::new(mark.at.x + on_sensor_px[0], mark.at.y + on_sensor_px[1]),
                 printed: PlateMil::new(printed.x + on_plate_mil[0], printed.y + on_plate_mil[1]),

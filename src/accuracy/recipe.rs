@@ -2,7 +2,7 @@
 
 use crate::geometry::unit;
 use crate::instrument::{Instrument, Mounting};
-use crate::plate::{MARKS, MarkId};
+use crate::plate::{MOST_MARKS, MarkId};
 use crate::simulate::{
     Conditions, LitMark, RandomScenes, Scene, SceneError, Sun, SunInView, Sunspot,
 };
@@ -38,9 +38,9 @@ pub enum View {
 }
 
 /// Any number of marks.
-pub const ANY_MARKS: RangeInclusive<usize> = 0..=MARKS;
+pub const ANY_MARKS: RangeInclusive<usize> = 0..=MOST_MARKS;
 /// Marks enough for a mapping.
-pub const ENOUGH_MARKS: RangeInclusive<usize> = 3..=MARKS;
+pub const ENOUGH_MARKS: RangeInclusive<usize> = 3..=MOST_MARKS;
 /// Too few marks for a mapping.
 pub const FEW_MARKS: RangeInclusive<usize> = 0..=2;
 
@@ -113,9 +113,11 @@ impl Recipe {
 
     /// A place for the Sun, drawn evenly where the view may hold.
     fn place(&self, scene: &Scene, radius_mil: f64, rng: &mut Generator) -> PlateMil {
-        if let View::Around(id) = self.view {
+        if let View::Around(id) = self.view
+            && let Some(mark) = scene.plate.position(id)
+        {
             let distance = radius_mil * rng.random_range(0.0_f64..1.0).sqrt();
-            return (scene.plate.position(id).vector() + direction(rng) * distance).into();
+            return (mark.vector() + direction(rng) * distance).into();
         }
         let reach = radius_mil / self.conditions.similarity.scale_mil_per_px;
         let seen = SensorPx::new(
@@ -154,27 +156,33 @@ fn reaches_middle(scene: &Scene) -> bool {
 /// Where covers leave less of the light, limb and marks count as hidden.
 const LEAST_LEFT: f64 = 0.8;
 
-/// The marks that show and of which the Sun lights all four tips and what blurs into them, wholly on the sensor.
+/// The marks that show and of which the Sun lights all tips and what blurs into them, wholly on the sensor.
 pub fn fully_lit(scene: &Scene) -> impl Iterator<Item = LitMark> + '_ {
-    /// Light that blur brings from beyond a tip: twice the blur of a sharp picture, 12 mil.
-    const BLUR_MIL: f64 = 12.0;
-    let half_mil = scene.plate.cross.arm_length_mil / 2.0;
-    let tips = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
+    /// Light that blur brings from beyond a tip: twice the blur of a sharp picture, 12 mil at 5.75 mil/px.
+    const BLUR_PX: f64 = 12.0 / 5.75;
+    let half_mil = scene.plate.shape.size_mil() / 2.0;
+    let arms = scene.plate.shape.arms();
+    let tips =
+        [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)].map(|(x, y)| arms * Vector2::new(x, y));
     scene.truth().marks.into_iter().filter(move |mark| {
-        let on_sensor = |(x, y)| {
-            let reach = half_mil + BLUR_MIL;
-            let tip = PlateMil::new(mark.plate.x + x * reach, mark.plate.y + y * reach);
-            on_sensor(scene, scene.mapping.to_sensor(tip))
+        let blur_mil = BLUR_PX * scene.mapping.scale_mil_per_px(mark.px);
+        let tip = |direction: Vector2<f64>, reach: f64| {
+            PlateMil::from(mark.plate.vector() + direction * reach)
+        };
+        let on_sensor = |direction| {
+            on_sensor(
+                scene,
+                scene.mapping.to_sensor(tip(direction, half_mil + blur_mil)),
+            )
         };
         // A mark is judged by pixels around it, too, which what covers the Sun must leave as bright.
-        let is_clear = |(x, y)| {
-            let reach = 1.2 * half_mil + BLUR_MIL;
-            let tip = PlateMil::new(mark.plate.x + x * reach, mark.plate.y + y * reach);
+        let is_clear = |direction| {
+            let tip = tip(direction, 1.2 * half_mil + blur_mil);
             let sun = scene.sun.as_ref();
             sun.is_some_and(|sun| sun.left_by_covers(tip) > LEAST_LEFT)
         };
         let shows = scene.mark_contrast > 0.0 && tips.into_iter().all(is_clear);
-        shows && mark.depth_mil >= half_mil + BLUR_MIL && tips.into_iter().all(on_sensor)
+        shows && mark.depth_mil >= half_mil + blur_mil && tips.into_iter().all(on_sensor)
     })
 }
 

@@ -128,7 +128,11 @@ impl Trial {
         let lit: Vec<_> = fully_lit(scene).collect();
         let (mut marks, mut wrong_ids) = (Vec::new(), Vec::new());
         for mark in &solution.marks {
-            let true_px = scene.mapping.to_sensor(scene.plate.position(mark.id));
+            let Some(printed) = scene.plate.position(mark.id) else {
+                wrong_ids.push(mark.id);
+                continue;
+            };
+            let true_px = scene.mapping.to_sensor(printed);
             let px = mark.at.vector() - true_px.vector();
             if px.norm() > WRONG_ID_PX {
                 wrong_ids.push(mark.id);

@@ -14,6 +14,7 @@ use crate::reasons::sun;
 use crate::registration::{self, Pair};
 use crate::units::{self, Rejected, SensorPx};
 use nalgebra::Matrix2;
+use std::f64::consts::PI;
 
 /// Relative error of a scale taken from the disc's radius: what the ephemeris calls the Sun's edge and what the limb shows
 /// may differ by half a pixel.
@@ -21,6 +22,8 @@ const DISC_SCALE_SIGMA: f64 = 0.006;
 /// Depth inside the limb from which a mark must have been found, in half lengths from tip to tip, beside a pixel by
 /// which haze may widen the disc. In simulated frames all are found from 0.5 on.
 const SURE_DEPTH: f64 = 0.75;
+/// The same of a dot, of which the limb cuts all that is nearer than its radius.
+const SURE_DEPTH_OF_DOT: f64 = 1.2;
 
 /// The plate's centre may be as far as this from where it is stated when marks that cannot be read there are read anywhere, px.
 const ANYWHERE_PX: f64 = 2000.0;
@@ -56,8 +59,21 @@ impl Pipeline<'_> {
         let DiscImage { cutout, light, .. } = image;
         let shape = self.disc_shape(light);
         match FlatDisc::new(cutout, light.outline, light, &shape) {
-            Some(flat) => fiducial::detect(&flat, &shape, &self.settings.fiducial),
+            Some(flat) => fiducial::detect(&flat, &shape, &self.detection_settings()),
             None => Detections::default(),
+        }
+    }
+
+    /// As many detections as the disc has marks, on a plate that has many of them.
+    fn detection_settings(&self) -> fiducial::FiducialSettings {
+        /// A place of the plate may hold so many times the mean.
+        const DENSEST: f64 = 1.5;
+        let settings = self.settings.fiducial;
+        let disc_mil2 = PI * self.radius_mil.value.powi(2);
+        let marks = DENSEST * self.instrument.plate.density_per_mil2() * disc_mil2;
+        fiducial::FiducialSettings {
+            max_detections: settings.max_detections.max(marks as usize),
+            ..settings
         }
     }
 
@@ -118,12 +134,14 @@ impl Pipeline<'_> {
             Rejected::at_most(read_here as f64, read_there, reason)
                 .map_err(Unread::Contradicting)?;
         }
-        let pair = |(n, id): &(usize, _)| Pair {
-            observed: detections.marks[*n].at,
-            printed: self.instrument.plate.position(*id),
-            covariance_px2: Matrix2::identity() * detections.marks[*n].sigma_px.powi(2),
+        let pair = |(n, id): &(usize, _)| {
+            Some(Pair {
+                observed: detections.marks[*n].at,
+                printed: self.instrument.plate.position(*id)?,
+                covariance_px2: Matrix2::identity() * detections.marks[*n].sigma_px.powi(2),
+            })
         };
-        let pairs: Vec<Pair> = ids.iter().filter(full).map(pair).collect();
+        let pairs: Vec<Pair> = ids.iter().filter(full).filter_map(pair).collect();
         registration::fit(
             &pairs,
             MappingKind::Similarity,
@@ -148,17 +166,22 @@ impl Pipeline<'_> {
     ) -> IdentificationPrior {
         let radius = self.radius_mil.value;
         let relative = (self.radius_mil.sigma / radius).hypot(DISC_SCALE_SIGMA);
+        let sure_depth = match self.shape.form {
+            fiducial::MarkForm::Cross { .. } => SURE_DEPTH,
+            fiducial::MarkForm::Dot => SURE_DEPTH_OF_DOT,
+        };
         IdentificationPrior {
             outline: disc.outline,
             radius_mil: units::Measured::new(radius, radius * relative),
-            quarter_rotation_deg: detections.quarter_rotation_deg,
+            quarter_rotation_deg: detections
+                .quarter_rotation_deg(&self.instrument.plate.shape, mounting.handedness),
             handedness: mounting.handedness,
             plate_centre: mounting.plate_centre_px,
             plate_centre_sigma_px: mounting.plate_centre_sigma_px,
             rotation_deg: mounting.rotation_deg,
             scale_mil_per_px: mounting.scale_mil_per_px,
             missed_share: missed_share(detections),
-            sure_depth_px: SURE_DEPTH * self.shape.half_length_px + 1.0,
+            sure_depth_px: sure_depth * self.shape.half_length_px + 1.0,
             sure_margin_px: self.shape.half_length_px + 4.0,
             sensor_px: [frame.width() as f64, frame.height() as f64],
         }

@@ -5,7 +5,7 @@ use super::{Adopted, Aspect, Mark, Quality, Stage, Stopped, Track};
 use crate::estimation::CONTRADICTION_SIGMAS;
 use crate::geometry::{Mapping, TILT_PER_PX};
 use crate::limb::{self, Limb};
-use crate::plate::{MarkId, Plate};
+use crate::plate::{MarkId, MarkPlace, Plate};
 use crate::reasons::sun;
 use crate::registration::{self, Outline, Pair, Registration};
 use crate::units::{Estimate, Measured, Rejected, SensorPx};
@@ -26,12 +26,14 @@ const LEAST_FINE_LIMB: f64 = 0.4;
 impl Pipeline<'_> {
     /// The mapping and the disc on the plate, from marks and limb together.
     pub(super) fn register(&self, marks: &[Mark], limb: &Limb) -> Result<Registration, Rejected> {
-        let pair = |mark: &Mark| Pair {
-            observed: mark.at,
-            printed: self.instrument.plate.position(mark.id),
-            covariance_px2: mark.covariance_px2 + self.poorly_known_px2(mark.id),
+        let pair = |mark: &Mark| {
+            Some(Pair {
+                observed: mark.at,
+                printed: self.instrument.plate.position(mark.id)?,
+                covariance_px2: mark.covariance_px2 + self.poorly_known_px2(mark.id),
+            })
         };
-        let pairs: Vec<Pair> = marks.iter().map(pair).collect();
+        let pairs: Vec<Pair> = marks.iter().filter_map(pair).collect();
         let (count, least) = (pairs.len() as f64, self.settings.fiducial.min_marks as f64);
         Rejected::at_least(least, count, sun::FEW_MARKS)?;
         let outline = Outline {
@@ -232,8 +234,14 @@ pub(super) fn judge(aspect: &Aspect, adopted: &Adopted) -> (Quality, Option<Stop
 
 /// How well the marks of a frame are known on the plate, 1 sigma per axis.
 pub(crate) fn printed_mil(marks: &[Mark], plate: &Plate) -> f64 {
-    let sigmas = marks.iter().map(|mark| plate.sigma_mil(mark.id));
-    let squares: f64 = sigmas.map(|[x, y]| (x * x + y * y) / 2.0).sum();
+    let places = marks.iter().filter_map(|mark| plate.place(mark.id));
+    let squares: f64 = places
+        .map(
+            |MarkPlace {
+                 sigma_mil: [x, y], ..
+             }| (x * x + y * y) / 2.0,
+        )
+        .sum();
     (squares / marks.len().max(1) as f64).sqrt()
 }
 

@@ -115,20 +115,20 @@ impl Pipeline<'_> {
     /// The plate's marks that the disc illuminates, where a mapping puts them.
     fn predicted_marks(&self, cutout: &Cutout, limb: &Limb, mapping: &Mapping) -> Vec<Mark> {
         let plate = &self.instrument.plate;
-        let half_mil = plate.cross.arm_length_mil / 2.0;
+        let arms = plate.shape.arms() * (plate.shape.size_mil() / 2.0);
         let (outline, region) = (&limb.outline.ellipse, cutout.region());
         let centre = outline.centre.into();
         let about_mil = DISC_ROOM * outline.mean_radius() * mapping.scale_mil_per_px(centre);
         let near = plate.marks_about(mapping.to_plate(centre), about_mil);
         let marks = near.filter_map(|(id, printed)| {
             let at = mapping.to_sensor(printed);
-            let arms = mapping.sensor_jacobian(printed) * half_mil;
+            let tips = self.shape.tips(&(mapping.sensor_jacobian(printed) * arms));
             let inside = outline.excess(at.vector()) < -LEAST_INSIDE * self.shape.half_length_px;
             (inside && region.holds(at, 0.0)).then(|| Mark {
                 id,
                 at,
                 covariance_px2: Matrix2::zeros(),
-                lighting: Lighting::of(at, &arms, outline, &region),
+                lighting: Lighting::of(at, tips, outline, &region),
             })
         });
         marks.collect()
@@ -146,14 +146,14 @@ impl Pipeline<'_> {
         let light = &limb.light;
         let plate = &self.instrument.plate;
         let mut refiner = Refiner::new(
-            &plate.cross,
+            &plate.shape,
             self.disc_scale(light),
             self.mark_blur_px(light),
             light.noise(),
         );
         let coma = self.coma_shift(light, marks.len());
         let refined = |mark: &Mark| {
-            let jacobian = mapping.sensor_jacobian(plate.position(mark.id));
+            let jacobian = mapping.sensor_jacobian(plate.position(mark.id)?);
             let found = refiner.refine(cutout, light, &jacobian, mark.at)?;
             Some(coma.removed_from(found))
         };

@@ -2,7 +2,7 @@
 //! does it.
 
 use super::{Expected, SolverSettings, Stage, Stopped};
-use crate::fiducial::CrossShape;
+use crate::fiducial::MarkImage;
 use crate::frame::{Cutout, Frame, Levels, Mask, PixelNoise, Region};
 use crate::geometry::{Circle, Ellipse, Mapping};
 use crate::instrument::Instrument;
@@ -49,8 +49,8 @@ pub struct Pipeline<'a> {
     pub(super) radius_mil: Measured,
     /// The same on the sensor, at the nominal scale.
     pub(super) radius_px: f64,
-    /// The cross at the nominal scale, as sharp as the lens is stated.
-    pub(super) shape: CrossShape,
+    /// A mark at the nominal scale, as sharp as the lens is stated.
+    pub(super) shape: MarkImage,
 }
 
 impl<'a> Pipeline<'a> {
@@ -70,7 +70,7 @@ impl<'a> Pipeline<'a> {
             instrument,
             radius_mil: Measured::new(value, value * relative),
             radius_px: value / scale,
-            shape: CrossShape::new(&instrument.plate.cross, scale, optics.blur_px.value),
+            shape: MarkImage::new(&instrument.plate.shape, scale, optics.blur_px.value),
         }
     }
 
@@ -184,10 +184,10 @@ impl<'a> Pipeline<'a> {
         }
     }
 
-    /// The cross at the scale of the disc and the blur of the frame.
-    pub(super) fn disc_shape(&self, disc: &DiscLight) -> CrossShape {
-        let cross = &self.instrument.plate.cross;
-        CrossShape::new(cross, self.disc_scale(disc), self.mark_blur_px(disc))
+    /// A mark at the scale of the disc and the blur of the frame.
+    pub(super) fn disc_shape(&self, disc: &DiscLight) -> MarkImage {
+        let shape = &self.instrument.plate.shape;
+        MarkImage::new(shape, self.disc_scale(disc), self.mark_blur_px(disc))
     }
 }
 
@@ -218,9 +218,9 @@ pub(crate) fn marks_mask(
     mapping: &Mapping,
 ) -> Mask {
     let mut mask = cutout.mask.clone();
-    let cross = &instrument.plate.cross;
+    let shape = &instrument.plate.shape;
     let scale = mapping.scale_mil_per_px(disc.centre.into());
-    let reach_px = 1.1 * cross.arm_length_mil / 2.0 / scale + MARK_MARGIN_PX;
+    let reach_px = 1.1 * shape.size_mil() / 2.0 / scale + MARK_MARGIN_PX;
     let near = -MASKED_DEPTH_PX - reach_px..reach_px;
     let centre = mapping.to_plate(disc.centre.into());
     let about_mil = DISC_ROOM * (disc.mean_radius() + reach_px) * scale;
@@ -229,15 +229,12 @@ pub(crate) fn marks_mask(
         if !near.contains(&disc.excess(seen.vector())) {
             continue;
         }
-        let Some(to_arms) = mapping.sensor_jacobian(printed).try_inverse() else {
+        let Some(to_plate) = mapping.sensor_jacobian(printed).try_inverse() else {
             continue;
         };
         let margin_mil = MARK_MARGIN_PX * mapping.scale_mil_per_px(seen);
-        let half_length = cross.arm_length_mil / 2.0 + margin_mil;
-        let half_width = cross.arm_width_mil / 2.0 + margin_mil;
         mask.hide_where(seen, reach_px, |at| {
-            let [u, v] = (to_arms * (at.vector() - seen.vector())).abs().into();
-            (u.max(v) < half_length) & (u.min(v) < half_width)
+            shape.covers(to_plate * (at.vector() - seen.vector()), margin_mil)
         });
     }
     mask

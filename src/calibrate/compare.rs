@@ -6,7 +6,7 @@ pub use sensor::{Renewed, SensorChange};
 
 use crate::calibrate::numbers::median;
 use crate::instrument::Instrument;
-use crate::plate::{MarkId, drawn_position};
+use crate::plate::MarkId;
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::Vector2;
 use serde::Serialize;
@@ -69,7 +69,7 @@ pub struct LensChange {
 pub struct Comparison {
     pub from: String,
     pub to: String,
-    /// Distance of the plate's edge from its centre: of its outermost mark on an axis.
+    /// Distance of the plate's edge from its centre; see [`Plate::edge_mil`](crate::plate::Plate::edge_mil).
     pub edge_mil: f64,
     pub marks: MarksMoved,
     pub lens: LensChange,
@@ -90,7 +90,7 @@ pub struct Comparison {
 
 /// Compares instrument `b` with `a`, which was before it.
 pub fn compare(a: &Instrument, b: &Instrument) -> Comparison {
-    let edge_mil = drawn_position(MarkId { i: -7, j: 0 }).distance(PlateMil::new(0.0, 0.0));
+    let edge_mil = b.plate.edge_mil();
     let arcsec_per_mil = b.optics.arcsec_per_mil();
     let edge_arcsec = edge_mil * arcsec_per_mil;
     let arcsec_per_px = b.mounting.scale_mil_per_px.value * arcsec_per_mil;
@@ -142,13 +142,13 @@ pub fn compare(a: &Instrument, b: &Instrument) -> Comparison {
 
 fn marks_moved(a: &Instrument, b: &Instrument, arcsec_per_mil: f64) -> MarksMoved {
     let measured = |i: &Instrument| {
-        let marks = i.plate.marks();
-        marks.filter(|(id, at)| *at != drawn_position(*id)).count()
+        let drawn = i.plate.drawn_marks().zip(i.plate.marks());
+        drawn.filter(|(drawn, is)| drawn != is).count()
     };
     let moves = || {
-        MarkId::all()
-            .map(|id| (id, a.plate.position(id).distance(b.plate.position(id))))
-            .filter(|(_, mil)| *mil > 0.0)
+        let moved = |(id, at): (MarkId, PlateMil)| Some((id, a.plate.position(id)?.distance(at)));
+        let moves = b.plate.marks().filter_map(moved);
+        moves.filter(|(_, mil)| *mil > 0.0)
     };
     let moved = moves().count();
     // From 0: the sum of nothing is -0.
@@ -172,7 +172,9 @@ fn marks_moved(a: &Instrument, b: &Instrument, arcsec_per_mil: f64) -> MarksMove
 }
 
 fn median_sigma(instrument: &Instrument) -> f64 {
-    median(MarkId::all().flat_map(|id| instrument.plate.sigma_mil(id)))
+    let plate = &instrument.plate;
+    let places = plate.marks().filter_map(|(id, _)| plate.place(id));
+    median(places.flat_map(|place| place.sigma_mil))
 }
 
 fn lens_change(a: &Instrument, b: &Instrument, arcsec_per_px: f64) -> LensChange {
@@ -284,7 +286,7 @@ mod tests {
         let a = builtin("demo").unwrap();
         let mut b = a.clone();
         let id = MarkId { i: 2, j: -3 };
-        let at = a.plate.position(id);
+        let at = a.plate.position(id).unwrap();
         b.plate
             .set(id, PlateMil::new(at.x + 3.0, at.y - 4.0), [0.1; 2]);
         b.mounting.clocking_deg.value += 0.1;

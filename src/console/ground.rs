@@ -14,11 +14,12 @@ use image::RgbImage;
 use nalgebra::Matrix2;
 use std::path::PathBuf;
 
-/// Half of the width of the plate as it is drawn, mil; the marks reach to 3280.
-const REACH_MIL: f64 = 3600.0;
+/// Half of the width of the plate as it is drawn, in what its marks reach.
+const REACH: f64 = 1.06;
 /// The Sun's radius at 1 AU, where the ephemeris does not know the day's.
 const RADIUS_ARCSEC: f64 = 959.23;
-const CROSS_MIL: f64 = 150.0;
+/// Half of the size of the crosses at the Sun's centre and the target, likewise.
+const CROSS: f64 = 0.045;
 
 /// What is known on the ground.
 #[derive(Clone)]
@@ -97,17 +98,19 @@ impl Ground {
             let (sin, cos) = f64::from(3 * n).to_radians().sin_cos();
             (sun.at.x + radius_mil * cos, sun.at.y + radius_mil * sin)
         };
+        let plate = &self.instrument.plate;
+        let [reach, size] = [REACH, CROSS].map(|part| part * plate.reach_mil());
         let cross = |at: PlateMil| {
             let gap = (f64::NAN, f64::NAN);
             [
-                (at.x - CROSS_MIL, at.y),
-                (at.x + CROSS_MIL, at.y),
+                (at.x - size, at.y),
+                (at.x + size, at.y),
                 gap,
-                (at.x, at.y - CROSS_MIL),
-                (at.x, at.y + CROSS_MIL),
+                (at.x, at.y - size),
+                (at.x, at.y + size),
             ]
         };
-        let marks = self.instrument.plate.marks().map(|(_, at)| (at.x, at.y));
+        let marks = plate.marks().map(|(_, at)| (at.x, at.y));
         let mut series = vec![
             Series::dots("marks", marks).in_hue(5),
             Series::curve("Sun's limb", (0..=120).map(circle)).in_hue(4),
@@ -124,7 +127,7 @@ impl Ground {
         let title = format!("Sun at {:.2}, {:.2} mil{sigma}", sun.at.x, sun.at.y);
         square(
             &Labels::new(title, "X, mil", "Y, mil"),
-            -REACH_MIL..REACH_MIL,
+            -reach..reach,
             &series,
         )
     }

@@ -1,6 +1,6 @@
 //! Where the disc is dark over about the size of a mark, whatever the camera's rotation.
 
-use super::{CrossShape, FiducialSettings, FlatDisc};
+use super::{FiducialSettings, FlatDisc, MarkImage};
 use crate::kernels::column_sums;
 use crate::units::SensorPx;
 
@@ -18,7 +18,7 @@ const CANDIDATES_PER_DETECTION: usize = 2;
 /// Indices into the flattened disc's values of its darkest places, darkest first, half a mark apart at least.
 pub(super) fn candidates(
     flat: &FlatDisc,
-    shape: &CrossShape,
+    shape: &MarkImage,
     settings: &FiducialSettings,
 ) -> Vec<usize> {
     let boxes = Boxes::of(flat, shape);
@@ -51,7 +51,7 @@ struct Boxes {
 }
 
 impl Boxes {
-    fn of(flat: &FlatDisc, shape: &CrossShape) -> Self {
+    fn of(flat: &FlatDisc, shape: &MarkImage) -> Self {
         let bin_px = (2.0 * shape.half_length_px / BINS_PER_LENGTH)
             .round()
             .max(1.0) as usize;

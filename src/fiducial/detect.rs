@@ -1,9 +1,11 @@
 //! Finding marks on the flattened disc, at any rotation of the camera.
 
 use super::candidates::candidates;
-use super::cross::turned;
+use super::mark_image::turned;
 use super::template::{Template, Window};
-use super::{CrossShape, FiducialSettings, FlatDisc, Lighting};
+use super::{FiducialSettings, FlatDisc, Lighting, MarkForm, MarkImage};
+use crate::geometry::Handedness;
+use crate::plate::MarkShape;
 use crate::units::{Measured, SensorPx};
 use nalgebra::{Complex, Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -14,9 +16,9 @@ pub struct Detection {
     pub at: SensorPx,
     /// 1 sigma per axis.
     pub sigma_px: f64,
-    /// Darkness of the cross as a fraction of the light around it.
+    /// Darkness of the mark as a fraction of the light around it.
     pub contrast: f64,
-    /// Part of the structure about the position that the cross explains, 0 to 1.
+    /// Part of the structure about the position that the mark explains, 0 to 1.
     pub likeness: f64,
     pub lighting: Lighting,
 }
@@ -26,8 +28,28 @@ pub struct Detection {
 pub struct Detections {
     pub marks: Vec<Detection>,
     /// Rotation of the arms from the axes of the disc's own coordinates ([`Ellipse::to_disc`](crate::geometry::Ellipse::to_disc); of a
-    /// round disc: from the sensor's axes), modulo a quarter turn, 0 to 90 deg.
-    pub quarter_rotation_deg: Measured,
+    /// round disc: from the sensor's axes), modulo a quarter turn, 0 to 90 deg. `None` of marks without arms, and where none was found.
+    pub arms_deg: Option<Measured>,
+}
+
+impl Detections {
+    /// Rotation of the plate's axes modulo a quarter turn, by the arms of its crosses; `None` where there are none.
+    pub fn quarter_rotation_deg(
+        &self,
+        shape: &MarkShape,
+        handedness: Handedness,
+    ) -> Option<Measured> {
+        let MarkShape::Cross(cross) = shape else {
+            return None;
+        };
+        // A mirror turns the other way round.
+        let from_axes_deg = match handedness {
+            Handedness::Mirrored => -cross.arm_angle_deg,
+            Handedness::Direct => cross.arm_angle_deg,
+        };
+        let arms = self.arms_deg?;
+        Some(Measured::new(arms.value - from_axes_deg, arms.sigma))
+    }
 }
 
 /// Systematic error of a parabola's top over the sub-pixel phases, px; added to every mark's sigma.
@@ -36,6 +58,10 @@ const PARABOLA_SIGMA_PX: f64 = 0.01;
 const DISTURBANCE_PX2: f64 = 6.0;
 /// The structure of a clean cross, between pixels and blurred as it may be, over what the filter explains of it.
 const CLEAN_SHARE: f64 = 1.4;
+/// The same of a dot.
+const CLEAN_SHARE_OF_DOT: f64 = 1.1;
+/// Nothing but its size and its even darkness tells a dot from a sunspot: it must explain this part of the structure.
+const LEAST_LIKENESS_OF_DOT: f64 = 0.5;
 /// The contrast that the fourfold part of a cross shows, over that of the whole: 1 for a cross in focus, 0.3 in haze that
 /// the filter does not know of, and 0 but for noise of what is round.
 const FOURFOLD_SHARE: std::ops::Range<f64> = 0.2..2.0;
@@ -46,40 +72,43 @@ const ARMS_SIGMA_DEG: f64 = 0.6;
 /// All marks of a plate have the same contrast; saturation, the limb and blemishes change it by less than this.
 const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
 
-/// Finds the marks on a flattened disc. `shape` is the cross at the frame's own blur.
+/// Finds the marks on a flattened disc. `shape` is the mark at the frame's own blur.
 ///
 /// # Algorithm
 /// 1. Candidates: places that are dark over about the size of a mark.
-/// 2. Each is centred by a filter of the cross's round part, which answers at any rotation.
-/// 3. The rotation that the arms there have in common.
-/// 4. At each candidate, the peak of the response to the blurred cross at that rotation. It must be significant, like a
-///    cross, and as fourfold as one: sunspots and dust are round.
+/// 2. Each is centred by a filter of the mark's round part, which answers at any rotation.
+/// 3. The rotation that the arms there have in common; dots have none.
+/// 4. At each candidate, the peak of the response to the blurred mark at that rotation. It must be significant, like a
+///    mark, and of a cross as fourfold as one: sunspots and dust are round.
 /// 5. Of those too near to each other the likest; of all, those of the contrast that the frame's marks have in common.
 /// 6. The rotation again, from the marks' own places.
-pub fn detect(flat: &FlatDisc, shape: &CrossShape, settings: &FiducialSettings) -> Detections {
+pub fn detect(flat: &FlatDisc, shape: &MarkImage, settings: &FiducialSettings) -> Detections {
     let window = Window::within(shape.reach_px());
     let candidates = candidates(flat, shape, settings); // 1
     let centred = centred(flat, shape, &window, &candidates); // 2
-    let arms = ArmRotation::new(flat, shape, &window);
-    let Some(rough_deg) = arms.common_deg(flat, centred.iter().copied()) else {
-        return Detections::default(); // 3
+    let arms = match shape.form {
+        MarkForm::Cross { .. } => Some(ArmRotation::new(flat, shape, &window)),
+        MarkForm::Dot => None,
     };
-    let search = CrossSearch::new(flat, shape, settings, &window, rough_deg.value);
+    let common_deg = |places: &[usize]| arms.as_ref()?.common_deg(flat, places.iter().copied());
+    let rough_deg = common_deg(&centred); // 3
+    if centred.is_empty() || arms.is_some() && rough_deg.is_none() {
+        return Detections::default();
+    }
+    let rotation_deg = rough_deg.map_or(0.0, |arms| arms.value);
+    let search = MarkSearch::new(flat, shape, settings, &window, rotation_deg);
     let found = centred.iter().filter_map(|index| search.measure(*index)); // 4
     let marks = with_common_contrast(likest(found.collect(), shape)); // 5
     let full = marks.iter().filter(|m| m.lighting == Lighting::Full);
-    let places = full.filter_map(|mark| flat.index(mark.at));
-    let quarter_rotation_deg = arms.common_deg(flat, places).unwrap_or(rough_deg); // 6
-    Detections {
-        marks,
-        quarter_rotation_deg,
-    }
+    let places: Vec<usize> = full.filter_map(|mark| flat.index(mark.at)).collect();
+    let arms_deg = common_deg(&places).or(rough_deg); // 6
+    Detections { marks, arms_deg }
 }
 
 /// Candidates moved to the middle of what is dark there, each place once; those that move by more than half a mark are none.
 fn centred(
     flat: &FlatDisc,
-    shape: &CrossShape,
+    shape: &MarkImage,
     window: &Window,
     candidates: &[usize],
 ) -> Vec<usize> {
@@ -113,7 +142,7 @@ struct ArmRotation<'a> {
 }
 
 impl<'a> ArmRotation<'a> {
-    fn new(flat: &FlatDisc, shape: &CrossShape, window: &'a Window) -> Self {
+    fn new(flat: &FlatDisc, shape: &MarkImage, window: &'a Window) -> Self {
         let to_disc = flat.outline.inverse().cast::<f32>();
         let reach2 = shape.reach_px().powi(2) as f32;
         let harmonic = |(x, y): (&f32, &f32)| {
@@ -161,27 +190,38 @@ impl<'a> ArmRotation<'a> {
     }
 }
 
-/// Matched filters for crosses of one rotation.
-struct CrossSearch<'a> {
+/// Matched filters for marks of one rotation.
+struct MarkSearch<'a> {
     flat: &'a FlatDisc,
+    shape: &'a MarkImage,
     settings: &'a FiducialSettings,
     window: &'a Window,
-    cross: Template,
-    /// Of the cross without its round part.
-    fourfold: Template,
-    /// Sum of the squared slopes of the cross along one axis, 1/px^2.
+    mark: Template,
+    /// Of a cross without its round part.
+    fourfold: Option<Template>,
+    /// Sum of the squared slopes of the mark along one axis, 1/px^2.
     slope_energy: f64,
     /// Offsets of two neighbouring tips from the middle, px, as columns.
     arms: Matrix2<f64>,
 }
 
-/// Steps of a pixel by which a cross may be from the middle of the darkness.
+/// Steps of a pixel by which a mark may be from the middle of the darkness.
 const MOST_STEPS: usize = 6;
 
-impl<'a> CrossSearch<'a> {
+/// How a mark explains what is about its place.
+struct Explained {
+    /// Sum of the squared darkness that it explains, and of all but the noise's own share.
+    explained: f64,
+    structure: f64,
+    /// The structure of a clean mark over what is explained of it.
+    clean_share: f64,
+    least_likeness: f64,
+}
+
+impl<'a> MarkSearch<'a> {
     fn new(
         flat: &'a FlatDisc,
-        shape: &CrossShape,
+        shape: &'a MarkImage,
         settings: &'a FiducialSettings,
         window: &'a Window,
         rotation_deg: f64,
@@ -189,44 +229,51 @@ impl<'a> CrossSearch<'a> {
         let to_arms = turned(rotation_deg);
         let coverage = shape.coverage(&window.x, &window.y, &to_arms);
         let squares = |slopes: &[f32]| slopes.iter().map(|s| f64::from(s * s)).sum::<f64>();
+        let fourfold = || Template::new(window, &window.without_round_part(&coverage.share));
         Self {
             flat,
+            shape,
             settings,
             window,
-            cross: Template::new(window, &coverage.share),
-            fourfold: Template::new(window, &window.without_round_part(&coverage.share)),
-            // A quarter turn leaves the cross as it is, so its slope is the same along every axis.
+            mark: Template::new(window, &coverage.share),
+            fourfold: match shape.form {
+                MarkForm::Cross { .. } => Some(fourfold()),
+                MarkForm::Dot => None,
+            },
+            // A quarter turn leaves the mark as it is, so its slope is the same along every axis.
             slope_energy: (squares(&coverage.slope_x) + squares(&coverage.slope_y)) / 2.0,
             arms: to_arms.transpose() * shape.half_length_px,
         }
     }
 
-    /// The cross near a candidate; `None` where what is there is none.
+    /// The mark near a candidate; `None` where what is there is none.
     fn measure(&self, candidate: usize) -> Option<Detection> {
         let (flat, window) = (self.flat, self.window);
-        let peak = self.cross.climb(window, flat, candidate, MOST_STEPS)?;
+        let peak = self.mark.climb(window, flat, candidate, MOST_STEPS)?;
         let [dx, dy] = peak.top()?;
         let pixel = flat.position(peak.index);
         let at = SensorPx::new(pixel.x + dx, pixel.y + dy);
         let noise = flat.noise(peak.index);
         let contrast = peak.response;
-        let enough = self.settings.detection_sigma * self.cross.noise(noise);
+        let enough = self.settings.detection_sigma * self.mark.noise(noise);
         if contrast < enough.max(self.settings.min_contrast) {
             return None;
         }
-        let fourfold = self.fourfold.response(window, flat, peak.index);
-        let significant = fourfold > FOURFOLD_SIGMA * self.fourfold.noise(noise);
-        let structure = self.structure(peak.index, noise);
-        let explained = fourfold * fourfold * self.fourfold.energy;
+        let Explained {
+            explained,
+            structure,
+            clean_share,
+            least_likeness,
+        } = match &self.fourfold {
+            Some(fourfold) => self.as_cross(fourfold, peak.index, contrast, noise)?,
+            None => self.as_dot(peak.index, contrast, noise),
+        };
         // The noise of this very place may exceed its mean share; structure is never less than what is explained.
         let likeness = explained / structure.max(explained);
-        if !significant
-            || !FOURFOLD_SHARE.contains(&(fourfold / contrast))
-            || likeness < self.settings.min_likeness
-        {
+        if likeness < least_likeness {
             return None;
         }
-        let unexplained = (structure - CLEAN_SHARE * explained).max(0.0);
+        let unexplained = (structure - clean_share * explained).max(0.0);
         let disturbance = DISTURBANCE_PX2 * unexplained / window.pixels() as f64;
         let random = noise.hypot(disturbance.sqrt()) / (contrast * self.slope_energy.sqrt());
         Some(Detection {
@@ -234,19 +281,50 @@ impl<'a> CrossSearch<'a> {
             sigma_px: random.hypot(PARABOLA_SIGMA_PX),
             contrast,
             likeness,
-            lighting: flat.lighting(at, &self.arms),
+            lighting: flat.lighting(at, self.shape.tips(&self.arms)),
         })
     }
 
-    /// Sum of the squared darkness about a value, without the noise's own share and all that is round about it.
-    fn structure(&self, index: usize, noise: f64) -> f64 {
+    /// By its fourfold part: nothing round has one. `None` of what is no cross.
+    fn as_cross(
+        &self,
+        template: &Template,
+        index: usize,
+        contrast: f64,
+        noise: f64,
+    ) -> Option<Explained> {
+        let fourfold = template.response(self.window, self.flat, index);
+        let significant = fourfold > FOURFOLD_SIGMA * template.noise(noise);
+        let is_cross = significant && FOURFOLD_SHARE.contains(&(fourfold / contrast));
         let [all, round] = self.window.squares(self.flat, index).map(f64::from);
-        all - round - self.window.pixels() as f64 * noise * noise
+        is_cross.then(|| Explained {
+            explained: fourfold * fourfold * template.energy,
+            structure: all - round - self.noise_squares(noise),
+            clean_share: CLEAN_SHARE,
+            least_likeness: self.settings.min_likeness,
+        })
+    }
+
+    /// By all that is not even.
+    fn as_dot(&self, index: usize, contrast: f64, noise: f64) -> Explained {
+        let [all, _] = self.window.squares(self.flat, index).map(f64::from);
+        let even = f64::from(self.window.sum(self.flat, index)).powi(2);
+        Explained {
+            explained: contrast * contrast * self.mark.energy,
+            structure: all - even / self.window.pixels() as f64 - self.noise_squares(noise),
+            clean_share: CLEAN_SHARE_OF_DOT,
+            least_likeness: self.settings.min_likeness.max(LEAST_LIKENESS_OF_DOT),
+        }
+    }
+
+    /// What noise alone adds to the sum of squares about a place.
+    fn noise_squares(&self, noise: f64) -> f64 {
+        self.window.pixels() as f64 * noise * noise
     }
 }
 
-/// Of detections less than a mark's length apart, the one most like a cross.
-fn likest(mut found: Vec<Detection>, shape: &CrossShape) -> Vec<Detection> {
+/// Of detections less than a mark's size apart, the one most like a mark.
+fn likest(mut found: Vec<Detection>, shape: &MarkImage) -> Vec<Detection> {
     found.sort_by(|a, b| b.likeness.total_cmp(&a.likeness));
     let mut kept: Vec<Detection> = Vec::new();
     for mark in found {

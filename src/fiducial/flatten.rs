@@ -1,12 +1,12 @@
 //! The disc without its own brightness: a mark becomes a dark cross on even ground, and the limb leaves no edge.
 
-use super::{CrossShape, Illumination, Lighting};
+use super::{Illumination, Lighting, MarkImage};
 use crate::estimation::{Normal, Prior, SIGMA_PER_MEDIAN, median};
 use crate::frame::{Cutout, PixelNoise, Region};
 use crate::geometry::Ellipse;
 use crate::kernels::divide_row;
 use crate::units::SensorPx;
-use nalgebra::{Matrix2, Vector4};
+use nalgebra::{Vector2, Vector4};
 use std::ops::Range;
 
 /// The square reaches over the disc by this part of its radius: the outline is not final yet.
@@ -46,7 +46,7 @@ impl FlatDisc {
         cutout: &Cutout,
         outline: Ellipse,
         illumination: &impl Illumination,
-        shape: &CrossShape,
+        shape: &MarkImage,
     ) -> Option<Self> {
         let disc_px = outline.mean_radius() * (1.0 + DISC_MARGIN);
         let known = cutout.region();
@@ -156,9 +156,9 @@ impl FlatDisc {
         self.inflation * self.noise.sigma_dn(light) / light
     }
 
-    /// How a cross at a place is lit whose arms, the columns, reach so far from it.
-    pub fn lighting(&self, at: SensorPx, arms: &Matrix2<f64>) -> Lighting {
-        Lighting::of(at, arms, &self.outline, &self.known)
+    /// How a mark at a place is lit whose tips are so far from it.
+    pub fn lighting(&self, at: SensorPx, tips: impl Iterator<Item = Vector2<f64>>) -> Lighting {
+        Lighting::of(at, tips, &self.outline, &self.known)
     }
 }
 

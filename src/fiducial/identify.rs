@@ -14,16 +14,23 @@
 //! marks leave it open, the plate's centre may decide: a row at the pattern's edge, at another quarter turn, puts it off
 //! by 22 px, which counts where the instrument states it to 5 px. A labelling must beat all that contradict it, and
 //! chance, decisively; else all are refused.
+//!
+//! The pattern of 2013 has no two places alike. Another plate may: where the marks in view are as well those of another place,
+//! however far away, the stated centre alone would decide, and a camera that was moved since would have all frames wrong. Such
+//! a labelling is refused.
 
-use super::labelling::{Labelling, Lists, Scene};
+use super::labelling::{Labelling, Lists, Places, Scene};
 use super::prior::{
     DECISIVE_ODDS, FALSE_MARK_ODDS, FALSE_MARK_ODDS_AMONG_FALSE, IdentificationPrior,
     PREDICTION_ERROR, RIVAL_EXCESS,
 };
 use super::{Detection, FiducialSettings, Lighting};
-use crate::plate::{MarkId, Plate};
+use crate::plate::{MarkId, Pattern, Plate};
 use crate::reasons::sun;
 use crate::units::Rejected;
+
+/// Most detections of which each is tried as the first of a labelling.
+const MOST_ANCHORS: usize = 24;
 
 /// Why detections have no ids.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -67,10 +74,11 @@ pub fn identify(
     let reach_mil = (settings.max_centre_shift_px + error_px) * prior.mil_per_px();
     let in_view_mil = reach_mil + 1.1 * prior.radius_mil.value;
     let scenes = prior
-        .quarter_turns()
+        .turns()
         .filter_map(|turn| Scene::new(prior, detections, plate, turn, in_view_mil));
-    // A labelling, rivals included, explains two fully lit detections: one of them is among all but the last.
-    let anchors = &full[..full.len().saturating_sub(1)];
+    // A labelling, rivals included, explains two fully lit detections: one of them is among all but the last. Of very many, those that
+    // explain none of the first are no rivals.
+    let anchors = &full[..full.len().saturating_sub(1).min(MOST_ANCHORS)];
     let orders: Vec<Vec<usize>> = anchors
         .iter()
         .map(|n| nearest_first(*n, &full, detections))
@@ -78,7 +86,60 @@ pub fn identify(
     let all = scenes
         .flat_map(|scene| labellings(&scene, &orders, reach_mil, prior, settings))
         .collect();
-    decide(all, full.len(), prior, settings)
+    let best = decide(all, full.len(), prior, settings)?;
+    if plate.pattern() != Pattern::Heroes {
+        check_place(&best, &full, detections, prior, plate)?;
+    }
+    Ok(best.usable())
+}
+
+/// Holds a labelling against those of the same marks anywhere on the plate, whatever the stated centre.
+///
+/// # Errors
+/// One of them explains as many marks, and is not much less likely.
+fn check_place(
+    best: &Labelling,
+    full: &[usize],
+    detections: &[Detection],
+    prior: &IdentificationPrior,
+    plate: &Plate,
+) -> Result<(), Rejected> {
+    let explained: Vec<usize> = best.matches.iter().map(|m| m.detection).collect();
+    let explained: Vec<usize> = explained.into_iter().filter(|n| full.contains(n)).collect();
+    // A labelling of as many marks explains two of any three of these, but for one that the best does not explain.
+    let pairs = match explained[..] {
+        [a, b, c, ..] => vec![[a, b], [b, c], [c, a]],
+        [a, b] => vec![[a, b]],
+        _ => return Ok(()),
+    };
+    let places = Places::of(plate);
+    let mut lists = Lists::default();
+    let mut rivals: Vec<Labelling> = Vec::new();
+    for turn in prior.turns() {
+        let Some(scene) = Scene::new(prior, detections, plate, turn, f64::INFINITY) else {
+            continue;
+        };
+        for pair in &pairs {
+            let order = nearest_first(pair[0], full, detections);
+            for anchor in scene.marks_of_pair(*pair, &places) {
+                let Some(mut rival) = scene.follow(anchor, &order, &mut lists) else {
+                    continue;
+                };
+                let known = rivals.iter().any(|other| !other.contradicts(&rival));
+                if !known && rival.full >= best.full && rival.contradicts(best) {
+                    rival.score += prior.rotation_odds(rival.rotation_deg);
+                    rivals.push(rival);
+                }
+            }
+        }
+    }
+    let own = best.score - best.centre_odds;
+    let likelihoods = rivals.iter().map(|rival| (rival.score - own).exp());
+    Rejected::at_least(
+        DECISIVE_ODDS,
+        -likelihoods.sum::<f64>().ln(),
+        sun::CENTRE_ALONE,
+    )
 }
 
 /// Every labelling at one quarter turn that starts with the first detection of one of the orders.
@@ -103,8 +164,9 @@ fn labellings(
             };
             let (centre, sigma_px) = (labelling.plate_centre, labelling.centre_sigma_px);
             if prior.shift_excess(centre, sigma_px, max_shift_px) < RIVAL_EXCESS {
-                labelling.score += prior.centre_odds(centre, sigma_px, max_shift_px)
-                    + prior.rotation_odds(labelling.rotation_deg);
+                labelling.centre_odds = prior.centre_odds(centre, sigma_px, max_shift_px);
+                labelling.score +=
+                    labelling.centre_odds + prior.rotation_odds(labelling.rotation_deg);
                 found.push(labelling);
             }
         }
@@ -118,7 +180,7 @@ fn decide(
     full: usize,
     prior: &IdentificationPrior,
     settings: &FiducialSettings,
-) -> Result<Vec<(usize, MarkId)>, Unread> {
+) -> Result<Labelling, Unread> {
     labellings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let Some(best) = labellings.first() else {
         return Err(Unread::Undecided(Rejected {
@@ -150,7 +212,7 @@ fn decide(
     let excess = prior.scale_excess(best.scale_mil_per_px);
     let reason = sun::SCALE_OF_LABELLING;
     Rejected::at_most(1.0, excess, reason).map_err(Unread::Contradicting)?;
-    Ok(best.usable())
+    Ok(best.clone())
 }
 
 /// Logarithm of the odds of a labelling against rivals and chance together.

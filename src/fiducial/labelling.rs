@@ -2,10 +2,11 @@
 //!
 //! # The model
 //! The Sun is round on the plate, so its outline turns a position on the sensor into an offset from the Sun's centre on
-//! the plate, in mil, but for a rotation; the arms determine that to a quarter turn. A labelling then fixes where on the
-//! plate the Sun's centre lies, and small corrections of rotation and scale ([`LocalSimilarity`]). Its score is the
-//! logarithm of the evidence: how much likelier the detections are under it than if all were false. It is summed mark
-//! by mark, each compared with the position that the marks before it predict, the nearest to the first mark first:
+//! the plate, in mil, but for a rotation; the arms determine that to a quarter turn, and where marks have none it is what
+//! the instrument states. A labelling then fixes where on the plate the Sun's centre lies, and small corrections of
+//! rotation and scale ([`LocalSimilarity`]). Its score is the logarithm of the evidence: how much likelier the detections
+//! are under it than if all were false. It is summed mark by mark, each compared with the position that the marks before it
+//! predict, the nearest to the first mark first:
 //!
 //! | term | per |
 //! |---|---|
@@ -16,13 +17,13 @@
 //! Shares, scatters and densities are those of [`prior`](super::prior).
 
 use super::prior::{
-    CUT_FOUND_SHARE, GATE_SIGMAS, IdentificationPrior, LIMB_BIAS_WIDTHS, LIT_LENGTHS, SCATTER_MIL,
+    CUT_FOUND_SHARE, GATE_SIGMAS, IdentificationPrior, LIMB_BIAS_WIDTHS, LIT_LENGTHS,
     USABLE_LENGTHS, contrast_odds,
 };
 use super::similarity::LocalSimilarity;
 use super::{Detection, Lighting};
 use crate::geometry::Handedness;
-use crate::plate::{Cross, MarkId, Plate};
+use crate::plate::{MarkId, MarkShape, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 
@@ -52,6 +53,8 @@ pub(super) struct Labelling {
     pub scale_mil_per_px: Measured,
     /// Logarithm of the evidence.
     pub score: f64,
+    /// What the stated place of the plate's centre adds to it.
+    pub centre_odds: f64,
 }
 
 impl Labelling {
@@ -88,13 +91,13 @@ struct Candidate {
     lighting: Lighting,
 }
 
-/// Detections and printed marks at one quarter turn: all that its labellings share.
+/// Detections and printed marks at one rotation: all that its labellings share.
 pub(super) struct Scene<'a> {
     prior: &'a IdentificationPrior,
     detections: &'a [Detection],
-    cross: &'a Cross,
-    /// Rotation of the plate's axes on the sensor, deg.
-    rotation_deg: f64,
+    shape: &'a MarkShape,
+    /// Rotation of the plate's axes on the sensor.
+    rotation_deg: Measured,
     /// From offsets on the plate, mil, to the unit disc.
     to_disc: Matrix2<f64>,
     /// One for each detection.
@@ -106,20 +109,21 @@ pub(super) struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    /// The detections at one of [`IdentificationPrior::quarter_turns`], with the plate's marks within `in_view_mil` of the
+    /// The detections at one of [`IdentificationPrior::turns`], with the plate's marks within `in_view_mil` of the
     /// Sun's expected position; `None` when the outline has no size.
     pub(super) fn new(
         prior: &'a IdentificationPrior,
         detections: &'a [Detection],
         plate: &'a Plate,
-        (rotation_deg, to_plate): (f64, Matrix2<f64>),
+        (rotation_deg, to_plate): (Measured, Matrix2<f64>),
         in_view_mil: f64,
     ) -> Option<Self> {
+        let scatter_mil2 = prior.scatter_mil2(plate.drawing_sigma_mil());
         let offset = |at: SensorPx| to_plate * prior.outline.to_disc(at.vector());
         let candidate = |(n, detection): (usize, &Detection)| Candidate {
             detection: n,
             offset: offset(detection.at),
-            variance: SCATTER_MIL.powi(2) + (detection.sigma_px * prior.mil_per_px()).powi(2),
+            variance: scatter_mil2 + (detection.sigma_px * prior.mil_per_px()).powi(2),
             lighting: detection.lighting,
         };
         let expected_sun = PlateMil::from(-offset(prior.plate_centre));
@@ -128,7 +132,7 @@ impl<'a> Scene<'a> {
         Some(Self {
             prior,
             detections,
-            cross: &plate.cross,
+            shape: &plate.shape,
             rotation_deg,
             to_disc: to_plate.try_inverse()?,
             candidates: detections.iter().enumerate().map(candidate).collect(),
@@ -146,6 +150,23 @@ impl<'a> Scene<'a> {
         let expected = self.expected_sun.vector() + self.candidates[detection].offset;
         let marks = self.marks.iter().copied();
         marks.filter(move |(_, at)| (at.vector() - expected).norm() < reach_mil)
+    }
+
+    /// The marks that one detection may be if another detection is to be a mark, too, whatever the plate's centre.
+    pub(super) fn marks_of_pair(
+        &self,
+        [first, second]: [usize; 2],
+        places: &Places,
+    ) -> Vec<(MarkId, PlateMil)> {
+        let [first, second] = [first, second].map(|n| &self.candidates[n]);
+        let step = second.offset - first.offset;
+        let relative = self.prior.radius_mil.sigma / self.prior.radius_mil.value;
+        let turned = self.rotation_deg.sigma.to_radians();
+        let by_step = step.norm_squared() * (relative.powi(2) + turned.powi(2));
+        let reach_mil = GATE_SIGMAS * (first.variance + second.variance + by_step).sqrt();
+        let is_pair =
+            |(_, at): &&(MarkId, PlateMil)| places.hold_any((at.vector() + step).into(), reach_mil);
+        self.marks.iter().filter(is_pair).copied().collect()
     }
 
     /// The labelling that follows when the first of some fully lit detections is the mark `anchor`; the others are tried in
@@ -182,12 +203,32 @@ impl<'a> Scene<'a> {
     /// Inward bias of a mark that the limb cuts, 1 sigma, mil.
     fn limb_bias_mil(&self, offset: Vector2<f64>) -> f64 {
         let depth = self.prior.radius_mil.value - offset.norm();
-        let lit_depth = LIT_LENGTHS * self.cross.arm_length_mil;
+        let lit_depth = LIT_LENGTHS * self.shape.size_mil();
         self.largest_bias_mil() * (1.0 - depth / lit_depth).clamp(0.0, 1.0)
     }
 
     fn largest_bias_mil(&self) -> f64 {
-        LIMB_BIAS_WIDTHS * self.cross.arm_width_mil
+        LIMB_BIAS_WIDTHS * self.shape.line_mil()
+    }
+}
+
+/// The places of a plate's marks, by their x.
+pub(super) struct Places(Vec<PlateMil>);
+
+impl Places {
+    pub(super) fn of(plate: &Plate) -> Self {
+        let mut places: Vec<PlateMil> = plate.marks().map(|(_, at)| at).collect();
+        places.sort_by(|a, b| a.x.total_cmp(&b.x));
+        Self(places)
+    }
+
+    /// Whether any mark is within so much of a place.
+    fn hold_any(&self, at: PlateMil, reach_mil: f64) -> bool {
+        let first = self.0.partition_point(|place| place.x < at.x - reach_mil);
+        let near = self.0[first..]
+            .iter()
+            .take_while(|place| place.x <= at.x + reach_mil);
+        near.into_iter().any(|place| place.distance(at) < reach_mil)
     }
 }
 
@@ -215,7 +256,7 @@ impl<'a, 'l> Hypothesis<'a, 'l> {
         (id, printed): (MarkId, PlateMil),
         lists: &'l mut Lists,
     ) -> Self {
-        let (radius, rotation) = (scene.prior.radius_mil, scene.prior.quarter_rotation_deg);
+        let (radius, rotation) = (scene.prior.radius_mil, scene.rotation_deg);
         let mut fit =
             LocalSimilarity::new(radius.sigma / radius.value, rotation.sigma.to_radians());
         fit.add(first.offset, printed, first.variance);
@@ -261,7 +302,7 @@ impl<'a, 'l> Hypothesis<'a, 'l> {
             true => prior.found_share(),
             false => CUT_FOUND_SHARE,
         };
-        let usable = place.distance(printed) < USABLE_LENGTHS * scene.cross.arm_length_mil;
+        let usable = place.distance(printed) < USABLE_LENGTHS * scene.shape.size_mil();
         self.score += density + (found_share / prior.false_density()).ln();
         self.lists.matches.push(Match {
             detection: candidate.detection,
@@ -330,10 +371,11 @@ impl<'a, 'l> Hypothesis<'a, 'l> {
             full,
             plate_centre: self.scene.to_sensor(centre),
             centre_sigma_px: fit.variance(centre).sqrt() / prior.mil_per_px(),
-            rotation_deg: Measured::new(self.scene.rotation_deg + on_sensor, on_plate.sigma),
+            rotation_deg: Measured::new(self.scene.rotation_deg.value + on_sensor, on_plate.sigma),
             scale_mil_per_px: fit.scale(prior.mil_per_px()),
             matches: self.lists.matches.clone(),
             score: self.score,
+            centre_odds: 0.0,
         }
     }
 }

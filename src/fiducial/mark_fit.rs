@@ -1,8 +1,9 @@
 //! One mark's fit: place, contrast and light by Gauss-Newton steps on the pixels of its patch, reweighted against outliers.
 
-use super::CrossShape;
-use super::cross::rows;
+use super::blurred_dot::BlurredDot;
+use super::mark_image::rows;
 use super::patch::Patch;
+use super::{MarkForm, MarkImage};
 use crate::estimation::{Normal, Prior, clipped_sigma};
 use crate::frame::PixelNoise;
 use crate::kernels::{
@@ -38,9 +39,26 @@ const UNKNOWNS: usize = 6;
 const EXPECTED: [f64; UNKNOWNS] = [0.0, 0.0, 0.5, 1.0, 0.0, 0.0];
 const EXPECTED_INVERSE_SIGMA: [f64; UNKNOWNS] = [0.0, 0.0, 2.0, 2.0, 5.0, 5.0];
 
+/// What a mark takes of the light, and how that changes.
+#[derive(Debug, Clone)]
+pub(super) enum Cover {
+    Cross(Bars),
+    Dot(BlurredDot),
+}
+
+impl Cover {
+    pub fn new(image: &MarkImage) -> Self {
+        match image.form {
+            MarkForm::Cross { half_width_px } => Self::Cross(image.bars(half_width_px)),
+            MarkForm::Dot => Self::Dot(image.dot()),
+        }
+    }
+}
+
 /// One mark's fit.
 pub(super) struct MarkFit<'a> {
-    pub shape: &'a CrossShape,
+    pub image: &'a MarkImage,
+    pub cover: &'a Cover,
     /// From an offset on the sensor to one along the arms, both px.
     pub to_arms: Matrix2<f64>,
     /// Radius of the patch, px.
@@ -142,16 +160,33 @@ impl Near {
 /// The model at some unknowns: residuals and slopes of every pixel in units of its sigma.
 #[multiversion(targets("x86_64+avx2+fma"))]
 fn linearise(fit: &MarkFit<'_>, patch: &Patch, unknowns: &Unknowns, near: &mut Near) {
-    if fit.shape.bars().has_ends_apart() {
-        linearise_by(long_blurred_bar, fit, patch, unknowns, near);
-    } else {
-        linearise_by(blurred_bar, fit, patch, unknowns, near);
+    match fit.cover {
+        Cover::Cross(bars) if bars.has_ends_apart() => linearise_by(
+            |to_arms, x, y| cover_at(long_blurred_bar, bars, to_arms, x, y),
+            fit,
+            patch,
+            unknowns,
+            near,
+        ),
+        Cover::Cross(bars) => linearise_by(
+            |to_arms, x, y| cover_at(blurred_bar, bars, to_arms, x, y),
+            fit,
+            patch,
+            unknowns,
+            near,
+        ),
+        Cover::Dot(dot) => linearise_by(
+            |to_dot, x, y| dot.cover_at(to_dot, x, y),
+            fit,
+            patch,
+            unknowns,
+            near,
+        ),
     }
 }
 
 /// What the model of one pixel needs.
 struct PixelModel {
-    bars: Bars,
     to_arms: [f32; 4],
     unknowns: [f32; UNKNOWNS],
     noise: [f32; 2],
@@ -170,18 +205,18 @@ struct Pixel {
     bend: f32,
 }
 
-/// Slopes by the unknowns, residual, and by how much the model may be off, in units of a pixel's sigma; `long_bar` tells the share and
-/// slope of the bars along their length.
+/// Slopes by the unknowns, residual, and by how much the model may be off, in units of a pixel's sigma; `cover_at` gives what the
+/// mark takes of the light at an offset from its middle, and its slopes.
 #[inline(always)]
 fn near_pixel(
     model: &PixelModel,
-    long_bar: &impl Fn(f32, f32, f32) -> (f32, f32),
+    cover_at: &impl Fn([f32; 4], f32, f32) -> [f32; 3],
     pixel: &Pixel,
 ) -> [f32; UNKNOWNS + 2] {
     let Pixel { x, y, light, .. } = *pixel;
     let [at_x, at_y, contrast, even, tilt_x, tilt_y] = model.unknowns;
-    let (bars, per_reach) = (&model.bars, model.per_reach);
-    let [share, share_x, share_y] = cover_at(long_bar, bars, model.to_arms, x - at_x, y - at_y);
+    let per_reach = model.per_reach;
+    let [share, share_x, share_y] = cover_at(model.to_arms, x - at_x, y - at_y);
     // The light that a mark of contrast 1 takes, and what this one leaves.
     let taken =
         light * share + model.blur_variance * (pixel.slope_x * share_x + pixel.slope_y * share_y);
@@ -207,18 +242,17 @@ fn near_pixel(
 
 #[inline(always)]
 fn linearise_by(
-    long_bar: impl Fn(f32, f32, f32) -> (f32, f32),
+    cover_at: impl Fn([f32; 4], f32, f32) -> [f32; 3],
     fit: &MarkFit<'_>,
     patch: &Patch,
     unknowns: &Unknowns,
     near: &mut Near,
 ) {
     let model = PixelModel {
-        bars: fit.shape.bars(),
         to_arms: rows(&fit.to_arms),
         unknowns: unknowns.map(|v| v as f32).into(),
         noise: [fit.noise.dark_dn2, fit.noise.per_light_dn].map(|v| v as f32),
-        blur_variance: fit.shape.blur_px.powi(2) as f32,
+        blur_variance: fit.image.blur_px.powi(2) as f32,
         per_reach: 1.0 / fit.reach as f32,
     };
     let count = patch.x.len();
@@ -240,7 +274,7 @@ fn linearise_by(
                 slope_y: slope_y[n][k],
                 bend: bend[n][k],
             };
-            let values = near_pixel(&model, &long_bar, &here);
+            let values = near_pixel(&model, &cover_at, &here);
             for (found, value) in found.iter_mut().zip(values) {
                 found[k] = value;
             }

@@ -13,25 +13,26 @@
 //!    sub-pixel phase, with a covariance of its own: [`Refiner::refine`] cuts the pixels out (`patch`) and takes Gauss-Newton
 //!    steps on them (`mark_fit`).
 
+mod blurred_dot;
 mod candidates;
-mod cross;
 mod detect;
 mod flatten;
 mod identify;
 mod labelling;
 mod lighting;
 mod mark_fit;
+mod mark_image;
 mod patch;
 mod prior;
 mod refine;
 mod similarity;
 mod template;
 
-pub use cross::CrossShape;
 pub use detect::{Detection, Detections, detect};
 pub use flatten::FlatDisc;
 pub use identify::{Unread, identify};
 pub use lighting::Lighting;
+pub use mark_image::{MarkForm, MarkImage};
 pub use patch::Illumination;
 pub use prior::IdentificationPrior;
 pub use refine::{RefinedMark, Refiner};

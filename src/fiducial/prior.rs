@@ -8,9 +8,9 @@ use std::f64::consts::{PI, TAU};
 
 // Scene statistics. Positions: how far a mark is observed from its predicted position, 1 sigma per axis.
 
-/// Of a fully lit mark: print (1 mil rms) and the keystone that a similarity leaves over the disc.
-pub(super) const SCATTER_MIL: f64 = 1.3;
-/// Of a mark that the limb cuts: its inward bias at the limb, in widths of an arm, from where it falls linearly to none
+/// Of a fully lit mark: the keystone that a similarity leaves over the disc, px. The print's scatter comes on top.
+const KEYSTONE_PX: f64 = 0.144_463;
+/// Of a mark that the limb cuts: its inward bias at the limb, in widths of its lines, from where it falls linearly to none
 /// for a fully lit mark. An upper bound: on simulated frames it is 1, 0.33, 0.12 and 0.03 at depths of 0, 0.17, 0.3 and 0.5
 /// lengths of an arm.
 pub(super) const LIMB_BIAS_WIDTHS: f64 = 1.0;
@@ -20,6 +20,11 @@ pub(super) const LIT_LENGTHS: f64 = 0.7;
 pub(super) const USABLE_LENGTHS: f64 = 0.1;
 /// A detection whose residual is larger, in sigma, is not that mark.
 pub(super) const GATE_SIGMAS: f64 = 4.0;
+/// Rotations that are tried for marks without arms are so far apart, and each is so uncertain, 1 sigma.
+const ROTATION_STEP_DEG: f64 = 1.2;
+const ROTATION_STEP_SIGMA_DEG: f64 = 0.6;
+/// They reach so many sigma of the stated rotation to either side of it.
+const ROTATION_REACH_SIGMAS: f64 = 4.0;
 /// Error of a position predicted by scale and rotation alone, relative to its distance.
 pub(super) const PREDICTION_ERROR: f64 = 0.03;
 
@@ -65,9 +70,9 @@ pub struct IdentificationPrior {
     pub outline: Ellipse,
     /// Radius of the outline on the plate; its sigma is that of the scale.
     pub radius_mil: Measured,
-    /// Rotation of the picture modulo a quarter turn, from the arms of the crosses, in the outline's own coordinates
-    /// ([`Ellipse::to_disc`]).
-    pub quarter_rotation_deg: Measured,
+    /// Rotation of the plate's axes modulo a quarter turn, from the arms of the crosses, in the outline's own coordinates
+    /// ([`Ellipse::to_disc`]). `None` of marks without arms, whose rotation is what is stated, within its sigma.
+    pub quarter_rotation_deg: Option<Measured>,
     pub handedness: Handedness,
     /// Stated position of the plate's centre on the sensor, and 1 sigma of it per axis.
     pub plate_centre: SensorPx,
@@ -87,15 +92,45 @@ pub struct IdentificationPrior {
 }
 
 impl IdentificationPrior {
-    /// The rotations that the arms allow, deg, each with the map from the unit disc to offsets from the Sun's centre on the
-    /// plate (mil).
-    pub(super) fn quarter_turns(&self) -> impl Iterator<Item = (f64, Matrix2<f64>)> {
+    /// The rotations that the arms allow, or what is stated, each with the map from the unit disc to offsets from the Sun's centre on
+    /// the plate (mil).
+    pub(super) fn turns(&self) -> impl Iterator<Item = (Measured, Matrix2<f64>)> {
         let axes = self.handedness.axes() * self.radius_mil.value;
-        [0.0, 90.0, 180.0, 270.0].into_iter().map(move |quarter| {
-            let rotation_deg = self.quarter_rotation_deg.value + quarter;
-            let rotation = Rotation2::new(rotation_deg.to_radians());
+        self.rotations().into_iter().map(move |rotation_deg| {
+            let rotation = Rotation2::new(rotation_deg.value.to_radians());
             (rotation_deg, axes * rotation.matrix().transpose())
         })
+    }
+
+    fn rotations(&self) -> Vec<Measured> {
+        if let Some(Measured { value, sigma }) = self.quarter_rotation_deg {
+            let quarters = [0.0, 90.0, 180.0, 270.0];
+            return quarters
+                .map(|quarter| Measured::new(value + quarter, sigma))
+                .into();
+        }
+        let stated = self.rotation_deg;
+        let reach_deg = ROTATION_REACH_SIGMAS * stated.sigma.hypot(self.tilt_deg());
+        let all = (180.0 / ROTATION_STEP_DEG) as i32;
+        let most = ((reach_deg / ROTATION_STEP_DEG).ceil() as i32).min(all);
+        // All round, the last is the first.
+        let first = if most == all { 1 - most } else { -most };
+        let rotation = |n: i32| {
+            let value = stated.value + f64::from(n) * ROTATION_STEP_DEG;
+            Measured::new(value, ROTATION_STEP_SIGMA_DEG)
+        };
+        (first..=most).map(rotation).collect()
+    }
+
+    /// How far a mark is observed from its predicted position, where each lies within `print_mil` of its drawing: variance per axis,
+    /// mil^2.
+    pub(super) fn scatter_mil2(&self, print_mil: f64) -> f64 {
+        print_mil.powi(2) + (KEYSTONE_PX * self.scale_mil_per_px.value).powi(2)
+    }
+
+    /// By how much a tilted camera turns the picture at the Sun.
+    fn tilt_deg(&self) -> f64 {
+        (TILT_PER_PX * self.sun_distance_px(self.plate_centre)).to_degrees()
     }
 
     /// Mean scale on the disc.
@@ -139,11 +174,10 @@ impl IdentificationPrior {
     /// Log odds of a rotation against the stated one: normally distributed about it, a tilt's share allowed, but of no
     /// preference for the cameras that were turned.
     pub(super) fn rotation_odds(&self, rotation_deg: Measured) -> f64 {
-        let tilt_deg = (TILT_PER_PX * self.sun_distance_px(self.plate_centre)).to_degrees();
         let sigma_deg = self.rotation_deg.sigma.hypot(rotation_deg.sigma);
         let change_deg = rotation_deg.value - self.rotation_deg.value;
         let change_deg = (change_deg + 180.0).rem_euclid(360.0) - 180.0;
-        let sigmas = change_deg / sigma_deg.hypot(tilt_deg);
+        let sigmas = change_deg / sigma_deg.hypot(self.tilt_deg());
         (TURNED_SHARE + (1.0 - TURNED_SHARE) * (-0.5 * sigmas * sigmas).exp()).ln()
     }
 

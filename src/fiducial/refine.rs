@@ -13,26 +13,20 @@
 //! Where the limb leaves a single arm, nothing determines the place along that arm: the covariance says so, or there is no
 //! result.
 
-use super::CrossShape;
-use super::mark_fit::{CONTRAST, Lists, MarkFit, Settled, X, Y};
+use super::MarkImage;
+use super::mark_fit::{CONTRAST, Cover, Lists, MarkFit, Settled, X, Y};
 use super::patch::Illumination;
 use crate::frame::{Cutout, PixelNoise};
-use crate::plate::Cross;
+use crate::plate::MarkShape;
 use crate::units::{Estimate, SensorPx};
 use nalgebra::{Matrix2, Vector2};
-
-/// Ground about the cross that takes part, in widths of an arm: it determines the light's level and tilt. More of it lets in what
-/// lies beside.
-const GROUND_WIDTHS: f64 = 1.6;
-/// The same in blurs, where that is more: the blurred arms must end within.
-const GROUND_BLURS: f64 = 1.3;
 
 /// A mark as its pixels show it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RefinedMark {
     /// Where it is, with the fit's covariance: by the pixels' stated variance, or by the residuals' own where that is larger.
     pub place: Estimate<SensorPx>,
-    /// Darkness of the cross as a fraction of the light around it.
+    /// Darkness of the mark as a fraction of the light around it.
     pub contrast: f64,
     /// Mean square of the residuals in units of the pixels' stated variance.
     pub reduced_chi2: f64,
@@ -41,19 +35,29 @@ pub struct RefinedMark {
 /// Refines the marks of a frame: their shape at the frame's scale and blur.
 #[derive(Debug, Clone)]
 pub struct Refiner {
-    shape: CrossShape,
+    image: MarkImage,
+    cover: Cover,
+    /// From an offset along the plate's axes to one along the arms.
+    to_arms: Matrix2<f64>,
     scale_mil_per_px: f64,
     noise: PixelNoise,
     lists: Lists,
 }
 
 impl Refiner {
-    /// For crosses of the plate at a scale and a lens's blur (1 sigma), on pixels of some noise. A blur that is off by a fifth moves no mark.
-    pub fn new(cross: &Cross, scale_mil_per_px: f64, lens_blur_px: f64, noise: PixelNoise) -> Self {
-        let shape = CrossShape::new(cross, scale_mil_per_px, lens_blur_px);
+    /// For marks of the plate at a scale and a lens's blur (1 sigma), on pixels of some noise. A blur that is off by a fifth moves no mark.
+    pub fn new(
+        shape: &MarkShape,
+        scale_mil_per_px: f64,
+        lens_blur_px: f64,
+        noise: PixelNoise,
+    ) -> Self {
+        let image = MarkImage::new(shape, scale_mil_per_px, lens_blur_px);
         Self {
-            shape,
+            cover: Cover::new(&image),
+            to_arms: shape.arms().transpose(),
             scale_mil_per_px,
+            image,
             noise,
             lists: Lists::default(),
         }
@@ -61,12 +65,7 @@ impl Refiner {
 
     /// How far from a mark's expected place pixels take part, px.
     pub fn reach_px(&self) -> f64 {
-        let CrossShape {
-            half_length_px,
-            half_width_px,
-            blur_px,
-        } = self.shape;
-        half_length_px + (GROUND_WIDTHS * 2.0 * half_width_px).max(GROUND_BLURS * blur_px)
+        self.image.fit_reach_px()
     }
 
     /// The mark near `start`, within half an arm's width.
@@ -83,13 +82,14 @@ impl Refiner {
         let reach = self.reach_px();
         self.lists.patch.take(start, reach, cutout, illumination)?;
         let fit = MarkFit {
-            shape: &self.shape,
-            to_arms: jacobian.try_inverse()? / self.scale_mil_per_px,
+            image: &self.image,
+            cover: &self.cover,
+            to_arms: self.to_arms * (jacobian.try_inverse()? / self.scale_mil_per_px),
             reach,
             noise: self.noise,
         };
         // What is farther off than an arm is wide is another mark, or none.
-        let farthest_px = self.shape.blurred_half_width_px();
+        let farthest_px = self.image.blurred_half_width_px();
         let settled = fit.run(&mut self.lists, farthest_px)?;
         RefinedMark::of(&settled, start)
     }

@@ -89,6 +89,16 @@ impl Window {
         [squares, round]
     }
 
+    /// Sum of the values about one of them, where the window [`fits`](Self::fits), within the radius.
+    pub(super) fn sum(&self, flat: &FlatDisc, index: usize) -> f32 {
+        let rows = self.values(flat, index).chunks(flat.side());
+        let pixels = rows
+            .zip(self.ring.chunks_exact(self.width))
+            .flat_map(|(row, rings)| row.iter().zip(rings));
+        let inside = pixels.filter(|(_, ring)| self.is_inside(**ring));
+        inside.map(|(value, _)| value).sum()
+    }
+
     /// Whether the pixels about a value of the flattened disc, with one to spare, are all in its square.
     pub(super) fn fits(&self, flat: &FlatDisc, index: usize) -> bool {
         let inner = self.reach + 1..flat.side().saturating_sub(self.width - self.reach);
@@ -195,12 +205,12 @@ impl Peak {
 
 #[cfg(test)]
 mod tests {
-    use super::super::cross::{USUAL_SHAPE, turned};
+    use super::super::mark_image::{USUAL_CROSS, turned};
     use super::*;
 
     fn window_and_shares(rotation_deg: f64) -> (Window, Vec<f32>) {
-        let window = Window::within(USUAL_SHAPE.reach_px());
-        let coverage = USUAL_SHAPE.coverage(&window.x, &window.y, &turned(rotation_deg));
+        let window = Window::within(USUAL_CROSS.reach_px());
+        let coverage = USUAL_CROSS.coverage(&window.x, &window.y, &turned(rotation_deg));
         (window, coverage.share)
     }
 

@@ -53,14 +53,15 @@ pub fn builtin_text(name: &str) -> Option<&'static str> {
 }
 
 /// The text of an instrument's file, or of a file of a camera that sees the sky: where `path` is a built-in one's name and no such
-/// file is there, the built-in one's.
+/// file is there, the built-in one's. The table of marks that an instrument's file names is taken into the text.
 ///
 /// # Errors
-/// Neither a file nor the name of a built-in one, or a file that cannot be read.
+/// Neither a file nor the name of a built-in one, or a file that cannot be read, that of the marks too.
 pub fn text_of(path: &Path) -> Result<String, TomlError> {
     match files::read_text(path) {
         Err(unread) if unread.is_absent() => {}
-        read => return read.map_err(|unread| unreadable(path, &unread)),
+        Ok(text) => return raw::with_table(path, text),
+        Err(unread) => return Err(unreadable(path, &unread)),
     }
     let name = path.to_string_lossy();
     let all = FILES.iter().chain(&SKY_FILES);

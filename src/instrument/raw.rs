@@ -3,13 +3,16 @@
 use super::toml_file::{TomlError, Utc, keys_of, parse_strict};
 use super::{Directions, Instrument, Mounting, Optics, PlateCamera, TURN_DEG};
 use crate::geometry::{Distortion, Handedness};
-use crate::plate::{Cross, MarkId, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+mod plate;
 mod sensor;
+
+use plate::RawPlate;
+pub(super) use plate::with_table;
 use sensor::{RawNoise, RawThermal, RawVignetting};
 
 /// A number with what is known of it. Source and date are for people; the program keeps value and sigma. A calibration from
@@ -95,22 +98,6 @@ struct RawDistortion {
 }
 
 #[derive(Deserialize)]
-struct RawPlate {
-    arm_length_mil: Entry<f64>,
-    arm_width_mil: Entry<f64>,
-    drawing_sigma_mil: Entry<f64>,
-    #[serde(default)]
-    mark: Vec<RawMark>,
-}
-
-#[derive(Deserialize)]
-struct RawMark {
-    id: [i32; 2],
-    position_mil: [f64; 2],
-    sigma_mil: [f64; 2],
-}
-
-#[derive(Deserialize)]
 struct RawOptics {
     focal_length_mm: Entry<f64>,
     plate_distance_mm: Entry<f64>,
@@ -140,7 +127,7 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<Instrument, TomlError> {
 }
 
 /// Keys that the demo does without: what an unknown key may have been meant for.
-const OPTIONAL_KEYS: [&str; 11] = [
+const OPTIONAL_KEYS: [&str; 17] = [
     "camera.hot_pixels_px",
     "camera.name",
     "camera.noise.dark_dn",
@@ -152,6 +139,12 @@ const OPTIONAL_KEYS: [&str; 11] = [
     "optics.temperature.blur_px_per_c",
     "optics.temperature.reference_c",
     "optics.temperature.scale_per_c",
+    "plate.arm_angle_deg",
+    "plate.dot_diameter_mil",
+    "plate.drawing.csv",
+    "plate.marks",
+    "plate.pattern",
+    "plate.shape",
 ];
 
 /// The roll of a gondola that nobody has measured: balancing levels it to about a degree.
@@ -165,13 +158,14 @@ struct Checker<'a> {
 impl Checker<'_> {
     fn instrument(&self, raw: RawInstrument) -> Result<Instrument, TomlError> {
         self.name(&raw.name)?;
+        let mounting = self.mounting(raw.mounting)?;
         Ok(Instrument {
             camera_name: raw.camera.name.as_ref().map(|name| name.value.clone()),
             sensor: self.sensor(&raw.camera)?,
             camera: self.camera(raw.camera)?,
-            plate: self.plate(raw.plate)?,
+            plate: self.plate(raw.plate, mounting.scale_mil_per_px.value)?,
             optics: self.optics(raw.optics)?,
-            mounting: self.mounting(raw.mounting)?,
+            mounting,
             name: raw.name,
         })
     }
@@ -238,38 +232,6 @@ impl Checker<'_> {
         })
     }
 
-    fn plate(&self, raw: RawPlate) -> Result<Plate, TomlError> {
-        let length = self.measured("plate.arm_length_mil", raw.arm_length_mil, 10.0..=200.0)?;
-        let width = self.measured("plate.arm_width_mil", raw.arm_width_mil, 1.0..=50.0)?;
-        let sigma = self.measured("plate.drawing_sigma_mil", raw.drawing_sigma_mil, 0.0..=20.0)?;
-        let cross = Cross {
-            arm_length_mil: length.value,
-            arm_width_mil: width.value,
-        };
-        let mut plate = Plate::drawn(cross, sigma.value);
-        for (n, mark) in raw.mark.iter().enumerate() {
-            let field = format!("plate.mark[{n}]");
-            let [i, j] = mark.id;
-            let id = MarkId::new(i, j).ok_or_else(|| {
-                self.error(
-                    &format!("{field}.id"),
-                    "indices from -7 to 7",
-                    format!("[{i}, {j}]"),
-                )
-            })?;
-            for (key, values, limit) in [
-                ("position_mil", mark.position_mil, 1e4),
-                ("sigma_mil", mark.sigma_mil, 1e3),
-            ] {
-                for value in values {
-                    self.within(&format!("{field}.{key}"), value, -limit..=limit, "mil")?;
-                }
-            }
-            plate.set(id, mark.position_mil.into_position(), mark.sigma_mil);
-        }
-        Ok(plate)
-    }
-
     fn optics(&self, raw: RawOptics) -> Result<Optics, TomlError> {
         let lengths = 10.0..=100_000.0;
         Ok(Optics {
@@ -306,7 +268,11 @@ impl Checker<'_> {
         let twist = self.measured("mounting.twist_deg", raw.twist_deg, turn.clone())?;
         let clocking = self.measured("mounting.clocking_deg", raw.clocking_deg, turn.clone())?;
         let centre = self.pair("mounting.plate_centre_px", &raw.plate_centre_px, 65_536.0)?;
-        let boresight = self.pair("mounting.boresight_mil", &raw.boresight_mil, 1e4)?;
+        let boresight = self.pair(
+            "mounting.boresight_mil",
+            &raw.boresight_mil,
+            plate::MOST_PLACE_MIL,
+        )?;
         Ok(Mounting {
             scale_mil_per_px: scale,
             rotation_deg: Measured::new(rotation.value + twist.value, rotation.sigma),
@@ -440,6 +406,7 @@ impl IntoPosition for [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plate::{MarkId, MarkPlace, Pattern};
 
     const DEMO: &str = include_str!("../../calibration/demo.toml");
 
@@ -558,7 +525,11 @@ mod tests {
         );
         let plate = parse(Path::new("a.toml"), &text).unwrap().plate;
         let id = MarkId::new(1, 0).unwrap();
-        assert_eq!(plate.position(id), PlateMil::new(270.4, 89.9));
-        assert_eq!(plate.sigma_mil(id), [0.05, 0.06]);
+        let expected = MarkPlace {
+            at: PlateMil::new(270.4, 89.9),
+            sigma_mil: [0.05, 0.06],
+        };
+        assert_eq!(plate.measured(id), Some(expected));
+        assert_eq!(plate.pattern(), Pattern::Heroes);
     }
 }

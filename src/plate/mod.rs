@@ -1,25 +1,26 @@
-//! The printed pattern: 15 x 15 crosses whose spacings are a code.
+//! The plate: where every mark is drawn and printed, and what a mark looks like.
 //!
-//! With f(n) = 45 n + 3 n (n - 1) for n >= 0 and 48 n - 3 n (n + 1) for n < 0, mark (i, j) is printed at
-//! X = 6 (f(i) - 15 j), Y = 6 (f(j) + 15 i), mil from the plate's centre (HEROES flight program, 2013; the
-//! idea in Cramer 2014, section 2.4 and figure 4). A step in i is a fixed 90 mil along Y and a spacing along X
-//! that occurs once in the pattern; a step in j is 90 mil along -X and a coded spacing along Y.
+//! A plate's drawing is the pattern of 2013 ([`heroes`]) or a [list](table) of marks. Places that were measured stand beside those
+//! that were drawn.
+
+pub mod heroes;
+mod shape;
+mod table;
+
+pub use shape::{Cross, MarkShape};
+pub use table::{TableError, read_table};
 
 use crate::units::PlateMil;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// The largest |i| and |j| of a mark.
-pub const MAX_INDEX: i32 = 7;
-/// Marks in a row or column.
-const SIDE: i32 = 2 * MAX_INDEX + 1;
-/// Marks of the whole pattern.
-pub const MARKS: usize = (SIDE * SIDE) as usize;
+/// The most marks that a plate may have.
+pub const MOST_MARKS: usize = 2000;
+/// Each index of an id lies within this of 0.
+pub const MAX_INDEX: i32 = 9999;
 
-/// The fixed part of a step between neighbours, mil.
-pub const FIXED_SPACING_MIL: f64 = 90.0;
-
-/// The name of a mark: its place in the pattern, each index from -7 to 7.
+/// The name of a mark. The marks of 2013 have their place in the pattern, others what their drawing says; a plate that numbers its
+/// marks uses (n, 0).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct MarkId {
     pub i: i32,
@@ -27,30 +28,10 @@ pub struct MarkId {
 }
 
 impl MarkId {
-    /// The id, where both indices lie in the pattern.
+    /// The id, where both indices are within [`MAX_INDEX`].
     pub fn new(i: i32, j: i32) -> Option<Self> {
         let range = -MAX_INDEX..=MAX_INDEX;
         (range.contains(&i) && range.contains(&j)).then_some(Self { i, j })
-    }
-
-    /// Every mark of the pattern.
-    pub fn all() -> impl Iterator<Item = Self> {
-        let range = -MAX_INDEX..=MAX_INDEX;
-        range
-            .clone()
-            .flat_map(move |i| range.clone().map(move |j| Self { i, j }))
-    }
-
-    fn index(self) -> usize {
-        ((self.i + MAX_INDEX) * SIDE + self.j + MAX_INDEX) as usize
-    }
-
-    fn of_index(index: usize) -> Self {
-        let index = index as i32;
-        Self {
-            i: index / SIDE - MAX_INDEX,
-            j: index % SIDE - MAX_INDEX,
-        }
     }
 }
 
@@ -60,109 +41,204 @@ impl fmt::Display for MarkId {
     }
 }
 
-/// The coded coordinate of index n, in units of 6 mil.
-fn code(n: i32) -> f64 {
-    let value = if n >= 0 {
-        45 * n + 3 * n * (n - 1)
-    } else {
-        48 * n - 3 * n * (n + 1)
-    };
-    f64::from(value)
+/// What a plate was drawn by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pattern {
+    /// The coded pattern of 2013.
+    Heroes,
+    /// A table of marks in a file of its own.
+    Table,
+    /// The marks that the instrument's file lists.
+    Listed,
 }
 
-/// The coded spacing from index n to n + 1, mil: 270, 306, ... 486 upwards from n = 0 and 288, 324, ... 504
-/// downwards from n = -1. Each occurs once.
-pub fn coded_spacing_mil(n: i32) -> f64 {
-    6.0 * (code(n + 1) - code(n))
-}
-
-/// Where the drawing puts a mark.
-pub fn drawn_position(id: MarkId) -> PlateMil {
-    PlateMil::new(
-        6.0 * (code(id.i) - 15.0 * f64::from(id.j)),
-        6.0 * (code(id.j) + 15.0 * f64::from(id.i)),
-    )
-}
-
-/// The cross that is printed at every mark: two arms, dark on white.
+/// Where a mark is on the plate, and how well that is known.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Cross {
-    /// Tip to tip.
-    pub arm_length_mil: f64,
-    pub arm_width_mil: f64,
+pub struct MarkPlace {
+    pub at: PlateMil,
+    /// 1 sigma per axis.
+    pub sigma_mil: [f64; 2],
+}
+
+impl MarkPlace {
+    /// Of a mark known equally well in both axes.
+    pub fn new(at: PlateMil, sigma_mil: f64) -> Self {
+        Self {
+            at,
+            sigma_mil: [sigma_mil; 2],
+        }
+    }
+}
+
+/// A mark of a plate, as it was drawn and as it is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct PlateMark {
+    id: MarkId,
+    drawn: MarkPlace,
+    place: MarkPlace,
 }
 
 /// A plate: where every mark is, and how well that is known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plate {
-    pub cross: Cross,
+    pub shape: MarkShape,
+    pattern: Pattern,
     drawing_sigma_mil: f64,
-    positions: Vec<PlateMil>,
-    sigmas_mil: Vec<[f64; 2]>,
+    /// In the order of their ids.
+    marks: Vec<PlateMark>,
     /// Variance of the best known mark's position, per axis.
     least_variance_mil2: f64,
 }
 
 impl Plate {
-    /// The plate as drawn, every mark within `sigma_mil` (1 sigma per axis) of its drawn position.
-    pub fn drawn(cross: Cross, sigma_mil: f64) -> Self {
-        Self {
-            cross,
-            drawing_sigma_mil: sigma_mil,
-            positions: MarkId::all().map(drawn_position).collect(),
-            sigmas_mil: MarkId::all().map(|_| [sigma_mil; 2]).collect(),
-            least_variance_mil2: variance(&[sigma_mil; 2]),
-        }
+    /// The plate of 2013 as drawn, every mark within `sigma_mil` (1 sigma per axis) of its drawn position.
+    pub fn heroes(shape: MarkShape, sigma_mil: f64) -> Self {
+        let place = |id| (id, MarkPlace::new(heroes::position(id), sigma_mil));
+        Self::new(Pattern::Heroes, shape, sigma_mil, heroes::ids().map(place))
     }
 
-    /// How well the drawing is known to be printed: 1 sigma per axis of marks that were not measured, mil.
+    /// A plate of marks, each with an id of its own; `sigma_mil` is that of marks of which nothing else is said.
+    pub fn new(
+        pattern: Pattern,
+        shape: MarkShape,
+        sigma_mil: f64,
+        marks: impl IntoIterator<Item = (MarkId, MarkPlace)>,
+    ) -> Self {
+        let mark = |(id, drawn)| PlateMark {
+            id,
+            drawn,
+            place: drawn,
+        };
+        let mut marks: Vec<PlateMark> = marks.into_iter().map(mark).collect();
+        marks.sort_by_key(|mark| mark.id);
+        let mut plate = Self {
+            shape,
+            pattern,
+            drawing_sigma_mil: sigma_mil,
+            marks,
+            least_variance_mil2: 0.0,
+        };
+        plate.find_least_variance();
+        plate
+    }
+
+    fn find_least_variance(&mut self) {
+        let variances = self
+            .marks
+            .iter()
+            .map(|mark| variance(&mark.place.sigma_mil));
+        self.least_variance_mil2 = variances.fold(f64::INFINITY, f64::min);
+    }
+
+    pub fn pattern(&self) -> Pattern {
+        self.pattern
+    }
+
+    /// How well the drawing is known to be printed: 1 sigma per axis of marks of which nothing else is said, mil.
     pub fn drawing_sigma_mil(&self) -> f64 {
         self.drawing_sigma_mil
     }
 
-    /// Replaces a mark's drawn position by a measured one.
+    /// How many marks it has.
+    pub fn count(&self) -> usize {
+        self.marks.len()
+    }
+
+    fn mark(&self, id: MarkId) -> Option<&PlateMark> {
+        let index = self.marks.binary_search_by_key(&id, |mark| mark.id).ok()?;
+        self.marks.get(index)
+    }
+
+    /// Replaces a mark's drawn position by a measured one; nothing of a mark that the plate has not.
     pub fn set(&mut self, id: MarkId, position: PlateMil, sigma_mil: [f64; 2]) {
-        self.positions[id.index()] = position;
-        self.sigmas_mil[id.index()] = sigma_mil;
-        let variances = self.sigmas_mil.iter().map(variance);
-        self.least_variance_mil2 = variances.fold(f64::INFINITY, f64::min);
+        let index = self.marks.binary_search_by_key(&id, |mark| mark.id);
+        let Some(mark) = index.ok().and_then(|index| self.marks.get_mut(index)) else {
+            return;
+        };
+        mark.place = MarkPlace {
+            at: position,
+            sigma_mil,
+        };
+        self.find_least_variance();
     }
 
-    pub fn position(&self, id: MarkId) -> PlateMil {
-        self.positions[id.index()]
+    /// Where a mark is; `None` of one that the plate has not.
+    pub fn position(&self, id: MarkId) -> Option<PlateMil> {
+        Some(self.mark(id)?.place.at)
     }
 
-    /// 1 sigma of a mark's position, mil.
-    pub fn sigma_mil(&self, id: MarkId) -> [f64; 2] {
-        self.sigmas_mil[id.index()]
+    /// Where a mark is and how well that is known; `None` of one that the plate has not.
+    pub fn place(&self, id: MarkId) -> Option<MarkPlace> {
+        Some(self.mark(id)?.place)
     }
 
-    /// Whether a mark was measured: it is not where the drawing has it, or known otherwise than the drawing.
-    pub fn is_measured(&self, id: MarkId) -> bool {
-        self.position(id) != drawn_position(id) || self.sigma_mil(id) != [self.drawing_sigma_mil; 2]
+    /// Where the drawing puts a mark.
+    pub fn drawn_position(&self, id: MarkId) -> Option<PlateMil> {
+        Some(self.mark(id)?.drawn.at)
+    }
+
+    /// Where a mark was measured: it is not where the drawing has it, or known otherwise than by the drawing.
+    pub fn measured(&self, id: MarkId) -> Option<MarkPlace> {
+        let mark = self.mark(id)?;
+        (mark.place != mark.drawn).then_some(mark.place)
     }
 
     /// The plate as it was drawn, nothing of it measured.
     pub fn as_drawn(&self) -> Self {
-        Self::drawn(self.cross, self.drawing_sigma_mil)
+        let mut drawn = self.clone();
+        for mark in &mut drawn.marks {
+            mark.place = mark.drawn;
+        }
+        drawn.find_least_variance();
+        drawn
     }
 
     /// By how much the variance of a mark's position exceeds that of the plate's best known mark, mil^2 per axis: nothing on
     /// a plate of which all marks are known alike.
     pub fn excess_variance_mil2(&self, id: MarkId) -> f64 {
-        variance(&self.sigma_mil(id)) - self.least_variance_mil2
+        self.mark(id).map_or(0.0, |mark| {
+            variance(&mark.place.sigma_mil) - self.least_variance_mil2
+        })
     }
 
-    /// The mark nearest to a position, and its distance in mil.
-    pub fn nearest(&self, at: PlateMil) -> Option<(MarkId, f64)> {
-        self.marks()
-            .map(|(id, position)| (id, position.distance(at)))
-            .min_by(|a, b| a.1.total_cmp(&b.1))
+    /// Distance of the plate's edge from its centre, mil: of the outermost mark on an axis of the pattern of 2013, of another drawing's
+    /// outermost mark.
+    pub fn edge_mil(&self) -> f64 {
+        match self.pattern {
+            Pattern::Heroes => heroes::position(heroes::EDGE).vector().norm(),
+            Pattern::Table | Pattern::Listed => {
+                let out = self.marks.iter().map(|mark| mark.drawn.at.vector().norm());
+                out.fold(0.0, f64::max)
+            }
+        }
     }
 
-    /// Every mark with its position.
+    /// How far its marks are drawn from the plate's axes at most, mil.
+    pub fn reach_mil(&self) -> f64 {
+        let reach = self.marks.iter().map(|mark| mark.drawn.at);
+        reach
+            .map(|at| at.x.abs().max(at.y.abs()))
+            .fold(0.0, f64::max)
+    }
+
+    /// How many marks an area of the plate holds, 1 / mil^2, on average over the rectangle that all of them fill.
+    pub fn density_per_mil2(&self) -> f64 {
+        let side = |of: fn(&PlateMil) -> f64| {
+            let along = || self.marks.iter().map(|mark| of(&mark.drawn.at));
+            along().fold(f64::NEG_INFINITY, f64::max) - along().fold(f64::INFINITY, f64::min)
+        };
+        let area = side(|at| at.x) * side(|at| at.y);
+        self.marks.len() as f64 / area.max(self.shape.size_mil().powi(2))
+    }
+
+    /// Every mark with its position, in the order of their ids.
     pub fn marks(&self) -> impl Iterator<Item = (MarkId, PlateMil)> + '_ {
-        MarkId::all().map(|id| (id, self.position(id)))
+        self.marks.iter().map(|mark| (mark.id, mark.place.at))
+    }
+
+    /// Every mark with its drawn position, in the order of their ids.
+    pub fn drawn_marks(&self) -> impl Iterator<Item = (MarkId, PlateMil)> + '_ {
+        self.marks.iter().map(|mark| (mark.id, mark.drawn.at))
     }
 
     /// The marks in the square that reaches so far about a position, in the order of all.
@@ -171,12 +247,8 @@ impl Plate {
         at: PlateMil,
         reach_mil: f64,
     ) -> impl Iterator<Item = (MarkId, PlateMil)> + '_ {
-        let about =
-            move |p: &PlateMil| (p.x - at.x).abs() < reach_mil && (p.y - at.y).abs() < reach_mil;
-        let found = self.positions.iter().enumerate();
-        found
-            .filter(move |(_, position)| about(position))
-            .map(|(n, position)| (MarkId::of_index(n), *position))
+        self.marks()
+            .filter(move |(_, p)| (p.x - at.x).abs() < reach_mil && (p.y - at.y).abs() < reach_mil)
     }
 }
 
@@ -189,64 +261,38 @@ fn variance([x, y]: &[f64; 2]) -> f64 {
 mod tests {
     use super::*;
 
-    #[test]
-    fn each_coded_spacing_occurs_once() {
-        let mut spacings: Vec<f64> = (-MAX_INDEX..MAX_INDEX).map(coded_spacing_mil).collect();
-        spacings.sort_by(f64::total_cmp);
-        let expected: Vec<f64> = (0..14).map(|k| 270.0 + 18.0 * f64::from(k)).collect();
-        assert_eq!(spacings, expected);
-    }
-
-    #[test]
-    fn steps_are_fixed_in_one_axis_and_coded_in_the_other() {
-        for id in MarkId::all() {
-            let here = drawn_position(id);
-            if let Some(next) = MarkId::new(id.i + 1, id.j) {
-                let step = drawn_position(next).vector() - here.vector();
-                assert_eq!(
-                    (step.x, step.y),
-                    (coded_spacing_mil(id.i), FIXED_SPACING_MIL)
-                );
-            }
-            if let Some(next) = MarkId::new(id.i, id.j + 1) {
-                let step = drawn_position(next).vector() - here.vector();
-                assert_eq!(
-                    (step.x, step.y),
-                    (-FIXED_SPACING_MIL, coded_spacing_mil(id.j))
-                );
-            }
-        }
-    }
-
-    #[test]
-    fn the_pattern_begins_as_printed() {
-        assert_eq!(
-            drawn_position(MarkId { i: 0, j: 0 }),
-            PlateMil::new(0.0, 0.0)
-        );
-        assert_eq!(
-            drawn_position(MarkId { i: 1, j: 0 }),
-            PlateMil::new(270.0, 90.0)
-        );
-        assert_eq!(
-            drawn_position(MarkId { i: -1, j: 2 }),
-            PlateMil::new(-468.0, 486.0)
-        );
-    }
+    const DOT: MarkShape = MarkShape::Dot { diameter_mil: 50.0 };
 
     #[test]
     fn marks_about_a_place_are_those_of_the_square_about_it() {
-        let plate = Plate::drawn(
-            Cross {
-                arm_length_mil: 100.0,
-                arm_width_mil: 10.0,
-            },
-            0.2,
-        );
+        let plate = Plate::heroes(DOT, 0.2);
         let at = PlateMil::new(300.0, -500.0);
         let within = |p: &PlateMil| (p.x - at.x).abs() < 700.0 && (p.y - at.y).abs() < 700.0;
         let expected: Vec<_> = plate.marks().filter(|(_, p)| within(p)).collect();
         assert!(expected.len() > 9);
         assert_eq!(plate.marks_about(at, 700.0).collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn a_measured_mark_stands_beside_the_drawn_one() {
+        let [a, b] = [(7, 0), (-300, 0)].map(|(i, j)| MarkId { i, j });
+        let place = |x: f64| MarkPlace::new(PlateMil::new(x, 0.0), 1.0);
+        let mut plate = Plate::new(
+            Pattern::Listed,
+            DOT,
+            1.0,
+            [(a, place(100.0)), (b, place(-300.0))],
+        );
+        assert_eq!(plate.marks().next(), Some((b, PlateMil::new(-300.0, 0.0))));
+        plate.set(a, PlateMil::new(101.0, 0.5), [0.1; 2]);
+        let measured = plate.measured(a).map(|place| place.at);
+        assert_eq!(measured, Some(PlateMil::new(101.0, 0.5)));
+        assert_eq!(plate.drawn_position(a), Some(PlateMil::new(100.0, 0.0)));
+        assert!((plate.excess_variance_mil2(b) - 0.99).abs() < 1e-12);
+        assert_eq!(
+            (plate.measured(b), plate.as_drawn().measured(a)),
+            (None, None)
+        );
+        assert_eq!(plate.position(MarkId { i: 7, j: 1 }), None);
     }
 }

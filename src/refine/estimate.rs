@@ -66,8 +66,7 @@ impl FlightMapping {
     ) -> Option<Self> {
         let reference = reference(&mem::take(mappings), instrument.camera.distortion)?;
         let moments = times_s.iter().copied().zip(mem::take(marks_end));
-        let plate = instrument.plate.clone();
-        let observations = Observations::new(plate, mem::take(marks), moments);
+        let observations = Observations::new(mem::take(marks), moments);
         let readings: Vec<Option<f64>> = frames.iter().map(|frame| frame.temperature_c).collect();
         let temperature_c = temperature::from_the_middle(times_s, &readings);
         let mut work = Work::new(reference, observations);
@@ -137,9 +136,7 @@ impl Work {
         let mut information = Matrix2::zeros();
         let mut sum = Vector2::zeros();
         for mark in self.observations.at(moment) {
-            let (picture, slopes) = self
-                .reference
-                .picture(self.observations.plate.position(mark.id));
+            let (picture, slopes) = self.reference.picture(mark.printed);
             information += mark.information();
             sum += mark.information() * (mark.seen - picture - slopes * state);
         }
@@ -323,9 +320,9 @@ impl Work {
 
     /// Weights single marks, and inflates their sigmas to the scatter they show.
     fn weigh(&mut self, estimates: &[Estimate]) {
-        let (reference, plate) = (self.reference, self.observations.plate.clone());
+        let reference = self.reference;
         let chi2 = |mark: &MarkObservation, state: &State| {
-            let (picture, slopes) = reference.picture(plate.position(mark.id));
+            let (picture, slopes) = reference.picture(mark.printed);
             let residual = mark.seen - picture - slopes * state;
             residual.dot(&(mark.information() * residual))
         };

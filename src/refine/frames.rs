@@ -108,7 +108,7 @@ fn observation(mark: &MarkRecord, instrument: &Instrument) -> Option<MarkObserva
     let information = symmetric(mark.covariance_px2).try_inverse()?;
     Some(MarkObservation {
         seen: instrument.camera.distortion.correct(mark.at()).vector(),
-        id: mark.id(),
+        printed: instrument.plate.position(mark.id())?,
         information: upper(&information).map(|part| part as f32),
         weight: 1.0,
     })

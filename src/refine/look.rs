@@ -14,7 +14,7 @@ use super::suns::{Flight, LOOSE_RADIUS, Seen, Suns, TELLING_LIMB};
 use crate::archive::ArchiveReader;
 use crate::aspect::{self, SolverSettings};
 use crate::estimation::{median, median_and_scatter};
-use crate::fiducial::CrossShape;
+use crate::fiducial::MarkImage;
 use crate::frame::{Frame, Levels, ROUNDING_NOISE_DN, Region};
 use crate::geometry::{Circle, Ellipse, Mapping};
 use crate::instrument::Instrument;
@@ -214,10 +214,10 @@ impl Known<'_> {
         self.outline(self.mapping.to_plate(disc.centre.into()))
     }
 
-    fn shape(&self, outline: &Ellipse) -> CrossShape {
+    fn shape(&self, outline: &Ellipse) -> MarkImage {
         let scale = self.radius_mil / outline.mean_radius();
         let (plate, optics) = (&self.instrument.plate, &self.instrument.optics);
-        CrossShape::new(&plate.cross, scale, optics.blur_px.value)
+        MarkImage::new(&plate.shape, scale, optics.blur_px.value)
     }
 
     fn limb(&self, frame: &Frame, start: &Ellipse, levels: &Levels) -> Option<Limb> {

@@ -92,7 +92,7 @@ fn about(flight: &Flight, suns: &Suns, value: impl Fn(&[f64; 3]) -> f64) -> Vec<
 /// How many marks lie well within the disc.
 fn lit_marks(flight: &Flight, disc: &PlateDisc) -> f64 {
     let plate = &flight.recipe.instrument.plate;
-    let reach = disc.radius_mil.value - plate.cross.arm_length_mil;
+    let reach = disc.radius_mil.value - plate.shape.size_mil();
     let lit = plate
         .marks()
         .filter(|(_, at)| at.distance(disc.centre.position) < reach);

@@ -75,7 +75,7 @@ pub struct DiscRecord {
 /// A mark that was read.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MarkRecord {
-    pub id: [i8; 2],
+    pub id: [i16; 2],
     pub px: [f64; 2],
     /// Covariance: xx, xy, yy.
     pub covariance_px2: [f64; 3],
@@ -115,7 +115,7 @@ impl PackedPoint {
 impl MarkRecord {
     fn of(mark: &Mark) -> Self {
         Self {
-            id: [mark.id.i as i8, mark.id.j as i8],
+            id: [mark.id.i as i16, mark.id.j as i16],
             px: [mark.at.x, mark.at.y],
             covariance_px2: upper(&mark.covariance_px2),
         }

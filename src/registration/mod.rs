@@ -243,7 +243,7 @@ fn disc(circle: &Circle, adjusted: &Adjusted, mapping: &Mapping) -> Disc {
 mod tests {
     use super::*;
     use crate::geometry::{Ellipse, SimilarityParameters};
-    use crate::plate::{MarkId, drawn_position};
+    use crate::plate::{MarkId, heroes};
     use nalgebra::Matrix3;
 
     fn pairs(mapping: &Mapping, noise_px: f64) -> Vec<Pair> {
@@ -255,7 +255,7 @@ mod tests {
         (-1..=1)
             .flat_map(|i| (-1..=1).map(move |j| MarkId { i, j }))
             .map(|id| {
-                let printed = drawn_position(id);
+                let printed = heroes::position(id);
                 let seen = mapping.to_sensor(printed);
                 Pair {
                     observed: SensorPx::new(seen.x + noise(), seen.y + noise()),

@@ -6,12 +6,13 @@ use crate::fiducial::Lighting;
 use crate::frame::{Frame, Region};
 use crate::geometry::Mapping;
 use crate::instrument::Instrument;
-use crate::plate::Plate;
+use crate::plate::{MarkId, MarkShape, Plate};
 use crate::units::{PlateMil, SensorPx};
 use image::RgbImage;
+use nalgebra::Vector2;
 
-/// Length of the drawn plate axes, mil.
-const AXIS_MIL: f64 = 350.0;
+/// Length of the drawn plate axes, in radii of the disc.
+const AXIS_RADII: f64 = 0.64;
 /// A mark's refined position is no farther from where it was detected.
 const SAME_MARK_PX: f64 = 2.0;
 /// Of the circle about a mark.
@@ -62,7 +63,10 @@ pub fn overlay(
             aspect.sun_plate.position,
             aspect.sun_radius_px.value,
         );
-        draw_axes(&mut canvas, adopted.mapping(), aspect.sun_plate.position);
+        let length_mil =
+            AXIS_RADII * aspect.sun_radius_px.value * aspect.mapping.scale_mil_per_px.value;
+        let sun = aspect.sun_plate.position;
+        draw_axes(&mut canvas, adopted.mapping(), sun, length_mil);
     }
     draw_marks(&mut canvas, solution, &instrument.plate);
     for (line, text) in captions(solution, title).iter().enumerate() {
@@ -121,9 +125,9 @@ fn draw_disc(canvas: &mut Canvas, mapping: &Mapping, centre: PlateMil, radius_px
     }
 }
 
-fn draw_axes(canvas: &mut Canvas, mapping: &Mapping, sun: PlateMil) {
+fn draw_axes(canvas: &mut Canvas, mapping: &Mapping, sun: PlateMil, length_mil: f64) {
     let origin = mapping.to_sensor(sun);
-    for (name, dx, dy) in [("X", AXIS_MIL, 0.0), ("Y", 0.0, AXIS_MIL)] {
+    for (name, dx, dy) in [("X", length_mil, 0.0), ("Y", 0.0, length_mil)] {
         let tip = mapping.to_sensor(PlateMil::new(sun.x + dx, sun.y + dy));
         canvas.arrow(origin, tip, Colour::MAGENTA);
         canvas.label(tip, name, Colour::MAGENTA);
@@ -140,8 +144,7 @@ fn draw_marks(canvas: &mut Canvas, solution: &Solution, plate: &Plate) {
         let beside = SensorPx::new(mark.at.x + 8.0, mark.at.y - 8.0);
         canvas.label(beside, &mark.id.to_string(), colour);
         if let Some(adopted) = &solution.mapping {
-            let centre = plate.position(mark.id);
-            draw_cross(canvas, adopted.mapping(), plate, centre, colour);
+            draw_mark(canvas, adopted.mapping(), plate, mark.id, colour);
         }
     }
     for detection in &solution.detections.marks {
@@ -152,20 +155,23 @@ fn draw_marks(canvas: &mut Canvas, solution: &Solution, plate: &Plate) {
     }
 }
 
-/// The printed cross where the mapping puts it.
-fn draw_cross(
-    canvas: &mut Canvas,
-    mapping: &Mapping,
-    plate: &Plate,
-    centre: PlateMil,
-    colour: Colour,
-) {
-    let arm = plate.cross.arm_length_mil / 2.0;
-    for (dx, dy) in [(arm, 0.0), (0.0, arm)] {
-        let end = |sign: f64| {
-            mapping.to_sensor(PlateMil::new(centre.x + sign * dx, centre.y + sign * dy))
-        };
-        canvas.line(end(-1.0), end(1.0), colour);
+/// The printed mark where the mapping puts it: a cross's arms, a dot's edge.
+fn draw_mark(canvas: &mut Canvas, mapping: &Mapping, plate: &Plate, id: MarkId, colour: Colour) {
+    let Some(centre) = plate.position(id) else {
+        return;
+    };
+    let arms = plate.shape.arms() * (plate.shape.size_mil() / 2.0);
+    let end = |offset: Vector2<f64>| mapping.to_sensor((centre.vector() + offset).into());
+    match plate.shape {
+        MarkShape::Cross(_) => {
+            for arm in arms.column_iter() {
+                canvas.line(end(-arm), end(arm.into_owned()), colour);
+            }
+        }
+        MarkShape::Dot { .. } => {
+            let radius = end(arms.column(0).into_owned()).distance(end(Vector2::zeros()));
+            canvas.circle(end(Vector2::zeros()), radius, colour);
+        }
     }
 }
 

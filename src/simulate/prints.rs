@@ -1,8 +1,9 @@
 //! What is on the plate, sub-sample by sub-sample: marks and scratches.
 
-use super::coverage::Edge;
+use super::coverage::{Edge, Footprint};
 use super::grid::Grid;
 use super::scene::{Scene, Scratch};
+use crate::plate::MarkShape;
 use crate::units::PlateMil;
 use nalgebra::Vector2;
 use std::ops::Range;
@@ -51,6 +52,28 @@ impl Bar {
     }
 }
 
+/// A filled disc on the plate, in the grid's coordinates.
+#[derive(Clone, Copy)]
+struct Disc {
+    centre: Vector2<f64>,
+    radius: f64,
+    footprint: Footprint,
+}
+
+impl Disc {
+    /// Its edge is straight over a sub-sample.
+    fn coverage(&self, at: Vector2<f64>) -> f64 {
+        let from_centre = at - self.centre;
+        let distance = from_centre.norm();
+        let inside = self.radius - distance;
+        if inside.abs() > self.footprint.reach() {
+            return if inside > 0.0 { 1.0 } else { 0.0 };
+        }
+        let outward = from_centre / distance.max(f64::MIN_POSITIVE);
+        self.footprint.edge(outward).coverage(inside)
+    }
+}
+
 /// Something on the plate that changes the light it sends back, and the sub-samples it concerns.
 pub(super) struct Print {
     shape: Shape,
@@ -60,7 +83,9 @@ pub(super) struct Print {
 
 enum Shape {
     /// Two arms that take a share of the light.
-    Mark { arms: [Bar; 2], contrast: f64 },
+    Cross { arms: [Bar; 2], contrast: f64 },
+    /// A disc that does.
+    Dot { disc: Disc, contrast: f64 },
     /// A bar that sends back so many times the light.
     Scratch { bar: Bar, brightness: f64 },
 }
@@ -71,10 +96,11 @@ impl Print {
         for (light, (&x, &y)) in light.iter_mut().zip(positions) {
             let at = Vector2::new(f64::from(x), f64::from(y));
             let change = match &self.shape {
-                Shape::Mark { arms, contrast } => {
+                Shape::Cross { arms, contrast } => {
                     let [a, b] = arms.map(|arm| arm.coverage(at));
                     1.0 - contrast * (a + b - a * b)
                 }
+                Shape::Dot { disc, contrast } => 1.0 - contrast * disc.coverage(at),
                 Shape::Scratch { bar, brightness } => 1.0 + (brightness - 1.0) * bar.coverage(at),
             };
             *light *= change as f32;
@@ -96,25 +122,31 @@ pub(super) fn prints(scene: &Scene, grid: &Grid) -> Vec<Print> {
 }
 
 fn mark(scene: &Scene, grid: &Grid, position: PlateMil) -> Option<Print> {
-    let cross = scene.plate.cross;
-    let reach = cross.arm_length_mil / 2.0;
+    let shape = scene.plate.shape;
+    let reach = shape.size_mil() / 2.0;
     let corners = [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)]
         .map(|(x, y)| PlateMil::new(position.x + x * reach, position.y + y * reach));
     let (rows, columns) = grid.span(corners.iter().map(|c| scene.mapping.to_sensor(*c)))?;
-    let arm = |along| {
-        Bar::new(
-            grid,
-            position,
-            along,
-            cross.arm_length_mil,
-            cross.arm_width_mil,
-        )
+    let contrast = scene.mark_contrast;
+    let shape = match shape {
+        MarkShape::Cross(cross) => {
+            let (length, width) = (cross.arm_length_mil, cross.arm_width_mil);
+            let arm = |along| Bar::new(grid, position, along, length, width);
+            let along = shape.arms();
+            let arms = [0, 1].map(|n| arm(along.column(n).into_owned()));
+            Shape::Cross { arms, contrast }
+        }
+        MarkShape::Dot { .. } => {
+            let disc = Disc {
+                centre: position.vector() - grid.origin.vector(),
+                radius: reach,
+                footprint: grid.footprint,
+            };
+            Shape::Dot { disc, contrast }
+        }
     };
     Some(Print {
-        shape: Shape::Mark {
-            arms: [arm(Vector2::x()), arm(Vector2::y())],
-            contrast: scene.mark_contrast,
-        },
+        shape,
         rows,
         columns,
     })

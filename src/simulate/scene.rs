@@ -362,7 +362,7 @@ impl Scene {
     }
 
     fn lit_marks(&self, sun: &Sun) -> Vec<LitMark> {
-        let reach = self.plate.cross.arm_length_mil / 2.0;
+        let reach = self.plate.shape.size_mil() / 2.0;
         self.plate
             .marks()
             .map(|(id, plate)| LitMark {
@@ -418,7 +418,9 @@ pub fn scattered(plate: &Plate, rms_mil: f64, seed: u64) -> Plate {
     for (id, drawn) in plate.marks() {
         let [dx, dy]: [f64; 2] = std::array::from_fn(|_| rng.sample(StandardNormal));
         let at = PlateMil::new(drawn.x + rms_mil * dx, drawn.y + rms_mil * dy);
-        printed.set(id, at, plate.sigma_mil(id));
+        if let Some(place) = plate.place(id) {
+            printed.set(id, at, place.sigma_mil);
+        }
     }
     printed
 }

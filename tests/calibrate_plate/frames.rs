@@ -6,7 +6,7 @@ use solaspect::calibrate::plate;
 use solaspect::calibrate::revision::Revision;
 use solaspect::fits::{self, Compression};
 use solaspect::instrument::{Instrument, builtin, builtin_text};
-use solaspect::plate::{MarkId, drawn_position};
+use solaspect::plate::{MarkId, MarkPlace, heroes};
 use solaspect::provenance::PROGRAM;
 use solaspect::simulate::{Conditions, RandomScenes, Sun};
 use solaspect::units::PlateMil;
@@ -43,12 +43,13 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
     std::fs::write(&path, &written).unwrap();
     let read = Instrument::read(&path).unwrap();
     for mark in &fit.marks {
-        assert!(read.plate.position(mark.id).distance(mark.position) < 1e-4);
-        assert!((read.plate.sigma_mil(mark.id)[0] - mark.sigma_mil[0]).abs() < 1e-4);
+        let place = read.plate.place(mark.id).unwrap();
+        assert!(place.at.distance(mark.position) < 1e-4);
+        assert!((place.sigma_mil[0] - mark.sigma_mil[0]).abs() < 1e-4);
     }
     let unseen = MarkId { i: -7, j: -7 };
-    assert_eq!(read.plate.position(unseen), drawn_position(unseen));
-    assert_eq!(read.plate.sigma_mil(unseen), [1.0; 2]);
+    let drawn = MarkPlace::new(heroes::position(unseen), 1.0);
+    assert_eq!(read.plate.place(unseen), Some(drawn));
     let rounded = read.camera.distortion.radial[0] - fit.distortion.radial[0];
     assert!(rounded.abs() < 0.1 * fit.distortion_sigma[0]);
     assert!(written.contains("frames_sha256"));
@@ -60,7 +61,7 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
     few.revise(&mut revision);
     let (_, renewed) = revision.finish().unwrap();
     for mark in &fit.marks {
-        assert!(renewed.plate.is_measured(mark.id), "{}", mark.id);
+        assert!(renewed.plate.measured(mark.id).is_some(), "{}", mark.id);
         let seen_again = few.fit.marks.iter().any(|other| other.id == mark.id);
         let same = renewed.plate.position(mark.id) == read.plate.position(mark.id);
         assert!(seen_again || same, "{}", mark.id);
@@ -100,8 +101,8 @@ fn a_third_of_bad_frames_is_rejected_and_changes_nothing() {
     let corrupt = {
         let mut corrupt = truth.clone();
         let mut normal = generator(9);
-        for id in MarkId::all() {
-            let at = truth.plate.position(id);
+        for id in heroes::ids() {
+            let at = truth.plate.position(id).unwrap();
             let off = PlateMil::new(at.x + 40.0 * normal(), at.y + 40.0 * normal());
             corrupt.plate.set(id, off, [1.0; 2]);
         }
@@ -252,7 +253,7 @@ fn marks_that_are_lit_and_never_read_are_listed_as_suspect() {
     let (folder, mut truth) = (tempfile::tempdir().unwrap(), truth(1.0, 0.0, 14));
     let displaced = [(0, 0), (3, -2), (-2, 1), (2, 2)].map(|(i, j)| MarkId { i, j });
     for id in displaced {
-        let at = truth.plate.position(id);
+        let at = truth.plate.position(id).unwrap();
         let moved = PlateMil::new(at.x + 45.0, at.y - 10.0);
         truth.plate.set(id, moved, [0.01; 2]);
     }
@@ -271,7 +272,7 @@ fn marks_that_are_lit_and_never_read_are_listed_as_suspect() {
     for id in displaced.iter().filter(|id| !suspects.contains(id)) {
         let mark = calibration.fit.marks.iter().find(|mark| mark.id == *id);
         let mark = mark.unwrap_or_else(|| panic!("{id} is neither measured nor suspect"));
-        let off = mark.position.distance(truth.plate.position(*id));
+        let off = mark.position.distance(truth.plate.position(*id).unwrap());
         assert!(off < 0.5, "{id}: {off} mil");
     }
     let text = plate::summary(&calibration);

@@ -35,7 +35,8 @@ fn own_errors(marks: &[&MeasuredMark], truth: &Instrument) -> Vec<Vector2<f64>> 
         .map(|m| m.position.vector())
         .sum::<Vector2<f64>>()
         / n;
-    let error = |m: &MeasuredMark| m.position.vector() - truth.plate.position(m.id).vector();
+    let place = |m: &MeasuredMark| truth.plate.position(m.id).unwrap();
+    let error = |m: &MeasuredMark| m.position.vector() - place(m).vector();
     let shift = marks.iter().map(|m| error(m)).sum::<Vector2<f64>>() / n;
     let (mut size, mut scale, mut turn) = (0.0, 0.0, 0.0);
     for mark in marks {

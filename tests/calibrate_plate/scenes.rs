@@ -10,7 +10,7 @@ use solaspect::calibrate::plate::{
 use solaspect::fits::{self, Compression};
 use solaspect::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::plate::{MarkId, drawn_position};
+use solaspect::plate::{MarkId, heroes};
 use solaspect::simulate::{Conditions, RandomScenes, keystoned};
 use solaspect::units::{PlateMil, SensorPx};
 use std::path::{Path, PathBuf};
@@ -34,8 +34,8 @@ pub fn generator(seed: u64) -> impl FnMut() -> f64 {
 pub fn truth(rms_mil: f64, k1: f64, seed: u64) -> Instrument {
     let mut instrument = builtin("demo").unwrap();
     let mut normal = generator(seed);
-    for id in MarkId::all() {
-        let at = drawn_position(id);
+    for id in heroes::ids() {
+        let at = heroes::position(id);
         let moved = PlateMil::new(at.x + rms_mil * normal(), at.y + rms_mil * normal());
         instrument.plate.set(id, moved, [0.01; 2]);
     }

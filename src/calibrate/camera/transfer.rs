@@ -76,8 +76,7 @@ pub(super) fn by_suns(
     dark: &Dark,
 ) -> (CalibratedQuantity, Option<Figure>) {
     let none = "not determined: no frames of the Sun; take pairs of evenly lit frames (--flat)";
-    let reach =
-        stated.plate.cross.arm_length_mil / 2.0 / stated.mounting.scale_mil_per_px.value + 4.0;
+    let reach = stated.plate.shape.size_mil() / 2.0 / stated.mounting.scale_mil_per_px.value + 4.0;
     let mut points: Vec<Point> = suns
         .frames
         .iter()

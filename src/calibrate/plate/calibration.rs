@@ -250,7 +250,7 @@ fn identify_again(
             let found = &instruments[pose];
             let read = measure::read(file, &frame, found).1.ok()?;
             let mapping = fit.poses[pose].mapping;
-            let expected = |id| Some(mapping.to_sensor(found.plate.position(id)));
+            let expected = |id| Some(mapping.to_sensor(found.plate.position(id)?));
             Some((read.count_near(RIGHT_PX, expected), read))
         });
         let best = solved.max_by_key(|(right, frame)| (*right, frame.marks.len()));

@@ -10,7 +10,7 @@ use crate::geometry::view::{ParameterCovariance, UNIT_MIL, View};
 use crate::geometry::{Distortion, Mapping, MappingKind};
 use crate::instrument::Instrument;
 use crate::observe::RejectedFrame;
-use crate::plate::MarkId;
+use crate::plate::{MarkId, MarkPlace};
 use crate::units::{Measured, PlateMil, SensorPx};
 use jiff::Timestamp;
 use nalgebra::Vector2;
@@ -165,16 +165,19 @@ fn gather(poses: &[Pose], start: &Instrument) -> Option<(Bundle, Vec<MarkId>, St
             frame += 1;
         }
     }
-    let prior = |id: &MarkId| MarkPrior {
-        place: start.plate.position(*id),
-        sigma_mil: start.plate.sigma_mil(*id),
-        measured: true,
+    let prior = |id: &MarkId| {
+        let MarkPlace { at, sigma_mil } = start.plate.place(*id)?;
+        Some(MarkPrior {
+            place: at,
+            sigma_mil,
+            measured: true,
+        })
     };
     let bundle = Bundle {
         observations,
         poses: poses.len(),
         frames: frame,
-        marks: ids.iter().map(prior).collect(),
+        marks: ids.iter().map(prior).collect::<Option<_>>()?,
         lens_sigma_px: LENS_PRIOR_PX,
         variance_factor: 1.0,
     };

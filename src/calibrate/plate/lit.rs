@@ -8,7 +8,7 @@ use crate::aspect;
 use crate::calibrate::numbers::median;
 use crate::estimation::QUARTILE_SIGMAS;
 use crate::fiducial::{
-    self, CrossShape, Detections, FlatDisc, IdentificationPrior, Lighting, Refiner,
+    self, Detections, FlatDisc, IdentificationPrior, Lighting, MarkImage, Refiner,
 };
 use crate::frame::{
     Background, Cutout, Frame, Levels, PixelNoise, ROUNDING_NOISE_DN, Sample, View,
@@ -150,7 +150,7 @@ impl LitPlate<'_> {
             mounting.scale_mil_per_px.value,
             instrument.optics.blur_px.value,
         );
-        let shape = CrossShape::new(&plate.cross, scale, blur_px);
+        let shape = MarkImage::new(&plate.shape, scale, blur_px);
         let window = |x: f64, y: f64| {
             let inside = outline.excess(Vector2::new(x, y)) < 0.0;
             if inside { self.light_dn } else { 0.0 }
@@ -162,20 +162,22 @@ impl LitPlate<'_> {
         let prior = self.prior(outline, &found, &shape);
         let fiducial = &self.settings.fiducial;
         let identified = fiducial::identify(&found.marks, &prior, plate, fiducial).ok()?;
-        let pair = |(n, id): &(usize, _)| Pair {
-            observed: found.marks[*n].at,
-            printed: plate.position(*id),
-            covariance_px2: nalgebra::Matrix2::identity() * found.marks[*n].sigma_px.powi(2),
+        let pair = |(n, id): &(usize, _)| {
+            Some(Pair {
+                observed: found.marks[*n].at,
+                printed: plate.position(*id)?,
+                covariance_px2: nalgebra::Matrix2::identity() * found.marks[*n].sigma_px.powi(2),
+            })
         };
-        let pairs: Vec<Pair> = identified.iter().map(pair).collect();
+        let pairs: Vec<Pair> = identified.iter().filter_map(pair).collect();
         let distortion = instrument.camera.distortion;
         let settings = &self.settings.registration;
         let fitted =
             registration::register(&pairs, None, mounting.handedness, distortion, settings)?;
-        let mut refiner = Refiner::new(&plate.cross, scale, blur_px, self.cutout.noise);
+        let mut refiner = Refiner::new(&plate.shape, scale, blur_px, self.cutout.noise);
         let lamp = |_: f64, _: f64| self.light_dn;
         let refined = |(n, id): &(usize, _)| {
-            let jacobian = fitted.mapping.sensor_jacobian(plate.position(*id));
+            let jacobian = fitted.mapping.sensor_jacobian(plate.position(*id)?);
             let start = found.marks[*n].at;
             let mark = refiner.refine(&self.cutout, &lamp, &jacobian, start)?;
             Some(MarkObservation {
@@ -197,7 +199,7 @@ impl LitPlate<'_> {
         &self,
         outline: Ellipse,
         found: &Detections,
-        shape: &CrossShape,
+        shape: &MarkImage,
     ) -> IdentificationPrior {
         /// A window's radius on the plate is as uncertain as the scale, and the lens's distortion.
         const SCALE_SIGMA: f64 = 0.006;
@@ -208,7 +210,8 @@ impl LitPlate<'_> {
         IdentificationPrior {
             outline,
             radius_mil: Measured::new(radius, SCALE_SIGMA * radius),
-            quarter_rotation_deg: found.quarter_rotation_deg,
+            quarter_rotation_deg: found
+                .quarter_rotation_deg(&self.instrument.plate.shape, mounting.handedness),
             handedness: mounting.handedness,
             plate_centre: mounting.plate_centre_px,
             plate_centre_sigma_px: mounting.plate_centre_sigma_px,
@@ -250,7 +253,7 @@ mod tests {
         let seen = by_lamp(Path::new("lit"), &picture.frame, &levels, &demo).unwrap();
         let mut squares = 0.0;
         for mark in &seen.marks {
-            let place = demo.plate.position(mark.id);
+            let place = demo.plate.position(mark.id).unwrap();
             let error = picture.truth.mapping.to_sensor(place).distance(mark.at);
             assert!(error < 0.15, "{}", mark.id);
             squares += error.powi(2);

@@ -97,16 +97,15 @@ impl Refusal {
         const LISTED: usize = 3;
         /// Fewer marks of a part do not tell where it is.
         const LEAST_MARKS: usize = 2;
-        let sizes = plate.marks().map(|(_, at)| at.x.abs().max(at.y.abs()));
-        let reach = sizes.fold(0.0, f64::max);
+        let reach = plate.reach_mil();
         let part_of = |id: MarkId| {
-            let PlateMil { x, y } = plate.position(id);
-            part((x / reach + 1.0) / 2.0, (1.0 - y / reach) / 2.0)
+            let PlateMil { x, y } = plate.position(id)?;
+            Some(part((x / reach + 1.0) / 2.0, (1.0 - y / reach) / 2.0))
         };
         let lack = |pose: &Pose| {
             let marks = pose.frames.iter().flat_map(|frame| &frame.marks);
             let marks: BTreeSet<MarkId> = marks.map(|mark| mark.id).collect();
-            let count = |n: usize| marks.iter().filter(|id| part_of(**id) == n).count();
+            let count = |n: usize| marks.iter().filter(|id| part_of(**id) == Some(n)).count();
             Lack {
                 pose: pose.to_string(),
                 frames: pose.frames.len(),

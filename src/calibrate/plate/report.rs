@@ -9,7 +9,7 @@ use super::suspects::SuspectMark;
 use crate::calibrate::numbers::{sigma_text, value_text};
 use crate::estimation::{MEDIAN_LENGTH_2D, median};
 use crate::observe::RejectedFrame;
-use crate::plate::drawn_position;
+use crate::plate::Plate;
 use crate::provenance::{COMMIT, PROGRAM};
 use crate::report::html::Page;
 use crate::report::plot::{self, Arrow, Cell, Density, Labels, PlotError, Series};
@@ -209,16 +209,24 @@ fn residuals(calibration: &Calibration) -> [Captioned; 6] {
     ]
 }
 
-/// Half the width of a map, mil.
-const PLATE_MIL: f64 = 3700.0;
-/// Width of a mark's square.
-const CELL_MIL: f64 = 240.0;
+/// Half the width of a map of the plate, mil: its marks and some room about them.
+fn map_reach_mil(plate: &Plate) -> f64 {
+    /// So much of the marks' reach from the plate's axes.
+    const ROOM: f64 = 1.0876;
+    ROOM * plate.reach_mil()
+}
+
+/// Width of a mark's square on a map: near the distance of neighbours.
+fn cell_mil(plate: &Plate) -> f64 {
+    0.55 / plate.density_per_mil2().sqrt()
+}
 
 fn plate_labels(title: &str) -> Labels {
     Labels::new(title, "plate X, mil", "plate Y, mil")
 }
 
 fn plate_map(
+    plate: &Plate,
     title: &str,
     arrows: impl Iterator<Item = ((f64, f64), Vector2<f64>)>,
 ) -> Result<String, PlotError> {
@@ -228,15 +236,17 @@ fn plate_map(
             vector: (vector.x, vector.y),
         })
         .collect();
-    plot::vector_map(&plate_labels(title), -PLATE_MIL..PLATE_MIL, &arrows, "mil")
+    let reach = map_reach_mil(plate);
+    plot::vector_map(&plate_labels(title), -reach..reach, &arrows, "mil")
 }
 
 fn displacements(calibration: &Calibration) -> Result<String, PlotError> {
-    let arrows = calibration.fit.marks.iter().map(|mark| {
-        let drawn = drawn_position(mark.id);
-        ((drawn.x, drawn.y), mark.position.vector() - drawn.vector())
+    let plate = &calibration.start.plate;
+    let arrows = calibration.fit.marks.iter().filter_map(|mark| {
+        let drawn = plate.drawn_position(mark.id)?;
+        Some(((drawn.x, drawn.y), mark.position.vector() - drawn.vector()))
     });
-    plate_map("Marks, measured less drawn", arrows)
+    plate_map(plate, "Marks, measured less drawn", arrows)
 }
 
 /// A number of each mark.
@@ -246,16 +256,23 @@ fn mark_map(
     unit: &str,
     value: impl Fn(&MeasuredMark) -> f64,
 ) -> Result<String, PlotError> {
+    let plate = &calibration.start.plate;
     let cell = |mark: &MeasuredMark| {
-        let at = drawn_position(mark.id);
-        Cell {
+        let at = plate.drawn_position(mark.id)?;
+        Some(Cell {
             at: (at.x, at.y),
             value: value(mark),
-        }
+        })
     };
-    let cells: Vec<Cell> = calibration.fit.marks.iter().map(cell).collect();
-    let range = -PLATE_MIL..PLATE_MIL;
-    plot::scalar_map(&plate_labels(title), range, &cells, CELL_MIL, unit)
+    let cells: Vec<Cell> = calibration.fit.marks.iter().filter_map(cell).collect();
+    let reach = map_reach_mil(plate);
+    plot::scalar_map(
+        &plate_labels(title),
+        -reach..reach,
+        &cells,
+        cell_mil(plate),
+        unit,
+    )
 }
 
 fn coverage(calibration: &Calibration) -> Result<String, PlotError> {
@@ -289,11 +306,12 @@ fn residual_map(calibration: &Calibration) -> Result<String, PlotError> {
     let fit = &calibration.fit;
     let on_plate = |r: &Residual| fit.poses[r.pose].mapping.plate_jacobian(r.at) * r.residual_px;
     let means = means(fit.kept().map(|r| (r.id, on_plate(r))));
-    let arrows = means.into_iter().map(|(id, mean)| {
-        let at = drawn_position(id);
-        ((at.x, at.y), mean)
+    let plate = &calibration.start.plate;
+    let arrows = means.into_iter().filter_map(|(id, mean)| {
+        let at = plate.drawn_position(id)?;
+        Some(((at.x, at.y), mean))
     });
-    plate_map("Mean residual of each mark", arrows)
+    plate_map(plate, "Mean residual of each mark", arrows)
 }
 
 /// Residuals to draw: a name, and which they are.

@@ -2,7 +2,7 @@
 
 use super::calibration::{Beginning, Calibration};
 use super::fit::{LENS_PRIOR_PX, PlateFit, PoseFit};
-use crate::plate::{MarkId, drawn_position};
+use crate::plate::Plate;
 use crate::units::{SensorPx, counted};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -63,10 +63,11 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
             fit.sigma_factor
         ));
     }
-    let (moved, sigma) = displacement_mil(fit);
+    let plate = &calibration.start.plate;
+    let (moved, sigma) = displacement_mil(fit, plate);
     lines.push(format!(
         "marks      {moved:.3} mil rms off the drawing, known to {sigma:.3} mil rms; {} never seen keep the place that the file has",
-        MarkId::all().count() - fit.marks.len()
+        plate.count() - fit.marks.len()
     ));
     let suspects = calibration.suspects.iter();
     lines.extend(suspects.map(|mark| {
@@ -114,11 +115,11 @@ fn poses_of_folders(calibration: &Calibration) -> BTreeMap<&Path, usize> {
 }
 
 /// Root mean square per axis of the marks' displacements, and of their sigmas.
-fn displacement_mil(fit: &PlateFit) -> (f64, f64) {
+fn displacement_mil(fit: &PlateFit, plate: &Plate) -> (f64, f64) {
     let axes = (2 * fit.marks.len()).max(1) as f64;
-    let moved = fit.marks.iter().map(|mark| {
-        let off = mark.position.vector() - drawn_position(mark.id).vector();
-        off.norm_squared()
+    let moved = fit.marks.iter().filter_map(|mark| {
+        let off = mark.position.vector() - plate.drawn_position(mark.id)?.vector();
+        Some(off.norm_squared())
     });
     let sigmas = fit.marks.iter().flat_map(|mark| mark.sigma_mil);
     let variances = sigmas.map(|sigma| sigma * sigma);

@@ -55,7 +55,7 @@ pub(super) fn suspects(poses: &[Pose], fit: &PlateFit, start: &Instrument) -> Ve
 
 /// Whether all of a mark is lit and on the sensor.
 fn is_lit(at: PlateMil, frame: &FrameObservation, pose: &PoseFit, start: &Instrument) -> bool {
-    let reach_mil = start.optics.radius_mil(LEAST_SUN_ARCSEC) - start.plate.cross.arm_length_mil;
+    let reach_mil = start.optics.radius_mil(LEAST_SUN_ARCSEC) - start.plate.shape.size_mil();
     let by_sun = frame.sun.is_none_or(|sun| sun.distance(at) < reach_mil);
     let seen = pose.mapping.to_sensor(at);
     let inside = |along: f64, size: usize| along > BORDER_PX && along < size as f64 - BORDER_PX;

@@ -5,7 +5,7 @@ use super::fit::PoseFit;
 use crate::calibrate::revision::{Provenance, Revision, number};
 use crate::geometry::Distortion;
 use crate::instrument::Instrument;
-use crate::plate::MarkId;
+use crate::plate::{MarkId, MarkPlace, Pattern};
 use crate::units::{Measured, PlateMil};
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
@@ -163,12 +163,18 @@ fn marks(calibration: &Calibration, start: &Instrument) -> ArrayOfTables {
         .map(|mark| (mark.id, (mark.position, mark.sigma_mil)))
         .collect();
     let plate = &start.plate;
+    // Of a drawing that is the list itself every mark stays, with its drawn place.
+    let is_drawing = plate.pattern() == Pattern::Listed;
     let before = |id: MarkId| {
-        let measured = plate.is_measured(id);
-        measured.then(|| (plate.position(id), plate.sigma_mil(id)))
+        let stays = if is_drawing {
+            plate.place(id)
+        } else {
+            plate.measured(id)
+        };
+        stays.map(|MarkPlace { at, sigma_mil }| (at, sigma_mil))
     };
     let mut marks = ArrayOfTables::new();
-    for id in MarkId::all() {
+    for (id, drawn) in plate.drawn_marks() {
         let Some((position, sigma_mil)) = found.get(&id).copied().or_else(|| before(id)) else {
             continue;
         };
@@ -176,6 +182,9 @@ fn marks(calibration: &Calibration, start: &Instrument) -> ArrayOfTables {
         table.set_position(Some(AFTER_ALL_ELSE));
         table["id"] = value(id_value(id));
         table["position_mil"] = pair([position.x, position.y]);
+        if is_drawing {
+            table["drawn_mil"] = value(Array::from_iter([drawn.x, drawn.y]));
+        }
         table["sigma_mil"] = pair(sigma_mil.map(|sigma| sigma.max(LEAST_SIGMA_MIL)));
         marks.push(table);
     }

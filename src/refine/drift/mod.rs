@@ -152,9 +152,7 @@ impl Drift<'_> {
         let (mut information, mut gradient, mut chi2) = (Covariance::zeros(), State::zeros(), 0.0);
         let marks = self.observations.at(moment).iter();
         for mark in marks.filter(|mark| mark.weight > 0.0) {
-            let (picture, slopes) = self
-                .reference
-                .picture(self.observations.plate.position(mark.id));
+            let (picture, slopes) = self.reference.picture(mark.printed);
             let residual = mark.seen - picture - slopes * view;
             let weight = mark.information() * f64::from(mark.weight);
             let weighted = slopes.transpose() * weight;
@@ -303,12 +301,13 @@ mod tests {
                     i: k % 3 - 1,
                     j: k / 3 - 1,
                 };
-                let (view, slopes) = reference.picture(plate.position(id));
+                let printed = plate.position(id).unwrap();
+                let (view, slopes) = reference.picture(printed);
                 let error = Vector2::new(noise(MARK_SIGMA_PX), noise(MARK_SIGMA_PX));
                 let information = MARK_SIGMA_PX.powi(-2) as f32;
                 MarkObservation {
                     seen: view + slopes * state + error,
-                    id,
+                    printed,
                     information: [information, 0.0, information],
                     weight: 1.0,
                 }
@@ -318,10 +317,7 @@ mod tests {
         };
         let degrees = temperature_c().into_iter().take(moments).enumerate();
         let (moments, truth): (Vec<_>, Vec<_>) = degrees.map(&mut moment).unzip();
-        (
-            Observations::new(plate.clone(), marks, moments.into_iter()),
-            truth,
-        )
+        (Observations::new(marks, moments.into_iter()), truth)
     }
 
     fn drift<'a>(

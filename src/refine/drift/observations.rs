@@ -1,7 +1,7 @@
 //! The moments of a flight and the marks observed then.
 
-use crate::plate::{MarkId, Plate};
 use crate::refine::record::symmetric;
+use crate::units::PlateMil;
 use nalgebra::{Matrix2, Vector2};
 use std::ops::Range;
 
@@ -10,7 +10,8 @@ use std::ops::Range;
 pub struct MarkObservation {
     /// Position on the ideal sensor, px.
     pub seen: Vector2<f64>,
-    pub id: MarkId,
+    /// Where the mark is on the plate.
+    pub printed: PlateMil,
     /// Inverse covariance, px^-2: xx, xy, yy. There are many of these.
     pub information: [f32; 3],
     /// 0 to 1.
@@ -28,8 +29,6 @@ impl MarkObservation {
 pub struct Observations {
     marks: Vec<MarkObservation>,
     moments: Vec<Moment>,
-    /// Whose marks they are.
-    pub plate: Plate,
 }
 
 #[derive(Debug, Clone)]
@@ -41,17 +40,12 @@ struct Moment {
 }
 
 impl Observations {
-    /// The marks of a plate, moment by moment, and each moment with its time in s and the end of its marks among all.
-    pub fn new(
-        plate: Plate,
-        marks: Vec<MarkObservation>,
-        moments: impl Iterator<Item = (f64, u32)>,
-    ) -> Self {
+    /// The marks moment by moment, and each moment with its time in s and the end of its marks among all.
+    pub fn new(marks: Vec<MarkObservation>, moments: impl Iterator<Item = (f64, u32)>) -> Self {
         let moment = |(time_s, end)| Moment { time_s, end };
         Self {
             marks,
             moments: moments.map(moment).collect(),
-            plate,
         }
     }
 

@@ -1,0 +1,70 @@
+//! What is printed at every mark of a plate, dark on white.
+
+use nalgebra::{Matrix2, Rotation2, Vector2};
+
+/// The shape of a plate's marks: one for all of them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum MarkShape {
+    Cross(Cross),
+    /// A filled disc.
+    Dot {
+        diameter_mil: f64,
+    },
+}
+
+/// Two arms that cross at right angles in their middles.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Cross {
+    /// Tip to tip.
+    pub arm_length_mil: f64,
+    pub arm_width_mil: f64,
+    /// Angle of an arm from the plate's +X towards +Y.
+    pub arm_angle_deg: f64,
+}
+
+impl MarkShape {
+    /// From one end to the other: of a cross from tip to tip, of a dot its diameter.
+    pub fn size_mil(&self) -> f64 {
+        match self {
+            Self::Cross(cross) => cross.arm_length_mil,
+            Self::Dot { diameter_mil } => *diameter_mil,
+        }
+    }
+
+    /// Width of the lines that it is drawn with; of a dot its radius.
+    pub fn line_mil(&self) -> f64 {
+        match self {
+            Self::Cross(cross) => cross.arm_width_mil,
+            Self::Dot { diameter_mil } => diameter_mil / 2.0,
+        }
+    }
+
+    /// Directions on the plate of a cross's arms, as columns; of a dot, which has none, the plate's axes.
+    pub fn arms(&self) -> Matrix2<f64> {
+        match self {
+            Self::Cross(cross) => Rotation2::new(cross.arm_angle_deg.to_radians()).into_inner(),
+            Self::Dot { .. } => Matrix2::identity(),
+        }
+    }
+
+    /// Whether a mark, and a margin about it, covers an offset from its middle along the plate's axes, mil.
+    pub fn covers(&self, offset_mil: Vector2<f64>, margin_mil: f64) -> bool {
+        match self {
+            Self::Cross(cross) => {
+                let half_length = cross.arm_length_mil / 2.0 + margin_mil;
+                let half_width = cross.arm_width_mil / 2.0 + margin_mil;
+                let [u, v] = (self.arms().transpose() * offset_mil).abs().into();
+                (u.max(v) < half_length) & (u.min(v) < half_width)
+            }
+            Self::Dot { diameter_mil } => offset_mil.norm() < diameter_mil / 2.0 + margin_mil,
+        }
+    }
+
+    /// As the instrument's file says it.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Cross(_) => "cross",
+            Self::Dot { .. } => "dot",
+        }
+    }
+}
