@@ -33,7 +33,7 @@ fn demo() -> Instrument {
 /// Runs parts of the program in its small size; every demand has to be met.
 fn demands_are_met(parts: &[&str]) {
     let parts: Vec<String> = parts.iter().map(|name| (*name).into()).collect();
-    let program = Program::new(Size::Small, &parts, Figures::Left).unwrap();
+    let program = Program::new(Size::Small, &parts, Figures::Left, None).unwrap();
     let report = program.run(&|| {}).unwrap();
     println!("{}", text(&report));
     assert_eq!(report.unmet(), []);
@@ -139,7 +139,7 @@ fn motion_in_the_exposure_gives_no_wrong_id_and_no_fine_frame_that_is_far_off() 
 
 #[test]
 fn a_part_that_is_not_known_is_refused_with_those_that_are() {
-    let error = Program::new(Size::Small, &["nois-1".into()], Figures::Left).unwrap_err();
+    let error = Program::new(Size::Small, &["nois-1".into()], Figures::Left, None).unwrap_err();
     let text = error.to_string();
     assert!(names().iter().all(|name| text.contains(name)), "{text}");
 }

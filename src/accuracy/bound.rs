@@ -38,8 +38,9 @@ enum Unknown {
 
 use Unknown::*;
 
-/// A tenth of a pixel, on a plate of about 6 mil/px.
+/// Steps on the plate are of a tenth of a pixel; this is one of the demo.
 const STEP_MIL: f64 = 0.6;
+const SCALE_MIL_PER_PX: f64 = 5.75;
 const STEP_PX: f64 = 0.1;
 /// Moves the limb by a tenth of a pixel.
 const STEP_RELATIVE: f64 = 1e-3;
@@ -73,10 +74,11 @@ impl Unknown {
         let mut moved = sun.clone();
         let one = Matrix3::identity;
         let mut seen_by = one();
+        let mil = by * plate_unit(scene);
         match self {
-            SunX => moved.centre.x += by,
-            SunY => moved.centre.y += by,
-            Radius => moved.radius_mil += by,
+            SunX => moved.centre.x += mil,
+            SunY => moved.centre.y += mil,
+            Radius => moved.radius_mil += mil,
             Peak => moved.peak_dn += by,
             LimbDarkening => moved.limb_darkening += by,
             Background => changed.background_dn += by,
@@ -100,6 +102,18 @@ impl Unknown {
         changed.sun = Some(moved);
         Some(changed)
     }
+}
+
+/// How large a pixel of a scene is on the plate, in the demo's.
+fn plate_unit(scene: &Scene) -> f64 {
+    let centre = scene
+        .sun
+        .as_ref()
+        .map_or(PlateMil::new(0.0, 0.0), |sun| sun.centre);
+    scene
+        .mapping
+        .scale_mil_per_px(scene.mapping.to_sensor(centre))
+        / SCALE_MIL_PER_PX
 }
 
 /// A mapping whose picture on the sensor is changed by a homography about a place.
@@ -137,7 +151,7 @@ pub fn covariance_mil2(scene: &Scene) -> Option<Matrix2<f64>> {
             .sum::<f64>()
     });
     let least = fisher.cholesky()?.inverse();
-    let place = least.fixed_view::<2, 2>(0, 0) * STEP_MIL.powi(2);
+    let place = least.fixed_view::<2, 2>(0, 0) * (STEP_MIL * plate_unit(&scene)).powi(2);
     Some(Matrix2::from(place))
 }
 

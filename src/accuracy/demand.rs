@@ -14,6 +14,10 @@ pub enum Demand {
     MostArcsec(f64),
     /// Every frame that shows enough of the limb and three marks fully lit is fine.
     NoneMissed,
+    /// Every such frame with four marks or more fully lit is fine.
+    NoneMissedOfFour,
+    /// Of such frames with three marks fully lit at least this share is fine.
+    FineOfThree(f64),
     /// Every such frame is fine, but for this share at most whose marks leave two readings open: three in a row where the
     /// sensor's edge hides the neighbours that determine the quarter turn.
     FewUndecided(f64),
@@ -78,6 +82,25 @@ impl Demand {
             Self::MostArcsec(limit) => at_most("99.7 %", found.most_arcsec, limit),
             Self::NoneMissed => (!found.missed.is_empty())
                 .then(|| format!("{} frames ought to be fine", found.missed.len())),
+            Self::NoneMissedOfFour => {
+                let missed = found.missed.iter().filter(|m| m.lit_marks > 3).count();
+                (missed > 0).then(|| format!("{missed} frames of four marks ought to be fine"))
+            }
+            Self::FineOfThree(least) => {
+                let missed = found.missed.iter().filter(|m| m.lit_marks == 3).count();
+                let most = (1.0 - least) * found.due_of_three as f64;
+                // One frame of few is no share of them.
+                let most = match precision {
+                    Precision::Measured => most,
+                    Precision::OfCount => most + 3.0 * most.max(1.0).sqrt(),
+                };
+                (missed as f64 > most).then(|| {
+                    format!(
+                        "{missed} of {} frames of three marks are not fine",
+                        found.due_of_three
+                    )
+                })
+            }
             Self::FewUndecided(most) => {
                 let undecided = found.missed.iter().filter(|m| m.is_undecided()).count();
                 let others = found.missed.len() - undecided;
@@ -136,6 +159,10 @@ impl fmt::Display for Demand {
             Self::MedianArcsec(limit) => write!(out, "median {limit}"),
             Self::MostArcsec(limit) => write!(out, "99.7 % {limit}"),
             Self::NoneMissed => write!(out, "all marked frames fine"),
+            Self::NoneMissedOfFour => write!(out, "all frames of four marks fine"),
+            Self::FineOfThree(least) => {
+                write!(out, "{:.0} % of those of three marks fine", 100.0 * least)
+            }
             Self::FewUndecided(most) => {
                 write!(
                     out,

@@ -6,16 +6,15 @@ use super::outcome::MOST;
 use super::recipe::{Recipe, View};
 use super::trial::{Bounded, MarkError, Outcome, Trial};
 use crate::aspect::Quality;
+use crate::instrument::Instrument;
 use crate::plate::MarkId;
 use crate::simulate::SceneError;
-use crate::units::SensorPx;
+use crate::units::{PlateMil, SensorPx};
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
 /// Phases per axis of the bias map.
 pub const PHASES: usize = 8;
-/// The mark whose phase is stepped: the plate's middle one.
-const STEPPED: MarkId = MarkId { i: 0, j: 0 };
 /// Noise of the bias map's frames, DN: low, so that few frames show the bias.
 const MAP_NOISE_DN: f64 = 1.0;
 
@@ -104,17 +103,20 @@ pub fn bias_map(
     frames_per_phase: u64,
     done: &(dyn Fn() + Sync),
 ) -> Result<BiasMap, SceneError> {
+    let stepped_mark = middle_mark(&trial.instrument);
     let cells = (0..PHASES * PHASES)
         .into_par_iter()
         .map(|cell| {
             let phase = phase_px(cell);
-            let recipe = stepped(trial, phase);
+            let recipe = stepped(trial, phase, stepped_mark);
             let errors: Result<Vec<_>, SceneError> = (0..frames_per_phase)
                 .map(|n| {
                     let seed = cell as u64 * frames_per_phase + n;
                     let outcome = trial.outcome(&recipe, seed, Bounded::No)?;
                     done();
-                    Ok(errors(&[outcome]).find(|e| e.id == STEPPED).map(|e| e.px))
+                    Ok(errors(&[outcome])
+                        .find(|e| e.id == stepped_mark)
+                        .map(|e| e.px))
                 })
                 .collect();
             Ok(bias(
@@ -129,13 +131,21 @@ pub fn bias_map(
     })
 }
 
+/// The mark nearest to the plate's centre.
+fn middle_mark(instrument: &Instrument) -> MarkId {
+    let marks = instrument.plate.marks();
+    let from_centre = |(_, at): &(MarkId, PlateMil)| at.vector().norm();
+    let nearest = marks.min_by(|a, b| from_centre(a).total_cmp(&from_centre(b)));
+    nearest.map_or(MarkId { i: 0, j: 0 }, |(id, _)| id)
+}
+
 /// The frame whose middle mark lies at a phase.
-fn stepped(trial: &Trial, phase_px: Vector2<f64>) -> Recipe {
+fn stepped(trial: &Trial, phase_px: Vector2<f64>, mark: MarkId) -> Recipe {
     let mut recipe = Recipe::standard(&trial.instrument);
     let centre = &mut recipe.conditions.similarity.plate_centre;
     let pixel = centre.vector().map(f64::floor);
     *centre = SensorPx::from(pixel + phase_px);
-    recipe.view = View::Around(STEPPED);
+    recipe.view = View::Around(mark);
     noise(&mut recipe, MAP_NOISE_DN);
     recipe
 }

@@ -20,7 +20,7 @@
 //!
 //! ```text
 //! recipe <- conditions; bound, recipe <- trial; chance, trial <- outcome <- demand; conditions, demand <- rows
-//! chance, demand <- moon <- moon_rows; chance, demand <- horizon <- horizon_rows
+//! rows <- plate_rows; chance, demand <- moon <- moon_rows; chance, demand <- horizon <- horizon_rows
 //! all of these <- marks, mixed, figures <- report <- program <- table
 //! ```
 
@@ -36,6 +36,7 @@ pub mod mixed;
 mod moon;
 mod moon_rows;
 pub mod outcome;
+mod plate_rows;
 mod program;
 mod recipe;
 mod report;

@@ -38,6 +38,8 @@ pub struct Summary {
     pub coarse: usize,
     /// Frames with the whole disc or enough of its limb and three marks fully lit that are not fine.
     pub missed: Vec<Missed>,
+    /// Frames that ought to be fine by three marks.
+    pub due_of_three: usize,
     /// Radial errors of the aspect.
     pub median_arcsec: Option<f64>,
     pub most_arcsec: Option<f64>,
@@ -141,6 +143,10 @@ impl Summary {
             fine: of_quality(Quality::Fine),
             coarse: of_quality(Quality::Coarse),
             missed: outcomes.iter().filter_map(missed).collect(),
+            due_of_three: outcomes
+                .iter()
+                .filter(|o| is_due(o) && o.lit_marks == 3)
+                .count(),
             median_arcsec: quantile(radial(), 0.5),
             most_arcsec: quantile(radial(), MOST),
             largest_arcsec: quantile(radial(), 1.0),
@@ -178,9 +184,13 @@ pub fn is_wrong_fine(outcome: &Outcome) -> bool {
 /// Part of the limb on the sensor from which on a fine solution is expected.
 pub const ENOUGH_LIMB: f64 = 0.4;
 
+/// Whether a frame ought to be fine.
+fn is_due(outcome: &Outcome) -> bool {
+    outcome.lit_marks >= 3 && outcome.limb_share >= ENOUGH_LIMB
+}
+
 fn missed(outcome: &Outcome) -> Option<Missed> {
-    let due = outcome.lit_marks >= 3 && outcome.limb_share >= ENOUGH_LIMB;
-    (due && outcome.quality != Quality::Fine).then(|| Missed {
+    (is_due(outcome) && outcome.quality != Quality::Fine).then(|| Missed {
         seed: outcome.seed,
         lit_marks: outcome.lit_marks,
         reason: outcome.reason.clone().unwrap_or_default(),

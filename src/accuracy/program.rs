@@ -9,7 +9,7 @@ use super::mixed::MixedSummary;
 use super::moon::MoonRow;
 use super::moon_rows::moon_rows;
 use super::outcome::{About, AgainstIdeal, Summary};
-use super::recipe::{Recipe, Vary};
+use super::recipe::Recipe;
 use super::report::{MarksReport, Report, RowReport, RunReport};
 use super::rows::{
     AccuracyRow, HORIZON, Ideal, MARKS, MARKS_ROW, MOON, Run, Size, names, rows, runs,
@@ -17,7 +17,7 @@ use super::rows::{
 use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::SolverSettings;
 use crate::frame::FrameError;
-use crate::instrument::{TomlError, builtin};
+use crate::instrument::{Instrument, TomlError, builtin};
 use crate::simulate::{Scene, SceneError};
 
 /// Frames for each phase of the bias map.
@@ -46,6 +46,8 @@ pub enum AccuracyError {
 pub struct Program {
     pub size: Size,
     trial: Trial,
+    /// Whether the instrument is the demo, whose limits in arcsec hold.
+    is_demo: bool,
     rows: Vec<AccuracyRow>,
     marks: bool,
     runs: Vec<Run>,
@@ -62,26 +64,41 @@ pub enum Figures {
 }
 
 impl Program {
-    /// All parts, or those of some names; with the sweeps that the figures need, or without.
-    pub fn new(size: Size, only: &[String], figures: Figures) -> Result<Self, AccuracyError> {
+    /// All parts, or those of some names; with the sweeps that the figures need, or without. Of an instrument other than the demo the parts
+    /// that are about it: no other plates, no Moon and no horizon, and no limits in arcsec, which are the demo's.
+    pub fn new(
+        size: Size,
+        only: &[String],
+        figures: Figures,
+        instrument: Option<Instrument>,
+    ) -> Result<Self, AccuracyError> {
         if let Some(found) = only.iter().find(|name| !names().contains(&name.as_str())) {
             return Err(unknown(found));
         }
         let wanted = |name: &str| only.is_empty() || only.iter().any(|o| o == name);
+        let is_demo = instrument.is_none();
+        let of_instrument = |row: &AccuracyRow| is_demo || row.instrument.is_none();
+        let rows = rows()
+            .into_iter()
+            .filter(|row| wanted(row.name) && of_instrument(row));
         Ok(Self {
             size,
             trial: Trial {
-                instrument: builtin("demo")?,
+                instrument: instrument.map_or_else(|| builtin("demo"), Ok)?,
                 settings: SolverSettings::default(),
             },
-            rows: rows().into_iter().filter(|r| wanted(r.name)).collect(),
+            rows: match is_demo {
+                true => rows.collect(),
+                false => rows.map(AccuracyRow::without_arcsec).collect(),
+            },
+            is_demo,
             marks: wanted(MARKS),
             runs: runs().into_iter().filter(|r| wanted(r.name)).collect(),
-            moons: match wanted(MOON) {
+            moons: match is_demo && wanted(MOON) {
                 true => moon_rows(),
                 false => Vec::new(),
             },
-            horizons: match wanted(HORIZON) {
+            horizons: match is_demo && wanted(HORIZON) {
                 true => horizon_rows(),
                 false => Vec::new(),
             },
@@ -133,7 +150,9 @@ impl Program {
 
     /// Runs it on all cores; `done` is called after every frame.
     pub fn run(&self, done: &(dyn Fn() + Sync)) -> Result<Report, AccuracyError> {
-        let standard = self.outcomes(|_, _, _| (), self.standard_frames(), done)?;
+        let standard = self
+            .trial
+            .outcomes(|_, _, _| (), self.standard_frames(), done)?;
         let rows = self.rows.iter().map(|row| self.row(row, &standard, done));
         let rows = rows.collect::<Result<Vec<_>, _>>()?;
         let marks = self.marks.then(|| self.marks(&rows, done)).transpose()?;
@@ -154,19 +173,6 @@ impl Program {
         })
     }
 
-    /// Outcomes of so many frames, without their bounds.
-    fn outcomes(
-        &self,
-        vary: Vary,
-        frames: u64,
-        done: &(dyn Fn() + Sync),
-    ) -> Result<Vec<Outcome>, SceneError> {
-        outcomes(frames, done, |seed| {
-            let recipe = Recipe::drawn(vary, &self.trial.instrument, seed);
-            self.trial.outcome(&recipe, seed, Bounded::No)
-        })
-    }
-
     fn row(
         &self,
         row: &AccuracyRow,
@@ -179,18 +185,18 @@ impl Program {
             About::Coarse | About::Solved => 0,
         };
         let frames = self.size.of(row.frames);
+        let trial = row.trial(&self.trial);
         let outcomes = outcomes(frames, done, |seed| {
-            let recipe = Recipe::drawn(row.vary, &self.trial.instrument, seed);
-            self.trial
-                .outcome(&recipe, seed, Bounded::up_to(with_bound, seed))
+            let recipe = Recipe::drawn(row.vary, &trial.instrument, seed);
+            trial.outcome(&recipe, seed, Bounded::up_to(with_bound, seed))
         })?;
-        let arcsec_per_mil = self.trial.instrument.optics.arcsec_per_mil();
+        let arcsec_per_mil = trial.instrument.optics.arcsec_per_mil();
         let mut summary = Summary::of(&outcomes, row.about, arcsec_per_mil);
         summary.ideal = match row.ideal {
             None => None,
             Some(Ideal::Standard) => AgainstIdeal::of(&outcomes, standard, row.about),
             Some(Ideal::Of(vary)) => {
-                let ideal = self.outcomes(vary, frames, done)?;
+                let ideal = trial.outcomes(vary, frames, done)?;
                 AgainstIdeal::of(&outcomes, &ideal, row.about)
             }
         };
@@ -223,14 +229,19 @@ impl Program {
         }
         let bias = marks::bias_map(&self.trial, self.size.of(FRAMES_PER_PHASE), done)?;
         Ok(MarksReport {
-            unmet: marks::unmet(summary.as_ref(), &bias),
+            unmet: match self.is_demo {
+                true => marks::unmet(summary.as_ref(), &bias),
+                false => Vec::new(),
+            },
             summary,
             bias,
         })
     }
 
     fn search(&self, run: &Run, done: &(dyn Fn() + Sync)) -> Result<RunReport, SceneError> {
-        let outcomes = self.outcomes(run.vary, self.size.of(run.frames), done)?;
+        let outcomes = self
+            .trial
+            .outcomes(run.vary, self.size.of(run.frames), done)?;
         let summary = MixedSummary::of(&outcomes);
         Ok(RunReport {
             run: run.clone(),
@@ -249,17 +260,23 @@ pub struct Case {
 }
 
 impl Case {
-    /// The frame of a seed; `part` is the name of a row or of a run.
-    pub fn new(part: &str, seed: u64) -> Result<Self, AccuracyError> {
-        let of_rows = rows().into_iter().map(|row| (row.name, row.vary));
-        let of_runs = runs().into_iter().map(|run| (run.name, run.vary));
-        let mut parts = of_rows.chain(of_runs);
-        let vary = parts.find(|(name, _)| *name == part).map(|(_, vary)| vary);
-        let trial = Trial {
-            instrument: builtin("demo")?,
+    /// The frame of a seed; `part` is the name of a row or of a run. Without an instrument it is the demo's.
+    pub fn new(
+        part: &str,
+        seed: u64,
+        instrument: Option<Instrument>,
+    ) -> Result<Self, AccuracyError> {
+        let usual = Trial {
+            instrument: instrument.map_or_else(|| builtin("demo"), Ok)?,
             settings: SolverSettings::default(),
         };
-        let vary = vary.ok_or_else(|| unknown(part))?;
+        let row = rows().into_iter().find(|row| row.name == part);
+        let run = runs().into_iter().find(|run| run.name == part);
+        let (trial, vary) = match (row, run) {
+            (Some(row), _) => (row.trial(&usual), row.vary),
+            (None, Some(run)) => (usual, run.vary),
+            (None, None) => return Err(unknown(part)),
+        };
         let recipe = Recipe::drawn(vary, &trial.instrument, seed);
         Ok(Self {
             scene: recipe.scene(&trial.instrument, seed)?,
@@ -295,16 +312,16 @@ mod tests {
 
     #[test]
     fn a_seed_gives_the_same_frame_and_outcome_again() {
-        let [one, again] = [(); 2].map(|()| Case::new(MIXED, 3).unwrap());
+        let [one, again] = [(); 2].map(|()| Case::new(MIXED, 3, None).unwrap());
         assert_eq!(one.scene, again.scene);
         assert_eq!(one.outcome, again.outcome);
-        assert_ne!(one.scene, Case::new(MIXED, 4).unwrap().scene);
+        assert_ne!(one.scene, Case::new(MIXED, 4, None).unwrap().scene);
     }
 
     #[test]
     fn only_what_has_frames_by_seed_gives_a_frame() {
-        assert!(Case::new(MARKS, 1).is_err());
-        assert!(Case::new("standard", 1).is_ok());
-        assert!(Case::new(MOTION, 1).is_ok());
+        assert!(Case::new(MARKS, 1, None).is_err());
+        assert!(Case::new("standard", 1, None).is_ok());
+        assert!(Case::new(MOTION, 1, None).is_ok());
     }
 }

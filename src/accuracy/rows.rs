@@ -10,7 +10,9 @@ use super::demand::Demand::{
 };
 use super::demand::HONEST;
 use super::outcome::{About, ENOUGH_LIMB};
+use super::plate_rows::{InstrumentOf, plate_rows};
 use super::recipe::{ANY_MARKS, ENOUGH_MARKS, FEW_MARKS, Vary, View};
+use super::trial::Trial;
 use crate::simulate::Depth;
 
 /// How many frames.
@@ -57,6 +59,8 @@ pub struct AccuracyRow {
     pub frames: [u64; 2],
     /// How the row's frames depart from the standard one.
     pub vary: Vary,
+    /// What the row's instrument is, where it is not the program's.
+    pub instrument: Option<InstrumentOf>,
     /// The frames that the errors are compared with, of the same seeds.
     pub ideal: Option<Ideal>,
     pub demands: Vec<Demand>,
@@ -109,20 +113,37 @@ const FEW: [u64; 2] = [60, 1000];
 const BESIDE_IDEAL: [u64; 2] = [24, 300];
 
 /// A row about fine frames whose errors are reported only.
-fn row(name: &'static str, title: &'static str, vary: Vary) -> AccuracyRow {
+pub(super) fn row(name: &'static str, title: &'static str, vary: Vary) -> AccuracyRow {
     AccuracyRow {
         name,
         title,
         about: About::Fine,
         frames: FEW,
         vary,
+        instrument: None,
         ideal: None,
         demands: vec![NoWrongId],
     }
 }
 
 impl AccuracyRow {
-    fn demanding(self, demands: &[Demand]) -> Self {
+    /// What solves the row's frames, where the program's is `usual`.
+    pub(super) fn trial(&self, usual: &Trial) -> Trial {
+        let mut trial = usual.clone();
+        if let Some(make) = self.instrument {
+            trial.instrument = make(trial.instrument);
+        }
+        trial
+    }
+
+    /// Without the limits in arcsec.
+    pub(super) fn without_arcsec(mut self) -> Self {
+        let in_arcsec = |d: &Demand| matches!(d, MedianArcsec(_) | MostArcsec(_));
+        self.demands.retain(|demand| !in_arcsec(demand));
+        self
+    }
+
+    pub(super) fn demanding(self, demands: &[Demand]) -> Self {
         Self {
             frames: MANY,
             demands: [demands, &[NoWrongId, NoWrongFine]].concat(),
@@ -164,7 +185,15 @@ impl AccuracyRow {
 
 /// Every row, in the order of the table.
 pub fn rows() -> Vec<AccuracyRow> {
-    [bounded(), borrowing(), reported(), effects(), covered()].concat()
+    [
+        bounded(),
+        borrowing(),
+        reported(),
+        effects(),
+        covered(),
+        plate_rows(),
+    ]
+    .concat()
 }
 
 /// The name of every part of the program: the rows, the marks, the runs, the Moon, the horizon.

@@ -1,7 +1,7 @@
 //! One frame: its scene, the solution, and how the two differ.
 
 use super::bound;
-use super::recipe::{Recipe, fully_lit, limb_share};
+use super::recipe::{Recipe, Vary, fully_lit, limb_share};
 use crate::aspect::{Expected, Quality, Solution, SolverSettings, solve_with};
 use crate::instrument::Instrument;
 use crate::plate::MarkId;
@@ -121,6 +121,19 @@ impl Trial {
         Ok(Outcome {
             bound_mil2,
             ..self.compare(&scene, &solution, seed)
+        })
+    }
+
+    /// Outcomes of so many frames, without their bounds.
+    pub(super) fn outcomes(
+        &self,
+        vary: Vary,
+        frames: u64,
+        done: &(dyn Fn() + Sync),
+    ) -> Result<Vec<Outcome>, SceneError> {
+        outcomes(frames, done, |seed| {
+            let recipe = Recipe::drawn(vary, &self.instrument, seed);
+            self.outcome(&recipe, seed, Bounded::No)
         })
     }
 

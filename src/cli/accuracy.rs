@@ -3,6 +3,7 @@
 use super::output::say;
 use crate::accuracy::{Case, Figures, Page, Program, Report, Size, case_text, text};
 use crate::fits::{self, Compression};
+use crate::instrument::Instrument;
 use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -28,20 +29,30 @@ pub struct AccuracyArgs {
     /// Only the frame of this seed, of the one row or run that --only names, in detail; --out keeps it as FITS
     #[arg(long, value_name = "S", requires = "only", conflicts_with = "full")]
     seed: Option<u64>,
+    /// Measure with this instrument, a TOML file or the name of a built-in one, instead of the demo; limits in arcsec, which are the demo's, and the
+    /// parts about other instruments are left out
+    #[arg(long, value_name = "FILE|NAME")]
+    instrument: Option<PathBuf>,
 }
 
 pub fn run(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
     match (args.seed, args.only.as_slice()) {
-        (Some(seed), [part]) => one_frame(part, seed, args.out.as_deref()),
+        (Some(seed), [part]) => one_frame(part, seed, args),
         (Some(_), _) => anyhow::bail!("expected one --only beside --seed"),
         (None, _) => all_frames(args),
     }
 }
 
-fn one_frame(part: &str, seed: u64, out: Option<&Path>) -> anyhow::Result<ExitCode> {
-    let case = Case::new(part, seed)?;
+/// The instrument of `--instrument`.
+fn instrument(args: &AccuracyArgs) -> anyhow::Result<Option<Instrument>> {
+    let read = args.instrument.as_deref().map(Instrument::read);
+    Ok(read.transpose()?)
+}
+
+fn one_frame(part: &str, seed: u64, args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
+    let case = Case::new(part, seed, instrument(args)?)?;
     say(case_text(&case).trim_end())?;
-    if let Some(folder) = out {
+    if let Some(folder) = &args.out {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot make {}", folder.display()))?;
         let file = folder.join(format!("{part}-{seed}.fits"));
@@ -56,7 +67,7 @@ fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
         Some(_) => Figures::Drawn,
         None => Figures::Left,
     };
-    let program = Program::new(size, &args.only, figures).context("--only")?;
+    let program = Program::new(size, &args.only, figures, instrument(args)?).context("--only")?;
     // Before the run, which may outlast a commit.
     let commit = commit();
     let progress = ProgressBar::new(program.frames());

@@ -183,6 +183,24 @@ impl Plate {
         (mark.place != mark.drawn).then_some(mark.place)
     }
 
+    /// The drawing so many times as large, its marks and how well they are known, too.
+    pub fn scaled(&self, by: f64) -> Self {
+        let scaled = |mark: &PlateMark| {
+            let place = MarkPlace {
+                at: (mark.drawn.at.vector() * by).into(),
+                sigma_mil: mark.drawn.sigma_mil.map(|sigma| sigma * by),
+            };
+            (mark.id, place)
+        };
+        let (shape, sigma_mil) = (self.shape.scaled(by), self.drawing_sigma_mil * by);
+        Self::new(
+            Pattern::Listed,
+            shape,
+            sigma_mil,
+            self.marks.iter().map(scaled),
+        )
+    }
+
     /// The plate as it was drawn, nothing of it measured.
     pub fn as_drawn(&self) -> Self {
         let mut drawn = self.clone();

@@ -39,6 +39,20 @@ impl MarkShape {
         }
     }
 
+    /// The same shape so many times as large.
+    pub fn scaled(&self, by: f64) -> Self {
+        match self {
+            Self::Cross(cross) => Self::Cross(Cross {
+                arm_length_mil: cross.arm_length_mil * by,
+                arm_width_mil: cross.arm_width_mil * by,
+                ..*cross
+            }),
+            Self::Dot { diameter_mil } => Self::Dot {
+                diameter_mil: diameter_mil * by,
+            },
+        }
+    }
+
     /// Directions on the plate of a cross's arms, as columns; of a dot, which has none, the plate's axes.
     pub fn arms(&self) -> Matrix2<f64> {
         match self {

@@ -1,0 +1,215 @@
+//! The rows about other plates, lenses and cameras: one departs from the demo in one thing.
+
+use super::conditions::turned;
+use super::demand::Demand::{FineOfThree, HonestSigma, NoneMissedOfFour};
+use super::recipe::{ENOUGH_MARKS, Generator, Recipe, Vary, View};
+use super::rows::{AccuracyRow, row};
+use crate::instrument::Instrument;
+use crate::plate::{Cross, MarkId, MarkPlace, MarkShape, Pattern, Plate};
+use crate::units::{Measured, PlateMil};
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+
+/// A row's instrument, made from the demo.
+pub type InstrumentOf = fn(Instrument) -> Instrument;
+
+/// What an area of the demo's plate has for each mark, mil^2.
+const AREA_PER_MARK_MIL2: f64 = 190_000.0;
+/// Frames of a row, and of one with twelve million pixels.
+const FRAMES: [u64; 2] = [16, 2000];
+const LARGE_FRAMES: [u64; 2] = [2, 200];
+
+const CROSS: Cross = Cross {
+    arm_length_mil: 90.0,
+    arm_width_mil: 12.0,
+    arm_angle_deg: 0.0,
+};
+
+/// Every row, in the order of the table.
+pub(super) fn plate_rows() -> Vec<AccuracyRow> {
+    let rows: [(&str, &str, InstrumentOf, Vary); 10] = [
+        (
+            "plate-100",
+            "100 crosses at random",
+            |i| random(i, 100),
+            marked,
+        ),
+        (
+            "plate-225",
+            "225 crosses at random",
+            |i| random(i, 225),
+            marked,
+        ),
+        (
+            "plate-600",
+            "600 crosses at random",
+            |i| random(i, 600),
+            marked,
+        ),
+        (
+            "plate-turned",
+            "225 crosses, any rotation",
+            |i| random(i, 225),
+            |r, i, rng| {
+                marked(r, i, rng);
+                turned(r, rng);
+            },
+        ),
+        (
+            "plate-45deg",
+            "225 crosses with arms at 45 deg",
+            |i| at_45_deg(random(i, 225)),
+            marked,
+        ),
+        (
+            "plate-dots",
+            "225 dots, turned within the stated sigma",
+            |i| dots(random(i, 225)),
+            misaligned,
+        ),
+        (
+            "lens-1m",
+            "225 crosses, f = 1 m",
+            |i| scaled(random(i, 225), 1.0 / 3.0),
+            marked,
+        ),
+        (
+            "lens-10m",
+            "225 crosses, f = 10 m",
+            |i| scaled(random(i, 225), 10.0 / 3.0),
+            marked,
+        ),
+        (
+            "sensor-640",
+            "225 crosses, 640 x 480 px",
+            |i| sampled(random(i, 225), [640, 480]),
+            marked,
+        ),
+        (
+            "sensor-4096",
+            "225 crosses, 4096 x 3000 px",
+            |i| sampled(random(i, 225), [4096, 3000]),
+            marked,
+        ),
+    ];
+    let row = |(name, title, instrument, vary): (&'static str, &'static str, _, _)| {
+        let row =
+            row(name, title, vary).demanding(&[NoneMissedOfFour, FineOfThree(0.95), HonestSigma]);
+        AccuracyRow {
+            frames: if name == "sensor-4096" {
+                LARGE_FRAMES
+            } else {
+                FRAMES
+            },
+            instrument: Some(instrument),
+            ..row
+        }
+    };
+    rows.into_iter().map(row).collect()
+}
+
+/// Marks enough for a mapping in view.
+fn marked(recipe: &mut Recipe, _: &Instrument, _: &mut Generator) {
+    recipe.view = View::Whole {
+        lit_marks: ENOUGH_MARKS,
+    };
+}
+
+/// The same, and a camera turned as far as its stated sigma says.
+fn misaligned(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator) {
+    marked(recipe, instrument, rng);
+    let turned = instrument.mounting.rotation_deg.sigma * rng.sample::<f64, _>(StandardNormal);
+    recipe.conditions.similarity.rotation_deg += turned;
+}
+
+/// The instrument with so many crosses anywhere on a square, as close as the demo's are, each apart from the others.
+fn random(instrument: Instrument, count: usize) -> Instrument {
+    let half_mil = (count as f64 * AREA_PER_MARK_MIL2).sqrt() / 2.0;
+    let mut rng = Generator::seed_from_u64(count as u64);
+    let mut places: Vec<PlateMil> = Vec::new();
+    while places.len() < count {
+        let [x, y] = [(); 2].map(|()| rng.random_range(-half_mil..half_mil));
+        let at = PlateMil::new(x, y);
+        if places
+            .iter()
+            .all(|other| other.distance(at) > 2.2 * CROSS.arm_length_mil)
+        {
+            places.push(at);
+        }
+    }
+    let ids = (1..).map(|i| MarkId { i, j: 0 });
+    let marks = ids
+        .zip(places)
+        .map(|(id, at)| (id, MarkPlace::new(at, 1.0)));
+    let plate = Plate::new(Pattern::Listed, MarkShape::Cross(CROSS), 1.0, marks);
+    Instrument {
+        plate,
+        ..instrument
+    }
+}
+
+fn with_shape(mut instrument: Instrument, shape: MarkShape) -> Instrument {
+    instrument.plate.shape = shape;
+    instrument
+}
+
+fn at_45_deg(instrument: Instrument) -> Instrument {
+    let cross = Cross {
+        arm_angle_deg: 45.0,
+        ..CROSS
+    };
+    with_shape(instrument, MarkShape::Cross(cross))
+}
+
+/// Dots that take as much light as the crosses do.
+fn dots(instrument: Instrument) -> Instrument {
+    with_shape(instrument, MarkShape::Dot { diameter_mil: 50.0 })
+}
+
+/// The instrument with another lens, its plate and the camera's view of it so many times as large.
+fn scaled(mut instrument: Instrument, by: f64) -> Instrument {
+    let times = |value: Measured| Measured::new(value.value * by, value.sigma * by);
+    let optics = &mut instrument.optics;
+    optics.focal_length_mm = times(optics.focal_length_mm);
+    optics.plate_distance_mm = times(optics.plate_distance_mm);
+    let mounting = &mut instrument.mounting;
+    mounting.scale_mil_per_px = times(mounting.scale_mil_per_px);
+    mounting.boresight_mil = (mounting.boresight_mil.vector() * by).into();
+    mounting.boresight_sigma_mil *= by;
+    instrument.plate = instrument.plate.scaled(by);
+    instrument
+}
+
+/// The instrument with another sensor that sees as much of the plate.
+fn sampled(mut instrument: Instrument, [width_px, height_px]: [usize; 2]) -> Instrument {
+    let camera = &mut instrument.camera;
+    let coarser = camera.height_px as f64 / height_px as f64;
+    (camera.width_px, camera.height_px) = (width_px, height_px);
+    let mounting = &mut instrument.mounting;
+    mounting.plate_centre_px = camera.middle_px();
+    mounting.plate_centre_sigma_px /= coarser;
+    let scale = mounting.scale_mil_per_px;
+    mounting.scale_mil_per_px = Measured::new(scale.value * coarser, scale.sigma * coarser);
+    instrument
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instrument::builtin;
+
+    #[test]
+    fn another_lens_keeps_the_disc_and_the_marks_in_pixels() {
+        let demo = builtin("demo").unwrap();
+        let usual = random(demo, 225);
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9 * b.abs(), "{a} {b}");
+        for by in [1.0 / 3.0, 10.0 / 3.0] {
+            let other = scaled(usual.clone(), by);
+            near(other.radius_px(960.0), usual.radius_px(960.0));
+            let size =
+                |i: &Instrument| i.plate.shape.size_mil() / i.mounting.scale_mil_per_px.value;
+            near(size(&other), size(&usual));
+            near(other.plate.reach_mil(), by * usual.plate.reach_mil());
+        }
+    }
+}
