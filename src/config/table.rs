@@ -277,7 +277,7 @@ static TABLE: &[Parameter] = &[
         "Least fraction of the structure around a detection that the cross must explain."),
     row!(fiducial.max_detections, "", Whole(3, 256), command 23,
         "Largest number of detections that are identified."),
-    row!(fiducial.min_marks, "", Whole(3, 225), command 24,
+    row!(fiducial.min_marks, "", Whole(3, 2000), command 24,
         "Smallest number of marks for an identification."),
     row!(fiducial.max_centre_shift_px, "px", Number(1.0, 1000.0), command 25,
         "Largest distance of the plate's centre on the sensor, by an identification, from the instrument's value."),

@@ -112,9 +112,10 @@ fn check_place(
         [a, b] => vec![[a, b]],
         _ => return Ok(()),
     };
+    let own = best.score - best.centre_odds;
     let places = Places::of(plate);
     let mut lists = Lists::default();
-    let mut rivals: Vec<Labelling> = Vec::new();
+    let (mut rivals, mut likelihood): (Vec<Labelling>, f64) = (Vec::new(), 0.0);
     for turn in prior.turns() {
         let Some(scene) = Scene::new(prior, detections, plate, turn, f64::INFINITY) else {
             continue;
@@ -128,21 +129,18 @@ fn check_place(
                 let known = rivals.iter().any(|other| !other.contradicts(&rival));
                 if !known && rival.full >= best.full && rival.contradicts(best) {
                     rival.score += prior.rotation_odds(rival.rotation_deg);
+                    likelihood += (rival.score - own).exp();
+                    // On a regular plate every place is one: the first is enough.
+                    Rejected::at_least(DECISIVE_ODDS, -likelihood.ln(), sun::CENTRE_ALONE)?;
                     rivals.push(rival);
                 }
             }
         }
     }
-    let own = best.score - best.centre_odds;
-    let likelihoods = rivals.iter().map(|rival| (rival.score - own).exp());
-    Rejected::at_least(
-        DECISIVE_ODDS,
-        -likelihoods.sum::<f64>().ln(),
-        sun::CENTRE_ALONE,
-    )
+    Ok(())
 }
 
-/// Every labelling at one quarter turn that starts with the first detection of one of the orders.
+/// Every labelling at one rotation that starts with the first detection of one of the orders.
 fn labellings(
     scene: &Scene,
     orders: &[Vec<usize>],

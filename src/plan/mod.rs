@@ -259,6 +259,13 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
         let Some(Stated { sees, toml, dates }) = remarks.noted(stated) else {
             continue;
         };
+        let least_marks = config.fiducial.min_marks;
+        if let Some(instrument) = sees.plate()
+            && let Err(misfit) = instrument.check_lens(least_marks)
+        {
+            let key = format!("{name}.instrument");
+            remarks.error(&key, misfit.expected(least_marks), misfit.to_string());
+        }
         planned.push(PlannedCamera {
             camera: Camera {
                 toml,

@@ -1,0 +1,146 @@
+//! Whether lens, plate and camera fit each other, so that frames can be read at all.
+
+use super::Instrument;
+use crate::units::counted;
+use nalgebra::Vector2;
+
+/// The Sun is never larger than this from the Earth.
+const LARGEST_SUN_ARCSEC: f64 = 977.0;
+/// Radii of the disc that the solver is tried with, px.
+const RADII_PX: std::ops::RangeInclusive<f64> = 15.0..=1000.0;
+
+/// Why no frame of an instrument can be read.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LensMisfit {
+    #[error(
+        "a disc of {diameter_mil:.0} mil before marks of {size_mil:.0} mil: {} fully lit wherever the Sun stands, so no frame can be read; a longer focal length, or a plate for this one",
+        counted(*.most as u64, "mark")
+    )]
+    FewMarks {
+        most: usize,
+        diameter_mil: f64,
+        size_mil: f64,
+    },
+    #[error(
+        "a disc of {diameter_px:.0} px before a sensor of {width_px} x {height_px} px: no frame shows its limb, so none can be read"
+    )]
+    NoLimb {
+        diameter_px: f64,
+        width_px: usize,
+        height_px: usize,
+    },
+    #[error("a disc of {radius_px:.1} px radius at the stated scale, so no frame can be read")]
+    Size { radius_px: f64 },
+}
+
+impl LensMisfit {
+    /// What would fit.
+    pub fn expected(&self, least_marks: usize) -> String {
+        match self {
+            Self::FewMarks { .. } => {
+                format!("a lens before which {least_marks} marks are lit at once")
+            }
+            Self::NoLimb { .. } => "a lens whose disc the sensor holds".into(),
+            Self::Size { .. } => {
+                let (least, most) = (RADII_PX.start(), RADII_PX.end());
+                format!("a lens and a scale that give a disc of {least} to {most} px radius")
+            }
+        }
+    }
+}
+
+impl Instrument {
+    /// Whether a frame can be read somewhere on the plate, which takes so many marks.
+    ///
+    /// # Errors
+    /// Why none can.
+    pub fn check_lens(&self, least_marks: usize) -> Result<(), LensMisfit> {
+        let radius_px = self.radius_px(LARGEST_SUN_ARCSEC);
+        if !RADII_PX.contains(&radius_px) {
+            return Err(LensMisfit::Size { radius_px });
+        }
+        let [width_px, height_px] = self.camera.size_px();
+        let diagonal_px = (width_px as f64).hypot(height_px as f64);
+        if 2.0 * radius_px > diagonal_px {
+            return Err(LensMisfit::NoLimb {
+                diameter_px: 2.0 * radius_px,
+                width_px,
+                height_px,
+            });
+        }
+        let (size_mil, sun_mil) = (
+            self.plate.shape.size_mil(),
+            self.optics.radius_mil(LARGEST_SUN_ARCSEC),
+        );
+        let marks: Vec<Vector2<f64>> = self.plate.marks().map(|(_, at)| at.vector()).collect();
+        let most = most_within(&marks, sun_mil - size_mil / 2.0, least_marks);
+        if most < least_marks {
+            let diameter_mil = 2.0 * sun_mil;
+            return Err(LensMisfit::FewMarks {
+                most,
+                diameter_mil,
+                size_mil,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// The most places that a disc holds, or `enough` where it holds as many: where it holds most, two of them can be on its edge.
+fn most_within(places: &[Vector2<f64>], radius: f64, enough: usize) -> usize {
+    let mut most = usize::from(radius > 0.0 && !places.is_empty());
+    for (n, a) in places.iter().enumerate() {
+        let near: Vec<&Vector2<f64>> = places
+            .iter()
+            .filter(|b| (*b - a).norm() < 2.0 * radius)
+            .collect();
+        for b in places[n + 1..]
+            .iter()
+            .filter(|b| (*b - a).norm() < 2.0 * radius)
+        {
+            let half = (b - a) / 2.0;
+            let across = Vector2::new(-half.y, half.x).normalize();
+            let height = (radius.powi(2) - half.norm_squared()).max(0.0).sqrt();
+            for centre in [a + half + across * height, a + half - across * height] {
+                // Those on the edge are held.
+                let within = |p: &&&Vector2<f64>| (**p - centre).norm() < radius * (1.0 + 1e-9);
+                most = most.max(near.iter().filter(within).count());
+                if most >= enough {
+                    return most;
+                }
+            }
+        }
+    }
+    most
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instrument::builtin;
+
+    #[test]
+    fn a_short_lens_before_the_plate_of_2013_reads_nothing() {
+        let mut instrument = builtin("demo").unwrap();
+        assert_eq!(instrument.check_lens(3), Ok(()));
+        instrument.optics.plate_distance_mm.value = 1000.0;
+        let misfit = instrument.check_lens(3).unwrap_err();
+        let LensMisfit::FewMarks { most, .. } = misfit else {
+            panic!("{misfit}");
+        };
+        assert!(most < 3, "{misfit}");
+        let text = misfit.to_string();
+        assert!(text.contains("no frame can be read"), "{text}");
+        instrument.optics.plate_distance_mm.value = 300.0;
+        let misfit = instrument.check_lens(3).unwrap_err();
+        assert!(matches!(misfit, LensMisfit::Size { .. }), "{misfit}");
+    }
+
+    #[test]
+    fn a_disc_holds_as_many_places_as_the_best_one_does() {
+        let places = [[0.0, 0.0], [2.0, 0.0], [1.0, 1.5], [9.0, 0.0]].map(Vector2::from);
+        assert_eq!(most_within(&places, 1.2, 9), 3);
+        assert_eq!(most_within(&places, 1.0, 9), 2);
+        assert_eq!(most_within(&places, 0.5, 9), 1);
+    }
+}
