@@ -52,7 +52,7 @@ pub use program::{AccuracyError, Case, Figures, Program};
 pub use recipe::{Recipe, Vary, View};
 pub use report::{MarksReport, Report, RowReport, RunReport};
 pub use rows::{
-    AccuracyRow, HORIZON, Ideal, MARKS, MIXED, MOON, MOTION, Run, Size, names, rows, runs,
+    AccuracyRow, HORIZON, Ideal, MARKS, MIXED, MOON, MOTION, PLATES, Run, Size, names, rows, runs,
 };
 pub use table::{Page, case_text, text};
 pub use trial::{AspectError, Bounded, MarkError, Outcome, Trial};

@@ -9,10 +9,11 @@ use super::mixed::MixedSummary;
 use super::moon::MoonRow;
 use super::moon_rows::moon_rows;
 use super::outcome::{About, AgainstIdeal, Summary};
+use super::plate_rows::plate_rows;
 use super::recipe::Recipe;
 use super::report::{MarksReport, Report, RowReport, RunReport};
 use super::rows::{
-    AccuracyRow, HORIZON, Ideal, MARKS, MARKS_ROW, MOON, Run, Size, names, rows, runs,
+    AccuracyRow, HORIZON, Ideal, MARKS, MARKS_ROW, MOON, PLATES, Run, Size, names, rows, runs,
 };
 use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::SolverSettings;
@@ -49,6 +50,7 @@ pub struct Program {
     /// Whether the instrument is the demo, whose limits in arcsec hold.
     is_demo: bool,
     rows: Vec<AccuracyRow>,
+    plates: Vec<AccuracyRow>,
     marks: bool,
     runs: Vec<Run>,
     moons: Vec<MoonRow>,
@@ -77,10 +79,9 @@ impl Program {
         }
         let wanted = |name: &str| only.is_empty() || only.iter().any(|o| o == name);
         let is_demo = instrument.is_none();
-        let of_instrument = |row: &AccuracyRow| is_demo || row.instrument.is_none();
-        let rows = rows()
-            .into_iter()
-            .filter(|row| wanted(row.name) && of_instrument(row));
+        let rows = rows().into_iter().filter(|row| wanted(row.name));
+        let plates = plate_rows().into_iter();
+        let plates = plates.filter(|row| is_demo && (wanted(PLATES) || wanted(row.name)));
         Ok(Self {
             size,
             trial: Trial {
@@ -92,6 +93,7 @@ impl Program {
                 false => rows.map(AccuracyRow::without_arcsec).collect(),
             },
             is_demo,
+            plates: plates.collect(),
             marks: wanted(MARKS),
             runs: runs().into_iter().filter(|r| wanted(r.name)).collect(),
             moons: match is_demo && wanted(MOON) {
@@ -112,7 +114,7 @@ impl Program {
             Some(Ideal::Of(_)) => 2 * self.size.of(row.frames),
             Some(Ideal::Standard) | None => self.size.of(row.frames),
         };
-        let rows: u64 = self.rows.iter().map(of_row).sum();
+        let rows: u64 = self.rows.iter().chain(&self.plates).map(of_row).sum();
         let borrowed = self.rows.iter().any(|row| row.name == MARKS_ROW);
         let marks_row = rows_named(MARKS_ROW).filter(|_| !borrowed);
         let phases = (marks::PHASES * marks::PHASES) as u64;
@@ -155,6 +157,8 @@ impl Program {
             .outcomes(|_, _, _| (), self.standard_frames(), done)?;
         let rows = self.rows.iter().map(|row| self.row(row, &standard, done));
         let rows = rows.collect::<Result<Vec<_>, _>>()?;
+        let plates = self.plates.iter().map(|row| self.row(row, &[], done));
+        let plates = plates.collect::<Result<Vec<_>, _>>()?;
         let marks = self.marks.then(|| self.marks(&rows, done)).transpose()?;
         let runs = self.runs.iter().map(|run| self.search(run, done));
         let precision = self.precision();
@@ -165,6 +169,7 @@ impl Program {
         Ok(Report {
             size: self.size,
             rows,
+            plates,
             marks,
             runs: runs.collect::<Result<_, _>>()?,
             moons: moons.collect::<Result<_, _>>()?,
@@ -270,7 +275,8 @@ impl Case {
             instrument: instrument.map_or_else(|| builtin("demo"), Ok)?,
             settings: SolverSettings::default(),
         };
-        let row = rows().into_iter().find(|row| row.name == part);
+        let mut all = rows().into_iter().chain(plate_rows());
+        let row = all.find(|row| row.name == part);
         let run = runs().into_iter().find(|run| run.name == part);
         let (trial, vary) = match (row, run) {
             (Some(row), _) => (row.trial(&usual), row.vary),

@@ -41,6 +41,8 @@ pub struct RunReport {
 pub struct Report {
     pub size: Size,
     pub rows: Vec<RowReport>,
+    /// The rows about other plates, lenses and cameras.
+    pub plates: Vec<RowReport>,
     pub marks: Option<MarksReport>,
     pub runs: Vec<RunReport>,
     pub moons: Vec<MoonReport>,
@@ -52,7 +54,8 @@ pub struct Report {
 impl Report {
     /// Everything that is demanded and not met: where, and why.
     pub fn unmet(&self) -> Vec<(&'static str, &str)> {
-        let rows = self.rows.iter().map(|r| (r.row.name, &r.unmet));
+        let rows = self.rows.iter().chain(&self.plates);
+        let rows = rows.map(|r| (r.row.name, &r.unmet));
         let rows = rows.flat_map(|(name, unmet)| unmet.iter().map(move |u| (name, u.as_str())));
         let marks = self.marks.iter().flat_map(|m| &m.unmet);
         let runs = self.runs.iter();

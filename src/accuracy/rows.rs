@@ -42,6 +42,8 @@ pub const MARKS: &str = "marks";
 pub const MIXED: &str = "mixed";
 /// The name of the run of frames whose Sun moves during the exposure.
 pub const MOTION: &str = "motion";
+/// The name of the part about other plates, lenses and cameras: all its rows.
+pub const PLATES: &str = "plates";
 /// The name of the part about the Moon.
 pub const MOON: &str = "moon";
 
@@ -185,22 +187,14 @@ impl AccuracyRow {
 
 /// Every row, in the order of the table.
 pub fn rows() -> Vec<AccuracyRow> {
-    [
-        bounded(),
-        borrowing(),
-        reported(),
-        effects(),
-        covered(),
-        plate_rows(),
-    ]
-    .concat()
+    [bounded(), borrowing(), reported(), effects(), covered()].concat()
 }
 
-/// The name of every part of the program: the rows, the marks, the runs, the Moon, the horizon.
+/// The name of every part of the program: the rows, the marks, the plates, the runs, the Moon, the horizon.
 pub fn names() -> Vec<&'static str> {
-    let rows = rows().into_iter().map(|row| row.name);
+    let rows = rows().into_iter().chain(plate_rows()).map(|row| row.name);
     let runs = runs().into_iter().map(|run| run.name);
-    rows.chain([MARKS])
+    rows.chain([MARKS, PLATES])
         .chain(runs)
         .chain([MOON, HORIZON])
         .collect()

@@ -201,7 +201,16 @@ fn markdown_table<const N: usize>(head: [&str; N], rows: &[[String; N]]) -> Stri
 pub fn text(report: &Report) -> String {
     let rows: Vec<_> = report.rows.iter().map(cells).collect();
     let moons: Vec<_> = report.moons.iter().map(moon_cells).collect();
-    let mut out = text_table(HEAD, &rows) + &beside(report);
+    let mut out = text_table(HEAD, &rows) + &beside(report) + &missed_text(&report.rows);
+    let plates: Vec<_> = report.plates.iter().map(cells).collect();
+    if !plates.is_empty() {
+        let table = text_table(HEAD, &plates) + &missed_text(&report.plates);
+        out = if out.is_empty() {
+            table
+        } else {
+            format!("{out}\n{table}")
+        };
+    }
     if !moons.is_empty() {
         out = format!("{out}\n{}", text_table(MOON_HEAD, &moons));
     }
@@ -221,6 +230,7 @@ const END: &str = "<!-- to here -->\n";
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Page {
     Accuracy,
+    Plate,
     Moon,
     Horizon,
 }
@@ -233,6 +243,7 @@ impl Page {
         let is_of_moon = !report.moons.is_empty();
         let pages = [
             (Self::Accuracy, is_of_sun),
+            (Self::Plate, !report.plates.is_empty()),
             (Self::Moon, is_of_moon),
             (Self::Horizon, !report.horizons.is_empty()),
         ];
@@ -243,6 +254,7 @@ impl Page {
     pub fn file(self) -> &'static str {
         match self {
             Self::Accuracy => "accuracy.md",
+            Self::Plate => "plate.md",
             Self::Moon => "moon.md",
             Self::Horizon => "horizon.md",
         }
@@ -251,6 +263,7 @@ impl Page {
     fn title(self) -> &'static str {
         match self {
             Self::Accuracy => "Accuracy",
+            Self::Plate => "The plate",
             Self::Moon => "The Moon",
             Self::Horizon => "The horizon",
         }
@@ -284,12 +297,17 @@ impl Page {
         let unmet = report.unmet().into_iter();
         match self {
             Self::Accuracy => {
+                let is_of_plate = |part: &&str| report.plates.iter().any(|r| r.row.name == *part);
+                let others = [MOON, HORIZON];
                 let unmet: Vec<_> = unmet
-                    .filter(|(part, _)| ![MOON, HORIZON].contains(part))
+                    .filter(|(part, _)| !others.contains(part) && !is_of_plate(part))
                     .collect();
-                let rows: Vec<_> = report.rows.iter().map(cells).collect();
-                let table = markdown_table(HEAD, &rows);
-                table + &demanded(report) + &beside(report) + &demands_text(&unmet)
+                rows_part(&report.rows, &beside(report), &unmet)
+            }
+            Self::Plate => {
+                let is_of_plate = |part: &str| report.plates.iter().any(|r| r.row.name == part);
+                let unmet: Vec<_> = unmet.filter(|(part, _)| is_of_plate(part)).collect();
+                rows_part(&report.plates, "", &unmet)
             }
             Self::Moon => {
                 let unmet: Vec<_> = unmet.filter(|(part, _)| *part == MOON).collect();
@@ -305,14 +323,24 @@ impl Page {
     }
 }
 
+/// Rows in Markdown, with what stands beside them.
+fn rows_part(rows: &[RowReport], beside: &str, unmet: &[(&str, &str)]) -> String {
+    let table: Vec<_> = rows.iter().map(cells).collect();
+    markdown_table(HEAD, &table)
+        + &demanded(rows)
+        + beside
+        + &missed_text(rows)
+        + &demands_text(unmet)
+}
+
 /// What is demanded of the rows, one a line.
-fn demanded(report: &Report) -> String {
+fn demanded(rows: &[RowReport]) -> String {
     let mut out = String::new();
-    if report.rows.is_empty() {
+    if rows.is_empty() {
         return out;
     }
     out += "\nDemanded:\n";
-    for row in report.rows.iter().map(|report| &report.row) {
+    for row in rows.iter().map(|report| &report.row) {
         let demands = row.demands.iter().map(ToString::to_string);
         let demands = demands.collect::<Vec<_>>().join(", ");
         let _ = writeln!(out, "- {}: {demands}", row.name);
@@ -329,7 +357,7 @@ fn beside(report: &Report) -> String {
     for run in &report.runs {
         out += &run_text(run);
     }
-    out + &missed_text(report)
+    out
 }
 
 fn marks_text(report: &MarksReport) -> String {
@@ -396,9 +424,9 @@ fn counted(seeds: &[u64]) -> String {
 const NAMED: usize = 12;
 
 /// The frames of each row that ought to be fine and are not, by reason.
-fn missed_text(report: &Report) -> String {
+fn missed_text(rows: &[RowReport]) -> String {
     let mut out = String::new();
-    for row in &report.rows {
+    for row in rows {
         let mut by_reason: BTreeMap<&str, Vec<String>> = BTreeMap::new();
         for frame in &row.summary.missed {
             let seeds = by_reason.entry(&frame.reason).or_default();
@@ -479,6 +507,7 @@ mod tests {
     use crate::accuracy::horizon_rows::horizon_rows;
     use crate::accuracy::moon_rows::moon_rows;
     use crate::accuracy::outcome::{About, AgainstBound};
+    use crate::accuracy::plate_rows::plate_rows;
     use crate::accuracy::rows::{rows, runs};
 
     /// No part of the program.
@@ -486,6 +515,7 @@ mod tests {
         let nothing = Report {
             size: Size::Small,
             rows: Vec::new(),
+            plates: Vec::new(),
             marks: None,
             runs: Vec::new(),
             moons: Vec::new(),
@@ -544,6 +574,17 @@ mod tests {
         }
         for run in runs() {
             assert!(written.contains(run.title), "{told}");
+        }
+    }
+
+    #[test]
+    fn the_page_of_the_plate_is_about_the_programs_rows() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/plate.md");
+        let page = std::fs::read_to_string(path).unwrap();
+        let told = "run `solaspect accuracy --full --only plates --out docs`";
+        for row in plate_rows() {
+            let begin = format!("| {} | {} |", row.name, row.title);
+            assert!(page.contains(&begin), "{begin}: {told}");
         }
     }
 

@@ -19,11 +19,11 @@ pub struct AccuracyArgs {
     /// As many frames as for the documentation's tables, instead of the tests'
     #[arg(long)]
     full: bool,
-    /// Write the report into the pages accuracy.md, moon.md and horizon.md of this folder, between the two lines that mark its place, and the figures
+    /// Write the report into the pages accuracy.md, plate.md, moon.md and horizon.md of this folder, between the two lines that mark its place, and the figures
     /// (SVG) into its folder accuracy; `--full --out docs` renews the documentation
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Only this part: a row's name, "marks", "mixed", "motion", "moon" or "horizon"; may be given several times
+    /// Only this part: a row's name, "marks", "plates", "mixed", "motion", "moon" or "horizon"; may be given several times
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
     /// Only the frame of this seed, of the one row or run that --only names, in detail; --out keeps it as FITS

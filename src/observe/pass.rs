@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 /// Counts with every change of what a record holds or how it is made.
-const JOURNAL_VERSION: u32 = 6;
+const JOURNAL_VERSION: u32 = 7;
 
 /// FNV-1a, the same on every machine and in every release of the compiler.
 pub fn hash_of(bytes: &[u8]) -> u64 {
