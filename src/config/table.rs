@@ -274,7 +274,7 @@ static TABLE: &[Parameter] = &[
     row!(fiducial.min_contrast, "", Number(0.01, 1.0), command 21,
         "A mark's least contrast, as a fraction of the light around it."),
     row!(fiducial.min_likeness, "", Number(0.0, 1.0), command 22,
-        "Least fraction of the structure around a detection that the cross must explain."),
+        "Least fraction of the structure around a detection that the mark must explain."),
     row!(fiducial.max_detections, "", Whole(3, 256), command 23,
         "Largest number of detections that are identified."),
     row!(fiducial.min_marks, "", Whole(3, 2000), command 24,

@@ -3,7 +3,7 @@
 use super::candidates::candidates;
 use super::mark_image::turned;
 use super::template::{Template, Window};
-use super::{FiducialSettings, FlatDisc, Lighting, MarkForm, MarkImage};
+use super::{FiducialSettings, FlatDisc, Lighting, MarkImage};
 use crate::geometry::Handedness;
 use crate::plate::MarkShape;
 use crate::units::{Measured, SensorPx};
@@ -86,10 +86,9 @@ pub fn detect(flat: &FlatDisc, shape: &MarkImage, settings: &FiducialSettings) -
     let window = Window::within(shape.reach_px());
     let candidates = candidates(flat, shape, settings); // 1
     let centred = centred(flat, shape, &window, &candidates); // 2
-    let arms = match shape.form {
-        MarkForm::Cross { .. } => Some(ArmRotation::new(flat, shape, &window)),
-        MarkForm::Dot => None,
-    };
+    let arms = shape
+        .shows_arms()
+        .then(|| ArmRotation::new(flat, shape, &window));
     let common_deg = |places: &[usize]| arms.as_ref()?.common_deg(flat, places.iter().copied());
     let rough_deg = common_deg(&centred); // 3
     if centred.is_empty() || arms.is_some() && rough_deg.is_none() {
@@ -105,6 +104,12 @@ pub fn detect(flat: &FlatDisc, shape: &MarkImage, settings: &FiducialSettings) -
     Detections { marks, arms_deg }
 }
 
+/// A filter of what is round of a mark: its share less the rest.
+fn round_template(window: &Window, share: &[f32], rest: &[f32]) -> Template {
+    let round = share.iter().zip(rest).map(|(share, rest)| share - rest);
+    Template::new(window, &round.collect::<Vec<f32>>())
+}
+
 /// Candidates moved to the middle of what is dark there, each place once; those that move by more than half a mark are none.
 fn centred(
     flat: &FlatDisc,
@@ -113,13 +118,7 @@ fn centred(
     candidates: &[usize],
 ) -> Vec<usize> {
     let share = shape.coverage(&window.x, &window.y, &turned(0.0)).share;
-    let rest = window.without_round_part(&share);
-    let round: Vec<f32> = share
-        .iter()
-        .zip(&rest)
-        .map(|(share, rest)| share - rest)
-        .collect();
-    let round = Template::new(window, &round);
+    let round = round_template(window, &share, &window.without_round_part(&share));
     let most_steps = shape.half_length_px as usize;
     let peak = |start: &usize| round.climb(window, flat, *start, most_steps);
     let mut places: Vec<usize> = candidates
@@ -229,17 +228,22 @@ impl<'a> MarkSearch<'a> {
         let to_arms = turned(rotation_deg);
         let coverage = shape.coverage(&window.x, &window.y, &to_arms);
         let squares = |slopes: &[f32]| slopes.iter().map(|s| f64::from(s * s)).sum::<f64>();
-        let fourfold = || Template::new(window, &window.without_round_part(&coverage.share));
+        let rest = window.without_round_part(&coverage.share);
+        let (mark, fourfold) = match shape.shows_arms() {
+            true => {
+                let mark = Template::new(window, &coverage.share);
+                (mark, Some(Template::new(window, &rest)))
+            }
+            // Arms that do not show may point anywhere.
+            false => (round_template(window, &coverage.share, &rest), None),
+        };
         Self {
             flat,
             shape,
             settings,
             window,
-            mark: Template::new(window, &coverage.share),
-            fourfold: match shape.form {
-                MarkForm::Cross { .. } => Some(fourfold()),
-                MarkForm::Dot => None,
-            },
+            mark,
+            fourfold,
             // A quarter turn leaves the mark as it is, so its slope is the same along every axis.
             slope_energy: (squares(&coverage.slope_x) + squares(&coverage.slope_y)) / 2.0,
             arms: to_arms.transpose() * shape.half_length_px,

@@ -91,7 +91,7 @@ impl FlatDisc {
             let row = &mut self.light[first..first + chord.len()];
             illumination.fill(chord.start as f64, y as f64, row);
         }
-        let sample = self.light.iter().step_by(Ground::STRIDE_PX);
+        let sample = self.light.iter().step_by(Ground::stride_px(&self.outline));
         self.least_light = LEAST_LIGHT * sample.copied().fold(0.0, f32::max);
     }
 
@@ -215,8 +215,10 @@ struct GroundPixel {
 }
 
 impl Ground {
-    /// Columns and rows from one pixel of the sample to the next: some 600 pixels of the Sun's disc.
-    const STRIDE_PX: usize = 7;
+    /// Most columns and rows from one pixel of the sample to the next: some 600 pixels of the demo's disc. A smaller disc has as many
+    /// as it has pixels for.
+    const MOST_STRIDE_PX: f64 = 7.0;
+    const STRIDES_PER_RADIUS: f64 = 12.0;
     /// Fewest pixels that determine the factor.
     const MIN_PIXELS: usize = 40;
     /// Scatter of single pixels' ratios, and how far tilt and bend are from none, 1 sigma.
@@ -225,14 +227,20 @@ impl Ground {
     /// Farther than this from the factor is a mark or a blemish: the limit of each pass.
     const LIMITS: [f64; 3] = [0.3, 0.15, 0.15];
 
+    fn stride_px(outline: &Ellipse) -> usize {
+        let stride_px = outline.mean_radius() / Self::STRIDES_PER_RADIUS;
+        stride_px.clamp(1.0, Self::MOST_STRIDE_PX) as usize
+    }
+
     /// `None` of too few pixels.
     fn sample(flat: &FlatDisc, cutout: &Cutout, about: Region) -> Option<Self> {
         let mut pixels = Vec::new();
-        for y in (about.y0..about.y1).step_by(Self::STRIDE_PX) {
+        let stride_px = Self::stride_px(&flat.outline);
+        for y in (about.y0..about.y1).step_by(stride_px) {
             let (seen, masked) = (cutout.row(y), cutout.mask.row(y));
             // Each row starts elsewhere, so that no column of blemishes counts more than its share.
-            let first = about.x0 + 3 * y % Self::STRIDE_PX;
-            for x in (first..about.x1).step_by(Self::STRIDE_PX) {
+            let first = about.x0 + 3 * y % stride_px;
+            for x in (first..about.x1).step_by(stride_px) {
                 let light = f64::from(flat.light[flat.offset(x, y)]);
                 let column = x - cutout.region().x0;
                 if light >= f64::from(flat.least_light) && !masked[column] {

@@ -74,6 +74,16 @@ impl MarkImage {
         }
     }
 
+    /// Whether the camera resolves a cross's arms; a dot has none, and a small cross looks like one.
+    pub fn shows_arms(&self) -> bool {
+        /// From tip to tip.
+        const LEAST_LENGTH_PX: f64 = 7.0;
+        match self.form {
+            MarkForm::Cross { .. } => 2.0 * self.half_length_px > LEAST_LENGTH_PX,
+            MarkForm::Dot => false,
+        }
+    }
+
     /// How far from its centre the mark darkens the picture plainly, px.
     pub fn reach_px(&self) -> f64 {
         self.half_length_px + TIP_BLURS * self.blur_px
