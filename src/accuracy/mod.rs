@@ -48,11 +48,11 @@ pub use demand::{Demand, Precision};
 pub use horizon::{HorizonDemand, HorizonReport, HorizonRow, HorizonSummary};
 pub use moon::{Knowledge, MoonDemand, MoonReport, MoonRow, MoonSummary};
 pub use outcome::{About, Summary};
-pub use program::{AccuracyError, Case, Figures, Program};
+pub use program::{AccuracyError, Case, Figures, Program, names};
 pub use recipe::{Recipe, Vary, View};
 pub use report::{MarksReport, Report, RowReport, RunReport};
 pub use rows::{
-    AccuracyRow, HORIZON, Ideal, MARKS, MIXED, MOON, MOTION, PLATES, Run, Size, names, rows, runs,
+    AccuracyRow, HORIZON, Ideal, MARKS, MIXED, MOON, MOTION, PLATES, Run, Size, rows, runs,
 };
 pub use table::{Page, case_text, text};
 pub use trial::{AspectError, Bounded, MarkError, Outcome, Trial};

@@ -4,15 +4,12 @@ use super::conditions::turned;
 use super::demand::Demand::{FineOfThree, HonestSigmaTo, NoneMissedOfFour};
 use super::demand::HONEST;
 use super::recipe::{ENOUGH_MARKS, Generator, Recipe, Vary, View};
-use super::rows::{AccuracyRow, row};
+use super::rows::{AccuracyRow, InstrumentOf, row};
 use crate::instrument::Instrument;
 use crate::plate::{Cross, MarkId, MarkPlace, MarkShape, Pattern, Plate};
 use crate::units::{Measured, PlateMil};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
-
-/// A row's instrument, made from the demo.
-pub type InstrumentOf = fn(Instrument) -> Instrument;
 
 /// What an area of the demo's plate has for each mark, mil^2.
 const AREA_PER_MARK_MIL2: f64 = 190_000.0;

@@ -13,7 +13,7 @@ use super::plate_rows::plate_rows;
 use super::recipe::Recipe;
 use super::report::{MarksReport, Report, RowReport, RunReport};
 use super::rows::{
-    AccuracyRow, HORIZON, Ideal, MARKS, MARKS_ROW, MOON, PLATES, Run, Size, names, rows, runs,
+    AccuracyRow, HORIZON, Ideal, MARKS, MARKS_ROW, MOON, PLATES, Run, Size, rows, runs,
 };
 use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::SolverSettings;
@@ -290,6 +290,16 @@ impl Case {
             recipe,
         })
     }
+}
+
+/// The name of every part of the program: the rows, the marks, the plates, the runs, the Moon, the horizon.
+pub fn names() -> Vec<&'static str> {
+    let rows = rows().into_iter().chain(plate_rows()).map(|row| row.name);
+    let runs = runs().into_iter().map(|run| run.name);
+    rows.chain([MARKS, PLATES])
+        .chain(runs)
+        .chain([MOON, HORIZON])
+        .collect()
 }
 
 fn unknown(name: &str) -> AccuracyError {

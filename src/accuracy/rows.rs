@@ -10,9 +10,9 @@ use super::demand::Demand::{
 };
 use super::demand::HONEST;
 use super::outcome::{About, ENOUGH_LIMB};
-use super::plate_rows::{InstrumentOf, plate_rows};
 use super::recipe::{ANY_MARKS, ENOUGH_MARKS, FEW_MARKS, Vary, View};
 use super::trial::Trial;
+use crate::instrument::Instrument;
 use crate::simulate::Depth;
 
 /// How many frames.
@@ -49,6 +49,9 @@ pub const MOON: &str = "moon";
 
 /// The name of the part about the Earth's limb.
 pub const HORIZON: &str = "horizon";
+
+/// A row's instrument, made from the program's.
+pub type InstrumentOf = fn(Instrument) -> Instrument;
 
 /// A row of the table.
 #[derive(Debug, Clone)]
@@ -188,16 +191,6 @@ impl AccuracyRow {
 /// Every row, in the order of the table.
 pub fn rows() -> Vec<AccuracyRow> {
     [bounded(), borrowing(), reported(), effects(), covered()].concat()
-}
-
-/// The name of every part of the program: the rows, the marks, the plates, the runs, the Moon, the horizon.
-pub fn names() -> Vec<&'static str> {
-    let rows = rows().into_iter().chain(plate_rows()).map(|row| row.name);
-    let runs = runs().into_iter().map(|run| run.name);
-    rows.chain([MARKS, PLATES])
-        .chain(runs)
-        .chain([MOON, HORIZON])
-        .collect()
 }
 
 /// Rows whose errors are bounded.
