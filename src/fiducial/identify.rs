@@ -1,8 +1,9 @@
-//! Identification of the marks from the code in their spacings.
+//! Identification of the marks from where they are beside each other.
 //!
 //! The disc's outline and the ephemeris determine the local mapping before any mark is identified, the crosses' arms its
-//! rotation, but for the quarter turn. So one detection's id and a quarter turn fix a labelling, and those that put the
-//! plate's centre anywhere near the stated position are few enough to try them all:
+//! rotation, but for the quarter turn; of marks without arms the stated rotation does, in steps over its uncertainty. So one
+//! detection's id and a rotation fix a labelling, and those that put the plate's centre anywhere near the stated position
+//! are few enough to try them all:
 //!
 //! 1. [`identify`] tries each of them.
 //! 2. [`labelling`](super::labelling) follows one over all detections and scores it by its evidence: the detections that it

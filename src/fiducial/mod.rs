@@ -1,15 +1,15 @@
-//! The plate's fiducial marks: dark crosses are found on the disc, the code in their spacings identifies them, and least
-//! squares on their pixels measures them.
+//! The plate's fiducial marks: dark crosses or dots are found on the disc, their places beside each other identify them, and
+//! least squares on their pixels measures them.
 //!
 //! # Method (Cramer 2014, sections 4.3 and 4.4, with the improvements its author lists)
-//! 1. The disc is flattened: its own light is divided out, so that a mark is a dark cross on even ground and the limb
+//! 1. The disc is flattened: its own light is divided out, so that a mark is dark on even ground and the limb
 //!    leaves no edge ([`FlatDisc`]).
 //! 2. Sums over boxes give candidates whatever the camera's rotation; the arms there show the rotation to a quarter turn; a
 //!    matched filter of the blurred cross at that rotation gives position and contrast, and its fourfold part separates crosses
-//!    from what is round ([`detect`]).
-//! 3. Ids come from the spacings of neighbours: one is fixed, the other is the code. Every labelling near the stated plate
-//!    centre is scored by all marks in view, and one that is not clearly the best is refused ([`identify()`]).
-//! 4. A fit of the blurred cross to the pixels about it gives a mark's place without the bias that a paraboloid has over the
+//!    from what is round. Dots, and crosses too small to show their arms, are found by a round filter ([`detect`]).
+//! 3. Ids come from the places of marks beside each other. Every labelling near the stated plate centre is scored by all
+//!    marks in view, and one that is not clearly the best is refused ([`identify()`]).
+//! 4. A fit of the blurred mark to the pixels about it gives a mark's place without the bias that a paraboloid has over the
 //!    sub-pixel phase, with a covariance of its own: [`Refiner::refine`] cuts the pixels out (`patch`) and takes Gauss-Newton
 //!    steps on them (`mark_fit`).
 
