@@ -179,7 +179,9 @@ impl Dictionary {
     /// Enums, and arrays of the fields that have several numbers.
     fn definitions(&self) -> Vec<Value> {
         let housekeeping = self.housekeeping.iter().map(|(_, item)| item);
-        let arrays = housekeeping.clone().filter(|item| item.count > 1);
+        let entries = self.messages.iter().chain(&self.telemetry);
+        let items = entries.flat_map(|entry| &entry.items).chain(housekeeping);
+        let arrays = items.clone().filter(|item| item.count > 1);
         let arrays = arrays.map(|item| {
             json!({
                 "kind": "array",
@@ -189,8 +191,6 @@ impl Dictionary {
                 "default": vec![0; item.count],
             })
         });
-        let entries = self.messages.iter().chain(&self.telemetry);
-        let items = entries.flat_map(|entry| &entry.items).chain(housekeeping);
         let mut enums: Vec<Value> = Vec::new();
         for (codes, number) in items.filter_map(|item| Some((item.codes?, item.number))) {
             let constant = |(value, name, meaning): &(u16, &str, &str)| json!({"name": name, "value": value, "annotation": meaning});

@@ -88,7 +88,11 @@ fn direction(direction: Direction) -> String {
 fn fields(fields: &[Field]) -> String {
     let fields = fields.iter().map(|field| {
         let (name, kind) = (field.name, field.number.name());
-        format!("`{name}` {kind}: {}", field.documentation)
+        let count = match field.count {
+            1 => String::new(),
+            count => format!("{count} x "),
+        };
+        format!("`{name}` {count}{kind}: {}", field.documentation)
     });
     fields.collect::<Vec<_>>().join("; ")
 }

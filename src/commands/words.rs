@@ -11,7 +11,7 @@ use crate::link::packet::telemetry_type;
 use crate::link::picture::Section;
 use crate::link::{
     AspectCommand, CameraCounts, CommandOutcome, CommandPacket, CommandResult, Execution,
-    Housekeeping, ImuPacket, Message, Messages, Packet, Telemetry, TelemetryPacket,
+    FrameMarks, Housekeeping, ImuPacket, Message, Messages, Packet, Telemetry, TelemetryPacket,
 };
 use crate::units::counted;
 use jiff::Timestamp;
@@ -195,6 +195,10 @@ fn telemetry(packet: &TelemetryPacket) -> String {
         telemetry_type::CAMERA => match CameraCounts::decode(packet) {
             Ok(counts) => counts.words(),
             Err(error) => format!("camera counts: {error}"),
+        },
+        telemetry_type::MARKS => match FrameMarks::decode(packet) {
+            Ok(marks) => marks.words(),
+            Err(error) => format!("marks: {error}"),
         },
         kind => format!("type {kind:02x}"),
     };

@@ -4,9 +4,11 @@ use super::housekeeping::HousekeepingRows;
 use super::pictures::Partial;
 use super::rules::{self, Minute, Rule, Severity};
 use super::table::{Column, Nanoseconds, Steady, Table, nanoseconds, place, row_at};
+use crate::link::housekeeping::ids_in_words;
 use crate::link::picture::{Section, Tag};
 use crate::link::{
-    CommandPacket, Housekeeping, Message, Messages, NoSolution, Packet, Solution, TelemetryPacket,
+    CommandPacket, FrameMarks, Housekeeping, Message, Messages, NoSolution, Packet, Solution,
+    TelemetryPacket,
 };
 use jiff::Timestamp;
 use std::collections::BTreeMap;
@@ -25,6 +27,8 @@ const OTHER_REASONS: &str = "other reasons";
 pub const MOST_TABLES: usize = 64;
 /// Pictures that are kept, of 2.5 MB each.
 const MOST_PICTURES: usize = 12;
+/// Packets of marks that are kept: three days of one camera.
+const MOST_MARKS: usize = 1 << 18;
 /// What is forgotten is forgotten in pieces of an hour.
 const PIECE_NS: i64 = 3600 * SECOND_NS;
 
@@ -103,6 +107,8 @@ pub struct History {
     pub reasons: Vec<String>,
     /// By the camera's number and the time of the frame.
     pub pictures: BTreeMap<(u8, Nanoseconds), Partial>,
+    /// Marks whose ids housekeeping has no room for, by its time and the camera's number, with when they arrived.
+    marks: BTreeMap<(Nanoseconds, u16), (Nanoseconds, FrameMarks)>,
     pub alarms: Vec<Alarm>,
     pub line: LineCounts,
     pub news: News,
@@ -174,6 +180,7 @@ impl History {
             frames: Vec::new(),
             reasons: Vec::new(),
             pictures: BTreeMap::new(),
+            marks: BTreeMap::new(),
             alarms: Vec::new(),
             line: LineCounts::default(),
             news: News::default(),
@@ -264,7 +271,29 @@ impl History {
             });
         } else if let Some((camera, tag)) = Tag::decode(packet) {
             self.change_picture(camera, (time, arrived), |picture| picture.take_tag(tag));
+        } else if let Ok(marks) = FrameMarks::decode(packet) {
+            self.take_marks(marks, time, arrived);
         }
+    }
+
+    /// They belong to the housekeeping of their time, and may come before it or after it.
+    fn take_marks(&mut self, marks: FrameMarks, time: Nanoseconds, arrived: Nanoseconds) {
+        self.marks.insert((time, marks.camera), (arrived, marks));
+        if self.marks.len() > MOST_MARKS {
+            self.marks.pop_first();
+        }
+        self.news.housekeeping += 1;
+    }
+
+    /// The ids of marks that were told beside the housekeeping of a time, camera by camera.
+    pub fn ids_beside(&self, time: Nanoseconds) -> Option<String> {
+        let beside = self.marks.range((time, 0)..=(time, u16::MAX));
+        let ids = beside.map(|((_, camera), (_, marks))| {
+            let ids = ids_in_words(marks.ids());
+            format!("camera {camera}: {ids}").trim_end().to_owned()
+        });
+        let ids: Vec<String> = ids.collect();
+        (!ids.is_empty()).then(|| ids.join("; "))
     }
 
     /// Changes the picture of a camera's frame of a time.
@@ -488,6 +517,7 @@ impl History {
         for table in self.tables.values_mut() {
             table.forget_before(oldest);
         }
+        self.marks.retain(|_, (arrived, _)| *arrived >= oldest);
     }
 }
 

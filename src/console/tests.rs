@@ -214,7 +214,7 @@ fn ten_thousand_random_requests_change_nothing_and_none_panics() {
 
 /// Packets of every type with any payload, some with a good checksum.
 fn broken_packet(random: &mut Xoshiro256PlusPlus) -> Vec<u8> {
-    let kind = *[0x01, 0x03, 0x70, 0x71, 0x82, 0x83, 0xE1, 0x00]
+    let kind = *[0x01, 0x03, 0x70, 0x71, 0x72, 0x73, 0x82, 0x83, 0xE1, 0x00]
         .choose(random)
         .unwrap();
     let length = random.random_range(0..=400);

@@ -161,11 +161,17 @@ impl View<'_> {
         let told = told.csv_row();
         let is_shown = |field: &&Field| detail == Detail::All || MAIN_FIELDS.contains(&field.name);
         let fields = FIELDS.iter().zip(told).filter(|(field, _)| is_shown(field));
+        let time = rows.times[row];
+        let value = |field: &Field, text: &str| match field.name {
+            // Those of other plates come in packets of their own.
+            "ids" if text.is_empty() => json!(self.history.ids_beside(time)),
+            _ => field_json(field, text),
+        };
         let fields: Map<String, Value> = fields
-            .map(|(field, text)| (field.name.to_owned(), field_json(field, &text)))
+            .map(|(field, text)| (field.name.to_owned(), value(field, &text)))
             .collect();
         Some(json!({
-            "time": utc(rows.times[row]),
+            "time": utc(time),
             "arrived": utc(rows.arrived[row]),
             "fields": fields,
             "gyros_against_sun": gyros,

@@ -63,7 +63,7 @@ macro_rules! whole {
     )*};
 }
 
-whole!(u16, U16; u32, U32);
+whole!(u16, U16; i16, I16; u32, U32);
 
 macro_rules! real {
     ($($type:ty, $number:ident);*) => {$(
@@ -107,6 +107,30 @@ impl<T: Wire> Wire for [T; 3] {
 
     fn write(value: &Self, out: &mut Writer, field: &'static str) -> Result<(), MessageError> {
         value.iter().try_for_each(|one| T::write(one, out, field))
+    }
+}
+
+/// Pairs of numbers, one after the other: one field of the table, which counts them all.
+impl<const N: usize> Wire for [[i16; 2]; N] {
+    const BYTES: usize = 2 * N * i16::BYTES;
+
+    fn fields(said: &[Said]) -> Vec<Field> {
+        let fields = i16::fields(said).into_iter();
+        let count = 2 * N;
+        fields.map(|field| Field { count, ..field }).collect()
+    }
+
+    fn read(input: &mut Reader, field: &'static str) -> Result<Self, MessageError> {
+        let mut pairs = [[0; 2]; N];
+        for number in pairs.as_flattened_mut() {
+            *number = i16::read(input, field)?;
+        }
+        Ok(pairs)
+    }
+
+    fn write(pairs: &Self, out: &mut Writer, field: &'static str) -> Result<(), MessageError> {
+        let mut numbers = pairs.as_flattened().iter();
+        numbers.try_for_each(|number| i16::write(number, out, field))
     }
 }
 

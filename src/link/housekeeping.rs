@@ -370,7 +370,7 @@ housekeeping! {
     plate_sigma_mil: Option<f32>, "mil", "its 1 sigma per axis";
     limb_points: u16, "", "points of the limb";
     marks: u8, "", "marks with ids";
-    ids: MarkIds, "", "the first 16 of their ids, a byte each: 16 (i + 8) + (j + 8), 0 for none";
+    ids: MarkIds, "", "the first 16 of their ids, a byte each: 16 (i + 8) + (j + 8), 0 for none; only of the plate of 2013, those of others are in telemetry of type 0x73";
     mapping: u8, "", "the kind of the mapping" => MAPPING;
     scale_mil_per_px: Option<f32>, "mil/px", "the mapping's scale";
     rotation_deg: Option<f32>, "deg", "the mapping's rotation";
@@ -488,15 +488,16 @@ housekeeping! {
     gyro_agreement: u8, "", "cameras and gyros" => GYRO_AGREEMENT;
 }
 
-/// The ids of up to sixteen marks: i and j, each from -7 to 7.
+/// The ids of up to sixteen marks of the plate of 2013: i and j, each from -7 to 7.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct MarkIds([Option<[i32; 2]>; 16]);
 
 impl MarkIds {
-    /// The first sixteen.
+    /// The first sixteen. One that has no byte is left out, so that it is not taken for another.
     pub fn new(ids: impl IntoIterator<Item = [i32; 2]>) -> Self {
         let mut own = Self::default();
-        for (place, id) in own.0.iter_mut().zip(ids) {
+        let fits = |id: &[i32; 2]| id.iter().all(|index| (-7..=7).contains(index));
+        for (place, id) in own.0.iter_mut().zip(ids.into_iter().filter(fits)) {
             *place = Some(id);
         }
         own
@@ -505,6 +506,12 @@ impl MarkIds {
     pub fn iter(&self) -> impl Iterator<Item = [i32; 2]> {
         self.0.iter().flatten().copied()
     }
+}
+
+/// Ids as logs and pages have them.
+pub fn ids_in_words(ids: impl Iterator<Item = [i32; 2]>) -> String {
+    let ids: Vec<String> = ids.map(|[i, j]| format!("{i},{j}")).collect();
+    ids.join(" ")
 }
 
 /// The first 8 of a number's hexadecimal digits; `None` where it is not known.
@@ -816,7 +823,8 @@ impl Wire for MarkIds {
     }
 
     fn write(&self, bytes: &mut Vec<u8>) {
-        let nibble = |index: i32| (index + 8).clamp(0, 15) as u8;
+        // From -8 to 7, of any bytes that were read.
+        let nibble = |index: i32| (index + 8) as u8;
         let byte = |id: &Option<[i32; 2]>| id.map_or(0, |[i, j]| nibble(i) << 4 | nibble(j));
         bytes.extend(self.0.iter().map(byte));
     }
@@ -831,8 +839,7 @@ impl Wire for MarkIds {
     }
 
     fn text(&self) -> String {
-        let ids: Vec<String> = self.iter().map(|[i, j]| format!("{i},{j}")).collect();
-        ids.join(" ")
+        ids_in_words(self.iter())
     }
 
     fn parse(text: &str) -> Option<Self> {
@@ -919,6 +926,15 @@ mod tests {
         assert_eq!(numbers["sun_y_px"], [None]);
         assert_eq!(numbers["disks"], [Some(87.0), None]);
         assert!(numbers["ids"].is_empty());
+    }
+
+    #[test]
+    fn an_id_without_a_byte_of_its_own_is_packed_as_no_other() {
+        let ids = MarkIds::new([[8, 0], [7, -7], [-8, -8], [0, 101], [-7, 7]]);
+        assert_eq!(ids.iter().collect::<Vec<_>>(), [[7, -7], [-7, 7]]);
+        let mut bytes = Vec::new();
+        Wire::write(&ids, &mut bytes);
+        assert_eq!(bytes[..3], [0xF1, 0x1F, 0]);
     }
 
     #[test]

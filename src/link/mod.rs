@@ -51,5 +51,5 @@ pub use parser::{Parser, Rejected};
 pub use picture::Picture;
 pub use port::{BytePort, PortError, SerialPort};
 pub use responder::{Execution, Exposure, Heard, LinkState, Reply, Responder};
-pub use telemetry::{CameraCounts, CommandOutcome, Receipt, Telemetry};
+pub use telemetry::{CameraCounts, CommandOutcome, FrameMarks, Receipt, Telemetry};
 pub use udp::{LocalEnd, UdpPort};

@@ -46,6 +46,7 @@ pub mod telemetry_type {
     pub const HOUSEKEEPING: u8 = 0x70;
     pub const IMU: u8 = 0x71;
     pub const CAMERA: u8 = 0x72;
+    pub const MARKS: u8 = 0x73;
     pub const PICTURE: u8 = 0x82;
     pub const PICTURE_TAG: u8 = 0x83;
     pub const RESULT: u8 = 0xE1;
@@ -240,7 +241,7 @@ fn is_telemetry(direction: Direction, kind: u8, source: u8) -> bool {
         (Direction::ToController, kind) => {
             matches!(
                 kind,
-                IDLE | HOUSEKEEPING | CAMERA | PICTURE | PICTURE_TAG | RESULT
+                IDLE | HOUSEKEEPING | CAMERA | MARKS | PICTURE | PICTURE_TAG | RESULT
             )
         }
     }
@@ -312,7 +313,7 @@ mod tests {
     #[test]
     fn telemetry_is_known_by_its_type_and_its_way() {
         let header = |kind, source| [SYNC[0], SYNC[1], kind, source, 7, 1];
-        for kind in [0x03, 0x70, 0x72, 0x82, 0x83, 0xE1] {
+        for kind in [0x03, 0x70, 0x72, 0x73, 0x82, 0x83, 0xE1] {
             assert_eq!(
                 Packet::length(ToController, &header(kind, 0x30)),
                 Some(16 + 263)

@@ -296,7 +296,7 @@ mod tests {
                 let target = if all { id::EVERYONE } else { id::CONTROLLER };
                 Packet::Command(CommandPacket::new(target, sequence, payload).unwrap())
             });
-        let kind = prop::sample::select(vec![0x01, 0x03, 0x70, 0x72, 0x82, 0x83, 0xE1]);
+        let kind = prop::sample::select(vec![0x01, 0x03, 0x70, 0x72, 0x73, 0x82, 0x83, 0xE1]);
         let telemetry = (kind, any::<(u32, u32)>(), payload()).prop_map(|(kind, time, payload)| {
             Packet::Telemetry(TelemetryPacket::new(kind, id::ASPECT, time, payload).unwrap())
         });

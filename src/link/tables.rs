@@ -9,7 +9,9 @@ use crate::link::number::Field;
 use crate::link::packet::Direction::{ToAspect, ToController};
 use crate::link::packet::{Packet, SYNC, TelemetryPacket, id};
 use crate::link::telemetry::{Payload, TELEMETRY};
-use crate::link::{CommandOutcome, Housekeeping, ImuPacket, NoSolution, Receipt, Telemetry};
+use crate::link::{
+    CommandOutcome, FrameMarks, Housekeeping, ImuPacket, NoSolution, Receipt, Telemetry,
+};
 use jiff::Timestamp;
 
 /// The numbers of a payload by the table, and how many bytes they take.
@@ -103,8 +105,12 @@ fn telemetry_is_read_by_the_tables() {
         force_m_s2: [0.5, -0.25, -9.5],
         rate_rad_s: [0.125, 2.0, 4.0],
     };
+    let marks = FrameMarks::new(1, 70_000, &[[101, -2], [-9999, 0]]).unwrap();
+    let mut told = [0.0; 67];
+    told[..7].copy_from_slice(&[1.0, 70_000.0, 2.0, 101.0, -2.0, -9999.0, 0.0]);
     for (packet, expected) in [
         (receipt.packet(time), &[7.0][..]),
+        (marks.packet(time), &told),
         (result.packet(time), &[7.0, 0x1412.into(), 3.0]),
         (
             sample.packet(),

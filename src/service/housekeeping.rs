@@ -1,6 +1,6 @@
 //! What the ground is told each second, put together from the counts and the latest answer.
 
-use super::messages::{Answer, MoonDesk};
+use super::messages::{Answer, MoonDesk, Recent, SolvedSun};
 use super::shared::Shared;
 use super::tallies::{CameraTallies, Tallies};
 use super::tally::{FlightTally, SolverTally, quantile};
@@ -13,9 +13,10 @@ use crate::link::housekeeping::{
     ArchiveStatus, CamerasStatus, Digits, FrameStatus, GpsStatus, LineStatus, MarkIds,
     NavigationStatus, Parts, SystemStatus, saturated,
 };
-use crate::link::{CameraCounts, Housekeeping, MoonSight};
+use crate::link::{CameraCounts, FrameMarks, Housekeeping, MoonSight};
 use crate::moon;
 use crate::navigation::nmea::Refusal;
+use crate::plate::Pattern;
 use crate::provenance::COMMIT;
 use crate::reasons::horizon as reasons;
 use jiff::{SignedDuration, Timestamp};
@@ -33,6 +34,16 @@ pub(super) struct Restarts {
     pub all: u64,
     /// Of them, those that hung.
     pub takeovers: u64,
+}
+
+/// What the ground is told of a second.
+pub(super) struct Told {
+    pub time: Timestamp,
+    pub housekeeping: Box<Housekeeping>,
+    /// Of cameras that housekeeping does not tell of.
+    pub counts: Vec<CameraCounts>,
+    /// Of plates whose ids housekeeping has no room for.
+    pub marks: Vec<FrameMarks>,
 }
 
 /// Makes the second's housekeeping.
@@ -64,14 +75,20 @@ impl HousekeepingSource {
     }
 
     /// `events` wait for the line.
-    pub fn next(
-        &mut self,
-        tallies: &Tallies,
-        restarts: Restarts,
-        events: usize,
-    ) -> (Timestamp, Box<Housekeeping>, Vec<CameraCounts>) {
+    pub fn next(&mut self, tallies: &Tallies, restarts: Restarts, events: usize) -> Told {
         let tally = tallies.brief();
-        let (answer, solve_times) = self.take_recent(tallies);
+        let recents = take_recents(tallies);
+        let marks = recents.iter().filter_map(frame_marks).collect();
+        let number = self.controls.config().link.sending_camera;
+        let mut recents = recents.into_iter();
+        let sending = recents.find(|(camera, _)| u32::from(*camera) == number);
+        let (
+            _,
+            Recent {
+                answer,
+                solve_times,
+            },
+        ) = sending.unwrap_or_default();
         if let Some(answer) = &answer {
             self.note_simulated_time(answer);
         }
@@ -86,8 +103,12 @@ impl HousekeepingSource {
             system: self.system(&tally, restarts),
         });
         self.before = tally;
-        let counts = tallies.cameras.iter().filter_map(further).collect();
-        (Timestamp::now() + self.ahead, Box::new(told), counts)
+        Told {
+            time: Timestamp::now() + self.ahead,
+            housekeeping: Box::new(told),
+            counts: tallies.cameras.iter().filter_map(further).collect(),
+            marks,
+        }
     }
 
     /// A simulated flight has the time of its frames, which may begin on any day: its housekeeping belongs beside them.
@@ -99,18 +120,6 @@ impl HousekeepingSource {
                 self.ahead = ahead;
             }
         }
-    }
-
-    /// What the sending camera's solver has left since the last packet.
-    fn take_recent(&self, tallies: &Tallies) -> (Option<Answer>, Vec<Duration>) {
-        let number = self.controls.config().link.sending_camera;
-        let sends = |camera: &&CameraTallies| u32::from(camera.station.number) == number;
-        let Some(camera) = tallies.cameras.iter().find(sends) else {
-            return (None, Vec::new());
-        };
-        let mut recent = camera.recent.lock();
-        let solve_times = std::mem::take(&mut recent.solve_times);
-        (recent.answer.take(), solve_times)
     }
 
     /// Of all cameras, and of the first one of each role.
@@ -214,6 +223,36 @@ impl HousekeepingSource {
     }
 }
 
+/// What each camera's solver has left since the last packet, by the camera's number.
+fn take_recents(tallies: &Tallies) -> Vec<(u8, Recent)> {
+    let take = |camera: &CameraTallies| {
+        let recent = std::mem::take(&mut *camera.recent.lock());
+        (camera.station.number, recent)
+    };
+    tallies.cameras.iter().map(take).collect()
+}
+
+/// The marks of a camera's latest frame, where housekeeping has no room for their ids.
+fn frame_marks((camera, recent): &(u8, Recent)) -> Option<FrameMarks> {
+    let answer = recent.answer.as_ref()?;
+    let sun = answer.sun().filter(|sun| !has_plate_of_2013(sun))?;
+    let ids: Vec<[i32; 2]> = mark_ids(sun).collect();
+    FrameMarks::new((*camera).into(), frame_number(answer), &ids)
+}
+
+fn has_plate_of_2013(sun: &SolvedSun) -> bool {
+    sun.instrument.plate.pattern() == Pattern::Heroes
+}
+
+fn mark_ids(sun: &SolvedSun) -> impl Iterator<Item = [i32; 2]> {
+    let marks = sun.solution.marks.iter();
+    marks.map(|mark| [mark.id.i, mark.id.j])
+}
+
+fn frame_number(answer: &Answer) -> u32 {
+    saturated(answer.exposure.frame.info.number.unwrap_or_default())
+}
+
 /// What is told of a camera by itself; `None` of the first one of a role, of which the fields of housekeeping tell.
 fn further(camera: &CameraTallies) -> Option<CameraCounts> {
     let station = &camera.station;
@@ -303,6 +342,7 @@ fn solve_ms(mut solve_times: Vec<Duration>, answer: Option<&Answer>) -> Option<f
 
 fn frame_status(answer: &Answer) -> FrameStatus {
     let (info, sun) = (&answer.exposure.frame.info, answer.sun());
+    let of_2013 = sun.filter(|sun| has_plate_of_2013(sun));
     let (solution, levels) = (sun.map(|sun| &sun.solution), answer.solved.levels);
     let offset = sun.and_then(|sun| sun.offset.as_ref());
     let marks = solution.map_or(&[][..], |solution| &solution.marks);
@@ -317,7 +357,7 @@ fn frame_status(answer: &Answer) -> FrameStatus {
         .map(|(adopted, sun)| (adopted.mapping(), sun));
     let one = |[x, y]: [f64; 2]| ((x * x + y * y) / 2.0).sqrt() as f32;
     FrameStatus {
-        number: saturated(info.number.unwrap_or_default()),
+        number: frame_number(answer),
         quality: answer.solved.quality as u8,
         background_dn: levels.map(|levels| levels.background_dn as f32),
         disc_dn: levels.map(|levels| levels.disc_dn as f32),
@@ -330,7 +370,7 @@ fn frame_status(answer: &Answer) -> FrameStatus {
         plate_sigma_mil: aspect.map(|aspect| one(aspect.sun_plate.sigma())),
         limb_points: saturated(solution.map_or(0, |one| one.limb.len()) as u64),
         marks: saturated(marks.len() as u64),
-        ids: MarkIds::new(marks.iter().map(|mark| [mark.id.i, mark.id.j])),
+        ids: MarkIds::new(of_2013.into_iter().flat_map(mark_ids)),
         mapping: adopted.map_or(0, mapping_code),
         scale_mil_per_px: mapping.map(|(mapping, sun)| mapping.scale_mil_per_px(sun) as f32),
         rotation_deg: mapping.map(|(mapping, sun)| mapping.rotation_deg(sun) as f32),
@@ -388,7 +428,7 @@ mod tests {
             all: 2,
             takeovers: 1,
         };
-        *source.next(tallies, restarts, 3).1
+        *source.next(tallies, restarts, 3).housekeeping
     }
 
     /// What is sent where the navigation has counted this.

@@ -22,14 +22,15 @@ use crate::commands::controls::{Controls, Topic};
 use crate::config;
 use crate::link::Counters;
 use crate::link::{
-    Computer, Connection, Direction, Exposure, LinkState, MessageError, Parser, PortError,
-    Responder, TelemetryPacket,
+    Computer, Connection, Direction, Exposure, FrameMarks, LinkState, MessageError, Parser,
+    PortError, Responder, TelemetryPacket,
 };
 use crate::log::worth_a_line;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::Timestamp;
 use moon::MoonRequests;
 use picture::PictureUnderWay;
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -69,6 +70,8 @@ pub(super) struct Line<'a> {
     stalled: bool,
     stopping_since: Option<Instant>,
     picture: Option<PictureUnderWay>,
+    /// Packets of the second's marks, which wait until the line is free.
+    marks: VecDeque<Vec<u8>>,
     tally: Shared<LineTally>,
     counters: Arc<Counters>,
     /// The frame of the horizon whose roll went out last.
@@ -110,6 +113,7 @@ impl<'a> Line<'a> {
             stalled: false,
             stopping_since: None,
             picture: None,
+            marks: VecDeque::new(),
             tally,
             counters,
             moon_desk,
@@ -133,6 +137,7 @@ impl<'a> Line<'a> {
             self.answer_moon_requests();
             self.finish_stopping();
             if events.is_empty() {
+                self.send_marks();
                 self.send_picture();
             }
             self.publish();
@@ -155,6 +160,7 @@ impl<'a> Line<'a> {
             let outdated = events.try_iter().filter(is_outcome).count();
             self.counters.outdated.add(outdated as u64);
             self.responder.forget_all();
+            self.marks.clear();
         }
     }
 
@@ -172,6 +178,7 @@ impl<'a> Line<'a> {
                     self.tell(counts.packet(time));
                 }
             }
+            LinkEvent::Marks(time, marks) => self.queue_marks(time, &marks),
             LinkEvent::Picture(picture) => {
                 self.picture = Some(PictureUnderWay::new(picture, Instant::now()));
             }
@@ -187,6 +194,27 @@ impl<'a> Line<'a> {
                 self.note_unsaid(&error, "the ground was not told");
                 false
             }
+        }
+    }
+
+    /// Keeps the second's marks for when the line is free; those of the second before, if they are still there, are outdated.
+    fn queue_marks(&mut self, time: Timestamp, marks: &[FrameMarks]) {
+        self.marks.clear();
+        for one in marks {
+            match one.packet(time) {
+                Ok(packet) => self.marks.push_back(packet.encode()),
+                Err(error) => self.note_unsaid(&error, "the ground was not told"),
+            }
+        }
+    }
+
+    /// After housekeeping they would fill the system's buffer so far that an exposure is not announced: they go when it is empty.
+    fn send_marks(&mut self) {
+        while !self.stalled
+            && self.backlog() == 0
+            && let Some(packet) = self.marks.pop_front()
+        {
+            self.send(&packet);
         }
     }
 
@@ -402,6 +430,7 @@ impl<'a> Line<'a> {
             self.parser.abandon();
             self.responder.forget_all();
             self.picture = None;
+            self.marks.clear();
             self.stalled = false;
         }
     }

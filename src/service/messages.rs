@@ -177,6 +177,8 @@ pub(super) enum LinkEvent {
     Housekeeping(Timestamp, Box<Housekeeping>),
     /// What cameras count of which housekeeping does not tell, at a time.
     Cameras(Timestamp, Vec<link::CameraCounts>),
+    /// Marks of plates that housekeeping has no ids for, at its time.
+    Marks(Timestamp, Vec<link::FrameMarks>),
     /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.
     Picture(Box<Picture>),
 }

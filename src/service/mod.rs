@@ -30,7 +30,7 @@
 //! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
 //! | inputs | samples, fixes and directions for the filter | the input is lost and counted: no solver and no line waits for the filter |
 //! | navigation's rows | what the archive keeps of it, a second at a time, from navigation to watch (64), and on among the rows | the rows are lost and counted |
-//! | LinkEvent | exposures about to start, solutions, offsets by the gyros, housekeeping, counts of further cameras, pictures | the event is dropped and counted: the line is stuck |
+//! | LinkEvent | exposures about to start, solutions, offsets by the gyros, housekeeping, counts of further cameras, ids of marks, pictures | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
 //! the last of its work. The link goes on answering commands until the service is joined.

@@ -1,7 +1,7 @@
 //! The watch: it looks after every thread, tells the ground each second how all is, and feeds systemd's watchdog.
 
 use super::archiver::{self, Archive};
-use super::housekeeping::{HousekeepingSource, Restarts};
+use super::housekeeping::{HousekeepingSource, Restarts, Told};
 use super::messages::{LinkEvent, NavigationRows};
 use super::shared::Shared;
 use super::silence;
@@ -205,15 +205,25 @@ impl Watch {
             takeovers: self.takeovers(),
         };
         let events = self.to_line.len();
-        let (time, told, further) = self.housekeeping.next(&self.tallies, restarts, events);
+        let told = self.housekeeping.next(&self.tallies, restarts, events);
+        let Told {
+            time,
+            housekeeping,
+            counts,
+            marks,
+        } = told;
         if let Some(archive) = &self.archive {
-            archive.note(time, &told);
+            archive.note(time, &housekeeping);
         }
-        *self.signals.housekeeping.lock() = Some((*told).clone());
+        *self.signals.housekeeping.lock() = Some((*housekeeping).clone());
         // A line that is stuck has more urgent things to say.
-        let _ = self.to_line.try_send(LinkEvent::Housekeeping(time, told));
-        if !further.is_empty() {
-            let _ = self.to_line.try_send(LinkEvent::Cameras(time, further));
+        let tell = |event| _ = self.to_line.try_send(event);
+        tell(LinkEvent::Housekeeping(time, housekeeping));
+        if !counts.is_empty() {
+            tell(LinkEvent::Cameras(time, counts));
+        }
+        if !marks.is_empty() {
+            tell(LinkEvent::Marks(time, marks));
         }
     }
 
