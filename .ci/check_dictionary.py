@@ -30,7 +30,7 @@ for key, name, variables, _ in stated:
     told = [variable.split(" (")[0] for variable in variables.strip().split("; ") if variable]
     assert [argument[0] for argument in command.get_args()] == told, (name, told)
 
-for name in ("tracking_on", "solution", "error", "exposure_start", "propagated", "moon_found", "receipt", "result"):
+for name in ("tracking_on", "solution", "error", "exposure_start", "propagated", "moon_found", "receipt", "frame_marks", "result"):
     event = events[f"solaspect.{name}"]
     kinds = [argument[2]() for argument in event.get_args()]
     assert kinds or name == "tracking_on", name

@@ -3,8 +3,8 @@
 
 use crate::common::flight::frames_in;
 use solaspect::aspect::Quality;
-use solaspect::instrument::{MountedCamera, Role};
-use solaspect::link::{BytePort, TelemetryPacket};
+use solaspect::instrument::{MountedCamera, Role, builtin, builtin_text};
+use solaspect::link::{BytePort, FrameMarks, Housekeeping, TelemetryPacket};
 use solaspect::link::{CameraCounts, Connection, Direction, Packet, Parser, SerialPort};
 use solaspect::plan::{Options, Plan, Replay};
 use solaspect::service::{Answer, Flight, Service};
@@ -46,8 +46,12 @@ fn configuration(folder: &Path) -> String {
 }
 
 fn plan(folder: &Path) -> Plan {
+    plan_of(folder, &configuration(folder))
+}
+
+fn plan_of(folder: &Path, configuration: &str) -> Plan {
     let file = folder.join("flight.toml");
-    fs::write(&file, configuration(folder)).unwrap();
+    fs::write(&file, configuration).unwrap();
     let (plan, remarks) = Plan::survey(Some(&file), &Options::default());
     let errors: Vec<String> = remarks.errors().map(ToString::to_string).collect();
     assert!(errors.is_empty(), "{errors:?}");
@@ -140,6 +144,61 @@ fn two_cameras_of_a_role_and_a_fifth_need_no_more_than_a_table() {
             .count()
     };
     assert!(u64::from(last[&2].fine) <= solved(2) as u64);
+}
+
+/// The demo's instrument with a plate whose marks are listed in a table, with ids that the pattern of 2013 does not have.
+fn with_listed_plate(folder: &Path) -> String {
+    let places = builtin("demo").unwrap().plate;
+    let rows: String = places
+        .marks()
+        .map(|(id, at)| format!("{},{},{},{}\n", 100 + id.i, id.j - 9000, at.x, at.y))
+        .collect();
+    fs::write(folder.join("marks.csv"), format!("i,j,x_mil,y_mil\n{rows}")).unwrap();
+    let text = builtin_text("demo").unwrap();
+    let text = text.replace("[plate]\n", "[plate]\nmarks = \"marks.csv\"\n");
+    let file = folder.join("listed.toml");
+    fs::write(&file, text).unwrap();
+    file.display().to_string()
+}
+
+#[test]
+fn a_plate_of_another_pattern_sends_its_ids_in_a_message_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let configuration = format!(
+        "[camera]\nsource = \"simulated\"\ninstrument = {:?}\nrate_hz = 2\n\
+         [second_camera]\nsource = \"simulated\"\nrate_hz = 2\n",
+        with_listed_plate(folder.path()),
+    );
+    let plan = plan_of(folder.path(), &configuration);
+    let (answers, heard) = flown(&plan, Duration::from_secs(4));
+    let marks: Vec<(FrameMarks, (u32, u32))> = heard
+        .iter()
+        .filter_map(|packet| Some((FrameMarks::decode(packet).ok()?, packet.time())))
+        .collect();
+    assert!(marks.len() >= 2, "{} packets", marks.len());
+    let mut told = 0;
+    for (marks, time) in &marks {
+        assert_eq!(marks.camera, 1, "the other one has the plate of 2013");
+        let answer = answers.iter().find(|answer| {
+            let number = answer.exposure.frame.info.number;
+            answer.station.number == 1 && number == Some(marks.number.into())
+        });
+        let solution = &answer.unwrap().sun().unwrap().solution;
+        let ids: Vec<[i32; 2]> = solution.marks.iter().map(|m| [m.id.i, m.id.j]).collect();
+        assert_eq!(marks.ids().collect::<Vec<_>>(), ids);
+        assert!(ids.iter().all(|[i, j]| *i > 90 && *j < -8990), "{ids:?}");
+        // Housekeeping of the same time is about the same frame.
+        let housekeeping = heard.iter().filter(|packet| packet.time() == *time);
+        let housekeeping: Vec<_> = housekeeping.filter_map(Housekeeping::decode).collect();
+        assert_eq!(housekeeping.len(), 1);
+        assert_eq!(
+            (housekeeping[0].number, u16::from(housekeeping[0].marks)),
+            (marks.number, marks.marks)
+        );
+        assert_eq!(housekeeping[0].ids.iter().count(), 0);
+        told += ids.len();
+    }
+    assert!(told > 0, "no mark was read");
 }
 
 #[test]

@@ -249,6 +249,16 @@ mod tests {
         );
     }
 
+    #[test]
+    fn marks_are_told_with_their_camera_and_frame() {
+        let marks = FrameMarks::new(2, 70_000, &[[101, -7], [0, 9999]]).unwrap();
+        let packet = marks.packet(Timestamp::from_second(1_379_786_400).unwrap());
+        assert_eq!(
+            describe(&Packet::Telemetry(packet.unwrap())),
+            "telemetry of 30 at 2013-09-21T18:00:00Z: camera 2, frame 70000: 2 marks, ids 101,-7 0,9999"
+        );
+    }
+
     /// A packet to the aspect system with this payload.
     fn payload_said(payload: &str) -> String {
         let packet = CommandPacket::new(0x30, 1, from_hex(payload).unwrap()).unwrap();

@@ -72,13 +72,15 @@ pub struct News {
     pub gyros: u64,
     pub pictures: u64,
     pub frames: u64,
+    pub marks: u64,
     pub orders: u64,
 }
 
 impl News {
     /// How much has come in all.
     pub fn total(&self) -> u64 {
-        self.housekeeping + self.solution + self.gyros + self.pictures + self.frames + self.orders
+        let packets = self.housekeeping + self.solution + self.gyros + self.pictures + self.marks;
+        packets + self.frames + self.orders
     }
 }
 
@@ -282,7 +284,7 @@ impl History {
         if self.marks.len() > MOST_MARKS {
             self.marks.pop_first();
         }
-        self.news.housekeeping += 1;
+        self.news.marks += 1;
     }
 
     /// The ids of marks that were told beside the housekeeping of a time, camera by camera.

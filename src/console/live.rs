@@ -224,6 +224,9 @@ impl Viewer {
         if detail == Detail::Main {
             return events;
         }
+        if !housekeeping && changed(|news| news.marks) {
+            add("housekeeping", view.housekeeping(detail));
+        }
         if changed(|news| news.gyros) {
             add("propagated", view.gyros());
         }

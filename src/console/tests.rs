@@ -7,10 +7,13 @@ use super::orders::Orders;
 use super::request::{Console, Parts};
 use super::shared::Shared;
 use super::source::Source;
+use super::table::nanoseconds;
+use super::view::{Detail, View};
 use crate::aspect;
 use crate::instrument::builtin;
+use crate::link::housekeeping::MarkIds;
 use crate::link::picture::SECTION_PIXELS;
-use crate::link::{Direction, Housekeeping, Packet, Parser, TelemetryPacket, id};
+use crate::link::{Direction, FrameMarks, Housekeeping, Packet, Parser, TelemetryPacket, id};
 use crate::pointing::Target;
 use crate::sky::{Ephemeris, OrientationTable};
 use axum::body::Body;
@@ -20,6 +23,7 @@ use jiff::Timestamp;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
+use serde_json::Value;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
@@ -257,6 +261,43 @@ fn a_thousand_broken_packets_do_no_harm() {
     }
     assert!(history.housekeeping.times.is_sorted());
     assert!(history.span().is_some());
+}
+
+#[test]
+fn ids_of_any_plate_are_shown_with_the_housekeeping_of_their_second() {
+    let mut history = history();
+    let mut take = |second: i64, packet: TelemetryPacket| {
+        history.take(&Packet::Telemetry(packet), at(second));
+    };
+    for (camera, ids) in [
+        (3, &[[9999, -9999]][..]),
+        (1, &[[101, 0], [102, -7]]),
+        (2, &[]),
+    ] {
+        let marks = FrameMarks::new(camera, 7, ids).unwrap();
+        take(19, marks.packet(at(19)).unwrap());
+    }
+    let told = Housekeeping {
+        uptime_s: 20,
+        ids: MarkIds::new([[-7, 7]]),
+        ..Housekeeping::default()
+    };
+    take(20, told.packet(at(20)).unwrap());
+    let shown = |second: i64| {
+        let view = View {
+            history: &history,
+            at: Some(nanoseconds(at(second))),
+            now: at(30),
+            is_live: false,
+        };
+        view.housekeeping(Detail::All).unwrap()["fields"]["ids"].clone()
+    };
+    assert_eq!(shown(18), Value::Null);
+    assert_eq!(
+        shown(19),
+        "camera 1: 101,0 102,-7; camera 2:; camera 3: 9999,-9999"
+    );
+    assert_eq!(shown(20), "-7,7", "of the plate of 2013");
 }
 
 #[test]

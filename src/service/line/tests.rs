@@ -19,7 +19,7 @@ use crossbeam_channel::{Sender, unbounded};
 use nalgebra::Matrix2;
 use std::collections::VecDeque;
 use std::net::SocketAddr;
-use std::sync::atomic::AtomicU64;
+use std::sync::atomic::{AtomicU64, AtomicUsize};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
@@ -603,6 +603,34 @@ fn housekeeping_and_a_picture_reach_the_ground_between_solutions() {
 }
 
 #[test]
+fn marks_wait_until_nothing_else_is_on_the_line_and_the_newest_go() {
+    let port = Datagrams::default();
+    let (written, backlog) = (Arc::clone(&port.written), Arc::clone(&port.backlog));
+    let mut connection = Connection::over(port);
+    let (tally, counters) = (Shared::default(), Arc::<Counters>::default());
+    let mut line = Line::new(
+        &mut connection,
+        around(ground_controls(), &tally, &counters),
+    );
+    let (_, events) = unbounded();
+    let marks = |number| FrameMarks::new(1, number, &[[101, 0], [-9999, 5]]).unwrap();
+    backlog.store(1, Ordering::Relaxed);
+    for second in [1, 2] {
+        let time = exposure(second).start;
+        line.hear(LinkEvent::Marks(time, vec![marks(second as u32)]), &events);
+        line.send_marks();
+    }
+    line.hear(LinkEvent::ExposureStarts(exposure(3)), &events);
+    backlog.store(0, Ordering::Relaxed);
+    (0..2).for_each(|_| line.send_marks());
+    let newest = marks(2).packet(exposure(2).start).unwrap().encode();
+    let written = written.lock().unwrap();
+    assert_eq!(written.len(), 2, "the exposure, and marks once");
+    assert_eq!(written[1], newest);
+    assert_eq!(counters.now().announced, 1);
+}
+
+#[test]
 fn garbage_on_the_line_loses_no_command() {
     let mut bench = bench(|_| {});
     for number in 0..20 {
@@ -626,6 +654,7 @@ struct Datagrams {
     to_read: VecDeque<(Vec<u8>, SocketAddr)>,
     sender: Option<SocketAddr>,
     written: Arc<Mutex<Vec<Vec<u8>>>>,
+    backlog: Arc<AtomicUsize>,
 }
 
 impl BytePort for Datagrams {
@@ -644,6 +673,10 @@ impl BytePort for Datagrams {
     fn write(&mut self, bytes: &[u8], _: Duration) -> Result<(), PortError> {
         self.written.lock().unwrap().push(bytes.to_vec());
         Ok(())
+    }
+
+    fn backlog(&mut self) -> usize {
+        self.backlog.load(Ordering::Relaxed)
     }
 }
 
