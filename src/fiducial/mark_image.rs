@@ -33,6 +33,8 @@ const GROUND_RADII: f64 = 0.5;
 /// The same in blurs, where that is more: the blurred edge must end within.
 const GROUND_BLURS: f64 = 1.3;
 const GROUND_BLURS_OF_DOT: f64 = 3.0;
+/// However small the mark is: fewer pixels do not determine its place and the light about it.
+const LEAST_FIT_REACH_PX: f64 = 5.2;
 
 impl MarkImage {
     /// A mark of the plate at a scale, behind a lens's blur (1 sigma), on pixels of finite size.
@@ -99,7 +101,7 @@ impl MarkImage {
                 (GROUND_RADII * self.half_length_px).max(GROUND_BLURS_OF_DOT * self.blur_px)
             }
         };
-        self.half_length_px + ground_px
+        (self.half_length_px + ground_px).max(LEAST_FIT_REACH_PX)
     }
 
     /// Half the width of an arm, or a dot's radius, as the blur leaves it, px: an offset larger than this is beside the mark.
