@@ -20,7 +20,7 @@
 //! however far away, the stated centre alone would decide, and a camera that was moved since would have all frames wrong. Such
 //! a labelling is refused.
 
-use super::labelling::{Labelling, Lists, Places, Scene};
+use super::labelling::{Labelling, Lists, MANY_DETECTIONS, Places, Scene};
 use super::prior::{
     DECISIVE_ODDS, FALSE_MARK_ODDS, FALSE_MARK_ODDS_AMONG_FALSE, IdentificationPrior,
     PREDICTION_ERROR, RIVAL_EXCESS,
@@ -30,8 +30,9 @@ use crate::plate::{MarkId, Pattern, Plate};
 use crate::reasons::sun;
 use crate::units::Rejected;
 
-/// Most detections of which each is tried as the first of a labelling.
-const MOST_ANCHORS: usize = 24;
+/// Of many fully lit detections, so many are tried as the first of a labelling, not all: what explains none of these is no rival of
+/// what explains most.
+const ANCHORS_OF_MANY: usize = 8;
 
 /// Why detections have no ids.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,9 +78,11 @@ pub fn identify(
     let scenes = prior
         .turns()
         .filter_map(|turn| Scene::new(prior, detections, plate, turn, in_view_mil));
-    // A labelling, rivals included, explains two fully lit detections: one of them is among all but the last. Of very many, those that
-    // explain none of the first are no rivals.
-    let anchors = &full[..full.len().saturating_sub(1).min(MOST_ANCHORS)];
+    // A labelling, rivals included, explains two fully lit detections: one of them is among all but the last.
+    let anchors = match full.len() > MANY_DETECTIONS {
+        true => &full[..ANCHORS_OF_MANY],
+        false => &full[..full.len().saturating_sub(1)],
+    };
     let orders: Vec<Vec<usize>> = anchors
         .iter()
         .map(|n| nearest_first(*n, &full, detections))

@@ -179,7 +179,11 @@ impl<'a> Scene<'a> {
     ) -> Option<Labelling> {
         let (first, others) = full.split_first()?;
         let mut hypothesis = Hypothesis::new(self, &self.candidates[*first], anchor, lists);
-        for n in others {
+        for (tried, n) in others.iter().enumerate() {
+            let explained = hypothesis.lists.matches.len() - 1;
+            if tried == NEAREST_OF_MANY && explained == 0 && full.len() > MANY_DETECTIONS {
+                return None;
+            }
             hypothesis.explain(&self.candidates[*n]);
         }
         let full = hypothesis.lists.matches.len();
@@ -211,6 +215,11 @@ impl<'a> Scene<'a> {
         LIMB_BIAS_WIDTHS * self.shape.line_mil()
     }
 }
+
+/// More fully lit detections than this are many: more than the pattern of 2013 shows.
+pub(super) const MANY_DETECTIONS: usize = 24;
+/// The nearest so many of them are not all false.
+const NEAREST_OF_MANY: usize = 8;
 
 /// The places of a plate's marks, by their x.
 pub(super) struct Places(Vec<PlateMil>);
