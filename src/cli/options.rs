@@ -2,7 +2,7 @@
 
 use crate::camera::Source;
 use crate::config::Config;
-use crate::instrument::{Instrument, builtin_text, text_of};
+use crate::instrument::{Instrument, text_or_demo};
 use crate::plan::{self, Options};
 use crate::pointing::Target;
 use crate::sky::Ephemeris;
@@ -52,13 +52,7 @@ pub(super) fn instrument(path: Option<&Path>) -> anyhow::Result<Instrument> {
 
 /// The same with the text of its file.
 pub(super) fn instrument_with_text(path: Option<&Path>) -> anyhow::Result<(Instrument, String)> {
-    let (path, text) = match path {
-        Some(path) => (path, text_of(path)?),
-        None => (
-            Path::new("demo"),
-            builtin_text("demo").unwrap_or_default().into(),
-        ),
-    };
+    let (path, text) = text_or_demo(path)?;
     Ok((Instrument::parse(path, &text)?, text))
 }
 

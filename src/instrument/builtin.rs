@@ -73,6 +73,20 @@ pub fn text_of(path: &Path) -> Result<String, TomlError> {
     })
 }
 
+/// The text of an instrument's file and what errors name; without a file it is the built-in demo, whatever files lie about.
+///
+/// # Errors
+/// As [`text_of`].
+pub fn text_or_demo(file: Option<&Path>) -> Result<(&Path, String), TomlError> {
+    match file {
+        Some(path) => Ok((path, text_of(path)?)),
+        None => Ok((
+            Path::new("demo"),
+            builtin_text("demo").unwrap_or_default().into(),
+        )),
+    }
+}
+
 /// Names of the built-in instruments.
 pub fn builtin_names() -> Vec<&'static str> {
     FILES.iter().map(|(name, _)| *name).collect()

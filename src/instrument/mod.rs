@@ -15,7 +15,9 @@ mod sees;
 mod sensor;
 pub mod toml_file;
 
-pub use builtin::{DEMO_HORIZON, DEMO_NAVIGATION, builtin, builtin_names, builtin_text, text_of};
+pub use builtin::{
+    DEMO_HORIZON, DEMO_NAVIGATION, builtin, builtin_names, builtin_text, text_of, text_or_demo,
+};
 pub use dates::Dated;
 pub(crate) use direction_camera::rotation_of_rows;
 pub use direction_camera::{DirectionCamera, MountedCamera, WrongFrameSize};

@@ -1,6 +1,6 @@
 //! What a camera of a flight sees, by its file.
 
-use super::{Dated, DirectionCamera, Instrument, MountedCamera, Role, TomlError, text_of};
+use super::{Dated, DirectionCamera, Instrument, MountedCamera, Role, TomlError, text_or_demo};
 use crate::frame::Frame;
 use std::path::Path;
 
@@ -32,19 +32,14 @@ impl Stated {
     /// # Errors
     /// The file, the field, and what was expected there.
     pub fn read(role: Role, file: Option<&Path>) -> Result<Self, TomlError> {
-        let demo = (role == Role::PitchYaw).then_some(Path::new("demo"));
-        let Some(path) = file.or(demo) else {
+        if file.is_none() && role != Role::PitchYaw {
             return Ok(Self {
                 sees: Sees::Unstated,
                 toml: None,
                 dates: Vec::new(),
             });
-        };
-        // A file named "demo" is no built-in instrument, unless it was asked for.
-        let text = match file {
-            Some(path) => text_of(path)?,
-            None => super::builtin_text("demo").unwrap_or_default().into(),
-        };
+        }
+        let (path, text) = text_or_demo(file)?;
         let (sees, dates) = match role {
             Role::PitchYaw => {
                 let (instrument, dates) = Instrument::parse_with_dates(path, &text)?;
