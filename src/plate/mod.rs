@@ -3,6 +3,7 @@
 //! A plate's drawing is the pattern of 2013 ([`heroes`]) or a [list](table) of marks. Places that were measured stand beside those
 //! that were drawn.
 
+pub mod artwork;
 mod drawing;
 pub mod heroes;
 mod shape;

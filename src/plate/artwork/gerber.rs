@@ -1,0 +1,147 @@
+//! Artwork as Gerber (RS-274X with attributes), in mm. Text is comments: the format has no letters.
+
+use super::{Artwork, Item, Layer, Shape, Tone};
+use crate::provenance::VERSION;
+use gerber_types::{
+    Aperture, ApertureDefinition, Circle, Command, CommentContent, CoordinateFormat,
+    CoordinateMode, CoordinateNumber, Coordinates, DCode, ExtendedCode, FileAttribute,
+    FileFunction, FilePolarity, FunctionCode, GCode, GenerationSoftware, GerberCode, GerberError,
+    InterpolationMode, MCode, Operation, Part, Polarity, Unit, ZeroOmission,
+};
+use nalgebra::Vector2;
+
+/// Coordinates are whole nanometres, below 10 m.
+fn format() -> CoordinateFormat {
+    CoordinateFormat::new(ZeroOmission::Leading, CoordinateMode::Absolute, 4, 6)
+}
+
+/// The first number that an aperture may have.
+const FIRST_APERTURE: i32 = 10;
+
+pub(super) fn write(artwork: &Artwork) -> Result<Vec<u8>, GerberError> {
+    let apertures = Apertures::of(artwork);
+    let mut commands = head(artwork);
+    commands.extend(apertures.definitions());
+    commands.push(FunctionCode::GCode(GCode::InterpolationMode(InterpolationMode::Linear)).into());
+    for items in artwork.items.chunk_by(|a, b| a.layer == b.layer) {
+        if let Some(first) = items.first() {
+            commands.push(comment(first.layer.name()));
+            commands.push(ExtendedCode::LoadPolarity(polarity(first.layer, artwork.tone)).into());
+        }
+        commands.extend(items.iter().flat_map(|item| apertures.drawn(item)));
+    }
+    commands.push(FunctionCode::MCode(MCode::EndOfFile).into());
+    let mut bytes = Vec::new();
+    commands.serialize(&mut bytes)?;
+    Ok(bytes)
+}
+
+fn head(artwork: &Artwork) -> Vec<Command> {
+    let software = GenerationSoftware::new("solaspect", "solaspect", Some(VERSION));
+    let attributes = [
+        FileAttribute::GenerationSoftware(software),
+        FileAttribute::Part(Part::Other("Fiducial plate".into())),
+        FileAttribute::FileFunction(FileFunction::Other("Fiducial plate".into())),
+        FileAttribute::FilePolarity(FilePolarity::Positive),
+    ];
+    let title = artwork.title.iter().map(|line| comment(line));
+    title
+        .chain([
+            ExtendedCode::CoordinateFormat(format()).into(),
+            ExtendedCode::Unit(Unit::Millimeters).into(),
+        ])
+        .chain(attributes.map(|attribute| ExtendedCode::FileAttribute(attribute).into()))
+        .collect()
+}
+
+/// Marks that are cut from the ground are drawn in the opposite polarity.
+fn polarity(layer: Layer, tone: Tone) -> Polarity {
+    match (layer, tone) {
+        (Layer::Marks, Tone::ClearMarks) => Polarity::Clear,
+        _ => Polarity::Dark,
+    }
+}
+
+/// Round apertures by their diameters.
+struct Apertures {
+    diameters_mm: Vec<f64>,
+}
+
+impl Apertures {
+    fn of(artwork: &Artwork) -> Self {
+        let diameters = artwork.items.iter().filter_map(|item| match item.shape {
+            Shape::Circle { diameter_mm, .. } => Some(diameter_mm),
+            Shape::Line { width_mm, .. } => Some(width_mm),
+            Shape::Polygon(_) | Shape::Text { .. } => None,
+        });
+        let mut diameters_mm: Vec<f64> = diameters.collect();
+        diameters_mm.sort_by(f64::total_cmp);
+        diameters_mm.dedup();
+        Self { diameters_mm }
+    }
+
+    fn definitions(&self) -> impl Iterator<Item = Command> {
+        let numbered = (FIRST_APERTURE..).zip(&self.diameters_mm);
+        numbered.map(|(code, diameter_mm)| {
+            let aperture = Aperture::Circle(Circle::new(*diameter_mm));
+            ExtendedCode::ApertureDefinition(ApertureDefinition { code, aperture }).into()
+        })
+    }
+
+    fn select(&self, diameter_mm: f64) -> Option<Command> {
+        let mut numbered = (FIRST_APERTURE..).zip(&self.diameters_mm);
+        let (code, _) = numbered.find(|(_, known)| **known == diameter_mm)?;
+        Some(FunctionCode::DCode(DCode::SelectAperture(code)).into())
+    }
+
+    fn drawn(&self, item: &Item) -> Vec<Command> {
+        match &item.shape {
+            Shape::Polygon(corners) => region(corners),
+            Shape::Circle {
+                centre,
+                diameter_mm,
+            } => (self.select(*diameter_mm).into_iter())
+                .chain([operation(Operation::Flash(at(*centre)))])
+                .collect(),
+            Shape::Line { from, to, width_mm } => (self.select(*width_mm).into_iter())
+                .chain([move_to(*from), line_to(*to)])
+                .collect(),
+            Shape::Text { text, .. } => vec![comment(text)],
+        }
+    }
+}
+
+fn region(corners: &[Vector2<f64>]) -> Vec<Command> {
+    let mode = |on| FunctionCode::GCode(GCode::RegionMode(on)).into();
+    let Some((first, others)) = corners.split_first() else {
+        return Vec::new();
+    };
+    let lines = others.iter().chain([first]).map(|corner| line_to(*corner));
+    ([mode(true), move_to(*first)].into_iter())
+        .chain(lines)
+        .chain([mode(false)])
+        .collect()
+}
+
+fn move_to(to: Vector2<f64>) -> Command {
+    operation(Operation::Move(at(to)))
+}
+
+fn line_to(to: Vector2<f64>) -> Command {
+    operation(Operation::Interpolate(at(to), None))
+}
+
+fn operation(operation: Operation) -> Command {
+    FunctionCode::DCode(DCode::Operation(operation)).into()
+}
+
+fn at(place: Vector2<f64>) -> Option<Coordinates> {
+    let [x, y] = [place.x, place.y].map(|mm| CoordinateNumber::new((mm * 1e6).round() as i64));
+    Some(Coordinates::new(x, y, format()))
+}
+
+/// A comment on one line; what ends a command is escaped.
+fn comment(text: &str) -> Command {
+    let escaped = text.replace('%', "\\u0025").replace('*', "\\u002A");
+    FunctionCode::GCode(GCode::Comment(CommentContent::String(escaped))).into()
+}

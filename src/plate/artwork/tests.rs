@@ -1,0 +1,430 @@
+use super::*;
+use crate::instrument::builtin;
+use crate::plate::{MarkId, MarkPlace, Pattern};
+use ::dxf::Drawing;
+use ::dxf::entities::EntityType;
+use gerber_types::{
+    Aperture, Command, Coordinates, DCode, ExtendedCode, FunctionCode, GCode, Operation, Polarity,
+};
+use quick_xml::Reader;
+use quick_xml::events::Event;
+use std::collections::HashMap;
+use std::io::BufReader;
+
+/// What a file may differ from the drawing.
+const TOLERANCE_MM: f64 = 1e-3;
+const DOT: MarkShape = MarkShape::Dot { diameter_mil: 50.0 };
+
+fn cross(arm_angle_deg: f64) -> MarkShape {
+    MarkShape::Cross(Cross {
+        arm_length_mil: 90.0,
+        arm_width_mil: 12.0,
+        arm_angle_deg,
+    })
+}
+
+/// Marks at places that no unit makes round, one of which was measured elsewhere.
+fn plate(shape: MarkShape) -> Plate {
+    let mark = |n: i32| {
+        let angle = 2.4 * f64::from(n);
+        let at = PlateMil::new(angle.cos(), angle.sin()).vector() * 61.7 * f64::from(n);
+        (
+            MarkId { i: n, j: 0 },
+            MarkPlace::new((at + Vector2::new(500.0, -200.0)).into(), 1.0),
+        )
+    };
+    let mut plate = Plate::new(Pattern::Listed, shape, 1.0, (4..40).map(mark));
+    plate.set(MarkId { i: 9, j: 0 }, PlateMil::new(0.0, 0.0), [0.1; 2]);
+    plate
+}
+
+/// Plates of every kind of mark, and the pattern of 2013.
+fn plates() -> Vec<Plate> {
+    let mut plates: Vec<Plate> = [cross(0.0), cross(30.0), DOT].map(plate).into();
+    plates.push(builtin("demo").unwrap().plate);
+    plates
+}
+
+fn artwork(plate: &Plate, tone: Tone) -> Artwork {
+    Artwork::new("a <name> & more", plate, tone)
+}
+
+fn file(artwork: &Artwork, name: &str) -> Vec<u8> {
+    let files = artwork.files().unwrap();
+    let (_, bytes) = files.into_iter().find(|(known, _)| *known == name).unwrap();
+    bytes
+}
+
+/// Holds the shapes of a file's marks, and of its ground, against the drawing.
+fn check(plate: &Plate, tone: Tone, mut shapes: Vec<Shape>) {
+    if tone == Tone::ClearMarks {
+        let ground = shapes.remove(0);
+        let field = Shape::Polygon(field(plate).corners().into());
+        assert_eq!(ground, field, "the ground");
+    }
+    assert_eq!(shapes.len(), plate.count());
+    for ((id, at), shape) in plate.drawn_marks().zip(&shapes) {
+        let at = at.vector() * MIL_MM;
+        match (plate.shape, shape) {
+            (MarkShape::Cross(cross), Shape::Polygon(corners)) => {
+                check_cross(&cross, plate.shape.arms(), at, corners);
+            }
+            (
+                MarkShape::Dot { diameter_mil },
+                Shape::Circle {
+                    centre,
+                    diameter_mm: d,
+                },
+            ) => {
+                assert!((centre - at).norm() < TOLERANCE_MM, "{id}");
+                assert!((d - diameter_mil * MIL_MM).abs() < TOLERANCE_MM, "{id}");
+            }
+            (shape, found) => panic!("{id}: {shape:?} is drawn as {found:?}"),
+        }
+    }
+}
+
+fn check_cross(
+    cross: &Cross,
+    arms: nalgebra::Matrix2<f64>,
+    at: Vector2<f64>,
+    corners: &[Vector2<f64>],
+) {
+    assert_eq!(corners.len(), 12);
+    let centre = corners.iter().sum::<Vector2<f64>>() / 12.0;
+    assert!((centre - at).norm() < TOLERANCE_MM, "{centre} for {at}");
+    let [length_mm, width_mm] = [cross.arm_length_mil, cross.arm_width_mil].map(|v| v * MIL_MM);
+    for corner in corners {
+        let along = (arms.transpose() * (corner - at)).abs();
+        let near = |a: f64, b: f64| (a - b / 2.0).abs() < TOLERANCE_MM;
+        assert!(near(along.min(), width_mm), "{along}");
+        assert!(
+            near(along.max(), length_mm) || near(along.max(), width_mm),
+            "{along}"
+        );
+    }
+    let next = corners.iter().cycle().skip(1);
+    let twice_area: f64 = corners.iter().zip(next).map(|(a, b)| a.perp(b)).sum();
+    let area_mm2 = width_mm * (2.0 * length_mm - width_mm);
+    // In SVG y grows downwards, and so a cross may turn the other way when it is read.
+    assert!((twice_area.abs() / 2.0 - area_mm2).abs() < TOLERANCE_MM * 4.0 * length_mm);
+}
+
+/// The parts of a path, with y upwards.
+fn parts(path: &str) -> Vec<Shape> {
+    let numbers =
+        |text: &str| -> Vec<f64> { text.split(',').map(|n| n.parse().unwrap()).collect() };
+    let part = |part: &str| match part.split_once('a') {
+        Some((start, arcs)) => {
+            let (start, arc) = (numbers(start), numbers(arcs.split('a').next().unwrap()));
+            Shape::Circle {
+                centre: Vector2::new(start[0] + arc[0], -start[1]),
+                diameter_mm: arc[5],
+            }
+        }
+        None => {
+            let corners = part.split('L').map(|corner| {
+                let corner = numbers(corner);
+                Vector2::new(corner[0], -corner[1])
+            });
+            Shape::Polygon(corners.collect())
+        }
+    };
+    let parts = path.trim_end_matches('Z').split('Z');
+    parts
+        .map(|text| part(text.strip_prefix('M').unwrap()))
+        .collect()
+}
+
+/// Attributes of an element.
+type Attributes = HashMap<String, String>;
+
+/// The elements of a picture, each with the id of its group.
+fn elements(svg: &[u8]) -> Vec<(String, String, Attributes)> {
+    let mut reader = Reader::from_reader(svg);
+    let (mut buffer, mut group, mut elements) = (Vec::new(), String::new(), Vec::new());
+    loop {
+        let element = match reader.read_event_into(&mut buffer).unwrap() {
+            Event::Start(element) | Event::Empty(element) => element.into_owned(),
+            Event::Eof => return elements,
+            _ => continue,
+        };
+        let text = |bytes: &[u8]| String::from_utf8(bytes.to_vec()).unwrap();
+        let attributes = element.attributes().map(|attribute| {
+            let attribute = attribute.unwrap();
+            (text(attribute.key.as_ref()), text(&attribute.value))
+        });
+        let attributes: Attributes = attributes.collect();
+        if let Some(id) = attributes.get("id") {
+            group.clone_from(id);
+        }
+        elements.push((group.clone(), text(element.name().as_ref()), attributes));
+        buffer.clear();
+    }
+}
+
+#[test]
+fn svg_has_every_mark_where_the_drawing_has_it() {
+    for (plate, tone) in plates_in_both_tones() {
+        let svg = file(&artwork(&plate, tone), "plate.svg");
+        let elements = elements(&svg);
+        let paths: Vec<&Attributes> = elements
+            .iter()
+            .filter(|(group, name, _)| group == "marks" && name == "path")
+            .map(|(_, _, attributes)| attributes)
+            .collect();
+        assert_eq!(paths.len(), 1, "ground and marks are one path");
+        assert_eq!(paths[0]["fill-rule"], "evenodd");
+        check(&plate, tone, parts(&paths[0]["d"]));
+    }
+}
+
+#[test]
+fn svg_is_at_true_scale() {
+    let plate = plate(DOT);
+    let artwork = artwork(&plate, Tone::DarkMarks);
+    let elements = elements(&file(&artwork, "plate.svg"));
+    let (_, name, attributes) = &elements[0];
+    assert_eq!(name, "svg");
+    let view: Vec<f64> = attributes["viewBox"]
+        .split_whitespace()
+        .map(|n| n.parse().unwrap())
+        .collect();
+    for (side, key) in [(view[2], "width"), (view[3], "height")] {
+        assert_eq!(attributes[key], format!("{side}mm"));
+    }
+    let frame = artwork.frame;
+    assert!((view[0] - frame.low.x).abs() < 1e-6 && (view[1] + frame.high.y).abs() < 1e-6);
+}
+
+fn plates_in_both_tones() -> impl Iterator<Item = (Plate, Tone)> {
+    let tones = [Tone::DarkMarks, Tone::ClearMarks];
+    plates()
+        .into_iter()
+        .flat_map(move |plate| tones.map(|tone| (plate.clone(), tone)))
+}
+
+#[test]
+fn dxf_has_every_mark_where_the_drawing_has_it() {
+    for (plate, tone) in plates_in_both_tones() {
+        let bytes = file(&artwork(&plate, tone), "plate.dxf");
+        let drawing = Drawing::load(&mut bytes.as_slice()).unwrap();
+        let of = |layer: &str| -> Vec<Shape> {
+            let entities = drawing.entities().filter(|e| e.common.layer == layer);
+            entities.map(|entity| outline(&entity.specific)).collect()
+        };
+        let shapes = [of("GROUND"), of("MARKS")].concat();
+        check(&plate, tone, shapes);
+        assert_eq!(drawing.header.default_drawing_units as i16, 4, "mm");
+    }
+}
+
+fn outline(entity: &EntityType) -> Shape {
+    match entity {
+        EntityType::LwPolyline(line) => {
+            assert!(line.is_closed());
+            let corners = line.vertices.iter().map(|v| Vector2::new(v.x, v.y));
+            Shape::Polygon(corners.collect())
+        }
+        EntityType::Circle(circle) => Shape::Circle {
+            centre: Vector2::new(circle.center.x, circle.center.y),
+            diameter_mm: 2.0 * circle.radius,
+        },
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn dxf_has_the_words_as_text_and_the_same_bytes_each_time() {
+    let plate = plate(DOT);
+    let artwork = artwork(&plate, Tone::DarkMarks);
+    let bytes = file(&artwork, "plate.dxf");
+    assert_eq!(bytes, file(&artwork, "plate.dxf"));
+    let drawing = Drawing::load(&mut bytes.as_slice()).unwrap();
+    let texts = drawing
+        .entities()
+        .filter_map(|entity| match &entity.specific {
+            EntityType::Text(text) => Some(text.value.as_str()),
+            _ => None,
+        });
+    let texts: Vec<&str> = texts.collect();
+    let hash = format!("drawing {}", &plate.drawing_sha256()[..16]);
+    let expected = [
+        "100 mm",
+        "+X +Y",
+        "a <name> & more",
+        "36 dots",
+        "diameter 1.27 mm",
+        &hash,
+    ];
+    assert_eq!(texts, expected);
+}
+
+/// The shapes of a Gerber file, each with its polarity.
+fn flashes_and_regions(bytes: &[u8]) -> Vec<(Polarity, Shape)> {
+    let document = gerber_parser::parse(BufReader::new(bytes)).unwrap();
+    assert!(document.errors().is_empty(), "{:?}", document.errors());
+    let (mut shapes, mut polarity) = (Vec::new(), Polarity::Dark);
+    let (mut region, mut diameters_mm, mut selected) = (None, HashMap::new(), 0);
+    for command in document.into_commands() {
+        match command {
+            Command::ExtendedCode(ExtendedCode::LoadPolarity(now)) => polarity = now,
+            Command::ExtendedCode(ExtendedCode::ApertureDefinition(definition)) => {
+                let Aperture::Circle(circle) = definition.aperture else {
+                    panic!("{definition:?}");
+                };
+                diameters_mm.insert(definition.code, circle.diameter);
+            }
+            Command::FunctionCode(FunctionCode::GCode(GCode::RegionMode(true))) => {
+                region = Some(Vec::new());
+            }
+            Command::FunctionCode(FunctionCode::GCode(GCode::RegionMode(false))) => {
+                let mut corners: Vec<Vector2<f64>> = region.take().unwrap();
+                assert_eq!(
+                    corners.pop().as_ref(),
+                    corners.first(),
+                    "a region is closed"
+                );
+                shapes.push((polarity, Shape::Polygon(corners)));
+            }
+            Command::FunctionCode(FunctionCode::DCode(DCode::SelectAperture(code))) => {
+                selected = code;
+            }
+            Command::FunctionCode(FunctionCode::DCode(DCode::Operation(operation))) => {
+                match (operation, &mut region) {
+                    (Operation::Flash(at), None) => {
+                        let shape = Shape::Circle {
+                            centre: millimetres(at),
+                            diameter_mm: diameters_mm[&selected],
+                        };
+                        shapes.push((polarity, shape));
+                    }
+                    (Operation::Move(at) | Operation::Interpolate(at, None), Some(corners)) => {
+                        corners.push(millimetres(at));
+                    }
+                    _ => {}
+                }
+            }
+            _ => {}
+        }
+    }
+    shapes
+}
+
+fn millimetres(at: Option<Coordinates>) -> Vector2<f64> {
+    let at = at.unwrap();
+    Vector2::new(at.x.unwrap().into(), at.y.unwrap().into())
+}
+
+#[test]
+fn gerber_has_every_mark_where_the_drawing_has_it() {
+    for (plate, tone) in plates_in_both_tones() {
+        let artwork = artwork(&plate, tone);
+        let mut shapes = flashes_and_regions(&file(&artwork, "plate.gbr"));
+        let ground = usize::from(tone == Tone::ClearMarks);
+        // Behind the marks: the scale bar and the orientation corner.
+        let last = shapes.split_off(ground + plate.count());
+        assert_eq!(last.len(), 2);
+        let clear = |(polarity, _): &(Polarity, Shape)| *polarity == Polarity::Clear;
+        let marks = &shapes[ground..];
+        assert!(
+            marks
+                .iter()
+                .all(|mark| clear(mark) == (tone == Tone::ClearMarks))
+        );
+        assert!(!shapes[..ground].iter().chain(&last).any(clear));
+        check(
+            &plate,
+            tone,
+            shapes.into_iter().map(|(_, shape)| shape).collect(),
+        );
+    }
+}
+
+#[test]
+fn what_surrounds_the_marks_is_outside_of_their_field_and_inside_the_frame() {
+    for plate in plates() {
+        let artwork = artwork(&plate, Tone::ClearMarks);
+        let field = field(&plate);
+        for layer in [Layer::ScaleBar, Layer::Orientation, Layer::Title] {
+            for shape in artwork.layer(layer) {
+                let [low, high] = extent(shape);
+                assert!(low.y > field.high.y || high.y < field.low.y, "{shape:?}");
+                let frame = artwork.frame;
+                assert!(low >= frame.low && high <= frame.high, "{shape:?}");
+            }
+        }
+        for shape in artwork.layer(Layer::Marks) {
+            let [low, high] = extent(shape);
+            // The tip of a turned arm reaches a little further than half the mark's size.
+            let margin_mm = 1.9 * plate.shape.size_mil() * MIL_MM;
+            assert!((low - field.low).min() > margin_mm, "{shape:?}");
+            assert!((field.high - high).min() > margin_mm, "{shape:?}");
+        }
+    }
+}
+
+/// The corners of the rectangle about a shape; letters are taken as wide as high.
+fn extent(shape: &Shape) -> [Vector2<f64>; 2] {
+    match shape {
+        Shape::Polygon(corners) => [
+            corners.iter().copied().reduce(|a, b| a.inf(&b)).unwrap(),
+            corners.iter().copied().reduce(|a, b| a.sup(&b)).unwrap(),
+        ],
+        Shape::Circle {
+            centre,
+            diameter_mm,
+        } => [-0.5, 0.5].map(|side| centre.add_scalar(side * diameter_mm)),
+        Shape::Line { from, to, .. } => [from.inf(to), from.sup(to)],
+        Shape::Text {
+            start,
+            height_mm,
+            text,
+        } => [
+            *start,
+            start + Vector2::new(text.chars().count() as f64, 1.0) * *height_mm,
+        ],
+    }
+}
+
+#[test]
+fn the_scale_bar_is_as_long_as_its_label_says() {
+    let narrow = Plate::new(
+        Pattern::Listed,
+        DOT,
+        1.0,
+        [(0.0, 0.0), (200.0, 0.0), (0.0, 300.0)]
+            .into_iter()
+            .zip(0..)
+            .map(|((x, y), i)| (MarkId { i, j: 0 }, MarkPlace::new(PlateMil::new(x, y), 1.0))),
+    );
+    for (plate, length_mm) in [(narrow, 10.0), (builtin("demo").unwrap().plate, 100.0)] {
+        let artwork = artwork(&plate, Tone::DarkMarks);
+        let bar: Vec<&Shape> = artwork.layer(Layer::ScaleBar).collect();
+        let [low, high] = extent(bar[0]);
+        assert!((high.x - low.x - length_mm).abs() < 1e-6);
+        let Shape::Text { text, .. } = bar[1] else {
+            panic!("{bar:?}");
+        };
+        assert_eq!(*text, format!("{length_mm} mm"));
+    }
+}
+
+#[test]
+fn the_orientation_corner_is_at_plus_x_plus_y() {
+    let artwork = artwork(&plate(cross(30.0)), Tone::DarkMarks);
+    let [low, high] = extent(artwork.layer(Layer::Orientation).next().unwrap());
+    let Rectangle { high: corner, .. } = artwork.frame;
+    assert!((corner - high).max() < 5.0 && (corner - low).max() < 15.0);
+}
+
+#[test]
+fn gerber_keeps_what_ends_a_command_out_of_its_comments() {
+    let artwork = Artwork::new("50% *bright*", &plate(DOT), Tone::DarkMarks);
+    let text = String::from_utf8(file(&artwork, "plate.gbr")).unwrap();
+    assert!(
+        text.starts_with("G04 50\\u0025 \\u002Abright\\u002A*\n"),
+        "{text:.60}"
+    );
+    assert!(text.ends_with("M02*\n"));
+}
