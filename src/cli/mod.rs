@@ -17,6 +17,7 @@ pub mod moon;
 pub mod navigate;
 mod options;
 mod output;
+pub mod plate;
 pub mod preflight;
 pub mod refine;
 pub mod simulate;
@@ -62,6 +63,7 @@ enum Command {
     Simulate(Box<simulate::SimulateArgs>),
     Sky(sky::SkyArgs),
     Config(config::ConfigArgs),
+    Plate(plate::PlateArgs),
     Preflight(preflight::PreflightArgs),
     Accuracy(accuracy::AccuracyArgs),
     Archive(archive::ArchiveArgs),
@@ -89,6 +91,7 @@ impl Program {
             Command::Simulate(args) => simulate::run(&args).map(|()| ExitCode::SUCCESS),
             Command::Sky(args) => sky::run(args).map(|()| ExitCode::SUCCESS),
             Command::Config(args) => config::run(&args),
+            Command::Plate(args) => plate::run(&args),
             Command::Preflight(args) => preflight::run(args),
             Command::Accuracy(args) => accuracy::run(&args),
             Command::Archive(args) => archive::run(args),
