@@ -159,6 +159,12 @@ pub struct Coverage {
 }
 
 impl Coverage {
+    /// Sum of the squared slopes along one axis, the mean of both.
+    pub fn slope_energy(&self) -> f64 {
+        let squares = |slopes: &[f32]| slopes.iter().map(|s| f64::from(s * s)).sum::<f64>();
+        (squares(&self.slope_x) + squares(&self.slope_y)) / 2.0
+    }
+
     pub fn of_length(count: usize) -> Self {
         let [share, slope_x, slope_y] = std::array::from_fn(|_| vec![0.0; count]);
         Self {

@@ -125,6 +125,7 @@ pub mod observe;
 #[warn(clippy::too_many_lines)]
 pub mod plan;
 pub mod plate;
+pub mod plate_check;
 pub mod pointing;
 pub mod pointing_history;
 #[warn(clippy::too_many_lines)]

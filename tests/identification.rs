@@ -126,12 +126,13 @@ type Labelled = (Detection, Option<MarkId>);
 
 fn read(look: &Look, list: &[Labelled], plate: &Plate) -> Result<Vec<(usize, MarkId)>, Unread> {
     let detections: Vec<Detection> = list.iter().map(|(detection, _)| *detection).collect();
-    identify(
+    let identified = identify(
         &detections,
         &look.sight(),
         plate,
         &FiducialSettings::default(),
-    )
+    );
+    identified.map(|identified| identified.ids)
 }
 
 fn wrong_ids(found: &[(usize, MarkId)], list: &[Labelled]) -> usize {

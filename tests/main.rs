@@ -45,6 +45,7 @@ mod moon_in_flight;
 mod navigation;
 mod navigation_in_flight;
 mod photon_transfer;
+mod plate_check;
 mod plates;
 mod pointing;
 mod pointing_history;

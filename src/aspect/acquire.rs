@@ -4,10 +4,11 @@ use super::stages::{DiscImage, MARK_MARGIN_PX, Pipeline, at};
 use super::{Measured, Solution, Stage, Stopped};
 use crate::estimation::median;
 use crate::fiducial::{
-    self, Detection, Detections, FlatDisc, IdentificationPrior, Illumination, Lighting, Unread,
+    self, Detection, Detections, FlatDisc, IdentificationPrior, Identified, Illumination, Lighting,
+    Unread,
 };
 use crate::frame::{Frame, Mask};
-use crate::geometry::{Mapping, MappingKind};
+use crate::geometry::{Ellipse, Mapping, MappingKind};
 use crate::instrument::Mounting;
 use crate::limb::DiscLight;
 use crate::reasons::sun;
@@ -71,8 +72,13 @@ impl Pipeline<'_> {
         let settings = self.settings.fiducial;
         let disc_mil2 = PI * self.radius_mil.value.powi(2);
         let marks = DENSEST * self.instrument.plate.density_per_mil2() * disc_mil2;
+        let usual = fiducial::FiducialSettings::default().max_detections;
+        let max_detections = match marks as usize {
+            many if many > usual => settings.max_detections.max(many),
+            _ => settings.max_detections,
+        };
         fiducial::FiducialSettings {
-            max_detections: settings.max_detections.max(marks as usize),
+            max_detections,
             ..settings
         }
     }
@@ -94,13 +100,52 @@ impl Pipeline<'_> {
         image: &DiscImage,
         detections: &Detections,
     ) -> Result<Mapping, Unread> {
+        let sensor_px = [frame.width() as f64, frame.height() as f64];
+        let ids = self
+            .identify(sensor_px, image.light.outline, detections)?
+            .ids;
+        let pair = |(n, id): &(usize, _)| {
+            Some(Pair {
+                observed: detections.marks[*n].at,
+                printed: self.instrument.plate.position(*id)?,
+                covariance_px2: Matrix2::identity() * detections.marks[*n].sigma_px.powi(2),
+            })
+        };
+        let full = ids.iter().filter(|(n, _)| is_full(&detections.marks[*n]));
+        let pairs: Vec<Pair> = full.filter_map(pair).collect();
+        registration::fit(
+            &pairs,
+            MappingKind::Similarity,
+            self.instrument.mounting.handedness,
+            self.instrument.camera.distortion,
+            &self.settings.registration,
+        )
+        .map(|fit| fit.mapping)
+        .ok_or(Unread::Undecided(Rejected {
+            reason: sun::NO_MAPPING,
+            measured: pairs.len() as f64,
+            limit: self.settings.fiducial.min_marks as f64,
+        }))
+    }
+
+    /// The ids of what was detected about a disc's outline on a sensor of some width and height: where the plate is stated to be, unless it
+    /// shows that the plate is somewhere else or mirrored.
+    ///
+    /// # Errors
+    /// As [`fiducial::identify`].
+    pub(crate) fn identify(
+        &self,
+        sensor_px: [f64; 2],
+        outline: Ellipse,
+        detections: &Detections,
+    ) -> Result<Identified, Unread> {
         let read = |mounting: &Mounting, settings: &fiducial::FiducialSettings| {
-            let prior = self.identification_prior(frame, &image.light, detections, mounting);
+            let prior = self.identification_prior(sensor_px, outline, detections, mounting);
             fiducial::identify(&detections.marks, &prior, &self.instrument.plate, settings)
         };
         let (mounting, settings) = (&self.instrument.mounting, &self.settings.fiducial);
         let mirrored = || {
-            let mut images = mirror_images(mounting, frame).into_iter();
+            let mut images = mirror_images(mounting, sensor_px).into_iter();
             images.any(|image| read(&image, settings).is_ok())
         };
         let elsewhere = || {
@@ -114,7 +159,7 @@ impl Pipeline<'_> {
             };
             read(&anywhere, &settings)
         };
-        let ids = read(mounting, settings).map_err(|unread| {
+        let here = read(mounting, settings).map_err(|unread| {
             let rejected = unread.rejected();
             let because = |reason| Unread::Contradicting(Rejected { reason, ..rejected });
             match unread {
@@ -123,44 +168,26 @@ impl Pipeline<'_> {
                 unread => unread,
             }
         })?;
-        let full = |(n, _): &&(usize, _)| detections.marks[*n].lighting == Lighting::Full;
+        let count_full = |ids: &[(usize, _)]| {
+            let full = ids.iter().filter(|(n, _)| is_full(&detections.marks[*n]));
+            full.count()
+        };
         // What is not read here may be because all are somewhere else.
-        let read_here = ids.iter().filter(full).count();
-        let lit = detections.marks.iter().map(|d| d.lighting);
-        if read_here < lit.filter(|lighting| *lighting == Lighting::Full).count() {
-            let there = elsewhere().unwrap_or_default();
-            let read_there = there.iter().filter(full).count() as f64;
+        let read_here = count_full(&here.ids);
+        if read_here < detections.marks.iter().filter(|mark| is_full(mark)).count() {
+            let read_there = elsewhere().map_or(0, |there| count_full(&there.ids));
             let reason = sun::CENTRE_ELSEWHERE;
-            Rejected::at_most(read_here as f64, read_there, reason)
+            Rejected::at_most(read_here as f64, read_there as f64, reason)
                 .map_err(Unread::Contradicting)?;
         }
-        let pair = |(n, id): &(usize, _)| {
-            Some(Pair {
-                observed: detections.marks[*n].at,
-                printed: self.instrument.plate.position(*id)?,
-                covariance_px2: Matrix2::identity() * detections.marks[*n].sigma_px.powi(2),
-            })
-        };
-        let pairs: Vec<Pair> = ids.iter().filter(full).filter_map(pair).collect();
-        registration::fit(
-            &pairs,
-            MappingKind::Similarity,
-            mounting.handedness,
-            self.instrument.camera.distortion,
-            &self.settings.registration,
-        )
-        .map(|fit| fit.mapping)
-        .ok_or(Unread::Undecided(Rejected {
-            reason: sun::NO_MAPPING,
-            measured: pairs.len() as f64,
-            limit: self.settings.fiducial.min_marks as f64,
-        }))
+        Ok(here)
     }
 
+    /// What is known before marks are identified about a disc's outline on a sensor of some width and height.
     fn identification_prior(
         &self,
-        frame: &Frame,
-        disc: &DiscLight,
+        sensor_px: [f64; 2],
+        outline: Ellipse,
         detections: &Detections,
         mounting: &Mounting,
     ) -> IdentificationPrior {
@@ -171,7 +198,7 @@ impl Pipeline<'_> {
             fiducial::MarkForm::Dot => SURE_DEPTH_OF_DOT,
         };
         IdentificationPrior {
-            outline: disc.outline,
+            outline,
             radius_mil: units::Measured::new(radius, radius * relative),
             quarter_rotation_deg: detections
                 .quarter_rotation_deg(&self.instrument.plate.shape, mounting.handedness),
@@ -183,15 +210,19 @@ impl Pipeline<'_> {
             missed_share: missed_share(detections),
             sure_depth_px: sure_depth * self.shape.half_length_px + 1.0,
             sure_margin_px: self.shape.half_length_px + 4.0,
-            sensor_px: [frame.width() as f64, frame.height() as f64],
+            sensor_px,
         }
     }
 }
 
+fn is_full(mark: &Detection) -> bool {
+    mark.lighting == Lighting::Full
+}
+
 /// How the camera would be mounted if its pictures were mirrored: its rows or columns read in the opposite order, or its file wrong.
-fn mirror_images(mounting: &Mounting, frame: &Frame) -> [Mounting; 3] {
+fn mirror_images(mounting: &Mounting, [width_px, height_px]: [f64; 2]) -> [Mounting; 3] {
     let SensorPx { x, y } = mounting.plate_centre_px;
-    let (last_x, last_y) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
+    let (last_x, last_y) = (width_px - 1.0, height_px - 1.0);
     let rotation = mounting.rotation_deg;
     [
         (SensorPx::new(x, last_y - y), 180.0 - rotation.value),

@@ -42,6 +42,7 @@ pub struct DiscImage {
 }
 
 /// What is known before a frame is read, for every stage.
+#[derive(Clone)]
 pub struct Pipeline<'a> {
     pub(super) settings: &'a SolverSettings,
     pub(super) instrument: &'a Instrument,

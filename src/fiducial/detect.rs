@@ -227,7 +227,6 @@ impl<'a> MarkSearch<'a> {
     ) -> Self {
         let to_arms = turned(rotation_deg);
         let coverage = shape.coverage(&window.x, &window.y, &to_arms);
-        let squares = |slopes: &[f32]| slopes.iter().map(|s| f64::from(s * s)).sum::<f64>();
         let rest = window.without_round_part(&coverage.share);
         let (mark, fourfold) = match shape.shows_arms() {
             true => {
@@ -245,7 +244,7 @@ impl<'a> MarkSearch<'a> {
             mark,
             fourfold,
             // A quarter turn leaves the mark as it is, so its slope is the same along every axis.
-            slope_energy: (squares(&coverage.slope_x) + squares(&coverage.slope_y)) / 2.0,
+            slope_energy: coverage.slope_energy(),
             arms: to_arms.transpose() * shape.half_length_px,
         }
     }

@@ -57,7 +57,16 @@ impl From<Rejected> for Unread {
     }
 }
 
-/// Identifies the detections: index into them, and id.
+/// Detections with their ids.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Identified {
+    /// Index into the detections, and id.
+    pub ids: Vec<(usize, MarkId)>,
+    /// By how much the logarithm of the odds exceeds what is asked, in the comparison that was closest.
+    pub margin: f64,
+}
+
+/// Identifies the detections.
 ///
 /// # Errors
 /// No labelling, more than one, or one that contradicts the stated mounting.
@@ -66,7 +75,7 @@ pub fn identify(
     prior: &IdentificationPrior,
     plate: &Plate,
     settings: &FiducialSettings,
-) -> Result<Vec<(usize, MarkId)>, Unread> {
+) -> Result<Identified, Unread> {
     let is_full = |n: &usize| detections[*n].lighting == Lighting::Full;
     let full: Vec<usize> = (0..detections.len()).filter(is_full).collect();
     let (count, least) = (full.len() as f64, settings.min_marks as f64);
@@ -90,14 +99,18 @@ pub fn identify(
     let all = scenes
         .flat_map(|scene| labellings(&scene, &orders, reach_mil, prior, settings))
         .collect();
-    let best = decide(all, full.len(), prior, settings)?;
+    let (best, mut margin) = decide(all, full.len(), prior, settings)?;
     if plate.pattern() != Pattern::Heroes {
-        check_place(&best, &full, detections, prior, plate)?;
+        margin = margin.min(check_place(&best, &full, detections, prior, plate)?);
     }
-    Ok(best.usable())
+    Ok(Identified {
+        ids: best.usable(),
+        margin,
+    })
 }
 
-/// Holds a labelling against those of the same marks anywhere on the plate, whatever the stated centre.
+/// Holds a labelling against those of the same marks anywhere on the plate, whatever the stated centre: by how much its odds exceed
+/// what is asked.
 ///
 /// # Errors
 /// One of them explains as many marks, and is not much less likely.
@@ -107,14 +120,14 @@ fn check_place(
     detections: &[Detection],
     prior: &IdentificationPrior,
     plate: &Plate,
-) -> Result<(), Rejected> {
-    let explained: Vec<usize> = best.matches.iter().map(|m| m.detection).collect();
-    let explained: Vec<usize> = explained.into_iter().filter(|n| full.contains(n)).collect();
+) -> Result<f64, Rejected> {
+    let explained = best.matches.iter().map(|m| m.detection);
+    let explained: Vec<usize> = explained.filter(|n| full.contains(n)).collect();
     // A labelling of as many marks explains two of any three of these, but for one that the best does not explain.
     let pairs = match explained[..] {
         [a, b, c, ..] => vec![[a, b], [b, c], [c, a]],
         [a, b] => vec![[a, b]],
-        _ => return Ok(()),
+        _ => return Ok(f64::INFINITY),
     };
     let own = best.score - best.centre_odds;
     let places = Places::of(plate);
@@ -141,7 +154,7 @@ fn check_place(
             }
         }
     }
-    Ok(())
+    Ok(-likelihood.ln() - DECISIVE_ODDS)
 }
 
 /// Every labelling at one rotation that starts with the first detection of one of the orders.
@@ -176,13 +189,14 @@ fn labellings(
     found
 }
 
-/// The best labelling of so many fully lit detections, if all that contradict it are unlikely together.
+/// The best labelling of so many fully lit detections, if all that contradict it are unlikely together, and by how much its odds
+/// exceed what is asked.
 fn decide(
     mut labellings: Vec<Labelling>,
     full: usize,
     prior: &IdentificationPrior,
     settings: &FiducialSettings,
-) -> Result<Labelling, Unread> {
+) -> Result<(Labelling, f64), Unread> {
     labellings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let Some(best) = labellings.first() else {
         return Err(Unread::Undecided(Rejected {
@@ -214,7 +228,8 @@ fn decide(
     let excess = prior.scale_excess(best.scale_mil_per_px);
     let reason = sun::SCALE_OF_LABELLING;
     Rejected::at_most(1.0, excess, reason).map_err(Unread::Contradicting)?;
-    Ok(best.clone())
+    let margin = (equal - DECISIVE_ODDS).min(fewer - least);
+    Ok((best.clone(), margin.min(best.score - DECISIVE_ODDS)))
 }
 
 /// Logarithm of the odds of a labelling against rivals and chance together.

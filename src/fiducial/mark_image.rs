@@ -138,6 +138,16 @@ impl MarkImage {
         coverage
     }
 
+    /// How well a mark's detection tells its place, 1 sigma per axis, px, among noise that is so large beside the mark's darkness.
+    pub fn place_sigma_px(&self, noise: f64) -> f64 {
+        let reach = self.reach_px().ceil() as i32;
+        let along = || (-reach..=reach).map(|n| n as f32);
+        let (x, y): (Vec<f32>, Vec<f32>) =
+            along().flat_map(|y| along().map(move |x| (x, y))).unzip();
+        let coverage = self.coverage(&x, &y, &Matrix2::identity());
+        noise / coverage.slope_energy().sqrt()
+    }
+
     pub(super) fn bars(&self, half_width_px: f64) -> Bars {
         Bars {
             half_length: self.half_length_px as f32,

@@ -127,7 +127,7 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<Instrument, TomlError> {
 }
 
 /// Keys that the demo does without: what an unknown key may have been meant for.
-const OPTIONAL_KEYS: [&str; 17] = [
+const OPTIONAL_KEYS: [&str; 18] = [
     "camera.hot_pixels_px",
     "camera.name",
     "camera.noise.dark_dn",
@@ -142,6 +142,7 @@ const OPTIONAL_KEYS: [&str; 17] = [
     "plate.arm_angle_deg",
     "plate.dot_diameter_mil",
     "plate.drawing.csv",
+    "plate.field_radius_mil",
     "plate.marks",
     "plate.pattern",
     "plate.shape",

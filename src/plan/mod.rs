@@ -21,9 +21,10 @@ use crate::camera::{self, Camera, CameraError, FrameSource, Source, Surroundings
 use crate::commands::controls::{Controls, Proof};
 use crate::config::{Config, ConfiguredCamera};
 use crate::instrument::toml_file::{document, read_text};
-use crate::instrument::{Dated, Stated};
+use crate::instrument::{Dated, Instrument, Stated};
 use crate::link::{LocalEnd, PortAddress};
 use crate::navigation;
+use crate::plate_check::{self, CheckSettings};
 use crate::pointing::{Feature, HelioprojectiveArcsec, PointingError, Target};
 use crate::sky::{Ephemeris, OrientationTable, SkyError, TableError};
 use std::path::{Path, PathBuf};
@@ -259,12 +260,8 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
         let Some(Stated { sees, toml, dates }) = remarks.noted(stated) else {
             continue;
         };
-        let least_marks = config.fiducial.min_marks;
-        if let Some(instrument) = sees.plate()
-            && let Err(misfit) = instrument.check_lens(least_marks)
-        {
-            let key = format!("{name}.instrument");
-            remarks.error(&key, misfit.expected(least_marks), misfit.to_string());
+        if let Some(instrument) = sees.plate() {
+            plate(name, instrument, config, remarks);
         }
         planned.push(PlannedCamera {
             camera: Camera {
@@ -286,6 +283,21 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
         }
     }
     planned
+}
+
+/// Whether frames of a camera's plate can be read: an error where none can, a warning where some of the field cannot.
+fn plate(camera: &str, instrument: &Instrument, config: &Config, remarks: &mut Remarks) {
+    let (key, least_marks) = (format!("{camera}.instrument"), config.fiducial.min_marks);
+    if let Err(misfit) = instrument.check_lens(least_marks) {
+        return remarks.error(&key, misfit.expected(least_marks), misfit.to_string());
+    }
+    let found = plate_check::check(instrument, &config.solver(), &CheckSettings::quick());
+    if let Some((part, meaning)) = found.unreadable() {
+        let expected =
+            "a plate of which frames can be read all over its field (see `solaspect plate check`)";
+        let part = 100.0 * part;
+        remarks.warn(&key, expected, format!("{part:.0} % of it where {meaning}"));
+    }
 }
 
 fn navigation(config: &Config, remarks: &mut Remarks) -> Option<PlannedNavigation> {

@@ -11,6 +11,8 @@ use crate::units::PlateMil;
 /// The largest |i| and |j| of a mark.
 const MAX_INDEX: i32 = 7;
 
+/// The Sun may stand within this of the plate's centre.
+pub const FIELD_RADIUS_MIL: f64 = 2000.0;
 /// The outermost mark on an axis: what moves at the plate's edge is stated there.
 pub const EDGE: MarkId = MarkId {
     i: -MAX_INDEX,

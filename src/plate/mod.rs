@@ -84,6 +84,8 @@ struct PlateMark {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plate {
     pub shape: MarkShape,
+    /// The Sun may stand within this of the plate's centre.
+    pub field_radius_mil: f64,
     pattern: Pattern,
     drawing_sigma_mil: f64,
     /// In the order of their ids.
@@ -113,14 +115,21 @@ impl Plate {
         };
         let mut marks: Vec<PlateMark> = marks.into_iter().map(mark).collect();
         marks.sort_by_key(|mark| mark.id);
+        /// Where nothing is stated, the field reaches to this part of the marks.
+        const FIELD: f64 = 0.7;
         let mut plate = Self {
             shape,
+            field_radius_mil: 0.0,
             pattern,
             drawing_sigma_mil: sigma_mil,
             marks,
             least_variance_mil2: 0.0,
         };
         plate.find_least_variance();
+        plate.field_radius_mil = match pattern {
+            Pattern::Heroes => heroes::FIELD_RADIUS_MIL,
+            Pattern::Table | Pattern::Listed => FIELD * plate.reach_mil(),
+        };
         plate
     }
 

@@ -37,6 +37,7 @@ pub(super) struct RawPlate {
     arm_angle_deg: Option<Entry<f64>>,
     dot_diameter_mil: Option<Entry<f64>>,
     drawing_sigma_mil: Entry<f64>,
+    field_radius_mil: Option<Entry<f64>>,
     #[serde(default)]
     mark: Vec<RawMark>,
 }
@@ -135,7 +136,12 @@ impl Checker<'_> {
             dot_diameter_mil: raw.dot_diameter_mil,
         };
         let shape = self.shape(shape, scale_mil_per_px)?;
-        let (mut plate, field) = match (pattern, table) {
+        let field = raw.field_radius_mil.map(|entry| {
+            let range = 0.0..=MOST_PLACE_MIL;
+            self.measured("plate.field_radius_mil", entry, range)
+        });
+        let field = field.transpose()?;
+        let (mut plate, drawn_by) = match (pattern, table) {
             (Pattern::Listed, _) => {
                 self.check_ids(&marks)?;
                 let drawn = |mark: &CheckedMark| match mark.drawn {
@@ -151,7 +157,10 @@ impl Checker<'_> {
             ),
             _ => (Plate::heroes(shape, sigma.value), "plate.pattern"),
         };
-        self.check_drawing(field, &plate)?;
+        self.check_drawing(drawn_by, &plate)?;
+        if let Some(field) = field {
+            plate.field_radius_mil = field.value;
+        }
         for (n, mark) in marks.iter().enumerate() {
             if plate.position(mark.id).is_none() {
                 let expected = match pattern {

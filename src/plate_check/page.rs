@@ -1,0 +1,119 @@
+//! The check of a plate as lines of text and as one HTML page.
+
+use super::{CheckedPlace, PlaceVerdict, PlateCheck, Rotations};
+use crate::provenance::{COMMIT, PROGRAM};
+use crate::report::html::Page;
+use crate::report::plot::{self, Cell, Labels, PlotError};
+use std::fmt;
+
+/// As lines of text.
+impl fmt::Display for PlateCheck {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let count = self.places.len();
+        let field = self.field_radius_mil;
+        writeln!(
+            out,
+            "plate      {:?}: {} marks, {}",
+            self.instrument, self.marks, self.shape
+        )?;
+        let turned = match self.rotations {
+            Rotations::Stated => "within its stated sigma",
+            Rotations::Any => "anyhow",
+        };
+        writeln!(
+            out,
+            "field      {count} places within {field:.0} mil, camera turned {turned}"
+        )?;
+        if let Some(misfit) = &self.misfit {
+            writeln!(out, "lens       {misfit}")?;
+        }
+        for (verdict, meaning) in PlaceVerdict::ALL {
+            let found = self.count(verdict);
+            if found > 0 {
+                let share = 100.0 * found as f64 / count.max(1) as f64;
+                writeln!(out, "{found:>6} places, {share:5.1} %: {meaning}")?;
+            }
+        }
+        let number = |value: Option<f64>, unit: &str| match value {
+            Some(value) => format!("{value:.2}{unit}"),
+            None => "none".into(),
+        };
+        let most =
+            |of: fn(&CheckedPlace) -> Option<f64>| self.least(|p| of(p).map(|v| -v)).map(|v| -v);
+        let lit = self.places.iter().map(|place| place.lit).min().unwrap_or(0);
+        writeln!(out, "fewest     {lit} marks fully lit")?;
+        writeln!(
+            out,
+            "odds       at least {} beyond what the flight asks (logarithm)",
+            number(self.least(|p| p.margin), "")
+        )?;
+        write!(
+            out,
+            "sigma      {} to {} by noise, at most {} by misprints",
+            number(self.least(|p| p.sigma_mil), " mil"),
+            number(most(|p| p.sigma_mil), " mil"),
+            number(most(|p| p.misprint_mil), " mil")
+        )
+    }
+}
+
+/// The check as one HTML page that needs nothing beside it.
+///
+/// # Errors
+/// A figure that cannot be drawn.
+pub fn html(check: &PlateCheck) -> Result<String, PlotError> {
+    let mut page = Page::default();
+    let verdict = match check.passes() {
+        true => "The plate passes: frames can be read all over its field.",
+        false => "The plate fails: in part of its field frames cannot be read.",
+    };
+    page.note(verdict);
+    page.preformatted(&check.to_string());
+    let rows = [
+        ("program", PROGRAM.to_owned()),
+        ("commit", COMMIT.unwrap_or("not known").into()),
+    ];
+    page.table(&[], &rows.map(|(name, value)| vec![name.to_owned(), value]));
+    page.heading("Over the field");
+    let maps: [(&str, &str, fn(&CheckedPlace) -> Option<f64>); 4] = [
+        ("Marks fully lit", "marks", |p| Some(p.lit as f64)),
+        ("Odds beyond what the flight asks, logarithm", "", |p| {
+            p.margin
+        }),
+        ("Sigma by noise", "mil", |p| p.sigma_mil),
+        ("Sigma by misprints", "mil", |p| p.misprint_mil),
+    ];
+    for (title, unit, of) in maps {
+        if let Some(figure) = map(check, title, unit, of)? {
+            page.figure(
+                &figure,
+                &format!("{title}, by the place of the Sun's centre on the plate."),
+            );
+        }
+    }
+    Ok(page.finish(&format!("Plate of {}", check.instrument)))
+}
+
+/// A number of each place; `None` where no place has it.
+fn map(
+    check: &PlateCheck,
+    title: &str,
+    unit: &str,
+    of: fn(&CheckedPlace) -> Option<f64>,
+) -> Result<Option<String>, PlotError> {
+    let cell = |place: &CheckedPlace| {
+        Some(Cell {
+            at: (place.x_mil, place.y_mil),
+            value: of(place)?,
+        })
+    };
+    let cells: Vec<Cell> = check.places.iter().filter_map(cell).collect();
+    if cells.is_empty() {
+        return Ok(None);
+    }
+    let reach = 1.05 * check.field_radius_mil;
+    // As wide as the places are apart.
+    let side = check.field_radius_mil * (std::f64::consts::PI / check.places.len() as f64).sqrt();
+    let labels = Labels::new(title, "plate X, mil", "plate Y, mil");
+    plot::scalar_map(&labels, -reach..reach, &cells, side, unit).map(Some)
+}
