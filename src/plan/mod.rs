@@ -287,12 +287,14 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
 
 /// Whether frames of a camera's plate can be read: an error where none can, a warning where some of the field cannot.
 fn plate(camera: &str, instrument: &Instrument, config: &Config, remarks: &mut Remarks) {
+    /// Less of the field is where a mounting was drawn that is off by three sigma and more.
+    const NOTABLE_PART: f64 = 0.02;
     let (key, least_marks) = (format!("{camera}.instrument"), config.fiducial.min_marks);
     if let Err(misfit) = instrument.check_lens(least_marks) {
         return remarks.error(&key, misfit.expected(least_marks), misfit.to_string());
     }
     let found = plate_check::check(instrument, &config.solver(), &CheckSettings::quick());
-    if let Some((part, meaning)) = found.unreadable() {
+    if let Some((part, meaning)) = found.unreadable().filter(|(part, _)| *part > NOTABLE_PART) {
         let expected =
             "a plate of which frames can be read all over its field (see `solaspect plate check`)";
         let part = 100.0 * part;
