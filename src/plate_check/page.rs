@@ -6,6 +6,9 @@ use crate::report::html::Page;
 use crate::report::plot::{self, Cell, Labels, PlotError};
 use std::fmt;
 
+/// A number of a place.
+type NumberOf = fn(&CheckedPlace) -> Option<f64>;
+
 /// As lines of text.
 impl fmt::Display for PlateCheck {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -38,8 +41,7 @@ impl fmt::Display for PlateCheck {
             Some(value) => format!("{value:.2}{unit}"),
             None => "none".into(),
         };
-        let most =
-            |of: fn(&CheckedPlace) -> Option<f64>| self.least(|p| of(p).map(|v| -v)).map(|v| -v);
+        let most = |of: NumberOf| self.least(|p| of(p).map(|v| -v)).map(|v| -v);
         let lit = self.places.iter().map(|place| place.lit).min().unwrap_or(0);
         writeln!(out, "fewest     {lit} marks fully lit")?;
         writeln!(
@@ -75,7 +77,7 @@ pub fn html(check: &PlateCheck) -> Result<String, PlotError> {
     ];
     page.table(&[], &rows.map(|(name, value)| vec![name.to_owned(), value]));
     page.heading("Over the field");
-    let maps: [(&str, &str, fn(&CheckedPlace) -> Option<f64>); 4] = [
+    let maps: [(&str, &str, NumberOf); 4] = [
         ("Marks fully lit", "marks", |p| Some(p.lit as f64)),
         ("Odds beyond what the flight asks, logarithm", "", |p| {
             p.margin
@@ -99,7 +101,7 @@ fn map(
     check: &PlateCheck,
     title: &str,
     unit: &str,
-    of: fn(&CheckedPlace) -> Option<f64>,
+    of: NumberOf,
 ) -> Result<Option<String>, PlotError> {
     let cell = |place: &CheckedPlace| {
         Some(Cell {

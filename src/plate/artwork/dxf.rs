@@ -3,8 +3,11 @@
 use super::{Artwork, Layer, Shape};
 use dxf::entities::{Circle, Entity, EntityType, LwPolyline, Text};
 use dxf::enums::{AcadVersion, DrawingUnits, Units};
-use dxf::{Drawing, DxfResult, LwPolylineVertex, Point, tables};
+use dxf::{Drawing, DxfResult, Header, LwPolylineVertex, Point, tables};
 use nalgebra::Vector2;
+use std::time::Duration;
+
+const FROM_1900_TO_1970: Duration = Duration::from_secs(25_567 * 86_400);
 
 pub(super) fn write(artwork: &Artwork) -> DxfResult<Vec<u8>> {
     let mut drawing = Drawing::new();
@@ -37,13 +40,23 @@ fn set_header(drawing: &mut Drawing, artwork: &Artwork) {
     header.drawing_units = DrawingUnits::Metric;
     header.minimum_drawing_extents = flat(artwork.frame.low);
     header.maximum_drawing_extents = flat(artwork.frame.high);
-    // One drawing gives one file, whenever it is written.
-    header.creation_date = Default::default();
-    header.creation_date_universal = Default::default();
-    header.update_date = Default::default();
-    header.update_date_universal = Default::default();
+    // One drawing gives one file, whenever and wherever it is written.
     header.fingerprint_guid = Default::default();
     header.version_guid = Default::default();
+    set_dates(header);
+}
+
+/// The format wants dates, in local time too. All are the day from which the crate counts, the only one that no time zone shifts.
+fn set_dates(header: &mut Header) {
+    header.creation_date_universal = Default::default();
+    let first = header.creation_date_universal.naive_utc() - FROM_1900_TO_1970;
+    header.creation_date_universal = first.and_utc();
+    header.update_date_universal = first.and_utc();
+    let zone = header.creation_date.timezone();
+    if let Some(first) = first.and_local_timezone(zone).earliest() {
+        header.creation_date = first;
+        header.update_date = first;
+    }
 }
 
 fn entity(shape: &Shape) -> EntityType {

@@ -105,7 +105,13 @@ impl Rectangle {
     /// Its corners, counterclockwise.
     fn corners(&self) -> [Vector2<f64>; 4] {
         let Self { low, high } = self;
-        [*low, point(high.x, low.y), *high, point(low.x, high.y)]
+        [
+            (low.x, low.y),
+            (high.x, low.y),
+            (high.x, high.y),
+            (low.x, high.y),
+        ]
+        .map(|(x, y)| point(x, y))
     }
 }
 
