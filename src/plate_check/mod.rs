@@ -230,9 +230,8 @@ fn checked(
             continue;
         }
         let (verdict, margin) = judged(&scene);
-        if place.margin.is_none_or(|least| margin < least) {
-            (place.verdict, place.margin) = (verdict.max(place.verdict), Some(margin));
-        }
+        place.verdict = place.verdict.max(verdict);
+        place.margin = Some(place.margin.map_or(margin, |least| least.min(margin)));
     }
     place
 }
