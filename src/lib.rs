@@ -126,6 +126,7 @@ pub mod observe;
 pub mod plan;
 pub mod plate;
 pub mod plate_check;
+pub mod plate_design;
 pub mod pointing;
 pub mod pointing_history;
 #[warn(clippy::too_many_lines)]

@@ -5,8 +5,11 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::accuracy::bound::covariance_mil2;
 use solaspect::aspect::{Expected, Quality, SolverSettings, solve};
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::plate::{MarkId, MarkPlace, Pattern, Plate};
-use solaspect::plate_check::{CheckSettings, CheckedPlace, PlaceVerdict, PlateCheck, check, html};
+use solaspect::plate::{MarkId, MarkPlace, MarkShape, Pattern, Plate};
+use solaspect::plate_check::{
+    CheckSettings, CheckedPlace, PlaceVerdict, PlateCheck, Rotations, check, html,
+};
+use solaspect::plate_design::{DesignSettings, design, file, table};
 use solaspect::simulate::{Noise, SUN_RADIUS_ARCSEC, Scene, Sun};
 use solaspect::units::PlateMil;
 
@@ -81,7 +84,7 @@ fn the_plate_of_2013_passes_over_its_field() {
 fn a_regular_grid_fails_since_its_marks_fit_several_places() {
     let found = checked(&grid(300.0), 200);
     assert!(!found.passes());
-    assert!(found.count(PlaceVerdict::SeveralPlaces) > 180, "{found}");
+    assert!(found.count(PlaceVerdict::SeveralPlaces) > 120, "{found}");
     let text = found.to_string();
     assert!(
         text.contains("the marks fit several places of the plate"),
@@ -146,4 +149,53 @@ fn the_expected_sigma_is_within_a_fifth_of_the_cramer_rao_bound() {
 #[test]
 fn the_same_seed_gives_the_same_check() {
     assert_eq!(checked(&demo(), 20), checked(&demo(), 20));
+}
+
+#[test]
+fn a_designed_plate_passes_its_check_and_its_frames_are_read() {
+    for (shape, seed) in [
+        (demo().plate.shape, 1),
+        (MarkShape::Dot { diameter_mil: 52.0 }, 2),
+    ] {
+        let settings = DesignSettings {
+            field_mil: 1500.0,
+            marks_in_view: 4,
+            shape,
+            rotations: Rotations::Stated,
+            trials: 1,
+            exchanges: 4,
+            seed,
+        };
+        let (designed, found) = design(&demo(), &settings, &|| ()).unwrap();
+        assert!(found.passes(), "{found}");
+        assert!(found.places.iter().all(|place| place.lit >= 4), "{found}");
+        // The files give the same plate again.
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("instrument.toml");
+        let demo = include_str!("../calibration/demo.toml");
+        std::fs::write(&path, file(demo, &designed.plate, "a test").unwrap()).unwrap();
+        std::fs::write(folder.path().join("marks.csv"), table(&designed.plate)).unwrap();
+        let read = Instrument::read(&path).unwrap();
+        assert_eq!(read.plate, designed.plate);
+        for place in found.places.iter().step_by(400) {
+            for (is_fine, off_mil) in frames(&read, place, 1) {
+                assert!(is_fine && off_mil < 1.0, "{place:?}: {off_mil} mil off");
+            }
+        }
+    }
+}
+
+#[test]
+fn marks_for_which_the_disc_has_no_room_are_refused() {
+    let settings = DesignSettings {
+        field_mil: 1000.0,
+        marks_in_view: 60,
+        shape: demo().plate.shape,
+        rotations: Rotations::Stated,
+        trials: 1,
+        exchanges: 0,
+        seed: 1,
+    };
+    let error = design(&demo(), &settings, &|| ()).unwrap_err().to_string();
+    assert!(error.contains("room for 60 marks"), "{error}");
 }

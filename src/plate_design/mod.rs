@@ -1,0 +1,355 @@
+//! A plate designed: places for marks such that frames can be read all over a field.
+//!
+//! # Method
+//! 1. Marks on a triangular lattice, each displaced at random, so that no two places of the plate look alike. The lattice is as
+//!    wide as leaves every place of the Sun in the field the marks that are asked for ([`Layout::widest`]).
+//! 2. Marks without which every place still has as many are taken away: fewer marks leave more of the limb free.
+//! 3. The [check](crate::plate_check) judges it. About the places of the least margin marks are displaced anew, and a plate that
+//!    the check likes better is kept: so often, or until none is left to improve.
+//! 4. The best of several trials.
+
+use crate::aspect::SolverSettings;
+use crate::geometry::unit;
+use crate::instrument::Instrument;
+use crate::plate::{MarkId, MarkPlace, MarkShape, Pattern, Plate};
+use crate::plate_check::{self, CheckSettings, PlateCheck, Rotations};
+use crate::units::PlateMil;
+use nalgebra::Vector2;
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use std::f64::consts::TAU;
+
+mod file;
+
+pub use file::{file, table};
+
+type Generator = Xoshiro256PlusPlus;
+
+/// What a plate is designed for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DesignSettings {
+    /// The Sun may stand within this of the plate's centre.
+    pub field_mil: f64,
+    /// Least marks that are fully lit wherever it stands.
+    pub marks_in_view: usize,
+    pub shape: MarkShape,
+    pub rotations: Rotations,
+    pub trials: u64,
+    /// How often marks are displaced anew in a trial.
+    pub exchanges: usize,
+    pub seed: u64,
+}
+
+/// Why no plate can be designed.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum DesignError {
+    #[error(
+        "expected room for {marks_in_view} marks of {size_mil:.0} mil on a disc of {radius_mil:.0} mil radius, found too little; take smaller or fewer marks, or a longer lens"
+    )]
+    NoRoom {
+        marks_in_view: usize,
+        size_mil: f64,
+        radius_mil: f64,
+    },
+}
+
+/// The Sun is never smaller than this from the Earth.
+const SMALLEST_SUN_ARCSEC: f64 = 943.0;
+/// Marks keep so many times their size apart.
+const APART_SIZES: f64 = 2.2;
+/// How far a mark is displaced from its place on the lattice at most, in the lattice's spacing.
+const JITTER: f64 = 0.28;
+
+/// Designs a plate for an instrument, whose lens and camera it is for; `done` is called after every check.
+///
+/// # Errors
+/// Marks too large or too many for the Sun's disc.
+pub fn design(
+    instrument: &Instrument,
+    settings: &DesignSettings,
+    done: &dyn Fn(),
+) -> Result<(Instrument, PlateCheck), DesignError> {
+    let mut best: Option<Judged> = None;
+    for trial in 0..settings.trials {
+        let mut rng = Generator::seed_from_u64(settings.seed.wrapping_mul(1 << 16) + trial);
+        let layout = Layout::widest(instrument, settings, &mut rng)?;
+        let judged = improved(instrument, settings, layout, &mut rng, done);
+        if best.as_ref().is_none_or(|best| judged.is_better_than(best)) {
+            best = Some(judged);
+        }
+    }
+    let best = best.ok_or_else(|| Layout::no_room(instrument, settings))?;
+    let designed = best.layout.instrument(instrument, settings);
+    let check = CheckSettings {
+        rotations: settings.rotations,
+        ..CheckSettings::default()
+    };
+    let found = plate_check::check(&designed, &SolverSettings::default(), &check);
+    Ok((designed, found))
+}
+
+/// A layout with what the check says of it.
+#[derive(Debug, Clone)]
+struct Judged {
+    layout: Layout,
+    found: PlateCheck,
+}
+
+impl Judged {
+    fn new(instrument: &Instrument, settings: &DesignSettings, layout: Layout) -> Self {
+        let check = CheckSettings {
+            places: 400,
+            draws: 2,
+            rotations: settings.rotations,
+            ..CheckSettings::default()
+        };
+        let plate = layout.instrument(instrument, settings);
+        Self {
+            found: plate_check::check(&plate, &SolverSettings::default(), &check),
+            layout,
+        }
+    }
+
+    /// By the least margin of a place; one without a margin has none.
+    fn margin(&self) -> f64 {
+        let margins = self.found.places.iter().map(|place| place.margin);
+        margins
+            .map(|m| m.unwrap_or(f64::NEG_INFINITY))
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    fn is_better_than(&self, other: &Self) -> bool {
+        self.margin() > other.margin()
+    }
+
+    /// The place of the Sun of the least margin.
+    fn worst(&self) -> Option<PlateMil> {
+        let margin = |p: &&plate_check::CheckedPlace| p.margin.unwrap_or(f64::NEG_INFINITY);
+        let worst = self
+            .found
+            .places
+            .iter()
+            .min_by(|a, b| margin(a).total_cmp(&margin(b)));
+        worst.map(|place| PlateMil::new(place.x_mil, place.y_mil))
+    }
+}
+
+/// Displaces a mark about the worst place anew, and keeps what the check likes better.
+fn improved(
+    instrument: &Instrument,
+    settings: &DesignSettings,
+    layout: Layout,
+    rng: &mut Generator,
+    done: &dyn Fn(),
+) -> Judged {
+    let mut best = Judged::new(instrument, settings, layout);
+    for _ in 0..settings.exchanges {
+        done();
+        let Some(changed) = best
+            .worst()
+            .and_then(|worst| best.layout.displaced(worst, rng))
+        else {
+            continue;
+        };
+        let changed = Judged::new(instrument, settings, changed);
+        if changed.is_better_than(&best) {
+            best = changed;
+        }
+    }
+    best
+}
+
+/// Places of marks, and the lattice that they come from.
+#[derive(Debug, Clone)]
+struct Layout {
+    /// Each with its place on the lattice.
+    marks: Vec<(Vector2<f64>, Vector2<f64>)>,
+    spacing_mil: f64,
+    /// Marks within this of the Sun's centre are fully lit.
+    lit_mil: f64,
+    least_apart_mil: f64,
+    field_mil: f64,
+    marks_in_view: usize,
+}
+
+impl Layout {
+    fn no_room(instrument: &Instrument, settings: &DesignSettings) -> DesignError {
+        DesignError::NoRoom {
+            marks_in_view: settings.marks_in_view,
+            size_mil: settings.shape.size_mil(),
+            radius_mil: instrument.optics.radius_mil(SMALLEST_SUN_ARCSEC),
+        }
+    }
+
+    /// The layout of the widest lattice that leaves every place of the field its marks, without those that are not needed.
+    fn widest(
+        instrument: &Instrument,
+        settings: &DesignSettings,
+        rng: &mut Generator,
+    ) -> Result<Self, DesignError> {
+        /// Blur that a fully lit mark keeps from the limb, px.
+        const BLUR_PX: f64 = 3.0;
+        const STEPS: usize = 60;
+        /// The next lattice is narrower by this.
+        const NARROWER: f64 = 0.97;
+        let size_mil = settings.shape.size_mil();
+        let blur_mil = BLUR_PX * instrument.mounting.scale_mil_per_px.value;
+        let sun_mil = instrument.optics.radius_mil(SMALLEST_SUN_ARCSEC);
+        let mut layout = Self {
+            marks: Vec::new(),
+            spacing_mil: sun_mil,
+            lit_mil: sun_mil - size_mil / 2.0 - blur_mil,
+            least_apart_mil: APART_SIZES * size_mil,
+            field_mil: settings.field_mil,
+            marks_in_view: settings.marks_in_view,
+        };
+        for _ in 0..STEPS {
+            layout.fill(rng);
+            // With marks so near to each other none could be displaced.
+            if layout.spacing_mil * (1.0 - JITTER) < layout.least_apart_mil {
+                break;
+            }
+            if layout.are_apart() && layout.least_in_view() >= settings.marks_in_view {
+                layout.prune();
+                return Ok(layout);
+            }
+            layout.spacing_mil *= NARROWER;
+        }
+        Err(Self::no_room(instrument, settings))
+    }
+
+    /// Puts marks on the lattice, each displaced.
+    fn fill(&mut self, rng: &mut Generator) {
+        let reach = self.field_mil + self.lit_mil;
+        let rows = (reach / (self.spacing_mil * 0.75_f64.sqrt())).ceil() as i32 + 1;
+        let columns = (reach / self.spacing_mil).ceil() as i32 + 1;
+        self.marks.clear();
+        for row in -rows..=rows {
+            for column in -columns..=columns {
+                let shift = if row % 2 == 0 { 0.0 } else { 0.5 };
+                let (x, y) = (f64::from(column) + shift, f64::from(row) * 0.75_f64.sqrt());
+                let node = Vector2::new(x, y) * self.spacing_mil;
+                if node.norm() < reach {
+                    let at = self.apart_about(node, rng);
+                    self.marks.push((node, at));
+                }
+            }
+        }
+    }
+
+    /// A place about a node, apart from the marks so far; the node itself where none is found soon.
+    fn apart_about(&self, node: Vector2<f64>, rng: &mut Generator) -> Vector2<f64> {
+        const TRIES: usize = 20;
+        for _ in 0..TRIES {
+            let at = self.about(node, rng);
+            if self
+                .marks
+                .iter()
+                .all(|(_, other)| (other - at).norm() > self.least_apart_mil)
+            {
+                return at;
+            }
+        }
+        node
+    }
+
+    fn about(&self, node: Vector2<f64>, rng: &mut Generator) -> Vector2<f64> {
+        let distance = JITTER * self.spacing_mil * rng.random_range(0.0_f64..1.0).sqrt();
+        node + unit(rng.random_range(0.0..TAU)) * distance
+    }
+
+    fn are_apart(&self) -> bool {
+        let places = || self.marks.iter().map(|(_, at)| at).enumerate();
+        places().all(|(n, at)| {
+            let mut before = places().take(n);
+            before.all(|(_, other)| (other - at).norm() > self.least_apart_mil)
+        })
+    }
+
+    /// Places of the Sun all over the field, closer than marks are.
+    fn suns(&self) -> Vec<Vector2<f64>> {
+        let step = self.spacing_mil / 5.0;
+        let count = (self.field_mil / step).ceil() as i32;
+        let along = move || (-count..=count).map(move |n| f64::from(n) * step);
+        let all = along().flat_map(|x| along().map(move |y| Vector2::new(x, y)));
+        // The edge itself, too.
+        let edge = (0..360).map(|n| unit(f64::from(n).to_radians()) * self.field_mil);
+        all.filter(|at| at.norm() < self.field_mil)
+            .chain(edge)
+            .collect()
+    }
+
+    fn lit(&self, sun: &Vector2<f64>) -> usize {
+        let near = |(_, at): &&(Vector2<f64>, Vector2<f64>)| (at - sun).norm() < self.lit_mil;
+        self.marks.iter().filter(near).count()
+    }
+
+    fn least_in_view(&self) -> usize {
+        self.suns()
+            .iter()
+            .map(|sun| self.lit(sun))
+            .min()
+            .unwrap_or(0)
+    }
+
+    /// Takes marks away without which every place has as many as are asked for, those first that are farthest out.
+    fn prune(&mut self) {
+        let suns = self.suns();
+        let mut lit: Vec<usize> = suns.iter().map(|sun| self.lit(sun)).collect();
+        self.marks.sort_by(|a, b| b.1.norm().total_cmp(&a.1.norm()));
+        let mut kept = Vec::new();
+        for mark in std::mem::take(&mut self.marks) {
+            let near = |n: &usize| (mark.1 - suns[*n]).norm() < self.lit_mil;
+            let near: Vec<usize> = (0..suns.len()).filter(near).collect();
+            // Of a mark that nothing lights none is left.
+            if near.iter().all(|n| lit[*n] > self.marks_in_view) {
+                near.iter().for_each(|n| lit[*n] -= 1);
+            } else {
+                kept.push(mark);
+            }
+        }
+        self.marks = kept;
+    }
+
+    /// The layout with a mark in view of a place displaced anew; `None` where the marks would be too near or too few somewhere.
+    fn displaced(&self, sun: PlateMil, rng: &mut Generator) -> Option<Self> {
+        let near = |n: &usize| (self.marks[*n].1 - sun.vector()).norm() < self.lit_mil;
+        let near: Vec<usize> = (0..self.marks.len()).filter(near).collect();
+        if near.is_empty() {
+            return None;
+        }
+        let chosen = near[rng.random_range(0..near.len())];
+        let mut changed = self.clone();
+        let at = self.about(self.marks[chosen].0, rng);
+        changed.marks[chosen].1 = at;
+        let apart = |(n, (_, other)): (usize, &(Vector2<f64>, Vector2<f64>))| {
+            n == chosen || (other - at).norm() > self.least_apart_mil
+        };
+        let is_apart = self.marks.iter().enumerate().all(apart);
+        (is_apart && changed.least_in_view() >= self.marks_in_view).then_some(changed)
+    }
+
+    /// The instrument with this plate.
+    fn instrument(&self, instrument: &Instrument, settings: &DesignSettings) -> Instrument {
+        let sigma_mil = instrument.plate.drawing_sigma_mil();
+        let mut places: Vec<Vector2<f64>> = self.marks.iter().map(|(_, at)| *at).collect();
+        places.sort_by(|a, b| {
+            (a.y, a.x)
+                .partial_cmp(&(b.y, b.x))
+                .unwrap_or(std::cmp::Ordering::Equal)
+        });
+        // What is made is what was checked: to a thousandth of a mil.
+        let rounded = |v: f64| (v * 1e3).round() / 1e3;
+        let mark = |(i, at): (i32, Vector2<f64>)| {
+            let at = PlateMil::new(rounded(at.x), rounded(at.y));
+            (MarkId { i, j: 0 }, MarkPlace::new(at, sigma_mil))
+        };
+        let marks = (1..).zip(places).map(mark);
+        let mut plate = Plate::new(Pattern::Table, settings.shape, sigma_mil, marks);
+        plate.field_radius_mil = settings.field_mil;
+        Instrument {
+            plate,
+            ..instrument.clone()
+        }
+    }
+}
