@@ -1,6 +1,6 @@
 //! The plate: where every mark is drawn and printed, and what a mark looks like.
 //!
-//! A plate's drawing is the pattern of 2013 ([`heroes`]) or a [list](table) of marks. Places that were measured stand beside those
+//! A plate's drawing is the pattern of 2013 ([`heroes`]) or a list of marks ([`read_table`]). Places that were measured stand beside those
 //! that were drawn.
 
 pub mod artwork;

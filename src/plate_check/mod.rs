@@ -6,7 +6,7 @@
 //! flight's own identification judges them. It says by how much the odds of its labelling against every rival exceed what the
 //! flight asks: a place whose least margin of all draws is below 0 is ambiguous.
 //!
-//! How well the Sun's place would be known follows from the marks' and the limb's own sigmas: see [`sigma`].
+//! How well the Sun's place would be known follows from the marks' and the limb's own sigmas (module `sigma`).
 //!
 //! ```text
 //! sigma, scene <- mod <- page

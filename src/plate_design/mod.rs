@@ -2,7 +2,7 @@
 //!
 //! # Method
 //! 1. Marks on a triangular lattice, each displaced at random, so that no two places of the plate look alike. The lattice is as
-//!    wide as leaves every place of the Sun in the field the marks that are asked for ([`Layout::widest`]).
+//!    wide as leaves every place of the Sun in the field the marks that are asked for.
 //! 2. Marks without which every place still has as many are taken away: fewer marks leave more of the limb free.
 //! 3. The [check](crate::plate_check) judges it. About the places of the least margin marks are displaced anew, and a plate that
 //!    the check likes better is kept: so often, or until none is left to improve.
