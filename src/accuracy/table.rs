@@ -295,9 +295,9 @@ impl Page {
     /// Its part of the report in Markdown.
     fn part(self, report: &Report) -> String {
         let unmet = report.unmet().into_iter();
+        let is_of_plate = |part: &str| report.plates.iter().any(|r| r.row.name == part);
         match self {
             Self::Accuracy => {
-                let is_of_plate = |part: &&str| report.plates.iter().any(|r| r.row.name == *part);
                 let others = [MOON, HORIZON];
                 let unmet: Vec<_> = unmet
                     .filter(|(part, _)| !others.contains(part) && !is_of_plate(part))
@@ -305,7 +305,6 @@ impl Page {
                 rows_part(&report.rows, &beside(report), &unmet)
             }
             Self::Plate => {
-                let is_of_plate = |part: &str| report.plates.iter().any(|r| r.row.name == part);
                 let unmet: Vec<_> = unmet.filter(|(part, _)| is_of_plate(part)).collect();
                 rows_part(&report.plates, "", &unmet)
             }

@@ -4,7 +4,8 @@ use super::Instrument;
 use crate::units::counted;
 use nalgebra::Vector2;
 
-/// The Sun is never larger than this from the Earth.
+/// The Sun's radius is never smaller nor larger than this from the Earth.
+pub const SMALLEST_SUN_ARCSEC: f64 = 943.0;
 const LARGEST_SUN_ARCSEC: f64 = 977.0;
 /// Radii of the disc that the solver is tried with, px.
 const RADII_PX: std::ops::RangeInclusive<f64> = 15.0..=1000.0;

@@ -10,9 +10,9 @@
 
 use crate::aspect::SolverSettings;
 use crate::geometry::unit;
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, SMALLEST_SUN_ARCSEC};
 use crate::plate::{MarkId, MarkPlace, MarkShape, Pattern, Plate};
-use crate::plate_check::{self, CheckSettings, PlateCheck, Rotations};
+use crate::plate_check::{self, CheckSettings, CheckedPlace, PlateCheck, Rotations};
 use crate::units::PlateMil;
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
@@ -53,8 +53,6 @@ pub enum DesignError {
     },
 }
 
-/// The Sun is never smaller than this from the Earth.
-const SMALLEST_SUN_ARCSEC: f64 = 943.0;
 /// Marks keep so many times their size apart.
 const APART_SIZES: f64 = 2.2;
 /// How far a mark is displaced from its place on the lattice at most, in the lattice's spacing.
@@ -110,28 +108,20 @@ impl Judged {
         }
     }
 
-    /// By the least margin of a place; one without a margin has none.
-    fn margin(&self) -> f64 {
-        let margins = self.found.places.iter().map(|place| place.margin);
-        margins
-            .map(|m| m.unwrap_or(f64::NEG_INFINITY))
-            .fold(f64::INFINITY, f64::min)
+    /// The place of the Sun of the least margin; one without a margin has none.
+    fn worst(&self) -> Option<&CheckedPlace> {
+        let places = self.found.places.iter();
+        places.min_by(|a, b| margin(a).total_cmp(&margin(b)))
     }
 
     fn is_better_than(&self, other: &Self) -> bool {
-        self.margin() > other.margin()
+        let [own, others] = [self, other].map(|judged| judged.worst().map(margin));
+        own > others
     }
+}
 
-    /// The place of the Sun of the least margin.
-    fn worst(&self) -> Option<PlateMil> {
-        let margin = |p: &&plate_check::CheckedPlace| p.margin.unwrap_or(f64::NEG_INFINITY);
-        let worst = self
-            .found
-            .places
-            .iter()
-            .min_by(|a, b| margin(a).total_cmp(&margin(b)));
-        worst.map(|place| PlateMil::new(place.x_mil, place.y_mil))
-    }
+fn margin(place: &CheckedPlace) -> f64 {
+    place.margin.unwrap_or(f64::NEG_INFINITY)
 }
 
 /// Displaces a mark about the worst place anew, and keeps what the check likes better.
@@ -145,10 +135,10 @@ fn improved(
     let mut best = Judged::new(instrument, settings, layout);
     for _ in 0..settings.exchanges {
         done();
-        let Some(changed) = best
-            .worst()
-            .and_then(|worst| best.layout.displaced(worst, rng))
-        else {
+        let Some(changed) = best.worst().and_then(|worst| {
+            let sun = PlateMil::new(worst.x_mil, worst.y_mil);
+            best.layout.displaced(sun, rng)
+        }) else {
             continue;
         };
         let changed = Judged::new(instrument, settings, changed);

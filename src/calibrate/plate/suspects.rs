@@ -2,7 +2,7 @@
 
 use super::fit::{PlateFit, PoseFit};
 use super::observation::{FrameObservation, Pose};
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, SMALLEST_SUN_ARCSEC};
 use crate::plate::MarkId;
 use crate::units::PlateMil;
 use std::collections::BTreeMap;
@@ -29,8 +29,6 @@ impl fmt::Display for SuspectMark {
 const LEAST_LIT: usize = 3;
 /// A mark is read in more than this share of the frames that light it.
 const LEAST_READ: f64 = 0.1;
-/// The Sun is never smaller, arcsec.
-const LEAST_SUN_ARCSEC: f64 = 943.0;
 /// What is nearer to the sensor's border may be cut off, px.
 const BORDER_PX: f64 = 20.0;
 
@@ -55,7 +53,7 @@ pub(super) fn suspects(poses: &[Pose], fit: &PlateFit, start: &Instrument) -> Ve
 
 /// Whether all of a mark is lit and on the sensor.
 fn is_lit(at: PlateMil, frame: &FrameObservation, pose: &PoseFit, start: &Instrument) -> bool {
-    let reach_mil = start.optics.radius_mil(LEAST_SUN_ARCSEC) - start.plate.shape.size_mil();
+    let reach_mil = start.optics.radius_mil(SMALLEST_SUN_ARCSEC) - start.plate.shape.size_mil();
     let by_sun = frame.sun.is_none_or(|sun| sun.distance(at) < reach_mil);
     let seen = pose.mapping.to_sensor(at);
     let inside = |along: f64, size: usize| along > BORDER_PX && along < size as f64 - BORDER_PX;
