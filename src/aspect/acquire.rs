@@ -20,11 +20,8 @@ use std::f64::consts::PI;
 /// Relative error of a scale taken from the disc's radius: what the ephemeris calls the Sun's edge and what the limb shows
 /// may differ by half a pixel.
 const DISC_SCALE_SIGMA: f64 = 0.006;
-/// Depth inside the limb from which a mark must have been found, in half lengths from tip to tip, beside a pixel by
-/// which haze may widen the disc. In simulated frames all are found from 0.5 on.
-const SURE_DEPTH: f64 = 0.75;
-/// The same of a dot, of which the limb cuts all that is nearer than its radius.
-const SURE_DEPTH_OF_DOT: f64 = 1.2;
+/// Haze may widen the disc by this.
+const HAZE_PX: f64 = 1.0;
 
 /// The plate's centre may be as far as this from where it is stated when marks that cannot be read there are read anywhere, px.
 const ANYWHERE_PX: f64 = 2000.0;
@@ -133,15 +130,14 @@ impl Pipeline<'_> {
     ///
     /// # Errors
     /// As [`fiducial::identify`].
-    pub(crate) fn identify(
+    fn identify(
         &self,
         sensor_px: [f64; 2],
         outline: Ellipse,
         detections: &Detections,
     ) -> Result<Identified, Unread> {
         let read = |mounting: &Mounting, settings: &fiducial::FiducialSettings| {
-            let prior = self.identification_prior(sensor_px, outline, detections, mounting);
-            fiducial::identify(&detections.marks, &prior, &self.instrument.plate, settings)
+            self.identify_mounted(sensor_px, outline, detections, mounting, settings)
         };
         let (mounting, settings) = (&self.instrument.mounting, &self.settings.fiducial);
         let mirrored = || {
@@ -183,6 +179,22 @@ impl Pipeline<'_> {
         Ok(here)
     }
 
+    /// The ids if the camera is mounted like this, near enough.
+    ///
+    /// # Errors
+    /// As [`fiducial::identify`].
+    pub(crate) fn identify_mounted(
+        &self,
+        sensor_px: [f64; 2],
+        outline: Ellipse,
+        detections: &Detections,
+        mounting: &Mounting,
+        settings: &fiducial::FiducialSettings,
+    ) -> Result<Identified, Unread> {
+        let prior = self.identification_prior(sensor_px, outline, detections, mounting);
+        fiducial::identify(&detections.marks, &prior, &self.instrument.plate, settings)
+    }
+
     /// What is known before marks are identified about a disc's outline on a sensor of some width and height.
     fn identification_prior(
         &self,
@@ -193,10 +205,6 @@ impl Pipeline<'_> {
     ) -> IdentificationPrior {
         let radius = self.radius_mil.value;
         let relative = (self.radius_mil.sigma / radius).hypot(DISC_SCALE_SIGMA);
-        let sure_depth = match self.shape.form {
-            fiducial::MarkForm::Cross { .. } => SURE_DEPTH,
-            fiducial::MarkForm::Dot => SURE_DEPTH_OF_DOT,
-        };
         IdentificationPrior {
             outline,
             radius_mil: units::Measured::new(radius, radius * relative),
@@ -208,7 +216,7 @@ impl Pipeline<'_> {
             rotation_deg: mounting.rotation_deg,
             scale_mil_per_px: mounting.scale_mil_per_px,
             missed_share: missed_share(detections),
-            sure_depth_px: sure_depth * self.shape.half_length_px + 1.0,
+            sure_depth_px: self.shape.sure_depth_px() + HAZE_PX,
             sure_margin_px: self.shape.half_length_px + 4.0,
             sensor_px,
         }
@@ -246,7 +254,7 @@ impl Illumination for DiscLight {
 
 /// Share of the marks that go unseen, by how well the others are seen. Held above what simulated frames show: none of some
 /// 1,500 where marks are plain, 0.3 % in haze, 1.4 % of faint ones among blemishes.
-fn missed_share(detections: &Detections) -> f64 {
+pub(crate) fn missed_share(detections: &Detections) -> f64 {
     const MOST: f64 = 0.1;
     const LEAST: f64 = 0.003;
     const SIGMA_OF_MOST_PX: f64 = 0.08;

@@ -7,6 +7,7 @@ mod measure;
 mod solution;
 mod stages;
 
+pub(crate) use acquire::missed_share;
 pub use adopted::Adopted;
 pub use measure::Measured;
 pub use solution::{Aspect, Mark, Quality, Solution, Stage, Stopped, Track};

@@ -37,6 +37,14 @@ pub use patch::Illumination;
 pub use prior::IdentificationPrior;
 pub use refine::{RefinedMark, Refiner};
 
+/// What detections are like, by the evidence of [`identify()`].
+pub(crate) mod shares {
+    pub(crate) use super::prior::{
+        ATYPICAL_SHARE, CONTRAST_RANGE, CONTRAST_SCATTER, CUT_FOUND_SHARE, FALSE_ON_DISC,
+        LEAST_CONTRAST, MARK_LIKE_SHARE,
+    };
+}
+
 /// What can be tuned in finding and identifying marks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FiducialSettings {

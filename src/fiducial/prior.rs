@@ -31,17 +31,18 @@ pub(super) const PREDICTION_ERROR: f64 = 0.03;
 // Scene statistics. Detections: shares and contrasts.
 
 /// Share of the marks found where the limb cuts them so that they may be missed: not known, so even odds.
-pub(super) const CUT_FOUND_SHARE: f64 = 0.5;
+pub const CUT_FOUND_SHARE: f64 = 0.5;
 /// False detections on a disc.
-const FALSE_ON_DISC: f64 = 1.0;
+pub const FALSE_ON_DISC: f64 = 1.0;
 /// Scatter of the contrasts of one print, 1 sigma of the logarithm.
-const CONTRAST_SCATTER: f64 = 0.12;
+pub const CONTRAST_SCATTER: f64 = 0.12;
 /// Share of the marks with another contrast: a scratch or a sunspot lies on them.
-const ATYPICAL_SHARE: f64 = 0.02;
-/// Share of the false detections with a mark's contrast. The others' is uniform in the logarithm from 0.12 to 1.2, a
-/// range of ln 10.
-const MARK_LIKE_SHARE: f64 = 0.4;
-const CONTRAST_RANGE: f64 = 2.3;
+pub const ATYPICAL_SHARE: f64 = 0.02;
+/// Share of the false detections with a mark's contrast. The others' is uniform in the logarithm from 0.12 to 1.2.
+pub const MARK_LIKE_SHARE: f64 = 0.4;
+pub const LEAST_CONTRAST: f64 = 0.12;
+/// From the least to the most, in the logarithm.
+pub const CONTRAST_RANGE: f64 = 2.3;
 
 // Scene statistics. Cameras: how far the stated mounting holds.
 

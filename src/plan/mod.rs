@@ -290,10 +290,10 @@ fn plate(camera: &str, instrument: &Instrument, config: &Config, remarks: &mut R
     /// Less of the field is where a mounting was drawn that is off by three sigma and more.
     const NOTABLE_PART: f64 = 0.02;
     let (key, least_marks) = (format!("{camera}.instrument"), config.fiducial.min_marks);
-    if let Err(misfit) = instrument.check_lens(least_marks) {
+    let found = plate_check::check(instrument, &config.solver(), &CheckSettings::quick());
+    if let Some(misfit) = &found.misfit {
         return remarks.error(&key, misfit.expected(least_marks), misfit.to_string());
     }
-    let found = plate_check::check(instrument, &config.solver(), &CheckSettings::quick());
     if let Some((part, meaning)) = found.unreadable().filter(|(part, _)| *part > NOTABLE_PART) {
         let expected =
             "a plate of which frames can be read all over its field (see `solaspect plate check`)";

@@ -6,12 +6,16 @@
 //! flight's own identification judges them. It says by how much the odds of its labelling against every rival exceed what the
 //! flight asks: a place whose least margin of all draws is below 0 is ambiguous.
 //!
+//! A draw of each place is judged once more with marks missed and detections false as often as the flight's evidence expects (module
+//! `clutter`): how many are read then is told beside the verdicts, and changes one only where marks are read as others.
+//!
 //! How well the Sun's place would be known follows from the marks' and the limb's own sigmas (module `sigma`).
 //!
 //! ```text
-//! sigma, scene <- mod <- page
+//! scene <- sigma, clutter <- mod <- page
 //! ```
 
+mod clutter;
 mod page;
 mod scene;
 mod sigma;
@@ -20,14 +24,15 @@ pub use page::html;
 
 use crate::aspect::SolverSettings;
 use crate::geometry::unit;
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, LensMisfit};
 use crate::reasons::sun;
 use crate::units::PlateMil;
+use clutter::among_clutter;
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
-use scene::CheckScene;
-use serde::Serialize;
+use scene::{CheckScene, PlateView, Seen};
+use serde::{Serialize, Serializer};
 
 /// What is checked, and how closely.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,6 +41,8 @@ pub struct CheckSettings {
     pub places: usize,
     /// Mountings that are drawn at each place.
     pub draws: u64,
+    /// Of these, so many are judged among clutter, too.
+    pub cluttered_draws: u64,
     pub rotations: Rotations,
     /// Noise of a frame over the light of the disc's middle.
     pub noise_share: f64,
@@ -58,6 +65,7 @@ impl CheckSettings {
         Self {
             places: 300,
             draws: 1,
+            cluttered_draws: 0,
             ..Self::default()
         }
     }
@@ -69,6 +77,7 @@ impl Default for CheckSettings {
         Self {
             places: 2000,
             draws: 4,
+            cluttered_draws: 1,
             rotations: Rotations::Stated,
             noise_share: 5.0 / 205.0,
             seed: 1,
@@ -86,10 +95,41 @@ pub struct CheckedPlace {
     pub verdict: PlaceVerdict,
     /// By how much the logarithm of the odds of the true labelling exceeds what is asked, the least of the draws.
     pub margin: Option<f64>,
+    /// The worst that becomes of draws that are read when marks are missed and detections false as often as the flight expects.
+    pub among_clutter: Option<PlaceVerdict>,
     /// How well the Sun's place would be known, 1 sigma per axis.
     pub sigma_mil: Option<f64>,
     /// By how much marks that are misprinted within the drawing's sigma move it, 1 sigma per axis.
     pub misprint_mil: Option<f64>,
+}
+
+impl CheckedPlace {
+    /// A place where no mark is lit.
+    fn unlit(at: PlateMil) -> Self {
+        Self {
+            x_mil: at.x,
+            y_mil: at.y,
+            lit: 0,
+            verdict: PlaceVerdict::FewMarks,
+            margin: None,
+            among_clutter: None,
+            sigma_mil: None,
+            misprint_mil: None,
+        }
+    }
+
+    /// The least of the draws so far, and another one.
+    fn worsen(&mut self, verdict: PlaceVerdict, margin: f64) {
+        let (worst, least) = match self.margin {
+            Some(least) => (self.verdict, least),
+            None => (verdict, margin),
+        };
+        (self.verdict, self.margin) = (worst.max(verdict), Some(least.min(margin)));
+    }
+
+    pub fn at(&self) -> PlateMil {
+        PlateMil::new(self.x_mil, self.y_mil)
+    }
 }
 
 /// What becomes of frames with the Sun at a place.
@@ -98,7 +138,7 @@ pub struct CheckedPlace {
 pub enum PlaceVerdict {
     /// Its marks are read, and as no others.
     Safe,
-    /// Fewer marks are lit than make a mapping.
+    /// Fewer marks are lit on the sensor than make a mapping.
     FewMarks,
     /// Another labelling is nearly as likely.
     Ambiguous,
@@ -131,7 +171,8 @@ pub struct PlateCheck {
     pub field_radius_mil: f64,
     pub rotations: Rotations,
     /// Why no frame can be read at all.
-    pub misfit: Option<String>,
+    #[serde(serialize_with = "as_text")]
+    pub misfit: Option<LensMisfit>,
     pub places: Vec<CheckedPlace>,
 }
 
@@ -157,10 +198,26 @@ impl PlateCheck {
         self.misfit.is_none() && self.count(PlaceVerdict::Safe) == self.places.len()
     }
 
+    /// The share of the places read by complete detections that is read among clutter, too.
+    pub fn read_among_clutter(&self) -> Option<f64> {
+        let verdicts: Vec<_> = (self.places.iter())
+            .filter_map(|place| place.among_clutter)
+            .collect();
+        let read = verdicts
+            .iter()
+            .filter(|verdict| **verdict == PlaceVerdict::Safe);
+        (!verdicts.is_empty()).then(|| read.count() as f64 / verdicts.len() as f64)
+    }
+
     /// The least of a number over the places that have it.
     pub fn least(&self, of: impl Fn(&CheckedPlace) -> Option<f64>) -> Option<f64> {
         self.places.iter().filter_map(of).min_by(f64::total_cmp)
     }
+}
+
+/// An error as its text.
+fn as_text<S: Serializer>(misfit: &Option<LensMisfit>, out: S) -> Result<S::Ok, S::Error> {
+    misfit.as_ref().map(ToString::to_string).serialize(out)
 }
 
 /// Checks an instrument's plate.
@@ -169,25 +226,34 @@ pub fn check(
     solver: &SolverSettings,
     settings: &CheckSettings,
 ) -> PlateCheck {
-    let plate = &instrument.plate;
-    let misfit = instrument.check_lens(solver.fiducial.min_marks).err();
-    let field_mil = plate.field_radius_mil;
-    let places: Vec<CheckedPlace> = (0..settings.places)
-        .into_par_iter()
-        .map(|n| {
-            let at = evenly(n, settings.places, field_mil);
-            checked(instrument, solver, settings, at, n as u64)
-        })
-        .collect();
+    let field_mil = instrument.plate.field_radius_mil;
+    let at = |n| evenly(n, settings.places, field_mil);
+    let places: Vec<(usize, PlateMil)> = (0..settings.places).map(|n| (n, at(n))).collect();
     PlateCheck {
         instrument: instrument.name.clone(),
-        marks: plate.count(),
-        shape: plate.shape.name(),
+        marks: instrument.plate.count(),
+        shape: instrument.plate.shape.name(),
         field_radius_mil: field_mil,
         rotations: settings.rotations,
-        misfit: misfit.map(|misfit| misfit.to_string()),
-        places,
+        misfit: instrument.check_lens(solver.fiducial.min_marks).err(),
+        places: check_places(instrument, solver, settings, &places),
     }
+}
+
+/// Checks some places only, each with its number in the check.
+pub(crate) fn check_places(
+    instrument: &Instrument,
+    solver: &SolverSettings,
+    settings: &CheckSettings,
+    places: &[(usize, PlateMil)],
+) -> Vec<CheckedPlace> {
+    let view = PlateView::new(instrument, solver, settings.noise_share);
+    let least_marks = solver.fiducial.min_marks;
+    let checked = |(n, at): &(usize, PlateMil)| match &view {
+        Some(view) => checked(view, settings, least_marks, *at, *n as u64),
+        None => CheckedPlace::unlit(*at),
+    };
+    places.par_iter().map(checked).collect()
 }
 
 /// The n-th of some places that lie evenly in a circle: on a spiral, each turned from the one before by the golden angle (Vogel 1979).
@@ -198,62 +264,72 @@ fn evenly(n: usize, count: usize, radius_mil: f64) -> PlateMil {
 }
 
 fn checked(
-    instrument: &Instrument,
-    solver: &SolverSettings,
+    view: &PlateView,
     settings: &CheckSettings,
+    least_marks: usize,
     at: PlateMil,
     n: u64,
 ) -> CheckedPlace {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(settings.seed.wrapping_add(n << 8));
-    let stated = CheckScene::stated(instrument, solver, settings, at);
+    let stated = CheckScene::new(view, at, &view.stated);
     let mut place = CheckedPlace {
-        x_mil: at.x,
-        y_mil: at.y,
         lit: stated.lit(),
-        verdict: PlaceVerdict::Safe,
-        margin: None,
-        sigma_mil: None,
-        misprint_mil: None,
+        ..CheckedPlace::unlit(at)
     };
-    if place.lit < solver.fiducial.min_marks {
-        place.verdict = PlaceVerdict::FewMarks;
+    if place.lit < least_marks {
         return place;
     }
     if let Some(known) = sigma::of_place(&stated, settings.noise_share) {
         place.sigma_mil = Some(known.sigma_mil);
         place.misprint_mil = Some(known.misprint_mil);
     }
-    for _ in 0..settings.draws {
-        let scene = stated.drawn(settings.rotations, &mut rng);
+    for draw in 0..settings.draws {
+        let scene = CheckScene::new(view, at, &view.drawn(settings.rotations, &mut rng));
         // A mounting that is off may leave fewer marks on the sensor.
-        if scene.lit() < solver.fiducial.min_marks {
+        if scene.lit() < least_marks {
             continue;
         }
-        let (verdict, margin) = judged(&scene);
-        place.verdict = place.verdict.max(verdict);
-        place.margin = Some(place.margin.map_or(margin, |least| least.min(margin)));
+        let Some((verdict, margin)) = judged(&scene, &scene.all_found(&mut rng)) else {
+            continue;
+        };
+        place.worsen(verdict, margin);
+        if draw < settings.cluttered_draws && verdict == PlaceVerdict::Safe {
+            let among = judged(&scene, &among_clutter(&scene, &mut rng));
+            let unread = (PlaceVerdict::FewMarks, 0.0);
+            let (verdict, margin) = among.unwrap_or(unread);
+            place.among_clutter = place.among_clutter.max(Some(verdict));
+            // That a mark was missed is no fault of the plate, but a false reading is.
+            if verdict == PlaceVerdict::Wrong {
+                place.worsen(verdict, margin);
+            }
+        }
     }
     place
 }
 
-/// What the flight's identification makes of a scene, and by how much its odds exceed what is asked.
-fn judged(scene: &CheckScene) -> (PlaceVerdict, f64) {
-    match scene.identify(&scene.detections()) {
+/// What the flight's identification makes of a scene, and by how much its odds exceed what is asked; `None` where it is not the marks
+/// that keep it from being read: fewer than a mapping takes were found, or the mounting is off by more than the flight allows.
+///
+/// Whether the marks would be read of a camera that is mounted otherwise is left out: the flight asks that of a frame to refuse it.
+fn judged(scene: &CheckScene, seen: &Seen) -> Option<(PlaceVerdict, f64)> {
+    let rejected = match scene.identify(&seen.detections) {
         Ok(found) => {
-            let is_true = |(n, id): &(usize, _)| scene.ids[*n] == *id;
-            let verdict = match found.ids.iter().all(is_true) {
+            // What is false may lie where a mark is that was missed: nothing tells it from that mark.
+            let true_ids = found.ids.iter();
+            let true_ids = true_ids.filter_map(|(n, id)| Some((seen.ids[*n]?, *id)));
+            let right = true_ids.clone().filter(|(truth, id)| truth == id).count();
+            let verdict = match right > 0 && right == true_ids.count() {
                 true => PlaceVerdict::Safe,
                 false => PlaceVerdict::Wrong,
             };
-            (verdict, found.margin)
+            return Some((verdict, found.margin));
         }
-        Err(unread) => {
-            let rejected = unread.rejected();
-            let verdict = match rejected.reason == sun::CENTRE_ALONE {
-                true => PlaceVerdict::SeveralPlaces,
-                false => PlaceVerdict::Ambiguous,
-            };
-            (verdict, (rejected.measured - rejected.limit).min(0.0))
-        }
-    }
+        Err(unread) => unread.rejected(),
+    };
+    let verdict = match rejected.reason {
+        sun::CENTRE_ALONE => PlaceVerdict::SeveralPlaces,
+        sun::TWO_LABELLINGS | sun::FALSE_DETECTION | sun::WEAK_LABELLING => PlaceVerdict::Ambiguous,
+        _ => return None,
+    };
+    Some((verdict, (rejected.measured - rejected.limit).min(0.0)))
 }

@@ -49,6 +49,13 @@ impl fmt::Display for PlateCheck {
             "odds       at least {} beyond what the flight asks (logarithm)",
             number(self.least(|p| p.margin), "")
         )?;
+        if let Some(read) = self.read_among_clutter() {
+            let read = 100.0 * read;
+            writeln!(
+                out,
+                "clutter    {read:.2} % still read with marks missed and false ones found as often as the flight expects"
+            )?;
+        }
         write!(
             out,
             "sigma      {} to {} by noise, at most {} by misprints",

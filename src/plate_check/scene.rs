@@ -1,79 +1,62 @@
 //! What would be detected of a plate with the Sun at some place, without a frame.
 
-use super::{CheckSettings, Rotations};
+use super::Rotations;
 use crate::aspect::{Expected, Pipeline, SolverSettings};
 use crate::fiducial::{Detection, Detections, Identified, Lighting, MarkImage, Unread};
 use crate::frame::Region;
-use crate::geometry::{Circle, Ellipse, SimilarityParameters};
-use crate::instrument::Instrument;
+use crate::geometry::{Circle, Ellipse, Mapping};
+use crate::instrument::{Instrument, SMALLEST_SUN_ARCSEC};
 use crate::plate::MarkId;
 use crate::units::{Measured, PlateMil, SensorPx};
-use nalgebra::Vector2;
+use nalgebra::Matrix2;
 use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 
-/// The Sun at 1 AU.
-const RADIUS_ARCSEC: f64 = 959.23;
 /// Contrast of a usual print.
-const CONTRAST: f64 = 0.8;
+pub(super) const CONTRAST: f64 = 0.8;
 /// How well the arms show the camera's rotation, 1 sigma.
 const ARMS_SIGMA_DEG: f64 = 0.6;
 
-/// A mark that would be detected.
-#[derive(Debug, Clone, Copy)]
-struct SeenMark {
-    at: SensorPx,
-    lighting: Lighting,
-}
-
-/// The Sun at a place of the plate before a camera that is mounted somehow.
-pub(super) struct CheckScene<'a> {
+/// A plate before a camera: what all places of the Sun have in common. The Sun is the smallest, which lights the fewest marks.
+pub(super) struct PlateView<'a> {
     pub instrument: &'a Instrument,
+    solver: &'a SolverSettings,
     pipeline: Pipeline<'a>,
-    sun: PlateMil,
-    mounting: SimilarityParameters,
-    marks: Vec<SeenMark>,
-    /// Of the marks, in their order.
-    pub ids: Vec<MarkId>,
+    /// The camera as it is stated.
+    pub stated: Mapping,
     pub image: MarkImage,
     /// Of a mark's detection, 1 sigma per axis.
     pub sigma_px: f64,
-    pub radius_px: f64,
 }
 
-impl<'a> CheckScene<'a> {
-    /// Before the camera as it is stated.
-    pub fn stated(
+impl<'a> PlateView<'a> {
+    /// `None` where the stated mounting is no mapping.
+    pub fn new(
         instrument: &'a Instrument,
         solver: &'a SolverSettings,
-        settings: &CheckSettings,
-        sun: PlateMil,
-    ) -> Self {
+        noise_share: f64,
+    ) -> Option<Self> {
         let expected = Expected {
-            radius_arcsec: RADIUS_ARCSEC,
+            radius_arcsec: SMALLEST_SUN_ARCSEC,
         };
-        let (scale, blur_px) = (
-            instrument.mounting.scale_mil_per_px.value,
+        let scale = instrument.mounting.scale_mil_per_px.value;
+        let image = MarkImage::new(
+            &instrument.plate.shape,
+            scale,
             instrument.optics.blur_px.value,
         );
-        let image = MarkImage::new(&instrument.plate.shape, scale, blur_px);
-        let mut scene = Self {
+        Some(Self {
             instrument,
+            solver,
             pipeline: Pipeline::new(solver, instrument, Some(expected)),
-            sun,
-            mounting: instrument.mounting.similarity(),
-            marks: Vec::new(),
-            ids: Vec::new(),
+            stated: instrument.nominal_mapping()?,
+            sigma_px: image.place_sigma_px(noise_share / CONTRAST),
             image,
-            sigma_px: image.place_sigma_px(settings.noise_share / CONTRAST),
-            radius_px: instrument.radius_px(RADIUS_ARCSEC),
-        };
-        scene.see();
-        scene
+        })
     }
 
-    /// Before a camera whose mounting is off the stated one as far as its sigmas say, or is turned anyhow.
-    pub fn drawn(&self, rotations: Rotations, rng: &mut impl Rng) -> Self {
+    /// A camera whose mounting is off the stated one as far as its sigmas say, or is turned anyhow.
+    pub fn drawn(&self, rotations: Rotations, rng: &mut impl Rng) -> Mapping {
         let stated = &self.instrument.mounting;
         let mut off = |sigma: f64| sigma * rng.sample::<f64, _>(StandardNormal);
         let mut mounting = stated.similarity();
@@ -84,43 +67,142 @@ impl<'a> CheckScene<'a> {
             Rotations::Stated => mounting.rotation_deg += off(stated.rotation_deg.sigma),
             Rotations::Any => mounting.rotation_deg = rng.random_range(0.0..360.0),
         }
-        let mut scene = Self {
-            pipeline: self.pipeline.clone(),
-            mounting,
-            marks: Vec::new(),
-            ids: Vec::new(),
-            ..*self
-        };
-        scene.see();
-        for mark in &mut scene.marks {
-            let mut off = || self.sigma_px * rng.sample::<f64, _>(StandardNormal);
-            mark.at = SensorPx::new(mark.at.x + off(), mark.at.y + off());
-        }
-        scene
+        let drawn = Mapping::similarity(mounting, self.instrument.camera.distortion);
+        drawn.unwrap_or_else(|| self.stated.clone())
     }
 
-    /// Fills in the marks that the Sun lights so far that they are detected.
-    fn see(&mut self) {
-        /// How far inside the limb a mark's middle must be, in half its size; see `SURE_DEPTH` of the solver.
-        const DETECTED_DEPTH: f64 = 0.75;
-        let plate = &self.instrument.plate;
+    /// Radius of the Sun on the plate.
+    pub fn radius_mil(&self) -> f64 {
+        self.instrument.optics.radius_mil(SMALLEST_SUN_ARCSEC)
+    }
+}
+
+/// A mark that the Sun lights, wholly or in part.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct LitMark {
+    pub id: MarkId,
+    pub at: SensorPx,
+    pub lighting: Lighting,
+    /// Whether it is found whatever its contrast.
+    pub is_sure: bool,
+    /// How far it may be from where the plate has it, 1 sigma per axis.
+    pub print_mil: f64,
+}
+
+/// The Sun at a place of the plate before a camera that is mounted somehow.
+pub(super) struct CheckScene<'a> {
+    pub view: &'a PlateView<'a>,
+    pub outline: Ellipse,
+    pub marks: Vec<LitMark>,
+    /// A mark's arms, or two radii of a dot, as offsets on the sensor, px.
+    pub arms: Matrix2<f64>,
+}
+
+impl<'a> CheckScene<'a> {
+    pub fn new(view: &'a PlateView, sun: PlateMil, mapping: &Mapping) -> Self {
+        let (plate, radius_mil) = (&view.instrument.plate, view.radius_mil());
+        let centre = mapping.to_sensor(sun);
+        let radius_px = radius_mil / mapping.scale_mil_per_px(centre);
+        let outline = Ellipse::from(Circle {
+            centre: centre.vector(),
+            radius: radius_px,
+        });
+        let region = view.sensor();
         let half_mil = plate.shape.size_mil() / 2.0;
-        let scale = self.mounting.scale_mil_per_px;
-        let reach_mil = self.radius_px * scale - DETECTED_DEPTH * half_mil;
-        let (outline, region) = (self.outline(), self.region());
-        let arms = self.direction(plate.shape.arms() * (half_mil / scale));
-        for (id, at) in plate.drawn_marks() {
-            let seen = self.on_sensor(at);
-            if at.distance(self.sun) > reach_mil || !region.holds(seen, self.image.reach_px()) {
+        let arms = mapping.sensor_jacobian(sun) * plate.shape.arms() * half_mil;
+        let mut marks = Vec::new();
+        for (id, printed) in plate.marks() {
+            if printed.distance(sun) > radius_mil {
                 continue;
             }
-            let lighting = Lighting::of(seen, self.image.tips(&arms), &outline, &region);
-            self.marks.push(SeenMark { at: seen, lighting });
-            self.ids.push(id);
+            let at = mapping.to_sensor(printed);
+            if !region.holds(at, view.image.reach_px()) {
+                continue;
+            }
+            let depth_px = radius_px - at.distance(centre);
+            marks.push(LitMark {
+                id,
+                at,
+                lighting: Lighting::of(at, view.image.tips(&arms), &outline, &region),
+                is_sure: depth_px > view.image.sure_depth_px(),
+                print_mil: plate.place(id).map_or(0.0, |place| rms(place.sigma_mil)),
+            });
+        }
+        Self {
+            view,
+            outline,
+            marks,
+            arms,
         }
     }
 
-    fn region(&self) -> Region {
+    pub fn radius_px(&self) -> f64 {
+        self.outline.mean_radius()
+    }
+
+    /// How many marks are fully lit.
+    pub fn lit(&self) -> usize {
+        self.full().count()
+    }
+
+    /// The fully lit marks.
+    pub fn full(&self) -> impl Iterator<Item = &LitMark> {
+        self.marks.iter().filter(|m| m.lighting == Lighting::Full)
+    }
+
+    /// What is found, if it is all that must be: each mark off by its sigma.
+    pub fn all_found(&self, rng: &mut impl Rng) -> Seen {
+        let mut seen = Seen::new(self);
+        for mark in self.marks.iter().filter(|mark| mark.is_sure) {
+            seen.push(Some(mark.id), self.detection(mark, rng));
+        }
+        seen
+    }
+
+    /// A detection of a mark, off by its sigma.
+    pub fn detection(&self, mark: &LitMark, rng: &mut impl Rng) -> Detection {
+        let mut off = || self.view.sigma_px * rng.sample::<f64, _>(StandardNormal);
+        Detection {
+            at: SensorPx::new(mark.at.x + off(), mark.at.y + off()),
+            sigma_px: self.view.sigma_px,
+            contrast: CONTRAST,
+            likeness: 1.0,
+            lighting: mark.lighting,
+        }
+    }
+
+    /// What the flight makes of detections.
+    pub fn identify(&self, detections: &Detections) -> Result<Identified, Unread> {
+        let PlateView {
+            instrument, solver, ..
+        } = self.view;
+        self.view.pipeline.identify_mounted(
+            instrument.camera.size_px().map(|side| side as f64),
+            self.outline,
+            detections,
+            &instrument.mounting,
+            &solver.fiducial,
+        )
+    }
+
+    /// The lighting of something as large as a mark.
+    pub fn lighting(&self, at: SensorPx) -> Lighting {
+        let view = self.view;
+        Lighting::of(
+            at,
+            view.image.tips(&self.arms),
+            &self.outline,
+            &view.sensor(),
+        )
+    }
+}
+
+fn rms([x, y]: [f64; 2]) -> f64 {
+    ((x * x + y * y) / 2.0).sqrt()
+}
+
+impl PlateView<'_> {
+    fn sensor(&self) -> Region {
         let [x1, y1] = self.instrument.camera.size_px();
         Region {
             x0: 0,
@@ -129,63 +211,32 @@ impl<'a> CheckScene<'a> {
             y1,
         }
     }
+}
 
-    /// Plate axes as they are seen, apart from scale.
-    fn direction(&self, of: nalgebra::Matrix2<f64>) -> nalgebra::Matrix2<f64> {
-        let rotation = nalgebra::Rotation2::new(self.mounting.rotation_deg.to_radians());
-        rotation.matrix() * self.mounting.handedness.axes() * of
-    }
+/// Detections, and which marks they truly are.
+pub(super) struct Seen {
+    pub detections: Detections,
+    /// One for each detection; `None` of a false one.
+    pub ids: Vec<Option<MarkId>>,
+}
 
-    fn on_sensor(&self, at: PlateMil) -> SensorPx {
-        let turned = self.direction(nalgebra::Matrix2::identity()) * at.vector();
-        let from_centre: Vector2<f64> = turned / self.mounting.scale_mil_per_px;
-        SensorPx::from(self.mounting.plate_centre.vector() + from_centre)
-    }
-
-    fn outline(&self) -> Ellipse {
-        Ellipse::from(Circle {
-            centre: self.on_sensor(self.sun).vector(),
-            radius: self.radius_px,
-        })
-    }
-
-    /// How many marks are fully lit.
-    pub fn lit(&self) -> usize {
-        self.full_px().count()
-    }
-
-    /// Where the fully lit marks are from the Sun's centre, px.
-    pub fn full_px(&self) -> impl Iterator<Item = Vector2<f64>> + '_ {
-        let centre = self.on_sensor(self.sun).vector();
-        let full = self.marks.iter().filter(|m| m.lighting == Lighting::Full);
-        full.map(move |mark| mark.at.vector() - centre)
-    }
-
-    /// What the flight's detection would give.
-    pub fn detections(&self) -> Detections {
-        let detection = |mark: &SeenMark| Detection {
-            at: mark.at,
-            sigma_px: self.sigma_px,
-            contrast: CONTRAST,
-            likeness: 1.0,
-            lighting: mark.lighting,
-        };
-        let plate = &self.instrument.plate;
-        let arm = self.direction(plate.shape.arms());
+impl Seen {
+    /// Nothing but the arms' direction, where the camera resolves them.
+    pub fn new(scene: &CheckScene) -> Self {
+        let arm = scene.arms;
         let arms_deg = arm.m21.atan2(arm.m11).to_degrees().rem_euclid(90.0);
-        Detections {
-            marks: self.marks.iter().map(detection).collect(),
-            arms_deg: self
-                .image
-                .shows_arms()
-                .then_some(Measured::new(arms_deg, ARMS_SIGMA_DEG)),
+        let shows_arms = scene.view.image.shows_arms();
+        Self {
+            detections: Detections {
+                marks: Vec::new(),
+                arms_deg: shows_arms.then_some(Measured::new(arms_deg, ARMS_SIGMA_DEG)),
+            },
+            ids: Vec::new(),
         }
     }
 
-    /// What the flight makes of them.
-    pub fn identify(&self, detections: &Detections) -> Result<Identified, Unread> {
-        let sensor_px = self.instrument.camera.size_px().map(|side| side as f64);
-        self.pipeline
-            .identify(sensor_px, self.outline(), detections)
+    pub fn push(&mut self, id: Option<MarkId>, detection: Detection) {
+        self.ids.push(id);
+        self.detections.marks.push(detection);
     }
 }

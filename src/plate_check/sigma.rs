@@ -20,21 +20,28 @@ const LIMB_LIGHT: f64 = 0.44;
 pub(super) struct KnownPlace {
     /// By noise, 1 sigma per axis.
     pub sigma_mil: f64,
-    /// By misprints within the drawing's sigma, 1 sigma per axis.
+    /// By marks that are off as far as the plate's sigmas say, 1 sigma per axis.
     pub misprint_mil: f64,
 }
 
 /// `None` where marks and limb determine no similarity.
 pub(super) fn of_place(scene: &CheckScene, noise_share: f64) -> Option<KnownPlace> {
-    let per_length = (LIMB_LIGHT / noise_share).powi(2) / (2.0 * PI.sqrt() * scene.image.blur_px);
-    let limb_variance = 1.0 / (PI * scene.radius_px * per_length);
-    let radius_variance = limb_variance / 2.0 / scene.radius_px.powi(2);
-    let scale_mil_per_px = scene.instrument.mounting.scale_mil_per_px.value;
-    let per_mark = scene.sigma_px.powi(-2);
-    let by_marks = shift_variance(scene.full_px(), per_mark, 1.0 / radius_variance)?;
-    let print_mil = scene.instrument.plate.drawing_sigma_mil();
-    let per_print = (scale_mil_per_px / print_mil.max(1e-6)).powi(2);
-    let by_print = shift_variance(scene.full_px(), per_print, 0.0)?;
+    let (view, radius_px) = (scene.view, scene.radius_px());
+    let per_length = (LIMB_LIGHT / noise_share).powi(2) / (2.0 * PI.sqrt() * view.image.blur_px);
+    let limb_variance = 1.0 / (PI * radius_px * per_length);
+    let radius_variance = limb_variance / 2.0 / radius_px.powi(2);
+    let scale_mil_per_px = view.radius_mil() / radius_px;
+    let per_mark = view.sigma_px.powi(-2);
+    let marks = || {
+        scene
+            .full()
+            .map(|mark| mark.at.vector() - scene.outline.centre)
+    };
+    let by_marks = shift_variance(marks().map(|r| (r, per_mark)), 1.0 / radius_variance)?;
+    let per_print = scene
+        .full()
+        .map(|mark| (scale_mil_per_px / mark.print_mil.max(1e-6)).powi(2));
+    let by_print = shift_variance(marks().zip(per_print), 0.0)?;
     let mil = |variance: f64| variance.sqrt() * scale_mil_per_px;
     Some(KnownPlace {
         sigma_mil: mil(by_marks + limb_variance),
@@ -42,14 +49,10 @@ pub(super) fn of_place(scene: &CheckScene, noise_share: f64) -> Option<KnownPlac
     })
 }
 
-/// Mean variance per axis, px^2, of the shift at the origin, by places of so much information each; `of_scale` is what else tells the scale.
-fn shift_variance(
-    places: impl Iterator<Item = Vector2<f64>>,
-    per_place: f64,
-    of_scale: f64,
-) -> Option<f64> {
+/// Mean variance per axis, px^2, of the shift at the origin, by places each of so much information; `of_scale` is what else tells the scale.
+fn shift_variance(places: impl Iterator<Item = (Vector2<f64>, f64)>, of_scale: f64) -> Option<f64> {
     let mut information = Matrix4::zeros();
-    for r in places {
+    for (r, per_place) in places {
         let slopes = nalgebra::Matrix2x4::new(1.0, 0.0, -r.y, r.x, 0.0, 1.0, r.x, r.y);
         information += slopes.transpose() * slopes * per_place;
     }
@@ -65,12 +68,12 @@ mod tests {
     #[test]
     fn four_marks_about_the_sun_halve_the_sigma_of_one() {
         let places = [[90.0, 0.0], [-90.0, 0.0], [0.0, 90.0], [0.0, -90.0]].map(Vector2::from);
-        let variance = shift_variance(places.into_iter(), 25.0, 0.0).unwrap();
+        let variance = shift_variance(places.map(|p| (p, 25.0)).into_iter(), 0.0).unwrap();
         assert!((variance - 0.01).abs() < 1e-12);
         // Far from the marks, rotation and scale carry on top: each is known to 1 / (25 x 4 x 90^2).
-        let far = places.map(|p| p + Vector2::new(180.0, 0.0));
-        let variance = shift_variance(far.into_iter(), 25.0, 0.0).unwrap();
+        let far = places.map(|p| (p + Vector2::new(180.0, 0.0), 25.0));
+        let variance = shift_variance(far.into_iter(), 0.0).unwrap();
         assert!((variance - 0.01 * (1.0 + 4.0)).abs() < 1e-9, "{variance}");
-        assert_eq!(shift_variance(places.into_iter().take(1), 25.0, 0.0), None);
+        assert_eq!(shift_variance(far.into_iter().take(1), 0.0), None);
     }
 }

@@ -1,0 +1,67 @@
+//! Detections as the flight expects them: some marks are missed, some detections false, by the shares that its evidence counts with.
+
+use super::scene::{CONTRAST, CheckScene, Seen};
+use crate::aspect::missed_share;
+use crate::fiducial::Detection;
+use crate::fiducial::shares::{
+    ATYPICAL_SHARE, CONTRAST_RANGE, CONTRAST_SCATTER, CUT_FOUND_SHARE, FALSE_ON_DISC,
+    LEAST_CONTRAST, MARK_LIKE_SHARE,
+};
+use crate::geometry::unit;
+use crate::units::SensorPx;
+use rand::{Rng, RngExt};
+use rand_distr::{Distribution, Poisson, StandardNormal};
+use std::f64::consts::TAU;
+
+/// What is found among clutter: marks are missed, false detections lie anywhere on the disc.
+pub(super) fn among_clutter(scene: &CheckScene, rng: &mut impl Rng) -> Seen {
+    let all = scene.all_found(rng);
+    let missed = missed_share(&all.detections);
+    let mut seen = Seen::new(scene);
+    for mark in &scene.marks {
+        let found = match mark.is_sure {
+            true => 1.0 - missed,
+            false => CUT_FOUND_SHARE,
+        };
+        if rng.random_bool(found) {
+            let detection = Detection {
+                contrast: contrast(1.0 - ATYPICAL_SHARE, rng),
+                ..scene.detection(mark, rng)
+            };
+            seen.push(Some(mark.id), detection);
+        }
+    }
+    // A Poisson distribution of a positive mean is one.
+    let count = Poisson::new(FALSE_ON_DISC).map_or(0.0, |count| count.sample(rng));
+    for _ in 0..count as usize {
+        let radius = scene.radius_px() * rng.random_range(0.0_f64..1.0).sqrt();
+        let at = scene.outline.centre + unit(rng.random_range(0.0..TAU)) * radius;
+        let at = SensorPx::from(at);
+        let detection = Detection {
+            at,
+            sigma_px: scene.view.sigma_px,
+            contrast: contrast(MARK_LIKE_SHARE, rng),
+            likeness: 1.0,
+            lighting: scene.lighting(at),
+        };
+        if is_apart(&seen, at, scene) {
+            seen.push(None, detection);
+        }
+    }
+    seen
+}
+
+/// The contrast of this print in such a share of the cases, else any.
+fn contrast(share_of_print: f64, rng: &mut impl Rng) -> f64 {
+    match rng.random_bool(share_of_print) {
+        true => CONTRAST * (CONTRAST_SCATTER * rng.sample::<f64, _>(StandardNormal)).exp(),
+        false => LEAST_CONTRAST * (CONTRAST_RANGE * rng.random_range(0.0..1.0)).exp(),
+    }
+}
+
+/// Of detections nearer to each other than marks are long the flight keeps one.
+fn is_apart(seen: &Seen, at: SensorPx, scene: &CheckScene) -> bool {
+    let apart_px = 2.0 * scene.view.image.half_length_px;
+    let mut others = seen.detections.marks.iter();
+    others.all(|other| other.at.distance(at) > apart_px)
+}
