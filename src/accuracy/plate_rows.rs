@@ -1,12 +1,13 @@
 //! The rows about other plates, lenses and cameras: one departs from the demo in one thing.
 
 use super::conditions::turned;
-use super::demand::Demand::{FineOfThree, HonestSigmaTo, NoneMissedOfFour};
+use super::demand::Demand::{FineOfThree, FineShare, HonestSigmaTo, NoneMissedOfFour};
 use super::demand::HONEST;
 use super::recipe::{ENOUGH_MARKS, Generator, Recipe, Vary, View};
-use super::rows::{AccuracyRow, InstrumentOf, row};
+use super::rows::{AccuracyRow, InstrumentOf, Size, row};
 use crate::instrument::Instrument;
 use crate::plate::{Cross, MarkId, MarkPlace, MarkShape, Pattern, Plate};
+use crate::plate_design::{DesignSettings, design, usual_cross, usual_dot};
 use crate::units::{Measured, PlateMil};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -16,12 +17,8 @@ const AREA_PER_MARK_MIL2: f64 = 190_000.0;
 /// Frames of a row, and of one with twelve million pixels.
 const FRAMES: [u64; 2] = [16, 2000];
 const LARGE_FRAMES: [u64; 2] = [2, 200];
-
-const CROSS: Cross = Cross {
-    arm_length_mil: 90.0,
-    arm_width_mil: 12.0,
-    arm_angle_deg: 0.0,
-};
+/// Frames of a row of designed plates.
+const DESIGN_FRAMES: [u64; 2] = [40, 10_000];
 
 /// Every row, in the order of the table.
 pub(super) fn plate_rows() -> Vec<AccuracyRow> {
@@ -29,25 +26,25 @@ pub(super) fn plate_rows() -> Vec<AccuracyRow> {
         (
             "plate-100",
             "100 crosses at random",
-            |i| random(i, 100),
+            |i, _, _| random(i, 100),
             marked,
         ),
         (
             "plate-225",
             "225 crosses at random",
-            |i| random(i, 225),
+            |i, _, _| random(i, 225),
             marked,
         ),
         (
             "plate-600",
             "600 crosses at random",
-            |i| random(i, 600),
+            |i, _, _| random(i, 600),
             marked,
         ),
         (
             "plate-turned",
             "225 crosses, any rotation",
-            |i| random(i, 225),
+            |i, _, _| random(i, 225),
             |r, i, rng| {
                 marked(r, i, rng);
                 turned(r, rng);
@@ -56,37 +53,37 @@ pub(super) fn plate_rows() -> Vec<AccuracyRow> {
         (
             "plate-45deg",
             "225 crosses with arms at 45 deg",
-            |i| at_45_deg(random(i, 225)),
+            |i, _, _| at_45_deg(random(i, 225)),
             marked,
         ),
         (
             "plate-dots",
             "225 dots, turned within the stated sigma",
-            |i| dots(random(i, 225)),
+            |i, _, _| dots(random(i, 225)),
             misaligned,
         ),
         (
             "lens-1m",
             "225 crosses, f = 1 m",
-            |i| scaled(random(i, 225), 1.0 / 3.0),
+            |i, _, _| random(i, 225).scaled(1.0 / 3.0),
             marked,
         ),
         (
             "lens-10m",
             "225 crosses, f = 10 m",
-            |i| scaled(random(i, 225), 10.0 / 3.0),
+            |i, _, _| random(i, 225).scaled(10.0 / 3.0),
             marked,
         ),
         (
             "sensor-640",
             "225 crosses, 640 x 480 px",
-            |i| sampled(random(i, 225), [640, 480]),
+            |i, _, _| sampled(random(i, 225), [640, 480]),
             marked,
         ),
         (
             "sensor-4096",
             "225 crosses, 4096 x 3000 px",
-            |i| sampled(random(i, 225), [4096, 3000]),
+            |i, _, _| sampled(random(i, 225), [4096, 3000]),
             marked,
         ),
     ];
@@ -97,16 +94,100 @@ pub(super) fn plate_rows() -> Vec<AccuracyRow> {
             HonestSigmaTo(HONEST.end),
         ]);
         AccuracyRow {
-            frames: if name == "sensor-4096" {
-                LARGE_FRAMES
-            } else {
-                FRAMES
-            },
+            frames: FRAMES,
             instrument: Some(instrument),
             ..row
         }
     };
-    rows.into_iter().map(row).collect()
+    let mut rows: Vec<AccuracyRow> = rows.into_iter().map(row).collect();
+    // The last one's frames are the large ones.
+    if let Some(last) = rows.last_mut() {
+        last.frames = LARGE_FRAMES;
+    }
+    rows.extend(design_rows());
+    rows
+}
+
+/// Rows of plates that `solaspect plate design` makes: the Sun anywhere in the field, five seeds.
+fn design_rows() -> impl Iterator<Item = AccuracyRow> {
+    let rows: [(&str, &str, InstrumentOf); 8] = [
+        (
+            "design-2000-4",
+            "designed: field 2000 mil, 4 crosses",
+            |i, n, size| designed(i, (n, size), 2000.0, 4, usual_cross),
+        ),
+        (
+            "design-2000-6",
+            "designed: field 2000 mil, 6 crosses",
+            |i, n, size| designed(i, (n, size), 2000.0, 6, usual_cross),
+        ),
+        (
+            "design-3000-4",
+            "designed: field 3000 mil, 4 crosses",
+            |i, n, size| designed(i, (n, size), 3000.0, 4, usual_cross),
+        ),
+        (
+            "design-3000-6",
+            "designed: field 3000 mil, 6 crosses",
+            |i, n, size| designed(i, (n, size), 3000.0, 6, usual_cross),
+        ),
+        (
+            "design-dots-2000-4",
+            "designed: field 2000 mil, 4 dots",
+            |i, n, size| designed(i, (n, size), 2000.0, 4, usual_dot),
+        ),
+        (
+            "design-dots-2000-6",
+            "designed: field 2000 mil, 6 dots",
+            |i, n, size| designed(i, (n, size), 2000.0, 6, usual_dot),
+        ),
+        (
+            "design-dots-3000-4",
+            "designed: field 3000 mil, 4 dots",
+            |i, n, size| designed(i, (n, size), 3000.0, 4, usual_dot),
+        ),
+        (
+            "design-dots-3000-6",
+            "designed: field 3000 mil, 6 dots",
+            |i, n, size| designed(i, (n, size), 3000.0, 6, usual_dot),
+        ),
+    ];
+    rows.into_iter().map(|(name, title, instrument)| {
+        let row = row(name, title, over_the_field);
+        AccuracyRow {
+            frames: DESIGN_FRAMES,
+            instrument: Some(instrument),
+            instruments: [1, 5],
+            ..row.demanding(&[FineShare(1.0), HonestSigmaTo(HONEST.end)])
+        }
+    })
+}
+
+/// The Sun anywhere in the field, the camera turned by up to 1 deg.
+fn over_the_field(recipe: &mut Recipe, _: &Instrument, rng: &mut Generator) {
+    recipe.view = View::Field;
+    recipe.conditions.similarity.rotation_deg += rng.random_range(-1.0..1.0);
+}
+
+/// The instrument with a plate that is designed for it by the n-th seed, its camera so far away that it sees the whole field.
+fn designed(
+    instrument: Instrument,
+    (n, size): (u64, Size),
+    field_mil: f64,
+    marks_in_view: usize,
+    shape: fn(&Instrument) -> MarkShape,
+) -> Instrument {
+    let start = instrument.seeing(field_mil);
+    let usual = DesignSettings::new(field_mil, marks_in_view);
+    let settings = DesignSettings {
+        shape: shape(&start),
+        trials: 1,
+        exchanges: size.of([4, usual.exchanges]),
+        seed: n + 1,
+        ..usual
+    };
+    // Without a plate of its own a row fails.
+    design(&start, &settings, &|| ()).unwrap_or(start)
 }
 
 /// Marks enough for a mapping in view.
@@ -133,7 +214,7 @@ fn random(instrument: Instrument, count: usize) -> Instrument {
         let at = PlateMil::new(x, y);
         if places
             .iter()
-            .all(|other| other.distance(at) > 2.2 * CROSS.arm_length_mil)
+            .all(|other| other.distance(at) > 2.2 * Cross::HEROES.arm_length_mil)
         {
             places.push(at);
         }
@@ -142,7 +223,7 @@ fn random(instrument: Instrument, count: usize) -> Instrument {
     let marks = ids
         .zip(places)
         .map(|(id, at)| (id, MarkPlace::new(at, 1.0)));
-    let plate = Plate::new(Pattern::Listed, MarkShape::Cross(CROSS), 1.0, marks);
+    let plate = Plate::new(Pattern::Listed, MarkShape::Cross(Cross::HEROES), 1.0, marks);
     Instrument {
         plate,
         ..instrument
@@ -157,7 +238,7 @@ fn with_shape(mut instrument: Instrument, shape: MarkShape) -> Instrument {
 fn at_45_deg(instrument: Instrument) -> Instrument {
     let cross = Cross {
         arm_angle_deg: 45.0,
-        ..CROSS
+        ..Cross::HEROES
     };
     with_shape(instrument, MarkShape::Cross(cross))
 }
@@ -165,20 +246,6 @@ fn at_45_deg(instrument: Instrument) -> Instrument {
 /// Dots that take as much light as the crosses do.
 fn dots(instrument: Instrument) -> Instrument {
     with_shape(instrument, MarkShape::Dot { diameter_mil: 50.0 })
-}
-
-/// The instrument with another lens, its plate and the camera's view of it so many times as large.
-fn scaled(mut instrument: Instrument, by: f64) -> Instrument {
-    let times = |value: Measured| Measured::new(value.value * by, value.sigma * by);
-    let optics = &mut instrument.optics;
-    optics.focal_length_mm = times(optics.focal_length_mm);
-    optics.plate_distance_mm = times(optics.plate_distance_mm);
-    let mounting = &mut instrument.mounting;
-    mounting.scale_mil_per_px = times(mounting.scale_mil_per_px);
-    mounting.boresight_mil = (mounting.boresight_mil.vector() * by).into();
-    mounting.boresight_sigma_mil *= by;
-    instrument.plate = instrument.plate.scaled(by);
-    instrument
 }
 
 /// The instrument with another sensor that sees as much of the plate.
@@ -205,7 +272,7 @@ mod tests {
         let usual = random(demo, 225);
         let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-9 * b.abs(), "{a} {b}");
         for by in [1.0 / 3.0, 10.0 / 3.0] {
-            let other = scaled(usual.clone(), by);
+            let other = usual.clone().scaled(by);
             near(other.radius_px(960.0), usual.radius_px(960.0));
             let size =
                 |i: &Instrument| i.plate.shape.size_mil() / i.mounting.scale_mil_per_px.value;

@@ -190,18 +190,22 @@ impl Program {
             About::Coarse | About::Solved => 0,
         };
         let frames = self.size.of(row.frames);
-        let trial = row.trial(&self.trial);
+        let seeds = 0..self.size.of(row.instruments).max(1);
+        let trial = |seed| row.trial(&self.trial, self.size, seed);
+        let trials: Vec<Trial> = seeds.map(trial).collect();
         let outcomes = outcomes(frames, done, |seed| {
+            let trial = &trials[seed as usize % trials.len()];
             let recipe = Recipe::drawn(row.vary, &trial.instrument, seed);
             trial.outcome(&recipe, seed, Bounded::up_to(with_bound, seed))
         })?;
-        let arcsec_per_mil = trial.instrument.optics.arcsec_per_mil();
+        // They all have the same lens.
+        let arcsec_per_mil = trials[0].instrument.optics.arcsec_per_mil();
         let mut summary = Summary::of(&outcomes, row.about, arcsec_per_mil);
         summary.ideal = match row.ideal {
             None => None,
             Some(Ideal::Standard) => AgainstIdeal::of(&outcomes, standard, row.about),
             Some(Ideal::Of(vary)) => {
-                let ideal = trial.outcomes(vary, frames, done)?;
+                let ideal = trials[0].outcomes(vary, frames, done)?;
                 AgainstIdeal::of(&outcomes, &ideal, row.about)
             }
         };
@@ -279,7 +283,7 @@ impl Case {
         let row = all.find(|row| row.name == part);
         let run = runs().into_iter().find(|run| run.name == part);
         let (trial, vary) = match (row, run) {
-            (Some(row), _) => (row.trial(&usual), row.vary),
+            (Some(row), _) => (row.trial(&usual, Size::Full, seed), row.vary),
             (None, Some(run)) => (usual, run.vary),
             (None, None) => return Err(unknown(part)),
         };

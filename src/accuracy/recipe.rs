@@ -31,6 +31,8 @@ pub enum View {
     },
     /// Anywhere with this mark and two others, or more, fully lit.
     Around(MarkId),
+    /// Anywhere in the plate's field.
+    Field,
     /// The whole disc, across the boundary between the sensor's halves: within 0.8 radii of the centre.
     AcrossMiddle,
     /// Nowhere.
@@ -119,6 +121,10 @@ impl Recipe {
             let distance = radius_mil * rng.random_range(0.0_f64..1.0).sqrt();
             return (mark.vector() + direction(rng) * distance).into();
         }
+        if self.view == View::Field {
+            let distance = scene.plate.field_radius_mil * rng.random_range(0.0_f64..1.0).sqrt();
+            return (direction(rng) * distance).into();
+        }
         let reach = radius_mil / self.conditions.similarity.scale_mil_per_px;
         let seen = SensorPx::new(
             rng.random_range(-reach..scene.width_px as f64 + reach),
@@ -140,6 +146,10 @@ impl Recipe {
                     && ENOUGH_MARKS.contains(&lit())
                     && fully_lit(scene).any(|mark| mark.id == *id)
             }
+            View::Field => scene
+                .sun
+                .as_ref()
+                .is_some_and(|sun| sun.centre.vector().norm() < scene.plate.field_radius_mil),
             View::AcrossMiddle => is_whole(scene) && reaches_middle(scene),
             View::Absent => true,
         }

@@ -50,8 +50,8 @@ pub const MOON: &str = "moon";
 /// The name of the part about the Earth's limb.
 pub const HORIZON: &str = "horizon";
 
-/// A row's instrument, made from the program's.
-pub type InstrumentOf = fn(Instrument) -> Instrument;
+/// A row's n-th instrument in a size, made from the program's.
+pub type InstrumentOf = fn(Instrument, u64, Size) -> Instrument;
 
 /// A row of the table.
 #[derive(Debug, Clone)]
@@ -66,6 +66,8 @@ pub struct AccuracyRow {
     pub vary: Vary,
     /// What the row's instrument is, where it is not the program's.
     pub instrument: Option<InstrumentOf>,
+    /// How many instruments take turns: in the small size, in the full.
+    pub instruments: [u64; 2],
     /// The frames that the errors are compared with, of the same seeds.
     pub ideal: Option<Ideal>,
     pub demands: Vec<Demand>,
@@ -126,17 +128,19 @@ pub(super) fn row(name: &'static str, title: &'static str, vary: Vary) -> Accura
         frames: FEW,
         vary,
         instrument: None,
+        instruments: [1; 2],
         ideal: None,
         demands: vec![NoWrongId],
     }
 }
 
 impl AccuracyRow {
-    /// What solves the row's frames, where the program's is `usual`.
-    pub(super) fn trial(&self, usual: &Trial) -> Trial {
+    /// What solves the frames of a seed, where the program's is `usual`: the row's instruments take turns.
+    pub(super) fn trial(&self, usual: &Trial, size: Size, seed: u64) -> Trial {
         let mut trial = usual.clone();
         if let Some(make) = self.instrument {
-            trial.instrument = make(trial.instrument);
+            let n = seed % size.of(self.instruments).max(1);
+            trial.instrument = make(trial.instrument, n, size);
         }
         trial
     }
