@@ -5,11 +5,9 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::accuracy::bound::covariance_mil2;
 use solaspect::aspect::{Expected, Quality, SolverSettings, solve};
 use solaspect::instrument::{Instrument, builtin};
-use solaspect::plate::{MarkId, MarkPlace, MarkShape, Pattern, Plate};
-use solaspect::plate_check::{
-    CheckSettings, CheckedPlace, PlaceVerdict, PlateCheck, Rotations, check, html,
-};
-use solaspect::plate_design::{DesignSettings, design, file, table};
+use solaspect::plate::{MarkId, MarkPlace, MarkShape, Pattern, Plate, table_text};
+use solaspect::plate_check::{CheckSettings, CheckedPlace, PlaceVerdict, PlateCheck, check, html};
+use solaspect::plate_design::{DesignSettings, design, file};
 use solaspect::simulate::{Noise, SUN_RADIUS_ARCSEC, Scene, Sun};
 use solaspect::units::PlateMil;
 
@@ -158,23 +156,23 @@ fn a_designed_plate_passes_its_check_and_its_frames_are_read() {
         (MarkShape::Dot { diameter_mil: 52.0 }, 2),
     ] {
         let settings = DesignSettings {
-            field_mil: 1500.0,
-            marks_in_view: 4,
             shape,
-            rotations: Rotations::Stated,
             trials: 1,
             exchanges: 4,
             seed,
+            ..DesignSettings::new(1500.0, 4)
         };
-        let (designed, found) = design(&demo(), &settings, &|| ()).unwrap();
+        let designed = design(&demo(), &settings, &|| ()).unwrap();
+        let found = checked(&designed, 2000);
         assert!(found.passes(), "{found}");
         assert!(found.places.iter().all(|place| place.lit >= 4), "{found}");
         // The files give the same plate again.
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("instrument.toml");
-        let demo = include_str!("../calibration/demo.toml");
-        std::fs::write(&path, file(demo, &designed.plate, "a test").unwrap()).unwrap();
-        std::fs::write(folder.path().join("marks.csv"), table(&designed.plate)).unwrap();
+        let text = include_str!("../calibration/demo.toml");
+        let text = file((&path, text), &demo(), &designed, "a test").unwrap();
+        std::fs::write(&path, text).unwrap();
+        std::fs::write(folder.path().join("marks.csv"), table_text(&designed.plate)).unwrap();
         let read = Instrument::read(&path).unwrap();
         assert_eq!(read.plate, designed.plate);
         for place in found.places.iter().step_by(400) {
@@ -188,13 +186,9 @@ fn a_designed_plate_passes_its_check_and_its_frames_are_read() {
 #[test]
 fn marks_for_which_the_disc_has_no_room_are_refused() {
     let settings = DesignSettings {
-        field_mil: 1000.0,
-        marks_in_view: 60,
-        shape: demo().plate.shape,
-        rotations: Rotations::Stated,
         trials: 1,
         exchanges: 0,
-        seed: 1,
+        ..DesignSettings::new(1000.0, 60)
     };
     let error = design(&demo(), &settings, &|| ()).unwrap_err().to_string();
     assert!(error.contains("room for 60 marks"), "{error}");

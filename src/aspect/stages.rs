@@ -5,13 +5,13 @@ use super::{Expected, SolverSettings, Stage, Stopped};
 use crate::fiducial::MarkImage;
 use crate::frame::{Cutout, Frame, Levels, Mask, PixelNoise, Region};
 use crate::geometry::{Circle, Ellipse, Mapping};
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, MEAN_SUN_ARCSEC};
 use crate::limb::{self, DiscLight, DiscSearch, KnownOutline, Limb, LimbFit, OutlinePrior};
 pub(super) use crate::reasons::at;
 use crate::units::{Measured, Rejected};
 
-/// The Sun's mean angular radius, and how far it strays from it in a year: what is expected of a frame without time.
-const MEAN_RADIUS_ARCSEC: Measured = Measured::new(959.63, 11.0);
+/// How far the Sun's angular radius strays from its mean in a year.
+const YEARLY_ARCSEC: f64 = 11.0;
 /// How far the limb that the profile's fit finds may be from the edge that the ephemeris means.
 pub(super) const LIMB_DEFINITION_SIGMA_PX: f64 = 0.1;
 /// A camera tilted by 3 deg makes the half axes differ by this part from their mean, 1 sigma.
@@ -60,7 +60,10 @@ impl<'a> Pipeline<'a> {
         instrument: &'a Instrument,
         expected: Option<Expected>,
     ) -> Self {
-        let angular = expected.map_or(MEAN_RADIUS_ARCSEC, |e| Measured::new(e.radius_arcsec, 0.0));
+        let angular = match expected {
+            Some(expected) => Measured::new(expected.radius_arcsec, 0.0),
+            None => Measured::new(MEAN_SUN_ARCSEC, YEARLY_ARCSEC),
+        };
         let optics = &instrument.optics;
         let scale = instrument.mounting.scale_mil_per_px.value;
         let value = optics.radius_mil(angular.value);

@@ -3,12 +3,12 @@
 use super::options;
 use super::output::{make_folder, say};
 use crate::aspect::SolverSettings;
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, MEAN_SUN_ARCSEC};
 use crate::plate::artwork::{Artwork, Tone};
-use crate::plate::{Cross, MarkShape};
+use crate::plate::{self, MarkShape};
 use crate::plate_check::{self, CheckSettings, PlateCheck, Rotations};
-use crate::plate_design::{self, DesignSettings};
-use anyhow::Context;
+use crate::plate_design::{self, DesignSettings, cross_of, usual_cross, usual_dot};
+use anyhow::{Context, bail};
 use clap::{Args, Subcommand, ValueEnum};
 use indicatif::ProgressBar;
 use std::path::{Path, PathBuf};
@@ -41,15 +41,22 @@ struct DesignArgs {
     /// The Sun may stand within this of the plate's centre, mil
     #[arg(long, value_name = "MIL")]
     field_mil: f64,
+    /// The Sun's mean radius on the plate, mil: takes another lens, before which it is this, with the camera's view as much larger
+    /// [default: by the instrument's lens]
+    #[arg(long, value_name = "MIL")]
+    radius_mil: Option<f64>,
     /// Marks that are fully lit wherever it stands
     #[arg(long, value_name = "N", default_value_t = 4)]
     marks_in_view: usize,
     /// What the marks are
     #[arg(long, value_enum, default_value_t = ShapeName::Cross)]
     shape: ShapeName,
-    /// Length of a cross's arms from tip to tip, or diameter of a dot, mil [default: 15.6 px, or 9 px of a dot, at the instrument's scale]
+    /// Length of a cross's arms from tip to tip, mil; they are 2/15 of it wide [default: 15.6 px at the camera's scale, at most 1/6 of the Sun's radius]
+    #[arg(long, value_name = "MIL", conflicts_with = "dot_diameter_mil")]
+    arm_length_mil: Option<f64>,
+    /// Diameter of a dot, mil [default: 9 px at the camera's scale, at most 1/10 of the Sun's radius]
     #[arg(long, value_name = "MIL")]
-    size_mil: Option<f64>,
+    dot_diameter_mil: Option<f64>,
     /// The camera may be turned anyhow, whatever the instrument states
     #[arg(long)]
     any_rotation: bool,
@@ -57,7 +64,7 @@ struct DesignArgs {
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// Plates that are tried
-    #[arg(long, value_name = "N", default_value_t = 4)]
+    #[arg(long, value_name = "N", default_value_t = plate_design::TRIALS)]
     trials: u64,
     /// The folder for marks.csv, instrument.toml, plate.html, plate.json and the artwork; it is made if it is missing
     #[arg(long, value_name = "DIR")]
@@ -123,59 +130,75 @@ pub fn run(args: &PlateArgs) -> anyhow::Result<ExitCode> {
 }
 
 fn design(args: &DesignArgs) -> anyhow::Result<ExitCode> {
-    const EXCHANGES: usize = 40;
-    let (start, text) = options::instrument_with_text(Some(&args.instrument))?;
+    let (before, text) = options::instrument_with_text(Some(&args.instrument))?;
+    let start = camera(&before, args)?;
     let settings = DesignSettings {
-        field_mil: args.field_mil,
-        marks_in_view: args.marks_in_view,
-        shape: shape(args, start.mounting.scale_mil_per_px.value),
+        shape: shape(args, &start)?,
         rotations: rotations(args.any_rotation),
         trials: args.trials,
-        exchanges: EXCHANGES,
         seed: args.seed,
+        ..DesignSettings::new(args.field_mil, args.marks_in_view)
     };
-    let progress = ProgressBar::new(args.trials * EXCHANGES as u64);
-    let (designed, found) = plate_design::design(&start, &settings, &|| progress.inc(1))?;
+    let progress = ProgressBar::new(args.trials * settings.exchanges as u64);
+    let designed = plate_design::design(&start, &settings, &|| progress.inc(1))?;
     progress.finish_and_clear();
-    make_folder(&args.out)?;
-    write(
-        &args.out.join("marks.csv"),
-        plate_design::table(&designed.plate).as_bytes(),
-    )?;
-    let file = args.out.join("instrument.toml");
     let source = format!("solaspect plate design, seed {}", args.seed);
-    write(
-        &file,
-        plate_design::file(&text, &designed.plate, &source)?.as_bytes(),
-    )?;
+    let text = plate_design::file((&args.instrument, &text), &before, &designed, &source)?;
+    make_folder(&args.out)?;
+    let marks = plate::table_text(&designed.plate);
+    write(&args.out.join("marks.csv"), marks.as_bytes())?;
+    let file = args.out.join("instrument.toml");
+    write(&file, text.as_bytes())?;
     // What was written is what everything else reads.
-    Instrument::read(&file)?;
+    let designed = Instrument::read(&file)?;
+    let check = CheckSettings {
+        rotations: settings.rotations,
+        ..CheckSettings::default()
+    };
+    let found = plate_check::check(&designed, &SolverSettings::default(), &check);
     write_check(&args.out, &found)?;
     write_artwork(&args.out, &designed, Tone::DarkMarks)?;
+    let [scale, stated] = [&designed, &before].map(|i| i.mounting.scale_mil_per_px.value);
+    if scale != stated {
+        say(format_args!(
+            "camera     {scale:.3} mil/px, to see the whole Sun all over the field; {:?} states {stated:.3}",
+            before.name
+        ))?;
+    }
     say(&found)?;
     Ok(exit_code(&found))
 }
 
-fn shape(args: &DesignArgs, scale_mil_per_px: f64) -> MarkShape {
-    const ARMS_PX: f64 = 15.6;
-    /// Of an arm's length.
-    const ARM_WIDTH: f64 = 12.0 / 90.0;
-    const DOT_PX: f64 = 9.0;
-    // To a mil: a drawing with round numbers.
-    let usual = |px: f64| (px * scale_mil_per_px).round().max(1.0);
-    match args.shape {
-        ShapeName::Cross => {
-            let arm_length_mil = args.size_mil.unwrap_or_else(|| usual(ARMS_PX));
-            MarkShape::Cross(Cross {
-                arm_length_mil,
-                arm_width_mil: ARM_WIDTH * arm_length_mil,
-                arm_angle_deg: 0.0,
-            })
-        }
-        ShapeName::Dot => MarkShape::Dot {
-            diameter_mil: args.size_mil.unwrap_or_else(|| usual(DOT_PX)),
-        },
+/// The instrument with the lens and the view that the plate is for.
+fn camera(before: &Instrument, args: &DesignArgs) -> anyhow::Result<Instrument> {
+    positive("--field-mil", Some(args.field_mil))?;
+    let mean_mil = before.optics.radius_mil(MEAN_SUN_ARCSEC);
+    let start = match positive("--radius-mil", args.radius_mil)? {
+        Some(radius_mil) => before.clone().scaled(radius_mil / mean_mil),
+        None => before.clone(),
+    };
+    Ok(start.seeing(args.field_mil))
+}
+
+/// An option's length, which has to be one.
+fn positive(name: &str, mil: Option<f64>) -> anyhow::Result<Option<f64>> {
+    if let Some(mil) = mil.filter(|mil| !(mil.is_finite() && *mil > 0.0)) {
+        bail!("{name}: expected a length above 0 mil, found {mil}");
     }
+    Ok(mil)
+}
+
+fn shape(args: &DesignArgs, start: &Instrument) -> anyhow::Result<MarkShape> {
+    let arm_length_mil = positive("--arm-length-mil", args.arm_length_mil)?;
+    let dot_diameter_mil = positive("--dot-diameter-mil", args.dot_diameter_mil)?;
+    Ok(match (args.shape, arm_length_mil, dot_diameter_mil) {
+        (ShapeName::Cross, Some(length_mil), None) => cross_of(length_mil),
+        (ShapeName::Cross, None, None) => usual_cross(start),
+        (ShapeName::Dot, None, Some(diameter_mil)) => MarkShape::Dot { diameter_mil },
+        (ShapeName::Dot, None, None) => usual_dot(start),
+        (ShapeName::Cross, _, Some(_)) => bail!("--dot-diameter-mil: expected --shape dot"),
+        (ShapeName::Dot, Some(_), _) => bail!("--arm-length-mil: expected --shape cross"),
+    })
 }
 
 fn rotations(any: bool) -> Rotations {

@@ -1,10 +1,12 @@
 //! Whether lens, plate and camera fit each other, so that frames can be read at all.
 
 use super::Instrument;
-use crate::units::counted;
+use crate::units::{Measured, counted};
 use nalgebra::Vector2;
 
-/// The Sun's radius is never smaller nor larger than this from the Earth.
+/// The Sun's radius at 1 AU.
+pub const MEAN_SUN_ARCSEC: f64 = 959.63;
+/// It is never smaller nor larger than this from the Earth.
 pub const SMALLEST_SUN_ARCSEC: f64 = 943.0;
 const LARGEST_SUN_ARCSEC: f64 = 977.0;
 /// Radii of the disc that the solver is tried with, px.
@@ -51,6 +53,39 @@ impl LensMisfit {
 }
 
 impl Instrument {
+    /// The instrument with another lens, its plate and the camera's view of it so many times as large.
+    #[must_use]
+    pub fn scaled(mut self, by: f64) -> Self {
+        let times = |value: Measured| Measured::new(value.value * by, value.sigma * by);
+        let optics = &mut self.optics;
+        optics.focal_length_mm = times(optics.focal_length_mm);
+        optics.plate_distance_mm = times(optics.plate_distance_mm);
+        let mounting = &mut self.mounting;
+        mounting.scale_mil_per_px = times(mounting.scale_mil_per_px);
+        mounting.boresight_mil = (mounting.boresight_mil.vector() * by).into();
+        mounting.boresight_sigma_mil *= by;
+        self.plate = self.plate.scaled(by);
+        self
+    }
+
+    /// The instrument with its camera farther away, if it must be to see the whole Sun wherever it stands within so much of the plate's
+    /// centre, which may be 3 sigma from its stated place on the sensor.
+    #[must_use]
+    pub fn seeing(mut self, field_mil: f64) -> Self {
+        let mounting = &mut self.mounting;
+        let centre = mounting.plate_centre_px;
+        let [width, height] = self.camera.size_px().map(|side| side as f64 - 1.0);
+        let to_edge = [centre.x, width - centre.x, centre.y, height - centre.y];
+        let room_px = to_edge.into_iter().fold(f64::INFINITY, f64::min)
+            - 3.0 * mounting.plate_centre_sigma_px;
+        let scale = mounting.scale_mil_per_px;
+        let least = (field_mil + self.optics.radius_mil(LARGEST_SUN_ARCSEC)) / room_px;
+        if room_px > 0.0 && least > scale.value {
+            mounting.scale_mil_per_px = Measured::new(least, scale.sigma * least / scale.value);
+        }
+        self
+    }
+
     /// Whether a frame can be read somewhere on the plate, which takes so many marks.
     ///
     /// # Errors

@@ -22,7 +22,7 @@ pub use dates::Dated;
 pub(crate) use direction_camera::rotation_of_rows;
 pub use direction_camera::{DirectionCamera, MountedCamera, WrongFrameSize};
 pub use directions::Directions;
-pub use lens_fit::{LensMisfit, SMALLEST_SUN_ARCSEC};
+pub use lens_fit::{LensMisfit, MEAN_SUN_ARCSEC, SMALLEST_SUN_ARCSEC};
 pub use role::Role;
 pub use sees::{Sees, Stated};
 pub use sensor::{Noise, Sensor, Thermal, Vignetting};

@@ -49,9 +49,8 @@ mod tests {
 
     fn plate(table: &str, arm_angle_deg: f64) -> Plate {
         let shape = MarkShape::Cross(Cross {
-            arm_length_mil: 90.0,
-            arm_width_mil: 12.0,
             arm_angle_deg,
+            ..Cross::HEROES
         });
         Plate::new(Pattern::Table, shape, 1.0, read_table(table, 1.0).unwrap())
     }

@@ -10,7 +10,7 @@ mod shape;
 mod table;
 
 pub use shape::{Cross, MarkShape};
-pub use table::{TableError, read_table};
+pub use table::{TableError, read_table, table_text};
 
 use crate::units::PlateMil;
 use serde::{Deserialize, Serialize};
@@ -18,6 +18,8 @@ use std::fmt;
 
 /// The most marks that a plate may have.
 pub const MOST_MARKS: usize = 2000;
+/// No two marks are nearer to each other than this, in their size: the camera would see one.
+pub const LEAST_APART_SIZES: f64 = 2.0;
 /// Each index of an id lies within this of 0.
 pub const MAX_INDEX: i32 = 9999;
 

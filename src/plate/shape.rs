@@ -22,6 +22,15 @@ pub struct Cross {
     pub arm_angle_deg: f64,
 }
 
+impl Cross {
+    /// Those of the plate of 2013 (Cramer 2014, section 4.3.1).
+    pub const HEROES: Self = Self {
+        arm_length_mil: 90.0,
+        arm_width_mil: 12.0,
+        arm_angle_deg: 0.0,
+    };
+}
+
 impl MarkShape {
     /// From one end to the other: of a cross from tip to tip, of a dot its diameter.
     pub fn size_mil(&self) -> f64 {

@@ -1,6 +1,6 @@
 //! A list of marks as a table: `i,j,x_mil,y_mil` and optionally `sigma_mil`, or `x_mm,y_mm` and `sigma_mm`.
 
-use super::{MAX_INDEX, MarkId, MarkPlace};
+use super::{MAX_INDEX, MarkId, MarkPlace, Plate};
 use crate::units::{MIL_MM, PlateMil};
 use std::collections::HashMap;
 
@@ -62,6 +62,15 @@ pub fn read_table(text: &str, sigma_mil: f64) -> Result<Vec<(MarkId, MarkPlace)>
         marks.push((id, place));
     }
     Ok(marks)
+}
+
+/// The table of a drawing, to a thousandth of a mil.
+pub fn table_text(plate: &Plate) -> String {
+    let mut text = String::from("i,j,x_mil,y_mil\n");
+    for (id, at) in plate.drawn_marks() {
+        text += &format!("{},{},{:.3},{:.3}\n", id.i, id.j, at.x, at.y);
+    }
+    text
 }
 
 /// Where the columns of a table stand.

@@ -1,30 +1,55 @@
-//! A designed plate as files: its table of marks, and an instrument's file with it.
+//! An instrument's file with a designed plate.
 
+use crate::calibrate::revision::Revision;
+use crate::instrument::{Instrument, TomlError};
 use crate::plate::{MarkShape, Plate};
-use std::fmt::Write;
-use toml_edit::{DocumentMut, InlineTable, Item, Table, TomlError, Value, value};
+use std::path::Path;
+use toml_edit::{Array, InlineTable, Item, Table, Value, value};
 
-/// The table of a drawing's marks.
-pub fn table(plate: &Plate) -> String {
-    let mut text = String::from("i,j,x_mil,y_mil\n");
-    for (id, at) in plate.drawn_marks() {
-        let _ = writeln!(text, "{},{},{:.3},{:.3}", id.i, id.j, at.x, at.y);
-    }
-    text
-}
-
-/// An instrument's text with this plate in place of its own, the marks in a file `marks.csv` beside it.
+/// An instrument's text with what was designed in place of its own: the plate, its marks in a file `marks.csv` beside it, and lens and
+/// scale where they are others. `path` is what errors name.
 ///
 /// # Errors
 /// A text that is no TOML.
-pub fn file(text: &str, plate: &Plate, source: &str) -> Result<String, TomlError> {
-    let mut document: DocumentMut = text.parse()?;
-    let number = |number: f64| {
-        let mut entry = InlineTable::new();
-        entry.insert("value", Value::from(number));
-        entry.insert("source", Value::from(source));
-        value(entry)
+pub fn file(
+    (path, text): (&Path, &str),
+    before: &Instrument,
+    designed: &Instrument,
+    source: &str,
+) -> Result<String, TomlError> {
+    let mut revision = Revision::of(path, text)?;
+    revision.put("plate", Item::Table(plate_table(&designed.plate, source)));
+    // Its frames are not those of the instrument that it began with.
+    revision.put("name", value(format!("{}-designed", before.name)));
+    let field_mil = designed.plate.field_radius_mil;
+    let description = format!(
+        "{:?} with a plate designed for a field of {field_mil} mil",
+        before.name
+    );
+    revision.put("description", value(description));
+    let numbers = |i: &Instrument| {
+        [
+            ("optics.focal_length_mm", i.optics.focal_length_mm),
+            ("optics.plate_distance_mm", i.optics.plate_distance_mm),
+            ("mounting.scale_mil_per_px", i.mounting.scale_mil_per_px),
+        ]
     };
+    for ((key, found), (_, old)) in numbers(designed).into_iter().zip(numbers(before)) {
+        if found != old {
+            revision.put(key, entry(found.value.into(), Some(found.sigma), source));
+        }
+    }
+    let (new, old) = (&designed.mounting, &before.mounting);
+    if new.boresight_mil != old.boresight_mil {
+        let pair = Array::from_iter([new.boresight_mil.x, new.boresight_mil.y]);
+        let entry = entry(pair.into(), Some(new.boresight_sigma_mil), source);
+        revision.put("mounting.boresight_mil", entry);
+    }
+    Ok(revision.text())
+}
+
+fn plate_table(plate: &Plate, source: &str) -> Table {
+    let number = |number: f64| entry(number.into(), None, source);
     let mut table = Table::new();
     table["marks"] = value("marks.csv");
     table["shape"] = value(plate.shape.name());
@@ -38,12 +63,16 @@ pub fn file(text: &str, plate: &Plate, source: &str) -> Result<String, TomlError
     }
     table["drawing_sigma_mil"] = number(plate.drawing_sigma_mil());
     table["field_radius_mil"] = number(plate.field_radius_mil);
-    document["plate"] = Item::Table(table);
-    // Its frames are not those of the instrument that it began with.
-    let name = document
-        .get("name")
-        .and_then(Item::as_str)
-        .unwrap_or_default();
-    document["name"] = value(format!("{name}-designed"));
-    Ok(document.to_string())
+    table
+}
+
+/// A value as an instrument's file states it.
+fn entry(number: Value, sigma: Option<f64>, source: &str) -> Item {
+    let mut entry = InlineTable::new();
+    entry.insert("value", number);
+    if let Some(sigma) = sigma {
+        entry.insert("sigma", sigma.into());
+    }
+    entry.insert("source", source.into());
+    value(entry)
 }

@@ -10,9 +10,9 @@
 
 use crate::aspect::SolverSettings;
 use crate::geometry::unit;
-use crate::instrument::{Instrument, SMALLEST_SUN_ARCSEC};
-use crate::plate::{MarkId, MarkPlace, MarkShape, Pattern, Plate};
-use crate::plate_check::{self, CheckSettings, CheckedPlace, PlateCheck, Rotations};
+use crate::instrument::{Instrument, MEAN_SUN_ARCSEC, SMALLEST_SUN_ARCSEC};
+use crate::plate::{Cross, LEAST_APART_SIZES, MarkId, MarkPlace, MarkShape, Pattern, Plate};
+use crate::plate_check::{self, CheckSettings, CheckedPlace, Rotations};
 use crate::units::PlateMil;
 use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
@@ -21,7 +21,7 @@ use std::f64::consts::TAU;
 
 mod file;
 
-pub use file::{file, table};
+pub use file::file;
 
 type Generator = Xoshiro256PlusPlus;
 
@@ -40,6 +40,52 @@ pub struct DesignSettings {
     pub seed: u64,
 }
 
+/// Plates that are tried, unless it is said otherwise.
+pub const TRIALS: u64 = 4;
+
+impl DesignSettings {
+    /// Crosses as on the plate of 2013, as many trials and exchanges as a quarter of a minute allows.
+    pub fn new(field_mil: f64, marks_in_view: usize) -> Self {
+        Self {
+            field_mil,
+            marks_in_view,
+            shape: MarkShape::Cross(Cross::HEROES),
+            rotations: Rotations::Stated,
+            trials: TRIALS,
+            exchanges: 60,
+            seed: 1,
+        }
+    }
+}
+
+/// A cross that an instrument's camera reads well and that leaves others room on the disc, its arms of whole mil.
+pub fn usual_cross(instrument: &Instrument) -> MarkShape {
+    cross_of(usual_mil(instrument, 15.6, 1.0 / 6.0))
+}
+
+/// A cross as that of the plate of 2013, its arms so long.
+pub fn cross_of(arm_length_mil: f64) -> MarkShape {
+    MarkShape::Cross(Cross {
+        arm_length_mil,
+        arm_width_mil: arm_length_mil * Cross::HEROES.arm_width_mil / Cross::HEROES.arm_length_mil,
+        arm_angle_deg: 0.0,
+    })
+}
+
+/// A dot of the same kind, of whole mil.
+pub fn usual_dot(instrument: &Instrument) -> MarkShape {
+    MarkShape::Dot {
+        diameter_mil: usual_mil(instrument, 9.0, 1.0 / 10.0),
+    }
+}
+
+/// So many pixels, or this part of the Sun's radius if that is less.
+fn usual_mil(instrument: &Instrument, px: f64, of_radius: f64) -> f64 {
+    let radius_mil = instrument.optics.radius_mil(MEAN_SUN_ARCSEC);
+    let mil = (px * instrument.mounting.scale_mil_per_px.value).min(of_radius * radius_mil);
+    mil.round().max(1.0)
+}
+
 /// Why no plate can be designed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DesignError {
@@ -53,12 +99,12 @@ pub enum DesignError {
     },
 }
 
-/// Marks keep so many times their size apart.
-const APART_SIZES: f64 = 2.2;
+/// Marks keep so many times their size apart: more than a plate must.
+const APART_SIZES: f64 = 1.1 * LEAST_APART_SIZES;
 /// How far a mark is displaced from its place on the lattice at most, in the lattice's spacing.
 const JITTER: f64 = 0.28;
 
-/// Designs a plate for an instrument, whose lens and camera it is for; `done` is called after every check.
+/// Designs a plate for an instrument, whose lens and camera it is for; `done` is called after every exchange.
 ///
 /// # Errors
 /// Marks too large or too many for the Sun's disc.
@@ -66,7 +112,7 @@ pub fn design(
     instrument: &Instrument,
     settings: &DesignSettings,
     done: &dyn Fn(),
-) -> Result<(Instrument, PlateCheck), DesignError> {
+) -> Result<Instrument, DesignError> {
     let mut best: Option<Judged> = None;
     for trial in 0..settings.trials {
         let mut rng = Generator::seed_from_u64(settings.seed.wrapping_mul(1 << 16) + trial);
@@ -77,40 +123,68 @@ pub fn design(
         }
     }
     let best = best.ok_or_else(|| Layout::no_room(instrument, settings))?;
-    let designed = best.layout.instrument(instrument, settings);
-    let check = CheckSettings {
-        rotations: settings.rotations,
-        ..CheckSettings::default()
-    };
-    let found = plate_check::check(&designed, &SolverSettings::default(), &check);
-    Ok((designed, found))
+    Ok(best.layout.instrument(instrument, settings))
 }
 
 /// A layout with what the check says of it.
 #[derive(Debug, Clone)]
 struct Judged {
     layout: Layout,
-    found: PlateCheck,
+    places: Vec<CheckedPlace>,
+}
+
+/// What the check of a layout in the making takes: fewer places than of the finished plate.
+fn check_settings(settings: &DesignSettings) -> CheckSettings {
+    CheckSettings {
+        places: 400,
+        draws: 2,
+        cluttered_draws: 0,
+        rotations: settings.rotations,
+        ..CheckSettings::default()
+    }
 }
 
 impl Judged {
     fn new(instrument: &Instrument, settings: &DesignSettings, layout: Layout) -> Self {
-        let check = CheckSettings {
-            places: 400,
-            draws: 2,
-            rotations: settings.rotations,
-            ..CheckSettings::default()
-        };
         let plate = layout.instrument(instrument, settings);
+        let check = check_settings(settings);
         Self {
-            found: plate_check::check(&plate, &SolverSettings::default(), &check),
+            places: plate_check::check(&plate, &SolverSettings::default(), &check).places,
             layout,
         }
     }
 
+    /// The same with one mark displaced: the places are checked anew that light it, or did. Others keep what was found: that one of
+    /// their rivals has another place now changes little, and the whole plate is checked at the end.
+    fn displaced(
+        &self,
+        instrument: &Instrument,
+        settings: &DesignSettings,
+        sun: PlateMil,
+        rng: &mut Generator,
+    ) -> Option<Self> {
+        let (layout, ends) = self.layout.displaced(sun, rng)?;
+        let reach_mil = instrument.optics.radius_mil(SMALLEST_SUN_ARCSEC);
+        let is_near = |at: PlateMil| {
+            ends.iter()
+                .any(|end| (end - at.vector()).norm() < reach_mil)
+        };
+        let places = self.places.iter().map(CheckedPlace::at).enumerate();
+        let near: Vec<(usize, PlateMil)> = places.filter(|(_, at)| is_near(*at)).collect();
+        let plate = layout.instrument(instrument, settings);
+        let solver = SolverSettings::default();
+        let check = check_settings(settings);
+        let found = plate_check::check_places(&plate, &solver, &check, &near);
+        let mut places = self.places.clone();
+        for ((n, _), place) in near.into_iter().zip(found) {
+            places[n] = place;
+        }
+        Some(Self { layout, places })
+    }
+
     /// The place of the Sun of the least margin; one without a margin has none.
     fn worst(&self) -> Option<&CheckedPlace> {
-        let places = self.found.places.iter();
+        let places = self.places.iter();
         places.min_by(|a, b| margin(a).total_cmp(&margin(b)))
     }
 
@@ -135,18 +209,13 @@ fn improved(
     let mut best = Judged::new(instrument, settings, layout);
     for _ in 0..settings.exchanges {
         done();
-        let Some(changed) = best.worst().and_then(|worst| {
-            let sun = PlateMil::new(worst.x_mil, worst.y_mil);
-            best.layout.displaced(sun, rng)
-        }) else {
-            continue;
-        };
-        let changed = Judged::new(instrument, settings, changed);
-        if changed.is_better_than(&best) {
+        let worst = best.worst().map(CheckedPlace::at);
+        let changed = worst.and_then(|sun| best.displaced(instrument, settings, sun, rng));
+        if let Some(changed) = changed.filter(|changed| changed.is_better_than(&best)) {
             best = changed;
         }
     }
-    best
+    Judged::new(instrument, settings, best.layout)
 }
 
 /// Places of marks, and the lattice that they come from.
@@ -301,8 +370,9 @@ impl Layout {
         self.marks = kept;
     }
 
-    /// The layout with a mark in view of a place displaced anew; `None` where the marks would be too near or too few somewhere.
-    fn displaced(&self, sun: PlateMil, rng: &mut Generator) -> Option<Self> {
+    /// The layout with a mark in view of a place displaced anew, and from where to where; `None` where the marks would be too near or too
+    /// few somewhere.
+    fn displaced(&self, sun: PlateMil, rng: &mut Generator) -> Option<(Self, [Vector2<f64>; 2])> {
         let near = |n: &usize| (self.marks[*n].1 - sun.vector()).norm() < self.lit_mil;
         let near: Vec<usize> = (0..self.marks.len()).filter(near).collect();
         if near.is_empty() {
@@ -310,13 +380,15 @@ impl Layout {
         }
         let chosen = near[rng.random_range(0..near.len())];
         let mut changed = self.clone();
-        let at = self.about(self.marks[chosen].0, rng);
+        let (node, before) = self.marks[chosen];
+        let at = self.about(node, rng);
         changed.marks[chosen].1 = at;
         let apart = |(n, (_, other)): (usize, &(Vector2<f64>, Vector2<f64>))| {
             n == chosen || (other - at).norm() > self.least_apart_mil
         };
         let is_apart = self.marks.iter().enumerate().all(apart);
-        (is_apart && changed.least_in_view() >= self.marks_in_view).then_some(changed)
+        let suits = is_apart && changed.least_in_view() >= self.marks_in_view;
+        suits.then_some((changed, [before, at]))
     }
 
     /// The instrument with this plate.

@@ -3,12 +3,9 @@
 use crate::aspect::{self, Expected, Quality};
 use crate::config::{Config, Refused};
 use crate::frame::Frame;
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, MEAN_SUN_ARCSEC};
 use crate::simulate::{Scene, Sun};
 use std::sync::OnceLock;
-
-/// The Sun at 1 AU.
-const RADIUS_ARCSEC: f64 = 959.63;
 
 /// A frame of the Sun at the boresight, drawn when it is first needed.
 #[derive(Debug)]
@@ -49,7 +46,7 @@ impl Proof {
     fn draw(&self) -> Option<Frame> {
         let instrument = &self.instrument;
         let mut scene = Scene::new(instrument, instrument.nominal_mapping()?);
-        let radius_mil = instrument.optics.radius_mil(RADIUS_ARCSEC);
+        let radius_mil = instrument.optics.radius_mil(MEAN_SUN_ARCSEC);
         scene.sun = Some(Sun::new(instrument.mounting.boresight_mil, radius_mil));
         let frame = scene.frame().ok()?;
         let proves = self.solve(&aspect::SolverSettings::default(), &frame) == Quality::Fine;
@@ -58,7 +55,7 @@ impl Proof {
 
     fn solve(&self, settings: &aspect::SolverSettings, frame: &Frame) -> Quality {
         let expected = Some(Expected {
-            radius_arcsec: RADIUS_ARCSEC,
+            radius_arcsec: MEAN_SUN_ARCSEC,
         });
         aspect::solve_with(settings, frame, &self.instrument, expected, None).quality
     }

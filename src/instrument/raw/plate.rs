@@ -5,7 +5,8 @@ use crate::files;
 use crate::instrument::TomlError;
 use crate::instrument::toml_file::unreadable;
 use crate::plate::{
-    self, Cross, MOST_MARKS, MarkId, MarkPlace, MarkShape, Pattern, Plate, TableError, heroes,
+    self, Cross, LEAST_APART_SIZES, MOST_MARKS, MarkId, MarkPlace, MarkShape, Pattern, Plate,
+    TableError, heroes,
 };
 use crate::units::PlateMil;
 use serde::Deserialize;
@@ -289,7 +290,7 @@ impl Checker<'_> {
             let expected = format!("{LEAST_MARKS} to {MOST_MARKS} marks");
             return Err(self.error(field, &expected, count.to_string()));
         }
-        let least_mil = 2.0 * plate.shape.size_mil();
+        let least_mil = LEAST_APART_SIZES * plate.shape.size_mil();
         let marks: Vec<(MarkId, PlateMil)> = plate.drawn_marks().collect();
         for (n, (a, at)) in marks.iter().enumerate() {
             let near = marks[..n]

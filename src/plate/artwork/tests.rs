@@ -17,9 +17,8 @@ const DOT: MarkShape = MarkShape::Dot { diameter_mil: 50.0 };
 
 fn cross(arm_angle_deg: f64) -> MarkShape {
     MarkShape::Cross(Cross {
-        arm_length_mil: 90.0,
-        arm_width_mil: 12.0,
         arm_angle_deg,
+        ..Cross::HEROES
     })
 }
 
