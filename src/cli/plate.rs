@@ -108,7 +108,7 @@ struct CheckArgs {
 /// Every mark is where the drawing has it; measured places do not enter. +X is to the right and +Y up, as a person sees the drawn
 /// side. Which side of the plate is printed, and whether the artwork is mirrored for it, is for the print shop to state. Seen with the
 /// scale bar below the marks, the triangle is at the upper right, on a mirrored print at the upper left. In DXF marks and ground are
-/// closed outlines, which the shop fills. Gerber has the words as comments only.
+/// closed outlines, which the shop fills. Gerber has no letters: the words are made of small rectangles.
 #[derive(Debug, Args)]
 struct DrawArgs {
     /// The instrument: a TOML file, or the name of a built-in one

@@ -1,12 +1,14 @@
-//! Artwork as Gerber (RS-274X with attributes), in mm. Text is comments: the format has no letters.
+//! Artwork as Gerber (RS-274X with attributes), in mm.
+//!
+//! The format has no letters: words are flashed as rectangles. A comment repeats them for who searches the file.
 
-use super::{Artwork, Item, Layer, Shape, Tone};
+use super::{Artwork, Item, Layer, Rectangle, Shape, Tone, letters, on_grid};
 use crate::provenance::VERSION;
 use gerber_types::{
     Aperture, ApertureDefinition, Circle, Command, CommentContent, CoordinateFormat,
     CoordinateMode, CoordinateNumber, Coordinates, DCode, ExtendedCode, FileAttribute,
     FileFunction, FilePolarity, FunctionCode, GCode, GenerationSoftware, GerberCode, GerberError,
-    InterpolationMode, MCode, Operation, Part, Polarity, Unit, ZeroOmission,
+    InterpolationMode, MCode, Operation, Part, Polarity, Rectangular, Unit, ZeroOmission,
 };
 use nalgebra::Vector2;
 
@@ -62,35 +64,31 @@ fn polarity(layer: Layer, tone: Tone) -> Polarity {
     }
 }
 
-/// Round apertures by their diameters.
-struct Apertures {
-    diameters_mm: Vec<f64>,
-}
+/// The apertures of an artwork, each once, in the order of their first use.
+struct Apertures(Vec<Aperture>);
 
 impl Apertures {
     fn of(artwork: &Artwork) -> Self {
-        let diameters = artwork.items.iter().filter_map(|item| match item.shape {
-            Shape::Circle { diameter_mm, .. } => Some(diameter_mm),
-            Shape::Line { width_mm, .. } => Some(width_mm),
-            Shape::Polygon(_) | Shape::Text { .. } => None,
-        });
-        let mut diameters_mm: Vec<f64> = diameters.collect();
-        diameters_mm.sort_by(f64::total_cmp);
-        diameters_mm.dedup();
-        Self { diameters_mm }
+        let mut apertures = Vec::new();
+        for aperture in artwork.items.iter().flat_map(|item| used(&item.shape)) {
+            if !apertures.contains(&aperture) {
+                apertures.push(aperture);
+            }
+        }
+        Self(apertures)
     }
 
     fn definitions(&self) -> impl Iterator<Item = Command> {
-        let numbered = (FIRST_APERTURE..).zip(&self.diameters_mm);
-        numbered.map(|(code, diameter_mm)| {
-            let aperture = Aperture::Circle(Circle::new(*diameter_mm));
+        let numbered = (FIRST_APERTURE..).zip(&self.0);
+        numbered.map(|(code, aperture)| {
+            let aperture = aperture.clone();
             ExtendedCode::ApertureDefinition(ApertureDefinition { code, aperture }).into()
         })
     }
 
-    fn select(&self, diameter_mm: f64) -> Option<Command> {
-        let mut numbered = (FIRST_APERTURE..).zip(&self.diameters_mm);
-        let (code, _) = numbered.find(|(_, known)| **known == diameter_mm)?;
+    fn select(&self, aperture: &Aperture) -> Option<Command> {
+        let mut numbered = (FIRST_APERTURE..).zip(&self.0);
+        let (code, _) = numbered.find(|(_, known)| *known == aperture)?;
         Some(FunctionCode::DCode(DCode::SelectAperture(code)).into())
     }
 
@@ -100,15 +98,52 @@ impl Apertures {
             Shape::Circle {
                 centre,
                 diameter_mm,
-            } => (self.select(*diameter_mm).into_iter())
-                .chain([operation(Operation::Flash(at(*centre)))])
+            } => (self.select(&round(*diameter_mm)).into_iter())
+                .chain([flash(*centre)])
                 .collect(),
-            Shape::Line { from, to, width_mm } => (self.select(*width_mm).into_iter())
+            Shape::Line { from, to, width_mm } => (self.select(&round(*width_mm)).into_iter())
                 .chain([move_to(*from), line_to(*to)])
                 .collect(),
-            Shape::Text { text, .. } => vec![comment(text)],
+            Shape::Text {
+                start,
+                height_mm,
+                text,
+            } => {
+                let rectangles = letters::rectangles(*start, *height_mm, text);
+                let flashes = rectangles.flat_map(|rectangle| {
+                    let aperture = self.select(&rectangular(&rectangle));
+                    let centre = (rectangle.low + rectangle.high) / 2.0;
+                    aperture.into_iter().chain([flash(centre)])
+                });
+                [comment(text)].into_iter().chain(flashes).collect()
+            }
         }
     }
+}
+
+/// The apertures that a shape is drawn with.
+fn used(shape: &Shape) -> Vec<Aperture> {
+    match shape {
+        Shape::Polygon(_) => Vec::new(),
+        Shape::Circle { diameter_mm, .. } => vec![round(*diameter_mm)],
+        Shape::Line { width_mm, .. } => vec![round(*width_mm)],
+        Shape::Text {
+            start,
+            height_mm,
+            text,
+        } => letters::rectangles(*start, *height_mm, text)
+            .map(|rectangle| rectangular(&rectangle))
+            .collect(),
+    }
+}
+
+fn round(diameter_mm: f64) -> Aperture {
+    Aperture::Circle(Circle::new(diameter_mm))
+}
+
+fn rectangular(rectangle: &Rectangle) -> Aperture {
+    let size = rectangle.size().map(on_grid);
+    Aperture::Rectangle(Rectangular::new(size.x, size.y))
 }
 
 fn region(corners: &[Vector2<f64>]) -> Vec<Command> {
@@ -121,6 +156,10 @@ fn region(corners: &[Vector2<f64>]) -> Vec<Command> {
         .chain(lines)
         .chain([mode(false)])
         .collect()
+}
+
+fn flash(centre: Vector2<f64>) -> Command {
+    operation(Operation::Flash(at(centre)))
 }
 
 fn move_to(to: Vector2<f64>) -> Command {

@@ -6,6 +6,7 @@
 mod dxf;
 mod gerber;
 mod layout;
+mod letters;
 mod svg;
 #[cfg(test)]
 mod tests;

@@ -264,15 +264,12 @@ fn flashes_and_regions(bytes: &[u8]) -> Vec<(Polarity, Shape)> {
     let document = gerber_parser::parse(BufReader::new(bytes)).unwrap();
     assert!(document.errors().is_empty(), "{:?}", document.errors());
     let (mut shapes, mut polarity) = (Vec::new(), Polarity::Dark);
-    let (mut region, mut diameters_mm, mut selected) = (None, HashMap::new(), 0);
+    let (mut region, mut apertures, mut selected) = (None, HashMap::new(), 0);
     for command in document.into_commands() {
         match command {
             Command::ExtendedCode(ExtendedCode::LoadPolarity(now)) => polarity = now,
             Command::ExtendedCode(ExtendedCode::ApertureDefinition(definition)) => {
-                let Aperture::Circle(circle) = definition.aperture else {
-                    panic!("{definition:?}");
-                };
-                diameters_mm.insert(definition.code, circle.diameter);
+                apertures.insert(definition.code, definition.aperture);
             }
             Command::FunctionCode(FunctionCode::GCode(GCode::RegionMode(true))) => {
                 region = Some(Vec::new());
@@ -292,10 +289,7 @@ fn flashes_and_regions(bytes: &[u8]) -> Vec<(Polarity, Shape)> {
             Command::FunctionCode(FunctionCode::DCode(DCode::Operation(operation))) => {
                 match (operation, &mut region) {
                     (Operation::Flash(at), None) => {
-                        let shape = Shape::Circle {
-                            centre: millimetres(at),
-                            diameter_mm: diameters_mm[&selected],
-                        };
+                        let shape = flashed(&apertures[&selected], millimetres(at));
                         shapes.push((polarity, shape));
                     }
                     (Operation::Move(at) | Operation::Interpolate(at, None), Some(corners)) => {
@@ -310,6 +304,28 @@ fn flashes_and_regions(bytes: &[u8]) -> Vec<(Polarity, Shape)> {
     shapes
 }
 
+fn flashed(aperture: &Aperture, centre: Vector2<f64>) -> Shape {
+    match aperture {
+        Aperture::Circle(circle) => Shape::Circle {
+            centre,
+            diameter_mm: circle.diameter,
+        },
+        Aperture::Rectangle(sides) => Shape::Polygon(
+            around(centre, Vector2::new(sides.x, sides.y))
+                .corners()
+                .into(),
+        ),
+        other => panic!("{other:?}"),
+    }
+}
+
+fn around(centre: Vector2<f64>, size: Vector2<f64>) -> Rectangle {
+    Rectangle {
+        low: centre - size / 2.0,
+        high: centre + size / 2.0,
+    }
+}
+
 fn millimetres(at: Option<Coordinates>) -> Vector2<f64> {
     let at = at.unwrap();
     Vector2::new(at.x.unwrap().into(), at.y.unwrap().into())
@@ -321,9 +337,8 @@ fn gerber_has_every_mark_where_the_drawing_has_it() {
         let artwork = artwork(&plate, tone);
         let mut shapes = flashes_and_regions(&file(&artwork, "plate.gbr"));
         let ground = usize::from(tone == Tone::ClearMarks);
-        // Behind the marks: the scale bar and the orientation corner.
+        // Behind the marks: scale bar, orientation corner and the words.
         let last = shapes.split_off(ground + plate.count());
-        assert_eq!(last.len(), 2);
         let clear = |(polarity, _): &(Polarity, Shape)| *polarity == Polarity::Clear;
         let marks = &shapes[ground..];
         assert!(
@@ -338,6 +353,66 @@ fn gerber_has_every_mark_where_the_drawing_has_it() {
             shapes.into_iter().map(|(_, shape)| shape).collect(),
         );
     }
+}
+
+#[test]
+fn gerber_draws_the_words_where_the_artwork_has_them() {
+    for (plate, tone) in plates_in_both_tones() {
+        let artwork = artwork(&plate, tone);
+        let shapes = flashes_and_regions(&file(&artwork, "plate.gbr"));
+        let drawn: Vec<[Vector2<f64>; 2]> = shapes
+            .iter()
+            .filter(|(polarity, _)| *polarity == Polarity::Dark)
+            .map(|(_, shape)| extent(shape))
+            .collect();
+        for Rectangle { low, high } in words(&artwork) {
+            let same = |[a, b]: &[Vector2<f64>; 2]| (a - low).amax().max((b - high).amax());
+            assert!(drawn.iter().any(|drawn| same(drawn) < 2e-6), "{low}");
+            assert!(low >= artwork.frame.low && high <= artwork.frame.high);
+            assert!(low.y > field(&plate).high.y || high.y < field(&plate).low.y);
+        }
+    }
+}
+
+/// The rectangles of all letters.
+fn words(artwork: &Artwork) -> impl Iterator<Item = Rectangle> {
+    let texts = artwork.items.iter().filter_map(|item| match &item.shape {
+        Shape::Text {
+            start,
+            height_mm,
+            text,
+        } => Some(letters::rectangles(*start, *height_mm, text)),
+        _ => None,
+    });
+    texts.flatten()
+}
+
+#[test]
+fn letters_are_as_high_as_stated_upright_and_in_order() {
+    let start = Vector2::new(3.0, -7.0);
+    let letters = |text| letters::rectangles(start, 2.0, text).collect::<Vec<_>>();
+    let capital = letters("E");
+    let low = capital.iter().map(|run| run.low).reduce(|a, b| a.inf(&b));
+    let high = capital.iter().map(|run| run.high).reduce(|a, b| a.sup(&b));
+    let (low, high) = (low.unwrap(), high.unwrap());
+    assert!((low.y - start.y).abs() < 1e-6 && (high.y - start.y - 2.0).abs() < 1e-6);
+    assert!(low.x >= start.x && high.x <= start.x + 2.0);
+    // The foot of an L is its longest run, and its stem is at the left.
+    let letter = letters("L");
+    let foot = letter.iter().find(|run| run.low.y == low.y).unwrap();
+    for run in &letter {
+        assert!(run.size().x <= foot.size().x && run.low.x == foot.low.x);
+    }
+    let shifted = letters(" E");
+    assert!(shifted.iter().all(|run| run.low.x > low.x + 1.0));
+}
+
+#[test]
+fn a_character_without_a_glyph_is_a_blank() {
+    let letters = |text| letters::rectangles(Vector2::zeros(), 2.0, text).collect::<Vec<_>>();
+    assert_eq!(letters("a\u{2609}b\nc"), letters("a b c"));
+    assert_eq!(letters(" \t\u{2609}"), []);
+    assert_ne!(letters("\u{e4}"), letters("a"));
 }
 
 #[test]
