@@ -69,6 +69,7 @@ fn identity(page: &mut Page, calibration: &Calibration, file_sha256: &str) {
             format!("{frames} used, {} rejected", calibration.rejected.len()),
         ),
         ("folders", folders(calibration).join(", ")),
+        ("SHA-256 of the drawing", start.plate.drawing_sha256()),
         ("SHA-256 of the frames", calibration.frames_sha256.clone()),
         ("SHA-256 of the new instrument file", file_sha256.into()),
         ("program", PROGRAM.into()),
