@@ -4,12 +4,15 @@ use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::accuracy::bound::covariance_mil2;
 use solaspect::aspect::{Expected, Quality, SolverSettings, solve};
-use solaspect::instrument::{Instrument, builtin};
+use solaspect::instrument::{Instrument, MEAN_SUN_ARCSEC, SMALLEST_SUN_ARCSEC, builtin};
 use solaspect::plate::{MarkId, MarkPlace, MarkShape, Pattern, Plate, table_text};
-use solaspect::plate_check::{CheckSettings, CheckedPlace, PlaceVerdict, PlateCheck, check, html};
+use solaspect::plate_check::{
+    CheckSettings, CheckedPlace, PlaceVerdict, PlateCheck, check, html, json,
+};
 use solaspect::plate_design::{DesignSettings, design, file};
 use solaspect::simulate::{Noise, SUN_RADIUS_ARCSEC, Scene, Sun};
 use solaspect::units::PlateMil;
+use std::process::Command;
 
 fn demo() -> Instrument {
     builtin("demo").unwrap()
@@ -145,6 +148,44 @@ fn the_expected_sigma_is_within_a_fifth_of_the_cramer_rao_bound() {
 }
 
 #[test]
+fn a_camera_that_may_be_anywhere_has_no_safe_place() {
+    let mut lost = demo();
+    lost.mounting.plate_centre_sigma_px = 1e6;
+    let found = checked(&lost, 20);
+    assert_eq!(found.count(PlaceVerdict::FewMarks), 20, "{found}");
+}
+
+#[test]
+fn a_measured_plate_has_the_sigma_of_its_measured_marks() {
+    let mut measured = demo();
+    for (id, at) in demo().plate.marks() {
+        measured.plate.set(id, at, [0.1; 2]);
+    }
+    let [drawn, measured] =
+        [demo(), measured].map(|i| checked(&i, 12).summary().most_misprint_mil.unwrap());
+    assert!(
+        (drawn / measured - 10.0).abs() < 0.01,
+        "{drawn} and {measured} mil"
+    );
+}
+
+#[test]
+fn the_json_has_the_numbers_that_the_text_has() {
+    let found = checked(&grid(700.0), 50);
+    let text = json(&found).unwrap();
+    let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(json["summary"]["passes"], false);
+    let few = found.count(PlaceVerdict::FewMarks);
+    assert_eq!(json["summary"]["places"]["few-marks"], few);
+    assert_eq!(json["places"].as_array().unwrap().len(), 50);
+    assert!(
+        found
+            .to_string()
+            .contains(&format!("{few:>6} places, {:5.1} %", 2.0 * few as f64))
+    );
+}
+
+#[test]
 fn the_same_seed_gives_the_same_check() {
     assert_eq!(checked(&demo(), 20), checked(&demo(), 20));
 }
@@ -180,6 +221,72 @@ fn a_designed_plate_passes_its_check_and_its_frames_are_read() {
                 assert!(is_fine && off_mil < 1.0, "{place:?}: {off_mil} mil off");
             }
         }
+    }
+}
+
+#[test]
+fn a_designed_plate_of_as_many_marks_is_at_least_as_good_as_that_of_2013() {
+    let heroes = demo();
+    // Others are never lit with the Sun in the field.
+    let sun_mil = heroes.optics.radius_mil(SMALLEST_SUN_ARCSEC);
+    let reach_mil = heroes.plate.field_radius_mil + sun_mil - heroes.plate.shape.size_mil();
+    let in_reach = |(_, at): &(MarkId, PlateMil)| at.vector().norm() < reach_mil;
+    let settings = DesignSettings {
+        least_marks: heroes.plate.marks().filter(in_reach).count(),
+        trials: 1,
+        ..DesignSettings::new(heroes.plate.field_radius_mil, 4)
+    };
+    let designed = design(&heroes, &settings, &|| ()).unwrap();
+    assert!(designed.plate.count() <= settings.least_marks);
+    let [of_2013, found] = [&heroes, &designed].map(|plate| checked(plate, 2000));
+    let [of_2013, designed] = [of_2013, found].map(|check| check.summary());
+    let better = designed.least_margin >= of_2013.least_margin
+        && designed.median_sigma_mil <= of_2013.median_sigma_mil;
+    assert!(better, "{designed:?}\n{of_2013:?}");
+}
+
+#[test]
+fn another_lens_has_a_camera_that_sees_the_whole_field() {
+    let folder = tempfile::tempdir().unwrap();
+    let design = |options: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
+        let command = command.current_dir(folder.path());
+        let options = format!("plate design --out designed --trials 1 {options}");
+        let output = command.args(options.split(' ')).output().unwrap();
+        String::from_utf8([output.stdout, output.stderr].concat()).unwrap()
+    };
+    let said = design("--field-mil 1200 --radius-mil 183 --shape dot");
+    assert!(said.contains("100.0 %: marks are read"), "{said}");
+    assert!(said.contains("to see the whole Sun all over the field"));
+    let designed = Instrument::read(&folder.path().join("designed/instrument.toml")).unwrap();
+    assert!((designed.optics.radius_mil(MEAN_SUN_ARCSEC) - 183.0).abs() < 1e-6);
+    // The Sun at the edge of the field, towards the sensor's nearest edge.
+    let (mapping, sun_px) = (
+        designed.nominal_mapping().unwrap(),
+        designed.radius_px(977.0),
+    );
+    let lowest = mapping.to_sensor(PlateMil::new(0.0, -1200.0)).y;
+    assert!(
+        lowest - sun_px > 10.0 && lowest - sun_px < 20.0,
+        "{lowest} {sun_px}"
+    );
+
+    for (options, error) in [
+        (
+            "--field-mil 0",
+            "--field-mil: expected a length above 0 mil",
+        ),
+        (
+            "--field-mil 900 --dot-diameter-mil 40",
+            "expected --shape dot",
+        ),
+        (
+            "--field-mil 900 --shape dot --arm-length-mil 40",
+            "expected --shape cross",
+        ),
+    ] {
+        let said = design(options);
+        assert!(said.contains(error), "{said}");
     }
 }
 

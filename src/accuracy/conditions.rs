@@ -36,13 +36,7 @@ pub fn blemished(recipe: &mut Recipe) {
 
 /// A mapping that is off the stated one as far as the instrument's own sigmas say.
 pub fn displaced(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator) {
-    let stated = &instrument.mounting;
-    let mut off = |sigma: f64| sigma * rng.sample::<f64, _>(StandardNormal);
-    let mapping = &mut recipe.conditions.similarity;
-    mapping.plate_centre.x += off(stated.plate_centre_sigma_px);
-    mapping.plate_centre.y += off(stated.plate_centre_sigma_px);
-    mapping.rotation_deg += off(stated.rotation_deg.sigma);
-    mapping.scale_mil_per_px += off(stated.scale_mil_per_px.sigma);
+    recipe.conditions.similarity = instrument.mounting.drawn(|| rng.sample(StandardNormal));
 }
 
 /// The disc cut by the sensor's edge, in a picture whose mapping is off as far as its sigmas say.

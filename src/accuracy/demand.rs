@@ -35,6 +35,8 @@ pub enum Demand {
     HonestSigmaTo(f64),
     /// Largest median of the radial errors, in that of ideal frames of the same seeds; see [`Precision`].
     TimesIdeal(f64),
+    /// In at least this share of the frames the marks are not read, and their likeliest labelling is a false one.
+    RivalsLikeliest(f64),
     /// No solved frame with a wrong id.
     NoWrongId,
     /// No fine frame that is off by 5 sigma and 2 arcsec.
@@ -133,6 +135,10 @@ impl Demand {
                     )
                 })
             }
+            Self::RivalsLikeliest(limit) => {
+                let share = found.likeliest_false as f64 / found.frames.max(1) as f64;
+                at_least("share with a likelier rival", Some(share), limit)
+            }
             Self::NoWrongId => none("wrong ids", &found.wrong_ids),
             Self::NoWrongFine => none("wrong fine frames", &found.wrong_fine),
         }
@@ -177,6 +183,13 @@ impl fmt::Display for Demand {
             Self::HonestSigma => write!(out, "error/sigma {} to {}", HONEST.start, HONEST.end),
             Self::HonestSigmaTo(most) => write!(out, "error/sigma {} to {most}", HONEST.start),
             Self::TimesIdeal(most) => write!(out, "median {most} x the ideal"),
+            Self::RivalsLikeliest(least) => {
+                write!(
+                    out,
+                    "a rival likeliest in {:.1} % of the frames or more",
+                    100.0 * least
+                )
+            }
             Self::NoWrongId => write!(out, "no wrong id"),
             Self::NoWrongFine => write!(out, "no wrong fine frame"),
         }

@@ -50,6 +50,8 @@ pub struct Summary {
     pub near_share: Option<f64>,
     /// Frames in which a mark has a wrong id, by seed.
     pub wrong_ids: Vec<u64>,
+    /// Frames whose marks were not read, and whose likeliest labelling is a false one.
+    pub likeliest_false: usize,
     /// Fine frames that are off by more than they can be, by seed.
     pub wrong_fine: Vec<u64>,
     pub bound: Option<AgainstBound>,
@@ -152,6 +154,7 @@ impl Summary {
             largest_arcsec: quantile(radial(), 1.0),
             over_sigma: over_sigma(&errors),
             near_share: near_share(outcomes),
+            likeliest_false: outcomes.iter().filter(|o| o.likeliest_is_false).count(),
             wrong_ids: seeds(has_wrong_id),
             wrong_fine: seeds(is_wrong_fine),
             bound: against_bound(&counted, arcsec_per_mil),
@@ -239,6 +242,7 @@ mod tests {
     /// A fine frame that is off by so much along X and states a sigma of 1 mil.
     fn off_by(mil: f64) -> Outcome {
         Outcome {
+            likeliest_is_false: false,
             seed: 0,
             quality: Quality::Fine,
             reason: None,

@@ -1,12 +1,15 @@
 //! The rows about other plates, lenses and cameras: one departs from the demo in one thing.
 
-use super::conditions::turned;
-use super::demand::Demand::{FineOfThree, FineShare, HonestSigmaTo, NoneMissedOfFour};
+use super::conditions::{displaced, turned};
+use super::demand::Demand::{
+    FineOfThree, FineShare, HonestSigmaTo, NoneMissedOfFour, RivalsLikeliest,
+};
 use super::demand::HONEST;
 use super::recipe::{ENOUGH_MARKS, Generator, Recipe, Vary, View};
 use super::rows::{AccuracyRow, InstrumentOf, Size, row};
 use crate::instrument::Instrument;
 use crate::plate::{Cross, MarkId, MarkPlace, MarkShape, Pattern, Plate};
+use crate::plate_check::PlaceVerdict;
 use crate::plate_design::{DesignSettings, design, usual_cross, usual_dot};
 use crate::units::{Measured, PlateMil};
 use rand::{RngExt, SeedableRng};
@@ -19,6 +22,8 @@ const FRAMES: [u64; 2] = [16, 2000];
 const LARGE_FRAMES: [u64; 2] = [2, 200];
 /// Frames of a row of designed plates.
 const DESIGN_FRAMES: [u64; 2] = [40, 10_000];
+/// Frames of a row about the check's verdicts.
+const CHECK_FRAMES: [u64; 2] = [60, 10_000];
 
 /// Every row, in the order of the table.
 pub(super) fn plate_rows() -> Vec<AccuracyRow> {
@@ -105,6 +110,7 @@ pub(super) fn plate_rows() -> Vec<AccuracyRow> {
         last.frames = LARGE_FRAMES;
     }
     rows.extend(design_rows());
+    rows.extend(verdict_rows());
     rows
 }
 
@@ -190,6 +196,70 @@ fn designed(
     design(&start, &settings, &|| ()).unwrap_or(start)
 }
 
+/// Rows of what the check says of places, held against frames with the Sun there and the camera off as far as its sigmas say.
+fn verdict_rows() -> [AccuracyRow; 2] {
+    let safe = row(
+        "check-safe",
+        "places that the check calls safe",
+        |r, i, rng| {
+            displaced(r, i, rng);
+            r.view = View::Checked(PlaceVerdict::Safe);
+        },
+    );
+    let ambiguous = row(
+        "check-ambiguous",
+        "places that the check calls ambiguous",
+        |r, i, rng| {
+            displaced(r, i, rng);
+            r.view = View::Checked(PlaceVerdict::Ambiguous);
+        },
+    );
+    [
+        AccuracyRow {
+            frames: CHECK_FRAMES,
+            instrument: Some(|i, n, _| match n {
+                // Of nearly a grid some places are safe, and of others the marks fit several.
+                0 => nearly_a_grid(i, 2.0),
+                1 => random(i, 225),
+                2 => dots(random(i, 225)),
+                _ => i,
+            }),
+            instruments: [2, 4],
+            ..safe.demanding(&[])
+        },
+        AccuracyRow {
+            frames: CHECK_FRAMES,
+            instrument: Some(|i, n, _| {
+                let mut instrument = nearly_a_grid(i, n as f64);
+                instrument.mounting.plate_centre_sigma_px = 30.0;
+                instrument
+            }),
+            instruments: [2, 2],
+            demands: vec![RivalsLikeliest(1e-3)],
+            ..ambiguous
+        },
+    ]
+}
+
+/// The instrument with crosses on a grid, each off it by so much, 1 sigma per axis.
+fn nearly_a_grid(instrument: Instrument, off_mil: f64) -> Instrument {
+    const STEP_MIL: f64 = 300.0;
+    const HALF: i32 = 8;
+    let mut rng = Generator::seed_from_u64(1);
+    let along = || -HALF..=HALF;
+    let places = along().flat_map(|y| along().map(move |x| [x, y].map(f64::from)));
+    let places = places.map(|place| {
+        let [x, y] = place.map(|n| n * STEP_MIL + off_mil * rng.sample::<f64, _>(StandardNormal));
+        PlateMil::new(x, y)
+    });
+    let mut plate = of_crosses(places);
+    plate.field_radius_mil = 1500.0;
+    Instrument {
+        plate,
+        ..instrument
+    }
+}
+
 /// Marks enough for a mapping in view.
 fn marked(recipe: &mut Recipe, _: &Instrument, _: &mut Generator) {
     recipe.view = View::Whole {
@@ -219,15 +289,19 @@ fn random(instrument: Instrument, count: usize) -> Instrument {
             places.push(at);
         }
     }
+    Instrument {
+        plate: of_crosses(places),
+        ..instrument
+    }
+}
+
+/// A plate of the demo's crosses.
+fn of_crosses(places: impl IntoIterator<Item = PlateMil>) -> Plate {
     let ids = (1..).map(|i| MarkId { i, j: 0 });
     let marks = ids
         .zip(places)
         .map(|(id, at)| (id, MarkPlace::new(at, 1.0)));
-    let plate = Plate::new(Pattern::Listed, MarkShape::Cross(Cross::HEROES), 1.0, marks);
-    Instrument {
-        plate,
-        ..instrument
-    }
+    Plate::new(Pattern::Listed, MarkShape::Cross(Cross::HEROES), 1.0, marks)
 }
 
 fn with_shape(mut instrument: Instrument, shape: MarkShape) -> Instrument {

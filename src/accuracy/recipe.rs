@@ -1,8 +1,10 @@
 //! From a recipe and a seed to a scene.
 
+use crate::aspect::SolverSettings;
 use crate::geometry::unit;
 use crate::instrument::{Instrument, Mounting};
 use crate::plate::{MOST_MARKS, MarkId};
+use crate::plate_check::{CheckSettings, PlaceVerdict, check_places};
 use crate::simulate::{
     Conditions, LitMark, RandomScenes, Scene, SceneError, Sun, SunInView, Sunspot,
 };
@@ -33,6 +35,8 @@ pub enum View {
     Around(MarkId),
     /// Anywhere in the plate's field.
     Field,
+    /// Anywhere in the field where the check of the plate says this.
+    Checked(PlaceVerdict),
     /// The whole disc, across the boundary between the sensor's halves: within 0.8 radii of the centre.
     AcrossMiddle,
     /// Nowhere.
@@ -101,7 +105,7 @@ impl Recipe {
         // Enough for a view that one place in a thousand gives.
         for _ in 0..20_000 {
             scene.sun = Some(sun.clone());
-            if self.suits(&scene) {
+            if self.suits(instrument, &scene) {
                 return Ok(scene);
             }
             sun.centre = self.place(&scene, sun.radius_mil, &mut rng);
@@ -121,7 +125,7 @@ impl Recipe {
             let distance = radius_mil * rng.random_range(0.0_f64..1.0).sqrt();
             return (mark.vector() + direction(rng) * distance).into();
         }
-        if self.view == View::Field {
+        if let View::Field | View::Checked(_) = self.view {
             let distance = scene.plate.field_radius_mil * rng.random_range(0.0_f64..1.0).sqrt();
             return (direction(rng) * distance).into();
         }
@@ -133,7 +137,11 @@ impl Recipe {
         scene.mapping.to_plate(seen)
     }
 
-    fn suits(&self, scene: &Scene) -> bool {
+    fn suits(&self, instrument: &Instrument, scene: &Scene) -> bool {
+        let in_field = || {
+            let sun = scene.sun.as_ref();
+            sun.is_some_and(|sun| sun.centre.vector().norm() < scene.plate.field_radius_mil)
+        };
         let lit = || fully_lit(scene).count();
         match &self.view {
             View::Whole { lit_marks } => is_whole(scene) && lit_marks.contains(&lit()),
@@ -146,14 +154,20 @@ impl Recipe {
                     && ENOUGH_MARKS.contains(&lit())
                     && fully_lit(scene).any(|mark| mark.id == *id)
             }
-            View::Field => scene
-                .sun
-                .as_ref()
-                .is_some_and(|sun| sun.centre.vector().norm() < scene.plate.field_radius_mil),
+            View::Field => in_field(),
+            View::Checked(verdict) => in_field() && verdict_of(instrument, scene) == Some(*verdict),
             View::AcrossMiddle => is_whole(scene) && reaches_middle(scene),
             View::Absent => true,
         }
     }
+}
+
+/// What the check of the plate says of the place where the Sun is.
+fn verdict_of(instrument: &Instrument, scene: &Scene) -> Option<PlaceVerdict> {
+    let at = scene.sun.as_ref()?.centre;
+    let (solver, settings) = (SolverSettings::default(), CheckSettings::default());
+    let places = check_places(instrument, &solver, &settings, &[(0, at)]);
+    places.first().map(|place| place.verdict)
 }
 
 /// Whether the boundary between the sensor's left and right half crosses the disc well inside its limb.

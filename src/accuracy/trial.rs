@@ -2,7 +2,8 @@
 
 use super::bound;
 use super::recipe::{Recipe, Vary, fully_lit, limb_share};
-use crate::aspect::{Expected, Quality, Solution, SolverSettings, solve_with};
+use crate::aspect::{Expected, Pipeline, Quality, Solution, SolverSettings, Stage, solve_with};
+use crate::frame::Frame;
 use crate::instrument::Instrument;
 use crate::plate::MarkId;
 use crate::simulate::{SUN_RADIUS_ARCSEC, Scene, SceneError};
@@ -12,6 +13,10 @@ use rayon::prelude::*;
 
 /// A mark this far from where its id stands in truth has the wrong id, px.
 const WRONG_ID_PX: f64 = 3.0;
+/// What is expected of every frame.
+const EXPECTED: Option<Expected> = Some(Expected {
+    radius_arcsec: SUN_RADIUS_ARCSEC,
+});
 
 /// What a frame's solution is, beside the truth.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,6 +34,8 @@ pub struct Outcome {
     /// Fully lit marks that have the right id.
     pub marks: Vec<MarkError>,
     pub wrong_ids: Vec<MarkId>,
+    /// Whether the marks were not read, and their likeliest labelling is a false one.
+    pub likeliest_is_false: bool,
     /// The least covariance of the Sun's place on the plate that the frame allows, mil^2; where it is wanted.
     pub bound_mil2: Option<Matrix2<f64>>,
 }
@@ -105,21 +112,21 @@ impl Trial {
         bounded: Bounded,
     ) -> Result<Outcome, SceneError> {
         let scene = recipe.scene(&self.instrument, seed)?;
-        let expected = Some(Expected {
-            radius_arcsec: SUN_RADIUS_ARCSEC,
-        });
         let frame = scene.frame()?;
         let stated = Instrument {
             mounting: recipe.stated,
             ..self.instrument.clone()
         };
-        let solution = solve_with(&self.settings, &frame, &stated, expected, None);
+        let solution = solve_with(&self.settings, &frame, &stated, EXPECTED, None);
         let bound_mil2 = match bounded {
             Bounded::Yes => bound::covariance_mil2(&scene),
             Bounded::No => None,
         };
+        let misread = solution.stopped.map(|stopped| stopped.stage) == Some(Stage::Identification)
+            && self.is_likeliest_false(&scene, &frame, &stated) == Some(true);
         Ok(Outcome {
             bound_mil2,
+            likeliest_is_false: misread,
             ..self.compare(&scene, &solution, seed)
         })
     }
@@ -135,6 +142,30 @@ impl Trial {
             let recipe = Recipe::drawn(vary, &self.instrument, seed);
             self.outcome(&recipe, seed, Bounded::No)
         })
+    }
+
+    /// Whether the likeliest labelling of a frame's marks gives one of them the id of another.
+    fn is_likeliest_false(
+        &self,
+        scene: &Scene,
+        frame: &Frame,
+        stated: &Instrument,
+    ) -> Option<bool> {
+        let pipeline = Pipeline::new(&self.settings, stated, EXPECTED);
+        let levels = pipeline.levels(frame).ok()?;
+        let disc = pipeline.find_disc(frame, &levels, None).ok()?;
+        let image = pipeline.image(frame, &levels, &disc).ok()?;
+        let detections = pipeline.detect(&image);
+        let sensor_px = [frame.width() as f64, frame.height() as f64];
+        let ids = pipeline.likeliest_ids(sensor_px, image.light.outline, &detections)?;
+        let is_false = |(n, id): &(usize, MarkId)| {
+            let seen = scene
+                .plate
+                .position(*id)
+                .map(|at| scene.mapping.to_sensor(at));
+            seen.is_none_or(|seen| seen.distance(detections.marks[*n].at) > WRONG_ID_PX)
+        };
+        Some(ids.iter().any(is_false))
     }
 
     fn compare(&self, scene: &Scene, solution: &Solution, seed: u64) -> Outcome {
@@ -167,6 +198,7 @@ impl Trial {
             aspect: self.aspect_error(scene, solution),
             marks,
             wrong_ids,
+            likeliest_is_false: false,
             bound_mil2: None,
         }
     }

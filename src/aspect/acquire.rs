@@ -11,6 +11,7 @@ use crate::frame::{Frame, Mask};
 use crate::geometry::{Ellipse, Mapping, MappingKind};
 use crate::instrument::Mounting;
 use crate::limb::DiscLight;
+use crate::plate::MarkId;
 use crate::reasons::sun;
 use crate::registration::{self, Pair};
 use crate::units::{self, Rejected, SensorPx};
@@ -193,6 +194,19 @@ impl Pipeline<'_> {
     ) -> Result<Identified, Unread> {
         let prior = self.identification_prior(sensor_px, outline, detections, mounting);
         fiducial::identify(&detections.marks, &prior, &self.instrument.plate, settings)
+    }
+
+    /// The likeliest ids, whether they are decisive or not.
+    pub(crate) fn likeliest_ids(
+        &self,
+        sensor_px: [f64; 2],
+        outline: Ellipse,
+        detections: &Detections,
+    ) -> Option<Vec<(usize, MarkId)>> {
+        let instrument = self.instrument;
+        let prior = self.identification_prior(sensor_px, outline, detections, &instrument.mounting);
+        let settings = &self.settings.fiducial;
+        fiducial::likeliest(&detections.marks, &prior, &instrument.plate, settings)
     }
 
     /// What is known before marks are identified about a disc's outline on a sensor of some width and height.

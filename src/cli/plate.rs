@@ -48,6 +48,9 @@ struct DesignArgs {
     /// Marks that are fully lit wherever it stands
     #[arg(long, value_name = "N", default_value_t = 4)]
     marks_in_view: usize,
+    /// Keep so many marks even where fewer would do: more of them tell the Sun's place better
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    least_marks: usize,
     /// What the marks are
     #[arg(long, value_enum, default_value_t = ShapeName::Cross)]
     shape: ShapeName,
@@ -135,6 +138,7 @@ fn design(args: &DesignArgs) -> anyhow::Result<ExitCode> {
     let settings = DesignSettings {
         shape: shape(args, &start)?,
         rotations: rotations(args.any_rotation),
+        least_marks: args.least_marks,
         trials: args.trials,
         seed: args.seed,
         ..DesignSettings::new(args.field_mil, args.marks_in_view)
@@ -222,7 +226,7 @@ fn write_check(folder: &Path, found: &PlateCheck) -> anyhow::Result<()> {
     )?;
     write(
         &folder.join("plate.json"),
-        &serde_json::to_vec_pretty(found)?,
+        plate_check::json(found)?.as_bytes(),
     )
 }
 

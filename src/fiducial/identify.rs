@@ -76,10 +76,45 @@ pub fn identify(
     plate: &Plate,
     settings: &FiducialSettings,
 ) -> Result<Identified, Unread> {
-    let is_full = |n: &usize| detections[*n].lighting == Lighting::Full;
-    let full: Vec<usize> = (0..detections.len()).filter(is_full).collect();
+    let full = fully_lit(detections);
     let (count, least) = (full.len() as f64, settings.min_marks as f64);
     Rejected::at_least(least, count, sun::FEW_LIT_MARKS)?;
+    let all = near_the_stated_centre(detections, &full, prior, plate, settings);
+    let (best, mut margin) = decide(&all, full.len(), prior, settings)?;
+    if plate.pattern() != Pattern::Heroes {
+        margin = margin.min(check_place(&best, &full, detections, prior, plate)?);
+    }
+    Ok(Identified {
+        ids: best.usable(),
+        margin,
+    })
+}
+
+/// The ids of the likeliest labelling, whether it is decisive or not: the indices into the detections, with ids.
+pub(crate) fn likeliest(
+    detections: &[Detection],
+    prior: &IdentificationPrior,
+    plate: &Plate,
+    settings: &FiducialSettings,
+) -> Option<Vec<(usize, MarkId)>> {
+    let full = fully_lit(detections);
+    let all = near_the_stated_centre(detections, &full, prior, plate, settings);
+    all.first().map(Labelling::usable)
+}
+
+fn fully_lit(detections: &[Detection]) -> Vec<usize> {
+    let is_full = |n: &usize| detections[*n].lighting == Lighting::Full;
+    (0..detections.len()).filter(is_full).collect()
+}
+
+/// Every labelling that puts the plate's centre near the stated one, the likeliest first.
+fn near_the_stated_centre(
+    detections: &[Detection],
+    full: &[usize],
+    prior: &IdentificationPrior,
+    plate: &Plate,
+    settings: &FiducialSettings,
+) -> Vec<Labelling> {
     let from_sun_px = prior.sun_distance_px(prior.plate_centre);
     let error_px = PREDICTION_ERROR * (from_sun_px + prior.outline.mean_radius());
     let reach_mil = (settings.max_centre_shift_px + error_px) * prior.mil_per_px();
@@ -94,19 +129,13 @@ pub fn identify(
     };
     let orders: Vec<Vec<usize>> = anchors
         .iter()
-        .map(|n| nearest_first(*n, &full, detections))
+        .map(|n| nearest_first(*n, full, detections))
         .collect();
-    let all = scenes
+    let mut all: Vec<Labelling> = scenes
         .flat_map(|scene| labellings(&scene, &orders, reach_mil, prior, settings))
         .collect();
-    let (best, mut margin) = decide(all, full.len(), prior, settings)?;
-    if plate.pattern() != Pattern::Heroes {
-        margin = margin.min(check_place(&best, &full, detections, prior, plate)?);
-    }
-    Ok(Identified {
-        ids: best.usable(),
-        margin,
-    })
+    all.sort_by(|a, b| b.score.total_cmp(&a.score));
+    all
 }
 
 /// Holds a labelling against those of the same marks anywhere on the plate, whatever the stated centre: by how much its odds exceed
@@ -189,15 +218,14 @@ fn labellings(
     found
 }
 
-/// The best labelling of so many fully lit detections, if all that contradict it are unlikely together, and by how much its odds
-/// exceed what is asked.
+/// The first labelling, the best, of so many fully lit detections, if all that contradict it are unlikely together, and by how much its
+/// odds exceed what is asked.
 fn decide(
-    mut labellings: Vec<Labelling>,
+    labellings: &[Labelling],
     full: usize,
     prior: &IdentificationPrior,
     settings: &FiducialSettings,
 ) -> Result<(Labelling, f64), Unread> {
-    labellings.sort_by(|a, b| b.score.total_cmp(&a.score));
     let Some(best) = labellings.first() else {
         return Err(Unread::Undecided(Rejected {
             reason: sun::NO_LABELLING,

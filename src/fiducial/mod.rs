@@ -30,6 +30,7 @@ mod template;
 
 pub use detect::{Detection, Detections, detect};
 pub use flatten::FlatDisc;
+pub(crate) use identify::likeliest;
 pub use identify::{Identified, Unread, identify};
 pub use lighting::Lighting;
 pub use mark_image::{MarkForm, MarkImage};

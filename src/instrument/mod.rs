@@ -144,6 +144,16 @@ impl Mounting {
             handedness: self.handedness,
         }
     }
+
+    /// A similarity that is off the stated one as far as its sigmas say; `normal` gives a standard normal number.
+    pub fn drawn(&self, mut normal: impl FnMut() -> f64) -> SimilarityParameters {
+        let mut drawn = self.similarity();
+        drawn.plate_centre.x += self.plate_centre_sigma_px * normal();
+        drawn.plate_centre.y += self.plate_centre_sigma_px * normal();
+        drawn.rotation_deg += self.rotation_deg.sigma * normal();
+        drawn.scale_mil_per_px += self.scale_mil_per_px.sigma * normal();
+        drawn
+    }
 }
 
 /// A frame that is not this instrument's.

@@ -288,7 +288,7 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
 /// Whether frames of a camera's plate can be read: an error where none can, a warning where some of the field cannot.
 fn plate(camera: &str, instrument: &Instrument, config: &Config, remarks: &mut Remarks) {
     /// Less of the field is where a mounting was drawn that is off by three sigma and more.
-    const NOTABLE_PART: f64 = 0.02;
+    const NOTABLE_PART: f64 = 0.025;
     let (key, least_marks) = (format!("{camera}.instrument"), config.fiducial.min_marks);
     let found = plate_check::check(instrument, &config.solver(), &CheckSettings::quick());
     if let Some(misfit) = &found.misfit {

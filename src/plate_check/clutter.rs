@@ -65,3 +65,40 @@ fn is_apart(seen: &Seen, at: SensorPx, scene: &CheckScene) -> bool {
     let mut others = seen.detections.marks.iter();
     others.all(|other| other.at.distance(at) > apart_px)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::scene::PlateView;
+    use super::*;
+    use crate::aspect::SolverSettings;
+    use crate::instrument::builtin;
+    use crate::units::PlateMil;
+    use rand::SeedableRng;
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    #[test]
+    fn marks_are_missed_and_detections_false_as_often_as_the_flight_expects() {
+        let (demo, solver) = (builtin("demo").unwrap(), SolverSettings::default());
+        let view = PlateView::new(&demo, &solver, 5.0 / 205.0).unwrap();
+        let scene = CheckScene::new(&view, PlateMil::new(300.0, 200.0), &view.stated);
+        let [sure, cut] = [true, false].map(|is_sure| {
+            let marks = scene.marks.iter();
+            marks.filter(|mark| mark.is_sure == is_sure).count() as f64
+        });
+        assert!(sure > 3.0 && cut > 0.0);
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(1);
+        let (mut found, mut false_ones) = (0, 0);
+        for _ in 0..1000 {
+            let seen = among_clutter(&scene, &mut rng);
+            found += seen.ids.iter().flatten().count();
+            false_ones += seen.ids.iter().filter(|id| id.is_none()).count();
+        }
+        // Some fall on marks, where the flight keeps one of the two.
+        assert!((600..1000).contains(&false_ones), "{false_ones}");
+        let found = found as f64 / 1000.0;
+        assert!(
+            (found - (sure + cut / 2.0)).abs() < 0.1 * sure,
+            "{found} of {sure} + {cut}"
+        );
+    }
+}

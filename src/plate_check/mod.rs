@@ -2,8 +2,8 @@
 //!
 //! # Method
 //! The Sun is put all over the plate's field, and at each place the camera is mounted as far off its stated mounting as its sigmas say.
-//! No frame is drawn: the marks that would be detected follow from the drawing, each displaced by its detection's sigma, and the
-//! flight's own identification judges them. It says by how much the odds of its labelling against every rival exceed what the
+//! No frame is drawn: the marks that would be detected follow from the drawing, each displaced by the sigmas of its detection and of the
+//! print, and the flight's own identification judges them. It says by how much the odds of its labelling against every rival exceed what the
 //! flight asks: a place whose least margin of all draws is below 0 is ambiguous.
 //!
 //! A draw of each place is judged once more with marks missed and detections false as often as the flight's evidence expects (module
@@ -12,19 +12,21 @@
 //! How well the Sun's place would be known follows from the marks' and the limb's own sigmas (module `sigma`).
 //!
 //! ```text
-//! scene <- sigma, clutter <- mod <- page
+//! scene <- sigma, clutter; these, found <- mod; found <- page
 //! ```
 
 mod clutter;
+mod found;
 mod page;
 mod scene;
 mod sigma;
 
-pub use page::html;
+pub use found::{CheckSummary, CheckedPlace, PlaceVerdict, PlateCheck};
+pub use page::{html, json};
 
 use crate::aspect::SolverSettings;
 use crate::geometry::unit;
-use crate::instrument::{Instrument, LensMisfit};
+use crate::instrument::Instrument;
 use crate::reasons::sun;
 use crate::units::PlateMil;
 use clutter::among_clutter;
@@ -32,7 +34,7 @@ use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 use scene::{CheckScene, PlateView, Seen};
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 
 /// What is checked, and how closely.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,10 +62,10 @@ pub enum Rotations {
 }
 
 impl CheckSettings {
-    /// Enough to warn of a plate, in a part of a second.
+    /// Enough to warn of a plate: a part of a second, or two where it has 2,000 marks or dots that may be turned anyhow.
     pub fn quick() -> Self {
         Self {
-            places: 300,
+            places: 100,
             draws: 1,
             cluttered_draws: 0,
             ..Self::default()
@@ -83,141 +85,6 @@ impl Default for CheckSettings {
             seed: 1,
         }
     }
-}
-
-/// What a place of the Sun is like.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct CheckedPlace {
-    pub x_mil: f64,
-    pub y_mil: f64,
-    /// Marks that are fully lit.
-    pub lit: usize,
-    pub verdict: PlaceVerdict,
-    /// By how much the logarithm of the odds of the true labelling exceeds what is asked, the least of the draws.
-    pub margin: Option<f64>,
-    /// The worst that becomes of draws that are read when marks are missed and detections false as often as the flight expects.
-    pub among_clutter: Option<PlaceVerdict>,
-    /// How well the Sun's place would be known, 1 sigma per axis.
-    pub sigma_mil: Option<f64>,
-    /// By how much marks that are misprinted within the drawing's sigma move it, 1 sigma per axis.
-    pub misprint_mil: Option<f64>,
-}
-
-impl CheckedPlace {
-    /// A place where no mark is lit.
-    fn unlit(at: PlateMil) -> Self {
-        Self {
-            x_mil: at.x,
-            y_mil: at.y,
-            lit: 0,
-            verdict: PlaceVerdict::FewMarks,
-            margin: None,
-            among_clutter: None,
-            sigma_mil: None,
-            misprint_mil: None,
-        }
-    }
-
-    /// The least of the draws so far, and another one.
-    fn worsen(&mut self, verdict: PlaceVerdict, margin: f64) {
-        let (worst, least) = match self.margin {
-            Some(least) => (self.verdict, least),
-            None => (verdict, margin),
-        };
-        (self.verdict, self.margin) = (worst.max(verdict), Some(least.min(margin)));
-    }
-
-    pub fn at(&self) -> PlateMil {
-        PlateMil::new(self.x_mil, self.y_mil)
-    }
-}
-
-/// What becomes of frames with the Sun at a place.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum PlaceVerdict {
-    /// Its marks are read, and as no others.
-    Safe,
-    /// Fewer marks are lit on the sensor than make a mapping.
-    FewMarks,
-    /// Another labelling is nearly as likely.
-    Ambiguous,
-    /// The marks fit several places of the plate.
-    SeveralPlaces,
-    /// Its marks are read as others.
-    Wrong,
-}
-
-impl PlaceVerdict {
-    /// All of them with what they mean, the best first.
-    pub const ALL: [(Self, &'static str); 5] = [
-        (Self::Safe, "marks are read, and as no others"),
-        (Self::FewMarks, "too few marks are fully lit"),
-        (Self::Ambiguous, "another labelling is nearly as likely"),
-        (
-            Self::SeveralPlaces,
-            "the marks fit several places of the plate",
-        ),
-        (Self::Wrong, "marks are read as others"),
-    ];
-}
-
-/// What the check of a plate says.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct PlateCheck {
-    pub instrument: String,
-    pub marks: usize,
-    pub shape: &'static str,
-    pub field_radius_mil: f64,
-    pub rotations: Rotations,
-    /// Why no frame can be read at all.
-    #[serde(serialize_with = "as_text")]
-    pub misfit: Option<LensMisfit>,
-    pub places: Vec<CheckedPlace>,
-}
-
-impl PlateCheck {
-    /// How many places have a verdict.
-    pub fn count(&self, verdict: PlaceVerdict) -> usize {
-        let places = self.places.iter();
-        places.filter(|place| place.verdict == verdict).count()
-    }
-
-    /// The part of the field where frames cannot be read, and what most of it lacks; `None` where they can be read all over it.
-    pub fn unreadable(&self) -> Option<(f64, &'static str)> {
-        let bad = PlaceVerdict::ALL.iter().skip(1);
-        let counts = bad.map(|(verdict, meaning)| (self.count(*verdict), *meaning));
-        let most = counts.max_by_key(|(count, _)| *count)?;
-        let safe = self.count(PlaceVerdict::Safe);
-        let part = 1.0 - safe as f64 / self.places.len().max(1) as f64;
-        (most.0 > 0).then_some((part, most.1))
-    }
-
-    /// Whether frames can be read all over the field.
-    pub fn passes(&self) -> bool {
-        self.misfit.is_none() && self.count(PlaceVerdict::Safe) == self.places.len()
-    }
-
-    /// The share of the places read by complete detections that is read among clutter, too.
-    pub fn read_among_clutter(&self) -> Option<f64> {
-        let verdicts: Vec<_> = (self.places.iter())
-            .filter_map(|place| place.among_clutter)
-            .collect();
-        let read = verdicts
-            .iter()
-            .filter(|verdict| **verdict == PlaceVerdict::Safe);
-        (!verdicts.is_empty()).then(|| read.count() as f64 / verdicts.len() as f64)
-    }
-
-    /// The least of a number over the places that have it.
-    pub fn least(&self, of: impl Fn(&CheckedPlace) -> Option<f64>) -> Option<f64> {
-        self.places.iter().filter_map(of).min_by(f64::total_cmp)
-    }
-}
-
-/// An error as its text.
-fn as_text<S: Serializer>(misfit: &Option<LensMisfit>, out: S) -> Result<S::Ok, S::Error> {
-    misfit.as_ref().map(ToString::to_string).serialize(out)
 }
 
 /// Checks an instrument's plate.

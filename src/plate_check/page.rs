@@ -1,9 +1,10 @@
 //! The check of a plate as lines of text and as one HTML page.
 
-use super::{CheckedPlace, PlaceVerdict, PlateCheck, Rotations};
+use super::{CheckSummary, CheckedPlace, PlateCheck, Rotations};
 use crate::provenance::{COMMIT, PROGRAM};
 use crate::report::html::Page;
 use crate::report::plot::{self, Cell, Labels, PlotError};
+use serde::Serialize;
 use std::fmt;
 
 /// A number of a place.
@@ -12,8 +13,8 @@ type NumberOf = fn(&CheckedPlace) -> Option<f64>;
 /// As lines of text.
 impl fmt::Display for PlateCheck {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let count = self.places.len();
-        let field = self.field_radius_mil;
+        let (count, field) = (self.places.len(), self.field_radius_mil);
+        let summary = self.summary();
         writeln!(
             out,
             "plate      {:?}: {} marks, {}",
@@ -30,26 +31,26 @@ impl fmt::Display for PlateCheck {
         if let Some(misfit) = &self.misfit {
             writeln!(out, "lens       {misfit}")?;
         }
-        for (verdict, meaning) in PlaceVerdict::ALL {
-            let found = self.count(verdict);
-            if found > 0 {
-                let share = 100.0 * found as f64 / count.max(1) as f64;
-                writeln!(out, "{found:>6} places, {share:5.1} %: {meaning}")?;
-            }
+        for (verdict, found) in &summary.places {
+            let share = 100.0 * *found as f64 / count.max(1) as f64;
+            writeln!(
+                out,
+                "{found:>6} places, {share:5.1} %: {}",
+                verdict.meaning()
+            )?;
         }
         let number = |value: Option<f64>, unit: &str| match value {
-            Some(value) => format!("{value:.2}{unit}"),
+            Some(value) => format!("{value:.3}{unit}"),
             None => "none".into(),
         };
-        let most = |of: NumberOf| self.least(|p| of(p).map(|v| -v)).map(|v| -v);
-        let lit = self.places.iter().map(|place| place.lit).min().unwrap_or(0);
-        writeln!(out, "fewest     {lit} marks fully lit")?;
+        let fewest = summary.fewest_lit.unwrap_or(0);
+        writeln!(out, "fewest     {fewest} marks fully lit")?;
         writeln!(
             out,
             "odds       at least {} beyond what the flight asks (logarithm)",
-            number(self.least(|p| p.margin), "")
+            number(summary.least_margin, "")
         )?;
-        if let Some(read) = self.read_among_clutter() {
+        if let Some(read) = summary.read_among_clutter {
             let read = 100.0 * read;
             writeln!(
                 out,
@@ -58,12 +59,28 @@ impl fmt::Display for PlateCheck {
         }
         write!(
             out,
-            "sigma      {} to {} by noise, at most {} by misprints",
-            number(self.least(|p| p.sigma_mil), " mil"),
-            number(most(|p| p.sigma_mil), " mil"),
-            number(most(|p| p.misprint_mil), " mil")
+            "sigma      {}, median {} and at most {} by noise, at most {} by misprints",
+            number(summary.least_sigma_mil, ""),
+            number(summary.median_sigma_mil, ""),
+            number(summary.most_sigma_mil, " mil"),
+            number(summary.most_misprint_mil, " mil")
         )
     }
+}
+
+/// The check as JSON: its numbers and all places.
+///
+/// # Errors
+/// A number that JSON does not have.
+pub fn json(check: &PlateCheck) -> serde_json::Result<String> {
+    #[derive(Serialize)]
+    struct Whole<'a> {
+        summary: CheckSummary,
+        #[serde(flatten)]
+        check: &'a PlateCheck,
+    }
+    let summary = check.summary();
+    serde_json::to_string_pretty(&Whole { summary, check })
 }
 
 /// The check as one HTML page that needs nothing beside it.

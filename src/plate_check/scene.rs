@@ -57,15 +57,9 @@ impl<'a> PlateView<'a> {
 
     /// A camera whose mounting is off the stated one as far as its sigmas say, or is turned anyhow.
     pub fn drawn(&self, rotations: Rotations, rng: &mut impl Rng) -> Mapping {
-        let stated = &self.instrument.mounting;
-        let mut off = |sigma: f64| sigma * rng.sample::<f64, _>(StandardNormal);
-        let mut mounting = stated.similarity();
-        mounting.plate_centre.x += off(stated.plate_centre_sigma_px);
-        mounting.plate_centre.y += off(stated.plate_centre_sigma_px);
-        mounting.scale_mil_per_px += off(stated.scale_mil_per_px.sigma);
-        match rotations {
-            Rotations::Stated => mounting.rotation_deg += off(stated.rotation_deg.sigma),
-            Rotations::Any => mounting.rotation_deg = rng.random_range(0.0..360.0),
+        let mut mounting = (self.instrument.mounting).drawn(|| rng.sample(StandardNormal));
+        if rotations == Rotations::Any {
+            mounting.rotation_deg = rng.random_range(0.0..360.0);
         }
         let drawn = Mapping::similarity(mounting, self.instrument.camera.distortion);
         drawn.unwrap_or_else(|| self.stated.clone())
@@ -150,7 +144,7 @@ impl<'a> CheckScene<'a> {
         self.marks.iter().filter(|m| m.lighting == Lighting::Full)
     }
 
-    /// What is found, if it is all that must be: each mark off by its sigma.
+    /// What is found, if it is all that must be.
     pub fn all_found(&self, rng: &mut impl Rng) -> Seen {
         let mut seen = Seen::new(self);
         for mark in self.marks.iter().filter(|mark| mark.is_sure) {
@@ -159,9 +153,11 @@ impl<'a> CheckScene<'a> {
         seen
     }
 
-    /// A detection of a mark, off by its sigma.
+    /// A detection of a mark, off by its own sigma and by the print's.
     pub fn detection(&self, mark: &LitMark, rng: &mut impl Rng) -> Detection {
-        let mut off = || self.view.sigma_px * rng.sample::<f64, _>(StandardNormal);
+        let print_px = mark.print_mil * self.radius_px() / self.view.radius_mil();
+        let sigma_px = self.view.sigma_px.hypot(print_px);
+        let mut off = || sigma_px * rng.sample::<f64, _>(StandardNormal);
         Detection {
             at: SensorPx::new(mark.at.x + off(), mark.at.y + off()),
             sigma_px: self.view.sigma_px,

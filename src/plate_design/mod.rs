@@ -32,6 +32,8 @@ pub struct DesignSettings {
     pub field_mil: f64,
     /// Least marks that are fully lit wherever it stands.
     pub marks_in_view: usize,
+    /// Marks that are kept even where fewer would do: more of them tell the Sun's place better, and hide more of the limb.
+    pub least_marks: usize,
     pub shape: MarkShape,
     pub rotations: Rotations,
     pub trials: u64,
@@ -49,6 +51,7 @@ impl DesignSettings {
         Self {
             field_mil,
             marks_in_view,
+            least_marks: 0,
             shape: MarkShape::Cross(Cross::HEROES),
             rotations: Rotations::Stated,
             trials: TRIALS,
@@ -269,7 +272,7 @@ impl Layout {
                 break;
             }
             if layout.are_apart() && layout.least_in_view() >= settings.marks_in_view {
-                layout.prune();
+                layout.prune(settings.least_marks);
                 return Ok(layout);
             }
             layout.spacing_mil *= NARROWER;
@@ -351,8 +354,10 @@ impl Layout {
             .unwrap_or(0)
     }
 
-    /// Takes marks away without which every place has as many as are asked for, those first that are farthest out.
-    fn prune(&mut self) {
+    /// Takes marks away without which every place has as many as are asked for, those first that are farthest out, while more are left
+    /// than `least`.
+    fn prune(&mut self, least: usize) {
+        let mut left = self.marks.len();
         let suns = self.suns();
         let mut lit: Vec<usize> = suns.iter().map(|sun| self.lit(sun)).collect();
         self.marks.sort_by(|a, b| b.1.norm().total_cmp(&a.1.norm()));
@@ -361,7 +366,8 @@ impl Layout {
             let near = |n: &usize| (mark.1 - suns[*n]).norm() < self.lit_mil;
             let near: Vec<usize> = (0..suns.len()).filter(near).collect();
             // Of a mark that nothing lights none is left.
-            if near.iter().all(|n| lit[*n] > self.marks_in_view) {
+            if left > least && near.iter().all(|n| lit[*n] > self.marks_in_view) {
+                left -= 1;
                 near.iter().for_each(|n| lit[*n] -= 1);
             } else {
                 kept.push(mark);
