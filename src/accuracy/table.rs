@@ -440,6 +440,14 @@ fn missed_text(rows: &[RowReport]) -> String {
                 "- {name}: {reason}: {count} frames, seeds (marks lit) {named}{more}"
             );
         }
+        let rivals = row.summary.likeliest_false;
+        if rivals > 0 {
+            let name = row.row.name;
+            let _ = writeln!(
+                out,
+                "- {name}: a false labelling is the likeliest of {rivals} of these"
+            );
+        }
     }
     if out.is_empty() {
         return out;
