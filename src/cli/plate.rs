@@ -177,10 +177,13 @@ fn design(args: &DesignArgs) -> anyhow::Result<ExitCode> {
 fn camera(before: &Instrument, args: &DesignArgs) -> anyhow::Result<Instrument> {
     positive("--field-mil", Some(args.field_mil))?;
     let mean_mil = before.optics.radius_mil(MEAN_SUN_ARCSEC);
-    let start = match positive("--radius-mil", args.radius_mil)? {
+    let mut start = match positive("--radius-mil", args.radius_mil)? {
         Some(radius_mil) => before.clone().scaled(radius_mil / mean_mil),
         None => before.clone(),
     };
+    if args.any_rotation {
+        start.mounting.rotation_deg.sigma = 180.0;
+    }
     Ok(start.seeing(args.field_mil))
 }
 

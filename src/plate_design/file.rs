@@ -32,6 +32,7 @@ pub fn file(
             ("optics.focal_length_mm", i.optics.focal_length_mm),
             ("optics.plate_distance_mm", i.optics.plate_distance_mm),
             ("mounting.scale_mil_per_px", i.mounting.scale_mil_per_px),
+            ("mounting.rotation_deg", i.mounting.rotation_deg),
         ]
     };
     for ((key, found), (_, old)) in numbers(designed).into_iter().zip(numbers(before)) {
