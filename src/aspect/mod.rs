@@ -12,7 +12,7 @@ pub use adopted::Adopted;
 pub use measure::Measured;
 pub use solution::{Aspect, Mark, Quality, Solution, Stage, Stopped, Track};
 pub use stages::{DiscImage, Pipeline};
-pub(crate) use stages::{cutout, marks_mask};
+pub(crate) use stages::{MARK_MARGIN_PX, cutout, marks_mask};
 
 use crate::frame::Frame;
 use crate::geometry::Circle;

@@ -19,7 +19,7 @@ const TILTED_FLATNESS: f64 = 0.002;
 /// A camera without tilt, as the instrument states.
 const STATED_FLATNESS: f64 = 0.0003;
 /// Distance from a mark's arm within which the limb is not trusted, px.
-pub(super) const MARK_MARGIN_PX: f64 = 3.0;
+pub(crate) const MARK_MARGIN_PX: f64 = 3.0;
 /// The limb's fit reads pixels so far inside the limb; outside it marks take no light.
 const MASKED_DEPTH_PX: f64 = 14.0;
 /// The cutout reaches so many radii from the disc's centre: the limb's band and the marks' patches lie within.

@@ -13,6 +13,8 @@ pub struct CheckedPlace {
     pub y_mil: f64,
     /// Marks that are fully lit.
     pub lit: usize,
+    /// The part of the limb that no mark hides, 0 to 1.
+    pub limb_free: f64,
     pub verdict: PlaceVerdict,
     /// By how much the logarithm of the odds of the true labelling exceeds what is asked, the least of the draws.
     pub margin: Option<f64>,
@@ -31,6 +33,7 @@ impl CheckedPlace {
             x_mil: at.x,
             y_mil: at.y,
             lit: 0,
+            limb_free: 0.0,
             verdict: PlaceVerdict::FewMarks,
             margin: None,
             among_clutter: None,
@@ -139,6 +142,7 @@ impl PlateCheck {
             passes: self.passes(),
             places: counts.into_iter().filter(|(_, count)| *count > 0).collect(),
             fewest_lit: self.places.iter().map(|place| place.lit).min(),
+            least_limb_free: self.sorted(|place| Some(place.limb_free)).first().copied(),
             least_margin: self.sorted(|place| place.margin).first().copied(),
             read_among_clutter: (!among_clutter.is_empty()).then_some(read_share),
             least_sigma_mil: sigmas_mil.first().copied(),
@@ -164,6 +168,8 @@ pub struct CheckSummary {
     /// How many places have each verdict that any has.
     pub places: BTreeMap<PlaceVerdict, usize>,
     pub fewest_lit: Option<usize>,
+    /// The part of the limb that no mark hides, where marks hide most of it.
+    pub least_limb_free: Option<f64>,
     /// By how much the logarithm of the odds exceeds what is asked, at the worst place.
     pub least_margin: Option<f64>,
     /// Of the draws that are read when all that must be is found, the share that is read among clutter, too.

@@ -141,6 +141,7 @@ fn checked(
     let stated = CheckScene::new(view, at, &view.stated);
     let mut place = CheckedPlace {
         lit: stated.lit(),
+        limb_free: stated.limb_free(at),
         ..CheckedPlace::unlit(at)
     };
     if place.lit < least_marks {

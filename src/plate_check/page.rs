@@ -44,7 +44,11 @@ impl fmt::Display for PlateCheck {
             None => "none".into(),
         };
         let fewest = summary.fewest_lit.unwrap_or(0);
-        writeln!(out, "fewest     {fewest} marks fully lit")?;
+        let free = 100.0 * summary.least_limb_free.unwrap_or(0.0);
+        writeln!(
+            out,
+            "fewest     {fewest} marks fully lit; at least {free:.0} % of the limb free of marks"
+        )?;
         writeln!(
             out,
             "odds       at least {} beyond what the flight asks (logarithm)",

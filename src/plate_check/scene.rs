@@ -1,16 +1,17 @@
 //! What would be detected of a plate with the Sun at some place, without a frame.
 
 use super::Rotations;
-use crate::aspect::{Expected, Pipeline, SolverSettings};
+use crate::aspect::{Expected, MARK_MARGIN_PX, Pipeline, SolverSettings};
 use crate::fiducial::{Detection, Detections, Identified, Lighting, MarkImage, Unread};
 use crate::frame::Region;
-use crate::geometry::{Circle, Ellipse, Mapping};
+use crate::geometry::{Circle, Ellipse, Mapping, unit};
 use crate::instrument::{Instrument, SMALLEST_SUN_ARCSEC};
 use crate::plate::MarkId;
 use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::Matrix2;
 use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
+use std::f64::consts::TAU;
 
 /// Contrast of a usual print.
 pub(super) const CONTRAST: f64 = 0.8;
@@ -62,7 +63,7 @@ impl<'a> PlateView<'a> {
             mounting.rotation_deg = rng.random_range(0.0..360.0);
         }
         let drawn = Mapping::similarity(mounting, self.instrument.camera.distortion);
-        drawn.unwrap_or_else(|| self.stated.clone())
+        drawn.unwrap_or(self.stated)
     }
 
     /// Radius of the Sun on the plate.
@@ -142,6 +143,24 @@ impl<'a> CheckScene<'a> {
     /// The fully lit marks.
     pub fn full(&self) -> impl Iterator<Item = &LitMark> {
         self.marks.iter().filter(|m| m.lighting == Lighting::Full)
+    }
+
+    /// The part of the limb that no mark of the plate hides, 0 to 1.
+    pub fn limb_free(&self, sun: PlateMil) -> f64 {
+        const POINTS: usize = 360;
+        let (plate, radius_mil) = (&self.view.instrument.plate, self.view.radius_mil());
+        let margin_mil = MARK_MARGIN_PX * radius_mil / self.radius_px();
+        let reach_mil = plate.shape.size_mil() / 2.0 + margin_mil;
+        let beside = |at: &PlateMil| (at.distance(sun) - radius_mil).abs() < reach_mil;
+        let marks = plate.marks().map(|(_, at)| at);
+        let near: Vec<PlateMil> = marks.filter(beside).collect();
+        let free = |n: &usize| {
+            let angle = TAU * *n as f64 / POINTS as f64;
+            let limb = sun.vector() + unit(angle) * radius_mil;
+            let covers = |at: &PlateMil| plate.shape.covers(limb - at.vector(), margin_mil);
+            !near.iter().any(covers)
+        };
+        (0..POINTS).filter(free).count() as f64 / POINTS as f64
     }
 
     /// What is found, if it is all that must be.
@@ -234,5 +253,33 @@ impl Seen {
     pub fn push(&mut self, id: Option<MarkId>, detection: Detection) {
         self.ids.push(id);
         self.detections.marks.push(detection);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instrument::builtin;
+    use crate::plate::{MarkPlace, MarkShape, Pattern, Plate};
+
+    #[test]
+    fn a_dot_on_the_limb_hides_as_much_of_it_as_it_is_wide() {
+        let (solver, sun) = (SolverSettings::default(), PlateMil::new(100.0, -50.0));
+        let mut demo = builtin("demo").unwrap();
+        let radius_mil = demo.optics.radius_mil(SMALLEST_SUN_ARCSEC);
+        let mark = |(i, at): (i32, [f64; 2])| {
+            let at = PlateMil::from(sun.vector() + nalgebra::Vector2::from(at));
+            (MarkId { i, j: 0 }, MarkPlace::new(at, 1.0))
+        };
+        // One on the limb, one inside, one outside.
+        let marks = [[radius_mil, 0.0], [0.0, 200.0], [-900.0, 0.0]];
+        let shape = MarkShape::Dot { diameter_mil: 60.0 };
+        demo.plate = Plate::new(Pattern::Listed, shape, 1.0, (1..).zip(marks).map(mark));
+        let view = PlateView::new(&demo, &solver, 0.02).unwrap();
+        let scene = CheckScene::new(&view, sun, &view.stated);
+        let reach_mil = 30.0 + MARK_MARGIN_PX * demo.mounting.scale_mil_per_px.value;
+        let hidden = 4.0 * (reach_mil / radius_mil / 2.0).asin() / TAU;
+        let free = scene.limb_free(sun);
+        assert!((free - (1.0 - hidden)).abs() < 2.0 / 360.0, "{free}");
     }
 }
