@@ -3,7 +3,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde_json::Value;
-use solaspect::accuracy::{Figures, PLATES, Program, Size, text};
+use solaspect::accuracy::{DESIGNS, Figures, PLATES, Program, Size, text};
 use solaspect::aspect::{Expected, Quality, Solution, solve};
 use solaspect::instrument::Instrument;
 use solaspect::plate::{MarkId, Pattern};
@@ -97,7 +97,16 @@ fn solaspect(folder: &Path, arguments: &str) -> (bool, String) {
 
 #[test]
 fn other_plates_lenses_and_cameras_are_read_as_well_as_the_demos() {
-    let program = Program::new(Size::Small, &[PLATES.into()], Figures::Left, None).unwrap();
+    assert_demands_are_met(PLATES);
+}
+
+#[test]
+fn designed_plates_are_read_all_over_and_the_check_of_plates_is_right() {
+    assert_demands_are_met(DESIGNS);
+}
+
+fn assert_demands_are_met(part: &str) {
+    let program = Program::new(Size::Small, &[part.into()], Figures::Left, None).unwrap();
     let report = program.run(&|| {}).unwrap();
     println!("{}", text(&report));
     assert_eq!(report.unmet(), []);

@@ -20,7 +20,7 @@
 //!
 //! ```text
 //! recipe <- conditions; bound, recipe <- trial; chance, trial <- outcome <- demand; conditions, demand <- rows
-//! rows <- plate_rows; chance, demand <- moon <- moon_rows; chance, demand <- horizon <- horizon_rows
+//! rows <- plate_rows <- design_rows; chance, demand <- moon <- moon_rows; chance, demand <- horizon <- horizon_rows
 //! all of these <- marks, mixed, figures <- report <- program <- table
 //! ```
 
@@ -28,6 +28,7 @@ pub mod bound;
 pub mod chance;
 pub mod conditions;
 pub mod demand;
+mod design_rows;
 pub mod figures;
 mod horizon;
 mod horizon_rows;
@@ -52,7 +53,7 @@ pub use program::{AccuracyError, Case, Figures, Program, names};
 pub use recipe::{Recipe, Vary, View};
 pub use report::{MarksReport, Report, RowReport, RunReport};
 pub use rows::{
-    AccuracyRow, HORIZON, Ideal, MARKS, MIXED, MOON, MOTION, PLATES, Run, Size, rows, runs,
+    AccuracyRow, DESIGNS, HORIZON, Ideal, MARKS, MIXED, MOON, MOTION, PLATES, Run, Size, rows, runs,
 };
 pub use table::{Page, case_text, text};
 pub use trial::{AspectError, Bounded, MarkError, Outcome, Trial};

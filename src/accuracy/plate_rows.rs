@@ -1,16 +1,12 @@
 //! The rows about other plates, lenses and cameras: one departs from the demo in one thing.
 
-use super::conditions::{displaced, turned};
-use super::demand::Demand::{
-    FineOfThree, FineShare, HonestSigmaTo, NoneMissedOfFour, RivalsLikeliest,
-};
+use super::conditions::turned;
+use super::demand::Demand::{FineOfThree, HonestSigmaTo, NoneMissedOfFour};
 use super::demand::HONEST;
 use super::recipe::{ENOUGH_MARKS, Generator, Recipe, Vary, View};
-use super::rows::{AccuracyRow, InstrumentOf, Size, row};
+use super::rows::{AccuracyRow, InstrumentOf, row};
 use crate::instrument::Instrument;
 use crate::plate::{Cross, MarkId, MarkPlace, MarkShape, Pattern, Plate};
-use crate::plate_check::PlaceVerdict;
-use crate::plate_design::{DesignSettings, design, usual_cross, usual_dot};
 use crate::units::{Measured, PlateMil};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
@@ -20,10 +16,6 @@ const AREA_PER_MARK_MIL2: f64 = 190_000.0;
 /// Frames of a row, and of one with twelve million pixels.
 const FRAMES: [u64; 2] = [16, 2000];
 const LARGE_FRAMES: [u64; 2] = [2, 200];
-/// Frames of a row of designed plates.
-const DESIGN_FRAMES: [u64; 2] = [40, 10_000];
-/// Frames of a row about the check's verdicts.
-const CHECK_FRAMES: [u64; 2] = [60, 10_000];
 
 /// Every row, in the order of the table.
 pub(super) fn plate_rows() -> Vec<AccuracyRow> {
@@ -109,155 +101,7 @@ pub(super) fn plate_rows() -> Vec<AccuracyRow> {
     if let Some(last) = rows.last_mut() {
         last.frames = LARGE_FRAMES;
     }
-    rows.extend(design_rows());
-    rows.extend(verdict_rows());
     rows
-}
-
-/// Rows of plates that `solaspect plate design` makes: the Sun anywhere in the field, five seeds.
-fn design_rows() -> impl Iterator<Item = AccuracyRow> {
-    let rows: [(&str, &str, InstrumentOf); 8] = [
-        (
-            "design-2000-4",
-            "designed: field 2000 mil, 4 crosses",
-            |i, n, size| designed(i, (n, size), 2000.0, 4, usual_cross),
-        ),
-        (
-            "design-2000-6",
-            "designed: field 2000 mil, 6 crosses",
-            |i, n, size| designed(i, (n, size), 2000.0, 6, usual_cross),
-        ),
-        (
-            "design-3000-4",
-            "designed: field 3000 mil, 4 crosses",
-            |i, n, size| designed(i, (n, size), 3000.0, 4, usual_cross),
-        ),
-        (
-            "design-3000-6",
-            "designed: field 3000 mil, 6 crosses",
-            |i, n, size| designed(i, (n, size), 3000.0, 6, usual_cross),
-        ),
-        (
-            "design-dots-2000-4",
-            "designed: field 2000 mil, 4 dots",
-            |i, n, size| designed(i, (n, size), 2000.0, 4, usual_dot),
-        ),
-        (
-            "design-dots-2000-6",
-            "designed: field 2000 mil, 6 dots",
-            |i, n, size| designed(i, (n, size), 2000.0, 6, usual_dot),
-        ),
-        (
-            "design-dots-3000-4",
-            "designed: field 3000 mil, 4 dots",
-            |i, n, size| designed(i, (n, size), 3000.0, 4, usual_dot),
-        ),
-        (
-            "design-dots-3000-6",
-            "designed: field 3000 mil, 6 dots",
-            |i, n, size| designed(i, (n, size), 3000.0, 6, usual_dot),
-        ),
-    ];
-    rows.into_iter().map(|(name, title, instrument)| {
-        let row = row(name, title, over_the_field);
-        AccuracyRow {
-            frames: DESIGN_FRAMES,
-            instrument: Some(instrument),
-            instruments: [1, 5],
-            ..row.demanding(&[FineShare(1.0), HonestSigmaTo(HONEST.end)])
-        }
-    })
-}
-
-/// The Sun anywhere in the field, the camera turned by up to 1 deg.
-fn over_the_field(recipe: &mut Recipe, _: &Instrument, rng: &mut Generator) {
-    recipe.view = View::Field;
-    recipe.conditions.similarity.rotation_deg += rng.random_range(-1.0..1.0);
-}
-
-/// The instrument with a plate that is designed for it by the n-th seed, its camera so far away that it sees the whole field.
-fn designed(
-    instrument: Instrument,
-    (n, size): (u64, Size),
-    field_mil: f64,
-    marks_in_view: usize,
-    shape: fn(&Instrument) -> MarkShape,
-) -> Instrument {
-    let start = instrument.seeing(field_mil);
-    let usual = DesignSettings::new(field_mil, marks_in_view);
-    let settings = DesignSettings {
-        shape: shape(&start),
-        trials: 1,
-        exchanges: size.of([4, usual.exchanges]),
-        seed: n + 1,
-        ..usual
-    };
-    // Without a plate of its own a row fails.
-    design(&start, &settings, &|| ()).unwrap_or(start)
-}
-
-/// Rows of what the check says of places, held against frames with the Sun there and the camera off as far as its sigmas say.
-fn verdict_rows() -> [AccuracyRow; 2] {
-    let safe = row(
-        "check-safe",
-        "places that the check calls safe",
-        |r, i, rng| {
-            displaced(r, i, rng);
-            r.view = View::Checked(PlaceVerdict::Safe);
-        },
-    );
-    let ambiguous = row(
-        "check-ambiguous",
-        "places that the check calls ambiguous",
-        |r, i, rng| {
-            displaced(r, i, rng);
-            r.view = View::Checked(PlaceVerdict::Ambiguous);
-        },
-    );
-    [
-        AccuracyRow {
-            frames: CHECK_FRAMES,
-            instrument: Some(|i, n, _| match n {
-                // Of nearly a grid some places are safe, and of others the marks fit several.
-                0 => nearly_a_grid(i, 2.0),
-                1 => random(i, 225),
-                2 => dots(random(i, 225)),
-                _ => i,
-            }),
-            instruments: [2, 4],
-            ..safe.demanding(&[])
-        },
-        AccuracyRow {
-            frames: CHECK_FRAMES,
-            instrument: Some(|i, n, _| {
-                let mut instrument = nearly_a_grid(i, n as f64);
-                instrument.mounting.plate_centre_sigma_px = 30.0;
-                instrument
-            }),
-            instruments: [2, 2],
-            demands: vec![RivalsLikeliest(1e-3)],
-            ..ambiguous
-        },
-    ]
-}
-
-/// The instrument with crosses on a grid, each off it by so much, 1 sigma per axis.
-fn nearly_a_grid(instrument: Instrument, off_mil: f64) -> Instrument {
-    const STEP_MIL: f64 = 300.0;
-    const HALF: i32 = 8;
-    let mut rng = Generator::seed_from_u64(1);
-    let along = || -HALF..=HALF;
-    let places = along().flat_map(|y| along().map(move |x| [x, y].map(f64::from)));
-    let places = places.map(|place| {
-        let [x, y] = place.map(|n| n * STEP_MIL + off_mil * rng.sample::<f64, _>(StandardNormal));
-        PlateMil::new(x, y)
-    });
-    let mut plate = of_crosses(places);
-    plate.field_radius_mil = 1500.0;
-    Instrument {
-        plate,
-        ..instrument
-    }
 }
 
 /// Marks enough for a mapping in view.
@@ -275,7 +119,7 @@ fn misaligned(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator)
 }
 
 /// The instrument with so many crosses anywhere on a square, as close as the demo's are, each apart from the others.
-fn random(instrument: Instrument, count: usize) -> Instrument {
+pub(super) fn random(instrument: Instrument, count: usize) -> Instrument {
     let half_mil = (count as f64 * AREA_PER_MARK_MIL2).sqrt() / 2.0;
     let mut rng = Generator::seed_from_u64(count as u64);
     let mut places: Vec<PlateMil> = Vec::new();
@@ -296,7 +140,7 @@ fn random(instrument: Instrument, count: usize) -> Instrument {
 }
 
 /// A plate of the demo's crosses.
-fn of_crosses(places: impl IntoIterator<Item = PlateMil>) -> Plate {
+pub(super) fn of_crosses(places: impl IntoIterator<Item = PlateMil>) -> Plate {
     let ids = (1..).map(|i| MarkId { i, j: 0 });
     let marks = ids
         .zip(places)
@@ -318,7 +162,7 @@ fn at_45_deg(instrument: Instrument) -> Instrument {
 }
 
 /// Dots that take as much light as the crosses do.
-fn dots(instrument: Instrument) -> Instrument {
+pub(super) fn dots(instrument: Instrument) -> Instrument {
     with_shape(instrument, MarkShape::Dot { diameter_mil: 50.0 })
 }
 

@@ -1,6 +1,7 @@
 //! The program: which parts are run, with how many frames, on all cores.
 
 use super::demand::Precision;
+use super::design_rows::design_rows;
 use super::figures::{self, Sweeps};
 use super::horizon::HorizonRow;
 use super::horizon_rows::horizon_rows;
@@ -13,7 +14,7 @@ use super::plate_rows::plate_rows;
 use super::recipe::Recipe;
 use super::report::{MarksReport, Report, RowReport, RunReport};
 use super::rows::{
-    AccuracyRow, HORIZON, Ideal, MARKS, MARKS_ROW, MOON, PLATES, Run, Size, rows, runs,
+    AccuracyRow, DESIGNS, HORIZON, Ideal, MARKS, MARKS_ROW, MOON, PLATES, Run, Size, rows, runs,
 };
 use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::SolverSettings;
@@ -51,6 +52,7 @@ pub struct Program {
     is_demo: bool,
     rows: Vec<AccuracyRow>,
     plates: Vec<AccuracyRow>,
+    designs: Vec<AccuracyRow>,
     marks: bool,
     runs: Vec<Run>,
     moons: Vec<MoonRow>,
@@ -80,8 +82,11 @@ impl Program {
         let wanted = |name: &str| only.is_empty() || only.iter().any(|o| o == name);
         let is_demo = instrument.is_none();
         let rows = rows().into_iter().filter(|row| wanted(row.name));
-        let plates = plate_rows().into_iter();
-        let plates = plates.filter(|row| is_demo && (wanted(PLATES) || wanted(row.name)));
+        let of_demo = |part: &str, rows: Vec<AccuracyRow>| -> Vec<AccuracyRow> {
+            let is_wanted = |row: &AccuracyRow| wanted(part) || wanted(row.name);
+            let rows = rows.into_iter();
+            rows.filter(|row| is_demo && is_wanted(row)).collect()
+        };
         Ok(Self {
             size,
             trial: Trial {
@@ -93,7 +98,8 @@ impl Program {
                 false => rows.map(AccuracyRow::without_arcsec).collect(),
             },
             is_demo,
-            plates: plates.collect(),
+            plates: of_demo(PLATES, plate_rows()),
+            designs: of_demo(DESIGNS, design_rows()),
             marks: wanted(MARKS),
             runs: runs().into_iter().filter(|r| wanted(r.name)).collect(),
             moons: match is_demo && wanted(MOON) {
@@ -114,7 +120,8 @@ impl Program {
             Some(Ideal::Of(_)) => 2 * self.size.of(row.frames),
             Some(Ideal::Standard) | None => self.size.of(row.frames),
         };
-        let rows: u64 = self.rows.iter().chain(&self.plates).map(of_row).sum();
+        let rows = self.rows.iter().chain(&self.plates).chain(&self.designs);
+        let rows: u64 = rows.map(of_row).sum();
         let borrowed = self.rows.iter().any(|row| row.name == MARKS_ROW);
         let marks_row = rows_named(MARKS_ROW).filter(|_| !borrowed);
         let phases = (marks::PHASES * marks::PHASES) as u64;
@@ -157,8 +164,10 @@ impl Program {
             .outcomes(|_, _, _| (), self.standard_frames(), done)?;
         let rows = self.rows.iter().map(|row| self.row(row, &standard, done));
         let rows = rows.collect::<Result<Vec<_>, _>>()?;
-        let plates = self.plates.iter().map(|row| self.row(row, &[], done));
-        let plates = plates.collect::<Result<Vec<_>, _>>()?;
+        let [plates, designs] = [&self.plates, &self.designs].map(|rows| {
+            let rows = rows.iter().map(|row| self.row(row, &[], done));
+            rows.collect::<Result<Vec<_>, _>>()
+        });
         let marks = self.marks.then(|| self.marks(&rows, done)).transpose()?;
         let runs = self.runs.iter().map(|run| self.search(run, done));
         let precision = self.precision();
@@ -169,7 +178,8 @@ impl Program {
         Ok(Report {
             size: self.size,
             rows,
-            plates,
+            plates: plates?,
+            designs: designs?,
             marks,
             runs: runs.collect::<Result<_, _>>()?,
             moons: moons.collect::<Result<_, _>>()?,
@@ -279,7 +289,7 @@ impl Case {
             instrument: instrument.map_or_else(|| builtin("demo"), Ok)?,
             settings: SolverSettings::default(),
         };
-        let mut all = rows().into_iter().chain(plate_rows());
+        let mut all = all_rows();
         let row = all.find(|row| row.name == part);
         let run = runs().into_iter().find(|run| run.name == part);
         let (trial, vary) = match (row, run) {
@@ -296,11 +306,17 @@ impl Case {
     }
 }
 
-/// The name of every part of the program: the rows, the marks, the plates, the runs, the Moon, the horizon.
+/// Every row of every part.
+fn all_rows() -> impl Iterator<Item = AccuracyRow> {
+    let rows = rows().into_iter().chain(plate_rows());
+    rows.chain(design_rows())
+}
+
+/// The name of every part of the program: the rows, the marks, the plates, the designs, the runs, the Moon, the horizon.
 pub fn names() -> Vec<&'static str> {
-    let rows = rows().into_iter().chain(plate_rows()).map(|row| row.name);
+    let rows = all_rows().map(|row| row.name);
     let runs = runs().into_iter().map(|run| run.name);
-    rows.chain([MARKS, PLATES])
+    rows.chain([MARKS, PLATES, DESIGNS])
         .chain(runs)
         .chain([MOON, HORIZON])
         .collect()

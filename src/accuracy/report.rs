@@ -43,6 +43,8 @@ pub struct Report {
     pub rows: Vec<RowReport>,
     /// The rows about other plates, lenses and cameras.
     pub plates: Vec<RowReport>,
+    /// The rows about designed plates and the check of plates.
+    pub designs: Vec<RowReport>,
     pub marks: Option<MarksReport>,
     pub runs: Vec<RunReport>,
     pub moons: Vec<MoonReport>,
@@ -54,7 +56,7 @@ pub struct Report {
 impl Report {
     /// Everything that is demanded and not met: where, and why.
     pub fn unmet(&self) -> Vec<(&'static str, &str)> {
-        let rows = self.rows.iter().chain(&self.plates);
+        let rows = self.rows.iter().chain(&self.plates).chain(&self.designs);
         let rows = rows.map(|r| (r.row.name, &r.unmet));
         let rows = rows.flat_map(|(name, unmet)| unmet.iter().map(move |u| (name, u.as_str())));
         let marks = self.marks.iter().flat_map(|m| &m.unmet);

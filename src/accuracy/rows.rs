@@ -44,6 +44,8 @@ pub const MIXED: &str = "mixed";
 pub const MOTION: &str = "motion";
 /// The name of the part about other plates, lenses and cameras: all its rows.
 pub const PLATES: &str = "plates";
+/// The name of the part about designed plates and the check of plates: all its rows.
+pub const DESIGNS: &str = "designs";
 /// The name of the part about the Moon.
 pub const MOON: &str = "moon";
 

@@ -202,14 +202,12 @@ pub fn text(report: &Report) -> String {
     let rows: Vec<_> = report.rows.iter().map(cells).collect();
     let moons: Vec<_> = report.moons.iter().map(moon_cells).collect();
     let mut out = text_table(HEAD, &rows) + &beside(report) + &missed_text(&report.rows);
-    let plates: Vec<_> = report.plates.iter().map(cells).collect();
-    if !plates.is_empty() {
-        let table = text_table(HEAD, &plates) + &missed_text(&report.plates);
-        out = if out.is_empty() {
-            table
-        } else {
-            format!("{out}\n{table}")
-        };
+    for rows in [&report.plates, &report.designs] {
+        let all: Vec<_> = rows.iter().map(cells).collect();
+        if !all.is_empty() {
+            let gap = if out.is_empty() { "" } else { "\n" };
+            out = out + gap + &text_table(HEAD, &all) + &missed_text(rows);
+        }
     }
     if !moons.is_empty() {
         out = format!("{out}\n{}", text_table(MOON_HEAD, &moons));
@@ -231,6 +229,7 @@ const END: &str = "<!-- to here -->\n";
 pub enum Page {
     Accuracy,
     Plate,
+    Design,
     Moon,
     Horizon,
 }
@@ -244,6 +243,7 @@ impl Page {
         let pages = [
             (Self::Accuracy, is_of_sun),
             (Self::Plate, !report.plates.is_empty()),
+            (Self::Design, !report.designs.is_empty()),
             (Self::Moon, is_of_moon),
             (Self::Horizon, !report.horizons.is_empty()),
         ];
@@ -255,6 +255,7 @@ impl Page {
         match self {
             Self::Accuracy => "accuracy.md",
             Self::Plate => "plate.md",
+            Self::Design => "own-plate.md",
             Self::Moon => "moon.md",
             Self::Horizon => "horizon.md",
         }
@@ -264,6 +265,7 @@ impl Page {
         match self {
             Self::Accuracy => "Accuracy",
             Self::Plate => "The plate",
+            Self::Design => "Your own plate",
             Self::Moon => "The Moon",
             Self::Horizon => "The horizon",
         }
@@ -295,18 +297,26 @@ impl Page {
     /// Its part of the report in Markdown.
     fn part(self, report: &Report) -> String {
         let unmet = report.unmet().into_iter();
-        let is_of_plate = |part: &str| report.plates.iter().any(|r| r.row.name == part);
+        let is_of = |rows: &[RowReport], part: &str| rows.iter().any(|r| r.row.name == part);
+        let is_of_plate = |part: &str| is_of(&report.plates, part);
+        let is_of_design = |part: &str| is_of(&report.designs, part);
         match self {
             Self::Accuracy => {
                 let others = [MOON, HORIZON];
                 let unmet: Vec<_> = unmet
-                    .filter(|(part, _)| !others.contains(part) && !is_of_plate(part))
+                    .filter(|(part, _)| {
+                        !others.contains(part) && !is_of_plate(part) && !is_of_design(part)
+                    })
                     .collect();
                 rows_part(&report.rows, &beside(report), &unmet)
             }
             Self::Plate => {
                 let unmet: Vec<_> = unmet.filter(|(part, _)| is_of_plate(part)).collect();
                 rows_part(&report.plates, "", &unmet)
+            }
+            Self::Design => {
+                let unmet: Vec<_> = unmet.filter(|(part, _)| is_of_design(part)).collect();
+                rows_part(&report.designs, "", &unmet)
             }
             Self::Moon => {
                 let unmet: Vec<_> = unmet.filter(|(part, _)| *part == MOON).collect();
@@ -523,6 +533,7 @@ mod tests {
             size: Size::Small,
             rows: Vec::new(),
             plates: Vec::new(),
+            designs: Vec::new(),
             marks: None,
             runs: Vec::new(),
             moons: Vec::new(),

@@ -23,7 +23,7 @@ pub struct AccuracyArgs {
     /// (SVG) into its folder accuracy; `--full --out docs` renews the documentation
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Only this part: a row's name, "marks", "plates", "mixed", "motion", "moon" or "horizon"; may be given several times
+    /// Only this part: a row's name, "marks", "plates", "designs", "mixed", "motion", "moon" or "horizon"; may be given several times
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
     /// Only the frame of this seed, of the one row or run that --only names, in detail; --out keeps it as FITS

@@ -1,0 +1,171 @@
+//! The rows about plates that are designed, and about what the check says of plates before they are made.
+
+use super::conditions::displaced;
+use super::demand::Demand::{FineShare, HonestSigmaTo, RivalsLikeliest};
+use super::demand::HONEST;
+use super::plate_rows::{dots, of_crosses, random};
+use super::recipe::{Generator, Recipe, View};
+use super::rows::{AccuracyRow, InstrumentOf, Size, row};
+use crate::instrument::Instrument;
+use crate::plate::MarkShape;
+use crate::plate_check::PlaceVerdict;
+use crate::plate_design::{DesignSettings, design, usual_cross, usual_dot};
+use crate::units::PlateMil;
+use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
+
+/// Frames of a row of designed plates.
+const DESIGN_FRAMES: [u64; 2] = [40, 10_000];
+/// Frames of a row about the check's verdicts.
+const CHECK_FRAMES: [u64; 2] = [60, 10_000];
+
+/// Every row, in the order of the table.
+pub(super) fn design_rows() -> Vec<AccuracyRow> {
+    designed_rows().chain(verdict_rows()).collect()
+}
+
+/// Rows of plates that `solaspect plate design` makes: the Sun anywhere in the field, five seeds.
+fn designed_rows() -> impl Iterator<Item = AccuracyRow> {
+    let rows: [(&str, &str, InstrumentOf); 8] = [
+        (
+            "design-2000-4",
+            "designed: field 2000 mil, 4 crosses",
+            |i, n, size| designed(i, (n, size), 2000.0, 4, usual_cross),
+        ),
+        (
+            "design-2000-6",
+            "designed: field 2000 mil, 6 crosses",
+            |i, n, size| designed(i, (n, size), 2000.0, 6, usual_cross),
+        ),
+        (
+            "design-3000-4",
+            "designed: field 3000 mil, 4 crosses",
+            |i, n, size| designed(i, (n, size), 3000.0, 4, usual_cross),
+        ),
+        (
+            "design-3000-6",
+            "designed: field 3000 mil, 6 crosses",
+            |i, n, size| designed(i, (n, size), 3000.0, 6, usual_cross),
+        ),
+        (
+            "design-dots-2000-4",
+            "designed: field 2000 mil, 4 dots",
+            |i, n, size| designed(i, (n, size), 2000.0, 4, usual_dot),
+        ),
+        (
+            "design-dots-2000-6",
+            "designed: field 2000 mil, 6 dots",
+            |i, n, size| designed(i, (n, size), 2000.0, 6, usual_dot),
+        ),
+        (
+            "design-dots-3000-4",
+            "designed: field 3000 mil, 4 dots",
+            |i, n, size| designed(i, (n, size), 3000.0, 4, usual_dot),
+        ),
+        (
+            "design-dots-3000-6",
+            "designed: field 3000 mil, 6 dots",
+            |i, n, size| designed(i, (n, size), 3000.0, 6, usual_dot),
+        ),
+    ];
+    rows.into_iter().map(|(name, title, instrument)| {
+        let row = row(name, title, over_the_field);
+        AccuracyRow {
+            frames: DESIGN_FRAMES,
+            instrument: Some(instrument),
+            instruments: [1, 5],
+            ..row.demanding(&[FineShare(1.0), HonestSigmaTo(HONEST.end)])
+        }
+    })
+}
+
+/// The Sun anywhere in the field, the camera turned by up to 1 deg.
+fn over_the_field(recipe: &mut Recipe, _: &Instrument, rng: &mut Generator) {
+    recipe.view = View::Field;
+    recipe.conditions.similarity.rotation_deg += rng.random_range(-1.0..1.0);
+}
+
+/// The instrument with a plate that is designed for it by the n-th seed, its camera so far away that it sees the whole field.
+fn designed(
+    instrument: Instrument,
+    (n, size): (u64, Size),
+    field_mil: f64,
+    marks_in_view: usize,
+    shape: fn(&Instrument) -> MarkShape,
+) -> Instrument {
+    let start = instrument.seeing(field_mil);
+    let usual = DesignSettings::new(field_mil, marks_in_view);
+    let settings = DesignSettings {
+        shape: shape(&start),
+        trials: 1,
+        exchanges: size.of([4, usual.exchanges]),
+        seed: n + 1,
+        ..usual
+    };
+    // Without a plate of its own a row fails.
+    design(&start, &settings, &|| ()).unwrap_or(start)
+}
+
+/// Rows of what the check says of places, held against frames with the Sun there and the camera off as far as its sigmas say.
+fn verdict_rows() -> [AccuracyRow; 2] {
+    let safe = row(
+        "check-safe",
+        "places that the check calls safe",
+        |r, i, rng| {
+            displaced(r, i, rng);
+            r.view = View::Checked(PlaceVerdict::Safe);
+        },
+    );
+    let ambiguous = row(
+        "check-ambiguous",
+        "places that the check calls ambiguous",
+        |r, i, rng| {
+            displaced(r, i, rng);
+            r.view = View::Checked(PlaceVerdict::Ambiguous);
+        },
+    );
+    [
+        AccuracyRow {
+            frames: CHECK_FRAMES,
+            instrument: Some(|i, n, _| match n {
+                // Of nearly a grid some places are safe, and of others the marks fit several.
+                0 => nearly_a_grid(i, 2.0),
+                1 => random(i, 225),
+                2 => dots(random(i, 225)),
+                _ => i,
+            }),
+            instruments: [2, 4],
+            ..safe.demanding(&[])
+        },
+        AccuracyRow {
+            frames: CHECK_FRAMES,
+            instrument: Some(|i, n, _| {
+                let mut instrument = nearly_a_grid(i, n as f64);
+                instrument.mounting.plate_centre_sigma_px = 30.0;
+                instrument
+            }),
+            instruments: [2, 2],
+            demands: vec![RivalsLikeliest(1e-3)],
+            ..ambiguous
+        },
+    ]
+}
+
+/// The instrument with crosses on a grid, each off it by so much, 1 sigma per axis.
+fn nearly_a_grid(instrument: Instrument, off_mil: f64) -> Instrument {
+    const STEP_MIL: f64 = 300.0;
+    const HALF: i32 = 8;
+    let mut rng = Generator::seed_from_u64(1);
+    let along = || -HALF..=HALF;
+    let places = along().flat_map(|y| along().map(move |x| [x, y].map(f64::from)));
+    let places = places.map(|place| {
+        let [x, y] = place.map(|n| n * STEP_MIL + off_mil * rng.sample::<f64, _>(StandardNormal));
+        PlateMil::new(x, y)
+    });
+    let mut plate = of_crosses(places);
+    plate.field_radius_mil = 1500.0;
+    Instrument {
+        plate,
+        ..instrument
+    }
+}
