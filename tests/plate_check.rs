@@ -38,7 +38,7 @@ fn grid(step_mil: f64) -> Instrument {
     with_marks(along().flat_map(|x| along().map(move |y| [x, y])), 1500.0)
 }
 
-fn checked(instrument: &Instrument, places: usize) -> PlateCheck {
+fn checked(instrument: &Instrument, places: u64) -> PlateCheck {
     let settings = CheckSettings {
         places,
         ..CheckSettings::default()

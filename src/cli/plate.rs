@@ -67,7 +67,7 @@ struct DesignArgs {
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// Plates that are tried
-    #[arg(long, value_name = "N", default_value_t = plate_design::TRIALS)]
+    #[arg(long, value_name = "N", default_value_t = plate_design::TRIALS, value_parser = clap::value_parser!(u64).range(1..))]
     trials: u64,
     /// The folder for marks.csv, instrument.toml, plate.html, plate.json and the artwork; it is made if it is missing
     #[arg(long, value_name = "DIR")]
@@ -96,10 +96,10 @@ struct CheckArgs {
     #[arg(long)]
     any_rotation: bool,
     /// Places of the Sun
-    #[arg(long, value_name = "N", default_value_t = CheckSettings::default().places)]
-    places: usize,
+    #[arg(long, value_name = "N", default_value_t = CheckSettings::default().places, value_parser = clap::value_parser!(u64).range(1..))]
+    places: u64,
     /// Mountings of the camera that are drawn at each place
-    #[arg(long, value_name = "N", default_value_t = CheckSettings::default().draws)]
+    #[arg(long, value_name = "N", default_value_t = CheckSettings::default().draws, value_parser = clap::value_parser!(u64).range(1..))]
     draws: u64,
     /// The same seed draws the same mountings
     #[arg(long, value_name = "S", default_value_t = CheckSettings::default().seed)]

@@ -40,7 +40,7 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CheckSettings {
     /// Places of the Sun, evenly over the field.
-    pub places: usize,
+    pub places: u64,
     /// Mountings that are drawn at each place.
     pub draws: u64,
     /// Of these, so many are judged among clutter, too.
@@ -95,7 +95,7 @@ pub fn check(
 ) -> PlateCheck {
     let field_mil = instrument.plate.field_radius_mil;
     let at = |n| evenly(n, settings.places, field_mil);
-    let places: Vec<(usize, PlateMil)> = (0..settings.places).map(|n| (n, at(n))).collect();
+    let places: Vec<(u64, PlateMil)> = (0..settings.places).map(|n| (n, at(n))).collect();
     PlateCheck {
         instrument: instrument.name.clone(),
         marks: instrument.plate.count(),
@@ -112,19 +112,19 @@ pub(crate) fn check_places(
     instrument: &Instrument,
     solver: &SolverSettings,
     settings: &CheckSettings,
-    places: &[(usize, PlateMil)],
+    places: &[(u64, PlateMil)],
 ) -> Vec<CheckedPlace> {
     let view = PlateView::new(instrument, solver, settings.noise_share);
     let least_marks = solver.fiducial.min_marks;
-    let checked = |(n, at): &(usize, PlateMil)| match &view {
-        Some(view) => checked(view, settings, least_marks, *at, *n as u64),
+    let checked = |(n, at): &(u64, PlateMil)| match &view {
+        Some(view) => checked(view, settings, least_marks, *at, *n),
         None => CheckedPlace::unlit(*at),
     };
     places.par_iter().map(checked).collect()
 }
 
 /// The n-th of some places that lie evenly in a circle: on a spiral, each turned from the one before by the golden angle (Vogel 1979).
-fn evenly(n: usize, count: usize, radius_mil: f64) -> PlateMil {
+fn evenly(n: u64, count: u64, radius_mil: f64) -> PlateMil {
     const GOLDEN_ANGLE_RAD: f64 = 2.399_963_229_728_653;
     let part = ((n as f64 + 0.5) / count as f64).sqrt();
     PlateMil::from(unit(n as f64 * GOLDEN_ANGLE_RAD) * (radius_mil * part))

@@ -3,11 +3,11 @@
 use super::{DesignError, DesignSettings, Generator};
 use crate::geometry::unit;
 use crate::instrument::{Instrument, SMALLEST_SUN_ARCSEC};
-use crate::plate::{LEAST_APART_SIZES, MarkId, MarkPlace, Pattern, Plate};
+use crate::plate::{LEAST_APART_SIZES, MOST_MARKS, MarkId, MarkPlace, Pattern, Plate};
 use crate::units::PlateMil;
 use nalgebra::Vector2;
 use rand::RngExt;
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 /// Marks keep so many times their size apart: more than a plate must.
 const APART_SIZES: f64 = 1.1 * LEAST_APART_SIZES;
@@ -59,6 +59,8 @@ impl Layout {
             marks_in_view: settings.marks_in_view,
         };
         for _ in 0..STEPS {
+            // Some of them will not be needed.
+            layout.check_count(layout.expected_count() / 1.5)?;
             layout.fill(rng);
             // With marks so near to each other none could be displaced.
             if layout.spacing_mil * (1.0 - JITTER) < layout.least_apart_mil {
@@ -66,11 +68,27 @@ impl Layout {
             }
             if layout.are_apart() && layout.least_in_view() >= settings.marks_in_view {
                 layout.prune(settings.least_marks);
+                layout.check_count(layout.marks.len() as f64)?;
                 return Ok(layout);
             }
             layout.spacing_mil *= NARROWER;
         }
         Err(Self::no_room(instrument, settings))
+    }
+
+    fn expected_count(&self) -> f64 {
+        let reach_mil = self.field_mil + self.lit_mil;
+        PI * reach_mil.powi(2) / (self.spacing_mil.powi(2) * 0.75_f64.sqrt())
+    }
+
+    fn check_count(&self, count: f64) -> Result<(), DesignError> {
+        match count > MOST_MARKS as f64 {
+            true => Err(DesignError::TooMany {
+                count,
+                field_mil: self.field_mil,
+            }),
+            false => Ok(()),
+        }
     }
 
     /// Puts marks on the lattice, each displaced.

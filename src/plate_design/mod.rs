@@ -14,7 +14,7 @@
 
 use crate::aspect::SolverSettings;
 use crate::instrument::{Instrument, MEAN_SUN_ARCSEC, SMALLEST_SUN_ARCSEC};
-use crate::plate::{Cross, MarkShape};
+use crate::plate::{Cross, MOST_MARKS, MarkShape};
 use crate::plate_check::{self, CheckSettings, CheckedPlace, Rotations};
 use crate::units::PlateMil;
 use layout::Layout;
@@ -103,6 +103,10 @@ pub enum DesignError {
         size_mil: f64,
         radius_mil: f64,
     },
+    #[error(
+        "expected a plate of at most {MOST_MARKS} marks, found a field of {field_mil:.0} mil that takes {count:.0}; take a smaller field, fewer marks in view, or a longer lens"
+    )]
+    TooMany { count: f64, field_mil: f64 },
 }
 
 /// Designs a plate for an instrument, whose lens and camera it is for; `done` is called after every exchange.
@@ -183,15 +187,15 @@ impl Judged {
             ends.iter()
                 .any(|end| (end - at.vector()).norm() < reach_mil)
         };
-        let places = self.places.iter().map(CheckedPlace::at).enumerate();
-        let near: Vec<(usize, PlateMil)> = places.filter(|(_, at)| is_near(*at)).collect();
+        let places = (0..).zip(self.places.iter().map(CheckedPlace::at));
+        let near: Vec<(u64, PlateMil)> = places.filter(|(_, at)| is_near(*at)).collect();
         let plate = layout.instrument(instrument, settings);
         let solver = SolverSettings::default();
         let check = check_settings(settings);
         let found = plate_check::check_places(&plate, &solver, &check, &near);
         let mut places = self.places.clone();
         for ((n, _), place) in near.into_iter().zip(found) {
-            places[n] = place;
+            places[n as usize] = place;
         }
         Some(Self { layout, places })
     }
