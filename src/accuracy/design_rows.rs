@@ -7,7 +7,7 @@ use super::plate_rows::{dots, of_crosses, random};
 use super::recipe::{Generator, Recipe, View};
 use super::rows::{AccuracyRow, InstrumentOf, Size, row};
 use crate::instrument::Instrument;
-use crate::plate::MarkShape;
+use crate::plate::{MarkShape, Pattern, Plate};
 use crate::plate_check::PlaceVerdict;
 use crate::plate_design::{DesignSettings, design, usual_cross, usual_dot};
 use crate::units::PlateMil;
@@ -102,8 +102,12 @@ fn designed(
         seed: n + 1,
         ..usual
     };
-    // Without a plate of its own a row fails.
-    design(&start, &settings, &|| ()).unwrap_or(start)
+    // Where none can be designed, a plate without marks has the row fail.
+    let unmarked = Plate::new(Pattern::Listed, settings.shape, 1.0, []);
+    design(&start, &settings, &|| ()).unwrap_or(Instrument {
+        plate: unmarked,
+        ..start
+    })
 }
 
 /// Rows of what the check says of places, held against frames with the Sun there and the camera off as far as its sigmas say.
