@@ -173,3 +173,16 @@ fn nearly_a_grid(instrument: Instrument, off_mil: f64) -> Instrument {
         ..instrument
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instrument::builtin;
+
+    #[test]
+    fn where_no_plate_can_be_designed_there_is_none() {
+        let demo = builtin("demo").unwrap();
+        let designed = designed(demo, (0, Size::Small), 1000.0, 60, usual_cross);
+        assert_eq!(designed.plate.count(), 0);
+    }
+}
