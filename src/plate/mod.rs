@@ -72,6 +72,12 @@ impl MarkPlace {
             sigma_mil: [sigma_mil; 2],
         }
     }
+
+    /// Mean of both axes.
+    pub fn variance_mil2(&self) -> f64 {
+        let [x, y] = self.sigma_mil;
+        (x * x + y * y) / 2.0
+    }
 }
 
 /// A mark of a plate, as it was drawn and as it is.
@@ -136,10 +142,7 @@ impl Plate {
     }
 
     fn find_least_variance(&mut self) {
-        let variances = self
-            .marks
-            .iter()
-            .map(|mark| variance(&mark.place.sigma_mil));
+        let variances = self.marks.iter().map(|mark| mark.place.variance_mil2());
         self.least_variance_mil2 = variances.fold(f64::INFINITY, f64::min);
     }
 
@@ -228,7 +231,7 @@ impl Plate {
     /// a plate of which all marks are known alike.
     pub fn excess_variance_mil2(&self, id: MarkId) -> f64 {
         self.mark(id).map_or(0.0, |mark| {
-            variance(&mark.place.sigma_mil) - self.least_variance_mil2
+            mark.place.variance_mil2() - self.least_variance_mil2
         })
     }
 
@@ -281,11 +284,6 @@ impl Plate {
         self.marks()
             .filter(move |(_, p)| (p.x - at.x).abs() < reach_mil && (p.y - at.y).abs() < reach_mil)
     }
-}
-
-/// Mean of both axes.
-fn variance([x, y]: &[f64; 2]) -> f64 {
-    (x * x + y * y) / 2.0
 }
 
 #[cfg(test)]

@@ -120,7 +120,9 @@ impl<'a> CheckScene<'a> {
                 at,
                 lighting: Lighting::of(at, view.image.tips(&arms), &outline, &region),
                 is_sure: depth_px > view.image.sure_depth_px(),
-                print_mil: plate.place(id).map_or(0.0, |place| rms(place.sigma_mil)),
+                print_mil: plate
+                    .place(id)
+                    .map_or(0.0, |place| place.variance_mil2().sqrt()),
             });
         }
         Self {
@@ -210,10 +212,6 @@ impl<'a> CheckScene<'a> {
             &view.sensor(),
         )
     }
-}
-
-fn rms([x, y]: [f64; 2]) -> f64 {
-    ((x * x + y * y) / 2.0).sqrt()
 }
 
 impl PlateView<'_> {

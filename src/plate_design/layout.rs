@@ -115,11 +115,7 @@ impl Layout {
         const TRIES: usize = 20;
         for _ in 0..TRIES {
             let at = self.about(node, rng);
-            if self
-                .marks
-                .iter()
-                .all(|(_, other)| (other - at).norm() > self.least_apart_mil)
-            {
+            if self.is_apart(at, &self.marks) {
                 return at;
             }
         }
@@ -132,11 +128,13 @@ impl Layout {
     }
 
     fn are_apart(&self) -> bool {
-        let places = || self.marks.iter().map(|(_, at)| at).enumerate();
-        places().all(|(n, at)| {
-            let mut before = places().take(n);
-            before.all(|(_, other)| (other - at).norm() > self.least_apart_mil)
-        })
+        let mut marks = self.marks.iter().enumerate();
+        marks.all(|(n, (_, at))| self.is_apart(*at, &self.marks[..n]))
+    }
+
+    fn is_apart(&self, at: Vector2<f64>, others: &[(Vector2<f64>, Vector2<f64>)]) -> bool {
+        let mut others = others.iter();
+        others.all(|(_, other)| (other - at).norm() > self.least_apart_mil)
     }
 
     /// Places of the Sun all over the field, closer than marks are.
@@ -204,10 +202,8 @@ impl Layout {
         let (node, before) = self.marks[chosen];
         let at = self.about(node, rng);
         changed.marks[chosen].1 = at;
-        let apart = |(n, (_, other)): (usize, &(Vector2<f64>, Vector2<f64>))| {
-            n == chosen || (other - at).norm() > self.least_apart_mil
-        };
-        let is_apart = self.marks.iter().enumerate().all(apart);
+        let (before_it, after_it) = (&self.marks[..chosen], &self.marks[chosen + 1..]);
+        let is_apart = self.is_apart(at, before_it) && self.is_apart(at, after_it);
         let suits = is_apart && changed.least_in_view() >= self.marks_in_view;
         suits.then_some((changed, [before, at]))
     }
