@@ -296,35 +296,25 @@ impl Page {
 
     /// Its part of the report in Markdown.
     fn part(self, report: &Report) -> String {
-        let unmet = report.unmet().into_iter();
         let is_of = |rows: &[RowReport], part: &str| rows.iter().any(|r| r.row.name == part);
-        let is_of_plate = |part: &str| is_of(&report.plates, part);
-        let is_of_design = |part: &str| is_of(&report.designs, part);
+        let page_of = |part: &str| match part {
+            MOON => Self::Moon,
+            HORIZON => Self::Horizon,
+            part if is_of(&report.plates, part) => Self::Plate,
+            part if is_of(&report.designs, part) => Self::Design,
+            _ => Self::Accuracy,
+        };
+        let unmet = report.unmet().into_iter();
+        let unmet: Vec<_> = unmet.filter(|(part, _)| page_of(part) == self).collect();
         match self {
-            Self::Accuracy => {
-                let others = [MOON, HORIZON];
-                let unmet: Vec<_> = unmet
-                    .filter(|(part, _)| {
-                        !others.contains(part) && !is_of_plate(part) && !is_of_design(part)
-                    })
-                    .collect();
-                rows_part(&report.rows, &beside(report), &unmet)
-            }
-            Self::Plate => {
-                let unmet: Vec<_> = unmet.filter(|(part, _)| is_of_plate(part)).collect();
-                rows_part(&report.plates, "", &unmet)
-            }
-            Self::Design => {
-                let unmet: Vec<_> = unmet.filter(|(part, _)| is_of_design(part)).collect();
-                rows_part(&report.designs, "", &unmet)
-            }
+            Self::Accuracy => rows_part(&report.rows, &beside(report), &unmet),
+            Self::Plate => rows_part(&report.plates, "", &unmet),
+            Self::Design => rows_part(&report.designs, "", &unmet),
             Self::Moon => {
-                let unmet: Vec<_> = unmet.filter(|(part, _)| *part == MOON).collect();
                 let rows: Vec<_> = report.moons.iter().map(moon_cells).collect();
                 markdown_table(MOON_HEAD, &rows) + &demands_text(&unmet)
             }
             Self::Horizon => {
-                let unmet: Vec<_> = unmet.filter(|(part, _)| *part == HORIZON).collect();
                 let rows: Vec<_> = report.horizons.iter().map(horizon_cells).collect();
                 markdown_table(HORIZON_HEAD, &rows) + &demands_text(&unmet)
             }
