@@ -276,9 +276,7 @@ def same_field(what, name, found, told):
     """A field as it travels, and as the program tells it."""
     if name == "ids":
         told = [0 if mark is None else 16 * (mark[0] + 8) + mark[1] + 8 for mark in told]
-    elif name == "disks":
-        told = [255 if use is None else use for use in told]
-    elif name == "night":
+    elif name in ("disk_1", "disk_2", "night"):
         told = 255 if told is None else told
     elif isinstance(found, float):
         told = math.nan if told is None else single_precision(told)

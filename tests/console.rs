@@ -235,7 +235,7 @@ fn what_arrives_is_shown_in_its_own_numbers_and_lost_doubled_and_late_packets_ar
         (&json!(6.0), &json!(24.0))
     );
     assert_eq!(
-        (&fields["residual_px"], &fields["stopped"][6]),
+        (&fields["residual_px"], &fields["stopped_pointing"]),
         (&Value::Null, &json!(0.0))
     );
     assert_eq!(

@@ -113,11 +113,8 @@ fn full() -> Housekeeping {
     let mut values = Vec::new();
     for (n, field) in FIELDS.iter().enumerate() {
         let default = Housekeeping::default().csv_row()[n].clone();
-        let parts: Vec<String> = (0..field.parts.max(1))
-            .map(|part| (n % 90 + part + 1).to_string())
-            .collect();
         let candidates = [
-            parts.join(" "),
+            (n % 90 + 1).to_string(),
             format!("{n}.25"),
             "1".into(),
             "0123abcd".into(),

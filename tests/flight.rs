@@ -569,9 +569,9 @@ fn the_ground_is_told_each_second_how_all_is() {
     assert!(first.taken > 0 && second.taken > first.taken);
     assert!(u64::from(second.taken) <= tally.counts.taken);
     assert_eq!((second.fine, second.coarse), (0, 0));
-    assert!(second.stopped.iter().any(|&count| count > 0));
+    assert!(second.stopped_levels + second.stopped_limb > 0);
     assert!(second.sending && !second.tracking && second.storing);
-    assert!(second.disks[0].is_some() && second.disks[1].is_none());
+    assert!(second.disk_1.is_some() && second.disk_2.is_none());
     assert!(second.number > 0 && second.solve_ms.is_some());
     let log = std::fs::read_dir(root.path())
         .unwrap()

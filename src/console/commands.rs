@@ -62,9 +62,7 @@ fn present(row: &CommandRow, variable: usize, history: &History, orders: &Orders
     let told = telling(row, variable).and_then(|name| {
         let newest = history.row(None)?;
         let field = FIELDS.iter().find(|field| field.name == name)?;
-        let value = history
-            .housekeeping
-            .numbers(newest..newest + 1, field.name, 0);
+        let value = history.housekeeping.numbers(newest..newest + 1, field.name);
         let value = value.first().filter(|value| value.is_finite())?;
         let time = utc(history.housekeeping.times[newest]);
         Some(json!({"value": value, "from": "housekeeping", "time": time}))

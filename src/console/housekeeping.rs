@@ -46,8 +46,8 @@ impl HousekeepingRows {
         Housekeeping::from_payload(self.payload(row)?)
     }
 
-    /// A number of every row of a range; `part` is the number's place in its field.
-    pub fn numbers(&self, rows: Range<usize>, name: &str, part: usize) -> Vec<f32> {
+    /// A field's number in every row of a range.
+    pub fn numbers(&self, rows: Range<usize>, name: &str) -> Vec<f32> {
         let mut at = 1;
         let found = FIELDS.iter().find(|field| {
             let is_it = field.name == name;
@@ -57,7 +57,7 @@ impl HousekeepingRows {
         let number = |row| {
             let field: &Field = found?;
             let bytes = self.payload(row)?.get(at..at + field.bytes)?;
-            field.value(bytes, part)
+            field.value(bytes)
         };
         rows.map(|row| number(row).map_or(f32::NAN, |value| value as f32))
             .collect()

@@ -4,7 +4,7 @@ use super::history::{HOUSEKEEPING, History, RECEIVED};
 use super::table::{Nanoseconds, timestamp};
 use super::table::{Table, rows_within};
 use crate::estimation::{median, spectrum};
-use crate::link::housekeeping::FIELDS;
+use crate::link::housekeeping::{FIELDS, Field};
 use crate::report::plot::{Curve, Figure, Labels, PlotError, Series, Stroke, curves, stack};
 use std::fmt::Write;
 use std::ops::Range;
@@ -15,31 +15,19 @@ pub const MOST_FIELDS: usize = 12;
 const GAP_STEPS: f64 = 1.5;
 const SHORTEST_RANGE_NS: i64 = 1_000_000_000;
 
-/// A field by its table and name, such as `housekeeping.disks[1]`.
+/// A field by its table and name, such as `housekeeping.disk_1`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FieldName {
     pub table: String,
     pub name: String,
-    part: usize,
 }
 
 impl FieldName {
     /// Reads a name; `None` where it names no table.
     pub fn parse(text: &str) -> Option<Self> {
         let (table, name) = text.rsplit_once('.')?;
-        let (name, part) = match name.strip_suffix(']').and_then(|name| name.split_once('[')) {
-            Some((name, part)) => (name, part.parse().ok()?),
-            None => (name, 0),
-        };
         let (table, name) = (table.into(), name.into());
-        Some(Self { table, name, part })
-    }
-
-    fn shown(&self, has_parts: bool) -> String {
-        match has_parts {
-            true => format!("{}[{}]", self.name, self.part),
-            false => self.name.clone(),
-        }
+        Some(Self { table, name })
     }
 }
 
@@ -57,17 +45,13 @@ pub fn numbers(
     range: &Range<Nanoseconds>,
 ) -> Option<Numbers> {
     if field.table == HOUSEKEEPING {
-        let known = FIELDS.iter().find(|known| known.name == field.name)?;
-        if field.part >= known.parts {
-            return None;
-        }
+        let is_it = |known: &&Field| known.name == field.name && known.is_number;
+        let known = FIELDS.iter().find(is_it)?;
         let times = &history.housekeeping.times;
         let rows = with_neighbours(rows_within(times, range), times.len());
-        let values = history
-            .housekeeping
-            .numbers(rows.clone(), &field.name, field.part);
+        let values = history.housekeeping.numbers(rows.clone(), &field.name);
         return Some(Numbers {
-            label: field.shown(known.parts > 1),
+            label: known.name.into(),
             unit: known.unit.into(),
             points: times[rows].iter().copied().zip(values).collect(),
         });
@@ -247,14 +231,17 @@ mod tests {
             (field.table.as_str(), field.name.as_str()),
             ("roll/solutions", "roll_deg")
         );
-        assert_eq!(FieldName::parse("housekeeping.disks[1]").unwrap().part, 1);
+        assert_eq!(
+            FieldName::parse("housekeeping.disk_1").unwrap().name,
+            "disk_1"
+        );
         assert_eq!(FieldName::parse("taken"), None);
         let history = swinging(4);
         let range = all(&history);
         let found =
             |text: &str| numbers(&history, &FieldName::parse(text).unwrap(), &range).is_some();
-        assert!(found("received.azimuth_deg") && found("housekeeping.disks[1]"));
-        assert!(!found("housekeeping.disks[2]") && !found("housekeeping.x") && !found("x.y"));
+        assert!(found("received.azimuth_deg") && found("housekeeping.disk_2"));
+        assert!(!found("housekeeping.ids") && !found("housekeeping.x") && !found("x.y"));
     }
 
     #[test]

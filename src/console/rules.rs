@@ -55,16 +55,6 @@ const CLOCK_US: f32 = 10_000.0;
 /// Of `gyro_agreement`.
 const CONTRADICTED: u8 = 3;
 
-const STAGES: [&str; 7] = [
-    "levels",
-    "limb",
-    "marks",
-    "identification",
-    "registration",
-    "aspect",
-    "pointing",
-];
-
 macro_rules! counter {
     ($field:ident, $severity:ident, $what:literal) => {
         Rule {
@@ -93,7 +83,7 @@ pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["fine"],
         good: "grows with the frames of the first pitch-yaw camera",
-        otherwise: "`coarse`: part of the disc, or too few marks; `none`: no Sun; `stopped` says at which stage",
+        otherwise: "`coarse`: part of the disc, or too few marks; `none`: no Sun; `stopped_limb` and its like say at which stage",
         rules: &[Rule {
             name: "fine",
             severity: Severity::Attention,
@@ -249,7 +239,7 @@ pub const WATCHES: &[Watch] = &[
         ],
     },
     Watch {
-        fields: &["disk_refusals", "rows_refused"],
+        fields: &["disk_1_refusals", "disk_2_refusals", "rows_refused"],
         good: "constant",
         otherwise: "a disk fails, or was absent",
         rules: &[
@@ -258,7 +248,7 @@ pub const WATCHES: &[Watch] = &[
                 severity: Severity::Alarm,
                 found: |minute| {
                     let of = |told: &Housekeeping| {
-                        told.disk_refusals.iter().map(|n| u64::from(*n)).sum()
+                        u64::from(told.disk_1_refusals) + u64::from(told.disk_2_refusals)
                     };
                     growth(
                         "refusal by a disk|refusals by a disk",
@@ -300,7 +290,7 @@ pub const WATCHES: &[Watch] = &[
         rules: &[],
     },
     Watch {
-        fields: &["disks"],
+        fields: &["disk_1", "disk_2"],
         good: "grow slowly",
         otherwise: "from 90 % on frames may soon be thinned, from 97 % on they are (`archive.thin_free_percent`)",
         rules: &[
@@ -392,9 +382,9 @@ fn queue(waiting: u16, words: &str) -> Option<String> {
 }
 
 fn fullest(told: &Housekeeping, range: std::ops::Range<u8>) -> Option<String> {
-    let full = told.disks.iter().flatten().max()?;
+    let full = [told.disk_1, told.disk_2].into_iter().flatten().max()?;
     range
-        .contains(full)
+        .contains(&full)
         .then(|| format!("a disk of the archive is {full} % full"))
 }
 
@@ -408,18 +398,32 @@ fn without_fine(minute: &Minute) -> Option<String> {
     if taken == 0 || fine > 0 {
         return None;
     }
-    let grown = |n: usize| now.stopped[n].wrapping_sub(before.stopped[n]);
-    let most = (0..STAGES.len())
-        .max_by_key(|n| grown(*n))
-        .filter(|n| grown(*n) > 0);
-    let stage = most.map_or(String::new(), |n| {
-        format!("; most stopped at {}", STAGES[n])
+    let of_stages = stopped(now).into_iter().zip(stopped(before));
+    let most = of_stages
+        .map(|((stage, now), (_, before))| (now.wrapping_sub(before), stage))
+        .max_by_key(|(grown, _)| *grown)
+        .filter(|(grown, _)| *grown > 0);
+    let stage = most.map_or(String::new(), |(_, stage)| {
+        format!("; most stopped at {stage}")
     });
     let frames = counted(taken.into(), "frame");
     Some(match coarse {
         0 => format!("no Sun in {frames} of the last minute{stage}"),
         coarse => format!("{coarse} of {frames} of the last minute coarse, none fine{stage}"),
     })
+}
+
+/// The frames that went no further than each stage.
+fn stopped(told: &Housekeeping) -> [(&'static str, u16); 7] {
+    [
+        ("levels", told.stopped_levels),
+        ("limb", told.stopped_limb),
+        ("marks", told.stopped_marks),
+        ("identification", told.stopped_identification),
+        ("registration", told.stopped_registration),
+        ("aspect", told.stopped_aspect),
+        ("pointing", told.stopped_pointing),
+    ]
 }
 
 /// The table of `docs/flight.md`.
@@ -494,7 +498,7 @@ mod tests {
         let sunless = Housekeeping {
             fine: 4,
             none: 236,
-            stopped: [0, 236, 0, 0, 0, 0, 0],
+            stopped_limb: 236,
             ..good.clone()
         };
         let words = "no Sun in 236 frames of the last minute; most stopped at limb";
@@ -519,7 +523,8 @@ mod tests {
         assert_eq!(found(doubted), [words]);
         assert_eq!(gyros_against_sun(&good), None);
         let full = Housekeeping {
-            disks: [Some(12), Some(98)],
+            disk_1: Some(12),
+            disk_2: Some(98),
             ..good
         };
         assert_eq!(found(full), ["a disk of the archive is 98 % full"]);

@@ -95,7 +95,7 @@ const PATHS: [&str; 22] = [
 const USUAL: [&str; 8] = [
     "/api/now?at=2013-09-21T18:00:10Z",
     "/api/plot.svg?fields=housekeeping.taken,received.azimuth_deg",
-    "/api/plot.svg?fields=housekeeping.disks[1]&from=2013-09-21T18:00:10Z",
+    "/api/plot.svg?fields=housekeeping.disk_2&from=2013-09-21T18:00:10Z",
     "/api/table.csv?fields=housekeeping.taken,housekeeping.fine",
     "/api/spectrum.svg?to=2013-09-21T18:00:10Z",
     "/api/picture.png?camera=1&version=3",
@@ -117,7 +117,7 @@ const VALUES: [&str; 16] = [
     "99999999999999999999",
     "NaN",
     "housekeeping.taken",
-    "housekeeping.disks[9]",
+    "housekeeping.disk_9",
     "received.azimuth_deg,gyros.roll_deg",
     "..%2f..%2fetc%2fpasswd",
     "%00%ff",

@@ -312,14 +312,13 @@ fn error_in_words(code: u16) -> &'static str {
     ERROR_CODES.meaning(code).unwrap_or("unknown error")
 }
 
-/// A field's text as JSON: numbers where it holds some, null where not known.
+/// A field's text as JSON: a number where it holds one, null where not known.
 fn field_json(field: &Field, text: &str) -> Value {
     let number = |text: &str| text.parse().map_or(Value::Null, |value: f64| json!(value));
-    match field.parts {
-        0 if text.is_empty() => Value::Null,
-        0 => json!(text),
-        1 => number(text),
-        _ => text.split(' ').map(number).collect(),
+    match field.is_number {
+        true => number(text),
+        false if text.is_empty() => Value::Null,
+        false => json!(text),
     }
 }
 
@@ -335,16 +334,10 @@ pub fn fields(history: &History) -> Vec<Value> {
             "number": true,
         })
     };
-    let told = FIELDS.iter().flat_map(|one| {
-        let name = move |part| match one.parts {
-            0 | 1 => one.name.to_owned(),
-            _ => format!("{}[{part}]", one.name),
-        };
-        (0..one.parts.max(1)).map(move |part| {
-            let mut json = field(HOUSEKEEPING, &name(part), one.unit, &one.documentation());
-            json["number"] = json!(one.parts > 0);
-            json
-        })
+    let told = FIELDS.iter().map(|one| {
+        let mut json = field(HOUSEKEEPING, one.name, one.unit, &one.documentation());
+        json["number"] = json!(one.is_number);
+        json
     });
     let tables = history
         .tables

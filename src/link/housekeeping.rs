@@ -35,20 +35,20 @@ pub struct Field {
     pub number: Number,
     pub count: usize,
     pub bytes: usize,
-    /// How many numbers it holds; 0 for one of digits or ids.
-    pub parts: usize,
+    /// Whether it holds a number, and not digits or ids.
+    pub is_number: bool,
     pub unit: &'static str,
     /// What its number stands for.
     pub codes: Option<&'static Codes>,
     about: &'static str,
     kind: fn() -> String,
-    value: fn(&[u8], usize) -> Option<f64>,
+    value: fn(&[u8]) -> Option<f64>,
 }
 
 impl Field {
-    /// One of the field's numbers, from its bytes in a payload; `None` where it is not known.
-    pub fn value(&self, bytes: &[u8], part: usize) -> Option<f64> {
-        (self.value)(bytes, part)
+    /// Its number, from its bytes in a payload; `None` where it is not known.
+    pub fn value(&self, bytes: &[u8]) -> Option<f64> {
+        (self.value)(bytes)
     }
 
     /// The same as a field of any payload.
@@ -83,8 +83,8 @@ impl Field {
     }
 }
 
-fn value_of<T: Wire>(mut bytes: &[u8], part: usize) -> Option<f64> {
-    T::read(&mut bytes)?.value(part)
+fn value_of<T: Wire>(mut bytes: &[u8]) -> Option<f64> {
+    T::read(&mut bytes)?.value()
 }
 
 macro_rules! codes {
@@ -112,7 +112,7 @@ macro_rules! housekeeping {
             number: <$type as Wire>::NUMBER,
             count: <$type as Wire>::COUNT,
             bytes: <$type as Wire>::BYTES,
-            parts: <$type as Wire>::PARTS,
+            is_number: <$type as Wire>::IS_NUMBER,
             unit: $unit,
             codes: codes!($($codes)?),
             about: $documentation,
@@ -355,7 +355,13 @@ housekeeping! {
     fine: u32, "", "frames solved finely";
     coarse: u32, "", "frames solved coarsely";
     none: u32, "", "frames without a Sun";
-    stopped: [u16; 7], "", "frames that went no further than levels, limb, marks, identification, registration, aspect, pointing; from 0 again after 65535";
+    stopped_levels: u16, "", "frames that went no further than levels; from 0 again after 65535, as the next six";
+    stopped_limb: u16, "", "frames that went no further than limb";
+    stopped_marks: u16, "", "frames that went no further than marks";
+    stopped_identification: u16, "", "frames that went no further than identification";
+    stopped_registration: u16, "", "frames that went no further than registration";
+    stopped_aspect: u16, "", "frames that went no further than aspect";
+    stopped_pointing: u16, "", "frames that went no further than pointing";
     [frame]
     number: u32, "", "number of the latest frame, which the fields to preamp_gain are about";
     quality: u8, "", "the solution's quality" => QUALITY;
@@ -386,7 +392,8 @@ housekeeping! {
     [system]
     computer_c: Option<f32>, "deg C", "temperature of the computer";
     [archive]
-    disks: [Option<u8>; 2], "%", "how full the disks of the archive are";
+    disk_1: Option<u8>, "%", "how full the archive's first disk is";
+    disk_2: Option<u8>, "%", "how full its second disk is";
     [count]
     stored: u32, "", "frames stored";
     unstored: u32, "", "frames that no disk took";
@@ -418,7 +425,8 @@ housekeeping! {
     [line]
     queued_events: u16, "", "events that wait for the line";
     [archive]
-    disk_refusals: [u32; 2], "", "how often each disk of the archive refused";
+    disk_1_refusals: u32, "", "how often the archive's first disk refused";
+    disk_2_refusals: u32, "", "how often its second disk refused";
     rows_refused: u32, "", "rows that a log refused or had no room for";
     [system]
     gps_refused: u16, "", "GPS fixes that were not believed";
@@ -436,7 +444,8 @@ housekeeping! {
     roll_fine: u32, "", "frames of the horizon solved finely";
     roll_coarse: u32, "", "frames of the horizon solved coarsely";
     roll_none: u32, "", "frames without a horizon";
-    roll_reasons: [u32; 2], "", "of these, frames that were too bright all over, and too dark";
+    roll_too_bright: u32, "", "of these, frames that were too bright all over";
+    roll_too_dark: u32, "", "of these, frames that were too dark";
     night: Option<u8>, "", "at the Moon camera's latest frame, by the ephemeris: 1 night, 0 day";
     moon_found: u32, "", "frames in which the Moon was found";
     moon_none: u32, "", "frames that should show the Moon and do not";
@@ -588,14 +597,14 @@ trait Wire: Sized {
     fn kind() -> String;
     fn write(&self, bytes: &mut Vec<u8>);
     fn read(rest: &mut &[u8]) -> Option<Self>;
-    /// In words; empty where not known, parts apart by blanks.
+    /// In words; empty where not known.
     fn text(&self) -> String;
     /// Reads what [`text`](Self::text) says.
     fn parse(text: &str) -> Option<Self>;
-    /// How many of its numbers mean something to a reader.
-    const PARTS: usize = Self::COUNT;
-    /// One of them.
-    fn value(&self, part: usize) -> Option<f64>;
+    /// Whether its number means something to a reader.
+    const IS_NUMBER: bool;
+    /// `None` where not known.
+    fn value(&self) -> Option<f64>;
 }
 
 /// A field that is one number, which double precision holds in full.
@@ -608,7 +617,7 @@ trait Single: Sized {
     fn of(number: f64) -> Self;
     fn in_words(&self) -> String;
     fn from_words(text: &str) -> Option<Self>;
-    const PARTS: usize = 1;
+    const IS_NUMBER: bool = true;
     /// `None` where not known.
     fn known(&self) -> Option<f64> {
         Some(self.number())
@@ -617,7 +626,7 @@ trait Single: Sized {
 
 impl<T: Single> Wire for T {
     const NUMBER: Number = <T as Single>::NUMBER;
-    const PARTS: usize = <T as Single>::PARTS;
+    const IS_NUMBER: bool = <T as Single>::IS_NUMBER;
 
     fn kind() -> String {
         format!("{}{}", <T as Single>::NUMBER.name(), T::NOTE)
@@ -641,40 +650,8 @@ impl<T: Single> Wire for T {
         Self::from_words(text)
     }
 
-    fn value(&self, _: usize) -> Option<f64> {
+    fn value(&self) -> Option<f64> {
         self.known()
-    }
-}
-
-impl<T: Single, const N: usize> Wire for [T; N] {
-    const NUMBER: Number = <T as Single>::NUMBER;
-    const COUNT: usize = N;
-
-    fn kind() -> String {
-        format!("{N} x {}", T::kind())
-    }
-
-    fn write(&self, bytes: &mut Vec<u8>) {
-        self.iter().for_each(|value| value.write(bytes));
-    }
-
-    fn read(rest: &mut &[u8]) -> Option<Self> {
-        let values: Option<Vec<T>> = (0..N).map(|_| T::read(rest)).collect();
-        values?.try_into().ok()
-    }
-
-    fn text(&self) -> String {
-        let texts: Vec<String> = self.iter().map(Single::in_words).collect();
-        texts.join(" ")
-    }
-
-    fn parse(text: &str) -> Option<Self> {
-        let parts: Option<Vec<T>> = text.split(' ').map(Single::from_words).collect();
-        parts?.try_into().ok()
-    }
-
-    fn value(&self, part: usize) -> Option<f64> {
-        self.get(part)?.known()
     }
 }
 
@@ -786,7 +763,7 @@ fn parse_known<T: FromStr>(text: &str) -> Option<Option<T>> {
 impl Single for Digits {
     const NUMBER: Number = Number::U32;
     const NOTE: &'static str = ", 0 where not known";
-    const PARTS: usize = 0;
+    const IS_NUMBER: bool = false;
 
     fn number(&self) -> f64 {
         self.0.unwrap_or(0).into()
@@ -816,7 +793,7 @@ impl Single for Digits {
 impl Wire for MarkIds {
     const NUMBER: Number = Number::U8;
     const COUNT: usize = 16;
-    const PARTS: usize = 0;
+    const IS_NUMBER: bool = false;
 
     fn kind() -> String {
         "16 x u8".into()
@@ -830,7 +807,8 @@ impl Wire for MarkIds {
     }
 
     fn read(rest: &mut &[u8]) -> Option<Self> {
-        let bytes = <[u8; 16]>::read(rest)?;
+        let (bytes, after) = rest.split_first_chunk::<16>()?;
+        *rest = after;
         let index = |nibble: u8| i32::from(nibble) - 8;
         Some(Self(bytes.map(|byte| {
             let (i, j) = (index(byte >> 4), index(byte & 15));
@@ -851,7 +829,7 @@ impl Wire for MarkIds {
         ids.map(Self::new)
     }
 
-    fn value(&self, _: usize) -> Option<f64> {
+    fn value(&self) -> Option<f64> {
         None
     }
 }
@@ -864,15 +842,16 @@ mod tests {
         Housekeeping {
             computer: 2,
             tracking: true,
-            stopped: [1, 2, 3, 4, 5, 6, 65535],
+            stopped_levels: 1,
+            stopped_pointing: 65535,
             disc_dn: Some(205.5),
             sun_x_px: Some(-3.25),
             ids: MarkIds::new([[-7, 7], [0, 0]]),
             marks: 2,
-            disks: [Some(87), None],
+            disk_1: Some(87),
             latency_ms: Some(3.5),
             restarts: 1,
-            disk_refusals: [0, 70_000],
+            disk_2_refusals: 70_000,
             simulated: true,
             commit: Digits::of("0123456789ab-dirty"),
             modified: true,
@@ -916,16 +895,16 @@ mod tests {
         let mut numbers = std::collections::BTreeMap::new();
         for field in FIELDS {
             let bytes = &payload[at..at + field.bytes];
-            let parts = (0..field.parts).map(|part| field.value(bytes, part));
-            numbers.insert(field.name, parts.collect::<Vec<_>>());
+            numbers.insert(field.name, field.value(bytes));
             at += field.bytes;
         }
-        assert_eq!(numbers["computer"], [Some(2.0)]);
-        assert_eq!(numbers["stopped"][6], Some(65535.0));
-        assert_eq!(numbers["sun_x_px"], [Some(-3.25)]);
-        assert_eq!(numbers["sun_y_px"], [None]);
-        assert_eq!(numbers["disks"], [Some(87.0), None]);
-        assert!(numbers["ids"].is_empty());
+        assert_eq!(numbers["computer"], Some(2.0));
+        assert_eq!(numbers["stopped_pointing"], Some(65535.0));
+        assert_eq!(numbers["sun_x_px"], Some(-3.25));
+        assert_eq!(numbers["sun_y_px"], None);
+        assert_eq!(numbers["disk_1"], Some(87.0));
+        assert_eq!(numbers["disk_2"], None);
+        assert_eq!(numbers["ids"], None);
     }
 
     #[test]
@@ -970,7 +949,7 @@ mod tests {
             ..layout_8.clone()
         };
         let layout_1 = Housekeeping {
-            disk_refusals: [0, 0],
+            disk_2_refusals: 0,
             simulated: false,
             ..layout_2.clone()
         };

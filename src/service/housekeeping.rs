@@ -146,6 +146,8 @@ impl HousekeepingSource {
         let camera = &tally.camera;
         let misfits: u64 = tally.solvers.iter().map(|one| one.solver.misfits).sum();
         let waiting: usize = tallies.cameras.iter().map(|one| one.unsolved.len()).sum();
+        // From 0 again after 65535.
+        let stopped = |stage| sun.stopped_at(stage) as u16;
         CamerasStatus {
             clock_stepped: camera.utc_steps > self.before.camera.utc_steps,
             lost: saturated(camera.lost + camera.failed + misfits),
@@ -154,7 +156,13 @@ impl HousekeepingSource {
             fine: count(&sun, Quality::Fine),
             coarse: count(&sun, Quality::Coarse),
             none: count(&sun, Quality::None),
-            stopped: stopped(&sun),
+            stopped_levels: stopped(Stage::Levels),
+            stopped_limb: stopped(Stage::Limb),
+            stopped_marks: stopped(Stage::Marks),
+            stopped_identification: stopped(Stage::Identification),
+            stopped_registration: stopped(Stage::Registration),
+            stopped_aspect: stopped(Stage::Aspect),
+            stopped_pointing: stopped(Stage::Pointing),
             camera_c: camera.health.temperature_c.map(|c| c as f32),
             solve_ms,
             calibration_contradicted: tally.solvers.iter().any(|one| one.solver.contradicted),
@@ -163,8 +171,8 @@ impl HousekeepingSource {
             roll_fine: count(&roll, Quality::Fine),
             roll_coarse: count(&roll, Quality::Coarse),
             roll_none: count(&roll, Quality::None),
-            roll_reasons: [reasons::TOO_BRIGHT, reasons::TOO_DARK]
-                .map(|reason| saturated(roll.because(reason))),
+            roll_too_bright: saturated(roll.because(reasons::TOO_BRIGHT)),
+            roll_too_dark: saturated(roll.because(reasons::TOO_DARK)),
             night: seen.and_then(|seen| seen.is_night).map(u8::from),
             moon_found: saturated(moon.frames() - moon.of(Quality::None)),
             moon_none: saturated(moon.of(Quality::None).saturating_sub(hidden)),
@@ -275,10 +283,12 @@ fn archive_status(tallies: &Tallies, tally: &FlightTally) -> ArchiveStatus {
     let used = |disk: usize| Some((100.0 - disks.get(disk)?.free_percent?) as u8);
     let refused = |disk: usize| disks.get(disk).map_or(0, |d| d.refused + d.rows_refused);
     ArchiveStatus {
-        disks: [used(0), used(1)],
+        disk_1: used(0),
+        disk_2: used(1),
         queued_pictures: saturated(tallies.archive.waiting() as u64),
         queued_rows: saturated(tallies.archive.waiting_rows() as u64),
-        disk_refusals: [saturated(refused(0)), saturated(refused(1))],
+        disk_1_refusals: saturated(refused(0)),
+        disk_2_refusals: saturated(refused(1)),
         rows_refused: saturated(tally.archive.rows_refused),
     }
 }
@@ -331,10 +341,6 @@ fn gps_status(tally: &FlightTally) -> GpsStatus {
 }
 
 /// The layout wants these to begin again after 65535.
-fn stopped(solver: &SolverTally) -> [u16; 7] {
-    Stage::ALL.map(|stage| solver.stopped_at(stage) as u16)
-}
-
 fn solve_ms(mut solve_times: Vec<Duration>, answer: Option<&Answer>) -> Option<f32> {
     let latest = answer.map(|answer| answer.solved.solve_time);
     quantile(&mut solve_times, 0.5).or(latest).map(milliseconds)

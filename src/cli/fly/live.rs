@@ -50,9 +50,8 @@ fn line(told: &Housekeeping) -> String {
         }
         None => "no offset".into(),
     };
-    let disks: Vec<String> = told
-        .disks
-        .iter()
+    let disks: Vec<String> = [told.disk_1, told.disk_2]
+        .into_iter()
         .flatten()
         .map(|used| format!("{used} %"))
         .collect();

@@ -135,18 +135,12 @@ function filter() {
   for (const item of byId('housekeeping').children) item.hidden = !words.every((word) => item.dataset.search.includes(word));
 }
 
-// "disks[1]" is a part of the field "disks"
-function valueOf(fields, name) {
-  const [, whole, part] = name.match(/^(.*)\[(\d+)\]$/) ?? [];
-  return whole ? fields[whole]?.[part] : fields[name];
-}
-
 function showHousekeeping({ time, fields, gyros_against_sun: gyros }) {
   const severity = SEVERITIES[fields.gyro_agreement ?? 0];
   setText(byId('gyro-agreement'), gyros ? `${symbols[severity]} ${gyros}` : '');
   byId('gyro-agreement').dataset.severity = severity;
   setText(byId('housekeeping-time'), `at ${dateTime(time)} UTC`);
-  for (const [name, place] of values) setText(place, number(valueOf(fields, name)));
+  for (const [name, place] of values) setText(place, number(fields[name]));
 }
 
 // ---- all together
