@@ -4,8 +4,10 @@
 //! correction how far off the clock may be, and the kernel lets that grow by 0.5 ms a second until the next one. After 16 s of
 //! it, about nine hours, it takes the clock for free-running.
 
+mod flight;
 mod utc;
 
+pub use flight::FlightClock;
 use std::io;
 use std::path::Path;
 pub use utc::{Scale, Utc, parse_utc, read_utc, utc_microseconds, utc_of_mjd, utc_text};

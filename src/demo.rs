@@ -4,7 +4,8 @@
 use crate::archive::Store;
 use crate::aspect::Quality;
 use crate::camera::{Camera, CameraSettings, SimulatedCamera, TruthLog, View};
-use crate::config::{Config, FlightClock, Switch};
+use crate::clock::FlightClock;
+use crate::config::{Config, Switch};
 use crate::fits::Compression;
 use crate::instrument::{
     self, DEMO_HORIZON, DEMO_NAVIGATION, Instrument, MountedCamera, Role, Sees, builtin_text,
@@ -160,7 +161,7 @@ pub fn run(
     let (near, line) = SerialPort::pair()?;
     let (gps_near, gps_far) = SerialPort::pair()?;
     let gps = Some(Box::new(gps_far) as Box<dyn BytePort + Send>);
-    let sensors = Sensors::new(telescope(demo, &instrument, start)?, gps, Duration::ZERO);
+    let sensors = Sensors::new(telescope(demo, &instrument, start)?, gps);
     let store = Store::open(&demo.archive, &instrument.name, Compression::Rice)?;
     let arcsec_per_mil = instrument.optics.arcsec_per_mil();
     let flight = Flight {

@@ -6,6 +6,7 @@ use solaspect::camera::{
     self, CameraError, CameraSettings, Exposure, FrameSource, PixelFormat, SimulatedCamera, Source,
     Surroundings, Take, View,
 };
+use solaspect::clock::FlightClock;
 use solaspect::fits::{self, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels, Region};
 use solaspect::instrument::{self, Sees};
@@ -143,7 +144,7 @@ fn opened(source: &str, speed: f64) -> Result<Box<dyn FrameSource>, CameraError>
     let around = Surroundings {
         sees: Sees::Plate(Box::new(instrument)),
         seed: 1,
-        start: None,
+        clock: FlightClock::default(),
         duration: None,
         speed,
     };

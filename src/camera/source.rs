@@ -3,6 +3,7 @@
 #[cfg(feature = "gige")]
 use super::gige::GigeCamera;
 use super::{CameraError, CameraSettings, FolderCamera, FrameSource, SimulatedCamera, View};
+use crate::clock::FlightClock;
 use crate::instrument::{Instrument, Sees, builtin};
 use crate::simulate::earth::SwingingGondola;
 use crate::simulate::moon::FollowedMoon;
@@ -64,9 +65,10 @@ impl fmt::Display for Source {
 #[derive(Debug, Clone)]
 pub struct Surroundings {
     pub sees: Sees,
-    /// Seed of the simulator, and when its flight begins; unset, now.
+    /// The time that a simulated flight's frames carry.
+    pub clock: FlightClock,
+    /// Seed of the simulator.
     pub seed: u64,
-    pub start: Option<Timestamp>,
     /// Length of a simulated run; `None` without end.
     pub duration: Option<Duration>,
     /// How many times faster than it was taken a folder is replayed.
@@ -96,16 +98,17 @@ pub fn open(
     Ok(camera)
 }
 
-/// A simulated camera above Fort Sumner. One of a plate is as far into its flight as the clock is; limb and Moon are those of now, whatever path the
-/// Sun takes on the plate of another camera. One of which nothing is stated takes the frames of the demo.
+/// A simulated camera above Fort Sumner. One of a plate is as far into its flight as the flight's clock is, and begins one now where that has no start;
+/// limb and Moon are those of the clock's time, whatever path the Sun takes on the plate of another camera. One of which nothing is stated takes the
+/// frames of the demo.
 fn simulated(
     file: Option<&Path>,
     settings: &CameraSettings,
     around: &Surroundings,
 ) -> Result<SimulatedCamera, CameraError> {
-    let (now, seed) = (Timestamp::now(), around.seed);
+    let (now, seed) = (around.clock.now(), around.seed);
     let of_plate = |instrument: &Instrument| -> Result<SimulatedCamera, CameraError> {
-        let start = around.start.unwrap_or(now);
+        let start = around.clock.start().unwrap_or(now);
         let course = simulated_course(file, instrument, start, seed)?;
         let scenes = FlightScenes::new(instrument, course, radius_mil(instrument, start)?, seed)?;
         let ahead = Duration::try_from(now.duration_since(start)).unwrap_or_default();

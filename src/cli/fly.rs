@@ -10,7 +10,6 @@ use crate::provenance;
 use crate::service::{Flight, FlightTally, Service};
 use anyhow::bail;
 use clap::Args;
-use jiff::Timestamp;
 use live::LiveLine;
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
@@ -91,7 +90,7 @@ fn say_who_flies(plan: &Plan, flight: &Flight) {
     let (version, commit) = (provenance::VERSION, provenance::COMMIT);
     let configuration_sha256 = provenance::sha256(flight.configuration_toml());
     tracing::info!(version, commit, configuration_sha256, "solaspect flies");
-    let now = Timestamp::now();
+    let now = plan.clock.now();
     if let Err(error) = plan.ephemeris().disc(now) {
         tracing::warn!(%error, "frames of today will have no offsets: see sky.earth_orientation");
     }

@@ -25,7 +25,6 @@ macro_rules! defaults {
 }
 
 mod camera;
-mod clock;
 mod contradictions;
 mod documents;
 mod host;
@@ -38,7 +37,6 @@ mod table;
 mod value;
 
 pub use camera::{Cameras, ConfiguredCamera, Switch};
-pub use clock::FlightClock;
 pub use documents::{example, parameters_page};
 pub use host::{Host, Memory};
 pub use navigation::Navigation;
@@ -47,6 +45,8 @@ pub use table::{by_command, by_key, parameters};
 pub use value::Value;
 
 use crate::archive::{Overflow, Sharing, SpaceLimits};
+use crate::camera::Source;
+use crate::clock::FlightClock;
 use crate::fits::{Compression, Packing};
 use crate::horizon::{Refraction, Sphere};
 use crate::units::{Measured, Place};
@@ -76,6 +76,13 @@ pub struct Config {
 }
 
 impl Config {
+    /// The clock of a flight that begins now.
+    pub fn clock(&self) -> FlightClock {
+        let is_simulated = matches!(self.cameras.first().source, Some(Source::Simulated(_)));
+        let start = self.simulation.start_utc.filter(|_| is_simulated);
+        start.map_or_else(FlightClock::default, FlightClock::starting)
+    }
+
     /// The tunable parts of the solver.
     pub fn solver(&self) -> aspect::SolverSettings {
         aspect::SolverSettings {

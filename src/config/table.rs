@@ -250,7 +250,7 @@ static TABLE: &[Parameter] = &[
     row!(simulation.seed, "", Whole(0, i64::MAX),
         "Seed of the simulator: the same seed gives the same frames, bit for bit."),
     row!(simulation.start_utc, "UTC", Utc, sample Sample::Text("2013-09-21T18:00:00Z"),
-        "When the simulated flight begins; unset, when its camera is opened. Where it is set, `gondola --config` simulates the IMU and the GPS receiver of the same flight."),
+        "When the simulated flight begins: its frames carry this time and those after it; unset, they carry the computer's, and the flight begins when its camera is opened. Where it is set, `gondola --config` simulates the IMU and the GPS receiver of the same flight."),
 
     row!(limb.level_fraction, "", Number(0.05, 0.6), command 10,
         "Level of the limb's threshold between background and disc. Lower values are less affected by marks, higher ones by noise. With a limb darkening of 0.56 and a blur of 0.95 px the disc's true edge is at 0.26."),

@@ -18,6 +18,7 @@ pub use remarks::{Remark, Remarks, Severity};
 use crate::archive::plain;
 use crate::aspect;
 use crate::camera::{self, Camera, CameraError, FrameSource, Source, Surroundings, tell_apart};
+use crate::clock::FlightClock;
 use crate::commands::controls::{Controls, Proof};
 use crate::config::{Config, ConfiguredCamera};
 use crate::instrument::toml_file::{document, read_text};
@@ -95,6 +96,8 @@ pub struct Plan {
     pub navigation: Option<PlannedNavigation>,
     pub orientation: Arc<OrientationTable>,
     pub target: Target,
+    /// A simulated flight begins when it is planned.
+    pub clock: FlightClock,
 }
 
 /// How the frames of a plan's cameras come.
@@ -184,6 +187,7 @@ impl Plan {
             cameras,
             orientation,
             target: target.unwrap_or_default(),
+            clock: config.clock(),
             config,
         };
         plan.prove(remarks);
@@ -238,8 +242,8 @@ impl Plan {
     ) -> impl Fn() -> Result<Box<dyn FrameSource>, CameraError> + Send + Sync + use<> {
         let around = Surroundings {
             sees: planned.camera.sees.clone(),
+            clock: self.clock,
             seed: self.config.simulation.seed,
-            start: self.config.simulation.start_utc,
             duration: replay.duration,
             speed: replay.speed,
         };

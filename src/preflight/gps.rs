@@ -2,7 +2,7 @@
 
 use super::Finding;
 use super::bounded::within;
-use crate::config::FlightClock;
+use crate::clock::FlightClock;
 use crate::link::{LocalEnd, PortAddress, PortError};
 use crate::navigation::nmea::{GpsCounts, Heard, Nmea, Refusal, Refused, TimedFix};
 use crate::plan::Plan;
@@ -26,7 +26,7 @@ pub(super) fn check(plan: &Plan) -> Finding {
         return Finding::fail("gps", found, "set navigation.gps_port");
     };
     let baud = plan.config.navigation.gps_baud;
-    let clock = plan.config.clock();
+    let clock = plan.clock;
     let tried = within(PATIENCE + GPS, move || hear_gps(&address, baud, clock));
     match tried {
         Ok(Ok(receiver)) => receiver.judge(plan.config.site.place()),

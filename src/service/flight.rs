@@ -6,8 +6,9 @@ use crate::archive::disk::{LocalDisk, Lock};
 use crate::archive::{ArchiveError, Store};
 use crate::bounded::within;
 use crate::camera::{Camera, CameraError, FrameSource};
+use crate::clock::FlightClock;
 use crate::commands::controls::{SavedError, SavedValues};
-use crate::config::{Config, FlightClock, Refused};
+use crate::config::{Config, Refused};
 use crate::instrument::Instrument;
 use crate::link::{Connection, LocalEnd, PortAddress};
 use crate::navigation::NavigationSettings;
@@ -168,7 +169,7 @@ fn navigation(plan: &Plan, own: &PlannedNavigation) -> Navigation {
         settings_toml: own.toml.clone(),
         imu: connection(&own.imu, plan.config.link.baud),
         gps: connection(&own.gps, plan.config.navigation.gps_baud),
-        clock: plan.config.clock(),
+        clock: plan.clock,
     }
 }
 

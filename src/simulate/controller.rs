@@ -152,7 +152,7 @@ impl Controller {
         }
     }
 
-    /// The same with the gondola's IMU and GPS receiver; they begin when it does.
+    /// The same with the gondola's IMU and GPS receiver; they join the flight when its first exposure is announced.
     pub fn with_sensors(self, sensors: Sensors) -> Self {
         Self {
             sensors: Some(sensors),
@@ -220,12 +220,21 @@ impl Controller {
             }
         }
         let mut buffer = [0; 1024];
+        let asked = Instant::now();
         let count = port.read(&mut buffer, wait)?;
+        let read_at = now + asked.elapsed();
         let packets = self.parser.feed(&buffer[..count], now);
         let rejected = self.parser.rejected();
         self.report.faults.broken = rejected.packets;
         self.report.stray_bytes = rejected.bytes;
-        Ok(packets.iter().flat_map(|p| self.receive(p)).collect())
+        let messages: Vec<Message> = packets.iter().flat_map(|p| self.receive(p)).collect();
+        for message in &messages {
+            if let (Message::ExposureStart(exposure), Some(sensors)) = (message, &mut self.sensors)
+            {
+                sensors.join(exposure.time, read_at);
+            }
+        }
+        Ok(messages)
     }
 
     /// Polls until `stopped` says so, then stops the tracking and waits a second at most for the answer.

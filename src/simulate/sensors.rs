@@ -2,6 +2,7 @@
 
 use super::navigation::{NoFlight, TelescopeFlight};
 use crate::link::{AnyPort, BytePort, ImuPacket, PortError};
+use jiff::{SignedDuration, Timestamp};
 use std::time::Duration;
 
 /// How long a packet or a sentence waits for room.
@@ -10,14 +11,14 @@ const WRITE_TIMEOUT: Duration = Duration::from_millis(10);
 /// What becomes of a sample before it is sent; `None` where it is lost.
 pub type Spoil = Box<dyn FnMut(ImuPacket) -> Option<ImuPacket> + Send>;
 
-/// The sensors of a simulated flight.
+/// The sensors of a simulated flight. They are silent until they [join](Self::join) its cameras.
 pub struct Sensors {
     flight: TelescopeFlight,
     spoil: Spoil,
     /// Where the receiver speaks; it is silent without.
     gps: Option<AnyPort>,
-    /// How far the flight was when the clock of the caller began.
-    ahead: Duration,
+    /// How far the flight is ahead of the caller's clock.
+    ahead: Option<SignedDuration>,
     /// The next sample and the next second of the receiver.
     sample: u64,
     second: u64,
@@ -33,17 +34,27 @@ pub enum SensorError {
 }
 
 impl Sensors {
-    /// Sensors that begin when the flight is `ahead` of its start.
-    pub fn new(flight: TelescopeFlight, gps: Option<AnyPort>, ahead: Duration) -> Self {
-        let (rate, ahead_s) = (flight.rate_hz(), ahead.as_secs());
+    pub fn new(flight: TelescopeFlight, gps: Option<AnyPort>) -> Self {
         Self {
-            sample: ahead_s * rate + 1,
-            second: ahead_s + 1,
+            sample: 1,
+            second: 1,
             flight,
             spoil: Box::new(Some),
             gps,
-            ahead,
+            ahead: None,
         }
+    }
+
+    /// Begins with the second of the flight in which it is this time, unless they speak already. `now` is the caller's clock, as in
+    /// [`speak`](Self::speak).
+    pub fn join(&mut self, utc: Timestamp, now: Duration) {
+        let since_start = utc.duration_since(self.flight.start());
+        let (None, Ok(second)) = (self.ahead, u64::try_from(since_start.as_secs())) else {
+            return;
+        };
+        self.ahead = since_start.checked_sub(signed(now));
+        self.sample = second * self.flight.rate_hz() + 1;
+        self.second = second + 1;
     }
 
     /// The same with an IMU that is not what it should be.
@@ -53,7 +64,13 @@ impl Sensors {
 
     /// How long there is nothing to say.
     pub fn wait(&self, now: Duration) -> Duration {
-        self.due().saturating_sub(self.ahead + now)
+        let Some(ahead) = self.ahead else {
+            return Duration::MAX;
+        };
+        let left = signed(self.due())
+            .saturating_sub(signed(now))
+            .saturating_sub(ahead);
+        Duration::try_from(left).unwrap_or_default()
     }
 
     /// When the next sample's interval ends, since the flight's start.
@@ -83,6 +100,10 @@ impl Sensors {
         }
         Ok(())
     }
+}
+
+fn signed(duration: Duration) -> SignedDuration {
+    SignedDuration::try_from(duration).unwrap_or(SignedDuration::MAX)
 }
 
 /// What nobody takes is lost, as on a wire.

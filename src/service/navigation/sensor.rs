@@ -2,7 +2,7 @@
 //! again.
 
 use super::inputs::Inputs;
-use crate::config::FlightClock;
+use crate::clock::FlightClock;
 use crate::link::{Connection, Direction, Packet, Parser, PortError};
 use crate::log::worth_a_line;
 use crate::navigation::nmea::{Heard, Nmea};

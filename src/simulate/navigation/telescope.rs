@@ -89,6 +89,10 @@ impl TelescopeFlight {
         Self { gondola, ..self }
     }
 
+    pub fn start(&self) -> Timestamp {
+        self.start
+    }
+
     /// Samples a second.
     pub fn rate_hz(&self) -> u64 {
         RATE_HZ

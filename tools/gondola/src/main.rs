@@ -5,7 +5,7 @@
 
 use anyhow::{Context, bail};
 use clap::Parser;
-use jiff::{SignedDuration, Timestamp};
+use jiff::SignedDuration;
 use solaspect::camera::{Source, simulated_course};
 use solaspect::config::Config;
 use solaspect::instrument::{Instrument, builtin};
@@ -138,12 +138,7 @@ fn sensors(path: &Path, gps: Option<&str>) -> anyhow::Result<Sensors> {
             Ok(address.open(config.navigation.gps_baud, LocalEnd::default())?)
         })
         .transpose()?;
-    let ahead = Timestamp::now().duration_since(start);
-    Ok(Sensors::new(
-        telescope,
-        gps,
-        Duration::try_from(ahead).unwrap_or_default(),
-    ))
+    Ok(Sensors::new(telescope, gps))
 }
 
 /// Writes a line; the controller goes on when nobody reads it.

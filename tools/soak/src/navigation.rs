@@ -2,7 +2,7 @@
 
 use crate::report::say;
 use jiff::Timestamp;
-use solaspect::config::FlightClock;
+use solaspect::clock::FlightClock;
 use solaspect::demo::JudgedOffset;
 use solaspect::instrument::{DEMO_NAVIGATION, Instrument, Role};
 use solaspect::link::{Connection, ImuPacket, Propagated, SerialPort};
@@ -64,7 +64,6 @@ impl Parts {
         let (near, far) = SerialPort::pair()?;
         let path = Path::new("demo-nav");
         let imu = ImuBench::default();
-        let ahead = Timestamp::now().duration_since(start);
         Ok(Self {
             flies: Navigation {
                 settings: NavigationSettings::parse(path, DEMO_NAVIGATION)?
@@ -74,12 +73,8 @@ impl Parts {
                 gps: Some(Connection::over(near)),
                 clock: FlightClock::starting(start),
             },
-            sensors: Sensors::new(
-                telescope(instrument, start),
-                Some(Box::new(far)),
-                Duration::try_from(ahead)?,
-            )
-            .spoilt(imu.spoil()),
+            sensors: Sensors::new(telescope(instrument, start), Some(Box::new(far)))
+                .spoilt(imu.spoil()),
             judge: Judge::new(telescope(instrument, start), start, imu.clone()),
             imu,
         })
