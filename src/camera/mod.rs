@@ -1,4 +1,4 @@
-//! Where frames come from, each behind the same trait: a GigE Vision camera, a folder of files, or the simulator.
+//! Where frames come from, each behind the same trait: a GigE Vision camera, a folder of files, the simulator, or one of another's.
 
 mod auto_exposure;
 mod folder;
@@ -23,6 +23,7 @@ use crate::instrument::TomlError;
 use crate::simulate::SceneError;
 use crate::sky::SkyError;
 use jiff::Timestamp;
+use std::error::Error;
 use std::path::PathBuf;
 
 /// Why a source gave no frame, or did not take its settings.
@@ -44,6 +45,13 @@ pub enum CameraError {
     Path(#[from] TomlError),
     #[error("this build has no GigE Vision cameras: build it with `--features gige`")]
     NotBuilt,
+    #[error(
+        "a source \"own\" is a camera that a program of one's own brings; this program brings none"
+    )]
+    NotBrought,
+    /// What another's driver says: see [`CameraError::own`].
+    #[error("the camera: {0}")]
+    Own(Box<dyn Error + Send + Sync>),
     /// The camera itself, or this frame of it.
     #[error("the GigE Vision camera {address}: {problem}")]
     Gige { address: String, problem: String },
@@ -53,6 +61,13 @@ pub enum CameraError {
         expected: String,
         found: String,
     },
+}
+
+impl CameraError {
+    /// The error of a camera of one's own: any error, or a text.
+    pub fn own(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
+        Self::Own(error.into())
+    }
 }
 
 /// A frame with what belongs to this exposure alone.

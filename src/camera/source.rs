@@ -24,12 +24,21 @@ pub enum Source {
     Folder(PathBuf),
     /// The simulator's flight, or the one that a file tells.
     Simulated(Option<PathBuf>),
+    /// A camera that the program brings which flies this library.
+    Own,
+}
+
+impl Source {
+    /// Whether a camera takes the frames now.
+    pub fn is_camera(&self) -> bool {
+        matches!(self, Self::Gige(_) | Self::Own)
+    }
 }
 
 /// A text that names no source.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
-    "expected gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml, found {0:?}"
+    "expected gige:ADDRESS, gige:SERIAL, folder:DIR, simulated, simulated:FILE.toml or own, found {0:?}"
 )]
 pub struct NoSource(String);
 
@@ -39,6 +48,7 @@ impl FromStr for Source {
     fn from_str(text: &str) -> Result<Self, NoSource> {
         match text.split_once(':') {
             None if text == "simulated" => Ok(Self::Simulated(None)),
+            None if text == "own" => Ok(Self::Own),
             Some(("simulated", file)) if !file.is_empty() => Ok(Self::Simulated(Some(file.into()))),
             Some(("folder", folder)) if !folder.is_empty() => Ok(Self::Folder(folder.into())),
             // gige://ADDRESS would be a serial number that no camera has.
@@ -56,6 +66,7 @@ impl fmt::Display for Source {
             Self::Gige(address) => write!(out, "gige:{address}"),
             Self::Folder(folder) => write!(out, "folder:{}", folder.display()),
             Self::Simulated(None) => write!(out, "simulated"),
+            Self::Own => write!(out, "own"),
             Self::Simulated(Some(file)) => write!(out, "simulated:{}", file.display()),
         }
     }
@@ -93,6 +104,7 @@ pub fn open(
             Box::new(FolderCamera::open(folder, settings.rate_hz, around.speed)?)
         }
         Source::Simulated(file) => Box::new(simulated(file.as_deref(), settings, around)?),
+        Source::Own => return Err(CameraError::NotBrought),
     };
     camera.apply(settings)?;
     Ok(camera)

@@ -8,7 +8,6 @@ use crate::camera::Source;
 use crate::plan::{Plan, Remarks, Replay, Severity};
 use crate::provenance;
 use crate::service::{Flight, FlightTally, Service};
-use anyhow::bail;
 use clap::Args;
 use live::LiveLine;
 use std::process::ExitCode;
@@ -36,10 +35,9 @@ const ENDING: Duration = Duration::from_millis(1500);
 
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     let (plan, remarks) = Plan::survey(args.over.config.as_deref(), &args.over.options());
-    let errors: Vec<String> = remarks.errors().map(|one| one.what.to_string()).collect();
     let is_forced = args.force && plan.has_first_camera();
-    if !errors.is_empty() && !is_forced {
-        bail!("{}", errors.join("\n"));
+    if !is_forced {
+        remarks.without_errors()?;
     }
     let replay = Replay {
         duration: args.duration,

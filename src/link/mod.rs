@@ -19,6 +19,7 @@ pub mod guard;
 pub mod hex;
 pub mod housekeeping;
 pub mod imu;
+pub mod in_process;
 pub mod key;
 pub mod message;
 pub mod moon;
@@ -40,6 +41,7 @@ pub use control::{Carried, CommandResult, Control};
 pub use guard::{Guard, Peer};
 pub use housekeeping::{Counters, Counts, Housekeeping};
 pub use imu::ImuPacket;
+pub use in_process::{Controller, InProcess};
 pub use key::{Key, Seal};
 pub use message::{
     AspectCommand, ExposureStart, GpsFix, Message, MessageError, Messages, MoonRequest, NoSolution,

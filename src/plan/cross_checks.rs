@@ -91,6 +91,8 @@ fn same_sources(config: &Config, remarks: &mut Remarks) {
             None => {}
             // The simulator then draws the horizon or the Moon.
             Some(Source::Simulated(_)) if sees_sky => {}
+            // Each brings its own.
+            Some(Source::Own) => {}
             Some(source @ Source::Gige(_)) => remarks.error(&key, expected, source.to_string()),
             Some(source) => remarks.warn(&key, expected, source.to_string()),
         }

@@ -13,7 +13,7 @@ mod remarks;
 mod words;
 
 pub use look::device;
-pub use remarks::{Remark, Remarks, Severity};
+pub use remarks::{Faulty, Remark, Remarks, Severity};
 
 use crate::archive::plain;
 use crate::aspect;

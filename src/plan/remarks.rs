@@ -39,6 +39,11 @@ impl fmt::Display for Remark {
     }
 }
 
+/// A plan with errors, one a line.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{0}")]
+pub struct Faulty(String);
+
 /// The remarks on a configuration, in the order of the looking.
 #[derive(Debug, Clone, Default)]
 pub struct Remarks {
@@ -126,5 +131,17 @@ impl Remarks {
 
     pub fn has_errors(&self) -> bool {
         self.errors().next().is_some()
+    }
+
+    /// Whether the plan may fly.
+    ///
+    /// # Errors
+    /// All that is wrong with it.
+    pub fn without_errors(&self) -> Result<(), Faulty> {
+        let errors: Vec<String> = self.errors().map(|one| one.what.to_string()).collect();
+        match errors.is_empty() {
+            true => Ok(()),
+            false => Err(Faulty(errors.join("\n"))),
+        }
     }
 }

@@ -2,7 +2,6 @@
 
 use super::bounded::within;
 use super::{Finding, Verdict};
-use crate::camera::Source;
 use crate::clock::ClockStatus;
 use crate::plan::Plan;
 use jiff::{Timestamp, tz::Offset};
@@ -16,8 +15,7 @@ const HOLD_IT: &str = "start a time service (chrony with the gondola's GPS or NT
                        each second that the clock is off moves the Sun by 15 arcsec";
 
 pub(super) fn check(plan: &Plan) -> Vec<Finding> {
-    let is_real = |source: &Source| matches!(source, Source::Gige(_));
-    let times_frames = plan.cameras.iter().any(|camera| is_real(&camera.source));
+    let times_frames = plan.cameras.iter().any(|camera| camera.source.is_camera());
     let status = ClockStatus::read().map_err(|error| error.to_string());
     let source = status.as_ref().ok().and_then(|status| status.source);
     let limit_ms = plan.config.preflight.max_clock_error_ms;

@@ -5,7 +5,7 @@ use super::messages::Station;
 use crate::archive::disk::{LocalDisk, Lock};
 use crate::archive::{ArchiveError, Store};
 use crate::bounded::within;
-use crate::camera::{Camera, CameraError, FrameSource};
+use crate::camera::{Camera, CameraError, FrameSource, Source};
 use crate::clock::FlightClock;
 use crate::commands::controls::{SavedError, SavedValues};
 use crate::config::{Config, Refused};
@@ -47,6 +47,11 @@ pub enum ClaimError {
     #[error(transparent)]
     SavedValues(#[from] SavedError),
 }
+
+/// A camera that nothing can be brought for.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("[{0}]: expected a camera of the flight whose source is \"own\", found none")]
+pub struct NoOwnCamera(String);
 
 /// How long a disk is waited for at the start. One that hangs keeps nothing from starting.
 const CLAIM: Duration = Duration::from_millis(500);
@@ -90,6 +95,24 @@ impl Flight {
             stores: folders.map(store).collect(),
             ..Self::of(plan.cameras.iter().map(camera).collect())
         })
+    }
+
+    /// Brings the camera of a table whose source is `own`: `open` opens it, now and whenever its thread has failed.
+    ///
+    /// # Errors
+    /// Where no such camera flies.
+    pub fn bring_camera<S: FrameSource + 'static>(
+        &mut self,
+        table: &str,
+        open: impl Fn() -> Result<S, CameraError> + Send + Sync + 'static,
+    ) -> Result<(), NoOwnCamera> {
+        let configured = self.config.cameras.named(table);
+        let is_own = configured.is_some_and(|one| one.source == Some(Source::Own));
+        let flown = self.cameras.iter_mut().find(|one| one.camera.name == table);
+        let camera = flown.filter(|_| is_own);
+        let camera = camera.ok_or_else(|| NoOwnCamera(table.into()))?;
+        camera.open = Some(Arc::new(move || Ok(Box::new(open()?))));
+        Ok(())
     }
 
     /// Takes archives and saved values for this program alone, before anything is sent or a camera opened. Disks that are not there, or

@@ -65,7 +65,7 @@ mod watch;
 mod worker;
 
 pub use archiver::DiskHealth;
-pub use flight::{CameraFactory, ClaimError, Flight, FlightCamera, Navigation};
+pub use flight::{CameraFactory, ClaimError, Flight, FlightCamera, Navigation, NoOwnCamera};
 pub use launch::Service;
 pub use messages::{Answer, Found, SeenRoll, Solved, SolvedMoon, SolvedSun, Station};
 pub use tally::{
