@@ -1,4 +1,4 @@
-//! Fly with a camera and a controller of your own: docs/own-gondola.md. `cargo run --release --example own_gondola [ARCHIVE]`
+//! Fly with a camera and a controller of your own: docs/own-gondola.md. `cargo run --release --example own_gondola`
 
 use jiff::Timestamp;
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
@@ -33,14 +33,11 @@ impl FrameSource for MyCamera {
 
 fn open_my_camera() -> Result<MyCamera, CameraError> {
     let demo = builtin("demo").map_err(CameraError::own)?;
+    let mapping = demo.nominal_mapping().ok_or("no mapping");
+    let mut scene = Scene::new(&demo, mapping.map_err(CameraError::own)?);
     let radius_mil = demo
         .optics
         .radius_mil(sky::sun_angular_radius(Timestamp::now())?);
-    let mapping = demo
-        .nominal_mapping()
-        .ok_or("it has no mapping")
-        .map_err(CameraError::own)?;
-    let mut scene = Scene::new(&demo, mapping);
     scene.sun = Some(Sun::new(PlateMil::new(-300.0, 200.0), radius_mil));
     Ok(MyCamera(scene, 0))
 }
@@ -51,10 +48,7 @@ struct MyController(Option<Message>);
 impl Controller for MyController {
     fn hear(&mut self, message: &Message) {
         if let Message::Solution(offset) = message {
-            println!(
-                "azimuth {:+.5} elevation {:+.5} deg",
-                offset.azimuth_deg, offset.elevation_deg
-            );
+            println!("{offset:?}");
         }
     }
 
@@ -65,12 +59,7 @@ impl Controller for MyController {
 
 fn main() -> anyhow::Result<()> {
     let configuration = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/own_gondola.toml");
-    let archive = std::env::args_os().skip(1).map(Into::into).collect();
-    let options = Options {
-        archive,
-        ..Options::default()
-    };
-    let (plan, remarks) = Plan::survey(Some(Path::new(configuration)), &options);
+    let (plan, remarks) = Plan::survey(Some(Path::new(configuration)), &Options::default());
     remarks.without_errors()?;
     let mut flight = Flight::of_plan(&plan, Replay::default())?;
     flight.bring_camera("camera", open_my_camera)?;
