@@ -140,11 +140,19 @@ fn a_region_that_reaches_over_the_sensor_is_an_error_and_a_good_one_mends_it() {
 }
 
 fn opened(source: &str, speed: f64) -> Result<Box<dyn FrameSource>, CameraError> {
+    opened_at(source, speed, FlightClock::default())
+}
+
+fn opened_at(
+    source: &str,
+    speed: f64,
+    clock: FlightClock,
+) -> Result<Box<dyn FrameSource>, CameraError> {
     let instrument = instrument::builtin("demo").unwrap();
     let around = Surroundings {
         sees: Sees::Plate(Box::new(instrument)),
         seed: 1,
-        clock: FlightClock::default(),
+        clock,
         duration: None,
         speed,
     };
@@ -153,6 +161,28 @@ fn opened(source: &str, speed: f64) -> Result<Box<dyn FrameSource>, CameraError>
         ..CameraSettings::default()
     };
     camera::open(&source.parse::<Source>().unwrap(), &settings, &around)
+}
+
+/// Where the Sun is smallest, and where it is largest.
+#[test]
+fn a_simulated_flight_on_another_day_has_frames_of_that_day_with_its_sun() {
+    let instrument = instrument::builtin("demo").unwrap();
+    for start in ["2013-07-05T18:00:00Z", "2014-01-04T18:00:00Z"] {
+        let start: Timestamp = start.parse().unwrap();
+        let clock = FlightClock::starting(start);
+        let mut before = start;
+        // Opened again, as after a fault, it goes on.
+        for _ in 0..2 {
+            let mut camera = opened_at("simulated", 1.0, clock).unwrap();
+            let (exposure, _) = next(&mut camera).unwrap();
+            let utc = exposure.frame.info.mid_exposure.unwrap();
+            assert!(before < utc && utc.duration_since(start).as_secs() < 3600);
+            before = utc;
+            let expected = Expected::at(utc);
+            let solution = aspect::solve(&exposure.frame, &instrument, expected, None);
+            assert_eq!(solution.quality, Quality::Fine, "{utc}");
+        }
+    }
 }
 
 /// Frames of a few pixels, each so many milliseconds after noon, or without a time.

@@ -44,6 +44,7 @@ mod moon;
 mod moon_in_flight;
 mod navigation;
 mod navigation_in_flight;
+mod own_gondola;
 mod photon_transfer;
 mod plate_check;
 mod plates;

@@ -116,3 +116,47 @@ fn write(port: &mut dyn BytePort, bytes: &[u8]) -> Result<(), PortError> {
         written => written,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instrument::builtin;
+    use crate::link::SerialPort;
+    use crate::simulate::{FORT_SUMNER, Trajectory};
+
+    const LONG: Duration = Duration::from_secs(10);
+
+    #[test]
+    fn sensors_join_a_flight_that_has_begun_in_the_second_of_its_first_announced_exposure() {
+        let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
+        let demo = builtin("demo").unwrap();
+        let path = Trajectory::flight(&demo, 547.0, 1).unwrap();
+        let flight = TelescopeFlight::new(path.into(), &demo, FORT_SUMNER, start, 1);
+        let (mut near, mut far) = SerialPort::pair().unwrap();
+        let (mut receiver, gps) = SerialPort::pair().unwrap();
+        let mut sensors = Sensors::new(flight, Some(Box::new(gps)));
+        // The caller's clock has run for 50 s before the flight begins.
+        let now = Duration::from_secs(50);
+        sensors.speak(&mut near, now).unwrap();
+        assert_eq!(sensors.wait(now), Duration::MAX);
+        sensors.join(start + Duration::from_millis(7_250), now);
+        sensors.join(start, now);
+        sensors.speak(&mut near, now).unwrap();
+        let mut buffer = [0; 4096];
+        let mut parser = crate::link::Parser::new(crate::link::Direction::ToAspect);
+        let count = far.read(&mut buffer, LONG).unwrap();
+        let packets = parser.feed(&buffer[..count], Duration::ZERO);
+        let crate::link::Packet::Telemetry(first) = &packets[0] else {
+            panic!("{packets:?}");
+        };
+        let sample = ImuPacket::decode(first).unwrap();
+        assert_eq!(sample.time, start + Duration::from_millis(7_010));
+        // The next second of the receiver is due in three quarters of one.
+        sensors
+            .speak(&mut near, now + Duration::from_millis(800))
+            .unwrap();
+        let count = receiver.read(&mut buffer, LONG).unwrap();
+        let said = String::from_utf8_lossy(&buffer[..count]).into_owned();
+        assert!(said.contains("180008"), "{said}");
+    }
+}
