@@ -131,7 +131,7 @@ mod tests {
         let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
         let demo = builtin("demo").unwrap();
         let path = Trajectory::flight(&demo, 547.0, 1).unwrap();
-        let flight = TelescopeFlight::new(path.into(), &demo, FORT_SUMNER, start, 1);
+        let flight = TelescopeFlight::new(path, &demo, FORT_SUMNER, start, 1);
         let (mut near, mut far) = SerialPort::pair().unwrap();
         let (mut receiver, gps) = SerialPort::pair().unwrap();
         let mut sensors = Sensors::new(flight, Some(Box::new(gps)));
