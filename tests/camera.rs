@@ -174,7 +174,7 @@ fn a_simulated_flight_on_another_day_has_frames_of_that_day_with_its_sun() {
         // Opened again, as after a fault, it goes on.
         for _ in 0..2 {
             let mut camera = opened_at("simulated", 1.0, clock).unwrap();
-            let (exposure, _) = next(&mut camera).unwrap();
+            let (exposure, _) = next(camera.as_mut()).unwrap();
             let utc = exposure.frame.info.mid_exposure.unwrap();
             assert!(before < utc && utc.duration_since(start).as_secs() < 3600);
             before = utc;
