@@ -28,8 +28,8 @@ as_solaspect() { (cd / && runuser -u solaspect -- "$@"); }
 # The last line of a flight's summary is of no use here: the exit code says whether anything was lost.
 fly() { as_solaspect solaspect fly --config /etc/solaspect/solaspect.toml --camera simulated --duration 10s; }
 
-deb=$(ls "$PWD"/target/package/solaspect_*.deb)
-tarball=$(ls "$PWD"/target/package/solaspect-*.tar.gz)
+deb=$(ls "$PWD"/target/package/solaspect_*_"$(dpkg --print-architecture)".deb)
+tarball=$(ls "$PWD"/target/package/solaspect-*-"$(uname -m)"-linux.tar.gz)
 
 say "install"
 apt-get update -qq

@@ -1,28 +1,57 @@
 #!/usr/bin/env bash
-# Makes the Debian package and the tarball, in target/package. Needs `cargo install cargo-deb --locked`, and for GigE Vision cameras, which
-# the Debian package can fly, libaravis-dev and libusb-1.0-0-dev.
+# Makes the Debian package and the tarball, in target/package, for each of the architectures that are given by Debian's names (`amd64`, `arm64`),
+# or for this machine's. Needs dpkg-dev and `cargo install cargo-deb --locked`, and for GigE Vision cameras, which the Debian package can fly,
+# libaravis-dev and libusb-1.0-0-dev. For another architecture than this machine's docs/flight.md has what it needs.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 out=target/package
+here=$(dpkg --print-architecture)
+version=$(cargo pkgid | sed 's/.*[#@]//')
+(($#)) || set -- "$here"
+
+# From here on cargo compiles for another architecture than this machine's.
+cross() {
+    local architecture=$1 gnu triple variable file
+    gnu=$(dpkg-architecture -a "$architecture" -q DEB_HOST_GNU_TYPE)
+    triple=${gnu/-linux/-unknown-linux}
+    variable=${triple//-/_}
+    export CARGO_BUILD_TARGET=$triple
+    export "CARGO_TARGET_${variable^^}_LINKER=$gnu-gcc"
+    export "PKG_CONFIG_$variable=$gnu-pkg-config"
+    # Debian's compiler, where the usual one has no standard library for this architecture.
+    compgen -G "$(rustc --print target-libdir --target "$triple")/libstd-*" >/dev/null || export RUSTC=/usr/bin/rustc
+    # cfitsio is compiled among its sources, and make would take what lies there from another architecture. These sources are its own.
+    local home=${CARGO_HOME:-$HOME/.cargo}
+    export CARGO_HOME=$PWD/target/cargo-$architecture
+    mkdir -p "$CARGO_HOME/registry"
+    for file in config.toml registry/cache registry/index; do
+        if [ -e "$home/$file" ]; then ln -sfn "$home/$file" "$CARGO_HOME/$file"; fi
+    done
+}
+
+package() (
+    architecture=$1
+    if [ "$architecture" != "$here" ]; then cross "$architecture"; fi
+    cargo deb --output "$out/"
+
+    # The tarball's program is linked statically: it runs on any Linux, but without GigE Vision cameras, for Aravis is a shared library.
+    cargo rustc --release --bin solaspect -- -C target-feature=+crt-static
+    name=solaspect-$version-$(dpkg-architecture -a "$architecture" -q DEB_HOST_GNU_CPU)-linux
+    root=$out/$name
+    install -D -t "$root/bin" "target/${CARGO_BUILD_TARGET:-}/release/solaspect"
+    install -D -m 644 -t "$root/share/man/man1" target/pages/man/*
+    install -D -m 644 target/pages/completions/solaspect.bash "$root/share/bash-completion/completions/solaspect"
+    install -D -m 644 -t "$root/share/zsh/site-functions" target/pages/completions/_solaspect
+    install -D -m 644 -t "$root/share/fish/vendor_completions.d" target/pages/completions/solaspect.fish
+    install -D -m 644 -t "$root/share/solaspect/calibration" calibration/*.toml
+    install -D -m 644 -t "$root/share/solaspect" docs/solaspect.example.toml tools/systemd/solaspect.service
+    cp -r README.md CHANGELOG.md LICENSE-* docs "$root"
+    tar -C "$out" --owner=0 --group=0 --sort=name -czf "$out/$name.tar.gz" "$name"
+    rm -r "$root"
+)
+
 rm -rf "$out" target/pages
 mkdir -p "$out"
-
 cargo run --release -p pages -- target/pages
-cargo deb --output "$out/"
-
-# The tarball's program is linked statically: it runs on any Linux, but without GigE Vision cameras, for Aravis is a shared library.
-cargo rustc --release --bin solaspect -- -C target-feature=+crt-static
-version=$(target/release/solaspect --version | cut -d' ' -f2)
-name=solaspect-$version-$(uname -m)-linux
-root=$out/$name
-install -D -t "$root/bin" target/release/solaspect
-install -D -m 644 -t "$root/share/man/man1" target/pages/man/*
-install -D -m 644 target/pages/completions/solaspect.bash "$root/share/bash-completion/completions/solaspect"
-install -D -m 644 -t "$root/share/zsh/site-functions" target/pages/completions/_solaspect
-install -D -m 644 -t "$root/share/fish/vendor_completions.d" target/pages/completions/solaspect.fish
-install -D -m 644 -t "$root/share/solaspect/calibration" calibration/*.toml
-install -D -m 644 -t "$root/share/solaspect" docs/solaspect.example.toml tools/systemd/solaspect.service
-cp -r README.md CHANGELOG.md LICENSE-* docs "$root"
-tar -C "$out" --owner=0 --group=0 --sort=name -czf "$out/$name.tar.gz" "$name"
-rm -r "$root"
+for architecture; do package "$architecture"; done
 ls -l "$out"

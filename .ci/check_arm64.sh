@@ -1,0 +1,47 @@
+#!/usr/bin/env bash
+# Holds the package and the tarball of target/package for arm64 against those for this machine: the same files, and of the program the same answers.
+# Under qemu-user, which also runs what the package needs: its libraries for arm64 must be installed.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+
+say() { printf -- '-- %s\n' "$1"; }
+package() { ls "$PWD"/target/package/solaspect_*_"$1".deb; }
+here=$(dpkg --print-architecture)
+
+say "the package's dependencies"
+control() { dpkg-deb -f "$(package "$1")" | grep -vE '^(Architecture|Installed-Size):'; }
+diff <(control "$here") <(control arm64)
+[ "$(dpkg-deb -f "$(package arm64)" Architecture)" = arm64 ]
+apt-get install -s -qq --no-install-recommends "$(package arm64)" | grep '^Inst solaspect:arm64'
+
+say "the same files, but for the program"
+# The programs go to $work/ARCHITECTURE.package and .tarball. What differs in the control files is their sizes and sums.
+unpack() {
+    dpkg-deb -c "$(package "$1")" | awk '{ print $1, $2, $6 }' > "$work/$1.list"
+    dpkg-deb -R "$(package "$1")" "$work/$1"
+    mkdir "$work/$1/tarball"
+    tar -C "$work/$1/tarball" --strip-components 1 -xzf \
+        target/package/solaspect-*-"$(dpkg-architecture -a "$1" -q DEB_HOST_GNU_CPU)"-linux.tar.gz
+    mv "$work/$1/usr/bin/solaspect" "$work/$1.package"
+    mv "$work/$1/tarball/bin/solaspect" "$work/$1.tarball"
+    rm "$work/$1"/DEBIAN/{control,md5sums}
+}
+unpack "$here"
+unpack arm64
+cmp "$work/$here.list" "$work/arm64.list"
+diff -r "$work/$here" "$work/arm64"
+
+say "the same answers"
+mapfile -t frames < <(find tests/data -name '*.fits' -o -name '*.fits.gz' | sort)
+solve() { "$@" solve --format jsonl "${frames[@]}" | sed 's/"solve_us":[0-9]*/"solve_us":0/'; }
+solve "$work/$here.package" > "$work/answers"
+[ "$(wc -l < "$work/answers")" = "${#frames[@]}" ]
+for program in package tarball; do
+    solve qemu-aarch64 "$work/arm64.$program" | diff "$work/answers" -
+done
+echo "${#frames[@]} frames"
+
+say "a demo flight loses nothing"
+qemu-aarch64 "$work/arm64.package" demo --rate 1 --duration 25s --archive "$work/archive"
