@@ -23,7 +23,7 @@ unpack() {
     dpkg-deb -R "$(package "$1")" "$work/$1"
     mkdir "$work/$1/tarball"
     tar -C "$work/$1/tarball" --strip-components 1 -xzf \
-        target/package/solaspect-*-"$(dpkg-architecture -a "$1" -q DEB_HOST_GNU_CPU)"-linux.tar.gz
+        target/package/solaspect-*-"$(dpkg-architecture -A "$1" -q DEB_TARGET_GNU_CPU)"-linux.tar.gz
     mv "$work/$1/usr/bin/solaspect" "$work/$1.package"
     mv "$work/$1/tarball/bin/solaspect" "$work/$1.tarball"
     rm "$work/$1"/DEBIAN/{control,md5sums}

@@ -12,7 +12,7 @@ version=$(cargo pkgid | sed 's/.*[#@]//')
 # From here on cargo compiles for another architecture than this machine's.
 cross() {
     local architecture=$1 gnu triple variable file
-    gnu=$(dpkg-architecture -a "$architecture" -q DEB_HOST_GNU_TYPE)
+    gnu=$(dpkg-architecture -A "$architecture" -q DEB_TARGET_GNU_TYPE)
     triple=${gnu/-linux/-unknown-linux}
     variable=${triple//-/_}
     export CARGO_BUILD_TARGET=$triple
@@ -36,7 +36,7 @@ package() (
 
     # The tarball's program is linked statically: it runs on any Linux, but without GigE Vision cameras, for Aravis is a shared library.
     cargo rustc --release --bin solaspect -- -C target-feature=+crt-static
-    name=solaspect-$version-$(dpkg-architecture -a "$architecture" -q DEB_HOST_GNU_CPU)-linux
+    name=solaspect-$version-$(dpkg-architecture -A "$architecture" -q DEB_TARGET_GNU_CPU)-linux
     root=$out/$name
     install -D -t "$root/bin" "target/${CARGO_BUILD_TARGET:-}/release/solaspect"
     install -D -m 644 -t "$root/share/man/man1" target/pages/man/*
