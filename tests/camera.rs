@@ -123,6 +123,34 @@ fn the_simulator_takes_exposure_region_format_and_rate_in_flight() {
 }
 
 #[test]
+fn a_frame_of_any_depth_knows_its_full_scale_and_gives_the_same_aspect() {
+    let instrument = instrument::builtin("demo").unwrap();
+    let mut camera = simulated(50.0, None);
+    let mut suns = Vec::new();
+    for (format, saturation_dn) in PixelFormat::KINDS
+        .into_iter()
+        .zip([255, 1023, 4095, 65_535])
+    {
+        let settings = CameraSettings {
+            pixel_format: format,
+            ..CameraSettings::default()
+        };
+        camera.apply(&settings).unwrap();
+        let (Exposure { frame, .. }, _) = next(&mut camera).unwrap();
+        assert_eq!(frame.saturation_dn(), saturation_dn, "{format:?}");
+        assert_eq!(format.bytes() * 8, frame.bits() as usize);
+        let expected = frame.info.mid_exposure.and_then(Expected::at);
+        let solved = aspect::solve(&frame, &instrument, expected, None);
+        assert_eq!(solved.quality, Quality::Fine, "{format:?}");
+        suns.push(solved.aspect.unwrap().sun_px.position);
+    }
+    for sun in &suns {
+        // The Sun rests for the first second; noise and rounding differ.
+        assert!(sun.distance(suns[0]) < 0.05, "{suns:?}");
+    }
+}
+
+#[test]
 fn a_region_that_reaches_over_the_sensor_is_an_error_and_a_good_one_mends_it() {
     let mut camera = simulated(50.0, None);
     let wrong = CameraSettings {
@@ -260,16 +288,29 @@ fn what_is_no_source_is_an_error_that_says_what_is_one() {
         message.contains("gige:ADDRESS") && message.contains("usb:1"),
         "{message}"
     );
-    for source in ["gige:", "folder:", "simulated:", "", "gige"] {
+    for source in [
+        "gige:",
+        "genicam:",
+        "genicam://x",
+        "folder:",
+        "simulated:",
+        "",
+        "gige",
+    ] {
         assert!(source.parse::<Source>().is_err(), "{source}");
     }
-    for source in [
-        "gige:10.0.0.1",
-        "folder:a:b",
-        "simulated",
-        "simulated:x.toml",
+    for (source, is_real, is_simulated) in [
+        ("gige:10.0.0.1", true, false),
+        ("genicam:The Maker-0123", true, false),
+        ("genicam:Fake_1", false, true),
+        ("folder:a:b", false, false),
+        ("simulated", false, true),
+        ("simulated:x.toml", false, true),
     ] {
-        assert_eq!(source.parse::<Source>().unwrap().to_string(), source);
+        let parsed: Source = source.parse().unwrap();
+        assert_eq!(parsed.to_string(), source);
+        assert_eq!(parsed.is_real(), is_real, "{source}");
+        assert_eq!(parsed.is_simulated(), is_simulated, "{source}");
     }
     let message = opened("simulated:/nowhere.toml", 1.0)
         .err()
@@ -277,8 +318,10 @@ fn what_is_no_source_is_an_error_that_says_what_is_one() {
         .to_string();
     assert!(message.contains("/nowhere.toml"), "{message}");
     if cfg!(not(feature = "gige")) {
-        let message = opened("gige:127.0.0.1", 1.0).err().unwrap().to_string();
-        assert!(message.contains("--features gige"), "{message}");
+        for source in ["gige:127.0.0.1", "genicam:Fake_1"] {
+            let message = opened(source, 1.0).err().unwrap().to_string();
+            assert!(message.contains("--features gige"), "{message}");
+        }
     }
 }
 

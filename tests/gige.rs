@@ -1,9 +1,9 @@
 //! The GigE Vision camera, against a fake one on loopback that carries the simulator's frames over the real protocol.
 //! UDP port 3956 belongs to one fake at a time: the tests take turns.
 
-use jiff::Timestamp;
-use solaspect::camera::gige::GigeCamera;
-use solaspect::camera::{CameraError, CameraSettings, Exposure, FrameSource, PixelFormat, Take};
+use crate::common::camera::{PATIENCE, absent, frame, next};
+use crate::common::flight::frames_in;
+use solaspect::camera::{CameraSettings, Device, FrameSource, GenicamCamera, PixelFormat};
 use solaspect::fits;
 use solaspect::frame::{Frame, Pixels, Region};
 use std::io::{BufRead, BufReader};
@@ -12,8 +12,6 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 const ADDRESS: &str = "127.0.0.1";
-/// Long enough for the slowest machine; nothing is judged by it.
-const PATIENCE: Duration = Duration::from_secs(60);
 
 static PORT: Mutex<()> = Mutex::new(());
 
@@ -47,26 +45,8 @@ impl Drop for Fake {
     }
 }
 
-/// The next exposure, whatever fails before it; the errors go to the log.
-fn next(camera: &mut GigeCamera, errors: &mut Vec<String>) -> Exposure {
-    let begun = Instant::now();
-    let mut announced = Vec::new();
-    while begun.elapsed() < PATIENCE {
-        match camera.next(&mut |time| announced.push(time)) {
-            Ok(Take::Exposure(exposure)) => {
-                assert_eq!(announced.last(), Some(&exposure.announced));
-                return *exposure;
-            }
-            Ok(Take::NotYet) => {}
-            Ok(Take::End) => panic!("a camera has no end"),
-            Err(error) => errors.push(error.to_string()),
-        }
-    }
-    panic!("no frame: {errors:?}");
-}
-
-fn frame(camera: &mut GigeCamera) -> Frame {
-    next(camera, &mut Vec::new()).frame
+fn at(address: &str) -> Device {
+    Device::Gige(address.into())
 }
 
 fn settings() -> CameraSettings {
@@ -107,7 +87,7 @@ fn frames_come_with_their_settings_times_and_temperature() {
         preamp_gain: Some(-3.0),
         ..settings()
     };
-    let mut camera = GigeCamera::new(ADDRESS, &wanted);
+    let mut camera = GenicamCamera::new(at(ADDRESS), &wanted);
     let first = next(&mut camera, &mut Vec::new());
     assert_settings_hold(&first.frame, &wanted);
     let info = &first.frame.info;
@@ -131,7 +111,7 @@ fn frames_come_with_their_settings_times_and_temperature() {
 fn settings_are_taken_in_flight_and_a_refused_one_is_told() {
     let _turn = port();
     let _fake = Fake::start(&[]);
-    let mut camera = GigeCamera::new(ADDRESS, &settings());
+    let mut camera = GenicamCamera::new(at(ADDRESS), &settings());
     let before = brightness(&frame(&mut camera));
 
     let longer = CameraSettings {
@@ -164,7 +144,7 @@ fn a_camera_that_dies_is_brought_back_with_every_setting() {
     let _turn = port();
     let fake = Fake::start(&[]);
     let wanted = settings();
-    let mut camera = GigeCamera::new(ADDRESS, &wanted);
+    let mut camera = GenicamCamera::new(at(ADDRESS), &wanted);
     let last = (0..5).map(|_| frame(&mut camera)).last().unwrap();
 
     drop(fake);
@@ -192,7 +172,7 @@ fn incomplete_frames_are_counted_and_never_given() {
     let _turn = port();
     // Of 228 packets to a frame: one frame in three arrives whole.
     let _fake = Fake::start(&["--lost", "5"]);
-    let mut camera = GigeCamera::new(ADDRESS, &settings());
+    let mut camera = GenicamCamera::new(at(ADDRESS), &settings());
     let mut errors = Vec::new();
     let frames: Vec<Frame> = (0..5)
         .map(|_| next(&mut camera, &mut errors).frame)
@@ -212,38 +192,52 @@ fn incomplete_frames_are_counted_and_never_given() {
 }
 
 #[test]
-fn a_camera_is_found_by_its_serial_number() {
+fn a_camera_is_found_by_its_serial_number_and_by_either_name() {
     let _turn = port();
     let _fake = Fake::start(&["--serial", "BOBCAT7"]);
-    let mut camera = GigeCamera::new("BOBCAT7", &settings());
-    let name = frame(&mut camera).info.camera.unwrap();
-    assert_eq!(name, "Aravis Fake BOBCAT7");
+    for device in [
+        Device::Gige("BOBCAT7".into()),
+        Device::Genicam("BOBCAT7".into()),
+        Device::Genicam(ADDRESS.into()),
+    ] {
+        let mut camera = GenicamCamera::new(device, &settings());
+        let name = frame(&mut camera).info.camera.unwrap();
+        assert_eq!(name, "Aravis Fake BOBCAT7");
+    }
 }
 
 #[test]
-fn a_camera_that_is_not_there_is_an_error_that_names_it() {
+fn a_camera_that_is_not_there_is_an_error_that_names_it_as_its_user_does() {
     let _turn = port();
-    for (address, expected) in [
-        (
-            "127.0.0.1",
-            "the GigE Vision camera 127.0.0.1: no camera answers at this address",
-        ),
-        (
-            "NOBODY",
-            "the GigE Vision camera NOBODY: no camera has this serial number; found ",
-        ),
+    let nobody = "no camera has this serial number or id; found ";
+    for (device, expected) in [
+        (at(ADDRESS), "no camera answers at this address"),
+        (at("NOBODY"), nobody),
+        (Device::Genicam("NOBODY".into()), nobody),
     ] {
-        let mut camera = GigeCamera::new(address, &settings());
-        let begun = Instant::now();
-        let error: CameraError = loop {
-            match camera.next(&mut |_: Timestamp| panic!("nothing begins")) {
-                Err(error) => break error,
-                Ok(take) => assert!(matches!(take, Take::NotYet), "{take:?}"),
-            }
-            assert!(begun.elapsed() < PATIENCE);
-        };
-        assert!(error.to_string().starts_with(expected), "{error}");
+        let error = absent(&mut GenicamCamera::new(device.clone(), &settings()));
+        let expected = format!("the camera {device}: {expected}");
+        assert!(error.starts_with(&expected), "{error}");
     }
+}
+
+#[test]
+fn a_camera_that_packs_12_bits_is_read_as_one_that_does_not() {
+    let _turn = port();
+    let deep = CameraSettings {
+        pixel_format: PixelFormat::Mono12,
+        ..settings()
+    };
+    let picture = |options: &[&str]| {
+        let _fake = Fake::start(&[options, &["--pictures", "1"]].concat());
+        let mut camera = GenicamCamera::new(at(ADDRESS), &deep);
+        let frame = frame(&mut camera);
+        assert_eq!(camera.health().refused_settings, 0);
+        assert_eq!(frame.saturation_dn(), 4095);
+        frame.pixels().clone()
+    };
+    let plain = picture(&[]);
+    assert!(plain == picture(&["--packed"]));
 }
 
 #[test]
@@ -274,23 +268,9 @@ fn a_flight_over_the_real_protocol_solves_the_simulators_frames() {
     assert!(number_before("taken,") >= 3, "{said}");
     assert!(number_before("fine,") >= 3, "{said}");
 
-    let first = walk(archive.path()).into_iter().min().unwrap();
-    let info = fits::read_frame(&first).unwrap().info;
+    let info = fits::read_frame(&frames_in(archive.path())[0])
+        .unwrap()
+        .info;
     assert_eq!(info.camera.as_deref(), Some("Aravis Fake FLIGHT"));
     assert!(info.camera_clock.is_some() && info.monotonic.is_some());
-}
-
-fn walk(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
-    let entries = std::fs::read_dir(folder).unwrap();
-    let paths = entries.map(|entry| entry.unwrap().path());
-    paths
-        .flat_map(|path| {
-            if path.is_dir() {
-                walk(&path)
-            } else {
-                vec![path]
-            }
-        })
-        .filter(|path| path.extension().is_some_and(|ending| ending == "fits"))
-        .collect()
 }

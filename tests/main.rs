@@ -27,6 +27,8 @@ mod flight;
 mod foreign_frames;
 mod fuzz_seeds;
 #[cfg(feature = "gige")]
+mod genicam_cameras;
+#[cfg(feature = "gige")]
 mod gige;
 mod gondola_path;
 mod horizon;

@@ -495,14 +495,14 @@ fn a_port_of_an_unknown_scheme_is_refused_by_check_preflight_and_flight() {
 #[test]
 fn a_camera_that_the_program_was_not_built_for_says_which_program_to_take() {
     let folder = folder();
-    let page = Page::of(
-        &folder,
-        "[camera]\nsource = \"gige:10.0.0.7\"\ninstrument = \"calibration/demo.toml\"\n",
-        &[],
-    );
-    // The clock may fail, too: a real camera's frames would get their times from it.
-    assert_eq!(page.failures()[0], "configuration");
-    assert!(page.remedy("configuration").contains("--features gige"));
+    for source in ["gige:10.0.0.7", "genicam:Maker-7"] {
+        let text =
+            format!("[camera]\nsource = \"{source}\"\ninstrument = \"calibration/demo.toml\"\n");
+        let page = Page::of(&folder, &text, &[]);
+        // The clock may fail, too: a real camera's frames would get their times from it.
+        assert_eq!(page.failures()[0], "configuration");
+        assert!(page.remedy("configuration").contains("--features gige"));
+    }
 }
 
 /// A flight in which the telescope goes up and to the right (`way` 1), or down and to the left (-1), all the time.
@@ -650,7 +650,11 @@ fn a_configuration_is_checked_with_all_its_errors_at_once() {
 fn two_cameras_with_one_source_are_an_error_if_the_source_is_a_device() {
     let folder = folder();
     let file = folder.path().join("twice.toml");
-    for (source, severity) in [("gige:10.0.0.7", "error"), ("simulated", "warning")] {
+    for (source, severity) in [
+        ("gige:10.0.0.7", "error"),
+        ("genicam:Maker-7", "error"),
+        ("simulated", "warning"),
+    ] {
         let table = |name: &str| format!("[{name}]\nsource = \"{source}\"\n");
         fs::write(&file, table("camera") + &table("second_camera")).unwrap();
         let output = solaspect(&["config", "check", "--json", file.to_str().unwrap()], "");

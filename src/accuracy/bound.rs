@@ -14,7 +14,7 @@
 //! the marks are taken to be known where they are.
 
 use crate::geometry::{Distortion, Mapping, MappingKind};
-use crate::simulate::{Blemishes, Depth, Readout, Scene, StrayLight, Sun, Surface, render_exact};
+use crate::simulate::{Blemishes, Readout, Scene, StrayLight, Sun, Surface, render_exact};
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::{DMatrix, Matrix2, Matrix3};
 
@@ -165,10 +165,9 @@ fn difference(unknown: Unknown, step: f64, scene: &Scene, sun: &Sun) -> Option<V
 
 /// One over the variance of each pixel, 1/DN^2: its noise and its rounding. Saturated pixels count for nothing.
 fn weights(scene: &Scene) -> Vec<f64> {
-    let (rounding, saturation_dn) = match scene.depth {
-        Depth::Eight => (1.0 / 12.0, 255.0),
-        Depth::Twelve => (1.0 / 12.0 / 256.0, 4095.0 / 16.0),
-    };
+    let steps_per_dn = f64::from(scene.depth.steps_per_dn());
+    let rounding = 1.0 / 12.0 / steps_per_dn.powi(2);
+    let saturation_dn = f64::from(scene.depth.saturation_dn()) / steps_per_dn;
     let read = scene.noise.read_dn.powi(2);
     let photons = scene.noise.electrons_per_dn.map_or(0.0, |e| 1.0 / e);
     let weight = |light: f32| {

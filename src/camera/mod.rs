@@ -1,18 +1,24 @@
-//! Where frames come from, each behind the same trait: a GigE Vision camera, a folder of files, the simulator, or one of another's.
+//! Where frames come from, each behind the same trait: a GenICam camera, a folder of files, the simulator, or a camera of another's.
 
 mod auto_exposure;
+mod device;
 mod folder;
 #[cfg(feature = "gige")]
-pub mod gige;
+mod genicam;
 mod identity;
+mod mono;
 mod pace;
 mod settings;
 mod simulated;
 mod source;
 
 pub use auto_exposure::{AutoExposure, AutoExposureSettings, Brightness};
+pub use device::Device;
 pub use folder::FolderCamera;
+#[cfg(feature = "gige")]
+pub use genicam::GenicamCamera;
 pub use identity::{Camera, tell_apart};
+pub use mono::MonoFormat;
 pub use settings::{CameraSettings, PixelFormat};
 pub use simulated::{SimulatedCamera, TruthLog, View};
 pub use source::{NoSource, Source, Surroundings, open, simulated_course};
@@ -43,7 +49,7 @@ pub enum CameraError {
     /// A flight's file is bad.
     #[error(transparent)]
     Path(#[from] TomlError),
-    #[error("this build has no GigE Vision cameras: build it with `--features gige`")]
+    #[error("this build has no GigE Vision or USB3 cameras: build it with `--features gige`")]
     NotBuilt,
     #[error(
         "a source \"own\" is a camera that a program of one's own brings; this program brings none"
@@ -52,9 +58,9 @@ pub enum CameraError {
     /// What another's driver says: see [`CameraError::own`].
     #[error("the camera: {0}")]
     Own(Box<dyn Error + Send + Sync>),
-    /// The camera itself, or this frame of it.
-    #[error("the GigE Vision camera {address}: {problem}")]
-    Gige { address: String, problem: String },
+    /// The camera itself, as its user names it, or this frame of it.
+    #[error("the camera {camera}: {problem}")]
+    Device { camera: String, problem: String },
     #[error("camera.{setting}: expected {expected}, found {found}")]
     Setting {
         setting: &'static str,
@@ -67,6 +73,14 @@ impl CameraError {
     /// The error of a camera of one's own: any error, or a text.
     pub fn own(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
         Self::Own(error.into())
+    }
+
+    /// A problem of a camera, or of a frame of it.
+    pub fn of(device: &Device, problem: impl ToString) -> Self {
+        Self::Device {
+            camera: device.to_string(),
+            problem: problem.to_string(),
+        }
     }
 }
 
@@ -96,7 +110,7 @@ pub struct CameraHealth {
     pub incomplete: u64,
     /// Exposures of which no frame arrived.
     pub missing: u64,
-    /// Packets that never arrived, resends counted in.
+    /// Packets that never arrived, resends counted in; GigE Vision alone counts them.
     pub lost_packets: u64,
     /// Frames that found no buffer.
     pub underruns: u64,

@@ -52,19 +52,43 @@ pub enum PixelFormat {
     /// 8 bits.
     #[default]
     Mono8,
+    /// 10 bits, two bytes to a pixel.
+    Mono10,
     /// 12 bits, two bytes to a pixel.
     Mono12,
+    /// 16 bits, or as many of them as the camera fills.
+    Mono16,
 }
 
 impl PixelFormat {
-    pub const KINDS: [Self; 2] = [Self::Mono8, Self::Mono12];
-    pub const NAMES: [&'static str; 2] = [Self::Mono8.name(), Self::Mono12.name()];
+    pub const KINDS: [Self; 4] = [Self::Mono8, Self::Mono10, Self::Mono12, Self::Mono16];
+    pub const NAMES: [&'static str; 4] = {
+        let [a, b, c, d] = Self::KINDS;
+        [a.name(), b.name(), c.name(), d.name()]
+    };
 
     /// The name in configurations.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Mono8 => "mono8",
+            Self::Mono10 => "mono10",
             Self::Mono12 => "mono12",
+            Self::Mono16 => "mono16",
         }
+    }
+
+    /// Significant bits of a pixel.
+    pub const fn bits(self) -> usize {
+        match self {
+            Self::Mono8 => 8,
+            Self::Mono10 => 10,
+            Self::Mono12 => 12,
+            Self::Mono16 => 16,
+        }
+    }
+
+    /// Bytes of a pixel in a frame.
+    pub const fn bytes(self) -> usize {
+        self.bits().div_ceil(8)
     }
 }

@@ -58,7 +58,9 @@ impl View {
                 scenes.exposure = settings.exposure();
                 scenes.template.depth = match settings.pixel_format {
                     PixelFormat::Mono8 => Depth::Eight,
+                    PixelFormat::Mono10 => Depth::Ten,
                     PixelFormat::Mono12 => Depth::Twelve,
+                    PixelFormat::Mono16 => Depth::Sixteen,
                 };
                 let Picture { frame, truth } = scenes.scene(number, at.since_start)?.picture()?;
                 let frame = match settings.region {

@@ -1,8 +1,9 @@
 //! A camera by its name on the command line or in the configuration.
 
 #[cfg(feature = "gige")]
-use super::gige::GigeCamera;
-use super::{CameraError, CameraSettings, FolderCamera, FrameSource, SimulatedCamera, View};
+use super::genicam::GenicamCamera;
+use super::{CameraError, CameraSettings, Device, FolderCamera, FrameSource};
+use super::{SimulatedCamera, View};
 use crate::clock::FlightClock;
 use crate::instrument::{Instrument, Sees, builtin};
 use crate::simulate::earth::SwingingGondola;
@@ -18,8 +19,7 @@ use std::time::Duration;
 /// Where frames come from.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Source {
-    /// A GigE Vision camera, by IP address or serial number.
-    Gige(String),
+    Device(Device),
     /// The frames of a folder.
     Folder(PathBuf),
     /// The simulator's flight, or the one that a file tells.
@@ -28,19 +28,30 @@ pub enum Source {
     Own,
 }
 
-impl Source {
-    /// Whether a camera takes the frames now.
-    pub fn is_camera(&self) -> bool {
-        matches!(self, Self::Gige(_) | Self::Own)
-    }
-}
-
 /// A text that names no source.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error(
-    "expected gige:ADDRESS, gige:SERIAL, folder:DIR, simulated, simulated:FILE.toml or own, found {0:?}"
-)]
+#[error("expected {expected}, found {0:?}", expected = Source::EXPECTED)]
 pub struct NoSource(String);
+
+impl Source {
+    /// What names a source.
+    pub const EXPECTED: &str =
+        "gige:ADDRESS, gige:SERIAL, genicam:ID, folder:DIR, simulated, simulated:FILE.toml or own";
+
+    /// Whether its frames are made up, and must be marked so.
+    pub fn is_simulated(&self) -> bool {
+        match self {
+            Self::Simulated(_) => true,
+            Self::Device(device) => device.is_fake(),
+            Self::Folder(_) | Self::Own => false,
+        }
+    }
+
+    /// Whether it is a camera that sees the world now. It can be opened once, and its frames have their times from this computer's clock.
+    pub fn is_real(&self) -> bool {
+        matches!(self, Self::Device(_) | Self::Own) && !self.is_simulated()
+    }
+}
 
 impl FromStr for Source {
     type Err = NoSource;
@@ -52,8 +63,11 @@ impl FromStr for Source {
             Some(("simulated", file)) if !file.is_empty() => Ok(Self::Simulated(Some(file.into()))),
             Some(("folder", folder)) if !folder.is_empty() => Ok(Self::Folder(folder.into())),
             // gige://ADDRESS would be a serial number that no camera has.
-            Some(("gige", address)) if !address.is_empty() && !address.contains('/') => {
-                Ok(Self::Gige(address.into()))
+            Some(("gige", id)) if !id.is_empty() && !id.contains('/') => {
+                Ok(Self::Device(Device::Gige(id.into())))
+            }
+            Some(("genicam", id)) if !id.is_empty() && !id.starts_with('/') => {
+                Ok(Self::Device(Device::Genicam(id.into())))
             }
             _ => Err(NoSource(text.into())),
         }
@@ -63,7 +77,7 @@ impl FromStr for Source {
 impl fmt::Display for Source {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Gige(address) => write!(out, "gige:{address}"),
+            Self::Device(device) => write!(out, "{device}"),
             Self::Folder(folder) => write!(out, "folder:{}", folder.display()),
             Self::Simulated(None) => write!(out, "simulated"),
             Self::Own => write!(out, "own"),
@@ -86,7 +100,7 @@ pub struct Surroundings {
     pub speed: f64,
 }
 
-/// Opens a source and applies the settings. A GigE Vision camera need not be there yet.
+/// Opens a source and applies the settings. A device need not be there yet.
 ///
 /// # Errors
 /// Where a folder holds no frames or a flight cannot be simulated, and for a kind of source that this build lacks.
@@ -97,9 +111,9 @@ pub fn open(
 ) -> Result<Box<dyn FrameSource>, CameraError> {
     let mut camera: Box<dyn FrameSource> = match source {
         #[cfg(feature = "gige")]
-        Source::Gige(address) => Box::new(GigeCamera::new(address, settings)),
+        Source::Device(device) => Box::new(GenicamCamera::new(device.clone(), settings)),
         #[cfg(not(feature = "gige"))]
-        Source::Gige(_) => return Err(CameraError::NotBuilt),
+        Source::Device(_) => return Err(CameraError::NotBuilt),
         Source::Folder(folder) => {
             Box::new(FolderCamera::open(folder, settings.rate_hz, around.speed)?)
         }

@@ -4,7 +4,6 @@ mod live;
 
 use super::options::{self, ConfigurationArgs};
 use super::output::say;
-use crate::camera::Source;
 use crate::plan::{Plan, Remarks, Replay, Severity};
 use crate::provenance;
 use crate::service::{Flight, FlightTally, Service};
@@ -95,13 +94,9 @@ fn say_who_flies(plan: &Plan, flight: &Flight) {
     if let Some(extrapolated) = plan.orientation.extrapolates(now) {
         tracing::warn!("{extrapolated}: see sky.earth_orientation");
     }
-    let is_simulated = |source: &Source| matches!(source, Source::Simulated(_));
-    if plan
-        .cameras
-        .first()
-        .is_some_and(|first| is_simulated(&first.source))
-    {
-        tracing::warn!("the frames are the simulator's, and so is what is sent of them");
+    let first = plan.cameras.first();
+    if first.is_some_and(|first| first.source.is_simulated()) {
+        tracing::warn!("the frames are simulated, and so is what is sent of them");
     }
 }
 

@@ -166,9 +166,7 @@ impl Parameter {
             Allowed::Whole(low, high) => format!("{low} to {high}"),
             Allowed::Name(names) => listed(names),
             Allowed::Text => "any text".into(),
-            Allowed::Source => {
-                "gige:ADDRESS, gige:SERIAL, folder:DIR, simulated or simulated:FILE.toml".into()
-            }
+            Allowed::Source => Source::EXPECTED.into(),
             Allowed::Region => {
                 r#"column and row of its corner, width and height, such as "100,50,640,480""#.into()
             }

@@ -152,7 +152,7 @@ fn unknown(path: &Path, key: &str) -> TomlError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::{PixelFormat, Source};
+    use crate::camera::PixelFormat;
     use crate::fits::Compression;
     use crate::frame::Region;
     use crate::units::Place;
@@ -201,7 +201,7 @@ mod tests {
         assert_eq!(config.cameras.first().settings().exposure_us, 8000);
         assert!(config.cameras.first().auto_exposure().is_some());
         let second = config.cameras.named("second_camera").unwrap();
-        assert_eq!(second.source, Some(Source::Gige("192.168.1.21".into())));
+        assert_eq!(second.source, "gige:192.168.1.21".parse().ok());
         assert_eq!(
             second.settings().region,
             Some(Region::sized(100, 50, 640, 480))

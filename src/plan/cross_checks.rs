@@ -15,7 +15,7 @@ pub(super) fn check(config: &Config, remarks: &mut Remarks) {
         if first.is_some_and(|first| first.name == camera.name) {
             waits(camera, config, remarks);
         }
-        if let Some(source @ Source::Gige(_)) = &camera.source
+        if let Some(source @ Source::Device(_)) = &camera.source
             && cfg!(not(feature = "gige"))
         {
             remarks.not_built(&format!("{}.source", camera.name), source.to_string());
@@ -93,7 +93,7 @@ fn same_sources(config: &Config, remarks: &mut Remarks) {
             Some(Source::Simulated(_)) if sees_sky => {}
             // Each brings its own.
             Some(Source::Own) => {}
-            Some(source @ Source::Gige(_)) => remarks.error(&key, expected, source.to_string()),
+            Some(source) if source.is_real() => remarks.error(&key, expected, source.to_string()),
             Some(source) => remarks.warn(&key, expected, source.to_string()),
         }
     }

@@ -119,6 +119,6 @@ fn source(camera: &ConfiguredCamera, remarks: &mut Remarks) {
         Some(Source::Simulated(Some(file))) => {
             remarks.noted(Pieces::read(file));
         }
-        Some(Source::Gige(_) | Source::Simulated(None) | Source::Own) | None => {}
+        Some(Source::Device(_) | Source::Simulated(None) | Source::Own) | None => {}
     }
 }

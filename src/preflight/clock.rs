@@ -15,7 +15,7 @@ const HOLD_IT: &str = "start a time service (chrony with the gondola's GPS or NT
                        each second that the clock is off moves the Sun by 15 arcsec";
 
 pub(super) fn check(plan: &Plan) -> Vec<Finding> {
-    let times_frames = plan.cameras.iter().any(|camera| camera.source.is_camera());
+    let times_frames = plan.cameras.iter().any(|camera| camera.source.is_real());
     let status = ClockStatus::read().map_err(|error| error.to_string());
     let source = status.as_ref().ok().and_then(|status| status.source);
     let limit_ms = plan.config.preflight.max_clock_error_ms;

@@ -4,7 +4,6 @@ use super::Finding;
 use super::bounded::findings_within;
 use crate::archive::disk::{Disk, LocalDisk};
 use crate::archive::{ArchiveError, Room, Sharing, SpaceLimits, Store};
-use crate::camera::PixelFormat;
 use crate::fits::Packing;
 use crate::plan::{Plan, PlannedCamera, device};
 use std::io::{self, ErrorKind};
@@ -41,14 +40,10 @@ pub struct Demand {
 impl Demand {
     fn of(plan: &Plan, disks: usize) -> Self {
         let archive = &plan.config.archive;
-        let bytes = |format: PixelFormat| match format {
-            PixelFormat::Mono8 => 1,
-            PixelFormat::Mono12 => 2,
-        };
         // A camera of which no file says its size is taken for one of the usual size.
         let size = |one: &PlannedCamera| {
             let [width, height] = one.camera.sees.size_px().unwrap_or(USUAL_PX);
-            width * height * bytes(one.configured.pixel_format)
+            width * height * one.configured.pixel_format.bytes()
         };
         let rates = plan.cameras.iter().map(|one| one.configured.rate_hz);
         let rate_hz: f64 = rates.sum();

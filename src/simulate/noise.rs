@@ -20,7 +20,9 @@ pub(super) fn read_out(light: &[f32], readings: &Readings) -> Pixels {
     let limit = readings.depth.saturation_dn();
     match readings.depth {
         Depth::Eight => Pixels::U8(digitised(light, readings, |dn| dn as u8)),
-        Depth::Twelve => Pixels::U16(digitised(light, readings, |dn| (dn as u16).min(limit))),
+        Depth::Ten | Depth::Twelve | Depth::Sixteen => {
+            Pixels::U16(digitised(light, readings, |dn| (dn as u16).min(limit)))
+        }
     }
 }
 

@@ -258,8 +258,12 @@ impl Noise {
 pub enum Depth {
     /// 8 bits, saturating at 255.
     Eight,
+    /// 10 bits in 16, saturating at 1023; 4 of its steps make one of the 8-bit camera's.
+    Ten,
     /// 12 bits in 16, saturating at 4095; 16 of its steps make one of the 8-bit camera's.
     Twelve,
+    /// 16 bits, saturating at 65535; 256 of its steps make one of the 8-bit camera's.
+    Sixteen,
 }
 
 impl Depth {
@@ -267,7 +271,9 @@ impl Depth {
     pub fn saturation_dn(self) -> u16 {
         match self {
             Self::Eight => 255,
+            Self::Ten => 1023,
             Self::Twelve => 4095,
+            Self::Sixteen => 65_535,
         }
     }
 
@@ -275,7 +281,9 @@ impl Depth {
     pub fn steps_per_dn(self) -> f32 {
         match self {
             Self::Eight => 1.0,
+            Self::Ten => 4.0,
             Self::Twelve => 16.0,
+            Self::Sixteen => 256.0,
         }
     }
 }

@@ -1,6 +1,7 @@
 //! What several tests of the archive and the service share.
 #![allow(dead_code, unused_imports)] // Each test takes what it needs.
 
+pub mod camera;
 pub mod disk;
 pub mod flight;
 pub mod refined;

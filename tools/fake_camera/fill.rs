@@ -17,7 +17,8 @@ pub struct Shot {
     pub y0: usize,
     pub width: usize,
     pub exposure_us: u32,
-    pub bytes_per_pixel: usize,
+    /// In memory.
+    pub bits_per_pixel: usize,
 }
 
 /// Writes the pixels of a shot, row by row.
@@ -58,15 +59,15 @@ unsafe extern "C" fn fill(
     };
     let [x0, y0, width, height] = [x0, y0, width, height].map(|n| usize::try_from(n).unwrap_or(0));
     // The format's bits per pixel stand in its third byte.
-    let bytes_per_pixel = (format as usize >> 16 & 0xff).div_ceil(8);
+    let bits_per_pixel = format as usize >> 16 & 0xff;
     let mut told = 0;
     // SAFETY: the buffer is live, and `told` may be written.
     let start = unsafe { arv_buffer_get_data(buffer, &mut told) };
-    let size = width * height * bytes_per_pixel;
+    let size = width * height * bits_per_pixel / 8;
     if start.is_null() || size == 0 {
         return;
     }
-    // SAFETY: the library has made the buffer for its registers' width x height x bytes per pixel (it tells 0 as long as
+    // SAFETY: the library has made the buffer for its registers' width x height x bits per pixel (it tells 0 as long as
     // nothing is filled in), and nobody else uses it during this call.
     let bytes = unsafe { std::slice::from_raw_parts_mut(start, size) };
     let shot = Shot {
@@ -74,7 +75,7 @@ unsafe extern "C" fn fill(
         y0,
         width,
         exposure_us,
-        bytes_per_pixel,
+        bits_per_pixel,
     };
     // A panic must not reach the library; the picture is then what it is.
     let _ = catch_unwind(AssertUnwindSafe(|| painter(&shot, bytes)));

@@ -5,7 +5,7 @@
 //! solaspect fly --camera gige:127.0.0.1
 //! ```
 //!
-//! Beside what Aravis's fake has, it has Mono12, a pre-amplifier and a thermometer. It takes no longer over an exposure than
+//! Beside what Aravis's fake has, it has Mono12 (or Mono12p), a pre-amplifier and a thermometer. It takes no longer over an exposure than
 //! over any other; its picture is as bright as the exposure is long.
 
 mod fill;
@@ -35,8 +35,11 @@ struct Options {
     #[arg(long, value_name = "N", default_value_t = 0.0)]
     lost: f64,
     /// Pictures of the flight, shown over and over
-    #[arg(long, default_value_t = 16)]
+    #[arg(long, default_value_t = 16, overrides_with = "pictures")]
     pictures: u32,
+    /// Offers Mono12p instead of Mono12: 12 bits without a gap
+    #[arg(long)]
+    packed: bool,
     /// Pictures per second of flight
     #[arg(long, default_value_t = 4.0)]
     rate: f64,
@@ -58,7 +61,7 @@ fn main() -> anyhow::Result<()> {
     let instrument = instrument::builtin("demo")?;
     let film = film(&instrument, &options)?;
     let description = tempfile::NamedTempFile::new()?;
-    std::fs::write(&description, described()?)?;
+    std::fs::write(&description, described(options.packed)?)?;
     let path = description.path().to_str().context("a path in UTF-8")?;
     let camera =
         GvFakeCamera::new_full(Some(&options.interface), Some(&options.serial), Some(path));
@@ -81,9 +84,15 @@ fn main() -> anyhow::Result<()> {
 }
 
 /// The fake's description of itself, with more to it. Features without a meaning to the fake are cells of its memory.
-fn described() -> anyhow::Result<String> {
-    const MONO12: &str = r#"<EnumEntry Name="Mono12" NameSpace="Standard"><Value>17825797</Value></EnumEntry>
-		<EnumEntry Name="Mono16""#;
+fn described(packed: bool) -> anyhow::Result<String> {
+    let (name, code) = match packed {
+        true => ("Mono12p", 0x010c_0047),
+        false => ("Mono12", 0x0110_0005),
+    };
+    let deep = format!(
+        r#"<EnumEntry Name="{name}" NameSpace="Standard"><Value>{code}</Value></EnumEntry>
+		<EnumEntry Name="Mono16""#
+    );
     const MORE: &str = r#"<Integer Name="PreAmpRaw" NameSpace="Custom"><pValue>PreAmpRegister</pValue><Min>-3</Min><Max>6</Max></Integer>
 	<IntReg Name="PreAmpRegister" NameSpace="Custom"><Address>0x150</Address><Length>4</Length><AccessMode>RW</AccessMode>
 		<pPort>Device</pPort><Sign>Signed</Sign><Endianess>BigEndian</Endianess></IntReg>
@@ -95,7 +104,7 @@ fn described() -> anyhow::Result<String> {
 	<Port Name="Device""#;
     let (plain, _) = FakeCamera::new("XML").genicam_xml();
     let places = [
-        (r#"<EnumEntry Name="Mono16""#, MONO12),
+        (r#"<EnumEntry Name="Mono16""#, deep.as_str()),
         (r#"<Port Name="Device""#, MORE),
     ];
     let mut text = plain.to_string();
@@ -140,21 +149,37 @@ fn paint(pixels: &[u16], width: usize, shot: &Shot, bytes: &mut [u8]) {
         .map(|dn| light(dn).clamp(0.0, 4095.0) as u16)
         .collect();
     let rows = pixels.chunks_exact(width).skip(shot.y0);
-    let lines = bytes.chunks_exact_mut(shot.width * shot.bytes_per_pixel);
+    let lines = bytes.chunks_exact_mut(shot.width * shot.bits_per_pixel / 8);
     for (row, line) in rows.zip(lines) {
         let seen = row
             .iter()
             .skip(shot.x0)
             .map(|&dn| curve[usize::from(dn.min(4095))]);
-        if shot.bytes_per_pixel == 1 {
-            line.iter_mut()
+        match shot.bits_per_pixel {
+            8 => line
+                .iter_mut()
                 .zip(seen)
-                .for_each(|(byte, dn)| *byte = (dn / 16) as u8);
-        } else {
-            let pairs = line.as_chunks_mut().0.iter_mut();
-            pairs
-                .zip(seen)
-                .for_each(|(pair, dn)| *pair = dn.to_le_bytes());
+                .for_each(|(byte, dn)| *byte = (dn / 16) as u8),
+            12 => pack(seen, line),
+            _ => {
+                let pairs = line.as_chunks_mut().0.iter_mut();
+                pairs
+                    .zip(seen)
+                    .for_each(|(pair, dn)| *pair = dn.to_le_bytes());
+            }
         }
+    }
+}
+
+/// Two pixels in three bytes, the lowest bit first. A last one without a neighbour is left out.
+fn pack(mut pixels: impl Iterator<Item = u16>, line: &mut [u8]) {
+    let (groups, _) = line.as_chunks_mut::<3>();
+    for group in groups {
+        let (Some(first), Some(second)) = (pixels.next(), pixels.next()) else {
+            return;
+        };
+        let word = u32::from(first) | u32::from(second) << 12;
+        let [a, b, c, _] = word.to_le_bytes();
+        *group = [a, b, c];
     }
 }

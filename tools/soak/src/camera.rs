@@ -236,8 +236,8 @@ impl FrameSource for RingCamera {
 }
 
 fn error(problem: &str) -> CameraError {
-    CameraError::Gige {
-        address: "soak".into(),
+    CameraError::Device {
+        camera: "soak".into(),
         problem: problem.into(),
     }
 }

@@ -1,6 +1,6 @@
 //! The thread that the camera belongs to: it does as it is ordered, one order after the other.
 
-use super::device::{Device, Fault, Opening};
+use super::opened::{Fault, OpenCamera, Opening};
 use crate::camera::{CameraError, CameraSettings};
 use crate::frame::Frame;
 use crossbeam_channel::{Receiver, Sender, unbounded};
@@ -34,7 +34,7 @@ impl Link {
         let (orders, ordered) = unbounded();
         let (report, reports) = unbounded();
         std::thread::Builder::new()
-            .name("gige".into())
+            .name("camera".into())
             .spawn(move || run(opening, &ordered, &report))?;
         Ok(Self { orders, reports })
     }
@@ -82,13 +82,13 @@ fn serve(
     orders: &Receiver<Order>,
     reports: &Sender<Report>,
 ) -> Result<(), CameraError> {
-    let mut device = Device::open(opening)?;
+    let mut camera = OpenCamera::open(opening)?;
     let mut report = Report::Ready;
     while reports.send(report).is_ok() {
         let Ok(order) = orders.recv() else { break };
         report = match order {
-            Order::Apply(settings) => Report::Applied(device.apply(&settings)?),
-            Order::Take => match device.take_frame() {
+            Order::Apply(settings) => Report::Applied(camera.apply(&settings)?),
+            Order::Take => match camera.take_frame() {
                 Ok(frame) => Report::Taken(Box::new(Ok(frame))),
                 Err(Fault::Frame(error)) => Report::Taken(Box::new(Err(error))),
                 Err(Fault::Camera(error)) => return Err(error),

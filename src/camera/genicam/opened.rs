@@ -1,28 +1,23 @@
 //! An open camera: its settings, its stream, and one frame at a time.
 
 use super::configure::{Actual, adjust, configure, has};
+use super::frames::Frames;
 use super::numbers::Numbers;
-use crate::camera::{CameraError, CameraHealth, CameraSettings};
-use crate::frame::{Frame, FrameInfo, Pixels};
+use super::open::open;
+use crate::camera::{CameraError, CameraHealth, CameraSettings, Device, MonoFormat};
+use crate::frame::{Frame, FrameInfo, Pixels, SIMULATED_CAMERA};
 use aravis::prelude::*;
-use aravis::{Aravis, Buffer, BufferStatus, Camera, PixelFormat, Stream};
+use aravis::{Buffer, BufferStatus, Camera};
 use jiff::{SignedDuration, Timestamp};
-use std::net::IpAddr;
-use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Buffers of a stream: frames that may arrive before they are fetched.
-const BUFFERS: usize = 4;
 /// How long a frame may be on its way after the exposure.
 const TRANSFER: Duration = Duration::from_millis(500);
 /// A camera that gives no frame so often in a row is gone.
 const SILENT_FRAMES: u32 = 3;
 /// How often the temperature is asked for.
 const TEMPERATURE_PERIOD: Duration = Duration::from_secs(1);
-
-/// The library's list of cameras belongs to one thread at a time.
-static LIBRARY: LazyLock<Option<Mutex<Aravis>>> =
-    LazyLock::new(|| Aravis::initialize().ok().map(Mutex::new));
 
 /// Counters that the camera's thread and its owner share.
 pub(super) type SharedHealth = Arc<Mutex<CameraHealth>>;
@@ -33,7 +28,7 @@ pub(super) fn count(health: &SharedHealth, note: impl FnOnce(&mut CameraHealth))
 
 /// How a camera is opened.
 pub(super) struct Opening {
-    pub address: String,
+    pub device: Device,
     pub settings: CameraSettings,
     /// Zero of the monotonic times.
     pub zero: Instant,
@@ -51,11 +46,12 @@ pub(super) enum Fault {
 }
 
 /// An open camera that waits for triggers.
-pub(super) struct Device {
-    address: String,
+pub(super) struct OpenCamera {
+    device: Device,
     name: String,
     camera: Camera,
-    stream: Stream,
+    /// `None` only where it could not be started anew: the camera is gone then.
+    frames: Option<Frames>,
     settings: CameraSettings,
     /// As the camera has them.
     actual: Actual,
@@ -64,41 +60,28 @@ pub(super) struct Device {
     zero: Instant,
     silent: u32,
     gone: bool,
-    counted: Counted,
     health: SharedHealth,
 }
 
-/// What the stream has counted so far.
-#[derive(Debug, Clone, Copy, Default)]
-struct Counted {
-    lost_packets: u64,
-    underruns: u64,
-}
-
-impl Device {
+impl OpenCamera {
     /// Opens the camera, applies every setting and lets it wait for triggers. A setting that it does not take is logged and
     /// counted.
     pub(super) fn open(opening: Opening) -> Result<Self, CameraError> {
-        let Opening { address, .. } = opening;
-        let problem = |error: &dyn ToString| CameraError::Gige {
-            address: address.clone(),
-            problem: error.to_string(),
-        };
-        let camera = find(&address).map_err(|error| problem(&error))?;
-        prepare(&camera).map_err(|error| problem(&error))?;
+        let Opening { device, .. } = opening;
+        let camera = open(&device).map_err(|error| CameraError::of(&device, error))?;
         let (actual, refused) = configure(&camera, &opening.settings);
         for error in &refused {
-            tracing::warn!(%error, address, "the camera did not take a setting");
+            tracing::warn!(%error, camera = %device, "the camera did not take a setting");
         }
         count(&opening.health, |health| {
             health.refused_settings += refused.len() as u64;
         });
-        let stream = start(&camera).map_err(|error| problem(&error))?;
+        let frames = Frames::start(&camera).map_err(|error| CameraError::of(&device, error))?;
         Ok(Self {
-            name: name(&camera),
-            address,
+            name: name(&camera, &device),
+            device,
             camera,
-            stream,
+            frames: Some(frames),
             settings: opening.settings,
             actual,
             temperature: None,
@@ -106,16 +89,12 @@ impl Device {
             zero: opening.zero,
             silent: 0,
             gone: false,
-            counted: Counted::default(),
             health: opening.health,
         })
     }
 
     fn problem(&self, problem: impl ToString) -> CameraError {
-        CameraError::Gige {
-            address: self.address.clone(),
-            problem: problem.to_string(),
-        }
+        CameraError::of(&self.device, problem)
     }
 
     /// Applies every setting. Inner error: a setting that the camera did not take; outer: the camera is gone.
@@ -125,22 +104,20 @@ impl Device {
     ) -> Result<Result<(), CameraError>, CameraError> {
         let reshaped = settings.region != self.settings.region
             || settings.pixel_format != self.settings.pixel_format;
-        if reshaped {
-            // Size and format are locked while the stream runs, and its buffers are made for them.
+        let (actual, refused) = if reshaped {
+            // Size and format are locked while the stream runs, and its buffers are made for them. A USB3 stream that ends after the
+            // next has begun would end that, too.
             self.camera
                 .stop_acquisition()
                 .map_err(|e| self.problem(e))?;
-        }
-        let (actual, refused) = if reshaped {
-            configure(&self.camera, settings)
+            self.frames = None;
+            let configured = configure(&self.camera, settings);
+            self.frames = Some(Frames::start(&self.camera).map_err(|e| self.problem(e))?);
+            self.numbers.restart();
+            configured
         } else {
             adjust(&self.camera, settings)
         };
-        if reshaped {
-            self.stream = start(&self.camera).map_err(|e| self.problem(e))?;
-            self.counted = Counted::default();
-            self.numbers.restart();
-        }
         self.actual = actual;
         self.settings = settings.clone();
         count(&self.health, |health| {
@@ -151,32 +128,41 @@ impl Device {
 
     /// Triggers a frame and waits for it.
     pub(super) fn take_frame(&mut self) -> Result<Frame, Fault> {
-        // Whatever still arrived belongs to a trigger that was given up.
-        while let Some(late) = self.stream.try_pop_buffer() {
-            self.stream.push_buffer(late);
-        }
+        let Some(mut frames) = self.frames.take() else {
+            return Err(self.is_gone("its stream has ended"));
+        };
+        let taken = self.take_from(&mut frames);
+        self.frames = Some(frames);
+        taken
+    }
+
+    fn take_from(&mut self, frames: &mut Frames) -> Result<Frame, Fault> {
+        frames.drop_late();
         let (before, utc) = (Instant::now(), Timestamp::now());
-        if let Err(error) = self.camera.software_trigger() {
+        if let Err(error) = frames.trigger(&self.camera) {
             return Err(self.is_gone(error));
         }
         // The camera got the trigger half-way between the order and its answer.
         let on_the_way = before.elapsed() / 2;
         let exposure = self.actual.exposure.unwrap_or(self.settings.exposure());
-        let wait = exposure + TRANSFER;
-        let buffer = self.stream.timeout_pop_buffer(wait.as_micros() as u64);
-        self.count_losses();
+        let buffer = frames.wait(exposure + TRANSFER);
+        let lost = frames.new_losses();
+        count(&self.health, |health| {
+            health.lost_packets += lost.packets;
+            health.underruns += lost.underruns;
+        });
         let buffer = buffer.ok_or_else(|| self.silence())?;
         self.silent = 0;
+        let number = self.numbers.number(buffer.frame_id(), frames.ids());
         let to_middle = on_the_way + exposure / 2;
-        let frame = self.frame(&buffer).map(|mut frame| {
+        let frame = self.frame(number, &buffer).map(|mut frame| {
             let info = &mut frame.info;
-            info.exposure = Some(exposure);
             info.monotonic = Some(before.duration_since(self.zero) + to_middle);
             let to_middle = SignedDuration::try_from(to_middle).unwrap_or_default();
             info.mid_exposure = utc.checked_add(to_middle).ok();
             frame
         });
-        self.stream.push_buffer(buffer);
+        frames.give_back(buffer);
         frame.map_err(Fault::Frame)
     }
 
@@ -196,22 +182,8 @@ impl Device {
         }
     }
 
-    fn count_losses(&mut self) {
-        let (_, _, underruns) = self.stream.statistics();
-        let now = Counted {
-            lost_packets: self.stream.info_uint64_by_name("n_missing_packets"),
-            underruns,
-        };
-        let before = std::mem::replace(&mut self.counted, now);
-        count(&self.health, |health| {
-            health.lost_packets += now.lost_packets.saturating_sub(before.lost_packets);
-            health.underruns += now.underruns.saturating_sub(before.underruns);
-        });
-    }
-
     /// The picture in a buffer, where all of it arrived, with what is known of it but for its time.
-    fn frame(&mut self, buffer: &Buffer) -> Result<Frame, CameraError> {
-        let number = self.numbers.number(buffer.frame_id());
+    fn frame(&mut self, number: u64, buffer: &Buffer) -> Result<Frame, CameraError> {
         let status = buffer.status();
         if status != BufferStatus::Success {
             count(&self.health, |health| health.incomplete += 1);
@@ -220,15 +192,13 @@ impl Device {
         let size = |pixels: i32| usize::try_from(pixels).unwrap_or(0);
         let (x, y, width, height) = buffer.image_region();
         let (width, height) = (size(width), size(height));
-        let (pixels, saturation_dn) = pixels(buffer).ok_or_else(|| {
-            let format = buffer.image_pixel_format().raw();
-            self.problem(format!(
-                "expected Mono8 or Mono12, found format {format:#x}"
-            ))
-        })?;
+        let (pixels, saturation_dn) = self.pixels(buffer, width * height)?;
+        let clock = Duration::from_nanos(buffer.timestamp());
         let info = FrameInfo {
             number: Some(number),
-            camera_clock: Some(Duration::from_nanos(buffer.timestamp())),
+            // A camera without a clock gives 0.
+            camera_clock: (!clock.is_zero()).then_some(clock),
+            exposure: self.actual.exposure,
             analogue_gain: self.actual.analogue_gain,
             preamp_gain: self.actual.preamp_gain,
             camera_temperature_c: self.temperature_c(),
@@ -237,6 +207,27 @@ impl Device {
             ..FrameInfo::default()
         };
         Frame::new(width, height, pixels, saturation_dn, info).map_err(|error| self.problem(error))
+    }
+
+    /// The pixels in a buffer, and where they saturate.
+    fn pixels(&self, buffer: &Buffer, count: usize) -> Result<(Pixels, u16), CameraError> {
+        let code = buffer.image_pixel_format().raw();
+        let Some(format) = MonoFormat::of_code(code) else {
+            let known = MonoFormat::names();
+            return Err(self.problem(format!("expected one of {known}, found format {code:#x}")));
+        };
+        if let (padding @ 1.., _) = buffer.image_padding() {
+            let problem = format!("expected lines without padding, found {padding} bytes");
+            return Err(self.problem(problem));
+        }
+        let bytes = buffer.image_data();
+        let found = bytes.len();
+        let pixels = format.unpack(bytes, count).ok_or_else(|| {
+            let expected = format!("{count} pixels of {}", format.name);
+            self.problem(format!("expected {expected}, found {found} bytes"))
+        })?;
+        let saturation_dn = format.saturation_dn(&pixels, self.actual.largest_dn);
+        Ok((pixels, saturation_dn))
     }
 
     /// The camera's temperature, asked for once in a while; `None` where it has no thermometer.
@@ -258,7 +249,7 @@ impl Device {
     }
 }
 
-impl Drop for Device {
+impl Drop for OpenCamera {
     fn drop(&mut self) {
         // One that is gone would keep this waiting.
         if !self.gone {
@@ -267,37 +258,11 @@ impl Drop for Device {
     }
 }
 
-/// Opens a camera by IP address, or by serial number or Aravis id.
-///
-/// Opened by its name, without listing first, a camera on some hosts sends its stream to the wrong interface: so the
-/// name serves to find the address only.
-fn find(address: &str) -> Result<Camera, String> {
-    let library = LIBRARY.as_ref().ok_or("Aravis is in use already")?;
-    let library = library.lock().unwrap_or_else(PoisonError::into_inner);
-    if address.parse::<IpAddr>().is_ok() {
-        return Camera::new(Some(address))
-            .map_err(|error| format!("no camera answers at this address ({error})"));
+/// Its maker, model and serial number. What the fake device sends is marked as simulated.
+fn name(camera: &Camera, device: &Device) -> String {
+    if device.is_fake() {
+        return SIMULATED_CAMERA.into();
     }
-    let listed = library.get_device_list();
-    let text = |text: &std::ffi::CStr| text.to_string_lossy().into_owned();
-    let ids: Vec<String> = listed.iter().map(|device| text(&device.id)).collect();
-    let found = listed.iter().zip(&ids).find(|(device, id)| {
-        *id == address
-            || id.ends_with(&format!("-{address}"))
-            || text(&device.physical_id) == address
-    });
-    let Some((device, _)) = found else {
-        let found = if ids.is_empty() {
-            "none".into()
-        } else {
-            ids.join(", ")
-        };
-        return Err(format!("no camera has this serial number; found {found}"));
-    };
-    Camera::new(Some(&text(&device.address))).map_err(|error| error.to_string())
-}
-
-fn name(camera: &Camera) -> String {
     let words = [
         camera.vendor_name(),
         camera.model_name(),
@@ -305,48 +270,4 @@ fn name(camera: &Camera) -> String {
     ];
     let words: Vec<String> = words.into_iter().flatten().map(Into::into).collect();
     words.join(" ")
-}
-
-/// What every flight needs: frames one at a time, each when triggered.
-fn prepare(camera: &Camera) -> Result<(), String> {
-    let failed = |error: aravis::glib::Error| error.to_string();
-    if !has(camera, "TriggerSoftware") {
-        return Err("it cannot be triggered by software".into());
-    }
-    // What the camera's own description rules out is not even sent.
-    camera.set_range_check_policy(aravis::RangeCheckPolicy::Enable);
-    // One that was left running takes no settings.
-    let _ = camera.stop_acquisition();
-    camera
-        .set_acquisition_mode(aravis::AcquisitionMode::Continuous)
-        .map_err(failed)?;
-    camera.set_trigger("Software").map_err(failed)
-}
-
-/// A stream with buffers for the present size, and the acquisition started.
-fn start(camera: &Camera) -> Result<Stream, aravis::glib::Error> {
-    let payload = camera.payload()?;
-    let stream = camera.create_stream()?;
-    for _ in 0..BUFFERS {
-        stream.push_buffer(Buffer::new_allocate(payload as usize));
-    }
-    camera.start_acquisition()?;
-    Ok(stream)
-}
-
-/// The pixels in a buffer, and where they saturate; `None` for a format that is not understood.
-fn pixels(buffer: &Buffer) -> Option<(Pixels, u16)> {
-    let bytes = buffer.image_data();
-    let format = buffer.image_pixel_format();
-    if format == PixelFormat::MONO_8 {
-        return Some((Pixels::U8(bytes), 255));
-    }
-    if format != PixelFormat::MONO_12 {
-        return None;
-    }
-    let dn = |pair: &[u8; 2]| u16::from_le_bytes(*pair);
-    Some((
-        Pixels::U16(bytes.as_chunks().0.iter().map(dn).collect()),
-        4095,
-    ))
 }

@@ -1,4 +1,4 @@
-//! A GigE Vision camera, by way of Aravis.
+//! A GenICam camera, by way of Aravis: GigE Vision, USB3 Vision, or Aravis's own fake device.
 //!
 //! Each frame is triggered by software, so that its time can be announced before the exposure begins. The camera
 //! belongs to a thread of its own (`worker`), since calls to one that has gone block for seconds; this side waits a
@@ -7,15 +7,17 @@
 //! back with its own exposure.
 
 mod configure;
-mod device;
+mod frames;
 mod numbers;
+mod open;
+mod opened;
 mod worker;
 
 use super::pace::{PATIENCE, Pace};
-use super::{CameraError, CameraHealth, CameraSettings, Exposure, FrameSource, Take};
+use super::{CameraError, CameraHealth, CameraSettings, Device, Exposure, FrameSource, Take};
 use crate::backoff::Backoff;
-use device::{Opening, SharedHealth, count};
 use jiff::Timestamp;
+use opened::{Opening, SharedHealth, count};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 use worker::{Link, Report};
@@ -34,9 +36,9 @@ enum Phase {
     Exposing(Timestamp),
 }
 
-/// A GigE Vision camera that is brought back whenever it goes.
-pub struct GigeCamera {
-    address: String,
+/// A camera that is brought back whenever it goes.
+pub struct GenicamCamera {
+    device: Device,
     settings: CameraSettings,
     link: Option<Link>,
     phase: Phase,
@@ -55,11 +57,11 @@ pub struct GigeCamera {
     health: SharedHealth,
 }
 
-impl GigeCamera {
-    /// The camera at an IP address, or the one with a serial number or Aravis id. It need not be there yet.
-    pub fn new(address: &str, settings: &CameraSettings) -> Self {
+impl GenicamCamera {
+    /// A camera that need not be there yet.
+    pub fn new(device: Device, settings: &CameraSettings) -> Self {
         Self {
-            address: address.into(),
+            device,
             settings: settings.clone(),
             link: None,
             phase: Phase::Opening,
@@ -83,7 +85,7 @@ impl GigeCamera {
             return Ok(Take::NotYet);
         }
         let opening = Opening {
-            address: self.address.clone(),
+            device: self.device.clone(),
             settings: self.settings.clone(),
             zero: self.zero,
             next_number: self.next_number,
@@ -101,10 +103,7 @@ impl GigeCamera {
     }
 
     fn problem(&self, problem: impl ToString) -> CameraError {
-        CameraError::Gige {
-            address: self.address.clone(),
-            problem: problem.to_string(),
-        }
+        CameraError::of(&self.device, problem)
     }
 
     /// Announces and triggers a frame, when one is due.
@@ -157,7 +156,7 @@ impl GigeCamera {
     }
 }
 
-impl FrameSource for GigeCamera {
+impl FrameSource for GenicamCamera {
     fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
         if let Some(report) = self.early.take() {
             return self.hear(report);
@@ -199,7 +198,7 @@ impl FrameSource for GigeCamera {
                 other => self.early = Some(other),
             }
         }
-        tracing::warn!(address = self.address, "the camera has not yet answered");
+        tracing::warn!(camera = %self.device, "the camera has not yet answered");
         Ok(())
     }
 
@@ -208,7 +207,7 @@ impl FrameSource for GigeCamera {
     }
 }
 
-impl Drop for GigeCamera {
+impl Drop for GenicamCamera {
     /// Lets the camera go before the next program wants it, if it answers.
     fn drop(&mut self) {
         if let Some(link) = self.link.take() {

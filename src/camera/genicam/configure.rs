@@ -1,6 +1,6 @@
 //! Settings of a camera: written, read back and compared.
 
-use crate::camera::{CameraError, CameraSettings, PixelFormat};
+use crate::camera::{CameraError, CameraSettings, MonoFormat};
 use aravis::Camera;
 use aravis::prelude::*;
 use std::time::Duration;
@@ -11,6 +11,8 @@ pub(super) struct Actual {
     pub exposure: Option<Duration>,
     pub analogue_gain: Option<f64>,
     pub preamp_gain: Option<f64>,
+    /// The largest number that a pixel can have.
+    pub largest_dn: Option<i64>,
 }
 
 pub(super) fn has(camera: &Camera, feature: &str) -> bool {
@@ -42,9 +44,14 @@ pub(super) fn adjust(camera: &Camera, settings: &CameraSettings) -> (Actual, Vec
         exposure: exposure.and_then(|us| Duration::try_from_secs_f64(1e-6 * us).ok()),
         analogue_gain: gain(camera, &ANALOGUE_GAIN),
         preamp_gain: gain(camera, &PREAMP_GAIN),
+        largest_dn: has(camera, LARGEST_DN)
+            .then(|| camera.integer(LARGEST_DN).ok())
+            .flatten(),
     };
     (actual, refused)
 }
+
+const LARGEST_DN: &str = "PixelDynamicRangeMax";
 
 fn refusal(
     setting: &'static str,
@@ -58,17 +65,22 @@ fn refusal(
     }
 }
 
+/// Sets the first format of the wanted depth that the camera offers.
 fn set_format(camera: &Camera, settings: &CameraSettings) -> Result<(), CameraError> {
-    let wanted = match settings.pixel_format {
-        PixelFormat::Mono8 => "Mono8",
-        PixelFormat::Mono12 => "Mono12",
+    let named = || MonoFormat::of_depth(settings.pixel_format).map(|format| format.name);
+    let wanted = || named().collect::<Vec<_>>().join(" or ");
+    let offered = camera
+        .dup_available_pixel_formats_as_strings()
+        .map_err(|error| refusal("pixel_format", wanted(), Err::<String, _>(error)))?;
+    let Some(format) = named().find(|name| offered.iter().any(|offered| offered == name)) else {
+        return Err(refusal("pixel_format", wanted(), Ok(offered.join(", "))));
     };
     let found = camera
-        .set_pixel_format_from_string(wanted)
+        .set_pixel_format_from_string(format)
         .and_then(|()| camera.pixel_format_as_string());
     match found {
-        Ok(found) if found == wanted => Ok(()),
-        found => Err(refusal("pixel_format", wanted, found)),
+        Ok(found) if found == format => Ok(()),
+        found => Err(refusal("pixel_format", format, found)),
     }
 }
 

@@ -1,0 +1,42 @@
+//! What a camera gives, whatever fails before it.
+
+use solaspect::camera::{Exposure, FrameSource, Take};
+use solaspect::frame::Frame;
+use std::time::{Duration, Instant};
+
+/// Long enough for the slowest machine; nothing is judged by it.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The next exposure; errors before it go to the log.
+pub fn next(camera: &mut dyn FrameSource, errors: &mut Vec<String>) -> Exposure {
+    let begun = Instant::now();
+    let mut announced = Vec::new();
+    while begun.elapsed() < PATIENCE {
+        match camera.next(&mut |time| announced.push(time)) {
+            Ok(Take::Exposure(exposure)) => {
+                assert_eq!(announced.last(), Some(&exposure.announced));
+                return *exposure;
+            }
+            Ok(Take::NotYet) => {}
+            Ok(Take::End) => panic!("a camera has no end"),
+            Err(error) => errors.push(error.to_string()),
+        }
+    }
+    panic!("no frame: {errors:?}");
+}
+
+pub fn frame(camera: &mut dyn FrameSource) -> Frame {
+    next(camera, &mut Vec::new()).frame
+}
+
+/// The first error of a camera that is not there.
+pub fn absent(camera: &mut dyn FrameSource) -> String {
+    let begun = Instant::now();
+    loop {
+        match camera.next(&mut |_| panic!("nothing begins")) {
+            Err(error) => return error.to_string(),
+            Ok(take) => assert!(matches!(take, Take::NotYet), "{take:?}"),
+        }
+        assert!(begun.elapsed() < PATIENCE);
+    }
+}
