@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use solaspect::aspect::{self, Expected, Quality};
 use solaspect::camera::{
     self, CameraError, CameraSettings, Exposure, FrameSource, PixelFormat, SimulatedCamera, Source,
-    Surroundings, Take, View,
+    Surroundings, Take, TakenFiles, View,
 };
 use solaspect::clock::FlightClock;
 use solaspect::fits::{self, Compression};
@@ -183,6 +183,7 @@ fn opened_at(
         clock,
         duration: None,
         speed,
+        taken: TakenFiles::default(),
     };
     let settings = CameraSettings {
         rate_hz: 50.0,
@@ -296,14 +297,27 @@ fn what_is_no_source_is_an_error_that_says_what_is_one() {
         "simulated:",
         "",
         "gige",
+        "folder:?follow",
     ] {
         assert!(source.parse::<Source>().is_err(), "{source}");
+    }
+    for source in ["folder:a?fallow", "folder:a?follow=some", "folder:a?"] {
+        let message = source.parse::<Source>().unwrap_err().to_string();
+        assert!(
+            message.contains("folder:DIR?follow=all") && message.contains(source),
+            "{message}"
+        );
     }
     for (source, is_real, is_simulated) in [
         ("gige:10.0.0.1", true, false),
         ("genicam:The Maker-0123", true, false),
         ("genicam:Fake_1", false, true),
+        ("own", true, false),
         ("folder:a:b", false, false),
+        ("folder:a/b?follow", false, false),
+        ("folder:a/b?follow=all", false, false),
+        ("folder:why?follow?follow", false, false),
+        ("folder:why?/", false, false),
         ("simulated", false, true),
         ("simulated:x.toml", false, true),
     ] {
@@ -312,6 +326,8 @@ fn what_is_no_source_is_an_error_that_says_what_is_one() {
         assert_eq!(parsed.is_real(), is_real, "{source}");
         assert_eq!(parsed.is_simulated(), is_simulated, "{source}");
     }
+    let why = Source::Folder("why?follow".into());
+    assert_eq!(why.to_string().parse(), Ok(why));
     let message = opened("simulated:/nowhere.toml", 1.0)
         .err()
         .unwrap()

@@ -24,6 +24,7 @@ mod encoded;
 mod events;
 mod fits;
 mod flight;
+mod followed_folder;
 mod foreign_frames;
 mod fuzz_seeds;
 #[cfg(feature = "gige")]

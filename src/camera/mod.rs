@@ -1,8 +1,11 @@
-//! Where frames come from, each behind the same trait: a GenICam camera, a folder of files, the simulator, or a camera of another's.
+//! Where frames come from, each behind the same trait: a GenICam camera, a folder of files, one that another program fills, the simulator, or a camera of
+//! another's.
 
 mod auto_exposure;
 mod device;
 mod folder;
+mod folder_watch;
+mod followed;
 #[cfg(feature = "gige")]
 mod genicam;
 mod identity;
@@ -11,10 +14,12 @@ mod pace;
 mod settings;
 mod simulated;
 mod source;
+mod taken_files;
 
 pub use auto_exposure::{AutoExposure, AutoExposureSettings, Brightness};
 pub use device::Device;
 pub use folder::FolderCamera;
+pub use followed::{Backlog, FollowedFolder};
 #[cfg(feature = "gige")]
 pub use genicam::GenicamCamera;
 pub use identity::{Camera, tell_apart};
@@ -22,6 +27,7 @@ pub use mono::MonoFormat;
 pub use settings::{CameraSettings, PixelFormat};
 pub use simulated::{SimulatedCamera, TruthLog, View};
 pub use source::{NoSource, Source, Surroundings, open, simulated_course};
+pub use taken_files::TakenFiles;
 
 use crate::fits::FileError;
 use crate::frame::Frame;
@@ -124,7 +130,7 @@ pub struct CameraHealth {
 /// A source of frames.
 pub trait FrameSource: Send {
     /// Waits for the next frame, for a second at most. `starts` is called with the time of the exposure just before it
-    /// begins, which may be in an earlier call than the one that gives the frame.
+    /// begins, which may be in an earlier call than the one that gives the frame. A source that learns of an exposure by its frame calls it then.
     ///
     /// # Errors
     /// Where this one frame cannot be had. The next call tries the next frame.
@@ -143,6 +149,11 @@ pub trait FrameSource: Send {
     /// not give in time is lost.
     fn frames_wait(&self) -> bool {
         false
+    }
+
+    /// Whether frames should come at the settings' rate, so that a long gap means that something is wrong: the camera is silent.
+    fn falls_silent(&self) -> bool {
+        !self.frames_wait()
     }
 
     /// What there is to tell of the camera; the default where there is no camera.

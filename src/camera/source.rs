@@ -2,8 +2,10 @@
 
 #[cfg(feature = "gige")]
 use super::genicam::GenicamCamera;
-use super::{CameraError, CameraSettings, Device, FolderCamera, FrameSource};
-use super::{SimulatedCamera, View};
+use super::{
+    Backlog, CameraError, CameraSettings, Device, FolderCamera, FollowedFolder, FrameSource,
+    SimulatedCamera, TakenFiles, View,
+};
 use crate::clock::FlightClock;
 use crate::instrument::{Instrument, Sees, builtin};
 use crate::simulate::earth::SwingingGondola;
@@ -22,6 +24,8 @@ pub enum Source {
     Device(Device),
     /// The frames of a folder.
     Folder(PathBuf),
+    /// The frames that another program writes into a folder.
+    Followed(PathBuf, Backlog),
     /// The simulator's flight, or the one that a file tells.
     Simulated(Option<PathBuf>),
     /// A camera that the program brings which flies this library.
@@ -35,21 +39,36 @@ pub struct NoSource(String);
 
 impl Source {
     /// What names a source.
-    pub const EXPECTED: &str =
-        "gige:ADDRESS, gige:SERIAL, genicam:ID, folder:DIR, simulated, simulated:FILE.toml or own";
+    pub const EXPECTED: &str = "gige:ADDRESS, gige:SERIAL, genicam:ID, folder:DIR, folder:DIR?follow, folder:DIR?follow=all, simulated, simulated:FILE.toml or own";
 
     /// Whether its frames are made up, and must be marked so.
     pub fn is_simulated(&self) -> bool {
         match self {
             Self::Simulated(_) => true,
             Self::Device(device) => device.is_fake(),
-            Self::Folder(_) | Self::Own => false,
+            Self::Folder(_) | Self::Followed(..) | Self::Own => false,
         }
     }
 
     /// Whether it is a camera that sees the world now. It can be opened once, and its frames have their times from this computer's clock.
     pub fn is_real(&self) -> bool {
         matches!(self, Self::Device(_) | Self::Own) && !self.is_simulated()
+    }
+
+    /// Of `DIR`, `DIR?follow` or `DIR?follow=all`. A question mark before the last slash is part of the name.
+    fn of_folder(text: &str) -> Option<Self> {
+        let (folder, how) = match text.rsplit_once('?') {
+            Some((folder, how)) if !how.contains('/') => (folder, Some(how)),
+            _ => (text, None),
+        };
+        let backlog = match how {
+            _ if folder.is_empty() => return None,
+            None => return Some(Self::Folder(folder.into())),
+            Some("follow") => Backlog::Skipped,
+            Some("follow=all") => Backlog::Taken,
+            Some(_) => return None,
+        };
+        Some(Self::Followed(folder.into(), backlog))
     }
 }
 
@@ -61,7 +80,9 @@ impl FromStr for Source {
             None if text == "simulated" => Ok(Self::Simulated(None)),
             None if text == "own" => Ok(Self::Own),
             Some(("simulated", file)) if !file.is_empty() => Ok(Self::Simulated(Some(file.into()))),
-            Some(("folder", folder)) if !folder.is_empty() => Ok(Self::Folder(folder.into())),
+            Some(("folder", folder)) => {
+                Self::of_folder(folder).ok_or_else(|| NoSource(text.into()))
+            }
             // gige://ADDRESS would be a serial number that no camera has.
             Some(("gige", id)) if !id.is_empty() && !id.contains('/') => {
                 Ok(Self::Device(Device::Gige(id.into())))
@@ -78,7 +99,22 @@ impl fmt::Display for Source {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Device(device) => write!(out, "{device}"),
-            Self::Folder(folder) => write!(out, "folder:{}", folder.display()),
+            Self::Folder(folder) => {
+                let name = folder.display().to_string();
+                // Else what is behind the question mark says how.
+                let is_bare = name
+                    .rsplit('/')
+                    .next()
+                    .is_some_and(|last| last.contains('?'));
+                write!(out, "folder:{name}{}", if is_bare { "/" } else { "" })
+            }
+            Self::Followed(folder, backlog) => {
+                let how = match backlog {
+                    Backlog::Skipped => "follow",
+                    Backlog::Taken => "follow=all",
+                };
+                write!(out, "folder:{}?{how}", folder.display())
+            }
             Self::Simulated(None) => write!(out, "simulated"),
             Self::Own => write!(out, "own"),
             Self::Simulated(Some(file)) => write!(out, "simulated:{}", file.display()),
@@ -98,9 +134,11 @@ pub struct Surroundings {
     pub duration: Option<Duration>,
     /// How many times faster than it was taken a folder is replayed.
     pub speed: f64,
+    /// What this camera has taken of a folder that it follows.
+    pub taken: TakenFiles,
 }
 
-/// Opens a source and applies the settings. A device need not be there yet.
+/// Opens a source and applies the settings. A device, and a folder that is followed, need not be there yet.
 ///
 /// # Errors
 /// Where a folder holds no frames or a flight cannot be simulated, and for a kind of source that this build lacks.
@@ -116,6 +154,9 @@ pub fn open(
         Source::Device(_) => return Err(CameraError::NotBuilt),
         Source::Folder(folder) => {
             Box::new(FolderCamera::open(folder, settings.rate_hz, around.speed)?)
+        }
+        Source::Followed(folder, backlog) => {
+            Box::new(FollowedFolder::open(folder, *backlog, &around.taken))
         }
         Source::Simulated(file) => Box::new(simulated(file.as_deref(), settings, around)?),
         Source::Own => return Err(CameraError::NotBrought),

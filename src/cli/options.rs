@@ -21,8 +21,8 @@ pub(super) struct ConfigurationArgs {
     /// The instrument: a TOML file, or the name of a built-in one [default: the configuration's, else demo]
     #[arg(long, value_name = "FILE|NAME")]
     instrument: Option<PathBuf>,
-    /// Where frames come from: gige:ADDRESS, gige:SERIAL, genicam:ID, folder:DIR, simulated or simulated:FILE.toml [default:
-    /// the configuration's camera.source]
+    /// Where frames come from: gige:ADDRESS, gige:SERIAL, genicam:ID, folder:DIR, folder:DIR?follow, folder:DIR?follow=all, simulated
+    /// or simulated:FILE.toml [default: the configuration's camera.source]
     #[arg(long, value_name = "SOURCE")]
     camera: Option<Source>,
     /// The controller: a serial port, or udp:HOST:PORT[@LOCALPORT] with an IP address as HOST

@@ -43,7 +43,9 @@ impl Config {
             .flying()
             .filter(|camera| camera.instrument.is_none())
         {
-            let is_real = camera.source.as_ref().is_some_and(Source::is_real);
+            let of_camera =
+                |source: &Source| source.is_real() || matches!(source, Source::Followed(..));
+            let is_real = camera.source.as_ref().is_some_and(of_camera);
             let expected = camera.role.needed_file(is_real);
             let key = format!("{}.instrument", camera.name);
             missing.extend(expected.map(|expected| none(key, expected)));

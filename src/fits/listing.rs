@@ -9,7 +9,21 @@ pub const FRAME_ENDINGS: [&str; 10] = [
     ".fits", ".fit", ".fts", ".fits.gz", ".fits.fz", ".png", ".tif", ".tiff", ".jpg", ".jpeg",
 ];
 
-/// What a folder holds that concerns frames, each sorted; what begins with a dot does not.
+/// Whether a file of this name is taken for a frame: its ending is one of [`FRAME_ENDINGS`], in capitals or not, and it does not begin with a
+/// dot, as the names of unfinished files do.
+pub fn is_frame_name(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let name = name.to_lowercase();
+    !is_hidden(path) && FRAME_ENDINGS.iter().any(|ending| name.ends_with(ending))
+}
+
+/// Whether a name begins with a dot: such files and folders are not looked at.
+pub fn is_hidden(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default();
+    name.as_encoded_bytes().starts_with(b".")
+}
+
+/// What a folder holds that concerns frames, each sorted; what is hidden does not.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Listing {
     /// Files whose names end as a frame's do.
@@ -37,14 +51,12 @@ pub fn list_folder(folder: &Path) -> Result<Listing, Unlisted> {
     let mut listing = Listing::default();
     for entry in fs::read_dir(folder).map_err(unlisted)? {
         let path = entry.map_err(unlisted)?.path();
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let name = name.to_lowercase();
-        if name.starts_with('.') {
+        if is_hidden(&path) {
             continue;
         }
         if path.is_dir() {
             listing.folders.push(path);
-        } else if FRAME_ENDINGS.iter().any(|ending| name.ends_with(ending)) {
+        } else if is_frame_name(&path) {
             listing.files.push(path);
         }
     }

@@ -54,7 +54,9 @@ pub use disk_file::{DiskFile, DiskHdu, NumberColumn};
 pub use error::{FileError, Problem};
 pub use file::FitsFile;
 pub use header::{Card, Header, Value};
-pub use listing::{FRAME_ENDINGS, Listing, Unlisted, list_folder, list_tree};
+pub use listing::{
+    FRAME_ENDINGS, Listing, Unlisted, is_frame_name, is_hidden, list_folder, list_tree,
+};
 pub use pack::{Compression, Packing};
 pub use place::place_cards;
 pub use reals::frame_of_values;

@@ -1,9 +1,10 @@
 //! What of a configuration contradicts itself, or cannot be meant. Of other files only the key of the line is read.
 
 use super::Remarks;
-use crate::camera::Source;
+use crate::camera::{Backlog, Source};
 use crate::config::{self, Config, ConfiguredCamera};
 use crate::instrument::Role;
+use std::path::{Path, PathBuf};
 
 pub(super) fn check(config: &Config, remarks: &mut Remarks) {
     for fault in config.faults() {
@@ -22,6 +23,7 @@ pub(super) fn check(config: &Config, remarks: &mut Remarks) {
         }
     }
     same_sources(config, remarks);
+    followed(config, remarks);
     archive(&config.archive, remarks);
     link(config, remarks);
     navigation(&config.navigation, remarks);
@@ -97,6 +99,54 @@ fn same_sources(config: &Config, remarks: &mut Remarks) {
             Some(source) => remarks.warn(&key, expected, source.to_string()),
         }
     }
+}
+
+/// A folder that is followed is apart from the archive: a flight would take its own frames for the camera's, and an archive hold another's.
+fn followed(config: &Config, remarks: &mut Remarks) {
+    let archive = &config.archive;
+    let archives: Vec<PathBuf> = [&archive.directory, &archive.second_directory]
+        .into_iter()
+        .flatten()
+        .cloned()
+        .collect();
+    for camera in config.cameras.flying() {
+        let Some(Source::Followed(folder, backlog)) = &camera.source else {
+            continue;
+        };
+        let key = format!("{}.source", camera.name);
+        let (paths, followed) = (archives.clone(), folder.clone());
+        let shared = move || {
+            let followed = real(&followed);
+            let is_shared = |archive: &PathBuf| {
+                let archive = real(archive);
+                archive.starts_with(&followed) || followed.starts_with(&archive)
+            };
+            paths.into_iter().find(is_shared)
+        };
+        if let Some(Some(archive)) = remarks.answered(&key, shared) {
+            let expected = "a folder apart from the archive, whose frames would be followed, too";
+            let found = format!(
+                "{} with the archive {}",
+                folder.display(),
+                archive.display()
+            );
+            remarks.error(&key, expected, found);
+        }
+        if archives.is_empty() && *backlog == Backlog::Taken {
+            let expected = "an archive, to know after a restart which files were taken";
+            remarks.warn(&key, expected, "none: all would be taken again");
+        }
+    }
+}
+
+/// A path without links and dots; of one that is not there, as far as it is.
+fn real(path: &Path) -> PathBuf {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
+    let there = path.ancestors().find_map(|above| {
+        let rest = path.strip_prefix(above).ok()?;
+        Some(above.canonicalize().ok()?.join(rest))
+    });
+    there.unwrap_or(path)
 }
 
 fn archive(archive: &config::Archive, remarks: &mut Remarks) {

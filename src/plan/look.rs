@@ -116,6 +116,15 @@ fn source(camera: &ConfiguredCamera, remarks: &mut Remarks) {
                 }
             }
         }
+        // Where it is not there, the flight looks for it on and on.
+        Some(Source::Followed(folder, _)) => {
+            let folder = folder.clone();
+            let found = remarks.answered(&key, move || (folder.is_dir(), folder));
+            if let Some((false, folder)) = found {
+                let found = format!("none at {}", folder.display());
+                remarks.error(&key, "a folder that another program fills", found);
+            }
+        }
         Some(Source::Simulated(Some(file))) => {
             remarks.noted(Pieces::read(file));
         }

@@ -17,7 +17,9 @@ pub use remarks::{Faulty, Remark, Remarks, Severity};
 
 use crate::archive::plain;
 use crate::aspect;
-use crate::camera::{self, Camera, CameraError, FrameSource, Source, Surroundings, tell_apart};
+use crate::camera::{
+    self, Camera, CameraError, FrameSource, Source, Surroundings, TakenFiles, tell_apart,
+};
 use crate::clock::FlightClock;
 use crate::commands::controls::{Controls, Proof};
 use crate::config::{Config, ConfiguredCamera};
@@ -231,7 +233,16 @@ impl Plan {
         both.into_iter().flatten().cloned().collect()
     }
 
-    /// Opens a camera of it.
+    /// What a camera has taken of a folder that it follows: kept in the first of the archive's folders; without an archive, in memory.
+    pub fn taken_files(&self, planned: &PlannedCamera) -> TakenFiles {
+        let archive = self.folders().into_iter().next();
+        archive.map_or_else(TakenFiles::default, |archive| {
+            let file = format!("taken_{}.txt", plain(&planned.camera.name));
+            TakenFiles::kept_in(&archive.join(file))
+        })
+    }
+
+    /// Opens a camera of it, again and again if need be; `taken` is what it has taken of a folder that it follows.
     ///
     /// # Errors
     /// As [`camera::open`].
@@ -239,6 +250,7 @@ impl Plan {
         &self,
         planned: &PlannedCamera,
         replay: Replay,
+        taken: TakenFiles,
     ) -> impl Fn() -> Result<Box<dyn FrameSource>, CameraError> + Send + Sync + use<> {
         let around = Surroundings {
             sees: planned.camera.sees.clone(),
@@ -246,6 +258,7 @@ impl Plan {
             seed: self.config.simulation.seed,
             duration: replay.duration,
             speed: replay.speed,
+            taken,
         };
         let (source, settings) = (planned.source.clone(), planned.configured.settings());
         move || camera::open(&source, &settings, &around)

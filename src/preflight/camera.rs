@@ -5,7 +5,8 @@ use super::bounded::{findings_within, within};
 use crate::aspect::Quality;
 use crate::calibrate::check;
 use crate::camera::{
-    Brightness, Camera, CameraError, CameraHealth, Exposure, FrameSource, PixelFormat, Source, Take,
+    Brightness, Camera, CameraError, CameraHealth, Exposure, FrameSource, PixelFormat, Source,
+    Take, TakenFiles,
 };
 use crate::commands::controls::Snapshot;
 use crate::frame::Frame;
@@ -32,6 +33,7 @@ const DIM: f64 = 0.1;
 const MOST_ROLL_DEG: f64 = 15.0;
 const PLUG: &str =
     "is it powered and plugged in, on this network, and nobody else's? see docs/camera.md";
+const WRITE: &str = "does a program write whole frames into this folder? see docs/camera.md";
 
 /// A camera that is tried, with the flight's solver.
 pub(super) struct Trial {
@@ -41,10 +43,10 @@ pub(super) struct Trial {
 }
 
 impl Trial {
-    /// Opens a planned camera, as the flight does.
+    /// Opens a planned camera, as the flight does; what it takes of a folder that is followed, the flight takes, too.
     pub fn open(plan: &Plan, planned: &PlannedCamera) -> Result<Self, CameraError> {
         Ok(Self {
-            source: plan.opener(planned, Replay::default())()?,
+            source: plan.opener(planned, Replay::default(), TakenFiles::default())()?,
             solver: solver(&planned.camera, plan.ephemeris()),
             commanded: plan.controls().snapshot(),
         })
@@ -68,6 +70,10 @@ struct TrialFrames {
 
 pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     let check = &planned.camera.name;
+    let remedy = match planned.source {
+        Source::Followed(..) => WRITE,
+        _ => PLUG,
+    };
     let (of_plan, of_camera) = (plan.clone(), planned.clone());
     let take = move || {
         let mut trial = Trial::open(&of_plan, &of_camera)?;
@@ -76,13 +82,13 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     };
     let (trial, frames) = match within(PATIENCE + LONGEST, take) {
         Ok(Ok(taken)) => taken,
-        Ok(Err(error)) => return vec![Finding::fail(check, error.to_string(), PLUG)],
-        Err(no_answer) => return vec![Finding::fail(check, no_answer.to_string(), PLUG)],
+        Ok(Err(error)) => return vec![Finding::fail(check, error.to_string(), remedy)],
+        Err(no_answer) => return vec![Finding::fail(check, no_answer.to_string(), remedy)],
     };
     let Some(exposure) = frames.last.clone() else {
         let reason = frames.failed.unwrap_or("no frame came".into());
         let found = format!("{}: {reason}", planned.source);
-        return vec![Finding::fail(check, found, PLUG)];
+        return vec![Finding::fail(check, found, remedy)];
     };
     let mut findings = vec![
         rate(planned, &frames),
@@ -175,7 +181,7 @@ fn rate(planned: &PlannedCamera, trial: &TrialFrames) -> Finding {
 /// What the frame says of its settings, against what was asked. A folder's frames were taken as they were.
 fn settings(planned: &PlannedCamera, frame: &Frame, health: &CameraHealth) -> Finding {
     let check = format!("{} settings", planned.camera.name);
-    if matches!(planned.source, Source::Folder(_)) {
+    if matches!(planned.source, Source::Folder(_) | Source::Followed(..)) {
         return Finding::pass(check, "those of a folder's frames are their own");
     }
     let mut wrong = Vec::new();

@@ -79,7 +79,11 @@ impl Flight {
         let camera = |planned: &PlannedCamera| FlightCamera {
             camera: planned.camera.clone(),
             source: None,
-            open: Some(Arc::new(plan.opener(planned, replay))),
+            open: Some(Arc::new(plan.opener(
+                planned,
+                replay,
+                plan.taken_files(planned),
+            ))),
         };
         let archive = &plan.config.archive;
         let name = plan.cameras.first().map_or("", |one| &one.camera.label);

@@ -23,6 +23,8 @@ use std::time::{Duration, Instant};
 
 /// After a failure the camera is not asked again at once.
 const PAUSE: Duration = Duration::from_millis(10);
+/// How long frames that wait are kept waiting for the solver: longer than one that hangs takes to be replaced.
+const HOLD: Duration = Duration::from_secs(10);
 /// UTC may differ by this much from one frame to the next against the monotonic clock: more is a step. A clock that is
 /// being slewed gains half a millisecond a second.
 const STEP: SignedDuration = SignedDuration::from_millis(20);
@@ -68,7 +70,7 @@ impl Shutter {
         };
         let mut dial = Dial::new(&self.controls, &self.station);
         let mut clock = ClockWatch::default();
-        if source.frames_wait() {
+        if !source.falls_silent() {
             self.silence.lock().end(Instant::now());
         }
         while self.goes_on(life) {
@@ -88,9 +90,12 @@ impl Shutter {
             match taken {
                 Ok(Take::Exposure(mut exposure)) => {
                     clock.look(&mut exposure.frame.info, &self.tally);
-                    if !source.frames_wait() {
+                    if source.falls_silent() {
                         let change = self.silence.lock().frame(Instant::now());
                         silence::tell(self.station.index + 1, change);
+                    }
+                    if source.frames_wait() {
+                        self.wait_for_solver(source.falls_silent(), life);
                     }
                     self.hand_on(UnsolvedFrame::arrived(*exposure));
                 }
@@ -136,6 +141,19 @@ impl Shutter {
             if worth_a_line(tally.unannounced) {
                 tracing::warn!("the line is stuck: an exposure was not announced");
             }
+        }
+    }
+
+    /// Waits until the solver has room for a frame: those behind it wait, too, and none is lost.
+    fn wait_for_solver(&self, falls_silent: bool, life: &Life) {
+        let until = Instant::now() + HOLD;
+        while self.to_solver.is_full() && Instant::now() < until && !life.is_over() {
+            life.beat();
+            if falls_silent {
+                // It is not the camera that makes the gap.
+                self.silence.lock().frame(Instant::now());
+            }
+            thread::sleep(PAUSE);
         }
     }
 

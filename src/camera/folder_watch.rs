@@ -1,0 +1,394 @@
+//! What happens in a folder and in the folders in it: files that come, and files that are written to their end.
+//!
+//! The kernel reports it (inotify). Of what other computers write, on a file system that they share, it hears nothing: such a folder is listed over
+//! and over. Folders are listed on threads of their own, as that may take long; reports are read only between listings, so that all folders
+//! that they speak of are known.
+
+use super::CameraError;
+use crate::fits::{self, Unlisted};
+use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, poll};
+use nix::sys::inotify::{AddWatchFlags, InitFlags, Inotify, InotifyEvent, WatchDescriptor};
+use nix::sys::statfs::statfs;
+use std::collections::{HashMap, VecDeque};
+use std::fs;
+use std::os::fd::AsRawFd;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant, SystemTime};
+
+/// Between two listings of a folder of which the kernel reports nothing, at least.
+const LIST_EVERY: Duration = Duration::from_millis(250);
+/// The same, as a multiple of the time that a listing takes.
+const LISTING_SHARE: u32 = 10;
+/// How often the folder is looked at: a disk may be gone, or another one in its place.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Blocks of reports that are read at a time: there are frames to be read, too.
+const MOST_BLOCKS: usize = 64;
+
+/// What the kernel is to report of a folder.
+const REPORTED: AddWatchFlags = AddWatchFlags::IN_CREATE
+    .union(AddWatchFlags::IN_CLOSE_WRITE)
+    .union(AddWatchFlags::IN_MOVED_FROM)
+    .union(AddWatchFlags::IN_MOVED_TO)
+    .union(AddWatchFlags::IN_ONLYDIR);
+
+/// File systems that computers share, by their numbers in statfs(2).
+const SHARED: [u32; 9] = [
+    0x0000_6969, // NFS
+    0x0000_517b, // SMB
+    0xff53_4d42, // CIFS
+    0xfe53_4d42, // SMB 2
+    0x6573_5546, // FUSE, as sshfs is
+    0x0102_1997, // 9P
+    0x00c3_6400, // Ceph
+    0x0bd0_0bd0, // Lustre
+    0x5346_414f, // AFS
+];
+
+/// Length and time of the last change of a file.
+pub(super) type FileState = (u64, SystemTime);
+
+/// The state of a regular file; `None` where there is none.
+pub(super) fn state_of(file: &Path) -> Option<FileState> {
+    let found = fs::metadata(file).ok().filter(fs::Metadata::is_file)?;
+    Some((found.len(), found.modified().ok()?))
+}
+
+/// Something that has happened, or was found.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Change {
+    /// Files that lie there, in the order of their names; whether they are whole, nobody has said.
+    Listed(Vec<(PathBuf, FileState)>),
+    /// A file that was made, and may yet be written.
+    Begun(PathBuf),
+    /// A file that was closed after writing, or renamed into place.
+    Whole(PathBuf),
+    /// A file that was here has another name or is elsewhere.
+    Left(PathBuf),
+    /// The same where its new name is in the folder, too.
+    Renamed { from: PathBuf, to: PathBuf },
+    /// Files that have other names now, since their folder has.
+    Moved(Vec<PathBuf>),
+}
+
+/// A listing that is wanted.
+#[derive(Debug)]
+enum Wanted {
+    /// Of all, as far as is known nothing was reported.
+    All,
+    /// Of a folder that has come.
+    New(PathBuf),
+    /// Of a folder that has another name.
+    Moved(PathBuf),
+}
+
+/// A folder that is watched.
+pub(super) struct FolderWatch {
+    root: PathBuf,
+    /// Device and number of the folder.
+    identity: (u64, u64),
+    looked: Instant,
+    /// `None` where the folder is listed over and over.
+    reports: Option<Arc<Reports>>,
+    folders: HashMap<WatchDescriptor, PathBuf>,
+    /// What was renamed last: the number that both of its reports have, and the name before.
+    leaving: Option<(u32, PathBuf)>,
+    wanted: VecDeque<Wanted>,
+    listing: Option<Listing>,
+    /// When a folder that is listed over and over is listed next.
+    due: Instant,
+}
+
+/// A listing that is being made.
+struct Listing {
+    wanted: Wanted,
+    begun: Instant,
+    answer: Receiver<Result<Tree, Unlisted>>,
+}
+
+/// What a listing found.
+struct Tree {
+    files: Vec<(PathBuf, FileState)>,
+    folders: Vec<(WatchDescriptor, PathBuf)>,
+    /// Why the kernel reports no more of a folder.
+    unreported: Option<Errno>,
+}
+
+impl FolderWatch {
+    /// Begins to watch a folder. What lies in it is the first change.
+    ///
+    /// # Errors
+    /// No such folder.
+    pub fn begin(root: &Path) -> Result<Self, CameraError> {
+        let now = Instant::now();
+        Ok(Self {
+            root: root.into(),
+            identity: identity(root)?,
+            looked: now,
+            reports: match is_shared(root) {
+                true => None,
+                false => Reports::begin().map(Arc::new).ok(),
+            },
+            folders: HashMap::new(),
+            leaving: None,
+            wanted: VecDeque::from([Wanted::All]),
+            listing: None,
+            due: now,
+        })
+    }
+
+    /// Waits for changes, for so long at most.
+    ///
+    /// # Errors
+    /// The folder is gone, or another one is in its place: it is to be watched anew.
+    pub fn wait(&mut self, patience: Duration) -> Result<Vec<Change>, CameraError> {
+        self.look()?;
+        if self.listing.is_none() {
+            self.list_next()?;
+        }
+        if let Some(listing) = &self.listing {
+            return match listing.answer.recv_timeout(patience) {
+                Ok(tree) => self.listed(tree),
+                Err(RecvTimeoutError::Timeout) => Ok(Vec::new()),
+                Err(RecvTimeoutError::Disconnected) => {
+                    Err(self.problem("a listing that failed by itself"))
+                }
+            };
+        }
+        let Some(reports) = self.reports.clone() else {
+            thread::sleep(
+                self.due
+                    .saturating_duration_since(Instant::now())
+                    .min(patience),
+            );
+            return Ok(Vec::new());
+        };
+        let mut changes = Vec::new();
+        for report in reports
+            .read(patience)
+            .map_err(|error| self.problem(error))?
+        {
+            self.interpret(report, &mut changes);
+        }
+        Ok(changes)
+    }
+
+    /// The same, as where the kernel reports nothing.
+    #[cfg(test)]
+    pub fn begin_unreported(root: &Path) -> Result<Self, CameraError> {
+        let reports = None;
+        Ok(Self {
+            reports,
+            ..Self::begin(root)?
+        })
+    }
+
+    fn problem(&self, found: impl ToString) -> CameraError {
+        problem(&self.root, found)
+    }
+
+    /// Whether the folder is still the one that was watched.
+    fn look(&mut self) -> Result<(), CameraError> {
+        if self.looked.elapsed() < LOOK_EVERY {
+            return Ok(());
+        }
+        self.looked = Instant::now();
+        match identity(&self.root)? == self.identity {
+            true => Ok(()),
+            false => Err(self.problem("another one in its place, which is followed now")),
+        }
+    }
+
+    /// Begins the next listing that is wanted.
+    fn list_next(&mut self) -> Result<(), CameraError> {
+        if self.reports.is_none() && self.wanted.is_empty() && Instant::now() >= self.due {
+            self.wanted.push_back(Wanted::All);
+        }
+        let Some(wanted) = self.wanted.pop_front() else {
+            return Ok(());
+        };
+        let folder = match &wanted {
+            Wanted::All => self.root.clone(),
+            Wanted::New(folder) | Wanted::Moved(folder) => folder.clone(),
+        };
+        let (give, answer) = bounded(1);
+        let reports = self.reports.clone();
+        let list = move || {
+            // Nobody waits any more where the folder is no longer watched.
+            let _ = give.send(tree(folder, reports.as_deref()));
+        };
+        let name = "folder-listing".to_string();
+        let spawned = thread::Builder::new().name(name).spawn(list);
+        spawned.map_err(|error| self.problem(error))?;
+        let begun = Instant::now();
+        self.listing = Some(Listing {
+            wanted,
+            begun,
+            answer,
+        });
+        Ok(())
+    }
+
+    /// What a listing has found.
+    fn listed(&mut self, tree: Result<Tree, Unlisted>) -> Result<Vec<Change>, CameraError> {
+        let Some(Listing { wanted, begun, .. }) = self.listing.take() else {
+            return Ok(Vec::new());
+        };
+        self.due = Instant::now() + LIST_EVERY.max(LISTING_SHARE * begun.elapsed());
+        let tree = match tree {
+            Ok(tree) => tree,
+            Err(unlisted) if matches!(wanted, Wanted::All) => {
+                return Err(self.problem(unlisted.cause));
+            }
+            // It came and went.
+            Err(_) => return Ok(Vec::new()),
+        };
+        if let Some(error) = tree.unreported {
+            let folder = self.root.display().to_string();
+            tracing::warn!(folder, %error, "the kernel reports nothing of it: it is listed over and over");
+            self.reports = None;
+            self.folders.clear();
+        }
+        self.folders.extend(tree.folders);
+        let moved = |files: Vec<(PathBuf, FileState)>| files.into_iter().map(|file| file.0);
+        Ok(vec![match wanted {
+            Wanted::All | Wanted::New(_) => Change::Listed(tree.files),
+            Wanted::Moved(_) => Change::Moved(moved(tree.files).collect()),
+        }])
+    }
+
+    fn interpret(&mut self, report: InotifyEvent, changes: &mut Vec<Change>) {
+        let is = |what| report.mask.contains(what);
+        if is(AddWatchFlags::IN_Q_OVERFLOW) {
+            tracing::warn!(folder = %self.root.display(), "more happened than the kernel could report: it is listed anew");
+            self.wanted = VecDeque::from([Wanted::All]);
+        }
+        if is(AddWatchFlags::IN_IGNORED) {
+            self.folders.remove(&report.wd);
+        }
+        let Some((folder, name)) = self.folders.get(&report.wd).zip(report.name.as_ref()) else {
+            return;
+        };
+        let path = folder.join(name);
+        if is(AddWatchFlags::IN_MOVED_FROM) {
+            self.leaving = Some((report.cookie, path.clone()));
+        }
+        let came_from = self.leaving.as_ref();
+        let came_from = came_from.filter(|(cookie, _)| *cookie == report.cookie);
+        let came_from = came_from.map(|(_, from)| from.clone());
+        let has_come = is(AddWatchFlags::IN_MOVED_TO);
+        if is(AddWatchFlags::IN_ISDIR) {
+            match came_from.filter(|_| has_come) {
+                _ if fits::is_hidden(&path) => {}
+                Some(from) if !fits::is_hidden(&from) => self.wanted.push_back(Wanted::Moved(path)),
+                _ if has_come || is(AddWatchFlags::IN_CREATE) => {
+                    self.wanted.push_back(Wanted::New(path));
+                }
+                _ => {}
+            }
+            return;
+        }
+        changes.push(match came_from {
+            Some(from) if has_come => Change::Renamed { from, to: path },
+            _ if has_come || is(AddWatchFlags::IN_CLOSE_WRITE) => Change::Whole(path),
+            _ if is(AddWatchFlags::IN_MOVED_FROM) => Change::Left(path),
+            _ if is(AddWatchFlags::IN_CREATE) => Change::Begun(path),
+            _ => return,
+        });
+    }
+}
+
+fn problem(folder: &Path, found: impl ToString) -> CameraError {
+    CameraError::Folder {
+        folder: folder.into(),
+        found: found.to_string(),
+    }
+}
+
+/// Device and number of a folder.
+fn identity(folder: &Path) -> Result<(u64, u64), CameraError> {
+    match fs::metadata(folder) {
+        Ok(found) if found.is_dir() => Ok((found.dev(), found.ino())),
+        Ok(_) => Err(problem(folder, "a file")),
+        Err(error) => Err(problem(folder, format!("\"{error}\""))),
+    }
+}
+
+/// Whether other computers may write to a folder's file system.
+fn is_shared(folder: &Path) -> bool {
+    // The numbers have 32 bits, in a type that is wider on some machines.
+    statfs(folder).is_ok_and(|found| SHARED.contains(&(found.filesystem_type().0 as u32)))
+}
+
+/// The frames in a folder and the folders in it. Each folder is reported of before it is listed, so that what comes meanwhile is found twice and not
+/// never.
+fn tree(folder: PathBuf, reports: Option<&Reports>) -> Result<Tree, Unlisted> {
+    let mut tree = Tree {
+        files: Vec::new(),
+        folders: Vec::new(),
+        unreported: None,
+    };
+    let root = folder.clone();
+    let mut folders = vec![folder];
+    while let Some(folder) = folders.pop() {
+        match reports.map(|reports| reports.0.add_watch(&folder, REPORTED)) {
+            Some(Ok(number)) => tree.folders.push((number, folder.clone())),
+            // A folder that is gone is not there to be listed, either.
+            None | Some(Err(Errno::ENOENT | Errno::ENOTDIR | Errno::EACCES)) => {}
+            Some(Err(error)) => tree.unreported = Some(error),
+        }
+        match fits::list_folder(&folder) {
+            Ok(listing) => {
+                let with_state = |file: PathBuf| state_of(&file).map(|state| (file, state));
+                tree.files
+                    .extend(listing.files.into_iter().filter_map(with_state));
+                folders.extend(listing.folders);
+            }
+            Err(unlisted) if folder == root => return Err(unlisted),
+            // One that is gone again, or another's, such as lost+found.
+            Err(unlisted) => tracing::warn!("{unlisted}: left out"),
+        }
+    }
+    tree.files.sort();
+    Ok(tree)
+}
+
+/// The kernel's reports.
+#[derive(Debug)]
+struct Reports(Inotify);
+
+impl Reports {
+    fn begin() -> Result<Self, Errno> {
+        Inotify::init(InitFlags::IN_CLOEXEC | InitFlags::IN_NONBLOCK).map(Self)
+    }
+
+    /// Waits for reports, for so long at most.
+    fn read(&self, patience: Duration) -> Result<Vec<InotifyEvent>, Errno> {
+        let mut waiting = [PollFd::new(self.0.as_raw_fd(), PollFlags::POLLIN)];
+        let patience_ms = i32::try_from(patience.as_millis()).unwrap_or(i32::MAX);
+        match poll(&mut waiting, patience_ms) {
+            Ok(_) | Err(Errno::EINTR) => {}
+            Err(error) => return Err(error),
+        }
+        let mut reports = Vec::new();
+        for _ in 0..MOST_BLOCKS {
+            match self.0.read_events() {
+                Ok(more) => reports.extend(more),
+                Err(Errno::EAGAIN | Errno::EINTR) => break,
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(reports)
+    }
+}
+
+impl Drop for Reports {
+    fn drop(&mut self) {
+        // It is a plain number: nothing else closes it.
+        let _ = nix::unistd::close(self.0.as_raw_fd());
+    }
+}

@@ -1,0 +1,382 @@
+//! A folder that another program fills, as a camera: each frame once, as soon as its file is whole.
+//!
+//! ```text
+//! reports of the kernel, listings -> whole ------------> a frame
+//!                                 -> unfinished -> whole
+//! ```
+//!
+//! A file is whole when it has been closed after writing or renamed into place, or has not changed for a second, and can be read. The frames come in
+//! the order in which their files became whole; those that were found at one time, in the order of their names. One that cannot be read for five seconds
+//! after its last change is bad: it is an error, once. It holds up none of the others.
+
+use super::folder_watch::{Change, FileState, FolderWatch, state_of};
+use super::pace::PATIENCE;
+use super::taken_files::{TakenFiles, name_in_list};
+use super::{CameraError, Exposure, FrameSource, Take};
+use crate::backoff::Backoff;
+use crate::fits;
+use crate::frame::Warnings;
+use crate::log::worth_a_line;
+use jiff::Timestamp;
+use std::collections::{BTreeMap, VecDeque};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime};
+
+/// For what lies in the folder to be listed before the flight begins; after that it goes on meanwhile.
+const OPENING: Duration = Duration::from_secs(2);
+/// A file that nobody has reported as whole may be when it has not changed for so long.
+const QUIET: Duration = Duration::from_secs(1);
+/// A file that cannot be read for so long after its last change is bad.
+const GIVE_UP: Duration = Duration::from_secs(5);
+/// How often unfinished files are looked at.
+const LOOK_EVERY: Duration = PATIENCE;
+
+/// What becomes of the frames that lie in a folder when it is first found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Backlog {
+    /// They are passed over.
+    Skipped,
+    /// They are taken, but for those that an earlier run has taken.
+    Taken,
+}
+
+/// Takes the frames that another program writes into a folder, and the folders in it.
+pub struct FollowedFolder {
+    folder: PathBuf,
+    backlog: Backlog,
+    taken: TakenFiles,
+    /// `None` while there is no such folder.
+    watch: Option<FolderWatch>,
+    backoff: Backoff,
+    /// When a folder that is not there is looked for next.
+    due: Instant,
+    /// Files that should be whole, in the order in which they became so.
+    whole: VecDeque<PathBuf>,
+    /// Files that may yet be written.
+    unfinished: BTreeMap<PathBuf, Unfinished>,
+    /// When the unfinished ones are looked at next.
+    look_due: Instant,
+    /// Files that were written again under a name that was taken.
+    rewritten: u64,
+    warnings: Warnings,
+}
+
+/// A file that may yet be written.
+struct Unfinished {
+    state: Option<FileState>,
+    /// When it was found to be in this state.
+    since: Instant,
+    /// Whether it could not be read in this state.
+    is_tried: bool,
+}
+
+impl Unfinished {
+    fn new(file: &Path) -> Self {
+        Self {
+            state: state_of(file),
+            since: Instant::now(),
+            is_tried: false,
+        }
+    }
+
+    /// Whether it is time to read it.
+    fn is_due(&self) -> bool {
+        let limit = if self.is_tried { GIVE_UP } else { QUIET };
+        self.since.elapsed() >= limit
+    }
+}
+
+impl FollowedFolder {
+    /// Follows a folder, which need not be there yet.
+    pub fn open(folder: &Path, backlog: Backlog, taken: &TakenFiles) -> Self {
+        let now = Instant::now();
+        let mut followed = Self {
+            folder: folder.into(),
+            backlog,
+            taken: taken.clone(),
+            watch: None,
+            backoff: Backoff::DEVICE,
+            due: now,
+            whole: VecDeque::new(),
+            unfinished: BTreeMap::new(),
+            look_due: now,
+            rewritten: 0,
+            warnings: Warnings::default(),
+        };
+        while !taken.has_begun() && now.elapsed() < OPENING {
+            // That it is not there is said when frames are wanted.
+            if followed.follow(PATIENCE).is_err() {
+                followed.due = now;
+                break;
+            }
+        }
+        followed
+    }
+
+    /// Waits for what happens in the folder, and notes it.
+    fn follow(&mut self, patience: Duration) -> Result<(), CameraError> {
+        let wait = self.due.saturating_duration_since(Instant::now());
+        if self.watch.is_none() && !wait.is_zero() {
+            std::thread::sleep(wait.min(patience));
+            return Ok(());
+        }
+        let changes = self.watched().and_then(|watch| watch.wait(patience));
+        match changes {
+            Ok(changes) => changes.into_iter().for_each(|change| self.note(change)),
+            Err(error) => {
+                self.watch = None;
+                self.due = Instant::now() + self.backoff.wait();
+                return Err(error);
+            }
+        }
+        Ok(())
+    }
+
+    fn watched(&mut self) -> Result<&mut FolderWatch, CameraError> {
+        Ok(match self.watch.take() {
+            Some(watch) => self.watch.insert(watch),
+            None => self.watch.insert(FolderWatch::begin(&self.folder)?),
+        })
+    }
+
+    fn name(&self, file: &Path) -> String {
+        name_in_list(&self.folder, file)
+    }
+
+    /// Whether a file is a frame that is not yet taken.
+    fn is_new(&self, file: &Path) -> bool {
+        fits::is_frame_name(file) && !self.taken.knows(&self.name(file))
+    }
+
+    fn note(&mut self, change: Change) {
+        match change {
+            Change::Listed(files) => self.note_listed(files),
+            Change::Begun(file) if self.is_new(&file) => self.begin(file),
+            Change::Begun(_) => {}
+            Change::Whole(file) => self.note_whole(file),
+            Change::Left(file) => self.leave(&file),
+            Change::Renamed { from, to } => {
+                self.leave(&from);
+                let before = self.name(&from);
+                match self.taken.knows(&before) {
+                    true => {
+                        // The next file of that name is another one.
+                        self.taken.release(&before);
+                        self.taken.record(&self.name(&to), None);
+                    }
+                    false => self.note_whole(to),
+                }
+            }
+            Change::Moved(files) => {
+                let names = files.iter().map(|file| self.name(file));
+                names.for_each(|name| self.taken.record(&name, None));
+            }
+        }
+    }
+
+    fn note_listed(&mut self, files: Vec<(PathBuf, FileState)>) {
+        self.backoff.reset();
+        if !self.taken.has_begun() && self.begins_after(&files) {
+            return;
+        }
+        let is_old = |(_, changed): FileState| {
+            let age = SystemTime::now().duration_since(changed);
+            age.is_ok_and(|age| age > GIVE_UP)
+        };
+        for (file, state) in files {
+            match self.is_new(&file) {
+                true if is_old(state) => self.whole.push_back(file),
+                true => self.begin(file),
+                false => {}
+            }
+        }
+    }
+
+    /// Whether these files, which lie in the folder when it is first found, are passed over.
+    fn begins_after(&self, files: &[(PathBuf, FileState)]) -> bool {
+        if self.backlog == Backlog::Taken {
+            match self.taken.begin_with_list() {
+                Ok(()) => return false,
+                Err(error) => {
+                    let folder = self.folder.display().to_string();
+                    tracing::error!(folder, %error, "what was taken of it cannot be read: what lies there is passed over");
+                }
+            }
+        }
+        let names: Vec<String> = files.iter().map(|(file, _)| self.name(file)).collect();
+        self.taken.begin_after(names.iter().map(String::as_str));
+        true
+    }
+
+    fn begin(&mut self, file: PathBuf) {
+        let unfinished = Unfinished::new(&file);
+        self.unfinished.entry(file).or_insert(unfinished);
+    }
+
+    fn note_whole(&mut self, file: PathBuf) {
+        if self.is_new(&file) {
+            self.unfinished.remove(&file);
+            self.whole.push_back(file);
+        } else if fits::is_frame_name(&file) {
+            self.rewritten += 1;
+            if worth_a_line(self.rewritten) {
+                let (file, times) = (file.display().to_string(), self.rewritten);
+                tracing::warn!(
+                    file,
+                    times,
+                    "written again under a name that was taken: it is left alone"
+                );
+            }
+        }
+    }
+
+    /// A file is no longer here under this name.
+    fn leave(&mut self, file: &Path) {
+        self.unfinished.remove(file);
+        self.whole.retain(|other| other != file);
+    }
+
+    /// Looks which of the unfinished files may be whole by now.
+    fn look(&mut self) {
+        let now = Instant::now();
+        if now < self.look_due {
+            return;
+        }
+        self.look_due = now + LOOK_EVERY;
+        let (taken, folder, whole) = (&self.taken, &self.folder, &mut self.whole);
+        self.unfinished.retain(|file, unfinished| {
+            let state = state_of(file);
+            if state.is_none() || taken.knows(&name_in_list(folder, file)) {
+                return false;
+            }
+            if state != unfinished.state {
+                *unfinished = Unfinished::new(file);
+            } else if unfinished.is_due() && !whole.contains(file) {
+                whole.push_back(file.clone());
+            }
+            true
+        });
+    }
+
+    /// Reads a file that should be whole.
+    fn take(&mut self, file: &Path) -> Result<Option<Exposure>, CameraError> {
+        let name = self.name(file);
+        if !self.taken.claim(&name) {
+            return Ok(None);
+        }
+        let state = state_of(file);
+        let error = match fits::read_frame(file) {
+            Ok(frame) => {
+                self.unfinished.remove(file);
+                self.taken.record(&name, None);
+                let warnings = &frame.info.warnings;
+                self.warnings.note(&file.display().to_string(), warnings);
+                let start = frame.info.exposure_start();
+                let announced = start.unwrap_or_else(Timestamp::now);
+                return Ok(Some(Exposure { frame, announced }));
+            }
+            Err(error) => error,
+        };
+        let unfinished = self.unfinished.entry(file.into());
+        let unfinished = unfinished.or_insert_with(|| Unfinished::new(file));
+        if state.is_none() {
+            // Renamed meanwhile, which is reported yet, or removed.
+            tracing::debug!(%error, "gone before it was read");
+            self.unfinished.remove(file);
+            self.taken.release(&name);
+            return Ok(None);
+        }
+        if unfinished.is_tried && unfinished.is_due() {
+            self.unfinished.remove(file);
+            self.taken.record(&name, Some(&error.problem.to_string()));
+            return Err(error.into());
+        }
+        unfinished.is_tried = true;
+        self.taken.release(&name);
+        Ok(None)
+    }
+}
+
+impl FrameSource for FollowedFolder {
+    /// The start of an exposure is reported when its frame is here.
+    fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
+        let patience = match self.whole.is_empty() {
+            true => PATIENCE,
+            false => Duration::ZERO,
+        };
+        self.follow(patience)?;
+        self.look();
+        let Some(file) = self.whole.pop_front() else {
+            return Ok(Take::NotYet);
+        };
+        let Some(exposure) = self.take(&file)? else {
+            return Ok(Take::NotYet);
+        };
+        starts(exposure.announced);
+        Ok(Take::Exposure(Box::new(exposure)))
+    }
+
+    fn frames_wait(&self) -> bool {
+        true
+    }
+
+    fn falls_silent(&self) -> bool {
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fits::{Compression, encode_frame};
+    use crate::frame::{Frame, FrameInfo, Pixels};
+    use std::fs;
+
+    fn file(number: u64) -> Vec<u8> {
+        let info = FrameInfo {
+            number: Some(number),
+            ..FrameInfo::default()
+        };
+        let frame = Frame::new(2, 1, Pixels::U8(vec![5, 7]), 255, info).unwrap();
+        encode_frame(&frame, &[], &[], Compression::None).unwrap()
+    }
+
+    fn next(followed: &mut FollowedFolder) -> u64 {
+        let start = Instant::now();
+        while start.elapsed() < Duration::from_secs(60) {
+            if let Take::Exposure(exposure) = followed.next(&mut |_| {}).unwrap() {
+                return exposure.frame.info.number.unwrap();
+            }
+        }
+        panic!("no frame came");
+    }
+
+    #[test]
+    fn a_folder_of_which_the_kernel_reports_nothing_is_listed_over_and_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::write(at("0.fits"), file(0)).unwrap();
+        let taken = TakenFiles::default();
+        let mut followed = FollowedFolder::open(folder.path(), Backlog::Skipped, &taken);
+        followed.watch = Some(FolderWatch::begin_unreported(folder.path()).unwrap());
+        fs::create_dir(at("day")).unwrap();
+        fs::write(at("day/1.fits"), file(1)).unwrap();
+        assert_eq!(next(&mut followed), 1);
+        fs::write(at("2.fits"), &file(2)[..3000]).unwrap();
+        fs::write(at("3.fits"), file(3)).unwrap();
+        assert_eq!(next(&mut followed), 3);
+        fs::write(at("2.fits"), file(2)).unwrap();
+        assert_eq!(next(&mut followed), 2);
+    }
+
+    #[test]
+    fn a_call_for_a_frame_that_does_not_come_returns_within_a_second() {
+        let folder = tempfile::tempdir().unwrap();
+        let taken = TakenFiles::default();
+        let mut followed = FollowedFolder::open(folder.path(), Backlog::Skipped, &taken);
+        let begun = Instant::now();
+        assert!(matches!(followed.next(&mut |_| {}), Ok(Take::NotYet)));
+        // It waits for a quarter of that; the machine may be slow.
+        assert!(begun.elapsed() < Duration::from_secs(5));
+    }
+}
