@@ -76,6 +76,7 @@
 //! | [`archive`], [`camera`] | files on disks; sources of frames |
 //! | [`observe`] | one pass over frames: journals, shards, copies, files that cannot be read |
 //! | [`events`] | photons put on the Sun by a refined flight's pointing |
+//! | [`output`] | what other programs read of a flight: JSON lines, NMEA sentences, CCSDS space packets |
 //! | [`config`] | the parameter table |
 //! | [`commands`] | what the ground may say in flight, what it sets, and words for all of it |
 //! | [`plan`] | what is to fly: the configuration with the files that it names, checked |
@@ -122,6 +123,7 @@ pub mod log;
 pub mod moon;
 pub mod navigation;
 pub mod observe;
+pub mod output;
 #[warn(clippy::too_many_lines)]
 pub mod plan;
 pub mod plate;

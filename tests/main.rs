@@ -47,6 +47,7 @@ mod moon;
 mod moon_in_flight;
 mod navigation;
 mod navigation_in_flight;
+mod outputs;
 mod own_gondola;
 mod photon_transfer;
 mod plate_check;

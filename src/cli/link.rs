@@ -3,7 +3,7 @@
 use super::options;
 use super::output::say;
 use crate::commands::words::{describe, result_in_words};
-use crate::commands::{Dictionary, order};
+use crate::commands::{Dictionary, Framing, order};
 use crate::files;
 use crate::link::byte_log::{self, Burst, Contents};
 use crate::link::ground::{ask, ask_for_moon};
@@ -142,6 +142,8 @@ enum Format {
     Ksy,
     /// XTCE 1.2: telemetry, and commands to the aspect system
     Xtce,
+    /// XTCE 1.2: telemetry in CCSDS space packets, as outputs have it (docs/outputs.md)
+    XtceCcsds,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -175,7 +177,8 @@ pub fn run(args: LinkArgs) -> anyhow::Result<ExitCode> {
             let description = match args.format {
                 Format::Json => serde_json::to_string_pretty(&dictionary.json())?,
                 Format::Ksy => dictionary.kaitai(),
-                Format::Xtce => dictionary.xtce(),
+                Format::Xtce => dictionary.xtce(Framing::Line),
+                Format::XtceCcsds => dictionary.xtce(Framing::Ccsds),
             };
             say(description.trim_end())?;
             Ok(ExitCode::SUCCESS)

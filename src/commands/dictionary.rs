@@ -4,6 +4,8 @@
 mod kaitai;
 mod xtce;
 
+pub use xtce::Framing;
+
 use super::table::COMMANDS;
 use super::variable::{Kind, Variable};
 use crate::link::Direction;

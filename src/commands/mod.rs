@@ -18,7 +18,7 @@ mod variable;
 pub mod words;
 
 pub use controls::Controls;
-pub use dictionary::Dictionary;
+pub use dictionary::{Dictionary, Framing};
 pub use note::CommandNote;
 pub use order::{OrderError, order};
 pub use protocol::protocol_page;

@@ -4,6 +4,8 @@ use super::{Config, ConfiguredCamera, Refused};
 use crate::camera::Source;
 use crate::instrument::Role;
 use crate::link::PortAddress;
+use crate::output::Destination;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
 impl Config {
     /// What keeps this configuration from flying: what is missing, and what contradicts itself.
@@ -72,6 +74,7 @@ impl Config {
         found.extend(self.space());
         found.extend(self.sending_camera(pitch_yaw_cameras));
         found.extend(self.shared_ports());
+        found.extend(self.shared_destinations());
         found
     }
 
@@ -149,6 +152,59 @@ impl Config {
         };
         taken.iter().enumerate().filter_map(shared).collect()
     }
+
+    /// Outputs that go where another one goes, or where the controller or a sensor is.
+    fn shared_destinations(&self) -> Vec<Refused> {
+        let navigation = Some(&self.navigation).filter(|own| own.is_enabled());
+        let lines = [
+            ("link.port", Some(self.link.address())),
+            (
+                "navigation.imu_port",
+                navigation.map(|own| own.imu_address()),
+            ),
+            (
+                "navigation.gps_port",
+                navigation.map(|own| own.gps_address()),
+            ),
+        ];
+        let mut taken = Vec::new();
+        for (key, address) in lines {
+            if let Some(Ok(Some(address))) = address {
+                let ends = [own_end(&address, self.link.udp_local_port), Some(address)];
+                let ends = ends.into_iter().flatten().map(Destination::Port);
+                taken.extend(ends.map(|end| (key.to_owned(), end)));
+            }
+        }
+        let mut shared = Vec::new();
+        for (name, output) in self.outputs.flying() {
+            let Some(to) = &output.to else { continue };
+            let key = format!("{name}.to");
+            let other = taken.iter().find(|(_, other)| to.is_same_place(other));
+            shared.extend(other.map(|(other, _)| Refused {
+                key: key.clone().into(),
+                expected: format!("a place of its own, not that of {other}"),
+                found: format!("\"{to}\""),
+            }));
+            taken.push((key, to.clone()));
+        }
+        shared
+    }
+}
+
+/// Where datagrams of this computer come to a line over UDP.
+fn own_end(line: &PortAddress, default_port: u32) -> Option<PortAddress> {
+    let PortAddress::Udp { peer, local_port } = line else {
+        return None;
+    };
+    let port = local_port.or(u16::try_from(default_port).ok())?;
+    let address: IpAddr = match peer {
+        SocketAddr::V4(_) => Ipv4Addr::LOCALHOST.into(),
+        SocketAddr::V6(_) => Ipv6Addr::LOCALHOST.into(),
+    };
+    Some(PortAddress::Udp {
+        peer: (address, port).into(),
+        local_port: None,
+    })
 }
 
 /// An exposure ends before the next frame, and the shortest of automatic ones is shorter than the longest.
@@ -170,4 +226,58 @@ fn exposure(camera: &ConfiguredCamera) -> Vec<Refused> {
         wrong.push(refused("auto_exposure_min_us", expected, shortest));
     }
     wrong
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Output, Outputs};
+
+    fn found(link: Option<&str>, outputs: &[&str]) -> Vec<String> {
+        let mut config = Config::default();
+        config.link.port = link.map(str::to_owned);
+        let output = |to: &&str| Output {
+            to: Some(to.parse().unwrap()),
+            ..Output::default()
+        };
+        config.outputs = Outputs::from_iter(outputs.iter().map(output));
+        let refused = config.shared_destinations();
+        refused.iter().map(Refused::to_string).collect()
+    }
+
+    #[test]
+    fn each_output_has_a_place_of_its_own() {
+        let good = [
+            "udp:10.0.0.1:5000",
+            "udp:10.0.0.2:5000",
+            "serial:/dev/ttyS1",
+            "tcp-listen:0.0.0.0:5000",
+        ];
+        assert_eq!(found(Some("/dev/ttyS0"), &good), [""; 0]);
+        assert_eq!(found(Some("udp:10.0.0.1:2000"), &good), [""; 0]);
+        for (link, outputs, words) in [
+            (
+                None,
+                ["udp:10.0.0.1:5000", "udp:10.0.0.1:5000"],
+                "output-2.to: expected a place of its own, not that of output.to, found \"udp:10.0.0.1:5000\"",
+            ),
+            (
+                Some("/dev/../dev/null"),
+                ["udp:10.0.0.1:5000", "serial:/dev/null"],
+                "output-2.to: expected a place of its own, not that of link.port, found \"serial:/dev/null\"",
+            ),
+            (
+                Some("udp:10.0.0.1:2000"),
+                ["udp:10.0.0.1:2000", "udp:10.0.0.1:5000"],
+                "output.to: expected a place of its own, not that of link.port, found \"udp:10.0.0.1:2000\"",
+            ),
+            (
+                Some("udp:10.0.0.1:2000@3000"),
+                ["udp:127.0.0.1:2000", "udp:127.0.0.1:3000"],
+                "output-2.to: expected a place of its own, not that of link.port, found \"udp:127.0.0.1:3000\"",
+            ),
+        ] {
+            assert_eq!(found(link, &outputs), [words]);
+        }
+    }
 }

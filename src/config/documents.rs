@@ -2,7 +2,7 @@
 
 use super::parameter::Parameter;
 use super::table::parameters;
-use super::{Config, Value};
+use super::{Config, Outputs, Value};
 use crate::instrument::Role;
 use std::fmt::Write;
 
@@ -13,10 +13,11 @@ pub fn example() -> String {
     let mut text = String::from(
         "# The configuration of solaspect: every parameter with its default. A file may leave out any of them;\n\
          # those that are commented out here are unset by default.\n\
-         # Further cameras have tables of their own, [NAME_camera], whose role is \"pitch_yaw\", \"roll\" or \"moon\".\n",
+         # Further cameras have tables of their own, [NAME_camera], whose role is \"pitch_yaw\", \"roll\" or \"moon\". There may be any number\n\
+         # of tables [[output]].\n",
     );
     for (table, rows) in tables() {
-        text += &format!("\n[{table}]\n");
+        text += &head(table);
         for row in rows {
             text += &entry(row);
         }
@@ -29,24 +30,37 @@ impl Config {
     pub fn to_toml(&self) -> String {
         let mut text = String::new();
         for (table, rows) in tables() {
+            if table == Outputs::TABLE {
+                for (name, _) in self.outputs.iter() {
+                    text += &self.table_toml(&head(table), &name, None, rows);
+                }
+                continue;
+            }
             let usual = Role::tables().find(|(usual, _)| *usual == table);
             let camera = self.cameras.named(table).map(|camera| camera.role);
             let role = camera.filter(|role| usual.is_some_and(|(_, usual)| usual != *role));
-            text += &self.table_toml(table, role, rows);
+            text += &self.table_toml(&head(table), table, role, rows);
         }
         let (first, names) = (self.cameras.first(), Role::table_names());
         for camera in self.cameras.iter() {
             if !names.contains(&&*camera.name) {
                 let rows = tables().find(|(table, _)| *table == first.name);
                 let rows = rows.map_or(&[][..], |(_, rows)| rows);
-                text += &self.table_toml(&camera.name, Some(camera.role), rows);
+                text +=
+                    &self.table_toml(&head(&camera.name), &camera.name, Some(camera.role), rows);
             }
         }
         text
     }
 
     /// A table with what is set in it, and the role of a camera whose name does not tell it.
-    fn table_toml(&self, table: &str, role: Option<Role>, rows: &[Parameter]) -> String {
+    fn table_toml(
+        &self,
+        head: &str,
+        table: &str,
+        role: Option<Role>,
+        rows: &[Parameter],
+    ) -> String {
         let role = role.map(|role| format!("role = \"{}\"\n", role.name()));
         let set = |row: &Parameter| {
             let value = match row.get_of(self, table)? {
@@ -56,9 +70,17 @@ impl Config {
             };
             Some(format!("{} = {value}\n", row.name()))
         };
-        let head = format!("\n[{table}]\n");
         let lines = rows.iter().filter_map(set);
-        std::iter::once(head).chain(role).chain(lines).collect()
+        let head = std::iter::once(head.to_owned());
+        head.chain(role).chain(lines).collect()
+    }
+}
+
+/// The line at which a table begins.
+fn head(table: &str) -> String {
+    match table {
+        Outputs::TABLE => format!("\n[[{table}]]\n"),
+        table => format!("\n[{table}]\n"),
     }
 }
 
@@ -69,7 +91,8 @@ pub fn parameters_page() -> String {
          Every key of the configuration file. The number is the one by which aspect commands 0x0712 (whole\n\
          numbers) and 0x0722 (others) set a parameter in flight. This page is made from the program's own table.\n\n\
          Further cameras have tables of their own, `[NAME_camera]`, with the keys of `[camera]` and with `role`, which is `\"pitch_yaw\"`,\n\
-         `\"roll\"` or `\"moon\"`. Their frames have folders of their own, and the ground hears of them by telemetry of type 0x72.\n",
+         `\"roll\"` or `\"moon\"`. Their frames have folders of their own, and the ground hears of them by telemetry of type 0x72.\n\n\
+         There may be any number of tables `[[output]]`; errors call them `output`, `output-2` and so on.\n",
     );
     for (table, rows) in tables() {
         text += &format!(
@@ -139,6 +162,8 @@ fn wrapped(text: &str, width: usize) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Output;
+    use crate::output::Format;
     use std::path::Path;
 
     const EXAMPLE: &str = include_str!("../../docs/solaspect.example.toml");
@@ -166,6 +191,17 @@ mod tests {
         config.cameras.first_mut().region_px = "100,50,640,480".parse().ok();
         config.target.epoch_utc = "2013-09-21T18:00:00.25Z".parse().ok();
         config.link.port = Some("/dev/serial/a \"quoted\" name\\ \u{7f}".into());
+        let to = |to: &str, format| Output {
+            to: to.parse().ok(),
+            format,
+            baud: 9600,
+        };
+        config.outputs = Outputs::from_iter([
+            to("udp:10.0.0.1:5000", Format::Jsonl),
+            to("serial:/dev/ttyS1", Format::Nmea),
+            Output::default(),
+            to("tcp-listen:[::]:5001", Format::Ccsds),
+        ]);
         for config in [Config::default(), config] {
             let text = config.to_toml();
             assert_eq!(

@@ -30,6 +30,7 @@ mod documents;
 mod host;
 mod link;
 mod navigation;
+mod output;
 mod parameter;
 mod read;
 pub mod saved;
@@ -40,6 +41,7 @@ pub use camera::{Cameras, ConfiguredCamera, Switch};
 pub use documents::{example, parameters_page};
 pub use host::{Host, Memory};
 pub use navigation::Navigation;
+pub use output::{Output, Outputs};
 pub use parameter::{Allowed, Parameter, Refused};
 pub use table::{by_command, by_key, parameters};
 pub use value::Value;
@@ -66,6 +68,7 @@ pub struct Config {
     pub moon: Moon,
     pub link: Link,
     pub navigation: Navigation,
+    pub outputs: Outputs,
     pub archive: Archive,
     pub host: Host,
     pub preflight: Preflight,

@@ -6,6 +6,7 @@ use crate::camera::Source;
 use crate::clock::parse_utc;
 use crate::frame::Region;
 use crate::instrument::toml_file::Utc;
+use crate::output::Destination;
 use std::borrow::Cow;
 use std::fmt;
 
@@ -22,7 +23,7 @@ pub struct Parameter {
     pub documentation: &'static str,
     /// What the example shows, commented out, where nothing is set by default.
     pub(super) sample: Option<Sample>,
-    /// The field's value; a camera's is that of the camera of a table.
+    /// The field's value; a camera's or an output's is that of its table.
     pub(super) get: fn(&Config, &str) -> Option<Value>,
     /// Sets the field, or says `None` where its type cannot hold the value.
     pub(super) set: fn(&mut Config, &str, Option<Value>) -> Option<()>,
@@ -61,6 +62,8 @@ pub enum Allowed {
     Region,
     /// Where frames come from.
     Source,
+    /// Where an output goes.
+    Destination,
 }
 
 impl Allowed {
@@ -75,6 +78,9 @@ impl Allowed {
             (Self::Text, Value::Text(_)) => true,
             // Empty sets nothing.
             (Self::Source, Value::Text(text)) => text.is_empty() || text.parse::<Source>().is_ok(),
+            (Self::Destination, Value::Text(text)) => {
+                text.is_empty() || text.parse::<Destination>().is_ok()
+            }
             (Self::Region, Value::Text(text)) => text.is_empty() || text.parse::<Region>().is_ok(),
             (Self::Utc, Value::Text(text)) => text.is_empty() || parse_utc(text).is_ok(),
             _ => false,
@@ -107,7 +113,7 @@ impl Parameter {
         self.get_of(config, self.table())
     }
 
-    /// The same of another camera's table.
+    /// The same of another camera's or output's table.
     pub(super) fn get_of(&self, config: &Config, table: &str) -> Option<Value> {
         (self.get)(config, table)
     }
@@ -142,7 +148,7 @@ impl Parameter {
         }
     }
 
-    /// As [`set`](Self::set), for the camera of a table where it is a camera's.
+    /// As [`set`](Self::set), for the camera or output of a table where it is such a one's.
     pub(super) fn set_from_toml(
         &self,
         config: &mut Config,
@@ -170,6 +176,7 @@ impl Parameter {
             Allowed::Region => {
                 r#"column and row of its corner, width and height, such as "100,50,640,480""#.into()
             }
+            Allowed::Destination => Destination::EXPECTED.into(),
             Allowed::Utc => Utc::EXPECTED.into(),
         }
     }
@@ -179,7 +186,11 @@ impl Parameter {
         let expected = match self.allowed {
             Allowed::Number(..) => format!("a number from {} {unit}", self.range()),
             Allowed::Whole(..) => format!("a whole number from {} {unit}", self.range()),
-            Allowed::Name(_) | Allowed::Utc | Allowed::Region | Allowed::Source => self.range(),
+            Allowed::Name(_)
+            | Allowed::Utc
+            | Allowed::Region
+            | Allowed::Source
+            | Allowed::Destination => self.range(),
             Allowed::Text => "a text".into(),
         };
         Refused {

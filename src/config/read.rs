@@ -1,7 +1,7 @@
 //! The configuration from its TOML file: every error that it has, each with the file, the key and what was expected.
 
 use super::value::{self, Field, Value};
-use super::{Config, ConfiguredCamera, Parameter, by_key, parameters};
+use super::{Config, ConfiguredCamera, Outputs, Parameter, by_key, parameters};
 use crate::instrument::toml_file::{parse_loosely, read_text, unknown_key};
 use crate::instrument::{Role, TomlError};
 use std::path::Path;
@@ -31,7 +31,10 @@ impl Config {
             toml::Table::new()
         });
         for (table, content) in document {
-            config.read_table(path, &table, content, &mut errors);
+            match &*table {
+                Outputs::TABLE => config.read_outputs(path, &content, &mut errors),
+                table => config.read_table(path, table, content, &mut errors),
+            }
         }
         if !config.site.is_complete_or_empty() {
             let expected = "latitude_deg, longitude_deg and height_m together or none of them";
@@ -59,16 +62,41 @@ impl Config {
                         return;
                     }
                 }
-                let mut keyed = |(name, value): (&String, &toml::Value)| {
-                    self.read_value(path, table, name, value)
-                };
-                errors.extend(values.iter().filter_map(|pair| keyed(pair).err()));
+                self.read_values(path, table, &values, errors);
             }
             _ if !is_known => errors.push(unknown(path, table)),
             other => {
                 errors.push(TomlError::new(path, table, "a table", value::found(&other)));
             }
         }
+    }
+
+    fn read_outputs(&mut self, path: &Path, content: &toml::Value, errors: &mut Vec<TomlError>) {
+        let tables = content.as_array().map(|tables| {
+            let tables = tables.iter().map(toml::Value::as_table);
+            tables.collect::<Option<Vec<_>>>()
+        });
+        let Some(Some(tables)) = tables else {
+            let (expected, found) = ("tables [[output]]", value::found(content));
+            errors.push(TomlError::new(path, Outputs::TABLE, expected, found));
+            return;
+        };
+        for (n, values) in tables.into_iter().enumerate() {
+            let name = self.outputs.of_table(n);
+            self.read_values(path, &name, values, errors);
+        }
+    }
+
+    fn read_values(
+        &mut self,
+        path: &Path,
+        table: &str,
+        values: &toml::Table,
+        errors: &mut Vec<TomlError>,
+    ) {
+        let mut keyed =
+            |(name, value): (&String, &toml::Value)| self.read_value(path, table, name, value);
+        errors.extend(values.iter().filter_map(|pair| keyed(pair).err()));
     }
 
     /// Takes the role of a camera's table: a table of a name that tells no role, ending in `_camera`, adds a camera.
@@ -108,9 +136,12 @@ impl Config {
         value: &toml::Value,
     ) -> Result<(), TomlError> {
         let key = format!("{table}.{name}");
+        // All cameras have the same parameters, and so have all outputs.
         let parameter = match self.cameras.named(table) {
-            // All cameras have the same parameters.
             Some(_) => by_key(&format!("{}.{name}", self.cameras.first().name)),
+            None if self.outputs.named(table).is_some() => {
+                by_key(&format!("{}.{name}", Outputs::TABLE))
+            }
             None => by_key(&key),
         };
         parameter
@@ -155,6 +186,7 @@ mod tests {
     use crate::camera::PixelFormat;
     use crate::fits::Compression;
     use crate::frame::Region;
+    use crate::output::Format;
     use crate::units::Place;
     use std::path::PathBuf;
 
@@ -289,6 +321,20 @@ mod tests {
     }
 
     #[test]
+    fn there_may_be_any_number_of_outputs() {
+        let text = "[[output]]\nto = \"udp:10.0.0.1:5000\"\n[[output]]\nto = \"serial:/dev/ttyS1\"\nformat = \"nmea\"\nbaud = 4800\n";
+        let config = parse(text).unwrap();
+        let outputs: Vec<_> = config.outputs.flying().collect();
+        let [(first, udp), (second, serial)] = &outputs[..] else {
+            panic!("{outputs:?}");
+        };
+        assert_eq!((&**first, &**second), ("output", "output-2"));
+        assert_eq!((udp.format, udp.baud), (Format::Jsonl, 115_200));
+        assert_eq!((serial.format, serial.baud), (Format::Nmea, 4800));
+        assert_eq!(parse("").unwrap().outputs.flying().count(), 0);
+    }
+
+    #[test]
     fn an_empty_port_is_none() {
         assert_eq!(parse("[link]\nport = \"\"\n").unwrap().link.port, None);
     }
@@ -345,6 +391,29 @@ mod tests {
         ("[link]\nport = 3\n", &["link.port", "a text", "3"]),
         ("[link]\nport = [1]\n", &["link.port", "a text"]),
         ("camera = 3\n", &["camera", "a table", "3"]),
+        (
+            "[output]\nformat = \"nmea\"\n",
+            &["output: expected tables [[output]]", "type table"],
+        ),
+        ("output = [3]\n", &["output: expected tables [[output]]"]),
+        (
+            "[[output]]\nto = \"tcp:10.0.0.1:5000\"\n",
+            &[
+                "output.to: expected udp:HOST:PORT",
+                "found \"tcp:10.0.0.1:5000\"",
+            ],
+        ),
+        (
+            "[[output]]\n[[output]]\nformat = \"csv\"\n",
+            &[
+                "output-2.format: expected \"jsonl\", \"nmea\" or \"ccsds\"",
+                "found \"csv\"",
+            ],
+        ),
+        (
+            "[[output]]\n[[output]]\nfromat = \"nmea\"\n",
+            &["output-2.fromat", "\"output.format\""],
+        ),
         ("[site]\nlatitude_deg = 3\n", &["site", "height_m"]),
         ("[camera\n", &["valid TOML", "line 1"]),
     ];

@@ -11,10 +11,11 @@ use super::value::Field;
 use crate::archive::{Overflow, Sharing};
 use crate::camera::PixelFormat;
 use crate::fits::Compression;
+use crate::output::Format;
 use Allowed::{Name, Number, Text, Utc, Whole};
 use std::sync::LazyLock;
 
-/// A row of a field of the configuration, `table.field`, or of one of the configured cameras, `[table].field`.
+/// A row of a field of the configuration, `table.field`, of one of the configured cameras, `[table].field`, or of one of the outputs, `{table}.field`.
 macro_rules! row {
     ($home:tt . $field:ident, $unit:literal, $allowed:expr, command $command:literal, $documentation:expr) => {
         row!(@ $home.$field, ($unit, $allowed, Some($command), None, $documentation))
@@ -30,6 +31,15 @@ macro_rules! row {
             |config, table| config.cameras.named(table)?.$field.value(),
             |config, table, value| {
                 config.cameras.named_mut(table)?.$field = Field::from_value(value)?;
+                Some(())
+            }
+        )
+    };
+    (@ {$table:ident} . $field:ident, $said:tt) => {
+        row!(= $table.$field, $said,
+            |config, table| config.outputs.named(table)?.$field.value(),
+            |config, table, value| {
+                config.outputs.named_mut(table)?.$field = Field::from_value(value)?;
                 Some(())
             }
         )
@@ -212,6 +222,13 @@ static TABLE: &[Parameter] = &[
     row!(navigation.max_sigma_arcsec, "arcsec", Number(0.25, 7000.0), command 51,
         "An inertial offset with a larger sigma than this, per axis, is not sent."),
 
+    row!({output}.to, "", Allowed::Destination, sample Sample::Text("udp:192.168.1.30:5000"),
+        "Where an output goes that other programs read (docs/outputs.md): datagrams to a peer, a serial device, or the programs that connect by TCP, at most 8; unset, there is no such output. A reader that is away or slow costs messages, which are counted, and never holds up the flight."),
+    row!({output}.format, "", Name(Format::NAMES),
+        "What the output says: jsonl, a JSON object on a line for each solved frame; nmea, a sentence of NMEA 0183 for each solved frame; ccsds, a CCSDS space packet for each telemetry packet of the controller's line."),
+    row!({output}.baud, "baud", Whole(300, 4_000_000),
+        "Speed of the output's serial device."),
+
     row!(host.realtime_priority, "", Whole(1, 99), sample Sample::Number(10.0),
         "Priority of the solvers' threads among the real-time threads of the computer (FIFO); those of cameras, link, filter and sensors, which take microseconds, have one more; unset, they have normal priority. Needs CAP_SYS_NICE or LimitRTPRIO of the unit; without it the flight continues with a warning."),
     row!(host.memory, "", Name(Memory::NAMES),
@@ -330,6 +347,7 @@ mod tests {
             Text => vec![Value::Text("somewhere/else".into())],
             Allowed::Source => vec![Value::Text("gige:BOBCAT7".into())],
             Allowed::Region => vec![Value::Text("0,10,640,480".into())],
+            Allowed::Destination => vec![Value::Text("tcp-listen:0.0.0.0:5000".into())],
             Utc => vec![Value::Text("2016-01-19T02:00:00.5Z".into())],
         }
     }
@@ -345,6 +363,7 @@ mod tests {
             Text => vec![Value::Whole(0), Value::Number(0.5)],
             Allowed::Source => vec![Value::Text("gige:".into()), Value::Whole(7)],
             Allowed::Region => vec![Value::Text("0,10,0,480".into()), Value::Whole(7)],
+            Allowed::Destination => vec![Value::Text("/dev/ttyS0".into()), Value::Whole(7)],
             Utc => vec![Value::Text("yesterday".into()), Value::Whole(2013)],
         };
         if let Whole(_, high) = parameter.allowed {

@@ -7,6 +7,7 @@ use crate::clock::parse_utc;
 use crate::fits::Compression;
 use crate::frame::Region;
 use crate::instrument::Role;
+use crate::output::{Destination, Format};
 use jiff::Timestamp;
 use std::fmt;
 use std::path::PathBuf;
@@ -156,6 +157,7 @@ macro_rules! named_field {
 
 named_field!(
     Compression,
+    Format,
     Memory,
     Overflow,
     PixelFormat,
@@ -164,22 +166,19 @@ named_field!(
     Switch
 );
 
-impl Field for Region {
-    fn value(&self) -> Option<Value> {
-        Some(Value::Text(self.to_string()))
-    }
+/// A field that is written as it is read.
+macro_rules! parsed_field {
+    ($($type:ty),*) => {$(
+        impl Field for $type {
+            fn value(&self) -> Option<Value> {
+                Some(Value::Text(self.to_string()))
+            }
 
-    fn from_value(value: Option<Value>) -> Option<Self> {
-        String::from_value(value)?.parse().ok()
-    }
+            fn from_value(value: Option<Value>) -> Option<Self> {
+                String::from_value(value)?.parse().ok()
+            }
+        }
+    )*};
 }
 
-impl Field for Source {
-    fn value(&self) -> Option<Value> {
-        Some(Value::Text(self.to_string()))
-    }
-
-    fn from_value(value: Option<Value>) -> Option<Self> {
-        String::from_value(value)?.parse().ok()
-    }
-}
+parsed_field!(Destination, Region, Source);

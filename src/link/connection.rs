@@ -4,6 +4,7 @@ use super::guard::{Guard, Peer};
 use super::port::{BytePort, PortError, SerialPort};
 use super::udp::{LocalEnd, UdpPort};
 use crate::backoff::Backoff;
+use std::fmt;
 use std::net::SocketAddr;
 use std::str::FromStr;
 use std::time::Duration;
@@ -51,6 +52,22 @@ impl FromStr for PortAddress {
         match peer.parse::<SocketAddr>() {
             Ok(peer) if peer.port() > 0 => Ok(Self::Udp { peer, local_port }),
             _ => Err(refused()),
+        }
+    }
+}
+
+impl fmt::Display for PortAddress {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Serial { name } => out.write_str(name),
+            Self::Udp {
+                peer,
+                local_port: None,
+            } => write!(out, "udp:{peer}"),
+            Self::Udp {
+                peer,
+                local_port: Some(port),
+            } => write!(out, "udp:{peer}@{port}"),
         }
     }
 }

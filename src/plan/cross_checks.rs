@@ -2,8 +2,9 @@
 
 use super::Remarks;
 use crate::camera::{Backlog, Source};
-use crate::config::{self, Config, ConfiguredCamera};
+use crate::config::{self, Config, ConfiguredCamera, Output, Outputs};
 use crate::instrument::Role;
+use crate::output::Destination;
 use std::path::{Path, PathBuf};
 
 pub(super) fn check(config: &Config, remarks: &mut Remarks) {
@@ -27,6 +28,7 @@ pub(super) fn check(config: &Config, remarks: &mut Remarks) {
     archive(&config.archive, remarks);
     link(config, remarks);
     navigation(&config.navigation, remarks);
+    outputs(config, remarks);
     if config.site.place().is_none() {
         remarks.warn(
             "site",
@@ -191,5 +193,19 @@ fn navigation(own: &config::Navigation, remarks: &mut Remarks) {
     if own.is_enabled() && own.settings.is_some() && own.gps_port.is_none() {
         let expected = "a GPS receiver: without a fix the filter never begins";
         remarks.warn("navigation.gps_port", expected, "none");
+    }
+}
+
+fn outputs(config: &Config, remarks: &mut Remarks) {
+    for (name, output) in config.outputs.iter() {
+        // A file has said something of it, but not where it goes.
+        if output.to.is_none() && (name != Outputs::TABLE || *output != Output::default()) {
+            let expected = Destination::EXPECTED;
+            remarks.warn(
+                &format!("{name}.to"),
+                expected,
+                "none: there is no such output",
+            );
+        }
     }
 }

@@ -56,6 +56,11 @@ impl fmt::Display for Plan {
                 }
             )?;
         }
+        for (_, output) in self.config.outputs.flying() {
+            if let Some(to) = &output.to {
+                writeln!(out, "output: {} to {to}", output.format.name())?;
+            }
+        }
         let archive = &self.config.archive;
         let folders: Vec<String> = self
             .folders()

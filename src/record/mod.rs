@@ -345,6 +345,11 @@ impl LoggedRow {
     pub const THIS_DISK: &'static str = "this";
     pub const OTHER_DISK: &'static str = "other";
 
+    /// The quality as a number: 0 none, 1 coarse, 2 fine.
+    pub fn quality_code(&self) -> u8 {
+        quality_code(self.quality)
+    }
+
     /// Names of the log's columns, each with its unit.
     pub fn csv_columns() -> Vec<&'static str> {
         columns(&LOG_BEFORE)
@@ -392,7 +397,7 @@ numbers! {
     UTC: text(|r| Some(utc_text(r.record.utc?, 3).into())).column("utc", All);
     TIME: number(|r| r.record.utc.map(|utc| utc.time.as_nanosecond() as f64 * 1e-9)).field("TIME", "s", "mid-exposure, UTC since 1970");
     QUALITY: text(|r| Some(r.record.quality.into())).column("quality", All).keyword("QUALITY", "", "fine, coarse or none");
-    QUALITY_CODE: code(|r| quality_code(r.quality)).field("QUALITY", "", "quality: 0 none, 1 coarse, 2 fine");
+    QUALITY_CODE: code(LoggedRow::quality_code).field("QUALITY", "", "quality: 0 none, 1 coarse, 2 fine");
     STOPPED: code(|r| r.stopped.map_or(0, stage_code))
         .field("STOPPED", "", "stopped at: 0 nowhere, 1 levels, 2 limb, 3 marks, 4 identification, 5 registration, 6 aspect, 7 pointing");
     REASON: text(|r| Some(r.record.reason_text()?.into())).column("reason", All).keyword("REASON", "", "why the frame went no further");

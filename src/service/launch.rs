@@ -8,6 +8,7 @@ use super::messages::{
     Answer, Glimpse, Hears, LinkEvent, NavigationRows, Station, TakesSamples, UnsolvedFrame,
 };
 use super::navigation::{Inputs, Navigator};
+use super::outputs::{self, Outputs};
 use super::priority::Rank;
 use super::shared::Shared;
 use super::shutter::Shutter;
@@ -71,6 +72,8 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
     };
     let (archive, disks) = archiver::start(stores, &around)?;
     flight.config.host.hold();
+    let (outputs, output_gauges, writers) =
+        outputs::start(&flight.config.outputs, &signals.hang_up)?;
     let (to_line, events) = bounded(LINK_EVENTS);
     let mut crew = Crew {
         host: flight.config.host,
@@ -82,9 +85,11 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
         tallies: Tallies {
             counters,
             archive: archive.gauges(),
+            outputs: output_gauges,
             ..Tallies::default()
         },
         archive,
+        outputs,
         shelf: Shelf::default(),
         inputs: None,
         cameras: Vec::new(),
@@ -96,7 +101,8 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
         crew.add(station, camera)?;
     }
     let tallies = crew.tallies.clone();
-    let watch = crew.watch(navigation, disks, line, &sha256(&configuration));
+    let threads = (disks, line, writers);
+    let watch = crew.watch(navigation, threads, &sha256(&configuration));
     Ok(Service {
         watch: spawn("watch", move || watch.run())?,
         values,
@@ -136,6 +142,7 @@ struct Crew {
     controls: Controls,
     ephemeris: Ephemeris,
     archive: Archive,
+    outputs: Outputs,
     to_line: Sender<LinkEvent>,
     watcher: Option<Sender<Answer>>,
     signals: Arc<Signals>,
@@ -192,6 +199,7 @@ impl Crew {
             counters: Arc::clone(&self.tallies.counters),
             moon_desk: self.shelf.moon.clone(),
             navigation: navigation.map(|inputs| Arc::new(inputs) as Arc<dyn TakesSamples>),
+            outputs: Arc::new(self.outputs.clone()),
         };
         let (host, hang_up) = (self.host, Arc::clone(&self.signals.hang_up));
         // Held by one life after the other: the port outlives a thread that panicked.
@@ -210,8 +218,7 @@ impl Crew {
     fn watch(
         self,
         (navigation, navigation_rows): (Vec<Worker>, Receiver<NavigationRows>),
-        disks: archiver::Threads,
-        line: Worker,
+        (disks, line, outputs): (archiver::Threads, Worker, Vec<Worker>),
         configuration_sha256: &str,
     ) -> Watch {
         let (controls, moon_desk) = (self.controls.clone(), self.shelf.moon);
@@ -222,6 +229,7 @@ impl Crew {
             navigation_rows,
             disks,
             line,
+            outputs,
             archive: Some(self.archive),
             to_line: self.to_line,
             controls: self.controls,
@@ -258,6 +266,7 @@ impl Crew {
         }
         hearers.push(Arc::new(tallies.recent.clone()));
         hearers.push(Arc::new(self.archive.clone()));
+        hearers.push(Arc::new(self.outputs.clone()));
         if let Some(watcher) = &self.watcher {
             hearers.push(Arc::new(watcher.clone()));
         }

@@ -14,7 +14,9 @@ mod moon;
 mod outcome;
 mod picture;
 
-use super::messages::{LinkEvent, MoonDesk, Outcome, PropagatedEvent, TakesSamples};
+use super::messages::{
+    HearsTelemetry, LinkEvent, MoonDesk, Outcome, PropagatedEvent, TakesSamples,
+};
 use super::shared::Shared;
 use super::tally::{LineTally, note_latency};
 use super::worker::Life;
@@ -22,7 +24,7 @@ use crate::commands::controls::{Controls, Topic};
 use crate::config;
 use crate::link::Counters;
 use crate::link::{
-    Computer, Connection, Direction, Exposure, FrameMarks, LinkState, MessageError, Parser,
+    Computer, Connection, Direction, Exposure, FrameMarks, LinkState, MessageError, Packet, Parser,
     PortError, Responder, TelemetryPacket,
 };
 use crate::log::worth_a_line;
@@ -53,6 +55,8 @@ pub(super) struct Surroundings {
     pub moon_desk: Shared<MoonDesk>,
     /// Where samples of the IMU go; `None` where no filter flies.
     pub navigation: Option<Arc<dyn TakesSamples>>,
+    /// Who hears the telemetry, too.
+    pub outputs: Arc<dyn HearsTelemetry>,
 }
 
 pub(super) struct Line<'a> {
@@ -80,6 +84,7 @@ pub(super) struct Line<'a> {
     moon_requests: MoonRequests,
     /// Where samples of the IMU go; `None` where no filter flies.
     navigation: Option<Arc<dyn TakesSamples>>,
+    outputs: Arc<dyn HearsTelemetry>,
 }
 
 impl<'a> Line<'a> {
@@ -90,6 +95,7 @@ impl<'a> Line<'a> {
             counters,
             moon_desk,
             navigation,
+            outputs,
         } = around;
         let version = controls.version(Topic::Link);
         let settings = controls.config().link;
@@ -119,6 +125,7 @@ impl<'a> Line<'a> {
             moon_desk,
             moon_requests: MoonRequests::default(),
             navigation,
+            outputs,
         }
     }
 
@@ -188,8 +195,10 @@ impl<'a> Line<'a> {
     /// Tells the ground how all is; whether the port took it.
     fn tell(&mut self, packet: Result<TelemetryPacket, MessageError>) -> bool {
         match packet {
-            _ if self.backlog() > BACKLOG => false,
-            Ok(packet) => self.send(&packet.encode()),
+            Ok(packet) => {
+                self.outputs.hear_telemetry(&packet);
+                self.backlog() <= BACKLOG && self.send(&packet.encode())
+            }
             Err(error) => {
                 self.note_unsaid(&error, "the ground was not told");
                 false
@@ -202,7 +211,10 @@ impl<'a> Line<'a> {
         self.marks.clear();
         for one in marks {
             match one.packet(time) {
-                Ok(packet) => self.marks.push_back(packet.encode()),
+                Ok(packet) => {
+                    self.outputs.hear_telemetry(&packet);
+                    self.marks.push_back(packet.encode());
+                }
                 Err(error) => self.note_unsaid(&error, "the ground was not told"),
             }
         }
@@ -233,7 +245,8 @@ impl<'a> Line<'a> {
                 }
                 return;
             };
-            self.send(&part);
+            self.outputs.hear_telemetry(&part);
+            self.send(&part.encode());
         }
     }
 
@@ -352,12 +365,20 @@ impl<'a> Line<'a> {
         match self.responder.stopped(Timestamp::now()) {
             Ok(packets) if packets.is_empty() => {}
             Ok(packets) => {
-                for packet in packets {
-                    self.send(&packet);
-                }
+                self.answer(&packets);
                 self.note_conversation();
             }
             Err(error) => self.note_unsaid(&error, "a command was not answered"),
+        }
+    }
+
+    /// Sends answers to commands: receipts and results, and what commands ask for.
+    fn answer(&mut self, packets: &[Vec<u8>]) {
+        for packet in packets {
+            if let Ok(Packet::Telemetry(packet)) = Packet::decode(Direction::ToController, packet) {
+                self.outputs.hear_telemetry(&packet);
+            }
+            self.send(packet);
         }
     }
 

@@ -118,6 +118,11 @@ pub(super) trait Hears: Send + Sync {
     fn hear(&self, answer: &Answer);
 }
 
+/// Somebody who is told of every telemetry packet that the line carries.
+pub(super) trait HearsTelemetry: Send + Sync {
+    fn hear_telemetry(&self, packet: &TelemetryPacket);
+}
+
 /// Somebody who takes samples of the IMU.
 pub(super) trait TakesSamples: Send + Sync {
     /// Takes a packet that was read at a time.

@@ -4,12 +4,13 @@
 //!             frames (8)               pictures (queue_frames)
 //!  camera-1 ---------------> solver-1 ------------------------> archive-1, archive-2    frames
 //!     |  ^                     | |  | \_______ rows (10,000) ______> log-1, log-2         log, telemetry, housekeeping
-//!     |  \__ Glimpse __________/ |  |
-//!     |                          |  \___ directions __
-//!     |     LinkEvent (256)      |                    v
+//!     |  \__ Glimpse __________/ |  |\______ solutions (256) _____> output-1, output-2       what others read
+//!     |                          |  \___ directions __         ^
+//!     |     LinkEvent (256)      |                    v        | telemetry
 //!     +--------------------------+-> link --- IMU --> navigation <--- gps, imu     sensors with lines of their own
-//!                                    ^ ^     inputs (1024)  |
-//!        controller, over a byte port| \_____ offsets ______/
+//!                                    ^ ^ \ inputs (1024)    |   |
+//!                                    |  \ \______________________/
+//!        controller, over a byte port|   \___ offsets ______/
 //!
 //!  Controls (shared): what the ground sets; values: saves it
 //!  watch: looks after all of them, tells link and logs the housekeeping each second, feeds systemd's watchdog
@@ -19,7 +20,8 @@
 //! (`solvers`). Only solvers of a plate tell the controller. That of the first roll camera leaves the latest nadir where these look. That of the first Moon camera
 //! leaves what it saw where the link looks, which answers requests for the Moon with it. Where a navigation filter flies, its thread takes what
 //! IMU, GPS and solvers say, and tells the link an offset at some of the IMU's samples. Every disk of the archive has two threads; while it
-//! compresses a picture, the first may start `archive.threads` less one for it.
+//! compresses a picture, the first may start `archive.threads` less one for it. Every output that others read has a thread, which has the processor when all others leave it;
+//! it writes to its readers and keeps no one waiting, nor is it waited for, but for a moment at the end.
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
@@ -30,10 +32,11 @@
 //! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
 //! | inputs | samples, fixes and directions for the filter | the input is lost and counted: no solver and no line waits for the filter |
 //! | navigation's rows | what the archive keeps of it, a second at a time, from navigation to watch (64), and on among the rows | the rows are lost and counted |
+//! | solutions, telemetry | what an output says: solved frames, or the telemetry of the line | the message is dropped and counted: no solver and no line waits for a reader |
 //! | LinkEvent | exposures about to start, solutions, offsets by the gyros, housekeeping, counts of further cameras, ids of marks, pictures | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
-//! the last of its work. The link goes on answering commands until the service is joined.
+//! the last of its work. Link and outputs go on until the service is joined.
 //!
 //! A thread that panics is started again. So is a camera, a solver or the filter that shows no sign of life for a while, with the
 //! same channels; the one that hangs is left alone. While three of them hang, the next is not replaced; where no camera is solved
@@ -52,6 +55,7 @@ mod launch;
 mod line;
 pub(crate) mod messages;
 mod navigation;
+mod outputs;
 pub mod priority;
 mod shared;
 mod shutter;
@@ -69,8 +73,8 @@ pub use flight::{CameraFactory, ClaimError, Flight, FlightCamera, Navigation, No
 pub use launch::Service;
 pub use messages::{Answer, Found, SeenRoll, Solved, SolvedMoon, SolvedSun, Station};
 pub use tally::{
-    ArchiveTally, CameraSolved, CameraTally, FlightTally, LineTally, NavigationTally, SolverTally,
-    quantile,
+    ArchiveTally, CameraSolved, CameraTally, FlightTally, LineTally, NavigationTally, OutputTally,
+    SolverTally, quantile,
 };
 
 use crate::commands::controls::Controls;

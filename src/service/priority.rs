@@ -45,6 +45,18 @@ pub fn lock_memory() -> Result<(), NotGranted> {
     mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE).map_err(NotGranted::Memory)
 }
 
+/// Work for a thread that goes after all others: it takes the processor when they leave it (nice 10), whatever the configuration asks for.
+pub(super) fn unhurried(work: impl FnOnce(&Life) + Send + 'static) -> Job {
+    Box::new(move |life| {
+        const NICE: libc::c_int = 10;
+        // SAFETY: it takes three numbers. On Linux 0 is the calling thread, and threads have priorities of their own.
+        if unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICE) } != 0 {
+            tracing::warn!("the thread is scheduled like all others");
+        }
+        work(life);
+    })
+}
+
 /// Which of the hurried threads goes first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Rank {

@@ -2,6 +2,7 @@
 
 use super::archiver::Gauges;
 use super::messages::{Recent, Station, UnsolvedFrame};
+use super::outputs;
 use super::shared::Shared;
 use super::silence::Silence;
 use super::tally::{
@@ -20,6 +21,7 @@ pub(super) struct Tallies {
     pub archive: Gauges,
     pub line: Shared<LineTally>,
     pub navigation: Shared<NavigationTally>,
+    pub outputs: outputs::Gauges,
 }
 
 /// Those of a camera's threads.
@@ -55,6 +57,7 @@ impl Tallies {
             archive: self.archive.tally(),
             line,
             navigation: self.navigation.copy(),
+            outputs: self.outputs.tally(),
             log_lines_lost: crate::log::lost_lines(),
             ..FlightTally::default()
         };

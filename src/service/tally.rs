@@ -363,6 +363,33 @@ impl NavigationTally {
     }
 }
 
+/// What is counted of an output that others read.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct OutputTally {
+    /// As the configuration has it.
+    pub to: String,
+    pub format: &'static str,
+    /// Messages that went out, one for each reader.
+    pub sent: u64,
+    /// Messages that a reader did not take, that had none, or that found no room on their way.
+    pub dropped: u64,
+}
+
+impl OutputTally {
+    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            to,
+            format,
+            sent,
+            dropped,
+        } = self;
+        write!(
+            out,
+            "\noutput     {format} to {to}: {sent} sent, {dropped} dropped"
+        )
+    }
+}
+
 /// What a whole flight comes to.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FlightTally {
@@ -374,6 +401,8 @@ pub struct FlightTally {
     pub navigation: NavigationTally,
     pub archive: ArchiveTally,
     pub line: LineTally,
+    /// In the order of the configuration. What is dropped there is no loss: outputs wait for nobody.
+    pub outputs: Vec<OutputTally>,
     /// Threads that panicked or hung, and were started again.
     pub restarts: u64,
     /// Of them, threads that hung.
@@ -438,7 +467,8 @@ impl fmt::Display for FlightTally {
         }
         self.navigation.tell(&self.counts, out)?;
         self.archive.tell(&self.counts, out)?;
-        self.line.tell(&self.counts, out)
+        self.line.tell(&self.counts, out)?;
+        self.outputs.iter().try_for_each(|output| output.tell(out))
     }
 }
 

@@ -60,6 +60,8 @@ pub(super) struct Watch {
     pub navigation_rows: Receiver<NavigationRows>,
     pub disks: archiver::Threads,
     pub line: Worker,
+    /// Of the outputs that others read. Nothing waits for them but the end, for a moment.
+    pub outputs: Vec<Worker>,
     /// Held until the last solver has ended.
     pub archive: Option<Archive>,
     pub to_line: Sender<LinkEvent>,
@@ -109,7 +111,7 @@ impl Watch {
         systemd.stopping();
         self.signals.hang_up.store(true, Ordering::Relaxed);
         let begin = Instant::now();
-        while self.line.look(Instant::now()) && begin.elapsed() < HANGING_UP {
+        while self.is_hanging_up(Instant::now()) && begin.elapsed() < HANGING_UP {
             thread::sleep(LOOK_EVERY);
         }
         let mut tally = self.tallies.tally();
@@ -119,6 +121,12 @@ impl Watch {
         tally.takeovers = self.takeovers();
         tally.gave_up = self.gave_up;
         tally
+    }
+
+    /// Whether the line or an output has more to say.
+    fn is_hanging_up(&mut self, now: Instant) -> bool {
+        let writing = worker::look(&mut self.outputs, now);
+        self.line.look(now) || writing
     }
 
     fn note_commands(&self) {
@@ -146,6 +154,7 @@ impl Watch {
         tracing::warn!(stopped_s, "the whole program was stopped for a while");
         let workers = self.cameras.iter().chain(&self.solvers);
         let workers = workers.chain(&self.navigation).chain([&self.line]);
+        let workers = workers.chain(&self.outputs);
         workers.for_each(Worker::excuse);
     }
 
@@ -185,6 +194,7 @@ impl Watch {
         }
         let storing = self.disks.look(now);
         self.line.look(now);
+        worker::look(&mut self.outputs, now);
         let restarts = self.restarts();
         self.signals.restarts.store(restarts, Ordering::Relaxed);
         let deadline = *self.signals.deadline.lock();
@@ -235,7 +245,7 @@ impl Watch {
 
     fn restarts(&self) -> u64 {
         let workers = self.cameras.iter().chain(&self.solvers);
-        let workers = workers.chain(&self.navigation);
+        let workers = workers.chain(&self.navigation).chain(&self.outputs);
         workers.map(Worker::restarts).sum::<u64>() + self.line.restarts() + self.disks.restarts()
     }
 }

@@ -12,7 +12,7 @@ fn names<'a>(xml: &'a str, element: &str) -> Vec<&'a str> {
 #[test]
 fn everything_of_the_tables_is_described() {
     let dictionary = Dictionary::default();
-    let (ksy, xtce) = (dictionary.kaitai(), dictionary.xtce());
+    let (ksy, xtce) = (dictionary.kaitai(), dictionary.xtce(Framing::Line));
     assert!(
         !ksy.contains('@') && !xtce.contains('@'),
         "a text is missing"
@@ -53,7 +53,40 @@ fn everything_of_the_tables_is_described() {
 
 #[test]
 fn names_occur_once() {
-    let xtce = Dictionary::default().xtce();
+    let dictionary = Dictionary::default();
+    let all = names_of(&dictionary.xtce(Framing::Line));
+    let telemetry = names_of(&dictionary.xtce(Framing::Ccsds));
+    assert!(all.iter().all(|count| *count > 5));
+    let [parameters, containers, commands, _, arguments] = telemetry;
+    assert_eq!((commands, arguments), (0, 0));
+    assert!(parameters > 100 && containers < all[1]);
+}
+
+#[test]
+fn a_space_packet_has_the_telemetry_of_the_aspect_system_behind_its_header() {
+    let dictionary = Dictionary::default();
+    let [line, ccsds] = [Framing::Line, Framing::Ccsds].map(|framing| dictionary.xtce(framing));
+    assert!(!ccsds.contains('@') && !ccsds.contains('|') && !line.contains('|'));
+    let containers = names(&ccsds, "SequenceContainer");
+    assert!(containers.contains(&"CCSDSPacket") && !containers.contains(&"TelemetryPacket"));
+    let others = ["TelemetryPacket", "CommandPacket", "ImuSample"];
+    for name in names(&line, "SequenceContainer") {
+        let is_message = line.contains(&format!(r#"name="{name}""#)) && {
+            let (_, rest) = line
+                .split_once(&format!(r#"<SequenceContainer name="{name}""#))
+                .unwrap();
+            rest.split_once("</SequenceContainer>")
+                .unwrap()
+                .0
+                .contains("message_key")
+        };
+        let is_left_out = is_message || others.contains(&name);
+        assert_eq!(containers.contains(&name), !is_left_out, "{name}");
+    }
+}
+
+/// How many parameters, containers, commands, and types of parameters and arguments there are, each with a name of its own.
+fn names_of(xtce: &str) -> [usize; 5] {
     let types = [
         "Integer",
         "Float",
@@ -65,20 +98,21 @@ fn names_occur_once() {
     let all = |role: &str| -> Vec<&str> {
         let kinds = types.iter();
         kinds
-            .flat_map(|kind| names(&xtce, &format!("{kind}{role}Type")))
+            .flat_map(|kind| names(xtce, &format!("{kind}{role}Type")))
             .collect()
     };
-    for names in [
-        names(&xtce, "Parameter"),
-        names(&xtce, "SequenceContainer"),
-        names(&xtce, "MetaCommand"),
+    [
+        names(xtce, "Parameter"),
+        names(xtce, "SequenceContainer"),
+        names(xtce, "MetaCommand"),
         all("Parameter"),
         all("Argument"),
-    ] {
+    ]
+    .map(|names| {
         let different: HashSet<&str> = names.iter().copied().collect();
-        assert!(names.len() > 5);
         assert_eq!(names.len(), different.len(), "{names:?}");
-    }
+        names.len()
+    })
 }
 
 #[test]

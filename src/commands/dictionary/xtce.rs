@@ -16,6 +16,36 @@ enum Role {
     Argument,
 }
 
+/// How packets are framed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Framing {
+    /// As on the controller's line.
+    Line,
+    /// As CCSDS space packets: the telemetry of the aspect system alone.
+    Ccsds,
+}
+
+impl Framing {
+    /// The container that every telemetry packet extends.
+    fn root(self) -> &'static str {
+        match self {
+            Self::Line => "TelemetryPacket",
+            Self::Ccsds => "CCSDSPacket",
+        }
+    }
+
+    /// The lines of a text that are for this framing: those that begin with its name and a bar, and those with no framing's.
+    fn lines(self, text: &str) -> String {
+        let [own, other] = match self {
+            Self::Line => ["line|", "ccsds|"],
+            Self::Ccsds => ["ccsds|", "line|"],
+        };
+        let lines = text.lines().filter(|line| !line.starts_with(other));
+        let lines = lines.map(|line| line.strip_prefix(own).unwrap_or(line));
+        lines.flat_map(|line| [line, "\n"]).collect()
+    }
+}
+
 /// What is added to the text: each definition once.
 #[derive(Default)]
 struct Added {
@@ -26,8 +56,9 @@ struct Added {
 
 impl Dictionary {
     /// The description: XML.
-    pub fn xtce(&self) -> String {
+    pub fn xtce(&self, framing: Framing) -> String {
         let mut added = Added::default();
+        let is_on_line = framing == Framing::Line;
         // Those of the header, which the text has.
         for (number, unit) in [(Number::U8, ""), (Number::U16, ""), (Number::U32, "ns")] {
             added.types.push(number_type(Role::Parameter, number, unit));
@@ -38,20 +69,19 @@ impl Dictionary {
             telemetry_type::PICTURE,
             telemetry_type::PICTURE_TAG,
         ];
-        for entry in self
-            .telemetry
-            .iter()
-            .filter(|entry| !by_hand.map(u16::from).contains(&entry.number))
-        {
+        let is_ours = |entry: &&Entry| entry.direction == Direction::ToController;
+        let generated = |entry: &&Entry| !by_hand.map(u16::from).contains(&entry.number);
+        let telemetry = self.telemetry.iter().filter(generated);
+        for entry in telemetry.filter(|entry| is_on_line || is_ours(entry)) {
             let mut limits = vec![("packet_type", "==", entry.number)];
-            if entry.number == u16::from(telemetry_type::RECEIPT) {
+            if is_on_line && entry.number == u16::from(telemetry_type::RECEIPT) {
                 limits.push(("packet_source", "==", id::ASPECT.into()));
             }
-            added.entry(entry, "", "TelemetryPacket", &limits);
+            added.entry(entry, "", framing.root(), &limits);
         }
         (1..=LAYOUT).for_each(|layout| self.layout(layout, &mut added));
-        let is_ours = |entry: &&Entry| entry.direction == Direction::ToController;
-        for entry in self.messages.iter().filter(is_ours) {
+        let messages = self.messages.iter().filter(is_ours);
+        for entry in messages.filter(|_| is_on_line) {
             added.entry(
                 entry,
                 "message_",
@@ -75,6 +105,7 @@ impl Dictionary {
             .map(message)
             .chain(self.commands.iter().map(aspect_command));
         let gaps = [
+            ("root", framing.root().to_owned()),
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("parameter_types", added.types.join("\n")),
             ("parameters", added.parameters.join("\n")),
@@ -82,7 +113,7 @@ impl Dictionary {
             ("argument_types", argument_types.join("\n")),
             ("commands", commands.collect::<Vec<_>>().join("\n")),
         ];
-        filled(include_str!("xtce.xml"), gaps)
+        filled(&framing.lines(include_str!("xtce.xml")), gaps)
     }
 
     /// What a layout of the housekeeping adds to the one before it.

@@ -5,7 +5,7 @@ mod judge;
 mod sentence;
 
 pub use judge::{Refusal, Refused};
-pub use sentence::Unreadable;
+pub use sentence::{Unreadable, summed};
 
 use super::measurement::{Climb, Fix};
 use crate::geometry::earth::{ecef_m, north_east_up};

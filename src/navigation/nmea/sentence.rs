@@ -106,9 +106,18 @@ fn is_address(text: &str) -> bool {
         .all(|byte| byte.is_ascii_uppercase() || byte.is_ascii_digit())
 }
 
+/// A sentence of the characters between `$` and `*`, with its checksum and end.
+pub fn summed(text: &str) -> String {
+    format!("${text}*{:02X}\r\n", checksum(text))
+}
+
+fn checksum(text: &str) -> u8 {
+    text.bytes().fold(0, |sum, byte| sum ^ byte)
+}
+
 fn checked(line: &str, star: usize) -> Piece {
     let (text, found) = (&line[..star], &line[star + 1..]);
-    let expected = text.bytes().fold(0, |sum, byte| sum ^ byte);
+    let expected = checksum(text);
     match u8::from_str_radix(found, 16) {
         Ok(sum) if sum == expected => Piece::Sentence(text.into()),
         _ => Piece::Unreadable(Unreadable::Checksum {

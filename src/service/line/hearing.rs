@@ -101,9 +101,7 @@ impl Line<'_> {
                     let result = format!("came again ({}): answered again", self.repeated);
                     self.note_commands(&packet, sender, &result);
                 }
-                for answer in answers {
-                    self.send(&answer);
-                }
+                self.answer(&answers);
             }
             Err(refusal) => self.refuse(refusal, Some(&packet), sender),
         }
@@ -147,9 +145,7 @@ impl Line<'_> {
                     let note = CommandNote::now(sender, command, result);
                     self.controls.note_command(note);
                 }
-                for answer in &reply.packets {
-                    self.send(answer);
-                }
+                self.answer(&reply.packets);
                 if reply.changed {
                     self.note_conversation();
                 }

@@ -1,6 +1,7 @@
 //! A picture on its way to the ground: it takes half of the line, and waits for everything else.
 
-use crate::link::Picture;
+use crate::link::packet::TELEMETRY_HEADER;
+use crate::link::{Picture, TelemetryPacket};
 use std::time::{Duration, Instant};
 
 /// The share of the line that pictures take.
@@ -34,17 +35,18 @@ impl PictureUnderWay {
     }
 
     /// The next part, where it is due and the `backlog` (bytes that the system has not passed on) leaves room for it.
-    pub fn next_due(&mut self, baud: u32, backlog: usize, now: Instant) -> Option<Vec<u8>> {
+    pub fn next_due(&mut self, baud: u32, backlog: usize, now: Instant) -> Option<TelemetryPacket> {
         if !self.pace.is_due(now) {
             return None;
         }
-        let bytes = self.picture.part(self.next_part)?.encode();
-        if backlog > 0 && time_on_line(backlog + bytes.len(), baud) > AHEAD {
+        let part = self.picture.part(self.next_part)?;
+        let bytes = TELEMETRY_HEADER + part.payload().len();
+        if backlog > 0 && time_on_line(backlog + bytes, baud) > AHEAD {
             return None;
         }
         self.next_part += 1;
-        self.pace.note(bytes.len(), baud, now);
-        Some(bytes)
+        self.pace.note(bytes, baud, now);
+        Some(part)
     }
 }
 

@@ -14,6 +14,7 @@ use crate::link::{
 };
 use crate::pointing::{Offset, Roll, Target};
 use crate::service::messages::SeenRoll;
+use crate::service::outputs::Outputs;
 use crate::units::{Measured, Rejected};
 use crossbeam_channel::{Sender, unbounded};
 use nalgebra::Matrix2;
@@ -90,6 +91,7 @@ fn around(controls: Controls, tally: &Shared<LineTally>, counters: &Arc<Counters
         counters: Arc::clone(counters),
         moon_desk: Shared::default(),
         navigation: None,
+        outputs: Arc::new(Outputs::default()),
     }
 }
 

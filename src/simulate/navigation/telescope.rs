@@ -7,6 +7,7 @@ use super::imu::{Imu, RATE_HZ};
 use super::{Drawn, ImuErrors, ImuRow, random};
 use crate::instrument::Instrument;
 use crate::link::ImuPacket;
+use crate::navigation::nmea::summed;
 use crate::pointing::{self, Difference, Horizontal, PointingError};
 use crate::simulate::Generator;
 use crate::simulate::flight::Course;
@@ -251,12 +252,6 @@ fn degrees_and_minutes(angle_deg: f64, digits: usize, [plus, minus]: [&str; 2]) 
     );
     let half = if angle_deg < 0.0 { minus } else { plus };
     format!("{degrees:0digits$.0}{minutes:09.6},{half}")
-}
-
-/// A sentence with its checksum.
-fn summed(body: &str) -> String {
-    let sum = body.bytes().fold(0, |sum, byte| sum ^ byte);
-    format!("${body}*{sum:02X}\r\n")
 }
 
 #[cfg(test)]

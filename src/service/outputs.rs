@@ -1,0 +1,188 @@
+//! Outputs that others read: each has a thread and a queue of its own. Nobody waits for one: what its queue has no room for, and what its
+//! reader does not take, is dropped and counted.
+
+use super::messages::{Answer, Found, Hears, HearsTelemetry};
+use super::priority::unhurried;
+use super::tally::OutputTally;
+use super::worker::{Life, Worker};
+use crate::config;
+use crate::link::TelemetryPacket;
+use crate::log::worth_a_line;
+use crate::output::{Destination, Encoder, Endpoint, Format, Message, Report};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+/// Messages that may wait for an output: ten seconds' worth of one camera at 26 frames/s.
+const WAITING: usize = 256;
+/// How long a thread waits for a message before it looks after its readers.
+const PATIENCE: Duration = Duration::from_millis(50);
+/// What waits for longer than this after the end is dropped.
+const LAST_WORDS: Duration = Duration::from_millis(200);
+
+/// Where messages are handed to the outputs.
+#[derive(Clone, Default)]
+pub(super) struct Outputs(Arc<[Output]>);
+
+/// An output, as the others see it.
+struct Output {
+    format: Format,
+    queue: Sender<Message>,
+    counts: Arc<Counts>,
+}
+
+/// What is counted of an output. No lock: its thread may be put off for long, and nobody may wait for it.
+struct Counts {
+    to: Destination,
+    format: Format,
+    sent: AtomicU64,
+    dropped: AtomicU64,
+}
+
+/// What is counted of all outputs.
+#[derive(Clone, Default)]
+pub(super) struct Gauges(Vec<Arc<Counts>>);
+
+impl Gauges {
+    pub fn tally(&self) -> Vec<OutputTally> {
+        let tally = |counts: &Arc<Counts>| OutputTally {
+            to: counts.to.to_string(),
+            format: counts.format.name(),
+            sent: counts.sent.load(Ordering::Relaxed),
+            dropped: counts.dropped.load(Ordering::Relaxed),
+        };
+        self.0.iter().map(tally).collect()
+    }
+}
+
+impl Counts {
+    fn note_dropped(&self, messages: u64) {
+        let dropped = self.dropped.fetch_add(messages, Ordering::Relaxed) + messages;
+        if messages > 0 && worth_a_line(dropped) {
+            let (to, format) = (&self.to, self.format.name());
+            tracing::warn!(%to, format, dropped, "an output's reader does not follow");
+        }
+    }
+}
+
+/// Starts the threads of the outputs. They end when they are told to `hang_up` and have written what waits.
+pub(super) fn start(
+    outputs: &config::Outputs,
+    hang_up: &Arc<AtomicBool>,
+) -> std::io::Result<(Outputs, Gauges, Vec<Worker>)> {
+    let (mut ends, mut gauges, mut workers) = (Vec::new(), Gauges::default(), Vec::new());
+    for (number, (_, output)) in (1..).zip(outputs.flying()) {
+        let Some(to) = output.to.clone() else {
+            continue;
+        };
+        let (queue, messages) = bounded(WAITING);
+        let (format, baud) = (output.format, output.baud);
+        let counts = Arc::new(Counts {
+            to,
+            format,
+            sent: AtomicU64::new(0),
+            dropped: AtomicU64::new(0),
+        });
+        gauges.0.push(Arc::clone(&counts));
+        let own = Arc::clone(&counts);
+        let hang_up = Arc::clone(hang_up);
+        // Nobody else can do what it waits for, if it does.
+        workers.push(Worker::start(
+            format!("output-{number}"),
+            None,
+            move || {
+                let (messages, hang_up) = (messages.clone(), Arc::clone(&hang_up));
+                let mut writing = Writing {
+                    endpoint: Endpoint::new(&own.to, baud),
+                    encoder: Encoder::new(own.format),
+                    counts: Arc::clone(&own),
+                    start: Instant::now(),
+                };
+                unhurried(move |life| writing.run(&messages, &hang_up, life))
+            },
+        )?);
+        ends.push(Output {
+            format,
+            queue,
+            counts,
+        });
+    }
+    Ok((Outputs(ends.into()), gauges, workers))
+}
+
+impl Outputs {
+    /// Hands a message to those that tell of it. It is made where one does.
+    fn hand_on(&self, tells: impl Fn(Format) -> bool, message: impl FnOnce() -> Message) {
+        if !self.0.iter().any(|output| tells(output.format)) {
+            return;
+        }
+        let message = message();
+        for output in self.0.iter().filter(|output| tells(output.format)) {
+            if output.queue.try_send(message.clone()).is_err() {
+                output.counts.note_dropped(1);
+            }
+        }
+    }
+}
+
+impl Hears for Outputs {
+    fn hear(&self, answer: &Answer) {
+        if matches!(answer.solved.found, Found::Nothing) {
+            return;
+        }
+        self.hand_on(Format::tells_solutions, || {
+            Message::Solution(Arc::new(Report {
+                camera: answer.station.camera.name.clone(),
+                number: answer.station.number,
+                row: answer.row(),
+            }))
+        });
+    }
+}
+
+impl HearsTelemetry for Outputs {
+    fn hear_telemetry(&self, packet: &TelemetryPacket) {
+        self.hand_on(Format::tells_telemetry, || {
+            Message::Telemetry(Arc::new(packet.clone()))
+        });
+    }
+}
+
+/// One life of an output's thread.
+struct Writing {
+    endpoint: Endpoint,
+    encoder: Encoder,
+    counts: Arc<Counts>,
+    start: Instant,
+}
+
+impl Writing {
+    fn run(&mut self, messages: &Receiver<Message>, hang_up: &AtomicBool, life: &Life) {
+        let mut ended = None;
+        loop {
+            life.beat();
+            self.endpoint.look(self.start.elapsed());
+            if hang_up.load(Ordering::Relaxed) {
+                ended.get_or_insert_with(Instant::now);
+            }
+            let is_late = ended.is_some_and(|ended: Instant| ended.elapsed() > LAST_WORDS);
+            match messages.recv_timeout(PATIENCE) {
+                Ok(_) if is_late => self.counts.note_dropped(1),
+                Ok(message) => self.write(&message),
+                Err(_) if ended.is_some() => return,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(PATIENCE),
+            }
+        }
+    }
+
+    fn write(&mut self, message: &Message) {
+        let Some(bytes) = self.encoder.encode(message) else {
+            return self.counts.note_dropped(1);
+        };
+        let went = self.endpoint.send(&bytes, self.start.elapsed());
+        self.counts.sent.fetch_add(went.sent, Ordering::Relaxed);
+        self.counts.note_dropped(went.dropped);
+    }
+}
