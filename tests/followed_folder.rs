@@ -349,7 +349,7 @@ fn flight(folder: &Path, archive: &Path, rate_hz: f64) -> Flight {
     let around = Surroundings {
         sees: camera.sees.clone(),
         seed: 1,
-        start: None,
+        clock: solaspect::clock::FlightClock::default(),
         duration: None,
         speed: 1.0,
         taken: TakenFiles::default(),
