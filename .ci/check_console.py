@@ -689,6 +689,31 @@ def a_line_of_6_kb_per_s_is_enough(browser, demo):
     assert max(lag) < 8000, f"expected events less than 8 s old, found {max(lag) / 1000:.1f} s"
 
 
+# ---- training
+
+
+def faults_are_put_on_the_demo_and_end(browser, demo):
+    browser.open(demo, "now")
+    browser.log_in()
+    for fault, rule in (("camera_dead", "silent_s"), ("disk_full", "unstored"), ("line_cut", "silence")):
+        button, sentence = f"#fault-{fault}", f"document.querySelector('#sentences [data-rule={rule}]')"
+        browser.says(f"{button}-state", "^off$")
+        browser.there(f"!{sentence} && !document.querySelector('{button}').disabled", f"nothing of {rule} before", 90)
+        browser.click(button)
+        browser.says(f"{button}-state", "on")
+        begun = time.monotonic()
+        browser.there(f"{sentence}?.textContent", f"{rule} says it", 20)
+        said, words = time.monotonic() - begun, browser.run(f"return {sentence}.textContent")
+        browser.click(f"li:has({button}) summary")
+        browser.shoot(f"training_{fault}")
+        browser.click(button)
+        begun = time.monotonic()
+        browser.there(f"!{sentence}", f"{rule} ends", 90)
+        print(f"  {fault}: after {said:.1f} s \"{words}\"; gone {time.monotonic() - begun:.0f} s after its end")
+    browser.changes("#offset-azimuth")
+    browser.complains_of_nothing("the training")
+
+
 # ---- a bad line
 
 
@@ -752,7 +777,7 @@ def a_bad_line_is_counted(browser, line, flight):
 
 METHODS = ["GET", "POST", "HEAD", "PUT", "DELETE", "OPTIONS", "PATCH", "CONNECT", "get", "\x00", "G\xe9T", ""]
 ADDRESSES = ["/", "/plots", "/style.css", "/api/flight", "/api/now", "/api/live", "/api/frames", "/api/recording", "/api/login", "/api/logout",
-             "/api/commands", "/api/commands/log", "/api/commands/compose", "/api/commands/arm", "/api/commands/send", "/api/table.csv",
+             "/api/commands", "/api/commands/log", "/api/commands/compose", "/api/commands/arm", "/api/commands/send", "/api/training", "/api/table.csv",
              "/api/frame.fits", "/api/frame.png", "/../../etc/passwd", "//", "*", "http://elsewhere/", "/%00%ff", "/api/" + 300 * "a/"]
 DRAWN = ["/api/picture.png", "/api/plate.svg", "/api/plot.svg", "/api/spectrum.svg"]
 NAMES = ["at", "from", "to", "fields", "camera", "overlay", "file", "before", "count", "reason", "quality", "speed", "bits_per_s", "x"]
@@ -923,6 +948,7 @@ def main():
         (pages_fit_light_dark_and_small, demo, stored),
         (a_lost_console_is_an_alarm_and_comes_back, flight),
         (a_line_of_6_kb_per_s_is_enough, demo),
+        (faults_are_put_on_the_demo_and_end, demo),
         (a_bad_line_is_counted, line, bad),
         (ten_thousand_requests_change_nothing, flight),
         (a_thousand_broken_packets_change_nothing, flight, line),

@@ -1,9 +1,16 @@
 //! The whole system on one machine with nothing attached: simulated cameras of Sun and horizon, the real service, a real archive, and
 //! a simulated controller at the other end of a pseudo-terminal.
 
-use crate::archive::Store;
+mod faults;
+mod line;
+mod recent;
+
+pub use faults::{Fault, FaultCost, Faults};
+
+use crate::archive::disk::{Disk, LocalDisk};
+use crate::archive::{ArchiveError, Store};
 use crate::aspect::Quality;
-use crate::camera::{Camera, CameraSettings, SimulatedCamera, TruthLog, View};
+use crate::camera::{Camera, CameraSettings, FrameSource, SimulatedCamera, TruthLog, View};
 use crate::clock::FlightClock;
 use crate::config::{Config, Switch};
 use crate::fits::Compression;
@@ -26,6 +33,8 @@ use crate::sky;
 use anyhow::anyhow;
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use jiff::{Timestamp, civil};
+use line::Relayed;
+use recent::Recent;
 use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -37,40 +46,26 @@ use std::time::Duration;
 /// What a demonstration is made of.
 #[derive(Debug, Clone)]
 pub struct Demo {
-    pub duration: Duration,
+    /// `None`: until it is stopped. Then the archive keeps the frames of the last ten minutes only.
+    pub duration: Option<Duration>,
     pub rate_hz: f64,
     /// The archive's folder.
     pub archive: PathBuf,
     pub seed: u64,
+    /// What a trainer puts on it. `None`: it has no faults, and its camera is never late.
+    pub faults: Option<Faults>,
 }
 
-/// How long the ground may take to accept what the controller passes on.
-const GROUND_PATIENCE: Duration = Duration::from_millis(5);
-
-/// The controller's end of the line, with the ground behind it: all that the controller receives goes to the ground as well, and what the
-/// ground sends goes to the aspect system.
-struct Relayed {
-    line: SerialPort,
-    ground: Option<AnyPort>,
-}
-
-impl BytePort for Relayed {
-    fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, PortError> {
-        if let Some(ground) = &mut self.ground {
-            let mut commands = [0; 1024];
-            let count = ground.read(&mut commands, Duration::ZERO).unwrap_or(0);
-            self.line.write(&commands[..count], timeout)?;
+impl Demo {
+    /// One of so long without faults, at 4 Hz, with its archive in a folder.
+    pub fn lasting(duration: Duration, archive: &Path, seed: u64) -> Self {
+        Self {
+            duration: Some(duration),
+            rate_hz: 4.0,
+            archive: archive.into(),
+            seed,
+            faults: None,
         }
-        let count = self.line.read(buffer, timeout)?;
-        if let Some(ground) = &mut self.ground {
-            // A ground that does not listen misses it.
-            let _ = ground.write(&buffer[..count], GROUND_PATIENCE);
-        }
-        Ok(count)
-    }
-
-    fn write(&mut self, bytes: &[u8], timeout: Duration) -> Result<(), PortError> {
-        self.line.write(bytes, timeout)
     }
 }
 
@@ -97,6 +92,8 @@ pub struct Summary {
     pub roll_errors_deg: Vec<f64>,
     /// Frames called fine or coarse in which there was no Sun at all.
     pub false_suns: u64,
+    /// What a trainer's faults have cost.
+    pub fault_cost: FaultCost,
     pub archive: PathBuf,
 }
 
@@ -146,10 +143,10 @@ fn since(start: Timestamp, solution: &Solution) -> Option<Duration> {
 }
 
 /// Runs a demonstration; `show` is called with every answer. It ends early when `stopped` says so. `ground` is the line to a ground
-/// that receives what the controller does.
+/// that receives what the controller does; it is given back, for the ground to hang up first.
 pub fn run(
     demo: &Demo,
-    ground: Option<AnyPort>,
+    ground: &mut Option<AnyPort>,
     mut show: impl FnMut(&Glimpse),
     stopped: impl Fn() -> bool,
 ) -> anyhow::Result<Summary> {
@@ -162,7 +159,7 @@ pub fn run(
     let (gps_near, gps_far) = SerialPort::pair()?;
     let gps = Some(Box::new(gps_far) as Box<dyn BytePort + Send>);
     let sensors = Sensors::new(telescope(demo, &instrument, start)?, gps);
-    let store = Store::open(&demo.archive, &instrument.name, Compression::Rice)?;
+    let store = store(demo, &instrument)?;
     let arcsec_per_mil = instrument.optics.arcsec_per_mil();
     let flight = Flight {
         config,
@@ -173,7 +170,13 @@ pub fn run(
     };
     let received = Arc::new(Mutex::new(None));
     let over = Arc::new(AtomicBool::new(false));
-    let controller = control(Relayed { line, ground }, sensors, &received, &over)?;
+    let faults = demo.faults.clone().unwrap_or_default();
+    let far = Relayed {
+        line,
+        ground: ground.take(),
+        faults: faults.clone(),
+    };
+    let controller = control(far, sensors, &received, &over)?;
     let (service, answers) = Service::start_watched(flight)?;
     let mut judge = Judge {
         truth,
@@ -183,7 +186,9 @@ pub fn run(
         roll_errors_deg: Vec::new(),
         false_suns: 0,
     };
+    let mut recent = demo.duration.is_none().then(|| Recent::of(&demo.archive));
     watch(&service, &answers, stopped, |answer| {
+        recent.iter_mut().for_each(Recent::tidy);
         if let Found::Nadir(_) = answer.solved.found {
             return judge.hear_horizon(&answer);
         }
@@ -194,8 +199,9 @@ pub fn run(
     over.store(true, Ordering::Relaxed);
     let controller = controller.join();
     let tally = service.join()?;
-    let (controller, _far_ends) =
+    let (controller, (far, _sensors)) =
         controller.map_err(|_| anyhow!("the controller's thread has failed"))??;
+    *ground = far.ground;
     let mut telescope = telescope(demo, &instrument, start)?;
     let propagated = controller.propagated.iter();
     let propagated = propagated.filter_map(|one| JudgedOffset::of(one, &mut telescope, start));
@@ -212,6 +218,7 @@ pub fn run(
         fine_errors_arcsec: judge.fine_errors_arcsec,
         roll_errors_deg: judge.roll_errors_deg,
         false_suns: judge.false_suns,
+        fault_cost: faults.cost(),
         archive: demo.archive.clone(),
     })
 }
@@ -246,6 +253,15 @@ fn control(
     thread::Builder::new().name("controller".into()).spawn(run)
 }
 
+/// The archive, on a disk that may be put at fault where somebody trains.
+fn store(demo: &Demo, instrument: &Instrument) -> Result<Store, ArchiveError> {
+    let disk: Arc<dyn Disk> = match &demo.faults {
+        Some(faults) => Arc::new(faults.disk()),
+        None => Arc::new(LocalDisk),
+    };
+    Store::open_on(disk, &demo.archive, &instrument.name, Compression::Rice)
+}
+
 fn configuration(demo: &Demo) -> Config {
     let mut config = Config::default();
     config.cameras.first_mut().rate_hz = demo.rate_hz;
@@ -261,7 +277,7 @@ fn cameras(
     start: Timestamp,
 ) -> anyhow::Result<(Vec<FlightCamera>, TruthLog, SwingingGondola)> {
     let simulated = |view, settings: &CameraSettings| {
-        SimulatedCamera::new(view, settings, start, Some(demo.duration))
+        SimulatedCamera::new(view, settings, start, demo.duration)
     };
     let course = trajectory(demo, instrument, start)?;
     let radius_mil = radius_mil(instrument, start)?;
@@ -282,10 +298,16 @@ fn cameras(
         toml: Some(DEMO_HORIZON.into()),
         ..Camera::new("roll_camera", Role::Roll, Sees::Horizon(mounted))
     };
-    let cameras = vec![
-        FlightCamera::new(plate, sun),
-        FlightCamera::new(roll, horizon),
-    ];
+    let sun: Box<dyn FrameSource> = match &demo.faults {
+        Some(faults) => Box::new(faults.on_camera(sun)),
+        None => Box::new(sun),
+    };
+    let sun = FlightCamera {
+        camera: plate,
+        source: Some(sun),
+        open: None,
+    };
+    let cameras = vec![sun, FlightCamera::new(roll, horizon)];
     Ok((cameras, truth, gondola))
 }
 
@@ -295,12 +317,10 @@ fn trajectory(
     start: Timestamp,
 ) -> anyhow::Result<Trajectory> {
     let radius_mil = radius_mil(instrument, start)?;
-    Ok(Trajectory::demo(
-        instrument,
-        radius_mil,
-        demo.duration,
-        demo.seed,
-    )?)
+    Ok(match demo.duration {
+        Some(duration) => Trajectory::demo(instrument, radius_mil, duration, demo.seed)?,
+        None => Trajectory::flight(instrument, radius_mil, demo.seed)?,
+    })
 }
 
 fn radius_mil(instrument: &Instrument, start: Timestamp) -> anyhow::Result<f64> {
@@ -398,6 +418,8 @@ impl Summary {
             + sent.abs_diff(arrived)
             + self.controller.faults.total()
             + self.false_suns
+            + self.fault_cost.frames_withheld
+            + u64::from(self.fault_cost.bytes_cut > 0)
             + u64::from(sent == 0)
     }
 }
@@ -406,6 +428,9 @@ impl fmt::Display for Summary {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "{}", self.tally)?;
         writeln!(out, "archive    {}", self.archive.display())?;
+        if self.fault_cost != FaultCost::default() {
+            writeln!(out, "{}", self.fault_cost)?;
+        }
         writeln!(
             out,
             "received   {} solutions, {} errors by the controller; {} faults",

@@ -4,11 +4,11 @@ use jiff::Timestamp;
 use serde_json::{Value, json};
 use solaspect::aspect;
 use solaspect::console::{ConsoleSettings, Ground, Running, Secret, Source};
-use solaspect::demo::{self, Demo};
+use solaspect::demo::{self, Demo, Faults};
 use solaspect::instrument::builtin;
 use solaspect::link::byte_log::{self, Burst};
 use solaspect::link::picture::Picture;
-use solaspect::link::{Computer, Housekeeping, Key, Message, Solution, id};
+use solaspect::link::{Computer, Connection, Housekeeping, Key, Message, Solution, id};
 use solaspect::pointing::Target;
 use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
 use solaspect::sky::{Ephemeris, OrientationTable};
@@ -47,6 +47,7 @@ fn settings(source: Source) -> ConsoleSettings {
         listen: local(0),
         token: None,
         public_origin: None,
+        training: None,
     }
 }
 
@@ -132,7 +133,7 @@ fn logged_in(console: SocketAddr) -> String {
 }
 
 /// Waits for an answer that is as wanted.
-fn wait_for(console: SocketAddr, path: &str, is_wanted: impl Fn(&Value) -> bool) -> Value {
+fn wait_for(console: SocketAddr, path: &str, mut is_wanted: impl FnMut(&Value) -> bool) -> Value {
     let start = Instant::now();
     loop {
         let answer = get(console, path).json();
@@ -437,6 +438,30 @@ impl Drop for Fly {
     }
 }
 
+/// Sends a command, asked twice where it changes the flight, and waits for its result: the row of the log.
+fn sent(console: SocketAddr, cookie: &str, name: &str, values: &[&str]) -> Value {
+    let command = json!({"name": name, "values": values});
+    let armed = post(console, "/api/commands/arm", cookie, &command).json();
+    assert!(armed["words"].as_str().unwrap().contains(name), "{armed}");
+    let release = |confirmed: bool| {
+        let release = json!({"armed": armed["armed"], "confirmed": confirmed});
+        post(console, "/api/commands/send", cookie, &release)
+    };
+    if armed["changes_flight"] == true {
+        assert_eq!(release(false).status, 409, "{name} is asked twice");
+    }
+    let number = release(true).json()["number"].clone();
+    assert_eq!(release(true).status, 409, "a command is sent once");
+    let of = |log: &Value| {
+        let rows = log["rows"].as_array().unwrap();
+        rows.iter().find(|row| row["number"] == number).cloned()
+    };
+    let log = wait_for(console, "/api/commands/log", |log| {
+        of(log).is_some_and(|row| !row["good"].is_null())
+    });
+    of(&log).unwrap()
+}
+
 #[test]
 fn a_command_reaches_the_flight_program_is_acknowledged_and_what_changes_the_flight_is_asked_twice()
 {
@@ -471,33 +496,7 @@ fn a_command_reaches_the_flight_program_is_acknowledged_and_what_changes_the_fli
         now["housekeeping"]["fields"]["simulated"] == 1.0
     });
     let cookie = logged_in(address);
-    let send = |name: &str, values: &[&str]| {
-        let command = json!({"name": name, "values": values});
-        let armed = post(address, "/api/commands/arm", &cookie, &command).json();
-        assert!(armed["words"].as_str().unwrap().contains(name), "{armed}");
-        let release = |confirmed: bool| {
-            let release = json!({"armed": armed["armed"], "confirmed": confirmed});
-            post(address, "/api/commands/send", &cookie, &release)
-        };
-        if armed["changes_flight"] == true {
-            assert_eq!(release(false).status, 409, "{name} is asked twice");
-        }
-        let row = release(true).json();
-        assert_eq!(release(true).status, 409, "a command is sent once");
-        let number = row["number"].clone();
-        let of = |log: &Value| {
-            log["rows"]
-                .as_array()
-                .unwrap()
-                .iter()
-                .find(|row| row["number"] == number)
-                .cloned()
-        };
-        let log = wait_for(address, "/api/commands/log", |log| {
-            of(log).is_some_and(|row| !row["good"].is_null())
-        });
-        of(&log).unwrap()
-    };
+    let send = |name: &str, values: &[&str]| sent(address, &cookie, name, values);
     let row = send("set_target", &["-300", "450"]);
     assert_eq!(
         (&row["result"], &row["good"]),
@@ -581,13 +580,8 @@ fn a_viewer_on_a_slow_line_gets_what_fits_it_and_is_told_what_it_misses() {
 }
 
 fn flown(folder: &Path, seconds: u64) {
-    let demo = Demo {
-        duration: Duration::from_secs(seconds),
-        rate_hz: 4.0,
-        archive: folder.into(),
-        seed: 3,
-    };
-    demo::run(&demo, None, |_| {}, || false).unwrap();
+    let demo = Demo::lasting(Duration::from_secs(seconds), folder, 3);
+    demo::run(&demo, &mut None, |_| {}, || false).unwrap();
 }
 
 #[test]
@@ -762,6 +756,178 @@ fn a_command_is_signed_for_the_computer_that_it_is_composed_for() {
     console.end();
 }
 
+/// The program with a console, and where it listens.
+fn console_program(
+    program: &str,
+    source: &str,
+    change: impl FnOnce(&mut Command),
+) -> (Fly, SocketAddr) {
+    let mut command = Command::new(program);
+    command.args(["console", "--listen", "127.0.0.1:0", source]);
+    command.stdout(Stdio::piped());
+    change(&mut command);
+    let mut console = Fly(command.spawn().unwrap());
+    let mut line = String::new();
+    let mut said = BufReader::new(console.0.stdout.take().unwrap());
+    said.read_line(&mut line).unwrap();
+    console.0.stdout = Some(said.into_inner());
+    let address = line.trim().trim_end_matches('/').rsplit('/').next();
+    (console, address.unwrap().parse().unwrap())
+}
+
+#[test]
+fn only_the_demo_has_faults_and_only_who_may_command_puts_them_on() {
+    let press = json!({"fault": "line_cut", "on": true});
+    let demo = |token: Option<Secret>, folder: &Path| {
+        let settings = ConsoleSettings {
+            line: Some(Connection::none()),
+            training: Some(Faults::default()),
+            command_log: folder.join("log.csv"),
+            token,
+            ..settings(Source::Demo)
+        };
+        Running::start(settings).unwrap()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let looked_at = demo(None, folder.path());
+    let console = looked_at.address();
+    assert_eq!(post(console, "/api/training", "", &press).status, 403);
+    looked_at.end();
+    let commanded = demo(Some(Secret::of(TOKEN)), folder.path());
+    let console = commanded.address();
+    assert_eq!(post(console, "/api/training", "", &press).status, 401);
+    let cookie = logged_in(console);
+    let unknown = json!({"fault": "balloon", "on": true});
+    assert_eq!(
+        post(console, "/api/training", &cookie, &unknown).status,
+        400
+    );
+    let foreign = format!(
+        "Host: {console}\r\nOrigin: http://evil.example\r\nContent-Type: application/json\r\nCookie: {cookie}\r\n"
+    );
+    let foreign = ask(
+        console,
+        "POST",
+        "/api/training",
+        &foreign,
+        &press.to_string(),
+    );
+    assert_eq!(foreign.status, 403);
+    let panel = post(console, "/api/training", &cookie, &press).json();
+    let on = |panel: &Value| {
+        panel
+            .as_array()
+            .unwrap()
+            .iter()
+            .filter(|one| one["on"] == true)
+            .count()
+    };
+    assert_eq!(on(&panel), 1);
+    let told = Stream::open(console, "").next("training");
+    assert_eq!(told, panel, "every viewer is told");
+    commanded.end();
+    let (real, _gondola) = over_udp(|settings| {
+        settings.token = Some(Secret::of(TOKEN));
+        settings.gondola = Some(local(9));
+        settings.command_log = folder.path().join("log.csv");
+    });
+    let cookie = logged_in(real.address());
+    assert_eq!(
+        post(real.address(), "/api/training", &cookie, &press).status,
+        404
+    );
+    real.end();
+}
+
+#[test]
+fn the_demo_is_commanded_and_each_of_its_faults_is_shown_and_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    let token = folder.path().join("token");
+    std::fs::write(&token, TOKEN).unwrap();
+    let (mut demo, console) = console_program(env!("CARGO_BIN_EXE_solaspect"), "demo", |command| {
+        command.arg("--token-file").arg(&token);
+        command.current_dir(folder.path()).stderr(Stdio::null());
+    });
+    let panel = Stream::open(console, "").next("training");
+    let cookie = logged_in(console);
+    wait_for(console, "/api/now", |now| {
+        now["housekeeping"]["fields"]["fine"].as_f64() > Some(0.0)
+    });
+    assert_eq!(
+        sent(console, &cookie, "set_target", &["-300", "450"])["result"],
+        "done"
+    );
+    let press = |fault: &str, on: bool| {
+        let press = json!({"fault": fault, "on": on});
+        assert_eq!(post(console, "/api/training", &cookie, &press).status, 200);
+    };
+    let rules_of = |fault: &str| -> Vec<String> {
+        let one = panel
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|one| one["fault"] == fault);
+        serde_json::from_value(one.unwrap()["rules"].clone()).unwrap()
+    };
+    let finds = |now: &Value, rule: &String| {
+        let sentences = now["state"]["sentences"].as_array().unwrap();
+        sentences.iter().any(|one| one["rule"] == **rule)
+    };
+    let shown = |fault: &str| {
+        let rules = rules_of(fault);
+        wait_for(console, "/api/now", |now| {
+            rules.iter().all(|rule| finds(now, rule))
+        });
+    };
+    press("camera_dead", true);
+    press("disk_full", true);
+    shown("camera_dead");
+    shown("disk_full");
+    press("camera_dead", false);
+    press("disk_full", false);
+    // What counts within the last minute ends a minute later: here, that it does not grow any more.
+    let counts = |now: &Value| {
+        let fields = &now["housekeeping"]["fields"];
+        let of = |name: &str| fields[name].as_f64().unwrap();
+        ([of("silent_s"), of("unstored")], [of("fine"), of("stored")])
+    };
+    let mut before = counts(&get(console, "/api/now").json());
+    wait_for(console, "/api/now", |now| {
+        let after = counts(now);
+        let is_over = after.0 == before.0 && after.1[0] > before.1[0] && after.1[1] > before.1[1];
+        if after.0 != before.0 {
+            before = after;
+        }
+        is_over && !finds(now, &"disks_full".into())
+    });
+    press("line_cut", true);
+    shown("line_cut");
+    press("line_cut", false);
+    wait_for(console, "/api/now", |now| !finds(now, &"silence".into()));
+    assert_eq!(
+        sent(console, &cookie, "get_target_x", &[])["result"],
+        "x -300 arcsec"
+    );
+    let ended = Command::new("kill")
+        .args(["-INT", &demo.0.id().to_string()])
+        .status();
+    assert!(ended.unwrap().success());
+    let mut summary = String::new();
+    demo.0
+        .stdout
+        .take()
+        .unwrap()
+        .read_to_string(&mut summary)
+        .unwrap();
+    assert!(demo.0.wait().unwrap().success());
+    let cost = summary
+        .lines()
+        .find(|line| line.starts_with("training"))
+        .unwrap();
+    assert!(!cost.contains(" 0 "), "{cost}");
+    assert!(!summary.contains("nothing was lost"), "{summary}");
+}
+
 /// Memory of a process, bytes.
 fn resident(process: &Child) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
@@ -800,25 +966,8 @@ fn a_day_of_a_flight_fits_150_mb_and_is_drawn_within_150_ms() {
     record_hours(&path, 24);
     let program =
         std::env::var("SOLASPECT_PROGRAM").unwrap_or(env!("CARGO_BIN_EXE_solaspect").into());
-    let console = Command::new(program)
-        .args(["console", "--listen", "127.0.0.1:0"])
-        .arg(format!("record:{}", path.display()))
-        .stdout(Stdio::piped())
-        .spawn();
-    let mut console = Fly(console.unwrap());
-    let mut line = String::new();
-    BufReader::new(console.0.stdout.take().unwrap())
-        .read_line(&mut line)
-        .unwrap();
-    let address: SocketAddr = line
-        .trim()
-        .strip_suffix('/')
-        .unwrap()
-        .rsplit('/')
-        .next()
-        .unwrap()
-        .parse()
-        .unwrap();
+    let source = format!("record:{}", path.display());
+    let (console, address) = console_program(&program, &source, |_| {});
     wait_for(address, "/api/now", |now| {
         now["housekeeping"]["fields"]["uptime_s"] == 86_399.0
     });

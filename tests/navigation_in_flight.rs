@@ -24,13 +24,8 @@ fn only(folder: &Path, begins: &str) -> PathBuf {
 #[test]
 fn offsets_go_on_while_the_sun_is_away_and_the_archive_keeps_what_they_rest_on() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = Demo {
-        duration: Duration::from_secs(14),
-        rate_hz: 4.0,
-        archive: folder.path().into(),
-        seed: 3,
-    };
-    let summary = demo::run(&settings, None, |_| {}, || false).unwrap();
+    let settings = Demo::lasting(Duration::from_secs(14), folder.path(), 3);
+    let summary = demo::run(&settings, &mut None, |_| {}, || false).unwrap();
     println!("{summary}");
     assert_eq!(summary.lost(), 0, "{summary}");
     let navigation = &summary.tally.navigation;

@@ -71,13 +71,8 @@ fn across_sun(row: &[f64], truth: &UnitQuaternion<f64>, sun: &Vector3<f64>) -> [
 fn between_frames_the_gyros_tell_where_the_telescope_points() {
     let (archive, out) = (temporary(), temporary());
     let duration = Duration::from_secs(14);
-    let settings = Demo {
-        duration,
-        rate_hz: 4.0,
-        archive: archive.path().into(),
-        seed: SEED,
-    };
-    demo::run(&settings, None, |_| {}, || false).unwrap();
+    let settings = Demo::lasting(duration, archive.path(), SEED);
+    demo::run(&settings, &mut None, |_| {}, || false).unwrap();
     let [imu, gps] = ["imu_", "gps_"].map(|begins| files(archive.path(), begins).remove(0));
     let calibrated = out.path().join("calibrated.toml");
     let [imu, gps, calibrated] = [&imu, &gps, &calibrated].map(|path| path.to_str().unwrap());

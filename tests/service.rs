@@ -26,14 +26,9 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 #[test]
 fn the_demonstration_loses_nothing_between_camera_controller_and_archive() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = Demo {
-        duration: Duration::from_secs(5),
-        rate_hz: 4.0,
-        archive: folder.path().into(),
-        seed: 1,
-    };
+    let settings = Demo::lasting(Duration::from_secs(5), folder.path(), 1);
     let mut shown = 0;
-    let summary = demo::run(&settings, None, |_| shown += 1, || false).unwrap();
+    let summary = demo::run(&settings, &mut None, |_| shown += 1, || false).unwrap();
     println!("{summary}");
     assert_eq!(summary.lost(), 0, "{summary}");
     assert_eq!(summary.tally.counts.taken, 40);
@@ -70,16 +65,11 @@ fn the_demonstration_loses_nothing_between_camera_controller_and_archive() {
 #[test]
 fn a_demonstration_that_is_stopped_ends_in_order() {
     let folder = tempfile::tempdir().unwrap();
-    let settings = Demo {
-        duration: Duration::from_secs(600),
-        rate_hz: 4.0,
-        archive: folder.path().into(),
-        seed: 2,
-    };
+    let settings = Demo::lasting(Duration::from_secs(600), folder.path(), 2);
     let shown = std::cell::Cell::new(0);
     let summary = demo::run(
         &settings,
-        None,
+        &mut None,
         |_| shown.set(shown.get() + 1),
         || shown.get() >= 3,
     );

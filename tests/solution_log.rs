@@ -146,13 +146,8 @@ const SAME: [(&str, &str, &str, f64); 24] = [
 ];
 
 fn demonstration(archive: &Path) -> demo::Summary {
-    let settings = Demo {
-        duration: Duration::from_secs(5),
-        rate_hz: 4.0,
-        archive: archive.into(),
-        seed: 1,
-    };
-    demo::run(&settings, None, |_| {}, || false).unwrap()
+    let settings = Demo::lasting(Duration::from_secs(5), archive, 1);
+    demo::run(&settings, &mut None, |_| {}, || false).unwrap()
 }
 
 #[test]

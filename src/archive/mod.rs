@@ -8,6 +8,7 @@ pub mod check;
 mod coordinates;
 mod dirfile;
 pub mod disk;
+pub mod faulty;
 mod flown;
 mod frame_file;
 mod growing;

@@ -138,7 +138,20 @@ impl Store {
         instrument: &str,
         packing: impl Into<Packing>,
     ) -> Result<Self, ArchiveError> {
-        let store = Self::new(Arc::new(LocalDisk), root, instrument, packing);
+        Self::open_on(Arc::new(LocalDisk), root, instrument, packing)
+    }
+
+    /// The same on another disk.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_on(
+        disk: Arc<dyn Disk>,
+        root: &Path,
+        instrument: &str,
+        packing: impl Into<Packing>,
+    ) -> Result<Self, ArchiveError> {
+        let store = Self::new(disk, root, instrument, packing);
         store
             .disk
             .make_root(root)

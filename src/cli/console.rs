@@ -5,9 +5,9 @@ use super::output::say;
 use crate::archive::{CONFIGURATION, INSTRUMENT};
 use crate::config::Config;
 use crate::console::{ConsoleSettings, Ground, Origin, Running, Secret, Source};
-use crate::demo::{self, Demo};
+use crate::demo::{self, Demo, Faults, Summary};
 use crate::link::port::BAUD;
-use crate::link::{Connection, Key, SerialPort};
+use crate::link::{AnyPort, Connection, Key, SerialPort};
 use crate::simulate::FORT_SUMNER;
 use crate::units::Place;
 use anyhow::Context;
@@ -20,8 +20,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// How long the flight of `demo` lasts.
-const DEMO: Duration = Duration::from_secs(600);
 const DEMO_RATE_HZ: f64 = 4.0;
 
 /// Show a flight in a browser, live or stored, and let one trusted person command it
@@ -30,7 +28,8 @@ const DEMO_RATE_HZ: f64 = 4.0;
 #[derive(Debug, Args)]
 pub struct ConsoleArgs {
     /// Where the flight comes from: udp:[ADDR]:PORT or serial:DEV (what the ground receives), archive:DIR (a flight on disk, also
-    /// one that is still written), record:FILE (of --record), or demo (flies one for 10 minutes)
+    /// one that is still written), record:FILE (of --record), or demo (a simulated flight until the console ends, to learn on: with
+    /// --token-file it takes commands, and has faults on buttons)
     source: Source,
     /// Where browsers find the console; addresses that others reach need --token-file
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:8080")]
@@ -76,25 +75,18 @@ pub struct ConsoleArgs {
 pub fn run(args: ConsoleArgs) -> anyhow::Result<ExitCode> {
     let interrupted = options::interrupted()?;
     let over = Arc::new(AtomicBool::new(false));
-    let demo = match args.source {
+    let mut demo = match args.source {
         Source::Demo => Some(DemoFlight::start(&over)?),
         _ => None,
     };
-    let (line, archive, flight) = match demo {
-        Some(DemoFlight {
-            line,
-            archive,
-            thread,
-        }) => (
-            Some(line),
-            Some(archive.path().to_owned()),
-            Some((archive, thread)),
-        ),
-        None => (None, args.archive(), None),
+    let archive = match &demo {
+        Some(demo) => Some(demo.archive.path().to_owned()),
+        None => args.archive(),
     };
     let console = Running::start(ConsoleSettings {
         ground: args.ground(archive)?,
-        line,
+        line: demo.as_mut().and_then(|demo| demo.line.take()),
+        training: demo.as_ref().map(|demo| demo.faults.clone()),
         key: args.key_file.as_deref().map(Key::read).transpose()?,
         token: args.token_file.as_deref().map(Secret::read).transpose()?,
         source: args.source,
@@ -114,8 +106,8 @@ pub fn run(args: ConsoleArgs) -> anyhow::Result<ExitCode> {
     let is_whole = console.is_running();
     console.end();
     over.store(true, Ordering::Relaxed);
-    if let Some((_archive, thread)) = flight {
-        let _ = thread.join();
+    if let Some(demo) = demo {
+        demo.end()?;
     }
     Ok(match is_whole {
         true => ExitCode::SUCCESS,
@@ -174,9 +166,12 @@ fn newest(folder: &Path, kind: &str) -> Option<PathBuf> {
 
 /// A flight of the simulator's, with its archive in a temporary folder that goes when the console ends.
 struct DemoFlight {
-    line: Connection,
+    /// The ground's end of the line, until the console takes it.
+    line: Option<Connection>,
     archive: tempfile::TempDir,
-    thread: thread::JoinHandle<()>,
+    faults: Faults,
+    /// It gives the far end of the line back: the console hangs up first.
+    thread: thread::JoinHandle<(anyhow::Result<Summary>, Option<AnyPort>)>,
 }
 
 impl DemoFlight {
@@ -185,24 +180,39 @@ impl DemoFlight {
             .prefix("solaspect-console-")
             .tempdir()
             .context("cannot make a temporary folder")?;
+        let faults = Faults::default();
         let demo = Demo {
-            duration: DEMO,
+            duration: None,
             rate_hz: DEMO_RATE_HZ,
             archive: archive.path().into(),
             seed: 1,
+            faults: Some(faults.clone()),
         };
         let (near, far) = SerialPort::pair()?;
         let over = Arc::clone(over);
         let thread = thread::Builder::new().name("demo".into()).spawn(move || {
             let over = || over.load(Ordering::Relaxed);
-            if let Err(error) = demo::run(&demo, Some(Box::new(far)), |_| {}, over) {
+            let mut ground = Some(Box::new(far) as AnyPort);
+            let flown = demo::run(&demo, &mut ground, |_| {}, over);
+            if let Err(error) = &flown {
                 tracing::error!("the demonstration has failed: {error:#}");
             }
+            (flown, ground)
         })?;
         Ok(Self {
-            line: Connection::over(near),
+            line: Some(Connection::over(near)),
             archive,
+            faults,
             thread,
         })
+    }
+
+    /// Waits for its end, and says what it came to.
+    fn end(self) -> anyhow::Result<()> {
+        match self.thread.join() {
+            Ok((Ok(summary), _ground)) => say(&summary),
+            // It is in the log.
+            Ok((Err(_), _)) | Err(_) => Ok(()),
+        }
     }
 }

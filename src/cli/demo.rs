@@ -42,10 +42,8 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
             .keep(),
     };
     let demo = Demo {
-        duration: args.duration,
         rate_hz: args.rate,
-        archive,
-        seed: args.seed,
+        ..Demo::lasting(args.duration, &archive, args.seed)
     };
     let interrupted = options::interrupted()?;
     let on_terminal = std::io::stderr().is_terminal();
@@ -56,7 +54,7 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
     };
     let summary = demo::run(
         &demo,
-        None,
+        &mut None,
         |glimpse| show(line(glimpse)),
         || interrupted.load(std::sync::atomic::Ordering::Relaxed),
     )?;

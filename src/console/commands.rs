@@ -128,7 +128,7 @@ pub async fn compose(request: Body<Request>) -> Answer<Json<Value>> {
 }
 
 /// Whoever sends has logged in, and the console was begun for sending.
-fn check_sender(console: &Console, headers: &HeaderMap) -> Answer<()> {
+pub fn check_sender(console: &Console, headers: &HeaderMap) -> Answer<()> {
     if !console.takes_commands() {
         let words = "this console only shows: commands need --token-file, and a line to the gondola (--gondola over UDP)";
         return Err(Failure(StatusCode::FORBIDDEN, words.into()));

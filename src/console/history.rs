@@ -74,13 +74,14 @@ pub struct News {
     pub frames: u64,
     pub marks: u64,
     pub orders: u64,
+    pub training: u64,
 }
 
 impl News {
     /// How much has come in all.
     pub fn total(&self) -> u64 {
         let packets = self.housekeeping + self.solution + self.gyros + self.pictures + self.marks;
-        packets + self.frames + self.orders
+        packets + self.frames + self.orders + self.training
     }
 }
 

@@ -7,6 +7,7 @@ use super::orders::OrderRow;
 use super::request::Console;
 use super::shared::Shared;
 use super::table::Nanoseconds;
+use super::training;
 use super::view::{Detail, View, utc};
 use axum::response::sse::Event;
 use futures_util::stream::{Stream, unfold};
@@ -214,6 +215,10 @@ impl Viewer {
                 "state",
                 Some(view.state(self.rate.bits_per_s, viewers, detail)),
             );
+        }
+        if changed(|news| news.training) {
+            let faults = self.console.parts().training.as_ref();
+            add("training", faults.map(training::panel));
         }
         if changed(|news| news.solution) {
             add("solution", view.solution());

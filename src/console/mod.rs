@@ -44,6 +44,7 @@ mod stored;
 mod table;
 #[cfg(test)]
 mod tests;
+pub mod training;
 mod view;
 mod web;
 
@@ -53,6 +54,7 @@ pub use orders::Refusal;
 pub use origin::{NoOrigin, Origin};
 pub use source::Source;
 
+use crate::demo::Faults;
 use crate::link::{Connection, LocalEnd, PortAddress, UdpPort};
 use access::Access;
 use anyhow::{Context, ensure};
@@ -95,6 +97,8 @@ pub struct ConsoleSettings {
     pub token: Option<Secret>,
     /// Under which a proxy shows the console.
     pub public_origin: Option<Origin>,
+    /// The faults of the demo, for training.
+    pub training: Option<Faults>,
 }
 
 /// A console that runs.
@@ -134,6 +138,7 @@ impl Running {
             ground: settings.ground.clone(),
             outbox: takes_commands.then_some(outbox),
             recording: settings.recording.clone(),
+            training: settings.training.clone(),
         });
         let reader = reader(settings, waiting)?;
         let receives = Arc::clone(&shared);

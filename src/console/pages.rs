@@ -26,6 +26,7 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/header.js", MODULE, include_str!("pages/header.js")),
     ("/now.js", MODULE, include_str!("pages/now.js")),
     ("/plots.js", MODULE, include_str!("pages/plots.js")),
+    ("/training.js", MODULE, include_str!("pages/training.js")),
     ("/view.js", MODULE, include_str!("pages/view.js")),
 ];
 

@@ -10,6 +10,7 @@ use super::source::Source;
 use super::table::{Nanoseconds, nanoseconds};
 use super::view::View;
 use crate::clock::parse_utc;
+use crate::demo::Faults;
 use axum::Json;
 use axum::extract::{Query, Request};
 use axum::http::{StatusCode, header};
@@ -46,6 +47,8 @@ pub struct Parts {
     /// Where commands go; `None` where they cannot.
     pub outbox: Option<Sender<Outgoing>>,
     pub recording: Option<PathBuf>,
+    /// The faults of the demo.
+    pub training: Option<Faults>,
 }
 
 /// Why a request has no answer: shown as `{"error": ...}`.

@@ -4,7 +4,7 @@ use super::access::{COOKIE, Refused, SESSION};
 use super::live::{self, Replay, Wish};
 use super::request::{Answer, Asked, At, Body, Console, Failure, attachment, beside, time};
 use super::view::{self, Detail, utc};
-use super::{commands, drawings, frames, pages};
+use super::{commands, drawings, frames, pages, training};
 use crate::provenance::LONG_VERSION;
 use axum::extract::{ConnectInfo, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -52,6 +52,7 @@ pub fn router(console: Console) -> Router {
         .route("/api/commands/compose", post(commands::compose))
         .route("/api/commands/arm", post(commands::arm))
         .route("/api/commands/send", post(commands::send))
+        .route("/api/training", post(training::switch))
         .merge(drawn)
         .fallback(get(pages::page))
         // Not the stream of events, nor pictures.

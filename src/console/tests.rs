@@ -64,10 +64,11 @@ fn console() -> Console {
         },
         outbox: Some(outbox),
         recording: None,
+        training: None,
     })
 }
 
-const PATHS: [&str; 22] = [
+const PATHS: [&str; 23] = [
     "/",
     "/plots",
     "/style.css",
@@ -87,6 +88,7 @@ const PATHS: [&str; 22] = [
     "/api/commands/compose",
     "/api/commands/arm",
     "/api/commands/send",
+    "/api/training",
     "/api/login",
     "/api/logout",
     "/../../etc/passwd",

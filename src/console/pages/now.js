@@ -2,6 +2,7 @@
 import { getSvg, paced, showPicture, telling, url } from './api.js';
 import { byId, clock, dateTime, duration, h, kept, number, sentence, setText, symbols } from './dom.js';
 import { begin } from './header.js';
+import { watchTraining } from './training.js';
 import { age, at, flight, on, speed, thin } from './view.js';
 
 /** What has an age, and beyond how many seconds it is old. Pictures come only when a frame is sent. */
@@ -193,6 +194,7 @@ on('picture', (picture) => {
   newest.picture = picture;
   takePicture(picture);
 });
+watchTraining();
 setInterval(showAges, 250);
 begin();
 byId('plate-fetch').hidden = !thin();

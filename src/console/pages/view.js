@@ -53,7 +53,7 @@ export function look(change) {
   begin();
 }
 
-const EVENTS = ['state', 'housekeeping', 'solution', 'propagated', 'picture', 'answer', 'left_out', 'end'];
+const EVENTS = ['state', 'housekeeping', 'solution', 'propagated', 'picture', 'answer', 'training', 'left_out', 'end'];
 const delays = (window.solaspectDelays = []);
 let stream = null, opened = 0, heard = 0, lost = null, attempt = 0, leaving = false;
 

@@ -1,10 +1,10 @@
 //! The faults, each with what it may cost.
 
 use crate::camera::{CameraFault, HANG};
-use crate::disk::{ALL_IN_TURN, DiskFault};
 use crate::line::Habit;
 use crate::rig::Rig;
 use clap::ValueEnum;
+use solaspect::archive::faulty::{ALL_IN_TURN, DiskFault};
 use std::fs;
 use std::io::ErrorKind;
 use std::process::Command;

@@ -3,7 +3,6 @@
 //! faults may cost, and memory stayed below its limit and flat.
 
 mod camera;
-mod disk;
 mod faults;
 mod files;
 mod judge;

@@ -1,7 +1,6 @@
 //! The service between a camera, disks and a gondola that fail when told to.
 
 use crate::camera::{CameraFault, Frames, Ring, RingCamera};
-use crate::disk::FaultyDisk;
 use crate::faults::Fault;
 use crate::files::{Files, LogBytes};
 use crate::line::{Gondola, Heard};
@@ -10,6 +9,7 @@ use crate::navigation::{self, ImuBench};
 use crate::stderr::Stderr;
 use anyhow::Context;
 use solaspect::archive::Store;
+use solaspect::archive::faulty::FaultyDisk;
 use solaspect::camera::{Camera, FrameSource};
 use solaspect::commands::controls::{SavedError, SavedValues};
 use solaspect::config::{Config, Switch};

@@ -1,6 +1,6 @@
-//! A disk that fails when told to.
+//! A disk that fails when told to: for the soak test, and for the training of operators.
 
-use solaspect::archive::disk::{Absent, Disk, DiskFile, Entry, LocalDisk, Lock, Space};
+use super::disk::{Absent, Disk, DiskFile, Entry, LocalDisk, Lock, Space};
 use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};

@@ -1,0 +1,140 @@
+//! Training on the demo: its faults, each with what it does, what the console shows of it, and what to do. One table, from which the
+//! page's panel and the section "Training" of `docs/console.md` are made.
+
+use super::commands::check_sender;
+use super::request::{Answer, Body, Console, Failure};
+use crate::demo::{Fault, Faults};
+use axum::Json;
+use axum::extract::State;
+use axum::http::HeaderMap;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+/// A fault as an operator meets it.
+pub struct Exercise {
+    pub fault: Fault,
+    pub title: &'static str,
+    pub happens: &'static str,
+    pub shows: &'static str,
+    pub remedy: &'static str,
+    /// The rules by which the console notices it.
+    pub rules: &'static [&'static str],
+}
+
+pub const EXERCISES: &[Exercise] = &[
+    Exercise {
+        fault: Fault::CameraDead,
+        title: "Camera dead",
+        happens: "The camera that sees the plate gives no frames, and says nothing. The camera of the horizon goes on.",
+        shows: "Within 3 s the alarm \"a camera gave no frames\"; `silent_s` grows by 1 each second, `fine` stands still, no solutions of the Sun come. Within 15 s \"the \
+                inertial filter coasts\": offsets by the gyros go on, with a sigma that grows. A minute after the last silence the alarm has ended.",
+        remedy: "Point by the gyros while their sigma allows it. Read the camera's state: a camera that is back is set again by itself. If it stays silent, have its power \
+                 switched off and on, or continue with another camera.",
+        rules: &["silent_s", "navigation"],
+    },
+    Exercise {
+        fault: Fault::DiskFull,
+        title: "Disk full",
+        happens: "The archive's disk takes no byte, and says that none is free.",
+        shows: "Within 5 s the alarm \"a disk of the archive is 100 % full\"; then \"frames that no disk took\": `unstored` grows with each frame, `stored` stands still. Solutions \
+                go on. The first alarm ends with the fault, the second a minute later.",
+        remedy: "Leave the pointing alone: nothing of it depends on the disk. Note the time: the pictures since then are lost, the rows of the log are written when there \
+                 is room. Have room made, or the second disk mounted.",
+        rules: &["disks_full", "unstored"],
+    },
+    Exercise {
+        fault: Fault::LineCut,
+        title: "Line cut",
+        happens: "Nothing passes the line between the aspect system and the controller, either way: no solutions, no housekeeping, no commands, no samples of the IMU.",
+        shows: "After 5 s the alarm \"no housekeeping\", and all ages grow; commands stay without an answer. When the line is back, the alarm ends, \"missing\" has grown by the lost \
+                packets, and the inertial filter finds its attitude again.",
+        remedy: "Send nothing more: it would be lost, and could not be told from a command that was carried out. Check the ground's own side first. When the line is back, read what \
+                 may have changed, then command again.",
+        rules: &["silence"],
+    },
+];
+
+/// What the page's panel shows.
+pub fn panel(faults: &Faults) -> Value {
+    let exercise = |one: &Exercise| {
+        json!({
+            "fault": one.fault.name(),
+            "title": one.title,
+            "happens": one.happens,
+            "shows": one.shows,
+            "remedy": one.remedy,
+            "rules": one.rules,
+            "on": faults.is_on(one.fault),
+        })
+    };
+    EXERCISES.iter().map(exercise).collect()
+}
+
+/// A press of a button.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Press {
+    fault: String,
+    on: bool,
+}
+
+/// Puts a fault on, or takes it off: an order like any other, but to the simulator. It stands in the program's log.
+pub async fn switch(
+    State(console): State<Console>,
+    headers: HeaderMap,
+    press: Body<Press>,
+) -> Answer<Json<Value>> {
+    check_sender(&console, &headers)?;
+    let Some(faults) = &console.parts().training else {
+        return Err(Failure::missing("only the demo has faults to train on"));
+    };
+    let Press { fault: name, on } = press.0;
+    let known = Fault::ALL.into_iter().find(|fault| fault.name() == name);
+    let Some(fault) = known else {
+        let names = Fault::ALL.map(Fault::name).join(", ");
+        return Err(Failure::bad(format!(
+            "fault: expected one of {names}; found \"{name}\""
+        )));
+    };
+    match on {
+        true => faults.begin(fault),
+        false => faults.end(fault),
+    }
+    tracing::warn!(fault = name, on, "training: a fault was switched");
+    console
+        .shared()
+        .change(|history| history.news.training += 1);
+    Ok(Json(panel(faults)))
+}
+
+/// The table of `docs/console.md`.
+pub fn documentation() -> String {
+    let row = |one: &Exercise| {
+        let (title, happens, shows, remedy) = (one.title, one.happens, one.shows, one.remedy);
+        format!("| **{title}** | {happens} | {shows} | {remedy} |\n")
+    };
+    let rows: String = EXERCISES.iter().map(row).collect();
+    format!(
+        "| fault | what happens | what the console shows | what to do |\n|---|---|---|---|\n{rows}"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::console::rules::rules;
+
+    #[test]
+    fn the_page_for_operators_has_the_table_of_the_faults() {
+        let page = include_str!("../../docs/console.md");
+        assert!(page.contains(&documentation()), "{}", documentation());
+    }
+
+    #[test]
+    fn every_fault_is_an_exercise_and_is_noticed_by_rules_that_there_are() {
+        let faults: Vec<Fault> = EXERCISES.iter().map(|one| one.fault).collect();
+        assert_eq!(faults, Fault::ALL);
+        let known = |name: &&str| *name == "silence" || rules().any(|rule| rule.name == *name);
+        assert!(EXERCISES.iter().flat_map(|one| one.rules).all(known));
+    }
+}
