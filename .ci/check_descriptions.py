@@ -1,9 +1,10 @@
 """Compares the descriptions of the link, as foreign programs read them, with what `solaspect link decode` says.
 
-    check_descriptions.py PROGRAM KAITAI XTCE PACKETS WORK
+    check_descriptions.py PROGRAM KAITAI XTCE XTCE_CCSDS PACKETS WORK
 
 KAITAI is the folder of the module that Kaitai's compiler made, PACKETS a file with packets in hexadecimal at the ends of its lines, WORK
-a folder for a flight of some seconds. The bytes are those packets, those of that flight over UDP, and every command of the XTCE, encoded by it alone.
+a folder for a flight of some seconds. The bytes are those packets, those of that flight over UDP, every command of the XTCE, encoded by it alone, and
+the space packets of that flight's output.
 """
 
 import math
@@ -18,19 +19,20 @@ from datetime import datetime
 from pathlib import Path
 
 import lxml.etree as etree
+import space_packet_parser as spp
 from kaitaistruct import BytesIO, KaitaiStream
 from space_packet_parser.xtce.definitions import XtcePacketDefinition
 from space_packet_parser.xtce.validation import validate_xtce
 
 warnings.simplefilter("error")
-PROGRAM, KAITAI, XTCE, PACKETS, WORK = sys.argv[1:]
+PROGRAM, KAITAI, XTCE, XTCE_CCSDS, PACKETS, WORK = sys.argv[1:]
 # The newest layout of housekeeping.
 LAYOUTS = max(map(int, re.findall(r'"Housekeeping(\d+)"', Path(XTCE).read_text())))
 sys.path.insert(0, KAITAI)
 from solaspect_link import SolaspectLink  # noqa: E402
 
 NS = {"x": "http://www.omg.org/spec/XTCE/20180204"}
-LOG_PORT, FLIGHT_PORT = 47120, 47121
+LOG_PORT, FLIGHT_PORT, OUTPUT_PORT = 47120, 47121, 47122
 counts = {}
 
 
@@ -159,12 +161,18 @@ def sealed(commands, data):
 
 
 def fly(commands):
-    """What an aspect system says while it is commanded; every read of the table, too."""
+    """What an aspect system says while it is commanded, on the line and in space packets; every read of the table, too."""
     log = Path(WORK, "flight.log")
     port = f"udp:127.0.0.1:{FLIGHT_PORT}@{LOG_PORT}"
     record = subprocess.Popen([PROGRAM, "link", "log", "--port", port, "--out", log, "--duration", "14s"])
+    config = Path(WORK, "flight.toml")
+    config.write_text(f'[[output]]\nto = "udp:127.0.0.1:{OUTPUT_PORT}"\nformat = "ccsds"\n')
+    reader = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    reader.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+    reader.bind(("127.0.0.1", OUTPUT_PORT))
+    reader.setblocking(False)
     flight = subprocess.Popen(
-        [PROGRAM, "fly", "--camera", "simulated", "--serial", f"udp:127.0.0.1:{LOG_PORT}@{FLIGHT_PORT}", "--archive", Path(WORK, "archive"),
+        [PROGRAM, "fly", "--config", config, "--camera", "simulated", "--serial", f"udp:127.0.0.1:{LOG_PORT}@{FLIGHT_PORT}", "--archive", Path(WORK, "archive"),
          "--duration", "12s"], stderr=subprocess.DEVNULL)
     time.sleep(2)
     reads = [name for name in commands.names() if name.startswith("get_")]
@@ -175,8 +183,46 @@ def fly(commands):
         line.sendto(commands.encode(name, values), ("127.0.0.1", FLIGHT_PORT))
         time.sleep(0.05)
     line.close()
+    space_packets = []
+    while flight.poll() is None:
+        try:
+            space_packets.append(reader.recv(65536))
+        except BlockingIOError:
+            time.sleep(0.001)
     assert flight.wait() == 0 and record.wait() == 0
-    return b"".join(bytes.fromhex(row.split()[1]) for row in log.read_text().splitlines() if row[0] != "#")
+    rows = log.read_text().splitlines()
+    return b"".join(bytes.fromhex(row.split()[1]) for row in rows if row[0] != "#"), space_packets
+
+
+def check_space_packets(commands, definition, flight, space_packets):
+    """Each by its own XTCE as the packet of the line by that of the line, which has been held against the program."""
+    described = XtcePacketDefinition.from_xtce(XTCE_CCSDS)
+    kinds = {}
+    path = Path(WORK, "telemetry.bin")
+    path.write_bytes(b"".join(space_packets))
+    with path.open("rb") as recorded:
+        read_packets = [(data, described.parse_bytes(data)) for data in spp.ccsds_generator(recorded)]
+    check("ccsds: packets", len(read_packets), len(space_packets))
+    for data, read in read_packets:
+        kind = read["packet_type"]
+        check("ccsds: header", [read[f"packet_{n}"] for n in ("version", "is_command", "has_secondary_header", "sequence_flags")], [0, 0, 1, 3])
+        check("ccsds: sequence count", read["packet_sequence_count"], kinds.get(kind, 0) % 16384)
+        kinds[kind] = kinds.get(kind, 0) + 1
+        check("ccsds: time code", read["time_code"], 0x41)
+        payload = bytes(data)[15:]
+        check("ccsds: length", read["packet_data_length"] + 1, 9 + len(payload))
+        head = b"\x9a\xc3" + bytes([kind, 0x30]) + len(payload).to_bytes(2, "little") + b"\0\0"
+        ms = (read["time_days"] - 4383) * 86_400_000 + read["time_milliseconds"]
+        nanoseconds = ms % 1000 * 1_000_000 + read["time_microseconds"] * 1000
+        packet = sealed(commands, head + struct.pack("<II", nanoseconds, ms // 1000) + payload)
+        own = definition.parse_bytes(packet, root_container_name="TelemetryPacket")
+        shared = [name for name in own if name in read and not name.startswith("packet_")]
+        check("ccsds: payload is described", bool(shared) or not payload, True)
+        for name in shared:
+            check("ccsds: field", bytes(read[name]) if isinstance(read[name], bytes) else read[name], own[name])
+        # Its payload and seconds are those of a packet on the line.
+        check("ccsds: is on the line", packet[12:] in flight, True)
+    check("ccsds: kinds", {0x01, 0x70, 0x82, 0x83, 0xE1} <= set(kinds), True)
 
 
 def seconds(text):
@@ -364,7 +410,8 @@ def earlier_layouts(commands, data, definition):
 
 
 def main():
-    check("xtce: errors by the schema", validate_xtce(XTCE, level="schema", print_results=False, allow_schema_download=False).errors, [])
+    for path in (XTCE, XTCE_CCSDS):
+        check("xtce: errors by the schema", validate_xtce(path, level="schema", print_results=False, allow_schema_download=False).errors, [])
     definition = XtcePacketDefinition.from_xtce(XTCE)
     commands = Commands(XTCE)
     rows = re.findall(r"[ `](9ac3[0-9a-f]+)`?(?: \|)?$", Path(PACKETS).read_text(), re.M)
@@ -381,8 +428,9 @@ def main():
     to_aspect += [sealed(commands, imu), sealed(commands, several)]
     check_stream("controller", b"".join(to_aspect), definition)
     check_stream("aspect", b"".join(from_aspect), definition)
-    flight = fly(commands)
+    flight, space_packets = fly(commands)
     check_stream("aspect", flight, definition)
+    check_space_packets(commands, definition, flight, space_packets)
     last = struct.pack("<II", 100 << 8 | 1, 13 << 20 | 17 << 8 | 6 << 4 | 3 << 1) + bytes(range(121))
     last = b"\x9a\xc3\x82\x30" + len(last).to_bytes(2, "little") + bytes(10) + last
     propagated = struct.pack("<HddddIHH", 0x1105, 0.0125, -0.0034, -1.5, 2e-5, 1_379_786_400, 250, 1250)

@@ -4,13 +4,14 @@
 //!             frames (8)               pictures (queue_frames)
 //!  camera-1 ---------------> solver-1 ------------------------> archive-1, archive-2    frames
 //!     |  ^                     | |  | \_______ rows (10,000) ______> log-1, log-2         log, telemetry, housekeeping
-//!     |  \__ Glimpse __________/ |  |\______ solutions (256) _____> output-1, output-2       what others read
-//!     |                          |  \___ directions __         ^
-//!     |     LinkEvent (256)      |                    v        | telemetry
+//!     |  \__ Glimpse __________/ |  |
+//!     |                          |  \___ directions __
+//!     |     LinkEvent (256)      |                    v
 //!     +--------------------------+-> link --- IMU --> navigation <--- gps, imu     sensors with lines of their own
-//!                                    ^ ^ \ inputs (1024)    |   |
-//!                                    |  \ \______________________/
-//!        controller, over a byte port|   \___ offsets ______/
+//!                                    ^ ^     inputs (1024)  |
+//!        controller, over a byte port| \_____ offsets ______/
+//!
+//!  solutions of all solvers, telemetry of link --- messages (256) ---> output-1, output-2     what others read
 //!
 //!  Controls (shared): what the ground sets; values: saves it
 //!  watch: looks after all of them, tells link and logs the housekeeping each second, feeds systemd's watchdog
@@ -20,8 +21,8 @@
 //! (`solvers`). Only solvers of a plate tell the controller. That of the first roll camera leaves the latest nadir where these look. That of the first Moon camera
 //! leaves what it saw where the link looks, which answers requests for the Moon with it. Where a navigation filter flies, its thread takes what
 //! IMU, GPS and solvers say, and tells the link an offset at some of the IMU's samples. Every disk of the archive has two threads; while it
-//! compresses a picture, the first may start `archive.threads` less one for it. Every output that others read has a thread, which has the processor when all others leave it;
-//! it writes to its readers and keeps no one waiting, nor is it waited for, but for a moment at the end.
+//! compresses a picture, the first may start `archive.threads` less one for it. Every output that others read has a thread of a lower priority than all these;
+//! only the end waits for it, for a moment.
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
@@ -32,7 +33,7 @@
 //! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
 //! | inputs | samples, fixes and directions for the filter | the input is lost and counted: no solver and no line waits for the filter |
 //! | navigation's rows | what the archive keeps of it, a second at a time, from navigation to watch (64), and on among the rows | the rows are lost and counted |
-//! | solutions, telemetry | what an output says: solved frames, or the telemetry of the line | the message is dropped and counted: no solver and no line waits for a reader |
+//! | messages | what an output says: solved frames, or the telemetry of the line | the message is dropped and counted: no solver and no line waits for a reader |
 //! | LinkEvent | exposures about to start, solutions, offsets by the gyros, housekeeping, counts of further cameras, ids of marks, pictures | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after

@@ -56,7 +56,7 @@ impl Frames {
 /// The camera itself, which outlives its thread: it shows the drawn frames there and back again, so that the Sun never
 /// jumps.
 pub struct Ring {
-    drawn: Vec<Frame>,
+    drawn: Arc<[Frame]>,
     period: Duration,
     end: u64,
     state: Mutex<State>,
@@ -106,10 +106,19 @@ impl Ring {
 
     fn of(drawn: Vec<Frame>, rate_hz: f64, duration: Duration) -> Self {
         Self {
-            drawn,
+            drawn: drawn.into(),
             period: Duration::from_secs_f64(1.0 / rate_hz),
             end: (duration.as_secs_f64() * rate_hz).round() as u64,
             state: Mutex::default(),
+        }
+    }
+
+    /// The same camera at the begin of another run.
+    pub fn again(&self) -> Self {
+        Self {
+            drawn: Arc::clone(&self.drawn),
+            state: Mutex::default(),
+            ..*self
         }
     }
 

@@ -9,6 +9,7 @@ mod judge;
 mod line;
 mod machine;
 mod navigation;
+mod outputs;
 mod report;
 mod rig;
 mod schedule;
@@ -22,7 +23,7 @@ use judge::Trial;
 use report::{RollRun, Run, Trials};
 use rig::{Parts, Rig, RollParts};
 use schedule::{REST, Schedule};
-use solaspect::config::Config;
+use solaspect::config::{Config, Outputs};
 use solaspect::instrument::{self, MountedCamera};
 use solaspect::log;
 use solaspect::simulate::Depth;
@@ -57,6 +58,9 @@ struct Args {
     /// The navigation filter flies, too: IMU at 100 Hz on the controller's line, GPS, offsets by the gyros at 20 Hz; the Sun rests on the plate
     #[arg(long)]
     navigation: bool,
+    /// Measure what outputs of all kinds cost the controller's line: short flights with and without them in turns
+    #[arg(long, conflicts_with_all = ["archive", "keep", "roll", "navigation", "faults", "log"])]
+    outputs: bool,
     /// Real-time priority of the hurried threads; needs CAP_SYS_NICE
     #[arg(long)]
     realtime: Option<u8>,
@@ -70,6 +74,9 @@ struct Args {
 
 fn main() -> anyhow::Result<ExitCode> {
     let args = Args::parse();
+    if args.outputs {
+        return compare_outputs(&args);
+    }
     let faults = match &args.faults {
         None => Vec::new(),
         Some(named) if named.is_empty() => Fault::all(args.navigation),
@@ -100,6 +107,31 @@ fn main() -> anyhow::Result<ExitCode> {
     })
 }
 
+impl Args {
+    fn depth(&self) -> Depth {
+        match self.bits.as_str() {
+            "12" => Depth::Twelve,
+            _ => Depth::Eight,
+        }
+    }
+}
+
+fn compare_outputs(args: &Args) -> anyhow::Result<ExitCode> {
+    let instrument = instrument::builtin("demo")?;
+    let course = navigation::swaying(&instrument, Timestamp::now())?;
+    let ring = Ring::new(&instrument, course, args.depth(), args.rate, outputs::LEG)?;
+    let flights = outputs::Flights {
+        instrument,
+        ring,
+        rate_hz: args.rate,
+        realtime: args.realtime,
+    };
+    Ok(match flights.compare(Duration::from_secs(args.seconds))? {
+        true => ExitCode::SUCCESS,
+        false => ExitCode::FAILURE,
+    })
+}
+
 fn fly(
     args: &Args,
     schedule: &Schedule,
@@ -107,17 +139,13 @@ fn fly(
     values: PathBuf,
 ) -> anyhow::Result<Run> {
     let instrument = instrument::builtin("demo")?;
-    let depth = match args.bits.as_str() {
-        "12" => Depth::Twelve,
-        _ => Depth::Eight,
-    };
     let duration = Duration::from_secs(args.seconds);
     let now = Timestamp::now();
     let course = match args.navigation {
         true => navigation::resting(),
         false => navigation::swaying(&instrument, now)?,
     };
-    let ring = Ring::new(&instrument, course, depth, args.rate, duration)?;
+    let ring = Ring::new(&instrument, course, args.depth(), args.rate, duration)?;
     let roll = args.roll.then(|| roll_parts(args.rate, duration));
     let roll = roll.transpose()?;
     let roll_ring = roll.as_ref().map(|roll| Arc::clone(&roll.ring));
@@ -145,6 +173,7 @@ fn fly(
         roll,
         navigation,
         realtime: args.realtime,
+        outputs: Outputs::default(),
         roots,
         values,
         keep: args.keep,

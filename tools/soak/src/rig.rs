@@ -12,7 +12,7 @@ use solaspect::archive::Store;
 use solaspect::archive::faulty::FaultyDisk;
 use solaspect::camera::{Camera, FrameSource};
 use solaspect::commands::controls::{SavedError, SavedValues};
-use solaspect::config::{Config, Switch};
+use solaspect::config::{Config, Outputs, Switch};
 use solaspect::fits::Compression;
 use solaspect::instrument::{Instrument, MountedCamera, Role, Sees};
 use solaspect::service::{Flight, FlightCamera, FlightTally, Service};
@@ -82,6 +82,7 @@ pub struct Parts {
     pub roll: Option<RollParts>,
     pub navigation: Option<navigation::Parts>,
     pub realtime: Option<u8>,
+    pub outputs: Outputs,
     pub roots: Vec<PathBuf>,
     pub values: PathBuf,
     pub keep: bool,
@@ -124,6 +125,7 @@ impl Rig {
         let mut config = Config::default();
         config.link.saved_values = Some(parts.values.join("values.toml"));
         config.host.realtime_priority = parts.realtime;
+        config.outputs = parts.outputs;
         // Each camera's frames wait for two seconds and more.
         config.archive.queue_frames *= 1 + usize::from(parts.roll.is_some());
         let (mut flies, mut sensors, mut imu, mut judge) = (None, None, None, None);
