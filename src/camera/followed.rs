@@ -209,8 +209,8 @@ impl FollowedFolder {
     }
 
     fn begin(&mut self, file: PathBuf) {
-        let unfinished = Unfinished::new(&file);
-        self.unfinished.entry(file).or_insert(unfinished);
+        let entry = self.unfinished.entry(file);
+        entry.or_insert_with_key(|file| Unfinished::new(file));
     }
 
     fn note_whole(&mut self, file: PathBuf) {
@@ -232,8 +232,10 @@ impl FollowedFolder {
 
     /// A file is no longer here under this name.
     fn leave(&mut self, file: &Path) {
-        self.unfinished.remove(file);
-        self.whole.retain(|other| other != file);
+        if fits::is_frame_name(file) {
+            self.unfinished.remove(file);
+            self.whole.retain(|other| other != file);
+        }
     }
 
     /// Looks which of the unfinished files may be whole by now.
@@ -277,15 +279,14 @@ impl FollowedFolder {
             }
             Err(error) => error,
         };
-        let unfinished = self.unfinished.entry(file.into());
-        let unfinished = unfinished.or_insert_with(|| Unfinished::new(file));
         if state.is_none() {
-            // Renamed meanwhile, which is reported yet, or removed.
+            // Renamed meanwhile, which will be reported, or removed.
             tracing::debug!(%error, "gone before it was read");
-            self.unfinished.remove(file);
             self.taken.release(&name);
             return Ok(None);
         }
+        let unfinished = self.unfinished.entry(file.into());
+        let unfinished = unfinished.or_insert_with(|| Unfinished::new(file));
         if unfinished.is_tried && unfinished.is_due() {
             self.unfinished.remove(file);
             self.taken.record(&name, Some(&error.problem.to_string()));

@@ -26,7 +26,7 @@
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
-//! | frames | frames to solve | the frame is lost and counted: a camera does not wait |
+//! | frames | frames to solve | the frame is lost and counted: a camera does not wait; frames of a folder or the simulator wait for 10 s before |
 //! | Glimpse | brightness of the last frame | the newer takes the place of the older |
 //! | pictures | solved frames to store | by the rule `archive.overflow` a picture is given up, and counted; solving goes on |
 //! | rows | rows of the log | the row is lost and counted |
@@ -45,7 +45,8 @@
 //! thread blocked on a disk is not restarted: the other disk's goes on. Where watch or link hang, systemd's watchdog is not
 //! fed, and it starts the program again.
 //!
-//! The program's log has a queue and a thread of its own ([`crate::log`]): no thread here waits for standard error.
+//! The program's log has a queue and a thread of its own ([`crate::log`]): no thread here waits for standard error. So has the list of what was taken of
+//! a folder that is followed ([`crate::camera::TakenFiles`], 4096 names, then lost and counted): no frame waits for its disk.
 
 mod answer;
 mod archiver;
