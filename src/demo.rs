@@ -52,7 +52,7 @@ pub struct Demo {
     /// The archive's folder.
     pub archive: PathBuf,
     pub seed: u64,
-    /// What a trainer puts on it. `None`: it has no faults, and its camera is never late.
+    /// For training: faults that may be put on it, and a camera that is missed when it pauses, as a real one is.
     pub faults: Option<Faults>,
 }
 
@@ -84,7 +84,7 @@ pub struct Summary {
     pub controller: Report,
     /// Errors of the aspect against the truth, fine frames, arcsec.
     pub fine_errors_arcsec: Vec<f64>,
-    /// Offsets by the gyros against the truth.
+    /// Offsets by the gyros against the truth; none where a ground commands.
     pub propagated: Vec<JudgedOffset>,
     /// Those of the frames at times of which the horizon told the roll.
     pub by_sun: Vec<JudgedOffset>,
@@ -203,11 +203,13 @@ pub fn run(
         controller.map_err(|_| anyhow!("the controller's thread has failed"))??;
     *ground = far.ground;
     let mut telescope = telescope(demo, &instrument, start)?;
-    let propagated = controller.propagated.iter();
+    // A ground may have set another target: what differs from the Sun's centre is no error then.
+    let is_judged = ground.is_none();
+    let propagated = controller.propagated.iter().filter(|_| is_judged);
     let propagated = propagated.filter_map(|one| JudgedOffset::of(one, &mut telescope, start));
     let propagated = propagated.collect();
     // A telescope whose roll nothing has told yet is taken for level, and sent with a roll of 0.
-    let rolled = |solution: &&Solution| solution.roll_deg != 0.0;
+    let rolled = |solution: &&Solution| is_judged && solution.roll_deg != 0.0;
     let by_sun = controller.solutions.iter().filter(rolled);
     let by_sun = by_sun.filter_map(|one| JudgedOffset::by_sun(one, &mut telescope, start));
     Ok(Summary {

@@ -160,6 +160,17 @@ impl Stream {
         Self(BufReader::new(stream))
     }
 
+    /// The kinds of the events up to one of a kind.
+    fn kinds_until(&mut self, last: &str) -> Vec<String> {
+        let mut kinds = Vec::new();
+        while kinds.last().is_none_or(|kind| kind != last) {
+            let mut line = String::new();
+            assert!(self.0.read_line(&mut line).unwrap() > 0);
+            kinds.extend(line.strip_prefix("event: ").map(|kind| kind.trim().into()));
+        }
+        kinds
+    }
+
     /// The next event of a kind.
     fn next(&mut self, kind: &str) -> Value {
         let mut is_it = false;
@@ -293,6 +304,23 @@ fn the_state_says_in_words_what_is_wrong_and_since_when_and_its_alarm_outlasts_i
         silent["state"]["sentences"][0]["words"],
         "no housekeeping for 60 s"
     );
+    console.end();
+}
+
+#[test]
+fn the_state_is_told_each_second_also_where_all_but_the_housekeeping_comes() {
+    let (console, gondola) = over_udp(|_| {});
+    let mut viewer = Stream::open(console.address(), "");
+    viewer.next("state");
+    for n in 0..60 {
+        gondola.send(&solution(n, 0.1)).unwrap();
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    gondola.send(&housekeeping(60)).unwrap();
+    let kinds = viewer.kinds_until("housekeeping");
+    let told = kinds.iter().filter(|kind| *kind == "state").count();
+    // That of the housekeeping, and at least two in the three seconds before.
+    assert!(told >= 3, "{kinds:?}");
     console.end();
 }
 

@@ -90,6 +90,7 @@ struct Viewer {
     rows: Vec<OrderRow>,
     events: VecDeque<(&'static str, String)>,
     moment: Instant,
+    told_state: Instant,
     rate: Rate,
     left_out: u64,
     told_left_out: Instant,
@@ -116,6 +117,7 @@ impl Viewer {
             rows: Vec::new(),
             events: VecDeque::new(),
             moment: now,
+            told_state: now,
             rate: Rate {
                 bytes: shared.history().line.bytes,
                 since: now,
@@ -164,9 +166,10 @@ impl Viewer {
             let since = self.moment.elapsed();
             sleep(LEAST.saturating_sub(since)).await;
             // News or not: the state is told each second.
-            let _ = timeout(MOST.saturating_sub(since), self.news.changed()).await;
+            let left = MOST.saturating_sub(self.told_state.elapsed());
+            let _ = timeout(left, self.news.changed()).await;
         }
-        let is_tick = self.seen.is_none() || self.moment.elapsed() >= MOST;
+        let is_tick = self.seen.is_none() || self.told_state.elapsed() >= MOST;
         self.moment = Instant::now();
         self.measure();
         let (seen, detail) = (self.seen, self.wish.detail());
@@ -182,6 +185,9 @@ impl Viewer {
         };
         let come = seen.map_or(0, |seen| news.total() - seen.total());
         let sent = events.iter().filter(|(kind, _)| *kind != "state").count();
+        if sent < events.len() {
+            self.told_state = self.moment;
+        }
         self.left_out += come.saturating_sub(sent as u64);
         self.events.extend(events);
         let orders_changed = seen.is_none_or(|seen| seen.orders != news.orders);

@@ -26,30 +26,30 @@ pub const EXERCISES: &[Exercise] = &[
         fault: Fault::CameraDead,
         title: "Camera dead",
         happens: "The camera that sees the plate gives no frames, and says nothing. The camera of the horizon goes on.",
-        shows: "Within 3 s the alarm \"a camera gave no frames\"; `silent_s` grows by 1 each second, `fine` stands still, no solutions of the Sun come. Within 15 s \"the \
-                inertial filter coasts\": offsets by the gyros go on, with a sigma that grows. A minute after the last silence the alarm has ended.",
-        remedy: "Point by the gyros while their sigma allows it. Read the camera's state: a camera that is back is set again by itself. If it stays silent, have its power \
-                 switched off and on, or continue with another camera.",
-        rules: &["silent_s", "navigation"],
+        shows: "Within 3 s the alarm \"a camera gave no frames\": `silent_s` grows by 1 each second, `fine` stands still, no solutions of the Sun come. After 10 s \"the \
+                inertial filter coasts\": offsets by the gyros go on, with a sigma that grows. The alarm ends a minute after frames come again.",
+        remedy: "Point by the gyros while their sigma allows it. Nothing is to be sent: the program looks for the camera, and sets it again when it is back. If it stays silent, have \
+                 its power switched off and on.",
+        rules: &["silent_s"],
     },
     Exercise {
         fault: Fault::DiskFull,
         title: "Disk full",
         happens: "The archive's disk takes no byte, and says that none is free.",
-        shows: "Within 5 s the alarm \"a disk of the archive is 100 % full\"; then \"frames that no disk took\": `unstored` grows with each frame, `stored` stands still. Solutions \
-                go on. The first alarm ends with the fault, the second a minute later.",
-        remedy: "Leave the pointing alone: nothing of it depends on the disk. Note the time: the pictures since then are lost, the rows of the log are written when there \
-                 is room. Have room made, or the second disk mounted.",
+        shows: "Within 3 s the alarms \"a disk of the archive is 100 % full\" and \"refusals by a disk\", then \"frames that no disk took\": `unstored` grows with each frame, `stored` stands \
+                still. Solutions go on. The first alarm ends with the fault, the others a minute later.",
+        remedy: "Leave the pointing alone: nothing of it depends on the disk. Note the time: the pictures from then on are lost; the rows of the logs wait, and are written when there is \
+                 room. Have room made, or another disk mounted.",
         rules: &["disks_full", "unstored"],
     },
     Exercise {
         fault: Fault::LineCut,
         title: "Line cut",
         happens: "Nothing passes the line between the aspect system and the controller, either way: no solutions, no housekeeping, no commands, no samples of the IMU.",
-        shows: "After 5 s the alarm \"no housekeeping\", and all ages grow; commands stay without an answer. When the line is back, the alarm ends, \"missing\" has grown by the lost \
-                packets, and the inertial filter finds its attitude again.",
-        remedy: "Send nothing more: it would be lost, and could not be told from a command that was carried out. Check the ground's own side first. When the line is back, read what \
-                 may have changed, then command again.",
+        shows: "After 5 s the alarm \"no housekeeping\", and all ages grow; a command gets no receipt. When the line is back the alarm ends, \"missing\" counts the packets that were lost, \
+                and the inertial filter, which had no samples, waits for its attitude.",
+        remedy: "Check the ground's own side first. Send nothing that changes the flight: without a receipt nobody knows whether it was carried out. When the line is back, read what may have \
+                 changed, then command again.",
         rules: &["silence"],
     },
 ];

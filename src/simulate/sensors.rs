@@ -81,7 +81,7 @@ impl Sensors {
     /// Says what is due: samples over the controller's line, sentences over the receiver's own.
     ///
     /// # Errors
-    /// A lost port, and a flight that goes where nothing points.
+    /// A lost port of the controller, and a flight that goes where nothing points.
     pub fn speak(&mut self, port: &mut dyn BytePort, now: Duration) -> Result<(), SensorError> {
         while self.wait(now).is_zero() {
             let sample = self.flight.sample(self.sample)?;
@@ -93,12 +93,22 @@ impl Sensors {
             if self.due() > Duration::from_secs(self.second) {
                 let sentences = self.flight.sentences(self.second)?;
                 self.second += 1;
-                if let Some(gps) = &mut self.gps {
-                    write(gps.as_mut(), sentences.as_bytes())?;
-                }
+                self.say(&sentences);
             }
         }
         Ok(())
+    }
+
+    /// Says sentences of the receiver, until the other end of its line hangs up: a flight that ends does so before the controller.
+    fn say(&mut self, sentences: &str) {
+        let said = self
+            .gps
+            .as_mut()
+            .map(|gps| write(gps.as_mut(), sentences.as_bytes()));
+        if let Some(Err(error)) = said {
+            tracing::info!(%error, "nobody hears the simulated GPS receiver any more");
+            self.gps = None;
+        }
     }
 }
 
