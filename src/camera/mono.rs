@@ -115,29 +115,44 @@ impl MonoFormat {
     }
 }
 
-/// Four pixels of an even number of bits, 14 at most, to a group of whole bytes.
+/// Pixels of 10 or 12 bits, four to a group of five or six bytes.
 fn lowest_first(bytes: &[u8], bits: usize) -> Vec<u16> {
     let mask = u16::MAX >> (16 - bits);
-    let group = |bytes: &[u8]| {
-        let mut word = [0; 8];
-        word[..bytes.len()].copy_from_slice(bytes);
-        let word = u64::from_le_bytes(word);
+    unpacked(bytes, bits / 2, |eight: [u8; 8]| {
+        let word = u64::from_le_bytes(eight);
         [0, 1, 2, 3].map(|k| (word >> (k * bits)) as u16 & mask)
-    };
-    bytes.chunks(bits / 2).flat_map(group).collect()
+    })
 }
 
 fn pairs(bytes: &[u8], bits: usize) -> Vec<u16> {
     let low = bits - 8;
     let mask = u8::MAX >> (8 - low);
     let joined = |high: u8, lower: u8| u16::from(high) << low | u16::from(lower & mask);
-    let group = |bytes: &[u8]| {
-        let mut three = [0; 3];
-        three[..bytes.len()].copy_from_slice(bytes);
-        let [first, lower, second] = three;
+    unpacked(bytes, 3, |[first, lower, second]| {
         [joined(first, lower), joined(second, lower >> 4)]
-    };
-    bytes.chunks(3).flat_map(group).collect()
+    })
+}
+
+/// The pixels of every group of so many bytes, each group with what follows it, or zeros.
+fn unpacked<const BYTES: usize, const PIXELS: usize>(
+    bytes: &[u8],
+    group: usize,
+    pixels: impl Fn([u8; BYTES]) -> [u16; PIXELS],
+) -> Vec<u16> {
+    let mut all = vec![0; PIXELS * bytes.len().div_ceil(group)];
+    for (n, slot) in all.as_chunks_mut().0.iter_mut().enumerate() {
+        let rest = &bytes[n * group..];
+        let read = match rest.first_chunk() {
+            Some(read) => *read,
+            None => {
+                let mut read = [0; BYTES];
+                read[..rest.len()].copy_from_slice(rest);
+                read
+            }
+        };
+        *slot = pixels(read);
+    }
+    all
 }
 
 #[cfg(test)]

@@ -31,8 +31,7 @@ const SATURATED: f64 = 0.985;
 const DIM: f64 = 0.1;
 /// No gondola hangs so much askew.
 const MOST_ROLL_DEG: f64 = 15.0;
-const PLUG: &str =
-    "is it powered and plugged in, on this network, and nobody else's? see docs/camera.md";
+const PLUG: &str = "is it powered and plugged in, on this network or free to open by USB, and nobody else's? see docs/camera.md";
 const WRITE: &str = "does a program write whole frames into this folder? see docs/camera.md";
 
 /// A camera that is tried, with the flight's solver.
