@@ -189,6 +189,7 @@ def fly(commands):
             space_packets.append(reader.recv(65536))
         except BlockingIOError:
             time.sleep(0.001)
+    reader.close()
     assert flight.wait() == 0 and record.wait() == 0
     rows = log.read_text().splitlines()
     return b"".join(bytes.fromhex(row.split()[1]) for row in rows if row[0] != "#"), space_packets

@@ -5,11 +5,14 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};
 use jiff::{SignedDuration, Timestamp};
 use solaspect::aspect::Quality;
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
+use solaspect::commands::order;
 use solaspect::config::{Config, Output, Outputs};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::instrument;
+use solaspect::link::ground::ask;
 use solaspect::link::{
-    BytePort, Connection, Direction, Housekeeping, Packet, Parser, SerialPort, TelemetryPacket, id,
+    BytePort, Computer, Connection, Direction, Housekeeping, Packet, Parser, SerialPort,
+    TelemetryPacket, id,
 };
 use solaspect::output::Format;
 use solaspect::record::Record;
@@ -265,17 +268,13 @@ fn readers_that_take_nothing_cost_only_counted_messages() {
         output("udp:127.0.0.1:9", Format::Jsonl),
     ]);
     let _silent = connect(listening);
-    let mut far = rig.far;
-    let (mut parser, start, mut buffer) = (
-        Parser::new(Direction::ToController),
-        Instant::now(),
-        [0; 4096],
-    );
+    let (mut far, start, mut buffer) = (rig.far, Instant::now(), [0; 4096]);
+    let track = order("start_tracking", &[], Computer::One).unwrap();
+    ask(&mut far, &track, 1, LONG).unwrap();
     for number in 0..FRAMES {
         rig.frames.send(dark(number)).unwrap();
         rig.answers.recv_timeout(LONG).unwrap();
-        let count = far.read(&mut buffer, Duration::ZERO).unwrap();
-        parser.feed(&buffer[..count], start.elapsed());
+        while far.read(&mut buffer, Duration::ZERO).unwrap() > 0 {}
     }
     let settled = || {
         let tally = rig.service.tally();

@@ -160,14 +160,17 @@ struct Writing {
 impl Writing {
     fn run(&mut self, messages: &Receiver<Message>, hang_up: &AtomicBool, life: &Life) {
         let mut ended = None;
+        self.endpoint.look(self.start.elapsed());
         loop {
             life.beat();
+            let message = messages.recv_timeout(PATIENCE);
+            // Who has connected by now gets the message, too.
             self.endpoint.look(self.start.elapsed());
             if hang_up.load(Ordering::Relaxed) {
                 ended.get_or_insert_with(Instant::now);
             }
             let is_late = ended.is_some_and(|ended: Instant| ended.elapsed() > LAST_WORDS);
-            match messages.recv_timeout(PATIENCE) {
+            match message {
                 Ok(_) if is_late => self.counts.note_dropped(1),
                 Ok(message) => self.write(&message),
                 Err(_) if ended.is_some() => return,
