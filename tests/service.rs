@@ -4,7 +4,11 @@ use solaspect::archive::role_of;
 use solaspect::aspect::Quality;
 use solaspect::demo::{self, Demo};
 use solaspect::fits;
-use solaspect::instrument::Role;
+use solaspect::instrument::{Role, builtin};
+use solaspect::link::{BytePort, PortError, SerialPort};
+use solaspect::simulate::navigation::TelescopeFlight;
+use solaspect::simulate::sensors::Sensors;
+use solaspect::simulate::{FORT_SUMNER, Trajectory};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -74,4 +78,34 @@ fn a_demonstration_that_is_stopped_ends_in_order() {
         || shown.get() >= 3,
     );
     assert_eq!(summary.unwrap().lost(), 0);
+}
+
+/// A line that takes everything.
+struct Sink;
+
+impl BytePort for Sink {
+    fn read(&mut self, _buffer: &mut [u8], _timeout: Duration) -> Result<usize, PortError> {
+        Ok(0)
+    }
+
+    fn write(&mut self, _bytes: &[u8], _timeout: Duration) -> Result<(), PortError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_flight_that_hangs_up_the_gps_receiver_before_the_controller_ends_without_an_error() {
+    let instrument = builtin("demo").unwrap();
+    let radius_mil = instrument.optics.radius_mil(955.0);
+    let course = Trajectory::flight(&instrument, radius_mil, 1).unwrap();
+    let start = "2013-09-21T18:00:00Z".parse().unwrap();
+    let flight = TelescopeFlight::new(course, &instrument, FORT_SUMNER, start, 1);
+    let (near, far) = SerialPort::pair().unwrap();
+    let mut sensors = Sensors::new(flight, Some(Box::new(far)), Duration::ZERO);
+    drop(near);
+    for second in 1..4 {
+        sensors
+            .speak(&mut Sink, Duration::from_secs(second))
+            .unwrap();
+    }
 }
