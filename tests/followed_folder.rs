@@ -15,6 +15,7 @@ use solaspect::instrument::{Role, builtin};
 use solaspect::plan::{Options, Plan};
 use solaspect::service::{Answer, Flight, FlightCamera, FlightTally, Service};
 use solaspect::simulate::{Conditions, RandomScenes};
+use solaspect::sky::sun_angular_radius;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -318,7 +319,14 @@ impl Writer {
     fn new(folder: &Path) -> Self {
         let demo = builtin("demo").unwrap();
         let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 1).unwrap();
-        let drawn = (0..4).map(|n| scenes.scene(n).unwrap().frame().unwrap());
+        let radius_arcsec = sun_angular_radius(Timestamp::now()).unwrap();
+        let drawn = (0..4).map(|n| {
+            let mut scene = scenes.scene(n).unwrap();
+            // As large as it is today, for the frames have today's times.
+            let sun = scene.sun.as_mut().unwrap();
+            sun.radius_mil = demo.optics.radius_mil(radius_arcsec);
+            scene.frame().unwrap()
+        });
         Self {
             drawn: drawn.collect(),
             folder: folder.into(),
