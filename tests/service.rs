@@ -98,10 +98,11 @@ fn a_flight_that_hangs_up_the_gps_receiver_before_the_controller_ends_without_an
     let instrument = builtin("demo").unwrap();
     let radius_mil = instrument.optics.radius_mil(955.0);
     let course = Trajectory::flight(&instrument, radius_mil, 1).unwrap();
-    let start = "2013-09-21T18:00:00Z".parse().unwrap();
+    let start: jiff::Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
     let flight = TelescopeFlight::new(course, &instrument, FORT_SUMNER, start, 1);
     let (near, far) = SerialPort::pair().unwrap();
-    let mut sensors = Sensors::new(flight, Some(Box::new(far)), Duration::ZERO);
+    let mut sensors = Sensors::new(flight, Some(Box::new(far)));
+    sensors.join(start, Duration::ZERO);
     drop(near);
     for second in 1..4 {
         sensors
