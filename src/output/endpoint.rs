@@ -42,7 +42,7 @@ impl Went {
 pub struct Endpoint(End);
 
 enum End {
-    Port(Port),
+    Port(Box<Port>),
     Clients(Clients),
 }
 
@@ -50,14 +50,14 @@ impl Endpoint {
     /// To a destination, at a speed where it is serial. It is opened by the first [`look`](Self::look), and again whenever it is lost.
     pub fn new(to: &Destination, baud: u32) -> Self {
         Self(match to {
-            Destination::Port(address) => End::Port(Port {
+            Destination::Port(address) => End::Port(Box::new(Port {
                 most_bytes: match address {
                     PortAddress::Udp { .. } => LONGEST_DATAGRAM,
                     PortAddress::Serial { .. } => usize::MAX,
                 },
                 connection: Connection::to(address.clone(), baud, LocalEnd::default()),
                 rest: Rest::default(),
-            }),
+            })),
             Destination::Clients(address) => End::Clients(Clients::new(*address)),
         })
     }
