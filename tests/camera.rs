@@ -123,19 +123,15 @@ fn the_simulator_takes_exposure_region_format_and_rate_in_flight() {
 }
 
 #[test]
-fn a_frame_of_any_depth_knows_its_full_scale_and_gives_the_same_aspect() {
+fn a_frame_of_any_depth_knows_its_full_scale_and_tells_the_sun() {
     let instrument = instrument::builtin("demo").unwrap();
-    let mut suns = Vec::new();
-    for (format, saturation_dn) in PixelFormat::KINDS
-        .into_iter()
-        .zip([255, 1023, 4095, 65_535])
-    {
+    let mut camera = simulated(50.0, None);
+    let full_scales = [255, 1023, 4095, 65_535];
+    for (format, saturation_dn) in PixelFormat::KINDS.into_iter().zip(full_scales) {
         let settings = CameraSettings {
             pixel_format: format,
             ..CameraSettings::default()
         };
-        // The first frame of a flight each: the Sun stands where it stood.
-        let mut camera = simulated(50.0, None);
         camera.apply(&settings).unwrap();
         let (Exposure { frame, .. }, _) = next(&mut camera).unwrap();
         assert_eq!(frame.saturation_dn(), saturation_dn, "{format:?}");
@@ -143,11 +139,15 @@ fn a_frame_of_any_depth_knows_its_full_scale_and_gives_the_same_aspect() {
         let expected = frame.info.mid_exposure.and_then(Expected::at);
         let solved = aspect::solve(&frame, &instrument, expected, None);
         assert_eq!(solved.quality, Quality::Fine, "{format:?}");
-        suns.push(solved.aspect.unwrap().sun_px.position);
-    }
-    for sun in &suns {
-        // Noise and rounding differ.
-        assert!(sun.distance(suns[0]) < 0.05, "{suns:?}");
+        let truth = camera.truth().of(frame.info.number.unwrap()).flatten();
+        let sun = solved.aspect.unwrap().sun_plate;
+        let off_mil = sun.position.distance(truth.unwrap().plate);
+        let [across, along] = sun.sigma();
+        let limit_mil = 5.0 * across.hypot(along);
+        assert!(
+            off_mil < limit_mil,
+            "{format:?}: {off_mil} mil, {limit_mil}"
+        );
     }
 }
 

@@ -6,7 +6,6 @@ use crate::common::flight::numbers_in;
 use solaspect::camera::{CameraHealth, CameraSettings, Device, FrameSource, GenicamCamera};
 use solaspect::camera::{PixelFormat, Source};
 use solaspect::frame::{Frame, Region};
-use solaspect::link::{Connection, SerialPort};
 use solaspect::plan::{Options, Plan, Replay};
 use solaspect::service::{Flight, FlightTally, Service};
 use std::path::Path;
@@ -39,7 +38,8 @@ fn assert_shows_the_ramp(frame: &Frame) {
     }
     let row = frame.row_dn(0, 0..width);
     let steps = row.windows(2).filter(|pair| pair[0] != pair[1]);
-    assert!(steps.count() > width / 2);
+    // A bright one is cut off at full scale for much of its way.
+    assert!(steps.count() > width / 8);
 }
 
 #[test]
@@ -149,9 +149,7 @@ fn flown(folder: &Path, rate_hz: u64, seconds: u64) -> FlightTally {
     std::fs::write(&file, text).unwrap();
     let (plan, remarks) = Plan::survey(Some(&file), &Options::default());
     assert!(!remarks.has_errors(), "{:?}", remarks.list);
-    let (near, _far) = SerialPort::pair().unwrap();
-    let mut flight = Flight::of_plan(&plan, Replay::default()).unwrap();
-    flight.line = Connection::over(near);
+    let flight = Flight::of_plan(&plan, Replay::default()).unwrap();
     let service = Service::start(flight).unwrap();
     let start = Instant::now();
     let mut marked = false;
