@@ -339,7 +339,10 @@ impl Writer {
         let of_ring = self.written as usize % self.drawn.len();
         let frame = &mut self.drawn[of_ring];
         frame.info.number = Some(self.written);
-        frame.info.mid_exposure = Some(Timestamp::now());
+        // A day on which the Sun is as large as it was drawn.
+        let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
+        let since_start = Duration::from_secs_f64(self.written as f64 / 26.0);
+        frame.info.mid_exposure = Some(start + since_start);
         let name = format!("frame_{:08}.fits", self.written);
         let bytes = fits::encode_frame(frame, &[], &[], Compression::None).unwrap();
         put(&self.folder, &name, &bytes);
