@@ -367,7 +367,7 @@ fn watch(
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return,
         }
-        if stopped() {
+        if stopped() || service.controls().quits() {
             service.stop();
         }
     }
