@@ -301,8 +301,10 @@ fn outputs_work_where_there_is_no_line() {
     let (packets, to) = reader();
     let demo = instrument::builtin("demo").unwrap();
     let (_frames, given) = unbounded();
-    let mut config = Config::default();
-    config.outputs = Outputs::from_iter([output(&to, Format::Ccsds)]);
+    let config = Config {
+        outputs: Outputs::from_iter([output(&to, Format::Ccsds)]),
+        ..Config::default()
+    };
     let flight = Flight {
         config,
         ..Flight::of(vec![FlightCamera::of_plate(demo, Given(given))])

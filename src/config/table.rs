@@ -72,7 +72,7 @@ macro_rules! row {
 macro_rules! camera_rows {
     ($table:ident, instrument $file:literal, $instrument:literal, rate ($($rate:literal)?), exposure $exposure:literal, analogue $analogue:literal, preamp $preamp:literal) => {[
         row!([$table].source, "", Allowed::Source, sample Sample::Text("gige:192.168.1.20"),
-            "Where the camera's frames come from: a GigE Vision camera by IP address or serial number, any GenICam camera (USB3 Vision, too) by its id in Aravis, the frames of a folder (?follow: those that another program writes into it from now on; ?follow=all: also those that lie there), the simulator, or \"own\" for one that a program of your own brings (docs/own-gondola.md). Unset, there is no such camera; [camera] must be set, \"simulated\" for the simulator."),
+            "Where the camera's frames come from: a GigE Vision camera by IP address or serial number, any GenICam camera (USB3 Vision, too) by its id in Aravis, the frames of a folder (with ?follow those that another program writes into it from then on, with ?follow=all also those that lie there), the simulator, or \"own\" for one that a program of your own brings (docs/own-gondola.md). Unset, there is no such camera; [camera] must be set, \"simulated\" for the simulator."),
         row!([$table].instrument, "", Text, sample Sample::Text($file), $instrument),
         row!([$table].rate_hz, "Hz", Number(0.01, 100.0), $(command $rate,)?
             "Frames per second. The 2013 camera gives up to 26. A higher rate increases the load on solver and disks."),
@@ -107,7 +107,7 @@ macro_rules! camera_rows {
 fn cameras() -> impl Iterator<Item = Parameter> {
     let camera = camera_rows!(
         camera,
-        instrument "calibration/heroes-pyas-f.toml", "The instrument's file; unset, the built-in \"demo\", but for a real camera, which needs one.",
+        instrument "calibration/heroes-pyas-f.toml", "The instrument's file; unset, the built-in \"demo\", but for a real camera or a folder that is followed, which needs one.",
         rate (1),
         exposure "Aspect command 0x0451 sets it in flight. ",
         analogue " Aspect command 0x0481 sets it in flight.",
@@ -115,7 +115,7 @@ fn cameras() -> impl Iterator<Item = Parameter> {
     );
     let second = camera_rows!(
         second_camera,
-        instrument "calibration/heroes-pyas-f.toml", "The instrument's file; unset, the built-in \"demo\", but for a real camera, which needs one.",
+        instrument "calibration/heroes-pyas-f.toml", "The instrument's file; unset, the built-in \"demo\", but for a real camera or a folder that is followed, which needs one.",
         rate (),
         exposure "",
         analogue "",

@@ -127,11 +127,7 @@ fn followed(config: &Config, remarks: &mut Remarks) {
         };
         if let Some(Some(archive)) = remarks.answered(&key, shared) {
             let expected = "a folder apart from the archive, whose frames would be followed, too";
-            let found = format!(
-                "{} with the archive {}",
-                folder.display(),
-                archive.display()
-            );
+            let found = format!("{folder:?}, and the archive is {archive:?}");
             remarks.error(&key, expected, found);
         }
         if archives.is_empty() && *backlog == Backlog::Taken {
