@@ -34,14 +34,12 @@ cmp "$work/$here.list" "$work/arm64.list"
 diff -r "$work/$here" "$work/arm64"
 
 say "the same answers"
-mapfile -t frames < <(find tests/data -name '*.fits' -o -name '*.fits.gz' | sort)
-solve() { "$@" solve --format jsonl "${frames[@]}" | sed 's/"solve_us":[0-9]*/"solve_us":0/'; }
-solve "$work/$here.package" > "$work/answers"
-[ "$(wc -l < "$work/answers")" = "${#frames[@]}" ]
+solve() { "$@" solve --format jsonl tests/data; }
+solve "$work/$here.package" > "$work/$here.jsonl"
 for program in package tarball; do
-    solve qemu-aarch64 "$work/arm64.$program" | diff "$work/answers" -
+    solve qemu-aarch64 "$work/arm64.$program" > "$work/$program.jsonl"
+    .ci/check_same.py "$work/$here.jsonl" "$work/$program.jsonl"
 done
-echo "${#frames[@]} frames"
 
 say "a demo flight loses nothing"
 qemu-aarch64 "$work/arm64.package" demo --rate 1 --duration 25s --archive "$work/archive"
