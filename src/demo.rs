@@ -10,7 +10,7 @@ pub use faults::{Fault, FaultCost, Faults};
 use crate::archive::disk::{Disk, LocalDisk};
 use crate::archive::{ArchiveError, Store};
 use crate::aspect::Quality;
-use crate::camera::{Camera, CameraSettings, FrameSource, SimulatedCamera, TruthLog, View};
+use crate::camera::{Camera, CameraSettings, SimulatedCamera, TruthLog, View};
 use crate::clock::FlightClock;
 use crate::config::{Config, Switch};
 use crate::fits::Compression;
@@ -300,14 +300,9 @@ fn cameras(
         toml: Some(DEMO_HORIZON.into()),
         ..Camera::new("roll_camera", Role::Roll, Sees::Horizon(mounted))
     };
-    let sun: Box<dyn FrameSource> = match &demo.faults {
-        Some(faults) => Box::new(faults.on_camera(sun)),
-        None => Box::new(sun),
-    };
-    let sun = FlightCamera {
-        camera: plate,
-        source: Some(sun),
-        open: None,
+    let sun = match &demo.faults {
+        Some(faults) => FlightCamera::new(plate, faults.on_camera(sun)),
+        None => FlightCamera::new(plate, sun),
     };
     let cameras = vec![sun, FlightCamera::new(roll, horizon)];
     Ok((cameras, truth, gondola))

@@ -120,28 +120,29 @@ impl Config {
         })
     }
 
-    /// Lines that two would read from.
-    fn shared_ports(&self) -> Vec<Refused> {
-        let local_port = u16::try_from(self.link.udp_local_port).ok();
-        let link = self.link.address().ok().flatten();
-        let sensor = |address: Result<Option<PortAddress>, Refused>| {
-            let address = address.ok().flatten();
-            address
-                .filter(|_| self.navigation.is_enabled())?
-                .takes(None)
-        };
-        let taken = [
-            (
-                "link.port",
-                link.and_then(|address| address.takes(local_port)),
-            ),
+    /// The lines that are read from, each with its key: the controller's, and those of sensors that fly.
+    fn lines(&self) -> impl Iterator<Item = (&'static str, PortAddress)> {
+        let flies = self.navigation.is_enabled();
+        let sensor = |address| flies.then_some(address);
+        let lines = [
+            ("link.port", Some(self.link.address())),
             ("navigation.imu_port", sensor(self.navigation.imu_address())),
             ("navigation.gps_port", sensor(self.navigation.gps_address())),
         ];
-        let taken: Vec<_> = taken
-            .into_iter()
-            .filter_map(|(key, taken)| Some((key, taken?)))
-            .collect();
+        let readable =
+            |(key, address): (_, Option<Result<Option<_>, _>>)| Some((key, address?.ok()??));
+        lines.into_iter().filter_map(readable)
+    }
+
+    /// Lines that two would read from.
+    fn shared_ports(&self) -> Vec<Refused> {
+        let taken = |(key, address): (&'static str, PortAddress)| {
+            // A sensor's line takes any free port.
+            let local_port = u16::try_from(self.link.udp_local_port).ok();
+            let local_port = local_port.filter(|_| key == "link.port");
+            Some((key, address.takes(local_port)?))
+        };
+        let taken: Vec<_> = self.lines().filter_map(taken).collect();
         let shared = |(n, (key, own)): (usize, &(&'static str, String))| {
             let (other, _) = taken[..n].iter().find(|(_, other)| other == own)?;
             Some(Refused {
@@ -155,25 +156,11 @@ impl Config {
 
     /// Outputs that go where another one goes, or where the controller or a sensor is.
     fn shared_destinations(&self) -> Vec<Refused> {
-        let navigation = Some(&self.navigation).filter(|own| own.is_enabled());
-        let lines = [
-            ("link.port", Some(self.link.address())),
-            (
-                "navigation.imu_port",
-                navigation.map(|own| own.imu_address()),
-            ),
-            (
-                "navigation.gps_port",
-                navigation.map(|own| own.gps_address()),
-            ),
-        ];
         let mut taken = Vec::new();
-        for (key, address) in lines {
-            if let Some(Ok(Some(address))) = address {
-                let ends = [own_end(&address, self.link.udp_local_port), Some(address)];
-                let ends = ends.into_iter().flatten().map(Destination::Port);
-                taken.extend(ends.map(|end| (key.to_owned(), end)));
-            }
+        for (key, address) in self.lines() {
+            let ends = [own_end(&address, self.link.udp_local_port), Some(address)];
+            let ends = ends.into_iter().flatten().map(Destination::Port);
+            taken.extend(ends.map(|end| (key.to_owned(), end)));
         }
         let mut shared = Vec::new();
         for (name, output) in self.outputs.flying() {

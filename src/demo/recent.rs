@@ -1,5 +1,6 @@
 //! What a demonstration without end keeps of its frames.
 
+use crate::fits::list_tree;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use std::{fs, io};
@@ -37,20 +38,10 @@ impl Recent {
 
 /// Removes the frames below a folder that were written longer ago than `kept`.
 fn forget(folder: &Path, kept: Duration) -> io::Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
-        let path = entry.path();
-        // A file that is being written gets another name meanwhile.
-        let Ok(found) = entry.metadata() else {
-            continue;
-        };
-        if found.is_dir() {
-            forget(&path, kept)?;
-        } else if path.extension().is_some_and(|end| end == "fits") {
-            let age = found.modified()?.elapsed().unwrap_or_default();
-            if age > kept {
-                fs::remove_file(path)?;
-            }
+    for frame in list_tree(folder).map_err(|unlisted| unlisted.cause)? {
+        let age = fs::metadata(&frame)?.modified()?.elapsed();
+        if age.unwrap_or_default() > kept {
+            fs::remove_file(frame)?;
         }
     }
     Ok(())
