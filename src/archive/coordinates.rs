@@ -12,8 +12,8 @@ use crate::geometry::Mapping;
 use crate::instrument::Instrument;
 use crate::log::Seldom;
 use crate::pointing::{self, HelioprojectiveArcsec, PointingError, Roll, Target};
-use crate::sky::{AU_KM, Ephemeris, SUN_RADIUS_KM, SunPosition};
-use crate::units::{ARCSEC_PER_RAD, EARTH_RADIUS_M, Place, SensorPx};
+use crate::sky::{AU_KM, Disc, Ephemeris, SUN_RADIUS_KM, SunPosition};
+use crate::units::{EARTH_RADIUS_M, Place, SensorPx};
 use nalgebra::Matrix2;
 
 const AU_M: f64 = AU_KM * 1e3;
@@ -39,7 +39,7 @@ impl Helioprojection {
         instrument: &Instrument,
         sun: &SunPosition,
     ) -> Result<Option<Self>, PointingError> {
-        let step = solar_radius_arcsec(sun);
+        let step = Disc::from(sun).radius_arcsec();
         let sun_plate = aspect.sun_plate.position;
         let seen = |x, y| {
             let place = HelioprojectiveArcsec { x, y };
@@ -148,7 +148,7 @@ fn error_cards(
     let matrix = helioprojection.arcsec_per_px;
     let covariance = matrix * aspect.sun_px.covariance * matrix.transpose();
     let random = |axis: usize| covariance[(axis, axis)].max(0.0).sqrt();
-    let at_limb = turn_sigma_deg.to_radians() * solar_radius_arcsec(sun);
+    let at_limb = turn_sigma_deg.to_radians() * Disc::from(sun).radius_arcsec();
     vec![
         Card::new(&keyword::CRDER1, random(0)),
         Card::new(&keyword::CRDER2, random(1)),
@@ -168,7 +168,7 @@ fn observer_cards(sun: &SunPosition, place: Place) -> Vec<Card> {
         Card::new(&keyword::CRLN_OBS, carrington_deg),
         Card::new(&keyword::CRLT_OBS, latitude_deg),
         Card::new(&keyword::RSUN_REF, SUN_RADIUS_KM * 1e3),
-        Card::new(&keyword::RSUN_OBS, solar_radius_arcsec(sun)),
+        Card::new(&keyword::RSUN_OBS, Disc::from(sun).radius_arcsec()),
         Card::new(&keyword::SOLAR_P0, sun.p_deg),
         Card::new(&keyword::NORTHANG, sun.zenith_to_north_deg),
         Card::new(&keyword::SUN_AZ, sun.azimuth_deg),
@@ -187,9 +187,4 @@ fn stonyhurst_deg(sun: &SunPosition, place: Place) -> (f64, f64) {
     let latitude_deg = sun.b0_deg + to_north.to_degrees();
     let longitude_deg = to_west.to_degrees() / latitude_deg.to_radians().cos();
     (longitude_deg, latitude_deg)
-}
-
-/// The Sun's radius as this observer sees it.
-fn solar_radius_arcsec(sun: &SunPosition) -> f64 {
-    (SUN_RADIUS_KM / (sun.distance_au * AU_KM)).asin() * ARCSEC_PER_RAD
 }

@@ -1,9 +1,11 @@
 //! Drawing: pictures of a frame with shapes and text laid over it, and figures of numbers.
 
 mod canvas;
+mod graticule;
 pub mod html;
 mod overlay;
 pub mod plot;
 
 pub use canvas::{Canvas, Colour};
+pub use graticule::{graticule, limb};
 pub use overlay::overlay;

@@ -129,6 +129,13 @@ pub struct Disc {
     pub distance_au: f64,
 }
 
+impl Disc {
+    /// The Sun's radius from this distance.
+    pub fn radius_arcsec(&self) -> f64 {
+        (SUN_RADIUS_KM / (self.distance_au * AU_KM)).asin() * ARCSEC_PER_RAD
+    }
+}
+
 impl From<&SunPosition> for Disc {
     fn from(sun: &SunPosition) -> Self {
         Self {
