@@ -61,7 +61,8 @@ impl Helioprojection {
         self.arcsec_per_px.determinant().abs().sqrt()
     }
 
-    fn cards(&self) -> Vec<Card> {
+    /// The keywords of the coordinates.
+    pub fn cards(&self) -> Vec<Card> {
         let scale = self.scale_arcsec_per_px();
         let turn = self.arcsec_per_px / scale;
         vec![
@@ -158,7 +159,7 @@ fn error_cards(
 }
 
 /// Who observed, from where about the Sun, and where the Sun stood.
-fn observer_cards(sun: &SunPosition, place: Place) -> Vec<Card> {
+pub fn observer_cards(sun: &SunPosition, place: Place) -> Vec<Card> {
     let (longitude_deg, latitude_deg) = stonyhurst_deg(sun, place);
     let carrington_deg = (sun.l0_deg + longitude_deg).rem_euclid(360.0);
     vec![

@@ -22,7 +22,7 @@ mod reader;
 mod storage;
 mod store;
 
-pub use coordinates::{Helioprojection, sky_cards};
+pub use coordinates::{Helioprojection, observer_cards, sky_cards};
 pub use dirfile::Dirfile;
 pub use flown::{
     CONFIGURATION, Flown, FlownFile, FlownFiles, FlownKind, INSTRUMENT, flown_sha256,

@@ -1,5 +1,7 @@
 //! DET.toml: which columns hold a photon's time and place, and how each detector is mounted.
 
+use super::good_times::Good;
+use crate::fits::Problem;
 use crate::instrument::TomlError;
 use crate::instrument::toml_file::{parse_strict, read_text};
 use crate::units::ARCSEC_PER_RAD;
@@ -27,8 +29,12 @@ pub struct PhotonColumns {
 
 /// How a detector is mounted, with 1 sigma of each value, per axis where it has two.
 #[derive(Debug, Clone, PartialEq)]
-struct Detector {
+pub struct Detector {
     id: Option<i64>,
+    /// From where to where it measures x and y; where it is stated.
+    pub field: Option<[[f64; 2]; 2]>,
+    /// The extension of its good time intervals, where it is stated.
+    good_times: Option<String>,
     scale_arcsec: f64,
     scale_sigma_arcsec: f64,
     centre: Vector2<f64>,
@@ -83,6 +89,8 @@ fn id_column() -> String {
 #[derive(Deserialize)]
 struct RawDetector {
     id: Option<i64>,
+    field: Option<[[f64; 2]; 2]>,
+    good_times: Option<String>,
     scale_arcsec: f64,
     #[serde(default)]
     scale_sigma_arcsec: f64,
@@ -106,6 +114,8 @@ const KEYS: &[&str] = &[
     "y_column",
     "id_column",
     "detector.id",
+    "detector.field",
+    "detector.good_times",
     "detector.scale_arcsec",
     "detector.scale_sigma_arcsec",
     "detector.centre",
@@ -147,11 +157,15 @@ impl Detectors {
         })
     }
 
-    /// Where a photon came from that a detector has measured at a place; `None` where no detector has this id.
-    pub fn locate(&self, id: Option<f64>, place: [f64; 2]) -> Option<FromBoresight> {
-        let is_it = |detector: &&Detector| detector.id.map(|id| id as f64) == id;
-        let detector = self.detectors.iter().find(is_it)?;
-        Some(detector.locate(place.into()))
+    /// The detector of this id, and its number in the file; `None` where there is none.
+    pub fn of_id(&self, id: Option<f64>) -> Option<(usize, &Detector)> {
+        let is_it = |(_, detector): &(usize, &Detector)| detector.id.map(|id| id as f64) == id;
+        self.detectors.iter().enumerate().find(is_it)
+    }
+
+    /// In the order of the file.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = &Detector> {
+        self.detectors.iter()
     }
 
     /// The ids, for messages.
@@ -185,6 +199,32 @@ fn check_ids(path: &Path, detectors: &[RawDetector]) -> Result<(), TomlError> {
     Ok(())
 }
 
+impl Detector {
+    /// Its good times among those of a list: those that it names, or the only ones. `None` where the list has none.
+    ///
+    /// # Errors
+    /// A name that none of them has, or none where there are several.
+    pub fn good_times<'a>(&self, all: &'a [Good]) -> Result<Option<&'a Good>, Problem> {
+        let wrong = |found: &str| {
+            let names: Vec<&str> = all.iter().map(|good| good.name.as_str()).collect();
+            let expected = format!(
+                "the detector's table of good time intervals ({})",
+                names.join(", ")
+            );
+            Problem::field("detector.good_times", expected, found)
+        };
+        match (&self.good_times, all) {
+            (Some(name), all) => {
+                let named = all.iter().find(|good| good.name.eq_ignore_ascii_case(name));
+                named.map(Some).ok_or_else(|| wrong(&format!("\"{name}\"")))
+            }
+            (None, []) => Ok(None),
+            (None, [one]) => Ok(Some(one)),
+            (None, _) => Err(wrong("none")),
+        }
+    }
+}
+
 impl RawDetector {
     fn checked(&self, path: &Path, n: usize) -> Result<Detector, TomlError> {
         let wrong = |key: &str, expected, found: f64| {
@@ -204,8 +244,19 @@ impl RawDetector {
                 return wrong(key, "a number from 0 on", sigma);
             }
         }
+        for [low, high] in self.field.into_iter().flatten() {
+            if low >= high {
+                return wrong(
+                    "field",
+                    "[low, high] of x and of y, each low below its high",
+                    low,
+                );
+            }
+        }
         Ok(Detector {
             id: self.id,
+            field: self.field,
+            good_times: self.good_times.clone(),
             scale_arcsec: self.scale_arcsec,
             scale_sigma_arcsec: self.scale_sigma_arcsec,
             centre: self.centre.into(),
@@ -220,7 +271,8 @@ impl RawDetector {
 }
 
 impl Detector {
-    fn locate(&self, place: Vector2<f64>) -> FromBoresight {
+    /// Where a photon came from that it has measured at a place.
+    pub fn locate(&self, place: Vector2<f64>) -> FromBoresight {
         let mut from_axis = place - self.centre;
         if self.mirrored {
             from_axis.y = -from_axis.y;

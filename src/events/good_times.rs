@@ -1,7 +1,7 @@
 //! Good time intervals: when the telescope observed, and its pointing is valid.
 
 use super::times::{Counted, Keywords};
-use crate::fits::{AmendedTable, DiskHdu, FileError, Inward, NumberColumn, Problem};
+use crate::fits::{AmendedTable, DiskHdu, FileError, Header, Inward, NumberColumn, Problem};
 
 /// The columns of good time intervals.
 pub struct GoodTimes {
@@ -15,11 +15,82 @@ struct End {
     counted: Counted,
 }
 
-/// How long the intervals of a table are together, without and with a valid pointing.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Lengths {
+/// What is left of a table's intervals, and how long they were together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cut {
     pub before_s: f64,
-    pub after_s: f64,
+    /// UTC, s since 1970.
+    pub left_s: Vec<[f64; 2]>,
+}
+
+/// When a detector counted with a valid pointing.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Good {
+    /// Of the extension.
+    pub name: String,
+    /// UTC, s since 1970, in the order of time; none overlaps another.
+    pub intervals_s: Vec<[f64; 2]>,
+    /// The part of the time in which it was not dead.
+    pub live_fraction: f64,
+}
+
+impl Good {
+    /// Of intervals in any order.
+    pub fn new(name: String, mut intervals_s: Vec<[f64; 2]>, live_fraction: f64) -> Self {
+        intervals_s.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let mut merged: Vec<[f64; 2]> = Vec::new();
+        for [start, stop] in intervals_s {
+            match merged.last_mut() {
+                Some(last) if start <= last[1] => last[1] = last[1].max(stop),
+                _ => merged.push([start, stop]),
+            }
+        }
+        Self {
+            name,
+            intervals_s: merged,
+            live_fraction,
+        }
+    }
+
+    /// Whether a time, s since 1970, is in one of the intervals.
+    pub fn holds(&self, unix_s: f64) -> bool {
+        let next = self
+            .intervals_s
+            .partition_point(|[start, _]| *start <= unix_s);
+        let last = next.checked_sub(1).and_then(|n| self.intervals_s.get(n));
+        last.is_some_and(|[_, stop]| unix_s <= *stop)
+    }
+
+    pub fn live_s(&self) -> f64 {
+        length_s(&self.intervals_s) * self.live_fraction
+    }
+}
+
+/// The part of the time in which a detector was not dead, as the first of some headers says that says it: DEADC, or LIVETIME over ONTIME
+/// (OGIP/93-003); 1 where none does.
+///
+/// # Errors
+/// A part that is none.
+pub fn live_fraction(headers: &[&Header]) -> Result<f64, Problem> {
+    for header in headers {
+        let times = header.number("LIVETIME")?.zip(header.number("ONTIME")?);
+        let (field, found) = match (header.number("DEADC")?, times) {
+            (Some(part), _) => ("DEADC", part),
+            (None, Some((live, on))) => ("LIVETIME over ONTIME", live / on),
+            (None, None) => continue,
+        };
+        // A quotient of rounded times may be a little more than 1.
+        if !(found > 0.0 && found <= 1.0 + 1e-6) {
+            let expected = "live time over good time, above 0 and at most 1";
+            return Err(Problem::field(field, expected, found));
+        }
+        return Ok(found.min(1.0));
+    }
+    Ok(1.0)
+}
+
+pub fn length_s(intervals: &[[f64; 2]]) -> f64 {
+    intervals.iter().map(|[start, stop]| stop - start).sum()
 }
 
 /// Whether an extension holds good time intervals.
@@ -59,7 +130,7 @@ impl GoodTimes {
         &self,
         table: &mut AmendedTable,
         valid: &[[f64; 2]],
-    ) -> Result<Lengths, FileError> {
+    ) -> Result<Cut, FileError> {
         let bytes = table.bytes()?;
         let rows = bytes.chunks_exact((table.row_bytes()? as usize).max(1));
         let before = self.intervals(table)?;
@@ -84,11 +155,10 @@ impl GoodTimes {
         {
             table.delete_row(row as u64)?;
         }
-        let length =
-            |all: &[Option<[f64; 2]>]| all.iter().flatten().map(|[start, stop]| stop - start).sum();
-        Ok(Lengths {
-            before_s: length(&before),
-            after_s: length(&after),
+        let before: Vec<[f64; 2]> = before.into_iter().flatten().collect();
+        Ok(Cut {
+            before_s: length_s(&before),
+            left_s: after.into_iter().flatten().collect(),
         })
     }
 

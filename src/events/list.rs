@@ -24,16 +24,22 @@ pub struct EventList {
 }
 
 impl EventList {
-    /// Opens a list, plain or gzipped; the folder takes what is unpacked, for it may not fit into memory.
+    /// Opens a list, plain or gzipped, with a column of energies where one is wanted; the folder takes what is unpacked, for it may not fit into
+    /// memory.
     ///
     /// # Errors
     /// A file that cannot be read, or that has no photons with times and places.
-    pub fn open(path: &Path, folder: &Path, detectors: &Detectors) -> Result<Self, FileError> {
+    pub fn open(
+        path: &Path,
+        folder: &Path,
+        detectors: &Detectors,
+        energy: Option<&str>,
+    ) -> Result<Self, FileError> {
         let found = open(path, folder)?;
-        Self::of(found, detectors).map_err(|problem| problem.in_file(path))
+        Self::of(found, detectors, energy).map_err(|problem| problem.in_file(path))
     }
 
-    fn of(file: DiskFile, detectors: &Detectors) -> Result<Self, Problem> {
+    fn of(file: DiskFile, detectors: &Detectors, energy: Option<&str>) -> Result<Self, Problem> {
         let photons = photons_hdu(&file, &detectors.columns.time)?;
         let hdu = &file.hdus()[photons];
         let primary = &file.hdus()[0].header;
@@ -46,7 +52,8 @@ impl EventList {
                 Problem::field("MJDREF", "a day, here or in MJDREFI and MJDREFF", "none")
             })?;
             refuse_columns(hdu)?;
-            Ok((counted, hdu.rows()?, Measured::of(hdu, detectors, counted)?))
+            let measured = Measured::of(hdu, detectors, energy, counted)?;
+            Ok((counted, hdu.rows()?, measured))
         };
         let (counted, rows, measured) =
             read().map_err(|problem: Problem| problem.within(&hdu.name()))?;

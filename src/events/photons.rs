@@ -1,6 +1,6 @@
 //! A photon on the Sun: its place, and how well that is known.
 
-use super::detectors::{Detectors, FromBoresight};
+use super::detectors::{Detector, Detectors, FromBoresight};
 use super::times::Counted;
 use crate::columns::{Column, float, logical};
 use crate::fits::{AmendedTable, DiskHdu, FileError, NumberColumn, Problem};
@@ -52,6 +52,7 @@ pub struct Measured {
     x: NumberColumn,
     y: NumberColumn,
     id: Option<NumberColumn>,
+    energy: Option<NumberColumn>,
     counted: Counted,
 }
 
@@ -60,12 +61,21 @@ pub struct PhotonRow {
     time: f64,
     position: [f64; 2],
     id: Option<f64>,
+    /// In the unit of its column, where one is wanted.
+    pub energy: Option<f64>,
 }
 
 impl Measured {
+    /// The columns of a table; that of the energy where one is wanted.
+    ///
     /// # Errors
     /// A column that the table has not.
-    pub fn of(hdu: &DiskHdu, detectors: &Detectors, counted: Counted) -> Result<Self, Problem> {
+    pub fn of(
+        hdu: &DiskHdu,
+        detectors: &Detectors,
+        energy: Option<&str>,
+        counted: Counted,
+    ) -> Result<Self, Problem> {
         let names = &detectors.columns;
         let time = hdu.column(&names.time)?;
         Ok(Self {
@@ -74,7 +84,26 @@ impl Measured {
             x: hdu.column(&names.x)?,
             y: hdu.column(&names.y)?,
             id: names.id.as_deref().map(|id| hdu.column(id)).transpose()?,
+            energy: energy.map(|energy| hdu.column(energy)).transpose()?,
         })
+    }
+
+    /// From where to where positions may lie, as TLMINn and TLMAXn state it: of whole numbers, to the edges of the first and the last pixel.
+    ///
+    /// # Errors
+    /// Values that are no numbers.
+    pub fn stated_field(&self, hdu: &DiskHdu) -> Result<Option<[[f64; 2]; 2]>, Problem> {
+        let range = |column: &NumberColumn| {
+            let number = |keyword: &str| hdu.header.number(&format!("{keyword}{}", column.number));
+            let ends = number("TLMIN")?.zip(number("TLMAX")?);
+            let half = match column.is_whole {
+                true => number("TSCAL")?.unwrap_or(1.0).abs() / 2.0,
+                false => 0.0,
+            };
+            Ok(ends.map(|(low, high)| [low - half, high + half]))
+        };
+        let (x, y) = (range(&self.x)?, range(&self.y)?);
+        Ok(x.zip(y).map(|(x, y)| [x, y]))
     }
 
     /// Photons of so many rows, from one on.
@@ -93,16 +122,24 @@ impl Measured {
             read.map(|()| numbers)
         };
         let (times, x, y) = (numbers(&self.time)?, numbers(&self.x)?, numbers(&self.y)?);
-        let ids = self.id.as_ref().map(numbers).transpose()?;
+        let ids = self.id.as_ref().map(&mut numbers).transpose()?;
+        let energies = self.energy.as_ref().map(numbers).transpose()?;
+        let known = |column: &Option<Vec<f64>>, n: usize| {
+            column
+                .as_ref()
+                .map(|numbers| numbers[n])
+                .filter(|number| !number.is_nan())
+        };
         let row = move |n: usize| PhotonRow {
             time: times[n],
             position: [x[n], y[n]],
-            id: ids.as_ref().map(|ids| ids[n]).filter(|id| !id.is_nan()),
+            id: known(&ids, n),
+            energy: known(&energies, n),
         };
         Ok((0..count).map(row))
     }
 
-    /// Puts the photon of a row on the Sun.
+    /// Puts the photon of a row on the Sun, and gives the number of its detector in DET.toml.
     ///
     /// # Errors
     /// The id of no detector.
@@ -111,17 +148,22 @@ impl Measured {
         row: &PhotonRow,
         detectors: &Detectors,
         history: &PointingHistory,
-    ) -> Result<Photon, Problem> {
-        let located = detectors.locate(row.id, row.position);
-        let located = located.ok_or_else(|| self.unknown(row.id, detectors))?;
+    ) -> Result<(Photon, usize), Problem> {
+        let known = detectors.of_id(row.id);
+        let (number, detector) = known.ok_or_else(|| self.unknown(row.id, detectors))?;
+        Ok((self.placed(row, detector, history), number))
+    }
+
+    fn placed(&self, row: &PhotonRow, detector: &Detector, history: &PointingHistory) -> Photon {
+        let located = detector.locate(row.position.into());
         let time = Some(row.time).filter(|time| time.is_finite());
         let unix_s = time.and_then(|time| self.counted.unix_s(time));
         let Some(at) = unix_s else {
-            return Ok(Photon {
+            return Photon {
                 unix_s,
                 place: None,
                 invalid: Some("no time"),
-            });
+            };
         };
         let pointed = history.at(at);
         let place = pointed.sight.and_then(|sight| on_the_sun(&sight, &located));
@@ -130,11 +172,11 @@ impl Measured {
             (None, None) => Some("no position"),
             (None, Some(_)) => None,
         };
-        Ok(Photon {
+        Photon {
             unix_s,
             place,
             invalid,
-        })
+        }
     }
 
     fn unknown(&self, id: Option<f64>, detectors: &Detectors) -> Problem {

@@ -430,6 +430,7 @@ mod tests {
         made.unwrap();
         table.set_rows(1).unwrap();
         let column = NumberColumn {
+            is_whole: false,
             number: 1,
             name: "START".into(),
             unit: None,

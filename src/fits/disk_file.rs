@@ -41,7 +41,9 @@ pub struct DiskHdu {
 #[derive(Debug, Clone, PartialEq)]
 pub struct NumberColumn {
     /// From 1 on.
-    pub(super) number: i32,
+    pub number: i32,
+    /// Whether its cells are integers.
+    pub is_whole: bool,
     /// As TTYPEn has it.
     pub name: String,
     /// As TUNITn has it.
@@ -233,13 +235,13 @@ impl DiskHdu {
         };
         let text = |keyword| self.header.text(&format!("{keyword}{number}"));
         let form = text("TFORM")?.unwrap_or_default();
-        let is_number = |form: Form| {
+        let is_number = |form: &Form| {
             form.repeat == 1 && matches!(form.letter, 'B' | 'I' | 'J' | 'K' | 'E' | 'D')
         };
-        if !Form::parse(&form).is_some_and(is_number) {
+        let Some(parsed) = Form::parse(&form).filter(is_number) else {
             let expected = "one number in each row (B, I, J, K, E or D)";
             return Err(Problem::field(field(), expected, format!("'{form}'")));
-        }
+        };
         // cfitsio passes over those that it cannot read.
         for keyword in ["TSCAL", "TZERO"] {
             self.header.number(&format!("{keyword}{number}"))?;
@@ -260,6 +262,7 @@ impl DiskHdu {
         Ok(NumberColumn {
             number,
             name: stored.clone(),
+            is_whole: !matches!(parsed.letter, 'E' | 'D'),
             unit: text("TUNIT")?.filter(|unit| !unit.trim().is_empty()),
         })
     }

@@ -23,6 +23,7 @@ mod error;
 mod file;
 mod form;
 mod header;
+mod images;
 mod info;
 pub mod keyword;
 mod layout;
@@ -54,6 +55,7 @@ pub use disk_file::{DiskFile, DiskHdu, NumberColumn};
 pub use error::{FileError, Problem};
 pub use file::FitsFile;
 pub use header::{Card, Header, Value};
+pub use images::{Image, Samples, encode_images};
 pub use listing::{
     FRAME_ENDINGS, Listing, Unlisted, is_frame_name, is_hidden, list_folder, list_tree,
 };

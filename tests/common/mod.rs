@@ -5,3 +5,4 @@ pub mod camera;
 pub mod disk;
 pub mod flight;
 pub mod refined;
+pub mod sun_picture;

@@ -234,7 +234,8 @@ fn no_file_that_is_read_is_overwritten() {
             refined: bench.folder.path(),
             events: &bench.at("in.fits"),
             detectors: &bench.at("det.toml"),
-            out: &bench.at(out),
+            out: Some(&bench.at(out)),
+            image: None,
         };
         let error = place_photons(files, &()).unwrap_err();
         assert!(matches!(error, EventsError::Overwrites { .. }), "{error}");

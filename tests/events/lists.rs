@@ -8,7 +8,7 @@ use fitsio::{FileOpenMode, FitsFile, sys};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
-use solaspect::events::{EventsError, Files, Placed, place_photons};
+use solaspect::events::{EventsError, Field, Files, ImageRequest, Placed, place_photons};
 use solaspect::fits::open_disk_file;
 use solaspect::observe::Watch;
 use solaspect::pointing_history::PointingHistory;
@@ -234,9 +234,38 @@ impl Bench {
             refined: self.folder.path(),
             events: &self.at(events),
             detectors: &self.at("det.toml"),
-            out: &self.at("out.fits"),
+            out: Some(&self.at("out.fits")),
+            image: None,
         };
         place_photons(files, watch)
+    }
+
+    /// Makes an image of a list, and nothing else.
+    pub fn image(
+        &self,
+        detectors: &str,
+        tables: &[Table],
+        request: &ImageRequest,
+    ) -> Result<Placed, EventsError> {
+        write(&self.at("in.fits"), &[], tables);
+        fs::write(self.at("det.toml"), detectors).unwrap();
+        let files = Files {
+            refined: self.folder.path(),
+            events: &self.at("in.fits"),
+            detectors: &self.at("det.toml"),
+            out: None,
+            image: Some(request),
+        };
+        place_photons(files, &())
+    }
+
+    pub fn request(&self) -> ImageRequest {
+        ImageRequest {
+            path: self.at("image.fits"),
+            pixel_arcsec: 5.0,
+            field: Field::default(),
+            energies: None,
+        }
     }
 
     /// Puts the photons of a list on the Sun, and gives the columns.
@@ -301,6 +330,20 @@ impl Columns {
             valid: hdu.read_col(&mut file, "HP_VALID").unwrap(),
         }
     }
+}
+
+/// An image of a file as cfitsio reads it: of the primary HDU or an extension.
+pub fn read_image(path: &Path, name: &str) -> Vec<f64> {
+    let mut file = open_disk_file(path, FileOpenMode::READONLY).unwrap();
+    let hdu = file.hdu(name).unwrap();
+    hdu.read_image(&mut file).unwrap()
+}
+
+/// A number of the header of an image.
+pub fn read_number(path: &Path, name: &str, keyword: &str) -> f64 {
+    let mut file = open_disk_file(path, FileOpenMode::READONLY).unwrap();
+    let hdu = file.hdu(name).unwrap();
+    hdu.read_key(&mut file, keyword).unwrap()
 }
 
 /// All HDUs have right checksums, says cfitsio.

@@ -5,7 +5,9 @@
 mod command;
 mod copies;
 mod flight;
+pub mod image;
+mod image_wishes;
 mod intervals;
-mod lists;
+pub mod lists;
 mod mistakes;
 mod places;

@@ -73,7 +73,7 @@ keywords! {
     BITDEPTH, Integer, "bit", Both, "depth of the pixels";
     SATURATE, Integer, "DN", Both, "value at which a pixel saturates";
     BTYPE, Text, "", Written, "what the pixels tell";
-    BUNIT, Text, "", Written, "unit of the pixels: digital numbers";
+    BUNIT, Text, "", Written, "unit of the pixels";
 
     "Place":
     LATITUDE, Float, "deg", Both, "geodetic latitude, WGS 84";

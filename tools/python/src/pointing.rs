@@ -1,12 +1,16 @@
 //! Where the telescope of a refined flight pointed, at many times at once.
 
 use crate::errors::Failure;
-use crate::numbers::rows;
+use crate::numbers::{Pairs, pairs, rows};
 use nalgebra::Matrix3;
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use jiff::Timestamp;
+use solaspect::pointing::HelioprojectiveArcsec;
 use solaspect::pointing_history::{self, Limits, Pointed, Sight};
+use solaspect::report;
+use solaspect::sky::Ephemeris;
 use std::path::PathBuf;
 
 /// What of a sight has a name in Python.
@@ -34,6 +38,21 @@ impl PointingHistory {
     #[getter]
     fn ends_s(&self) -> Option<(f64, f64)> {
         self.inner.ends_s().map(Into::into)
+    }
+
+    /// The Sun's limb, (n, 2), and its heliographic circles so many degrees apart, a list of such lines, as they are seen at a time, s since
+    /// 1970: arcsec to solar west and north.
+    #[staticmethod]
+    fn graticule<'py>(py: Python<'py>, unix_s: f64, apart_deg: u32) -> PyResult<(Pairs<'py>, Vec<Pairs<'py>>)> {
+        let utc = Timestamp::from_nanosecond((unix_s * 1e9) as i128).map_err(anyhow::Error::from);
+        let utc = utc.map_err(Failure::from)?;
+        let disc = Ephemeris::default().disc(utc).map_err(anyhow::Error::from);
+        let disc = disc.map_err(Failure::from)?;
+        let line = |places: Vec<HelioprojectiveArcsec>| {
+            pairs(py, places.into_iter().map(|at| [at.x, at.y]))
+        };
+        let lines = report::graticule(&disc, apart_deg.max(1)).into_iter().map(line);
+        Ok((line(report::limb(&disc))?, lines.collect::<PyResult<_>>()?))
     }
 
     /// The pointing at n times, s since 1970, as arrays by name: hpln and hplt, arcsec; north_angle, azimuth, elevation and roll, deg; random

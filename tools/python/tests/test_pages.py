@@ -1,7 +1,9 @@
 """The Python of the pages in docs/python runs, block after block, beside the archive of a flight."""
 
 import os
+import pathlib
 import re
+import shutil
 
 import matplotlib.pyplot as plt
 import pytest
@@ -22,6 +24,7 @@ def blocks(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_the_page_runs(page, archive_directory, tmp_path, monkeypatch):
     os.symlink(archive_directory.resolve(), tmp_path / "flight")
+    os.symlink(REPOSITORY / "tests/data/hmi/continuum.fits", tmp_path / "hmi.fits")
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "__main__"}
     codes = list(blocks(page))
@@ -29,7 +32,12 @@ def test_the_page_runs(page, archive_directory, tmp_path, monkeypatch):
     for code in codes:
         exec(code, namespace)
     plt.close("all")
+    for figure in re.findall(r"^!\[.*\]\((gallery-.*\.png)\)$", page.read_text(), re.MULTILINE):
+        assert (tmp_path / figure).stat().st_size > 10_000, figure
+        if "SOLASPECT_GALLERY" in os.environ:
+            # What CI keeps, and what the page shows.
+            shutil.copy(tmp_path / figure, pathlib.Path(os.environ["SOLASPECT_GALLERY"]))
 
 
 def test_there_are_pages():
-    assert {page.stem for page in PAGES} == {"first-look", "jitter", "two-calibrations", "science-image"}
+    assert {page.stem for page in PAGES} == {"first-look", "jitter", "two-calibrations", "science-image", "gallery"}

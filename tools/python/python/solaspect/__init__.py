@@ -21,6 +21,7 @@ from . import _sunpy
 from .archive import Archive, Refined, open_archive, open_refined
 from .commands import calibrate_camera, calibrate_mounting, calibrate_plate, compare, refine, simulate
 from .errors import SolaspectError
+from .imaging import image
 from .pointing import Pointing
 from .plotting import plot
 from .solving import solve
@@ -45,6 +46,7 @@ __all__ = [
     "calibrate_mounting",
     "calibrate_plate",
     "compare",
+    "image",
     "open_archive",
     "open_refined",
     "plot",

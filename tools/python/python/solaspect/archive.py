@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ._native import PointingHistory, run
 from .errors import SolaspectError
-from .plotting import plot_path
+from .plotting import SunPath, plot_path, plot_pointing, sun_path
 from .pointing import pointing_at
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from astropy.time import Time
     from astropy.units import Quantity
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from sunpy.map import GenericMap
 
     from ._types import AnyTime, PathLike
@@ -259,8 +260,17 @@ class Refined:
             return Table.read(hdus, hdu=photons)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the boresight's path over the Sun: valid pointings blue, others grey, the limb orange."""
-        return plot_path(self.pointing(), ax)
+        """Draw the boresight's path over the Sun with its heliographic grid: valid pointings coloured by time, others grey."""
+        return plot_path(self._sun_path(), ax)
+
+    def plot_pointing(self) -> Figure:
+        """Draw where the telescope pointed: the path on the Sun and near its target with the ellipse of 1 sigma, for how long it pointed where,
+        and how far from the target, with the time within 20 arcsec and 1 arcmin."""
+        return plot_pointing(self._sun_path())
+
+    def _sun_path(self) -> SunPath:
+        middle = self.span[0] + (self.span[1] - self.span[0]) / 2
+        return sun_path(self.pointing(), *PointingHistory.graticule(middle.unix, 15))
 
     def to_pandas(self, table: str = "aspect") -> pandas.DataFrame:
         """A table as pandas takes it: "aspect", "smoothed", "pointing", "roll", "attitude" or "stabilisation"."""

@@ -1,4 +1,4 @@
-"""A solved frame as a picture. matplotlib is needed: `pip install 'solaspect[plot]'`."""
+"""A solved frame as a picture, and where on the Sun a telescope pointed. matplotlib is needed: `pip install 'solaspect[plot]'`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
     from astropy.table import Table
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from ._native import Instrument, Mapping, Solution
     from ._types import AnyInstrument
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
 LIMB, DISC, MARK, CUT, UNREAD, PLATE = "yellow", "lime", "deepskyblue", "orange", "red", "magenta"
 #: Length of the drawn axes of the plate, mil.
 AXIS_MIL = 350.0
-#: The limb, to a hundredth, whatever the day.
-SUN_RADIUS_ARCSEC = 960.0
 #: The picture reaches so many radii of the disc.
 REACH = 1.15
 
@@ -145,18 +144,154 @@ def _title(solution: Solution) -> str:
     return "\n".join(lines)
 
 
-def plot_path(pointing: Table, ax: Axes | None = None) -> Axes:
-    """Draw where on the Sun a telescope pointed: the table POINTING."""
+class SunPath(NamedTuple):
+    """Where a telescope pointed, at equal steps of time."""
+
+    #: s since 1970, UTC.
+    unix_s: npt.NDArray[np.float64]
+    #: To solar west and north, arcsec, (n, 2).
+    places: npt.NDArray[np.float64]
+    valid: npt.NDArray[np.bool_]
+    #: Covariance in the same axes, arcsec^2, median: (2, 2).
+    covariance: npt.NDArray[np.float64]
+    #: Where the telescope should point; None where that moves.
+    target: tuple[float, float] | None
+    limb: npt.NDArray[np.float64]
+    graticule: list[npt.NDArray[np.float64]]
+
+    @property
+    def step_s(self) -> float:
+        return float(np.median(np.diff(self.unix_s))) if len(self.unix_s) > 1 else 0.0
+
+    @property
+    def away(self) -> npt.NDArray[np.float64]:
+        """Of the valid pointings, the distance from the target, arcsec; from their median where there is none."""
+        middle = np.median(self.places[self.valid], axis=0) if self.target is None else self.target
+        return np.hypot(*(self.places[self.valid] - middle).T)
+
+
+def sun_path(pointing: Table, limb: npt.NDArray[np.float64], graticule: list[npt.NDArray[np.float64]]) -> SunPath:
+    """The path of the table POINTING."""
+
+    def column(name: str) -> npt.NDArray[np.float64]:
+        return np.asarray(pointing[name], dtype=float)
+
+    valid = np.asarray(pointing["VALID"], dtype=bool)
+    angle = np.radians(column("NORTH_ANGLE"))
+    right_up, right, up = column("COV_RIGHT_UP"), column("VAR_RIGHT"), column("VAR_UP")
+    # Solar west and north as the telescope has them.
+    cos, sin = np.cos(angle), np.sin(angle)
+    west = right * cos**2 + up * sin**2 + 2 * right_up * sin * cos
+    north = right * sin**2 + up * cos**2 - 2 * right_up * sin * cos
+    both = (up - right) * sin * cos + right_up * (cos**2 - sin**2)
+    medians = [float(np.median(values[valid])) if valid.any() else np.nan for values in (west, both, north)]
+    target = pointing.meta.get("TARGETX"), pointing.meta.get("TARGETY")
+    return SunPath(
+        unix_s=column("UNIX_S"),
+        places=np.stack([column("HPLN"), column("HPLT")], axis=1),
+        valid=valid,
+        covariance=np.array([medians[:2], medians[1:]]),
+        target=None if None in target else target,
+        limb=limb,
+        graticule=graticule,
+    )
+
+
+def plot_path(path: SunPath, ax: Axes | None = None) -> Axes:
+    """Draw a path over the Sun: the disc with its heliographic grid, valid pointings coloured by time, others grey, and the target."""
+    import matplotlib.dates
     import matplotlib.pyplot as plt
-    from matplotlib.patches import Circle
 
     if ax is None:
-        _, ax = plt.subplots(figsize=(7, 7), layout="constrained")
-    x, y = (np.asarray(pointing[name], dtype=float) for name in ("HPLN", "HPLT"))
-    valid = np.asarray(pointing["VALID"], dtype=bool)
-    for shown, colour, name in ((~valid, "0.7", "not valid"), (valid, "C0", "valid")):
-        ax.plot(x[shown], y[shown], ".", ms=2, color=colour, label=name)
-    ax.add_patch(Circle((0, 0), SUN_RADIUS_ARCSEC, fill=False, color="orange", label="the Sun's limb"))
-    ax.set(xlabel="helioprojective longitude, arcsec", ylabel="helioprojective latitude, arcsec", aspect="equal")
-    ax.legend(loc="upper right")
+        _, ax = plt.subplots(figsize=(7.5, 6.5), layout="constrained")
+    _sun(ax, path)
+    x, y = path.places.T
+    ax.plot(x[~path.valid], y[~path.valid], ".", ms=2, color="0.7", label="not valid", zorder=2)
+    if path.valid.any():
+        dots = ax.scatter(x[path.valid], y[path.valid], c=_dates(path.unix_s[path.valid]), s=4, cmap="viridis", label="boresight", zorder=3)
+        bar = ax.figure.colorbar(dots, ax=ax, shrink=0.8, label="UTC")
+        locator = matplotlib.dates.AutoDateLocator()
+        bar.ax.yaxis.set_major_locator(locator)
+        bar.ax.yaxis.set_major_formatter(matplotlib.dates.ConciseDateFormatter(locator))
+    if path.target is not None:
+        ax.plot(*path.target, "x", color="red", ms=9, mew=1.5, label="target", zorder=4)
+    reach = 1.1 * np.abs(path.limb).max()
+    ax.set(xlim=(-reach, reach), ylim=(-reach, reach))
+    ax.legend(loc="upper right", fontsize="small")
     return ax
+
+
+def plot_pointing(path: SunPath) -> Figure:
+    """Draw the path on the whole Sun, the path near the target with the ellipse of 1 sigma, for how long the telescope pointed where, and how
+    far from its target."""
+    import matplotlib.pyplot as plt
+
+    figure, ((whole, near), (dwell, away)) = plt.subplots(2, 2, figsize=(12, 10), layout="constrained")
+    plot_path(path, whole)
+    plot_path(path, near)
+    if path.valid.any():
+        _about(near, path)
+        _ellipse(near, path)
+        _dwell(dwell, path)
+        _distances(away, path)
+    whole.set_title("The boresight on the Sun")
+    near.set_title("The same, about the path")
+    dwell.set_title("Time for which the telescope pointed there")
+    away.set_title("Distance from the target" if path.target is not None else "Distance from the median")
+    return figure
+
+
+def _dates(unix_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    import matplotlib.dates
+
+    return np.asarray(matplotlib.dates.date2num((unix_s * 1e6).astype("datetime64[us]")))
+
+
+def _sun(ax: Axes, path: SunPath) -> None:
+    for line in path.graticule:
+        ax.plot(*line.T, color="0.85", linewidth=0.6, zorder=1)
+    ax.plot(*path.limb.T, color="orange", linewidth=1.2, label="limb", zorder=1)
+    ax.set(xlabel="helioprojective longitude (arcsec)", ylabel="helioprojective latitude (arcsec)", aspect="equal")
+
+
+def _about(ax: Axes, path: SunPath) -> None:
+    """Show the path and the target, and no more."""
+    places = path.places[path.valid]
+    if path.target is not None:
+        places = np.vstack([places, path.target])
+    low, high = places.min(axis=0), places.max(axis=0)
+    (x, y), reach = (low + high) / 2, 0.6 * max(*(high - low), 1.0)
+    ax.set(xlim=(x - reach, x + reach), ylim=(y - reach, y + reach))
+
+
+def _ellipse(ax: Axes, path: SunPath) -> None:
+    """1 sigma of the pointing, median, in the lower left corner."""
+    from matplotlib.patches import Ellipse
+
+    squares, axes = np.linalg.eigh(path.covariance)
+    width, height = 2 * np.sqrt(np.maximum(squares[::-1], 0))
+    angle = np.degrees(np.arctan2(axes[1, 1], axes[0, 1]))
+    (left, right), (bottom, _) = ax.get_xlim(), ax.get_ylim()
+    corner = left + 0.1 * (right - left), bottom + 0.1 * (right - left)
+    ax.add_patch(Ellipse(corner, width, height, angle=angle, fill=False, color="red", linewidth=1))
+    ax.annotate(f"1 sigma: {width / 2:.2f} x {height / 2:.2f} arcsec", corner, (10, -4), textcoords="offset points", fontsize="small")
+
+
+def _dwell(ax: Axes, path: SunPath) -> None:
+    _sun(ax, path)
+    _about(ax, path)
+    cells = np.histogram2d(*path.places[path.valid].T, bins=60, range=[ax.get_xlim(), ax.get_ylim()])[0] * path.step_s
+    extent = (*ax.get_xlim(), *ax.get_ylim())
+    shown = ax.imshow(np.where(cells > 0, cells, np.nan).T, origin="lower", extent=extent, cmap="YlGnBu", zorder=0)
+    side = (extent[1] - extent[0]) / 60
+    ax.figure.colorbar(shown, ax=ax, shrink=0.8, label=f"s in a square of {side:.3g} arcsec")
+
+
+def _distances(ax: Axes, path: SunPath) -> None:
+    away = path.away
+    ax.hist(away, bins=50, weights=np.full(len(away), path.step_s), color="#9ec5de")
+    for limit, colour in ((20.0, "C1"), (60.0, "C2")):
+        within = np.mean(away <= limit)
+        ax.axvline(limit, color=colour, linestyle="--", label=f"within {limit:.0f} arcsec: {within:.1%}, {within * len(away) * path.step_s:.0f} s")
+    ax.set(xlabel="arcsec", ylabel="s")
+    ax.legend(fontsize="small")

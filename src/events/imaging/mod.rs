@@ -1,0 +1,278 @@
+//! The image that photons make: how many came from each square of the sky, for how long each square was seen, and, apart, the photons that
+//! are not to be used.
+
+mod grid;
+mod live_time;
+
+pub use grid::Field;
+
+use super::detectors::Detectors;
+use super::good_times::Good;
+use super::photons::{Photon, PhotonRow};
+use crate::archive::observer_cards;
+use crate::fits::{
+    Card, Image, Problem, Samples, encode_images, format_time, keyword, place_cards,
+};
+use crate::geometry::earth::geodetic;
+use crate::pointing_history::PointingHistory;
+use crate::sky::Ephemeris;
+use grid::Grid;
+use jiff::{Timestamp, Unit};
+use live_time::{Corners, LiveTime};
+use std::fmt;
+use std::path::PathBuf;
+
+/// What image is wanted.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImageRequest {
+    /// FITS; what stood there is replaced.
+    pub path: PathBuf,
+    pub pixel_arcsec: f64,
+    pub field: Field,
+    /// Which photons count; all of them without it.
+    pub energies: Option<Energies>,
+}
+
+/// A range of energies.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Energies {
+    /// The column of the photons' table, of an energy or a channel.
+    pub column: String,
+    /// From one value to another, both included.
+    pub range: [f64; 2],
+}
+
+impl fmt::Display for Energies {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [low, high] = self.range;
+        write!(f, "photons with {} from {low} to {high}", self.column)
+    }
+}
+
+/// What an image holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Imaged {
+    pub width_px: usize,
+    pub height_px: usize,
+    /// In the image.
+    pub photons: u64,
+    /// In the image of those that are not to be used.
+    pub invalid: u64,
+    /// Elsewhere in the sky.
+    pub outside: u64,
+    /// Whose place is not known.
+    pub unplaced: u64,
+    /// Of other energies, wherever they are.
+    pub other_energies: u64,
+    /// The time for which a detector counted with a valid pointing, mean of the detectors, s.
+    pub live_s: f64,
+}
+
+/// What each detector contributes.
+struct Seen<'a> {
+    corners: Corners,
+    /// When it counts with a valid pointing; `None` of a list that does not say when detectors counted.
+    good: Option<&'a Good>,
+}
+
+/// An image in the making.
+pub struct Picture<'a> {
+    request: &'a ImageRequest,
+    grid: Grid,
+    detectors: Vec<Seen<'a>>,
+    counts: Vec<i32>,
+    invalid: Vec<i32>,
+    imaged: Imaged,
+}
+
+impl<'a> Picture<'a> {
+    /// An image without photons; `fields` are those of the detectors, `good` their good times, where the list has them.
+    ///
+    /// # Errors
+    /// An image that is too large; good times that do not say of which detector they are.
+    pub fn new(
+        request: &'a ImageRequest,
+        detectors: &Detectors,
+        fields: &[[[f64; 2]; 2]],
+        good: &'a [Good],
+    ) -> Result<Self, Problem> {
+        let grid = Grid::new(request.pixel_arcsec, &request.field)?;
+        let seen = detectors.iter().zip(fields).map(|(detector, [x, y])| {
+            let corners = [[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]];
+            Ok(Seen {
+                corners: corners.map(|corner| detector.locate(corner.into())),
+                good: detector.good_times(good)?,
+            })
+        });
+        Ok(Self {
+            request,
+            grid,
+            detectors: seen.collect::<Result<_, Problem>>()?,
+            counts: vec![0; grid.pixels()],
+            invalid: vec![0; grid.pixels()],
+            imaged: Imaged {
+                width_px: grid.width_px,
+                height_px: grid.height_px,
+                photons: 0,
+                invalid: 0,
+                outside: 0,
+                unplaced: 0,
+                other_energies: 0,
+                live_s: 0.0,
+            },
+        })
+    }
+
+    /// Counts a photon that a detector, by its number in DET.toml, has measured.
+    pub fn count(&mut self, row: &PhotonRow, photon: &Photon, detector: usize) {
+        let is_wanted = |energies: &Energies| {
+            let [low, high] = energies.range;
+            row.energy
+                .is_some_and(|energy| (low..=high).contains(&energy))
+        };
+        if !self.request.energies.as_ref().is_none_or(is_wanted) {
+            self.imaged.other_energies += 1;
+            return;
+        }
+        let Some(place) = photon.place else {
+            self.imaged.unplaced += 1;
+            return;
+        };
+        let towards = place.helioprojective_arcsec.direction();
+        let pixel = self
+            .grid
+            .place_px(&towards)
+            .and_then(|at| self.grid.pixel(at));
+        let Some(pixel) = pixel else {
+            self.imaged.outside += 1;
+            return;
+        };
+        let good = self.detectors[detector].good;
+        let is_live = good.is_none_or(|good| photon.unix_s.is_some_and(|at| good.holds(at)));
+        if photon.invalid.is_none() && is_live {
+            self.counts[pixel] += 1;
+            self.imaged.photons += 1;
+        } else {
+            self.invalid[pixel] += 1;
+            self.imaged.invalid += 1;
+        }
+    }
+
+    pub fn request(&self) -> &'a ImageRequest {
+        self.request
+    }
+
+    /// The file's bytes, and what is in it. `otherwise` are the good times of detectors whose list has none; `cards` and `lines` of HISTORY stand
+    /// in each header.
+    ///
+    /// # Errors
+    /// No time at all for which a detector counted with a valid pointing.
+    pub fn finish(
+        self,
+        history: &PointingHistory,
+        otherwise: Option<&Good>,
+        mut cards: Vec<Card>,
+        lines: &[String],
+    ) -> Result<(Vec<u8>, Imaged), Problem> {
+        let mut live_time = LiveTime::new(&self.grid);
+        let mut live_s = 0.0;
+        for Seen { corners, good } in &self.detectors {
+            let Some(good) = good.or(otherwise) else {
+                continue;
+            };
+            for interval in &good.intervals_s {
+                live_time.add(history, corners, *interval, good.live_fraction);
+            }
+            live_s += good.live_s() / self.detectors.len() as f64;
+        }
+        let seen = self.detectors.iter();
+        let all = seen.filter_map(|seen| seen.good.or(otherwise));
+        cards.extend(observation_cards(history, all, live_s)?);
+        cards.extend(self.grid.coordinates().cards());
+        let image = |name, unit, meaning: &str, samples| {
+            let own = [(&keyword::BUNIT, unit), (&keyword::BTYPE, meaning)];
+            let own = own.map(|(keyword, text)| Card::new(keyword, text));
+            Image {
+                name,
+                width_px: self.grid.width_px,
+                samples,
+                cards: [own.as_slice(), &cards].concat(),
+            }
+        };
+        let images = [
+            image("COUNTS", "ct", "photons", Samples::Whole(self.counts)),
+            image(
+                "EXPOSURE",
+                "s",
+                "live time, of all detectors together",
+                Samples::Real(live_time.finish()),
+            ),
+            image(
+                "INVALID",
+                "ct",
+                "photons that are not to be used",
+                Samples::Whole(self.invalid),
+            ),
+        ];
+        let bytes = encode_images(&images, lines)?;
+        Ok((
+            bytes,
+            Imaged {
+                live_s,
+                ..self.imaged
+            },
+        ))
+    }
+}
+
+/// When was observed, for how long, and from where in the middle of that.
+fn observation_cards<'a>(
+    history: &PointingHistory,
+    good: impl Iterator<Item = &'a Good>,
+    live_s: f64,
+) -> Result<Vec<Card>, Problem> {
+    let mut intervals: Vec<[f64; 2]> = good.flat_map(|good| &good.intervals_s).copied().collect();
+    intervals.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let ends = intervals.first().zip(intervals.last());
+    let Some((first, last)) = ends.filter(|_| live_s > 0.0) else {
+        let expected = "a time for which a detector counted with a valid pointing";
+        return Err(Problem::field("good time intervals", expected, "none"));
+    };
+    let middle_s = middle_s(&intervals);
+    let utc = |unix_s: f64| {
+        let utc = Timestamp::from_nanosecond((unix_s * 1e9) as i128).ok()?;
+        utc.round(Unit::Microsecond).ok()
+    };
+    let mut cards = vec![
+        Card::new(&keyword::TIMESYS, "UTC"),
+        Card::new(&keyword::XPOSURE, live_s),
+    ];
+    for (keyword, unix_s) in [
+        (&keyword::DATE_OBS, first[0]),
+        (&keyword::DATE_BEG, first[0]),
+        (&keyword::DATE_AVG, middle_s),
+        (&keyword::DATE_END, last[1]),
+    ] {
+        cards.extend(utc(unix_s).map(|utc| Card::new(keyword, format_time(utc))));
+    }
+    let place = history.position_m(middle_s).and_then(|at| geodetic(&at));
+    if let Some((place, utc)) = place.zip(utc(middle_s)) {
+        cards.extend(place_cards(place));
+        let sun = Ephemeris::default().sun(utc, place);
+        cards.extend(sun.iter().flat_map(|sun| observer_cards(sun, place)));
+    }
+    Ok(cards)
+}
+
+/// Before and after it was observed for as long.
+fn middle_s(intervals: &[[f64; 2]]) -> f64 {
+    let all_s: f64 = intervals.iter().map(|[start, stop]| stop - start).sum();
+    let mut before_s = all_s / 2.0;
+    for [start, stop] in intervals {
+        if before_s <= stop - start {
+            return start + before_s;
+        }
+        before_s -= stop - start;
+    }
+    intervals.last().map_or(0.0, |[_, stop]| *stop)
+}
