@@ -1,7 +1,9 @@
 //! What the command prints, and how fast it is.
 
 use super::flight::troubled;
+use super::image_wishes::WITH_FIELD;
 use super::lists::*;
+use solaspect::events::{Files, place_photons};
 use std::fs;
 use std::time::Instant;
 
@@ -33,6 +35,20 @@ fn ten_million_photons_take_less_than_a_minute_and_no_more_memory_than_few() {
         );
     };
     run(&some_photons(10_000_000, 1));
+    fs::write(bench.at("det.toml"), WITH_FIELD).unwrap();
+    let request = bench.request();
+    let files = Files {
+        refined: bench.folder.path(),
+        events: &bench.at("in.fits"),
+        detectors: &bench.at("det.toml"),
+        out: None,
+        image: Some(&request),
+    };
+    let start = Instant::now();
+    place_photons(files, &()).unwrap();
+    let seconds = start.elapsed().as_secs_f64();
+    println!("an image of them in {seconds:.1} s");
+    assert!(seconds < 60.0, "{seconds} s");
     // The list was made in memory; what the run itself takes is counted from here on.
     fs::write("/proc/self/clear_refs", "5").unwrap();
     let (before_mb, start) = (peak_mb(), Instant::now());

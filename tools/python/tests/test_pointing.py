@@ -1,6 +1,7 @@
 """Where a refined flight's telescope pointed at any time."""
 
 import astropy.units as u
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import sunpy.map
@@ -67,7 +68,20 @@ def test_a_map_rotates_and_a_path_is_drawn(archive, refined):
     fine = refined.aspect()["FILE"][0]
     turned = archive.map(fine).rotate(10 * u.deg)
     assert isinstance(turned, sunpy.map.GenericMap)
-    assert len(refined.plot().lines) == 2
+    ax = refined.plot()
+    assert {"limb", "boresight", "target"} <= set(ax.get_legend_handles_labels()[1])
+    [limb] = [line for line in ax.lines if line.get_label() == "limb"]
+    assert np.allclose(np.hypot(*limb.get_xydata().T), archive.header(fine)["RSUN_OBS"], atol=0.1)
+
+
+def test_the_pointings_figure_counts_the_time_near_the_target(refined):
+    figure = refined.plot_pointing()
+    table = refined.pointing()
+    valid = np.asarray(table["VALID"])
+    away = np.hypot(table["HPLN"] - table.meta["TARGETX"], table["HPLT"] - table.meta["TARGETY"])[valid]
+    texts = [text.get_text() for text in figure.axes[3].get_legend().get_texts()]
+    assert [text.split(",")[0] for text in texts] == [f"within {limit} arcsec: {np.mean(away <= limit):.1%}" for limit in (20, 60)]
+    plt.close("all")
 
 
 def test_sunpys_time_series_read_the_pointing(refined):

@@ -1,0 +1,99 @@
+"""Photons as an image of the Sun."""
+
+import astropy.units as u
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+
+import solaspect
+
+PIXEL = 5 * u.arcsec
+DETECTOR = """[[detector]]
+scale_arcsec = 1.0
+centre = [0, 0]
+rotation_deg = 0
+field = [[-1600, 1600], [-1600, 1600]]
+"""
+
+
+@pytest.fixture(scope="module")
+def radius(archive):
+    """The Sun's radius as the frames' headers have it."""
+    headers = (archive.header(path) for path in archive.frames())
+    return next(header["RSUN_OBS"] for header in headers if "RSUN_OBS" in header)
+
+
+@pytest.fixture(scope="module")
+def photons(refined, radius, tmp_path_factory):
+    """A million photons of an evenly bright disc, and its detector."""
+    random = np.random.default_rng(5)
+    count = 1_000_000
+    first, last = refined.span
+    pointing = refined.at(first + random.uniform(0, 1, count) * (last - first))
+    distance, angle = radius * np.sqrt(random.uniform(0, 1, count)), random.uniform(0, 2 * np.pi, count)
+    west = distance * np.cos(angle) - pointing.hpln.to_value("arcsec")
+    north = distance * np.sin(angle) - pointing.hplt.to_value("arcsec")
+    right, up = np.einsum("nji,nj->ni", pointing.rotation_matrix(), np.stack([west, north], axis=1)).T
+    known = np.isfinite(right)
+    table = Table({"TIME": pointing.time.unix[known] * u.s, "PI": np.arange(count)[known] % 100, "X": right[known], "Y": up[known]})
+    table.meta = {"EXTNAME": "EVENTS", "MJDREF": 40587, "TIMESYS": "UTC"}
+    folder = tmp_path_factory.mktemp("photons")
+    table.write(folder / "events.fits")
+    (folder / "detectors.toml").write_text(DETECTOR)
+    return folder
+
+
+@pytest.fixture
+def image(refined, photons):
+    def make(**wishes):
+        return solaspect.image(photons / "events.fits", refined, detectors=photons / "detectors.toml", pixel=PIXEL, **wishes)
+
+    return make
+
+
+def test_sunpys_limb_lies_on_the_limb(image, radius):
+    rate = image(layer="rate")
+    assert abs(rate.rsun_obs.to_value("arcsec") - radius) < 0.1
+    figure = plt.figure()
+    ax = figure.add_subplot(projection=rate)
+    rate.plot(axes=ax)
+    limb, _ = rate.draw_limb(axes=ax)
+    figure.canvas.draw()
+    drawn = ax.transData.inverted().transform_path(limb.get_transform().transform_path(limb.get_path())).to_polygons()[0]
+    plt.close(figure)
+    centre = np.array([rate.reference_pixel.x.value, rate.reference_pixel.y.value])
+    assert abs(rate.reference_coordinate.Tx) < 1e-6 * u.arcsec
+    from_centre = drawn - centre
+    y, x = np.indices(rate.data.shape)
+    pixels = np.hypot(x - centre[0], y - centre[1])
+    turn = np.arctan2(y - centre[1], x - centre[0])
+    level = np.nanmedian(rate.data[pixels < 0.8 * radius / 5])
+    for sector in np.linspace(-np.pi, np.pi, 24, endpoint=False):
+        inside = (turn >= sector) & (turn < sector + np.pi / 12)
+        low, high = (radius + np.array([-50, 50])) / 5
+        ring = inside & (pixels >= low) & (pixels < high)
+        # The light of a ring over that of the disc: how much of its area the disc covers.
+        edge = np.sqrt(low**2 + np.nanmean(rate.data[ring]) / level * (high**2 - low**2))
+        angles = np.arctan2(*from_centre.T[::-1])
+        near = (angles >= sector) & (angles < sector + np.pi / 12)
+        assert near.any() and abs(np.hypot(*from_centre[near].T).mean() - edge) < 1, np.degrees(sector)
+
+
+def test_layers_are_those_of_the_file(image, tmp_path):
+    counts = image(out=tmp_path / "kept.fits", energy=("PI", 10, 29))
+    with fits.open(tmp_path / "kept.fits", checksum=True) as hdus:
+        assert [hdu.name for hdu in hdus] == ["COUNTS", "EXPOSURE", "INVALID"]
+        assert np.array_equal(counts.data, hdus["COUNTS"].data)
+        assert 0.15 < counts.data.sum() / 1e6 < 0.2
+        seconds = hdus["EXPOSURE"].data
+    rate = image(layer="rate", energy=("PI", 10, 29))
+    assert np.isnan(rate.data[seconds == 0]).all() and rate.unit == u.ct / u.s
+    assert np.allclose(rate.data[seconds > 0], (counts.data / np.where(seconds > 0, seconds, 1))[seconds > 0])
+    assert counts.rotation_matrix.tolist() == [[1, 0], [0, 1]] and counts.unit == u.ct
+    assert counts.observer_coordinate.radius > 0.9 * u.AU and counts.exposure_time > 0 * u.s
+    with pytest.raises(ValueError, match="layer: expected one of counts"):
+        image(layer="photons")
+    with pytest.raises(solaspect.SolaspectError, match="column ENERGY"):
+        image(energy=("ENERGY", 1, 2))
