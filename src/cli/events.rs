@@ -168,7 +168,7 @@ fn print_image(image: &Imaged) -> anyhow::Result<()> {
     for (count, what) in [
         (
             invalid,
-            "not valid or not in a good time interval: in INVALID",
+            "not valid, not in a good time or not in a detector's field: in INVALID",
         ),
         (outside, "outside the image"),
         (unplaced, "without a place"),

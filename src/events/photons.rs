@@ -59,7 +59,8 @@ pub struct Measured {
 /// What a row says of a photon; NaN where it says nothing.
 pub struct PhotonRow {
     time: f64,
-    position: [f64; 2],
+    /// As the detector has it.
+    pub position: [f64; 2],
     id: Option<f64>,
     /// In the unit of its column, where one is wanted.
     pub energy: Option<f64>,

@@ -124,7 +124,8 @@ fn only_photons_of_the_energies_count() {
 #[test]
 fn a_field_is_stated_or_that_of_the_columns() {
     let bench = Bench::plain();
-    let table = event_table(&some_photons(100, 1));
+    let photons = some_photons(3000, 1);
+    let table = event_table(&photons);
     let error = bench
         .image(PLAIN, &[table.clone(), good()], &wide(&bench))
         .unwrap_err();
@@ -150,6 +151,17 @@ fn a_field_is_stated_or_that_of_the_columns() {
         let exposure = read_image(&bench.at("image.fits"), "EXPOSURE");
         exposure.iter().sum::<f64>() * 25.0 / SECONDS as f64
     };
+    let placed = bench
+        .image(PLAIN, &[stated.clone(), good()], &wide(&bench))
+        .unwrap();
+    let inside = photons
+        .iter()
+        .filter(|[_, x, y, _]| (-200.0..=199.0).contains(x) && (-100.0..=99.0).contains(y));
+    let imaged = placed.image.unwrap();
+    assert_eq!(
+        [imaged.photons, imaged.photons + imaged.invalid],
+        [inside.count() as u64, 3000]
+    );
     // Whole numbers are pixels: one more in each direction than between the first and the last.
     for (table, area) in [(stated, 399.0 * 199.0), (whole, 400.0 * 200.0)] {
         let found = exposed(table);

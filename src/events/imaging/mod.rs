@@ -70,9 +70,20 @@ pub struct Imaged {
 
 /// What each detector contributes.
 struct Seen<'a> {
+    /// From where to where it measures x and y.
+    field: [[f64; 2]; 2],
     corners: Corners,
     /// When it counts with a valid pointing; `None` of a list that does not say when detectors counted.
     good: Option<&'a Good>,
+}
+
+impl Seen<'_> {
+    /// Whether a photon was measured where and when the exposure counts.
+    fn sees(&self, row: &PhotonRow, photon: &Photon) -> bool {
+        let within = |(at, [low, high]): (&f64, &[f64; 2])| (*low..=*high).contains(at);
+        let is_good = |good: &Good| photon.unix_s.is_some_and(|at| good.holds(at));
+        row.position.iter().zip(&self.field).all(within) && self.good.is_none_or(is_good)
+    }
 }
 
 /// An image in the making.
@@ -100,6 +111,7 @@ impl<'a> Picture<'a> {
         let seen = detectors.iter().zip(fields).map(|(detector, [x, y])| {
             let corners = [[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]];
             Ok(Seen {
+                field: [*x, *y],
                 corners: corners.map(|corner| detector.locate(corner.into())),
                 good: detector.good_times(good)?,
             })
@@ -147,9 +159,8 @@ impl<'a> Picture<'a> {
             self.imaged.outside += 1;
             return;
         };
-        let good = self.detectors[detector].good;
-        let is_live = good.is_none_or(|good| photon.unix_s.is_some_and(|at| good.holds(at)));
-        if photon.invalid.is_none() && is_live {
+        let is_usable = photon.invalid.is_none() && self.detectors[detector].sees(row, photon);
+        if is_usable {
             self.counts[pixel] += 1;
             self.imaged.photons += 1;
         } else {
@@ -176,7 +187,7 @@ impl<'a> Picture<'a> {
     ) -> Result<(Vec<u8>, Imaged), Problem> {
         let mut live_time = LiveTime::new(&self.grid);
         let mut live_s = 0.0;
-        for Seen { corners, good } in &self.detectors {
+        for Seen { corners, good, .. } in &self.detectors {
             let Some(good) = good.or(otherwise) else {
                 continue;
             };
@@ -241,7 +252,8 @@ fn observation_cards<'a>(
     let middle_s = middle_s(&intervals);
     let utc = |unix_s: f64| {
         let utc = Timestamp::from_nanosecond((unix_s * 1e9) as i128).ok()?;
-        utc.round(Unit::Microsecond).ok()
+        // sunpy keeps milliseconds of a map's time: with more it takes the map's own observer for another one.
+        utc.round(Unit::Millisecond).ok()
     };
     let mut cards = vec![
         Card::new(&keyword::TIMESYS, "UTC"),

@@ -215,7 +215,7 @@ def plot_path(path: SunPath, ax: Axes | None = None) -> Axes:
         bar.ax.yaxis.set_major_formatter(matplotlib.dates.ConciseDateFormatter(locator))
     if path.target is not None:
         ax.plot(*path.target, "x", color="red", ms=9, mew=1.5, label="target", zorder=4)
-    reach = 1.1 * np.abs(path.limb).max()
+    reach = 1.1 * np.abs(np.vstack([path.limb, path.places[path.valid]])).max()
     ax.set(xlim=(-reach, reach), ylim=(-reach, reach))
     ax.legend(loc="upper right", fontsize="small")
     return ax
@@ -280,7 +280,9 @@ def _ellipse(ax: Axes, path: SunPath) -> None:
 def _dwell(ax: Axes, path: SunPath) -> None:
     _sun(ax, path)
     _about(ax, path)
-    cells = np.histogram2d(*path.places[path.valid].T, bins=60, range=[ax.get_xlim(), ax.get_ylim()])[0] * path.step_s
+    x, y = path.places[path.valid].T
+    shown_arcsec = np.array([ax.get_xlim(), ax.get_ylim()], dtype=np.float64)
+    cells = np.histogram2d(x, y, bins=60, range=shown_arcsec)[0] * path.step_s
     extent = (*ax.get_xlim(), *ax.get_ylim())
     shown = ax.imshow(np.where(cells > 0, cells, np.nan).T, origin="lower", extent=extent, cmap="YlGnBu", zorder=0)
     side = (extent[1] - extent[0]) / 60
