@@ -76,6 +76,7 @@
 //! | [`archive`], [`camera`] | files on disks; sources of frames |
 //! | [`observe`] | one pass over frames: journals, shards, copies, files that cannot be read |
 //! | [`events`] | photons put on the Sun by a refined flight's pointing |
+//! | [`film`] | a film of where the telescope pointed on the Sun |
 //! | [`output`] | what other programs read of a flight: JSON lines, NMEA sentences, CCSDS space packets |
 //! | [`config`] | the parameter table |
 //! | [`commands`] | what the ground may say in flight, what it sets, and words for all of it |
@@ -111,6 +112,8 @@ pub mod estimation;
 pub mod events;
 pub mod fiducial;
 mod files;
+#[warn(clippy::too_many_lines)]
+pub mod film;
 pub mod fits;
 pub mod frame;
 pub mod geometry;

@@ -945,6 +945,42 @@ fn an_archive_is_refined_with_the_instrument_and_the_configuration_it_was_flown_
 }
 
 #[test]
+fn a_film_is_made_of_a_refined_flight_and_what_it_lacks_is_said_before_the_flight_is_refined() {
+    let demo = instrument::builtin_text("demo").unwrap();
+    let root = flown_archive(demo, "");
+    let out = tempfile::tempdir().unwrap();
+    let frame = Tree::of(root.path()).unwrap().files.remove(0);
+    let film = out.path().join("film");
+    let refused = |more: &[&str]| {
+        let output = command(root.path(), out.path(), more).output().unwrap();
+        assert!(!output.status.success() && journal(out.path()).is_none());
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let (film_, frame_) = (film.to_str().unwrap(), frame.to_str().unwrap());
+    let error = refused(&["--film", film_, "--film-context", frame_]);
+    let expected = format!("{frame_}: CTYPE1: expected 'HPLN-TAN'");
+    assert!(error.contains(&expected), "{error}");
+    let error = refused(&["--film", "film.mp4"]);
+    assert!(
+        error.contains("expected a file that ends in .gif"),
+        "{error}"
+    );
+    let error = refused(&["--film-frames"]);
+    assert!(error.contains("--film <DIR|FILE>"), "{error}");
+    let in_archive = root.path().join("film");
+    let error = refused(&["--film", in_archive.to_str().unwrap()]);
+    assert!(error.contains("outside of the archive"), "{error}");
+
+    let output = refine(root.path(), out.path(), &["--film", film_, "--film-frames"]);
+    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(
+        told.contains("film: 4 pictures, one each 0.250 s: "),
+        "{told}"
+    );
+    assert_eq!(fs::read_dir(&film).unwrap().count(), 4);
+}
+
+#[test]
 fn a_frame_that_contradicts_its_archive_is_refused_and_flights_that_differ_want_to_be_told() {
     let demo = instrument::builtin_text("demo").unwrap();
     let root = flown_archive(demo, "[target]\nx_arcsec = 250.0\n");

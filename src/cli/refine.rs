@@ -4,6 +4,7 @@ use super::attitude::{self, AttitudeArgs, parse_rate};
 use super::options::interrupted;
 use super::output::{Follower, say};
 use crate::clock::parse_utc;
+use crate::film;
 use crate::observe::{Shard, Span};
 use crate::refine::{
     self, Counts, Given, Navigation, Options, Refined, RefinedCamera, RollSummary, Summary,
@@ -25,7 +26,8 @@ use std::sync::atomic::AtomicBool;
 /// exit code, unless another attempt may read them or nothing could be read at all. Each of several cameras has its own history, in a
 /// folder of --out, and all have one report. Frames of the roll camera give roll.fits, roll.csv and roll.json, and the roll of the
 /// offsets. With --imu and --gps the attitude at every IMU sample is estimated from all frames of the flight.
-/// With --rate the telescope's offset at that rate, along the smoothed path between frames, is in stabilisation.fits and .csv.
+/// With --rate the telescope's offset at that rate, along the smoothed path between frames, is in stabilisation.fits and .csv. With --film
+/// there is a film of where the telescope pointed on the Sun.
 #[derive(Debug, Args)]
 #[command(allow_negative_numbers = true)]
 pub struct RefineArgs {
@@ -68,6 +70,47 @@ pub struct RefineArgs {
     pointing_rate: Option<f64>,
     #[command(flatten)]
     navigation: NavigationArgs,
+    #[command(flatten)]
+    film: FilmArgs,
+}
+
+#[derive(Debug, Args)]
+#[command(next_help_heading = "A film")]
+struct FilmArgs {
+    /// A film of where the telescope pointed on the Sun: FILE.gif, FILE.apng or FILE.png, or a folder for numbered pictures
+    #[arg(id = "film", long, value_name = "DIR|FILE")]
+    path: Option<film::Destination>,
+    /// From picture to picture [default: such that there are about 300, but not below the frames' own step]
+    #[arg(id = "film_step", long = "film-step", value_name = "SECONDS", value_parser = parse_step, requires = "film")]
+    step: Option<f64>,
+    /// Show the Sun as this FITS image does, one with helioprojective coordinates, as of SDO [default: a limb-darkened disc]
+    #[arg(
+        id = "film_context",
+        long = "film-context",
+        value_name = "MAP.fits",
+        requires = "film"
+    )]
+    context: Option<PathBuf>,
+    /// Show the frame nearest in time beside the Sun, with what is found in it
+    #[arg(id = "film_frames", long = "film-frames", requires = "film")]
+    frames: bool,
+}
+
+impl FilmArgs {
+    fn options(&self) -> Option<film::Options> {
+        Some(film::Options {
+            destination: self.path.clone()?,
+            step_s: self.step,
+            context: self.context.clone(),
+            has_frames: self.frames,
+        })
+    }
+}
+
+fn parse_step(text: &str) -> Result<f64, String> {
+    let step: Option<f64> = text.parse().ok();
+    step.filter(|step| (0.01..=1e5).contains(step))
+        .ok_or_else(|| format!("expected a number from 0.01 to 100000 s, found \"{text}\""))
 }
 
 #[derive(Debug, Args)]
@@ -112,6 +155,7 @@ impl RefineArgs {
                 settings: navigation.navigation.clone(),
                 wanted: navigation.wanted.wanted(),
             }),
+            film: self.film.options(),
         }
     }
 
@@ -150,6 +194,7 @@ fn print(refined: &Refined) -> anyhow::Result<ExitCode> {
         label,
         summary,
         stabilised,
+        film,
         ..
     } in &refined.cameras
     {
@@ -163,6 +208,7 @@ fn print(refined: &Refined) -> anyhow::Result<ExitCode> {
                 table.rows, table.rate_hz, table.valid
             ))?;
         }
+        film.iter().try_for_each(say)?;
     }
     match &refined.attitude {
         Some(found) => attitude::print(found),

@@ -64,6 +64,15 @@ impl FitsFile {
         self.named(read::read_fits(&self.bytes, &self.hdus, self.wanted))
     }
 
+    /// Width and height of the image, px, and what its pixels stand for, whatever they are: row by row as FITS stores them, the lowest
+    /// first; not a number where a pixel has no value.
+    ///
+    /// # Errors
+    /// As [`read_frame`](super::read_frame).
+    pub fn values(&self) -> Result<([usize; 2], Vec<f32>), FileError> {
+        self.named(read::read_values(&self.bytes, &self.hdus, self.wanted))
+    }
+
     /// What `work` makes of the frame. A row is decoded when it is first read, where each is a tile, and DATASUM and SATURATE are stated; else
     /// the whole frame is decoded before. Damage of a row that `work` does not read is not told.
     ///

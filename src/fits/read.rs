@@ -33,6 +33,16 @@ pub(super) fn read_fits(
     Image::find(bytes, hdus, wanted)?.frame(bytes)
 }
 
+/// The size of that image, and what its pixels stand for.
+pub(super) fn read_values(
+    bytes: &[u8],
+    hdus: &[Hdu],
+    wanted: Option<Size>,
+) -> Result<(Size, Vec<f32>), Problem> {
+    let image = Image::find(bytes, hdus, wanted)?;
+    Ok(([image.width, image.height], image.values(bytes)?))
+}
+
 /// As [`read_fits`], but rows are decoded when they are first read, where each is a tile of its own, the sum of all was checked, and
 /// this program stated the saturation. Then what a row's damage is will stand in the second value.
 pub(super) fn read_on_demand(
@@ -181,15 +191,19 @@ impl<'a> Image<'a> {
     }
 
     fn digitised(&self, bytes: &[u8]) -> Result<Digitised, Problem> {
-        let values = match &self.tiles {
-            Some(tiles) => tiles.values(bytes, &self.coding)?,
+        digitise(&self.values(bytes)?, self.coding.bits)
+    }
+
+    /// What each pixel stands for, as stored row by row; not a number where it has no value.
+    fn values(&self, bytes: &[u8]) -> Result<Vec<f32>, Problem> {
+        match &self.tiles {
+            Some(tiles) => tiles.values(bytes, &self.coding),
             None => {
                 let plane = self.width * self.height * self.coding.bytes();
-                self.coding
-                    .values(&bytes[self.hdu.data_bytes.clone()][..plane])
+                let data = &bytes[self.hdu.data_bytes.clone()][..plane];
+                Ok(self.coding.values(data))
             }
-        };
-        digitise(&values, self.coding.bits)
+        }
     }
 }
 

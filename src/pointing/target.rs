@@ -40,9 +40,21 @@ impl Target {
         utc: Timestamp,
         sun: &SunPosition,
     ) -> Result<HelioprojectiveArcsec, PointingError> {
+        self.on_disc(utc, &Disc::from(sun))
+    }
+
+    /// Where the target is on the disc of an instant.
+    ///
+    /// # Errors
+    /// As [`at`](Self::at).
+    pub fn on_disc(
+        &self,
+        utc: Timestamp,
+        disc: &Disc,
+    ) -> Result<HelioprojectiveArcsec, PointingError> {
         match self {
             Self::Fixed(place) => Ok(*place),
-            Self::Feature(feature) => feature.at(utc, &Disc::from(sun)),
+            Self::Feature(feature) => feature.at(utc, disc),
         }
     }
 }

@@ -47,6 +47,7 @@ mod drift;
 mod drift_report;
 mod estimate;
 mod files;
+mod films;
 mod frames;
 mod history;
 mod jitter_report;

@@ -2,6 +2,7 @@
 
 use super::attitude::AttitudeFound;
 use super::files::{Files, Given};
+use super::films::make_film;
 use super::history::{History, HistoryError};
 use super::navigation::{Navigation, Sensors, ordinal};
 use super::output::{Summary, Written, write, write_rows, write_stabilisation};
@@ -16,6 +17,7 @@ use super::stabilisation::stabilisation;
 use super::witnesses::{Compared, Difference, Dips};
 use crate::archive::ArchiveReader;
 use crate::config::Config;
+use crate::film::{self, Film};
 use crate::frame::Unreadable;
 use crate::instrument::Role;
 use crate::observe::{
@@ -27,7 +29,7 @@ use crate::units::counted;
 use anyhow::{Context, bail, ensure};
 use std::collections::BTreeMap;
 use std::fs::create_dir_all;
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, absolute};
 use std::thread::available_parallelism;
 
 /// Frames that are read from an object store for each core: each waits for the network several times as long as it is solved.
@@ -53,6 +55,7 @@ pub struct Options {
     /// Rows a second of the table POINTING; 10 by default.
     pub pointing_rate_hz: Option<f64>,
     pub navigation: Option<Navigation>,
+    pub film: Option<film::Options>,
 }
 
 /// What came out; it is written to the folder, too.
@@ -88,6 +91,7 @@ pub struct RefinedCamera {
     pub pointing: PointingHistory,
     pub summary: Summary,
     pub stabilised: Option<Stabilised>,
+    pub film: Option<film::Made>,
 }
 
 /// The table between frames.
@@ -189,6 +193,8 @@ impl Run<'_> {
         };
         let cameras = observe::cameras(&pass, listing.frames)?;
         // What may be missing is said before hours of work.
+        let film = options.film.as_ref().map(|film| self.film(film));
+        let film = film.transpose()?;
         let recipes = Recipes::of(&files, &cameras, &config)?;
         if let Some(sensors) = &sensors {
             sensors.check(&cameras.plate)?;
@@ -199,8 +205,39 @@ impl Run<'_> {
         }
         match options.shard {
             Some(shard) => observe_shard(&pass, shard, &cameras, &recipes),
-            None => self.histories(&pass, cameras, recipes, &config, sensors),
+            None => {
+                let mut refined = self.histories(&pass, cameras, recipes, &config, sensors)?;
+                for camera in &mut refined.cameras {
+                    let of = (&camera.history, &camera.pointing);
+                    let label = camera.label.as_deref();
+                    let make = |film: &Film| make_film(film, label, of, archive, watch);
+                    camera.film = film.as_ref().map(make).transpose()?.flatten();
+                }
+                Ok(refined)
+            }
         }
+    }
+
+    /// What the film needs beside the flight. Pictures in the archive would be taken for frames.
+    fn film(&self, film: &film::Options) -> anyhow::Result<Film> {
+        let path = absolute(&film.destination.path)?;
+        let folder = path
+            .ancestors()
+            .find_map(|folder| folder.canonicalize().ok());
+        let is_in = |other: &Path| {
+            let other = other.canonicalize().ok();
+            folder
+                .as_ref()
+                .zip(other)
+                .is_some_and(|(folder, other)| folder.starts_with(other))
+        };
+        ensure!(
+            !is_in(self.archive.name()) || is_in(&self.options.out),
+            "{}: expected a film outside of the archive or within --out, found one in {}",
+            path.display(),
+            self.archive.name().display()
+        );
+        Ok(Film::new(film)?)
     }
 
     /// The histories of all cameras, written with their report.
@@ -338,6 +375,7 @@ impl Run<'_> {
         report.add(label.as_deref(), archive, &history, &summary, &rows);
         Ok(RefinedCamera {
             stabilised: self.stabilise(&folder, &history, &pointing)?,
+            film: None,
             label,
             history,
             pointing,

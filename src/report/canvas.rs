@@ -30,20 +30,23 @@ impl Colour {
     }
 }
 
-/// Part of a frame, magnified, with a strip for text below it.
+/// Part of a frame, magnified, or another picture, with a strip for text below it.
+#[derive(Clone)]
 pub struct Canvas {
     image: RgbImage,
     region: Region,
     zoom: u32,
 }
 
-/// Height of a line of text in the strip, px.
-const TEXT_LINE_PX: u32 = 18;
-/// Width of a letter, and of what is left free before a line, px.
-const LETTER_PX: u32 = 9;
+/// What is left free before a line of text, px.
 const MARGIN_PX: u32 = 6;
 
 impl Canvas {
+    /// Height of a line of text in the strip, px.
+    pub const LINE_PX: u32 = 18;
+    /// Width of a letter, px.
+    pub const LETTER_PX: u32 = 9;
+
     /// A region of a frame, each pixel `zoom` x `zoom`, brightness stretched from `black_dn` to `white_dn`, with
     /// room for `text_lines` below.
     pub fn of_frame(
@@ -54,7 +57,7 @@ impl Canvas {
         text_lines: u32,
     ) -> Self {
         let (width, height) = (region.width() as u32 * zoom, region.height() as u32 * zoom);
-        let mut image = RgbImage::new(width, height + text_lines * TEXT_LINE_PX);
+        let mut image = RgbImage::new(width, height + text_lines * Self::LINE_PX);
         let range = (white_dn - black_dn).max(1.0);
         with_view!(frame, view => {
             for (x, y, pixel) in image.enumerate_pixels_mut().filter(|(_, y, _)| *y < height) {
@@ -67,6 +70,18 @@ impl Canvas {
             image,
             region,
             zoom,
+        }
+    }
+
+    /// A picture in colour, each pixel of it a place, with room for `text_lines` below.
+    pub fn of_image(picture: &RgbImage, text_lines: u32) -> Self {
+        let (width, height) = picture.dimensions();
+        let mut image = RgbImage::new(width, height + text_lines * Self::LINE_PX);
+        image::imageops::replace(&mut image, picture, 0, 0);
+        Self {
+            image,
+            region: Region::sized(0, 0, width as usize, height as usize),
+            zoom: 1,
         }
     }
 
@@ -118,7 +133,7 @@ impl Canvas {
 
     /// A line of text in the strip below the picture, counted from 0. The strip grows wider than the picture where the text is.
     pub fn caption(&mut self, line: u32, text: &str, colour: Colour) {
-        let width = MARGIN_PX + LETTER_PX * (text.chars().count() as u32 + 1);
+        let width = MARGIN_PX + Self::LETTER_PX * (text.chars().count() as u32 + 1);
         if width > self.image.width() {
             let wide = RgbImage::new(width, self.image.height());
             let narrow = std::mem::replace(&mut self.image, wide);
@@ -138,7 +153,8 @@ impl Canvas {
         const SWATCH_PX: u32 = 12;
         let (mut line, mut x) = (first_line, 6);
         for (text, colour) in entries {
-            let width = SWATCH_PX as i32 + LETTER_PX as i32 * (text.chars().count() as i32 + 2);
+            let width =
+                SWATCH_PX as i32 + Self::LETTER_PX as i32 * (text.chars().count() as i32 + 2);
             if x > 6 && x + width > self.image.width() as i32 {
                 (line, x) = (line + 1, 6);
             }
@@ -171,7 +187,7 @@ impl Canvas {
     /// Where the text of a line in the strip stands.
     fn baseline(&self, line: u32) -> i32 {
         let below = self.region.height() as u32 * self.zoom;
-        (below + (line + 1) * TEXT_LINE_PX) as i32 - 5
+        (below + (line + 1) * Self::LINE_PX) as i32 - 5
     }
 
     /// The picture's pixel of a sensor position: pixel (0, 0) of the sensor has its centre in the middle of its
@@ -233,7 +249,7 @@ mod tests {
             Colour::BLUE,
         );
         let image = canvas.into_image();
-        assert_eq!((image.width(), image.height()), (100, 50 + TEXT_LINE_PX));
+        assert_eq!((image.width(), image.height()), (100, 50 + Canvas::LINE_PX));
         assert_eq!(image.get_pixel(37, 17).0, [255, 80, 80]);
         assert_eq!(image.get_pixel(0, 22).0, [110, 190, 255]);
     }
@@ -245,7 +261,7 @@ mod tests {
         let mut canvas = Canvas::of_frame(&frame, frame.region(), 1, (0.0, 255.0), 1);
         canvas.caption(0, "longer than the picture", Colour::WHITE);
         let image = canvas.into_image();
-        let last = image.width() - 2 * LETTER_PX..image.width();
+        let last = image.width() - 2 * Canvas::LETTER_PX..image.width();
         let is_written = |x: u32| (10..image.height()).any(|y| image.get_pixel(x, y).0 != [0; 3]);
         assert!(image.width() > 20 && last.into_iter().any(is_written));
     }

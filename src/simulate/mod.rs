@@ -55,9 +55,9 @@ pub use pieces::{Piece, Pieces};
 pub use random::{Conditions, RandomScenes, SunInView};
 pub use render::{SAMPLES_PER_PX, render_exact, render_oversampled};
 pub use scene::{
-    Blemishes, Coma, Depth, Dust, Extent, Ghost, Gradient, HotPixel, Leak, LitMark, Noise, Picture,
-    Readout, Scene, SceneError, Scratch, StrayLight, Sun, Sunspot, Surface, Truth, TruthOfSun,
-    keystoned, scattered,
+    Blemishes, Coma, Depth, Dust, Extent, Ghost, Gradient, HotPixel, LIMB_DARKENING, Leak, LitMark,
+    Noise, Picture, Readout, Scene, SceneError, Scratch, StrayLight, Sun, Sunspot, Surface, Truth,
+    TruthOfSun, keystoned, scattered,
 };
 pub use trajectory::{MAX_SLEW_DEG_PER_S, Trajectory};
 

@@ -53,6 +53,9 @@ pub struct Scene {
     pub info: FrameInfo,
 }
 
+/// Linear limb darkening of the Sun as HEROES saw it at 630 nm in 2013: light falls as 1 - u (1 - cos theta) towards the limb.
+pub const LIMB_DARKENING: f64 = 0.56;
+
 /// The Sun's image on the plate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sun {
@@ -102,7 +105,7 @@ impl Sun {
             centre,
             radius_mil,
             peak_dn: 205.0,
-            limb_darkening: 0.56,
+            limb_darkening: LIMB_DARKENING,
             surface: Surface::Plain,
             spots: Vec::new(),
             covers: Vec::new(),

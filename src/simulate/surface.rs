@@ -3,7 +3,7 @@
 //! The limb stays that of the disc: exact, where the truth says. Of the picture only the light within 0.98 radii is taken; what lies farther out
 //! repeats what the picture shows there in the same direction.
 
-use super::scene::Surface;
+use super::scene::{LIMB_DARKENING, Surface};
 use image::ImageFormat;
 use nalgebra::{Rotation2, Vector2};
 use std::sync::OnceLock;
@@ -13,8 +13,6 @@ use std::sync::OnceLock;
 const PICTURE: &[u8] = include_bytes!("hmi.png");
 /// Radius of the Sun in the picture, px.
 const RADIUS_PX: f64 = 202.910;
-/// The limb darkening that the surface is relative to: that of [`Sun::new`](super::scene::Sun::new).
-const LIMB_DARKENING: f64 = 0.56;
 /// Farther out the picture's own limb begins, blurred and ringing.
 const REACH: f64 = 0.98;
 
@@ -26,7 +24,7 @@ pub(super) struct Texture {
     turn: nalgebra::Matrix2<f32>,
 }
 
-/// The picture's light relative to that of a linear limb darkening.
+/// The picture's light relative to that of the linear limb darkening of [`Sun::new`](super::scene::Sun::new).
 #[derive(Debug)]
 struct Picture {
     side: usize,

@@ -1,0 +1,265 @@
+//! A solar image on which the path is drawn.
+//!
+//! It was taken at another time and from another place than the flight. Its scale is made the flight's by the Sun's radius; what
+//! rotation and the observer's place change stays, and is said.
+
+use super::wcs::WorldCoordinates;
+use crate::fits::{FileError, FitsFile, Header, Problem};
+use crate::pointing::HelioprojectiveArcsec;
+use crate::sky::sphere::{direction, separation_rad};
+use crate::sky::{Disc, Ephemeris, SUN_RADIUS_KM};
+use crate::units::ARCSEC_PER_RAD;
+use jiff::{SignedDuration, Timestamp};
+use nalgebra::Vector2;
+use std::path::{Path, PathBuf};
+
+/// The Sun turns by 7 deg in so long.
+const OLD: SignedDuration = SignedDuration::from_hours(12);
+/// Of an observer from the Earth, as seen from the Sun: above the first there is a warning, above the second no map.
+const ASIDE_DEG: f64 = 5.0;
+const FAR_DEG: f64 = 20.0;
+/// By how much the radius may differ from that seen from the Earth, where no other observer is named.
+const RADIUS_DIFFERENCE: f64 = 0.05;
+/// Of the disc's pixels, those that show its brightness are about so many in a row.
+const SAMPLES: usize = 256;
+/// Parts of the disc's pixels that are darker than black and brighter than white.
+const OUTSIDE: f64 = 0.005;
+/// So much darker than the darkest of the disc is black, as a part of its range: the limb stands out.
+const FOOT: f64 = 0.25;
+
+/// A solar image with its coordinates.
+#[derive(Debug, Clone)]
+pub struct Context {
+    path: PathBuf,
+    size_px: [usize; 2],
+    /// Row by row, the lowest first.
+    values: Vec<f32>,
+    world: WorldCoordinates,
+    /// The Sun's radius as the image's observer saw it.
+    radius_arcsec: f64,
+    taken: Option<Timestamp>,
+    /// Between the observer and the Earth, as seen from the Sun; `None` where the header does not say it.
+    aside_deg: Option<f64>,
+    stretch: Stretch,
+}
+
+/// From a value to a brightness.
+#[derive(Debug, Clone, Copy)]
+struct Stretch {
+    black: f32,
+    white: f32,
+    /// The power that puts the disc's median at half the brightness, where that is darker.
+    power: f32,
+}
+
+impl Context {
+    /// Reads a FITS image.
+    ///
+    /// # Errors
+    /// A file that cannot be read, is no image, has no helioprojective coordinates, or is of an observer far from the Earth.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let file = FitsFile::open(path)?;
+        let taken = file.info()?.0.mid_exposure;
+        let header = file.keywords()?;
+        let (size_px, values) = file.values()?;
+        let seen = || {
+            let earth = taken.and_then(|utc| Ephemeris::default().disc(utc).ok());
+            let aside_deg = aside_deg(&header, earth.as_ref())?;
+            let radius_arcsec = radius_arcsec(&header, earth.as_ref(), aside_deg)?;
+            let world = WorldCoordinates::read(&header)?;
+            let stretch = Stretch::of_disc(&values, size_px, &world, radius_arcsec)?;
+            Ok((aside_deg, radius_arcsec, world, stretch))
+        };
+        let seen = seen().map_err(|problem: Problem| problem.in_file(path))?;
+        let (aside_deg, radius_arcsec, world, stretch) = seen;
+        Ok(Self {
+            path: path.into(),
+            size_px,
+            values,
+            world,
+            radius_arcsec,
+            taken,
+            aside_deg,
+            stretch,
+        })
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The side of a pixel where the Sun has this radius.
+    pub fn arcsec_per_px(&self, radius_arcsec: f64) -> f64 {
+        self.world.arcsec_per_px() * radius_arcsec / self.radius_arcsec
+    }
+
+    /// From 0 to 1, at a place about a Sun of this radius; `None` where the image shows nothing.
+    pub fn brightness(&self, place: HelioprojectiveArcsec, radius_arcsec: f64) -> Option<f32> {
+        let scale = self.radius_arcsec / radius_arcsec;
+        let (x, y) = (place.x * scale, place.y * scale);
+        let value = self.value(self.world.pixel(HelioprojectiveArcsec { x, y })?)?;
+        Some(self.stretch.brightness(value))
+    }
+
+    /// Between the four pixels about a place of the image.
+    fn value(&self, at: Vector2<f64>) -> Option<f32> {
+        let corner = at.map(f64::floor);
+        let [width, height] = self.size_px;
+        let is_inside = corner.x >= 0.0 && corner.y >= 0.0;
+        let (x, y) = (corner.x as usize, corner.y as usize);
+        if !is_inside || x + 1 >= width || y + 1 >= height {
+            return None;
+        }
+        let part = (at - corner).cast::<f32>();
+        let row = |y: usize| {
+            let from = self.values[y * width + x];
+            from + (self.values[y * width + x + 1] - from) * part.x
+        };
+        let value = row(y) + (row(y + 1) - row(y)) * part.y;
+        value.is_finite().then_some(value)
+    }
+
+    /// When it was taken, against a time of the flight, and what is to be known of that.
+    pub fn words(&self, utc: Timestamp) -> Words {
+        let Some(taken) = self.taken else {
+            let text = "context of an unknown date".to_owned();
+            return self.with_observer(text, true);
+        };
+        let later = taken.duration_since(utc);
+        let hours = later.abs().as_secs_f64() / 3600.0;
+        let length = match hours < 48.0 {
+            true => format!("{hours:.1} hours"),
+            false => format!("{:.0} days", hours / 24.0),
+        };
+        let side = if later.is_positive() {
+            "after"
+        } else {
+            "before"
+        };
+        let date = taken.strftime("%Y-%m-%d %H:%M");
+        let text = format!("context of {date} UTC, {length} {side}");
+        self.with_observer(text, later.abs() > OLD)
+    }
+
+    fn with_observer(&self, text: String, is_old: bool) -> Words {
+        match self.aside_deg.filter(|deg| *deg > ASIDE_DEG) {
+            Some(deg) => Words {
+                text: format!("{text}, seen from {deg:.0} deg beside the Earth"),
+                is_warning: true,
+            },
+            None => Words {
+                text,
+                is_warning: is_old,
+            },
+        }
+    }
+}
+
+/// What is said of a context.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Words {
+    pub text: String,
+    /// Whether features may be elsewhere than shown.
+    pub is_warning: bool,
+}
+
+/// How far from the Earth the observer is, by heliographic coordinates: Stonyhurst's, else Carrington's.
+fn aside_deg(header: &Header, earth: Option<&Disc>) -> Result<Option<f64>, Problem> {
+    let carrington = header.number("CRLN_OBS")?.zip(earth);
+    let carrington = carrington.map(|(deg, earth)| ("CRLN_OBS", deg - earth.l0_deg));
+    let stonyhurst = header.number("HGLN_OBS")?.map(|deg| ("HGLN_OBS", deg));
+    let Some((keyword, longitude_deg)) = stonyhurst.or(carrington) else {
+        return Ok(None);
+    };
+    let b0_deg = earth.map_or(0.0, |earth| earth.b0_deg);
+    let latitude_deg = match header.number("HGLT_OBS")? {
+        Some(deg) => deg,
+        None => header.number("CRLT_OBS")?.unwrap_or(b0_deg),
+    };
+    let observer = direction(longitude_deg, latitude_deg);
+    let aside_deg = separation_rad(&observer, &direction(0.0, b0_deg)).to_degrees();
+    if aside_deg > FAR_DEG {
+        let expected = format!("an observer within {FAR_DEG} deg of the Earth");
+        return Err(Problem::field(
+            keyword,
+            expected,
+            format!("one at {aside_deg:.0} deg"),
+        ));
+    }
+    Ok(Some(aside_deg))
+}
+
+/// The Sun's radius as the observer saw it; as from the Earth where the header does not say it.
+fn radius_arcsec(
+    header: &Header,
+    earth: Option<&Disc>,
+    aside_deg: Option<f64>,
+) -> Result<f64, Problem> {
+    let by_distance = |distance_m: f64| (SUN_RADIUS_KM * 1e3 / distance_m).asin() * ARCSEC_PER_RAD;
+    let from_earth = earth.map(Disc::radius_arcsec);
+    let radius = header.number("RSUN_OBS")?;
+    let distance = header.number("DSUN_OBS")?.map(by_distance);
+    let stated = radius.map(|arcsec| ("RSUN_OBS", arcsec));
+    let stated = stated.or(distance.map(|arcsec| ("DSUN_OBS", arcsec)));
+    match (stated, from_earth) {
+        (Some((keyword, arcsec)), _) if !(100.0..1e4).contains(&arcsec) => {
+            let expected = "a radius of the Sun from 100 to 10000 arcsec";
+            Err(Problem::field(keyword, expected, arcsec))
+        }
+        (Some((keyword, arcsec)), Some(earth))
+            if aside_deg.is_none() && (arcsec / earth - 1.0).abs() > RADIUS_DIFFERENCE =>
+        {
+            let expected = format!("about {earth:.0} arcsec, the Sun's radius from the Earth");
+            Err(Problem::field(keyword, expected, arcsec))
+        }
+        (Some((_, arcsec)), _) | (None, Some(arcsec)) => Ok(arcsec),
+        (None, None) => {
+            let expected = "the Sun's radius in arcsec, or DSUN_OBS, or DATE-OBS";
+            Err(Problem::field("RSUN_OBS", expected, "none of them"))
+        }
+    }
+}
+
+impl Stretch {
+    /// By the pixels of the disc.
+    fn of_disc(
+        values: &[f32],
+        [width, height]: [usize; 2],
+        world: &WorldCoordinates,
+        radius_arcsec: f64,
+    ) -> Result<Self, Problem> {
+        let step = (width.max(height) / SAMPLES).max(1);
+        let mut disc = Vec::new();
+        for y in (0..height).step_by(step) {
+            for x in (0..width).step_by(step) {
+                let place = world.place(Vector2::new(x as f64, y as f64));
+                let value = values[y * width + x];
+                if value.is_finite() && place.x.hypot(place.y) < radius_arcsec {
+                    disc.push(value);
+                }
+            }
+        }
+        disc.sort_by(f32::total_cmp);
+        let at =
+            |part: f64| Some(*disc.get((part * (disc.len().checked_sub(1)? as f64)) as usize)?);
+        let levels = [OUTSIDE, 0.5, 1.0 - OUTSIDE].map(at);
+        let [Some(low), Some(median), Some(high)] = levels else {
+            return Err(Problem::field("pixels", "values on the Sun's disc", "none"));
+        };
+        let foot = low - FOOT as f32 * (high - low);
+        let black = if low >= 0.0 { foot.max(0.0) } else { foot };
+        let white = if high > black { high } else { black + 1.0 };
+        let half = ((median - black) / (white - black)).clamp(0.01, 0.5);
+        let power = 0.5f32.ln() / half.ln();
+        Ok(Self {
+            black,
+            white,
+            power,
+        })
+    }
+
+    fn brightness(&self, value: f32) -> f32 {
+        let part = (value - self.black) / (self.white - self.black);
+        part.clamp(0.0, 1.0).powf(self.power)
+    }
+}

@@ -1,0 +1,266 @@
+//! What a picture of the film shows: the whole Sun, the surroundings of the target, a strip of text, and the frame beside.
+
+use super::context::{Context, Words};
+use super::panel::{BORESIGHT, INVALID, OLD_PATH, PATH, Panel, TARGET, View};
+use super::track::{Point, Track};
+use crate::clock::{Utc, utc_text};
+use crate::pointing::HelioprojectiveArcsec;
+use crate::report::{Canvas, Colour};
+use crate::sky::Disc;
+use crate::sky::sphere::separation_rad;
+use crate::units::{ARCSEC_PER_RAD, SensorPx};
+use image::RgbImage;
+use image::imageops::{self, FilterType};
+use jiff::Timestamp;
+
+/// Side of the square with the Sun, and of the one about the target in its corner.
+pub const MAP_PX: u32 = 720;
+const INSET_PX: u32 = 240;
+/// Width of what stands beside.
+const BESIDE_PX: u32 = 740;
+/// From the map's centre to its edge: at least so many radii, and as far as the path goes, but not farther than the second.
+const REACH_RADII: [f64; 2] = [1.2, 3.0];
+/// There is an inset where this part of the path lies within that part of the map's reach about the target.
+const IN_INSET: f64 = 0.9;
+const SMALL: f64 = 0.2;
+/// What an inset shows at least, from its centre to its edge.
+const LEAST_INSET_ARCSEC: f64 = 5.0;
+/// The path of so many pictures is bright.
+const RECENT_PICTURES: usize = 20;
+/// Time, boresight, target, context, legend.
+const LINES: u32 = 5;
+const LEGEND: [(&str, Colour); 5] = [
+    ("boresight", BORESIGHT),
+    ("target", TARGET),
+    ("path", PATH),
+    ("before", OLD_PATH),
+    ("not valid", INVALID),
+];
+
+/// What is the same in all pictures of a film.
+pub struct Stage<'a> {
+    pub title: String,
+    /// In the middle of the film, as the target is.
+    pub disc: Disc,
+    pub target: Option<HelioprojectiveArcsec>,
+    pub context: Option<&'a Context>,
+    /// What is said of the context.
+    pub words: Words,
+    /// Whether a frame stands beside.
+    pub has_beside: bool,
+}
+
+/// What a picture shows beside the path.
+pub struct Moment {
+    /// Its place in the track.
+    pub index: usize,
+    pub utc: Timestamp,
+    /// Where to point; else why nowhere.
+    pub target: Result<HelioprojectiveArcsec, String>,
+}
+
+/// Draws one picture after the other.
+pub struct Painter<'a> {
+    stage: Stage<'a>,
+    map: Panel,
+    /// With its upper left corner on the map.
+    inset: Option<(Panel, [u32; 2])>,
+    /// How much of the path is drawn on the panels for good.
+    settled: usize,
+}
+
+impl<'a> Painter<'a> {
+    pub fn new(track: &Track, stage: Stage<'a>) -> Self {
+        let panel = |view| Panel::new(view, &stage.disc, stage.context);
+        let reach = reach_arcsec(track, &stage.disc);
+        let mut map = panel(View::about(HelioprojectiveArcsec::default(), reach, MAP_PX));
+        let inset = stage.target.and_then(|target| {
+            let reach = inset_reach_arcsec(track, target, reach)?;
+            Some((target, View::about(target, reach, INSET_PX)))
+        });
+        let inset = inset.map(|(target, view)| {
+            map.outline(&view, Colour::WHITE);
+            let mut inset = panel(view);
+            let side_px = INSET_PX - 1;
+            inset.outline(&View { side_px, ..view }, Colour::WHITE);
+            // In the corner that is farthest from the target.
+            let corner = |is_first| if is_first { 0 } else { MAP_PX - INSET_PX };
+            (inset, [corner(target.x > 0.0), corner(target.y < 0.0)])
+        });
+        let (middle, end) = (f64::from(MAP_PX / 2), f64::from(MAP_PX));
+        let mut sign = |x, y, text| map.canvas.label(SensorPx::new(x, y), text, Colour::WHITE);
+        sign(middle - 10.0, 20.0, "N");
+        sign(end - 22.0, middle + 10.0, "W");
+        Self {
+            stage,
+            map,
+            inset,
+            settled: 0,
+        }
+    }
+
+    /// The size of every picture, px.
+    pub fn size_px(&self) -> (u32, u32) {
+        let beside = if self.stage.has_beside { BESIDE_PX } else { 0 };
+        (MAP_PX + beside, MAP_PX + LINES * Canvas::LINE_PX)
+    }
+
+    /// The picture of a moment, with the frame beside; those of a film in the order of time.
+    pub fn picture(
+        &mut self,
+        track: &Track,
+        moment: &Moment,
+        beside: Option<&RgbImage>,
+    ) -> RgbImage {
+        let recent = RECENT_PICTURES * track.points_per_picture;
+        let settled = moment.index.saturating_sub(recent).max(self.settled);
+        let old = &track.points[self.settled..=settled];
+        self.map.path(old, OLD_PATH);
+        self.inset
+            .iter_mut()
+            .for_each(|(inset, _)| inset.path(old, OLD_PATH));
+        self.settled = settled;
+        let path = &track.points[settled..=moment.index];
+        let mut whole = RgbImage::new(self.size_px().0, MAP_PX);
+        let map = with_path(&self.map, path, moment).into_image();
+        imageops::replace(&mut whole, &map, 0, 0);
+        if let Some((inset, corner)) = &self.inset {
+            let side = inset.view.arcsec_per_px * f64::from(INSET_PX);
+            let size = format!("{side:.0} x {side:.0} arcsec");
+            let mut canvas = with_path(inset, path, moment);
+            let at = SensorPx::new(0.0, f64::from(INSET_PX));
+            canvas.label(at, &size, Colour::WHITE);
+            let [x, y] = corner.map(i64::from);
+            imageops::replace(&mut whole, &canvas.into_image(), x, y);
+        }
+        let mut canvas = Canvas::of_image(&whole, LINES);
+        self.write(&mut canvas, &track.points[moment.index], moment);
+        let mut picture = canvas.into_image();
+        if let Some(beside) = beside {
+            imageops::replace(&mut picture, beside, MAP_PX.into(), 0);
+        }
+        picture
+    }
+
+    /// What stands below.
+    fn write(&self, canvas: &mut Canvas, now: &Point, moment: &Moment) {
+        let utc = Utc {
+            time: moment.utc,
+            in_leap_second: false,
+        };
+        let (validity, colour) = match now.invalid {
+            None => ("valid".into(), TARGET),
+            Some(why) => (format!("not valid: {}", why.name()), BORESIGHT),
+        };
+        let time = format!("{}   {validity}   {}", utc_text(utc, 2), self.stage.title);
+        let at =
+            |place: HelioprojectiveArcsec| format!("x {:.1}, y {:.1} arcsec", place.x, place.y);
+        let target = moment.target.as_ref();
+        let boresight = match (now.place, target) {
+            (None, _) => "boresight unknown".into(),
+            (Some(place), Err(_)) => format!("boresight {}", at(place)),
+            (Some(place), Ok(target)) => {
+                let apart = separation_rad(&place.direction(), &target.direction());
+                let apart = apart * ARCSEC_PER_RAD;
+                format!("boresight {}, {apart:.1} arcsec from the target", at(place))
+            }
+        };
+        let target = match target {
+            Ok(target) => format!("target {}", at(*target)),
+            Err(why) => format!("no target: {why}"),
+        };
+        let words = &self.stage.words;
+        let context = if words.is_warning {
+            Colour::ORANGE
+        } else {
+            Colour::WHITE
+        };
+        let lines = [
+            (time, colour),
+            (boresight, Colour::WHITE),
+            (target, Colour::WHITE),
+            (words.text.clone(), context),
+        ];
+        for (line, (text, colour)) in (0..).zip(lines) {
+            canvas.caption(line, fitting(&text, MAP_PX), colour);
+        }
+        canvas.legend(LINES - 1, &LEGEND);
+    }
+
+    /// What stands beside: a frame's picture, or why there is none.
+    pub fn beside(&self, frame: Result<RgbImage, String>) -> RgbImage {
+        let mut place = RgbImage::new(BESIDE_PX, self.size_px().1);
+        let shown = match frame {
+            Ok(frame) => scaled(&frame, place.dimensions()),
+            Err(why) => {
+                let lines = why.len() as u32 * Canvas::LETTER_PX / BESIDE_PX + 1;
+                let mut canvas = Canvas::of_image(&RgbImage::new(BESIDE_PX, 0), lines);
+                let mut rest = why.as_str();
+                for line in 0..lines {
+                    let text = fitting(rest, BESIDE_PX);
+                    canvas.caption(line, text, Colour::ORANGE);
+                    rest = &rest[text.len()..];
+                }
+                canvas.into_image()
+            }
+        };
+        imageops::replace(&mut place, &shown, 0, 0);
+        place
+    }
+}
+
+/// A panel with the path, the target and the boresight of a moment.
+fn with_path(panel: &Panel, path: &[Point], moment: &Moment) -> Canvas {
+    let mut panel = panel.clone();
+    panel.path(path, PATH);
+    if let Ok(target) = moment.target {
+        panel.target(target);
+    }
+    let now = path.last().and_then(|now| Some((now.place?, now.invalid)));
+    if let Some((place, invalid)) = now {
+        let colour = if invalid.is_none() {
+            BORESIGHT
+        } else {
+            INVALID
+        };
+        panel.boresight(place, colour);
+    }
+    panel.canvas
+}
+
+/// From the map's centre to its edge.
+fn reach_arcsec(track: &Track, disc: &Disc) -> f64 {
+    let farthest = track.valid().map(|place| place.x.hypot(place.y));
+    let farthest = farthest.fold(0.0, f64::max);
+    let [least, most] = REACH_RADII.map(|radii| radii * disc.radius_arcsec());
+    (farthest * 1.05).clamp(least, most)
+}
+
+/// From the inset's centre to its edge, where the path is small beside the map.
+fn inset_reach_arcsec(track: &Track, target: HelioprojectiveArcsec, map: f64) -> Option<f64> {
+    let from_target = |place: HelioprojectiveArcsec| (place.x - target.x).hypot(place.y - target.y);
+    let mut distances: Vec<f64> = track.valid().map(from_target).collect();
+    distances.sort_by(f64::total_cmp);
+    let nearly_all = distances.get((distances.len() as f64 * IN_INSET) as usize)?;
+    let reach = (1.3 * nearly_all).max(LEAST_INSET_ARCSEC);
+    (reach < SMALL * map).then_some(reach)
+}
+
+/// As much of a text as fits into a line of the strip.
+fn fitting(text: &str, width_px: u32) -> &str {
+    let letters = (width_px / Canvas::LETTER_PX - 2) as usize;
+    let end = text.char_indices().nth(letters);
+    end.map_or(text, |(end, _)| &text[..end])
+}
+
+/// A picture that fits, not magnified.
+fn scaled(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
+    let ratio = |room: u32, side: u32| f64::from(room) / f64::from(side.max(1));
+    let scale = ratio(width, picture.width()).min(ratio(height, picture.height()));
+    if scale >= 1.0 {
+        return picture.clone();
+    }
+    let side = |px: u32| (f64::from(px) * scale).floor().max(1.0) as u32;
+    let (width, height) = (side(picture.width()), side(picture.height()));
+    imageops::resize(picture, width, height, FilterType::Triangle)
+}

@@ -1,0 +1,69 @@
+//! The path of the boresight over the Sun, in even steps.
+
+use crate::pointing::HelioprojectiveArcsec;
+use crate::pointing_history::{Invalid, PointingHistory};
+
+/// Between two points of the path, at most: a gondola swings within seconds.
+const STEP_S: f64 = 0.25;
+
+/// A moment of the path.
+#[derive(Debug, Clone, Copy)]
+pub struct Point {
+    /// Since 1970.
+    pub unix_s: f64,
+    /// Where the boresight was; `None` where nothing is known.
+    pub place: Option<HelioprojectiveArcsec>,
+    /// Why the pointing is not to be used; `None` where it is valid.
+    pub invalid: Option<Invalid>,
+}
+
+/// The path, with the same number of points from each picture to the next.
+#[derive(Debug, Clone)]
+pub struct Track {
+    pub points: Vec<Point>,
+    pub points_per_picture: usize,
+}
+
+impl Track {
+    /// With a picture each so many seconds from the first time that is known; `None` where nothing is known.
+    pub fn of(pointing: &PointingHistory, step_s: f64) -> Option<Self> {
+        let [first_s, last_s] = pointing.ends_s()?;
+        // A hair's breadth, for times are of finite digits.
+        let steps = ((last_s - first_s) / step_s + 1e-6).floor() as usize;
+        let points_per_picture = (step_s / STEP_S).ceil().max(1.0) as usize;
+        let point = |n: usize| {
+            let since_s = n as f64 * step_s / points_per_picture as f64;
+            let unix_s = (first_s + since_s).min(last_s);
+            let pointed = pointing.at(unix_s);
+            Point {
+                unix_s,
+                place: pointed.sight.map(|sight| sight.helioprojective_arcsec),
+                invalid: pointed.invalid,
+            }
+        };
+        Some(Self {
+            points: (0..=steps * points_per_picture).map(point).collect(),
+            points_per_picture,
+        })
+    }
+
+    pub fn pictures(&self) -> usize {
+        self.points.len().div_ceil(self.points_per_picture)
+    }
+
+    /// The place in the path at which a picture is, counted from 0.
+    pub fn at_picture(&self, picture: usize) -> usize {
+        picture * self.points_per_picture
+    }
+
+    pub fn middle_s(&self) -> f64 {
+        let last = self.points.len() - 1;
+        (self.points[0].unix_s + self.points[last].unix_s) / 2.0
+    }
+
+    /// The places of valid pointing.
+    pub fn valid(&self) -> impl Iterator<Item = HelioprojectiveArcsec> {
+        let valid = self.points.iter().filter(|point| point.invalid.is_none());
+        valid.filter_map(|point| point.place)
+    }
+}
