@@ -109,7 +109,7 @@ impl FilmArgs {
 
 fn parse_step(text: &str) -> Result<f64, String> {
     let step: Option<f64> = text.parse().ok();
-    step.filter(|step| (0.01..=1e5).contains(step))
+    step.filter(|step| (film::LEAST_STEP_S..=1e5).contains(step))
         .ok_or_else(|| format!("expected a number from 0.01 to 100000 s, found \"{text}\""))
 }
 

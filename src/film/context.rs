@@ -137,7 +137,7 @@ impl Context {
             "before"
         };
         let date = taken.strftime("%Y-%m-%d %H:%M");
-        let text = format!("context of {date} UTC, {length} {side}");
+        let text = format!("context of {date} UTC, {length} {side} the flight");
         self.with_observer(text, later.abs() > OLD)
     }
 

@@ -39,6 +39,8 @@ use writers::Writer;
 
 /// Of a film whose step is not stated, about.
 const PICTURES: f64 = 300.0;
+/// From picture to picture, at least.
+pub const LEAST_STEP_S: f64 = 0.01;
 /// Frames that are read and solved beside each other, for each thread.
 const TOGETHER: usize = 4;
 
@@ -46,7 +48,7 @@ const TOGETHER: usize = 4;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
     pub destination: Destination,
-    /// From picture to picture; by default such that there are about 300, and no more than frames.
+    /// From picture to picture, [`LEAST_STEP_S`] at least; by default such that there are about 300, and no more than frames.
     pub step_s: Option<f64>,
     /// A solar image with helioprojective coordinates; by default a limb-darkened disc.
     pub context: Option<PathBuf>,
@@ -146,6 +148,7 @@ impl Film {
         let all_s = ends_s.map_or(0.0, |[first, last]| last - first);
         let usual_s = || (all_s / PICTURES).max(flight.frame_step_s);
         let step_s = self.options.step_s.unwrap_or_else(usual_s);
+        let step_s = step_s.max(LEAST_STEP_S);
         let Some(track) = Track::of(flight.pointing, step_s) else {
             tracing::warn!("there is no film: nothing is known of where the telescope pointed");
             return Ok(None);
@@ -206,7 +209,7 @@ impl Film {
             && words.is_warning
         {
             tracing::warn!(
-                "{}: {} the flight: features may have been elsewhere",
+                "{}: {}: features may have been elsewhere",
                 context.path().display(),
                 words.text
             );

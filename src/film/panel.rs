@@ -12,8 +12,9 @@ use rayon::prelude::*;
 
 /// Between circles of the graticule.
 const APART_DEG: u32 = 15;
-/// The middle of the disc where there is no context: the path stands out on it.
+/// The middle of the disc where there is no context, and a context's white: the path stands out on it.
 const DISC_GREY: f64 = 170.0;
+const WHITE_GREY: f64 = 215.0;
 /// Of a pixel, along each side, at most: what is averaged where the context is finer than the picture.
 const MOST_SAMPLES: f64 = 4.0;
 
@@ -54,6 +55,13 @@ impl View {
             self.middle_px() + along(place.x - self.centre.x),
             self.middle_px() - along(place.y - self.centre.y),
         )
+    }
+
+    /// Whether a place lies within.
+    pub fn holds(&self, place: HelioprojectiveArcsec) -> bool {
+        let px = self.px(place);
+        let side = 0.0..f64::from(self.side_px);
+        side.contains(&px.x) && side.contains(&px.y)
     }
 
     /// The place of a pixel.
@@ -156,7 +164,10 @@ fn sun(view: &View, radius_arcsec: f64, context: Option<&Context>) -> RgbImage {
     let fine = context.map_or(1.0, |context| context.arcsec_per_px(radius_arcsec));
     let samples = (view.arcsec_per_px / fine).round().clamp(1.0, MOST_SAMPLES) as u32;
     let light = |place: HelioprojectiveArcsec| match context {
-        Some(context) => 255.0 * f64::from(context.brightness(place, radius_arcsec).unwrap_or(0.0)),
+        Some(context) => {
+            let brightness = context.brightness(place, radius_arcsec);
+            WHITE_GREY * f64::from(brightness.unwrap_or(0.0))
+        }
         None => {
             let cosine2 = 1.0 - (place.x.powi(2) + place.y.powi(2)) / radius_arcsec.powi(2);
             match cosine2 > 0.0 {

@@ -156,15 +156,18 @@ impl<'a> Painter<'a> {
         let at =
             |place: HelioprojectiveArcsec| format!("x {:.1}, y {:.1} arcsec", place.x, place.y);
         let target = moment.target.as_ref();
-        let boresight = match (now.place, target) {
-            (None, _) => "boresight unknown".into(),
-            (Some(place), Err(_)) => format!("boresight {}", at(place)),
-            (Some(place), Ok(target)) => {
+        let boresight = now.place.map_or("boresight unknown".into(), |place| {
+            let off = if self.map.view.holds(place) {
+                ""
+            } else {
+                " (off the map)"
+            };
+            let apart = target.map_or(String::new(), |target| {
                 let apart = separation_rad(&place.direction(), &target.direction());
-                let apart = apart * ARCSEC_PER_RAD;
-                format!("boresight {}, {apart:.1} arcsec from the target", at(place))
-            }
-        };
+                format!(", {:.1} from the target", apart * ARCSEC_PER_RAD)
+            });
+            format!("boresight {}{off}{apart}", at(place))
+        });
         let target = match target {
             Ok(target) => format!("target {}", at(*target)),
             Err(why) => format!("no target: {why}"),

@@ -253,6 +253,27 @@ fn the_limb_of_a_context_falls_on_that_of_the_flight() {
     assert!(centre.iter().all(|off| off.abs() < 0.002), "{centre:?}");
 }
 
+/// The largest spot, where astropy's coordinates have its darkest pixel: an image that is turned or mirrored has it elsewhere.
+#[test]
+fn a_spot_of_a_context_is_drawn_where_it_was() {
+    let context = Context::read(Path::new(HMI)).unwrap();
+    let utc = "2013-09-21T18:00:00Z".parse().unwrap();
+    let disc = Ephemeris::default().disc(utc).unwrap();
+    let view = panel::View::about(HelioprojectiveArcsec::default(), 1.2 * RADIUS_ARCSEC, 720);
+    let picture = panel::Panel::new(view, &disc, Some(&context)).canvas;
+    let picture = picture.into_image();
+    let scale = RADIUS_ARCSEC / 973.96844 * 720.0 / (2.4 * RADIUS_ARCSEC);
+    let expected = [359.5 + 348.0 * scale, 359.5 - 472.8 * scale];
+    let is_near =
+        |x: u32, y: u32| (f64::from(x) - expected[0]).hypot(f64::from(y) - expected[1]) < 12.0;
+    let pixels = picture.enumerate_pixels();
+    let greys = pixels.filter(|(x, y, pixel)| is_near(*x, *y) && pixel[0] == pixel[2]);
+    let (x, y, _) = greys.min_by_key(|(_, _, pixel)| pixel[0]).unwrap();
+    let off = (f64::from(x) - expected[0]).hypot(f64::from(y) - expected[1]);
+    assert!(off < 2.0, "({x}, {y}), expected {expected:?}");
+    assert!(picture.get_pixel(x, y)[0] < picture.get_pixel(719 - x, y)[0] - 30);
+}
+
 #[test]
 fn a_context_says_when_it_was_taken_and_warns_when_that_is_long_ago() {
     let context = Context::read(Path::new(HMI)).unwrap();
@@ -260,13 +281,13 @@ fn a_context_says_when_it_was_taken_and_warns_when_that_is_long_ago() {
     let same_day = words("2023-01-31T06:03:00Z");
     assert_eq!(
         same_day.text,
-        "context of 2023-01-31 03:39 UTC, 2.4 hours before"
+        "context of 2023-01-31 03:39 UTC, 2.4 hours before the flight"
     );
     assert!(!same_day.is_warning);
     let years = words("2013-09-21T18:00:00Z");
     assert_eq!(
         years.text,
-        "context of 2023-01-31 03:39 UTC, 3418 days after"
+        "context of 2023-01-31 03:39 UTC, 3418 days after the flight"
     );
     assert!(years.is_warning);
     let folder = tempfile::tempdir().unwrap();

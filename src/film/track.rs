@@ -28,8 +28,8 @@ impl Track {
     /// With a picture each so many seconds from the first time that is known; `None` where nothing is known.
     pub fn of(pointing: &PointingHistory, step_s: f64) -> Option<Self> {
         let [first_s, last_s] = pointing.ends_s()?;
-        // A hair's breadth, for times are of finite digits.
-        let steps = ((last_s - first_s) / step_s + 1e-6).floor() as usize;
+        // Frames' times have finite digits: the last may seem a little early.
+        let steps = ((last_s - first_s) / step_s + 1e-3).floor() as usize;
         let points_per_picture = (step_s / STEP_S).ceil().max(1.0) as usize;
         let point = |n: usize| {
             let since_s = n as f64 * step_s / points_per_picture as f64;
