@@ -122,13 +122,13 @@ impl Context {
     /// When it was taken, against a time of the flight, and what is to be known of that.
     pub fn words(&self, utc: Timestamp) -> Words {
         let Some(taken) = self.taken else {
-            let text = "context of an unknown date".to_owned();
+            let text = "context, date unknown".to_owned();
             return self.with_observer(text, true);
         };
         let later = taken.duration_since(utc);
         let hours = later.abs().as_secs_f64() / 3600.0;
         let length = match hours < 48.0 {
-            true => format!("{hours:.1} hours"),
+            true => format!("{hours:.1} h"),
             false => format!("{:.0} days", hours / 24.0),
         };
         let side = if later.is_positive() {
@@ -137,14 +137,14 @@ impl Context {
             "before"
         };
         let date = taken.strftime("%Y-%m-%d %H:%M");
-        let text = format!("context of {date} UTC, {length} {side} the flight");
+        let text = format!("context {date} UTC, {length} {side} the flight");
         self.with_observer(text, later.abs() > OLD)
     }
 
     fn with_observer(&self, text: String, is_old: bool) -> Words {
         match self.aside_deg.filter(|deg| *deg > ASIDE_DEG) {
             Some(deg) => Words {
-                text: format!("{text}, seen from {deg:.0} deg beside the Earth"),
+                text: format!("{text}, seen {deg:.0} deg aside"),
                 is_warning: true,
             },
             None => Words {

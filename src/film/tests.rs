@@ -281,13 +281,13 @@ fn a_context_says_when_it_was_taken_and_warns_when_that_is_long_ago() {
     let same_day = words("2023-01-31T06:03:00Z");
     assert_eq!(
         same_day.text,
-        "context of 2023-01-31 03:39 UTC, 2.4 hours before the flight"
+        "context 2023-01-31 03:39 UTC, 2.4 h before the flight"
     );
     assert!(!same_day.is_warning);
     let years = words("2013-09-21T18:00:00Z");
     assert_eq!(
         years.text,
-        "context of 2023-01-31 03:39 UTC, 3418 days after the flight"
+        "context 2023-01-31 03:39 UTC, 3418 days after the flight"
     );
     assert!(years.is_warning);
     let folder = tempfile::tempdir().unwrap();
@@ -295,10 +295,7 @@ fn a_context_says_when_it_was_taken_and_warns_when_that_is_long_ago() {
     let aside = Context::read(&path).unwrap();
     let words = aside.words("2023-01-31T06:03:00Z".parse().unwrap());
     assert!(words.is_warning, "{words:?}");
-    assert!(
-        words.text.ends_with("seen from 12 deg beside the Earth"),
-        "{words:?}"
-    );
+    assert!(words.text.ends_with("seen 12 deg aside"), "{words:?}");
 }
 
 #[test]
