@@ -14,7 +14,9 @@ use solaspect::instrument::{self, Instrument};
 use solaspect::observe::{CameraFrames, Done, Journal, Pass, Record, Span};
 use solaspect::pointing::Target;
 use solaspect::provenance;
-use solaspect::refine::{self as refining, FrameRecord, History, Recipe, Report, Rows, Sky};
+use solaspect::refine::{
+    self as refining, FrameRecord, History, PointingFacts, Recipe, Report, Rows, Sky, SolarPath,
+};
 use solaspect::simulate::{FORT_SUMNER, Noise, SUN_RADIUS_ARCSEC, Scene, Sun};
 use solaspect::sky::Ephemeris;
 use solaspect::units::PlateMil;
@@ -846,10 +848,15 @@ fn a_hundred_thousand_frames_take_less_than_300_mb() {
     let written = refining::write_rows(out.path(), &history, |row| rows.take(row)).unwrap();
     let pointing = history.pointing(None).unwrap();
     told("pointing");
-    let summary = refining::write(out.path(), &history, written, None, &pointing, 10.0).unwrap();
+    let path = SolarPath::of(&pointing, history.sky());
+    let facts = PointingFacts {
+        witnesses: None,
+        on_target: path.on_target(),
+    };
+    let summary = refining::write(out.path(), &history, written, facts, &pointing, 10.0).unwrap();
     told("tables");
     let mut report = Report::default();
-    report.add(None, &archive, &history, &summary, &rows);
+    report.add(None, &archive, &history, &summary, &rows, &path);
     report.write(out.path()).unwrap();
     told("report");
     println!("{:.1} s in all", start.elapsed().as_secs_f64());

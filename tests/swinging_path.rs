@@ -43,11 +43,14 @@ fn sines(time_s: f64) -> Axes {
     ]
 }
 
-/// Pendulums that die away within minutes and that the wind drives, by many small steps in time.
+/// Pendulums that die away within minutes and that the wind drives.
 fn pendulums(seed: u64) -> Vec<Axes> {
+    driven(seed, [300.0, 150.0], [0.01, 0.02])
+}
+
+/// Pendulums by their damping times and by how the wind drives them, mil/s^1.5, in many small steps in time.
+fn driven(seed: u64, damping_s: [f64; 2], drive: [f64; 2]) -> Vec<Axes> {
     const STEPS: usize = 250;
-    const DAMPING_S: [f64; 2] = [300.0, 150.0];
-    const DRIVE: [f64; 2] = [0.01, 0.02];
     let mut random = Random::new(seed);
     let step_s = 1.0 / RATE_HZ / STEPS as f64;
     let mut states = [[(40.0, 10.0), (8.0, -5.0)], [(-30.0, 5.0), (3.0, 9.0)]];
@@ -59,8 +62,8 @@ fn pendulums(seed: u64) -> Vec<Axes> {
         for swings in &mut states {
             for (k, (place, speed)) in swings.iter_mut().enumerate() {
                 let rate = TAU / PERIODS_S[k];
-                let pull = -rate * rate * *place - 2.0 / DAMPING_S[k] * *speed;
-                *speed += pull * step_s + DRIVE[k] * step_s.sqrt() * random.normal();
+                let pull = -rate * rate * *place - 2.0 / damping_s[k] * *speed;
+                *speed += pull * step_s + drive[k] * step_s.sqrt() * random.normal();
                 *place += *speed * step_s;
             }
         }
@@ -201,4 +204,27 @@ fn between_frames_the_path_is_told_by_its_swings_and_not_in_long_gaps() {
     println!("between frames: error/sigma {pull:.3}, largest {largest:.2}");
     assert!((0.8..1.25).contains(&pull));
     assert!(largest < 6.0);
+}
+
+#[test]
+fn a_damping_time_is_given_where_the_flight_tells_it_and_else_how_long_it_is_at_least() {
+    let swings = |flown: &[Axes], seed: u64| path(measured(flown, seed), SHARED).unwrap().swings;
+    let sines: Vec<Axes> = (0..FRAMES).map(|n| sines(time_s(n))).collect();
+    for swing in swings(&sines, 400).iter().flatten() {
+        assert_eq!(swing.damping_s, None, "{swing:?}");
+        assert!(swing.damping_least_s > 100.0, "{swing:?}");
+    }
+    let damping_s = [25.0, 12.0];
+    for seed in 0..2 {
+        let found = swings(&driven(seed, damping_s, [2.0, 4.0]), 410 + seed);
+        println!("{found:?}");
+        for swing in found.iter().flatten() {
+            let near = |period_s: &f64| (swing.period_s / period_s - 1.0).abs() < 0.1;
+            let truth_s = damping_s[PERIODS_S.iter().position(near).unwrap()];
+            let found_s = swing.damping_s.unwrap();
+            assert!((0.4..2.5).contains(&(found_s / truth_s)), "{swing:?}");
+            assert!(swing.damping_least_s < truth_s.min(found_s), "{swing:?}");
+        }
+        assert!(found.iter().all(|axis| !axis.is_empty()));
+    }
 }

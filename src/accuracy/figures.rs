@@ -127,7 +127,7 @@ pub fn histogram(outcomes: &[Outcome], title: &str) -> Result<String, PlotError>
     let lines = [("median", 0.5), ("99.7 %", MOST)]
         .map(|(name, part)| Some((name, super::chance::quantile(errors.clone(), part)?)));
     let lines: Vec<_> = lines.into_iter().flatten().collect();
-    plot::histogram(&labels, &errors, 40, &lines, None)
+    plot::histogram(&labels, &errors, 1.0, 40, &lines, None)
 }
 
 /// The bias of a mark over the sub-pixel phases.

@@ -247,7 +247,10 @@ fn print_summary(summary: &Summary) -> anyhow::Result<()> {
     for [name, value] in summary.clock.lines() {
         say(format_args!("{name}: {value}"))?;
     }
-    if let Some(compared) = &summary.witnesses {
+    if let Some(on_target) = &summary.pointing.on_target {
+        say(on_target)?;
+    }
+    if let Some(compared) = &summary.pointing.witnesses {
         say(compared)?;
         compared.findings.iter().try_for_each(say)?;
     }

@@ -59,6 +59,7 @@ mod outliers;
 mod output;
 mod path;
 mod pointing;
+mod pointing_report;
 mod radius;
 mod recipe;
 mod record;
@@ -69,6 +70,7 @@ mod roll_report;
 mod row;
 mod run;
 mod sky;
+mod solar_path;
 mod stabilisation;
 mod suns;
 mod temperature;
@@ -87,8 +89,8 @@ pub use mapping::{Jump, MappingFacts, MappingNumbers, TemperatureDependence};
 pub use navigation::Navigation;
 pub use oddity::{Oddities, Oddity, Order, TimeOddity};
 pub use output::{
-    Counts, MappingSummary, NamedJump, OutputError, Summary, Written, write, write_rows,
-    write_stabilisation,
+    Counts, MappingSummary, NamedJump, OutputError, PointingFacts, Summary, Written, write,
+    write_rows, write_stabilisation,
 };
 pub use radius::RadiusDependence;
 pub use recipe::Recipe;
@@ -99,6 +101,7 @@ pub use roll_output::RollSummary;
 pub use row::{RefinedRow, SkyRow};
 pub use run::{Options, Refined, RefinedCamera, RefinedRoll, ShardDone, Stabilised, refine};
 pub use sky::Sky;
+pub use solar_path::{OnTarget, SolarPath, SolarStep};
 pub use stabilisation::{RateError, StabilisationRow, stabilisation};
 pub use times::Timing;
 pub use witnesses::{Compared, ComparedAxis, Contradiction};

@@ -2,7 +2,6 @@
 
 use super::attitude::{self, Attitude, AttitudeFound, NavigationFile, Wanted, add_attitude};
 use super::pointing::{Slow, States, nearest};
-use super::report::Report;
 use super::roll::RollRow;
 use super::row::RefinedRow;
 use super::sky::Sky;
@@ -16,6 +15,7 @@ use crate::navigation::{self, Axis, Fix, ImuSample, Measurement, Sighting, Targe
 use crate::observe::CameraFrames;
 use crate::pointing::{calibration_rad2, measured_sun_in_telescope};
 use crate::pointing_history::{Basis, State};
+use crate::report::html::Page;
 use anyhow::{Context, bail, ensure};
 use jiff::Timestamp;
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
@@ -78,6 +78,8 @@ pub(super) struct ByGyros {
     pub states: States,
     /// Of the cameras from them.
     pub differences: Vec<Difference>,
+    /// What a report shows of it.
+    pub page: Page,
 }
 
 /// A direction that a frame shows.
@@ -160,7 +162,6 @@ impl Sensors<'_> {
         sky: &Sky,
         instrument: Option<&Instrument>,
         [archive, out]: [&Path; 2],
-        report: &mut Report,
     ) -> anyhow::Result<ByGyros> {
         self.expect_frames()?;
         let mut targets = self.targets(sky);
@@ -175,7 +176,8 @@ impl Sensors<'_> {
         attitude.write_calibrated(&self.given, Some(self.epoch), self.files(archive))?;
         self.write_offsets(&mut attitude, &mut targets, sky, out)?;
         let (summary, counts) = (&attitude.summary, &attitude.counts);
-        add_attitude(report.page(), &self.given.settings, summary, counts)?;
+        let mut page = Page::default();
+        add_attitude(&mut page, &self.given.settings, summary, counts)?;
         let states = match instrument {
             Some(instrument) => self.states(&mut attitude, &mut targets, instrument)?,
             None => States::default(),
@@ -195,6 +197,7 @@ impl Sensors<'_> {
                 .collect(),
             found: attitude.found(),
             states,
+            page,
         })
     }
 

@@ -11,6 +11,7 @@ use super::oddity::Oddity;
 use super::radius::RadiusDependence;
 use super::record::Grade;
 use super::row::RefinedRow;
+use super::solar_path::OnTarget;
 use super::stabilisation::StabilisationRow;
 use super::witnesses::Compared;
 use crate::archive::{CONFIGURATION, INSTRUMENT, instrument_cards, target_cards};
@@ -76,10 +77,19 @@ pub struct Summary {
     pub clock: ClockFacts,
     /// Of the acceleration: the square root of the density of its noise.
     pub path_process_noise_mil_per_s2_5: Option<f64>,
-    /// What cameras show against the attitude by gyros; none without an IMU.
-    pub witnesses: Option<Compared>,
+    #[serde(flatten)]
+    pub pointing: PointingFacts,
     /// Swings of the gondola along the plate's x and y.
     pub swings_mil: [Vec<FoundSwing>; 2],
+}
+
+/// What the pointing says of a flight.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct PointingFacts {
+    /// What cameras show against the attitude by gyros; none without an IMU.
+    pub witnesses: Option<Compared>,
+    /// How long the telescope was near its target; none where that is not known.
+    pub on_target: Option<OnTarget>,
 }
 
 /// Frames by quality, what is odd about them, and their first and last time.
@@ -155,9 +165,15 @@ impl NamedJump {
 /// Swings of the gondola for people; "none found" where there is none.
 pub(super) fn swings_text(swings: &[FoundSwing]) -> String {
     let text = |swing: &FoundSwing| {
-        let (period_s, damping_s) = (swing.period_s, swing.damping_s);
+        let (period_s, least_s) = (swing.period_s, swing.damping_least_s);
         let amplitude_mil = swing.rms * SQRT_2;
-        format!("{period_s:.2} s, amplitude {amplitude_mil:.2} mil, damping time {damping_s:.0} s")
+        let damping = match swing.damping_s {
+            Some(damping_s) => {
+                format!("damping time {damping_s:.0} s (longer than {least_s:.0} s)")
+            }
+            None => format!("damping not determined: longer than {least_s:.0} s"),
+        };
+        format!("{period_s:.2} s, amplitude {amplitude_mil:.2} mil, {damping}")
     };
     let all: Vec<String> = swings.iter().map(text).collect();
     match all.is_empty() {
@@ -220,7 +236,7 @@ pub fn write(
     folder: &Path,
     history: &History,
     written: Written,
-    witnesses: Option<Compared>,
+    facts: PointingFacts,
     pointing: &PointingHistory,
     rate_hz: f64,
 ) -> Result<Summary, OutputError> {
@@ -238,7 +254,7 @@ pub fn write(
     })?;
     pointing.write(folder, &cards)?;
     let summary = Summary {
-        witnesses,
+        pointing: facts,
         ..summary(history, written.tally, columns::sha256(&fits)?)?
     };
     write_json(&folder.join("summary.json"), &summary)?;
@@ -335,7 +351,7 @@ fn summary(history: &History, tally: Tally, table_sha256: String) -> Result<Summ
         mapping: mapping.transpose()?,
         clock: history.clock().clone(),
         path_process_noise_mil_per_s2_5: path.map(|path| path.process_noise),
-        witnesses: None,
+        pointing: PointingFacts::default(),
         swings_mil: path.map_or_else(Default::default, |path| path.swings.clone()),
     })
 }

@@ -4,6 +4,7 @@ use super::history::History;
 use super::output::{Summary, swings_text};
 use super::record::Grade;
 use super::row::RefinedRow;
+use super::solar_path::SolarPath;
 use crate::archive::ArchiveReader;
 use crate::columns::whole;
 use crate::estimation::median;
@@ -155,6 +156,7 @@ impl Report {
         history: &History,
         summary: &Summary,
         rows: &Rows,
+        solar_path: &SolarPath,
     ) {
         self.instruments
             .push(label.unwrap_or(&summary.instrument).into());
@@ -166,20 +168,20 @@ impl Report {
             arcsec_per_mil: history.instrument().optics.arcsec_per_mil(),
         };
         part.summary(summary);
+        part.pointing(summary, solar_path);
         part.path(history);
         part.budget();
         part.in_flight();
         part.radius(summary);
         part.mapping(summary);
         part.refusals(archive, &rows.reasons);
-        part.pointing();
         part.witnesses(summary);
         part.jitter();
     }
 
-    /// What others add to.
-    pub fn page(&mut self) -> &mut Page {
-        &mut self.page
+    /// Adds what others say behind what there is.
+    pub fn append(&mut self, page: Page) {
+        self.page.append(page);
     }
 
     /// Says what is not in it.
@@ -228,8 +230,16 @@ impl Part<'_> {
 
     /// A figure, or a line that says why there is none.
     pub(super) fn figure(&mut self, figure: Result<String, PlotError>) {
+        self.figure_with(figure, "");
+    }
+
+    /// The same with what else a reader has to know of it.
+    pub(super) fn figure_with(&mut self, figure: Result<String, PlotError>, text: &str) {
         match figure {
-            Ok(svg) => self.page.figure(&svg, &self.source),
+            Ok(svg) => {
+                let caption = format!("{text} {}", self.source);
+                self.page.figure(&svg, caption.trim_start());
+            }
             Err(error) => self.page.note(&error.to_string()),
         }
     }
@@ -386,7 +396,7 @@ impl Part<'_> {
     }
 
     fn witnesses(&mut self, summary: &Summary) {
-        if let Some(compared) = &summary.witnesses {
+        if let Some(compared) = &summary.pointing.witnesses {
             self.heading("Gyros against Sun and horizon");
             let (heads, rows) = compared.table();
             self.page.table(&heads, &rows);
@@ -394,38 +404,6 @@ impl Part<'_> {
             findings.for_each(|finding| self.page.note(&finding.to_string()));
             self.figure(compared.figure());
         }
-    }
-
-    fn pointing(&mut self) {
-        self.heading("Pointing");
-        let offsets = [0, 1].map(|axis| self.over_time(|row| Some(row.offset_arcsec?[axis])));
-        let [across, elevation] = &offsets;
-        if across.is_empty() {
-            return self
-                .page
-                .note("No place is known, so there are no offsets.");
-        }
-        let within = |limit: f64, size: fn(f64, f64) -> f64| {
-            let both = across.iter().zip(elevation);
-            let inside = both.filter(|((_, x), (_, y))| size(*x, *y) <= limit);
-            let part = inside.count() as f64 / across.len() as f64;
-            format!("{:.1} %", 100.0 * part)
-        };
-        let row = |limit: f64| {
-            vec![
-                format!("{limit} arcsec"),
-                within(limit, |_, elevation| elevation.abs()),
-                within(limit, |across, _| across.abs()),
-                within(limit, f64::hypot),
-            ]
-        };
-        let heads = ["within", "in elevation", "across", "of the target"];
-        self.page.table(&heads, &[10.0, 30.0, 60.0].map(row));
-        self.page.note("Part of the fine frames.");
-        let named = ["across", "elevation"].into_iter().zip(offsets);
-        let series: Vec<Series> = named.map(|(name, axis)| Series::dots(name, axis)).collect();
-        let labels = Labels::over_utc("Offset from the target", "arcsec");
-        self.figure(plot::series(&labels, &series));
     }
 }
 

@@ -5,7 +5,7 @@ use super::files::{Files, Given};
 use super::films::make_film;
 use super::history::{History, HistoryError};
 use super::navigation::{Navigation, Sensors, ordinal};
-use super::output::{Summary, Written, write, write_rows, write_stabilisation};
+use super::output::{PointingFacts, Summary, Written, write, write_rows, write_stabilisation};
 use super::pointing::States;
 use super::recipe::Recipe;
 use super::report::{Report, Rows};
@@ -13,6 +13,7 @@ use super::roll::{RollHistory, RollRecipe};
 use super::roll_output::{RollSummary, write_roll};
 use super::roll_report::RollRows;
 use super::sky::Sky;
+use super::solar_path::SolarPath;
 use super::stabilisation::stabilisation;
 use super::witnesses::{Compared, Difference, Dips};
 use crate::archive::ArchiveReader;
@@ -25,6 +26,7 @@ use crate::observe::{
 };
 use crate::plan;
 use crate::pointing_history::PointingHistory;
+use crate::report::html::Page;
 use crate::units::counted;
 use anyhow::{Context, bail, ensure};
 use std::collections::BTreeMap;
@@ -302,11 +304,13 @@ impl Run<'_> {
             });
         }
         let (mut states, mut differences) = (States::default(), Vec::new());
+        let mut of_gyros = Page::default();
         if let Some(sensors) = sensors {
             let names = [pass.archive.name(), pass.out];
             let instrument = seen.first().map(|seen| seen.history.instrument());
-            let by_gyros = sensors.find_attitude(&sky, instrument, names, &mut report)?;
+            let by_gyros = sensors.find_attitude(&sky, instrument, names)?;
             (states, differences) = (by_gyros.states, by_gyros.differences);
+            of_gyros = by_gyros.page;
             refined.attitude = Some(by_gyros.found);
         }
         let others = Others {
@@ -322,6 +326,7 @@ impl Run<'_> {
         if let Some((roll, recipe)) = refined.roll.as_ref().zip(recipes.roll.as_ref()) {
             report.add_roll(pass.archive, &roll_rows, &roll.summary, recipe);
         }
+        report.append(of_gyros);
         report.write(pass.out)?;
         refined.unread = pass.archive.unread_files();
         Ok(refined)
@@ -371,8 +376,14 @@ impl Run<'_> {
             pointing.contradict(finding.during_s);
         }
         let rate_hz = self.options.pointing_rate_hz.unwrap_or(POINTING_RATE_HZ);
-        let summary = write(&folder, &history, written, compared, &pointing, rate_hz)?;
-        report.add(label.as_deref(), archive, &history, &summary, &rows);
+        let solar_path = SolarPath::of(&pointing, history.sky());
+        let facts = PointingFacts {
+            witnesses: compared,
+            on_target: solar_path.on_target(),
+        };
+        let summary = write(&folder, &history, written, facts, &pointing, rate_hz)?;
+        let label_text = label.as_deref();
+        report.add(label_text, archive, &history, &summary, &rows, &solar_path);
         Ok(RefinedCamera {
             stabilised: self.stabilise(&folder, &history, &pointing)?,
             film: None,

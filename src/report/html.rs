@@ -93,6 +93,11 @@ impl Page {
         }
     }
 
+    /// Adds another page behind this one.
+    pub fn append(&mut self, other: Self) {
+        self.body += &other.body;
+    }
+
     /// The page under a title.
     pub fn finish(self, title: &str) -> String {
         let title = escaped(title);

@@ -31,7 +31,7 @@ use crate::estimation::median;
 use levels::Levels;
 use process::{Axis, LONGEST_GAP_S, Moments, Smoothed, Swing};
 use serde::Serialize;
-use swings::{Fit, Stretch};
+use swings::{Fit, Found, Stretch};
 
 /// A place along an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -97,10 +97,22 @@ pub struct Path {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FoundSwing {
     pub period_s: f64,
-    /// In which its amplitude falls to 1/e where nothing drives it.
-    pub damping_s: f64,
+    /// In which its amplitude falls to 1/e where nothing drives it; none where that is not determined: a swing without damping explains the
+    /// stretch of the flight by which it was found within 2 sigma.
+    pub damping_s: Option<f64>,
+    /// It is no shorter than that, by 2 sigma.
+    pub damping_least_s: f64,
     /// Of its place over the flight.
     pub rms: f64,
+}
+
+/// What a stretch of a flight tells of a swing's damping time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Damping {
+    /// The likeliest; none where it may be any above the least.
+    found_s: Option<f64>,
+    /// The shortest within 2 sigma.
+    least_s: f64,
 }
 
 /// The least process noise that gondolas without swings may have, unit/s^2.5.
@@ -116,6 +128,8 @@ const CALM_PART: f64 = 0.8;
 #[derive(Debug, Clone, PartialEq)]
 struct Motion {
     swings: Vec<Swing>,
+    /// Of each swing.
+    dampings: Vec<Damping>,
     /// Of the step to each measured moment, the likeliest.
     noise: Vec<f64>,
     /// The least of these that is thought of.
@@ -234,7 +248,9 @@ impl Path {
 
     /// The swings of an axis, as they are along the path.
     fn found(&self, axis: usize) -> Option<Vec<FoundSwing>> {
-        let swings = &self.axes[axis].swings;
+        let Motion {
+            swings, dampings, ..
+        } = &self.axes[axis];
         let mut squares = vec![0.0; swings.len()];
         if !swings.is_empty() {
             let moments = Moments::Measured(&self.measured);
@@ -243,12 +259,14 @@ impl Path {
                 places.for_each(|(sum, place)| *sum += place.powi(2));
             })?;
         }
-        let found = |(swing, squares): (&Swing, f64)| FoundSwing {
+        let found = |((swing, damping), squares): ((&Swing, &Damping), f64)| FoundSwing {
             period_s: swing.period_s(),
-            damping_s: swing.damping_s,
+            damping_s: damping.found_s,
+            damping_least_s: damping.least_s,
             rms: (squares / self.measured.len() as f64).sqrt(),
         };
-        Some(swings.iter().zip(squares).map(found).collect())
+        let swings = swings.iter().zip(dampings).zip(squares);
+        Some(swings.map(found).collect())
     }
 }
 
@@ -268,7 +286,7 @@ impl Motion {
 
 /// How the measured moments say that an axis moves.
 fn motion(measured: &[Moment], axis: usize, shared: &SharedErrors) -> Motion {
-    let with = |swings: Vec<Swing>, least: f64| {
+    let with = |swings: Vec<Swing>, dampings: Vec<Damping>, least: f64| {
         let levels = Levels {
             measured,
             axis,
@@ -279,20 +297,24 @@ fn motion(measured: &[Moment], axis: usize, shared: &SharedErrors) -> Motion {
         let noise = levels.likeliest();
         Motion {
             swings,
+            dampings,
             noise,
             least,
         }
     };
-    let without = with(Vec::new(), LEAST_NOISE);
+    let without = with(Vec::new(), Vec::new(), LEAST_NOISE);
     let fit = Stretch::of(measured, &without.noise, axis, shared).and_then(|stretch| stretch.fit());
-    let Some(Fit {
-        process_noise,
-        swings,
-    }) = fit.filter(|fit| !fit.swings.is_empty())
+    let Some(Found {
+        fit: Fit {
+            process_noise,
+            swings,
+        },
+        dampings,
+    }) = fit.filter(|found| !found.dampings.is_empty())
     else {
         return without;
     };
-    let swinging = with(swings, process_noise);
+    let swinging = with(swings, dampings, process_noise);
     let likelihood = |motion: &Motion| {
         let along = Axis {
             moments: &Moments::Measured(measured),

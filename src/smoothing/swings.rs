@@ -4,9 +4,11 @@
 //! 2. What the swings so far leave: a further one stands in its periodogram.
 //! 3. Process noise and swings of greatest likelihood from there, as long as a further swing pays for its three parameters
 //!    (Schwarz 1978).
+//! 4. The damping times that the stretch leaves possible: those that make it no less likely than 2 sigma do. Where a swing without damping is
+//!    among them, its damping time is not determined. A swing that a wind drives tells it within a stretch some four times as long.
 
 use super::process::{Axis, MOST_SWINGS, Moments, Swing};
-use super::{Moment, SharedErrors};
+use super::{Damping, Moment, SharedErrors};
 use crate::estimation::{median, spectrum};
 use std::f64::consts::TAU;
 
@@ -33,6 +35,9 @@ const FIRST_NOISE: f64 = 1.0;
 const LEAST_NOISE: f64 = 1e-4;
 const LEAST_DRIVE: f64 = 1e-4;
 const DAMPING_PERIODS: [f64; 2] = [1.0, 1e7];
+/// What 2 sigma cost, natural logarithm of the likelihood, and the factor to which the bound of a damping time is found.
+const TWO_SIGMA: f64 = 2.0;
+const DAMPING_FACTOR: f64 = 1.1;
 /// The fastest swing, periods in a step.
 const MOST_PERIODS_A_STEP: f64 = 0.4;
 /// The slowest swing, rad/s.
@@ -47,6 +52,12 @@ const MOST_ROUNDS: usize = 40;
 pub(super) struct Fit {
     pub process_noise: f64,
     pub swings: Vec<Swing>,
+}
+
+/// A fit with what it knows of each swing's damping.
+pub(super) struct Found {
+    pub fit: Fit,
+    pub dampings: Vec<Damping>,
 }
 
 /// An even stretch of a flight along one axis.
@@ -101,7 +112,7 @@ impl<'a> Stretch<'a> {
     }
 
     /// The process of greatest likelihood, each swing at its price; without swings where none pays.
-    pub fn fit(&self) -> Option<Fit> {
+    pub fn fit(&self) -> Option<Found> {
         let price = PRICE * (self.moments.len() as f64).ln();
         let (mut fit, mut likelihood) = self.climb(Fit {
             process_noise: FIRST_NOISE,
@@ -119,7 +130,39 @@ impl<'a> Stretch<'a> {
             }
             (fit, likelihood) = (further, gained);
         }
-        Some(fit)
+        let dampings = (0..fit.swings.len()).map(|swing| self.damping(&fit, swing, likelihood));
+        Some(Found {
+            dampings: dampings.collect(),
+            fit,
+        })
+    }
+
+    /// What is known of a swing's damping, all else as it was found.
+    fn damping(&self, fit: &Fit, swing: usize, likelihood: f64) -> Damping {
+        let found_s = fit.swings[swing].damping_s;
+        let [shortest_s, longest_s] =
+            DAMPING_PERIODS.map(|periods| periods * fit.swings[swing].period_s());
+        let is_possible = |damping_s: f64| {
+            let mut tried = fit.clone();
+            tried.swings[swing].damping_s = damping_s;
+            let tried = self.log_likelihood(&tried);
+            tried.is_some_and(|tried| tried >= likelihood - TWO_SIGMA)
+        };
+        let (mut possible_s, mut bound_s) = (found_s, shortest_s);
+        if is_possible(shortest_s) {
+            possible_s = shortest_s;
+        }
+        while possible_s > DAMPING_FACTOR * bound_s {
+            let middle_s = (possible_s * bound_s).sqrt();
+            match is_possible(middle_s) {
+                true => possible_s = middle_s,
+                false => bound_s = middle_s,
+            }
+        }
+        Damping {
+            found_s: (!is_possible(longest_s)).then_some(found_s),
+            least_s: possible_s,
+        }
     }
 
     fn log_likelihood(&self, fit: &Fit) -> Option<f64> {

@@ -96,5 +96,5 @@ fn along_the_axes(fit: &MountingFit) -> Result<String, PlotError> {
     let sigma = (squares / off.len().max(1) as f64).sqrt();
     let labels = Labels::new("Residuals along both axes", "mil", "residuals");
     let normal = (sigma > 0.0).then_some(("normal, of the same rms", Density::Normal { sigma }));
-    plot::histogram(&labels, &off, 40, &[], normal)
+    plot::histogram(&labels, &off, 1.0, 40, &[], normal)
 }

@@ -12,7 +12,7 @@ use crate::observe::RejectedFrame;
 use crate::plate::Plate;
 use crate::provenance::{COMMIT, PROGRAM};
 use crate::report::html::Page;
-use crate::report::plot::{self, Arrow, Cell, Density, Labels, PlotError, Series};
+use crate::report::plot::{self, Arrow, Cell, Density, Ground, Labels, PlotError, Series};
 use crate::units::SensorPx;
 use nalgebra::Vector2;
 use std::collections::{BTreeMap, BTreeSet};
@@ -266,10 +266,9 @@ fn mark_map(
         })
     };
     let cells: Vec<Cell> = calibration.fit.marks.iter().filter_map(cell).collect();
-    let reach = map_reach_mil(plate);
     plot::scalar_map(
         &plate_labels(title),
-        -reach..reach,
+        &Ground::about_zero(map_reach_mil(plate)),
         &cells,
         cell_mil(plate),
         unit,
@@ -350,7 +349,8 @@ fn lengths(calibration: &Calibration) -> Result<String, PlotError> {
     let rayleigh = Density::Rayleigh { sigma };
     let expected = (sigma > 0.0).then_some(("Rayleigh, of the same median", rayleigh));
     let rms = calibration.fit.residual_px;
-    plot::histogram(&labels, &lengths, 40, &[("rms per axis", rms)], expected)
+    let lines = [("rms per axis", rms)];
+    plot::histogram(&labels, &lengths, 1.0, 40, &lines, expected)
 }
 
 fn normalised_lengths(calibration: &Calibration) -> Result<String, PlotError> {
@@ -358,7 +358,7 @@ fn normalised_lengths(calibration: &Calibration) -> Result<String, PlotError> {
     let lengths: Vec<f64> = calibration.fit.kept().map(normalised).collect();
     let labels = Labels::new("Residuals over their stated sigma", "sigma", "observations");
     let expected = ("Rayleigh, sigma 1", Density::Rayleigh { sigma: 1.0 });
-    plot::histogram(&labels, &lengths, 40, &[], Some(expected))
+    plot::histogram(&labels, &lengths, 1.0, 40, &[], Some(expected))
 }
 
 fn over_time(calibration: &Calibration) -> Result<String, PlotError> {

@@ -216,7 +216,7 @@ fn time_step(span_s: f64, about: usize) -> f64 {
 }
 
 /// The decimals that tell multiples of a step apart.
-fn decimals(step: f64) -> usize {
+pub(super) fn decimals(step: f64) -> usize {
     (0..12)
         .find(|decimals| {
             let scaled = step * 10_f64.powi(*decimals);

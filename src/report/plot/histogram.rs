@@ -1,6 +1,6 @@
 //! Histograms, beside the distribution that is expected.
 
-use super::axis::{Axis, extent};
+use super::axis::{Axis, decimals, extent, fixed};
 use super::labels::{Labels, PlotError};
 use super::sheet::{Entry, Sheet, Stroke, Swatch, hue};
 use std::f64::consts::PI;
@@ -32,14 +32,18 @@ impl Density {
 const SIZE: (f64, f64) = (760.0, 420.0);
 /// The axis ends at so many times the value that all but a thousandth keep below; what lies beyond is counted in the title.
 const REACH: f64 = 1.5;
+/// Lines up to so many times that value lie on the axis.
+const NEAR: f64 = 4.0;
 
-/// A histogram of as many bins, with named upright lines and, by name, a distribution of the same area.
+/// A histogram of as many bins, with named upright lines and, by name, a distribution of the same area. Each value counts as much as `each`: 1
+/// for a frame, or the seconds that it stands for. The legend says of lines that lie beyond the axis that they do.
 ///
 /// # Errors
 /// Nothing to draw.
 pub fn histogram(
     labels: &Labels,
     values: &[f64],
+    each: f64,
     bins: usize,
     lines: &[(&str, f64)],
     expected: Option<(&str, Density)>,
@@ -53,38 +57,46 @@ pub fn histogram(
         counts[bin.min(bins - 1)] += 1;
     }
     let inside: u32 = counts.iter().sum();
+    let counts: Vec<f64> = counts.into_iter().map(|n| f64::from(n) * each).collect();
     let curve: Vec<(f64, f64)> = expected.map_or(Vec::new(), |(_, density)| {
-        let area = values.len() as f64 * width;
+        let area = values.len() as f64 * each * width;
         let at = |n: u32| low + (high - low) * f64::from(n) / 300.0;
         (0..=300)
             .map(|n| (at(n), area * density.at(at(n))))
             .collect()
     });
-    let most = counts.iter().copied().map(f64::from);
-    let most = most.chain(curve.iter().map(|p| p.1)).fold(1.0, f64::max);
+    let most = counts.iter().copied().chain(curve.iter().map(|p| p.1));
+    let most = most.fold(each, f64::max);
     let beyond = values.len() - inside as usize;
     let mut labels = labels.clone();
     if beyond > 0 {
-        labels.title += &format!(" ({beyond} beyond the axis)");
+        let counted = fixed(beyond as f64 * each, decimals(each));
+        let unit = labels.y.split_once(',').map_or("", |(_, unit)| unit);
+        labels.title += &format!(" ({counted}{unit} beyond the axis)");
     }
-    let legend = legend(&labels.y, lines, expected.map(|(name, _)| name));
+    let is_shown = |at: f64| (low..=high).contains(&at);
+    let legend = legend(&labels.y, lines, is_shown, expected.map(|(name, _)| name));
     let axes = (Axis::exact(low, high), Axis::exact(0.0, 1.06 * most));
     let mut sheet = Sheet::new(SIZE, 0.0, &labels, axes, &legend);
-    for (bin, count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
+    for (bin, count) in counts.iter().enumerate().filter(|(_, count)| **count > 0.0) {
         let left = low + bin as f64 * width;
-        let corners = [(left, 0.0), (left + width, f64::from(*count))].map(|p| sheet.place(p));
+        let corners = [(left, 0.0), (left + width, *count)].map(|p| sheet.place(p));
         sheet.rectangle(corners[0], corners[1], "#9ec5de");
     }
     let curve: Vec<(f64, f64)> = curve.into_iter().map(|p| sheet.place(p)).collect();
     sheet.line(&curve, Stroke::solid(hue(1), 1.8));
-    for (n, (_, at)) in lines.iter().enumerate() {
+    let shown = lines
+        .iter()
+        .enumerate()
+        .filter(|(_, line)| is_shown(line.1));
+    for (n, (_, at)) in shown {
         let upright = [(*at, 0.0), (*at, 1.06 * most)].map(|p| sheet.place(p));
         sheet.line(&upright, Stroke::solid(hue(n + 2), 1.4).dashed());
     }
     Ok(sheet.finish())
 }
 
-/// What the axis spans: from 0 where no value is negative.
+/// What the axis spans: from 0 where no value is negative. Lines that are near the values lie within.
 fn span(values: &[f64], lines: &[(&str, f64)]) -> Option<(f64, f64)> {
     let (low, high) = extent(values.iter().copied())?;
     let mut sizes: Vec<f64> = values
@@ -94,14 +106,23 @@ fn span(values: &[f64], lines: &[(&str, f64)]) -> Option<(f64, f64)> {
         .collect();
     sizes.sort_by(f64::total_cmp);
     let usual = sizes[(sizes.len() * 999).div_ceil(1000) - 1];
-    let lines = lines.iter().map(|(_, at)| at.abs());
-    let reach = lines.fold(REACH * usual, f64::max);
-    let end = |end: f64| end.clamp(-reach, reach) * 1.04;
-    let (low, high) = (end(low.min(0.0)), end(high.max(0.0)));
+    let lines = lines.iter().map(|(_, at)| *at);
+    let near = lines.filter(|at| at.abs() <= NEAR * usual);
+    let (first, last) = near.fold((0.0, 0.0), |(first, last): (f64, f64), at| {
+        (first.min(at), last.max(at))
+    });
+    let reach = REACH * usual;
+    let low = 1.04 * low.clamp(-reach, 0.0).min(first);
+    let high = 1.04 * high.clamp(0.0, reach).max(last);
     Some(if low < high { (low, high) } else { (0.0, 1.0) })
 }
 
-fn legend(counted: &str, lines: &[(&str, f64)], expected: Option<&str>) -> Vec<Entry> {
+fn legend(
+    counted: &str,
+    lines: &[(&str, f64)],
+    is_shown: impl Fn(f64) -> bool,
+    expected: Option<&str>,
+) -> Vec<Entry> {
     let entry = |name: &str, swatch, colour| Entry {
         name: name.into(),
         swatch,
@@ -110,7 +131,14 @@ fn legend(counted: &str, lines: &[(&str, f64)], expected: Option<&str>) -> Vec<E
     let bars = entry(counted, Swatch::Bars, "");
     let expected = expected.map(|name| entry(name, Swatch::Line, hue(1)));
     let lines = lines.iter().enumerate();
-    let lines = lines.map(|(n, (name, _))| entry(name, Swatch::Dashes, hue(n + 2)));
+    let lines = lines.map(|(n, (name, at))| match is_shown(*at) {
+        true => entry(name, Swatch::Dashes, hue(n + 2)),
+        false => entry(
+            &format!("{name}, beyond the axis"),
+            Swatch::Dashes,
+            hue(n + 2),
+        ),
+    });
     [bars].into_iter().chain(expected).chain(lines).collect()
 }
 
@@ -127,17 +155,21 @@ mod tests {
         let svg = histogram(
             &labels(),
             &[0.1, 0.2, 0.25, 0.9],
+            1.0,
             4,
-            &[("limit", 0.5)],
+            &[("limit", 0.5), ("far", 5.0)],
             None,
         )
         .unwrap();
-        assert!(svg.contains("limit") && !svg.contains("beyond"));
-        assert!(histogram(&labels(), &[], 4, &[], None).is_err());
+        assert!(svg.contains(">limit<") && svg.contains(">far, beyond the axis<"));
+        assert!(histogram(&labels(), &[], 1.0, 4, &[], None).is_err());
         let mut values = vec![1.0; 5000];
         values.push(100.0);
-        let svg = histogram(&labels(), &values, 10, &[], None).unwrap();
+        let svg = histogram(&labels(), &values, 1.0, 10, &[], None).unwrap();
         assert!(svg.contains("Errors (1 beyond the axis)"));
+        let timed = Labels::new("Errors", "px", "time, s");
+        let svg = histogram(&timed, &values, 0.1, 10, &[], None).unwrap();
+        assert!(svg.contains("Errors (0.1 s beyond the axis)"));
     }
 
     #[test]

@@ -1,8 +1,10 @@
 //! Maps of a square field: vectors as arrows beside an arrow of known length, numbers as colours beside a scale.
 
 use super::axis::{Axis, extent, short};
+use super::ground::{Ground, Scale, Shades};
 use super::labels::{Labels, PlotError};
-use super::sheet::{Anchor, Entry, Sheet, Stroke, Swatch};
+use super::sheet::{Entry, Swatch};
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// A vector at a place, both in the units of the map's own.
@@ -19,14 +21,11 @@ pub struct Cell {
     pub value: f64,
 }
 
-/// Width and height without what stands beside a map, so that a map is square.
-const SIDE_PX: f64 = 620.0;
-const HEIGHT_PX: f64 = 629.0;
 /// All but a twentieth of the arrows are no longer than this, and none longer than that.
 const USUAL_PX: f64 = 36.0;
 const LONGEST_PX: f64 = 90.0;
-/// Space for the scale of colours.
-const SCALE_PX: f64 = 90.0;
+/// A binned field has about so many cells along an axis.
+const CELLS: f64 = 50.0;
 
 /// A field of vectors over `range` in both axes, drawn to a scale of its own that an arrow of stated length in `unit` shows.
 ///
@@ -52,13 +51,12 @@ pub fn vector_map(
         false => 1.0,
     };
     let shown = round_down(usual.max(longest * 1e-3));
-    let legend = [Entry {
+    let legend = vec![Entry {
         name: format!("{} {unit}", short(shown, 1)),
         swatch: Swatch::Arrow(shown * px_per_unit),
         colour: ARROW,
     }];
-    let axis = Axis::exact(range.start, range.end);
-    let mut sheet = Sheet::new((SIDE_PX, HEIGHT_PX), 0.0, labels, (axis, axis), &legend);
+    let mut sheet = Ground::over(range.clone(), range).sheet(labels, legend, None);
     for arrow in arrows {
         let from = sheet.place(arrow.at);
         let (dx, dy) = (arrow.vector.0 * px_per_unit, arrow.vector.1 * px_per_unit);
@@ -84,91 +82,75 @@ fn round_down(value: f64) -> f64 {
     found.unwrap_or(&1.0) * decade
 }
 
-/// Numbers as squares of `cell` in width over `range` in both axes, with the scale of their colours in `unit`.
+/// Numbers as squares of `cell` in width over a field, with the scale of their colours in `unit`.
 ///
 /// # Errors
 /// Nothing to draw.
 pub fn scalar_map(
     labels: &Labels,
-    range: Range<f64>,
+    ground: &Ground,
     cells: &[Cell],
     cell: f64,
     unit: &str,
 ) -> Result<String, PlotError> {
-    let values = extent(cells.iter().map(|cell| cell.value)).ok_or_else(|| labels.empty())?;
-    let of_value = match values {
-        (low, high) if low < high => Axis::exact(low, high),
-        one => Axis::linear(one),
+    let shown = cells.iter().filter(|cell| ground.contains(cell.at));
+    let values = extent(shown.clone().map(|cell| cell.value)).ok_or_else(|| labels.empty())?;
+    let scale = Scale {
+        axis: match values {
+            (low, high) if low < high => Axis::exact(low, high),
+            one => Axis::linear(one),
+        },
+        shades: &SHADES,
+        name: unit,
     };
-    let axis = Axis::exact(range.start, range.end);
-    let size = (SIDE_PX + SCALE_PX, HEIGHT_PX - 19.0);
-    let mut sheet = Sheet::new(size, SCALE_PX, labels, (axis, axis), &[]);
-    for one in cells.iter().filter(|one| one.value.is_finite()) {
+    let mut sheet = ground.sheet(labels, Vec::new(), Some(&scale));
+    let [left, top, right, bottom] = sheet.panel();
+    for one in shown.filter(|one| one.value.is_finite()) {
         let (x, y) = one.at;
         let half = cell / 2.0;
-        let corners = [(x - half, y - half), (x + half, y + half)].map(|p| sheet.place(p));
-        let colour = colour(of_value.fraction(one.value));
-        sheet.rectangle(corners[0], corners[1], &colour);
+        let corners = [(x - half, y - half), (x + half, y + half)].map(|corner| {
+            let (x, y) = sheet.place(corner);
+            (x.clamp(left, right), y.clamp(top, bottom))
+        });
+        sheet.rectangle(corners[0], corners[1], &scale.colour(one.value));
     }
-    scale(&mut sheet, of_value, unit);
+    ground.draw_lines(&mut sheet);
+    ground.draw_target(&mut sheet);
     Ok(sheet.finish())
 }
 
-/// The colours beside their values, right of the panel.
-fn scale(sheet: &mut Sheet, of_value: Axis, unit: &str) {
-    const STEPS: u32 = 100;
-    let [_, top, right, bottom] = sheet.panel();
-    let (left, right) = (right + 18.0, right + 34.0);
-    let top = top + 26.0;
-    let at = |fraction: f64| bottom - fraction * (bottom - top);
-    for n in 0..STEPS {
-        let [from, to] = [n, n + 1].map(|n| f64::from(n) / f64::from(STEPS));
-        // The next covers it, so that no gap shows between two.
-        let overlap = if n + 1 < STEPS { 1.5 } else { 0.0 };
-        sheet.rectangle((left, at(from)), (right, at(to) - overlap), &colour(from));
-    }
-    let corners = [
-        (left, top),
-        (right, top),
-        (right, bottom),
-        (left, bottom),
-        (left, top),
-    ];
-    sheet.line(&corners, Stroke::solid("#888888", 1.0));
-    for tick in of_value.ticks(6) {
-        let y = at(of_value.fraction(tick.at));
-        sheet.line(
-            &[(right, y), (right + 4.0, y)],
-            Stroke::solid("#888888", 1.0),
-        );
-        sheet.text((right + 8.0, y + 4.0), Anchor::Start, &tick.label);
-    }
-    let power = match of_value.left_out() {
-        0 => String::new(),
-        power => format!(" \u{d7} 10{}", super::axis::superscript(power)),
-    };
-    sheet.text(
-        (left - 6.0, top - 14.0),
-        Anchor::Start,
-        &format!("{unit}{power}"),
-    );
+/// A round width of cells for a field.
+pub fn cell_of(ground: &Ground) -> f64 {
+    let wanted = (ground.x.end - ground.x.start) / CELLS;
+    round_down(2.0 * wanted)
 }
 
-/// From light yellow to dark blue, even in lightness (ColorBrewer's YlGnBu): distinct for the colour-blind and in grey.
-fn colour(fraction: f64) -> String {
-    const STOPS: [[f64; 3]; 5] = [
-        [255.0, 255.0, 204.0],
-        [161.0, 218.0, 180.0],
-        [65.0, 182.0, 196.0],
-        [44.0, 127.0, 184.0],
-        [37.0, 52.0, 148.0],
-    ];
-    let place = fraction.clamp(0.0, 1.0) * (STOPS.len() - 1) as f64;
-    let stop = (place as usize).min(STOPS.len() - 2);
-    let part = place - stop as f64;
-    let mix = |n: usize| (STOPS[stop][n] * (1.0 - part) + STOPS[stop + 1][n] * part).round() as u8;
-    format!("#{:02x}{:02x}{:02x}", mix(0), mix(1), mix(2))
+/// How much falls into each cell of a width, where each point counts as much.
+pub fn binned(points: impl Iterator<Item = (f64, f64)>, cell: f64, each: f64) -> Vec<Cell> {
+    let mut counts: BTreeMap<(i64, i64), u32> = BTreeMap::new();
+    for (x, y) in points.filter(|(x, y)| x.is_finite() && y.is_finite()) {
+        let at = [x, y].map(|v| (v / cell).floor() as i64);
+        *counts.entry(at.into()).or_default() += 1;
+    }
+    let middle = |n: i64| (n as f64 + 0.5) * cell;
+    let counts = counts.into_iter();
+    let binned = counts.map(|((x, y), count)| Cell {
+        at: (middle(x), middle(y)),
+        value: f64::from(count) * each,
+    });
+    binned.collect()
 }
+
+/// From light green to dark blue, even in lightness (ColorBrewer's YlGnBu without its yellow, which is too light on white): distinct for the
+/// colour-blind and in grey.
+const SHADES: Shades = Shades(&[
+    [199, 233, 180],
+    [127, 205, 187],
+    [65, 182, 196],
+    [29, 145, 192],
+    [34, 94, 168],
+    [37, 52, 148],
+]);
 
 #[cfg(test)]
 mod tests {
@@ -204,8 +186,26 @@ mod tests {
             value: f64::from(n),
         };
         let cells: Vec<Cell> = (0..=10).map(cell).collect();
-        let svg = scalar_map(&labels, -10.0..10.0, &cells, 1.0, "frames").unwrap();
-        assert!(svg.contains("#ffffcc") && svg.contains("#253494") && svg.contains(">frames<"));
-        assert!(scalar_map(&labels, -1.0..1.0, &cells[..1], 1.0, "").is_ok());
+        let svg = scalar_map(&labels, &Ground::about_zero(20.0), &cells, 1.0, "frames").unwrap();
+        assert!(svg.contains("#c7e9b4") && svg.contains("#253494") && svg.contains(">frames<"));
+        assert!(scalar_map(&labels, &Ground::about_zero(1.0), &cells[..1], 1.0, "").is_ok());
+    }
+
+    #[test]
+    fn every_point_counts_in_the_cell_it_lies_in() {
+        let points = [
+            (0.1, 0.1),
+            (1.9, 0.2),
+            (-0.1, 0.1),
+            (0.5, 1.5),
+            (f64::NAN, 0.0),
+        ];
+        let cells = binned(points.into_iter(), 2.0, 0.1);
+        let found: Vec<_> = cells.iter().map(|cell| (cell.at, cell.value)).collect();
+        assert_eq!(found.len(), 2);
+        assert_eq!(found[0], ((-1.0, 1.0), 0.1));
+        assert_eq!(found[1].0, (1.0, 1.0));
+        assert!((found[1].1 - 0.3).abs() < 1e-12);
+        assert_eq!(cell_of(&Ground::about_zero(50.0)), 2.0);
     }
 }

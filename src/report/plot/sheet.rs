@@ -1,6 +1,7 @@
 //! The sheet a figure is drawn on: title, legend above the panel, axes, and the shapes in it.
 
 use super::axis::{Axis, superscript};
+use super::clip;
 use super::labels::{Horizontal, Labels};
 use std::fmt::Write;
 
@@ -21,6 +22,8 @@ const TITLE_PX: f64 = 38.0;
 const LEFT_PX: f64 = 78.0;
 const RIGHT_PX: f64 = 20.0;
 const BELOW_PX: f64 = 50.0;
+/// What a panel leaves of its sheet's width.
+pub(super) const BESIDE_PX: f64 = LEFT_PX + RIGHT_PX;
 /// Of a row of the legend.
 const ROW_PX: f64 = 19.0;
 const SWATCH_PX: f64 = 22.0;
@@ -40,6 +43,7 @@ pub(super) enum Swatch {
     Bars,
     /// Of so many px.
     Arrow(f64),
+    Ring,
 }
 
 /// An entry of the legend.
@@ -52,15 +56,15 @@ pub(super) struct Entry {
 
 /// How a stroke is drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Stroke {
-    pub colour: &'static str,
+pub(super) struct Stroke<'a> {
+    pub colour: &'a str,
     pub width_px: f64,
     pub opacity: f64,
     pub dashed: bool,
 }
 
-impl Stroke {
-    pub(super) fn solid(colour: &'static str, width_px: f64) -> Self {
+impl<'a> Stroke<'a> {
+    pub(super) fn solid(colour: &'a str, width_px: f64) -> Self {
         Self {
             colour,
             width_px,
@@ -176,15 +180,34 @@ impl Sheet {
     }
 
     /// Where a point of the axes stands on the sheet, within 5 panels of it.
-    pub(super) fn place(&self, (x, y): (f64, f64)) -> (f64, f64) {
-        let fraction = |axis: Axis, value: f64| axis.fraction(value).clamp(-5.0, 6.0);
-        let across = fraction(self.x, x) * (self.right - self.left);
-        let up = fraction(self.y, y) * (self.bottom - self.top);
-        (self.left + across, self.bottom - up)
+    pub(super) fn place(&self, point: (f64, f64)) -> (f64, f64) {
+        let fraction = self.fraction(point).map(|part| part.clamp(-5.0, 6.0));
+        self.at(fraction)
+    }
+
+    /// The same wherever it is.
+    pub(super) fn anywhere(&self, point: (f64, f64)) -> (f64, f64) {
+        self.at(self.fraction(point))
+    }
+
+    /// Where a point of the axes stands in the panel, from its lower left corner to its upper right one.
+    fn fraction(&self, (x, y): (f64, f64)) -> [f64; 2] {
+        [self.x.fraction(x), self.y.fraction(y)]
+    }
+
+    fn at(&self, [across, up]: [f64; 2]) -> (f64, f64) {
+        let (width, height) = (self.right - self.left, self.bottom - self.top);
+        (self.left + across * width, self.bottom - up * height)
+    }
+
+    /// The parts of a line through points of the axes that lie in the panel, on the sheet.
+    pub(super) fn parts(&self, line: &[(f64, f64)]) -> Vec<Vec<(f64, f64)>> {
+        let line: Vec<(f64, f64)> = line.iter().map(|point| self.anywhere(*point)).collect();
+        clip::line(&line, self.panel())
     }
 
     /// Points on the sheet joined by a line; a single one is a dot of the line's width.
-    pub(super) fn line(&mut self, points: &[(f64, f64)], stroke: Stroke) {
+    pub(super) fn line(&mut self, points: &[(f64, f64)], stroke: Stroke<'_>) {
         let Some(((x, y), others)) = points.split_first() else {
             return;
         };
@@ -199,13 +222,23 @@ impl Sheet {
     }
 
     /// Round dots on the sheet.
-    pub(super) fn dots(&mut self, at: &[(f64, f64)], stroke: Stroke) {
+    pub(super) fn dots(&mut self, at: &[(f64, f64)], stroke: Stroke<'_>) {
         let dot = |(x, y): &(f64, f64)| format!("M{} {}h0", px(*x), px(*y));
         self.path(&at.iter().map(dot).collect::<String>(), stroke);
     }
 
+    /// A ring about a place on the sheet.
+    pub(super) fn ring(&mut self, (x, y): (f64, f64), radius_px: f64, stroke: Stroke<'_>) {
+        let (left, r, across) = (px(x - radius_px), px(radius_px), px(2.0 * radius_px));
+        let ring = format!(
+            "M{left} {}a{r} {r} 0 1 0 {across} 0a{r} {r} 0 1 0 -{across} 0",
+            px(y)
+        );
+        self.path(&ring, stroke);
+    }
+
     /// A path in SVG's words.
-    pub(super) fn path(&mut self, path: &str, stroke: Stroke) {
+    pub(super) fn path(&mut self, path: &str, stroke: Stroke<'_>) {
         if !path.is_empty() {
             let _ = writeln!(self.body, "<path d=\"{path}\" {}/>", stroke.attributes());
         }
@@ -297,6 +330,9 @@ impl Sheet {
             Swatch::Envelope => {
                 self.line(&ends, Stroke::solid(colour, 9.0).pale(0.3));
                 self.line(&ends, Stroke::solid(colour, 1.2));
+            }
+            Swatch::Ring => {
+                self.ring((x + SWATCH_PX / 2.0, y), 5.0, Stroke::solid(colour, 1.6));
             }
             Swatch::Arrow(length) => self.arrow((x, y), (x + length, y), colour),
             Swatch::Bars => self.rectangle((x, y - 6.0), (x + SWATCH_PX, y + 6.0), "#9ec5de"),

@@ -1,20 +1,29 @@
 //! Long series made short without losing what stands out.
 
 use crate::estimation::median;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 /// Points so many median steps apart are not joined: frames are missing between them, or a night.
 const GAP_STEPS: f64 = 3.0;
 
 /// The runs of points in which no step is a gap and every value is finite.
 pub(super) fn runs(points: &[(f64, f64)]) -> Vec<Vec<(f64, f64)>> {
-    let steps = points.windows(2).map(|pair| pair[1].0 - pair[0].0);
-    let longest = median(steps.filter(|s| *s > 0.0)).map_or(f64::INFINITY, |s| GAP_STEPS * s);
+    let longest = longest_step(points.iter().map(|point| point.0));
     let finite = |point: &(f64, f64)| point.0.is_finite() && point.1.is_finite();
     let joined =
         |a: &(f64, f64), b: &(f64, f64)| finite(a) && finite(b) && (b.0 - a.0).abs() <= longest;
     let runs = points.chunk_by(joined).filter(|run| finite(&run[0]));
     runs.map(<[_]>::to_vec).collect()
+}
+
+/// Longer steps are gaps.
+pub(super) fn longest_step(times: impl Iterator<Item = f64> + Clone) -> f64 {
+    let steps = times
+        .clone()
+        .skip(1)
+        .zip(times)
+        .map(|(next, one)| next - one);
+    median(steps.filter(|s| *s > 0.0)).map_or(f64::INFINITY, |s| GAP_STEPS * s)
 }
 
 /// The points of one column of pixels.
@@ -49,6 +58,42 @@ pub(super) fn distinct(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f6
     distinct.into_iter().map(back).collect()
 }
 
+/// A piece of a line on the sheet, px, and what it is drawn in.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Piece<S> {
+    pub from: (f64, f64),
+    pub to: (f64, f64),
+    pub shade: S,
+}
+
+/// Width of a line of pieces, px.
+pub(super) const PIECE_PX: f64 = 2.0;
+
+/// Pieces in the order in which they are drawn, without those that later ones cover: no more are left than the panel has squares of a line's width,
+/// however long the path is.
+pub(super) fn uncovered<S>(pieces: Vec<Piece<S>>) -> Vec<Piece<S>> {
+    let mut covered = HashSet::new();
+    let mut is_new = |piece: &Piece<S>| {
+        let (from, to) = (piece.from, piece.to);
+        let steps = ((to.0 - from.0).hypot(to.1 - from.1) / PIECE_PX)
+            .ceil()
+            .max(1.0);
+        let square = |n: u32| {
+            let part = f64::from(n) / steps;
+            let at = [
+                from.0 + part * (to.0 - from.0),
+                from.1 + part * (to.1 - from.1),
+            ];
+            at.map(|px| (px / PIECE_PX) as i32)
+        };
+        let new = (0..=steps as u32).filter(|n| covered.insert(square(*n)));
+        new.count() > 0
+    };
+    let mut left: Vec<Piece<S>> = pieces.into_iter().rev().filter(|p| is_new(p)).collect();
+    left.reverse();
+    left
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -72,5 +117,17 @@ mod tests {
         assert_eq!((columns.len(), columns[0].x), (2, 3.5));
         assert_eq!((columns[0].least, columns[0].most), (1.0, 5.0));
         assert_eq!(columns[0].median, 2.0);
+    }
+
+    #[test]
+    fn what_later_pieces_cover_is_not_drawn() {
+        let piece = |shade: u32, y: f64| Piece {
+            from: (10.0, y),
+            to: (30.0, y),
+            shade,
+        };
+        let pieces = vec![piece(0, 5.0), piece(1, 15.0), piece(2, 5.2), piece(3, 25.0)];
+        let left: Vec<u32> = uncovered(pieces).iter().map(|p| p.shade).collect();
+        assert_eq!(left, [1, 2, 3]);
     }
 }

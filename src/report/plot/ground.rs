@@ -1,0 +1,189 @@
+//! What maps have in common: a square field with lines and a target in it, and a scale of colours beside it.
+
+use super::axis::{Axis, superscript};
+use super::labels::Labels;
+use super::sheet::{Anchor, BESIDE_PX, Entry, Sheet, Stroke, Swatch};
+use std::ops::Range;
+
+/// Points that are joined.
+pub type Line = Vec<(f64, f64)>;
+
+/// The field of a map: what both axes span, equally long, and what is drawn below and above its contents.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ground {
+    pub x: Range<f64>,
+    pub y: Range<f64>,
+    pub outline: Line,
+    pub grid: Vec<Line>,
+    /// Where something should be, or the way of what moves; empty: nowhere.
+    pub target: Line,
+}
+
+/// Width of a map without what stands beside it, and its height without a legend: the panel is square.
+const SIDE_PX: f64 = 620.0;
+const HEIGHT_PX: f64 = 610.0;
+/// Of the legend's row.
+const ROW_PX: f64 = 19.0;
+/// Space for the scale of colours.
+const SCALE_PX: f64 = 90.0;
+const GRID: &str = "#d9b77c";
+const OUTLINE: &str = "#b5761c";
+const TARGET: &str = "#000000";
+const TARGET_PX: f64 = 7.0;
+
+impl Ground {
+    /// A field and nothing else.
+    pub fn over(x: Range<f64>, y: Range<f64>) -> Self {
+        Self {
+            x,
+            y,
+            outline: Line::new(),
+            grid: Vec::new(),
+            target: Line::new(),
+        }
+    }
+
+    /// A field from minus to plus a number in both axes.
+    pub fn about_zero(reach: f64) -> Self {
+        Self::over(-reach..reach, -reach..reach)
+    }
+
+    /// Of both axes.
+    pub(super) fn px_per_unit(&self) -> f64 {
+        (SIDE_PX - BESIDE_PX) / (self.x.end - self.x.start)
+    }
+
+    pub(super) fn contains(&self, (x, y): (f64, f64)) -> bool {
+        self.x.contains(&x) && self.y.contains(&y)
+    }
+
+    /// The parts of the target's way in the field.
+    fn target_within(&self) -> Line {
+        let within = |at: &(f64, f64)| self.contains(*at);
+        self.target.iter().copied().filter(within).collect()
+    }
+
+    /// An empty panel, and a scale beside it if there is one.
+    pub(super) fn sheet(
+        &self,
+        labels: &Labels,
+        mut legend: Vec<Entry>,
+        scale: Option<&Scale>,
+    ) -> Sheet {
+        if !self.target_within().is_empty() {
+            legend.push(Entry {
+                name: "target".into(),
+                swatch: Swatch::Ring,
+                colour: TARGET,
+            });
+        }
+        let height = HEIGHT_PX + if legend.is_empty() { 0.0 } else { ROW_PX };
+        let beside = if scale.is_some() { SCALE_PX } else { 0.0 };
+        let axes = [&self.x, &self.y].map(|span| Axis::exact(span.start, span.end));
+        let size = (SIDE_PX + beside, height);
+        let mut sheet = Sheet::new(size, beside, labels, axes.into(), &legend);
+        if let Some(scale) = scale {
+            scale.draw(&mut sheet);
+        }
+        sheet
+    }
+
+    pub(super) fn draw_lines(&self, sheet: &mut Sheet) {
+        let grid = self.grid.iter().map(|line| (line, GRID, 0.8));
+        for (line, colour, width_px) in grid.chain([(&self.outline, OUTLINE, 1.6)]) {
+            for part in sheet.parts(line) {
+                sheet.line(&part, Stroke::solid(colour, width_px));
+            }
+        }
+    }
+
+    /// Marks the target over what is drawn: both ends of its way.
+    pub(super) fn draw_target(&self, sheet: &mut Sheet) {
+        let way = self.target_within();
+        let ends = way.first().into_iter().chain(way.last());
+        let ends: Vec<(f64, f64)> = ends.map(|at| sheet.place(*at)).collect();
+        let way: Vec<(f64, f64)> = way.iter().map(|at| sheet.place(*at)).collect();
+        // White beside the black tells it from dark paths.
+        for stroke in [
+            Stroke::solid("#ffffff", 4.0).pale(0.8),
+            Stroke::solid(TARGET, 1.6),
+        ] {
+            if way.len() > 1 {
+                sheet.line(&way, stroke);
+            }
+            ends.iter()
+                .for_each(|at| sheet.ring(*at, TARGET_PX, stroke));
+        }
+    }
+}
+
+/// Colours between these, in equal parts.
+pub(super) struct Shades(pub &'static [[u8; 3]]);
+
+impl Shades {
+    /// From 0 to 1.
+    pub fn at(&self, fraction: f64) -> String {
+        let stops = self.0;
+        let place = fraction.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
+        let stop = (place as usize).min(stops.len() - 2);
+        let part = place - stop as f64;
+        let mix = |n: usize| {
+            let [from, to] = [stops[stop][n], stops[stop + 1][n]].map(f64::from);
+            (from * (1.0 - part) + to * part).round() as u8
+        };
+        format!("#{:02x}{:02x}{:02x}", mix(0), mix(1), mix(2))
+    }
+}
+
+/// Values and their colours.
+pub(super) struct Scale<'a> {
+    pub axis: Axis,
+    pub shades: &'a Shades,
+    /// What the values are.
+    pub name: &'a str,
+}
+
+impl Scale<'_> {
+    pub fn colour(&self, value: f64) -> String {
+        self.shades.at(self.axis.fraction(value))
+    }
+
+    /// The colours beside their values, right of the panel.
+    fn draw(&self, sheet: &mut Sheet) {
+        const STEPS: u32 = 100;
+        let [_, top, right, bottom] = sheet.panel();
+        let (left, right) = (right + 18.0, right + 34.0);
+        let top = top + 26.0;
+        let at = |fraction: f64| bottom - fraction * (bottom - top);
+        for n in 0..STEPS {
+            let [from, to] = [n, n + 1].map(|n| f64::from(n) / f64::from(STEPS));
+            // The next covers it, so that no gap shows between two.
+            let overlap = if n + 1 < STEPS { 1.5 } else { 0.0 };
+            let colour = self.shades.at(from);
+            sheet.rectangle((left, at(from)), (right, at(to) - overlap), &colour);
+        }
+        let corners = [
+            (left, top),
+            (right, top),
+            (right, bottom),
+            (left, bottom),
+            (left, top),
+        ];
+        let frame = Stroke::solid("#888888", 1.0);
+        sheet.line(&corners, frame);
+        for tick in self.axis.ticks(6) {
+            let y = at(self.axis.fraction(tick.at));
+            sheet.line(&[(right, y), (right + 4.0, y)], frame);
+            sheet.text((right + 8.0, y + 4.0), Anchor::Start, &tick.label);
+            if let Some(date) = tick.date {
+                sheet.text((right + 8.0, y + 18.0), Anchor::Start, &date);
+            }
+        }
+        let power = match self.axis.left_out() {
+            0 => String::new(),
+            power => format!(" \u{d7} 10{}", superscript(power)),
+        };
+        let name = format!("{}{power}", self.name);
+        sheet.text((left - 6.0, top - 14.0), Anchor::Start, &name);
+    }
+}

@@ -1,0 +1,284 @@
+//! Maps of a path, coloured by time.
+
+use super::axis::{Axis, extent};
+use super::clip;
+use super::ground::{Ground, Scale, Shades};
+use super::labels::{Labels, PlotError};
+use super::sheet::{Entry, Sheet, Stroke, Swatch, px};
+use super::thin::{PIECE_PX, Piece, longest_step, uncovered};
+use std::fmt::Write;
+
+/// A place of a path at a time, UTC, s since 1970-01-01.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Passage {
+    pub unix_s: f64,
+    pub at: (f64, f64),
+    /// What is not, is drawn grey.
+    pub is_valid: bool,
+}
+
+/// An ellipse of errors in the units of the axes, with its name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ellipse {
+    pub name: String,
+    /// The longer one first.
+    pub semi_axes: [f64; 2],
+    /// Of the first semi-axis, from x towards y.
+    pub turn_rad: f64,
+}
+
+/// From dark blue over red to orange (matplotlib's plasma without its yellow, which is too light on white).
+const TIMES: Shades = Shades(&[
+    [13, 8, 135],
+    [106, 0, 168],
+    [177, 42, 144],
+    [225, 100, 98],
+    [252, 166, 54],
+]);
+/// So many colours are told apart.
+const SHADES: usize = 64;
+const INVALID: &str = "#aaaaaa";
+/// The path moves so far before it is drawn on, px.
+const FINEST_PX: f64 = 0.5;
+/// An ellipse of a smaller diameter does not show.
+const LEAST_ELLIPSE_PX: f64 = 2.0;
+const ELLIPSE: &str = "#009e73";
+/// From the panel's edges.
+const MARGIN_PX: f64 = 10.0;
+
+/// A path in the order of time over a field, with a scale of its times beside it. Where it crosses itself, the later part is above. It stops where steps
+/// are missing. The ellipse stands in the lower left corner; of one that is too small to show, the legend says so.
+///
+/// # Errors
+/// Nothing to draw.
+pub fn path_map(
+    labels: &Labels,
+    ground: &Ground,
+    path: &[Passage],
+    ellipse: Option<&Ellipse>,
+) -> Result<String, PlotError> {
+    let times = extent(path.iter().map(|passage| passage.unix_s)).ok_or_else(|| labels.empty())?;
+    let scale = Scale {
+        axis: match times {
+            (first, last) if first < last => Axis::exact_utc(first, last),
+            one => Axis::utc(one),
+        },
+        shades: &TIMES,
+        name: "UTC",
+    };
+    let px_per_unit = ground.px_per_unit();
+    let is_shown = |e: &&Ellipse| 2.0 * e.semi_axes[0] * px_per_unit >= LEAST_ELLIPSE_PX;
+    let legend = legend(path, ellipse.map(|one| (one, is_shown(&one))));
+    let mut sheet = ground.sheet(labels, legend, Some(&scale));
+    ground.draw_lines(&mut sheet);
+    draw_path(&mut sheet, path, scale.axis);
+    ground.draw_target(&mut sheet);
+    if let Some(ellipse) = ellipse.filter(is_shown) {
+        draw_ellipse(&mut sheet, ellipse, px_per_unit);
+    }
+    Ok(sheet.finish())
+}
+
+fn legend(path: &[Passage], ellipse: Option<(&Ellipse, bool)>) -> Vec<Entry> {
+    let line = |name: String, colour| Entry {
+        name,
+        swatch: Swatch::Line,
+        colour,
+    };
+    let invalid = path.iter().any(|passage| !passage.is_valid);
+    let invalid = invalid.then(|| line("not valid".into(), INVALID));
+    let ellipse = ellipse.map(|(Ellipse { name, .. }, is_shown)| match is_shown {
+        true => line(format!("{name} (lower left)"), ELLIPSE),
+        false => line(format!("{name}: too small to show"), ELLIPSE),
+    });
+    invalid.into_iter().chain(ellipse).collect()
+}
+
+/// Which colour a piece has; none where the path is not valid, which lies below.
+type Shade = Option<usize>;
+
+fn draw_path(sheet: &mut Sheet, path: &[Passage], times: Axis) {
+    let mut pieces = pieces(sheet, path, times);
+    pieces.sort_by_key(|piece| piece.shade);
+    let left = uncovered(pieces);
+    for alike in left.chunk_by(|a, b| a.shade == b.shade) {
+        let lines = clip::joined(alike.iter().map(|piece| (piece.from, piece.to)));
+        let mut drawn = String::new();
+        for ((x, y), others) in lines.iter().filter_map(|line| line.split_first()) {
+            let _ = write!(drawn, "M{} {}", px(*x), px(*y));
+            for (x, y) in others {
+                let _ = write!(drawn, "L{} {}", px(*x), px(*y));
+            }
+        }
+        let colour = alike[0].shade.map_or(INVALID.to_owned(), |shade| {
+            TIMES.at(shade as f64 / (SHADES - 1) as f64)
+        });
+        sheet.path(&drawn, Stroke::solid(&colour, PIECE_PX));
+    }
+}
+
+/// The path in the panel as short pieces of one colour each, in the order of time.
+fn pieces(sheet: &Sheet, path: &[Passage], times: Axis) -> Vec<Piece<Shade>> {
+    let longest = longest_step(path.iter().map(|passage| passage.unix_s));
+    let runs = path.chunk_by(|a, b| b.unix_s - a.unix_s <= longest);
+    let panel = sheet.panel();
+    let mut pieces = Vec::new();
+    for run in runs {
+        let shade = |passage: &Passage| {
+            let part = times.fraction(passage.unix_s);
+            passage
+                .is_valid
+                .then_some((part * (SHADES - 1) as f64).round() as usize)
+        };
+        let last = run.len() - 1;
+        let mut pen = (sheet.anywhere(run[0].at), shade(&run[0]));
+        for (n, passage) in run.iter().enumerate().skip(usize::from(last > 0)) {
+            let next = (sheet.anywhere(passage.at), shade(passage));
+            let moved_px = (next.0.0 - pen.0.0).hypot(next.0.1 - pen.0.1);
+            if moved_px < FINEST_PX && next.1 == pen.1 && n < last {
+                continue;
+            }
+            let part = clip::segment(pen.0, next.0, panel);
+            pieces.extend(part.map(|(from, to)| Piece {
+                from,
+                to,
+                shade: pen.1.and(next.1),
+            }));
+            pen = next;
+        }
+    }
+    pieces
+}
+
+fn draw_ellipse(sheet: &mut Sheet, ellipse: &Ellipse, px_per_unit: f64) {
+    let [long, short] = ellipse.semi_axes.map(|length| length * px_per_unit);
+    let (sin, cos) = ellipse.turn_rad.sin_cos();
+    let (width, height) = (
+        (long * cos).hypot(short * sin),
+        (long * sin).hypot(short * cos),
+    );
+    let [left, _, _, bottom] = sheet.panel();
+    let middle = (left + MARGIN_PX + width, bottom - MARGIN_PX - height);
+    let point = |n: u32| {
+        let (along, across) = (f64::from(n) * 5.0).to_radians().sin_cos();
+        let (along, across) = (long * along, short * across);
+        let (x, y) = (along * cos - across * sin, along * sin + across * cos);
+        (middle.0 + x, middle.1 - y)
+    };
+    let around: Vec<(f64, f64)> = (0..=72).map(point).collect();
+    sheet.line(&around, Stroke::solid(ELLIPSE, 1.4));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::plot::Line;
+
+    fn labels() -> Labels {
+        Labels::new("Path", "to solar west, arcsec", "to solar north, arcsec")
+    }
+
+    fn passage(n: u32, at: (f64, f64)) -> Passage {
+        Passage {
+            unix_s: 1_379_786_400.0 + f64::from(n) * 0.1,
+            at,
+            is_valid: true,
+        }
+    }
+
+    /// The x of every point of each path of a colour, or of a width, in the order in which they are drawn.
+    fn across(svg: &str, stroke: &str) -> Vec<Vec<f64>> {
+        let drawn = svg.lines().filter(|line| line.contains(stroke));
+        let across = |line: &str| {
+            let path = line.split('"').nth(1).unwrap();
+            let points = path
+                .split(['M', 'L'])
+                .filter_map(|point| point.split(' ').next());
+            points.filter_map(|x| x.parse().ok()).collect()
+        };
+        drawn.map(across).collect()
+    }
+
+    #[test]
+    fn later_places_have_other_colours_and_west_is_to_the_right() {
+        let ground = Ground::about_zero(100.0);
+        let path: Vec<Passage> = (0..100)
+            .map(|n| passage(n, (f64::from(n) - 50.0, 0.0)))
+            .collect();
+        let svg = path_map(&labels(), &ground, &path, None).unwrap();
+        let pieces = across(&svg, "stroke-width=\"2\"");
+        assert!(pieces.len() > 50, "{}", pieces.len());
+        assert!(pieces.is_sorted_by(|a, b| a[0] < b[0]), "{pieces:?}");
+        for text in [
+            ">18:00:00<",
+            ">2013-09-21<",
+            ">UTC<",
+            "to solar west, arcsec",
+        ] {
+            assert!(svg.contains(text), "{text}");
+        }
+        assert!(!svg.contains("NaN") && !svg.contains("not valid"));
+        assert!(path_map(&labels(), &ground, &[], None).is_err());
+    }
+
+    #[test]
+    fn what_is_not_valid_is_grey_and_lines_end_at_the_panel() {
+        let limb: Line = (0..=36)
+            .map(|n| (f64::from(n) * 10.0).to_radians().sin_cos())
+            .map(|(sin, cos)| (500.0 * cos, 500.0 * sin))
+            .collect();
+        let ground = Ground {
+            outline: limb,
+            target: vec![(3.0, 4.0)],
+            ..Ground::over(400.0..600.0, -100.0..100.0)
+        };
+        let slew = |n: u32| Passage {
+            is_valid: n < 50,
+            ..passage(n, (f64::from(n) * 10.0, 0.0))
+        };
+        let path: Vec<Passage> = (0..100).map(slew).collect();
+        let svg = path_map(&labels(), &ground, &path, None).unwrap();
+        assert!(svg.contains("not valid") && !svg.contains(">target<"));
+        let grey = across(&svg, &format!("stroke=\"{INVALID}\" stroke-width=\"2\"")).concat();
+        assert!(grey.iter().all(|x| (78.0..=600.0).contains(x)), "{grey:?}");
+        let limb = across(&svg, "#b5761c").concat();
+        assert!(!limb.is_empty() && limb.iter().all(|x| (78.0..=600.0).contains(x)));
+    }
+
+    #[test]
+    fn an_ellipse_that_does_not_show_is_said() {
+        let ground = Ground::about_zero(100.0);
+        let drawn = |size: f64| {
+            let ellipse = Ellipse {
+                name: "1 sigma".into(),
+                semi_axes: [size, size / 2.0],
+                turn_rad: 0.3,
+            };
+            path_map(
+                &labels(),
+                &ground,
+                &[passage(0, (0.0, 0.0))],
+                Some(&ellipse),
+            )
+            .unwrap()
+        };
+        assert!(drawn(0.1).contains("1 sigma: too small to show"));
+        assert!(drawn(5.0).contains("1 sigma (lower left)"));
+    }
+
+    #[test]
+    fn a_day_of_swings_at_ten_hertz_stays_small() {
+        let swing = |period_s: f64, n: u32| (f64::from(n) * 0.628 / period_s).sin();
+        let path: Vec<Passage> = (0..864_000)
+            .map(|n| {
+                let drift = 300.0 * swing(80_000.0, n);
+                let at = (drift + 60.0 * swing(9.1, n), 40.0 * swing(5.3, n));
+                passage(n, at)
+            })
+            .collect();
+        for reach in [1100.0, 400.0] {
+            let svg = path_map(&labels(), &Ground::about_zero(reach), &path, None).unwrap();
+            assert!(svg.len() < 1_000_000, "{reach}: {}", svg.len());
+        }
+    }
+}
