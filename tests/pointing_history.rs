@@ -302,6 +302,43 @@ fn gyros_sun_and_horizon_agree_on_a_gondola_that_swings() {
 }
 
 #[test]
+fn the_report_shows_the_pointing_and_the_time_near_the_target_is_that_of_the_table() {
+    let (_, out) = flight();
+    let table = Columns::read(out, "POINTING");
+    let [x, y] = ["HPLN", "HPLT"].map(|name| table.floats(name));
+    let valid: Vec<usize> = (0..x.len())
+        .filter(|n| table.texts("INVALID")[*n].is_empty())
+        .collect();
+    // The target is the disc's centre.
+    let mut far: Vec<f64> = valid.iter().map(|n| x[*n].hypot(y[*n])).collect();
+    far.sort_by(f64::total_cmp);
+    let within_s = |limit: f64| far.partition_point(|far| *far <= limit) as f64 / 10.0;
+    let found = &summary(out)["on_target"];
+    for (key, truth) in [
+        ("valid_s", valid.len() as f64 / 10.0),
+        ("within_20_arcsec_s", within_s(20.0)),
+        ("within_60_arcsec_s", within_s(60.0)),
+        ("median_arcsec", far[far.len() / 2]),
+    ] {
+        let found = found[key].as_f64().unwrap();
+        assert!(
+            (found - truth).abs() < 0.01 * truth + 1e-9,
+            "{key}: {found} {truth}"
+        );
+    }
+    let page = fs::read_to_string(out.join("report.html")).unwrap();
+    for text in [
+        "Where the telescope pointed on the Sun",
+        "The boresight on the Sun",
+        "Dwell in squares of",
+        "Distance from the target",
+        "<td>1 arcmin</td>",
+    ] {
+        assert!(page.contains(text), "{text}");
+    }
+}
+
+#[test]
 fn a_horizon_that_contradicts_the_gyros_is_a_finding_and_such_a_pointing_is_not_valid() {
     let (root, _) = flight();
     let out = temporary();

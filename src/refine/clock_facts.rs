@@ -4,6 +4,9 @@ use super::clock::ClockStep;
 use crate::units::Measured;
 use serde::Serialize;
 
+/// Of a smaller drift no number is given, parts in a million.
+const LEAST_PPM: f64 = 0.001;
+
 /// What the computer's clock did in a flight.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ClockFacts {
@@ -19,9 +22,11 @@ impl ClockFacts {
     /// What people should know of it: name and value.
     pub fn lines(&self) -> impl Iterator<Item = [String; 2]> {
         let drift = self.drift_ppm.map(|Measured { value, sigma }| {
-            // No "-0.000".
-            let drift = (value * 1e3).round() / 1e3 + 0.0;
-            let value = format!("{drift:.3} \u{b1} {sigma:.3} parts in a million");
+            let least = value.abs() + 2.0 * sigma < LEAST_PPM;
+            let value = match least {
+                true => format!("less than {LEAST_PPM} parts in a million"),
+                false => format!("{value:.3} \u{b1} {sigma:.3} parts in a million"),
+            };
             ["UTC gains on the monotonic clock".into(), value]
         });
         let step = |ClockStep { frame, step_s }: &ClockStep<String>| {
@@ -30,5 +35,23 @@ impl ClockFacts {
             ["step of UTC".into(), value]
         };
         drift.into_iter().chain(self.steps.iter().map(step))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drift_that_cannot_be_told_from_none_has_no_number() {
+        let line = |value: f64, sigma: f64| {
+            let facts = ClockFacts {
+                drift_ppm: Some(Measured::new(value, sigma)),
+                ..ClockFacts::default()
+            };
+            facts.lines().next().unwrap()[1].clone()
+        };
+        assert_eq!(line(-2e-12, 0.0), "less than 0.001 parts in a million");
+        assert_eq!(line(-0.25, 0.01), "-0.250 \u{b1} 0.010 parts in a million");
     }
 }

@@ -92,7 +92,6 @@ impl RadiusDependence {
 
     /// For people.
     pub fn text(&self) -> String {
-        let ppm = |m: &Measured| format!("{:+.1} \u{b1} {:.1}", 1e6 * m.value, 1e6 * m.sigma);
         match self {
             Self::NoTemperature => {
                 "not determined: the headers hold no temperature of the camera that changes".into()
@@ -100,13 +99,19 @@ impl RadiusDependence {
             Self::TooFewDiscs { found, least } => {
                 format!("not determined: expected at least {least} whole discs, found {found}")
             }
-            Self::Insignificant { per_degc } => format!(
-                "not determined: {} parts in a million per degC do not explain the radius",
-                ppm(per_degc)
+            Self::Insignificant {
+                per_degc: Measured { value, sigma },
+            } => format!(
+                "not determined: less than {:.1} parts in a million per degC",
+                1e6 * (value.abs() + SIGNIFICANT * sigma)
             ),
-            Self::Linear { per_degc } => {
-                format!("{} parts in a million per degC", ppm(per_degc))
-            }
+            Self::Linear {
+                per_degc: Measured { value, sigma },
+            } => format!(
+                "{:+.1} \u{b1} {:.1} parts in a million per degC",
+                1e6 * value,
+                1e6 * sigma
+            ),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! What a page shows of an attitude.
 
 use super::Counts;
+use crate::clock::utc_microseconds;
 use crate::navigation::{NavigationSettings, SensorErrors, Source, Status, Summary, Verdict};
 use crate::report::html::Page;
 use crate::report::plot::{Labels, Series, series};
@@ -25,7 +26,7 @@ pub fn add_attitude(
     page.table(&["status", "rows"], &Status::ALL.map(row));
     let clock = Clock::of(settings);
     sigmas(page, clock, summary)?;
-    gaps(page, summary);
+    gaps(page, clock, summary);
     innovations(page, clock, settings, summary)?;
     sensors(page, clock, settings, &summary.errors)
 }
@@ -56,6 +57,18 @@ impl Clock {
     fn at(self, t_s: f64) -> f64 {
         self.epoch_unix_s.unwrap_or(0.0) + t_s
     }
+
+    /// What a table says of its times.
+    fn unit(self) -> &'static str {
+        self.epoch_unix_s.map_or("s", |_| "UTC")
+    }
+
+    /// A time in a table.
+    fn text(self, t_s: f64) -> String {
+        let utc =
+            || Timestamp::from_microsecond(((self.epoch_unix_s? + t_s) * 1e6).round() as i64).ok();
+        utc().map_or_else(|| format!("{t_s:.2}"), utc_microseconds)
+    }
 }
 
 fn sigmas(page: &mut Page, clock: Clock, summary: &Summary) -> anyhow::Result<()> {
@@ -75,7 +88,7 @@ fn sigmas(page: &mut Page, clock: Clock, summary: &Summary) -> anyhow::Result<()
     Ok(())
 }
 
-fn gaps(page: &mut Page, summary: &Summary) {
+fn gaps(page: &mut Page, clock: Clock, summary: &Summary) {
     page.heading("Gaps");
     if summary.gaps.is_empty() {
         return page.note("Directions were never missing for longer than 10 s.");
@@ -84,12 +97,12 @@ fn gaps(page: &mut Page, summary: &Summary) {
         .gaps
         .iter()
         .map(|(from_s, to_s)| {
-            [*from_s, *to_s, to_s - from_s]
-                .map(|s| format!("{s:.2}"))
-                .into()
+            let without_s = format!("{:.2}", to_s - from_s);
+            vec![clock.text(*from_s), clock.text(*to_s), without_s]
         })
         .collect();
-    page.table(&["last direction, s", "next one, s", "without, s"], &rows);
+    let [last, next] = ["last direction", "next one"].map(|of| format!("{of}, {}", clock.unit()));
+    page.table(&[&last, &next, "without, s"], &rows);
 }
 
 fn innovations(
@@ -113,11 +126,12 @@ fn innovations(
         let axes = taken().map(|one| one.axes.len()).sum::<usize>() as f64;
         let squares: f64 = taken().map(|one| one.chi2).sum();
         let name = name(settings, source);
+        let per_axis = (axes > 0.0).then(|| format!("{:.3}", squares / axes));
         rows.push(vec![
             name.clone(),
             taken().count().to_string(),
             (own().count() - taken().count()).to_string(),
-            format!("{:.3}", squares / axes.max(1.0)),
+            per_axis.unwrap_or("not known".into()),
         ]);
         let dots = |axis: usize| {
             let points = taken().filter_map(|one| {
@@ -219,4 +233,30 @@ fn sensors(
         page.figure(&series(&clock.labels(name, unit), &drawn)?, "");
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_in_utc_where_the_epoch_is_known() {
+        let summary = Summary {
+            gaps: vec![(1_379_786_400.0, 1_379_786_412.5)],
+            ..Summary::default()
+        };
+        let shown = |epoch_unix_s| {
+            let mut page = Page::default();
+            gaps(&mut page, Clock { epoch_unix_s }, &summary);
+            page.finish("")
+        };
+        let known = shown(Some(0.0));
+        for text in [
+            "<td>2013-09-21T18:00:00.000000Z</td><td>2013-09-21T18:00:12.500000Z</td><td>12.50</td>",
+            "last direction, UTC",
+        ] {
+            assert!(known.contains(text), "{known}");
+        }
+        assert!(shown(None).contains("last direction, s"));
+    }
 }
