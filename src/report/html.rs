@@ -22,7 +22,7 @@ figure.plot{display:block;margin:1em 0}.note{color:#555}\
 pre{background:#f5f5f5;padding:1em;white-space:pre-wrap;overflow-wrap:anywhere}\
 @page{size:A4;margin:15mm}\
 @media print{body{max-width:none;margin:0;padding:0;font-size:9.5pt}h2,thead{break-after:avoid}figure,tr{break-inside:avoid}\
-figure.plot svg{max-height:120mm}td,th{padding:.15em .4em}pre{font-size:8pt}.note,figcaption{color:#222}}";
+figure.plot svg{max-height:105mm}td,th{padding:.15em .4em}pre{font-size:8pt}.note,figcaption{color:#222}}";
 
 /// A text as it may stand in a page.
 fn escaped(text: &str) -> String {
