@@ -343,8 +343,8 @@ impl Part<'_> {
         self.page
             .table(&["part", "1 sigma per axis, arcsec, median"], &rows);
         let series = [
-            usual(self.dots("refined", all)),
-            usual(self.dots("of the mapping", part(1))),
+            self.dots("refined", all).up_to_five_medians(),
+            self.dots("of the mapping", part(1)).up_to_five_medians(),
         ];
         let title = "Stated uncertainty, up to five times the median";
         let labels = Labels::over_utc(title, "1 sigma per axis, arcsec");
@@ -405,15 +405,6 @@ impl Part<'_> {
             self.figure(compared.figure());
         }
     }
-}
-
-/// Without what is more than so many times the median, which would flatten the rest.
-fn usual(mut series: Series) -> Series {
-    const MOST_MEDIANS: f64 = 5.0;
-    let middle = median(series.points.iter().map(|(_, value)| value));
-    let most = middle.unwrap_or(0.0) * MOST_MEDIANS;
-    series.points.retain(|(_, value)| *value <= most);
-    series
 }
 
 /// A frame, small and stretched to its brightest pixel; none where it cannot be read.

@@ -78,10 +78,10 @@ fn sigmas(page: &mut Page, clock: Clock, summary: &Summary) -> anyhow::Result<()
         let point = move |(t_s, sigma): &(f64, Vector3<f64>)| {
             (clock.at(*t_s), sigma[axis] * ARCSEC_PER_RAD)
         };
-        Series::line(AXES[axis], sigmas.iter().map(point))
+        Series::line(AXES[axis], sigmas.iter().map(point)).up_to_five_medians()
     };
     if !sigmas.is_empty() {
-        let title = "1 sigma about the axes of ECEF, by the measurements up to each time";
+        let title = "1 sigma about the axes of ECEF, by the measurements up to each time, up to five times the median";
         let drawn = [0, 1, 2].map(along);
         page.figure(&series(&clock.labels(title, "arcsec"), &drawn)?, "");
     }

@@ -4,6 +4,7 @@ use super::axis::{Axis, extent};
 use super::labels::{Horizontal, Labels, PlotError};
 use super::sheet::{DOT_PX, Entry, Sheet, Stroke, Swatch, hue};
 use super::thin::{Column, columns, distinct, runs};
+use crate::estimation::median;
 use std::ops::Range;
 
 /// How a series is drawn.
@@ -64,6 +65,14 @@ impl Series {
             hue: Some(n),
             ..self
         }
+    }
+
+    /// Without what is more than five times the median, which would flatten the rest.
+    pub fn up_to_five_medians(mut self) -> Self {
+        let middle = median(self.points.iter().map(|(_, value)| value));
+        let most = 5.0 * middle.unwrap_or(0.0);
+        self.points.retain(|(_, value)| *value <= most);
+        self
     }
 }
 
