@@ -181,11 +181,10 @@ impl TargetWay {
     ) -> Option<HelioprojectiveArcsec> {
         let minute = (unix_s / TARGET_EVERY_S).floor();
         if self.minute.replace(minute) != Some(minute) {
-            self.now = match target {
-                Target::Fixed(place) => Some(*place),
-                Target::Feature(feature) => utc((minute + 0.5) * TARGET_EVERY_S)
-                    .and_then(|utc| feature.at(utc, &ephemeris.disc(utc).ok()?).ok()),
-            };
+            self.now = utc((minute + 0.5) * TARGET_EVERY_S).and_then(|utc| {
+                let disc = ephemeris.disc(utc).ok()?;
+                target.on_disc(utc, &disc).ok()
+            });
             if self.places.last() != self.now.as_ref() {
                 self.places.extend(self.now);
             }
