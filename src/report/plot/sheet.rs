@@ -352,6 +352,9 @@ impl Sheet {
         for tick in self.x.ticks(across) {
             let (x, _) = self.place((tick.at, self.y.low));
             self.line(&[(x, top), (x, bottom)], grid);
+            // A label at the panel's end is not cut.
+            let half_px = LETTER_PX * tick.label.chars().count() as f64 / 2.0;
+            let x = x.min(self.size.0 - half_px);
             self.text((x, bottom + 16.0), Anchor::Middle, &tick.label);
             if let Some(date) = tick.date {
                 self.text((x, bottom + 31.0), Anchor::Middle, &date);
