@@ -4,9 +4,11 @@
 use crate::fits::{Card, CellForm, FileError, Problem, StoredColumn, StoredRow, TableFile};
 use crate::provenance;
 use std::borrow::{Borrow, Cow};
-use std::fs::{self, File};
+use std::fs::{self, File, Permissions};
 use std::io::{self, BufWriter};
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+use tempfile::NamedTempFile;
 
 /// A column: its values are of one type, whatever a row holds, and whether there is one.
 pub struct Column<T> {
@@ -232,6 +234,26 @@ pub fn whole(
         fs::rename(&part, path)
     };
     make().map_err(|cause| refused(path, cause))
+}
+
+/// The folder that a path is in.
+pub fn folder_of(path: &Path) -> &Path {
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    folder.unwrap_or(Path::new("."))
+}
+
+/// A file beside another, which it becomes when it is whole; until then it goes with the run.
+///
+/// # Errors
+/// A folder that takes no file.
+pub fn part_beside(path: &Path) -> io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    let builder = builder.prefix(".solaspect-").suffix(".part");
+    // As of any new file: the umask takes its share.
+    let builder = builder.permissions(Permissions::from_mode(0o666));
+    builder.tempfile_in(folder_of(path))
 }
 
 /// That a file could not be written.

@@ -8,16 +8,16 @@ use super::list::EventList;
 use super::photons::PHOTON_COLUMNS;
 use super::times;
 use super::{EventsError, Exposure, Files, Placed};
-use crate::columns::{self, Widths};
+use crate::columns::{self, Widths, folder_of, part_beside};
 use crate::fits::{
     AmendedTable, Card, CellForm, DiskHdu, FileError, Problem, StoredColumn, StoredRow, keyword,
 };
 use crate::observe::Watch;
 use crate::pointing_history::{POINTING_FILE, PointingHistory};
 use crate::provenance::LONG_VERSION;
-use std::fs::{self, Permissions};
+use std::fs;
 use std::io::{BufWriter, Write};
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use tempfile::NamedTempFile;
 
@@ -84,27 +84,10 @@ fn refuse_overwriting(files: &Files<'_>) -> Result<(), EventsError> {
     }
 }
 
-fn folder_of(path: &Path) -> &Path {
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
-    folder.unwrap_or(Path::new("."))
-}
-
 /// The folder that takes what is in the making: there is room for what will be written.
 fn scratch<'a>(files: &Files<'a>) -> &'a Path {
     let image = files.image.map(|image| image.path.as_path());
     folder_of(files.out.or(image).unwrap_or(files.events))
-}
-
-/// A file beside another, which it becomes when it is whole; until then it goes with the run.
-fn part_beside(path: &Path) -> Result<NamedTempFile, FileError> {
-    let mut builder = tempfile::Builder::new();
-    let builder = builder.prefix(".events-").suffix(".part");
-    // As of any new file: the umask takes its share.
-    let builder = builder.permissions(Permissions::from_mode(0o666));
-    let part = builder.tempfile_in(folder_of(path));
-    part.map_err(|cause| columns::refused(path, cause))
 }
 
 /// A file that is written through, but has not its name yet.
@@ -113,7 +96,7 @@ fn written(
     write: impl FnOnce(&mut BufWriter<fs::File>) -> Result<(), EventsError>,
 ) -> Result<NamedTempFile, EventsError> {
     let unwritten = |cause| columns::refused(path, cause);
-    let part = part_beside(path)?;
+    let part = part_beside(path).map_err(unwritten)?;
     let file = part.as_file().try_clone().map_err(unwritten)?;
     let mut file = BufWriter::with_capacity(1 << 20, file);
     write(&mut file)?;

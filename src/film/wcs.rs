@@ -181,7 +181,7 @@ mod tests {
         others.chain(more).copied().collect()
     }
 
-    /// Pixels, counted from 0, with their places by astropy 7's `WCS.wcs_pix2world`, arcsec.
+    /// Pixels, counted from 0, with their places by astropy 8.0.2's `WCS.wcs_pix2world`, arcsec.
     type Places = [([f64; 2], [f64; 2]); 3];
 
     #[track_caller]

@@ -3,13 +3,12 @@
 //! In GIF and APNG a pixel that is as in the picture before is transparent: few bytes tell what moves.
 
 use super::form::{Destination, Form};
-use crate::columns::refused;
+use crate::columns::{folder_of, part_beside, refused};
 use crate::fits::FileError;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{Rgb, RgbImage};
-use std::fs::{self, File, Permissions};
+use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use tempfile::{NamedTempFile, TempDir};
 
@@ -78,27 +77,10 @@ impl Writer {
     }
 }
 
-/// The folder that a path is in, made if missing.
-fn folder_of(path: &Path) -> io::Result<&Path> {
-    let folder = path.parent();
-    let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
-    let folder = folder.unwrap_or(Path::new("."));
-    fs::create_dir_all(folder)?;
-    Ok(folder)
-}
-
-fn part() -> tempfile::Builder<'static, 'static> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".film-").suffix(".part");
-    builder
-}
-
 /// A file that becomes the film.
-fn part_beside(path: &Path) -> io::Result<(NamedTempFile, BufWriter<File>)> {
-    let mut builder = part();
-    // As of any new file: the umask takes its share.
-    let builder = builder.permissions(Permissions::from_mode(0o666));
-    let part = builder.tempfile_in(folder_of(path)?)?;
+fn part_of(path: &Path) -> io::Result<(NamedTempFile, BufWriter<File>)> {
+    fs::create_dir_all(folder_of(path))?;
+    let part = part_beside(path)?;
     let file = BufWriter::with_capacity(1 << 16, part.as_file().try_clone()?);
     Ok((part, file))
 }
@@ -117,7 +99,12 @@ struct Folder {
 
 impl Folder {
     fn begin(path: &Path) -> io::Result<Self> {
-        let part = part().tempdir_in(folder_of(path)?)?;
+        let folder = folder_of(path);
+        fs::create_dir_all(folder)?;
+        let part = tempfile::Builder::new()
+            .prefix(".film-")
+            .suffix(".part")
+            .tempdir_in(folder)?;
         Ok(Self { part, pictures: 0 })
     }
 
@@ -175,7 +162,7 @@ struct Gif {
 
 impl Gif {
     fn begin(path: &Path, (width, height): (u32, u32)) -> io::Result<Self> {
-        let (part, file) = part_beside(path)?;
+        let (part, file) = part_of(path)?;
         let size_px = [width as u16, height as u16];
         let encoder = gif::Encoder::new(file, size_px[0], size_px[1], &palette());
         let mut encoder = encoder.map_err(io::Error::other)?;
@@ -245,7 +232,7 @@ struct Apng {
 
 impl Apng {
     fn begin(path: &Path, (width, height): (u32, u32), pictures: usize) -> io::Result<Self> {
-        let (part, file) = part_beside(path)?;
+        let (part, file) = part_of(path)?;
         let mut encoder = png::Encoder::new(file, width, height);
         encoder.set_color(png::ColorType::Rgba);
         encoder.set_depth(png::BitDepth::Eight);
