@@ -56,7 +56,7 @@ struct ImageArgs {
     #[arg(long, value_name = "NAME", requires_all = ["image", "range"])]
     energy_column: Option<String>,
     /// Count only photons whose energy is from A to B, both included, in the column's unit
-    #[arg(long, value_name = "A,B", requires = "energy_column", value_parser = parse_pair, allow_hyphen_values = true)]
+    #[arg(long, value_name = "A,B", requires = "energy_column", value_parser = parse_range, allow_hyphen_values = true)]
     range: Option<Pair>,
 }
 
@@ -74,6 +74,17 @@ fn parse_pair(text: &str) -> Result<Pair, String> {
     let pair = text.split_once(',');
     let pair = pair.and_then(|(a, b)| Some(Pair([number(a)?, number(b)?])));
     pair.ok_or_else(|| format!("expected two numbers with a comma, such as 0,10, found \"{text}\""))
+}
+
+fn parse_range(text: &str) -> Result<Pair, String> {
+    let range = parse_pair(text)?;
+    let [low, high] = range.0;
+    match low <= high {
+        true => Ok(range),
+        false => Err(format!(
+            "expected the smaller number first, found \"{text}\""
+        )),
+    }
 }
 
 fn parse_pixel(text: &str) -> Result<f64, String> {

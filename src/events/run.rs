@@ -10,7 +10,8 @@ use super::times;
 use super::{EventsError, Exposure, Files, Placed};
 use crate::columns::{self, Widths, folder_of, part_beside};
 use crate::fits::{
-    AmendedTable, Card, CellForm, DiskHdu, FileError, Problem, StoredColumn, StoredRow, keyword,
+    AmendedTable, Card, CellForm, DiskHdu, FileError, Header, Problem, StoredColumn, StoredRow,
+    keyword,
 };
 use crate::observe::Watch;
 use crate::pointing_history::{POINTING_FILE, PointingHistory};
@@ -142,9 +143,9 @@ impl Run<'_> {
         let picture = self.files.image.map(|request| self.picture(request, &good));
         let mut picture = picture.transpose()?;
         tables.push(self.place(picture.as_mut())?);
-        let new = match tables.len() {
-            1 => Some(self.good_times()?),
-            _ => None,
+        let new = match good.is_empty() {
+            true => Some(self.good_times()?),
+            false => None,
         };
         let new_good = new.as_ref().map(|(_, good)| good);
         let image = picture.map(|picture| self.image(picture, new_good, &lines));
@@ -176,6 +177,14 @@ impl Run<'_> {
         problem.within(&hdu.name()).in_file(self.files.events)
     }
 
+    /// The part of the time in which a detector was not dead; only an image needs it.
+    fn live_fraction(&self, headers: &[&Header]) -> Result<f64, Problem> {
+        match self.files.image {
+            Some(_) => live_fraction(headers),
+            None => Ok(1.0),
+        }
+    }
+
     /// The tables of good time intervals, cut to those with a valid pointing.
     fn cut_good_times(&mut self) -> Result<(Vec<Amended>, Vec<Good>), FileError> {
         let (mut tables, mut all) = (Vec::new(), Vec::new());
@@ -188,7 +197,7 @@ impl Run<'_> {
             let headers = [&hdu.header, &list.hdu().header, &list.primary().header];
             let read = || {
                 let times = GoodTimes::of(hdu, list.primary(), list.counted)?;
-                Ok((times, live_fraction(&headers)?))
+                Ok((times, self.live_fraction(&headers)?))
             };
             let (times, part) = read().map_err(|problem| self.within(hdu, problem))?;
             let cut = times.intersect(&mut table, &self.valid)?;
@@ -212,8 +221,15 @@ impl Run<'_> {
     ) -> Result<Picture<'b>, FileError> {
         let of_detectors = |problem: Problem| problem.in_file(self.files.detectors);
         let photons = self.list.hdu();
-        let stated = self.list.measured.stated_field(photons);
-        let stated = stated.map_err(|problem| self.within(photons, problem))?;
+        let stated = || self.list.measured.stated_field(photons);
+        let is_needed = self
+            .detectors
+            .iter()
+            .any(|detector| detector.field.is_none());
+        let stated = is_needed.then(stated).transpose();
+        let stated = stated
+            .map_err(|problem| self.within(photons, problem))?
+            .flatten();
         let field = |(n, detector): (usize, &Detector)| {
             detector.field.or(stated).ok_or_else(|| {
                 let expected = "[[low, high] of x, [low, high] of y], or TLMINn and TLMAXn of the columns x and y of the photons' table";
@@ -281,7 +297,7 @@ impl Run<'_> {
         let (list, counted) = (self.list, self.list.counted);
         let photons = list.hdu();
         let headers = [&photons.header, &list.primary().header];
-        let read = || Ok((list.stated_span()?, live_fraction(&headers)?));
+        let read = || Ok((list.stated_span()?, self.live_fraction(&headers)?));
         let (stated, part) = read().map_err(|problem| self.within(photons, problem))?;
         let span = stated.or(self.span).unwrap_or([0.0, 0.0]);
         let parts: Vec<[f64; 2]> = common(span, &self.valid).collect();
