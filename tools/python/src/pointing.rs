@@ -2,11 +2,11 @@
 
 use crate::errors::Failure;
 use crate::numbers::{Pairs, pairs, rows};
+use jiff::Timestamp;
 use nalgebra::Matrix3;
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use jiff::Timestamp;
 use solaspect::pointing::HelioprojectiveArcsec;
 use solaspect::pointing_history::{self, Limits, Pointed, Sight};
 use solaspect::report;
@@ -43,7 +43,11 @@ impl PointingHistory {
     /// The Sun's limb, (n, 2), and its heliographic circles so many degrees apart, a list of such lines, as they are seen at a time, s since
     /// 1970: arcsec to solar west and north.
     #[staticmethod]
-    fn graticule<'py>(py: Python<'py>, unix_s: f64, apart_deg: u32) -> PyResult<(Pairs<'py>, Vec<Pairs<'py>>)> {
+    fn graticule<'py>(
+        py: Python<'py>,
+        unix_s: f64,
+        apart_deg: u32,
+    ) -> PyResult<(Pairs<'py>, Vec<Pairs<'py>>)> {
         let utc = Timestamp::from_nanosecond((unix_s * 1e9) as i128).map_err(anyhow::Error::from);
         let utc = utc.map_err(Failure::from)?;
         let disc = Ephemeris::default().disc(utc).map_err(anyhow::Error::from);
@@ -51,7 +55,9 @@ impl PointingHistory {
         let line = |places: Vec<HelioprojectiveArcsec>| {
             pairs(py, places.into_iter().map(|at| [at.x, at.y]))
         };
-        let lines = report::graticule(&disc, apart_deg.max(1)).into_iter().map(line);
+        let lines = report::graticule(&disc, apart_deg.max(1))
+            .into_iter()
+            .map(line);
         Ok((line(report::limb(&disc))?, lines.collect::<PyResult<_>>()?))
     }
 
