@@ -78,7 +78,7 @@ pub trait Frames: Sync {
 /// Of what a film is made.
 pub struct Flight<'a> {
     pub title: String,
-    /// What tells its camera from others; none of a single one.
+    /// The name that sets its camera apart; none of a single one.
     pub label: Option<&'a str>,
     pub pointing: &'a PointingHistory,
     pub target: Target,

@@ -1,6 +1,6 @@
 //! Films as files: pictures in a folder, GIF, APNG. What is not whole is not there: pictures go to a part beside, which is renamed at the end.
 //!
-//! In GIF and APNG a pixel that is as in the picture before is transparent: few bytes tell what moves.
+//! In GIF and APNG a pixel that is as in the picture before is transparent: few bytes hold what moves.
 
 use super::form::{Destination, Form};
 use crate::columns::{folder_of, part_beside, refused};

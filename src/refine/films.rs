@@ -10,7 +10,7 @@ use crate::pointing_history::PointingHistory;
 use crate::report::overlay;
 use image::RgbImage;
 
-/// Makes the film of a history; `label` tells its camera from others.
+/// Makes the film of a history; `label` sets its camera apart.
 ///
 /// # Errors
 /// As [`Film::make`].

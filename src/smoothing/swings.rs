@@ -5,7 +5,7 @@
 //! 3. Process noise and swings of greatest likelihood from there, as long as a further swing pays for its three parameters
 //!    (Schwarz 1978).
 //! 4. The damping times that the stretch leaves possible: those that make it no less likely than 2 sigma do. Where a swing without damping is
-//!    among them, its damping time is not determined. A swing that a wind drives tells it within a stretch some four times as long.
+//!    among them, its damping time is not determined. Of a swing that a wind drives it is determined within a stretch some four times as long.
 
 use super::process::{Axis, MOST_SWINGS, Moments, Swing};
 use super::{Damping, Moment, SharedErrors};

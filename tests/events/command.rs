@@ -1,7 +1,7 @@
 //! What the command prints, and how fast it is.
 
 use super::flight::troubled;
-use super::image_wishes::WITH_FIELD;
+use super::image_options::WITH_FIELD;
 use super::lists::*;
 use solaspect::events::{Files, place_photons};
 use std::fs;

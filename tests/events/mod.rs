@@ -6,7 +6,7 @@ mod command;
 mod copies;
 mod flight;
 pub mod image;
-mod image_wishes;
+mod image_options;
 mod intervals;
 pub mod lists;
 mod mistakes;

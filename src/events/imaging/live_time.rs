@@ -5,7 +5,7 @@ use crate::events::detectors::FromBoresight;
 use crate::pointing_history::PointingHistory;
 use nalgebra::Vector3;
 
-/// Pieces of time no longer than this are looked at, s: swings take seconds.
+/// The field is evaluated at the ends of pieces no longer than this, s: swings take seconds.
 const PIECE_S: f64 = 0.1;
 /// In each part of a piece the field moves no further, px.
 const STEP_PX: f64 = 0.5;

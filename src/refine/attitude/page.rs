@@ -112,7 +112,10 @@ fn innovations(
     summary: &Summary,
 ) -> anyhow::Result<()> {
     page.heading("Innovations");
-    page.note("Measured less predicted, over the 1 sigma that was expected; 3 sigma hold 99.7 % of good ones.");
+    page.note(
+        "Measured less predicted, in units of the 1 sigma that was expected; of each axis what the axes before it do not say. 3 sigma hold 99.7 % of \
+         good ones.",
+    );
     let sources: BTreeSet<Source> = summary.innovations.iter().map(|one| one.source).collect();
     let mut rows = Vec::new();
     for source in sources {
@@ -135,8 +138,9 @@ fn innovations(
         ]);
         let dots = |axis: usize| {
             let points = taken().filter_map(|one| {
-                let (residual, sigma) = one.axes.get(axis)?;
-                Some((clock.at(one.t_s), residual / sigma))
+                // Over its own sigma an axis says nothing where another that it hangs together with is unknown, such as a receiver's climb.
+                let whitened = one.whitened.get(axis)?;
+                Some((clock.at(one.t_s), *whitened))
             });
             Series::dots(AXES[axis], points)
         };
@@ -173,11 +177,7 @@ fn name(settings: &NavigationSettings, source: Source) -> String {
         Source::Position => "GPS position".into(),
         Source::Velocity => "GPS velocity".into(),
         Source::Sighting { camera, target } => {
-            format!(
-                "{} in camera {}",
-                target.name(),
-                settings.cameras[camera].name
-            )
+            format!("{} ({})", target.name(), settings.cameras[camera].name)
         }
     }
 }

@@ -103,7 +103,7 @@ impl Ground {
         let ends = way.first().into_iter().chain(way.last());
         let ends: Vec<(f64, f64)> = ends.map(|at| sheet.place(*at)).collect();
         let way: Vec<(f64, f64)> = way.iter().map(|at| sheet.place(*at)).collect();
-        // White beside the black tells it from dark paths.
+        // White beside the black sets it apart from dark paths.
         for stroke in [
             Stroke::solid("#ffffff", 4.0).pale(0.8),
             Stroke::solid(TARGET, 1.6),

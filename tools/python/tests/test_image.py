@@ -62,8 +62,8 @@ def photons(refined, radius, tmp_path_factory):
 
 @pytest.fixture
 def image(refined, photons):
-    def make(**wishes):
-        return solaspect.image(photons / "events.fits", refined, detectors=photons / "detectors.toml", pixel=PIXEL, **wishes)
+    def make(**options):
+        return solaspect.image(photons / "events.fits", refined, detectors=photons / "detectors.toml", pixel=PIXEL, **options)
 
     return make
 

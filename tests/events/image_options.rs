@@ -1,4 +1,4 @@
-//! What an image counts where, by what is wished of it; and what is refused.
+//! What an image counts where, by its options; and what is refused.
 
 use super::flight::{ARCSEC, SECONDS, START_S, attitude, troubled, truth_arcsec};
 use super::lists::Key::{Number, Whole};
