@@ -3,7 +3,7 @@
 
 use super::detectors::{Detector, Detectors};
 use super::good_times::{self, Good, GoodTimes, common, length_s, live_fraction};
-use super::imaging::{ImageRequest, Picture};
+use super::imaging::{Grid, ImageRequest, Picture};
 use super::list::EventList;
 use super::photons::PHOTON_COLUMNS;
 use super::times;
@@ -238,7 +238,9 @@ impl Run<'_> {
         };
         let fields = self.detectors.iter().enumerate().map(field);
         let fields: Vec<_> = fields.collect::<Result<_, _>>().map_err(of_detectors)?;
-        Picture::new(request, &self.detectors, &fields, good).map_err(of_detectors)
+        let grid = Grid::new(request.pixel_arcsec, &request.field);
+        let grid = grid.map_err(|problem| problem.in_file(&request.path))?;
+        Picture::new(request, grid, &self.detectors, &fields, good).map_err(of_detectors)
     }
 
     /// Adds the photons' places to their table, and counts them.

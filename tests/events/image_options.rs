@@ -237,7 +237,7 @@ fn what_makes_no_image_is_refused_and_leaves_no_file() {
         WITH_FIELD,
         &[table.clone(), good()],
         &large,
-        "size of the image: expected 1 to 4096 px a side",
+        "image.fits: size of the image: expected 1 to 4096 px a side",
     );
     let never = good_times("GTI", &[[-100.0, -50.0]]);
     refused(

@@ -4,7 +4,7 @@
 mod grid;
 mod live_time;
 
-pub use grid::Field;
+pub use grid::{Field, Grid};
 
 use super::detectors::Detectors;
 use super::good_times::Good;
@@ -16,7 +16,6 @@ use crate::fits::{
 use crate::geometry::earth::geodetic;
 use crate::pointing_history::PointingHistory;
 use crate::sky::Ephemeris;
-use grid::Grid;
 use jiff::{Timestamp, Unit};
 use live_time::{Corners, LiveTime};
 use std::fmt;
@@ -100,14 +99,14 @@ impl<'a> Picture<'a> {
     /// An image without photons; `fields` are those of the detectors, `good` their good times, where the list has them.
     ///
     /// # Errors
-    /// An image that is too large; good times that do not say of which detector they are.
+    /// Good times that do not say of which detector they are.
     pub fn new(
         request: &'a ImageRequest,
+        grid: Grid,
         detectors: &Detectors,
         fields: &[[[f64; 2]; 2]],
         good: &'a [Good],
     ) -> Result<Self, Problem> {
-        let grid = Grid::new(request.pixel_arcsec, &request.field)?;
         let seen = detectors.iter().zip(fields).map(|(detector, [x, y])| {
             let corners = [[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]];
             Ok(Seen {
