@@ -48,23 +48,20 @@ struct ImageArgs {
     pixel_arcsec: f64,
     /// Middle of the image from the Sun's centre, to solar west and north, arcsec
     #[arg(long, value_name = "X,Y", requires = "image", default_value = "0,0", value_parser = parse_pair, allow_hyphen_values = true)]
-    image_centre: Pair,
+    image_centre: [f64; 2],
     /// Width and height of the image, arcsec
     #[arg(long, value_name = "W,H", requires = "image", default_value = "2400,2400", value_parser = parse_pair)]
-    image_size: Pair,
+    image_size: [f64; 2],
     /// The column of the photons' energy or channel, such as PI or ENERGY
     #[arg(long, value_name = "NAME", requires_all = ["image", "range"])]
     energy_column: Option<String>,
     /// Count only photons whose energy is from A to B, both included, in the column's unit
     #[arg(long, value_name = "A,B", requires = "energy_column", value_parser = parse_range, allow_hyphen_values = true)]
-    range: Option<Pair>,
+    range: Option<[f64; 2]>,
 }
 
 /// Two numbers with a comma between them.
-#[derive(Debug, Clone, Copy)]
-struct Pair([f64; 2]);
-
-fn parse_pair(text: &str) -> Result<Pair, String> {
+fn parse_pair(text: &str) -> Result<[f64; 2], String> {
     let number = |text: &str| {
         text.trim()
             .parse()
@@ -72,15 +69,14 @@ fn parse_pair(text: &str) -> Result<Pair, String> {
             .filter(|number: &f64| number.is_finite())
     };
     let pair = text.split_once(',');
-    let pair = pair.and_then(|(a, b)| Some(Pair([number(a)?, number(b)?])));
+    let pair = pair.and_then(|(a, b)| Some([number(a)?, number(b)?]));
     pair.ok_or_else(|| format!("expected two numbers with a comma, such as 0,10, found \"{text}\""))
 }
 
-fn parse_range(text: &str) -> Result<Pair, String> {
-    let range = parse_pair(text)?;
-    let [low, high] = range.0;
+fn parse_range(text: &str) -> Result<[f64; 2], String> {
+    let [low, high] = parse_pair(text)?;
     match low <= high {
-        true => Ok(range),
+        true => Ok([low, high]),
         false => Err(format!(
             "expected the smaller number first, found \"{text}\""
         )),
@@ -101,10 +97,10 @@ impl ImageArgs {
             path: self.image.clone()?,
             pixel_arcsec: self.pixel_arcsec,
             field: Field {
-                centre_arcsec: self.image_centre.0,
-                size_arcsec: self.image_size.0,
+                centre_arcsec: self.image_centre,
+                size_arcsec: self.image_size,
             },
-            energies: energies.map(|(column, Pair(range))| Energies { column, range }),
+            energies: energies.map(|(column, range)| Energies { column, range }),
         })
     }
 }

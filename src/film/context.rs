@@ -7,8 +7,7 @@ use super::wcs::WorldCoordinates;
 use crate::fits::{FileError, FitsFile, Header, Problem};
 use crate::pointing::HelioprojectiveArcsec;
 use crate::sky::sphere::{direction, separation_rad};
-use crate::sky::{Disc, Ephemeris, SUN_RADIUS_KM};
-use crate::units::ARCSEC_PER_RAD;
+use crate::sky::{Disc, Ephemeris, solar_radius_arcsec};
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector2;
 use std::path::{Path, PathBuf};
@@ -195,10 +194,11 @@ fn radius_arcsec(
     earth: Option<&Disc>,
     aside_deg: Option<f64>,
 ) -> Result<f64, Problem> {
-    let by_distance = |distance_m: f64| (SUN_RADIUS_KM * 1e3 / distance_m).asin() * ARCSEC_PER_RAD;
     let from_earth = earth.map(Disc::radius_arcsec);
     let radius = header.number("RSUN_OBS")?;
-    let distance = header.number("DSUN_OBS")?.map(by_distance);
+    let distance = header
+        .number("DSUN_OBS")?
+        .map(|m| solar_radius_arcsec(m / 1e3));
     let stated = radius.map(|arcsec| ("RSUN_OBS", arcsec));
     let stated = stated.or(distance.map(|arcsec| ("DSUN_OBS", arcsec)));
     match (stated, from_earth) {

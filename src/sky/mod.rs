@@ -132,7 +132,7 @@ pub struct Disc {
 impl Disc {
     /// The Sun's radius from this distance.
     pub fn radius_arcsec(&self) -> f64 {
-        (SUN_RADIUS_KM / (self.distance_au * AU_KM)).asin() * ARCSEC_PER_RAD
+        solar_radius_arcsec(self.distance_au * AU_KM)
     }
 }
 
@@ -314,7 +314,11 @@ fn diurnal_arcsec(observer: &Observer, horizontal: &Vector3<f64>, time_s: f64) -
 }
 
 fn sun_radius_arcsec(earth: &Earth) -> f64 {
-    let distance_km = earth.heliocentric[0].norm() * AU_KM;
+    solar_radius_arcsec(earth.heliocentric[0].norm() * AU_KM)
+}
+
+/// The Sun's angular radius from so far from its centre.
+pub fn solar_radius_arcsec(distance_km: f64) -> f64 {
     (SUN_RADIUS_KM / distance_km).asin() * ARCSEC_PER_RAD
 }
 
