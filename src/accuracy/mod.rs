@@ -51,7 +51,7 @@ pub use moon::{Knowledge, MoonDemand, MoonReport, MoonRow, MoonSummary};
 pub use outcome::{About, Summary};
 pub use program::{AccuracyError, Case, Figures, Program, names};
 pub use recipe::{Recipe, Vary, View};
-pub use report::{MarksReport, Report, RowReport, RunReport};
+pub use report::{MarksReport, Report, ReportedFrame, RowReport, RunReport, frame_columns};
 pub use rows::{
     AccuracyRow, DESIGNS, HORIZON, Ideal, MARKS, MIXED, MOON, MOTION, PLATES, Run, Size, rows, runs,
 };

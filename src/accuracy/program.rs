@@ -266,6 +266,7 @@ impl Program {
             run: run.clone(),
             unmet: summary.unmet(),
             summary,
+            outcomes,
         })
     }
 }

@@ -8,6 +8,7 @@ use super::moon::MoonReport;
 use super::outcome::Summary;
 use super::rows::{AccuracyRow, HORIZON, MARKS, MARKS_ROW, MOON, Run, Size};
 use super::trial::Outcome;
+use crate::columns::{Column, float, integer, text};
 use crate::report::plot::PlotError;
 
 /// What came of a row.
@@ -32,8 +33,54 @@ pub struct MarksReport {
 #[derive(Debug, Clone)]
 pub struct RunReport {
     pub run: Run,
+    pub outcomes: Vec<Outcome>,
     pub summary: MixedSummary,
     pub unmet: Option<String>,
+}
+
+/// A frame of a row or of a run.
+pub type ReportedFrame<'a> = (&'static str, &'a Outcome);
+
+fn plate_error<const AXIS: usize>((_, outcome): &ReportedFrame<'_>) -> Option<f64> {
+    Some(outcome.aspect?.plate_mil[AXIS])
+}
+
+fn plate_sigma<const AXIS: usize>((_, outcome): &ReportedFrame<'_>) -> Option<f64> {
+    Some(outcome.aspect?.covariance_mil2[(AXIS, AXIS)].sqrt())
+}
+
+/// What a table of single frames holds.
+pub fn frame_columns<'a>() -> [Column<ReportedFrame<'a>>; 7] {
+    let of_axis = |name, meaning, value| float(name, "mil", meaning, value);
+    [
+        text("part", "row or run", |(part, _)| (*part).into()),
+        integer("seed", "draws the frame", |(_, o)| {
+            i64::try_from(o.seed).ok()
+        }),
+        text("quality", "of the solution", |(_, o)| {
+            o.quality.name().into()
+        }),
+        of_axis(
+            "x_error",
+            "the Sun's centre, found less true",
+            plate_error::<0>,
+        ),
+        of_axis(
+            "y_error",
+            "the Sun's centre, found less true",
+            plate_error::<1>,
+        ),
+        of_axis(
+            "x_sigma",
+            "1 sigma as the solution states it",
+            plate_sigma::<0>,
+        ),
+        of_axis(
+            "y_sigma",
+            "1 sigma as the solution states it",
+            plate_sigma::<1>,
+        ),
+    ]
 }
 
 /// What came of it all.
@@ -69,6 +116,14 @@ impl Report {
             .chain(moons.map(|u| (MOON, u.as_str())))
             .chain(horizons.map(|u| (HORIZON, u.as_str())))
             .collect()
+    }
+
+    /// Every frame of the rows and runs.
+    pub fn frames(&self) -> impl Iterator<Item = ReportedFrame<'_>> {
+        let rows = self.rows.iter().chain(&self.plates).chain(&self.designs);
+        let rows = rows.flat_map(|r| r.outcomes.iter().map(|o| (r.row.name, o)));
+        let runs = self.runs.iter();
+        rows.chain(runs.flat_map(|r| r.outcomes.iter().map(|o| (r.run.name, o))))
     }
 
     /// Every figure that can be drawn of what was measured: file name and SVG.

@@ -1,8 +1,9 @@
 //! `solaspect accuracy`: how near the truth the pipeline comes, condition by condition.
 
 use super::output::say;
-use crate::accuracy::{Case, Figures, Page, Program, Report, Size, case_text, text};
-use crate::fits::{self, Compression};
+use crate::accuracy::{Case, Figures, Page, Program, Report, Size, case_text, frame_columns, text};
+use crate::columns::write_csv;
+use crate::fits::{self, Compression, FileError};
 use crate::instrument::Instrument;
 use anyhow::Context;
 use clap::Args;
@@ -23,6 +24,9 @@ pub struct AccuracyArgs {
     /// (SVG) into its folder accuracy; `--full --out docs` renews the documentation
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Write a line of CSV for each frame of the rows and runs: quality, error and sigma of the Sun's centre on the plate
+    #[arg(long, value_name = "FILE", conflicts_with = "seed")]
+    frames: Option<PathBuf>,
     /// Only this part: a row's name, "marks", "plates", "designs", "mixed", "motion", "moon" or "horizon"; may be given several times
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
@@ -79,6 +83,10 @@ fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
     let report = program.run(&|| progress.inc(1))?;
     progress.finish_and_clear();
     say(text(&report).trim_end())?;
+    if let Some(path) = &args.frames {
+        let frames = report.frames().map(Ok::<_, FileError>);
+        write_csv(path, &frame_columns(), frames)?;
+    }
     if let Some(folder) = &args.out {
         for page in Page::of(&report) {
             write_page(folder, page, &report, commit.as_deref())?;
