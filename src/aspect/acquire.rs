@@ -10,6 +10,7 @@ use crate::fiducial::{
 use crate::frame::{Frame, Mask};
 use crate::geometry::{Ellipse, Mapping, MappingKind};
 use crate::instrument::Mounting;
+use crate::kernels::limb::Lit;
 use crate::limb::DiscLight;
 use crate::plate::MarkId;
 use crate::reasons::sun;
@@ -263,6 +264,10 @@ fn mirror_images(mounting: &Mounting, [width_px, height_px]: [f64; 2]) -> [Mount
 impl Illumination for DiscLight {
     fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
         self.fill(x, y, light);
+    }
+
+    fn about(&self, position: SensorPx, x: &[f32], y: &[f32], lit: &mut Lit) {
+        self.about(position.vector(), x, y, lit);
     }
 }
 

@@ -237,9 +237,8 @@ pub(crate) fn marks_mask(
             continue;
         };
         let margin_mil = MARK_MARGIN_PX * mapping.scale_mil_per_px(seen);
-        mask.hide_where(seen, reach_px, |at| {
-            shape.covers(to_plate * (at.vector() - seen.vector()), margin_mil)
-        });
+        let covers = shape.covers(margin_mil, &to_plate);
+        mask.hide_where(seen, reach_px, |at| covers(at.vector() - seen.vector()));
     }
     mask
 }

@@ -68,8 +68,9 @@ pub enum FitError {
 const MOST_STEPS: usize = 100;
 /// The scale is held from this step on, so that the weights that depend on it settle.
 const SCALE_STEPS: usize = 25;
-/// A change of the scale by this part is none.
-const SETTLED_SCALE: f64 = 1e-6;
+/// A change of the scale by so much of the parameters' tolerance in sigmas moves them by less than that.
+const SETTLED_SCALE: f64 = 0.02;
+const LEAST_SETTLED_SCALE: f64 = 1e-6;
 /// A step halved so often is lost in rounding: there is no lower cost.
 const MOST_HALVINGS: i32 = 40;
 
@@ -101,6 +102,7 @@ impl<const N: usize> LeastSquares<N> {
         let mut weights = vec![1.0; rows.len()];
         let mut sizes = Vec::new();
         let mut scale = 1.0;
+        let settled_scale = (SETTLED_SCALE * self.tolerance_sigmas).max(LEAST_SETTLED_SCALE);
         for step in 0..MOST_STEPS {
             let previous = scale;
             if step < SCALE_STEPS {
@@ -129,7 +131,7 @@ impl<const N: usize> LeastSquares<N> {
                     parameters = moved;
                     std::mem::swap(&mut rows, &mut moved_rows);
                 }
-                None if (scale - previous).abs() > SETTLED_SCALE * scale => {}
+                None if (scale - previous).abs() > settled_scale * scale => {}
                 None => {
                     return Ok(Fitted {
                         parameters,

@@ -19,6 +19,6 @@ pub use normal::{Large, LargeSolved, Normal, Prior, Solved};
 pub use robust::{
     CONTRADICTION_SIGMAS, Loss, MEDIAN_CHI2_2D, MEDIAN_LENGTH_2D, MEDIAN_SIGMA, QUARTILE_SIGMAS,
     SIGMA_PER_MEDIAN, TUKEY_SIGMAS, TUKEY_SIGMAS_2D, clipped_sigma, median, median_among,
-    median_and_scatter, median_size,
+    median_and_scatter, median_of_orders, order,
 };
 pub use schmidt::{Proposal, Role, ScaledRoot, symmetrise};

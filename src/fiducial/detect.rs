@@ -172,7 +172,7 @@ impl<'a> ArmRotation<'a> {
             let [re, im] = [&self.real, &self.imaginary]
                 .map(|weights| self.window.correlate(weights, flat, place));
             let harmonic = Complex::new(re, im);
-            let [squares, _] = self.window.squares(flat, place);
+            let squares = self.window.squares(flat, place);
             // A place counts by how fourfold it is, so that the many that are no marks hardly do.
             if squares > 0.0 {
                 let counts = harmonic.norm_sqr() / squares;
@@ -299,18 +299,21 @@ impl<'a> MarkSearch<'a> {
         let fourfold = template.response(self.window, self.flat, index);
         let significant = fourfold > FOURFOLD_SIGMA * template.noise(noise);
         let is_cross = significant && FOURFOLD_SHARE.contains(&(fourfold / contrast));
-        let [all, round] = self.window.squares(self.flat, index).map(f64::from);
-        is_cross.then(|| Explained {
-            explained: fourfold * fourfold * template.energy,
-            structure: all - round - self.noise_squares(noise),
-            clean_share: CLEAN_SHARE,
-            least_likeness: self.settings.min_likeness,
+        is_cross.then(|| {
+            let (window, flat) = (self.window, self.flat);
+            let all = window.squares(flat, index) - window.round_squares(flat, index);
+            Explained {
+                explained: fourfold * fourfold * template.energy,
+                structure: f64::from(all) - self.noise_squares(noise),
+                clean_share: CLEAN_SHARE,
+                least_likeness: self.settings.min_likeness,
+            }
         })
     }
 
     /// By all that is not even.
     fn as_dot(&self, index: usize, contrast: f64, noise: f64) -> Explained {
-        let [all, _] = self.window.squares(self.flat, index).map(f64::from);
+        let all = f64::from(self.window.squares(self.flat, index));
         let even = f64::from(self.window.sum(self.flat, index)).powi(2);
         Explained {
             explained: contrast * contrast * self.mark.energy,

@@ -4,7 +4,7 @@ use super::{Illumination, Lighting, MarkImage};
 use crate::estimation::{Normal, Prior, SIGMA_PER_MEDIAN, median};
 use crate::frame::{Cutout, PixelNoise, Region};
 use crate::geometry::Ellipse;
-use crate::kernels::divide_row;
+use crate::kernels::{SeenRow, divide_row, larger, zeros};
 use crate::units::SensorPx;
 use nalgebra::{Vector2, Vector4};
 use std::ops::Range;
@@ -60,8 +60,8 @@ impl FlatDisc {
             left: (outline.centre.x - reach).floor() as isize,
             top: (outline.centre.y - reach).floor() as isize,
             side,
-            darkness: rows_of_zeros(side),
-            light: rows_of_zeros(side),
+            darkness: zeros(side * side),
+            light: zeros(side * side),
             least_light: 0.0,
             noise: cutout.noise,
             inflation: 1.0,
@@ -85,14 +85,16 @@ impl FlatDisc {
 
     /// Fills in the expected light.
     fn expect_light(&mut self, about: &Region, illumination: &impl Illumination) {
+        let stride = Ground::stride_px(&self.outline);
+        let mut brightest = 0.0;
         for y in about.y0..about.y1 {
             let chord = self.chord(y, about);
             let first = self.offset(chord.start, y);
             let row = &mut self.light[first..first + chord.len()];
             illumination.fill(chord.start as f64, y as f64, row);
+            brightest = row.iter().step_by(stride).copied().fold(brightest, larger);
         }
-        let sample = self.light.iter().step_by(Ground::stride_px(&self.outline));
-        self.least_light = LEAST_LIGHT * sample.copied().fold(0.0, f32::max);
+        self.least_light = LEAST_LIGHT * brightest;
     }
 
     /// Fills in the darkness; the expected light becomes the disc's own.
@@ -105,15 +107,13 @@ impl FlatDisc {
             let first = self.offset(chord.start, y);
             let pixels = first..first + chord.len();
             let columns = chord.start - self.known.x0..chord.end - self.known.x0;
-            let seen = &cutout.row(y)[columns.clone()];
             let (darkness, light) = (&mut self.darkness[pixels.clone()], &mut self.light[pixels]);
-            let factor = factor.along_row(chord.start, y);
-            divide_row(seen, factor, least_light, most_excess_dn, light, darkness);
-            for (darkness, masked) in darkness.iter_mut().zip(&cutout.mask.row(y)[columns]) {
-                if *masked {
-                    *darkness = 0.0;
-                }
-            }
+            let row = SeenRow {
+                seen: &cutout.row(y)[columns.clone()],
+                masked: &cutout.mask.row(y)[columns],
+                factor: factor.along_row(chord.start, y),
+            };
+            divide_row(&row, least_light, most_excess_dn, light, darkness);
         }
     }
 
@@ -191,15 +191,6 @@ impl LightFactor {
     }
 }
 
-/// A square of zeros, filled row by row: long fills in one go are slow to begin.
-fn rows_of_zeros(side: usize) -> Vec<f32> {
-    let mut square = Vec::with_capacity(side * side);
-    for row in 1..=side {
-        square.resize(row * side, 0.0);
-    }
-    square
-}
-
 /// A sparse sample of the disc's pixels.
 struct Ground {
     outline: Ellipse,
@@ -215,10 +206,10 @@ struct GroundPixel {
 }
 
 impl Ground {
-    /// Most columns and rows from one pixel of the sample to the next: some 600 pixels of the demo's disc. A smaller disc has as many
+    /// Most columns and rows from one pixel of the sample to the next: some 350 pixels of the demo's disc. A smaller disc has as many
     /// as it has pixels for.
-    const MOST_STRIDE_PX: f64 = 7.0;
-    const STRIDES_PER_RADIUS: f64 = 12.0;
+    const MOST_STRIDE_PX: f64 = 9.0;
+    const STRIDES_PER_RADIUS: f64 = 10.0;
     /// Fewest pixels that determine the factor.
     const MIN_PIXELS: usize = 40;
     /// Scatter of single pixels' ratios, and how far tilt and bend are from none, 1 sigma.

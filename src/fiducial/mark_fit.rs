@@ -71,7 +71,7 @@ pub(super) struct MarkFit<'a> {
 pub(super) struct Lists {
     pub patch: Patch,
     near: Near,
-    weights: Vec<f32>,
+    weights: Vec<[f32; LANES]>,
     counted: Vec<f32>,
 }
 
@@ -93,7 +93,8 @@ impl MarkFit<'_> {
         };
         let mut unknowns = prior.mean;
         // The very first model is too far off to tell outliers.
-        lists.weights.clone_from(&lists.patch.counts);
+        lists.weights.clear();
+        lists.weights.extend_from_slice(groups(&lists.patch.counts));
         let mut reduced_chi2: f64 = 1.0;
         let mut last_move = Vector2::zeros();
         for step_number in 0..MOST_STEPS {
@@ -117,6 +118,15 @@ impl MarkFit<'_> {
                 moved /= 2.0;
             }
             last_move = moved;
+            if std::env::var_os("DBG").is_some() {
+                eprintln!(
+                    "step {step_number} {:?} moved {:.5} contrast {:.4} even {:.4}",
+                    unknowns[X],
+                    moved.norm(),
+                    unknowns[CONTRAST],
+                    unknowns[3]
+                );
+            }
             let settled = step_number > 0 && moved.norm() < SETTLED_PX;
             let settled = settled.then(|| solve(reduced_chi2));
             step.fixed_rows_mut::<2>(X).copy_from(&moved);
@@ -140,21 +150,10 @@ impl MarkFit<'_> {
 /// A model near some unknowns, pixel by pixel, in units of the pixels' sigma.
 #[derive(Debug, Clone, Default)]
 struct Near {
-    /// Change of the prediction with each unknown.
-    slopes: [Vec<f32>; UNKNOWNS],
-    /// Seen minus predicted.
-    residuals: Vec<f32>,
+    /// Change of the prediction with each unknown, then seen minus predicted.
+    pixels: Vec<[[f32; LANES]; UNKNOWNS + 1]>,
     /// By how much the model itself may be off.
-    allowed: Vec<f32>,
-}
-
-impl Near {
-    /// In the order in which [`near_pixel`] has them.
-    #[inline(always)]
-    fn lists(&mut self) -> [&mut Vec<f32>; UNKNOWNS + 2] {
-        let [a, b, c, d, e, f] = &mut self.slopes;
-        [a, b, c, d, e, f, &mut self.residuals, &mut self.allowed]
-    }
+    allowed: Vec<[f32; LANES]>,
 }
 
 /// The model at some unknowns: residuals and slopes of every pixel in units of its sigma.
@@ -212,7 +211,7 @@ fn near_pixel(
     model: &PixelModel,
     cover_at: &impl Fn([f32; 4], f32, f32) -> [f32; 3],
     pixel: &Pixel,
-) -> [f32; UNKNOWNS + 2] {
+) -> ([f32; UNKNOWNS + 1], f32) {
     let Pixel { x, y, light, .. } = *pixel;
     let [at_x, at_y, contrast, even, tilt_x, tilt_y] = model.unknowns;
     let per_reach = model.per_reach;
@@ -228,7 +227,7 @@ fn near_pixel(
     let per_sigma = 1.0 / variance.sqrt();
     let scale = per_sigma * level;
     let (by_place, by_level) = (scale * contrast * light, per_sigma * left);
-    [
+    let columns = [
         by_place * share_x,
         by_place * share_y,
         -scale * taken,
@@ -236,8 +235,8 @@ fn near_pixel(
         by_level * x * per_reach,
         by_level * y * per_reach,
         per_sigma * (pixel.seen - level * left),
-        per_sigma * MODEL_ERROR * light,
-    ]
+    ];
+    (columns, per_sigma * MODEL_ERROR * light)
 }
 
 #[inline(always)]
@@ -255,15 +254,22 @@ fn linearise_by(
         blur_variance: fit.image.blur_px.powi(2) as f32,
         per_reach: 1.0 / fit.reach as f32,
     };
-    let count = patch.x.len();
-    for list in near.lists() {
-        list.resize(count, 0.0);
-    }
-    let (x, y, seen) = (groups(&patch.x), groups(&patch.y), groups(&patch.seen));
-    let (light, bend) = (groups(&patch.light), groups(&patch.bend));
-    let (slope_x, slope_y) = (groups(&patch.slope_x), groups(&patch.slope_y));
-    for n in 0..count / LANES {
-        let mut found = [[0.0; LANES]; UNKNOWNS + 2];
+    let count = patch.x.len() / LANES;
+    let [x, y, seen, light, slope_x, slope_y, bend] = [
+        &patch.x,
+        &patch.y,
+        &patch.seen,
+        &patch.lit.light,
+        &patch.lit.slope_x,
+        &patch.lit.slope_y,
+        &patch.lit.bend,
+    ]
+    .map(|list| &groups(list)[..count]);
+    near.pixels.clear();
+    near.allowed.clear();
+    for n in 0..count {
+        let mut found = [[0.0; LANES]; UNKNOWNS + 1];
+        let mut allowed = [0.0; LANES];
         for k in 0..LANES {
             let here = Pixel {
                 x: x[n][k],
@@ -274,14 +280,14 @@ fn linearise_by(
                 slope_y: slope_y[n][k],
                 bend: bend[n][k],
             };
-            let values = near_pixel(&model, &cover_at, &here);
+            let values;
+            (values, allowed[k]) = near_pixel(&model, &cover_at, &here);
             for (found, value) in found.iter_mut().zip(values) {
                 found[k] = value;
             }
         }
-        for (list, found) in near.lists().into_iter().zip(found) {
-            list[n * LANES..][..LANES].copy_from_slice(&found);
-        }
+        near.pixels.push(found);
+        near.allowed.push(allowed);
     }
 }
 
@@ -295,40 +301,52 @@ impl Lists {
             weights,
             counted,
         } = self;
-        // What does not count is beyond every limit.
-        let residuals = near.residuals.iter().zip(&patch.counts);
-        let residual = |(residual, counts): (&f32, &f32)| match *counts > 0.0 {
-            true => *residual,
-            false => f32::INFINITY,
-        };
         counted.clear();
-        counted.extend(residuals.map(residual));
+        let counts = groups(&patch.counts);
+        // What does not count is beyond every limit.
+        for (pixels, counts) in near.pixels.iter().zip(counts) {
+            let residuals = pixels[UNKNOWNS];
+            counted.extend(std::array::from_fn::<f32, LANES, _>(|k| {
+                match counts[k] > 0.0 {
+                    true => residuals[k],
+                    false => f32::INFINITY,
+                }
+            }));
+        }
         // Outliers must not widen the limit by themselves, so the scatter starts from what is expected.
-        let model_error = near.allowed.iter().copied().fold(0.0, larger);
+        let model_error = near
+            .allowed
+            .as_flattened()
+            .iter()
+            .copied()
+            .fold(0.0, larger);
         let Some(scatter) = clipped_sigma(counted, (0.5 * model_error).max(1.0), 1.0) else {
             return;
         };
         let limit = (DOUBTED_SIGMA * scatter) as f32;
-        let pixels = near.residuals.iter().zip(&near.allowed).zip(&patch.counts);
-        for (weight, ((residual, allowed), counts)) in weights.iter_mut().zip(pixels) {
-            let within = 2.0 - residual.abs() / (limit + allowed);
-            *weight = counts * larger(smaller(within, 1.0), 0.0);
-        }
+        weights.clear();
+        let pixels = near.pixels.iter().zip(&near.allowed).zip(counts);
+        weights.extend(pixels.map(|((pixels, allowed), counts)| {
+            std::array::from_fn(|k| {
+                let within = 2.0 - pixels[UNKNOWNS][k].abs() / (limit + allowed[k]);
+                counts[k] * larger(smaller(within, 1.0), 0.0)
+            })
+        }));
     }
 }
 
 impl Near {
     /// With their degrees of freedom; `None` of too few pixels.
-    fn normal_equations(&self, weights: &[f32]) -> Option<(Normal<UNKNOWNS>, f64)> {
-        let pixels = weights.iter().filter(|weight| **weight > 0.0).count();
+    fn normal_equations(&self, weights: &[[f32; LANES]]) -> Option<(Normal<UNKNOWNS>, f64)> {
+        let each = weights.as_flattened();
+        let pixels = each.iter().filter(|weight| **weight > 0.0).count();
         if pixels < MIN_PIXELS_PER_UNKNOWN * UNKNOWNS {
             return None;
         }
         // The last row and column belong to the residuals.
-        let [a, b, c, d, e, f] = &self.slopes;
-        let sums = products([a, b, c, d, e, f, &self.residuals], weights);
+        let sums = products(&self.pixels, weights);
         let sum = |m: usize, n: usize| f64::from(sums[m.max(n)][m.min(n)]);
-        let total: f32 = weights.iter().sum();
+        let total: f32 = each.iter().sum();
         let normal = Normal {
             information: Matrix6::from_fn(sum),
             gradient: Vector6::from_fn(|m, _| sum(m, UNKNOWNS)),

@@ -1,7 +1,7 @@
 //! Matched filters: weights for the pixels about a place of the flattened disc.
 
 use super::FlatDisc;
-use crate::kernels::{LANES, correlate};
+use crate::kernels::{LANES, correlate, weighted_squares};
 
 /// The pixels within a radius of one of them: a square about it, row by row, each row filled up to whole lanes.
 #[derive(Debug, Clone)]
@@ -17,6 +17,8 @@ pub(super) struct Window {
     ring: Vec<usize>,
     /// How many pixels each ring has.
     ring_pixels: Vec<f32>,
+    /// 1 within the radius, else 0.
+    inside: Vec<f32>,
 }
 
 impl Window {
@@ -33,7 +35,9 @@ impl Window {
         let ring: Vec<usize> = x.iter().zip(&y).map(ring).collect();
         let mut ring_pixels = vec![0.0; reach + 2];
         ring.iter().for_each(|ring| ring_pixels[*ring] += 1.0);
+        let inside = ring.iter().map(|ring| f32::from(u8::from(*ring <= reach)));
         Self {
+            inside: inside.collect(),
             reach,
             width,
             x,
@@ -69,34 +73,31 @@ impl Window {
         values.iter().zip(&self.ring).map(less_mean).collect()
     }
 
-    /// Sum of the squared values about one of them, where the window [`fits`](Self::fits), within the radius: of all, and of what
-    /// is round about the middle.
-    pub(super) fn squares(&self, flat: &FlatDisc, index: usize) -> [f32; 2] {
+    /// Sum of the squared values about one of them, where the window [`fits`](Self::fits), within the radius.
+    pub(super) fn squares(&self, flat: &FlatDisc, index: usize) -> f32 {
+        let (values, side) = (self.values(flat, index), flat.side());
+        weighted_squares(&self.inside, self.width, values, side)
+    }
+
+    /// The same of what is round about the middle.
+    pub(super) fn round_squares(&self, flat: &FlatDisc, index: usize) -> f32 {
         /// Rings beyond count as the last.
         const MOST_RINGS: usize = 128;
         let last = self.reach.min(MOST_RINGS - 2) + 1;
-        let (mut sums, mut squares) = ([0.0; MOST_RINGS], 0.0);
+        let mut sums = [0.0; MOST_RINGS];
         let rows = self.values(flat, index).chunks(flat.side());
         for (row, rings) in rows.zip(self.ring.chunks_exact(self.width)) {
             for (value, ring) in row.iter().zip(rings) {
-                let inside = f32::from(u8::from(self.is_inside(*ring)));
-                sums[(*ring).min(last)] += inside * value;
-                squares += inside * value * value;
+                sums[(*ring).min(last)] += value;
             }
         }
         let rings = sums[..last].iter().zip(&self.ring_pixels);
-        let round = rings.map(|(sum, pixels)| sum * sum / pixels.max(1.0)).sum();
-        [squares, round]
+        rings.map(|(sum, pixels)| sum * sum / pixels.max(1.0)).sum()
     }
 
     /// Sum of the values about one of them, where the window [`fits`](Self::fits), within the radius.
     pub(super) fn sum(&self, flat: &FlatDisc, index: usize) -> f32 {
-        let rows = self.values(flat, index).chunks(flat.side());
-        let pixels = rows
-            .zip(self.ring.chunks_exact(self.width))
-            .flat_map(|(row, rings)| row.iter().zip(rings));
-        let inside = pixels.filter(|(_, ring)| self.is_inside(**ring));
-        inside.map(|(value, _)| value).sum()
+        self.correlate(&self.inside, flat, index)
     }
 
     /// Whether the pixels about a value of the flattened disc, with one to spare, are all in its square.

@@ -1,6 +1,7 @@
 //! A part of a frame as every stage after the disc search reads it: light above the background, and pixels that do not count.
 
 use super::{Frame, Region, Sample, View, any_above};
+use crate::kernels::{copied, zeros};
 use crate::units::SensorPx;
 use crate::with_view;
 use multiversion::multiversion;
@@ -125,10 +126,19 @@ fn subtract<T: Sample>(row: &[T], columns_dn: &[f32], row_dn: f32, light_dn: &mu
 }
 
 /// Pixels of a region that do not count.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub struct Mask {
     region: Region,
     masked: Vec<bool>,
+}
+
+impl Clone for Mask {
+    fn clone(&self) -> Self {
+        Self {
+            region: self.region,
+            masked: copied(&self.masked),
+        }
+    }
 }
 
 impl Mask {
@@ -136,7 +146,7 @@ impl Mask {
     pub fn none(region: Region) -> Self {
         Self {
             region,
-            masked: vec![false; region.width() * region.height()],
+            masked: zeros(region.width() * region.height()),
         }
     }
 

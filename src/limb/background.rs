@@ -9,6 +9,7 @@
 use crate::estimation::{Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
 use crate::frame::{Background, Frame, Levels, Region, Sample, View};
 use crate::geometry::Circle;
+use crate::kernels::sum_within;
 use crate::with_view;
 use nalgebra::{SVector, Vector1};
 
@@ -103,15 +104,11 @@ impl Scene {
             return None;
         }
         let limit = (SAME_SIGMAS * levels.noise_dn).max(1.0);
-        let [low, high] = [-limit, limit].map(|by| (levels.background_dn + by).max(0.0) as u32);
+        let same = [-limit, limit].map(|by| (levels.background_dn + by).max(0.0) as i32);
         let (mut sum, mut pixels) = (0, 0);
         for row in (cell.y0..cell.y1).step_by(STRIDE_PX) {
-            for pixel in &view.row(row)[cell.x0..cell.x1] {
-                let dn: u32 = (*pixel).into();
-                let same = u32::from(low <= dn && dn <= high);
-                sum += same * dn;
-                pixels += same;
-            }
+            let [dn, count] = sum_within(&view.row(row)[cell.x0..cell.x1], same);
+            (sum, pixels) = (sum + dn, pixels + count);
         }
         let columns = &self.column_sums[cell.x0 - self.about.x0..cell.x1 - self.about.x0];
         let column_sum = columns.iter().sum::<f64>() / columns.len() as f64;
@@ -175,7 +172,7 @@ impl Scene {
             },
             loss: Loss::Tukey(TUKEY_SIGMAS),
             scale: Scale::Median,
-            tolerance_sigmas: 0.05,
+            tolerance_sigmas: 0.2,
         };
         let rows = |coefficients: &SVector<f64, TERMS>| {
             let coefficients = *coefficients;

@@ -2,10 +2,9 @@
 
 use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
-use crate::kernels::{LANES, groups, smaller};
-use multiversion::multiversion;
+use crate::kernels::ring::{ROOM, Ring, Run, locate};
+use crate::kernels::{LANES, zeros};
 use nalgebra::Vector2;
-use std::f64::consts::PI;
 
 /// How far a band reaches from its ellipse, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,14 +14,12 @@ pub(super) struct Reach {
 }
 
 /// Pixels within reach of an ellipse, those of a sector of azimuth side by side.
-#[derive(Default)]
 pub(super) struct Band {
     /// Outwards from the ellipse.
     distance_px: Vec<f32>,
     light_dn: Vec<f32>,
     /// Where each sector begins, and where the last one ends.
     begins: Vec<usize>,
-    unsorted: Unsorted,
 }
 
 /// Which pixels a band is to hold.
@@ -37,7 +34,7 @@ pub(super) struct Wanted<'a> {
     pub every_row: usize,
 }
 
-/// The pixels of one sector.
+/// The pixels of a sector, or of all.
 #[derive(Clone, Copy)]
 pub(super) struct SectorPixels<'a> {
     pub distance_px: &'a [f32],
@@ -46,47 +43,53 @@ pub(super) struct SectorPixels<'a> {
 
 impl Band {
     pub(super) fn of(wanted: &Wanted<'_>) -> Self {
-        let mut band = Self::default();
-        band.take(wanted);
-        band
-    }
-
-    /// Takes these pixels in instead of those that it has.
-    pub(super) fn take(&mut self, wanted: &Wanted<'_>) {
-        self.unsorted.take(wanted);
-        let Unsorted {
+        let (sectors, reach) = (wanted.sectors, &wanted.reach);
+        let inverse = wanted.ellipse.inverse();
+        let ring = Ring {
+            inverse: [inverse.m11, inverse.m12, inverse.m22].map(|v| v as f32),
+            inside_px: reach.inside_px as f32,
+            outside_px: reach.outside_px as f32,
+            sectors,
+        };
+        let runs = wanted.runs();
+        let groups = |run: &Run<'_>| run.light_dn.len().div_ceil(LANES);
+        let mut located = Vec::with_capacity(runs.iter().map(groups).sum());
+        locate(&ring, &runs, &mut located);
+        // What is not wanted comes last, in a sector of its own.
+        let mut ends = [0_u32; ROOM];
+        for group in &located {
+            for sector in &group.sector {
+                ends[*sector as usize % ROOM] += 1;
+            }
+        }
+        let mut begin = 0;
+        for end in &mut ends[..=sectors] {
+            begin += std::mem::replace(end, begin);
+        }
+        let begin = begin as usize;
+        let begins = ends[..=sectors]
+            .iter()
+            .map(|begin| *begin as usize)
+            .collect();
+        let [mut distance_px, mut light_dn] = [(); 2].map(|()| zeros(begin));
+        let (distances, lights) = (&mut distance_px[..begin], &mut light_dn[..begin]);
+        let mut groups = located.iter();
+        for run in &runs {
+            for (light_dn, group) in run.light_dn.chunks(LANES).zip(&mut groups) {
+                let found = group.sector.iter().zip(&group.away_px);
+                for ((sector, away_px), light_dn) in found.zip(light_dn) {
+                    let end = &mut ends[*sector as usize % ROOM];
+                    let place = *end as usize;
+                    (distances[place], lights[place]) = (*away_px, *light_dn);
+                    *end += 1;
+                }
+            }
+        }
+        Self {
             distance_px,
             light_dn,
-            sector,
-            ..
-        } = &self.unsorted;
-        // What is not wanted comes last, in a sector of its own, and is left out.
-        self.begins.clear();
-        self.begins.resize(wanted.sectors + 2, 0);
-        let counts = &mut self.begins[1..];
-        for sector in sector {
-            counts[*sector as usize] += 1;
+            begins,
         }
-        for n in 0..=wanted.sectors {
-            self.begins[n + 1] += self.begins[n];
-        }
-        self.distance_px.resize(sector.len(), 0.0);
-        self.light_dn.resize(sector.len(), 0.0);
-        let begins = self.begins.as_mut_slice();
-        let (distances, lights) = (
-            &mut self.distance_px[..],
-            &mut self.light_dn[..sector.len()],
-        );
-        for ((sector, distance_px), light_dn) in sector.iter().zip(distance_px).zip(light_dn) {
-            let begin = &mut begins[*sector as usize];
-            let place = *begin;
-            *begin = place + 1;
-            distances[place] = *distance_px;
-            lights[place] = *light_dn;
-        }
-        // Each begin has moved to the next one's place.
-        self.begins.truncate(wanted.sectors);
-        self.begins.insert(0, 0);
     }
 
     /// Counts the distances from another ellipse near by, about which the sectors are as good as the same.
@@ -102,8 +105,13 @@ impl Band {
         }
     }
 
-    pub(super) fn pixels(&self) -> usize {
-        self.begins.last().copied().unwrap_or(0)
+    /// The pixels of all sectors.
+    pub(super) fn pixels(&self) -> SectorPixels<'_> {
+        let count = self.begins.last().copied().unwrap_or(0);
+        SectorPixels {
+            distance_px: &self.distance_px[..count],
+            light_dn: &self.light_dn[..count],
+        }
     }
 
     pub(super) fn sectors(&self) -> impl Iterator<Item = SectorPixels<'_>> + Clone {
@@ -114,37 +122,22 @@ impl Band {
     }
 }
 
-/// Pixels in the order of the rows.
-#[derive(Default)]
-struct Unsorted {
-    /// Places from the ellipse's centre, px.
-    x: Vec<f32>,
-    y: Vec<f32>,
-    light_dn: Vec<f32>,
-    masked: Vec<bool>,
-    distance_px: Vec<f32>,
-    /// Of pixels that are not wanted the number of sectors.
-    sector: Vec<i32>,
-}
-
-impl Unsorted {
-    fn take(&mut self, wanted: &Wanted<'_>) {
-        let Wanted {
-            cutout,
-            mask,
-            ellipse,
-            reach,
-            ..
-        } = wanted;
-        let (region, root, centre) = (cutout.region(), ellipse.root(), ellipse.centre);
-        let uneven = ((root.m11 - root.m22) / 2.0).hypot(root.m12) + 1.0;
-        let outer = ellipse.mean_radius() + reach.outside_px + uneven;
-        let inner = (ellipse.mean_radius() - reach.inside_px - uneven).max(0.0);
-        // A row's two spans may have a pixel more each than they are long.
-        let rows = (region.y1 - region.y0).div_ceil(wanted.every_row);
-        let area = PI * (outer * outer - inner * inner) / wanted.every_row as f64;
-        self.clear(area as usize + 2 * rows + LANES);
-        for y in (region.y0..region.y1).step_by(wanted.every_row) {
+impl<'a> Wanted<'a> {
+    /// What the rows have about the ellipse, and a little beside it.
+    fn runs(&self) -> Vec<Run<'a>> {
+        let (region, root, centre) = (
+            self.cutout.region(),
+            self.ellipse.root(),
+            self.ellipse.centre,
+        );
+        // Distances are of first order.
+        const SPARE_PX: f64 = 0.2;
+        let uneven = ((root.m11 - root.m22) / 2.0).hypot(root.m12) + SPARE_PX;
+        let outer = self.ellipse.mean_radius() + self.reach.outside_px + uneven;
+        let inner = (self.ellipse.mean_radius() - self.reach.inside_px - uneven).max(0.0);
+        let rows = (region.y0..region.y1).step_by(self.every_row);
+        let mut runs = Vec::with_capacity(2 * rows.len());
+        for y in rows {
             let dy = y as f64 - centre.y;
             let half = |radius: f64| (radius * radius - dy * dy).max(0.0).sqrt();
             let (from, to) = (half(inner), half(outer));
@@ -154,76 +147,22 @@ impl Unsorted {
                 false => [(-to, to), (0.0, 0.0)],
             };
             for (start, end) in spans {
-                let column = |x: f64| (x.ceil().max(region.x0 as f64) as usize).min(region.x1);
-                let (start, end) = (column(centre.x + start), column(centre.x + end));
-                let columns = start - region.x0..end.max(start) - region.x0;
-                let first = (start as f64 - centre.x) as f32;
-                let along = 0..columns.len() as i32;
-                self.x.extend(along.map(|n| first + n as f32));
-                self.y.resize(self.x.len(), dy as f32);
-                self.light_dn
-                    .extend_from_slice(&cutout.row(y)[columns.clone()]);
-                self.masked.extend_from_slice(&mask.row(y)[columns]);
+                // The next column; whether it is one too far is no matter beside the spare.
+                let column =
+                    |x: f64| ((centre.x + x + 1.0).max(region.x0 as f64) as usize).min(region.x1);
+                let (start, end) = (column(start), column(end));
+                if start < end {
+                    let columns = start - region.x0..end - region.x0;
+                    runs.push(Run {
+                        x: (start as f64 - centre.x) as f32,
+                        y: dy as f32,
+                        light_dn: &self.cutout.row(y)[columns.clone()],
+                        masked: &self.mask.row(y)[columns],
+                    });
+                }
             }
         }
-        // What fills the last group up is not wanted.
-        let whole = self.light_dn.len().next_multiple_of(LANES);
-        for list in [&mut self.x, &mut self.y, &mut self.light_dn] {
-            list.resize(whole, 0.0);
-        }
-        self.masked.resize(whole, true);
-        locate(ellipse, reach, wanted.sectors, self);
-    }
-
-    fn clear(&mut self, room: usize) {
-        let Self {
-            x,
-            y,
-            light_dn,
-            masked,
-            distance_px,
-            sector,
-        } = self;
-        for list in [x, y, light_dn, distance_px] {
-            list.clear();
-            list.reserve(room);
-        }
-        masked.clear();
-        masked.reserve(room);
-        sector.clear();
-        sector.reserve(room);
-    }
-}
-
-/// Finds the pixels' distances outwards from an ellipse, to first order as [`Ellipse::excess`] gives them, and their sectors; that
-/// of pixels which are masked or out of reach is the number of sectors.
-///
-/// Directions are counted by y / (|x| + |y|), which grows with the angle as evenly as sectors need and costs no arctangent.
-#[multiversion(targets("x86_64+avx2"))]
-fn locate(ellipse: &Ellipse, reach: &Reach, sectors: usize, pixels: &mut Unsorted) {
-    let [inside_px, outside_px] = [reach.inside_px, reach.outside_px].map(|px| px as f32);
-    let not_wanted = sectors as i32 as f32;
-    let inverse = ellipse.inverse().cast::<f32>();
-    let (a, b, c) = (inverse.m11, inverse.m12, inverse.m22);
-    let (masked, _) = pixels.masked.as_chunks::<LANES>();
-    let places = groups(&pixels.x).iter().zip(groups(&pixels.y));
-    for ((x, y), masked) in places.zip(masked) {
-        let (mut distance_px, mut sector) = ([0.0; LANES], [0; LANES]);
-        for k in 0..LANES {
-            let (u, v) = (a * x[k] + b * y[k], b * x[k] + c * y[k]);
-            let r2 = u * u + v * v;
-            let (nx, ny) = (a * u + b * v, b * u + c * v);
-            let per_normal = 1.0 / (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
-            let along = v / (u.abs() + v.abs() + f32::MIN_POSITIVE);
-            let quarters = if u >= 0.0 { 1.0 + along } else { 3.0 - along };
-            let away_px = (r2 - r2.sqrt()) * per_normal;
-            let is_wanted = (away_px >= -inside_px) & (away_px < outside_px) & !masked[k];
-            let found = smaller(quarters * (0.25 * not_wanted), not_wanted - 0.5);
-            sector[k] = (if is_wanted { found } else { not_wanted }) as i32;
-            distance_px[k] = away_px;
-        }
-        pixels.distance_px.extend(distance_px);
-        pixels.sector.extend(sector);
+        runs
     }
 }
 
@@ -303,19 +242,22 @@ mod tests {
         for n in 0..SECTORS {
             let middle =
                 middle_of_sector(n, SECTORS).cast::<f32>() * ellipse().mean_radius() as f32;
-            let reach = Reach {
+            let ring = Ring {
+                inverse: [1.0 / 80.0, 0.0, 1.0 / 80.0],
                 inside_px: 1.0,
                 outside_px: 1.0,
+                sectors: SECTORS,
             };
-            let mut pixels = Unsorted {
-                x: vec![middle.x; LANES],
-                y: vec![middle.y; LANES],
-                masked: vec![false; LANES],
-                ..Unsorted::default()
+            let run = Run {
+                x: middle.x,
+                y: middle.y,
+                light_dn: &[0.0],
+                masked: &[false],
             };
-            locate(&ellipse(), &reach, SECTORS, &mut pixels);
-            assert_eq!(pixels.sector[0] as usize, n);
-            assert!(pixels.distance_px[0].abs() < 1e-3);
+            let mut found = Vec::new();
+            locate(&ring, &[run], &mut found);
+            assert_eq!(found[0].sector[0] as usize, n);
+            assert!(found[0].away_px[0].abs() < 1e-3);
         }
     }
 

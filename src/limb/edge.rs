@@ -17,12 +17,12 @@
 
 use super::band::{Band, SectorPixels, middle_of_sector};
 use super::shape::{
-    BACKGROUND, COMA, COMA_BLURS, EdgeModel, ILLUMINATION, MOTION, QUANTITY, SHIFT, SMOOTH, Shape,
-    UNEVEN_BACKGROUND, course, smooth_terms,
+    BACKGROUND, COMA, COMA_BLURS, COMA_SHIFT, EdgeModel, ILLUMINATION, MOTION, QUANTITY, SHIFT,
+    SMOOTH, Shape, UNEVEN_BACKGROUND, course, smooth_terms,
 };
-use super::sums::{COLUMNS, SECTOR, Sums, Weighing, sector_sums};
-use crate::estimation::{Normal, Prior, median_among};
+use crate::estimation::{Normal, Prior, TUKEY_SIGMAS, median_among};
 use crate::geometry::Ellipse;
+use crate::kernels::sums::{COLUMNS, SECTOR, Sums, Weighing, sector_sums};
 use crate::units::SensorPx;
 use nalgebra::{RowSVector, SMatrix, SVector, Vector2};
 use serde::{Deserialize, Serialize};
@@ -122,7 +122,7 @@ fn lit_sectors(band: &Band, model: &EdgeModel) -> Vec<Sector> {
     sectors
 }
 
-/// Makes steps as long as Newton's (see [`sums`](super::sums)).
+/// Makes steps as long as Newton's (see [`sums`](crate::kernels::sums)).
 fn lengthen_steps(sectors: &mut [Sector]) {
     let information: f64 = sectors.iter().map(|s| s.information.m11).sum();
     let newton: f64 = sectors.iter().map(|s| s.newton).sum();
@@ -142,17 +142,17 @@ fn retain_limb(sectors: &mut Vec<Sector>, model: &EdgeModel) {
     let lights = &mut sectors.iter().map(|s| s.light).collect::<Vec<_>>();
     let most = median_among(lights).unwrap_or_default();
     sectors.retain(|s| USUAL_LIGHT.contains(&(s.light / most)));
-    let misfit = |s: &Sector| s.misfit(model);
-    let mut all: Vec<f64> = sectors.iter().filter_map(misfit).collect();
+    let misfits: Vec<Option<f64>> = sectors.iter().map(|s| s.misfit(model)).collect();
+    let mut all: Vec<f64> = misfits.iter().flatten().copied().collect();
     let Some(usual) = median_among(&mut all) else {
         return;
     };
-    let is_usual = |s: &Sector| {
+    let mut misfits = misfits.into_iter();
+    sectors.retain(|s| {
         let chance = (2.0 / s.pixels).sqrt();
         let most = usual * (1.0 + MOST_MISFIT_SIGMAS * chance);
-        misfit(s).is_none_or(|misfit| misfit < most)
-    };
-    sectors.retain(is_usual);
+        misfits.next().flatten().is_none_or(|misfit| misfit < most)
+    });
 }
 
 /// The sums over the pixels of a sector in a direction.
@@ -160,13 +160,17 @@ fn sums_of(w: Vector2<f64>, pixels: SectorPixels<'_>, model: &EdgeModel) -> Sums
     let course = model.shape.at(w);
     let profile = model.profile_at(&course);
     let weighing = Weighing {
-        profile: &profile,
-        wide: &profile.with_blur(COMA_BLURS * profile.blur_px),
-        course: course.cast::<f32>().into(),
-        noise: model.noise,
-        illumination_sigma: UNEVEN_ILLUMINATION,
-        shift_sigma_px: model.shift_sigma_px,
-        saturated_dn: model.saturated_dn,
+        light: profile.light(),
+        wide: profile.with_blur(COMA_BLURS * profile.blur_px).light(),
+        background_dn: (profile.background_dn + course[BACKGROUND]) as f32,
+        illumination: course[ILLUMINATION] as f32,
+        coma_px: course[COMA_SHIFT] as f32,
+        dark_dn2: model.noise.dark_dn2 as f32,
+        per_light_dn: model.noise.per_light_dn as f32,
+        illumination_sigma: UNEVEN_ILLUMINATION as f32,
+        shift_sigma_px: model.shift_sigma_px as f32,
+        saturated_dn: model.saturated_dn as f32,
+        tukey2: (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32,
     };
     sector_sums(&weighing, pixels.distance_px, pixels.light_dn)
 }
@@ -334,16 +338,16 @@ impl Courses {
                 continue;
             };
             let terms = &sector.terms;
+            // What each quantity has to do with the coefficients.
+            let with: [SVector<f64, SMOOTH>; SECTOR] = std::array::from_fn(|quantity| {
+                SVector::from_fn(|m, _| terms[m] * own[(QUANTITY[m], quantity)])
+            });
             for n in 0..SMOOTH {
                 normal.gradient[n] += terms[n] * gradient[QUANTITY[n]];
-                let with_quantities = own.column(QUANTITY[n]) * terms[n];
                 let mut column = normal.information.column_mut(n);
-                for m in n..SMOOTH {
-                    column[m] += terms[m] * with_quantities[QUANTITY[m]];
-                }
+                column.axpy(terms[n], &with[QUANTITY[n]], 1.0);
             }
         }
-        normal.information.fill_upper_triangle_with_lower_triangle();
         let now = &model.shape.coefficients;
         let plateau = model.plateau_dn().max(1.0);
         let mut prior = Prior {

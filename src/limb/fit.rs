@@ -1,15 +1,16 @@
 //! The outline of the disc: roughly from every fourth row, then from the whole limb; points and ellipse in turn, until neither moves.
 
-use super::band::{Band, Reach, Wanted};
+use super::band::{Band, Reach, SectorPixels, Wanted};
 use super::edge::{EdgeFit, LimbPoint, fit_edge};
 use super::light::DiscLight;
 use super::outline::{OutlineFit, OutlinePrior, fit_outline};
 use super::profile::{Brightness, MODEL_SIGMA_PX, Profile};
 use super::shape::{EdgeModel, Shape, noise};
 use super::{LIMB_DARKENING, LimbSettings};
-use crate::estimation::{MEDIAN_SIGMA, median_among};
+use crate::estimation::{MEDIAN_SIGMA, median_of_orders, order};
 use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
+use crate::kernels::{smaller, zeros};
 use crate::reasons::sun;
 use crate::units::{Rejected, SensorPx};
 use nalgebra::{Matrix2, Vector2};
@@ -106,6 +107,7 @@ const WIDER_BLURS: f64 = 1.5;
 /// Distances that share a median, per blur; fewest pixels that make one; and the distance of the rows that they are of.
 const MEDIANS_PER_BLUR: f64 = 3.0;
 const MIN_MEDIAN_PIXELS: usize = 10;
+const MOST_BINS: usize = 256;
 const ROUGH_ROWS_PX: usize = 4;
 /// The limb bends too much in a sector that is wider than the circle's part.
 const LEAST_SECTORS: usize = 16;
@@ -134,12 +136,11 @@ impl LimbFit<'_> {
             blur_px: self.blur_px,
             radius_px: start.mean_radius(),
         };
-        let mut band = Band::default();
         let mut pass = 0;
         loop {
             pass += 1;
             let mask = &self.cutout.mask;
-            band.take(&self.wanted(&outline, mask, profile.blur_px, ROUGH_ROWS_PX));
+            let mut band = Band::of(&self.wanted(&outline, mask, profile.blur_px, ROUGH_ROWS_PX));
             let mut light = self.by_medians(&band, &outline, &profile)?;
             band.follow(&outline, &light.outline);
             let blur_px = light.edge.profile.blur_px;
@@ -275,36 +276,37 @@ fn reach(blur_px: f64) -> Reach {
 fn radial_medians(band: &Band, reach: &Reach, blur_px: f64, saturated_dn: f64) -> Vec<Brightness> {
     let width_px = blur_px / MEDIANS_PER_BLUR;
     let first_px = -reach.inside_px;
-    let bins = ((reach.outside_px - first_px) / width_px).ceil() as usize;
-    let bin = |distance_px: f32| {
-        let bin = (f64::from(distance_px) - first_px) / width_px;
-        (bin as usize).min(bins - 1)
-    };
+    let bins = (((reach.outside_px - first_px) / width_px).ceil() as usize).min(MOST_BINS);
+    let (per_width, first) = ((1.0 / width_px) as f32, first_px as f32);
+    let last = bins as f32 - 1.0;
+    let bin = |distance_px: &f32| smaller((distance_px - first) * per_width, last) as u8;
     // Values of a bin side by side.
-    let pixels = band
-        .sectors()
-        .flat_map(|s| s.distance_px.iter().zip(s.light_dn));
-    let mut ends = vec![0; bins];
-    pixels.clone().for_each(|(px, _)| ends[bin(*px)] += 1);
+    let SectorPixels {
+        distance_px,
+        light_dn,
+    } = band.pixels();
+    let mut ends = [0; MOST_BINS];
+    let bin_of: Vec<u8> = distance_px.iter().map(bin).collect();
+    bin_of.iter().for_each(|bin| ends[usize::from(*bin)] += 1);
     let mut begin = 0;
     for end in &mut ends {
         begin += std::mem::replace(end, begin);
     }
-    let mut values = vec![0.0; band.pixels()];
-    for (px, light_dn) in pixels {
-        let end = &mut ends[bin(*px)];
-        values[*end] = f64::from(*light_dn);
+    let mut values = zeros(light_dn.len());
+    for (bin, light_dn) in bin_of.iter().zip(light_dn) {
+        let end = &mut ends[usize::from(*bin)];
+        values[*end] = order(*light_dn);
         *end += 1;
     }
     let mut left = values.as_mut_slice();
     let mut begin = 0;
-    let medians = ends.iter().enumerate().filter_map(|(bin, end)| {
+    let medians = ends[..bins].iter().enumerate().filter_map(|(bin, end)| {
         let values = left.split_off_mut(..end - std::mem::replace(&mut begin, *end))?;
         let enough = values.len() >= MIN_MEDIAN_PIXELS;
         Some(Brightness {
             distance_px: first_px + (bin as f64 + 0.5) * width_px,
             weight: values.len() as f64 / MEDIAN_SIGMA.powi(2),
-            dn: median_among(values).filter(|_| enough)?,
+            dn: median_of_orders(values).filter(|_| enough)?.into(),
         })
     });
     medians.filter(|median| median.dn < saturated_dn).collect()

@@ -78,13 +78,7 @@ fn brighter(frame: &Frame, dn: f64) -> Histogram {
                 if !frame.is_brighter(y, stretch.clone(), dn) {
                     continue;
                 }
-                with_view!(frame, view => {
-                    for pair in view.row(y)[stretch].as_chunks::<2>().0 {
-                        if pair.iter().all(|pixel| f64::from(pixel.dn()) > dn) {
-                            histogram.add(pair[1].dn());
-                        }
-                    }
-                });
+                with_view!(frame, view => histogram.add_pairs(&view.row(y)[stretch], dn));
             }
         }
         if histogram.total() >= ENOUGH_PAIRS {
@@ -106,9 +100,16 @@ impl Histogram {
         }
     }
 
-    fn add(&mut self, dn: f32) {
+    /// Adds one of each pair of neighbours of which both are above a value.
+    fn add_pairs<T: Sample>(&mut self, row: &[T], dn: f64) {
         let last = self.counts.len() - 1;
-        self.counts[(dn as usize).min(last)] += 1;
+        let below = T::floor(dn);
+        for pair in row.as_chunks::<2>().0 {
+            if pair[0].min(pair[1]) > below {
+                let value: u32 = pair[1].into();
+                self.counts[(value as usize).min(last)] += 1;
+            }
+        }
     }
 
     fn total(&self) -> f64 {

@@ -3,8 +3,7 @@
 use super::shape::EdgeModel;
 use crate::frame::{PIXEL_VARIANCE_PX2, PixelNoise};
 use crate::geometry::Ellipse;
-use crate::kernels::{LANES, larger};
-use multiversion::multiversion;
+use crate::kernels::limb::{Disc, Lit};
 use nalgebra::{Matrix2, Vector2};
 
 /// A larger part of the limb shows at which azimuths it is softer.
@@ -75,44 +74,22 @@ impl DiscLight {
 
     /// The light on a row's pixels from column `x` on, DN above the background.
     pub fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
-        fill(self, Vector2::new(x, y) - self.outline.centre, light);
+        let from = Vector2::new(x, y) - self.outline.centre;
+        self.disc().fill(from.x as f32, from.y as f32, light);
     }
-}
 
-/// So many blurs inside the limb the blur changes no light any more: it is that of a limb-darkened disc to 0.2 % of its uneven part.
-const DEEP_BLURS: f64 = 8.0;
+    /// The light at places given from `about`, px.
+    pub fn about(&self, about: Vector2<f64>, x: &[f32], y: &[f32], lit: &mut Lit) {
+        let from = (about - self.outline.centre).cast::<f32>();
+        self.disc().at(from.into(), x, y, lit);
+    }
 
-#[multiversion(targets("x86_64+avx2"))]
-fn fill(disc: &DiscLight, from: Vector2<f64>, light: &mut [f32]) {
-    let profile = &disc.edge.profile;
-    let deep = 1.0 - DEEP_BLURS * profile.blur_px / profile.radius_px;
-    let deep2 = deep.max(0.0).powi(2) as f32;
-    let [even, darkened] = [profile.even_dn, profile.darkened_dn].map(|dn| dn as f32);
-    let inverse = disc.outline.inverse();
-    let [a, b, c] = [inverse.m11, inverse.m12, inverse.m22].map(|v| v as f32);
-    let (first, y) = (from.x as f32, from.y as f32);
-    for (n, light) in light.chunks_mut(LANES).enumerate() {
-        let (mut u, mut v, mut r2) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-        for k in 0..LANES {
-            let x = first + (n * LANES + k) as i32 as f32;
-            (u[k], v[k]) = (a * x + b * y, b * x + c * y);
-            r2[k] = u[k] * u[k] + v[k] * v[k];
+    fn disc(&self) -> Disc {
+        let inverse = self.outline.inverse();
+        Disc {
+            edge: self.edge.profile.light(),
+            inverse: [inverse.m11, inverse.m12, inverse.m22].map(|v| v as f32),
         }
-        let mut here = [0.0; LANES];
-        // A row's ends are farther out than what lies between them.
-        if larger(r2[0], r2[LANES - 1]) < deep2 {
-            for k in 0..LANES {
-                here[k] = even + darkened * (1.0 - r2[k]).sqrt();
-            }
-        } else {
-            for k in 0..LANES {
-                let (nx, ny) = (a * u[k] + b * v[k], b * u[k] + c * v[k]);
-                // The distance outwards to first order, as Ellipse::excess gives it; the very centre has no direction.
-                let per_disc = (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
-                (here[k], _) = profile.light((r2[k] - r2[k].sqrt()) / per_disc);
-            }
-        }
-        light.copy_from_slice(&here[..light.len()]);
     }
 }
 

@@ -24,7 +24,6 @@ mod outline;
 mod profile;
 mod search;
 mod shape;
-mod sums;
 
 pub use background::background;
 pub use edge::LimbPoint;

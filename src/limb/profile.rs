@@ -6,10 +6,10 @@
 //! F(z) = <sqrt(max(0, x - z))> over normally distributed x. The limb is so nearly straight over the blur's width that
 //! what its curve adds, b / 2R of a blur, moves the edge by 0.005 px, the same all round.
 //!
-//! Both are formulas, so that many pixels go through them side by side.
+//! Both are formulas, so that many pixels go through them side by side ([`EdgeLight`]).
 
 use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};
-use crate::kernels::{larger, normal_tail, smaller};
+use crate::kernels::limb::EdgeLight;
 use crate::units::Measured;
 use nalgebra::{RowSVector, SVector, Vector1};
 
@@ -47,40 +47,18 @@ const PRIOR: [f64; 5] = [f64::INFINITY, 0.5, 0.5, 1.0, 2.0];
 impl Profile {
     /// Brightness at a distance outwards from the limb.
     pub fn at(&self, distance_px: f64) -> f64 {
-        let (light, _) = self.light(distance_px as f32);
+        let (light, ..) = self.light().at(distance_px as f32);
         self.background_dn + f64::from(light)
     }
 
-    /// Light above the background at a distance outwards from the limb, DN, and its change per px.
-    #[inline(always)]
-    pub(super) fn light(&self, distance_px: f32) -> (f32, f32) {
-        let (light, slope, _) = self.light_and_bend(distance_px);
-        (light, slope)
-    }
-
-    /// The same, and how the change changes per px.
-    #[inline(always)]
-    pub(super) fn light_and_bend(&self, distance_px: f32) -> (f32, f32, f32) {
-        let (even, darkened) = (self.even_dn as f32, self.darkened_dn as f32);
-        let parts = self.parts(distance_px);
-        let per_blur = 1.0 / self.blur_px as f32;
-        let slope = darkened * parts.root_slope - even * parts.density;
-        let bend = darkened * parts.root_bend + even * parts.density * distance_px * per_blur;
-        (
-            even * parts.tail + darkened * parts.root,
-            slope * per_blur,
-            bend * per_blur * per_blur,
-        )
-    }
-
-    /// What the two parts of the light, as they are at the middle of an unblurred disc, leave at a distance.
-    #[inline(always)]
-    fn parts(&self, distance_px: f32) -> Parts {
-        let (blur, radius) = (self.blur_px as f32, self.radius_px as f32);
-        let depth = smaller(larger(-distance_px, 0.0), radius);
-        // From F(z)^2 to 1 - r^2 / R^2 with r = R + distance.
-        let scale2 = (2.0 - depth / radius) * blur / radius;
-        Parts::at(distance_px / blur, scale2)
+    /// Light above the background, in single precision.
+    pub(super) fn light(&self) -> EdgeLight {
+        EdgeLight {
+            even_dn: self.even_dn as f32,
+            darkened_dn: self.darkened_dn as f32,
+            per_blur: 1.0 / self.blur_px as f32,
+            per_radius: 1.0 / self.radius_px as f32,
+        }
     }
 
     /// The disc's light at the middle of an unblurred disc.
@@ -139,54 +117,15 @@ impl Profile {
     /// place of the limb.
     fn linearised(&self, median: &Brightness, limb_px: f64, weight: f64) -> Linearised<1, 5> {
         let distance_px = median.distance_px - limb_px;
-        let parts = self.parts(distance_px as f32);
-        let (light, slope) = self.light(distance_px as f32);
+        let light = self.light();
+        let parts = light.parts(distance_px as f32);
+        let (light, slope, _) = light.at(distance_px as f32);
         let [tail, root, slope] = [parts.tail, parts.root, slope].map(f64::from);
         let by_log_blur = self.darkened_dn * root / 2.0 - distance_px * slope;
         let residual = median.dn - self.background_dn - f64::from(light);
         Linearised {
             residual: Vector1::new(residual * weight),
             jacobian: RowSVector::from([1.0, tail, root, by_log_blur, -slope]) * weight,
-        }
-    }
-}
-
-/// The blurred disc's two parts so many blurs outwards from the limb.
-struct Parts {
-    /// E(z) and the normal distribution's density, by which it falls.
-    tail: f32,
-    density: f32,
-    /// F(z), scaled, its change with z, and the change of that.
-    root: f32,
-    root_slope: f32,
-    root_bend: f32,
-}
-
-impl Parts {
-    /// With d = max(0, x - z), <sqrt d> is at most sqrt(<1> <d>) and <1 / sqrt d> at least sqrt(<1>^3 / <d>), where <1> is
-    /// the tail and <d> the density less z tails. Deep in the disc they are that, and far out less by a sixth and more by
-    /// three quarters; in between factors fitted to the integrals lead from the one to the other. F is true to 0.004 and its
-    /// slope to 0.008, which are 0.05 DN and 0.1 DN per px of a Sun of 200 DN.
-    #[inline(always)]
-    fn at(z: f32, scale2: f32) -> Self {
-        let (tail, density) = normal_tail(z);
-        // So far out that <d> drowns in rounding it is a tenth of the tail and less.
-        let beyond = larger(density - z * tail, 0.1 * tail);
-        let bound = (scale2 * tail * beyond + f32::MIN_POSITIVE).sqrt();
-        let per_far = 1.0 / (z * z + 2.5).sqrt();
-        let out = z * per_far;
-        let factor = 0.9169 + out * (0.07366 * out - 0.01016);
-        let slope_factor = 1.56246 + out * (0.22187 - 0.35538 * out);
-        let factor_slope = (0.22187 - 0.71076 * out) * 2.5 * per_far * per_far * per_far;
-        let root_slope = -0.5 * slope_factor * scale2 * tail * tail / bound;
-        let relative_bend =
-            factor_slope / slope_factor - 1.5 * density / tail + 0.5 * tail / beyond;
-        Self {
-            tail,
-            density,
-            root: factor * bound,
-            root_slope,
-            root_bend: root_slope * relative_bend,
         }
     }
 }
@@ -233,31 +172,11 @@ mod tests {
     }
 
     #[test]
-    fn the_blurred_parts_are_those_of_their_definition() {
-        let density = |x: f64| (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt();
-        for n in -60..=32 {
-            let z = f64::from(n) * 0.25;
-            // With x = z + s^2 the root is gone: F = integral of 2 s^2 density, F' = -integral of density.
-            let step = (8.0 - z).max(1.0).sqrt() / 2000.0;
-            let cells = (0..2000).map(|n| (n as f64 + 0.5) * step);
-            let (root, slope) = cells.fold((0.0, 0.0), |(root, slope), s| {
-                let here = density(z + s * s) * step;
-                (root + 2.0 * s * s * here, slope - here)
-            });
-            let parts = Parts::at(z as f32, 1.0);
-            assert!((f64::from(parts.root) - root).abs() < 0.004, "{z}");
-            assert!((f64::from(parts.root_slope) - slope).abs() < 0.008, "{z}");
-            let tail = 0.5 * libm::erfc(z / std::f64::consts::SQRT_2);
-            assert!((f64::from(parts.tail) - tail).abs() < 2e-5, "{z}");
-        }
-    }
-
-    #[test]
     fn bends_are_those_of_the_slopes() {
         for n in -60..40 {
             let d = n as f32 * 0.1;
-            let (_, _, bend) = PROFILE.light_and_bend(d);
-            let numeric = (PROFILE.light(d + 0.05).1 - PROFILE.light(d - 0.05).1) / 0.1;
+            let (_, _, bend) = PROFILE.light().at(d);
+            let numeric = (PROFILE.light().at(d + 0.05).1 - PROFILE.light().at(d - 0.05).1) / 0.1;
             assert!((numeric - bend).abs() < 0.5, "{d}: {numeric} {bend}");
         }
     }
@@ -268,7 +187,7 @@ mod tests {
             let d = f64::from(n) * 0.25 + 0.01;
             let step = 1e-3;
             let numeric = (PROFILE.at(d + step) - PROFILE.at(d - step)) / (2.0 * step);
-            let slope = f64::from(PROFILE.light(d as f32).1);
+            let slope = f64::from(PROFILE.light().at(d as f32).1);
             assert!((numeric - slope).abs() < 0.6, "{d}: {numeric}");
             let blurred = |by: f64| PROFILE.with_blur(PROFILE.blur_px * by.exp()).at(d);
             let numeric = (blurred(step) - blurred(-step)) / (2.0 * step);

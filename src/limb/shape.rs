@@ -2,9 +2,9 @@
 
 use super::band::{Band, middle_of_sector};
 use super::profile::Profile;
-use super::sums::SECTOR;
 use crate::estimation::clipped_sigma;
 use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
+use crate::kernels::sums::SECTOR;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
 /// What differs from sector to sector, by index: the limb's shift outwards (px), excess illumination (a fraction),
@@ -144,11 +144,13 @@ pub(super) fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
     let clear = (3.0 * model.profile.blur_px) as f32;
     let mut inside_dn = 0.0;
     let sectors = band.sectors().count();
-    let stride = (band.pixels() / PIXELS).max(1);
-    let [mut outside, mut inside] = [0; 2].map(|_| Vec::with_capacity(band.pixels() / stride));
+    let pixels = band.pixels().light_dn.len();
+    let stride = (pixels / PIXELS).max(1);
+    let [mut outside, mut inside] = [0; 2].map(|_| Vec::with_capacity(pixels / stride));
     for (n, pixels) in band.sectors().enumerate() {
         let course = model.shape.at(middle_of_sector(n, sectors));
         let profile = model.profile_at(&course);
+        let light_at = profile.light();
         let pixels = pixels
             .distance_px
             .iter()
@@ -158,7 +160,7 @@ pub(super) fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
             // So far out the disc leaves no light.
             let light = match *distance_px > clear {
                 true => 0.0,
-                false => profile.light(*distance_px).0,
+                false => light_at.at(*distance_px).0,
             };
             let expected = light * (1.0 + course[ILLUMINATION] as f32);
             let residual =

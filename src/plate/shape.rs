@@ -70,16 +70,26 @@ impl MarkShape {
         }
     }
 
-    /// Whether a mark, and a margin about it, covers an offset from its middle along the plate's axes, mil.
-    pub fn covers(&self, offset_mil: Vector2<f64>, margin_mil: f64) -> bool {
-        match self {
-            Self::Cross(cross) => {
-                let half_length = cross.arm_length_mil / 2.0 + margin_mil;
-                let half_width = cross.arm_width_mil / 2.0 + margin_mil;
-                let [u, v] = (self.arms().transpose() * offset_mil).abs().into();
-                (u.max(v) < half_length) & (u.min(v) < half_width)
+    /// Tells whether a mark, and a margin about it, covers an offset from its middle that `to_plate` leads to one along the plate's
+    /// axes, mil.
+    pub fn covers(
+        &self,
+        margin_mil: f64,
+        to_plate: &Matrix2<f64>,
+    ) -> impl Fn(Vector2<f64>) -> bool + use<> {
+        let to_arms = self.arms().transpose() * to_plate;
+        let half_length = self.size_mil() / 2.0 + margin_mil;
+        let half_width = match self {
+            Self::Cross(cross) => Some(cross.arm_width_mil / 2.0 + margin_mil),
+            Self::Dot { .. } => None,
+        };
+        move |offset| {
+            let along_arms = to_arms * offset;
+            let [u, v] = along_arms.abs().into();
+            match half_width {
+                Some(half_width) => (u.max(v) < half_length) & (u.min(v) < half_width),
+                None => along_arms.norm_squared() < half_length * half_length,
             }
-            Self::Dot { diameter_mil } => offset_mil.norm() < diameter_mil / 2.0 + margin_mil,
         }
     }
 

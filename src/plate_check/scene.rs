@@ -156,11 +156,11 @@ impl<'a> CheckScene<'a> {
         let beside = |at: &PlateMil| (at.distance(sun) - radius_mil).abs() < reach_mil;
         let marks = plate.marks().map(|(_, at)| at);
         let near: Vec<PlateMil> = marks.filter(beside).collect();
+        let covers = plate.shape.covers(margin_mil, &Matrix2::identity());
         let free = |n: &usize| {
             let angle = TAU * *n as f64 / POINTS as f64;
             let limb = sun.vector() + unit(angle) * radius_mil;
-            let covers = |at: &PlateMil| plate.shape.covers(limb - at.vector(), margin_mil);
-            !near.iter().any(covers)
+            !near.iter().any(|at| covers(limb - at.vector()))
         };
         (0..POINTS).filter(free).count() as f64 / POINTS as f64
     }

@@ -1,6 +1,8 @@
 //! Kernels: the loops over pixels that the processor works on side by side, each held to a plain twin by a test.
-//!
-//! The limb's kernel, which evaluates its model on the way, stands beside that model (`limb::sums`).
+
+pub mod limb;
+pub mod ring;
+pub mod sums;
 
 use multiversion::multiversion;
 
@@ -12,6 +14,27 @@ pub const LANES: usize = 8;
 pub fn groups(list: &[f32]) -> &[[f32; LANES]] {
     list.as_chunks().0
 }
+
+/// So many numbers that are 0. Long fills in one go are slow to begin.
+pub fn zeros<T: Copy + Default>(count: usize) -> Vec<T> {
+    let mut list = Vec::with_capacity(count);
+    while list.len() < count {
+        list.resize((list.len() + FILL).min(count), T::default());
+    }
+    list
+}
+
+/// A copy of a list, likewise.
+pub fn copied<T: Copy>(list: &[T]) -> Vec<T> {
+    let mut copy = Vec::with_capacity(list.len());
+    for part in list.chunks(FILL) {
+        copy.extend_from_slice(part);
+    }
+    copy
+}
+
+/// Numbers that are filled in at a time.
+const FILL: usize = 256;
 
 /// The larger of two numbers, neither of them NaN: the processor's own comparison, where [`f32::max`] takes three.
 #[inline(always)]
@@ -68,24 +91,40 @@ pub fn column_sums(rows: &[f32], sums: &mut [f32]) {
     }
 }
 
-/// Weighted sums of the products of columns with each other and themselves: a symmetric matrix, of which the lower triangle is
-/// filled in. Columns and weights are of the same length, in whole lanes.
-#[multiversion(targets("x86_64+avx2+fma"))]
-pub fn products<const N: usize>(columns: [&[f32]; N], weights: &[f32]) -> [[f32; N]; N] {
+/// The sum of those pixels of a row that are from a least to a most value, DN, and how many these are.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn sum_within<T: Copy + Into<u32>>(row: &[T], [least, most]: [i32; 2]) -> [i32; 2] {
+    let [mut sum, mut count] = [0; 2];
+    for pixel in row {
+        let dn: u32 = (*pixel).into();
+        let dn = dn as i32;
+        let is_within = i32::from((least <= dn) & (dn <= most));
+        sum += is_within * dn;
+        count += is_within;
+    }
+    [sum, count]
+}
+
+/// Weighted sums of the products of a pixel's numbers with each other and themselves: a symmetric matrix, of which the lower triangle is
+/// filled in.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn products<const N: usize>(
+    pixels: &[[[f32; LANES]; N]],
+    weights: &[[f32; LANES]],
+) -> [[f32; N]; N] {
     let mut sums = [[[0.0_f32; LANES]; N]; N];
-    for (n, weights) in groups(weights).iter().enumerate() {
-        let mut values = [[0.0; LANES]; N];
-        for m in 0..N {
-            values[m] = groups(columns[m])[n];
-        }
+    for (values, weights) in pixels.iter().zip(weights) {
         for m in 0..N {
             let mut weighted = [0.0; LANES];
             for k in 0..LANES {
                 weighted[k] = values[m][k] * weights[k];
             }
-            for l in 0..=m {
-                for k in 0..LANES {
-                    sums[m][l][k] += weighted[k] * values[l][k];
+            // A plain condition is decided when the loop is unrolled; the end of a range is not.
+            for l in 0..N {
+                if l <= m {
+                    for k in 0..LANES {
+                        sums[m][l][k] += weighted[k] * values[l][k];
+                    }
                 }
             }
         }
@@ -97,37 +136,71 @@ pub fn products<const N: usize>(columns: [&[f32]; N], weights: &[f32]) -> [[f32;
 /// one before.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn correlate(weights: &[f32], width: usize, values: &[f32], stride: usize) -> f32 {
+    sum_over(weights, width, values, stride, |weight, value| {
+        weight * value
+    })
+}
+
+/// The same with the values' squares.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn weighted_squares(weights: &[f32], width: usize, values: &[f32], stride: usize) -> f32 {
+    sum_over(weights, width, values, stride, |weight, value| {
+        weight * value * value
+    })
+}
+
+#[inline(always)]
+fn sum_over(
+    weights: &[f32],
+    width: usize,
+    values: &[f32],
+    stride: usize,
+    term: impl Fn(f32, f32) -> f32,
+) -> f32 {
     let mut lanes = [0.0_f32; LANES];
     for (weights, values) in weights.chunks_exact(width).zip(values.chunks(stride)) {
         for (weights, values) in groups(weights).iter().zip(groups(&values[..width])) {
             for k in 0..LANES {
-                lanes[k] += weights[k] * values[k];
+                lanes[k] += term(weights[k], values[k]);
             }
         }
     }
     lanes.iter().sum()
 }
 
-/// The darkness of a row's pixels, 1 less what is seen over the light there: the expected light times a polynomial in the pixel's
-/// number, the constant first. What is brighter than the light counts as brighter by the most allowed. The light becomes that
-/// of the disc itself; where less than the least is expected, darkness and light are 0.
+/// A row of the disc, to be divided by its light.
+pub struct SeenRow<'a> {
+    pub seen: &'a [f32],
+    pub masked: &'a [bool],
+    /// The light of the disc over the expected one: a polynomial in the pixel's number, the constant first.
+    pub factor: [f32; 3],
+}
+
+/// The darkness of a row's pixels, 1 less what is seen over the light there. What is brighter than the light counts as brighter by the
+/// most allowed. The expected light becomes that of the disc itself; where less than the least is expected, darkness and light are 0, and of
+/// masked pixels the darkness.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn divide_row(
-    seen: &[f32],
-    [first, slope, bend]: [f32; 3],
+    row: &SeenRow<'_>,
     least_light: f32,
     most_excess: f32,
     light: &mut [f32],
     darkness: &mut [f32],
 ) {
-    let count = seen.len();
+    let [first, slope, bend] = row.factor;
+    let count = row.seen.len();
+    let (seen, masked) = (&row.seen[..count], &row.masked[..count]);
     let (light, darkness) = (&mut light[..count], &mut darkness[..count]);
     for n in 0..count {
         let along = n as i32 as f32;
         let of_disc = light[n] * (first + along * (slope + along * bend));
         let left = smaller(seen[n], of_disc + most_excess) / of_disc;
         let is_judged = light[n] >= least_light;
-        darkness[n] = if is_judged { 1.0 - left } else { 0.0 };
+        darkness[n] = if is_judged & !masked[n] {
+            1.0 - left
+        } else {
+            0.0
+        };
         light[n] = if is_judged { of_disc } else { 0.0 };
     }
 }
@@ -258,10 +331,21 @@ mod tests {
     #[test]
     fn products_are_the_weighted_sums_of_products() {
         for count in [0, 8, 104] {
-            let (a, b, weights) = (wave(count, 0.3), wave(count, 0.7), wave(count, 1.1));
-            let plain: f32 = (0..count).map(|n| a[n] * b[n] * weights[n]).sum();
-            assert!((products([&a, &b], &weights)[1][0] - plain).abs() < 1e-4);
+            let lists = [0.3, 0.7, 1.1].map(|step| wave(count, step));
+            let [a, b, weights] = lists.each_ref().map(|list| groups(list));
+            let pixels: Vec<_> = a.iter().zip(b).map(|(a, b)| [*a, *b]).collect();
+            let [a, b, w] = &lists;
+            let plain: f32 = (0..count).map(|n| a[n] * b[n] * w[n]).sum();
+            assert!((products(&pixels, weights)[1][0] - plain).abs() < 1e-4);
         }
+    }
+
+    #[test]
+    fn a_sum_within_limits_leaves_out_what_is_beyond_them() {
+        let row: Vec<u16> = (0..77).map(|n| n * 7919 % 4096).collect();
+        let same = row.iter().filter(|dn| (100..=3000).contains(*dn));
+        let (sum, count) = same.fold((0, 0), |(sum, count), dn| (sum + i32::from(*dn), count + 1));
+        assert_eq!(sum_within(&row, [100, 3000]), [sum, count]);
     }
 
     #[test]
@@ -276,31 +360,29 @@ mod tests {
 
     #[test]
     fn a_divided_row_is_dark_where_light_is_missing_and_0_where_little_is_expected() {
-        let seen = [50.0, 100.0, 110.0, 300.0, 1.0];
         let (mut light, mut darkness) = ([100.0, 50.0, 100.0, 50.0, 1.0], [9.0; 5]);
-        // 1, 2, 1, 4, ...: a polynomial through the first three.
-        divide_row(
-            &seen,
-            [1.0, 2.0, -1.0],
-            10.0,
-            20.0,
-            &mut light,
-            &mut darkness,
-        );
+        let row = SeenRow {
+            seen: &[50.0, 100.0, 110.0, 300.0, 1.0],
+            masked: &[false, false, false, true, false],
+            // 1, 2, 1, -2, ...: a polynomial through the first three.
+            factor: [1.0, 2.0, -1.0],
+        };
+        divide_row(&row, 10.0, 20.0, &mut light, &mut darkness);
         assert_eq!(light, [100.0, 100.0, 100.0, -100.0, 0.0]);
         assert_eq!(darkness[..2], [0.5, 0.0]);
         assert!((darkness[2] + 0.1).abs() < 1e-6);
-        assert_eq!(darkness[4], 0.0);
+        assert_eq!(darkness[3..], [0.0, 0.0]);
     }
 
     #[test]
     fn a_correlation_is_the_sum_of_products_of_its_rows() {
         let (weights, values) = (wave(3 * 16, 0.3), wave(3 * 21, 0.7));
-        let plain: f32 = (0..3)
-            .flat_map(|row| (0..16).map(move |column| (row, column)))
-            .map(|(row, column)| weights[row * 16 + column] * values[row * 21 + column])
-            .sum();
+        let pairs = (0..3).flat_map(|row| (0..16).map(move |n| (row * 16 + n, row * 21 + n)));
+        let pairs = pairs.map(|(w, v)| (weights[w], values[v]));
+        let plain: f32 = pairs.clone().map(|(w, v)| w * v).sum();
         assert!((correlate(&weights, 16, &values, 21) - plain).abs() < 1e-4);
+        let plain: f32 = pairs.map(|(w, v)| w * v * v).sum();
+        assert!((weighted_squares(&weights, 16, &values, 21) - plain).abs() < 1e-4);
     }
 
     #[test]
