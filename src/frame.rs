@@ -9,11 +9,11 @@ mod unusable;
 mod warning;
 
 use crate::clock::Utc;
+use crate::kernels::any_above;
 use crate::units::{Place, SensorPx};
 pub use copies::{Compared, Copies, Identity, PixelDigest, may_be_copies};
 pub use cutout::{Background, Cutout, Mask, PixelNoise};
 use jiff::{SignedDuration, Timestamp};
-use multiversion::multiversion;
 use pixels::{OnDemand, PixelStorage, Shared};
 pub use pixels::{PixelSlice, Pixels, RowSource, Sample, SharedPixels, View};
 pub use region::{NoRegion, Region};
@@ -341,25 +341,6 @@ fn check_count(width: usize, height: usize, found: usize) -> Result<(), FrameErr
         });
     }
     Ok(())
-}
-
-#[multiversion(targets("x86_64+avx2"))]
-fn any_above<T: Sample>(row: &[T], floor: T) -> bool {
-    /// Pixels that are compared side by side.
-    const GROUP: usize = 32;
-    let (groups, rest) = row.as_chunks::<GROUP>();
-    let mut most = [T::default(); GROUP];
-    for group in groups {
-        for k in 0..GROUP {
-            most[k] = if group[k] > most[k] {
-                group[k]
-            } else {
-                most[k]
-            };
-        }
-    }
-    let of = |list: &[T]| list.iter().copied().fold(T::default(), T::max);
-    of(&most) > floor || of(rest) > floor
 }
 
 /// The pixels of rows of `width` that lie within a region.

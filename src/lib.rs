@@ -58,6 +58,7 @@
 //! | [`provenance`] | which program made a file: version, commit, hashes |
 //! | [`log`] | the log on standard error, which blocks no thread |
 //! | `kernels` | vectorised loops over pixels |
+//! | [`memory`] | memory that the program keeps |
 //! | [`tables`] | rows of CSV tables and logs, the bad ones left out |
 //! | [`clock`] | times as other programs write them, to UTC; state of the computer's clock |
 //! | [`geometry`], [`estimation`], [`frame`] | mappings between sensor and plate, direction cameras, attitudes; robust scale and least squares; a picture and the data on how it was taken |
@@ -123,6 +124,7 @@ mod kernels;
 pub mod limb;
 pub mod link;
 pub mod log;
+pub mod memory;
 pub mod moon;
 pub mod navigation;
 pub mod observe;

@@ -2,11 +2,12 @@
 
 use clap::Parser;
 use solaspect::cli::{LogFormat, Program};
-use solaspect::log;
+use solaspect::{log, memory};
 use std::io::ErrorKind;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    memory::keep_freed();
     let program = Program::parse();
     let format = match program.log_format {
         LogFormat::Text => log::Format::Text,

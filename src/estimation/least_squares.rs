@@ -167,12 +167,21 @@ fn normal_equations<const D: usize, const N: usize>(
     rows: &[Linearised<D, N>],
     weights: &[f64],
 ) -> Normal<N> {
-    let mut normal = Normal::zero();
+    let mut normal = Normal::<N>::zero();
     for (row, weight) in rows.iter().zip(weights).filter(|(_, w)| **w > 0.0) {
-        for (slopes, residual) in row.jacobian.row_iter().zip(&row.residual) {
-            normal.add(&slopes.transpose(), *residual, *weight);
+        for d in 0..D {
+            let residual = row.residual[d];
+            normal.chi2 += weight * residual * residual;
+            for m in 0..N {
+                let slope = weight * row.jacobian[(d, m)];
+                normal.gradient[m] += slope * residual;
+                for n in m..N {
+                    normal.information[(n, m)] += slope * row.jacobian[(d, n)];
+                }
+            }
         }
     }
+    normal.information.fill_upper_triangle_with_lower_triangle();
     normal
 }
 

@@ -1,7 +1,6 @@
 //! Location, scale and loss that a minority of outliers hardly changes.
 
-use crate::kernels::LANES;
-use multiversion::multiversion;
+use crate::kernels::squares_within;
 use std::borrow::Borrow;
 
 /// 1 sigma of a normal distribution over the median of the absolute deviations from its middle.
@@ -103,7 +102,7 @@ pub fn clipped_sigma(residuals: &[f32], start: f32, least: f64) -> Option<f64> {
     let mut limit = FIRST_LIMIT * start;
     let mut sigma = None;
     for _ in 0..ROUNDS {
-        let [count, squares] = sums_within(residuals, limit).map(|lanes| lanes.iter().sum::<f32>());
+        let [count, squares] = squares_within(residuals, limit);
         if count < MIN_VALUES {
             return None;
         }
@@ -115,21 +114,6 @@ pub fn clipped_sigma(residuals: &[f32], start: f32, least: f64) -> Option<f64> {
         limit = 3.0 * found;
     }
     sigma
-}
-
-/// How many values are within a limit, and their squares, summed by lanes.
-#[multiversion(targets("x86_64+avx2"))]
-fn sums_within(residuals: &[f32], limit: f32) -> [[f32; LANES]; 2] {
-    let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
-    for residuals in residuals.as_chunks::<LANES>().0 {
-        for k in 0..LANES {
-            let square = residuals[k] * residuals[k];
-            let within = square < limit * limit;
-            counts[k] += if within { 1.0 } else { 0.0 };
-            squares[k] += if within { square } else { 0.0 };
-        }
-    }
-    [counts, squares]
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! The profile of a filled disc behind a Gaussian blur, as a table by the distance from its middle.
 
-use crate::kernels::{Coverage, normal_tail};
+use crate::kernels::marks::{Coverage, Offsets};
+use crate::kernels::normal_tail;
 use std::f64::consts::{PI, TAU};
 
 /// Steps of the table in a pixel.
@@ -46,7 +47,7 @@ impl BlurredDot {
 
     /// Share and slopes along x and y at an offset from the middle; `to_dot` leads, by rows, from an offset to one in which the dot is
     /// round.
-    pub(super) fn cover_at(&self, [ux, uy, vx, vy]: [f32; 4], x: f32, y: f32) -> [f32; 3] {
+    fn cover_at(&self, [ux, uy, vx, vy]: [f32; 4], x: f32, y: f32) -> [f32; 3] {
         let (u, v) = (ux * x + uy * y, vx * x + vy * y);
         let distance = u.hypot(v);
         let (share, slope) = self.at(distance);
@@ -59,9 +60,11 @@ impl BlurredDot {
         ]
     }
 
-    pub(super) fn cover(&self, to_dot: [f32; 4], x: &[f32], y: &[f32], coverage: &mut Coverage) {
+    pub(super) fn cover(&self, to_dot: [f32; 4], offsets: Offsets<'_>, coverage: &mut Coverage) {
+        let Offsets { from, x, y } = offsets;
+        coverage.resize(x.len());
         for (n, (x, y)) in x.iter().zip(y).enumerate() {
-            let [share, slope_x, slope_y] = self.cover_at(to_dot, *x, *y);
+            let [share, slope_x, slope_y] = self.cover_at(to_dot, from[0] + x, from[1] + y);
             coverage.share[n] = share;
             coverage.slope_x[n] = slope_x;
             coverage.slope_y[n] = slope_y;

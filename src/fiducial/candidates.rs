@@ -69,9 +69,8 @@ impl Boxes {
         let mut sums = Vec::with_capacity(count * count);
         for rows in binned.windows(BOX * bins).step_by(bins) {
             column_sums(rows, &mut columns[..bins]);
-            let shifted: [&[f32]; BOX] = std::array::from_fn(|n| &columns[n..n + count]);
-            let [a, b, c] = shifted;
-            sums.extend(a.iter().zip(b).zip(c).map(|((a, b), c)| a + b + c));
+            let boxes = columns[..bins].windows(BOX);
+            sums.extend(boxes.map(|columns| columns.iter().sum::<f32>()));
         }
         Self {
             bin_px,

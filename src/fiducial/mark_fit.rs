@@ -1,59 +1,35 @@
 //! One mark's fit: place, contrast and light by Gauss-Newton steps on the pixels of its patch, reweighted against outliers.
 
-use super::blurred_dot::BlurredDot;
-use super::mark_image::rows;
+use super::MarkImage;
+use super::mark_image::{Cover, rows};
 use super::patch::Patch;
-use super::{MarkForm, MarkImage};
 use crate::estimation::{Normal, Prior, clipped_sigma};
 use crate::frame::PixelNoise;
-use crate::kernels::{
-    Bars, LANES, blurred_bar, cover_at, groups, larger, long_blurred_bar, products, smaller,
-};
-use multiversion::multiversion;
+use crate::kernels::marks::{Coverage, MarkModel, MarkPixels, Near, Offsets, UNKNOWNS, linearise};
+use crate::kernels::{LANES, groups, larger, products, smaller};
 use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 
 /// A step as short as this ends where the next one would, px: a tenth of what the noise of a clean frame leaves.
 const SETTLED_PX: f64 = 0.003;
 const MOST_STEPS: usize = 10;
+/// Over so short a way what a mark takes of the light changes as its slopes say, px: what that leaves out is the same on both sides of an arm.
+const NEAR_PX: f64 = 0.05;
 /// From this step on the pixels' weights are held: with some outliers weights and place would oscillate.
 const REWEIGHTED_STEPS: usize = 6;
 /// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
 const DOUBTED_SIGMA: f64 = 3.0;
-/// Beyond the noise, the model may be off by this part of the light: a blur that is not quite the lens's shows at the arms'
-/// edges, and rejecting some of them would move the mark.
-const MODEL_ERROR: f32 = 0.04;
-/// What the blurred product leaves out is about this part of s^2 div grad L', of a mark of contrast 1.
-const LEFT_OUT: f32 = 0.4;
 /// Fewest pixels that make a fit, for each unknown.
 const MIN_PIXELS_PER_UNKNOWN: usize = 10;
 
-/// What is fitted, by index: the offset from where the mark is expected, px; the mark's contrast; the light over the
-/// expected light there, and how that changes over the patch's radius along x and y.
+/// What is fitted, by index, as [`UNKNOWNS`] has it.
 pub(super) type Unknowns = Vector6<f64>;
 pub(super) const X: usize = 0;
 pub(super) const Y: usize = 1;
 pub(super) const CONTRAST: usize = 2;
-const UNKNOWNS: usize = 6;
 /// The unknowns before the fit, and what is known of them, 1 / sigma: it holds in place what a saturated or cut patch does
 /// not determine.
 const EXPECTED: [f64; UNKNOWNS] = [0.0, 0.0, 0.5, 1.0, 0.0, 0.0];
 const EXPECTED_INVERSE_SIGMA: [f64; UNKNOWNS] = [0.0, 0.0, 2.0, 2.0, 5.0, 5.0];
-
-/// What a mark takes of the light, and how that changes.
-#[derive(Debug, Clone)]
-pub(super) enum Cover {
-    Cross(Bars),
-    Dot(BlurredDot),
-}
-
-impl Cover {
-    pub fn new(image: &MarkImage) -> Self {
-        match image.form {
-            MarkForm::Cross { half_width_px } => Self::Cross(image.bars(half_width_px)),
-            MarkForm::Dot => Self::Dot(image.dot()),
-        }
-    }
-}
 
 /// One mark's fit.
 pub(super) struct MarkFit<'a> {
@@ -70,6 +46,7 @@ pub(super) struct MarkFit<'a> {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Lists {
     pub patch: Patch,
+    coverage: Coverage,
     near: Near,
     weights: Vec<[f32; LANES]>,
     counted: Vec<f32>,
@@ -97,12 +74,22 @@ impl MarkFit<'_> {
         lists.weights.extend_from_slice(groups(&lists.patch.counts));
         let mut reduced_chi2: f64 = 1.0;
         let mut last_move = Vector2::zeros();
+        let mut covered_at = None;
         for step_number in 0..MOST_STEPS {
-            linearise(self, &lists.patch, &unknowns, &mut lists.near);
+            let at = unknowns.fixed_rows::<2>(X).into_owned();
+            let is_near = |covered_at: &Vector2<f64>| (at - covered_at).norm() < NEAR_PX;
+            let covered_at = match covered_at.filter(is_near) {
+                Some(covered_at) => covered_at,
+                None => {
+                    lists.cover(self, at);
+                    *covered_at.insert(at)
+                }
+            };
+            lists.linearise(self, &unknowns, at - covered_at);
             if (1..REWEIGHTED_STEPS).contains(&step_number) {
                 lists.weigh();
             }
-            let (normal, freedoms) = lists.near.normal_equations(&lists.weights)?;
+            let (normal, freedoms) = normal_equations(&lists.near, &lists.weights)?;
             // The pixels' variances are inflated by their chi^2 where that is larger than 1.
             let solve = |reduced_chi2: f64| {
                 let inflated = normal.weighted(1.0 / reduced_chi2.max(1.0));
@@ -147,151 +134,42 @@ impl MarkFit<'_> {
     }
 }
 
-/// A model near some unknowns, pixel by pixel, in units of the pixels' sigma.
-#[derive(Debug, Clone, Default)]
-struct Near {
-    /// Change of the prediction with each unknown, then seen minus predicted.
-    pixels: Vec<[[f32; LANES]; UNKNOWNS + 1]>,
-    /// By how much the model itself may be off.
-    allowed: Vec<[f32; LANES]>,
-}
-
-/// The model at some unknowns: residuals and slopes of every pixel in units of its sigma.
-#[multiversion(targets("x86_64+avx2+fma"))]
-fn linearise(fit: &MarkFit<'_>, patch: &Patch, unknowns: &Unknowns, near: &mut Near) {
-    match fit.cover {
-        Cover::Cross(bars) if bars.has_ends_apart() => linearise_by(
-            |to_arms, x, y| cover_at(long_blurred_bar, bars, to_arms, x, y),
-            fit,
-            patch,
-            unknowns,
-            near,
-        ),
-        Cover::Cross(bars) => linearise_by(
-            |to_arms, x, y| cover_at(blurred_bar, bars, to_arms, x, y),
-            fit,
-            patch,
-            unknowns,
-            near,
-        ),
-        Cover::Dot(dot) => linearise_by(
-            |to_dot, x, y| dot.cover_at(to_dot, x, y),
-            fit,
-            patch,
-            unknowns,
-            near,
-        ),
-    }
-}
-
-/// What the model of one pixel needs.
-struct PixelModel {
-    to_arms: [f32; 4],
-    unknowns: [f32; UNKNOWNS],
-    noise: [f32; 2],
-    blur_variance: f32,
-    per_reach: f32,
-}
-
-/// One pixel of a patch.
-struct Pixel {
-    x: f32,
-    y: f32,
-    seen: f32,
-    light: f32,
-    slope_x: f32,
-    slope_y: f32,
-    bend: f32,
-}
-
-/// Slopes by the unknowns, residual, and by how much the model may be off, in units of a pixel's sigma; `cover_at` gives what the
-/// mark takes of the light at an offset from its middle, and its slopes.
-#[inline(always)]
-fn near_pixel(
-    model: &PixelModel,
-    cover_at: &impl Fn([f32; 4], f32, f32) -> [f32; 3],
-    pixel: &Pixel,
-) -> ([f32; UNKNOWNS + 1], f32) {
-    let Pixel { x, y, light, .. } = *pixel;
-    let [at_x, at_y, contrast, even, tilt_x, tilt_y] = model.unknowns;
-    let per_reach = model.per_reach;
-    let [share, share_x, share_y] = cover_at(model.to_arms, x - at_x, y - at_y);
-    // The light that a mark of contrast 1 takes, and what this one leaves.
-    let taken =
-        light * share + model.blur_variance * (pixel.slope_x * share_x + pixel.slope_y * share_y);
-    let left = light - contrast * taken;
-    let level = even + (tilt_x * x + tilt_y * y) * per_reach;
-    let left_out = LEFT_OUT * model.blur_variance * pixel.bend;
-    let [dark_dn2, per_light_dn] = model.noise;
-    let variance = dark_dn2 + per_light_dn * larger(level * left, 0.0) + left_out * left_out;
-    let per_sigma = 1.0 / variance.sqrt();
-    let scale = per_sigma * level;
-    let (by_place, by_level) = (scale * contrast * light, per_sigma * left);
-    let columns = [
-        by_place * share_x,
-        by_place * share_y,
-        -scale * taken,
-        by_level,
-        by_level * x * per_reach,
-        by_level * y * per_reach,
-        per_sigma * (pixel.seen - level * left),
-    ];
-    (columns, per_sigma * MODEL_ERROR * light)
-}
-
-#[inline(always)]
-fn linearise_by(
-    cover_at: impl Fn([f32; 4], f32, f32) -> [f32; 3],
-    fit: &MarkFit<'_>,
-    patch: &Patch,
-    unknowns: &Unknowns,
-    near: &mut Near,
-) {
-    let model = PixelModel {
-        to_arms: rows(&fit.to_arms),
-        unknowns: unknowns.map(|v| v as f32).into(),
-        noise: [fit.noise.dark_dn2, fit.noise.per_light_dn].map(|v| v as f32),
-        blur_variance: fit.image.blur_px.powi(2) as f32,
-        per_reach: 1.0 / fit.reach as f32,
-    };
-    let count = patch.x.len() / LANES;
-    let [x, y, seen, light, slope_x, slope_y, bend] = [
-        &patch.x,
-        &patch.y,
-        &patch.seen,
-        &patch.lit.light,
-        &patch.lit.slope_x,
-        &patch.lit.slope_y,
-        &patch.lit.bend,
-    ]
-    .map(|list| &groups(list)[..count]);
-    near.pixels.clear();
-    near.allowed.clear();
-    for n in 0..count {
-        let mut found = [[0.0; LANES]; UNKNOWNS + 1];
-        let mut allowed = [0.0; LANES];
-        for k in 0..LANES {
-            let here = Pixel {
-                x: x[n][k],
-                y: y[n][k],
-                seen: seen[n][k],
-                light: light[n][k],
-                slope_x: slope_x[n][k],
-                slope_y: slope_y[n][k],
-                bend: bend[n][k],
-            };
-            let values;
-            (values, allowed[k]) = near_pixel(&model, &cover_at, &here);
-            for (found, value) in found.iter_mut().zip(values) {
-                found[k] = value;
-            }
-        }
-        near.pixels.push(found);
-        near.allowed.push(allowed);
-    }
-}
-
 impl Lists {
+    /// What the mark takes of the light when it is at a place, px from the expected one.
+    fn cover(&mut self, fit: &MarkFit<'_>, at: Vector2<f64>) {
+        let offsets = Offsets {
+            from: [-at.x as f32, -at.y as f32],
+            x: &self.patch.x,
+            y: &self.patch.y,
+        };
+        fit.cover
+            .at(rows(&fit.to_arms), offsets, &mut self.coverage);
+    }
+
+    /// The model at some unknowns, the mark having moved so far since [`cover`](Self::cover), px.
+    fn linearise(&mut self, fit: &MarkFit<'_>, unknowns: &Unknowns, moved: Vector2<f64>) {
+        let model = MarkModel {
+            unknowns: unknowns.map(|v| v as f32).into(),
+            moved: moved.map(|v| v as f32).into(),
+            dark_dn2: fit.noise.dark_dn2 as f32,
+            per_light_dn: fit.noise.per_light_dn as f32,
+            blur_variance: fit.image.blur_px.powi(2) as f32,
+            per_reach: 1.0 / fit.reach as f32,
+        };
+        let Patch {
+            x, y, seen, lit, ..
+        } = &self.patch;
+        let coverage = &self.coverage;
+        let pixels = MarkPixels {
+            x,
+            y,
+            seen,
+            lit,
+            coverage,
+        };
+        linearise(&model, pixels, &mut self.near);
+    }
+
     /// Weights 1 of pixels within a limit of the model and 0 beyond twice that, of those that count: the limit by the scatter that
     /// most pixels show, at least the stated one, and by what the model may be off. Those of before where pixels are too few.
     fn weigh(&mut self) {
@@ -300,6 +178,7 @@ impl Lists {
             near,
             weights,
             counted,
+            ..
         } = self;
         counted.clear();
         let counts = groups(&patch.counts);
@@ -335,24 +214,22 @@ impl Lists {
     }
 }
 
-impl Near {
-    /// With their degrees of freedom; `None` of too few pixels.
-    fn normal_equations(&self, weights: &[[f32; LANES]]) -> Option<(Normal<UNKNOWNS>, f64)> {
-        let each = weights.as_flattened();
-        let pixels = each.iter().filter(|weight| **weight > 0.0).count();
-        if pixels < MIN_PIXELS_PER_UNKNOWN * UNKNOWNS {
-            return None;
-        }
-        // The last row and column belong to the residuals.
-        let sums = products(&self.pixels, weights);
-        let sum = |m: usize, n: usize| f64::from(sums[m.max(n)][m.min(n)]);
-        let total: f32 = each.iter().sum();
-        let normal = Normal {
-            information: Matrix6::from_fn(sum),
-            gradient: Vector6::from_fn(|m, _| sum(m, UNKNOWNS)),
-            chi2: sum(UNKNOWNS, UNKNOWNS),
-        };
-        let freedoms = f64::from(total) * (1.0 - UNKNOWNS as f64 / pixels as f64);
-        Some((normal, freedoms))
+/// The normal equations of a model, with their degrees of freedom; `None` of too few pixels.
+fn normal_equations(near: &Near, weights: &[[f32; LANES]]) -> Option<(Normal<UNKNOWNS>, f64)> {
+    let each = weights.as_flattened();
+    let pixels = each.iter().filter(|weight| **weight > 0.0).count();
+    if pixels < MIN_PIXELS_PER_UNKNOWN * UNKNOWNS {
+        return None;
     }
+    // The last row and column belong to the residuals.
+    let sums = products(&near.pixels, weights);
+    let sum = |m: usize, n: usize| f64::from(sums[m.max(n)][m.min(n)]);
+    let total: f32 = each.iter().sum();
+    let normal = Normal {
+        information: Matrix6::from_fn(sum),
+        gradient: Vector6::from_fn(|m, _| sum(m, UNKNOWNS)),
+        chi2: sum(UNKNOWNS, UNKNOWNS),
+    };
+    let freedoms = f64::from(total) * (1.0 - UNKNOWNS as f64 / pixels as f64);
+    Some((normal, freedoms))
 }

@@ -2,7 +2,7 @@
 
 use super::blurred_dot::BlurredDot;
 use crate::frame::PIXEL_VARIANCE_PX2;
-use crate::kernels::{Bars, Coverage, cover};
+use crate::kernels::marks::{Bars, Coverage, Offsets, cover};
 use crate::plate::MarkShape;
 use nalgebra::{Matrix2, Rotation2, Vector2};
 
@@ -137,14 +137,9 @@ impl MarkImage {
     /// The share of the light that the mark takes at offsets from its centre, px. `to_arms` leads from an offset on the
     /// sensor to one along the arms, both px.
     pub(super) fn coverage(&self, x: &[f32], y: &[f32], to_arms: &Matrix2<f64>) -> Coverage {
-        let mut coverage = Coverage::of_length(x.len());
-        match self.form {
-            MarkForm::Cross { half_width_px } => {
-                let bars = self.bars(half_width_px);
-                cover(&bars, rows(to_arms), x, y, &mut coverage);
-            }
-            MarkForm::Dot => self.dot().cover(rows(to_arms), x, y, &mut coverage),
-        }
+        let from = [0.0; 2];
+        let mut coverage = Coverage::default();
+        Cover::new(self).at(rows(to_arms), Offsets { from, x, y }, &mut coverage);
         coverage
     }
 
@@ -168,6 +163,30 @@ impl MarkImage {
 
     pub(super) fn dot(&self) -> BlurredDot {
         BlurredDot::new(self.half_length_px, self.blur_px)
+    }
+}
+
+/// What a mark takes of the light, and how that changes.
+#[derive(Debug, Clone)]
+pub(super) enum Cover {
+    Cross(Bars),
+    Dot(BlurredDot),
+}
+
+impl Cover {
+    pub fn new(image: &MarkImage) -> Self {
+        match image.form {
+            MarkForm::Cross { half_width_px } => Self::Cross(image.bars(half_width_px)),
+            MarkForm::Dot => Self::Dot(image.dot()),
+        }
+    }
+
+    /// At offsets from the middle; `to_arms` leads, by rows, from an offset on the sensor to one along the arms, both px.
+    pub fn at(&self, to_arms: [f32; 4], offsets: Offsets<'_>, coverage: &mut Coverage) {
+        match self {
+            Self::Cross(bars) => cover(bars, to_arms, offsets, coverage),
+            Self::Dot(dot) => dot.cover(to_arms, offsets, coverage),
+        }
     }
 }
 

@@ -14,7 +14,8 @@
 //! result.
 
 use super::MarkImage;
-use super::mark_fit::{CONTRAST, Cover, Lists, MarkFit, Settled, X, Y};
+use super::mark_fit::{CONTRAST, Lists, MarkFit, Settled, X, Y};
+use super::mark_image::Cover;
 use super::patch::Illumination;
 use crate::frame::{Cutout, PixelNoise};
 use crate::plate::MarkShape;

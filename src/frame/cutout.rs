@@ -1,10 +1,9 @@
 //! A part of a frame as every stage after the disc search reads it: light above the background, and pixels that do not count.
 
-use super::{Frame, Region, Sample, View, any_above};
-use crate::kernels::{copied, zeros};
+use super::{Frame, Region, Sample, View};
+use crate::kernels::{any_above, copied, subtract, zeros};
 use crate::units::SensorPx;
 use crate::with_view;
-use multiversion::multiversion;
 
 /// Variance of a pixel's value, DN^2: read noise and rounding, and photon noise in proportion to the light.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -116,13 +115,6 @@ impl Cutout {
         let width = self.region.width();
         &self.light_dn[(y - self.region.y0) * width..][..width]
     }
-}
-
-/// Adds a row's light: its pixels less the background of each column and of the row.
-#[multiversion(targets("x86_64+avx2"))]
-fn subtract<T: Sample>(row: &[T], columns_dn: &[f32], row_dn: f32, light_dn: &mut Vec<f32>) {
-    let pairs = row.iter().zip(columns_dn);
-    light_dn.extend(pairs.map(|(pixel, column_dn)| pixel.dn() - column_dn - row_dn));
 }
 
 /// Pixels of a region that do not count.

@@ -152,6 +152,30 @@ impl Disc {
         self.edge.at((r2 - r2.sqrt()) / per_disc).0
     }
 
+    /// The light on some neighbours in a row from a place on.
+    #[inline(always)]
+    fn run_light(&self, first: f32, y: f32, [deep2, half_blur2]: [f32; 2]) -> [f32; LANES] {
+        // Along a row the squared radius is a polynomial of the pixel's number.
+        let [a, b, _] = self.inverse;
+        let ([slope, _], start) = self.radial([first, y]);
+        let r2 = |k: usize| {
+            let k = k as i32 as f32;
+            start + k * (2.0 * slope + k * (a * a + b * b))
+        };
+        let mut light = [0.0; LANES];
+        // A row's ends are farther out than what lies between them.
+        if larger(start, r2(LANES - 1)) < deep2 {
+            for k in 0..LANES {
+                (light[k], _) = self.deep_light(r2(k), half_blur2);
+            }
+        } else {
+            for k in 0..LANES {
+                light[k] = self.edge_light([first + k as i32 as f32, y]);
+            }
+        }
+        light
+    }
+
     /// The light on a row's pixels from a place on, which is given from the disc's centre, px.
     pub fn fill(&self, x: f32, y: f32, light: &mut [f32]) {
         fill(self, x, y, light);
@@ -169,26 +193,13 @@ impl Disc {
 
 #[multiversion(targets("x86_64+avx2"))]
 fn fill(disc: &Disc, first: f32, y: f32, light: &mut [f32]) {
-    let deep2 = disc.deep2();
-    let half_blur2 = 0.5 * disc.blur() * disc.blur();
+    let limits = [disc.deep2(), 0.5 * disc.blur() * disc.blur()];
     for (n, light) in light.chunks_mut(LANES).enumerate() {
-        let (mut x, mut r2) = ([0.0; LANES], [0.0; LANES]);
-        for k in 0..LANES {
-            x[k] = first + (n * LANES + k) as i32 as f32;
-            (_, r2[k]) = disc.radial([x[k], y]);
+        let found = disc.run_light(first + (n * LANES) as i32 as f32, y, limits);
+        match light.len() {
+            LANES => light.copy_from_slice(&found),
+            left => light.copy_from_slice(&found[..left]),
         }
-        let mut here = [0.0; LANES];
-        // A row's ends are farther out than what lies between them.
-        if larger(r2[0], r2[LANES - 1]) < deep2 {
-            for k in 0..LANES {
-                (here[k], _) = disc.deep_light(r2[k], half_blur2);
-            }
-        } else {
-            for k in 0..LANES {
-                here[k] = disc.edge_light([x[k], y]);
-            }
-        }
-        light.copy_from_slice(&here[..light.len()]);
     }
 }
 

@@ -1,6 +1,7 @@
 //! Kernels: the loops over pixels that the processor works on side by side, each held to a plain twin by a test.
 
 pub mod limb;
+pub mod marks;
 pub mod ring;
 pub mod sums;
 
@@ -89,6 +90,55 @@ pub fn column_sums(rows: &[f32], sums: &mut [f32]) {
             *sum += value;
         }
     }
+}
+
+/// Adds a row's light: its pixels less the background of each column and of the row.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn subtract<T: Copy + Into<u32>>(
+    row: &[T],
+    columns_dn: &[f32],
+    row_dn: f32,
+    light_dn: &mut Vec<f32>,
+) {
+    light_dn.extend(row.iter().zip(columns_dn).map(|(pixel, column_dn)| {
+        let dn: u32 = (*pixel).into();
+        dn as i32 as f32 - column_dn - row_dn
+    }));
+}
+
+/// Whether some pixel of a row is above a value.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn any_above<T: Copy + Default + Ord>(row: &[T], floor: T) -> bool {
+    /// Pixels that are compared side by side.
+    const GROUP: usize = 32;
+    let (groups, rest) = row.as_chunks::<GROUP>();
+    let mut most = [T::default(); GROUP];
+    for group in groups {
+        for k in 0..GROUP {
+            most[k] = if group[k] > most[k] {
+                group[k]
+            } else {
+                most[k]
+            };
+        }
+    }
+    let of = |list: &[T]| list.iter().copied().fold(T::default(), T::max);
+    of(&most).max(of(rest)) > floor
+}
+
+/// How many values are within a limit, and the sum of their squares.
+#[multiversion(targets("x86_64+avx2"))]
+pub fn squares_within(values: &[f32], limit: f32) -> [f32; 2] {
+    let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+    for values in groups(values) {
+        for k in 0..LANES {
+            let square = values[k] * values[k];
+            let within = square < limit * limit;
+            counts[k] += if within { 1.0 } else { 0.0 };
+            squares[k] += if within { square } else { 0.0 };
+        }
+    }
+    [counts, squares].map(|lanes| lanes.iter().sum())
 }
 
 /// The sum of those pixels of a row that are from a least to a most value, DN, and how many these are.
@@ -205,121 +255,6 @@ pub fn divide_row(
     }
 }
 
-/// Two bars that cross at right angles, behind a Gaussian blur.
-#[derive(Debug, Clone, Copy)]
-pub struct Bars {
-    pub half_length: f32,
-    pub half_width: f32,
-    /// 1 / sigma of the blur.
-    pub per_blur: f32,
-}
-
-impl Bars {
-    /// Whether each end of an arm may be taken on its own: they are so many sigma of the blur from its middle.
-    #[inline(always)]
-    pub fn has_ends_apart(&self) -> bool {
-        const ENDS_APART_SIGMAS: f32 = 5.0;
-        self.half_length * self.per_blur > ENDS_APART_SIGMAS
-    }
-}
-
-/// Shares of the light that a cross takes at some places, and their slopes along x and y.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Coverage {
-    pub share: Vec<f32>,
-    pub slope_x: Vec<f32>,
-    pub slope_y: Vec<f32>,
-}
-
-impl Coverage {
-    /// Sum of the squared slopes along one axis, the mean of both.
-    pub fn slope_energy(&self) -> f64 {
-        let squares = |slopes: &[f32]| slopes.iter().map(|s| f64::from(s * s)).sum::<f64>();
-        (squares(&self.slope_x) + squares(&self.slope_y)) / 2.0
-    }
-
-    pub fn of_length(count: usize) -> Self {
-        let [share, slope_x, slope_y] = std::array::from_fn(|_| vec![0.0; count]);
-        Self {
-            share,
-            slope_x,
-            slope_y,
-        }
-    }
-}
-
-/// What a cross takes of the light at offsets from its centre; `to_arms` leads, by rows, from an offset to one along the
-/// arms.
-///
-/// A blurred bar is its profile along times its profile across, each a difference of two tails of the normal distribution;
-/// the cross is two bars less their common middle.
-#[multiversion(targets("x86_64+avx2"))]
-pub fn cover(bars: &Bars, to_arms: [f32; 4], x: &[f32], y: &[f32], coverage: &mut Coverage) {
-    if bars.has_ends_apart() {
-        cover_by(long_blurred_bar, bars, to_arms, x, y, coverage);
-    } else {
-        cover_by(blurred_bar, bars, to_arms, x, y, coverage);
-    }
-}
-
-/// The coverage, `long_bar` telling the share and slope of the bars along their length.
-#[inline(always)]
-fn cover_by(
-    long_bar: impl Fn(f32, f32, f32) -> (f32, f32),
-    bars: &Bars,
-    to_arms: [f32; 4],
-    x: &[f32],
-    y: &[f32],
-    coverage: &mut Coverage,
-) {
-    let count = x.len();
-    let y = &y[..count];
-    let share = &mut coverage.share[..count];
-    let slope_x = &mut coverage.slope_x[..count];
-    let slope_y = &mut coverage.slope_y[..count];
-    for n in 0..count {
-        [share[n], slope_x[n], slope_y[n]] = cover_at(&long_bar, bars, to_arms, x[n], y[n]);
-    }
-}
-
-/// Share and slopes along x and y at one place.
-#[inline(always)]
-pub fn cover_at(
-    long_bar: impl Fn(f32, f32, f32) -> (f32, f32),
-    bars: &Bars,
-    [ux, uy, vx, vy]: [f32; 4],
-    x: f32,
-    y: f32,
-) -> [f32; 3] {
-    let (u, v) = (ux * x + uy * y, vx * x + vy * y);
-    let (long_u, long_slope_u) = long_bar(u, bars.half_length, bars.per_blur);
-    let (long_v, long_slope_v) = long_bar(v, bars.half_length, bars.per_blur);
-    let (wide_u, wide_slope_u) = blurred_bar(u, bars.half_width, bars.per_blur);
-    let (wide_v, wide_slope_v) = blurred_bar(v, bars.half_width, bars.per_blur);
-    let slope_u = long_slope_u * wide_v + wide_slope_u * (long_v - wide_v);
-    let slope_v = long_slope_v * wide_u + wide_slope_v * (long_u - wide_u);
-    [
-        long_u * wide_v + wide_u * (long_v - wide_v),
-        ux * slope_u + vx * slope_v,
-        uy * slope_u + vy * slope_v,
-    ]
-}
-
-/// The share and slope of a bar so long that its other end is not seen from either.
-#[inline(always)]
-pub fn long_blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
-    let (share, density) = normal_tail((at.abs() - half) * per_blur);
-    (share, -(density * per_blur).copysign(at))
-}
-
-/// The share that a blurred bar of some half length covers at an offset from its middle, and its slope.
-#[inline(always)]
-pub fn blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
-    let (near, near_density) = normal_tail((at - half) * per_blur);
-    let (far, far_density) = normal_tail((at + half) * per_blur);
-    (near - far, (far_density - near_density) * per_blur)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -338,6 +273,37 @@ mod tests {
             let plain: f32 = (0..count).map(|n| a[n] * b[n] * w[n]).sum();
             assert!((products(&pixels, weights)[1][0] - plain).abs() < 1e-4);
         }
+    }
+
+    #[test]
+    fn a_row_less_its_background_is_each_pixel_less_both_parts() {
+        let (row, columns): (Vec<u8>, _) = ((0..77).collect(), wave(77, 0.3));
+        let mut light = vec![9.0];
+        subtract(&row, &columns, 2.5, &mut light);
+        let plain = row
+            .iter()
+            .zip(&columns)
+            .map(|(p, c)| f32::from(*p) - c - 2.5);
+        assert_eq!(light[1..], plain.collect::<Vec<f32>>());
+    }
+
+    #[test]
+    fn any_pixel_above_a_value_is_noticed_wherever_it_stands() {
+        for n in 0..77 {
+            let mut row = [7_u8; 77];
+            assert!(!any_above(&row, 7));
+            row[n] = 8;
+            assert!(any_above(&row, 7));
+        }
+    }
+
+    #[test]
+    fn squares_within_a_limit_leave_out_what_is_beyond() {
+        let values = wave(80, 0.7);
+        let within = values.iter().filter(|v| v.abs() < 0.5);
+        let (count, sum) = within.fold((0.0, 0.0), |(n, sum), v| (n + 1.0, sum + v * v));
+        let found = squares_within(&values, 0.5);
+        assert!(found[0] == count && (found[1] - sum).abs() < 1e-4);
     }
 
     #[test]
@@ -383,43 +349,5 @@ mod tests {
         assert!((correlate(&weights, 16, &values, 21) - plain).abs() < 1e-4);
         let plain: f32 = pairs.map(|(w, v)| w * v * v).sum();
         assert!((weighted_squares(&weights, 16, &values, 21) - plain).abs() < 1e-4);
-    }
-
-    #[test]
-    fn the_coverage_is_that_of_the_blurred_cross_and_its_slopes() {
-        const BARS: Bars = Bars {
-            half_length: 7.8,
-            half_width: 1.05,
-            per_blur: 1.0 / 0.95,
-        };
-        // The blurred cross straight from its definition, turned by 0.3 rad.
-        let share = |x: f64, y: f64| {
-            let (sin, cos) = 0.3_f64.sin_cos();
-            let (u, v) = (cos * x + sin * y, cos * y - sin * x);
-            let below = |at: f64| {
-                0.5 * libm::erfc(-at * f64::from(BARS.per_blur) / std::f64::consts::SQRT_2)
-            };
-            let bar =
-                |at: f64, half: f32| below(at + f64::from(half)) - below(at - f64::from(half));
-            let (long_u, long_v) = (bar(u, BARS.half_length), bar(v, BARS.half_length));
-            let (wide_u, wide_v) = (bar(u, BARS.half_width), bar(v, BARS.half_width));
-            long_u * wide_v + wide_u * long_v - wide_u * wide_v
-        };
-        let places = |n: i32| (f64::from(n) * 0.41 - 12.0, f64::from(n) * 0.17 - 5.0);
-        let (x, y): (Vec<f32>, Vec<f32>) = (0..60)
-            .map(places)
-            .map(|(x, y)| (x as f32, y as f32))
-            .unzip();
-        let (sin, cos) = 0.3_f32.sin_cos();
-        let mut found = Coverage::of_length(60);
-        cover(&BARS, [cos, sin, -sin, cos], &x, &y, &mut found);
-        for (n, (x, y)) in (0..60).map(places).enumerate() {
-            assert!((f64::from(found.share[n]) - share(x, y)).abs() < 3e-5);
-            const H: f64 = 1e-4;
-            let slope_x = (share(x + H, y) - share(x - H, y)) / (2.0 * H);
-            let slope_y = (share(x, y + H) - share(x, y - H)) / (2.0 * H);
-            assert!((f64::from(found.slope_x[n]) - slope_x).abs() < 3e-5);
-            assert!((f64::from(found.slope_y[n]) - slope_y).abs() < 3e-5);
-        }
     }
 }

@@ -73,6 +73,9 @@ fn brighter(frame: &Frame, dn: f64) -> Histogram {
     for round in 0..ROUNDS {
         let first = BRIGHT_ROWS_PX / 2 + round * BRIGHT_ROWS_PX;
         for y in (first..frame.height()).step_by(ROUNDS * BRIGHT_ROWS_PX) {
+            if !frame.is_brighter(y, 0..frame.width(), dn) {
+                continue;
+            }
             for x in (0..frame.width()).step_by(STRETCH_PX) {
                 let stretch = x..(x + STRETCH_PX).min(frame.width());
                 if !frame.is_brighter(y, stretch.clone(), dn) {
