@@ -308,7 +308,7 @@ mod tests {
 
     #[test]
     fn a_sum_within_limits_leaves_out_what_is_beyond_them() {
-        let row: Vec<u16> = (0..77).map(|n| n * 7919 % 4096).collect();
+        let row: Vec<u16> = (0..77).map(|n: u32| (n * 7919 % 4096) as u16).collect();
         let same = row.iter().filter(|dn| (100..=3000).contains(*dn));
         let (sum, count) = same.fold((0, 0), |(sum, count), dn| (sum + i32::from(*dn), count + 1));
         assert_eq!(sum_within(&row, [100, 3000]), [sum, count]);
