@@ -149,17 +149,17 @@ impl<const N: usize> LeastSquares<N> {
     ///
     /// # Errors
     /// As [`fit`](Self::fit).
-    pub fn fit_after_plain<const D: usize>(
+    pub fn fit_after_plain<const D: usize, Rows: IntoIterator<Item = Linearised<D, N>>>(
         &self,
-        linearise: impl Fn(&SVector<f64, N>) -> Option<Vec<Linearised<D, N>>>,
+        linearise: impl Fn(&SVector<f64, N>) -> Option<Rows>,
     ) -> Result<Fitted<N>, FitError> {
         let plain = Self {
             loss: Loss::Squares,
             scale: Scale::Stated,
             ..*self
         };
-        let start = plain.fit(&linearise)?.parameters;
-        Self { start, ..*self }.fit(linearise)
+        let start = plain.fit_each(&linearise)?.parameters;
+        Self { start, ..*self }.fit_each(linearise)
     }
 }
 
@@ -282,7 +282,7 @@ pub fn regression_by<const N: usize>(
             residual: SVector::from([(value - terms.dot(coefficients)) / sigma]),
             jacobian: terms.transpose() / *sigma,
         };
-        Some(rows.map(row).collect())
+        Some(rows.map(row).collect::<Vec<_>>())
     };
     let fit = LeastSquares {
         start: SVector::zeros(),

@@ -165,6 +165,7 @@ impl OnDemand {
         }
     }
 
+    #[inline(never)]
     fn row(&self, y: usize) -> &Pixels {
         self.rows[y].get_or_init(|| {
             let row = self.source.row(y);
@@ -290,7 +291,24 @@ impl<'a, T: Sample> View<'a, T> {
         (0..self.height).flat_map(move |y| view.row(y).iter().copied())
     }
 
+    /// A pixel, the one to its right, and the two below.
+    #[inline(always)]
+    pub fn square(&self, x: usize, y: usize) -> [T; 4] {
+        let (above, below) = match self.rows {
+            Rows::Whole(pixels) => {
+                let (above, below) = pixels[y * self.width + x..].split_at(self.width);
+                (above, below)
+            }
+            Rows::OnDemand(rows) => {
+                let row = |y| &T::of(rows.row(y).as_slice())[x..];
+                (row(y), row(y + 1))
+            }
+        };
+        [above[0], above[1], below[0], below[1]]
+    }
+
     /// The value at column `x`, row `y`, DN.
+    #[inline]
     pub fn dn(&self, x: usize, y: usize) -> f32 {
         self.row(y)[x].dn()
     }

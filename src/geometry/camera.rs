@@ -125,8 +125,14 @@ impl CameraModel {
 
     /// By how much the radius grows with the angle from the axis where a ray is seen, over what it does at the axis.
     pub fn growth(&self, ray: &UnitVector3<f64>) -> f64 {
-        let (theta, _) = polar(ray);
-        self.lens.radius(theta).1 / self.lens.radius(0.0).1
+        match self.lens {
+            // The same without angles.
+            Lens::Rectilinear => ray.z.powi(-2),
+            Lens::KannalaBrandt(_) => {
+                let (theta, _) = polar(ray);
+                self.lens.radius(theta).1 / self.lens.radius(0.0).1
+            }
+        }
     }
 
     /// The horizontal focal length over the vertical one: how many times as high as wide pixels are.
@@ -176,6 +182,13 @@ impl CameraModel {
 
     /// Derivative of [`ray`](Self::ray), rad per px.
     pub fn ray_jacobian(&self, pixel: SensorPx) -> Option<Matrix3x2<f64>> {
+        let per_px = Matrix2::from_diagonal(&self.focal_px.map(f64::recip));
+        if self.lens == Lens::Rectilinear {
+            let ray = self.ray(pixel)?.into_inner();
+            // The plane's axes, without what they have along the ray, over its distance.
+            let axes = Matrix3x2::identity() - ray * ray.xy().transpose();
+            return Some(axes * per_px * ray.z);
+        }
         let (theta, outward) = self.angles(pixel)?;
         let (r, slope) = self.lens.radius(theta);
         let (sin, cos) = theta.sin_cos();
@@ -185,7 +198,7 @@ impl CameraModel {
         let along: RowVector2<f64> = outward.transpose() / slope;
         let across: RowVector2<f64> = turned(outward).transpose() * per_r;
         let by_plane = polar * along + around * across;
-        Some(by_plane * Matrix2::from_diagonal(&self.focal_px.map(f64::recip)))
+        Some(by_plane * per_px)
     }
 
     /// The ray of a measured pixel with its covariance. `None` beyond the limit of the lens.

@@ -1,10 +1,13 @@
 //! Whether the light within an edge goes on, or fades, as an Earth's does. That of a strut or of a flare ends as sharply as it began.
 
 use super::edge::EdgePoint;
-use super::profile::{interpolated, is_inside};
+use super::profile::{interpolated, is_inside, read_along};
 use crate::frame::{Region, Sample, View};
+use crate::kernels::LANES;
+use crate::kernels::paths::OnPath;
 use crate::reasons::horizon as reasons;
 use crate::units::Rejected;
+use nalgebra::Vector2;
 
 /// Light is read so many scale heights apart, or pixels where these are more, and so often.
 const APART_SCALES: f64 = 3.0;
@@ -14,8 +17,8 @@ const SAMPLES: usize = 30;
 const EVERY: usize = 3;
 /// Over the edge's own fall: light that falls by so much from one sample to the next, to less than that, and for
 /// most of the way on, ends.
-const LEAST_FALL: f64 = 0.5;
-const MOST_LEFT: f64 = 0.2;
+const LEAST_FALL: f32 = 0.5;
+const MOST_LEFT: f32 = 0.2;
 /// It may end at this share of the places: where a strut hides it.
 const MOST_ENDING: f64 = 0.4;
 
@@ -30,22 +33,26 @@ pub(super) fn goes_on<T: Sample>(
     scale_px: f64,
 ) -> Result<(), Rejected> {
     let apart_px = (APART_SCALES * scale_px).max(APART_PX);
+    let mut groups = [OnPath::default(); SAMPLES.div_ceil(LANES)];
+    let mut light = [0.0; SAMPLES.next_multiple_of(LANES)];
     let ends = |point: &&EdgePoint| {
-        let light = |n: f64| {
-            let at = (point.at.vector() + point.inward * (n * apart_px)).into();
-            is_inside(view, mask, at).then(|| f64::from(interpolated(view, at)))
-        };
-        let (Some(dark), Some(bright)) = (light(-1.0), light(1.0)) else {
+        let path = [point.at.vector(), point.inward * apart_px, Vector2::zeros()];
+        let is_seen = |n: &usize| is_inside(view, mask, (path[0] + path[1] * (*n as f64)).into());
+        let before = path[0] - path[1];
+        if !is_inside(view, mask, before.into()) || !is_seen(&1) {
             return false;
-        };
-        let fall = bright - dark;
-        let inwards = (1..SAMPLES).map_while(|n| light(n as f64));
-        let inwards: Vec<f64> = inwards.collect();
-        let is_dark = |light: &f64| light - dark < MOST_LEFT * fall;
+        }
+        let dark = interpolated(view, before.into());
+        let count = (1..SAMPLES).take_while(is_seen).count();
+        let groups = &mut groups[..count.div_ceil(LANES)];
+        read_along(view, &path, 1.0, groups, &mut light);
+        let inwards = &light[..count];
+        let fall = inwards[0] - dark;
+        let is_dark = |light: &f32| light - dark < MOST_LEFT * fall;
         inwards.windows(2).enumerate().any(|(n, pair)| {
             let rest = &inwards[n + 1..];
-            let left = rest.iter().filter(|light| is_dark(light)).count();
-            pair[0] - pair[1] > LEAST_FALL * fall && is_dark(&pair[1]) && 2 * left > rest.len()
+            let dark = || rest.iter().filter(|light| is_dark(light)).count();
+            pair[0] - pair[1] > LEAST_FALL * fall && is_dark(&pair[1]) && 2 * dark() > rest.len()
         })
     };
     let some = || edge.iter().step_by(EVERY);

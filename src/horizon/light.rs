@@ -1,7 +1,7 @@
 //! What a few of a frame's pixels say of its light.
 
 use super::sphere::Sphere;
-use crate::estimation::{SIGMA_PER_MEDIAN, median};
+use crate::estimation::{SIGMA_PER_MEDIAN, median_among, median_size};
 use crate::frame::{Frame, Sample, View};
 use crate::instrument::DirectionCamera;
 use crate::reasons::horizon as reasons;
@@ -9,6 +9,7 @@ use crate::units::{Rejected, SensorPx};
 use crate::with_view;
 use nalgebra::UnitVector3;
 use std::f64::consts::{PI, SQRT_2};
+use std::ops::Range;
 
 /// One pixel in so many is looked at, in each axis, and so many across a sphere or a picture that is small.
 const MOST_SPACING_PX: f64 = 40.0;
@@ -70,7 +71,7 @@ impl Levels {
         let bright_share = (PART_OF_SPHERE * sphere_share).min(BRIGHT_SHARE);
         let mut quantile = |share: f64| {
             let n = ((share * pixels.len() as f64) as usize).min(pixels.len() - 1);
-            f64::from(*pixels.select_nth_unstable_by(n, f32::total_cmp).1)
+            f64::from(*pixels.select_nth_unstable(n).1)
         };
         let levels = Self {
             dark_dn: quantile(DARK_SHARE),
@@ -91,24 +92,30 @@ impl Levels {
 
 /// Some of the pixels, their mean, and the brighter ones' noise by the difference from their neighbours.
 struct Sampled {
-    pixels: Vec<f32>,
+    pixels: Vec<u32>,
     mean: f64,
     noise_dn: f64,
 }
 
 impl Sampled {
     fn of<T: Sample>(view: &View<'_, T>, spacing_px: usize) -> Self {
-        let rows = (0..view.height).step_by(spacing_px).map(|y| view.row(y));
-        let pairs = rows.flat_map(|row| row.windows(2).step_by(spacing_px));
-        let pairs: Vec<[f32; 2]> = pairs.map(|pair| [pair[0].dn(), pair[1].dn()]).collect();
-        let mean = pairs.iter().map(|[one, _]| f64::from(*one)).sum::<f64>() / pairs.len() as f64;
+        let mut pairs: Vec<[u32; 2]> = Vec::new();
+        for y in (0..view.height).step_by(spacing_px) {
+            let row = view.row(y);
+            let columns = (0..view.width.saturating_sub(1)).step_by(spacing_px);
+            pairs.extend(columns.map(|x| [row[x].into(), row[x + 1].into()]));
+        }
+        let pixels: Vec<u32> = pairs.iter().map(|[one, _]| *one).collect();
+        let sum: u64 = pixels.iter().map(|dn| u64::from(*dn)).sum();
+        let mean = sum as f64 / pixels.len() as f64;
         // Light has noise of its own, and the dark sky may have lost some at the bottom of the scale.
         let bright = pairs.iter().filter(|[one, _]| f64::from(*one) >= mean);
-        let differences = bright.map(|[one, next]| f64::from(next - one).abs());
-        let noise = median(differences).unwrap_or_default() * SIGMA_PER_MEDIAN / SQRT_2;
+        let differences = bright.map(|[one, next]| one.abs_diff(*next) as f32);
+        let difference = f64::from(median_size(differences).unwrap_or_default());
+        let noise = difference * SIGMA_PER_MEDIAN / SQRT_2;
         Self {
             mean,
-            pixels: pairs.iter().map(|[one, _]| *one).collect(),
+            pixels,
             // Of whole numbers, half a one at the least.
             noise_dn: noise.max(0.5),
         }
@@ -124,33 +131,35 @@ impl Raster {
     pub fn of<T: Sample>(view: &View<'_, T>, camera: &DirectionCamera) -> Self {
         let shorter_px = view.width.min(view.height);
         let apart_px = (shorter_px / RASTER_LINES).clamp(1, MOST_RASTER_PX);
-        let rows = (0..view.height).step_by(apart_px);
-        let raster = rows.flat_map(|y| (0..view.width).step_by(apart_px).map(move |x| (x, y)));
-        let is_seen = |(x, y): &(usize, usize)| !camera.mask.iter().any(|r| r.contains(*x, *y));
-        let light = |(x, y): (usize, usize)| {
-            let ray = camera.lens.ray(SensorPx::new(x as f64, y as f64))?;
-            Some((ray, f64::from(view.dn(x, y))))
-        };
-        Self {
-            pixels: raster.filter(is_seen).filter_map(light).collect(),
+        let [columns, rows] = [view.width, view.height].map(|size| (0..size).step_by(apart_px));
+        let mut pixels = Vec::with_capacity(columns.len() * rows.len());
+        for y in rows {
+            let row = view.row(y);
+            for x in columns.clone() {
+                let ray = camera.lens.ray(SensorPx::new(x as f64, y as f64));
+                if let Some(ray) = ray.filter(|_| !camera.mask.iter().any(|r| r.contains(x, y))) {
+                    pixels.push((ray, f64::from(row[x].dn())));
+                }
+            }
         }
+        Self { pixels }
     }
 
-    /// The light of the pixels whose rays have such a cosine with a nadir; `None` of too few.
-    fn light_where(
-        &self,
-        nadir: &UnitVector3<f64>,
-        holds: impl Fn(f64) -> bool,
-    ) -> Option<Vec<f64>> {
-        let part = self.pixels.iter().filter(|(ray, _)| holds(ray.dot(nadir)));
-        let light: Vec<f64> = part.map(|(_, dn)| *dn).collect();
+    /// The light of the pixels whose rays have a cosine within a range with a nadir; `None` of too few.
+    fn light_within(&self, nadir: &UnitVector3<f64>, range: Range<f64>) -> Option<Vec<f64>> {
+        let mut light = Vec::with_capacity(self.pixels.len());
+        for (ray, dn) in &self.pixels {
+            if range.contains(&ray.dot(nadir)) {
+                light.push(*dn);
+            }
+        }
         (light.len() >= LEAST_PIXELS).then_some(light)
     }
 
     /// What a pixel of the sky far from the limb holds, DN; `None` where too little of it is in view.
     pub fn far_sky_dn(&self, sphere: &Sphere, nadir: &UnitVector3<f64>) -> Option<f64> {
         let angle = sphere.half_angle_rad.value + sphere.outside_rad + FAR_RAD;
-        median(self.light_where(nadir, |cosine| cosine < angle.cos())?)
+        median_among(&mut self.light_within(nadir, f64::NEG_INFINITY..angle.cos())?)
     }
 
     /// Whether light fills the sphere, as far as it is day there, and not the sky. Flares have edges, too.
@@ -168,9 +177,9 @@ impl Raster {
             bright.count() as f64 / light.len() as f64
         };
         let edge = sphere.half_angle_rad.value;
-        let inside = self.light_where(nadir, |cosine| cosine > edge.cos());
+        let inside = self.light_within(nadir, edge.cos()..f64::INFINITY);
         let sky = edge + sphere.outside_rad;
-        let outside = self.light_where(nadir, |cosine| cosine < sky.cos());
+        let outside = self.light_within(nadir, f64::NEG_INFINITY..sky.cos());
         if let Some(share) = inside.map(bright_share) {
             Rejected::at_least(LEAST_INSIDE, share, reasons::DARK_INSIDE)?;
         }

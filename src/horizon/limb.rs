@@ -68,7 +68,7 @@ pub(super) fn edge(profiles: &Profiles, sphere: &Sphere, light: &Light) -> Resul
     let mut last = None;
     for _ in 0..ROUNDS {
         let mean = mean_profile(profiles, &limbs, light);
-        let fits = LimbFits::new(&mean, profiles.edge, light.noise_dn).ok_or_else(no_limb)?;
+        let fits = LimbFits::new(&mean, profiles, light.noise_dn).ok_or_else(no_limb)?;
         (limbs, clouded) = fits.limbs(profiles);
         last = Some((mean, fits));
     }
@@ -126,8 +126,8 @@ fn check_alike<'a>(
 /// How many of the places show light, or should: the limb fades into night, and where it ends while it is bright it is hidden, or no limb.
 fn lit(profiles: &Profiles, limbs: &[Limb], least_dn: f64, brightest_dn: f64) -> usize {
     let is_lit = |light: &[f32]| {
-        let most = light.iter().copied().fold(f32::MIN, f32::max);
-        f64::from(most) - mean_dn(&light[profiles.sky()]) > least_dn
+        let limit_dn = mean_dn(&light[profiles.sky()]) + least_dn;
+        light.iter().any(|dn| f64::from(*dn) > limit_dn)
     };
     // The brightness of the places that show light; none of the others.
     let bright: Vec<Option<f64>> = profiles

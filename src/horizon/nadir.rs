@@ -115,17 +115,23 @@ pub fn nadir(
     };
     let edge: Vec<(&EdgeRay, f64)> = edge().map(|ray| (ray, sigma_rad(ray))).collect();
     let linearise = |by: &Vector3<f64>| {
-        let nadir = moved(by);
-        let row = |(ray, sigma): &(&EdgeRay, f64)| {
-            let (angle, slope) = ray.angle_from(&nadir);
-            let expected = sphere.half_angle_towards(&ray.unit, &nadir) + by.z * free_rad;
-            let across = tangents.transpose() * slope;
+        let (nadir, raised_rad) = (moved(by), by.z * free_rad);
+        let of_sphere = (given.value + raised_rad).sin_cos();
+        Some(edge.iter().map(move |(ray, sigma)| {
+            let towards = || sphere.half_angle_towards(&ray.unit, &nadir) + raised_rad;
+            let (sine, cosine) = match sphere.ellipsoid {
+                None => of_sphere,
+                Some(_) => towards().sin_cos(),
+            };
+            let along = ray.unit.dot(&nadir);
+            let outward = (1.0 - along * along).sqrt();
+            let slope = tangents.tr_mul(&ray.unit) / outward;
             Linearised {
-                residual: Vector1::new((expected - angle) / *sigma),
-                jacobian: RowVector3::new(across.x, across.y, -free_rad) / *sigma,
+                // The sine of a difference of angles, which is small: that difference.
+                residual: Vector1::new((sine * along - cosine * outward) / *sigma),
+                jacobian: -RowVector3::new(slope.x, slope.y, free_rad) / *sigma,
             }
-        };
-        Some(edge.iter().map(row).collect::<Vec<_>>())
+        }))
     };
     let robust = LeastSquares {
         start: Vector3::zeros(),
@@ -139,8 +145,8 @@ pub fn nadir(
         tolerance_sigmas: 1e-2,
     };
     let fitted = robust.fit_after_plain(linearise)?;
-    let rows = linearise(&fitted.parameters).unwrap_or_default();
-    let weighted = rows.iter().zip(&fitted.weights).zip(&edge);
+    let rows = linearise(&fitted.parameters).into_iter().flatten();
+    let weighted = rows.zip(&fitted.weights).zip(&edge);
     let gradients: Vec<(Vector3<f64>, &EdgeRay)> = weighted
         .map(|((row, weight), (ray, sigma))| (row.jacobian.transpose() * (*weight / sigma), *ray))
         .collect();

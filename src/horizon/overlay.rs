@@ -5,6 +5,7 @@ use super::nadir::is_part;
 use super::sphere::Cone;
 use super::{Solution, Sphere, Stopped, pitch_deg, roll_deg};
 use crate::frame::Frame;
+use crate::geometry::unit;
 use crate::instrument::DirectionCamera;
 use crate::report::{Canvas, Colour};
 use crate::units::{Measured, SensorPx};
@@ -111,9 +112,11 @@ fn draw_sphere(
     let cone = Cone::new(sphere, nadir);
     let (width, height) = (frame.width() as f64, frame.height() as f64);
     let at = |n: u32| {
-        let seen = camera
-            .lens
-            .pixel(&cone.ray(f64::from(n) / f64::from(STEPS) * TAU, 0.0))?;
+        let seen = camera.lens.pixel(
+            &cone
+                .edge(&unit(f64::from(n) / f64::from(STEPS) * TAU))
+                .ray(),
+        )?;
         let near =
             (-width..2.0 * width).contains(&seen.x) && (-height..2.0 * height).contains(&seen.y);
         near.then_some(seen)

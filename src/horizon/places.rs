@@ -2,7 +2,8 @@
 
 use super::profile::{INTERPOLATED_NOISE, Profiles};
 use super::template::Limb;
-use crate::estimation::{median, median_among};
+use crate::estimation::median;
+use crate::kernels::paths::{COLUMNS, column_quantiles};
 
 /// Places that are averaged, and the share of them that has no cloud, where the limb's brightness is read. Less, and the places that a flare or the
 /// Sun spoils would count.
@@ -35,42 +36,65 @@ pub(super) fn unlike(limb: &Limb, noise_dn: f64) -> f64 {
     (limb.scatter_dn.powi(2) - noise_dn.powi(2)).max(0.0).sqrt() / limb.brightness_dn
 }
 
-/// The light of all places that show the limb, each less its darkness and over its brightness.
+/// The first samples of all places that show the limb, each less its darkness and over its brightness. A row for each place, whole [`COLUMNS`] long.
 struct Normalised {
-    places: usize,
-    /// The innermost sample of each place, then the next.
-    light: Vec<f64>,
+    light: Vec<f32>,
+    samples: usize,
+    stride: usize,
 }
 
 impl Normalised {
-    /// The innermost samples, so many.
     fn of(profiles: &Profiles, samples: usize, limbs: &[Limb], light: &Light) -> Self {
-        let all = || limbs.iter().zip(profiles.light());
-        let shows_limb = |(limb, _): &(&Limb, &[f32])| is_limb(limb, light);
-        let places = all().filter(shows_limb).count();
-        let mut normal = vec![0.0; places * samples];
-        for (place, (limb, light)) in all().filter(shows_limb).enumerate() {
-            let of_place = normal.iter_mut().skip(place).step_by(places);
-            for (normal, dn) in of_place.zip(light) {
-                *normal = (f64::from(*dn) - limb.dark_dn) / limb.brightness_dn;
-            }
+        let stride = samples.next_multiple_of(COLUMNS);
+        let mut normal = Vec::with_capacity(limbs.len() * stride);
+        let places = limbs.iter().zip(profiles.filled_up());
+        for (limb, light_dn) in places.filter(|(limb, _)| is_limb(limb, light)) {
+            let (dark_dn, per_dn) = (limb.dark_dn as f32, 1.0 / limb.brightness_dn as f32);
+            normal.extend(light_dn[..stride].iter().map(|dn| (dn - dark_dn) * per_dn));
         }
         Self {
-            places,
             light: normal,
+            samples,
+            stride,
         }
     }
 
-    /// The same sample of all places.
-    fn samples(&mut self) -> impl Iterator<Item = &mut [f64]> {
-        self.light.chunks_exact_mut(self.places.max(1))
+    /// The means of so many rows that follow each other.
+    fn running_means(self, rows: usize) -> Self {
+        let count = self.light.len().saturating_sub((rows - 1) * self.stride);
+        let mut means = self.light[..count].to_vec();
+        for row in 1..rows {
+            let later = &self.light[row * self.stride..];
+            means
+                .iter_mut()
+                .zip(later)
+                .for_each(|(mean, light)| *mean += light);
+        }
+        let share = 1.0 / rows as f32;
+        means.iter_mut().for_each(|mean| *mean *= share);
+        Self {
+            light: means,
+            ..self
+        }
+    }
+
+    /// At each sample, what so large a share of rows is darker than. Nothing of no row.
+    fn quantiles(&self, share: f64) -> Vec<f32> {
+        if self.light.is_empty() {
+            return Vec::new();
+        }
+        let below = share * (self.light.len() / self.stride) as f64;
+        let mut quantiles = vec![0.0; self.stride];
+        column_quantiles(&self.light, self.stride, below as usize, &mut quantiles);
+        quantiles.truncate(self.samples);
+        quantiles
     }
 }
 
 /// The middle of all profiles. Nothing of no limb.
 pub(super) fn mean_profile(profiles: &Profiles, limbs: &[Limb], light: &Light) -> Vec<f64> {
-    let mut normal = Normalised::of(profiles, profiles.length, limbs, light);
-    normal.samples().filter_map(median_among).collect()
+    let middle = Normalised::of(profiles, profiles.length, limbs, light).quantiles(0.5);
+    middle.into_iter().map(f64::from).collect()
 }
 
 /// What the places of a limb have together.
@@ -90,30 +114,27 @@ pub(super) struct OfPlaces {
 impl OfPlaces {
     /// `None` of no limb.
     pub fn new(profiles: &Profiles, limbs: &[Limb], light: &Light) -> Option<Self> {
-        let mut normal = Normalised::of(profiles, profiles.edge + 1, limbs, light);
-        let averaged = AVERAGED_PLACES.min(normal.places).max(1);
         let alike = || limbs.iter().filter(|limb| is_limb(limb, light));
         let mut bright: Vec<f64> = alike().map(|limb| limb.brightness_dn).collect();
-        bright.sort_by(f64::total_cmp);
+        bright.sort_unstable_by(f64::total_cmp);
         let of_share = |sorted: &[f64], share: f64| {
             let place = (sorted.len() as f64 * share) as usize;
             sorted.get(place).copied()
         };
-        let (mut cloudless, mut middle) = (f64::MIN, f64::MIN);
-        for light in normal.samples() {
-            let means = light.windows(averaged).map(|some| some.iter().sum::<f64>());
-            let mut means: Vec<f64> = means.map(|sum| sum / averaged as f64).collect();
-            means.sort_unstable_by(f64::total_cmp);
-            cloudless = cloudless.max(of_share(&means, CLOUDLESS_SHARE)?);
-            middle = middle.max(of_share(&means, 0.5)?);
-        }
+        let averaged = AVERAGED_PLACES.min(bright.len()).max(1);
+        let inside = Normalised::of(profiles, profiles.edge + 1, limbs, light);
+        let running = inside.running_means(averaged);
+        let most = |share: f64| {
+            let quantiles = running.quantiles(share).into_iter();
+            quantiles.reduce(f32::max).map(f64::from)
+        };
         Some(Self {
             limb_dn: of_share(&bright, 0.5)?,
             brightest_dn: of_share(&bright, BRIGHTEST)?,
             sky_dn: median(alike().map(|limb| limb.dark_dn))?,
             averaged,
-            cloudless,
-            middle,
+            cloudless: most(CLOUDLESS_SHARE)?,
+            middle: most(0.5)?,
         })
     }
 }

@@ -1,13 +1,16 @@
 //! Profiles of light across the edge of a cone.
 
 use super::edge::EdgePoint;
-use super::sphere::{Cone, Sphere};
+use super::sphere::{Cone, ConeEdge, Sphere};
 use crate::frame::{Region, Sample, View};
 use crate::geometry::camera::CameraModel;
 use crate::instrument::DirectionCamera;
+use crate::kernels::paths::{COLUMNS, OnPath, follow_path, light_on_path};
+use crate::kernels::{LANES, larger};
 use crate::units::SensorPx;
-use nalgebra::{UnitVector3, Vector2};
+use nalgebra::{UnitComplex, UnitVector3, Vector2};
 use std::f64::consts::TAU;
+use std::iter;
 use std::ops::Range;
 
 /// Places all around the edge, whatever their distance.
@@ -56,8 +59,10 @@ impl Place {
 /// Profiles of light across the edge of a cone at places along it, DN, from the inside outwards.
 pub(super) struct Profiles {
     pub places: Vec<Place>,
-    /// Those of the first place, then the next.
+    /// Those of the first place, then the next, each filled up with what has no meaning.
     light_dn: Vec<f32>,
+    /// Numbers from the beginning of one to that of the next: whole [`COLUMNS`].
+    pub stride: usize,
     /// Samples of each, and which of them lies on the edge.
     pub length: usize,
     pub edge: usize,
@@ -71,6 +76,9 @@ struct Steps {
     step_rad: f64,
     inside: usize,
     outside: usize,
+    /// Sines and cosines of the angles from the edge to the first and to the last sample.
+    first: (f64, f64),
+    last: (f64, f64),
 }
 
 impl Steps {
@@ -78,10 +86,13 @@ impl Steps {
         let reach = sphere.inside_rad.max(sphere.outside_rad);
         let step_rad = (1.0 / camera.mean_focal_px()).max(reach / MOST_SAMPLES as f64);
         let samples = |reach_rad: f64| ((reach_rad / step_rad) as usize).max(LEAST_SAMPLES);
+        let (inside, outside) = (samples(sphere.inside_rad), samples(sphere.outside_rad));
         Self {
             step_rad,
-            inside: samples(sphere.inside_rad),
-            outside: samples(sphere.outside_rad),
+            inside,
+            outside,
+            first: (-(inside as f64) * step_rad).sin_cos(),
+            last: (outside as f64 * step_rad).sin_cos(),
         }
     }
 }
@@ -104,18 +115,25 @@ impl Profiles {
         let count = ((around / spacing_px) as usize).clamp(LEAST_PLACES, MOST_PLACES);
         let cone = Cone::new(sphere, nadir);
         let is_seen = |at: SensorPx| is_inside(view, mask, at);
-        let around_rad = |n: usize| TAU * n as f64 / count as f64;
-        let places: Vec<Place> = (0..count)
-            .filter_map(|n| place(&cone, camera, &steps, around_rad(n), is_seen))
+        let turn = UnitComplex::new(TAU / count as f64);
+        let around = iter::successors(Some(Vector2::x()), |last| Some(turn * last));
+        let places: Vec<Place> = around
+            .take(count)
+            .filter_map(|around| place(&cone.edge(&around), camera, &steps, is_seen))
             .collect();
-        let mut light_dn = Vec::with_capacity(places.len() * length);
+        let stride = length.next_multiple_of(COLUMNS);
+        let mut groups = vec![OnPath::default(); length.div_ceil(LANES)];
+        let mut light = vec![0.0; stride];
+        let mut light_dn = Vec::with_capacity(places.len() * stride);
         for place in &places {
-            let from_edge = |n: usize| n as f64 - steps.inside as f64;
-            light_dn.extend((0..length).map(|n| interpolated(view, place.at(from_edge(n)))));
+            let first = -(steps.inside as f32);
+            read_along(view, &place.path, first, &mut groups, &mut light);
+            light_dn.extend_from_slice(&light);
         }
         Self {
             places,
             light_dn,
+            stride,
             length,
             edge: steps.inside,
             step_rad: steps.step_rad,
@@ -125,7 +143,12 @@ impl Profiles {
 
     /// The profile of each place.
     pub fn light(&self) -> impl Iterator<Item = &[f32]> {
-        self.light_dn.chunks_exact(self.length)
+        self.filled_up().map(|light| &light[..self.length])
+    }
+
+    /// The same, each with what fills it up.
+    pub fn filled_up(&self) -> impl Iterator<Item = &[f32]> {
+        self.light_dn.chunks_exact(self.stride)
     }
 
     /// The samples that show the sky.
@@ -142,10 +165,8 @@ impl Profiles {
         const AVERAGED: usize = 5;
         let crossing = |(place, light): (&Place, &[f32])| {
             let dark = mean_dn(&light[self.sky()]);
-            let bright = light
-                .windows(AVERAGED)
-                .map(mean_dn)
-                .fold(f64::MIN, f64::max);
+            let sums = light.windows(AVERAGED).map(|some| some.iter().sum());
+            let bright = f64::from(sums.fold(f32::MIN, larger)) / AVERAGED as f64;
             if bright - dark < least_contrast_dn {
                 return None;
             }
@@ -160,23 +181,26 @@ impl Profiles {
     }
 }
 
-/// The place of a cone's edge at an angle around the nadir; `None` where its profile is not in view (its ends, its middle and where it
+/// The place at a cone's edge; `None` where its profile is not in view (its ends, its middle and where it
 /// turns), or too near the lens's limit.
 fn place(
-    cone: &Cone<'_>,
+    edge: &ConeEdge,
     camera: &CameraModel,
     steps: &Steps,
-    around_rad: f64,
     is_seen: impl Fn(SensorPx) -> bool,
 ) -> Option<Place> {
-    let seen = |t: f64| {
-        let at = camera.pixel(&cone.ray(around_rad, t * steps.step_rad))?;
+    let seen = |ray: UnitVector3<f64>| {
+        let at = camera.pixel(&ray)?;
         is_seen(at).then(|| at.vector())
     };
-    let (low, high) = (-(steps.inside as f64), steps.outside as f64);
     // The parabola through three pixels of the profile. Most places of a wide cone fail with the first.
-    let (on, below, above) = (seen(0.0)?, seen(low)?, seen(high)?);
-    if camera.growth(&cone.ray(around_rad, 0.0)) < LEAST_GROWTH {
+    let on = seen(edge.ray())?;
+    let (below, above) = (
+        seen(edge.outside(steps.first))?,
+        seen(edge.outside(steps.last))?,
+    );
+    let (low, high) = (-(steps.inside as f64), steps.outside as f64);
+    if camera.growth(&edge.ray()) < LEAST_GROWTH {
         return None;
     }
     let (to_low, to_high) = ((below - on) / low, (above - on) / high);
@@ -195,25 +219,46 @@ fn place(
 /// Whether the picture has all pixels about a position, and none of them is masked.
 pub(super) fn is_inside<T>(view: &View<'_, T>, mask: &[Region], at: SensorPx) -> bool {
     let within = |v: f64, size: usize| (0.0..size as f64 - 1.0).contains(&v);
-    within(at.x, view.width)
-        && within(at.y, view.height)
-        && !mask
-            .iter()
-            .any(|region| region.contains(at.x.round() as usize, at.y.round() as usize))
+    within(at.x, view.width) && within(at.y, view.height) && (mask.is_empty() || is_seen(mask, at))
+}
+
+fn is_seen(mask: &[Region], at: SensorPx) -> bool {
+    let (x, y) = (at.x.round() as usize, at.y.round() as usize);
+    !mask.iter().any(|region| region.contains(x, y))
+}
+
+/// Reads the light at the steps of a path, as a place has it, from one on, in whole groups. Those that count must be inside the picture; the light of
+/// others has no meaning.
+pub(super) fn read_along<T: Sample>(
+    view: &View<'_, T>,
+    path: &[Vector2<f64>; 3],
+    first: f32,
+    groups: &mut [OnPath],
+    light: &mut [f32],
+) {
+    let path = [0, 1].map(|axis| path.map(|c| c[axis] as f32));
+    follow_path(path, first, [view.width, view.height], groups);
+    for group in &mut *groups {
+        for k in 0..LANES {
+            let square = view.square(group.column[k] as usize, group.row[k] as usize);
+            for (pixels, dn) in group.pixels.iter_mut().zip(square) {
+                pixels[k] = dn.into();
+            }
+        }
+    }
+    light_on_path(groups, light);
 }
 
 /// The light between four pixels, DN. The position must be inside the picture.
+#[inline(always)]
 pub(super) fn interpolated<T: Sample>(view: &View<'_, T>, at: SensorPx) -> f32 {
     // Small whole numbers are converted more quickly.
     let (x, y) = (at.x as u32, at.y as u32);
     let (right, below) = ((at.x - f64::from(x)) as f32, (at.y - f64::from(y)) as f32);
-    let along = |row: &[T]| {
-        let pair = &row[x as usize..][..2];
-        pair[0].dn() + (pair[1].dn() - pair[0].dn()) * right
-    };
-    let y = y as usize;
-    let (above_dn, below_dn) = (along(view.row(y)), along(view.row(y + 1)));
-    above_dn + (below_dn - above_dn) * below
+    let [left, at_right, under, diagonal] = view.square(x as usize, y as usize).map(Sample::dn);
+    let above = left + (at_right - left) * right;
+    let under = under + (diagonal - under) * right;
+    above + (under - above) * below
 }
 
 pub(super) fn mean_dn(light: &[f32]) -> f64 {

@@ -63,17 +63,20 @@ impl Scan {
 
     /// The sharp edges along all lines.
     pub fn edges<T: Sample>(&self, view: &View<'_, T>, mask: &[Region]) -> Vec<EdgePoint> {
-        let mut points = Vec::new();
+        let (mut points, mut light) = (Vec::new(), Vec::new());
         let first = self.spacing / 2;
         for y in (first..view.height).step_by(self.spacing) {
-            let light = view.row(y).iter().step_by(self.stride);
-            for x in self.falls(light.map(|pixel| pixel.dn())) {
+            light.clear();
+            light.extend(view.row(y).chunks(self.stride).map(|some| some[0].dn()));
+            for x in self.falls(&light) {
                 points.extend(self.edge(view, mask, Vector2::new(x, y as f64), Vector2::x()));
             }
         }
         for x in (first..view.width).step_by(self.spacing) {
-            let light = (0..view.height).step_by(self.stride);
-            for y in self.falls(light.map(|y| view.row(y)[x].dn())) {
+            light.clear();
+            let rows = (0..view.height).step_by(self.stride);
+            light.extend(rows.map(|y| view.dn(x, y)));
+            for y in self.falls(&light) {
                 points.extend(self.edge(view, mask, Vector2::new(x as f64, y), Vector2::y()));
             }
         }
@@ -81,36 +84,41 @@ impl Scan {
     }
 
     /// Where the light of a line differs most from one side to the other, px.
-    fn falls(&self, light: impl Iterator<Item = f32>) -> Vec<f64> {
-        let light: Vec<f32> = light.collect();
+    fn falls(&self, light: &[f32]) -> Vec<f64> {
+        const BLOCK: usize = 32;
         let side = ((self.reach_px / self.stride as f64) as usize).max(1);
-        let windows = light.windows(2 * side);
-        // What the first side has above the second, from the sum before.
-        let mut fall = 0.0;
-        let mut falls = Vec::with_capacity(light.len());
-        for (n, window) in windows.enumerate() {
-            fall = match n {
-                0 => window[..side].iter().sum::<f32>() - window[side..].iter().sum::<f32>(),
-                _ => fall + 2.0 * window[side - 1] - light[n - 1] - window[2 * side - 1],
-            };
-            falls.push(fall.abs());
+        // What the first side has above the second.
+        let mut falls = vec![0.0_f32; light.len().saturating_sub(2 * side - 1)];
+        for n in 0..side {
+            let sides = light[n..].iter().zip(&light[n + side..]);
+            for (fall, (first, second)) in falls.iter_mut().zip(sides) {
+                *fall += first - second;
+            }
         }
         let least = (self.least_dn * side as f64) as f32;
         let near = side.div_ceil(2);
-        let is_most = |n: usize| {
-            falls[n] > least
-                && falls[n.saturating_sub(near)..n]
-                    .iter()
-                    .all(|fall| *fall < falls[n])
-                && falls[n + 1..(n + near + 1).min(falls.len())]
-                    .iter()
-                    .all(|fall| *fall <= falls[n])
+        let is_most = |n: usize, fall: f32| {
+            let before = &falls[n.saturating_sub(near)..n];
+            let after = &falls[n + 1..(n + near + 1).min(falls.len())];
+            before.iter().all(|other| other.abs() < fall)
+                && after.iter().all(|other| other.abs() <= fall)
         };
-        let place = |n: usize| (n as f64 + side as f64 - 0.5) * self.stride as f64;
-        (0..falls.len())
-            .filter(|n| is_most(*n))
-            .map(place)
-            .collect()
+        let mut places = Vec::new();
+        for (some, first) in falls.chunks(BLOCK).zip((0..).step_by(BLOCK)) {
+            // Most of a line is flat.
+            if !some
+                .iter()
+                .fold(false, |any, fall| any | (fall.abs() > least))
+            {
+                continue;
+            }
+            for (fall, n) in some.iter().map(|fall| fall.abs()).zip(first..) {
+                if fall > least && is_most(n, fall) {
+                    places.push((n as f64 + side as f64 - 0.5) * self.stride as f64);
+                }
+            }
+        }
+        places
     }
 
     /// The edge at a place of a line, if it is sharp and crosses the line.
@@ -126,14 +134,17 @@ impl Scan {
             is_inside(view, mask, at).then(|| f64::from(interpolated(view, at)))
         };
         let mean = |towards: Vector2<f64>, places: &[f64]| -> Option<f64> {
-            let sum: Option<f64> = places
-                .iter()
-                .map(|n| light(at + towards * (n * self.reach_px)))
-                .sum();
-            Some(sum? / places.len() as f64)
+            let mut sum = 0.0;
+            for n in places {
+                sum += light(at + towards * (n * self.reach_px))?;
+            }
+            Some(sum / places.len() as f64)
         };
         let rise = |axis: Vector2<f64>| Some(mean(axis, &NEAR)? - mean(-axis, &NEAR)?);
         let inward = Vector2::new(rise(Vector2::x())?, rise(Vector2::y())?).try_normalize(0.0)?;
+        if inward.dot(&line).abs() <= LEAST_ACROSS {
+            return None;
+        }
         let (inside, outside) = (mean(inward, &NEAR)?, mean(-inward, &NEAR)?);
         let (deep, far) = (mean(inward, &FAR)?, mean(-inward, &FAR)?);
         let fall = inside - outside;
@@ -141,7 +152,7 @@ impl Scan {
             && outside - far < MOST_FALL_OUTSIDE * fall
             && deep - inside < MOST_FALL_INSIDE * fall
             && deep - outside > LEAST_INSIDE * fall;
-        (is_sharp && inward.dot(&line).abs() > LEAST_ACROSS).then(|| EdgePoint {
+        is_sharp.then(|| EdgePoint {
             at: at.into(),
             inward,
             sigma_px: SIGMA_PX,

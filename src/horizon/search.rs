@@ -179,6 +179,7 @@ impl Search<'_> {
         };
         let roughly = aligned(&start, ROUGH_SPACING_PX)?;
         let mut nadir = aligned(&roughly.direction.unit, ALIGNING_SPACING_PX)?;
+        let far_sky_dn = raster.far_sky_dn(self.sphere, &nadir.direction.unit);
         let mut sphere = *self.sphere;
         let (mut points, mut likeness) = (Vec::new(), Ok(()));
         for _ in 0..MOST_ROUNDS {
@@ -191,7 +192,7 @@ impl Search<'_> {
                 noise_dn: levels.noise_dn,
                 // Of a sharp edge, where pixels begin makes the profiles differ.
                 most_unlike: self.sphere.viewpoint.map_or(f64::INFINITY, |_| MOST_UNLIKE),
-                far_sky_dn: raster.far_sky_dn(&sphere, &last.direction.unit),
+                far_sky_dn,
             };
             solution.places = profiles.places.len();
             let edge = limb::edge(&profiles, &sphere, &light).map_err(at(Stage::Edge))?;

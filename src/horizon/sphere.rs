@@ -301,6 +301,8 @@ pub(super) struct Cone<'a> {
     sphere: &'a Sphere,
     nadir: UnitVector3<f64>,
     across: Matrix3x2<f64>,
+    /// Sine and cosine of the sphere's half-angle.
+    half_angle: (f64, f64),
 }
 
 impl<'a> Cone<'a> {
@@ -315,16 +317,43 @@ impl<'a> Cone<'a> {
             sphere,
             nadir: *nadir,
             across,
+            half_angle: sphere.half_angle_rad.value.sin_cos(),
         }
     }
 
-    /// A ray at an angle around the nadir, and another one outside of the edge.
-    pub fn ray(&self, around_rad: f64, outside_rad: f64) -> UnitVector3<f64> {
-        let (sine, cosine) = around_rad.sin_cos();
-        let outward = UnitVector3::new_unchecked(self.across * Vector2::new(cosine, sine));
-        let edge_rad = self.sphere.half_angle_towards(&outward, &self.nadir);
-        let (sine, cosine) = (edge_rad + outside_rad).sin_cos();
-        UnitVector3::new_unchecked(self.nadir.into_inner() * cosine + outward.into_inner() * sine)
+    /// The edge in a direction around the nadir, whose angle's cosine and sine are given.
+    pub fn edge(&self, around: &Vector2<f64>) -> ConeEdge {
+        let outward = UnitVector3::new_unchecked(self.across * around);
+        let (sine, cosine) = match self.sphere.ellipsoid {
+            None => self.half_angle,
+            Some(_) => self
+                .sphere
+                .half_angle_towards(&outward, &self.nadir)
+                .sin_cos(),
+        };
+        let (down, outward) = (self.nadir.into_inner(), outward.into_inner());
+        ConeEdge {
+            ray: down * cosine + outward * sine,
+            outward: outward * cosine - down * sine,
+        }
+    }
+}
+
+/// A place of the edge of a cone.
+pub(super) struct ConeEdge {
+    ray: Vector3<f64>,
+    /// Unit vector across the ray.
+    outward: Vector3<f64>,
+}
+
+impl ConeEdge {
+    pub fn ray(&self) -> UnitVector3<f64> {
+        UnitVector3::new_unchecked(self.ray)
+    }
+
+    /// The ray outside of the edge by an angle of which sine and cosine are given.
+    pub fn outside(&self, (sine, cosine): (f64, f64)) -> UnitVector3<f64> {
+        UnitVector3::new_unchecked(self.ray * cosine + self.outward * sine)
     }
 }
 
@@ -430,7 +459,7 @@ mod tests {
             let roll = f64::from(roll_deg).to_radians();
             let nadir = UnitVector3::new_normalize(Vector3::new(roll.sin(), roll.cos(), 0.1));
             let cone = Cone::new(&sphere, &nadir);
-            assert!(cone.ray(0.0, 0.0).z < 0.0, "{roll_deg} deg");
+            assert!(cone.edge(&Vector2::x()).ray.z < 0.0, "{roll_deg} deg");
         }
     }
 

@@ -1,8 +1,8 @@
 //! The profile of a place as the mean one, moved.
 
 use super::profile::{INTERPOLATED_NOISE, Profiles};
+use crate::kernels::paths::fit_columns;
 use nalgebra::{Matrix3, Vector3};
-use std::ops::Range;
 
 /// Of the mean profile's brightness: clouds may show where it is brighter. They raise that brightness, too, and blur reaches above them.
 const CLOUDLESS: f64 = 0.7;
@@ -33,32 +33,35 @@ pub(super) struct LimbFits {
 
 impl LimbFits {
     /// `None` of no limb.
-    pub fn new(mean: &[f64], edge: usize, noise_dn: f64) -> Option<Self> {
-        let brightness = mean.get(..=edge)?.iter().copied().reduce(f64::max)?;
+    pub fn new(mean: &[f64], profiles: &Profiles, noise_dn: f64) -> Option<Self> {
+        let brightness = mean
+            .get(..=profiles.edge)?
+            .iter()
+            .copied()
+            .reduce(f64::max)?;
         let air = mean.iter().rposition(|v| *v > CLOUDLESS * brightness)?;
         Some(Self {
-            whole: TemplateFit::new(mean, 1)?,
-            air: TemplateFit::new(mean, air.max(1))?,
+            whole: TemplateFit::new(mean, 1, profiles.stride)?,
+            air: TemplateFit::new(mean, air.max(1), profiles.stride)?,
             most_scatter_dn: CLOUDED * INTERPOLATED_NOISE * noise_dn,
         })
     }
 
     /// The limb at each place by the air above any clouds.
     pub fn above_clouds(&self, profiles: &Profiles) -> Vec<Limb> {
-        profiles.light().map(|light| self.air.limb(light)).collect()
+        self.air.limbs(profiles)
     }
 
     /// The limb at each place, and the share of places with clouds. Whole profiles tell the brightness best; where clouds stand in more
     /// than a few, the air alone is fair to all.
     pub fn limbs(&self, profiles: &Profiles) -> (Vec<Limb>, f64) {
-        let by = |fit: &TemplateFit| profiles.light().map(|light| fit.limb(light)).collect();
-        let whole: Vec<Limb> = by(&self.whole);
+        let whole = self.whole.limbs(profiles);
         let clouded = whole
             .iter()
             .filter(|limb| limb.scatter_dn > self.most_scatter_dn);
         let clouded = clouded.count() as f64 / whole.len() as f64;
         match clouded > CLOUDED_SHARE {
-            true => (by(&self.air), clouded),
+            true => (self.air.limbs(profiles), clouded),
             false => (whole, clouded),
         }
     }
@@ -66,42 +69,49 @@ impl LimbFits {
 
 /// A profile as the mean one with a darkness, a brightness and a small shift: linear least squares.
 struct TemplateFit {
-    samples: Range<usize>,
-    /// 1, the mean profile, and its change by a step outwards, at each sample.
-    rows: Vec<Vector3<f64>>,
+    /// At each sample: 1, the mean profile, and its change by a step outwards; 0 at samples that do not count.
+    columns: [Vec<f32>; 3],
     inverse: Matrix3<f64>,
+    /// Samples beyond the three that are found.
+    freedom: f64,
 }
 
 impl TemplateFit {
-    /// By the samples from `first` on. `None` where they do not tell the three.
-    fn new(mean: &[f64], first: usize) -> Option<Self> {
+    /// By the samples from `first` on, of profiles that are filled up to a length. `None` where they do not tell the three.
+    fn new(mean: &[f64], first: usize, length: usize) -> Option<Self> {
         let samples = first..mean.len().checked_sub(1)?;
-        let row = |n: usize| Vector3::new(1.0, mean[n], -(mean[n + 1] - mean[n - 1]) / 2.0);
-        let rows: Vec<Vector3<f64>> = samples.clone().map(row).collect();
-        let normal: Matrix3<f64> = rows.iter().map(|row| row * row.transpose()).sum();
-        let inverse = normal.try_inverse()?;
-        (rows.len() > 3).then_some(Self {
-            samples,
-            rows,
-            inverse,
+        let freedom = samples.len().checked_sub(3).filter(|left| *left > 0)?;
+        let mut columns = [(); 3].map(|()| vec![0.0; length]);
+        let mut normal = Matrix3::zeros();
+        for n in samples {
+            let row = Vector3::new(1.0, mean[n], -(mean[n + 1] - mean[n - 1]) / 2.0);
+            normal += row * row.transpose();
+            for (column, value) in columns.iter_mut().zip(&row) {
+                column[n] = *value as f32;
+            }
+        }
+        Some(Self {
+            columns,
+            inverse: normal.try_inverse()?,
+            freedom: freedom as f64,
         })
     }
 
-    fn limb(&self, light: &[f32]) -> Limb {
-        let pairs = || self.rows.iter().zip(&light[self.samples.clone()]);
-        let gradient: Vector3<f64> = pairs().map(|(row, dn)| row * f64::from(*dn)).sum();
-        let found = self.inverse * gradient;
-        let squares: f64 = pairs()
-            .map(|(row, dn)| (f64::from(*dn) - row.dot(&found)).powi(2))
-            .sum();
-        let scatter_dn = (squares / (self.rows.len() - 3) as f64).sqrt();
-        let brightness_dn = found.y;
-        Limb {
-            dark_dn: found.x,
-            brightness_dn,
-            shift_steps: found.z / brightness_dn,
-            shift_sigma_steps: scatter_dn * self.inverse.m33.sqrt() / brightness_dn.abs(),
-            scatter_dn,
-        }
+    fn limbs(&self, profiles: &Profiles) -> Vec<Limb> {
+        let columns = self.columns.each_ref().map(Vec::as_slice);
+        let inverse = self.inverse.cast::<f32>().data.0;
+        let limb = |light: &[f32]| {
+            let (found, squares) = fit_columns(columns, &inverse, light);
+            let [dark_dn, brightness_dn, shift] = found.map(f64::from);
+            let scatter_dn = (f64::from(squares) / self.freedom).sqrt();
+            Limb {
+                dark_dn,
+                brightness_dn,
+                shift_steps: shift / brightness_dn,
+                shift_sigma_steps: scatter_dn * self.inverse.m33.sqrt() / brightness_dn.abs(),
+                scatter_dn,
+            }
+        };
+        profiles.filled_up().map(limb).collect()
     }
 }

@@ -2,6 +2,7 @@
 
 pub mod limb;
 pub mod marks;
+pub mod paths;
 pub mod ring;
 pub mod sums;
 
@@ -259,7 +260,7 @@ pub fn divide_row(
 mod tests {
     use super::*;
 
-    fn wave(count: usize, step: f32) -> Vec<f32> {
+    pub(super) fn wave(count: usize, step: f32) -> Vec<f32> {
         (0..count).map(|n| (n as f32 * step).sin()).collect()
     }
 
