@@ -8,7 +8,7 @@ use super::Problem;
 use super::header::Header;
 use super::quantised::Quantised;
 use super::reals::Coding;
-use super::rice::{Rice, Width};
+use super::rice::{Rice, StoredPixel, Width};
 use super::structure::{Hdu, MAX_SIDE};
 use super::tile_table::TileTable;
 use flate2::read::MultiGzDecoder;
@@ -109,6 +109,30 @@ impl Tiles {
     /// Whether each tile is a row of pixels.
     pub fn are_rows(&self) -> bool {
         self.tile == [self.width, 1]
+    }
+
+    /// Some rows of pixels, where each row is a tile and the pixels have the width of the numbers in its stream; else `None`.
+    ///
+    /// # Errors
+    /// A tile that is damaged.
+    pub fn rows<T: StoredPixel>(
+        &self,
+        file: &[u8],
+        rows: Range<usize>,
+    ) -> Result<Option<Vec<T>>, Problem> {
+        let rice = match self.algorithm {
+            Algorithm::Rice(rice) if rice.width == T::WIDTH && self.are_rows() => rice,
+            _ => return Ok(None),
+        };
+        let mut pixels = Vec::with_capacity(rows.len() * self.width);
+        for y in rows {
+            let start = pixels.len();
+            pixels.resize(start + self.width, T::default());
+            let stream = &file[self.streams[y].clone()];
+            let decoded = rice.decode_pixels(stream, &mut pixels[start..]);
+            decoded.ok_or_else(|| damaged(y, self.width, stream))?;
+        }
+        Ok(Some(pixels))
     }
 
     /// Unpacks the image from its first row on: `each` is given the numbers of one or more whole rows, as stored, before BZERO. Ends with

@@ -213,7 +213,7 @@ fn put_tiles<T: Sync>(
 }
 
 fn rice<T: StoredPixel>(rows: ChunksExact<'_, T>, heap: &mut Vec<u8>) -> io::Result<Vec<usize>> {
-    let mut encoder = Encoder::new::<T>(rows.clone().next().map_or(0, <[T]>::len));
+    let mut encoder = Encoder::<T>::new(rows.clone().next().map_or(0, <[T]>::len));
     let tile = |row: &[T]| {
         let stream = encoder.encode(row);
         heap.extend_from_slice(stream);

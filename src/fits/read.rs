@@ -11,7 +11,7 @@ use super::values::Values;
 use super::{Problem, checksum, saturation};
 use crate::frame::{Frame, FrameError, FrameInfo, Pixels, RowSource, Warning};
 use multiversion::multiversion;
-use std::ops::RangeInclusive;
+use std::ops::{Range, RangeInclusive};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// The kinds of pixels that a camera's frame can have.
@@ -176,6 +176,12 @@ impl<'a> Image<'a> {
         let Some(pixel_type) = self.plain else {
             return Ok(None);
         };
+        if let Some(tiles) = &self.tiles
+            && tiles.are_whole_numbers()
+            && let Some(pixels) = pixel_type.rows(tiles, bytes, 0..self.height)?
+        {
+            return Ok(Some(pixels));
+        }
         let count = self.width * self.height;
         let mut pixels = PixelBuffer::new(pixel_type, self.width, count);
         let are_pixels = match &self.tiles {
@@ -227,6 +233,9 @@ struct TileRows {
 
 impl TileRows {
     fn decode(&self, y: usize) -> Result<Pixels, Problem> {
+        if let Some(row) = self.pixel_type.rows(&self.tiles, &self.bytes, y..y + 1)? {
+            return Ok(row);
+        }
         let mut numbers = vec![0; self.width];
         self.tiles.decode(&self.bytes, y, &mut numbers)?;
         let mut row = PixelBuffer::new(self.pixel_type, self.width, self.width);
@@ -275,6 +284,15 @@ impl PixelType {
             (16, 0.0) if is_plain => Some(Self::I16),
             _ => None,
         }
+    }
+
+    /// Some rows of tiles whose numbers are such pixels, all of them; else `None`.
+    fn rows(self, tiles: &Tiles, file: &[u8], y: Range<usize>) -> Result<Option<Pixels>, Problem> {
+        Ok(match self {
+            Self::U8 => tiles.rows(file, y)?.map(Pixels::U8),
+            Self::U16 => tiles.rows(file, y)?.map(Pixels::U16),
+            Self::I16 => None,
+        })
     }
 
     /// What is added to a number as stored.
