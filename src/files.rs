@@ -128,8 +128,10 @@ pub fn read_patiently(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
 /// # Errors
 /// [`Unread::Io`] and [`Unread::Kind`].
 pub fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
-    let mut bytes = Vec::new();
-    open_regular(path)?.take(most).read_to_end(&mut bytes)?;
+    let file = open_regular(path)?;
+    let expected = file.metadata()?.len().min(most);
+    let mut bytes = Vec::with_capacity(expected as usize);
+    file.take(most).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
 

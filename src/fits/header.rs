@@ -104,9 +104,9 @@ impl Header {
     fn push(&mut self, card: &str) {
         let (keyword, rest) = card.split_at(8);
         if keyword == "CONTINUE" {
-            self.extend_text(rest.trim());
+            self.extend_text(rest.trim_ascii());
         } else if let Some(value) = rest.strip_prefix("= ")
-            && let Some(content) = parse_value(value.trim())
+            && let Some(content) = parse_value(value.trim_ascii())
         {
             self.cards.push((keyword.trim_end().into(), content));
         }
@@ -235,10 +235,10 @@ impl Header {
 /// The card as text; what may not stand in a header becomes '?', so that messages stay on one line.
 pub(super) fn printable(card: &[u8]) -> String {
     let shown = |byte: &u8| match byte {
-        b' '..=b'~' => char::from(*byte),
-        _ => '?',
+        b' '..=b'~' => *byte,
+        _ => b'?',
     };
-    card.iter().map(shown).collect()
+    String::from_utf8(card.iter().map(shown).collect()).unwrap_or_default()
 }
 
 /// The content of a value field; `None` where the value is left undefined.
@@ -249,15 +249,17 @@ fn parse_value(field: &str) -> Option<Content> {
             None => Content::Unreadable(field.into()),
         });
     }
-    let word = field.split('/').next().unwrap_or_default().trim();
+    let word = field.split('/').next().unwrap_or_default().trim_ascii();
     let value = match word {
         "" => return None,
         "T" => Value::Logical(true),
         "F" => Value::Logical(false),
-        _ => match (word.parse(), number(word)) {
-            (Ok(integer), _) => Value::Integer(integer),
-            (_, Some(float)) => Value::Float(float),
-            _ => return Some(Content::Unreadable(word.into())),
+        _ => match word.parse() {
+            Ok(integer) => Value::Integer(integer),
+            Err(_) => match number(word) {
+                Some(float) => Value::Float(float),
+                None => return Some(Content::Unreadable(word.into())),
+            },
         },
     };
     Some(Content::Value(value))
@@ -265,16 +267,11 @@ fn parse_value(field: &str) -> Option<Content> {
 
 /// The text up to its closing quote; a doubled quote stands for one, trailing blanks do not count.
 fn closed_text(quoted: &str) -> Option<String> {
-    let mut text = String::new();
-    let mut characters = quoted.chars().peekable();
-    while let Some(character) = characters.next() {
-        if character == '\'' && characters.next_if_eq(&'\'').is_none() {
-            text.truncate(text.trim_end().len());
-            return Some(text);
-        }
-        text.push(character);
+    let (part, rest) = quoted.split_once('\'')?;
+    match rest.strip_prefix('\'') {
+        Some(rest) => Some(format!("{part}'{}", closed_text(rest)?)),
+        None => Some(part.trim_end().into()),
     }
-    None
 }
 
 /// A floating-point number, whose exponent may be marked with D.
