@@ -38,7 +38,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// How long the thread waits for something to send before it looks whether something came.
-const PATIENCE: Duration = Duration::from_millis(1);
+const PATIENCE: Duration = Duration::from_millis(5);
+/// The same where a filter takes the IMU's samples, each with the time at which it came.
+const PATIENCE_FOR_SAMPLES: Duration = Duration::from_millis(1);
 /// How long a packet waits for room. At 115200 baud the system's buffer drains 230 bytes in it.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 /// More bytes than this in the system's buffer, and the line cannot follow: 45 ms at 115200 baud.
@@ -131,14 +133,18 @@ impl<'a> Line<'a> {
 
     /// Talks and listens until it is to hang up and nothing is left to say.
     pub fn run(&mut self, events: &Receiver<LinkEvent>, hang_up: &AtomicBool, life: &Life) {
+        let patience = match self.navigation {
+            Some(_) => PATIENCE_FOR_SAMPLES,
+            None => PATIENCE,
+        };
         loop {
             life.beat();
             self.revive();
-            match events.recv_timeout(PATIENCE) {
+            match events.recv_timeout(patience) {
                 Ok(event) => self.hear(event, events),
                 Err(_) if hang_up.load(Ordering::Relaxed) => return,
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(PATIENCE),
+                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(patience),
             }
             self.listen();
             self.answer_moon_requests();
