@@ -1,6 +1,7 @@
 //! What a process takes of its machine (Linux).
 
 use anyhow::Context;
+use std::collections::BTreeMap;
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -13,18 +14,23 @@ pub fn resident_bytes() -> anyhow::Result<u64> {
     Ok(1024 * number.parse::<u64>().context("/proc/self/status: VmRSS")?)
 }
 
+/// Processor time by the names of threads.
+pub type ProcessorTimes = BTreeMap<String, Duration>;
+
 /// Processor time that the threads of this process have used.
-pub fn processor_time() -> anyhow::Result<Duration> {
-    let mut total = Duration::ZERO;
+pub fn processor_times() -> anyhow::Result<ProcessorTimes> {
+    let mut times = ProcessorTimes::new();
     for thread in fs::read_dir("/proc/self/task")? {
-        let path = thread?.path().join("schedstat");
-        let Ok(text) = fs::read_to_string(path) else {
+        let path = thread?.path();
+        let text = |name| fs::read_to_string(path.join(name));
+        let (Ok(name), Ok(used)) = (text("comm"), text("schedstat")) else {
             continue;
         };
-        let nanoseconds = text.split_whitespace().next().and_then(|n| n.parse().ok());
-        total += Duration::from_nanos(nanoseconds.unwrap_or(0));
+        let nanoseconds = used.split_whitespace().next().and_then(|n| n.parse().ok());
+        *times.entry(name.trim().into()).or_default() +=
+            Duration::from_nanos(nanoseconds.unwrap_or(0));
     }
-    Ok(total)
+    Ok(times)
 }
 
 /// The heap, bytes.

@@ -160,7 +160,7 @@ fn fly(
         ),
         None => (None, None),
     };
-    let before = machine::processor_time()?;
+    let before = machine::processor_times()?;
     let start = Instant::now();
     // The sensors speak from now on.
     let navigation = args
@@ -185,7 +185,10 @@ fn fly(
     while !rig.service.is_finished() {
         rig.look(quiet)?;
     }
-    let processor = rig.processor().saturating_sub(before);
+    let mut processor = rig.processor();
+    for (thread, used) in &mut processor {
+        *used = used.saturating_sub(before.get(thread).copied().unwrap_or_default());
+    }
     let (frames, drawn_bytes, due) = (
         rig.ring().frames(),
         rig.ring().drawn_bytes(),

@@ -5,7 +5,7 @@ use crate::faults::Fault;
 use crate::files::LogRows;
 use crate::judge::{Trial, UNDER_WAY};
 use crate::line::Heard;
-use crate::machine::{MemoryLog, Sample};
+use crate::machine::{MemoryLog, ProcessorTimes, Sample};
 use solaspect::aspect::Quality;
 use solaspect::instrument::Role;
 use solaspect::service::{FlightTally, quantile};
@@ -123,7 +123,7 @@ pub struct Run {
     pub drawn_bytes: f64,
     /// Of the pictures that may wait for a disk.
     pub queue_bytes: f64,
-    pub processor: Duration,
+    pub processor: ProcessorTimes,
 }
 
 impl Run {
@@ -168,16 +168,29 @@ impl Run {
             ));
         }
         self.report_files();
-        let cpu_ms = 1e3 * self.processor.as_secs_f64() / given as f64;
-        say(format_args!(
-            "processor  {cpu_ms:.2} ms a frame, camera and controller included"
-        ));
+        self.report_processor();
         self.report_memory();
         let wrong: Vec<_> = self.wrong().into_iter().filter(|(_, n)| *n != 0).collect();
         for (what, count) in &wrong {
             say(format_args!("WRONG      {what}: {count}"));
         }
         wrong.len() as u64
+    }
+
+    /// The camera's thread, the controller's and the soak's own (`soak`) are no part of a flight on its machine.
+    fn report_processor(&self) {
+        let share = |name: &str, used: Duration| {
+            let ms = 1e3 * used.as_secs_f64() / self.frames.given as f64;
+            let percent = 100.0 * used.as_secs_f64() / self.seconds as f64;
+            say(format_args!(
+                "           {name}: {ms:.3} ms a frame, {percent:.2} % of a core"
+            ));
+        };
+        say("processor");
+        share("all threads", self.processor.values().sum());
+        for (thread, used) in &self.processor {
+            share(thread, *used);
+        }
     }
 
     fn report_files(&self) {

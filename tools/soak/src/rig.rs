@@ -4,7 +4,7 @@ use crate::camera::{CameraFault, Frames, Ring, RingCamera};
 use crate::faults::Fault;
 use crate::files::{Files, LogBytes};
 use crate::line::{Gondola, Heard};
-use crate::machine::{self, MemoryLog};
+use crate::machine::{self, MemoryLog, ProcessorTimes};
 use crate::navigation::{self, ImuBench};
 use crate::stderr::Stderr;
 use anyhow::Context;
@@ -42,7 +42,7 @@ pub struct Rig {
     imu: Option<ImuBench>,
     stderr: Option<Stderr>,
     looked: Cell<Instant>,
-    processor: Cell<Duration>,
+    processor: RefCell<ProcessorTimes>,
     number: Cell<u16>,
 }
 
@@ -175,7 +175,7 @@ impl Rig {
             imu,
             stderr: parts.stderr,
             looked: Cell::new(Instant::now()),
-            processor: Cell::default(),
+            processor: RefCell::default(),
             number: Cell::new(0),
         })
     }
@@ -197,9 +197,9 @@ impl Rig {
         &self.ring
     }
 
-    /// Processor time that the process had used when it was last looked at.
-    pub fn processor(&self) -> Duration {
-        self.processor.get()
+    /// Processor time that the threads had used when they were last looked at.
+    pub fn processor(&self) -> ProcessorTimes {
+        self.processor.borrow().clone()
     }
 
     /// The next `count` frames of the camera meet a fault.
@@ -245,7 +245,7 @@ impl Rig {
         if self.looked.get().elapsed() >= Duration::from_secs(1) {
             self.looked.set(Instant::now());
             self.memory.borrow_mut().note(kept)?;
-            self.processor.set(machine::processor_time()?);
+            self.processor.replace(machine::processor_times()?);
             self.files.borrow_mut().clear()?;
             if let Some(files) = self.roll_files.borrow_mut().as_mut() {
                 files.clear()?;
