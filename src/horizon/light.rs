@@ -1,7 +1,7 @@
 //! What a few of a frame's pixels say of its light.
 
 use super::sphere::Sphere;
-use crate::estimation::{SIGMA_PER_MEDIAN, median_among, median_size};
+use crate::estimation::{SIGMA_PER_MEDIAN, median_among, median_of_orders, order};
 use crate::frame::{Frame, Sample, View};
 use crate::instrument::DirectionCamera;
 use crate::reasons::horizon as reasons;
@@ -110,8 +110,9 @@ impl Sampled {
         let mean = sum as f64 / pixels.len() as f64;
         // Light has noise of its own, and the dark sky may have lost some at the bottom of the scale.
         let bright = pairs.iter().filter(|[one, _]| f64::from(*one) >= mean);
-        let differences = bright.map(|[one, next]| one.abs_diff(*next) as f32);
-        let difference = f64::from(median_size(differences).unwrap_or_default());
+        let differences = bright.map(|[one, next]| order(one.abs_diff(*next) as f32));
+        let median = median_of_orders(&mut differences.collect::<Vec<i32>>());
+        let difference = f64::from(median.unwrap_or_default());
         let noise = difference * SIGMA_PER_MEDIAN / SQRT_2;
         Self {
             mean,
