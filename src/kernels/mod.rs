@@ -180,7 +180,11 @@ pub fn products<const N: usize>(
             }
         }
     }
-    sums.map(|row| row.map(|lanes| lanes.iter().sum()))
+    let total = |m: usize, l: usize| match l <= m {
+        true => sums[m][l].iter().sum(),
+        false => 0.0,
+    };
+    std::array::from_fn(|m| std::array::from_fn(|l| total(m, l)))
 }
 
 /// Sum of the products of weights, in rows of `width` (whole lanes), with values, of which a row begins `stride` after the
