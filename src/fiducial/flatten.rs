@@ -206,10 +206,10 @@ struct GroundPixel {
 }
 
 impl Ground {
-    /// Most columns and rows from one pixel of the sample to the next: some 350 pixels of the demo's disc. A smaller disc has as many
-    /// as it has pixels for.
-    const MOST_STRIDE_PX: f64 = 9.0;
-    const STRIDES_PER_RADIUS: f64 = 10.0;
+    /// Most columns and rows from one pixel of the sample to the next: some 600 pixels of the demo's disc, of which few are left where
+    /// it is saturated. A smaller disc has as many as it has pixels for.
+    const MOST_STRIDE_PX: f64 = 7.0;
+    const STRIDES_PER_RADIUS: f64 = 12.0;
     /// Fewest pixels that determine the factor.
     const MIN_PIXELS: usize = 40;
     /// Scatter of single pixels' ratios, and how far tilt and bend are from none, 1 sigma.
