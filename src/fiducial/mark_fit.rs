@@ -13,7 +13,7 @@ use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 const SETTLED_PX: f64 = 0.003;
 const MOST_STEPS: usize = 10;
 /// Over so short a way what a mark takes of the light changes as its slopes say, px: what that leaves out is the same on both sides of an arm.
-const NEAR_PX: f64 = 0.05;
+const NEAR_PX: f64 = 0.02;
 /// From this step on the pixels' weights are held: with some outliers weights and place would oscillate.
 const REWEIGHTED_STEPS: usize = 6;
 /// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
