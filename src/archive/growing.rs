@@ -13,19 +13,13 @@ pub(super) struct Growing {
     file: Box<dyn DiskFile>,
     /// Bytes of whole pieces. An attempt that failed may have left more.
     whole: u64,
-    /// Whether the next piece goes where the last one ended.
-    is_at_end: bool,
 }
 
 impl Growing {
     /// Makes a new file.
     pub fn create(disk: &dyn Disk, path: &Path) -> io::Result<Self> {
         let file = disk.create(path)?;
-        Ok(Self {
-            file,
-            whole: 0,
-            is_at_end: true,
-        })
+        Ok(Self { file, whole: 0 })
     }
 
     /// Opens a file of which the first `whole` bytes count.
@@ -36,11 +30,7 @@ impl Growing {
         let mut file = disk.open(path)?;
         match file.length()? {
             length if length < whole => Err(ErrorKind::UnexpectedEof.into()),
-            _ => Ok(Self {
-                file,
-                whole,
-                is_at_end: false,
-            }),
+            _ => Ok(Self { file, whole }),
         }
     }
 
@@ -50,12 +40,8 @@ impl Growing {
 
     /// Writes behind the whole pieces, in place of what an attempt that failed may have left there.
     pub fn append(&mut self, piece: &[u8]) -> io::Result<()> {
-        if !self.is_at_end {
-            self.file.cut(self.whole)?;
-        }
-        self.is_at_end = false;
+        self.file.cut(self.whole)?;
         self.file.write_all(piece)?;
-        self.is_at_end = true;
         self.whole += piece.len() as u64;
         Ok(())
     }
