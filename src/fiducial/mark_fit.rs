@@ -12,8 +12,6 @@ use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 /// A step as short as this ends where the next one would, px: a tenth of what the noise of a clean frame leaves.
 const SETTLED_PX: f64 = 0.003;
 const MOST_STEPS: usize = 10;
-/// Over so short a way what a mark takes of the light changes as its slopes say, px: what that leaves out is the same on both sides of an arm.
-const NEAR_PX: f64 = 0.02;
 /// From this step on the pixels' weights are held: with some outliers weights and place would oscillate.
 const REWEIGHTED_STEPS: usize = 6;
 /// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
@@ -74,18 +72,8 @@ impl MarkFit<'_> {
         lists.weights.extend_from_slice(groups(&lists.patch.counts));
         let mut reduced_chi2: f64 = 1.0;
         let mut last_move = Vector2::zeros();
-        let mut covered_at = None;
         for step_number in 0..MOST_STEPS {
-            let at = unknowns.fixed_rows::<2>(X).into_owned();
-            let is_near = |covered_at: &Vector2<f64>| (at - covered_at).norm() < NEAR_PX;
-            let covered_at = match covered_at.filter(is_near) {
-                Some(covered_at) => covered_at,
-                None => {
-                    lists.cover(self, at);
-                    *covered_at.insert(at)
-                }
-            };
-            lists.linearise(self, &unknowns, at - covered_at);
+            lists.linearise(self, &unknowns);
             if (1..REWEIGHTED_STEPS).contains(&step_number) {
                 lists.weigh();
             }
@@ -135,30 +123,24 @@ impl MarkFit<'_> {
 }
 
 impl Lists {
-    /// What the mark takes of the light when it is at a place, px from the expected one.
-    fn cover(&mut self, fit: &MarkFit<'_>, at: Vector2<f64>) {
-        let offsets = Offsets {
-            from: [-at.x as f32, -at.y as f32],
-            x: &self.patch.x,
-            y: &self.patch.y,
-        };
-        fit.cover
-            .at(rows(&fit.to_arms), offsets, &mut self.coverage);
-    }
-
-    /// The model at some unknowns, the mark having moved so far since [`cover`](Self::cover), px.
-    fn linearise(&mut self, fit: &MarkFit<'_>, unknowns: &Unknowns, moved: Vector2<f64>) {
+    /// The model at some unknowns.
+    fn linearise(&mut self, fit: &MarkFit<'_>, unknowns: &Unknowns) {
+        let Patch {
+            x, y, seen, lit, ..
+        } = &self.patch;
+        let from = [X, Y].map(|axis| -unknowns[axis] as f32);
+        fit.cover.at(
+            rows(&fit.to_arms),
+            Offsets { from, x, y },
+            &mut self.coverage,
+        );
         let model = MarkModel {
             unknowns: unknowns.map(|v| v as f32).into(),
-            moved: moved.map(|v| v as f32).into(),
             dark_dn2: fit.noise.dark_dn2 as f32,
             per_light_dn: fit.noise.per_light_dn as f32,
             blur_variance: fit.image.blur_px.powi(2) as f32,
             per_reach: 1.0 / fit.reach as f32,
         };
-        let Patch {
-            x, y, seen, lit, ..
-        } = &self.patch;
         let coverage = &self.coverage;
         let pixels = MarkPixels {
             x,

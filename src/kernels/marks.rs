@@ -146,15 +146,13 @@ pub struct MarkPixels<'a> {
     pub seen: &'a [f32],
     /// Without the mark.
     pub lit: &'a Lit,
-    /// What the mark takes of it near its place.
+    /// What the mark takes of it.
     pub coverage: &'a Coverage,
 }
 
 /// What is known of a mark beside its pixels.
 pub struct MarkModel {
     pub unknowns: [f32; UNKNOWNS],
-    /// How far the mark's place has moved since its coverage was computed, px.
-    pub moved: [f32; 2],
     /// Variance of a pixel without light, DN^2, and for each DN of light, DN.
     pub dark_dn2: f32,
     pub per_light_dn: f32,
@@ -192,7 +190,6 @@ fn near_pixel(model: &MarkModel, pixel: &Pixel) -> ([f32; UNKNOWNS + 1], f32) {
     let [.., contrast, even, tilt_x, tilt_y] = model.unknowns;
     let per_reach = model.per_reach;
     let [share, share_x, share_y] = pixel.cover;
-    let share = share - (share_x * model.moved[0] + share_y * model.moved[1]);
     // The light that a mark of contrast 1 takes, and what this one leaves.
     let taken =
         light * share + model.blur_variance * (pixel.slope_x * share_x + pixel.slope_y * share_y);
