@@ -4,7 +4,7 @@
 //! in place of w. Of that one sum is enough, for the shift: it says how much longer the step ought to be.
 
 use super::limb::EdgeLight;
-use super::{LANES, larger, products};
+use super::{LANES, larger};
 use multiversion::multiversion;
 
 /// Quantities of a sector: shift, illumination, background, variance of the blur, coma.
@@ -73,49 +73,41 @@ fn terms(model: &Weighing, distance_px: f32, light_dn: f32) -> ([f32; COLUMNS], 
     )
 }
 
-/// The terms of a sector's pixels, in lists that the next sector uses again.
-#[derive(Default)]
-pub struct SectorTerms {
-    columns: Vec<[[f32; LANES]; COLUMNS]>,
-    weights: Vec<[f32; LANES]>,
-}
-
 /// Sums over a sector's pixels.
-pub fn sector_sums(
-    model: &Weighing,
-    distance_px: &[f32],
-    light_dn: &[f32],
-    terms: &mut SectorTerms,
-) -> Sums {
-    let [newton, seen, expected] = list_terms(model, distance_px, light_dn, terms).map(f64::from);
-    let sums = products(&terms.columns, &terms.weights);
+pub fn sector_sums(model: &Weighing, distance_px: &[f32], light_dn: &[f32]) -> Sums {
+    let mut sums = [[[0.0; LANES]; COLUMNS]; COLUMNS];
+    let mut others = [[0.0; LANES]; OTHERS];
+    add(model, distance_px, light_dn, &mut sums, &mut others);
+    let total = |lanes: &[f32; LANES]| f64::from(lanes.iter().sum::<f32>());
+    let mut products = [[0.0; COLUMNS]; COLUMNS];
+    for m in 0..COLUMNS {
+        for n in m..COLUMNS {
+            products[m][n] = total(&sums[m][n]);
+            products[n][m] = products[m][n];
+        }
+    }
+    let [newton, seen, expected] = others.map(|lanes| total(&lanes));
     Sums {
-        products: std::array::from_fn(|m| {
-            std::array::from_fn(|n| f64::from(sums[m.max(n)][m.min(n)]))
-        }),
+        products,
         newton,
         light: seen / expected.max(f64::MIN_POSITIVE),
     }
 }
 
-/// Lists the terms of a sector's pixels; the sums of the others.
 #[multiversion(targets("x86_64+avx2"))]
-fn list_terms(
+fn add(
     model: &Weighing,
     distance_px: &[f32],
     light_dn: &[f32],
-    listed: &mut SectorTerms,
-) -> [f32; OTHERS] {
-    let count = distance_px.len().div_ceil(LANES);
-    listed.columns.resize(count, [[0.0; LANES]; COLUMNS]);
-    listed.weights.resize(count, [0.0; LANES]);
-    let mut sums = [[0.0_f32; LANES]; OTHERS];
+    sums: &mut [[[f32; LANES]; COLUMNS]; COLUMNS],
+    others: &mut [[f32; LANES]; OTHERS],
+) {
+    let (mut local, mut local_others) = (*sums, *others);
     let (whole, rest) = distance_px.as_chunks::<LANES>();
     let (whole_light, rest_light) = light_dn.as_chunks::<LANES>();
     // The last group is filled up with pixels that do not count.
     let (mut distance, mut light, mut counts) = ([0.0; LANES], [0.0; LANES], [1.0; LANES]);
-    let listed = listed.columns.iter_mut().zip(&mut listed.weights);
-    for (n, listed) in listed.enumerate() {
+    for n in 0..=whole.len() {
         if n < whole.len() {
             (distance, light) = (whole[n], whole_light[n]);
         } else {
@@ -123,7 +115,8 @@ fn list_terms(
             light[..rest.len()].copy_from_slice(rest_light);
             counts[rest.len()..].fill(0.0);
         }
-        let (mut columns, mut weights) = ([[0.0; LANES]; COLUMNS], [0.0; LANES]);
+        let mut columns = [[0.0; LANES]; COLUMNS];
+        let mut weights = [0.0; LANES];
         for k in 0..LANES {
             let (values, [weight, newton, alike]) = terms(model, distance[k], light[k]);
             for (column, value) in columns.iter_mut().zip(values) {
@@ -131,13 +124,19 @@ fn list_terms(
             }
             weights[k] = weight * counts[k];
             let by_light = alike * counts[k] * values[1];
-            sums[0][k] += newton * counts[k] * values[0] * values[0];
-            sums[1][k] += by_light * (light[k] - model.background_dn);
-            sums[2][k] += by_light * values[1];
+            local_others[0][k] += newton * counts[k] * values[0] * values[0];
+            local_others[1][k] += by_light * (light[k] - model.background_dn);
+            local_others[2][k] += by_light * values[1];
         }
-        (*listed.0, *listed.1) = (columns, weights);
+        for m in 0..COLUMNS {
+            for n in m..COLUMNS {
+                for k in 0..LANES {
+                    local[m][n][k] += weights[k] * columns[m][k] * columns[n][k];
+                }
+            }
+        }
     }
-    sums.map(|lanes| lanes.iter().sum())
+    (*sums, *others) = (local, local_others);
 }
 
 #[cfg(test)]
@@ -178,7 +177,7 @@ mod tests {
             products: found,
             newton,
             light: share,
-        } = sector_sums(&model, &distance, &light, &mut SectorTerms::default());
+        } = sector_sums(&model, &distance, &light);
         for m in 0..COLUMNS {
             for n in 0..COLUMNS {
                 let product = |(d, l): (&f32, &f32)| {

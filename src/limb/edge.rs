@@ -22,7 +22,7 @@ use super::shape::{
 };
 use crate::estimation::{Normal, Prior, TUKEY_SIGMAS, median_among};
 use crate::geometry::Ellipse;
-use crate::kernels::sums::{COLUMNS, SECTOR, SectorTerms, Sums, Weighing, sector_sums};
+use crate::kernels::sums::{COLUMNS, SECTOR, Sums, Weighing, sector_sums};
 use crate::units::SensorPx;
 use nalgebra::{RowSVector, SMatrix, SVector, Vector2};
 use serde::{Deserialize, Serialize};
@@ -114,15 +114,10 @@ fn lit_sectors(band: &Band, model: &EdgeModel) -> Vec<Sector> {
     let count = band.sectors().count();
     let lit = band.sectors().enumerate();
     let lit = lit.filter(|(_, pixels)| !pixels.light_dn.is_empty());
-    let mut terms = SectorTerms::default();
     let mut sectors = Vec::with_capacity(count);
     sectors.extend(lit.map(|(n, pixels)| {
         let w = middle_of_sector(n, count);
-        Sector::new(
-            w,
-            &sums_of(w, pixels, model, &mut terms),
-            pixels.light_dn.len(),
-        )
+        Sector::new(w, &sums_of(w, pixels, model), pixels.light_dn.len())
     }));
     sectors
 }
@@ -161,12 +156,7 @@ fn retain_limb(sectors: &mut Vec<Sector>, model: &EdgeModel) {
 }
 
 /// The sums over the pixels of a sector in a direction.
-fn sums_of(
-    w: Vector2<f64>,
-    pixels: SectorPixels<'_>,
-    model: &EdgeModel,
-    terms: &mut SectorTerms,
-) -> Sums {
+fn sums_of(w: Vector2<f64>, pixels: SectorPixels<'_>, model: &EdgeModel) -> Sums {
     let course = model.shape.at(w);
     let profile = model.profile_at(&course);
     let weighing = Weighing {
@@ -182,7 +172,7 @@ fn sums_of(
         saturated_dn: model.saturated_dn as f32,
         tukey2: (TUKEY_SIGMAS * TUKEY_SIGMAS) as f32,
     };
-    sector_sums(&weighing, pixels.distance_px, pixels.light_dn, terms)
+    sector_sums(&weighing, pixels.distance_px, pixels.light_dn)
 }
 
 /// The normal equations of a sector in steps from the model.
