@@ -338,7 +338,7 @@ impl Writer<'_> {
         self.window |= number << (64 - self.count);
         // Without a branch: whether a byte is whole could not be foretold.
         self.out[..8].copy_from_slice(&self.window.to_be_bytes());
-        // Below 8, which the compiler is told, for then it asks no more whether there is room.
+        // Below 8, so that the compiler need not ask whether there is room.
         let bytes = self.count / 8 % 8;
         self.out = &mut mem::take(&mut self.out)[bytes as usize..];
         self.window <<= 8 * bytes;
@@ -549,7 +549,7 @@ impl<'a> Bits<'a> {
         Some(self)
     }
 
-    /// A folded difference: zeros up to a 1 bit count how often 2^`low` goes into it, and `low` bits, at most 24, tell the rest.
+    /// A folded difference: zeros up to a 1 bit count how often 2^`low` goes into it, and `low` bits, at most 24, are the rest.
     fn one(&mut self, low: u32) -> Option<u32> {
         Some(self.zeros()?.wrapping_shl(low) | self.take(low))
     }

@@ -165,12 +165,12 @@ impl Disc {
         let mut light = [0.0; LANES];
         // A row's ends are farther out than what lies between them.
         if larger(start, r2(LANES - 1)) < deep2 {
-            for k in 0..LANES {
-                (light[k], _) = self.deep_light(r2(k), half_blur2);
+            for (k, light) in light.iter_mut().enumerate() {
+                (*light, _) = self.deep_light(r2(k), half_blur2);
             }
         } else {
-            for k in 0..LANES {
-                light[k] = self.edge_light([first + k as i32 as f32, y]);
+            for (k, light) in light.iter_mut().enumerate() {
+                *light = self.edge_light([first + k as i32 as f32, y]);
             }
         }
         light

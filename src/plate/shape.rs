@@ -70,7 +70,7 @@ impl MarkShape {
         }
     }
 
-    /// Tells whether a mark, and a margin about it, covers an offset from its middle that `to_plate` leads to one along the plate's
+    /// Gives whether a mark, and a margin about it, covers an offset from its middle that `to_plate` leads to one along the plate's
     /// axes, mil.
     pub fn covers(
         &self,
