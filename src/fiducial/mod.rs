@@ -28,6 +28,7 @@ mod refine;
 mod similarity;
 mod template;
 
+pub use crate::kernels::limb::Lit;
 pub use detect::{Detection, Detections, detect};
 pub use flatten::FlatDisc;
 pub(crate) use identify::likeliest;
