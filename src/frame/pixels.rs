@@ -295,10 +295,7 @@ impl<'a, T: Sample> View<'a, T> {
     #[inline(always)]
     pub fn square(&self, x: usize, y: usize) -> [T; 4] {
         let (above, below) = match self.rows {
-            Rows::Whole(pixels) => {
-                let (above, below) = pixels[y * self.width + x..].split_at(self.width);
-                (above, below)
-            }
+            Rows::Whole(pixels) => pixels[y * self.width + x..].split_at(self.width),
             Rows::OnDemand(rows) => {
                 let row = |y| &T::of(rows.row(y).as_slice())[x..];
                 (row(y), row(y + 1))

@@ -196,6 +196,7 @@ fn fill(disc: &Disc, first: f32, y: f32, light: &mut [f32]) {
     let limits = [disc.deep2(), 0.5 * disc.blur() * disc.blur()];
     for (n, light) in light.chunks_mut(LANES).enumerate() {
         let found = disc.run_light(first + (n * LANES) as i32 as f32, y, limits);
+        // A copy of a length that is known beforehand is one instruction.
         match light.len() {
             LANES => light.copy_from_slice(&found),
             left => light.copy_from_slice(&found[..left]),
