@@ -25,19 +25,14 @@ pub(super) fn drift_terms(time: f64) -> [f64; DRIFT] {
 /// The drift of a pose along both axes: by how many px each term moves the plate's picture.
 pub(super) type Drift = [Vector2<f64>; DRIFT];
 
-/// How far a drift has moved the picture where its terms are so large, px.
-fn drifted(drift: &Drift, terms: &[f64; DRIFT]) -> Vector2<f64> {
-    drift.iter().zip(terms).map(|(px, term)| px * *term).sum()
-}
-
 /// The observations of a mark in a pose.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cell {
     pub mark: usize,
     /// Their weighted mean, px.
     pub seen: Vector2<f64>,
-    /// The terms of a drift then, on the weighted mean.
-    pub terms: [f64; DRIFT],
+    /// The weighted means of a drift's terms: by how much each of them moves the mean.
+    pub terms: [Matrix2<f64>; DRIFT],
     /// Inverse of the mean's covariance, px^-2.
     pub weight: Matrix2<f64>,
     /// What the observations say of a drift among themselves: weighted products of its terms about their means, and of these with how far
@@ -116,7 +111,8 @@ impl State {
 
     /// How far a pose has drifted at a time within it, px.
     pub(super) fn drifted(&self, pose: usize, time: f64) -> Vector2<f64> {
-        drifted(&self.drift_px[pose], &drift_terms(time))
+        let terms = self.drift_px[pose].iter().zip(drift_terms(time));
+        terms.map(|(px, term)| px * term).sum()
     }
 
     fn advance(&mut self, step: &DVector<f64>) {
@@ -206,9 +202,10 @@ impl Settled {
 fn add_cell(normal: &mut Large, state: &State, pose: usize, cell: &Cell) {
     let p = state.predict(pose, cell.mark);
     let drift_px = &state.drift_px[pose];
-    let residual = cell.seen - p.seen - drifted(drift_px, &cell.terms);
-    let of_drift = cell.terms.map(|term| Matrix2::identity() * term);
-    let of_drift = of_drift.iter().flat_map(Matrix2::column_iter);
+    let terms = cell.terms.iter().zip(drift_px);
+    let drifted: Vector2<f64> = terms.map(|(term, px)| term * px).sum();
+    let residual = cell.seen - p.seen - drifted;
+    let of_drift = cell.terms.iter().flat_map(Matrix2::column_iter);
     let lens = p.lens.column_iter().enumerate();
     let place = (mark_index(cell.mark)..).zip(p.place.column_iter());
     let view = (state.view_index(pose)..).zip(p.view.column_iter());

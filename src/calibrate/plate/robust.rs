@@ -96,8 +96,9 @@ impl CellSums {
     }
 
     fn cell(&self, mark: usize) -> Option<Cell> {
-        let seen = self.weight.try_inverse()? * self.seen;
-        let terms = self.terms.map(|term| term.trace() / self.weight.trace());
+        let inverse = self.weight.try_inverse()?;
+        let seen = inverse * self.seen;
+        let terms = self.terms.map(|term| inverse * term);
         let spread = |n: usize, m: usize| self.squares[n][m] - self.terms[n] * terms[m];
         Some(Cell {
             mark,
@@ -345,5 +346,71 @@ impl Bundle {
     fn reduced_chi2(&self, settled: &Settled) -> f64 {
         let freedom = (self.coordinates() - settled.determined).max(0.0);
         (self.chi2(&settled.state) + STATED_FREEDOM) / (freedom + STATED_FREEDOM)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Summed, they lose nothing but what neither place nor drift changes: the chi-square of any place and drift differs from that of each
+    /// observation by a constant.
+    #[test]
+    fn a_cell_stands_for_its_observations_whatever_their_shapes() {
+        let seen = [
+            (-1.0, 3.0, 0.5, 0.3),
+            (0.2, 0.1, 2.0, 0.4),
+            (0.9, 1.0, 1.0, -0.8),
+        ];
+        let observations = seen.map(|(time, xx, yy, xy)| {
+            let observation = Observation {
+                frame: 0,
+                pose: 0,
+                mark: 0,
+                seen: Vector2::new(time, 2.0 - time * time),
+                time,
+                covariance_px2: Matrix2::identity(),
+                weight: 1.0,
+            };
+            (Matrix2::new(xx, xy, xy, yy), observation)
+        });
+        let mut sums = CellSums::default();
+        for (weight, observation) in &observations {
+            sums.add(*weight, observation);
+        }
+        let cell = sums.cell(0).unwrap();
+        let one_by_one = |place: Vector2<f64>, drift: &[Vector2<f64>; DRIFT]| {
+            let one = |(weight, o): &(Matrix2<f64>, Observation)| {
+                let drifted: Vector2<f64> = (drift_terms(o.time).iter().zip(drift))
+                    .map(|(term, px)| px * *term)
+                    .sum();
+                let residual = o.seen - place - drifted;
+                residual.dot(&(weight * residual))
+            };
+            observations.iter().map(one).sum::<f64>()
+        };
+        let by_cell = |place: Vector2<f64>, drift: &[Vector2<f64>; DRIFT]| {
+            let drifted: Vector2<f64> = cell.terms.iter().zip(drift).map(|(t, px)| t * px).sum();
+            let residual = cell.seen - place - drifted;
+            let mut chi2 = residual.dot(&(cell.weight * residual));
+            for n in 0..DRIFT {
+                chi2 -= 2.0 * cell.trend[n].dot(&drift[n]);
+                for m in 0..DRIFT {
+                    chi2 += drift[n].dot(&(cell.spread[n][m] * drift[m]));
+                }
+            }
+            chi2
+        };
+        let lost = |place, drift: [f64; 2 * DRIFT]| {
+            let drift = std::array::from_fn(|n| Vector2::new(drift[2 * n], drift[2 * n + 1]));
+            one_by_one(place, &drift) - by_cell(place, &drift)
+        };
+        let constant = lost(Vector2::zeros(), [0.0; 6]);
+        let moved = lost(Vector2::new(2.0, -1.0), [0.5, -2.0, 1.5, 0.3, -0.7, 2.5]);
+        assert!((moved - constant).abs() < 1e-12, "{moved} {constant}");
+        for (n, m) in [(0, 1), (1, 2), (0, 2)] {
+            let skew = cell.spread[n][m] - cell.spread[m][n].transpose();
+            assert!(skew.norm() < 1e-12, "{skew}");
+        }
     }
 }
