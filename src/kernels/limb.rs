@@ -111,28 +111,21 @@ impl Lit {
 impl Disc {
     /// From this radius inwards, squared, in disc radii, the blur hardly changes the light.
     fn deep2(&self) -> f32 {
-        const DEEP_BLURS: f32 = 4.5;
-        let deep = 1.0 - DEEP_BLURS * self.blur();
+        const DEEP_BLURS: f32 = 8.0;
+        let deep = 1.0 - DEEP_BLURS * self.edge.per_radius / self.edge.per_blur;
         larger(deep, 0.0) * larger(deep, 0.0)
     }
 
-    /// In disc radii.
-    fn blur(&self) -> f32 {
-        self.edge.per_radius / self.edge.per_blur
-    }
-
-    /// The light there and its slope by the squared radius, DN: of a limb-darkened disc, with what the blur b takes of the root d of
-    /// 1 - r^2 to its second order, b^2 / 2 d^3.
+    /// The light there and its slope by the squared radius, DN: of an unblurred disc.
     #[inline(always)]
-    fn deep_light(&self, r2: f32, half_blur2: f32) -> (f32, f32) {
+    fn deep_light(&self, r2: f32) -> (f32, f32) {
+        let EdgeLight {
+            even_dn,
+            darkened_dn,
+            ..
+        } = self.edge;
         let root = (1.0 - r2).sqrt();
-        let per_root = 1.0 / root;
-        let taken = half_blur2 * (per_root * per_root) * (per_root * per_root);
-        let light = self.edge.even_dn + self.edge.darkened_dn * (root - root * taken);
-        (
-            light,
-            -0.5 * self.edge.darkened_dn * (per_root + 3.0 * per_root * taken),
-        )
+        (even_dn + darkened_dn * root, -0.5 * darkened_dn / root)
     }
 
     /// In units of the disc's radius the square of a place's distance from its centre; and half of how that changes, 1/px.
@@ -154,7 +147,7 @@ impl Disc {
 
     /// The light on some neighbours in a row from a place on.
     #[inline(always)]
-    fn run_light(&self, first: f32, y: f32, [deep2, half_blur2]: [f32; 2]) -> [f32; LANES] {
+    fn run_light(&self, first: f32, y: f32, deep2: f32) -> [f32; LANES] {
         // Along a row the squared radius is a polynomial of the pixel's number.
         let [a, b, _] = self.inverse;
         let ([slope, _], start) = self.radial([first, y]);
@@ -166,7 +159,7 @@ impl Disc {
         // A row's ends are farther out than what lies between them.
         if larger(start, r2(LANES - 1)) < deep2 {
             for (k, light) in light.iter_mut().enumerate() {
-                (*light, _) = self.deep_light(r2(k), half_blur2);
+                (*light, _) = self.deep_light(r2(k));
             }
         } else {
             for (k, light) in light.iter_mut().enumerate() {
@@ -193,9 +186,9 @@ impl Disc {
 
 #[multiversion(targets("x86_64+avx2"))]
 fn fill(disc: &Disc, first: f32, y: f32, light: &mut [f32]) {
-    let limits = [disc.deep2(), 0.5 * disc.blur() * disc.blur()];
+    let deep2 = disc.deep2();
     for (n, light) in light.chunks_mut(LANES).enumerate() {
-        let found = disc.run_light(first + (n * LANES) as i32 as f32, y, limits);
+        let found = disc.run_light(first + (n * LANES) as i32 as f32, y, deep2);
         // A copy of a length that is known beforehand is one instruction.
         match light.len() {
             LANES => light.copy_from_slice(&found),
@@ -210,7 +203,6 @@ const STENCIL: [[f32; 2]; 5] = [[0.0, 0.0], [-1.0, 0.0], [1.0, 0.0], [0.0, -1.0]
 #[multiversion(targets("x86_64+avx2"))]
 fn light_at(disc: &Disc, from: [f32; 2], x: &[f32], y: &[f32], lit: &mut Lit) {
     let deep2 = disc.deep2();
-    let half_blur2 = 0.5 * disc.blur() * disc.blur();
     let [a, b, c] = disc.inverse;
     let trace = a * a + 2.0 * b * b + c * c;
     for (x, y) in groups(x).iter().zip(groups(y)) {
@@ -222,7 +214,7 @@ fn light_at(disc: &Disc, from: [f32; 2], x: &[f32], y: &[f32], lit: &mut Lit) {
         if r2.iter().copied().fold(0.0, larger) < deep2 {
             for k in 0..LANES {
                 let ([nx, ny], r2) = disc.radial([from[0] + x[k], from[1] + y[k]]);
-                let (light, by_r2) = disc.deep_light(r2, half_blur2);
+                let (light, by_r2) = disc.deep_light(r2);
                 let slope = 2.0 * by_r2;
                 found[0][k] = light;
                 found[1][k] = slope * nx;
