@@ -8,6 +8,7 @@ use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::fiducial::{
     Detection, FiducialSettings, IdentificationPrior, Lighting, Unread, identify,
+    identify_with_margin,
 };
 use solaspect::geometry::{Distortion, Ellipse, Handedness, Mapping, SimilarityParameters};
 use solaspect::instrument::builtin;
@@ -126,13 +127,16 @@ type Labelled = (Detection, Option<MarkId>);
 
 fn read(look: &Look, list: &[Labelled], plate: &Plate) -> Result<Vec<(usize, MarkId)>, Unread> {
     let detections: Vec<Detection> = list.iter().map(|(detection, _)| *detection).collect();
-    let identified = identify(
-        &detections,
-        &look.sight(),
-        plate,
-        &FiducialSettings::default(),
+    let (prior, settings) = (look.sight(), FiducialSettings::default());
+    let found = identify(&detections, &prior, plate, &settings);
+    // What decides early decides as all labellings do.
+    let by_all = identify_with_margin(&detections, &prior, plate, &settings);
+    let refused = |unread: Unread| unread.rejected().reason;
+    assert_eq!(
+        found.clone().map_err(refused),
+        by_all.map(|identified| identified.ids).map_err(refused)
     );
-    identified.map(|identified| identified.ids)
+    found
 }
 
 fn wrong_ids(found: &[(usize, MarkId)], list: &[Labelled]) -> usize {

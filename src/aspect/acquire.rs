@@ -4,8 +4,7 @@ use super::stages::{DiscImage, MARK_MARGIN_PX, Pipeline, at};
 use super::{Measured, Solution, Stage, Stopped};
 use crate::estimation::median;
 use crate::fiducial::{
-    self, Detection, Detections, FlatDisc, IdentificationPrior, Identified, Illumination, Lighting,
-    Unread,
+    self, Detection, Detections, FlatDisc, IdentificationPrior, Illumination, Lighting, Unread,
 };
 use crate::frame::{Frame, Mask};
 use crate::geometry::{Ellipse, Mapping, MappingKind};
@@ -100,9 +99,7 @@ impl Pipeline<'_> {
         detections: &Detections,
     ) -> Result<Mapping, Unread> {
         let sensor_px = [frame.width() as f64, frame.height() as f64];
-        let ids = self
-            .identify(sensor_px, image.light.outline, detections)?
-            .ids;
+        let ids = self.identify(sensor_px, image.light.outline, detections)?;
         let pair = |(n, id): &(usize, _)| {
             Some(Pair {
                 observed: detections.marks[*n].at,
@@ -137,7 +134,7 @@ impl Pipeline<'_> {
         sensor_px: [f64; 2],
         outline: Ellipse,
         detections: &Detections,
-    ) -> Result<Identified, Unread> {
+    ) -> Result<Vec<(usize, MarkId)>, Unread> {
         let read = |mounting: &Mounting, settings: &fiducial::FiducialSettings| {
             self.identify_mounted(sensor_px, outline, detections, mounting, settings)
         };
@@ -171,9 +168,9 @@ impl Pipeline<'_> {
             full.count()
         };
         // What is not read here may be because all are somewhere else.
-        let read_here = count_full(&here.ids);
+        let read_here = count_full(&here);
         if read_here < detections.marks.iter().filter(|mark| is_full(mark)).count() {
-            let read_there = elsewhere().map_or(0, |there| count_full(&there.ids));
+            let read_there = elsewhere().map_or(0, |there| count_full(&there));
             let reason = sun::CENTRE_ELSEWHERE;
             Rejected::at_most(read_here as f64, read_there as f64, reason)
                 .map_err(Unread::Contradicting)?;
@@ -185,14 +182,14 @@ impl Pipeline<'_> {
     ///
     /// # Errors
     /// As [`fiducial::identify`].
-    pub(crate) fn identify_mounted(
+    fn identify_mounted(
         &self,
         sensor_px: [f64; 2],
         outline: Ellipse,
         detections: &Detections,
         mounting: &Mounting,
         settings: &fiducial::FiducialSettings,
-    ) -> Result<Identified, Unread> {
+    ) -> Result<Vec<(usize, MarkId)>, Unread> {
         let prior = self.identification_prior(sensor_px, outline, detections, mounting);
         fiducial::identify(&detections.marks, &prior, &self.instrument.plate, settings)
     }
@@ -211,7 +208,7 @@ impl Pipeline<'_> {
     }
 
     /// What is known before marks are identified about a disc's outline on a sensor of some width and height.
-    fn identification_prior(
+    pub(crate) fn identification_prior(
         &self,
         sensor_px: [f64; 2],
         outline: Ellipse,

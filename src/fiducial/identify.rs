@@ -33,6 +33,16 @@ use crate::units::Rejected;
 /// Of many fully lit detections, so many are tried as the first of a labelling, not all: what explains none of these is no rival of
 /// what explains most.
 const ANCHORS_OF_MANY: usize = 8;
+/// A million labellings whose odds against the best are beyond this change no decision.
+const OVERWHELMING_ODDS: f64 = 25.0;
+
+/// How many first detections of a labelling are tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Anchors {
+    /// Until no labelling that starts at another can matter.
+    UntilDecided,
+    All,
+}
 
 /// Why detections have no ids.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -75,11 +85,35 @@ pub fn identify(
     prior: &IdentificationPrior,
     plate: &Plate,
     settings: &FiducialSettings,
+) -> Result<Vec<(usize, MarkId)>, Unread> {
+    let anchors = Anchors::UntilDecided;
+    Ok(identify_by(anchors, detections, prior, plate, settings)?.ids)
+}
+
+/// The same with its margin, which the least likely of the rivals have a part in: all are tried.
+///
+/// # Errors
+/// As [`identify`].
+pub fn identify_with_margin(
+    detections: &[Detection],
+    prior: &IdentificationPrior,
+    plate: &Plate,
+    settings: &FiducialSettings,
+) -> Result<Identified, Unread> {
+    identify_by(Anchors::All, detections, prior, plate, settings)
+}
+
+fn identify_by(
+    anchors: Anchors,
+    detections: &[Detection],
+    prior: &IdentificationPrior,
+    plate: &Plate,
+    settings: &FiducialSettings,
 ) -> Result<Identified, Unread> {
     let full = fully_lit(detections);
     let (count, least) = (full.len() as f64, settings.min_marks as f64);
     Rejected::at_least(least, count, sun::FEW_LIT_MARKS)?;
-    let all = near_the_stated_centre(detections, &full, prior, plate, settings);
+    let all = near_the_stated_centre(anchors, detections, &full, prior, plate, settings);
     let (best, mut margin) = decide(&all, full.len(), prior, settings)?;
     if plate.pattern() != Pattern::Heroes {
         margin = margin.min(check_place(&best, &full, detections, prior, plate)?);
@@ -98,7 +132,8 @@ pub(crate) fn likeliest(
     settings: &FiducialSettings,
 ) -> Option<Vec<(usize, MarkId)>> {
     let full = fully_lit(detections);
-    let all = near_the_stated_centre(detections, &full, prior, plate, settings);
+    let anchors = Anchors::All;
+    let all = near_the_stated_centre(anchors, detections, &full, prior, plate, settings);
     all.first().map(Labelling::usable)
 }
 
@@ -109,6 +144,7 @@ fn fully_lit(detections: &[Detection]) -> Vec<usize> {
 
 /// Every labelling that puts the plate's centre near the stated one, the likeliest first.
 fn near_the_stated_centre(
+    search: Anchors,
     detections: &[Detection],
     full: &[usize],
     prior: &IdentificationPrior,
@@ -119,21 +155,31 @@ fn near_the_stated_centre(
     let error_px = PREDICTION_ERROR * (from_sun_px + prior.outline.mean_radius());
     let reach_mil = (settings.max_centre_shift_px + error_px) * prior.mil_per_px();
     let in_view_mil = reach_mil + 1.1 * prior.radius_mil.value;
-    let scenes = prior
+    let scenes: Vec<Scene> = prior
         .turns()
-        .filter_map(|turn| Scene::new(prior, detections, plate, turn, in_view_mil));
+        .filter_map(|turn| Scene::new(prior, detections, plate, turn, in_view_mil))
+        .collect();
     // A labelling, rivals included, explains two fully lit detections: one of them is among all but the last.
     let anchors = match full.len() > MANY_DETECTIONS {
-        true => &full[..ANCHORS_OF_MANY],
-        false => &full[..full.len().saturating_sub(1)],
+        true => ANCHORS_OF_MANY,
+        false => full.len().saturating_sub(1),
     };
-    let orders: Vec<Vec<usize>> = anchors
-        .iter()
-        .map(|n| nearest_first(*n, full, detections))
-        .collect();
-    let mut all: Vec<Labelling> = scenes
-        .flat_map(|scene| labellings(&scene, &orders, reach_mil, prior, settings))
-        .collect();
+    let mut found: Vec<Vec<Labelling>> = vec![Vec::new(); scenes.len()];
+    let mut lists = Lists::default();
+    for (n, anchor) in full[..anchors].iter().enumerate() {
+        let order = nearest_first(*anchor, full, detections);
+        for (scene, found) in scenes.iter().zip(&mut found) {
+            add_labellings(found, scene, &order, reach_mil, settings, &mut lists);
+        }
+        let scores = || found.iter().flatten().map(|labelling| labelling.score);
+        let best = scores().fold(f64::NEG_INFINITY, f64::max);
+        let others = scenes.first().map(|scene| scene.most_score(&full[n + 1..]));
+        let is_decided = others.is_none_or(|most| best - most > OVERWHELMING_ODDS);
+        if search == Anchors::UntilDecided && is_decided {
+            break;
+        }
+    }
+    let mut all: Vec<Labelling> = found.into_iter().flatten().collect();
     all.sort_by(|a, b| b.score.total_cmp(&a.score));
     all
 }
@@ -186,36 +232,31 @@ fn check_place(
     Ok(-likelihood.ln() - DECISIVE_ODDS)
 }
 
-/// Every labelling at one rotation that starts with the first detection of one of the orders.
-fn labellings(
+/// Adds the labellings at one rotation that start with the first detection of an order.
+fn add_labellings(
+    found: &mut Vec<Labelling>,
     scene: &Scene,
-    orders: &[Vec<usize>],
+    order: &[usize],
     reach_mil: f64,
-    prior: &IdentificationPrior,
     settings: &FiducialSettings,
-) -> Vec<Labelling> {
-    let max_shift_px = settings.max_centre_shift_px;
-    let mut lists = Lists::default();
-    let mut found: Vec<Labelling> = Vec::new();
-    for order in orders {
-        for (id, printed) in scene.marks_about(order[0], reach_mil) {
-            // Another order led to the same labelling.
-            if found.iter().any(|l| l.id_of(order[0]) == Some(id)) {
-                continue;
-            }
-            let Some(mut labelling) = scene.follow((id, printed), order, &mut lists) else {
-                continue;
-            };
-            let (centre, sigma_px) = (labelling.plate_centre, labelling.centre_sigma_px);
-            if prior.shift_excess(centre, sigma_px, max_shift_px) < RIVAL_EXCESS {
-                labelling.centre_odds = prior.centre_odds(centre, sigma_px, max_shift_px);
-                labelling.score +=
-                    labelling.centre_odds + prior.rotation_odds(labelling.rotation_deg);
-                found.push(labelling);
-            }
+    lists: &mut Lists,
+) {
+    let (prior, max_shift_px) = (scene.prior, settings.max_centre_shift_px);
+    for (id, printed) in scene.marks_about(order[0], reach_mil) {
+        // Another order led to the same labelling.
+        if found.iter().any(|l| l.id_of(order[0]) == Some(id)) {
+            continue;
+        }
+        let Some(mut labelling) = scene.follow((id, printed), order, lists) else {
+            continue;
+        };
+        let (centre, sigma_px) = (labelling.plate_centre, labelling.centre_sigma_px);
+        if prior.shift_excess(centre, sigma_px, max_shift_px) < RIVAL_EXCESS {
+            labelling.centre_odds = prior.centre_odds(centre, sigma_px, max_shift_px);
+            labelling.score += labelling.centre_odds + prior.rotation_odds(labelling.rotation_deg);
+            found.push(labelling);
         }
     }
-    found
 }
 
 /// The first labelling, the best, of so many fully lit detections, if all that contradict it are unlikely together, and by how much its

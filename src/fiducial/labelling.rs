@@ -26,6 +26,7 @@ use crate::geometry::Handedness;
 use crate::plate::{MarkId, MarkShape, Plate};
 use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
+use std::f64::consts::TAU;
 
 /// A detection with the mark that it is.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,7 +94,7 @@ struct Candidate {
 
 /// Detections and printed marks at one rotation: all that its labellings share.
 pub(super) struct Scene<'a> {
-    prior: &'a IdentificationPrior,
+    pub prior: &'a IdentificationPrior,
     detections: &'a [Detection],
     shape: &'a MarkShape,
     /// Rotation of the plate's axes on the sensor.
@@ -197,6 +198,23 @@ impl<'a> Scene<'a> {
         }
         hypothesis.score += hypothesis.missed() as f64 * self.prior.missed_share.ln();
         Some(hypothesis.labelling(full))
+    }
+
+    /// No labelling that explains none but these of the fully lit detections has a higher score: each at its predicted position, with the
+    /// contrast of the others, and the first without evidence of its own.
+    pub(super) fn most_score(&self, full: &[usize]) -> f64 {
+        let peak = |candidate: &Candidate| {
+            let density = -(TAU * candidate.variance).ln();
+            let found = (self.prior.found_share() / self.prior.false_density()).ln();
+            (found + density).max(0.0)
+        };
+        let of_full = full
+            .iter()
+            .map(|n| peak(&self.candidates[*n]) + contrast_odds(0.0));
+        let is_cut = |candidate: &&Candidate| candidate.lighting == Lighting::Cut;
+        let of_cut = self.candidates.iter().filter(is_cut).map(peak);
+        let least = of_full.clone().fold(f64::INFINITY, f64::min);
+        of_full.sum::<f64>() - least + of_cut.sum::<f64>()
     }
 
     fn to_sensor(&self, offset: Vector2<f64>) -> SensorPx {

@@ -32,7 +32,7 @@ pub use crate::kernels::limb::Lit;
 pub use detect::{Detection, Detections, detect};
 pub use flatten::FlatDisc;
 pub(crate) use identify::likeliest;
-pub use identify::{Identified, Unread, identify};
+pub use identify::{Identified, Unread, identify, identify_with_margin};
 pub use lighting::Lighting;
 pub use mark_image::{MarkForm, MarkImage};
 pub use patch::Illumination;

@@ -2,7 +2,7 @@
 
 use super::Rotations;
 use crate::aspect::{Expected, MARK_MARGIN_PX, Pipeline, SolverSettings};
-use crate::fiducial::{Detection, Detections, Identified, Lighting, MarkImage, Unread};
+use crate::fiducial::{self, Detection, Detections, Identified, Lighting, MarkImage, Unread};
 use crate::frame::Region;
 use crate::geometry::{Circle, Ellipse, Mapping, unit};
 use crate::instrument::{Instrument, SMALLEST_SUN_ARCSEC};
@@ -193,11 +193,14 @@ impl<'a> CheckScene<'a> {
         let PlateView {
             instrument, solver, ..
         } = self.view;
-        self.view.pipeline.identify_mounted(
-            instrument.camera.size_px().map(|side| side as f64),
-            self.outline,
-            detections,
-            &instrument.mounting,
+        let sensor_px = instrument.camera.size_px().map(|side| side as f64);
+        let mounting = &instrument.mounting;
+        let pipeline = &self.view.pipeline;
+        let prior = pipeline.identification_prior(sensor_px, self.outline, detections, mounting);
+        fiducial::identify_with_margin(
+            &detections.marks,
+            &prior,
+            &instrument.plate,
             &solver.fiducial,
         )
     }

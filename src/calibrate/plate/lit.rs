@@ -161,9 +161,7 @@ impl LitPlate<'_> {
         found.marks.retain(|mark| mark.lighting == Lighting::Full);
         let prior = self.prior(outline, &found, &shape);
         let fiducial = &self.settings.fiducial;
-        let identified = fiducial::identify(&found.marks, &prior, plate, fiducial)
-            .ok()?
-            .ids;
+        let identified = fiducial::identify(&found.marks, &prior, plate, fiducial).ok()?;
         let pair = |(n, id): &(usize, _)| {
             Some(Pair {
                 observed: found.marks[*n].at,
