@@ -15,7 +15,7 @@ pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// modified. `None` where it was not built from a checkout.
 pub const COMMIT: Option<&str> = option_env!("SOLASPECT_COMMIT");
 
-/// The version and, where it is known, the commit: "0.1.0 (0123456789ab)".
+/// The version and, where it is known, the commit: "0.2.0 (0123456789ab)".
 pub const LONG_VERSION: &str = env!("SOLASPECT_VERSION");
 
 /// SHA-256 of bytes, in hexadecimal digits.
