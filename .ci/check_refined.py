@@ -20,7 +20,7 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 from astropy.utils import iers
 
-PAGE = pathlib.Path(__file__).parent.parent / "docs" / "refine.md"
+PAGE = pathlib.Path(__file__).parent.parent / "docs" / "refine-reference.md"
 MIL = u.def_unit("mil", 25.4 * u.um)
 # No reader may find fault with any HDU.
 warnings.simplefilter("error")

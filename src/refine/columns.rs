@@ -157,7 +157,7 @@ mod tests {
             markdown(STABILISATION_COLUMNS),
             markdown(ROLL_COLUMNS)
         );
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/refine.md");
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/refine-reference.md");
         let page = std::fs::read_to_string(path).unwrap();
         let (before, rest) = page.split_once(&format!("### {ASPECT}\n")).unwrap();
         let after = rest.find("\n## ").map_or("", |at| &rest[at..]);
@@ -165,8 +165,7 @@ mod tests {
         if std::env::var_os("SOLASPECT_WRITE_DOCS").is_some() {
             std::fs::write(path, &wanted).unwrap();
         } else {
-            let told =
-                "docs/refine.md has other columns: run this test with SOLASPECT_WRITE_DOCS=1";
+            let told = "docs/refine-reference.md has other columns: run this test with SOLASPECT_WRITE_DOCS=1";
             assert!(page == wanted, "{told}");
         }
     }
