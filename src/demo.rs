@@ -86,7 +86,7 @@ pub struct Summary {
     pub fine_errors_arcsec: Vec<f64>,
     /// Offsets by the gyros against the truth; none where a ground commands.
     pub propagated: Vec<JudgedOffset>,
-    /// Those of the frames at times of which the horizon told the roll.
+    /// Those of the frames at times for which the horizon gave the roll.
     pub by_sun: Vec<JudgedOffset>,
     /// Errors of the body's roll against the truth, frames of the horizon, deg.
     pub roll_errors_deg: Vec<f64>,
@@ -208,7 +208,7 @@ pub fn run(
     let propagated = controller.propagated.iter().filter(|_| is_judged);
     let propagated = propagated.filter_map(|one| JudgedOffset::of(one, &mut telescope, start));
     let propagated = propagated.collect();
-    // A telescope whose roll nothing has told yet is taken for level, and sent with a roll of 0.
+    // A telescope whose roll is not measured yet is taken for level, and sent with a roll of 0.
     let rolled = |solution: &&Solution| is_judged && solution.roll_deg != 0.0;
     let by_sun = controller.solutions.iter().filter(rolled);
     let by_sun = by_sun.filter_map(|one| JudgedOffset::by_sun(one, &mut telescope, start));

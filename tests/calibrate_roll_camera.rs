@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 use solaspect::archive::Store;
-use solaspect::calibrate::roll_camera::{Horizon, Known, Sighting, fit};
+use solaspect::calibrate::roll_camera::{Horizon, HorizonObservation, Known, fit};
 use solaspect::fits::Compression;
 use solaspect::geometry::attitude::Direction;
 use solaspect::geometry::camera::CameraModel;
@@ -72,8 +72,8 @@ fn errors(found: &Rotation3<f64>, truth: &Rotation3<f64>, sigmas_deg: [f64; 3]) 
     std::array::from_fn(|n| error[n].to_degrees() / sigmas_deg[n])
 }
 
-/// Ten minutes' sightings whose nadirs have an error of their own and one that all share, each across the nadir.
-fn sightings(seed: u64, truth: &Rotation3<f64>, by_sun: bool) -> Vec<Sighting> {
+/// Ten minutes' observations whose nadirs have an error of their own and one that all share, each across the nadir.
+fn observations(seed: u64, truth: &Rotation3<f64>, by_sun: bool) -> Vec<HorizonObservation> {
     const STEP_S: f64 = 0.25;
     // As frames of 1920 x 1080 px of a limb that varies by 2 % and 100 m.
     const OWN_DEG: f64 = 0.0043;
@@ -85,7 +85,7 @@ fn sightings(seed: u64, truth: &Rotation3<f64>, by_sun: bool) -> Vec<Sighting> {
     };
     let shared = normal(SHARED_DEG);
     let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
-    let sighting = |n: u32| {
+    let observation = |n: u32| {
         let time_s = f64::from(n) * STEP_S;
         let sun = Horizontal {
             azimuth_deg: 180.0 + time_s / 240.0,
@@ -96,7 +96,7 @@ fn sightings(seed: u64, truth: &Rotation3<f64>, by_sun: bool) -> Vec<Sighting> {
         let seen = truth.inverse() * down + shared + normal(OWN_DEG);
         let sigma_rad = OWN_DEG.hypot(SHARED_DEG).to_radians();
         let unit = |v: Vector3<f64>| UnitVector3::new_normalize(v);
-        Sighting {
+        HorizonObservation {
             horizon: Horizon {
                 file: format!("{n}").into(),
                 utc: start + SignedDuration::from_secs_f64(time_s),
@@ -111,7 +111,7 @@ fn sightings(seed: u64, truth: &Rotation3<f64>, by_sun: bool) -> Vec<Sighting> {
             },
         }
     };
-    (0..2400).map(sighting).collect()
+    (0..2400).map(observation).collect()
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn the_turn_of_ten_minutes_is_known_to_two_hundredths_of_a_degree_and_as_well_as
     for by_sun in [false, true] {
         let of_flight = |seed: u64| {
             let truth = body_from_camera(40.0, [2.0, -1.5, 1.0]);
-            let turn = fit(&sightings(seed, &truth, by_sun), &nominal).unwrap();
+            let turn = fit(&observations(seed, &truth, by_sun), &nominal).unwrap();
             let sigmas_deg = turn.sigmas_deg();
             let ratios = errors(&turn.body_from_camera, &truth, sigmas_deg);
             (ratios, std::array::from_fn(|n| ratios[n] * sigmas_deg[n]))
@@ -141,12 +141,12 @@ fn the_turn_of_ten_minutes_is_known_to_two_hundredths_of_a_degree_and_as_well_as
 #[test]
 fn a_sun_that_stays_in_one_place_does_not_tell_the_turn_about_it_and_the_error_says_what_would() {
     let truth = body_from_camera(40.0, [0.5, 0.0, 0.0]);
-    let mut still = sightings(1, &truth, true);
-    for sighting in &mut still {
+    let mut still = observations(1, &truth, true);
+    for observation in &mut still {
         if let Known::Sun {
             unit,
             elevation_deg,
-        } = &mut sighting.known
+        } = &mut observation.known
         {
             (*unit, *elevation_deg) = (Vector3::x_axis(), 40.0);
         }
@@ -156,7 +156,7 @@ fn a_sun_that_stays_in_one_place_does_not_tell_the_turn_about_it_and_the_error_s
             roll_deg: 0.0,
         };
         let down = truth.inverse() * level.body_from_local() * Vector3::z();
-        sighting.horizon.nadir = Direction::new(UnitVector3::new_normalize(down), 1e-4);
+        observation.horizon.nadir = Direction::new(UnitVector3::new_normalize(down), 1e-4);
     }
     let error = fit(&still, &body_from_camera(40.0, [0.0; 3])).unwrap_err();
     let error = error.to_string();

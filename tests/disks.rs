@@ -224,7 +224,7 @@ fn as_a_disk_fills_frames_are_thinned_and_then_stopped_and_the_log_goes_on() {
         };
         let tally = fly(stores, rules, Duration::ZERO);
         assert_eq!(tally.counts.stored, stored, "{free_percent} %");
-        assert_eq!(tally.archive.no_room, FRAMES - stored);
+        assert_eq!(tally.archive.disk_full, FRAMES - stored);
         assert_eq!(flight::rows_in(&root), FRAMES as usize);
     }
 }

@@ -14,7 +14,7 @@ use solaspect::frame::Levels;
 use solaspect::link::housekeeping::{FIELDS, LAYOUT, MarkIds, fields_by_layout};
 use solaspect::link::{
     AspectCommand, CommandOutcome, ExposureStart, GpsFix, Housekeeping, Message, MoonAnswer,
-    MoonFix, MoonRequest, MoonSight, NoSolution, Propagated, Receipt, Telemetry,
+    MoonFix, MoonOutcome, MoonRequest, NoSolution, Propagated, Receipt, Telemetry,
 };
 use solaspect::record::{
     LoggedRow, MappingRecord, MarkRecord, MoonRecord, OffsetRecord, Reason, Record, RollRecord,
@@ -48,7 +48,12 @@ fn messages() -> Vec<Message> {
         error_deg: 2.5e-5,
         time,
     };
-    let moon = |sight| Message::from(MoonAnswer { request: 9, sight });
+    let moon = |outcome| {
+        Message::from(MoonAnswer {
+            request: 9,
+            outcome,
+        })
+    };
     let mut all = vec![
         Message::TrackingOn,
         Message::TrackingOff,
@@ -59,15 +64,15 @@ fn messages() -> Vec<Message> {
             solution,
             age_ms: 1250,
         }),
-        moon(MoonSight::Found(MoonFix {
+        moon(MoonOutcome::Found(MoonFix {
             x_px: 359.5,
             y_px: 288.25,
             covariance_px2: [1e-3, -2e-4, 4e-3],
             direction: [0.0, 0.6, 0.8],
             time,
         })),
-        moon(MoonSight::NotVisible { code: 2 }),
-        moon(MoonSight::NotFound { code: 1 }),
+        moon(MoonOutcome::NotVisible { code: 2 }),
+        moon(MoonOutcome::NotFound { code: 1 }),
         Message::StartTracking,
         Message::StopTracking,
         Message::Gps(GpsFix {

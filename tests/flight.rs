@@ -851,11 +851,11 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
             return None;
         }
     }
-    // A disk is looked at each second.
+    // A disk is checked each second.
     let limits = controls.config().archive.space_limits();
-    let room = || service.disks()[0].room;
-    wait_until("the room by the limits that were set", || {
-        room() == limits.room(FREE_PERCENT)
+    let space = || service.disks()[0].space;
+    wait_until("the state of space by the limits that were set", || {
+        space() == limits.free_space(FREE_PERCENT)
     });
     let solve = |_| {
         go.send(()).unwrap();
@@ -864,7 +864,7 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
         format!("{:?} {solution:?}", answer.solved.quality)
     };
     let solved: Vec<String> = (0..FRAMES).map(solve).collect();
-    let room = room();
+    let room = space();
     drop(go);
     wait_until("the flight's end", || service.is_finished());
     let tally = service.join().unwrap();

@@ -497,7 +497,7 @@ fn errors_of(source: &str, archive: &Path) -> Vec<String> {
         ..Options::default()
     };
     let (plan, mut remarks) = Plan::survey(None, &options);
-    plan.look(&mut remarks);
+    plan.check(&mut remarks);
     remarks.errors().map(ToString::to_string).collect()
 }
 

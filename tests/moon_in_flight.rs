@@ -11,7 +11,7 @@ use solaspect::frame::Frame;
 use solaspect::instrument::{DirectionCamera, Role, Sees, builtin};
 use solaspect::link::ground::{Answered, ask_for_moon};
 use solaspect::link::moon::{BELOW_HORIZON, FIRST_STAGE, NO_PICTURE};
-use solaspect::link::{Connection, MoonRequest, MoonSight, SerialPort};
+use solaspect::link::{Connection, MoonOutcome, MoonRequest, SerialPort};
 use solaspect::moon::Stage;
 use solaspect::service::{Answer, Flight, FlightCamera, Found, Service};
 use solaspect::simulate::FORT_SUMNER;
@@ -106,7 +106,7 @@ impl Night {
     }
 
     /// Asks, with frames that are taken until the answer is there.
-    fn ask_while(&mut self, latitude_deg: f64, frames: &[Frame]) -> Result<MoonSight, Answered> {
+    fn ask_while(&mut self, latitude_deg: f64, frames: &[Frame]) -> Result<MoonOutcome, Answered> {
         let request = MoonRequest {
             latitude_deg,
             longitude_deg: FORT_SUMNER.longitude_deg,
@@ -128,11 +128,11 @@ impl Night {
             });
             let answer = ask_for_moon(far, request, sequence, LONG).unwrap();
             drop(done);
-            answer.map(|answer| answer.sight)
+            answer.map(|answer| answer.outcome)
         })
     }
 
-    fn ask(&mut self, frames: &[Frame]) -> MoonSight {
+    fn ask(&mut self, frames: &[Frame]) -> MoonOutcome {
         self.ask_while(FORT_SUMNER.latitude_deg, frames).unwrap()
     }
 }
@@ -149,9 +149,9 @@ fn number(path: &Path, keyword: &str) -> Option<f64> {
 fn a_request_for_the_moon_is_answered_by_the_next_picture() {
     let mut night = Night::start(None, 60.0);
     let up = scene(UP);
-    let sight = night.ask(&[frame(&up, UP)]);
-    let MoonSight::Found(fix) = sight else {
-        panic!("{sight:?}");
+    let outcome = night.ask(&[frame(&up, UP)]);
+    let MoonOutcome::Found(fix) = outcome else {
+        panic!("{outcome:?}");
     };
     let off = [fix.x_px - up.centre.x, fix.y_px - up.centre.y];
     assert!(off.iter().all(|off| off.abs() < 0.3), "{off:?}");
@@ -161,9 +161,9 @@ fn a_request_for_the_moon_is_answered_by_the_next_picture() {
     let towards = nalgebra::Vector3::from(fix.direction);
     assert!(ray.angle(&towards) < 1e-4);
     assert_eq!(fix.time, UP.parse().unwrap());
-    let sight = night.ask(&[frame(&scene(DOWN), DOWN)]);
+    let outcome = night.ask(&[frame(&scene(DOWN), DOWN)]);
     let code = BELOW_HORIZON;
-    assert_eq!(sight, MoonSight::NotVisible { code });
+    assert_eq!(outcome, MoonOutcome::NotVisible { code });
     let stars = MoonScene {
         conditions: MoonConditions {
             peak_dn: 0.0,
@@ -171,13 +171,13 @@ fn a_request_for_the_moon_is_answered_by_the_next_picture() {
         },
         ..up.clone()
     };
-    let sight = night.ask(&[frame(&stars, UP)]);
+    let outcome = night.ask(&[frame(&stars, UP)]);
     let code = FIRST_STAGE + 1;
-    assert_eq!(sight, MoonSight::NotFound { code });
+    assert_eq!(outcome, MoonOutcome::NotFound { code });
     // Near the South Pole the Moon of that time does not rise.
-    let sight = night.ask_while(-89.0, &[frame(&up, UP)]);
+    let outcome = night.ask_while(-89.0, &[frame(&up, UP)]);
     let code = BELOW_HORIZON;
-    assert_eq!(sight, Ok(MoonSight::NotVisible { code }));
+    assert_eq!(outcome, Ok(MoonOutcome::NotVisible { code }));
     let refused = night.ask_while(91.0, &[]);
     assert_eq!(refused.unwrap_err().value, 2);
     let Night {
@@ -197,9 +197,9 @@ fn a_request_for_the_moon_is_answered_by_the_next_picture() {
 fn a_request_without_a_picture_is_answered_in_time() {
     let mut night = Night::start(None, 0.1);
     let start = Instant::now();
-    let sight = night.ask(&[]);
+    let outcome = night.ask(&[]);
     let code = NO_PICTURE;
-    assert_eq!(sight, MoonSight::NotFound { code });
+    assert_eq!(outcome, MoonOutcome::NotFound { code });
     assert!(start.elapsed() >= Duration::from_millis(100));
     night.service.stop();
 }

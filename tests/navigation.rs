@@ -5,8 +5,9 @@ use rayon::prelude::*;
 use solaspect::calibrate::navigation::{Source as Rests, calibrated};
 use solaspect::fits::Values;
 use solaspect::navigation::{
-    Climb, Constant, Fix, Flight, Group, ImuSample, Innovation, Live, Measurement, NavigationRow,
-    NavigationSettings, Sighting, Sky, Source, Target, Targets, Towards, Verdict, smooth, solve,
+    Climb, Constant, DirectionObservation, Fix, Flight, Group, ImuSample, Innovation, Live,
+    Measurement, NavigationRow, NavigationSettings, Sky, Source, Target, Targets, Towards, Verdict,
+    smooth, solve,
 };
 use solaspect::simulate::navigation::{self as simulate, FlightPlan, TruthRow};
 use solaspect::units::ARCSEC_PER_RAD;
@@ -391,12 +392,12 @@ fn flight(
     let table = flown.sun.iter();
     let table = table.map(|row| (row.t_s, UnitVector3::new_normalize(row.direction)));
     let mut targets = Targets::new(Sky::Sun(table.collect()), fixes.clone());
-    let sightings = flown.vectors.iter().map(|row| {
+    let observations = flown.vectors.iter().map(|row| {
         let target = match row.target {
             simulate::Target::Sun => Target::Sun,
             simulate::Target::Nadir => Target::Nadir,
         };
-        Measurement::Sighting(Sighting {
+        Measurement::Direction(DirectionObservation {
             t_s: row.t_s,
             camera: settings.camera(row.camera).unwrap(),
             target,
@@ -408,7 +409,7 @@ fn flight(
             },
         })
     });
-    let mut measurements: Vec<Measurement> = sightings.collect();
+    let mut measurements: Vec<Measurement> = observations.collect();
     measurements.extend(fixes.iter().map(|fix| Measurement::Fix(*fix)));
     measurements.sort_by(|a, b| a.t_s().total_cmp(&b.t_s()));
     let flight = Flight {
@@ -762,7 +763,7 @@ fn balloons(seeds: std::ops::Range<u64>, duration_s: f64, bounds: &Bounds) {
     hold_white(&flown, "balloon", bounds, |source| {
         !matches!(
             source,
-            Source::Sighting {
+            Source::Direction {
                 target: Target::Nadir,
                 ..
             }
@@ -808,13 +809,13 @@ fn measurements_that_come_late_give_the_same_answer_and_a_wrong_one_in_a_hundred
     };
     let (good, _) = last(&flight);
     let mut wrong = flight.clone();
-    let mut sightings = 0;
+    let mut observations = 0;
     for measurement in &mut wrong.measurements {
-        if let Measurement::Sighting(sighting) = measurement {
-            sightings += 1;
-            if sightings % 100 == 50 {
-                let turned = sighting.unit.into_inner() + Vector3::new(0.02, -0.03, 0.01);
-                sighting.unit = UnitVector3::new_normalize(turned);
+        if let Measurement::Direction(observation) = measurement {
+            observations += 1;
+            if observations % 100 == 50 {
+                let turned = observation.unit.into_inner() + Vector3::new(0.02, -0.03, 0.01);
+                observation.unit = UnitVector3::new_normalize(turned);
             }
         }
     }
@@ -824,7 +825,7 @@ fn measurements_that_come_late_give_the_same_answer_and_a_wrong_one_in_a_hundred
         .iter()
         .filter(|one| one.verdict == Verdict::Refused)
         .count();
-    assert!(refused >= sightings / 100, "{refused} of {sightings}");
+    assert!(refused >= observations / 100, "{refused} of {observations}");
     assert_eq!(summary.restarts, 0);
     let sun = Vector3::x();
     let off = |row: &NavigationRow| Off::new(row, truth.last().unwrap(), sun).unwrap();
@@ -874,7 +875,7 @@ fn what_was_measured_long_before_the_imu_began_is_passed_over() {
     let (mut flight, truth) = flight(&plan, 2, |_| ());
     let fixes = flight.measurements.iter().filter_map(|one| match one {
         Measurement::Fix(fix) => Some(*fix),
-        Measurement::Sighting(_) => None,
+        Measurement::Direction(_) => None,
     });
     let first = fixes.take(1).last().unwrap();
     let early = (1..100_000).rev().map(|n| {

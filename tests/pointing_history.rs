@@ -212,7 +212,7 @@ fn put_back(plan: &Plan, history: &PointingHistory, drawn: Drawn) -> Vec<PutBack
     for _ in 0..drawn.times {
         let since = Duration::from_secs_f64(random.random_range(0.0..plan.duration.as_secs_f64()));
         let pointed = history.at(unix_s(utc(since)));
-        let Some(sight) = pointed.sight else {
+        let Some(line_of_sight) = pointed.line_of_sight else {
             continue;
         };
         let sun = ephemeris.sun(utc(since), FORT_SUMNER).unwrap();
@@ -224,15 +224,15 @@ fn put_back(plan: &Plan, history: &PointingHistory, drawn: Drawn) -> Vec<PutBack
             let along = from.direction();
             let towards = centre * along.x + centre.cross(&north) * along.y + north * along.z;
             let seen = truth.inverse_transform_vector(&towards);
-            let found = sight.helioprojective(&UnitVector3::new_normalize(seen));
+            let found = line_of_sight.helioprojective(&UnitVector3::new_normalize(seen));
             let (right, up) = (seen.y / seen.x, -seen.z / seen.x);
             let by_pointing = Matrix2x3::new(1.0, 0.0, up, 0.0, 1.0, -right);
-            let covariance = by_pointing * sight.random_arcsec2 * by_pointing.transpose();
+            let covariance = by_pointing * line_of_sight.random_arcsec2 * by_pointing.transpose();
             // Solar west and north as the telescope has them.
-            let (sin, cos) = sight.north_angle_deg.to_radians().sin_cos();
+            let (sin, cos) = line_of_sight.north_angle_deg.to_radians().sin_cos();
             let [west, north] = [found.x - from.x, found.y - from.y];
             put_back.push(PutBack {
-                source: sight.basis.name(),
+                source: line_of_sight.basis.name(),
                 is_valid: pointed.is_valid(),
                 away_arcsec: right.hypot(up).to_degrees() * 3600.0,
                 error: [west * cos - north * sin, west * sin + north * cos],
@@ -447,15 +447,15 @@ fn tables_of_any_rate_hold_what_the_states_say() {
         let times_s = columns["UNIX_S"];
         assert!(times_s.len() > 100);
         for (n, time_s) in times_s.iter().enumerate() {
-            let Some(sight) = history.at(*time_s).sight else {
+            let Some(line_of_sight) = history.at(*time_s).line_of_sight else {
                 assert!(columns["HPLN"][n].is_nan());
                 continue;
             };
             for (name, value) in [
-                ("HPLN", sight.helioprojective_arcsec.x),
-                ("NORTH_ANGLE", sight.north_angle_deg),
-                ("ROLL", sight.roll_deg),
-                ("VAR_UP", sight.random_arcsec2.m22),
+                ("HPLN", line_of_sight.helioprojective_arcsec.x),
+                ("NORTH_ANGLE", line_of_sight.north_angle_deg),
+                ("ROLL", line_of_sight.roll_deg),
+                ("VAR_UP", line_of_sight.random_arcsec2.m22),
             ] {
                 assert!((columns[name][n] - value).abs() < 1e-7, "{name}");
             }
@@ -477,7 +477,7 @@ fn follow_from_them(folder: &Path, history: &PointingHistory) {
     let (mut known, mut ephemeris) = (0, Ephemeris::default());
     for (n, time_s) in times_s.iter().enumerate() {
         let pointed = history.at(*time_s);
-        let Some(sight) = pointed.sight else {
+        let Some(line_of_sight) = pointed.line_of_sight else {
             assert!(across[n].is_nan() && !valid[n]);
             continue;
         };
@@ -485,11 +485,12 @@ fn follow_from_them(folder: &Path, history: &PointingHistory) {
         let at = start() + SignedDuration::from_secs_f64(time_s - unix_s(start()));
         let place = geodetic(&history.position_m(*time_s).unwrap()).unwrap();
         let sun = ephemeris.sun(at, place).unwrap();
-        let away_deg = sight.horizontal.azimuth_deg - sun.azimuth_deg;
-        let sine = away_deg.to_radians().sin() * sight.horizontal.elevation_deg.to_radians().cos();
+        let away_deg = line_of_sight.horizontal.azimuth_deg - sun.azimuth_deg;
+        let sine =
+            away_deg.to_radians().sin() * line_of_sight.horizontal.elevation_deg.to_radians().cos();
         // The place is the second's, which GPS has to some metres.
         assert!((across[n] - sine.asin().to_degrees()).abs() * 3600.0 < 0.05);
-        let above_deg = sight.horizontal.elevation_deg - sun.elevation_deg;
+        let above_deg = line_of_sight.horizontal.elevation_deg - sun.elevation_deg;
         assert!((up[n] - above_deg).abs() * 3600.0 < 0.05);
         assert_eq!(valid[n], pointed.invalid != Some(Invalid::Contradicted));
         known += 1;

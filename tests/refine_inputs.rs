@@ -236,7 +236,10 @@ fn frames_stamped_to_whole_seconds_are_spread_and_claim_no_more_than_that() {
     let output = refine(folder.path(), out.path(), &[]);
     let text = "time stamped to whole seconds: spread by the frames' numbers, 1 sigma 0.29 s";
     let told = String::from_utf8(output.stdout).unwrap();
-    assert!(told.contains(&format!("{FRAMES} odd: {text}")), "{told}");
+    assert!(
+        told.contains(&format!("{FRAMES} flagged: {text}")),
+        "{told}"
+    );
     let rows = Columns::read(out.path(), "ASPECT");
     let first = start().as_second() as f64;
     let [t, sigma_s, offset_sigma] =

@@ -271,7 +271,7 @@ fn a_slew_that_begins_at_once_loses_no_frame_and_spoils_no_path() {
         assert_history("slews", &flight, out.path());
         let told = summary(out.path());
         assert_eq!(told["fine"], 120);
-        assert!(told["odd"].as_object().unwrap().is_empty(), "{told}");
+        assert!(told["flagged"].as_object().unwrap().is_empty(), "{told}");
     }
 }
 

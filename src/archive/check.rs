@@ -41,7 +41,7 @@ pub struct Report {
     pub gaps: usize,
     /// Entries of `missing_files`.
     pub missing: usize,
-    /// Frames that are by a log on the other disk, which is not looked at.
+    /// Frames that are by a log on the other disk, which is not checked.
     pub on_other_disk: usize,
     /// Files whose names begin with a dot and end in `.part`: half-written when the power went.
     pub unfinished: usize,

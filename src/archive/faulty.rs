@@ -1,4 +1,4 @@
-//! A disk that fails when told to: for the soak test, and for the training of operators.
+//! A disk that fails on command: for the soak test, and for the training of operators.
 
 use super::disk::{Absent, Disk, DiskFile, Entry, LocalDisk, Lock, Space};
 use std::io::{self, ErrorKind, Write};

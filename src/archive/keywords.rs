@@ -67,7 +67,7 @@ What the last may say, as a regular expression, and why it stays so:
 |---|---|---|
 | `^Observation Header 1: Missing Required Attribute: C[A-Z]+[ij]a\\.` | no world coordinates | a frame without a Sun, a time or a \
 place has no world coordinates, and false ones do harm |
-| `^Observation Header 1: Missing Required Attribute: DATE-?[BR]E[GF]$` | no time | the frame's source told no time |
+| `^Observation Header 1: Missing Required Attribute: DATE-?[BR]E[GF]$` | no time | the frame's source gave no time |
 
 `SOLARNET` is 0.5, not 1, since `WAVEUNIT` is a unit, as sunpy wants it, and not a power of ten.
 ";

@@ -1,7 +1,7 @@
 //! The solution log: one CSV row per frame, beside the frames, with the same numbers as their files.
 //!
 //! A log is one file per start of the program, made with the first row; where the disk lost it, another is begun. Every row reaches the operating system before
-//! the next frame is looked at, and the disk within a second; a row that the disk took in part is cut off again before
+//! the next frame is handled, and the disk within a second; a row that the disk took in part is cut off again before
 //! the next is written.
 
 use super::disk::Disk;
@@ -131,7 +131,7 @@ impl Log {
         csv.append(&self.columns, fields)
     }
 
-    /// Opens the file of before; forgets it where it no longer stands whole.
+    /// Opens the file of before; drops it if it is no longer whole.
     fn reopen(&mut self) {
         if let Some(csv) = &mut self.csv
             && csv.file.is_none()

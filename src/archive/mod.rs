@@ -31,7 +31,7 @@ pub use flown::{
 pub use frame_file::{instrument_cards, tables, target_cards};
 pub use log::{Log, SolutionLog};
 pub use name::{NameTime, name, plain, role_of};
-pub use policy::{Overflow, Room, Sharing, SpaceLimits};
+pub use policy::{FreeSpace, Overflow, Sharing, SpaceLimits};
 pub use reader::ArchiveReader;
 pub use storage::{Listing, StoredFile};
 pub use store::{ArchiveError, Encoded, MARK, Store, UNFINISHED};

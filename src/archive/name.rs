@@ -11,7 +11,7 @@ pub fn role_of(path: &Path) -> Option<(Role, usize)> {
     Role::labelled(camera)
 }
 
-/// The time that a frame's name tells.
+/// The time in a frame's name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NameTime {
     MidExposure(Timestamp),

@@ -58,22 +58,22 @@ pub struct SpaceLimits {
 
 impl SpaceLimits {
     /// What a disk with so much free space may be given.
-    pub fn room(&self, free_percent: f64) -> Room {
+    pub fn free_space(&self, free_percent: f64) -> FreeSpace {
         if free_percent < self.stop_percent {
-            Room::None
+            FreeSpace::None
         } else if free_percent < self.thin_percent {
-            Room::Scarce
+            FreeSpace::Scarce
         } else if free_percent < self.warn_percent {
-            Room::Low
+            FreeSpace::Low
         } else {
-            Room::Plenty
+            FreeSpace::Plenty
         }
     }
 }
 
-/// How much room a disk has, the least first.
+/// How much free space a disk has, the least first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
-pub enum Room {
+pub enum FreeSpace {
     /// For no pictures any more; the rest is for the logs.
     None,
     /// For every n-th picture.
@@ -84,7 +84,7 @@ pub enum Room {
     Plenty,
 }
 
-impl Room {
+impl FreeSpace {
     pub fn name(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -106,12 +106,12 @@ mod tests {
             thin_percent: 3.0,
             stop_percent: 1.0,
         };
-        let rooms = [50.0, 10.0, 9.9, 3.0, 2.9, 1.0, 0.9, 0.0].map(|free| limits.room(free));
-        use Room::{Low, None, Plenty, Scarce};
+        let spaces = [50.0, 10.0, 9.9, 3.0, 2.9, 1.0, 0.9, 0.0].map(|free| limits.free_space(free));
+        use FreeSpace::{Low, None, Plenty, Scarce};
         assert_eq!(
-            rooms,
+            spaces,
             [Plenty, Plenty, Low, Low, Scarce, Scarce, None, None]
         );
-        assert!(rooms.is_sorted_by(|a, b| a >= b));
+        assert!(spaces.is_sorted_by(|a, b| a >= b));
     }
 }

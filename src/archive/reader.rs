@@ -178,7 +178,7 @@ fn at_url(archive: &Path, _: &str) -> Result<Box<dyn Storage>, TreeError> {
 mod tests {
     use super::*;
 
-    /// Fails as often as it is told, and answers then.
+    /// Fails as often as asked, and answers then.
     #[derive(Debug)]
     struct Unsteady {
         failures: AtomicUsize,

@@ -20,7 +20,7 @@ use std::time::Duration;
 /// What ends the name of a file that is being written; it begins with a dot.
 pub const UNFINISHED: &str = ".part";
 
-/// The file at an archive's root that tells an archive's disk from the empty folder it is mounted on.
+/// The file at an archive's root that distinguishes an archive's disk from the empty folder it is mounted on.
 pub const MARK: &str = "archive.lock";
 
 /// Frames with the same instrument, time and number that one folder takes.
@@ -73,8 +73,8 @@ impl<T> During<T> for io::Result<T> {
 /// An archive of one instrument's frames under one folder.
 ///
 /// A store may be opened when it is made, or with its first frame; it may be unmounted and come back. The file
-/// [`MARK`] at its root tells that the disk is there, and keeps other programs from writing to it. When the disk was mounted
-/// anew, the mark is another file: it is locked again, and what is half-written is removed.
+/// [`MARK`] at its root shows that the disk is there, and keeps other programs from writing to it. When the disk was mounted
+/// again, the mark is another file: it is locked again, and what is half-written is removed.
 #[derive(Debug)]
 pub struct Store {
     disk: Arc<dyn Disk>,
@@ -108,7 +108,7 @@ struct FlightFile {
 }
 
 impl Store {
-    /// A store on a disk that nobody has looked at yet. The folder that holds the archive's must be there when it is opened:
+    /// A store on a disk that is not opened yet. The folder that holds the archive's must be there when it is opened:
     /// where a disk is not mounted, its mount point must not be made.
     pub fn new(
         disk: Arc<dyn Disk>,
@@ -191,8 +191,8 @@ impl Store {
         files.unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Makes ready for writing, as [`open`](Self::open) does but for the folders above, if that has not been done; else looks
-    /// whether the disk is still there, and takes it anew where it was mounted again.
+    /// Makes ready for writing, as [`open`](Self::open) does but for the folders above, if that has not been done; else checks
+    /// whether the disk is still there, and locks it again where it was mounted again.
     ///
     /// # Errors
     /// As `open`; where the folder above is not there; and where the disk has gone, or an empty folder stands in its place.

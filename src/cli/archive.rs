@@ -69,7 +69,7 @@ struct ShowArgs {
 
 /// Export frames as pictures, or their keywords as a table
 ///
-/// A file that cannot be read is told on standard error, or in the table's last column; the rest go on, and the exit
+/// A file that cannot be read is reported on standard error, or in the table's last column; the rest go on, and the exit
 /// code is 1.
 #[derive(Debug, Args)]
 #[command(group = clap::ArgGroup::new("what").required(true))]

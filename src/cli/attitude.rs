@@ -15,7 +15,7 @@ pub(super) struct AttitudeArgs {
     /// Write attitude.aem, too: an Attitude Ephemeris Message of CCSDS; the epoch must be known
     #[arg(long, requires = "imu")]
     pub aem: bool,
-    /// Write NAV.toml anew, with the biases and misalignments that the filter ended with
+    /// Write a new NAV.toml with the biases and misalignments that the filter ended with
     #[arg(long, value_name = "OUT.toml", requires = "imu")]
     calibrated: Option<PathBuf>,
 }

@@ -42,7 +42,7 @@ pub fn run(args: &ConfigArgs) -> anyhow::Result<ExitCode> {
 
 fn check(file: Option<&Path>, as_json: bool) -> anyhow::Result<ExitCode> {
     let (plan, mut remarks) = Plan::survey(file, &Options::default());
-    plan.look(&mut remarks);
+    plan.check(&mut remarks);
     let plan = Some(plan).filter(|_| !remarks.has_errors());
     match as_json {
         true => say(json(plan.as_ref(), &remarks))?,

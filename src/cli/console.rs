@@ -24,7 +24,7 @@ const DEMO_RATE_HZ: f64 = 4.0;
 
 /// Show a flight in a browser, live or stored, and let one trusted person command it
 ///
-/// By default on this machine alone, and for looking alone. With --token-file whoever knows the token may log in and send commands.
+/// By default on this machine alone, and for viewing only. With --token-file whoever knows the token may log in and send commands.
 #[derive(Debug, Args)]
 pub struct ConsoleArgs {
     /// Where the flight comes from: udp:[ADDR]:PORT or serial:DEV (what the ground receives), archive:DIR (a flight on disk, also

@@ -29,7 +29,7 @@ pub struct FlyArgs {
     force: bool,
 }
 
-/// A program that is told to end has ended after this, and a little for the line.
+/// After a request to end, the program has ended within this time, and a little for the line.
 const ENDING: Duration = Duration::from_millis(1500);
 
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
@@ -51,7 +51,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     let service = Service::start(flight)?;
     let mut live = LiveLine::new();
     let start = Instant::now();
-    let told_to_end = || interrupted.load(Ordering::Relaxed) || service.controls().quits();
+    let ends_by_request = || interrupted.load(Ordering::Relaxed) || service.controls().quits();
     let is_over = || {
         args.duration
             .is_some_and(|duration| start.elapsed() >= duration)
@@ -59,23 +59,23 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     while !service.is_finished() {
         std::thread::sleep(Duration::from_millis(20));
         live.renew(&service);
-        if told_to_end() {
+        if ends_by_request() {
             service.stop_within(ENDING);
         } else if is_over() {
             service.stop();
         }
     }
-    let told_to_end = told_to_end();
+    let ends_by_request = ends_by_request();
     let tally = service.join()?;
     live.end();
     say(&tally)?;
-    Ok(exit_code(&tally, told_to_end))
+    Ok(exit_code(&tally, ends_by_request))
 }
 
-fn exit_code(tally: &FlightTally, told_to_end: bool) -> ExitCode {
+fn exit_code(tally: &FlightTally, ends_by_request: bool) -> ExitCode {
     match tally.lost() {
-        // It did as it was told; what was lost in flight is in the log.
-        _ if told_to_end => ExitCode::SUCCESS,
+        // The end was requested; what was lost in flight is in the log.
+        _ if ends_by_request => ExitCode::SUCCESS,
         _ if tally.gave_up => ExitCode::FAILURE,
         0 => ExitCode::SUCCESS,
         _ => ExitCode::FAILURE,

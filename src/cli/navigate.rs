@@ -4,7 +4,9 @@ use super::attitude::{self, AttitudeArgs};
 use super::options;
 use super::output::make_folder;
 use crate::navigation::files::{Seen, read_gps, read_imu, read_sun, read_vectors};
-use crate::navigation::{Fix, Flight, Measurement, NavigationSettings, Sighting, Sky, Targets};
+use crate::navigation::{
+    DirectionObservation, Fix, Flight, Measurement, NavigationSettings, Sky, Targets,
+};
 use crate::refine::{Attitude, Basis, NavigationFile, add_attitude};
 use crate::report::html::Page;
 use crate::tables::LeftOut;
@@ -31,7 +33,7 @@ pub struct NavigateArgs {
     /// Directions to Sun, nadir and Moon in the axes of the cameras
     #[arg(long, value_name = "CSV")]
     vectors: PathBuf,
-    /// Directions to the Sun in ECEF, where no epoch_utc lets the ephemeris tell them
+    /// Directions to the Sun in ECEF, for data without an epoch_utc, where the ephemeris cannot give them
     #[arg(long, value_name = "CSV")]
     sun: Option<PathBuf>,
     /// The folder for attitude.csv and report.html
@@ -107,11 +109,11 @@ impl NavigateArgs {
             (None, None) => Sky::Unknown,
         };
         let mut targets = Targets::new(sky, fixes.to_vec());
-        let mut sightings: Vec<Sighting> = Vec::with_capacity(seen.len());
+        let mut observations: Vec<DirectionObservation> = Vec::with_capacity(seen.len());
         let mut unknown = Vec::new();
         for one in seen {
             match targets.towards(one.target, one.t_s) {
-                Ok(towards) => sightings.push(Sighting {
+                Ok(towards) => observations.push(DirectionObservation {
                     t_s: one.t_s,
                     camera: one.camera,
                     target: one.target,
@@ -126,12 +128,12 @@ impl NavigateArgs {
         for (one, why) in unknown {
             let bad = one.without(why);
             // One row may have a wrong time; of a target that is never known no row does.
-            if !sightings.iter().any(|other| other.target == one.target) {
+            if !observations.iter().any(|other| other.target == one.target) {
                 return Err(bad.at(&self.vectors, one.line).into());
             }
             left_out.note(one.line, bad);
         }
         left_out.warn();
-        Ok(Measurement::in_order(sightings, fixes))
+        Ok(Measurement::in_order(observations, fixes))
     }
 }

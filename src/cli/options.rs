@@ -123,7 +123,7 @@ pub(super) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
     Ok(interrupted)
 }
 
-/// Whether the program ignores a signal, as Linux tells it: a bit for each, from SIGHUP on.
+/// Whether the program ignores a signal, as Linux reports it: a bit for each, from SIGHUP on.
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

@@ -44,7 +44,7 @@ struct Progress {
     next_line: Mutex<Instant>,
 }
 
-/// How often a log is told.
+/// How often a log is written.
 const LINE_EVERY: Duration = Duration::from_secs(60);
 
 impl Progress {

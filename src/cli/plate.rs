@@ -30,7 +30,7 @@ enum Action {
 
 /// Design a plate for an instrument: its marks, an instrument's file, the check of it and its artwork
 ///
-/// Every place of the Sun in the field has so many marks fully lit, and no two places look alike: several plates are drawn by the seed,
+/// Every place of the Sun in the field has so many marks fully lit, and no two places show the same pattern: several plates are drawn by the seed,
 /// each improved by displacing marks where the flight's identification is least sure, and the best is written. Exit code 1 where the plate
 /// fails its check.
 #[derive(Debug, Args)]
@@ -48,7 +48,7 @@ struct DesignArgs {
     /// Marks that are fully lit wherever it stands
     #[arg(long, value_name = "N", default_value_t = 4)]
     marks_in_view: usize,
-    /// Keep so many marks even where fewer would do: more of them tell the Sun's place better
+    /// Keep so many marks even where fewer would do: more of them determine the Sun's place better
     #[arg(long, value_name = "N", default_value_t = 0)]
     least_marks: usize,
     /// What the marks are

@@ -47,9 +47,9 @@ pub fn run(args: PreflightArgs) -> anyhow::Result<ExitCode> {
     }
     let options = args.over.options();
     let mut findings = Vec::new();
-    let mut tell = |finding: Finding| {
+    let mut report = |finding: Finding| {
         if !args.json {
-            // The checks go on, and the exit code tells, whoever reads.
+            // The checks go on whoever reads, and the exit code gives the result.
             let _ = say(&finding);
         }
         findings.push(finding);
@@ -59,7 +59,7 @@ pub fn run(args: PreflightArgs) -> anyhow::Result<ExitCode> {
         wait_for_controller: args.wait_controller,
         operator: console.as_mut().map(|console| console as &mut dyn Operator),
     };
-    preflight::run(args.over.config.as_deref(), &options, extent, &mut tell);
+    preflight::run(args.over.config.as_deref(), &options, extent, &mut report);
     conclude(&findings, args.json)
 }
 

@@ -222,7 +222,7 @@ fn print_summary(summary: &Summary) -> anyhow::Result<()> {
         fine,
         coarse,
         none,
-        odd,
+        flagged,
         ..
     } = &summary.counts;
     say(format_args!(
@@ -233,8 +233,8 @@ fn print_summary(summary: &Summary) -> anyhow::Result<()> {
     for line in summary.inputs.lines() {
         say(format_args!("  {line}"))?;
     }
-    for (odd, count) in odd {
-        say(format_args!("  {count} odd: {odd}"))?;
+    for (flag, count) in flagged {
+        say(format_args!("  {count} flagged: {flag}"))?;
     }
     if let (Some(mil), Some(arcsec)) = (summary.median_sigma_mil, summary.median_sigma_arcsec) {
         say(format_args!(
@@ -272,8 +272,8 @@ fn print_roll(summary: &RollSummary) -> anyhow::Result<()> {
     for (remark, count) in &summary.remarks {
         say(format_args!("  {count} not fine: {remark}"))?;
     }
-    for (odd, count) in &counts.odd {
-        say(format_args!("  {count} odd: {odd}"))?;
+    for (flag, count) in &counts.flagged {
+        say(format_args!("  {count} flagged: {flag}"))?;
     }
     if let Some((frame, smoothed)) = summary.frame_sigma_deg.zip(summary.smoothed_sigma_deg) {
         say(format_args!(

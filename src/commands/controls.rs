@@ -68,7 +68,7 @@ impl Topic {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Snapshot {
     pub target: Target,
-    /// The place for frames that do not tell theirs.
+    /// The place for frames that do not state theirs.
     pub place: Option<Place>,
     /// Where the ground has set it; else the instrument's own holds.
     pub clocking_deg: Option<f64>,
@@ -109,7 +109,7 @@ struct Shared {
     versions: [AtomicU64; Topic::COUNT],
     quits: AtomicBool,
     pictures: [AtomicBool; Role::COUNT],
-    /// Tells the thread that saves values that something has changed; one such word is enough.
+    /// Wakes the thread that saves values after a change; one message is enough.
     changed: (Sender<()>, Receiver<()>),
     /// Rows for the command log.
     notes: (Sender<CommandNote>, Receiver<CommandNote>),
@@ -187,7 +187,7 @@ impl Controls {
         }))
     }
 
-    /// Counts the changes of a topic: whoever keeps a copy compares and looks again.
+    /// Counts the changes of a topic: whoever keeps a copy compares and reads again.
     pub fn version(&self, topic: Topic) -> u64 {
         self.0.versions[topic as usize].load(Ordering::Acquire)
     }
@@ -297,7 +297,7 @@ impl Controls {
         self.0.pictures[role as usize].swap(false, Ordering::Relaxed)
     }
 
-    /// Tells how full a disk of the archive is, %; disks are counted from 0 here and from 1 by the ground.
+    /// Sets how full a disk of the archive is, %; disks are counted from 0 here and from 1 by the ground.
     pub fn note_disk_use(&self, disk: usize, percent: Option<u8>) {
         let disks = &mut self.state().disks;
         if disks.len() <= disk {
@@ -306,7 +306,7 @@ impl Controls {
         disks[disk] = percent;
     }
 
-    /// Tells by how much the host's clock is ahead of true time.
+    /// Sets by how much the host's clock is ahead of true time.
     pub fn note_clock_offset(&self, microseconds: Option<i64>) {
         self.state().clock_offset_us = microseconds;
     }
@@ -352,7 +352,7 @@ impl Controls {
         }
     }
 
-    /// How many rows found no room since this was asked last.
+    /// How many rows were lost to a full queue since this was asked last.
     pub fn take_lost_notes(&self) -> u64 {
         self.0.notes_lost.swap(0, Ordering::Relaxed)
     }
@@ -471,7 +471,7 @@ impl State {
         }
     }
 
-    /// GPS tells no height: that of the last place holds.
+    /// GPS gives no height here: that of the last place holds.
     fn move_to_fix(&mut self) {
         let Some((latitude, longitude)) = self.own.latitude_deg.zip(self.own.longitude_deg) else {
             return;

@@ -1,4 +1,4 @@
-//! What the command log tells: every command with its time, its sender and what came of it.
+//! The command log: every command with its time, its sender and what came of it.
 
 use super::words::CommandInWords;
 use jiff::Timestamp;

@@ -16,7 +16,7 @@ use crate::link::packet::PARTIES;
 use crate::link::telemetry::{Payload, TELEMETRY};
 use crate::link::{
     AspectCommand, CommandOutcome, Computer, Direction, ExposureStart, Message, MoonAnswer,
-    MoonFix, MoonSight, NoSolution, Packet, Receipt, Solution, Telemetry, housekeeping, id,
+    MoonFix, MoonOutcome, NoSolution, Packet, Receipt, Solution, Telemetry, housekeeping, id,
     picture,
 };
 use jiff::Timestamp;
@@ -258,8 +258,13 @@ fn example_packets() -> Option<Vec<Packet>> {
         error_deg: 1.5e-5,
         time,
     };
-    let moon = |sight| Message::from(MoonAnswer { request: 18, sight });
-    let found = MoonSight::Found(MoonFix {
+    let moon = |outcome| {
+        Message::from(MoonAnswer {
+            request: 18,
+            outcome,
+        })
+    };
+    let found = MoonOutcome::Found(MoonFix {
         x_px: 351.25,
         y_px: 290.5,
         covariance_px2: [0.0004, 0.0, 0.001],
@@ -286,8 +291,8 @@ fn example_packets() -> Option<Vec<Packet>> {
         to_us(15, say("stop_sending", &[])),
         to_us(18, say("moon", &["34.49", "-104.2218", "38405"])),
         from_us(5, moon(found)),
-        from_us(6, moon(MoonSight::NotVisible { code: 1 })),
-        from_us(7, moon(MoonSight::NotFound { code: 1 })),
+        from_us(6, moon(MoonOutcome::NotVisible { code: 1 })),
+        from_us(7, moon(MoonOutcome::NotFound { code: 1 })),
         to_us(16, Some(Message::Aspect(stop_other))),
         to_us(17, say("stop_tracking", &[])),
     ]

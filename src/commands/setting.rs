@@ -34,7 +34,7 @@ macro_rules! parameter {
 }
 pub(super) use parameter;
 
-/// The same of a camera's parameter, by the camera's table, which a test looks up: only a misspelled field does not compile.
+/// The same of a camera's parameter, by the camera's table, which a test checks: only a misspelled field does not compile.
 macro_rules! camera_parameter {
     ($table:ident . $field:ident) => {{
         let _: fn(&$crate::config::ConfiguredCamera) = |camera| {

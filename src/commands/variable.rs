@@ -33,7 +33,7 @@ impl Kind {
         }
     }
 
-    /// The 16 bits of the nearest number that they can hold: what a read tells.
+    /// The 16 bits of the nearest number that they can hold: what a read returns.
     pub fn nearest_code(self, value: f64) -> Option<u16> {
         match self {
             Self::Unsigned | Self::Switch => Some(value.round() as u16),

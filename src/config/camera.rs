@@ -99,7 +99,7 @@ impl Switch {
 }
 
 impl ConfiguredCamera {
-    /// What the camera is told.
+    /// The settings that the camera gets.
     pub fn settings(&self) -> CameraSettings {
         CameraSettings {
             rate_hz: self.rate_hz,

@@ -53,7 +53,7 @@ impl Config {
         text
     }
 
-    /// A table with what is set in it, and the role of a camera whose name does not tell it.
+    /// A table with what is set in it, and the role of a camera whose name does not give it.
     fn table_toml(
         &self,
         head: &str,

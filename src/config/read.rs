@@ -99,7 +99,7 @@ impl Config {
         errors.extend(values.iter().filter_map(|pair| keyed(pair).err()));
     }
 
-    /// Takes the role of a camera's table: a table of a name that tells no role, ending in `_camera`, adds a camera.
+    /// Takes the role of a camera's table: a table whose name gives no role, ending in `_camera`, adds a camera.
     fn read_role(
         &mut self,
         path: &Path,

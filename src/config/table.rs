@@ -167,7 +167,7 @@ static TABLE: &[Parameter] = &[
     row!(roll.max_age_s, "s", Number(0.01, 3600.0),
         "Largest age of the roll by the roll camera's horizon. A younger one is sent with solutions and used in their offsets; otherwise the packet has 0, and the instrument's roll is used."),
     row!(roll.height_m, "m", Number(0.0, 2e6), sample Sample::Number(38_000.0),
-        "The height at which the roll camera flies; unset, that of the frame's place or of the site, which GPS and commands do not set. An error tilts the cone of the horizon: roll is nearly unaffected if the camera looks forward, and changes by 0.12 deg per km if it looks sideways."),
+        "The height at which the roll camera flies; unset, that of the frame's place or of the site, which GPS and commands do not set. An error tilts the cone of the horizon: roll is nearly unaffected if the camera points forward, and changes by 0.12 deg per km if it points sideways."),
     row!(roll.height_sigma_m, "m", Number(0.0, 100_000.0),
         "Its 1 sigma."),
     row!(roll.atmosphere_m, "m", Number(0.0, 100_000.0),
@@ -181,7 +181,7 @@ static TABLE: &[Parameter] = &[
         "How long a request for the Moon waits for a picture that was started after it; then the answer is \"not found\"."),
 
     row!(link.port, "", Text, sample Sample::Text("/dev/serial/by-id/usb-controller"),
-        "Where the gondola's controller is: a serial port, best by its by-id name, or udp:HOST:PORT, or udp:HOST:PORT@LOCALPORT with an IP address as HOST (names are not looked up); unset or empty, nothing is sent. A port that is absent or lost is retried until it opens."),
+        "Where the gondola's controller is: a serial port, best by its by-id name, or udp:HOST:PORT, or udp:HOST:PORT@LOCALPORT with an IP address as HOST (names are not resolved); unset or empty, nothing is sent. A port that is absent or lost is retried until it opens."),
     row!(link.baud, "baud", Whole(300, 4_000_000),
         "Speed of the serial port."),
     row!(link.udp_local_port, "", Whole(0, 65_535),

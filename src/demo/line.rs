@@ -26,7 +26,7 @@ impl BytePort for Relayed {
         let count = self.line.read(buffer, timeout)?;
         let count = self.faults.passed(count);
         if let Some(ground) = &mut self.ground {
-            // A ground that does not listen misses it.
+            // A ground that does not listen does not get it.
             let _ = ground.write(&buffer[..count], GROUND_PATIENCE);
         }
         Ok(count)

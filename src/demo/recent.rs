@@ -7,7 +7,7 @@ use std::{fs, io};
 
 /// So long a frame is kept: both cameras' at 4 Hz are 3.6 MB a second.
 const KEPT: Duration = Duration::from_secs(600);
-/// How often older ones are looked for.
+/// How often older ones are searched for.
 const LOOK_EVERY: Duration = Duration::from_secs(60);
 
 /// An archive that keeps its newest frames. Logs stay.

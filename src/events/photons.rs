@@ -5,7 +5,7 @@ use super::times::Counted;
 use crate::columns::{Column, float, logical};
 use crate::fits::{AmendedTable, DiskHdu, FileError, NumberColumn, Problem};
 use crate::pointing::HelioprojectiveArcsec;
-use crate::pointing_history::{PointingHistory, Sight};
+use crate::pointing_history::{LineOfSight, PointingHistory};
 use nalgebra::{Matrix2x3, Matrix3, UnitVector3, Vector3};
 
 /// No telescope sees a photon further from its boresight; tangent of 45 deg.
@@ -167,7 +167,9 @@ impl Measured {
             };
         };
         let pointed = history.at(at);
-        let place = pointed.sight.and_then(|sight| on_the_sun(&sight, &located));
+        let place = pointed
+            .line_of_sight
+            .and_then(|line_of_sight| on_the_sun(&line_of_sight, &located));
         let invalid = match (pointed.invalid, place) {
             (Some(why), _) => Some(why.name()),
             (None, None) => Some("no position"),
@@ -189,7 +191,7 @@ impl Measured {
 }
 
 /// The place of a photon; `None` where its position is no number, or is further from the boresight than [`FARTHEST`].
-fn on_the_sun(sight: &Sight, located: &FromBoresight) -> Option<Place> {
+fn on_the_sun(line_of_sight: &LineOfSight, located: &FromBoresight) -> Option<Place> {
     let FromBoresight {
         right_rad,
         up_rad,
@@ -201,9 +203,9 @@ fn on_the_sun(sight: &Sight, located: &FromBoresight) -> Option<Place> {
     let towards = UnitVector3::new_normalize(Vector3::new(1.0, right_rad, -up_rad));
     let variance = |covariance: &Matrix3<f64>| per_axis(covariance, right_rad, up_rad);
     Some(Place {
-        helioprojective_arcsec: sight.helioprojective(&towards),
-        sigma_arcsec: variance(&sight.random_arcsec2).sqrt(),
-        systematic_arcsec: (variance(&sight.systematic_arcsec2) + variance_arcsec2).sqrt(),
+        helioprojective_arcsec: line_of_sight.helioprojective(&towards),
+        sigma_arcsec: variance(&line_of_sight.random_arcsec2).sqrt(),
+        systematic_arcsec: (variance(&line_of_sight.systematic_arcsec2) + variance_arcsec2).sqrt(),
     })
 }
 

@@ -37,7 +37,9 @@ impl Track {
             let pointed = pointing.at(unix_s);
             Point {
                 unix_s,
-                place: pointed.sight.map(|sight| sight.helioprojective_arcsec),
+                place: pointed
+                    .line_of_sight
+                    .map(|line_of_sight| line_of_sight.helioprojective_arcsec),
                 invalid: pointed.invalid,
             }
         };

@@ -10,7 +10,7 @@
 pub use super::fields::MessageError;
 
 use super::fields::{Milliseconds, Reader, Said, Seconds, Wire, Writer, fields};
-use super::moon::{MoonAnswer, MoonFix, MoonSight, NOT_FOUND, NOT_VISIBLE};
+use super::moon::{MoonAnswer, MoonFix, MoonOutcome, NOT_FOUND, NOT_VISIBLE};
 use super::number::{Codes, Field};
 use super::packet::CommandPacket;
 use super::packet::Direction::{self, ToAspect, ToController};
@@ -285,13 +285,13 @@ messages! {
 }
 
 impl From<MoonAnswer> for Message {
-    fn from(MoonAnswer { request, sight }: MoonAnswer) -> Self {
-        match sight {
-            MoonSight::Found(fix) => Self::MoonFound(MoonFound { request, fix }),
-            MoonSight::NotVisible { code } => {
+    fn from(MoonAnswer { request, outcome }: MoonAnswer) -> Self {
+        match outcome {
+            MoonOutcome::Found(fix) => Self::MoonFound(MoonFound { request, fix }),
+            MoonOutcome::NotVisible { code } => {
                 Self::MoonNotVisible(MoonNotVisible { request, code })
             }
-            MoonSight::NotFound { code } => Self::MoonNotFound(MoonNotFound { request, code }),
+            MoonOutcome::NotFound { code } => Self::MoonNotFound(MoonNotFound { request, code }),
         }
     }
 }
@@ -299,17 +299,17 @@ impl From<MoonAnswer> for Message {
 impl Message {
     /// The answer to a request for the Moon, where the message is one.
     pub fn moon_answer(&self) -> Option<MoonAnswer> {
-        let (request, sight) = match *self {
-            Self::MoonFound(MoonFound { request, fix }) => (request, MoonSight::Found(fix)),
+        let (request, outcome) = match *self {
+            Self::MoonFound(MoonFound { request, fix }) => (request, MoonOutcome::Found(fix)),
             Self::MoonNotVisible(MoonNotVisible { request, code }) => {
-                (request, MoonSight::NotVisible { code })
+                (request, MoonOutcome::NotVisible { code })
             }
             Self::MoonNotFound(MoonNotFound { request, code }) => {
-                (request, MoonSight::NotFound { code })
+                (request, MoonOutcome::NotFound { code })
             }
             _ => return None,
         };
-        Some(MoonAnswer { request, sight })
+        Some(MoonAnswer { request, outcome })
     }
 
     /// The message as a packet. Numbers that are not finite and times that do not fit are refused.
@@ -404,7 +404,7 @@ pub fn variable_count(key: u16) -> usize {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::link::moon::{MoonAnswer, MoonFix, MoonSight};
+    use crate::link::moon::{MoonAnswer, MoonFix, MoonOutcome};
 
     pub(in crate::link) fn every_message() -> Vec<Message> {
         let time = Timestamp::from_second(1_379_786_400).unwrap();
@@ -442,7 +442,7 @@ pub(super) mod tests {
             }),
             Message::from(MoonAnswer {
                 request: 9,
-                sight: MoonSight::Found(MoonFix {
+                outcome: MoonOutcome::Found(MoonFix {
                     x_px: 359.5,
                     y_px: 288.25,
                     covariance_px2: [1e-3, -2e-4, 4e-3],
@@ -452,11 +452,11 @@ pub(super) mod tests {
             }),
             Message::from(MoonAnswer {
                 request: 10,
-                sight: MoonSight::NotVisible { code: 2 },
+                outcome: MoonOutcome::NotVisible { code: 2 },
             }),
             Message::from(MoonAnswer {
                 request: 11,
-                sight: MoonSight::NotFound { code: 1 },
+                outcome: MoonOutcome::NotFound { code: 1 },
             }),
             Message::StartTracking,
             Message::StopTracking,

@@ -47,7 +47,7 @@ pub use message::{
     AspectCommand, ExposureStart, GpsFix, Message, MessageError, Messages, MoonRequest, NoSolution,
     Propagated, Solution,
 };
-pub use moon::{MoonAnswer, MoonFix, MoonSight};
+pub use moon::{MoonAnswer, MoonFix, MoonOutcome};
 pub use packet::{CommandPacket, Direction, Packet, PacketError, TelemetryPacket, id};
 pub use parser::{Parser, Rejected};
 pub use picture::Picture;

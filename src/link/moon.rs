@@ -34,12 +34,12 @@ fields! {
 pub struct MoonAnswer {
     /// The sequence number of the request's packet.
     pub request: u16,
-    pub sight: MoonSight,
+    pub outcome: MoonOutcome,
 }
 
 /// What is known of the Moon after a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum MoonSight {
+pub enum MoonOutcome {
     Found(MoonFix),
     /// The ephemeris has it where it cannot be seen; the number is one of [`NOT_VISIBLE`].
     NotVisible {

@@ -3,7 +3,7 @@
 
 use super::estimate::Estimate;
 use super::filter::{Filter, MOST_DRIFT_M_S, Trust, towards};
-use super::measurement::{Fix, Sighting, Towards};
+use super::measurement::{DirectionObservation, Fix, Towards};
 use super::model::Model;
 use super::motion::{Interval, Motion};
 use super::settings::{Imu, NavigationSettings};
@@ -61,7 +61,7 @@ impl Felt {
 
 #[derive(Debug, Clone)]
 struct Seen {
-    sighting: Sighting,
+    observation: DirectionObservation,
     /// In the body's axes, now.
     body: UnitVector3<f64>,
     age_s: f64,
@@ -71,7 +71,7 @@ impl Seen {
     /// What has been added to its error since: by the gyro, and by how the target moves.
     fn added_rad(&self, settings: &NavigationSettings, fix: &Fix) -> f64 {
         let walk = settings.imu.angular_random_walk * self.age_s.sqrt();
-        let moves = match self.sighting.towards {
+        let moves = match self.observation.towards {
             Towards::Known(_) => earth::TURN_RAD_PER_S,
             Towards::Down => {
                 let speed_m_s = fix.velocity_m_s.map_or(MOST_DRIFT_M_S, |v| v.norm());
@@ -99,15 +99,16 @@ impl Waiting {
         self.seen.retain(|seen| seen.age_s <= FRESH_S);
     }
 
-    pub fn note(&mut self, settings: &NavigationSettings, sighting: &Sighting) {
+    pub fn note(&mut self, settings: &NavigationSettings, observation: &DirectionObservation) {
         let same = |seen: &Seen| {
-            (seen.sighting.camera, seen.sighting.target) == (sighting.camera, sighting.target)
+            (seen.observation.camera, seen.observation.target)
+                == (observation.camera, observation.target)
         };
         self.seen.retain(|seen| !same(seen));
-        let camera = &settings.cameras[sighting.camera];
+        let camera = &settings.cameras[observation.camera];
         self.seen.push(Seen {
-            sighting: *sighting,
-            body: camera.body_from_camera * sighting.unit,
+            observation: *observation,
+            body: camera.body_from_camera * observation.unit,
             age_s: 0.0,
         });
     }
@@ -116,10 +117,14 @@ impl Waiting {
     pub fn begin(&self, model: &Arc<Model>, fix: &Fix) -> Option<Filter> {
         let Model { settings, layout } = &**model;
         let observation = |seen: &Seen| {
-            let camera = &settings.cameras[seen.sighting.camera];
-            let own = seen.sighting.sigma_rad.hypot(camera.misalignment_rad);
+            let camera = &settings.cameras[seen.observation.camera];
+            let own = seen.observation.sigma_rad.hypot(camera.misalignment_rad);
             let sigma_rad = own.hypot(seen.added_rad(settings, fix));
-            let towards = towards(&seen.sighting.towards, &fix.position_m, settings.vertical);
+            let towards = towards(
+                &seen.observation.towards,
+                &fix.position_m,
+                settings.vertical,
+            );
             Observation {
                 body: Direction::new(seen.body, sigma_rad.max(f64::EPSILON)),
                 reference: Direction::new(towards, 0.0),
@@ -140,14 +145,14 @@ impl Waiting {
         let mut filter = Filter::new(Arc::clone(model), estimate, fix);
         filter.rate_rad_s = self.rate_rad_s;
         for seen in begun_by.seen() {
-            let camera = &settings.cameras[seen.sighting.camera];
-            let now = Sighting {
+            let camera = &settings.cameras[seen.observation.camera];
+            let now = DirectionObservation {
                 t_s: fix.t_s,
                 unit: camera.body_from_camera.inverse() * seen.body,
-                ..seen.sighting
+                ..seen.observation
             };
-            let white = white_rad(settings, layout, &seen.sighting);
-            filter.take_sighting(
+            let white = white_rad(settings, layout, &seen.observation);
+            filter.take_direction(
                 &now,
                 white.hypot(seen.added_rad(settings, fix)),
                 Trust::Blind,
@@ -184,7 +189,7 @@ impl Waiting {
         });
         let sine = |(a, b): &(&Seen, &Seen)| a.body.cross(&b.body).norm();
         pairs
-            .filter(|(a, b)| a.sighting.target != b.sighting.target)
+            .filter(|(a, b)| a.observation.target != b.observation.target)
             .filter(|pair| sine(pair) > LEAST_SINE)
             .max_by(|a, b| sine(a).total_cmp(&sine(b)))
     }
@@ -210,13 +215,13 @@ impl<'a> Pair<'a> {
 pub(super) fn white_rad(
     settings: &NavigationSettings,
     layout: &Layout,
-    sighting: &Sighting,
+    observation: &DirectionObservation,
 ) -> f64 {
-    let target = sighting.target as usize;
-    let correlated_rad = match layout.correlated[sighting.camera][target] {
+    let target = observation.target as usize;
+    let correlated_rad = match layout.correlated[observation.camera][target] {
         Some(_) => settings.correlated_rad[target],
         None => 0.0,
     };
-    let white2 = sighting.sigma_rad.powi(2) - correlated_rad.powi(2);
-    white2.sqrt().max(LEAST_WHITE * sighting.sigma_rad)
+    let white2 = observation.sigma_rad.powi(2) - correlated_rad.powi(2);
+    white2.sqrt().max(LEAST_WHITE * observation.sigma_rad)
 }

@@ -157,9 +157,9 @@ impl Comparison {
                 carried.filter.take_fix(fix);
                 return;
             }
-            Measurement::Sighting(sighting) => {
+            Measurement::Direction(observation) => {
                 let filter = &mut carried.filter;
-                filter.take_sighting(sighting, white_rad, Trust::Tested)
+                filter.take_direction(observation, white_rad, Trust::Tested)
             }
         };
         innovation.iter().for_each(|one| self.compare(one));
@@ -180,7 +180,7 @@ impl Comparison {
     }
 
     fn compare(&mut self, innovation: &Innovation) {
-        let Source::Sighting { camera, target } = innovation.source else {
+        let Source::Direction { camera, target } = innovation.source else {
             return;
         };
         let axes = Axis::measured_by(target).iter().zip(&innovation.axes);

@@ -13,7 +13,7 @@
 //! Velocities that contradict the filter twice, or lie on one side of it for long, do the same for the accelerometers: the attitude does not
 //! follow what they feel.
 
-use super::measurement::{Innovation, Sighting, Source, Verdict};
+use super::measurement::{DirectionObservation, Innovation, Source, Verdict};
 use super::states::Sensors;
 use nalgebra::{Matrix3, UnitVector3, Vector3};
 
@@ -140,11 +140,11 @@ impl Doubts {
     /// Notes a direction that was taken.
     pub fn take(
         &mut self,
-        sighting: &Sighting,
+        observation: &DirectionObservation,
         towards: UnitVector3<f64>,
         innovation: &Innovation,
     ) {
-        let found = self.found(sighting, towards, innovation);
+        let found = self.found(observation, towards, innovation);
         self.refused.retain(|one| one.source != innovation.source);
         for other in &mut self.refused {
             if found.sigma_rad <= other.found.sigma_rad {
@@ -165,12 +165,12 @@ impl Doubts {
     /// Notes one that was refused, while the body turned at a rate.
     pub fn refuse(
         &mut self,
-        sighting: &Sighting,
+        observation: &DirectionObservation,
         towards: UnitVector3<f64>,
         innovation: &Innovation,
         rate_rad_s: f64,
     ) -> Remedy {
-        let found = self.found(sighting, towards, innovation);
+        let found = self.found(observation, towards, innovation);
         let source = innovation.source;
         let known = self.refused.iter().position(|one| one.source == source);
         let finer = known.and_then(|n| self.refused[n].finer);
@@ -231,7 +231,7 @@ impl Doubts {
 
     fn found(
         &self,
-        sighting: &Sighting,
+        observation: &DirectionObservation,
         towards: UnitVector3<f64>,
         innovation: &Innovation,
     ) -> Found {
@@ -239,11 +239,13 @@ impl Doubts {
         let last_s = self.taken.iter().find(own).map(|(_, t_s)| *t_s);
         let squares = innovation.axes.iter().map(|(residual, _)| residual.powi(2));
         Found {
-            t_s: sighting.t_s,
+            t_s: observation.t_s,
             towards,
-            sigma_rad: sighting.sigma_rad,
+            sigma_rad: observation.sigma_rad,
             difference_rad: squares.sum::<f64>().sqrt(),
-            after_s: last_s.map_or(LONGEST_S, |last_s| (sighting.t_s - last_s).min(LONGEST_S)),
+            after_s: last_s.map_or(LONGEST_S, |last_s| {
+                (observation.t_s - last_s).min(LONGEST_S)
+            }),
         }
     }
 
@@ -283,8 +285,8 @@ mod tests {
     const SUN: UnitVector3<f64> = UnitVector3::new_unchecked(Vector3::new(1.0, 0.0, 0.0));
     const DOWN: UnitVector3<f64> = UnitVector3::new_unchecked(Vector3::new(0.0, 0.0, 1.0));
 
-    fn sighting(t_s: f64, target: Target, sigma_rad: f64) -> Sighting {
-        Sighting {
+    fn observation(t_s: f64, target: Target, sigma_rad: f64) -> DirectionObservation {
+        DirectionObservation {
             t_s,
             camera: 0,
             target,
@@ -294,13 +296,17 @@ mod tests {
         }
     }
 
-    fn innovation(sighting: &Sighting, off_rad: f64, verdict: Verdict) -> Innovation {
-        let sigma = sighting.sigma_rad;
+    fn innovation(
+        observation: &DirectionObservation,
+        off_rad: f64,
+        verdict: Verdict,
+    ) -> Innovation {
+        let sigma = observation.sigma_rad;
         Innovation {
-            t_s: sighting.t_s,
-            source: Source::Sighting {
-                camera: sighting.camera,
-                target: sighting.target,
+            t_s: observation.t_s,
+            source: Source::Direction {
+                camera: observation.camera,
+                target: observation.target,
             },
             axes: vec![(off_rad, sigma), (0.0, sigma)],
             whitened: vec![off_rad / sigma, 0.0],
@@ -310,16 +316,16 @@ mod tests {
     }
 
     fn sun(doubts: &mut Doubts, t_s: f64, off_rad: f64) -> Remedy {
-        let sighting = sighting(t_s, Target::Sun, 1e-6);
+        let observation = observation(t_s, Target::Sun, 1e-6);
         if off_rad < 5e-6 {
-            let innovation = innovation(&sighting, off_rad, Verdict::Taken);
-            doubts.take(&sighting, SUN, &innovation);
+            let innovation = innovation(&observation, off_rad, Verdict::Taken);
+            doubts.take(&observation, SUN, &innovation);
             return Remedy::Wait;
         }
         doubts.refuse(
-            &sighting,
+            &observation,
             SUN,
-            &innovation(&sighting, off_rad, Verdict::Refused),
+            &innovation(&observation, off_rad, Verdict::Refused),
             1e-9,
         )
     }
@@ -351,7 +357,7 @@ mod tests {
         assert!(!doubts.any());
         // About the direction nothing else shows how far they are off: by as much as the body turns.
         let (one, two) = [20.0, 20.25]
-            .map(|t_s| sighting(t_s, Target::Sun, 1e-6))
+            .map(|t_s| observation(t_s, Target::Sun, 1e-6))
             .into();
         for refused in [one, two] {
             let innovation = innovation(&refused, 1e-5, Verdict::Refused);
@@ -366,11 +372,11 @@ mod tests {
     fn a_coarser_direction_that_a_finer_one_contradicts_tells_of_the_angle_about_it_alone() {
         let mut doubts = Doubts::default();
         let nadir = |doubts: &mut Doubts, t_s| {
-            let sighting = sighting(t_s, Target::Nadir, 1e-3);
+            let observation = observation(t_s, Target::Nadir, 1e-3);
             doubts.refuse(
-                &sighting,
+                &observation,
                 DOWN,
-                &innovation(&sighting, 0.01, Verdict::Refused),
+                &innovation(&observation, 0.01, Verdict::Refused),
                 1e-9,
             )
         };

@@ -1,7 +1,7 @@
 //! The filter while it runs: an estimate with the covariance of its errors, carried on by the IMU and corrected by measurements.
 
 use super::estimate::Estimate;
-use super::measurement::{Climb, Fix, Innovation, Sighting, Source, Towards, Verdict};
+use super::measurement::{Climb, DirectionObservation, Fix, Innovation, Source, Towards, Verdict};
 use super::model::Model;
 use super::motion::Interval;
 use super::settings::Vertical;
@@ -208,22 +208,22 @@ impl Filter {
     }
 
     /// Takes a direction.
-    pub fn take_sighting(
+    pub fn take_direction(
         &mut self,
-        sighting: &Sighting,
+        observation: &DirectionObservation,
         white_rad: f64,
         trust: Trust,
     ) -> Option<Innovation> {
         self.settle();
-        let towards = self.towards(sighting);
-        let (camera, target) = (sighting.camera, sighting.target);
+        let towards = self.towards(observation);
+        let (camera, target) = (observation.camera, observation.target);
         let body = self.estimate.motion.attitude.to_rotation_matrix();
         let true_body = body.inverse() * towards;
         let correlated = self.estimate.correlated[camera][target as usize];
         // Where it should be in the body's axes as the camera's file has them.
         let seen = true_body.into_inner() - self.estimate.cameras[camera].cross(&true_body);
         let predicted = UnitVector3::new_normalize(seen + correlated);
-        let said = self.model.settings.cameras[camera].body_from_camera * sighting.unit;
+        let said = self.model.settings.cameras[camera].body_from_camera * observation.unit;
         let across = self.across(&predicted);
         let residual: Vector2<f64> = across.transpose() * said.into_inner();
         let mut jacobian = DMatrix::zeros(2, self.model.layout.len());
@@ -239,14 +239,14 @@ impl Filter {
         if let Some(correlated) = self.model.layout.correlated[camera][target as usize] {
             set(correlated.triad.first, Matrix3::identity());
         }
-        let source = Source::Sighting { camera, target };
+        let source = Source::Direction { camera, target };
         // A large correction is bent by itself, and by what is not known about the other axes.
         let off_rad = residual.norm();
         let bent_rad = off_rad * (off_rad / 2.0 + self.worst_attitude_rad());
         let noise = Matrix2::identity() * (white_rad.powi(2) + bent_rad.powi(2));
         if residual.norm() > 0.5 || said.dot(&predicted) < 0.0 {
             return Some(Innovation {
-                t_s: sighting.t_s,
+                t_s: observation.t_s,
                 source,
                 axes: residual.iter().map(|r| (*r, white_rad)).collect(),
                 whitened: residual.iter().map(|r| r / white_rad).collect(),
@@ -254,13 +254,13 @@ impl Filter {
                 verdict: Verdict::Refused,
             });
         }
-        self.take((sighting.t_s, source), residual, &jacobian, noise, trust)
+        self.take((observation.t_s, source), residual, &jacobian, noise, trust)
     }
 
     /// The direction of a target in ECEF from where the body is.
-    pub fn towards(&self, sighting: &Sighting) -> UnitVector3<f64> {
+    pub fn towards(&self, observation: &DirectionObservation) -> UnitVector3<f64> {
         let at_m = &self.estimate.motion.position_m;
-        towards(&sighting.towards, at_m, self.model.settings.vertical)
+        towards(&observation.towards, at_m, self.model.settings.vertical)
     }
 
     /// The telescope's right and up across a direction in the body's axes: two unit vectors.

@@ -107,7 +107,7 @@ impl Climb {
 
 /// A direction that a camera has seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sighting {
+pub struct DirectionObservation {
     pub t_s: f64,
     /// Among the cameras of the settings.
     pub camera: usize,
@@ -122,7 +122,7 @@ pub struct Sighting {
 /// Where a target is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Towards {
-    /// In ECEF, at the time of the sighting.
+    /// In ECEF, at the time of the observation.
     Known(UnitVector3<f64>),
     /// Straight down from where the body is.
     Down,
@@ -130,14 +130,17 @@ pub enum Towards {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Measurement {
-    Sighting(Sighting),
+    Direction(DirectionObservation),
     Fix(Fix),
 }
 
 impl Measurement {
     /// All in the order of time; of one time the directions first.
-    pub fn in_order(sightings: impl IntoIterator<Item = Sighting>, fixes: &[Fix]) -> Vec<Self> {
-        let mut all: Vec<Self> = sightings.into_iter().map(Self::Sighting).collect();
+    pub fn in_order(
+        observations: impl IntoIterator<Item = DirectionObservation>,
+        fixes: &[Fix],
+    ) -> Vec<Self> {
+        let mut all: Vec<Self> = observations.into_iter().map(Self::Direction).collect();
         all.extend(fixes.iter().map(|fix| Self::Fix(*fix)));
         all.sort_by(|a, b| a.t_s().total_cmp(&b.t_s()));
         all
@@ -145,7 +148,7 @@ impl Measurement {
 
     pub fn t_s(&self) -> f64 {
         match self {
-            Self::Sighting(sighting) => sighting.t_s,
+            Self::Direction(observation) => observation.t_s,
             Self::Fix(fix) => fix.t_s,
         }
     }
@@ -154,7 +157,7 @@ impl Measurement {
 /// What an innovation is of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Source {
-    Sighting {
+    Direction {
         camera: usize,
         target: Target,
     },

@@ -49,7 +49,8 @@ pub use constants::{Constant, ConstantErrors};
 pub use due::Due;
 pub use live::{Counts, Live};
 pub use measurement::{
-    Climb, Fix, Implausible, ImuSample, Innovation, Measurement, Sighting, Source, Towards, Verdict,
+    Climb, DirectionObservation, Fix, Implausible, ImuSample, Innovation, Measurement, Source,
+    Towards, Verdict,
 };
 pub use motion::Motion;
 pub use offset::{PropagatedOffset, offset};

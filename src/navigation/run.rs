@@ -4,7 +4,9 @@ use super::begin::{Waiting, white_rad};
 use super::comparison::Comparison;
 use super::doubts::{Doubts, ONE_SIDED_CHI2, Remedy};
 use super::filter::{Filter, MOST_CHI2, Trust};
-use super::measurement::{ImuSample, Innovation, Measurement, Sighting, Source, Verdict};
+use super::measurement::{
+    DirectionObservation, ImuSample, Innovation, Measurement, Source, Verdict,
+};
 use super::model::Model;
 use super::motion::{Interval, Lost};
 use super::settings::{NavigationSettings, Target};
@@ -66,10 +68,10 @@ impl Flight {
     fn layout(&self, choice: Choice) -> Layout {
         let mut used = vec![Vec::<Target>::new(); self.settings.cameras.len()];
         for measurement in &self.measurements {
-            if let Measurement::Sighting(sighting) = measurement {
-                let targets = &mut used[sighting.camera];
-                if !targets.contains(&sighting.target) {
-                    targets.push(sighting.target);
+            if let Measurement::Direction(observation) = measurement {
+                let targets = &mut used[observation.camera];
+                if !targets.contains(&observation.target) {
+                    targets.push(observation.target);
                 }
             }
         }
@@ -322,8 +324,8 @@ impl Run {
         let model = Arc::clone(&self.model);
         let settings = &model.settings;
         match (&mut self.phase, measurement) {
-            (Phase::Waiting(waiting), Measurement::Sighting(sighting)) => {
-                waiting.note(settings, sighting);
+            (Phase::Waiting(waiting), Measurement::Direction(observation)) => {
+                waiting.note(settings, observation);
             }
             (Phase::Waiting(waiting), Measurement::Fix(fix)) => {
                 if let Some(filter) = waiting.begin(&model, fix) {
@@ -336,18 +338,18 @@ impl Run {
                     return Begun::Anew;
                 }
             }
-            (Phase::Running(filter), Measurement::Sighting(sighting)) => {
+            (Phase::Running(filter), Measurement::Direction(observation)) => {
                 filter.settle();
                 let worst_rad = filter.worst_attitude_rad();
                 if worst_rad > UNKNOWN_RAD && worst_rad > WORSE * self.begun_rad {
-                    self.begin_anew(sighting.t_s);
+                    self.begin_anew(observation.t_s);
                     return self.take(measurement, each);
                 }
-                let white_rad = white_rad(settings, &model.layout, sighting);
-                let innovation = filter.take_sighting(sighting, white_rad, Trust::Tested);
+                let white_rad = white_rad(settings, &model.layout, observation);
+                let innovation = filter.take_direction(observation, white_rad, Trust::Tested);
                 if let Some(innovation) = innovation {
                     self.comparison.note(&innovation, filter);
-                    self.note_sighting(sighting, innovation, each);
+                    self.note_direction(observation, innovation, each);
                 }
             }
             (Phase::Running(filter), Measurement::Fix(fix)) => {
@@ -363,7 +365,7 @@ impl Run {
     fn compare(&mut self, measurement: &Measurement) {
         let Model { settings, layout } = &*self.model;
         let white_rad = match measurement {
-            Measurement::Sighting(sighting) => white_rad(settings, layout, sighting),
+            Measurement::Direction(observation) => white_rad(settings, layout, observation),
             Measurement::Fix(_) => 0.0,
         };
         let is_running = matches!(self.phase, Phase::Running(_));
@@ -372,30 +374,30 @@ impl Run {
     }
 
     /// What a direction makes of the doubts, and they of the filter.
-    fn note_sighting(
+    fn note_direction(
         &mut self,
-        sighting: &Sighting,
+        observation: &DirectionObservation,
         innovation: Innovation,
         each: &mut impl FnMut(Innovation),
     ) {
         let Phase::Running(filter) = &mut self.phase else {
             return;
         };
-        let towards = filter.towards(sighting);
+        let towards = filter.towards(observation);
         if innovation.verdict == Verdict::Taken {
-            self.doubts.take(sighting, towards, &innovation);
+            self.doubts.take(observation, towards, &innovation);
             return self.note(innovation, each);
         }
         let was_doubted = self.doubts.random_walk(Sensors::Gyros) > 0.0;
         let rate_rad_s = filter.rate_rad_s.norm();
         match self
             .doubts
-            .refuse(sighting, towards, &innovation, rate_rad_s)
+            .refuse(observation, towards, &innovation, rate_rad_s)
         {
             Remedy::Wait => self.note(innovation, each),
             Remedy::BeginAnew => {
                 each(innovation);
-                self.begin_anew(sighting.t_s);
+                self.begin_anew(observation.t_s);
             }
             Remedy::Open { rad } => {
                 each(innovation);
@@ -404,10 +406,10 @@ impl Run {
                     // The filter has followed them as far as no direction contradicted.
                     self.opened += filter.open_attitude(MOST_CHI2[0]);
                 }
-                let white_rad = white_rad(&self.model.settings, &self.model.layout, sighting);
-                let taken = filter.take_sighting(sighting, white_rad, Trust::Blind);
+                let white_rad = white_rad(&self.model.settings, &self.model.layout, observation);
+                let taken = filter.take_direction(observation, white_rad, Trust::Blind);
                 if let Some(taken) = taken {
-                    self.doubts.take(sighting, towards, &taken);
+                    self.doubts.take(observation, towards, &taken);
                     self.note(taken, each);
                 }
             }
@@ -439,7 +441,7 @@ impl Run {
     fn note(&mut self, innovation: Innovation, each: &mut impl FnMut(Innovation)) {
         let (t_s, source) = (innovation.t_s, innovation.source);
         match (innovation.verdict, source) {
-            (Verdict::Taken, Source::Sighting { .. }) => self.seen_s = t_s,
+            (Verdict::Taken, Source::Direction { .. }) => self.seen_s = t_s,
             (Verdict::Taken | Verdict::Refused, _) => {}
         }
         match innovation.verdict {

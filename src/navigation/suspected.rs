@@ -1,6 +1,6 @@
 //! Whether the IMU's numbers look like those of other units. The filter may find an attitude by them, and refuse some of its measurements only.
 
-use super::measurement::{Measurement, Sighting};
+use super::measurement::{DirectionObservation, Measurement};
 use super::run::Flight;
 use nalgebra::Vector3;
 
@@ -76,14 +76,18 @@ fn rate_in_deg(runs: &[Flight]) -> Option<String> {
 }
 
 /// Directions to a target by one camera, and the next one soon after.
-fn neighbours(run: &Flight) -> impl Iterator<Item = (&Sighting, &Sighting)> {
-    let mut last: Vec<&Sighting> = Vec::new();
-    let sightings = run.measurements.iter().filter_map(|one| match one {
-        Measurement::Sighting(sighting) => Some(sighting),
+fn neighbours(
+    run: &Flight,
+) -> impl Iterator<Item = (&DirectionObservation, &DirectionObservation)> {
+    let mut last: Vec<&DirectionObservation> = Vec::new();
+    let observations = run.measurements.iter().filter_map(|one| match one {
+        Measurement::Direction(observation) => Some(observation),
         Measurement::Fix(_) => None,
     });
-    sightings.filter_map(move |after| {
-        let same = |one: &&mut &Sighting| (one.camera, one.target) == (after.camera, after.target);
+    observations.filter_map(move |after| {
+        let same = |one: &&mut &DirectionObservation| {
+            (one.camera, one.target) == (after.camera, after.target)
+        };
         let Some(place) = last.iter_mut().find(same) else {
             last.push(after);
             return None;

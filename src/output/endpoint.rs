@@ -63,10 +63,10 @@ impl Endpoint {
     }
 
     /// Opens what is closed, and takes in who has come.
-    pub fn look(&mut self, now: Duration) {
+    pub fn poll(&mut self, now: Duration) {
         match &mut self.0 {
-            End::Port(port) => port.look(now),
-            End::Clients(clients) => clients.look(now),
+            End::Port(port) => port.poll(now),
+            End::Clients(clients) => clients.poll(now),
         }
     }
 
@@ -118,7 +118,7 @@ struct Port {
 }
 
 impl Port {
-    fn look(&mut self, now: Duration) {
+    fn poll(&mut self, now: Duration) {
         if self.connection.revive(now) {
             self.rest = Rest::default();
         }
@@ -180,7 +180,7 @@ impl Clients {
         }
     }
 
-    fn look(&mut self, now: Duration) {
+    fn poll(&mut self, now: Duration) {
         self.listen(now);
         // A flood of them keeps no message waiting.
         for _ in 0..MOST_CLIENTS {
@@ -326,10 +326,10 @@ mod tests {
     fn with_clients<const N: usize>() -> (Endpoint, [TcpStream; N]) {
         let address = free_address();
         let mut endpoint = endpoint(&Destination::Clients(address));
-        endpoint.look(NOW);
+        endpoint.poll(NOW);
         let clients = [(); N].map(|()| TcpStream::connect(address).unwrap());
         wait_until(|| {
-            endpoint.look(NOW);
+            endpoint.poll(NOW);
             clients_of(&endpoint) == N
         });
         (endpoint, clients)
@@ -384,7 +384,7 @@ mod tests {
             sent += 1;
             let mut read = Vec::new();
             wait_until(|| {
-                endpoint.look(NOW);
+                endpoint.poll(NOW);
                 let _ = good.read_to_end(&mut read);
                 read.len() >= message.len()
             });
@@ -394,7 +394,7 @@ mod tests {
         stuck.set_nonblocking(true).unwrap();
         let mut read = Vec::new();
         wait_until(|| {
-            endpoint.look(NOW);
+            endpoint.poll(NOW);
             let before = read.len();
             let _ = stuck.read_to_end(&mut read);
             before == read.len() && read.ends_with(b"\n")
@@ -414,7 +414,7 @@ mod tests {
         while endpoint.send(&line(0), NOW).dropped == 0 {}
         endpoint.send(&line(0), CLIENT_PATIENCE);
         assert_eq!(clients_of(&endpoint), 1);
-        endpoint.look(CLIENT_PATIENCE + Duration::from_millis(1));
+        endpoint.poll(CLIENT_PATIENCE + Duration::from_millis(1));
         assert_eq!(clients_of(&endpoint), 0);
     }
 
@@ -430,7 +430,7 @@ mod tests {
             .set_read_timeout(Some(Duration::from_millis(1)))
             .unwrap();
         wait_until(|| {
-            endpoint.look(NOW);
+            endpoint.poll(NOW);
             matches!(ninth.read(&mut [0]), Ok(0))
         });
         assert_eq!(endpoint.send(b"all\n", NOW).sent, 8);
@@ -439,7 +439,7 @@ mod tests {
         wait_until(|| endpoint.send(b"anyone?\n", NOW) == Went::DROPPED);
         let mut tenth = TcpStream::connect(address).unwrap();
         wait_until(|| {
-            endpoint.look(NOW);
+            endpoint.poll(NOW);
             endpoint.send(b"you\n", NOW) == SENT
         });
         let mut read = [0; 4];
@@ -452,12 +452,12 @@ mod tests {
         let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let address = taken.local_addr().unwrap();
         let mut endpoint = endpoint(&Destination::Clients(address));
-        endpoint.look(NOW);
+        endpoint.poll(NOW);
         assert_eq!(endpoint.send(b"anyone?\n", NOW), Went::DROPPED);
         drop(taken);
-        endpoint.look(Duration::from_millis(249));
+        endpoint.poll(Duration::from_millis(249));
         assert!(TcpStream::connect(address).is_err(), "it waits a little");
-        endpoint.look(Duration::from_millis(250));
+        endpoint.poll(Duration::from_millis(250));
         TcpStream::connect(address).unwrap();
     }
 
@@ -467,7 +467,7 @@ mod tests {
         let name = far.name().to_owned();
         let mut endpoint = endpoint(&Destination::Port(PortAddress::Serial { name }));
         assert_eq!(endpoint.send(b"not open\n", NOW), Went::DROPPED);
-        endpoint.look(NOW);
+        endpoint.poll(NOW);
         let message = |number: usize| format!("${number:0>70}\r\n").into_bytes();
         let (mut sent, mut dropped) = (0, 0);
         for number in 0.. {
@@ -502,7 +502,7 @@ mod tests {
         let peer = reader.local_addr().unwrap();
         let local_port = None;
         let mut endpoint = endpoint(&Destination::Port(PortAddress::Udp { peer, local_port }));
-        endpoint.look(NOW);
+        endpoint.poll(NOW);
         assert_eq!(endpoint.send(&line(0), NOW), Went::DROPPED);
         assert_eq!(endpoint.send(b"short\n", NOW), SENT);
         let mut buffer = [0; 16];

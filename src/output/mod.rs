@@ -47,12 +47,12 @@ impl Format {
     }
 
     /// Whether it tells of solved frames.
-    pub fn tells_solutions(self) -> bool {
+    pub fn carries_solutions(self) -> bool {
         matches!(self, Self::Jsonl | Self::Nmea)
     }
 
     /// Whether it tells of telemetry packets.
-    pub fn tells_telemetry(self) -> bool {
+    pub fn carries_telemetry(self) -> bool {
         self == Self::Ccsds
     }
 }

@@ -7,12 +7,12 @@
 //! `preflight`, `config check` and `fly` make the same plan, with the same checks of every value against the others. Only a plan without errors
 //! flies, unless it is forced to.
 
+mod check;
 mod cross_checks;
-mod look;
 mod remarks;
 mod words;
 
-pub use look::device;
+pub use check::device;
 pub use remarks::{Faulty, Remark, Remarks, Severity};
 
 use crate::archive::plain;

@@ -56,14 +56,14 @@ impl Default for Limits {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pointed {
     /// `None` where nothing is known.
-    pub sight: Option<Sight>,
+    pub line_of_sight: Option<LineOfSight>,
     /// `None` where the pointing is valid.
     pub invalid: Option<Invalid>,
 }
 
 /// Where the telescope points, and how it is turned about that.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sight {
+pub struct LineOfSight {
     pub helioprojective_arcsec: HelioprojectiveArcsec,
     /// From the telescope's up to solar north, counter-clockwise as seen looking out.
     pub north_angle_deg: f64,
@@ -83,7 +83,7 @@ pub struct Sight {
 impl Pointed {
     pub(super) fn unknown(why: Invalid) -> Self {
         Self {
-            sight: None,
+            line_of_sight: None,
             invalid: Some(why),
         }
     }
@@ -93,7 +93,7 @@ impl Pointed {
     }
 }
 
-impl Sight {
+impl LineOfSight {
     /// Where a direction in the telescope's axes - forward, right and down - points about the Sun.
     pub fn helioprojective(&self, towards: &UnitVector3<f64>) -> HelioprojectiveArcsec {
         HelioprojectiveArcsec::of_direction(&(self.sun_from_telescope * towards.into_inner()))
@@ -122,7 +122,7 @@ impl Limits {
         let (north_right, north_down) = (sun_from_telescope.m32, sun_from_telescope.m33);
         let (up_right, up_down) = (horizon_from_telescope.m32, horizon_from_telescope.m33);
         let arcsec2 = ARCSEC_PER_RAD * ARCSEC_PER_RAD;
-        let sight = Sight {
+        let line_of_sight = LineOfSight {
             helioprojective_arcsec: HelioprojectiveArcsec::of_direction(
                 &sun_from_telescope.column(0).into(),
             ),
@@ -139,13 +139,16 @@ impl Limits {
             horizon_from_telescope,
         };
         Pointed {
-            invalid: self.invalid(&state, &sight),
-            sight: Some(sight),
+            invalid: self.invalid(&state, &line_of_sight),
+            line_of_sight: Some(line_of_sight),
         }
     }
 
-    fn invalid(&self, state: &State, sight: &Sight) -> Option<Invalid> {
-        let worse = sight.random_arcsec2.m11.max(sight.random_arcsec2.m22);
+    fn invalid(&self, state: &State, line_of_sight: &LineOfSight) -> Option<Invalid> {
+        let worse = line_of_sight
+            .random_arcsec2
+            .m11
+            .max(line_of_sight.random_arcsec2.m22);
         let moves_arcsec_per_s = state.rate_rad_s.yz().norm() * ARCSEC_PER_RAD;
         if state.is_contradicted {
             Some(Invalid::Contradicted)

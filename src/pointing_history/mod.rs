@@ -14,7 +14,7 @@ mod state;
 mod store;
 mod table;
 
-pub use evaluate::{Invalid, Limits, Pointed, Sight};
+pub use evaluate::{Invalid, Limits, LineOfSight, Pointed};
 pub use seconds::Second;
 pub use state::{Basis, State};
 pub use store::{POINTING_FILE, StoreError};

@@ -1,7 +1,7 @@
 //! The table POINTING: the pointing at a constant rate.
 
 use super::evaluate::Pointed;
-use super::{PointingHistory, Sight};
+use super::{LineOfSight, PointingHistory};
 use crate::columns::{Column, float, logical, text};
 use crate::fits::{Card, format_time, keyword, place_cards, zero_cards};
 use crate::geometry::earth::geodetic;
@@ -22,8 +22,8 @@ pub struct PointingRow {
     pub pointed: Pointed,
 }
 
-fn sight(row: &PointingRow, value: fn(&Sight) -> f64) -> Option<f64> {
-    row.pointed.sight.as_ref().map(value)
+fn line_of_sight(row: &PointingRow, value: fn(&LineOfSight) -> f64) -> Option<f64> {
+    row.pointed.line_of_sight.as_ref().map(value)
 }
 
 /// The columns of [`POINTING`].
@@ -31,27 +31,27 @@ fn sight(row: &PointingRow, value: fn(&Sight) -> f64) -> Option<f64> {
 pub const POINTING_COLUMNS: &[Column<PointingRow>] = &[
     float("TIME", "s", "time, UTC, since MJDREF", |r| Some(r.time_s)),
     float("UNIX_S", "s", "time, UTC, since 1970-01-01", |r| Some(r.unix_s)),
-    float("HPLN", "arcsec", "helioprojective longitude of the boresight, to solar west", |r| sight(r, |s| s.helioprojective_arcsec.x)),
-    float("HPLT", "arcsec", "helioprojective latitude of the boresight, to solar north", |r| sight(r, |s| s.helioprojective_arcsec.y)),
-    float("NORTH_ANGLE", "deg", "from the telescope's up to solar north, counter-clockwise as seen looking out", |r| sight(r, |s| s.north_angle_deg)),
-    float("AZIMUTH", "deg", "azimuth of the boresight, from north through east", |r| sight(r, |s| s.horizontal.azimuth_deg)),
-    float("ELEVATION", "deg", "elevation of the boresight, without refraction", |r| sight(r, |s| s.horizontal.elevation_deg)),
-    float("ROLL", "deg", "roll about the boresight, right side low positive", |r| sight(r, |s| s.roll_deg)),
-    float("VAR_RIGHT", "arcsec2", "variance of the boresight to the telescope's right, random part", |r| sight(r, |s| s.random_arcsec2.m11)),
-    float("VAR_UP", "arcsec2", "variance up, random part", |r| sight(r, |s| s.random_arcsec2.m22)),
-    float("VAR_ROLL", "arcsec2", "variance of the turn about the boresight, random part", |r| sight(r, |s| s.random_arcsec2.m33)),
-    float("COV_RIGHT_UP", "arcsec2", "covariance, random part", |r| sight(r, |s| s.random_arcsec2.m12)),
-    float("COV_RIGHT_ROLL", "arcsec2", "covariance, random part", |r| sight(r, |s| s.random_arcsec2.m13)),
-    float("COV_UP_ROLL", "arcsec2", "covariance, random part", |r| sight(r, |s| s.random_arcsec2.m23)),
-    float("SYS_VAR_RIGHT", "arcsec2", "variance to the right, of the calibration", |r| sight(r, |s| s.systematic_arcsec2.m11)),
-    float("SYS_VAR_UP", "arcsec2", "variance up, of the calibration", |r| sight(r, |s| s.systematic_arcsec2.m22)),
-    float("SYS_VAR_ROLL", "arcsec2", "variance of the turn about the boresight, of the calibration", |r| sight(r, |s| s.systematic_arcsec2.m33)),
-    float("SYS_COV_RIGHT_UP", "arcsec2", "covariance, of the calibration", |r| sight(r, |s| s.systematic_arcsec2.m12)),
-    float("SYS_COV_RIGHT_ROLL", "arcsec2", "covariance, of the calibration", |r| sight(r, |s| s.systematic_arcsec2.m13)),
-    float("SYS_COV_UP_ROLL", "arcsec2", "covariance, of the calibration", |r| sight(r, |s| s.systematic_arcsec2.m23)),
+    float("HPLN", "arcsec", "helioprojective longitude of the boresight, to solar west", |r| line_of_sight(r, |s| s.helioprojective_arcsec.x)),
+    float("HPLT", "arcsec", "helioprojective latitude of the boresight, to solar north", |r| line_of_sight(r, |s| s.helioprojective_arcsec.y)),
+    float("NORTH_ANGLE", "deg", "from the telescope's up to solar north, counter-clockwise as seen looking out", |r| line_of_sight(r, |s| s.north_angle_deg)),
+    float("AZIMUTH", "deg", "azimuth of the boresight, from north through east", |r| line_of_sight(r, |s| s.horizontal.azimuth_deg)),
+    float("ELEVATION", "deg", "elevation of the boresight, without refraction", |r| line_of_sight(r, |s| s.horizontal.elevation_deg)),
+    float("ROLL", "deg", "roll about the boresight, right side low positive", |r| line_of_sight(r, |s| s.roll_deg)),
+    float("VAR_RIGHT", "arcsec2", "variance of the boresight to the telescope's right, random part", |r| line_of_sight(r, |s| s.random_arcsec2.m11)),
+    float("VAR_UP", "arcsec2", "variance up, random part", |r| line_of_sight(r, |s| s.random_arcsec2.m22)),
+    float("VAR_ROLL", "arcsec2", "variance of the turn about the boresight, random part", |r| line_of_sight(r, |s| s.random_arcsec2.m33)),
+    float("COV_RIGHT_UP", "arcsec2", "covariance, random part", |r| line_of_sight(r, |s| s.random_arcsec2.m12)),
+    float("COV_RIGHT_ROLL", "arcsec2", "covariance, random part", |r| line_of_sight(r, |s| s.random_arcsec2.m13)),
+    float("COV_UP_ROLL", "arcsec2", "covariance, random part", |r| line_of_sight(r, |s| s.random_arcsec2.m23)),
+    float("SYS_VAR_RIGHT", "arcsec2", "variance to the right, of the calibration", |r| line_of_sight(r, |s| s.systematic_arcsec2.m11)),
+    float("SYS_VAR_UP", "arcsec2", "variance up, of the calibration", |r| line_of_sight(r, |s| s.systematic_arcsec2.m22)),
+    float("SYS_VAR_ROLL", "arcsec2", "variance of the turn about the boresight, of the calibration", |r| line_of_sight(r, |s| s.systematic_arcsec2.m33)),
+    float("SYS_COV_RIGHT_UP", "arcsec2", "covariance, of the calibration", |r| line_of_sight(r, |s| s.systematic_arcsec2.m12)),
+    float("SYS_COV_RIGHT_ROLL", "arcsec2", "covariance, of the calibration", |r| line_of_sight(r, |s| s.systematic_arcsec2.m13)),
+    float("SYS_COV_UP_ROLL", "arcsec2", "covariance, of the calibration", |r| line_of_sight(r, |s| s.systematic_arcsec2.m23)),
     logical("VALID", "whether the pointing may be used", |r| r.pointed.is_valid()),
     text("INVALID", "why not: gap, extrapolated, contradicted, slew or uncertain", |r| r.pointed.invalid.map_or("", |why| why.name()).into()),
-    text("SOURCE", "what it rests on: sun, gyros or both", |r| r.pointed.sight.map_or("", |sight| sight.basis.name()).into()),
+    text("SOURCE", "what it rests on: sun, gyros or both", |r| r.pointed.line_of_sight.map_or("", |line_of_sight| line_of_sight.basis.name()).into()),
 ];
 
 impl PointingHistory {

@@ -49,9 +49,9 @@ fn history(states: impl Iterator<Item = f64>) -> PointingHistory {
 
 /// The angle from the found attitude to the true one, arcsec.
 fn off_arcsec(history: &PointingHistory, unix_s: f64) -> f64 {
-    let sight = history.at(unix_s).sight.unwrap();
+    let line_of_sight = history.at(unix_s).line_of_sight.unwrap();
     let axes = history.seconds.at(unix_s).unwrap().sun;
-    let found = axes * sight.sun_from_telescope;
+    let found = axes * line_of_sight.sun_from_telescope;
     let truth = attitude(unix_s).to_rotation_matrix();
     // Of a small turn: the difference of the axes is that over the square root of 2.
     (found - truth.matrix()).norm() / 2f64.sqrt() * ARCSEC_PER_RAD
@@ -66,7 +66,7 @@ fn between_states_a_swing_of_a_second_is_followed_to_a_twentieth_of_an_arcsecond
     }
     // At a state it is the state's.
     assert!(off_arcsec(&history, 0.7) < 1e-6);
-    assert!(history.at(14.9).sight.is_some());
+    assert!(history.at(14.9).line_of_sight.is_some());
 }
 
 #[test]
@@ -86,7 +86,7 @@ fn where_nothing_is_known_it_says_why() {
     assert_eq!(why(&history, 4.0), Some(Invalid::Uncertain));
     history.contradict([3.95, 4.05]);
     assert_eq!(why(&history, 4.0), Some(Invalid::Contradicted));
-    assert!(history.at(4.0).sight.is_some());
+    assert!(history.at(4.0).line_of_sight.is_some());
 }
 
 #[test]
@@ -99,7 +99,7 @@ fn what_is_stored_comes_back_bit_for_bit() {
     for n in 0..990 {
         let unix_s = f64::from(n) * 0.01;
         let [a, b] = [&stored, &read].map(|history| history.at(unix_s));
-        let angle = |pointed: Pointed| pointed.sight.unwrap().helioprojective_arcsec;
+        let angle = |pointed: Pointed| pointed.line_of_sight.unwrap().helioprojective_arcsec;
         // Reading normalises what was normalised.
         assert!((angle(a).x - angle(b).x).abs() < 1e-8, "{a:?} {b:?}");
         assert_eq!(a.invalid, b.invalid);

@@ -29,7 +29,7 @@ const LOOK_S: f64 = 1.0;
 const SATURATED: f64 = 0.985;
 /// Light this dim, of full scale, gives noisy answers.
 const DIM: f64 = 0.1;
-/// No gondola hangs so much askew.
+/// No gondola hangs at so large a roll.
 const MOST_ROLL_DEG: f64 = 15.0;
 const PLUG: &str = "is it powered and plugged in, on this network or free to open by USB, and nobody else's? see docs/camera.md";
 const WRITE: &str = "does a program write whole frames into this folder? see docs/camera.md";
@@ -107,7 +107,7 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
 /// Solves a frame of the right size, and judges its light.
 fn solves(mut trial: Trial, camera: Camera, exposure: Exposure) -> Vec<Finding> {
     let check = format!("{} solves", camera.name);
-    let makers = "tell the program's makers";
+    let makers = "report this to the program's authors";
     findings_within(PATIENCE, &check, makers, move || {
         let Ok(solved) = trial.solve(exposure) else {
             return Vec::new();
@@ -172,7 +172,7 @@ fn rate(planned: &PlannedCamera, trial: &TrialFrames) -> Finding {
         false => Finding::warn(
             &planned.camera.name,
             format!("{found}: too slow"),
-            "shorten exposure_us, lower rate_hz, or look at the network",
+            "shorten exposure_us, lower rate_hz, or check the network",
         ),
     }
 }
@@ -242,7 +242,7 @@ fn health(check: &str, trial: &TrialFrames) -> Option<Finding> {
         .map(|(name, count)| format!("{name}: {count}"))
         .collect();
     faults.extend(trial.failed.clone());
-    let remedy = "look at cable, network buffers and packet size: see docs/camera.md";
+    let remedy = "check cable, network buffers and packet size: see docs/camera.md";
     (!faults.is_empty())
         .then(|| Finding::warn(format!("{check} health"), faults.join("; "), remedy))
 }
@@ -298,7 +298,7 @@ fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
     let check = format!("{} solves", camera.name);
     let why = solved.stopped.map(|stopped| stopped.in_full());
     let look = format!(
-        "look at the frame with `solaspect {} --overlay`",
+        "inspect the frame with `solaspect {} --overlay`",
         camera.role.command()
     );
     let Some(found) = solved.in_words() else {

@@ -1,4 +1,4 @@
-//! Whether the clock tells the time.
+//! Whether the clock has the right time.
 
 use super::bounded::within;
 use super::{Finding, Verdict};
@@ -27,7 +27,7 @@ pub(super) fn check(plan: &Plan) -> Vec<Finding> {
 }
 
 /// Judges the clock: `times_frames` where it is this clock that gives the frames their times, and an error is more
-/// than a warning. `Err` tells why the kernel said nothing.
+/// than a warning. `Err` says why the kernel said nothing.
 pub fn judge(
     status: Result<ClockStatus, String>,
     now: Timestamp,

@@ -1,9 +1,9 @@
-//! Whether the archive's disks are there, have room, and are fast enough.
+//! Whether the archive's disks are there, have free space, and are fast enough.
 
 use super::Finding;
 use super::bounded::findings_within;
 use crate::archive::disk::{Disk, LocalDisk};
-use crate::archive::{ArchiveError, Room, Sharing, SpaceLimits, Store};
+use crate::archive::{ArchiveError, FreeSpace, Sharing, SpaceLimits, Store};
 use crate::fits::Packing;
 use crate::plan::{Plan, PlannedCamera, device};
 use std::io::{self, ErrorKind};
@@ -17,10 +17,9 @@ const PATIENCE: Duration = Duration::from_secs(20);
 /// Writing is timed for so long, and over so many files at most.
 const TIMED: Duration = Duration::from_millis(500);
 const FILES: u32 = 26;
-/// A disk with room for the frames of less time is of no use.
+/// A disk with space for less time of frames is of no use.
 const LEAST_S: f64 = 60.0;
-const SILENT: &str =
-    "the disk hangs: look at its cable, its power and what the kernel says of it (dmesg)";
+const SILENT: &str = "the disk hangs: check its cable, its power and the kernel's messages (dmesg)";
 const FREE: &str = "free the disk, or name another folder in archive.directory";
 
 /// What is asked of one disk.
@@ -33,7 +32,7 @@ pub struct Demand {
     pub frame_bytes: usize,
     /// Frames that this disk is given.
     pub rate_hz: f64,
-    /// Frames of so much time are to find room.
+    /// The time for whose frames there should be space.
     pub min_hours: f64,
 }
 
@@ -114,7 +113,7 @@ fn remedy_for(cause: &io::Error) -> &'static str {
     }
 }
 
-/// Opens one folder of the archive, as the flight does, looks at its room and times its writing. What it writes is removed again.
+/// Opens one folder of the archive, as the flight does, measures its free space and times its writing. What it writes is removed again.
 pub fn check_folder(disk: Arc<dyn Disk>, folder: &Path, demand: &Demand) -> Vec<Finding> {
     let check = format!("disk {}", folder.display());
     let store = Store::new(
@@ -127,17 +126,17 @@ pub fn check_folder(disk: Arc<dyn Disk>, folder: &Path, demand: &Demand) -> Vec<
         return vec![Finding::fail(check, error.to_string(), remedy(&error))];
     }
     vec![
-        room(&check, &store, demand),
+        free_space(&check, &store, demand),
         speed(&check, disk.as_ref(), folder, demand),
     ]
 }
 
-fn room(check: &str, store: &Store, demand: &Demand) -> Finding {
+fn free_space(check: &str, store: &Store, demand: &Demand) -> Finding {
     let space = match store.space() {
         Ok(space) => space,
         Err(error) => return Finding::warn(check, error.to_string(), remedy(&error)),
     };
-    let room = demand.limits.room(space.free_percent());
+    let left = demand.limits.free_space(space.free_percent());
     let bytes_per_s = demand.frame_bytes as f64 * demand.rate_hz;
     let by_bytes_s = space.free_bytes as f64 / bytes_per_s.max(1.0);
     let files = space.free_files.map(|files| files as f64);
@@ -156,18 +155,22 @@ fn room(check: &str, store: &Store, demand: &Demand) -> Finding {
         span(seconds)
     );
     let wanted = span(3600.0 * demand.min_hours);
-    match room {
+    match left {
         _ if seconds < LEAST_S => {
             Finding::fail(check, format!("{found}: less than a minute"), FREE)
         }
-        Room::Plenty if seconds < 3600.0 * demand.min_hours => {
+        FreeSpace::Plenty if seconds < 3600.0 * demand.min_hours => {
             let found = format!("{found}: below min_archive_hours, {wanted}");
             Finding::warn(check, found, FREE)
         }
-        Room::Plenty => Finding::pass(check, found),
-        Room::Low => Finding::warn(check, format!("{found}: below warn_free_percent"), FREE),
-        Room::Scarce => Finding::fail(check, format!("{found}: frames would be thinned out"), FREE),
-        Room::None => Finding::fail(check, format!("{found}: no frames would be stored"), FREE),
+        FreeSpace::Plenty => Finding::pass(check, found),
+        FreeSpace::Low => Finding::warn(check, format!("{found}: below warn_free_percent"), FREE),
+        FreeSpace::Scarce => {
+            Finding::fail(check, format!("{found}: frames would be thinned out"), FREE)
+        }
+        FreeSpace::None => {
+            Finding::fail(check, format!("{found}: no frames would be stored"), FREE)
+        }
     }
 }
 

@@ -27,7 +27,7 @@ impl Verdict {
 /// One line of the page.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// What was looked at.
+    /// What was checked.
     pub check: String,
     pub verdict: Verdict,
     /// What was found there.

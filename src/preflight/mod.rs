@@ -28,7 +28,7 @@ use crate::plan::{Options, Plan, Remark, Severity};
 use std::path::Path;
 use std::time::Duration;
 
-/// Keys of which the checks before a flight tell more.
+/// Keys that the checks before a flight report in more detail.
 const CHECKED_LATER: [&str; 4] = [
     "archive.directory",
     "archive.second_directory",
@@ -61,49 +61,56 @@ pub struct Extent<'a> {
     pub operator: Option<&'a mut dyn Operator>,
 }
 
-/// Makes every check of a configuration (the defaults without a file), in order. `tell` hears of each finding as it is
+/// Makes every check of a configuration (the defaults without a file), in order. `report` gets each finding as it is
 /// made. Where the configuration has errors, clock, disks and line are checked as far as it names them.
-pub fn run(file: Option<&Path>, options: &Options, extent: Extent, tell: &mut dyn FnMut(Finding)) {
+pub fn run(
+    file: Option<&Path>,
+    options: &Options,
+    extent: Extent,
+    report: &mut dyn FnMut(Finding),
+) {
     let (plan, mut remarks) = Plan::survey(file, options);
-    plan.look(&mut remarks);
+    plan.check(&mut remarks);
     let news = remarks.list.iter().filter(|one| !is_checked_later(one));
-    news.map(Finding::from).for_each(&mut *tell);
+    news.map(Finding::from).for_each(&mut *report);
     if remarks.has_errors() {
-        check_in_part(&plan, extent.wait_for_controller, tell);
+        check_in_part(&plan, extent.wait_for_controller, report);
     } else {
-        check(&plan, extent, tell);
+        check(&plan, extent, report);
     }
 }
 
 /// What can be checked of a configuration with errors: what it leaves out may be what is wrong.
-fn check_in_part(plan: &Plan, wait: Option<Duration>, tell: &mut dyn FnMut(Finding)) {
-    clock::check(plan).into_iter().for_each(&mut *tell);
+fn check_in_part(plan: &Plan, wait: Option<Duration>, report: &mut dyn FnMut(Finding)) {
+    clock::check(plan).into_iter().for_each(&mut *report);
     if !plan.folders().is_empty() {
-        disks::check(plan).into_iter().for_each(&mut *tell);
+        disks::check(plan).into_iter().for_each(&mut *report);
     }
     if plan.line.is_some() {
-        tell(link::check(plan, wait));
+        report(link::check(plan, wait));
     }
 }
 
-fn check(plan: &Plan, extent: Extent, tell: &mut dyn FnMut(Finding)) {
-    clock::check(plan).into_iter().for_each(&mut *tell);
-    sky::check(plan).into_iter().for_each(&mut *tell);
-    disks::check(plan).into_iter().for_each(&mut *tell);
-    tell(link::check(plan, extent.wait_for_controller));
+fn check(plan: &Plan, extent: Extent, report: &mut dyn FnMut(Finding)) {
+    clock::check(plan).into_iter().for_each(&mut *report);
+    sky::check(plan).into_iter().for_each(&mut *report);
+    disks::check(plan).into_iter().for_each(&mut *report);
+    report(link::check(plan, extent.wait_for_controller));
     for camera in &plan.cameras {
         calibration::check(plan, camera)
             .into_iter()
-            .for_each(&mut *tell);
-        camera::check(plan, camera).into_iter().for_each(&mut *tell);
+            .for_each(&mut *report);
+        camera::check(plan, camera)
+            .into_iter()
+            .for_each(&mut *report);
     }
-    navigation::check(plan).into_iter().for_each(&mut *tell);
+    navigation::check(plan).into_iter().for_each(&mut *report);
     if let Some(operator) = extent.operator {
         polarity::check(plan, operator)
             .into_iter()
-            .for_each(&mut *tell);
+            .for_each(&mut *report);
         navigation::check_axes(plan, operator)
             .into_iter()
-            .for_each(&mut *tell);
+            .for_each(&mut *report);
     }
 }

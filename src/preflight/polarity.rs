@@ -1,7 +1,7 @@
 //! The guided test of the signs: somebody slews the telescope, and the offsets must follow.
 //!
 //! A wrong twist, clocking or handedness sends the controller the wrong way, with fine solutions. Only a motion whose
-//! direction is known tells.
+//! direction is known shows.
 
 use super::Finding;
 use super::bounded::within;

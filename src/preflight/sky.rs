@@ -36,13 +36,13 @@ fn place(plan: &Plan) -> Finding {
         Some(place) => Finding::pass(
             "place",
             format!(
-                "{} deg north, {} deg east, {} m, unless frames or GPS tell another",
+                "{} deg north, {} deg east, {} m, unless frames or GPS give another",
                 place.latitude_deg, place.longitude_deg, place.height_m
             ),
         ),
         None => Finding::warn(
             "place",
-            "the configuration names none: no offsets until GPS or the frames tell one",
+            "the configuration names none: no offsets until GPS or the frames give one",
             "set all of [site]",
         ),
     }

@@ -101,7 +101,7 @@ impl Clocks {
         let mut longest_s = 0.0;
         for start in starts(&moments) {
             let length_s = start[start.len() - 1].monotonic_s - start[0].monotonic_s;
-            let drift = clocks.look(&start);
+            let drift = clocks.take_start(&start);
             if length_s > longest_s && drift.is_some() {
                 (clocks.drift, longest_s) = (drift, length_s);
             }
@@ -110,7 +110,7 @@ impl Clocks {
     }
 
     /// Looks at one start of the computer; gives the drift, where it shows.
-    fn look(&mut self, moments: &[Moment]) -> Option<Measured> {
+    fn take_start(&mut self, moments: &[Moment]) -> Option<Measured> {
         for moment in moments {
             self.confirmed[moment.frame] = true;
         }

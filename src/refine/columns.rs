@@ -50,7 +50,7 @@ pub const ASPECT_COLUMNS: &[Column<RefinedRow>] = &[
     float("SIGMA_Y_MIL", "mil", "1 sigma of SUN_Y_MIL, of limb and mapping together", |r| Some(r.sun?.sigma()[1])),
     float("COV_XY_MIL2", "mil2", "covariance of SUN_X_MIL and SUN_Y_MIL", |r| Some(r.sun?.covariance.m12)),
     text("QUALITY", "fine, coarse or none", |r| r.quality.name().into()),
-    text("REASON", "why the frame is not fine, or what is odd about it; empty for the others", |r| r.reason().into()),
+    text("REASON", "why the frame is not fine, or why it is flagged; empty for the others", |r| r.reason().into()),
     integer("NMARKS", "marks that were read", |r| Some(r.own.as_ref()?.marks.len() as i64)),
     float("LIMB_PART", "", "part of the limb that was seen, 0 to 1", |r| r.limb_part),
     float("RADIUS_MIL", "mil", "the disc's radius on the plate", |r| Some(r.disc?.radius_mil.value)),

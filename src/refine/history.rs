@@ -1,10 +1,9 @@
 //! The flight as a whole: from what each frame gave to the history.
 
 use super::clock_facts::ClockFacts;
+use super::flags::{FrameFlag, FrameFlags};
 use super::frames::Frames;
-use super::look::look_again;
 use super::mapping::{FlightMapping, MappingFacts};
-use super::oddity::{Oddities, Oddity};
 use super::outliers::outliers;
 use super::path::SunPath;
 use super::radius::RadiusDependence;
@@ -12,6 +11,7 @@ use super::recipe::Recipe;
 use super::record::{FrameRecord, Grade};
 use super::roll::RollHistory;
 use super::row::RefinedRow;
+use super::second_pass::solve_again;
 use super::sky::Sky;
 use super::suns::{Flight, Suns};
 use super::timeline::{Entry, Held, Timeline};
@@ -58,8 +58,8 @@ impl From<JournalError> for HistoryError {
 }
 
 impl History {
-    /// Makes the history of a camera's frames, each of which a pass has observed: the clock, the mapping, the Suns, what is odd, the path, and
-    /// a second look at frames that had failed.
+    /// Makes the history of a camera's frames, each of which a pass has observed: the clock, the mapping, the Suns, the flags, the path, and
+    /// a second pass over frames that had failed.
     ///
     /// # Errors
     /// A journal that cannot be read; frames that are not of the instrument's camera; a pass that is to end.
@@ -93,9 +93,9 @@ impl History {
         };
         let mut suns = Suns::find(&flight)?;
         let all: Vec<usize> = (0..flight.frames.len()).collect();
-        suns.odd = outliers(&flight, &suns, &all);
+        suns.flags = outliers(&flight, &suns, &all);
         let path = followed(&flight, &mut suns);
-        let again = look_again(&flight, &suns, &path, pass);
+        let again = solve_again(&flight, &suns, &path, pass);
         pass.check()?;
         let path = match again.is_empty() {
             true => path,
@@ -105,11 +105,11 @@ impl History {
                 for (n, seen) in again {
                     suns.seen[n] = Some(seen);
                 }
-                for (n, mut odd) in numbers.iter().zip(outliers(&flight, &suns, &numbers)) {
+                for (n, mut flags) in numbers.iter().zip(outliers(&flight, &suns, &numbers)) {
                     if flight.frames[*n].disc.is_none() {
-                        odd.insert(Oddity::SecondLook);
+                        flags.insert(FrameFlag::SecondPass);
                     }
-                    suns.odd[*n] = odd;
+                    suns.flags[*n] = flags;
                 }
                 followed(&flight, &mut suns)
             }
@@ -264,7 +264,7 @@ impl History {
             speed_mil_per_s: None,
             quality: own.as_ref().map_or(Grade::None, |own| own.quality),
             own_reason: own_reason.or(error).unwrap_or_default(),
-            oddities: Oddities::default(),
+            flags: FrameFlags::default(),
             sun: own
                 .as_ref()
                 .and_then(|own| Some(own.disc.as_ref()?.on_plate())),
@@ -282,7 +282,7 @@ impl History {
         let Some(frame) = frames.get(n) else {
             return Ok(row);
         };
-        row.oddities = self.suns.odd[n];
+        row.flags = self.suns.flags[n];
         row.expected_radius_mil = frame.expected_radius_mil;
         row.quality = self.suns.quality(frame, n);
         row.sun = self.suns.sun(&self.flight, n);
@@ -302,11 +302,11 @@ impl History {
     }
 }
 
-/// The path of the fine frames; those that lie off it are odd from now on.
+/// The path of the fine frames; those that lie off it are flagged from now on.
 fn followed(flight: &Flight, suns: &mut Suns) -> SunPath {
     let (path, off) = SunPath::follow(flight, suns);
     for n in off {
-        suns.odd[n].insert(Oddity::Path);
+        suns.flags[n].insert(FrameFlag::Path);
     }
     path
 }

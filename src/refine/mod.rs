@@ -10,9 +10,9 @@
 //! | `frames` | what each gave by itself, as far as the frames about it are judged by it |
 //! | `mapping` | one slowly varying view of the plate, with jumps, from the marks of all |
 //! | `suns` | each one's Sun from its own limb through that mapping |
-//! | `outliers` | what is odd beside the others |
+//! | `outliers` | flags of frames that differ from the others |
 //! | `path` | the Sun's path between them ([`smoothing`](crate::smoothing)) |
-//! | `look` | a second look at those that had failed |
+//! | `second_pass` | solves those again that had failed |
 //! | `roll`, `sky` | the body's roll where the horizon was seen; azimuth, elevation and the offset from the target |
 //!
 //! 3. A [`RefinedRow`] is put together from the columns and the record when it is asked for ([`History::rows`]), and never
@@ -48,13 +48,12 @@ mod drift_report;
 mod estimate;
 mod files;
 mod films;
+mod flags;
 mod frames;
 mod history;
 mod jitter_report;
-mod look;
 mod mapping;
 mod navigation;
-mod oddity;
 mod outliers;
 mod output;
 mod path;
@@ -69,6 +68,7 @@ mod roll_output;
 mod roll_report;
 mod row;
 mod run;
+mod second_pass;
 mod sky;
 mod solar_path;
 mod stabilisation;
@@ -84,10 +84,10 @@ pub use clock::ClockStep;
 pub use clock_facts::ClockFacts;
 pub use disc::PlateDisc;
 pub use files::Given;
+pub use flags::{FrameFlag, FrameFlags, Order, TimeFlag};
 pub use history::{History, HistoryError};
 pub use mapping::{Jump, MappingFacts, MappingNumbers, TemperatureDependence};
 pub use navigation::Navigation;
-pub use oddity::{Oddities, Oddity, Order, TimeOddity};
 pub use output::{
     Counts, MappingSummary, NamedJump, OutputError, PointingFacts, Summary, Written, write,
     write_rows, write_stabilisation,

@@ -11,7 +11,9 @@ use crate::geometry::attitude::Direction;
 use crate::instrument::role::one_of_several;
 use crate::instrument::{Directions, Instrument, Role};
 use crate::navigation::files::{read_gps, read_imu};
-use crate::navigation::{self, Axis, Fix, ImuSample, Measurement, Sighting, Target, Targets};
+use crate::navigation::{
+    self, Axis, DirectionObservation, Fix, ImuSample, Measurement, Target, Targets,
+};
 use crate::observe::CameraFrames;
 use crate::pointing::{calibration_rad2, measured_sun_in_telescope};
 use crate::pointing_history::{Basis, State};
@@ -165,8 +167,8 @@ impl Sensors<'_> {
     ) -> anyhow::Result<ByGyros> {
         self.expect_frames()?;
         let mut targets = self.targets(sky);
-        let sightings = self.sightings(&mut targets)?;
-        let measurements = Measurement::in_order(sightings, &self.fixes);
+        let observations = self.observations(&mut targets)?;
+        let measurements = Measurement::in_order(observations, &self.fixes);
         let imu = std::mem::take(&mut self.runs);
         let runs = navigation::Flight::of_runs(&self.given.settings, imu, measurements);
         let mut attitude =
@@ -282,14 +284,14 @@ impl Sensors<'_> {
         Targets::new(sky, self.fixes.clone())
     }
 
-    fn sightings(&self, targets: &mut Targets) -> anyhow::Result<Vec<Sighting>> {
+    fn observations(&self, targets: &mut Targets) -> anyhow::Result<Vec<DirectionObservation>> {
         let settings = &self.given.settings;
         let during = self.during_s()?;
         let during = during.start() - LONGEST_S..=*during.end();
         // A frame of another day is not used, and the ephemeris need not reach so far.
         let is_during = |seen: &&Seen| during.contains(&seen.t_s);
-        let sighting = |seen: &Seen| {
-            Ok(Sighting {
+        let observation = |seen: &Seen| {
+            Ok(DirectionObservation {
                 t_s: seen.t_s,
                 camera: seen.camera,
                 target: seen.target,
@@ -298,7 +300,11 @@ impl Sensors<'_> {
                 towards: targets.towards(seen.target, seen.t_s)?,
             })
         };
-        self.seen.iter().filter(is_during).map(sighting).collect()
+        self.seen
+            .iter()
+            .filter(is_during)
+            .map(observation)
+            .collect()
     }
 
     fn write_offsets(

@@ -1,27 +1,27 @@
-//! What is odd about a frame beside the others.
+//! Frames that differ from the others: their flags.
 
 use super::disc::PlateDisc;
+use super::flags::{FrameFlag, FrameFlags};
 use super::frames::Frame;
 use super::mapping::Standing;
-use super::oddity::{Oddities, Oddity};
 use super::suns::{Flight, Suns};
 use crate::estimation::median;
 use crate::units::Measured;
 use rayon::prelude::*;
 
-/// So many times the flight's usual scatter is odd.
-const ODD_SIGMAS: f64 = 8.0;
+/// Deviations beyond so many times the flight's usual scatter are flagged.
+const UNUSUAL_SIGMAS: f64 = 8.0;
 /// Smaller deviations of the radius are none, relative.
-const LEAST_ODD_RADIUS: f64 = 1e-3;
-/// A limb that scatters so many times more than usual is odd.
-const ODD_SCATTER: f64 = 2.0;
-/// Light or noise that differs by more than this factor from the frames about it is odd.
-const ODD_LIGHT: f64 = 1.3;
-const ODD_NOISE: f64 = 1.6;
+const LEAST_UNUSUAL_RADIUS: f64 = 1e-3;
+/// A limb that scatters so many times more than usual is flagged.
+const UNUSUAL_SCATTER: f64 = 2.0;
+/// Light or noise that differs by more than this factor from the frames about it is flagged.
+const UNUSUAL_LIGHT: f64 = 1.3;
+const UNUSUAL_NOISE: f64 = 1.6;
 /// Frames to each side whose median is usual.
 const ABOUT: usize = 20;
-/// Fewer marks than this part of those that are lit is odd.
-const ODD_MARKS: f64 = 0.5;
+/// Fewer marks than this part of those that are lit are flagged.
+const UNUSUAL_MARKS: f64 = 0.5;
 
 /// What is usual in a flight.
 struct Usual {
@@ -31,10 +31,10 @@ struct Usual {
     noise: Vec<Option<f64>>,
 }
 
-/// What is odd about each of some dated frames; nothing without a mapping of the flight.
-pub(super) fn outliers(flight: &Flight, suns: &Suns, of: &[usize]) -> Vec<Oddities> {
+/// The flags of each of some dated frames; none without a mapping of the flight.
+pub(super) fn outliers(flight: &Flight, suns: &Suns, of: &[usize]) -> Vec<FrameFlags> {
     if flight.mapping.is_none() {
-        return vec![Oddities::default(); of.len()];
+        return vec![FrameFlags::default(); of.len()];
     }
     let discs = suns.seen.iter().flatten();
     let scatter = median(discs.map(|seen| seen.disc.scatter));
@@ -44,29 +44,29 @@ pub(super) fn outliers(flight: &Flight, suns: &Suns, of: &[usize]) -> Vec<Odditi
         noise: about(flight, suns, |levels| levels[1]),
     };
     of.par_iter()
-        .map(|n| oddities(flight, suns, *n, &usual))
+        .map(|n| flags(flight, suns, *n, &usual))
         .collect()
 }
 
-fn oddities(flight: &Flight, suns: &Suns, n: usize, usual: &Usual) -> Oddities {
+fn flags(flight: &Flight, suns: &Suns, n: usize, usual: &Usual) -> FrameFlags {
     let frame = &flight.frames[n];
     let of_disc = suns.seen[n].iter().flat_map(|seen| {
         let disc = &seen.disc;
         let far = |value: Option<f64>, most: f64| value.is_some_and(|value| value > most);
         let light = usual.light[n].map(|light| light.max(1.0 / light));
-        let few = f64::from(frame.marks) < ODD_MARKS * lit_marks(flight, disc);
+        let few = f64::from(frame.marks) < UNUSUAL_MARKS * lit_marks(flight, disc);
         [
-            is_odd_radius(frame, disc, suns.radius_ratio).then_some(Oddity::Radius),
-            (disc.scatter > ODD_SCATTER * usual.scatter).then_some(Oddity::Limb),
-            few.then_some(Oddity::FewMarks),
-            far(light, ODD_LIGHT).then_some(Oddity::Light),
-            far(usual.noise[n], ODD_NOISE).then_some(Oddity::Noise),
+            is_unusual_radius(frame, disc, suns.radius_ratio).then_some(FrameFlag::Radius),
+            (disc.scatter > UNUSUAL_SCATTER * usual.scatter).then_some(FrameFlag::Limb),
+            few.then_some(FrameFlag::FewMarks),
+            far(light, UNUSUAL_LIGHT).then_some(FrameFlag::Light),
+            far(usual.noise[n], UNUSUAL_NOISE).then_some(FrameFlag::Noise),
         ]
     });
     let standing = flight.mapping.as_ref().map(|mapping| mapping.standing[n]);
     let of_marks = match standing {
-        Some(Standing::Alone) => Some(Oddity::Knocked),
-        Some(Standing::Misread) => Some(Oddity::Misread),
+        Some(Standing::Alone) => Some(FrameFlag::Knocked),
+        Some(Standing::Misread) => Some(FrameFlag::Misread),
         Some(Standing::Agrees | Standing::Unmarked) | None => None,
     };
     of_disc.flatten().chain(of_marks).collect()
@@ -99,11 +99,11 @@ fn lit_marks(flight: &Flight, disc: &PlateDisc) -> f64 {
     lit.count() as f64
 }
 
-fn is_odd_radius(frame: &Frame, disc: &PlateDisc, ratio: Option<Measured>) -> bool {
+fn is_unusual_radius(frame: &Frame, disc: &PlateDisc, ratio: Option<Measured>) -> bool {
     let Some((expected, ratio)) = frame.expected_radius_mil.zip(ratio) else {
         return false;
     };
     let sigma = ratio.sigma.hypot(disc.radius_mil.sigma / expected);
     let away = (disc.radius_mil.value / expected - ratio.value).abs();
-    away > (ODD_SIGMAS * sigma).max(LEAST_ODD_RADIUS)
+    away > (UNUSUAL_SIGMAS * sigma).max(LEAST_UNUSUAL_RADIUS)
 }

@@ -5,9 +5,9 @@ use super::clock_facts::ClockFacts;
 use super::columns::{
     ASPECT, ASPECT_COLUMNS, SMOOTHED, STABILISATION, STABILISATION_COLUMNS, smoothed_columns,
 };
+use super::flags::FrameFlag;
 use super::history::History;
 use super::mapping::{Jump, MappingFacts};
-use super::oddity::Oddity;
 use super::radius::RadiusDependence;
 use super::record::Grade;
 use super::row::RefinedRow;
@@ -64,8 +64,8 @@ pub struct Summary {
     pub counts: Counts,
     /// Frames that are fine by themselves.
     pub own_fine: usize,
-    /// Frames that showed their disc on a second look only.
-    pub second_look: usize,
+    /// Frames whose disc was found in the second pass only.
+    pub second_pass: usize,
     #[serde(flatten)]
     pub inputs: InputSummary,
     /// Of the fine frames, per axis.
@@ -92,14 +92,14 @@ pub struct PointingFacts {
     pub on_target: Option<OnTarget>,
 }
 
-/// Frames by quality, what is odd about them, and their first and last time.
+/// Frames by quality, flagged frames by reason, and their first and last time.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Counts {
     pub files: usize,
     pub fine: usize,
     pub coarse: usize,
     pub none: usize,
-    pub odd: BTreeMap<String, usize>,
+    pub flagged: BTreeMap<String, usize>,
     pub first_utc: Option<String>,
     pub last_utc: Option<String>,
 }
@@ -110,7 +110,7 @@ impl Counts {
         &mut self,
         quality: Grade,
         utc: Option<Timestamp>,
-        odd: impl Iterator<Item = String>,
+        flags: impl Iterator<Item = String>,
     ) {
         self.files += 1;
         match quality {
@@ -118,8 +118,8 @@ impl Counts {
             Grade::Coarse => self.coarse += 1,
             Grade::None => self.none += 1,
         }
-        for odd in odd {
-            *self.odd.entry(odd).or_default() += 1;
+        for flag in flags {
+            *self.flagged.entry(flag).or_default() += 1;
         }
         if let Some(utc) = utc {
             let utc = utc_microseconds(utc);
@@ -187,16 +187,16 @@ pub(super) fn swings_text(swings: &[FoundSwing]) -> String {
 struct Tally {
     counts: Counts,
     own_fine: usize,
-    second_look: usize,
+    second_pass: usize,
     /// Of the fine frames, per axis.
     sigmas_mil: Vec<[f64; 2]>,
 }
 
 impl Tally {
     fn add(&mut self, row: &RefinedRow) {
-        self.counts.add(row.quality, row.utc(), row.odd());
+        self.counts.add(row.quality, row.utc(), row.flags());
         self.own_fine += usize::from(row.own_quality() == Grade::Fine);
-        self.second_look += usize::from(row.oddities.contains(Oddity::SecondLook));
+        self.second_pass += usize::from(row.flags.contains(FrameFlag::SecondPass));
         let fine = row.sun.filter(|_| row.is_fine());
         self.sigmas_mil.extend(fine.map(|sun| sun.sigma()));
     }
@@ -342,7 +342,7 @@ fn summary(history: &History, tally: Tally, table_sha256: String) -> Result<Summ
         table_sha256,
         counts: tally.counts,
         own_fine: tally.own_fine,
-        second_look: tally.second_look,
+        second_pass: tally.second_pass,
         inputs: history.inputs().clone(),
         median_sigma_mil,
         median_sigma_arcsec: median_sigma_mil.map(|sigma| sigma * arcsec_per_mil),

@@ -11,7 +11,7 @@ use crate::units::{Estimate, PlateMil};
 use nalgebra::{Matrix2, Vector2};
 
 /// Off the path, chi^2 of two.
-pub(super) const ODD_PATH_CHI2: f64 = 100.0;
+pub(super) const UNUSUAL_PATH_CHI2: f64 = 100.0;
 
 /// Beyond this the path is a guess, 1 sigma.
 const MOST_SIGMA_MIL: f64 = 100.0;
@@ -191,5 +191,5 @@ fn is_off(sun: &Estimate<PlateMil>, time_sigma_s: f64, point: &PathPoint) -> boo
     };
     let [x, y] = sun.variance();
     let chi2 = off.x.powi(2) / (x + point.variance[0]) + off.y.powi(2) / (y + point.variance[1]);
-    chi2 > ODD_PATH_CHI2
+    chi2 > UNUSUAL_PATH_CHI2
 }

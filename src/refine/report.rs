@@ -93,7 +93,7 @@ pub struct Rows {
     jumps: u32,
 }
 
-/// Why rows are not fine, or odd.
+/// Why rows are not fine, or flagged.
 #[derive(Default)]
 pub(super) struct Reasons(BTreeMap<String, Reason>);
 
@@ -377,9 +377,9 @@ impl Part<'_> {
     }
 
     fn refusals(&mut self, archive: &ArchiveReader, reasons: &Reasons) {
-        self.heading("What is not fine, or odd");
+        self.heading("Frames not fine, or flagged");
         if reasons.is_empty() {
-            return self.page.note("Every frame is fine, and none is odd.");
+            return self.page.note("Every frame is fine, and none is flagged.");
         }
         let count = |(name, reason): (&str, &Reason)| {
             let counts = reason.counts.iter().map(usize::to_string);

@@ -57,8 +57,8 @@ pub fn write_roll(
     let mut cards = zero_cards(Timestamp::UNIX_EPOCH);
     cards.extend(recipe.flown.cards());
     write_table(&path, &cards, table, rows, |row| {
-        let odd = row.timing.odd.map(|odd| odd.to_string());
-        counts.add(row.quality, row.utc(), odd.into_iter());
+        let flag = row.timing.flag.map(|flag| flag.to_string());
+        counts.add(row.quality, row.utc(), flag.into_iter());
         let remark = row.remark();
         if !remark.is_empty() && row.copy_of.is_none() {
             *remarks.entry(kind(&remark)).or_default() += 1;

@@ -17,7 +17,7 @@ const WIDTH_PX: u32 = 480;
 #[derive(Default)]
 pub struct RollRows {
     drawn: Vec<Drawn>,
-    odd: Reasons,
+    flagged: Reasons,
 }
 
 /// Roll and pitch at a frame, deg.
@@ -43,7 +43,8 @@ impl RollRows {
             }
         }));
         if row.quality != Grade::Fine && row.copy_of.is_none() {
-            self.odd.add(kind(&row.remark()), row.quality, &row.file);
+            self.flagged
+                .add(kind(&row.remark()), row.quality, &row.file);
         }
     }
 }
@@ -84,7 +85,7 @@ impl Report {
         lines.extend(inputs.map(|line| vec!["input".into(), line]));
         self.page.table(&[], &lines);
         self.figures(archive, &rows.drawn);
-        self.odd_frames(archive, &rows.odd, recipe);
+        self.flagged_frames(archive, &rows.flagged, recipe);
     }
 
     fn figures(&mut self, archive: &ArchiveReader, rows: &[Drawn]) {
@@ -117,18 +118,18 @@ impl Report {
         }
     }
 
-    /// How many frames are not fine, by what is odd about them, and pictures of some with what was taken for the horizon.
-    fn odd_frames(&mut self, archive: &ArchiveReader, odd: &Reasons, recipe: &RollRecipe) {
-        if odd.is_empty() {
+    /// How many frames are not fine, by reason, and pictures of some with what was taken for the horizon.
+    fn flagged_frames(&mut self, archive: &ArchiveReader, flagged: &Reasons, recipe: &RollRecipe) {
+        if flagged.is_empty() {
             return;
         }
         let count = |counts: [usize; 3]| counts.iter().sum::<usize>().to_string();
-        let counts = odd
+        let counts = flagged
             .iter()
-            .map(|(name, odd)| vec![name.to_owned(), count(odd.counts)]);
+            .map(|(name, flagged)| vec![name.to_owned(), count(flagged.counts)]);
         self.page
-            .table(&["what is odd", "frames"], &counts.collect::<Vec<_>>());
-        for (file, remark) in odd.files() {
+            .table(&["reason", "frames"], &counts.collect::<Vec<_>>());
+        for (file, remark) in flagged.files() {
             if let Some(picture) = overlay(archive, file, recipe) {
                 self.page.picture(&picture, &format!("{file}: {remark}"));
             }

@@ -1,8 +1,8 @@
 //! One file's row of the history.
 
 use super::disc::PlateDisc;
+use super::flags::FrameFlags;
 use super::mapping::MappingNumbers;
-use super::oddity::Oddities;
 use super::path::moved_mil2;
 use super::record::{FrameRecord, Grade};
 use super::times::Timing;
@@ -43,7 +43,7 @@ pub struct RefinedRow {
     pub quality: Grade,
     /// Why the frame is not fine, where its own solution says it; empty where nothing is to be said.
     pub own_reason: String,
-    pub oddities: Oddities,
+    pub flags: FrameFlags,
     pub sun: Option<Estimate<PlateMil>>,
     pub disc: Option<PlateDisc>,
     /// Part of the limb that the disc rests on, 0 to 1.
@@ -58,19 +58,19 @@ pub struct RefinedRow {
 }
 
 impl RefinedRow {
-    /// Why the frame is not fine, and what is odd about it; empty where nothing is to be said.
+    /// Why the frame is not fine, and why it is flagged; empty where nothing is to be said.
     pub fn reason(&self) -> String {
         let own = (!self.own_reason.is_empty()).then(|| self.own_reason.clone());
-        let odd = self.odd().map(|odd| format!("refine: {odd}"));
-        own.into_iter().chain(odd).collect::<Vec<_>>().join("; ")
+        let flag = self.flags().map(|flag| format!("refine: {flag}"));
+        own.into_iter().chain(flag).collect::<Vec<_>>().join("; ")
     }
 
-    /// What is odd about its time and its frame, in words.
-    pub fn odd(&self) -> impl Iterator<Item = String> {
-        let of_time = self.timing.odd.map(|odd| odd.to_string());
+    /// Why its time and its frame are flagged, in words.
+    pub fn flags(&self) -> impl Iterator<Item = String> {
+        let of_time = self.timing.flag.map(|flag| flag.to_string());
         of_time
             .into_iter()
-            .chain(self.oddities.iter().map(|odd| odd.to_string()))
+            .chain(self.flags.iter().map(|flag| flag.to_string()))
     }
 
     /// The frame's quality by itself.

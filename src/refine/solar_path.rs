@@ -3,7 +3,7 @@
 use super::sky::Sky;
 use crate::estimation::median;
 use crate::pointing::{HelioprojectiveArcsec, Target};
-use crate::pointing_history::{PointingHistory, Sight};
+use crate::pointing_history::{LineOfSight, PointingHistory};
 use crate::sky::sphere::separation_rad;
 use crate::sky::{Disc, Ephemeris};
 use crate::units::ARCSEC_PER_RAD;
@@ -55,20 +55,20 @@ impl SolarPath {
         let (mut target, mut steps) = (TargetWay::default(), Vec::new());
         let (mut covariance, mut valid) = (Matrix2::zeros(), 0.0);
         for row in pointing.rows(rate_hz) {
-            let Some(sight) = row.pointed.sight else {
+            let Some(line_of_sight) = row.pointed.line_of_sight else {
                 continue;
             };
             let aim = target.at(row.unix_s, &sky.target, &mut ephemeris);
-            let boresight = sight.sun_from_telescope.column(0).into_owned();
+            let boresight = line_of_sight.sun_from_telescope.column(0).into_owned();
             let from = |aim: HelioprojectiveArcsec| separation_rad(&boresight, &aim.direction());
             let is_valid = row.pointed.is_valid();
             if is_valid {
-                covariance += on_the_sun(&sight);
+                covariance += on_the_sun(&line_of_sight);
                 valid += 1.0;
             }
             steps.push(SolarStep {
                 unix_s: row.unix_s,
-                at: sight.helioprojective_arcsec,
+                at: line_of_sight.helioprojective_arcsec,
                 is_valid,
                 from_target_arcsec: aim.map(|aim| from(aim) * ARCSEC_PER_RAD),
             });
@@ -153,14 +153,14 @@ fn utc(unix_s: f64) -> Option<Timestamp> {
 }
 
 /// The random covariance of a boresight from the telescope's right and up to solar west and north.
-fn on_the_sun(sight: &Sight) -> Matrix2<f64> {
+fn on_the_sun(line_of_sight: &LineOfSight) -> Matrix2<f64> {
     let towards = |axis: usize| {
-        let column = sight.sun_from_telescope.column(axis);
+        let column = line_of_sight.sun_from_telescope.column(axis);
         Vector2::new(column[1], column[2])
     };
     // The telescope's third axis is down.
     let turn = Matrix2::from_columns(&[towards(1), -towards(2)]);
-    turn * sight.random_arcsec2.fixed_view::<2, 2>(0, 0) * turn.transpose()
+    turn * line_of_sight.random_arcsec2.fixed_view::<2, 2>(0, 0) * turn.transpose()
 }
 
 /// The target's places so far.

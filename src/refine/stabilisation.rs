@@ -98,16 +98,16 @@ fn offset(
     place: Option<Place>,
     ephemeris: &mut Ephemeris,
 ) -> Option<StableOffset> {
-    let sight = pointed.sight.as_ref()?;
+    let line_of_sight = pointed.line_of_sight.as_ref()?;
     let utc = Timestamp::from_nanosecond((unix_s * 1e9) as i128).ok()?;
     let sun = ephemeris.sun(utc, place?).ok()?;
     let target = history.sky().target.at(utc, &sun).ok()?;
-    let (boresight, target) = (sight.boresight(), sight.direction(target));
+    let (boresight, target) = (line_of_sight.boresight(), line_of_sight.direction(target));
     let difference = difference(&boresight, &target).ok()?;
     // From right and up of the telescope to across and up of the horizon.
-    let (sin, cos) = sight.roll_deg.to_radians().sin_cos();
+    let (sin, cos) = line_of_sight.roll_deg.to_radians().sin_cos();
     let turn = Matrix2::new(cos, sin, -sin, cos);
-    let random_arcsec2 = sight.random_arcsec2.fixed_view::<2, 2>(0, 0);
+    let random_arcsec2 = line_of_sight.random_arcsec2.fixed_view::<2, 2>(0, 0);
     let per_deg2 = (1_f64.to_degrees() / ARCSEC_PER_RAD).powi(2);
     Some(StableOffset {
         difference,

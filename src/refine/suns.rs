@@ -1,9 +1,9 @@
 //! Where the Sun is on the plate: each frame's limb through the flight's mapping.
 
 use super::disc::{self, PlateDisc};
+use super::flags::{FrameFlag, FrameFlags};
 use super::frames::Frame;
 use super::mapping::FlightMapping;
-use super::oddity::{Oddities, Oddity};
 use super::recipe::Recipe;
 use super::record::{FrameRecord, Grade};
 use super::timeline::Timeline;
@@ -106,12 +106,12 @@ impl Flight {
     }
 }
 
-/// The Suns of the dated frames, and what is odd about them.
+/// The Suns of the dated frames, and their flags.
 pub(super) struct Suns {
     pub seen: Vec<Option<Seen>>,
     /// Of frames that are not seen through the flight's mapping, as they alone have it.
     own: BTreeMap<usize, Estimate<PlateMil>>,
-    pub odd: Vec<Oddities>,
+    pub flags: Vec<FrameFlags>,
     /// The flight's radius over the expected one, where its discs determine it.
     pub radius_ratio: Option<Measured>,
     /// What is known of it.
@@ -149,26 +149,26 @@ impl Suns {
         Ok(Self {
             own,
             seen,
-            odd: vec![Oddities::default(); count],
+            flags: vec![FrameFlags::default(); count],
             radius_ratio,
             known_ratio,
         })
     }
 
-    /// A frame's quality: none where something spoils it.
+    /// A frame's quality: none where something rejects it.
     pub fn quality(&self, frame: &Frame, n: usize) -> Grade {
         match &self.seen[n] {
-            _ if self.odd[n].spoil() => Grade::None,
-            Some(_) if self.odd[n].contains(Oddity::SecondLook) => Grade::Coarse,
+            _ if self.flags[n].reject() => Grade::None,
+            Some(_) if self.flags[n].contains(FrameFlag::SecondPass) => Grade::Coarse,
             Some(seen) => seen.quality,
             None => frame.quality,
         }
     }
 
-    /// The Sun of a frame; none where something spoils it.
+    /// The Sun of a frame; none where something rejects it.
     pub fn sun(&self, flight: &Flight, n: usize) -> Option<Estimate<PlateMil>> {
         match &self.seen[n] {
-            _ if self.odd[n].spoil() => None,
+            _ if self.flags[n].reject() => None,
             Some(seen) => flight.sun(n, seen),
             None => self.own.get(&n).copied(),
         }
@@ -188,7 +188,7 @@ impl Suns {
         seen.or(frame.disc.map(|disc| disc.limb_part))
     }
 
-    /// Whether nothing but another Sun could be where the fine frame has its Sun: most of the limb was seen, and its radius is not odd.
+    /// Whether nothing but another Sun could be where the fine frame has its Sun: most of the limb was seen, and its radius is not flagged.
     pub fn is_sure(&self, frame: &Frame, n: usize) -> bool {
         self.limb_part(frame, n)
             .is_some_and(|part| part >= TELLING_LIMB)

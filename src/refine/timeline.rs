@@ -2,7 +2,7 @@
 
 use super::clock::ClockStep;
 use super::clock_facts::ClockFacts;
-use super::oddity::TimeOddity;
+use super::flags::TimeFlag;
 use super::times::{Stamp, Times, Timing};
 use crate::observe::{
     CameraFrames, Done, FrameFacts, InputNotes, InputSummary, JournalError, Place, Record, Records,
@@ -207,7 +207,7 @@ impl<T: Dated> Timeline<T> {
 
     /// Whether a dated frame's time is one of a smoothed path.
     pub fn is_timed(&self, n: usize) -> bool {
-        self.timing(n).odd.is_none_or(TimeOddity::is_of_path)
+        self.timing(n).flag.is_none_or(TimeFlag::is_of_path)
     }
 
     /// A file and what it holds.

@@ -6,7 +6,7 @@
 use super::roll::RollRow;
 use crate::clock::utc_microseconds;
 use crate::navigation::{Axis, LASTING_S, MOST_SIGMAS};
-use crate::pointing_history::{Basis, PointingHistory, Sight};
+use crate::pointing_history::{Basis, LineOfSight, PointingHistory};
 use crate::report::plot::{Labels, PlotError, Series, series};
 use crate::units::{ARCSEC_PER_RAD, Measured};
 use jiff::Timestamp;
@@ -46,18 +46,19 @@ impl Dips {
     /// Held against the pointing, where that rests on gyros.
     fn differences(&self, pointing: &PointingHistory) -> impl Iterator<Item = Difference> {
         self.0.iter().filter_map(|dip| {
-            let sight = pointing.at(dip.unix_s).sight?;
-            (sight.basis != Basis::Sun).then(|| dip.difference(&sight))
+            let line_of_sight = pointing.at(dip.unix_s).line_of_sight?;
+            (line_of_sight.basis != Basis::Sun).then(|| dip.difference(&line_of_sight))
         })
     }
 }
 
 impl Dip {
     /// What was seen less what the gyros say.
-    fn difference(&self, sight: &Sight) -> Difference {
+    fn difference(&self, line_of_sight: &LineOfSight) -> Difference {
         // A roll moves the second axis by as much as the third one points down.
-        let up = sight.horizon_from_telescope.row(2);
-        let variance_rad2 = sight.random_arcsec2.m33 / ARCSEC_PER_RAD.powi(2) * up[2].powi(2);
+        let up = line_of_sight.horizon_from_telescope.row(2);
+        let variance_rad2 =
+            line_of_sight.random_arcsec2.m33 / ARCSEC_PER_RAD.powi(2) * up[2].powi(2);
         let sigma_rad = self.rad.sigma.hypot(variance_rad2.max(0.0).sqrt());
         Difference {
             unix_s: self.unix_s,

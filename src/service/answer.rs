@@ -15,7 +15,7 @@ impl Answer {
         }
     }
 
-    /// What the logs tell of it, before its picture is stored.
+    /// What the logs say of it, before its picture is stored.
     pub(super) fn row(&self) -> LoggedRow {
         let (info, solved) = (&self.exposure.frame.info, &*self.solved);
         let (utc, time) = (info.mid_exposure, solved.solve_time);
@@ -65,7 +65,7 @@ impl Hears for Shared<Recent> {
 
 impl Hears for Sender<Answer> {
     fn hear(&self, answer: &Answer) {
-        // A watcher that has left misses nothing that matters.
+        // A watcher that has left needs no answer.
         let _ = self.send(answer.clone());
     }
 }

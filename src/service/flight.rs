@@ -71,7 +71,7 @@ impl Flight {
         }
     }
 
-    /// The flight of a plan. Cameras, ports and disks are opened later, and those that are not there are looked for in flight.
+    /// The flight of a plan. Cameras, ports and disks are opened later, and those that are not there are searched for in flight.
     ///
     /// # Errors
     /// A key of the line that can no longer be read.

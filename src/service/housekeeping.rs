@@ -1,4 +1,4 @@
-//! What the ground is told each second, put together from the counts and the latest answer.
+//! The housekeeping of each second, put together from the counts and the latest answer.
 
 use super::messages::{Answer, MoonDesk, Recent, SolvedSun};
 use super::shared::Shared;
@@ -13,7 +13,7 @@ use crate::link::housekeeping::{
     ArchiveStatus, CamerasStatus, Digits, FrameStatus, GpsStatus, LineStatus, MarkIds,
     NavigationStatus, Parts, SystemStatus, saturated,
 };
-use crate::link::{CameraCounts, FrameMarks, Housekeeping, MoonSight};
+use crate::link::{CameraCounts, FrameMarks, Housekeeping, MoonOutcome};
 use crate::moon;
 use crate::navigation::nmea::Refusal;
 use crate::plate::Pattern;
@@ -22,7 +22,7 @@ use crate::reasons::horizon as reasons;
 use jiff::{SignedDuration, Timestamp};
 use std::time::{Duration, Instant};
 
-/// Where Linux tells how warm the computer is, in thousandths of a degree.
+/// Where Linux gives the computer's temperature, in thousandths of a degree.
 const COMPUTER_TEMPERATURE: &str = "/sys/class/thermal/thermal_zone0/temp";
 
 /// Frames whose time differs from the computer's by more are those of another time.
@@ -36,13 +36,13 @@ pub(super) struct Restarts {
     pub takeovers: u64,
 }
 
-/// What the ground is told of a second.
-pub(super) struct Told {
+/// What goes to the ground in a second.
+pub(super) struct SecondReport {
     pub time: Timestamp,
     pub housekeeping: Box<Housekeeping>,
-    /// Of cameras that housekeeping does not tell of.
+    /// Of cameras that are not in the housekeeping.
     pub counts: Vec<CameraCounts>,
-    /// Of plates whose ids housekeeping has no room for.
+    /// Of plates whose ids do not fit into the housekeeping.
     pub marks: Vec<FrameMarks>,
 }
 
@@ -75,7 +75,7 @@ impl HousekeepingSource {
     }
 
     /// `events` wait for the line.
-    pub fn next(&mut self, tallies: &Tallies, restarts: Restarts, events: usize) -> Told {
+    pub fn next(&mut self, tallies: &Tallies, restarts: Restarts, events: usize) -> SecondReport {
         let tally = tallies.brief();
         let recents = take_recents(tallies);
         let marks = recents.iter().filter_map(frame_marks).collect();
@@ -92,7 +92,7 @@ impl HousekeepingSource {
         if let Some(answer) = &answer {
             self.note_simulated_time(answer);
         }
-        let told = Housekeeping::from(Parts {
+        let housekeeping = Housekeeping::from(Parts {
             count: tally.counts,
             frame: answer.as_ref().map_or(FrameStatus::default(), frame_status),
             cameras: self.cameras(tallies, &tally, solve_ms(solve_times, answer.as_ref())),
@@ -103,9 +103,9 @@ impl HousekeepingSource {
             system: self.system(&tally, restarts),
         });
         self.before = tally;
-        Told {
+        SecondReport {
             time: Timestamp::now() + self.ahead,
-            housekeeping: Box::new(told),
+            housekeeping: Box::new(housekeeping),
             counts: tallies.cameras.iter().filter_map(further).collect(),
             marks,
         }
@@ -138,8 +138,8 @@ impl HousekeepingSource {
         let [sun, roll, moon] = [Role::PitchYaw, Role::Roll, Role::Moon].map(first);
         let count = |solver: &SolverTally, quality| saturated(solver.of(quality));
         let seen = self.moon_desk.lock().seen;
-        let fix = seen.and_then(|seen| match seen.sight {
-            MoonSight::Found(fix) => Some(fix),
+        let fix = seen.and_then(|seen| match seen.outcome {
+            MoonOutcome::Found(fix) => Some(fix),
             _ => None,
         });
         let hidden = moon.stopped_at(moon::Stage::Sky);
@@ -240,7 +240,7 @@ fn take_recents(tallies: &Tallies) -> Vec<(u8, Recent)> {
     tallies.cameras.iter().map(take).collect()
 }
 
-/// The marks of a camera's latest frame, where housekeeping has no room for their ids.
+/// The marks of a camera's latest frame, if their ids do not fit into the housekeeping.
 fn frame_marks((camera, recent): &(u8, Recent)) -> Option<FrameMarks> {
     let answer = recent.answer.as_ref()?;
     let sun = answer.sun().filter(|sun| !has_plate_of_2013(sun))?;
@@ -261,7 +261,7 @@ fn frame_number(answer: &Answer) -> u32 {
     saturated(answer.exposure.frame.info.number.unwrap_or_default())
 }
 
-/// What is told of a camera by itself; `None` of the first one of a role, of which the fields of housekeeping tell.
+/// The counts of a camera that has no fields in the housekeeping; `None` of the first one of a role, which has.
 fn further(camera: &CameraTallies) -> Option<CameraCounts> {
     let station = &camera.station;
     if station.ordinal == 1 {
@@ -438,7 +438,7 @@ mod tests {
     }
 
     /// What is sent where the navigation has counted this.
-    fn told(navigation: NavigationTally) -> Housekeeping {
+    fn housekeeping(navigation: NavigationTally) -> Housekeeping {
         let tallies = Tallies::default();
         *tallies.navigation.lock() = navigation;
         packet(&tallies)
@@ -457,11 +457,11 @@ mod tests {
             (Some(Agreement::LastingContradiction), 3),
         ] {
             tally.agreement = agreement;
-            let told = told(tally.clone());
-            assert_eq!(told.gyro_agreement, number);
-            assert_eq!(told.gyro_right_sigmas, Some(1.5));
-            assert_eq!(told.gyro_up_sigmas, Some(-7.25));
-            assert_eq!(told.gyro_roll_sigmas, None);
+            let housekeeping = housekeeping(tally.clone());
+            assert_eq!(housekeeping.gyro_agreement, number);
+            assert_eq!(housekeeping.gyro_right_sigmas, Some(1.5));
+            assert_eq!(housekeeping.gyro_up_sigmas, Some(-7.25));
+            assert_eq!(housekeeping.gyro_roll_sigmas, None);
         }
     }
 
@@ -472,8 +472,8 @@ mod tests {
             let refused = Heard::Refused(Refused::new(refusal, "why"));
             (0..=n).for_each(|_| _ = tally.gps.note(&refused));
         }
-        let told = told(tally);
-        let counts = told.csv_row();
+        let housekeeping = housekeeping(tally);
+        let counts = housekeeping.csv_row();
         let fields = FIELDS.iter().zip(&counts);
         let fields = fields.skip_while(|(field, _)| field.name != "gps_no_fix");
         let counts: Vec<&str> = fields.map(|(_, count)| count.as_str()).collect();
@@ -483,7 +483,7 @@ mod tests {
         assert_eq!(counts[..12], reasons);
         assert_eq!(counts[12..14], ["0", "0"], "unreadable, noise");
         // No fix, the same again, and out of time.
-        assert_eq!(told.gps_without_fix, 1 + 11 + 12);
+        assert_eq!(housekeeping.gps_without_fix, 1 + 11 + 12);
     }
 
     #[test]
@@ -491,9 +491,9 @@ mod tests {
         let tallies = Tallies::default();
         tallies.counters.taken.add(7);
         tallies.counters.errors.add(1 << 40);
-        let told = packet(&tallies);
-        assert_eq!((told.taken, told.errors), (7, u32::MAX));
-        assert_eq!((told.restarts, told.takeovers), (2, 1));
-        assert_eq!(told.queued_events, 3);
+        let housekeeping = packet(&tallies);
+        assert_eq!((housekeeping.taken, housekeeping.errors), (7, u32::MAX));
+        assert_eq!((housekeeping.restarts, housekeeping.takeovers), (2, 1));
+        assert_eq!(housekeeping.queued_events, 3);
     }
 }

@@ -75,7 +75,7 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
     let (outputs, output_gauges, writers) =
         outputs::start(&flight.config.outputs, &signals.hang_up)?;
     let (to_line, events) = bounded(LINK_EVENTS);
-    let mut crew = Crew {
+    let mut workers = Workers {
         host: flight.config.host,
         controls: controls.clone(),
         ephemeris: flight.ephemeris,
@@ -95,14 +95,14 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
         cameras: Vec::new(),
         solvers: Vec::new(),
     };
-    let navigation = crew.start_navigation(flight.navigation, &stations)?;
-    let line = crew.start_line(flight.line, events)?;
+    let navigation = workers.start_navigation(flight.navigation, &stations)?;
+    let line = workers.start_line(flight.line, events)?;
     for (station, camera) in stations.iter().zip(flight.cameras) {
-        crew.add(station, camera)?;
+        workers.add(station, camera)?;
     }
-    let tallies = crew.tallies.clone();
+    let tallies = workers.tallies.clone();
     let threads = (disks, line, writers);
-    let watch = crew.watch(navigation, threads, &sha256(&configuration));
+    let watch = workers.watch(navigation, threads, &sha256(&configuration));
     Ok(Service {
         watch: spawn("watch", move || watch.run())?,
         values,
@@ -137,7 +137,7 @@ fn keep_values(
 }
 
 /// The threads of cameras and solvers so far, and what all threads share.
-struct Crew {
+struct Workers {
     host: Host,
     controls: Controls,
     ephemeris: Ephemeris,
@@ -149,13 +149,13 @@ struct Crew {
     tallies: Tallies,
     /// Of the first camera of each role.
     shelf: Shelf,
-    /// Where the navigation filter is told; `None` where none flies.
+    /// The inputs of the navigation filter; `None` without one.
     inputs: Option<Inputs>,
     cameras: Vec<Worker>,
     solvers: Vec<Worker>,
 }
 
-impl Crew {
+impl Workers {
     /// Starts the filter and its sensors, where one flies.
     fn start_navigation(
         &mut self,
@@ -207,7 +207,7 @@ impl Crew {
         Worker::start("link", None, move || {
             let (around, connection) = (around.clone(), Arc::clone(&connection));
             let (events, hang_up) = (events.clone(), Arc::clone(&hang_up));
-            host.hurried(Rank::First, move |life| {
+            host.real_time(Rank::First, move |life| {
                 let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
                 Line::new(&mut connection, around).run(&events, &hang_up, life);
             })
@@ -289,7 +289,7 @@ impl Crew {
         let name = format!("solver-{}", station.index + 1);
         let worker = Worker::start(name, Some(SOLVER_PATIENCE), move || {
             let (solving, solver) = (solving.clone(), made.make());
-            host.hurried(Rank::Solver, move |life| solving.run(solver, life))
+            host.real_time(Rank::Solver, move |life| solving.run(solver, life))
         })?;
         self.solvers.push(worker);
         Ok(())
@@ -317,7 +317,7 @@ impl Crew {
         let name = format!("camera-{}", tallies.station.index + 1);
         let worker = Worker::start(name, Some(CAMERA_PATIENCE), move || {
             let (shutter, source, open) = (shutter.clone(), source.take(), camera.open.clone());
-            host.hurried(Rank::First, move |life| shutter.run(source, open, life))
+            host.real_time(Rank::First, move |life| shutter.run(source, open, life))
         })?;
         self.cameras.push(worker);
         Ok(())

@@ -37,11 +37,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How long the thread waits for something to send before it looks whether something came.
+/// How long the thread waits for something to send before it checks whether something came.
 const PATIENCE: Duration = Duration::from_millis(5);
 /// The same where a filter takes the IMU's samples, each with the time at which it came.
 const PATIENCE_FOR_SAMPLES: Duration = Duration::from_millis(1);
-/// How long a packet waits for room. At 115200 baud the system's buffer drains 230 bytes in it.
+/// How long a packet waits for space in the system's buffer. At 115200 baud the system's buffer drains 230 bytes in it.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 /// More bytes than this in the system's buffer, and the line cannot follow: 45 ms at 115200 baud.
 const BACKLOG: usize = 512;
@@ -166,7 +166,7 @@ impl<'a> Line<'a> {
 
     /// Says what there is to say. Where nobody takes it, whatever else is queued is dropped: it would only be older.
     fn hear(&mut self, event: LinkEvent, events: &Receiver<LinkEvent>) {
-        self.look_at_settings();
+        self.follow_settings();
         self.say(event);
         if self.stalled {
             let is_outcome = |event: &LinkEvent| matches!(event, LinkEvent::Outcome(_));
@@ -182,13 +182,13 @@ impl<'a> Line<'a> {
             LinkEvent::ExposureStarts(exposure) => self.announce(exposure),
             LinkEvent::Outcome(outcome) => self.conclude(&outcome),
             LinkEvent::Propagated(event) => self.propagate(&event),
-            LinkEvent::Housekeeping(time, told) => {
-                let is_sent = self.tell(told.packet(time));
+            LinkEvent::Housekeeping(time, housekeeping) => {
+                let is_sent = self.send_housekeeping(housekeeping.packet(time));
                 self.tally.lock().housekeeping += u64::from(is_sent);
             }
             LinkEvent::Cameras(time, counts) => {
                 for counts in counts {
-                    self.tell(counts.packet(time));
+                    self.send_housekeeping(counts.packet(time));
                 }
             }
             LinkEvent::Marks(time, marks) => self.queue_marks(time, &marks),
@@ -198,15 +198,15 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Tells the ground how all is; whether the port took it.
-    fn tell(&mut self, packet: Result<TelemetryPacket, MessageError>) -> bool {
+    /// Sends housekeeping to the ground; whether the port took it.
+    fn send_housekeeping(&mut self, packet: Result<TelemetryPacket, MessageError>) -> bool {
         match packet {
             Ok(packet) => {
                 self.outputs.hear_telemetry(&packet);
                 self.backlog() <= BACKLOG && self.send(&packet.encode())
             }
             Err(error) => {
-                self.note_unsaid(&error, "the ground was not told");
+                self.note_unsaid(&error, "housekeeping was not sent");
                 false
             }
         }
@@ -221,7 +221,7 @@ impl<'a> Line<'a> {
                     self.outputs.hear_telemetry(&packet);
                     self.marks.push_back(packet.encode());
                 }
-                Err(error) => self.note_unsaid(&error, "the ground was not told"),
+                Err(error) => self.note_unsaid(&error, "housekeeping was not sent"),
             }
         }
     }
@@ -256,7 +256,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    fn look_at_settings(&mut self) {
+    fn follow_settings(&mut self) {
         let version = self.controls.version(Topic::Link);
         if version != self.version {
             self.version = version;

@@ -1,4 +1,4 @@
-//! What threads tell each other, and what they leave for each other to look at. Every stage knows this file, and no other stage.
+//! Messages between threads, and values that they share. Every stage knows this file, and no other stage.
 
 use super::shared::Shared;
 use crate::archive::Flown;
@@ -8,7 +8,9 @@ use crate::frame::Levels;
 use crate::geometry::attitude::Direction;
 use crate::horizon;
 use crate::instrument::Instrument;
-use crate::link::{self, Housekeeping, ImuPacket, MoonSight, Picture, Propagated, TelemetryPacket};
+use crate::link::{
+    self, Housekeeping, ImuPacket, MoonOutcome, Picture, Propagated, TelemetryPacket,
+};
 use crate::moon;
 use crate::navigation::Target as SeenTarget;
 use crate::navigation::nmea::TimedFix;
@@ -49,7 +51,7 @@ pub struct Middle {
     pub by_arrival: Instant,
 }
 
-/// A frame's brightness and its exposure, us: what the solver tells the shutter.
+/// A frame's brightness and its exposure, us: from the solver to the shutter.
 pub(super) type Glimpse = Shared<Option<(Brightness, u32)>>;
 
 /// A solved frame.
@@ -113,12 +115,12 @@ pub struct SeenRoll {
     pub arrived: Instant,
 }
 
-/// Somebody who is told of every solved frame.
+/// A receiver of every solved frame.
 pub(super) trait Hears: Send + Sync {
     fn hear(&self, answer: &Answer);
 }
 
-/// Somebody who is told of every telemetry packet that the line carries.
+/// A receiver of every telemetry packet that the line carries.
 pub(super) trait HearsTelemetry: Send + Sync {
     fn hear_telemetry(&self, packet: &TelemetryPacket);
 }
@@ -129,7 +131,7 @@ pub(super) trait TakesSamples: Send + Sync {
     fn take_sample(&self, packet: &TelemetryPacket, read: Instant);
 }
 
-/// What the horizon said last; the solvers of the other cameras look.
+/// What the horizon said last; the solvers of the other cameras read it.
 pub(super) type LatestNadir = Shared<Option<SeenNadir>>;
 
 /// Straight down in the axes of the body that carries the cameras: forward, right, down.
@@ -141,8 +143,8 @@ pub(super) struct SeenNadir {
     pub arrived: Instant,
     /// How it turns in these axes, by the latest frames.
     pub turn_rad_per_s: Vector3<f64>,
-    /// How far such a turn has missed the frame that came, 1 sigma per axis, and after how long.
-    pub missed_rad: f64,
+    /// The error of such a prediction at the frame that came, 1 sigma per axis, and after how long.
+    pub error_rad: f64,
     pub after_s: f64,
 }
 
@@ -159,7 +161,7 @@ pub(super) struct MoonDesk {
 pub(super) struct SeenMoon {
     /// When its exposure began.
     pub began: Instant,
-    pub sight: MoonSight,
+    pub outcome: MoonOutcome,
     /// Whether the Sun was below the horizon; `None` where time or place is not known.
     pub is_night: Option<bool>,
 }
@@ -172,7 +174,7 @@ pub(super) struct Recent {
     pub solve_times: Vec<Duration>,
 }
 
-/// What the link is told.
+/// Events for the link.
 pub(super) enum LinkEvent {
     ExposureStarts(link::Exposure),
     Outcome(Box<Outcome>),
@@ -180,7 +182,7 @@ pub(super) enum LinkEvent {
     Propagated(PropagatedEvent),
     /// The second's housekeeping, and its time.
     Housekeeping(Timestamp, Box<Housekeeping>),
-    /// What cameras count of which housekeeping does not tell, at a time.
+    /// Counts of cameras that are not in the housekeeping, at a time.
     Cameras(Timestamp, Vec<link::CameraCounts>),
     /// Marks of plates that housekeeping has no ids for, at its time.
     Marks(Timestamp, Vec<link::FrameMarks>),
@@ -209,7 +211,7 @@ pub(super) struct Outcome {
     pub stopped: Option<aspect::Stopped>,
 }
 
-/// What one of the sensors has told the navigation filter.
+/// What one of the sensors has given to the navigation filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Input {
     /// A sample, and when it was read.

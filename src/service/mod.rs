@@ -14,13 +14,13 @@
 //!  solutions of all solvers, telemetry of link --- messages (256) ---> output-1, output-2     what others read
 //!
 //!  Controls (shared): what the ground sets; values: saves it
-//!  watch: looks after all of them, tells link and logs the housekeeping each second, feeds systemd's watchdog
+//!  watch: checks all of them, gives the housekeeping to link and logs each second, feeds systemd's watchdog
 //! ```
 //!
 //! Each camera has a thread and a solver of its own, numbered in the order of the cameras; what the solver finds depends on what its camera sees
-//! (`solvers`). Only solvers of a plate tell the controller. That of the first roll camera leaves the latest nadir where these look. That of the first Moon camera
-//! leaves what it saw where the link looks, which answers requests for the Moon with it. Where a navigation filter flies, its thread takes what
-//! IMU, GPS and solvers say, and tells the link an offset at some of the IMU's samples. Every disk of the archive has two threads; while it
+//! (`solvers`). Only solvers of a plate send to the controller. That of the first roll camera leaves the latest nadir for these. That of the first Moon camera
+//! leaves what it saw for the link, which answers requests for the Moon with it. Where a navigation filter flies, its thread takes what
+//! IMU, GPS and solvers say, and gives the link an offset at some of the IMU's samples. Every disk of the archive has two threads; while it
 //! compresses a picture, the first may start `archive.threads` less one for it. Every output that others read has a thread of a lower priority than all these;
 //! only the end waits for it, for a moment.
 //!
@@ -128,7 +128,7 @@ impl Service {
         self.signals.finished.load(Ordering::Acquire) || self.watch.is_finished()
     }
 
-    /// What the ground was told last; `None` in the first second.
+    /// The housekeeping sent last; `None` in the first second.
     pub fn housekeeping(&self) -> Option<Housekeeping> {
         self.signals.housekeeping.copy()
     }
@@ -154,7 +154,7 @@ impl Service {
     pub fn join(self) -> Result<FlightTally, ThreadFailed> {
         self.signals.awaited.store(true, Ordering::Relaxed);
         let tally = self.watch.join().map_err(|_| ThreadFailed("watch"));
-        // A watch that has failed has told nobody.
+        // A watch that has failed has reported nothing.
         self.signals.hang_up.store(true, Ordering::Relaxed);
         let begin = Instant::now();
         let is_saving = |values: &JoinHandle<u64>| !values.is_finished();

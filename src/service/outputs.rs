@@ -1,4 +1,4 @@
-//! Outputs that others read: each has a thread and a queue of its own. Nobody waits for one: what its queue has no room for, and what its
+//! Outputs that others read: each has a thread and a queue of its own. Nobody waits for one: what does not fit into its queue, and what its
 //! reader does not take, is dropped and counted.
 
 use super::messages::{Answer, Found, Hears, HearsTelemetry};
@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 /// Messages that may wait for an output: ten seconds' worth of one camera at 26 frames/s.
 const WAITING: usize = 256;
-/// How long a thread waits for a message before it looks after its readers.
+/// How long a thread waits for a message before it checks its readers.
 const PATIENCE: Duration = Duration::from_millis(50);
 /// What waits for longer than this after the end is dropped.
 const LAST_WORDS: Duration = Duration::from_millis(200);
@@ -66,7 +66,7 @@ impl Counts {
     }
 }
 
-/// Starts the threads of the outputs. They end when they are told to `hang_up` and have written what waits.
+/// Starts the threads of the outputs. They end when they are asked to `hang_up` and have written what waits.
 pub(super) fn start(
     outputs: &config::Outputs,
     hang_up: &Arc<AtomicBool>,
@@ -112,13 +112,13 @@ pub(super) fn start(
 }
 
 impl Outputs {
-    /// Hands a message to those that tell of it. It is made where one does.
-    fn hand_on(&self, tells: impl Fn(Format) -> bool, message: impl FnOnce() -> Message) {
-        if !self.0.iter().any(|output| tells(output.format)) {
+    /// Hands a message to those that carry it. It is made only if one does.
+    fn hand_on(&self, carries: impl Fn(Format) -> bool, message: impl FnOnce() -> Message) {
+        if !self.0.iter().any(|output| carries(output.format)) {
             return;
         }
         let message = message();
-        for output in self.0.iter().filter(|output| tells(output.format)) {
+        for output in self.0.iter().filter(|output| carries(output.format)) {
             if output.queue.try_send(message.clone()).is_err() {
                 output.counts.note_dropped(1);
             }
@@ -131,7 +131,7 @@ impl Hears for Outputs {
         if matches!(answer.solved.found, Found::Nothing) {
             return;
         }
-        self.hand_on(Format::tells_solutions, || {
+        self.hand_on(Format::carries_solutions, || {
             Message::Solution(Arc::new(Report {
                 camera: answer.station.camera.name.clone(),
                 number: answer.station.number,
@@ -143,7 +143,7 @@ impl Hears for Outputs {
 
 impl HearsTelemetry for Outputs {
     fn hear_telemetry(&self, packet: &TelemetryPacket) {
-        self.hand_on(Format::tells_telemetry, || {
+        self.hand_on(Format::carries_telemetry, || {
             Message::Telemetry(Arc::new(packet.clone()))
         });
     }
@@ -160,12 +160,12 @@ struct Writing {
 impl Writing {
     fn run(&mut self, messages: &Receiver<Message>, hang_up: &AtomicBool, life: &Life) {
         let mut ended = None;
-        self.endpoint.look(self.start.elapsed());
+        self.endpoint.poll(self.start.elapsed());
         loop {
             life.beat();
             let message = messages.recv_timeout(PATIENCE);
             // Who has connected by now gets the message, too.
-            self.endpoint.look(self.start.elapsed());
+            self.endpoint.poll(self.start.elapsed());
             if hang_up.load(Ordering::Relaxed) {
                 ended.get_or_insert_with(Instant::now);
             }

@@ -57,7 +57,7 @@ pub(super) fn unhurried(work: impl FnOnce(&Life) + Send + 'static) -> Job {
     })
 }
 
-/// Which of the hurried threads goes first.
+/// Which of the real-time threads goes first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Rank {
     /// Solvers, which take milliseconds.
@@ -78,7 +78,7 @@ impl Rank {
 
 impl Host {
     /// Work for a thread that is scheduled as the configuration asks; what is not granted is logged.
-    pub(super) fn hurried(self, rank: Rank, work: impl FnOnce(&Life) + Send + 'static) -> Job {
+    pub(super) fn real_time(self, rank: Rank, work: impl FnOnce(&Life) + Send + 'static) -> Job {
         Box::new(move |life| {
             let priority = self.realtime_priority.map(|own| rank.above(own));
             if let Some(Err(error)) = priority.map(run_in_real_time) {

@@ -1,4 +1,4 @@
-//! A value that one thread writes and others look at.
+//! A value that one thread writes and others read.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

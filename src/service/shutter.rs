@@ -89,7 +89,7 @@ impl Shutter {
             self.tally.lock().health = source.health();
             match taken {
                 Ok(Take::Exposure(mut exposure)) => {
-                    clock.look(&mut exposure.frame.info, &self.tally);
+                    clock.check(&mut exposure.frame.info, &self.tally);
                     if source.falls_silent() {
                         let change = self.silence.lock().frame(Instant::now());
                         silence::tell(self.station.index + 1, change);
@@ -144,7 +144,7 @@ impl Shutter {
         }
     }
 
-    /// Waits until the solver has room for a frame: those behind it wait, too, and none is lost.
+    /// Waits until the solver's queue can take a frame: those behind it wait, too, and none is lost.
     fn wait_for_solver(&self, falls_silent: bool, life: &Life) {
         let until = Instant::now() + HOLD;
         while self.to_solver.is_full() && Instant::now() < until && !life.is_over() {
@@ -248,7 +248,7 @@ struct ClockWatch {
 }
 
 impl ClockWatch {
-    fn look(&mut self, info: &mut FrameInfo, tally: &Shared<CameraTally>) {
+    fn check(&mut self, info: &mut FrameInfo, tally: &Shared<CameraTally>) {
         let zero = info.mid_exposure.zip(info.monotonic);
         let zero = zero
             .and_then(|(utc, since)| utc.checked_sub(SignedDuration::try_from(since).ok()?).ok());
@@ -282,7 +282,7 @@ mod tests {
                 monotonic: Some(Duration::from_millis(monotonic_ms)),
                 ..FrameInfo::default()
             };
-            clock.look(&mut info, &tally);
+            clock.check(&mut info, &tally);
             info.utc_step.map(|step| step.as_millis())
         };
         assert_eq!([step(0, 5000), step(250, 5250), step(500, 5501)], [None; 3]);

@@ -1,4 +1,4 @@
-//! Whether a camera gives frames: a dead one may hold its thread in a call of the driver, so the watch looks from outside.
+//! Whether a camera gives frames: a dead one may hold its thread in a call of the driver, so the watch checks from outside.
 
 use super::shared::Shared;
 use crate::camera::CameraSettings;
@@ -14,7 +14,7 @@ const SETTING: Duration = Duration::from_secs(2);
 /// The time for which a camera gave no frames though it should have.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Silence {
-    /// From when on the next frame is missed: the last frame, or when the camera should be ready; `None` where no frame is
+    /// From when on the next frame is overdue: the last frame, or when the camera should be ready; `None` where no frame is
     /// expected.
     since: Option<Instant>,
     /// A longer gap between frames is a silence.
@@ -26,7 +26,7 @@ pub(super) struct Silence {
     ended: Duration,
 }
 
-/// What the log is told of a silence.
+/// What the log says of a silence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Change {
     /// The n-th silence has begun; no frame for so long.
@@ -57,7 +57,7 @@ impl Silence {
 
     /// A frame has come.
     pub fn frame(&mut self, now: Instant) -> Option<Change> {
-        self.look(now);
+        self.check(now);
         let back = self.is_silent.then(|| {
             let lasted = self.present(now);
             self.ended += lasted;
@@ -78,7 +78,7 @@ impl Silence {
     }
 
     /// Notices a silence.
-    pub fn look(&mut self, now: Instant) -> Option<Change> {
+    pub fn check(&mut self, now: Instant) -> Option<Change> {
         let gap = self.gap(now);
         if self.is_silent || gap <= self.limit {
             return None;
@@ -123,10 +123,10 @@ pub(super) fn tell(camera: usize, change: Option<Change>) {
     }
 }
 
-/// Looks after all cameras, and logs which has fallen silent.
-pub(super) fn look<'s>(silences: impl Iterator<Item = &'s Shared<Silence>>) {
+/// Checks all cameras, and logs which has fallen silent.
+pub(super) fn check<'s>(silences: impl Iterator<Item = &'s Shared<Silence>>) {
     for (index, silence) in silences.enumerate() {
-        let change = silence.lock().look(Instant::now());
+        let change = silence.lock().check(Instant::now());
         tell(index + 1, change);
     }
 }
@@ -155,20 +155,20 @@ mod tests {
         let (at, mut silence) = begun(&at_26_hz());
         assert_eq!(silence.frame(at(100)), None);
         assert_eq!(silence.frame(at(138)), None);
-        assert_eq!(silence.look(at(638)), None);
+        assert_eq!(silence.check(at(638)), None);
         let gap = Duration::from_millis(501);
-        assert_eq!(silence.look(at(639)), Some(Change::Silent(1, gap)));
-        // It grows while it lasts, and is told once.
-        assert_eq!(silence.look(at(5138)), None);
+        assert_eq!(silence.check(at(639)), Some(Change::Silent(1, gap)));
+        // It grows while it lasts, and is reported once.
+        assert_eq!(silence.check(at(5138)), None);
         assert_eq!(silence.total(at(5138)), (1, Duration::from_secs(5)));
         let lasted = Duration::from_secs(6);
         assert_eq!(silence.frame(at(6138)), Some(Change::Back(1, lasted)));
         assert_eq!(silence.frame(at(6176)), None);
         assert_eq!(silence.total(at(6300)), (1, lasted));
-        silence.look(at(7176));
+        silence.check(at(7176));
         silence.end(at(8176));
         let total = (2, Duration::from_secs(8));
-        assert_eq!(silence.look(at(60_000)), None);
+        assert_eq!(silence.check(at(60_000)), None);
         assert_eq!(silence.total(at(60_000)), total);
     }
 
@@ -181,21 +181,21 @@ mod tests {
         };
         let (at, mut silence) = begun(&slow);
         silence.frame(at(0));
-        assert_eq!(silence.look(at(61_000)), None);
-        assert!(silence.look(at(61_001)).is_some());
+        assert_eq!(silence.check(at(61_000)), None);
+        assert!(silence.check(at(61_001)).is_some());
     }
 
     #[test]
     fn a_camera_may_take_its_time_to_open_and_to_be_set_but_not_for_ever() {
         let (at, mut silence) = begun(&at_26_hz());
-        assert_eq!(silence.look(at(5_500)), None);
+        assert_eq!(silence.check(at(5_500)), None);
         silence.frame(at(5_500));
         silence.excuse(at(5_520));
-        assert_eq!(silence.look(at(8_020)), None);
-        assert!(silence.look(at(8_021)).is_some());
-        // One that was never there; another thread that tries again does not begin anew.
+        assert_eq!(silence.check(at(8_020)), None);
+        assert!(silence.check(at(8_021)).is_some());
+        // One that was never there; another thread that tries again does not restart the count.
         let (at, mut silence) = begun(&at_26_hz());
-        assert!(silence.look(at(5_501)).is_some());
+        assert!(silence.check(at(5_501)).is_some());
         silence.begin(at(9_000), &at_26_hz());
         silence.excuse(at(9_000));
         assert_eq!(silence.total(at(10_000)), (1, Duration::from_secs(5)));

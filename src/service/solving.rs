@@ -32,7 +32,7 @@ pub(super) struct Solving {
     pub to_line: Sender<LinkEvent>,
     /// Where the camera learns of its frames' brightness.
     pub glimpse: Glimpse,
-    /// Who is told of the answers, in this order.
+    /// Who gets the answers, in this order.
     pub hearers: Vec<Arc<dyn Hears>>,
     pub tally: Shared<SolverTally>,
 }
@@ -119,7 +119,7 @@ impl Solving {
 
     /// The line first: a solution does not wait for a disk.
     fn hand_on(&self, answer: &Answer, arrived: Instant) {
-        self.tell_line(answer, arrived);
+        self.send_to_line(answer, arrived);
         if self.controls.takes_picture(self.station.camera.role) {
             self.send_picture(answer);
         }
@@ -133,7 +133,7 @@ impl Solving {
     }
 
     /// Of frames of the plate the controller hears.
-    fn tell_line(&self, answer: &Answer, arrived: Instant) {
+    fn send_to_line(&self, answer: &Answer, arrived: Instant) {
         let Found::Sun(sun) = &answer.solved.found else {
             return;
         };

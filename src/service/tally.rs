@@ -15,11 +15,11 @@ use std::time::Duration;
 /// What a camera's thread counts.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct CameraTally {
-    /// Frames that the solver had no room for.
+    /// Frames that did not fit into the solver's queue.
     pub lost: u64,
     /// Frames that the source could not give.
     pub failed: u64,
-    /// Exposures that the line's queue had no room for.
+    /// Exposures that did not fit into the line's queue.
     pub unannounced: u64,
     /// Times that the camera gave no frames though it should have.
     pub silences: u64,
@@ -49,7 +49,7 @@ impl CameraTally {
         own.temperature_c = own.temperature_c.or(other.temperature_c);
     }
 
-    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn describe(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             out,
             "frames     {} taken, {} lost, {} failed",
@@ -88,7 +88,7 @@ pub struct SolverTally {
     pub reasons: BTreeMap<(&'static str, Reason), u64>,
     /// Frames of the wrong size.
     pub misfits: u64,
-    /// Answers that the line's queue had no room for.
+    /// Answers that did not fit into the line's queue.
     pub unsent: u64,
     /// What fine frames have disproved of the instruments, with stated and measured values.
     pub contradictions: BTreeSet<String>,
@@ -135,7 +135,7 @@ impl SolverTally {
         self.contradicted |= other.contradicted;
     }
 
-    fn tell(&self, name: &str, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn describe(&self, name: &str, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [fine, coarse, none] =
             [Quality::Fine, Quality::Coarse, Quality::None].map(|quality| self.of(quality));
         writeln!(out, "{name:<10} {fine} fine, {coarse} coarse, {none} none")?;
@@ -162,14 +162,14 @@ pub struct ArchiveTally {
     /// Pictures given up because the disks could not follow.
     pub overflowed: u64,
     /// Pictures given up because the disks are nearly full.
-    pub no_room: u64,
+    pub disk_full: u64,
     /// Pictures that could not be stored for another reason.
     pub failed: u64,
     /// Frames that were still on their way to a disk when the flight ended; only in the last tally.
     pub unfinished: u64,
     /// Refusals by any disk; the frame may be stored all the same.
     pub refused: u64,
-    /// Refusals of rows by any disk, and rows that a log had no room for; the row may be in a log all the same.
+    /// Refusals of rows by any disk, and rows that did not fit into a log's queue; the row may be in a log all the same.
     pub rows_refused: u64,
     /// Frames' rows that are in no log.
     pub rows_lost: u64,
@@ -178,14 +178,14 @@ pub struct ArchiveTally {
 }
 
 impl ArchiveTally {
-    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn describe(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             out,
-            "stored     {}, {} not: {} overflowed, {} no room, {} failed, {} unfinished; {} refusals, {} rows refused, {} rows lost, {} half-written removed",
+            "stored     {}, {} not: queue overflow {}, disk full {}, failed {}, unfinished {}; {} refusals, {} rows refused, {} rows lost, {} partial files removed",
             counts.stored,
             counts.unstored,
             self.overflowed,
-            self.no_room,
+            self.disk_full,
             self.failed,
             self.unfinished,
             self.refused,
@@ -251,7 +251,7 @@ impl LineTally {
         }
     }
 
-    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn describe(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             out,
             "sent       {} solutions, {} errors, {} exposures announced, {} commands answered, {} outdated",
@@ -309,7 +309,7 @@ pub struct NavigationTally {
     /// Measurements that contradict the filter, and that came too late or too early.
     pub refused: u64,
     pub out_of_time: u64,
-    /// Times that the filter began anew.
+    /// Restarts of the filter.
     pub restarts: u64,
     /// Times that the IMU was unsound, or directions contradicted it.
     pub doubted: u64,
@@ -318,7 +318,7 @@ pub struct NavigationTally {
     /// Offsets that were made, and of them those that are too uncertain to be sent.
     pub offsets: u64,
     pub uncertain: u64,
-    /// Rows for the archive that found no room.
+    /// Rows that did not fit into the archive's queue.
     pub rows_lost: u64,
     /// `None` before the first sample.
     pub status: Option<Status>,
@@ -330,7 +330,7 @@ pub struct NavigationTally {
 }
 
 impl NavigationTally {
-    fn tell(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn describe(&self, counts: &Counts, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         if *self == Self::default() && counts.imu_samples + counts.navigation_lost == 0 {
             return Ok(());
         }
@@ -371,12 +371,12 @@ pub struct OutputTally {
     pub format: &'static str,
     /// Messages that went out, one for each reader.
     pub sent: u64,
-    /// Messages that a reader did not take, that had none, or that found no room on their way.
+    /// Messages that a reader did not take, that had no reader, or that did not fit into a queue.
     pub dropped: u64,
 }
 
 impl OutputTally {
-    fn tell(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+    fn describe(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
             to,
             format,
@@ -444,7 +444,7 @@ impl FlightTally {
 
 impl fmt::Display for FlightTally {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.camera.tell(&self.counts, out)?;
+        self.camera.describe(&self.counts, out)?;
         if self.restarts > 0 {
             writeln!(
                 out,
@@ -462,13 +462,15 @@ impl fmt::Display for FlightTally {
                     Role::PitchYaw => "solved",
                     other => other.name(),
                 };
-                solver.tell(name, out)?;
+                solver.describe(name, out)?;
             }
         }
-        self.navigation.tell(&self.counts, out)?;
-        self.archive.tell(&self.counts, out)?;
-        self.line.tell(&self.counts, out)?;
-        self.outputs.iter().try_for_each(|output| output.tell(out))
+        self.navigation.describe(&self.counts, out)?;
+        self.archive.describe(&self.counts, out)?;
+        self.line.describe(&self.counts, out)?;
+        self.outputs
+            .iter()
+            .try_for_each(|output| output.describe(out))
     }
 }
 

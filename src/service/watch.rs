@@ -1,7 +1,7 @@
-//! The watch: it looks after every thread, tells the ground each second how all is, and feeds systemd's watchdog.
+//! The watch: it checks every thread, sends housekeeping each second, and feeds systemd's watchdog.
 
 use super::archiver::{self, Archive};
-use super::housekeeping::{HousekeepingSource, Restarts, Told};
+use super::housekeeping::{HousekeepingSource, Restarts, SecondReport};
 use super::messages::{LinkEvent, NavigationRows};
 use super::shared::Shared;
 use super::silence;
@@ -17,10 +17,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How often the threads are looked at.
-const LOOK_EVERY: Duration = Duration::from_millis(10);
-const TELL_EVERY: Duration = Duration::from_secs(1);
-/// A look that comes so late tells that the whole program was stopped: suspended, or by SIGSTOP.
+/// How often the threads are checked.
+const CHECK_EVERY: Duration = Duration::from_millis(10);
+const REPORT_EVERY: Duration = Duration::from_secs(1);
+/// A check that comes so late shows that the whole program was stopped: suspended, or by SIGSTOP.
 const STOPPED: Duration = Duration::from_secs(1);
 /// What the last frames may take to be stored before a program is replaced that cannot be helped.
 const ENDING: Duration = Duration::from_millis(1500);
@@ -31,7 +31,7 @@ const NAVIGATION_ENDING: Duration = Duration::from_millis(500);
 /// How long the line may take to hang up.
 const HANGING_UP: Duration = Duration::from_millis(300);
 
-/// What the watch and the rest of the program tell each other.
+/// What the watch and the rest of the program share.
 #[derive(Debug, Default)]
 pub(super) struct Signals {
     /// No more frames.
@@ -46,9 +46,9 @@ pub(super) struct Signals {
     pub hang_up: Arc<AtomicBool>,
     /// When what is not done by then is given up.
     pub deadline: Shared<Option<Instant>>,
-    /// What the ground was told last.
+    /// The housekeeping sent last.
     pub housekeeping: Shared<Option<Housekeeping>>,
-    /// Threads that were started again, as of the watch's last look.
+    /// Threads that were started again, as of the watch's last check.
     pub restarts: AtomicU64,
 }
 
@@ -76,17 +76,17 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    /// Looks after the flight until everything has ended, or the deadline has passed and the line has been hung up.
+    /// Watches the flight until everything has ended, or the deadline has passed and the line has been hung up.
     pub fn run(mut self) -> FlightTally {
         let mut systemd = Systemd::ready();
-        let mut looked = Instant::now();
-        let mut tell_at = looked + TELL_EVERY;
+        let mut checked = Instant::now();
+        let mut report_at = checked + REPORT_EVERY;
         loop {
             let now = Instant::now();
-            if now - looked > STOPPED {
-                self.excuse(now - looked);
+            if now - checked > STOPPED {
+                self.excuse(now - checked);
             }
-            looked = now;
+            checked = now;
             self.note_commands();
             self.note_navigation();
             if self.is_over(now) {
@@ -98,21 +98,21 @@ impl Watch {
             if systemd.is_there && !self.gave_up && self.is_beyond_help(now) {
                 self.give_up();
             }
-            if now >= tell_at {
-                self.tell();
-                tell_at += TELL_EVERY;
-                if tell_at <= now {
+            if now >= report_at {
+                self.report();
+                report_at += REPORT_EVERY;
+                if report_at <= now {
                     // Seconds in which the program was stopped are not made up for.
-                    tell_at = now + TELL_EVERY;
+                    report_at = now + REPORT_EVERY;
                 }
             }
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(CHECK_EVERY);
         }
         systemd.stopping();
         self.signals.hang_up.store(true, Ordering::Relaxed);
         let begin = Instant::now();
         while self.is_hanging_up(Instant::now()) && begin.elapsed() < HANGING_UP {
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(CHECK_EVERY);
         }
         let mut tally = self.tallies.tally();
         tally.archive = self.tallies.archive.final_tally(&tally.counts);
@@ -125,8 +125,8 @@ impl Watch {
 
     /// Whether the line or an output has more to say.
     fn is_hanging_up(&mut self, now: Instant) -> bool {
-        let writing = worker::look(&mut self.outputs, now);
-        self.line.look(now) || writing
+        let writing = worker::check(&mut self.outputs, now);
+        self.line.check(now) || writing
     }
 
     fn note_commands(&self) {
@@ -166,22 +166,22 @@ impl Watch {
 
     /// Ends the flight in order: systemd starts a new one.
     fn give_up(&mut self) {
-        tracing::error!("threads hang again and again: the program ends, to be started anew");
+        tracing::error!("threads hang again and again: the program ends, to be started again");
         self.gave_up = true;
         self.signals.stop.store(true, Ordering::Relaxed);
         let deadline = Instant::now() + ENDING;
         self.signals.deadline.lock().get_or_insert(deadline);
     }
 
-    /// Looks after all threads: whether the work is done and the line is to be hung up.
+    /// Checks all threads: whether the work is done and the line is to be hung up.
     fn is_over(&mut self, now: Instant) -> bool {
-        silence::look(self.tallies.cameras.iter().map(|camera| &camera.silence));
-        let taking = worker::look(&mut self.cameras, now);
+        silence::check(self.tallies.cameras.iter().map(|camera| &camera.silence));
+        let taking = worker::check(&mut self.cameras, now);
         if !taking {
             self.signals.cameras_ended.store(true, Ordering::Relaxed);
         }
-        let flying = worker::look(&mut self.solvers, now) || taking;
-        let navigating = worker::look(&mut self.navigation, now);
+        let flying = worker::check(&mut self.solvers, now) || taking;
+        let navigating = worker::check(&mut self.navigation, now);
         if flying || self.landed.is_none() {
             self.landed = Some(now);
         }
@@ -192,9 +192,9 @@ impl Watch {
             self.note_navigation();
             self.archive.take().into_iter().for_each(Archive::close);
         }
-        let storing = self.disks.look(now);
-        self.line.look(now);
-        worker::look(&mut self.outputs, now);
+        let storing = self.disks.check(now);
+        self.line.check(now);
+        worker::check(&mut self.outputs, now);
         let restarts = self.restarts();
         self.signals.restarts.store(restarts, Ordering::Relaxed);
         let deadline = *self.signals.deadline.lock();
@@ -209,31 +209,31 @@ impl Watch {
             && self.signals.awaited.load(Ordering::Relaxed)
     }
 
-    fn tell(&mut self) {
+    fn report(&mut self) {
         let restarts = Restarts {
             all: self.restarts(),
             takeovers: self.takeovers(),
         };
         let events = self.to_line.len();
-        let told = self.housekeeping.next(&self.tallies, restarts, events);
-        let Told {
+        let report = self.housekeeping.next(&self.tallies, restarts, events);
+        let SecondReport {
             time,
             housekeeping,
             counts,
             marks,
-        } = told;
+        } = report;
         if let Some(archive) = &self.archive {
             archive.note(time, &housekeeping);
         }
         *self.signals.housekeeping.lock() = Some((*housekeeping).clone());
         // A line that is stuck has more urgent things to say.
-        let tell = |event| _ = self.to_line.try_send(event);
-        tell(LinkEvent::Housekeeping(time, housekeeping));
+        let send = |event| _ = self.to_line.try_send(event);
+        send(LinkEvent::Housekeeping(time, housekeeping));
         if !counts.is_empty() {
-            tell(LinkEvent::Cameras(time, counts));
+            send(LinkEvent::Cameras(time, counts));
         }
         if !marks.is_empty() {
-            tell(LinkEvent::Marks(time, marks));
+            send(LinkEvent::Marks(time, marks));
         }
     }
 

@@ -1,7 +1,7 @@
 //! A thread that is started again when it panics or hangs.
 //!
-//! A thread cannot be ended from outside. One that hangs is left alone for good: its life is over, it is told so if ever it
-//! looks, and another one takes its place with the same channels. A thread that hangs keeps its memory, so a few may hang at
+//! A thread cannot be ended from outside. One that hangs is left alone for good: its life is over, which it learns if it ever
+//! checks, and another one takes its place with the same channels. A thread that hangs keeps its memory, so a few may hang at
 //! most; then only a new process helps.
 
 use crate::backoff::Backoff;
@@ -129,8 +129,8 @@ impl Worker {
         }
     }
 
-    /// Looks after the thread as it was at `now`: whether its work goes on.
-    pub fn look(&mut self, now: Instant) -> bool {
+    /// Checks the thread as it was at `now`: whether its work goes on.
+    pub fn check(&mut self, now: Instant) -> bool {
         self.abandoned.retain(|thread| !thread.is_finished());
         match &self.running {
             Some(running) if running.thread.is_finished() => self.conclude(),
@@ -201,11 +201,11 @@ impl Worker {
     }
 }
 
-/// Looks after threads: whether the work of any goes on.
-pub(super) fn look(workers: &mut [Worker], now: Instant) -> bool {
+/// Checks threads: whether the work of any goes on.
+pub(super) fn check(workers: &mut [Worker], now: Instant) -> bool {
     let at_work = workers
         .iter_mut()
-        .filter_map(|worker| worker.look(now).then_some(()));
+        .filter_map(|worker| worker.check(now).then_some(()));
     at_work.count() > 0
 }
 
@@ -214,10 +214,10 @@ mod tests {
     use super::*;
     use crossbeam_channel::{Receiver, unbounded};
 
-    fn look_until(worker: &mut Worker, done: impl Fn(&Worker, bool) -> bool) {
+    fn check_until(worker: &mut Worker, done: impl Fn(&Worker, bool) -> bool) {
         let start = Instant::now();
         loop {
-            let goes_on = worker.look(Instant::now());
+            let goes_on = worker.check(Instant::now());
             if done(worker, goes_on) {
                 return;
             }
@@ -246,7 +246,7 @@ mod tests {
             })
         })
         .unwrap();
-        look_until(&mut worker, ended);
+        check_until(&mut worker, ended);
         assert_eq!(worker.restarts(), 1);
         // All ends of the channel are gone with the work.
         assert_eq!(heard.iter().collect::<Vec<_>>(), [0, 1, 3, 4, 5]);
@@ -268,7 +268,7 @@ mod tests {
             })
         })
         .unwrap();
-        look_until(&mut worker, ended);
+        check_until(&mut worker, ended);
         assert_eq!(worker.restarts(), 1);
         let mut both: Vec<bool> = heard.iter().collect();
         both.sort_unstable();
@@ -288,7 +288,7 @@ mod tests {
             })
         })
         .unwrap();
-        look_until(&mut worker, |worker, _| worker.takeovers() > 10);
+        check_until(&mut worker, |worker, _| worker.takeovers() > 10);
         drop(open);
     }
 
@@ -303,12 +303,12 @@ mod tests {
             })
         })
         .unwrap();
-        look_until(&mut worker, |worker, _| worker.takeovers() == 3);
-        look_until(&mut worker, |worker, _| {
+        check_until(&mut worker, |worker, _| worker.takeovers() == 3);
+        check_until(&mut worker, |worker, _| {
             worker.is_beyond_help(Instant::now())
         });
         let late = Instant::now() + 1000 * patience;
-        assert!(worker.look(late), "the last one is left to its work");
+        assert!(worker.check(late), "the last one is left to its work");
         assert_eq!((worker.takeovers(), worker.restarts()), (3, 3));
     }
 
@@ -327,9 +327,9 @@ mod tests {
         let now = Instant::now();
         assert!(worker.is_silent_for(patience, now));
         worker.excuse();
-        assert!(worker.look(now) && worker.takeovers() == 0);
+        assert!(worker.check(now) && worker.takeovers() == 0);
         drop(open);
-        look_until(&mut worker, ended);
+        check_until(&mut worker, ended);
     }
 
     #[test]
@@ -344,7 +344,7 @@ mod tests {
             })
         })
         .unwrap();
-        look_until(&mut worker, ended);
+        check_until(&mut worker, ended);
         assert_eq!(worker.restarts(), 0);
     }
 }

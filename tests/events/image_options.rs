@@ -61,7 +61,7 @@ fn each_photon_is_in_the_pixel_of_its_place_or_counted_elsewhere() {
     let (mut outside, mut unplaced) = (0, 0);
     for [s, x, y, _] in &photons {
         let pointed = history.at(START_S + s);
-        if pointed.sight.is_none() {
+        if pointed.line_of_sight.is_none() {
             unplaced += 1;
             continue;
         }

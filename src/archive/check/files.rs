@@ -47,7 +47,7 @@ pub struct Tree {
 }
 
 impl Tree {
-    /// Looks through a folder.
+    /// Checks a folder.
     ///
     /// # Errors
     /// A folder that is missing, cannot be listed or has no `.fits` file.
@@ -55,7 +55,7 @@ impl Tree {
         Self::of_all(&[root])
     }
 
-    /// Looks through several folders, as those of an archive on two disks.
+    /// Checks several folders, as those of an archive on two disks.
     ///
     /// # Errors
     /// One that is missing or cannot be listed; where none has a `.fits` file.

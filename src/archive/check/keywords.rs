@@ -48,7 +48,7 @@ pub(super) fn checked(file: &FitsFile) -> Result<Header, FileError> {
     }
 }
 
-/// A frame's line in a list of the archive. What the frame does not tell is `None`.
+/// A frame's line in a list of the archive. What the frame does not state is `None`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct KeywordRow {
     pub file: String,
@@ -148,7 +148,7 @@ pub fn csv_header() -> Vec<String> {
     names
 }
 
-/// A file's row: what it does not tell is empty; of a file that cannot be read, only name and error are there.
+/// A file's row: what it does not state is empty; of a file that cannot be read, only name and error are there.
 pub fn csv_row(path: &Path) -> Vec<String> {
     let mut row = vec![path.display().to_string()];
     match FitsFile::open(path).and_then(|file| checked(&file)) {

@@ -30,7 +30,7 @@ pub(super) struct Elsewhere {
     pub number: Option<u64>,
 }
 
-/// What the logs tell of files that are not there.
+/// What the logs say of files that are not there.
 #[derive(Debug, Default)]
 pub(super) struct Absent {
     pub missing: Vec<MissingFile>,
@@ -39,7 +39,7 @@ pub(super) struct Absent {
     pub bad: Vec<BadFile>,
 }
 
-/// A frame's row, as far as it tells where the frame is.
+/// A frame's row, as far as it states where the frame is.
 struct LoggedFrame {
     /// Path under the archive's root.
     file: String,
@@ -48,7 +48,7 @@ struct LoggedFrame {
     number: Option<u64>,
 }
 
-/// Looks for the files that the logs name. Logs of one start on two disks are taken together.
+/// Searches for the files that the logs name. Logs of one start on two disks are taken together.
 pub(super) fn look_for_files(logs: &[PathBuf]) -> Absent {
     let mut absent = Absent::default();
     let mut starts: BTreeMap<String, Vec<(&Path, Vec<LoggedFrame>)>> = BTreeMap::new();
@@ -109,7 +109,7 @@ fn root_of(log: &Path, file: &str) -> Option<PathBuf> {
     folder.ancestors().nth(camera_folders).map(Path::to_owned)
 }
 
-/// The rows that name a file. A power cut may have left a row in part: it tells nothing.
+/// The rows that name a file. A power cut may have left a row in part: it is ignored.
 fn read(log: &Path) -> io::Result<Vec<LoggedFrame>> {
     let mut reader = ReaderBuilder::new().flexible(true).from_path(log)?;
     let header = StringRecord::from_byte_record_lossy(reader.byte_headers()?.clone());

@@ -34,7 +34,7 @@ pub(super) struct Dated {
     stem: String,
     /// Time and number of the frame; `None` for a bad file.
     taken: Option<(Timestamp, Option<u64>)>,
-    /// Whether the file was looked at, not only its row of the log.
+    /// Whether the file was read, not only its row of the log.
     is_here: bool,
 }
 

@@ -1,6 +1,6 @@
-//! From frames to sightings.
+//! From frames to observations.
 
-use super::sighting::{Horizon, Known, Sighting};
+use super::observation::{Horizon, HorizonObservation, Known};
 use crate::calibrate::mounting::{AttitudeLog, SunObservation};
 use crate::config;
 use crate::frame::Frame;
@@ -86,12 +86,12 @@ pub fn collect(
 pub fn with_attitude(
     horizons: Vec<Horizon>,
     log: &AttitudeLog,
-) -> (Vec<Sighting>, Vec<RejectedFrame>) {
+) -> (Vec<HorizonObservation>, Vec<RejectedFrame>) {
     let known = |utc: Timestamp| {
         let [roll_deg, pitch_deg] = log.at(utc)?.map(|deg| Measured::new(deg, 0.0));
         Ok(Known::Nadir(body_nadir(roll_deg, pitch_deg).unit))
     };
-    sightings(horizons, known)
+    observations(horizons, known)
 }
 
 /// Sightings at moments at which a telescope on the same body saw the Sun; `suns` in the order of time.
@@ -99,7 +99,7 @@ pub fn with_sun(
     horizons: Vec<Horizon>,
     suns: &[SunObservation],
     telescope: &Instrument,
-) -> (Vec<Sighting>, Vec<RejectedFrame>) {
+) -> (Vec<HorizonObservation>, Vec<RejectedFrame>) {
     let unit =
         |sun: &SunObservation| sun_in_telescope(sun.sun_plate.position, telescope).into_inner();
     let known = |utc: Timestamp| {
@@ -120,18 +120,18 @@ pub fn with_sun(
             elevation_deg: elevations[0] * (1.0 - part) + elevations[1] * part,
         })
     };
-    sightings(horizons, known)
+    observations(horizons, known)
 }
 
-fn sightings(
+fn observations(
     horizons: Vec<Horizon>,
     known: impl Fn(Timestamp) -> Result<Known, String>,
-) -> (Vec<Sighting>, Vec<RejectedFrame>) {
-    let sighting = |horizon: Horizon| match known(horizon.utc) {
-        Ok(known) => Ok(Sighting { horizon, known }),
+) -> (Vec<HorizonObservation>, Vec<RejectedFrame>) {
+    let observation = |horizon: Horizon| match known(horizon.utc) {
+        Ok(known) => Ok(HorizonObservation { horizon, known }),
         Err(reason) => Err(RejectedFrame::new(horizon.file, reason)),
     };
-    parted(horizons.into_iter().map(sighting).collect())
+    parted(horizons.into_iter().map(observation).collect())
 }
 
 fn parted<T>(all: Vec<Result<T, RejectedFrame>>) -> (Vec<T>, Vec<RejectedFrame>) {

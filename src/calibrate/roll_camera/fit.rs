@@ -1,6 +1,6 @@
 //! The turn from the camera's axes to the body's by least squares.
 
-use super::sighting::{Known, Sighting};
+use super::observation::{HorizonObservation, Known};
 use crate::calibrate::mounting::correlation_of;
 use crate::estimation::{
     FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS,
@@ -10,11 +10,11 @@ use nalgebra::{Matrix3, Rotation3, RowVector3, Vector1, Vector3};
 
 /// An axis whose turn the frames tell less well, beside what all of them share, is not determined, 1 sigma.
 pub const LIMIT_DEG: f64 = 0.1;
-/// Fewer sightings tell no outliers.
-const LEAST_SIGHTINGS: usize = 20;
+/// Fewer observations tell no outliers.
+const LEAST_OBSERVATIONS: usize = 20;
 /// The turn settles well before.
 const ROUNDS: usize = 6;
-/// What a sighting's robust weight must be to count as taken.
+/// What a observation's robust weight must be to count as taken.
 const LEAST_WEIGHT: f64 = 0.1;
 
 /// The turn that was found.
@@ -23,11 +23,11 @@ pub struct Turn {
     pub body_from_camera: Rotation3<f64>,
     /// Of a small turn about the body's axes.
     pub covariance_rad2: Matrix3<f64>,
-    /// Rms of what is left of the sightings that were taken, per angle.
+    /// Rms of what is left of the observations that were taken, per angle.
     pub scatter_deg: f64,
     /// Sightings that took part, and all.
     pub taken: usize,
-    pub sightings: usize,
+    pub observations: usize,
     /// How many times more the residuals' mean varies than if each were on its own.
     pub correlation: f64,
 }
@@ -36,7 +36,7 @@ pub struct Turn {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TurnError {
     #[error(
-        "too few sightings: expected at least {LEAST_SIGHTINGS} frames of the horizon at moments of which {wanted}, found {found}"
+        "too few observations: expected at least {LEAST_OBSERVATIONS} frames of the horizon at moments of which {wanted}, found {found}"
     )]
     TooFew { found: usize, wanted: &'static str },
     #[error(
@@ -77,35 +77,39 @@ impl Turn {
 ///
 /// # Errors
 /// Sightings that do not determine the turn; see [`TurnError`].
-pub fn fit(sightings: &[Sighting], start: &Rotation3<f64>) -> Result<Turn, TurnError> {
-    let by_sun = matches!(sightings.first().map(|s| s.known), Some(Known::Sun { .. }));
-    if sightings.len() < LEAST_SIGHTINGS {
+pub fn fit(observations: &[HorizonObservation], start: &Rotation3<f64>) -> Result<Turn, TurnError> {
+    let by_sun = matches!(
+        observations.first().map(|s| s.known),
+        Some(Known::Sun { .. })
+    );
+    if observations.len() < LEAST_OBSERVATIONS {
         let wanted = match by_sun {
             true => "the Sun was seen, too",
             false => "the attitude or the Sun is known",
         };
-        let found = sightings.len();
+        let found = observations.len();
         return Err(TurnError::TooFew { found, wanted });
     }
-    let (turn, fitted) = settled(sightings, start).map_err(|error| TurnError::of(error, by_sun))?;
-    let correlation = correlation(sightings, &turn, &fitted.weights);
+    let (turn, fitted) =
+        settled(observations, start).map_err(|error| TurnError::of(error, by_sun))?;
+    let correlation = correlation(observations, &turn, &fitted.weights);
     let own_rad2 = fitted.covariance * correlation;
     check_determined(&own_rad2, by_sun)?;
     let is_taken = |weight: &&f64| **weight > LEAST_WEIGHT;
     let taken = fitted.weights.iter().filter(is_taken).count();
     Ok(Turn {
         body_from_camera: turn,
-        covariance_rad2: own_rad2 + shared(sightings, &turn),
-        scatter_deg: scatter_deg(sightings, &turn, &fitted.weights),
-        taken: taken * sightings.len() / fitted.weights.len(),
-        sightings: sightings.len(),
+        covariance_rad2: own_rad2 + shared(observations, &turn),
+        scatter_deg: scatter_deg(observations, &turn, &fitted.weights),
+        taken: taken * observations.len() / fitted.weights.len(),
+        observations: observations.len(),
         correlation,
     })
 }
 
 /// The turn of least squares, and the last step's fit to it.
 fn settled(
-    sightings: &[Sighting],
+    observations: &[HorizonObservation],
     start: &Rotation3<f64>,
 ) -> Result<(Rotation3<f64>, Fitted<3>), FitError> {
     let mut turn = *start;
@@ -118,7 +122,7 @@ fn settled(
             scale: Scale::Median,
             tolerance_sigmas: 1e-3,
         };
-        let found = fit.fit(|by: &Vector3<f64>| Some(rows(sightings, &moved(by, &turn))))?;
+        let found = fit.fit(|by: &Vector3<f64>| Some(rows(observations, &moved(by, &turn))))?;
         turn = moved(&found.parameters, &turn);
         fitted = Some(found);
     }
@@ -127,8 +131,8 @@ fn settled(
 
 /// How many times more the mean of what is left varies than if each angle were on its own. An error that lasts over frames stays in its own
 /// axis, so that each axis is looked at alone; the larger of them.
-fn correlation(sightings: &[Sighting], turn: &Rotation3<f64>, weights: &[f64]) -> f64 {
-    let angles: Vec<(Angle, &f64)> = angles(sightings, turn).zip(weights).collect();
+fn correlation(observations: &[HorizonObservation], turn: &Rotation3<f64>, weights: &[f64]) -> f64 {
+    let angles: Vec<(Angle, &f64)> = angles(observations, turn).zip(weights).collect();
     let along = |axis: Axis| {
         let taken = angles
             .iter()
@@ -148,8 +152,8 @@ fn moved(by: &Vector3<f64>, turn: &Rotation3<f64>) -> Rotation3<f64> {
 }
 
 /// Every angle that is known, near a turn.
-fn rows(sightings: &[Sighting], turn: &Rotation3<f64>) -> Vec<Linearised<1, 3>> {
-    angles(sightings, turn)
+fn rows(observations: &[HorizonObservation], turn: &Rotation3<f64>) -> Vec<Linearised<1, 3>> {
+    angles(observations, turn)
         .map(|angle| Linearised {
             residual: Vector1::new(angle.left / angle.sigma_rad),
             jacobian: angle.by_turn / angle.sigma_rad,
@@ -175,18 +179,18 @@ struct Angle {
 }
 
 fn angles<'a>(
-    sightings: &'a [Sighting],
+    observations: &'a [HorizonObservation],
     turn: &'a Rotation3<f64>,
 ) -> impl Iterator<Item = Angle> + 'a {
-    sightings.iter().flat_map(|sighting| {
-        let found = sighting.horizon.nadir.turned(turn);
+    observations.iter().flat_map(|observation| {
+        let found = observation.horizon.nadir.turned(turn);
         let along = |axis: Axis, unit: Vector3<f64>, known: f64| Angle {
             axis,
             left: known - unit.dot(&found.unit),
             sigma_rad: unit.dot(&(found.covariance_rad2 * unit)).max(0.0).sqrt(),
             by_turn: found.unit.cross(&unit).transpose(),
         };
-        match &sighting.known {
+        match &observation.known {
             Known::Nadir(known) => {
                 let right = known.cross(&Vector3::x()).normalize();
                 let forward = right.cross(known);
@@ -206,8 +210,8 @@ fn angles<'a>(
     })
 }
 
-fn scatter_deg(sightings: &[Sighting], turn: &Rotation3<f64>, weights: &[f64]) -> f64 {
-    let angles = angles(sightings, turn).zip(weights);
+fn scatter_deg(observations: &[HorizonObservation], turn: &Rotation3<f64>, weights: &[f64]) -> f64 {
+    let angles = angles(observations, turn).zip(weights);
     let taken = angles.filter(|(_, weight)| **weight > LEAST_WEIGHT);
     let (sum, count) = taken.fold((0.0, 0.0), |(sum, count), (angle, _)| {
         (sum + angle.left.powi(2), count + 1.0)
@@ -216,8 +220,8 @@ fn scatter_deg(sightings: &[Sighting], turn: &Rotation3<f64>, weights: &[f64]) -
 }
 
 /// What all frames have alike of their error turns the camera with it: the median frame's.
-fn shared(sightings: &[Sighting], turn: &Rotation3<f64>) -> Matrix3<f64> {
-    let mut nadirs: Vec<&Direction> = sightings.iter().map(|s| &s.horizon.nadir).collect();
+fn shared(observations: &[HorizonObservation], turn: &Rotation3<f64>) -> Matrix3<f64> {
+    let mut nadirs: Vec<&Direction> = observations.iter().map(|s| &s.horizon.nadir).collect();
     nadirs.sort_by(|a, b| {
         a.covariance_rad2
             .trace()
@@ -259,7 +263,7 @@ fn check_determined(covariance_rad2: &Matrix3<f64>, by_sun: bool) -> Result<(), 
 
 #[cfg(test)]
 mod tests {
-    use super::super::sighting::Horizon;
+    use super::super::observation::Horizon;
     use super::*;
     use crate::pointing::body_nadir;
     use crate::units::Measured;
@@ -272,10 +276,10 @@ mod tests {
     const OWN_RAD: f64 = 1e-4;
 
     /// Five minutes of a body that tilts slowly, seen by a camera that is not turned in it; each error keeps a part of the one before.
-    fn sightings(seed: u64, kept: f64) -> Vec<Sighting> {
+    fn observations(seed: u64, kept: f64) -> Vec<HorizonObservation> {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
         let mut error = Vector3::zeros();
-        let sighting = |n: u32| {
+        let observation = |n: u32| {
             let time_s = f64::from(n) * 0.25;
             let roll_deg = 5.0 * (time_s / 9.0).sin();
             let pitch_deg = 3.0 * (time_s / 7.0).sin();
@@ -284,7 +288,7 @@ mod tests {
             let fresh_rad = OWN_RAD * (1.0 - kept.powi(2)).sqrt();
             error = error * kept + Vector3::from(parts) * fresh_rad;
             let seen = UnitVector3::new_normalize(down.unit.into_inner() + error);
-            Sighting {
+            HorizonObservation {
                 horizon: Horizon {
                     file: format!("{n}").into(),
                     utc: Timestamp::UNIX_EPOCH + SignedDuration::from_secs_f64(time_s),
@@ -293,7 +297,7 @@ mod tests {
                 known: Known::Nadir(down.unit),
             }
         };
-        (0..1200).map(sighting).collect()
+        (0..1200).map(observation).collect()
     }
 
     /// Error of the heading over its sigma, rms of some flights, and the mean correlation. The frames' sigma counts as alike in all of
@@ -302,7 +306,7 @@ mod tests {
         const FLIGHTS: u64 = 24;
         let (mut squares, mut correlation) = (0.0, 0.0);
         for seed in 0..FLIGHTS {
-            let turn = fit(&sightings(seed, kept), &Rotation3::identity()).unwrap();
+            let turn = fit(&observations(seed, kept), &Rotation3::identity()).unwrap();
             let error_deg = turn.body_from_camera.scaled_axis().z.to_degrees();
             squares += (error_deg / turn.sigmas_deg()[2]).powi(2);
             correlation += turn.correlation;
@@ -323,10 +327,10 @@ mod tests {
 
     #[test]
     fn a_body_that_never_tilts_is_told_to_tilt() {
-        let mut still = sightings(1, 0.0);
-        for sighting in &mut still {
-            sighting.known = Known::Nadir(Vector3::z_axis());
-            sighting.horizon.nadir = Direction::new(Vector3::z_axis(), OWN_RAD);
+        let mut still = observations(1, 0.0);
+        for observation in &mut still {
+            observation.known = Known::Nadir(Vector3::z_axis());
+            observation.horizon.nadir = Direction::new(Vector3::z_axis(), OWN_RAD);
         }
         let error = fit(&still, &Rotation3::identity()).unwrap_err().to_string();
         assert!(error.contains("not determined"), "{error}");

@@ -2,8 +2,8 @@
 
 use super::collect::{Horizons, collect, with_attitude, with_sun};
 use super::fit::{Turn, TurnError, fit};
+use super::observation::{Horizon, HorizonObservation};
 use super::report::NAME;
-use super::sighting::{Horizon, Sighting};
 use crate::archive::role_of;
 use crate::calibrate::frames::{CalibrateError, FramesError};
 use crate::calibrate::mounting::{self, AttitudeLog, Frames, SunObservation};
@@ -54,18 +54,20 @@ pub fn from_frames(
         return Err(FramesError::Lacking(lacking.into()).into());
     }
     let (seen, mut rejected) = collect(&of_horizon, horizons, watch)?;
-    let (sightings, more) = match reference {
+    let (observations, more) = match reference {
         Reference::Attitude(log) => with_attitude(seen, log),
         Reference::Sun(frames) => by_sun(&of_sun, frames, seen, watch)?,
     };
     rejected.extend(more);
     let stated = camera.body_from_camera;
-    let turn = fit(&sightings, &stated).map_err(CalibrateError::undetermined(&rejected))?;
+    let turn = fit(&observations, &stated).map_err(CalibrateError::undetermined(&rejected))?;
     let done = match reference {
         Reference::Attitude(_) => "body_from_camera, known attitude",
         Reference::Sun(_) => "body_from_camera, Sun and horizon together",
     };
-    let times = sightings.iter().map(|sighting| sighting.horizon.utc);
+    let times = observations
+        .iter()
+        .map(|observation| observation.horizon.utc);
     Ok(FromFrames {
         provenance: Provenance::over(NAME, done, turn.taken, times, &files),
         turn,
@@ -99,7 +101,7 @@ fn by_sun(
     frames: &Frames<'_>,
     seen: Vec<Horizon>,
     watch: &dyn Watch,
-) -> Result<(Vec<Sighting>, Vec<RejectedFrame>), FramesError> {
+) -> Result<(Vec<HorizonObservation>, Vec<RejectedFrame>), FramesError> {
     let directions = frames.instrument.mounting.directions;
     if directions != Directions::Telescope {
         return Err(FramesError::Lacking(format!(
@@ -113,7 +115,7 @@ fn by_sun(
     }
     let (mut suns, mut rejected, _) = mounting::collect(files, frames, watch)?;
     suns.sort_by_key(|sun: &SunObservation| sun.utc);
-    let (sightings, more) = with_sun(seen, &suns, frames.instrument);
+    let (observations, more) = with_sun(seen, &suns, frames.instrument);
     rejected.extend(more);
-    Ok((sightings, rejected))
+    Ok((observations, rejected))
 }

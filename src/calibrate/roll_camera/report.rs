@@ -42,13 +42,13 @@ impl fmt::Display for Turn {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self {
             taken,
-            sightings,
+            observations,
             scatter_deg,
             ..
         } = self;
         write!(
             out,
-            "{taken} of {sightings} sightings agree, scattering by {scatter_deg:.4} deg rms"
+            "{taken} of {observations} observations agree, scattering by {scatter_deg:.4} deg rms"
         )
     }
 }

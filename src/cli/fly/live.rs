@@ -29,8 +29,8 @@ impl LiveLine {
             return;
         }
         self.shown = Instant::now();
-        if let Some(told) = service.housekeeping() {
-            log::show(line(&told));
+        if let Some(housekeeping) = service.housekeeping() {
+            log::show(line(&housekeeping));
         }
     }
 
@@ -42,38 +42,42 @@ impl LiveLine {
     }
 }
 
-/// What the ground is told, on one line.
-fn line(told: &Housekeeping) -> String {
-    let offset = match told.azimuth_deg.zip(told.elevation_deg) {
+/// The flight's state, on one line.
+fn line(housekeeping: &Housekeeping) -> String {
+    let offset = match housekeeping.azimuth_deg.zip(housekeeping.elevation_deg) {
         Some((azimuth, elevation)) => {
             format!("azimuth {azimuth:+.4} elevation {elevation:+.4} deg")
         }
         None => "no offset".into(),
     };
-    let disks: Vec<String> = [told.disk_1, told.disk_2]
+    let disks: Vec<String> = [housekeeping.disk_1, housekeeping.disk_2]
         .into_iter()
         .flatten()
         .map(|used| format!("{used} %"))
         .collect();
-    let link = match (told.tracking, told.sending) {
+    let link = match (housekeeping.tracking, housekeeping.sending) {
         (true, true) => "tracking",
         (false, true) => "not tracking",
         (_, false) => "not sending",
     };
     format!(
         "{}{} frames: {} fine, {} coarse, {} none | {offset} | {} stored, {} not; disks {} | {link}, {} sent",
-        if told.simulated { "SIMULATED " } else { "" },
-        told.taken,
-        told.fine,
-        told.coarse,
-        told.none,
-        told.stored,
-        told.unstored,
+        if housekeeping.simulated {
+            "SIMULATED "
+        } else {
+            ""
+        },
+        housekeeping.taken,
+        housekeeping.fine,
+        housekeeping.coarse,
+        housekeeping.none,
+        housekeeping.stored,
+        housekeeping.unstored,
         if disks.is_empty() {
             "none".into()
         } else {
             disks.join(", ")
         },
-        told.solutions,
+        housekeeping.solutions,
     )
 }

@@ -13,14 +13,14 @@ use nalgebra::{Rotation3, UnitVector3};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// A camera, and what it looks for.
+/// A camera, and what it searches for.
 pub(super) struct Mounted {
     pub camera: DirectionCamera,
     pub body_from_camera: Option<Rotation3<f64>>,
     pub sphere: Sphere,
 }
 
-/// What two cameras look at together.
+/// What two cameras observe together.
 pub(super) struct Pair {
     /// Of each camera.
     pub frames: [Vec<PathBuf>; 2],

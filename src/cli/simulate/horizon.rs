@@ -32,8 +32,8 @@ pub struct HorizonArgs {
     #[arg(long, value_name = "H", default_value_t = 38_000.0, requires = "horizon", value_parser = Within(1_000.0, 1e8, "m"))]
     height_m: f64,
     /// Where the camera looks
-    #[arg(long, value_enum, default_value_t = Looks::Horizon, requires = "horizon")]
-    aim: Looks,
+    #[arg(long, value_enum, default_value_t = AimAt::Horizon, requires = "horizon")]
+    aim: AimAt,
     /// Largest roll either way; with --aim down, the largest tilt
     #[arg(long, value_name = "DEG", default_value_t = 30.0, requires = "horizon", value_parser = Within(0.0, 180.0, "deg"))]
     most_roll: f64,
@@ -95,7 +95,7 @@ enum InView {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Looks {
+enum AimAt {
     /// At the horizon
     Horizon,
     /// Down: from high enough, the whole Earth is in view
@@ -215,13 +215,13 @@ fn conditions(args: &SimulateArgs) -> anyhow::Result<(EarthConditions, String)> 
             false => Shape::SPHERE,
         },
         aim: match horizon.aim {
-            Looks::Horizon => Aim::Horizon {
+            AimAt::Horizon => Aim::Horizon {
                 most_roll_deg: horizon.most_roll,
             },
-            Looks::Down => Aim::Down {
+            AimAt::Down => Aim::Down {
                 most_tilt_deg: horizon.most_roll,
             },
-            Looks::Space => Aim::Space,
+            AimAt::Space => Aim::Space,
         },
         air: Air {
             varies_by: horizon.limb_brightness,

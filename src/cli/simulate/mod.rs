@@ -300,7 +300,7 @@ fn truth_line(number: u64, truth: &Truth) -> String {
 }
 
 impl SimulateArgs {
-    /// The scenes of the Sun on the plate that the options tell of.
+    /// The scenes of the Sun on the plate that the options ask for.
     ///
     /// # Errors
     /// The instrument's file; a year in which the Sun's size is not known; options that give no scene.

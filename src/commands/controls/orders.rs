@@ -117,7 +117,7 @@ impl Controls {
         believed
     }
 
-    /// Sets keys to numbers that have travelled. What a read of the present value would tell leaves that as it is: it may lie between the
+    /// Sets keys to numbers that have travelled. A number equal to what a read returns leaves the value as it is: it may lie between the
     /// numbers that can travel.
     fn set_by_command(
         &self,

@@ -2,12 +2,12 @@
 //!
 //! The file is a header line with a checksum, then TOML: one key and value a line. It is replaced as a whole, by a new
 //! file that is on the disk before it takes the old one's name: a reader finds the old values or the new ones, never
-//! half of them. The checksum is for what disks do later. The header tells this file from all others: another one that is named by mistake is
+//! half of them. The checksum is for what disks do later. The header distinguishes this file from all others: another one that is named by mistake is
 //! neither read nor replaced.
 //!
 //! Tracking and the last GPS fix are kept, too, but only for a flight that goes on: they are taken up again within the same
 //! start of the computer, or if they were saved a short time ago. A computer that is switched on the next day in the
-//! laboratory does not steer. While there is such a value, the file is written anew each minute, with the time.
+//! laboratory does not steer. While there is such a value, the file is rewritten each minute, with the time.
 
 mod file;
 
@@ -32,16 +32,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
-/// How long the thread waits for a change before it looks whether it is to end.
+/// How long the thread waits for a change before it checks whether it is to end.
 const PATIENCE: Duration = Duration::from_millis(100);
-/// How often the file is written anew while it holds a value that is for a short time only.
+/// How often the file is rewritten while it holds a value that is for a short time only.
 const REFRESH: Duration = Duration::from_secs(60);
 /// The keys whose values are for a short time only.
 const SHORT_LIVED: [&str; 3] = [TRACKING.key(), LATITUDE.key(), LONGITUDE.key()];
-/// The keys that tell when the file was written: the time, and the start of the computer.
+/// The keys that state when the file was written: the time, and the start of the computer.
 const WRITTEN_UTC: &str = "written.utc";
 const WRITTEN_BOOT: &str = "written.boot";
-/// Where Linux tells a number that is another one after each start of the computer.
+/// Where Linux gives a number that is another one after each start of the computer.
 const BOOT_ID: &str = "/proc/sys/kernel/random/boot_id";
 
 /// Why saved values cannot be used, or could not be saved.
@@ -65,7 +65,7 @@ pub enum SavedError {
 #[derive(Debug, Clone, PartialEq)]
 struct Written {
     utc: Timestamp,
-    /// `None` where the system does not tell.
+    /// `None` where the system does not say.
     boot: Option<String>,
 }
 
@@ -91,7 +91,7 @@ impl Written {
         })
     }
 
-    /// Whether a flight of `then` goes on now. A clock that has been set back tells nothing.
+    /// Whether a flight of `then` goes on now. A clock that has been set back gives no answer.
     fn is_recent(&self, then: &Self, limit: Duration) -> bool {
         let same_boot = self.boot.is_some() && self.boot == then.boot;
         let age = Duration::try_from(self.utc.duration_since(then.utc));
@@ -149,7 +149,7 @@ fn restore_at(controls: &Controls, file: &SavedValues, now: &Written) -> usize {
         values.retain(|key, _| !SHORT_LIVED.contains(&key.as_str()));
         if values.len() < before {
             let (file, limit_s) = (path.display(), limit.as_secs());
-            tracing::warn!(%file, limit_s, "saved too long ago: tracking and GPS begin anew");
+            tracing::warn!(%file, limit_s, "saved too long ago: tracking and GPS start fresh");
         }
     }
     let commanded = controls.state().commanded.clone();
@@ -280,7 +280,7 @@ impl ValueSaver {
         }
     }
 
-    /// Sets what was saved, says so to `restored`, and saves after every change until told to end, and then what is left to
+    /// Sets what was saved, says so to `restored`, and saves after every change until asked to end, and then what is left to
     /// save. Returns how often it failed.
     pub fn run(mut self, restored: &Sender<()>, ends: &AtomicBool) -> u64 {
         match self.hold() {
@@ -402,7 +402,7 @@ mod tests {
         SavedValues::at(path).replace(&text).unwrap();
     }
 
-    /// Runs a thread that is told to end, with what `set` has set after the start: how often it failed.
+    /// Runs a thread that is asked to end, with what `set` has set after the start: how often it failed.
     fn run(controls: &Controls, path: &Path, set: impl Fn(&Controls)) -> u64 {
         let (restored, _) = bounded(1);
         set(controls);

@@ -268,7 +268,7 @@ fn a_place_from_gps_is_taken_while_it_is_accepted_and_no_jump() {
     assert_eq!(
         controls.take_fix(fix(-77.75, 166.0)),
         DONE,
-        "a place set by command begins anew"
+        "a place set by command starts the check again"
     );
 }
 

@@ -65,11 +65,13 @@ impl<'a> LiveTime<'a> {
         corners: &Corners,
         unix_s: f64,
     ) -> Option<[[f64; 2]; 4]> {
-        let sight = history.at(unix_s).sight?;
+        let line_of_sight = history.at(unix_s).line_of_sight?;
         let mut outline = [[0.0; 2]; 4];
         for (corner, place) in corners.iter().zip(&mut outline) {
             let towards = Vector3::new(1.0, corner.right_rad, -corner.up_rad);
-            *place = self.grid.place_px(&(sight.sun_from_telescope * towards))?;
+            *place = self
+                .grid
+                .place_px(&(line_of_sight.sun_from_telescope * towards))?;
         }
         Some(outline)
     }

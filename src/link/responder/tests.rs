@@ -1,5 +1,5 @@
 use super::*;
-use crate::link::MoonSight;
+use crate::link::MoonOutcome;
 use crate::link::control::result;
 use crate::link::message::GpsFix;
 use crate::link::packet::{Direction, Packet};
@@ -459,7 +459,7 @@ fn a_request_for_the_moon_is_answered_at_once_by_its_result_and_waits_for_what_i
     assert_eq!(reply.commands[0].message, heard);
     let answer = MoonAnswer {
         request: 5,
-        sight: MoonSight::NotFound { code: 1 },
+        outcome: MoonOutcome::NotFound { code: 1 },
     };
     let packet = responder.moon(answer).unwrap();
     assert_eq!(said(&packet), Said::Message(answer.into()));

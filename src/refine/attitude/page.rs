@@ -176,7 +176,7 @@ fn name(settings: &NavigationSettings, source: Source) -> String {
         Source::Plumb => "gravity".into(),
         Source::Position => "GPS position".into(),
         Source::Velocity => "GPS velocity".into(),
-        Source::Sighting { camera, target } => {
+        Source::Direction { camera, target } => {
             format!("{} ({})", target.name(), settings.cameras[camera].name)
         }
     }

@@ -1,7 +1,7 @@
 //! The body's roll and pitch over the flight.
 
-use super::super::oddity::Oddity;
-use super::super::path::ODD_PATH_CHI2;
+use super::super::flags::FrameFlag;
+use super::super::path::UNUSUAL_PATH_CHI2;
 use super::super::record::Grade;
 use super::super::timeline::{Entry, Held, Timeline};
 use super::path::{RollPath, Seen, changing};
@@ -106,7 +106,7 @@ impl RollHistory {
                 _ => Grade::None,
             },
             reason: match is_off {
-                true => format!("refine: {}", Oddity::Path),
+                true => format!("refine: {}", FrameFlag::Path),
                 false => reason,
             },
             nadir: match &own {
@@ -147,7 +147,8 @@ fn off(by_fine: Option<&RollPath>, seen: &[Seen]) -> Vec<usize> {
             ((found.value - expected.value) / sigma).powi(2)
         };
         let ([roll, pitch], expected) = (seen.angles_deg, expected?);
-        let off = chi2(roll, expected.roll_deg) + chi2(pitch, expected.pitch_deg) > ODD_PATH_CHI2;
+        let off =
+            chi2(roll, expected.roll_deg) + chi2(pitch, expected.pitch_deg) > UNUSUAL_PATH_CHI2;
         off.then_some(seen.frame)
     };
     coarse

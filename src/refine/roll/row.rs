@@ -60,11 +60,11 @@ impl RollRow {
         self.own.as_ref()?.in_flight_deg
     }
 
-    /// Why there is no roll, and what is odd about the time; empty where nothing is to be said.
+    /// Why there is no roll, and why the time is flagged; empty where nothing is to be said.
     pub fn full_reason(&self) -> String {
         let own = (!self.reason.is_empty()).then(|| self.reason.clone());
-        let odd = self.timing.odd.map(|odd| format!("refine: {odd}"));
-        own.into_iter().chain(odd).collect::<Vec<_>>().join("; ")
+        let flag = self.timing.flag.map(|flag| format!("refine: {flag}"));
+        own.into_iter().chain(flag).collect::<Vec<_>>().join("; ")
     }
 
     /// The nadir at the row's time, with what the uncertainty of that adds; none where it cannot be told how much that is.
@@ -116,7 +116,7 @@ pub const ROLL_COLUMNS: &[Column<RollRow>] = &[
     float("MONO_S", "s", "mid-exposure on the monotonic clock", |r| r.own.as_ref()?.facts.monotonic_s),
     integer("FRAMENUM", "number of the frame", |r| r.own.as_ref()?.facts.number.map(|number| number as i64)),
     text("QUALITY", "fine: most of the edge in view is seen; coarse: less; none", |r| r.quality.name().into()),
-    text("REASON", "why there is no roll, and what is odd about the time; empty for the others", |r| r.full_reason().into()),
+    text("REASON", "why there is no roll, and why the time is flagged; empty for the others", |r| r.full_reason().into()),
     text("FLAGS", "what stands beside the edge or hides it: clouds, other_edges, no_edge", |r| r.flags().into()),
     integer("PLACES", "places of the edge that are in view", |r| Some(r.own.as_ref()?.places as i64)),
     integer("AGREEING", "those that agree with the nadir", |r| Some(r.own.as_ref()?.agreeing as i64)),

@@ -5,7 +5,7 @@
 //! time and its return, where the camera is steady otherwise. Wrong times are replaced by those that the numbers and the frames before and
 //! after give.
 
-use super::super::oddity::SIGMA_PER_WIDTH;
+use super::super::flags::SIGMA_PER_WIDTH;
 use crate::estimation::median;
 use crate::units::Measured;
 

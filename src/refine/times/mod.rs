@@ -12,7 +12,7 @@ mod counter;
 mod quantum;
 
 use super::clock::{Clocks, Reading, corrected_ns};
-use super::oddity::{SIGMA_PER_WIDTH, TimeOddity};
+use super::flags::{SIGMA_PER_WIDTH, TimeFlag};
 use crate::observe::FrameFacts;
 use crate::units::{Measured, counted};
 use counter::Numbered;
@@ -55,22 +55,22 @@ pub struct Timing {
     pub correction_s: Option<Measured>,
     /// 1 sigma of the time; none where the stamp is believed.
     pub sigma_s: Option<f64>,
-    /// What is odd about it.
-    pub odd: Option<TimeOddity>,
+    /// Why the time is flagged.
+    pub flag: Option<TimeFlag>,
 }
 
 impl Timing {
-    fn corrected(shift_s: f64, sigma_s: f64, odd: TimeOddity) -> Self {
+    fn corrected(shift_s: f64, sigma_s: f64, flag: TimeFlag) -> Self {
         Self {
             correction_s: Some(Measured::new(shift_s, sigma_s)),
             sigma_s: Some(sigma_s),
-            odd: Some(odd),
+            flag: Some(flag),
         }
     }
 
     /// The time of a stamp; none where the clock stood still.
     pub fn utc_ns(&self, stamped_ns: Option<i64>) -> Option<i64> {
-        let stamped_ns = stamped_ns.filter(|_| self.odd != Some(TimeOddity::StoppedClock))?;
+        let stamped_ns = stamped_ns.filter(|_| self.flag != Some(TimeFlag::StoppedClock))?;
         Some(match &self.correction_s {
             Some(correction_s) => corrected_ns(stamped_ns, correction_s),
             None => stamped_ns,
@@ -95,7 +95,7 @@ impl Times {
             clocks: Clocks::default(),
         };
         if is_stopped(stamps) {
-            times.note(stamps, TimeOddity::StoppedClock);
+            times.note(stamps, TimeFlag::StoppedClock);
             times.warn();
             return times;
         }
@@ -112,18 +112,18 @@ impl Times {
 
     /// One warning of each kind.
     fn warn(&self) {
-        let mut kinds: BTreeMap<TimeOddity, u64> = BTreeMap::new();
-        for odd in self.timings.iter().filter_map(|timing| timing.odd) {
-            *kinds.entry(odd).or_default() += 1;
+        let mut kinds: BTreeMap<TimeFlag, u64> = BTreeMap::new();
+        for flag in self.timings.iter().filter_map(|timing| timing.flag) {
+            *kinds.entry(flag).or_default() += 1;
         }
-        for (odd, frames) in kinds {
-            tracing::warn!("{}: {odd}", counted(frames, "frame"));
+        for (flag, frames) in kinds {
+            tracing::warn!("{}: {flag}", counted(frames, "frame"));
         }
     }
 
-    fn note(&mut self, stamps: &[Stamp], odd: TimeOddity) {
+    fn note(&mut self, stamps: &[Stamp], flag: TimeFlag) {
         for (timing, stamp) in self.timings.iter_mut().zip(stamps) {
-            timing.odd = stamp.utc_ns.map(|_| odd);
+            timing.flag = stamp.utc_ns.map(|_| flag);
         }
     }
 
@@ -134,9 +134,9 @@ impl Times {
             let by = spread.by.zip(spread.shifts_s[n]);
             self.timings[n] = match by {
                 Some((by, shift_s)) => {
-                    Timing::corrected(shift_s, sigma_s, TimeOddity::CoarseTime { step_us, by })
+                    Timing::corrected(shift_s, sigma_s, TimeFlag::CoarseTime { step_us, by })
                 }
-                None => Timing::corrected(spread.step_s / 2.0, sigma_s, TimeOddity::SharedTime),
+                None => Timing::corrected(spread.step_s / 2.0, sigma_s, TimeFlag::SharedTime),
             };
         }
     }
@@ -147,7 +147,7 @@ impl Times {
         self.clocks = Clocks::of(&readings);
         for (timing, shift_s) in self.timings.iter_mut().zip(&self.clocks.corrections_s) {
             if let Some(shift_s) = shift_s {
-                *timing = Timing::corrected(shift_s.value, shift_s.sigma, TimeOddity::Clock);
+                *timing = Timing::corrected(shift_s.value, shift_s.sigma, TimeFlag::Clock);
             }
         }
     }
@@ -172,13 +172,13 @@ impl Times {
                 .map_or(0.0, |shift| shift.value);
             let shift_s = before_s + correction_s.value;
             self.timings[n] =
-                Timing::corrected(shift_s, correction_s.sigma, TimeOddity::AgainstNumbers);
+                Timing::corrected(shift_s, correction_s.sigma, TimeFlag::AgainstNumbers);
         }
         for (n, sigma_s) in found.shuffled {
             self.timings[n] = Timing {
                 correction_s: None,
                 sigma_s: Some(sigma_s),
-                odd: Some(TimeOddity::ShuffledTime),
+                flag: Some(TimeFlag::ShuffledTime),
             };
         }
     }
@@ -200,13 +200,13 @@ impl Times {
             for (_, n) in group {
                 let timing = &mut self.timings[*n];
                 match width_s {
-                    _ if timing.odd.is_some_and(|odd| !odd.is_of_path()) => {}
+                    _ if timing.flag.is_some_and(|flag| !flag.is_of_path()) => {}
                     Some(width_s) => {
                         let sigma_s = width_s * SIGMA_PER_WIDTH;
                         timing.sigma_s = Some(sigma_s.max(timing.sigma_s.unwrap_or(0.0)));
-                        timing.odd = Some(TimeOddity::SharedTime);
+                        timing.flag = Some(TimeFlag::SharedTime);
                     }
-                    None => timing.odd = Some(TimeOddity::StoppedClock),
+                    None => timing.flag = Some(TimeFlag::StoppedClock),
                 }
             }
         }

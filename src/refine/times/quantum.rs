@@ -3,7 +3,7 @@
 //! A stamp says that a frame was taken between it and the next one. What orders the frames (the monotonic clock, their numbers, else
 //! the files) runs evenly: a straight line of time through as many frames as their steps allow, then the next one.
 
-use super::super::oddity::Order;
+use super::super::flags::Order;
 use super::Stamp;
 use crate::estimation::median;
 use std::collections::HashMap;

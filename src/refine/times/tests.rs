@@ -1,6 +1,6 @@
 //! Stamps of frames whose true times are known.
 
-use super::super::oddity::Order;
+use super::super::flags::Order;
 use super::*;
 
 const START_NS: i64 = 1_379_786_400_000_000_000;
@@ -39,7 +39,7 @@ fn in_steps(mut stamps: Vec<Stamp>, step_s: f64) -> Vec<Stamp> {
     stamps
 }
 
-/// Each frame's error in time, s, and what is odd about it.
+/// Each frame's error in time, s, and its flag.
 fn judged(stamps: &[Stamp]) -> Vec<(f64, Timing)> {
     let times = Times::of(stamps);
     let one = |(stamp, timing): (&Stamp, Timing)| {
@@ -49,15 +49,15 @@ fn judged(stamps: &[Stamp]) -> Vec<(f64, Timing)> {
     stamps.iter().zip(times.timings).map(one).collect()
 }
 
-fn odd(stamps: &[Stamp]) -> Vec<usize> {
+fn flagged(stamps: &[Stamp]) -> Vec<usize> {
     let judged = judged(stamps).into_iter().enumerate();
-    let odd = judged.filter(|(_, (_, timing))| timing.odd.is_some());
-    odd.map(|(n, _)| n).collect()
+    let found = judged.filter(|(_, (_, timing))| timing.flag.is_some());
+    found.map(|(n, _)| n).collect()
 }
 
 /// Holds all times to three of their sigmas, and to `most_s`.
 fn expect_corrected(stamps: &[Stamp], expected: &[usize], most_s: f64) {
-    assert_eq!(odd(stamps), expected);
+    assert_eq!(flagged(stamps), expected);
     for (n, (error_s, timing)) in judged(stamps).iter().enumerate() {
         let sigma_s = timing.sigma_s.unwrap_or(1e-3);
         assert!(
@@ -70,11 +70,11 @@ fn expect_corrected(stamps: &[Stamp], expected: &[usize], most_s: f64) {
 #[test]
 fn good_times_are_left_alone() {
     for frames in [1, 2, 3, 300] {
-        assert!(odd(&steady(frames)).is_empty(), "{frames}");
+        assert!(flagged(&steady(frames)).is_empty(), "{frames}");
     }
     let exact = |rate_hz: f64| taken((0..60).map(move |n| n as f64 / rate_hz));
     for rate_hz in [0.5, 1.0, 2.0, 4.0, 10.0, 26.0] {
-        assert!(odd(&exact(rate_hz)).is_empty(), "{rate_hz}");
+        assert!(flagged(&exact(rate_hz)).is_empty(), "{rate_hz}");
     }
     // A pause, frames that are missing, another rate, and no numbers.
     let mut paused: Vec<Stamp> = steady(200);
@@ -82,7 +82,7 @@ fn good_times_are_left_alone() {
         .iter_mut()
         .for_each(|stamp| shift(stamp, 45.0));
     paused.drain(60..67);
-    assert!(odd(&paused).is_empty());
+    assert!(flagged(&paused).is_empty());
     let faster = (0..100).map(|n| {
         if n < 50 {
             n as f64
@@ -90,9 +90,9 @@ fn good_times_are_left_alone() {
             50.0 + (n - 50) as f64 / 8.0
         }
     });
-    assert!(odd(&taken(faster)).is_empty());
+    assert!(flagged(&taken(faster)).is_empty());
     paused.iter_mut().for_each(|stamp| stamp.number = None);
-    assert!(odd(&paused).is_empty());
+    assert!(flagged(&paused).is_empty());
 }
 
 #[test]
@@ -111,7 +111,7 @@ fn a_counter_that_began_anew_contradicts_nothing() {
             shift(stamp, 30.0);
         }
         both.remove(17);
-        assert!(odd(&both).is_empty(), "{first} {other} {begins}");
+        assert!(flagged(&both).is_empty(), "{first} {other} {begins}");
     }
 }
 
@@ -139,8 +139,8 @@ fn frames_of_a_whole_second_are_spread_over_it() {
             for (n, (error_s, timing)) in judged(&stamps).iter().enumerate() {
                 let step_us = (step_s * 1e6) as u64;
                 assert_eq!(
-                    timing.odd,
-                    Some(TimeOddity::CoarseTime { step_us, by }),
+                    timing.flag,
+                    Some(TimeFlag::CoarseTime { step_us, by }),
                     "{rate_hz}"
                 );
                 let sigma_s = timing.sigma_s.unwrap();
@@ -163,7 +163,7 @@ fn the_start_of_the_exposure_may_be_what_is_stamped() {
         stamp.exposure_s = Some(exposure_s);
         shift(stamp, exposure_s / 2.0);
     }
-    assert_eq!(odd(&stamps).len(), 100);
+    assert_eq!(flagged(&stamps).len(), 100);
 }
 
 #[test]
@@ -175,7 +175,7 @@ fn what_nothing_orders_is_not_of_the_path() {
     assert!(
         judged
             .iter()
-            .all(|(_, timing)| timing.odd == Some(TimeOddity::SharedTime))
+            .all(|(_, timing)| timing.flag == Some(TimeFlag::SharedTime))
     );
     assert!(
         judged
@@ -191,7 +191,7 @@ fn a_clock_that_stands_still_gives_no_time() {
     stamps.iter_mut().for_each(|stamp| stamp.utc_ns = first);
     for timing in Times::of(&stamps).timings {
         assert_eq!(timing.utc_ns(first), None);
-        assert_eq!(timing.odd, Some(TimeOddity::StoppedClock));
+        assert_eq!(timing.flag, Some(TimeFlag::StoppedClock));
     }
     // For a while only: the numbers tell.
     let mut stamps = steady(200);
@@ -203,11 +203,11 @@ fn a_clock_that_stands_still_gives_no_time() {
     for (error_s, timing) in &judged_all {
         assert!(error_s.abs() < 0.03, "{error_s} {timing:?}");
     }
-    assert!(odd(&stamps).len() >= 19);
+    assert!(flagged(&stamps).len() >= 19);
     // And where they do not, the time to the next stamp is the uncertainty.
     stamps.iter_mut().for_each(|stamp| stamp.number = None);
     for (error_s, timing) in &judged(&stamps)[50..70] {
-        assert_eq!(timing.odd, Some(TimeOddity::SharedTime));
+        assert_eq!(timing.flag, Some(TimeFlag::SharedTime));
         assert!(error_s.abs() < 4.0 * timing.sigma_s.unwrap());
     }
 }
@@ -245,11 +245,11 @@ fn of_shuffled_times_and_shuffled_numbers_the_motion_tells_which_is_wrong() {
     let all = judged(&times);
     assert!(
         all.iter()
-            .all(|(_, timing)| timing.odd == Some(TimeOddity::ShuffledTime))
+            .all(|(_, timing)| timing.flag == Some(TimeFlag::ShuffledTime))
     );
     let mut numbers = good.clone();
     (0..100).for_each(|n| numbers[n].number = good[shuffled(n)].number);
-    assert!(odd(&numbers).is_empty());
+    assert!(flagged(&numbers).is_empty());
 }
 
 #[test]
@@ -260,9 +260,9 @@ fn of_two_frames_with_one_number_and_time_neither_is_of_the_path() {
         ..stamps[19]
     };
     let judged = judged(&stamps);
-    assert_eq!(odd(&stamps), [19, 20]);
+    assert_eq!(flagged(&stamps), [19, 20]);
     for (error_s, timing) in &judged[19..21] {
-        assert_eq!(timing.odd, Some(TimeOddity::SharedTime));
+        assert_eq!(timing.flag, Some(TimeFlag::SharedTime));
         assert!(error_s.abs() < 3.0 * timing.sigma_s.unwrap());
     }
 }
@@ -278,5 +278,5 @@ fn times_that_the_monotonic_clock_confirms_are_believed_whatever_the_numbers() {
     stamps[50..60]
         .iter_mut()
         .for_each(|stamp| stamp.number = Some(stamp.number.unwrap() + 900));
-    assert!(odd(&stamps).is_empty());
+    assert!(flagged(&stamps).is_empty());
 }

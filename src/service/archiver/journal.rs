@@ -1,9 +1,9 @@
 //! A disk's log and telemetry: a thread of their own, so that no row waits for a picture's disk for long.
 //!
 //! A disk that refuses a row is tried again after a rest, and the rows behind it wait: an outage costs none of them while there
-//! is room for them. The telemetry tells the same numbers again, and is not worth waiting for.
+//! is space for them. The telemetry repeats the same numbers, and is not worth waiting for.
 
-use super::picture::Told;
+use super::picture::StoredAt;
 use crate::archive::{ArchiveError, Dirfile, Log, SolutionLog, Store};
 use crate::backoff::Backoff;
 use crate::commands::CommandNote;
@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 /// How long a row waits to hear what became of its picture.
 pub(super) const FATE_KNOWN: Duration = Duration::from_secs(5);
 
-/// What the journal is told.
+/// What the journal writes.
 pub(super) enum Entry {
     Row(RowEntry),
     Housekeeping(Timestamp, Box<Housekeeping>),
@@ -37,8 +37,8 @@ pub(super) struct RowEntry {
     /// Of the camera, in the order of the flight's.
     pub station: usize,
     pub row: Box<LoggedRow>,
-    /// Tells where the frame is; `None` where it is not to be stored, or has been told.
-    pub told: Option<Receiver<Told>>,
+    /// Where the frame is stored; `None` where it is not to be stored, or once that is known.
+    pub stored_at: Option<Receiver<StoredAt>>,
     /// When the row is written without the file's name.
     pub deadline: Instant,
     /// Shared with the same row on its way to the other log.
@@ -186,7 +186,7 @@ impl Journal {
         }
     }
 
-    /// Writes what it is told, in its order, until no more comes. What the disk refuses is tried again until the flight ends.
+    /// Writes what it gets, in its order, until no more comes. What the disk refuses is tried again until the flight ends.
     pub fn run(mut self, entries: &Receiver<Entry>) {
         for mut entry in entries {
             let mut rests = Backoff::DISK;
@@ -202,7 +202,7 @@ impl Journal {
     fn write(&mut self, entry: &mut Entry) -> Result<(), ArchiveError> {
         match entry {
             Entry::Row(entry) => self.write_row(entry),
-            Entry::Housekeeping(time, told) => self.write_housekeeping(*time, told),
+            Entry::Housekeeping(time, housekeeping) => self.write_housekeeping(*time, housekeeping),
             Entry::Command(note) => self.write_command(note),
             Entry::Navigation(rows) => self.write_navigation(rows),
         }
@@ -213,11 +213,11 @@ impl Journal {
             return Ok(());
         }
         self.enter(entry.station)?;
-        if let Some(told) = entry.told.take() {
+        if let Some(stored_at) = entry.stored_at.take() {
             let deadline = entry.deadline.max(self.patience);
-            let told = told.recv_deadline(deadline).ok();
-            entry.row.on_own_disk = told.as_ref().map(|told| told.disk == self.number);
-            entry.row.record.file = told.map_or(String::new(), |told| told.file);
+            let stored_at = stored_at.recv_deadline(deadline).ok();
+            entry.row.on_own_disk = stored_at.as_ref().map(|at| at.disk == self.number);
+            entry.row.record.file = stored_at.map_or(String::new(), |at| at.file);
             // The disk may have gone in the meantime.
             self.enter(entry.station)?;
         }
@@ -241,12 +241,12 @@ impl Journal {
     fn write_housekeeping(
         &mut self,
         time: Timestamp,
-        told: &Housekeeping,
+        housekeeping: &Housekeeping,
     ) -> Result<(), ArchiveError> {
         self.store.prepare()?;
         self.reopen_after_a_mount();
         let mut fields = vec![format!("{time:.3}")];
-        fields.extend(told.csv_row());
+        fields.extend(housekeeping.csv_row());
         self.housekeeping.append(&fields)
     }
 

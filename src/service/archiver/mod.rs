@@ -35,7 +35,7 @@ use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use jiff::Timestamp;
 use journal::{Entry, FATE_KNOWN, Journal, JournalTally, RowCounts, RowEntry, RowFate};
-use picture::{Fate, FrameCounts, StoredPicture, Told};
+use picture::{Fate, FrameCounts, StoredAt, StoredPicture};
 use queue::{GivenUp, Queue, Rules};
 use std::convert::Infallible;
 use std::path::PathBuf;
@@ -67,7 +67,7 @@ pub(super) struct Gauges {
     entries: Vec<Receiver<Entry>>,
     frames: Arc<FrameCounts>,
     rows: Arc<RowCounts>,
-    /// Rows that a log had no room for.
+    /// Rows that did not fit into a log's queue.
     rows_overflowed: Arc<AtomicU64>,
 }
 
@@ -164,7 +164,7 @@ fn queues(settings: &config::Archive, disks: usize) -> Vec<Arc<Queue<StoredPictu
 }
 
 impl Hears for Archive {
-    /// Stores a solved frame and its row, when and where there is room.
+    /// Stores a solved frame and its row, when and where there is space.
     fn hear(&self, answer: &Answer) {
         let heard = self.hand_to_disks(answer);
         let deadline = Instant::now() + FATE_KNOWN;
@@ -173,13 +173,13 @@ impl Hears for Archive {
             return;
         }
         let fate = Arc::new(RowFate::new(&self.gauges.rows));
-        for (log, told) in self.logs.iter().zip(heard) {
+        for (log, stored_at) in self.logs.iter().zip(heard) {
             let mut row = answer.row();
             row.upkeep = upkeep;
             let entry = Entry::Row(RowEntry {
                 station: answer.station.index,
                 row: Box::new(row),
-                told,
+                stored_at,
                 deadline,
                 fate: Arc::clone(&fate),
             });
@@ -194,9 +194,12 @@ impl Archive {
     }
 
     /// Keeps the second's housekeeping.
-    pub fn note(&self, time: Timestamp, told: &Housekeeping) {
+    pub fn note(&self, time: Timestamp, housekeeping: &Housekeeping) {
         for log in &self.logs {
-            self.log(log, Entry::Housekeeping(time, Box::new(told.clone())));
+            self.log(
+                log,
+                Entry::Housekeeping(time, Box::new(housekeeping.clone())),
+            );
         }
     }
 
@@ -224,7 +227,7 @@ impl Archive {
     }
 
     /// Queues the picture, if this camera's are stored, and returns where each log hears of it.
-    fn hand_to_disks(&self, answer: &Answer) -> Vec<Option<Receiver<Told>>> {
+    fn hand_to_disks(&self, answer: &Answer) -> Vec<Option<Receiver<StoredAt>>> {
         if !answer.to_be_stored || self.queues.is_empty() {
             return vec![None; self.logs.len()];
         }
@@ -253,7 +256,7 @@ impl Archive {
 }
 
 impl Gauges {
-    /// Counts commands that found no room on their way here.
+    /// Counts commands that did not fit into the queue.
     pub fn note_lost_commands(&self, lost: u64) {
         self.rows_overflowed.fetch_add(lost, Ordering::Relaxed);
     }
@@ -267,7 +270,7 @@ impl Gauges {
         for queue in &self.queues {
             let queue = queue.tally();
             tally.overflowed += queue.overflowed;
-            tally.no_room += queue.no_room;
+            tally.disk_full += queue.disk_full;
             tally.failed += queue.failed;
         }
         for disk in self.disks() {
@@ -290,7 +293,7 @@ impl Gauges {
         tally
     }
 
-    /// What the telemetry tells of the archive itself.
+    /// What the telemetry reports of the archive itself.
     fn upkeep(&self) -> Upkeep {
         let free = |disk: usize| health_of(self.disks.get(disk)?).free_percent;
         Upkeep {
@@ -349,9 +352,9 @@ impl Threads {
         })
     }
 
-    /// Looks after the threads: whether the work of any goes on.
-    pub fn look(&mut self, now: Instant) -> bool {
-        worker::look(&mut self.0, now)
+    /// Checks the threads: whether the work of any goes on.
+    pub fn check(&mut self, now: Instant) -> bool {
+        worker::check(&mut self.0, now)
     }
 
     pub fn restarts(&self) -> u64 {

@@ -35,23 +35,23 @@ pub(super) struct FrameCounts {
 
 /// Where a frame is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Told {
+pub(super) struct StoredAt {
     /// The path under the archive's root.
     pub file: String,
     /// The disk's number on this computer, from 0.
     pub disk: usize,
 }
 
-/// Tells the logs where a frame is. When it is dropped without a word, the frame was not stored.
+/// Reports to the logs where a frame is. When it is dropped before that, the frame was not stored.
 pub(super) struct Fate {
     stored: AtomicBool,
-    to_logs: Vec<Sender<Told>>,
+    to_logs: Vec<Sender<StoredAt>>,
     counts: Arc<FrameCounts>,
 }
 
 impl Fate {
     /// A fate, and what each of so many logs will hear of it.
-    pub fn new(logs: usize, counts: &Arc<FrameCounts>) -> (Self, Vec<Receiver<Told>>) {
+    pub fn new(logs: usize, counts: &Arc<FrameCounts>) -> (Self, Vec<Receiver<StoredAt>>) {
         counts.offered.fetch_add(1, Ordering::Relaxed);
         let (to_logs, heard) = (0..logs).map(|_| bounded(1)).unzip();
         let fate = Self {
@@ -62,7 +62,7 @@ impl Fate {
         (fate, heard)
     }
 
-    /// The frame is in this file on this disk; of several, the first one is told.
+    /// The frame is in this file on this disk; of several, the first one is reported.
     pub fn stored(&self, file: &str, disk: usize) {
         if self.stored.swap(true, Ordering::Relaxed) {
             return;
@@ -71,7 +71,7 @@ impl Fate {
         for log in &self.to_logs {
             // A log that no longer listens has written its row without.
             let file = file.to_owned();
-            let _ = log.try_send(Told { file, disk });
+            let _ = log.try_send(StoredAt { file, disk });
         }
     }
 }

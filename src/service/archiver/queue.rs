@@ -4,7 +4,7 @@
 //! picture gives it back and rests, so that another may take it at once; pictures are given up only by the
 //! rules of overflow and of space, or when the flight ends.
 
-use crate::archive::{Overflow, Room};
+use crate::archive::{FreeSpace, Overflow};
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -28,7 +28,7 @@ pub(super) struct QueueTally {
     /// Given up because the disks could not follow.
     pub overflowed: u64,
     /// Given up because the disks are nearly full.
-    pub no_room: u64,
+    pub disk_full: u64,
     /// Refused too often, or still waiting when the last disk ended.
     pub failed: u64,
 }
@@ -78,7 +78,7 @@ struct State<P> {
 
 #[derive(Debug, Clone, Copy, Default)]
 struct DiskState {
-    room: Room,
+    space: FreeSpace,
     activity: Activity,
 }
 
@@ -138,9 +138,9 @@ impl<P> Queue<P> {
         self.lock().rules.every = every;
     }
 
-    /// Notes how much room a disk has.
-    pub fn set_room(&self, disk: usize, room: Room) {
-        self.lock().disks[disk].room = room;
+    /// Notes how much free space a disk has.
+    pub fn set_space(&self, disk: usize, space: FreeSpace) {
+        self.lock().disks[disk].space = space;
         self.changed.notify_all();
     }
 
@@ -155,8 +155,8 @@ impl<P> Queue<P> {
                 state.last = Some(disk);
                 break Taken::Picture(picture);
             }
-            let has_room = state.disks[disk].room > Room::None;
-            if state.closed && (!has_room || state.pictures.is_empty()) {
+            let has_space = state.disks[disk].space > FreeSpace::None;
+            if state.closed && (!has_space || state.pictures.is_empty()) {
                 break Taken::Closed;
             }
             let patience = deadline.saturating_duration_since(Instant::now());
@@ -245,10 +245,10 @@ impl<P> State<P> {
         let rules = self.rules;
         let nth = self.offered.is_multiple_of(rules.every);
         self.offered += 1;
-        let room = self.best_room();
-        if room == Room::None || (room == Room::Scarce && !nth) {
-            self.tally.no_room += 1;
-            return GivenUp::ForSpace(self.tally.no_room);
+        let space = self.best_space();
+        if space == FreeSpace::None || (space == FreeSpace::Scarce && !nth) {
+            self.tally.disk_full += 1;
+            return GivenUp::ForSpace(self.tally.disk_full);
         }
         let full = self.pictures.len() >= rules.bound;
         self.overflowing = full || (self.overflowing && !self.pictures.is_empty());
@@ -272,32 +272,34 @@ impl<P> State<P> {
     }
 
     /// Of the disks that take pictures; while none does, nobody knows.
-    fn best_room(&self) -> Room {
+    fn best_space(&self) -> FreeSpace {
         let working =
             |disk: &&DiskState| matches!(disk.activity, Activity::Waiting | Activity::Writing);
-        let rooms = self.disks.iter().filter(working).map(|disk| disk.room);
-        rooms.max().unwrap_or_default()
+        let spaces = self.disks.iter().filter(working).map(|disk| disk.space);
+        spaces.max().unwrap_or_default()
     }
 
     fn next_for(&mut self, disk: usize) -> Option<Waiting<P>> {
-        let room = self.disks[disk].room;
-        if room == Room::None || (!self.closed && self.stands_back(disk)) {
+        let space = self.disks[disk].space;
+        if space == FreeSpace::None || (!self.closed && self.stands_back(disk)) {
             return None;
         }
         self.pictures.pop_front()
     }
 
     /// Whether a disk leaves the next picture to another one: to one that waits, when it took the last itself; and to
-    /// one with more room, unless that cannot follow.
+    /// one with more space, unless that cannot follow.
     fn stands_back(&self, disk: usize) -> bool {
-        let own = self.disks[disk].room;
+        let own = self.disks[disk].space;
         let others = self.disks.iter().enumerate();
         others.filter(|&(n, _)| n != disk).any(|(_, other)| {
-            let roomier = own <= Room::Scarce && other.room > own;
+            let has_more_space = own <= FreeSpace::Scarce && other.space > own;
             match other.activity {
-                Activity::Waiting if other.room <= Room::Scarce && own > other.room => false,
-                Activity::Waiting => roomier || self.last == Some(disk) && other.room > Room::None,
-                Activity::Writing => roomier && 2 * self.pictures.len() < self.rules.bound,
+                Activity::Waiting if other.space <= FreeSpace::Scarce && own > other.space => false,
+                Activity::Waiting => {
+                    has_more_space || self.last == Some(disk) && other.space > FreeSpace::None
+                }
+                Activity::Writing => has_more_space && 2 * self.pictures.len() < self.rules.bound,
                 Activity::Resting | Activity::Ended => false,
             }
         })
@@ -326,8 +328,8 @@ mod tests {
     }
 
     /// What a disk takes without waiting.
-    fn take(queue: &Queue<u32>, disk: usize, room: Room) -> Option<Waiting<u32>> {
-        queue.set_room(disk, room);
+    fn take(queue: &Queue<u32>, disk: usize, space: FreeSpace) -> Option<Waiting<u32>> {
+        queue.set_space(disk, space);
         match queue.take(disk, Instant::now()) {
             Taken::Picture(waiting) => Some(waiting),
             Taken::Nothing | Taken::Closed => None,
@@ -335,7 +337,7 @@ mod tests {
     }
 
     fn all(queue: &Queue<u32>) -> Vec<u32> {
-        let next = || take(queue, 0, Room::Plenty);
+        let next = || take(queue, 0, FreeSpace::Plenty);
         std::iter::from_fn(next).map(|w| w.picture).collect()
     }
 
@@ -359,7 +361,7 @@ mod tests {
     fn from_when_the_queue_was_full_until_none_waits_only_every_nth_is_taken_in() {
         let queue = queue(4, Overflow::EveryNth, 1);
         offer(&queue, 0..5);
-        let first = [0, 1, 2].map(|_| take(&queue, 0, Room::Plenty).unwrap().picture);
+        let first = [0, 1, 2].map(|_| take(&queue, 0, FreeSpace::Plenty).unwrap().picture);
         assert_eq!(first, [0, 1, 2]);
         offer(&queue, 5..10);
         assert_eq!(all(&queue), [3, 6, 9]);
@@ -372,7 +374,7 @@ mod tests {
     fn from_when_the_queue_was_full_until_none_waits_there_are_solutions_only() {
         let queue = queue(2, Overflow::SolutionsOnly, 1);
         offer(&queue, 0..3);
-        take(&queue, 0, Room::Plenty).unwrap();
+        take(&queue, 0, FreeSpace::Plenty).unwrap();
         offer(&queue, 3..6);
         assert_eq!(all(&queue), [1]);
         offer(&queue, 6..7);
@@ -392,28 +394,28 @@ mod tests {
     #[test]
     fn as_room_goes_pictures_are_thinned_and_then_stopped_and_come_back() {
         let queue = queue(8, Overflow::DropOldest, 1);
-        let now_with = |room| take(&queue, 0, room).map(|w| w.picture);
-        assert_eq!(now_with(Room::Low), None);
+        let now_with = |space| take(&queue, 0, space).map(|w| w.picture);
+        assert_eq!(now_with(FreeSpace::Low), None);
         offer(&queue, 0..3);
         assert_eq!(
-            [now_with(Room::Low), now_with(Room::Low)],
+            [now_with(FreeSpace::Low), now_with(FreeSpace::Low)],
             [Some(0), Some(1)]
         );
-        assert_eq!(now_with(Room::Scarce), Some(2));
+        assert_eq!(now_with(FreeSpace::Scarce), Some(2));
         offer(&queue, 3..9);
         assert_eq!(
-            [now_with(Room::Scarce), now_with(Room::Scarce)],
+            [now_with(FreeSpace::Scarce), now_with(FreeSpace::Scarce)],
             [Some(3), Some(6)]
         );
-        assert_eq!(now_with(Room::None), None);
+        assert_eq!(now_with(FreeSpace::None), None);
         offer(&queue, 9..12);
-        assert_eq!(now_with(Room::Plenty), None);
+        assert_eq!(now_with(FreeSpace::Plenty), None);
         offer(&queue, 12..14);
         assert_eq!(
-            [now_with(Room::Plenty), now_with(Room::Plenty)],
+            [now_with(FreeSpace::Plenty), now_with(FreeSpace::Plenty)],
             [Some(12), Some(13)]
         );
-        assert_eq!(queue.tally().no_room, 4 + 3);
+        assert_eq!(queue.tally().disk_full, 4 + 3);
     }
 
     #[test]
@@ -457,10 +459,10 @@ mod tests {
     fn a_refused_picture_goes_to_the_other_disk_at_once() {
         let queue = queue(8, Overflow::DropOldest, 2);
         offer(&queue, 0..3);
-        let refused = take(&queue, 0, Room::Plenty).unwrap();
+        let refused = take(&queue, 0, FreeSpace::Plenty).unwrap();
         queue.give_back(0, refused);
-        assert_eq!(take(&queue, 1, Room::Plenty).unwrap().picture, 0);
-        assert_eq!(take(&queue, 1, Room::Plenty).unwrap().picture, 1);
+        assert_eq!(take(&queue, 1, FreeSpace::Plenty).unwrap().picture, 0);
+        assert_eq!(take(&queue, 1, FreeSpace::Plenty).unwrap().picture, 1);
     }
 
     #[test]
@@ -468,7 +470,7 @@ mod tests {
         let queue = queue(8, Overflow::DropOldest, 1);
         offer(&queue, 0..2);
         for expected in [0, 1, 0, 1, 0, 1, 0, 1, 0, 1] {
-            let refused = take(&queue, 0, Room::Plenty).unwrap();
+            let refused = take(&queue, 0, FreeSpace::Plenty).unwrap();
             assert_eq!(refused.picture, expected);
             queue.give_back(0, refused);
         }
@@ -478,16 +480,19 @@ mod tests {
     #[test]
     fn a_disk_with_little_room_leaves_pictures_to_one_with_more_that_can_follow() {
         let queue = queue(8, Overflow::DropOldest, 2);
-        assert!(take(&queue, 1, Room::Plenty).is_none());
+        assert!(take(&queue, 1, FreeSpace::Plenty).is_none());
         offer(&queue, 0..3);
-        assert!(take(&queue, 0, Room::Scarce).is_none(), "disk 1 can follow");
+        assert!(
+            take(&queue, 0, FreeSpace::Scarce).is_none(),
+            "disk 1 can follow"
+        );
         offer(&queue, 3..6);
         assert_eq!(
-            take(&queue, 0, Room::Scarce).unwrap().picture,
+            take(&queue, 0, FreeSpace::Scarce).unwrap().picture,
             0,
             "it cannot"
         );
-        assert!(take(&queue, 0, Room::None).is_none(), "whatever waits");
+        assert!(take(&queue, 0, FreeSpace::None).is_none(), "whatever waits");
     }
 
     #[test]

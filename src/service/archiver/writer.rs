@@ -2,7 +2,9 @@
 
 use super::picture::StoredPicture;
 use super::queue::{Queue, Taken, Waiting};
-use crate::archive::{ArchiveError, Encoded, Room, Store, instrument_cards, sky_cards, tables};
+use crate::archive::{
+    ArchiveError, Encoded, FreeSpace, Store, instrument_cards, sky_cards, tables,
+};
 use crate::backoff::Backoff;
 use crate::clock::ClockStatus;
 use crate::commands::controls::Controls;
@@ -17,8 +19,8 @@ use std::time::{Duration, Instant};
 /// The longest rest of a disk without another that takes its frames meanwhile: they wait in memory, which holds some seconds of
 /// them.
 const LONGEST_REST_ALONE: Duration = Duration::from_millis(500);
-/// How often a disk's free space is looked at.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// How often a disk's free space is measured.
+const CHECK_EVERY: Duration = Duration::from_secs(1);
 
 /// What is known of a disk, for telemetry and the ground.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -34,7 +36,7 @@ pub struct DiskHealth {
     pub swept: usize,
     /// `None` where it does not say.
     pub free_percent: Option<f64>,
-    pub room: Room,
+    pub space: FreeSpace,
     /// Whether its last attempt was refused.
     pub resting: bool,
 }
@@ -55,7 +57,7 @@ pub(super) struct Writer {
     /// Its number on this computer, from 0.
     pub number: usize,
     pub controls: Controls,
-    /// The computer's clock, as of the last look.
+    /// The computer's clock, as of the last check.
     pub clock: Option<ClockStatus>,
     pub ephemeris: Ephemeris,
     pub health: SharedHealth,
@@ -65,7 +67,7 @@ impl Writer {
     /// Stores until the queue is closed and empty, or the disk refuses after that.
     pub fn run(mut self) {
         let mut rests = Backoff::DISK;
-        let mut looked = None;
+        let mut checked = None;
         let mut outcome = self.store.prepare().map(|()| self.note_swept());
         loop {
             if let Err(error) = outcome {
@@ -80,11 +82,11 @@ impl Writer {
             } else {
                 rests.reset();
             }
-            if looked.is_none_or(|then: Instant| then.elapsed() >= LOOK_EVERY) {
-                looked = Some(Instant::now());
-                self.look();
+            if checked.is_none_or(|then: Instant| then.elapsed() >= CHECK_EVERY) {
+                checked = Some(Instant::now());
+                self.check();
             }
-            let deadline = Instant::now() + LOOK_EVERY;
+            let deadline = Instant::now() + CHECK_EVERY;
             outcome = match self.queue.take(self.disk, deadline) {
                 Taken::Picture(waiting) => self.keep(waiting),
                 Taken::Nothing if health_of(&self.health).resting => self.store.prepare(),
@@ -162,8 +164,8 @@ impl Writer {
             .encode(&camera.folder, &camera.label, frame, &cards, &columns)
     }
 
-    /// Measures the disk's free space, and says when its room has changed; looks at the clock and the settings, too.
-    fn look(&mut self) {
+    /// Measures the disk's free space, and logs when its state has changed; checks the clock and the settings, too.
+    fn check(&mut self) {
         let settings = self.controls.config().archive;
         let limits = settings.space_limits();
         self.queue.set_every(settings.store_every);
@@ -172,24 +174,25 @@ impl Writer {
         let used = free_percent.map(|free| (100.0 - free).round() as u8);
         self.controls.note_disk_use(self.number, used);
         if let Some(free_percent) = free_percent {
-            self.queue.set_room(self.disk, limits.room(free_percent));
+            self.queue
+                .set_space(self.disk, limits.free_space(free_percent));
         }
         let mut health = health_of(&self.health);
         health.free_percent = free_percent;
-        // A disk that does not say keeps its last room; writing to it will tell.
+        // A disk that does not say keeps its last state; writing to it will show.
         let Some(free_percent) = free_percent else {
             return;
         };
-        let room = limits.room(free_percent);
-        if room == health.room {
+        let space = limits.free_space(free_percent);
+        if space == health.space {
             return;
         }
-        let lower = room < health.room;
-        health.room = room;
-        let (disk, room) = (health.root.display(), room.name());
+        let lower = space < health.space;
+        health.space = space;
+        let (disk, space) = (health.root.display(), space.name());
         match lower {
-            true => tracing::warn!(%disk, room, free_percent, "a disk is filling up"),
-            false => tracing::info!(%disk, room, free_percent, "a disk has room again"),
+            true => tracing::warn!(%disk, space, free_percent, "a disk is filling up"),
+            false => tracing::info!(%disk, space, free_percent, "a disk has free space again"),
         }
     }
 

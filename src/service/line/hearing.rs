@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 /// More than the longest datagram.
 const READ_BYTES: usize = 2048;
-/// Datagrams that are looked at in a turn: a flood of them must not hold up what is to be sent.
+/// Datagrams that are handled in a turn: a flood of them must not hold up what is to be sent.
 const DATAGRAMS: usize = 64;
 
 impl Line<'_> {
@@ -107,7 +107,7 @@ impl Line<'_> {
         }
     }
 
-    /// `packet` is what was refused, where it was looked at so far.
+    /// `packet` is what was refused, where it was read so far.
     fn refuse(&mut self, refusal: Refusal, packet: Option<&CommandPacket>, sender: SocketAddr) {
         let refused = self.counters.datagrams_refused.count();
         if worth_a_line(refused) {
@@ -124,7 +124,7 @@ impl Line<'_> {
         }
     }
 
-    /// Tells the command log what came of a packet that was not carried out.
+    /// Writes the fate of a packet that was not carried out into the command log.
     fn note_commands(&self, packet: &CommandPacket, sender: SocketAddr, result: &str) {
         for (key, message) in self.responder.commands_in(packet) {
             let command = CommandInWords::of(key, message.as_ref());

@@ -2,7 +2,7 @@
 
 use super::Line;
 use crate::link::moon::NO_PICTURE;
-use crate::link::{MoonAnswer, MoonRequest, MoonSight};
+use crate::link::{MoonAnswer, MoonOutcome, MoonRequest};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
@@ -22,7 +22,7 @@ impl MoonRequests {
     /// The requests that are answered now: those of which a picture was begun since, and those that have waited too long.
     fn answers(
         &mut self,
-        seen: Option<(Instant, MoonSight)>,
+        seen: Option<(Instant, MoonOutcome)>,
         most: Duration,
         now: Instant,
     ) -> Vec<MoonAnswer> {
@@ -33,14 +33,14 @@ impl MoonRequests {
             at += 1;
             let fresh = seen.filter(|(began, _)| *began >= request.since);
             let is_late = now.saturating_duration_since(request.since) > most || at <= too_many;
-            let sight = match fresh {
-                Some((_, sight)) => sight,
-                None if is_late => MoonSight::NotFound { code: NO_PICTURE },
+            let outcome = match fresh {
+                Some((_, outcome)) => outcome,
+                None if is_late => MoonOutcome::NotFound { code: NO_PICTURE },
                 None => return true,
             };
             answers.push(MoonAnswer {
                 request: request.sequence,
-                sight,
+                outcome,
             });
             false
         });
@@ -70,7 +70,7 @@ impl Line<'_> {
         }
         let seen = self.moon_desk.lock().seen;
         let most = self.controls.config().moon.answer_within();
-        let seen = seen.map(|seen| (seen.began, seen.sight));
+        let seen = seen.map(|seen| (seen.began, seen.outcome));
         for answer in self.moon_requests.answers(seen, most, Instant::now()) {
             match self.responder.moon(answer) {
                 Ok(packet) => {
@@ -86,8 +86,8 @@ impl Line<'_> {
 mod tests {
     use super::*;
 
-    const NOT_VISIBLE: MoonSight = MoonSight::NotVisible { code: 1 };
-    const NO_PICTURE_CAME: MoonSight = MoonSight::NotFound { code: NO_PICTURE };
+    const NOT_VISIBLE: MoonOutcome = MoonOutcome::NotVisible { code: 1 };
+    const NO_PICTURE_CAME: MoonOutcome = MoonOutcome::NotFound { code: NO_PICTURE };
 
     fn waiting(since: &[Instant]) -> MoonRequests {
         let waiting = (1..).zip(since);
@@ -98,8 +98,10 @@ mod tests {
         )
     }
 
-    fn said(answers: Vec<MoonAnswer>) -> Vec<(u16, MoonSight)> {
-        let said = answers.iter().map(|answer| (answer.request, answer.sight));
+    fn said(answers: Vec<MoonAnswer>) -> Vec<(u16, MoonOutcome)> {
+        let said = answers
+            .iter()
+            .map(|answer| (answer.request, answer.outcome));
         said.collect()
     }
 

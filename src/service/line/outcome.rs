@@ -34,7 +34,7 @@ impl Outcome {
         })
     }
 
-    /// What the controller is told where there is no solution.
+    /// What is sent to the controller without a solution.
     pub fn error_code(&self) -> u16 {
         self.stopped
             .map_or(NO_OFFSET, |stopped| stopped.stage as u16 + 1)

@@ -34,7 +34,7 @@ impl PictureUnderWay {
         self.next_part >= self.picture.parts()
     }
 
-    /// The next part, where it is due and the `backlog` (bytes that the system has not passed on) leaves room for it.
+    /// The next part, where it is due and the `backlog` (bytes that the system has not passed on) leaves space for it.
     pub fn next_due(&mut self, baud: u32, backlog: usize, now: Instant) -> Option<TelemetryPacket> {
         if !self.pace.is_due(now) {
             return None;

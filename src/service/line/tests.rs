@@ -558,7 +558,7 @@ fn housekeeping_and_a_picture_reach_the_ground_between_solutions() {
         .events
         .send(LinkEvent::Picture(Box::new(picture)))
         .unwrap();
-    let told = Housekeeping {
+    let housekeeping = Housekeeping {
         solutions: 7,
         ..Housekeeping::default()
     };
@@ -566,7 +566,7 @@ fn housekeeping_and_a_picture_reach_the_ground_between_solutions() {
         .events
         .send(LinkEvent::Housekeeping(
             Timestamp::now(),
-            Box::new(told.clone()),
+            Box::new(housekeeping.clone()),
         ))
         .unwrap();
     let end = Instant::now() + LONG;
@@ -599,7 +599,7 @@ fn housekeeping_and_a_picture_reach_the_ground_between_solutions() {
         Packet::Telemetry(packet) => Housekeeping::decode(packet),
         Packet::Command(_) => None,
     });
-    assert_eq!(heard, Some(told));
+    assert_eq!(heard, Some(housekeeping));
     let (tally, _) = bench.finish();
     assert_eq!((tally.pictures, tally.housekeeping), (1, 1));
 }

@@ -33,7 +33,7 @@ impl LastingContradiction {
                 tracing::warn!(axes, times, "directions contradict the gyros for 10 s");
             }
             Some(_) => tracing::info!(times, "directions no longer contradict the gyros"),
-            None => tracing::info!(times, "directions are compared with the gyros anew"),
+            None => tracing::info!(times, "directions are compared with the gyros again"),
         }
     }
 }

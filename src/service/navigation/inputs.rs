@@ -1,4 +1,4 @@
-//! What the filter is told: samples of the IMU, fixes of GPS, and the directions that cameras have seen.
+//! The filter's inputs: samples of the IMU, fixes of GPS, and the directions that cameras have seen.
 
 use crate::link::{Counters, ImuPacket, TelemetryPacket};
 use crate::log::worth_a_line;
@@ -33,8 +33,8 @@ impl Inputs {
         (own, inputs)
     }
 
-    /// Tells the filter. Where its queue is full the input is lost and counted: later ones are worth more.
-    pub fn tell(&self, input: Input) {
+    /// Passes an input to the filter. If its queue is full the input is lost and counted: later ones matter more.
+    pub fn take(&self, input: Input) {
         // A filter that has ended with the cameras needs no more.
         if let Err(TrySendError::Full(_)) = self.queue.try_send(input) {
             let lost = self.counters.navigation_lost.count();
@@ -48,7 +48,7 @@ impl Inputs {
 impl TakesSamples for Inputs {
     fn take_sample(&self, packet: &TelemetryPacket, read: Instant) {
         match ImuPacket::decode(packet) {
-            Ok(sample) => self.tell(Input::Imu(sample, read)),
+            Ok(sample) => self.take(Input::Imu(sample, read)),
             Err(error) => {
                 let mut tally = self.tally.lock();
                 tally.unreadable += 1;
@@ -61,15 +61,15 @@ impl TakesSamples for Inputs {
 }
 
 impl Hears for Inputs {
-    /// Tells the filter what a frame shows.
+    /// Passes what a frame shows to the filter.
     fn hear(&self, answer: &Answer) {
         if let Some(seen) = seen(answer) {
-            self.tell(Input::Seen(seen));
+            self.take(Input::Seen(seen));
         }
     }
 }
 
-/// The direction that a frame tells; `None` where it shows none, or has no time.
+/// The direction that a frame gives; `None` where it shows none, or has no time.
 fn seen(answer: &Answer) -> Option<Seen> {
     let (target, direction) = match &answer.solved.found {
         Found::Sun(sun) => {

@@ -24,8 +24,8 @@ use crate::instrument::Role;
 use crate::link::{Connection, Counters, ImuPacket};
 use crate::log::worth_a_line;
 use crate::navigation::{
-    Due, ImuSample, Live, Measurement, NavigationRow, NavigationSettings, NoDirection,
-    PropagatedOffset, Sighting, Sky, Status, Target, Targets, offset,
+    DirectionObservation, Due, ImuSample, Live, Measurement, NavigationRow, NavigationSettings,
+    NoDirection, PropagatedOffset, Sky, Status, Target, Targets, offset,
 };
 use crate::sky::Ephemeris;
 use contradiction::LastingContradiction;
@@ -94,12 +94,12 @@ impl Navigator {
                 };
                 let listen = move |life: &Life| sensor.run(life);
                 // Another thread would wait for the same port.
-                workers.push(hurried(speaks.name(), None, listen, host)?);
+                workers.push(real_time(speaks.name(), None, listen, host)?);
             }
         }
         let queue = queue.clone();
         let filter = move |life: &Life| self.run(&queue, life);
-        workers.push(hurried("navigation", Some(PATIENT_FOR), filter, host)?);
+        workers.push(real_time("navigation", Some(PATIENT_FOR), filter, host)?);
         Ok(workers)
     }
 
@@ -147,18 +147,18 @@ fn forget(tally: &mut NavigationTally) {
     (tally.differences, tally.agreement) = Default::default();
 }
 
-fn hurried(
+fn real_time(
     name: &str,
     patience: Option<Duration>,
     work: impl Fn(&Life) + Clone + Send + 'static,
     host: Host,
 ) -> std::io::Result<Worker> {
     Worker::start(name, patience, move || {
-        host.hurried(Rank::First, work.clone())
+        host.real_time(Rank::First, work.clone())
     })
 }
 
-/// The filter with what it needs to tell offsets.
+/// The filter with what it needs to compute offsets.
 struct Filter<'a> {
     own: &'a Navigator,
     live: Live,
@@ -242,9 +242,9 @@ impl<'a> Filter<'a> {
         if self.live.newest_s() != Some(t_s) || before_s == Some(t_s) {
             return;
         }
-        self.look_at_settings();
+        self.follow_settings();
         if let Some(row) = row.filter(|row| self.due.takes(row.t_s, self.settings.rate_hz)) {
-            self.tell(&row, read);
+            self.send(&row, read);
         }
         self.keep(NavigationLog::Imu, imu_row(sample));
         if !(0.0..ROWS_S).contains(&(t_s - self.handed_on_s)) {
@@ -307,19 +307,20 @@ impl<'a> Filter<'a> {
             }
         };
         let sigma_rad = settings.sigma_rad(seen.target, &seen.direction);
-        self.live.measure(Measurement::Sighting(Sighting {
-            t_s,
-            camera,
-            target: seen.target,
-            unit: seen.direction.unit,
-            sigma_rad,
-            towards,
-        }));
+        self.live
+            .measure(Measurement::Direction(DirectionObservation {
+                t_s,
+                camera,
+                target: seen.target,
+                unit: seen.direction.unit,
+                sigma_rad,
+                towards,
+            }));
         self.own.tally.lock().seen += 1;
     }
 
-    /// Tells line and archive the offset at a row.
-    fn tell(&mut self, row: &NavigationRow, read: Instant) {
+    /// Sends the offset at a row to line and archive.
+    fn send(&mut self, row: &NavigationRow, read: Instant) {
         let Some((utc, offset)) = self.offset(row) else {
             self.own.tally.lock().latest = None;
             return;
@@ -348,7 +349,7 @@ impl<'a> Filter<'a> {
         Some((self.epoch.checked_add(since).ok()?, offset))
     }
 
-    fn look_at_settings(&mut self) {
+    fn follow_settings(&mut self) {
         let version = self.own.controls.version(Topic::Other);
         if version != self.version {
             self.version = version;

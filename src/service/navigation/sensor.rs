@@ -91,7 +91,7 @@ impl Sensor {
                     drop(tally);
                     for heard in heard {
                         if let Heard::Fix(fix) = heard {
-                            self.inputs.tell(Input::Fix(fix));
+                            self.inputs.take(Input::Fix(fix));
                         }
                     }
                 }

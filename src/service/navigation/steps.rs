@@ -7,7 +7,7 @@ const SAMPLES: f64 = 2.0;
 /// The time from sample to sample is one that two agree on so well.
 const AGREES: f64 = 0.2;
 const SHARE: f64 = 0.01;
-/// A clock that is off by more was set, s: the filter begins anew.
+/// A clock that is off by more was set, s: the filter is restarted.
 const SET_S: f64 = 1.0;
 
 /// The times of samples so far.
@@ -85,7 +85,7 @@ mod tests {
             assert_eq!(told(n, 580 + 10 * (i64::from(n) - 33)), 0.0);
         }
         assert!((told(38, 630) + 0.05).abs() < 0.01);
-        // The IMU begins anew, and its clock is set.
+        // The IMU restarts, and its clock is set.
         assert_eq!(told(0, 640), 0.0);
         assert_eq!(told(1, 90_000), 0.0);
     }

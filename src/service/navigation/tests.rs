@@ -117,17 +117,17 @@ fn fixes(receiver: &mut Nmea, sentences: &str) -> Vec<TimedFix> {
     heard.into_iter().map(fix).collect()
 }
 
-/// Flies the simulated telescope. Frames show the Sun where `is_seen` says so of their time, and are solved 40 ms late; `spoil` may change what
+/// Flies the simulated telescope. Frames show the Sun where `is_seen` says so of their time, and are solved 40 ms late; `corrupt` may change what
 /// the IMU says, or lose it, and `receive` a fix.
 fn fly(
     duration_s: u64,
     seed: u64,
     is_seen: impl Fn(f64) -> bool,
-    spoil: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
+    corrupt: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
     receive: impl FnMut(u64, TimedFix) -> Option<TimedFix>,
 ) -> (Judged, NavigationTally) {
     let seen = (FRAMES_HZ, is_seen);
-    fly_judged(duration_s, seed, seen, spoil, receive, |_| true, &[])
+    fly_judged(duration_s, seed, seen, corrupt, receive, |_| true, &[])
 }
 
 /// The same after commands; only offsets of which `is_judged` says so count.
@@ -135,7 +135,7 @@ fn fly_judged(
     duration_s: u64,
     seed: u64,
     (frames_hz, is_seen): (u64, impl Fn(f64) -> bool),
-    mut spoil: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
+    mut corrupt: impl FnMut(u64, ImuPacket) -> Option<ImuPacket>,
     mut receive: impl FnMut(u64, TimedFix) -> Option<TimedFix>,
     is_judged: impl Fn(&Propagated) -> bool,
     commanded: &[(&str, Value)],
@@ -173,7 +173,7 @@ fn fly_judged(
         while late.front().is_some_and(|(due, _)| *due <= n) {
             filter.seen(&late.pop_front().unwrap().1);
         }
-        if let Some(sample) = spoil(n, flown.sample(n).unwrap()) {
+        if let Some(sample) = corrupt(n, flown.sample(n).unwrap()) {
             filter.sample(&sample, Instant::now());
         }
         for event in line.try_iter() {
@@ -228,12 +228,12 @@ fn as_received(_: u64, fix: TimedFix) -> Option<TimedFix> {
 fn fly_all(
     duration_s: u64,
     seeds: u64,
-    spoil: impl Fn(u64) -> bool + Copy,
+    corrupt: impl Fn(u64) -> bool + Copy,
 ) -> (Judged, NavigationTally) {
     let mut all = Judged::default();
     let mut counts = NavigationTally::default();
     for seed in 1..=seeds {
-        let lose = |n: u64, sample| (!spoil(n)).then_some(sample);
+        let lose = |n: u64, sample| (!corrupt(n)).then_some(sample);
         let (judged, tally) = fly(duration_s, seed, with_gaps, lose, as_received);
         all.offsets += judged.offsets;
         all.sigmas.extend(judged.sigmas);
@@ -286,7 +286,7 @@ fn lost_samples_make_an_offset_less_certain_and_not_wrong() {
 
 #[test]
 fn a_clock_that_steps_and_samples_that_no_vehicle_feels_begin_the_filter_anew_at_most() {
-    let spoil = |n: u64, mut sample: ImuPacket| {
+    let corrupt = |n: u64, mut sample: ImuPacket| {
         if n % 1000 == 500 {
             sample.force_m_s2[1] = 1e30;
         }
@@ -296,7 +296,7 @@ fn a_clock_that_steps_and_samples_that_no_vehicle_feels_begin_the_filter_anew_at
         }
         Some(sample)
     };
-    let (judged, tally) = fly(90, 3, |_| true, spoil, as_received);
+    let (judged, tally) = fly(90, 3, |_| true, corrupt, as_received);
     say(&judged, &tally);
     assert_eq!((tally.unreadable, tally.restarts), (9, 2));
     assert_eq!(tally.status, Some(Status::Aligned));
@@ -379,7 +379,7 @@ fn a_packet_of_the_imu_that_comes_twice_is_used_and_logged_once() {
 
 #[test]
 fn a_clock_that_is_set_back_for_good_silences_no_offset() {
-    let spoil = |n: u64, mut sample: ImuPacket| {
+    let corrupt = |n: u64, mut sample: ImuPacket| {
         if n < 3000 {
             sample.time += SignedDuration::from_secs(600);
         }
@@ -391,7 +391,7 @@ fn a_clock_that_is_set_back_for_good_silences_no_offset() {
         60,
         5,
         (FRAMES_HZ, |_| true),
-        spoil,
+        corrupt,
         as_received,
         is_judged,
         &[],
@@ -403,12 +403,12 @@ fn a_clock_that_is_set_back_for_good_silences_no_offset() {
 #[test]
 fn what_commands_set_of_the_filter_changes_what_is_sent() {
     let sent = |commanded: &[(&str, Value)]| {
-        let spoil = |_, sample| Some(sample);
+        let corrupt = |_, sample| Some(sample);
         let (judged, tally) = fly_judged(
             40,
             6,
             (FRAMES_HZ, |_| true),
-            spoil,
+            corrupt,
             as_received,
             |_| true,
             commanded,
@@ -437,7 +437,7 @@ fn inputs_that_the_filter_has_no_room_for_are_counted_and_nobody_waits() {
         rate_rad_s: [0.0; 3],
     };
     // The filter hangs.
-    (0..3000).for_each(|_| inputs.tell(Input::Imu(sample, Instant::now())));
+    (0..3000).for_each(|_| inputs.take(Input::Imu(sample, Instant::now())));
     assert_eq!(counters.navigation_lost.get(), 3000 - 1024);
 }
 

@@ -21,7 +21,7 @@ use tracing::Level;
 
 /// Finds in the frames of a camera what it sees.
 pub trait Solver: Send {
-    /// What a frame shows. The frame is told the place that the answer rests on.
+    /// What a frame shows. The frame gets the place that the answer rests on.
     ///
     /// # Errors
     /// A frame of another camera: nothing can be said of it.
@@ -31,7 +31,7 @@ pub trait Solver: Send {
         commanded: &Snapshot,
     ) -> Result<Solved, WrongSize>;
 
-    /// Leaves what a frame has shown where others look for it.
+    /// Leaves what a frame has shown where others read it.
     fn leave(&mut self, _frame: &UnsolvedFrame, _solved: &Solved) {}
 
     /// What is logged, now and then, of a frame that went no further; `None` where that is nothing unusual.
@@ -48,7 +48,7 @@ pub(super) struct Shelf {
 }
 
 impl Shelf {
-    /// What a camera's solver takes of it. Only the first roll camera tells the roll, and only the first Moon camera answers requests.
+    /// What a camera's solver takes of it. Only the first roll camera gives the roll, and only the first Moon camera answers requests.
     fn of(&self, station: &Station) -> Self {
         match station.camera.role {
             Role::PitchYaw => self.clone(),

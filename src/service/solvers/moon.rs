@@ -7,7 +7,7 @@ use crate::commands::controls::Snapshot;
 use crate::frame::{self, Frame, Region};
 use crate::geometry::attitude::Direction;
 use crate::instrument::{DirectionCamera, WrongSize};
-use crate::link::MoonSight;
+use crate::link::MoonOutcome;
 use crate::link::moon::{BELOW_HORIZON, FIRST_STAGE, MoonFix, NEAR_SUN, WRONG_SIZE};
 use crate::moon::{
     self, Disc, Expected, Levels, MoonSettings, Optics, Shading, Stage, Stopped, bright_dn,
@@ -82,13 +82,13 @@ impl MoonSolver {
         self.camera.lens.direction(&disc.centre)
     }
 
-    /// What a request is told.
-    fn sight(&self, found: &Result<Disc, Stopped>, time: Timestamp) -> MoonSight {
+    /// The answer to a request.
+    fn outcome(&self, found: &Result<Disc, Stopped>, time: Timestamp) -> MoonOutcome {
         match found {
             Ok(disc) => match self.direction(disc) {
                 Some(direction) => {
                     let (centre, covariance) = (disc.centre.position, disc.centre.covariance);
-                    MoonSight::Found(MoonFix {
+                    MoonOutcome::Found(MoonFix {
                         x_px: centre.x,
                         y_px: centre.y,
                         covariance_px2: [
@@ -103,11 +103,11 @@ impl MoonSolver {
                 None => not_found(Stage::Detection),
             },
             Err(Stopped { stage, rejected }) => match (stage, rejected.reason) {
-                (Stage::Sky, reasons::NEAR_SUN) => MoonSight::NotVisible { code: NEAR_SUN },
-                (Stage::Sky, _) => MoonSight::NotVisible {
+                (Stage::Sky, reasons::NEAR_SUN) => MoonOutcome::NotVisible { code: NEAR_SUN },
+                (Stage::Sky, _) => MoonOutcome::NotVisible {
                     code: BELOW_HORIZON,
                 },
-                (_, reasons::WRONG_SIZE) => MoonSight::NotFound { code: WRONG_SIZE },
+                (_, reasons::WRONG_SIZE) => MoonOutcome::NotFound { code: WRONG_SIZE },
                 _ => not_found(*stage),
             },
         }
@@ -123,7 +123,7 @@ impl Solver for MoonSolver {
         let asked_from = self.desk.lock().asked_from;
         let frame = &mut frame.exposure.frame;
         let info = &mut frame.info;
-        // The platform knows best; the file tells the place that its answer rests on.
+        // The platform knows best; the file states the place that its answer rests on.
         info.place = asked_from.or(info.place).or(commanded.place);
         let known = info.mid_exposure.zip(info.place);
         let ((heavens, found), solve_time) = timed(|| {
@@ -157,7 +157,7 @@ impl Solver for MoonSolver {
             let utc = frame.exposure.frame.info.mid_exposure;
             self.desk.lock().seen = Some(SeenMoon {
                 began: frame.began(),
-                sight: self.sight(&moon.found, utc.unwrap_or_else(Timestamp::now)),
+                outcome: self.outcome(&moon.found, utc.unwrap_or_else(Timestamp::now)),
                 is_night: self.is_night,
             });
         }
@@ -171,14 +171,14 @@ impl Solver for MoonSolver {
     }
 }
 
-fn not_found(stage: Stage) -> MoonSight {
+fn not_found(stage: Stage) -> MoonOutcome {
     let after = match stage {
         Stage::Sky | Stage::Light => 0,
         Stage::Detection => 1,
         Stage::Limb => 2,
         Stage::Checks => 3,
     };
-    MoonSight::NotFound {
+    MoonOutcome::NotFound {
         code: FIRST_STAGE + after,
     }
 }
@@ -205,7 +205,7 @@ fn light(frame: &Frame, found: &Result<Disc, Stopped>) -> (Option<frame::Levels>
         .and_then(|disc| disc_region(frame, disc));
     let bright = bright_dn(frame, around.unwrap_or(frame.region()));
     let disc_dn = bright.unwrap_or(levels.dark_dn);
-    let told = frame::Levels {
+    let frame_levels = frame::Levels {
         background_dn: levels.dark_dn,
         noise_dn: levels.noise_dn,
         disc_dn,
@@ -221,7 +221,7 @@ fn light(frame: &Frame, found: &Result<Disc, Stopped>) -> (Option<frame::Levels>
             background: levels.dark_dn / full_dn,
         },
     };
-    (Some(told), brightness)
+    (Some(frame_levels), brightness)
 }
 
 fn disc_region(frame: &Frame, disc: &Disc) -> Option<Region> {

@@ -5,24 +5,24 @@ use crate::service::messages::{Middle, SeenNadir};
 use nalgebra::{Rotation3, Vector3};
 use std::time::Duration;
 
-/// A gondola turns by so much in a second where no frames have told, 1 sigma: half a degree.
+/// The gondola's turn in a second before any frames have measured it, 1 sigma: half a degree.
 const USUAL_RAD_PER_S: f64 = 0.009;
-/// Frames further apart than that tell no rate.
+/// Frames further apart than this do not determine a rate.
 const RATE_VALID_S: f64 = 1.5;
 /// The rate follows the frames in this time.
 const RATE_FOLLOWS_S: f64 = 0.15;
-/// From frame to frame so much is kept of how far the frames before missed.
-const MISS_KEPT: f64 = 0.9;
+/// The part of the mean prediction error that is kept from frame to frame.
+const ERROR_KEPT: f64 = 0.9;
 
 impl SeenNadir {
-    /// A direction, where no frames before tell how it turns.
+    /// A direction, without earlier frames that determine how it turns.
     fn first(direction: Direction, at: Middle) -> Self {
         Self {
             direction,
             at,
             arrived: at.by_arrival,
             turn_rad_per_s: Vector3::zeros(),
-            missed_rad: USUAL_RAD_PER_S,
+            error_rad: USUAL_RAD_PER_S,
             after_s: 1.0,
         }
     }
@@ -36,9 +36,9 @@ impl SeenNadir {
         if step_s <= 0.0 || step_s > RATE_VALID_S {
             return Self::first(direction, at);
         }
-        let foretold = last.turned(step_s).direction;
-        let miss_rad = foretold.unit.angle(&direction.unit);
-        let kept = MISS_KEPT * last.miss_rad(step_s).powi(2);
+        let predicted = last.turned(step_s).direction;
+        let error_rad = predicted.unit.angle(&direction.unit);
+        let kept = ERROR_KEPT * last.error_rad(step_s).powi(2);
         let rate = last.direction.unit.cross(&direction.unit) / step_s;
         let follows = (step_s / RATE_FOLLOWS_S).min(1.0);
         Self {
@@ -46,12 +46,12 @@ impl SeenNadir {
             at,
             arrived: at.by_arrival,
             turn_rad_per_s: last.turn_rad_per_s.lerp(&rate, follows),
-            missed_rad: (kept + (1.0 - MISS_KEPT) * miss_rad.powi(2) / 2.0).sqrt(),
+            error_rad: (kept + (1.0 - ERROR_KEPT) * error_rad.powi(2) / 2.0).sqrt(),
             after_s: step_s,
         }
     }
 
-    /// The direction at the middle of another exposure, by how it turns, and less certain by what such a turn misses; `None` where the two
+    /// The direction at the middle of another exposure, by how it turns, and less certain by the error of such a prediction; `None` where the two
     /// are too far apart.
     pub fn at(self, moment: &Middle, max_age: Duration) -> Option<Direction> {
         let after_s = self.at.until(moment);
@@ -59,7 +59,7 @@ impl SeenNadir {
         near.then(|| {
             self.turned(after_s)
                 .direction
-                .loosened(self.miss_rad(after_s))
+                .loosened(self.error_rad(after_s))
         })
     }
 
@@ -71,12 +71,12 @@ impl SeenNadir {
         }
     }
 
-    /// By how much a turn misses after some time, 1 sigma per axis: in proportion to it, and to its square beyond the time that frames have told
+    /// The error of a predicted turn after some time, 1 sigma per axis: in proportion to it, and to its square beyond the time that frames cover
     /// of. It cannot be worse than no turn at all.
-    fn miss_rad(self, after_s: f64) -> f64 {
+    fn error_rad(self, after_s: f64) -> f64 {
         let part = after_s.abs() / self.after_s;
         let still = (self.turn_rad_per_s.norm() + USUAL_RAD_PER_S) * after_s.abs();
-        (self.missed_rad * part.max(part.powi(2))).min(still)
+        (self.error_rad * part.max(part.powi(2))).min(still)
     }
 }
 

@@ -86,7 +86,7 @@ impl Solver for SunSolver {
         if solution.track.is_some() {
             self.track.clone_from(&solution.track);
         }
-        // The file tells the place that its offset and its coordinates rest on.
+        // The file states the place that its offset and its coordinates rest on.
         frame.info.place = frame.info.place.or(commanded.place);
         let seen = self.nadir.copy();
         let nadir = seen.and_then(|seen| seen.at(&middle, commanded.roll.max_age()));
@@ -142,7 +142,7 @@ impl Solver for SunSolver {
     }
 }
 
-/// The Sun's size changes by a thousandth in a day: one look at the ephemeris serves for a second and more.
+/// The Sun's size changes by a thousandth in a day: one evaluation of the ephemeris serves for a second and more.
 #[derive(Default)]
 struct SunSize {
     last: Option<(Timestamp, Option<Expected>)>,

@@ -69,7 +69,7 @@ impl Seen {
 
 /// A camera of the vehicle.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SightingCamera {
+pub struct TargetCamera {
     pub name: &'static str,
     /// As the navigation knows it: takes vectors of the camera's axes (x right, y down, z forward) to the body's.
     pub body_from_camera: Matrix3<f64>,
@@ -110,7 +110,7 @@ impl Sky {
 
 /// What all cameras measure, by time.
 pub(super) fn measured(
-    cameras: &[SightingCamera],
+    cameras: &[TargetCamera],
     span: &Span,
     sky: &Sky,
     motion: &dyn Motion,
@@ -130,19 +130,19 @@ pub(super) fn measured(
 }
 
 /// By how much a seed has turned each camera, about the body's axes.
-pub(super) fn misalignments_rad(cameras: &[SightingCamera], seed: u64) -> Vec<Vector3<f64>> {
+pub(super) fn misalignments_rad(cameras: &[TargetCamera], seed: u64) -> Vec<Vector3<f64>> {
     let cameras = cameras.iter().enumerate();
     let drawn = |(place, camera)| misalignment_rad(camera, &mut random(seed, Drawn::Camera(place)));
     cameras.map(drawn).collect()
 }
 
-fn misalignment_rad(camera: &SightingCamera, random: &mut Generator) -> Vector3<f64> {
+fn misalignment_rad(camera: &TargetCamera, random: &mut Generator) -> Vector3<f64> {
     normal(random, camera.misalignment_sigma_deg.to_radians())
 }
 
 /// A camera as a seed has mounted it.
 struct Mounted<'a> {
-    camera: &'a SightingCamera,
+    camera: &'a TargetCamera,
     sky: &'a Sky,
     /// About the body's axes.
     misalignment_rad: Vector3<f64>,
@@ -152,7 +152,7 @@ struct Mounted<'a> {
 }
 
 impl<'a> Mounted<'a> {
-    fn drawn(camera: &'a SightingCamera, sky: &'a Sky, mut random: Generator) -> Self {
+    fn drawn(camera: &'a TargetCamera, sky: &'a Sky, mut random: Generator) -> Self {
         let correlated = |target: &Target| Correlated {
             sigma_rad: sky.errors(*target).correlated_sigma_deg.to_radians(),
             time_s: camera.correlation_time_s,

@@ -1,6 +1,6 @@
 //! What the navigation is told of a flight's instruments.
 
-use super::cameras::SightingCamera;
+use super::cameras::TargetCamera;
 use super::plan::FlightPlan;
 
 /// The text of `NAV.toml`.
@@ -42,7 +42,7 @@ fn imu_toml(plan: &FlightPlan) -> String {
     format!("[imu]\n{lines}")
 }
 
-fn camera_toml(camera: &SightingCamera) -> String {
+fn camera_toml(camera: &TargetCamera) -> String {
     let matrix = &camera.body_from_camera;
     let rows = [0, 1, 2].map(|row| [0, 1, 2].map(|column| matrix[(row, column)]));
     format!(

@@ -7,7 +7,7 @@
 //! - Earth-fixed axes (ECEF) and the ellipsoid of WGS 84; gravitation with J2 of the Earth's flattening.
 //! - An attitude takes vectors of the body's axes to Earth-fixed ones: Hamilton's quaternion, q0 >= 0.
 //! - A row of the IMU holds the means over the interval that ends at its time, in the body's axes; the first interval begins with the flight.
-//! - Every camera gives every direction that its [`SightingCamera::targets`] name, whatever its field of view.
+//! - Every camera gives every direction that its [`TargetCamera::targets`] name, whatever its field of view.
 
 mod balloon;
 mod cameras;
@@ -25,7 +25,7 @@ mod telescope;
 #[cfg(test)]
 mod tests;
 
-pub use cameras::{DirectionErrors, Seen, SightingCamera, Target};
+pub use cameras::{DirectionErrors, Seen, Target, TargetCamera};
 pub use faults::{FaultyImu, IMU_FAULTS, ImuFault, Shows};
 pub use files::WriteError;
 pub use imu::ImuErrors;

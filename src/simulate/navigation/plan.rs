@@ -1,7 +1,7 @@
 //! What flies, for how long and with which errors.
 
 use super::balloon::{self, Balloon};
-use super::cameras::{DirectionErrors, Seen, SightingCamera, Sky, Target};
+use super::cameras::{DirectionErrors, Seen, Sky, Target, TargetCamera};
 use super::earth::FixedSun;
 use super::imu::ImuErrors;
 use super::motion::Motion;
@@ -68,14 +68,14 @@ pub struct FlightPlan {
     pub gps: GpsErrors,
     pub sun: DirectionErrors,
     pub nadir: DirectionErrors,
-    pub cameras: Vec<SightingCamera>,
+    pub cameras: Vec<TargetCamera>,
 }
 
 impl FlightPlan {
     /// The coast of Braun and Barf 2022 (section 7) and its sensors, T+60 s to T+430 s. Two cameras on opposite sides look 20 deg downwards; both
     /// give Sun and nadir from T+171 s to T+300 s, once a second.
     pub fn rocket() -> Self {
-        let camera = |name, side| SightingCamera {
+        let camera = |name, side| TargetCamera {
             name,
             body_from_camera: rocket::camera_axes(side),
             misalignment_sigma_deg: 0.5,
@@ -105,7 +105,7 @@ impl FlightPlan {
     /// Twenty minutes of a telescope whose camera `pyas` gives the Sun to 0.11 arcsec, but for a minute in three, and whose camera
     /// `roll` gives the nadir; both four times a second.
     pub fn balloon() -> Self {
-        let pyas = SightingCamera {
+        let pyas = TargetCamera {
             name: "pyas",
             body_from_camera: balloon::ALONG_FIRST,
             // It is what the body's axes are defined by.
@@ -118,7 +118,7 @@ impl FlightPlan {
                 gap_s: 60.0,
             },
         };
-        let roll = SightingCamera {
+        let roll = TargetCamera {
             name: "roll",
             body_from_camera: balloon::ALONG_SECOND,
             misalignment_sigma_deg: 0.3,

@@ -8,13 +8,13 @@ use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use solaspect::pointing::HelioprojectiveArcsec;
-use solaspect::pointing_history::{self, Limits, Pointed, Sight};
+use solaspect::pointing_history::{self, Limits, Pointed, LineOfSight};
 use solaspect::report;
 use solaspect::sky::Ephemeris;
 use std::path::PathBuf;
 
-/// What of a sight has a name in Python.
-type Named<T> = (&'static str, fn(&Sight) -> T);
+/// What of a line of sight has a name in Python.
+type Named<T> = (&'static str, fn(&LineOfSight) -> T);
 
 /// The pointing of a refined flight as a function of time.
 #[pyclass(frozen, module = "solaspect")]
@@ -83,27 +83,27 @@ impl PointingHistory {
             };
             times_s.iter().map(at).unzip()
         });
-        let sights: Vec<Option<&Sight>> = pointed.iter().map(|one| one.sight.as_ref()).collect();
+        let lines_of_sight: Vec<Option<&LineOfSight>> = pointed.iter().map(|one| one.line_of_sight.as_ref()).collect();
         let found = PyDict::new(py);
         let columns: [Named<f64>; 6] = [
-            ("hpln", |sight| sight.helioprojective_arcsec.x),
-            ("hplt", |sight| sight.helioprojective_arcsec.y),
-            ("north_angle", |sight| sight.north_angle_deg),
-            ("azimuth", |sight| sight.horizontal.azimuth_deg),
-            ("elevation", |sight| sight.horizontal.elevation_deg),
-            ("roll", |sight| sight.roll_deg),
+            ("hpln", |line_of_sight| line_of_sight.helioprojective_arcsec.x),
+            ("hplt", |line_of_sight| line_of_sight.helioprojective_arcsec.y),
+            ("north_angle", |line_of_sight| line_of_sight.north_angle_deg),
+            ("azimuth", |line_of_sight| line_of_sight.horizontal.azimuth_deg),
+            ("elevation", |line_of_sight| line_of_sight.horizontal.elevation_deg),
+            ("roll", |line_of_sight| line_of_sight.roll_deg),
         ];
         for (name, value) in columns {
-            let values = sights.iter().map(|sight| sight.map_or(f64::NAN, value));
+            let values = lines_of_sight.iter().map(|line_of_sight| line_of_sight.map_or(f64::NAN, value));
             found.set_item(name, PyArray1::from_iter(py, values))?;
         }
         let matrices: [Named<Matrix3<f64>>; 2] = [
-            ("random", |sight| sight.random_arcsec2),
-            ("systematic", |sight| sight.systematic_arcsec2),
+            ("random", |line_of_sight| line_of_sight.random_arcsec2),
+            ("systematic", |line_of_sight| line_of_sight.systematic_arcsec2),
         ];
         for (name, value) in matrices {
             let unknown = Matrix3::from_element(f64::NAN);
-            let values = sights.iter().map(|sight| sight.map_or(unknown, value));
+            let values = lines_of_sight.iter().map(|line_of_sight| line_of_sight.map_or(unknown, value));
             // Symmetric: the order of rows and columns is the same.
             let numbers = values.flat_map(|matrix| <[f64; 9]>::try_from(matrix.as_slice()));
             found.set_item(name, rows(py, numbers.flatten().collect(), 9)?)?;
@@ -116,9 +116,9 @@ impl PointingHistory {
             .iter()
             .map(|one| one.invalid.map_or("", |why| why.name()));
         found.set_item("invalid", invalid.collect::<Vec<&str>>())?;
-        let source = sights
+        let source = lines_of_sight
             .iter()
-            .map(|sight| sight.map_or("", |sight| sight.basis.name()));
+            .map(|line_of_sight| line_of_sight.map_or("", |line_of_sight| line_of_sight.basis.name()));
         found.set_item("source", source.collect::<Vec<&str>>())?;
         Ok(found)
     }

@@ -70,7 +70,7 @@ impl SavedValues {
             })
     }
 
-    /// Whether it is still the lock that was taken: a disk may have been mounted anew.
+    /// Whether it is still the lock that was taken: a disk may have been mounted again.
     pub(super) fn is_held_by(&self, lock: &Lock) -> bool {
         lock.is_of(&self.beside("lock"))
     }

@@ -44,7 +44,7 @@ fn is_seen(t_s: f64) -> bool {
 
 fn flown(trial: Trial, fault: &ImuFault, seed: u64) -> Flown {
     let mut imu = FaultyImu::new(seed);
-    let spoil = |n: u64, sample: ImuPacket| {
+    let corrupt = |n: u64, sample: ImuPacket| {
         let t_s = n as f64 / 100.0;
         let since = BEGINS_S.map(|begin_s| t_s - begin_s);
         let since_s = since
@@ -53,7 +53,15 @@ fn flown(trial: Trial, fault: &ImuFault, seed: u64) -> Flown {
         imu.sample(sample, since_s.map(|since_s| (fault, since_s)))
     };
     let seen = (trial.frames_hz, is_seen);
-    let (judged, tally) = fly_judged(END_S as u64, seed, seen, spoil, as_received, |_| true, &[]);
+    let (judged, tally) = fly_judged(
+        END_S as u64,
+        seed,
+        seen,
+        corrupt,
+        as_received,
+        |_| true,
+        &[],
+    );
     // Two axes each.
     let worst = judged
         .sigmas

@@ -11,8 +11,8 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 impl Plan {
-    /// Looks at the folders and files that only the flight itself opens.
-    pub fn look(&self, remarks: &mut Remarks) {
+    /// Checks the folders and files that only the flight itself opens.
+    pub fn check(&self, remarks: &mut Remarks) {
         for camera in self.config.cameras.flying() {
             source(camera, remarks);
         }

@@ -1,4 +1,4 @@
-//! The second look: a frame that did not tell its disc or its marks by itself is seen again, now that the flight has told the
+//! The second pass: a frame that did not give its disc or its marks by itself is solved again, now that the flight has determined the
 //! mapping and, from the frames before and after, where the disc must be.
 //!
 //! 1. The outline that the disc would have: by the frame's own disc, else by the path; where that is vague, the disc is searched
@@ -7,7 +7,7 @@
 //! 3. The limb, without the pixels of any mark of the plate, seen or not.
 
 use super::disc::{self, PlateDisc};
-use super::oddity::Oddity;
+use super::flags::FrameFlag;
 use super::path::SunPath;
 use super::record::{Grade, PackedPoint};
 use super::suns::{Flight, LOOSE_RADIUS, Seen, Suns, TELLING_LIMB};
@@ -52,16 +52,16 @@ const STATED: (f64, f64) = (0.1, 0.001);
 const LEAST_ON_OUTLINE: f64 = 0.6;
 const MAX_SCATTER_PX: f64 = 1.0;
 
-/// Where a disc is known worse than this, 1 sigma, a second look is of no use.
-const MOST_LOOK_SIGMA_MIL: f64 = 200.0;
-/// How far a frame's own disc may be from the one of the second look, 1 sigma.
+/// Where a disc is known worse than this, 1 sigma, a second pass is of no use.
+const MOST_PLACE_SIGMA_MIL: f64 = 200.0;
+/// How far a frame's own disc may be from the one of the second pass, 1 sigma.
 const OWN_DISC_SIGMA_MIL: f64 = 5.0;
 /// A frame's own disc is another thing if it is so many sigma off the path.
 const OTHER_THING_SIGMAS: f64 = 8.0;
 
 /// Looks again at the frames that did not give disc and marks by themselves, or read them wrongly: those, in order, that have another disc
 /// now.
-pub(super) fn look_again(
+pub(super) fn solve_again(
     flight: &Flight,
     suns: &Suns,
     path: &SunPath,
@@ -69,7 +69,7 @@ pub(super) fn look_again(
 ) -> Vec<(usize, Seen)> {
     let wants = |n: &usize| {
         let own = flight.frames[*n].quality;
-        own != Grade::Fine || suns.odd[*n].contains(Oddity::Misread)
+        own != Grade::Fine || suns.flags[*n].contains(FrameFlag::Misread)
     };
     let wanted: Vec<usize> = (0..flight.frames.len()).filter(wants).collect();
     pass.watch.begin(wanted.len(), "frames seen again");
@@ -77,7 +77,7 @@ pub(super) fn look_again(
     let wanted = wanted.par_iter().zip(places);
     let seen = wanted.filter(|_| !pass.watch.is_cancelled());
     let seen = seen.filter_map(|(n, by_path)| {
-        let seen = look(flight, suns, by_path, pass.archive, *n);
+        let seen = solve(flight, suns, by_path, pass.archive, *n);
         pass.watch.step();
         Some((*n, seen?))
     });
@@ -86,7 +86,7 @@ pub(super) fn look_again(
     seen
 }
 
-fn look(
+fn solve(
     flight: &Flight,
     suns: &Suns,
     by_path: Option<(PlateMil, f64)>,
@@ -107,17 +107,17 @@ fn look(
     };
     let file = archive.open_file(&flight.timeline.file(n).ok()?).ok()?;
     let file = file.of_size(known.instrument.camera.size_px());
-    let look = file.with_frame(|frame| known.look(frame)).ok()??;
+    let found = file.with_frame(|frame| known.find(frame)).ok()??;
     // A limb of which little is seen does not determine its radius.
-    let sigma = match look.limb_part >= TELLING_LIMB {
+    let sigma = match found.limb_part >= TELLING_LIMB {
         true => LOOSE_RADIUS.sigma,
         false => ratio.sigma,
     };
     let radius = Measured::new(known.radius_mil, expected * sigma);
-    let disc: PlateDisc = disc::on_plate(look.centre_px, &look.limb, &mapping, radius)?;
+    let disc: PlateDisc = disc::on_plate(found.centre_px, &found.limb, &mapping, radius)?;
     let sigma = sigma_mil.hypot(disc.centre.covariance.trace().sqrt());
     let near = centre.distance(disc.centre.position) < OTHER_THING_SIGMAS * sigma;
-    flight.seen(n, disc, look.limb_part).filter(|_| near)
+    flight.seen(n, disc, found.limb_part).filter(|_| near)
 }
 
 /// Where a frame's disc must be, and 1 sigma, mil: where the frame itself has it, unless the path says that this is another thing.
@@ -128,7 +128,7 @@ fn whereabouts(
     n: usize,
     at: &Mapping,
 ) -> Option<(PlateMil, f64)> {
-    let by_path = by_path.filter(|(_, sigma)| *sigma < MOST_LOOK_SIGMA_MIL);
+    let by_path = by_path.filter(|(_, sigma)| *sigma < MOST_PLACE_SIGMA_MIL);
     let Some(own) = &flight.frames[n].disc else {
         return by_path;
     };
@@ -136,11 +136,11 @@ fn whereabouts(
     let other = by_path.filter(|(place, sigma)| {
         place.distance(own) > OTHER_THING_SIGMAS * sigma.hypot(OWN_DISC_SIGMA_MIL)
     });
-    // The same disc again would be as odd.
-    other.or((!suns.odd[n].spoil()).then_some((own, OWN_DISC_SIGMA_MIL)))
+    // The same disc would be flagged again.
+    other.or((!suns.flags[n].reject()).then_some((own, OWN_DISC_SIGMA_MIL)))
 }
 
-/// What is known of a frame before its second look.
+/// What is known of a frame before its second pass.
 struct Known<'a> {
     pub instrument: &'a Instrument,
     pub settings: &'a SolverSettings,
@@ -151,8 +151,8 @@ struct Known<'a> {
     pub radius_mil: f64,
 }
 
-/// What a second look gave.
-struct Look {
+/// What the second pass gave.
+struct Found {
     pub centre_px: [f64; 2],
     pub limb_part: f64,
     pub limb: Vec<PackedPoint>,
@@ -160,13 +160,13 @@ struct Look {
 
 impl Known<'_> {
     /// Looks at a frame. `None` where it shows no disc.
-    fn look(&self, frame: &Frame) -> Option<Look> {
+    fn find(&self, frame: &Frame) -> Option<Found> {
         let (start, levels) = self.start(frame)?;
         let limb = self.limb(frame, &start, &levels)?;
         let (centre, at) = (limb.outline.ellipse.centre, |p: &limb::LimbPoint| {
             p.at.vector()
         });
-        Some(Look {
+        Some(Found {
             centre_px: centre.into(),
             limb_part: limb::arc_fraction(limb.points.iter().map(at), centre),
             limb: limb

@@ -27,7 +27,7 @@ pub enum Known {
 
 /// A frame of the horizon at a moment of which something is known.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Sighting {
+pub struct HorizonObservation {
     pub horizon: Horizon,
     pub known: Known,
 }

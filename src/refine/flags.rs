@@ -1,4 +1,4 @@
-//! What may be odd about a frame.
+//! Flags of frames and of their times.
 
 use std::fmt;
 
@@ -23,9 +23,9 @@ impl Order {
     }
 }
 
-/// What is odd about a frame's time.
+/// Why a frame's time is flagged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum TimeOddity {
+pub enum TimeFlag {
     /// UTC had stepped against the monotonic clock.
     Clock,
     /// Frames of one stamp were spread over the step to the next one.
@@ -36,12 +36,12 @@ pub enum TimeOddity {
     SharedTime,
     /// The times of most frames contradict their numbers, and the Sun's motion does, too.
     ShuffledTime,
-    /// Other frames have the same time, and it cannot be told how long after it each was taken.
+    /// Other frames have the same time, and it is not known how long after it each was taken.
     StoppedClock,
 }
 
-impl TimeOddity {
-    /// Whether the frame may tell where the smoothed path is at its time.
+impl TimeFlag {
+    /// Whether the frame may determine where the smoothed path is at its time.
     pub fn is_of_path(self) -> bool {
         matches!(
             self,
@@ -50,7 +50,7 @@ impl TimeOddity {
     }
 }
 
-impl fmt::Display for TimeOddity {
+impl fmt::Display for TimeFlag {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Self::Clock => "the clock had stepped: the time is by the monotonic clock",
@@ -79,11 +79,11 @@ impl fmt::Display for TimeOddity {
     }
 }
 
-/// What is odd about a frame, seen beside the others.
+/// Why a frame is flagged, compared with the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Oddity {
+pub enum FrameFlag {
     /// The frame alone showed no disc.
-    SecondLook,
+    SecondPass,
     /// The radius is not that of the other frames.
     Radius,
     /// The limb is not as round as the mapping makes it.
@@ -102,9 +102,9 @@ pub enum Oddity {
     Path,
 }
 
-impl Oddity {
+impl FrameFlag {
     const ALL: [Self; 9] = [
-        Self::SecondLook,
+        Self::SecondPass,
         Self::Radius,
         Self::Limb,
         Self::FewMarks,
@@ -115,19 +115,19 @@ impl Oddity {
         Self::Path,
     ];
 
-    /// Whether it spoils the Sun's place; otherwise it is worth knowing and no more.
-    fn spoils(self) -> bool {
+    /// Whether it rejects the Sun's place; otherwise it is worth knowing and no more.
+    fn rejects(self) -> bool {
         match self {
             Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,
-            Self::Misread | Self::FewMarks | Self::Light | Self::Noise | Self::SecondLook => false,
+            Self::Misread | Self::FewMarks | Self::Light | Self::Noise | Self::SecondPass => false,
         }
     }
 }
 
-impl fmt::Display for Oddity {
+impl fmt::Display for FrameFlag {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
-            Self::SecondLook => "seen only where the frames before and after have the disc",
+            Self::SecondPass => "seen only where the frames before and after have the disc",
             Self::Radius => "the radius is not that of the flight",
             Self::Limb => "the limb does not fit the flight's mapping",
             Self::FewMarks => "far fewer marks were read than are lit",
@@ -140,35 +140,35 @@ impl fmt::Display for Oddity {
     }
 }
 
-/// All that is odd about a frame.
+/// All flags of a frame.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Oddities(u16);
+pub struct FrameFlags(u16);
 
-impl Oddities {
-    pub fn insert(&mut self, odd: Oddity) {
-        self.0 |= 1 << odd as u16;
+impl FrameFlags {
+    pub fn insert(&mut self, flag: FrameFlag) {
+        self.0 |= 1 << flag as u16;
     }
 
-    pub fn contains(self, odd: Oddity) -> bool {
-        self.0 & (1 << odd as u16) != 0
+    pub fn contains(self, flag: FrameFlag) -> bool {
+        self.0 & (1 << flag as u16) != 0
     }
 
-    /// Whether one of them spoils the Sun's place.
-    pub fn spoil(self) -> bool {
-        self.iter().any(Oddity::spoils)
+    /// Whether one of them rejects the Sun's place.
+    pub fn reject(self) -> bool {
+        self.iter().any(FrameFlag::rejects)
     }
 
-    pub fn iter(self) -> impl Iterator<Item = Oddity> {
-        Oddity::ALL
+    pub fn iter(self) -> impl Iterator<Item = FrameFlag> {
+        FrameFlag::ALL
             .into_iter()
-            .filter(move |odd| self.contains(*odd))
+            .filter(move |flag| self.contains(*flag))
     }
 }
 
-impl FromIterator<Oddity> for Oddities {
-    fn from_iter<I: IntoIterator<Item = Oddity>>(odd: I) -> Self {
+impl FromIterator<FrameFlag> for FrameFlags {
+    fn from_iter<I: IntoIterator<Item = FrameFlag>>(flags: I) -> Self {
         let mut all = Self::default();
-        odd.into_iter().for_each(|odd| all.insert(odd));
+        flags.into_iter().for_each(|flag| all.insert(flag));
         all
     }
 }
