@@ -72,7 +72,7 @@ impl From<io::Error> for Unread {
 /// [`Unread::Io`] and [`Unread::Kind`].
 pub fn open_regular(path: &Path) -> Result<File, Unread> {
     // To open a pipe waits for its writer, and to open a device may do something. What was opened may be another file than what was
-    // looked at: it does not wait, and is looked at again.
+    // checked: it does not wait, and is checked again.
     check_regular(&std::fs::metadata(path)?)?;
     let flags = OFlag::O_NONBLOCK.bits();
     let file = File::options().read(true).custom_flags(flags).open(path)?;

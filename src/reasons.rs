@@ -1,7 +1,7 @@
 //! Why a frame went no further: each reason once, with a code for programs and a sentence for people.
 //!
 //! A code stays as it is; its sentence may be worded better one day. A reason is given with the stage that stopped, what it measured and
-//! the limit that this missed ([`Stopped`]).
+//! the limit that it fails ([`Stopped`]).
 
 use crate::units::{Reason, Rejected};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
@@ -176,7 +176,7 @@ reasons! {
     UNCERTAIN "uncertain" "the limb determines the centre too poorly"
     BLUNT "blunt" "too much of the limb is blunt"
     RADIUS "radius" "the radius is not the Moon's"
-    LIT "lit" "another part of the disc is lit than the Moon's phase tells"
+    LIT "lit" "another part of the disc is lit than the Moon's phase says"
 }
 
 /// Of all solvers.
@@ -210,7 +210,7 @@ impl<'de> Deserialize<'de> for Reason {
 fn page() -> String {
     use std::fmt::Write as _;
     let mut page = String::from(
-        "# Reasons\n\nWhy a frame has no solution, or a coarse one: `reason` in the output of `solve`, `horizon` and `moon` has the stage that\nstopped, the `code` of the reason, the reason as a sentence, what was `measured` and the `limit` that it missed, in the unit of what was\ntested. Codes stay as they are from version to version; sentences may be worded better. FITS headers and CSV have \"stage: reason\".\n",
+        "# Reasons\n\nWhy a frame has no solution, or a coarse one: `reason` in the output of `solve`, `horizon` and `moon` has the stage that\nstopped, the `code` of the reason, the reason as a sentence, what was `measured` and the `limit` that it fails, in the unit of what was\ntested. Codes stay as they are from version to version; sentences may be worded better. FITS headers and CSV have \"stage: reason\".\n",
     );
     for (title, reasons) in [
         ("The Sun on the plate: `solve`", sun::ALL),

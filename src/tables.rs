@@ -42,7 +42,7 @@ pub enum Kind {
     OutOfOrder,
     /// A time far from that of the rows before and after.
     Stray,
-    /// The clock was set back: other rows tell of the same time.
+    /// The clock was set back: other rows have the same time.
     ToldTwice,
 }
 
@@ -56,7 +56,7 @@ impl Kind {
             Self::Repeated => "repeated",
             Self::OutOfOrder => "out of order",
             Self::Stray => "of another time",
-            Self::ToldTwice => "of a time that other rows tell of",
+            Self::ToldTwice => "of a time that other rows have, too",
         }
     }
 }

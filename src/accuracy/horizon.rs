@@ -39,7 +39,7 @@ pub struct HorizonRow {
     pub title: String,
     /// How many frames: in the small size, in the full.
     pub frames: [u64; 2],
-    /// 1 sigma of the height of the edge that the solver is told, by which it is off, m.
+    /// 1 sigma of the height of the edge that the solver gets, by which it is off, m.
     pub edge_sigma_m: f64,
     /// Draws what a picture shows.
     draw: fn(&mut Generator, f64) -> EarthConditions,

@@ -10,7 +10,7 @@ use HorizonDemand::{FineShare, HonestSigma, NoneFine};
 use rand::RngExt;
 use std::ops::Range;
 
-/// Of a picture whose edge is drawn where the solver is told that it is, m; and the usual one.
+/// Of a picture whose edge is drawn where the solver expects it, m; and the usual one.
 const EXACT_M: f64 = 0.0;
 const USUAL_M: f64 = 1_000.0;
 /// Heights of photographs from orbit, m.

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use std::fmt;
 use std::ops::Range;
 
-/// What is known of the Moon before its picture is looked at.
+/// What is known of the Moon before its picture is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Knowledge {
     Nothing,
@@ -97,7 +97,7 @@ pub struct MoonSummary {
     pub across_px: Option<f64>,
     /// Rms of its error over sigma, per axis.
     pub over_sigma: Option<f64>,
-    /// Rms of the error of the lit share, and over its sigma; where the picture tells it.
+    /// Rms of the error of the lit share, and over its sigma; where the picture determines it.
     pub lit: Option<f64>,
     pub lit_over_sigma: Option<f64>,
     /// Seeds of fine frames that are off by 5 sigma per axis and 0.3 px.

@@ -138,7 +138,7 @@ fn no_moons() -> Vec<MoonRow> {
 
 fn cratered(radius_px: f64, lit: Range<f64>) -> MoonConditions {
     let clear = MoonConditions::clear(radius_px);
-    // Room for the largest.
+    // Space for the largest.
     let least_px = (2.5 * radius_px) as usize;
     MoonConditions {
         craters: true,

@@ -221,7 +221,7 @@ fn is_whole(scene: &Scene) -> bool {
     limb(scene).filter(|(_, on_sensor)| *on_sensor).count() == LIMB_POINTS
 }
 
-/// Points along the limb at which it is looked at.
+/// Points along the limb at which it is evaluated.
 const LIMB_POINTS: usize = 720;
 
 /// Whether nothing hides a point of the limb, and whether it is on the sensor, all round; nothing without a Sun.

@@ -148,7 +148,7 @@ impl GoodTimes {
             self.stop.put(table, n, part[1], own[1], Inward::Down)?;
         }
         let after = self.intervals(table)?;
-        // An interval may be shorter than what its columns can tell apart.
+        // An interval may be shorter than what its columns can resolve.
         for row in (1..=after.len())
             .rev()
             .filter(|row| after[row - 1].is_none())

@@ -108,7 +108,7 @@ fn open(path: &Path, folder: &Path) -> Result<DiskFile, FileError> {
 fn unpack(packed: File, plain: &mut File) -> Result<(), Problem> {
     let copied = std::io::copy(&mut MultiGzDecoder::new(packed), plain);
     let whole = |error: std::io::Error| {
-        Problem::content("a whole gzip file, and room for it", error.to_string())
+        Problem::content("a whole gzip file, and space for it", error.to_string())
     };
     copied.map(drop).map_err(whole)
 }

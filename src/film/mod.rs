@@ -250,7 +250,7 @@ struct Beside {
 }
 
 impl Beside {
-    /// Solves the frames that pictures of these times need, and forgets others.
+    /// Solves the frames that pictures of these times need, and drops others.
     fn prepare(
         &mut self,
         times_s: impl Iterator<Item = f64>,

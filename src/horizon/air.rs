@@ -2,7 +2,7 @@
 //!
 //! Air of an optical depth t along a ray scatters 1 - exp(-t) of what thick air does. The depth falls off exponentially with the height at which
 //! the ray grazes the Earth (Chapman 1931, for a layer that is thin against it), less what lies behind a camera within the air. How the light
-//! turns from the faint air above to the thick one below tells the brightness of the latter, even where only its clouds are seen.
+//! turns from the faint air above to the thick one below determines the brightness of the latter, even where only its clouds are seen.
 
 use super::sphere::Sphere;
 use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};

@@ -1,7 +1,7 @@
 //! Borders of bright regions.
 //!
 //! A border runs between pixels, along the cracks between a bright one on its left and a dark one on its right. Following it takes
-//! two looks at a pixel for each step, so that a horizon costs thousands of pixels and not the millions of the picture. It is
+//! two reads of a pixel for each step, so that a horizon costs thousands of pixels and not the millions of the picture. It is
 //! met first at the picture's edge or on one of a few rows (Braun and Barf 2022, sections 3.1 and 5).
 
 use super::edge::EdgePoint;
@@ -17,7 +17,7 @@ const STEPS_PER_POINT: usize = 8;
 /// 1 sigma of a point: pixels are whole, and noise frays a soft edge.
 const SIGMA_PX: f64 = 1.0;
 
-/// What tells bright pixels from dark ones, and pixels that are looked at from those that are not.
+/// What separates bright pixels from dark ones, and pixels that are used from those that are not.
 pub(super) struct Binary<'a, T> {
     view: View<'a, T>,
     threshold_dn: f64,

@@ -1,5 +1,5 @@
 //! Which points lie on one sphere's edge: RANSAC (Fischler and Bolles 1981; Braun and Barf 2022, section 3.6) with the cone's half-angle
-//! known, so that two points and their bright sides tell the nadir.
+//! known, so that two points and their bright sides determine the nadir.
 
 use super::edge::EdgeRay;
 use nalgebra::UnitVector3;

@@ -61,7 +61,7 @@ pub struct EdgeRay {
     pub sigma_rad: f64,
     /// By how much its brightness may have moved it, all that are as dark or as bright alike: 1 sigma.
     pub of_brightness_rad: f64,
-    /// By how much the edge still moves when its light is read anew.
+    /// By how much the edge still moves when its light is read again.
     pub unsettled_rad: f64,
 }
 

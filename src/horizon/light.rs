@@ -11,11 +11,11 @@ use nalgebra::UnitVector3;
 use std::f64::consts::{PI, SQRT_2};
 use std::ops::Range;
 
-/// One pixel in so many is looked at, in each axis, and so many across a sphere or a picture that is small.
+/// One pixel in so many is sampled, in each axis, and so many across a sphere or a picture that is small.
 const MOST_SPACING_PX: f64 = 40.0;
 const ACROSS: f64 = 8.0;
 const RASTER_LINES: usize = 24;
-/// The dark sky is that of so many of the pixels, and bright is what so many exceed: a thousandth may be the Sun. Where that is looked for,
+/// The dark sky is that of so many of the pixels, and bright is what so many exceed: a thousandth may be the Sun. Where that is searched,
 /// bright is what a part of it exceeds.
 const DARK_SHARE: f64 = 0.02;
 const BRIGHT_SHARE: f64 = 0.005;
@@ -28,11 +28,11 @@ const MOST_MEAN: f64 = 235.0 / 255.0;
 const LEAST_CONTRAST: f64 = 12.0 / 255.0;
 const LEAST_CONTRAST_SIGMAS: f64 = 10.0;
 
-/// The same of the raster that tells which side of the edge is bright.
+/// The same of the raster that shows which side of the edge is bright.
 const MOST_RASTER_PX: usize = 54;
 /// Beyond the limb's light by so much, the sky is as dark as it is, rad.
 const FAR_RAD: f64 = 0.05;
-/// Of a raster's pixels within the sphere so many are bright, and of those of the sky at most so many. It takes some of each to tell.
+/// Of a raster's pixels within the sphere so many are bright, and of those of the sky at most so many. Both kinds are needed to find the border.
 const LEAST_INSIDE: f64 = 0.1;
 const MOST_OUTSIDE: f64 = 0.4;
 const LEAST_PIXELS: usize = 40;
@@ -52,7 +52,7 @@ impl Levels {
     /// Of one that is dark all over.
     pub const TOO_DARK: &'static str = "too_dark";
 
-    /// The levels by a raster of pixels, or why the frame is not worth a look for a sphere of some radius in the picture.
+    /// The levels by a raster of pixels, or why the frame cannot show an edge for a sphere of some radius in the picture.
     ///
     /// # Errors
     /// A frame that is dark, or bright, all over.
@@ -123,7 +123,7 @@ impl Sampled {
     }
 }
 
-/// Pixels all over the frame that are not masked: where each looks, and its light, DN.
+/// Pixels all over the frame that are not masked: the direction of each, and its light, DN.
 pub(super) struct Raster {
     pixels: Vec<(UnitVector3<f64>, f64)>,
 }

@@ -1,7 +1,7 @@
 //! The edge of the limb to a part of a pixel, by profiles of its light.
 //!
 //! The edge is where the limb has half of its brightness above the sky. Brightness varies along the limb, and clouds lie beside
-//! it, so that half is found in two steps: the mean profile tells where half is, and each place is held against that profile
+//! it, so that half is found in two steps: the mean profile gives where half is, and each place is compared with that profile
 //! where no cloud reaches, with a darkness, a brightness and a shift of its own.
 //!
 //! What has an edge is no limb yet: see [`Shape::check`].

@@ -2,7 +2,7 @@
 //!
 //! Rays from the camera to the edge of a sphere make a cone about the direction of its centre, the nadir (Braun and Barf 2022,
 //! "Image processing based horizon sensor for estimating the orientation of sounding rockets, launch vehicles and spacecraft", section 2.4).
-//! The distance tells the cone's half-angle; points of the edge tell its axis, however long or short the arc is that they lie on.
+//! The distance gives the cone's half-angle; points of the edge determine its axis, however long or short the arc is that they lie on.
 //!
 //! Directions are in the camera frame: x to the right, y down, z forward.
 //!
@@ -12,7 +12,7 @@
 //!    frame's nadir is known, it stands for both.
 //! 3. `profile`: the light across the edge all along the cone. `limb`: where it has half of the limb's own brightness, and whether it is
 //!    a limb at all: as sharp as the air (`shape`), alike from place to place, and light that goes on inside (`inside`). The profiles
-//!    are read anew until the edge stays where it is.
+//!    are read again until the edge converges.
 //! 4. [`nadir()`] fits the direction, with the covariance of noise, limb, height and of what moves the edge. Several guesses may come so far:
 //!    the best one counts, in doubt where another is nearly as good ([`Solution`]).
 //!
@@ -56,10 +56,10 @@ use search::{Search, enough, fitted, unfitted};
 /// Nadirs that are farther apart than this are two, deg; the second is a rival with such a share of the first one's points.
 const APART_DEG: f64 = 2.0;
 const RIVAL_POINTS: f64 = 0.5;
-/// What more than this share of the places shows is told.
-const TOLD_SHARE: f64 = 0.1;
+/// What more than this share of the places shows is flagged.
+const LEAST_SHARE: f64 = 0.1;
 
-/// How a frame is looked at.
+/// How a frame is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct HorizonSettings {
     /// For [`circle`], pixels of at least this are bright, DN; by the frame's own light where it is not stated.
@@ -121,7 +121,7 @@ impl Quality {
 /// What stands beside the edge, or hides it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Flag {
-    /// Clouds reach into the limb: where they do, the air above them tells the edge.
+    /// Clouds reach into the limb: where they do, the air above them determines the edge.
     Clouds,
     /// Places whose edge is none of the sphere's: of a cloud's top, of the ground, of a flare.
     OtherEdges,
@@ -217,14 +217,15 @@ impl Solution {
     /// What a reader of the nadir should know; nothing of a frame that shows none.
     pub fn flags(&self) -> Vec<Flag> {
         let (places, seen) = (self.places as f64, self.edge.rays.len() as f64);
-        let told = [
+        let flags = [
             (Flag::Clouds, self.clouded),
             (Flag::OtherEdges, (seen - self.agreeing() as f64) / seen),
             (Flag::NoEdge, (places - seen) / places),
         ];
-        let is_told = |(_, share): &(Flag, f64)| self.nadir.is_ok() && *share > TOLD_SHARE;
-        told.into_iter()
-            .filter(is_told)
+        let is_flagged = |(_, share): &(Flag, f64)| self.nadir.is_ok() && *share > LEAST_SHARE;
+        flags
+            .into_iter()
+            .filter(is_flagged)
             .map(|(flag, _)| flag)
             .collect()
     }

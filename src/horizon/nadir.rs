@@ -115,10 +115,10 @@ pub fn nadir(
     };
     let edge: Vec<(&EdgeRay, f64)> = edge().map(|ray| (ray, sigma_rad(ray))).collect();
     let linearise = |by: &Vector3<f64>| {
-        let (nadir, raised_rad) = (moved(by), by.z * free_rad);
-        let of_sphere = (given.value + raised_rad).sin_cos();
+        let (nadir, risen_rad) = (moved(by), by.z * free_rad);
+        let of_sphere = (given.value + risen_rad).sin_cos();
         Some(edge.iter().map(move |(ray, sigma)| {
-            let towards = || sphere.half_angle_towards(&ray.unit, &nadir) + raised_rad;
+            let towards = || sphere.half_angle_towards(&ray.unit, &nadir) + risen_rad;
             let (sine, cosine) = match sphere.ellipsoid {
                 None => of_sphere,
                 Some(_) => towards().sin_cos(),

@@ -58,7 +58,7 @@ pub fn overlay(
     captioned(canvas, &captions(solution, title))
 }
 
-/// The same of a circle: the edge of the sphere that it tells, and the direction down.
+/// The same of a circle: the edge of the sphere that it gives, and the direction down.
 pub fn overlay_of_circle(
     frame: &Frame,
     circle: Result<&Circle, &Stopped>,
@@ -66,7 +66,7 @@ pub fn overlay_of_circle(
     title: &str,
 ) -> RgbImage {
     let mut canvas = canvas(frame, camera, None);
-    let told = match circle {
+    let text = match circle {
         Ok(circle) => {
             let sphere = Sphere::disc(Measured::new(circle.half_angle_rad, 0.0));
             draw_sphere(&mut canvas, frame, &circle.nadir, camera, &sphere);
@@ -75,7 +75,7 @@ pub fn overlay_of_circle(
         }
         Err(stopped) => stopped.in_full(),
     };
-    captioned(canvas, &[title.to_owned(), told])
+    captioned(canvas, &[title.to_owned(), text])
 }
 
 /// The frame with the vehicle's own parts, stretched between two levels or to its limits.

@@ -6,7 +6,7 @@ use crate::estimation::median;
 use crate::kernels::paths::{COLUMNS, column_quantiles};
 
 /// Places that are averaged, and the share of them that has no cloud, where the limb's brightness is read. Less, and the places that a flare or the
-/// Sun spoils would count.
+/// Sun corrupts would count.
 const AVERAGED_PLACES: usize = 5;
 const CLOUDLESS_SHARE: f64 = 0.1;
 /// The brightest place is the one that so many are darker than.

@@ -70,7 +70,7 @@ pub(super) struct Profiles {
     pub step_px: f64,
 }
 
-/// Where to look across the edge.
+/// Where the profiles across the edge lie.
 #[derive(Debug, Clone, Copy)]
 struct Steps {
     step_rad: f64,

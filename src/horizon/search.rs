@@ -29,11 +29,11 @@ const RIVAL_SHARE: f64 = 0.3;
 /// An edge whose height is to be found may stand so far off, m.
 const FITTED_TOLERANCE_M: f64 = 15_000.0;
 /// Distance of places along the edge: those that the cone is first aligned with, roughly and once more, and all, of which many overlap what noise
-/// leaves to tell.
+/// leaves to gain.
 const ROUGH_SPACING_PX: f64 = 96.0;
 const ALIGNING_SPACING_PX: f64 = 48.0;
 const SPACING_PX: f64 = 12.0;
-/// Profiles are read anew while the nadir moves by more, so often at most. Before clouds, the profiles' ends tell on what is found.
+/// Profiles are read again while the nadir moves by more, so often at most. Before clouds, the profiles' ends affect the result.
 const SETTLED_PX: f64 = 0.3;
 const SETTLED_CLOUDED_PX: f64 = 0.2;
 const MOST_ROUNDS: usize = 8;
@@ -203,12 +203,12 @@ impl Search<'_> {
             enough(solution.edge.rays.len(), solution)?;
             nadir = self.fit_as_sphere(&sphere, &solution.edge)?;
             let turned_rad = nadir.direction.unit.angle(&last.direction.unit);
-            let raised_rad = nadir.half_angle_rad.value - last.half_angle_rad.value;
+            let risen_rad = nadir.half_angle_rad.value - last.half_angle_rad.value;
             let settled_px = match edge.is_clear {
                 true => SETTLED_PX,
                 false => SETTLED_CLOUDED_PX,
             };
-            if turned_rad.max(raised_rad.abs()) * lens.mean_focal_px() < settled_px {
+            if turned_rad.max(risen_rad.abs()) * lens.mean_focal_px() < settled_px {
                 break;
             }
             for ray in &mut solution.edge.rays {
@@ -279,9 +279,9 @@ pub(super) fn fitted(
 
 fn departure(edges: &[EdgeRays], sphere: &Sphere, nadir: &Nadir) -> Departure {
     let down = &nadir.direction.unit;
-    let raised_rad = nadir.half_angle_rad.value - sphere.half_angle_rad.value;
+    let risen_rad = nadir.half_angle_rad.value - sphere.half_angle_rad.value;
     let left = |ray: &EdgeRay| {
-        ray.angle_from(down).0 - sphere.half_angle_towards(&ray.unit, down) - raised_rad
+        ray.angle_from(down).0 - sphere.half_angle_towards(&ray.unit, down) - risen_rad
     };
     let rays = edges.iter().flat_map(|edge| &edge.rays).zip(&nadir.weights);
     let agreeing = rays.filter(|(_, weight)| is_part(weight));

@@ -21,13 +21,13 @@ const BRIGHTNESS_SIGMA: f64 = 0.005;
 const CLOUDS_LEFT: f64 = 0.6;
 /// Of the limb's brightness: light beyond the profile. More is glare.
 const MOST_BEYOND: f64 = 0.04;
-/// Of the limb's brightness: below, the air is above any cloud, and its law tells the brightness.
+/// Of the limb's brightness: below, the air is above any cloud, and its law determines the brightness.
 const AIR_ALONE: f64 = 0.6;
 /// The same where no clouds are.
 const AIR_OF_CLEAR: f64 = 0.93;
 /// Brightness and law differ by more sigmas only where clouds lie all along the limb.
 const MOST_LAW_SIGMAS: f64 = 3.0;
-/// The sky begins so many scale heights above the edge, and is told by so many samples.
+/// The sky begins so many scale heights above the edge, and is measured by so many samples.
 const SKY_SCALES: f64 = 4.0;
 const LEAST_SKY: usize = 4;
 /// The sky's growth towards the edge that may be the limb's own, over its brightness.
@@ -134,7 +134,7 @@ impl Shape {
         self.light[n] + (at - n as f64) * (self.light[n + 1] - self.light[n])
     }
 
-    /// Where the light has half of the limb's brightness above the sky. Where no cloud is seen, places tell the brightness, and the law of the air does;
+    /// Where the light has half of the limb's brightness above the sky. Where no cloud is seen, places determine the brightness, and so does the law of the air;
     /// else the law alone, by the air above all clouds. Light that has another law leaves the places. `None` of no limb.
     pub fn half(&self, places: &OfPlaces, clouded: f64, light: &Light) -> Option<Half> {
         let noise =

@@ -53,7 +53,7 @@ impl Refraction {
     }
 }
 
-/// A sphere, or the Earth's ellipsoid, whose edge is looked for.
+/// A sphere, or the Earth's ellipsoid, whose edge is searched.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sphere {
     /// Half-angle of the cone of rays to its edge: of an ellipsoid, the mean of all azimuths.
@@ -226,7 +226,7 @@ pub struct Ellipsoid {
 }
 
 impl Ellipsoid {
-    /// Of the ellipsoid raised by the edge's height. `None` for a place that is not above it.
+    /// Of the ellipsoid enlarged by the edge's height. `None` for a place that is not above it.
     fn new(
         place: &Place,
         edge_m: f64,

@@ -52,7 +52,7 @@ impl LimbFits {
         self.air.limbs(profiles)
     }
 
-    /// The limb at each place, and the share of places with clouds. Whole profiles tell the brightness best; where clouds stand in more
+    /// The limb at each place, and the share of places with clouds. Whole profiles determine the brightness best; where clouds stand in more
     /// than a few, the air alone is fair to all.
     pub fn limbs(&self, profiles: &Profiles) -> (Vec<Limb>, f64) {
         let whole = self.whole.limbs(profiles);
@@ -77,7 +77,7 @@ struct TemplateFit {
 }
 
 impl TemplateFit {
-    /// By the samples from `first` on, of profiles that are filled up to a length. `None` where they do not tell the three.
+    /// By the samples from `first` on, of profiles that are filled up to a length. `None` if they do not determine the three.
     fn new(mean: &[f64], first: usize, length: usize) -> Option<Self> {
         let samples = first..mean.len().checked_sub(1)?;
         let freedom = samples.len().checked_sub(3).filter(|left| *left > 0)?;

@@ -15,7 +15,7 @@ pub struct Dated {
 }
 
 impl Instrument {
-    /// Checks an instrument's text, and tells the dates of its mounting in the order of the file.
+    /// Checks an instrument's text, and returns the dates of its mounting in the order of the file.
     ///
     /// # Errors
     /// As [`Instrument::read`].

@@ -50,7 +50,7 @@ pub struct Instrument {
     pub mounting: Mounting,
 }
 
-/// The camera that looks at the plate.
+/// The camera of the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlateCamera {
     pub width_px: usize,
@@ -204,7 +204,7 @@ impl Instrument {
         }
     }
 
-    /// The instrument as a frame sees it: positions on the sensor count from the frame's corner, where the frame tells
+    /// The instrument as a frame sees it: positions on the sensor count from the frame's corner, where the frame states
     /// that it is a part of the sensor.
     ///
     /// # Errors

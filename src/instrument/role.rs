@@ -16,7 +16,7 @@ struct Names {
     /// In the configuration.
     name: &'static str,
     in_words: &'static str,
-    /// What it looks at, and the command that finds that in a file.
+    /// What it observes, and the command that finds that in a file.
     target: &'static str,
     command: &'static str,
     /// The tables of the configuration whose cameras have this role unless they say otherwise.
@@ -85,7 +85,7 @@ impl Role {
     pub const NAMES: [&'static str; Self::COUNT] = [ROLES[0].name, ROLES[1].name, ROLES[2].name];
     /// The largest number on the line of a role's first camera.
     const LAST: u8 = 7;
-    /// The largest that a picture has room for.
+    /// The largest that fits into a picture.
     pub const MOST_NUMBERED: u8 = 15;
 
     fn names(self) -> &'static Names {
@@ -100,7 +100,7 @@ impl Role {
         self.names().in_words
     }
 
-    /// What it looks at.
+    /// What it observes.
     pub fn target(self) -> &'static str {
         self.names().target
     }
@@ -164,7 +164,7 @@ impl Role {
         roles.iter().enumerate().map(number).collect()
     }
 
-    /// What a camera of a number on the line is called, where the number alone tells.
+    /// What a camera of a number on the line is called, where the number alone is enough.
     pub fn numbered(number: u8) -> Option<String> {
         let is_one = |names: &&Names| names.number == number;
         match ROLES.iter().find(is_one) {

@@ -27,7 +27,7 @@ pub struct Stated {
 }
 
 impl Stated {
-    /// Reads the file of a camera of a role, or takes a built-in one's name. Without a file, a camera that looks at a plate is the built-in demo.
+    /// Reads the file of a camera of a role, or takes a built-in one's name. Without a file, a camera of a plate is the built-in demo.
     ///
     /// # Errors
     /// The file, the field, and what was expected there.

@@ -19,7 +19,7 @@ const LEAST_RADIUS_PX: f64 = 4.0;
 const BY_MIDDLE_RAD: f64 = 0.2;
 const BY_CUT_MIDDLE_RAD: f64 = 0.6;
 
-/// A frame as it is looked at near a light.
+/// A frame as it is measured near a light.
 pub(super) struct View<'a> {
     pub frame: &'a Frame,
     pub levels: &'a Levels,
@@ -117,7 +117,7 @@ impl<'a> Candidate<'a> {
         }
     }
 
-    /// The middle of a thin crescent lies where none of its light does: how much of the disc is lit tells its phase better.
+    /// The middle of a thin crescent lies where none of its light does: the lit share of the disc determines its phase better.
     fn phase_by_middle_rad(&self, circle: &Circle) -> f64 {
         let of_area = phase_rad_of_lit(self.light_area(circle));
         self.sphere_by_middle(circle).phase_rad().min(of_area)

@@ -19,12 +19,12 @@ const MOST_AXIS_RATIO: f64 = 1.15;
 const OVAL_SIGMAS: f64 = 4.0;
 /// A lit share that differs by more from the expected one is another thing's.
 const MOST_LIT_DEVIATION: f64 = 0.2;
-/// So much of the light's variance within and around a disc may be other than the shading tells.
+/// The share of the light's variance within and around a disc that the shading may leave unexplained.
 const MOST_UNLIKE: f64 = 0.3;
 /// Around a saturated disc, in its radii: where the sky is brighter than this share of the saturated level, no limb shows.
 const GLARE: std::ops::Range<f64> = 1.2..1.6;
 const MOST_GLARE: f64 = 0.2;
-/// Sharp limb points off the circle by more than their sigmas tell: this share of the radius, rms, is no circle.
+/// Sharp limb points off the circle by more than their sigmas explain: this share of the radius, rms, is no circle.
 const MOST_ROUGHNESS: f64 = 0.02;
 /// A centre that is known less well is of no disc of that radius, 1 sigma in radii.
 const MOST_SIGMA: f64 = 0.03;
@@ -87,7 +87,7 @@ fn check_radius(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
     at_most(reasons::RADIUS, deviation, MOST_RADIUS_DEVIATION)
 }
 
-/// Whether as much of the disc is light as the expected phase tells, and it lies where that puts it.
+/// Whether as much of the disc is light as the expected phase says, and it lies where that puts it.
 fn check_lit(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
     let Some(expected) = candidate.expected.phase_angle_deg else {
         return Ok(());
@@ -149,7 +149,7 @@ fn axis_ratio(found: &LimbFit) -> f64 {
     }
 }
 
-/// How far the limb lies off the circle beyond what its sigmas tell, rms, px.
+/// How far the limb lies off the circle beyond its sigmas, rms, px.
 fn roughness_px(points: &[&LimbPoint]) -> f64 {
     let excess = points.iter().map(|point| point.excess_px);
     let squares = excess.map(|excess| excess.value.powi(2) - excess.sigma.powi(2));

@@ -1,4 +1,4 @@
-//! What is known of the Moon before a frame is looked at.
+//! What is known of the Moon before a frame is solved.
 
 use crate::geometry::camera::CameraModel;
 use crate::reasons::moon as reasons;
@@ -15,7 +15,7 @@ const SIDE_SIGMA_DEG: f64 = 2.0;
 /// What is farther below the horizon is not in the picture, deg: air bends light by less.
 const BELOW_DEG: f64 = 1.0;
 
-/// What is known of the Moon before a frame is looked at.
+/// What is known of the Moon before a frame is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Expected {
     pub radius: Option<Radius>,

@@ -9,14 +9,14 @@ use std::f64::consts::PI;
 
 /// The sky counts so far out, in radii.
 const AROUND: f64 = 1.25;
-/// The edge, which is blurred, tells nothing, px.
+/// The edge, which is blurred, is left out, px.
 const EDGE_PX: f64 = 1.5;
-/// About so many pixels tell it.
+/// About so many pixels are sampled.
 const TELLING_PX: f64 = 400.0;
 /// Phases are tried this far apart, deg.
 const PHASE_STEP_DEG: usize = 10;
 const HALVINGS: usize = 3;
-/// So well the limb tells the phase, rad.
+/// 1 sigma of the phase by the limb, rad.
 const BY_LIMB_RAD: f64 = 0.8;
 /// Of the light of the brightest limb.
 const MOST_EARTHSHINE: f64 = 0.2;
@@ -43,7 +43,7 @@ pub(super) struct Face {
     squares: f64,
     /// What noise has of it.
     noise: f64,
-    /// The share of the disc that is saturated, and tells nothing.
+    /// The share of the disc that is saturated, and not used.
     pub saturated: f64,
 }
 
@@ -189,13 +189,13 @@ mod tests {
         .unwrap()
     }
 
-    fn seen<T>(frame: &Frame, told: impl Fn(&Face) -> T) -> T {
+    fn seen<T>(frame: &Frame, value: impl Fn(&Face) -> T) -> T {
         let levels = Levels {
             dark_dn: 10.0,
             noise_dn: 0.5,
             saturated_dn: 255.0,
         };
-        told(&Face::seen(
+        value(&Face::seen(
             &View {
                 frame,
                 levels: &levels,

@@ -1,4 +1,4 @@
-//! What is known of a limb before it is looked at.
+//! What is known of a limb before it is measured.
 
 use crate::units::Measured;
 
@@ -10,7 +10,7 @@ const LOOSE_RADIUS: f64 = 0.06;
 pub(super) const MOST_SATURATED: f64 = 0.2;
 const SPILLED_PX: f64 = 1.5;
 
-/// What is known of a limb before it is looked at.
+/// What is known of a limb before it is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Known {
     /// Round px.
@@ -19,7 +19,7 @@ pub(super) struct Known {
     pub bright_limb_rad: Measured,
 }
 
-/// How far the radius that the picture tells lies from the one that was known: px, and sigmas of both.
+/// How far the radius that the picture shows lies from the one that was known: px, and sigmas of both.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Contradiction {
     pub off_px: f64,
@@ -27,7 +27,7 @@ pub(super) struct Contradiction {
 }
 
 impl Known {
-    /// The same where the picture shows another radius: then that is told by the picture, within what is allowed.
+    /// The same where the picture shows another radius: then the picture determines it, within what is allowed.
     pub fn contradicted(self, by: Option<Contradiction>) -> Self {
         let loose = |radius: Measured| {
             let sigma = LOOSE_RADIUS * radius.value;

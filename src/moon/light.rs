@@ -6,7 +6,7 @@ use crate::reasons::moon as reasons;
 use crate::units::Rejected;
 use std::f64::consts::SQRT_2;
 
-/// One pixel in so many, in each axis, tells the sky; more of a small picture, which would show too few.
+/// One pixel in so many, in each axis, samples the sky; more of a small picture, which would show too few.
 const MOST_RASTER_PX: usize = 24;
 const LEAST_RASTER_PX: usize = 4;
 const RASTER_PLACES: usize = 1000;
@@ -37,11 +37,11 @@ pub struct Levels {
     pub dark_dn: f64,
     /// Of a pixel, 1 sigma.
     pub noise_dn: f64,
-    /// Pixels of this and more tell nothing.
+    /// Pixels of this and more are saturated.
     pub saturated_dn: f64,
 }
 
-/// How far apart the pixels are that tell the sky.
+/// How far apart the pixels are that sample the sky.
 fn raster_px(frame: &Frame) -> usize {
     let apart_px = (frame.width() * frame.height() / RASTER_PLACES).isqrt();
     apart_px.clamp(LEAST_RASTER_PX, MOST_RASTER_PX)

@@ -7,8 +7,8 @@ use super::candidate::View;
 use super::known::{Contradiction, Known};
 use super::profile::Profile;
 use super::sector::{
-    Lights, PARAMETERS, PIXELS, Parameters, Pixel, Pull, SLACK_PX, SLACK_RAD, Sector, SectorLight,
-    Sectors, circle_of, from_middle,
+    Gradient, Lights, PARAMETERS, PIXELS, Parameters, Pixel, SLACK_PX, SLACK_RAD, Sector,
+    SectorLight, Sectors, circle_of, from_middle,
 };
 use super::shading::{Shading, Sphere};
 use crate::estimation::{
@@ -43,7 +43,7 @@ pub(super) struct Limb {
     lights: Lights,
     sectors: Vec<Sector>,
     noise_dn: f64,
-    /// Share of its pixels on the disc that tell nothing.
+    /// Share of its pixels on the disc that are saturated or masked.
     pub saturated: f64,
 }
 
@@ -185,24 +185,27 @@ impl Limb {
         })?;
         let rows = rows_at(&fitted.parameters);
         let mut rest = &rows[..];
-        let pull = |sector: &&Sector| {
+        let gradient = |sector: &&Sector| {
             let (of_sector, others) = rest.split_at(sector.pixels.len());
             rest = others;
-            Pull::of(of_sector)
+            Gradient::of(of_sector)
         };
-        let pulls: Vec<Pull> = sectors.iter().map(pull).collect();
-        let points = sectors.iter().zip(&pulls).map(|(sector, pull)| LimbPoint {
-            angle_rad: sector.angle_rad,
-            excess_px: pull.excess(fitted.scatter),
-        });
+        let gradients: Vec<Gradient> = sectors.iter().map(gradient).collect();
+        let points = sectors
+            .iter()
+            .zip(&gradients)
+            .map(|(sector, gradient)| LimbPoint {
+                angle_rad: sector.angle_rad,
+                excess_px: gradient.excess(fitted.scatter),
+            });
         let points: Vec<LimbPoint> = points.collect();
         let radius_contradiction = self.radius_contradiction(&fitted);
-        // A sector of no light tells nothing of the ground.
-        let telling = points.iter().copied().zip(pulls);
-        let (telling, pulls): (Vec<LimbPoint>, Vec<Pull>) = telling
+        // A sector of no light does not determine the ground.
+        let lit = points.iter().copied().zip(gradients);
+        let (lit, gradients): (Vec<LimbPoint>, Vec<Gradient>) = lit
             .filter(|(point, _)| point.excess_px.sigma < SLACK_PX)
             .unzip();
-        fitted.covariance += of_rough_limb(&telling, &pulls, &fitted);
+        fitted.covariance += of_rough_limb(&lit, &gradients, &fitted);
         Ok(LimbFit {
             fitted,
             points,
@@ -248,13 +251,16 @@ impl Limb {
 /// of first order along the limb. Its variance is what the excess shows beyond the noise; of what such a process has, the circle takes a part away.
 fn of_rough_limb(
     points: &[LimbPoint],
-    pulls: &[Pull],
+    gradients: &[Gradient],
     fitted: &Fitted<PARAMETERS>,
 ) -> SMatrix<f64, PARAMETERS, PARAMETERS> {
     // How the parameters move with each sector's limb, and the limb with the parameters.
     let inverse = fitted.covariance / fitted.scatter.powi(2);
-    let moves: Vec<Parameters> = pulls.iter().map(|pull| inverse * pull.by_excess).collect();
-    let follows = |n: usize| pulls[n].by_excess / pulls[n].information;
+    let moves: Vec<Parameters> = gradients
+        .iter()
+        .map(|gradient| inverse * gradient.by_excess)
+        .collect();
+    let follows = |n: usize| gradients[n].by_excess / gradients[n].information;
     let radius = fitted.parameters[2];
     let mut covariance = SMatrix::zeros();
     let (mut shown, mut noise, mut expected) = (0.0, 0.0, 0.0);

@@ -5,7 +5,7 @@ use super::profile::{Blur, Profile};
 use super::sector::{LEAST_PIXELS, PIXELS, Parameters, SLACK_PX, Sectors, circle_of, from_middle};
 use super::shading::Sphere;
 
-/// Pixels count so much further behind the limb than for its fit, in radii: what the ground does there tells the side of the light.
+/// Pixels count so much further behind the limb than for its fit, in radii: what the ground does there shows the side of the light.
 const DEPTH: f64 = 0.12;
 const LEAST_SQUARES: f64 = 1e-9;
 
@@ -64,11 +64,11 @@ pub(super) fn misfit(view: &View, at: &Parameters) -> f64 {
         }
     });
     let noise = view.levels.noise_dn.powi(2);
-    let told = sums
+    let seen = sums
         .iter()
         .filter(|sums| sums.pixels >= LEAST_PIXELS as f64);
     let (mut total, mut pixels) = (0.0, 0.0);
-    for sums in told {
+    for sums in seen {
         total += sums.pixels * (sums.left() + noise).ln();
         pixels += sums.pixels;
     }

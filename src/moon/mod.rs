@@ -7,8 +7,8 @@
 //!    section 3.3.1), the one on which most of the outline lies with the rest inside.
 //! 4. `candidate`: how the Sun lights it. The middle of the light lies off the circle's centre towards the bright limb, the further the less is lit.
 //! 5. `settle`: the lit limb to a part of a pixel (`limb`, `sector`). The circle is fitted with the blur, the phase and the side of the light; what is
-//!    `known` of radius, phase and side takes part with its sigma. Then the limb is read anew along that circle, until it stays. Near full, where
-//!    the middle of the light tells nothing, from every side: the whole edge (`misfit`) tells which is the best.
+//!    `known` of radius, phase and side takes part with its sigma. Then the limb is read again along that circle, until it converges. Near full, where
+//!    the middle of the light shows no side, from every side: the whole edge (`misfit`) decides which is the best.
 //! 6. `face`: the phase, by all of the disc, where it is not known.
 //! 7. `checks`: what is no Moon, or not the one that is expected, is refused.
 //!
@@ -52,9 +52,9 @@ use settle::{Settled, settle};
 
 /// A patch of fewer pixels is no Moon.
 const LEAST_PIXELS: usize = 20;
-/// So many patches are looked at, the largest first, where the radius is known; else the largest alone.
+/// So many patches are tried, the largest first, where the radius is known; else the largest alone.
 const MOST_PATCHES: usize = 4;
-/// Where no light is the Moon, those are looked at that stand so many times higher above the sky.
+/// Where no light is the Moon, those are tried that stand so many times higher above the sky.
 const NEXT_LEVEL: f64 = 2.0;
 /// A radius that differs by more from the expected one is another thing's.
 const MOST_RADIUS_DEVIATION: f64 = 0.12;
@@ -71,7 +71,7 @@ pub enum Optics {
     Camera(CameraModel),
 }
 
-/// How a frame is looked at.
+/// How a frame is solved.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MoonSettings {
     pub shading: Shading,
@@ -270,7 +270,7 @@ fn solve_in(candidate: &Candidate) -> Result<Disc, Stopped> {
     })?;
     let settled = settle(candidate, &circle)?;
     let face = Face::seen(&candidate.view, settled.at());
-    // The limb alone tells it poorly: but near the terminator its light is much the same at any phase.
+    // The limb alone determines it poorly: but near the terminator its light is much the same at any phase.
     let by_face = || face.phase_rad(settled.at()[4]);
     let phase_rad = candidate.phase_rad().unwrap_or_else(by_face);
     checks::check(candidate, &settled, face.unlike(phase_rad.value))?;

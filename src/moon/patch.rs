@@ -9,7 +9,7 @@ use nalgebra::Vector2;
 /// A frame with more runs of bright pixels, and one for every so many pixels, shows a pattern, and is no night sky.
 const MANY_RUNS: usize = 20_000;
 const PIXELS_PER_RUN: usize = 30;
-/// Columns that are looked at together: most of the sky is dark.
+/// Columns that are scanned together: most of the sky is dark.
 const BLOCK_PX: usize = 96;
 /// A patch's outline stands at this share of what so many of its pixels exceed, above the sky.
 const OUTLINE_SHARE: f64 = 0.4;
@@ -17,7 +17,7 @@ const BRIGHT_SHARE: f64 = 0.1;
 /// And at no less than this share of what so many exceed: a thin crescent is so little of a disc with an earthshine.
 const CRESCENT_SHARE: f64 = 0.25;
 const BRIGHTEST_SHARE: f64 = 0.01;
-/// The outline is looked for so far around the patch.
+/// The outline is searched so far around the patch.
 const MARGIN_PX: usize = 2;
 
 /// Bright pixels that touch.

@@ -12,11 +12,11 @@ use std::f64::consts::{PI, TAU};
 /// Pixels of the limb that share a brightness, and how many such sectors a limb has at least.
 const SECTOR_PX: f64 = 3.0;
 const LEAST_SECTORS: f64 = 24.0;
-/// Fewer pixels tell nothing of a sector.
+/// Fewer pixels say nothing of a sector.
 pub(super) const LEAST_PIXELS: usize = 6;
 /// Pixels count so far before and behind the limb, px: further behind it the ground's own light and shade would move it.
 pub(super) const PIXELS: Depths = -4.0..3.0;
-/// A fit moves the limb by at most so much, px, and turns the light, in whose phase and side it is linear, by so much; then the limb is read anew.
+/// A fit moves the limb by at most so much, px, and turns the light, in whose phase and side it is linear, by so much; then the limb is read again.
 pub(super) const SLACK_PX: f64 = 2.0;
 pub(super) const SLACK_RAD: f64 = 0.3;
 /// The derivative by the phase is taken over so much, rad.
@@ -120,7 +120,7 @@ impl Lights {
         }
     }
 
-    /// A blurred circle looks smaller than a blurred straight edge does, by so many px at a distance from its centre.
+    /// A blurred circle appears smaller than a blurred straight edge does, by so many px at a distance from its centre.
     pub fn shrinks(&self, distance: f64) -> f64 {
         (self.blur_px.powi(2) + PIXEL_VARIANCE) / (2.0 * distance.max(1.0))
     }
@@ -245,17 +245,17 @@ impl Pixel {
     }
 }
 
-/// How a sector pulls at the parameters.
-pub(super) struct Pull {
+/// The gradient of a sector's squared residuals.
+pub(super) struct Gradient {
     /// At the radius alone.
     pub radial: f64,
     /// By how much that changes with the limb's place, 1/px^2.
     pub information: f64,
-    /// How the pulls at all parameters change with the limb's place, 1/px.
+    /// How the gradient by all parameters changes with the limb's place, 1/px.
     pub by_excess: Parameters,
 }
 
-impl Pull {
+impl Gradient {
     pub fn of(rows: &[SectorRow]) -> Self {
         let (mut radial, mut by_excess) = (0.0, Parameters::zeros());
         for row in rows {

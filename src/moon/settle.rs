@@ -1,4 +1,4 @@
-//! The limb read until it stays; where nothing tells the side that the light comes from, from several sides, of which the disc shows one best.
+//! The limb is read until it converges; where nothing determines the side that the light comes from, from several sides, of which the best fit is kept.
 
 use super::candidate::{Candidate, View};
 use super::face::Face;
@@ -15,7 +15,7 @@ use std::f64::consts::{PI, TAU};
 
 /// Fewer sectors of the limb make no circle.
 const LEAST_SECTORS: usize = 6;
-/// The limb is read anew while the circle or the blur moves by more, or the light turns by more, so often at most.
+/// The limb is read again while the circle or the blur moves by more, or the light turns by more, so often at most.
 const SETTLED_PX: f64 = 0.1;
 const SETTLED_RAD: f64 = 0.08;
 const MOST_ROUNDS: usize = 8;
@@ -90,7 +90,7 @@ pub(super) fn settle(candidate: &Candidate, circle: &Circle) -> Result<Settled, 
     Ok(best)
 }
 
-/// Whether the ground is as bright everywhere as its shading tells: then so does the middle of its light.
+/// Whether the ground is as bright everywhere as its shading says: then so does the middle of its light.
 fn is_even(view: &View, by_middle: &Result<Settled, Stopped>) -> bool {
     by_middle.as_ref().is_ok_and(|settled| {
         let at = settled.at();
@@ -98,7 +98,7 @@ fn is_even(view: &View, by_middle: &Result<Settled, Stopped>) -> bool {
     })
 }
 
-/// Most lights that are no Moon are told before it is tried from every side.
+/// Most lights that are no Moon are rejected before every side is tried.
 fn check_light(view: &View, circle: &Circle, known: &Known) -> Result<(), Stopped> {
     let face = Face::seen(view, &limb::begin(circle, known));
     let unlike = face.unlike(face.phase_rad(known.phase_rad.value).value);

@@ -27,7 +27,7 @@ impl Shading {
     }
 }
 
-/// The thinnest crescent that a light's middle tells.
+/// The thinnest crescent that a light's middle shows.
 const MOST_PHASE_RAD: f64 = 3.12;
 
 /// A smooth sphere that the Sun shines on. Lengths are in its radius.

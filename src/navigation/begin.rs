@@ -164,7 +164,7 @@ impl Waiting {
         Some(filter)
     }
 
-    /// The two directions that tell most together: seen both, else one and straight down as it is felt.
+    /// The two directions that determine the attitude best: both seen, else one and straight down as it is felt.
     fn pair(&self, settings: &NavigationSettings, fix: &Fix) -> Option<Pair<'_>> {
         if let Some((first, second)) = self.seen_pair() {
             return Some(Pair::Seen(first, second));

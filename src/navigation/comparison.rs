@@ -168,8 +168,8 @@ impl Comparison {
         }
     }
 
-    /// The filter begins anew: what cameras show is compared with the attitude of before, if there is one, else with nothing.
-    pub(super) fn begin_anew(&mut self) {
+    /// The filter restarts: what cameras show is compared with the attitude of before, if there is one, else with nothing.
+    pub(super) fn restart(&mut self) {
         if self.carried.is_none() {
             self.latest.clear();
         }

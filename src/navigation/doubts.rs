@@ -1,11 +1,11 @@
 //! What is not known of the attitude where directions contradict the filter.
 //!
-//! 1. A direction is refused: it may be wrong, or the filter. What is told of the attitude holds the difference at once.
+//! 1. A direction is refused: it may be wrong, or the filter. The stated attitude's covariance includes the difference at once.
 //! 2. The next one of its kind is taken, as well: the first was wrong, and the doubt is gone.
-//! 3. It is refused, too: the gyros were wrong. The attitude begins anew from it, and the gyros are believed as far only as directions show
+//! 3. It is refused, too: the gyros were wrong. The attitude restarts from it, and the gyros are believed as far only as directions show
 //!    from then on; that fades while they agree.
 //!
-//! Where a finer direction agreed with the filter meanwhile, the coarser one is in doubt, and what it might tell is the angle about the finer.
+//! Where a finer direction agreed with the filter meanwhile, the coarser one is in doubt, and what it might still determine is the angle about the finer.
 //!
 //! The doubt is gone seconds after the filter follows the directions, whether they or the gyros are wrong. `comparison` goes on to compare
 //! them with the gyros of before.
@@ -20,7 +20,7 @@ use nalgebra::{Matrix3, UnitVector3, Vector3};
 /// Gyros and accelerometers are believed again over so long, s.
 const GYROS_FADE_S: f64 = 1.0;
 const ACCELEROMETERS_FADE_S: f64 = 10.0;
-/// Measurements further apart tell no more of them, s.
+/// Measurements further apart are independent of them, s.
 const LONGEST_S: f64 = 1.0;
 /// The mean of so many velocities, in their sigmas, with a larger chi^2 of its three axes is on one side.
 const VELOCITIES: f64 = 30.0;
@@ -63,7 +63,7 @@ pub(super) enum Remedy {
     Open {
         rad: f64,
     },
-    /// The filter begins anew.
+    /// The filter restarts.
     BeginAnew,
 }
 
@@ -79,7 +79,7 @@ pub(super) struct Doubts {
     velocity: Velocity,
 }
 
-/// What velocities have told.
+/// What velocities have shown.
 #[derive(Debug, Clone, Default)]
 struct Velocity {
     /// The mean of the last ones' innovations, whitened.
@@ -196,7 +196,7 @@ impl Doubts {
         Remedy::Wait
     }
 
-    /// Notes what a velocity has told; the variance of velocity that is unknown by it, m^2/s^2.
+    /// Notes what a velocity has shown; the variance of velocity that is unknown by it, m^2/s^2.
     pub fn note_velocity(&mut self, innovation: &Innovation) -> Option<f64> {
         if innovation.source != Source::Velocity {
             return None;
@@ -212,8 +212,8 @@ impl Doubts {
             Verdict::Refused => self.velocity.refused + 1,
         };
         let axes = &innovation.axes;
-        let told = Vector3::from_iterator(innovation.whitened.iter().copied());
-        let clipped = told.cap_magnitude(ONE_SIDED_CHI2.sqrt());
+        let known = Vector3::from_iterator(innovation.whitened.iter().copied());
+        let clipped = known.cap_magnitude(ONE_SIDED_CHI2.sqrt());
         self.velocity.mean += (clipped - self.velocity.mean) / VELOCITIES;
         let was_doubted = self.accelerometers > 0.0;
         self.accelerometers *= (-since_s / ACCELEROMETERS_FADE_S).exp();

@@ -1,6 +1,6 @@
 //! Which rows are due at a rate.
 
-/// Takes rows at a rate, as they come in the order of time. Where the time runs back it begins anew.
+/// Takes rows at a rate, as they come in the order of time. It starts over where the time runs back.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Due {
     /// From when on the next row is due.

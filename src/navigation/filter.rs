@@ -19,7 +19,7 @@ const FIRST_ATTITUDE_RAD: f64 = 0.5;
 
 /// A balloon rises or falls no faster, 1 sigma.
 const MOST_CLIMB_M_S: f64 = 20.0;
-/// Nor does the wind carry it faster, where a fix tells no velocity.
+/// Nor does the wind carry it faster, where a fix gives no velocity.
 pub(super) const MOST_DRIFT_M_S: f64 = 100.0;
 
 /// Cosine of a direction with the telescope's right beyond which it is to the side: 26 deg from it.
@@ -97,7 +97,7 @@ impl Filter {
         self.since = Transition::none();
     }
 
-    /// Forgets of the attitude so many times what is unknown of it. By how much it opened the variances.
+    /// Increases what is unknown of the attitude by so many times. By how much it opened the variances.
     pub fn open_attitude(&mut self, times: f64) -> Opened {
         self.settle();
         let mut opened = Opened::zeros();
@@ -108,7 +108,7 @@ impl Filter {
         opened
     }
 
-    /// Forgets what sensors have made of the motion, by a variance of each axis, and their bias, which is as unknown as at the start. By how
+    /// Discards what sensors have made of the motion, by a variance of each axis, and their bias, which is as unknown as at the start. By how
     /// much it opened the variances.
     pub fn open(&mut self, sensors: Sensors, variance: f64) -> Opened {
         self.settle();

@@ -18,7 +18,7 @@ const HISTORY_S: f64 = 3.0;
 const KEPT_EVERY_S: f64 = 0.05;
 /// Samples before a state that its next interval rests on.
 const NEIGHBOURS: usize = 5;
-/// Longer than this without samples, or back by it, and the filter begins anew: nothing tells how the body turned.
+/// Longer than this without samples, or back by it, and the filter restarts: how the body turned is not known.
 const MOST_GAP_S: f64 = 1.0;
 
 /// The filter in flight.
@@ -92,7 +92,7 @@ impl Live {
         self.row
     }
 
-    /// Begins anew with the next sample.
+    /// Restarts with the next sample.
     fn break_off(&mut self) {
         let restarts = self.run.restarts + 1;
         self.run = Run::new(Arc::clone(&self.run.model));
@@ -147,7 +147,7 @@ impl Live {
         self.run.seen_s
     }
 
-    /// Why the IMU's last values tell less than they say.
+    /// Why the IMU's last values determine less than they should.
     pub fn unsound(&self) -> Option<Unsound> {
         self.run.unsound()
     }
@@ -162,7 +162,7 @@ impl Live {
         self.counts
     }
 
-    /// Times that the filter had gone wrong, or the samples were broken off, and it began anew.
+    /// Times that the filter had gone wrong, or the samples were broken off, and it restarted.
     pub fn restarts(&self) -> u32 {
         self.run.restarts
     }

@@ -55,7 +55,7 @@ impl ImuSample {
 pub struct Fix {
     pub t_s: f64,
     pub position_m: Vector3<f64>,
-    /// `None` where the receiver tells none.
+    /// `None` where the receiver gives none.
     pub velocity_m_s: Option<Vector3<f64>>,
     pub climb: Climb,
 }
@@ -83,7 +83,7 @@ impl Fix {
     }
 }
 
-/// Whether a fix tells how fast its receiver rises.
+/// Whether a fix says how fast its receiver rises.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Climb {
     Measured,

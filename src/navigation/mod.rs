@@ -8,11 +8,11 @@
 //! 3. `transition`: how errors of motion and IMU grow meanwhile; `states` lists them all.
 //! 4. `filter`: at a measurement the covariance is brought up to date, the innovation tested, and the errors that it shows are taken away.
 //!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
-//! 5. `soundness`: what an IMU's values do not tell, as they show by themselves; `doubts`: what is not known where directions contradict
+//! 5. `soundness`: faults that an IMU's values show by themselves; `doubts`: what is not known where directions contradict
 //!    the filter. Both grow its covariance. `comparison`: whether cameras and gyros agree, and for how long they have not.
-//! 6. `run`: many refused measurements in a row, and the filter begins anew.
+//! 6. `run`: many refused measurements in a row, and the filter restarts.
 //! 7. `live` takes samples and measurements as they come in flight, and puts late ones where they belong.
-//! 8. `offset` tells from the attitude how far the telescope is from its target.
+//! 8. `offset` computes from the attitude how far the telescope is from its target.
 //! 9. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight; `spool` keeps the rows
 //!    on disk meanwhile, and `aem` writes them for others' programs.
 //! 10. `suspected`: which other units the IMU's numbers may be in.

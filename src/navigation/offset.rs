@@ -6,7 +6,7 @@ use crate::pointing::{Difference, PointingError, difference};
 use crate::units::Measured;
 use nalgebra::{Matrix2x3, Rotation3, UnitVector3, Vector3};
 
-/// An offset that no frame tells, but the attitude between frames.
+/// An offset that comes not from a frame but from the attitude between frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PropagatedOffset {
     pub t_s: f64,

@@ -18,16 +18,16 @@ use std::sync::Arc;
 /// So many refused measurements of one kind in a row, over so long, and the filter has gone wrong.
 const REFUSED_IN_A_ROW: u32 = 15;
 const REFUSED_S: f64 = 3.0;
-/// It is not begun anew for that sooner than so after the last time: a receiver that is wrong would begin it again and again.
+/// The shortest time between two such restarts: a receiver that is wrong would cause one again and again.
 const RESTART_PAUSE_S: f64 = 60.0;
 /// Without a direction for so long the attitude is the gyros' alone.
 pub(super) const COASTING_S: f64 = 10.0;
-/// So long after it has begun anew a row says so.
+/// A row says for so long that it has restarted.
 pub(super) const RESTARTED_S: f64 = 10.0;
-/// Where less is known of the attitude than this, rad, and than half of what it began with, the filter begins anew.
+/// Where less is known of the attitude than this, rad, and than half of what it began with, the filter restarts.
 const UNKNOWN_RAD: f64 = 0.2;
 const WORSE: f64 = 2.0;
-/// Neighbours that far apart, in intervals, tell nothing of how force and rate change.
+/// Neighbours that far apart, in intervals, do not show how force and rate change.
 const NEIGHBOUR: f64 = 1.5;
 
 /// All that a flight is solved from, in the order of time.
@@ -91,7 +91,7 @@ impl Flight {
         let apart = middle(to)? - middle(from)?;
         let per_s = if apart > 0.0 { apart.recip() } else { 0.0 };
         let (from, to) = (&self.imu[from], &self.imu[to]);
-        let told = Interval {
+        let interval = Interval {
             from_s: sample.t_s - own,
             to_s: sample.t_s,
             force_m_s2: sample.force_m_s2,
@@ -106,20 +106,20 @@ impl Flight {
             .fold(own, f64::min);
         Some(match n.checked_sub(1) {
             Some(before) if own > NEIGHBOUR * usual_s => {
-                self.bridged(told, &self.imu[before], usual_s)
+                self.bridged(interval, &self.imu[before], usual_s)
             }
-            _ => told,
+            _ => interval,
         })
     }
 
-    /// An interval in which samples were lost: what the last one tells holds for its usual length, and for the rest the mean of it and the one
+    /// An interval in which samples were lost: the values of the last one hold for its usual length, and for the rest the mean of it and the one
     /// before, with half their difference as 1 sigma. Their noise counts more than once then.
-    fn bridged(&self, told: Interval, before: &ImuSample, usual_s: f64) -> Interval {
-        let own_s = told.length_s();
+    fn bridged(&self, interval: Interval, before: &ImuSample, usual_s: f64) -> Interval {
+        let own_s = interval.length_s();
         let lost_s = own_s - usual_s;
         let half_share = lost_s / own_s / 2.0;
-        let force = (before.force_m_s2 - told.force_m_s2) * half_share;
-        let rate = (before.rate_rad_s - told.rate_rad_s) * half_share;
+        let force = (before.force_m_s2 - interval.force_m_s2) * half_share;
+        let rate = (before.rate_rad_s - interval.rate_rad_s) * half_share;
         let samples = lost_s / usual_s;
         let noise = ((samples * samples / 2.0 + samples) * usual_s / own_s).sqrt();
         let walk = |half: Vector3<f64>, own_walk: f64| {
@@ -127,13 +127,13 @@ impl Flight {
         };
         let imu = &self.settings.imu;
         Interval {
-            force_m_s2: told.force_m_s2 + force,
-            rate_rad_s: told.rate_rad_s + rate,
+            force_m_s2: interval.force_m_s2 + force,
+            rate_rad_s: interval.rate_rad_s + rate,
             lost: Lost {
                 velocity_random_walk: walk(force, imu.velocity_random_walk),
                 angular_random_walk: walk(rate, imu.angular_random_walk),
             },
-            ..told
+            ..interval
         }
     }
 }
@@ -142,13 +142,13 @@ impl Flight {
 pub(super) enum Stop {
     /// The IMU's sample of a number, all measurements of its time taken.
     Sample(usize),
-    /// Measurements were taken; the filter has begun anew with the first of them, or gone on from what it was before.
+    /// Measurements were taken; the filter has restarted with the first of them, or gone on from what it was before.
     Node(Begun),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Begun {
-    Anew,
+    Restarted,
     Before,
 }
 
@@ -168,7 +168,7 @@ pub(super) struct Run {
     measurement: usize,
     /// Up to when the filter has gone.
     pub at_s: f64,
-    /// When a direction was last taken, and when the filter last began anew.
+    /// When a direction was last taken, and when the filter last restarted.
     pub seen_s: f64,
     pub restarted_s: Option<f64>,
     pub restarts: u32,
@@ -178,7 +178,7 @@ pub(super) struct Run {
     /// At the last measurements.
     pub opened: Opened,
     soundness: Soundness,
-    /// What a sample does not tell of its interval, and which sample it is.
+    /// What a sample leaves unknown of its interval, and which sample it is.
     unknown: Option<(usize, Lost)>,
     /// 1 sigma of the attitude when the filter began, of its worst axis.
     begun_rad: f64,
@@ -210,21 +210,21 @@ impl Run {
         self.soundness.found()
     }
 
-    /// The interval of the present sample, with what that does not tell.
+    /// The interval of the present sample, with what it leaves unknown.
     fn interval(&mut self, flight: &Flight) -> Option<Interval> {
-        let told = flight.interval(self.sample)?;
+        let interval = flight.interval(self.sample)?;
         let unknown = match self.unknown {
             Some((sample, unknown)) if sample == self.sample => unknown,
             _ => {
                 let (sample, imu) = (&flight.imu[self.sample], &self.model.settings.imu);
-                let unknown = self.soundness.judge(sample, told.length_s(), imu);
+                let unknown = self.soundness.judge(sample, interval.length_s(), imu);
                 self.unknown = Some((self.sample, unknown));
                 unknown
             }
         };
         Some(Interval {
-            lost: told.lost.and(&unknown),
-            ..told
+            lost: interval.lost.and(&unknown),
+            ..interval
         })
     }
 
@@ -260,8 +260,8 @@ impl Run {
                 break;
             }
             self.measurement += 1;
-            if t_s >= self.at_s && self.take(measurement, each) == Begun::Anew {
-                begun = Begun::Anew;
+            if t_s >= self.at_s && self.take(measurement, each) == Begun::Restarted {
+                begun = Begun::Restarted;
             }
             if t_s >= self.at_s {
                 self.compare(measurement);
@@ -335,14 +335,14 @@ impl Run {
                     }
                     self.phase = Phase::Running(Box::new(filter));
                     self.seen_s = fix.t_s;
-                    return Begun::Anew;
+                    return Begun::Restarted;
                 }
             }
             (Phase::Running(filter), Measurement::Direction(observation)) => {
                 filter.settle();
                 let worst_rad = filter.worst_attitude_rad();
                 if worst_rad > UNKNOWN_RAD && worst_rad > WORSE * self.begun_rad {
-                    self.begin_anew(observation.t_s);
+                    self.restart(observation.t_s);
                     return self.take(measurement, each);
                 }
                 let white_rad = white_rad(settings, &model.layout, observation);
@@ -397,7 +397,7 @@ impl Run {
             Remedy::Wait => self.note(innovation, each),
             Remedy::BeginAnew => {
                 each(innovation);
-                self.begin_anew(observation.t_s);
+                self.restart(observation.t_s);
             }
             Remedy::Open { rad } => {
                 each(innovation);
@@ -428,10 +428,10 @@ impl Run {
         self.note(innovation, each);
     }
 
-    fn begin_anew(&mut self, t_s: f64) {
+    fn restart(&mut self, t_s: f64) {
         self.refused.clear();
         self.doubts = Doubts::default();
-        self.comparison.begin_anew();
+        self.comparison.restart();
         self.restarts += 1;
         self.restarted_s = Some(t_s);
         self.phase = Phase::Waiting(Waiting::default());
@@ -462,7 +462,7 @@ impl Run {
             .restarted_s
             .is_some_and(|last| t_s - last < RESTART_PAUSE_S);
         if self.refused.iter().any(is_wrong) && !is_soon {
-            self.begin_anew(t_s);
+            self.restart(t_s);
         }
     }
 }

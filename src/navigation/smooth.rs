@@ -22,7 +22,7 @@ struct Node {
     predicted: Estimate,
     estimate: Estimate,
     covariance: DMatrix<f64>,
-    /// Of all errors, from the measurements before; `None` where the filter began anew.
+    /// Of all errors, from the measurements before; `None` where the filter restarted.
     transition: Option<Transition>,
 }
 
@@ -219,7 +219,7 @@ struct Step<'a> {
     predicted: DMatrix<f64>,
     root: ScaledRoot,
     /// The inverse of the predicted covariance times what was learnt.
-    pull: DVector<f64>,
+    gradient: DVector<f64>,
 }
 
 impl<'a> Step<'a> {
@@ -235,7 +235,7 @@ impl<'a> Step<'a> {
         let root = ScaledRoot::of(&predicted)?;
         let learnt = smoothed.estimate.minus(&later.predicted, layout);
         let learnt = DMatrix::from_column_slice(learnt.len(), 1, learnt.as_slice());
-        let pull = root.solve(&learnt).column(0).into_owned();
+        let gradient = root.solve(&learnt).column(0).into_owned();
         Some(Self {
             layout,
             transition,
@@ -244,7 +244,7 @@ impl<'a> Step<'a> {
             later: smoothed,
             predicted,
             root,
-            pull,
+            gradient,
         })
     }
 
@@ -252,7 +252,7 @@ impl<'a> Step<'a> {
         let across = &node.covariance * self.matrix.transpose();
         let gain = self.root.solve(&across.transpose()).transpose();
         let mut estimate = node.estimate.clone();
-        estimate.correct(&(&across * &self.pull), self.layout);
+        estimate.correct(&(&across * &self.gradient), self.layout);
         // A sum of squares stays positive where the noise outweighs what is known by many orders.
         let n = self.layout.len();
         let kept = DMatrix::identity(n, n) - &gain * &self.matrix;
@@ -272,7 +272,7 @@ impl<'a> Step<'a> {
         let rest = self.transition.since(&sample.since)?;
         let now = sample.since.predicted(self.layout, &node.covariance);
         let across = now.rows(0, MOTION) * rest.whole(self.layout).0.transpose();
-        let moved = &across * &self.pull;
+        let moved = &across * &self.gradient;
         let part = |first: usize| moved.fixed_rows::<3>(first).into_owned();
         let motion: Motion = motion.corrected(&part(POSITION), &part(VELOCITY), &part(ATTITUDE));
         let across = across.rows(ATTITUDE, 3).transpose();

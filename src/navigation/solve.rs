@@ -17,11 +17,11 @@ pub enum Status {
     Aligned,
     /// No direction was taken for 10 s.
     Coasting,
-    /// The filter had gone wrong, and began anew in the last 10 s.
+    /// The filter had gone wrong, and restarted in the last 10 s.
     Restarted,
     /// Directions contradict the gyros: the attitude is less certain by what they differ.
     Contradicted,
-    /// The IMU's last values tell less than they say.
+    /// The IMU's last values determine less than they should.
     Unsound,
 }
 
@@ -83,7 +83,7 @@ pub struct Summary {
     pub attitude_sigmas: Vec<(f64, Vector3<f64>)>,
     /// From when to when no direction was taken, longer than 10 s.
     pub gaps: Vec<(f64, f64)>,
-    /// Times that the filter began anew.
+    /// Restarts of the filter.
     pub restarts: u32,
     /// What the filter ended with; `None` where it waited at the end.
     pub constants: Option<ConstantErrors>,

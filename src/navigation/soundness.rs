@@ -1,7 +1,7 @@
-//! What an IMU's values do not tell, as they show by themselves: values that repeat, that stand at the end of the range, that jump as the
+//! Faults of an IMU's values that the values show by themselves: values that repeat, that stand at the end of the range, that jump as the
 //! vehicle cannot, and times that step against the samples' count.
 //!
-//! A fault is noise. Nothing is thrown away: the covariance grows by what is not known, until directions tell it again.
+//! A fault is noise. Nothing is thrown away: the covariance grows by what is not known, until directions determine it again.
 
 use super::measurement::ImuSample;
 use super::motion::Lost;
@@ -20,7 +20,7 @@ const AT_THE_END: f64 = 0.98;
 /// Noise of the difference of two samples beyond which it is the vehicle's, in the sigma of one.
 const NOISE: f64 = 8.5;
 
-/// Why an IMU's values do not tell the motion.
+/// Why an IMU's values do not determine the motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Unsound {
     #[error("a value repeats")]
@@ -33,7 +33,7 @@ pub enum Unsound {
     TimeSteps,
 }
 
-/// Looks at the samples in their order.
+/// Checks the samples in their order.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Soundness {
     force: [Axis; 3],
@@ -53,7 +53,7 @@ struct Expected {
 }
 
 impl Soundness {
-    /// What a sample does not tell of the interval of `length_s` that ends with it.
+    /// What a sample leaves unknown of the interval of `length_s` that ends with it.
     pub fn judge(&mut self, sample: &ImuSample, length_s: f64, imu: &Imu) -> Lost {
         self.found = None;
         let force = Expected {
@@ -128,8 +128,8 @@ impl Axis {
             (2.0 * samples - 1.0).max(0.0) * (error * length_s).powi(2)
         };
         let variance = found.iter().map(|(found, _)| added(*found)).sum();
-        let tells = |(samples, error): &(f64, f64)| *samples > 0.0 && *error > 0.0;
-        let why = found.iter().find(|(found, _)| tells(found));
+        let explains = |(samples, error): &(f64, f64)| *samples > 0.0 && *error > 0.0;
+        let why = found.iter().find(|(found, _)| explains(found));
         if why.is_none() {
             self.learn(value, length_s);
         }

@@ -1,4 +1,4 @@
-//! The errors that the filter tells of, in their order.
+//! The errors that the filter estimates, in their order.
 //!
 //! | states | unit | axes |
 //! |---|---|---|

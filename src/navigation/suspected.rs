@@ -1,4 +1,4 @@
-//! Whether the IMU's numbers look like those of other units. The filter may find an attitude by them, and refuse some of its measurements only.
+//! Whether the IMU's numbers resemble those of other units. The filter may find an attitude by them, and refuse some of its measurements only.
 
 use super::measurement::{DirectionObservation, Measurement};
 use super::run::Flight;
@@ -9,7 +9,7 @@ const NEAR_ONE_G: f64 = 0.1;
 const FIRST_SAMPLES: usize = 200;
 /// No IMU for inertial navigation is slower, s.
 const LONGEST_STEP_S: f64 = 1.0;
-/// Directions further apart in time tell little of the rate between them, s.
+/// Directions further apart in time say little of the rate between them, s.
 const LONGEST_TURN_S: f64 = 2.0;
 /// The rates' scale by the directions is known to so much of itself, and agrees with a degree's to so much.
 const KNOWN: f64 = 0.2;

@@ -16,7 +16,7 @@ const EVERY_S: f64 = 2.0;
 /// In flight directions are asked no later than this after their time.
 const KEPT_S: f64 = 20.0;
 
-/// What tells where Sun and Moon are.
+/// The source of the places of Sun and Moon.
 pub enum Sky {
     /// The ephemeris, `epoch` being the instant of t_s = 0.
     Ephemeris {
@@ -136,7 +136,7 @@ impl Targets {
         target: &pointing::Target,
         step: i64,
     ) -> Result<Vector3<f64>, NoDirection> {
-        let (ephemeris, utc, place, axes) = self.looking(step)?;
+        let (ephemeris, utc, place, axes) = self.sky_at(step)?;
         let sun = ephemeris.sun(utc, place)?;
         let target = target.at(utc, &sun)?;
         Ok(axes * target_direction(target, &sun))
@@ -146,7 +146,7 @@ impl Targets {
         if let Some(known) = self.known.get(&(target, step)) {
             return Ok(*known);
         }
-        let (ephemeris, utc, place, axes) = self.looking(step)?;
+        let (ephemeris, utc, place, axes) = self.sky_at(step)?;
         let (azimuth_deg, elevation_deg) = match target {
             Target::Moon => {
                 let moon = ephemeris.moon(utc, place)?;
@@ -163,7 +163,7 @@ impl Targets {
     }
 
     /// The ephemeris, with time and place of a step, and the axes north, east and up there.
-    fn looking(
+    fn sky_at(
         &mut self,
         step: i64,
     ) -> Result<(&mut Ephemeris, Timestamp, Place, Matrix3<f64>), NoDirection> {

@@ -222,6 +222,6 @@ fn diagonal(of: &Vector3<f64>) -> Matrix3<f64> {
 fn gradient(at_m: &Vector3<f64>) -> Matrix3<f64> {
     let r = at_m.norm();
     let up = at_m / r;
-    let pull = earth::gravitation(at_m).norm() / r;
-    (up * up.transpose() * 3.0 - Matrix3::identity()) * pull
+    let gravity = earth::gravitation(at_m).norm() / r;
+    (up * up.transpose() * 3.0 - Matrix3::identity()) * gravity
 }

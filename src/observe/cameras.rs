@@ -58,7 +58,7 @@ pub fn cameras(pass: &Pass<'_>, frames: Vec<StoredFile>) -> Result<Cameras, Pass
     })
 }
 
-/// The files without copies. A shard does not look for them: other shards may have the frames that its own are copies of.
+/// The files without copies. A shard does not search for them: other shards may have the frames that its own are copies of.
 fn each_once(
     pass: &Pass<'_>,
     headers: &Done<CameraHeader>,
@@ -89,7 +89,7 @@ fn each_once(
 #[derive(Debug, Clone, Default)]
 pub struct CameraFrames {
     pub taken_by: TakenBy,
-    /// What tells it from the archive's other cameras, as files and folders may be named.
+    /// What distinguishes it from the archive's other cameras, as files and folders may be named.
     pub label: String,
     /// By path. A file whose header cannot be read is taken for one of the camera that the file before it is of.
     pub inputs: Vec<StoredFile>,
@@ -100,7 +100,7 @@ pub struct CameraFrames {
 }
 
 impl CameraFrames {
-    /// The role and the ordinal that its name tells; `None` of a camera that sees a plate.
+    /// The role and the ordinal in its name; `None` of a camera that sees a plate.
     pub fn named_role(&self) -> Option<(Role, usize)> {
         Role::labelled(self.taken_by.instrument.as_deref()?)
     }
@@ -152,7 +152,7 @@ fn by_camera(
     Ok(labelled(cameras))
 }
 
-/// Each with a label of its own: the instrument's name; the camera's, where that does not tell them apart; both; and a number at last.
+/// Each with a label of its own: the instrument's name; the camera's, where that does not distinguish them; both; and a number at last.
 fn labelled(cameras: BTreeMap<TakenBy, CameraFrames>) -> Vec<CameraFrames> {
     let part = |part: &Option<String>| plain(part.as_deref().unwrap_or_default());
     let ways: [&dyn Fn(&TakenBy) -> String; 3] = [

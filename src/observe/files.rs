@@ -180,7 +180,7 @@ impl<T> Observed<Result<T, String>> {
 }
 
 /// Opens each file once, several at a time, and gives what is made of its frame; of a file of several images the one of `size_px`. Warns of
-/// files that cannot be read, of values of headers that are not used, and of frames in one folder that cannot be told apart.
+/// files that cannot be read, of values of headers that are not used, and of frames in one folder that cannot be distinguished.
 ///
 /// # Errors
 /// [`InputError::Cancelled`].

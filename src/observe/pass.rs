@@ -244,7 +244,7 @@ pub struct Done<T> {
     records: Records<T>,
     /// By the input's key, in order.
     places: Vec<(u64, Place)>,
-    /// What holds for this run alone, and is in no journal: frames that contradict their archive, for another run may be told to use them,
+    /// What holds for this run alone, and is in no journal: frames that contradict their archive, for another run may be asked to use them,
     /// and files that could not be read for now.
     passing: HashMap<u64, Record<T>>,
 }

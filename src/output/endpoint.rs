@@ -47,7 +47,7 @@ enum End {
 }
 
 impl Endpoint {
-    /// To a destination, at a speed where it is serial. It is opened by the first [`look`](Self::look), and again whenever it is lost.
+    /// To a destination, at a speed where it is serial. It is opened by the first [`poll`](Self::poll), and again whenever it is lost.
     pub fn new(to: &Destination, baud: u32) -> Self {
         Self(match to {
             Destination::Port(address) => End::Port(Box::new(Port {
@@ -221,7 +221,7 @@ impl Clients {
 
     fn take_in(&mut self, stream: TcpStream, peer: SocketAddr, now: Duration) {
         if self.clients.len() >= MOST_CLIENTS {
-            tracing::warn!(%peer, most = MOST_CLIENTS, "an output has no room for another client");
+            tracing::warn!(%peer, most = MOST_CLIENTS, "an output accepts no more clients");
             return;
         }
         let prepared = stream

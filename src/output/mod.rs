@@ -46,12 +46,12 @@ impl Format {
         }
     }
 
-    /// Whether it tells of solved frames.
+    /// Whether it carries solved frames.
     pub fn carries_solutions(self) -> bool {
         matches!(self, Self::Jsonl | Self::Nmea)
     }
 
-    /// Whether it tells of telemetry packets.
+    /// Whether it carries telemetry packets.
     pub fn carries_telemetry(self) -> bool {
         self == Self::Ccsds
     }
@@ -88,7 +88,7 @@ impl Encoder {
         Self { format, sequences }
     }
 
-    /// The bytes of a message; `None` where the format does not tell of it, or cannot hold it.
+    /// The bytes of a message; `None` where the format does not carry it, or cannot hold it.
     pub fn encode(&mut self, message: &Message) -> Option<Vec<u8>> {
         match (self.format, message) {
             (Format::Jsonl, Message::Solution(report)) => jsonl::line(report),

@@ -45,7 +45,7 @@ fn time_of_day(record: &Record) -> String {
     })
 }
 
-/// A number with as many of these decimals as the width has room for; empty where it has room for none, or the number is not finite.
+/// A number with as many of these decimals as fit the width; empty if none fits, or the number is not finite.
 fn fitted(value: f64, decimals: usize, width: usize) -> String {
     if !value.is_finite() {
         return String::new();
@@ -110,22 +110,22 @@ mod tests {
     #[test]
     fn a_sentence_has_the_numbers_of_its_frame() {
         let utc: Timestamp = "2013-09-21T18:00:07.126Z".parse().unwrap();
-        let told = report(
+        let text = report(
             Some(utc.into()),
             Some([0.500_812_34, -12.25, 2.44e-5]),
             Some([-0.75, 0.0123]),
         );
         // The sum is that of another program: `pynmea2.NMEASentence.checksum`.
         assert_eq!(
-            sentence(&told),
+            sentence(&text),
             "$PSASP,180007.12,2,0.500812,-12.250000,0.000024,-0.7500,0.0123,1*41\r\n"
         );
     }
 
     #[test]
     fn what_is_not_known_is_empty() {
-        let told = sentence(&report(None, None, None));
-        assert_eq!(fields(&told)[1..], ["", "2", "", "", "", "", "", "1"]);
+        let text = sentence(&report(None, None, None));
+        assert_eq!(fields(&text)[1..], ["", "2", "", "", "", "", "", "1"]);
     }
 
     #[test]
@@ -156,8 +156,8 @@ mod tests {
             let scale = 10.0_f64.powi(-small);
             let offset = offset.map(|offset| offset.map(|value: f64| value * scale));
             let roll = roll.map(|roll| roll.map(|value: f64| value * scale));
-            let told = Report { number, ..report(utc, offset, roll) };
-            let sentence = sentence(&told);
+            let text = Report { number, ..report(utc, offset, roll) };
+            let sentence = sentence(&text);
             let fields = fields(&sentence);
             prop_assert_eq!(fields[1].len(), if utc.is_some() { 9 } else { 0 });
             for (text, value) in [
@@ -166,7 +166,7 @@ mod tests {
                 (fields[6], roll.map(|roll| roll[0])),
             ] {
                 match value {
-                    // Half of the last decimal that a field of such a width has room for.
+                    // Half of the last decimal that fits a field of such a width.
                     Some(value) if value.abs() < 180.0 => {
                         let read: f64 = text.parse().unwrap();
                         prop_assert!((read - value).abs() < 0.51e-4, "{text} of {value}");

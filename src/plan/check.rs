@@ -116,7 +116,7 @@ fn source(camera: &ConfiguredCamera, remarks: &mut Remarks) {
                 }
             }
         }
-        // Where it is not there, the flight looks for it on and on.
+        // Where it is not there, the flight keeps searching for it.
         Some(Source::Followed(folder, _)) => {
             let folder = folder.clone();
             let found = remarks.answered(&key, move || (folder.is_dir(), folder));

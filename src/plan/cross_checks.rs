@@ -32,7 +32,7 @@ pub(super) fn check(config: &Config, remarks: &mut Remarks) {
     if config.site.place().is_none() {
         remarks.warn(
             "site",
-            "a place, for offsets where neither frames nor GPS tell one",
+            "a place, for offsets where neither frames nor GPS give one",
             "none",
         );
     }

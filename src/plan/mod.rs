@@ -330,7 +330,7 @@ fn navigation(config: &Config, remarks: &mut Remarks) -> Option<PlannedNavigatio
     // What is wrong with these has been said.
     let (imu, gps) = (own.imu_address().ok()?, own.gps_address().ok()?);
     if settings.plumb_rad <= 0.0 && settings.cameras.len() < 2 {
-        let expected = "filter.plumb_sigma_deg in its file, or a second camera: one direction tells no attitude";
+        let expected = "filter.plumb_sigma_deg in its file, or a second camera: one direction determines no attitude";
         remarks.warn("navigation.settings", expected, "neither");
     }
     Some(PlannedNavigation {

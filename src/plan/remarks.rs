@@ -1,4 +1,4 @@
-//! What is wrong with a configuration, or odd: every error at once.
+//! What is wrong with a configuration, or unusual: every error at once.
 
 use crate::bounded::within;
 use crate::instrument::TomlError;
@@ -15,7 +15,7 @@ pub enum Severity {
     Warning,
 }
 
-/// One thing that is wrong with a configuration, or odd.
+/// One thing that is wrong with a configuration, or unusual.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Remark {
     pub severity: Severity,
@@ -44,7 +44,7 @@ impl fmt::Display for Remark {
 #[error("{0}")]
 pub struct Faulty(String);
 
-/// The remarks on a configuration, in the order of the looking.
+/// The remarks on a configuration, in the order of the checks.
 #[derive(Debug, Clone, Default)]
 pub struct Remarks {
     file: PathBuf,
@@ -113,7 +113,7 @@ impl Remarks {
         result.map_err(|what| self.add(Severity::Error, what)).ok()
     }
 
-    /// What `work` gives, or an error in a key of the configuration where the disk that it looks at hangs.
+    /// What `work` gives, or an error in a key of the configuration where the disk that it reads hangs.
     pub(super) fn answered<T: Send + 'static>(
         &mut self,
         key: &str,

@@ -1,4 +1,4 @@
-//! The plate: where every mark is drawn and printed, and what a mark looks like.
+//! The plate: where every mark is drawn and printed, and the shape of a mark.
 //!
 //! A plate's drawing is the pattern of 2013 ([`heroes`]) or a list of marks ([`read_table`]). Places that were measured stand beside those
 //! that were drawn.

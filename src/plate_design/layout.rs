@@ -185,7 +185,7 @@ impl Layout {
         self.marks = kept;
     }
 
-    /// The layout with a mark in view of a place displaced anew, and from where to where; `None` where the marks would be too near or too
+    /// The layout with a mark in view of a place displaced again, and from where to where; `None` where the marks would be too near or too
     /// few somewhere.
     pub fn displaced(
         &self,

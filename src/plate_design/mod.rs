@@ -1,10 +1,10 @@
 //! A plate designed: places for marks such that frames can be read all over a field.
 //!
 //! # Method
-//! 1. Marks on a triangular lattice, each displaced at random, so that no two places of the plate look alike. The lattice is as
+//! 1. Marks on a triangular lattice, each displaced at random, so that no two places of the plate show the same pattern. The lattice is as
 //!    wide as leaves every place of the Sun in the field the marks that are asked for.
 //! 2. Marks without which every place still has as many are taken away: fewer marks leave more of the limb free.
-//! 3. The [check](crate::plate_check) judges it. A mark about the place of the least margin is displaced anew, and a plate that
+//! 3. The [check](crate::plate_check) judges it. A mark about the place of the least margin is displaced again, and a plate that
 //!    the check likes better is kept: so many times.
 //! 4. The best of several trials, by the whole check.
 //!
@@ -35,12 +35,12 @@ pub struct DesignSettings {
     pub field_mil: f64,
     /// Least marks that are fully lit wherever it stands.
     pub marks_in_view: usize,
-    /// Marks that are kept even where fewer would do: more of them tell the Sun's place better, and hide more of the limb.
+    /// Marks that are kept even where fewer would do: more of them determine the Sun's place better, and hide more of the limb.
     pub least_marks: usize,
     pub shape: MarkShape,
     pub rotations: Rotations,
     pub trials: u64,
-    /// How often marks are displaced anew in a trial.
+    /// How often marks are displaced in a trial.
     pub exchanges: usize,
     pub seed: u64,
 }
@@ -64,7 +64,7 @@ impl DesignSettings {
     }
 }
 
-/// A cross that an instrument's camera reads well and that leaves others room on the disc, its arms of whole mil.
+/// A cross that an instrument's camera reads well and that leaves space for others on the disc, its arms of whole mil.
 pub fn usual_cross(instrument: &Instrument) -> MarkShape {
     cross_of(usual_mil(instrument, 15.6, 1.0 / 6.0))
 }
@@ -96,7 +96,7 @@ fn usual_mil(instrument: &Instrument, px: f64, of_radius: f64) -> f64 {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DesignError {
     #[error(
-        "expected room for {marks_in_view} marks of {size_mil:.0} mil on a disc of {radius_mil:.0} mil radius, found too little; take smaller or fewer marks, or a longer lens"
+        "expected space for {marks_in_view} marks of {size_mil:.0} mil on a disc of {radius_mil:.0} mil radius, found too little; take smaller or fewer marks, or a longer lens"
     )]
     NoRoom {
         marks_in_view: usize,
@@ -172,7 +172,7 @@ impl Judged {
         }
     }
 
-    /// The same with one mark displaced: the places are checked anew that light it, or did. Others keep what was found: that one of
+    /// The same with one mark displaced: the places are checked again that light it, or did. Others keep what was found: that one of
     /// their rivals has another place now changes little, and the whole plate is checked at the end.
     fn displaced(
         &self,
@@ -215,7 +215,7 @@ fn margin(place: &CheckedPlace) -> f64 {
     place.margin.unwrap_or(f64::NEG_INFINITY)
 }
 
-/// Displaces a mark about the worst place anew, and keeps what the check likes better.
+/// Displaces a mark about the worst place, and keeps what the check prefers.
 fn improved(
     instrument: &Instrument,
     settings: &DesignSettings,

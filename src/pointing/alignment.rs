@@ -1,4 +1,4 @@
-//! How the plate lies against the sky: the two rules by which the Sun's place on the plate tells where the telescope points.
+//! How the plate lies against the sky: the two rules by which the Sun's place on the plate gives where the telescope points.
 //!
 //! A shift s of the Sun from the boresight on the plate is an angle theta with tan(theta) = |s| / plate distance. The
 //! lens's focal length does not enter: the ray through its middle goes straight. The great circle from the Sun to where the

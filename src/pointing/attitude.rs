@@ -1,4 +1,4 @@
-//! How the telescope is turned: its Sun tells two axes, its roll the third.
+//! How the telescope is turned: its Sun determines two axes, its roll the third.
 
 use super::alignment::{Alignment, Roll};
 use super::{PointingError, sun_direction};
@@ -52,7 +52,7 @@ pub fn telescope_attitude(
     })
 }
 
-/// What the calibration leaves uncertain of a telescope whose roll other sensors tell, rad^2, as [`TelescopeAttitude::systematic_rad2`] has
+/// What the calibration leaves uncertain of a telescope whose roll other sensors measure, rad^2, as [`TelescopeAttitude::systematic_rad2`] has
 /// it: `towards` is the Sun in the telescope's axes, forward, right and down.
 pub fn calibration_rad2(towards: &Vector3<f64>, instrument: &Instrument) -> Matrix3<f64> {
     let shift = Vector2::new(towards.y, -towards.z) / towards.x;

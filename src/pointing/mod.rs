@@ -64,7 +64,7 @@ pub struct Horizontal {
 }
 
 /// Where the telescope points, minus the target.
-/// There is no offset in roll: one Sun tells two axes.
+/// There is no offset in roll: one Sun determines two axes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Offset {
     /// A plain difference of azimuths, -180 to 180, as the HEROES controller took it.
@@ -131,7 +131,7 @@ pub fn offset_of(
 }
 
 /// The telescope's roll by straight down in the axes of the body that carries it ([`Roll::by_nadir`]). It takes the elevation, which depends on
-/// the roll, but little. The roll is as stated where the body tells none: near the zenith.
+/// the roll, but little. The roll is as stated where the body gives none: near the zenith.
 pub fn roll_by_nadir(
     nadir: &Direction,
     sun_on_plate: PlateMil,

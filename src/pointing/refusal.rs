@@ -9,7 +9,7 @@ use crate::units::Rejected;
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum PointingError {
     #[error(
-        "expected an elevation up to {HIGHEST_ELEVATION_DEG} deg, where azimuth still tells directions apart, found {elevation_deg:.3} deg"
+        "expected an elevation up to {HIGHEST_ELEVATION_DEG} deg, where azimuth is still well defined, found {elevation_deg:.3} deg"
     )]
     NearZenith { elevation_deg: f64 },
     #[error(

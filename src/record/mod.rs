@@ -291,7 +291,7 @@ impl Record {
     }
 }
 
-/// What the logs tell of a frame. `record.file` is empty where its picture was not stored.
+/// What the logs say of a frame. `record.file` is empty where its picture was not stored.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoggedRow {
     /// Number of the frame in its sequence.
@@ -404,7 +404,7 @@ numbers! {
     REASON_MEASURED: number(|r| r.record.reason.as_ref()?.measured).column("reason_measured", All)
         .keyword("REASONIS", "", "what REASON is about, as measured");
     REASON_LIMIT: number(|r| r.record.reason.as_ref()?.limit).column("reason_limit", All)
-        .keyword("REASONLM", "", "the limit that REASONIS missed");
+        .keyword("REASONLM", "", "the limit that REASONIS fails");
     SUN_X_PX: number(|r| Some(r.record.sun_px?[0])).column("sun_x_px", Six)
         .keyword("SUNPX-X", "pixel", "disc's centre, first pixel is 0").field("PIXEL_X", "px", "Sun's centre on the sensor, x");
     SUN_Y_PX: number(|r| Some(r.record.sun_px?[1])).column("sun_y_px", Six)

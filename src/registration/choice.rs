@@ -27,11 +27,11 @@ const AGREED_INFLATION: f64 = 1.5;
 const OUTLINE_INFLATIONS: usize = 6;
 /// How often the pairs' sigmas are inflated until they agree with the residuals.
 const PAIR_INFLATIONS: usize = 4;
-/// Odds, before any data, of a camera whose tilt matters against one that looks straight at the plate.
+/// Odds, before any data, of a camera whose tilt matters against one that faces the plate squarely.
 const TILTED_ODDS: f64 = 0.3;
 
 /// The simplest mapping that the data support, without the pairs that are outliers. The covariance holds what pairs and outline
-/// cannot tell: a tilt, and which of a few marks is displaced.
+/// cannot distinguish: a tilt, and which of a few marks is displaced.
 pub(super) fn choose(problem: &mut Problem, settings: &RegistrationSettings) -> Option<Adjusted> {
     if problem.pairs() < LEAST_TO_REJECT {
         let displaced = DISPLACED_SHARE * MAX_NORMALISED_RESIDUAL.powi(2);

@@ -48,7 +48,7 @@ impl Canvas {
     pub const LETTER_PX: u32 = 9;
 
     /// A region of a frame, each pixel `zoom` x `zoom`, brightness stretched from `black_dn` to `white_dn`, with
-    /// room for `text_lines` below.
+    /// space for `text_lines` below.
     pub fn of_frame(
         frame: &Frame,
         region: Region,
@@ -73,7 +73,7 @@ impl Canvas {
         }
     }
 
-    /// A picture in colour, each pixel of it a place, with room for `text_lines` below.
+    /// A picture in colour, each pixel of it a place, with space for `text_lines` below.
     pub fn of_image(picture: &RgbImage, text_lines: u32) -> Self {
         let (width, height) = picture.dimensions();
         let mut image = RgbImage::new(width, height + text_lines * Self::LINE_PX);

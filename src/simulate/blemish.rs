@@ -1,4 +1,4 @@
-//! What spoils a picture: scratches on the plate, light past the baffles, dust and hot pixels of the camera.
+//! What corrupts a picture: scratches on the plate, light past the baffles, dust and hot pixels of the camera.
 
 use super::scene::{Blemishes, Depth, Dust, HotPixel, Leak, Scene, Scratch};
 use super::{Purpose, generator};

@@ -30,7 +30,7 @@ const SAME_TIME: SignedDuration = SignedDuration::from_micros(501);
 pub struct Faults {
     /// Sync words from which no packet came: wrong checksums, false headers, packets cut off.
     pub broken: u64,
-    /// Breaks in the numbering: packets were lost, or the sender began anew.
+    /// Breaks in the numbering: packets were lost, or the sender restarted.
     pub out_of_sequence: u64,
     /// Packets with unknown keys, payloads too short, numbers that are not finite.
     pub unreadable: u64,

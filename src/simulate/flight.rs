@@ -19,7 +19,7 @@ use std::time::Duration;
 pub enum Course {
     /// Rests, slews and sway.
     Trajectory(Box<Trajectory>),
-    /// As a file tells.
+    /// As a file says.
     Pieces(Pieces),
 }
 

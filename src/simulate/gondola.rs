@@ -9,7 +9,7 @@ use std::time::Duration;
 /// Swings of a balloon's gondola: amplitude, deg, and period, s. The long one is the whole flight train's, the short one its own.
 const ROLL: [(f64, f64); 2] = [(0.8, 12.3), (0.2, 3.7)];
 const PITCH: [(f64, f64); 1] = [(0.3, 12.3)];
-/// It hangs a little askew, deg.
+/// It hangs with a small tilt, deg.
 const TILT_DEG: f64 = 1.5;
 
 /// A gondola under its balloon.

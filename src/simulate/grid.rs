@@ -7,7 +7,7 @@ use crate::units::{PlateMil, SensorPx};
 use std::ops::Range;
 
 /// The mapping is computed every so many pixels and drawn straight between. Under a keystone of 3 deg straight
-/// lines miss it by less than 5e-5 px.
+/// lines differ from it by less than 5e-5 px.
 const NODE_STEP_PX: usize = 4;
 
 /// The pixels that the Sun reaches.

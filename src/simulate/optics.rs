@@ -86,7 +86,7 @@ impl StrayLight {
 }
 
 impl Gradient {
-    /// A place, the light there in DN, and its slope in DN/px; `None` where nothing tells the place.
+    /// A place, the light there in DN, and its slope in DN/px; `None` where the place is not determined.
     fn plane(&self, scene: &Scene) -> Option<(SensorPx, f64, Vector2<f64>)> {
         let direction = unit(self.direction_rad);
         match self.across {

@@ -1,4 +1,4 @@
-//! A path that is told piece by piece, in a file.
+//! A path that is described piece by piece, in a file.
 
 use crate::instrument::toml_file::{TomlError, parse_strict, read_text};
 use crate::units::PlateMil;
@@ -6,10 +6,10 @@ use nalgebra::Vector2;
 use serde::Deserialize;
 use std::path::Path;
 
-/// A path made of pieces, each from its own start to that of the next; the last never ends, or the path begins anew.
+/// A path made of pieces, each from its own start to that of the next; the last never ends, or the path starts over.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Pieces {
-    /// The path begins anew after so many seconds.
+    /// The path starts over after so many seconds.
     pub repeat_s: Option<f64>,
     #[serde(default, rename = "piece")]
     pub pieces: Vec<Piece>,

@@ -228,7 +228,7 @@ impl RandomScenes {
 
     /// Whether the Sun stands where the conditions want it.
     fn suits(&self, sun: &Sun, seen: SensorPx) -> bool {
-        // Room for the blur and the smear at the edge.
+        // A margin for the blur and the smear at the edge.
         let spare = 2.0 + 2.0 * self.template.blur_px + self.smear_px / 2.0;
         let depth = |p: SensorPx| depth_in(&self.template, p);
         let limb = || sun.limb_px(&self.template.mapping).map(depth);
@@ -269,7 +269,7 @@ fn surface(hmi: bool, seed: u64) -> Surface {
     if hmi { turned } else { Surface::Plain }
 }
 
-/// Spots within the Sun's activity belts, as far as a picture in one colour tells: nearer its centre than its limb.
+/// Spots within the Sun's activity belts, as far as a picture in one colour shows: nearer its centre than its limb.
 fn sunspots(count: usize, radius_mil: f64, seed: u64) -> Vec<Sunspot> {
     let mut rng = generator(seed, Purpose::Sun, u64::MAX);
     let spot = |_| {

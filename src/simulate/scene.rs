@@ -16,7 +16,7 @@ pub enum SceneError {
     #[error("expected a mapping that can be inverted; check scale, rotation and keystone")]
     Mapping,
     #[error(
-        "expected a sensor with room for the Sun, found {width_px} x {height_px} px and a radius of {radius_px:.1} px"
+        "expected a sensor large enough for the Sun, found {width_px} x {height_px} px and a radius of {radius_px:.1} px"
     )]
     NoRoom {
         width_px: usize,
@@ -394,7 +394,7 @@ impl Scene {
     }
 }
 
-/// The mapping of a camera that looks at the plate askew by `keystone_deg`.
+/// The mapping of a camera that is tilted against the plate by `keystone_deg`.
 ///
 /// With c the plate's centre on the sensor and q the position from it after rotation, px, a plate position is seen
 /// at c + q / (1 + k q.x), k = tan(keystone) / (4 x sensor width): parallel lines along x run together. `None` when
@@ -413,8 +413,8 @@ pub fn keystoned(
     let k = keystone_deg.to_radians().tan() / (4.0 * width_px as f64);
     let to_centre = Matrix3::new(1.0, 0.0, -c.x, 0.0, 1.0, -c.y, 0.0, 0.0, 1.0);
     let back = Matrix3::new(1.0, 0.0, c.x, 0.0, 1.0, c.y, 0.0, 0.0, 1.0);
-    let lean = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, k, 0.0, 1.0);
-    let seen = back * lean * to_centre;
+    let tilt = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, k, 0.0, 1.0);
+    let seen = back * tilt * to_centre;
     Mapping::new(
         MappingKind::Keystone,
         square.matrix() * seen.try_inverse()?,

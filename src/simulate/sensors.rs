@@ -5,16 +5,16 @@ use crate::link::{AnyPort, BytePort, ImuPacket, PortError};
 use jiff::{SignedDuration, Timestamp};
 use std::time::Duration;
 
-/// How long a packet or a sentence waits for room.
+/// How long a packet or a sentence waits for space.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(10);
 
 /// What becomes of a sample before it is sent; `None` where it is lost.
-pub type Spoil = Box<dyn FnMut(ImuPacket) -> Option<ImuPacket> + Send>;
+pub type Corrupt = Box<dyn FnMut(ImuPacket) -> Option<ImuPacket> + Send>;
 
 /// The sensors of a simulated flight. They are silent until they [join](Self::join) its cameras.
 pub struct Sensors {
     flight: TelescopeFlight,
-    spoil: Spoil,
+    corrupt: Corrupt,
     /// Where the receiver speaks; it is silent without.
     gps: Option<AnyPort>,
     /// How far the flight is ahead of the caller's clock.
@@ -39,7 +39,7 @@ impl Sensors {
             sample: 1,
             second: 1,
             flight,
-            spoil: Box::new(Some),
+            corrupt: Box::new(Some),
             gps,
             ahead: None,
         }
@@ -58,8 +58,8 @@ impl Sensors {
     }
 
     /// The same with an IMU that is not what it should be.
-    pub fn spoilt(self, spoil: Spoil) -> Self {
-        Self { spoil, ..self }
+    pub fn corrupted(self, corrupt: Corrupt) -> Self {
+        Self { corrupt, ..self }
     }
 
     /// How long there is nothing to say.
@@ -86,8 +86,8 @@ impl Sensors {
         while self.wait(now).is_zero() {
             let sample = self.flight.sample(self.sample)?;
             self.sample += 1;
-            // Of its numbers each fits its packet, but for some of a spoilt one: an IMU sends no such packet.
-            if let Some(Ok(packet)) = (self.spoil)(sample).map(|sample| sample.packet()) {
+            // Of its numbers each fits its packet, but for some of a corrupted one: an IMU sends no such packet.
+            if let Some(Ok(packet)) = (self.corrupt)(sample).map(|sample| sample.packet()) {
                 write(port, &packet.encode())?;
             }
             if self.due() > Duration::from_secs(self.second) {

@@ -1,4 +1,4 @@
-//! The path of the Sun's image: the gondola sways and slews, the Sun wanders over the plate, leaves the field and
+//! The path of the Sun's image: the gondola sways and slews, the Sun drifts over the plate, leaves the field and
 //! returns.
 
 use super::scene::SceneError;
@@ -32,7 +32,7 @@ pub struct Trajectory {
     slews: Vec<Slew>,
     start: Vector2<f64>,
     swings: [[Swing; 2]; 2],
-    /// The path begins anew after so many seconds.
+    /// The path starts over after so many seconds.
     cycle_s: Option<f64>,
 }
 
@@ -177,9 +177,9 @@ impl Plan {
         }
         let middle = [centre.x, centre.y];
         let home = std::array::from_fn(|axis| {
-            let room = |v: f64| v.clamp(edge, last[axis] - edge);
+            let reach = |v: f64| v.clamp(edge, last[axis] - edge);
             let half = HOME_MIL[axis] / scale;
-            room(middle[axis] - half)..room(middle[axis] + half)
+            reach(middle[axis] - half)..reach(middle[axis] + half)
         });
         let mut rng = generator(seed, Purpose::Path, 0);
         let x = within(&mut rng, &home[0]);
@@ -291,7 +291,7 @@ fn within(rng: &mut Generator, range: &Range<f64>) -> f64 {
     }
 }
 
-/// How far the picture may be shifted against the instrument's stated mapping, and room for the blur.
+/// How far the picture may be shifted against the instrument's stated mapping, and a margin for the blur.
 fn uncertainty_px(instrument: &Instrument) -> f64 {
     let (camera, mounting) = (&instrument.camera, &instrument.mounting);
     let half_diagonal = (camera.width_px as f64).hypot(camera.height_px as f64) / 2.0;

@@ -4,7 +4,7 @@ use super::SkyError;
 use crate::units::{EARTH_RADIUS_M, Place};
 use jiff::{SignedDuration, Timestamp};
 
-/// The search looks every so often: what rises and falls back within that may be missed.
+/// The search samples at this interval: what rises and falls back within that may be missed.
 const GRID: SignedDuration = SignedDuration::from_mins(5);
 /// A crossing is found within this.
 const PRECISION: SignedDuration = SignedDuration::from_millis(50);

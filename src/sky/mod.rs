@@ -2,7 +2,7 @@
 //! the Earth.
 //!
 //! Positions are topocentric and without refraction (at 38 km it is 0.9 arcsec at 15 deg of elevation;
-//! [`Air`] tells it). They come from the IAU's SOFA routines (crate `sofars`): the Earth's place by `epv00`, the Moon's by
+//! [`Air`] states it). They come from the IAU's SOFA routines (crate `sofars`): the Earth's place by `epv00`, the Moon's by
 //! `moon98`, good to about 10 arcsec; leap seconds, UT1 and the pole by the IERS's table ([`OrientationTable`]).
 //!
 //! The Sun's radius and rotation axis are the IAU's (radius 695 700 km, resolution B3 of 2015; pole at right

@@ -307,10 +307,10 @@ mod tests {
         assert!(moved(&day) < 0.002 && moved(&hundred_days) < 0.2);
         assert!(sixty_years.0.ut1_utc_s.abs() <= 0.9);
         assert_eq!(day.0.x_arcsec, end.orientation.x_arcsec);
-        let told = hundred_days.1.unwrap().to_string();
+        let text = hundred_days.1.unwrap().to_string();
         assert!(
-            told.contains("2027-10-29") && told.contains("0.056 s"),
-            "{told}"
+            text.contains("2027-10-29") && text.contains("0.056 s"),
+            "{text}"
         );
     }
 
@@ -330,15 +330,15 @@ mod tests {
                 if then > measured_until {
                     break;
                 }
-                let foretold = before.at(instant(then)).unwrap();
+                let predicted = before.at(instant(then)).unwrap();
                 let truth = table.at(instant(then)).unwrap();
                 let ut1_tai = |o: &EarthOrientation| o.ut1_utc_s - o.tai_utc_s;
                 // Where the clamp holds, leap seconds have their say.
-                if foretold.ut1_utc_s.abs() < MAX_UT1_UTC_S {
-                    squares += (ut1_tai(&foretold) - ut1_tai(&truth)).powi(2);
+                if predicted.ut1_utc_s.abs() < MAX_UT1_UTC_S {
+                    squares += (ut1_tai(&predicted) - ut1_tai(&truth)).powi(2);
                     count += 1.0;
                 }
-                sigma_s = foretold.ut1_sigma_s;
+                sigma_s = predicted.ut1_sigma_s;
             }
             let rms_s = f64::sqrt(squares / count);
             assert!(

@@ -17,7 +17,7 @@ const EQUATOR_KM: f64 = 6_378.137;
 /// A turn of the Sun about the Earth, s.
 const TROPICAL_YEAR_S: f64 = 365.242_19 * 86_400.0;
 
-/// From where the Moon is looked at.
+/// From where the Moon is observed.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Vantage {
     /// A balloon that stays where it is.

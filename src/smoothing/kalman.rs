@@ -155,7 +155,7 @@ pub trait Process<const N: usize> {
     /// The state before anything is observed.
     fn initial(&self) -> Gaussian<N>;
 
-    /// From the moment before to this one, which is not the first; `None` where the state begins anew.
+    /// From the moment before to this one, which is not the first; `None` where the state restarts.
     fn step(&self, moment: usize) -> Option<Step<N>>;
 
     /// Updates the predicted state by what is observed at a moment. The logarithm of its likelihood; `None` where the
@@ -223,7 +223,7 @@ pub fn smooth<const N: usize>(
         }
         for (n, state) in filtered.iter().enumerate().rev() {
             let moment = first + n;
-            // A state that begins anew, and a prediction without scatter, say nothing of the moment before.
+            // A state that restarts, and a prediction without scatter, say nothing of the moment before.
             let smoothed = later.and_then(|l| state.smoothed(&process.step(moment + 1)?, &l));
             let (state, disturbance) = smoothed.map_or((*state, None), |(s, d)| (s, Some(d)));
             each(moment, &state, disturbance.as_ref());
@@ -241,7 +241,7 @@ mod tests {
     /// Place and speed, the speed a random walk; places observed with an error of 1.
     struct Walk {
         observed: Vec<Option<f64>>,
-        anew: Option<usize>,
+        restarted_at: Option<usize>,
     }
 
     impl Walk {
@@ -251,7 +251,7 @@ mod tests {
             };
             Self {
                 observed: (0..moments).map(place).collect(),
-                anew: None,
+                restarted_at: None,
             }
         }
     }
@@ -268,7 +268,7 @@ mod tests {
         }
 
         fn step(&self, moment: usize) -> Option<Step<2>> {
-            (self.anew != Some(moment)).then_some(Step {
+            (self.restarted_at != Some(moment)).then_some(Step {
                 transition: Matrix2::new(1.0, 1.0, 0.0, 1.0),
                 noise: Matrix2::new(0.1, 0.0, 0.0, 0.3),
             })
@@ -336,7 +336,7 @@ mod tests {
         assert_eq!(several.len(), 2 * BLOCK + 5);
         let tail = Walk {
             observed: walk.observed[BLOCK - 100..BLOCK + 100].to_vec(),
-            anew: None,
+            restarted_at: None,
         };
         let one = smoothed(&tail);
         let apart = several[BLOCK].0.mean - one[100].0.mean;
@@ -382,7 +382,7 @@ mod tests {
     #[test]
     fn a_state_that_begins_anew_knows_nothing_of_before() {
         let mut walk = Walk::new(40);
-        walk.anew = Some(20);
+        walk.restarted_at = Some(20);
         let all = smoothed(&walk);
         walk.observed.truncate(20);
         assert_eq!(all[..20], smoothed(&walk));

@@ -35,7 +35,7 @@ impl Levels<'_> {
         for some in noises.chunks(TOGETHER) {
             let found: Vec<Vec<f32>> = some
                 .par_iter()
-                .map(|level| self.foretold(self.noise(*level)))
+                .map(|level| self.predicted(self.noise(*level)))
                 .collect();
             for (level, found) in some.iter().zip(found) {
                 let scores = scores.iter_mut().rev().zip(found);
@@ -53,9 +53,9 @@ impl Levels<'_> {
         self.least * NOISE_FACTOR.powi(level as i32)
     }
 
-    /// How well a constant process noise foretells each measured moment from all others, from the last to the first: logarithm of the
-    /// likelihood but for a constant. One with which the filter fails foretells nothing.
-    fn foretold(&self, noise: f64) -> Vec<f32> {
+    /// How well a constant process noise predicts each measured moment from all others, from the last to the first: logarithm of the
+    /// likelihood but for a constant. One with which the filter fails predicts nothing.
+    fn predicted(&self, noise: f64) -> Vec<f32> {
         let moments = Moments::Measured(self.measured);
         let axis = Axis {
             moments: &moments,
@@ -85,7 +85,7 @@ impl Levels<'_> {
     }
 }
 
-/// How well each of the process noises foretells a moment.
+/// How well each of the process noises predicts a moment.
 type Scores = [f32; NOISES];
 
 /// The level of each moment, whose scores together are greatest, less what changes cost.

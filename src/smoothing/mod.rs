@@ -9,12 +9,12 @@
 //! and ends a slew, steps. So each axis has a process noise of its own at every frame:
 //!
 //! 1. The path is smoothed with each of a scale of constant process noises.
-//! 2. Each frame says how well each of them foretells it from all other frames: the logarithm of its likelihood.
+//! 2. Each frame says how well each of them predicts it from all other frames: the logarithm of its likelihood.
 //! 3. The noise of greatest likelihood over the flight, where every change has a price (Viterbi 1967), times nine
 //!    for caution.
 //!
 //! 4. Swings of the gondola are sought beside it, each with a frequency, a damping time and a drive of its own, by maximum likelihood. Where
-//!    they pay for themselves and explain most of the flight, they are part of the axis's motion, and the noise is chosen anew from the least
+//!    they pay for themselves and explain most of the flight, they are part of the axis's motion, and the noise is chosen again from the least
 //!    that suffices beside them.
 //!
 //! Too much process noise costs little at a frame, for the place then follows the frame's own; too little is wrong with
@@ -57,7 +57,7 @@ pub struct Moment {
 pub struct SharedErrors {
     /// In which their correlation falls to 1/e.
     pub correlation_s: f64,
-    /// When they are drawn anew, in order.
+    /// When they are drawn again, in order.
     pub jumps_s: Vec<f64>,
 }
 
@@ -117,7 +117,7 @@ struct Damping {
 
 /// The least process noise that gondolas without swings may have, unit/s^2.5.
 const LEAST_NOISE: f64 = 0.1;
-/// The noise that foretells best leaves a path that is off by as much by its stiffness as by the frames' errors: so many times
+/// The noise that predicts best leaves a path that is off by as much by its stiffness as by the frames' errors: so many times
 /// it, and only the errors are left.
 const CAUTION: f64 = 9.0;
 
@@ -157,7 +157,7 @@ pub fn path(moments: impl IntoIterator<Item = Moment>, shared: SharedErrors) -> 
 }
 
 impl Path {
-    /// The path at any times in order, by its own motion; `None` outside what was measured and in gaps that are too long to tell.
+    /// The path at any times in order, by its own motion; `None` outside what was measured and in gaps that are too long.
     pub fn at(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
         let is_within = |time_s: f64| {
             let after = self.measured.partition_point(|m| m.time_s < time_s);
@@ -182,7 +182,7 @@ impl Path {
         self.points(times_s, Motion::cautious)
     }
 
-    /// The same with the likeliest process noise: where to look, not what to state.
+    /// The same with the likeliest process noise: where to search, not what to state.
     pub fn likeliest(&self, times_s: &[f64]) -> Option<Vec<PathPoint>> {
         self.points(times_s, |_, noise| noise)
     }

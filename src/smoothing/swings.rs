@@ -15,7 +15,7 @@ use std::f64::consts::TAU;
 /// Frames that the likelihood is searched with, and the least time from one to the next.
 const FRAMES: usize = 1024;
 const LEAST_STEP_S: f64 = 0.12;
-/// Fewer tell no swing.
+/// Fewer determine no swing.
 const LEAST_FRAMES: usize = 64;
 /// Where so many times the flight's usual process noise is wanted, the gondola does something that is no swing.
 const EVENT: f64 = 9.0;

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// No mark is farther from the plate's axes: plates are at most 1 m wide.
 pub(super) const MOST_PLACE_MIL: f64 = 20_000.0;
-/// Sizes of a mark that a camera resolves and that leaves others room on the disc, px.
+/// Sizes of a mark that a camera resolves and that leaves space for others on the disc, px.
 const SIZES_PX: RangeInclusive<f64> = 3.0..=60.0;
 /// A line thinner than this does not show, px.
 const LEAST_LINE_PX: f64 = 0.1;

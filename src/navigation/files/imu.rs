@@ -7,7 +7,7 @@ use crate::navigation::settings::NavigationSettings;
 use crate::tables::{BadRow, Kind, LeftOut, TableError};
 use std::path::{Path, PathBuf};
 
-/// The IMU misses no more samples than that within a run.
+/// The IMU loses no more samples than that within a run.
 const MOST_MISSING: f64 = 10.0;
 
 /// The samples of a flight's files, in the order of time, in runs: one ends where the IMU was silent for longer than ten samples, and where its
@@ -30,7 +30,7 @@ pub fn read_imu(
         }));
         left_out.push(bad);
     }
-    // Without a step between two samples nothing tells how long an interval is.
+    // Without a step between two samples nothing says how long an interval is.
     let steps = all.iter().filter_map(|part| usual_step_s(&part.rows));
     let mut steps: Vec<f64> = steps.collect();
     steps.sort_by(f64::total_cmp);

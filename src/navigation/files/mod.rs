@@ -198,7 +198,7 @@ fn read_files<T>(
     }
 }
 
-/// Measurements of a file, in the order of time; of those that `key` does not tell apart the first.
+/// Measurements of a file, in the order of time; of those that have the same `key` the first.
 fn in_order<T: Timed, K: Ord>((rows, mut left_out): FileRows<T>, key: impl Fn(&T) -> K) -> Vec<T> {
     let parts = parts(rows, Late::SortedIn(LATE_S), &mut left_out);
     let mut rows: Vec<Read<T>> = parts.into_iter().flatten().collect();
@@ -342,7 +342,7 @@ pub fn read_sun(path: &Path) -> Result<Vec<(f64, UnitVector3<f64>)>, TableError>
 }
 
 impl Seen {
-    /// That nothing tells where its target is.
+    /// That the place of its target is not known.
     pub fn without(&self, why: impl ToString) -> BadRow {
         let expected = "a target whose direction is known";
         BadRow::new(Kind::OutOfRange, self.target.name(), expected, why)

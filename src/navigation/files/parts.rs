@@ -7,7 +7,7 @@ const NEAR_S: f64 = 1.0;
 /// The same in usual steps, where these are long.
 const NEAR_STEPS: f64 = 10.0;
 
-/// What a row tells of a time.
+/// What a row says of a time.
 pub(super) trait Timed {
     fn t_s(&self) -> f64;
 }
@@ -73,7 +73,7 @@ struct Sorter<'a, T> {
     parts: Vec<Vec<Read<T>>>,
     /// The latest time of the present part.
     newest_s: f64,
-    /// The last row, if its time is far from that of the part: the next one tells whether the clock has jumped.
+    /// The last row, if its time is far from that of the part: the next one shows whether the clock has jumped.
     stray: Option<Read<T>>,
     left_out: &'a mut LeftOut,
 }
@@ -176,11 +176,11 @@ pub(super) struct Part<T> {
     /// Of its file.
     pub file: usize,
     pub rows: Vec<Read<T>>,
-    /// Rows of it tell of a time that others tell of.
+    /// Rows of it are of a time that other rows cover.
     pub is_trimmed: bool,
 }
 
-/// Parts in the order of time, none of which tells of a time of another: of two that do, the longer one is kept whole. A clock that was set back,
+/// Parts in the order of time, none of which overlaps another: of two that do, the longer one is kept whole. A clock that was set back,
 /// and files that overlap, make such parts.
 pub(super) fn without_overlaps<T: Timed>(
     mut parts: Vec<Part<T>>,
@@ -218,10 +218,10 @@ fn trimmed<T: Timed>(part: Part<T>, kept: &[Part<T>], left_out: &mut [LeftOut]) 
     let mut pieces: Vec<(usize, Vec<Read<T>>)> = Vec::new();
     for row in part.rows {
         let next = kept.partition_point(|other| ends(other) < row.t_s());
-        let told = kept.get(next).filter(|other| first_s(other) <= row.t_s());
-        if let Some(other) = told {
+        let other = kept.get(next).filter(|other| first_s(other) <= row.t_s());
+        if let Some(other) = other {
             let expected = format!(
-                "a time outside {} to {} s, of which a longer part of the log tells",
+                "a time outside {} to {} s, which a longer part of the log covers",
                 first_s(other),
                 ends(other)
             );

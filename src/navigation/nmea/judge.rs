@@ -145,7 +145,7 @@ impl Said {
             .map_err(|why| impossible(why.to_string()))
     }
 
-    /// What GGA's quality and RMC's status and mode indicator say. RMC's navigational status is not looked at: receivers that do not provide it
+    /// What GGA's quality and RMC's status and mode indicator say. RMC's navigational status is not used: receivers that do not provide it
     /// send V.
     fn is_fix(&self) -> Result<(), Refused> {
         let refused = |refusal, field: &str, found: char| {

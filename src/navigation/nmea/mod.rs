@@ -21,7 +21,7 @@ use std::fmt;
 pub struct TimedFix {
     pub utc: Timestamp,
     pub place: Place,
-    /// Level: towards north and east, m/s. `None` where the receiver tells no velocity, or a speed without a course.
+    /// Level: towards north and east, m/s. `None` where the receiver gives no velocity, or a speed without a course.
     pub level_m_s: Option<[f64; 2]>,
 }
 

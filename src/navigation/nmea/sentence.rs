@@ -1,4 +1,4 @@
-//! Sentences of NMEA 0183 in the bytes of a line: where they begin and end, their checksum, and the fields of those that tell of a fix.
+//! Sentences of NMEA 0183 in the bytes of a line: where they begin and end, their checksum, and the fields of those that describe a fix.
 
 use std::str::FromStr;
 
@@ -128,7 +128,7 @@ fn checked(line: &str, star: usize) -> Piece {
     }
 }
 
-/// A sentence that tells of a fix.
+/// A sentence that describes a fix.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Sentence {
     Gga(Gga),

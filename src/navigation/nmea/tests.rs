@@ -316,7 +316,7 @@ fn a_receiver_without_rmc_gives_places_dated_by_zda_or_by_the_clock() {
     };
     assert_eq!(fixes(&with_zda("23,03,2024")).len(), 1);
     assert_eq!(refusal(&with_zda("07,08,2004")), Refusal::WeekRollover);
-    // ZDA alone tells no place, RMC alone no height.
+    // ZDA alone gives no place, RMC alone no height.
     let (heard, _) = hear(&summed("GPZDA,123519.00,23,03,2024,00,00").repeat(3));
     assert!(heard.is_empty());
     let alone = rmc("123519.00", "1,2", "230324", "A") + &gga("123520.00", "1");

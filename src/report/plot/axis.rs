@@ -215,7 +215,7 @@ fn time_step(span_s: f64, about: usize) -> f64 {
         .unwrap_or_else(|| DAY_S * step(span_s / DAY_S, about).ceil())
 }
 
-/// The decimals that tell multiples of a step apart.
+/// The decimals that distinguish multiples of a step.
 pub(super) fn decimals(step: f64) -> usize {
     (0..12)
         .find(|decimals| {
@@ -256,11 +256,14 @@ fn power_text(digit: f64, decade: i32) -> String {
     }
 }
 
-/// An exponent in raised digits.
+/// An exponent in superscript digits.
 pub(super) fn superscript(exponent: i32) -> String {
-    const RAISED: [char; 10] = ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'];
-    let raised = |c: char| c.to_digit(10).map_or('⁻', |digit| RAISED[digit as usize]);
-    exponent.to_string().chars().map(raised).collect()
+    const SUPERSCRIPTS: [char; 10] = ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'];
+    let superscript = |c: char| {
+        c.to_digit(10)
+            .map_or('⁻', |digit| SUPERSCRIPTS[digit as usize])
+    };
+    exponent.to_string().chars().map(superscript).collect()
 }
 
 fn zoned(unix_s: f64) -> Option<jiff::Zoned> {

@@ -16,12 +16,12 @@ pub(super) fn segment(
         (-dy, from.1 - top),
         (dy, bottom - from.1),
     ];
-    for (outwards, room) in edges {
+    for (outwards, distance) in edges {
         if outwards < 0.0 {
-            first = first.max(room / outwards);
+            first = first.max(distance / outwards);
         } else if outwards > 0.0 {
-            last = last.min(room / outwards);
-        } else if room < 0.0 {
+            last = last.min(distance / outwards);
+        } else if distance < 0.0 {
             return None;
         }
     }

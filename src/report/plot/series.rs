@@ -93,7 +93,7 @@ const MOST_DOTS: usize = 5000;
 
 /// Series over linear axes or over time, with a line at y = 0 where it lies among them.
 ///
-/// Of a series with more points than the panel has columns of pixels (a line) or than can be told apart (dots), each column shows
+/// Of a series with more points than the panel has columns of pixels (a line) or than can be distinguished (dots), each column shows
 /// the least, the most and the median of its points: no spike is lost.
 ///
 /// # Errors
@@ -218,7 +218,7 @@ fn draw(sheet: &mut Sheet, series: &Series, colour: &'static str) {
         }
         Mark::Curve => {
             let points = placed(sheet, &series.points);
-            // White beside the curve tells it from the dots below it.
+            // White beside the curve separates it from the dots below it.
             sheet.line(&points, Stroke::solid("#ffffff", 4.0).pale(0.8));
             sheet.line(&points, Stroke::solid(colour, 1.8));
         }

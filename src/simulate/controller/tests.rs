@@ -1,7 +1,7 @@
 use super::*;
 use crate::link::{CommandOutcome, NoSolution, Receipt};
 
-/// A port whose other end says what it is told to and keeps what it hears.
+/// A port whose other end sends given bytes and keeps what it receives.
 #[derive(Default)]
 struct Script {
     to_say: VecDeque<Vec<u8>>,

@@ -60,7 +60,7 @@ pub struct EarthConditions {
     pub depth: Depth,
 }
 
-/// Where the camera looks.
+/// Where the camera points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Aim {
     /// The horizon somewhere in the picture, rolled by as much either way, deg.

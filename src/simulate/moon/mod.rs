@@ -114,8 +114,8 @@ impl MoonConditions {
         let mut random = generator(seed, Purpose::Moon, number);
         let half = Vector2::new(self.radius_px * self.pixel_aspect, self.radius_px);
         let mut place = |pixels: usize, half: f64| {
-            let room = half + 4.0 * self.blur_px + 2.0;
-            random.random_range(room..pixels as f64 - room)
+            let margin = half + 4.0 * self.blur_px + 2.0;
+            random.random_range(margin..pixels as f64 - margin)
         };
         let whole = SensorPx::new(place(self.width_px, half.x), place(self.height_px, half.y));
         let centre = match self.cut {

@@ -113,7 +113,7 @@ impl Ground {
         1.0 + (off * (ALBEDO / PATTERN_REACH)).clamp(-ALBEDO, ALBEDO)
     }
 
-    /// The ground's normal, which leans by its slope along the sphere.
+    /// The ground's normal, which is tilted by its slope along the sphere.
     fn normal(&self, place: &Vector3<f64>) -> Vector3<f64> {
         let (_, slope) = self.relief(place);
         (place - (slope - place * slope.dot(place))).normalize()

@@ -1,6 +1,6 @@
 //! A telescope under a balloon above Fort Sumner that follows the Sun.
 //!
-//! The balloon drifts along its parallel at a steady speed and wanders about it. Pendulum motion turns the gondola about the IMU, which does not move with it.
+//! The balloon drifts along its parallel at a steady speed with slow deviations. Pendulum motion turns the gondola about the IMU, which does not move with it.
 
 use super::earth::{EARTH_RATE_RAD_S, FixedSun, ecef_from_north_east_down, position_m};
 use super::motion::{Angle, Attitude, Motion, Path, State, Wave, phases, swing};
@@ -18,9 +18,9 @@ const EASTWARD_M_S: f64 = 10.0;
 const SUN_DECLINATION_DEG: f64 = 0.6;
 const SUN_ELEVATION_DEG: f64 = 54.0;
 
-/// Amplitude in deg and period in s: the flight train's pendulum, the gondola's own, and the azimuth's wander.
+/// Amplitude in deg and period in s: the flight train's pendulum, the gondola's own, and the azimuth's slow drift.
 const PENDULUM: [(f64, f64); 2] = [(0.2, 12.3), (0.05, 3.7)];
-const WANDER: [(f64, f64); 2] = [(0.7, 310.0), (0.3, 97.0)];
+const AZIMUTH_DRIFT: [(f64, f64); 2] = [(0.7, 310.0), (0.3, 97.0)];
 /// Amplitude in m and period in s, north, east and down: accelerations of 1e-3 to 3e-3 m/s^2.
 const SWINGS: [[(f64, f64); 2]; 3] = [
     [(9.0, 600.0), (2.0, 190.0)],
@@ -42,7 +42,7 @@ pub(super) struct Balloon {
     local: UnitQuaternion<f64>,
     /// Along Earth-fixed axes at the start.
     swings: [(Vector3<f64>, [Wave; 2]); 3],
-    wander: [Wave; 2],
+    azimuth_drift: [Wave; 2],
     roll: [Wave; 2],
     pitch: [Wave; 2],
 }
@@ -62,7 +62,7 @@ impl Balloon {
             turn_rad_s: EASTWARD_M_S / start_m.xy().norm(),
             local: UnitQuaternion::from_rotation_matrix(&axes),
             swings: [swing(0, north), swing(1, east), swing(2, down)],
-            wander: waves(WANDER),
+            azimuth_drift: waves(AZIMUTH_DRIFT),
             roll: waves(PENDULUM),
             pitch: waves(PENDULUM),
         }
@@ -112,7 +112,7 @@ impl Motion for Balloon {
         let attitude = Attitude::level()
             .turned(Vector3::z_axis(), Angle::steady(self.turn_rad_s, t_s))
             .mounted(&self.local)
-            .turned(Vector3::z_axis(), azimuth + swing(&self.wander, t_s))
+            .turned(Vector3::z_axis(), azimuth + swing(&self.azimuth_drift, t_s))
             .turned(Vector3::x_axis(), swing(&self.roll, t_s))
             .turned(Vector3::y_axis(), elevation + swing(&self.pitch, t_s));
         State {
@@ -122,7 +122,7 @@ impl Motion for Balloon {
     }
 }
 
-/// A camera that looks along the body's first axis, towards the Sun.
+/// A camera that points along the body's first axis, towards the Sun.
 pub(super) const ALONG_FIRST: Matrix3<f64> = Matrix3::new(0., 0., 1., 1., 0., 0., 0., 1., 0.);
-/// A camera that looks along the body's second axis, at the horizon to the right of the Sun.
+/// A camera that points along the body's second axis, at the horizon to the right of the Sun.
 pub(super) const ALONG_SECOND: Matrix3<f64> = Matrix3::new(-1., 0., 0., 0., 0., 1., 0., 1., 0.);

@@ -82,7 +82,7 @@ pub struct TargetCamera {
     pub seen: Seen,
 }
 
-/// What the cameras look at, and how well.
+/// What the cameras observe, and how well.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sky {
     pub sun: FixedSun,

@@ -1,4 +1,4 @@
-//! What the navigation is told of a flight's instruments.
+//! The file with which the navigation reads a flight's instruments.
 
 use super::cameras::TargetCamera;
 use super::plan::FlightPlan;

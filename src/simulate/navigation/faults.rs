@@ -7,7 +7,7 @@ use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 /// What a fault makes of a sample, so many seconds after it began; `None` where the sample is lost.
-type Spoil = fn(&mut FaultyImu, f64, ImuPacket) -> Option<ImuPacket>;
+type Corrupt = fn(&mut FaultyImu, f64, ImuPacket) -> Option<ImuPacket>;
 
 /// How a fault can be known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,8 +24,8 @@ use Shows::{InFrames, InTheSamples};
 pub struct ImuFault {
     pub name: &'static str,
     pub shows: Shows,
-    spoil: Spoil,
-    /// It begins anew so often while it lasts, s.
+    corrupt: Corrupt,
+    /// It starts over so often while it lasts, s.
     again_s: f64,
 }
 
@@ -65,7 +65,7 @@ impl FaultyImu {
         fault: Option<(&ImuFault, f64)>,
     ) -> Option<ImuPacket> {
         match fault {
-            Some((fault, since_s)) => (fault.spoil)(self, since_s, sample),
+            Some((fault, since_s)) => (fault.corrupt)(self, since_s, sample),
             None => {
                 self.held = Some(sample);
                 Some(sample)
@@ -82,11 +82,11 @@ impl FaultyImu {
     }
 }
 
-const fn fault(name: &'static str, shows: Shows, spoil: Spoil) -> ImuFault {
+const fn fault(name: &'static str, shows: Shows, corrupt: Corrupt) -> ImuFault {
     ImuFault {
         name,
         shows,
-        spoil,
+        corrupt,
         again_s: f64::INFINITY,
     }
 }

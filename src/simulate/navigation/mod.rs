@@ -52,7 +52,7 @@ pub struct Flight {
     pub misalignments_rad: Vec<Vector3<f64>>,
     /// One a second, 2 s and more beyond both ends of the flight.
     pub sun: Vec<SunRow>,
-    /// What the navigation is told of the instruments: the text of `NAV.toml`.
+    /// The instruments as the navigation gets them: the text of `NAV.toml`.
     pub config_toml: String,
 }
 

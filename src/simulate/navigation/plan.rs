@@ -72,7 +72,7 @@ pub struct FlightPlan {
 }
 
 impl FlightPlan {
-    /// The coast of Braun and Barf 2022 (section 7) and its sensors, T+60 s to T+430 s. Two cameras on opposite sides look 20 deg downwards; both
+    /// The coast of Braun and Barf 2022 (section 7) and its sensors, T+60 s to T+430 s. Two cameras on opposite sides point 20 deg downwards; both
     /// give Sun and nadir from T+171 s to T+300 s, once a second.
     pub fn rocket() -> Self {
         let camera = |name, side| TargetCamera {

@@ -1,4 +1,4 @@
-//! IMU and GPS of the telescope whose camera a simulated flight shows: where the Sun stands on the plate tells how the telescope is turned.
+//! IMU and GPS of the telescope whose camera a simulated flight shows: the Sun's place on the plate gives the telescope's attitude.
 //!
 //! The telescope hangs above one place and swings as its gondola does.
 
@@ -25,7 +25,7 @@ const KNOT_M_S: f64 = 1852.0 / 3600.0;
 /// Errors of the GPS receiver, of each axis.
 const POSITION_SIGMA_M: f64 = 5.0;
 const VELOCITY_SIGMA_M_S: f64 = 0.05;
-/// Between two looks at the ephemeris the Sun moves evenly to a thousandth of an arcsecond.
+/// Between two evaluations of the ephemeris the Sun moves evenly to a thousandth of an arcsecond.
 const LOOK_EVERY_S: i64 = 1;
 
 /// Why a flight cannot be simulated.
@@ -54,8 +54,8 @@ pub struct TelescopeFlight {
     place: Place,
     start: Timestamp,
     ephemeris: Ephemeris,
-    /// The Sun at a second since the start, and at the next look.
-    looked: Option<(i64, [SunPosition; 2])>,
+    /// The Sun at a second since the start, and at the next evaluation.
+    evaluated: Option<(i64, [SunPosition; 2])>,
     imu: Imu,
     gps: Generator,
     /// How the telescope was turned at the end of the last sample.
@@ -78,7 +78,7 @@ impl TelescopeFlight {
             place,
             start,
             ephemeris: Ephemeris::default(),
-            looked: None,
+            evaluated: None,
             imu: Imu::drawn(&ImuErrors::balloon(), seed),
             gps: random(seed, Drawn::Gps),
             last: None,
@@ -102,7 +102,7 @@ impl TelescopeFlight {
     /// The n-th sample of the IMU, whose interval ends n hundredths of a second after the start; from 1 on.
     ///
     /// # Errors
-    /// Where nothing tells how the telescope is turned then.
+    /// A time at which the telescope's attitude is not known.
     pub fn sample(&mut self, n: u64) -> Result<ImuPacket, NoFlight> {
         let interval_s = 1.0 / RATE_HZ as f64;
         let at = |n: u64| Duration::from_nanos(n * 1_000_000_000 / RATE_HZ);
@@ -214,15 +214,15 @@ impl TelescopeFlight {
     /// Where the ephemeris does not reach.
     pub fn sun(&mut self, since: Duration) -> Result<SunPosition, NoFlight> {
         let second = since.as_secs() as i64 / LOOK_EVERY_S * LOOK_EVERY_S;
-        let [from, to] = match self.looked {
-            Some((looked, suns)) if looked == second => suns,
+        let [from, to] = match self.evaluated {
+            Some((evaluated, suns)) if evaluated == second => suns,
             _ => {
                 let mut at = |second: i64| {
                     let utc = self.utc(Duration::from_secs(second as u64))?;
                     Ok::<_, NoFlight>(self.ephemeris.sun(utc, self.place)?)
                 };
                 let suns = [at(second)?, at(second + LOOK_EVERY_S)?];
-                self.looked = Some((second, suns));
+                self.evaluated = Some((second, suns));
                 suns
             }
         };

@@ -9,7 +9,7 @@ use solaspect::link::{Connection, ImuPacket, Propagated, SerialPort};
 use solaspect::navigation::NavigationSettings;
 use solaspect::service::Navigation;
 use solaspect::simulate::navigation::{FaultyImu, IMU_FAULTS, ImuFault, TelescopeFlight};
-use solaspect::simulate::sensors::{Sensors, Spoil};
+use solaspect::simulate::sensors::{Corrupt, Sensors};
 use solaspect::simulate::{Course, FORT_SUMNER, Piece, Pieces, Trajectory};
 use solaspect::sky;
 use std::path::Path;
@@ -74,7 +74,7 @@ impl Parts {
                 clock: FlightClock::starting(start),
             },
             sensors: Sensors::new(telescope(instrument, start), Some(Box::new(far)))
-                .spoilt(imu.spoil()),
+                .corrupted(imu.corrupt()),
             judge: Judge::new(telescope(instrument, start), start, imu.clone()),
             imu,
         })
@@ -130,7 +130,7 @@ impl ImuBench {
     }
 
     /// What becomes of the IMU's samples.
-    fn spoil(&self) -> Spoil {
+    fn corrupt(&self) -> Corrupt {
         let bench = self.clone();
         let mut imu = FaultyImu::new(SEED);
         Box::new(move |sample: ImuPacket| {
