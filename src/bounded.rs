@@ -11,7 +11,7 @@ pub enum NoAnswer {
     Late(Duration),
     #[error("it failed by itself: this is a fault of the program")]
     Panicked,
-    #[error("no thread to look with: {0}")]
+    #[error("no thread for the check: {0}")]
     Thread(String),
 }
 

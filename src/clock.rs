@@ -1,6 +1,6 @@
 //! Times as other programs write them, to UTC; and the computer's clock: whether it is held to UTC, how far it may be off, and by whom it is held.
 //!
-//! The kernel itself knows (adjtimex(2), read only, no privilege needed): whoever holds the clock tells it at every
+//! The kernel itself knows (adjtimex(2), read only, no privilege needed): whoever holds the clock reports to it at every
 //! correction how far off the clock may be, and the kernel lets that grow by 0.5 ms a second until the next one. After 16 s of
 //! it, about nine hours, it takes the clock for free-running.
 

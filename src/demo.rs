@@ -52,7 +52,7 @@ pub struct Demo {
     /// The archive's folder.
     pub archive: PathBuf,
     pub seed: u64,
-    /// For training: faults that may be put on it, and a camera that is missed when it pauses, as a real one is.
+    /// For training: faults that may be put on it, and a camera whose pauses are noticed, as a real one is.
     pub faults: Option<Faults>,
 }
 

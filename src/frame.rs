@@ -25,10 +25,10 @@ pub use unreadable::Unreadable;
 use unusable::Unusable;
 pub use warning::{Warning, Warnings};
 
-/// The name of the camera in frames that the simulator has made, by which they are told from real ones.
+/// The name of the camera in frames that the simulator has made, which distinguishes them from real ones.
 pub const SIMULATED_CAMERA: &str = "simulated";
 
-/// How a frame was taken. What the source does not tell is `None`.
+/// How a frame was taken. What the source does not state is `None`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameInfo {
     /// Number of the frame in its sequence.

@@ -34,7 +34,7 @@
 //! ```
 //!
 //! A frame that cannot be solved is not an error: its [`Solution`](aspect::Solution) holds what the earlier stages found, and
-//! [`stopped`](aspect::Solution::stopped) tells the stage, the reason, the measured value and the limit.
+//! [`stopped`](aspect::Solution::stopped) has the stage, the reason, the measured value and the limit.
 //!
 //! The folder `examples/` has more: `solve_frame`, `own_gondola` (the traits [`camera::FrameSource`] and [`link::Controller`]) and `own_pipeline` (the stages of
 //! [`aspect::Pipeline`], one by one).

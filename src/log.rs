@@ -168,7 +168,7 @@ fn write_all(entries: &Receiver<Entry>, out: &mut impl Write) {
                 .and_then(|()| out.write_all(live.as_bytes())),
             Entry::Live(text) => {
                 live = text;
-                // What a terminal does not take of it is not missed.
+                // What a terminal does not take of it is dropped.
                 let _ = out.write_all(format!("{CLEAR}{live}").as_bytes());
                 Ok(())
             }

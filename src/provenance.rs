@@ -1,4 +1,4 @@
-//! Who made a file: the program, its version and the commit it was built from, and the hash of what it was told.
+//! Who made a file: the program, its version and the commit it was built from, and the hash of its inputs.
 
 use sha2::{Digest, Sha256};
 use std::fs::File;

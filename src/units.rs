@@ -131,7 +131,7 @@ pub struct Reason {
     pub sentence: &'static str,
 }
 
-/// An expected refusal: what was asked for, what was measured and the limit it missed. It is data, not an error:
+/// An expected refusal: what was asked for, what was measured and the limit it failed. It is data, not an error:
 /// a frame without a Sun is no failure of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Rejected {

@@ -160,7 +160,7 @@ fn errors(found: &Optics, truth: &Truth) -> [f64; 4] {
         centre.y - truth.centre.y,
         k[1] - truth.k2,
     ];
-    std::array::from_fn(|n| errors[n] / found.changed(Unknown::TOLD[n]).sigma)
+    std::array::from_fn(|n| errors[n] / found.changed(Unknown::REQUIRED[n]).sigma)
 }
 
 #[test]
@@ -183,7 +183,7 @@ fn check_optics(cameras: u64) {
         (errors(&found, &truth), found)
     };
     let found: Vec<([f64; 4], Optics)> = (0..cameras).into_par_iter().map(of_camera).collect();
-    for (n, unknown) in Unknown::TOLD.into_iter().enumerate() {
+    for (n, unknown) in Unknown::REQUIRED.into_iter().enumerate() {
         let ratios: Vec<f64> = found.iter().map(|(ratios, _)| ratios[n]).collect();
         let sigmas: Vec<f64> = found
             .iter()

@@ -298,5 +298,5 @@ fn marks_for_which_the_disc_has_no_room_are_refused() {
         ..DesignSettings::new(1000.0, 60)
     };
     let error = design(&demo(), &settings, &|| ()).unwrap_err().to_string();
-    assert!(error.contains("room for 60 marks"), "{error}");
+    assert!(error.contains("space for 60 marks"), "{error}");
 }

@@ -27,7 +27,7 @@ use std::time::{Duration, Instant};
 struct Stepped {
     frames: VecDeque<Frame>,
     go: Receiver<()>,
-    told_us: Arc<Mutex<Vec<u32>>>,
+    set_us: Arc<Mutex<Vec<u32>>>,
 }
 
 impl FrameSource for Stepped {
@@ -46,7 +46,7 @@ impl FrameSource for Stepped {
     }
 
     fn apply(&mut self, settings: &CameraSettings) -> Result<(), CameraError> {
-        self.told_us.lock().unwrap().push(settings.exposure_us);
+        self.set_us.lock().unwrap().push(settings.exposure_us);
         Ok(())
     }
 
@@ -103,18 +103,18 @@ struct Stepwise {
     service: Service,
     answers: Receiver<Answer>,
     take: [Sender<()>; 2],
-    told_us: Arc<Mutex<Vec<u32>>>,
+    set_us: Arc<Mutex<Vec<u32>>>,
 }
 
 impl Stepwise {
     fn start(horizons: VecDeque<Frame>, max_age_s: f64, archive: Option<&Path>) -> Self {
-        let told_us = Arc::<Mutex<Vec<u32>>>::default();
+        let set_us = Arc::<Mutex<Vec<u32>>>::default();
         let (to_sun, sun) = unbounded();
         let (to_roll, roll) = unbounded();
-        let source = |frames, go, told_us: &Arc<Mutex<Vec<u32>>>| Stepped {
+        let source = |frames, go, set_us: &Arc<Mutex<Vec<u32>>>| Stepped {
             frames,
             go,
-            told_us: Arc::clone(told_us),
+            set_us: Arc::clone(set_us),
         };
         let demo = builtin("demo").unwrap();
         let camera = Camera {
@@ -125,7 +125,7 @@ impl Stepwise {
         let of_horizon = Camera::new("roll_camera", Role::Roll, sees);
         let mut flight = Flight::of(vec![
             FlightCamera::new(camera, source(suns(4), sun, &Arc::default())),
-            FlightCamera::new(of_horizon, source(horizons, roll, &told_us)),
+            FlightCamera::new(of_horizon, source(horizons, roll, &set_us)),
         ]);
         let open = |root| Store::open(root, "demo", Compression::Rice).unwrap();
         flight.stores = archive.map(open).into_iter().collect();
@@ -137,7 +137,7 @@ impl Stepwise {
             service,
             answers,
             take: [to_sun, to_roll],
-            told_us,
+            set_us,
         }
     }
 
@@ -252,9 +252,9 @@ fn a_horizon_that_is_overexposed_or_old_costs_the_sun_nothing() {
     assert_eq!(roll(&flight.horizon()), None);
     assert!(flight.sun().sun().unwrap().offset.is_some());
     // The exposure follows the limb's light, and falls at once where there is too much.
-    let falls = |told_us: &[u32]| told_us.last().is_some_and(|us| *us < 15_000);
+    let falls = |set_us: &[u32]| set_us.last().is_some_and(|us| *us < 15_000);
     let start = Instant::now();
-    while !falls(&flight.told_us.lock().unwrap()) {
+    while !falls(&flight.set_us.lock().unwrap()) {
         assert!(start.elapsed() < Duration::from_secs(60), "it never falls");
         std::thread::sleep(Duration::from_millis(5));
     }

@@ -12,7 +12,7 @@ pub fn sigma_text(sigma: f64) -> String {
     value_text(Measured::new(sigma, sigma))
 }
 
-/// A value to two digits of its sigma; all of its digits where the sigma tells nothing.
+/// A value to two digits of its sigma; all of its digits where there is no useful sigma.
 pub fn value_text(measured: Measured) -> String {
     let Measured { value, sigma } = measured;
     if !(sigma.is_finite() && sigma > 0.0) {

@@ -19,7 +19,7 @@ pub struct Provenance {
     pub name: &'static str,
     /// What was done, with how many frames.
     pub source: String,
-    /// When the frames were taken; none where they do not tell.
+    /// When the frames were taken; none where they do not state it.
     pub date: Option<Date>,
     pub frames: usize,
     /// Over the sorted SHA-256 of the files.

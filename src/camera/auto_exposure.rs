@@ -52,7 +52,7 @@ impl Brightness {
     }
 }
 
-/// A level from here on tells nothing but that it is too much.
+/// A level from here on only shows that it is too much.
 const SATURATED: f64 = 0.985;
 /// A disc that falls below this fraction of its light from one frame to the next is behind a cloud.
 const CLOUD: f64 = 0.7;
@@ -63,14 +63,14 @@ const FURTHEST: f64 = 4.0;
 
 /// Holds the disc at a set brightness.
 ///
-/// Each frame tells, from its own exposure, the one that would have been right; so it does not matter how many frames
+/// Each frame gives, from its own exposure, the one that would have been right; so it does not matter how many frames
 /// late a change takes effect. A cloud is a sudden loss of light: the exposure is held for a while, then it creeps. Too much light
 /// is met at once.
 #[derive(Debug, Clone)]
 pub struct AutoExposure {
     settings: AutoExposureSettings,
     /// The last answer.
-    told_us: Option<f64>,
+    set_us: Option<f64>,
     clear: Option<Clear>,
     /// Frames in a row behind a cloud.
     clouded: u32,
@@ -88,7 +88,7 @@ impl AutoExposure {
     pub fn new(settings: AutoExposureSettings) -> Self {
         Self {
             settings,
-            told_us: None,
+            set_us: None,
             clear: None,
             clouded: 0,
         }
@@ -97,27 +97,27 @@ impl AutoExposure {
     /// The exposure for the frames to come, us, after a frame of `exposure_us`.
     pub fn next(&mut self, seen: Brightness, exposure_us: u32) -> u32 {
         let taken_us = f64::from(exposure_us.max(1));
-        let told_us = self.told_us.unwrap_or(taken_us);
+        let set_us = self.set_us.unwrap_or(taken_us);
         let wanted_us = match seen {
             Brightness::Disc { level, .. } if level >= SATURATED => {
                 self.clouded = 0;
-                told_us.min(taken_us / self.settings.max_factor)
+                set_us.min(taken_us / self.settings.max_factor)
             }
             Brightness::Disc { level, background } => {
-                self.after_disc(level, background, taken_us, told_us)
+                self.after_disc(level, background, taken_us, set_us)
             }
-            Brightness::NoDisc => self.after_nothing(told_us),
+            Brightness::NoDisc => self.after_nothing(set_us),
         };
         let (low, high) = (
             f64::from(self.settings.min_us),
             f64::from(self.settings.max_us),
         );
         let wanted_us = wanted_us.clamp(low, high.max(low));
-        self.told_us = Some(wanted_us);
+        self.set_us = Some(wanted_us);
         wanted_us.round() as u32
     }
 
-    fn after_disc(&mut self, level: f64, background: f64, taken_us: f64, told_us: f64) -> f64 {
+    fn after_disc(&mut self, level: f64, background: f64, taken_us: f64, set_us: f64) -> f64 {
         let AutoExposureSettings {
             target,
             band,
@@ -127,14 +127,14 @@ impl AutoExposure {
         } = self.settings;
         let light_per_us = (level - background).max(1e-6) / taken_us;
         let best_us = (target - background).max(1e-6) / light_per_us;
-        let is_near = (best_us / told_us - 1.0).abs() <= band;
+        let is_near = (best_us / set_us - 1.0).abs() <= band;
         let is_dim = |clear: Clear| light_per_us < CLOUD * clear.light_per_us;
         if self.clear.is_some_and(is_dim) && !is_near {
             self.clouded += 1;
             if self.clouded <= hold_frames {
-                return told_us;
+                return set_us;
             }
-            return best_us.clamp(told_us / CREEP, told_us * CREEP);
+            return best_us.clamp(set_us / CREEP, set_us * CREEP);
         }
         self.clouded = 0;
         self.clear = Some(Clear {
@@ -142,18 +142,18 @@ impl AutoExposure {
             exposure_us: best_us,
         });
         if is_near {
-            return told_us;
+            return set_us;
         }
         best_us.clamp(taken_us / max_factor, taken_us * max_factor)
     }
 
-    fn after_nothing(&mut self, told_us: f64) -> f64 {
+    fn after_nothing(&mut self, set_us: f64) -> f64 {
         self.clouded += 1;
         match self.clear {
-            // Not even a first look at the Sun: perhaps it is there, but too dim.
-            None => told_us * self.settings.max_factor,
-            Some(_) if self.clouded <= self.settings.hold_frames => told_us,
-            Some(clear) => (told_us * CREEP).min((FURTHEST * clear.exposure_us).max(told_us)),
+            // The Sun has not been seen yet: perhaps it is there, but too dim.
+            None => set_us * self.settings.max_factor,
+            Some(_) if self.clouded <= self.settings.hold_frames => set_us,
+            Some(clear) => (set_us * CREEP).min((FURTHEST * clear.exposure_us).max(set_us)),
         }
     }
 }

@@ -24,8 +24,8 @@ use std::time::{Duration, Instant, SystemTime};
 const LIST_EVERY: Duration = Duration::from_millis(250);
 /// The same, as a multiple of the time that a listing takes.
 const LISTING_SHARE: u32 = 10;
-/// How often the folder is looked at: a disk may be gone, or another one in its place.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// How often the folder is checked: a disk may be gone, or another one in its place.
+const CHECK_EVERY: Duration = Duration::from_secs(1);
 /// Blocks of reports that are read at a time: there are frames to be read, too.
 const MOST_BLOCKS: usize = 64;
 
@@ -91,7 +91,7 @@ pub(super) struct FolderWatch {
     root: PathBuf,
     /// Device and number of the folder.
     identity: (u64, u64),
-    looked: Instant,
+    checked: Instant,
     /// `None` where the folder is listed over and over.
     reports: Option<Arc<Reports>>,
     folders: HashMap<WatchDescriptor, PathBuf>,
@@ -128,7 +128,7 @@ impl FolderWatch {
         Ok(Self {
             root: root.into(),
             identity: identity(root)?,
-            looked: now,
+            checked: now,
             reports: match is_shared(root) {
                 true => None,
                 false => Reports::begin().map(Arc::new).ok(),
@@ -144,9 +144,9 @@ impl FolderWatch {
     /// Waits for changes, for so long at most.
     ///
     /// # Errors
-    /// The folder is gone, or another one is in its place: it is to be watched anew.
+    /// The folder is gone, or another one is in its place: it is to be watched again.
     pub fn wait(&mut self, patience: Duration) -> Result<Vec<Change>, CameraError> {
-        self.look()?;
+        self.check()?;
         if self.listing.is_none() {
             self.list_next()?;
         }
@@ -192,11 +192,11 @@ impl FolderWatch {
     }
 
     /// Whether the folder is still the one that was watched.
-    fn look(&mut self) -> Result<(), CameraError> {
-        if self.looked.elapsed() < LOOK_EVERY {
+    fn check(&mut self) -> Result<(), CameraError> {
+        if self.checked.elapsed() < CHECK_EVERY {
             return Ok(());
         }
-        self.looked = Instant::now();
+        self.checked = Instant::now();
         match identity(&self.root)? == self.identity {
             true => Ok(()),
             false => Err(self.problem("another one in its place, which is followed now")),
@@ -264,7 +264,7 @@ impl FolderWatch {
     fn interpret(&mut self, report: InotifyEvent, changes: &mut Vec<Change>) {
         let is = |what| report.mask.contains(what);
         if is(AddWatchFlags::IN_Q_OVERFLOW) {
-            tracing::warn!(folder = %self.root.display(), "more happened than the kernel could report: it is listed anew");
+            tracing::warn!(folder = %self.root.display(), "more happened than the kernel could report: it is listed again");
             self.wanted = VecDeque::from([Wanted::All]);
         }
         if is(AddWatchFlags::IN_IGNORED) {

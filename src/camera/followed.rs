@@ -28,8 +28,8 @@ const OPENING: Duration = Duration::from_secs(2);
 const QUIET: Duration = Duration::from_secs(1);
 /// A file that cannot be read for so long after its last change is bad.
 const GIVE_UP: Duration = Duration::from_secs(5);
-/// How often unfinished files are looked at.
-const LOOK_EVERY: Duration = PATIENCE;
+/// How often unfinished files are checked.
+const CHECK_EVERY: Duration = PATIENCE;
 
 /// What becomes of the frames that lie in a folder when it is first found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,13 +48,13 @@ pub struct FollowedFolder {
     /// `None` while there is no such folder.
     watch: Option<FolderWatch>,
     backoff: Backoff,
-    /// When a folder that is not there is looked for next.
+    /// When a folder that is not there is searched next.
     due: Instant,
     /// Files that should be whole, in the order in which they became so.
     whole: VecDeque<PathBuf>,
     /// Files that may yet be written.
     unfinished: BTreeMap<PathBuf, Unfinished>,
-    /// When the unfinished ones are looked at next.
+    /// When the unfinished ones are checked next.
     look_due: Instant,
     /// Files that were written again under a name that was taken.
     rewritten: u64,
@@ -238,13 +238,13 @@ impl FollowedFolder {
         }
     }
 
-    /// Looks which of the unfinished files may be whole by now.
-    fn look(&mut self) {
+    /// Checks which of the unfinished files may be whole by now.
+    fn check(&mut self) {
         let now = Instant::now();
         if now < self.look_due {
             return;
         }
-        self.look_due = now + LOOK_EVERY;
+        self.look_due = now + CHECK_EVERY;
         let (taken, folder, whole) = (&self.taken, &self.folder, &mut self.whole);
         self.unfinished.retain(|file, unfinished| {
             let state = state_of(file);
@@ -306,7 +306,7 @@ impl FrameSource for FollowedFolder {
             false => Duration::ZERO,
         };
         self.follow(patience)?;
-        self.look();
+        self.check();
         let Some(file) = self.whole.pop_front() else {
             return Ok(Take::NotYet);
         };

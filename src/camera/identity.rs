@@ -42,7 +42,7 @@ impl Camera {
 }
 
 /// Labels cameras that fly together, so that the folders which are named by labels differ.
-pub fn tell_apart(cameras: &mut [Camera], folder: impl Fn(&str) -> String) {
+pub fn give_names(cameras: &mut [Camera], folder: impl Fn(&str) -> String) {
     for index in 0..cameras.len() {
         let (before, rest) = cameras.split_at_mut(index);
         let camera = &mut rest[0];

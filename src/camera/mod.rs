@@ -22,7 +22,7 @@ pub use folder::FolderCamera;
 pub use followed::{Backlog, FollowedFolder};
 #[cfg(feature = "gige")]
 pub use genicam::GenicamCamera;
-pub use identity::{Camera, tell_apart};
+pub use identity::{Camera, give_names};
 pub use mono::MonoFormat;
 pub use settings::{CameraSettings, PixelFormat};
 pub use simulated::{SimulatedCamera, TruthLog, View};
@@ -156,7 +156,7 @@ pub trait FrameSource: Send {
         !self.frames_wait()
     }
 
-    /// What there is to tell of the camera; the default where there is no camera.
+    /// What is known of the camera; the default where there is no camera.
     fn health(&self) -> CameraHealth {
         CameraHealth::default()
     }

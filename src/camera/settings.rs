@@ -1,9 +1,9 @@
-//! How a camera is told to take frames.
+//! The settings of a camera.
 
 use crate::frame::Region;
 use std::time::Duration;
 
-/// What a camera is told. What is `None` stays as the camera has it.
+/// The settings that a camera gets. What is `None` stays as the camera has it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraSettings {
     pub rate_hz: f64,

@@ -31,7 +31,7 @@ impl TruthLog {
     }
 }
 
-/// What a simulated camera looks at.
+/// What a simulated camera observes.
 pub enum View {
     /// The Sun on the plate.
     Plate(Box<FlightScenes>),
@@ -95,7 +95,7 @@ struct Drawn {
     truth: Option<TruthOfSun>,
 }
 
-/// A camera that sees a simulated flight, at its own rate and on a clock that starts where it is told.
+/// A camera that sees a simulated flight, at its own rate and on a clock with a given start.
 pub struct SimulatedCamera {
     view: View,
     settings: CameraSettings,

@@ -26,7 +26,7 @@ pub enum Source {
     Folder(PathBuf),
     /// The frames that another program writes into a folder.
     Followed(PathBuf, Backlog),
-    /// The simulator's flight, or the one that a file tells.
+    /// The simulator's flight, or the one in a file.
     Simulated(Option<PathBuf>),
     /// A camera that the program brings which flies this library.
     Own,
@@ -198,10 +198,10 @@ fn simulated(
     })
 }
 
-/// Where the Sun goes in a simulated flight: as a file tells, or on a path of rests and slews without end.
+/// Where the Sun goes in a simulated flight: as a file says, or on a path of rests and slews without end.
 ///
 /// # Errors
-/// A file that tells no flight, and an instrument that has no room for one.
+/// A file that describes no flight, and an instrument whose picture is too small for one.
 pub fn simulated_course(
     file: Option<&Path>,
     instrument: &Instrument,

@@ -1,4 +1,4 @@
-//! Who may look and who may command: token, sessions, origin, and limits on what one address may ask.
+//! Who may view and who may command: token, sessions, origin, and limits on what one address may ask.
 //!
 //! Reading is free on this machine's own addresses; elsewhere, and for commands always, a viewer logs in with the token of a file and
 //! holds a session by a cookie. Requests that change anything must come from a page of the console itself.
@@ -123,7 +123,7 @@ impl Access {
         self.token.is_some()
     }
 
-    /// Whether looking needs a login, too.
+    /// Whether viewing needs a login, too.
     pub fn guards_reading(&self) -> bool {
         !self.is_local || self.public_origin.is_some()
     }
@@ -176,7 +176,7 @@ impl Access {
         let mut addresses = self.addresses();
         if addresses.len() >= MOST_ADDRESSES {
             addresses.retain(|_, known| now.duration_since(known.since) < MINUTE);
-            // All of the last minute: the one that asked longest ago is forgotten.
+            // All of the last minute: the one that asked longest ago is dropped.
             if addresses.len() >= MOST_ADDRESSES {
                 let oldest = addresses.iter().min_by_key(|(_, known)| known.since);
                 let oldest = oldest.map(|(address, _)| *address);

@@ -2,7 +2,7 @@
 
 use super::access::{Refused, unguessable};
 use super::history::History;
-use super::orders::{ARMED, Orders, Request, changes_flight, reading, telling};
+use super::orders::{ARMED, Orders, Request, changes_flight, field_of, reading};
 use super::receive::Outgoing;
 use super::request::{Answer, Body, Console, Failure};
 use super::view::utc;
@@ -57,9 +57,9 @@ fn command(row: &'static CommandRow, history: &History, orders: &Orders) -> Valu
     })
 }
 
-/// What is set now: as the housekeeping tells, or as it was read last.
+/// What is set now: as the housekeeping reports, or as it was read last.
 fn present(row: &CommandRow, variable: usize, history: &History, orders: &Orders) -> Option<Value> {
-    let told = telling(row, variable).and_then(|name| {
+    let set = field_of(row, variable).and_then(|name| {
         let newest = history.row(None)?;
         let field = FIELDS.iter().find(|field| field.name == name)?;
         let value = history.housekeeping.numbers(newest..newest + 1, field.name);
@@ -67,7 +67,7 @@ fn present(row: &CommandRow, variable: usize, history: &History, orders: &Orders
         let time = utc(history.housekeeping.times[newest]);
         Some(json!({"value": value, "from": "housekeeping", "time": time}))
     });
-    told.or_else(|| {
+    set.or_else(|| {
         let name = reading(row, variable)?.name;
         let read = orders.read.get(name)?;
         Some(json!({"value": read.value, "from": name, "time": format!("{:.3}", read.time)}))
@@ -189,7 +189,7 @@ pub async fn send(
     if !matches!(sent, Some(Ok(()))) {
         shared.fail_order(number, "not sent: the line takes no more");
     }
-    shared.tell_of_orders(true);
+    shared.notify_of_orders(true);
     Ok(Json(json!(row)))
 }
 

@@ -20,7 +20,7 @@ pub struct PictureQuery {
     camera: u8,
     at: Option<String>,
     overlay: Option<u8>,
-    /// Tells a browser's cache one from another.
+    /// Distinguishes one from another for a browser's cache.
     #[serde(rename = "version")]
     _version: Option<String>,
 }
@@ -90,16 +90,16 @@ pub async fn plate(State(console): State<Console>, query: Asked<At>) -> Answer<R
 /// By the housekeeping, else by the log of an archive.
 fn sun_on_plate(view: &View) -> Option<SunOnPlate> {
     let history = view.history;
-    let told = history.row(view.at).and_then(|row| {
-        let told = history.housekeeping.told(row)?;
-        let (x, y) = told.plate_x_mil.zip(told.plate_y_mil)?;
+    let place = history.row(view.at).and_then(|row| {
+        let housekeeping = history.housekeeping.at_row(row)?;
+        let (x, y) = housekeeping.plate_x_mil.zip(housekeeping.plate_y_mil)?;
         Some(SunOnPlate {
             time: history.housekeeping.times[row],
             at: PlateMil::new(x.into(), y.into()),
-            sigma_mil: told.plate_sigma_mil.map(f64::from),
+            sigma_mil: housekeeping.plate_sigma_mil.map(f64::from),
         })
     });
-    told.or_else(|| {
+    place.or_else(|| {
         let table = history.tables.get("solutions")?;
         let row = row_at(table.times(), view.at.unwrap_or(Nanoseconds::MAX))?;
         let number = |name| table.value(row, name);

@@ -34,7 +34,7 @@ pub struct Ground {
     pub archive: Option<PathBuf>,
 }
 
-/// The Sun on the plate as the housekeeping tells it.
+/// The Sun on the plate as the housekeeping reports it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SunOnPlate {
     pub time: Nanoseconds,

@@ -20,7 +20,7 @@ const MINUTE_NS: i64 = 60 * SECOND_NS;
 pub const SILENCE_S: i64 = 5;
 /// Alarms that are kept.
 const MOST_ALARMS: usize = 1000;
-/// Reasons that are told apart.
+/// Reasons that are distinguished.
 const MOST_REASONS: usize = 500;
 const OTHER_REASONS: &str = "other reasons";
 /// Tables that are kept: a few of each camera.
@@ -29,7 +29,7 @@ pub const MOST_TABLES: usize = 64;
 const MOST_PICTURES: usize = 12;
 /// Packets of marks that are kept: three days of one camera.
 const MOST_MARKS: usize = 1 << 18;
-/// What is forgotten is forgotten in pieces of an hour.
+/// Old rows are dropped in pieces of an hour.
 const PIECE_NS: i64 = 3600 * SECOND_NS;
 
 /// Names of the tables.
@@ -110,7 +110,7 @@ pub struct History {
     pub reasons: Vec<String>,
     /// By the camera's number and the time of the frame.
     pub pictures: BTreeMap<(u8, Nanoseconds), Partial>,
-    /// Marks whose ids housekeeping has no room for, by its time and the camera's number, with when they arrived.
+    /// Marks whose ids do not fit into the housekeeping, by its time and the camera's number, with when they arrived.
     marks: BTreeMap<(Nanoseconds, u16), (Nanoseconds, FrameMarks)>,
     pub alarms: Vec<Alarm>,
     pub line: LineCounts,
@@ -127,7 +127,7 @@ pub struct History {
     announced: Option<Nanoseconds>,
     /// How long rows are kept, by when they arrived.
     keep: Nanoseconds,
-    /// When what is too old was forgotten last.
+    /// When old rows were dropped last.
     forgot: Option<Nanoseconds>,
 }
 
@@ -170,7 +170,7 @@ fn columns(rows: &[(&str, &str, &str)]) -> Vec<Column> {
 }
 
 impl History {
-    /// Of which rows older than `keep` are forgotten.
+    /// Rows older than `keep` are dropped.
     pub fn new(keep: std::time::Duration) -> Self {
         let tables = [
             Table::new(RECEIVED, columns(&SOLUTION_COLUMNS)),
@@ -266,8 +266,8 @@ impl History {
     fn take_telemetry(&mut self, packet: &TelemetryPacket, arrived: Nanoseconds) {
         let (seconds, nanoseconds) = packet.time();
         let time = i64::from(seconds) * SECOND_NS + i64::from(nanoseconds);
-        if let Some(told) = Housekeeping::decode(packet) {
-            self.take_housekeeping(&told, time, arrived);
+        if let Some(housekeeping) = Housekeeping::decode(packet) {
+            self.take_housekeeping(&housekeeping, time, arrived);
         } else if let Some(section) = Section::decode(packet) {
             self.change_picture(section.camera, (time, arrived), |picture| {
                 picture.take_section(&section);
@@ -288,7 +288,7 @@ impl History {
         self.news.marks += 1;
     }
 
-    /// The ids of marks that were told beside the housekeeping of a time, camera by camera.
+    /// The ids of marks that were reported beside the housekeeping of a time, camera by camera.
     pub fn ids_beside(&self, time: Nanoseconds) -> Option<String> {
         let beside = self.marks.range((time, 0)..=(time, u16::MAX));
         let ids = beside.map(|((_, camera), (_, marks))| {
@@ -323,7 +323,7 @@ impl History {
     /// Takes housekeeping of a time, in its place: packets may be late, or come twice.
     pub fn take_housekeeping(
         &mut self,
-        told: &Housekeeping,
+        housekeeping: &Housekeeping,
         time: Nanoseconds,
         arrived: Nanoseconds,
     ) {
@@ -331,16 +331,16 @@ impl History {
             self.line.doubtful += 1;
             return;
         }
-        let payload = told.payload();
+        let payload = housekeeping.payload();
         let at = place(&self.housekeeping.times, time);
         if self.housekeeping.has(at, time, &payload) {
             self.line.doubled += 1;
             return;
         }
         // A clock that was set back makes rows that are newer by the time since the start, but not by their own.
-        let newest = self.newest.and_then(|row| self.housekeeping.told(row));
+        let newest = self.newest.and_then(|row| self.housekeeping.at_row(row));
         let is_late = at < self.housekeeping.times.len()
-            && newest.is_some_and(|newest| told.uptime_s < newest.uptime_s);
+            && newest.is_some_and(|newest| housekeeping.uptime_s < newest.uptime_s);
         self.count_missing(is_late, time, arrived);
         self.housekeeping.insert(at, time, arrived, payload);
         match is_late {
@@ -361,14 +361,14 @@ impl History {
         }
         let rows = &self.housekeeping;
         let before = |times: &[Nanoseconds], now| self.newest.map_or(now, |row| times[row]);
-        let told = time.saturating_sub(before(&rows.times, time));
+        let theirs = time.saturating_sub(before(&rows.times, time));
         let ours = arrived.saturating_sub(before(&rows.arrived, arrived));
-        let seconds = (told.min(ours.saturating_add(MINUTE_NS)) + SECOND_NS / 2) / SECOND_NS;
+        let seconds = (theirs.min(ours.saturating_add(MINUTE_NS)) + SECOND_NS / 2) / SECOND_NS;
         self.line.missing += u64::try_from(seconds - 1).unwrap_or(0);
     }
 
     fn judge(&mut self, row: usize, is_late: bool) {
-        let (Some(now), Some(before)) = (self.housekeeping.told(row), self.before(row)) else {
+        let (Some(now), Some(before)) = (self.housekeeping.at_row(row), self.before(row)) else {
             return;
         };
         let minute = Minute {
@@ -410,9 +410,9 @@ impl History {
     fn before(&self, row: usize) -> Option<Housekeeping> {
         let times = &self.housekeeping.times;
         let mut first = row_at(times, times.get(row)? - MINUTE_NS).unwrap_or(0);
-        let now = self.housekeeping.told(row)?;
+        let now = self.housekeeping.at_row(row)?;
         loop {
-            let before = self.housekeeping.told(first)?;
+            let before = self.housekeeping.at_row(first)?;
             if first >= row || before.uptime_s <= now.uptime_s {
                 return Some(before);
             }
@@ -422,7 +422,7 @@ impl History {
 
     /// What is wrong by a row's rules, with the time since when, the worst first.
     pub fn findings(&self, row: usize) -> Vec<Alarm> {
-        let (Some(now), Some(before)) = (self.housekeeping.told(row), self.before(row)) else {
+        let (Some(now), Some(before)) = (self.housekeeping.at_row(row), self.before(row)) else {
             return Vec::new();
         };
         let minute = Minute {
@@ -506,7 +506,7 @@ impl History {
         u16::try_from(place).ok()
     }
 
-    /// Forgets what arrived too long ago, an hour at once.
+    /// Drops what arrived too long ago, an hour at once.
     fn forget(&mut self, now: Nanoseconds) {
         let before = *self.forgot.get_or_insert(now);
         if now.saturating_sub(before) < PIECE_NS {

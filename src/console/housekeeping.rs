@@ -42,7 +42,7 @@ impl HousekeepingRows {
         self.payloads.get(row * length..(row + 1) * length)
     }
 
-    pub fn told(&self, row: usize) -> Option<Housekeeping> {
+    pub fn at_row(&self, row: usize) -> Option<Housekeeping> {
         Housekeeping::from_payload(self.payload(row)?)
     }
 
@@ -63,7 +63,7 @@ impl HousekeepingRows {
             .collect()
     }
 
-    /// Forgets what arrived before a time: of each row, whether it was kept.
+    /// Drops what arrived before a time: of each row, whether it was kept.
     pub fn forget_before(&mut self, arrived: Nanoseconds) -> Vec<bool> {
         let kept: Vec<bool> = self.arrived.iter().map(|own| *own >= arrived).collect();
         keep(&mut self.times, &kept);

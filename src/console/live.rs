@@ -26,8 +26,8 @@ const LEAST: Duration = Duration::from_millis(40);
 const MOST: Duration = Duration::from_secs(1);
 /// Between two moments of a replay.
 const STEP: Duration = Duration::from_millis(250);
-/// How often a viewer on a slow line is told what it misses.
-const TELL_LEFT_OUT: Duration = Duration::from_secs(10);
+/// How often a viewer on a slow line is told what is left out for it.
+const REPORT_LEFT_OUT: Duration = Duration::from_secs(10);
 const SOON: Duration = Duration::from_secs(2);
 /// What comes with an event: its name, and the headers of the network.
 const OVERHEAD_BYTES: usize = 100;
@@ -124,7 +124,7 @@ impl Viewer {
                 bits_per_s: 0,
             },
             left_out: 0,
-            told_left_out: now.checked_sub(TELL_LEFT_OUT - SOON).unwrap_or(now),
+            told_left_out: now.checked_sub(REPORT_LEFT_OUT - SOON).unwrap_or(now),
             position: wish.replay.map(|replay| replay.at),
             has_ended: false,
             console,
@@ -165,7 +165,7 @@ impl Viewer {
         if self.seen.is_some() {
             let since = self.moment.elapsed();
             sleep(LEAST.saturating_sub(since)).await;
-            // News or not: the state is told each second.
+            // News or not: the state is sent each second.
             let left = MOST.saturating_sub(self.told_state.elapsed());
             let _ = timeout(left, self.news.changed()).await;
         }
@@ -194,8 +194,8 @@ impl Viewer {
         if orders_changed {
             self.add_rows();
         }
-        if detail == Detail::Main && self.told_left_out.elapsed() > TELL_LEFT_OUT {
-            self.tell_left_out();
+        if detail == Detail::Main && self.told_left_out.elapsed() > REPORT_LEFT_OUT {
+            self.report_left_out();
         }
         self.seen = Some(news);
     }
@@ -282,7 +282,7 @@ impl Viewer {
         self.rows = rows;
     }
 
-    fn tell_left_out(&mut self) {
+    fn report_left_out(&mut self) {
         self.told_left_out = Instant::now();
         let words = format!(
             "on this line: no offsets by gyros, the main fields of the housekeeping, pictures and plots only when asked for; {} updates left out",

@@ -14,7 +14,7 @@
 //! | up to four of the runtime's | a drawing | draws and reads files | nothing |
 //!
 //! The history is locked to take a packet in and to copy out what an answer needs, never while something is drawn, sent or read from
-//! a disk. A viewer is told what is newest when it can take it: one that stalls has nothing queued for it.
+//! a disk. A viewer gets what is newest when it can take it: one that stalls has nothing queued for it.
 //!
 //! The console reads what the ground receives and nothing else, so it costs the flight nothing.
 

@@ -358,8 +358,8 @@ pub fn reading(row: &CommandRow, variable: usize) -> Option<&'static CommandRow>
     COMMANDS.iter().filter(|_| !set.is_empty()).find(reads)
 }
 
-/// The field of the housekeeping that tells what a variable of a command has set last.
-pub fn telling(row: &CommandRow, variable: usize) -> Option<&'static str> {
+/// The field of the housekeeping that shows what a variable of a command has set last.
+pub fn field_of(row: &CommandRow, variable: usize) -> Option<&'static str> {
     match row.variables.get(variable)?.settings {
         [setting::STORE_PITCH_YAW] => Some("storing"),
         [setting] => {

@@ -21,7 +21,7 @@ pub struct Partial {
     pixels: Vec<Option<u8>>,
     pub received: usize,
     pub tags: Vec<Tag>,
-    /// Keywords that found no room.
+    /// Keywords that did not fit.
     pub tags_lost: u64,
     /// That its packets carry: of the frame.
     pub time: Nanoseconds,

@@ -15,11 +15,11 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long the line is waited for before commands are looked for.
+/// How long the line is waited for before commands are checked.
 const WAIT: Duration = Duration::from_millis(20);
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
-/// How often a growing archive or recording is looked at.
-pub const LOOK: Duration = Duration::from_millis(500);
+/// How often a growing archive or recording is read.
+pub const POLL_EVERY: Duration = Duration::from_millis(500);
 
 /// A command on its way to the line.
 #[derive(Debug, Clone)]
@@ -49,7 +49,7 @@ impl Line {
         let start = Instant::now();
         let mut parser = Parser::new(Direction::ToController);
         let mut buffer = [0; 65536];
-        let mut looked = None;
+        let mut polled = None;
         while !shared.is_over() {
             let now = start.elapsed();
             self.connection.revive(now);
@@ -84,10 +84,10 @@ impl Line {
                 }
             }
             self.send(shared, start.elapsed());
-            if looked.is_none_or(|looked: Instant| looked.elapsed() > LOOK) {
-                looked = Some(Instant::now());
+            if polled.is_none_or(|polled: Instant| polled.elapsed() > POLL_EVERY) {
+                polled = Some(Instant::now());
                 shared.give_up_on_orders();
-                self.look_at_frames(shared);
+                self.poll_frames(shared);
             }
         }
     }
@@ -144,7 +144,7 @@ impl Line {
         }
     }
 
-    fn look_at_frames(&mut self, shared: &Shared) {
+    fn poll_frames(&mut self, shared: &Shared) {
         if let Some(frames) = &mut self.frames {
             // Its folder may not be there yet.
             let _ = read_on(frames, shared);
@@ -173,14 +173,14 @@ pub fn follow(mut archive: Follower, shared: &Arc<Shared>) {
             Ok(true) => {}
             Ok(false) => {
                 is_read = true;
-                thread::sleep(LOOK);
+                thread::sleep(POLL_EVERY);
             }
             Err(error) => {
                 failed += 1;
                 if failed.is_power_of_two() {
                     tracing::error!(%error, failed, "the archive cannot be read");
                 }
-                thread::sleep(LOOK);
+                thread::sleep(POLL_EVERY);
             }
         }
     }

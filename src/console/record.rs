@@ -1,7 +1,7 @@
 //! A recording, read into the history, and read on while it grows.
 
 use super::history::History;
-use super::receive::LOOK;
+use super::receive::POLL_EVERY;
 use super::shared::Shared;
 use crate::link::byte_log::{Burst, LogError, Reader};
 use crate::link::{Direction, Parser};
@@ -74,7 +74,7 @@ impl Record {
                     }
                     self.warn();
                     is_read = true;
-                    thread::sleep(LOOK);
+                    thread::sleep(POLL_EVERY);
                 }
                 Ok(_) => {
                     grew = Instant::now();
@@ -88,7 +88,7 @@ impl Record {
                     if failed.is_power_of_two() {
                         tracing::error!(%error, failed, "the recording cannot be read");
                     }
-                    thread::sleep(LOOK);
+                    thread::sleep(POLL_EVERY);
                 }
             }
         }
@@ -138,11 +138,11 @@ mod tests {
     /// A line with the housekeeping of a second.
     fn line(second: u32) -> String {
         let time = Timestamp::new(1_379_786_400 + i64::from(second), 1).unwrap();
-        let told = Housekeeping {
+        let housekeeping = Housekeeping {
             uptime_s: second,
             ..Housekeeping::default()
         };
-        let bytes = told.packet(time).unwrap().encode();
+        let bytes = housekeeping.packet(time).unwrap().encode();
         format!("{}\n", Burst { time, bytes })
     }
 

@@ -42,7 +42,7 @@ impl Relay {
         })
     }
 
-    /// Passes a datagram on, unless it was passed on a short time ago. Whoever does not listen misses it.
+    /// Passes a datagram on, unless it was passed on a short time ago. Whoever does not listen does not get it.
     pub fn pass_on(&mut self, datagram: &[u8], now: Instant) {
         if self.ports.is_empty() || !self.passed.is_new(datagram, now) {
             return;

@@ -175,10 +175,10 @@ impl Console {
         self.parts.outbox.is_some() && self.parts.access.has_token()
     }
 
-    /// Looks at the flight at a time, or at its newest.
-    pub fn view<T>(&self, at: Option<Nanoseconds>, look: impl FnOnce(&View) -> T) -> T {
+    /// Reads the flight at a time, or at its newest.
+    pub fn view<T>(&self, at: Option<Nanoseconds>, read: impl FnOnce(&View) -> T) -> T {
         let history = self.parts.shared.history();
-        look(&View {
+        read(&View {
             history: &history,
             at,
             now: Timestamp::now(),
@@ -206,7 +206,7 @@ pub fn time(name: &str, text: Option<&String>) -> Answer<Option<Nanoseconds>> {
     time.map_err(|error| Failure::bad(format!("{name}: {error}")))
 }
 
-/// A picture as PNG: fast, for it is looked at once.
+/// A picture as PNG: fast, for it is viewed once.
 pub fn png(image: &RgbImage) -> Answer<Response> {
     let mut bytes = Vec::new();
     let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub);

@@ -61,7 +61,7 @@ macro_rules! counter {
             name: stringify!($field),
             severity: Severity::$severity,
             found: |minute| {
-                let of = |told: &Housekeeping| u64::from(told.$field);
+                let of = |housekeeping: &Housekeeping| u64::from(housekeeping.$field);
                 growth($what, of(minute.before), of(minute.now))
             },
         }
@@ -247,8 +247,8 @@ pub const WATCHES: &[Watch] = &[
                 name: "disk_refusals",
                 severity: Severity::Alarm,
                 found: |minute| {
-                    let of = |told: &Housekeeping| {
-                        u64::from(told.disk_1_refusals) + u64::from(told.disk_2_refusals)
+                    let of = |housekeeping: &Housekeeping| {
+                        u64::from(housekeeping.disk_1_refusals) + u64::from(housekeeping.disk_2_refusals)
                     };
                     growth(
                         "refusal by a disk|refusals by a disk",
@@ -364,16 +364,16 @@ fn growth(what: &str, before: u64, now: u64) -> Option<String> {
 }
 
 /// How far what the cameras show is from where the gyros have it; `None` where nothing is compared.
-pub fn gyros_against_sun(told: &Housekeeping) -> Option<String> {
+pub fn gyros_against_sun(housekeeping: &Housekeeping) -> Option<String> {
     let sigmas =
         |value: Option<f32>| value.map_or("\u{2013}".into(), |value| format!("{value:.1}"));
     let [right, up, roll] = [
-        told.gyro_right_sigmas,
-        told.gyro_up_sigmas,
-        told.gyro_roll_sigmas,
+        housekeeping.gyro_right_sigmas,
+        housekeeping.gyro_up_sigmas,
+        housekeeping.gyro_roll_sigmas,
     ]
     .map(sigmas);
-    (told.gyro_agreement > 0)
+    (housekeeping.gyro_agreement > 0)
         .then(|| format!("Gyros against Sun: {right}, {up} sigma; roll {roll}"))
 }
 
@@ -381,8 +381,11 @@ fn queue(waiting: u16, words: &str) -> Option<String> {
     (waiting > 1).then(|| format!("{waiting} {words}"))
 }
 
-fn fullest(told: &Housekeeping, range: std::ops::Range<u8>) -> Option<String> {
-    let full = [told.disk_1, told.disk_2].into_iter().flatten().max()?;
+fn fullest(housekeeping: &Housekeeping, range: std::ops::Range<u8>) -> Option<String> {
+    let full = [housekeeping.disk_1, housekeeping.disk_2]
+        .into_iter()
+        .flatten()
+        .max()?;
     range
         .contains(&full)
         .then(|| format!("a disk of the archive is {full} % full"))
@@ -414,15 +417,15 @@ fn without_fine(minute: &Minute) -> Option<String> {
 }
 
 /// The frames that went no further than each stage.
-fn stopped(told: &Housekeeping) -> [(&'static str, u16); 7] {
+fn stopped(housekeeping: &Housekeeping) -> [(&'static str, u16); 7] {
     [
-        ("levels", told.stopped_levels),
-        ("limb", told.stopped_limb),
-        ("marks", told.stopped_marks),
-        ("identification", told.stopped_identification),
-        ("registration", told.stopped_registration),
-        ("aspect", told.stopped_aspect),
-        ("pointing", told.stopped_pointing),
+        ("levels", housekeeping.stopped_levels),
+        ("limb", housekeeping.stopped_limb),
+        ("marks", housekeeping.stopped_marks),
+        ("identification", housekeeping.stopped_identification),
+        ("registration", housekeeping.stopped_registration),
+        ("aspect", housekeeping.stopped_aspect),
+        ("pointing", housekeeping.stopped_pointing),
     ]
 }
 

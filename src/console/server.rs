@@ -181,7 +181,7 @@ async fn stream(State(console): State<Console>, query: Asked<StreamQuery>) -> An
         )));
     }
     if console.shared().viewers.load(Ordering::Relaxed) >= MOST_VIEWERS {
-        let words = format!("{MOST_VIEWERS} viewers look already");
+        let words = format!("{MOST_VIEWERS} viewers are connected already");
         return Err(Failure(StatusCode::SERVICE_UNAVAILABLE, words));
     }
     let replay = time("at", at.as_ref())?.map(|at| Replay { at, speed });

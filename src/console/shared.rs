@@ -45,7 +45,7 @@ impl Shared {
         self.orders.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes the history and tells the viewers.
+    /// Changes the history and notifies the viewers.
     pub fn change(&self, change: impl FnOnce(&mut History)) {
         let mut history = self.history();
         let before = history.news;
@@ -62,24 +62,24 @@ impl Shared {
         self.news.subscribe()
     }
 
-    /// Looks for answers to commands in a packet.
+    /// Searches for answers to commands in a packet.
     pub fn hear_answer(&self, packet: &Packet, now: Timestamp) {
         let has_changed = self.orders().hear(packet, now);
-        self.tell_of_orders(has_changed);
+        self.notify_of_orders(has_changed);
     }
 
     /// Closes the rows of commands that nobody answers.
     pub fn give_up_on_orders(&self) {
         let has_changed = self.orders().give_up(Timestamp::now());
-        self.tell_of_orders(has_changed);
+        self.notify_of_orders(has_changed);
     }
 
     pub fn fail_order(&self, number: u64, why: &str) {
         self.orders().fail(number, why, Timestamp::now());
-        self.tell_of_orders(true);
+        self.notify_of_orders(true);
     }
 
-    pub fn tell_of_orders(&self, has_changed: bool) {
+    pub fn notify_of_orders(&self, has_changed: bool) {
         if has_changed {
             self.change(|history| history.news.orders += 1);
         }

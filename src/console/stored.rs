@@ -180,8 +180,8 @@ impl Log {
             return;
         };
         if self.what == HOUSEKEEPING {
-            if let Some(told) = Housekeeping::from_csv(|name| self.field(row, name)) {
-                history.take_housekeeping(&told, time, time);
+            if let Some(housekeeping) = Housekeeping::from_csv(|name| self.field(row, name)) {
+                history.take_housekeeping(&housekeeping, time, time);
             }
             return;
         }

@@ -24,7 +24,7 @@ pub struct Steady {
     doubted: Option<(Moment, Moment)>,
 }
 
-/// A time of the flight's clock, and of ours when it was told.
+/// A time of the flight's clock, and of ours when it was reported.
 #[derive(Debug, Clone, Copy)]
 struct Moment {
     time: Nanoseconds,
@@ -130,7 +130,7 @@ impl Table {
         value.is_finite().then(|| value.into())
     }
 
-    /// Forgets what arrived before a time.
+    /// Drops what arrived before a time.
     pub fn forget_before(&mut self, arrived: Nanoseconds) {
         let oldest_s = seconds(arrived);
         let kept: Vec<bool> = self.arrived_s.iter().map(|own| *own >= oldest_s).collect();

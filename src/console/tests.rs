@@ -36,11 +36,11 @@ fn at(second: i64) -> Timestamp {
 fn history() -> History {
     let mut history = History::new(Duration::from_secs(3600));
     for second in 0..20 {
-        let told = Housekeeping {
+        let housekeeping = Housekeeping {
             uptime_s: second,
             ..Housekeeping::default()
         };
-        let packet = told.packet(at(second.into())).unwrap();
+        let packet = housekeeping.packet(at(second.into())).unwrap();
         history.take(&Packet::Telemetry(packet), at(second.into()));
     }
     history
@@ -259,7 +259,7 @@ fn a_thousand_broken_packets_do_no_harm() {
     const { assert!(SECTION_PIXELS < 400) };
     for (row, time) in history.housekeeping.times.iter().enumerate() {
         history.findings(row);
-        assert!(history.housekeeping.told(row).is_some(), "{time}");
+        assert!(history.housekeeping.at_row(row).is_some(), "{time}");
     }
     assert!(history.housekeeping.times.is_sorted());
     assert!(history.span().is_some());
@@ -279,12 +279,12 @@ fn ids_of_any_plate_are_shown_with_the_housekeeping_of_their_second() {
         let marks = FrameMarks::new(camera, 7, ids).unwrap();
         take(19, marks.packet(at(19)).unwrap());
     }
-    let told = Housekeeping {
+    let housekeeping = Housekeeping {
         uptime_s: 20,
         ids: MarkIds::new([[-7, 7]]),
         ..Housekeeping::default()
     };
-    take(20, told.packet(at(20)).unwrap());
+    take(20, housekeeping.packet(at(20)).unwrap());
     let shown = |second: i64| {
         let view = View {
             history: &history,
@@ -305,23 +305,23 @@ fn ids_of_any_plate_are_shown_with_the_housekeeping_of_their_second() {
 #[test]
 fn two_packets_of_another_decade_forget_nothing_and_miss_nothing() {
     let mut history = history();
-    let told = |uptime_s| Housekeeping {
+    let housekeeping = |uptime_s| Housekeeping {
         uptime_s,
         ..Housekeeping::default()
     };
     for second in 20..22 {
-        let packet = told(second).packet(at(i64::from(second) + 315_360_000));
+        let packet = housekeeping(second).packet(at(i64::from(second) + 315_360_000));
         history.take(&Packet::Telemetry(packet.unwrap()), at(second.into()));
     }
     for second in 22..30 {
-        let packet = told(second).packet(at(second.into())).unwrap();
+        let packet = housekeeping(second).packet(at(second.into())).unwrap();
         history.take(&Packet::Telemetry(packet), at(second.into()));
     }
     assert_eq!(history.housekeeping.times.len(), 28);
     assert_eq!((history.line.missing, history.line.doubtful), (2, 2));
     // An hour and more later what arrived first is forgotten.
     for second in 7200..7202 {
-        let packet = told(second).packet(at(second.into())).unwrap();
+        let packet = housekeeping(second).packet(at(second.into())).unwrap();
         history.take(&Packet::Telemetry(packet), at(second.into()));
     }
     assert_eq!(history.housekeeping.times.len(), 2);

@@ -28,7 +28,7 @@ pub const EXERCISES: &[Exercise] = &[
         happens: "The camera that sees the plate gives no frames, and says nothing. The camera of the horizon goes on.",
         shows: "Within 3 s the alarm \"a camera gave no frames\": `silent_s` grows by 1 each second, `fine` stands still, no solutions of the Sun come. After 10 s \"the \
                 inertial filter coasts\": offsets by the gyros go on, with a sigma that grows. The alarm ends a minute after frames come again.",
-        remedy: "Point by the gyros while their sigma allows it. Nothing is to be sent: the program looks for the camera, and sets it again when it is back. If it stays silent, have \
+        remedy: "Point by the gyros while their sigma allows it. Nothing is to be sent: the program searches for the camera, and sets it again when it is back. If it stays silent, have \
                  its power switched off and on.",
         rules: &["silent_s"],
     },
@@ -39,7 +39,7 @@ pub const EXERCISES: &[Exercise] = &[
         shows: "Within 3 s the alarms \"a disk of the archive is 100 % full\" and \"refusals by a disk\", then \"frames that no disk took\": `unstored` grows with each frame, `stored` stands \
                 still. Solutions go on. The first alarm ends with the fault, the others a minute later.",
         remedy: "Leave the pointing alone: nothing of it depends on the disk. Note the time: the pictures from then on are lost; the rows of the logs wait, and are written when there is \
-                 room. Have room made, or another disk mounted.",
+                 space. Have space made, or another disk mounted.",
         rules: &["disks_full", "unstored"],
     },
     Exercise {

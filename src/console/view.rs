@@ -36,7 +36,7 @@ const MAIN_FIELDS: [&str; 16] = [
     "solutions",
 ];
 
-/// How much a viewer is told.
+/// How much a viewer gets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Detail {
     All,
@@ -94,7 +94,7 @@ impl View<'_> {
         })
     }
 
-    /// The time that is looked at.
+    /// The time that is shown.
     fn time(&self) -> Option<Nanoseconds> {
         self.at
             .or_else(|| self.history.span().map(|(_, last)| last))
@@ -156,11 +156,14 @@ impl View<'_> {
     pub fn housekeeping(&self, detail: Detail) -> Option<Value> {
         let rows = &self.history.housekeeping;
         let row = self.history.row(self.at)?;
-        let told = rows.told(row)?;
-        let gyros = gyros_against_sun(&told).filter(|_| detail == Detail::All);
-        let told = told.csv_row();
+        let housekeeping = rows.at_row(row)?;
+        let gyros = gyros_against_sun(&housekeeping).filter(|_| detail == Detail::All);
+        let values = housekeeping.csv_row();
         let is_shown = |field: &&Field| detail == Detail::All || MAIN_FIELDS.contains(&field.name);
-        let fields = FIELDS.iter().zip(told).filter(|(field, _)| is_shown(field));
+        let fields = FIELDS
+            .iter()
+            .zip(values)
+            .filter(|(field, _)| is_shown(field));
         let time = rows.times[row];
         let value = |field: &Field, text: &str| match field.name {
             // Those of other plates come in packets of their own.
@@ -334,7 +337,7 @@ pub fn fields(history: &History) -> Vec<Value> {
             "number": true,
         })
     };
-    let told = FIELDS.iter().map(|one| {
+    let fields = FIELDS.iter().map(|one| {
         let mut json = field(HOUSEKEEPING, one.name, one.unit, &one.documentation());
         json["number"] = json!(one.is_number);
         json
@@ -354,5 +357,5 @@ pub fn fields(history: &History) -> Vec<Value> {
             )
         })
     });
-    told.chain(columns).collect()
+    fields.chain(columns).collect()
 }

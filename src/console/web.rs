@@ -32,8 +32,8 @@ const HEAD: Duration = Duration::from_secs(10);
 const BODY: Duration = Duration::from_secs(10);
 /// The largest body of a request, bytes.
 const LARGEST_BODY: usize = 16 * 1024;
-/// How often the end of the console is looked for.
-const LOOK: Duration = Duration::from_millis(100);
+/// How often the end of the console is checked.
+const POLL_EVERY: Duration = Duration::from_millis(100);
 /// Threads that draw.
 const DRAWERS: usize = 4;
 
@@ -58,7 +58,7 @@ async fn accept(listener: TcpListener, router: Router, shared: &Shared) -> std::
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let mut places = Places::default();
     while !shared.is_over() {
-        let Ok(accepted) = timeout(LOOK, listener.accept()).await else {
+        let Ok(accepted) = timeout(POLL_EVERY, listener.accept()).await else {
             continue;
         };
         let (stream, peer) = match accepted {
@@ -66,7 +66,7 @@ async fn accept(listener: TcpListener, router: Router, shared: &Shared) -> std::
             Err(error) => {
                 // No more descriptors, for one: those that are open may close.
                 tracing::warn!(%error, "a connection cannot be taken");
-                tokio::time::sleep(LOOK).await;
+                tokio::time::sleep(POLL_EVERY).await;
                 continue;
             }
         };
@@ -97,7 +97,7 @@ struct Place {
 struct Places(Vec<Place>);
 
 impl Places {
-    /// Whether there is room for one more of an address. It may take the place of one that was not served yet.
+    /// Whether one more of an address is allowed. It may take the place of one that was not served yet.
     fn make_room(&mut self, peer: IpAddr) -> bool {
         self.0.retain(|place| !place.task.is_finished());
         let is_own = |place: &Place| place.peer == peer;

@@ -8,28 +8,28 @@ use std::{fs, io};
 /// So long a frame is kept: both cameras' at 4 Hz are 3.6 MB a second.
 const KEPT: Duration = Duration::from_secs(600);
 /// How often older ones are searched for.
-const LOOK_EVERY: Duration = Duration::from_secs(60);
+const CHECK_EVERY: Duration = Duration::from_secs(60);
 
 /// An archive that keeps its newest frames. Logs stay.
 pub(super) struct Recent {
     folder: PathBuf,
-    looked: Instant,
+    checked: Instant,
 }
 
 impl Recent {
     pub fn of(folder: &Path) -> Self {
         Self {
             folder: folder.into(),
-            looked: Instant::now(),
+            checked: Instant::now(),
         }
     }
 
     /// Removes the older frames, once in a while.
     pub fn tidy(&mut self) {
-        if self.looked.elapsed() < LOOK_EVERY {
+        if self.checked.elapsed() < CHECK_EVERY {
             return;
         }
-        self.looked = Instant::now();
+        self.checked = Instant::now();
         if let Err(error) = forget(&self.folder, KEPT) {
             tracing::warn!(%error, "old frames of the demonstration were not removed");
         }

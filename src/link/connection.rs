@@ -18,7 +18,7 @@ type Open = Box<dyn FnMut() -> Result<AnyPort, PortError> + Send>;
 
 /// What an address must be.
 pub const EXPECTED: &str = "a serial device by its path (/dev/...), udp:HOST:PORT or udp:HOST:PORT@LOCALPORT, where HOST is an \
-                            IP address (names are not looked up: that may take seconds)";
+                            IP address (names are not resolved: that may take seconds)";
 
 /// Where the other end is: a serial device by its path, or `udp:HOST:PORT[@LOCALPORT]` with an IP address as HOST.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -102,7 +102,7 @@ impl GpsFix {
         last.is_none_or(|last| self.is_within(last, LATITUDE_JUMP_DEG, LONGITUDE_JUMP_DEG))
     }
 
-    /// Whether two fixes tell of one place, to about a degree.
+    /// Whether two fixes are of one place, to about a degree.
     pub fn agrees_with(self, other: Self) -> bool {
         self.is_within(other, AGREEMENT_DEG, AGREEMENT_DEG)
     }

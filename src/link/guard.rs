@@ -4,8 +4,8 @@
 //!
 //! 1. Datagrams from other addresses than the peers' are refused.
 //! 2. Without a key, a packet must be newer than the last one of its sender (address and port), by serial arithmetic on
-//!    its sequence number (RFC 1982). What is known of a sender is forgotten [`MEMORY`] after its last accepted packet, so
-//!    that one that begins to count anew is heard again.
+//!    its sequence number (RFC 1982). What is known of a sender is dropped [`MEMORY`] after its last accepted packet, so
+//!    that one that starts its count again is heard again.
 //! 3. With a key, a datagram must be signed for this computer, and its stamp must be new: none that was taken before, and not older than
 //!    [`MEMORY`] before the newest, whoever sent that. So senders whose clocks differ do not disturb each other, and a
 //!    copy from any address is refused. The own clock plays no part: one that is wrong locks nobody out.
@@ -141,7 +141,7 @@ impl Guard {
         }
     }
 
-    /// Looks at sender, signature and stamp of a datagram.
+    /// Checks sender, signature and stamp of a datagram.
     pub fn open<'a>(
         &mut self,
         datagram: &'a [u8],
@@ -314,7 +314,7 @@ mod tests {
             taken.is_ok()
         };
         assert!(admits(100, 0) && admits(101, 10));
-        // It begins to count anew.
+        // It starts its count again.
         assert!((11..=40).all(|second| !admits(second as u16 - 10, second)));
         assert!(admits(31, 41));
     }

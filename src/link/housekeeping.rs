@@ -1,4 +1,4 @@
-//! Housekeeping: what the aspect system tells the ground each second, in one telemetry packet of type 0x70.
+//! Housekeeping: what the aspect system reports to the ground each second, in one telemetry packet of type 0x70.
 //!
 //! The table below is the layout, the struct and the page on the protocol. The first byte of the payload is the
 //! layout's number: a field that is added, removed or changed makes a new one.
@@ -170,7 +170,7 @@ macro_rules! housekeeping {
 
         impl From<Parts> for Housekeeping {
             fn from(parts: Parts) -> Self {
-                Self { $($($field: parts.$section.$field.told(),)*)* }
+                Self { $($($field: parts.$section.$field.into_field(),)*)* }
             }
         }
     };
@@ -217,7 +217,7 @@ macro_rules! sections {
     ($struct:ident, $section:ident, $($rest:tt)*) => { sections!(@$section $struct [] $($rest)*); };
 }
 
-/// All that housekeeping tells, by those who know it. Whoever adds a field is told by the compiler where it is missing.
+/// All values of the housekeeping, by the part that knows them. The compiler shows whoever adds a field where it is missing.
 #[derive(Debug, Clone, Default)]
 pub struct Parts {
     pub count: Counts,
@@ -230,25 +230,25 @@ pub struct Parts {
     pub system: SystemStatus,
 }
 
-/// How a part's value becomes that of its field: as it is, and counts as far as there is room for them.
-trait Tell<T> {
-    fn told(self) -> T;
+/// How a part's value becomes that of its field: as it is; counts stop at the largest that fits.
+trait IntoField<T> {
+    fn into_field(self) -> T;
 }
 
-impl<T> Tell<T> for T {
-    fn told(self) -> T {
+impl<T> IntoField<T> for T {
+    fn into_field(self) -> T {
         self
     }
 }
 
-impl Tell<u16> for u64 {
-    fn told(self) -> u16 {
+impl IntoField<u16> for u64 {
+    fn into_field(self) -> u16 {
         saturated(self)
     }
 }
 
-impl Tell<u32> for u64 {
-    fn told(self) -> u32 {
+impl IntoField<u32> for u64 {
+    fn into_field(self) -> u32 {
         saturated(self)
     }
 }
@@ -273,7 +273,7 @@ impl Counter {
     }
 }
 
-/// A count as a field has room for it.
+/// A count as it fits a field.
 pub fn saturated<T: TryFrom<u64> + Most>(count: u64) -> T {
     T::try_from(count).unwrap_or(T::MOST)
 }
@@ -427,7 +427,7 @@ housekeeping! {
     [archive]
     disk_1_refusals: u32, "", "how often the archive's first disk refused";
     disk_2_refusals: u32, "", "how often its second disk refused";
-    rows_refused: u32, "", "rows that a log refused or had no room for";
+    rows_refused: u32, "", "rows that a log refused, or that did not fit into its queue";
     [system]
     gps_refused: u16, "", "GPS fixes that were not believed";
     [count]
@@ -470,9 +470,9 @@ housekeeping! {
     navigation_refused: u16, "", "fixes and directions that contradict the filter";
     navigation_out_of_time: u16, "", "fixes and directions that came too late or too early";
     [count]
-    navigation_lost: u16, "", "inputs that the filter had no room for";
+    navigation_lost: u16, "", "inputs that did not fit into the filter's queue";
     [navigation]
-    navigation_restarts: u16, "", "times that the filter began anew";
+    navigation_restarts: u16, "", "restarts of the filter";
     [gps]
     gps_no_fix: u16, "", "times that the GPS receiver said it has no fix";
     gps_estimated: u16, "", "its fixes that were not used: by dead reckoning";
@@ -561,8 +561,8 @@ fn completed(payload: &[u8], added: &str) -> Option<Vec<u8>> {
     let added: usize = added.map(|field| field.bytes).sum();
     let mut completed = Housekeeping::default().payload();
     let known = completed.len() - added;
-    let (told, _) = completed.split_at_mut_checked(known)?;
-    told.copy_from_slice(payload.get(..told.len())?);
+    let (known_bytes, _) = completed.split_at_mut_checked(known)?;
+    known_bytes.copy_from_slice(payload.get(..known_bytes.len())?);
     completed[0] = LAYOUT;
     Some(completed)
 }
@@ -865,21 +865,21 @@ mod tests {
     #[test]
     fn what_is_told_is_what_is_heard() {
         let time = Timestamp::from_second(1_379_786_400).unwrap();
-        for told in [Housekeeping::default(), full()] {
-            let packet = told.packet(time).unwrap();
-            assert_eq!(Housekeeping::decode(&packet), Some(told));
+        for housekeeping in [Housekeeping::default(), full()] {
+            let packet = housekeeping.packet(time).unwrap();
+            assert_eq!(Housekeeping::decode(&packet), Some(housekeeping));
         }
     }
 
     #[test]
     fn a_row_of_a_log_is_read_as_it_was_written() {
-        for told in [Housekeeping::default(), full()] {
-            let row = told.csv_row();
+        for housekeeping in [Housekeeping::default(), full()] {
+            let row = housekeeping.csv_row();
             let value = |name: &str| {
                 let at = FIELDS.iter().position(|field| field.name == name)?;
                 Some(row[at].as_str())
             };
-            assert_eq!(Housekeeping::from_csv(value), Some(told));
+            assert_eq!(Housekeeping::from_csv(value), Some(housekeeping));
         }
         assert_eq!(
             Housekeeping::from_csv(|_| None),
@@ -953,7 +953,7 @@ mod tests {
             simulated: false,
             ..layout_2.clone()
         };
-        for (layout, stated_length, told) in [
+        for (layout, stated_length, housekeeping) in [
             (1, 207, layout_1),
             (2, 245, layout_2),
             (4, 282, layout_8.clone()),
@@ -969,7 +969,10 @@ mod tests {
             );
             let mut payload = full().payload();
             payload[0] = layout;
-            assert_eq!(Housekeeping::from_payload(&payload[..length]), Some(told));
+            assert_eq!(
+                Housekeeping::from_payload(&payload[..length]),
+                Some(housekeeping)
+            );
             for shorter in 0..length {
                 assert_eq!(Housekeeping::from_payload(&payload[..shorter]), None);
             }

@@ -38,7 +38,7 @@ pub struct ImuPacket {
 }
 
 impl ImuPacket {
-    /// Samples that are missing between this and a later one, by their counters; none where they came in another order, or the IMU began anew.
+    /// Samples that are missing between this and a later one, by their counters; none where they came in another order, or the IMU restarted.
     pub fn missing_before(&self, later: &Self) -> u64 {
         let step = later.counter.wrapping_sub(self.counter);
         match step {

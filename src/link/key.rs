@@ -37,19 +37,19 @@ pub enum KeyError {
 #[derive(Clone)]
 pub struct Key(Hmac<Sha256>);
 
-/// Signs what goes to one computer, and tells what was signed for it.
+/// Signs what goes to one computer, and recognises what was signed for it.
 #[derive(Clone)]
 pub struct Seal(Hmac<Sha256>);
 
 impl fmt::Debug for Seal {
-    /// Tells nothing of the secret.
+    /// Shows nothing of the secret.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str("Seal")
     }
 }
 
 impl fmt::Debug for Key {
-    /// Tells nothing of the secret.
+    /// Shows nothing of the secret.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str("Key")
     }

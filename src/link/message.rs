@@ -20,13 +20,13 @@ use jiff::Timestamp;
 /// Error code of a frame whose Sun was found but whose time or place is not known.
 pub const NO_OFFSET: u16 = 100;
 
-/// What the controller is told of a frame without a solution: 1 to 7 for the stage that it did not pass.
+/// What is sent to the controller for a frame without a solution: 1 to 7 for the stage that it did not pass.
 #[rustfmt::skip] // One row, one line.
 pub static ERROR_CODES: Codes = Codes { name: "error_code", rows: &[
     (1, "levels", "levels: no disc stands out of the background"),
     (2, "limb", "limb: no disc was found"),
     (3, "marks", "marks: too few were seen"),
-    (4, "identification", "identification: the marks could not be told apart"),
+    (4, "identification", "identification: the marks could not be identified"),
     (5, "registration", "registration: no mapping fits the marks"),
     (6, "aspect", "aspect: the Sun's place on the plate is not known"),
     (7, "pointing", "pointing: the target cannot be pointed at from here"),
@@ -320,7 +320,7 @@ impl Message {
 
 /// The messages of a payload in their order, each with its own bytes.
 ///
-/// A message that cannot be read is an error in its place. Where its key does not tell its length, or the payload is too
+/// A message that cannot be read is an error in its place. Where its key does not give its length, or the payload is too
 /// short for it, it is the last one, and its bytes stay in the [rest](Self::rest).
 #[derive(Debug, Clone)]
 pub struct Messages<'a> {

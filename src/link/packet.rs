@@ -114,7 +114,7 @@ impl CommandPacket {
     }
 }
 
-/// A telemetry packet: what the aspect system tells without being part of the control loop.
+/// A telemetry packet: what the aspect system reports without being part of the control loop.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TelemetryPacket {
     kind: u8,
@@ -232,7 +232,7 @@ impl Packet {
 }
 
 /// Both forms share one sync word. A type of telemetry is no id of a target, but for 0x01: there the next byte
-/// tells, since no command has a payload as long as the aspect system's id (48 bytes).
+/// shows, since no command has a payload as long as the aspect system's id (48 bytes).
 fn is_telemetry(direction: Direction, kind: u8, source: u8) -> bool {
     use telemetry_type::*;
     match (direction, kind) {

@@ -37,7 +37,7 @@ pub struct Parser {
     bytes: Vec<u8>,
     /// The sync words in `bytes`, in order. The first one is always open.
     candidates: Vec<Candidate>,
-    /// Where to look for the next sync word.
+    /// Where to search for the next sync word.
     searched: usize,
     last_byte: Duration,
     rejected: Rejected,
@@ -155,9 +155,9 @@ impl Parser {
         let rejected = self.candidates.iter().take_while(|c| c.start < count);
         self.rejected.packets += rejected.clone().count() as u64;
         self.rejected.bytes += count as u64;
-        let room = REASONS.saturating_sub(self.reasons.len());
+        let left = REASONS.saturating_sub(self.reasons.len());
         let reasons = rejected
-            .take(room)
+            .take(left)
             .map(|c| c.reason(&self.bytes, self.direction));
         self.reasons.extend(reasons);
         self.remove(count);

@@ -53,7 +53,7 @@ pub trait BytePort {
     /// Writes all bytes, one packet at a time, or fails after `timeout`; how many went by then is in the error.
     fn write(&mut self, bytes: &[u8], timeout: Duration) -> Result<(), PortError>;
 
-    /// Bytes that have been written and are still on this machine, as far as the system tells.
+    /// Bytes that have been written and are still on this machine, as far as the system reports.
     fn backlog(&mut self) -> usize {
         0
     }

@@ -73,10 +73,10 @@ fn what_the_program_writes_is_read_by_the_tables() {
         assert_eq!(payload.len(), length + variables, "{}", row.name);
     }
     for row in MESSAGES {
-        let told = every_message()
+        let known = every_message()
             .iter()
             .any(|message| message.key() == row.key);
-        assert!(told, "{} is not among the messages", row.name);
+        assert!(known, "{} is not among the messages", row.name);
     }
 }
 
@@ -106,11 +106,11 @@ fn telemetry_is_read_by_the_tables() {
         rate_rad_s: [0.125, 2.0, 4.0],
     };
     let marks = FrameMarks::new(1, 70_000, &[[101, -2], [-9999, 0]]).unwrap();
-    let mut told = [0.0; 67];
-    told[..7].copy_from_slice(&[1.0, 70_000.0, 2.0, 101.0, -2.0, -9999.0, 0.0]);
+    let mut values = [0.0; 67];
+    values[..7].copy_from_slice(&[1.0, 70_000.0, 2.0, 101.0, -2.0, -9999.0, 0.0]);
     for (packet, expected) in [
         (receipt.packet(time), &[7.0][..]),
-        (marks.packet(time), &told),
+        (marks.packet(time), &values),
         (result.packet(time), &[7.0, 0x1412.into(), 3.0]),
         (
             sample.packet(),
@@ -125,7 +125,7 @@ fn telemetry_is_read_by_the_tables() {
 fn the_types_of_telemetry_are_those_that_packets_are_told_by() {
     for direction in [ToController, ToAspect] {
         for kind in 0..=255 {
-            // Not a payload as long as the source's id: the length tells the two forms apart.
+            // Not a payload as long as the source's id: the length distinguishes the two forms.
             let header = [SYNC[0], SYNC[1], kind, id::ASPECT, 0, 0];
             let is_telemetry = Packet::length(direction, &header) == Some(16);
             let mut rows = TELEMETRY.iter();

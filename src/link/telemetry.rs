@@ -8,7 +8,7 @@ use super::packet::Direction::{self, ToAspect, ToController};
 use super::packet::{TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
 
-/// Ids of marks that a packet has room for.
+/// Ids of marks that fit into a packet.
 pub const MOST_MARK_IDS: usize = 32;
 
 fields! {
@@ -34,8 +34,8 @@ fields! {
         lost: u32, "", "frames that the camera or the solver lost";
     }
 
-    /// The marks that were read in a frame of a plate of another pattern than that of 2013. Housekeeping of the same time tells the rest.
-    FrameMarks, format!("camera {camera}, frame {number}: {marks} marks, ids {}", ids_in_words(told(*marks, mark_ids))) => {
+    /// The marks that were read in a frame of a plate of another pattern than that of 2013. Housekeeping of the same time has the rest.
+    FrameMarks, format!("camera {camera}, frame {number}: {marks} marks, ids {}", ids_in_words(ids_of(*marks, mark_ids))) => {
         camera: u16, "", "number of the camera, as in its pictures";
         number: u32, "", "number of its latest frame";
         marks: u16, "", "marks with ids in that frame";
@@ -97,9 +97,9 @@ impl FrameMarks {
         })
     }
 
-    /// The ids that there was room for.
+    /// The ids that fitted.
     pub fn ids(&self) -> impl Iterator<Item = [i32; 2]> {
-        told(self.marks, &self.mark_ids)
+        ids_of(self.marks, &self.mark_ids)
     }
 
     /// The marks of a second as a packet made at `time`.
@@ -114,7 +114,7 @@ impl FrameMarks {
 }
 
 /// The places of a packet that hold ids of so many marks.
-fn told(marks: u16, mark_ids: &[[i16; 2]]) -> impl Iterator<Item = [i32; 2]> {
+fn ids_of(marks: u16, mark_ids: &[[i16; 2]]) -> impl Iterator<Item = [i32; 2]> {
     let ids = mark_ids.iter().take(marks.into());
     ids.map(|id| id.map(i32::from))
 }
@@ -213,8 +213,8 @@ mod tests {
             let read = FrameMarks::decode(&packet).unwrap();
             assert_eq!(read, sent);
             assert_eq!(usize::from(read.marks), ids.len());
-            let told: Vec<[i32; 2]> = read.ids().collect();
-            assert_eq!(told, ids[..ids.len().min(MOST_MARK_IDS)]);
+            let found: Vec<[i32; 2]> = read.ids().collect();
+            assert_eq!(found, ids[..ids.len().min(MOST_MARK_IDS)]);
         }
     }
 

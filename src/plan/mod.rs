@@ -18,7 +18,7 @@ pub use remarks::{Faulty, Remark, Remarks, Severity};
 use crate::archive::plain;
 use crate::aspect;
 use crate::camera::{
-    self, Camera, CameraError, FrameSource, Source, Surroundings, TakenFiles, tell_apart,
+    self, Camera, CameraError, FrameSource, Source, Surroundings, TakenFiles, give_names,
 };
 use crate::clock::FlightClock;
 use crate::commands::controls::{Controls, Proof};
@@ -242,11 +242,11 @@ impl Plan {
         })
     }
 
-    /// Opens a camera of it, again and again if need be; `taken` is what it has taken of a folder that it follows.
+    /// Makes the function that opens a camera of it, as often as needed; `taken` is what it has taken of a folder that it follows.
     ///
     /// # Errors
     /// As [`camera::open`].
-    pub fn opener(
+    pub fn camera_factory(
         &self,
         planned: &PlannedCamera,
         replay: Replay,
@@ -291,7 +291,7 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
         });
     }
     let mut cameras: Vec<Camera> = planned.iter().map(|one| one.camera.clone()).collect();
-    tell_apart(&mut cameras, plain);
+    give_names(&mut cameras, plain);
     let is_alone = config.cameras.flying().count() == 1;
     for (planned, camera) in planned.iter_mut().zip(cameras) {
         planned.camera = camera;

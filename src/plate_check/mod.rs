@@ -7,7 +7,7 @@
 //! flight asks: a place whose least margin of all draws is below 0 is ambiguous.
 //!
 //! A draw of each place is judged once more with marks missed and detections false as often as the flight's evidence expects (module
-//! `clutter`): how many are read then is told beside the verdicts, and changes one only where marks are read as others.
+//! `clutter`): how many are read then is reported beside the verdicts, and changes one only where marks are read as others.
 //!
 //! How well the Sun's place would be known follows from the marks' and the limb's own sigmas (module `sigma`).
 //!
@@ -182,7 +182,7 @@ fn checked(
 fn judged(scene: &CheckScene, seen: &Seen) -> Option<(PlaceVerdict, f64)> {
     let rejected = match scene.identify(&seen.detections) {
         Ok(found) => {
-            // What is false may lie where a mark is that was missed: nothing tells it from that mark.
+            // What is false may lie where a mark is that was missed: nothing distinguishes it from that mark.
             let true_ids = found.ids.iter();
             let true_ids = true_ids.filter_map(|(n, id)| Some((seen.ids[*n]?, *id)));
             let right = true_ids.clone().filter(|(truth, id)| truth == id).count();

@@ -3,7 +3,7 @@
 //! # Method
 //! Marks of one sigma s at places r from the Sun's centre determine a similarity there: shift, rotation and scale. The Fisher
 //! matrix of shift (x, y), rotation and scale has the blocks of least squares, and the disc's radius, which is known on the plate,
-//! adds to the scale's. The limb's centre comes on top: a limb that falls by D behind a blur b among noise n tells of a shift
+//! adds to the scale's. The limb's centre comes on top: a limb that falls by D behind a blur b among noise n shows a shift
 //! along its normal D^2 / (2 sqrt(pi) b n^2) for every px of its length, half of it along each axis.
 //!
 //! That is the Cramer-Rao bound but for what correlates limb and marks: within a fifth of `accuracy`'s, which differentiates the whole picture.
@@ -49,7 +49,7 @@ pub(super) fn of_place(scene: &CheckScene, noise_share: f64) -> Option<KnownPlac
     })
 }
 
-/// Mean variance per axis, px^2, of the shift at the origin, by places each of so much information; `of_scale` is what else tells the scale.
+/// Mean variance per axis, px^2, of the shift at the origin, by places each of so much information; `of_scale` is what else determines the scale.
 fn shift_variance(places: impl Iterator<Item = (Vector2<f64>, f64)>, of_scale: f64) -> Option<f64> {
     let mut information = Matrix4::zeros();
     for (r, per_place) in places {

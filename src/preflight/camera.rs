@@ -45,7 +45,7 @@ impl Trial {
     /// Opens a planned camera, as the flight does; what it takes of a folder that is followed, the flight takes, too.
     pub fn open(plan: &Plan, planned: &PlannedCamera) -> Result<Self, CameraError> {
         Ok(Self {
-            source: plan.opener(planned, Replay::default(), TakenFiles::default())()?,
+            source: plan.camera_factory(planned, Replay::default(), TakenFiles::default())()?,
             solver: solver(&planned.camera, plan.ephemeris()),
             commanded: plan.controls().snapshot(),
         })

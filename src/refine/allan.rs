@@ -5,7 +5,7 @@
 //! Of white noise of sigma s it is s / sqrt(m), of a random walk of q per step sqrt(q (2 m^2 + 1) / (6 m)), which is close to
 //! sqrt(q m / 3) (IEEE Std 952-1997, annex C).
 
-/// Fewest pairs of means, each pair apart from the others, that tell a deviation.
+/// Fewest pairs of means, each pair apart from the others, that determine a deviation.
 const LEAST_PAIRS: usize = 4;
 
 /// Averaging time (s) and Allan deviation (unit of the values) at averaging over 1, 2, 4, ... values that are `step_s` apart. Each
@@ -69,7 +69,7 @@ mod tests {
             .collect()
     }
 
-    /// Checks deviations against the formula, where many means tell them.
+    /// Checks deviations against the formula, where many means determine them.
     fn check(found: &[(f64, f64)], expected: impl Fn(f64) -> f64) {
         assert!(found.len() > 8, "{found:?}");
         for (time_s, deviation) in &found[..8] {

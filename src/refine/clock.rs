@@ -4,7 +4,7 @@
 //! next, somebody has set the clock. The clock is believed where it ran longest without a step, and wherever it agreed
 //! with that; the times between are corrected to it.
 //!
-//! A computer that starts anew begins its monotonic clock anew. Frames that do not follow each other on the monotonic clock are
+//! A computer that starts again restarts its monotonic clock. Frames that do not follow each other on the monotonic clock are
 //! of another start, and nothing is said of the time between.
 
 use crate::estimation::{median_and_scatter, regression};
@@ -19,12 +19,12 @@ const LEAST_STEP_S: f64 = 0.02;
 const SLEWED: f64 = 1e-3;
 /// Frames this far apart on the monotonic clock do not follow each other, s.
 const LONGEST_PAUSE_S: f64 = 60.0;
-/// Where a larger part of the frames begins with a step, two starts of the computer lie over each other on the monotonic clock, or it tells
-/// no time.
+/// Where a larger part of the frames begins with a step, two starts of the computer lie over each other on the monotonic clock, or it has
+/// no meaning as a time.
 const MOST_STEPS: f64 = 0.2;
 /// Two starts differ by more than this, s.
 const OTHER_START_S: f64 = 30.0;
-/// Fewer frames, or a shorter time, tell no drift.
+/// Fewer frames, or a shorter time, determine no drift.
 const LEAST_READINGS: usize = 20;
 const LEAST_DRIFT_S: f64 = 10.0;
 /// What a drift that was not measured may be: crystals are this good.
@@ -67,7 +67,7 @@ pub struct ClockStep<Frame> {
 pub struct Clocks {
     /// In the order of the monotonic clock.
     pub steps: Vec<ClockStep<usize>>,
-    /// By how much UTC gained on the monotonic clock, where a start of the computer was long enough to tell; of the longest.
+    /// By how much UTC gained on the monotonic clock, where a start of the computer was long enough; of the longest.
     pub drift: Option<Measured>,
     /// What is to be added to each frame's UTC, s; none where the clock is believed.
     pub corrections_s: Vec<Option<Measured>>,
@@ -76,7 +76,7 @@ pub struct Clocks {
 }
 
 impl Clocks {
-    /// Looks at frames in any order; those without both clocks are left alone.
+    /// Takes frames in any order; those without both clocks are left alone.
     pub fn of(readings: &[Option<Reading>]) -> Self {
         let mut clocks = Self {
             corrections_s: vec![None; readings.len()],
@@ -109,7 +109,7 @@ impl Clocks {
         clocks
     }
 
-    /// Looks at one start of the computer; gives the drift, where it shows.
+    /// Checks one start of the computer; gives the drift, where it shows.
     fn take_start(&mut self, moments: &[Moment]) -> Option<Measured> {
         for moment in moments {
             self.confirmed[moment.frame] = true;

@@ -165,8 +165,8 @@ mod tests {
         if std::env::var_os("SOLASPECT_WRITE_DOCS").is_some() {
             std::fs::write(path, &wanted).unwrap();
         } else {
-            let told = "docs/refine-reference.md has other columns: run this test with SOLASPECT_WRITE_DOCS=1";
-            assert!(page == wanted, "{told}");
+            let advice = "docs/refine-reference.md has other columns: run this test with SOLASPECT_WRITE_DOCS=1";
+            assert!(page == wanted, "{advice}");
         }
     }
 

@@ -102,7 +102,7 @@ struct Work {
     inflated: f64,
     /// How far each moment's marks are from their neighbours', px.
     away_px: Vec<f64>,
-    /// The temperature at each moment, where it counts, and how much more likely it makes the marks, where the headers tell it.
+    /// The temperature at each moment, where it counts, and how much more likely it makes the marks, where the headers state it.
     temperature_c: Option<Vec<f64>>,
     temperature_gain: Option<f64>,
 }
@@ -275,7 +275,7 @@ impl Work {
         }
     }
 
-    /// Frames about a jump that were put aside tell better than the walk does when it happened.
+    /// Frames about a jump that were put aside show better than the walk does when it happened.
     fn time_jumps(&mut self) -> Option<()> {
         let estimates = self.drift().smoothed()?.estimates;
         let residual = |n: usize, side: usize| {
@@ -310,7 +310,7 @@ impl Work {
         self.move_reference(&estimates)
     }
 
-    /// Tells states from the middle of the flight, where the slopes are then true.
+    /// Counts states from the middle of the flight, where the slopes are then true.
     fn move_reference(&mut self, estimates: &[Estimate]) -> Option<()> {
         let middle = |n: usize| median(estimates.iter().map(|e| e.state[n]));
         let state = State::from_fn(|n, _| middle(n).unwrap_or(0.0));
@@ -380,7 +380,7 @@ impl Work {
         }
     }
 
-    /// Nothing tells when the plate moved between the marked frames about a jump, suddenly or not. To the unmarked ones any time is as likely.
+    /// It is not known when the plate moved between the marked frames about a jump, suddenly or not. To the unmarked ones any time is as likely.
     fn spread(&self, jump: &Jump, estimates: &mut [Estimate]) {
         let between = jump.before + 1..jump.after;
         let since_s: Vec<f64> = (between.start..=jump.after)

@@ -220,7 +220,7 @@ fn built_in(camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
 }
 
 /// Refuses an instrument of another camera than those that the archive was flown with.
-fn refuse_other_sensor(told: &Instrument, flown: &[&FlownFile]) -> anyhow::Result<()> {
+fn refuse_other_sensor(stated: &Instrument, flown: &[&FlownFile]) -> anyhow::Result<()> {
     let size = |instrument: &Instrument| (instrument.camera.width_px, instrument.camera.height_px);
     let flown = flown
         .iter()
@@ -231,11 +231,11 @@ fn refuse_other_sensor(told: &Instrument, flown: &[&FlownFile]) -> anyhow::Resul
         .map(|instrument| size(&instrument))
         .collect();
     ensure!(
-        sizes.is_empty() || sizes.contains(&size(told)),
+        sizes.is_empty() || sizes.contains(&size(stated)),
         "instrument \"{}\": expected a sensor of the archive's instrument, {:?} px, found {:?} px",
-        told.name,
+        stated.name,
         sizes[0],
-        size(told)
+        size(stated)
     );
     Ok(())
 }

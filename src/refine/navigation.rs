@@ -104,7 +104,7 @@ pub(super) struct Sensors<'a> {
 }
 
 impl Sensors<'_> {
-    /// Refuses cameras of which nothing tells which one is the telescope's own.
+    /// Refuses cameras if nothing shows which one is the telescope's own.
     pub fn check(&self, cameras: &[CameraFrames]) -> anyhow::Result<()> {
         let first = cameras.iter().filter(|camera| ordinal(camera) == 1);
         let first: Vec<&str> = first.map(|camera| camera.label.as_str()).collect();

@@ -140,7 +140,7 @@ impl SunPath {
 }
 
 /// How long the mapping's errors last. Those of a smoothed random walk are correlated over twice their variance over the density of the
-/// walk; jumps draw them anew.
+/// walk; jumps draw them again.
 fn shared_errors(flight: &Flight, suns: &Suns, first_s: f64) -> SharedErrors {
     let Some(mapping) = &flight.mapping else {
         return SharedErrors::default();

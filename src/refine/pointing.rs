@@ -191,7 +191,7 @@ fn place_before(places: &[(f64, Place)], time_s: f64) -> Option<Place> {
     Some(places.get(later.checked_sub(1)?)?.1)
 }
 
-/// What tells the attitude at a moment of the path.
+/// What determines the attitude at a moment of the path.
 struct Moment<'a> {
     unix_s: f64,
     point: PathPoint,

@@ -50,7 +50,7 @@ impl Part<'_> {
         let Some(on_target) = &summary.pointing.on_target else {
             return self
                 .page
-                .note("The pointing was never valid with the target in sight.");
+                .note("The pointing was never valid with the target in view.");
         };
         let row = |(limit, share): (&str, String)| vec![limit.to_owned(), share];
         let heads = ["within", "time, and part of the valid time"];

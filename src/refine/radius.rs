@@ -12,9 +12,9 @@ use nalgebra::Vector2;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
-/// The discs are told in so many blocks, one after the other: neighbours share the mapping's error, and a block's scatter holds it.
+/// The discs are averaged in so many blocks, one after the other: neighbours share the mapping's error, and a block's scatter holds it.
 const BLOCKS: usize = 40;
-/// Fewer discs than this for each block tell nothing.
+/// Fewer discs than this for each block determine nothing.
 const LEAST_PER_BLOCK: usize = 2;
 /// A slope below so many sigmas is none.
 const SIGNIFICANT: f64 = 4.0;
@@ -48,7 +48,7 @@ impl Serialize for RadiusDependence {
 }
 
 impl RadiusDependence {
-    /// By the dated frames of a flight. A change with time that goes as the temperature does is not told apart.
+    /// By the dated frames of a flight. A change with time that goes as the temperature does is not separated.
     pub(super) fn of(flight: &Flight, suns: &Suns) -> Self {
         let times_s = (0..flight.frames.len()).filter_map(|n| flight.timeline.unix_s(n));
         let times_s: Vec<f64> = times_s.collect();

@@ -59,7 +59,7 @@ pub struct InFlight {
     pub quality: Option<String>,
 }
 
-/// The disc as the frame alone tells it.
+/// The disc as the frame alone gives it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DiscRecord {
     pub centre_px: [f64; 2],

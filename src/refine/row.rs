@@ -87,7 +87,7 @@ impl RefinedRow {
         Some(self.utc_ns? as f64 / 1e9)
     }
 
-    /// The Sun at the row's time, with what the uncertainty of that adds; none where it cannot be told how much that is.
+    /// The Sun at the row's time, with what the uncertainty of that adds; none where that is not known.
     pub fn sun_at_time(&self) -> Option<Estimate<PlateMil>> {
         let sun = self.sun?;
         /// Over a shorter time no Sun moves far: s.

@@ -87,7 +87,7 @@ pub struct ShardDone {
 
 /// The history of a camera that sees the plate.
 pub struct RefinedCamera {
-    /// What tells it from others; none of a single one.
+    /// What distinguishes it from others; none of a single one.
     pub label: Option<String>,
     pub history: History,
     pub pointing: PointingHistory,

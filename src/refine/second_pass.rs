@@ -35,15 +35,15 @@ const INSIDE: f64 = 0.9;
 const AROUND: [f64; 2] = [1.15, 1.6];
 /// Which part of the pixels inside is darker than the disc's level, beside marks.
 const DISC_QUANTILE: f64 = 0.9;
-/// Fewer pixels tell no level.
+/// Fewer pixels determine no level.
 const LEAST_PIXELS: usize = 100;
 /// The disc must outshine its surroundings by so many sigma of a pixel's noise.
 const LEAST_CONTRAST: f64 = 2.0;
 /// The sigma of a limb's point (px), at a contrast of one, where 180 points share the limb; and the one that fewer points are to
-/// have, for what is much less sure cannot be told from noise.
+/// have, for what is much less sure cannot be distinguished from noise.
 const SIGMA_AT_180_PX: f64 = 2.7;
 const SURE_SIGMA_PX: f64 = 0.25;
-/// Fewer points leave parts of the limb untold.
+/// Fewer points leave parts of the limb unmeasured.
 const LEAST_POINTS: usize = 36;
 /// How well the outline is known beforehand: its radius (px), and how far it may be from round, relative.
 const POSSIBLE: (f64, f64) = (1.0, 0.002);
@@ -59,7 +59,7 @@ const OWN_DISC_SIGMA_MIL: f64 = 5.0;
 /// A frame's own disc is another thing if it is so many sigma off the path.
 const OTHER_THING_SIGMAS: f64 = 8.0;
 
-/// Looks again at the frames that did not give disc and marks by themselves, or read them wrongly: those, in order, that have another disc
+/// Solves the frames again that did not give disc and marks by themselves, or read them wrongly: those, in order, that have another disc
 /// now.
 pub(super) fn solve_again(
     flight: &Flight,
@@ -159,7 +159,7 @@ struct Found {
 }
 
 impl Known<'_> {
-    /// Looks at a frame. `None` where it shows no disc.
+    /// Searches a frame. `None` where it shows no disc.
     fn find(&self, frame: &Frame) -> Option<Found> {
         let (start, levels) = self.start(frame)?;
         let limb = self.limb(frame, &start, &levels)?;

@@ -92,7 +92,7 @@ impl SolarPath {
         distances.flatten().collect()
     }
 
-    /// How near to the target it was; none where the pointing is never valid, or the target never in sight.
+    /// How near to the target it was; none where the pointing is never valid, or the target never in view.
     pub fn on_target(&self) -> Option<OnTarget> {
         let distances = self.distances_arcsec();
         let seconds = |steps: usize| steps as f64 / self.rate_hz;
@@ -214,7 +214,7 @@ mod tests {
         (Vector3::z() - to_sun() * to_sun().z).normalize()
     }
 
-    /// A telescope that looks at a place about the Sun, its up towards solar north.
+    /// A telescope that points at a place about the Sun, its up towards solar north.
     fn state(since_s: f64, at: HelioprojectiveArcsec) -> State {
         let axes = Matrix3::from_columns(&[to_sun(), to_sun().cross(&north()), north()]);
         let forward = axes * at.direction();

@@ -1,31 +1,31 @@
-//! The camera's temperature as the flight tells it: headers hold it in steps, and with slips.
+//! The camera's temperature from the headers, which hold it in steps, and with slips.
 
 use crate::estimation::median;
 
-/// Part of the frames that must tell a temperature.
-const LEAST_TOLD: f64 = 0.9;
+/// Part of the frames that must state a temperature.
+const LEAST_KNOWN: f64 = 0.9;
 /// Readings to each side whose median stands for one: a slip is none.
 const SLIP: usize = 3;
 /// Half of the time over which the temperature is averaged, s: cameras do not warm faster.
 const EVEN_S: f64 = 10.0;
-/// A temperature that changes less tells nothing, degC.
+/// A temperature that changes less determines nothing, degC.
 const LEAST_CHANGE_C: f64 = 0.1;
 
-/// The temperature at each of the times, which are in order, from the flight's middle, degC. `None` where too few frames tell
+/// The temperature at each of the times, which are in order, from the flight's middle, degC. `None` where too few frames state it
 /// one, or it does not change.
 ///
 /// A thermometer that counts in steps says most at the moment it changes: it is half-way between both readings then, and
 /// between two such moments it goes straight.
 pub(super) fn from_the_middle(time_s: &[f64], readings: &[Option<f64>]) -> Option<Vec<f64>> {
-    let told: Vec<(f64, f64)> = time_s
+    let known: Vec<(f64, f64)> = time_s
         .iter()
         .zip(readings)
         .filter_map(|(time_s, reading)| Some((*time_s, reading.filter(|c| c.is_finite())?)))
         .collect();
-    if told.is_empty() || (told.len() as f64) < LEAST_TOLD * time_s.len() as f64 {
+    if known.is_empty() || (known.len() as f64) < LEAST_KNOWN * time_s.len() as f64 {
         return None;
     }
-    let knots = knots(&without_slips(&told));
+    let knots = knots(&without_slips(&known));
     let straight: Vec<f64> = straight(&knots, time_s);
     let even = even(&straight, time_s);
     let middle = median(&even)?;
@@ -33,23 +33,23 @@ pub(super) fn from_the_middle(time_s: &[f64], readings: &[Option<f64>]) -> Optio
     (most > LEAST_CHANGE_C).then(|| even.iter().map(|c| c - middle).collect())
 }
 
-fn without_slips(told: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let near = |n: usize| &told[n.saturating_sub(SLIP)..told.len().min(n + SLIP + 1)];
+fn without_slips(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let near = |n: usize| &known[n.saturating_sub(SLIP)..known.len().min(n + SLIP + 1)];
     let usual = |n: usize| median(near(n).iter().map(|(_, c)| c));
-    let points = told.iter().enumerate();
+    let points = known.iter().enumerate();
     points
         .map(|(n, (time_s, c))| (*time_s, usual(n).unwrap_or(*c)))
         .collect()
 }
 
 /// The first and the last reading, and what lies half-way between where they change.
-fn knots(told: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let changes = told.windows(2).filter(|pair| pair[0].1 != pair[1].1);
+fn knots(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let changes = known.windows(2).filter(|pair| pair[0].1 != pair[1].1);
     let half = |pair: &[(f64, f64)]| {
         let middle = |a: f64, b: f64| (a + b) / 2.0;
         (middle(pair[0].0, pair[1].0), middle(pair[0].1, pair[1].1))
     };
-    let ends = [told.first().copied(), told.last().copied()];
+    let ends = [known.first().copied(), known.last().copied()];
     let [first, last] = ends.map(|end| end.into_iter());
     first.chain(changes.map(half)).chain(last).collect()
 }

@@ -79,7 +79,7 @@ impl Flight {
         let camera = |planned: &PlannedCamera| FlightCamera {
             camera: planned.camera.clone(),
             source: None,
-            open: Some(Arc::new(plan.opener(
+            open: Some(Arc::new(plan.camera_factory(
                 planned,
                 replay,
                 plan.taken_files(planned),

@@ -5,7 +5,7 @@ use super::shots::{Shot, Shots, TILE_PX, inside, tiles};
 use crate::calibrate::numbers::median;
 use std::path::PathBuf;
 
-/// Every so many pixels of a square, in both axes, tell its light.
+/// Every so many pixels of a square, in both axes, sample its light.
 const STRIDE_PX: usize = 3;
 /// An evenly lit frame has at least this share of its brightest light in all but the darkest tenth: lenses leave more in
 /// the corners, the Sun leaves nothing beside its disc.

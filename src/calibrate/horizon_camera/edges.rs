@@ -31,7 +31,7 @@ pub(super) fn collect(
 ) -> Result<(Vec<Limb>, Vec<RejectedFrame>), InputError> {
     let size_px = horizons.camera.size_px();
     let observed = over(files.to_vec(), size_px, watch, |file, frame| {
-        let (sphere, solution) = horizons.look(&frame, height)?;
+        let (sphere, solution) = horizons.solved(&frame, height)?;
         match (height, solution.nadir) {
             (EdgeHeight::Given, Err(stopped)) => Err(stopped.to_string()),
             (_, Err(stopped)) if solution.edge.rays.is_empty() => Err(stopped.to_string()),

@@ -1,10 +1,10 @@
 //! The camera of least squares: every frame has a nadir of its own, all have one camera and one height of the edge.
 //!
 //! Each frame's nadir is found as in flight ([`horizon::nadir`](crate::horizon::nadir())), with its loss; Gauss-Newton steps for what all share
-//! follow from what the frames leave once each has told its nadir.
+//! follow from what the frames leave once each has determined its nadir.
 //!
 //! A limb's residuals are alike from place to place, and from frame to frame of one flight, so that the covariance is not that of noise: blocks of
-//! frames that follow each other are the draws from which it is told (the sandwich of Huber 1967).
+//! frames that follow each other are the draws from which it is estimated (the sandwich of Huber 1967).
 
 use super::edges::{Limb, uncrossed};
 use super::unknowns::{Change, Stated, UNKNOWNS, Unknown};
@@ -18,7 +18,7 @@ use nalgebra::{SMatrix, SVector, UnitVector3};
 use rayon::prelude::*;
 use std::slice::from_ref;
 
-/// Fewer frames tell no scatter.
+/// Fewer frames determine no scatter.
 const LEAST_FRAMES: usize = 30;
 /// So many blocks of frames.
 const BLOCKS: usize = 60;
@@ -61,12 +61,12 @@ impl Optics {
         apart.component_div(&Change::from(sigmas)).max()
     }
 
-    /// Whether the frames tell the optics well enough.
+    /// Whether the frames determine the optics well enough.
     ///
     /// # Errors
-    /// The first unknown that they do not tell.
+    /// The first unknown that they do not determine.
     pub fn check_determined(&self, file: &DirectionCamera) -> Result<(), OpticsError> {
-        for unknown in Unknown::TOLD {
+        for unknown in Unknown::REQUIRED {
             let most = unknown.most_sigma(file);
             let found = self.changed(unknown).sigma;
             if found > most {
@@ -103,7 +103,7 @@ pub enum OpticsError {
     NoFit,
 }
 
-/// Fits the optics from what the camera's file says. Whether the frames tell them is [`Optics::check_determined`]'s to say.
+/// Fits the optics from what the camera's file says. Whether the frames determine them is [`Optics::check_determined`]'s to say.
 ///
 /// # Errors
 /// Too few frames, or frames that no camera fits.
@@ -134,7 +134,7 @@ fn sum(frames: &[Normal<UNKNOWNS>]) -> Normal<UNKNOWNS> {
         .fold(Normal::zero(), |sum, frame| sum.with(frame))
 }
 
-/// What each frame says of what all share, its own nadir told. Nothing of a frame whose edge tells no nadir; `None` of no camera.
+/// What each frame says of what all share, its own nadir eliminated. Nothing of a frame whose edge determines no nadir; `None` of no camera.
 fn of_frames(
     limbs: &[Limb],
     stated: &Stated<'_>,
@@ -164,7 +164,7 @@ struct Seen {
 }
 
 impl Seen {
-    /// `None` of an edge that tells no nadir.
+    /// `None` of an edge that determines no nadir.
     fn by(camera: &CameraModel, limb: &Limb, change: &Change) -> Option<Self> {
         let seen = |ray: &EdgeRay| {
             let unit = camera.ray(ray.at)?;
@@ -177,9 +177,9 @@ impl Seen {
         let mut sphere = limb.sphere;
         let edge_rad = sphere.half_angle_rad.sigma.hypot(edge.sigma_rad);
         sphere.half_angle_rad.value += change[Unknown::Edge as usize] * edge_rad;
-        let told = nadir(from_ref(&edge), &sphere, EdgeHeight::Given, Departure::NONE);
+        let found = nadir(from_ref(&edge), &sphere, EdgeHeight::Given, Departure::NONE);
         Some(Self {
-            nadir: told.ok()?,
+            nadir: found.ok()?,
             rays: edge.rays,
             sphere,
             edge_rad,
@@ -280,7 +280,7 @@ fn sandwich(
         gradient * gradient.transpose()
     });
     let scatter: SMatrix<f64, UNKNOWNS, UNKNOWNS> = scatter.sum();
-    // Five of the blocks' freedoms tell the camera.
+    // Five of the blocks' degrees of freedom determine the camera.
     let freedom = count / (count - (UNKNOWNS - 1) as f64);
     let inverse = solved.covariance();
     inverse * (scatter * freedom + SMatrix::from_diagonal(prior)) * inverse
@@ -318,7 +318,7 @@ fn optics(
     })
 }
 
-/// What would tell optics that the frames do not.
+/// What would determine optics that the frames do not.
 fn what_would(optics: &Optics) -> String {
     match &optics.uncrossed[..] {
         [] => "state the camera's height and roll.atmosphere_m with smaller sigmas, or take frames from higher up, where the limb curves more".into(),

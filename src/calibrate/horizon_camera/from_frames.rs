@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// A camera is the same of which no unknown changes by more, in sigmas: with it, some places come into view or go, so that two cameras may follow
 /// each other for ever.
 const SAME_SIGMAS: f64 = 1.0;
-/// The frames are looked at so often at most.
+/// The most passes over the frames.
 const MOST_PASSES: usize = 6;
 
 /// The name of the calibration in the file.
@@ -28,7 +28,7 @@ pub struct FromFrames {
     pub provenance: Provenance,
 }
 
-/// Calibrates the optics of a camera that sees the horizon, from frames and folders of them. The frames are looked at anew with the camera that
+/// Calibrates the optics of a camera that sees the horizon, from frames and folders of them. The frames are solved again with the camera that
 /// they gave until it stays as it is.
 ///
 /// # Errors

@@ -1,6 +1,6 @@
 //! The optics of a camera that sees the horizon, by its own frames: focal length, centre and the first terms of its distortion.
 //!
-//! The edge of the Earth's limb is a cone of rays whose half-angle the camera's height tells. A camera that is wrong bends it: where the limb
+//! The edge of the Earth's limb is a cone of rays whose half-angle the camera's height gives. A camera that is wrong bends it: where the limb
 //! crosses the picture at many places, each of its own nadir, all of them are cones of one camera alone. The edge's height is known to a sigma
 //! only, which all frames share, and is fitted with them.
 //!

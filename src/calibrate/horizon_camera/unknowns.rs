@@ -32,8 +32,8 @@ impl Unknown {
         Self::Quintic,
         Self::Edge,
     ];
-    /// Those that the frames must tell. Where they do not tell k3, it stays near the file's.
-    pub const TOLD: [Self; 4] = [Self::Focal, Self::CentreX, Self::CentreY, Self::Cubic];
+    /// Those that the frames must determine. If they do not determine k3, it stays near the file's.
+    pub const REQUIRED: [Self; 4] = [Self::Focal, Self::CentreX, Self::CentreY, Self::Cubic];
 
     pub fn name(self) -> &'static str {
         match self {

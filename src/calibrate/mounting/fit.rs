@@ -52,7 +52,7 @@ const START_PASSES: usize = 4;
 const SCATTER_PASSES: usize = 15;
 /// A change of the scatter by this part is none.
 const SETTLED: f64 = 1e-6;
-/// Where fits end, in sigmas of the unknowns: the first, which only tells the outliers, and the last.
+/// Where fits end, in sigmas of the unknowns: the first, which only finds the outliers, and the last.
 const ROUGH_SIGMAS: f64 = 0.05;
 const FINE_SIGMAS: f64 = 1e-6;
 

@@ -90,6 +90,6 @@ fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
     let times = mounting.fit.residuals.iter().map(|r| r.utc);
     let frames = mounting.fit.accepted();
     let done = format!("mounting calibration, {way}");
-    // The Sun's path tells how the plate sits, not which camera sees it.
+    // The Sun's path determines the plate's mounting, not which camera sees it.
     Provenance::over("mounting", &done, frames, times, files)
 }

@@ -1,4 +1,4 @@
-//! A first mounting, which no minority of wrong observations can spoil.
+//! A first mounting, which no minority of wrong observations can corrupt.
 //!
 //! Were the sky flat about the Sun, the plate would be a picture of it turned by the clocking and stretched with the distance: a
 //! similarity from where an unturned instrument would see the Sun to where it is seen. Every pair of observations gives one.

@@ -276,12 +276,12 @@ impl Problem<'_> {
 
     /// Whether an unknown stays as it is: a view, where fewer marks are seen than determine it.
     fn is_held(&self, unknown: Unknown) -> bool {
-        let is_told = |pose: usize| self.cells[pose].len() >= LEAST_MARKS;
+        let is_determined = |pose: usize| self.cells[pose].len() >= LEAST_MARKS;
         let is_free = match unknown {
             Unknown::Lens(term) => self.freedoms.lens[term],
             Unknown::Mark(..) => self.freedoms.marks,
-            Unknown::View(pose, n) => parameters_of(self.freedoms.view)[n] && is_told(pose),
-            Unknown::Drift(pose, term, _) => term < self.freedoms.drift && is_told(pose),
+            Unknown::View(pose, n) => parameters_of(self.freedoms.view)[n] && is_determined(pose),
+            Unknown::Drift(pose, term, _) => term < self.freedoms.drift && is_determined(pose),
         };
         !is_free
     }

@@ -199,13 +199,13 @@ pub fn fit_frames(
 ) -> Result<(Posed, PlateFit), Refusal> {
     let found = poses::find(frames, &start.plate)?;
     let by_time = settle(found.clone(), start, 0);
-    let restless = |settled: &(Posed, PlateFit)| Shifts::of(&settled.1).restless();
-    let left = by_time.as_ref().map_or(usize::MAX, restless);
+    let moving = |settled: &(Posed, PlateFit)| Shifts::of(&settled.1).moving();
+    let left = by_time.as_ref().map_or(usize::MAX, moving);
     if left == 0 {
         return by_time;
     }
     match settle(found.joined(), start, MOST_PARTINGS) {
-        Ok(by_place) if restless(&by_place) < left => Ok(by_place),
+        Ok(by_place) if moving(&by_place) < left => Ok(by_place),
         _ => by_time,
     }
 }

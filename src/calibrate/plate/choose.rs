@@ -87,7 +87,7 @@ fn corner_sigma_px(settled: &Settled) -> f64 {
 ///
 /// A step is taken when chi^2, with the variances that the richest fit shows, falls by more than ln n for each parameter
 /// that it adds, n the number of coordinates (Schwarz's criterion, which is the F test at that level). The radial term r^2 is left out
-/// only where the frames tell it from errors of the plate: elsewhere the marks would take its place, with sigmas that know nothing of it.
+/// only where the frames distinguish it from errors of the plate: elsewhere the marks would take its place, with sigmas that know nothing of it.
 pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settled)> {
     let least_gain = bundle.coordinates().max(1.0).ln().max(LEAST_GAIN);
     let fit = |choice: Choice| {

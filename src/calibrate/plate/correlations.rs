@@ -1,4 +1,4 @@
-//! Which of the unknowns the frames cannot tell apart: the largest correlations of a fit.
+//! Which of the unknowns the frames cannot separate: the largest correlations of a fit.
 
 use super::adjust::{Settled, Unknown};
 use super::camera::LENS;

@@ -5,7 +5,7 @@ use crate::observe::Hash;
 use std::collections::BTreeSet;
 use toml_edit::{Item, value};
 
-/// Digits of a frame's SHA-256 that tell it from others: in one of five million sets of 10,000 frames two are taken for one.
+/// Digits of a frame's SHA-256 that distinguish it from others: in one of five million sets of 10,000 frames two are taken for one.
 const DIGITS: usize = 12;
 /// Where the file lists them.
 const KEY: &str = "calibration.plate.frame_hashes";

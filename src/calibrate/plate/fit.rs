@@ -36,7 +36,7 @@ pub struct PoseFit {
     pub plate_centre_sigma_px: f64,
     pub scale_mil_per_px: Measured,
     pub rotation_deg: Measured,
-    /// How fast the plate's picture drifts along x and y on the mean; none where the camera rests, as far as the frames tell.
+    /// How fast the plate's picture drifts along x and y on the mean; none where the camera rests, as far as the frames show.
     pub drift_px_per_h: Option<[Measured; 2]>,
     pub frames: usize,
 }
@@ -198,7 +198,7 @@ struct Span {
 }
 
 impl Span {
-    /// `None` where not all tell their times, or all were taken at once.
+    /// `None` where not all state their times, or all were taken at once.
     fn of(pose: &Pose) -> Option<Self> {
         let times = pose.frames.iter().map(|frame| frame.utc);
         let times: Vec<Timestamp> = times.collect::<Option<_>>()?;
@@ -276,9 +276,10 @@ fn pose_fits(
         let (terms, covariance) = (settled.state.drift_px[pose], settled.drift_covariance(pose));
         // From the first frame to the last, terms of odd degree move the picture by twice their size, the others not at all.
         Some([0, 1].map(|axis| {
-            let odd = || (0..DRIFT).step_by(2);
-            let moved = odd().map(|n| terms[n][axis]).sum::<f64>();
-            let variances = odd().flat_map(|n| odd().map(move |m| (2 * n + axis, 2 * m + axis)));
+            let odd_terms = || (0..DRIFT).step_by(2);
+            let moved = odd_terms().map(|n| terms[n][axis]).sum::<f64>();
+            let variances =
+                odd_terms().flat_map(|n| odd_terms().map(move |m| (2 * n + axis, 2 * m + axis)));
             let variance: f64 = variances.map(|at| covariance[at]).sum();
             Measured::new(moved / span.half_h, variance.max(0.0).sqrt() / span.half_h)
         }))

@@ -112,7 +112,7 @@ fn groups(frames: &[&FrameObservation], plate: &Plate) -> Vec<(Mapping, Vec<usiz
 }
 
 impl Posed {
-    /// With one pose for all those that slips told apart.
+    /// With one pose for all those that slips separated.
     pub(super) fn joined(self) -> Self {
         let join = |poses: Vec<usize>| {
             let frames = poses.iter().flat_map(|n| self.poses[*n].frames.clone());
@@ -126,7 +126,7 @@ impl Posed {
         joined
     }
 
-    /// Parts the frames of each stand anew by where they have the plate, if they do not rest in their poses. Whether anything changed.
+    /// Divides the frames of each stand again by where they have the plate, if they do not rest in their poses. Whether anything changed.
     pub(super) fn part(&mut self, fit: &PlateFit) -> bool {
         let shifts = Shifts::of(fit);
         let ends = self.poses.iter().scan(0, |end, pose| {
@@ -139,8 +139,8 @@ impl Posed {
         let mut changed = false;
         let mut parted = Vec::new();
         for poses in self.stands() {
-            let restless = poses.len() > 1 || shifts.off(poses[0]) > 0;
-            let Some(Parts { parts, untold }) = restless.then(|| shifts.parts(&poses)).flatten()
+            let moving = poses.len() > 1 || shifts.off(poses[0]) > 0;
+            let Some(Parts { parts, unassigned }) = moving.then(|| shifts.parts(&poses)).flatten()
             else {
                 parted.extend(poses.iter().map(|n| self.poses[*n].clone()));
                 continue;
@@ -154,11 +154,11 @@ impl Posed {
                 }),
             );
             let reason =
-                "neither its time nor a mark that other frames show tells which pose it is of";
-            let untold = untold
+                "neither its time nor a mark that other frames show shows which pose it is of";
+            let unassigned = unassigned
                 .iter()
                 .map(|n| RejectedFrame::new(&frames[*n].file, reason));
-            self.rejected.extend(untold);
+            self.rejected.extend(unassigned);
         }
         self.poses = parted;
         self.number();

@@ -95,7 +95,7 @@ impl Refusal {
     /// That poses do not determine the plate: those of fewest marks, and what to photograph in them.
     pub(super) fn undetermined(poses: &[Pose], plate: &Plate) -> Self {
         const LISTED: usize = 3;
-        /// Fewer marks of a part do not tell where it is.
+        /// Fewer marks of a part do not determine where it is.
         const LEAST_MARKS: usize = 2;
         let reach = plate.reach_mil();
         let part_of = |id: MarkId| {

@@ -157,7 +157,7 @@ fn correlations(page: &mut Page, correlations: &[Correlation]) {
     page.table(&["between", "and", "correlation"], &rows);
     page.note(
         "The largest of the fit's covariance with the lens or the poses, then between different marks. Two parameters close to +1 or -1 are \
-         told apart by their priors more than by the frames.",
+         separated by their priors more than by the frames.",
     );
 }
 
@@ -201,7 +201,7 @@ fn residuals(calibration: &Calibration) -> [Captioned; 6] {
         ),
         (
             normalised_lengths(calibration),
-            "The same in units of the sigma that each frame states, beside what honest sigmas have.",
+            "The same in units of the sigma that each frame states, beside the distribution for correct sigmas.",
         ),
         (
             over_time(calibration),
@@ -210,11 +210,11 @@ fn residuals(calibration: &Calibration) -> [Captioned; 6] {
     ]
 }
 
-/// Half the width of a map of the plate, mil: its marks and some room about them.
+/// Half the width of a map of the plate, mil: its marks and a margin about them.
 fn map_reach_mil(plate: &Plate) -> f64 {
     /// So much of the marks' reach from the plate's axes.
-    const ROOM: f64 = 1.0876;
-    ROOM * plate.reach_mil()
+    const MARGIN: f64 = 1.0876;
+    MARGIN * plate.reach_mil()
 }
 
 /// Width of a mark's square on a map: near the distance of neighbours.

@@ -1,6 +1,6 @@
-//! Whether the camera rested in each pose, as the plate tells that was fitted.
+//! Whether the camera rested in each pose, by the plate that was fitted.
 //!
-//! Where it moved, and the times of the frames do not tell when (all alike, or of several runs at once), a pose holds frames of several, and
+//! Where it moved, and the times of the frames do not show when (all alike, or of several runs at once), a pose holds frames of several, and
 //! the fit is of none of them. The marks of a frame, taken together, then lie away from where its pose has them, and so do those of the other
 //! frames that were taken before the camera moved, or after: these are the poses.
 
@@ -28,7 +28,7 @@ const TRIED: usize = 200;
 /// 1 sigma of a median of normal values over that of their mean.
 const MEDIAN_SIGMA: f64 = 1.25;
 
-/// A mark of a frame that other frames saw too, and by how much its residual grows where these alone tell its place.
+/// A mark of a frame that other frames saw too, and by how much its residual grows where these alone determine its place.
 #[derive(Debug, Clone, Copy)]
 struct Checked<'a> {
     residual: &'a Residual,
@@ -47,8 +47,8 @@ pub(super) struct Shifts<'a> {
 /// The frames of some poses by parts that each rest.
 pub(super) struct Parts {
     pub parts: Vec<Vec<usize>>,
-    /// Frames of which nothing tells the part.
-    pub untold: Vec<usize>,
+    /// Frames whose part is not determined.
+    pub unassigned: Vec<usize>,
 }
 
 impl<'a> Shifts<'a> {
@@ -82,7 +82,7 @@ impl<'a> Shifts<'a> {
     }
 
     /// How many frames are off in the poses that do not rest.
-    pub fn restless(&self) -> usize {
+    pub fn moving(&self) -> usize {
         (0..self.frames.len()).map(|pose| self.off(pose)).sum()
     }
 
@@ -117,14 +117,14 @@ impl<'a> Shifts<'a> {
             })
             .collect();
         let mut parts = parted(&shifts)?;
-        let told = |n: &usize| parts.iter().any(|part| part.contains(n));
-        let others = frames().map(|(n, _)| *n).filter(|n| !told(n));
-        let mut untold: Vec<usize> = others.collect();
+        let is_assigned = |n: &usize| parts.iter().any(|part| part.contains(n));
+        let others = frames().map(|(n, _)| *n).filter(|n| !is_assigned(n));
+        let mut unassigned: Vec<usize> = others.collect();
         if let [only] = parts.as_mut_slice() {
-            only.append(&mut untold);
+            only.append(&mut unassigned);
             only.sort_unstable();
         }
-        Some(Parts { parts, untold })
+        Some(Parts { parts, unassigned })
     }
 }
 
@@ -133,7 +133,7 @@ fn from_own_pose(marks: &[Checked]) -> Option<Displacement> {
 }
 
 /// How far the marks of a frame are off, together: their median, whatever a few of them say that it misread. `pose_px` is how far its pose is
-/// off there. `None` where no other frame tells their places.
+/// off there. `None` where no other frame determines their places.
 fn shift(marks: &[Checked], pose_px: impl Fn(&Residual) -> Vector2<f64>) -> Option<Displacement> {
     let off_px = |m: &Checked| pose_px(m.residual) + m.residual.residual_px * m.growth;
     let middle = |of: &dyn Fn(&Checked) -> f64| median(marks.iter().map(of));

@@ -22,7 +22,7 @@ pub(super) struct Observation {
     /// Index into the marks.
     pub mark: usize,
     pub seen: Vector2<f64>,
-    /// Within its pose, from -1 to 1; 0 where frames do not tell their times.
+    /// Within its pose, from -1 to 1; 0 where frames do not state their times.
     pub time: f64,
     pub covariance_px2: Matrix2<f64>,
     /// 0 (rejected) to 1.

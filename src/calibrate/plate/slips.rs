@@ -2,7 +2,7 @@
 //!
 //! # Algorithm
 //! While the camera rests, a mark is seen in one place, whatever the lens and wherever the mark was drawn. So each mark that is seen on
-//! both sides of a moment, last before it and first after it, tells what happened in between ([`Pair`]).
+//! both sides of a moment, last before it and first after it, shows what happened in between ([`Pair`]).
 //!
 //! 1. A slow drift (a shift that follows a polynomial in time, an even turn and stretch) explains the pairs of all moments as well as it
 //!    can. The adjustment knows such a shift ([`State`](super::adjust::State)).
@@ -97,7 +97,7 @@ fn slip(frames: &[&FrameObservation], order: &[usize]) -> Option<usize> {
     (best.1 > SLIP_CHI2).then_some(best.0)
 }
 
-/// All marks that were seen again. `None` where the frames do not tell their times.
+/// All marks that were seen again. `None` where the frames do not state their times.
 fn pairs(frames: &[&FrameObservation], order: &[usize]) -> Option<Vec<Pair>> {
     let first = frames[*order.first()?].utc?;
     let places = order.iter().flat_map(|n| &frames[*n].marks);
@@ -143,7 +143,7 @@ fn at_rest_but_for_slips(mut pairs: Vec<Pair>) -> Option<Vec<Pair>> {
 }
 
 /// By how much a sudden motion lowers the cost of the pairs about a moment, as chi^2. Pairs that it makes worse count against the moment:
-/// this tells on which side of the slip a frame was taken.
+/// this shows on which side of the slip a frame was taken.
 fn explained(pairs: &[&Pair], motion: &Vector4<f64>) -> f64 {
     let cost = |motion: &Vector4<f64>| -> f64 {
         let sizes = pairs.iter().map(|pair| pair.moved.left_by(motion).norm());

@@ -59,7 +59,7 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
     }
     if fit.sigma_factor > MOST_SCATTER {
         lines.push(format!(
-            "warning    the observed positions scatter {:.1} times as much as the frames state: did the camera rest, and do the frames tell their times?",
+            "warning    the observed positions scatter {:.1} times as much as the frames state: did the camera rest, and do the frames state their times?",
             fit.sigma_factor
         ));
     }

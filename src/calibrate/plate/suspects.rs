@@ -1,4 +1,4 @@
-//! Marks that were lit and not read: where they are printed is not where they were looked for, or something covers them.
+//! Marks that were lit and not read: where they are printed is not where they were expected, or something covers them.
 
 use super::fit::{PlateFit, PoseFit};
 use super::observation::{FrameObservation, Pose};

@@ -24,9 +24,9 @@ impl Calibration {
         mounting(revision, start, self, &provenance);
         revision.put("plate.mark", Item::ArrayOfTables(marks(self, start)));
         let note = match fit.separation.by_data() {
-            true => "the frames tell the plate's errors from the lens's distortion",
+            true => "the frames separate the plate's errors from the lens's distortion",
             false => {
-                "the frames do not tell the plate's errors from the lens's distortion: the split rests on stated priors"
+                "the frames do not separate the plate's errors from the lens's distortion: the split rests on stated priors"
             }
         };
         revision.sign(&provenance.with_source(note));

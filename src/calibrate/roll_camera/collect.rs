@@ -13,7 +13,7 @@ use jiff::Timestamp;
 use nalgebra::UnitVector3;
 use std::path::{Path, PathBuf};
 
-/// Frames of the Sun further apart tell nothing of the moments between, s.
+/// Frames of the Sun further apart say nothing of the moments between, s.
 const LONGEST_STEP_S: f64 = 1.5;
 
 /// With what frames of the horizon are solved.
@@ -30,7 +30,7 @@ impl Horizons<'_> {
     ///
     /// # Errors
     /// A frame of another size, or without height.
-    pub fn look(
+    pub fn solved(
         &self,
         frame: &Frame,
         height: EdgeHeight,
@@ -52,7 +52,7 @@ impl Horizons<'_> {
 
     fn solve(&self, file: &Path, frame: &Frame) -> Result<Horizon, String> {
         let utc = frame.info.mid_exposure.ok_or("no time")?;
-        let (_, solution) = self.look(frame, EdgeHeight::Given)?;
+        let (_, solution) = self.solved(frame, EdgeHeight::Given)?;
         match solution.nadir {
             Ok(nadir) => Ok(Horizon {
                 file: file.into(),
@@ -82,7 +82,7 @@ pub fn collect(
     Ok((seen, rejected))
 }
 
-/// Sightings at moments of which the body's attitude is known.
+/// Observations at moments of which the body's attitude is known.
 pub fn with_attitude(
     horizons: Vec<Horizon>,
     log: &AttitudeLog,
@@ -94,7 +94,7 @@ pub fn with_attitude(
     observations(horizons, known)
 }
 
-/// Sightings at moments at which a telescope on the same body saw the Sun; `suns` in the order of time.
+/// Observations at moments at which a telescope on the same body saw the Sun; `suns` in the order of time.
 pub fn with_sun(
     horizons: Vec<Horizon>,
     suns: &[SunObservation],

@@ -8,9 +8,9 @@ use crate::estimation::{
 use crate::geometry::attitude::Direction;
 use nalgebra::{Matrix3, Rotation3, RowVector3, Vector1, Vector3};
 
-/// An axis whose turn the frames tell less well, beside what all of them share, is not determined, 1 sigma.
+/// An axis whose turn the frames determine less well, beside what all of them share, is not determined, 1 sigma.
 pub const LIMIT_DEG: f64 = 0.1;
-/// Fewer observations tell no outliers.
+/// Fewer observations show no outliers.
 const LEAST_OBSERVATIONS: usize = 20;
 /// The turn settles well before.
 const ROUNDS: usize = 6;
@@ -25,7 +25,7 @@ pub struct Turn {
     pub covariance_rad2: Matrix3<f64>,
     /// Rms of what is left of the observations that were taken, per angle.
     pub scatter_deg: f64,
-    /// Sightings that took part, and all.
+    /// Observations that took part, and all.
     pub taken: usize,
     pub observations: usize,
     /// How many times more the residuals' mean varies than if each were on its own.
@@ -48,7 +48,7 @@ pub enum TurnError {
         instead: &'static str,
     },
     #[error(
-        "the turn is not determined: expected frames that tell it about every axis, found an axis of which they tell nothing; {instead}"
+        "the turn is not determined: expected frames that determine it about every axis, found an axis that they do not determine; {instead}"
     )]
     Undetermined { instead: &'static str },
     #[error("no turn fits the frames: {0}; check times, place and camera")]
@@ -76,7 +76,7 @@ impl Turn {
 /// Fits the turn from where it is thought to be.
 ///
 /// # Errors
-/// Sightings that do not determine the turn; see [`TurnError`].
+/// Observations that do not determine the turn; see [`TurnError`].
 pub fn fit(observations: &[HorizonObservation], start: &Rotation3<f64>) -> Result<Turn, TurnError> {
     let by_sun = matches!(
         observations.first().map(|s| s.known),
@@ -130,7 +130,7 @@ fn settled(
 }
 
 /// How many times more the mean of what is left varies than if each angle were on its own. An error that lasts over frames stays in its own
-/// axis, so that each axis is looked at alone; the larger of them.
+/// axis, so that each axis is taken alone; the larger of them.
 fn correlation(observations: &[HorizonObservation], turn: &Rotation3<f64>, weights: &[f64]) -> f64 {
     let angles: Vec<(Angle, &f64)> = angles(observations, turn).zip(weights).collect();
     let along = |axis: Axis| {
@@ -237,7 +237,7 @@ fn sigmas_deg(covariance_rad2: &Matrix3<f64>) -> [f64; 3] {
     variances.map(|v| v.max(0.0).sqrt().to_degrees()).into()
 }
 
-/// What would tell a turn that the frames do not.
+/// What would determine a turn that the frames do not.
 fn what_would(by_sun: bool) -> &'static str {
     match by_sun {
         true => {

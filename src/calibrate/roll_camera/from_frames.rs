@@ -110,7 +110,7 @@ fn by_sun(
         )));
     }
     if files.is_empty() {
-        let lacking = "expected frames of the Sun beside those of the roll camera, found none; --attitude tells the body's attitude without them";
+        let lacking = "expected frames of the Sun beside those of the roll camera, found none; --attitude gives the body's attitude without them";
         return Err(FramesError::Lacking(lacking.into()));
     }
     let (mut suns, mut rejected, _) = mounting::collect(files, frames, watch)?;

@@ -19,7 +19,7 @@ pub(super) fn has(camera: &Camera, feature: &str) -> bool {
     camera.is_feature_available(feature).unwrap_or(false)
 }
 
-/// Applies every setting, reads it back, and tells those that the camera did not take.
+/// Applies every setting, reads it back, and reports those that the camera did not take.
 pub(super) fn configure(camera: &Camera, settings: &CameraSettings) -> (Actual, Vec<CameraError>) {
     let mut refused = Vec::new();
     refused.extend(set_format(camera, settings).err());

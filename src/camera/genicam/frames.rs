@@ -99,7 +99,7 @@ impl Frames {
         self.stream.timeout_pop_buffer(wait.as_micros() as u64)
     }
 
-    /// Lets a buffer be filled anew.
+    /// Lets a buffer be filled again.
     pub(super) fn give_back(&mut self, buffer: Buffer) {
         match self.transport {
             Transport::Fake => self.spare = Some(buffer),
@@ -129,7 +129,7 @@ impl Frames {
                 packets: 0,
                 underruns,
             },
-            // It counts every look for a buffer that was not given.
+            // It counts every request for a buffer that was not given.
             Transport::Fake => Losses::default(),
         }
     }

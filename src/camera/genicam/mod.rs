@@ -2,7 +2,7 @@
 //!
 //! Each frame is triggered by software, so that its time can be announced before the exposure begins. The camera
 //! belongs to a thread of its own (`worker`), since calls to one that has gone block for seconds; this side waits a
-//! quarter of a second at a time. A camera that is gone is dropped with everything that belongs to it and opened anew,
+//! quarter of a second at a time. A camera that is gone is released with its stream and thread and reopened,
 //! and every setting is applied again before the first frame: an earlier experiment lost its flight to a camera that came
 //! back with its own exposure.
 
@@ -149,7 +149,7 @@ impl GenicamCamera {
         }
     }
 
-    /// Drops the camera with all that belongs to it, to be opened anew later.
+    /// Releases the camera with its stream and thread, to be reopened later.
     fn give_up(&mut self) {
         self.link = None;
         self.due = Instant::now() + self.backoff.wait();

@@ -35,7 +35,7 @@ impl Numbers {
             Some(last) if id < last && last <= LAST_SHORT_ID && ids == Ids::Short => {
                 (id + LAST_SHORT_ID).saturating_sub(last + 1)
             }
-            // The camera counts anew.
+            // The camera restarts its count.
             _ => 0,
         };
         let number = self.next + skipped;
@@ -43,7 +43,7 @@ impl Numbers {
         number
     }
 
-    /// The acquisition starts anew, and perhaps the ids do, too.
+    /// The acquisition restarts, and perhaps the ids do, too.
     pub(super) fn restart(&mut self) {
         self.last_id = None;
     }
@@ -71,7 +71,7 @@ mod tests {
         for ids in [Ids::Short, Ids::Long] {
             assert_eq!(numbers(0, ids, [65_535, 65_536, 65_540]), [0, 1, 5]);
         }
-        // A USB3 camera that began anew has lost nothing that is known.
+        // A USB3 camera that restarted has lost nothing that is known.
         assert_eq!(numbers(0, Ids::Long, [500, 501, 0, 1]), [0, 1, 2, 3]);
     }
 

@@ -10,7 +10,7 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 
 /// What Aravis calls the protocol of GigE Vision cameras.
 const GIGE_VISION: &str = "GigEVision";
-/// How often a second the fake device looks for a buffer to fill.
+/// How often a second the fake device searches for a buffer to fill.
 const LOOKS_HZ: f64 = 500.0;
 
 /// The library's list of cameras belongs to one thread at a time.

@@ -50,7 +50,7 @@ pub(super) struct OpenCamera {
     device: Device,
     name: String,
     camera: Camera,
-    /// `None` only where it could not be started anew: the camera is gone then.
+    /// `None` only where it could not be restarted: the camera is gone then.
     frames: Option<Frames>,
     settings: CameraSettings,
     /// As the camera has them.

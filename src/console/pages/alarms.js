@@ -2,7 +2,7 @@
 import { byId, h, kept, setText, since, symbols } from './dom.js';
 import { isLive, on, serverNow, viewNow } from './view.js';
 
-/** By id. What a replay shows is forgotten with it; what was live is kept for the next page. */
+/** By id. What a replay shows is dropped with it; what was live is kept for the next page. */
 let known = new Map();
 let lost = null, audio = null;
 const title = document.title;

@@ -7,7 +7,7 @@ export function url(path, parameters = {}) {
   return query ? `${path}?${query}` : path;
 }
 
-/** Ends the drawings that are under way: on a thin line they would hold up what is looked at next. */
+/** Ends the drawings that are under way: on a thin line they would hold up what is shown next. */
 let drawings = new AbortController();
 export function abandonDrawings() {
   drawings.abort();
@@ -51,7 +51,7 @@ export async function showPicture(place, address) {
 }
 
 /** Runs `task`, and says beside it in words what failed; an empty text if nothing did, or it was abandoned. */
-export async function telling(place, task) {
+export async function reporting(place, task) {
   try {
     await task();
     setText(place, '');

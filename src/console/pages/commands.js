@@ -1,5 +1,5 @@
 // The page of commands: one form for all of them, made from the server's list; compose, arm, send; and the log.
-import { getJson, paced, post, telling } from './api.js';
+import { getJson, paced, post, reporting } from './api.js';
 import { byId, clock, dateTime, h, number, setText, since, symbols } from './dom.js';
 import { begin } from './header.js';
 import { flight, learn, on, serverNow, thin } from './view.js';
@@ -124,7 +124,7 @@ function undo() {
 /** Asks about the form as it stands; the answer counts only if the form is still the same. */
 function ask(step, use) {
   const mine = edition;
-  telling(byId('command-error'), async () => {
+  reporting(byId('command-error'), async () => {
     try {
       const answer = await post(`/api/commands/${step}`, { name: command.name, values: values(), computer: Number(byId('computer').value) });
       if (mine === edition) use(answer);
@@ -170,7 +170,7 @@ function send() {
 function sendArmed() {
   const { armed: id, changes_flight: confirmed } = armed;
   undo();
-  telling(byId('command-error'), async () => takeRow(await post('/api/commands/send', { armed: id, confirmed })));
+  reporting(byId('command-error'), async () => takeRow(await post('/api/commands/send', { armed: id, confirmed })));
 }
 
 // ---- the log
@@ -209,7 +209,7 @@ function showPossible() {
 }
 
 /** The present values, again: after an answer and when a command is chosen. */
-const refresh = paced(1000, () => telling(byId('log-error'), async () => {
+const refresh = paced(1000, () => reporting(byId('log-error'), async () => {
   list = await getJson('/api/commands');
   const variables = list.commands.find(({ name }) => name === command?.name)?.variables ?? [];
   if (byId('value-parameter')) return;
@@ -245,6 +245,6 @@ on('answer', (row) => {
 });
 await begin({ present: true });
 if (flight.commands) {
-  telling(byId('command-error'), loadCommands);
-  telling(byId('log-error'), async () => { for (const row of (await getJson('/api/commands/log')).rows.reverse()) takeRow(row); });
+  reporting(byId('command-error'), loadCommands);
+  reporting(byId('log-error'), async () => { for (const row of (await getJson('/api/commands/log')).rows.reverse()) takeRow(row); });
 }

@@ -1,5 +1,5 @@
 // The page of the archive's frames: a list by quality and reason, and one frame open.
-import { getJson, showPicture, telling, url } from './api.js';
+import { getJson, showPicture, reporting, url } from './api.js';
 import { byId, dateTime, h, kept, setText } from './dom.js';
 import { begin } from './header.js';
 import { at, flight, on } from './view.js';
@@ -27,7 +27,7 @@ function row(frame) {
 }
 
 function load() {
-  return telling(byId('list-error'), async () => {
+  return reporting(byId('list-error'), async () => {
     const answer = await getJson(url('/api/frames', {
       quality: byId('quality').value, reason: byId('reason').value, before: pages.at(-1), count: COUNT,
     }));
@@ -54,13 +54,13 @@ function show(frame) {
   byId('fits').href = url('/api/frame.fits', { file });
   for (const each of byId('frames').tBodies[0].rows) each.ariaCurrent = each.dataset.file === file ? 'true' : null;
   showFrame();
-  // Where there is no room beside the list, the frame is far below it.
+  // Where there is no space beside the list, the frame is far below it.
   if (byId('frame').getBoundingClientRect().top > innerHeight) byId('frame').scrollIntoView();
 }
 
 function showFrame() {
   const overlay = byId('overlay').checked ? 1 : null;
-  return telling(byId('frame-error'), () => showPicture(byId('frame-picture'), url('/api/frame.png', { file, overlay })));
+  return reporting(byId('frame-error'), () => showPicture(byId('frame-picture'), url('/api/frame.png', { file, overlay })));
 }
 
 for (const id of ['quality', 'reason']) byId(id).addEventListener('change', newest);

@@ -1,8 +1,8 @@
-// The header of every page: where one is, how the flight is, what one looks at, and the alarms.
+// The header of every page: where one is, how the flight is, what is shown, and the alarms.
 import { watchAlarms } from './alarms.js';
-import { post, telling } from './api.js';
+import { post, reporting } from './api.js';
 import { byId, clock, dateTime, h, parseUtc, sentence, setText, symbols } from './dom.js';
-import { choices, flight, isLive, learn, look, on, serverNow, start, thin, viewNow } from './view.js';
+import { choices, flight, isLive, learn, select, on, serverNow, start, thin, viewNow } from './view.js';
 
 const SPEEDS = [1, 2, 10, 60, 600];
 const PAGES = [['/', 'Now'], ['/plots', 'Plots'], ['/commands', 'Commands'], ['/frames', 'Frames']];
@@ -17,7 +17,7 @@ function build() {
       h('strong', {}, 'solaspect'), h('nav', { 'aria-label': 'Pages' }, ...links),
       h('span', { id: 'source', class: 'grow' }),
       h('span', { id: 'viewers' }),
-      h('label', {}, 'line ', h('select', { id: 'line', onchange: (event) => look({ bits: Number(event.target.value) || null }) },
+      h('label', {}, 'line ', h('select', { id: 'line', onchange: (event) => select({ bits: Number(event.target.value) || null }) },
         option('', 'full', !thin()), option('6000', '6 kb/s', thin()))),
       h('label', {}, h('input', { id: 'sound', type: 'checkbox' }), ' alarm sound', h('span', { id: 'sound-note' })),
       h('a', { id: 'recording', href: '/api/recording', download: true, hidden: true }, 'recording'),
@@ -27,12 +27,12 @@ function build() {
       h('output', { id: 'mode', for: 'pause live go speed' }), h('output', { id: 'view' }), h('span', { id: 'utc' }),
       h('span', { class: 'grow' }),
       h('button', { id: 'pause', type: 'button', onclick: pauseOrPlay }, 'Pause'),
-      h('label', {}, 'speed ', h('select', { id: 'speed', onchange: (event) => look({ speed: Number(event.target.value) }) },
+      h('label', {}, 'speed ', h('select', { id: 'speed', onchange: (event) => select({ speed: Number(event.target.value) }) },
         ...SPEEDS.map((speed) => option(speed, `${speed}×`, speed === choices.speed)))),
       h('label', {}, 'go to UTC ', h('input', { id: 'go-time', size: 20, autocomplete: 'off', placeholder: 'HH:MM:SS',
         oninput: (event) => event.target.setCustomValidity('') })),
       h('button', { id: 'go' }, 'Go'),
-      h('button', { id: 'live', type: 'button', onclick: () => look({ at: null, playing: false }) }, 'Back to live')),
+      h('button', { id: 'live', type: 'button', onclick: () => select({ at: null, playing: false }) }, 'Back to live')),
     h('p', { id: 'left-out', class: 'note', hidden: true }));
   document.body.append(loginDialog());
   // Its hash would take the place of what the address keeps.
@@ -62,7 +62,7 @@ async function logInOrOut() {
 
 function logIn(event) {
   event.preventDefault();
-  telling(byId('login-error'), async () => {
+  reporting(byId('login-error'), async () => {
     await post('/api/login', { token: byId('token').value });
     byId('token').value = '';
     byId('login-dialog').close();
@@ -70,15 +70,15 @@ function logIn(event) {
   });
 }
 
-/** Where even viewing needs the login, everything begins anew. */
+/** Where even viewing needs the login, everything starts over. */
 async function afterLogin() {
   if (flight.needs_login) location.reload();
   else await learn();
 }
 
 function pauseOrPlay() {
-  if (choices.playing || isLive()) look({ at: new Date(viewNow()).toISOString(), playing: false });
-  else look({ at: choices.at ?? flight.begins, playing: true });
+  if (choices.playing || isLive()) select({ at: new Date(viewNow()).toISOString(), playing: false });
+  else select({ at: choices.at ?? flight.begins, playing: true });
 }
 
 function goTo(event) {
@@ -86,7 +86,7 @@ function goTo(event) {
   const input = byId('go-time');
   const time = parseUtc(input.value, viewNow());
   input.setCustomValidity(Number.isNaN(time) ? 'a UTC time, as 18:04:05 or 2013-09-21 18:04:05' : '');
-  if (input.reportValidity()) look({ at: new Date(time).toISOString() });
+  if (input.reportValidity()) select({ at: new Date(time).toISOString() });
 }
 
 function showFlight() {
@@ -141,7 +141,7 @@ function tick() {
   if (!view.hidden) setText(view, `at ${dateTime(viewNow())} UTC, not the present`);
 }
 
-/** Builds the header and begins. `present`: this page always looks at the present. */
+/** Builds the header and begins. `present`: this page always shows the present. */
 export function begin({ present = false } = {}) {
   build();
   if (present) byId('time').title = 'this page always shows the flight as it is now';

@@ -1,5 +1,5 @@
 // The page of the present: offsets, ages, pictures, the Sun on the plate, housekeeping.
-import { getSvg, paced, showPicture, telling, url } from './api.js';
+import { getSvg, paced, showPicture, reporting, url } from './api.js';
 import { byId, clock, dateTime, duration, h, kept, number, sentence, setText, symbols } from './dom.js';
 import { begin } from './header.js';
 import { watchTraining } from './training.js';
@@ -64,7 +64,7 @@ function showOffset(name, offset) {
 
 // ---- the Sun on the plate
 
-const fetchPlate = paced(1000, () => telling(byId('plate-error'), async () => {
+const fetchPlate = paced(1000, () => reporting(byId('plate-error'), async () => {
   const plate = await getSvg(url('/api/plate.svg', { at: at() }));
   byId('plate').replaceChildren(plate || 'where the Sun is on the plate is not known');
 }));
@@ -81,7 +81,7 @@ function makeCamera(number) {
   const figure = h('figure', { 'data-camera': number }, h('figcaption', {}, words, fetchIt, frame, error), image,
     h('details', {}, h('summary', {}, 'tags'), tags));
   const camera = { image, words, frame, tags, fetchIt, figure, picture: null };
-  camera.refresh = paced(500, () => telling(error, () => fetchPicture(camera)));
+  camera.refresh = paced(500, () => reporting(error, () => fetchPicture(camera)));
   fetchIt.addEventListener('click', camera.refresh);
   byId('picture').append(figure);
   cameras.set(number, camera);

@@ -1,5 +1,5 @@
 // The page of plots: any fields over the same times, live or not. All that is chosen stands in the address.
-import { getSvg, paced, telling, url } from './api.js';
+import { getSvg, paced, reporting, url } from './api.js';
 import { edges, savePng, saveSvg, watchPointer } from './chart.js';
 import { byId, clock, dateTime, h, iso, kept, setText } from './dom.js';
 import { begin } from './header.js';
@@ -120,7 +120,7 @@ const KEYS = {
 
 let dragging = () => false;
 /** At most 4 times a second, and never two at a time; the old plot stays until the new one is there. */
-const fetchPlot = paced(250, () => telling(byId('plot-error'), async () => {
+const fetchPlot = paced(250, () => reporting(byId('plot-error'), async () => {
   if (!chosen.fields.length) return byId('drawing').replaceChildren();
   const svg = await getSvg(url('/api/plot.svg', { fields: chosen.fields.join(','), ...span() }));
   if (dragging()) return;
@@ -128,7 +128,7 @@ const fetchPlot = paced(250, () => telling(byId('plot-error'), async () => {
   showWindow();
 }));
 
-const fetchSpectrum = paced(1000, () => telling(byId('spectrum-error'), async () => {
+const fetchSpectrum = paced(1000, () => reporting(byId('spectrum-error'), async () => {
   if (byId('spectrum-show').ariaPressed !== 'true') return byId('spectrum').replaceChildren();
   byId('spectrum').replaceChildren(await getSvg(url('/api/spectrum.svg', span())));
 }));
@@ -188,7 +188,7 @@ byId('spectrum-show').addEventListener('click', ({ target }) => {
 });
 const name = () => `solaspect ${iso(edges()?.from ?? 0).slice(0, 19).replaceAll(':', '')}`;
 byId('save-svg').addEventListener('click', () => saveSvg(byId('drawing').firstElementChild, name()));
-byId('save-png').addEventListener('click', () => telling(byId('plot-error'), () => savePng(byId('drawing').firstElementChild, name())));
+byId('save-png').addEventListener('click', () => reporting(byId('plot-error'), () => savePng(byId('drawing').firstElementChild, name())));
 dragging = watchPointer(fix, (time) => setText(byId('pointer'), time === null ? '' : `· pointer ${clock(time, 1)}`));
 window.addEventListener('hashchange', () => location.reload());
 readHash();

@@ -1,5 +1,5 @@
 // The panel of the demo: its faults on buttons, with what each does, what the console shows of it, and what to do.
-import { post, telling } from './api.js';
+import { post, reporting } from './api.js';
 import { byId, h, setText, symbols } from './dom.js';
 import { flight, learn, on } from './view.js';
 
@@ -8,7 +8,7 @@ const buttons = new Map();
 
 function press(button) {
   const on = button.ariaPressed !== 'true';
-  telling(byId('training-error'), async () => {
+  reporting(byId('training-error'), async () => {
     try {
       show(await post('/api/training', { fault: button.value, on }));
     } catch (error) {

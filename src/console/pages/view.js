@@ -1,4 +1,4 @@
-// What this viewer looks at: the flight, the time (live, paused or replayed), the line; and the stream of its events.
+// What this viewer shows: the flight, the time (live, paused or replayed), the line; and the stream of its events.
 import { abandonDrawings, getJson, url } from './api.js';
 import { iso, kept, tab } from './dom.js';
 
@@ -11,7 +11,7 @@ export const thin = () => choices.bits !== null;
 export const isLive = () => choices.at === null && flight.live;
 
 const handlers = {};
-/** Kinds: the server's events, and `view` (looks elsewhere: forget everything), `flight`, `connection` (ms since lost, or null). */
+/** Kinds: the server's events, and `view` (another view: drop everything), `flight`, `connection` (ms since lost, or null). */
 export function on(kind, handler) { (handlers[kind] ??= []).push(handler); }
 export function emit(kind, data) {
   for (const handler of handlers[kind] ?? []) {
@@ -42,8 +42,8 @@ function keepTime() {
   if (!presentOnly) tab.set('time', { at: at(), playing: choices.playing, speed: choices.speed });
 }
 
-/** Looks elsewhere, or at another speed, or over another line. */
-export function look(change) {
+/** Shows another time, or at another speed, or over another line. */
+export function select(change) {
   Object.assign(choices, { at: at() }, change);
   Object.assign(last, { view: choices.at && Date.parse(choices.at), at: performance.now() });
   kept.set('bits', choices.bits);
@@ -62,7 +62,7 @@ function take(kind, data) {
     Object.assign(last, { now: Date.parse(data.now), view: data.view && Date.parse(data.view), at: performance.now() });
     if (choices.playing) keepTime();
   }
-  if (kind === 'end') look({ playing: false });
+  if (kind === 'end') select({ playing: false });
   emit(kind, data);
 }
 

@@ -256,7 +256,7 @@ impl Reader {
         self.salvaged(Line::parse(&beginning))
     }
 
-    /// A burst out of a damaged line: only a whole time tells that it is right.
+    /// A burst out of a damaged line: only a whole time confirms it.
     fn salvaged(&mut self, line: Option<Line>) -> Option<Burst> {
         let line = line.filter(Line::is_exact)?;
         self.read += 1;

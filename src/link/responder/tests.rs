@@ -88,11 +88,11 @@ fn answers(sequence: u16, key: u16, value: u16) -> Vec<Said> {
     vec![Said::Answer(receipt), Said::Answer(outcome)]
 }
 
-fn tell(responder: &mut Responder, message: &Message) -> (Vec<Said>, bool) {
-    tell_payload(responder, message.packet(id::ASPECT, 5).unwrap().payload())
+fn send(responder: &mut Responder, message: &Message) -> (Vec<Said>, bool) {
+    send_payload(responder, message.packet(id::ASPECT, 5).unwrap().payload())
 }
 
-fn tell_payload(responder: &mut Responder, payload: &[u8]) -> (Vec<Said>, bool) {
+fn send_payload(responder: &mut Responder, payload: &[u8]) -> (Vec<Said>, bool) {
     let packet = CommandPacket::new(id::ASPECT, 5, payload.to_vec()).unwrap();
     let reply = responder.handle(&packet, time(0), &mut Desk).unwrap();
     (
@@ -119,11 +119,11 @@ fn computer_one() -> Responder {
 fn start_and_stop_of_tracking_get_a_receipt_a_result_and_their_answer() {
     let mut responder = computer_one();
     assert!(!responder.state().tracking);
-    let (packets, change) = tell(&mut responder, &Message::StartTracking);
+    let (packets, change) = send(&mut responder, &Message::StartTracking);
     let mut expected = answers(5, 0x1000, 0);
     expected.push(Said::Message(Message::TrackingOn));
     assert_eq!((packets, change), (expected, true));
-    let (packets, change) = tell(&mut responder, &Message::StopTracking);
+    let (packets, change) = send(&mut responder, &Message::StopTracking);
     let mut expected = answers(5, 0x1001, 0);
     expected.push(Said::Message(Message::TrackingOff));
     assert_eq!((packets, change), (expected, true));
@@ -132,7 +132,7 @@ fn start_and_stop_of_tracking_get_a_receipt_a_result_and_their_answer() {
 #[test]
 fn the_carried_out_commands_are_done_the_other_known_ones_not_and_the_rest_unknown() {
     let mut responder = computer_one();
-    let mut result = |key, variables: &[u16]| tell(&mut responder, &aspect(key, variables)).0;
+    let mut result = |key, variables: &[u16]| send(&mut responder, &aspect(key, variables)).0;
     assert_eq!(result(0x1000, &[]), answers(5, 0x1000, 0));
     assert_eq!(result(0x1040, &[]), answers(5, 0x1040, 0));
     assert_eq!(result(0x1030, &[]), answers(5, 0x1030, 0));
@@ -144,28 +144,28 @@ fn the_carried_out_commands_are_done_the_other_known_ones_not_and_the_rest_unkno
 #[test]
 fn a_command_without_its_variables_is_refused_and_an_unknown_message_is_unknown() {
     let mut responder = computer_one();
-    let mut told = |payload: &[u8]| tell_payload(&mut responder, payload);
+    let mut send = |payload: &[u8]| send_payload(&mut responder, payload);
     assert_eq!(
-        told(&[0xFF, 0x10, 0x12, 0x14, 1, 0]),
+        send(&[0xFF, 0x10, 0x12, 0x14, 1, 0]),
         (answers(5, 0x1412, 1), false)
     );
     assert_eq!(
-        told(&[0xFF, 0x10, 0xF2, 0x1F, 1, 0]),
+        send(&[0xFF, 0x10, 0xF2, 0x1F, 1, 0]),
         (answers(5, 0x1FF2, 0xFFFF), false)
     );
-    assert_eq!(told(&[0x0A, 0, 0, 0]), (answers(5, 0x000A, 1), false));
-    assert_eq!(told(&[0x34, 0x12]), (answers(5, 0x1234, 0xFFFF), false));
-    assert_eq!(told(&[0x00, 0x11]), (answers(5, 0x1100, 0xFFFF), false));
+    assert_eq!(send(&[0x0A, 0, 0, 0]), (answers(5, 0x000A, 1), false));
+    assert_eq!(send(&[0x34, 0x12]), (answers(5, 0x1234, 0xFFFF), false));
+    assert_eq!(send(&[0x00, 0x11]), (answers(5, 0x1100, 0xFFFF), false));
 }
 
 #[test]
 fn what_is_not_for_this_computer_is_ignored_unanswered() {
     let mut responder = computer_one();
     for key in [0x2040, 0x0040, 0x4040] {
-        assert_eq!(tell(&mut responder, &aspect(key, &[])), (vec![], false));
+        assert_eq!(send(&mut responder, &aspect(key, &[])), (vec![], false));
     }
     for payload in [&[][..], &[0xFF], &[0xFF, 0x10], &[0xFF, 0x10, 0x40]] {
-        assert_eq!(tell_payload(&mut responder, payload), (vec![], false));
+        assert_eq!(send_payload(&mut responder, payload), (vec![], false));
     }
     let elsewhere = Message::StartTracking.packet(id::CONTROLLER, 1).unwrap();
     assert_eq!(
@@ -184,7 +184,7 @@ fn what_is_not_for_this_computer_is_ignored_unanswered() {
         3
     );
     assert_eq!(
-        tell(&mut responder, &aspect(0x3040, &[])).0,
+        send(&mut responder, &aspect(0x3040, &[])).0,
         answers(5, 0x3040, 0)
     );
 }
@@ -193,7 +193,7 @@ fn what_is_not_for_this_computer_is_ignored_unanswered() {
 fn what_the_service_says_of_a_command_is_its_result() {
     let mut responder = computer_one();
     let mut result = |key, variables: &[u16]| {
-        let (said, changed) = tell(&mut responder, &aspect(key, variables));
+        let (said, changed) = send(&mut responder, &aspect(key, variables));
         assert!(!changed);
         said
     };
@@ -204,7 +204,7 @@ fn what_the_service_says_of_a_command_is_its_result() {
         latitude_deg,
         longitude_deg: 1.0,
     };
-    let mut gps = |latitude| tell(&mut responder, &Message::Gps(fix(latitude))).0;
+    let mut gps = |latitude| send(&mut responder, &Message::Gps(fix(latitude))).0;
     assert_eq!(gps(34.0), answers(5, 0x000A, result::DONE));
     assert_eq!(gps(0.0), answers(5, 0x000A, result::REFUSED));
 }
@@ -244,7 +244,7 @@ fn commands_of_the_other_computer_are_skipped_and_an_unknown_one_ends_the_packet
         &[0x34, 0x12, 1],
     ]
     .concat();
-    let (heard, changed) = tell_payload(&mut responder, &payload);
+    let (heard, changed) = send_payload(&mut responder, &payload);
     let mut expected = answers(5, 0x1000, 0);
     expected.push(Said::Message(Message::TrackingOn));
     for (key, value) in [(0x1FF1, 0xFFFF), (0x1412, 0), (0x1234, 0xFFFF)] {
@@ -260,7 +260,7 @@ fn padding_is_no_command() {
         let payload = [&[0x01, 0x10][..], &vec![0; padding]].concat();
         let mut expected = answers(5, 0x1001, 0);
         expected.push(Said::Message(Message::TrackingOff));
-        assert_eq!(tell_payload(&mut responder, &payload).0, expected);
+        assert_eq!(send_payload(&mut responder, &payload).0, expected);
     }
 }
 
@@ -270,7 +270,7 @@ fn a_place_that_is_no_number_is_refused() {
     let mut payload = vec![0x0A, 0];
     payload.extend(f32::NAN.to_le_bytes());
     payload.extend(1_f32.to_le_bytes());
-    let said = tell_payload(&mut responder, &payload).0;
+    let said = send_payload(&mut responder, &payload).0;
     assert_eq!(said, answers(5, 0x000A, result::REFUSED));
 }
 
@@ -286,7 +286,7 @@ fn an_exposure_is_announced_while_sending_is_enabled_tracking_or_not() {
         said(&packet),
         Said::Message(Message::ExposureStart(announced))
     );
-    tell(&mut responder, &aspect(0x1040, &[]));
+    send(&mut responder, &aspect(0x1040, &[]));
     assert_eq!(responder.exposure_starts(exposure(2)), Ok(None));
     let mut second = Responder::new(Computer::Two, sending(false));
     assert_eq!(second.exposure_starts(exposure(1)), Ok(None));
@@ -297,7 +297,7 @@ fn a_solution_goes_only_while_tracking_and_sending_and_after_its_own_announcemen
     let mut responder = computer_one();
     responder.exposure_starts(exposure(1)).unwrap();
     assert_eq!(conclude(&mut responder, 1), Ok(None), "not tracking");
-    tell(&mut responder, &Message::StartTracking);
+    send(&mut responder, &Message::StartTracking);
     assert_eq!(conclude(&mut responder, 2), Ok(None), "not announced");
     responder.exposure_starts(exposure(3)).unwrap();
     responder.exposure_starts(exposure(4)).unwrap();
@@ -322,7 +322,7 @@ fn a_solution_goes_only_while_tracking_and_sending_and_after_its_own_announcemen
         "its announcement did not go"
     );
     responder.exposure_starts(exposure(6)).unwrap();
-    tell(&mut responder, &Message::StopTracking);
+    send(&mut responder, &Message::StopTracking);
     assert_eq!(
         conclude(&mut responder, 6),
         Ok(None),
@@ -333,7 +333,7 @@ fn a_solution_goes_only_while_tracking_and_sending_and_after_its_own_announcemen
 #[test]
 fn an_older_solution_never_goes_after_a_newer_one() {
     let mut responder = computer_one();
-    tell(&mut responder, &Message::StartTracking);
+    send(&mut responder, &Message::StartTracking);
     for second in 1..=3 {
         responder.exposure_starts(exposure(second)).unwrap();
     }
@@ -345,7 +345,7 @@ fn an_older_solution_never_goes_after_a_newer_one() {
 #[test]
 fn exposures_of_two_cameras_at_one_time_are_told_apart() {
     let mut responder = computer_one();
-    tell(&mut responder, &Message::StartTracking);
+    send(&mut responder, &Message::StartTracking);
     responder.exposure_starts(exposure(1)).unwrap();
     let other = Exposure {
         camera: 2,
@@ -358,9 +358,9 @@ fn exposures_of_two_cameras_at_one_time_are_told_apart() {
 #[test]
 fn sending_stops_when_the_announced_exposure_is_concluded_and_says_so_then() {
     let mut responder = computer_one();
-    tell(&mut responder, &Message::StartTracking);
+    send(&mut responder, &Message::StartTracking);
     responder.exposure_starts(exposure(1)).unwrap();
-    let (said, changed) = tell(&mut responder, &aspect(0x1040, &[]));
+    let (said, changed) = send(&mut responder, &aspect(0x1040, &[]));
     let receipt = Said::Answer(Telemetry::Receipt(Receipt { sequence: 5 }));
     assert_eq!((said, changed), (vec![receipt], false));
     assert!(responder.is_stopping());
@@ -384,23 +384,23 @@ fn sending_stops_at_once_where_nothing_is_to_be_concluded() {
     responder.exposure_starts(exposure(1)).unwrap();
     let stop = aspect(0x1040, &[]);
     assert_eq!(
-        tell(&mut responder, &stop),
+        send(&mut responder, &stop),
         (answers(5, 0x1040, 0), true),
         "not tracking"
     );
-    tell(&mut responder, &Message::StartTracking);
+    send(&mut responder, &Message::StartTracking);
     assert_eq!(conclude(&mut responder, 1), Ok(None), "sending disabled");
-    assert_eq!(tell(&mut responder, &stop), (answers(5, 0x1040, 0), false));
+    assert_eq!(send(&mut responder, &stop), (answers(5, 0x1040, 0), false));
 }
 
 #[test]
 fn a_start_overtakes_a_stop_that_waits_and_both_are_answered() {
     let mut responder = computer_one();
-    tell(&mut responder, &Message::StartTracking);
+    send(&mut responder, &Message::StartTracking);
     responder.exposure_starts(exposure(1)).unwrap();
-    tell(&mut responder, &aspect(0x1040, &[]));
+    send(&mut responder, &aspect(0x1040, &[]));
     assert_eq!(
-        tell(&mut responder, &aspect(0x1030, &[])),
+        send(&mut responder, &aspect(0x1030, &[])),
         (answers(5, 0x1030, 0), false)
     );
     assert_eq!(responder.stopped(time(1)).unwrap().len(), 1);
@@ -411,9 +411,9 @@ fn a_start_overtakes_a_stop_that_waits_and_both_are_answered() {
 #[test]
 fn forgotten_exposures_end_the_waiting() {
     let mut responder = computer_one();
-    tell(&mut responder, &Message::StartTracking);
+    send(&mut responder, &Message::StartTracking);
     responder.exposure_starts(exposure(1)).unwrap();
-    tell(&mut responder, &aspect(0x1040, &[]));
+    send(&mut responder, &aspect(0x1040, &[]));
     responder.forget_all();
     assert_eq!(responder.stopped(time(1)).unwrap().len(), 1);
     assert!(!responder.state().sending);

@@ -31,7 +31,7 @@ pub struct Wanted {
     pub rate_hz: Option<f64>,
     /// An Attitude Ephemeris Message of CCSDS, too; the epoch must be known.
     pub aem: bool,
-    /// NAV.toml anew, with the biases and misalignments that the filter ended with.
+    /// NAV.toml again, with the biases and misalignments that the filter ended with.
     pub calibrated: Option<PathBuf>,
 }
 

@@ -11,9 +11,9 @@ use crate::units::Measured;
 
 /// What the path counts in: about the error of a frame.
 const UNIT_DEG: f64 = 0.01;
-/// A roll known worse than this, 1 sigma, is not told.
+/// A roll known worse than this, 1 sigma, is not stated.
 const MOST_SIGMA_DEG: f64 = 0.5;
-/// Fewer differences of neighbours tell nothing, nor do frames of which one step is so many times another.
+/// Fewer differences of neighbours determine nothing, nor do frames of which one step is so many times another.
 const LEAST_DIFFERENCES: usize = 20;
 const EVEN_STEPS: f64 = 1.5;
 /// At least this part of the stated sigmas changes from frame to frame: a camera that repeats a picture has differences of 0, and a path
@@ -127,8 +127,8 @@ impl Seen {
     }
 }
 
-/// Which part of the stated sigmas changes from frame to frame, of roll and pitch: third differences tell, in which slow motion is
-/// nothing. All of it, where too few frames tell or the motion is too fast.
+/// Which part of the stated sigmas changes from frame to frame, of roll and pitch: third differences show it, in which slow motion is
+/// nothing. All of it, where there are too few frames or the motion is too fast.
 pub(super) fn changing(seen: &[Seen]) -> [f64; 2] {
     let evenly = |four: &&[Seen]| {
         let steps = four.windows(2).map(|pair| pair[1].time_s - pair[0].time_s);
@@ -150,8 +150,8 @@ pub(super) fn changing(seen: &[Seen]) -> [f64; 2] {
         };
         let differences = seen.windows(4).filter(evenly).map(difference);
         let differences: Vec<f64> = differences.collect();
-        let told = differences.len() >= LEAST_DIFFERENCES;
-        let scatter = median(&differences).filter(|scatter| told && scatter.is_finite());
+        let enough = differences.len() >= LEAST_DIFFERENCES;
+        let scatter = median(&differences).filter(|scatter| enough && scatter.is_finite());
         scatter.map_or(1.0, |scatter| {
             (scatter * SIGMA_PER_MEDIAN).clamp(LEAST_CHANGING, 1.0)
         })

@@ -67,7 +67,7 @@ impl RollRow {
         own.into_iter().chain(flag).collect::<Vec<_>>().join("; ")
     }
 
-    /// The nadir at the row's time, with what the uncertainty of that adds; none where it cannot be told how much that is.
+    /// The nadir at the row's time, with what the uncertainty of that adds; none where that is not known.
     pub fn nadir_at_time(&self) -> Option<Direction> {
         let nadir = self.nadir?;
         let Some(sigma_s) = self.timing.sigma_s else {

@@ -1,7 +1,7 @@
 //! Times held against the frames' numbers.
 //!
 //! A camera's number goes on with time. Frames whose times do not rise with their numbers, but for the fewest that can be left out
-//! (the longest rising subsequence stays), were stamped wrongly, unless the counter began anew. So were frames between a jump of
+//! (the longest rising subsequence stays), were stamped wrongly, unless the counter restarted. So were frames between a jump of
 //! time and its return, where the camera is steady otherwise. Wrong times are replaced by those that the numbers and the frames before and
 //! after give.
 
@@ -9,7 +9,7 @@ use super::super::flags::SIGMA_PER_WIDTH;
 use crate::estimation::median;
 use crate::units::Measured;
 
-/// Where more frames share their number with others, the counter began anew or tells no order.
+/// Where more frames share their number with others, the counter restarted or gives no order.
 const MOST_REPEATED: f64 = 0.1;
 /// Where times and numbers contradict each other in more frames, neither can be corrected by the other.
 const MOST_WRONG: f64 = 0.4;
@@ -43,7 +43,7 @@ pub(super) struct Found {
     pub shuffled: Vec<(usize, f64)>,
 }
 
-/// Looks at frames in any order. Of times that are confirmed nothing is found.
+/// Takes frames in any order. Of times that are confirmed nothing is found.
 pub(super) fn examine(frames: Vec<Numbered>) -> Found {
     let mut is_confirmed = vec![false; frames.iter().map(|f| f.frame + 1).max().unwrap_or(0)];
     for frame in &frames {
@@ -63,7 +63,7 @@ fn examine_all(mut frames: Vec<Numbered>) -> Found {
         return Found::default();
     }
     let mut found = Found::default();
-    // Where the counter began anew, steps of its starts alternate.
+    // Where the counter restarted, steps of its starts alternate.
     if repeated == 0 {
         for (n, shift) in displaced(&frames) {
             found.corrections_s.push((frames[n].frame, shift));

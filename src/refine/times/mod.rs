@@ -88,7 +88,7 @@ pub(super) struct Times {
 }
 
 impl Times {
-    /// Looks at frames in the order of their files.
+    /// Takes frames in the order of their files.
     pub fn of(stamps: &[Stamp]) -> Self {
         let mut times = Self {
             timings: vec![Timing::default(); stamps.len()],

@@ -193,7 +193,7 @@ fn a_clock_that_stands_still_gives_no_time() {
         assert_eq!(timing.utc_ns(first), None);
         assert_eq!(timing.flag, Some(TimeFlag::StoppedClock));
     }
-    // For a while only: the numbers tell.
+    // For a while only: the numbers show.
     let mut stamps = steady(200);
     let first = stamps[50].utc_ns;
     stamps[50..70]
