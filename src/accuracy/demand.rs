@@ -13,9 +13,9 @@ pub enum Demand {
     /// Largest error of 99.7 % of the frames.
     MostArcsec(f64),
     /// Every frame that shows enough of the limb and three marks fully lit is fine.
-    NoneMissed,
+    AllFine,
     /// Every such frame with four marks or more fully lit is fine.
-    NoneMissedOfFour,
+    AllFineOfFour,
     /// Of such frames with three marks fully lit at least this share is fine.
     FineOfThree(f64),
     /// Every such frame is fine, but for this share at most whose marks leave two readings open: three in a row where the
@@ -30,9 +30,9 @@ pub enum Demand {
     /// No frame says it is fine.
     NoneFine,
     /// Error over stated sigma is neither much more nor much less than 1.
-    HonestSigma,
-    /// As [`HonestSigma`](Self::HonestSigma), with this as the most, for rows of few frames; see [`Precision`].
-    HonestSigmaTo(f64),
+    SigmaRatio,
+    /// As [`SigmaRatio`](Self::SigmaRatio), with this as the most, for rows of few frames; see [`Precision`].
+    SigmaRatioUpTo(f64),
     /// Largest median of the radial errors, in that of ideal frames of the same seeds; see [`Precision`].
     TimesIdeal(f64),
     /// In at least this share of the frames the marks are not read, and their likeliest labelling is a false one.
@@ -44,7 +44,7 @@ pub enum Demand {
 }
 
 /// What error over stated sigma may be, rms per axis.
-pub const HONEST: Range<f64> = 0.8..1.25;
+pub const CALIBRATED: Range<f64> = 0.8..1.25;
 
 /// How the statistics of few frames are held against a limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -82,9 +82,9 @@ impl Demand {
         match self {
             Self::MedianArcsec(limit) => at_most("median", found.median_arcsec, limit),
             Self::MostArcsec(limit) => at_most("99.7 %", found.most_arcsec, limit),
-            Self::NoneMissed => (!found.missed.is_empty())
+            Self::AllFine => (!found.missed.is_empty())
                 .then(|| format!("{} frames ought to be fine", found.missed.len())),
-            Self::NoneMissedOfFour => {
+            Self::AllFineOfFour => {
                 let missed = found.missed.iter().filter(|m| m.lit_marks > 3).count();
                 (missed > 0).then(|| format!("{missed} frames of four marks ought to be fine"))
             }
@@ -118,12 +118,12 @@ impl Demand {
             Self::NearShare(limit) => at_least("share within 0.5 px", found.near_share, limit),
             Self::FineShare(limit) => at_least("fine share", found.fine_share(), limit),
             Self::NoneFine => (found.fine > 0).then(|| format!("{} frames are fine", found.fine)),
-            Self::HonestSigma => {
-                let honest = |axes: [f64; 2]| axes.iter().all(|v| HONEST.contains(v));
+            Self::SigmaRatio => {
+                let calibrated = |axes: [f64; 2]| axes.iter().all(|v| CALIBRATED.contains(v));
                 let [x, y] = [0, 1].map(|axis| text(found.over_sigma.map(|axes| axes[axis])));
-                (!found.over_sigma.is_some_and(honest)).then(|| format!("error/sigma {x}, {y}"))
+                (!found.over_sigma.is_some_and(calibrated)).then(|| format!("error/sigma {x}, {y}"))
             }
-            Self::HonestSigmaTo(most) => dishonest(found, most, precision),
+            Self::SigmaRatioUpTo(most) => dishonest(found, most, precision),
             Self::TimesIdeal(most) => {
                 let ideal = found.ideal.as_ref();
                 let least = ideal.map(|i| i.ratio - precision.allowed_sigmas() * i.ratio_sigma);
@@ -145,16 +145,16 @@ impl Demand {
     }
 }
 
-/// Why the error over sigma is not between the least that is honest and a most; `None` where it is.
+/// Why the error over sigma is not between the least that is accepted and a most; `None` where it is.
 fn dishonest(found: &Summary, most: f64, precision: Precision) -> Option<String> {
     let sigmas = precision.allowed_sigmas();
-    let honest = |rms: f64| {
+    let calibrated = |rms: f64| {
         let range = chance::range_of_rms(rms, found.counted, sigmas);
-        *range.start() <= most && *range.end() >= HONEST.start
+        *range.start() <= most && *range.end() >= CALIBRATED.start
     };
     let met = found
         .over_sigma
-        .is_some_and(|axes| axes.into_iter().all(honest));
+        .is_some_and(|axes| axes.into_iter().all(calibrated));
     let [x, y] = [0, 1].map(|axis| text(found.over_sigma.map(|axes| axes[axis])));
     (!met).then(|| format!("error/sigma {x}, {y} of {} frames", found.counted))
 }
@@ -164,8 +164,8 @@ impl fmt::Display for Demand {
         match self {
             Self::MedianArcsec(limit) => write!(out, "median {limit}"),
             Self::MostArcsec(limit) => write!(out, "99.7 % {limit}"),
-            Self::NoneMissed => write!(out, "all marked frames fine"),
-            Self::NoneMissedOfFour => write!(out, "all frames of four marks fine"),
+            Self::AllFine => write!(out, "all marked frames fine"),
+            Self::AllFineOfFour => write!(out, "all frames of four marks fine"),
             Self::FineOfThree(least) => {
                 write!(out, "{:.0} % of those of three marks fine", 100.0 * least)
             }
@@ -180,8 +180,12 @@ impl fmt::Display for Demand {
             Self::FineShare(limit) => write!(out, "{:.0} % fine", 100.0 * limit),
             Self::NearShare(limit) => write!(out, "{:.0} % within {NEAR_PX} px", 100.0 * limit),
             Self::NoneFine => write!(out, "none fine"),
-            Self::HonestSigma => write!(out, "error/sigma {} to {}", HONEST.start, HONEST.end),
-            Self::HonestSigmaTo(most) => write!(out, "error/sigma {} to {most}", HONEST.start),
+            Self::SigmaRatio => write!(
+                out,
+                "error/sigma {} to {}",
+                CALIBRATED.start, CALIBRATED.end
+            ),
+            Self::SigmaRatioUpTo(most) => write!(out, "error/sigma {} to {most}", CALIBRATED.start),
             Self::TimesIdeal(most) => write!(out, "median {most} x the ideal"),
             Self::RivalsLikeliest(least) => {
                 write!(
@@ -224,9 +228,9 @@ mod tests {
     fn a_limit_is_kept_up_to_itself() {
         let found = summary(300, 1.2, 1.3);
         for (demand, met) in [
-            (Demand::HonestSigma, true),
-            (Demand::HonestSigmaTo(1.25), true),
-            (Demand::HonestSigmaTo(1.1), false),
+            (Demand::SigmaRatio, true),
+            (Demand::SigmaRatioUpTo(1.25), true),
+            (Demand::SigmaRatioUpTo(1.1), false),
             (Demand::MedianArcsec(2.8), false),
             (Demand::MedianArcsec(2.9), true),
             (Demand::TimesIdeal(1.3), true),
@@ -248,7 +252,7 @@ mod tests {
             (few(0.4, 1.0), false, true),
         ] {
             let unmet = |demand: Demand| demand.unmet(&found, Precision::OfCount);
-            assert_eq!(unmet(Demand::HonestSigmaTo(1.25)).is_none(), sigma_met);
+            assert_eq!(unmet(Demand::SigmaRatioUpTo(1.25)).is_none(), sigma_met);
             assert_eq!(unmet(Demand::TimesIdeal(1.3)).is_none(), ideal_met);
         }
     }
@@ -258,8 +262,8 @@ mod tests {
         let summary = Summary::of(&[], About::Coarse, 2.0);
         for demand in [
             Demand::MedianArcsec(9.0),
-            Demand::HonestSigma,
-            Demand::HonestSigmaTo(1.3),
+            Demand::SigmaRatio,
+            Demand::SigmaRatioUpTo(1.3),
             Demand::TimesIdeal(2.0),
             Demand::SolvedShare(0.1),
         ] {

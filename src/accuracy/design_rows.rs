@@ -1,8 +1,8 @@
 //! The rows about plates that are designed, and about what the check says of plates before they are made.
 
 use super::conditions::displaced;
-use super::demand::Demand::{FineShare, HonestSigmaTo, RivalsLikeliest};
-use super::demand::HONEST;
+use super::demand::CALIBRATED;
+use super::demand::Demand::{FineShare, RivalsLikeliest, SigmaRatioUpTo};
 use super::plate_rows::{dots, of_crosses, random};
 use super::recipe::{Generator, Recipe, View};
 use super::rows::{AccuracyRow, InstrumentOf, Size, row};
@@ -74,7 +74,7 @@ fn designed_rows() -> impl Iterator<Item = AccuracyRow> {
             frames: DESIGN_FRAMES,
             instrument: Some(instrument),
             instruments: [1, 5],
-            ..row.demanding(&[FineShare(1.0), HonestSigmaTo(HONEST.end)])
+            ..row.demanding(&[FineShare(1.0), SigmaRatioUpTo(CALIBRATED.end)])
         }
     })
 }

@@ -26,7 +26,7 @@ pub enum HorizonDemand {
     /// Least share of fine frames among those of whose edge a quarter is lit.
     FineShare(f64),
     /// Error over stated sigma of the nadir, rms per axis; see [`Precision`].
-    HonestSigma(Range<f64>),
+    SigmaRatio(Range<f64>),
     /// No fine frame is off by more than 2 deg.
     NoneFarOff,
     /// No frame says it is fine.
@@ -229,12 +229,12 @@ impl HorizonDemand {
                 let met = share + sigmas * scatter >= *least;
                 (!met).then(|| format!("fine share {share:.3} under {least}"))
             }
-            Self::HonestSigma(honest) => {
+            Self::SigmaRatio(calibrated) => {
                 let Some(over) = found.over_sigma else {
                     return Some("no fine frame".into());
                 };
                 let range = range_of_rms(over, 2 * found.fine, sigmas);
-                let met = *range.start() <= honest.end && *range.end() >= honest.start;
+                let met = *range.start() <= calibrated.end && *range.end() >= calibrated.start;
                 (!met).then(|| format!("error/sigma {over:.2} of {} frames", found.fine))
             }
             Self::NoneFarOff => (!found.far_off.is_empty())
@@ -248,7 +248,7 @@ impl fmt::Display for HorizonDemand {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::FineShare(least) => write!(out, "{:.0} % fine", 100.0 * least),
-            Self::HonestSigma(range) => write!(out, "error/sigma {} to {}", range.start, range.end),
+            Self::SigmaRatio(range) => write!(out, "error/sigma {} to {}", range.start, range.end),
             Self::NoneFarOff => write!(out, "none off by 2 deg"),
             Self::NoneFine => write!(out, "none fine"),
         }

@@ -6,7 +6,7 @@ use crate::geometry::camera::CameraModel;
 use crate::simulate::Noise;
 use crate::simulate::earth::{Aim, Clouds, EarthConditions, Glow, Haze};
 use crate::units::SensorPx;
-use HorizonDemand::{FineShare, HonestSigma, NoneFine};
+use HorizonDemand::{FineShare, NoneFine, SigmaRatio};
 use rand::RngExt;
 use std::ops::Range;
 
@@ -29,7 +29,7 @@ pub(super) fn horizon_rows() -> Vec<HorizonRow> {
 fn with_an_exact_edge() -> Vec<HorizonRow> {
     let row = |title: &str, height_m, draw| {
         HorizonRow::new(title, [16, 200], height_m, EXACT_M, draw)
-            .demanding(&[FineShare(0.95), HonestSigma(0.75..1.25)])
+            .demanding(&[FineShare(0.95), SigmaRatio(0.75..1.25)])
     };
     vec![
         row("230 km, clear", 230e3, |_, m| EarthConditions::clear(m)),
@@ -60,13 +60,13 @@ fn cloudy() -> Vec<HorizonRow> {
         HorizonRow::new(title, [8, 200], 1e3 * km, EXACT_M, |rng, m| {
             with_any_clouds(rng, varying_by_height(m))
         })
-        .demanding(&[FineShare(0.95), HonestSigma(0.8..1.4)])
+        .demanding(&[FineShare(0.95), SigmaRatio(0.8..1.4)])
     };
     let of_half = |title: &str, height_m| {
         HorizonRow::new(title, [8, 200], height_m, EXACT_M, |_, m| {
             with_clouds(Clouds::BRIGHT, varying_by_height(m))
         })
-        .demanding(&[FineShare(0.95), HonestSigma(0.8..1.4)])
+        .demanding(&[FineShare(0.95), SigmaRatio(0.8..1.4)])
     };
     let mut rows = vec![
         of_half("38 km, clouds over half of the ground", 38e3),
@@ -83,7 +83,7 @@ fn airs() -> Vec<HorizonRow> {
         HorizonRow::new(title, [8, 200], 1e3 * km, USUAL_M, |rng, m| {
             with_any_air(rng, varying_by_height(m))
         })
-        .demanding(&[FineShare(0.95), HonestSigma(0.6..1.3)])
+        .demanding(&[FineShare(0.95), SigmaRatio(0.6..1.3)])
     };
     [38.0, 230.0, 420.0].map(row).into()
 }
@@ -96,7 +96,7 @@ fn as_photographed() -> Vec<HorizonRow> {
             terminator: true,
             ..photograph(rng)
         })
-        .demanding(&[FineShare(0.8), HonestSigma(0.8..1.5)]),
+        .demanding(&[FineShare(0.8), SigmaRatio(0.8..1.5)]),
         row("orbit, terminator, Sun in view", [16, 1000], |rng, _| {
             EarthConditions {
                 terminator: true,
@@ -104,25 +104,25 @@ fn as_photographed() -> Vec<HorizonRow> {
                 ..photograph(rng)
             }
         })
-        .demanding(&[FineShare(0.8), HonestSigma(0.8..1.5)]),
+        .demanding(&[FineShare(0.8), SigmaRatio(0.8..1.5)]),
         row("orbit, glow above the limb", [16, 400], |rng, _| {
             with_glow(rng)
         })
-        .demanding(&[FineShare(0.95), HonestSigma(0.75..1.4)]),
+        .demanding(&[FineShare(0.95), SigmaRatio(0.75..1.4)]),
         row("orbit, struts and banners", [16, 400], |rng, _| {
             EarthConditions {
                 structure: true,
                 ..photograph(rng)
             }
         })
-        .demanding(&[FineShare(0.8), HonestSigma(0.75..1.4)]),
+        .demanding(&[FineShare(0.8), SigmaRatio(0.75..1.4)]),
         row("orbit, glow, struts and banners", [16, 400], |rng, _| {
             EarthConditions {
                 structure: true,
                 ..with_glow(rng)
             }
         })
-        .demanding(&[FineShare(0.7), HonestSigma(0.75..1.4)]),
+        .demanding(&[FineShare(0.7), SigmaRatio(0.75..1.4)]),
     ]
 }
 

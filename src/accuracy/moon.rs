@@ -53,7 +53,7 @@ pub enum MoonDemand {
     /// Least share of frames that are fine.
     FineShare(f64),
     /// Error over stated sigma of the centre, rms per axis; see [`Precision`].
-    HonestSigma(Range<f64>),
+    SigmaRatio(Range<f64>),
     /// No fine frame that is off by 5 sigma per axis and 0.3 px.
     NoWrongFine,
     /// No frame says it is fine.
@@ -239,12 +239,12 @@ impl MoonDemand {
                 let least = *range_of_rms(across, found.fine, sigmas).start();
                 (least > *most).then(|| format!("{across:.3} px across over {most}"))
             }
-            Self::HonestSigma(honest) => {
+            Self::SigmaRatio(calibrated) => {
                 let Some(over) = found.over_sigma else {
                     return unknown();
                 };
                 let range = range_of_rms(over, 2 * found.fine, sigmas);
-                let met = *range.start() <= honest.end && *range.end() >= honest.start;
+                let met = *range.start() <= calibrated.end && *range.end() >= calibrated.start;
                 (!met).then(|| format!("error/sigma {over:.2} of {} frames", found.fine))
             }
             Self::FineShare(least) => {
@@ -265,7 +265,7 @@ impl fmt::Display for MoonDemand {
         match self {
             Self::AcrossPx(most) => write!(out, "{most} px"),
             Self::FineShare(least) => write!(out, "{:.0} % fine", 100.0 * least),
-            Self::HonestSigma(range) => write!(out, "error/sigma {} to {}", range.start, range.end),
+            Self::SigmaRatio(range) => write!(out, "error/sigma {} to {}", range.start, range.end),
             Self::NoWrongFine => write!(out, "none wrong"),
             Self::NoneFine => write!(out, "none fine"),
         }

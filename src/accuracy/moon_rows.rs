@@ -1,6 +1,6 @@
 //! The rows about the Moon: what their pictures show, and what is demanded of them.
 
-use super::demand::HONEST;
+use super::demand::CALIBRATED;
 use super::moon::{Draw, Knowledge, MoonDemand, MoonRow};
 use super::recipe::Generator;
 use crate::simulate::Noise;
@@ -14,8 +14,8 @@ pub(super) fn moon_rows() -> Vec<MoonRow> {
 }
 
 /// What error over stated sigma may be, as of frames of the Sun, and of Moons as photographs show them.
-const HONEST_SIGMA: MoonDemand = MoonDemand::HonestSigma(HONEST);
-const NEARLY_HONEST: MoonDemand = MoonDemand::HonestSigma(0.8..1.3);
+const SIGMA_RATIO_WITHIN: MoonDemand = MoonDemand::SigmaRatio(CALIBRATED);
+const SIGMA_RATIO_NEARLY: MoonDemand = MoonDemand::SigmaRatio(0.8..1.3);
 /// Lit shares, with the largest error across of smooth discs of 15 px: the radius known, and free.
 const LIT: [(Range<f64>, f64, f64); 3] = [
     (0.10..0.25, 0.06, 0.20),
@@ -57,7 +57,7 @@ fn by_lit_share() -> Vec<MoonRow> {
                     if is_large { [10, 40] } else { [16, 400] },
                     Draw::Same(Box::new(conditions)),
                 );
-                rows.push(row.demanding(&[MoonDemand::AcrossPx(most), HONEST_SIGMA]));
+                rows.push(row.demanding(&[MoonDemand::AcrossPx(most), SIGMA_RATIO_WITHIN]));
             }
         }
     }
@@ -76,31 +76,31 @@ fn as_photographed() -> Vec<MoonRow> {
             "0 to 20 deg from full, 15 to 250 px, craters",
             known,
             |rng| near_full(rng, 15.0..250.0),
-            &[MoonDemand::FineShare(0.9), NEARLY_HONEST],
+            &[MoonDemand::FineShare(0.9), SIGMA_RATIO_NEARLY],
         ));
         rows.push(row(
             "the same with seas",
             known,
             |rng| with_seas(near_full(rng, 15.0..250.0)),
-            &[MoonDemand::FineShare(0.9), NEARLY_HONEST],
+            &[MoonDemand::FineShare(0.9), SIGMA_RATIO_NEARLY],
         ));
         rows.push(row(
             "any phase, 60 px, craters, seas",
             known,
             |_| with_seas(cratered(60.0, 0.1..1.0)),
-            &[MoonDemand::FineShare(0.9), NEARLY_HONEST],
+            &[MoonDemand::FineShare(0.9), SIGMA_RATIO_NEARLY],
         ));
         rows.push(row(
             "sky at 0 DN, noise 1 to 5 DN, 1368 x 912 px, 20 to 150 px",
             known,
             clipped,
-            &[MoonDemand::FineShare(0.95), NEARLY_HONEST],
+            &[MoonDemand::FineShare(0.95), SIGMA_RATIO_NEARLY],
         ));
         rows.push(row(
             "lit 0.01 to 0.10, earthshine, 60 px",
             known,
             crescent,
-            &[MoonDemand::FineShare(0.9), NEARLY_HONEST],
+            &[MoonDemand::FineShare(0.9), SIGMA_RATIO_NEARLY],
         ));
     }
     rows

@@ -1,8 +1,8 @@
 //! The rows about other plates, lenses and cameras: one departs from the demo in one thing.
 
 use super::conditions::turned;
-use super::demand::Demand::{FineOfThree, HonestSigmaTo, NoneMissedOfFour};
-use super::demand::HONEST;
+use super::demand::CALIBRATED;
+use super::demand::Demand::{AllFineOfFour, FineOfThree, SigmaRatioUpTo};
 use super::recipe::{ENOUGH_MARKS, Generator, Recipe, Vary, View};
 use super::rows::{AccuracyRow, InstrumentOf, row};
 use crate::instrument::Instrument;
@@ -86,9 +86,9 @@ pub(super) fn plate_rows() -> Vec<AccuracyRow> {
     ];
     let row = |(name, title, instrument, vary): (&'static str, &'static str, _, _)| {
         let row = row(name, title, vary).demanding(&[
-            NoneMissedOfFour,
+            AllFineOfFour,
             FineOfThree(0.95),
-            HonestSigmaTo(HONEST.end),
+            SigmaRatioUpTo(CALIBRATED.end),
         ]);
         AccuracyRow {
             frames: FRAMES,

@@ -4,11 +4,11 @@ use super::conditions::{
     COLUMN_SMEAR, LEAST_USABLE_LIMB, TAP_STEP_DN, all_effects, as_noisy_everywhere, blemished,
     clouded, cut, displaced, eclipsed, mixed, moving, noise, photons, strutted, tilted, turned,
 };
+use super::demand::CALIBRATED;
 use super::demand::Demand::{
-    self, FewUndecided, FineShare, HonestSigma, HonestSigmaTo, MedianArcsec, MostArcsec, NearShare,
-    NoWrongFine, NoWrongId, NoneFine, NoneMissed, SolvedShare, TimesIdeal,
+    self, AllFine, FewUndecided, FineShare, MedianArcsec, MostArcsec, NearShare, NoWrongFine,
+    NoWrongId, NoneFine, SigmaRatio, SigmaRatioUpTo, SolvedShare, TimesIdeal,
 };
-use super::demand::HONEST;
 use super::outcome::{About, ENOUGH_LIMB};
 use super::recipe::{ANY_MARKS, ENOUGH_MARKS, FEW_MARKS, Vary, View};
 use super::trial::Trial;
@@ -164,12 +164,7 @@ impl AccuracyRow {
 
     /// Bounds the radial error: its median and 99.7 %, arcsec.
     fn within(self, median: f64, most: f64) -> Self {
-        self.demanding(&[
-            MedianArcsec(median),
-            MostArcsec(most),
-            NoneMissed,
-            HonestSigma,
-        ])
+        self.demanding(&[MedianArcsec(median), MostArcsec(most), AllFine, SigmaRatio])
     }
 
     /// Bounds the median by that of standard frames.
@@ -182,7 +177,7 @@ impl AccuracyRow {
         Self {
             frames: BESIDE_IDEAL,
             ideal: Some(ideal),
-            ..self.demanding(&[TimesIdeal(most_times), HonestSigmaTo(HONEST.end)])
+            ..self.demanding(&[TimesIdeal(most_times), SigmaRatioUpTo(CALIBRATED.end)])
         }
     }
 
@@ -227,7 +222,7 @@ fn bounded() -> Vec<AccuracyRow> {
             "40 % of the limb or more, 3 marks lit",
             |r, instrument, rng| cut(r, ENOUGH_LIMB..1.0, ENOUGH_MARKS, instrument, rng),
         )
-        .demanding(&[MostArcsec(3.0), FewUndecided(0.12), HonestSigma]),
+        .demanding(&[MostArcsec(3.0), FewUndecided(0.12), SigmaRatio]),
     ]
 }
 
@@ -248,7 +243,7 @@ fn borrowing() -> Vec<AccuracyRow> {
             },
         )
         .coarse()
-        .demanding(&[SolvedShare(0.95), NearShare(0.99), HonestSigma]),
+        .demanding(&[SolvedShare(0.95), NearShare(0.99), SigmaRatio]),
         AccuracyRow {
             demands: vec![NoneFine, NoWrongId],
             ..row(
@@ -269,7 +264,7 @@ fn borrowing() -> Vec<AccuracyRow> {
             },
         )
         .coarse()
-        .demanding(&[HonestSigma]),
+        .demanding(&[SigmaRatio]),
         row(
             "coarse-unmarked",
             "no marks, borrowed mapping off by its sigma",
@@ -279,7 +274,7 @@ fn borrowing() -> Vec<AccuracyRow> {
             },
         )
         .coarse()
-        .demanding(&[HonestSigma]),
+        .demanding(&[SigmaRatio]),
     ]
 }
 
@@ -381,7 +376,7 @@ fn effects() -> Vec<AccuracyRow> {
             ..row("blur", "strong blur (3.5 px)", |r, _, _| {
                 r.conditions.blur_px = 3.5;
             })
-            .demanding(&[NoneMissed, HonestSigmaTo(HONEST.end)])
+            .demanding(&[AllFine, SigmaRatioUpTo(CALIBRATED.end)])
         },
         AccuracyRow {
             frames: BESIDE_IDEAL,
@@ -391,7 +386,7 @@ fn effects() -> Vec<AccuracyRow> {
                 "ghost 2 %, column smear, gradient, vignetting, tap step, coma, HMI's surface",
                 |r, _, _| all_effects(r),
             )
-            .demanding(&[TimesIdeal(3.0), HonestSigmaTo(1.3)])
+            .demanding(&[TimesIdeal(3.0), SigmaRatioUpTo(1.3)])
         },
     ]
 }
@@ -404,25 +399,25 @@ fn covered() -> Vec<AccuracyRow> {
             "the Moon covers 2 to 9 % of the diameter, up to 15 % of the limb",
             |r, _, rng| eclipsed(r, 0.02..0.09, rng),
         )
-        .demanding(&[FineShare(0.95), HonestSigma]),
+        .demanding(&[FineShare(0.95), SigmaRatio]),
         row(
             "eclipse-deep",
             "the Moon covers 9 to 60 % of the diameter",
             |r, _, rng| eclipsed(r, 0.09..0.6, rng),
         )
-        .demanding(&[HonestSigma]),
+        .demanding(&[SigmaRatio]),
         row(
             "cloud-edge",
             "a cloud's edge across the disc takes 25 to 90 % of the light",
             |r, _, rng| clouded(r, rng),
         )
-        .demanding(&[HonestSigma]),
+        .demanding(&[SigmaRatio]),
         row(
             "strut",
             "a strut before the disc, up to a quarter of the radius wide",
             |r, _, rng| strutted(r, rng),
         )
-        .demanding(&[HonestSigma]),
+        .demanding(&[SigmaRatio]),
     ];
     let searched = |row: AccuracyRow| AccuracyRow {
         frames: COVERED,

@@ -1,7 +1,7 @@
 //! The report as text: one table for the terminal, one in Markdown.
 
 use super::chance::relative_sigma_of_rms;
-use super::demand::HONEST;
+use super::demand::CALIBRATED;
 use super::horizon::HorizonReport;
 use super::moon::{Knowledge, MoonReport};
 use super::outcome::Summary;
@@ -28,7 +28,7 @@ const HEAD: [&str; COLUMNS] = [
     "error/bound (frames)",
 ];
 
-/// The cells of a row; `*` marks an error over sigma that is not honest.
+/// The cells of a row; `*` marks an error over sigma that is outside the accepted range.
 fn cells(report: &RowReport) -> [String; COLUMNS] {
     let found = &report.summary;
     let bound = found.bound.as_ref();
@@ -67,8 +67,8 @@ fn over_sigma(found: &Summary) -> String {
     let (Some(axes), Some(sigma)) = (found.over_sigma, sigma) else {
         return "-".into();
     };
-    let honest = axes.iter().all(|v| HONEST.contains(v));
-    let star = if honest { "" } else { " *" };
+    let calibrated = axes.iter().all(|v| CALIBRATED.contains(v));
+    let star = if calibrated { "" } else { " *" };
     let sigma = sigma * axes[0].max(axes[1]);
     format!("{:.2}, {:.2} +- {sigma:.2}{star}", axes[0], axes[1])
 }
@@ -560,7 +560,7 @@ mod tests {
     fn the_page_of_accuracy_is_about_the_programs_rows_and_runs() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/accuracy.md");
         let page = std::fs::read_to_string(path).unwrap();
-        let told = "run `solaspect accuracy --full --out docs`";
+        let advice = "run `solaspect accuracy --full --out docs`";
         let (_, rest) = page.split_once(BEGIN).unwrap();
         let (written, _) = rest.split_once(END).unwrap();
         let found: Vec<&str> = written
@@ -569,19 +569,19 @@ mod tests {
             .skip(2)
             .collect();
         let names: Vec<&str> = rows().iter().map(|row| row.name).collect();
-        assert_eq!(found, names, "{told}");
+        assert_eq!(found, names, "{advice}");
         assert!(
             written.contains(&format!("| {} |", HEAD.join(" | "))),
-            "{told}"
+            "{advice}"
         );
         for row in rows() {
             assert!(
                 written.contains(&format!("| {} | {} |", row.name, row.title)),
-                "{told}"
+                "{advice}"
             );
         }
         for run in runs() {
-            assert!(written.contains(run.title), "{told}");
+            assert!(written.contains(run.title), "{advice}");
         }
     }
 
@@ -589,10 +589,10 @@ mod tests {
     fn the_page_of_the_plate_is_about_the_programs_rows() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/plate.md");
         let page = std::fs::read_to_string(path).unwrap();
-        let told = "run `solaspect accuracy --full --only plates --out docs`";
+        let advice = "run `solaspect accuracy --full --only plates --out docs`";
         for row in plate_rows() {
             let begin = format!("| {} | {} |", row.name, row.title);
-            assert!(page.contains(&begin), "{begin}: {told}");
+            assert!(page.contains(&begin), "{begin}: {advice}");
         }
     }
 
@@ -600,14 +600,14 @@ mod tests {
     fn the_page_of_the_moon_is_about_the_programs_rows() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/moon.md");
         let page = std::fs::read_to_string(path).unwrap();
-        let told = "run `solaspect accuracy --full --only moon --out docs`";
+        let advice = "run `solaspect accuracy --full --only moon --out docs`";
         assert!(
             page.contains(&format!("| {} |", MOON_HEAD.join(" | "))),
-            "{told}"
+            "{advice}"
         );
         for row in moon_rows() {
             let begin = format!("| {} | {} |", row.title, row.known.name());
-            assert!(page.contains(&begin), "{begin}: {told}");
+            assert!(page.contains(&begin), "{begin}: {advice}");
         }
     }
 
@@ -615,14 +615,14 @@ mod tests {
     fn the_page_of_the_horizon_is_about_the_programs_rows() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/horizon.md");
         let page = std::fs::read_to_string(path).unwrap();
-        let told = "run `solaspect accuracy --full --only horizon --out docs`";
+        let advice = "run `solaspect accuracy --full --only horizon --out docs`";
         assert!(
             page.contains(&format!("| {} |", HORIZON_HEAD.join(" | "))),
-            "{told}"
+            "{advice}"
         );
         for row in horizon_rows() {
             let begin = format!("| {} | {} |", row.title, row.edge_sigma_m);
-            assert!(page.contains(&begin), "{begin}: {told}");
+            assert!(page.contains(&begin), "{begin}: {advice}");
         }
     }
 

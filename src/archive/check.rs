@@ -218,12 +218,12 @@ fn compare(files: &[PathBuf], checked: &[Checked]) -> (Vec<Option<usize>>, Vec<C
 /// Checks one file by itself.
 fn check_file(path: &Path, flown: &FlownFiles) -> Checked {
     let mut checked = Checked::default();
-    checked.fault = checked.look(path, flown).err();
+    checked.fault = checked.read(path, flown).err();
     checked
 }
 
 impl Checked {
-    fn look(&mut self, path: &Path, flown: &FlownFiles) -> Result<(), FileError> {
+    fn read(&mut self, path: &Path, flown: &FlownFiles) -> Result<(), FileError> {
         let file = FitsFile::open(path)?;
         let frame = file.frame();
         let shown = frame.as_ref().ok();

@@ -52,12 +52,12 @@ pub fn run(mut args: SolveArgs) -> anyhow::Result<ExitCode> {
         settings: config.solver(),
         args: &args.frames,
     };
-    let mut told = Vec::new();
+    let mut warned = Vec::new();
     let mut lack_place = 0;
     let code = args.frames.print::<Line>(|print| {
         let take = |solved: Solved| -> anyhow::Result<()> {
             if let Ok(line) = &solved.answer {
-                batch.warn_of(&solved.contradictions, &line.record.file, &mut told);
+                batch.warn_of(&solved.contradictions, &line.record.file, &mut warned);
             }
             lack_place += u64::from(solved.lacks_place);
             print(solved.answer)
@@ -123,10 +123,10 @@ impl Batch<'_> {
     }
 
     /// Warns of every stated quantity that a fine frame contradicts, once in a run.
-    fn warn_of(&self, found: &[Contradiction], file: &str, told: &mut Vec<Quantity>) {
+    fn warn_of(&self, found: &[Contradiction], file: &str, warned: &mut Vec<Quantity>) {
         for contradiction in found {
-            if !told.contains(&contradiction.quantity) {
-                told.push(contradiction.quantity);
+            if !warned.contains(&contradiction.quantity) {
+                warned.push(contradiction.quantity);
                 let instrument = &self.instrument.name;
                 tracing::warn!("{file} contradicts instrument \"{instrument}\": {contradiction}");
             }

@@ -490,7 +490,7 @@ impl State {
         (self.own.latitude_deg, self.own.longitude_deg) = (None, None);
         self.commanded.remove(LATITUDE.key());
         self.commanded.remove(LONGITUDE.key());
-        self.gps.forget();
+        self.gps.clear();
     }
 }
 

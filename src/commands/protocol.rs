@@ -242,9 +242,9 @@ fn example_packets() -> Option<Vec<Packet>> {
             .ok()
             .map(Packet::Command)
     };
-    let told = |answer: Telemetry| answer.packet(time).ok().map(Packet::Telemetry);
+    let packet_of = |answer: Telemetry| answer.packet(time).ok().map(Packet::Telemetry);
     let result = |sequence, key, value| {
-        told(Telemetry::Result(CommandOutcome {
+        packet_of(Telemetry::Result(CommandOutcome {
             sequence,
             key,
             value,
@@ -273,7 +273,7 @@ fn example_packets() -> Option<Vec<Packet>> {
     });
     [
         to_us(7, say("start_tracking", &[])),
-        told(Telemetry::Receipt(Receipt { sequence: 7 })),
+        packet_of(Telemetry::Receipt(Receipt { sequence: 7 })),
         result(7, 0x1000, 0),
         from_us(1, Message::TrackingOn),
         from_us(2, Message::ExposureStart(ExposureStart { camera: 1, time })),

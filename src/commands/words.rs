@@ -164,7 +164,7 @@ fn telemetry(packet: &TelemetryPacket) -> String {
     let said = match packet.kind() {
         telemetry_type::RECEIPT | telemetry_type::RESULT => answer(packet),
         telemetry_type::HOUSEKEEPING => match Housekeeping::decode(packet) {
-            Some(told) => format!("housekeeping\n  {}", told.lines().join("\n  ")),
+            Some(housekeeping) => format!("housekeeping\n  {}", housekeeping.lines().join("\n  ")),
             None => format!(
                 "housekeeping of another layout, {} bytes",
                 packet.payload().len()

@@ -349,7 +349,7 @@ impl History {
         }
         self.judge(at, is_late);
         self.news.housekeeping += 1;
-        self.forget(arrived);
+        self.drop_old(arrived);
     }
 
     /// Counts the seconds without housekeeping before that of a time; one that is late was counted. A clock that was set makes none.
@@ -507,7 +507,7 @@ impl History {
     }
 
     /// Drops what arrived too long ago, an hour at once.
-    fn forget(&mut self, now: Nanoseconds) {
+    fn drop_old(&mut self, now: Nanoseconds) {
         let before = *self.forgot.get_or_insert(now);
         if now.saturating_sub(before) < PIECE_NS {
             return;

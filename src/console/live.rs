@@ -26,7 +26,7 @@ const LEAST: Duration = Duration::from_millis(40);
 const MOST: Duration = Duration::from_secs(1);
 /// Between two moments of a replay.
 const STEP: Duration = Duration::from_millis(250);
-/// How often a viewer on a slow line is told what is left out for it.
+/// How often a viewer on a slow line is informed of what is left out for it.
 const REPORT_LEFT_OUT: Duration = Duration::from_secs(10);
 const SOON: Duration = Duration::from_secs(2);
 /// What comes with an event: its name, and the headers of the network.

@@ -303,7 +303,7 @@ fn ids_of_any_plate_are_shown_with_the_housekeeping_of_their_second() {
 }
 
 #[test]
-fn two_packets_of_another_decade_forget_nothing_and_miss_nothing() {
+fn two_packets_of_another_decade_drop_nothing_and_lose_nothing() {
     let mut history = history();
     let housekeeping = |uptime_s| Housekeeping {
         uptime_s,
@@ -319,7 +319,7 @@ fn two_packets_of_another_decade_forget_nothing_and_miss_nothing() {
     }
     assert_eq!(history.housekeeping.times.len(), 28);
     assert_eq!((history.line.missing, history.line.doubtful), (2, 2));
-    // An hour and more later what arrived first is forgotten.
+    // An hour and more later what arrived first is dropped.
     for second in 7200..7202 {
         let packet = housekeeping(second).packet(at(second.into())).unwrap();
         history.take(&Packet::Telemetry(packet), at(second.into()));

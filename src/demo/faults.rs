@@ -110,7 +110,7 @@ impl fmt::Display for FaultCost {
     }
 }
 
-/// A simulated camera that may fall silent. Its frames do not wait, as those of a real camera do not: the flight misses them.
+/// A simulated camera that may fall silent. Its frames do not wait, as those of a real camera do not: the flight loses them.
 pub(super) struct TrainingCamera<S> {
     camera: S,
     faults: Faults,

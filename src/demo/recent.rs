@@ -30,14 +30,14 @@ impl Recent {
             return;
         }
         self.checked = Instant::now();
-        if let Err(error) = forget(&self.folder, KEPT) {
+        if let Err(error) = remove_old(&self.folder, KEPT) {
             tracing::warn!(%error, "old frames of the demonstration were not removed");
         }
     }
 }
 
 /// Removes the frames below a folder that were written longer ago than `kept`.
-fn forget(folder: &Path, kept: Duration) -> io::Result<()> {
+fn remove_old(folder: &Path, kept: Duration) -> io::Result<()> {
     for frame in list_tree(folder).map_err(|unlisted| unlisted.cause)? {
         let age = fs::metadata(&frame)?.modified()?.elapsed();
         if age.unwrap_or_default() > kept {
@@ -67,7 +67,7 @@ mod tests {
             let file = File::create(hour.join(name)).unwrap();
             file.set_modified(time).unwrap();
         }
-        forget(folder.path(), KEPT).unwrap();
+        remove_old(folder.path(), KEPT).unwrap();
         let left = ["old.fits", "old.csv", "new.fits"].map(|name| hour.join(name).exists());
         assert_eq!(left, [false, true, true]);
     }

@@ -258,7 +258,7 @@ fn fitting(text: &str, width_px: u32) -> &str {
 
 /// A picture that fits, not magnified.
 fn scaled(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
-    let ratio = |room: u32, side: u32| f64::from(room) / f64::from(side.max(1));
+    let ratio = |space: u32, side: u32| f64::from(space) / f64::from(side.max(1));
     let scale = ratio(width, picture.width()).min(ratio(height, picture.height()));
     if scale >= 1.0 {
         return picture.clone();

@@ -144,7 +144,7 @@ pub struct Compared<'a> {
 
 impl Compared<'_> {
     /// Whether one of two frames is a copy of the other: nothing that their files state differs, and the pixels are the same. Frames
-    /// without structure all look alike: of them, files must state that they are the same frame.
+    /// without structure all are alike: of them, files must state that they are the same frame.
     fn is_copy(&self, other: &Self) -> bool {
         let Some((digest, others)) = self.digest.zip(other.digest) else {
             return false;

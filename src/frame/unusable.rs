@@ -7,7 +7,7 @@ use std::sync::Arc;
 pub(super) type Unusable = Arc<[bool]>;
 
 impl Frame {
-    /// The same frame with pixels that are not to be used, one value for each pixel. They are masked in every cutout; for stages that look at
+    /// The same frame with pixels that are not to be used, one value for each pixel. They are masked in every cutout; for stages that read
     /// brightness alone, a straight line between their neighbours in the row stands in their place.
     pub fn with_unusable(mut self, unusable: Vec<bool>) -> Self {
         if unusable.len() != self.width * self.height || !unusable.contains(&true) {

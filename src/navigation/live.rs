@@ -88,7 +88,7 @@ impl Live {
         }
         self.recent.imu.push(sample);
         self.go_on();
-        self.forget();
+        self.drop_before();
         self.row
     }
 
@@ -183,8 +183,8 @@ impl Live {
         }
     }
 
-    /// Forgets what is older than the filter remembers.
-    fn forget(&mut self) {
+    /// Drops what is older than the filter remembers.
+    fn drop_before(&mut self) {
         let oldest_s = self.run.at_s - HISTORY_S;
         while self.kept.get(1).is_some_and(|run| run.at_s <= oldest_s) {
             self.kept.pop_front();
@@ -210,7 +210,7 @@ impl Live {
             self.recent.imu.drain(..samples);
             self.recent.measurements.drain(..measurements);
             let runs = self.kept.iter_mut().chain([&mut self.run]);
-            runs.for_each(|run| run.forget(samples, measurements));
+            runs.for_each(|run| run.drop_before(samples, measurements));
         }
     }
 }

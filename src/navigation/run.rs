@@ -271,7 +271,7 @@ impl Run {
     }
 
     /// Goes on as if the flight had begun so many samples and measurements later.
-    pub fn forget(&mut self, samples: usize, measurements: usize) {
+    pub fn drop_before(&mut self, samples: usize, measurements: usize) {
         self.sample -= samples;
         self.unknown = self
             .unknown

@@ -83,18 +83,18 @@ impl Feature {
         let (sin_x, cos_x) = (at.x / ARCSEC_PER_RAD).sin_cos();
         let (sin_y, cos_y) = (at.y / ARCSEC_PER_RAD).sin_cos();
         // The line of sight: to the west, to the north, to the Sun's centre; its near crossing of the sphere.
-        let sight = Vector3::new(cos_y * sin_x, sin_y, cos_y * cos_x);
-        let nearest = distance * sight.z;
+        let ray = Vector3::new(cos_y * sin_x, sin_y, cos_y * cos_x);
+        let nearest = distance * ray.z;
         let depth_squared = nearest.powi(2) - distance.powi(2) + RADIUS_AU.powi(2);
         if depth_squared < 0.0 {
-            let from_centre_arcsec = sight.x.hypot(sight.y).asin() * ARCSEC_PER_RAD;
+            let from_centre_arcsec = ray.x.hypot(ray.y).asin() * ARCSEC_PER_RAD;
             let limb_arcsec = (RADIUS_AU / distance).asin() * ARCSEC_PER_RAD;
             return Err(PointingError::OffTheDisc {
                 from_centre_arcsec,
                 limb_arcsec,
             });
         }
-        let seen = sight * (nearest - depth_squared.sqrt());
+        let seen = ray * (nearest - depth_squared.sqrt());
         let (west, north, towards) = (seen.x, seen.y, distance - seen.z);
         let (sin_b0, cos_b0) = disc.b0_deg.to_radians().sin_cos();
         let axial = north * cos_b0 + towards * sin_b0;

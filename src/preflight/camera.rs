@@ -297,7 +297,7 @@ fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
     }
     let check = format!("{} solves", camera.name);
     let why = solved.stopped.map(|stopped| stopped.in_full());
-    let look = format!(
+    let inspect = format!(
         "inspect the frame with `solaspect {} --overlay`",
         camera.role.command()
     );
@@ -311,7 +311,7 @@ fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
                 Finding::warn(check, found, remedy)
             }
             _ => {
-                let remedy = format!("no matter where none is in view; else {look}");
+                let remedy = format!("no matter where none is in view; else {inspect}");
                 Finding::warn(check, found, &remedy)
             }
         });
@@ -324,6 +324,6 @@ fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
             Finding::warn(check, found, "is body_from_camera right?")
         }
         Quality::Fine => Finding::pass(check, found),
-        Quality::Coarse | Quality::None => Finding::warn(check, found, &look),
+        Quality::Coarse | Quality::None => Finding::warn(check, found, &inspect),
     })
 }

@@ -92,7 +92,7 @@ impl Shutter {
                     clock.check(&mut exposure.frame.info, &self.tally);
                     if source.falls_silent() {
                         let change = self.silence.lock().frame(Instant::now());
-                        silence::tell(self.station.index + 1, change);
+                        silence::log(self.station.index + 1, change);
                     }
                     if source.frames_wait() {
                         self.wait_for_solver(source.falls_silent(), life);

@@ -108,7 +108,7 @@ impl Silence {
 }
 
 /// Logs a change: the 1st, 2nd, 4th ... silence.
-pub(super) fn tell(camera: usize, change: Option<Change>) {
+pub(super) fn log(camera: usize, change: Option<Change>) {
     use crate::log::worth_a_line;
     match change {
         Some(Change::Silent(silences, gap)) if worth_a_line(silences) => {
@@ -127,7 +127,7 @@ pub(super) fn tell(camera: usize, change: Option<Change>) {
 pub(super) fn check<'s>(silences: impl Iterator<Item = &'s Shared<Silence>>) {
     for (index, silence) in silences.enumerate() {
         let change = silence.lock().check(Instant::now());
-        tell(index + 1, change);
+        log(index + 1, change);
     }
 }
 

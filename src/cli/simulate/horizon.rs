@@ -31,7 +31,7 @@ pub struct HorizonArgs {
     /// Height of the camera
     #[arg(long, value_name = "H", default_value_t = 38_000.0, requires = "horizon", value_parser = Within(1_000.0, 1e8, "m"))]
     height_m: f64,
-    /// Where the camera looks
+    /// Where the camera points
     #[arg(long, value_enum, default_value_t = AimAt::Horizon, requires = "horizon")]
     aim: AimAt,
     /// Largest roll either way; with --aim down, the largest tilt

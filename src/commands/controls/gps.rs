@@ -26,7 +26,7 @@ impl Gps {
     }
 
     /// Believes the next fix, wherever it is.
-    pub fn forget(&mut self) {
+    pub fn clear(&mut self) {
         self.last = None;
         self.disputed.clear();
     }

@@ -146,7 +146,7 @@ function showHousekeeping({ time, fields, gyros_against_sun: gyros }) {
 
 // ---- all together
 
-function forget() {
+function clear() {
   for (const kind of Object.keys(newest)) delete newest[kind];
   for (const { figure } of cameras.values()) figure.remove();
   cameras.clear();
@@ -174,7 +174,7 @@ byId('overlay').addEventListener('change', (event) => {
   for (const camera of cameras.values()) camera.refresh();
 });
 on('flight', buildHousekeeping);
-on('view', forget);
+on('view', clear);
 on('state', showSentences);
 on('connection', showLost);
 on('solution', (solution) => {

@@ -118,7 +118,7 @@ impl Navigator {
                 }
             }
             if heard.elapsed() > SILENCE {
-                forget(&mut self.tally.lock());
+                clear(&mut self.tally.lock());
             }
             match inputs.recv_timeout(PATIENCE) {
                 Ok(Input::Imu(sample, read)) => {
@@ -142,7 +142,7 @@ impl Navigator {
 }
 
 /// Nothing is known of now.
-fn forget(tally: &mut NavigationTally) {
+fn clear(tally: &mut NavigationTally) {
     (tally.status, tally.latest) = (None, None);
     (tally.differences, tally.agreement) = Default::default();
 }

@@ -71,22 +71,22 @@ mod tests {
     #[test]
     fn a_clock_that_steps_is_told_from_samples_that_are_lost() {
         let mut steps = Steps::default();
-        let mut told = |counter: u16, ms| steps.step_s(&sample(counter, ms));
+        let mut step = |counter: u16, ms| steps.step_s(&sample(counter, ms));
         for n in 1..20 {
-            assert_eq!(told(n, 10 * i64::from(n)), 0.0);
+            assert_eq!(step(n, 10 * i64::from(n)), 0.0);
         }
         // Ten are lost, one comes twice, one is stamped a little late.
-        assert_eq!(told(30, 300), 0.0);
-        assert_eq!(told(30, 300), 0.0);
-        assert_eq!(told(31, 315), 0.0);
-        assert!((told(32, 620) - 0.3).abs() < 0.01);
+        assert_eq!(step(30, 300), 0.0);
+        assert_eq!(step(30, 300), 0.0);
+        assert_eq!(step(31, 315), 0.0);
+        assert!((step(32, 620) - 0.3).abs() < 0.01);
         // Back by a twentieth of a second: what is not later than the last is passed over.
         for n in 33..38 {
-            assert_eq!(told(n, 580 + 10 * (i64::from(n) - 33)), 0.0);
+            assert_eq!(step(n, 580 + 10 * (i64::from(n) - 33)), 0.0);
         }
-        assert!((told(38, 630) + 0.05).abs() < 0.01);
+        assert!((step(38, 630) + 0.05).abs() < 0.01);
         // The IMU restarts, and its clock is set.
-        assert_eq!(told(0, 640), 0.0);
-        assert_eq!(told(1, 90_000), 0.0);
+        assert_eq!(step(0, 640), 0.0);
+        assert_eq!(step(1, 90_000), 0.0);
     }
 }
