@@ -19,8 +19,8 @@ assert len(table) == len(rows) > 0
 epoch = np.datetime64(fits.getheader(folder / "attitude.fits")["DATEREF"], "ns")
 with_attitude = [row for row in rows if row["q0"]]
 for name in ("t_s", "q0", "q1", "q2", "q3", "sx_rad", "pxy_rad2"):
-    told = np.array([float(row[name]) if row[name] else np.nan for row in rows])
-    assert np.allclose(table[name], told, rtol=1e-9, atol=1e-15, equal_nan=True), name
+    written = np.array([float(row[name]) if row[name] else np.nan for row in rows])
+    assert np.allclose(table[name], written, rtol=1e-9, atol=1e-15, equal_nan=True), name
 assert [status.strip() for status in table["status"]] == [row["status"] for row in rows]
 
 message = NdmIo().from_path(folder / "attitude.aem")
@@ -35,6 +35,6 @@ for state, row in list(zip(states, with_attitude))[:: max(1, len(states) // 200)
     seconds = (np.datetime64(state.quaternion_state.epoch.rstrip("Z"), "ns") - epoch) / np.timedelta64(1, "s")
     assert abs(seconds - float(row["t_s"])) < 2e-6, (seconds, row["t_s"])
     q = state.quaternion_state.quaternion
-    told = [float(value) for value in (q.qc, q.q1, q.q2, q.q3)]
-    assert np.allclose(told, [float(row[name]) for name in ("q0", "q1", "q2", "q3")], atol=1e-14)
+    written = [float(value) for value in (q.qc, q.q1, q.q2, q.q3)]
+    assert np.allclose(written, [float(row[name]) for name in ("q0", "q1", "q2", "q3")], atol=1e-14)
 print(f"attitude: {len(rows)} rows, {len(segments)} segments")

@@ -153,7 +153,7 @@ def bits_of(data):
 
 
 def sealed(commands, data):
-    """A packet with its checksum set anew."""
+    """A packet with its checksum set again."""
     data = bytearray(data)
     data[6:8] = b"\0\0"
     data[6:8] = commands.crc(data).to_bytes(2, "big")
@@ -251,15 +251,15 @@ PLAIN = {"covariance_xx_px2", "covariance_xy_px2", "covariance_yy_px2"}
 
 
 def numbers(body):
-    """The numbers of a body that the program tells, in its order; seconds and milliseconds as one time."""
+    """The numbers of a body that the program prints, in its order; seconds and milliseconds as one time."""
     if type(body).__name__ == "PictureSection":
         return [body.camera, body.width, body.height, len(body.pixels), body.first_pixel]
     if type(body).__name__ == "PictureTag":
         return [body.name]
-    told = {name: value for name, value in vars(body).items() if name[0] != "_" and name not in PLAIN}
-    if "milliseconds" in told:
-        told["seconds"] += told.pop("milliseconds") / 1000
-    return [int(value) if isinstance(value, int) else value for value in told.values()]
+    stated = {name: value for name, value in vars(body).items() if name[0] != "_" and name not in PLAIN}
+    if "milliseconds" in stated:
+        stated["seconds"] += stated.pop("milliseconds") / 1000
+    return [int(value) if isinstance(value, int) else value for value in stated.values()]
 
 
 def check_words(body, words):
@@ -273,15 +273,15 @@ def check_words(body, words):
         return check_command(body, words[0])
     match = re.search(TEMPLATES[name], words[0]) if name in TEMPLATES else None
     if match is None:
-        return check("ksy: nothing to tell", name, "Nothing")
-    for found, told in zip(numbers(body), match.groups(), strict=True):
-        if told.endswith("Z"):
-            check(f"ksy: {name}", found, seconds(told), 1e-6)
+        return check("ksy: nothing to compare", name, "Nothing")
+    for found, stated in zip(numbers(body), match.groups(), strict=True):
+        if stated.endswith("Z"):
+            check(f"ksy: {name}", found, seconds(stated), 1e-6)
         elif name == "PictureTag":
-            check(f"ksy: {name}", found, told)
+            check(f"ksy: {name}", found, stated)
         else:
             single = name in ("Gps", "ImuSample") and isinstance(found, float)
-            check(f"ksy: {name}", found, single_precision(told) if single else float(told))
+            check(f"ksy: {name}", found, single_precision(stated) if single else float(stated))
     if name == "PictureSection":
         check("ksy: last section", body.is_last, words[0].endswith(", the last"))
 
@@ -293,9 +293,9 @@ def single_precision(number):
 def check_result(body, words):
     sequence, key, said = re.search(r"result of seq (\d+), .*\((0x[0-9a-f]+)\): (.*)", words).groups()
     check("ksy: Result", [body.sequence, body.key], [int(sequence), int(key, 16)])
-    told = {"done": 0, "not implemented": 1, "refused: out of range": 2, "unknown": 65535, "not known": 65535}
-    if said in told:
-        return check("ksy: Result", body.value, told[said])
+    stated = {"done": 0, "not implemented": 1, "refused: out of range": 2, "unknown": 65535, "not known": 65535}
+    if said in stated:
+        return check("ksy: Result", body.value, stated[said])
     number = float(said.split()[1])
     check("ksy: value of a read", number in (body.value, body.signed, body.angle), True)
 
@@ -308,7 +308,7 @@ def check_command(body, words):
         check("ksy: variable of a command", getattr(body.variables, variable), float(number))
 
 
-def told_by_housekeeping(words):
+def of_housekeeping(words):
     """Fields and values of the program's lines."""
     names = {"Some": lambda value: value, "MarkIds": lambda value: value, "true": 1, "false": 0, "unknown": 0}
     for line in words[1:]:
@@ -319,22 +319,22 @@ def told_by_housekeeping(words):
             yield name, eval(value, {"__builtins__": {}}, names)
 
 
-def same_field(what, name, found, told):
-    """A field as it travels, and as the program tells it."""
+def same_field(what, name, found, stated):
+    """A field as it travels, and as the program prints it."""
     if name == "ids":
-        told = [0 if mark is None else 16 * (mark[0] + 8) + mark[1] + 8 for mark in told]
+        stated = [0 if mark is None else 16 * (mark[0] + 8) + mark[1] + 8 for mark in stated]
     elif name in ("disk_1", "disk_2", "night"):
-        told = 255 if told is None else told
+        stated = 255 if stated is None else stated
     elif isinstance(found, float):
-        told = math.nan if told is None else single_precision(told)
-    check(what, found, told)
+        stated = math.nan if stated is None else single_precision(stated)
+    check(what, found, stated)
 
 
 def check_housekeeping(body, words):
-    for name, told in told_by_housekeeping(words):
+    for name, stated in of_housekeeping(words):
         if hasattr(body, name):
             found = getattr(body, name)
-            same_field("ksy: field of housekeeping", name, int(found) if isinstance(found, int) else found, told)
+            same_field("ksy: field of housekeeping", name, int(found) if isinstance(found, int) else found, stated)
         else:
             check("ksy: field absent", body.layout < LAYOUTS, True)
     check("ksy: rest of housekeeping", body.rest, b"")
@@ -353,13 +353,13 @@ def check_xtce(definition, packet, body, words):
         check("xtce: header", found, [head.target, head.len_payload, head.sequence, head.checksum, head.payload.messages[0].key])
     name = type(body).__name__
     if name == "Housekeeping":
-        for field, told in told_by_housekeeping(words):
-            names = [f"{field}_{n + 1}" for n in range(len(told))] if isinstance(told, list) else [field]
+        for field, stated in of_housekeeping(words):
+            names = [f"{field}_{n + 1}" for n in range(len(stated))] if isinstance(stated, list) else [field]
             if names[0] not in read:
                 check("xtce: field absent", body.layout < LAYOUTS, True)
                 continue
             values = [read[n].raw_value for n in names]
-            same_field("xtce: field of housekeeping", field, values if isinstance(told, list) else values[0], told)
+            same_field("xtce: field of housekeeping", field, values if isinstance(stated, list) else values[0], stated)
         return
     if name == "PictureSection":
         width = 16 * read["section_width_high"] + read["section_width_low"]

@@ -27,8 +27,8 @@ assert len(stated) > 40, stated
 for key, name, variables, _ in stated:
     command = commands[f"solaspect.{name}"]
     assert command.get_op_code() == 0x10FF0000 | int(key, 16), name
-    told = [variable.split(" (")[0] for variable in variables.strip().split("; ") if variable]
-    assert [argument[0] for argument in command.get_args()] == told, (name, told)
+    written = [variable.split(" (")[0] for variable in variables.strip().split("; ") if variable]
+    assert [argument[0] for argument in command.get_args()] == written, (name, written)
 
 for name in ("tracking_on", "solution", "error", "exposure_start", "propagated", "moon_found", "receipt", "frame_marks", "result"):
     event = events[f"solaspect.{name}"]

@@ -196,8 +196,8 @@ def check_limb(path, header, frame):
     assert np.linalg.norm(centre - (header["SUNPX-X"], header["SUNPX-Y"])) < 0.01, path
     deviation = limb_deviation(frame.data, centre, points)
     angle = np.arctan2(*(points - centre).T[::-1])
-    room = np.array(frame.data.shape[::-1]) - 1 - REACH_PX
-    whole = bool(np.all((points > REACH_PX) & (points < room)))
+    edge = np.array(frame.data.shape[::-1]) - 1 - REACH_PX
+    whole = bool(np.all((points > REACH_PX) & (points < edge)))
     radius, off_centre, worst = fit_circle(angle, deviation)
     assert worst < (LIMB_PX if whole else CUT_LIMB_PX), (path, radius, off_centre, worst)
     return radius, off_centre, worst, whole
@@ -218,7 +218,7 @@ def speed_deg_per_s(header, others):
 
 
 def check_spots(folder):
-    """A spot is darkest where sunpy looks for it by its helioprojective place."""
+    """A spot is darkest where sunpy expects it by its helioprojective place."""
     for row in csv.DictReader((folder / "sunspots.csv").read_text().splitlines()):
         (path,) = folder.rglob(f"{row['name']}_*.fits")
         frame = sunpy.map.Map(path)

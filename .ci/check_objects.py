@@ -165,7 +165,7 @@ def some_fault(_proxy, request):
 class Refine:
     """`solaspect refine`, watched while it runs: it keeps no copy of the frames."""
 
-    most_bytes = looks = 0
+    most_bytes = checks = 0
 
     def __init__(self, out, *arguments, url=URL, fault=lambda *_: None, delay_s=0):
         self.out, self.log = WORKDIR / out, WORKDIR / f"{out}.log"
@@ -191,7 +191,7 @@ class Refine:
             links = [os.readlink(link) for link in pathlib.Path(f"/proc/{self.process.pid}/fd").iterdir()]
             copies += [link for link in links if link.endswith("(deleted)")]
         expect(not copies, "no copy of a frame", copies)
-        Refine.looks += 1
+        Refine.checks += 1
 
     def finish(self, code=0, kill_at=None):
         while self.process.poll() is None:
@@ -278,8 +278,8 @@ def retries():
     expect(repeated >= faults.total(), f"a repeated request for each of {faults.total()} faults", repeated)
     asked = {(request.key, request.range()[0]) for request in run.requests}
     cut = [(request.key, request.range()[0] + request.sent) for request in run.requests if request.fault == CUT and request.is_frame()]
-    anew = [where for where in cut if where not in asked]
-    expect(cut and not anew, f"{len(cut)} frames and headers continued from where they were cut", f"{len(anew)} not: {anew[:3]}")
+    again = [where for where in cut if where not in asked]
+    expect(cut and not again, f"{len(cut)} frames and headers continued from where they were cut", f"{len(again)} not: {again[:3]}")
     kinds = ", ".join(f"{count} {fault}" for fault, count in faults.most_common())
     return f"{kinds} of {len(run.requests)} requests; {repeated} repeated; {run.seconds:.1f} s, {clean.seconds:.1f} s without"
 
@@ -352,7 +352,7 @@ def unreadable_rows():
 
 def no_copy():
     expect(Refine.most_bytes < ARCHIVE_BYTES / 20, "less than 5 % of the archive in --out", f"{Refine.most_bytes} of {ARCHIVE_BYTES} bytes")
-    return f"{Refine.looks} looks; at most {Refine.most_bytes / ARCHIVE_BYTES:.4f} of the archive in --out"
+    return f"{Refine.checks} checks; at most {Refine.most_bytes / ARCHIVE_BYTES:.4f} of the archive in --out"
 
 
 with ENDING:

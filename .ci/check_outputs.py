@@ -56,9 +56,9 @@ for line, text in zip(lines, sentences):
     offset = solution["offset_deg"]
     assert (offset is None) == (azimuth == ""), text
     if offset:
-        told = [float(azimuth), float(elevation), float(sigma)]
+        sent = [float(azimuth), float(elevation), float(sigma)]
         expected = [offset["azimuth"], offset["elevation"], offset["sigma"]]
-        assert all(abs(a - b) < 6e-7 for a, b in zip(told, expected)), (text, offset)
+        assert all(abs(a - b) < 6e-7 for a, b in zip(sent, expected)), (text, offset)
         fine += quality == "2"
 assert fine > 10, fine
 print(f"{len(lines)} JSON lines and sentences, {fine} of fine frames: alike")

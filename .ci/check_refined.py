@@ -126,7 +126,7 @@ def check_pointing(out):
     valid = np.asarray(rows["VALID"])
     reasons = np.char.strip(np.asarray(rows["INVALID"]).astype(str))
     assert valid.any() and ((reasons == "") == valid).all()
-    # Rows at whole seconds, of which the states tell where the Sun is.
+    # Rows at whole seconds, of which the states give where the Sun is.
     seconds = Table.read(out / "pointing.fits", hdu="SECONDS")
     known = np.isfinite(plain(rows["HPLN"])) & np.isin(plain(rows["UNIX_S"]), np.asarray(seconds["UNIX_S"], dtype=float))
     rows, times = rows[known], times[known]
@@ -153,12 +153,12 @@ def horizon_axes(location):
 
 
 def check_same(rows, out):
-    """CSV and summary tell the same."""
+    """CSV and summary say the same."""
     with open(out / "aspect.csv", newline="") as file:
         lines = list(csv.DictReader(file))
     assert [line["FILE"] for line in lines] == list(rows["FILE"])
-    told = np.array([float(line["SUN_X_MIL"] or "nan") for line in lines])
-    assert np.array_equal(told, plain(rows["SUN_X_MIL"]), equal_nan=True)
+    written = np.array([float(line["SUN_X_MIL"] or "nan") for line in lines])
+    assert np.array_equal(written, plain(rows["SUN_X_MIL"]), equal_nan=True)
     summary = json.loads((out / "summary.json").read_text())
     counts = [summary[quality] for quality in ("fine", "coarse", "none")]
     assert counts == [int((rows["QUALITY"] == q).sum()) for q in ("fine", "coarse", "none")]

@@ -21,7 +21,7 @@ impl FrameSource for MyCamera {
         }
         thread::sleep(Duration::from_millis(250));
         let announced = Timestamp::now();
-        starts(announced); // The controller is told of each exposure before it begins.
+        starts(announced); // The controller gets notice of each exposure before it begins.
         scene.sun.iter_mut().for_each(|sun| sun.centre.x += 50.0);
         let mut frame = scene.frame()?;
         frame.info.number = Some(*number);

@@ -11,7 +11,7 @@ use solaspect::limb::Limb;
 use solaspect::simulate::{Conditions, RandomScenes};
 use solaspect::units::Rejected;
 
-/// The limb of the Sun in a frame, without looking for marks.
+/// The limb of the Sun in a frame, without a search for marks.
 ///
 /// # Errors
 /// The first stage that rejects the frame, with its reason.

@@ -55,7 +55,7 @@ fn a_turned_and_tilted_camera_is_as_good_as_a_straight_one() {
 }
 
 #[test]
-fn blemishes_do_not_spoil_a_frame() {
+fn blemishes_do_not_corrupt_a_frame() {
     demands_are_met(&["blemished"]);
 }
 
@@ -632,7 +632,7 @@ fn radius_scale_and_rotation_are_as_far_off_as_their_sigmas_say() {
             errors.len()
         );
         assert!(errors.len() > 300, "{case}: {}", errors.len());
-        let honest = ratios.iter().all(|ratio| (0.8..1.25).contains(ratio));
-        assert!(honest, "{case}: {ratios:?}");
+        let calibrated = ratios.iter().all(|ratio| (0.8..1.25).contains(ratio));
+        assert!(calibrated, "{case}: {ratios:?}");
     }
 }

@@ -68,7 +68,7 @@ fn file() -> DirectionCamera {
     }
 }
 
-/// From where frames are taken, and how they look at the limb, deg.
+/// From where frames are taken, and how far below the level they point, deg.
 #[derive(Debug, Clone, Copy)]
 struct Flight {
     half_angle_deg: f64,
@@ -205,7 +205,7 @@ fn check_optics(cameras: u64) {
 }
 
 #[test]
-fn frames_that_do_not_tell_the_optics_say_what_lacks() {
+fn frames_that_do_not_determine_the_optics_say_what_lacks() {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
     let truth = Truth::drawn(&mut random);
     let level = Flight {

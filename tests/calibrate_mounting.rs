@@ -65,7 +65,7 @@ impl Scan {
     }
 
     /// The instrument that a scan with unknown pointing starts from. Where directions are counted at the telescope the clocking
-    /// leans on the stated centre, so that is right to its sigma of 1 mil.
+    /// relies on the stated centre, so that is right to its sigma of 1 mil.
     fn stated(&self) -> Instrument {
         let mut stated = demo_by(self.directions);
         let mounting = &mut stated.mounting;
@@ -268,7 +268,7 @@ fn a_grid_of_known_pointings_determines_everything() {
 }
 
 #[test]
-fn observations_tell_their_rule_of_directions_whichever_the_instrument_states() {
+fn observations_show_their_rule_of_directions_whichever_the_instrument_states() {
     let grid = Scan {
         count: 50,
         every_s: 10.0,

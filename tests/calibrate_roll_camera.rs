@@ -58,7 +58,7 @@ fn sweep(time_s: f64, sun: Horizontal, across_deg: f64) -> Attitude {
     }
 }
 
-/// The camera looks ahead, and down by as much as the telescope looks up, or so; `off_deg` turns it about the body's axes.
+/// The camera points ahead, and down by as much as the telescope points up, or so; `off_deg` turns it about the body's axes.
 fn body_from_camera(down_deg: f64, off_deg: [f64; 3]) -> Rotation3<f64> {
     let forward = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
     let down = Rotation3::from_axis_angle(&Vector3::y_axis(), -down_deg.to_radians());
@@ -139,7 +139,8 @@ fn the_turn_of_ten_minutes_is_known_to_two_hundredths_of_a_degree_and_as_well_as
 }
 
 #[test]
-fn a_sun_that_stays_in_one_place_does_not_tell_the_turn_about_it_and_the_error_says_what_would() {
+fn a_sun_that_stays_in_one_place_does_not_determine_the_turn_about_it_and_the_error_says_what_would()
+ {
     let truth = body_from_camera(40.0, [0.5, 0.0, 0.0]);
     let mut still = observations(1, &truth, true);
     for observation in &mut still {
@@ -331,7 +332,7 @@ fn calibrate(flown: &Flown, more: &[&str]) -> (Rotation3<f64>, [f64; 3]) {
 }
 
 #[test]
-fn frames_at_known_attitude_tell_how_the_camera_sits() {
+fn frames_at_known_attitude_determine_how_the_camera_sits() {
     let flown = fly(3, 60, 30.0, 640, false);
     let log = flown.folder.path().join("attitude.csv");
     let (turn, sigmas) = calibrate(&flown, &["--attitude", log.to_str().unwrap()]);
@@ -342,7 +343,7 @@ fn frames_at_known_attitude_tell_how_the_camera_sits() {
 }
 
 #[test]
-fn a_flight_that_saw_sun_and_horizon_tells_how_the_camera_sits() {
+fn a_flight_that_saw_sun_and_horizon_determines_how_the_camera_sits() {
     let flown = fly(4, 320, 80.0, 640, true);
     let (turn, sigmas) = calibrate(&flown, &[]);
     let errors = errors(&turn, &flown.truth, sigmas);
@@ -353,7 +354,7 @@ fn a_flight_that_saw_sun_and_horizon_tells_how_the_camera_sits() {
 /// `cargo test --test promises -- --ignored a_flight_of_ten_minutes --nocapture`
 #[test]
 #[ignore = "many minutes of rendering"]
-fn a_flight_of_ten_minutes_tells_how_the_camera_sits_to_two_hundredths_of_a_degree() {
+fn a_flight_of_ten_minutes_determines_how_the_camera_sits_to_two_hundredths_of_a_degree() {
     let flown = fly(5, 2400, 600.0, 1920, true);
     let (turn, sigmas) = calibrate(&flown, &[]);
     let errors = errors(&turn, &flown.truth, sigmas);

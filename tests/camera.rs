@@ -123,7 +123,7 @@ fn the_simulator_takes_exposure_region_format_and_rate_in_flight() {
 }
 
 #[test]
-fn a_frame_of_any_depth_knows_its_full_scale_and_tells_the_sun() {
+fn a_frame_of_any_depth_knows_its_full_scale_and_shows_the_sun() {
     let instrument = instrument::builtin("demo").unwrap();
     let mut camera = simulated(50.0, None);
     let full_scales = [255, 1023, 4095, 65_535];
@@ -254,7 +254,7 @@ fn a_folder_is_replayed_at_its_own_times_and_faster_by_the_speed() {
 }
 
 #[test]
-fn a_folders_bad_file_is_told_and_the_rest_is_replayed() {
+fn a_folders_bad_file_is_reported_and_the_rest_is_replayed() {
     let folder = tempfile::tempdir().unwrap();
     store(folder.path(), &[None, None]);
     std::fs::write(folder.path().join("1a.fits"), "no picture").unwrap();

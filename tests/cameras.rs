@@ -16,7 +16,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
-/// A small camera that looks along the gondola's first axis, and one that looks to its right.
+/// A small camera that points along the gondola's first axis, and one to its right.
 const FORWARD: &str = "[camera]\nwidth_px = 480\nheight_px = 270\ncentre_px = [239.5, 134.5]\nfocal_px = [222.2, 222.2]\n\
                        body_from_camera = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]\n";
 const TO_THE_RIGHT: &str = "[camera]\nwidth_px = 400\nheight_px = 300\ncentre_px = [199.5, 149.5]\nfocal_px = [200, 200]\n\
@@ -101,7 +101,7 @@ fn two_cameras_of_a_role_and_a_fifth_need_no_more_than_a_table() {
         let files = frames_in(&folder.path().join("archive").join(label));
         assert_eq!(files.len() as u32, *count, "{label}");
     }
-    // Each roll camera tells the gondola's roll, by its own mounting.
+    // Each roll camera measures the gondola's roll, by its own mounting.
     for camera in plan
         .cameras
         .iter()
@@ -176,7 +176,7 @@ fn a_plate_of_another_pattern_sends_its_ids_in_a_message_of_their_own() {
         .filter_map(|packet| Some((FrameMarks::decode(packet).ok()?, packet.time())))
         .collect();
     assert!(marks.len() >= 2, "{} packets", marks.len());
-    let mut told = 0;
+    let mut read = 0;
     for (marks, time) in &marks {
         assert_eq!(marks.camera, 1, "the other one has the plate of 2013");
         let answer = answers.iter().find(|answer| {
@@ -196,9 +196,9 @@ fn a_plate_of_another_pattern_sends_its_ids_in_a_message_of_their_own() {
             (marks.number, marks.marks)
         );
         assert_eq!(housekeeping[0].ids.iter().count(), 0);
-        told += ids.len();
+        read += ids.len();
     }
-    assert!(told > 0, "no mark was read");
+    assert!(read > 0, "no mark was read");
 }
 
 #[test]

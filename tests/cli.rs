@@ -349,7 +349,7 @@ fn an_overlay_is_a_picture_for_every_frame() {
 }
 
 #[test]
-fn a_wrong_cameras_file_is_told_once_on_standard_error() {
+fn a_wrong_cameras_file_is_reported_once_on_standard_error() {
     let folder = tempfile::tempdir().unwrap();
     let demo = solaspect::instrument::builtin_text("demo").unwrap();
     let key = "rotation_deg = { value = 0,";
@@ -427,7 +427,7 @@ fn simulated_frames_are_solved_to_their_truth() {
 }
 
 #[test]
-fn wrong_usage_is_told_apart_from_failure() {
+fn wrong_usage_is_distinguished_from_failure() {
     assert_eq!(solaspect(&["solve"]).status.code(), Some(2));
     assert_eq!(
         solaspect(&["demo", "--rate", "fast"]).status.code(),

@@ -178,14 +178,14 @@ fn dates_are_read_alike_in_all_commands() {
 }
 
 #[test]
-fn solve_tells_once_how_to_get_offsets_where_only_the_place_is_missing() {
+fn solve_says_once_how_to_get_offsets_where_only_the_place_is_missing() {
     let frame = format!("{FRAMES}/standard/frame_00000.fits");
     let hint = "no offset for 2 frames without a place";
-    let told = said(&solaspect(&["solve", &frame, &frame]));
-    assert_eq!(told.lines().count(), 1, "{told}");
+    let printed = said(&solaspect(&["solve", &frame, &frame]));
+    assert_eq!(printed.lines().count(), 1, "{printed}");
     assert!(
-        told.contains(hint) && told.contains("--place LAT,LON,HEIGHT_M"),
-        "{told}"
+        printed.contains(hint) && printed.contains("--place LAT,LON,HEIGHT_M"),
+        "{printed}"
     );
     let night = format!("{FRAMES}/night/frame_00000.fits");
     assert_eq!(said(&solaspect(&["solve", &night])), "");
@@ -246,7 +246,7 @@ fn a_table_fits_100_columns_and_has_angles_in_arcsec() {
 }
 
 #[test]
-fn mistakes_in_a_file_are_told_in_plain_words() {
+fn mistakes_in_a_file_are_reported_in_plain_words() {
     let folder = tempfile::tempdir().unwrap();
     let demo = fs::read_to_string(format!("{CALIBRATION}/demo.toml")).unwrap();
     let line = |begins: &str| {

@@ -1,4 +1,4 @@
-//! The ground console: what a browser is told of a flight, who may command it, and that nobody can disturb it.
+//! The ground console: what a browser gets of a flight, who may command it, and that nobody can disturb it.
 
 use jiff::Timestamp;
 use serde_json::{Value, json};
@@ -194,7 +194,7 @@ fn at(second: i64) -> Timestamp {
     Timestamp::from_second(1_379_786_400 + second).unwrap()
 }
 
-fn told(second: u32) -> Housekeeping {
+fn housekeeping_of(second: u32) -> Housekeeping {
     Housekeeping {
         computer: 1,
         tracking: true,
@@ -211,7 +211,10 @@ fn told(second: u32) -> Housekeeping {
 }
 
 fn housekeeping(second: u32) -> Vec<u8> {
-    told(second).packet(at(second.into())).unwrap().encode()
+    housekeeping_of(second)
+        .packet(at(second.into()))
+        .unwrap()
+        .encode()
 }
 
 fn solution(second: i64, azimuth_deg: f64) -> Vec<u8> {
@@ -271,7 +274,7 @@ fn the_state_says_in_words_what_is_wrong_and_since_when_and_its_alarm_outlasts_i
     let lost = |second: u32, lost: u32| {
         let packet = Housekeeping {
             lost,
-            ..told(second)
+            ..housekeeping_of(second)
         }
         .packet(at(second.into()));
         gondola.send(&packet.unwrap().encode()).unwrap();
@@ -308,7 +311,7 @@ fn the_state_says_in_words_what_is_wrong_and_since_when_and_its_alarm_outlasts_i
 }
 
 #[test]
-fn the_state_is_told_each_second_also_where_all_but_the_housekeeping_comes() {
+fn the_state_is_sent_each_second_also_where_all_but_the_housekeeping_comes() {
     let (console, gondola) = over_udp(|_| {});
     let mut viewer = Stream::open(console.address(), "");
     viewer.next("state");
@@ -318,9 +321,9 @@ fn the_state_is_told_each_second_also_where_all_but_the_housekeeping_comes() {
     }
     gondola.send(&housekeeping(60)).unwrap();
     let kinds = viewer.kinds_until("housekeeping");
-    let told = kinds.iter().filter(|kind| *kind == "state").count();
+    let states = kinds.iter().filter(|kind| *kind == "state").count();
     // That of the housekeeping, and at least two in the three seconds before.
-    assert!(told >= 3, "{kinds:?}");
+    assert!(states >= 3, "{kinds:?}");
     console.end();
 }
 
@@ -333,7 +336,7 @@ fn a_picture_is_shown_as_it_arrives_and_solved_when_it_is_whole() {
     let frame = scenes.scene(1).unwrap().frame().unwrap();
     let picture = Picture::new(&frame, 1, Vec::new(), at(0)).unwrap().unwrap();
     let received = |count: usize| move |now: &Value| now["pictures"][0]["received"] == count;
-    // A datagram that finds no room is lost: no more go out than have come in.
+    // A datagram that does not fit into the queue is lost: no more go out than have come in.
     let send = |parts: std::ops::Range<usize>| {
         for part in parts {
             gondola.send(&picture.part(part).unwrap().encode()).unwrap();
@@ -425,7 +428,7 @@ fn another_sites_page_can_neither_read_nor_command() {
 }
 
 #[test]
-fn behind_a_proxy_even_looking_needs_a_login_and_the_cookie_is_for_tls_alone() {
+fn behind_a_proxy_even_viewing_needs_a_login_and_the_cookie_is_for_tls_alone() {
     let (console, _gondola) = over_udp(|settings| {
         settings.token = Some(Secret::of(TOKEN));
         settings.public_origin = Some("HTTPS://Console.Example.org:443/".parse().unwrap());
@@ -573,24 +576,24 @@ fn fifty_viewers_see_all_and_one_that_stalls_harms_nobody() {
 }
 
 #[test]
-fn a_viewer_on_a_slow_line_gets_what_fits_it_and_is_told_what_it_misses() {
+fn a_viewer_on_a_slow_line_gets_what_fits_it_and_learns_what_is_left_out() {
     let (console, gondola) = over_udp(|_| {});
     let mut viewer = Stream::open(console.address(), "?bits_per_s=6000");
     let start = Instant::now();
     let mut second = 0;
-    let mut told = None;
-    while told.is_none() {
+    let mut report = None;
+    while report.is_none() {
         assert!(start.elapsed() < LONG);
         second += 1;
         gondola.send(&housekeeping(second)).unwrap();
         gondola.send(&solution(second.into(), 0.1)).unwrap();
         std::thread::sleep(Duration::from_millis(50));
         if start.elapsed() > Duration::from_secs(12) {
-            told = Some(viewer.next("left_out"));
+            report = Some(viewer.next("left_out"));
         }
     }
     let read = start.elapsed().as_secs_f64();
-    assert!(told.unwrap()["updates"].as_u64().unwrap() > 100);
+    assert!(report.unwrap()["updates"].as_u64().unwrap() > 100);
     // What has come is still to be read: all of it must fit the line.
     viewer
         .0
@@ -851,8 +854,8 @@ fn only_the_demo_has_faults_and_only_who_may_command_puts_them_on() {
             .count()
     };
     assert_eq!(on(&panel), 1);
-    let told = Stream::open(console, "").next("training");
-    assert_eq!(told, panel, "every viewer is told");
+    let found = Stream::open(console, "").next("training");
+    assert_eq!(found, panel, "every viewer gets it");
     commanded.end();
     let (real, _gondola) = over_udp(|settings| {
         settings.token = Some(Secret::of(TOKEN));

@@ -49,27 +49,31 @@ fn a_mirrored_picture_is_called_so_and_has_no_place() {
     let demo = builtin("demo").unwrap();
     let frames = frames();
     assert!(frames.len() > 15, "{}", frames.len());
-    let mut told = [0; 2];
+    let mut counts = [0; 2];
     for (frame, _) in &frames {
         let (last_x, last_y) = (frame.width() - 1, frame.height() - 1);
         let images = [
             reordered(frame, |x, y| (x, last_y - y)),
             reordered(frame, |x, y| (last_x - x, y)),
         ];
-        for (image, told) in images.iter().zip(&mut told) {
+        for (image, count) in images.iter().zip(&mut counts) {
             let solution = solve(image, &demo, EXPECTED, None);
             assert_ne!(solution.quality, Quality::Fine);
             let stopped = solution.stopped.unwrap();
             if stopped.rejected.reason == reasons::MIRROR_IMAGE {
                 assert_eq!(stopped.stage, Stage::Identification);
                 has_no_place(&solution);
-                *told += 1;
+                *count += 1;
             }
         }
     }
     // Few marks in a row are their own mirror image.
-    for told in told {
-        assert!(told * 10 >= frames.len() * 9, "{told} of {}", frames.len());
+    for count in counts {
+        assert!(
+            count * 10 >= frames.len() * 9,
+            "{count} of {}",
+            frames.len()
+        );
     }
 }
 
@@ -95,7 +99,7 @@ fn a_camera_moved_farther_than_it_may_be_has_no_place_by_the_calibration() {
                 }
             }
         }
-        // Few marks in a row do not tell where they are.
+        // Few marks in a row do not show where they are.
         let all = frames.len();
         assert!(none * 10 >= all * 8, "{none} of {all} at {by_px} px");
     }

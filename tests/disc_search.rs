@@ -405,7 +405,7 @@ fn levels_are_the_frames_own_though_little_of_the_disc_is_seen() {
                 let levels = limb::levels(&frame, &LimbSettings::default()).unwrap();
                 // Digitising adds a variance of 1/12.
                 let noise = noise_dn.hypot(0.2887);
-                // Whole numbers as coarse as the noise tell it less well.
+                // Whole numbers as coarse as the noise determine it less well.
                 let tolerance = 0.04 + 0.1 / noise_dn;
                 assert!(
                     (levels.background_dn - 4.0).abs() < 0.04 * noise,

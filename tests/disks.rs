@@ -311,7 +311,7 @@ fn a_disk_that_came_back_gets_its_logs_again() {
     assert_eq!((tally.archive.rows_lost, tally.lost()), (0, 0), "{tally}");
 }
 
-/// A copy of a folder, as of a disk that is mounted anew: the same bytes in other files.
+/// A copy of a folder, as of a disk that is mounted again: the same bytes in other files.
 fn copy(from: &Path, to: &Path) {
     fs::create_dir(to).unwrap();
     for entry in fs::read_dir(from).unwrap() {
@@ -383,7 +383,7 @@ fn frames_and_rows_in_the_hands_of_a_disk_that_hangs_are_counted_at_the_end() {
     let root = tempfile::tempdir().unwrap();
     let disk = FaultyDisk::new(LocalDisk);
     let stores = vec![faulty(root.path(), &disk)];
-    let tally = flight::dark_told_to_end(
+    let tally = flight::dark_asked_to_end(
         stores,
         settings(Sharing::Alternate),
         FRAMES,
@@ -503,7 +503,7 @@ fn a_real_file_system_that_is_unmounted_leaves_the_rest_to_the_other() {
     let kept = numbers_in(roots[1]);
     let lost: Vec<u64> = (0..FRAMES).filter(|n| !kept.contains(n)).collect();
     assert!(!gone.is_empty() && kept.len() >= 20);
-    // One more may have been written between the look and the unmounting.
+    // One more may have been written between the check and the unmounting.
     assert!(
         lost.starts_with(&gone) && lost.len() <= gone.len() + 1,
         "{gone:?} {lost:?}"

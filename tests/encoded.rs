@@ -1,7 +1,7 @@
 //! What other programs and stored flights rely on stays byte for byte: packets both ways, housekeeping of every layout, and a frame's numbers
 //! as rows, telemetry, JSON and keywords.
 //!
-//! `tests/data/encoded.txt` holds what was encoded from fixed inputs. With `SOLASPECT_WRITE_DATA` set it is written anew: only where a
+//! `tests/data/encoded.txt` holds what was encoded from fixed inputs. With `SOLASPECT_WRITE_DATA` set it is written again: only where a
 //! change of what is on a line or a disk is wanted.
 
 use jiff::Timestamp;
@@ -100,7 +100,7 @@ fn packets(text: &mut String) {
         writeln!(text, "message {}", hex(&packet.encode())).unwrap();
         assert_eq!(&Message::decode(packet.payload()).unwrap(), message);
     }
-    for told in [
+    for housekeeping in [
         Telemetry::Receipt(Receipt { sequence: 7 }),
         Telemetry::Result(CommandOutcome {
             sequence: 7,
@@ -108,7 +108,7 @@ fn packets(text: &mut String) {
             value: 2,
         }),
     ] {
-        let packet = told.packet(time()).unwrap();
+        let packet = housekeeping.packet(time()).unwrap();
         writeln!(text, "telemetry {}", hex(&packet.encode())).unwrap();
     }
 }
@@ -136,18 +136,18 @@ fn full() -> Housekeeping {
         let at = FIELDS.iter().position(|field| field.name == name)?;
         Some(values[at].as_str())
     };
-    let told = Housekeeping::from_csv(value).unwrap();
+    let housekeeping = Housekeeping::from_csv(value).unwrap();
     Housekeeping {
         ids: MarkIds::new([[-7, 7], [0, 0]]),
-        ..told
+        ..housekeeping
     }
 }
 
 fn housekeeping(text: &mut String) {
-    for told in [Housekeeping::default(), full()] {
-        writeln!(text, "housekeeping {}", hex(&told.payload())).unwrap();
-        writeln!(text, "row {}", told.csv_row().join(";")).unwrap();
-        writeln!(text, "lines {}", told.lines().join("|")).unwrap();
+    for housekeeping in [Housekeeping::default(), full()] {
+        writeln!(text, "housekeeping {}", hex(&housekeeping.payload())).unwrap();
+        writeln!(text, "row {}", housekeeping.csv_row().join(";")).unwrap();
+        writeln!(text, "lines {}", housekeeping.lines().join("|")).unwrap();
     }
     let payload = full().payload();
     for layout in 1..=LAYOUT {
@@ -296,13 +296,13 @@ fn logs(text: &mut String) {
         } else if !path.is_symlink() {
             for field in files(&path) {
                 let bytes = fs::read(&field).unwrap();
-                let told = match field.ends_with("format") {
+                let housekeeping = match field.ends_with("format") {
                     true => String::from_utf8(bytes).unwrap(),
                     false => hex(&bytes),
                 };
                 writeln!(
                     text,
-                    "{name}/{} {told}",
+                    "{name}/{} {housekeeping}",
                     field.file_name().unwrap().to_str().unwrap()
                 )
                 .unwrap();

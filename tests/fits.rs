@@ -115,7 +115,7 @@ mod round_trips {
                 let at = random.random_range(0..changed.len());
                 changed[at] ^= 1 << random.random_range(0..8);
                 fs::write(&path, changed).unwrap();
-                // A keyword whose own name is hit guards no more, which the count tells.
+                // A keyword whose own name is hit guards no more, which the count shows.
                 let sound = check_sums(&path).is_ok_and(|sums| sums.guarded == 3);
                 assert!(!sound, "byte {at}, {compression:?}");
             }
@@ -187,7 +187,7 @@ mod round_trips {
         assert_eq!(indices, [-7, 0, i64::MAX]);
         assert_eq!((positions[0], positions[2]), (0.1, -1e300));
         assert!(positions[1].is_nan());
-        // fitsio 0.21 writes one byte too many when it reads texts, so their rows are looked at as they stand:
+        // fitsio 0.21 writes one byte too many when it reads texts, so their rows are read as they stand:
         // an integer, a float and seven characters each.
         assert_eq!(hdu.read_key::<String>(&mut file, "TFORM3").unwrap(), "7A");
         let bytes = fs::read(&path).unwrap();
@@ -861,7 +861,7 @@ mod bad_files {
     fn tiles_that_all_share_a_long_stream_are_refused() {
         let mut bytes = compressed_with("DATASUM", "COMMENT");
         let table = table_start(&bytes);
-        // Each of the 48 tiles is the longest that the heap has room for.
+        // Each of the 48 tiles is the longest that fits into the heap.
         let heap = bytes.len() - 2880 - table - 48 * 8;
         for row in 0..48 {
             let descriptor = &mut bytes[table + 8 * row..][..8];
@@ -872,7 +872,7 @@ mod bad_files {
     }
 
     #[test]
-    fn a_plain_image_whose_data_are_not_its_pixels_is_refused_before_room_is_made_for_it() {
+    fn a_plain_image_whose_data_are_not_its_pixels_is_refused_before_it_is_allocated() {
         let large = only_image(16, [8192, 8192], &["BZERO   = 32768", "GCOUNT  = 0"], &[]);
         let (read, [_, memory]) = counted(|| read_bytes(&large, "promises.fits"));
         let message = read.unwrap_err();
@@ -982,7 +982,7 @@ mod rows_on_demand {
     }
 
     #[test]
-    fn a_damaged_row_that_no_sum_tells_of_is_an_error_where_it_is_looked_at() {
+    fn a_damaged_row_that_no_sum_shows_is_an_error_where_it_is_read() {
         let folder = folder();
         let path = written(&folder, &eight_bit(64, 48), Compression::Rice);
         let mut bytes = fs::read(&path).unwrap();
@@ -1155,7 +1155,7 @@ mod tables {
     }
 
     #[test]
-    fn what_a_hostile_header_promises_is_not_made_room_for() {
+    fn what_a_hostile_header_promises_is_not_allocated() {
         let forms = ["1K"];
         for (rows, row_bytes) in [(i64::MAX, 8), (1 << 40, 8), (i64::MAX, 0), (1 << 40, 0)] {
             assert!(read(&file(rows, row_bytes, &forms, &[], &[0; 8])).is_err());

@@ -1,4 +1,4 @@
-//! A flight survives what happens to it: a camera that panics, hangs or cannot be opened, a program that is told to end, a
+//! A flight survives what happens to it: a camera that panics, hangs or cannot be opened, a program that is asked to end, a
 //! clock that makes a step.
 
 use crate::common::disk::{Fault, FaultyDisk};
@@ -111,7 +111,7 @@ fn an_archive_holds_what_it_was_flown_with_and_every_frame_and_the_ground_name_i
     let key_file = root.path().with_extension("key");
     std::fs::write(&key_file, secret).unwrap();
     let instrument_toml = instrument::builtin_text("demo").unwrap();
-    let mut told = Vec::new();
+    let mut ids = Vec::new();
     for exposure_us in [9_000, 12_000] {
         let mut camera = scripted(|call| match call {
             4 => {
@@ -128,7 +128,7 @@ fn an_archive_holds_what_it_was_flown_with_and_every_frame_and_the_ground_name_i
         let service = Service::start(flight).unwrap();
         wait_until("the flight's end", || service.is_finished());
         let housekeeping = service.housekeeping().unwrap();
-        told.push((housekeeping.commit, housekeeping.configuration));
+        ids.push((housekeeping.commit, housekeeping.configuration));
         service.join().unwrap();
     }
     let files = |what: &str| -> Vec<String> {
@@ -171,7 +171,7 @@ fn an_archive_holds_what_it_was_flown_with_and_every_frame_and_the_ground_name_i
     }
     let commit = Digits::of(provenance::COMMIT.unwrap_or_default());
     let expected = hashes.iter().map(|hash| (commit, Digits::of(hash)));
-    assert_eq!(told, expected.collect::<Vec<_>>());
+    assert_eq!(ids, expected.collect::<Vec<_>>());
 }
 
 #[test]
@@ -343,7 +343,7 @@ fn a_flight_with_the_wrong_cameras_file_says_so_and_borrows_what_it_measured() {
     assert!(tally.to_string().contains(said), "{tally}");
 }
 
-/// Only systemd can begin anew: the test needs `NOTIFY_SOCKET`, by which the program knows of it.
+/// Only systemd can restart it: the test needs `NOTIFY_SOCKET`, by which the program knows of it.
 #[test]
 #[ignore = "takes 42 s, and NOTIFY_SOCKET must be set"]
 fn a_camera_that_hangs_again_and_again_ends_the_flight_for_systemd_to_begin_anew() {
@@ -402,7 +402,7 @@ fn a_frame_of_another_size_and_a_camera_that_fails_do_not_stop_the_flight() {
 }
 
 #[test]
-fn a_step_of_utc_is_told_in_the_frames_header_and_counted() {
+fn a_step_of_utc_is_stated_in_the_frames_header_and_counted() {
     let root = tempfile::tempdir().unwrap();
     let camera = scripted(|call| {
         if call == 6 {
@@ -427,10 +427,10 @@ fn a_step_of_utc_is_told_in_the_frames_header_and_counted() {
     assert_eq!(steps, expected);
 }
 
-/// A camera that shows a disc whose light follows the exposure, and tells what it was set to.
+/// A camera that shows a disc whose light follows the exposure, and records what it was set to.
 struct Lit {
     settings: CameraSettings,
-    told: Arc<Mutex<Vec<u32>>>,
+    exposures: Arc<Mutex<Vec<u32>>>,
     number: u64,
     go: Receiver<()>,
 }
@@ -461,7 +461,7 @@ impl FrameSource for Lit {
 
     fn apply(&mut self, settings: &CameraSettings) -> Result<(), CameraError> {
         self.settings = settings.clone();
-        self.told.lock().unwrap().push(settings.exposure_us);
+        self.exposures.lock().unwrap().push(settings.exposure_us);
         Ok(())
     }
 }
@@ -474,11 +474,11 @@ fn the_exposure_follows_the_light_where_that_is_wanted_and_commands_set_it_where
             config.cameras.first_mut().auto_exposure = solaspect::config::Switch::On;
         }
         config.cameras.first_mut().exposure_us = 2_000;
-        let told = Arc::new(Mutex::new(Vec::new()));
-        let (look, go) = unbounded();
+        let exposures = Arc::new(Mutex::new(Vec::new()));
+        let (gate, go) = unbounded();
         let camera = Lit {
             settings: config.cameras.first().settings(),
-            told: Arc::clone(&told),
+            exposures: Arc::clone(&exposures),
             number: 0,
             go,
         };
@@ -489,24 +489,27 @@ fn the_exposure_follows_the_light_where_that_is_wanted_and_commands_set_it_where
         flight.config = config;
         let (service, answers) = Service::start_watched(flight).unwrap();
         for _ in 0..12 {
-            look.send(()).unwrap();
+            gate.send(()).unwrap();
             answers.recv().unwrap();
         }
         if !auto {
             let setting = ("camera.exposure_us", solaspect::config::Value::Whole(7_000));
             service.controls().set(&[setting]).unwrap();
             for _ in 0..3 {
-                look.send(()).unwrap();
+                gate.send(()).unwrap();
                 answers.recv().unwrap();
             }
         }
-        drop(look);
+        drop(gate);
         service.join().unwrap();
-        let told = told.lock().unwrap();
+        let exposures = exposures.lock().unwrap();
         match auto {
             // 0.8 of full scale is reached at 20.4 ms.
-            true => assert!((19_000..22_000).contains(told.last().unwrap()), "{told:?}"),
-            false => assert_eq!(*told, [7_000]),
+            true => assert!(
+                (19_000..22_000).contains(exposures.last().unwrap()),
+                "{exposures:?}"
+            ),
+            false => assert_eq!(*exposures, [7_000]),
         }
     }
 }
@@ -539,7 +542,7 @@ fn each_camera_has_its_folder_and_a_roll_camera_is_stored_with_its_levels() {
 }
 
 #[test]
-fn the_ground_is_told_each_second_how_all_is() {
+fn housekeeping_goes_to_the_ground_each_second() {
     let root = tempfile::tempdir().unwrap();
     let (near, mut far) = SerialPort::pair().unwrap();
     let camera = scripted(|call| {
@@ -550,20 +553,20 @@ fn the_ground_is_told_each_second_how_all_is() {
     flight.line = Connection::over(near);
     let service = Service::start(flight).unwrap();
     let mut parser = Parser::new(Direction::ToController);
-    let (start, mut told) = (Instant::now(), Vec::new());
+    let (start, mut received) = (Instant::now(), Vec::new());
     wait_until("housekeeping", || {
         let mut buffer = [0; 512];
         let count = far.read(&mut buffer, Duration::from_millis(20)).unwrap();
         for packet in parser.feed(&buffer[..count], start.elapsed()) {
             if let Packet::Telemetry(packet) = packet {
-                told.extend(Housekeeping::decode(&packet));
+                received.extend(Housekeeping::decode(&packet));
             }
         }
-        told.len() == 2
+        received.len() == 2
     });
     service.stop();
     let tally = service.join().unwrap();
-    let [first, second] = &told[..] else {
+    let [first, second] = &received[..] else {
         unreachable!()
     };
     assert!(first.taken > 0 && second.taken > first.taken);
@@ -599,7 +602,7 @@ fn solaspect(arguments: &[&str]) -> Command {
 }
 
 #[test]
-fn told_to_end_it_finishes_and_ends_well_within_two_seconds() {
+fn asked_to_end_it_finishes_and_ends_well_within_two_seconds() {
     let root = tempfile::tempdir().unwrap();
     let mut child = solaspect(&[
         "fly",
@@ -614,9 +617,9 @@ fn told_to_end_it_finishes_and_ends_well_within_two_seconds() {
     wait_until("a frame", || !frames_in(root.path()).is_empty());
     let pid = child.id().to_string();
     assert!(Command::new("kill").arg(pid).status().unwrap().success());
-    let told = Instant::now();
+    let asked = Instant::now();
     let status = child.wait().unwrap();
-    let took = told.elapsed();
+    let took = asked.elapsed();
     let mut said = String::new();
     child.stdout.unwrap().read_to_string(&mut said).unwrap();
     assert_eq!(status.code(), Some(0), "{said}");
@@ -713,7 +716,7 @@ fn a_flight_goes_on_when_its_log_cannot_be_written() {
 fn a_flight_goes_on_when_the_reader_of_its_log_stalls() {
     let root = tempfile::tempdir().unwrap();
     let (_reader, mut writer) = std::io::pipe().unwrap();
-    // As much as a pipe of Linux holds: the first line of the log has no room.
+    // As much as a pipe of Linux holds: the first line of the log does not fit.
     writer.write_all(&[b'\n'; 65_536]).unwrap();
     fly_with_log_on(writer, root.path());
 }
@@ -834,7 +837,7 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
     // A machine that has other things to do makes no solution too old.
     flight.config.link.max_solution_age_ms = 30_000;
     let (service, answers) = Service::start_watched(flight).unwrap();
-    wait_until("the disk's room", || {
+    wait_until("the disk's space", || {
         service.disks()[0].free_percent.is_some()
     });
     let controls = service.controls().clone();
@@ -864,7 +867,7 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
         format!("{:?} {solution:?}", answer.solved.quality)
     };
     let solved: Vec<String> = (0..FRAMES).map(solve).collect();
-    let room = space();
+    let space = space();
     drop(go);
     wait_until("the flight's end", || service.is_finished());
     let tally = service.join().unwrap();
@@ -872,12 +875,12 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
     let said = tally.counts.errors + tally.counts.solutions;
     let line = (tally.counts.announced, tally.counts.outdated, said);
     Some(format!(
-        "{given:?} {solved:?} {line:?} {} {room:?}",
+        "{given:?} {solved:?} {line:?} {} {space:?}",
         tally.counts.stored
     ))
 }
 
-/// A camera that takes a frame when it is told to, and notes what it is set to.
+/// A camera that takes a frame on demand, and notes what it is set to.
 struct Prompted {
     number: u64,
     end: u64,
@@ -979,8 +982,8 @@ fn alone(number: u16, values: Vec<f64>) -> Vec<Vec<(u16, f64)>> {
         .collect()
 }
 
-/// What a flight of two seconds tells a service manager that listens at a socket, given to it as `variable`.
-fn told_to_systemd(socket: &UnixDatagram, variable: &str) -> Vec<String> {
+/// What a flight of two seconds sends to a service manager that listens at a socket, given to it as `variable`.
+fn sent_to_systemd(socket: &UnixDatagram, variable: &str) -> Vec<String> {
     socket.set_read_timeout(Some(LONG)).unwrap();
     let mut child = solaspect(&["fly", "--camera", "simulated", "--duration", "2s"])
         .env("NOTIFY_SOCKET", variable)
@@ -1002,7 +1005,7 @@ fn told_to_systemd(socket: &UnixDatagram, variable: &str) -> Vec<String> {
 }
 
 #[test]
-fn systemd_is_told_when_the_flight_is_ready_that_it_lives_and_when_it_ends() {
+fn systemd_is_notified_when_the_flight_is_ready_that_it_lives_and_when_it_ends() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("notify");
     let name = format!("solaspect-flight-test-{}", std::process::id());
@@ -1011,7 +1014,7 @@ fn systemd_is_told_when_the_flight_is_ready_that_it_lives_and_when_it_ends() {
         (UnixDatagram::bind(&path), path.display().to_string()),
         (UnixDatagram::bind_addr(&address), format!("@{name}")),
     ] {
-        let said = told_to_systemd(&socket.unwrap(), &variable);
+        let said = sent_to_systemd(&socket.unwrap(), &variable);
         assert!(said[0].contains("READY=1"), "{said:?}");
         let fed = said.iter().filter(|word| word.contains("WATCHDOG=1"));
         assert!(fed.count() >= 3, "{said:?}");
@@ -1019,7 +1022,7 @@ fn systemd_is_told_when_the_flight_is_ready_that_it_lives_and_when_it_ends() {
 }
 
 #[test]
-fn a_service_manager_that_cannot_be_told_is_warned_of_once() {
+fn a_service_manager_that_cannot_be_notified_is_warned_of_once() {
     let output = solaspect(&["fly", "--camera", "simulated", "--duration", "1s"])
         .env("NOTIFY_SOCKET", "vsock:2:1234")
         .env("WATCHDOG_USEC", "100000")

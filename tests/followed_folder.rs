@@ -256,7 +256,7 @@ fn more_than_the_kernel_reports_is_found_by_listing_anew() {
 }
 
 #[test]
-fn a_folder_that_is_not_there_is_named_and_looked_for_until_it_is() {
+fn a_folder_that_is_not_there_is_named_and_searched_until_it_is() {
     let above = tempfile::tempdir().unwrap();
     let folder = above.path().join("frames");
     let taken = TakenFiles::default();
@@ -444,7 +444,7 @@ fn a_writer_that_stops_is_a_silent_camera_until_it_goes_on() {
     wait_until("a frame", || service.tally().counts.taken == 1);
     wait_until("the silence", || {
         let housekeeping = service.housekeeping();
-        housekeeping.is_some_and(|told| told.silent_s >= 1)
+        housekeeping.is_some_and(|housekeeping| housekeeping.silent_s >= 1)
     });
     assert_eq!(service.tally().camera.silences, 1);
     writer.write();

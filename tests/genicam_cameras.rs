@@ -155,7 +155,9 @@ fn flown(folder: &Path, rate_hz: u64, seconds: u64) -> FlightTally {
     let mut marked = false;
     while start.elapsed() < Duration::from_secs(seconds) {
         std::thread::sleep(Duration::from_millis(100));
-        marked |= service.housekeeping().is_some_and(|told| told.simulated);
+        marked |= service
+            .housekeeping()
+            .is_some_and(|housekeeping| housekeeping.simulated);
     }
     service.stop();
     let tally = service.join().unwrap();

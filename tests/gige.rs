@@ -108,7 +108,7 @@ fn frames_come_with_their_settings_times_and_temperature() {
 }
 
 #[test]
-fn settings_are_taken_in_flight_and_a_refused_one_is_told() {
+fn settings_are_taken_in_flight_and_a_refused_one_is_reported() {
     let _turn = port();
     let _fake = Fake::start(&[]);
     let mut camera = GenicamCamera::new(at(ADDRESS), &settings());
@@ -157,7 +157,7 @@ fn a_camera_that_dies_is_brought_back_with_every_setting() {
     }
     assert!(noticed);
 
-    // The new one knows nothing of what the old one was told.
+    // The new one knows nothing of the settings of the old one.
     let _fake = Fake::start(&["--serial", "SECOND"]);
     let exposure = next(&mut camera, &mut Vec::new());
     assert_settings_hold(&exposure.frame, &wanted);

@@ -133,7 +133,7 @@ fn measured(flown: &[Truth], seed: u64) -> Vec<Moment> {
 #[derive(Default)]
 struct Errors {
     mil: Vec<f64>,
-    pulls: Vec<f64>,
+    ratios: Vec<f64>,
 }
 
 impl Errors {
@@ -143,16 +143,16 @@ impl Errors {
             for axis in 0..2 {
                 let error = path[n].place[axis] - flown[n].at_mil[axis];
                 errors.mil.push(error);
-                errors.pulls.push(error / path[n].variance[axis].sqrt());
+                errors.ratios.push(error / path[n].variance[axis].sqrt());
             }
         }
         errors
     }
 
-    fn largest_pull(&self) -> f64 {
-        self.pulls
+    fn largest_ratio(&self) -> f64 {
+        self.ratios
             .iter()
-            .fold(0.0, |most, pull| pull.abs().max(most))
+            .fold(0.0, |most, ratio| ratio.abs().max(most))
     }
 }
 
@@ -180,22 +180,22 @@ fn judge(segments: &[(Segment, f64)], rate_hz: f64, seed: u64) {
             })
         };
         let (at_frames, between) = (errors(true), errors(false));
-        let (error_mil, pull) = (rms(&at_frames.mil), rms(&at_frames.pulls));
+        let (error_mil, ratio) = (rms(&at_frames.mil), rms(&at_frames.ratios));
         println!(
-            "{name}: rms {error_mil:.4} mil, error/sigma {pull:.3}, largest {:.2}, between frames {:.2}",
-            at_frames.largest_pull(),
-            between.largest_pull()
+            "{name}: rms {error_mil:.4} mil, error/sigma {ratio:.3}, largest {:.2}, between frames {:.2}",
+            at_frames.largest_ratio(),
+            between.largest_ratio()
         );
-        assert!((0.8..1.25).contains(&pull), "{name}");
-        assert!(at_frames.largest_pull() < 6.0, "{name}");
+        assert!((0.8..1.25).contains(&ratio), "{name}");
+        assert!(at_frames.largest_ratio() < 6.0, "{name}");
         // What a jolt at a frame does to the way between two has no truth.
-        assert!(*segment == Wind || between.largest_pull() < 7.0, "{name}");
+        assert!(*segment == Wind || between.largest_ratio() < 7.0, "{name}");
         let own = (0..flown.len()).filter(|m| flown[*m].segment == n);
         let own = own.filter_map(|m| Some((moments[m].measured?, flown[m].at_mil)));
         let own: Vec<f64> = own
             .flat_map(|(seen, truth)| [0, 1].map(|axis| seen[axis].place - truth[axis]))
             .collect();
-        // Two axes of 200 frames tell which is better.
+        // Two axes of 200 frames show which is better.
         assert!(own.len() < 400 || error_mil <= rms(&own), "{name}");
     }
 }

@@ -109,8 +109,8 @@ impl Errors {
     /// Of many frames the ratio is 0.8 to 1.25; that of a few may lie off by 2 sigma of such a mean.
     fn assert_honest(&self) {
         let spread = 1.0 / (self.frames as f64).sqrt();
-        let honest = 0.8 - spread..1.25 + spread;
-        assert!(honest.contains(&self.over_sigma), "{self:?}");
+        let calibrated = 0.8 - spread..1.25 + spread;
+        assert!(calibrated.contains(&self.over_sigma), "{self:?}");
     }
 }
 
@@ -364,7 +364,7 @@ fn the_height_of_the_limb_is_found_where_the_edge_curves() {
     assert!(ratios.iter().all(|ratio| *ratio < 1.4), "{ratios:?}");
 }
 
-/// The turns from a camera that looks along the first axis of a body, and from one that looks along the second, to the body's.
+/// The turns from a camera that points along the first axis of a body, and from one along the second, to the body's.
 fn pair() -> [Rotation3<f64>; 2] {
     [
         Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
@@ -436,7 +436,7 @@ impl PairErrors {
 }
 
 #[test]
-fn two_cameras_tell_the_vertical_together_and_their_circles_to_a_degree() {
+fn two_cameras_give_the_vertical_together_and_their_circles_to_a_degree() {
     let errors = PairErrors::of(16);
     assert!(errors.by_circles.len() >= 8, "{:?}", errors.by_circles);
     assert!(errors.joint_rms < 0.05, "{} deg", errors.joint_rms);

@@ -1,4 +1,4 @@
-//! How well an edge tells roll and pitch, by height, field, resolution and atmosphere: Braun and Barf 2022, section 4, figures 19 to 22.
+//! How well an edge determines roll and pitch, by height, field, resolution and atmosphere: Braun and Barf 2022, section 4, figures 19 to 22.
 
 use nalgebra::{UnitVector3, Vector3};
 use solaspect::geometry::camera::CameraModel;
@@ -9,7 +9,7 @@ use solaspect::report::plot::{Labels, Series, series};
 use solaspect::units::{Measured, SensorPx};
 use std::f64::consts::TAU;
 
-/// A camera that looks level, ahead.
+/// A camera that points level, ahead.
 #[derive(Clone, Copy)]
 struct Case {
     height_km: f64,

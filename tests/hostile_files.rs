@@ -220,7 +220,7 @@ fn no_number_of_a_file_is_infinite_or_none_and_a_huge_one_ends_too() {
             }
         }
     }
-    // When the path begins anew; what a calibration rested on, for people.
+    // When the path starts over; what a calibration rested on, for people.
     let harmless = ["repeat_s", "calibration"];
     huge.retain(|key| !harmless.contains(&key.split('.').next().unwrap()));
     assert_eq!(huge, BTreeSet::new(), "taken as they are");

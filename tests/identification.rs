@@ -26,14 +26,14 @@ const FULLY_LIT_PX: f64 = 3.0;
 /// Depths between which a cross that the limb cuts comes to be found: 0.16 of them at 9 mil, 0.7 at 15, all from 18 on in
 /// simulated frames.
 const CUT_FOUND_MIL: [f64; 2] = [5.0, 22.0];
-/// Farthest that the limb pulls a cross, at the limb.
-const PULL_PX: f64 = 4.0;
+/// Farthest that the limb moves a cross, at the limb.
+const SHIFT_PX: f64 = 4.0;
 /// Contrast of the print.
 const CONTRAST: f64 = 0.7;
 
-/// A camera's look at the plate and the Sun.
+/// A camera's view of the plate and the Sun.
 #[derive(Clone, Copy)]
-struct Look {
+struct View {
     mapping: Mapping,
     scale_mil_per_px: f64,
     /// What the instrument states.
@@ -46,8 +46,8 @@ struct Look {
     sensor_px: [f64; 2],
 }
 
-impl Look {
-    fn sight(&self) -> IdentificationPrior {
+impl View {
+    fn prior(&self) -> IdentificationPrior {
         let radius = SUN_RADIUS_MIL * self.radius_error;
         IdentificationPrior {
             outline: self.outline,
@@ -125,9 +125,9 @@ fn outline(mapping: &Mapping, centre: PlateMil, radius_mil: f64) -> Ellipse {
 /// A detection and the mark it is in truth; none for a false one.
 type Labelled = (Detection, Option<MarkId>);
 
-fn read(look: &Look, list: &[Labelled], plate: &Plate) -> Result<Vec<(usize, MarkId)>, Unread> {
+fn read(view: &View, list: &[Labelled], plate: &Plate) -> Result<Vec<(usize, MarkId)>, Unread> {
     let detections: Vec<Detection> = list.iter().map(|(detection, _)| *detection).collect();
-    let (prior, settings) = (look.sight(), FiducialSettings::default());
+    let (prior, settings) = (view.prior(), FiducialSettings::default());
     let found = identify(&detections, &prior, plate, &settings);
     // What decides early decides as all labellings do.
     let by_all = identify_with_margin(&detections, &prior, plate, &settings);
@@ -188,7 +188,7 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
                 let angle = f64::from(step) / 6.0 * TAU;
                 let offset = Vector2::new(angle.cos(), angle.sin()) * 430.0;
                 let sun = PlateMil::from(printed.vector() + offset);
-                let look = Look {
+                let view = View {
                     mapping,
                     scale_mil_per_px: SCALE_MIL_PER_PX,
                     plate_centre: middle,
@@ -204,16 +204,16 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
                         sigma_px: 0.05,
                         contrast: CONTRAST,
                         likeness: 0.9,
-                        lighting: look.lighting(depth),
+                        lighting: view.lighting(depth),
                     };
                     (detection, Some(id))
                 };
                 let deep = |(_, _, depth): &(MarkId, SensorPx, f64)| {
                     depth * SCALE_MIL_PER_PX > CUT_FOUND_MIL[1]
                 };
-                let lit = look.lit(&plate).into_iter().filter(deep);
+                let lit = view.lit(&plate).into_iter().filter(deep);
                 let list: Vec<Labelled> = lit.map(seen).collect();
-                let found = read(&look, &list, &plate);
+                let found = read(&view, &list, &plate);
                 let marks = fully_lit(&list);
                 if marks.len() < FiducialSettings::default().min_marks {
                     assert!(found.is_err(), "{id}: {} marks are too few", marks.len());
@@ -246,7 +246,7 @@ struct World {
     whole_disc: bool,
 }
 
-/// A tenth of the marks missed, up to two detections that are no marks, the Sun anywhere on the sensor.
+/// A tenth of the marks missing, up to two detections that are no marks, the Sun anywhere on the sensor.
 const HARSH: World = World {
     found: 0.9,
     false_ones: 2,
@@ -259,7 +259,7 @@ const CLEAN: World = World {
     whole_disc: true,
 };
 
-/// Draws looks and lists of detections as a camera in flight might give.
+/// Draws views and lists of detections as a camera in flight might give.
 struct Draw {
     rng: Xoshiro256PlusPlus,
     plate: Plate,
@@ -292,7 +292,7 @@ impl Draw {
     /// Any rotation, either mirror, the plate's centre within 100 px of the instrument's, the scale within 10 % of the
     /// nominal, up to 3 deg of keystone; the Sun's radius known to 1 %, its outline to 0.05 px, the arms' rotation to
     /// 0.3 deg and now and then only to a degree.
-    fn look(&mut self) -> Look {
+    fn view(&mut self) -> View {
         let nominal = SensorPx::new(647.5, 482.5);
         let scale_mil_per_px = SCALE_MIL_PER_PX * self.rng.random_range(0.9..1.1);
         let mirrored = self.rng.random_bool(0.5);
@@ -319,7 +319,7 @@ impl Draw {
         } else {
             self.normal(0.3)
         };
-        Look {
+        View {
             mapping,
             scale_mil_per_px,
             plate_centre: nominal,
@@ -341,39 +341,39 @@ impl Draw {
         printed
     }
 
-    fn seen(&mut self, look: &Look, at: Vector2<f64>, depth: f64, noise_px: f64) -> Detection {
+    fn seen(&mut self, view: &View, at: Vector2<f64>, depth: f64, noise_px: f64) -> Detection {
         Detection {
             at: (at + self.scatter(noise_px)).into(),
             sigma_px: noise_px,
             contrast: CONTRAST * (1.0 + self.normal(0.06)),
             likeness: 0.9 + self.rng.random_range(-0.1..0.1),
-            lighting: look.lighting(depth),
+            lighting: view.lighting(depth),
         }
     }
 
-    /// The lit marks with 0.02 to 0.1 px of noise; those that the limb cuts are pulled inwards.
-    fn list(&mut self, look: &Look) -> Vec<Labelled> {
+    /// The lit marks with 0.02 to 0.1 px of noise; those that the limb cuts are moved inwards.
+    fn list(&mut self, view: &View) -> Vec<Labelled> {
         let printed = self.printed();
         let noise_px = self.rng.random_range(0.02..0.1);
         let mut list: Vec<Labelled> = Vec::new();
-        for (id, px, depth) in look.lit(&printed) {
-            let lit = (depth / (look.half_mark_px() + FULLY_LIT_PX)).min(1.0);
-            let [none, all] = CUT_FOUND_MIL.map(|mil| mil / look.scale_mil_per_px);
+        for (id, px, depth) in view.lit(&printed) {
+            let lit = (depth / (view.half_mark_px() + FULLY_LIT_PX)).min(1.0);
+            let [none, all] = CUT_FOUND_MIL.map(|mil| mil / view.scale_mil_per_px);
             let share = self.world.found * ((depth - none) / (all - none)).clamp(0.0, 1.0);
-            let inwards = (look.outline.centre - px.vector()).normalize();
-            let pull = self.rng.random_range(0.0..PULL_PX) * (1.0 - lit);
-            let at = px.vector() + inwards * pull;
+            let inwards = (view.outline.centre - px.vector()).normalize();
+            let shift = self.rng.random_range(0.0..SHIFT_PX) * (1.0 - lit);
+            let at = px.vector() + inwards * shift;
             if self.rng.random_bool(share) {
-                list.push((self.seen(look, at, depth, noise_px), Some(id)));
+                list.push((self.seen(view, at, depth, noise_px), Some(id)));
             }
         }
         for _ in 0..self.rng.random_range(0..=self.world.false_ones) {
-            let w = self.within(1.0 - 2.0 / look.outline.mean_radius());
-            let at = look.outline.from_disc(w);
+            let w = self.within(1.0 - 2.0 / view.outline.mean_radius());
+            let at = view.outline.from_disc(w);
             // One detection per mark length; a spot on a mark is that mark.
-            let apart = 2.0 * look.half_mark_px();
-            let far = |(_, printed)| look.mapping.to_sensor(printed).distance(at.into()) > apart;
-            let [width, height] = look.sensor_px;
+            let apart = 2.0 * view.half_mark_px();
+            let far = |(_, printed)| view.mapping.to_sensor(printed).distance(at.into()) > apart;
+            let [width, height] = view.sensor_px;
             let seen = (0.0..width - 1.0).contains(&at.x) && (0.0..height - 1.0).contains(&at.y);
             let free = seen
                 && self.plate.marks().all(far)
@@ -381,9 +381,9 @@ impl Draw {
                     .iter()
                     .all(|(other, _)| other.at.distance(at.into()) > apart);
             if free {
-                let depth = -look.outline.excess(at);
-                let mut spot = self.seen(look, at, depth, noise_px);
-                // A third looks just like a mark.
+                let depth = -view.outline.excess(at);
+                let mut spot = self.seen(view, at, depth, noise_px);
+                // A third is just like a mark.
                 if self.rng.random_bool(2.0 / 3.0) {
                     spot.contrast = self.rng.random_range(0.12..1.0);
                     spot.likeness = self.rng.random_range(0.5..1.0);
@@ -414,9 +414,9 @@ impl Tally {
         let mut draw = Draw::new(seed, world);
         let mut tally = Self::default();
         for _ in 0..lists {
-            let look = draw.look();
-            let list = draw.list(&look);
-            let found = read(&look, &list, &draw.plate);
+            let view = draw.view();
+            let list = draw.list(&view);
+            let found = read(&view, &list, &draw.plate);
             tally.add(&list, found.as_deref().ok());
         }
         println!(
@@ -469,7 +469,7 @@ fn lists_with_nothing_missing_and_nothing_false_are_read() {
     let tally = Tally::of(10_000, 1859, CLEAN);
     assert_eq!(tally.misread, 0);
     assert!(tally.both_codes_share() > 0.995);
-    // A row of three with one code alone may look the same elsewhere at the pattern's edge.
+    // A row of three with one code alone may be the same elsewhere at the pattern's edge.
     assert!(tally.three_share() > 0.945);
 }
 

@@ -131,7 +131,7 @@ fn a_soft_picture_is_not_taken_for_motion() {
 }
 
 #[test]
-fn the_noise_of_photons_is_told_from_that_of_reading() {
+fn the_noise_of_photons_is_separated_from_that_of_reading() {
     let photons = |conditions: &mut Conditions| {
         conditions.noise = Noise {
             read_dn: 1.0,

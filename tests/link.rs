@@ -180,7 +180,7 @@ fn every_real_code_is_written_and_read_byte_for_byte() {
 }
 
 #[test]
-fn real_packets_one_after_another_are_told_apart_in_both_directions() {
+fn real_packets_one_after_another_are_separated_in_both_directions() {
     let to_us = |line: &Line| {
         matches!(
             line.words[0],

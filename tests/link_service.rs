@@ -74,7 +74,7 @@ fn end(service: Service) -> FlightTally {
 }
 
 /// What a command comes to; the same number twice would be two answers to one.
-fn tell(far: &mut dyn BytePort, sequence: u16, name: &str, values: &[&str]) -> Answered {
+fn send(far: &mut dyn BytePort, sequence: u16, name: &str, values: &[&str]) -> Answered {
     let values: Vec<String> = values.iter().map(|v| (*v).into()).collect();
     let message = order(name, &values, Computer::One).unwrap();
     ask(far, &message, sequence, LONG).unwrap()
@@ -112,7 +112,7 @@ fn every_command_of_the_table_is_answered_and_none_ends_the_flight_but_quit() {
         }
         assert!(!service.controls().quits());
     }
-    assert!(tell(&mut far, 1000, "quit", &[]).is_done());
+    assert!(send(&mut far, 1000, "quit", &[]).is_done());
     assert!(service.controls().quits());
     let tally = end(service);
     assert_eq!(tally.line.commands, COMMANDS.len() as u64);
@@ -128,31 +128,31 @@ fn values_set_by_command_outlive_a_restart_where_a_file_is_named() {
         (fly(Connection::over(near), config.clone()), far)
     };
     let (service, mut far) = start(&config);
-    assert!(tell(&mut far, 1, "set_target", &["-300", "450"]).is_done());
-    assert!(tell(&mut far, 2, "set_pitch_yaw_exposure", &["12000"]).is_done());
-    assert!(tell(&mut far, 3, "stop_sending", &[]).is_done());
-    assert!(!tell(&mut far, 4, "set_twist", &["1000"]).is_done());
+    assert!(send(&mut far, 1, "set_target", &["-300", "450"]).is_done());
+    assert!(send(&mut far, 2, "set_pitch_yaw_exposure", &["12000"]).is_done());
+    assert!(send(&mut far, 3, "stop_sending", &[]).is_done());
+    assert!(!send(&mut far, 4, "set_twist", &["1000"]).is_done());
     end(service);
 
     let (service, mut far) = start(&config);
     assert_eq!(
-        tell(&mut far, 5, "get_target_x", &[]).value,
+        send(&mut far, 5, "get_target_x", &[]).value,
         (-300_i16).cast_unsigned()
     );
-    assert_eq!(tell(&mut far, 6, "get_target_y", &[]).value, 450);
+    assert_eq!(send(&mut far, 6, "get_target_y", &[]).value, 450);
     assert_eq!(
-        tell(&mut far, 7, "get_pitch_yaw_exposure", &[]).value,
+        send(&mut far, 7, "get_pitch_yaw_exposure", &[]).value,
         12_000
     );
     assert_eq!(
         end(service).counts.announced,
         0,
-        "it does not send, as it was told"
+        "it does not send, as commanded"
     );
 
     config.link.saved_values = None;
     let (service, mut far) = start(&config);
-    assert_eq!(tell(&mut far, 8, "get_target_x", &[]).value, 0);
+    assert_eq!(send(&mut far, 8, "get_target_x", &[]).value, 0);
     end(service);
 }
 
@@ -172,13 +172,13 @@ fn solving_goes_on_while_the_line_is_away_and_the_line_comes_back() {
     let service = fly(line, Config::default());
     std::thread::sleep(Duration::from_millis(100));
     let (mut ours, theirs) = plug(&device);
-    assert!(tell_patiently(&mut ours, 1, "no_op"));
+    assert!(send_patiently(&mut ours, 1, "no_op"));
 
     std::fs::remove_file(&device).unwrap();
     drop((ours, theirs));
     std::thread::sleep(Duration::from_millis(300));
     let (mut ours, _theirs) = plug(&device);
-    assert!(tell_patiently(&mut ours, 2, "no_op"));
+    assert!(send_patiently(&mut ours, 2, "no_op"));
     let tally = end(service);
     assert_eq!((tally.line.lost, tally.line.reopened), (1, 1), "{tally}");
     assert_eq!(tally.camera.lost, 0);
@@ -187,7 +187,7 @@ fn solving_goes_on_while_the_line_is_away_and_the_line_comes_back() {
 }
 
 /// Asks again until somebody listens.
-fn tell_patiently(far: &mut dyn BytePort, sequence: u16, name: &str) -> bool {
+fn send_patiently(far: &mut dyn BytePort, sequence: u16, name: &str) -> bool {
     let message = order(name, &[], Computer::One).unwrap();
     let end = Instant::now() + LONG;
     while Instant::now() < end {
@@ -202,7 +202,7 @@ fn tell_patiently(far: &mut dyn BytePort, sequence: u16, name: &str) -> bool {
 fn a_controller_that_reads_nothing_does_not_hold_up_the_solver() {
     let (near, mut far) = SerialPort::pair().unwrap();
     let service = fly(Connection::over(near), Config::default());
-    assert!(tell_patiently(&mut far, 1, "start_tracking"));
+    assert!(send_patiently(&mut far, 1, "start_tracking"));
     std::thread::sleep(Duration::from_secs(2));
     let tally = end(service);
     assert_eq!(tally.camera.lost, 0);
@@ -283,10 +283,10 @@ fn every_command_and_every_restored_value_is_in_the_archive_with_sender_and_resu
         (fly_with(line, config.clone(), vec![store]), far)
     };
     let (service, mut far) = start();
-    assert!(tell(&mut far, 1, "set_target", &["-300", "450"]).is_done());
-    assert!(!tell(&mut far, 2, "set_twist", &["1000"]).is_done());
-    tell(&mut far, 3, "get_target_x", &[]);
-    assert!(tell(&mut far, 4, "gps", &["34.5", "-104.25"]).is_done());
+    assert!(send(&mut far, 1, "set_target", &["-300", "450"]).is_done());
+    assert!(!send(&mut far, 2, "set_twist", &["1000"]).is_done());
+    send(&mut far, 3, "get_target_x", &[]);
+    assert!(send(&mut far, 4, "gps", &["34.5", "-104.25"]).is_done());
     let unknown = AspectCommand::new(0x1FF0, vec![]).unwrap();
     ask(&mut far, &Message::Aspect(unknown), 5, LONG).unwrap();
     end(service);

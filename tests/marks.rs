@@ -169,7 +169,7 @@ fn quantile(mut values: Vec<f64>, part: f64) -> f64 {
 }
 
 /// Rms error over sigma, per axis.
-fn pull(errors: &[(f64, f64)]) -> f64 {
+fn ratio(errors: &[(f64, f64)]) -> f64 {
     let sum: f64 = errors.iter().map(|e| e.1).sum();
     (sum / 2.0 / errors.len() as f64).sqrt()
 }
@@ -198,8 +198,8 @@ fn a_mark_in_noise_is_as_near_as_its_pixels_allow_and_says_so() {
     let radial = errors.iter().map(|e| e.0).collect();
     let worst = quantile(radial, 0.997);
     assert!(worst < HALF_ARCSEC_PX, "99.7 % within {worst} px");
-    let pull = pull(&errors);
-    assert!((0.9..1.1).contains(&pull), "rms error {pull} sigma");
+    let ratio = ratio(&errors);
+    assert!((0.9..1.1).contains(&ratio), "rms error {ratio} sigma");
 }
 
 #[test]
@@ -208,10 +208,10 @@ fn marks_at_and_across_the_limb_stay_within_their_sigma() {
     for (depth_px, direction_deg) in [(9.0, 0.0), (8.0, 0.0), (6.0, 45.0), (4.0, 0.0), (0.0, 0.0)] {
         for noise_dn in [1.0, 5.0] {
             let errors = errors(depth_px, direction_deg, noise_dn, 6);
-            let pull = pull(&errors);
+            let ratio = ratio(&errors);
             assert!(
-                (0.85..1.25).contains(&pull),
-                "{pull} sigma at {depth_px} px, {noise_dn} DN"
+                (0.85..1.25).contains(&ratio),
+                "{ratio} sigma at {depth_px} px, {noise_dn} DN"
             );
             // 11.8: 3 sigma in two dimensions.
             let beyond = errors.iter().filter(|e| e.1 > 11.8).count();
@@ -234,7 +234,7 @@ fn mean_error(close: &Close) -> Vector2<f64> {
 }
 
 #[test]
-fn hot_pixels_do_not_pull_a_mark() {
+fn hot_pixels_do_not_bias_a_mark() {
     let mut close = Close::new([0.1, -0.3], 7.0, 60.0, 0.0);
     close.scene.blemishes.hot_pixels = [(25, 22), (28, 24), (21, 18)]
         .map(|(x, y)| HotPixel { x, y })
@@ -244,7 +244,7 @@ fn hot_pixels_do_not_pull_a_mark() {
 }
 
 #[test]
-fn a_scratch_through_a_mark_pulls_it_by_less_than_half_an_arc_second() {
+fn a_scratch_through_a_mark_biases_it_by_less_than_half_an_arc_second() {
     for (width_mil, brightness) in [(8.0, 1.4), (12.0, 1.4), (12.0, 1.25), (12.0, 1.15)] {
         let mut close = Close::new([0.1, -0.3], 7.0, 60.0, 0.0);
         close.scene.blemishes.scratches = vec![Scratch {
@@ -326,7 +326,7 @@ fn tally(frames: u64, change: impl Fn(&mut Conditions) + Sync) -> Tally {
     tally
 }
 
-/// The marks found on the true disc, displaced as a first fit of the limb may be, in the light and at the blur that it tells.
+/// The marks found on the true disc, displaced as a first fit of the limb may be, in the light and at the blur that it gives.
 fn found(picture: &Picture, instrument: &Instrument, lens_blur_px: f64) -> Detections {
     let sun = picture.truth.sun.unwrap();
     let levels = limb::levels(&picture.frame, &limb::LimbSettings::default()).unwrap();
@@ -457,7 +457,7 @@ fn sunspots_dust_scratches_and_leaks_are_not_taken_for_marks() {
 }
 
 #[test]
-fn the_arms_tell_the_rotation() {
+fn the_arms_give_the_rotation() {
     let tally = tally(40, |_| {});
     let rms = tally.rotation_rms_deg();
     assert!(rms < 0.2, "{rms} deg");

@@ -14,7 +14,7 @@ use solaspect::units::Measured;
 use std::ops::Range;
 use std::process::{Command, Output};
 
-fn look(scene: &MoonScene, known: Knowledge) -> Result<Disc, Stopped> {
+fn solve_scene(scene: &MoonScene, known: Knowledge) -> Result<Disc, Stopped> {
     let settings = MoonSettings {
         shading: scene.conditions.shading,
         optics: Optics::Aspect(scene.conditions.pixel_aspect),
@@ -37,8 +37,8 @@ struct Error {
 fn errors(conditions: &MoonConditions, scenes: u64, known: Knowledge) -> Vec<Error> {
     let error = |number: u64| {
         let scene = conditions.scene(1, number);
-        let disc =
-            look(&scene, known).unwrap_or_else(|stopped| panic!("{known:?} {number}: {stopped}"));
+        let disc = solve_scene(&scene, known)
+            .unwrap_or_else(|stopped| panic!("{known:?} {number}: {stopped}"));
         let off = disc.centre.position.vector() - scene.centre.vector();
         if off.norm() > 2.0 {
             println!("scene {number}: off by {:.1} px", off.norm());
@@ -175,7 +175,7 @@ fn planets_glow_the_suns_glare_and_a_short_exposure_change_little() {
     for (name, conditions) in all {
         let scenes = (0..60).map(|number| conditions.scene(6, number));
         let found = |scene: MoonScene| {
-            let disc = look(&scene, Knowledge::RadiusAndPhase).ok()?;
+            let disc = solve_scene(&scene, Knowledge::RadiusAndPhase).ok()?;
             Some(disc.centre.position.distance(scene.centre))
         };
         let errors: Vec<f64> = scenes.filter_map(found).collect();
@@ -202,7 +202,7 @@ fn a_disc_that_the_picture_cuts_and_one_that_is_over_exposed_are_found() {
             .filter(|scene| bright_limb_in_view(scene) > 0.4)
             .collect();
         let found = |scene: &MoonScene| {
-            let disc = look(scene, Knowledge::RadiusAndPhase).ok()?;
+            let disc = solve_scene(scene, Knowledge::RadiusAndPhase).ok()?;
             Some(disc.centre.position.distance(scene.centre))
         };
         let errors: Vec<f64> = scenes.par_iter().filter_map(found).collect();
@@ -256,7 +256,7 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
         ..MoonConditions::clear(15.0)
     };
     for number in 0..40 {
-        let found = look(&stars.scene(3, number), Knowledge::RadiusAndPhase);
+        let found = solve_scene(&stars.scene(3, number), Knowledge::RadiusAndPhase);
         assert!(found.is_err(), "{number}: {found:?}");
     }
     let reason = |scene: &MoonScene, expected: &Expected| {
@@ -310,7 +310,7 @@ fn false_moons(frames: u64) -> usize {
             ..MoonConditions::clear(15.0)
         };
         let scene = conditions.scene(5, *number);
-        look(&scene, Knowledge::RadiusAndPhase).is_ok()
+        solve_scene(&scene, Knowledge::RadiusAndPhase).is_ok()
     };
     let found: Vec<u64> = (0..frames).into_par_iter().filter(is_found).collect();
     println!("{} of {frames} pass for the Moon: {found:?}", found.len());
@@ -328,7 +328,7 @@ fn solaspect(args: &[&str]) -> Output {
 }
 
 #[test]
-fn the_command_tells_what_the_simulator_drew_and_where_it_is_in_the_sky() {
+fn the_command_finds_what_the_simulator_drew_and_where_it_is_in_the_sky() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     // A place and a time at which the Moon is up and half lit.
@@ -406,7 +406,7 @@ fn the_command_tells_what_the_simulator_drew_and_where_it_is_in_the_sky() {
         &frame,
     ]);
     let line: Value = serde_json::from_slice(&local.stdout).unwrap();
-    // The camera looks 30 deg up to the east, and its field is 12 deg wide.
+    // The camera points 30 deg up to the east, and its field is 12 deg wide.
     let [east, up] = [0, 2].map(|n| line["direction_local"][n].as_f64().unwrap());
     assert!((up.asin().to_degrees() - 30.0).abs() < 8.0, "{line}");
     assert!(east > 0.8, "{line}");

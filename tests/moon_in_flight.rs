@@ -216,17 +216,19 @@ fn what_the_moon_camera_saw_is_in_files_log_telemetry_and_housekeeping() {
     };
     let centre = found.found.as_ref().unwrap().centre.position;
     let end = Instant::now() + LONG;
-    let told = loop {
-        let told = night.service.housekeeping();
-        if let Some(told) = told.filter(|told| told.moon_x_px.is_some()) {
-            break told;
+    let housekeeping = loop {
+        let housekeeping = night.service.housekeeping();
+        if let Some(housekeeping) =
+            housekeeping.filter(|housekeeping| housekeeping.moon_x_px.is_some())
+        {
+            break housekeeping;
         }
         assert!(Instant::now() < end);
         std::thread::sleep(Duration::from_millis(50));
     };
-    assert_eq!(told.night, Some(1));
-    assert_eq!(told.moon_x_px, Some(centre.x as f32));
-    assert!(told.moon_found >= 1);
+    assert_eq!(housekeeping.night, Some(1));
+    assert_eq!(housekeeping.moon_x_px, Some(centre.x as f32));
+    assert!(housekeeping.moon_found >= 1);
     let Night {
         service, to_camera, ..
     } = night;

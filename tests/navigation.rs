@@ -340,14 +340,14 @@ fn an_attitude_is_the_same_in_all_its_forms() {
             };
             assert_eq!(values.len(), 3);
             for (value, row) in values.iter().zip(&csv[1..]) {
-                let told: f64 = row[n].parse().unwrap();
+                let written: f64 = row[n].parse().unwrap();
                 // Places stand to 0.1 mm in the text, velocities to 1 um/s.
                 let rounded = match *name {
                     "x_m" | "y_m" | "z_m" => 5.1e-5,
                     "vx_m_s" | "vy_m_s" | "vz_m_s" => 5.1e-7,
-                    _ => 1e-12 * told.abs() + 1e-15,
+                    _ => 1e-12 * written.abs() + 1e-15,
                 };
-                assert!((value - told).abs() <= rounded, "{name}");
+                assert!((value - written).abs() <= rounded, "{name}");
             }
         }
         let aem = std::fs::read_to_string(path("attitude.aem")).unwrap();
@@ -834,7 +834,7 @@ fn measurements_that_come_late_give_the_same_answer_and_a_wrong_one_in_a_hundred
     assert!(apart < 1e-4, "{apart}");
 }
 
-/// A flight whose gyro turns at 60 s by an angle that it does not tell: the statuses of its rows, and its restarts.
+/// A flight whose gyro turns at 60 s by an angle that it does not report: the statuses of its rows, and its restarts.
 fn turned_unsaid(rad: f64) -> (BTreeSet<&'static str>, u32) {
     let plan = FlightPlan {
         duration_s: 120.0,

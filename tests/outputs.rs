@@ -216,8 +216,8 @@ fn every_reader_gets_what_the_flight_found_and_the_counts_add_up() {
         for (field, key) in [(3, "azimuth"), (4, "elevation"), (5, "sigma")] {
             match offset.map(|offset| offset[key].as_f64().unwrap()) {
                 Some(value) => {
-                    let told: f64 = sentence[field].parse().unwrap();
-                    assert!((told - value).abs() < 6e-7, "{key}: {told} of {value}");
+                    let sent: f64 = sentence[field].parse().unwrap();
+                    assert!((sent - value).abs() < 6e-7, "{key}: {sent} of {value}");
                 }
                 None => assert_eq!(sentence[field], ""),
             }
@@ -246,8 +246,8 @@ fn every_reader_gets_what_the_flight_found_and_the_counts_add_up() {
     let [lines, clients, sentences, packets] = &tally.outputs[..] else {
         panic!("{tally}");
     };
-    for told in [lines, clients, sentences] {
-        assert_eq!((told.sent, told.dropped), (FRAMES, 0), "{tally}");
+    for output in [lines, clients, sentences] {
+        assert_eq!((output.sent, output.dropped), (FRAMES, 0), "{tally}");
     }
     assert!(packets.sent >= 1 && packets.dropped == 0, "{tally}");
     assert!(tally.to_string().contains(&format!(

@@ -291,7 +291,7 @@ fn another_lens_has_a_camera_that_sees_the_whole_field() {
 }
 
 #[test]
-fn marks_for_which_the_disc_has_no_room_are_refused() {
+fn marks_that_do_not_fit_on_the_disc_are_refused() {
     let settings = DesignSettings {
         trials: 1,
         exchanges: 0,

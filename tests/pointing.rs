@@ -1,4 +1,4 @@
-//! The Sun on the plate tells where the telescope points, by both rules of directions: at the telescope, and at the Sun as the
+//! The Sun on the plate gives where the telescope points, by both rules of directions: at the telescope, and at the Sun as the
 //! HEROES flight program had it.
 
 use jiff::Timestamp;
@@ -110,7 +110,7 @@ fn offsets_by_directions_at_the_telescope_are_those_of_a_plate_fixed_in_it() {
         instrument.mounting.roll_deg.value = row[2];
         let sun = sun(row[0], row[1], 0.0);
         let seen = on_plate(row[6], row[7]);
-        // Straight down as the telescope has it, and as the gondola does under which it is raised.
+        // Straight down as the telescope has it, and as the gondola does from which it is tilted up.
         let nadir = nadir(row[2], row[1] + row[9]);
         let lowered = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.7) * nadir;
         let level = self::instrument(Directions::Telescope, row[3], (row[4], row[5]));
@@ -159,12 +159,12 @@ fn a_rolls_sigma_is_by_how_much_an_error_of_the_nadir_turns_it() {
             };
             [body_roll_deg(&off).value, telescope.value]
         });
-        for (n, told) in [body, telescope].iter().enumerate() {
+        for (n, found) in [body, telescope].iter().enumerate() {
             let squares = moved.map(|values| (values[n] - roll_deg).powi(2));
             let sigma_deg = squares.iter().sum::<f64>().sqrt();
             assert!(
-                (told.sigma / sigma_deg - 1.0).abs() < 1e-2,
-                "{told:?}, {sigma_deg}"
+                (found.sigma / sigma_deg - 1.0).abs() < 1e-2,
+                "{found:?}, {sigma_deg}"
             );
         }
     }

@@ -350,10 +350,11 @@ fn a_horizon_that_contradicts_the_gyros_is_a_finding_and_such_a_pointing_is_not_
     options[camera.unwrap() + 1] = turned.to_str().unwrap();
     let output = command(&root.path().join("archive"), out.path(), &options);
     let output = { output }.output().unwrap();
-    let [told, warned] = [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text));
+    let [printed, warned] =
+        [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text));
     assert!(
-        told.contains("the horizon contradicts the gyros in roll"),
-        "{told}"
+        printed.contains("the horizon contradicts the gyros in roll"),
+        "{printed}"
     );
     assert!(
         warned.contains("the horizon contradicts the gyros in roll"),
@@ -378,7 +379,7 @@ fn a_horizon_that_contradicts_the_gyros_is_a_finding_and_such_a_pointing_is_not_
 fn gyros_that_slip_are_contradicted_by_the_sun_and_then_no_pointing_is_valid() {
     let (root, _) = flight();
     let out = temporary();
-    // Within the 11th second they miss 100 arcsec about the telescope's down: to the right. The Sun is there up to the 24th.
+    // Within the 11th second they leave out 100 arcsec about the telescope's down: to the right. The Sun is there up to the 24th.
     let slipping = root.path().join("slipping.csv");
     let text = fs::read_to_string(root.path().join("imu.csv")).unwrap();
     let slipped = |(n, line): (usize, &str)| {

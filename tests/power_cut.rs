@@ -1,6 +1,6 @@
 //! A frame's file is whole or absent, whenever the power goes.
 //!
-//! Twice over: on a model of a disk that forgets what was not brought to it, cut after every single step; and with a
+//! Twice over: on a model of a disk that loses what was not brought to it, cut after every single step; and with a
 //! process that is killed, at step boundaries and at random moments, while it writes to a real disk.
 
 use crate::common::disk::{Memory, PausingDisk, Persisted};
@@ -256,7 +256,7 @@ fn a_writer_killed_at_any_moment_leaves_whole_files_only() {
     assert!(root.path().join(MARK).is_file());
 }
 
-/// In the folder that `SOLASPECT_KILLED_KEEP` names, for other readers to look at.
+/// In the folder that `SOLASPECT_KILLED_KEEP` names, for other readers.
 #[test]
 #[ignore = "the full size: 200 kills"]
 fn a_writer_killed_two_hundred_times_leaves_whole_files_only() {

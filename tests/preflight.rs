@@ -182,7 +182,7 @@ fn demand(limits: [f64; 3]) -> Demand {
 }
 
 #[test]
-fn a_disk_is_judged_by_its_room_and_by_a_frame_written_to_it() {
+fn a_disk_is_judged_by_its_free_space_and_by_a_frame_written_to_it() {
     let folder = folder();
     let disk = FaultyDisk::new(LocalDisk);
     let verdicts = |fault| {
@@ -204,34 +204,34 @@ fn a_disk_is_judged_by_its_room_and_by_a_frame_written_to_it() {
 }
 
 #[test]
-fn a_disk_is_judged_by_the_time_that_its_room_is_for() {
+fn a_disk_is_judged_by_the_time_that_its_space_is_for() {
     let folder = folder();
     let disk = FaultyDisk::new(LocalDisk);
     disk.set(Some(Fault::Free(50.0)));
     // 50 MB are free.
-    let room = |bytes_per_s: f64| {
+    let finding_at = |bytes_per_s: f64| {
         let demand = Demand {
             rate_hz: bytes_per_s / 100_000.0,
             ..demand([10.0, 3.0, 1.0])
         };
         check_folder(disk.clone(), folder.path(), &demand).remove(0)
     };
-    // Plenty of room, and 40 files that it may yet take, at 10 a second.
+    // Plenty of space, and 40 files that it may yet take, at 10 a second.
     disk.set(Some(Fault::Files(40)));
-    let finding = room(1_000_000.0);
+    let finding = finding_at(1_000_000.0);
     assert_eq!(finding.verdict, Verdict::Fail, "{finding}");
     assert!(finding.found.contains("40 files"), "{finding}");
     disk.set(Some(Fault::Free(50.0)));
-    let finding = room(1_000.0);
+    let finding = finding_at(1_000.0);
     assert_eq!(finding.verdict, Verdict::Pass, "{finding}");
     assert!(finding.found.contains("for 13.9 h of frames"), "{finding}");
-    let finding = room(50_000.0);
+    let finding = finding_at(50_000.0);
     assert_eq!(finding.verdict, Verdict::Warn, "{finding}");
     assert!(
         finding.found.contains("for 16.7 min of frames"),
         "{finding}"
     );
-    let finding = room(1_000_000.0);
+    let finding = finding_at(1_000_000.0);
     assert_eq!(finding.verdict, Verdict::Fail, "{finding}");
     assert!(finding.found.contains("for 0.8 min of frames"), "{finding}");
 }
@@ -409,7 +409,7 @@ fn instrument_of_today(folder: &Path) -> String {
 }
 
 #[test]
-fn a_calibration_out_of_date_is_a_warning_that_tells_its_date() {
+fn a_calibration_out_of_date_is_a_warning_with_its_date() {
     let folder = folder();
     let old = Page::of(&folder, "", &[]);
     let found = old.found("camera calibration");
@@ -446,7 +446,7 @@ fn a_table_of_the_earths_orientation_that_has_ended_is_warned_of() {
 }
 
 #[test]
-fn beside_a_wrong_configuration_clock_disks_and_line_are_looked_at() {
+fn beside_a_wrong_configuration_clock_disks_and_line_are_checked() {
     let folder = folder();
     let config = "[camera]\nrate_hertz = 4\n[lnk]\n[link]\nport = \"/nowhere/tty\"\n";
     let page = Page::of(&folder, config, &[]);
@@ -601,7 +601,7 @@ fn a_motion_is_one_beyond_the_noise_in_three_frames_running() {
     assert_eq!(
         watch(&[0.0, 0.06, -0.06, 0.06, 0.06], 0.001),
         None,
-        "to and fro"
+        "oscillation"
     );
     assert_eq!(
         watch(&[0.0, 0.06, 0.07, 0.08], 0.02),

@@ -29,9 +29,9 @@ use std::time::Duration;
 
 const RATE_HZ: f64 = 4.0;
 
-/// What spoils a frame.
+/// Defects of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Spoiled {
+enum Defect {
     Blurred,
     Knocked,
     Clouded,
@@ -39,22 +39,22 @@ enum Spoiled {
     Barred,
 }
 
-const SPOILED: [Spoiled; 5] = [
-    Spoiled::Blurred,
-    Spoiled::Knocked,
-    Spoiled::Clouded,
-    Spoiled::Truncated,
-    Spoiled::Barred,
+const DEFECTS: [Defect; 5] = [
+    Defect::Blurred,
+    Defect::Knocked,
+    Defect::Clouded,
+    Defect::Truncated,
+    Defect::Barred,
 ];
 
 /// A flight: wind, slews, sunset at the end, a mapping that drifts by 2 px with temperature and jumps by 0.5 px once, and
-/// one frame in fifty spoiled.
+/// one frame in fifty defective.
 struct Plan {
     frames: usize,
     seed: u64,
     instrument: Instrument,
     wind: Vec<[f64; 2]>,
-    /// Hard times instead of spoiled frames and sunset.
+    /// Hard times instead of defects and sunset.
     hard: bool,
     /// What a degree of the camera's temperature adds to the disc on the plate, as a part of it.
     radius_per_degc: f64,
@@ -129,9 +129,9 @@ impl Plan {
         self.frames * 6 / 10
     }
 
-    fn spoiled(&self, n: usize) -> Option<Spoiled> {
+    fn defect(&self, n: usize) -> Option<Defect> {
         let last = self.frames * 9 / 10;
-        (!self.hard && n % 50 == 27 && n < last).then(|| SPOILED[n / 50 % SPOILED.len()])
+        (!self.hard && n % 50 == 27 && n < last).then(|| DEFECTS[n / 50 % DEFECTS.len()])
     }
 
     fn temperature_c(&self, n: usize) -> f64 {
@@ -140,20 +140,20 @@ impl Plan {
 
     fn mapping(&self, n: usize) -> Mapping {
         let mut similarity = self.instrument.mounting.similarity();
-        let warmth = self.temperature_c(n) - 20.0;
+        let above_20_c = self.temperature_c(n) - 20.0;
         let mut shift = [
-            3.0 + 2.0 / 15.0 * 0.8 * warmth,
-            -2.0 + 2.0 / 15.0 * 0.6 * warmth,
+            3.0 + 2.0 / 15.0 * 0.8 * above_20_c,
+            -2.0 + 2.0 / 15.0 * 0.6 * above_20_c,
         ];
         if n >= self.jump() {
             shift = [shift[0] + 0.4, shift[1] - 0.3];
         }
-        if self.spoiled(n) == Some(Spoiled::Knocked) {
+        if self.defect(n) == Some(Defect::Knocked) {
             shift = [shift[0] + 1.5, shift[1] + 1.0];
         }
         similarity.plate_centre.x += shift[0];
         similarity.plate_centre.y += shift[1];
-        similarity.rotation_deg += 0.4 + 0.002 * warmth;
+        similarity.rotation_deg += 0.4 + 0.002 * above_20_c;
         similarity.scale_mil_per_px *= 1.001;
         Mapping::similarity(similarity, self.instrument.camera.distortion).unwrap()
     }
@@ -187,10 +187,10 @@ impl Plan {
     }
 
     fn frame(&self, n: usize) -> Frame {
-        let spoiled = self.spoiled(n);
-        let warmth = self.temperature_c(n) - 20.0;
+        let defect = self.defect(n);
+        let above_20_c = self.temperature_c(n) - 20.0;
         let radius = self.instrument.optics.radius_mil(SUN_RADIUS_ARCSEC);
-        let radius = radius * (1.0 + self.radius_per_degc * warmth);
+        let radius = radius * (1.0 + self.radius_per_degc * above_20_c);
         let mut sun = Sun::new(self.sun(n), radius);
         sun.peak_dn *= self.light(n);
         let mut scene = Scene {
@@ -198,9 +198,9 @@ impl Plan {
             seed: self.seed * 1_000_003 + n as u64,
             ..Scene::new(&self.instrument, self.mapping(n))
         };
-        match spoiled {
-            Some(Spoiled::Blurred) => scene.blur_px = 5.0,
-            Some(Spoiled::Clouded) => sun.peak_dn *= 0.3,
+        match defect {
+            Some(Defect::Blurred) => scene.blur_px = 5.0,
+            Some(Defect::Clouded) => sun.peak_dn *= 0.3,
             _ => {}
         }
         match self.trouble(n) {
@@ -223,8 +223,8 @@ impl Plan {
             ..FrameInfo::default()
         };
         let frame = scene.frame().unwrap();
-        match spoiled {
-            Some(Spoiled::Barred) => barred(frame, scene.mapping.to_sensor(self.sun(n)).y as usize),
+        match defect {
+            Some(Defect::Barred) => barred(frame, scene.mapping.to_sensor(self.sun(n)).y as usize),
             _ => frame,
         }
     }
@@ -236,7 +236,7 @@ impl Plan {
             fs::create_dir_all(&folder).unwrap();
             let path = folder.join(format!("frame_{n:05}.fits"));
             fits::write_frame(&path, &self.frame(n), &[], &[], Compression::Rice).unwrap();
-            if self.spoiled(n) == Some(Spoiled::Truncated) {
+            if self.defect(n) == Some(Defect::Truncated) {
                 let bytes = fs::read(&path).unwrap();
                 fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
             }
@@ -276,12 +276,12 @@ fn flight() -> &'static (Plan, PathBuf) {
 struct Comparison {
     /// Radial, arcsec, and over sigma in each axis, of fine rows outside the jump's own frame.
     errors: Vec<f64>,
-    pulls: Vec<f64>,
+    ratios: Vec<f64>,
     /// Errors while the Sun has half of its light at least.
     lit_errors: Vec<f64>,
     /// Of the smoothed path, at frames.
     smooth_errors: Vec<f64>,
-    smooth_pulls: Vec<f64>,
+    smooth_ratios: Vec<f64>,
     unflagged: Vec<usize>,
 }
 
@@ -295,10 +295,10 @@ fn compare(plan: &Plan, out: &Path) -> Comparison {
     let arcsec_per_mil = plan.instrument.optics.arcsec_per_mil();
     let mut compared = Comparison {
         errors: Vec::new(),
-        pulls: Vec::new(),
+        ratios: Vec::new(),
         lit_errors: Vec::new(),
         smooth_errors: Vec::new(),
-        smooth_pulls: Vec::new(),
+        smooth_ratios: Vec::new(),
         unflagged: Vec::new(),
     };
     let [x, y, sx, sy] =
@@ -306,7 +306,7 @@ fn compare(plan: &Plan, out: &Path) -> Comparison {
     for (row, file) in table.texts("FILE").iter().enumerate() {
         let n = number(file);
         let fine = table.texts("QUALITY")[row] == "fine";
-        if plan.spoiled(n).is_some() && table.texts("REASON")[row].is_empty() {
+        if plan.defect(n).is_some() && table.texts("REASON")[row].is_empty() {
             compared.unflagged.push(n);
         }
         if !fine || n == plan.jump() {
@@ -318,7 +318,7 @@ fn compare(plan: &Plan, out: &Path) -> Comparison {
         if plan.light(n) >= 0.5 {
             compared.lit_errors.push(dx.hypot(dy) * arcsec_per_mil);
         }
-        compared.pulls.extend([dx / sx[row], dy / sy[row]]);
+        compared.ratios.extend([dx / sx[row], dy / sy[row]]);
     }
     let smoothed = Columns::read(out, "SMOOTHED");
     let first = time(0).as_millisecond() as f64 / 1e3;
@@ -334,7 +334,7 @@ fn compare(plan: &Plan, out: &Path) -> Comparison {
         compared
             .smooth_errors
             .push((x[row] - truth.x).hypot(y[row] - truth.y) * arcsec_per_mil);
-        compared.smooth_pulls.push((x[row] - truth.x) / sx[row]);
+        compared.smooth_ratios.push((x[row] - truth.x) / sx[row]);
     }
     compared
 }
@@ -343,16 +343,16 @@ fn print(name: &str, compared: &Comparison) {
     println!(
         "{name}: {} fine, error median {:.3} 99.7 % {:.3} (by half of the light or more {:.3}) largest {:.3} arcsec, \
          error/sigma {:.3}; smoothed median {:.3} \
-         99.7 % {:.3}, error/sigma {:.3}; spoiled and not flagged {:?}",
+         99.7 % {:.3}, error/sigma {:.3}; defect and not flagged {:?}",
         compared.errors.len(),
         quantile(&compared.errors, 0.5),
         quantile(&compared.errors, 0.997),
         quantile(&compared.lit_errors, 0.997),
         quantile(&compared.errors, 1.0),
-        rms(&compared.pulls),
+        rms(&compared.ratios),
         quantile(&compared.smooth_errors, 0.5),
         quantile(&compared.smooth_errors, 0.997),
-        rms(&compared.smooth_pulls),
+        rms(&compared.smooth_ratios),
         compared.unflagged,
     );
 }
@@ -395,9 +395,9 @@ fn a_flight_is_refined_to_its_truth() {
     // The setting Sun's last frames, with a quarter of the light and less, are as near as their noise allows and no nearer.
     assert!(quantile(&compared.lit_errors, 0.997) < 0.35);
     assert!(quantile(&compared.errors, 0.997) < 0.6);
-    assert!((0.8..1.25).contains(&rms(&compared.pulls)));
+    assert!((0.8..1.25).contains(&rms(&compared.ratios)));
     assert!(compared.unflagged.is_empty());
-    assert!((0.7..1.3).contains(&rms(&compared.smooth_pulls)));
+    assert!((0.7..1.3).contains(&rms(&compared.smooth_ratios)));
     let table = Columns::read(out.path(), "ASPECT");
     let mapping = mapping_errors_over_sigma(plan, &table);
     println!("error/sigma of the plate's centre, rotation and scale: {mapping:.2?}");
@@ -444,7 +444,7 @@ fn what_the_temperature_does_to_the_radius_is_determined_only_where_it_does_some
 }
 
 #[test]
-fn frames_that_fail_by_themselves_are_solved_on_a_second_look() {
+fn frames_that_fail_by_themselves_are_solved_in_a_second_pass() {
     let plan = Plan::hard(210, 12);
     let (archive, out) = (temporary(), temporary());
     plan.write(archive.path());
@@ -471,9 +471,9 @@ fn frames_that_fail_by_themselves_are_solved_on_a_second_look() {
         &hard.of_edge,
         &hard.of_others,
     ] {
-        assert!((0.6..1.4).contains(&rms(&counts.pulls)), "{counts:?}");
+        assert!((0.6..1.4).contains(&rms(&counts.ratios)), "{counts:?}");
         assert!(
-            counts.pulls.iter().all(|pull| pull.abs() < 5.0),
+            counts.ratios.iter().all(|ratio| ratio.abs() < 5.0),
             "{counts:?}"
         );
     }
@@ -497,7 +497,7 @@ struct Counts {
     placed: usize,
     fine: usize,
     /// Error over sigma.
-    pulls: Vec<f64>,
+    ratios: Vec<f64>,
 }
 
 impl Hard {
@@ -517,7 +517,7 @@ impl Hard {
                 counts.own_fine,
                 counts.placed,
                 counts.fine,
-                rms(&counts.pulls),
+                rms(&counts.ratios),
             );
         }
     }
@@ -540,7 +540,7 @@ impl Hard {
         if value("SUN_X_MIL").is_finite() {
             let truth = plan.sun(row);
             counts.placed += 1;
-            counts.pulls.extend([
+            counts.ratios.extend([
                 (value("SUN_X_MIL") - truth.x) / value("SIGMA_X_MIL"),
                 (value("SUN_Y_MIL") - truth.y) / value("SIGMA_Y_MIL"),
             ]);
@@ -610,10 +610,10 @@ fn a_run_that_is_interrupted_ends_at_the_next_frame_and_goes_on_from_its_journal
     assert!(interrupt.unwrap().success());
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    let told = String::from_utf8(output.stderr).unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(
-        told.contains("cancelled: what is done is in the journal"),
-        "{told}"
+        stderr.contains("cancelled: what is done is in the journal"),
+        "{stderr}"
     );
     let mut records = 0;
     let journal = journal(interrupted.path()).unwrap();
@@ -664,7 +664,7 @@ fn since_and_until_choose_by_mid_exposure() {
         .map(|file| number(file))
         .collect();
     // The time of a file that cannot be read nobody knows.
-    let lost = (0..240).filter(|n| plan.spoiled(*n) == Some(Spoiled::Truncated));
+    let lost = (0..240).filter(|n| plan.defect(*n) == Some(Defect::Truncated));
     let expected: Vec<usize> = (20..40).chain(lost).collect();
     assert_eq!(numbers, expected);
 }
@@ -835,30 +835,30 @@ fn a_hundred_thousand_frames_take_less_than_300_mb() {
         span: Span::default(),
         watch: &(),
     };
-    let told = |stage: &str| {
+    let reports = |stage: &str| {
         let [now, most] = ["VmRSS", "VmHWM"].map(|what| memory_kb(what) / 1000);
         println!("{stage}: {now} MB, at most {most} MB");
     };
-    told("before");
+    reports("before");
     let start = std::time::Instant::now();
     let history = History::new(done, camera, recipe, sky, &pass).unwrap();
     println!("history {:.1} s", start.elapsed().as_secs_f64());
-    told("history");
+    reports("history");
     let mut rows = Rows::default();
     let written = refining::write_rows(out.path(), &history, |row| rows.take(row)).unwrap();
     let pointing = history.pointing(None).unwrap();
-    told("pointing");
+    reports("pointing");
     let path = SolarPath::of(&pointing, history.sky());
     let facts = PointingFacts {
         witnesses: None,
         on_target: path.on_target(),
     };
     let summary = refining::write(out.path(), &history, written, facts, &pointing, 10.0).unwrap();
-    told("tables");
+    reports("tables");
     let mut report = Report::default();
     report.add(None, &archive, &history, &summary, &rows, &path);
     report.write(out.path()).unwrap();
-    told("report");
+    reports("report");
     println!("{:.1} s in all", start.elapsed().as_secs_f64());
     let counts = &summary.counts;
     println!("{} fine of {}", counts.fine, counts.files);
@@ -885,7 +885,7 @@ fn an_hour_of_flight_is_refined_to_its_truth() {
     print("an hour", &compared);
     // Of fourteen thousand frames more than three in a thousand are of the last minutes, by a tenth of the light.
     assert!(quantile(&compared.lit_errors, 0.997) < 0.35);
-    assert!((0.8..1.25).contains(&rms(&compared.pulls)));
+    assert!((0.8..1.25).contains(&rms(&compared.ratios)));
     assert!(compared.unflagged.is_empty());
 }
 
@@ -917,10 +917,10 @@ fn an_archive_is_refined_with_the_instrument_and_the_configuration_it_was_flown_
     );
     let out = tempfile::tempdir().unwrap();
     refine(root.path(), out.path(), &["--rate", "10"]);
-    let told = summary(out.path());
-    assert_eq!(told["instrument"], "as-flown");
+    let report = summary(out.path());
+    assert_eq!(report["instrument"], "as-flown");
     let hash = provenance::sha256(&renamed);
-    assert_eq!(told["instrument_sha256"], hash);
+    assert_eq!(report["instrument_sha256"], hash);
     for table in ["aspect.fits", "stabilisation.fits"] {
         let mut file = fitsio::FitsFile::open(out.path().join(table)).unwrap();
         let card = file
@@ -929,7 +929,7 @@ fn an_archive_is_refined_with_the_instrument_and_the_configuration_it_was_flown_
             .read_key::<String>(&mut file, "INSTSHA");
         assert_eq!(card.unwrap(), hash, "{table}");
     }
-    assert_eq!(told["fine"], 4);
+    assert_eq!(report["fine"], 4);
     let out = tempfile::tempdir().unwrap();
     let file = out.path().join("demo.toml");
     fs::write(&file, demo).unwrap();
@@ -942,8 +942,8 @@ fn an_archive_is_refined_with_the_instrument_and_the_configuration_it_was_flown_
 
     // Another sensor is no calibration of this one.
     fs::write(&file, demo.replacen("value = 1296", "value = 1295", 1)).unwrap();
-    let told = ["--instrument", file.to_str().unwrap()];
-    let refused = command(root.path(), out.path(), &told).output().unwrap();
+    let report = ["--instrument", file.to_str().unwrap()];
+    let refused = command(root.path(), out.path(), &report).output().unwrap();
     let error = String::from_utf8_lossy(&refused.stderr).into_owned();
     assert!(
         !refused.status.success() && error.contains("sensor"),
@@ -979,16 +979,16 @@ fn a_film_is_made_of_a_refined_flight_and_what_it_lacks_is_said_before_the_fligh
     assert!(error.contains("outside of the archive"), "{error}");
 
     let output = refine(root.path(), out.path(), &["--film", film_, "--film-frames"]);
-    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    let report = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(
-        told.contains("film: 4 pictures, one each 0.250 s: "),
-        "{told}"
+        report.contains("film: 4 pictures, one each 0.250 s: "),
+        "{report}"
     );
     assert_eq!(fs::read_dir(&film).unwrap().count(), 4);
 }
 
 #[test]
-fn a_frame_that_contradicts_its_archive_is_refused_and_flights_that_differ_want_to_be_told() {
+fn a_frame_that_contradicts_its_archive_is_refused_and_flights_that_differ_want_an_instrument() {
     let demo = instrument::builtin_text("demo").unwrap();
     let root = flown_archive(demo, "[target]\nx_arcsec = 250.0\n");
     let stranger = flown_archive(demo, "[target]\nx_arcsec = -250.0\n");
@@ -997,8 +997,8 @@ fn a_frame_that_contradicts_its_archive_is_refused_and_flights_that_differ_want_
     fs::copy(&tree(stranger.path())[0], root.path().join(name)).unwrap();
     let out = tempfile::tempdir().unwrap();
     refine(root.path(), out.path(), &[]);
-    let told = summary(out.path());
-    assert_eq!((&told["files"], &told["fine"]), (&5.into(), &4.into()));
+    let report = summary(out.path());
+    assert_eq!((&report["files"], &report["fine"]), (&5.into(), &4.into()));
     let csv = fs::read_to_string(out.path().join("aspect.csv")).unwrap();
     let row = csv.lines().find(|row| row.contains(name)).unwrap();
     assert!(row.contains("CONFSHA"), "{row}");

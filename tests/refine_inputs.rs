@@ -126,10 +126,10 @@ fn a_frame_that_several_files_hold_counts_once() {
     let copies = copied(folder.path());
     let output = refine(folder.path(), out.path(), &[]);
     let (_, alone) = plain();
-    let told = String::from_utf8(output.stdout).unwrap();
+    let printed = String::from_utf8(output.stdout).unwrap();
     assert!(
-        told.contains(&format!("{copies} files with the same frames")),
-        "{told}"
+        printed.contains(&format!("{copies} files with the same frames")),
+        "{printed}"
     );
     let (with, without) = (summary(out.path()), summary(alone));
     assert_eq!(with["copies"], copies);
@@ -182,10 +182,10 @@ fn other_pixels_under_one_number_and_time_are_another_frame_and_said() {
         }
     });
     let output = refine(folder.path(), out.path(), &[]);
-    let told = String::from_utf8(output.stderr).unwrap();
+    let printed = String::from_utf8(output.stderr).unwrap();
     assert!(
-        told.contains("frame_00019.fits") && told.contains("other pixels"),
-        "{told}"
+        printed.contains("frame_00019.fits") && printed.contains("other pixels"),
+        "{printed}"
     );
     let rows = Columns::read(out.path(), "ASPECT");
     let (files, sigma_s) = (rows.texts("FILE"), rows.floats("UTC_SIGMA_S"));
@@ -218,13 +218,13 @@ fn held_to_truth(out: &Path) -> (Vec<f64>, Vec<f64>) {
     let [t, x, sx] = ["UNIX_S", "SUN_X_MIL", "SIGMA_X_MIL"].map(|name| path.floats(name));
     let [y, sy] = ["SUN_Y_MIL", "SIGMA_Y_MIL"].map(|name| path.floats(name));
     let first = start().as_second() as f64;
-    let (mut pulls, mut sigmas) = (Vec::new(), Vec::new());
+    let (mut ratios, mut sigmas) = (Vec::new(), Vec::new());
     for row in (0..t.len()).filter(|row| x[*row].is_finite()) {
         let truth = sun(t[row] - first);
-        pulls.extend([(x[row] - truth.x) / sx[row], (y[row] - truth.y) / sy[row]]);
+        ratios.extend([(x[row] - truth.x) / sx[row], (y[row] - truth.y) / sy[row]]);
         sigmas.push(sx[row]);
     }
-    (pulls, sigmas)
+    (ratios, sigmas)
 }
 
 #[test]
@@ -235,10 +235,10 @@ fn frames_stamped_to_whole_seconds_are_spread_and_claim_no_more_than_that() {
     });
     let output = refine(folder.path(), out.path(), &[]);
     let text = "time stamped to whole seconds: spread by the frames' numbers, 1 sigma 0.29 s";
-    let told = String::from_utf8(output.stdout).unwrap();
+    let printed = String::from_utf8(output.stdout).unwrap();
     assert!(
-        told.contains(&format!("{FRAMES} flagged: {text}")),
-        "{told}"
+        printed.contains(&format!("{FRAMES} flagged: {text}")),
+        "{printed}"
     );
     let rows = Columns::read(out.path(), "ASPECT");
     let first = start().as_second() as f64;
@@ -261,9 +261,9 @@ fn frames_stamped_to_whole_seconds_are_spread_and_claim_no_more_than_that() {
             offset_sigma[row]
         );
     }
-    let (pulls, sigmas) = held_to_truth(out.path());
+    let (ratios, sigmas) = held_to_truth(out.path());
     assert!(sigmas.len() >= FRAMES);
-    assert!(pulls.iter().all(|pull| pull.abs() < 3.5), "{pulls:?}");
+    assert!(ratios.iter().all(|ratio| ratio.abs() < 3.5), "{ratios:?}");
     assert!(sigmas.iter().sum::<f64>() / sigmas.len() as f64 > 10.0);
 }
 
@@ -272,8 +272,8 @@ fn a_clock_that_stood_still_gives_places_and_no_path() {
     let [folder, out] = [(); 2].map(|()| temporary());
     write_stamped(folder.path(), |_, info| info.mid_exposure = Some(start()));
     let output = refine(folder.path(), out.path(), &[]);
-    let told = String::from_utf8(output.stdout).unwrap();
-    assert!(told.contains("the clock stood still"), "{told}");
+    let printed = String::from_utf8(output.stdout).unwrap();
+    assert!(printed.contains("the clock stood still"), "{printed}");
     let rows = Columns::read(out.path(), "ASPECT");
     assert!(rows.texts("UTC").iter().all(String::is_empty));
     assert!(rows.floats("OFFSET_SIGMA_DEG").iter().all(|s| s.is_nan()));
@@ -313,26 +313,26 @@ fn times_that_leave_the_order_of_the_numbers_do_not_bend_the_path() {
         let is_said = rows.texts("REASON")[row].contains("contradicts the frames' numbers");
         assert_eq!(is_said, is_wrong, "{file}");
     }
-    let (pulls, _) = held_to_truth(out.path());
-    assert!(pulls.iter().all(|pull| pull.abs() < 5.0), "{pulls:?}");
+    let (ratios, _) = held_to_truth(out.path());
+    assert!(ratios.iter().all(|ratio| ratio.abs() < 5.0), "{ratios:?}");
 }
 
 #[test]
 fn what_could_not_be_read_is_counted_and_nothing_read_is_a_failure() {
     let [folder, out] = [(); 2].map(|()| temporary());
     write_stamped(folder.path(), |_, _| {});
-    let spoil = |n: usize| {
+    let damage = |n: usize| {
         let path = folder.path().join(format!("frame_{n:05}.fits"));
         let bytes = fs::read(&path).unwrap();
         let kept = if n == 0 { 0 } else { bytes.len() / 2 };
         fs::write(&path, &bytes[..kept]).unwrap();
     };
-    (0..10).for_each(spoil);
+    (0..10).for_each(damage);
     let output = refine(folder.path(), out.path(), &[]);
-    let told = String::from_utf8(output.stdout).unwrap();
+    let printed = String::from_utf8(output.stdout).unwrap();
     assert!(
-        told.contains("10 files could not be read, most for "),
-        "{told}"
+        printed.contains("10 files could not be read, most for "),
+        "{printed}"
     );
     let some = summary(out.path());
     assert_eq!(some["unreadable"], 10);
@@ -343,13 +343,13 @@ fn what_could_not_be_read_is_counted_and_nothing_read_is_a_failure() {
     );
     let report = fs::read_to_string(out.path().join("report.html")).unwrap();
     assert!(report.contains("10 files could not be read"));
-    (10..FRAMES).for_each(spoil);
+    (10..FRAMES).for_each(damage);
     let none = command(folder.path(), temporary().path(), &[])
         .output()
         .unwrap();
     assert_eq!(none.status.code(), Some(1));
-    let told = String::from_utf8(none.stderr).unwrap();
-    assert!(told.contains("48 files could not be read"), "{told}");
+    let printed = String::from_utf8(none.stderr).unwrap();
+    assert!(printed.contains("48 files could not be read"), "{printed}");
 }
 
 #[test]
@@ -399,9 +399,9 @@ fn a_flight_of_mirrored_pictures_is_refused() {
     let refused = command(&flight, out.path(), &["--instrument", "demo"])
         .output()
         .unwrap();
-    let told = String::from_utf8(refused.stderr).unwrap();
-    assert_eq!(refused.status.code(), Some(1), "{told}");
-    assert!(told.contains("cannot be identified"), "{told}");
+    let printed = String::from_utf8(refused.stderr).unwrap();
+    assert_eq!(refused.status.code(), Some(1), "{printed}");
+    assert!(printed.contains("cannot be identified"), "{printed}");
 }
 
 /// Gives the gain and the times of a file values that no program expects there.
@@ -433,10 +433,10 @@ fn values_of_headers_that_are_not_used_are_counted_and_an_unread_time_is_a_reaso
         respell(&path);
     }
     let output = refine(folder.path(), out.path(), &[]);
-    let [told, logged] =
+    let [printed, logged] =
         [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-    assert!(told.contains("8 files: GAIN: expected"), "{told}");
-    assert!(told.contains("8 files: DATE-"), "{told}");
+    assert!(printed.contains("8 files: GAIN: expected"), "{printed}");
+    assert!(printed.contains("8 files: DATE-"), "{printed}");
     assert_eq!(logged.matches("GAIN").count(), 1, "{logged}");
     let warnings = summary(out.path())["warnings"].clone();
     let warnings = warnings.as_object().unwrap();

@@ -79,7 +79,7 @@ fn assert_no_worse(one: &[f64], other: &[f64]) {
 }
 
 #[test]
-fn between_frames_the_gyros_tell_where_the_telescope_points() {
+fn between_frames_the_gyros_show_where_the_telescope_points() {
     let (archive, out) = (temporary(), temporary());
     let duration = Duration::from_secs(14);
     let settings = Demo::lasting(duration, archive.path(), SEED);
@@ -194,14 +194,14 @@ fn between_frames_the_gyros_tell_where_the_telescope_points() {
     read_what_a_power_cut_and_a_clock_have_left(archive.path(), [imu, gps], &attitude);
 }
 
-/// The flight's own logs with bad rows: the others tell what they told without these.
+/// The flight's own logs with bad rows: the others give what they gave without these.
 fn read_what_a_power_cut_and_a_clock_have_left(
     archive: &Path,
     [imu, gps]: [&str; 2],
     whole: &[Vec<f64>],
 ) {
     let (folder, out) = (temporary(), temporary());
-    let spoil = |path: &str, name: &str| {
+    let damage = |path: &str, name: &str| {
         let text = fs::read_to_string(path).unwrap();
         let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
         let (count, zeros) = (lines.len(), "\0".repeat(4096));
@@ -217,15 +217,15 @@ fn read_what_a_power_cut_and_a_clock_have_left(
         lines.insert(count - 3, doubled);
         let cut = lines[count].len() / 2;
         lines[count].truncate(cut);
-        let spoiled = folder.path().join(name).to_str().unwrap().to_owned();
-        fs::write(&spoiled, lines.join("\n")).unwrap();
-        spoiled
+        let damaged = folder.path().join(name).to_str().unwrap().to_owned();
+        fs::write(&damaged, lines.join("\n")).unwrap();
+        damaged
     };
-    let (imu, gps) = (spoil(imu, "imu.csv"), spoil(gps, "gps.csv"));
+    let (imu, gps) = (damage(imu, "imu.csv"), damage(gps, "gps.csv"));
     let output = command(archive, out.path(), &["--imu", &imu, "--gps", &gps]);
     let output = { output }.output().unwrap();
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{told}");
+    let report = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{report}");
     for file in ["imu.csv", "gps.csv"] {
         for kind in [
             "cut",
@@ -235,15 +235,15 @@ fn read_what_a_power_cut_and_a_clock_have_left(
             "of another time",
         ] {
             let of_kind = |line: &&str| line.contains(file) && line.ends_with(kind);
-            let lines: Vec<&str> = told.lines().filter(of_kind).collect();
-            assert_eq!(lines.len(), 1, "{file} {kind}: {told}");
+            let lines: Vec<&str> = report.lines().filter(of_kind).collect();
+            assert_eq!(lines.len(), 1, "{file} {kind}: {report}");
             assert!(lines[0].contains("1 row left out"), "{lines:?}");
         }
     }
-    let spoiled = numbers(&out.path().join("attitude.csv"));
-    let lost = whole.len() - spoiled.len();
+    let damaged = numbers(&out.path().join("attitude.csv"));
+    let lost = whole.len() - damaged.len();
     assert!(lost < 30, "{lost} rows of {}", whole.len());
-    for row in &spoiled {
+    for row in &damaged {
         let same = whole.iter().find(|other| other[0] == row[0]).unwrap();
         let apart: f64 = (1..5).map(|n| (row[n] - same[n]).powi(2)).sum();
         // An estimate by fewer data differs from that by all by the difference of their variances; five fixes of fourteen are lost.
@@ -285,10 +285,10 @@ fn refuse_what_does_not_belong_together(archive: &Path, [imu, gps]: [&str; 2]) {
         let output = command(archive, &folder.path().join("out"), more)
             .output()
             .unwrap();
-        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        let report = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(!output.status.success(), "{more:?}");
         for word in wanted {
-            assert!(told.contains(word), "{told} lacks {word}");
+            assert!(report.contains(word), "{report} lacks {word}");
         }
     }
     let [whole, parts] = [temporary(), temporary()];

@@ -1,4 +1,4 @@
-//! The roll camera's frames refined: roll and pitch as good as they say, the offsets turned by them, what is odd told with pictures.
+//! The roll camera's frames refined: roll and pitch as good as they say, the offsets turned by them, flagged frames with pictures.
 
 use crate::common::refined::{Columns, command, refine, rms, temporary};
 use jiff::{SignedDuration, Timestamp};
@@ -180,7 +180,7 @@ fn roll_of_two_hundred_flights_is_as_good_as_it_says() {
 }
 
 #[test]
-fn offsets_are_turned_by_the_smoothed_roll_and_what_is_odd_is_told_with_pictures() {
+fn offsets_are_turned_by_the_smoothed_roll_and_flagged_frames_are_shown() {
     let folder = temporary();
     let flight = Swinging::new(3);
     let store = roll_store(folder.path());
@@ -232,7 +232,7 @@ fn offsets_are_turned_by_the_smoothed_roll_and_what_is_odd_is_told_with_pictures
     for (n, time_s) in times.iter().take(4).enumerate() {
         let error = body[n] - flight.roll_deg(*time_s);
         assert!(error.abs() < 3.0 * sigma[n], "{n}: {error} {}", sigma[n]);
-        // What the body's second axis dips, seen by a telescope that looks up; its pitch of 0.3 deg is left out.
+        // What the body's second axis dips, seen by a telescope that points up; its pitch of 0.3 deg is left out.
         let dips = body[n].to_radians().sin() / elevation[n].to_radians().cos();
         let expected = dips.asin().to_degrees();
         assert!(

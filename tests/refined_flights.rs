@@ -44,8 +44,8 @@ impl Flight {
         }
     }
 
-    /// As a file tells.
-    fn told(pieces: &str, frames: usize, seed: u64) -> Self {
+    /// As a file says.
+    fn of_pieces(pieces: &str, frames: usize, seed: u64) -> Self {
         let pieces = Pieces::parse(Path::new("flight.toml"), pieces).unwrap();
         Self::new(|_, _| pieces.clone().into(), frames, seed)
     }
@@ -79,7 +79,7 @@ impl Flight {
         });
     }
 
-    /// Holds a table's places against the truth, at frames, in segments of so many frames; `frame_of` tells which frame a row is of.
+    /// Holds a table's places against the truth, at frames, in segments of so many frames; `frame_of` gives which frame a row is of.
     fn errors(&self, table: &Columns, frame_of: impl Fn(usize) -> Option<usize>) -> Vec<Errors> {
         let segments = self.frames.div_ceil(SEGMENT);
         let mut errors: Vec<Errors> = (0..segments).map(|_| Errors::default()).collect();
@@ -91,7 +91,7 @@ impl Flight {
             let (dx, dy) = (x[row] - truth.x, y[row] - truth.y);
             let segment = &mut errors[n / SEGMENT];
             segment.mil.extend([dx, dy]);
-            segment.pulls.extend([dx / sx[row], dy / sy[row]]);
+            segment.ratios.extend([dx / sx[row], dy / sy[row]]);
         }
         errors
     }
@@ -103,14 +103,14 @@ const SEGMENT: usize = 40;
 #[derive(Default)]
 struct Errors {
     mil: Vec<f64>,
-    pulls: Vec<f64>,
+    ratios: Vec<f64>,
 }
 
 impl Errors {
-    fn largest_pull(&self) -> f64 {
-        self.pulls
+    fn largest_ratio(&self) -> f64 {
+        self.ratios
             .iter()
-            .fold(0.0, |most, pull| pull.abs().max(most))
+            .fold(0.0, |most, ratio| ratio.abs().max(most))
     }
 }
 
@@ -147,23 +147,23 @@ fn assert_history(name: &str, flight: &Flight, out: &Path) {
             .collect()
     };
     let (own_mil, mil) = (all(&frames, |e| &e.mil), all(&smoothed, |e| &e.mil));
-    let pull = rms(&all(&smoothed, |e| &e.pulls));
+    let ratio = rms(&all(&smoothed, |e| &e.ratios));
     println!(
-        "{name}: {} fine, rms of frames {:.4} mil, error/sigma {:.3}; smoothed {:.4} mil, error/sigma {pull:.3}; by segment {:?}",
+        "{name}: {} fine, rms of frames {:.4} mil, error/sigma {:.3}; smoothed {:.4} mil, error/sigma {ratio:.3}; by segment {:?}",
         own_mil.len() / 2,
         rms(&own_mil),
-        rms(&all(&frames, |e| &e.pulls)),
+        rms(&all(&frames, |e| &e.ratios)),
         rms(&mil),
         smoothed
             .iter()
-            .map(|e| (rms(&e.pulls) * 100.0).round() / 100.0)
+            .map(|e| (rms(&e.ratios) * 100.0).round() / 100.0)
             .collect::<Vec<_>>(),
     );
     assert_eq!(own_mil.len(), mil.len(), "{name}");
-    assert!((0.8..1.25).contains(&pull), "{name}: {pull}");
+    assert!((0.8..1.25).contains(&ratio), "{name}: {ratio}");
     assert!(rms(&mil) <= rms(&own_mil), "{name}");
     for errors in frames.iter().chain(&smoothed) {
-        assert!(errors.largest_pull() < 6.0, "{name}");
+        assert!(errors.largest_ratio() < 6.0, "{name}");
     }
 }
 
@@ -180,7 +180,10 @@ fn a_quarter_of_an_hour_is_nowhere_worse_than_its_frames() {
     };
     for (name, flight) in [
         ("swaying", Flight::new(swaying, frames, 21)),
-        ("told", Flight::told(&random_pieces(frames, 22), frames, 22)),
+        (
+            "pieces",
+            Flight::of_pieces(&random_pieces(frames, 22), frames, 22),
+        ),
     ] {
         let (archive, out) = (temporary(), temporary());
         flight.write(archive.path());
@@ -198,16 +201,16 @@ fn a_quarter_of_an_hour_is_nowhere_worse_than_its_frames() {
                     .collect()
             };
             let (own_mil, mil) = (all(segment.0, |e| &e.mil), all(segment.1, |e| &e.mil));
-            let pull = rms(&all(segment.1, |e| &e.pulls));
+            let ratio = rms(&all(segment.1, |e| &e.ratios));
             println!(
-                "  {} frames: {:.4}, smoothed {:.4} mil, error/sigma {pull:.3}",
+                "  {} frames: {:.4}, smoothed {:.4} mil, error/sigma {ratio:.3}",
                 mil.len() / 2,
                 rms(&own_mil),
                 rms(&mil)
             );
             if mil.len() >= 400 {
                 assert!(rms(&mil) <= rms(&own_mil), "{name}");
-                assert!((0.8..1.25).contains(&pull), "{name}");
+                assert!((0.8..1.25).contains(&ratio), "{name}");
             }
         }
     }
@@ -262,16 +265,19 @@ const SLEWS: &str = "
 ";
 
 #[test]
-fn a_slew_that_begins_at_once_loses_no_frame_and_spoils_no_path() {
+fn a_slew_that_begins_at_once_loses_no_frame_and_leaves_the_path_right() {
     for seed in [11, 31] {
-        let flight = Flight::told(SLEWS, 120, seed);
+        let flight = Flight::of_pieces(SLEWS, 120, seed);
         let (archive, out) = (temporary(), temporary());
         flight.write(archive.path());
         refine(archive.path(), out.path(), &[]);
         assert_history("slews", &flight, out.path());
-        let told = summary(out.path());
-        assert_eq!(told["fine"], 120);
-        assert!(told["flagged"].as_object().unwrap().is_empty(), "{told}");
+        let report = summary(out.path());
+        assert_eq!(report["fine"], 120);
+        assert!(
+            report["flagged"].as_object().unwrap().is_empty(),
+            "{report}"
+        );
     }
 }
 
@@ -288,8 +294,11 @@ fn the_history_of_a_demo_is_nowhere_worse_than_its_frames() {
         flight.write(archive.path());
         refine(archive.path(), out.path(), &[]);
         assert_history("demo", &flight, out.path());
-        let told = summary(out.path());
-        assert!(told["fine"].as_u64() >= told["own_fine"].as_u64(), "{told}");
+        let report = summary(out.path());
+        assert!(
+            report["fine"].as_u64() >= report["own_fine"].as_u64(),
+            "{report}"
+        );
     }
 }
 
@@ -309,7 +318,7 @@ fn between_frames_the_offset_is_known_at_the_rate_that_is_asked_for() {
     for n in GAP {
         fs::remove_file(archive.path().join(format!("frame_{n:05}.fits"))).unwrap();
     }
-    let told = refine(archive.path(), out.path(), &["--rate", "50"]);
+    let report = refine(archive.path(), out.path(), &["--rate", "50"]);
     let table = Columns::of(&out.path().join("stabilisation.fits"), "STABILISATION");
     let times = table.floats("UNIX_S");
     let rows = ((FRAMES - 1) as f64 / RATE_HZ * ROWS_HZ) as usize + 1;
@@ -357,22 +366,22 @@ fn between_frames_the_offset_is_known_at_the_rate_that_is_asked_for() {
     assert!((0.8..1.25).contains(&honesty), "{honesty}");
     assert!(worst < 36.0, "{worst}");
     let valid = chi2.len();
-    let told = String::from_utf8_lossy(&told.stdout).into_owned();
+    let report = String::from_utf8_lossy(&report.stdout).into_owned();
     let line = format!("stabilisation: {rows} rows at 50 Hz, {valid} of them valid");
-    assert!(told.contains(&line), "{told}");
+    assert!(report.contains(&line), "{report}");
     let csv = fs::read_to_string(out.path().join("stabilisation.csv")).unwrap();
     assert_eq!(csv.lines().count(), rows + 1);
 }
 
 #[test]
-fn a_clock_that_steps_is_told_and_its_times_are_corrected() {
-    let mut flight = Flight::told(SLEWS, 120, 12);
+fn a_clock_that_steps_is_reported_and_its_times_are_corrected() {
+    let mut flight = Flight::of_pieces(SLEWS, 120, 12);
     flight.clock_steps = vec![(60..74, SignedDuration::from_millis(-1300))];
     let (archive, out) = (temporary(), temporary());
     flight.write(archive.path());
-    let told = refine(archive.path(), out.path(), &[]);
-    let told = String::from_utf8_lossy(&told.stdout).into_owned();
-    assert_eq!(told.matches("step of UTC").count(), 2, "{told}");
+    let report = refine(archive.path(), out.path(), &[]);
+    let report = String::from_utf8_lossy(&report.stdout).into_owned();
+    assert_eq!(report.matches("step of UTC").count(), 2, "{report}");
     assert_history("clock", &flight, out.path());
     let table = Columns::read(out.path(), "ASPECT");
     let (correction, times) = (table.floats("UTC_CORRECTION_S"), table.floats("UNIX_S"));
@@ -405,8 +414,8 @@ fn named(name: &str) -> Vec<Card> {
 
 #[test]
 fn two_cameras_of_one_archive_have_a_history_each_and_one_report() {
-    let mut first = Flight::told(SLEWS, 48, 13);
-    let mut second = Flight::told("[[piece]]\nstart_s = 0\nsun_mil = [-200, 300]\n", 48, 14);
+    let mut first = Flight::of_pieces(SLEWS, 48, 13);
+    let mut second = Flight::of_pieces("[[piece]]\nstart_s = 0\nsun_mil = [-200, 300]\n", 48, 14);
     first.cards = named("demo");
     second.cards = named("demo-2");
     let (archive, out) = (temporary(), temporary());
@@ -416,9 +425,12 @@ fn two_cameras_of_one_archive_have_a_history_each_and_one_report() {
     for (name, flight) in [("demo", &first), ("demo-2", &second)] {
         let folder = out.path().join(name);
         let (frames, _) = judged(flight, &folder);
-        assert!(frames.iter().all(|errors| errors.largest_pull() < 6.0));
-        let told = summary(&folder);
-        assert_eq!((&told["files"], &told["fine"]), (&48.into(), &48.into()));
+        assert!(frames.iter().all(|errors| errors.largest_ratio() < 6.0));
+        let report = summary(&folder);
+        assert_eq!(
+            (&report["files"], &report["fine"]),
+            (&48.into(), &48.into())
+        );
     }
     let report = fs::read_to_string(out.path().join("report.html")).unwrap();
     assert!(report.contains("<h2>demo: The Sun on the plate</h2>"));
@@ -434,15 +446,17 @@ fn two_cameras_of_one_archive_have_a_history_each_and_one_report() {
 
 #[test]
 fn frames_are_refined_with_the_instrument_they_name_and_refused_with_another() {
-    let mut flight = Flight::told(SLEWS, 6, 15);
+    let mut flight = Flight::of_pieces(SLEWS, 6, 15);
     flight.cards = named("heroes-pyas-r");
     let (archive, out) = (temporary(), temporary());
     flight.write(archive.path());
     refine(archive.path(), out.path(), &[]);
     assert_eq!(summary(out.path())["instrument"], "heroes-pyas-r");
-    let refused = |told: &str| {
-        let told = ["--instrument", told];
-        let output = command(archive.path(), out.path(), &told).output().unwrap();
+    let refused = |report: &str| {
+        let report = ["--instrument", report];
+        let output = command(archive.path(), out.path(), &report)
+            .output()
+            .unwrap();
         assert_eq!(output.status.code(), Some(1));
         String::from_utf8(output.stderr).unwrap()
     };
@@ -468,7 +482,7 @@ fn frames_are_refined_with_the_instrument_they_name_and_refused_with_another() {
 
 #[test]
 fn frames_that_measure_another_camera_are_refused() {
-    let flight = Flight::told(SLEWS, 6, 16);
+    let flight = Flight::of_pieces(SLEWS, 6, 16);
     let (archive, out) = (temporary(), temporary());
     flight.write(archive.path());
     let demo = instrument::builtin_text("demo").unwrap();
@@ -488,8 +502,10 @@ fn frames_that_measure_another_camera_are_refused() {
         let text = demo.replacen(stated, wrong, 1);
         assert_ne!(text, demo);
         fs::write(&file, text).unwrap();
-        let told = ["--instrument", file.to_str().unwrap()];
-        let output = command(archive.path(), out.path(), &told).output().unwrap();
+        let report = ["--instrument", file.to_str().unwrap()];
+        let output = command(archive.path(), out.path(), &report)
+            .output()
+            .unwrap();
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(1), "{what}: {error}");
         assert!(error.to_lowercase().contains(what), "{error}");

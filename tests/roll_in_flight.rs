@@ -1,4 +1,4 @@
-//! The roll camera's horizon tells the gondola's roll to the solutions of the Sun, and costs them nothing when it is lost.
+//! The roll camera's horizon gives the gondola's roll to the solutions of the Sun, and costs them nothing when it is lost.
 
 use crate::common::flight::frames_in;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};
@@ -23,7 +23,7 @@ use std::process::{Command, Output};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Gives its next frame when it is told to, and notes the exposures that it is set to, us.
+/// Gives its next frame on demand, and notes the exposures that it is set to, us.
 struct Stepped {
     frames: VecDeque<Frame>,
     go: Receiver<()>,
@@ -64,7 +64,7 @@ fn gondola(number: u64) -> EarthScene {
     conditions.scene(7, number)
 }
 
-/// Looks along the gondola's first axis.
+/// Points along the gondola's first axis.
 fn roll_camera() -> MountedCamera {
     let conditions = gondola(0).conditions;
     let forward = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
@@ -98,7 +98,7 @@ fn white(like: &Frame) -> Frame {
     Frame::new(like.width(), like.height(), pixels, 255, like.info.clone()).unwrap()
 }
 
-/// A flight with a roll camera whose cameras are told when to take a frame.
+/// A flight with a roll camera whose cameras take frames on demand.
 struct Stepwise {
     service: Service,
     answers: Receiver<Answer>,
@@ -182,7 +182,7 @@ fn number(path: &Path, keyword: &str) -> Option<f64> {
     }
 }
 
-/// Frames of the horizon that are so far apart tell no rate: until the next one the body's roll is that of the last.
+/// Frames of the horizon that are so far apart determine no rate: until the next one the body's roll is that of the last.
 const NO_RATE: Duration = Duration::from_secs(2);
 
 #[test]
@@ -217,14 +217,14 @@ fn the_horizons_roll_turns_offsets_and_is_in_answers_and_files() {
     let tally = flight.end();
     assert_eq!(tally.solver(Role::Roll).of(Quality::Fine), 3, "{tally}");
     assert_eq!((tally.solved(), tally.lost()), (4, 0), "{tally}");
-    for (folder, missing, told) in [("sun", 1, &sun_rolls), ("roll", 0, &horizon_rolls)] {
+    for (folder, missing, expected) in [("sun", 1, &sun_rolls), ("roll", 0, &horizon_rolls)] {
         let files = frames_in(&root.path().join(folder));
         let rolls: Vec<f64> = files
             .iter()
             .filter_map(|file| number(file, "BODYROLL"))
             .collect();
         assert_eq!(files.len() - rolls.len(), missing, "{folder}");
-        assert_eq!(&rolls, told, "{folder}");
+        assert_eq!(&rolls, expected, "{folder}");
     }
     let log = std::fs::read_dir(root.path().join("sun")).unwrap();
     let mut logs = log.map(|entry| entry.unwrap().path());
@@ -299,7 +299,7 @@ fn a_frame_of_another_size_or_from_below_the_limb_is_stored_with_the_reason() {
     assert_eq!((tally.counts.stored, tally.lost()), (3, 0), "{tally}");
 }
 
-/// A small camera that looks along the gondola's first axis.
+/// A small camera that points along the gondola's first axis.
 const SMALL_CAMERA: &str = "[camera]
 width_px = 480
 height_px = 270
@@ -318,7 +318,7 @@ fn solaspect(arguments: &[&str]) -> Output {
 }
 
 #[test]
-fn a_flight_of_two_simulated_cameras_tells_the_gondolas_roll() {
+fn a_flight_of_two_simulated_cameras_measures_the_gondolas_roll() {
     let root = tempfile::tempdir().unwrap();
     let at = |name: &str| root.path().join(name).display().to_string();
     std::fs::write(at("roll.toml"), SMALL_CAMERA).unwrap();
@@ -357,7 +357,7 @@ fn a_flight_of_two_simulated_cameras_tells_the_gondolas_roll() {
         squares += ((of("BODYROLL") - truth_deg) / of("BODYRLSG")).powi(2);
     }
     let ratio = (squares / files.len() as f64).sqrt();
-    // Few places tell little of how the limb departs from its sphere, so that a small picture's sigma is careful.
+    // Few places show little of how the limb departs from its sphere, so that a small picture's sigma is careful.
     assert!((0.2..1.7).contains(&ratio), "{ratio}");
     // What the roll camera was flown with is in the archive.
     let kept = std::fs::read_dir(root.path().join("archive").join("roll")).unwrap();

@@ -34,12 +34,12 @@ fn a_shard_that_was_lost_is_named_and_its_frames_are_solved_by_the_merge() {
     refine(&archive, &whole, &[]);
     // What only the second pass needs does not keep a shard from working.
     let more = ["--shard", "1/3", "--imu", "none.csv", "--gps", "none.csv"];
-    let told = refine(&archive, &merged.join("shard_1"), &more);
-    let told = String::from_utf8(told.stdout).unwrap();
-    assert!(told.starts_with("shard 1/3: "), "{told}");
+    let printed = refine(&archive, &merged.join("shard_1"), &more);
+    let printed = String::from_utf8(printed.stdout).unwrap();
+    assert!(printed.starts_with("shard 1/3: "), "{printed}");
     assert!(
-        told.ends_with(": 4 files, 0 of them unreadable\n"),
-        "{told}"
+        printed.ends_with(": 4 files, 0 of them unreadable\n"),
+        "{printed}"
     );
     let [done, lost] = ["shard_1", "shard_2"].map(|name| merged.join(name));
     fs::create_dir(&lost).unwrap();
@@ -96,9 +96,12 @@ fn a_file_that_cannot_be_read_for_now_is_a_row_and_is_tried_again() {
     fs::rename(&away, &hidden).unwrap();
     let output = command(&archive, &out, &[]).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    let told = String::from_utf8(output.stderr).unwrap();
-    assert!(told.contains("found 1 that could not be read"), "{told}");
-    assert!(told.contains("run again"), "{told}");
+    let printed = String::from_utf8(output.stderr).unwrap();
+    assert!(
+        printed.contains("found 1 that could not be read"),
+        "{printed}"
+    );
+    assert!(printed.contains("run again"), "{printed}");
     let table = Columns::read(&out, "ASPECT");
     assert_eq!(table.texts("FILE").len(), 12);
     let reasons = table.texts("REASON").iter();
@@ -132,12 +135,12 @@ fn a_url_that_cannot_be_read_is_named_in_one_line() {
     for url in urls {
         let output = command(Path::new(url), &folder.path().join("out"), &[]);
         let output = { output }.output().unwrap();
-        let told = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(1), "{url}: {told}");
+        let printed = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{url}: {printed}");
         assert!(
-            told.starts_with(&format!("solaspect: {url}: expected ")),
-            "{told}"
+            printed.starts_with(&format!("solaspect: {url}: expected ")),
+            "{printed}"
         );
-        assert_eq!(told.lines().count(), 1, "{told}");
+        assert_eq!(printed.lines().count(), 1, "{printed}");
     }
 }

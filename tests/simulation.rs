@@ -111,8 +111,8 @@ fn a_mark_stands_where_the_truth_says_to_a_thousandth_of_a_pixel() {
     assert!(worst < 1e-3, "{worst} px");
 }
 
-/// A scene seen askew through a distorting lens, with sunspots and a scratch.
-fn askew() -> Scene {
+/// A scene seen tilted through a distorting lens, with sunspots and a scratch.
+fn tilted_scene() -> Scene {
     let lens = Distortion {
         centre: SensorPx::new(647.5, 482.5),
         radial: [8e-9, 0.0],
@@ -200,7 +200,7 @@ fn pixel_by_brute_force(scene: &Scene, x: usize, y: usize) -> f64 {
 
 #[test]
 fn every_kind_of_pixel_agrees_with_brute_force() {
-    let scene = askew();
+    let scene = tilted_scene();
     let sun = scene.sun.as_ref().unwrap();
     let on_limb = |k: u32| {
         let angle = f64::from(k) * 0.7;
@@ -241,7 +241,7 @@ fn every_kind_of_pixel_agrees_with_brute_force() {
 
 #[test]
 fn finer_sampling_changes_no_pixel_by_a_digital_number() {
-    let scene = askew();
+    let scene = tilted_scene();
     let (usual, fine) = (render_exact(&scene), render_oversampled(&scene, 9));
     let differences = usual.iter().zip(&fine).map(|(a, b)| (a - b).abs());
     let worst = differences.fold(0.0, f32::max);
@@ -449,14 +449,17 @@ fn random_suns_stand_where_the_conditions_want_them() {
     }
 }
 
-/// The askew camera's Sun, whole, on a sensor of 1296 x 966 px.
+/// The tilted camera's Sun, whole, on a sensor of 1296 x 966 px.
 fn with_stray(stray: StrayLight) -> Scene {
-    Scene { stray, ..askew() }
+    Scene {
+        stray,
+        ..tilted_scene()
+    }
 }
 
 #[test]
 fn a_ghost_holds_its_share_of_the_light_where_it_is_shifted_to() {
-    let plain = askew();
+    let plain = tilted_scene();
     let offset_px = Vector2::new(300.0, -200.0);
     let ghost = Ghost {
         share: 0.02,
@@ -479,8 +482,8 @@ fn a_ghost_holds_its_share_of_the_light_where_it_is_shifted_to() {
         ghost_total / total
     );
     // Pixels are single floats: differences of 1e-5 DN over a million pixels.
-    let miss = (at.vector() - centre.vector() - offset_px).norm();
-    assert!(miss < 0.1, "{miss} px");
+    let error = (at.vector() - centre.vector() - offset_px).norm();
+    assert!(error < 0.1, "{error} px");
 }
 
 #[test]
@@ -501,7 +504,7 @@ fn a_ghost_from_beyond_the_sensor_reaches_it() {
 
 #[test]
 fn coma_displaces_its_share_and_keeps_the_centroid_and_the_light() {
-    let plain = askew();
+    let plain = tilted_scene();
     let scene = with_stray(StrayLight {
         coma: Some(Coma {
             share: 0.1,
@@ -566,7 +569,7 @@ fn gradients_rise_as_far_as_they_say() {
         ..StrayLight::default()
     });
     let sun = scene.truth().sun.unwrap();
-    let (with, without) = (render_exact(&scene), render_exact(&askew()));
+    let (with, without) = (render_exact(&scene), render_exact(&tilted_scene()));
     for reach in [-3.0, -1.0, 0.0, 1.0] {
         let along = Vector2::new(0.7_f64.cos(), 0.7_f64.sin()) * reach * sun.radius_px;
         let (x, y) = ((sun.px.x + along.x).round(), (sun.px.y + along.y).round());
@@ -580,13 +583,13 @@ fn gradients_rise_as_far_as_they_say() {
 
 #[test]
 fn smear_adds_the_share_of_the_columns_light_and_the_tap_step_half_of_the_sensor() {
-    let plain = askew();
+    let plain = tilted_scene();
     let scene = Scene {
         readout: Readout {
             column_smear: 2e-4,
             tap_step_dn: 2.0,
         },
-        ..askew()
+        ..tilted_scene()
     };
     assert_eq!(scene.truth(), plain.truth());
     let clean: Vec<f64> = light(&plain).collect();

@@ -151,7 +151,7 @@ fn demonstration(archive: &Path) -> demo::Summary {
 }
 
 #[test]
-fn log_and_telemetry_tell_the_numbers_of_the_frames_files() {
+fn log_and_telemetry_have_the_numbers_of_the_frames_files() {
     let root = tempfile::tempdir().unwrap();
     demonstration(root.path());
     let log = log_of(root.path());
@@ -278,8 +278,8 @@ fn a_reader_that_follows_finds_every_field_of_each_time() {
         .collect();
     std::thread::scope(|scope| {
         let writer = scope.spawn(|| (1..FRAMES).for_each(|_| dirfile.append(&row).unwrap()));
-        let mut looks = 0;
-        while !writer.is_finished() || looks == 0 {
+        let mut reads = 0;
+        while !writer.is_finished() || reads == 0 {
             let frames = length("TIME") / 8;
             for name in &names {
                 let size = if ["QUALITY", "STOPPED", "STORED"].contains(&name.as_str()) {
@@ -289,7 +289,7 @@ fn a_reader_that_follows_finds_every_field_of_each_time() {
                 };
                 assert!(length(name) / size >= frames, "{name} of frame {frames}");
             }
-            looks += 1;
+            reads += 1;
         }
     });
     assert_eq!(length("TIME"), 8 * FRAMES);
@@ -349,7 +349,7 @@ fn frames_that_find_the_archives_queue_full_are_in_the_log() {
 }
 
 #[test]
-fn every_row_is_on_every_disk_and_tells_the_file_wherever_it_is() {
+fn every_row_is_on_every_disk_and_names_the_file_wherever_it_is() {
     let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let roots = [first.path(), second.path()];
     dark_flight(roots.map(open).into(), 64);

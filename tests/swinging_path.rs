@@ -62,8 +62,8 @@ fn driven(seed: u64, damping_s: [f64; 2], drive: [f64; 2]) -> Vec<Axes> {
         for swings in &mut states {
             for (k, (place, speed)) in swings.iter_mut().enumerate() {
                 let rate = TAU / PERIODS_S[k];
-                let pull = -rate * rate * *place - 2.0 / damping_s[k] * *speed;
-                *speed += pull * step_s + drive[k] * step_s.sqrt() * random.normal();
+                let force = -rate * rate * *place - 2.0 / damping_s[k] * *speed;
+                *speed += force * step_s + drive[k] * step_s.sqrt() * random.normal();
                 *place += *speed * step_s;
             }
         }
@@ -150,10 +150,10 @@ fn a_swinging_gondola_is_smoothed_by_its_swings() {
                 errors(&path, &flown)
             })
             .collect();
-        let (error_mil, pull) = together(&found);
-        println!("{name}: rms {error_mil:.4} mil, error/sigma {pull:.3}");
+        let (error_mil, ratio) = together(&found);
+        println!("{name}: rms {error_mil:.4} mil, error/sigma {ratio:.3}");
         assert!(error_mil < WITHOUT_SWINGS_MIL / 2.0, "{name}");
-        assert!((0.9..1.1).contains(&pull), "{name}");
+        assert!((0.9..1.1).contains(&ratio), "{name}");
     }
 }
 
@@ -162,23 +162,23 @@ fn a_gondola_at_rest_has_no_swings_and_loses_nothing() {
     for seed in 0..3 {
         let flown = vec![[300.0, -150.0]; FRAMES];
         let path = path(measured(&flown, 200 + seed), SHARED).unwrap();
-        let (error_mil, pull) = errors(&path, &flown);
-        println!("rest {seed}: rms {error_mil:.4} mil, error/sigma {pull:.3}");
+        let (error_mil, ratio) = errors(&path, &flown);
+        println!("rest {seed}: rms {error_mil:.4} mil, error/sigma {ratio:.3}");
         assert_eq!(path.swings, [vec![], vec![]]);
         assert!(error_mil < RESTING_MIL, "{error_mil}");
-        assert!((0.9..1.1).contains(&pull), "{pull}");
+        assert!((0.9..1.1).contains(&ratio), "{ratio}");
     }
 }
 
 #[test]
-fn between_frames_the_path_is_told_by_its_swings_and_not_in_long_gaps() {
+fn between_frames_the_path_is_given_by_its_swings_and_not_in_long_gaps() {
     const PER_FRAME: usize = 12;
     let flown: Vec<Axes> = (0..FRAMES).map(|n| sines(time_s(n))).collect();
     let gap_s = time_s(600)..time_s(660);
     let times: Vec<f64> = (0..FRAMES * PER_FRAME)
         .map(|n| n as f64 / RATE_HZ / PER_FRAME as f64)
         .collect();
-    let mut pulls = Vec::new();
+    let mut ratios = Vec::new();
     for seed in 300..304 {
         let mut moments = measured(&flown, seed);
         for moment in moments.iter_mut().filter(|m| gap_s.contains(&m.time_s)) {
@@ -192,22 +192,22 @@ fn between_frames_the_path_is_told_by_its_swings_and_not_in_long_gaps() {
             assert_eq!(point.is_none(), in_gap || after, "{time_s}");
             let Some(point) = point else { continue };
             let truth = sines(*time_s);
-            pulls.extend(
+            ratios.extend(
                 [0, 1].map(|axis| (point.place[axis] - truth[axis]) / point.variance[axis].sqrt()),
             );
         }
     }
-    let largest = pulls
+    let largest = ratios
         .iter()
-        .fold(0.0_f64, |most, pull| most.max(pull.abs()));
-    let pull = rms(pulls.into_iter());
-    println!("between frames: error/sigma {pull:.3}, largest {largest:.2}");
-    assert!((0.8..1.25).contains(&pull));
+        .fold(0.0_f64, |most, ratio| most.max(ratio.abs()));
+    let ratio = rms(ratios.into_iter());
+    println!("between frames: error/sigma {ratio:.3}, largest {largest:.2}");
+    assert!((0.8..1.25).contains(&ratio));
     assert!(largest < 6.0);
 }
 
 #[test]
-fn a_damping_time_is_given_where_the_flight_tells_it_and_else_how_long_it_is_at_least() {
+fn a_damping_time_is_given_where_the_flight_determines_it_and_else_how_long_it_is_at_least() {
     let swings = |flown: &[Axes], seed: u64| path(measured(flown, seed), SHARED).unwrap().swings;
     let sines: Vec<Axes> = (0..FRAMES).map(|n| sines(time_s(n))).collect();
     for swing in swings(&sines, 400).iter().flatten() {

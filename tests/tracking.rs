@@ -21,7 +21,7 @@ struct Flight {
     truth: Vec<PlateMil>,
 }
 
-/// A Sun that moves over the sensor by 20 px a frame, to and fro.
+/// A Sun that moves over the sensor by 20 px a frame, back and forth.
 fn flight(frames: u64) -> Flight {
     flight_within([260.0, 190.0], frames)
 }
@@ -93,16 +93,16 @@ fn apart_sigmas(a: &Solution, b: &Solution) -> f64 {
 }
 
 /// Root mean square of some errors over sigma, per axis.
-fn rms(pulls: &[Vector2<f64>]) -> f64 {
-    let squares: f64 = pulls.iter().map(|pull| pull.norm_squared()).sum();
-    (squares / (2 * pulls.len()) as f64).sqrt()
+fn rms(ratios: &[Vector2<f64>]) -> f64 {
+    let squares: f64 = ratios.iter().map(|ratio| ratio.norm_squared()).sum();
+    (squares / (2 * ratios.len()) as f64).sqrt()
 }
 
 #[test]
 fn a_frame_with_a_prior_is_solved_as_well_as_without_and_nearly_the_same() {
     let flight = flight(80);
     let mut track = flight.solve(&flight.frames[0], None).track;
-    let (mut pulls, mut errors, mut moved) = (Vec::new(), [0.0; 2], Vec::new());
+    let (mut ratios, mut errors, mut moved) = (Vec::new(), [0.0; 2], Vec::new());
     let mut short_ways = 0;
     for (frame, truth) in flight.frames.iter().zip(&flight.truth).skip(1) {
         let alone = flight.solve(frame, None);
@@ -112,20 +112,20 @@ fn a_frame_with_a_prior_is_solved_as_well_as_without_and_nearly_the_same() {
         short_ways += u32::from(tracked.track.as_ref().unwrap().predicted > 0);
         let [a, b] = [&alone, &tracked].map(|s| s.aspect.as_ref().unwrap().sun_plate);
         let sigma = (b.covariance.trace() / 2.0).sqrt();
-        pulls.push((b.position.vector() - truth.vector()) / sigma);
+        ratios.push((b.position.vector() - truth.vector()) / sigma);
         moved.push((b.position.vector() - a.position.vector()) / sigma);
         errors[0] += a.position.distance(*truth).powi(2);
         errors[1] += b.position.distance(*truth).powi(2);
         track = tracked.track;
     }
     let worse = (errors[1] / errors[0]).sqrt();
-    let (pull, moved) = (rms(&pulls), rms(&moved));
+    let (ratio, moved) = (rms(&ratios), rms(&moved));
     println!(
-        "error over sigma {pull:.2}, {worse:.3} of the error without a prior, {moved:.2} sigma apart"
+        "error over sigma {ratio:.2}, {worse:.3} of the error without a prior, {moved:.2} sigma apart"
     );
-    // Now and then the marks are looked for again, whatever the prior knows.
+    // Now and then the marks are searched again, whatever the prior knows.
     assert!((60..79).contains(&short_ways), "{short_ways}");
-    assert!((0.8..1.25).contains(&pull), "{pull}");
+    assert!((0.8..1.25).contains(&ratio), "{ratio}");
     assert!(worse < 1.1, "{worse}");
     assert!(moved < 0.4, "{moved}");
 }
@@ -321,7 +321,7 @@ fn a_frame_without_marks_borrows_what_was_measured_instead_of_what_was_disproved
         .map(|f| flight.solve(f, None))
         .collect();
     for (n, solution) in fine.iter().enumerate() {
-        // Two frames prove nothing; what is proven is told once.
+        // Two frames prove nothing; what is proven is reported once.
         let proven = check.note(solution, &stated).len();
         assert_eq!(proven, usize::from(n == 2), "frame {n}");
         assert_eq!(check.corrected(&stated).is_some(), n >= 2);

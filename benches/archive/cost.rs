@@ -25,7 +25,7 @@ impl Of {
 /// What passes over all frames have cost so far.
 #[derive(Default)]
 pub struct Cost {
-    /// One for every frame of every pass, or where frames cannot be told apart, their mean in every pass.
+    /// One for every frame of every pass, or where frames cannot be distinguished, their mean in every pass.
     wall: Vec<Duration>,
     /// The mean of a frame in every pass.
     processor: Vec<Duration>,
@@ -35,7 +35,7 @@ pub struct Cost {
 
 impl Cost {
     /// Adds a pass over so many frames; `pass` returns the bytes of its files, and notes the wall time of each frame if
-    /// it can tell.
+    /// it can measure.
     pub fn add(
         &mut self,
         frames: usize,

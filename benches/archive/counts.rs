@@ -5,7 +5,7 @@ use crate::frames::{CONDITIONS, solved};
 use crate::work::{Work, decode, encode, write_all};
 use anyhow::bail;
 
-/// Tells this program that it is being counted, and in what: the number of the conditions and of the work.
+/// The variable by which this program knows that it is being counted, and in what: the number of the conditions and of the work.
 pub const COUNTED_VARIABLE: &str = "SOLASPECT_COUNTED_WORK";
 
 /// Frames that are worked on, the first not counted: it finds the library not initialised.

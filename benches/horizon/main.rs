@@ -18,7 +18,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
-/// Tells this program that it is being counted, and in what: the scenes' number, 1 where the last nadir is known, and the frames' folder.
+/// The variable by which this program knows that it is being counted, and in what: the scenes' number, 1 where the last nadir is known, and the frames' folder.
 const COUNTED_VARIABLE: &str = "SOLASPECT_COUNTED_HORIZON";
 const SEED: u64 = 1;
 /// Frames of a scene; when counting, the first is only a rehearsal.

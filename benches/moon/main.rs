@@ -14,7 +14,7 @@ use std::hint::black_box;
 use std::process::ExitCode;
 use std::time::Instant;
 
-/// Tells this program that it is being counted, and in what: the radius, px, and what is known.
+/// The variable by which this program knows that it is being counted, and in what: the radius, px, and what is known.
 const COUNTED_VARIABLE: &str = "SOLASPECT_COUNTED_MOON";
 const KNOWN: &str = "known";
 const SEED: u64 = 1;

@@ -12,13 +12,13 @@ use std::fs;
 use std::hint::black_box;
 use std::process::{Command, Stdio};
 
-/// Tells this program that it is being counted, and under which conditions.
+/// The variable by which this program knows that it is being counted, and under which conditions.
 pub const CONDITIONS_VARIABLE: &str = "SOLASPECT_COUNTED_CONDITIONS";
 
 /// What is counted.
 pub struct Work {
     pub name: &'static str,
-    /// The function that callgrind looks for.
+    /// The function that callgrind searches.
     function: &'static str,
 }
 

@@ -139,9 +139,10 @@ impl Flight {
             depth: conditions.depth,
             ..simulate::Conditions::of(&instrument)
         };
-        let scenes = RandomScenes::new(&instrument, &conditions, 1).expect("the demo has room");
+        let scenes =
+            RandomScenes::new(&instrument, &conditions, 1).expect("the demo is large enough");
         let frame = |n: u64| {
-            let mut scene = scenes.scene(n).expect("the demo has room");
+            let mut scene = scenes.scene(n).expect("the demo is large enough");
             let at: [f64; 2] = std::array::from_fn(|k| start_px[k] + STEP_PX[k] * n as f64);
             if let Some(sun) = &mut scene.sun {
                 sun.centre = scene.mapping.to_plate(SensorPx::new(at[0], at[1]));

@@ -155,7 +155,7 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
             }
         }
     }
-    let absent = logged::look_for_files(&tree.logs);
+    let absent = logged::find_absent(&tree.logs);
     dated.extend(absent.elsewhere.iter().filter_map(Dated::elsewhere));
     let sequence = sequence::examine(dated);
     bad_files.extend(unread.map(|error| BadFile {

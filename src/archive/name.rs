@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_tells_instrument_time_and_number() {
+    fn a_name_gives_instrument_time_and_number() {
         assert_eq!(
             dated("2013-09-21T18:00:00.2504Z", 42),
             "20130921T18/pyas-f_20130921T180000.250_00000042.fits"

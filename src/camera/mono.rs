@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn the_numbers_of_formats_tell_the_bits_that_a_pixel_takes() {
+    fn the_numbers_of_formats_give_the_bits_that_a_pixel_takes() {
         for format in FORMATS {
             // In the convention's numbers the third byte is the size of a pixel in bits.
             let bits = (format.code >> 16 & 0xff) as usize;

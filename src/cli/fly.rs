@@ -44,7 +44,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     };
     let mut flight = Flight::of_plan(&plan, replay)?;
     say_who_flies(&plan, &flight);
-    say_what_is_odd(&remarks);
+    warn_of_remarks(&remarks);
     flight.claim()?;
     flight.open_cameras()?;
     let interrupted = options::interrupted()?;
@@ -101,7 +101,7 @@ fn say_who_flies(plan: &Plan, flight: &Flight) {
 }
 
 /// What is wrong with a plan that flies by force, and what one should know of any.
-fn say_what_is_odd(remarks: &Remarks) {
+fn warn_of_remarks(remarks: &Remarks) {
     for remark in &remarks.list {
         match remark.severity {
             Severity::Error => tracing::error!("{}", remark.what),

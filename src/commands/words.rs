@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn real_packets_are_told_in_words() {
+    fn real_packets_are_described_in_words() {
         use Direction::{ToAspect, ToController};
         assert_eq!(
             said(ToAspect, "9ac3300809001a41ff101214d4fec201"),
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn marks_are_told_with_their_camera_and_frame() {
+    fn marks_are_sent_with_their_camera_and_frame() {
         let marks = FrameMarks::new(2, 70_000, &[[101, -7], [0, 9999]]).unwrap();
         let packet = marks.packet(Timestamp::from_second(1_379_786_400).unwrap());
         assert_eq!(
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn all_messages_of_a_packet_are_told_and_what_was_not_understood() {
+    fn all_messages_of_a_packet_are_described_and_what_was_not_understood() {
         assert_eq!(
             said(
                 Direction::ToAspect,
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn results_are_told_by_what_was_asked() {
+    fn results_are_described_by_what_was_asked() {
         assert_eq!(result_in_words(0x1850, 15_000), "exposure 15000 us");
         assert_eq!(result_in_words(0x1850, 0xFFFF), "not known");
         assert_eq!(result_in_words(0x1A10, 0xFFFF), "x -1 arcsec");

@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn all_errors_of_a_file_are_told_at_once_and_what_is_right_is_taken() {
+    fn all_errors_of_a_file_are_reported_at_once_and_what_is_right_is_taken() {
         let text = "[camera]\nrate_hz = 1000\nexposre_us = 3\nexposure_us = 700\n[lnk]\n[site]\nheight_m = 3\n";
         let (config, errors) = Config::parse_all(Path::new("c.toml"), text);
         let mut keys: Vec<&str> = errors.iter().map(|error| error.field.as_str()).collect();

@@ -329,7 +329,7 @@ fn two_packets_of_another_decade_drop_nothing_and_lose_nothing() {
 }
 
 #[test]
-fn forged_keywords_and_reasons_take_no_more_room_than_a_frame_has() {
+fn forged_keywords_and_reasons_take_no_more_space_than_a_frame_has() {
     use super::pictures::Partial;
     use crate::link::picture::{Tag, TagValue};
     let mut picture = Partial::begun(0, 0);

@@ -71,7 +71,7 @@ async fn accept(listener: TcpListener, router: Router, shared: &Shared) -> std::
             }
         };
         // Where all places are taken by others that are served, the connection closes at once.
-        if places.make_room(peer.ip()) {
+        if places.make_space(peer.ip()) {
             let served = Arc::new(AtomicBool::new(false));
             let task = answer(stream, peer, router.clone(), Arc::clone(&served));
             places.0.push(Place {
@@ -98,7 +98,7 @@ struct Places(Vec<Place>);
 
 impl Places {
     /// Whether one more of an address is allowed. It may take the place of one that was not served yet.
-    fn make_room(&mut self, peer: IpAddr) -> bool {
+    fn make_space(&mut self, peer: IpAddr) -> bool {
         self.0.retain(|place| !place.task.is_finished());
         let is_own = |place: &Place| place.peer == peer;
         let own = self.0.iter().filter(|place| is_own(place)).count();
@@ -183,15 +183,15 @@ mod tests {
             let [hostile, other] = ["10.0.0.1", "10.0.0.2"].map(|ip| ip.parse().unwrap());
             let mut places = Places::default();
             for _ in 0..2000 {
-                if places.make_room(hostile) {
+                if places.make_space(hostile) {
                     places.0.push(place(hostile, false));
                 }
             }
             assert_eq!(places.0.len(), MOST_OF_ADDRESS);
-            assert!(places.make_room(other));
+            assert!(places.make_space(other));
             // The same address gets in, too: the one that waited longest gives way.
             let oldest = places.0[0].task.clone();
-            assert!(places.make_room(hostile));
+            assert!(places.make_space(hostile));
             assert_eq!(places.0.len(), MOST_OF_ADDRESS - 1);
             while !oldest.is_finished() {
                 tokio::task::yield_now().await;
@@ -205,13 +205,13 @@ mod tests {
             let mut places = Places::default();
             for n in 0..MOST_CONNECTIONS {
                 let peer = IpAddr::from([10, 0, (n / 200) as u8, (n % 200) as u8]);
-                assert!(places.make_room(peer));
+                assert!(places.make_space(peer));
                 places.0.push(place(peer, n != 300));
             }
             let newcomer = IpAddr::from([10, 9, 9, 9]);
-            assert!(places.make_room(newcomer), "one was not served");
+            assert!(places.make_space(newcomer), "one was not served");
             places.0.push(place(newcomer, true));
-            assert!(!places.make_room(newcomer));
+            assert!(!places.make_space(newcomer));
         });
     }
 

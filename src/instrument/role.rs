@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn a_label_tells_role_and_ordinal() {
+    fn a_label_gives_role_and_ordinal() {
         for (role, ordinal) in [(Roll, 1), (Roll, 2), (Moon, 1), (Moon, 12)] {
             let label = role.label(ordinal).unwrap();
             assert_eq!(Role::labelled(&label), Some((role, ordinal)));

@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn a_peer_by_name_is_refused_and_never_looked_up() {
+    fn a_peer_by_name_is_refused_and_never_resolved() {
         for wrong in [
             "udp:",
             "udp:10.0.0.1",

@@ -81,7 +81,7 @@ pub trait Control {
     fn take_fix(&mut self, fix: GpsFix) -> CommandResult;
 
     /// A request for the Moon: whether it will be answered.
-    fn look_for_moon(&mut self, request: &MoonRequest) -> CommandResult;
+    fn request_moon(&mut self, request: &MoonRequest) -> CommandResult;
 }
 
 /// A fix this far from the last one is taken for an error, deg.

@@ -509,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_that_pad_a_message_are_ignored_and_bytes_that_lack_are_missed() {
+    fn bytes_that_pad_a_message_are_ignored_and_bytes_that_lack_are_reported() {
         let payload = [0x0A, 0, 0, 0, 0x0A, 0x42, 0, 0, 0xC8, 0x41];
         for length in 0..payload.len() {
             assert!(

@@ -863,7 +863,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_told_is_what_is_heard() {
+    fn what_is_sent_is_what_is_received() {
         let time = Timestamp::from_second(1_379_786_400).unwrap();
         for housekeeping in [Housekeeping::default(), full()] {
             let packet = housekeeping.packet(time).unwrap();
@@ -917,7 +917,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_tells_the_length_and_it_is_short() {
+    fn the_table_gives_the_length_and_it_is_short() {
         let length: usize = FIELDS.iter().map(|field| field.bytes).sum();
         assert_eq!(full().payload().len(), 1 + length);
         // Of the 11,520 bytes that the line carries in a second 3.5 %.

@@ -347,7 +347,7 @@ impl Responder {
                 Answer::Message(Message::TrackingOff)
             }
             Message::Gps(fix) => Answer::Result(control.take_fix(*fix)),
-            Message::MoonRequest(request) => Answer::Result(control.look_for_moon(request)),
+            Message::MoonRequest(request) => Answer::Result(control.request_moon(request)),
             Message::Aspect(command) => self.command(command, stop, control),
             // Messages of our own side are no commands to us.
             _ => Answer::Result(CommandResult::Unknown),

@@ -122,7 +122,7 @@ fn telemetry_is_read_by_the_tables() {
 }
 
 #[test]
-fn the_types_of_telemetry_are_those_that_packets_are_told_by() {
+fn the_types_of_telemetry_are_those_that_distinguish_packets() {
     for direction in [ToController, ToAspect] {
         for kind in 0..=255 {
             // Not a payload as long as the source's id: the length distinguishes the two forms.

@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_face_tells_its_phase_whatever_seas_it_has() {
+    fn a_face_shows_its_phase_whatever_seas_it_has() {
         for phase_deg in [5.0, 40.0, 85.0, 120.0, 155.0] {
             let sea = |place: Vector2<f64>| match place.y > 0.2 && place.x < 0.3 {
                 true => 0.6,

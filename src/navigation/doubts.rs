@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn a_coarser_direction_that_a_finer_one_contradicts_tells_of_the_angle_about_it_alone() {
+    fn a_coarser_direction_that_a_finer_one_contradicts_determines_the_angle_about_it_alone() {
         let mut doubts = Doubts::default();
         let nadir = |doubts: &mut Doubts, t_s| {
             let observation = observation(t_s, Target::Nadir, 1e-3);

@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_are_told_apart_by_what_differs() {
+    fn cameras_are_labelled_by_what_differs() {
         let (f, r) = (Some("pyas-f"), Some("pyas-r"));
         let (a, b) = (Some("GigE a/1"), Some("GigE b/2"));
         assert_eq!(labels(&[(f, a), (r, a)]), ["pyas-f", "pyas-r"]);

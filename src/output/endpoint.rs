@@ -409,7 +409,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_that_takes_nothing_for_half_a_minute_makes_room() {
+    fn a_client_that_takes_nothing_for_half_a_minute_is_disconnected() {
         let (mut endpoint, [_stuck]) = with_clients();
         while endpoint.send(&line(0), NOW).dropped == 0 {}
         endpoint.send(&line(0), CLIENT_PATIENCE);

@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_field_has_no_room_for_loses_decimals_and_at_last_is_empty() {
+    fn what_does_not_fit_a_field_loses_decimals_and_at_last_is_empty() {
         assert_eq!(fitted(-179.123_456_7, 6, 11), "-179.123457");
         assert_eq!(fitted(-1_179.123_456_7, 6, 11), "-1179.12346");
         assert_eq!(fitted(12_345_678_901.2, 6, 11), "12345678901");

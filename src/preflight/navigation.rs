@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tilt_by_hand_tells_axes_and_signs() {
+    fn a_tilt_by_hand_shows_axes_and_signs() {
         let rest = heard(Vector3::x(), 0.0);
         for (tilt, axis) in [
             (Tilt::ForwardUp, Vector3::y()),
@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn gravity_tells_scale_and_sign_of_the_accelerometers() {
+    fn gravity_shows_scale_and_sign_of_the_accelerometers() {
         let scaled = |by: f32| {
             let mut heard = heard(Vector3::x(), 0.0);
             let forces = heard.samples.iter_mut();

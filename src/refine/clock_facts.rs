@@ -43,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_drift_that_cannot_be_told_from_none_has_no_number() {
+    fn a_drift_that_is_not_significant_has_no_number() {
         let line = |value: f64, sigma: f64| {
             let facts = ClockFacts {
                 drift_ppm: Some(Measured::new(value, sigma)),

@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn what_goes_straight_stays_straight_though_it_is_told_in_steps_and_with_slips() {
+    fn what_goes_straight_stays_straight_though_it_is_stated_in_steps_and_with_slips() {
         let times = times(4000);
         let truth: Vec<f64> = times.iter().map(|t| 20.0 - t / 100.0).collect();
         let mut readings: Vec<Option<f64>> = truth.iter().map(|c| Some(c.round())).collect();
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn no_temperature_is_told_by_few_frames_or_by_one_that_stays() {
+    fn no_temperature_is_given_by_few_frames_or_by_one_that_stays() {
         let times = times(100);
         assert_eq!(from_the_middle(&times, &[None; 100]), None);
         assert_eq!(from_the_middle(&times, &[Some(21.0); 100]), None);

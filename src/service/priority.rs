@@ -105,7 +105,7 @@ mod tests {
     use thread_priority::thread_schedule_policy;
 
     #[test]
-    fn a_thread_runs_in_real_time_or_is_told_what_that_needs() {
+    fn a_thread_runs_in_real_time_or_reports_what_that_needs() {
         let run = || match run_in_real_time(3) {
             Ok(()) => {
                 let policy = thread_schedule_policy().unwrap();

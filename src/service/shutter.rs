@@ -272,7 +272,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_step_of_utc_is_noticed_and_told_with_its_frame() {
+    fn a_step_of_utc_is_noticed_and_reported_with_its_frame() {
         let tally = Shared::default();
         let mut clock = ClockWatch::default();
         let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();

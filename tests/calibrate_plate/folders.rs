@@ -17,7 +17,7 @@ enum Times {
     Ordered,
     /// All frames have one.
     Same,
-    /// They begin anew after the slip, as those of a second run of a program do.
+    /// They start over after the slip, as those of a second run of a program do.
     Repeated,
 }
 

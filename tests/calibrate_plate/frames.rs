@@ -22,10 +22,10 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
     let calibration = calibrate(&given, &start).unwrap();
     let often = seen_often(&calibration, 5);
     assert!(often.len() > 15, "{}", often.len());
-    let (rms, honest) = errors(&often, &truth);
+    let (rms, ratio) = errors(&often, &truth);
     assert!(rms < 0.06, "{rms} mil");
     let (_, of_all) = errors(&seen_often(&calibration, 1), &truth);
-    assert!((0.8..1.25).contains(&of_all), "{of_all}, {honest}");
+    assert!((0.8..1.25).contains(&of_all), "{of_all}, {ratio}");
     let fit = &calibration.fit;
     assert_eq!(fit.choice.lens, [true, false, false, false]);
     assert_eq!(fit.choice.kind.name(), "similarity");
@@ -161,8 +161,8 @@ fn frames_of_a_displaced_plate_are_identified_in_a_later_pass() {
     assert!(calibration.read_later > 5, "{}", calibration.read_later);
     let used: usize = calibration.fit.poses.iter().map(|pose| pose.frames).sum();
     assert!(used >= 55, "{used}");
-    let (rms, honest) = errors(&seen_often(&calibration, 5), &truth);
-    assert!(rms < 0.06, "{rms} mil, {honest}");
+    let (rms, ratio) = errors(&seen_often(&calibration, 5), &truth);
+    assert!(rms < 0.06, "{rms} mil, {ratio}");
 }
 
 #[test]
@@ -200,8 +200,8 @@ fn keystone_is_freed_where_the_data_demand_it() {
         .collect();
     let calibration = calibrate(&given, &builtin("demo").unwrap()).unwrap();
     assert_eq!(calibration.fit.choice.kind.name(), "keystone");
-    let (rms, honest) = errors(&seen_often(&calibration, 3), &truth);
-    assert!(rms < 0.15, "{rms} mil, {honest}");
+    let (rms, ratio) = errors(&seen_often(&calibration, 3), &truth);
+    assert!(rms < 0.15, "{rms} mil, {ratio}");
 }
 
 #[test]
@@ -235,9 +235,9 @@ fn a_frame_of_the_lit_plate_measures_all_marks_at_once() {
         "{}",
         calibration.fit.marks.len()
     );
-    let (rms, honest) = errors(&seen_often(&calibration, 3), &truth);
+    let (rms, ratio) = errors(&seen_often(&calibration, 3), &truth);
     assert!(rms < 0.15, "{rms} mil");
-    assert!((0.7..1.4).contains(&honest), "{honest}");
+    assert!((0.7..1.4).contains(&ratio), "{ratio}");
 
     // Nobody knows when these frames were taken: the file does not say.
     let mut revision = Revision::of(Path::new("demo"), builtin_text("demo").unwrap()).unwrap();

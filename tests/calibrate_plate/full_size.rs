@@ -75,14 +75,14 @@ fn full_size_sets_meet_the_numbers_that_the_documentation_states() {
         let fit = &calibration.fit;
         let used: usize = fit.poses.iter().map(|pose| pose.frames).sum();
         let often = seen_often(&calibration, 10);
-        let (rms, honest) = match often.is_empty() {
+        let (rms, ratio) = match often.is_empty() {
             true => (0.0, 0.0),
             false => errors(&often, &truth),
         };
-        let (all_rms, all_honest) = errors(&seen_often(&calibration, 1), &truth);
+        let (all_rms, all_ratio) = errors(&seen_often(&calibration, 1), &truth);
         let lens = lens_difference(&fit.distortion, &truth.camera.distortion);
         println!(
-            "| {} | {used} of {} | {} ({}) | {rms:.3} | {honest:.2} | {all_rms:.3} | {all_honest:.2} | {lens:.4} | {} | {} |",
+            "| {} | {used} of {} | {} ({}) | {rms:.3} | {ratio:.2} | {all_rms:.3} | {all_ratio:.2} | {lens:.4} | {} | {} |",
             set.name,
             set.frames,
             fit.marks.len(),
@@ -95,8 +95,8 @@ fn full_size_sets_meet_the_numbers_that_the_documentation_states() {
             let limit = if tilted { 0.12 } else { 0.05 };
             assert!(rms < limit, "{}: {rms} mil", set.name);
             // A keystone of the plate as a whole is alike to that of the views: two random numbers decide the ratio.
-            let honest = tilted || (0.8..1.25).contains(&all_honest);
-            assert!(honest, "{}: {all_honest}", set.name);
+            let calibrated = tilted || (0.8..1.25).contains(&all_ratio);
+            assert!(calibrated, "{}: {all_ratio}", set.name);
             assert!(lens < 0.02, "{}: {lens} px", set.name);
         }
     }

@@ -33,10 +33,10 @@ fn full_frames(truth: &Instrument, count: usize, seed: u64) -> Vec<FrameObservat
 fn generated_measurements_of_every_mark_in_many_frames_are_solved() {
     let truth = truth(1.0, K1, 5);
     let fit = fit(&full_frames(&truth, 200, 6), 4);
-    let (rms, honest) = judged(&fit, &truth);
+    let (rms, ratio) = judged(&fit, &truth);
     // 0.02 px at 200 observations.
     assert!(rms < 0.012, "{rms}");
-    assert!((0.8..1.25).contains(&honest), "{honest}");
+    assert!((0.8..1.25).contains(&ratio), "{ratio}");
     assert!(lens_difference(&fit.distortion, &truth.camera.distortion) < 0.005);
     assert!(fit.separation.by_data());
     assert!((fit.sigma_factor - 1.0).abs() < 0.02);
@@ -48,11 +48,8 @@ fn a_plate_as_drawn_behind_a_straight_lens_is_found_to_be_so() {
     let fit = fit(&sun_frames(&truth, (400, 4), 0.0, 7), 4);
     assert_eq!(fit.choice.lens, [false; 4]);
     assert!(fit.separation.by_data());
-    let (rms, honest) = judged(&fit, &truth);
-    assert!(
-        rms < 0.06 && (0.8..1.25).contains(&honest),
-        "{rms} {honest}"
-    );
+    let (rms, ratio) = judged(&fit, &truth);
+    assert!(rms < 0.06 && (0.8..1.25).contains(&ratio), "{rms} {ratio}");
 }
 
 #[test]
@@ -61,8 +58,8 @@ fn a_plate_far_worse_than_its_drawing_states_bends_neither_views_nor_sigmas() {
     let fit = fit(&sun_frames(&truth, (200, 4), 0.0, 9), 4);
     assert!((3.5..6.5).contains(&fit.prior_factor));
     assert_eq!(fit.choice.kind.name(), "similarity");
-    let (rms, honest) = judged(&fit, &truth);
-    assert!(rms < 0.15 && (0.7..1.3).contains(&honest), "{rms} {honest}");
+    let (rms, ratio) = judged(&fit, &truth);
+    assert!(rms < 0.15 && (0.7..1.3).contains(&ratio), "{rms} {ratio}");
 }
 
 /// Error over sigma of many plates: the root of the mean square, and the least and the largest of one plate.
@@ -118,11 +115,11 @@ fn every_mark_in_five_thousand_frames_is_solved() {
     let frames = full_frames(&truth, 5000, 6);
     let begun = Instant::now();
     let fit = fit(&frames, 4);
-    let (rms, honest) = judged(&fit, &truth);
+    let (rms, ratio) = judged(&fit, &truth);
     println!(
-        "5000 frames, {} observations: {:.1} s, {rms:.4} mil rms, error / sigma {honest:.2}",
+        "5000 frames, {} observations: {:.1} s, {rms:.4} mil rms, error / sigma {ratio:.2}",
         fit.residuals.len(),
         begun.elapsed().as_secs_f64()
     );
-    assert!(rms < 0.003 && (0.8..1.25).contains(&honest));
+    assert!(rms < 0.003 && (0.8..1.25).contains(&ratio));
 }

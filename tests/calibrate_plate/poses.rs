@@ -11,7 +11,7 @@ fn poses_in_one_folder_are_found_and_give_the_same_marks() {
     let given: Vec<PathBuf> = (0..4)
         .map(|pose| pose_folder(root.path(), pose, 12, &truth, near, |_, _| ()))
         .collect();
-    let (together, odd) = (root.path().join("all"), root.path().join("odd"));
+    let (together, other) = (root.path().join("all"), root.path().join("other"));
     std::fs::create_dir(&together).unwrap();
     for (pose, folder) in given.iter().enumerate() {
         for entry in std::fs::read_dir(folder).unwrap() {
@@ -25,7 +25,7 @@ fn poses_in_one_folder_are_found_and_give_the_same_marks() {
     let elsewhere = |_: usize, c: &mut solaspect::simulate::Conditions| {
         c.similarity.rotation_deg = 20.0;
     };
-    let folder = pose_folder(&odd, 0, 1, &truth, near, elsewhere);
+    let folder = pose_folder(&other, 0, 1, &truth, near, elsewhere);
     let lonely = together.join("lonely.fits");
     std::fs::copy(folder.join("frame_000.fits"), &lonely).unwrap();
 

@@ -130,7 +130,7 @@ fn slips_and_drifts_of_all_sizes_leave_the_sigmas_honest() {
 }
 
 #[test]
-fn a_drift_is_told_with_its_speed() {
+fn a_drift_is_reported_with_its_speed() {
     let found = found(7, &drift(0.5));
     assert!(found.fit.choice.drift == 1 && found.poses.len() == 1);
     let [x, y] = found.fit.poses[0].drift_px_per_h.unwrap();

@@ -16,7 +16,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// A camera that sees nothing, when it is told to look.
+/// A camera that sees nothing, when its gate opens.
 struct DarkCamera {
     instrument: Instrument,
     numbers: Receiver<u64>,
@@ -62,27 +62,27 @@ pub fn dark(
     pause: Duration,
     each: impl FnMut(u64),
 ) -> FlightTally {
-    let (service, look) = looked(stores, archive, frames, pause, each);
-    drop(look);
+    let (service, gate) = gated(stores, archive, frames, pause, each);
+    drop(gate);
     service.join().unwrap()
 }
 
-/// As [`dark`], of a flight that is told to end after the last frame, and gives up what is not finished at once.
-pub fn dark_told_to_end(
+/// As [`dark`], of a flight that is asked to end after the last frame, and gives up what is not finished at once.
+pub fn dark_asked_to_end(
     stores: Vec<Store>,
     archive: config::Archive,
     frames: u64,
     pause: Duration,
     each: impl FnMut(u64),
 ) -> FlightTally {
-    let (service, look) = looked(stores, archive, frames, pause, each);
+    let (service, gate) = gated(stores, archive, frames, pause, each);
     service.stop_within(Duration::ZERO);
-    drop(look);
+    drop(gate);
     service.join().unwrap()
 }
 
 /// A flight that has solved all its frames, and the camera's end.
-fn looked(
+fn gated(
     stores: Vec<Store>,
     archive: config::Archive,
     frames: u64,
@@ -90,7 +90,7 @@ fn looked(
     mut each: impl FnMut(u64),
 ) -> (Service, Sender<u64>) {
     let instrument = instrument::builtin("demo").unwrap();
-    let (look, numbers) = bounded(0);
+    let (gate, numbers) = bounded(0);
     let camera = DarkCamera {
         instrument: instrument.clone(),
         numbers,
@@ -117,11 +117,11 @@ fn looked(
     for number in 0..frames {
         each(number);
         std::thread::sleep(pause);
-        look.send(number).unwrap();
+        gate.send(number).unwrap();
         answers.recv().unwrap();
     }
     each(frames);
-    (service, look)
+    (service, gate)
 }
 
 /// The frames' files under a folder, by name.

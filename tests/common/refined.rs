@@ -14,8 +14,8 @@ pub fn command(archive: &Path, out: &Path, more: &[&str]) -> Command {
 
 pub fn refine(archive: &Path, out: &Path, more: &[&str]) -> Output {
     let output = command(archive, out, more).output().unwrap();
-    let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(output.status.success(), "{told}");
+    let printed = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{printed}");
     output
 }
 

@@ -90,7 +90,7 @@ fn png(
 }
 
 #[test]
-fn a_palette_is_looked_up_and_single_bits_are_dark_or_bright() {
+fn a_palette_is_applied_and_single_bits_are_dark_or_bright() {
     let greys = (0..=255_u8).flat_map(|dn| [dn; 3]).collect();
     let bytes = png(
         png::BitDepth::Eight,

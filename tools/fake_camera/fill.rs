@@ -60,14 +60,14 @@ unsafe extern "C" fn fill(
     let [x0, y0, width, height] = [x0, y0, width, height].map(|n| usize::try_from(n).unwrap_or(0));
     // The format's bits per pixel stand in its third byte.
     let bits_per_pixel = format as usize >> 16 & 0xff;
-    let mut told = 0;
-    // SAFETY: the buffer is live, and `told` may be written.
-    let start = unsafe { arv_buffer_get_data(buffer, &mut told) };
+    let mut length = 0;
+    // SAFETY: the buffer is live, and `length` may be written.
+    let start = unsafe { arv_buffer_get_data(buffer, &mut length) };
     let size = width * height * bits_per_pixel / 8;
     if start.is_null() || size == 0 {
         return;
     }
-    // SAFETY: the library has made the buffer for its registers' width x height x bits per pixel (it tells 0 as long as
+    // SAFETY: the library has made the buffer for its registers' width x height x bits per pixel (it reports 0 as long as
     // nothing is filled in), and nobody else uses it during this call.
     let bytes = unsafe { std::slice::from_raw_parts_mut(start, size) };
     let shot = Shot {

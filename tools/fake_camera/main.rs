@@ -53,7 +53,7 @@ mod register {
     pub const SENSOR_WIDTH: u32 = 0x11c;
 }
 
-/// How often a second the fake looks for a trigger.
+/// How often a second the fake checks for a trigger.
 const LOOKS_HZ: f64 = 500.0;
 
 fn main() -> anyhow::Result<()> {

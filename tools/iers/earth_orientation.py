@@ -26,7 +26,7 @@ def read_leap_seconds(path):
 
 
 def read_finals(path):
-    """(MJD, pole x and y in arcsec, UT1 - UTC in s, whether predicted), daily; ReadMe.finals2000A tells the columns.
+    """(MJD, pole x and y in arcsec, UT1 - UTC in s, whether predicted), daily; ReadMe.finals2000A lists the columns.
 
     The columns are Bulletin A's: since 1995 within 0.5 ms of Bulletin B's and of the C04 series. Before 1990 the three
     differ by up to 6 ms (0.09 arcsec of azimuth), and A is the smoothest.

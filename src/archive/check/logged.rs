@@ -49,7 +49,7 @@ struct LoggedFrame {
 }
 
 /// Searches for the files that the logs name. Logs of one start on two disks are taken together.
-pub(super) fn look_for_files(logs: &[PathBuf]) -> Absent {
+pub(super) fn find_absent(logs: &[PathBuf]) -> Absent {
     let mut absent = Absent::default();
     let mut starts: BTreeMap<String, Vec<(&Path, Vec<LoggedFrame>)>> = BTreeMap::new();
     for log in logs {
@@ -62,12 +62,12 @@ pub(super) fn look_for_files(logs: &[PathBuf]) -> Absent {
         }
     }
     for logs in starts.values() {
-        look_for_those_of_a_start(logs, &mut absent);
+        find_absent_of_a_start(logs, &mut absent);
     }
     absent
 }
 
-fn look_for_those_of_a_start(logs: &[(&Path, Vec<LoggedFrame>)], absent: &mut Absent) {
+fn find_absent_of_a_start(logs: &[(&Path, Vec<LoggedFrame>)], absent: &mut Absent) {
     let root = |(log, frames): &(&Path, Vec<LoggedFrame>)| root_of(log, &frames.first()?.file);
     let roots: BTreeSet<PathBuf> = logs.iter().filter_map(root).collect();
     let mut seen = BTreeSet::new();

@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_body_that_never_tilts_is_told_to_tilt() {
+    fn a_body_that_never_tilts_is_asked_to_tilt() {
         let mut still = observations(1, 0.0);
         for observation in &mut still {
             observation.known = Known::Nadir(Vector3::z_axis());

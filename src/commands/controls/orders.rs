@@ -33,7 +33,7 @@ impl Control for Controls {
         self.state().reason.take()
     }
 
-    fn look_for_moon(&mut self, request: &MoonRequest) -> CommandResult {
+    fn request_moon(&mut self, request: &MoonRequest) -> CommandResult {
         let mut state = self.state();
         if !state.cameras.contains(&Role::Moon) {
             return CommandResult::NotImplemented;

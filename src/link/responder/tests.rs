@@ -56,7 +56,7 @@ impl Control for Desk {
         }
     }
 
-    fn look_for_moon(&mut self, request: &MoonRequest) -> CommandResult {
+    fn request_moon(&mut self, request: &MoonRequest) -> CommandResult {
         match request.place() {
             Ok(_) => CommandResult::Done,
             Err(_) => CommandResult::Refused,
@@ -343,7 +343,7 @@ fn an_older_solution_never_goes_after_a_newer_one() {
 }
 
 #[test]
-fn exposures_of_two_cameras_at_one_time_are_told_apart() {
+fn exposures_of_two_cameras_at_one_time_are_distinguished() {
     let mut responder = computer_one();
     send(&mut responder, &Message::StartTracking);
     responder.exposure_starts(exposure(1)).unwrap();

@@ -75,7 +75,7 @@ fn a_clock_of_another_time_for_a_sample_or_a_while_costs_no_other_rows() {
 }
 
 #[test]
-fn of_two_parts_that_tell_of_the_same_time_the_longer_one_is_kept() {
+fn of_two_parts_that_cover_the_same_time_the_longer_one_is_kept() {
     // The clock is set back by a minute after two, and by five after ten.
     let back = [times(0..12_000), times(6_000..72_000)].concat();
     assert_eq!(imu(&[&back]), [(0.0, 59.99, 6_000), (60.0, 719.99, 66_000)]);

@@ -324,7 +324,7 @@ fn a_receiver_without_rmc_gives_places_dated_by_zda_or_by_the_clock() {
 }
 
 #[test]
-fn ten_fixes_a_second_are_told_apart_and_one_that_is_said_again_is_told_again() {
+fn ten_fixes_a_second_are_separated_and_one_that_is_said_again_is_reported_again() {
     let second = |n: usize| format!("123519.{n}0");
     let fast: String = (0..10)
         .map(|n| gga(&second(n), "1") + &rmc(&second(n), "22.4,84.4", "230324", "A"))

@@ -104,7 +104,7 @@ impl<'a> Attitude<'a> {
                     .with_context(on_disk)?;
             }
         }
-        let (counts, stretches) = look_over(&mut spool, wanted).with_context(on_disk)?;
+        let (counts, stretches) = check_rows(&mut spool, wanted).with_context(on_disk)?;
         Ok(Self {
             folder,
             wanted,
@@ -287,7 +287,7 @@ fn smooth_run(run: &Flight, spool: &mut Spool) -> Option<std::io::Result<()>> {
 }
 
 /// Counts all rows, and the stretches of those that are written.
-fn look_over(spool: &mut Spool, wanted: &Wanted) -> std::io::Result<(Counts, Stretches)> {
+fn check_rows(spool: &mut Spool, wanted: &Wanted) -> std::io::Result<(Counts, Stretches)> {
     let (mut counts, mut stretches) = (Counts::default(), Stretches::default());
     let mut is_due = wanted.due();
     for row in spool.rows()? {

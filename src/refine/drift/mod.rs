@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_degree_does_is_told_and_bridges_the_time_without_marks() {
+    fn what_a_degree_does_is_reported_and_bridges_the_time_without_marks() {
         let truth_per_degc = [0.13, -0.08, 0.004, -0.01];
         let (observations, truth) = flight(COUNT, truth_per_degc);
         let (reference, degrees) = (reference(), temperature_c());
@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn a_temperature_that_does_nothing_is_told_to_do_nothing() {
+    fn a_temperature_that_does_nothing_is_found_to_do_nothing() {
         let (observations, _) = flight(COUNT, [0.0; THERMAL]);
         let (reference, degrees) = (reference(), temperature_c());
         let with = drift(&reference, &observations, Some(&degrees));

@@ -237,7 +237,7 @@ fn times_that_leave_the_order_of_the_numbers_are_corrected() {
 }
 
 #[test]
-fn of_shuffled_times_and_shuffled_numbers_the_motion_tells_which_is_wrong() {
+fn of_shuffled_times_and_shuffled_numbers_the_motion_shows_which_is_wrong() {
     let shuffled = |n: usize| n * 37 % 100;
     let good = steady(100);
     let mut times = good.clone();

@@ -392,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn as_room_goes_pictures_are_thinned_and_then_stopped_and_come_back() {
+    fn as_space_goes_pictures_are_thinned_and_then_stopped_and_come_back() {
         let queue = queue(8, Overflow::DropOldest, 1);
         let now_with = |space| take(&queue, 0, space).map(|w| w.picture);
         assert_eq!(now_with(FreeSpace::Low), None);
@@ -478,7 +478,7 @@ mod tests {
     }
 
     #[test]
-    fn a_disk_with_little_room_leaves_pictures_to_one_with_more_that_can_follow() {
+    fn a_disk_with_little_space_leaves_pictures_to_one_with_more_that_can_follow() {
         let queue = queue(8, Overflow::DropOldest, 2);
         assert!(take(&queue, 1, FreeSpace::Plenty).is_none());
         offer(&queue, 0..3);

@@ -149,7 +149,7 @@ impl Line<'_> {
                 if reply.changed {
                     self.note_conversation();
                 }
-                self.look_for_moon(&reply.moon_requests);
+                self.request_moon(&reply.moon_requests);
                 reply.packets
             }
             Err(error) => {

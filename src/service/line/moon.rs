@@ -50,7 +50,7 @@ impl MoonRequests {
 
 impl Line<'_> {
     /// Takes requests; a picture that is begun from now on answers them.
-    pub(super) fn look_for_moon(&mut self, requests: &[(u16, MoonRequest)]) {
+    pub(super) fn request_moon(&mut self, requests: &[(u16, MoonRequest)]) {
         for (sequence, request) in requests {
             self.tally.lock().moon_requests += 1;
             if let Ok(place) = request.place() {

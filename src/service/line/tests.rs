@@ -520,7 +520,7 @@ fn a_port_that_was_unplugged_is_found_again_and_the_conversation_goes_on() {
 }
 
 #[test]
-fn a_line_that_begins_anew_goes_on_tracking_as_it_was_told() {
+fn a_line_that_restarts_goes_on_tracking_as_commanded() {
     let mut config = Config::default();
     config.link.max_solution_age_ms = 60_000;
     let mounting = builtin("demo").unwrap().mounting;

@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_steps_is_told_from_samples_that_are_lost() {
+    fn a_clock_that_steps_is_distinguished_from_samples_that_are_lost() {
         let mut steps = Steps::default();
         let mut step = |counter: u16, ms| steps.step_s(&sample(counter, ms));
         for n in 1..20 {

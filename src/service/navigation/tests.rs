@@ -426,7 +426,7 @@ fn what_commands_set_of_the_filter_changes_what_is_sent() {
 }
 
 #[test]
-fn inputs_that_the_filter_has_no_room_for_are_counted_and_nobody_waits() {
+fn inputs_that_do_not_fit_into_the_filters_queue_are_counted_and_nobody_waits() {
     let counters = Arc::<Counters>::default();
     let (inputs, _queue) = Inputs::new(Shared::default(), Arc::clone(&counters));
     let start: Timestamp = START.parse().unwrap();

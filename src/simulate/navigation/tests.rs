@@ -184,7 +184,7 @@ fn integrating_the_perfect_rows_leads_along_the_truth() {
 }
 
 #[test]
-fn the_rocket_coasts_as_the_paper_tells() {
+fn the_rocket_coasts_as_the_paper_says() {
     for seed in 0..5 {
         let motion = Vehicle::Rocket.motion(seed);
         let height_m = |t_s: f64| {
@@ -210,7 +210,7 @@ fn the_rocket_coasts_as_the_paper_tells() {
 }
 
 #[test]
-fn the_balloon_hangs_at_its_height_and_looks_at_the_sun() {
+fn the_balloon_hangs_at_its_height_and_points_at_the_sun() {
     let sun = FlightPlan::balloon().sky().sun;
     for (seed, t_s) in [(1, 0.0), (2, 700.0), (3, 21_600.0)] {
         let state = Vehicle::Balloon.motion(seed).at(t_s);

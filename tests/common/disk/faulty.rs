@@ -1,4 +1,4 @@
-//! A disk that fails as it is told to.
+//! A disk that fails on command.
 
 use solaspect::archive::disk::{Absent, Disk, DiskFile, Entry, Lock, Space};
 use std::io::{self, ErrorKind, Write};
@@ -14,7 +14,7 @@ pub enum Fault {
     Step(&'static str),
     /// It says that so much is free.
     Free(f64),
-    /// Plenty of room, but so many files (inodes).
+    /// Plenty of space, but so many files (inodes).
     Files(u64),
     /// It takes no byte and says nothing, until the fault is gone.
     Stuck,

@@ -6,7 +6,7 @@ use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-/// A model of a disk that forgets what was not brought to it when the power goes.
+/// A model of a disk that loses what was not brought to it when the power goes.
 ///
 /// A file's bytes last once the file is synced, a name once its folder is; a name may also last without
 /// that, and then leads to whatever of the bytes has.

@@ -74,7 +74,7 @@ impl Control for Desk {
         CommandResult::Refused
     }
 
-    fn look_for_moon(&mut self, _: &link::MoonRequest) -> CommandResult {
+    fn request_moon(&mut self, _: &link::MoonRequest) -> CommandResult {
         CommandResult::NotImplemented
     }
 }

@@ -164,7 +164,7 @@ def test_threads_give_the_same(frame):
             assert same(solution, expected)
 
 
-def test_a_time_is_one_instant_however_it_is_told(frame):
+def test_a_time_is_one_instant_however_it_is_stated(frame):
     zone = datetime.timezone(datetime.timedelta(hours=-6))
     times = [
         "2013-09-21T18:00:00.25Z",
@@ -180,8 +180,8 @@ def test_a_time_is_one_instant_however_it_is_told(frame):
 def test_a_place_may_be_an_earth_location(frame):
     latitude, longitude, height = PLACE
     location = EarthLocation.from_geodetic(longitude, latitude, height)
-    told, located = (solaspect.solve(frame.array, time=frame.time, place=place) for place in (PLACE, location))
-    assert located.offset.azimuth_deg == pytest.approx(told.offset.azimuth_deg, abs=1e-9)
+    by_place, located = (solaspect.solve(frame.array, time=frame.time, place=place) for place in (PLACE, location))
+    assert located.offset.azimuth_deg == pytest.approx(by_place.offset.azimuth_deg, abs=1e-9)
 
 
 def test_the_target_moves_the_offset(frame):
@@ -193,7 +193,7 @@ def test_the_target_moves_the_offset(frame):
     assert moved * 3600 == pytest.approx(300, rel=0.03)
 
 
-def test_a_part_of_the_sensor_is_told_by_its_corner(frame):
+def test_a_part_of_the_sensor_is_placed_by_its_corner(frame):
     x, y = (max(int(v) - 130, 0) for v in frame.sun_px)
     part = frame.array[y : y + 260, x : x + 260]
     whole, solution = solaspect.solve(frame.array), solaspect.solve(part, corner_px=(x, y))

@@ -1,4 +1,4 @@
-//! A camera whose frames were drawn beforehand, so that drawing takes nothing from the service; it fails when told to.
+//! A camera whose frames were drawn beforehand, so that drawing takes nothing from the service; it fails on command.
 
 use jiff::{SignedDuration, Timestamp};
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};

@@ -94,7 +94,7 @@ impl Trial {
         let over = begin + fault.length() + rest;
         let mut back = None;
         while back.is_none() && Instant::now() < over && !rig.service.is_finished() {
-            rig.look(false)?;
+            rig.check(false)?;
             let now = rig.counts();
             back = now.is_back(&end, fault).then(|| now.time - end.time);
         }
@@ -241,17 +241,17 @@ impl Trial {
         let offsets = self.growth(|c| c.heard.offsets.wrong);
         exact.push(("offsets beyond 6 sigma", offsets, 0));
         let mut wrong = differences(&exact);
-        // A process that was stopped has nothing to tell of that time.
+        // A process that was stopped has nothing to report of that time.
         let stopped = match self.fault {
             Fault::Stopped => self.fault.length(),
             _ => Duration::ZERO,
         };
         let at_work = (self.after.time - self.before.time).saturating_sub(stopped);
-        let told = self.growth(|c| c.heard.housekeeping);
-        if told as f64 > at_work.as_secs_f64() + 2.0 {
+        let sent = self.growth(|c| c.heard.housekeeping);
+        if sent as f64 > at_work.as_secs_f64() + 2.0 {
             let seconds = at_work.as_secs_f64();
             wrong.push(format!(
-                "{told} housekeeping packets in {seconds:.1} s of work"
+                "{sent} housekeeping packets in {seconds:.1} s of work"
             ));
         }
         wrong

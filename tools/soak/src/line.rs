@@ -1,4 +1,4 @@
-//! The gondola's end of the line: the simulated controller at a pseudo-terminal that misbehaves when told to.
+//! The gondola's end of the line: the simulated controller at a pseudo-terminal that misbehaves on command.
 
 use crate::navigation::{Judge, NavigationRun};
 use solaspect::commands::order;

@@ -53,7 +53,7 @@ pub fn heap() -> Heap {
     }
 }
 
-/// Other C libraries do not tell.
+/// Other C libraries do not report it.
 #[cfg(not(target_env = "gnu"))]
 pub fn heap() -> Heap {
     Heap::default()
@@ -75,7 +75,7 @@ pub struct MemoryLog {
 }
 
 impl MemoryLog {
-    /// A log with room for so many samples, so that it does not grow itself.
+    /// A log allocated for so many samples, so that it does not grow itself.
     pub fn new(samples: usize) -> Self {
         Self {
             start: Instant::now(),
@@ -84,7 +84,7 @@ impl MemoryLog {
         }
     }
 
-    /// Looks at the memory; the sample counts for the growth only if `kept`.
+    /// Measures the memory; the sample counts for the growth only if `kept`.
     pub fn note(&mut self, kept: bool) -> anyhow::Result<()> {
         let sample = Sample {
             time_s: self.start.elapsed().as_secs_f64(),

@@ -61,7 +61,7 @@ struct Args {
     /// Measure what outputs of all kinds cost the controller's line: short flights with and without them in turns
     #[arg(long, conflicts_with_all = ["archive", "keep", "roll", "navigation", "faults", "log"])]
     outputs: bool,
-    /// Real-time priority of the hurried threads; needs CAP_SYS_NICE
+    /// Real-time priority of the real-time threads; needs CAP_SYS_NICE
     #[arg(long)]
     realtime: Option<u8>,
     /// Inject faults, one after the other: all, or those named
@@ -183,7 +183,7 @@ fn fly(
     let trials = inject(&rig, schedule, start)?;
     let quiet = args.faults.is_none();
     while !rig.service.is_finished() {
-        rig.look(quiet)?;
+        rig.check(quiet)?;
     }
     let mut processor = rig.processor();
     for (thread, used) in &mut processor {

@@ -106,7 +106,7 @@ impl Flights {
             stderr: None,
         })?;
         while !rig.service.is_finished() {
-            rig.look(false)?;
+            rig.check(false)?;
         }
         let (_, _far) = rig.gondola.end();
         Ok(rig.service.join()?)

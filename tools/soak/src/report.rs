@@ -17,7 +17,7 @@ use std::time::Duration;
 const MOST_BYTES: f64 = 200e6;
 /// Growth of the resident memory that is taken for a leak.
 const LEAK_MB_PER_H: f64 = 1.0;
-/// Runs shorter than this do not tell a leak from the rest.
+/// Runs shorter than this do not show a leak.
 const LEAK_SHOWS: Duration = Duration::from_secs(1800);
 /// What is made once is made by then.
 const SETTLED: Duration = Duration::from_secs(300);

@@ -1,4 +1,4 @@
-//! The service between a camera, disks and a gondola that fail when told to.
+//! The service between a camera, disks and a gondola that fail on command.
 
 use crate::camera::{CameraFault, Frames, Ring, RingCamera};
 use crate::faults::Fault;
@@ -22,7 +22,7 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
-/// How often the run is looked at.
+/// How often the run is checked.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// Snapshots among which the one with the fewest packets under way is taken.
 const SNAPSHOTS: usize = 20;
@@ -41,7 +41,7 @@ pub struct Rig {
     disks: Vec<(PathBuf, FaultyDisk)>,
     imu: Option<ImuBench>,
     stderr: Option<Stderr>,
-    looked: Cell<Instant>,
+    checked: Cell<Instant>,
     processor: RefCell<ProcessorTimes>,
     number: Cell<u16>,
 }
@@ -174,7 +174,7 @@ impl Rig {
             disks,
             imu,
             stderr: parts.stderr,
-            looked: Cell::new(Instant::now()),
+            checked: Cell::new(Instant::now()),
             processor: RefCell::default(),
             number: Cell::new(0),
         })
@@ -197,7 +197,7 @@ impl Rig {
         &self.ring
     }
 
-    /// Processor time that the threads had used when they were last looked at.
+    /// Processor time that the threads had used when they were last checked.
     pub fn processor(&self) -> ProcessorTimes {
         self.processor.borrow().clone()
     }
@@ -231,19 +231,19 @@ impl Rig {
         self.number.get()
     }
 
-    /// Looks after files and memory until then, or until the flight has ended.
+    /// Watches files and memory until then, or until the flight has ended.
     pub fn wait_until(&self, then: Instant) -> anyhow::Result<()> {
         while Instant::now() < then && !self.service.is_finished() {
-            self.look(false)?;
+            self.check(false)?;
         }
         Ok(())
     }
 
-    /// One look, and a short sleep. `kept`: the sample of the memory counts for its growth.
-    pub fn look(&self, kept: bool) -> anyhow::Result<()> {
+    /// One check, and a short sleep. `kept`: the sample of the memory counts for its growth.
+    pub fn check(&self, kept: bool) -> anyhow::Result<()> {
         thread::sleep(LOOK_EVERY);
-        if self.looked.get().elapsed() >= Duration::from_secs(1) {
-            self.looked.set(Instant::now());
+        if self.checked.get().elapsed() >= Duration::from_secs(1) {
+            self.checked.set(Instant::now());
             self.memory.borrow_mut().note(kept)?;
             self.processor.replace(machine::processor_times()?);
             self.files.borrow_mut().clear()?;

@@ -1,4 +1,4 @@
-//! Standard error into a pipe, whose reader stalls or leaves when told to.
+//! Standard error into a pipe, whose reader stalls or leaves on command.
 
 use std::fs::File;
 use std::io::{self, PipeReader, PipeWriter, Read, Write};

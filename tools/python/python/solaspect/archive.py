@@ -111,7 +111,7 @@ class Archive:
             return _image(hdus).data
 
     def header(self, frame: PathLike) -> Header:
-        """A frame's keywords: docs/keywords.md tells what they mean."""
+        """A frame's keywords: docs/keywords.md says what they mean."""
         from astropy.io import fits
 
         with fits.open(self.directory / frame) as hdus:
@@ -130,12 +130,12 @@ class Archive:
     def solutions(self) -> Table:
         """The solution log: one row for each solved frame of every start, in order. What is not known is masked.
 
-        `utc` is an astropy `Time`; the columns' units are those of their names, a mil being 25.4 um. docs/archive.md tells the columns.
+        `utc` is an astropy `Time`; the columns' units are those of their names, a mil being 25.4 um. docs/archive.md lists the columns.
         """
         return self._logs("solutions")
 
     def housekeeping(self) -> Table:
-        """The housekeeping, one row each second, in the same form; docs/protocol.md tells the columns."""
+        """The housekeeping, one row each second, in the same form; docs/protocol.md lists the columns."""
         return self._logs("housekeeping")
 
     def _logs(self, kind: str) -> Table:
@@ -169,7 +169,7 @@ class Refined:
         return json.loads((self.directory / "summary.json").read_text())
 
     def aspect(self) -> Table:
-        """A row for each frame; what is not known is NaN. `UTC` is an astropy `Time`, masked there. docs/refine.md tells the columns."""
+        """A row for each frame; what is not known is NaN. `UTC` is an astropy `Time`, masked there. docs/refine.md lists the columns."""
         table = self._table("ASPECT")
         table["UTC"] = _times(table["UTC"])
         return table
@@ -222,7 +222,7 @@ class Refined:
         return self._table("POINTING")
 
     def roll(self) -> Table:
-        """A row for each frame of the roll camera: docs/refine.md tells the columns."""
+        """A row for each frame of the roll camera: docs/refine.md lists the columns."""
         return self._table("ROLL", "roll.fits")
 
     def attitude(self) -> Table:
@@ -234,7 +234,7 @@ class Refined:
         return self._table("STABILISATION", "stabilisation.fits")
 
     def events(self, events: PathLike, out: PathLike, *, detectors: PathLike) -> Table:
-        """Put the photons of an event list on the Sun, as `solaspect events` does; docs/events.md tells the columns and DET.toml.
+        """Put the photons of an event list on the Sun, as `solaspect events` does; docs/events.md lists the columns and DET.toml.
 
         Parameters
         ----------
@@ -305,7 +305,7 @@ class Refined:
 
 
 def _unit_in_comment(comment: str) -> Any:
-    """The unit of a column that FITS does not know, mil or degC, as its comment tells it."""
+    """The unit of a column that FITS does not know, mil or degC, as its comment states it."""
     import astropy.units as u
 
     found = re.search(r"\((mil|degC)(\d?)(/\w+)?(?:, [^()]*)?\)$", comment)

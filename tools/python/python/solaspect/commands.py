@@ -1,6 +1,6 @@
 """Commands of the program as functions: simulated frames, refinement and calibration.
 
-Their keywords are the program's options; `solaspect COMMAND --help` tells more of each.
+Their keywords are the program's options; `solaspect COMMAND --help` describes each.
 """
 
 from __future__ import annotations
@@ -242,7 +242,7 @@ def calibrate_plate(
     instrument
         The instrument as it is known so far.
     from_drawing
-        Forget the marks that the instrument has measured.
+        Drop the marks that the instrument has measured.
     report
         Folder for a page with figures.
     """

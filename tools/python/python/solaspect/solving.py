@@ -40,7 +40,7 @@ def solve(
         An `Instrument`, the path of its file, or the name of a built-in one; "demo" if not given. A file is read in every call: for
         many frames load it once.
     time
-        Mid-exposure, with its zone: text ("2013-09-21T18:00:00Z"), a `datetime` with `tzinfo`, or an astropy `Time`. It tells how
+        Mid-exposure, with its zone: text ("2013-09-21T18:00:00Z"), a `datetime` with `tzinfo`, or an astropy `Time`. It says how
         large the Sun is. Without it the radius is free.
     place
         Latitude (deg), longitude (deg, east positive) and height (m), or an astropy `EarthLocation`. With it and `time` the solution
@@ -48,7 +48,7 @@ def solve(
     target
         Where the telescope should point, (x, y) in arcsec from the Sun's centre towards solar west and north; the centre if not given.
     prior
-        The `track` of the previous frame's solution: the Sun is looked for there first.
+        The `track` of the previous frame's solution: the Sun is searched there first.
     saturation_dn
         The value at which a pixel saturates. If not given: 255 for uint8; for uint16 4095, or 65535 if a pixel is brighter.
     corner_px
