@@ -169,7 +169,7 @@ class Refined:
         return json.loads((self.directory / "summary.json").read_text())
 
     def aspect(self) -> Table:
-        """A row for each frame; what is not known is NaN. `UTC` is an astropy `Time`, masked there. docs/refine.md lists the columns."""
+        """A row for each frame; what is not known is NaN. `UTC` is an astropy `Time`, masked there. docs/refine-reference.md lists the columns."""
         table = self._table("ASPECT")
         table["UTC"] = _times(table["UTC"])
         return table
@@ -222,7 +222,7 @@ class Refined:
         return self._table("POINTING")
 
     def roll(self) -> Table:
-        """A row for each frame of the roll camera: docs/refine.md lists the columns."""
+        """A row for each frame of the roll camera: docs/refine-reference.md lists the columns."""
         return self._table("ROLL", "roll.fits")
 
     def attitude(self) -> Table:

@@ -23,7 +23,7 @@ def _is_pointing(meta: MetaDict) -> bool:
 
 
 class PointingTimeSeries(GenericTimeSeries):  # type: ignore[misc]
-    """The table POINTING of a refined flight, without its columns of text. docs/refine.md lists the columns."""
+    """The table POINTING of a refined flight, without its columns of text. docs/refine-reference.md lists the columns."""
 
     _source = "solaspect"
 
