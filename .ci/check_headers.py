@@ -40,7 +40,7 @@ SLEW_DEG_PER_S = 0.25
 
 def accepted_remarks():
     """The remarks that docs/keywords.md explains, as regular expressions."""
-    page = PAGE.read_text().split("## Remarks of validators that stand")[1]
+    page = PAGE.read_text().split("## Accepted remarks of validators")[1]
     return [re.compile(r) for r in re.findall(r"^\| `(.+?)` \|", page, re.MULTILINE)]
 
 

@@ -22,24 +22,24 @@ pub fn find(name: &str) -> Option<&'static Keyword> {
 }
 
 const COORDINATES: &str = "
-## What the world coordinates are
+## World coordinates
 
-Helioprojective longitude and latitude, `HPLN-TAN` and `HPLT-TAN`, with the disc's centre as the reference pixel. Scale,
-rotation and mirror stand in `CDELTi` and `PCi_j`; there is no `CROTAi`. They come from the functions that give the
-offsets, by steps of a solar radius to all four sides, so the pixel on which the boresight falls has the coordinates
-at which the telescope points. One straight matrix leaves out what bends within the picture of the disc: under a
-keystone of 3 deg the limb stands 0.1 px from where it says, and 1 deg from the boresight the disc is longer by 0.0003 of
-its radius, 0.03 px, than the matrix has it. `CRDERi` is the random error of the centre; clocking and roll turn the picture
-about it, by `CSYERi` at the limb. The observer's place is that of mid-exposure.
+Helioprojective longitude and latitude, `HPLN-TAN` and `HPLT-TAN`, with the disc's centre as the reference pixel. `CDELTi` and
+`PCi_j` hold scale, rotation and mirror; there is no `CROTAi`. They are computed with the functions for the
+offsets, from steps of a solar radius to all four sides, so that the pixel of the boresight has the coordinates
+of the pointing. A linear matrix neglects distortion within the picture of the disc: with a
+keystone of 3 deg the limb is 0.1 px from its predicted position, and 1 deg from the boresight the disc is longer by 0.0003 of
+its radius, 0.03 px. `CRDERi` is the random error of the centre; the errors of clocking and roll rotate the picture
+about it, by `CSYERi` at the limb. The observer's position is that of mid-exposure.
 
-In sunpy, `sunpy.map.Map(file)` is all it takes. To turn north up it wants other than whole-number pixels:
+In sunpy, use `sunpy.map.Map(file)`. To rotate north up, sunpy needs floating-point pixels:
 `sunpy.map.Map(m.data.astype(float), m.meta).rotate()`.
 ";
 
 const FOREIGN_NOTE: &str = "
-Each is read where the keywords above do not give the same. [What is read](read.md) has all forms of their values. The pictures of the HEROES flight stand in the extension `Raw Frame`, their
-keywords in the primary HDU. `CTL_AZIM` and `CTL_ELEV` are the answer in flight, which `solaspect refine` puts beside its own;
-both zero is no answer.
+Each is read if the keywords above do not give the same quantity. [Input formats](read.md) lists all forms of their values. The pictures of the HEROES flight are in the extension `Raw Frame`, their
+keywords in the primary HDU. `CTL_AZIM` and `CTL_ELEV` are the offsets computed in flight, which `solaspect refine` lists with its own;
+both zero means no offset.
 ";
 
 const TABLES: &str = "
@@ -49,8 +49,8 @@ Binary tables follow the pixels. Positions count from 0 at the centre of the fir
 
 | extension | column | unit | meaning |
 |---|---|---|---|
-| `MARKS` | `I`, `J` |  | id of a mark that was read |
-| `MARKS` | `X`, `Y` | pixel | where it was seen |
+| `MARKS` | `I`, `J` |  | id of an identified mark |
+| `MARKS` | `X`, `Y` | pixel | its measured position |
 | `MARKS` | `SIGMA` | pixel | 1 sigma per axis |
 | `LIMB` | `X`, `Y` | pixel | point of the limb |
 | `LIMB` | `SIGMA` | pixel | 1 sigma along the radius |
@@ -58,18 +58,18 @@ Binary tables follow the pixels. Positions count from 0 at the centre of the fir
 
 /// `.ci/check_headers.py` reads the remarks from the page.
 const REMARKS: &str = "
-## Remarks of validators that stand
+## Accepted remarks of validators
 
-In CI astropy, sunpy and `solarnet-metadata` read every file of a demonstration's archive. The first two have nothing to say.
-What the last may say, as a regular expression, and why it stays so:
+In CI astropy, sunpy and `solarnet-metadata` read every file of a demonstration's archive. The first two give no warnings.
+The accepted remarks of the last, as regular expressions, with the reasons:
 
 | remark | when | reason |
 |---|---|---|
 | `^Observation Header 1: Missing Required Attribute: C[A-Z]+[ij]a\\.` | no world coordinates | a frame without a Sun, a time or a \
-place has no world coordinates, and false ones do harm |
+place has no world coordinates; false ones would do harm |
 | `^Observation Header 1: Missing Required Attribute: DATE-?[BR]E[GF]$` | no time | the frame's source gave no time |
 
-`SOLARNET` is 0.5, not 1, since `WAVEUNIT` is a unit, as sunpy wants it, and not a power of ten.
+`SOLARNET` is 0.5, not 1, since `WAVEUNIT` is a unit, as sunpy requires, and not a power of ten.
 ";
 
 /// The table as a page of markdown.
@@ -77,9 +77,9 @@ pub fn markdown() -> String {
     let mut page = String::from(
         "# Keywords of an archived frame\n\n\
          This page is made from the tables in `src/fits/keyword/table.rs` and `src/record/mod.rs`.\n\n\
-         They stand in the header of the HDU that holds the pixels. On reading, that header goes before the primary \
-         one. Times are UTC. A value that is not known has no keyword; a frame without a Sun, a time or a place has no \
-         world coordinates.\n",
+         They are in the header of the HDU with the pixels. On reading, this header overrides the primary one. \
+         Times are UTC. Unknown values have no keyword; a frame without a Sun, a time or a place has no world \
+         coordinates.\n",
     );
     groups().for_each(|(title, keywords)| add(&mut page, title, &keywords));
     for group in FOREIGN {
