@@ -62,7 +62,7 @@ pub struct Summary {
     pub table_sha256: String,
     #[serde(flatten)]
     pub counts: Counts,
-    /// Frames that are fine by themselves.
+    /// Frames that are fine when solved alone.
     pub own_fine: usize,
     /// Frames whose disc was found in the second pass only.
     pub second_pass: usize,
@@ -365,23 +365,4 @@ fn named(history: &History, jump: &Jump) -> Result<NamedJump, JournalError> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_damping_time_that_is_not_determined_has_no_number_but_its_least() {
-        let swing = |damping_s| FoundSwing {
-            period_s: 3.47,
-            damping_s,
-            damping_least_s: 21.4,
-            rms: 10.0,
-        };
-        let text = swings_text(&[swing(None), swing(Some(43.0))]);
-        let expected = "3.47 s, amplitude 14.14 mil, damping not determined: longer than 21 s; \
-                        3.47 s, amplitude 14.14 mil, damping time 43 s (longer than 21 s)";
-        assert_eq!(text, expected);
-        assert_eq!(swings_text(&[]), "none found");
-        let json = serde_json::to_value(swing(None)).unwrap();
-        assert!(json["damping_s"].is_null());
-    }
-}
+mod tests;

@@ -75,7 +75,7 @@ pub struct Compared {
     /// Where they contradict each other.
     pub findings: Vec<Contradiction>,
     #[serde(skip)]
-    differences: [Vec<Difference>; 3],
+    pub(super) differences: [Vec<Difference>; 3],
 }
 
 /// One axis of a flight.
