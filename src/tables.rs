@@ -43,7 +43,7 @@ pub enum Kind {
     /// A time far from that of the rows before and after.
     Stray,
     /// The clock was set back: other rows have the same time.
-    ToldTwice,
+    CoveredTwice,
 }
 
 impl Kind {
@@ -56,7 +56,7 @@ impl Kind {
             Self::Repeated => "repeated",
             Self::OutOfOrder => "out of order",
             Self::Stray => "of another time",
-            Self::ToldTwice => "of a time that other rows have, too",
+            Self::CoveredTwice => "of a time that other rows have, too",
         }
     }
 }

@@ -820,10 +820,10 @@ fn only_the_demo_has_faults_and_only_who_may_command_puts_them_on() {
         Running::start(settings).unwrap()
     };
     let folder = tempfile::tempdir().unwrap();
-    let looked_at = demo(None, folder.path());
-    let console = looked_at.address();
+    let viewed = demo(None, folder.path());
+    let console = viewed.address();
     assert_eq!(post(console, "/api/training", "", &press).status, 403);
-    looked_at.end();
+    viewed.end();
     let commanded = demo(Some(Secret::of(TOKEN)), folder.path());
     let console = commanded.address();
     assert_eq!(post(console, "/api/training", "", &press).status, 401);

@@ -75,15 +75,15 @@ enum Cut {
 
 /// Moves the Sun out over an edge or a corner of the sensor until only a share of its limb is left.
 fn cut(scene: &mut Scene, at: Cut, share: f64, rng: &mut Xoshiro256PlusPlus) {
-    const ROOM_PX: f64 = 110.0;
+    const MARGIN_PX: f64 = 110.0;
     let (width, height) = (scene.width_px as f64, scene.height_px as f64);
     let mut inside = || {
-        let x = rng.random_range(ROOM_PX..width - ROOM_PX);
-        [x, rng.random_range(ROOM_PX..height - ROOM_PX)]
+        let x = rng.random_range(MARGIN_PX..width - MARGIN_PX);
+        [x, rng.random_range(MARGIN_PX..height - MARGIN_PX)]
     };
     let [x, y] = inside();
     let (first, second): (bool, bool) = (rng.random(), rng.random());
-    let side = |high: bool, size: f64| if high { size - ROOM_PX } else { ROOM_PX };
+    let side = |high: bool, size: f64| if high { size - MARGIN_PX } else { MARGIN_PX };
     let outwards = |high: bool| if high { 1.0 } else { -1.0 };
     let (start, way) = match at {
         Cut::Edge if first => ([side(second, width), y], [outwards(second), 0.0]),

@@ -996,12 +996,12 @@ mod rows_on_demand {
             length.copy_from_slice(&changed.to_be_bytes());
         }
         fs::write(&path, &bytes).unwrap();
-        let looked_at = |row: usize| {
+        let read = |row: usize| {
             let file = FitsFile::open(&path).unwrap();
             file.with_frame(|frame| frame.row_dn(row, 0..64).len())
         };
-        assert_eq!(looked_at(9).unwrap(), 64);
-        let message = looked_at(10).unwrap_err().to_string();
+        assert_eq!(read(9).unwrap(), 64);
+        let message = read(10).unwrap_err().to_string();
         assert!(
             message.contains("tile 11: expected a whole stream of 64 pixels"),
             "{message}"

@@ -94,7 +94,7 @@ impl BytePort for Sink {
 }
 
 #[test]
-fn a_flight_that_hangs_up_the_gps_receiver_before_the_controller_ends_without_an_error() {
+fn a_flight_that_closes_the_gps_port_before_the_controllers_ends_without_an_error() {
     let instrument = builtin("demo").unwrap();
     let radius_mil = instrument.optics.radius_mil(955.0);
     let course = Trajectory::flight(&instrument, radius_mil, 1).unwrap();

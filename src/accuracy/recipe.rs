@@ -110,7 +110,7 @@ impl Recipe {
             }
             sun.centre = self.place(&scene, sun.radius_mil, &mut rng);
         }
-        Err(SceneError::NoRoom {
+        Err(SceneError::TooSmall {
             width_px: scene.width_px,
             height_px: scene.height_px,
             radius_px: sun.radius_mil / conditions.similarity.scale_mil_per_px,

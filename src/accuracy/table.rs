@@ -112,7 +112,7 @@ const MOON_HEAD: [&str; MOON_COLUMNS] = [
 fn moon_cells(report: &MoonReport) -> [String; MOON_COLUMNS] {
     let (row, found) = (&report.row, &report.found);
     let demands = row.demands.iter().map(ToString::to_string);
-    let is_told = row.known != Knowledge::RadiusAndPhase;
+    let is_known = row.known != Knowledge::RadiusAndPhase;
     [
         row.title.clone(),
         row.known.name().into(),
@@ -121,8 +121,8 @@ fn moon_cells(report: &MoonReport) -> [String; MOON_COLUMNS] {
         found.coarse.to_string(),
         number(found.across_px),
         number(found.over_sigma),
-        number(found.lit.filter(|_| is_told)),
-        number(found.lit_over_sigma.filter(|_| is_told)),
+        number(found.lit.filter(|_| is_known)),
+        number(found.lit_over_sigma.filter(|_| is_known)),
         demands.collect::<Vec<_>>().join(", "),
     ]
 }
@@ -247,7 +247,7 @@ impl Page {
             (Self::Moon, is_of_moon),
             (Self::Horizon, !report.horizons.is_empty()),
         ];
-        (pages.into_iter()).filter_map(|(page, is_told)| is_told.then_some(page))
+        (pages.into_iter()).filter_map(|(page, is_known)| is_known.then_some(page))
     }
 
     /// Its file's name.

@@ -43,7 +43,7 @@ pub struct Report {
     pub missing: usize,
     /// Frames that are by a log on the other disk, which is not checked.
     pub on_other_disk: usize,
-    /// Files whose names begin with a dot and end in `.part`: half-written when the power went.
+    /// Files whose names begin with a dot and end in `.part`: partial when the power went.
     pub unfinished: usize,
     /// Sound files whose frames have no time.
     pub undated: usize,

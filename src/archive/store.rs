@@ -74,7 +74,7 @@ impl<T> During<T> for io::Result<T> {
 ///
 /// A store may be opened when it is made, or with its first frame; it may be unmounted and come back. The file
 /// [`MARK`] at its root shows that the disk is there, and keeps other programs from writing to it. When the disk was mounted
-/// again, the mark is another file: it is locked again, and what is half-written is removed.
+/// again, the mark is another file: it is locked again, and partial files are removed.
 #[derive(Debug)]
 pub struct Store {
     disk: Arc<dyn Disk>,

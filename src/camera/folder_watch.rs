@@ -92,14 +92,14 @@ pub(super) struct FolderWatch {
     /// Device and number of the folder.
     identity: (u64, u64),
     checked: Instant,
-    /// `None` where the folder is listed over and over.
+    /// `None` where the folder is listed again and again.
     reports: Option<Arc<Reports>>,
     folders: HashMap<WatchDescriptor, PathBuf>,
     /// What was renamed last: the number that both of its reports have, and the name before.
     leaving: Option<(u32, PathBuf)>,
     wanted: VecDeque<Wanted>,
     listing: Option<Listing>,
-    /// When a folder that is listed over and over is listed next.
+    /// When a folder that is listed again and again is listed next.
     due: Instant,
 }
 
@@ -249,7 +249,7 @@ impl FolderWatch {
         };
         if let Some(error) = tree.unreported {
             let folder = self.root.display().to_string();
-            tracing::warn!(folder, %error, "the kernel reports nothing of it: it is listed over and over");
+            tracing::warn!(folder, %error, "the kernel reports no changes of it: it is listed again and again");
             self.reports = None;
             self.folders.clear();
         }

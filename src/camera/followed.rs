@@ -55,7 +55,7 @@ pub struct FollowedFolder {
     /// Files that may yet be written.
     unfinished: BTreeMap<PathBuf, Unfinished>,
     /// When the unfinished ones are checked next.
-    look_due: Instant,
+    check_due: Instant,
     /// Files that were written again under a name that was taken.
     rewritten: u64,
     warnings: Warnings,
@@ -99,7 +99,7 @@ impl FollowedFolder {
             due: now,
             whole: VecDeque::new(),
             unfinished: BTreeMap::new(),
-            look_due: now,
+            check_due: now,
             rewritten: 0,
             warnings: Warnings::default(),
         };
@@ -241,10 +241,10 @@ impl FollowedFolder {
     /// Checks which of the unfinished files may be whole by now.
     fn check(&mut self) {
         let now = Instant::now();
-        if now < self.look_due {
+        if now < self.check_due {
             return;
         }
-        self.look_due = now + CHECK_EVERY;
+        self.check_due = now + CHECK_EVERY;
         let (taken, folder, whole) = (&self.taken, &self.folder, &mut self.whole);
         self.unfinished.retain(|file, unfinished| {
             let state = state_of(file);

@@ -226,7 +226,7 @@ fn print_summary(summary: &Summary) -> anyhow::Result<()> {
         ..
     } = &summary.counts;
     say(format_args!(
-        "{}: {fine} fine ({} by themselves), {coarse} coarse, {none} none",
+        "{}: {fine} fine ({} when solved alone), {coarse} coarse, {none} none",
         counted(*files as u64, "file"),
         summary.own_fine
     ))?;

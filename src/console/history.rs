@@ -120,7 +120,7 @@ pub struct History {
     pub gyros_arrived: Option<Nanoseconds>,
     /// When the last frame was read in a log.
     pub frame_read: Option<Nanoseconds>,
-    told_times: Steady,
+    stated_times: Steady,
     solution_times: Steady,
     gyro_times: Steady,
     /// The exposure that was announced last, which an error is about.
@@ -190,7 +190,7 @@ impl History {
             solution_arrived: None,
             gyros_arrived: None,
             frame_read: None,
-            told_times: Steady::default(),
+            stated_times: Steady::default(),
             solution_times: Steady::default(),
             gyro_times: Steady::default(),
             announced: None,
@@ -327,7 +327,7 @@ impl History {
         time: Nanoseconds,
         arrived: Nanoseconds,
     ) {
-        if !self.told_times.take(time, arrived) {
+        if !self.stated_times.take(time, arrived) {
             self.line.doubtful += 1;
             return;
         }

@@ -90,10 +90,10 @@ struct Viewer {
     rows: Vec<OrderRow>,
     events: VecDeque<(&'static str, String)>,
     moment: Instant,
-    told_state: Instant,
+    state_sent: Instant,
     rate: Rate,
     left_out: u64,
-    told_left_out: Instant,
+    left_out_sent: Instant,
     /// Where a replay is.
     position: Option<Nanoseconds>,
     has_ended: bool,
@@ -117,14 +117,14 @@ impl Viewer {
             rows: Vec::new(),
             events: VecDeque::new(),
             moment: now,
-            told_state: now,
+            state_sent: now,
             rate: Rate {
                 bytes: shared.history().line.bytes,
                 since: now,
                 bits_per_s: 0,
             },
             left_out: 0,
-            told_left_out: now.checked_sub(REPORT_LEFT_OUT - SOON).unwrap_or(now),
+            left_out_sent: now.checked_sub(REPORT_LEFT_OUT - SOON).unwrap_or(now),
             position: wish.replay.map(|replay| replay.at),
             has_ended: false,
             console,
@@ -166,10 +166,10 @@ impl Viewer {
             let since = self.moment.elapsed();
             sleep(LEAST.saturating_sub(since)).await;
             // News or not: the state is sent each second.
-            let left = MOST.saturating_sub(self.told_state.elapsed());
+            let left = MOST.saturating_sub(self.state_sent.elapsed());
             let _ = timeout(left, self.news.changed()).await;
         }
-        let is_tick = self.seen.is_none() || self.told_state.elapsed() >= MOST;
+        let is_tick = self.seen.is_none() || self.state_sent.elapsed() >= MOST;
         self.moment = Instant::now();
         self.measure();
         let (seen, detail) = (self.seen, self.wish.detail());
@@ -186,7 +186,7 @@ impl Viewer {
         let come = seen.map_or(0, |seen| news.total() - seen.total());
         let sent = events.iter().filter(|(kind, _)| *kind != "state").count();
         if sent < events.len() {
-            self.told_state = self.moment;
+            self.state_sent = self.moment;
         }
         self.left_out += come.saturating_sub(sent as u64);
         self.events.extend(events);
@@ -194,7 +194,7 @@ impl Viewer {
         if orders_changed {
             self.add_rows();
         }
-        if detail == Detail::Main && self.told_left_out.elapsed() > REPORT_LEFT_OUT {
+        if detail == Detail::Main && self.left_out_sent.elapsed() > REPORT_LEFT_OUT {
             self.report_left_out();
         }
         self.seen = Some(news);
@@ -283,7 +283,7 @@ impl Viewer {
     }
 
     fn report_left_out(&mut self) {
-        self.told_left_out = Instant::now();
+        self.left_out_sent = Instant::now();
         let words = format!(
             "on this line: no offsets by gyros, the main fields of the housekeeping, pictures and plots only when asked for; {} updates left out",
             self.left_out

@@ -221,7 +221,7 @@ async fn log_in(
     let access = &console.parts().access;
     let session = access.log_in(&login.0.token, peer.ip());
     let session = session.inspect_err(|_| tracing::warn!(%peer, "a login failed"))?;
-    tracing::info!(%peer, "somebody has logged in");
+    tracing::info!(%peer, "a viewer has logged in");
     let secure = if access.is_behind_tls() {
         "; Secure"
     } else {

@@ -76,11 +76,11 @@ impl Instrument {
         let centre = mounting.plate_centre_px;
         let [width, height] = self.camera.size_px().map(|side| side as f64 - 1.0);
         let to_edge = [centre.x, width - centre.x, centre.y, height - centre.y];
-        let room_px = to_edge.into_iter().fold(f64::INFINITY, f64::min)
+        let reach_px = to_edge.into_iter().fold(f64::INFINITY, f64::min)
             - 3.0 * mounting.plate_centre_sigma_px;
         let scale = mounting.scale_mil_per_px;
-        let least = (field_mil + self.optics.radius_mil(LARGEST_SUN_ARCSEC)) / room_px;
-        if room_px > 0.0 && least > scale.value {
+        let least = (field_mil + self.optics.radius_mil(LARGEST_SUN_ARCSEC)) / reach_px;
+        if reach_px > 0.0 && least > scale.value {
             mounting.scale_mil_per_px = Measured::new(least, scale.sigma * least / scale.value);
         }
         self

@@ -30,7 +30,7 @@ pub enum PortError {
     #[error("serial port {name}: lost: {cause}")]
     Lost { name: String, cause: io::Error },
     #[error(
-        "serial port {name}: nobody takes what is written: {written} of {length} bytes in {timeout:?}"
+        "serial port {name}: the other end does not read: {written} of {length} bytes in {timeout:?}"
     )]
     Stalled {
         name: String,

@@ -12,7 +12,7 @@ const AROUND: f64 = 1.25;
 /// The edge, which is blurred, is left out, px.
 const EDGE_PX: f64 = 1.5;
 /// About so many pixels are sampled.
-const TELLING_PX: f64 = 400.0;
+const SAMPLED_PX: f64 = 400.0;
 /// Phases are tried this far apart, deg.
 const PHASE_STEP_DEG: usize = 10;
 const HALVINGS: usize = 3;
@@ -53,7 +53,7 @@ impl Face {
         let circle = circle_of(at);
         let bright_limb = Vector2::new(at[5].cos(), at[5].sin());
         let reach = (AROUND * circle.radius).max(1.0);
-        let step = (2.0 * reach / TELLING_PX.sqrt()).ceil() as usize;
+        let step = (2.0 * reach / SAMPLED_PX.sqrt()).ceil() as usize;
         let (mut disc, mut sky_dn, mut saturated) = (Vec::new(), Vec::new(), 0);
         let depths = circle.radius - reach..circle.radius;
         (view.plane).each_near(view.frame, &circle, &depths, step, |place, dn| {

@@ -160,11 +160,11 @@ fn labelled(cameras: BTreeMap<TakenBy, CameraFrames>) -> Vec<CameraFrames> {
         &|name| part(&name.camera),
         &|name| format!("{}_{}", part(&name.instrument), part(&name.camera)),
     ];
-    let tells_apart = |way: &&&dyn Fn(&TakenBy) -> String| {
+    let distinguishes = |way: &&&dyn Fn(&TakenBy) -> String| {
         let labels: BTreeSet<String> = cameras.keys().map(way).collect();
         labels.len() == cameras.len()
     };
-    let way = ways.iter().find(tells_apart);
+    let way = ways.iter().find(distinguishes);
     let label = |number: usize, name: &TakenBy| match way {
         Some(way) => way(name),
         None => format!("camera-{}", number + 1),

@@ -12,7 +12,7 @@ use std::time::Duration;
 const WRITE_TIMEOUT: Duration = Duration::from_millis(50);
 /// Programs that may be connected at a time.
 const MOST_CLIENTS: usize = 8;
-/// A client that has taken nothing for so long, though there was something, is hung up on.
+/// A client that has taken nothing for so long, though there was something, is disconnected.
 const CLIENT_PATIENCE: Duration = Duration::from_secs(30);
 /// The longest payload of a datagram over IPv4.
 const LONGEST_DATAGRAM: usize = 65_507;
@@ -272,7 +272,7 @@ impl Clients {
                     false
                 }
                 Ok(_) if now.saturating_sub(client.took_at) > CLIENT_PATIENCE => {
-                    tracing::warn!(%peer, "a client of an output takes nothing: it is hung up on");
+                    tracing::warn!(%peer, "a client of an output takes nothing: it is disconnected");
                     false
                 }
                 Ok(_) => true,

@@ -49,7 +49,7 @@ impl fmt::Display for Plan {
                 "navigation: {} Hz, IMU by {}, GPS by {}, offsets {}",
                 navigation.rate_hz,
                 navigation.imu_port.as_deref().unwrap_or("link"),
-                navigation.gps_port.as_deref().unwrap_or("nobody"),
+                navigation.gps_port.as_deref().unwrap_or("no port"),
                 match navigation.send {
                     Switch::On => "sent",
                     Switch::Off => "not sent",

@@ -28,8 +28,8 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    pub fn no_room(instrument: &Instrument, settings: &DesignSettings) -> DesignError {
-        DesignError::NoRoom {
+    pub fn no_space(instrument: &Instrument, settings: &DesignSettings) -> DesignError {
+        DesignError::NoSpace {
             marks_in_view: settings.marks_in_view,
             size_mil: settings.shape.size_mil(),
             radius_mil: instrument.optics.radius_mil(SMALLEST_SUN_ARCSEC),
@@ -73,7 +73,7 @@ impl Layout {
             }
             layout.spacing_mil *= NARROWER;
         }
-        Err(Self::no_room(instrument, settings))
+        Err(Self::no_space(instrument, settings))
     }
 
     fn expected_count(&self) -> f64 {

@@ -98,7 +98,7 @@ pub enum DesignError {
     #[error(
         "expected space for {marks_in_view} marks of {size_mil:.0} mil on a disc of {radius_mil:.0} mil radius, found too little; take smaller or fewer marks, or a longer lens"
     )]
-    NoRoom {
+    NoSpace {
         marks_in_view: usize,
         size_mil: f64,
         radius_mil: f64,
@@ -136,7 +136,7 @@ pub fn design(
         layouts = best.into_iter().map(|best| best.layout).collect();
     }
     let best = layouts.first();
-    let best = best.ok_or_else(|| Layout::no_room(instrument, settings))?;
+    let best = best.ok_or_else(|| Layout::no_space(instrument, settings))?;
     Ok(best.instrument(instrument, settings))
 }
 

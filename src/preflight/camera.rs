@@ -24,7 +24,7 @@ const PATIENCE: Duration = Duration::from_secs(15);
 /// The longest that frames are taken for.
 const LONGEST: Duration = Duration::from_secs(30);
 /// Frames are taken for about so long.
-const LOOK_S: f64 = 1.0;
+const WATCH_S: f64 = 1.0;
 /// Light from here on, of full scale, is cut off.
 const SATURATED: f64 = 0.985;
 /// Light this dim, of full scale, gives noisy answers.
@@ -120,7 +120,7 @@ fn solves(mut trial: Trial, camera: Camera, exposure: Exposure) -> Vec<Finding> 
 }
 
 fn take_frames(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
-    let wanted = (LOOK_S * rate_hz).clamp(5.0, 60.0) as u32;
+    let wanted = (WATCH_S * rate_hz).clamp(5.0, 60.0) as u32;
     let mut trial = TrialFrames {
         last: None,
         taken: 0,
@@ -318,9 +318,9 @@ fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
     };
     let doubt = why.map_or(String::new(), |why| format!(" ({why})"));
     let found = format!("{}{doubt}: {found}", solved.quality.name());
-    let is_askew = |roll: SeenRoll| roll.deg.value.abs() > MOST_ROLL_DEG;
+    let is_too_large = |roll: SeenRoll| roll.deg.value.abs() > MOST_ROLL_DEG;
     Some(match solved.quality {
-        _ if camera.role == Role::Roll && solved.roll.is_some_and(is_askew) => {
+        _ if camera.role == Role::Roll && solved.roll.is_some_and(is_too_large) => {
             Finding::warn(check, found, "is body_from_camera right?")
         }
         Quality::Fine => Finding::pass(check, found),

@@ -99,7 +99,7 @@ fn follows(report: &str) -> Option<Finding> {
     };
     let offset_s: f64 = offset_s.parse().ok()?;
     let followed = match name {
-        "" => "nobody",
+        "" => "no source",
         name => name,
     };
     let found = format!(

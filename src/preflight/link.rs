@@ -40,7 +40,7 @@ pub(super) fn check(plan: &Plan, wait: Option<Duration>) -> Finding {
     match (tried, wait) {
         (Err(no_answer), _) => Finding::fail(CHECK, format!("{port}: {no_answer}"), PLUG),
         (Ok(Err(error)), _) => Finding::fail(CHECK, error.to_string(), PLUG),
-        (Ok(Ok(None)), _) => Finding::pass(CHECK, format!("{port} opens; nobody was waited for")),
+        (Ok(Ok(None)), _) => Finding::pass(CHECK, format!("{port} opens; it was not read")),
         (Ok(Ok(Some(heard))), wait) => judge(&port, &heard, wait.unwrap_or_default()),
     }
 }

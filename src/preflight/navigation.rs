@@ -219,7 +219,7 @@ impl Tilt {
         };
         if !operator.is_ready(self.request()) {
             let remedy = "tilt it when asked, so that the signs are known before the flight";
-            return Finding::warn(name, "not tested: nobody tilted it", remedy);
+            return Finding::warn(name, "not tested: it was not tilted", remedy);
         }
         match listen_to_imu(plan, TILT) {
             Ok(after) => self.judge(&before, &after),

@@ -139,7 +139,7 @@ fn check_camera(plan: &Plan, planned: &PlannedCamera, operator: &mut dyn Operato
             let remedy = "slew when asked, so that the signs are known before the flight";
             findings.push(Finding::warn(
                 axis.check(),
-                "not tested: nobody slewed",
+                "not tested: the telescope was not slewed",
                 remedy,
             ));
             continue;

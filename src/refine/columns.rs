@@ -114,8 +114,8 @@ pub const fn smoothed_columns<'a>() -> [Column<Smoothed<'a>>; 7] {
         float("SUN_Y_MIL", "mil", "the Sun's centre on the plate, smoothed", |r| Some(r.1?.place[1])),
         float("SIGMA_X_MIL", "mil", "1 sigma of SUN_X_MIL", |r| Some(r.1?.variance[0].sqrt())),
         float("SIGMA_Y_MIL", "mil", "1 sigma of SUN_Y_MIL", |r| Some(r.1?.variance[1].sqrt())),
-        float("SPEED_X_MIL_PER_S", "mil/s", "how fast it moves", |r| Some(r.1?.speed[0])),
-        float("SPEED_Y_MIL_PER_S", "mil/s", "how fast it moves", |r| Some(r.1?.speed[1])),
+        float("SPEED_X_MIL_PER_S", "mil/s", "speed of the Sun's centre on the plate", |r| Some(r.1?.speed[0])),
+        float("SPEED_Y_MIL_PER_S", "mil/s", "speed of the Sun's centre on the plate", |r| Some(r.1?.speed[1])),
     ]
 }
 

@@ -267,7 +267,7 @@ impl Part<'_> {
             ("files", counts.files.to_string()),
             (
                 "fine",
-                format!("{} ({} by themselves)", counts.fine, summary.own_fine),
+                format!("{} ({} when solved alone)", counts.fine, summary.own_fine),
             ),
             ("coarse", counts.coarse.to_string()),
             ("none", counts.none.to_string()),

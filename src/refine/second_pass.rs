@@ -10,7 +10,7 @@ use super::disc::{self, PlateDisc};
 use super::flags::FrameFlag;
 use super::path::SunPath;
 use super::record::{Grade, PackedPoint};
-use super::suns::{Flight, LOOSE_RADIUS, Seen, Suns, TELLING_LIMB};
+use super::suns::{Flight, LEAST_LIMB, LOOSE_RADIUS, Seen, Suns};
 use crate::archive::ArchiveReader;
 use crate::aspect::{self, SolverSettings};
 use crate::estimation::{median, median_and_scatter};
@@ -109,7 +109,7 @@ fn solve(
     let file = file.of_size(known.instrument.camera.size_px());
     let found = file.with_frame(|frame| known.find(frame)).ok()??;
     // A limb of which little is seen does not determine its radius.
-    let sigma = match found.limb_part >= TELLING_LIMB {
+    let sigma = match found.limb_part >= LEAST_LIMB {
         true => LOOSE_RADIUS.sigma,
         false => ratio.sigma,
     };

@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 /// The limb's part that makes a fine solution.
 const LEAST_FINE_LIMB: f64 = 0.4;
 /// The limb's part that determines its own radius.
-pub(super) const TELLING_LIMB: f64 = 0.7;
+pub(super) const LEAST_LIMB: f64 = 0.7;
 /// A mapping known less well than this makes no fine frame, 1 sigma.
 const MOST_FINE_SIGMA_MIL: f64 = 1.0;
 /// What is known of a radius before the flight has determined it, over the expected one.
@@ -124,7 +124,7 @@ impl Suns {
     /// # Errors
     /// A journal that cannot be read.
     pub fn find(flight: &Flight) -> Result<Self, JournalError> {
-        let is_whole = |part: f64| part >= TELLING_LIMB;
+        let is_whole = |part: f64| part >= LEAST_LIMB;
         let mut found = flight.discs(is_whole, LOOSE_RADIUS)?;
         hold_to_usual_scatter(found.iter_mut().map(|(_, disc)| disc));
         let ratios = found.iter().filter_map(|(n, disc)| {
@@ -191,7 +191,7 @@ impl Suns {
     /// Whether nothing but another Sun could be where the fine frame has its Sun: most of the limb was seen, and its radius is not flagged.
     pub fn is_sure(&self, frame: &Frame, n: usize) -> bool {
         self.limb_part(frame, n)
-            .is_some_and(|part| part >= TELLING_LIMB)
+            .is_some_and(|part| part >= LEAST_LIMB)
     }
 }
 

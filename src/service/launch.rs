@@ -73,7 +73,7 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
     let (archive, disks) = archiver::start(stores, &around)?;
     flight.config.host.hold();
     let (outputs, output_gauges, writers) =
-        outputs::start(&flight.config.outputs, &signals.hang_up)?;
+        outputs::start(&flight.config.outputs, &signals.closing)?;
     let (to_line, events) = bounded(LINK_EVENTS);
     let mut workers = Workers {
         host: flight.config.host,
@@ -124,7 +124,7 @@ fn keep_values(
     };
     let name = file.path().display().to_string();
     let saver = ValueSaver::new(controls.clone(), file, lock);
-    let ends = Arc::clone(&signals.hang_up);
+    let ends = Arc::clone(&signals.closing);
     let (restored, wait) = bounded(1);
     let values = spawn("values", move || saver.run(&restored, &ends))?;
     if wait.recv_timeout(SAVED_VALUES).is_err() {
@@ -201,15 +201,15 @@ impl Workers {
             navigation: navigation.map(|inputs| Arc::new(inputs) as Arc<dyn TakesSamples>),
             outputs: Arc::new(self.outputs.clone()),
         };
-        let (host, hang_up) = (self.host, Arc::clone(&self.signals.hang_up));
+        let (host, closing) = (self.host, Arc::clone(&self.signals.closing));
         // Held by one life after the other: the port outlives a thread that panicked.
         let connection = Arc::new(Mutex::new(connection));
         Worker::start("link", None, move || {
             let (around, connection) = (around.clone(), Arc::clone(&connection));
-            let (events, hang_up) = (events.clone(), Arc::clone(&hang_up));
+            let (events, closing) = (events.clone(), Arc::clone(&closing));
             host.real_time(Rank::First, move |life| {
                 let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
-                Line::new(&mut connection, around).run(&events, &hang_up, life);
+                Line::new(&mut connection, around).run(&events, &closing, life);
             })
         })
     }

@@ -132,7 +132,7 @@ impl<'a> Line<'a> {
     }
 
     /// Talks and listens until it is to hang up and nothing is left to say.
-    pub fn run(&mut self, events: &Receiver<LinkEvent>, hang_up: &AtomicBool, life: &Life) {
+    pub fn run(&mut self, events: &Receiver<LinkEvent>, closing: &AtomicBool, life: &Life) {
         let patience = match self.navigation {
             Some(_) => PATIENCE_FOR_SAMPLES,
             None => PATIENCE,
@@ -142,7 +142,7 @@ impl<'a> Line<'a> {
             self.revive();
             match events.recv_timeout(patience) {
                 Ok(event) => self.hear(event, events),
-                Err(_) if hang_up.load(Ordering::Relaxed) => return,
+                Err(_) if closing.load(Ordering::Relaxed) => return,
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(patience),
             }

@@ -155,7 +155,7 @@ impl Service {
         self.signals.awaited.store(true, Ordering::Relaxed);
         let tally = self.watch.join().map_err(|_| ThreadFailed("watch"));
         // A watch that has failed has reported nothing.
-        self.signals.hang_up.store(true, Ordering::Relaxed);
+        self.signals.closing.store(true, Ordering::Relaxed);
         let begin = Instant::now();
         let is_saving = |values: &JoinHandle<u64>| !values.is_finished();
         while self.values.as_ref().is_some_and(is_saving) && begin.elapsed() < SAVED_VALUES {

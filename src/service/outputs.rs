@@ -2,7 +2,7 @@
 //! reader does not take, is dropped and counted.
 
 use super::messages::{Answer, Found, Hears, HearsTelemetry};
-use super::priority::unhurried;
+use super::priority::normal_priority;
 use super::tally::OutputTally;
 use super::worker::{Life, Worker};
 use crate::config;
@@ -66,10 +66,10 @@ impl Counts {
     }
 }
 
-/// Starts the threads of the outputs. They end when they are asked to `hang_up` and have written what waits.
+/// Starts the threads of the outputs. They end when they are asked to end by `closing` and have written what waits.
 pub(super) fn start(
     outputs: &config::Outputs,
-    hang_up: &Arc<AtomicBool>,
+    closing: &Arc<AtomicBool>,
 ) -> std::io::Result<(Outputs, Gauges, Vec<Worker>)> {
     let (mut ends, mut gauges, mut workers) = (Vec::new(), Gauges::default(), Vec::new());
     for (number, (_, output)) in (1..).zip(outputs.flying()) {
@@ -86,20 +86,20 @@ pub(super) fn start(
         });
         gauges.0.push(Arc::clone(&counts));
         let own = Arc::clone(&counts);
-        let hang_up = Arc::clone(hang_up);
+        let closing = Arc::clone(closing);
         // Nobody else can do what it waits for, if it does.
         workers.push(Worker::start(
             format!("output-{number}"),
             None,
             move || {
-                let (messages, hang_up) = (messages.clone(), Arc::clone(&hang_up));
+                let (messages, closing) = (messages.clone(), Arc::clone(&closing));
                 let mut writing = Writing {
                     endpoint: Endpoint::new(&own.to, baud),
                     encoder: Encoder::new(own.format),
                     counts: Arc::clone(&own),
                     start: Instant::now(),
                 };
-                unhurried(move |life| writing.run(&messages, &hang_up, life))
+                normal_priority(move |life| writing.run(&messages, &closing, life))
             },
         )?);
         ends.push(Output {
@@ -158,7 +158,7 @@ struct Writing {
 }
 
 impl Writing {
-    fn run(&mut self, messages: &Receiver<Message>, hang_up: &AtomicBool, life: &Life) {
+    fn run(&mut self, messages: &Receiver<Message>, closing: &AtomicBool, life: &Life) {
         let mut ended = None;
         self.endpoint.poll(self.start.elapsed());
         loop {
@@ -166,7 +166,7 @@ impl Writing {
             let message = messages.recv_timeout(PATIENCE);
             // Who has connected by now gets the message, too.
             self.endpoint.poll(self.start.elapsed());
-            if hang_up.load(Ordering::Relaxed) {
+            if closing.load(Ordering::Relaxed) {
                 ended.get_or_insert_with(Instant::now);
             }
             let is_late = ended.is_some_and(|ended: Instant| ended.elapsed() > LAST_WORDS);

@@ -46,7 +46,7 @@ pub fn lock_memory() -> Result<(), NotGranted> {
 }
 
 /// Work for a thread that goes after all others: it takes the processor when they leave it (nice 10), whatever the configuration asks for.
-pub(super) fn unhurried(work: impl FnOnce(&Life) + Send + 'static) -> Job {
+pub(super) fn normal_priority(work: impl FnOnce(&Life) + Send + 'static) -> Job {
     Box::new(move |life| {
         const NICE: libc::c_int = 10;
         // SAFETY: it takes three numbers. On Linux 0 is the calling thread, and threads have priorities of their own.

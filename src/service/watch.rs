@@ -40,10 +40,10 @@ pub(super) struct Signals {
     pub cameras_ended: Arc<AtomicBool>,
     /// The last frame is solved and stored, or given up.
     pub finished: AtomicBool,
-    /// Somebody waits for the end: the line may be hung up when all is finished.
+    /// Somebody waits for the end: the port may be closed when all is finished.
     pub awaited: AtomicBool,
     /// No more talking.
-    pub hang_up: Arc<AtomicBool>,
+    pub closing: Arc<AtomicBool>,
     /// When what is not done by then is given up.
     pub deadline: Shared<Option<Instant>>,
     /// The housekeeping sent last.
@@ -76,7 +76,7 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    /// Watches the flight until everything has ended, or the deadline has passed and the line has been hung up.
+    /// Watches the flight until everything has ended, or the deadline has passed and the port has been closed.
     pub fn run(mut self) -> FlightTally {
         let mut systemd = Systemd::ready();
         let mut checked = Instant::now();
@@ -109,7 +109,7 @@ impl Watch {
             thread::sleep(CHECK_EVERY);
         }
         systemd.stopping();
-        self.signals.hang_up.store(true, Ordering::Relaxed);
+        self.signals.closing.store(true, Ordering::Relaxed);
         let begin = Instant::now();
         while self.is_hanging_up(Instant::now()) && begin.elapsed() < HANGING_UP {
             thread::sleep(CHECK_EVERY);
@@ -173,7 +173,7 @@ impl Watch {
         self.signals.deadline.lock().get_or_insert(deadline);
     }
 
-    /// Checks all threads: whether the work is done and the line is to be hung up.
+    /// Checks all threads: whether the work is done and the port is to be closed.
     fn is_over(&mut self, now: Instant) -> bool {
         silence::check(self.tallies.cameras.iter().map(|camera| &camera.silence));
         let taking = worker::check(&mut self.cameras, now);

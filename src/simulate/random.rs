@@ -211,7 +211,7 @@ impl RandomScenes {
                 return Ok(Some(sun));
             }
         }
-        Err(SceneError::NoRoom {
+        Err(SceneError::TooSmall {
             width_px: self.template.width_px,
             height_px: self.template.height_px,
             radius_px: reach,

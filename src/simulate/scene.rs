@@ -18,7 +18,7 @@ pub enum SceneError {
     #[error(
         "expected a sensor large enough for the Sun, found {width_px} x {height_px} px and a radius of {radius_px:.1} px"
     )]
-    NoRoom {
+    TooSmall {
         width_px: usize,
         height_px: usize,
         radius_px: f64,

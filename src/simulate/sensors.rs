@@ -106,7 +106,7 @@ impl Sensors {
             .as_mut()
             .map(|gps| write(gps.as_mut(), sentences.as_bytes()));
         if let Some(Err(error)) = said {
-            tracing::info!(%error, "nobody hears the simulated GPS receiver any more");
+            tracing::info!(%error, "the simulated GPS receiver has no reader any more");
             self.gps = None;
         }
     }

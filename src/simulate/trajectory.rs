@@ -166,14 +166,14 @@ impl Plan {
         let (centre, camera) = (instrument.mounting.plate_centre_px, &instrument.camera);
         let radius_px = radius_mil / scale;
         let edge = radius_px + SWAY_PX + uncertainty_px(instrument);
-        let no_room = SceneError::NoRoom {
+        let too_small = SceneError::TooSmall {
             width_px: camera.width_px,
             height_px: camera.height_px,
             radius_px,
         };
         let last = [camera.width_px as f64 - 1.0, camera.height_px as f64 - 1.0];
         if last.iter().any(|last| edge + 1.0 > last - edge) {
-            return Err(no_room);
+            return Err(too_small);
         }
         let middle = [centre.x, centre.y];
         let home = std::array::from_fn(|axis| {

@@ -105,13 +105,13 @@ fn gated(
         ..Flight::of(vec![FlightCamera::of_plate(instrument, camera)])
     };
     let (service, answers) = Service::start_watched(flight).unwrap();
-    let looked_at = |service: &Service| {
+    let was_checked = |service: &Service| {
         let disks = service.disks();
         disks
             .iter()
             .all(|disk| disk.free_percent.is_some() || disk.resting)
     };
-    while !looked_at(&service) {
+    while !was_checked(&service) {
         std::thread::yield_now();
     }
     for number in 0..frames {

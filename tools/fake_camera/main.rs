@@ -54,7 +54,7 @@ mod register {
 }
 
 /// How often a second the fake checks for a trigger.
-const LOOKS_HZ: f64 = 500.0;
+const CHECKS_HZ: f64 = 500.0;
 
 fn main() -> anyhow::Result<()> {
     let options = Options::parse();
@@ -74,7 +74,7 @@ fn main() -> anyhow::Result<()> {
     let sensor = camera.fake_camera().context("no camera in the fake")?;
     sensor.write_register(register::SENSOR_WIDTH, instrument.camera.width_px as u32);
     sensor.write_register(register::SENSOR_HEIGHT, instrument.camera.height_px as u32);
-    sensor.set_trigger_frequency(LOOKS_HZ);
+    sensor.set_trigger_frequency(CHECKS_HZ);
     fill::paint_with(&sensor, painter(film));
     println!("listening on {}", options.interface);
     std::io::stdout().flush()?;

@@ -40,7 +40,7 @@ pub struct Tree {
     pub flown: Vec<PathBuf>,
     /// Settings of the navigation, by path.
     pub navigation: Vec<PathBuf>,
-    /// How many names are those of half-written files.
+    /// How many names are those of partial files.
     pub unfinished: usize,
     /// Folders within that could not be listed, and why.
     pub unlisted: Vec<BadFile>,

@@ -77,7 +77,7 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
     }));
     if fit.prior_factor > NOTABLE {
         lines.push(format!(
-            "prior      the marks lie {:.1} times as far from where the file has them as their sigmas state: these are inflated by so much",
+            "prior      the marks lie {:.1} times as far from where the file has them as their sigmas state: the sigmas are inflated by this factor",
             fit.prior_factor
         ));
     }

@@ -11,7 +11,7 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 /// What Aravis calls the protocol of GigE Vision cameras.
 const GIGE_VISION: &str = "GigEVision";
 /// How often a second the fake device searches for a buffer to fill.
-const LOOKS_HZ: f64 = 500.0;
+const CHECKS_HZ: f64 = 500.0;
 
 /// The library's list of cameras belongs to one thread at a time.
 static LIBRARY: LazyLock<Option<Mutex<Aravis>>> =
@@ -31,7 +31,7 @@ pub(super) fn open(device: &Device) -> Result<Camera, String> {
 fn fake() -> Result<Camera, aravis::glib::Error> {
     let device = FakeDevice::new("1")?;
     if let Some(sensor) = device.fake_camera() {
-        sensor.set_trigger_frequency(LOOKS_HZ);
+        sensor.set_trigger_frequency(CHECKS_HZ);
     }
     Camera::with_device(&device)
 }

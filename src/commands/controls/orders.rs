@@ -111,7 +111,7 @@ impl Controls {
                 latitude_deg,
                 longitude_deg,
                 refused,
-                "a GPS fix is not believed"
+                "a GPS fix was rejected as implausible"
             );
         }
         believed

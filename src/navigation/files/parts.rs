@@ -227,7 +227,7 @@ fn trimmed<T: Timed>(part: Part<T>, kept: &[Part<T>], left_out: &mut [LeftOut]) 
             );
             left_out[file].note(
                 row.line,
-                BadRow::new(Kind::ToldTwice, "t_s", expected, row.t_s()),
+                BadRow::new(Kind::CoveredTwice, "t_s", expected, row.t_s()),
             );
             continue;
         }

@@ -202,7 +202,7 @@ impl Writer {
         if swept > health.swept {
             health.swept = swept;
             let disk = health.root.display();
-            tracing::warn!(%disk, swept, "half-written files of an earlier run were removed");
+            tracing::warn!(%disk, swept, "partial files of an earlier run were removed");
         }
     }
 

@@ -29,7 +29,7 @@ const LONG: Duration = Duration::from_secs(30);
 /// A line's thread, and the far end of its port.
 struct Bench {
     events: Sender<LinkEvent>,
-    hang_up: Arc<AtomicBool>,
+    closing: Arc<AtomicBool>,
     thread: JoinHandle<(LineTally, Counts)>,
     far: Far,
 }
@@ -67,18 +67,18 @@ fn bench_over(
 fn bench_of(mut connection: Connection, far: SerialPort, controls: Controls) -> Bench {
     let computer = Computer::numbered(controls.config().link.computer).unwrap();
     let (events, receiver) = unbounded();
-    let hang_up = Arc::new(AtomicBool::new(false));
-    let hung_up = Arc::clone(&hang_up);
+    let closing = Arc::new(AtomicBool::new(false));
+    let also_closing = Arc::clone(&closing);
     let thread = std::thread::spawn(move || {
         let (tally, counters) = (Shared::default(), Arc::<Counters>::default());
         let mut line = Line::new(&mut connection, around(controls, &tally, &counters));
-        line.run(&receiver, &hung_up, &Life::new());
+        line.run(&receiver, &also_closing, &Life::new());
         (tally.copy(), counters.now())
     });
     let far = Far::new(far, computer);
     Bench {
         events,
-        hang_up,
+        closing,
         thread,
         far,
     }
@@ -174,7 +174,7 @@ impl Bench {
 
     fn finish(self) -> (LineTally, Counts) {
         drop(self.events);
-        self.hang_up.store(true, Ordering::Relaxed);
+        self.closing.store(true, Ordering::Relaxed);
         self.thread.join().unwrap()
     }
 }

@@ -111,7 +111,7 @@ impl Navigator {
         while !life.is_over() {
             life.beat();
             if self.ended.load(Ordering::Relaxed) {
-                // An IMU on the controller's line goes on until that is hung up.
+                // An IMU on the controller's line goes on until that is closed.
                 let since = *ending.get_or_insert_with(Instant::now);
                 if since.elapsed() > PATIENCE {
                     break;

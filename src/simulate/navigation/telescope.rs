@@ -26,7 +26,7 @@ const KNOT_M_S: f64 = 1852.0 / 3600.0;
 const POSITION_SIGMA_M: f64 = 5.0;
 const VELOCITY_SIGMA_M_S: f64 = 0.05;
 /// Between two evaluations of the ephemeris the Sun moves evenly to a thousandth of an arcsecond.
-const LOOK_EVERY_S: i64 = 1;
+const SAMPLE_EVERY_S: i64 = 1;
 
 /// Why a flight cannot be simulated.
 #[derive(Debug, thiserror::Error)]
@@ -213,7 +213,7 @@ impl TelescopeFlight {
     /// # Errors
     /// Where the ephemeris does not reach.
     pub fn sun(&mut self, since: Duration) -> Result<SunPosition, NoFlight> {
-        let second = since.as_secs() as i64 / LOOK_EVERY_S * LOOK_EVERY_S;
+        let second = since.as_secs() as i64 / SAMPLE_EVERY_S * SAMPLE_EVERY_S;
         let [from, to] = match self.evaluated {
             Some((evaluated, suns)) if evaluated == second => suns,
             _ => {
@@ -221,12 +221,12 @@ impl TelescopeFlight {
                     let utc = self.utc(Duration::from_secs(second as u64))?;
                     Ok::<_, NoFlight>(self.ephemeris.sun(utc, self.place)?)
                 };
-                let suns = [at(second)?, at(second + LOOK_EVERY_S)?];
+                let suns = [at(second)?, at(second + SAMPLE_EVERY_S)?];
                 self.evaluated = Some((second, suns));
                 suns
             }
         };
-        let share = (since.as_secs_f64() - second as f64) / LOOK_EVERY_S as f64;
+        let share = (since.as_secs_f64() - second as f64) / SAMPLE_EVERY_S as f64;
         let moved = (to.azimuth_deg - from.azimuth_deg + 180.0).rem_euclid(360.0) - 180.0;
         Ok(SunPosition {
             azimuth_deg: from.azimuth_deg + share * moved,

@@ -23,7 +23,7 @@ use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
 /// How often the run is checked.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+const CHECK_EVERY: Duration = Duration::from_millis(20);
 /// Snapshots among which the one with the fewest packets under way is taken.
 const SNAPSHOTS: usize = 20;
 
@@ -241,7 +241,7 @@ impl Rig {
 
     /// One check, and a short sleep. `kept`: the sample of the memory counts for its growth.
     pub fn check(&self, kept: bool) -> anyhow::Result<()> {
-        thread::sleep(LOOK_EVERY);
+        thread::sleep(CHECK_EVERY);
         if self.checked.get().elapsed() >= Duration::from_secs(1) {
             self.checked.set(Instant::now());
             self.memory.borrow_mut().note(kept)?;
