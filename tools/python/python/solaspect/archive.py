@@ -146,6 +146,14 @@ class Archive:
         return _table(rows, TEXT[kind])
 
 
+# Keys of summaries that earlier versions wrote, still read in 0.2.
+_RENAMED = {"odd": "flagged", "second_look": "second_pass", "swings": "swings_mil", "sigmas_raised": "inflation"}
+
+
+def _with_new_names(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {_RENAMED.get(key, key): value for key, value in pairs}
+
+
 class Refined:
     """What `refine` made of a flight; of several cameras, the folder of one.
 
@@ -166,7 +174,7 @@ class Refined:
     @property
     def summary(self) -> dict[str, Any]:
         """`summary.json`: counts, jumps of the mapping, steps of the clock, versions."""
-        return json.loads((self.directory / "summary.json").read_text())
+        return json.loads((self.directory / "summary.json").read_text(), object_pairs_hook=_with_new_names)
 
     def aspect(self) -> Table:
         """A row for each frame; what is not known is NaN. `UTC` is an astropy `Time`, masked there. docs/refine-reference.md lists the columns."""
