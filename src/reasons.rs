@@ -96,7 +96,7 @@ reasons! {
     NO_LABELLING "no_labelling" "the marks' spacings allow no labelling"
     FEW_MARKS_EXPLAINED "few_marks_explained" "the best labelling explains too few fully lit marks"
     WEAK_LABELLING "weak_labelling" "poor identification: the best labelling's evidence is too weak"
-    TWO_LABELLINGS "two_labellings" "two labellings of the marks fit alike"
+    TWO_LABELLINGS "two_labellings" "two labellings of the marks fit equally well"
     CENTRE_ALONE "centre_alone" "the marks fit several places of the plate: its stated centre alone decides between them"
     FALSE_DETECTION "false_detection" "the best labelling may rest on a false detection"
     CENTRE_FAR_AWAY "centre_far_away" "the best labelling puts the plate's centre too far away"

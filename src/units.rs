@@ -16,7 +16,7 @@ pub const ARCSEC_PER_RAD: f64 = 180.0 * 3600.0 / std::f64::consts::PI;
 /// The Earth's mean radius, m.
 pub const EARTH_RADIUS_M: f64 = 6_371_000.0;
 
-/// So near to latitude and longitude 0 a place is that of a receiver that knows none, deg.
+/// A place nearer than this to latitude and longitude 0 is that of a receiver without a fix, deg.
 const NOWHERE_DEG: f64 = 0.1;
 
 /// Whether a place is latitude and longitude 0, or about there: a GPS receiver sends that which knows no place.
@@ -85,7 +85,7 @@ impl Measured {
         Self { value, sigma }
     }
 
-    /// So many times it.
+    /// Multiplied by a factor.
     pub fn scaled(self, by: f64) -> Self {
         Self::new(self.value * by, self.sigma * by.abs())
     }

@@ -335,7 +335,7 @@ fn a_determined_rule_of_directions_is_written_and_another_is_kept() {
             assert_eq!(mounting.directions, None);
             assert_eq!(verdict(&mounting, "directions"), Verdict::Kept);
             let mut quantities = mounting.quantities.iter();
-            assert!(quantities.any(|q| q.remark.contains("suit the observations alike")));
+            assert!(quantities.any(|q| q.remark.contains("fit the observations equally well")));
         }
     }
 }

@@ -74,7 +74,7 @@ impl Missed {
     /// Whether its marks can be read in more than one way.
     pub fn is_undecided(&self) -> bool {
         [
-            "two labellings of the marks fit alike",
+            "two labellings of the marks fit equally well",
             "the best labelling may rest on a false detection",
         ]
         .iter()

@@ -12,7 +12,7 @@ use crate::units::Measured;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// So many fine frames in a row that agree prove it: a single misread one does not.
+/// Number of fine frames in a row that prove it if they agree: a single misread one does not.
 const PROVE: u32 = 3;
 
 /// What an instrument's file states of the camera, and every fine frame measures.

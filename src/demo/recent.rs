@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use std::{fs, io};
 
-/// So long a frame is kept: both cameras' at 4 Hz are 3.6 MB a second.
+/// How long a frame is kept: both cameras' at 4 Hz are 3.6 MB a second.
 const KEPT: Duration = Duration::from_secs(600);
 /// How often older ones are searched for.
 const CHECK_EVERY: Duration = Duration::from_secs(60);

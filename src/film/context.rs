@@ -23,7 +23,7 @@ const RADIUS_DIFFERENCE: f64 = 0.05;
 const SAMPLES: usize = 256;
 /// Parts of the disc's pixels that are darker than black and brighter than white.
 const OUTSIDE: f64 = 0.005;
-/// So much darker than the darkest of the disc is black, as a part of its range: the limb stands out.
+/// How far black lies below the darkest of the disc, as a part of its range, so that the limb stands out.
 const FOOT: f64 = 0.25;
 
 /// A solar image with its coordinates.

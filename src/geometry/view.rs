@@ -1,7 +1,7 @@
 //! The view of a plane by a pinhole camera, with the derivatives that fitting it takes.
 //!
 //! x = t + L w / (1 + g . w), with w = A P; P is the position on the plate (mil) and x that on the ideal sensor, free of the
-//! lens's distortion (px). The fixed axes A describe the plate in units of [`UNIT_MIL`], which makes the parameters alike in
+//! lens's distortion (px). The fixed axes A describe the plate in units of [`UNIT_MIL`], which makes the parameters similar in
 //! size, and mirrored where the camera sees it so.
 //!
 //! L = [a, -b; b, a] + [c, d; d, -c] is any linear map, split into a similarity (scale and rotation) and a stretch with
@@ -32,7 +32,7 @@ pub const UNIT_MIL: f64 = 1000.0;
 /// What a camera tilted by 3 deg moves a place by, over the square of its distance from the plate's centre, 1/px: tan(3 deg)
 /// over four times the width of the sensor. A camera aligned by hand is tilted by this much, 1 sigma.
 ///
-/// So near the Sun, at a distance d (px) from the plate's centre, the tilt turns the picture by up to this times d (rad) and
+/// This near the Sun, at a distance d (px) from the plate's centre, the tilt turns the picture by up to this times d (rad) and
 /// changes its scale by up to 1.5 times this times d.
 pub const TILT_PER_PX: f64 = 1.0e-5;
 

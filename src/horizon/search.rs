@@ -22,7 +22,7 @@ use std::slice::from_ref;
 
 /// Points of an edge along lines of the picture scatter by less.
 const EDGE_TOLERANCE_PX: f64 = 3.0;
-/// So many points of one edge are a guess, and so many guesses are tried, if they have that share of the best one's points.
+/// Points of one edge that make a guess; guesses that are tried, and the share of the best one's points that they need.
 const LEAST_POINTS: usize = 8;
 const MOST_GUESSES: usize = 3;
 const RIVAL_SHARE: f64 = 0.3;

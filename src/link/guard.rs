@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sender_is_forgotten_after_30_s_of_silence_however_often_it_is_refused() {
+    fn a_sender_is_dropped_after_30_s_of_silence_however_often_it_is_refused() {
         let mut guard = guard(&["10.0.0.1"], None);
         let sender = address("10.0.0.1:1");
         let start = Instant::now();

@@ -263,7 +263,7 @@ impl Counter {
         self.add(1)
     }
 
-    /// So many more; how many there are now.
+    /// Adds to it; how many there are now.
     pub fn add(&self, more: u64) -> u64 {
         self.0.fetch_add(more, Ordering::Relaxed) + more
     }

@@ -39,7 +39,7 @@ pub const CAMERA: u16 = 1;
 fields! {
     /// Where the telescope points, minus the target, at the start of an exposure.
     Solution, format!("solution azimuth {azimuth_deg} elevation {elevation_deg} roll {roll_deg} error {error_deg} deg at {time}") => {
-        azimuth_deg: f64, "deg", "offset in azimuth, pointing minus target (a plain difference)";
+        azimuth_deg: f64, "deg", "offset in azimuth, pointing minus target (coordinate difference, no cos(elevation) factor)";
         elevation_deg: f64, "deg", "offset in elevation";
         roll_deg: f64, "deg", "the body's roll by the horizon (0 where it is not known), or about the boresight where the offset is one by the gyros";
         error_deg: f64, "deg", "the offset's 1 sigma per axis of true angle";

@@ -25,7 +25,7 @@ pub struct Expected {
     pub bright_limb_deg: Option<Measured>,
 }
 
-/// A radius that is known beforehand.
+/// A radius that is known a priori.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Radius {
     /// Vertical half axis in the picture, px.

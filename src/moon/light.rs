@@ -49,7 +49,7 @@ fn raster_px(frame: &Frame) -> usize {
 
 /// Noise of a sky of which a part is clipped at 0 DN: what is left of it above. `None` where hardly any is clipped.
 fn clipped_noise_dn(frame: &Frame) -> Option<f64> {
-    /// So many pixels of a clipped sky make an estimate.
+    /// Fewest pixels of a clipped sky for an estimate.
     const LEAST_PIXELS: usize = 50;
     /// A share of a sky whose mean is at 0 that lies within so many sigmas.
     const SHARE: f64 = 0.98;

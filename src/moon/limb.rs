@@ -28,7 +28,7 @@ const LIT_DEPTH_PX: f64 = 1.5;
 const LIT_DEPTH: f64 = 0.1;
 /// A sector lies off the circle by so many sigmas, or so many times the usual.
 const OFF_SIGMAS: f64 = 5.0;
-/// What the circle leaves of the ground along the limb is alike over so much, px.
+/// What the circle leaves of the ground along the limb is correlated over this length, px.
 const ALIKE_PX: f64 = 12.0;
 /// An outline's circle lies about so far off the disc's, towards the light, px: it runs outside of the bright limb, and inside of the dim horns.
 const OUTLINE_PX: f64 = 0.5;

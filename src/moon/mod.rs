@@ -52,7 +52,7 @@ use settle::{Settled, settle};
 
 /// A patch of fewer pixels is no Moon.
 const LEAST_PIXELS: usize = 20;
-/// So many patches are tried, the largest first, where the radius is known; else the largest alone.
+/// Number of patches that are tried, the largest first, where the radius is known; else the largest alone.
 const MOST_PATCHES: usize = 4;
 /// Where no light is the Moon, those are tried that stand so many times higher above the sky.
 const NEXT_LEVEL: f64 = 2.0;

@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn a_direction_that_is_wrong_alone_is_held_at_once_and_forgotten_with_the_next() {
+    fn a_direction_that_is_wrong_alone_is_held_at_once_and_dropped_with_the_next() {
         let mut doubts = Doubts::default();
         sun(&mut doubts, 0.0, 0.0);
         assert_eq!(sun(&mut doubts, 0.25, 1e-3), Remedy::Wait);

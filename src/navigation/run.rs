@@ -15,7 +15,7 @@ use super::states::{Choice, Layout, Opened, Sensors};
 use nalgebra::Vector3;
 use std::sync::Arc;
 
-/// So many refused measurements of one kind in a row, over so long, and the filter has gone wrong.
+/// Number of refused measurements of one kind in a row, and the time over which, after which the filter counts as wrong.
 const REFUSED_IN_A_ROW: u32 = 15;
 const REFUSED_S: f64 = 3.0;
 /// The shortest time between two such restarts: a receiver that is wrong would cause one again and again.

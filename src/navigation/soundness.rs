@@ -1,7 +1,7 @@
 //! Faults of an IMU's values that the values show by themselves: values that repeat, that stand at the end of the range, that jump as the
 //! vehicle cannot, and times that step against the samples' count.
 //!
-//! A fault is noise. Nothing is thrown away: the covariance grows by what is not known, until directions determine it again.
+//! A fault is noise. No sample is rejected: the covariance grows by what is not known, until directions determine it again.
 
 use super::measurement::ImuSample;
 use super::motion::Lost;
@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 /// A value that stands for more samples than that, beyond what is usual for its axis, repeats.
 const FEW: f64 = 3.0;
-/// So many times longer than usual, too: values of a coarse axis repeat by themselves.
+/// And this many times longer than usual: values of a coarse axis repeat without a fault.
 const LONGER: f64 = 8.0;
 /// What is usual is learnt over so long, s.
 const USUAL_S: f64 = 30.0;
@@ -104,7 +104,7 @@ struct Axis {
     /// For so many samples the last value has stood, and for how many values usually do.
     run: f64,
     usual_run: f64,
-    /// So many samples in a row were at the end of the range, or jumped.
+    /// Number of samples in a row that were at the end of the range, or jumped.
     at_the_end: f64,
     jumped: f64,
     /// The last value that did not jump, and how long ago it was.
@@ -123,7 +123,7 @@ impl Axis {
             (self.saturates(value, expected), Unsound::Saturated),
             (self.jumps(value, length_s, expected), Unsound::Jumps),
         ];
-        // An error that stays the same for n samples grows with n, not with its root: the n-th adds this.
+        // An error that stays the same for n samples grows with n, not with its square root: the n-th adds this.
         let added = |(samples, error): (f64, f64)| {
             (2.0 * samples - 1.0).max(0.0) * (error * length_s).powi(2)
         };

@@ -24,7 +24,7 @@ pub fn hash_of(bytes: &[u8]) -> u64 {
 
 /// Who follows a pass, and may end it.
 pub trait Watch: Sync {
-    /// So many frames are to be done.
+    /// A pass over this many frames begins.
     fn begin(&self, _frames: usize, _what: &str) {}
 
     /// One more is done.

@@ -228,7 +228,7 @@ impl Plate {
     }
 
     /// By how much the variance of a mark's position exceeds that of the plate's best known mark, mil^2 per axis: nothing on
-    /// a plate of which all marks are known alike.
+    /// a plate whose marks are all equally well known.
     pub fn excess_variance_mil2(&self, id: MarkId) -> f64 {
         self.mark(id).map_or(0.0, |mark| {
             mark.place.variance_mil2() - self.least_variance_mil2

@@ -166,7 +166,7 @@ fn checked(
             let unread = (PlaceVerdict::FewMarks, 0.0);
             let (verdict, margin) = among.unwrap_or(unread);
             place.among_clutter = place.among_clutter.max(Some(verdict));
-            // That a mark was missed is no fault of the plate, but a false reading is.
+            // That a mark was missed is no fault of the plate, but a wrong labelling is.
             if verdict == PlaceVerdict::Wrong {
                 place.worsen(verdict, margin);
             }

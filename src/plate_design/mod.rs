@@ -85,7 +85,7 @@ pub fn usual_dot(instrument: &Instrument) -> MarkShape {
     }
 }
 
-/// So many pixels, or this part of the Sun's radius if that is less.
+/// In pixels, or this part of the Sun's radius if that is less.
 fn usual_mil(instrument: &Instrument, px: f64, of_radius: f64) -> f64 {
     let radius_mil = instrument.optics.radius_mil(MEAN_SUN_ARCSEC);
     let mil = (px * instrument.mounting.scale_mil_per_px.value).min(of_radius * radius_mil);

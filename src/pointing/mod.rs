@@ -67,9 +67,9 @@ pub struct Horizontal {
 /// There is no offset in roll: one Sun determines two axes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Offset {
-    /// A plain difference of azimuths, -180 to 180, as the HEROES controller took it.
+    /// The difference of the azimuths (no cos(elevation) factor), -180 to 180, as the HEROES controller took it.
     pub azimuth_deg: f64,
-    /// A plain difference of elevations.
+    /// The difference of the elevations.
     pub elevation_deg: f64,
     /// The true angle of the pointing from the target's vertical circle, positive towards larger azimuth; near the target
     /// the difference of azimuths times the cosine of the elevation.

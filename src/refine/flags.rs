@@ -96,7 +96,7 @@ pub enum FrameFlag {
     Noise,
     /// The plate stands elsewhere on the sensor than in the frames before and after.
     Knocked,
-    /// The marks were read wrongly.
+    /// The marks were identified wrongly.
     Misread,
     /// The place is off the path between the frames before and after.
     Path,
@@ -134,7 +134,7 @@ impl fmt::Display for FrameFlag {
             Self::Light => "the light is not that of the frames before and after",
             Self::Noise => "more noise than in the frames before and after",
             Self::Knocked => "the plate stands elsewhere than in the frames before and after",
-            Self::Misread => "the marks were read wrongly",
+            Self::Misread => "the marks were identified wrongly",
             Self::Path => "off the path of the frames before and after",
         })
     }

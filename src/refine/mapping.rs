@@ -16,7 +16,7 @@ pub enum Standing {
     Agrees,
     /// The plate stands elsewhere than in the frames before and after: the camera was knocked, or is about to be.
     Alone,
-    /// They are read wrongly: so far off no camera is knocked.
+    /// They are identified wrongly: so far off no camera is knocked.
     Misread,
 }
 

@@ -45,7 +45,7 @@ const SIGMA_AT_180_PX: f64 = 2.7;
 const SURE_SIGMA_PX: f64 = 0.25;
 /// Fewer points leave parts of the limb unmeasured.
 const LEAST_POINTS: usize = 36;
-/// How well the outline is known beforehand: its radius (px), and how far it may be from round, relative.
+/// How well the outline is known a priori: its radius (px), and how far it may be from round, relative.
 const POSSIBLE: (f64, f64) = (1.0, 0.002);
 const STATED: (f64, f64) = (0.1, 0.001);
 /// What must hold of a limb: part of its points on the outline, and how far they scatter, px.
@@ -59,7 +59,7 @@ const OWN_DISC_SIGMA_MIL: f64 = 5.0;
 /// A frame's own disc is another thing if it is so many sigma off the path.
 const OTHER_THING_SIGMAS: f64 = 8.0;
 
-/// Solves the frames again that did not give disc and marks by themselves, or read them wrongly: those, in order, that have another disc
+/// Solves the frames again that did not give disc and marks by themselves, or identified them wrongly: those, in order, that have another disc
 /// now.
 pub(super) fn solve_again(
     flight: &Flight,

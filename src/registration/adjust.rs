@@ -82,7 +82,7 @@ impl Adjusted {
     }
 
     /// Square root of the determinant of the tilt's covariance over that of its prior: the part of the tilts that are possible
-    /// beforehand which the data leave open.
+    /// a priori which the data leave open.
     pub(super) fn open_tilts(&self) -> f64 {
         let [x, y] = TILT;
         let c = &self.covariance;

@@ -79,7 +79,7 @@ impl Kernel {
     }
 }
 
-/// Sum of products, in four lanes that the processor adds side by side.
+/// Sum of products, in four lanes that the processor adds in parallel.
 fn dot(weights: &[f32], values: &[f32]) -> f32 {
     let values = &values[..weights.len()];
     let mut lanes = [0.0_f32; 4];

@@ -62,7 +62,7 @@ impl Edge {
         }
     }
 
-    /// Mean over the sub-sample of the root of the depth inside the edge, zero outside.
+    /// Mean over the sub-sample of the square root of the depth inside the edge, zero outside.
     pub(super) fn mean_root(&self, inside: f64) -> f64 {
         self.mean(inside, |x| 16.0 / 945.0 * x.powi(4) * x.sqrt())
     }

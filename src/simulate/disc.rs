@@ -109,7 +109,7 @@ impl Disc {
         });
     }
 
-    /// At the limb, where light falls as the root of the depth and ends, takes the mean over each sub-sample.
+    /// At the limb, where light falls as the square root of the depth and ends, takes the mean over each sub-sample.
     fn round_off(&self, xs: &[f32], ys: &[f32], light: &mut [f32]) {
         let (plain, darkened) = (1.0 - self.darkening, f64::from(self.darkening));
         let radius = f64::from(self.radius);
@@ -117,7 +117,7 @@ impl Disc {
         let rim = self.radius - band..self.radius + band;
         near_circle(xs, ys, self.centre, rim, |n, from_centre, r| {
             let (edge, inside) = (self.edge(from_centre, r), radius - r);
-            // cos theta = sqrt(2 depth / R) x sqrt(1 - depth / 2 R), the second root nearly 1 here.
+            // cos theta = sqrt(2 depth / R) x sqrt(1 - depth / 2 R), the second square root nearly 1 here.
             let slope = (2.0 / radius * (1.0 - inside.max(0.0) / (2.0 * radius))).sqrt();
             let cosine = slope * edge.mean_root(inside);
             let share = f64::from(plain) * edge.coverage(inside) + darkened * cosine;

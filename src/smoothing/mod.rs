@@ -187,7 +187,7 @@ impl Path {
         self.points(times_s, |_, noise| noise)
     }
 
-    /// The path at times in order. The times of neighbours may be wrong alike: smoothing does not reduce what that adds.
+    /// The path at times in order. The errors of the times of neighbours may be correlated: smoothing does not reduce what that adds.
     fn points(&self, times_s: &[f64], noise: fn(&Motion, f64) -> f64) -> Option<Vec<PathPoint>> {
         let moments = Moments::asked(&self.measured, times_s);
         let along = |axis: usize| {

@@ -3,7 +3,7 @@
 //! Each frame's nadir is found as in flight ([`horizon::nadir`](crate::horizon::nadir())), with its loss; Gauss-Newton steps for what all share
 //! follow from what the frames leave once each has determined its nadir.
 //!
-//! A limb's residuals are alike from place to place, and from frame to frame of one flight, so that the covariance is not that of noise: blocks of
+//! A limb's residuals are correlated from place to place, and from frame to frame of one flight, so that the covariance is not that of noise: blocks of
 //! frames that follow each other are the draws from which it is estimated (the sandwich of Huber 1967).
 
 use super::edges::{Limb, uncrossed};
@@ -20,7 +20,7 @@ use std::slice::from_ref;
 
 /// Fewer frames determine no scatter.
 const LEAST_FRAMES: usize = 30;
-/// So many blocks of frames.
+/// Number of blocks of frames.
 const BLOCKS: usize = 60;
 const MOST_STEPS: usize = 30;
 /// A shorter step ends the fit, in sigmas: a point that is now a part of the edge and now none moves it by less.
@@ -186,7 +186,7 @@ impl Seen {
         })
     }
 
-    /// The rays that are a part of the edge. They count alike: were they weighted by what is left of them, the slopes of the weights belonged into
+    /// The rays that are a part of the edge. They have equal weights: were they weighted by what is left of them, the slopes of the weights belonged into
     /// the normal equations.
     fn agreeing(&self) -> impl Iterator<Item = &EdgeRay> {
         let rays = self.rays.iter().enumerate();

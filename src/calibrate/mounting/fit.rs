@@ -38,7 +38,7 @@ pub enum Unknown {
     Elevation,
 }
 
-/// So little is known beforehand, 1 sigma about the start: it only keeps apart what the observations do not.
+/// The wide priors, 1 sigma about the start: they only separate what the observations do not.
 const CENTRE_PRIOR_MIL: f64 = 500.0;
 const LEAST_CENTRE_PRIOR_MIL: f64 = 0.1;
 const CLOCKING_PRIOR_DEG: f64 = 180.0;
@@ -361,7 +361,7 @@ impl Model<'_> {
         accepted.map(linearised).collect()
     }
 
-    /// What is known beforehand of each unknown, about its start.
+    /// The prior of each unknown, about its start.
     fn prior<const N: usize>(&self, first: &SVector<f64, N>) -> Prior<N> {
         let mounting = &self.stated.mounting;
         // With directions counted at the telescope a scan does not determine the centre, with which the clocking is correlated.

@@ -122,7 +122,7 @@ pub(super) fn directions(fit: &MountingFit, other: Option<&MountingFit>) -> Cali
     };
     if fit.advantage(other) <= DISTINGUISHED {
         let remark = format!(
-            "not determined: the rules \"telescope\" and \"sun-2013\" suit the observations alike; keeps the instrument's, \"{rule}\". Take \
+            "not determined: the rules \"telescope\" and \"sun-2013\" fit the observations equally well; keeps the instrument's, \"{rule}\". Take \
              frames with known pointing half a degree and more to each side of the Sun"
         );
         return CalibratedQuantity::without_value(NAME, Verdict::Kept, remark);

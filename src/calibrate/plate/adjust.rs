@@ -57,7 +57,7 @@ pub(super) struct Freedoms {
     pub view: MappingKind,
     pub lens: [bool; LENS],
     pub marks: bool,
-    /// So many terms of it.
+    /// Number of its terms.
     pub drift: usize,
 }
 
@@ -237,7 +237,7 @@ struct Prior {
 const STEPS: usize = 15;
 /// Two marks determine shift, rotation and scale of a view; what else there is of it has a prior.
 const LEAST_MARKS: usize = 2;
-/// A shorter step changes nothing: px, mil and parts of a view alike.
+/// A shorter step changes nothing: for px, mil and parts of a view.
 const SETTLED_STEP: f64 = 1e-6;
 /// Holds what the gauge forbids, against any information from observations, mil^-2.
 const GAUGE_WEIGHT: f64 = 1e10;

@@ -230,7 +230,7 @@ fn settle(
 }
 
 /// A later pass over rejected frames: with the plate, the lens and the pose as found so far, marks can be identified for which
-/// two hypotheses were alike, or which lie far from where they were drawn. Of each frame the solution that agrees best with the
+/// two hypotheses fitted equally well, or which lie far from where they were drawn. Of each frame the solution that agrees best with the
 /// pose it was made with.
 fn identify_again(
     rejected: &[RejectedFrame],

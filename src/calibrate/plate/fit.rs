@@ -83,7 +83,7 @@ pub struct PlateFit {
     pub rejected: Vec<RejectedFrame>,
 }
 
-/// So many correlations with lens or poses are listed, and so many between marks.
+/// Number of correlations with lens or poses that are listed, and of those between marks.
 const LISTED_CORRELATIONS: usize = 8;
 
 /// What the lens may do at its reach, 1 sigma of each term, px: a stated prior, wide enough for any lens in use.
@@ -303,7 +303,7 @@ fn pose_fits(
     (0..bundle.poses).map(fit).collect()
 }
 
-/// 1 sigma of a view's scale, as a part of it, and of its rotation, rad: both alike.
+/// 1 sigma of a view's scale, as a part of it, and of its rotation, rad: the same for both.
 fn relative_sigma(view: &View, covariance: &ParameterCovariance) -> f64 {
     let spread = covariance.fixed_view::<2, 2>(2, 2).trace() / 2.0;
     spread.max(0.0).sqrt() / view.unit_px()

@@ -212,7 +212,7 @@ fn residuals(calibration: &Calibration) -> [Captioned; 6] {
 
 /// Half the width of a map of the plate, mil: its marks and a margin about them.
 fn map_reach_mil(plate: &Plate) -> f64 {
-    /// So much of the marks' reach from the plate's axes.
+    /// In units of the marks' reach.
     const MARGIN: f64 = 1.0876;
     MARGIN * plate.reach_mil()
 }

@@ -19,7 +19,7 @@ const OFF_SIGMAS: f64 = 5.0;
 const FEW: f64 = 0.1;
 /// Fewest frames of a part.
 const LEAST_FRAMES: usize = 3;
-/// So many frames a part has on the mean at least: what falls into more parts does not rest at all.
+/// Fewest frames of a part, on the mean: a pose in more parts does not rest at all.
 const LEAST_MEAN: usize = 8;
 /// A motion is fitted to the frames that agree with it so often, and so often frames go to the nearest motion.
 const ROUNDS: usize = 3;

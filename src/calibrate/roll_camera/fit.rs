@@ -219,7 +219,7 @@ fn scatter_deg(observations: &[HorizonObservation], turn: &Rotation3<f64>, weigh
     (sum / count).sqrt().to_degrees()
 }
 
-/// What all frames have alike of their error turns the camera with it: the median frame's.
+/// The part of the error that all frames share turns the camera with it: the median frame's.
 fn shared(observations: &[HorizonObservation], turn: &Rotation3<f64>) -> Matrix3<f64> {
     let mut nadirs: Vec<&Direction> = observations.iter().map(|s| &s.horizon.nadir).collect();
     nadirs.sort_by(|a, b| {

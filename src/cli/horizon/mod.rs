@@ -69,7 +69,7 @@ struct EdgeArgs {
     /// The height at which the limb has half of its brightness above the dark sky
     #[arg(long, value_name = "D", default_value_t = 0.0)]
     atmosphere_m: f64,
-    /// 1 sigma of the edge's height, all along the limb alike; a twentieth of it is taken to vary along the limb
+    /// 1 sigma of the edge's height, common to the whole limb; a twentieth of it is taken to vary along the limb
     #[arg(long, value_name = "M", default_value_t = 1_000.0)]
     edge_sigma_m: f64,
     /// Fit the edge's height, too, starting from --atmosphere-m

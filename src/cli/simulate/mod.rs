@@ -192,7 +192,7 @@ pub struct CameraArgs {
 /// What the Sun's surface shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sunspots {
-    /// So many spots, drawn at random.
+    /// This many spots, drawn at random.
     Drawn(u16),
     /// HMI's picture.
     Hmi,

@@ -38,7 +38,7 @@ pub struct MoonArgs {
     /// Light of the dark side, in that of the brightest limb
     #[arg(long, value_name = "F", default_value_t = 0.0, requires = "moon", value_parser = Within(0.0, 1.0, ""))]
     earthshine: f64,
-    /// So many stars in the picture
+    /// Number of stars in the picture
     #[arg(long, value_name = "N", default_value_t = 0, requires = "moon", value_parser = super::count())]
     stars: u16,
     /// Over-exposed by this factor
@@ -47,7 +47,7 @@ pub struct MoonArgs {
     /// The picture's edge cuts the disc
     #[arg(long, requires = "moon")]
     cut: bool,
-    /// So many planets, brighter than any star
+    /// Number of planets, brighter than any star
     #[arg(long, value_name = "N", default_value_t = 0, requires = "moon", value_parser = super::count())]
     planets: u16,
     /// Light that the lens spreads around the Moon, one radius from its limb, in that of the brightest limb

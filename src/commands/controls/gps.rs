@@ -2,7 +2,7 @@
 
 use crate::link::GpsFix;
 
-/// So many fixes in a row that contradict the last one, but not each other, are believed.
+/// Number of fixes in a row that contradict the last one, but not each other, before they are accepted.
 const CONVINCING: usize = 3;
 
 /// The fixes so far. Only fixes are compared with fixes: a configured place may be that of another continent.

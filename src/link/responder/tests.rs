@@ -409,7 +409,7 @@ fn a_start_overtakes_a_stop_that_waits_and_both_are_answered() {
 }
 
 #[test]
-fn forgotten_exposures_end_the_waiting() {
+fn dropped_exposures_end_the_waiting() {
     let mut responder = computer_one();
     send(&mut responder, &Message::StartTracking);
     responder.exposure_starts(exposure(1)).unwrap();

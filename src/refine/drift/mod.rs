@@ -28,7 +28,7 @@ const FIRST_SIGMA: [f64; 4] = [50.0, 50.0, 2.0, 0.01];
 
 /// The numbers of the view that a degree changes, the first ones: shift x and y, stretch and turn.
 const THERMAL: usize = 4;
-/// What is known beforehand of what a degree does, 1 sigma, px: cameras on balloons shift by a tenth of a pixel, and aluminium
+/// The prior of what a degree does, 1 sigma, px: cameras on balloons shift by a tenth of a pixel, and aluminium
 /// stretches by 23e-6, 0.004 px.
 const THERMAL_SIGMA_PX: [f64; THERMAL] = [0.2, 0.2, 0.02, 0.02];
 /// The view's numbers and the thermal coefficients.

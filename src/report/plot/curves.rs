@@ -9,7 +9,7 @@ use super::sheet::{self, DOT_PX, Entry, Sheet, Swatch, hue};
 pub enum Stroke {
     /// Points joined by a line: measured.
     Measured,
-    /// A line alone: of very many points, or known beforehand.
+    /// A line alone: of very many points, or known a priori.
     Known,
     /// Dashed: a limit.
     Limit,

@@ -35,7 +35,7 @@ const TIMES: Shades = Shades(&[
     [225, 100, 98],
     [252, 166, 54],
 ]);
-/// So many colours are distinguished.
+/// Number of colours.
 const SHADES: usize = 64;
 const INVALID: &str = "#aaaaaa";
 /// The path moves so far before it is drawn on, px.

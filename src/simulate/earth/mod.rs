@@ -65,7 +65,7 @@ pub struct EarthConditions {
 pub enum Aim {
     /// The horizon somewhere in the picture, rolled by as much either way, deg.
     Horizon { most_roll_deg: f64 },
-    /// So far off straight down: the whole Earth in view, from high enough. Deg.
+    /// Angle from straight down, deg: the whole Earth in view, from high enough.
     Down { most_tilt_deg: f64 },
     /// Away from the Earth.
     Space,

@@ -22,7 +22,7 @@ const NODES: [(f64, f64); 4] = [
 /// How large the errors are; constant ones are drawn once a flight, for each axis.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ImuErrors {
-    /// White noise: a mean over an interval is off by this over the root of the interval, m/s/sqrt(s).
+    /// White noise: a mean over an interval is off by this over the square root of the interval, m/s/sqrt(s).
     pub velocity_random_walk: f64,
     /// The same of rates, rad/sqrt(s).
     pub angular_random_walk: f64,
@@ -39,7 +39,7 @@ impl ImuErrors {
     pub fn rocket() -> Self {
         Self {
             velocity_random_walk: 0.05e-3 * STANDARD_GRAVITY_M_S2,
-            // An hour has 3600 s, its root 60.
+            // An hour has 3600 s, its square root 60.
             angular_random_walk: 0.05_f64.to_radians() / 60.0,
             accelerometer_bias_sigma_m_s2: 2e-3 * STANDARD_GRAVITY_M_S2,
             gyro_bias_sigma_rad_s: 6.0_f64.to_radians() / 3600.0,

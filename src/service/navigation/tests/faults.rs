@@ -11,7 +11,7 @@ const END_S: f64 = 100.0;
 const SEEN_TO_REPEAT_S: f64 = 0.03;
 /// What is further off than so many sigmas is wrong with confidence.
 const MOST_SIGMAS: f64 = 6.0;
-/// So long after the next fine frame nothing wrong is sent any more.
+/// After this time from the next fine frame nothing wrong is sent any more.
 const MENDED_S: f64 = 0.5;
 
 /// How a flight is tried: so many frames a second, and a fault that lasts so long.
