@@ -199,7 +199,7 @@ impl FollowedFolder {
                 Ok(()) => return false,
                 Err(error) => {
                     let folder = self.folder.display().to_string();
-                    tracing::error!(folder, %error, "what was taken of it cannot be read: what lies there is passed over");
+                    tracing::error!(folder, %error, "the record of taken files cannot be read: files that are there are passed over");
                 }
             }
         }

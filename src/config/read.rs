@@ -117,7 +117,7 @@ impl Config {
             (stated, true) => stated.as_ref().and_then(Value::from_toml),
         };
         let role = Role::from_value(stated).ok_or_else(|| {
-            let expected = format!("what the camera is for, one of {}", Role::NAMES.join(", "));
+            let expected = format!("the camera's purpose, one of {}", Role::NAMES.join(", "));
             let found = role.as_ref().map_or("none".into(), value::found);
             TomlError::new(path, &key, expected, found)
         })?;
@@ -256,11 +256,11 @@ mod tests {
         for (text, words) in [
             (
                 "[port_camera]\nrate_hz = 2\n",
-                "port_camera.role: expected what the camera is for, one of pitch_yaw, roll, moon, found none",
+                "port_camera.role: expected the camera's purpose, one of pitch_yaw, roll, moon, found none",
             ),
             (
                 "[port_camera]\nrole = \"rol\"\n",
-                "port_camera.role: expected what the camera is for, one of pitch_yaw, roll, moon, found \"rol\"",
+                "port_camera.role: expected the camera's purpose, one of pitch_yaw, roll, moon, found \"rol\"",
             ),
             (
                 "[port_camera]\nrole = \"roll\"\nrate_hertz = 2\n",

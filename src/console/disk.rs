@@ -104,7 +104,7 @@ fn within(folder: &Path, name: &str) -> anyhow::Result<PathBuf> {
     let root = folder.canonicalize()?;
     let path = root.join(relative).canonicalize()?;
     if !path.starts_with(&root) {
-        anyhow::bail!("expected a file inside the archive, found a link out of it");
+        anyhow::bail!("expected a file inside the archive, found a link that leaves it");
     }
     // A pipe would wait for its other end.
     if !path.metadata()?.is_file() {

@@ -167,7 +167,7 @@ impl Run<'_> {
             format!("solaspect {LONG_VERSION}: photons put on the Sun"),
             format!("SHA-256 of the pointing, {POINTING_FILE}:"),
             columns::sha256(&pointing)?,
-            "SHA-256 of what is stated of the detectors:".into(),
+            "SHA-256 of the description of the detectors:".into(),
             columns::sha256(self.files.detectors)?,
         ])
     }

@@ -336,7 +336,7 @@ impl NavigationSettings {
                 Err(check.error("camera", expected, "none"))
             }
             Some(rad) if rad > 0.0 => {
-                let expected = "0: what is sent is where this camera's telescope points";
+                let expected = "0: offsets are those of this camera's telescope";
                 let field = "camera \"camera\": misalignment_sigma_deg";
                 Err(check.error(field, expected, rad.to_degrees()))
             }

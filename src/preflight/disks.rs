@@ -109,7 +109,7 @@ fn remedy_for(cause: &io::Error) -> &'static str {
         ErrorKind::NotADirectory | ErrorKind::AlreadyExists => {
             "name a folder in archive.directory, not a file"
         }
-        _ => "see what the kernel says of the disk (dmesg)",
+        _ => "see the kernel's messages (dmesg)",
     }
 }
 

@@ -39,7 +39,7 @@ pub const ASPECT_COLUMNS: &[Column<RefinedRow>] = &[
     text("FILE", "the frame's file, relative to the archive", |r| r.file.as_str().into()),
     text("UTC", "mid-exposure, UTC, ISO 8601", |r| r.utc().map_or(String::new(), utc_microseconds).into()),
     float("UNIX_S", "s", "mid-exposure, UTC, since 1970-01-01", |r| r.unix_s()),
-    float("UTC_CORRECTION_S", "s", "what was added to the header's time, where others contradict it", |r| Some(r.timing.correction_s?.value)),
+    float("UTC_CORRECTION_S", "s", "correction that was added to the header's time, if any", |r| Some(r.timing.correction_s?.value)),
     float("UTC_CORRECTION_SIGMA_S", "s", "1 sigma of UTC_CORRECTION_S", |r| Some(r.timing.correction_s?.sigma)),
     float("UTC_SIGMA_S", "s", TIME_SIGMA, |r| r.timing.sigma_s),
     float("MONO_S", "s", "mid-exposure on the monotonic clock", |r| r.own.as_ref()?.facts.monotonic_s),

@@ -151,7 +151,7 @@ impl Compared {
             let dots = all.iter().map(|one| (one.unix_s, one.sigmas));
             Series::dots(axis.name(), dots)
         };
-        let title = "What cameras show less what the gyros say";
+        let title = "Cameras minus gyros";
         let labels = Labels::over_utc(title, "over its sigma");
         series(&labels, &drawn.map(dots).collect::<Vec<_>>())
     }

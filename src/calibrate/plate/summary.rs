@@ -44,7 +44,7 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
         )
     }));
     lines.push(format!(
-        "observed   {} positions of {} marks, {} rejected; residual {:.4} px rms, {:.2} of what the frames state",
+        "observed   {} positions of {} marks, {} rejected; residual {:.4} px rms, {:.2} of the stated sigma",
         fit.kept().count(),
         fit.marks.len(),
         fit.residuals.len() - fit.kept().count(),
