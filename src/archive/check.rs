@@ -69,7 +69,7 @@ pub struct Report {
     pub contradiction_list: Vec<ContradictingFile>,
 }
 
-/// A file and the one whose frame it holds once more.
+/// A file, and another file with the same frame.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct CopiedFile {
     pub file: String,

@@ -101,7 +101,7 @@ impl CalibratedQuantity {
                 "" => numbers,
                 _ => format!("{numbers} {}", q.unit),
             };
-            // What is not determined gives no number.
+            // Undetermined values are not printed.
             let (found, sigma) = match q.verdict {
                 Verdict::Determined if !q.found.is_empty() => {
                     (with_unit(q.found_text()), sigma_text(q.sigma))

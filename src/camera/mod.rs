@@ -90,7 +90,7 @@ impl CameraError {
     }
 }
 
-/// A frame with what belongs to this exposure alone.
+/// A frame with the facts of its exposure.
 #[derive(Debug, Clone)]
 pub struct Exposure {
     pub frame: Frame,

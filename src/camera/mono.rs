@@ -217,7 +217,7 @@ mod tests {
                 Pixels::U16(pixels) => pixels,
             };
             assert_eq!(found, expected, "{name}");
-            // What follows the picture is none of it, and a part of a picture is none.
+            // Bytes after the picture do not belong to it, and a part of a picture is refused.
             let followed = [bytes, &[0xff; 4]].concat();
             assert_eq!(format.unpack(followed, 5).unwrap().len(), 5, "{name}");
             let short = bytes[..bytes.len() - 1].to_vec();

@@ -41,7 +41,7 @@ impl CameraSettings {
     }
 }
 
-/// From one frame to the next; zero for a rate that is none.
+/// From one frame to the next; zero for an invalid rate.
 pub(super) fn period(rate_hz: f64) -> Duration {
     Duration::try_from_secs_f64(1.0 / rate_hz).unwrap_or(Duration::ZERO)
 }

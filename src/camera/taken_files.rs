@@ -148,7 +148,7 @@ impl List {
         }
     }
 
-    /// The names of earlier runs; none where there is no list yet. A last line that was cut is none.
+    /// The names of earlier runs; none without a list. An incomplete last line is ignored.
     fn read(&self) -> io::Result<HashSet<u64>> {
         let path = self.path.clone();
         within(READING, move || names_of(&path)).unwrap_or_else(|none| Err(io::Error::other(none)))

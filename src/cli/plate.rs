@@ -153,7 +153,7 @@ fn design(args: &DesignArgs) -> anyhow::Result<ExitCode> {
     write(&args.out.join("marks.csv"), marks.as_bytes())?;
     let file = args.out.join("instrument.toml");
     write(&file, text.as_bytes())?;
-    // What was written is what everything else reads.
+    // Everything else reads what was written.
     let designed = Instrument::read(&file)?;
     let check = CheckSettings {
         rotations: settings.rotations,

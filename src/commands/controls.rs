@@ -29,7 +29,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Rows that may wait for the command log.
 const NOTES: usize = 1024;
 
-/// What may change in flight, by who wants to know.
+/// Topics of what may change in flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Topic {
     /// Target and place.

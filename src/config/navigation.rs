@@ -29,7 +29,7 @@ impl Navigation {
         self.max_sigma_arcsec / 3600.0
     }
 
-    /// The IMU's own line; `None` where it speaks on the controller's.
+    /// The IMU's own line; `None` where it sends on the controller's.
     ///
     /// # Errors
     /// What was expected of `navigation.imu_port`, and what was found.

@@ -10,7 +10,7 @@ pub const LARGEST: u64 = 1 << 20;
 const LIKE: usize = 8;
 
 /// Whether a file that begins so is one of saved values, whole or damaged: a file of anything else is neither set aside nor replaced.
-/// Nothing, or nothing but zeros, is what a disk may have left of one.
+/// A disk may leave an empty file, or one of zeros, of such a file.
 pub fn is_ours(bytes: &[u8]) -> bool {
     if bytes.iter().all(|byte| *byte == 0) {
         return true;

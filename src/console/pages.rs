@@ -1,4 +1,4 @@
-//! The pages and what belongs to them: part of the program.
+//! The pages with their scripts and styles: part of the program.
 
 use super::request::Failure;
 use crate::provenance::sha256;

@@ -70,7 +70,7 @@ impl Good {
 /// (OGIP/93-003); 1 where none does.
 ///
 /// # Errors
-/// A part that is none.
+/// An empty part.
 pub fn live_fraction(headers: &[&Header]) -> Result<f64, Problem> {
     for header in headers {
         let times = header.number("LIVETIME")?.zip(header.number("ONTIME")?);

@@ -77,7 +77,7 @@ impl EventList {
     /// From TSTART to TSTOP, s since 1970 UTC, where both are stated.
     ///
     /// # Errors
-    /// Values that are no numbers.
+    /// Values that are not numbers.
     pub fn stated_span(&self) -> Result<Option<[f64; 2]>, Problem> {
         let keywords = Keywords {
             own: &self.hdu().header,

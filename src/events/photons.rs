@@ -92,7 +92,7 @@ impl Measured {
     /// From where to where positions may lie, as TLMINn and TLMAXn state it: of whole numbers, to the edges of the first and the last pixel.
     ///
     /// # Errors
-    /// Values that are no numbers.
+    /// Values that are not numbers.
     pub fn stated_field(&self, hdu: &DiskHdu) -> Result<Option<[[f64; 2]; 2]>, Problem> {
         let range = |column: &NumberColumn| {
             let number = |keyword: &str| hdu.header.number(&format!("{keyword}{}", column.number));
@@ -190,7 +190,7 @@ impl Measured {
     }
 }
 
-/// The place of a photon; `None` where its position is no number, or is further from the boresight than [`FARTHEST`].
+/// The place of a photon; `None` where its position is not a number, or is further from the boresight than [`FARTHEST`].
 fn on_the_sun(line_of_sight: &LineOfSight, located: &FromBoresight) -> Option<Place> {
     let FromBoresight {
         right_rad,

@@ -53,7 +53,7 @@ impl Keywords<'_> {
     /// How keywords count times, in this scale where TIMESYS names none; `None` without a MJDREF.
     ///
     /// # Errors
-    /// Values that are no numbers, units or scales.
+    /// Values that are not numbers, units or scales.
     pub fn counted(self, unstated: Scale) -> Result<Option<Counted>, Problem> {
         let Some(days) = self.sum(["MJDREF", "MJDREFI", "MJDREFF"])? else {
             return Ok(None);

@@ -53,7 +53,7 @@ impl Circle {
     }
 }
 
-/// The circle through the longest border of a frame; of the halves of a frame whose own is none, or halves of these, the median.
+/// The circle through the longest border of a frame; if that is no circle, the median of those of the frame's halves, or of halves of these.
 ///
 /// # Errors
 /// Why the whole frame shows none, where no part does.

@@ -25,7 +25,7 @@ pub struct EdgeRays {
 }
 
 impl EdgeRays {
-    /// Without the points beyond the limit of the lens. `sigma_rad` is what the picture's light has alike.
+    /// Without the points beyond the limit of the lens. `sigma_rad` is the error that all the picture's edges share.
     pub fn of(points: &[EdgePoint], camera: &CameraModel, sigma_rad: f64) -> Self {
         let rays = points.iter();
         Self {

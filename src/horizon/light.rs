@@ -15,8 +15,8 @@ use std::ops::Range;
 const MOST_SPACING_PX: f64 = 40.0;
 const ACROSS: f64 = 8.0;
 const RASTER_LINES: usize = 24;
-/// The dark sky is that of so many of the pixels, and bright is what so many exceed: a thousandth may be the Sun. Where that is searched,
-/// bright is what a part of it exceeds.
+/// Shares of the pixels: of the dark sky, and of those above the bright level, of which a thousandth may be the Sun. Where the Sun is searched,
+/// the bright level is exceeded by a part of it.
 const DARK_SHARE: f64 = 0.02;
 const BRIGHT_SHARE: f64 = 0.005;
 const PART_OF_SPHERE: f64 = 0.25;

@@ -101,7 +101,7 @@ impl crate::reasons::Stage for Stage {
 /// How good a nadir is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Quality {
-    /// Nothing speaks against it.
+    /// Nothing contradicts it.
     Fine,
     /// Something does: see [`Solution::doubt`].
     Coarse,
@@ -123,7 +123,7 @@ impl Quality {
 pub enum Flag {
     /// Clouds reach into the limb: where they do, the air above them determines the edge.
     Clouds,
-    /// Places whose edge is none of the sphere's: of a cloud's top, of the ground, of a flare.
+    /// Places whose edge is not the sphere's: of a cloud's top, of the ground, of a flare.
     OtherEdges,
     /// Places that show no edge: night, or glare.
     NoEdge,

@@ -95,7 +95,7 @@ pub fn ask_for_moon(
     answered.ok_or(AskError::NoAnswer { what, timeout })
 }
 
-/// Sends a message and listens until a packet is what is waited for; `None` where none comes in time.
+/// Sends a message and listens until the expected packet comes; `None` where none comes in time.
 fn converse<T>(
     port: &mut dyn BytePort,
     message: &Message,

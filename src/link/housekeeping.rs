@@ -502,7 +502,7 @@ housekeeping! {
 pub struct MarkIds([Option<[i32; 2]>; 16]);
 
 impl MarkIds {
-    /// The first sixteen. One that has no byte is left out, so that it is not taken for another.
+    /// The first sixteen. One that does not fit a byte is left out, so that it is not read as another.
     pub fn new(ids: impl IntoIterator<Item = [i32; 2]>) -> Self {
         let mut own = Self::default();
         let fits = |id: &[i32; 2]| id.iter().all(|index| (-7..=7).contains(index));

@@ -76,7 +76,7 @@ impl ImuPacket {
     /// Reads a sample.
     ///
     /// # Errors
-    /// Another type of telemetry, a payload that is too short, numbers that are not finite, a time that is none.
+    /// Another type of telemetry, a payload that is too short, numbers that are not finite, an impossible time.
     pub fn decode(packet: &TelemetryPacket) -> Result<Self, MessageError> {
         if packet.kind() != telemetry_type::IMU {
             let kind = packet.kind();

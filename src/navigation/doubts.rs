@@ -27,7 +27,7 @@ const VELOCITIES: f64 = 30.0;
 pub(super) const ONE_SIDED_CHI2: f64 = 16.0;
 /// A difference with a larger chi^2 of its two axes is the gyros'.
 const MOST_CHI2: f64 = 9.0;
-/// Less doubt than this share of the directions' own error is none.
+/// Less doubt than this share of the directions' own error is ignored.
 const NO_DOUBT: f64 = 0.1;
 /// An error that began just before a direction grows by as much in this share of the time to the next.
 const JUST_BEFORE: f64 = 0.2;

@@ -303,7 +303,7 @@ impl NavigationSettings {
     }
 
     /// Settings that can fly with cameras of these names, those of their tables in the configuration: no others may be named, and the axes of the
-    /// telescope's own are what offsets rest on.
+    /// telescope's own are the basis of the offsets.
     ///
     /// # Errors
     /// The file, the field, and what was expected there.

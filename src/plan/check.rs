@@ -1,4 +1,4 @@
-//! What the disks hold that a plan names. A flight opens its sources by itself, and waits for neither saved values nor archive.
+//! Checks of the files and folders that a plan names. A flight opens its sources by itself, and waits for neither saved values nor archive.
 
 use super::{Plan, Remarks};
 use crate::camera::{CameraError, FolderCamera, Source};

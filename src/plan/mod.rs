@@ -81,7 +81,7 @@ pub struct PlannedNavigation {
     pub settings: navigation::NavigationSettings,
     /// The file of the settings, letter by letter.
     pub toml: String,
-    /// The IMU's own line; `None` where it speaks on the controller's.
+    /// The IMU's own line; `None` where it sends on the controller's.
     pub imu: Option<PortAddress>,
     pub gps: Option<PortAddress>,
 }
@@ -170,7 +170,7 @@ impl Plan {
                 remarks.error("target", expected, error.to_string());
             }
         });
-        // A line that is not as it was meant is none: its guard may be what is wrong.
+        // A line with errors is not used: its guard may be wrong.
         let line = match remarks
             .errors()
             .any(|one| one.what.field.starts_with("link."))

@@ -217,7 +217,7 @@ impl Layout {
                 .partial_cmp(&(b.y, b.x))
                 .unwrap_or(std::cmp::Ordering::Equal)
         });
-        // What is made is what was checked: to a thousandth of a mil.
+        // The plate is made as it was checked: to a thousandth of a mil.
         let rounded = |v: f64| (v * 1e3).round() / 1e3;
         let mark = |(i, at): (i32, Vector2<f64>)| {
             let at = PlateMil::new(rounded(at.x), rounded(at.y));

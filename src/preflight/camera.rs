@@ -21,9 +21,9 @@ use std::time::{Duration, Instant};
 
 /// For a camera to be found and to give its first frame.
 const PATIENCE: Duration = Duration::from_secs(15);
-/// The longest that frames are taken for.
+/// The longest time of taking frames.
 const LONGEST: Duration = Duration::from_secs(30);
-/// Frames are taken for about so long.
+/// The usual time of taking frames.
 const WATCH_S: f64 = 1.0;
 /// Light from here on, of full scale, is cut off.
 const SATURATED: f64 = 0.985;

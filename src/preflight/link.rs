@@ -1,4 +1,4 @@
-//! Whether the controller's line can be opened, and whether somebody speaks on it.
+//! Whether the controller's line can be opened, and whether packets arrive on it.
 
 use super::Finding;
 use super::bounded::within;

@@ -1,4 +1,4 @@
-//! Whether the IMU speaks, feels gravity and turns the right way.
+//! Whether the IMU sends samples, measures gravity and has the right signs.
 
 use super::Finding;
 use super::bounded::within;
@@ -258,7 +258,7 @@ impl Tilt {
     }
 }
 
-/// Listens to the IMU where it speaks, for so long.
+/// Listens on the IMU's line for a time.
 fn listen_to_imu(plan: &Plan, time: Duration) -> Result<Heard, String> {
     let navigation = plan.navigation.as_ref().ok_or("no navigation is planned")?;
     // From the IMU's axes to the telescope's: forward, right and down.

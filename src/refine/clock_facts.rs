@@ -4,7 +4,7 @@ use super::clock::ClockStep;
 use crate::units::Measured;
 use serde::Serialize;
 
-/// Of a smaller drift no number is given, parts in a million.
+/// The smallest drift that is reported as a number, parts in a million.
 const LEAST_PPM: f64 = 0.001;
 
 /// What the computer's clock did in a flight.

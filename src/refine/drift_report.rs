@@ -39,7 +39,7 @@ impl Part<'_> {
                     "The slopes of the figure, jumps taken off: {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y."
                 ));
             }
-            // What is not determined gives no number.
+            // Undetermined values are not printed.
             TemperatureDependence::Insignificant { .. } => self.page.note(
                 "How the mapping depends on the camera's temperature is not determined: temperature explains the marks no better than process noise does.",
             ),

@@ -115,7 +115,7 @@ impl FrameFlag {
         Self::Path,
     ];
 
-    /// Whether it rejects the Sun's place; otherwise it is worth knowing and no more.
+    /// Whether it rejects the Sun's place; otherwise it is only reported.
     fn rejects(self) -> bool {
         match self {
             Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,

@@ -9,7 +9,7 @@ use crate::report::plot::{self, Curve, Labels, Stroke};
 /// Frames further apart than so many usual steps end a run.
 const GAP_STEPS: f64 = 1.5;
 
-/// The colour of what belongs to no axis.
+/// The colour of series without an axis.
 const GREY: usize = 5;
 
 /// A motion along one axis, arcsec, at times in s.

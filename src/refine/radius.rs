@@ -16,7 +16,7 @@ use serde::{Serialize, Serializer};
 const BLOCKS: usize = 40;
 /// Fewer discs than this for each block determine nothing.
 const LEAST_PER_BLOCK: usize = 2;
-/// A slope below so many sigmas is none.
+/// A slope below this many sigmas is not determined.
 const SIGNIFICANT: f64 = 4.0;
 
 /// What a degree of the camera's temperature does to the radius on the plate, as a part of it.
@@ -168,7 +168,7 @@ mod tests {
     use rand_distr::StandardNormal;
     use rand_xoshiro::Xoshiro256PlusPlus;
 
-    /// A flight that cools by 15 degC, radii to 2e-4 each; `alike` is what an error has of the one before.
+    /// A flight that cools by 15 degC, radii to 2e-4 each; `alike` is the correlation of successive errors.
     fn flight(per_degc: f64, alike: f64, seed: u64) -> Vec<(f64, f64)> {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
         let mut error = 0.0;

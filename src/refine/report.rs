@@ -301,7 +301,7 @@ impl Part<'_> {
         self.heading("The Sun on the plate");
         let dots = |name, axis: usize| self.dots(name, |row| Some(row.sun_mil[axis]));
         let line = |name, axis: usize| {
-            // Where nothing is known there is no number, and the line stops.
+            // The line has a gap where nothing is known.
             let value = |(unix_s, point): (f64, Option<&PathPoint>)| {
                 (unix_s, point.map_or(f64::NAN, |point| point.place[axis]))
             };

@@ -4,7 +4,7 @@ use crate::estimation::median;
 
 /// Part of the frames that must state a temperature.
 const LEAST_KNOWN: f64 = 0.9;
-/// Readings to each side whose median stands for one: a slip is none.
+/// Readings to each side whose median replaces one, so that slips are dropped.
 const SLIP: usize = 3;
 /// Half of the time over which the temperature is averaged, s: cameras do not warm faster.
 const EVEN_S: f64 = 10.0;

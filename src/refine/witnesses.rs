@@ -1,7 +1,7 @@
 //! Two witnesses of where the telescope points: what its cameras show, held against the attitude by the gyros.
 //!
 //! Directions that the filter takes are compared as it meets them ([`navigation`](crate::navigation)). A roll camera that it does not take
-//! is compared by the dip of the telescope's second axis, which is the body's: that is what the horizon shows of the roll, at any elevation.
+//! is compared by the dip of the telescope's second axis, which is the body's: the horizon gives the roll in this form at any elevation.
 
 use super::roll::RollRow;
 use crate::clock::utc_microseconds;

@@ -205,7 +205,7 @@ pub struct Navigation {
     pub settings: NavigationSettings,
     /// The file of the settings, letter by letter, for the archive.
     pub settings_toml: String,
-    /// The IMU's own line; none where it speaks on the controller's.
+    /// The IMU's own line; none where it sends on the controller's.
     pub imu: Option<Connection>,
     pub gps: Option<Connection>,
     /// By which the date of a fix is judged.

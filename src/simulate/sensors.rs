@@ -15,7 +15,7 @@ pub type Corrupt = Box<dyn FnMut(ImuPacket) -> Option<ImuPacket> + Send>;
 pub struct Sensors {
     flight: TelescopeFlight,
     corrupt: Corrupt,
-    /// Where the receiver speaks; it is silent without.
+    /// The receiver's port; it is silent without one.
     gps: Option<AnyPort>,
     /// How far the flight is ahead of the caller's clock.
     ahead: Option<SignedDuration>,

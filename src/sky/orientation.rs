@@ -113,7 +113,7 @@ impl OrientationTable {
     /// Reads a table as `tools/iers` makes it.
     ///
     /// # Errors
-    /// A file that cannot be read, other columns, a value that is no number, dates that do not grow, fewer than two.
+    /// A file that cannot be read, other columns, a value that is not a number, dates that do not increase, fewer than two.
     pub fn read(path: &Path) -> Result<Self, TableError> {
         let text = files::read_text(path).map_err(|source| TableError::Unreadable {
             path: path.into(),

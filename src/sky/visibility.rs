@@ -76,7 +76,7 @@ pub struct Observation {
 /// The Moon and the Sun from a vantage, over some time. A satellite crosses the equator at its beginning.
 ///
 /// # Errors
-/// Dates that the ephemeris does not know, or a place that is none.
+/// Dates that the ephemeris does not know, or an impossible place.
 pub fn observations(
     ephemeris: &mut Ephemeris,
     vantage: &Vantage,

@@ -50,7 +50,7 @@ const MOST_SIGMAS: f64 = 3.66;
 const START_PASSES: usize = 4;
 /// Fits in turn with estimates of the scatter; at most so many, since a median may alternate between two neighbours.
 const SCATTER_PASSES: usize = 15;
-/// A change of the scatter by this part is none.
+/// A smaller relative change of the scatter counts as converged.
 const SETTLED: f64 = 1e-6;
 /// Where fits end, in sigmas of the unknowns: the first, which only finds the outliers, and the last.
 const ROUGH_SIGMAS: f64 = 0.05;

@@ -9,7 +9,7 @@ use nalgebra::{Matrix2x4, SMatrix, SVector, Vector2, Vector4};
 pub(super) const LOSS: Loss = Loss::Tukey(TUKEY_SIGMAS_2D);
 /// Turns and stretches are displacements at this distance from the middle, px.
 const REACH_PX: f64 = 500.0;
-/// What displacements do not determine of a motion is none: so much is thought of, 1 sigma, px.
+/// Prior of the motions, 1 sigma, px: what displacements do not determine stays near zero.
 const UNKNOWN_PX: f64 = 10.0;
 
 /// How far something has moved on the sensor.

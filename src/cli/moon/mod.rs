@@ -232,7 +232,7 @@ impl Batch<'_> {
             let radius = Measured::new(radius_px, RADIUS_SIGMA * radius_px);
             expected.radius = Some(Radius::Pixels(radius));
         } else if lens.is_none() {
-            // An angle is no number of pixels.
+            // An angle is not a number of pixels.
             expected.radius = None;
         }
         expected

@@ -70,7 +70,7 @@ fn plan(args: &NavigationArgs, flies: Flies) -> anyhow::Result<FlightPlan> {
     );
     let stated = args.camera_misalignment_deg;
     for camera in &mut plan.cameras {
-        // Zero stays: such a camera is what the body's axes are defined by.
+        // Zero stays: such a camera defines the body's axes.
         if camera.misalignment_sigma_deg > 0.0 {
             camera.misalignment_sigma_deg = stated.unwrap_or(camera.misalignment_sigma_deg);
         }

@@ -189,7 +189,7 @@ fn restore_at(controls: &Controls, file: &SavedValues, now: &Written) -> usize {
     set.count()
 }
 
-/// A damaged file is kept for whoever wants to know.
+/// A damaged file is kept for inspection.
 fn set_aside(path: &Path) {
     let now = Timestamp::now().strftime("%Y%m%dT%H%M%SZ");
     let mut name = path.as_os_str().to_owned();

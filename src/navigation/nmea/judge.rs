@@ -233,7 +233,7 @@ fn nearest(since: SignedDuration, now: Timestamp) -> Option<Timestamp> {
     candidates.min_by_key(|utc| utc.duration_since(now).abs())
 }
 
-/// The velocity towards north and east, m/s. A speed without a course is none, but for a receiver that stands.
+/// The velocity towards north and east, m/s. A speed without a course is not used, except for a receiver at rest.
 fn level_m_s(rmc: Rmc) -> Option<[f64; 2]> {
     let speed_m_s = rmc.speed_knots? * KNOT_M_S;
     let Some(course_deg) = rmc.course_deg else {

@@ -1,4 +1,4 @@
-//! Fixes of a GPS receiver that speaks NMEA 0183: of each time a sentence GGA, with place and height, and a sentence RMC, with date and
+//! Fixes of a GPS receiver that sends NMEA 0183: of each time a sentence GGA, with place and height, and a sentence RMC, with date and
 //! velocity. A receiver without RMC gives fixes without velocity, dated by its ZDA or by the clock.
 
 mod judge;

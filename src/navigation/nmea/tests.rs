@@ -225,7 +225,7 @@ fn what_cannot_be_read_is_counted_and_says_why() {
             "{why:?} lacks {wanted}"
         );
     }
-    // Sentences of other kinds are none of ours.
+    // Sentences of other kinds are ignored.
     for text in [
         "GPVTG,084.4,T,087.5,M,022.4,N,041.5,K",
         "PUBX,00,1",

@@ -184,7 +184,7 @@ impl<'a> Filter<'a> {
     /// Waits for what comes; `epoch` is about the first sample's time.
     fn new(own: &'a Navigator, epoch: Timestamp) -> Self {
         let settings = &own.settings;
-        // One that does not fly sees nothing, whatever it is taken for.
+        // One that does not fly gives no directions, whatever its role.
         let targets = settings.cameras.iter().map(|stated| {
             let flown = own.cameras.iter().find(|(name, _)| *name == stated.name);
             flown.map_or(Target::Sun, |(_, role)| Target::of(*role))

@@ -19,7 +19,7 @@ const PATIENCE: Duration = Duration::from_millis(100);
 /// More than the longest datagram.
 const READ_BYTES: usize = 2048;
 
-/// What a sensor speaks.
+/// The format of a sensor's data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Speaks {
     /// Telemetry packets of type 0x71.

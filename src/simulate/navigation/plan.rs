@@ -108,7 +108,7 @@ impl FlightPlan {
         let pyas = TargetCamera {
             name: "pyas",
             body_from_camera: balloon::ALONG_FIRST,
-            // It is what the body's axes are defined by.
+            // It defines the body's axes.
             misalignment_sigma_deg: 0.0,
             correlation_time_s: CORRELATION_TIME_S,
             rate_hz: 4,
