@@ -1,9 +1,9 @@
 //! Measuring: limb and marks by their own pixels, where a mapping predicts the marks.
 //!
 //! The mapping is the prior's or an acquired one; nothing of it enters the result but the places where the fits start and the
-//! marks that are looked for. Whether it was right, the marks show: they are where it predicts them, or it was not.
+//! marks that are searched. The marks show whether it was right: they are where it predicts them, or it was wrong.
 
-use super::stages::{DISC_ROOM, DiscImage, Pipeline, at, marks_mask};
+use super::stages::{DISC_REACH, DiscImage, Pipeline, at, marks_mask};
 use super::{Mark, Stage, Stopped, Track};
 use crate::estimation::median;
 use crate::fiducial::{Lighting, RefinedMark, Refiner};
@@ -118,7 +118,7 @@ impl Pipeline<'_> {
         let arms = plate.shape.arms() * (plate.shape.size_mil() / 2.0);
         let (outline, region) = (&limb.outline.ellipse, cutout.region());
         let centre = outline.centre.into();
-        let about_mil = DISC_ROOM * outline.mean_radius() * mapping.scale_mil_per_px(centre);
+        let about_mil = DISC_REACH * outline.mean_radius() * mapping.scale_mil_per_px(centre);
         let near = plate.marks_about(mapping.to_plate(centre), about_mil);
         let marks = near.filter_map(|(id, printed)| {
             let at = mapping.to_sensor(printed);

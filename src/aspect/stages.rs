@@ -25,7 +25,7 @@ const MASKED_DEPTH_PX: f64 = 14.0;
 /// The cutout reaches so many radii from the disc's centre: the limb's band and the marks' patches lie within.
 const CUTOUT_RADII: f64 = 1.3;
 /// The marks near a disc lie within so many times its radius: a tilted camera flattens its image.
-pub(super) const DISC_ROOM: f64 = 1.2;
+pub(super) const DISC_REACH: f64 = 1.2;
 /// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
 const PRIOR_REACH_PX: f64 = 45.0;
 /// A lens so many times softer than it is stated is out of focus, or behind haze.
@@ -227,7 +227,7 @@ pub(crate) fn marks_mask(
     let reach_px = 1.1 * shape.size_mil() / 2.0 / scale + MARK_MARGIN_PX;
     let near = -MASKED_DEPTH_PX - reach_px..reach_px;
     let centre = mapping.to_plate(disc.centre.into());
-    let about_mil = DISC_ROOM * (disc.mean_radius() + reach_px) * scale;
+    let about_mil = DISC_REACH * (disc.mean_radius() + reach_px) * scale;
     for (_, printed) in instrument.plate.marks_about(centre, about_mil) {
         let seen = mapping.to_sensor(printed);
         if !near.contains(&disc.excess(seen.vector())) {

@@ -145,7 +145,7 @@ impl<const N: usize> LeastSquares<N> {
         Err(FitError::NotConverged)
     }
 
-    /// Fits from where plain least squares end: for a start at which residuals do not yet tell outliers.
+    /// Fits from where plain least squares end: for a start at which residuals do not yet show outliers.
     ///
     /// # Errors
     /// As [`fit`](Self::fit).
@@ -247,7 +247,7 @@ impl Scale {
 /// from the scatter.
 ///
 /// # Errors
-/// Terms that do not determine the coefficients, or that leave no value to tell the scatter.
+/// Terms that do not determine the coefficients, or that leave no value to determine the scatter.
 pub fn regression<const N: usize>(
     terms: &[SVector<f64, N>],
     values: &[f64],

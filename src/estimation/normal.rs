@@ -100,7 +100,7 @@ impl<const N: usize> Normal<N> {
         }
     }
 
-    /// What is left for the last `LEFT` of the parameters once the observations alone have told the `FIRST` (Schur complement). `None` where
+    /// What is left for the last `LEFT` of the parameters once the observations alone have determined the `FIRST` (Schur complement). `None` where
     /// they do not. FIRST + LEFT = N.
     pub fn of_last<const FIRST: usize, const LEFT: usize>(&self) -> Option<Normal<LEFT>> {
         let block = self.information.fixed_view::<FIRST, FIRST>(0, 0);

@@ -92,7 +92,7 @@ pub fn median_of_orders(orders: &mut [i32]) -> Option<f32> {
 /// 1 sigma of residuals, at least `least`, from those within three sigmas: in rounds, since the limit depends on the result.
 /// `None` of too few.
 pub fn clipped_sigma(residuals: &[f32], start: f32, least: f64) -> Option<f64> {
-    /// Fewest values that tell a sigma.
+    /// Fewest values that determine a sigma.
     const MIN_VALUES: f32 = 10.0;
     /// What the normal distribution keeps of its sigma within three of it.
     const KEPT: f32 = 0.9866;
@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scatter_of_an_even_spread_is_told_in_spite_of_a_far_one() {
+    fn the_scatter_of_an_even_spread_is_measured_in_spite_of_a_far_one() {
         let values = [-2.0, -1.0, 0.0, 1.0, 1e9];
         assert_eq!(median_and_scatter(&values), Some((0.0, SIGMA_PER_MEDIAN)));
         assert_eq!(median_and_scatter(&[]), None);

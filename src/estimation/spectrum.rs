@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 /// The longest piece, samples.
 const LONGEST: usize = 1024;
-/// A shorter piece tells nothing.
+/// A shorter piece is left out.
 const SHORTEST: usize = 16;
 
 /// Power spectral density, one-sided: frequency (Hz) and density (unit^2/Hz), from values so many seconds apart. Each run is without

@@ -60,7 +60,7 @@ const DISTURBANCE_PX2: f64 = 6.0;
 const CLEAN_SHARE: f64 = 1.4;
 /// The same of a dot.
 const CLEAN_SHARE_OF_DOT: f64 = 1.1;
-/// Nothing but its size and its even darkness tells a dot from a sunspot: it must explain this part of the structure.
+/// Only its size and its even darkness distinguish a dot from a sunspot: it must explain this part of the structure.
 const LEAST_LIKENESS_OF_DOT: f64 = 0.5;
 /// The contrast that the fourfold part of a cross shows, over that of the whole: 1 for a cross in focus, 0.3 in haze that
 /// the filter does not know of, and 0 but for noise of what is round.

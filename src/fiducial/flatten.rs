@@ -257,7 +257,7 @@ impl Ground {
         let mut coefficients = start;
         let lights = self.pixels.iter().map(|pixel| pixel.light);
         let brightest = lights.fold(f64::MIN_POSITIVE, f64::max);
-        // What a saturated disc shows is a thin ring, which must not tell how the light bends.
+        // A saturated disc shows a thin ring only, which must not determine how the light bends.
         let uneven = Self::UNEVEN_SIGMA.powi(-2);
         let even = Prior {
             mean: Vector4::zeros(),

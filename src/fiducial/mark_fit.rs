@@ -67,7 +67,7 @@ impl MarkFit<'_> {
             information: Unknowns::from(EXPECTED_INVERSE_SIGMA.map(|s| s * s)),
         };
         let mut unknowns = prior.mean;
-        // The very first model is too far off to tell outliers.
+        // The very first model is too far off to show outliers.
         lists.weights.clear();
         lists.weights.extend_from_slice(groups(&lists.patch.counts));
         let mut reduced_chi2: f64 = 1.0;

@@ -23,7 +23,7 @@ pub enum MarkForm {
     Dot,
 }
 
-/// How far beyond its tips a mark is looked for, in blurs: a wider window gains nothing and lets in what lies beside.
+/// How far beyond its tips a mark is searched, in blurs: a wider window gains nothing and lets in what lies beside.
 const TIP_BLURS: f64 = 1.5;
 /// Ground about a cross that takes part in its fit, in widths of an arm: it determines the light's level and tilt. More of it lets
 /// in what lies beside.
@@ -76,7 +76,7 @@ impl MarkImage {
         }
     }
 
-    /// Whether the camera resolves a cross's arms; a dot has none, and a small cross looks like one.
+    /// Whether the camera resolves a cross's arms; a dot has none, and a small cross is like one.
     pub fn shows_arms(&self) -> bool {
         /// From tip to tip.
         const LEAST_LENGTH_PX: f64 = 7.0;
@@ -143,7 +143,7 @@ impl MarkImage {
         coverage
     }
 
-    /// How well a mark's detection tells its place, 1 sigma per axis, px, among noise that is so large beside the mark's darkness.
+    /// How well a mark's detection determines its place, 1 sigma per axis, px, among noise that is so large beside the mark's darkness.
     pub fn place_sigma_px(&self, noise: f64) -> f64 {
         let reach = self.reach_px().ceil() as i32;
         let along = || (-reach..=reach).map(|n| n as f32);

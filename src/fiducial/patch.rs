@@ -43,7 +43,7 @@ impl<F: Fn(f64, f64) -> f64> Illumination for F {
     }
 }
 
-/// Where less than this part of the patch's brightest light falls, a pixel tells nothing of the mark.
+/// A pixel with less than this part of the patch's brightest light is not used for the mark.
 const LEAST_LIGHT: f32 = 0.05;
 
 /// The pixels about a mark, one list for each quantity, in whole lanes: the last ones may be filled up with pixels that do not

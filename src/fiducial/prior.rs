@@ -30,7 +30,7 @@ pub(super) const PREDICTION_ERROR: f64 = 0.03;
 
 // Scene statistics. Detections: shares and contrasts.
 
-/// Share of the marks found where the limb cuts them so that they may be missed: not known, so even odds.
+/// Share of the marks found where the limb cuts them so that they may be missed: not known, so an even chance.
 pub const CUT_FOUND_SHARE: f64 = 0.5;
 /// False detections on a disc.
 pub const FALSE_ON_DISC: f64 = 1.0;

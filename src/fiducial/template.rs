@@ -126,7 +126,7 @@ pub(super) struct Template {
 }
 
 impl Template {
-    /// Of the darkness that is looked for about the middle of a window.
+    /// Of the darkness to be found about the middle of a window.
     pub(super) fn new(window: &Window, darkness: &[f32]) -> Self {
         let inside = |n: &usize| window.is_inside(window.ring[*n]);
         let sum: f32 = (0..darkness.len())
@@ -140,7 +140,7 @@ impl Template {
         Self { weights, energy }
     }
 
-    /// Contrast of what is looked for, about a value where the window fits.
+    /// Contrast of the searched pattern, about a value where the window fits.
     pub(super) fn response(&self, window: &Window, flat: &FlatDisc, index: usize) -> f64 {
         f64::from(window.correlate(&self.weights, flat, index)) / self.energy
     }
@@ -192,7 +192,7 @@ pub(super) struct Peak {
 }
 
 impl Peak {
-    /// The top of the response from the pixel's middle, px, by a parabola in each axis: a cross looks the same after a quarter
+    /// The top of the response from the pixel's middle, px, by a parabola in each axis: a cross is the same after a quarter
     /// turn, and so its response has no other axes. `None` on even ground.
     pub(super) fn top(&self) -> Option<[f64; 2]> {
         let [left, right, above, below] = self.beside;
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cross_looks_the_same_after_a_quarter_turn() {
+    fn a_cross_is_the_same_after_a_quarter_turn() {
         let [a, b] = [7.0, 97.0].map(|turn| {
             let (window, shares) = window_and_shares(turn);
             Template::new(&window, &shares)

@@ -45,7 +45,7 @@ impl DiskFile {
         let mut own = begun(folder).map_err(|problem| problem.in_file(folder))?;
         self.copy(hdu, own.as_file_mut())?;
         AmendedTable::open(own, self.path(), hdu.name(), |file, status| {
-            // SAFETY: cfitsio may be told nothing of the kind of the HDU.
+            // SAFETY: cfitsio accepts a null pointer for the kind of the HDU.
             unsafe { sys::ffmahd(file, 2, std::ptr::null_mut(), status) };
         })
     }
@@ -152,7 +152,7 @@ impl AmendedTable {
         let count = numbers.len() as i64;
         let mut any = 0;
         self.called(&format!("read column {}", column.name), |file, status| {
-            // SAFETY: there is room for so many numbers.
+            // SAFETY: there is space for so many numbers.
             unsafe {
                 sys::ffgcvd(
                     file,
@@ -222,7 +222,7 @@ impl AmendedTable {
         let count = self.rows()?.saturating_mul(self.row_bytes()?);
         let mut bytes = vec![0; count as usize];
         self.called("read rows", |file, status| {
-            // SAFETY: there is room for so many bytes.
+            // SAFETY: there is space for so many bytes.
             unsafe { sys::ffgtbb(file, 1, 1, count as i64, bytes.as_mut_ptr(), status) };
         })?;
         Ok(bytes)

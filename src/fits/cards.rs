@@ -130,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_clocks_keywords_are_in_seconds_and_tell_of_a_time_service_only_where_there_is_one() {
+    fn the_clocks_keywords_are_in_seconds_and_name_a_time_service_only_where_there_is_one() {
         let mut clock = ClockStatus {
             synchronised: true,
             offset_us: -250.0,

@@ -74,7 +74,7 @@ impl FitsFile {
     }
 
     /// What `work` makes of the frame. A row is decoded when it is first read, where each is a tile, and DATASUM and SATURATE are stated; else
-    /// the whole frame is decoded before. Damage of a row that `work` does not read is not told.
+    /// the whole frame is decoded before. Damage of a row that `work` does not read is not reported.
     ///
     /// # Errors
     /// As [`read_frame`](super::read_frame), and where a row that was read is damaged.

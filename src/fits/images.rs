@@ -83,5 +83,5 @@ pub fn encode_images(images: &[Image], history: &[String]) -> Result<Vec<u8>, Pr
     Ok(file.into_bytes())
 }
 
-/// Room for a header, and for the fill behind its data.
+/// Space for a header, and for the fill behind its data.
 const HEADER_BYTES: usize = 1 << 14;

@@ -50,7 +50,7 @@ impl Layout {
         self.bytes.resize(start + CARD, b' ');
     }
 
-    /// Writes the nth card of this header anew.
+    /// Rewrites the nth card of this header.
     pub fn set_card(&mut self, n: usize, text: &str) {
         let start = self.header + n * CARD;
         let end = self.bytes.len();
@@ -87,7 +87,7 @@ impl Layout {
     /// Ends the header; the data follow.
     pub fn end_header(&mut self) {
         if self.continues {
-            // Readers of before FITS 4.0 look for it.
+            // Readers of before FITS 4.0 expect it.
             self.card(&text_card(
                 ["LONGSTRN", "texts may go on in CONTINUE cards"],
                 "OGIP 1.0",

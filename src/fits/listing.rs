@@ -17,7 +17,7 @@ pub fn is_frame_name(path: &Path) -> bool {
     !is_hidden(path) && FRAME_ENDINGS.iter().any(|ending| name.ends_with(ending))
 }
 
-/// Whether a name begins with a dot: such files and folders are not looked at.
+/// Whether a name begins with a dot: such files and folders are not read.
 pub fn is_hidden(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default();
     name.as_encoded_bytes().starts_with(b".")

@@ -58,11 +58,11 @@ impl From<Compression> for Packing {
 const STACK_BYTES: usize = 1 << 18;
 /// Bytes of a tile's descriptor: its length, and where it begins in the heap.
 const DESCRIPTOR: usize = 8;
-/// Of the header of a table of tiles, the cards that tell what is known only when all tiles are there.
+/// Of the header of a table of tiles, the cards for what is known only when all tiles are there.
 const PCOUNT: usize = 5;
 const TFORM: usize = 9;
 
-/// Begins an image's HDU with the cards that tell its shape.
+/// Begins an image's HDU with the cards of its shape.
 pub(super) fn begin(layout: &mut Layout, pixels: &Pixels, width: usize, compression: Compression) {
     let (height, bits) = (pixels.len() / width, pixels.bits() as usize);
     layout.begin();
@@ -121,7 +121,7 @@ fn offset(layout: &mut Layout, pixels: &Pixels) {
     }
 }
 
-/// Adds the image's pixels as the HDU's data, and what the header must tell of them.
+/// Adds the image's pixels as the HDU's data, and what the header must state of them.
 ///
 /// # Errors
 /// None but what the compressor of gzip may give.

@@ -371,7 +371,7 @@ impl PixelBuffer {
     }
 }
 
-/// Whether all numbers lie in a range. With a single maximum and no early end, many are looked at side by side.
+/// Whether all numbers lie in a range. With a single maximum and no early end, many are compared in parallel (SIMD).
 #[multiversion(targets("x86_64+avx2"))]
 fn all_within(numbers: &[i32], range: &RangeInclusive<i32>) -> bool {
     let above = |number: i32| number.wrapping_sub(*range.start()) as u32;

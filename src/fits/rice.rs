@@ -318,7 +318,7 @@ fn strung(four: u64, low: u64, width: Width) -> (u64, u32) {
 
 /// Bits that become bytes, the highest of each byte first.
 struct Writer<'a> {
-    /// Room for all, and for a window behind it.
+    /// Space for all, and for a window behind it.
     out: &'a mut [u8],
     /// The last `count` bits, below 8, that are no whole byte yet, from the top down.
     window: u64,
@@ -336,9 +336,9 @@ impl Writer<'_> {
     fn put(&mut self, number: u64, bits: u32) {
         self.count += bits;
         self.window |= number << (64 - self.count);
-        // Without a branch: whether a byte is whole could not be foretold.
+        // Without a branch: whether a byte is whole could not be predicted by the processor.
         self.out[..8].copy_from_slice(&self.window.to_be_bytes());
-        // Below 8, so that the compiler need not ask whether there is room.
+        // Below 8, so that the compiler need not ask whether there is space.
         let bytes = self.count / 8 % 8;
         self.out = &mut mem::take(&mut self.out)[bytes as usize..];
         self.window <<= 8 * bytes;
@@ -392,7 +392,7 @@ impl Writer<'_> {
         }
     }
 
-    /// Bytes of the room that were not needed; zeros fill the last byte.
+    /// Bytes of the space that were not needed; zeros fill the last byte.
     fn left(self) -> usize {
         self.out.len() - self.count.div_ceil(8) as usize
     }
@@ -605,7 +605,7 @@ mod tests {
         assert_eq!(decoded(Width::One, &stream), Some([7, 7, 7, 7, 8, 8]));
     }
 
-    /// The same by single bits, as the standard tells it.
+    /// The same by single bits, as the standard describes it.
     fn plainly_encoded<T: StoredPixel>(row: &[T]) -> Vec<u8> {
         let mut bits: Vec<u8> = Vec::new();
         let mut put = |number: u32, count: u32| {

@@ -50,7 +50,7 @@ pub struct StoredColumn {
     pub name: &'static str,
     /// As FITS writes it where it knows it; empty for values without.
     pub unit: &'static str,
-    /// What the values are, as TCOMMn tells it.
+    /// What the values are, as TCOMMn states it.
     pub meaning: &'static str,
     pub form: CellForm,
 }
@@ -101,7 +101,7 @@ impl StoredRow {
     }
 }
 
-/// A file of binary tables behind a primary HDU without data, in the making. Nothing in it tells when it was made: the same tables give
+/// A file of binary tables behind a primary HDU without data, in the making. Nothing in it states when it was made: the same tables give
 /// the same bytes.
 #[derive(Debug)]
 pub struct TableFile {

@@ -8,7 +8,7 @@ use std::io::Cursor;
 use tiff::decoder::{Decoder, DecodingResult};
 use tiff::tags::Tag;
 
-/// More pages are not looked at.
+/// More pages are not read.
 const MOST_PAGES: usize = 1000;
 
 /// A greyscale picture of numbers that no frame has: floating-point ones, or whole ones with a sign or of more than 16 bits.

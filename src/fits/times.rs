@@ -20,7 +20,7 @@ const LONGEST_CLOCK_S: f64 = 253_370_764_800.0;
 /// A Julian Date less a Modified one.
 const JULIAN_OF_MODIFIED: f64 = 2_400_000.5;
 
-/// What of the exposure a keyword tells the time of.
+/// Which time of the exposure a keyword gives.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Part {
     Start,

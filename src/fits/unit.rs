@@ -1,6 +1,6 @@
-//! Which units FITS knows (FITS 4.0, section 4.3), and how a unit that it does not know is told all the same.
+//! Which units FITS knows (FITS 4.0, section 4.3), and how a unit that it does not know is stated all the same.
 //!
-//! Readers warn of a unit that is not FITS's own, and drop it. So one that FITS knows stands where readers look for it, in
+//! Readers warn of a unit that is not FITS's own, and drop it. So one that FITS knows stands where readers expect it, in
 //! TUNITn or in brackets; any other, as mil and degC, only in the words that explain the value.
 
 /// Units of tables 3 to 5 of the standard that this program may write, some with a metric prefix.
@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn units_of_fits_are_told_from_those_it_does_not_know() {
+    fn units_of_fits_are_distinguished_from_those_it_does_not_know() {
         for unit in ["s", "deg", "arcsec", "pixel", "m/s2", "arcsec/pixel", "mm2"] {
             assert!(is_known(unit), "{unit}");
         }
@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn a_comment_tells_the_unit_that_fits_does_not_know() {
+    fn a_comment_gives_the_unit_that_fits_does_not_know() {
         let comments = |unit| [keyword_comment("size", unit), column_comment("size", unit)];
         assert_eq!(comments(""), ["size", "size"]);
         assert_eq!(comments("deg"), ["[deg] size", "size"]);

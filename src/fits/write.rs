@@ -35,7 +35,7 @@ pub struct Column {
     pub name: String,
     /// Unit, as FITS writes it where it knows it; empty for values without.
     pub unit: String,
-    /// What the values are, as TCOMMn tells it.
+    /// What the values are, as TCOMMn states it.
     pub meaning: String,
     pub values: Values,
 }
@@ -45,7 +45,7 @@ pub struct Column {
 pub enum Values {
     /// NaN, in FITS, is a value that is not known.
     Float(Vec<f64>),
-    /// As they are stored; TNULLn is not looked at.
+    /// As they are stored; TNULLn is not used.
     Integer(Vec<i64>),
     Logical(Vec<bool>),
     Text(Vec<String>),
@@ -194,7 +194,7 @@ pub(super) fn begin_primary(file: &mut Layout) -> Result<(), Problem> {
     put_cards(file, &name_cards(PRIMARY_NAME, Holds::Other))
 }
 
-/// Room for headers and tables.
+/// Space for headers and tables.
 const OTHER_BYTES: usize = 1 << 17;
 
 /// What an HDU holds, for SOLARNET.

@@ -37,7 +37,7 @@ impl Coverage {
         (squares(&self.slope_x) + squares(&self.slope_y)) / 2.0
     }
 
-    /// Room for so many places; what was there stays.
+    /// Makes space for so many places; what was there stays.
     pub fn resize(&mut self, count: usize) {
         for list in [&mut self.share, &mut self.slope_x, &mut self.slope_y] {
             list.resize(count, 0.0);

@@ -22,14 +22,14 @@ pub struct Ring {
 }
 
 /// More than a ring has sectors: a power of 2, so that an index needs no check.
-pub const ROOM: usize = 1024;
+pub const MOST_SECTORS: usize = 1024;
 
 /// Where some pixels of a run lie, the last ones' rest filled up with some that are not wanted.
 #[derive(Clone, Copy)]
 pub struct Located {
     /// Outwards from the ellipse, to first order.
     pub away_px: [f32; LANES],
-    /// Below [`ROOM`]; of pixels that are masked or out of reach the number of sectors.
+    /// Below [`MOST_SECTORS`]; of pixels that are masked or out of reach the number of sectors.
     pub sector: [u32; LANES],
 }
 
@@ -39,7 +39,7 @@ pub struct Located {
 #[multiversion(targets("x86_64+avx2"))]
 pub fn locate(ring: &Ring, runs: &[Run<'_>], found: &mut Vec<Located>) {
     let [a, b, c] = ring.inverse;
-    let (sectors, beyond) = (ring.sectors as i32 as f32, ROOM as u32);
+    let (sectors, beyond) = (ring.sectors as i32 as f32, MOST_SECTORS as u32);
     for run in runs {
         let (whole, rest) = run.masked.as_chunks::<LANES>();
         let mut last = [true; LANES];

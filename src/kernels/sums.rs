@@ -13,7 +13,7 @@ pub const SECTOR: usize = 5;
 pub const COLUMNS: usize = SECTOR + 1;
 /// In the sums, in Newton's step, and among all.
 const WEIGHTS: usize = 3;
-/// Newton's sum, and the two that tell how much light there is.
+/// Newton's sum, and the two for the amount of light.
 const OTHERS: usize = 3;
 
 /// The model of a sector, and what decides how much a pixel counts.

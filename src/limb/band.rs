@@ -2,7 +2,7 @@
 
 use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
-use crate::kernels::ring::{ROOM, Ring, Run, locate};
+use crate::kernels::ring::{MOST_SECTORS, Ring, Run, locate};
 use crate::kernels::{LANES, zeros};
 use nalgebra::Vector2;
 
@@ -56,10 +56,10 @@ impl Band {
         let mut located = Vec::with_capacity(runs.iter().map(groups).sum());
         locate(&ring, &runs, &mut located);
         // What is not wanted comes last, in a sector of its own.
-        let mut ends = [0_u32; ROOM];
+        let mut ends = [0_u32; MOST_SECTORS];
         for group in &located {
             for sector in &group.sector {
-                ends[*sector as usize % ROOM] += 1;
+                ends[*sector as usize % MOST_SECTORS] += 1;
             }
         }
         let mut begin = 0;
@@ -78,7 +78,7 @@ impl Band {
             for (light_dn, group) in run.light_dn.chunks(LANES).zip(&mut groups) {
                 let found = group.sector.iter().zip(&group.away_px);
                 for ((sector, away_px), light_dn) in found.zip(light_dn) {
-                    let end = &mut ends[*sector as usize % ROOM];
+                    let end = &mut ends[*sector as usize % MOST_SECTORS];
                     let place = *end as usize;
                     (distances[place], lights[place]) = (*away_px, *light_dn);
                     *end += 1;

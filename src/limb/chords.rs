@@ -121,7 +121,7 @@ impl Scan {
     }
 
     /// Where the straight line through the four pixels about a place meets the threshold, `first_after` being the first pixel
-    /// beyond; the window is centred anew once, since noise may have moved the first guess. `inward` is 1 where light rises
+    /// beyond; the window is centred again once, since noise may have moved the first guess. `inward` is 1 where light rises
     /// along the line and -1 where it falls. `None` where the line ends.
     fn crossing(&self, line: &Line<'_>, first_after: usize, inward: f64) -> Option<Crossing> {
         let mut first_after = first_after;

@@ -50,7 +50,7 @@ const UNEVEN_ILLUMINATION: f64 = 0.02;
 /// One sector of a blemish says nothing of the others: it counts as so many sigma.
 const MOST_DEPARTURE_SIGMAS: f64 = 4.0;
 
-/// Variance of a place found with Tukey's weights w, of normal residuals r, over that which their weighted information tells:
+/// Variance of a place found with Tukey's weights w, of normal residuals r, over that which their weighted information gives:
 /// E[(r w)^2] E[w] / E[d(r w)/dr]^2.
 const TUKEY_VARIANCE: f64 = 0.963;
 /// A step is made at most so many times longer than the weights make it.

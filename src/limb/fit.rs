@@ -43,7 +43,7 @@ impl Limb {
         }
     }
 
-    /// Means of a few neighbouring points each, and 1 sigma across the limb: the outline is so smooth that they tell as much of it
+    /// Means of a few neighbouring points each, and 1 sigma across the limb: the outline is so smooth that they determine it as well
     /// (astrometry's normal points).
     pub fn normal_points(&self) -> Vec<(SensorPx, f64)> {
         let ellipse = &self.outline.ellipse;

@@ -7,7 +7,7 @@ use crate::kernels::limb::{Disc, Lit};
 use nalgebra::{Matrix2, Vector2};
 
 /// A larger part of the limb shows at which azimuths it is softer.
-const MOTION_TOLD: f64 = 0.7;
+const MOTION_LIMB: f64 = 0.7;
 /// A limb so many times softer than the lens makes it is as sharp as it is stated.
 const HARDLY_SOFTER: f64 = 1.3;
 
@@ -43,7 +43,7 @@ impl DiscLight {
     /// How far the Sun's image may have moved during the exposure, px, where the lens itself blurs by so much: on part of a limb
     /// motion and haze cannot be distinguished, and all that it is softer counts as motion.
     pub fn most_motion_px(&self, lens_blur_px: f64, limb_fraction: f64) -> f64 {
-        if limb_fraction > MOTION_TOLD {
+        if limb_fraction > MOTION_LIMB {
             return self.motion_px();
         }
         let softer_px2 = self.blur_px2().0 - (HARDLY_SOFTER * lens_blur_px).powi(2);

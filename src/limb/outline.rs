@@ -261,7 +261,7 @@ mod tests {
     };
 
     #[test]
-    fn an_ellipse_is_found_though_a_fifth_of_its_points_is_pulled_inwards() {
+    fn an_ellipse_is_found_though_a_fifth_of_its_points_is_moved_inwards() {
         let mut points = limb(&truth(), 0..360, 0.05);
         for point in points.iter_mut().take(36) {
             let inwards = (truth().centre - point.at.vector()).normalize();

@@ -43,7 +43,7 @@ pub struct DiscSearch<'a> {
 }
 
 impl DiscSearch<'_> {
-    /// Looks for the disc, to a pixel or so, everywhere in a region of the frame.
+    /// Searches the disc, to a pixel or so, everywhere in a region of the frame.
     pub fn anywhere(&self, region: Region) -> Result<Circle, Rejected> {
         let mut reason = Rejected {
             reason: sun::NO_BRIGHT_PATCH,
@@ -61,7 +61,7 @@ impl DiscSearch<'_> {
         Err(reason)
     }
 
-    /// Looks for the disc in a region about the place where it was: steps 2 to 4, the region for a patch.
+    /// Searches the disc in a region about the place where it was: steps 2 to 4, the region for a patch.
     pub fn near(&self, region: Region) -> Result<Circle, Rejected> {
         self.disc_on(&Grid {
             region,

@@ -72,7 +72,7 @@ keywords! {
     CORNER_Y = "CORNER-Y", Integer, "pixel", Both, "row of the sensor at first pixel";
     BITDEPTH, Integer, "bit", Both, "depth of the pixels";
     SATURATE, Integer, "DN", Both, "value at which a pixel saturates";
-    BTYPE, Text, "", Written, "what the pixels tell";
+    BTYPE, Text, "", Written, "quantity in the pixels";
     BUNIT, Text, "", Written, "unit of the pixels";
 
     "Place":
