@@ -91,7 +91,7 @@ impl Pipeline<'_> {
     }
 
     /// A mark that is known less well than the plate's best weighs less: on a plate that was measured, the few marks that
-    /// nobody saw are still where the drawing puts them.
+    /// were not seen are still where the drawing puts them.
     fn poorly_known_px2(&self, id: MarkId) -> Matrix2<f64> {
         let scale = self.instrument.mounting.scale_mil_per_px.value;
         Matrix2::identity() * (self.instrument.plate.excess_variance_mil2(id) / scale.powi(2))
@@ -192,7 +192,7 @@ impl Pipeline<'_> {
         }
     }
 
-    /// A radius with the uncertainty of the limb's profile, which moves all points alike, as far as these determine the radius and not
+    /// A radius with the uncertainty of the limb's profile, which moves all points together, as far as these determine the radius and not
     /// what is stated of it.
     fn with_sigma_of_profile(&self, radius_px: Measured, limb: &Limb) -> Measured {
         let stated = limb.outline.radius_sigma_px() / self.stated_radius_px().sigma;

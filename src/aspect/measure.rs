@@ -13,17 +13,17 @@ use crate::limb::{COMA_BLURS, DiscLight, Limb};
 use crate::units::Estimate;
 use nalgebra::{Matrix2, Vector2};
 
-/// A mark farther than this from its predicted place is none, or the camera moved; px.
+/// A mark farther than this from its predicted place is false, or the camera moved; px.
 const MAX_DRIFT_PX: f64 = 1.0;
 /// What of a mark must lie inside the limb for it to be measured, in half lengths from its middle.
 const LEAST_INSIDE: f64 = 0.3;
-/// A mark whose residuals exceed the pixels' stated variance by so much is none, or not only one.
+/// A mark whose residuals exceed the pixels' stated variance by this factor is false, or covered by something.
 const MAX_CHI2: f64 = 16.0;
 /// All marks of a plate have the same contrast; what differs by more from the fully lit ones is something else, or more than one.
 const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
 /// A cut mark whose place is less certain is rejected, px.
 const MOST_CUT_SIGMA_PX: f64 = 0.3;
-/// So many marks beyond those that make a labelling must be predicted: a wrong mapping that fits a few by chance does not fit these.
+/// Marks beyond those that make a labelling that must be predicted: a wrong mapping that fits a few by chance does not fit these.
 const MORE_MARKS: usize = 2;
 /// After so many frames the marks are detected and identified again: a wrong id must not last.
 const MOST_IN_SUCCESSION: u32 = 30;
@@ -160,7 +160,7 @@ impl Pipeline<'_> {
         marks.iter().map(refined).collect()
     }
 
-    /// By how much coma shifts marks against the limb. Its uncertainty moves all marks alike: so many must not average it
+    /// By how much coma shifts marks against the limb. Its uncertainty moves all marks together: many marks must not average it
     /// away.
     fn coma_shift(&self, light: &DiscLight, marks: usize) -> ComaShift {
         let (coma, covariance) = light.coma();

@@ -185,7 +185,7 @@ fn normal_equations<const D: usize, const N: usize>(
     normal
 }
 
-/// A loss of residuals over their scale; all count alike where they have none.
+/// A loss of residuals over their scale; all have equal weights where they have none.
 struct Scaled {
     loss: Loss,
     scale: f64,

@@ -5,7 +5,7 @@ use nalgebra::{Cholesky, Const, DMatrix, DVector, Dyn, Matrix2, SMatrix, SVector
 /// An unknown with less than this part of its information independent of those before it is not determined.
 const LEAST_OWN_PART: f64 = 1e-10;
 
-/// What is known of the parameters beforehand, each on its own.
+/// The priors of the parameters, each on its own.
 #[derive(Debug, Clone, Copy)]
 pub struct Prior<const N: usize> {
     pub mean: SVector<f64, N>,

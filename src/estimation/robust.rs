@@ -25,7 +25,7 @@ pub const TUKEY_SIGMAS_2D: f64 = 5.123;
 /// What residuals cost, and so how they are weighted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Loss {
-    /// Least squares: all alike.
+    /// Least squares: equal weights.
     Squares,
     /// Tukey's biweight: the weight falls to zero at this many sigmas.
     Tukey(f64),

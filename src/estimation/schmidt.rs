@@ -87,7 +87,7 @@ pub fn symmetrise(covariance: &mut DMatrix<f64>) {
     }
 }
 
-/// The root of a covariance whose states have units of their own: states are scaled to one first. `None` where it is not positive.
+/// The square root of a covariance whose states have units of their own: states are scaled to one first. `None` where it is not positive.
 pub struct ScaledRoot {
     scale: DVector<f64>,
     root: Cholesky<f64, Dyn>,

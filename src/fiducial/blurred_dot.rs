@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 
 /// Steps of the table in a pixel.
 const STEPS_PER_PX: f64 = 8.0;
-/// So many blurs from its edge the disc is whole, or gone.
+/// Distance from its edge, in blurs, at which the disc is whole, or gone.
 const EDGE_BLURS: f64 = 4.5;
 /// Chords of the disc that are summed.
 const CHORDS: i32 = 32;

@@ -12,7 +12,7 @@ const BOX: usize = 3;
 const BOX_SHARE: f64 = 0.2;
 /// A box must be darker than the noise by so many sigma.
 const BOX_SIGMA: f64 = 4.0;
-/// So many candidates are tried for each mark that may be found.
+/// Number of candidates that are tried for each mark that may be found.
 const CANDIDATES_PER_DETECTION: usize = 2;
 
 /// Indices into the flattened disc's values of its darkest places, darkest first, half a mark apart at least.

@@ -54,7 +54,7 @@ impl Detections {
 
 /// Systematic error of a parabola's top over the sub-pixel phases, px; added to every mark's sigma.
 const PARABOLA_SIGMA_PX: f64 = 0.01;
-/// Structure that the cross does not explain counts as noise that is alike over so many pixels: the size of a sunspot.
+/// Structure that the cross does not explain counts as noise that is correlated over this many pixels: the size of a sunspot.
 const DISTURBANCE_PX2: f64 = 6.0;
 /// The structure of a clean cross, between pixels and blurred as it may be, over what the filter explains of it.
 const CLEAN_SHARE: f64 = 1.4;
@@ -249,7 +249,7 @@ impl<'a> MarkSearch<'a> {
         }
     }
 
-    /// The mark near a candidate; `None` where what is there is none.
+    /// The mark near a candidate; `None` where there is no mark.
     fn measure(&self, candidate: usize) -> Option<Detection> {
         let (flat, window) = (self.flat, self.window);
         let peak = self.mark.climb(window, flat, candidate, MOST_STEPS)?;

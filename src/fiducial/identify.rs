@@ -16,7 +16,7 @@
 //! by 22 px, which counts where the instrument states it to 5 px. A labelling must beat all that contradict it, and
 //! chance, decisively; else all are refused.
 //!
-//! The pattern of 2013 has no two places alike. Another plate may: where the marks in view are as well those of another place,
+//! The pattern of 2013 has no two places with the same pattern. Another plate may: where the marks in view fit another place equally well,
 //! however far away, the stated centre alone would decide, and a camera that was moved since would have all frames wrong. Such
 //! a labelling is refused.
 

@@ -72,7 +72,7 @@ pub struct IdentificationPrior {
     /// Radius of the outline on the plate; its sigma is that of the scale.
     pub radius_mil: Measured,
     /// Rotation of the plate's axes modulo a quarter turn, from the arms of the crosses, in the outline's own coordinates
-    /// ([`Ellipse::to_disc`]). `None` of marks without arms, whose rotation is what is stated, within its sigma.
+    /// ([`Ellipse::to_disc`]). `None` of marks without arms, whose rotation is the stated one, within its sigma.
     pub quarter_rotation_deg: Option<Measured>,
     pub handedness: Handedness,
     /// Stated position of the plate's centre on the sensor, and 1 sigma of it per axis.

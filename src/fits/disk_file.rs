@@ -123,7 +123,7 @@ impl DiskFile {
         &self.hdus
     }
 
-    /// So many bytes from a place on, or fewer at the end of the file.
+    /// A number of bytes from a place on, or fewer at the end of the file.
     fn at_most(&self, start: u64, bytes: u64) -> Result<Vec<u8>, Problem> {
         let mut read = vec![0; bytes.min(self.bytes.saturating_sub(start)) as usize];
         let filled = self.file.read_exact_at(&mut read, start);

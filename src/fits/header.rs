@@ -162,7 +162,7 @@ impl Header {
     /// A finite number, integer or not.
     ///
     /// # Errors
-    /// A value that is none.
+    /// An invalid value.
     pub fn number(&self, keyword: &str) -> Result<Option<f64>, Problem> {
         self.typed(keyword, "a finite number", |value| match value {
             Value::Integer(number) => Some(*number as f64),
@@ -185,7 +185,7 @@ impl Header {
     /// A text in quotes.
     ///
     /// # Errors
-    /// A value that is none.
+    /// An invalid value.
     pub fn text(&self, keyword: &str) -> Result<Option<String>, Problem> {
         self.typed(keyword, "a text in quotes", |value| match value {
             Value::Text(text) => Some(text.clone()),

@@ -17,7 +17,7 @@ const TOP: f32 = u16::MAX as f32;
 const SAMPLED: usize = 61;
 /// The part of the pixels below and above the spread of nearly all.
 const OUTSIDE: f64 = 0.01;
-/// So many times that spread is possible too: frames that are means of many have little noise.
+/// A factor of that spread that is possible, too: frames that are means of many have little noise.
 const SPREADS: f32 = 100.0;
 /// Where so many pixels have the largest value, it is that of saturation.
 const SATURATED_PIXELS: usize = 100;

@@ -251,7 +251,7 @@ impl<T: StoredPixel> Encoder<T> {
     }
 }
 
-/// Each step in a pass of its own over the row, so that the compiler makes many pixels side by side.
+/// Each step in a pass of its own over the row, so that the compiler vectorises it.
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2+lzcnt"))]
 fn encode<T: StoredPixel>(row: &[T], encoder: &mut Encoder<T>) -> usize {
     let Some(first) = row.first() else {

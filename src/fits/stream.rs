@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 /// How a column's values are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CellForm {
-    /// So many characters.
+    /// Text of this many characters.
     Text(usize),
     /// 64 bits; TNULLn stands for none.
     Integer,

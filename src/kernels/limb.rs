@@ -189,7 +189,7 @@ fn fill(disc: &Disc, first: f32, y: f32, light: &mut [f32]) {
     let deep2 = disc.deep2();
     for (n, light) in light.chunks_mut(LANES).enumerate() {
         let found = disc.run_light(first + (n * LANES) as i32 as f32, y, deep2);
-        // A copy of a length that is known beforehand is one instruction.
+        // A copy of a constant length is one instruction.
         match light.len() {
             LANES => light.copy_from_slice(&found),
             left => light.copy_from_slice(&found[..left]),

@@ -1,4 +1,4 @@
-//! Kernels: the loops over pixels that the processor works on side by side, each held to a plain twin by a test.
+//! Kernels: the loops over pixels that the processor runs in parallel (SIMD), each held to a plain twin by a test.
 
 pub mod limb;
 pub mod marks;
@@ -8,16 +8,16 @@ pub mod sums;
 
 use multiversion::multiversion;
 
-/// Numbers that the processor works on side by side.
+/// Numbers that the processor handles in parallel (SIMD).
 pub const LANES: usize = 8;
 
-/// A list's whole groups of numbers that are worked on side by side.
+/// A list's whole groups of numbers that are processed in parallel (SIMD).
 #[inline(always)]
 pub fn groups(list: &[f32]) -> &[[f32; LANES]] {
     list.as_chunks().0
 }
 
-/// So many numbers that are 0. Long fills in one go are slow to begin.
+/// A number of zeros. Long fills in one go are slow to begin.
 pub fn zeros<T: Copy + Default>(count: usize) -> Vec<T> {
     let mut list = Vec::with_capacity(count);
     while list.len() < count {
@@ -110,7 +110,7 @@ pub fn subtract<T: Copy + Into<u32>>(
 /// Whether some pixel of a row is above a value.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn any_above<T: Copy + Default + Ord>(row: &[T], floor: T) -> bool {
-    /// Pixels that are compared side by side.
+    /// Pixels that are compared in parallel.
     const GROUP: usize = 32;
     let (groups, rest) = row.as_chunks::<GROUP>();
     let mut most = [T::default(); GROUP];

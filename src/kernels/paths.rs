@@ -3,7 +3,7 @@
 use super::{LANES, WHOLES, groups, larger, smaller};
 use multiversion::multiversion;
 
-/// Columns of a table that are worked on side by side.
+/// Columns of a table that are processed in parallel (SIMD).
 pub const COLUMNS: usize = 2 * LANES;
 
 /// Positions in a picture that follow each other along a path.

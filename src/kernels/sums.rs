@@ -1,4 +1,4 @@
-//! The kernel of the limb's fit: sums over the pixels of a sector, eight of them side by side.
+//! The kernel of the limb's fit: sums over the pixels of a sector, eight of them in parallel (SIMD).
 //!
 //! With Tukey's weights w a step by the normal equations is too short, since weights change on the way: Newton's step has d(r w)/dr
 //! in place of w. Of that one sum is enough, for the shift: it says how much longer the step ought to be.
@@ -45,7 +45,7 @@ pub struct Sums {
     pub products: [[f64; COLUMNS]; COLUMNS],
     /// Of the squared derivative by the shift, weighted as Newton's step has it.
     pub newton: f64,
-    /// The light that is seen over the profile's, by all pixels alike.
+    /// The light that is seen over the profile's, with equal weights of all pixels.
     pub light: f64,
 }
 

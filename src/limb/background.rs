@@ -20,7 +20,7 @@ const CELL_PX: usize = 48;
 const STRIDE_PX: usize = 4;
 /// Pixels farther than this from the frame's background belong to something else: leaks, hot pixels. In sigma.
 const SAME_SIGMAS: f64 = 5.0;
-/// A term smaller than this many sigma is none.
+/// A term smaller than this many sigma is dropped.
 const SIGNIFICANT_SIGMAS: f64 = 4.0;
 
 /// Constant, slopes along x and y, steps at the middle column and row, column smear.

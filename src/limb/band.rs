@@ -13,7 +13,7 @@ pub(super) struct Reach {
     pub outside_px: f64,
 }
 
-/// Pixels within reach of an ellipse, those of a sector of azimuth side by side.
+/// Pixels within reach of an ellipse, those of a sector of azimuth next to each other.
 pub(super) struct Band {
     /// Outwards from the ellipse.
     distance_px: Vec<f32>,

@@ -280,7 +280,7 @@ fn radial_medians(band: &Band, reach: &Reach, blur_px: f64, saturated_dn: f64) -
     let (per_width, first) = ((1.0 / width_px) as f32, first_px as f32);
     let last = bins as f32 - 1.0;
     let bin = |distance_px: &f32| smaller((distance_px - first) * per_width, last) as u8;
-    // Values of a bin side by side.
+    // Values of a bin next to each other.
     let SectorPixels {
         distance_px,
         light_dn,

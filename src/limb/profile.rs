@@ -1,12 +1,12 @@
 //! Brightness across the limb: a limb-darkened disc behind a Gaussian blur.
 //!
 //! The disc's light falls towards its edge as A ((1 - u) + u sqrt(1 - r^2 / R^2)), r from its centre. The first part is
-//! an even ground that ends at the edge; the second, near the edge, falls as the root of the depth. Blurred by b, the
+//! an even ground that ends at the edge; the second, near the edge, falls as the square root of the depth. Blurred by b, the
 //! one becomes the normal distribution's tail E(z) and the other sqrt(2 b / R) F(z) with z = distance / b and
 //! F(z) = <sqrt(max(0, x - z))> over normally distributed x. The limb is so nearly straight over the blur's width that
 //! what its curve adds, b / 2R of a blur, moves the edge by 0.005 px, the same all round.
 //!
-//! Both are formulas, so that many pixels go through them side by side ([`EdgeLight`]).
+//! Both are formulas, so that many pixels are computed in parallel ([`EdgeLight`]).
 
 use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};
 use crate::kernels::limb::EdgeLight;

@@ -139,7 +139,7 @@ impl EdgeModel {
 
 /// The noise that pixels well away from the limb show: outside without the disc's light, inside with it.
 pub(super) fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
-    /// So many pixels are enough.
+    /// Number of pixels that is enough.
     const PIXELS: usize = 1000;
     let clear = (3.0 * model.profile.blur_px) as f32;
     let mut inside_dn = 0.0;
@@ -157,7 +157,7 @@ pub(super) fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
             .zip(pixels.light_dn)
             .step_by(stride);
         for (distance_px, light_dn) in pixels.filter(|(distance, _)| distance.abs() > clear) {
-            // So far out the disc leaves no light.
+            // This far out the disc leaves no light.
             let light = match *distance_px > clear {
                 true => 0.0,
                 false => light_at.at(*distance_px).0,

@@ -28,7 +28,7 @@ def solve(
     """Find the Sun's centre on the plate, and the telescope's offset from its target.
 
     The same arguments always give the same solution: that of the program `solaspect solve`, bit for bit. The GIL is released meanwhile,
-    so threads solve side by side; the array must not be written to until the solution is there.
+    so threads solve in parallel; the array must not be written to until the solution is there.
 
     Parameters
     ----------
