@@ -15,7 +15,7 @@ pub enum NoAnswer {
     Thread(String),
 }
 
-/// What `work` gives within `limit`. Work that takes longer is left behind on its thread.
+/// Result of `work` within `limit`. Work that takes longer is left behind on its thread.
 pub fn within<T: Send + 'static>(
     limit: Duration,
     work: impl FnOnce() -> T + Send + 'static,

@@ -43,7 +43,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-/// What a demonstration is made of.
+/// Settings of a demonstration.
 #[derive(Debug, Clone)]
 pub struct Demo {
     /// `None`: until it is stopped. Then the archive keeps the frames of the last ten minutes only.
@@ -69,7 +69,7 @@ impl Demo {
     }
 }
 
-/// What the display shows while the demonstration runs.
+/// State for the display while the demonstration runs.
 #[derive(Debug, Clone)]
 pub struct Glimpse {
     pub answer: Answer,
@@ -77,7 +77,7 @@ pub struct Glimpse {
     pub received: Option<Solution>,
 }
 
-/// What a demonstration came to.
+/// Result of a demonstration.
 #[derive(Debug, Clone)]
 pub struct Summary {
     pub tally: FlightTally,
@@ -92,7 +92,7 @@ pub struct Summary {
     pub roll_errors_deg: Vec<f64>,
     /// Frames called fine or coarse in which there was no Sun at all.
     pub false_suns: u64,
-    /// What a trainer's faults have cost.
+    /// Losses by a trainer's faults.
     pub fault_cost: FaultCost,
     pub archive: PathBuf,
 }
@@ -405,7 +405,7 @@ impl Judge {
 }
 
 impl Summary {
-    /// What was lost on the way, and what arrived damaged; 0 when all went well.
+    /// Number of lost and damaged items; 0 when all went well.
     pub fn lost(&self) -> u64 {
         let sent = self.tally.counts.solutions;
         let arrived = self.controller.solutions.len() as u64;

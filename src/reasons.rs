@@ -53,7 +53,7 @@ impl<S: Stage> Stopped<S> {
     }
 }
 
-/// What [`Rejected`] becomes at a stage.
+/// A [`Rejected`] with its stage.
 pub fn at<S: Stage>(stage: S) -> impl Fn(Rejected) -> Stopped<S> {
     move |rejected| Stopped { stage, rejected }
 }

@@ -1,4 +1,4 @@
-//! What contradicts itself in a configuration, though each value by itself is allowed: by the same rules for a file, a command and saved values.
+//! Contradictions in a configuration whose values are allowed one by one: by the same rules for a file, a command and saved values.
 
 use super::{Config, ConfiguredCamera, Refused};
 use crate::camera::Source;
@@ -8,7 +8,7 @@ use crate::output::Destination;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
 impl Config {
-    /// What keeps this configuration from flying: what is missing, and what contradicts itself.
+    /// Faults that keep this configuration from flying: missing values and contradictions.
     pub fn faults(&self) -> Vec<Refused> {
         let plates = self
             .cameras
@@ -18,7 +18,7 @@ impl Config {
         self.missing().into_iter().chain(contradictions).collect()
     }
 
-    /// What a flight needs and no default can stand for: the first camera, the instrument of every real camera that sees a plate, and the file of one
+    /// Required values without a default: the first camera, the instrument of every real camera that sees a plate, and the file of one
     /// that sees the Moon.
     fn missing(&self) -> Vec<Refused> {
         let none = |key: String, expected: &str| Refused {
@@ -60,7 +60,7 @@ impl Config {
         missing
     }
 
-    /// What contradicts itself, where so many pitch-yaw cameras fly.
+    /// Contradictions with this number of pitch-yaw cameras.
     pub fn contradictions(&self, pitch_yaw_cameras: usize) -> Vec<Refused> {
         // The first one always flies.
         let first = self.cameras.first();

@@ -1,4 +1,4 @@
-//! What people read of the parameter table: the shipped example and the page of parameters.
+//! Documents made from the parameter table: the shipped example and the page of parameters.
 
 use super::parameter::Parameter;
 use super::table::parameters;

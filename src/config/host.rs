@@ -1,4 +1,4 @@
-//! What the operating system is asked for.
+//! Requests to the operating system.
 
 /// Nothing unless set: a flight must not fail, nor a laptop stall, for want of a privilege.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -8,7 +8,7 @@ pub struct Host {
     pub memory: Memory,
 }
 
-/// What may become of the program's memory.
+/// Handling of the program's memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Memory {
     /// The operating system may swap it out.

@@ -1,4 +1,4 @@
-//! What the texts of `[link]` stand for.
+//! Meaning of the texts of `[link]`.
 
 use super::{Link, Refused};
 use crate::link::connection::EXPECTED;
@@ -9,7 +9,7 @@ impl Link {
     /// Where the controller is; `None` where nothing is sent.
     ///
     /// # Errors
-    /// What was expected of `link.port`, and what was found.
+    /// Expected and found value of `link.port`.
     pub fn address(&self) -> Result<Option<PortAddress>, Refused> {
         let parsed = self.port.as_deref().map(str::parse).transpose();
         parsed.map_err(|_: String| {

@@ -126,7 +126,7 @@ impl Site {
     }
 }
 
-/// What the positions of Sun and Moon rest on.
+/// Source of the positions of Sun and Moon.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Sky {
     pub earth_orientation: Option<PathBuf>,
@@ -237,7 +237,7 @@ impl Archive {
 }
 
 defaults! {
-    /// What is demanded before the flight.
+    /// Requirements before the flight.
     Preflight {
         max_clock_error_ms: f64 = 100.0,
         max_calibration_age_days: f64 = 365.0,

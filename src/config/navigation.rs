@@ -32,7 +32,7 @@ impl Navigation {
     /// The IMU's own line; `None` where it sends on the controller's.
     ///
     /// # Errors
-    /// What was expected of `navigation.imu_port`, and what was found.
+    /// Expected and found value of `navigation.imu_port`.
     pub fn imu_address(&self) -> Result<Option<PortAddress>, Refused> {
         address("navigation.imu_port", self.imu_port.as_deref())
     }

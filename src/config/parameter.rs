@@ -21,7 +21,7 @@ pub struct Parameter {
     /// The number by which the ground sets it in flight (aspect commands 0x0712 and 0x0722).
     pub command: Option<u16>,
     pub documentation: &'static str,
-    /// What the example shows, commented out, where nothing is set by default.
+    /// Value in the example, commented out, where nothing is set by default.
     pub(super) sample: Option<Sample>,
     /// The field's value; a camera's or an output's is that of its table.
     pub(super) get: fn(&Config, &str) -> Option<Value>,

@@ -154,7 +154,7 @@ impl Context {
     }
 }
 
-/// What is said of a context.
+/// Description of a context, in words.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Words {
     pub text: String,

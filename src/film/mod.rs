@@ -44,7 +44,7 @@ pub const LEAST_STEP_S: f64 = 0.01;
 /// Frames that are read and solved beside each other, for each thread.
 const TOGETHER: usize = 4;
 
-/// What a film is to be.
+/// Settings of a film.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
     pub destination: Destination,
@@ -196,7 +196,7 @@ impl Film {
         }))
     }
 
-    /// What all pictures share; warns of a context that misleads.
+    /// Shared parts of all pictures; warns of a context that misleads.
     fn stage(&self, track: &Track, flight: &mut Flight<'_>) -> Result<Stage<'_>, SkyError> {
         let utc = timestamp(track.middle_s());
         let disc = flight.ephemeris.disc(utc)?;
@@ -225,7 +225,7 @@ impl Film {
     }
 }
 
-/// What a picture shows beside the path.
+/// The frame or note beside the path of a picture.
 fn moment(index: usize, track: &Track, flight: &mut Flight<'_>) -> Result<Moment, SkyError> {
     let utc = timestamp(track.points[index].unix_s);
     let disc = flight.ephemeris.disc(utc)?;

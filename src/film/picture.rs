@@ -1,4 +1,4 @@
-//! What a picture of the film shows: the whole Sun, the surroundings of the target, a strip of text, and the frame beside.
+//! A picture of the film: the whole Sun, the surroundings of the target, a strip of text, and the frame beside.
 
 use super::context::{Context, Words};
 use super::panel::{BORESIGHT, INVALID, OLD_PATH, PATH, Panel, TARGET, View};
@@ -23,7 +23,7 @@ const REACH_RADII: [f64; 2] = [1.2, 3.0];
 /// There is an inset where this part of the path lies within that part of the map's reach about the target.
 const IN_INSET: f64 = 0.9;
 const SMALL: f64 = 0.2;
-/// What an inset shows at least, from its centre to its edge.
+/// Least reach of an inset, from its centre to its edge.
 const LEAST_INSET_ARCSEC: f64 = 5.0;
 /// The path of so many pictures is bright.
 const RECENT_PICTURES: usize = 20;
@@ -37,20 +37,20 @@ const LEGEND: [(&str, Colour); 5] = [
     ("not valid", INVALID),
 ];
 
-/// What is the same in all pictures of a film.
+/// Shared parts of all pictures of a film.
 pub struct Stage<'a> {
     pub title: String,
     /// In the middle of the film, as the target is.
     pub disc: Disc,
     pub target: Option<HelioprojectiveArcsec>,
     pub context: Option<&'a Context>,
-    /// What is said of the context.
+    /// Description of the context.
     pub words: Words,
     /// Whether a frame stands beside.
     pub has_beside: bool,
 }
 
-/// What a picture shows beside the path.
+/// The frame or note beside the path of a picture.
 pub struct Moment {
     /// Its place in the track.
     pub index: usize,
@@ -142,7 +142,7 @@ impl<'a> Painter<'a> {
         picture
     }
 
-    /// What stands below.
+    /// The strip of text below.
     fn write(&self, canvas: &mut Canvas, now: &Point, moment: &Moment) {
         let utc = Utc {
             time: moment.utc,
@@ -190,7 +190,7 @@ impl<'a> Painter<'a> {
         canvas.legend(LINES - 1, &LEGEND);
     }
 
-    /// What stands beside: a frame's picture, or why there is none.
+    /// The picture beside: a frame's, or why there is none.
     pub fn beside(&self, frame: Result<RgbImage, String>) -> RgbImage {
         let mut place = RgbImage::new(BESIDE_PX, self.size_px().1);
         let shown = match frame {

@@ -15,7 +15,7 @@ const LEAST_STRUCTURE: f64 = 1e-3;
 /// Of larger groups all frames are compared without asking which of them may be copies.
 const MOST_PAIRED: usize = 16;
 
-/// What a frame's file says of when and how it was taken.
+/// A frame's time and source by its file.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Identity {
     pub taken_by: TakenBy,
@@ -168,7 +168,7 @@ impl Compared<'_> {
     }
 }
 
-/// What a comparison of frames shows.
+/// Result of a comparison of frames.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Copies {
     /// Of each frame, the one that it is a copy of.
@@ -295,7 +295,7 @@ mod tests {
         digest(Pixels::U8(pixels.collect()))
     }
 
-    /// What each file is a copy of.
+    /// For each file, the file it is a copy of.
     fn copies(frames: &[(&str, Identity, PixelDigest)]) -> Vec<Option<usize>> {
         found(frames).of
     }

@@ -34,7 +34,7 @@ impl PixelNoise {
     }
 }
 
-/// What the pixels of a region hold beside the light of the disc: the sum of a value of the column and one of the row, DN.
+/// Level of a region's pixels beside the light of the disc: the sum of a value of the column and one of the row, DN.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Background {
     pub columns_dn: Vec<f32>,

@@ -149,7 +149,7 @@ pub trait RowSource: Send + Sync {
 /// A frame's pixels, each row decoded when it is first asked for.
 pub(super) struct OnDemand {
     source: Box<dyn RowSource>,
-    /// What stands for a row that is damaged.
+    /// Replacement of a damaged row.
     dark: Pixels,
     rows: Vec<OnceLock<Pixels>>,
     whole: OnceLock<Pixels>,

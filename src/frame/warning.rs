@@ -1,4 +1,4 @@
-//! What of a frame's file was not used as it stands, and the count of such files in a run.
+//! Parts of a frame's file that were not used as they stand, and the count of such files in a run.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

@@ -8,7 +8,7 @@ use crate::clock::utc_microseconds;
 use jiff::{SignedDuration, Timestamp};
 use std::io::{self, Write};
 
-/// What the head of the message says.
+/// Head of the message.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Head<'a> {
     /// The instant of t_s = 0.
@@ -53,7 +53,7 @@ impl<'a, W: Write> Aem<'a, W> {
     /// Begins a message of the rows that `stretches` has noted.
     ///
     /// # Errors
-    /// What takes the bytes fails.
+    /// The writer fails.
     pub fn begin(mut out: W, head: Head<'a>, stretches: Stretches) -> io::Result<Self> {
         writeln!(out, "CCSDS_AEM_VERS = 1.0")?;
         writeln!(out, "CREATION_DATE = {}", utc(head.created))?;
@@ -70,7 +70,7 @@ impl<'a, W: Write> Aem<'a, W> {
     /// Adds the next row.
     ///
     /// # Errors
-    /// What takes the bytes fails, or a time that no calendar has.
+    /// The writer fails, or a time that no calendar has.
     pub fn add(&mut self, row: &NavigationRow) -> io::Result<()> {
         let Some((motion, _)) = &row.attitude else {
             return self.close();
@@ -86,7 +86,7 @@ impl<'a, W: Write> Aem<'a, W> {
     /// Ends the message.
     ///
     /// # Errors
-    /// What takes the bytes fails.
+    /// The writer fails.
     pub fn finish(mut self) -> io::Result<()> {
         self.close()?;
         self.out.flush()

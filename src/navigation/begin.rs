@@ -33,7 +33,7 @@ pub(super) struct Waiting {
     rate_rad_s: Vector3<f64>,
 }
 
-/// What the accelerometers have felt in the last seconds, in the body's axes, turned on as the body turns.
+/// Mean specific force of the last seconds, in the body's axes, turned on as the body turns.
 #[derive(Debug, Clone, Copy, Default)]
 struct Felt {
     sum_m_s: Vector3<f64>,
@@ -68,7 +68,7 @@ struct Seen {
 }
 
 impl Seen {
-    /// What has been added to its error since: by the gyro, and by how the target moves.
+    /// Error added since: by the gyro, and by how the target moves.
     fn added_rad(&self, settings: &NavigationSettings, fix: &Fix) -> f64 {
         let walk = settings.imu.angular_random_walk * self.age_s.sqrt();
         let moves = match self.observation.towards {
@@ -195,7 +195,7 @@ impl Waiting {
     }
 }
 
-/// What a filter begins with.
+/// Initial state of a filter.
 enum Pair<'a> {
     Seen(&'a Seen, &'a Seen),
     WithPlumb(&'a Seen, Observation),

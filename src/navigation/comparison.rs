@@ -82,7 +82,7 @@ pub enum Agreement {
     LastingContradiction,
 }
 
-/// What cameras show, compared with the gyros.
+/// Cameras compared with the gyros.
 #[derive(Debug, Clone, Default)]
 pub struct Comparison {
     /// By axis, and by camera of the settings.

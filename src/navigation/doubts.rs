@@ -1,4 +1,4 @@
-//! What is not known of the attitude where directions contradict the filter.
+//! Uncertainty of the attitude while directions contradict the filter.
 //!
 //! 1. A direction is refused: it may be wrong, or the filter. The stated attitude's covariance includes the difference at once.
 //! 2. The next one of its kind is taken, as well: the first was wrong, and the doubt is gone.
@@ -55,7 +55,7 @@ struct Refused {
     finer: Option<UnitVector3<f64>>,
 }
 
-/// What is to be done about a refused direction.
+/// Action on a refused direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Remedy {
     Wait,
@@ -79,7 +79,7 @@ pub(super) struct Doubts {
     velocity: Velocity,
 }
 
-/// What velocities have shown.
+/// Findings from velocities.
 #[derive(Debug, Clone, Default)]
 struct Velocity {
     /// The mean of the last ones' innovations, whitened.
@@ -120,7 +120,7 @@ impl Doubts {
         self.gyros == 0.0 && self.refused.is_empty()
     }
 
-    /// What they add to the covariance of the attitude about the axes of ECEF, rad^2.
+    /// Variance that they add to the attitude about the axes of ECEF, rad^2.
     pub fn covariance(&self, t_s: f64) -> Matrix3<f64> {
         let of_one = |one: &Refused| {
             let Found { towards, .. } = one.found;

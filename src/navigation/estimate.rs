@@ -1,4 +1,4 @@
-//! What the filter holds for true, and how its errors are taken away.
+//! The filter's estimate, and how its errors are corrected.
 
 use super::model::Model;
 use super::motion::{Interval, Motion};
@@ -30,7 +30,7 @@ impl Estimate {
         }
     }
 
-    /// What the body felt, where the IMU has said so.
+    /// Specific force and rate of the body, where the IMU has measured them.
     pub fn felt(&self, said: &Interval) -> Interval {
         let [
             force_bias,
@@ -68,7 +68,7 @@ impl Estimate {
         self.each_triad(layout, |first, triad| *triad += part(first));
     }
 
-    /// What would have to be taken away from `other` to make it this.
+    /// The error of `other` against this.
     pub fn minus(&self, other: &Self, layout: &Layout) -> DVector<f64> {
         let mut errors = DVector::zeros(layout.len());
         let mut set = |first: usize, part: &Vector3<f64>| {

@@ -315,7 +315,7 @@ impl Filter {
     }
 }
 
-/// What a fix leaves unknown of the velocity in ECEF, m^2/s^2.
+/// Variance that a fix leaves of the velocity in ECEF, m^2/s^2.
 fn unknown_velocity(fix: &Fix) -> Matrix3<f64> {
     match (fix.velocity_m_s, fix.climb) {
         (None, _) => Matrix3::identity() * MOST_DRIFT_M_S.powi(2),

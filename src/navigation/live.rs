@@ -37,7 +37,7 @@ pub struct Live {
     stray: Option<ImuSample>,
 }
 
-/// What became of measurements.
+/// Fate of measurements.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
     pub taken: u64,
@@ -157,7 +157,7 @@ impl Live {
         &self.run.comparison
     }
 
-    /// What became of the measurements that no late one can change any more, and of those that are too late.
+    /// Fate of the measurements that no late one can change any more, and of those that are too late.
     pub fn counts(&self) -> Counts {
         self.counts
     }

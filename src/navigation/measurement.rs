@@ -1,4 +1,4 @@
-//! What sensors say of the motion, each at its own time.
+//! Measurements of the sensors, each at its own time.
 
 use super::settings::{Imu, Target};
 use nalgebra::{UnitVector3, Vector3};
@@ -20,7 +20,7 @@ const MOST_FORCE_M_S2: f64 = 500.0;
 const DISTANCES_M: std::ops::Range<f64> = 6.3e6..1e8;
 const MOST_SPEED_M_S: f64 = 12_000.0;
 
-/// What no vehicle feels, and no receiver measures.
+/// Values that no vehicle and no receiver can have.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct Implausible {
@@ -154,7 +154,7 @@ impl Measurement {
     }
 }
 
-/// What an innovation is of.
+/// Source of an innovation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Source {
     Direction {

@@ -1,4 +1,4 @@
-//! What a filter rests on.
+//! The filter's model: settings and layout of its states.
 
 use super::settings::NavigationSettings;
 use super::states::Layout;

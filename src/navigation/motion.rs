@@ -23,11 +23,11 @@ pub struct Interval {
     pub force_change_m_s3: Vector3<f64>,
     pub rate_rad_s: Vector3<f64>,
     pub rate_change_rad_s2: Vector3<f64>,
-    /// What lost samples add to the noise.
+    /// Noise added by lost samples.
     pub lost: Lost,
 }
 
-/// What is not known of an interval in which samples were lost, as random walks beside those of the IMU.
+/// Uncertainty of an interval in which samples were lost, as random walks beside those of the IMU.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Lost {
     /// m/s/sqrt(s)

@@ -18,7 +18,7 @@ pub struct PropagatedOffset {
 }
 
 impl PropagatedOffset {
-    /// What tables call its numbers.
+    /// Column names of its numbers.
     pub const COLUMNS: [&str; 6] = [
         "azimuth_deg",
         "elevation_deg",

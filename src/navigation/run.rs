@@ -138,7 +138,7 @@ impl Flight {
     }
 }
 
-/// What a step of the run has come to.
+/// Result of a step of the run.
 pub(super) enum Stop {
     /// The IMU's sample of a number, all measurements of its time taken.
     Sample(usize),
@@ -205,7 +205,7 @@ impl Run {
         }
     }
 
-    /// What the last sample has shown of the IMU.
+    /// Fault of the IMU in the last sample.
     pub fn unsound(&self) -> Option<Unsound> {
         self.soundness.found()
     }
@@ -373,7 +373,7 @@ impl Run {
         self.comparison.take(measurement, white_rad, is_settled);
     }
 
-    /// What a direction makes of the doubts, and they of the filter.
+    /// Updates the doubts by a direction, and the filter by the doubts.
     fn note_direction(
         &mut self,
         observation: &DirectionObservation,
@@ -416,7 +416,7 @@ impl Run {
         }
     }
 
-    /// What a fix makes of the doubts, and they of the filter: the next one finds a velocity that is unknown.
+    /// Updates the doubts by a fix, and the filter by the doubts: the next one finds a velocity that is unknown.
     fn note_fix(&mut self, innovation: Innovation, each: &mut impl FnMut(Innovation)) {
         if let Phase::Running(filter) = &mut self.phase
             && let Some(variance) = self.doubts.note_velocity(&innovation)

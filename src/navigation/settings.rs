@@ -1,4 +1,4 @@
-//! What the filter rests on, as NAV.toml states it.
+//! Settings of the filter, from NAV.toml.
 
 use crate::geometry::attitude::Direction;
 use crate::instrument::toml_file::{TomlError, Utc, parse_strict, read_text};
@@ -8,7 +8,7 @@ use nalgebra::{Rotation3, Vector3};
 use serde::Deserialize;
 use std::path::Path;
 
-/// What a vector measurement points at.
+/// Target of a vector measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Target {
     Sun,
@@ -17,7 +17,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// What a camera of a role points at.
+    /// Target of a camera of a role.
     pub fn of(role: Role) -> Self {
         match role {
             Role::PitchYaw => Self::Sun,
@@ -66,7 +66,7 @@ pub enum Group {
     CorrelatedErrors,
 }
 
-/// What the paper considers (table 3), but for the gyro's bias, which a long flight shows.
+/// Errors that the paper considers (table 3), but for the gyro's bias, which a long flight shows.
 const CONSIDERED: [Group; 4] = [
     Group::AccelerometerScale,
     Group::GyroScale,
@@ -104,12 +104,12 @@ pub struct Imu {
     pub gyro_scale: f64,
     /// Of each triad of axes.
     pub misalignment_rad: f64,
-    /// What the filter begins with; about each axis.
+    /// Initial uncertainty, about each axis.
     pub accelerometer_bias_m_s2: Vector3<f64>,
     pub gyro_bias_rad_s: Vector3<f64>,
     /// Its times are late by this.
     pub delay_s: f64,
-    /// What its axes can measure.
+    /// Measuring range of its axes.
     pub accelerometer_range_m_s2: Option<f64>,
     pub gyro_range_rad_s: Option<f64>,
     /// The vehicle turns no faster, and its rate changes no faster.
@@ -170,7 +170,7 @@ struct RawFile {
     sun: RawTarget,
     #[serde(default)]
     moon: RawTarget,
-    /// What a calibration rests on; for people.
+    /// Basis of a calibration; for people.
     #[serde(default, rename = "calibration")]
     _calibration: Option<toml::Table>,
 }

@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// Measurements from one state of the run that is kept to the next; between them it runs again, which costs less memory than to keep all.
 const BLOCK: usize = 256;
 
-/// What the filter was at measurements.
+/// State of the filter at measurements.
 struct Node {
     /// Before and after them.
     predicted: Estimate,
@@ -26,7 +26,7 @@ struct Node {
     transition: Option<Transition>,
 }
 
-/// What the filter was at a sample of the IMU.
+/// State of the filter at a sample of the IMU.
 struct Sample {
     row: NavigationRow,
     /// Since the last measurement.
@@ -38,7 +38,7 @@ enum Entry {
     Sample(Box<Sample>),
 }
 
-/// What all measurements say of a node.
+/// Smoothed estimate of a node.
 struct Smoothed {
     estimate: Estimate,
     covariance: DMatrix<f64>,
@@ -72,7 +72,7 @@ pub fn smooth(flight: &Flight, mut each: impl FnMut(NavigationRow)) -> Option<()
     Some(())
 }
 
-/// What the run comes to from one kept state up to and with the next.
+/// Transition of the run from one kept state up to and with the next.
 fn entries(flight: &Flight, mut run: Run, until: Option<&Run>) -> Vec<Entry> {
     let mut entries = Vec::new();
     if let Phase::Running(filter) = &run.phase {
@@ -137,7 +137,7 @@ struct Backwards<'a> {
     later: Option<(Later, Smoothed)>,
 }
 
-/// What of a node its forerunners need.
+/// Part of a node that earlier nodes need.
 struct Later {
     predicted: Estimate,
     transition: Option<Transition>,

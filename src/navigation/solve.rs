@@ -72,7 +72,7 @@ pub struct SensorErrors {
     pub cameras: Vec<Option<(Vector3<f64>, Vector3<f64>)>>,
 }
 
-/// What a flight comes to besides its rows.
+/// Results of a flight besides its rows.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Summary {
     pub innovations: Vec<Innovation>,
@@ -85,7 +85,7 @@ pub struct Summary {
     pub gaps: Vec<(f64, f64)>,
     /// Restarts of the filter.
     pub restarts: u32,
-    /// What the filter ended with; `None` where it waited at the end.
+    /// Final state of the filter; `None` where it waited at the end.
     pub constants: Option<ConstantErrors>,
 }
 
@@ -165,7 +165,7 @@ impl Summary {
     }
 }
 
-/// What the filter says at a sample.
+/// The filter's result at a sample.
 pub(super) fn row(run: &Run, t_s: f64) -> NavigationRow {
     let attitude = match &run.phase {
         Phase::Waiting(_) => None,

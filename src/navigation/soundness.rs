@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 const FEW: f64 = 3.0;
 /// And this many times longer than usual: values of a coarse axis repeat without a fault.
 const LONGER: f64 = 8.0;
-/// What is usual is learnt over so long, s.
+/// Time over which usual values are learnt, s.
 const USUAL_S: f64 = 30.0;
 const USUAL_RUN_S: f64 = 60.0;
 /// A value so near to the end of the range is at it.
@@ -41,10 +41,10 @@ pub(super) struct Soundness {
     found: Option<Unsound>,
 }
 
-/// What may be expected of an axis.
+/// Expected values of an axis.
 struct Expected {
     range: Option<f64>,
-    /// What it may be beyond the range.
+    /// Margin beyond the range.
     beyond: f64,
     /// The most that it changes in a second.
     change_s: Option<f64>,
@@ -91,7 +91,7 @@ impl Soundness {
         lost
     }
 
-    /// What the last sample has shown.
+    /// Findings of the last sample.
     pub fn found(&self) -> Option<Unsound> {
         self.found
     }

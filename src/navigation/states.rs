@@ -147,7 +147,7 @@ impl Layout {
         self.roles.len()
     }
 
-    /// What was opened, by state.
+    /// Opened variances, by state.
     pub fn opened<'a>(&self, opened: &'a Opened) -> impl Iterator<Item = (usize, f64)> + use<'a> {
         let biases = [self.imu[0], self.imu[1]];
         opened.iter().enumerate().filter_map(move |(n, added)| {

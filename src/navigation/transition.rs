@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, Matrix3, SMatrix, Vector3};
 type MotionMatrix = SMatrix<f64, MOTION, MOTION>;
 type Driven = SMatrix<f64, MOTION, DRIVING>;
 
-/// What becomes of errors of the motion and of the IMU over some time, and the noise that comes to them.
+/// Transition of the errors of the motion and of the IMU over some time, and their process noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Transition {
     /// Of the motion's errors at the end by those of motion and IMU at the begin.
@@ -179,7 +179,7 @@ impl Transition {
         DMatrix::from_fn(MOTION, layout.len(), |row, column| top[(row, column)])
     }
 
-    /// What [`top`](Self::top) makes of the motion's own covariance, without noise.
+    /// The motion's own covariance carried by [`top`](Self::top), without noise.
     fn of_motion(&self, layout: &Layout, top: &DMatrix<f64>) -> MotionMatrix {
         let own = self.matrix.fixed_columns::<MOTION>(0);
         let mut motion = top.fixed_columns::<MOTION>(0) * own.transpose();

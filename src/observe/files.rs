@@ -130,7 +130,7 @@ pub fn named(given: &[PathBuf]) -> Result<Vec<PathBuf>, Unlisted> {
 /// Takes what each item comes to, in the order of the items, `jobs` of them at a time.
 ///
 /// # Errors
-/// What `take` gives.
+/// As `take`.
 pub fn in_order<I: Sync, O: Send>(
     items: &[I],
     jobs: usize,
@@ -155,7 +155,7 @@ fn nearest(folder: &Path) -> Result<Vec<PathBuf>, Unlisted> {
     Ok(listing.files)
 }
 
-/// What a pass over files gave.
+/// Result of a pass over files.
 #[derive(Debug)]
 pub struct Observed<T> {
     /// In the order given, each frame once: what it gave, or why its file cannot be read.
@@ -165,7 +165,7 @@ pub struct Observed<T> {
 }
 
 impl<T> Observed<Result<T, String>> {
-    /// What the frames gave, in the order of the files, and those that gave nothing: each with the reason, copies last.
+    /// Results of the frames, in the order of the files, and rejected files: each with the reason, copies last.
     pub fn parted(self) -> (Vec<T>, Vec<RejectedFrame>) {
         let (mut given, mut rejected) = (Vec::new(), Vec::new());
         for (file, outcome) in self.frames {

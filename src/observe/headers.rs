@@ -1,4 +1,4 @@
-//! What the frames' headers say of when, how and by which camera they were taken.
+//! Time, camera and instrument by the frames' headers.
 
 use super::pass::{Observer, Span, Unsolved};
 use crate::archive::{ArchiveReader, StoredFile, flown_sha256, role_of};
@@ -6,7 +6,7 @@ use crate::frame::Identity;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What a frame's header says of its camera and of the instrument's file.
+/// Camera and instrument's file by a frame's header.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct CameraHeader {
     pub(super) identity: Identity,

@@ -21,7 +21,7 @@ pub struct FrameFacts {
     pub exposure_s: Option<f64>,
     /// Latitude and longitude (deg) and height (m).
     place: Option<[f64; 3]>,
-    /// What of the file was not used as it stands.
+    /// Parts of the file that were not used as they stand.
     pub warnings: Vec<Warning>,
     /// Why the frame has no time although its file states one.
     pub untimed: Option<Warning>,

@@ -38,11 +38,11 @@ pub enum JournalError {
     Changed { path: PathBuf, at: u64 },
 }
 
-/// What came of a file: a row of the journal.
+/// Result of a file: a row of the journal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record<T> {
     pub input: StoredFile,
-    /// What the frame gave, or what is wrong with the file.
+    /// The frame's record, or the fault of the file.
     pub outcome: Result<T, String>,
 }
 

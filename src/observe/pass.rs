@@ -109,12 +109,12 @@ impl Span {
     }
 }
 
-/// What a pass makes of each frame.
+/// The work of a pass on each frame.
 pub trait Observer: Sync {
-    /// What a frame gives.
+    /// Record of a frame.
     type Given: Serialize + DeserializeOwned + Clone + Send;
 
-    /// What the journal's name begins with.
+    /// Beginning of the journal's name.
     fn prefix(&self) -> &'static str {
         ""
     }
@@ -124,7 +124,7 @@ pub trait Observer: Sync {
         String::new()
     }
 
-    /// What a file's frame gives; none where its time lies outside the span.
+    /// Record of a file's frame; none where its time lies outside the span.
     ///
     /// # Errors
     /// Why there is no frame, in words.
@@ -244,7 +244,7 @@ pub struct Done<T> {
     records: Records<T>,
     /// By the input's key, in order.
     places: Vec<(u64, Place)>,
-    /// What holds for this run alone, and is in no journal: frames that contradict their archive, for another run may be asked to use them,
+    /// Results of this run alone, which are in no journal: frames that contradict their archive, for another run may be asked to use them,
     /// and files that could not be read for now.
     passing: HashMap<u64, Record<T>>,
 }
@@ -415,7 +415,7 @@ fn place(by_key: &[(u64, Place)], key: u64) -> Option<Place> {
 
 /// Why a frame has no record of its own, in words.
 pub enum Unsolved {
-    /// What the file holds cannot be read.
+    /// The content of the file cannot be read.
     Unreadable(String),
     /// The file could not be opened or fetched: another attempt may succeed.
     Unread(String),
@@ -423,7 +423,7 @@ pub enum Unsolved {
     Contradicting(String),
 }
 
-/// What is made of a file's frame, of several images the one of this size; `None` where its time lies outside the span. A frame that names
+/// Record of a file's frame, of several images the one of this size; `None` where its time lies outside the span. A frame that names
 /// another instrument or configuration than its archive's is refused.
 ///
 /// # Errors

@@ -34,7 +34,7 @@ impl Plan {
         self.saved_values(remarks);
     }
 
-    /// What was saved of commands that would fly instead of the configuration.
+    /// Saved values of commands that would fly instead of the configuration's.
     fn saved_values(&self, remarks: &mut Remarks) {
         let Some(file) = SavedValues::of(&self.config) else {
             return;

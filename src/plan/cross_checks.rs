@@ -1,4 +1,4 @@
-//! What of a configuration contradicts itself, or cannot be meant. Of other files only the key of the line is read.
+//! Contradictions and implausible values of a configuration. Of other files only the key of the line is read.
 
 use super::Remarks;
 use crate::camera::{Backlog, Source};

@@ -1,4 +1,4 @@
-//! What is to fly: the configuration with the files that it names, checked.
+//! The flight to be flown: the configuration with the files that it names, checked.
 //!
 //! ```text
 //! configuration + options -> Plan and Remarks -> Flight
@@ -34,7 +34,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// What the command line says instead of the configuration.
+/// Options of the command line that replace the configuration's values.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
     pub instrument: Option<PathBuf>,
@@ -86,7 +86,7 @@ pub struct PlannedNavigation {
     pub gps: Option<PortAddress>,
 }
 
-/// What is to fly.
+/// The flight to be flown.
 #[derive(Debug, Clone)]
 pub struct Plan {
     pub config: Config,
@@ -148,7 +148,7 @@ impl Plan {
         (Self::of(config, &mut remarks), remarks)
     }
 
-    /// What the files say that the configuration names.
+    /// Contents of the files that the configuration names.
     fn of(config: Config, remarks: &mut Remarks) -> Self {
         let cameras = cameras(&config, remarks);
         let orientation = orientation(&config).map_err(|error| {
@@ -208,7 +208,7 @@ impl Plan {
         }
     }
 
-    /// What the ground may set in such a flight.
+    /// Settings that the ground may change in such a flight.
     pub fn controls(&self) -> Controls {
         let cameras = self.cameras.iter().map(|one| &one.camera);
         Controls::of_flight(self.config.clone(), self.target, cameras)
@@ -233,7 +233,7 @@ impl Plan {
         both.into_iter().flatten().cloned().collect()
     }
 
-    /// What a camera has taken of a folder that it follows: kept in the first of the archive's folders; without an archive, in memory.
+    /// Record of the files that a camera has taken of a folder that it follows: kept in the first of the archive's folders; without an archive, in memory.
     pub fn taken_files(&self, planned: &PlannedCamera) -> TakenFiles {
         let archive = self.folders().into_iter().next();
         archive.map_or_else(TakenFiles::default, |archive| {

@@ -1,4 +1,4 @@
-//! What is wrong with a configuration, or unusual: every error at once.
+//! Errors and unusual values of a configuration: all at once.
 
 use crate::bounded::within;
 use crate::instrument::TomlError;
@@ -20,7 +20,7 @@ pub enum Severity {
 pub struct Remark {
     pub severity: Severity,
     pub what: TomlError,
-    /// What to do about it.
+    /// Remedy.
     pub remedy: &'static str,
 }
 
@@ -113,7 +113,7 @@ impl Remarks {
         result.map_err(|what| self.add(Severity::Error, what)).ok()
     }
 
-    /// What `work` gives, or an error in a key of the configuration where the disk that it reads hangs.
+    /// Result of `work`, or an error in a key of the configuration where the disk that it reads hangs.
     pub(super) fn answered<T: Send + 'static>(
         &mut self,
         key: &str,

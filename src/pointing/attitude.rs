@@ -13,10 +13,10 @@ use nalgebra::{Matrix2, Matrix3, Rotation3, Vector2, Vector3};
 pub struct TelescopeAttitude {
     /// From the telescope's axes to north, east and down.
     pub turn: Rotation3<f64>,
-    /// What is uncertain in the frame, rad^2: of small turns that move the boresight to the telescope's right, up, and about it (right side
+    /// Uncertainty by the frame, rad^2: of small turns that move the boresight to the telescope's right, up, and about it (right side
     /// low positive).
     pub random_rad2: Matrix3<f64>,
-    /// What the calibration leaves uncertain, as [`Offset`](super::Offset) has it, but for UT1, which moves Sun and telescope alike.
+    /// Uncertainty by the calibration, as [`Offset`](super::Offset) has it, but for UT1, which moves Sun and telescope together.
     pub systematic_rad2: Matrix3<f64>,
 }
 
@@ -52,7 +52,7 @@ pub fn telescope_attitude(
     })
 }
 
-/// What the calibration leaves uncertain of a telescope whose roll other sensors measure, rad^2, as [`TelescopeAttitude::systematic_rad2`] has
+/// Uncertainty by the calibration of a telescope whose roll other sensors measure, rad^2, as [`TelescopeAttitude::systematic_rad2`] has
 /// it: `towards` is the Sun in the telescope's axes, forward, right and down.
 pub fn calibration_rad2(towards: &Vector3<f64>, instrument: &Instrument) -> Matrix3<f64> {
     let shift = Vector2::new(towards.y, -towards.z) / towards.x;
@@ -67,7 +67,7 @@ pub fn calibration_rad2(towards: &Vector3<f64>, instrument: &Instrument) -> Matr
     covariance.fixed_resize(0.0)
 }
 
-/// What is uncertain of the attitude, rad^2: of small turns that move the boresight to larger azimuth, up, and about it.
+/// Uncertainty of the attitude, rad^2: of small turns that move the boresight to larger azimuth, up, and about it.
 pub(super) struct Errors {
     pub frame_rad2: Matrix3<f64>,
     pub calibration_rad2: Matrix3<f64>,

@@ -76,10 +76,10 @@ pub struct Offset {
     pub cross_elevation_deg: f64,
     /// 1 sigma per axis of true angle on the sky, the rms of the two axes of `covariance_deg2`.
     pub sigma_deg: f64,
-    /// What is uncertain in this frame, in true angle: across (towards larger azimuth) and in elevation. It holds the
+    /// Uncertainty by this frame, in true angle: across (towards larger azimuth) and in elevation. It holds the
     /// stated sigma of the mapping, where that was borrowed, and that of the roll, where it was measured.
     pub covariance_deg2: Matrix2<f64>,
-    /// What the calibration leaves uncertain of the pointing, the same in every frame: boresight, clocking, plate
+    /// Uncertainty of the pointing by the calibration, the same in every frame: boresight, clocking, plate
     /// distance and stated roll, by the sigmas that the instrument states, and UT1 behind the table of Earth orientation, which moves Sun
     /// and target alike. It is not part of `covariance_deg2`.
     pub calibration_deg2: Matrix2<f64>,

@@ -1,10 +1,10 @@
-//! What changes so slowly that once a second is enough: the balloon's place, the Sun as seen from there, and what the calibration leaves
+//! Slowly changing quantities, once a second: the balloon's place, the Sun as seen from there, and what the calibration leaves
 //! uncertain.
 
 use crate::geometry::earth::north_east_up;
 use nalgebra::{Matrix3, UnitVector3, Vector3};
 
-/// What is known of a whole second.
+/// Quantities of a whole second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Second {
     /// Since 1970.

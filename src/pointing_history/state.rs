@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-/// What an attitude rests on.
+/// Sensors behind an attitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Basis {
     Sun,

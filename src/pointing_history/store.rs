@@ -15,7 +15,7 @@ pub const POINTING_FILE: &str = "pointing.fits";
 /// Its tables.
 const STATES: &str = "STATES";
 const SECONDS: &str = "SECONDS";
-/// What BASIS adds up.
+/// Bits of BASIS.
 const SUN: i64 = 1;
 const GYROS: i64 = 2;
 const CONTRADICTED: i64 = 4;

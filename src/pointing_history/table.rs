@@ -79,7 +79,7 @@ impl PointingHistory {
     }
 }
 
-/// What the table's header says of its times, and where the telescope was in their middle.
+/// Header cards of the table: its times, and where the telescope was in their middle.
 pub fn pointing_cards(history: &PointingHistory) -> Vec<Card> {
     let (Some(zero), Some(ends_s)) = (history.reference(), history.ends_s()) else {
         return Vec::new();

@@ -19,7 +19,7 @@ pub(super) type Covariance = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 const MOST_STEPS: usize = 12;
 /// After a step as short as this, the residuals are linear to a hundred-thousandth of a pixel.
 const SHORT_STEP_PX: f64 = 0.03;
-/// What is fitted: pairs and outline on the ideal sensor, free of the lens's distortion.
+/// The problem: pairs and outline on the ideal sensor, free of the lens's distortion.
 #[derive(Clone)]
 pub(super) struct Problem {
     pairs: Vec<IdealPair>,

@@ -38,7 +38,7 @@ pub struct Canvas {
     zoom: u32,
 }
 
-/// What is left free before a line of text, px.
+/// Space before a line of text, px.
 const MARGIN_PX: u32 = 6;
 
 impl Canvas {
@@ -147,7 +147,7 @@ impl Canvas {
         ));
     }
 
-    /// What the colours mean, in the strip below the picture from a line on; goes on in the next line where one is full. Gives the
+    /// The legend, in the strip below the picture from a line on; goes on in the next line where one is full. Gives the
     /// first free line.
     pub fn legend(&mut self, first_line: u32, entries: &[(&str, Colour)]) -> u32 {
         const SWATCH_PX: u32 = 12;

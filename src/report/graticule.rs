@@ -20,7 +20,7 @@ pub fn limb(disc: &Disc) -> Vec<HelioprojectiveArcsec> {
     (0..=360 / STEP_DEG).map(at).collect()
 }
 
-/// What is seen of the circles of latitude and of the meridians, so many degrees apart, from the equator and the central meridian on.
+/// The visible circles of latitude and meridians, at a step in degrees, from the equator and the central meridian on.
 pub fn graticule(disc: &Disc, apart_deg: u32) -> Vec<Vec<HelioprojectiveArcsec>> {
     let circles = (apart_deg..180)
         .step_by(apart_deg as usize)

@@ -1,4 +1,4 @@
-//! What corrupts a picture: scratches on the plate, light past the baffles, dust and hot pixels of the camera.
+//! Blemishes of a picture: scratches on the plate, light past the baffles, dust and hot pixels of the camera.
 
 use super::scene::{Blemishes, Depth, Dust, HotPixel, Leak, Scene, Scratch};
 use super::{Purpose, generator};
@@ -35,7 +35,7 @@ impl Blemishes {
         }
     }
 
-    /// What happens to the light on the sensor: leaks add to it, vignetting and dust take from it.
+    /// Effects on the light on the sensor: leaks add to it, vignetting and dust take from it.
     pub(super) fn shade(&self, scene: &Scene, light: &mut [f32]) {
         for leak in &self.leaks {
             let at = scene.mapping.to_sensor(leak.centre);

@@ -25,7 +25,7 @@ const MEMORY: usize = 256;
 /// A solution's time is rounded to 1 ms, an announcement's to 0.24 us (an f64 of seconds).
 const SAME_TIME: SignedDuration = SignedDuration::from_micros(501);
 
-/// What is wrong with what came.
+/// Faults of what came.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Faults {
     /// Sync words from which no packet came: wrong checksums, false headers, packets cut off.
@@ -51,7 +51,7 @@ impl Faults {
     }
 }
 
-/// What has come so far.
+/// Counts so far.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Report {
     pub tracking_on: u64,
@@ -108,7 +108,7 @@ impl fmt::Display for Report {
     }
 }
 
-/// What the controller wants of the aspect system.
+/// The controller's requests to the aspect system.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Wish {
     Track,
@@ -119,7 +119,7 @@ enum Wish {
 pub struct Controller {
     parser: Parser,
     wish: Wish,
-    /// What the aspect system has said last of its tracking.
+    /// The aspect system's last word on its tracking.
     answer: Option<Wish>,
     asked_at: Option<Duration>,
     sequence: u16,
@@ -160,7 +160,7 @@ impl Controller {
         }
     }
 
-    /// What has come so far.
+    /// Counts so far.
     pub fn report(&self) -> &Report {
         &self.report
     }

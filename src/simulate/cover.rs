@@ -1,4 +1,4 @@
-//! What hides a part of the Sun: the Moon in an eclipse, the edge of a cloud, a strut.
+//! Covers of a part of the Sun: the Moon in an eclipse, the edge of a cloud, a strut.
 
 use super::{Purpose, generator};
 use crate::geometry::unit;
@@ -25,13 +25,13 @@ pub enum Cover {
         edges_mil: [f64; 2],
         /// Gaussian softness of its edges, 1 sigma.
         soft_mil: f64,
-        /// What it takes from the light, 0 to 1.
+        /// Share of the light that it absorbs, 0 to 1.
         depth: f64,
     },
 }
 
 impl Cover {
-    /// What it leaves of the light at an offset from the Sun's centre, 0 to 1.
+    /// Share of the light that passes at an offset from the Sun's centre, 0 to 1.
     pub fn left(&self, offset_mil: Vector2<f64>) -> f64 {
         match *self {
             Self::Disc {
@@ -58,7 +58,7 @@ impl Cover {
 pub struct Covers {
     /// The part of the Sun's diameter that the Moon covers.
     pub eclipse: f64,
-    /// What a cloud takes from the light, 0 to 1; its edge crosses the disc.
+    /// Share of the light that a cloud absorbs, 0 to 1; its edge crosses the disc.
     pub cloud: f64,
     /// Width of a dark strut across the disc, in radii of the Sun.
     pub strut: f64,

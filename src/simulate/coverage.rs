@@ -1,4 +1,4 @@
-//! What a sub-sample sees of an edge.
+//! Coverage of a sub-sample by an edge.
 //!
 //! A sub-sample weighs the light around it with a tent: its square folded with itself. A mere square would keep the
 //! amount of light and yet move it to the sub-sample's middle, by thousandths of a pixel; with the tent the light's

@@ -58,7 +58,7 @@ impl Course {
         }
     }
 
-    /// What the clouds leave of the light, 0 to 1.
+    /// Share of the light that passes the clouds, 0 to 1.
     fn light(&self, since_start: Duration) -> f64 {
         match self {
             Self::Trajectory(_) => 1.0,
@@ -70,7 +70,7 @@ impl Course {
 /// The scenes of a flight.
 #[derive(Debug, Clone)]
 pub struct FlightScenes {
-    /// What every scene shares; change it to fly under other conditions.
+    /// Shared conditions of the scenes; change them to fly under other conditions.
     pub template: Scene,
     /// The Sun of every scene, but for its place and smear.
     pub sun: Sun,

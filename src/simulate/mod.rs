@@ -80,7 +80,7 @@ pub const FORT_SUMNER: Place = Place {
     height_m: 38_405.0,
 };
 
-/// What is known of a simulated frame, but for its time.
+/// Facts of a simulated frame, but for its time.
 fn frame_info(number: u64) -> FrameInfo {
     FrameInfo {
         number: Some(number),
@@ -94,7 +94,7 @@ fn frame_info(number: u64) -> FrameInfo {
 /// The generator behind everything that is drawn at random here: fast, and the same on every machine.
 type Generator = Xoshiro256PlusPlus;
 
-/// What a generator is for. Each purpose has its own numbers, so that one more hot pixel moves nothing else.
+/// Purpose of a generator. Each purpose has its own numbers, so that one more hot pixel moves nothing else.
 #[derive(Debug, Clone, Copy)]
 enum Purpose {
     Plate = 1,

@@ -15,7 +15,7 @@ pub struct Pieces {
     pub pieces: Vec<Piece>,
 }
 
-/// What holds from `start_s` of the run on.
+/// Conditions from `start_s` of the run on.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 pub struct Piece {
     pub start_s: f64,
@@ -27,7 +27,7 @@ pub struct Piece {
     /// How far the picture is turned about the plate's centre, from +x towards +y.
     #[serde(default)]
     pub roll_deg: f64,
-    /// What the clouds take of the light, 0 to 1.
+    /// Share of the light that the clouds absorb, 0 to 1.
     #[serde(default)]
     pub cloud: f64,
 }
@@ -124,7 +124,7 @@ impl Pieces {
         self.at(time_s).map_or(0.0, |(piece, _)| piece.roll_deg)
     }
 
-    /// What the clouds leave of the light, 0 to 1.
+    /// Share of the light that passes the clouds, 0 to 1.
     pub(super) fn light(&self, time_s: f64) -> f64 {
         self.at(time_s).map_or(1.0, |(piece, _)| 1.0 - piece.cloud)
     }

@@ -1,4 +1,4 @@
-//! What is on the plate, sub-sample by sub-sample: marks and scratches.
+//! The print on the plate, sub-sample by sub-sample: marks and scratches.
 
 use super::coverage::{Edge, Footprint};
 use super::grid::Grid;

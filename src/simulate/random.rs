@@ -25,7 +25,7 @@ pub enum SunInView {
     Absent,
 }
 
-/// What random scenes have in common.
+/// Shared settings of random scenes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Conditions {
     pub sun: SunInView,
@@ -36,7 +36,7 @@ pub struct Conditions {
     pub keystone_deg: f64,
     pub peak_dn: f64,
     pub background_dn: f64,
-    /// What a mark takes from the light, 0 to 1.
+    /// Share of the light that a mark absorbs, 0 to 1.
     pub mark_contrast: f64,
     /// Displacement of the marks from the instrument's plate, rms in each axis.
     pub mark_scatter_mil: f64,

@@ -36,9 +36,9 @@ pub struct Scene {
     pub plate: Plate,
     /// `None` for a picture without Sun.
     pub sun: Option<Sun>,
-    /// What a mark takes from the light, 0 to 1.
+    /// Share of the light that a mark absorbs, 0 to 1.
     pub mark_contrast: f64,
-    /// What every pixel holds without light, DN.
+    /// Level of every pixel without light, DN.
     pub background_dn: f64,
     /// Gaussian blur of the picture, 1 sigma, before the pixel integrates.
     pub blur_px: f64,
@@ -49,7 +49,7 @@ pub struct Scene {
     pub depth: Depth,
     /// Seed of the noise.
     pub seed: u64,
-    /// What the frame will say of itself.
+    /// Facts that the frame will state.
     pub info: FrameInfo,
 }
 
@@ -73,7 +73,7 @@ pub struct Sun {
     pub smear_mil: Vector2<f64>,
 }
 
-/// What the disc shows beside its linear limb darkening.
+/// Structure of the disc beside its linear limb darkening.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub enum Surface {
     /// Nothing.
@@ -94,7 +94,7 @@ pub struct Sunspot {
     /// From the Sun's centre.
     pub offset_mil: Vector2<f64>,
     pub radius_mil: f64,
-    /// What it takes from the light, 0 to 1.
+    /// Share of the light that it absorbs, 0 to 1.
     pub contrast: f64,
 }
 
@@ -113,7 +113,7 @@ impl Sun {
         }
     }
 
-    /// What is left of the light behind what covers the Sun at a place, 0 to 1.
+    /// Share of the light that passes the cover of the Sun at a place, 0 to 1.
     pub fn left_by_covers(&self, at: PlateMil) -> f64 {
         let offset_mil = at.vector() - self.centre.vector();
         self.covers.iter().map(|c| c.left(offset_mil)).product()
@@ -175,7 +175,7 @@ pub struct Dust {
     pub centre: SensorPx,
     /// Gaussian, 1 sigma.
     pub sigma_px: f64,
-    /// What it takes from the light at its middle, 0 to 1.
+    /// Share of the light that it absorbs at its middle, 0 to 1.
     pub depth: f64,
 }
 
@@ -196,7 +196,7 @@ pub struct Gradient {
     pub across: Extent,
 }
 
-/// What a gradient rises across.
+/// The span of a gradient.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Extent {
     /// The sensor, from nothing in its darkest corner.
@@ -226,7 +226,7 @@ pub struct Coma {
     pub blur_px: f64,
 }
 
-/// What the readout of the sensor adds.
+/// Levels that the readout of the sensor adds.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Readout {
     /// Frame transfer: every pixel receives this share of all the light of its column in addition.
@@ -298,7 +298,7 @@ pub struct Picture {
     pub truth: Truth,
 }
 
-/// What a picture shows in truth, at mid-exposure.
+/// Truth of a picture, at mid-exposure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Truth {
     pub sun: Option<TruthOfSun>,

@@ -8,7 +8,7 @@ use std::time::Duration;
 /// How long a packet or a sentence waits for space.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(10);
 
-/// What becomes of a sample before it is sent; `None` where it is lost.
+/// Change of a sample before it is sent; `None` where it is lost.
 pub type Corrupt = Box<dyn FnMut(ImuPacket) -> Option<ImuPacket> + Send>;
 
 /// The sensors of a simulated flight. They are silent until they [join](Self::join) its cameras.
@@ -116,7 +116,7 @@ fn signed(duration: Duration) -> SignedDuration {
     SignedDuration::try_from(duration).unwrap_or(SignedDuration::MAX)
 }
 
-/// What nobody takes is lost, as on a wire.
+/// Bytes without a reader are lost, as on a wire.
 fn write(port: &mut dyn BytePort, bytes: &[u8]) -> Result<(), PortError> {
     match port.write(bytes, WRITE_TIMEOUT) {
         Err(PortError::Stalled { .. }) => {

@@ -47,7 +47,7 @@ impl Texture {
         })
     }
 
-    /// What the light of a plain disc is multiplied by, at a place in radii from its centre.
+    /// Factor of the light of a plain disc, at a place in radii from its centre.
     pub(super) fn at(&self, place: Vector2<f32>) -> f32 {
         let reach = REACH as f32;
         let within = place * (reach / place.norm().max(reach));

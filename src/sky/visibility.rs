@@ -143,7 +143,7 @@ fn from_orbit(
     })
 }
 
-/// What the study of a Moon sensor assumed ("The Development of a Moon Sensor", 2005, section 3.2): the Moon and the Sun far
+/// Assumptions of the study of a Moon sensor ("The Development of a Moon Sensor", 2005, section 3.2): the Moon and the Sun far
 /// away in one plane, at right angles to the plane of the satellite's orbit; the Earth with its air hides a cone; the Moon
 /// within some angle of the Sun is not visible.
 #[derive(Debug, Clone, Copy, PartialEq)]

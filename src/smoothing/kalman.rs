@@ -2,7 +2,7 @@
 
 use nalgebra::{Cholesky, Const, SMatrix, SVector};
 
-/// What is known of a state.
+/// Estimate of a state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gaussian<const N: usize> {
     pub mean: SVector<f64, N>,

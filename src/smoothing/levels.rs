@@ -10,14 +10,14 @@ const NOISE_FACTOR: f64 = 3.0;
 const NOISES: usize = 20;
 /// Process noises that are tried at a time: the scores of each take memory.
 const TOGETHER: usize = 4;
-/// What a change to the next larger or smaller noise costs, natural logarithm of the likelihood.
+/// Cost of a change to the next larger or smaller noise, natural logarithm of the likelihood.
 const CHANGE_COST: f64 = 2.0;
 /// In a gap the process noise is that of so many times its length before and after.
 const GAP_REACH: f64 = 5.0;
 /// Frames so many usual steps apart make a gap.
 const GAP_STEPS: f64 = 2.5;
 
-/// What the process noises are chosen for: one axis of the moments that are measured, and its swings.
+/// Input for the choice of process noises: one axis of the moments that are measured, and its swings.
 pub(super) struct Levels<'a> {
     pub measured: &'a [Moment],
     pub axis: usize,

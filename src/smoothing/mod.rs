@@ -106,7 +106,7 @@ pub struct FoundSwing {
     pub rms: f64,
 }
 
-/// What a stretch of a flight says of a swing's damping time.
+/// Result for a swing's damping time from a stretch of a flight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Damping {
     /// The likeliest; none where it may be any above the least.

@@ -1,4 +1,4 @@
-//! What moves along an axis: a place whose acceleration is a random walk, swings, and the error that neighbours share.
+//! The process along an axis: a place whose acceleration is a random walk, swings, and the error that neighbours share.
 
 use super::kalman::{Gaussian, Process, Step, log_likelihood, smooth};
 use super::{Measurement, Moment, SharedErrors};
@@ -42,7 +42,7 @@ pub(super) const MOST_SWINGS: usize = 3;
 /// Place, speed and acceleration; the shared error in its own sigma.
 const WITHOUT_SWINGS: usize = 4;
 const SHARED: usize = 3;
-/// What is known of place, speed (unit/s) and acceleration (unit/s^2) before the first frame.
+/// Prior of place, speed (unit/s) and acceleration (unit/s^2) before the first frame.
 const FIRST_SIGMA: [f64; 3] = [1e4, 1e3, 1e3];
 /// ... and of a swing's place.
 const FIRST_SWING: f64 = 1e2;
@@ -134,7 +134,7 @@ pub(super) struct Axis<'a> {
     pub process_noise: &'a [f64],
 }
 
-/// What all frames say of a moment, along an axis.
+/// Smoothed estimate of a moment, along an axis.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Smoothed {
     pub place: f64,

@@ -35,7 +35,7 @@ const FIRST_NOISE: f64 = 1.0;
 const LEAST_NOISE: f64 = 1e-4;
 const LEAST_DRIVE: f64 = 1e-4;
 const DAMPING_PERIODS: [f64; 2] = [1.0, 1e7];
-/// What 2 sigma cost, natural logarithm of the likelihood, and the factor to which the bound of a damping time is found.
+/// Cost of 2 sigma, natural logarithm of the likelihood, and the factor to which the bound of a damping time is found.
 const TWO_SIGMA: f64 = 2.0;
 const DAMPING_FACTOR: f64 = 1.1;
 /// The fastest swing, periods in a step.
@@ -137,7 +137,7 @@ impl<'a> Stretch<'a> {
         })
     }
 
-    /// What is known of a swing's damping, all else as it was found.
+    /// Bounds of a swing's damping, all else as it was found.
     fn damping(&self, fit: &Fit, swing: usize, likelihood: f64) -> Damping {
         let found_s = fit.swings[swing].damping_s;
         let [shortest_s, longest_s] =

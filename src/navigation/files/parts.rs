@@ -25,7 +25,7 @@ impl<T: Timed> Read<T> {
     }
 }
 
-/// What becomes of rows that are earlier than one before.
+/// Handling of rows that are earlier than one before.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Late {
     LeftOut,
@@ -206,7 +206,7 @@ fn first_s<T: Timed>(part: &Part<T>) -> f64 {
     part.rows.first().map_or(f64::INFINITY, |row| row.t_s())
 }
 
-/// What of a part lies between those that are kept, which are in the order of time.
+/// The pieces of a part between those that are kept, which are in the order of time.
 fn trimmed<T: Timed>(part: Part<T>, kept: &[Part<T>], left_out: &mut [LeftOut]) -> Vec<Part<T>> {
     let ends = |kept: &Part<T>| kept.rows.last().map_or(f64::NEG_INFINITY, |row| row.t_s());
     let (file, length) = (part.file, part.rows.len());

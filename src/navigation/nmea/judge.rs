@@ -98,7 +98,7 @@ impl fmt::Display for Refused {
     }
 }
 
-/// What a receiver has said of one time.
+/// A receiver's data of one time.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Said {
     pub gga: Option<Gga>,
@@ -145,7 +145,7 @@ impl Said {
             .map_err(|why| impossible(why.to_string()))
     }
 
-    /// What GGA's quality and RMC's status and mode indicator say. RMC's navigational status is not used: receivers that do not provide it
+    /// GGA's quality and RMC's status and mode indicator. RMC's navigational status is not used: receivers that do not provide it
     /// send V.
     fn is_fix(&self) -> Result<(), Refused> {
         let refused = |refusal, field: &str, found: char| {

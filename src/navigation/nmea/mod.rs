@@ -40,7 +40,7 @@ impl TimedFix {
     }
 }
 
-/// What a receiver's bytes come to.
+/// Result of a receiver's bytes.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Heard {
     Fix(TimedFix),
@@ -48,7 +48,7 @@ pub enum Heard {
     Unreadable(Unreadable),
 }
 
-/// What became of a receiver's bytes.
+/// Counts of a receiver's bytes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct GpsCounts {
     pub fixes: u64,
@@ -83,7 +83,7 @@ impl GpsCounts {
     }
 }
 
-/// What was not used, by kind.
+/// Rejected sentences, by kind.
 impl fmt::Display for GpsCounts {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let kinds = self.refusals();
@@ -100,7 +100,7 @@ impl fmt::Display for GpsCounts {
 #[derive(Debug, Default)]
 pub struct Nmea {
     framer: Framer,
-    /// What was said of the latest time, until a fix was made of it.
+    /// Sentences of the latest time, until a fix is made of them.
     said: Said,
     time: Option<TimeOfDay>,
 }

@@ -31,7 +31,7 @@ pub enum Unreadable {
     },
 }
 
-/// What a byte completes.
+/// Result of a byte.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Piece {
     /// The characters between `$` and `*`, whose checksum is right.
@@ -42,7 +42,7 @@ pub(super) enum Piece {
 /// Cuts bytes into sentences. One begins at `$`, whatever was before, and ends with its checksum: what is behind it does not matter.
 #[derive(Debug, Default)]
 pub(super) struct Framer {
-    /// What has come since `$`; `None` between sentences.
+    /// Bytes since `$`; `None` between sentences.
     line: Option<String>,
     /// Bytes that are part of no sentence, ends of lines and blanks apart.
     noise_bytes: u64,

@@ -1,4 +1,4 @@
-//! What receivers send, made by hand; the two sentences of gpsd's documentation have its checksums.
+//! Receivers' sentences, made by hand; the two sentences of gpsd's documentation have its checksums.
 
 use super::*;
 

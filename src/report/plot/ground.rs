@@ -1,4 +1,4 @@
-//! What maps have in common: a square field with lines and a target in it, and a scale of colours beside it.
+//! Shared parts of maps: a square field with lines and a target in it, and a scale of colours beside it.
 
 use super::axis::{Axis, superscript};
 use super::labels::Labels;
@@ -139,7 +139,7 @@ impl Shades {
 pub(super) struct Scale<'a> {
     pub axis: Axis,
     pub shades: &'a Shades,
-    /// What the values are.
+    /// Name of the values.
     pub name: &'a str,
 }
 

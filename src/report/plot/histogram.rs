@@ -96,7 +96,7 @@ pub fn histogram(
     Ok(sheet.finish())
 }
 
-/// What the axis spans: from 0 where no value is negative. Lines that are near the values lie within.
+/// Range of the axis: from 0 where no value is negative. Lines that are near the values lie within.
 fn span(values: &[f64], lines: &[(&str, f64)]) -> Option<(f64, f64)> {
     let (low, high) = extent(values.iter().copied())?;
     let mut sizes: Vec<f64> = values

@@ -1,4 +1,4 @@
-//! What a figure says of itself, and why it cannot be drawn.
+//! Labels of a figure, and why it cannot be drawn.
 
 /// Why a figure cannot be drawn.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -7,7 +7,7 @@ pub enum PlotError {
     Empty(String),
 }
 
-/// What a horizontal axis shows.
+/// Quantity of a horizontal axis.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Horizontal {
     /// A number, with its name and unit.
@@ -16,7 +16,7 @@ pub enum Horizontal {
     Utc,
 }
 
-/// What every figure has.
+/// Labels of every figure.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Labels {
     pub title: String,

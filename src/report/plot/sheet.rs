@@ -22,7 +22,7 @@ const TITLE_PX: f64 = 38.0;
 const LEFT_PX: f64 = 78.0;
 const RIGHT_PX: f64 = 20.0;
 const BELOW_PX: f64 = 50.0;
-/// What a panel leaves of its sheet's width.
+/// Margin beside a panel on its sheet.
 pub(super) const BESIDE_PX: f64 = LEFT_PX + RIGHT_PX;
 /// Of a row of the legend.
 const ROW_PX: f64 = 19.0;

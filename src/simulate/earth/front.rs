@@ -1,4 +1,4 @@
-//! What stands between the camera and the Earth, or beside it: the vehicle's struts and banners, a Moon, light that the lens scatters.
+//! Things between the camera and the Earth, or beside it: the vehicle's struts and banners, a Moon, light that the lens scatters.
 
 use super::EarthConditions;
 use crate::simulate::Generator;

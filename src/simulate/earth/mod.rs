@@ -27,7 +27,7 @@ use sky::Sky;
 /// How far a picture is sampled beyond its edges, for the blur.
 const MARGIN_PX: usize = 8;
 
-/// What is drawn at random for each picture, and what is not.
+/// Conditions of the pictures: drawn at random for each, or fixed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EarthConditions {
     pub camera: CameraModel,

@@ -41,7 +41,7 @@ impl SwingingGondola {
         Gondola::Swinging.roll_deg(after)
     }
 
-    /// What the camera sees then; `brightness` times as bright as usual.
+    /// The camera's picture then; `brightness` times as bright as usual.
     pub fn scene(&self, number: u64, after: Duration, brightness: f64) -> EarthScene {
         let mut conditions = self.conditions.clone();
         conditions.air.brightness_dn *= brightness;

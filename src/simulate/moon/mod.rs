@@ -29,7 +29,7 @@ use surface::Surface;
 const SUBSAMPLED_PX: f64 = 120.0;
 const SUBSAMPLES: Range<usize> = 2..9;
 
-/// What a picture shows.
+/// Content of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shown {
     Moon,
@@ -43,7 +43,7 @@ pub enum Shown {
     Clouds,
 }
 
-/// What pictures of the Moon have in common.
+/// Shared settings of pictures of the Moon.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MoonConditions {
     pub width_px: usize,

@@ -8,7 +8,7 @@ use crate::simulate::Generator;
 use nalgebra::{Matrix3, Vector3};
 use std::fmt;
 
-/// What a direction points at.
+/// Target of a direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Target {
     Sun,
@@ -82,7 +82,7 @@ pub struct TargetCamera {
     pub seen: Seen,
 }
 
-/// What the cameras observe, and how well.
+/// The cameras' targets and errors.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sky {
     pub sun: FixedSun,
@@ -108,7 +108,7 @@ impl Sky {
     }
 }
 
-/// What all cameras measure, by time.
+/// Measurements of all cameras, by time.
 pub(super) fn measured(
     cameras: &[TargetCamera],
     span: &Span,

@@ -1,4 +1,4 @@
-//! What can be wrong with an IMU: each kind as a change of its samples.
+//! Faults of an IMU: each kind as a change of its samples.
 
 use crate::link::ImuPacket;
 use jiff::SignedDuration;
@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// What a fault makes of a sample, so many seconds after it began; `None` where the sample is lost.
+/// A fault's change of a sample, by the seconds since it began; `None` where the sample is lost.
 type Corrupt = fn(&mut FaultyImu, f64, ImuPacket) -> Option<ImuPacket>;
 
 /// How a fault can be known.
@@ -58,7 +58,7 @@ impl FaultyImu {
         }
     }
 
-    /// What a sample becomes: with the fault that meets it and how long ago that began, s.
+    /// A sample with the fault that applies and the time since that began, s.
     pub fn sample(
         &mut self,
         sample: ImuPacket,

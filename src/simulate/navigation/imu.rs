@@ -61,7 +61,7 @@ impl ImuErrors {
     }
 }
 
-/// What a unit without errors gives for the interval that ends at a time.
+/// Sample of a unit without errors for the interval that ends at a time.
 pub(super) fn true_means(motion: &dyn Motion, t_s: f64) -> ImuRow {
     let mut row = ImuRow {
         t_s,

@@ -103,7 +103,7 @@ pub struct SunRow {
     pub direction: Vector3<f64>,
 }
 
-/// What draws random numbers of its own, so that a change to one moves nothing else.
+/// Users of random numbers, each with its own, so that a change to one moves nothing else.
 #[derive(Debug, Clone, Copy)]
 enum Drawn {
     Motion,

@@ -21,7 +21,7 @@ pub(super) struct State {
 }
 
 impl State {
-    /// What an accelerometer without errors feels, in the body's axes.
+    /// Specific force for an accelerometer without errors, in the body's axes.
     pub fn specific_force_m_s2(&self) -> Vector3<f64> {
         let Path {
             position_m,
@@ -36,7 +36,7 @@ impl State {
         self.attitude.rotation.inverse_transform_vector(&felt_m_s2)
     }
 
-    /// What a gyroscope without errors feels, in the body's axes.
+    /// Rate for a gyroscope without errors, in the body's axes.
     pub fn inertial_rate_rad_s(&self) -> Vector3<f64> {
         let earth = earth_rate_rad_s();
         self.attitude.rate_rad_s + self.attitude.rotation.inverse_transform_vector(&earth)

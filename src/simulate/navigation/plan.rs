@@ -1,4 +1,4 @@
-//! What flies, for how long and with which errors.
+//! Plans of simulated flights: vehicle, duration and errors.
 
 use super::balloon::{self, Balloon};
 use super::cameras::{DirectionErrors, Seen, Sky, Target, TargetCamera};
@@ -11,7 +11,7 @@ use super::span::Span;
 /// Of every camera.
 const CORRELATION_TIME_S: f64 = 20.0;
 
-/// What flies. Each seed draws the phases of its swings.
+/// The vehicle. Each seed draws the phases of its swings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Vehicle {
     /// The coast of a sounding rocket to 238 km.

@@ -131,7 +131,7 @@ impl TelescopeFlight {
         })
     }
 
-    /// What the GPS receiver says of a whole second after the start: a sentence GGA and a sentence RMC.
+    /// Sentences of the GPS receiver for a whole second after the start: GGA and RMC.
     ///
     /// # Errors
     /// A time that no calendar has.
