@@ -21,7 +21,7 @@ const SERVICES: [(&str, &str); 5] = [
     ("systemd-timesyncd", "/run/systemd/timesync"),
 ];
 
-/// What is known of the clock.
+/// Status of the clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockStatus {
     /// Whether somebody holds it to UTC.

@@ -21,7 +21,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 #[derive(Debug, thiserror::Error)]
 #[error("expected {}, found {}", self.expected(), self.found())]
 pub enum Unread {
-    /// What the system says.
+    /// The system's message.
     Io(io::Error),
     /// A folder, a device or a pipe.
     Kind(&'static str),

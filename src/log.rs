@@ -70,7 +70,7 @@ pub fn start(verbose: u8, format: Format) -> io::Result<Guard> {
     Ok(Guard(queue))
 }
 
-/// What a panic says.
+/// Message of a panic.
 pub(crate) fn panic_message(payload: &(dyn Any + Send)) -> String {
     let text = payload
         .downcast_ref::<&str>()

@@ -18,7 +18,7 @@ use crate::simulate::{Blemishes, Readout, Scene, StrayLight, Sun, Surface, rende
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::{DMatrix, Matrix2, Matrix3};
 
-/// What a solver does not know of a frame.
+/// Unknown parameters of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Unknown {
     SunX,

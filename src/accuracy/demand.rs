@@ -1,4 +1,4 @@
-//! What is demanded of a row.
+//! Requirements of a row.
 
 use super::chance;
 use super::outcome::{NEAR_PX, Summary};
@@ -43,7 +43,7 @@ pub enum Demand {
     NoWrongFine,
 }
 
-/// What error over stated sigma may be, rms per axis.
+/// Accepted error over stated sigma, rms per axis.
 pub const CALIBRATED: Range<f64> = 0.8..1.25;
 
 /// How the statistics of few frames are held against a limit.

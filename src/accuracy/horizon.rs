@@ -48,7 +48,7 @@ pub struct HorizonRow {
     pub demands: Vec<HorizonDemand>,
 }
 
-/// What came of a row.
+/// Result of a row.
 #[derive(Debug, Clone)]
 pub struct HorizonReport {
     pub row: HorizonRow,

@@ -161,7 +161,7 @@ fn bias(phase_px: Vector2<f64>, errors: &[Vector2<f64>]) -> Bias {
     }
 }
 
-/// What is demanded of the marks and not met.
+/// Unmet requirements of the marks.
 pub fn unmet(summary: Option<&MarkSummary>, bias: &BiasMap) -> Vec<String> {
     let mut unmet = Vec::new();
     match summary {

@@ -6,7 +6,7 @@ use super::outcome::{has_wrong_id, is_wrong_fine};
 use super::trial::Outcome;
 use crate::aspect::Quality;
 
-/// What came of a run.
+/// Result of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MixedSummary {
     pub frames: usize,

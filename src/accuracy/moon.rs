@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use std::fmt;
 use std::ops::Range;
 
-/// What is known of the Moon before its picture is solved.
+/// Prior knowledge of the Moon before its picture is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Knowledge {
     Nothing,
@@ -78,7 +78,7 @@ pub(super) enum Draw {
     Any(fn(&mut Generator) -> MoonConditions),
 }
 
-/// What came of a row.
+/// Result of a row.
 #[derive(Debug, Clone)]
 pub struct MoonReport {
     pub row: MoonRow,

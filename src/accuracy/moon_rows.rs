@@ -13,7 +13,7 @@ pub(super) fn moon_rows() -> Vec<MoonRow> {
     [by_lit_share(), as_photographed(), no_moons()].concat()
 }
 
-/// What error over stated sigma may be, as of frames of the Sun, and of Moons as photographs show them.
+/// Accepted error over stated sigma, as of frames of the Sun, and of Moons as photographs show them.
 const SIGMA_RATIO_WITHIN: MoonDemand = MoonDemand::SigmaRatio(CALIBRATED);
 const SIGMA_RATIO_NEARLY: MoonDemand = MoonDemand::SigmaRatio(0.8..1.3);
 /// Lit shares, with the largest error across of smooth discs of 15 px: the radius known, and free.
@@ -64,7 +64,7 @@ fn by_lit_share() -> Vec<MoonRow> {
     rows
 }
 
-/// What photographs show: full Moons, seas, skies at 0 DN, crescents with an earthshine.
+/// Conditions of photographs: full Moons, seas, skies at 0 DN, crescents with an earthshine.
 fn as_photographed() -> Vec<MoonRow> {
     let both = [Knowledge::Radius, Knowledge::Nothing];
     let row = |title: &str, known, draw, demands: &[MoonDemand]| {
@@ -106,7 +106,7 @@ fn as_photographed() -> Vec<MoonRow> {
     rows
 }
 
-/// What is no Moon: 2,000 frames of each, and none may be fine.
+/// Scenes without a Moon: 2,000 frames of each, and none may be fine.
 fn no_moons() -> Vec<MoonRow> {
     let row = |title, known, frames, draw| {
         MoonRow::new(title, known, frames, Draw::Any(draw)).demanding(&[MoonDemand::NoneFine])

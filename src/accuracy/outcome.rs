@@ -1,4 +1,4 @@
-//! What many outcomes say together.
+//! Summary of many outcomes.
 
 use super::chance::{self, quantile, rms};
 use super::trial::{AspectError, Outcome};

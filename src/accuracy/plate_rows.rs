@@ -11,7 +11,7 @@ use crate::units::{Measured, PlateMil};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 
-/// What an area of the demo's plate has for each mark, mil^2.
+/// Area of the demo's plate for each mark, mil^2.
 const AREA_PER_MARK_MIL2: f64 = 190_000.0;
 /// Frames of a row, and of one with twelve million pixels.
 const FRAMES: [u64; 2] = [16, 2000];

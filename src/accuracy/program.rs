@@ -43,7 +43,7 @@ pub enum AccuracyError {
     Instrument(#[from] TomlError),
 }
 
-/// What is to be run.
+/// Parts to be run.
 #[derive(Debug, Clone)]
 pub struct Program {
     pub size: Size,

@@ -50,11 +50,11 @@ pub const ENOUGH_MARKS: RangeInclusive<usize> = 3..=MOST_MARKS;
 /// Too few marks for a mapping.
 pub const FEW_MARKS: RangeInclusive<usize> = 0..=2;
 
-/// What a frame is made of.
+/// Recipe of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
     pub conditions: Conditions,
-    /// What the instrument states of the camera, which need not be so.
+    /// The instrument's statement of the camera, which need not be so.
     pub stated: Mounting,
     pub view: View,
     /// Sunspots, each up to 1 % of the disc's area.
@@ -162,7 +162,7 @@ impl Recipe {
     }
 }
 
-/// What the check of the plate says of the place where the Sun is.
+/// Result of the plate's check at the place where the Sun is.
 fn verdict_of(instrument: &Instrument, scene: &Scene) -> Option<PlaceVerdict> {
     let at = scene.sun.as_ref()?.centre;
     let (solver, settings) = (SolverSettings::default(), CheckSettings::default());

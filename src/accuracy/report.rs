@@ -1,4 +1,4 @@
-//! What came of the program: its parts, what is not met, the figures.
+//! Results of the program: its parts, unmet requirements, the figures.
 
 use super::figures::{self, Sweeps};
 use super::horizon::HorizonReport;
@@ -11,7 +11,7 @@ use super::trial::Outcome;
 use crate::columns::{Column, float, integer, text};
 use crate::report::plot::PlotError;
 
-/// What came of a row.
+/// Result of a row.
 #[derive(Debug, Clone)]
 pub struct RowReport {
     pub row: AccuracyRow,
@@ -21,7 +21,7 @@ pub struct RowReport {
     pub unmet: Vec<String>,
 }
 
-/// What came of the marks.
+/// Result of the marks.
 #[derive(Debug, Clone)]
 pub struct MarksReport {
     pub summary: Option<MarkSummary>,
@@ -29,7 +29,7 @@ pub struct MarksReport {
     pub unmet: Vec<String>,
 }
 
-/// What came of a run.
+/// Result of a run.
 #[derive(Debug, Clone)]
 pub struct RunReport {
     pub run: Run,
@@ -49,7 +49,7 @@ fn plate_sigma<const AXIS: usize>((_, outcome): &ReportedFrame<'_>) -> Option<f6
     Some(outcome.aspect?.covariance_mil2[(AXIS, AXIS)].sqrt())
 }
 
-/// What a table of single frames holds.
+/// Content of a table of single frames.
 pub fn frame_columns<'a>() -> [Column<ReportedFrame<'a>>; 7] {
     let of_axis = |name, meaning, value| float(name, "mil", meaning, value);
     [
@@ -83,7 +83,7 @@ pub fn frame_columns<'a>() -> [Column<ReportedFrame<'a>>; 7] {
     ]
 }
 
-/// What came of it all.
+/// All results.
 #[derive(Debug, Clone)]
 pub struct Report {
     pub size: Size,
@@ -96,7 +96,7 @@ pub struct Report {
     pub runs: Vec<RunReport>,
     pub moons: Vec<MoonReport>,
     pub horizons: Vec<HorizonReport>,
-    /// What the figures need beyond the rows.
+    /// Data of the figures beyond the rows.
     pub sweeps: Option<Sweeps>,
 }
 

@@ -66,7 +66,7 @@ pub struct AccuracyRow {
     pub frames: [u64; 2],
     /// How the row's frames depart from the standard one.
     pub vary: Vary,
-    /// What the row's instrument is, where it is not the program's.
+    /// Instrument of the row, where it is not the program's.
     pub instrument: Option<InstrumentOf>,
     /// How many instruments take turns: in the small size, in the full.
     pub instruments: [u64; 2],
@@ -137,7 +137,7 @@ pub(super) fn row(name: &'static str, title: &'static str, vary: Vary) -> Accura
 }
 
 impl AccuracyRow {
-    /// What solves the frames of a seed, where the program's is `usual`: the row's instruments take turns.
+    /// The solver's setup for the frames of a seed, where the program's is `usual`: the row's instruments take turns.
     pub(super) fn trial(&self, usual: &Trial, size: Size, seed: u64) -> Trial {
         let mut trial = usual.clone();
         if let Some(make) = self.instrument {

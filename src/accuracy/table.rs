@@ -332,7 +332,7 @@ fn rows_part(rows: &[RowReport], beside: &str, unmet: &[(&str, &str)]) -> String
         + &demands_text(unmet)
 }
 
-/// What is demanded of the rows, one a line.
+/// Requirements of the rows, one a line.
 fn demanded(rows: &[RowReport]) -> String {
     let mut out = String::new();
     if rows.is_empty() {
@@ -347,7 +347,7 @@ fn demanded(rows: &[RowReport]) -> String {
     out
 }
 
-/// What stands beside the table in both forms.
+/// Text beside the table in both forms.
 fn beside(report: &Report) -> String {
     let mut out = String::new();
     if let Some(marks) = &report.marks {

@@ -13,12 +13,12 @@ use rayon::prelude::*;
 
 /// A mark this far from where its id stands in truth has the wrong id, px.
 const WRONG_ID_PX: f64 = 3.0;
-/// What is expected of every frame.
+/// Expectation of every frame.
 const EXPECTED: Option<Expected> = Some(Expected {
     radius_arcsec: SUN_RADIUS_ARCSEC,
 });
 
-/// What a frame's solution is, beside the truth.
+/// A frame's solution against the truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
     pub seed: u64,

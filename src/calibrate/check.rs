@@ -15,7 +15,7 @@ use std::fmt;
 /// Number of fine frames in a row that prove it if they agree: a single misread one does not.
 const PROVE: u32 = 3;
 
-/// What an instrument's file states of the camera, and every fine frame measures.
+/// Quantities of the camera that an instrument's file states and every fine frame measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Quantity {
     Rotation,
@@ -88,7 +88,7 @@ impl fmt::Display for Contradiction {
     }
 }
 
-/// What a fine frame contradicts of the instrument; nothing for any other.
+/// Contradictions between a fine frame and the instrument; none for any other frame.
 pub fn contradictions(solution: &Solution, instrument: &Instrument) -> Vec<Contradiction> {
     let found = Quantity::ALL
         .into_iter()
@@ -102,7 +102,7 @@ pub fn contradictions(solution: &Solution, instrument: &Instrument) -> Vec<Contr
         .collect()
 }
 
-/// What a fine frame measures, in the order of [`Quantity::ALL`].
+/// Values that a fine frame measures, in the order of [`Quantity::ALL`].
 fn measured(solution: &Solution, instrument: &Instrument) -> Option<[Measured; 4]> {
     let adopted = solution.mapping.as_ref()?;
     let registration = adopted
@@ -162,7 +162,7 @@ impl CalibrationCheck {
         proven.collect()
     }
 
-    /// What fine frames have disproved.
+    /// Quantities that fine frames have disproved.
     pub fn proven(&self) -> impl Iterator<Item = Contradiction> {
         self.trials.iter().filter_map(|trial| trial.proven)
     }

@@ -1,4 +1,4 @@
-//! What changed from one instrument to another, in arcsec on the sky, of a turn or a scale in arcsec at the plate's edge.
+//! Changes from one instrument to another, in arcsec on the sky, of a turn or a scale in arcsec at the plate's edge.
 
 mod sensor;
 
@@ -25,7 +25,7 @@ pub struct Shift {
 pub struct Turn {
     pub before: f64,
     pub after: f64,
-    /// What it moves at the plate's edge.
+    /// Displacement at the plate's edge.
     pub edge_arcsec: f64,
 }
 
@@ -64,7 +64,7 @@ pub struct LensChange {
     pub corner_arcsec: f64,
 }
 
-/// What changed from one instrument to another.
+/// Changes from one instrument to another.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
     pub from: String,

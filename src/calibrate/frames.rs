@@ -1,4 +1,4 @@
-//! What all frames of a calibration must have in common: one camera, which is the instrument's, at one setting.
+//! Common facts of all frames of a calibration: one camera, which is the instrument's, at one setting.
 
 use crate::frame::{Frame, TakenBy};
 use crate::instrument::{Instrument, WrongCamera, WrongSize};
@@ -6,11 +6,11 @@ use crate::observe::{InputError, RejectedFrame};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// What all frames of one calibration must have in common.
+/// Common facts of all frames of one calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setting {
     file: PathBuf,
-    /// What the frame says of instrument and camera.
+    /// Instrument and camera by the frame.
     taken_by: TakenBy,
     /// Name and value of each property that the frame states.
     properties: Vec<(&'static str, String)>,
@@ -106,7 +106,7 @@ pub enum FramesError {
 pub enum CalibrateError<E: std::fmt::Display> {
     #[error(transparent)]
     Frames(#[from] FramesError),
-    /// What the frames show does not determine it; what was rejected may say why.
+    /// The frames do not determine it; the rejected ones may show why.
     #[error("{rejected}: {cause}")]
     Undetermined { rejected: String, cause: E },
 }

@@ -9,12 +9,12 @@ use nalgebra::{DMatrix, Matrix3, Rotation3, Vector3};
 use std::path::Path;
 use toml_edit::{Array, Item, Table, Value, value};
 
-/// What the new values rest on.
+/// Basis of the new values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Source {
     /// Of the flight, UTC; none where nobody knows.
     pub date: Option<Date>,
-    /// What was done, for people.
+    /// Method, for people.
     pub text: String,
     /// Those that the flight was read from.
     pub files: Vec<String>,

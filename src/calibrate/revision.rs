@@ -17,7 +17,7 @@ use toml_edit::{DocumentMut, InlineTable, Item, Table, TableLike, Value, value};
 pub struct Provenance {
     /// The name of the calibration: the table `[calibration.NAME]` holds what it rests on.
     pub name: &'static str,
-    /// What was done, with how many frames.
+    /// Method, with the number of frames.
     pub source: String,
     /// When the frames were taken; none where they do not state it.
     pub date: Option<Date>,

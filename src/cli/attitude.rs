@@ -1,4 +1,4 @@
-//! What `navigate` and `refine` share: which rows and files of an attitude are wanted, and what is said of it.
+//! Shared parts of `navigate` and `refine`: which rows and files of an attitude are wanted, and the printed summary.
 
 use super::output::say;
 use crate::refine::{AttitudeFound, Wanted};

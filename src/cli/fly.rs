@@ -100,7 +100,7 @@ fn say_who_flies(plan: &Plan, flight: &Flight) {
     }
 }
 
-/// What is wrong with a plan that flies by force, and what one should know of any.
+/// Errors of a plan that flies by force, and warnings of any.
 fn warn_of_remarks(remarks: &Remarks) {
     for remark in &remarks.list {
         match remark.severity {

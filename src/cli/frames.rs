@@ -1,4 +1,4 @@
-//! What the commands share that take frames and give an answer for each: options, formats, pictures, order.
+//! Shared parts of the commands that take frames and give an answer for each: options, formats, pictures, order.
 
 use super::output::{make_folder, progress_bar, say};
 use crate::fits::{self, FileError};
@@ -145,7 +145,7 @@ fn picture_name(path: &Path) -> String {
 /// The width of the table's last column: as wide as it needs.
 pub(super) const REMARKS: usize = 0;
 
-/// What is said of a frame.
+/// Answer for a frame.
 pub(super) trait OutputRow: Serialize {
     /// Names of the columns in CSV; the first is the file's.
     fn csv_columns() -> Vec<&'static str>;
@@ -159,7 +159,7 @@ pub(super) trait OutputRow: Serialize {
     fn table_row(&self) -> (&str, Vec<String>);
 }
 
-/// What is said of a frame, or the file and what is wrong with it.
+/// Answer for a frame, or the file and its error.
 pub(super) type Answer<R> = Result<R, (String, String)>;
 
 /// The answer of a file that could not be solved. The line names the file already, and the error does not again.

@@ -245,7 +245,7 @@ fn at_once(bytes: Vec<u8>) -> Burst {
     Burst { time, bytes }
 }
 
-/// What is good of a log, with one warning of the lines that are not.
+/// Readable lines of a log, with one warning of the others.
 fn read_log(path: &Path, bytes: &[u8]) -> anyhow::Result<Vec<Burst>> {
     let (bursts, reader) = byte_log::read(bytes);
     reader.check().with_context(|| path.display().to_string())?;

@@ -77,7 +77,7 @@ impl Program {
     /// Does what the arguments say.
     ///
     /// # Errors
-    /// What went wrong, for a line on standard error.
+    /// The error, for a line on standard error.
     pub fn run(self) -> anyhow::Result<ExitCode> {
         match self.command {
             Command::Demo(args) => demo::run(args),

@@ -1,4 +1,4 @@
-//! What several commands read from their options.
+//! Options of several commands.
 
 use crate::camera::Source;
 use crate::config::Config;
@@ -34,7 +34,7 @@ pub(super) struct ConfigurationArgs {
 }
 
 impl ConfigurationArgs {
-    /// What the command line says.
+    /// Values of the command line.
     pub fn options(&self) -> Options {
         Options {
             instrument: self.instrument.clone(),

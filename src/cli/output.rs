@@ -1,4 +1,4 @@
-//! What several commands write, their answers and beside them.
+//! Output of several commands: their answers, and messages beside them.
 
 use crate::log;
 use crate::observe::Watch;

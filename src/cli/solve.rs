@@ -73,17 +73,17 @@ pub fn run(mut args: SolveArgs) -> anyhow::Result<ExitCode> {
     Ok(code)
 }
 
-/// What came of a file.
+/// Result of a file.
 struct Solved {
     answer: Answer<Line>,
     /// For an offset, nothing but the place is missing.
     lacks_place: bool,
     track: Option<Track>,
-    /// What the frame contradicts of the instrument.
+    /// Contradictions between the frame and the instrument.
     contradictions: Vec<Contradiction>,
 }
 
-/// What all frames of a batch share.
+/// Shared inputs of all frames of a batch.
 struct Batch<'a> {
     instrument: Instrument,
     place: Option<Place>,
@@ -177,7 +177,7 @@ impl Batch<'_> {
     }
 }
 
-/// What is said of a frame.
+/// Answer for a frame.
 #[derive(Serialize)]
 #[serde(transparent)]
 struct Line {

@@ -1,6 +1,6 @@
 //! Times as other programs write them, to UTC: texts and Julian dates, in any of the scales that instruments keep.
 //!
-//! What is read: `2013-09-21T18:00:00.25` and what differs from it by the separator (a blank, a lower-case `t`), a comma for the point,
+//! Accepted texts: `2013-09-21T18:00:00.25` and what differs from it by the separator (a blank, a lower-case `t`), a comma for the point,
 //! missing seconds, slashes in the date or no separators, an ordinal date (`2013-264`), a closing `Z`, `UTC`, `(UTC)`, `TAI` or an offset such as `-06:00`;
 //! and what C's `asctime` writes. A date whose order is open, such as 21/09/13, is no time.
 //!
@@ -11,7 +11,7 @@ use jiff::tz::Offset;
 use jiff::{SignedDuration, Timestamp, ToSpan, Unit};
 use sofars::ts::dat;
 
-/// What was expected where a text is no time.
+/// Expectation where a text is no time.
 const EXPECTED: &str = "a time such as 2013-09-21T18:00:00Z";
 const CLEAR_ORDER: &str =
     "a date of clear order such as 2013-09-21 (FITS takes dd/mm/yy for 1900 to 1999)";
@@ -93,7 +93,7 @@ impl Scale {
 /// Reads a text in a scale, which the text may name itself.
 ///
 /// # Errors
-/// What was expected.
+/// Expectation.
 pub fn read_utc(text: &str, scale: Option<Scale>) -> Result<Utc, &'static str> {
     let text = text.trim();
     if let Some(civil) = asctime(text) {
@@ -119,7 +119,7 @@ pub fn read_utc(text: &str, scale: Option<Scale>) -> Result<Utc, &'static str> {
 /// The beginning of the day that a date without a time of day names, else as [`read_utc`] reads a text.
 ///
 /// # Errors
-/// What was expected, and what was found.
+/// Expected and found value.
 pub fn parse_utc(text: &str) -> Result<Timestamp, String> {
     let midnight = || match split_date(text.trim()) {
         Ok((date, "")) => Offset::UTC
@@ -136,7 +136,7 @@ pub fn parse_utc(text: &str) -> Result<Timestamp, String> {
 /// The instant of a Modified Julian Date, to the microsecond.
 ///
 /// # Errors
-/// What was expected.
+/// Expectation.
 pub fn utc_of_mjd(days: f64, scale: Scale) -> Result<Utc, &'static str> {
     const ZERO: Date = date(1858, 11, 17);
     const EXPECTED: &str = "a Julian date of the years 1858 to 9999";
@@ -166,7 +166,7 @@ impl Scale {
         Some(seconds - ahead.as_secs_f64())
     }
 
-    /// What a clock of this scale shows at an instant: the inverse of [`unix_s`](Self::unix_s).
+    /// Reading of a clock of this scale at an instant: the inverse of [`unix_s`](Self::unix_s).
     pub fn seconds(self, unix_s: f64) -> Option<f64> {
         let Some(behind_tai) = self.behind_tai() else {
             return Some(unix_s);
@@ -315,7 +315,7 @@ fn civil(date: Date, clock: &str) -> Option<Civil> {
     })
 }
 
-/// What a text says of its scale behind the time of day.
+/// Time scale that a text names behind the time of day.
 enum Zone {
     Unnamed,
     Scale(Scale),

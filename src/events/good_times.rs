@@ -15,7 +15,7 @@ struct End {
     counted: Counted,
 }
 
-/// What is left of a table's intervals, and how long they were together.
+/// Remaining intervals of a table, and their total length.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cut {
     pub before_s: f64,
@@ -196,7 +196,7 @@ impl End {
     }
 }
 
-/// What an interval has in common with others, which are in the order of time.
+/// Intersection of an interval with others, which are in the order of time.
 pub fn common(own: [f64; 2], others: &[[f64; 2]]) -> impl Iterator<Item = [f64; 2]> {
     let first = others.partition_point(|[_, end]| *end <= own[0]);
     let within = others[first..]

@@ -43,7 +43,7 @@ pub struct Files<'a> {
     pub image: Option<&'a ImageRequest>,
 }
 
-/// What a run did.
+/// Result of a run.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Placed {
     pub photons: u64,

@@ -11,7 +11,7 @@ use nalgebra::{Matrix2x3, Matrix3, UnitVector3, Vector3};
 /// No telescope sees a photon further from its boresight; tangent of 45 deg.
 const FARTHEST: f64 = 1.0;
 
-/// What is found of a photon.
+/// Result for a photon.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Photon {
     /// UTC, s since 1970.
@@ -56,7 +56,7 @@ pub struct Measured {
     counted: Counted,
 }
 
-/// What a row says of a photon; NaN where it says nothing.
+/// A row's data of a photon; NaN where it has none.
 pub struct PhotonRow {
     time: f64,
     /// As the detector has it.

@@ -390,7 +390,7 @@ impl Run<'_> {
         })
     }
 
-    /// What the list says of who observed what.
+    /// Cards of the list on observer and instrument.
     fn observed_cards(&self) -> Vec<Card> {
         let headers = [&self.list.hdu().header, &self.list.primary().header];
         let keywords = [&keyword::TELESCOP, &keyword::INSTRUME, &keyword::OBJECT];

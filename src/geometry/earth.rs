@@ -32,7 +32,7 @@ pub fn gravitation(at_m: &Vector3<f64>) -> Vector3<f64> {
     -GRAVITY_M3_PER_S2 / r.powi(3) * at_m.component_mul(&scale)
 }
 
-/// What a body at a place, with a velocity in ECEF, is accelerated by there without specific force: gravitation, and what the Earth's turning
+/// Acceleration in ECEF of a body at a place, with a velocity, without specific force: gravitation, and what the Earth's turning
 /// makes of the axes.
 pub fn acceleration(at_m: &Vector3<f64>, velocity_m_s: &Vector3<f64>) -> Vector3<f64> {
     let turn = turn();
@@ -44,7 +44,7 @@ pub fn plumb(at_m: &Vector3<f64>) -> UnitVector3<f64> {
     UnitVector3::new_normalize(acceleration(at_m, &Vector3::zeros()))
 }
 
-/// What accelerometers feel at rest at a place, m/s^2.
+/// Specific force at rest at a place, m/s^2.
 pub fn gravity_m_s2(place: &Place) -> f64 {
     acceleration(&ecef_m(place), &Vector3::zeros()).norm()
 }

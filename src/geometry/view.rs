@@ -29,7 +29,7 @@ pub type ParameterSlopes = RowSVector<f64, PARAMETERS>;
 /// The plate's unit of length in a view.
 pub const UNIT_MIL: f64 = 1000.0;
 
-/// What a camera tilted by 3 deg moves a place by, over the square of its distance from the plate's centre, 1/px: tan(3 deg)
+/// Displacement of a place by a camera tilted by 3 deg, over the square of its distance from the plate's centre, 1/px: tan(3 deg)
 /// over four times the width of the sensor. A camera aligned by hand is tilted by this much, 1 sigma.
 ///
 /// This near the Sun, at a distance d (px) from the plate's centre, the tilt turns the picture by up to this times d (rad) and

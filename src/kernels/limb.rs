@@ -29,7 +29,7 @@ impl EdgeLight {
         )
     }
 
-    /// What the two parts of the light, as they are at the middle of an unblurred disc, leave at a distance.
+    /// The two parts of the light at a distance, relative to the middle of an unblurred disc.
     #[inline(always)]
     pub fn parts(&self, distance_px: f32) -> Parts {
         let (per_blur, per_radius) = (self.per_blur, self.per_radius);

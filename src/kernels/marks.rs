@@ -53,7 +53,7 @@ pub struct Offsets<'a> {
     pub y: &'a [f32],
 }
 
-/// What a cross takes of the light at offsets from its middle; `to_arms` leads, by rows, from an offset to one along the
+/// Absorption of a cross at offsets from its middle; `to_arms` leads, by rows, from an offset to one along the
 /// arms.
 ///
 /// A blurred bar is its profile along times its profile across, each a difference of two tails of the normal distribution;
@@ -133,7 +133,7 @@ pub const UNKNOWNS: usize = 6;
 /// Beyond the noise, the model may be off by this part of the light: a blur that is not quite the lens's shows at the arms'
 /// edges, and rejecting some of them would move the mark.
 const MODEL_ERROR: f32 = 0.04;
-/// What the blurred product leaves out is about this part of s^2 div grad L', of a mark of contrast 1.
+/// The terms that the blurred product leaves out are about this part of s^2 div grad L', of a mark of contrast 1.
 const LEFT_OUT: f32 = 0.4;
 
 /// The pixels about a mark, in whole lanes.
@@ -146,11 +146,11 @@ pub struct MarkPixels<'a> {
     pub seen: &'a [f32],
     /// Without the mark.
     pub lit: &'a Lit,
-    /// What the mark takes of it.
+    /// The mark's absorption.
     pub coverage: &'a Coverage,
 }
 
-/// What is known of a mark beside its pixels.
+/// Parameters of a mark beside its pixels.
 pub struct MarkModel {
     pub unknowns: [f32; UNKNOWNS],
     /// Variance of a pixel without light, DN^2, and for each DN of light, DN.

@@ -1,4 +1,4 @@
-//! What lies under and about the disc beside its own light.
+//! The background under and about the disc.
 //!
 //! Stray light changes slowly over the frame; the halves of a sensor that are read through two amplifiers differ by a step; in
 //! a frame-transfer CCD every pixel of a column receives the same small part of the column's light while the charge is shifted

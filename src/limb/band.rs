@@ -123,7 +123,7 @@ impl Band {
 }
 
 impl<'a> Wanted<'a> {
-    /// What the rows have about the ellipse, and a little beside it.
+    /// Runs of the rows about the ellipse, and a little beside it.
     fn runs(&self) -> Vec<Run<'a>> {
         let (region, root, centre) = (
             self.cutout.region(),

@@ -54,7 +54,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// What makes a chord: the threshold, and the lengths of what is no disc.
+/// Settings of chords: the threshold, and the lengths of what is no disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Scan {
     pub threshold_dn: f64,

@@ -205,7 +205,7 @@ impl Sector {
         }
     }
 
-    /// What a shift, an illumination, a background and a blur of the sector's own leave of its squared residuals, over the weight of
+    /// Decrease of a sector's squared residuals by a shift, an illumination, a background and a blur of its own, over the weight of
     /// its pixels. `None` where they are not determined, or the shift is so large that they do not say.
     fn misfit(&self, model: &EdgeModel) -> Option<f64> {
         const FREE: usize = 4;
@@ -300,12 +300,12 @@ impl Departure {
 }
 
 impl Sector {
-    /// What a step of the smooth courses leaves of the gradient.
+    /// Gradient that remains after a step of the smooth courses.
     fn left(&self, step: &SVector<f64, SMOOTH>) -> SVector<f64, SECTOR> {
         self.gradient - self.information * course(&self.terms, step)
     }
 
-    /// What one quantity departs from its course by what is left of the gradient, and the variance of that, the shift being free.
+    /// Departure of one quantity from its course by the remaining gradient, and the variance of that, the shift being free.
     fn departure(&self, index: usize, gradient: &SVector<f64, SECTOR>) -> Option<(f64, f64)> {
         let (ss, si, ii) = (
             self.information.m11,

@@ -66,17 +66,17 @@ impl Limb {
 /// Points of the limb that are averaged.
 const NEIGHBOURS: usize = 4;
 
-/// What is known of the outline before the limb is measured, in two grades.
+/// Priors of the outline before the limb is measured, in two grades.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownOutline {
-    /// What any camera may show.
+    /// Possible for any camera.
     pub possible: OutlinePrior,
-    /// What this one shows if it is as its calibration states.
+    /// Expected if the camera is as its calibration states.
     pub stated: OutlinePrior,
 }
 
 impl KnownOutline {
-    /// What is stated constrains the outline of a disc of which little is visible. A limb that contradicts it is believed
+    /// The stated prior constrains the outline of a disc of which little is visible. A limb that contradicts it is believed
     /// instead.
     fn fit(&self, points: &[LimbPoint], start: &Ellipse) -> Option<OutlineFit> {
         let free = fit_outline(points, start, &self.possible).ok()?;

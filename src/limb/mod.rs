@@ -38,7 +38,7 @@ pub use shape::COMA_BLURS;
 /// Linear limb darkening at 630 nm (Neckel and Labs 1994): light falls as 1 - u (1 - cos theta) towards the limb.
 const LIMB_DARKENING: f64 = 0.56;
 
-/// What can be tuned in finding the limb.
+/// Tunable settings of the limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LimbSettings {
     /// Height of the limb's threshold between background and disc. Lower values stay clear of marks, higher ones

@@ -9,7 +9,7 @@ use crate::geometry::{Ellipse, turns};
 use crate::units::Measured;
 use nalgebra::{Matrix2, RowSVector, SMatrix, SVector, Vector1, Vector2};
 
-/// What is known of the outline before the limb is measured.
+/// Prior of the outline before the limb is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OutlinePrior {
     /// Mean radius, px.

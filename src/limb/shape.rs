@@ -7,7 +7,7 @@ use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::kernels::sums::SECTOR;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-/// What differs from sector to sector, by index: the limb's shift outwards (px), excess illumination (a fraction),
+/// Quantities of a sector, by index: the limb's shift outwards (px), excess illumination (a fraction),
 /// background (DN), excess of the blur's variance (px^2), the displaced part of the light times its displacement (px).
 pub(super) const SHIFT: usize = 0;
 pub(super) const ILLUMINATION: usize = 1;
@@ -38,7 +38,7 @@ impl Shape {
         ])),
     };
 
-    /// What a sector in a direction has of it.
+    /// Quantities of a sector in a direction.
     pub(super) fn at(&self, w: Vector2<f64>) -> SVector<f64, SECTOR> {
         course(&smooth_terms(w), &self.coefficients)
     }

@@ -40,12 +40,12 @@ pub fn read(bytes: &[u8]) -> (Vec<Burst>, Reader) {
     (bursts, reader)
 }
 
-/// What a log holds.
+/// Contents of a log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contents {
     /// With the times at which they were complete.
     pub packets: Vec<(Timestamp, Packet)>,
-    /// What was none.
+    /// Bytes and lines that were no packets.
     pub rejected: Rejected,
     /// Why, of the first 16 that were rejected.
     pub reasons: Vec<PacketError>,

@@ -16,7 +16,7 @@ const GOOD: Duration = Duration::from_secs(2);
 pub type AnyPort = Box<dyn BytePort + Send>;
 type Open = Box<dyn FnMut() -> Result<AnyPort, PortError> + Send>;
 
-/// What an address must be.
+/// Forms of an address.
 pub const EXPECTED: &str = "a serial device by its path (/dev/...), udp:HOST:PORT or udp:HOST:PORT@LOCALPORT, where HOST is an \
                             IP address (names are not resolved: that may take seconds)";
 
@@ -87,7 +87,7 @@ impl PortAddress {
         })
     }
 
-    /// What it takes of this computer, in words: a device, its links resolved, or a UDP port. `None` for any free port.
+    /// The part of this computer that it occupies, in words: a device, its links resolved, or a UDP port. `None` for any free port.
     pub fn takes(&self, udp_local_port: Option<u16>) -> Option<String> {
         match self {
             Self::Serial { name } => {

@@ -1,4 +1,4 @@
-//! What the responder asks of the flight service: to carry commands out, and to take the gondola's place.
+//! The responder's requests to the flight service: to carry commands out, and to take the gondola's place.
 
 use super::message::{AspectCommand, GpsFix, MoonRequest};
 use super::number::Codes;
@@ -24,11 +24,11 @@ pub static RESULTS: Codes = Codes { name: "result_code", rows: &[
     (result::UNKNOWN, "unknown", "no such command; of a read: not known (no such parameter or disk, a gain that was never set)"),
 ] };
 
-/// What came of a command.
+/// Result of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CommandResult {
     Done,
-    /// What a read has read.
+    /// Value of a read.
     Value(u16),
     /// Out of range: nothing has changed.
     Refused,
@@ -50,7 +50,7 @@ impl CommandResult {
     }
 }
 
-/// What a command comes to.
+/// Result of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Carried {
     Result(CommandResult),

@@ -5,7 +5,7 @@ use super::number::{Codes, Field, Number};
 use super::packet::PacketError;
 use jiff::{SignedDuration, Timestamp};
 
-/// What a row of a table says of a field: see [`Field`].
+/// A row of a table for a field: see [`Field`].
 pub struct Said {
     pub name: &'static str,
     pub unit: &'static str,
@@ -375,7 +375,7 @@ impl<'a> Reader<'a> {
         Ok(Self::after_key(u16::from_le_bytes(*key), rest))
     }
 
-    /// What follows a key that has been read elsewhere.
+    /// The rest behind a key that has been read elsewhere.
     pub fn after_key(key: u16, rest: &'a [u8]) -> Self {
         Self { key, rest }
     }
@@ -394,7 +394,7 @@ impl<'a> Reader<'a> {
         Ok(*bytes)
     }
 
-    /// What is left, as 16-bit numbers; an odd last byte is left out.
+    /// The rest, as 16-bit numbers; an odd last byte is left out.
     pub fn words(&self) -> impl Iterator<Item = u16> {
         let pairs = self.rest.chunks_exact(2);
         pairs.map(|pair| u16::from_le_bytes([pair[0], pair[1]]))

@@ -77,7 +77,7 @@ impl FromStr for Peer {
     }
 }
 
-/// What a datagram of a peer holds.
+/// Content of a peer's datagram.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Opened<'a> {
     /// Without the signature.

@@ -31,14 +31,14 @@ const EARLIER: [(u8, &str); 8] = [
 #[derive(Debug, Clone, Copy)]
 pub struct Field {
     pub name: &'static str,
-    /// What it is made of, and how many of them.
+    /// Its element type and number of elements.
     pub number: Number,
     pub count: usize,
     pub bytes: usize,
     /// Whether it holds a number, and not digits or ids.
     pub is_number: bool,
     pub unit: &'static str,
-    /// What its number stands for.
+    /// Meaning of its number.
     pub codes: Option<&'static Codes>,
     about: &'static str,
     kind: fn() -> String,
@@ -64,7 +64,7 @@ impl Field {
         }
     }
 
-    /// What it is.
+    /// Its description.
     pub fn documentation(&self) -> String {
         match self.codes {
             Some(codes) => format!("{}: {}", self.about, codes.in_words()),
@@ -77,7 +77,7 @@ impl Field {
         (self.kind)()
     }
 
-    /// What it is, and its type.
+    /// Its description and type.
     pub fn in_words(&self) -> String {
         format!("{} ({})", self.documentation(), self.kind())
     }
@@ -189,7 +189,7 @@ macro_rules! sections {
     (@system $struct:ident [$($done:tt)*] system { $($rows:tt)* } $($rest:tt)*) => { sections!(@system $struct [$($done)* $($rows)*] $($rest)*); };
     (@$section:ident $struct:ident [$($done:tt)*] $other:ident { $($rows:tt)* } $($rest:tt)*) => { sections!(@$section $struct [$($done)*] $($rest)*); };
     (@count $struct:ident [$($field:ident: $type:ty, $documentation:literal;)*]) => {
-        /// What the threads of a flight count.
+        /// Counts of the threads of a flight.
         #[derive(Debug, Default)]
         pub struct Counters {
             $(#[doc = $documentation] pub $field: Counter,)*
@@ -610,7 +610,7 @@ trait Wire: Sized {
 /// A field that is one number, which double precision holds in full.
 trait Single: Sized {
     const NUMBER: Number;
-    /// What it stands for beside a number.
+    /// Its meaning beside a number.
     const NOTE: &'static str = "";
     /// As it travels.
     fn number(&self) -> f64;

@@ -7,7 +7,7 @@ use jiff::Timestamp;
 const KIND: u16 = telemetry_type::IMU as u16;
 
 fields! {
-    /// What the payload of a sample's packet holds.
+    /// Payload of a sample's packet.
     Sample, format!("IMU sample {counter}: force {force_m_s2:?} m/s^2, rate {rate_rad_s:?} rad/s") => {
         counter: u16, "", "counts the samples (after 65535 comes 0)";
         /// Specific force, m/s^2: acceleration less gravitation.

@@ -12,7 +12,7 @@ pub trait Controller: Send {
     /// Takes a message: an exposure that begins, an offset, whether tracking is on.
     fn hear(&mut self, message: &Message);
 
-    /// What it says next: [`Message::StartTracking`], a fix, a sample of its IMU; `None` where it has nothing to say. It is asked a hundred times a
+    /// Its next message: [`Message::StartTracking`], a fix, a sample of its IMU; `None` without one. It is asked a hundred times a
     /// second and more.
     fn say(&mut self) -> Option<Message>;
 

@@ -1,4 +1,4 @@
-//! What packets say: the messages of the control loop, the ground's commands, and our answers.
+//! Contents of packets: the messages of the control loop, the ground's commands, and our answers.
 //!
 //! A payload holds one message or several, one after the other ([`Messages`]). A message begins with a key (u16) that
 //! names it; the rest is fixed by the key. A key of zero, or a rest too short for a key, ends the reading, so that a
@@ -20,7 +20,7 @@ use jiff::Timestamp;
 /// Error code of a frame whose Sun was found but whose time or place is not known.
 pub const NO_OFFSET: u16 = 100;
 
-/// What is sent to the controller for a frame without a solution: 1 to 7 for the stage that it did not pass.
+/// Codes for a frame without a solution: 1 to 7 for the stage that it did not pass.
 #[rustfmt::skip] // One row, one line.
 pub static ERROR_CODES: Codes = Codes { name: "error_code", rows: &[
     (1, "levels", "levels: no disc stands out of the background"),
@@ -338,7 +338,7 @@ impl<'a> Messages<'a> {
         }
     }
 
-    /// What has not been read; after the last message, padding or what is not understood.
+    /// The unread rest; after the last message, padding or what is not understood.
     pub fn rest(&self) -> &'a [u8] {
         self.rest
     }

@@ -1,4 +1,4 @@
-//! What is known of the Moon: request and response as in "The Development of a Moon Sensor" (2005, section 4.3.4).
+//! Requests for the Moon and their answers, as in "The Development of a Moon Sensor" (2005, section 4.3.4).
 
 use super::fields::{Milliseconds, fields};
 use super::number::Codes;
@@ -29,7 +29,7 @@ fields! {
     }
 }
 
-/// What a request is answered with.
+/// Answer to a request.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MoonAnswer {
     /// The sequence number of the request's packet.
@@ -37,7 +37,7 @@ pub struct MoonAnswer {
     pub outcome: MoonOutcome,
 }
 
-/// What is known of the Moon after a picture.
+/// Result for the Moon after a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MoonOutcome {
     Found(MoonFix),

@@ -1,4 +1,4 @@
-//! What a payload is described by: its numbers, their types, and what they stand for.
+//! Description of a payload: its numbers, their types and meanings.
 
 use std::str::FromStr;
 
@@ -89,7 +89,7 @@ impl Number {
     }
 }
 
-/// What the numbers of a field stand for: number, name and meaning.
+/// Meaning of the numbers of a field: number, name and meaning.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Codes {
     pub name: &'static str,
@@ -97,7 +97,7 @@ pub struct Codes {
 }
 
 impl Codes {
-    /// What a number means.
+    /// Meaning of a number.
     pub fn meaning(&self, number: u16) -> Option<&'static str> {
         let row = self.rows.iter().find(|(known, ..)| *known == number)?;
         Some(row.2)
@@ -124,6 +124,6 @@ pub struct Field {
     pub documentation: &'static str,
     /// Where its numbers stand for something.
     pub codes: Option<&'static Codes>,
-    /// What a person may give for it; its type may hold more.
+    /// Range for a person's input; its type may hold more.
     pub range: Option<(f64, f64)>,
 }

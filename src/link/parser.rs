@@ -21,7 +21,7 @@ pub const SILENCE: Duration = Duration::from_millis(100);
 /// Of how many rejected packets the reasons are kept.
 const REASONS: usize = 16;
 
-/// What came over the line and was no packet.
+/// Counts of bytes that were no packet.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Rejected {
     /// Bytes that belong to no packet.
@@ -72,7 +72,7 @@ impl Parser {
         }
     }
 
-    /// What has been rejected so far. Bytes of a packet that is not complete are not counted yet.
+    /// Rejected bytes so far. Bytes of a packet that is not complete are not counted yet.
     pub fn rejected(&self) -> Rejected {
         self.rejected
     }

@@ -33,7 +33,7 @@ pub static TAG_TYPES: Codes = Codes { name: "tag_type", rows: &[
     (82, "number", "f64"),
 ] };
 
-/// What a tag says.
+/// Content of a tag.
 #[derive(Debug, Clone, PartialEq)]
 pub enum TagValue {
     Text(String),

@@ -40,7 +40,7 @@ pub enum PortError {
     },
 }
 
-/// What carries bytes both ways. Tests put their own in the place of a serial line.
+/// A carrier of bytes both ways. Tests put their own in the place of a serial line.
 pub trait BytePort {
     /// Reads what has come, waiting at most `timeout` for the first byte; 0 bytes where none has.
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, PortError>;

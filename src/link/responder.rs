@@ -33,7 +33,7 @@ use std::collections::VecDeque;
 /// How many announced exposures may wait for their solutions.
 const ANNOUNCEMENTS: usize = 64;
 
-/// What the controller and the ground have set of the conversation. At first nobody wants solutions, and nothing is sent.
+/// State of the conversation as the controller and the ground have set it. At first no solutions are wanted, and nothing is sent.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LinkState {
     /// The controller wants solutions.
@@ -42,7 +42,7 @@ pub struct LinkState {
     pub sending: bool,
 }
 
-/// What to send in answer to a packet, in this order, and whether it has changed the conversation.
+/// Answers to a packet, in this order, and whether it has changed the conversation.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Reply {
     pub packets: Vec<Vec<u8>>,
@@ -63,7 +63,7 @@ pub struct Heard {
     pub execution: Execution,
 }
 
-/// What came of a command.
+/// Result of a command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Execution {
     Result(CommandResult),
@@ -101,7 +101,7 @@ pub struct Responder {
     stops: Vec<Stop>,
 }
 
-/// What a message asks to be answered with.
+/// The kind of answer that a message asks for.
 enum Answer {
     Result(CommandResult),
     /// Done, and said by a message, too.

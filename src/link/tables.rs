@@ -28,7 +28,7 @@ fn read(fields: &[Field], payload: &[u8]) -> (Vec<f64>, usize) {
     (numbers, payload.len() - rest.len())
 }
 
-/// What a message says, in the order of its bytes.
+/// Fields of a message, in the order of its bytes.
 fn said(message: &Message) -> Vec<f64> {
     let time = |time: Timestamp| [time.as_second() as f64, time.subsec_millisecond().into()];
     match message {

@@ -17,14 +17,14 @@ fields! {
         sequence: u16, "", "sequence number of the command";
     }
 
-    /// What came of a command.
+    /// Result of a command.
     CommandOutcome, format!("result of seq {sequence}") => {
         sequence: u16, "", "sequence number of the command";
         key: u16, "", "key of the message, or of the aspect command with its computers";
         value: u16, "", "0 done, 1 not implemented, 2 refused, 65535 unknown, or what a read has read";
     }
 
-    /// What is counted of a camera that is not the first of its role.
+    /// Counts of a camera that is not the first of its role.
     CameraCounts, format!("camera {camera}: {fine} fine, {coarse} coarse, {none} none, {lost} lost") => {
         camera: u16, "", "number of the camera, as in its pictures";
         role: u16, "", "number of its role";
@@ -129,7 +129,7 @@ pub struct TelemetryRow {
     pub documentation: &'static str,
 }
 
-/// What a telemetry packet carries.
+/// Content of a telemetry packet.
 #[derive(Debug, Clone, Copy)]
 pub enum Payload {
     Fields(fn() -> Vec<Field>),
@@ -169,7 +169,7 @@ pub const TELEMETRY: &[TelemetryRow] = &[
     row(telemetry_type::RESULT, "result", ToController, Payload::Fields(|| CommandOutcome::fields(&[])), "what came of a command"),
 ];
 
-/// What a telemetry packet of the link says: every command is answered by a receipt and a result.
+/// Content of a telemetry packet of the link: every command is answered by a receipt and a result.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Telemetry {
     Receipt(Receipt),

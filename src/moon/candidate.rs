@@ -101,7 +101,7 @@ impl<'a> Candidate<'a> {
         self.expected.bright_limb_deg.map(round)
     }
 
-    /// What is known before the limb is read: by the ephemeris, else by where the light is.
+    /// Priors before the limb is read: by the ephemeris, else by where the light is.
     pub fn known(&self, circle: &Circle) -> Known {
         let off = self.outline.middle - circle.centre;
         let sigma = match self.outline.is_cut {

@@ -1,4 +1,4 @@
-//! What is no Moon, or not the one that is expected.
+//! Checks that reject lights that are no Moon, or not the expected one.
 
 use super::candidate::{Candidate, View};
 use super::known::MOST_SATURATED;

@@ -1,4 +1,4 @@
-//! What is known of the Moon before a frame is solved.
+//! Expectations of the Moon before a frame is solved.
 
 use crate::geometry::camera::CameraModel;
 use crate::reasons::moon as reasons;
@@ -12,10 +12,10 @@ const SCALE_SIGMA: f64 = 3e-3;
 /// The ephemeris's phase, and the side of the light where an attitude is stated, 1 sigma, deg.
 const PHASE_SIGMA_DEG: f64 = 0.1;
 const SIDE_SIGMA_DEG: f64 = 2.0;
-/// What is farther below the horizon is not in the picture, deg: air bends light by less.
+/// A Moon farther below the horizon is not in the picture, deg: air bends light by less.
 const BELOW_DEG: f64 = 1.0;
 
-/// What is known of the Moon before a frame is solved.
+/// Expectations of the Moon before a frame is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Expected {
     pub radius: Option<Radius>,

@@ -41,7 +41,7 @@ pub(super) struct Face {
     count: f64,
     /// Sum of the squares of their DN about the mean.
     squares: f64,
-    /// What noise has of it.
+    /// Part of the noise in it.
     noise: f64,
     /// The share of the disc that is saturated, and not used.
     pub saturated: f64,

@@ -1,4 +1,4 @@
-//! What is known of a limb before it is measured.
+//! Priors of a limb before it is measured.
 
 use crate::units::Measured;
 
@@ -10,7 +10,7 @@ const LOOSE_RADIUS: f64 = 0.06;
 pub(super) const MOST_SATURATED: f64 = 0.2;
 const SPILLED_PX: f64 = 1.5;
 
-/// What is known of a limb before it is measured.
+/// Priors of a limb before it is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Known {
     /// Round px.

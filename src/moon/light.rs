@@ -10,7 +10,7 @@ use std::f64::consts::SQRT_2;
 const MOST_RASTER_PX: usize = 24;
 const LEAST_RASTER_PX: usize = 4;
 const RASTER_PLACES: usize = 1000;
-/// What is brighter than the sky by so many sigmas of a pixel's noise is of a light.
+/// Pixels brighter than the sky by this many sigmas of a pixel's noise are of a light.
 const BRIGHT_SIGMAS: f64 = 4.0;
 /// A frame whose sky is brighter than this share of the saturated level is lost in glare.
 const MOST_SKY: f64 = 0.7;
@@ -20,7 +20,7 @@ const LEAST_NOISE_DN: f64 = 0.5;
 /// The brightest pixels of a light: a crescent has so many.
 const BRIGHTEST: usize = 20;
 
-/// What the brightest pixels of a region exceed, DN: what an exposure may follow. `None` of a region of fewer pixels.
+/// Level that the brightest pixels of a region exceed, DN, for automatic exposure. `None` of a region of fewer pixels.
 pub fn bright_dn(frame: &Frame, region: Region) -> Option<f64> {
     let rows = (region.y0..region.y1).flat_map(|y| frame.row_dn(y, region.x0..region.x1));
     let mut light: Vec<f32> = rows.collect();

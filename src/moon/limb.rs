@@ -28,7 +28,7 @@ const LIT_DEPTH_PX: f64 = 1.5;
 const LIT_DEPTH: f64 = 0.1;
 /// A sector lies off the circle by so many sigmas, or so many times the usual.
 const OFF_SIGMAS: f64 = 5.0;
-/// What the circle leaves of the ground along the limb is correlated over this length, px.
+/// The ground's residual along the limb is correlated over this length, px.
 const ALIKE_PX: f64 = 12.0;
 /// An outline's circle lies about so far off the disc's, towards the light, px: it runs outside of the bright limb, and inside of the dim horns.
 const OUTLINE_PX: f64 = 0.5;
@@ -213,7 +213,7 @@ impl Limb {
         })
     }
 
-    /// What is known and what comes out differ by as much as the variance shrinks, where they agree.
+    /// Contradiction of the known radius: prior and result differ by as much as the variance shrinks, where they agree.
     fn radius_contradiction(&self, fitted: &Fitted<PARAMETERS>) -> Option<Contradiction> {
         let known = self.known.radius?;
         let off = (fitted.parameters[2] - known.value).abs();
@@ -247,7 +247,7 @@ impl Limb {
     }
 }
 
-/// What the ground adds to the covariance. Mountains, and ground that grows brighter or darker across the limb, move it, and neighbours alike: a process
+/// The ground's part of the covariance. Mountains, and ground that grows brighter or darker across the limb, move it, and neighbours together: a process
 /// of first order along the limb. Its variance is what the excess shows beyond the noise; of what such a process has, the circle takes a part away.
 fn of_rough_limb(
     points: &[LimbPoint],

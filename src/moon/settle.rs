@@ -38,7 +38,7 @@ const MISFIT_SCALE: f64 = 0.03;
 pub(super) struct Settled {
     pub found: LimbFit,
     pub limb: Limb,
-    /// What another side of the light adds to the covariance of the centre, px^2.
+    /// Variance that another side of the light adds to the centre, px^2.
     other_side: Matrix2<f64>,
 }
 

@@ -79,7 +79,7 @@ impl Endpoint {
     }
 }
 
-/// What a reader has not taken yet of the message that it has begun to take.
+/// Rest of the message that a reader has begun to take.
 #[derive(Default)]
 struct Rest(Vec<u8>);
 

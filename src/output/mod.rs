@@ -1,4 +1,4 @@
-//! What other programs read of a flight, beside the controller's line: solutions as JSON lines or NMEA sentences, telemetry as CCSDS space packets.
+//! Outputs of a flight for other programs, beside the controller's line: solutions as JSON lines or NMEA sentences, telemetry as CCSDS space packets.
 //!
 //! ```text
 //! Report (a solved frame) \
@@ -22,7 +22,7 @@ use crate::record::LoggedRow;
 use ccsds::Sequences;
 use std::sync::Arc;
 
-/// What an output says.
+/// Format of an output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// A JSON object on a line for each solved frame.
@@ -57,14 +57,14 @@ impl Format {
     }
 }
 
-/// What may go out. Copies share it.
+/// Message to go out. Copies share it.
 #[derive(Debug, Clone)]
 pub enum Message {
     Solution(Arc<Report>),
     Telemetry(Arc<TelemetryPacket>),
 }
 
-/// What came of a frame.
+/// Result of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
     /// The camera's table in the configuration.

@@ -2,7 +2,7 @@
 //!
 //! `$PSASP,hhmmss.ss,quality,azimuth,elevation,sigma,roll,roll sigma,camera*hh`
 //!
-//! What is not known, or does not fit, is an empty field.
+//! Unknown values, and values that do not fit, are empty fields.
 
 use super::Report;
 use crate::clock::utc_text;

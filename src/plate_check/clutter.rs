@@ -13,7 +13,7 @@ use rand::{Rng, RngExt};
 use rand_distr::{Distribution, Poisson, StandardNormal};
 use std::f64::consts::TAU;
 
-/// What is found among clutter: marks are missed, false detections lie anywhere on the disc.
+/// Detections among clutter: marks are missed, false detections lie anywhere on the disc.
 pub(super) fn among_clutter(scene: &CheckScene, rng: &mut impl Rng) -> Seen {
     let all = scene.all_found(rng);
     let missed = missed_share(&all.detections);

@@ -1,4 +1,4 @@
-//! What the check of a plate finds: place by place, and in few numbers.
+//! Results of the check of a plate: place by place, and in few numbers.
 
 use super::Rotations;
 use crate::instrument::LensMisfit;
@@ -6,7 +6,7 @@ use crate::units::PlateMil;
 use serde::{Serialize, Serializer};
 use std::collections::BTreeMap;
 
-/// What a place of the Sun is like.
+/// Result of a place of the Sun.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CheckedPlace {
     pub x_mil: f64,
@@ -56,7 +56,7 @@ impl CheckedPlace {
     }
 }
 
-/// What becomes of frames with the Sun at a place.
+/// Fate of frames with the Sun at a place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlaceVerdict {
@@ -82,7 +82,7 @@ impl PlaceVerdict {
         Self::Wrong,
     ];
 
-    /// What it means.
+    /// Its meaning.
     pub fn meaning(self) -> &'static str {
         match self {
             Self::Safe => "marks are read, and as no others",
@@ -94,7 +94,7 @@ impl PlaceVerdict {
     }
 }
 
-/// What the check of a plate says.
+/// Result of the check of a plate.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PlateCheck {
     pub instrument: String,

@@ -36,7 +36,7 @@ use rayon::prelude::*;
 use scene::{CheckScene, PlateView, Seen};
 use serde::Serialize;
 
-/// What is checked, and how closely.
+/// Extent of a check.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CheckSettings {
     /// Places of the Sun, evenly over the field.
@@ -175,7 +175,7 @@ fn checked(
     place
 }
 
-/// What the flight's identification makes of a scene, and by how much its odds exceed what is asked; `None` where it is not the marks
+/// The flight's identification of a scene, and by how much its odds exceed what is asked; `None` where it is not the marks
 /// that keep it from being read: fewer than a mapping takes were found, or the mounting is off by more than the flight allows.
 ///
 /// Whether the marks would be read of a camera that is mounted otherwise is left out: the flight asks that of a frame to refuse it.

@@ -1,4 +1,4 @@
-//! What would be detected of a plate with the Sun at some place, without a frame.
+//! Detections of a plate with the Sun at some place, without a frame.
 
 use super::Rotations;
 use crate::aspect::{Expected, MARK_MARGIN_PX, Pipeline, SolverSettings};
@@ -165,7 +165,7 @@ impl<'a> CheckScene<'a> {
         (0..POINTS).filter(free).count() as f64 / POINTS as f64
     }
 
-    /// What is found, if it is all that must be.
+    /// Detections, if these are all that must be found.
     pub fn all_found(&self, rng: &mut impl Rng) -> Seen {
         let mut seen = Seen::new(self);
         for mark in self.marks.iter().filter(|mark| mark.is_sure) {
@@ -188,7 +188,7 @@ impl<'a> CheckScene<'a> {
         }
     }
 
-    /// What the flight makes of detections.
+    /// The flight's identification of detections.
     pub fn identify(&self, detections: &Detections) -> Result<Identified, Unread> {
         let PlateView {
             instrument, solver, ..

@@ -12,7 +12,7 @@ use super::scene::CheckScene;
 use nalgebra::{Matrix4, Vector2};
 use std::f64::consts::PI;
 
-/// What is left of the light at the limb: 1 - u of a linear limb darkening of 0.56.
+/// Light at the limb: 1 - u of a linear limb darkening of 0.56.
 const LIMB_LIGHT: f64 = 0.44;
 
 /// How well a place would be known.

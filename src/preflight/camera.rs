@@ -57,7 +57,7 @@ impl Trial {
     }
 }
 
-/// What taking frames gave.
+/// Result of taking frames.
 struct TrialFrames {
     last: Option<Exposure>,
     taken: u32,
@@ -177,7 +177,7 @@ fn rate(planned: &PlannedCamera, trial: &TrialFrames) -> Finding {
     }
 }
 
-/// What the frame says of its settings, against what was asked. A folder's frames were taken as they were.
+/// Settings by the frame, against those that were asked for. A folder's frames were taken as they were.
 fn settings(planned: &PlannedCamera, frame: &Frame, health: &CameraHealth) -> Finding {
     let check = format!("{} settings", planned.camera.name);
     if matches!(planned.source, Source::Folder(_) | Source::Followed(..)) {
@@ -290,7 +290,7 @@ fn light(camera: &str, solved: &Solved, role: Role) -> Option<Finding> {
     })
 }
 
-/// What a frame shows; `None` of a camera whose frames are not solved.
+/// Finding from a frame's solution; `None` of a camera whose frames are not solved.
 fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
     if let Found::Nothing = solved.found {
         return None;

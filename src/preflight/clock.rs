@@ -77,7 +77,7 @@ fn described(status: &ClockStatus) -> String {
     )
 }
 
-/// What chrony follows. It is asked with its own program; where that is not there, there is nothing to say.
+/// chrony's source. It is asked with its own program; without that there is no finding.
 fn tracking() -> Option<Finding> {
     let ask = || {
         Command::new("chronyc")

@@ -22,7 +22,7 @@ const LEAST_S: f64 = 60.0;
 const SILENT: &str = "the disk hangs: check its cable, its power and the kernel's messages (dmesg)";
 const FREE: &str = "free the disk, or name another folder in archive.directory";
 
-/// What is asked of one disk.
+/// Demand on one disk.
 #[derive(Debug, Clone)]
 pub struct Demand {
     pub instrument: String,
@@ -85,7 +85,7 @@ pub(super) fn check(plan: &Plan) -> Vec<Finding> {
     findings
 }
 
-/// What to do about a disk that refuses.
+/// Remedy for a disk that refuses.
 fn remedy(error: &ArchiveError) -> &'static str {
     match error {
         ArchiveError::Io { cause, .. } => remedy_for(cause),

@@ -1,4 +1,4 @@
-//! What a check found, as one line of the page.
+//! Finding of a check, as one line of the page.
 
 use serde::Serialize;
 use std::fmt;
@@ -27,12 +27,12 @@ impl Verdict {
 /// One line of the page.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// What was checked.
+    /// The part that was checked.
     pub check: String,
     pub verdict: Verdict,
-    /// What was found there.
+    /// The finding.
     pub found: String,
-    /// What to do about it; empty where nothing needs to be done.
+    /// Remedy; empty where nothing needs to be done.
     pub remedy: String,
 }
 

@@ -35,7 +35,7 @@ pub(super) fn check(plan: &Plan) -> Finding {
     }
 }
 
-/// What the receiver has said up to the first fix.
+/// Data of the receiver up to the first fix.
 #[derive(Debug, Default)]
 struct Receiver {
     fix: Option<TimedFix>,
@@ -102,7 +102,7 @@ impl Receiver {
     }
 }
 
-/// What to do about fixes that would not be used in flight; `None` where the receiver has only to wait for satellites.
+/// Remedy for fixes that would not be used in flight; `None` where the receiver has only to wait for satellites.
 fn remedy(refusal: Refusal) -> Option<&'static str> {
     match refusal {
         Refusal::NoFix | Refusal::Estimated => None,
@@ -147,7 +147,7 @@ mod tests {
 
     const CLOCK: &str = "2026-11-25T14:28:16Z";
 
-    /// What is found of a receiver that says GGA with a quality and a place, and RMC with a date.
+    /// Finding for a receiver that sends GGA with a quality and a place, and RMC with a date.
     fn found(quality: &str, place: &str, date: &str) -> Finding {
         let summed = |body: String| {
             let sum = body.bytes().fold(0, |sum, byte| sum ^ byte);

@@ -14,7 +14,7 @@ const PLUG: &str = "plug it in, and name it in link.port as it stands in /dev/se
 const LISTEN: &str =
     "is the controller on, are receive and transmit crossed, is link.baud its speed?";
 
-/// What came in a while of listening.
+/// Counts of a while of listening.
 #[derive(Debug, Default, PartialEq)]
 struct Heard {
     packets: usize,

@@ -80,7 +80,7 @@ pub fn run(
     }
 }
 
-/// What can be checked of a configuration with errors: what it leaves out may be what is wrong.
+/// Checks that are possible with errors in the configuration: the parts that it leaves out may be wrong.
 fn check_in_part(plan: &Plan, wait: Option<Duration>, report: &mut dyn FnMut(Finding)) {
     clock::check(plan).into_iter().for_each(&mut *report);
     if !plan.folders().is_empty() {

@@ -51,7 +51,7 @@ pub(super) fn check_axes(plan: &Plan, operator: &mut dyn Operator) -> Vec<Findin
     tilts.map(|tilt| tilt.check(plan, operator)).into()
 }
 
-/// What the IMU said for a while, in the telescope's axes.
+/// Samples of the IMU over a while, in the telescope's axes.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Heard {
     samples: Vec<ImuPacket>,

@@ -25,7 +25,7 @@ use serde::Serialize;
 use std::borrow::Cow;
 use std::time::Duration;
 
-/// What is known of a solved frame. Fields that the frame did not reach are `None`.
+/// Record of a solved frame. Fields that the frame did not reach are `None`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Record {
     pub file: String,
@@ -225,7 +225,7 @@ impl Record {
         }
     }
 
-    /// What a frame of the horizon says, but for the body's roll by it.
+    /// Record of a frame of the horizon, but for the body's roll by it.
     pub fn of_horizon(
         utc: Option<Timestamp>,
         solution: &horizon::Solution,
@@ -238,7 +238,7 @@ impl Record {
         }
     }
 
-    /// What a frame of the Moon says.
+    /// Record of a frame of the Moon.
     pub fn of_moon(
         utc: Option<Timestamp>,
         found: &Result<moon::Disc, moon::Stopped>,
@@ -291,7 +291,7 @@ impl Record {
     }
 }
 
-/// What the logs say of a frame. `record.file` is empty where its picture was not stored.
+/// A frame's row in the logs. `record.file` is empty where its picture was not stored.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoggedRow {
     /// Number of the frame in its sequence.
@@ -341,7 +341,7 @@ impl LoggedRow {
         }
     }
 
-    /// What the column `disk` says of a picture: it is on the disk of the log itself, or on the other one.
+    /// Values of the column `disk`: the picture is on the disk of the log itself, or on the other one.
     pub const THIS_DISK: &'static str = "this";
     pub const OTHER_DISK: &'static str = "other";
 

@@ -14,7 +14,7 @@ pub struct Number {
     pub field: Option<Field>,
 }
 
-/// What is said of a row.
+/// Description of a row.
 #[derive(Clone, Copy)]
 pub enum Value {
     Text(fn(&LoggedRow) -> Option<Cow<'_, str>>),

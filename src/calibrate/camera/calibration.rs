@@ -20,7 +20,7 @@ pub struct Inputs {
     pub flat: Shots,
     /// Frames of the Sun on the plate that are kept whole.
     pub sun: Shots,
-    /// What every frame of the Sun gave.
+    /// Results of every frame of the Sun.
     pub suns: Vec<SunShot>,
 }
 

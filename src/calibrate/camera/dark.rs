@@ -23,7 +23,7 @@ const FLOOR_DN: f64 = 0.01;
 /// The same of what whole values show of the upper half of a distribution.
 const COARSE_DN: f64 = 0.05;
 
-/// What the unlit pixels show.
+/// Levels of the unlit pixels.
 #[derive(Debug, Clone)]
 pub(super) struct Dark {
     pub level: Result<Measured, String>,

@@ -17,7 +17,7 @@ const SIGNIFICANT: f64 = 5.0;
 /// Fewest frames of the Sun, and the part of the way to the corner that they must reach.
 const LEAST_SUNS: usize = 12;
 const LEAST_REACH: f64 = 0.4;
-/// What the disc's brightness may be off by at the corner.
+/// Systematic error of the disc's brightness at the corner.
 const SUNS_SYSTEMATIC: f64 = 0.005;
 
 /// How the light falls off: light in the middle, and the terms of second and, where it is significant, fourth order.

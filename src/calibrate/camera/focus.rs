@@ -11,7 +11,7 @@ use nalgebra::Vector2;
 /// Fewest frames, and the least range of temperature, that determine a dependence.
 const LEAST_FRAMES: usize = 8;
 const LEAST_RANGE_C: f64 = 3.0;
-/// What the limb's fit may be off by, whatever the number of frames.
+/// Systematic error of the limb's fit, whatever the number of frames.
 const BLUR_SYSTEMATIC_PX: f64 = 0.02;
 
 pub(super) struct Focus {

@@ -29,7 +29,7 @@ pub struct FromFrames {
     pub rejected: Vec<RejectedFrame>,
     pub provenance: Provenance,
     instrument: String,
-    /// What was given, for people.
+    /// The inputs, for people.
     given: String,
 }
 

@@ -11,7 +11,7 @@
 //!
 //! `light` refuses dark frames that something lights, and flat ones that are not evenly lit: frames of the Sun.
 //!
-//! What the frames do not determine keeps the instrument's value, with the reason.
+//! Undetermined values stay the instrument's, with the reason.
 //!
 //! ```text
 //! shots <- dark <- light, transfer, flat; shots <- focus; all <- calibration <- report <- from_frames

@@ -93,7 +93,7 @@ impl Shots {
     }
 }
 
-/// What one frame of the Sun gave.
+/// Result of one frame of the Sun.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SunShot {
     pub sun_px: SensorPx,

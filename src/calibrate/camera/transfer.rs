@@ -12,7 +12,7 @@ use nalgebra::Vector2;
 
 /// Light must span so many times the read noise, or it determines no slope.
 const LEAST_SPAN: f64 = 3.0;
-/// What the plate's grain and the marks' feet may add to the noise between neighbours.
+/// Noise between neighbours that the plate's grain and the marks' feet may add.
 const GRAIN: f64 = 0.03;
 
 /// Light above the dark level and variance, DN and DN^2, with the pixels behind it.

@@ -1,4 +1,4 @@
-//! What changed in how the sensor answers to light.
+//! Changes in how the sensor answers to light.
 
 use crate::calibrate::numbers::{sigma_text, value_text};
 use crate::instrument::{Instrument, Noise};
@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 /// A quantity before and after: value and 1 sigma; none where the instrument does not state it.
 pub type Renewed = [Option<[f64; 2]>; 2];
 
-/// What changed of the sensor, in the DN that each instrument states its noise in.
+/// Changes of the sensor, in the DN that each instrument states its noise in.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SensorChange {
     pub saturation_dn: [Option<u16>; 2],

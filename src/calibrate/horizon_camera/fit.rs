@@ -134,7 +134,7 @@ fn sum(frames: &[Normal<UNKNOWNS>]) -> Normal<UNKNOWNS> {
         .fold(Normal::zero(), |sum, frame| sum.with(frame))
 }
 
-/// What each frame says of what all share, its own nadir eliminated. Nothing of a frame whose edge determines no nadir; `None` of no camera.
+/// Information of each frame on the shared parameters, its own nadir eliminated. Nothing of a frame whose edge determines no nadir; `None` of no camera.
 fn of_frames(
     limbs: &[Limb],
     stated: &Stated<'_>,
@@ -318,7 +318,7 @@ fn optics(
     })
 }
 
-/// What would determine optics that the frames do not.
+/// Advice on optics that the frames do not determine.
 fn what_would(optics: &Optics) -> String {
     match &optics.uncrossed[..] {
         [] => "state the camera's height and roll.atmosphere_m with smaller sigmas, or take frames from higher up, where the limb curves more".into(),

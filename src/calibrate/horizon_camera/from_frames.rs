@@ -17,7 +17,7 @@ const MOST_PASSES: usize = 6;
 
 /// The name of the calibration in the file.
 pub const NAME: &str = "horizon_camera";
-/// What was done, for the file.
+/// Method, for the file.
 const DONE: &str = "optics by the limb";
 
 /// A camera's optics that frames gave, and what they were made of.

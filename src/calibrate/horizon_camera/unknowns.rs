@@ -1,4 +1,4 @@
-//! What is unknown of a camera that sees the horizon, and how well its file is taken to know it.
+//! Unknowns of a camera that sees the horizon, and their priors by its file.
 
 use crate::estimation::{Normal, Prior};
 use crate::geometry::camera::{CameraModel, Lens};
@@ -46,7 +46,7 @@ impl Unknown {
         }
     }
 
-    /// What is known less well is not determined, 1 sigma: such a camera is of little use.
+    /// Parameters with a larger sigma are not determined: such a camera is of little use.
     pub(super) fn most_sigma(self, camera: &DirectionCamera) -> f64 {
         const PART: f64 = 0.2;
         PART * self.stated_sigma(camera)

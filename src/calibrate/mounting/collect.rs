@@ -30,7 +30,7 @@ pub struct Frames<'a> {
     pub ephemeris: Ephemeris,
 }
 
-/// What a frame lacks; where all of them lack the same, that is why there is no calibration.
+/// Missing facts of a frame; where all of them lack the same, that is why there is no calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Lack {
     Time,

@@ -14,7 +14,7 @@ use crate::sky::SunPosition;
 use crate::units::{Measured, PlateMil};
 use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2, Vector4, Vector6};
 
-/// What is known of where the telescope pointed.
+/// Knowledge of where the telescope pointed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pointings {
     /// Every observation has its own.
@@ -23,7 +23,7 @@ pub enum Pointings {
     Fixed,
 }
 
-/// What is fitted, by its place among the unknowns.
+/// Unknowns of the fit, by index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unknown {
     /// Boresight on the plate, mil.

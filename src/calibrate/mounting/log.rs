@@ -14,7 +14,7 @@ const SAME_TIME_S: f64 = 0.02;
 /// Rows farther apart than so many median spacings leave a gap.
 const GAP_SPACINGS: f64 = 5.0;
 
-/// What the columns of a log hold beside UTC: the beginnings of their headings, their names and ranges.
+/// Columns of a log beside UTC: the beginnings of their headings, their names and ranges.
 struct Columns {
     headings: [&'static [&'static str]; 2],
     names: [&'static str; 2],

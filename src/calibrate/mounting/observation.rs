@@ -1,4 +1,4 @@
-//! What one frame shows, and why observations may give no mounting.
+//! Observation of one frame, and why observations may give no mounting.
 
 use crate::estimation::FitError;
 use crate::pointing::Horizontal;

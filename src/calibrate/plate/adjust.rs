@@ -35,7 +35,7 @@ pub(super) struct Cell {
     pub terms: [Matrix2<f64>; DRIFT],
     /// Inverse of the mean's covariance, px^-2.
     pub weight: Matrix2<f64>,
-    /// What the observations say of a drift among themselves: weighted products of its terms about their means, and of these with how far
+    /// Information of the observations on a drift: weighted products of its terms about their means, and of these with how far
     /// each was seen from the mean.
     pub spread: [[Matrix2<f64>; DRIFT]; DRIFT],
     pub trend: [Vector2<f64>; DRIFT],
@@ -51,7 +51,7 @@ pub(super) struct MarkPrior {
     pub measured: bool,
 }
 
-/// What is adjusted; the rest is held.
+/// Free parameters; the rest is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Freedoms {
     pub view: MappingKind,
@@ -95,7 +95,7 @@ impl State {
         self.drift_index(self.views.len())
     }
 
-    /// What the n-th unknown is of.
+    /// Parameter of the n-th unknown.
     pub(super) fn unknown(&self, n: usize) -> Unknown {
         let (views, drifts) = (self.view_index(0), self.drift_index(0));
         match n {
@@ -132,7 +132,7 @@ impl State {
     }
 }
 
-/// What is known.
+/// Priors.
 pub(super) struct Problem<'a> {
     /// By pose.
     pub cells: &'a [Vec<Cell>],
@@ -241,7 +241,7 @@ const LEAST_MARKS: usize = 2;
 const SETTLED_STEP: f64 = 1e-6;
 /// Holds what the gauge forbids, against any information from observations, mil^-2.
 const GAUGE_WEIGHT: f64 = 1e10;
-/// What each term of a camera's drift may be, 1 sigma per axis.
+/// Prior of each term of a camera's drift, 1 sigma per axis.
 const DRIFT_PRIOR_PX: f64 = 1.0;
 
 impl Problem<'_> {
@@ -354,7 +354,7 @@ impl Problem<'_> {
         lens.chain(marks).chain(views).chain(drifts).collect()
     }
 
-    /// What the displacements of the measured marks from their priors must not have in common: shift in x and y, rotation, scale.
+    /// Constraints: the displacements of the measured marks from their priors have no common shift in x and y, rotation, scale.
     /// Marks count by what the priors know of them, so that those which were measured before keep their place beside those
     /// which were only drawn. Each is a unit vector over the unknowns, with how much of it the displacements have.
     fn gauge(&self, state: &State) -> Vec<(Slopes, f64)> {

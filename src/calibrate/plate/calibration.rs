@@ -144,7 +144,7 @@ pub fn calibrate(
     })
 }
 
-/// What a calibration is made of.
+/// Input of a calibration.
 struct Given {
     files: Vec<PathBuf>,
     start: Instrument,

@@ -86,7 +86,7 @@ pub struct PlateFit {
 /// Number of correlations with lens or poses that are listed, and of those between marks.
 const LISTED_CORRELATIONS: usize = 8;
 
-/// What the lens may do at its reach, 1 sigma of each term, px: a stated prior, wide enough for any lens in use.
+/// Prior of the lens at its reach, 1 sigma of each term, px, wide enough for any lens in use.
 pub const LENS_PRIOR_PX: f64 = 5.0;
 
 /// Nothing of the plate or the lens measured.

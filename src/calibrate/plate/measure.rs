@@ -11,7 +11,7 @@ use crate::observe::{InputError, RejectedFrame, Watch, over};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// What all frames gave.
+/// Results of all frames.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Observations {
     pub frames: Vec<FrameObservation>,
@@ -20,7 +20,7 @@ pub(super) struct Observations {
     pub files: Vec<FileFacts>,
 }
 
-/// What a file is, whatever its frame shows.
+/// Facts of a file, whatever its frame shows.
 #[derive(Debug, Clone)]
 pub(super) struct FileFacts {
     pub file: PathBuf,
@@ -55,7 +55,7 @@ pub(super) fn measure(
     Ok((observations, observed.copies))
 }
 
-/// What a file is, and its marks or why there are none.
+/// Facts of a file, and its marks or why there are none.
 pub(super) fn read(
     file: &Path,
     frame: &Frame,

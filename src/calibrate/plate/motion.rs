@@ -29,7 +29,7 @@ impl Displacement {
         Matrix2x4::new(1.0, 0.0, -at.y, at.x, 0.0, 1.0, at.x, at.y)
     }
 
-    /// What a motion leaves of it, in its sigmas.
+    /// Residual after a motion, in its sigmas.
     pub fn left_by(&self, motion: &Vector4<f64>) -> Vector2<f64> {
         (self.moved_px - self.slopes() * motion) / self.sigma_px
     }

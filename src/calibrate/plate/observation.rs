@@ -1,4 +1,4 @@
-//! What the frames show: the places of identified marks, by frame and pose.
+//! Observations of the frames: the places of identified marks, by frame and pose.
 
 use crate::calibrate::numbers::median;
 use crate::geometry::Mapping;
@@ -108,7 +108,7 @@ pub(super) fn take_blurred(frames: &mut Vec<FrameObservation>) -> Vec<RejectedFr
     blurred.map(rejected).collect()
 }
 
-/// What most frames agree upon before anything is adjusted.
+/// Consensus of most frames before anything is adjusted.
 pub(super) struct Consensus {
     pub mapping: Mapping,
     /// The frames that agree, as indices into all frames.

@@ -65,7 +65,7 @@ pub enum Refusal {
     Undetermined(Vec<Lack>),
 }
 
-/// What the frames of a pose lack.
+/// Missing parts of a pose's frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lack {
     pub pose: String,

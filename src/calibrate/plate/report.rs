@@ -44,7 +44,7 @@ pub fn html(calibration: &Calibration, file_sha256: &str) -> Result<String, Plot
 
 const UNKNOWN: &str = "not stated";
 
-/// What the calibration is of and rests on. `file_sha256` is that of the instrument's new file.
+/// Identity of the calibration: its instrument, files and frames. `file_sha256` is that of the instrument's new file.
 fn identity(page: &mut Page, calibration: &Calibration, file_sha256: &str) {
     let start = &calibration.start;
     let time = |utc: Option<jiff::Timestamp>| utc.map_or(UNKNOWN.into(), |utc| utc.to_string());

@@ -35,7 +35,7 @@ type Matrix2xDrift = SMatrix<f64, 2, { 4 + 2 * (DRIFT - 1) }>;
 struct Pair {
     /// Places of the two frames in the order of time.
     frames: [usize; 2],
-    /// What happened to the terms of a drift in between.
+    /// Change of the terms of a drift in between.
     terms: [f64; DRIFT],
     moved: Displacement,
 }

@@ -29,7 +29,7 @@ impl fmt::Display for SuspectMark {
 const LEAST_LIT: usize = 3;
 /// A mark is read in more than this share of the frames that light it.
 const LEAST_READ: f64 = 0.1;
-/// What is nearer to the sensor's border may be cut off, px.
+/// Marks nearer to the sensor's border may be cut off, px.
 const BORDER_PX: f64 = 20.0;
 
 /// The marks that are suspect, by id.

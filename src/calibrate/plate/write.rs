@@ -43,7 +43,7 @@ impl Calibration {
     }
 }
 
-/// What stands beside every value; how many frames it rests on is said once, in `[calibration.plate]`.
+/// Comment beside every value; the number of frames stands once, in `[calibration.plate]`.
 fn provenance(calibration: &Calibration) -> Provenance {
     // The day of the frames, so that the same frames give the same file.
     let day = |last: Timestamp| last.to_zoned(TimeZone::UTC).date();

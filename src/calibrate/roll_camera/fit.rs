@@ -14,7 +14,7 @@ pub const LIMIT_DEG: f64 = 0.1;
 const LEAST_OBSERVATIONS: usize = 20;
 /// The turn settles well before.
 const ROUNDS: usize = 6;
-/// What a observation's robust weight must be to count as taken.
+/// Least robust weight of an observation that counts as taken.
 const LEAST_WEIGHT: f64 = 0.1;
 
 /// The turn that was found.
@@ -237,7 +237,7 @@ fn sigmas_deg(covariance_rad2: &Matrix3<f64>) -> [f64; 3] {
     variances.map(|v| v.max(0.0).sqrt().to_degrees()).into()
 }
 
-/// What would determine a turn that the frames do not.
+/// Advice on a turn that the frames do not determine.
 fn what_would(by_sun: bool) -> &'static str {
     match by_sun {
         true => {

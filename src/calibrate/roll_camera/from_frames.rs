@@ -13,7 +13,7 @@ use crate::observe::{Depth, RejectedFrame, Watch, list};
 use nalgebra::Rotation3;
 use std::path::PathBuf;
 
-/// What is known of the body beside the horizon.
+/// Reference of the body beside the horizon.
 #[derive(Debug, Clone, Copy)]
 pub enum Reference<'a> {
     Attitude(&'a AttitudeLog),

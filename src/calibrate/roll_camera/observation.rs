@@ -14,7 +14,7 @@ pub struct Horizon {
     pub nadir: Direction,
 }
 
-/// What is known of the nadir in the body's axes: forward, right, down.
+/// Knowledge of the nadir in the body's axes: forward, right, down.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Known {
     Nadir(UnitVector3<f64>),

@@ -28,7 +28,7 @@ pub(super) struct Pair {
     pub sphere: Sphere,
 }
 
-/// What all frames share.
+/// Shared inputs of all frames.
 pub(super) struct Batch<'a> {
     /// One, or two of a pair.
     pub cameras: Vec<Mounted>,
@@ -39,7 +39,7 @@ pub(super) struct Batch<'a> {
     pub args: &'a FramesArgs,
 }
 
-/// What was found in a frame.
+/// Result of a frame.
 enum Found {
     Cone(Box<Solution>),
     Circle(Result<Circle, Stopped>),

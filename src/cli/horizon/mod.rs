@@ -46,7 +46,7 @@ pub struct HorizonArgs {
     track: bool,
 }
 
-/// What is known of the edge.
+/// Options of the edge.
 #[derive(Debug, Args)]
 struct EdgeArgs {
     /// The camera's height above the sphere of 6371 km

@@ -1,4 +1,4 @@
-//! What is said of a frame of the horizon.
+//! Answer for a frame of the horizon.
 
 use crate::cli::frames::{OutputRow, REMARKS};
 use crate::geometry::attitude::Direction;
@@ -9,7 +9,7 @@ use nalgebra::UnitVector3;
 use serde::Serialize;
 use std::time::Duration;
 
-/// What is said of a frame.
+/// Answer for a frame.
 #[derive(Serialize)]
 pub(super) struct Record {
     file: String,
@@ -93,7 +93,7 @@ impl Record {
         }
     }
 
-    /// What is said of a direction in the camera frame.
+    /// Answer for a direction in the camera frame.
     fn pointing(self, unit: &UnitVector3<f64>, half_angle_rad: f64) -> Self {
         Self {
             nadir: Some(unit.into_inner().into()),

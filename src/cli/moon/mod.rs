@@ -138,7 +138,7 @@ pub fn run(mut args: MoonArgs) -> anyhow::Result<ExitCode> {
     })
 }
 
-/// What all frames share.
+/// Shared inputs of all frames.
 struct Batch<'a> {
     settings: MoonSettings,
     camera: Option<DirectionCamera>,

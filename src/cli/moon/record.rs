@@ -1,4 +1,4 @@
-//! What is said of a frame of the Moon.
+//! Answer for a frame of the Moon.
 
 use crate::cli::frames::{OutputRow, REMARKS};
 use crate::geometry::camera::CameraModel;
@@ -9,7 +9,7 @@ use nalgebra::Rotation3;
 use serde::Serialize;
 use std::time::Duration;
 
-/// What was found in a frame.
+/// Result of a frame.
 pub(super) enum Found {
     Disc(Box<Disc>),
     /// Centre and vertical half axis, px, of the circle by extremities.
@@ -18,7 +18,7 @@ pub(super) enum Found {
 }
 
 impl Found {
-    /// What an overlay shows.
+    /// Content of an overlay.
     pub fn drawn(&self) -> Option<Result<Disc, Stopped>> {
         match self {
             Self::Disc(disc) => Some(Ok((**disc).clone())),
@@ -28,7 +28,7 @@ impl Found {
     }
 }
 
-/// What is said of a frame.
+/// Answer for a frame.
 #[derive(Serialize)]
 pub(super) struct Record {
     file: String,

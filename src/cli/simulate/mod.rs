@@ -189,7 +189,7 @@ pub struct CameraArgs {
     pub dust: u16,
 }
 
-/// What the Sun's surface shows.
+/// Structure of the Sun's surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sunspots {
     /// This many spots, drawn at random.

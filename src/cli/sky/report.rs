@@ -1,4 +1,4 @@
-//! What `solaspect sky` says: of one instant, or of a span of time for planning a flight.
+//! Output of `solaspect sky`: of one instant, or of a span of time for planning a flight.
 
 use crate::sky::sphere::direction;
 use crate::sky::{Air, Ephemeris, Rising, SkyError, crossings, horizon_deg, spells};

@@ -68,7 +68,7 @@ fn parse_vantage(text: &str) -> Result<Vantage, String> {
     }
 }
 
-/// What was counted over the time. Shares are of 0 to 1.
+/// Counts over the time. Shares are of 0 to 1.
 #[derive(Serialize)]
 struct Report {
     from_utc: String,

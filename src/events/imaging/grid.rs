@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, Vector3};
 /// The largest side of an image, px.
 const MOST_PX: f64 = 4096.0;
 
-/// What of the sky an image shows: a rectangle along solar west and north.
+/// Field of an image: a rectangle along solar west and north.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Field {
     /// From the Sun's centre, to solar west and north.

@@ -21,7 +21,7 @@ use live_time::{Corners, LiveTime};
 use std::fmt;
 use std::path::PathBuf;
 
-/// What image is wanted.
+/// Settings of the image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImageRequest {
     /// FITS; what stood there is replaced.
@@ -48,7 +48,7 @@ impl fmt::Display for Energies {
     }
 }
 
-/// What an image holds.
+/// Content of an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Imaged {
     pub width_px: usize,
@@ -67,7 +67,7 @@ pub struct Imaged {
     pub live_s: f64,
 }
 
-/// What each detector contributes.
+/// Contribution of each detector.
 struct Seen<'a> {
     /// From where to where it measures x and y.
     field: [[f64; 2]; 2],

@@ -19,7 +19,7 @@ const DIGITS: usize = 10;
 /// The decimals that are written.
 const DECIMALS: usize = 9;
 
-/// What is wrong with a line.
+/// Fault of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     /// It holds zero bytes: what a disk shows of a file whose end it did not get.

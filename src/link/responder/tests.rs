@@ -64,7 +64,7 @@ impl Control for Desk {
     }
 }
 
-/// What a packet to the controller says, without its sequence number and time.
+/// Content of a packet to the controller, without its sequence number and time.
 #[derive(Debug, PartialEq)]
 enum Said {
     Message(Message),
