@@ -141,7 +141,7 @@ impl Widths {
 /// Writes rows as CSV, below a line of the columns' names; gives the widths of their texts.
 ///
 /// # Errors
-/// What a row gives; a file that cannot be written.
+/// Errors of a row; a file that cannot be written.
 pub fn write_csv<T, R: Borrow<T>, E: From<FileError>>(
     path: &Path,
     columns: &[Column<T>],
@@ -170,7 +170,7 @@ pub fn write_csv<T, R: Borrow<T>, E: From<FileError>>(
 /// Adds rows as a table of a FITS file.
 ///
 /// # Errors
-/// What a row gives; a file that cannot be written.
+/// Errors of a row; a file that cannot be written.
 pub fn write_fits<T, R: Borrow<T>, E: From<FileError>>(
     file: &mut TableFile,
     name: &str,
@@ -204,7 +204,7 @@ pub fn store<T>(columns: &[Column<T>], widths: &Widths, row: &T, stored: &mut St
 /// Writes tables to a FITS file that is whole or absent; `cards` go into every header of it.
 ///
 /// # Errors
-/// What `fill` gives; a file that cannot be written.
+/// Errors of `fill`; a file that cannot be written.
 pub fn write_tables<E: From<FileError>>(
     path: &Path,
     cards: &[Card],

@@ -14,7 +14,7 @@ const BUFFER: usize = 1 << 16;
 /// A text is quoted up to so many characters.
 const LONGEST_QUOTE: usize = 60;
 
-/// What is wrong with a table: file and line, the column, what was expected there and what was found.
+/// Fault of a table: file and line, the column, what was expected there and what was found.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{}, line {line}: {column}: expected {expected}, found {found}", .path.display())]
 pub struct TableError {
@@ -122,7 +122,7 @@ impl LeftOut {
         self.kinds.values().map(|(rows, _)| rows).sum()
     }
 
-    /// What is wrong with the first row of all: why a file has no good one.
+    /// Fault of the first row of all: why a file has no good one.
     pub fn first(&self) -> Option<&TableError> {
         let firsts = self.kinds.values().map(|(_, first)| first);
         firsts.min_by_key(|first| first.line)

@@ -74,7 +74,7 @@ impl Air {
         Vector3::new(1.0 - (-depth).exp(), by_depth, by_depth * by_scale)
     }
 
-    /// What a blurred picture shows of a share, to the second order of the blur.
+    /// A share in a blurred picture, to the second order of the blur.
     fn blurred(&self, steps: f64, air: &Parameters) -> Vector3<f64> {
         (self.share(steps - self.blur_steps, air) + self.share(steps + self.blur_steps, air)) / 2.0
     }

@@ -17,11 +17,11 @@ const STEPS_PER_POINT: usize = 8;
 /// 1 sigma of a point: pixels are whole, and noise frays a soft edge.
 const SIGMA_PX: f64 = 1.0;
 
-/// What separates bright pixels from dark ones, and pixels that are used from those that are not.
+/// Thresholds that separate bright pixels from dark ones, and pixels that are used from those that are not.
 pub(super) struct Binary<'a, T> {
     view: View<'a, T>,
     threshold_dn: f64,
-    /// What the vehicle's own parts hide: dark.
+    /// Pixels of the vehicle's own parts: dark.
     mask: &'a [Region],
 }
 

@@ -27,7 +27,7 @@ const MOST_CENTRE_ERROR: f64 = 0.1;
 /// Planes that make a smaller angle with each other, rad, do not cross.
 const LEAST_CROSSING_RAD: f64 = 0.02;
 
-/// What a circle through the border gives.
+/// Result of a circle through the border.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Circle {
     pub nadir: UnitVector3<f64>,

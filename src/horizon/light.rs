@@ -1,4 +1,4 @@
-//! What a few of a frame's pixels say of its light.
+//! Levels of a frame's light from a few of its pixels.
 
 use super::sphere::Sphere;
 use crate::estimation::{SIGMA_PER_MEDIAN, median_among, median_of_orders, order};
@@ -157,7 +157,7 @@ impl Raster {
         (light.len() >= LEAST_PIXELS).then_some(light)
     }
 
-    /// What a pixel of the sky far from the limb holds, DN; `None` where too little of it is in view.
+    /// Level of the sky far from the limb, DN; `None` where too little of it is in view.
     pub fn far_sky_dn(&self, sphere: &Sphere, nadir: &UnitVector3<f64>) -> Option<f64> {
         let angle = sphere.half_angle_rad.value + sphere.outside_rad + FAR_RAD;
         median_among(&mut self.light_within(nadir, f64::NEG_INFINITY..angle.cos())?)

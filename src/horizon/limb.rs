@@ -4,7 +4,7 @@
 //! it, so that half is found in two steps: the mean profile gives where half is, and each place is compared with that profile
 //! where no cloud reaches, with a darkness, a brightness and a shift of its own.
 //!
-//! What has an edge is no limb yet: see [`Shape::check`].
+//! An edge is not yet a limb: see [`Shape::check`].
 
 use super::edge::EdgePoint;
 use super::places::{Light, OfPlaces, is_limb, mean_profile, unlike};

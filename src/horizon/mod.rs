@@ -56,7 +56,7 @@ use search::{Search, enough, fitted, unfitted};
 /// Nadirs that are farther apart than this are two, deg; the second is a rival with such a share of the first one's points.
 const APART_DEG: f64 = 2.0;
 const RIVAL_POINTS: f64 = 0.5;
-/// What more than this share of the places shows is flagged.
+/// Share of the places above which an effect is flagged.
 const LEAST_SHARE: f64 = 0.1;
 
 /// How a frame is solved.
@@ -118,7 +118,7 @@ impl Quality {
     }
 }
 
-/// What stands beside the edge, or hides it.
+/// Things beside the edge, or that hide it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Flag {
     /// Clouds reach into the limb: where they do, the air above them determines the edge.
@@ -142,7 +142,7 @@ impl Flag {
     }
 }
 
-/// What a frame says of the sphere, as far as it got.
+/// Solution of a frame, as far as it got.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
     pub levels: Option<Levels>,
@@ -214,7 +214,7 @@ impl Solution {
         }
     }
 
-    /// What a reader of the nadir should know; nothing of a frame that shows none.
+    /// Flags for a reader of the nadir; none of a frame without one.
     pub fn flags(&self) -> Vec<Flag> {
         let (places, seen) = (self.places as f64, self.edge.rays.len() as f64);
         let flags = [

@@ -31,7 +31,7 @@ pub enum EdgeHeight {
     Fitted,
 }
 
-/// What the edge is in the plane of a rectilinear camera.
+/// Shape of the edge in the plane of a rectilinear camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Conic {
     Ellipse,

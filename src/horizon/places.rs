@@ -1,4 +1,4 @@
-//! What the places along an edge say of the limb together.
+//! Properties of the limb from all places along an edge.
 
 use super::profile::{INTERPOLATED_NOISE, Profiles};
 use super::template::Limb;
@@ -12,7 +12,7 @@ const CLOUDLESS_SHARE: f64 = 0.1;
 /// The brightest place is the one that so many are darker than.
 const BRIGHTEST: f64 = 0.9;
 
-/// What is known of a frame's light, DN.
+/// Levels of a frame's light, DN.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Light {
     /// The limb is brighter than the sky by so much at the least.
@@ -30,7 +30,7 @@ pub(super) fn is_limb(limb: &Limb, light: &Light) -> bool {
     limb.brightness_dn > light.least_dn && unlike(limb, light.noise_dn) < light.most_unlike
 }
 
-/// What a place's profile has beside the mean one and noise, over its brightness.
+/// Residual of a place's profile against the mean one, beyond noise, over its brightness.
 pub(super) fn unlike(limb: &Limb, noise_dn: f64) -> f64 {
     let noise_dn = INTERPOLATED_NOISE * noise_dn;
     (limb.scatter_dn.powi(2) - noise_dn.powi(2)).max(0.0).sqrt() / limb.brightness_dn
@@ -97,7 +97,7 @@ pub(super) fn mean_profile(profiles: &Profiles, limbs: &[Limb], light: &Light) -
     middle.into_iter().map(f64::from).collect()
 }
 
-/// What the places of a limb have together.
+/// Common properties of the places of a limb.
 pub(super) struct OfPlaces {
     /// Brightness of the middle one and of the brightest, DN.
     pub limb_dn: f64,

@@ -58,7 +58,7 @@ const MOST_DEPARTURE_M: f64 = 4_500.0;
 /// Heights that the edge of air can have, m.
 const EDGE_HEIGHTS_M: Range<f64> = 0.0..60_000.0;
 
-/// What a frame is searched with.
+/// Inputs of the search in a frame.
 pub(super) struct Search<'a> {
     pub settings: &'a HorizonSettings,
     pub camera: &'a DirectionCamera,

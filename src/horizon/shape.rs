@@ -13,7 +13,7 @@ use std::ops::Range;
 const CLOUDLESS_SIGMAS: f64 = 1.282;
 /// 1 sigma of the usual blur of lens, pixels and interpolation.
 const BLUR_PX: f64 = 0.9;
-/// What blur takes from the limb's peak is known to this share of it.
+/// The loss of the limb's peak by blur is known to this share of it.
 const BLUR_SIGMA: f64 = 0.5;
 /// The limb's brightness is known to this share of it.
 const BRIGHTNESS_SIGMA: f64 = 0.005;
@@ -186,7 +186,7 @@ impl Shape {
         self.air.as_ref()?.half(&light, last, brightness)
     }
 
-    /// What blur has taken from the peak of the profile: as much, for its variance, as more blur takes again.
+    /// Loss of the profile's peak by blur: as much, for its variance, as more blur takes again.
     fn taken_by_blur(&self) -> f64 {
         // Of the weights 1/4, 1/2, 1/4, in steps.
         const VARIANCE: f64 = 0.5;

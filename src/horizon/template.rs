@@ -11,7 +11,7 @@ const CLOUDED: f64 = 1.25;
 /// In more of the places than this, clouds count.
 pub(super) const CLOUDED_SHARE: f64 = 0.05;
 
-/// What a place's profile says.
+/// Result of a place's profile.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Limb {
     pub dark_dn: f64,

@@ -27,7 +27,7 @@ const OTHER_START_S: f64 = 30.0;
 /// Fewer frames, or a shorter time, determine no drift.
 const LEAST_READINGS: usize = 20;
 const LEAST_DRIFT_S: f64 = 10.0;
-/// What a drift that was not measured may be: crystals are this good.
+/// Largest drift that was not measured: crystals are this good.
 const UNKNOWN_DRIFT: f64 = 1e-4;
 /// Runs that differ by so many sigma, or by less than the least step, agree.
 const AGREE_SIGMAS: f64 = 5.0;
@@ -62,14 +62,14 @@ pub struct ClockStep<Frame> {
     pub step_s: Measured,
 }
 
-/// What the clocks of a flight did.
+/// Findings on the clocks of a flight.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Clocks {
     /// In the order of the monotonic clock.
     pub steps: Vec<ClockStep<usize>>,
     /// By how much UTC gained on the monotonic clock, where a start of the computer was long enough; of the longest.
     pub drift: Option<Measured>,
-    /// What is to be added to each frame's UTC, s; none where the clock is believed.
+    /// Correction of each frame's UTC, s; none where the clock is believed.
     pub corrections_s: Vec<Option<Measured>>,
     /// Whether each frame is of a start of the computer in which the clocks can be compared.
     pub confirmed: Vec<bool>,

@@ -1,4 +1,4 @@
-//! What the computer's clock did in a flight.
+//! Findings on the computer's clock in a flight.
 
 use super::clock::ClockStep;
 use crate::units::Measured;
@@ -7,7 +7,7 @@ use serde::Serialize;
 /// The smallest drift that is reported as a number, parts in a million.
 const LEAST_PPM: f64 = 0.001;
 
-/// What the computer's clock did in a flight.
+/// Findings on the computer's clock in a flight.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ClockFacts {
     /// By how much UTC gains on the monotonic clock, parts in a million.
@@ -19,7 +19,7 @@ pub struct ClockFacts {
 }
 
 impl ClockFacts {
-    /// What people should know of it: name and value.
+    /// Lines for people: name and value.
     pub fn lines(&self) -> impl Iterator<Item = [String; 2]> {
         let drift = self.drift_ppm.map(|Measured { value, sigma }| {
             let least = value.abs() + 2.0 * sigma < LEAST_PPM;

@@ -57,7 +57,7 @@ impl Part<'_> {
         self.figure(plot::series(&labels, &series));
     }
 
-    /// What a degree does, as it was estimated together with process noise and jumps.
+    /// Effect of a degree, as it was estimated together with process noise and jumps.
     fn degrees(&mut self, px_per_degc: [Measured; 4]) {
         let names = [
             "shift in x",

@@ -11,7 +11,7 @@ use crate::units::Place;
 use anyhow::{Context, bail, ensure};
 use std::path::{Path, PathBuf};
 
-/// What is named instead of the archive's own files.
+/// Files that are named instead of the archive's own.
 #[derive(Debug, Clone, Default)]
 pub struct Given {
     /// Instruments, of which each camera takes its own: TOML files, or names of built-in ones.
@@ -71,7 +71,7 @@ impl Files<'_> {
         Ok(found.pop().unwrap_or_default())
     }
 
-    /// What a camera's frames are refined with.
+    /// Instrument and settings for a camera's frames.
     pub fn recipe(&self, camera: &CameraFrames, config: &Config) -> anyhow::Result<Recipe> {
         let authority = self.authority();
         Ok(Recipe::new(self.instrument(camera)?, config, authority))
@@ -122,7 +122,7 @@ impl Files<'_> {
         )
     }
 
-    /// What frames may name: of what was named instead, anything.
+    /// Instruments that frames may name: any, of what was named instead.
     fn authority(&self) -> FlownFiles {
         let mut archived = self.archived.clone();
         let named = [
@@ -135,7 +135,7 @@ impl Files<'_> {
         archived
     }
 
-    /// What the roll camera's frames are refined with; `None` where neither the archive nor anybody else names the camera's file.
+    /// Camera and settings for the roll camera's frames; `None` where neither the archive nor the caller names the camera's file.
     pub fn roll_recipe(
         &self,
         camera: &CameraFrames,

@@ -5,7 +5,7 @@ use std::fmt;
 /// The part of a uniform distribution's width that is 1 sigma.
 pub(super) const SIGMA_PER_WIDTH: f64 = 0.288_675;
 
-/// What orders the frames of one stamp.
+/// Order of the frames of one stamp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Order {
     Monotonic,

@@ -1,4 +1,4 @@
-//! What the dated frames gave by themselves, as far as the frames about them are judged by it.
+//! Results of the dated frames on their own, as far as other frames are judged by them.
 
 use super::drift::MarkObservation;
 use super::record::{FrameRecord, Grade, MarkRecord, symmetric, upper};
@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 /// Fewer frames that contradict the instrument are misread.
 const LEAST_CONTRADICTING: usize = 3;
 
-/// What a frame gave by itself.
+/// Result of a frame on its own.
 #[derive(Debug, Clone)]
 pub(super) struct Frame {
     pub quality: Grade,
@@ -45,7 +45,7 @@ pub(super) struct Frames {
     pub marks_end: Vec<u32>,
     /// Plate (mil) to ideal sensor (px), as the fine frames have it.
     pub mappings: Vec<Matrix3<f64>>,
-    /// What most frames say against the instrument, in words: they are not its camera's.
+    /// Contradiction of most frames against the instrument, in words: they are not its camera's.
     pub contradiction: Option<String>,
 }
 
@@ -114,7 +114,7 @@ fn observation(mark: &MarkRecord, instrument: &Instrument) -> Option<MarkObserva
     })
 }
 
-/// What frames say against the instrument.
+/// Contradictions of frames against the instrument.
 #[derive(Default)]
 struct Against {
     fine: usize,

@@ -151,7 +151,7 @@ impl History {
         &self.sky
     }
 
-    /// What of the files was not used as it stands.
+    /// Parts of the files that were not used as they stand.
     pub fn inputs(&self) -> &InputSummary {
         &self.flight.timeline.inputs
     }

@@ -18,7 +18,7 @@ struct Motion {
     points: Vec<(f64, f64)>,
     /// 1 sigma of a frame along the axis, the median of all, arcsec; none where it is not known or stands with another motion.
     frame_sigma: Option<f64>,
-    /// What the line of that noise is called.
+    /// Name of that noise's line.
     noise: &'static str,
     noise_hue: usize,
     hue: usize,

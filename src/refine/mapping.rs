@@ -34,7 +34,7 @@ pub struct Jump {
     pub turn_deg: f64,
 }
 
-/// What the mapping did in a flight.
+/// Summary of the mapping in a flight.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MappingFacts {
     /// The summary names their frames.
@@ -47,7 +47,7 @@ pub struct MappingFacts {
     pub temperature: TemperatureDependence,
 }
 
-/// What the mapping has to do with the camera's temperature.
+/// Dependence of the mapping on the camera's temperature.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(tag = "dependence", rename_all = "snake_case")]
 pub enum TemperatureDependence {

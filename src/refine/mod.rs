@@ -34,7 +34,7 @@
 //! # Ok::<(), anyhow::Error>(())
 //! ```
 //!
-//! What comes out depends on archive, instrument and settings alone, bit for bit: not on the order in which frames were done, by how many
+//! The results depend on archive, instrument and settings alone, bit for bit: not on the order in which frames were done, by how many
 //! cores or machines, nor on how often the run was killed.
 
 mod allan;

@@ -32,7 +32,7 @@ const LONGEST_S: f64 = 10.0;
 pub struct Navigation {
     pub imu: Vec<PathBuf>,
     pub gps: Vec<PathBuf>,
-    /// What the sensors are, NAV.toml; the archive's newest one where it is not named.
+    /// Description of the sensors, NAV.toml; the archive's newest one where it is not named.
     pub settings: Option<PathBuf>,
     pub wanted: Wanted,
 }
@@ -74,13 +74,13 @@ impl Navigation {
     }
 }
 
-/// What the gyros say of a flight.
+/// Attitude by the gyros of a flight.
 pub(super) struct ByGyros {
     pub found: AttitudeFound,
     pub states: States,
     /// Of the cameras from them.
     pub differences: Vec<Difference>,
-    /// What a report shows of it.
+    /// Its part of the report.
     pub page: Page,
 }
 

@@ -23,7 +23,7 @@ const ABOUT: usize = 20;
 /// Fewer marks than this part of those that are lit are flagged.
 const UNUSUAL_MARKS: f64 = 0.5;
 
-/// What is usual in a flight.
+/// Usual values of a flight.
 struct Usual {
     scatter: f64,
     /// Each dated frame's light and noise over those of the frames about it.

@@ -1,4 +1,4 @@
-//! What a refinement leaves: `aspect.fits`, `aspect.csv`, `summary.json`. The same archive, instrument and settings give the
+//! Files of a refinement: `aspect.fits`, `aspect.csv`, `summary.json`. The same archive, instrument and settings give the
 //! same bytes: nothing in them says when they were made.
 
 use super::clock_facts::ClockFacts;
@@ -83,10 +83,10 @@ pub struct Summary {
     pub swings_mil: [Vec<FoundSwing>; 2],
 }
 
-/// What the pointing says of a flight.
+/// Pointing facts of a flight.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct PointingFacts {
-    /// What cameras show against the attitude by gyros; none without an IMU.
+    /// Cameras against the attitude by gyros; none without an IMU.
     pub witnesses: Option<Compared>,
     /// How long the telescope was near its target; none where that is not known.
     pub on_target: Option<OnTarget>,
@@ -182,7 +182,7 @@ pub(super) fn swings_text(swings: &[FoundSwing]) -> String {
     }
 }
 
-/// What the summary holds of the rows.
+/// Counts of the rows for the summary.
 #[derive(Default)]
 struct Tally {
     counts: Counts,
@@ -202,7 +202,7 @@ impl Tally {
     }
 }
 
-/// What is known of the rows once `aspect.csv` is written.
+/// Facts of the rows once `aspect.csv` is written.
 pub struct Written {
     tally: Tally,
     widths: Widths,
@@ -261,7 +261,7 @@ pub fn write(
     Ok(summary)
 }
 
-/// What the headers of a history's tables say: times, instrument, target, and from where it was seen.
+/// Header cards of a history's tables: times, instrument, target, and from where it was seen.
 fn cards(history: &History, pointing: &PointingHistory) -> Vec<Card> {
     let mut cards = pointing_cards(pointing);
     cards.extend(instrument_cards(history.instrument(), Roll::Stated));

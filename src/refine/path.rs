@@ -164,7 +164,7 @@ fn shared_errors(flight: &Flight, suns: &Suns, first_s: f64) -> SharedErrors {
     }
 }
 
-/// What a frame measures: its own errors are what the limb's points show; at a jump of the mapping all of them are.
+/// Measurement of a frame: its own errors are those that the limb's points show; at a jump of the mapping all of them are.
 fn measurements(
     flight: &Flight,
     suns: &Suns,

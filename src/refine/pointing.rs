@@ -30,7 +30,7 @@ const TOGETHER: usize = 1024;
 /// A rate is the turn in twice this, s, over that.
 const INSTANT_S: f64 = 1e-3;
 
-/// What changes slowly: noted once in each second that has a state.
+/// Slowly changing quantities: noted once in each second that has a state.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Slow {
     pub unix_s: f64,
@@ -191,7 +191,7 @@ fn place_before(places: &[(f64, Place)], time_s: f64) -> Option<Place> {
     Some(places.get(later.checked_sub(1)?)?.1)
 }
 
-/// What determines the attitude at a moment of the path.
+/// Sensors that determine the attitude at a moment of the path.
 struct Moment<'a> {
     unix_s: f64,
     point: PathPoint,

@@ -159,7 +159,7 @@ fn close_up(path: &SolarPath, whole: &Ground) -> Option<Ground> {
     squares.find(|ground| ground.x.end - ground.x.start < CLOSE_PART * whole_side)
 }
 
-/// What the valid path spans along an axis, without its outermost parts.
+/// Span of the valid path along an axis, without its outermost parts.
 fn middle_part(path: &SolarPath, axis: fn(&HelioprojectiveArcsec) -> f64) -> Option<Range<f64>> {
     let mut values: Vec<f64> = path.valid().map(|step| axis(&step.at)).collect();
     values.sort_by(f64::total_cmp);

@@ -19,7 +19,7 @@ const LEAST_PER_BLOCK: usize = 2;
 /// A slope below this many sigmas is not determined.
 const SIGNIFICANT: f64 = 4.0;
 
-/// What a degree of the camera's temperature does to the radius on the plate, as a part of it.
+/// Relative effect of a degree of the camera's temperature on the radius on the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum RadiusDependence {
     NoTemperature,

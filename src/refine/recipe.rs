@@ -1,4 +1,4 @@
-//! What the frames of a camera that sees the plate are observed with.
+//! Recipe for the frames of a camera that sees the plate.
 
 use super::record::FrameRecord;
 use crate::archive::{ArchiveReader, Flown, FlownFiles, StoredFile};
@@ -7,14 +7,14 @@ use crate::config::Config;
 use crate::instrument::Instrument;
 use crate::observe::{Observer, Span, Unsolved, hash_of, with_frame};
 
-/// What a run works with; everything that a frame's own record depends on.
+/// Recipe of a run; everything that a frame's own record depends on.
 #[derive(Debug, Clone)]
 pub struct Recipe {
     pub instrument: Instrument,
     pub settings: aspect::SolverSettings,
     /// The effective configuration and the instrument's file.
     pub flown: Flown,
-    /// What frames may name, where instrument and configuration are the archive's.
+    /// Instruments that frames may name, where instrument and configuration are the archive's.
     pub archived: FlownFiles,
     /// The instrument, and the solver's part of the configuration.
     stated: [String; 2],

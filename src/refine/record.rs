@@ -1,4 +1,4 @@
-//! What one frame gave, as small as the flight needs it: a row of the journal.
+//! Record of one frame, as small as the flight needs it: a row of the journal.
 
 use super::timeline::Dated;
 use crate::aspect::{Adopted, Aspect, Mark, Solution};
@@ -13,15 +13,15 @@ use crate::units::{Estimate, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// What one frame gave.
+/// Record of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameRecord {
     pub facts: FrameFacts,
-    /// What the flight's program wrote into the header.
+    /// Results in flight, from the header.
     pub in_flight: InFlight,
     pub quality: Grade,
     pub reason: Option<String>,
-    /// What the fine frame measures otherwise than the instrument's file states it, in words.
+    /// Contradiction between the fine frame and the instrument's file, in words.
     pub contradiction: Option<String>,
     /// Background, noise and disc, DN.
     pub levels_dn: Option<[f64; 3]>,
@@ -142,7 +142,7 @@ pub(super) fn symmetric([xx, xy, yy]: [f64; 3]) -> Matrix2<f64> {
 }
 
 impl FrameRecord {
-    /// What a frame gave, beside what its file says of it.
+    /// Record of a frame, with its file's facts.
     pub fn new(
         info: &FrameInfo,
         header: &Header,

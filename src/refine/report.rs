@@ -30,7 +30,7 @@ pub struct Report {
     instruments: Vec<String>,
 }
 
-/// What the report shows of a fine row.
+/// The report's data of a fine row.
 pub(super) struct Drawn {
     pub unix_s: f64,
     pub sun_mil: [f32; 2],
@@ -85,7 +85,7 @@ impl Drawn {
     }
 }
 
-/// What the report shows of a camera's rows.
+/// The report's data of a camera's rows.
 #[derive(Default)]
 pub struct Rows {
     pub(super) fine: Vec<Drawn>,
@@ -205,9 +205,9 @@ impl Report {
 /// One camera's part of the page.
 pub(super) struct Part<'a> {
     pub page: &'a mut Page,
-    /// What headings begin with.
+    /// Beginning of headings.
     label: String,
-    /// What captions of figures begin with.
+    /// Beginning of figures' captions.
     source: String,
     /// The fine ones.
     pub rows: &'a [Drawn],

@@ -1,4 +1,4 @@
-//! What a refinement leaves of the roll camera: `roll.fits`, `roll.csv`, `roll.json`.
+//! Files of the roll camera's refinement: `roll.fits`, `roll.csv`, `roll.json`.
 
 use super::output::{Counts, OutputError, write_json, write_table};
 use super::roll::{ROLL, ROLL_COLUMNS, RollHistory, RollRecipe, RollRow, kind};

@@ -13,7 +13,7 @@ use image::imageops::thumbnail;
 /// Pictures are so wide at most.
 const WIDTH_PX: u32 = 480;
 
-/// What the report shows of the roll camera's rows.
+/// The report's data of the roll camera's rows.
 #[derive(Default)]
 pub struct RollRows {
     drawn: Vec<Drawn>,

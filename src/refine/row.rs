@@ -38,7 +38,7 @@ pub struct RefinedRow {
     pub timing: Timing,
     /// How fast the Sun moves over the plate along the smoothed path, mil/s, where the time has a sigma.
     pub speed_mil_per_s: Option<[f64; 2]>,
-    /// What the frame gave by itself; none of a file without a frame.
+    /// Record of the frame on its own; none of a file without a frame.
     pub own: Option<FrameRecord>,
     pub quality: Grade,
     /// Why the frame is not fine, where its own solution says it; empty where nothing is to be said.

@@ -60,7 +60,7 @@ pub struct Options {
     pub film: Option<film::Options>,
 }
 
-/// What came out; it is written to the folder, too.
+/// Results; they are written to the folder, too.
 #[derive(Default)]
 pub struct Refined {
     /// The cameras of a shard, which have no history.
@@ -220,7 +220,7 @@ impl Run<'_> {
         }
     }
 
-    /// What the film needs beside the flight. Pictures in the archive would be taken for frames.
+    /// Files of the film beside the flight. Pictures in the archive would be taken for frames.
     fn film(&self, film: &film::Options) -> anyhow::Result<Film> {
         let path = absolute(&film.destination.path)?;
         let folder = path
@@ -414,7 +414,7 @@ impl Run<'_> {
     }
 }
 
-/// What is known of a camera once its rows are written.
+/// Facts of a camera once its rows are written.
 struct Seen {
     label: Option<String>,
     folder: PathBuf,
@@ -423,7 +423,7 @@ struct Seen {
     written: Written,
 }
 
-/// What other sensors say of where the telescope points.
+/// Other sensors' measurements of where the telescope points.
 struct Others<'a> {
     roll: Option<&'a RollHistory>,
     /// Of the pointing, by gyros.

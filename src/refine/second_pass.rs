@@ -48,7 +48,7 @@ const LEAST_POINTS: usize = 36;
 /// How well the outline is known a priori: its radius (px), and how far it may be from round, relative.
 const POSSIBLE: (f64, f64) = (1.0, 0.002);
 const STATED: (f64, f64) = (0.1, 0.001);
-/// What must hold of a limb: part of its points on the outline, and how far they scatter, px.
+/// Requirements of a limb: part of its points on the outline, and how far they scatter, px.
 const LEAST_ON_OUTLINE: f64 = 0.6;
 const MAX_SCATTER_PX: f64 = 1.0;
 
@@ -140,7 +140,7 @@ fn whereabouts(
     other.or((!suns.flags[n].reject()).then_some((own, OWN_DISC_SIGMA_MIL)))
 }
 
-/// What is known of a frame before its second pass.
+/// Priors of a frame before its second pass.
 struct Known<'a> {
     pub instrument: &'a Instrument,
     pub settings: &'a SolverSettings,
@@ -151,7 +151,7 @@ struct Known<'a> {
     pub radius_mil: f64,
 }
 
-/// What the second pass gave.
+/// Result of the second pass.
 struct Found {
     pub centre_px: [f64; 2],
     pub limb_part: f64,

@@ -8,7 +8,7 @@ use crate::sky::{Ephemeris, SunPosition};
 use crate::units::{Estimate, Place, PlateMil};
 use jiff::Timestamp;
 
-/// What the sky takes beside the rows.
+/// Inputs of the sky beside the rows.
 #[derive(Debug, Clone)]
 pub struct Sky {
     pub target: Target,

@@ -20,18 +20,18 @@ const LEAST_FINE_LIMB: f64 = 0.4;
 pub(super) const LEAST_LIMB: f64 = 0.7;
 /// A mapping known less well than this makes no fine frame, 1 sigma.
 const MOST_FINE_SIGMA_MIL: f64 = 1.0;
-/// What is known of a radius before the flight has determined it, over the expected one.
+/// Prior of the radius before the flight has determined it, over the expected one.
 pub(super) const LOOSE_RADIUS: Measured = Measured::new(1.0, 0.02);
 /// The flight's radius is this good at least, relative.
 const TIGHT_RADIUS: f64 = 1e-4;
 
 /// Fewer discs have no usual scatter.
 const LEAST_DISCS: usize = 10;
-/// What the points of a limb do not show of their errors, since they share it, beside what they show: the same pixels and scratches. Seen
+/// Common errors of the points of a limb, which their scatter does not show: the same pixels and scratches. Seen
 /// were 0.065 in 48 rests of 50 frames, simulated with hot pixels, scratches and leaks; some of them have much more.
 const SHARED_LIMB: f64 = 0.1;
 
-/// What the Suns of a flight are found with.
+/// Inputs of the Suns of a flight.
 pub(super) struct Flight {
     pub recipe: Recipe,
     pub timeline: Timeline<FrameRecord>,
@@ -49,7 +49,7 @@ pub(super) struct Seen {
 }
 
 impl Flight {
-    /// What the mapping of a frame adds to the covariance of a place, mil^2.
+    /// Covariance that the mapping of a frame adds to a place, mil^2.
     fn by_mapping(&self, n: usize, place: PlateMil) -> Option<Matrix2<f64>> {
         let mapping = self.mapping.as_ref()?;
         Some(mapping.covariance_mil2(n, place, &mapping.at(n)?))
@@ -114,7 +114,7 @@ pub(super) struct Suns {
     pub flags: Vec<FrameFlags>,
     /// The flight's radius over the expected one, where its discs determine it.
     pub radius_ratio: Option<Measured>,
-    /// What is known of it.
+    /// Its estimate.
     pub known_ratio: Measured,
 }
 

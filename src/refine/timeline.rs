@@ -15,7 +15,7 @@ use serde::{Serialize, de::DeserializeOwned};
 /// Records that are read together.
 const TOGETHER: usize = 4096;
 
-/// What a frame gave, as far as its time is concerned.
+/// Time-related result of a frame.
 pub trait Dated: Serialize + DeserializeOwned + Clone + Send + Sync {
     fn facts(&self) -> &FrameFacts;
 
@@ -30,7 +30,7 @@ pub struct Timeline<T> {
     dated: Vec<DatedFrame>,
     /// Frames without a time and files without a frame, by name.
     rest: Vec<Rest>,
-    /// What of the files was not used as it stands.
+    /// Parts of the files that were not used as they stand.
     pub inputs: InputSummary,
     pub clock: ClockFacts,
 }
@@ -67,7 +67,7 @@ pub struct Entry<T> {
     pub held: Held<T>,
 }
 
-/// What a file holds.
+/// Content of a file.
 pub enum Held<T> {
     Frame(Box<T>),
     /// No frame that counts: why.
@@ -194,7 +194,7 @@ impl<T: Dated> Timeline<T> {
         Some(self.utc_ns(n)? as f64 / 1e9)
     }
 
-    /// What is made of a frame's stamp.
+    /// Timing of a frame's stamp.
     pub fn timing(&self, n: usize) -> Timing {
         match self.dated.get(n) {
             Some(frame) => frame.timing.as_deref().copied().unwrap_or_default(),
@@ -240,7 +240,7 @@ impl<T: Dated> Timeline<T> {
         })
     }
 
-    /// What a frame gave; none of a file without one.
+    /// Record of a frame; none of a file without one.
     ///
     /// # Errors
     /// A journal that cannot be read.

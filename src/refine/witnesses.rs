@@ -29,7 +29,7 @@ struct Dip {
     rad: Measured,
 }
 
-/// What the roll camera of a flight showed.
+/// Dips measured by the roll camera of a flight.
 #[derive(Default)]
 pub(super) struct Dips(Vec<Dip>);
 
@@ -53,7 +53,7 @@ impl Dips {
 }
 
 impl Dip {
-    /// What was seen less what the gyros say.
+    /// Measured minus predicted by the gyros.
     fn difference(&self, line_of_sight: &LineOfSight) -> Difference {
         // A roll moves the second axis by as much as the third one points down.
         let up = line_of_sight.horizon_from_telescope.row(2);

@@ -1,4 +1,4 @@
-//! What is said of a solved frame.
+//! Answer for a solved frame.
 
 use super::messages::{Answer, Found, Hears, Recent, Solved, SolvedSun};
 use super::shared::Shared;
@@ -7,7 +7,7 @@ use crate::record::{LoggedRow, Record, RollRecord};
 use crossbeam_channel::Sender;
 
 impl Answer {
-    /// What a frame of the plate shows.
+    /// Result of a frame of the plate.
     pub fn sun(&self) -> Option<&SolvedSun> {
         match &self.solved.found {
             Found::Sun(sun) => Some(sun),
@@ -15,7 +15,7 @@ impl Answer {
         }
     }
 
-    /// What the logs say of it, before its picture is stored.
+    /// Its row of the logs, before its picture is stored.
     pub(super) fn row(&self) -> LoggedRow {
         let (info, solved) = (&self.exposure.frame.info, &*self.solved);
         let (utc, time) = (info.mid_exposure, solved.solve_time);
@@ -71,7 +71,7 @@ impl Hears for Sender<Answer> {
 }
 
 impl Solved {
-    /// What a frame shows, in words; `None` where it shows nothing.
+    /// Result of a frame, in words; `None` where it shows nothing.
     pub fn in_words(&self) -> Option<String> {
         match &self.found {
             Found::Sun(sun) => sun_in_words(sun),

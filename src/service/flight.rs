@@ -1,4 +1,4 @@
-//! What a flight is made of.
+//! Parts of a flight.
 
 use super::frames::stations;
 use super::messages::Station;
@@ -21,7 +21,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// What a flight is made of.
+/// Parts of a flight.
 pub struct Flight {
     pub config: Config,
     /// Where the telescope should point until a command says otherwise.

@@ -36,7 +36,7 @@ pub(super) struct Restarts {
     pub takeovers: u64,
 }
 
-/// What goes to the ground in a second.
+/// Packets to the ground of a second.
 pub(super) struct SecondReport {
     pub time: Timestamp,
     pub housekeeping: Box<Housekeeping>,
@@ -231,7 +231,7 @@ impl HousekeepingSource {
     }
 }
 
-/// What each camera's solver has left since the last packet, by the camera's number.
+/// Latest contributions of each camera's solver since the last packet, by the camera's number.
 fn take_recents(tallies: &Tallies) -> Vec<(u8, Recent)> {
     let take = |camera: &CameraTallies| {
         let recent = std::mem::take(&mut *camera.recent.lock());

@@ -48,7 +48,7 @@ const BACKLOG: usize = 512;
 /// An offset by the gyros that has waited for longer is not sent: the next one is better.
 const OLDEST_OFFSET: Duration = Duration::from_millis(100);
 
-/// What the link's thread shares with the others.
+/// Shared state of the link's thread.
 #[derive(Clone)]
 pub(super) struct Surroundings {
     pub controls: Controls,

@@ -33,7 +33,7 @@ pub struct Station {
     pub ordinal: usize,
     /// On the line, where a picture says which camera took it.
     pub number: u8,
-    /// What its frames are taken and solved with.
+    /// Settings with which its frames are taken and solved.
     pub flown: Arc<Flown>,
 }
 
@@ -61,13 +61,13 @@ pub struct Answer {
     pub station: Arc<Station>,
     pub exposure: Arc<Exposure>,
     pub solved: Arc<Solved>,
-    /// What its offset is from.
+    /// Source of its offset.
     pub target: Target,
     /// Whether the picture goes to the archive; the row always does.
     pub to_be_stored: bool,
 }
 
-/// What came of a frame.
+/// Result of a frame.
 #[derive(Debug, Clone)]
 pub struct Solved {
     pub found: Found,
@@ -75,14 +75,14 @@ pub struct Solved {
     /// Stage and reason where the frame went no further; of a coarse frame, too.
     pub stopped: Option<Stopped<&'static str>>,
     pub levels: Option<Levels>,
-    /// What an exposure that follows the light is judged by.
+    /// Brightness for an exposure that follows the light.
     pub brightness: Brightness,
     pub roll: Option<SeenRoll>,
     /// Of the solver alone.
     pub solve_time: Duration,
 }
 
-/// What a frame shows, by what its camera sees.
+/// Content of a frame, by what its camera sees.
 #[derive(Debug, Clone)]
 pub enum Found {
     Sun(Box<SolvedSun>),
@@ -131,7 +131,7 @@ pub(super) trait TakesSamples: Send + Sync {
     fn take_sample(&self, packet: &TelemetryPacket, read: Instant);
 }
 
-/// What the horizon said last; the solvers of the other cameras read it.
+/// Latest nadir by the horizon; the solvers of the other cameras read it.
 pub(super) type LatestNadir = Shared<Option<SeenNadir>>;
 
 /// Straight down in the axes of the body that carries the cameras: forward, right, down.
@@ -148,7 +148,7 @@ pub(super) struct SeenNadir {
     pub after_s: f64,
 }
 
-/// What the line asks of the Moon camera, and what that has seen last.
+/// The line's requests to the Moon camera, and its latest result.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct MoonDesk {
     /// Where the platform was at the latest request.
@@ -156,7 +156,7 @@ pub(super) struct MoonDesk {
     pub seen: Option<SeenMoon>,
 }
 
-/// What came of the Moon camera's last frame.
+/// Result of the Moon camera's last frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SeenMoon {
     /// When its exposure began.
@@ -166,7 +166,7 @@ pub(super) struct SeenMoon {
     pub is_night: Option<bool>,
 }
 
-/// What a solver leaves for the next housekeeping.
+/// A solver's contribution to the next housekeeping.
 #[derive(Debug, Default)]
 pub(super) struct Recent {
     pub answer: Option<Answer>,
@@ -198,7 +198,7 @@ pub(super) struct PropagatedEvent {
     pub read: Instant,
 }
 
-/// What came of an exposure.
+/// Result of an exposure.
 pub(super) struct Outcome {
     pub exposure: link::Exposure,
     /// When the frame was there.
@@ -211,7 +211,7 @@ pub(super) struct Outcome {
     pub stopped: Option<aspect::Stopped>,
 }
 
-/// What one of the sensors has given to the navigation filter.
+/// A sensor's input to the navigation filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Input {
     /// A sample, and when it was read.

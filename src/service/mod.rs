@@ -104,7 +104,7 @@ impl Service {
         Ok((launch::launch(flight, Some(watcher))?, answers))
     }
 
-    /// What the ground sets and reads.
+    /// Settings and values for the ground.
     pub fn controls(&self) -> &Controls {
         &self.controls
     }
@@ -133,7 +133,7 @@ impl Service {
         self.signals.housekeeping.copy()
     }
 
-    /// What has happened so far, with the latencies of the last moment.
+    /// Counts so far, with the latencies of the last moment.
     pub fn tally(&self) -> FlightTally {
         let mut tally = self.tallies.brief();
         tally.restarts = self.signals.restarts.load(Ordering::Relaxed);

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 const WAITING: usize = 256;
 /// How long a thread waits for a message before it checks its readers.
 const PATIENCE: Duration = Duration::from_millis(50);
-/// What waits for longer than this after the end is dropped.
+/// Messages that wait for longer than this after the end are dropped.
 const LAST_WORDS: Duration = Duration::from_millis(200);
 
 /// Where messages are handed to the outputs.
@@ -32,7 +32,7 @@ struct Output {
     counts: Arc<Counts>,
 }
 
-/// What is counted of an output. No lock: its thread may be put off for long, and nobody may wait for it.
+/// Counts of an output. No lock: its thread may be put off for long, and no other thread may wait for it.
 struct Counts {
     to: Destination,
     format: Format,
@@ -40,7 +40,7 @@ struct Counts {
     dropped: AtomicU64,
 }
 
-/// What is counted of all outputs.
+/// Counts of all outputs.
 #[derive(Clone, Default)]
 pub(super) struct Gauges(Vec<Arc<Counts>>);
 

@@ -88,7 +88,7 @@ impl Host {
         })
     }
 
-    /// What the configuration asks for the whole program; what is not granted is logged.
+    /// Requests of the configuration for the whole program; refusals are logged.
     pub(super) fn hold(&self) {
         if self.memory == Memory::Locked
             && let Err(error) = lock_memory()

@@ -26,7 +26,7 @@ pub(super) struct Silence {
     ended: Duration,
 }
 
-/// What the log says of a silence.
+/// Log entries of a silence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Change {
     /// The n-th silence has begun; no frame for so long.

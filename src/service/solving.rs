@@ -22,7 +22,7 @@ use tracing::Level;
 /// How long a solver waits for a frame before it shows that it is at work.
 const PATIENCE: Duration = Duration::from_millis(200);
 
-/// What a solver's thread shares with the others.
+/// Shared state of a solver's thread.
 #[derive(Clone)]
 pub(super) struct Solving {
     pub station: Arc<Station>,
@@ -159,7 +159,7 @@ impl Solving {
         }
     }
 
-    /// What the ground has asked for.
+    /// The ground's requests.
     fn send_picture(&self, answer: &Answer) {
         let frame = &answer.exposure.frame;
         let time = frame.info.mid_exposure.unwrap_or_else(Timestamp::now);
@@ -173,7 +173,7 @@ impl Solving {
         }
     }
 
-    /// What a picture says of itself.
+    /// Facts of a picture.
     fn tags(&self, answer: &Answer) -> Vec<Tag> {
         let tag = |name: &str, value, comment: &str| Tag {
             name: name.into(),

@@ -1,4 +1,4 @@
-//! What each thread counts, and what a flight comes to.
+//! Counts of each thread, and of a whole flight.
 
 use crate::aspect::Quality;
 use crate::camera::CameraHealth;
@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt;
 use std::time::Duration;
 
-/// What a camera's thread counts.
+/// Counts of a camera's thread.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct CameraTally {
     /// Frames that did not fit into the solver's queue.
@@ -80,7 +80,7 @@ impl CameraTally {
     }
 }
 
-/// What a solver's thread counts.
+/// Counts of a solver's thread.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SolverTally {
     pub solved: BTreeMap<Quality, u64>,
@@ -90,7 +90,7 @@ pub struct SolverTally {
     pub misfits: u64,
     /// Answers that did not fit into the line's queue.
     pub unsent: u64,
-    /// What fine frames have disproved of the instruments, with stated and measured values.
+    /// Quantities of the instruments that fine frames have disproved, with stated and measured values.
     pub contradictions: BTreeSet<String>,
     /// Whether anything stated is disproved now.
     pub contradicted: bool,
@@ -149,14 +149,14 @@ impl SolverTally {
     }
 }
 
-/// What the solver of one camera has counted.
+/// Counts of the solver of one camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraSolved {
     pub role: Role,
     pub solver: SolverTally,
 }
 
-/// What the archive's threads count.
+/// Counts of the archive's threads.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ArchiveTally {
     /// Pictures given up because the disks could not follow.
@@ -196,7 +196,7 @@ impl ArchiveTally {
     }
 }
 
-/// What the link's thread counts.
+/// Counts of the link's thread.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct LineTally {
     /// Packets that the port did not take.
@@ -211,11 +211,11 @@ pub struct LineTally {
     pub reopened: u64,
     /// Whether there is a port that could never be opened.
     pub never_open: bool,
-    /// What came over the line and was no packet.
+    /// Bytes of the line that were no packet.
     pub rejected: Rejected,
     pub commands: u64,
     pub moon_requests: u64,
-    /// What the controller and the ground have set.
+    /// Settings by the controller and the ground.
     pub conversation: LinkState,
     /// From a frame's arrival to its solution's last byte: the latest ten thousand.
     pub latencies: VecDeque<Duration>,
@@ -295,7 +295,7 @@ impl LineTally {
     }
 }
 
-/// What the navigation's threads count.
+/// Counts of the navigation's threads.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct NavigationTally {
     /// Samples that are missing by their counter.
@@ -363,7 +363,7 @@ impl NavigationTally {
     }
 }
 
-/// What is counted of an output that others read.
+/// Counts of an output for other programs.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct OutputTally {
     /// As the configuration has it.
@@ -390,7 +390,7 @@ impl OutputTally {
     }
 }
 
-/// What a whole flight comes to.
+/// Counts of a whole flight.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FlightTally {
     pub counts: Counts,

@@ -22,7 +22,7 @@ const CHECK_EVERY: Duration = Duration::from_millis(10);
 const REPORT_EVERY: Duration = Duration::from_secs(1);
 /// A check that comes so late shows that the whole program was stopped: suspended, or by SIGSTOP.
 const STOPPED: Duration = Duration::from_secs(1);
-/// What the last frames may take to be stored before a program is replaced that cannot be helped.
+/// Time for the last frames to be stored before a program that hangs is replaced.
 const ENDING: Duration = Duration::from_millis(1500);
 /// A line that shows no sign of life for so long is left to systemd: only a new process gets a new port.
 const LINE_PATIENCE: Duration = Duration::from_secs(10);
@@ -31,7 +31,7 @@ const NAVIGATION_ENDING: Duration = Duration::from_millis(500);
 /// How long the line may take to hang up.
 const HANGING_UP: Duration = Duration::from_millis(300);
 
-/// What the watch and the rest of the program share.
+/// Shared state of the watch and the rest of the program.
 #[derive(Debug, Default)]
 pub(super) struct Signals {
     /// No more frames.

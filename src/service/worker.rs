@@ -52,7 +52,7 @@ impl Life {
     }
 }
 
-/// What a thread does in one life. It returns when there is nothing left to do.
+/// Work of a thread in one life. It returns when there is nothing left to do.
 pub(super) type Job = Box<dyn FnOnce(&Life) + Send>;
 type Make = Box<dyn FnMut() -> Job + Send>;
 

@@ -191,7 +191,7 @@ impl<'a> Attitude<'a> {
         })?)
     }
 
-    /// What came out.
+    /// Result.
     pub fn found(&self) -> AttitudeFound {
         let innovations = self.summary.innovations.iter();
         let refused = innovations.filter(|one| one.verdict == Verdict::Refused);
@@ -205,7 +205,7 @@ impl<'a> Attitude<'a> {
     }
 }
 
-/// What came out of a flight's attitude.
+/// Result of a flight's attitude.
 #[derive(Debug, Clone)]
 pub struct AttitudeFound {
     pub counts: Counts,

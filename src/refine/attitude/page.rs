@@ -1,4 +1,4 @@
-//! What a page shows of an attitude.
+//! Page of an attitude.
 
 use super::Counts;
 use crate::clock::utc_microseconds;
@@ -31,7 +31,7 @@ pub fn add_attitude(
     sensors(page, clock, settings, &summary.errors)
 }
 
-/// What a time axis counts from.
+/// Zero of a time axis.
 #[derive(Clone, Copy)]
 struct Clock {
     /// When t_s is 0, s since 1970-01-01; none where the epoch is not known.
@@ -58,7 +58,7 @@ impl Clock {
         self.epoch_unix_s.unwrap_or(0.0) + t_s
     }
 
-    /// What a table says of its times.
+    /// Header cards of a table's times.
     fn unit(self) -> &'static str {
         self.epoch_unix_s.map_or("s", |_| "UTC")
     }

@@ -21,9 +21,9 @@ pub(super) struct ProcessNoise {
 
 /// The process noise of the view's shear over that of its turn.
 const SHEAR_PART: f64 = 0.1;
-/// What a jump leaves uncertain, px.
+/// Uncertainty after a jump, px.
 const JUMP_PX: [f64; 2] = [10.0, 3.0];
-/// What is known of the view before the first mark, 1 sigma from the reference: shift, turn and shear, px; tilt.
+/// Prior of the view before the first mark, 1 sigma from the reference: shift, turn and shear, px; tilt.
 const FIRST_SIGMA: [f64; 4] = [50.0, 50.0, 2.0, 0.01];
 
 /// The numbers of the view that a degree changes, the first ones: shift x and y, stretch and turn.
@@ -34,7 +34,7 @@ const THERMAL_SIGMA_PX: [f64; THERMAL] = [0.2, 0.2, 0.02, 0.02];
 /// The view's numbers and the thermal coefficients.
 const WITH_THERMAL: usize = STATES + THERMAL;
 
-/// What a degree of the camera's temperature does to shift x and y, stretch and turn, px.
+/// Effect of a degree of the camera's temperature on shift x and y, stretch and turn, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ThermalCoefficients {
     pub px_per_degc: Vector4<f64>,
@@ -70,7 +70,7 @@ pub(super) struct JumpCandidate {
     pub chi2: f64,
 }
 
-/// What the whole flight says of the view.
+/// Smoothed estimate of the view from the whole flight.
 pub(super) struct Smoothed {
     pub estimates: Vec<Estimate>,
     /// Where a jump would explain most.
@@ -147,7 +147,7 @@ impl Drift<'_> {
         self.temperature_c.map_or(0.0, |degrees| degrees[moment])
     }
 
-    /// What a moment's marks say: information, gradient and chi^2 at a view.
+    /// Normal equations of a moment's marks: information, gradient and chi^2 at a view.
     fn sums(&self, moment: usize, view: &State) -> (Covariance, State, f64) {
         let (mut information, mut gradient, mut chi2) = (Covariance::zeros(), State::zeros(), 0.0);
         let marks = self.observations.at(moment).iter();

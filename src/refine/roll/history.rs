@@ -76,7 +76,7 @@ impl RollHistory {
         self.len() == 0
     }
 
-    /// What of the files was not used as it stands.
+    /// Parts of the files that were not used as they stand.
     pub fn inputs(&self) -> &InputSummary {
         &self.timeline.inputs
     }

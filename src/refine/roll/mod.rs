@@ -23,7 +23,7 @@ use crate::observe::{Observer, Span, Unsolved, with_frame};
 use crate::reasons::{at, horizon as reasons};
 use crate::units::{Place, Rejected};
 
-/// What the roll camera's frames are solved with; everything that a frame's own record depends on.
+/// Recipe for the roll camera's frames; everything that a frame's own record depends on.
 #[derive(Debug, Clone)]
 pub struct RollRecipe {
     pub camera: MountedCamera,
@@ -32,7 +32,7 @@ pub struct RollRecipe {
     pub place: Option<Place>,
     /// The effective configuration and the camera's file.
     pub flown: Flown,
-    /// What frames may name, where camera and configuration are the archive's.
+    /// Cameras that frames may name, where camera and configuration are the archive's.
     pub archived: FlownFiles,
     /// Camera, settings and place.
     stated: String,

@@ -9,7 +9,7 @@ use crate::pointing::{body_pitch_deg, body_roll_deg};
 use crate::smoothing::{self, Measurement, Moment, Path, PathPoint, SharedErrors};
 use crate::units::Measured;
 
-/// What the path counts in: about the error of a frame.
+/// Unit of the path: about the error of a frame.
 const UNIT_DEG: f64 = 0.01;
 /// A roll known worse than this, 1 sigma, is not stated.
 const MOST_SIGMA_DEG: f64 = 0.5;

@@ -1,4 +1,4 @@
-//! What one frame of the horizon gave: a row of the journal.
+//! Record of one frame of the horizon: a row of the journal.
 
 use super::super::record::{Grade, InFlight};
 use super::super::timeline::Dated;
@@ -12,14 +12,14 @@ use crate::reasons::Stopped;
 use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// What one frame gave.
+/// Record of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct HorizonRecord {
     pub facts: FrameFacts,
     pub quality: Grade,
     /// Why there is no nadir.
     pub reason: Option<String>,
-    /// What stands beside the edge, or hides it.
+    /// Things beside the edge, or that hide it.
     pub flags: String,
     /// Straight down in the body's axes.
     pub nadir: Option<NadirRecord>,
@@ -66,7 +66,7 @@ impl Dated for HorizonRecord {
 }
 
 impl HorizonRecord {
-    /// What a frame gave, beside what its file says of it; `body_from_camera` turns directions of the camera to the body's axes.
+    /// Record of a frame, with its file's facts; `body_from_camera` turns directions of the camera to the body's axes.
     pub fn new(
         info: &FrameInfo,
         header: &Header,

@@ -20,7 +20,7 @@ pub struct RollRow {
     /// Mid-exposure, ns since 1970.
     pub utc_ns: Option<i64>,
     pub timing: Timing,
-    /// What the frame gave by itself; none of a file without a frame.
+    /// Record of the frame on its own; none of a file without a frame.
     pub own: Option<HorizonRecord>,
     pub quality: Grade,
     /// Why there is no nadir; empty where nothing is to be said.

@@ -34,7 +34,7 @@ pub(super) struct Numbered {
     pub is_confirmed: bool,
 }
 
-/// What the numbers say of the times.
+/// Verdict of the numbers on the times.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Found {
     /// Frames, and what is to be added to their times.
@@ -146,7 +146,7 @@ fn period<'a>(frames: impl Iterator<Item = &'a Numbered>) -> Option<f64> {
     median(steps.collect::<Vec<f64>>()).filter(|period_s| *period_s > 0.0)
 }
 
-/// What replaces wrong times: whole runs of frames that follow each other evenly are shifted to the frames before and behind.
+/// Replacement of wrong times: whole runs of frames that follow each other evenly are shifted to the frames before and behind.
 fn replaced(frames: &[Numbered], wrong: &[bool]) -> Vec<(usize, Measured)> {
     let mut found = Vec::new();
     let right = frames.iter().zip(wrong).filter(|(_, wrong)| !**wrong);

@@ -26,7 +26,7 @@ pub(super) const TIME_SIGMA: &str =
 /// Fewer frames of one time alone may well have been taken at it.
 const LEAST_STUCK: usize = 3;
 
-/// What a frame's file says of when it was taken, and where it shows its object; `place` has any unit.
+/// A frame's time by its file, and where it shows its object; `place` has any unit.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Stamp {
     pub utc_ns: Option<i64>,
@@ -48,10 +48,10 @@ impl Stamp {
     }
 }
 
-/// What is made of a frame's stamp.
+/// Timing of a frame's stamp.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Timing {
-    /// What is to be added to the stamp, s.
+    /// Correction of the stamp, s.
     pub correction_s: Option<Measured>,
     /// 1 sigma of the time; none where the stamp is believed.
     pub sigma_s: Option<f64>,
@@ -78,12 +78,12 @@ impl Timing {
     }
 }
 
-/// What is made of the stamps of a camera's frames.
+/// Timing of the stamps of a camera's frames.
 #[derive(Debug, Default)]
 pub(super) struct Times {
     /// Of each frame.
     pub timings: Vec<Timing>,
-    /// What the monotonic clock says of UTC.
+    /// Clock corrections by the monotonic clock.
     pub clocks: Clocks,
 }
 

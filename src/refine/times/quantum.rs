@@ -29,7 +29,7 @@ pub(super) struct Spread {
     pub step_s: f64,
     /// None where nothing orders the frames.
     pub by: Option<Order>,
-    /// What is to be added to each frame's stamp; none where the frame cannot be placed.
+    /// Correction of each frame's stamp; none where the frame cannot be placed.
     pub shifts_s: Vec<Option<f64>>,
 }
 

@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 /// How long a row waits to hear what became of its picture.
 pub(super) const FATE_KNOWN: Duration = Duration::from_secs(5);
 
-/// What the journal writes.
+/// Entries of the journal.
 pub(super) enum Entry {
     Row(RowEntry),
     Housekeeping(Timestamp, Box<Housekeeping>),
@@ -89,7 +89,7 @@ impl Drop for RowFate {
     }
 }
 
-/// What the log's thread counts.
+/// Counts of the log's thread.
 #[derive(Debug, Default)]
 pub(super) struct JournalTally {
     /// Times that the disk refused a row.
@@ -268,7 +268,7 @@ impl Journal {
         Ok(())
     }
 
-    /// What was open when the disk was mounted before leads nowhere.
+    /// Files that were open when the disk was mounted before are useless now.
     fn reopen_after_a_mount(&mut self) {
         let visit = self.store.visits();
         if visit != self.visit {

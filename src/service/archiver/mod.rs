@@ -57,13 +57,13 @@ pub(super) struct Archive {
     gauges: Gauges,
 }
 
-/// What the archive counts, for telemetry.
+/// Counts of the archive, for telemetry.
 #[derive(Clone, Default)]
 pub(super) struct Gauges {
     queues: Vec<Arc<Queue<StoredPicture>>>,
     disks: Vec<SharedHealth>,
     journals: Vec<Arc<JournalTally>>,
-    /// What waits for each log.
+    /// Rows that wait for each log.
     entries: Vec<Receiver<Entry>>,
     frames: Arc<FrameCounts>,
     rows: Arc<RowCounts>,
@@ -75,7 +75,7 @@ pub(super) struct Gauges {
 #[derive(Default)]
 pub(super) struct Threads(Vec<Worker>);
 
-/// What the archive's threads need of the flight.
+/// Inputs of the archive's threads.
 pub(super) struct Surroundings<'f> {
     pub stations: &'f [Arc<Station>],
     pub controls: &'f Controls,
@@ -293,7 +293,7 @@ impl Gauges {
         tally
     }
 
-    /// What the telemetry reports of the archive itself.
+    /// Telemetry of the archive itself.
     fn upkeep(&self) -> Upkeep {
         let free = |disk: usize| health_of(self.disks.get(disk)?).free_percent;
         Upkeep {

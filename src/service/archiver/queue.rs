@@ -22,7 +22,7 @@ pub(super) struct Rules {
     pub every: u64,
 }
 
-/// What a queue counts.
+/// Counts of a queue.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct QueueTally {
     /// Given up because the disks could not follow.
@@ -33,7 +33,7 @@ pub(super) struct QueueTally {
     pub failed: u64,
 }
 
-/// What taking a picture in has cost.
+/// Cost of taking a picture in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum GivenUp {
     Nothing,
@@ -49,7 +49,7 @@ pub(super) struct Waiting<P> {
     refusals: u32,
 }
 
-/// What a disk gets that asks for a picture.
+/// Answer to a disk that asks for a picture.
 pub(super) enum Taken<P> {
     Picture(Waiting<P>),
     /// None in time.
@@ -327,7 +327,7 @@ mod tests {
         }
     }
 
-    /// What a disk takes without waiting.
+    /// Picture that a disk gets without waiting.
     fn take(queue: &Queue<u32>, disk: usize, space: FreeSpace) -> Option<Waiting<u32>> {
         queue.set_space(disk, space);
         match queue.take(disk, Instant::now()) {

@@ -22,7 +22,7 @@ const LONGEST_REST_ALONE: Duration = Duration::from_millis(500);
 /// How often a disk's free space is measured.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
 
-/// What is known of a disk, for telemetry and the ground.
+/// State of a disk, for telemetry and the ground.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DiskHealth {
     pub root: PathBuf,

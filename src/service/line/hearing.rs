@@ -1,4 +1,4 @@
-//! What comes over the line, and what is answered.
+//! Packets from the line, and their answers.
 
 use super::Line;
 use crate::commands::CommandNote;

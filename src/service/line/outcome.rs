@@ -1,4 +1,4 @@
-//! What is said of an exposure.
+//! Messages on an exposure.
 
 use crate::link::Solution;
 use crate::link::message::NO_OFFSET;
@@ -34,7 +34,7 @@ impl Outcome {
         })
     }
 
-    /// What is sent to the controller without a solution.
+    /// Message to the controller without a solution.
     pub fn error_code(&self) -> u16 {
         self.stopped
             .map_or(NO_OFFSET, |stopped| stopped.stage as u16 + 1)

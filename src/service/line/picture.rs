@@ -79,7 +79,7 @@ mod tests {
     /// Bytes of a part.
     const PART: usize = 124;
 
-    /// What goes out in a while, bytes/s, if the thread takes its turn at these times and the system passes on at once.
+    /// Rate of sending, bytes/s, if the thread takes its turn at these times and the system passes on at once.
     fn rate(baud: u32, turns: impl Iterator<Item = Duration>) -> f64 {
         let start = Instant::now();
         let mut pace = Pace { due: start };

@@ -1,4 +1,4 @@
-//! What the GPS receiver says is counted by kind, and what cannot be used is logged at its 1st, 2nd, 4th, 8th ... time.
+//! Counts of the GPS receiver's data by kind; unusable data are logged at their 1st, 2nd, 4th, 8th ... time.
 
 use super::rows::gps_row;
 use super::{Filter, Navigator};

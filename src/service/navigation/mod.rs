@@ -52,7 +52,7 @@ const MOST_EVENTS: usize = 32;
 /// The archive gets rows of so much time at once.
 const ROWS_S: f64 = 1.0;
 
-/// What the filter's thread shares with the others. It outlives a thread that fails; the filter does not.
+/// Shared state of the filter's thread. It outlives a thread that fails; the filter does not.
 #[derive(Clone)]
 pub(super) struct Navigator {
     pub settings: NavigationSettings,
@@ -169,7 +169,7 @@ struct Filter<'a> {
     last_sample: Option<ImuPacket>,
     steps: Steps,
     last_fix: Option<Timestamp>,
-    /// What the ground has set, and its version.
+    /// Settings of the ground, and their version.
     settings: config::Navigation,
     version: u64,
     due: Due,

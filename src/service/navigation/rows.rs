@@ -1,4 +1,4 @@
-//! What the archive keeps of the navigation: the sensors' words as `solaspect navigate` and `refine` read them, and the offsets by the gyros.
+//! The archive's rows of the navigation: the sensors' data as `solaspect navigate` and `refine` read them, and the offsets by the gyros.
 
 use crate::link::ImuPacket;
 use crate::navigation::{Fix, PropagatedOffset, Status};

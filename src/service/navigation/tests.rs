@@ -59,7 +59,7 @@ fn sending() -> Config {
     config
 }
 
-/// What a flight's offsets by the gyros were worth.
+/// Errors of a flight's offsets by the gyros.
 #[derive(Debug, Default)]
 struct Judged {
     offsets: usize,
@@ -96,7 +96,7 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     (sum / f64::from(count)).sqrt()
 }
 
-/// What a camera shows so long after the start.
+/// A camera's frame at a time since the start.
 fn seen(camera: usize, target: Target, since: Duration, direction: Direction) -> Seen {
     let start: Timestamp = START.parse().unwrap();
     Seen {
@@ -201,7 +201,7 @@ impl Judged {
     }
 }
 
-/// What a promise prints, so that a failure can be read.
+/// Printed result of a promise, so that a failure can be read.
 fn say(judged: &Judged, tally: &NavigationTally) {
     println!(
         "{} offsets, beyond 3 sigma {:.4}, error/sigma {:.2}; arcsec: {:.2} within 0.4 s, {:.2} after 50 to 60 s, {:.2} after more; roll {:.4} deg; {tally:?}",

@@ -1,4 +1,4 @@
-//! What turns a camera's frames into what they show: a solver for each thing that a camera may see, all behind one trait.
+//! Solvers: one for each thing that a camera may see, all behind one trait.
 
 mod horizon;
 mod moon;
@@ -21,7 +21,7 @@ use tracing::Level;
 
 /// Finds in the frames of a camera what it sees.
 pub trait Solver: Send {
-    /// What a frame shows. The frame gets the place that the answer rests on.
+    /// Solves a frame. The frame gets the place that the answer rests on.
     ///
     /// # Errors
     /// A frame of another camera: nothing can be said of it.
@@ -34,13 +34,13 @@ pub trait Solver: Send {
     /// Leaves what a frame has shown where others read it.
     fn leave(&mut self, _frame: &UnsolvedFrame, _solved: &Solved) {}
 
-    /// What is logged, now and then, of a frame that went no further; `None` where that is nothing unusual.
+    /// Log entry, now and then, of a frame that went no further; `None` where that is nothing unusual.
     fn complaint(&self, _solved: &Solved) -> Option<(Level, &'static str)> {
         None
     }
 }
 
-/// What solvers leave for each other and for the line. Clones share it.
+/// Results that solvers share with each other and with the line. Clones share it.
 #[derive(Clone, Default)]
 pub(super) struct Shelf {
     pub nadir: LatestNadir,
@@ -48,7 +48,7 @@ pub(super) struct Shelf {
 }
 
 impl Shelf {
-    /// What a camera's solver takes of it. Only the first roll camera gives the roll, and only the first Moon camera answers requests.
+    /// The part of it that a camera's solver uses. Only the first roll camera gives the roll, and only the first Moon camera answers requests.
     fn of(&self, station: &Station) -> Self {
         match station.camera.role {
             Role::PitchYaw => self.clone(),
@@ -58,7 +58,7 @@ impl Shelf {
     }
 }
 
-/// What a camera's solver knows from one life to the next. Clones share it.
+/// State of a camera's solver from one life to the next. Clones share it.
 #[derive(Clone, Default)]
 pub(super) struct Memory {
     pub calibration: Shared<CalibrationCheck>,

@@ -27,7 +27,7 @@ impl SeenNadir {
         }
     }
 
-    /// What comes after it.
+    /// The state after it.
     pub fn next(last: Option<Self>, direction: Direction, at: Middle) -> Self {
         let Some(last) = last else {
             return Self::first(direction, at);

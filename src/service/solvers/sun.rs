@@ -23,10 +23,10 @@ pub(super) struct SunSolver {
     /// Whether commands about the mounting are about this camera's: about the first one's.
     is_commanded: bool,
     ephemeris: Ephemeris,
-    /// What the first roll camera has found.
+    /// Latest result of the first roll camera.
     nadir: LatestNadir,
     memory: Memory,
-    /// What the last frame taught.
+    /// Tracking prior from the last frame.
     track: Option<Track>,
     sun: SunSize,
 }

@@ -45,7 +45,7 @@ impl Moved {
     }
 }
 
-/// What was known after each sample of the IMU.
+/// State after each sample of the IMU.
 struct Known {
     t_s: f64,
     agreement: Option<Agreement>,
@@ -93,7 +93,7 @@ fn nadir(flown: &mut TelescopeFlight, since: Duration) -> UnitVector3<f64> {
     flown.attitude(since).unwrap().inverse() * down
 }
 
-/// What a camera shows, without error but with its sigma.
+/// A camera's frame, without error but with its sigma.
 fn shown(
     camera: usize,
     flown: &mut TelescopeFlight,

@@ -9,7 +9,7 @@ const GAP_S: std::ops::Range<f64> = 58.0..80.0;
 const END_S: f64 = 100.0;
 /// A value that repeats is seen as such after so long.
 const SEEN_TO_REPEAT_S: f64 = 0.03;
-/// What is further off than so many sigmas is wrong with confidence.
+/// An error beyond this many sigmas is wrong with confidence.
 const MOST_SIGMAS: f64 = 6.0;
 /// After this time from the next fine frame nothing wrong is sent any more.
 const MENDED_S: f64 = 0.5;
@@ -32,7 +32,7 @@ const TRIALS: [Trial; 2] = [
     },
 ];
 
-/// What a flight with a fault has sent: when, and by how many of its sigmas it was wrong.
+/// Errors of a flight with a fault: when, and by how many of its sigmas it was wrong.
 struct Flown {
     sent: Vec<(f64, f64)>,
     tally: NavigationTally,
@@ -92,7 +92,7 @@ fn excuses(trial: Trial, fault: &ImuFault, t_s: f64) -> bool {
     })
 }
 
-/// What was sent wrong, beyond any excuse: first and last time, how often, and the most sigmas.
+/// Wrong offsets, beyond any excuse: first and last time, how often, and the most sigmas.
 fn judge(trial: Trial, fault: &ImuFault, flown: &Flown) -> Option<String> {
     let is_wrong =
         |(t_s, sigmas): &&(f64, f64)| *sigmas > MOST_SIGMAS && !excuses(trial, fault, *t_s);
