@@ -59,7 +59,7 @@ pub struct FrameInfo {
     pub camera: Option<String>,
     /// The name of the instrument, as the header has it.
     pub instrument: Option<String>,
-    /// What of the file was not used as it stands; empty for a good one.
+    /// Parts of the file that were not used as they stand; empty for a good one.
     pub warnings: Vec<Warning>,
     /// Why the frame has no time although its file states one: one of the warnings.
     pub untimed: Option<Warning>,

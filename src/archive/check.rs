@@ -30,7 +30,7 @@ use sequence::Dated;
 use serde::{Serialize, Serializer};
 use std::path::{Path, PathBuf};
 
-/// What was found in an archive.
+/// Findings of an archive.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
     /// Files whose names end in `.fits`.
@@ -106,10 +106,10 @@ impl From<FileError> for BadFile {
     }
 }
 
-/// What a check of a file by itself found.
+/// Finding of a check of a file on its own.
 #[derive(Default)]
 struct Checked {
-    /// What the file's frame is, where it can be read.
+    /// Facts of the file's frame, where it can be read.
     frame: Option<(Identity, PixelDigest)>,
     fault: Option<FileError>,
     /// That the file has another name than it was given: a fault, unless it is a copy.

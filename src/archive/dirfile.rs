@@ -2,7 +2,7 @@
 //!
 //! A dirfile (<https://getdata.sourceforge.net/dirfile.html>, Standards Version 8) is a folder with a text file `format`
 //! that declares the fields, and one file of plain binary samples per field; here one sample per frame, little-endian.
-//! What a frame did not reach is NaN, by the convention of dirfiles; the codes, which are whole numbers, have one for it.
+//! Values that a frame did not reach are NaN, by the convention of dirfiles; the codes, which are whole numbers, have one for it.
 //!
 //! `TIME` is the reference field, whose length gives a reader how many frames there are, and is written last: a reader
 //! that follows never meets a frame that is there in part. A frame that the disk took in part is written over by the

@@ -1,4 +1,4 @@
-//! What the archive asks of a disk, step by step, so that a test may stand in for one that fills, fails or loses power
+//! The archive's operations on a disk, step by step, so that a test may stand in for one that fills, fails or loses power
 //! between any two steps.
 
 use std::fmt::Debug;
@@ -40,7 +40,7 @@ pub trait Disk: Debug + Send + Sync {
 
     fn exists(&self, path: &Path) -> bool;
 
-    /// What stands in a folder.
+    /// Content of a folder.
     fn list(&self, folder: &Path) -> io::Result<Vec<Entry>>;
 
     /// Takes a file for this program alone; [`ErrorKind::ResourceBusy`] while another holds it.
@@ -49,7 +49,7 @@ pub trait Disk: Debug + Send + Sync {
     fn space(&self, folder: &Path) -> io::Result<Space>;
 }
 
-/// What becomes of a file that is to be locked and is not there.
+/// Handling of a file that is to be locked and is not there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Absent {
     /// It is made.

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 /// How long each operation fails when they fail in turn.
 pub const EACH: Duration = Duration::from_millis(500);
 
-/// What is asked of a disk.
+/// Request to a disk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Step {
     MakeFolder,
@@ -46,7 +46,7 @@ const STEPS: [Step; 13] = [
 /// How long it takes until every operation has failed.
 pub const ALL_IN_TURN: Duration = Duration::from_millis(500 * STEPS.len() as u64);
 
-/// What is wrong with a disk.
+/// Fault of a disk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DiskFault {
     /// It takes no byte, and says that none is free.

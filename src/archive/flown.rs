@@ -1,4 +1,4 @@
-//! What a camera's frames were taken and solved with, beside the frames: the flight's configuration and the instrument, a
+//! Files with which a camera's frames were taken and solved, beside the frames: the flight's configuration and the instrument, a
 //! file of each for every start of the program. Their hashes stand in the header of every frame.
 
 use super::store::Encoded;
@@ -34,7 +34,7 @@ pub fn flown_sha256(header: &Header) -> [Option<String>; 2] {
     })
 }
 
-/// What a camera flies with.
+/// Files of a camera.
 #[derive(Debug, Clone, Default)]
 pub struct Flown(Vec<FlownText>);
 
@@ -83,7 +83,7 @@ impl Flown {
     }
 }
 
-/// What the navigation of a start of the program rests on: `navigation_<start>.toml`.
+/// Settings of the navigation of a start of the program: `navigation_<start>.toml`.
 pub fn navigation_file(text: &str, start: Timestamp) -> Encoded {
     let start = start.strftime("%Y%m%dT%H%M%S");
     Encoded {

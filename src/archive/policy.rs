@@ -1,4 +1,4 @@
-//! What the archive does when two disks are there, when a disk cannot follow, and when it fills up.
+//! Rules of the archive for two disks, for a disk that cannot follow, and for one that fills up.
 
 /// How two disks share the work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -57,7 +57,7 @@ pub struct SpaceLimits {
 }
 
 impl SpaceLimits {
-    /// What a disk with so much free space may be given.
+    /// State of a disk with so much free space.
     pub fn free_space(&self, free_percent: f64) -> FreeSpace {
         if free_percent < self.stop_percent {
             FreeSpace::None

@@ -115,7 +115,7 @@ impl ArchiveReader {
         files.iter().map(file).collect()
     }
 
-    /// What could not be read, though another attempt may succeed, each with the reason of the last attempt.
+    /// Files that could not be read, though another attempt may succeed, each with the reason of the last attempt.
     pub fn unread_files(&self) -> BTreeMap<String, String> {
         self.unread().clone()
     }
@@ -125,7 +125,7 @@ impl ArchiveReader {
         self.is_remote() && self.failures_in_a_row.load(Ordering::Relaxed) >= MOST_FAILURES
     }
 
-    /// What an attempt to read a file gave; notes where another one may give something else.
+    /// Result of an attempt to read a file; notes where another one may give something else.
     fn noted<T>(
         &self,
         file: &str,

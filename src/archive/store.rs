@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// What ends the name of a file that is being written; it begins with a dot.
+/// Ending of the name of a file that is being written; it begins with a dot.
 pub const UNFINISHED: &str = ".part";
 
 /// The file at an archive's root that distinguishes an archive's disk from the empty folder it is mounted on.
@@ -254,7 +254,7 @@ impl Store {
         self.visits.load(Ordering::Acquire)
     }
 
-    /// What the archive is on.
+    /// The disk of the archive.
     pub fn disk(&self) -> Arc<dyn Disk> {
         Arc::clone(&self.disk)
     }

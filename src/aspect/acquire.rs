@@ -207,7 +207,7 @@ impl Pipeline<'_> {
         fiducial::likeliest(&detections.marks, &prior, &instrument.plate, settings)
     }
 
-    /// What is known before marks are identified about a disc's outline on a sensor of some width and height.
+    /// Prior before marks are identified, by a disc's outline on a sensor of some width and height.
     pub(crate) fn identification_prior(
         &self,
         sensor_px: [f64; 2],

@@ -15,7 +15,7 @@ use nalgebra::{Matrix2, Vector2};
 
 /// A mark farther than this from its predicted place is false, or the camera moved; px.
 const MAX_DRIFT_PX: f64 = 1.0;
-/// What of a mark must lie inside the limb for it to be measured, in half lengths from its middle.
+/// Part of a mark that must lie inside the limb for it to be measured, in half lengths from its middle.
 const LEAST_INSIDE: f64 = 0.3;
 /// A mark whose residuals exceed the pixels' stated variance by this factor is false, or covered by something.
 const MAX_CHI2: f64 = 16.0;
@@ -42,7 +42,7 @@ pub struct Measured {
 /// How far coma shifts the marks against the limb.
 struct ComaShift {
     shift_px: Vector2<f64>,
-    /// What it adds to the covariance of each mark.
+    /// Variance that it adds to each mark.
     covariance_px2: Matrix2<f64>,
 }
 

@@ -24,7 +24,7 @@ use conclusion::{check_borrowed, judge};
 use jiff::Timestamp;
 use stages::at;
 
-/// What the ephemeris says of the Sun, computed by the caller: it costs more than it changes from frame to frame.
+/// The Sun by the ephemeris, computed by the caller: it costs more than it changes from frame to frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
     /// Angular radius of the disc.

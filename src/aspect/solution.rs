@@ -1,4 +1,4 @@
-//! What a frame gave: every stage's product as far as the frame got, and why it went no further.
+//! Solution of a frame: every stage's product as far as the frame got, and why it went no further.
 
 use super::Adopted;
 use crate::fiducial::{Detections, Lighting};
@@ -112,7 +112,7 @@ pub struct Aspect {
     pub limb_fraction: f64,
 }
 
-/// What one frame teaches for the next.
+/// Tracking prior from one frame for the next.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Track {
     pub disc: Circle,
@@ -122,7 +122,7 @@ pub struct Track {
     pub registration: Option<Registration>,
 }
 
-/// What a frame gave.
+/// Solution of a frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Solution {
     pub quality: Quality,

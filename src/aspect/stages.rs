@@ -41,7 +41,7 @@ pub struct DiscImage {
     pub light: DiscLight,
 }
 
-/// What is known before a frame is read, for every stage.
+/// Inputs of every stage, before a frame is read.
 #[derive(Clone)]
 pub struct Pipeline<'a> {
     pub(super) settings: &'a SolverSettings,
@@ -135,7 +135,7 @@ impl<'a> Pipeline<'a> {
         })
     }
 
-    /// What fits the outline of the disc.
+    /// Fit of the outline of the disc.
     fn limb_fit<'b>(&'b self, disc_dn: f64, cutout: &'b Cutout) -> LimbFit<'b> {
         let settings = &self.settings.limb;
         let spread = settings.max_radius_deviation / 4.0;

@@ -30,7 +30,7 @@ impl Default for AutoExposureSettings {
     }
 }
 
-/// What a frame shows, in fractions of full scale.
+/// Levels of a frame, in fractions of full scale.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Brightness {
     /// The disc's 99th percentile, and the background.
@@ -76,7 +76,7 @@ pub struct AutoExposure {
     clouded: u32,
 }
 
-/// What the last clear frame taught.
+/// Lesson of the last clear frame.
 #[derive(Debug, Clone, Copy)]
 struct Clear {
     /// Light of the disc in 1 us, as a fraction of full scale.

@@ -1,4 +1,4 @@
-//! What happens in a folder and in the folders in it: files that come, and files that are written to their end.
+//! Events in a folder and in the folders in it: files that come, and files that are written to their end.
 //!
 //! The kernel reports it (inotify). Of what other computers write, on a file system that they share, it hears nothing: such a folder is listed over
 //! and over. Folders are listed on threads of their own, as that may take long; reports are read only between listings, so that all folders
@@ -29,7 +29,7 @@ const CHECK_EVERY: Duration = Duration::from_secs(1);
 /// Blocks of reports that are read at a time: there are frames to be read, too.
 const MOST_BLOCKS: usize = 64;
 
-/// What the kernel is to report of a folder.
+/// Events of a folder that the kernel is to report.
 const REPORTED: AddWatchFlags = AddWatchFlags::IN_CREATE
     .union(AddWatchFlags::IN_CLOSE_WRITE)
     .union(AddWatchFlags::IN_MOVED_FROM)
@@ -95,7 +95,7 @@ pub(super) struct FolderWatch {
     /// `None` where the folder is listed again and again.
     reports: Option<Arc<Reports>>,
     folders: HashMap<WatchDescriptor, PathBuf>,
-    /// What was renamed last: the number that both of its reports have, and the name before.
+    /// Last renaming: the number that both of its reports have, and the name before.
     leaving: Option<(u32, PathBuf)>,
     wanted: VecDeque<Wanted>,
     listing: Option<Listing>,
@@ -110,7 +110,7 @@ struct Listing {
     answer: Receiver<Result<Tree, Unlisted>>,
 }
 
-/// What a listing found.
+/// Result of a listing.
 struct Tree {
     files: Vec<(PathBuf, FileState)>,
     folders: Vec<(WatchDescriptor, PathBuf)>,
@@ -233,7 +233,7 @@ impl FolderWatch {
         Ok(())
     }
 
-    /// What a listing has found.
+    /// Result of a listing.
     fn listed(&mut self, tree: Result<Tree, Unlisted>) -> Result<Vec<Change>, CameraError> {
         let Some(Listing { wanted, begun, .. }) = self.listing.take() else {
             return Ok(Vec::new());

@@ -31,7 +31,7 @@ const GIVE_UP: Duration = Duration::from_secs(5);
 /// How often unfinished files are checked.
 const CHECK_EVERY: Duration = PATIENCE;
 
-/// What becomes of the frames that lie in a folder when it is first found.
+/// Use of the frames that lie in a folder when it is first found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Backlog {
     /// They are passed over.

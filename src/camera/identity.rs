@@ -13,7 +13,7 @@ pub struct Camera {
     pub sees: Sees,
     /// The file that states what it sees, letter by letter; `None` where none does.
     pub toml: Option<String>,
-    /// What its frames and logs are named by, and its instrument in headers.
+    /// Name of its frames and logs, and of its instrument in headers.
     pub label: String,
     /// Of its frames and logs under the archive's root; empty for the root itself.
     pub folder: PathBuf,

@@ -61,7 +61,7 @@ pub enum CameraError {
         "a source \"own\" is a camera that a program of one's own brings; this program brings none"
     )]
     NotBrought,
-    /// What another's driver says: see [`CameraError::own`].
+    /// Error of another's driver: see [`CameraError::own`].
     #[error("the camera: {0}")]
     Own(Box<dyn Error + Send + Sync>),
     /// The camera itself, as its user names it, or this frame of it.
@@ -98,7 +98,7 @@ pub struct Exposure {
     pub announced: Timestamp,
 }
 
-/// What asking for a frame gives.
+/// Result of asking for a frame.
 #[derive(Debug, Clone)]
 pub enum Take {
     // Boxed, as the others carry nothing.
@@ -109,7 +109,7 @@ pub enum Take {
     End,
 }
 
-/// What a camera has been through, and how warm it is.
+/// Counts and temperature of a camera.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct CameraHealth {
     /// Frames that arrived with parts missing, and were not used.
@@ -156,7 +156,7 @@ pub trait FrameSource: Send {
         !self.frames_wait()
     }
 
-    /// What is known of the camera; the default where there is no camera.
+    /// Status of the camera; the default where there is no camera.
     fn health(&self) -> CameraHealth {
         CameraHealth::default()
     }

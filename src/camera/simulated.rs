@@ -31,7 +31,7 @@ impl TruthLog {
     }
 }
 
-/// What a simulated camera observes.
+/// Target of a simulated camera.
 pub enum View {
     /// The Sun on the plate.
     Plate(Box<FlightScenes>),

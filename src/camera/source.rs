@@ -38,7 +38,7 @@ pub enum Source {
 pub struct NoSource(String);
 
 impl Source {
-    /// What names a source.
+    /// Name of a source.
     pub const EXPECTED: &str = "gige:ADDRESS, gige:SERIAL, genicam:ID, folder:DIR, folder:DIR?follow, folder:DIR?follow=all, simulated, simulated:FILE.toml or own";
 
     /// Whether its frames are made up, and must be marked so.
@@ -122,7 +122,7 @@ impl fmt::Display for Source {
     }
 }
 
-/// What opening a source needs to know beside its settings.
+/// Surroundings of a source beside its settings.
 #[derive(Debug, Clone)]
 pub struct Surroundings {
     pub sees: Sees,
@@ -134,7 +134,7 @@ pub struct Surroundings {
     pub duration: Option<Duration>,
     /// How many times faster than it was taken a folder is replayed.
     pub speed: f64,
-    /// What this camera has taken of a folder that it follows.
+    /// Files that this camera has taken of a folder that it follows.
     pub taken: TakenFiles,
 }
 

@@ -23,7 +23,7 @@ const SYNC_EVERY: Duration = Duration::from_secs(1);
 const ENDING: Duration = Duration::from_secs(1);
 /// Names that may wait for the list's thread: minutes of frames.
 const UNWRITTEN: usize = 4096;
-/// What the thread itself may hold while the disk refuses, bytes.
+/// Most bytes that the thread itself holds while the disk refuses.
 const MOST_HELD: usize = 1 << 20;
 
 /// The files that were taken, or passed over, shared by all who follow the folder for one camera.

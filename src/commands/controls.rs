@@ -1,4 +1,4 @@
-//! What the ground sets in flight, in one place: read by every thread, changed by command only.
+//! Settings by the ground in flight, in one place: read by every thread, changed by command only.
 //!
 //! Commands and files of saved values set the same [settings](super::setting). Both are checked in the same place, against the parameter
 //! table, and take effect all together or not at all.
@@ -64,7 +64,7 @@ impl Topic {
     }
 }
 
-/// What the solver needs of all this, frame by frame.
+/// The solver's part of all this, frame by frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Snapshot {
     pub target: Target,
@@ -132,7 +132,7 @@ struct State {
     cameras: Vec<Role>,
     /// Configuration and target as they were before any command.
     origin: Arc<(Config, Target)>,
-    /// What the solver's settings are tried on.
+    /// Frame on which the solver's settings are tried.
     proof: Option<Arc<Proof>>,
     /// How often a command's value was refused, by key.
     refusals: BTreeMap<String, u64>,
@@ -272,7 +272,7 @@ impl Controls {
         self.state().proof = Some(Arc::new(Proof::of(instrument)));
     }
 
-    /// What commands have set that is another value in the configuration, each in words.
+    /// Values set by commands that differ from the configuration, each in words.
     pub fn differences(&self) -> Vec<String> {
         self.state().differences()
     }

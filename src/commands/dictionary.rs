@@ -19,7 +19,7 @@ use crate::link::picture::TAG_TYPES;
 use crate::link::telemetry::{Payload, TELEMETRY};
 use serde_json::{Value, json};
 
-/// What travels on the line.
+/// Contents of the line.
 pub struct Dictionary {
     telemetry: Vec<Entry>,
     messages: Vec<Entry>,

@@ -1,4 +1,4 @@
-//! What the ground may say in flight: one table of commands, what they set, and words for all of it.
+//! The ground's commands in flight: one table of commands, their settings, and words for all of it.
 //!
 //! To add a command, add a row to the [table](COMMANDS). What it sets or reads is a parameter of the configuration, or a [setting] that
 //! only commands have; one that does what none did before needs an [`Action`], too.
@@ -37,7 +37,7 @@ pub struct Command {
 }
 
 impl Command {
-    /// What its variables set, with kind and number of each.
+    /// Settings of its variables, with kind and number of each.
     pub fn settings(&self) -> impl Iterator<Item = (Setting, Kind, f64)> {
         let variables = self.row.variables.iter().zip(&self.numbers);
         variables.flat_map(|(variable, number)| {

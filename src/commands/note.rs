@@ -10,7 +10,7 @@ pub struct CommandNote {
     /// The port that it came from, or the file.
     pub sender: String,
     pub command: CommandInWords,
-    /// What came of it.
+    /// Its result.
     pub result: String,
 }
 

@@ -1,4 +1,4 @@
-//! What commands set and read in flight: parameters of the configuration, and what is set by commands alone.
+//! Settings that commands set and read in flight: parameters of the configuration, and settings by commands alone.
 
 use crate::config::{Refused, Value};
 use crate::instrument::{Role, TURN_DEG};
@@ -70,10 +70,10 @@ pub const STAMP: Setting = Setting("link.stamp_ns");
 pub const LATITUDE: Setting = Setting("gps.latitude_deg");
 pub const LONGITUDE: Setting = Setting("gps.longitude_deg");
 
-/// What belongs to the conversation with controller and ground, and not to the flight's settings.
+/// Settings of the conversation with controller and ground, and not of the flight.
 pub(super) const KEPT: [Setting; 5] = [TRACKING, LATITUDE, LONGITUDE, SENDING, STAMP];
 
-/// What only commands set. `None` where they have not.
+/// Settings by commands alone. `None` where they have not been set.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Own {
     pub accepts_gps: bool,

@@ -11,7 +11,7 @@ use Action::{
 };
 use Role::{Moon, PitchYaw, Roll};
 
-/// What a command does.
+/// Effect of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
     NoOp,
@@ -51,7 +51,7 @@ pub struct CommandRow {
     pub name: &'static str,
     pub variables: &'static [Variable],
     pub action: Action,
-    /// What its result is where it is a read.
+    /// Its result where it is a read.
     pub reads: Option<Variable>,
     pub documentation: &'static str,
 }

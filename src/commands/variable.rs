@@ -69,7 +69,7 @@ impl Kind {
         }
     }
 
-    /// What the number may be, in words.
+    /// Range of the number, in words.
     pub fn range(self) -> &'static str {
         match self {
             Self::Unsigned => "a whole number from 0 to 65535",
@@ -96,7 +96,7 @@ pub struct Variable {
     pub kind: Kind,
     /// Empty for counts, switches and the cameras' own scales.
     pub unit: &'static str,
-    /// What it sets in a command, and what it is the value of in a result.
+    /// Its setting in a command, and its value in a result.
     pub settings: &'static [Setting],
 }
 

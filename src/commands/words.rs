@@ -52,7 +52,7 @@ impl CommandInWords {
     }
 }
 
-/// What came of a command, in words.
+/// Result of a command, in words.
 pub fn execution_in_words(key: u16, execution: &Execution) -> String {
     match execution {
         Execution::Result(CommandResult::Unknown) => "unknown".into(),

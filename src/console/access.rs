@@ -98,7 +98,7 @@ pub struct Access {
     addresses: Mutex<HashMap<IpAddr, Address>>,
 }
 
-/// What is known of an address.
+/// Record of an address.
 struct Address {
     /// Requests that it may still make.
     left: f64,

@@ -57,7 +57,7 @@ fn command(row: &'static CommandRow, history: &History, orders: &Orders) -> Valu
     })
 }
 
-/// What is set now: as the housekeeping reports, or as it was read last.
+/// Present value: as the housekeeping reports, or as it was read last.
 fn present(row: &CommandRow, variable: usize, history: &History, orders: &Orders) -> Option<Value> {
     let set = field_of(row, variable).and_then(|name| {
         let newest = history.row(None)?;

@@ -29,7 +29,7 @@ pub enum Unread {
 pub struct Reads(Arc<Mutex<Vec<String>>>);
 
 impl Reads {
-    /// What `read` makes of the file of a name under a folder.
+    /// Result of `read` on the file of a name under a folder.
     pub async fn read<T: Send + 'static>(
         &self,
         folder: PathBuf,

@@ -1,4 +1,4 @@
-//! What the ground knows beside the flight itself, and what it draws with it: the instrument, the target, frames and pictures solved
+//! The ground's own data beside the flight, and what it draws with them: the instrument, the target, frames and pictures solved
 //! on the ground.
 
 use super::table::{Nanoseconds, timestamp};
@@ -21,7 +21,7 @@ const RADIUS_ARCSEC: f64 = 959.23;
 /// Half of the size of the crosses at the Sun's centre and the target, likewise.
 const CROSS: f64 = 0.045;
 
-/// What is known on the ground.
+/// Data on the ground.
 #[derive(Clone)]
 pub struct Ground {
     pub instrument: Instrument,

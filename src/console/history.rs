@@ -49,7 +49,7 @@ pub struct Alarm {
     pub until: Option<Nanoseconds>,
 }
 
-/// What came over the line.
+/// Content of the line.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct LineCounts {
     pub packets: u64,
@@ -420,7 +420,7 @@ impl History {
         }
     }
 
-    /// What is wrong by a row's rules, with the time since when, the worst first.
+    /// Alarms by a row's rules, with the time since when, the worst first.
     pub fn findings(&self, row: usize) -> Vec<Alarm> {
         let (Some(now), Some(before)) = (self.housekeeping.at_row(row), self.before(row)) else {
             return Vec::new();

@@ -29,7 +29,7 @@ const STEP: Duration = Duration::from_millis(250);
 /// How often a viewer on a slow line is informed of what is left out for it.
 const REPORT_LEFT_OUT: Duration = Duration::from_secs(10);
 const SOON: Duration = Duration::from_secs(2);
-/// What comes with an event: its name, and the headers of the network.
+/// Overhead of an event: its name, and the headers of the network.
 const OVERHEAD_BYTES: usize = 100;
 /// The share of a slow line that the stream takes: the rest is for what a viewer asks for.
 const SHARE: f64 = 0.6;
@@ -43,7 +43,7 @@ pub struct Replay {
     pub speed: f64,
 }
 
-/// What a viewer asks for.
+/// Request of a viewer.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Wish {
     /// Of the line to the viewer.
@@ -85,7 +85,7 @@ struct Viewer {
     console: Console,
     wish: Wish,
     news: watch::Receiver<News>,
-    /// What the viewer has been sent.
+    /// State that the viewer has been sent.
     seen: Option<News>,
     rows: Vec<OrderRow>,
     events: VecDeque<(&'static str, String)>,
@@ -200,7 +200,7 @@ impl Viewer {
         self.seen = Some(news);
     }
 
-    /// What has changed since the last moment.
+    /// Changes since the last moment.
     fn news_of(
         &self,
         view: &View,
@@ -327,7 +327,7 @@ impl Viewer {
         self.seen = Some(News::default());
     }
 
-    /// What a replay shows at its time; housekeeping and frames only where they are others than before.
+    /// State of a replay at its time; housekeeping and frames only where they are others than before.
     fn replayed(
         &self,
         view: &View,

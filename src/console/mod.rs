@@ -75,7 +75,7 @@ use stored::Follower;
 /// Commands that wait for the line.
 const OUTBOX: usize = 16;
 
-/// What a console shows, and to whom.
+/// Settings of a console: its source and its viewers.
 pub struct ConsoleSettings {
     pub source: Source,
     /// The line of a source that has no address of its own.
@@ -177,7 +177,7 @@ impl Running {
     }
 }
 
-/// What reads the source.
+/// Thread that reads the source.
 enum Reader {
     Line(Box<Line>),
     Archive(Follower),

@@ -118,7 +118,7 @@ pub struct OrderRow {
     pub answered: Option<Timestamp>,
     pub result: Option<String>,
     pub good: Option<bool>,
-    /// What else there is to say.
+    /// Further remarks.
     pub words: Option<String>,
     #[serde(skip)]
     sequence: u16,
@@ -145,7 +145,7 @@ pub struct Orders {
     /// The latest first.
     rows: VecDeque<OrderRow>,
     number: u64,
-    /// What reading commands have read, by their names.
+    /// Values of reading commands, by their names.
     pub read: BTreeMap<&'static str, Read>,
     log: Option<Log>,
 }

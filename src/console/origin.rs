@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 use url::{Host, Url};
 
-/// What an origin is: `https://host` or `http://host:8080`, in lower case, an international name in its ASCII form, without the
+/// Form of an origin: `https://host` or `http://host:8080`, in lower case, an international name in its ASCII form, without the
 /// scheme's usual port.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Origin {
@@ -87,7 +87,7 @@ impl Origin {
 mod tests {
     use super::*;
 
-    /// What Chromium and Firefox send as `Origin` for pages under these addresses (WHATWG URL, section 4.5).
+    /// `Origin` as Chromium and Firefox send it for pages under these addresses (WHATWG URL, section 4.5).
     #[test]
     fn an_origin_is_written_as_browsers_write_it() {
         for (text, browser) in [

@@ -30,7 +30,7 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/view.js", MODULE, include_str!("pages/view.js")),
 ];
 
-/// What shows a browser whether the file that it has is this one.
+/// Tag by which a browser sees whether the file that it has is this one.
 static TAGS: LazyLock<Vec<String>> = LazyLock::new(|| {
     let tag = |text: &str| format!("\"{}\"", &sha256(text)[..16]);
     FILES.iter().map(|(.., text)| tag(text)).collect()

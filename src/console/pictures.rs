@@ -96,7 +96,7 @@ impl Partial {
     }
 }
 
-/// What a camera of a number on the line is called.
+/// Name of a camera with a number on the line.
 pub fn camera_name(number: u8) -> String {
     Role::numbered(number).unwrap_or_else(|| format!("camera {number}"))
 }

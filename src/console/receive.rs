@@ -34,7 +34,7 @@ pub struct Outgoing {
 pub struct Line {
     pub connection: Connection,
     pub outbox: Outbox<Outgoing>,
-    /// What signs the commands.
+    /// Key that signs the commands.
     pub key: Option<Key>,
     /// Passes all that is received on.
     pub relay: Relay,

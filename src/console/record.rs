@@ -30,7 +30,7 @@ pub struct Record {
     path: PathBuf,
     file: File,
     reader: Reader,
-    /// What was read to see whether it is one.
+    /// Beginning that was read to see whether it is one.
     bursts: Vec<Burst>,
     parser: Parser,
     /// Bad lines of which the log has been warned.

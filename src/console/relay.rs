@@ -1,4 +1,4 @@
-//! What is received, passed on to other consoles.
+//! Relay of received packets to other consoles.
 //!
 //! Consoles may pass on to each other in a ring, by two ways, or by mistake to themselves. So each passes a datagram on once: one that is,
 //! byte by byte, the same as one that it passed on within [`MEMORY`] goes no further. The flight says nothing twice: its telemetry bears the

@@ -1,4 +1,4 @@
-//! What every request has in common: what it is answered from, how it is read, and how an answer or a failure is written.
+//! Shared parts of every request: the data for its answer, how it is read, and how an answer or a failure is written.
 
 use super::access::{Access, Refused};
 use super::disk::{Reads, Unread};
@@ -26,7 +26,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-/// What every answer needs.
+/// Inputs of every answer.
 #[derive(Clone)]
 pub struct Console {
     parts: Arc<Parts>,
@@ -137,7 +137,7 @@ impl Console {
         &self.parts.shared
     }
 
-    /// What `read` makes of a file of the archive.
+    /// Result of `read` on a file of the archive.
     pub async fn read<T: Send + 'static>(
         &self,
         file: String,
@@ -235,7 +235,7 @@ pub fn attachment(kind: &'static str, name: &str, bytes: Vec<u8>) -> Response {
     (headers, bytes).into_response()
 }
 
-/// What stands behind the question mark, with words where it cannot be read.
+/// Query behind the question mark, with words where it cannot be read.
 pub struct Asked<T>(pub T);
 
 impl<T: serde::de::DeserializeOwned, S: Send + Sync> axum::extract::FromRequestParts<S>

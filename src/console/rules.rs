@@ -1,4 +1,4 @@
-//! What the housekeeping says is wrong, in words: one table, from which the console's state line and the table of
+//! Alarms by the housekeeping, in words: one table, from which the console's state line and the table of
 //! `docs/flight.md`, "What the ground sees", are made.
 
 use crate::link::Housekeeping;

@@ -1,4 +1,4 @@
-//! What the threads of the console share.
+//! Shared state of the threads of the console.
 
 use super::history::{History, News};
 use super::orders::Orders;
@@ -21,7 +21,7 @@ pub struct Shared {
     grew: Mutex<Option<Instant>>,
 }
 
-/// What has not grown for so long is of a flight that is over.
+/// An archive that has not grown for this time is of a flight that is over.
 const LATELY: Duration = Duration::from_secs(30);
 
 impl Shared {

@@ -5,7 +5,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// What must be given.
+/// Forms of a source.
 const EXPECTED: &str = "udp:[ADDR]:PORT, serial:DEV, archive:DIR, record:FILE or demo";
 
 /// Where a flight comes from.

@@ -62,7 +62,7 @@ impl Steady {
     }
 }
 
-/// What a column holds.
+/// Content of a column.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Column {
     pub name: String,

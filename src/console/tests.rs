@@ -93,7 +93,7 @@ const PATHS: [&str; 23] = [
     "/api/logout",
     "/../../etc/passwd",
 ];
-/// What pages ask for.
+/// Requests of pages.
 const USUAL: [&str; 8] = [
     "/api/now?at=2013-09-21T18:00:10Z",
     "/api/plot.svg?fields=housekeeping.taken,received.azimuth_deg",

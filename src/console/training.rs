@@ -54,7 +54,7 @@ pub const EXERCISES: &[Exercise] = &[
     },
 ];
 
-/// What the page's panel shows.
+/// Content of the page's panel.
 pub fn panel(faults: &Faults) -> Value {
     let exercise = |one: &Exercise| {
         json!({

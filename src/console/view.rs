@@ -40,7 +40,7 @@ const MAIN_FIELDS: [&str; 16] = [
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Detail {
     All,
-    /// What a slow line carries: the last alarms, the main fields.
+    /// Fields for a slow line: the last alarms, the main fields.
     Main,
 }
 
@@ -60,7 +60,7 @@ pub struct View<'a> {
 }
 
 impl View<'_> {
-    /// What is wrong, in words, the alarms so far, and what the line carries.
+    /// State line: present alarms in words, the alarms so far, and the load of the line.
     pub fn state(&self, bits_per_s: u64, viewers: usize, detail: Detail) -> Value {
         let row = self.history.row(self.at);
         let mut findings = self.silence().into_iter().collect::<Vec<_>>();

@@ -8,7 +8,7 @@ use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// What is at fault.
+/// The part at fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
     /// The camera that sees the plate gives no frames, and says nothing.
@@ -91,7 +91,7 @@ impl Faults {
     }
 }
 
-/// What faults have cost where the flight itself does not count it: frames that the disk refused are in its own tally.
+/// Losses by faults that the flight itself does not count: frames that the disk refused are in its own tally.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FaultCost {
     /// Frames that the camera took and did not give.

@@ -1,4 +1,4 @@
-//! What a demonstration without end keeps of its frames.
+//! Recent frames of a demonstration without end.
 
 use crate::fits::list_tree;
 use std::path::{Path, PathBuf};

@@ -21,7 +21,7 @@ impl<const N: usize> Prior<N> {
         }
     }
 
-    /// What is known of the parameters that are not held.
+    /// Information on the free parameters.
     fn free(&self) -> SVector<f64, N> {
         self.information
             .map(|known| if known.is_finite() { known } else { 0.0 })
@@ -100,7 +100,7 @@ impl<const N: usize> Normal<N> {
         }
     }
 
-    /// What is left for the last `LEFT` of the parameters once the observations alone have determined the `FIRST` (Schur complement). `None` where
+    /// Normal equations of the last `LEFT` of the parameters once the observations alone have determined the `FIRST` (Schur complement). `None` where
     /// they do not. FIRST + LEFT = N.
     pub fn of_last<const FIRST: usize, const LEFT: usize>(&self) -> Option<Normal<LEFT>> {
         let block = self.information.fixed_view::<FIRST, FIRST>(0, 0);

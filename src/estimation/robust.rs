@@ -22,7 +22,7 @@ pub const TUKEY_SIGMAS: f64 = 4.685;
 /// The same for the length of residuals in two axes, in sigmas per axis. It is larger since such lengths are.
 pub const TUKEY_SIGMAS_2D: f64 = 5.123;
 
-/// What residuals cost, and so how they are weighted.
+/// Loss of residuals, and so their weights.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Loss {
     /// Least squares: equal weights.
@@ -94,7 +94,7 @@ pub fn median_of_orders(orders: &mut [i32]) -> Option<f32> {
 pub fn clipped_sigma(residuals: &[f32], start: f32, least: f64) -> Option<f64> {
     /// Fewest values that determine a sigma.
     const MIN_VALUES: f32 = 10.0;
-    /// What the normal distribution keeps of its sigma within three of it.
+    /// Share of its sigma that a normal distribution keeps within three sigmas.
     const KEPT: f32 = 0.9866;
     const ROUNDS: usize = 4;
     /// The start may be of another part of the picture.

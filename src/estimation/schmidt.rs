@@ -10,7 +10,7 @@ pub enum Role {
     Considered,
 }
 
-/// What an observation would change, before it is taken.
+/// Update by an observation, before it is applied.
 #[derive(Debug, Clone)]
 pub struct Proposal<const M: usize> {
     /// Observed minus predicted, and its covariance.

@@ -67,7 +67,7 @@ const LEAST_LIKENESS_OF_DOT: f64 = 0.5;
 const FOURFOLD_SHARE: std::ops::Range<f64> = 0.2..2.0;
 /// That part must be significant by itself, by less than the whole.
 const FOURFOLD_SIGMA: f64 = 4.0;
-/// What pixels and neighbours leave of the arms' rotation beside the noise, 1 sigma, deg.
+/// Error of the arms' rotation by pixels and neighbours beside the noise, 1 sigma, deg.
 const ARMS_SIGMA_DEG: f64 = 0.6;
 /// All marks of a plate have the same contrast; saturation, the limb and blemishes change it by less than this.
 const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
@@ -323,7 +323,7 @@ impl<'a> MarkSearch<'a> {
         }
     }
 
-    /// What noise alone adds to the sum of squares about a place.
+    /// Sum of squares about a place by noise alone.
     fn noise_squares(&self, noise: f64) -> f64 {
         self.window.pixels() as f64 * noise * noise
     }

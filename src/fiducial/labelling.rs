@@ -54,7 +54,7 @@ pub(super) struct Labelling {
     pub scale_mil_per_px: Measured,
     /// Logarithm of the evidence.
     pub score: f64,
-    /// What the stated place of the plate's centre adds to it.
+    /// Score by the stated place of the plate's centre.
     pub centre_odds: f64,
 }
 

@@ -19,7 +19,7 @@ const DOUBTED_SIGMA: f64 = 3.0;
 /// Fewest pixels that make a fit, for each unknown.
 const MIN_PIXELS_PER_UNKNOWN: usize = 10;
 
-/// What is fitted, by index, as [`UNKNOWNS`] has it.
+/// Unknowns of the fit, by index, as [`UNKNOWNS`] has it.
 pub(super) type Unknowns = Vector6<f64>;
 pub(super) const X: usize = 0;
 pub(super) const Y: usize = 1;

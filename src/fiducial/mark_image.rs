@@ -16,7 +16,7 @@ pub struct MarkImage {
     pub blur_px: f64,
 }
 
-/// What a mark on the sensor is.
+/// Image of a mark on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MarkForm {
     Cross { half_width_px: f64 },
@@ -166,7 +166,7 @@ impl MarkImage {
     }
 }
 
-/// What a mark takes of the light, and how that changes.
+/// Light absorbed by a mark, and how that changes.
 #[derive(Debug, Clone)]
 pub(super) enum Cover {
     Cross(Bars),

@@ -39,7 +39,7 @@ pub use patch::Illumination;
 pub use prior::IdentificationPrior;
 pub use refine::{RefinedMark, Refiner};
 
-/// What detections are like, by the evidence of [`identify()`].
+/// Statistics of detections, for the evidence of [`identify()`].
 pub(crate) mod shares {
     pub(crate) use super::prior::{
         ATYPICAL_SHARE, CONTRAST_RANGE, CONTRAST_SCATTER, CUT_FOUND_SHARE, FALSE_ON_DISC,
@@ -47,7 +47,7 @@ pub(crate) mod shares {
     };
 }
 
-/// What can be tuned in finding and identifying marks.
+/// Tunable settings for finding and identifying marks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FiducialSettings {
     /// A mark's response must exceed this many sigma of the noise.

@@ -1,4 +1,4 @@
-//! What is known before any mark is identified: the prior of a frame, and the statistics of scenes and cameras.
+//! Priors before any mark is identified: the prior of a frame, and the statistics of scenes and cameras.
 
 use crate::estimation::CONTRADICTION_SIGMAS;
 use crate::geometry::{Ellipse, Handedness, TILT_PER_PX};
@@ -64,7 +64,7 @@ pub(super) const FALSE_MARK_ODDS_AMONG_FALSE: f64 = 11.0;
 /// ([`IdentificationPrior::shift_excess`]): a wrong one must not win because the true one is not among them.
 pub(super) const RIVAL_EXCESS: f64 = 2.0;
 
-/// What limb, ephemeris, arms and instrument determine before any mark is identified.
+/// Prior by limb, ephemeris, arms and instrument before any mark is identified.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IdentificationPrior {
     /// The disc's outline on the sensor.

@@ -36,7 +36,7 @@ pub fn open_disk_file(path: &Path, mode: FileOpenMode) -> Result<FitsFile, Error
     }
 }
 
-/// What a call of cfitsio gives, which is given the open file and a place for its status; `action` is what it was to do.
+/// Result of a call of cfitsio, which is given the open file and a place for its status; `action` is what it was to do.
 pub(super) fn called<T>(
     file: &mut FitsFile,
     action: &str,
@@ -55,7 +55,7 @@ pub(super) fn called<T>(
     }
 }
 
-/// What cfitsio says of a file that it does not open.
+/// cfitsio's message on a file that it does not open.
 pub(super) fn unopened(cause: Error) -> String {
     match cause {
         Error::Fits(FitsError { message, .. }) => format!("\"{message}\""),
@@ -63,7 +63,7 @@ pub(super) fn unopened(cause: Error) -> String {
     }
 }
 
-/// What cfitsio says of a status.
+/// cfitsio's message on a status.
 pub fn message(status: i32) -> String {
     let mut text = [0u8; 31];
     // SAFETY: cfitsio writes at most 30 characters and NUL.

@@ -109,7 +109,7 @@ pub fn clock_cards(clock: &ClockStatus) -> Vec<Card> {
     cards
 }
 
-/// What says how times are counted: in seconds from a zero, UTC.
+/// Cards of how times are counted: in seconds from a zero, UTC.
 pub fn zero_cards(zero: Timestamp) -> Vec<Card> {
     vec![
         Card::new(&keyword::TIMESYS, "UTC"),

@@ -4,7 +4,7 @@ use super::structure::{BLOCK, Hdu};
 use super::{Header, Problem, Value};
 use multiversion::multiversion;
 
-/// What the checksums of a sound file say.
+/// Checksums of a sound file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Checksums {
     /// HDUs in the file.

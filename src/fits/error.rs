@@ -11,7 +11,7 @@ pub struct FileError {
     pub problem: Problem,
 }
 
-/// What is wrong with a file, or with what was to be written to it.
+/// Fault of a file, or of data that were to be written to it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Problem {

@@ -73,7 +73,7 @@ impl FitsFile {
         self.named(read::read_values(&self.bytes, &self.hdus, self.wanted))
     }
 
-    /// What `work` makes of the frame. A row is decoded when it is first read, where each is a tile, and DATASUM and SATURATE are stated; else
+    /// Result of `work` on the frame. A row is decoded when it is first read, where each is a tile, and DATASUM and SATURATE are stated; else
     /// the whole frame is decoded before. Damage of a row that `work` does not read is not reported.
     ///
     /// # Errors

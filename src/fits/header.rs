@@ -58,7 +58,7 @@ impl From<bool> for Value {
     }
 }
 
-/// What stands after the `= ` of a card.
+/// Text after the `= ` of a card.
 #[derive(Debug, Clone, PartialEq)]
 enum Content {
     Value(Value),
@@ -141,7 +141,7 @@ impl Header {
         }
     }
 
-    /// What stands there and is neither text in quotes, number nor logical.
+    /// Text that is neither in quotes, number nor logical.
     pub(super) fn unquoted(&self, keyword: &str) -> Option<&str> {
         match self.content(keyword)? {
             Content::Value(_) => None,

@@ -19,7 +19,7 @@ pub(super) struct Layout {
 
 /// Between its quotes a text has at most so many characters on a card.
 const TEXT: usize = CARD - 12;
-/// What the cards of the checksums say.
+/// Cards of the checksums.
 pub(super) const CHECKSUM: [&str; 2] = ["CHECKSUM", "checksum of the HDU"];
 pub(super) const DATASUM: [&str; 2] = ["DATASUM", "checksum of the data"];
 /// A checksum that is not known yet.

@@ -23,7 +23,7 @@ pub fn is_hidden(path: &Path) -> bool {
     name.as_encoded_bytes().starts_with(b".")
 }
 
-/// What a folder holds that concerns frames, each sorted; what is hidden does not.
+/// Content of a folder that concerns frames, each sorted; hidden files do not.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Listing {
     /// Files whose names end as a frame's do.

@@ -15,7 +15,7 @@ use std::io::Cursor;
 /// Where a PNG states the bits of a pixel, in the chunk IHDR, which is its first: decoders do not say.
 const PNG_DEPTH: usize = 24;
 
-/// What a file is, if it is a picture.
+/// Format of a file, if it is a picture.
 pub(super) fn format_of(bytes: &[u8]) -> Option<ImageFormat> {
     match bytes {
         [0x89, b'P', b'N', b'G', ..] => Some(ImageFormat::Png),

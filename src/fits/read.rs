@@ -85,7 +85,7 @@ pub(super) fn read_on_demand(
     Ok((frame.map_err(refused)?, damage))
 }
 
-/// What is wrong with the first row that turned out to be damaged.
+/// Fault of the first row that turned out to be damaged.
 pub(super) type Damage = Arc<Mutex<Option<Problem>>>;
 
 /// An image whose structure is checked, and the sum of its data.
@@ -100,7 +100,7 @@ struct Image<'a> {
     plain: Option<PixelType>,
     /// None where it is not compressed.
     tiles: Option<Tiles>,
-    /// What of the file's pictures is not read.
+    /// Pictures of the file that are not read.
     left_out: Option<Warning>,
 }
 
@@ -200,7 +200,7 @@ impl<'a> Image<'a> {
         digitise(&self.values(bytes)?, self.coding.bits)
     }
 
-    /// What each pixel stands for, as stored row by row; not a number where it has no value.
+    /// Physical value of each pixel, as stored row by row; NaN where it has no value.
     fn values(&self, bytes: &[u8]) -> Result<Vec<f32>, Problem> {
         match &self.tiles {
             Some(tiles) => tiles.values(bytes, &self.coding),
@@ -275,7 +275,7 @@ pub(super) fn read_headers(
 }
 
 impl PixelType {
-    /// What plain numbers are, if they can be pixels as they stand.
+    /// Type of plain numbers, if they can be pixels as they stand.
     fn of(coding: &Coding) -> Option<Self> {
         let is_plain = coding.scale == 1.0 && coding.blank.is_none();
         match (coding.bits, coding.zero) {
@@ -295,7 +295,7 @@ impl PixelType {
         })
     }
 
-    /// What is added to a number as stored.
+    /// Offset of a number as stored.
     fn zero(self) -> i32 {
         match self {
             Self::U8 | Self::I16 => 0,

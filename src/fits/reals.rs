@@ -29,7 +29,7 @@ pub(super) struct Coding {
     pub bits: i64,
     pub scale: f64,
     pub zero: f64,
-    /// What a whole number is that has no value.
+    /// Whole number for a missing value.
     pub blank: Option<i64>,
 }
 

@@ -69,7 +69,7 @@ impl Rice {
 
 /// Bits that hold most codes of few low bits.
 const INDEX_BITS: u32 = 12;
-/// What a code that begins with some bits adds to a number; [`LONG`] where it has more bits.
+/// Value that a code that begins with some bits adds to a number; [`LONG`] where it has more bits.
 type Differences = [u32; 1 << INDEX_BITS];
 /// Above the sum of the differences of a group.
 const LONG: u32 = 1 << 20;

@@ -22,7 +22,7 @@ pub enum CellForm {
     Logical,
 }
 
-/// What TNULLn says.
+/// Value of TNULLn.
 pub(super) const NO_INTEGER: i64 = i64::MIN;
 
 impl CellForm {
@@ -50,7 +50,7 @@ pub struct StoredColumn {
     pub name: &'static str,
     /// As FITS writes it where it knows it; empty for values without.
     pub unit: &'static str,
-    /// What the values are, as TCOMMn states it.
+    /// Meaning of the values, as TCOMMn states it.
     pub meaning: &'static str,
     pub form: CellForm,
 }
@@ -140,7 +140,7 @@ impl TableFile {
     /// Adds a table; `fill` writes each of its rows.
     ///
     /// # Errors
-    /// What `fill` gives; a row without a cell of each column; a file that cannot be written.
+    /// Errors of `fill`; a row without a cell of each column; a file that cannot be written.
     pub fn table<R, E: From<FileError>>(
         &mut self,
         name: &str,

@@ -20,7 +20,7 @@ pub(super) struct Hdu {
     pub data_bytes: Range<usize>,
 }
 
-/// What an HDU holds.
+/// Content of an HDU.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Content {
     Image,

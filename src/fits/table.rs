@@ -8,7 +8,7 @@ use super::{Column, Header, Problem, Table, Value, Values};
 /// The most values, rows times columns, that are read.
 const MOST_VALUES: usize = 1 << 22;
 
-/// What a column's values are, and how they are stored.
+/// Type of a column's values, and how they are stored.
 #[derive(Debug, Clone, Copy)]
 enum Kind {
     Integer,

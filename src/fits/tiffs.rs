@@ -1,4 +1,4 @@
-//! What TIFF files have that pictures' decoders do not read: pages, palettes, and numbers that no picture has.
+//! Parts of TIFF files that pictures' decoders do not read: pages, palettes, and numbers that no picture has.
 
 use super::Problem;
 use super::choice::Size;

@@ -23,7 +23,7 @@ impl<'a> Values<'a> {
         self.warnings.push(warning);
     }
 
-    /// What is read; or, where that is nothing, the first warning of it.
+    /// Value that is read; or, where there is none, the first warning of it.
     pub fn reading<T>(
         &mut self,
         read: impl FnOnce(&mut Self) -> Option<T>,

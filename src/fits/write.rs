@@ -35,7 +35,7 @@ pub struct Column {
     pub name: String,
     /// Unit, as FITS writes it where it knows it; empty for values without.
     pub unit: String,
-    /// What the values are, as TCOMMn states it.
+    /// Meaning of the values, as TCOMMn states it.
     pub meaning: String,
     pub values: Values,
 }
@@ -65,7 +65,7 @@ impl Values {
         self.len() == 0
     }
 
-    /// What the values are, in words.
+    /// Meaning of the values, in words.
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Float(_) => "floating-point numbers",
@@ -197,7 +197,7 @@ pub(super) fn begin_primary(file: &mut Layout) -> Result<(), Problem> {
 /// Space for headers and tables.
 const OTHER_BYTES: usize = 1 << 17;
 
-/// What an HDU holds, for SOLARNET.
+/// Content of an HDU, for SOLARNET.
 #[derive(Clone, Copy)]
 enum Holds {
     Observation,
@@ -313,7 +313,7 @@ fn put_table(file: &mut Layout, table: &Table, cards: &[Card]) -> Result<(), Pro
     Ok(())
 }
 
-/// What a table's header says of a column.
+/// Header cards of a table's column.
 pub(super) struct ColumnCards<'a> {
     pub name: &'a str,
     /// Its TFORM.

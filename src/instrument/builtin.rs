@@ -29,7 +29,7 @@ const SKY_FILES: [(&str, &str); 2] = [
     ),
 ];
 
-/// What the demonstration's navigation rests on.
+/// Files of the demonstration's navigation.
 pub const DEMO_NAVIGATION: &str = include_str!("../../calibration/demo-nav.toml");
 
 /// A built-in instrument by name.

@@ -116,7 +116,7 @@ struct RawFile {
     _name: Option<String>,
     #[serde(default, rename = "description")]
     _description: Option<String>,
-    /// What a calibration rests on; for people.
+    /// Basis of a calibration; for people.
     #[serde(default, rename = "calibration")]
     _calibrations: Option<toml::Table>,
     camera: RawCamera,

@@ -37,7 +37,7 @@ pub enum LensMisfit {
 }
 
 impl LensMisfit {
-    /// What would fit.
+    /// Remedy that would fit.
     pub fn expected(&self, least_marks: usize) -> String {
         match self {
             Self::FewMarks { .. } => {

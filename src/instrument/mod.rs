@@ -99,7 +99,7 @@ impl Optics {
     }
 }
 
-/// What an angle of the mounting may be.
+/// Range of an angle of the mounting.
 pub const TURN_DEG: std::ops::RangeInclusive<f64> = -360.0..=360.0;
 
 /// How plate and camera sit in the gondola.

@@ -47,7 +47,7 @@ struct RawInstrument {
     _calibrations: BTreeMap<String, RawCalibration>,
 }
 
-/// What a calibration rests on; for people, like source and date.
+/// Basis of a calibration; for people, like source and date.
 #[derive(Deserialize)]
 struct RawCalibration {
     #[serde(rename = "frames")]

@@ -1,6 +1,6 @@
-//! What cameras are for: each role once, with all of its names.
+//! Roles of cameras: each once, with all of its names.
 
-/// What a camera of a flight is for.
+/// Role of a camera of a flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
     /// It sees the plate: the controller hears of it.
@@ -16,7 +16,7 @@ struct Names {
     /// In the configuration.
     name: &'static str,
     in_words: &'static str,
-    /// What it observes, and the command that finds that in a file.
+    /// Its target, and the command that finds that in a file.
     target: &'static str,
     command: &'static str,
     /// The tables of the configuration whose cameras have this role unless they say otherwise.
@@ -100,7 +100,7 @@ impl Role {
         self.names().in_words
     }
 
-    /// What it observes.
+    /// Its target.
     pub fn target(self) -> &'static str {
         self.names().target
     }
@@ -134,7 +134,7 @@ impl Role {
         tables.get(ordinal.checked_sub(1)?).copied()
     }
 
-    /// What the frames of its `ordinal`-th camera (from 1) are named by; `None` where the instrument names them.
+    /// Beginning of the names of its `ordinal`-th camera's frames (from 1); `None` where the instrument names them.
     pub fn label(self, ordinal: usize) -> Option<String> {
         Some(of_several(self.names().label?, ordinal))
     }
@@ -164,7 +164,7 @@ impl Role {
         roles.iter().enumerate().map(number).collect()
     }
 
-    /// What a camera of a number on the line is called, where the number alone is enough.
+    /// Name of a camera with a number on the line, where the number alone is enough.
     pub fn numbered(number: u8) -> Option<String> {
         let is_one = |names: &&Names| names.number == number;
         match ROLES.iter().find(is_one) {

@@ -1,10 +1,10 @@
-//! What a camera of a flight sees, by its file.
+//! Target of a camera of a flight, by its file.
 
 use super::{Dated, DirectionCamera, Instrument, MountedCamera, Role, TomlError, text_or_demo};
 use crate::frame::Frame;
 use std::path::Path;
 
-/// What a camera sees, and what that is found with.
+/// A camera's target, and the settings by which it is found.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Sees {
     /// The Sun on the plate.
@@ -16,7 +16,7 @@ pub enum Sees {
     Unstated,
 }
 
-/// What a camera sees, and the file that says so.
+/// A camera's target, and the file that says so.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stated {
     pub sees: Sees,
@@ -71,7 +71,7 @@ impl Sees {
         }
     }
 
-    /// What becomes of its frames.
+    /// Use of its frames.
     pub fn in_words(&self) -> String {
         match self {
             Self::Plate(instrument) => format!("instrument \"{}\"", instrument.name),

@@ -4,7 +4,7 @@
 use crate::frame::Frame;
 use crate::units::{Measured, SensorPx};
 
-/// What is known of the sensor's pixels.
+/// Properties of the sensor's pixels.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Sensor {
     pub noise: Option<Noise>,

@@ -48,7 +48,7 @@ impl TomlError {
     }
 }
 
-/// What a file says, without what would command the terminal that shows it.
+/// Text of a file, without control characters for the terminal that shows it.
 fn printable(text: &str) -> String {
     let shown = |c: char| match c.is_control() && c != '\n' {
         true => c.escape_default().to_string(),
@@ -182,7 +182,7 @@ const KINDS: [(&str, &str); 7] = [
     ("string", "a text"),
 ];
 
-/// What stands in a file, and where.
+/// Value in a file, and its position.
 struct Standing<'a> {
     line: String,
     text: &'a str,

@@ -45,7 +45,7 @@ impl fmt::Display for MarkId {
     }
 }
 
-/// What a plate was drawn by.
+/// Source of a plate's drawing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pattern {
     /// The coded pattern of 2013.

@@ -1,4 +1,4 @@
-//! What is printed at every mark of a plate, dark on white.
+//! Shapes of a plate's marks, dark on white.
 
 use nalgebra::{Matrix2, Rotation2, Vector2};
 

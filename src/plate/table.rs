@@ -4,7 +4,7 @@ use super::{MAX_INDEX, MarkId, MarkPlace, Plate};
 use crate::units::{MIL_MM, PlateMil};
 use std::collections::HashMap;
 
-/// What is wrong in a table of marks.
+/// Faults of a table of marks.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{field}: expected {expected}, found {found}")]
 pub struct TableError {

@@ -28,7 +28,7 @@ pub use file::file;
 
 type Generator = Xoshiro256PlusPlus;
 
-/// What a plate is designed for.
+/// Goals of a design.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DesignSettings {
     /// The Sun may stand within this of the plate's centre.
@@ -147,7 +147,7 @@ struct Judged {
     places: Vec<CheckedPlace>,
 }
 
-/// What the check of a layout in the making takes: fewer places than of the finished plate.
+/// Settings of the check of a layout in the making: fewer places than of the finished plate.
 fn check_settings(settings: &DesignSettings) -> CheckSettings {
     CheckSettings {
         places: 400,

@@ -30,7 +30,7 @@ pub(super) struct Elsewhere {
     pub number: Option<u64>,
 }
 
-/// What the logs say of files that are not there.
+/// Missing files by the logs.
 #[derive(Debug, Default)]
 pub(super) struct Absent {
     pub missing: Vec<MissingFile>,

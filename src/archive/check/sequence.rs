@@ -74,7 +74,7 @@ impl Dated {
     }
 }
 
-/// What the sequences of an archive show.
+/// Findings on the sequences of an archive.
 #[derive(Debug, Default)]
 pub(super) struct Sequence {
     pub backward: Vec<BadFile>,

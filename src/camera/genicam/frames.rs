@@ -32,7 +32,7 @@ impl Transport {
     }
 }
 
-/// What a stream has lost.
+/// Losses of a stream.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Losses {
     /// Of GigE Vision alone.
@@ -47,7 +47,7 @@ pub(super) struct Frames {
     stream: Stream,
     /// The fake device's buffer, while it waits for a trigger.
     spare: Option<Buffer>,
-    /// What was lost so far.
+    /// Losses so far.
     lost: Losses,
 }
 
@@ -107,7 +107,7 @@ impl Frames {
         }
     }
 
-    /// What was lost since this was last asked for.
+    /// Losses since this was last asked for.
     pub(super) fn new_losses(&mut self) -> Losses {
         let now = self.losses();
         let before = std::mem::replace(&mut self.lost, now);

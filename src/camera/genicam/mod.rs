@@ -27,7 +27,7 @@ const HANGS: Duration = Duration::from_secs(15);
 /// How long applying settings waits for the camera's answer.
 const APPLY: Duration = Duration::from_secs(2);
 
-/// What the camera is doing, as far as this side knows.
+/// State of the camera, as far as this side knows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Phase {
     Opening,
@@ -52,7 +52,7 @@ pub struct GenicamCamera {
     zero: Instant,
     next_number: u64,
     was_there: bool,
-    /// What came while settings were applied.
+    /// Frames that came while settings were applied.
     early: Option<Report>,
     health: SharedHealth,
 }

@@ -8,7 +8,7 @@ use std::ffi::CStr;
 use std::net::IpAddr;
 use std::sync::{LazyLock, Mutex, PoisonError};
 
-/// What Aravis calls the protocol of GigE Vision cameras.
+/// Aravis's name of the protocol of GigE Vision cameras.
 const GIGE_VISION: &str = "GigEVision";
 /// How often a second the fake device searches for a buffer to fill.
 const CHECKS_HZ: f64 = 500.0;

@@ -11,7 +11,7 @@ enum Order {
     Apply(Box<CameraSettings>),
 }
 
-/// What the thread has to report.
+/// Reports of the thread.
 pub(super) enum Report {
     /// The camera is open, and has its settings.
     Ready,
@@ -48,7 +48,7 @@ impl Link {
         let _ = self.orders.send(Order::Apply(Box::new(settings.clone())));
     }
 
-    /// What the thread reports within a time; `None` where it reports nothing.
+    /// Report of the thread within a time; `None` without one.
     pub(super) fn report(&self, wait: Duration) -> Option<Report> {
         match self.reports.recv_timeout(wait) {
             Ok(report) => Some(report),

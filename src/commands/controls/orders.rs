@@ -201,7 +201,7 @@ fn numbered(number: f64, kind: Kind) -> Option<&'static Parameter> {
 }
 
 impl State {
-    /// What a command reads, in natural units; `None` where it is not known.
+    /// Value of a reading command, in natural units; `None` where it is not known.
     fn read(&self, command: &Command) -> Option<f64> {
         let number = command.numbers.first().copied();
         match command.row.action {

@@ -1,4 +1,4 @@
-//! What commands have set, kept in a file over a restart.
+//! Values set by commands, kept in a file over a restart.
 //!
 //! The file is a header line with a checksum, then TOML: one key and value a line. It is replaced as a whole, by a new
 //! file that is on the disk before it takes the old one's name: a reader finds the old values or the new ones, never
@@ -111,7 +111,7 @@ pub fn restore(controls: &Controls, file: &SavedValues) -> usize {
     restored
 }
 
-/// What a file of saved values sets that the configuration has otherwise, each in words, and what of it would be refused; none where there is no
+/// Differences of a file of saved values from the configuration, each in words, and which of them would be refused; none where there is no
 /// file. Nothing is changed.
 ///
 /// # Errors

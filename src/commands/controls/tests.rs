@@ -14,7 +14,7 @@ fn camera(controls: &Controls, name: &str) -> ConfiguredCamera {
     controls.config().cameras.named(name).unwrap().clone()
 }
 
-/// What a command by name comes to, its variables as they travel.
+/// Result of a command by name, its variables as they travel.
 fn order(controls: &Controls, name: &str, variables: &[u16]) -> CommandResult {
     let row = COMMANDS.iter().find(|row| row.name == name).unwrap();
     let command = row.command(Computer::One, variables).unwrap();

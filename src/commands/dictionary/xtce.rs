@@ -46,7 +46,7 @@ impl Framing {
     }
 }
 
-/// What is added to the text: each definition once.
+/// Additions to the text: each definition once.
 #[derive(Default)]
 struct Added {
     types: Vec<String>,
@@ -116,7 +116,7 @@ impl Dictionary {
         filled(&framing.lines(include_str!("xtce.xml")), gaps)
     }
 
-    /// What a layout of the housekeeping adds to the one before it.
+    /// Additions of a layout of the housekeeping to the one before it.
     fn layout(&self, layout: u8, added: &mut Added) {
         let own = self
             .housekeeping

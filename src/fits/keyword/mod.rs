@@ -8,7 +8,7 @@ mod table;
 use super::unit;
 pub use table::*;
 
-/// What a keyword's value is.
+/// Type of a keyword's value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     Text,

@@ -128,7 +128,7 @@ keywords! {
     CSYER2, Float, "arcsec", Written, "1 sigma at limb by clocking and roll";
 }
 
-/// What others say in other words; read where the keywords above do not stand, never written.
+/// Keywords of others for the same facts; read where the keywords above do not stand, never written.
 pub const FOREIGN: &[Group] = &[HEROES, OTHERS];
 
 #[rustfmt::skip]

@@ -29,7 +29,7 @@ pub(super) struct RawPlate {
     pattern: Option<RawPattern>,
     /// File of the drawing's marks, as the instrument's file sees it.
     marks: Option<PathBuf>,
-    /// What that file holds, where it was read before.
+    /// Content of that file, where it was read before.
     drawing: Option<RawDrawing>,
     #[serde(default)]
     shape: RawShape,
@@ -240,7 +240,7 @@ impl Checker<'_> {
         Ok(Some(table))
     }
 
-    /// What the plate was drawn by. Marks that lie elsewhere than those of 2013 are a drawing of their own.
+    /// Source of the plate's drawing. Marks that lie elsewhere than those of 2013 are a drawing of their own.
     fn pattern(
         &self,
         stated: Option<RawPattern>,
@@ -348,7 +348,7 @@ impl Checker<'_> {
     }
 }
 
-/// What a file states of its marks' shape.
+/// Shape of the marks by a file.
 struct Shape {
     shape: RawShape,
     arm_length_mil: Option<Entry<f64>>,

@@ -1,4 +1,4 @@
-//! What the file says of the sensor's pixels and of temperature, all of it optional.
+//! Values of the sensor's pixels and of temperature in the file, all of them optional.
 
 use super::{Checker, Entry, RawCamera};
 use crate::instrument::{Noise, Sensor, Thermal, TomlError, Vignetting};

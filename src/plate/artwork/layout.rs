@@ -1,4 +1,4 @@
-//! What surrounds the marks: frame, scale bar, orientation corner and title, all outside of the marks' field.
+//! Surroundings of the marks: frame, scale bar, orientation corner and title, all outside of the marks' field.
 
 use super::{Rectangle, Shape, point};
 use nalgebra::Vector2;

@@ -25,10 +25,10 @@ pub enum Tone {
     ClearMarks,
 }
 
-/// What a shape is part of, in the order of drawing.
+/// Group of a shape, in the order of drawing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Layer {
-    /// What clear marks are cut from.
+    /// Ground from which clear marks are cut.
     Ground,
     Marks,
     Frame,
@@ -120,7 +120,7 @@ impl Rectangle {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Artwork {
     pub tone: Tone,
-    /// What the artwork is of, in lines: the instrument, its marks, the hash of the drawing.
+    /// Title of the artwork, in lines: the instrument, its marks, the hash of the drawing.
     pub title: Vec<String>,
     /// The frame about everything.
     pub frame: Rectangle,
