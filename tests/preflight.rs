@@ -396,7 +396,7 @@ fn a_clock_is_judged_by_what_the_kernel_says_and_by_whether_frames_depend_on_it(
     assert!(unset[1].found.contains("1970-01-01"), "{:?}", unset[1]);
 }
 
-/// The demo instrument, measured today but for what stays from its file.
+/// The demo instrument, measured today except for what stays from its file.
 fn instrument_of_today(folder: &Path) -> String {
     let today = Offset::UTC.to_datetime(Timestamp::now()).date();
     let file = folder.join("instrument.toml");

@@ -18,7 +18,7 @@ pub enum Demand {
     AllFineOfFour,
     /// Of such frames with three marks fully lit at least this share is fine.
     FineOfThree(f64),
-    /// Every such frame is fine, but for this share at most whose marks leave two labellings open: three in a row where the
+    /// Every such frame is fine, except for this share at most whose marks leave two labellings open: three in a row where the
     /// sensor's edge hides the neighbours that determine the quarter turn.
     FewUndecided(f64),
     /// Least share of frames that are at least coarse.

@@ -87,7 +87,7 @@ pub struct MoonReport {
     pub unmet: Vec<String>,
 }
 
-/// The statistics of a row: of its fine frames, but for the counts.
+/// The statistics of a row: of its fine frames, except for the counts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MoonSummary {
     pub frames: usize,

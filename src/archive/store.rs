@@ -191,7 +191,7 @@ impl Store {
         files.unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Makes ready for writing, as [`open`](Self::open) does but for the folders above, if that has not been done; else checks
+    /// Makes ready for writing, as [`open`](Self::open) does except for the folders above, if that has not been done; else checks
     /// whether the disk is still there, and locks it again where it was mounted again.
     ///
     /// # Errors

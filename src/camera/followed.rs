@@ -36,7 +36,7 @@ const CHECK_EVERY: Duration = PATIENCE;
 pub enum Backlog {
     /// They are passed over.
     Skipped,
-    /// They are taken, but for those that an earlier run has taken.
+    /// They are taken, except for those that an earlier run has taken.
     Taken,
 }
 

@@ -1,6 +1,6 @@
 use jiff::{SignedDuration, Timestamp};
 
-/// Time of a flight: the computer's, but for a simulated flight, which may begin on any day.
+/// Time of a flight: the computer's, except for a simulated flight, which may begin on any day.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct FlightClock {
     start: Option<Timestamp>,

@@ -338,7 +338,7 @@ impl Run<'_> {
         Ok((table, Good::new(NAME.into(), parts, part)))
     }
 
-    /// The copy, but for its name; a new table of good times stands behind what was there.
+    /// The copy, except for its name; a new table of good times stands behind what was there.
     fn copy(
         &self,
         out: &Path,
@@ -369,7 +369,7 @@ impl Run<'_> {
         })
     }
 
-    /// The image, but for its name.
+    /// The image, except for its name.
     fn image(
         &mut self,
         picture: Picture<'_>,

@@ -63,7 +63,7 @@ const CLEAN_SHARE_OF_DOT: f64 = 1.1;
 /// Only its size and its even darkness distinguish a dot from a sunspot: it must explain this part of the structure.
 const LEAST_LIKENESS_OF_DOT: f64 = 0.5;
 /// The contrast that the fourfold part of a cross shows, over that of the whole: 1 for a cross in focus, 0.3 in haze that
-/// the filter does not know of, and 0 but for noise of what is round.
+/// the filter does not know of, and 0, except for noise, of a round spot.
 const FOURFOLD_SHARE: std::ops::Range<f64> = 0.2..2.0;
 /// That part must be significant by itself, by less than the whole.
 const FOURFOLD_SIGMA: f64 = 4.0;

@@ -1,7 +1,7 @@
 //! Identification of the marks from where they are beside each other.
 //!
 //! The disc's outline and the ephemeris determine the local mapping before any mark is identified, the crosses' arms its
-//! rotation, but for the quarter turn; of marks without arms the stated rotation does, in steps over its uncertainty. So one
+//! rotation, up to the quarter turn; of marks without arms the stated rotation does, in steps over its uncertainty. So one
 //! detection's id and a rotation fix a labelling, and those that put the plate's centre anywhere near the stated position
 //! are few enough to try them all:
 //!
@@ -198,7 +198,7 @@ fn check_place(
 ) -> Result<f64, Rejected> {
     let explained = best.matches.iter().map(|m| m.detection);
     let explained: Vec<usize> = explained.filter(|n| full.contains(n)).collect();
-    // A labelling of as many marks explains two of any three of these, but for one that the best does not explain.
+    // A labelling of as many marks explains two of any three of these, except for one that the best does not explain.
     let pairs = match explained[..] {
         [a, b, c, ..] => vec![[a, b], [b, c], [c, a]],
         [a, b] => vec![[a, b]],

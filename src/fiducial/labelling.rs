@@ -2,7 +2,7 @@
 //!
 //! # The model
 //! The Sun is round on the plate, so its outline turns a position on the sensor into an offset from the Sun's centre on
-//! the plate, in mil, but for a rotation; the arms determine that to a quarter turn, and where marks have none it is what
+//! the plate, in mil, up to a rotation; the arms determine that to a quarter turn, and where marks have none it is what
 //! the instrument states. A labelling then fixes where on the plate the Sun's centre lies, and small corrections of
 //! rotation and scale ([`LocalSimilarity`]). Its score is the logarithm of the evidence: how much likelier the detections
 //! are under it than if all were false. It is summed mark by mark, each compared with the position that the marks before it

@@ -10,7 +10,7 @@ use crate::frame::{FrameInfo, Warning};
 use jiff::SignedDuration;
 use std::time::Duration;
 
-/// Reads how a frame was taken, but for the part of the sensor that it shows. The warnings stay with the values.
+/// Reads how a frame was taken, except for the part of the sensor that it shows. The warnings stay with the values.
 pub(super) fn read_info(values: &mut Values) -> FrameInfo {
     let exposure = ["EXPTIME", "XPOSURE", "EXPOSURE"]
         .into_iter()

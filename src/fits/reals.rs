@@ -1,7 +1,7 @@
 //! Numbers that are no camera's whole ones, as the 16 bits that frames have: floating-point pixels, scaled ones, and negative or undefined
 //! values among whole ones.
 //!
-//! Whole numbers that fit into 16 bits stay as they are, but for an offset where some are negative. All others are scaled to the whole
+//! Whole numbers that fit into 16 bits stay as they are, except for an offset where some are negative. All others are scaled to the whole
 //! range, so that a step is far below their noise. A value is impossible where it is so far from the median that no camera could
 //! hold both: a range of 16 bits, in steps as large as the noise, and many times the range of nearly all pixels.
 

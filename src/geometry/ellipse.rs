@@ -6,7 +6,7 @@ use nalgebra::{Matrix2, Vector2};
 /// An ellipse as the image of the unit circle: x = centre + root w, |w| = 1, with `root` symmetric and positive: the square
 /// root of the matrix of its squared half axes.
 ///
-/// A disc that is round on the plate is such an ellipse on the sensor, and `root` then is, but for a rotation, the local
+/// A disc that is round on the plate is such an ellipse on the sensor, and `root` then is, up to a rotation, the local
 /// mapping from plate to sensor in units of the disc's radius.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipse {

@@ -23,7 +23,7 @@ const MOST_SIGMA_STEPS: f64 = 2.0;
 /// A limb may be so much darker than the middle one, as it is near the terminator.
 const LEAST_BRIGHTNESS: f64 = 0.15;
 
-/// Where the limb is darker than the brightest, but for so much of its logarithm that may be weather, twilight moves half of its light: by so many scale
+/// Where the limb is darker than the brightest, except for so much of its logarithm that may be weather, twilight moves half of its light: by so many scale
 /// heights for a factor of e.
 const LIKE_BRIGHT: f64 = 0.2;
 const TWILIGHT_SCALES: f64 = 0.3;

@@ -312,7 +312,7 @@ fn radial_medians(band: &Band, reach: &Reach, blur_px: f64, saturated_dn: f64) -
     medians.filter(|median| median.dn < saturated_dn).collect()
 }
 
-/// How far one outline lies from another, but for its size, which a pass takes in by itself.
+/// How far one outline lies from another, except for its size, which a pass takes in by itself.
 fn moved_px(from: &Ellipse, to: &Ellipse) -> f64 {
     let grown = to.root() - from.root();
     let even = Matrix2::identity() * (grown.trace() / 2.0);

@@ -52,7 +52,7 @@ pub mod telemetry_type {
     pub const RESULT: u8 = 0xE1;
 }
 
-/// Which way the bytes of a line run. Telemetry runs to the controller only, but for samples of the IMU, so this decides how headers read.
+/// Which way the bytes of a line run. Telemetry runs to the controller only, except for samples of the IMU, so this decides how headers read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
     ToController,
@@ -231,7 +231,7 @@ impl Packet {
     }
 }
 
-/// Both forms share one sync word. A type of telemetry is no id of a target, but for 0x01: there the next byte
+/// Both forms share one sync word. A type of telemetry is no id of a target, except for 0x01: there the next byte
 /// shows, since no command has a payload as long as the aspect system's id (48 bytes).
 fn is_telemetry(direction: Direction, kind: u8, source: u8) -> bool {
     use telemetry_type::*;

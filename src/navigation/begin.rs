@@ -20,7 +20,7 @@ const LEAST_SINE: f64 = 0.05;
 /// The white part of a direction's error is at least this share of it: none is all correlated.
 const LEAST_WHITE: f64 = 0.01;
 
-/// The accelerometers' mean over so long is straight down, s, where it is gravity's but for this share of it.
+/// The accelerometers' mean over so long is straight down, s, where it is gravity's except for this share of it.
 const PLUMB_S: f64 = 2.0;
 const PLUMB_SHARE: f64 = 0.05;
 

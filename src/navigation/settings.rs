@@ -66,7 +66,7 @@ pub enum Group {
     CorrelatedErrors,
 }
 
-/// Errors that the paper considers (table 3), but for the gyro's bias, which a long flight shows.
+/// Errors that the paper considers (table 3), except for the gyro's bias, which a long flight shows.
 const CONSIDERED: [Group; 4] = [
     Group::AccelerometerScale,
     Group::GyroScale,

@@ -6,7 +6,7 @@
 //! adds to the scale's. The limb's centre comes on top: a limb that falls by D behind a blur b among noise n shows a shift
 //! along its normal D^2 / (2 sqrt(pi) b n^2) for every px of its length, half of it along each axis.
 //!
-//! That is the Cramer-Rao bound but for what correlates limb and marks: within a fifth of `accuracy`'s, which differentiates the whole picture.
+//! That is the Cramer-Rao bound except for what correlates limb and marks: within a fifth of `accuracy`'s, which differentiates the whole picture.
 
 use super::scene::CheckScene;
 use nalgebra::{Matrix4, Vector2};

@@ -16,7 +16,7 @@ pub struct TelescopeAttitude {
     /// Uncertainty by the frame, rad^2: of small turns that move the boresight to the telescope's right, up, and about it (right side
     /// low positive).
     pub random_rad2: Matrix3<f64>,
-    /// Uncertainty by the calibration, as [`Offset`](super::Offset) has it, but for UT1, which moves Sun and telescope together.
+    /// Uncertainty by the calibration, as [`Offset`](super::Offset) has it, except for UT1, which moves Sun and telescope together.
     pub systematic_rad2: Matrix3<f64>,
 }
 

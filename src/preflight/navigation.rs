@@ -26,7 +26,7 @@ const GOOD_SCALE: f64 = 0.005;
 const POSSIBLE_SCALE: f64 = 0.05;
 /// Faster than this, rad/s, is no rest.
 const REST_RAD_S: f64 = 0.02;
-/// A tilt of this much is one; gyros and accelerometers agree on it but for this share.
+/// A tilt of this much is one; gyros and accelerometers agree on it except for this share.
 const TILT_RAD: f64 = 0.05;
 const TILT_AGREES: f64 = 0.2;
 

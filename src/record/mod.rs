@@ -225,7 +225,7 @@ impl Record {
         }
     }
 
-    /// Record of a frame of the horizon, but for the body's roll by it.
+    /// Record of a frame of the horizon, except for the body's roll by it.
     pub fn of_horizon(
         utc: Option<Timestamp>,
         solution: &horizon::Solution,

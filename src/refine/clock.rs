@@ -148,7 +148,7 @@ impl Clocks {
 struct Moment {
     frame: usize,
     monotonic_s: f64,
-    /// UTC minus the monotonic time, but for a constant.
+    /// UTC minus the monotonic time up to a constant.
     ahead_s: f64,
 }
 

@@ -72,7 +72,7 @@ impl Course {
 pub struct FlightScenes {
     /// Shared conditions of the scenes; change them to fly under other conditions.
     pub template: Scene,
-    /// The Sun of every scene, but for its place and smear.
+    /// The Sun of every scene, except for its place and smear.
     pub sun: Sun,
     /// How long the shutter is open. The Sun is as bright as `sun` says at [`EXPOSURE`], and in proportion otherwise.
     pub exposure: Duration,

@@ -80,7 +80,7 @@ pub const FORT_SUMNER: Place = Place {
     height_m: 38_405.0,
 };
 
-/// Facts of a simulated frame, but for its time.
+/// Facts of a simulated frame, except for its time.
 fn frame_info(number: u64) -> FrameInfo {
     FrameInfo {
         number: Some(number),

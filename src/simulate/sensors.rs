@@ -86,7 +86,7 @@ impl Sensors {
         while self.wait(now).is_zero() {
             let sample = self.flight.sample(self.sample)?;
             self.sample += 1;
-            // Of its numbers each fits its packet, but for some of a corrupted one: an IMU sends no such packet.
+            // Of its numbers each fits its packet, except for some of a corrupted one: an IMU sends no such packet.
             if let Some(Ok(packet)) = (self.corrupt)(sample).map(|sample| sample.packet()) {
                 write(port, &packet.encode())?;
             }

@@ -30,12 +30,12 @@ pub struct Innovation<const M: usize> {
 pub struct Likelihood {
     /// The innovation's square over its covariance.
     pub chi2: f64,
-    /// Natural logarithm of the determinant of that covariance, but for a constant of the observation.
+    /// Natural logarithm of the determinant of that covariance up to a constant of the observation.
     pub log_determinant: f64,
 }
 
 impl Likelihood {
-    /// Natural logarithm of the likelihood but for a constant, with chi^2 counted up to a limit.
+    /// Natural logarithm of the likelihood up to a constant, with chi^2 counted up to a limit.
     pub fn log(&self, most_chi2: f64) -> f64 {
         -(self.chi2.min(most_chi2) + self.log_determinant) / 2.0
     }
@@ -193,7 +193,7 @@ fn filter<const N: usize>(
     total.is_finite().then_some(total)
 }
 
-/// Logarithm of the likelihood of all observations but for a constant. `None` where the estimate fails.
+/// Logarithm of the likelihood of all observations up to a constant. `None` where the estimate fails.
 pub fn log_likelihood<const N: usize>(process: &impl Process<N>) -> Option<f64> {
     filter(process, |_, _| {})
 }

@@ -54,7 +54,7 @@ impl Levels<'_> {
     }
 
     /// How well a constant process noise predicts each measured moment from all others, from the last to the first: logarithm of the
-    /// likelihood but for a constant. One with which the filter fails predicts nothing.
+    /// likelihood up to a constant. One with which the filter fails predicts nothing.
     fn predicted(&self, noise: f64) -> Vec<f32> {
         let moments = Moments::Measured(self.measured);
         let axis = Axis {

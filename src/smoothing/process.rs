@@ -29,7 +29,7 @@ impl Swing {
             * (-decay * step_s).exp()
     }
 
-    /// What the noise leaves after a step: what it leaves in the long run, but for what remains of that after the step.
+    /// What the noise leaves after a step: what it leaves in the long run, except for what remains of that after the step.
     fn noise(&self, transition: &Matrix2<f64>) -> Matrix2<f64> {
         let speed2 = self.drive.powi(2) * self.damping_s / 4.0;
         let lasting = Matrix2::new(speed2 / self.rate_rad_per_s.powi(2), 0.0, 0.0, speed2);
@@ -148,7 +148,7 @@ pub(super) struct Smoothed {
 }
 
 impl Axis<'_> {
-    /// Logarithm of the likelihood of all measurements but for a constant. `None` where the filter fails.
+    /// Logarithm of the likelihood of all measurements up to a constant. `None` where the filter fails.
     pub fn log_likelihood(&self) -> Option<f64> {
         match self.swings.len() {
             0 => log_likelihood::<WITHOUT_SWINGS>(self),

@@ -17,7 +17,7 @@ use std::path::PathBuf;
 #[derive(Debug, Clone)]
 pub struct FromFrames {
     pub mounting: Mounting,
-    /// The instrument that it began with, but for how the camera sees the plate: as the marks say.
+    /// The instrument that it began with, except for how the camera sees the plate: as the marks say.
     pub seen: Instrument,
     /// How the camera sees the plate, where the instrument stated it otherwise.
     pub other_handedness: Option<Handedness>,

@@ -182,7 +182,7 @@ impl OpenCamera {
         }
     }
 
-    /// The picture in a buffer, where all of it arrived, with what is known of it but for its time.
+    /// The picture in a buffer, where all of it arrived, with what is known of it except for its time.
     fn frame(&mut self, number: u64, buffer: &Buffer) -> Result<Frame, CameraError> {
         let status = buffer.status();
         if status != BufferStatus::Success {

@@ -99,7 +99,7 @@ impl Written {
     }
 }
 
-/// Sets what was saved, but for what has been commanded since. Whatever is wrong is logged, never fatal: a damaged file is set
+/// Sets what was saved, except for what has been commanded since. Whatever is wrong is logged, never fatal: a damaged file is set
 /// aside under another name, a value that is refused is left out. Returns how many values were set.
 pub fn restore(controls: &Controls, file: &SavedValues) -> usize {
     let restored = restore_at(controls, file, &Written::now());

@@ -5,7 +5,7 @@ use super::Use::{Both, Read, Written};
 use super::{Group, Keyword, keywords, row};
 
 keywords! {
-    /// The whole table, but for what a solution says.
+    /// The whole table, except for what a solution says.
     GROUPS:
     "File":
     ORIGIN, Text, "", Written, "where the file was made";

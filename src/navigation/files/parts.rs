@@ -42,7 +42,7 @@ pub(super) fn usual_step_s<T: Timed>(rows: &[Read<T>]) -> Option<f64> {
     Some(*usual_s)
 }
 
-/// The rows of a file in parts, in the file's order. In each of them the times rise, but for measurements that come late.
+/// The rows of a file in parts, in the file's order. In each of them the times rise, except for measurements that come late.
 pub(super) fn parts<T: Timed>(
     rows: Vec<Read<T>>,
     late: Late,

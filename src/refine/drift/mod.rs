@@ -91,7 +91,7 @@ pub(super) struct Drift<'a> {
 }
 
 impl Drift<'_> {
-    /// Logarithm of the likelihood but for a constant. `None` where a covariance cannot be inverted.
+    /// Logarithm of the likelihood up to a constant. `None` where a covariance cannot be inverted.
     pub fn likelihood(&self) -> Option<f64> {
         match self.temperature_c {
             Some(_) => log_likelihood::<WITH_THERMAL>(self),

@@ -1,6 +1,6 @@
 //! Times held against the frames' numbers.
 //!
-//! A camera's number goes on with time. Frames whose times do not rise with their numbers, but for the fewest that can be left out
+//! A camera's number goes on with time. Frames whose times do not rise with their numbers, except for the fewest that can be left out
 //! (the longest rising subsequence stays), were stamped wrongly, unless the counter restarted. So were frames between a jump of
 //! time and its return, where the camera is steady otherwise. Wrong times are replaced by those that the numbers and the frames before and
 //! after give.
@@ -16,7 +16,7 @@ const MOST_WRONG: f64 = 0.4;
 /// A camera is steady whose steps scatter by less than this part of a step; then a step that is off by more than that one is a jump.
 const STEADY: f64 = 0.05;
 const JUMP: f64 = 0.25;
-/// The return of a jump is as long as the jump but for this part of a step.
+/// The return of a jump is as long as the jump except for this part of a step.
 const SAME_JUMP: f64 = 0.1;
 /// Numbers that are further behind or before the others are of another start of the counter.
 const FAR: u64 = 2;
@@ -103,7 +103,7 @@ fn rising(frames: &[Numbered]) -> Vec<bool> {
     is_rising
 }
 
-/// The frames that are not rising, but for those of other starts of the counter: together in time, with numbers that the rising
+/// The frames that are not rising, except for those of other starts of the counter: together in time, with numbers that the rising
 /// ones have, too, or far from all of theirs.
 fn wrong(frames: &[Numbered], rising: &[bool]) -> Vec<bool> {
     let mut wrong = vec![false; frames.len()];

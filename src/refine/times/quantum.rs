@@ -170,7 +170,7 @@ impl Stepped {
 
 /// The time from one to the next of what orders the frames, us.
 ///
-/// The first frame of each stamp is near the stamp, but for the first stamp of all, of which frames may be missing.
+/// The first frame of each stamp is near the stamp, except for the first stamp of all, of which frames may be missing.
 fn pace(frames: &[Ordered]) -> Option<f64> {
     let groups = frames.chunk_by(|a, b| a.stamp_us == b.stamp_us).skip(1);
     let firsts: Vec<Ordered> = groups.map(|group| group[0]).collect();

@@ -251,7 +251,7 @@ fn fly_all(
 #[test]
 fn offsets_between_frames_and_through_gaps_are_as_certain_as_they_say() {
     let (judged, tally) = fly_all(250, 12, |_| false);
-    // 20 a second, but for the first seconds.
+    // 20 a second, except for the first seconds.
     assert!(judged.offsets > 12 * 4900);
     assert!(judged.beyond_3_sigma() < 0.01);
     assert!((0.8..1.25).contains(&judged.ratio()));

@@ -102,7 +102,7 @@ impl FlightPlan {
         }
     }
 
-    /// Twenty minutes of a telescope whose camera `pyas` gives the Sun to 0.11 arcsec, but for a minute in three, and whose camera
+    /// Twenty minutes of a telescope whose camera `pyas` gives the Sun to 0.11 arcsec, except for a minute in three, and whose camera
     /// `roll` gives the nadir; both four times a second.
     pub fn balloon() -> Self {
         let pyas = TargetCamera {

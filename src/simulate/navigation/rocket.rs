@@ -1,7 +1,7 @@
 //! The coast of a VSB-30 from Esrange: Braun and Barf 2022, section 7 (flight ATEK, 2019-06-13).
 //!
 //! The path is Kepler's ellipse about the Earth's centre, turned into Earth-fixed axes, with what the Earth's flattening adds at the highest point
-//! as a steady acceleration. So the payload falls freely but for 0.004 m/s^2 at most: too little to determine its attitude.
+//! as a steady acceleration. So the payload falls freely, except for 0.004 m/s^2 at most: too little to determine its attitude.
 
 use super::earth::{
     EARTH_RATE_RAD_S, FixedSun, GM_M3_S2, earth_rate_rad_s, ecef_from_north_east_down,
