@@ -12,13 +12,13 @@ pub fn noise(recipe: &mut Recipe, read_dn: f64) {
     recipe.conditions.noise = Noise::read(read_dn);
 }
 
-/// A camera turned anyhow, of which the instrument states no rotation.
+/// A camera turned by any angle, of which the instrument states no rotation.
 pub fn turned(recipe: &mut Recipe, rng: &mut Generator) {
     recipe.conditions.similarity.rotation_deg = rng.random_range(0.0..360.0);
     recipe.stated.rotation_deg.sigma = 360.0;
 }
 
-/// A camera turned and tilted anyhow.
+/// A camera turned by any angle and tilted.
 pub fn tilted(recipe: &mut Recipe, rng: &mut Generator) {
     turned(recipe, rng);
     recipe.conditions.keystone_deg = rng.random_range(-3.0..3.0);

@@ -1,4 +1,4 @@
-//! NAV.toml as a flight has taught it: biases of the IMU and misalignments of the cameras.
+//! NAV.toml with the estimates of a flight: biases of the IMU and misalignments of the cameras.
 
 use super::revision::{Revision, number};
 use crate::instrument::TomlError;

@@ -60,7 +60,7 @@ struct DesignArgs {
     /// Diameter of a dot, mil [default: 9 px at the camera's scale, at most 1/10 of the Sun's radius]
     #[arg(long, value_name = "MIL")]
     dot_diameter_mil: Option<f64>,
-    /// The camera may be turned anyhow, whatever the instrument states
+    /// The camera may be turned by any angle, whatever the instrument states
     #[arg(long)]
     any_rotation: bool,
     /// The same seed designs the same plate
@@ -92,7 +92,7 @@ struct CheckArgs {
     /// Write a page with maps, plate.html, and all places, plate.json, to this folder; it is made if it is missing
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// The camera may be turned anyhow, whatever the instrument states
+    /// The camera may be turned by any angle, whatever the instrument states
     #[arg(long)]
     any_rotation: bool,
     /// Places of the Sun

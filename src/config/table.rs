@@ -107,7 +107,7 @@ macro_rules! camera_rows {
 fn cameras() -> impl Iterator<Item = Parameter> {
     let camera = camera_rows!(
         camera,
-        instrument "calibration/heroes-pyas-f.toml", "The instrument's file; unset, the built-in \"demo\", but for a real camera or a folder that is followed, which needs one.",
+        instrument "calibration/heroes-pyas-f.toml", "The instrument's file; unset, the built-in \"demo\", except for a real camera or a folder that is followed, which needs one.",
         rate (1),
         exposure "Aspect command 0x0451 sets it in flight. ",
         analogue " Aspect command 0x0481 sets it in flight.",
@@ -115,7 +115,7 @@ fn cameras() -> impl Iterator<Item = Parameter> {
     );
     let second = camera_rows!(
         second_camera,
-        instrument "calibration/heroes-pyas-f.toml", "The instrument's file; unset, the built-in \"demo\", but for a real camera or a folder that is followed, which needs one.",
+        instrument "calibration/heroes-pyas-f.toml", "The instrument's file; unset, the built-in \"demo\", except for a real camera or a folder that is followed, which needs one.",
         rate (),
         exposure "",
         analogue "",

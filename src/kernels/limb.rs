@@ -59,7 +59,7 @@ impl Parts {
     #[inline(always)]
     fn at(z: f32, scale2: f32) -> Self {
         let (tail, density) = normal_tail(z);
-        // So far out that <d> drowns in rounding it is a tenth of the tail and less.
+        // Far out, where <d> vanishes in rounding, it is a tenth of the tail and less.
         let beyond = larger(density - z * tail, 0.1 * tail);
         let bound = (scale2 * tail * beyond + f32::MIN_POSITIVE).sqrt();
         let per_far = 1.0 / (z * z + 2.5).sqrt();

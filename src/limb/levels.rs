@@ -49,7 +49,7 @@ pub fn levels(frame: &Frame, settings: &LimbSettings) -> Result<Levels, Rejected
     })
 }
 
-/// A regular sample of the frame. Its groups shift from row to row, lest they meet a column of the sensor's pattern
+/// A regular sample of the frame. Its groups shift from row to row, so that they do not meet a column of the sensor's pattern
 /// always or never.
 fn sampled(frame: &Frame) -> Histogram {
     let width = frame.width();

@@ -13,7 +13,7 @@
 //! 4. A solution goes out only while tracking is on and sending is enabled, only if its own exposure's time went
 //!    out, once, and never after one of a later exposure; an error takes its place where there is none.
 //! 5. Sending changes between exposures: a command that disables it is done, and its result sent, when the announced
-//!    exposure has been concluded, so that a hand-over to the other computer leaves neither a gap nor a double.
+//!    exposure has been concluded, so that a hand-over to the other computer leaves no gap and no duplicate.
 //! 6. An offset by the gyros goes out while tracking is on and sending is enabled, whatever was announced.
 //! 7. A request for the Moon is answered by its result at once, and by what was found when a picture has been solved, whoever
 //!    tracks or sends.

@@ -162,7 +162,7 @@ impl Live {
         self.counts
     }
 
-    /// Times that the filter had gone wrong, or the samples were broken off, and it restarted.
+    /// Times that the filter had diverged, or samples were missing, and it restarted.
     pub fn restarts(&self) -> u32 {
         self.run.restarts
     }

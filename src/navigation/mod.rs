@@ -6,7 +6,7 @@
 //! 2. `motion`: from sample to sample of the IMU position, velocity and attitude are carried on in ECEF ([`earth`](crate::geometry::earth): WGS 84, its
 //!    gravity and turning), cut where a measurement was taken.
 //! 3. `transition`: how errors of motion and IMU grow meanwhile; `states` lists them all.
-//! 4. `filter`: at a measurement the covariance is brought up to date, the innovation tested, and the errors that it shows are taken away.
+//! 4. `filter`: at a measurement the covariance is brought up to date, the innovation tested, and the errors that it shows are corrected.
 //!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
 //! 5. `soundness`: faults that an IMU's values show by themselves; `doubts`: what is not known where directions contradict
 //!    the filter. Both grow its covariance. `comparison`: whether cameras and gyros agree, and for how long they have not.

@@ -118,7 +118,7 @@ impl Motion {
         turned
     }
 
-    /// The same motion, its errors taken away: of position (m), velocity (m/s), and a small rotation about the axes of ECEF (rad).
+    /// The same motion, its errors corrected: of position (m), velocity (m/s), and a small rotation about the axes of ECEF (rad).
     pub fn corrected(
         &self,
         position_m: &Vector3<f64>,

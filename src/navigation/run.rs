@@ -437,7 +437,7 @@ impl Run {
         self.phase = Phase::Waiting(Waiting::default());
     }
 
-    /// Counts what is refused in a row: a filter that has gone wrong waits again.
+    /// Counts what is refused in a row: a filter that has diverged waits again.
     fn note(&mut self, innovation: Innovation, each: &mut impl FnMut(Innovation)) {
         let (t_s, source) = (innovation.t_s, innovation.source);
         match (innovation.verdict, source) {

@@ -218,7 +218,7 @@ struct Step<'a> {
     later: &'a Smoothed,
     predicted: DMatrix<f64>,
     root: ScaledRoot,
-    /// The inverse of the predicted covariance times what was learnt.
+    /// The inverse of the predicted covariance times the innovation.
     gradient: DVector<f64>,
 }
 

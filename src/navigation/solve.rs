@@ -17,7 +17,7 @@ pub enum Status {
     Aligned,
     /// No direction was taken for 10 s.
     Coasting,
-    /// The filter had gone wrong, and restarted in the last 10 s.
+    /// The filter had diverged, and restarted in the last 10 s.
     Restarted,
     /// Directions contradict the gyros: the attitude is less certain by what they differ.
     Contradicted,

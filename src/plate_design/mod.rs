@@ -3,7 +3,7 @@
 //! # Method
 //! 1. Marks on a triangular lattice, each displaced at random, so that no two places of the plate show the same pattern. The lattice is as
 //!    wide as leaves every place of the Sun in the field the marks that are asked for.
-//! 2. Marks without which every place still has as many are taken away: fewer marks leave more of the limb free.
+//! 2. Marks that no place needs are removed: fewer marks leave more of the limb free.
 //! 3. The [check](crate::plate_check) judges it. A mark about the place of the least margin is displaced again, and a plate that
 //!    the check likes better is kept: so many times.
 //! 4. The best of several trials, by the whole check.

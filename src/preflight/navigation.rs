@@ -84,7 +84,7 @@ impl Heard {
         pairs.map(|pair| pair[0].missing_before(&pair[1])).sum()
     }
 
-    /// By how much the body has turned about its axes, rad, its mean rate before taken away.
+    /// By how much the body has turned about its axes, rad, its earlier mean rate subtracted.
     fn turned_rad(&self, rate_before_rad_s: &Vector3<f64>) -> Vector3<f64> {
         let steps = self.samples.windows(2).map(|pair| {
             let time_s = pair[1].time.duration_since(pair[0].time).as_secs_f64();

@@ -52,7 +52,7 @@ pub(super) fn extra_variance(residuals: &[Residual]) -> f64 {
 }
 
 /// How many times more a mean of the residuals varies than if each were on its own: 1 + 2 sum of the autocorrelation, in the
-/// order of time, up to where it drowns in noise; the larger of the two axes.
+/// order of time, up to where it vanishes in noise; the larger of the two axes.
 pub(super) fn correlation(taken: &[&Residual]) -> f64 {
     let along = |axis: usize| {
         let values = taken.iter().map(|r| r.off[axis] / r.sigma_mil);

@@ -160,7 +160,7 @@ impl<'a> Attitude<'a> {
         write_offsets(path, self.rows()?, offset)
     }
 
-    /// Writes NAV.toml as this flight has taught it, where that is wanted; `files` are those that it was read from.
+    /// Writes NAV.toml with the estimates of this flight, where that is wanted; `files` are those that it was read from.
     pub fn write_calibrated(
         &self,
         given: &NavigationFile,

@@ -48,7 +48,7 @@ impl SunSolver {
     }
 
     /// Fits the instrument to the frame. Where it changes - the ground has turned camera or plate, or another part of the sensor is read - what the
-    /// last frames taught no longer holds.
+    /// last frames determined no longer holds.
     fn fit(&mut self, frame: &UnsolvedFrame, commanded: &Snapshot) -> Result<(), WrongSize> {
         if self.is_commanded {
             self.mounted.mounting = commanded.mounting(&self.stated.mounting);
