@@ -11,7 +11,7 @@ pub(crate) struct Backoff {
 }
 
 impl Backoff {
-    /// For what an attempt costs little, and what should be found within seconds when it is back: a port, a camera, a thread.
+    /// For cheap attempts at things that should be found within seconds when they are back: a port, a camera, a thread.
     pub const DEVICE: Self = Self::new(Duration::from_millis(250), Duration::from_secs(2));
     /// For a disk.
     pub const DISK: Self = Self::new(Duration::from_millis(250), Duration::from_secs(5));

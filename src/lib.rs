@@ -50,10 +50,10 @@
 //!
 //! Dependencies are acyclic: a module imports from those above it in this list only, and never from one in its own line:
 //!
-//! | modules | what they hold |
+//! | modules | content |
 //! |---|---|
 //! | [`units`] | positions on sensor and plate, measured values, the observer's place |
-//! | `backoff`, `bounded` | waits between attempts; work that is given its time and no more |
+//! | `backoff`, `bounded` | waits between attempts; work with a time limit |
 //! | `files` | files that are read whole: regular ones, of a bounded size, in a bounded time |
 //! | [`provenance`] | which program made a file: version, commit, hashes |
 //! | [`log`] | the log on standard error, which blocks no thread |
@@ -69,7 +69,7 @@
 //! | [`limb`], [`fiducial`] | the disc's edge; the marks and their ids |
 //! | [`aspect`], [`horizon`], [`moon`] | the pipeline on one page; the nadir from the Earth's limb; the Moon's centre at any phase |
 //! | [`pointing`] | from the Sun on the plate to an offset on the sky |
-//! | [`record`] | what is said of a frame: each number once, with its names in every form |
+//! | [`record`] | the numbers of a solved frame: each once, with its names in every form |
 //! | [`navigation`] | inertial navigation: the attitude between and beyond the frames |
 //! | [`simulate`] | scenes and trajectories with truth, controller emulator |
 //! | [`columns`] | tables by the declaration of their columns: FITS, CSV, the manual |
@@ -78,10 +78,10 @@
 //! | [`observe`] | one pass over frames: journals, shards, copies, files that cannot be read |
 //! | [`events`] | photons put on the Sun by a refined flight's pointing |
 //! | [`film`] | a film of where the telescope pointed on the Sun |
-//! | [`output`] | what other programs read of a flight: JSON lines, NMEA sentences, CCSDS space packets |
+//! | [`output`] | outputs of a flight for other programs: JSON lines, NMEA sentences, CCSDS space packets |
 //! | [`config`] | the parameter table |
-//! | [`commands`] | what the ground may say in flight, what it sets, and words for all of it |
-//! | [`plan`] | what is to fly: the configuration with the files that it names, checked |
+//! | [`commands`] | the ground's commands in flight, their settings, and words for all of it |
+//! | [`plan`] | the flight to be flown: the configuration with the files that it names, checked |
 //! | [`calibrate`], [`accuracy`] | measuring the instrument; errors on simulated frames |
 //! | [`service`], `console`, [`refine`] | threads, channels, bounds and overflow rules on one page; a flight in a browser (feature `console`); the best aspect history of a flight |
 //! | [`preflight`], [`demo`] | checks before a flight; the whole system with nothing attached |

@@ -89,7 +89,7 @@ pub fn say(text: &str) {
     }
 }
 
-/// Shows a terminal what goes on now, in place of what was shown before. Nothing is shown before the log has started.
+/// Shows a terminal the present state, in place of the one before. Nothing is shown before the log has started.
 pub fn show(text: String) {
     if let Some(queue) = QUEUE.get() {
         queue.offer(Entry::Live(text));

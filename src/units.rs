@@ -123,7 +123,7 @@ impl<P> Estimate<P> {
     }
 }
 
-/// A reason, by what programs call it, which stays, and by what people read.
+/// A reason: its stable code for programs, and a sentence for people.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Reason {
     /// In snake case.
@@ -131,7 +131,7 @@ pub struct Reason {
     pub sentence: &'static str,
 }
 
-/// An expected refusal: what was asked for, what was measured and the limit it failed. It is data, not an error:
+/// An expected refusal: the reason, the measured value and the limit that it failed. It is data, not an error:
 /// a frame without a Sun is no failure of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Rejected {

@@ -1,4 +1,4 @@
-//! Pictures of the Earth's limb, and of skies without one: what a row of them is, what is demanded of it, and what came of it.
+//! Pictures of the Earth's limb, and of skies without one: a row of them, its requirements and its result.
 
 use super::chance::{range_of_rms, rms};
 use super::demand::Precision;

@@ -1,4 +1,4 @@
-//! The rows about the horizon: what their pictures show, and what is demanded of them.
+//! The rows about the horizon: the content of their pictures, and their requirements.
 
 use super::horizon::{HorizonDemand, HorizonRow};
 use super::recipe::Generator;

@@ -1,4 +1,4 @@
-//! Pictures of the Moon and of what is none: what a row of them is, what is demanded of it, and what came of it.
+//! Pictures of the Moon, and others without it: a row of them, its requirements and its result.
 
 use super::chance::{range_of_rms, rms};
 use super::demand::Precision;

@@ -1,4 +1,4 @@
-//! The rows about the Moon: what their pictures show, and what is demanded of them.
+//! The rows about the Moon: the content of their pictures, and their requirements.
 
 use super::demand::CALIBRATED;
 use super::moon::{Draw, Knowledge, MoonDemand, MoonRow};

@@ -15,7 +15,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use std::f64::consts::TAU;
 use std::ops::{Range, RangeInclusive};
 
-/// The generator behind what is drawn for a frame beyond what the simulator draws itself.
+/// The generator of a frame's random parameters, beside the simulator's own.
 pub type Generator = Xoshiro256PlusPlus;
 
 /// How a frame departs from the standard one: it changes a recipe by numbers drawn at random.

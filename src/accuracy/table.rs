@@ -463,7 +463,7 @@ fn demands_text(unmet: &[(&str, &str)]) -> String {
     format!("\nNot met:\n{}", lines.collect::<String>())
 }
 
-/// One frame: how it was made, what is true, what was found.
+/// One frame: its recipe, truth and solution.
 pub fn case_text(case: &Case) -> String {
     let Case {
         recipe, outcome, ..

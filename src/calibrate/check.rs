@@ -167,7 +167,7 @@ impl CalibrationCheck {
         self.trials.iter().filter_map(|trial| trial.proven)
     }
 
-    /// The instrument with what was measured in the place of what was disproved; `None` where nothing was.
+    /// The instrument with measured values in place of disproved ones; `None` if none was disproved.
     pub fn corrected(&self, instrument: &Instrument) -> Option<Instrument> {
         self.proven().next()?;
         let mut corrected = instrument.clone();

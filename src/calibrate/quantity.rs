@@ -1,4 +1,4 @@
-//! One quantity of a calibration: what was stated, what was found, what holds from now on.
+//! One quantity of a calibration: stated value, found value, new value.
 
 use super::numbers::{sigma_text, value_text};
 use super::revision::{Provenance, Revision};

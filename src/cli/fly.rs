@@ -82,7 +82,7 @@ fn exit_code(tally: &FlightTally, ends_by_request: bool) -> ExitCode {
     }
 }
 
-/// The head of the log: which program flies what, and what of it is not as one might think.
+/// The head of the log: program, plan, and unusual settings.
 fn say_who_flies(plan: &Plan, flight: &Flight) {
     let (version, commit) = (provenance::VERSION, provenance::COMMIT);
     let configuration_sha256 = provenance::sha256(flight.configuration_toml());

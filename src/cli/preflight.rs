@@ -1,4 +1,4 @@
-//! `solaspect preflight`: one page of what is ready to fly and what is not.
+//! `solaspect preflight`: one page of findings, ready to fly or not.
 
 use super::options::{self, ConfigurationArgs};
 use super::output::say;

@@ -1,4 +1,4 @@
-//! One row of the parameter table: what a parameter is and what it may be.
+//! One row of the parameter table: a parameter, its type and its range.
 
 use super::Config;
 use super::value::{Value, found};
@@ -88,7 +88,7 @@ impl Allowed {
     }
 }
 
-/// Why a parameter was not set: what was expected and what was found.
+/// Why a parameter was not set: expected and found value.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{key}: expected {expected}, found {found}")]
 pub struct Refused {

@@ -1,4 +1,4 @@
-//! The file of values set by command: by what it is known, and what else may not be in its place.
+//! The file of values set by command: how it is recognised, and which other files may not be in its place.
 
 /// How the file begins; a checksum follows.
 pub const HEADER: &str = "# solaspect: values set by command. crc32 ";

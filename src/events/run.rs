@@ -85,7 +85,7 @@ fn refuse_overwriting(files: &Files<'_>) -> Result<(), EventsError> {
     }
 }
 
-/// The folder that takes what is in the making: it has space for what will be written.
+/// The folder of unfinished files: it has space for the results.
 fn scratch<'a>(files: &Files<'a>) -> &'a Path {
     let image = files.image.map(|image| image.path.as_path());
     folder_of(files.out.or(image).unwrap_or(files.events))

@@ -97,7 +97,7 @@ macro_rules! codes {
 }
 
 /// Sections of rows, each a struct of its own, in the order of the payload: what threads count (`count`), what is known of the latest frame
-/// (`frame`), and so on. A row: the field, its type, its unit, what it is, and what its numbers stand for.
+/// (`frame`), and so on. A row: the field, its type, its unit, its description, and the meaning of its numbers.
 macro_rules! housekeeping {
     ($([$section:ident] $($field:ident: $type:ty, $unit:literal, $documentation:literal $(=> $codes:ident)?;)*)*) => {
         /// The status of one second. `None` is what is not known.

@@ -37,7 +37,7 @@ pub enum KeyError {
 #[derive(Clone)]
 pub struct Key(Hmac<Sha256>);
 
-/// Signs what goes to one computer, and recognises what was signed for it.
+/// Signs packets to one computer, and recognises packets signed for it.
 #[derive(Clone)]
 pub struct Seal(Hmac<Sha256>);
 

@@ -1,4 +1,4 @@
-//! Our side of the conversation: what to answer, and what to send around an exposure.
+//! Our side of the conversation: the answers, and the messages around an exposure.
 //!
 //! A [`Responder`] is a state machine without threads, clocks or ports. The flight service hands it every command
 //! packet and every exposure, and writes what it gives back. What commands set and read beyond the conversation it

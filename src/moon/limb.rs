@@ -248,7 +248,7 @@ impl Limb {
 }
 
 /// The ground's part of the covariance. Mountains, and ground that grows brighter or darker across the limb, move it, and neighbours together: a process
-/// of first order along the limb. Its variance is what the excess shows beyond the noise; of what such a process has, the circle takes a part away.
+/// of first order along the limb. Its variance is that of the excess beyond the noise; the circle's fit absorbs a part of such a process.
 fn of_rough_limb(
     points: &[LimbPoint],
     gradients: &[Gradient],

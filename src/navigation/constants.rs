@@ -1,4 +1,4 @@
-//! The errors of the sensors that stay what they are: what a flight teaches the next one.
+//! The constant errors of the sensors: results of a flight for the next one.
 
 use super::filter::Filter;
 use nalgebra::{DMatrix, Vector3};

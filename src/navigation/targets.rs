@@ -72,7 +72,7 @@ impl Targets {
         }
     }
 
-    /// Takes the place of the body as it flies: it serves for what is asked from now on, and what is long past is dropped.
+    /// Takes the place of the body as it flies: later queries use it, and old places are dropped.
     pub fn note(&mut self, fix: Fix) {
         self.fixes = vec![fix];
         let oldest = ((fix.t_s - KEPT_S) / EVERY_S) as i64;

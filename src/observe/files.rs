@@ -229,7 +229,7 @@ pub fn over<T: Send>(
     Ok(all)
 }
 
-/// By what a frame is recognised, and what of its file was not used.
+/// Identity of a frame, and the parts of its file that were not used.
 struct Seen {
     identity: Identity,
     digest: PixelDigest,

@@ -5,7 +5,7 @@ use crate::fits::Card;
 use crate::fits::keyword::{Keyword, Kind, Use, row};
 use std::borrow::Cow;
 
-/// A number of a frame, or what else is said of it: what it is, and its names in each form that has it.
+/// A number or text of a frame: its meaning, and its names in each form that has it.
 #[derive(Clone, Copy)]
 pub struct Number {
     value: Value,

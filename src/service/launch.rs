@@ -112,7 +112,7 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
     })
 }
 
-/// Starts the thread that reads and saves what commands set, where that is wanted, and waits a moment for what was saved.
+/// Starts the thread that reads and saves values set by command, if configured, and waits a moment for the saved values.
 fn keep_values(
     flight: &mut Flight,
     controls: &Controls,

@@ -203,7 +203,7 @@ impl Controller {
         Ok(())
     }
 
-    /// One step: asks for what is wanted where it is due, waits at most [`POLL`] for bytes, checks what came and
+    /// One step: sends requests that are due, waits at most [`POLL`] for bytes, checks what came and
     /// gives the messages of it. `now` is a monotonic time since any start.
     pub fn poll(
         &mut self,

@@ -125,7 +125,7 @@ impl CameraCalibration {
         determined.any(|q| q.key == Some(key) && q.verdict == Verdict::Determined)
     }
 
-    /// Writes what was determined into an instrument's file; what was not stays as it is.
+    /// Writes the determined values into an instrument's file; the others stay.
     pub fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
         let mut set = |key, value| revision.set(key, value, None, provenance);
         let noise_keys = ["camera.noise.dark_dn", "camera.noise.read_noise_dn"];

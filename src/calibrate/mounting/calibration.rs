@@ -114,7 +114,7 @@ fn check_agreement(fit: &MountingFit, pointings: Pointings) -> Result<(), Mounti
 }
 
 impl Mounting {
-    /// Writes what was determined into an instrument's file; what was not stays as it is.
+    /// Writes the determined values into an instrument's file; the others stay.
     pub fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
         for quantity in &self.quantities {
             quantity.revise(revision, provenance);

@@ -56,7 +56,7 @@ pub fn from_frames(
 }
 
 impl FromFrames {
-    /// Writes what was determined into an instrument's file; what was not stays as it is.
+    /// Writes the determined values into an instrument's file; the others stay.
     pub fn revise(&self, revision: &mut Revision) {
         self.mounting.revise(revision, &self.provenance);
         if let Some(found) = self.other_handedness {

@@ -79,7 +79,7 @@ fn files(given: &[PathBuf]) -> Result<Vec<PathBuf>, Refusal> {
 /// Calibrates plate, lens and poses from frames and folders, each frame once: those that the start's file rests on are set aside.
 ///
 /// # Errors
-/// A [`Refusal`] says what is wrong with the set of frames and what to take instead. Single bad frames are listed in
+/// A [`Refusal`] says why the set of frames is unsuitable and which frames to take instead. Single bad frames are listed in
 /// [`Calibration::rejected`].
 pub fn calibrate(
     given: &[PathBuf],

@@ -131,7 +131,7 @@ fn pairs(frames: &[&FrameObservation], order: &[usize]) -> Option<Vec<Pair>> {
     Some(pairs)
 }
 
-/// The pairs without what a slow drift explains, their sigmas inflated to what they then scatter.
+/// The pairs without a slow drift, their sigmas inflated to the scatter that remains.
 fn at_rest_but_for_slips(mut pairs: Vec<Pair>) -> Option<Vec<Pair>> {
     let slopes = pairs.iter().map(|pair| (&pair.moved, pair.drift_slopes()));
     let drift = motion(slopes).ok()?;

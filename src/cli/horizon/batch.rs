@@ -100,7 +100,7 @@ impl Batch<'_> {
             .collect()
     }
 
-    /// Replaces what each of two cameras says of the body by what both say.
+    /// Replaces the body's attitude by each of two cameras by that of both.
     fn join(&self, seen: &mut [&mut Solved], sphere: &Sphere) {
         let turn = |solved: &Solved| self.cameras[solved.camera].body_from_camera;
         let body = match self.method {

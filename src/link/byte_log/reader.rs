@@ -169,7 +169,7 @@ impl Reader {
     /// Whether anything was read.
     ///
     /// # Errors
-    /// Nothing was: the first line, what was expected there and what was found.
+    /// Nothing was: the first line, with expected and found content.
     pub fn check(&self) -> Result<(), LogError> {
         match (self.read, self.skipped.first()) {
             (0, Some(first)) => Err(LogError::NoLines(first.clone())),

@@ -107,7 +107,7 @@ pub(super) struct Said {
 }
 
 impl Said {
-    /// The fix, where it may be used; `now` is what the flight's clock says.
+    /// The fix, where it may be used; `now` is the flight's time.
     ///
     /// # Errors
     /// Why it may not.

@@ -106,7 +106,7 @@ pub struct Nmea {
 }
 
 impl Nmea {
-    /// Takes bytes in any pieces; what they complete. `now` is what the flight's clock says.
+    /// Takes bytes in any pieces; gives what they complete. `now` is the flight's time.
     pub fn feed(&mut self, bytes: &[u8], now: Timestamp) -> Vec<Heard> {
         let mut heard = Vec::new();
         for byte in bytes {
@@ -146,7 +146,7 @@ impl Nmea {
         }
     }
 
-    /// What is said from now on is of a time; what was said of the one before is complete. So is what a receiver that hangs says again.
+    /// Begins a time: the data of the one before are complete. So are those that a receiver that hangs repeats.
     fn turn_to(
         &mut self,
         time: Option<TimeOfDay>,

@@ -8,7 +8,7 @@ use std::ops::Range;
 /// Points that are joined.
 pub type Line = Vec<(f64, f64)>;
 
-/// The field of a map: what both axes span, equally long, and what is drawn below and above its contents.
+/// The field of a map: the range of both axes, equally long, and the drawings below and above its contents.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ground {
     pub x: Range<f64>,

@@ -281,7 +281,7 @@ impl Gauges {
         tally
     }
 
-    /// The counts when nobody waits any longer: what a disk that hangs has in its hands, and what still waits, is lost.
+    /// The counts at the end of waiting: pictures on a disk that hangs, and those that still wait, are lost.
     pub fn final_tally(&self, counts: &Counts) -> ArchiveTally {
         let mut tally = self.tally();
         let missing =

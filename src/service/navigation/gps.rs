@@ -55,7 +55,7 @@ impl Filter<'_> {
 }
 
 impl NavigationTally {
-    /// Counts what the GPS receiver has said, and logs what cannot be used.
+    /// Counts the GPS receiver's data, and logs unusable ones.
     pub(super) fn note_gps(&mut self, heard: &Heard) {
         let count = self.gps.note(heard);
         if !worth_a_line(count) {

@@ -6,7 +6,7 @@ use nalgebra::{Rotation2, Vector2};
 use rand::RngExt;
 use std::ops::Range;
 
-/// Edges of what is near are as sharp as the lens makes them: what it blurs over more than its usual blur, px.
+/// Extra blur of near edges beyond the lens's usual blur, px.
 const SOFT_PX: f64 = 0.5;
 
 /// A part of the vehicle: a rectangle, evenly lit.
