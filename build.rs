@@ -1,4 +1,4 @@
-//! Tells the program, for `src/provenance.rs`, its version and the commit that it is built from, where that is known.
+//! Gives the program, for `src/provenance.rs`, its version and the commit that it is built from, where that is known.
 
 use std::path::Path;
 use std::process::Command;

@@ -211,7 +211,7 @@ pub fn pointing_log(bytes: &[u8]) {
     }
 }
 
-/// A simulated flight that a file tells piece by piece: what is taken has a place at any time.
+/// A simulated flight that a file describes piece by piece: an accepted one has a place at any time.
 pub fn flight_pieces(bytes: &[u8]) {
     let Ok(text) = str::from_utf8(bytes) else {
         return;

@@ -126,7 +126,7 @@ fn two_cameras_of_a_role_and_a_fifth_need_no_more_than_a_table() {
         }
         assert!(rolls >= 4, "{rolls} of {}", camera.camera.name);
     }
-    // The ground hears of those that housekeeping does not tell of, and of no others.
+    // The ground gets the counts of those that are not in the housekeeping, and of no others.
     let counts = heard
         .iter()
         .filter_map(|packet| CameraCounts::decode(packet).ok());
