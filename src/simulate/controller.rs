@@ -115,7 +115,7 @@ enum Wish {
     Rest,
 }
 
-/// The controller's side of the link. It wants tracking from the start.
+/// Emulator of the controller. It wants tracking from the start.
 pub struct Controller {
     parser: Parser,
     wish: Wish,

@@ -1,4 +1,4 @@
-//! `gondola PORT`: the controller's side of the aspect link. It starts tracking on a serial line, prints the offsets
+//! `gondola PORT`: controller emulator for the aspect link. It starts tracking on a serial line, prints the offsets
 //! as they come, and ends with a report of all that came.
 //!
 //! Exit code 0: tracking was answered and every packet was good; 1: not so, or the port failed; 2: wrong usage.
@@ -24,7 +24,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// The controller's side of the aspect link: starts tracking, prints the offsets, checks every packet.
+/// Controller emulator for the aspect link: starts tracking, prints the offsets, checks every packet.
 #[derive(Parser)]
 #[command(version)]
 struct Arguments {
@@ -33,10 +33,10 @@ struct Arguments {
     /// Speed of the line, bit/s.
     #[arg(long, default_value_t = BAUD)]
     baud: u32,
-    /// The configuration of a simulated flight with simulation.start_utc: the IMU speaks, too, as the telescope of that flight feels
+    /// The configuration of a simulated flight with simulation.start_utc: samples of the IMU of that flight's telescope are sent, too
     #[arg(long, value_name = "FLIGHT.toml")]
     config: Option<PathBuf>,
-    /// Where its GPS receiver speaks: a serial device, or udp:HOST:PORT
+    /// Port of its GPS receiver: a serial device, or udp:HOST:PORT
     #[arg(long, value_name = "PORT", requires = "config")]
     gps: Option<String>,
     /// How long to listen, such as 60s or 10m; Ctrl-C ends it earlier.
@@ -141,7 +141,7 @@ fn sensors(path: &Path, gps: Option<&str>) -> anyhow::Result<Sensors> {
     Ok(Sensors::new(telescope, gps))
 }
 
-/// Writes a line; the controller goes on when nobody reads it.
+/// Writes a line; the controller goes on without a reader.
 fn say(mut out: impl Write, line: impl Display) {
     let _ = writeln!(out, "{line}");
 }
