@@ -22,7 +22,7 @@ pub fn within<T: Send + 'static>(
 ) -> Result<T, NoAnswer> {
     let (give, take) = bounded(1);
     let on_thread = move || {
-        // Nobody listens any more where this came too late.
+        // The receiver is gone if this came too late.
         let _ = give.send(work());
     };
     thread::Builder::new()

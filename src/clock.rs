@@ -24,7 +24,7 @@ const SERVICES: [(&str, &str); 5] = [
 /// Status of the clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockStatus {
-    /// Whether somebody holds it to UTC.
+    /// Whether a time service holds it to UTC.
     pub synchronised: bool,
     /// By how much it is ahead of UTC, as far as the kernel has yet to correct it; services that correct by frequency alone
     /// leave 0 here.

@@ -255,7 +255,7 @@ fn control(
     thread::Builder::new().name("controller".into()).spawn(run)
 }
 
-/// The archive, on a disk that may be put at fault where somebody trains.
+/// The archive, on a disk that may be put at fault for training.
 fn store(demo: &Demo, instrument: &Instrument) -> Result<Store, ArchiveError> {
     let disk: Arc<dyn Disk> = match &demo.faults {
         Some(faults) => Arc::new(faults.disk()),

@@ -157,7 +157,7 @@ impl Frame {
         })
     }
 
-    /// The same of pixels in memory of somebody else, which is not copied.
+    /// The same of pixels in the caller's memory, which is not copied.
     pub fn shared(
         width: usize,
         height: usize,

@@ -1,4 +1,4 @@
-//! The log on standard error: bounded and lossy, so that no thread ever waits for whoever reads it.
+//! The log on standard error: bounded and lossy, so that no thread ever waits for its reader.
 //!
 //! A line is made by the thread that logs it and put into a queue; one thread writes the queue to standard error. A line that
 //! finds the queue full, or that standard error refuses, is lost and counted. A terminal may also be shown a live line,
@@ -79,7 +79,7 @@ pub(crate) fn panic_message(payload: &(dyn Any + Send)) -> String {
     text.unwrap_or_else(|| "not a text".into())
 }
 
-/// Says something to whoever reads standard error, in order with the log and whatever its level.
+/// Writes a message to standard error, in order with the log and whatever its level.
 pub fn say(text: &str) {
     match QUEUE.get() {
         Some(queue) => queue.offer(Entry::Line(format!("{text}\n").into_bytes())),

@@ -134,7 +134,7 @@ impl Made {
         let (folder, ()) = make_new(root, "telemetry", start, "", make)?;
         let made = Self::fill(disk, &folder);
         if made.is_err() {
-            // Each try makes a folder: none may stay that nobody writes to.
+            // Each try makes a folder: none may stay without a writer.
             let _ = disk.remove_tree(&folder);
         }
         let files = made?;

@@ -98,7 +98,7 @@ impl Lock {
         Self { held: None }
     }
 
-    /// Whether `file` is still the one that was locked. When a disk was mounted again it is another, which nobody holds.
+    /// Whether `file` is still the one that was locked. When a disk was mounted again it is another file, which is not locked.
     pub fn is_of(&self, file: &Path) -> bool {
         let Some(held) = &self.held else {
             return true;

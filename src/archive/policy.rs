@@ -78,7 +78,7 @@ pub enum FreeSpace {
     None,
     /// For every n-th picture.
     Scarce,
-    /// For all, but somebody should know.
+    /// For all, with a warning.
     Low,
     #[default]
     Plenty,

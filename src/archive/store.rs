@@ -93,7 +93,7 @@ pub struct Store {
 #[derive(Debug)]
 struct Claim {
     lock: Lock,
-    /// Whether it began with this claim: whatever stands there is of somebody else.
+    /// Whether it began with this claim: other files there are not ours.
     is_new: bool,
     /// Whether it has been cleaned of what an earlier run left unfinished.
     is_prepared: bool,

@@ -12,7 +12,7 @@ use toml_edit::{Array, Item, Table, Value, value};
 /// Basis of the new values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Source {
-    /// Of the flight, UTC; none where nobody knows.
+    /// Of the flight, UTC; none if not known.
     pub date: Option<Date>,
     /// Method, for people.
     pub text: String,

@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// The longest pause between two frames: nobody waits for the next day's flight.
+/// The longest pause between two frames: a flight of the next day is not waited for.
 const LONGEST_PAUSE: Duration = Duration::from_secs(10);
 
 /// Replays the frames of a folder and of the folders in it.

@@ -61,7 +61,7 @@ pub(super) fn state_of(file: &Path) -> Option<FileState> {
 /// Something that has happened, or was found.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Change {
-    /// Files that lie there, in the order of their names; whether they are whole, nobody has said.
+    /// Files that lie there, in the order of their names; whether they are whole is not known.
     Listed(Vec<(PathBuf, FileState)>),
     /// A file that was made, and may yet be written.
     Begun(PathBuf),
@@ -218,7 +218,7 @@ impl FolderWatch {
         let (give, answer) = bounded(1);
         let reports = self.reports.clone();
         let list = move || {
-            // Nobody waits any more where the folder is no longer watched.
+            // The receiver is gone where the folder is no longer watched.
             let _ = give.send(tree(folder, reports.as_deref()));
         };
         let name = "folder-listing".to_string();

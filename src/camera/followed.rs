@@ -24,7 +24,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 /// For what lies in the folder to be listed before the flight begins; after that it goes on meanwhile.
 const OPENING: Duration = Duration::from_secs(2);
-/// A file that nobody has reported as whole may be when it has not changed for so long.
+/// A file that was not reported as whole may be so when it has not changed for so long.
 const QUIET: Duration = Duration::from_secs(1);
 /// A file that cannot be read for so long after its last change is bad.
 const GIVE_UP: Duration = Duration::from_secs(5);

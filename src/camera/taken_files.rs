@@ -214,7 +214,7 @@ impl Writer {
     }
 }
 
-/// Writes lines as they come, until nobody has any more.
+/// Writes lines as they come, until all senders are gone.
 fn write(path: &Path, lines: &Receiver<String>) {
     let (mut held, mut file) = (String::new(), None);
     let (mut synced, mut refusals) = (Instant::now(), 0);

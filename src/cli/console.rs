@@ -24,7 +24,7 @@ const DEMO_RATE_HZ: f64 = 4.0;
 
 /// Show a flight in a browser, live or stored, and let one trusted person command it
 ///
-/// By default on this machine alone, and for viewing only. With --token-file whoever knows the token may log in and send commands.
+/// By default on this machine alone, and for viewing only. With --token-file users who know the token may log in and send commands.
 #[derive(Debug, Args)]
 pub struct ConsoleArgs {
     /// Where the flight comes from: udp:[ADDR]:PORT or serial:DEV (what the ground receives), archive:DIR (a flight on disk, also
@@ -34,7 +34,7 @@ pub struct ConsoleArgs {
     /// Where browsers find the console; addresses that others reach need --token-file
     #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
-    /// A file with a secret of 16 characters or more: whoever logs in with it may send commands
+    /// A file with a secret of 16 characters or more; it allows to log in and to send commands
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
     /// The address under which a proxy with TLS shows the console: its scheme, host and port, without a path

@@ -63,7 +63,7 @@ impl Progress {
         if !self.bar.is_hidden() {
             return;
         }
-        // Whoever finds it taken leaves the line to the other thread.
+        // A thread that finds it taken leaves the line to the other one.
         let Ok(mut next_line) = self.next_line.try_lock() else {
             return;
         };

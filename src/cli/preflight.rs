@@ -49,7 +49,7 @@ pub fn run(args: PreflightArgs) -> anyhow::Result<ExitCode> {
     let mut findings = Vec::new();
     let mut report = |finding: Finding| {
         if !args.json {
-            // The checks go on whoever reads, and the exit code gives the result.
+            // The checks go on without a reader, and the exit code gives the result.
             let _ = say(&finding);
         }
         findings.push(finding);

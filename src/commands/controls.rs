@@ -187,7 +187,7 @@ impl Controls {
         }))
     }
 
-    /// Counts the changes of a topic: whoever keeps a copy compares and reads again.
+    /// Counts the changes of a topic: the holder of a copy compares and reads again.
     pub fn version(&self, topic: Topic) -> u64 {
         self.0.versions[topic as usize].load(Ordering::Acquire)
     }
@@ -322,7 +322,7 @@ impl Controls {
     /// Which key was refused, and why.
     pub fn set(&self, settings: &[(&str, Value)]) -> Result<(), config::Refused> {
         if self.apply(settings)? == Changed::Yes {
-            // The last word has not been taken yet: whoever takes it will see this change, too.
+            // The last message has not been taken yet: its receiver will see this change, too.
             let _ = self.0.changed.0.try_send(());
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! The page on the protocol: the interface document for whoever builds the other end, made from the tables that the
+//! The page on the protocol: the interface document for builders of the other end, made from the tables that the
 //! program itself works by.
 
 use super::order::order;

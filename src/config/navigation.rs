@@ -54,7 +54,7 @@ fn address(key: &'static str, text: Option<&str>) -> Result<Option<PortAddress>,
     };
     let parsed = text.map(str::parse).transpose();
     match parsed.map_err(|_: String| refused(EXPECTED))? {
-        // Nobody knows a port that is any free one.
+        // A sensor cannot send to a port that is any free one.
         Some(PortAddress::Udp {
             local_port: None, ..
         }) => Err(refused(

@@ -58,7 +58,7 @@ impl Config {
                 if let Err(wrong) = role {
                     errors.push(wrong);
                     if !is_camera {
-                        // Its keys are those of a camera of which nobody knows what it is for.
+                        // Its keys are those of a camera without a role.
                         return;
                     }
                 }

@@ -77,7 +77,7 @@ pub enum Refused {
     Rate,
     /// The request names another host than this.
     Host,
-    /// It comes from a page of somebody else.
+    /// It comes from a foreign page.
     Origin,
     /// It needs a login.
     Login,
@@ -118,7 +118,7 @@ impl Access {
         }
     }
 
-    /// Whether there is a token with which somebody may log in.
+    /// Whether there is a token for logging in.
     pub fn has_token(&self) -> bool {
         self.token.is_some()
     }
@@ -140,7 +140,7 @@ impl Access {
         }
         let host = text(headers, header::HOST).unwrap_or_default();
         let plain = Origin::of_host(host);
-        // A name that somebody else gave to this address (DNS rebinding) is none of ours; a bare address cannot be.
+        // A foreign name for this address (DNS rebinding) is refused; a bare address cannot be.
         let is_own = plain.as_ref().is_some_and(Origin::is_bare) || self.is_public(host);
         if !is_own {
             return Err(Refused::Host);
@@ -197,7 +197,7 @@ impl Access {
         may
     }
 
-    /// Opens a session for whoever knows the token: the text of its cookie.
+    /// Opens a session by the token: the text of its cookie.
     pub fn log_in(&self, token: &str, peer: IpAddr) -> Result<String, Refused> {
         let now = Instant::now();
         let mut addresses = self.addresses();
@@ -232,7 +232,7 @@ impl Access {
         }
     }
 
-    /// Whether a request comes from somebody who has logged in.
+    /// Whether a request comes from a user who has logged in.
     pub fn is_logged_in(&self, headers: &HeaderMap) -> bool {
         let Some(session) = session(headers) else {
             return false;

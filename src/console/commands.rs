@@ -127,7 +127,7 @@ pub async fn compose(request: Body<Request>) -> Answer<Json<Value>> {
     Ok(Json(json!(composed)))
 }
 
-/// Whoever sends has logged in, and the console was begun for sending.
+/// The sender has logged in, and the console was started for sending.
 pub fn check_sender(console: &Console, headers: &HeaderMap) -> Answer<()> {
     if !console.takes_commands() {
         let words = "this console only shows: commands need --token-file, and a line to the gondola (--gondola over UDP)";

@@ -51,7 +51,7 @@ impl Reads {
         let (done, result) = oneshot::channel();
         let thread = std::thread::Builder::new().name("read".into());
         let started = thread.spawn(move || {
-            // Nobody may wait any more.
+            // The receiver may be gone.
             let _ = done.send(work());
             drop(turn);
         });

@@ -1,6 +1,6 @@
 //! The stream of one viewer: the newest of each kind as it comes, or a replay of what was.
 //!
-//! Nothing is queued for a viewer but the events of one moment. Whoever reads slowly skips, and holds up nobody.
+//! Nothing is queued for a viewer but the events of one moment. A slow reader skips events, and delays no one else.
 
 use super::history::News;
 use super::orders::OrderRow;

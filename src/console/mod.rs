@@ -4,7 +4,7 @@
 //!  line, record ──> receive ──┐                        ┌── a task for each viewer: live, server, commands, frames
 //!  archive ───────> follow ───┴─> History <── View <───┤
 //!                                 (a mutex)            └── drawings: plots, pictures, solved frames, two at a time
-//!  line <── receive <── outbox (16 commands) <── Orders <── commands, from whoever has logged in
+//!  line <── receive <── outbox (16 commands) <── Orders <── commands, from users who have logged in
 //! ```
 //!
 //! | thread | started by | what it does | what it waits for |
@@ -238,7 +238,7 @@ fn connection(settings: ConsoleSettings) -> anyhow::Result<Connection> {
     }
     match settings.source {
         Source::Udp(here) => {
-            // Nothing is sent to the port of nobody.
+            // Nothing is sent to an unused port.
             let nobody = SocketAddr::from((Ipv4Addr::LOCALHOST, 9));
             let local = LocalEnd {
                 address: Some(here.ip()),

@@ -274,7 +274,7 @@ impl Orders {
         }
     }
 
-    /// Closes the rows that nobody answers; whether one has changed.
+    /// Closes the unanswered rows; whether one has changed.
     pub fn give_up(&mut self, now: Timestamp) -> bool {
         let is_due = |row: &&mut OrderRow| row.is_open() && now.duration_since(row.utc) > PATIENCE;
         let mut due = Vec::new();

@@ -42,7 +42,7 @@ impl Relay {
         })
     }
 
-    /// Passes a datagram on, unless it was passed on a short time ago. Whoever does not listen does not get it.
+    /// Passes a datagram on, unless it was passed on a short time ago. A console that does not listen does not get it.
     pub fn pass_on(&mut self, datagram: &[u8], now: Instant) {
         if self.ports.is_empty() || !self.passed.is_new(datagram, now) {
             return;
@@ -69,7 +69,7 @@ fn is_of_this_machine(address: IpAddr) -> bool {
 /// The datagrams of the last time, as digests.
 #[derive(Default)]
 struct Passed {
-    /// Another one in each run: nobody can make two datagrams that are alike.
+    /// Another one in each run: no one can make two equal datagrams.
     hash: RandomState,
     digests: HashSet<u64>,
     in_order: VecDeque<(Instant, u64)>,

@@ -170,7 +170,7 @@ impl Console {
         self.is_live() || self.parts.shared.has_grown_lately()
     }
 
-    /// Whether commands may be sent by somebody who has logged in.
+    /// Whether commands may be sent by a user who has logged in.
     pub fn takes_commands(&self) -> bool {
         self.parts.outbox.is_some() && self.parts.access.has_token()
     }

@@ -36,7 +36,7 @@ impl Shared {
         }
     }
 
-    /// The history; whoever holds it holds the receiver up.
+    /// The history; its lock delays the receiver.
     pub fn history(&self) -> MutexGuard<'_, History> {
         self.history.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -57,7 +57,7 @@ impl Shared {
         }
     }
 
-    /// Wakes whoever waits for news.
+    /// Wakes those who wait for changes.
     pub fn subscribe(&self) -> watch::Receiver<News> {
         self.news.subscribe()
     }
@@ -68,7 +68,7 @@ impl Shared {
         self.notify_of_orders(has_changed);
     }
 
-    /// Closes the rows of commands that nobody answers.
+    /// Closes the rows of unanswered commands.
     pub fn give_up_on_orders(&self) {
         let has_changed = self.orders().give_up(Timestamp::now());
         self.notify_of_orders(has_changed);

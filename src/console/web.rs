@@ -1,6 +1,6 @@
 //! Connections: taken in, answered, and closed when they stall.
 //!
-//! Whoever is slow costs itself alone. A head and a body have a time limit each; one address takes half of the places at most; and where no
+//! A slow client delays itself alone. A head and a body have a time limit each; one address takes half of the places at most; and where no
 //! place is left, the connection gives way that has waited longest without one whole request.
 
 use super::request::Failure;

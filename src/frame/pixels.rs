@@ -1,4 +1,4 @@
-//! The pixels of a frame, all of them in memory or each row decoded when somebody first reads it, and typed views of them.
+//! The pixels of a frame, all of them in memory or each row decoded when it is first read, and typed views of them.
 
 use std::fmt;
 use std::sync::{Arc, OnceLock};
@@ -32,7 +32,7 @@ impl Pixels {
     }
 }
 
-/// Pixels as [`Pixels`] has them, in memory of somebody else.
+/// Pixels as [`Pixels`] has them, in memory of the caller.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PixelSlice<'a> {
     U8(&'a [u8]),
@@ -193,7 +193,7 @@ impl fmt::Debug for OnDemand {
     }
 }
 
-/// A frame's pixels in memory of somebody else, copied only when they are asked for as [`Pixels`].
+/// A frame's pixels in memory of the caller, copied only when they are asked for as [`Pixels`].
 pub(super) struct Shared {
     source: Box<dyn SharedPixels>,
     whole: OnceLock<Pixels>,

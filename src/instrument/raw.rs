@@ -148,7 +148,7 @@ const OPTIONAL_KEYS: [&str; 18] = [
     "plate.shape",
 ];
 
-/// The roll of a gondola that nobody has measured: balancing levels it to about a degree.
+/// The sigma of a gondola's roll that was not measured: balancing levels it to about a degree.
 const UNMEASURED_ROLL_DEG: Measured = Measured::new(0.0, 1.0);
 
 /// Turns raw values into checked ones; knows the file for its errors.

@@ -7,8 +7,8 @@
 //!    its sequence number (RFC 1982). What is known of a sender is dropped [`MEMORY`] after its last accepted packet, so
 //!    that one that starts its count again is heard again.
 //! 3. With a key, a datagram must be signed for this computer, and its stamp must be new: none that was taken before, and not older than
-//!    [`MEMORY`] before the newest, whoever sent that. So senders whose clocks differ do not disturb each other, and a
-//!    copy from any address is refused. The own clock plays no part: one that is wrong locks nobody out.
+//!    [`MEMORY`] before the newest of any sender. So senders whose clocks differ do not disturb each other, and a
+//!    copy from any address is refused. The own clock plays no part: a wrong one locks no sender out.
 //! 4. A packet that has been carried out within [`MEMORY`] and comes again is answered again, and not carried out twice.
 
 use super::key::Seal;
@@ -185,7 +185,7 @@ impl Guard {
         let is_fresh = |accepted: Instant| now.saturating_duration_since(accepted) <= MEMORY;
         self.packets.retain(|known| is_fresh(known.accepted));
         self.senders.retain(|known| is_fresh(known.accepted));
-        // With a key, whoever sends a copy has nothing but a copy.
+        // With a key, the sender of a copy has nothing but that copy.
         let any_sender = self.seal.is_some();
         let known = self
             .packets

@@ -217,7 +217,7 @@ macro_rules! sections {
     ($struct:ident, $section:ident, $($rest:tt)*) => { sections!(@$section $struct [] $($rest)*); };
 }
 
-/// All values of the housekeeping, by the part that knows them. The compiler shows whoever adds a field where it is missing.
+/// All values of the housekeeping, by the part that knows them. For a new field the compiler shows where it is missing.
 #[derive(Debug, Clone, Default)]
 pub struct Parts {
     pub count: Counts,

@@ -58,7 +58,7 @@ pub trait BytePort {
         0
     }
 
-    /// Drops the backlog: what nobody has taken in time is not worth taking later.
+    /// Drops the backlog: bytes not taken in time are too old to be taken later.
     fn discard_backlog(&mut self) {}
 }
 

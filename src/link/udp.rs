@@ -107,7 +107,7 @@ impl BytePort for UdpPort {
                 length: bytes.len(),
                 timeout: Duration::ZERO,
             }),
-            // Nobody listens there yet, or the network is down for now: the datagram is lost, the port is not.
+            // No program listens there yet, or the network is down for now: the datagram is lost, the port is not.
             Err(error) if is_of_the_peer(&error) => Ok(()),
             Err(error) => Err(self.lost(error)),
         }

@@ -1,6 +1,6 @@
 //! The lit limb to a part of a pixel: the circle whose shaded, blurred light the pixels along the limb show.
 //!
-//! How bright the ground is at a place nobody knows, and how bright the sky before it: each few pixels of the limb have a brightness and a sky
+//! The brightness of the ground at a place is not known, nor that of the sky before it: each few pixels of the limb have a brightness and a sky
 //! of their own. What is left is the shape of the light across the limb.
 
 use super::candidate::View;

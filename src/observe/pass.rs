@@ -39,7 +39,7 @@ pub trait Watch: Sync {
     }
 }
 
-/// Nobody follows.
+/// A pass without a watch.
 impl Watch for () {}
 
 /// Why a pass ended before its last frame, or what it gave cannot be read again.
@@ -184,7 +184,7 @@ impl Pass<'_> {
         Ok(done)
     }
 
-    /// Refuses to go on where nobody answers, or nobody wants to.
+    /// Refuses to go on after a cancellation, or where the source does not answer.
     ///
     /// # Errors
     /// An object store that does not answer, a watch that cancels.

@@ -10,7 +10,7 @@ use std::str::FromStr;
 pub enum Destination {
     /// Datagrams to a peer, or a serial device.
     Port(PortAddress),
-    /// Whoever connects to this address of the computer by TCP.
+    /// Clients that connect to this address of the computer by TCP.
     Clients(SocketAddr),
 }
 

@@ -312,7 +312,7 @@ mod tests {
         dropped: 0,
     };
 
-    /// Of a port that nobody has.
+    /// Of a port without a device.
     fn free_address() -> SocketAddr {
         let any = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         any.local_addr().unwrap()

@@ -1,4 +1,4 @@
-//! The guided test of the signs: somebody slews the telescope, and the offsets must follow.
+//! The guided test of the signs: the operator slews the telescope, and the offsets must follow.
 //!
 //! A wrong twist, clocking or handedness sends the controller the wrong way, with fine solutions. Only a motion whose
 //! direction is known shows.
@@ -24,7 +24,7 @@ const AGREEING: u32 = 3;
 
 /// Who slews the telescope.
 pub trait Operator {
-    /// Asks for a slew, and returns when it is about to begin; `false` where nobody will do it.
+    /// Asks for a slew, and returns when it is about to begin; `false` without one.
     fn is_ready(&mut self, request: &str) -> bool;
 }
 

@@ -1,7 +1,7 @@
 //! UTC held against the monotonic clock of the same computer, which never steps.
 //!
 //! UTC minus the monotonic time is a straight line, whose slope is the drift between the two; where it jumps from one frame to the
-//! next, somebody has set the clock. The clock is believed where it ran longest without a step, and wherever it agreed
+//! next, the clock was set. The clock is believed where it ran longest without a step, and wherever it agreed
 //! with that; the times between are corrected to it.
 //!
 //! A computer that starts again restarts its monotonic clock. Frames that do not follow each other on the monotonic clock are

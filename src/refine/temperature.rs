@@ -102,7 +102,7 @@ mod tests {
         readings[1234] = None;
         let found = from_the_middle(&times, &readings).unwrap();
         let middle = median(&truth).unwrap();
-        // Half a step at the ends, where nobody knows when it changed.
+        // Half a step at the ends, where the time of the change is not known.
         for n in 200..3800 {
             assert!((found[n] - (truth[n] - middle)).abs() < 0.15, "{n}");
         }

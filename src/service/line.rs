@@ -164,7 +164,7 @@ impl<'a> Line<'a> {
         tally.conversation = *self.responder.state();
     }
 
-    /// Says what there is to say. Where nobody takes it, whatever else is queued is dropped: it would only be older.
+    /// Sends the queued packets. If the port does not take one, the rest of the queue is dropped: it would only be older.
     fn hear(&mut self, event: LinkEvent, events: &Receiver<LinkEvent>) {
         self.follow_settings();
         self.say(event);

@@ -125,7 +125,7 @@ pub(super) trait HearsTelemetry: Send + Sync {
     fn hear_telemetry(&self, packet: &TelemetryPacket);
 }
 
-/// Somebody who takes samples of the IMU.
+/// A receiver of samples of the IMU.
 pub(super) trait TakesSamples: Send + Sync {
     /// Takes a packet that was read at a time.
     fn take_sample(&self, packet: &TelemetryPacket, read: Instant);

@@ -1,4 +1,4 @@
-//! Outputs that others read: each has a thread and a queue of its own. Nobody waits for one: what does not fit into its queue, and what its
+//! Outputs that others read: each has a thread and a queue of its own. No thread waits for one: what does not fit into its queue, and what its
 //! reader does not take, is dropped and counted.
 
 use super::messages::{Answer, Found, Hears, HearsTelemetry};
@@ -87,7 +87,7 @@ pub(super) fn start(
         gauges.0.push(Arc::clone(&counts));
         let own = Arc::clone(&counts);
         let closing = Arc::clone(closing);
-        // Nobody else can do what it waits for, if it does.
+        // No other thread can do its work, if it waits.
         workers.push(Worker::start(
             format!("output-{number}"),
             None,

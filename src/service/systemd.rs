@@ -19,9 +19,9 @@ const EXPECTED: &str =
 const PATIENCE: Duration = Duration::from_millis(100);
 
 pub(super) struct Systemd {
-    /// Whether there is somebody who starts the program again.
+    /// Whether a service manager starts the program again.
     pub is_there: bool,
-    /// `None` where nobody can be notified.
+    /// `None` without a service manager.
     address: Option<SocketAddr>,
     every: Option<Duration>,
     fed: Instant,

@@ -401,7 +401,7 @@ pub struct FlightTally {
     pub navigation: NavigationTally,
     pub archive: ArchiveTally,
     pub line: LineTally,
-    /// In the order of the configuration. What is dropped there is no loss: outputs wait for nobody.
+    /// In the order of the configuration. What is dropped there is no loss: outputs do not wait for readers.
     pub outputs: Vec<OutputTally>,
     /// Threads that panicked or hung, and were started again.
     pub restarts: u64,

@@ -40,7 +40,7 @@ pub(super) struct Signals {
     pub cameras_ended: Arc<AtomicBool>,
     /// The last frame is solved and stored, or given up.
     pub finished: AtomicBool,
-    /// Somebody waits for the end: the port may be closed when all is finished.
+    /// A caller waits for the end: the port may be closed when all is finished.
     pub awaited: AtomicBool,
     /// No more talking.
     pub closing: Arc<AtomicBool>,
@@ -148,7 +148,7 @@ impl Watch {
         }
     }
 
-    /// The threads were stopped like everything else: nobody is to be blamed for it.
+    /// The threads were stopped like everything else: this is not their fault.
     fn excuse(&self, stopped: Duration) {
         let stopped_s = stopped.as_secs_f64();
         tracing::warn!(stopped_s, "the whole program was stopped for a while");

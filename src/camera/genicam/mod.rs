@@ -140,7 +140,7 @@ impl GenicamCamera {
                 self.next_number = frame.info.number.map_or(self.next_number, |n| n + 1);
                 Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
             }
-            // Asked for by nobody who still waits.
+            // Its receiver no longer waits.
             Report::Applied(applied) => applied.map(|()| Take::NotYet),
             Report::Gone(error) => {
                 self.give_up();

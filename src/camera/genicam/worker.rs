@@ -71,7 +71,7 @@ impl Link {
 }
 
 fn run(opening: Opening, orders: &Receiver<Order>, reports: &Sender<Report>) {
-    // Nobody who listens is no failure: the camera was given up.
+    // A missing receiver is no failure: the camera was given up.
     if let Err(error) = serve(opening, orders, reports) {
         let _ = reports.send(Report::Gone(error));
     }

@@ -1,4 +1,4 @@
-//! The live line of a flight, for whoever watches it at a terminal.
+//! The live line of a flight, for an operator at a terminal.
 
 use crate::link::Housekeeping;
 use crate::log;

@@ -52,7 +52,7 @@ impl InBody {
         }
     }
 
-    /// Of circles, whose errors nobody knows.
+    /// Of circles, whose errors are not known.
     pub fn of_circles(unit: &UnitVector3<f64>) -> Self {
         Self {
             nadir_body: Some(unit.into_inner().into()),

@@ -290,7 +290,7 @@ impl ValueSaver {
             // Where no lock can be made there may yet be a file.
             _ => _ = restore(&self.controls, &self.file),
         }
-        // Nobody listens any more where this came too late.
+        // The receiver is gone if this came too late.
         let _ = restored.send(());
         let changes = self.controls.0.changed.1.clone();
         let mut failed: u64 = 0;

@@ -80,12 +80,12 @@ struct CheckedMark {
     drawn: Option<PlateMil>,
 }
 
-/// The text of an instrument's file with the table of marks that it names in it: whoever reads the text alone has the whole plate.
+/// The text of an instrument's file with the table of marks that it names in it: the text alone describes the whole plate.
 ///
 /// # Errors
 /// The table's file, and what is wrong with it.
 pub(in crate::instrument) fn with_table(path: &Path, text: String) -> Result<String, TomlError> {
-    // What is no TOML is an error of whoever parses it.
+    // The parser reports text that is not TOML.
     let Ok(mut document) = text.parse::<toml_edit::DocumentMut>() else {
         return Ok(text);
     };

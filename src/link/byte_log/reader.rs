@@ -238,7 +238,7 @@ impl Reader {
     fn taken(&mut self, line: Line) -> Option<Burst> {
         self.read += 1;
         self.digits = line.digits;
-        // Whoever writes coarser times may have had the same bytes twice.
+        // A writer of coarser times may have had the same bytes twice.
         if line.is_exact() && !self.seen.insert(line.hash()) {
             let found = format!("{} again", shown(&line.burst.to_string()));
             self.skip(Kind::Repeated, found);

@@ -105,7 +105,7 @@ fn aspect(key: u16, variables: &[u16]) -> Message {
     Message::Aspect(AspectCommand::new(key, variables.to_vec()).unwrap())
 }
 
-/// Nobody wants solutions yet.
+/// No solutions are wanted yet.
 fn sending(sending: bool) -> LinkState {
     let tracking = false;
     LinkState { tracking, sending }

@@ -281,7 +281,7 @@ mod tests {
         (0..COUNT).map(|n| 5.0 * (n as f64 / 40.0).sin()).collect()
     }
 
-    /// The first moments of a flight whose view goes with the temperature by so many px per degree, beside a slow walk; nobody sees marks for a
+    /// The first moments of a flight whose view goes with the temperature by so many px per degree, beside a slow walk; no frame shows marks for a
     /// sixth of it. And the view in truth.
     fn flight(moments: usize, px_per_degc: [f64; THERMAL]) -> (Observations, Vec<State>) {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);

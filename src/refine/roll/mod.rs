@@ -103,7 +103,7 @@ impl RollRecipe {
         place.map(|place| place.height_m)
     }
 
-    /// Why such a frame has no nadir, as in flight: a height that nobody states counts as 0.
+    /// Why such a frame has no nadir, as in flight: a height that is not stated counts as 0.
     fn not_above_the_limb(&self, frame: &Frame) -> Stopped {
         let height_m = self.settings.height_m.or(self.height_m(frame));
         let rejected = Rejected {

@@ -323,7 +323,7 @@ impl Gauges {
 }
 
 impl Threads {
-    /// A disk may take its time: nobody else can do what its thread waits for.
+    /// A disk may take its time: no other thread can do its work.
     fn start(
         &mut self,
         name: String,

@@ -271,7 +271,7 @@ impl<P> State<P> {
         GivenUp::ForSpeed(self.tally.overflowed)
     }
 
-    /// Of the disks that take pictures; while none does, nobody knows.
+    /// Of the disks that take pictures; while none does, this is not known.
     fn best_space(&self) -> FreeSpace {
         let working =
             |disk: &&DiskState| matches!(disk.activity, Activity::Waiting | Activity::Writing);

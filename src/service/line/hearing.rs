@@ -48,7 +48,7 @@ impl Line<'_> {
         }
     }
 
-    /// Samples of the IMU; where no filter flies they are for nobody.
+    /// Samples of the IMU; without a filter they are dropped.
     fn hear_telemetry(&self, packet: &TelemetryPacket) {
         if let Some(inputs) = &self.navigation {
             inputs.take_sample(packet, Instant::now());

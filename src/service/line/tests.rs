@@ -453,7 +453,7 @@ fn a_stop_is_answered_even_if_the_announced_frame_never_comes() {
 fn a_peer_that_takes_nothing_holds_up_nothing_and_hears_the_newest_afterwards() {
     let mut bench = bench(|_| {});
     bench.far.ask("start_tracking", &[]);
-    // Twice what any pseudo-terminal holds. Nobody reads.
+    // Twice what any pseudo-terminal holds. There is no reader.
     let many = 3000;
     for number in 0..many {
         bench.expose(exposure(number));
@@ -650,7 +650,7 @@ fn garbage_on_the_line_loses_no_command() {
     assert!(tally.rejected.packets >= 20);
 }
 
-/// A port of datagrams that have come, each from somebody, and of packets that were sent.
+/// A port of datagrams that have come, each with its sender, and of packets that were sent.
 #[derive(Default)]
 struct Datagrams {
     to_read: VecDeque<(Vec<u8>, SocketAddr)>,
@@ -806,7 +806,7 @@ fn a_flood_writes_few_lines_into_the_log_and_every_change_one() {
         ("set_twist", &["1000"], GROUND),
         ("start_tracking", &[], GROUND),
     ];
-    // Threads of other tests have no log: one that writes a line first would have it thought that nobody wants it.
+    // Threads of other tests have no log: one that writes a line first would make it count as unwanted.
     let warm_up = ground_controls();
     for flood in floods {
         count(&warm_up, 2, flood);

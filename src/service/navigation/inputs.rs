@@ -14,7 +14,7 @@ use std::time::Instant;
 /// Five seconds of an IMU at 200 Hz.
 const INPUTS: usize = 1024;
 
-/// The sensors' end of the filter's queue. Nobody waits for the filter.
+/// The sensors' end of the filter's queue. No thread waits for the filter.
 #[derive(Clone)]
 pub(in crate::service) struct Inputs {
     queue: Sender<Input>,
