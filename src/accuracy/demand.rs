@@ -83,10 +83,11 @@ impl Demand {
             Self::MedianArcsec(limit) => at_most("median", found.median_arcsec, limit),
             Self::MostArcsec(limit) => at_most("99.7 %", found.most_arcsec, limit),
             Self::AllFine => (!found.missed.is_empty())
-                .then(|| format!("{} frames ought to be fine", found.missed.len())),
+                .then(|| format!("{} frames should be fine and are not", found.missed.len())),
             Self::AllFineOfFour => {
                 let missed = found.missed.iter().filter(|m| m.lit_marks > 3).count();
-                (missed > 0).then(|| format!("{missed} frames of four marks ought to be fine"))
+                (missed > 0)
+                    .then(|| format!("{missed} frames of four marks should be fine and are not"))
             }
             Self::FineOfThree(least) => {
                 let missed = found.missed.iter().filter(|m| m.lit_marks == 3).count();
@@ -109,7 +110,7 @@ impl Demand {
                 let share = undecided as f64 / found.frames.max(1) as f64;
                 (others > 0 || share > most).then(|| {
                     format!(
-                        "{others} frames ought to be fine, {:.1} % undecided over {most}",
+                        "{others} frames should be fine and are not, {:.1} % undecided over {most}",
                         100.0 * share
                     )
                 })

@@ -36,7 +36,7 @@ impl Part<'_> {
             TemperatureDependence::Linear { px_per_degc, .. } => {
                 self.degrees(px_per_degc);
                 self.page.note(&format!(
-                    "The slopes of the figure, jumps taken off: {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y."
+                    "The slopes of the figure, without jumps: {slope_x:.3} px/degC in x and {slope_y:.3} px/degC in y."
                 ));
             }
             // Undetermined values are not printed.

@@ -36,9 +36,9 @@ impl Part<'_> {
     pub(super) fn pointing(&mut self, summary: &Summary, path: &SolarPath) {
         self.heading("Where the telescope pointed on the Sun");
         if path.steps.is_empty() {
-            return self.page.note(
-                "Where it pointed is not known: no frame shows the Sun, or no place is known.",
-            );
+            return self
+                .page
+                .note("The pointing is not known: no frame shows the Sun, or no place is known.");
         }
         self.on_target(summary);
         self.maps(path);

@@ -332,7 +332,7 @@ impl Part<'_> {
             let value = value.map_or("not known".into(), |value| format!("{value:.4}"));
             vec![name.to_owned(), value]
         };
-        let calibration = "calibration, alike in all frames, not in the above";
+        let calibration = "calibration, common to all frames, not included above";
         let rows = [
             line("limb", self.over_time(part(0))),
             line("mapping", self.over_time(part(1))),
@@ -358,9 +358,7 @@ impl Part<'_> {
             |axis: usize| move |row: &Drawn| Some(f64::from(row.in_flight_mil?[axis]) * scale);
         let series = [self.dots("x", difference(0)), self.dots("y", difference(1))];
         if series[0].points.is_empty() {
-            return self
-                .page
-                .note("The headers hold no answers from the flight.");
+            return self.page.note("The headers hold no in-flight solutions.");
         }
         let labels = Labels::over_utc("In flight minus refined", "arcsec");
         self.figure(plot::series(&labels, &series));

@@ -144,7 +144,7 @@ fn suspects(page: &mut Page, calibration: &Calibration) {
         "its place",
     ];
     page.table(&heads, &suspects.iter().map(row).collect::<Vec<_>>());
-    page.note("Printed elsewhere, or covered: their places are not to be relied on.");
+    page.note("Printed elsewhere, or covered: their places are unreliable.");
 }
 
 fn correlations(page: &mut Page, correlations: &[Correlation]) {
@@ -205,7 +205,7 @@ fn residuals(calibration: &Calibration) -> [Captioned; 6] {
         ),
         (
             over_time(calibration),
-            "Mean residual of each frame: how far its marks are from where the mapping of its pose puts them. Camera and plate hold still where this is level.",
+            "Mean residual of each frame: how far its marks are from where the mapping of its pose puts them. A level curve means that camera and plate did not move.",
         ),
     ]
 }

@@ -71,9 +71,7 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
     ));
     let suspects = calibration.suspects.iter();
     lines.extend(suspects.map(|mark| {
-        format!(
-            "suspect    {mark}: printed elsewhere, or covered; its place is not to be relied on"
-        )
+        format!("suspect    {mark}: printed elsewhere, or covered; its place is unreliable")
     }));
     if fit.prior_factor > NOTABLE {
         lines.push(format!(
@@ -135,7 +133,7 @@ fn lens(fit: &PlateFit) -> String {
     let terms: Vec<_> = terms.filter(|t| t.1).map(|t| t.0).collect();
     let sigma = fit.separation.lens_sigma_px;
     if terms.is_empty() {
-        return format!("no distortion called for; known to {sigma:.3} px at the corner");
+        return format!("no distortion needed; known to {sigma:.3} px at the corner");
     }
     let corner = SensorPx::new(0.0, 0.0);
     let moved = fit.distortion.distort(corner).distance(corner);
