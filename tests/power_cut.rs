@@ -213,7 +213,7 @@ fn survive(root: &Path, moments: &[Moment]) {
         swept_expected += half;
         swept += killed.swept;
         half = half_written(root);
-        assert!(half <= 1, "{half} half-written files in run {run}");
+        assert!(half <= 1, "{half} partial files in run {run}");
         stored.extend(killed.stored);
         for path in frames_in(root) {
             if !checked.insert(path.clone()) {
@@ -234,7 +234,7 @@ fn survive(root: &Path, moments: &[Moment]) {
     assert_eq!(swept + last.swept(), swept_expected + half);
     assert_eq!(half_written(root), 0);
     println!(
-        "{} kills: {} files whole, {} half-written removed",
+        "{} kills: {} files whole, {} partial files removed",
         moments.len(),
         checked.len(),
         swept + last.swept()

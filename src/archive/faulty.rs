@@ -49,7 +49,7 @@ pub const ALL_IN_TURN: Duration = Duration::from_millis(500 * STEPS.len() as u64
 /// Fault of a disk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DiskFault {
-    /// It takes no byte, and says that none is free.
+    /// It takes no byte, and reports that none is free.
     Full,
     /// It can make no further file, and says so.
     NoInodes,

@@ -93,7 +93,7 @@ pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["values_set"],
         good: "0, or as many as commands have set",
-        otherwise: "so many values were set by command and are others in the configuration: `preflight` lists them, and `reset_values` returns to it",
+        otherwise: "number of values set by command that differ from the configuration: `preflight` lists them, and `reset_values` returns to it",
         rules: &[Rule {
             name: "values_set",
             severity: Severity::Attention,
@@ -110,7 +110,7 @@ pub const WATCHES: &[Watch] = &[
     Watch {
         fields: &["silent_s"],
         good: "constant",
-        otherwise: "a camera gave no frames for so long: see above",
+        otherwise: "time in which a camera gave no frames: see above",
         rules: &[Rule {
             name: "silent_s",
             severity: Severity::Alarm,

@@ -35,7 +35,7 @@ pub const EXERCISES: &[Exercise] = &[
     Exercise {
         fault: Fault::DiskFull,
         title: "Disk full",
-        happens: "The archive's disk takes no byte, and says that none is free.",
+        happens: "The archive's disk takes no byte, and reports that none is free.",
         shows: "Within 3 s the alarms \"a disk of the archive is 100 % full\" and \"refusals by a disk\", then \"frames that no disk took\": `unstored` grows with each frame, `stored` stands \
                 still. Solutions go on. The first alarm ends with the fault, the others a minute later.",
         remedy: "Leave the pointing alone: nothing of it depends on the disk. Note the time: the pictures from then on are lost; the rows of the logs wait, and are written when there is \
@@ -48,7 +48,7 @@ pub const EXERCISES: &[Exercise] = &[
         happens: "Nothing passes the line between the aspect system and the controller, either way: no solutions, no housekeeping, no commands, no samples of the IMU.",
         shows: "After 5 s the alarm \"no housekeeping\", and all ages grow; a command gets no receipt. When the line is back the alarm ends, \"missing\" counts the packets that were lost, \
                 and the inertial filter, which had no samples, waits for its attitude.",
-        remedy: "Check the ground's own side first. Send nothing that changes the flight: without a receipt nobody knows whether it was carried out. When the line is back, read what may have \
+        remedy: "Check the ground's own side first. Send nothing that changes the flight: without a receipt it is not known whether it was carried out. When the line is back, read what may have \
                  changed, then command again.",
         rules: &["silence"],
     },

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 pub enum Fault {
     /// The camera that sees the plate gives no frames, and says nothing.
     CameraDead,
-    /// The archive's disk takes no byte, and says that none is free.
+    /// The archive's disk takes no byte, and reports that none is free.
     DiskFull,
     /// Nothing passes the line between the aspect system and the controller, either way.
     LineCut,

@@ -489,7 +489,7 @@ housekeeping! {
     gps_unreadable: u16, "", "sentences of the receiver with a wrong checksum, wrong fields or no end";
     gps_noise_bytes: u32, "", "bytes of the receiver that are part of no sentence";
     [system]
-    values_set: u16, "", "values set by command that are others in the configuration";
+    values_set: u16, "", "values set by command that differ from the configuration";
     [navigation]
     gyro_right_sigmas: Option<f32>, "", "the Sun along the telescope's right, measured minus predicted by the gyros, in its 1 sigma";
     gyro_up_sigmas: Option<f32>, "", "the same along its up";

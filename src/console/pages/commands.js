@@ -203,7 +203,7 @@ function showPossible() {
   byId('possible').hidden = !flight.commands;
   byId('impossible').hidden = flight.commands;
   setText(byId('impossible-words'), flight.live
-    ? 'This console was started without a token, or no line leads from it to the gondola. Start it with: solaspect console --token-file FILE and the port of the line. FILE holds a secret of your own, readable by you alone; with it one logs in here.'
+    ? 'This console was started without a token, or no line leads from it to the gondola. Start it with: solaspect console --token-file FILE and the port of the line. FILE holds a secret of your own, readable by you alone; log in here with it.'
     : 'This console shows what was recorded; nothing can be sent to it. To command a flight, start the console on its line: solaspect console --token-file FILE and the port.');
   allow();
 }

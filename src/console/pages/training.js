@@ -43,7 +43,7 @@ function show(exercises) {
 function allow() {
   for (const button of buttons.values()) button.disabled = !flight.logged_in;
   setText(byId('training-note'), flight.logged_in ? 'Press a button to put the fault on, and again to take it off.'
-    : flight.commands ? 'Log in to put a fault on.' : 'This console was started without --token-file: nobody can put a fault on.');
+    : flight.commands ? 'Log in to put a fault on.' : 'This console was started without --token-file: faults cannot be put on.');
 }
 
 export function watchTraining() {

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 /// What goes wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Fault {
-    /// Disk 1 takes no byte, and says that none is free
+    /// Disk 1 takes no byte, and reports that none is free
     DiskFull,
     /// Each operation of disk 1 fails for half a second, one after the other
     DiskFailing,
