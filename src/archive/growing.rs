@@ -1,7 +1,7 @@
 //! A file that grows, of which only whole pieces count.
 //!
-//! A disk that was away has other files under the same names when it is back: what was open before then leads nowhere. So a
-//! file is opened again after each refusal, and goes on where its whole pieces end.
+//! A disk that was away has other files under the same names when it is back: the old file handles are useless. So a
+//! file is opened again after each refusal, and continues where its whole pieces end.
 
 use super::disk::{Disk, DiskFile};
 use std::io::{self, ErrorKind};

@@ -1,4 +1,4 @@
-//! An exposure that follows the light, and does not follow the clouds.
+//! Automatic exposure, which follows the Sun's light and holds under clouds.
 
 use crate::frame::Levels;
 

@@ -9,14 +9,14 @@
 //! # The way of a frame
 //! 1. [`Levels`]: the light of a raster of pixels. A frame that is dark or bright all over is refused.
 //! 2. `scan`: sharp edges along rows and columns. `consensus`: RANSAC finds the nadirs that most of them agree with. Where the last
-//!    frame's nadir is known, it stands for both.
+//!    frame's nadir is known, it replaces both.
 //! 3. `profile`: the light across the edge all along the cone. `limb`: where it has half of the limb's own brightness, and whether it is
-//!    a limb at all: as sharp as the air (`shape`), alike from place to place, and light that goes on inside (`inside`). The profiles
+//!    a limb at all: as sharp as the air (`shape`), the same from place to place, and light that continues inside (`inside`). The profiles
 //!    are read again until the edge converges.
 //! 4. [`nadir()`] fits the direction, with the covariance of noise, limb, height and of what moves the edge. Several guesses may come so far:
 //!    the best one counts, in doubt where another is nearly as good ([`Solution`]).
 //!
-//! [`joint`] does the last step for cameras of one vehicle together. [`circle`] is a plainer way that follows the border of what is bright,
+//! [`joint`] does the last step for cameras of one vehicle together. [`circle`] is a simpler method that follows the border of the bright area,
 //! for comparison.
 
 mod air;

@@ -15,8 +15,8 @@
 //! 5. Sending changes between exposures: a command that disables it is done, and its result sent, when the announced
 //!    exposure has been concluded, so that a hand-over to the other computer leaves no gap and no duplicate.
 //! 6. An offset by the gyros goes out while tracking is on and sending is enabled, whatever was announced.
-//! 7. A request for the Moon is answered by its result at once, and by what was found when a picture has been solved, whoever
-//!    tracks or sends.
+//! 7. A request for the Moon is answered by its result at once, and by the Moon's place when a picture has been solved, whether or
+//!    not it tracks or sends.
 
 use super::computer::Computer;
 use super::control::{Carried, CommandResult, Control};

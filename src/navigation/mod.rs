@@ -1,4 +1,4 @@
-//! Attitude that goes on when Sun and horizon do not: gyros and accelerometers carry it between and beyond what cameras see (Braun and Barf
+//! Attitude without Sun and horizon: gyros and accelerometers propagate it between and beyond the cameras' directions (Braun and Barf
 //! 2022, sections 6 and 7).
 //!
 //! # The way of a flight
@@ -8,7 +8,7 @@
 //! 3. `transition`: how errors of motion and IMU grow meanwhile; `states` lists them all.
 //! 4. `filter`: at a measurement the covariance is brought up to date, the innovation tested, and the errors that it shows are corrected.
 //!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
-//! 5. `soundness`: faults that an IMU's values show by themselves; `doubts`: what is not known where directions contradict
+//! 5. `soundness`: faults that an IMU's values show by themselves; `doubts`: the added uncertainty where directions contradict
 //!    the filter. Both grow its covariance. `comparison`: whether cameras and gyros agree, and for how long they have not.
 //! 6. `run`: many refused measurements in a row, and the filter restarts.
 //! 7. `live` takes samples and measurements as they come in flight, and puts late ones where they belong.
@@ -16,7 +16,7 @@
 //! 9. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight; `spool` keeps the rows
 //!    on disk meanwhile, and `aem` writes them for others' programs.
 //! 10. `suspected`: which other units the IMU's numbers may be in.
-//! 11. `constants` are the sensors' errors that stay: what a flight teaches the next one.
+//! 11. `constants`: the constant errors of the sensors, results of a flight for the next one.
 
 pub mod aem;
 mod begin;

@@ -1,10 +1,10 @@
-//! One pass over frames: each file is opened once, several at a time, and what it gave is kept.
+//! One pass over frames: each file is opened once, several at a time, and its result is kept.
 //!
-//! - [`Pass`]: frames of an archive, a folder or an object store. What each gave is a [`Record`] in a [`Journal`], appended at once: a run that
+//! - [`Pass`]: frames of an archive, a folder or an object store. Each result is a [`Record`] in a [`Journal`], appended at once: a run that
 //!   was killed goes on where it was, shards of several machines are merged. [`Done`] gives each record again.
 //! - [`cameras`]: which camera took which frame, by a first pass over the headers, without the [copies](CopiedFrame) of other frames.
-//! - [`over`]: frames that are named one by one, or by their folders; what each gave is in memory.
-//! - [`InputSummary`]: what of the files was not used as it stands.
+//! - [`over`]: frames that are named one by one, or by their folders; the results are in memory.
+//! - [`InputSummary`]: parts of the files that were not used as they stand.
 //! - [`Watch`] follows a pass, and may end it.
 
 mod cameras;

@@ -1,13 +1,13 @@
 //! The best aspect history of a flight from its archive: [`refine`].
 //!
-//! 1. Every frame on its own ([`observe`](crate::observe)): the fine pipeline without a prior, on all cores. What a frame gave is a compact
+//! 1. Every frame on its own ([`observe`](crate::observe)): the fine pipeline without a prior, on all cores. Its result is a compact
 //!    [`FrameRecord`] in a journal; neither pixels nor solutions are kept. A run that is killed goes on where it was.
 //! 2. The flight as a whole ([`History::new`]). Each stage gives a column of the dated frames:
 //!
 //! | stage | |
 //! |---|---|
-//! | `timeline` | their times, held against the monotonic clock, the frames' numbers and each other, and their order |
-//! | `frames` | what each gave by itself, as far as the frames about it are judged by it |
+//! | `timeline` | their times, checked against the monotonic clock, the frames' numbers and each other, and their order |
+//! | `frames` | the result of each on its own, as far as other frames are judged by it |
 //! | `mapping` | one slowly varying view of the plate, with jumps, from the marks of all |
 //! | `suns` | each one's Sun from its own limb through that mapping |
 //! | `outliers` | flags of frames that differ from the others |

@@ -2,12 +2,12 @@
 //!
 //! # Rules
 //!
-//! 1. Only the sending camera is spoken of ([`config::Link::sending_camera`]), and what has been announced.
-//! 2. A peer that takes nothing costs one short wait; then what is queued is dropped, and the newest goes first when it
-//!    takes again. Where bytes pile up in the system, exposures are not announced: what would come late does not come.
+//! 1. Only exposures of the sending camera are announced ([`config::Link::sending_camera`]), and only announced ones are reported.
+//! 2. If the peer does not read, the thread waits briefly once; then the queue is dropped, and the newest packet goes first when the
+//!    peer reads again. While bytes pile up in the system, exposures are not announced: late announcements are useless.
 //! 3. Ages and waits are monotonic: a step of the clock stops nothing.
 //! 4. A port that is lost is opened again; nothing else waits for it.
-//! 5. What comes by wire is taken. What comes in datagrams passes the [guard](crate::link::guard) first.
+//! 5. Packets by wire are accepted. Datagrams pass the [guard](crate::link::guard) first.
 
 mod hearing;
 mod moon;

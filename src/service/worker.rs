@@ -1,8 +1,8 @@
 //! A thread that is started again when it panics or hangs.
 //!
-//! A thread cannot be ended from outside. One that hangs is left alone for good: its life is over, which it learns if it ever
-//! checks, and another one takes its place with the same channels. A thread that hangs keeps its memory, so a few may hang at
-//! most; then only a new process helps.
+//! A thread cannot be ended from outside. One that hangs is abandoned: another one takes its place with the same
+//! channels, and the old one ends if it ever continues. A thread that hangs keeps its memory, so only a few may hang; after
+//! that only a new process helps.
 
 use crate::backoff::Backoff;
 use crate::log;

@@ -1,7 +1,7 @@
 //! A disk's log and telemetry: a thread of their own, so that no row waits for a picture's disk for long.
 //!
-//! A disk that refuses a row is tried again after a rest, and the rows behind it wait: an outage costs none of them while there
-//! is space for them. The telemetry repeats the same numbers, and is not worth waiting for.
+//! A disk that refuses a row is tried again after a rest, and the rows behind it wait: an outage loses none of them while there
+//! is space for them. The telemetry repeats the same numbers, and does not wait.
 
 use super::picture::StoredAt;
 use crate::archive::{ArchiveError, Dirfile, Log, SolutionLog, Store};
