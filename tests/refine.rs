@@ -343,7 +343,7 @@ fn print(name: &str, compared: &Comparison) {
     println!(
         "{name}: {} fine, error median {:.3} 99.7 % {:.3} (by half of the light or more {:.3}) largest {:.3} arcsec, \
          error/sigma {:.3}; smoothed median {:.3} \
-         99.7 % {:.3}, error/sigma {:.3}; defect and not flagged {:?}",
+         99.7 % {:.3}, error/sigma {:.3}; defective and not flagged {:?}",
         compared.errors.len(),
         quantile(&compared.errors, 0.5),
         quantile(&compared.errors, 0.997),
