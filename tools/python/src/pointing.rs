@@ -8,7 +8,7 @@ use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use solaspect::pointing::HelioprojectiveArcsec;
-use solaspect::pointing_history::{self, Limits, Pointed, LineOfSight};
+use solaspect::pointing_history::{self, Limits, LineOfSight, Pointed};
 use solaspect::report;
 use solaspect::sky::Ephemeris;
 use std::path::PathBuf;
@@ -83,27 +83,44 @@ impl PointingHistory {
             };
             times_s.iter().map(at).unzip()
         });
-        let lines_of_sight: Vec<Option<&LineOfSight>> = pointed.iter().map(|one| one.line_of_sight.as_ref()).collect();
+        let lines_of_sight: Vec<Option<&LineOfSight>> = pointed
+            .iter()
+            .map(|one| one.line_of_sight.as_ref())
+            .collect();
         let found = PyDict::new(py);
         let columns: [Named<f64>; 6] = [
-            ("hpln", |line_of_sight| line_of_sight.helioprojective_arcsec.x),
-            ("hplt", |line_of_sight| line_of_sight.helioprojective_arcsec.y),
+            ("hpln", |line_of_sight| {
+                line_of_sight.helioprojective_arcsec.x
+            }),
+            ("hplt", |line_of_sight| {
+                line_of_sight.helioprojective_arcsec.y
+            }),
             ("north_angle", |line_of_sight| line_of_sight.north_angle_deg),
-            ("azimuth", |line_of_sight| line_of_sight.horizontal.azimuth_deg),
-            ("elevation", |line_of_sight| line_of_sight.horizontal.elevation_deg),
+            ("azimuth", |line_of_sight| {
+                line_of_sight.horizontal.azimuth_deg
+            }),
+            ("elevation", |line_of_sight| {
+                line_of_sight.horizontal.elevation_deg
+            }),
             ("roll", |line_of_sight| line_of_sight.roll_deg),
         ];
         for (name, value) in columns {
-            let values = lines_of_sight.iter().map(|line_of_sight| line_of_sight.map_or(f64::NAN, value));
+            let values = lines_of_sight
+                .iter()
+                .map(|line_of_sight| line_of_sight.map_or(f64::NAN, value));
             found.set_item(name, PyArray1::from_iter(py, values))?;
         }
         let matrices: [Named<Matrix3<f64>>; 2] = [
             ("random", |line_of_sight| line_of_sight.random_arcsec2),
-            ("systematic", |line_of_sight| line_of_sight.systematic_arcsec2),
+            ("systematic", |line_of_sight| {
+                line_of_sight.systematic_arcsec2
+            }),
         ];
         for (name, value) in matrices {
             let unknown = Matrix3::from_element(f64::NAN);
-            let values = lines_of_sight.iter().map(|line_of_sight| line_of_sight.map_or(unknown, value));
+            let values = lines_of_sight
+                .iter()
+                .map(|line_of_sight| line_of_sight.map_or(unknown, value));
             // Symmetric: the order of rows and columns is the same.
             let numbers = values.flat_map(|matrix| <[f64; 9]>::try_from(matrix.as_slice()));
             found.set_item(name, rows(py, numbers.flatten().collect(), 9)?)?;
@@ -116,9 +133,9 @@ impl PointingHistory {
             .iter()
             .map(|one| one.invalid.map_or("", |why| why.name()));
         found.set_item("invalid", invalid.collect::<Vec<&str>>())?;
-        let source = lines_of_sight
-            .iter()
-            .map(|line_of_sight| line_of_sight.map_or("", |line_of_sight| line_of_sight.basis.name()));
+        let source = lines_of_sight.iter().map(|line_of_sight| {
+            line_of_sight.map_or("", |line_of_sight| line_of_sight.basis.name())
+        });
         found.set_item("source", source.collect::<Vec<&str>>())?;
         Ok(found)
     }
