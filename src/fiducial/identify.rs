@@ -142,7 +142,7 @@ fn fully_lit(detections: &[Detection]) -> Vec<usize> {
     (0..detections.len()).filter(is_full).collect()
 }
 
-/// Every labelling that puts the plate's centre near the stated one, the likeliest first.
+/// The labellings that put the plate's centre near the stated one, the likeliest first: all of them, or all that can matter.
 fn near_the_stated_centre(
     search: Anchors,
     detections: &[Detection],
