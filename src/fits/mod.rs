@@ -74,7 +74,7 @@ use std::path::Path;
 /// The largest file that is read, bytes, before and after gunzip.
 const MAX_BYTES: u64 = 512 << 20;
 
-/// Where the headers of a frame's file are searched first, bytes.
+/// How far into a file its headers are searched for first, bytes.
 pub const START_BYTES: u64 = 1 << 16;
 
 /// The largest image that is read.

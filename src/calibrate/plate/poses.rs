@@ -154,7 +154,7 @@ impl Posed {
                 }),
             );
             let reason =
-                "neither its time nor a mark that other frames show shows which pose it is of";
+                "neither its time nor a mark that other frames show determines which pose it is of";
             let unassigned = unassigned
                 .iter()
                 .map(|n| RejectedFrame::new(&frames[*n].file, reason));
