@@ -229,7 +229,9 @@ fn a_camera_that_packs_12_bits_is_read_as_one_that_does_not() {
         ..settings()
     };
     let picture = |options: &[&str]| {
-        let _fake = Fake::start(&[options, &["--pictures", "1"]].concat());
+        // Both see a Sun of the same size: it changes from one second to the next.
+        let scene = ["--pictures", "1", "--utc", "2013-09-21T18:00:00Z"];
+        let _fake = Fake::start(&[options, &scene].concat());
         let mut camera = GenicamCamera::new(at(ADDRESS), &deep);
         let frame = frame(&mut camera);
         assert_eq!(camera.health().refused_settings, 0);

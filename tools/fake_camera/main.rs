@@ -45,6 +45,9 @@ struct Options {
     rate: f64,
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Time at which the Sun has the size shown; now by default
+    #[arg(long, value_name = "UTC", default_value_t = Timestamp::now())]
+    utc: Timestamp,
 }
 
 /// Registers of Aravis's fake, from its own description.
@@ -117,7 +120,7 @@ fn described(packed: bool) -> anyhow::Result<String> {
 
 /// Pictures one after the other, 12 bits deep.
 fn film(instrument: &Instrument, options: &Options) -> anyhow::Result<Vec<Frame>> {
-    let radius_arcsec = sky::sun_angular_radius(Timestamp::now())?;
+    let radius_arcsec = sky::sun_angular_radius(options.utc)?;
     let radius_mil = instrument.optics.radius_mil(radius_arcsec);
     let trajectory = Trajectory::flight(instrument, radius_mil, options.seed)?;
     let mut scenes = FlightScenes::new(instrument, trajectory, radius_mil, options.seed)?;
