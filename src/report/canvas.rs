@@ -120,9 +120,16 @@ impl Canvas {
         }
     }
 
-    /// Text on black beside a sensor position.
+    /// Text on black beside a sensor position. Near the edge of the picture the text moves inwards and stays whole.
     pub fn label(&mut self, at: SensorPx, text: &str, colour: Colour) {
-        let place = self.place(at) + Point::new(6, -6);
+        let (at, picture) = (self.place(at), self.picture_size());
+        let mut place = at + Point::new(6, -6);
+        if Rectangle::new(Point::zero(), picture).contains(at) {
+            let text_px = Self::LETTER_PX * text.chars().count() as u32;
+            let rightmost = picture.width.saturating_sub(text_px) as i32;
+            place.x = place.x.min(rightmost);
+            place.y = place.y.max(FONT_9X15_BOLD.baseline as i32);
+        }
         let style = MonoTextStyleBuilder::new()
             .font(&FONT_9X15_BOLD)
             .text_color(colour.rgb())
@@ -186,8 +193,12 @@ impl Canvas {
 
     /// Where the text of a line in the strip stands.
     fn baseline(&self, line: u32) -> i32 {
-        let below = self.region.height() as u32 * self.zoom;
-        (below + (line + 1) * Self::LINE_PX) as i32 - 5
+        (self.picture_size().height + (line + 1) * Self::LINE_PX) as i32 - 5
+    }
+
+    /// Size of the picture above the strip, px.
+    fn picture_size(&self) -> Size {
+        Size::new(self.region.width() as u32, self.region.height() as u32) * self.zoom
     }
 
     /// The picture's pixel of a sensor position: pixel (0, 0) of the sensor has its centre in the middle of its
@@ -252,6 +263,34 @@ mod tests {
         assert_eq!((image.width(), image.height()), (100, 50 + Canvas::LINE_PX));
         assert_eq!(image.get_pixel(37, 17).0, [255, 80, 80]);
         assert_eq!(image.get_pixel(0, 22).0, [110, 190, 255]);
+    }
+
+    #[test]
+    fn a_label_at_the_edge_of_the_picture_is_whole_and_one_beyond_it_is_not_drawn() {
+        let frame = Frame::new(
+            100,
+            60,
+            Pixels::U8(vec![200; 6000]),
+            255,
+            FrameInfo::default(),
+        );
+        let frame = frame.unwrap();
+        let blank = Canvas::of_frame(&frame, frame.region(), 1, (0.0, 255.0), 0);
+        let drawn = |x: f64, y: f64| {
+            let mut canvas = blank.clone();
+            canvas.label(SensorPx::new(x, y), "(-1,2)", Colour::BLUE);
+            let drawn = canvas.into_image();
+            let before = blank.clone().into_image();
+            let pairs = drawn.pixels().zip(before.pixels());
+            pairs.filter(|(now, before)| now != before).count()
+        };
+        let whole = drawn(30.0, 30.0);
+        assert!(whole > 500, "{whole}");
+        assert_eq!(
+            [drawn(97.0, 30.0), drawn(30.0, 2.0), drawn(97.0, 2.0)],
+            [whole; 3]
+        );
+        assert_eq!(drawn(200.0, 30.0), 0);
     }
 
     #[test]
