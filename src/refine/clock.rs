@@ -1,11 +1,11 @@
-//! UTC held against the monotonic clock of the same computer, which never steps.
+//! UTC compared with the monotonic clock of the same computer, which never steps.
 //!
-//! UTC minus the monotonic time is a straight line, whose slope is the drift between the two; where it jumps from one frame to the
-//! next, the clock was set. The clock is believed where it ran longest without a step, and wherever it agreed
-//! with that; the times between are corrected to it.
+//! UTC minus the monotonic time is a straight line, whose slope is the drift between the two; where it jumps between successive
+//! frames, the clock was set. The longest run without a step is believed, and so is every run that agrees with it; the times
+//! of the others are corrected to it.
 //!
-//! A computer that starts again restarts its monotonic clock. Frames that do not follow each other on the monotonic clock are
-//! of another start, and nothing is said of the time between.
+//! A computer that reboots restarts its monotonic clock. Frames that are not consecutive on the monotonic clock are
+//! assigned to different boots; the times of different boots are not compared.
 
 use crate::estimation::{median_and_scatter, regression};
 use crate::units::Measured;
@@ -13,21 +13,21 @@ use nalgebra::Vector2;
 use serde::Serialize;
 use std::ops::Range;
 
-/// UTC that differs by more than this from one frame to the next has made a step, s, and what a clock that is being slewed gains in
+/// UTC has made a step if it changes by more than this between successive frames, s, plus the gain of a slewed clock in
 /// a second (adjtimex(2): 500 parts in a million).
 const LEAST_STEP_S: f64 = 0.02;
 const SLEWED: f64 = 1e-3;
-/// Frames this far apart on the monotonic clock do not follow each other, s.
+/// Frames this far apart on the monotonic clock are not consecutive, s.
 const LONGEST_PAUSE_S: f64 = 60.0;
-/// Where a larger part of the frames begins with a step, two starts of the computer lie over each other on the monotonic clock, or it has
+/// If a larger part of the frames begins with a step, two boots of the computer overlap on the monotonic clock, or it has
 /// no meaning as a time.
 const MOST_STEPS: f64 = 0.2;
-/// Two starts differ by more than this, s.
+/// The offsets of two boots differ by more than this, s.
 const OTHER_START_S: f64 = 30.0;
-/// Fewer frames, or a shorter time, determine no drift.
+/// Fewer frames, or a shorter time, do not determine a drift.
 const LEAST_READINGS: usize = 20;
 const LEAST_DRIFT_S: f64 = 10.0;
-/// Largest drift that was not measured: crystals are this good.
+/// Largest drift of a crystal, assumed where it was not measured.
 const UNKNOWN_DRIFT: f64 = 1e-4;
 /// Runs that differ by so many sigma, or by less than the least step, agree.
 const AGREE_SIGMAS: f64 = 5.0;
@@ -48,7 +48,7 @@ impl Reading {
     }
 }
 
-/// A time with its correction.
+/// A time with its correction applied.
 pub fn corrected_ns(utc_ns: i64, correction_s: &Measured) -> i64 {
     utc_ns + (correction_s.value * 1e9).round() as i64
 }
@@ -56,7 +56,7 @@ pub fn corrected_ns(utc_ns: i64, correction_s: &Measured) -> i64 {
 /// A step of UTC.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ClockStep<Frame> {
-    /// The first frame after it.
+    /// The first frame after the step.
     #[serde(rename = "file")]
     pub frame: Frame,
     pub step_s: Measured,
@@ -65,18 +65,18 @@ pub struct ClockStep<Frame> {
 /// Findings on the clocks of a flight.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Clocks {
-    /// In the order of the monotonic clock.
+    /// Steps, in the order of the monotonic clock.
     pub steps: Vec<ClockStep<usize>>,
-    /// By how much UTC gained on the monotonic clock, where a start of the computer was long enough; of the longest.
+    /// Gain of UTC on the monotonic clock, s per s, from the longest boot; none if all boots were too short.
     pub drift: Option<Measured>,
     /// Correction of each frame's UTC, s; none where the clock is believed.
     pub corrections_s: Vec<Option<Measured>>,
-    /// Whether each frame is of a start of the computer in which the clocks can be compared.
+    /// Whether each frame belongs to a boot in which the clocks can be compared.
     pub confirmed: Vec<bool>,
 }
 
 impl Clocks {
-    /// Takes frames in any order; those without both clocks are left alone.
+    /// Compares the clocks of frames in any order; frames without both clocks are ignored.
     pub fn of(readings: &[Option<Reading>]) -> Self {
         let mut clocks = Self {
             corrections_s: vec![None; readings.len()],
@@ -109,7 +109,7 @@ impl Clocks {
         clocks
     }
 
-    /// Checks one start of the computer; gives the drift, where it shows.
+    /// Checks one boot; returns the drift, if it is determined.
     fn take_start(&mut self, moments: &[Moment]) -> Option<Measured> {
         for moment in moments {
             self.confirmed[moment.frame] = true;
@@ -148,17 +148,17 @@ impl Clocks {
 struct Moment {
     frame: usize,
     monotonic_s: f64,
-    /// UTC minus the monotonic time up to a constant.
+    /// UTC minus the monotonic time, up to a constant.
     ahead_s: f64,
 }
 
-/// Whether a moment does not go on where the one before it was.
+/// Whether UTC steps between two successive moments.
 fn is_step(pair: &[Moment]) -> bool {
     let passed_s = pair[1].monotonic_s - pair[0].monotonic_s;
     (pair[1].ahead_s - pair[0].ahead_s).abs() > LEAST_STEP_S + SLEWED * passed_s
 }
 
-/// Parts of one start of the computer each, in the order of the monotonic clock.
+/// Splits moments into boots, in the order of the monotonic clock.
 fn starts(moments: &[Moment]) -> Vec<Vec<Moment>> {
     let mut apart = vec![moments.to_vec()];
     if steps(moments) > most_steps(moments) {
@@ -182,7 +182,7 @@ fn steps(moments: &[Moment]) -> usize {
     moments.windows(2).filter(|pair| is_step(pair)).count()
 }
 
-/// More steps are none: the clocks have nothing to do with each other.
+/// Greatest number of steps; with more the two clocks are unrelated.
 fn most_steps(moments: &[Moment]) -> usize {
     ((MOST_STEPS * moments.len() as f64) as usize).max(2)
 }
@@ -200,7 +200,7 @@ fn runs(moments: &[Moment]) -> Vec<Range<usize>> {
     runs
 }
 
-/// The slope of a run: s of UTC gained in a second.
+/// The slope of a run: gain of UTC, s per s.
 fn drift(run: &[Moment]) -> Option<Measured> {
     let middle = run[run.len() / 2];
     let length_s = run[run.len() - 1].monotonic_s - run[0].monotonic_s;
@@ -216,7 +216,7 @@ fn drift(run: &[Moment]) -> Option<Measured> {
     Some(line.measured(1))
 }
 
-/// UTC minus the monotonic time of a run, with the drift taken off, at its middle.
+/// UTC minus the monotonic time of a run, drift removed, at its middle.
 struct Offset {
     ahead_s: Measured,
     middle_s: f64,
@@ -233,7 +233,7 @@ impl Offset {
         }
     }
 
-    /// How far this run is ahead of another.
+    /// Lead of this run over another.
     fn from(&self, other: &Self, drift_sigma: f64) -> Measured {
         let by_drift = drift_sigma * (self.middle_s - other.middle_s);
         let sigma = self
@@ -251,7 +251,7 @@ mod tests {
 
     const DRIFT: f64 = 3e-5;
 
-    /// Frames four times a second whose clock is ahead by so much.
+    /// Frames at 4 Hz whose clock is ahead by the given time.
     fn readings(
         frames: usize,
         booted_s: f64,
@@ -318,7 +318,7 @@ mod tests {
             let later = readings(200, booted_s, |_| 600.0);
             [readings(200, 50.0, |_| 0.0), later].concat()
         };
-        // The second start over the first, and behind it.
+        // The second boot overlaps the first, and follows it.
         for booted_s in [60.3, 900.0] {
             let clocks = Clocks::of(&both(booted_s));
             assert!(clocks.steps.is_empty(), "{booted_s}");

@@ -1,4 +1,4 @@
-//! The disc on the plate, from a frame's limb and a mapping that is known: the circle through its points.
+//! The disc on the plate, from a frame's limb and a known mapping: a circle fitted to its points.
 
 use super::record::PackedPoint;
 use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
@@ -6,26 +6,26 @@ use crate::geometry::Mapping;
 use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector1, Vector2, Vector3};
 
-/// A disc on the plate; the mapping's own uncertainty is not in it.
+/// A disc on the plate, without the mapping's own uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlateDisc {
     pub centre: Estimate<PlateMil>,
     pub radius_mil: Measured,
-    /// Scatter of the points over their sigmas. The covariance holds it where it is more than 1.
+    /// Scatter of the points over their sigmas. The covariance includes it where it is more than 1.
     pub scatter: f64,
     pub points: usize,
 }
 
-/// Fewer points make no circle.
+/// Fewer points do not determine a circle.
 const LEAST_POINTS: usize = 6;
-/// The rms of normal residuals with the weights of Tukey's loss: it hides their tails.
+/// The rms of normally distributed residuals with the weights of Tukey's loss, which suppresses their tails.
 const TUKEY_RMS: f64 = 0.91;
 
 /// A point of the limb on the plate, with its sigma across the limb, mil.
 type LimbPoint = (Vector2<f64>, f64);
 
-/// Fits the circle; `centre_px` is its centre's picture, about which the points are stored, and `radius_mil` is what is known of
-/// its radius. `None` where too few points agree.
+/// Fits the circle; `centre_px` is the sensor position relative to which the points are stored, and `radius_mil` is the prior of
+/// the radius. `None` where too few points agree.
 pub fn on_plate(
     centre_px: [f64; 2],
     limb: &[PackedPoint],
@@ -81,7 +81,7 @@ pub fn on_plate(
     })
 }
 
-/// How far the points are outside a circle (centre x, y and radius), in their sigmas.
+/// Distances of the points outside a circle (centre x, y and radius), in their sigmas.
 fn linearised(points: &[LimbPoint], circle: &Vector3<f64>) -> Vec<Linearised<1, 3>> {
     let linearised = |(at, sigma_mil): &LimbPoint| {
         let from_centre = at - circle.xy();

@@ -1,4 +1,4 @@
-//! Results of the dated frames on their own, as far as other frames are judged by them.
+//! The dated frames' own results, as far as they are needed to judge other frames.
 
 use super::drift::MarkObservation;
 use super::record::{FrameRecord, Grade, MarkRecord, symmetric, upper};
@@ -12,7 +12,7 @@ use jiff::Timestamp;
 use nalgebra::{Matrix3, Vector2};
 use std::collections::BTreeMap;
 
-/// Fewer frames that contradict the instrument are misread.
+/// If fewer frames contradict the instrument, they are taken for misidentified.
 const LEAST_CONTRADICTING: usize = 3;
 
 /// Result of a frame on its own.
@@ -25,35 +25,35 @@ pub(super) struct Frame {
     /// Marks that were read.
     pub marks: u16,
     pub temperature_c: Option<f64>,
-    /// The disc's radius by ephemeris and plate distance.
+    /// The disc's radius from ephemeris and plate distance.
     pub expected_radius_mil: Option<f64>,
 }
 
-/// The disc as a frame alone has it.
+/// The disc found in a single frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct OwnDisc {
     pub centre_px: SensorPx,
-    /// Part of the limb that it rests on, 0 to 1.
+    /// Visible part of the limb, 0 to 1.
     pub limb_part: f64,
 }
 
 /// The dated frames of a flight, in the order of time.
 pub(super) struct Frames {
     pub frames: Vec<Frame>,
-    /// The marks of the fine frames, and where those of each frame end among them.
+    /// The marks of the fine frames, and the end of each frame's marks among them.
     pub marks: Vec<MarkObservation>,
     pub marks_end: Vec<u32>,
-    /// Plate (mil) to ideal sensor (px), as the fine frames have it.
+    /// Plate (mil) to ideal sensor (px), from the fine frames.
     pub mappings: Vec<Matrix3<f64>>,
-    /// Contradiction of most frames against the instrument, in words: they are not its camera's.
+    /// Contradiction between most frames and the instrument, in words: they are from another camera.
     pub contradiction: Option<String>,
 }
 
 impl Frames {
-    /// Reads them.
+    /// Reads the results of all dated frames.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn read(
         timeline: &Timeline<FrameRecord>,
         instrument: &Instrument,
@@ -114,15 +114,15 @@ fn observation(mark: &MarkRecord, instrument: &Instrument) -> Option<MarkObserva
     })
 }
 
-/// Contradictions of frames against the instrument.
+/// Contradictions between frames and the instrument.
 #[derive(Default)]
 struct Against {
     fine: usize,
     bright: usize,
     contradicting: usize,
-    /// The first that contradicts it: its file and what it says.
+    /// The first frame that contradicts it: file and contradiction.
     first: Option<[String; 2]>,
-    /// Why marks could not be identified, with the frames of each reason.
+    /// Reasons for which marks could not be identified, with the number of frames of each.
     unidentified: BTreeMap<String, usize>,
 }
 
@@ -145,7 +145,7 @@ impl Against {
         }
     }
 
-    /// Most of the fine frames contradict the instrument: it is another camera's, or the camera was moved.
+    /// Set if most of the fine frames contradict the instrument: it is another camera's, or the camera was moved.
     fn contradiction(&self) -> Option<String> {
         let ([file, what], frames, fine) = (self.first.as_ref()?, self.contradicting, self.fine);
         (2 * frames > fine && frames >= LEAST_CONTRADICTING).then(|| {
@@ -156,7 +156,8 @@ impl Against {
         })
     }
 
-    /// No frame is fine, and most of those that show something bright have marks that are not the plate's as this instrument sees it: a
+    /// Set if no frame is fine, and in most frames that show something bright the marks do not match the plate as seen by
+    /// this instrument: a
     /// mirrored picture, or another plate.
     fn unidentified(&self) -> Option<String> {
         let (frames, bright) = (self.unidentified.values().sum::<usize>(), self.bright);
@@ -173,7 +174,7 @@ impl Against {
     }
 }
 
-/// The middle of what the fine frames' own mappings say of a place of the plate, px; `None` without any.
+/// Median sensor position of a plate point by the fine frames' own mappings, px; `None` without any.
 pub(super) fn middle_of(mappings: &[Matrix3<f64>], place: PlateMil) -> Option<Vector2<f64>> {
     let seen = |axis: usize| {
         let at = mappings.iter().map(|m| {

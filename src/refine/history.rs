@@ -1,4 +1,4 @@
-//! The flight as a whole: from what each frame gave to the history.
+//! The flight as a whole: combines the results of the frames into the history.
 
 use super::clock_facts::ClockFacts;
 use super::flags::{FrameFlag, FrameFlags};
@@ -24,27 +24,27 @@ use crate::units::{Measured, Place};
 use jiff::Timestamp;
 use rayon::prelude::*;
 
-/// Rows that are put together at a time, and those of them that share an ephemeris, whose costly part is done once a second.
+/// Rows assembled at a time, and those of them that share an ephemeris, whose costly part is done once a second.
 const TOGETHER: usize = 4096;
 const SAME_EPHEMERIS: usize = 256;
 
-/// The history of one camera's frames. Its rows are put together when they are asked for: what a frame gave stays in the journal.
+/// The history of one camera's frames. Rows are assembled on request: the results of the frames stay in the journal.
 pub struct History {
     flight: Flight,
     suns: Suns,
     path: SunPath,
-    /// The sky, and straight down in the body's axes at each dated frame where the roll camera saw the horizon.
+    /// The sky, and the nadir in the body's axes at each dated frame where the roll camera saw the horizon.
     sky: Sky,
     nadirs: Vec<Option<Direction>>,
     pub radius_by_temperature: RadiusDependence,
 }
 
-/// Why there is no history.
+/// Reasons for which there is no history.
 #[derive(Debug, thiserror::Error)]
 pub enum HistoryError {
     #[error(transparent)]
     Pass(#[from] PassError),
-    /// Most fine frames contradict the instrument: they are not its camera's.
+    /// Most fine frames contradict the instrument: they are from another camera.
     #[error("{0}")]
     Contradiction(String),
     #[error("expected frames from --since to --until, found none")]
@@ -58,11 +58,11 @@ impl From<JournalError> for HistoryError {
 }
 
 impl History {
-    /// Makes the history of a camera's frames, each of which a pass has observed: the clock, the mapping, the Suns, the flags, the path, and
-    /// a second pass over frames that had failed.
+    /// Makes the history of a camera's frames, after a pass has observed each of them: the clock, the mapping, the Suns, the flags,
+    /// the path, and a second pass over frames that had failed.
     ///
     /// # Errors
-    /// A journal that cannot be read; frames that are not of the instrument's camera; a pass that is to end.
+    /// If a journal cannot be read, the frames are not of the instrument's camera, or the pass is cancelled.
     pub fn new(
         done: Done<FrameRecord>,
         camera: CameraFrames,
@@ -124,7 +124,7 @@ impl History {
         })
     }
 
-    /// With straight down in the body's axes at each dated frame.
+    /// Adds the nadir in the body's axes at each dated frame.
     pub fn with_roll(self, roll: &RollHistory) -> Self {
         let times_s: Vec<f64> = self.frame_times_s().collect();
         Self {
@@ -151,7 +151,7 @@ impl History {
         &self.sky
     }
 
-    /// Parts of the files that were not used as they stand.
+    /// Inputs that were not used as they stand.
     pub fn inputs(&self) -> &InputSummary {
         &self.flight.timeline.inputs
     }
@@ -164,7 +164,7 @@ impl History {
         self.flight.mapping.as_ref().map(|mapping| &mapping.facts)
     }
 
-    /// The flight's radius over the expected one.
+    /// The flight's radius, relative to the expected one.
     pub fn radius_ratio(&self) -> Option<Measured> {
         self.suns.radius_ratio
     }
@@ -174,17 +174,17 @@ impl History {
         self.path.path.as_ref()
     }
 
-    /// From when on the path counts its times, and the times of the first and the last dated frame, s since 1970.
+    /// The origin of the path's times, and the times of the first and the last dated frame, s since 1970.
     pub(super) fn path_times_s(&self) -> Option<(f64, [f64; 2])> {
         Some((self.path.first_s, self.path.ends_s()?))
     }
 
-    /// The points of the smoothed path, each with its time, s since 1970; none where it is a guess.
+    /// The points of the smoothed path, each with its time, s since 1970; none where the path is too uncertain.
     pub fn smoothed(&self) -> impl Iterator<Item = (f64, Option<&PathPoint>)> {
         self.path.points()
     }
 
-    /// How many files there are.
+    /// Number of files.
     pub fn len(&self) -> usize {
         self.flight.timeline.len()
     }
@@ -193,15 +193,15 @@ impl History {
         self.len() == 0
     }
 
-    /// How many of them have a time: the first ones.
+    /// Number of files that have a time; these come first.
     pub fn dated(&self) -> usize {
         self.flight.timeline.dated()
     }
 
-    /// The file of a place in the history.
+    /// The file at an index of the history.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn file(&self, n: usize) -> Result<String, JournalError> {
         self.flight.timeline.file(n)
     }
@@ -224,10 +224,10 @@ impl History {
         })
     }
 
-    /// Where the dated frames that say so were taken, with the time, s since 1970.
+    /// Positions stated by the dated frames, with the time, s since 1970.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn places(&self) -> Result<Vec<(f64, Place)>, JournalError> {
         let timeline = &self.flight.timeline;
         let mut places = Vec::new();
@@ -302,7 +302,7 @@ impl History {
     }
 }
 
-/// The path of the fine frames; those that lie off it are flagged from now on.
+/// The path of the fine frames; also flags the frames that lie off it.
 fn followed(flight: &Flight, suns: &mut Suns) -> SunPath {
     let (path, off) = SunPath::follow(flight, suns);
     for n in off {

@@ -24,7 +24,7 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-/// The interval of the first sample is not longer, s.
+/// Longest interval assumed for the first sample, s.
 const LONGEST_S: f64 = 10.0;
 
 /// The files of a flight's IMU and GPS.
@@ -38,7 +38,7 @@ pub struct Navigation {
 }
 
 impl Navigation {
-    /// The flight's sensors. Times count from 1970 where NAV.toml states no epoch.
+    /// Reads the flight's sensor files. Times count from 1970 where NAV.toml states no epoch.
     pub(super) fn read(
         &self,
         archive: &ArchiveReader,
@@ -46,14 +46,14 @@ impl Navigation {
     ) -> anyhow::Result<Sensors<'_>> {
         let mut given = match (&self.settings, in_archive.last()) {
             (Some(path), _) => NavigationFile::read(path)?,
-            // Their names say when the program was started.
+            // The file name holds the time at which the program was started.
             (None, Some(newest)) => NavigationFile::of(archive.text(newest)?)?,
             (None, None) => bail!(
                 "{}: expected navigation_*.toml, found none: name a NAV.toml with --navigation",
                 archive.name().display()
             ),
         };
-        // A flight may have more cameras, whose tables end so.
+        // A flight may have more cameras: their table names end in `_camera`.
         let cameras = given.settings.cameras.clone();
         let further = cameras.iter().map(|camera| camera.name.as_str());
         let further = further.filter(|name| name.ends_with("_camera"));
@@ -78,13 +78,13 @@ impl Navigation {
 pub(super) struct ByGyros {
     pub found: AttitudeFound,
     pub states: States,
-    /// Of the cameras from them.
+    /// Differences of the cameras from these states.
     pub differences: Vec<Difference>,
-    /// Its part of the report.
+    /// The report's section on this attitude.
     pub page: Page,
 }
 
-/// A direction that a frame shows.
+/// A direction observed in a frame.
 struct Seen {
     t_s: f64,
     camera: usize,
@@ -92,7 +92,7 @@ struct Seen {
     direction: Direction,
 }
 
-/// IMU and GPS of a flight, and the directions that its frames show.
+/// IMU and GPS of a flight, and the directions observed in its frames.
 pub(super) struct Sensors<'a> {
     of: &'a Navigation,
     given: NavigationFile,
@@ -104,7 +104,7 @@ pub(super) struct Sensors<'a> {
 }
 
 impl Sensors<'_> {
-    /// Refuses cameras if nothing shows which one is the telescope's own.
+    /// Refuses the cameras if it is ambiguous which one is the telescope's own.
     pub fn check(&self, cameras: &[CameraFrames]) -> anyhow::Result<()> {
         let first = cameras.iter().filter(|camera| ordinal(camera) == 1);
         let first: Vec<&str> = first.map(|camera| camera.label.as_str()).collect();
@@ -117,7 +117,7 @@ impl Sensors<'_> {
         Ok(())
     }
 
-    /// Refuses an instrument whose directions are not the telescope's.
+    /// Refuses an instrument whose directions are not relative to the telescope.
     pub fn check_instrument(&self, instrument: &Instrument) -> anyhow::Result<()> {
         let directions = instrument.mounting.directions;
         ensure!(
@@ -129,7 +129,7 @@ impl Sensors<'_> {
         Ok(())
     }
 
-    /// Notes the Sun of a refined frame of the pitch-yaw camera of an ordinal.
+    /// Records the Sun of a refined frame of the pitch-yaw camera with this ordinal.
     pub fn see_sun(&mut self, ordinal: usize, row: &RefinedRow, instrument: &Instrument) {
         let name = Role::PitchYaw.table(ordinal);
         if let Some((utc, sun)) = row.utc().zip(row.sun_at_time()) {
@@ -138,14 +138,14 @@ impl Sensors<'_> {
         }
     }
 
-    /// Notes the nadir of a frame of the roll camera of an ordinal.
+    /// Records the nadir of a frame of the roll camera with this ordinal.
     pub fn see_nadir(&mut self, ordinal: usize, row: &RollRow) {
         if let Some((utc, nadir)) = row.utc().zip(row.nadir_at_time()) {
             self.see(Role::Roll.table(ordinal), Target::Nadir, utc, nadir);
         }
     }
 
-    /// Directions of a camera that NAV.toml does not name are not used.
+    /// Records a direction; directions of a camera that NAV.toml does not name are ignored.
     fn see(&mut self, name: Option<&str>, target: Target, utc: Timestamp, direction: Direction) {
         if let Some(camera) = name.and_then(|name| self.given.settings.camera(name)) {
             let delay_s = self.given.settings.cameras[camera].delay_s;
@@ -158,7 +158,7 @@ impl Sensors<'_> {
         }
     }
 
-    /// Finds the attitude by all of them, and writes it with the telescope's offsets.
+    /// Determines the attitude from all sensors, and writes it with the telescope's offsets.
     pub fn find_attitude(
         mut self,
         sky: &Sky,
@@ -251,7 +251,7 @@ impl Sensors<'_> {
         files.map(|path| path.display().to_string()).collect()
     }
 
-    /// From the IMU's first sample to its last.
+    /// The time span from the IMU's first sample to its last.
     fn during_s(&self) -> anyhow::Result<RangeInclusive<f64>> {
         let first = self.runs.first().and_then(|run| run.first());
         let last = self.runs.last().and_then(|run| run.last());
@@ -261,7 +261,7 @@ impl Sensors<'_> {
         Ok(first.t_s..=last.t_s)
     }
 
-    /// Times from another epoch would leave the IMU alone.
+    /// Refuses a flight without frames during the IMU's samples, for example because its times count from another epoch.
     fn expect_frames(&self) -> anyhow::Result<()> {
         let during = self.during_s()?;
         let is_during = |seen: &Seen| during.contains(&seen.t_s);
@@ -288,7 +288,7 @@ impl Sensors<'_> {
         let settings = &self.given.settings;
         let during = self.during_s()?;
         let during = during.start() - LONGEST_S..=*during.end();
-        // A frame of another day is not used, and the ephemeris need not reach so far.
+        // Frames of another day are not used, so the ephemeris need not cover them.
         let is_during = |seen: &&Seen| during.contains(&seen.t_s);
         let observation = |seen: &Seen| {
             Ok(DirectionObservation {
@@ -323,15 +323,15 @@ impl Sensors<'_> {
     }
 }
 
-/// The covariance about Earth-fixed axes as one of turns that move the boresight to the right and up, and about it.
+/// Converts a covariance about Earth-fixed axes to rotations that move the boresight right and up, and about the boresight.
 fn of_boresight(covariance_rad2: &Matrix3<f64>, attitude: &UnitQuaternion<f64>) -> Matrix3<f64> {
-    // A turn about down moves forward to the right, one about right moves it up.
+    // A rotation about down moves forward to the right, one about right moves it up.
     let [forward, right, down] = [Vector3::x(), Vector3::y(), Vector3::z()].map(|v| attitude * v);
     let axes = Matrix3::from_columns(&[down, right, forward]);
     axes.tr_mul(covariance_rad2) * axes
 }
 
-/// The rates of states that stand close: from each one's neighbours.
+/// Sets the rates of closely spaced states by differences between each state's neighbours.
 fn set_rates(states: &mut [State]) {
     for n in 0..states.len() {
         let [before, after] = [n.saturating_sub(1), (n + 1).min(states.len() - 1)];
@@ -344,7 +344,7 @@ fn set_rates(states: &mut [State]) {
     }
 }
 
-/// Which camera of its role it is, by its name, from 1.
+/// Ordinal of a camera within its role, from 1, by its name.
 pub(super) fn ordinal(camera: &CameraFrames) -> usize {
     let name = camera.taken_by.instrument.as_deref();
     name.map_or(1, |name| one_of_several(name).1)

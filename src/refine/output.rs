@@ -1,5 +1,5 @@
 //! Files of a refinement: `aspect.fits`, `aspect.csv`, `summary.json`. The same archive, instrument and settings give the
-//! same bytes: nothing in them says when they were made.
+//! same bytes: the files hold no creation time.
 
 use super::clock_facts::ClockFacts;
 use super::columns::{
@@ -43,22 +43,22 @@ pub enum OutputError {
     Journal(#[from] JournalError),
 }
 
-/// The summary: counts, and what the numbers rest on.
+/// The summary: counts, and the inputs that the numbers depend on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     pub program: &'static str,
-    /// That the program was built from, where it is known.
+    /// Commit that the program was built from, where it is known.
     pub commit: Option<&'static str>,
     pub times: &'static str,
     pub instrument: String,
-    /// Of version, instrument and settings, hexadecimal.
+    /// Hash of version, instrument and settings, hexadecimal.
     pub recipe_hash: String,
     pub instrument_hash: String,
     pub settings_hash: String,
     /// SHA-256 of the effective configuration and of the instrument's file.
     pub configuration_sha256: Option<String>,
     pub instrument_sha256: Option<String>,
-    /// Of `aspect.fits`.
+    /// SHA-256 of `aspect.fits`.
     pub table_sha256: String,
     #[serde(flatten)]
     pub counts: Counts,
@@ -68,14 +68,14 @@ pub struct Summary {
     pub second_pass: usize,
     #[serde(flatten)]
     pub inputs: InputSummary,
-    /// Of the fine frames, per axis.
+    /// Median 1 sigma of the fine frames, per axis.
     pub median_sigma_mil: Option<f64>,
     pub median_sigma_arcsec: Option<f64>,
     pub radius_over_expected: Option<f64>,
     pub radius_by_temperature: RadiusDependence,
     pub mapping: Option<MappingSummary>,
     pub clock: ClockFacts,
-    /// Of the acceleration: the square root of the density of its noise.
+    /// Process noise of the acceleration: the square root of its spectral density.
     pub path_process_noise_mil_per_s2_5: Option<f64>,
     #[serde(flatten)]
     pub pointing: PointingFacts,
@@ -86,7 +86,7 @@ pub struct Summary {
 /// Pointing facts of a flight.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct PointingFacts {
-    /// Cameras against the attitude by gyros; none without an IMU.
+    /// Cameras compared with the attitude by gyros; none without an IMU.
     pub witnesses: Option<Compared>,
     /// How long the telescope was near its target; none where that is not known.
     pub on_target: Option<OnTarget>,
@@ -129,7 +129,7 @@ impl Counts {
     }
 }
 
-/// The mapping of the flight, its jumps with their frames.
+/// The mapping of the flight, and its jumps with their frames.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MappingSummary {
     #[serde(flatten)]
@@ -140,7 +140,7 @@ pub struct MappingSummary {
 /// A jump of the mapping.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NamedJump {
-    /// The first frame after it.
+    /// The first frame after the jump.
     pub file: String,
     pub utc: Option<String>,
     #[serde(flatten)]
@@ -148,7 +148,7 @@ pub struct NamedJump {
 }
 
 impl NamedJump {
-    /// How far, and where, for people.
+    /// Size, place and time of the jump, for people.
     pub fn text(&self) -> String {
         let Jump {
             shift_px: [x, y],
@@ -162,7 +162,7 @@ impl NamedJump {
     }
 }
 
-/// Swings of the gondola for people; "none found" where there is none.
+/// Swings of the gondola, for people; "none found" if there are none.
 pub(super) fn swings_text(swings: &[FoundSwing]) -> String {
     let text = |swing: &FoundSwing| {
         let (period_s, least_s) = (swing.period_s, swing.damping_least_s);
@@ -188,7 +188,7 @@ struct Tally {
     counts: Counts,
     own_fine: usize,
     second_pass: usize,
-    /// Of the fine frames, per axis.
+    /// 1 sigma of the fine frames, per axis.
     sigmas_mil: Vec<[f64; 2]>,
 }
 
@@ -211,7 +211,7 @@ pub struct Written {
 /// Writes `aspect.csv` to a folder; `each` sees every row.
 ///
 /// # Errors
-/// A file that cannot be written, a journal that cannot be read.
+/// If a file cannot be written or a journal cannot be read.
 pub fn write_rows(
     folder: &Path,
     history: &History,
@@ -228,7 +228,7 @@ pub fn write_rows(
     Ok(Written { tally, widths })
 }
 
-/// Writes `aspect.fits`, with the pointing at a rate, and the summary, to the same folder; `pointing.fits`, too.
+/// Writes `aspect.fits`, with the pointing table at `rate_hz`, `pointing.fits` and the summary to the same folder.
 ///
 /// # Errors
 /// As [`write_rows`].
@@ -261,7 +261,7 @@ pub fn write(
     Ok(summary)
 }
 
-/// Header cards of a history's tables: times, instrument, target, and from where it was seen.
+/// Header cards of a history's tables: times, instrument, target, and the observer's position.
 fn cards(history: &History, pointing: &PointingHistory) -> Vec<Card> {
     let mut cards = pointing_cards(pointing);
     cards.extend(instrument_cards(history.instrument(), Roll::Stated));
@@ -273,7 +273,7 @@ fn cards(history: &History, pointing: &PointingHistory) -> Vec<Card> {
 /// Writes a table as `name.fits` and `name.csv`; `each` sees every row.
 ///
 /// # Errors
-/// A file that cannot be written, or what a row gives.
+/// If a file cannot be written; any error that `rows` yields.
 pub(super) fn write_table<T, R: Borrow<T>, I: Iterator<Item = Result<R, OutputError>>>(
     path: &Path,
     cards: &[Card],
@@ -295,7 +295,7 @@ pub(super) fn write_table<T, R: Borrow<T>, I: Iterator<Item = Result<R, OutputEr
 /// Writes `stabilisation.fits` and `stabilisation.csv` to a folder.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// If a file cannot be written.
 pub fn write_stabilisation(
     folder: &Path,
     rows: &[StabilisationRow],

@@ -1,7 +1,8 @@
-//! The Sun's path as the frames have it, and the frames that lie off it.
+//! The Sun's path by the frames, and the frames that lie off it.
 //!
-//! A frame whose limb determines its own radius, which is the flight's, is of the Sun: it makes the path, wherever it is. One that shows
-//! less of the limb is held against the path of those.
+//! If a frame's limb determines its own radius, and this is the flight's, the disc is the Sun: the frame defines the path,
+//! wherever it is. A
+//! frame that shows less of the limb is compared with the path of those.
 
 use super::suns::{Flight, Suns};
 use crate::estimation::median;
@@ -10,30 +11,30 @@ use crate::smoothing::{self, Measurement, Moment, Path, PathPoint, SharedErrors}
 use crate::units::{Estimate, PlateMil};
 use nalgebra::{Matrix2, Vector2};
 
-/// Off the path, chi^2 of two.
+/// Threshold of a frame off the path, chi^2 of two degrees of freedom.
 pub(super) const UNUSUAL_PATH_CHI2: f64 = 100.0;
 
-/// Beyond this the path is a guess, 1 sigma.
+/// Above this the path is too uncertain, 1 sigma.
 const MOST_SIGMA_MIL: f64 = 100.0;
 
-/// Whether the path is no guess at a point.
+/// Whether the path is sufficiently certain at a point.
 pub(super) fn is_known(point: &PathPoint) -> bool {
     let sigma = point.variance.map(f64::sqrt);
     sigma.iter().all(|sigma| *sigma < MOST_SIGMA_MIL)
 }
 
-/// Covariance that the uncertainty of the time adds to a place that moves, mil^2.
+/// Covariance that the uncertainty of the time adds to a moving position, mil^2.
 pub(super) fn moved_mil2(speed_mil_per_s: [f64; 2], time_sigma_s: f64) -> Matrix2<f64> {
     let moved = Vector2::from(speed_mil_per_s) * time_sigma_s;
     moved * moved.transpose()
 }
 
-/// The Sun's path; between two frames it has one more point.
+/// The Sun's path, with one more point between two frames.
 pub(super) struct SunPath {
     pub path: Option<Path>,
-    /// Of the first dated frame, since 1970: the path's times count from there.
+    /// Time of the first dated frame, s since 1970: the origin of the path's times.
     pub first_s: f64,
-    /// Of each point.
+    /// Time of each point, s.
     times_s: Vec<f64>,
     points: Vec<PathPoint>,
     /// The point of each dated frame.
@@ -41,7 +42,7 @@ pub(super) struct SunPath {
 }
 
 impl SunPath {
-    /// The path of the fine frames, and those of them that lie off it.
+    /// Follows the path of the fine frames; also returns the frames that lie off it.
     pub fn follow(flight: &Flight, suns: &Suns) -> (Self, Vec<usize>) {
         let is_sure = |n: usize| suns.is_sure(&flight.frames[n], n);
         let path = Self::through(flight, suns, is_sure);
@@ -63,7 +64,7 @@ impl SunPath {
         (Self::through(flight, suns, counts), off)
     }
 
-    /// The path of some of the fine frames.
+    /// The path of a selection of the fine frames.
     fn through(flight: &Flight, suns: &Suns, counts: impl Fn(usize) -> bool) -> Self {
         let timeline = &flight.timeline;
         let first_s = timeline.unix_s(0).unwrap_or(0.0);
@@ -96,7 +97,7 @@ impl SunPath {
         }
     }
 
-    /// Each point with its time, s since 1970; none where the path is a guess.
+    /// Each point with its time, s since 1970; none where the path is too uncertain.
     pub fn points(&self) -> impl Iterator<Item = (f64, Option<&PathPoint>)> {
         let times = self.times_s.iter().map(|time_s| self.first_s + time_s);
         let points = self.points.iter();
@@ -113,10 +114,10 @@ impl SunPath {
         self.points.get(self.at[n] as usize)
     }
 
-    /// Where the path most likely has the disc at each of some dated frames, in order, and 1 sigma, mil.
+    /// Most likely position of the disc at each of some dated frames, in order, and 1 sigma, mil.
     pub fn places(&self, of: &[usize]) -> Vec<Option<(PlateMil, f64)>> {
         let path = self.path.as_ref().filter(|_| !of.is_empty());
-        // At all times, though few are asked for: over a gap of the Suns the frames between carry the path.
+        // Evaluate at all times, though few are requested: in a gap of the Suns the frames between support the path.
         let Some(points) = path.and_then(|path| path.likeliest(&self.times_s)) else {
             return vec![None; of.len()];
         };
@@ -132,15 +133,16 @@ impl SunPath {
         of.iter().map(place).collect()
     }
 
-    /// How fast the Sun moves at a dated frame, mil/s; `None` where the path is a guess.
+    /// Speed of the Sun over the plate at a dated frame, mil/s; `None` where the path is too uncertain.
     pub fn speed(&self, n: usize) -> Option<[f64; 2]> {
         let point = self.point(n)?;
         is_known(point).then_some(point.speed)
     }
 }
 
-/// How long the mapping's errors last. Those of a smoothed random walk are correlated over twice their variance over the density of the
-/// walk; jumps draw them again.
+/// Correlation time of the mapping's errors. For a smoothed random walk it is twice the variance of the error over the
+/// density of the walk's
+/// process noise; a jump starts new errors.
 fn shared_errors(flight: &Flight, suns: &Suns, first_s: f64) -> SharedErrors {
     let Some(mapping) = &flight.mapping else {
         return SharedErrors::default();
@@ -164,7 +166,7 @@ fn shared_errors(flight: &Flight, suns: &Suns, first_s: f64) -> SharedErrors {
     }
 }
 
-/// Measurement of a frame: its own errors are those that the limb's points show; at a jump of the mapping all of them are.
+/// Measurement of a frame: its own errors are those of the limb's points; at a jump of the mapping all errors are its own.
 fn measurements(
     flight: &Flight,
     suns: &Suns,
@@ -182,7 +184,7 @@ fn measurements(
     })
 }
 
-/// Whether a place, which is not of the path, lies off it.
+/// Whether a position that is not part of the path lies off it.
 fn is_off(sun: &Estimate<PlateMil>, time_sigma_s: f64, point: &PathPoint) -> bool {
     let off = sun.position.vector() - Vector2::from(point.place);
     let sun = Estimate {

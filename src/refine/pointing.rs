@@ -1,5 +1,5 @@
-//! The pointing of a flight as a function of time: its states are the attitude by gyros where there is one, else the smoothed path of the Sun
-//! with the roll.
+//! The pointing of a flight as a function of time. Its states are the attitude by gyros where available, else the smoothed path of the
+//! Sun with the roll.
 
 use super::history::History;
 use super::path::is_known;
@@ -19,28 +19,28 @@ use jiff::Timestamp;
 use nalgebra::{Matrix2, Matrix3, Rotation3, UnitQuaternion, UnitVector3, Vector2, Vector3};
 use rayon::prelude::*;
 
-/// Between frames states stand no farther apart, s: a swing of a second is a cubic to a thousandth of itself.
+/// Longest step between states between frames, s: a cubic reproduces a swing of 1 s period to a thousandth of its amplitude.
 const STEP_S: f64 = 0.1;
-/// Over longer times without a frame there are none.
+/// No states are made in longer gaps between frames, s.
 const LONGEST_STEP_S: f64 = 10.0;
-/// The path serves where no state by gyros is so near, s.
+/// The path is used where no gyro state is this near, s.
 const NEAR_S: f64 = 1.0;
 /// States that share an ephemeris, whose costly part is done once a second.
 const TOGETHER: usize = 1024;
-/// A rate is the turn in twice this, s, over that.
+/// Half of the interval over which a rate is computed from the rotation, s.
 const INSTANT_S: f64 = 1e-3;
 
-/// Slowly changing quantities: noted once in each second that has a state.
+/// Slowly changing quantities: stored once in each second that has a state.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Slow {
     pub unix_s: f64,
-    /// In ECEF.
+    /// Position in ECEF, m.
     pub position_m: Vector3<f64>,
-    /// Of the calibration, as a [`Second`] has it.
+    /// Covariance of the calibration, as in [`Second`].
     pub systematic_rad2: Matrix3<f64>,
 }
 
-/// States in the order of time, with what changes slowly.
+/// States in the order of time, with the slowly changing quantities.
 #[derive(Debug, Clone, Default)]
 pub(super) struct States {
     pub states: Vec<State>,
@@ -48,7 +48,7 @@ pub(super) struct States {
 }
 
 impl States {
-    /// Adds a state behind the last; `slow` is asked once a second.
+    /// Appends a state; `slow` is called once a second.
     pub fn push(&mut self, state: State, slow: impl FnOnce() -> Slow) {
         let second = state.unix_s.floor();
         if self
@@ -61,7 +61,7 @@ impl States {
         self.states.push(state);
     }
 
-    /// With others, which lie elsewhere in time.
+    /// Merges these states with others at other times.
     fn and(mut self, others: &Self) -> Self {
         self.states.extend_from_slice(&others.states);
         self.states.sort_by(|a, b| a.unix_s.total_cmp(&b.unix_s));
@@ -73,16 +73,16 @@ impl States {
 }
 
 impl History {
-    /// Where the telescope pointed, as a function of time: along the smoothed path of the Sun, with the roll of the roll camera where it is
-    /// given and near; else as gyros have it in the rest of the flight, or as the instrument states it.
+    /// Telescope pointing as a function of time: the smoothed path of the Sun, with the roll camera's roll where it is given and near;
+    /// otherwise with the mean roll by gyros from the rest of the flight, or the roll stated by the instrument.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn pointing(&self, roll: Option<&RollHistory>) -> Result<PointingHistory, JournalError> {
         self.pointing_with(roll, &States::default())
     }
 
-    /// The same by gyros, where their states are.
+    /// The same, with gyro states where these exist.
     pub(super) fn pointing_with(
         &self,
         roll: Option<&RollHistory>,
@@ -98,7 +98,7 @@ impl History {
     }
 }
 
-/// The roll that gyros have measured in the flight, deg: its mean, and its scatter as 1 sigma. `None` without gyros.
+/// Roll measured by gyros in the flight, deg: its mean, and its scatter as 1 sigma. `None` without gyros.
 fn usual_roll_deg(by_gyros: &States) -> Option<Measured> {
     let roll_deg = |slow: &Slow| {
         let state = nearest(&by_gyros.states, |state| state.unix_s, slow.unix_s)?;
@@ -126,7 +126,7 @@ pub(super) fn nearest<T>(things: &[T], time: impl Fn(&T) -> f64, time_s: f64) ->
     nearest.filter(|thing| away(thing) <= NEAR_S)
 }
 
-/// The times of the states of the path: the frames', and equal steps between.
+/// Times of the path's states: those of the frames, and equal steps between.
 fn times_s(history: &History) -> Vec<f64> {
     let frames: Vec<f64> = history.frame_times_s().collect();
     let mut times_s = Vec::new();
@@ -142,7 +142,7 @@ fn times_s(history: &History) -> Vec<f64> {
     times_s
 }
 
-/// The states of the path.
+/// The states along the path.
 fn by_path(
     history: &History,
     roll: Option<&RollHistory>,
@@ -185,18 +185,18 @@ fn by_path(
     Ok(all)
 }
 
-/// The place of the last frame before a time.
+/// Position of the last frame before a time.
 fn place_before(places: &[(f64, Place)], time_s: f64) -> Option<Place> {
     let later = places.partition_point(|(taken_s, _)| *taken_s <= time_s);
     Some(places.get(later.checked_sub(1)?)?.1)
 }
 
-/// Sensors that determine the attitude at a moment of the path.
+/// Measurements that determine the attitude at a moment of the path.
 struct Moment<'a> {
     unix_s: f64,
     point: PathPoint,
     roll: Option<SmoothedRoll>,
-    /// For where the roll is not measured.
+    /// Used where the roll is not measured.
     usual_roll_deg: Option<Measured>,
     place: Place,
     instrument: &'a Instrument,
@@ -231,7 +231,7 @@ impl Moment<'_> {
         Some((state, slow))
     }
 
-    /// The attitude a little later, as Sun and body go on.
+    /// The attitude a little later, extrapolated with the motion of Sun and body.
     fn attitude(&self, later_s: f64, ephemeris: &mut Ephemeris) -> Option<TelescopeAttitude> {
         let sun = sun_at(self.unix_s + later_s, self.place, ephemeris)?;
         let place = Vector2::from(self.point.place) + Vector2::from(self.point.speed) * later_s;
@@ -263,7 +263,7 @@ fn sun_at(unix_s: f64, place: Place, ephemeris: &mut Ephemeris) -> Option<SunPos
     ephemeris.sun(utc, place).ok()
 }
 
-/// The whole seconds about states, in the order of time.
+/// The whole seconds that span the states, in the order of time.
 fn seconds(of: &States, ephemeris: &Ephemeris) -> Vec<Second> {
     let ends = of.states.first().zip(of.states.last());
     let Some(ends_s) = ends.map(|(first, last)| [first.unix_s.floor(), last.unix_s.ceil()]) else {

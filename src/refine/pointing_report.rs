@@ -1,4 +1,4 @@
-//! The report's part on the pointing: where on the Sun the telescope pointed, for how long, and how far from its target.
+//! The report's section on the pointing: position on the Sun, dwell time, and distance from the target.
 
 use super::output::Summary;
 use super::report::Part;
@@ -11,14 +11,15 @@ use jiff::Timestamp;
 use nalgebra::SymmetricEigen;
 use std::ops::Range;
 
-/// From one circle of the heliographic grid to the next, deg.
+/// Spacing of the circles of the heliographic grid, deg.
 const GRID_DEG: u32 = 15;
-/// The map of the whole Sun reaches so many radii from its centre, at least.
+/// Half side of the map of the whole Sun, in solar radii, at least.
 const REACH_RADII: f64 = 1.1;
-/// A map of the path alone is as wide as the path, without this part at each end of it, and this many times as wide again.
+/// The map of the path alone spans the path without this fraction at each end, times this margin.
 const REST: f64 = 0.01;
 const MARGIN: f64 = 1.3;
-/// It is drawn where it is so small a part of the first, and no smaller than so many sigmas of the boresight, nor than this.
+/// It is drawn where its side is below this fraction of the first map's; its side is at least this many sigmas of the boresight, and at
+/// least this many arcsec.
 const CLOSE_PART: f64 = 0.4;
 const LEAST_SIGMAS: f64 = 10.0;
 const LEAST_SIDE_ARCSEC: f64 = 4.0;
@@ -109,7 +110,7 @@ fn passages(path: &SolarPath) -> Vec<Passage> {
     path.steps.iter().map(passage).collect()
 }
 
-/// The whole disc, and the valid path as far as it is beyond it.
+/// The whole disc, and any valid path beyond it.
 fn whole_sun(path: &SolarPath) -> Ground {
     let far = |step: &SolarStep| step.at.x.abs().max(step.at.y.abs());
     let farthest = path.valid().map(far).fold(0.0, f64::max);
@@ -131,7 +132,7 @@ fn whole_sun(path: &SolarPath) -> Ground {
     }
 }
 
-/// The path alone, with the target where that is near; none where it fills the Sun.
+/// The path alone, with the target where that is near; none where the path extends over much of the Sun.
 fn close_up(path: &SolarPath, whole: &Ground) -> Option<Ground> {
     let whole_side = whole.x.end - whole.x.start;
     let [x, y] = [middle_part(path, |at| at.x)?, middle_part(path, |at| at.y)?];
@@ -159,7 +160,7 @@ fn close_up(path: &SolarPath, whole: &Ground) -> Option<Ground> {
     squares.find(|ground| ground.x.end - ground.x.start < CLOSE_PART * whole_side)
 }
 
-/// Span of the valid path along an axis, without its outermost parts.
+/// Span of the valid path along an axis, without the outermost fraction `REST` at each end.
 fn middle_part(path: &SolarPath, axis: fn(&HelioprojectiveArcsec) -> f64) -> Option<Range<f64>> {
     let mut values: Vec<f64> = path.valid().map(|step| axis(&step.at)).collect();
     values.sort_by(f64::total_cmp);
@@ -168,7 +169,7 @@ fn middle_part(path: &SolarPath, axis: fn(&HelioprojectiveArcsec) -> f64) -> Opt
     Some(values[rest]..values[last - rest])
 }
 
-/// 1 sigma of the boresight, of its random part.
+/// 1 sigma ellipse of the random part of the boresight's error.
 fn ellipse(path: &SolarPath) -> Option<Ellipse> {
     let of = SymmetricEigen::new(path.covariance_arcsec2?);
     let longer = of.eigenvalues.imax();

@@ -1,4 +1,4 @@
-//! Record of one frame, as small as the flight needs it: a row of the journal.
+//! Record of one frame, reduced to what the flight needs: a row of the journal.
 
 use super::timeline::Dated;
 use crate::aspect::{Adopted, Aspect, Mark, Solution};
@@ -30,7 +30,7 @@ pub struct FrameRecord {
     pub limb: Vec<PackedPoint>,
 }
 
-/// How good a frame's own solution is.
+/// Quality of a frame's own solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Grade {
     None,
@@ -48,7 +48,7 @@ impl Grade {
     }
 }
 
-/// The answer in flight, from the keywords that the archive wrote.
+/// The results in flight, from the keywords that the archive wrote.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct InFlight {
     pub sun_mil: Option<[f64; 2]>,
@@ -59,20 +59,20 @@ pub struct InFlight {
     pub quality: Option<String>,
 }
 
-/// The disc as the frame alone gives it.
+/// The disc found in the frame alone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DiscRecord {
     pub centre_px: [f64; 2],
     pub radius_px: f64,
     pub on_plate_mil: [f64; 2],
-    /// Covariance of the place on the plate: xx, xy, yy.
+    /// Covariance of the position on the plate: xx, xy, yy.
     pub covariance_mil2: [f64; 3],
     pub limb_fraction: f64,
-    /// The mapping from the ideal sensor (px) to the plate (mil), row by row, where the frame's own marks gave one.
+    /// The mapping from the ideal sensor (px) to the plate (mil), row by row, where the frame's own marks determined one.
     pub to_plate: Option<[f64; 9]>,
 }
 
-/// A mark that was read.
+/// A mark that was identified.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MarkRecord {
     pub id: [i16; 2],
@@ -81,7 +81,7 @@ pub struct MarkRecord {
     pub covariance_px2: [f64; 3],
 }
 
-/// A point of the limb, from the disc's centre in steps of 1/256 px, with its sigma in steps of 1/10000 px.
+/// A point of the limb, relative to the disc's centre in steps of 1/256 px, with its sigma in steps of 1/10000 px.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct PackedPoint([i16; 2], u16);
 
@@ -104,7 +104,7 @@ impl PackedPoint {
         Self([steps.x as i16, steps.y as i16], sigma.max(1.0) as u16)
     }
 
-    /// Where it is, and 1 sigma along the radius, px.
+    /// Position of the point, and 1 sigma along the radius, px.
     pub fn unpack(self, centre: [f64; 2]) -> (SensorPx, f64) {
         let [x, y] = self.0.map(|v| f64::from(v) / STEPS_PER_PX);
         let at = SensorPx::new(centre[0] + x, centre[1] + y);
@@ -131,18 +131,18 @@ impl MarkRecord {
     }
 }
 
-/// The parts xx, xy and yy.
+/// The elements xx, xy and yy.
 pub(super) fn upper(m: &Matrix2<f64>) -> [f64; 3] {
     [m.m11, m.m12, m.m22]
 }
 
-/// The matrix of parts xx, xy and yy.
+/// The matrix of elements xx, xy and yy.
 pub(super) fn symmetric([xx, xy, yy]: [f64; 3]) -> Matrix2<f64> {
     Matrix2::new(xx, xy, xy, yy)
 }
 
 impl FrameRecord {
-    /// Record of a frame, with its file's facts.
+    /// Makes the record of a frame, with its file's facts.
     pub fn new(
         info: &FrameInfo,
         header: &Header,
@@ -211,7 +211,7 @@ impl InFlight {
             sun_mil: pair("SUNMIL-X", "SUNMIL-Y"),
             sigma_mil: pair("SUNMILSX", "SUNMILSY"),
             offset_deg: pair("OFFSETAZ", "OFFSETEL").or_else(|| {
-                // What HEROES sent; two zeroes where there was nothing to send.
+                // The offset that HEROES sent; two zeroes if there was none.
                 pair("CTL_AZIM", "CTL_ELEV").filter(|offset| *offset != [0.0; 2])
             }),
             roll_deg: pair("BODYROLL", "BODYRLSG"),

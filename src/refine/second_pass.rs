@@ -1,10 +1,10 @@
-//! The second pass: a frame that did not give its disc or its marks by itself is solved again, now that the flight has determined the
-//! mapping and, from the frames before and after, where the disc must be.
+//! The second pass: a frame in which the first pass did not find the disc or the marks is solved again. The flight has now determined the
+//! mapping, and the frames before and after predict the disc's position.
 //!
-//! 1. The outline that the disc would have: by the frame's own disc, else by the path; where that is vague, the disc is searched
-//!    about it.
-//! 2. The levels of the disc and its surroundings there, for haze has its own.
-//! 3. The limb, without the pixels of any mark of the plate, seen or not.
+//! 1. The predicted outline of the disc: from the frame's own disc, else from the path. Where the position is uncertain, the disc
+//!    is searched for around it.
+//! 2. Brightness levels of the disc and its surroundings there: haze changes them.
+//! 3. The limb, with every mark of the plate masked, whether it was found or not.
 
 use super::disc::{self, PlateDisc};
 use super::flags::FrameFlag;
@@ -25,42 +25,42 @@ use crate::with_view;
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-/// A place this vague is no place to start at: the disc is searched about it.
+/// Position uncertainty above which the disc is searched for, 1 sigma, px.
 const VAGUE_PX: f64 = 2.0;
-/// How many sigma about a vague place are searched, and what is added to them, px.
+/// The search extends over so many sigmas and a margin, px.
 const SEARCHED_SIGMAS: f64 = 4.0;
 const SEARCHED_PX: f64 = 10.0;
-/// The parts of the radius within which the disc's light is taken, and between which its surroundings'.
+/// Parts of the radius within which the disc's level is measured, and between which that of its surroundings.
 const INSIDE: f64 = 0.9;
 const AROUND: [f64; 2] = [1.15, 1.6];
-/// Which part of the pixels inside is darker than the disc's level, beside marks.
+/// Quantile of the pixels inside that gives the disc's level: above the marks.
 const DISC_QUANTILE: f64 = 0.9;
-/// Fewer pixels determine no level.
+/// Fewer pixels do not determine a level.
 const LEAST_PIXELS: usize = 100;
 /// The disc must outshine its surroundings by so many sigma of a pixel's noise.
 const LEAST_CONTRAST: f64 = 2.0;
-/// The sigma of a limb's point (px), at a contrast of one, where 180 points share the limb; and the one that fewer points are to
-/// have, for what is much less sure cannot be distinguished from noise.
+/// Sigma of a limb point (px) at a contrast of one, with 180 points on the limb; and the largest sigma accepted: fewer points are used to
+/// reach it, because less accurate points cannot be distinguished from noise.
 const SIGMA_AT_180_PX: f64 = 2.7;
 const SURE_SIGMA_PX: f64 = 0.25;
 /// Fewer points leave parts of the limb unmeasured.
 const LEAST_POINTS: usize = 36;
-/// How well the outline is known a priori: its radius (px), and how far it may be from round, relative.
+/// Priors of the outline: sigma of its radius (px), and its relative deviation from a circle.
 const POSSIBLE: (f64, f64) = (1.0, 0.002);
 const STATED: (f64, f64) = (0.1, 0.001);
-/// Requirements of a limb: part of its points on the outline, and how far they scatter, px.
+/// Requirements of a limb: least part of its points on the outline, and their greatest scatter, px.
 const LEAST_ON_OUTLINE: f64 = 0.6;
 const MAX_SCATTER_PX: f64 = 1.0;
 
-/// Where a disc is known worse than this, 1 sigma, a second pass is of no use.
+/// Position uncertainty of the disc above which there is no second pass, 1 sigma.
 const MOST_PLACE_SIGMA_MIL: f64 = 200.0;
-/// How far a frame's own disc may be from the one of the second pass, 1 sigma.
+/// Distance between a frame's own disc and the disc of the second pass, 1 sigma.
 const OWN_DISC_SIGMA_MIL: f64 = 5.0;
-/// A frame's own disc is another thing if it is so many sigma off the path.
+/// A frame's own disc is another object if it is so many sigma off the path.
 const OTHER_THING_SIGMAS: f64 = 8.0;
 
-/// Solves the frames again that did not give disc and marks by themselves, or identified them wrongly: those, in order, that have another disc
-/// now.
+/// Solves again the frames in which disc and marks were not found, or were identified wrongly. Returns in order those that now have another
+/// disc.
 pub(super) fn solve_again(
     flight: &Flight,
     suns: &Suns,
@@ -108,7 +108,7 @@ fn solve(
     let file = archive.open_file(&flight.timeline.file(n).ok()?).ok()?;
     let file = file.of_size(known.instrument.camera.size_px());
     let found = file.with_frame(|frame| known.find(frame)).ok()??;
-    // A limb of which little is seen does not determine its radius.
+    // A limb that is mostly hidden does not determine its radius.
     let sigma = match found.limb_part >= LEAST_LIMB {
         true => LOOSE_RADIUS.sigma,
         false => ratio.sigma,
@@ -120,7 +120,7 @@ fn solve(
     flight.seen(n, disc, found.limb_part).filter(|_| near)
 }
 
-/// Where a frame's disc must be, and 1 sigma, mil: where the frame itself has it, unless the path says that this is another thing.
+/// Predicted position of a frame's disc, and 1 sigma, mil: from the frame itself, unless the path shows that its disc is another object.
 fn whereabouts(
     flight: &Flight,
     suns: &Suns,
@@ -136,7 +136,7 @@ fn whereabouts(
     let other = by_path.filter(|(place, sigma)| {
         place.distance(own) > OTHER_THING_SIGMAS * sigma.hypot(OWN_DISC_SIGMA_MIL)
     });
-    // The same disc would be flagged again.
+    // A disc that was rejected would be flagged again.
     other.or((!suns.flags[n].reject()).then_some((own, OWN_DISC_SIGMA_MIL)))
 }
 
@@ -145,7 +145,7 @@ struct Known<'a> {
     pub instrument: &'a Instrument,
     pub settings: &'a SolverSettings,
     pub mapping: Mapping,
-    /// Where the disc must be, and 1 sigma.
+    /// Predicted position of the disc, with its 1 sigma below.
     pub centre: PlateMil,
     pub sigma_mil: f64,
     pub radius_mil: f64,
@@ -159,7 +159,7 @@ struct Found {
 }
 
 impl Known<'_> {
-    /// Searches a frame. `None` where it shows no disc.
+    /// Searches a frame. `None` where no disc is found.
     fn find(&self, frame: &Frame) -> Option<Found> {
         let (start, levels) = self.start(frame)?;
         let limb = self.limb(frame, &start, &levels)?;
@@ -177,14 +177,14 @@ impl Known<'_> {
         })
     }
 
-    /// The outline of the disc if it were at a place of the plate.
+    /// The predicted outline of a disc centred at a plate position.
     fn outline(&self, centre: PlateMil) -> Option<Ellipse> {
         let to_sensor = self.mapping.sensor_jacobian(centre) * self.radius_mil;
         let at = self.mapping.to_sensor(centre).vector();
         Ellipse::of_unit_circle(at, &to_sensor)
     }
 
-    /// The outline to start from, and the levels about it.
+    /// The initial outline, and the levels around it.
     fn start(&self, frame: &Frame) -> Option<(Ellipse, Levels)> {
         let outline = self.outline(self.centre)?;
         let scale = self.mapping.scale_mil_per_px(outline.centre.into());
@@ -253,7 +253,7 @@ impl Known<'_> {
         round.then_some(limb)
     }
 
-    /// Points that the limb is divided into: the less contrast, the fewer.
+    /// Number of points on the limb: fewer at lower contrast.
     fn points(&self, levels: &Levels) -> usize {
         let contrast = (levels.disc_dn - levels.background_dn) / levels.noise_dn;
         let points = 180.0 * (SURE_SIGMA_PX * contrast / SIGMA_AT_180_PX).powi(2);
@@ -263,7 +263,7 @@ impl Known<'_> {
     }
 }
 
-/// Levels of the disc within an outline and of what is about it.
+/// Levels of the disc within an outline and of its surroundings.
 fn levels_about(frame: &Frame, outline: &Ellipse) -> Option<Levels> {
     let (mut inside, mut around) = (Vec::new(), Vec::new());
     let reach = AROUND[1] * outline.mean_radius();
@@ -290,7 +290,7 @@ fn levels_about(frame: &Frame, outline: &Ellipse) -> Option<Levels> {
     let contrast = (middle_dn - background_dn) / noise_dn;
     let bright = (DISC_QUANTILE * inside.len() as f64) as usize;
     let bright_dn = *inside.select_nth_unstable_by(bright, f64::total_cmp).1;
-    // Where the noise outweighs the light, the brightest pixels are the noise's.
+    // At a low signal-to-noise ratio noise determines the brightest pixels: limit the level.
     let disc_dn = bright_dn.min(middle_dn + (middle_dn - background_dn) / 2.0);
     (contrast > LEAST_CONTRAST).then_some(Levels {
         background_dn,

@@ -1,4 +1,4 @@
-//! From the Sun on the plate to the sky, for every row.
+//! Converts the Sun on the plate to sky coordinates, for every row.
 
 use super::row::{RefinedRow, SkyRow};
 use crate::geometry::attitude::Direction;
@@ -8,17 +8,17 @@ use crate::sky::{Ephemeris, SunPosition};
 use crate::units::{Estimate, Place, PlateMil};
 use jiff::Timestamp;
 
-/// Inputs of the sky beside the rows.
+/// Inputs of the conversion other than the rows.
 #[derive(Debug, Clone)]
 pub struct Sky {
     pub target: Target,
-    /// For frames that do not say where they were taken.
+    /// Used for frames that do not state their position.
     pub place: Option<Place>,
     pub ephemeris: Ephemeris,
 }
 
 impl Sky {
-    /// Where the telescope pointed by a row's Sun; `None` where that, or the place, is not known.
+    /// Pointing of the telescope by a row's Sun; `None` where the Sun or the observer's position is not known.
     pub(super) fn row(
         &self,
         row: &RefinedRow,
@@ -61,7 +61,7 @@ impl Sky {
     }
 }
 
-/// The telescope's roll: by straight down in the body's axes where that is known, else as stated.
+/// The telescope's roll: from the nadir in the body's axes where that is known, else as stated.
 pub(super) fn roll_by(
     body_nadir: Option<&Direction>,
     sun_on_plate: PlateMil,

@@ -1,4 +1,4 @@
-//! The telescope's offset at a constant rate, for stabilising images: from the pointing between the frames.
+//! The telescope's offset at a constant rate, for stabilising images, from the pointing between the frames.
 
 use super::history::History;
 use crate::geometry::earth::geodetic;
@@ -11,7 +11,7 @@ use jiff::Timestamp;
 use nalgebra::Matrix2;
 use rayon::prelude::*;
 
-/// The table is made in memory.
+/// Limit of the table's rows: it is built in memory.
 const MOST_ROWS: f64 = 10e6;
 /// Rows that share an ephemeris, whose costly part is done once a second.
 const TOGETHER: usize = 1024;
@@ -22,7 +22,7 @@ pub struct StabilisationRow {
     pub unix_s: f64,
     /// None where the pointing or the target is not known.
     pub offset: Option<StableOffset>,
-    /// Whether it is known, and nothing contradicts it. A slew and a large sigma, which is given, are no reason against it.
+    /// Whether the offset is known and nothing contradicts it. A slew or a large sigma (which is given) does not invalidate it.
     pub is_valid: bool,
 }
 
@@ -51,7 +51,7 @@ pub enum RateError {
 
 /// The offset at the multiples of 1 / `rate_hz`, s since 1970, from the first dated frame to the last.
 ///
-/// # Errors
+/// If the rate makes more than ten million rows.
 /// A rate that makes more than ten million rows.
 pub fn stabilisation(
     history: &History,
@@ -104,7 +104,7 @@ fn offset(
     let target = history.sky().target.at(utc, &sun).ok()?;
     let (boresight, target) = (line_of_sight.boresight(), line_of_sight.direction(target));
     let difference = difference(&boresight, &target).ok()?;
-    // From right and up of the telescope to across and up of the horizon.
+    // Rotate from right and up of the telescope to across and up of the horizon.
     let (sin, cos) = line_of_sight.roll_deg.to_radians().sin_cos();
     let turn = Matrix2::new(cos, sin, -sin, cos);
     let random_arcsec2 = line_of_sight.random_arcsec2.fixed_view::<2, 2>(0, 0);

@@ -1,4 +1,4 @@
-//! Where the Sun is on the plate: each frame's limb through the flight's mapping.
+//! The Sun's position on the plate: each frame's limb, transformed by the flight's mapping.
 
 use super::disc::{self, PlateDisc};
 use super::flags::{FrameFlag, FrameFlags};
@@ -14,33 +14,33 @@ use nalgebra::Matrix2;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// The limb's part that makes a fine solution.
+/// Visible part of the limb required for a fine solution.
 const LEAST_FINE_LIMB: f64 = 0.4;
-/// The limb's part that determines its own radius.
+/// Visible part of the limb required to determine its own radius.
 pub(super) const LEAST_LIMB: f64 = 0.7;
-/// A mapping known less well than this makes no fine frame, 1 sigma.
+/// Largest uncertainty of the mapping for a fine frame, 1 sigma.
 const MOST_FINE_SIGMA_MIL: f64 = 1.0;
 /// Prior of the radius before the flight has determined it, over the expected one.
 pub(super) const LOOSE_RADIUS: Measured = Measured::new(1.0, 0.02);
-/// The flight's radius is this good at least, relative.
+/// Least sigma assumed for the flight's radius, relative.
 const TIGHT_RADIUS: f64 = 1e-4;
 
-/// Fewer discs have no usual scatter.
+/// Fewer discs do not determine a median scatter.
 const LEAST_DISCS: usize = 10;
-/// Common errors of the points of a limb, which their scatter does not show: the same pixels and scratches. Seen
-/// were 0.065 in 48 rests of 50 frames, simulated with hot pixels, scratches and leaks; some of them have much more.
+/// Common errors of the points of a limb, which their scatter does not show: the same pixels and scratches. The value seen was
+/// 0.065 in 48 residuals of 50 frames, simulated with hot pixels, scratches and leaks; some of them have much more.
 const SHARED_LIMB: f64 = 0.1;
 
-/// Inputs of the Suns of a flight.
+/// Inputs for the Suns of a flight.
 pub(super) struct Flight {
     pub recipe: Recipe,
     pub timeline: Timeline<FrameRecord>,
-    /// The dated ones.
+    /// The dated frames.
     pub frames: Vec<Frame>,
     pub mapping: Option<FlightMapping>,
 }
 
-/// A frame's disc through the flight's mapping.
+/// A frame's disc, transformed by the flight's mapping.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seen {
     pub disc: PlateDisc,
@@ -55,7 +55,7 @@ impl Flight {
         Some(mapping.covariance_mil2(n, place, &mapping.at(n)?))
     }
 
-    /// The Sun of a frame, by limb and mapping together.
+    /// The Sun of a frame, with the covariances of limb and mapping.
     fn sun(&self, n: usize, seen: &Seen) -> Option<Estimate<PlateMil>> {
         let centre = seen.disc.centre;
         let by_mapping = self.by_mapping(n, centre.position)?;
@@ -65,7 +65,7 @@ impl Flight {
         })
     }
 
-    /// A disc as the flight's mapping has it: its quality is that of limb and mapping. `None` without a mapping.
+    /// A disc with its quality by limb and mapping. `None` without a mapping.
     pub fn seen(&self, n: usize, disc: PlateDisc, limb_part: f64) -> Option<Seen> {
         let by_mapping = self.by_mapping(n, disc.centre.position)?;
         let known = by_mapping.trace() < 2.0 * MOST_FINE_SIGMA_MIL.powi(2);
@@ -78,7 +78,7 @@ impl Flight {
         })
     }
 
-    /// The discs of the dated frames that show a part of the limb that is `wanted`; `ratio` is what is known of their radius, over the
+    /// Discs of the dated frames whose visible part of the limb is `wanted`; `ratio` is the prior of their radius, relative to the
     /// expected one.
     fn discs(
         &self,
@@ -109,20 +109,20 @@ impl Flight {
 /// The Suns of the dated frames, and their flags.
 pub(super) struct Suns {
     pub seen: Vec<Option<Seen>>,
-    /// Of frames that are not seen through the flight's mapping, as they alone have it.
+    /// Suns of frames without a disc through the flight's mapping, from the frame alone.
     own: BTreeMap<usize, Estimate<PlateMil>>,
     pub flags: Vec<FrameFlags>,
-    /// The flight's radius over the expected one, where its discs determine it.
+    /// The flight's radius relative to the expected one, where its discs determine it.
     pub radius_ratio: Option<Measured>,
-    /// Its estimate.
+    /// Its estimate, or the prior where it is not determined.
     pub known_ratio: Measured,
 }
 
 impl Suns {
-    /// Whole limbs first, which determine the flight's radius, then the others.
+    /// Fits whole limbs first, which determine the flight's radius, then the others.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn find(flight: &Flight) -> Result<Self, JournalError> {
         let is_whole = |part: f64| part >= LEAST_LIMB;
         let mut found = flight.discs(is_whole, LOOSE_RADIUS)?;
@@ -155,7 +155,7 @@ impl Suns {
         })
     }
 
-    /// A frame's quality: none where something rejects it.
+    /// A frame's quality: none where a flag rejects it.
     pub fn quality(&self, frame: &Frame, n: usize) -> Grade {
         match &self.seen[n] {
             _ if self.flags[n].reject() => Grade::None,
@@ -165,7 +165,7 @@ impl Suns {
         }
     }
 
-    /// The Sun of a frame; none where something rejects it.
+    /// The Sun of a frame; none where a flag rejects it.
     pub fn sun(&self, flight: &Flight, n: usize) -> Option<Estimate<PlateMil>> {
         match &self.seen[n] {
             _ if self.flags[n].reject() => None,
@@ -174,7 +174,7 @@ impl Suns {
         }
     }
 
-    /// The Sun of a frame whose place is one of the flight's path.
+    /// The Sun of a fine frame, which may define the flight's path.
     pub fn fine(&self, flight: &Flight, n: usize) -> Option<Estimate<PlateMil>> {
         match self.quality(&flight.frames[n], n) {
             Grade::Fine => self.sun(flight, n),
@@ -182,20 +182,21 @@ impl Suns {
         }
     }
 
-    /// Part of the limb that was seen, 0 to 1.
+    /// Visible part of the limb, 0 to 1.
     pub fn limb_part(&self, frame: &Frame, n: usize) -> Option<f64> {
         let seen = self.seen[n].map(|seen| seen.limb_part);
         seen.or(frame.disc.map(|disc| disc.limb_part))
     }
 
-    /// Whether nothing but another Sun could be where the fine frame has its Sun: most of the limb was seen, and its radius is not flagged.
+    /// Whether the disc of a fine frame is certainly the Sun: most of the limb was seen, and its radius is not flagged.
     pub fn is_sure(&self, frame: &Frame, n: usize) -> bool {
         self.limb_part(frame, n)
             .is_some_and(|part| part >= LEAST_LIMB)
     }
 }
 
-/// The points' sigmas are stated with caution. Where the limbs of a flight scatter less than those, by so much less are the discs uncertain.
+/// Scales the discs' sigmas down. The points' sigmas are conservative: where a flight's limbs scatter less, its discs are less uncertain by
+/// the same factor.
 fn hold_to_usual_scatter<'a>(discs: impl Iterator<Item = &'a mut PlateDisc>) {
     let discs: Vec<&mut PlateDisc> = discs.collect();
     let usual = median(discs.iter().map(|disc| disc.scatter));

@@ -1,21 +1,21 @@
-//! The camera's temperature from the headers, which hold it in steps, and with slips.
+//! The camera's temperature from the headers, where it is quantised and has outliers.
 
 use crate::estimation::median;
 
-/// Part of the frames that must state a temperature.
+/// Fraction of the frames that must state a temperature.
 const LEAST_KNOWN: f64 = 0.9;
-/// Readings to each side whose median replaces one, so that slips are dropped.
+/// Readings to each side over which a running median removes outliers.
 const SLIP: usize = 3;
-/// Half of the time over which the temperature is averaged, s: cameras do not warm faster.
+/// Half of the averaging time, s: cameras do not warm faster.
 const EVEN_S: f64 = 10.0;
-/// A temperature that changes less determines nothing, degC.
+/// A smaller change of temperature does not determine a dependence, degC.
 const LEAST_CHANGE_C: f64 = 0.1;
 
-/// The temperature at each of the times, which are in order, from the flight's middle, degC. `None` where too few frames state it
-/// one, or it does not change.
+/// Temperature at each of the times, which are in order, relative to the flight's median, degC. `None` where too few frames state one,
+/// or it does not change.
 ///
-/// A thermometer that counts in steps says most at the moment it changes: it is half-way between both readings then, and
-/// between two such moments it goes straight.
+/// A quantised thermometer is most accurate at the moment it changes: the temperature is then half-way between both readings. It is
+/// interpolated linearly between two such moments.
 pub(super) fn from_the_middle(time_s: &[f64], readings: &[Option<f64>]) -> Option<Vec<f64>> {
     let known: Vec<(f64, f64)> = time_s
         .iter()
@@ -42,7 +42,7 @@ fn without_slips(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// The first and the last reading, and what lies half-way between where they change.
+/// The first and the last reading, and the midpoints of all changes.
 fn knots(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let changes = known.windows(2).filter(|pair| pair[0].1 != pair[1].1);
     let half = |pair: &[(f64, f64)]| {
@@ -54,7 +54,7 @@ fn knots(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
     first.chain(changes.map(half)).chain(last).collect()
 }
 
-/// Straight lines between knots; before the first and after the last it stays.
+/// Linear interpolation between knots; constant before the first and after the last.
 fn straight(knots: &[(f64, f64)], time_s: &[f64]) -> Vec<f64> {
     let at = |time_s: &f64| {
         let next = knots.partition_point(|(t, _)| t <= time_s);
@@ -68,7 +68,7 @@ fn straight(knots: &[(f64, f64)], time_s: &[f64]) -> Vec<f64> {
     time_s.iter().map(at).collect()
 }
 
-/// The mean over as many to the one side as to the other, so that what goes straight stays straight, to the very ends.
+/// Running mean over as many values before as after, up to the very ends, so that it leaves a straight line unchanged.
 fn even(values: &[f64], time_s: &[f64]) -> Vec<f64> {
     let count = values.len();
     let steps = time_s.windows(2).map(|pair| pair[1] - pair[0]);
@@ -102,7 +102,7 @@ mod tests {
         readings[1234] = None;
         let found = from_the_middle(&times, &readings).unwrap();
         let middle = median(&truth).unwrap();
-        // Half a step at the ends, where the time of the change is not known.
+        // Half a step is allowed at the ends, where the time of the change is not known.
         for n in 200..3800 {
             assert!((found[n] - (truth[n] - middle)).abs() < 0.15, "{n}");
         }

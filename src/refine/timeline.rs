@@ -12,35 +12,35 @@ use crate::units::Measured;
 use rayon::prelude::*;
 use serde::{Serialize, de::DeserializeOwned};
 
-/// Records that are read together.
+/// Records read at a time.
 const TOGETHER: usize = 4096;
 
-/// Time-related result of a frame.
+/// A frame's result that has a time.
 pub trait Dated: Serialize + DeserializeOwned + Clone + Send + Sync {
     fn facts(&self) -> &FrameFacts;
 
-    /// Where it shows its object, in any unit.
+    /// Position of its object, in any unit.
     fn place(&self) -> Option<[f64; 2]>;
 }
 
-/// The frames of a camera in the order of time; what they gave, and their names, stay in the journal.
+/// The frames of a camera in the order of time; their results and names stay in the journal.
 #[derive(Debug)]
 pub struct Timeline<T> {
     records: Records<T>,
     dated: Vec<DatedFrame>,
     /// Frames without a time and files without a frame, by name.
     rest: Vec<Rest>,
-    /// Parts of the files that were not used as they stand.
+    /// Inputs that were not used as they stand.
     pub inputs: InputSummary,
     pub clock: ClockFacts,
 }
 
 #[derive(Debug, Clone)]
 struct DatedFrame {
-    /// Of its record.
+    /// Position of its record.
     place: Place,
     utc_ns: i64,
-    /// Where its stamp is not believed as it stands.
+    /// Set if its stamp is not believed as it stands.
     timing: Option<Box<Timing>>,
 }
 
@@ -61,7 +61,7 @@ enum Rest {
     },
 }
 
-/// A file of the timeline and what it holds.
+/// A file of the timeline and its content.
 pub struct Entry<T> {
     pub file: String,
     pub held: Held<T>,
@@ -70,7 +70,7 @@ pub struct Entry<T> {
 /// Content of a file.
 pub enum Held<T> {
     Frame(Box<T>),
-    /// No frame that counts: why.
+    /// No usable frame, with the reason.
     None {
         error: String,
         copy_of: Option<String>,
@@ -78,10 +78,10 @@ pub enum Held<T> {
 }
 
 impl<T: Dated> Timeline<T> {
-    /// All frames of a camera that a span holds.
+    /// Takes all frames of a camera within a span.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn new(done: Done<T>, camera: CameraFrames, span: &Span) -> Result<Self, JournalError> {
         let mut notes = InputNotes::default();
         let (mut stamps, mut stamped, mut rest) = (Vec::new(), Vec::new(), Vec::new());
@@ -150,7 +150,7 @@ impl<T: Dated> Timeline<T> {
                 }),
             }
         }
-        // Those of one time stay in the order of their paths, as inputs are.
+        // Frames of equal time keep the order of their paths, which is that of the inputs.
         dated.sort_by_key(|frame| frame.utc_ns);
         rest.sort_by(|a, b| a.file().cmp(b.file()));
         Ok(Self {
@@ -162,7 +162,7 @@ impl<T: Dated> Timeline<T> {
         })
     }
 
-    /// How many files there are.
+    /// Number of files.
     pub fn len(&self) -> usize {
         self.dated.len() + self.rest.len()
     }
@@ -171,15 +171,15 @@ impl<T: Dated> Timeline<T> {
         self.len() == 0
     }
 
-    /// How many of them have a time: the first ones.
+    /// Number of files that have a time; these come first.
     pub fn dated(&self) -> usize {
         self.dated.len()
     }
 
-    /// The file of a place in the timeline.
+    /// The file at an index of the timeline.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn file(&self, n: usize) -> Result<String, JournalError> {
         Ok(self.entry(n)?.file)
     }
@@ -205,15 +205,15 @@ impl<T: Dated> Timeline<T> {
         }
     }
 
-    /// Whether a dated frame's time is one of a smoothed path.
+    /// Whether a dated frame's time is good enough for a smoothed path.
     pub fn is_timed(&self, n: usize) -> bool {
         self.timing(n).flag.is_none_or(TimeFlag::is_of_path)
     }
 
-    /// A file and what it holds.
+    /// A file and its content.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn entry(&self, n: usize) -> Result<Entry<T>, JournalError> {
         let none = |file: &String, error: String, copy_of| Entry {
             file: file.clone(),
@@ -243,7 +243,7 @@ impl<T: Dated> Timeline<T> {
     /// Record of a frame; none of a file without one.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn frame(&self, n: usize) -> Result<Option<T>, JournalError> {
         Ok(match self.entry(n)?.held {
             Held::Frame(frame) => Some(*frame),
@@ -251,10 +251,10 @@ impl<T: Dated> Timeline<T> {
         })
     }
 
-    /// Something of each file, in order: many are read at a time, and few kept.
+    /// A value of each file, in order: many files are read at a time, and few are kept.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn each<V: Send>(
         &self,
         count: usize,

@@ -1,4 +1,4 @@
-//! The flight's view of the plate, as deviations from a reference view, linear in each.
+//! The flight's view of the plate as deviations from a reference view, linear in each.
 
 use crate::geometry::view::{
     PARAMETERS, ParameterCovariance, ParameterJacobian, Parameters, UNIT_MIL, View,
@@ -12,7 +12,7 @@ pub(super) const STATES: usize = PARAMETERS;
 /// from the plate's centre); tilt x and y (per [`UNIT_MIL`], along the sensor's x and y).
 pub(super) type State = Parameters;
 pub(super) type Covariance = ParameterCovariance;
-/// Upper triangle of a covariance, column by column, in single precision: a flight has a hundred thousand.
+/// Upper triangle of a covariance, column by column, in single precision to save memory: a flight has a hundred thousand.
 pub(super) type UpperTriangle = [f32; STATES * (STATES + 1) / 2];
 
 pub(super) fn packed(covariance: &Covariance) -> UpperTriangle {
@@ -27,7 +27,7 @@ pub(super) fn unpacked(upper: &UpperTriangle) -> Covariance {
     })
 }
 
-/// The view that states deviate from. Its axes are turned along with the camera, so that its L is the scale alone and the
+/// The view that states deviate from. Its axes are rotated with the camera, so that its L is the scale alone and the
 /// state's next four parameters are stretch, rotation and shear on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reference {
@@ -36,8 +36,8 @@ pub(super) struct Reference {
 }
 
 impl Reference {
-    /// The untilted view that passes nearest to where four corners of a square of [`UNIT_MIL`] about the plate's centre are
-    /// seen. `None` where that cannot be inverted.
+    /// The untilted view that best fits the observed positions of four points of the plate, [`UNIT_MIL`] from its centre along each axis.
+    /// `None` where it cannot be inverted.
     pub fn through(corners: &[Vector2<f64>; 4], distortion: Distortion) -> Option<Self> {
         let centre = corners.iter().sum::<Vector2<f64>>() / 4.0;
         let [right, left, down, up] = corners;
@@ -52,7 +52,7 @@ impl Reference {
         )
     }
 
-    /// The corners that [`through`](Self::through) takes.
+    /// The points that [`through`](Self::through) takes.
     pub fn corners() -> [PlateMil; 4] {
         let at = |x: f64, y: f64| PlateMil::new(x * UNIT_MIL, y * UNIT_MIL);
         [at(1.0, 0.0), at(-1.0, 0.0), at(0.0, 1.0), at(0.0, -1.0)]
@@ -67,12 +67,12 @@ impl Reference {
         Some(Self { view, distortion })
     }
 
-    /// The reference at a state. `None` where that cannot be inverted.
+    /// The reference moved by a state. `None` where it cannot be inverted.
     pub fn moved(&self, state: &State) -> Option<Self> {
         Self::of(&self.view.advanced(state).to_sensor(), self.distortion)
     }
 
-    /// Where the reference sees a plate position on the ideal sensor, and the derivative of that by the state.
+    /// Position of a plate point on the ideal sensor by the reference, and its derivative by the state.
     pub fn picture(&self, at: PlateMil) -> (Vector2<f64>, ParameterJacobian) {
         (self.view.project(at), self.view.parameter_jacobian(at))
     }

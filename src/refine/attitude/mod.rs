@@ -1,4 +1,4 @@
-//! The attitude of a flight, from measurements to files: what `navigate` and `refine` share.
+//! The attitude of a flight, from measurements to files: shared by `navigate` and `refine`.
 
 mod page;
 mod table;
@@ -21,17 +21,17 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use table::{write_aem, write_csv, write_fits, write_offsets};
 
-/// A flight that refuses more than this share of its measurements is not the one that its IMU was on.
+/// If more than this share of the measurements is rejected, the IMU was not on this flight.
 const MOSTLY: f64 = 0.75;
 
-/// Which rows and files of an attitude are wanted.
+/// Selection of the rows and files of an attitude.
 #[derive(Debug, Clone, Default)]
 pub struct Wanted {
-    /// Rows a second; all, where no rate is stated.
+    /// Rows a second; all rows where no rate is stated.
     pub rate_hz: Option<f64>,
-    /// An Attitude Ephemeris Message of CCSDS, too; the epoch must be known.
+    /// Also write an Attitude Ephemeris Message of CCSDS; the epoch must be known.
     pub aem: bool,
-    /// NAV.toml again, with the biases and misalignments that the filter ended with.
+    /// Also write NAV.toml with the filter's final biases and misalignments, to this path.
     pub calibrated: Option<PathBuf>,
 }
 
@@ -42,7 +42,7 @@ impl Wanted {
     }
 }
 
-/// NAV.toml as it was read.
+/// NAV.toml as read.
 pub struct NavigationFile {
     pub path: PathBuf,
     pub text: String,
@@ -54,7 +54,7 @@ impl NavigationFile {
         Self::of((path.into(), read_text(path)?))
     }
 
-    /// The same of a path and its text.
+    /// The same from a path and its text.
     pub fn of((path, text): (PathBuf, String)) -> anyhow::Result<Self> {
         Ok(Self {
             settings: NavigationSettings::parse(&path, &text)?,
@@ -64,14 +64,14 @@ impl NavigationFile {
     }
 }
 
-/// By which measurements the attitude is found.
+/// The measurements that the attitude at a time is based on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Basis {
     UpToThen,
     WholeFlight,
 }
 
-/// The attitude of a flight; its rows wait on disk.
+/// The attitude of a flight; its rows are spooled to disk.
 pub struct Attitude<'a> {
     folder: &'a Path,
     wanted: &'a Wanted,
@@ -79,9 +79,9 @@ pub struct Attitude<'a> {
     stretches: Stretches,
     pub summary: Summary,
     pub counts: Counts,
-    /// Which other units the IMU's numbers may be in.
+    /// Other units in which the IMU's numbers may be.
     suspected: Vec<String>,
-    /// Of the last sample.
+    /// Time of the last sample, s.
     end_s: f64,
 }
 
@@ -129,14 +129,14 @@ impl<'a> Attitude<'a> {
             .context("the attitude cannot be read again")
     }
 
-    /// The rows that are wanted.
+    /// The selected rows.
     pub fn rows(&mut self) -> anyhow::Result<impl Iterator<Item = std::io::Result<NavigationRow>>> {
         let mut is_due = self.wanted.due();
         let rows = self.all_rows()?;
         Ok(rows.filter(move |row| row.as_ref().map_or(true, &mut is_due)))
     }
 
-    /// Writes attitude.csv and, where they are wanted, attitude.fits and attitude.aem.
+    /// Writes attitude.csv and, where selected, attitude.fits and attitude.aem.
     pub fn write(&mut self, epoch: Option<Timestamp>, with_fits: bool) -> anyhow::Result<()> {
         let file = |name: &str| self.folder.join(name);
         let [csv, fits, aem] = ["attitude.csv", "attitude.fits", "attitude.aem"].map(file);
@@ -151,7 +151,7 @@ impl<'a> Attitude<'a> {
         Ok(())
     }
 
-    /// Writes the telescope's offsets from its target; those that `offset` does not know are empty.
+    /// Writes the telescope's offsets from its target; rows for which `offset` returns none are empty.
     pub fn write_offsets(
         &mut self,
         path: &Path,
@@ -160,7 +160,7 @@ impl<'a> Attitude<'a> {
         write_offsets(path, self.rows()?, offset)
     }
 
-    /// Writes NAV.toml with the estimates of this flight, where that is wanted; `files` are those that it was read from.
+    /// Writes NAV.toml with the estimates of this flight, where that is selected; `files` are the input files.
     pub fn write_calibrated(
         &self,
         given: &NavigationFile,
@@ -210,10 +210,10 @@ impl<'a> Attitude<'a> {
 pub struct AttitudeFound {
     pub counts: Counts,
     pub measurements: usize,
-    /// Of these, the ones that contradicted the filter.
+    /// Measurements of these that the filter rejected.
     pub refused: usize,
     pub restarts: u32,
-    /// Which other units the IMU's numbers may be in.
+    /// Other units in which the IMU's numbers may be.
     pub suspected_units: Vec<String>,
 }
 
@@ -222,13 +222,13 @@ impl AttitudeFound {
         self.refused as f64 > MOSTLY * self.measurements as f64
     }
 
-    /// Whether rows have an attitude, most measurements agree with it, and the IMU's numbers are in its units.
+    /// Whether rows have an attitude, most measurements agree with it, and the IMU's numbers are in the expected units.
     pub fn is_sound(&self) -> bool {
         let is_found = self.counts.of(Status::Waiting) < self.counts.rows();
         is_found && !self.is_mostly_refused() && self.suspected_units.is_empty()
     }
 
-    /// Why it is not to be trusted, in words.
+    /// Reasons not to trust the attitude, in words.
     pub fn doubts(&self) -> impl Iterator<Item = String> {
         let mostly = self.is_mostly_refused().then(|| {
             format!(
@@ -242,7 +242,7 @@ impl AttitudeFound {
     }
 }
 
-/// In a line, for people.
+/// One line, for people.
 impl fmt::Display for AttitudeFound {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let counts = &self.counts;
@@ -263,7 +263,7 @@ impl fmt::Display for AttitudeFound {
     }
 }
 
-/// The rows by the measurements up to each time.
+/// Solves a run forward: each row uses the measurements up to its time.
 fn solve_run(run: &Flight, spool: &mut Spool) -> std::io::Result<Summary> {
     let mut kept = Ok(());
     let summary = solve(run, |row| {
@@ -274,7 +274,7 @@ fn solve_run(run: &Flight, spool: &mut Spool) -> std::io::Result<Summary> {
     kept.map(|()| summary)
 }
 
-/// The same rows by those of the whole run; `None` where a covariance is not positive.
+/// Smooths the same rows with the measurements of the whole run; `None` where a covariance is not positive.
 fn smooth_run(run: &Flight, spool: &mut Spool) -> Option<std::io::Result<()>> {
     let (mut at, mut kept) = (spool.len(), Ok(()));
     smooth(run, |row| {
@@ -286,7 +286,7 @@ fn smooth_run(run: &Flight, spool: &mut Spool) -> Option<std::io::Result<()>> {
     Some(kept)
 }
 
-/// Counts all rows, and the stretches of those that are written.
+/// Counts all rows, and the stretches of the written ones.
 fn check_rows(spool: &mut Spool, wanted: &Wanted) -> std::io::Result<(Counts, Stretches)> {
     let (mut counts, mut stretches) = (Counts::default(), Stretches::default());
     let mut is_due = wanted.due();
@@ -306,7 +306,7 @@ fn check_rows(spool: &mut Spool, wanted: &Wanted) -> std::io::Result<(Counts, St
 pub struct Counts {
     /// In the order of [`Status::ALL`].
     by_status: [u64; Status::ALL.len()],
-    /// At the rate that is wanted.
+    /// Rows written at the selected rate.
     pub written: u64,
 }
 

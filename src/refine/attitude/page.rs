@@ -14,7 +14,7 @@ const AXES: [&str; 3] = ["x", "y", "z"];
 /// The colour of limits, grey.
 const LIMIT_HUE: usize = 5;
 
-/// Adds what there is to see of an attitude.
+/// Adds the figures and tables of an attitude.
 pub fn add_attitude(
     page: &mut Page,
     settings: &NavigationSettings,
@@ -34,7 +34,7 @@ pub fn add_attitude(
 /// Zero of a time axis.
 #[derive(Clone, Copy)]
 struct Clock {
-    /// When t_s is 0, s since 1970-01-01; none where the epoch is not known.
+    /// Time at t_s = 0, s since 1970-01-01; none where the epoch is not known.
     epoch_unix_s: Option<f64>,
 }
 
@@ -53,17 +53,17 @@ impl Clock {
         }
     }
 
-    /// A time as the axis counts it.
+    /// A time on the axis.
     fn at(self, t_s: f64) -> f64 {
         self.epoch_unix_s.unwrap_or(0.0) + t_s
     }
 
-    /// Header cards of a table's times.
+    /// Unit of the time axis.
     fn unit(self) -> &'static str {
         self.epoch_unix_s.map_or("s", |_| "UTC")
     }
 
-    /// A time in a table.
+    /// A time as text for a table.
     fn text(self, t_s: f64) -> String {
         let utc =
             || Timestamp::from_microsecond(((self.epoch_unix_s? + t_s) * 1e6).round() as i64).ok();
@@ -138,7 +138,7 @@ fn innovations(
         ]);
         let dots = |axis: usize| {
             let points = taken().filter_map(|one| {
-                // Over its own sigma an axis says nothing where another that it hangs together with is unknown, such as a receiver's climb.
+                // The residual over an axis's own sigma is not meaningful where a correlated axis is unknown, such as a receiver's climb.
                 let whitened = one.whitened.get(axis)?;
                 Some((clock.at(one.t_s), *whitened))
             });
@@ -184,7 +184,7 @@ fn name(settings: &NavigationSettings, source: Source) -> String {
 
 /// Three errors, and 1 sigma of each.
 type Triad = (Vector3<f64>, Vector3<f64>);
-/// A unit, and errors by time.
+/// A unit, and errors with time.
 type Figure = (&'static str, Vec<(f64, Triad)>);
 
 /// The estimated errors of the sensors with time, and their 3 sigma.

@@ -1,4 +1,4 @@
-//! The tables that an attitude is written to: attitude.csv, attitude.fits, attitude.aem.
+//! Tables of an attitude: attitude.csv, attitude.fits, attitude.aem.
 
 use crate::columns::{self, Column, Widths, float, text};
 use crate::fits::zero_cards;
@@ -33,7 +33,7 @@ const COLUMNS: &[Column<NavigationRow>] = &[
     text("status", "docs/navigation.md", |r| r.status.name().into()),
 ];
 
-/// The numbers of a row after its time; `None` before the start.
+/// The numbers of a row after its time; `None` before the filter has started.
 fn numbers(row: &NavigationRow) -> Option<[f64; 16]> {
     let (motion, covariance) = row.attitude.as_ref()?;
     let [w, i, j, k] = motion.quaternion();
