@@ -1,15 +1,15 @@
 //! The Allan deviation of a series with gaps.
 //!
-//! With means over m successive values, the deviation is the square root of half the mean square of how far successive means are
-//! apart; all pairs of adjacent means count, however they overlap (Riley 2008, NIST Special Publication 1065, section 5.2.4).
+//! With means over m successive values, the deviation is the square root of half the mean square difference of successive means;
+//! all pairs of adjacent means count, including overlapping ones (Riley 2008, NIST Special Publication 1065, section 5.2.4).
 //! Of white noise of sigma s it is s / sqrt(m), of a random walk of q per step sqrt(q (2 m^2 + 1) / (6 m)), which is close to
 //! sqrt(q m / 3) (IEEE Std 952-1997, annex C).
 
-/// Fewest pairs of means, each pair apart from the others, that determine a deviation.
+/// Fewest non-overlapping pairs of means that determine a deviation.
 const LEAST_PAIRS: usize = 4;
 
-/// Averaging time (s) and Allan deviation (unit of the values) at averaging over 1, 2, 4, ... values that are `step_s` apart. Each
-/// run is without gaps; no mean reaches over one. Empty where no run is long enough.
+/// Averaging time (s) and Allan deviation (unit of the values) for averages over 1, 2, 4, ... values that are `step_s` apart. The
+/// runs have no gaps; no mean extends over several runs. Empty if no run is long enough.
 pub fn deviation(runs: &[Vec<f64>], step_s: f64) -> Vec<(f64, f64)> {
     let longest = runs.iter().map(Vec::len).max().unwrap_or(0);
     let sums: Vec<Vec<f64>> = runs.iter().map(|run| running_sums(run)).collect();
@@ -19,7 +19,7 @@ pub fn deviation(runs: &[Vec<f64>], step_s: f64) -> Vec<(f64, f64)> {
     lengths.filter_map(at).collect()
 }
 
-/// Sums of the values before each place, about the run's mean lest digits are lost.
+/// Cumulative sums, relative to the run's mean to avoid rounding errors.
 fn running_sums(run: &[f64]) -> Vec<f64> {
     let mean = run.iter().sum::<f64>() / run.len().max(1) as f64;
     let mut sum = 0.0;
@@ -69,7 +69,7 @@ mod tests {
             .collect()
     }
 
-    /// Checks deviations against the formula, where many means determine them.
+    /// Compares deviations with the formula where many means determine them.
     fn check(found: &[(f64, f64)], expected: impl Fn(f64) -> f64) {
         assert!(found.len() > 8, "{found:?}");
         for (time_s, deviation) in &found[..8] {

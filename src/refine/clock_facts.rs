@@ -10,9 +10,9 @@ const LEAST_PPM: f64 = 0.001;
 /// Findings on the computer's clock in a flight.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ClockFacts {
-    /// By how much UTC gains on the monotonic clock, parts in a million.
+    /// Rate of UTC relative to the monotonic clock, parts in a million.
     pub drift_ppm: Option<Measured>,
-    /// Each by the first file after it.
+    /// Steps, each with the first file after it.
     pub steps: Vec<ClockStep<String>>,
     /// Frames whose time is corrected.
     pub corrected: usize,

@@ -1,4 +1,4 @@
-//! The columns of the history, in one place: `aspect.fits`, `aspect.csv`, `stabilisation.fits` and the manual's page are made from these tables.
+//! The columns of the history: `aspect.fits`, `aspect.csv`, `stabilisation.fits` and the manual's page are made from these tables.
 
 use super::row::{RefinedRow, SkyRow};
 use super::stabilisation::{StabilisationRow, StableOffset};
@@ -21,7 +21,7 @@ fn own_px(row: &RefinedRow) -> Option<[f64; 2]> {
     Some(row.own.as_ref()?.disc.as_ref()?.centre_px)
 }
 
-/// Where the mapping puts the plate's centre along an axis.
+/// Sensor position of the plate's centre along an axis.
 fn centre(row: &RefinedRow, axis: usize) -> Option<Measured> {
     Some(row.mapping?.centre_px[axis])
 }
@@ -30,7 +30,7 @@ fn body_roll(row: &RefinedRow) -> Option<Measured> {
     Some(body_roll_deg(row.body_nadir.as_ref()?))
 }
 
-/// The extension that holds a row for every input file.
+/// The extension with a row for every input file.
 pub const ASPECT: &str = "ASPECT";
 
 /// The columns of [`ASPECT`].
@@ -99,10 +99,10 @@ pub const ASPECT_COLUMNS: &[Column<RefinedRow>] = &[
     text("FLIGHT_QUALITY", "QUALITY of the header", |r| r.own.as_ref().and_then(|own| own.in_flight.quality.as_deref()).unwrap_or_default().into()),
 ];
 
-/// The extension that holds the smoothed path: at every frame that has a time, and half-way between two.
+/// The extension with the smoothed path: at every frame that has a time, and half-way between two.
 pub const SMOOTHED: &str = "SMOOTHED";
 
-/// A moment of the smoothed path: s since 1970, and its point, none where the gap between frames is too long to say.
+/// A moment of the smoothed path: s since 1970, and its point, none where the gap between frames is too long.
 type Smoothed<'a> = (f64, Option<&'a PathPoint>);
 
 /// The columns of [`SMOOTHED`].
@@ -119,7 +119,7 @@ pub const fn smoothed_columns<'a>() -> [Column<Smoothed<'a>>; 7] {
     ]
 }
 
-/// The extension that holds the telescope's offset at a constant rate.
+/// The extension with the telescope's offset at a constant rate.
 pub const STABILISATION: &str = "STABILISATION";
 
 fn offset(row: &StabilisationRow, value: fn(&StableOffset) -> f64) -> Option<f64> {
@@ -146,7 +146,7 @@ mod tests {
     use crate::columns::markdown;
     use crate::pointing_history::{POINTING, POINTING_COLUMNS};
 
-    /// With SOLASPECT_WRITE_DOCS set, the page's tables are written instead.
+    /// With SOLASPECT_WRITE_DOCS set, writes the page's tables instead.
     #[test]
     fn the_page_of_columns_is_that_of_the_tables() {
         let tables = format!(

@@ -1,4 +1,4 @@
-//! The report's part on the mapping: its drift over time and with the camera's temperature.
+//! The report's section on the mapping: its drift over time and with the camera's temperature.
 
 use super::mapping::TemperatureDependence;
 use super::output::Summary;
@@ -57,7 +57,7 @@ impl Part<'_> {
         self.figure(plot::series(&labels, &series));
     }
 
-    /// Effect of a degree, as it was estimated together with process noise and jumps.
+    /// Change per degC, as estimated together with process noise and jumps.
     fn degrees(&mut self, px_per_degc: [Measured; 4]) {
         let names = [
             "shift in x",
@@ -73,7 +73,7 @@ impl Part<'_> {
             .table(&["with the camera's temperature", "px per degC"], &lines);
     }
 
-    /// The plate's centre on one axis over temperature, and its slope between the jumps.
+    /// The plate's centre on one axis against temperature, and its slope between the jumps.
     fn by_temperature(&self, axis: usize) -> (Option<f64>, Vec<(f64, f64)>) {
         let point = |row: &Drawn| {
             let (degc, px) = (row.temperature_c?, row.centre_px?[axis]);
@@ -92,7 +92,7 @@ fn from_first(name: &str, points: &[(f64, f64)]) -> Series {
     Series::dots(name, points.iter().map(|(at, v)| (*at, v - first)))
 }
 
-/// The common slope of straight lines, one through each part's points; none where x does not vary.
+/// The common slope of straight lines, one for each part's points; none if x does not vary.
 fn slope(parts: &[Vec<(f64, f64)>]) -> Option<f64> {
     let (mut spread, mut both, mut all) = (0.0, 0.0, 0.0);
     for points in parts.iter().filter(|points| !points.is_empty()) {

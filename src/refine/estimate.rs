@@ -1,12 +1,12 @@
-//! How the mapping of a flight is estimated.
+//! Estimation of the mapping of a flight.
 //!
-//! 1. A reference: the median of what the fine frames' own mappings say.
-//! 2. Frames that are far from their neighbours are put aside: a median over a few frames keeps a jump's edge and shows
-//!    what stands alone.
-//! 3. The view as a random walk; its process noise is that of greatest likelihood.
-//! 4. Jumps, one after the other, where one explains more than process noise can.
-//! 5. What the camera's temperature does, where that explains more than process noise and jumps can; then jumps again.
-//! 6. Single marks that disagree lose their weight (Tukey), and the scatter that is left inflates the sigmas of all.
+//! 1. A reference: the median of the fine frames' own mappings.
+//! 2. Frames that are far from their neighbours are set aside: a median over a few frames preserves a jump's edge and shows
+//!    isolated frames.
+//! 3. The view as a random walk, with process noise by maximum likelihood.
+//! 4. Jumps, one after the other, while one is significant against process noise.
+//! 5. The dependence on the camera's temperature, if it explains more than process noise and jumps; then jumps again.
+//! 6. Single discrepant marks are down-weighted (Tukey), and the remaining scatter inflates the sigmas of all.
 
 use super::drift::{
     Drift, Estimate, MarkObservation, Observations, ProcessNoise, Smoothed, ThermalCoefficients,
@@ -23,36 +23,36 @@ use nalgebra::{Matrix2, Matrix3, Vector2};
 use rayon::prelude::*;
 use std::mem;
 
-/// A frame so far from its neighbours' median is put aside, px, before and after the drift is known.
+/// Frames this far from their neighbours' median are set aside, px; the first value is used before the drift is known.
 const ALONE_PX: [f64; 3] = [4.0, 0.3, 0.1];
-/// ... if it is also so many of its own sigmas away.
+/// ... if the distance also exceeds this multiple of their own sigma.
 const ALONE_SIGMAS: f64 = 6.0;
-/// Cameras are not knocked this far and back, px.
+/// Larger displacements, px, are misidentified marks: cameras are not knocked this far and back.
 const MISREAD_PX: f64 = 10.0;
-/// Neighbours to each side whose median it is held against.
+/// Neighbours to each side for that median.
 const NEIGHBOURS: [usize; 3] = [10, 4, 4];
-/// A jump explains so much more than process noise: chi^2 of four.
+/// Least significance of a jump against process noise: chi^2 of four degrees of freedom.
 const JUMP_CHI2: f64 = 60.0;
-/// Smaller jumps are process noise, px.
+/// Smaller jumps are treated as process noise, px.
 const LEAST_JUMP_PX: f64 = 0.1;
 const MOST_JUMPS: usize = 64;
-/// The temperature counts where it makes the marks so much more likely, natural logarithm: 150 to 1.
+/// The temperature is used if it increases the log-likelihood of the marks by this: a ratio of 150 to 1.
 const LEAST_TEMPERATURE_GAIN: f64 = 5.0;
-/// Of the residuals of marks, which are lengths in two axes.
+/// Loss of the marks' residuals, which are lengths in two axes.
 const LOSS: Loss = Loss::Tukey(TUKEY_SIGMAS_2D);
-/// The process noise before it is estimated.
+/// Initial process noise.
 const FIRST_NOISE: ProcessNoise = ProcessNoise {
     shift_px: 0.01,
     turn_px: 0.01,
 };
 /// The least process noise, px after a second.
 const LEAST_NOISE_PX: f64 = 1e-4;
-/// Factor between values of process noise that are tried.
+/// Factor between trial values of process noise.
 const NOISE_STEP: f64 = 2.0;
 const MOST_NOISE_TRIALS: usize = 24;
 
 impl FlightMapping {
-    /// The mapping at each of the frames, from their marks; `times_s` from the first one. `None` where no frame has any.
+    /// The mapping at each of the frames, from their marks; `times_s` from the first one. `None` if no frame has any.
     pub(super) fn estimate(
         times_s: &[f64],
         Frames {
@@ -87,22 +87,22 @@ impl FlightMapping {
     }
 }
 
-/// The middle of what the fine frames' own mappings say of four corners of the plate.
+/// Reference from the medians of the fine frames' own mappings at four points of the plate.
 fn reference(mappings: &[Matrix3<f64>], distortion: Distortion) -> Option<Reference> {
     let [a, b, c, d] = Reference::corners().map(|corner| middle_of(mappings, corner));
     Reference::through(&[a?, b?, c?, d?], distortion)
 }
 
-/// The mapping in the making.
+/// State of the estimation.
 struct Work {
     reference: Reference,
     observations: Observations,
     process_noise: ProcessNoise,
     jumps: Vec<usize>,
     inflated: f64,
-    /// How far each moment's marks are from their neighbours', px.
+    /// Distance of each moment's marks from their neighbours', px.
     away_px: Vec<f64>,
-    /// The temperature at each moment, where it counts, and how much more likely it makes the marks, where the headers state it.
+    /// The temperature at each moment, if it is used, and the gain in log-likelihood of the marks, if the headers state it.
     temperature_c: Option<Vec<f64>>,
     temperature_gain: Option<f64>,
 }
@@ -144,7 +144,7 @@ impl Work {
         Some((covariance * sum, covariance.trace().max(0.0).sqrt()))
     }
 
-    /// Before the drift is known.
+    /// Sets isolated frames aside before the drift is known.
     fn put_aside_at_first(&mut self) -> Option<()> {
         self.put_aside(None, 0);
         for stage in 1..ALONE_PX.len() {
@@ -154,7 +154,7 @@ impl Work {
         Some(())
     }
 
-    /// Takes the weight of frames that stand alone, and gives it back to those that no longer do.
+    /// Sets the weight of isolated frames to 0, and that of all others to 1.
     fn put_aside(&mut self, estimates: Option<&[Estimate]>, stage: usize) {
         let state = |n: usize| estimates.map_or(State::zeros(), |estimates| estimates[n].state);
         let residuals: Vec<(usize, Vector2<f64>, f64)> = (0..self.observations.len())
@@ -184,7 +184,7 @@ impl Work {
         }
     }
 
-    /// The process noise of greatest likelihood.
+    /// Determines the process noise by maximum likelihood.
     fn settle_process_noise(&mut self) {
         let likelihood = |noise: &ProcessNoise| {
             Drift {
@@ -242,8 +242,8 @@ impl Work {
         Some(())
     }
 
-    /// The temperature counts where it explains the marks far better than process noise alone; with less process noise smaller jumps
-    /// show.
+    /// Uses the temperature if it explains the marks far better than process noise alone; with less process noise smaller jumps become
+    /// significant.
     fn take_temperature(&mut self, temperature_c: Vec<f64>) -> Option<()> {
         let (noise, without) = (self.process_noise, self.drift().likelihood()?);
         self.temperature_c = Some(temperature_c);
@@ -275,7 +275,7 @@ impl Work {
         }
     }
 
-    /// Frames about a jump that were put aside show better than the walk does when it happened.
+    /// Frames near a jump that were set aside determine its time better than the walk does.
     fn time_jumps(&mut self) -> Option<()> {
         let estimates = self.drift().smoothed()?.estimates;
         let residual = |n: usize, side: usize| {
@@ -302,7 +302,7 @@ impl Work {
         Some(())
     }
 
-    /// Frames that stand alone beside the jumps, and the reference in the middle of the flight.
+    /// Sets aside frames that are isolated with the jumps included, and moves the reference to the middle of the flight.
     fn settle_reference(&mut self) -> Option<()> {
         self.time_jumps()?;
         let estimates = self.drift().smoothed()?.estimates;
@@ -310,7 +310,7 @@ impl Work {
         self.move_reference(&estimates)
     }
 
-    /// Counts states from the middle of the flight, where the slopes are then true.
+    /// Moves the reference to the median of the estimates, where the derivatives are then exact.
     fn move_reference(&mut self, estimates: &[Estimate]) -> Option<()> {
         let middle = |n: usize| median(estimates.iter().map(|e| e.state[n]));
         let state = State::from_fn(|n, _| middle(n).unwrap_or(0.0));
@@ -318,7 +318,7 @@ impl Work {
         Some(())
     }
 
-    /// Weights single marks, and inflates their sigmas to the scatter they show.
+    /// Weights single marks, and inflates their sigmas to their scatter.
     fn weigh(&mut self, estimates: &[Estimate]) {
         let reference = self.reference;
         let chi2 = |mark: &MarkObservation, state: &State| {
@@ -380,7 +380,8 @@ impl Work {
         }
     }
 
-    /// It is not known when the plate moved between the marked frames about a jump, suddenly or not. To the unmarked ones any time is as likely.
+    /// Mixes the estimates of the unmarked frames about a jump. The plate may have moved at any time between the marked frames about it,
+    /// suddenly or not; all times are taken as equally likely.
     fn spread(&self, jump: &Jump, estimates: &mut [Estimate]) {
         let between = jump.before + 1..jump.after;
         let since_s: Vec<f64> = (between.start..=jump.after)

@@ -1,4 +1,4 @@
-//! With which files an archive is refined: its own configuration and cameras, unless others are named.
+//! Selects the files with which an archive is refined: its own configuration and cameras, unless others are named.
 
 use super::recipe::Recipe;
 use super::roll::RollRecipe;
@@ -14,15 +14,15 @@ use std::path::{Path, PathBuf};
 /// Files that are named instead of the archive's own.
 #[derive(Debug, Clone, Default)]
 pub struct Given {
-    /// Instruments, of which each camera takes its own: TOML files, or names of built-in ones.
+    /// Instruments, TOML files or names of built-in ones; each camera takes its own.
     pub instruments: Vec<PathBuf>,
     pub roll_camera: Option<PathBuf>,
     pub configuration: Option<PathBuf>,
-    /// Where the frames were taken, for frames that do not say so.
+    /// Position used for frames that do not state theirs.
     pub place: Option<Place>,
 }
 
-/// An archive's name with the files that stand in it, and what is named instead.
+/// An archive's name, the files stored in it, and the files named instead.
 pub(super) struct Files<'a> {
     pub archive: &'a Path,
     pub archived: FlownFiles,
@@ -30,7 +30,7 @@ pub(super) struct Files<'a> {
 }
 
 impl Files<'_> {
-    /// The configuration that is named, else what the archive's say of solver, place and target, else the defaults.
+    /// The configuration that is named, else the archive's sections on solver, place and target, else the defaults.
     pub fn configuration(&self) -> anyhow::Result<Config> {
         let mut config = match &self.given.configuration {
             Some(path) => Config::read(path)?,
@@ -47,7 +47,7 @@ impl Files<'_> {
         for file in self.archived.of(CONFIGURATION) {
             let flown = Config::parse(&file.path, &file.text)
                 .context("the archive's configuration cannot be used: name one with --config")?;
-            // The rest is of the flight's computer alone.
+            // The other sections concern the flight computer only.
             let config = Config {
                 site: flown.site,
                 target: flown.target,
@@ -77,8 +77,8 @@ impl Files<'_> {
         Ok(Recipe::new(self.instrument(camera)?, config, authority))
     }
 
-    /// A camera's instrument, with its text: the one that is named and its own, else the archive's, else the built-in one that its frames
-    /// name, else the demo.
+    /// A camera's instrument, with its text: the named one that matches the camera, else the archive's, else the built-in one that its
+    /// frames name, else the demo.
     fn instrument(&self, camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
         let flown = flown_with(&self.archived, camera);
         if !self.given.instruments.is_empty() {
@@ -102,7 +102,7 @@ impl Files<'_> {
         }
     }
 
-    /// The first of those named that a camera's frames do not contradict.
+    /// The first named instrument that a camera's frames do not contradict.
     fn given_instrument(&self, camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
         let mut refused = None;
         for path in &self.given.instruments {
@@ -122,7 +122,7 @@ impl Files<'_> {
         )
     }
 
-    /// Instruments that frames may name: any, of what was named instead.
+    /// Instruments and configurations that frames may name; kinds of files that were named instead are not checked.
     fn authority(&self) -> FlownFiles {
         let mut archived = self.archived.clone();
         let named = [
@@ -176,7 +176,7 @@ impl Files<'_> {
     }
 }
 
-/// The archive's instruments, of which none is another's letter by letter.
+/// The archive's instruments, without identical copies.
 fn different(archived: &FlownFiles) -> Vec<&FlownFile> {
     let mut different: Vec<&FlownFile> = Vec::new();
     for file in archived.of(INSTRUMENT) {
@@ -187,7 +187,7 @@ fn different(archived: &FlownFiles) -> Vec<&FlownFile> {
     different
 }
 
-/// The archive's files of a camera's instrument, of which none is another's letter by letter: those that its frames name by their hash,
+/// The archive's files of a camera's instrument, without identical copies: those that its frames name by their hash,
 /// else those that do not contradict them.
 fn flown_with<'a>(archived: &'a FlownFiles, camera: &CameraFrames) -> Vec<&'a FlownFile> {
     let mut different = different(archived);
@@ -195,7 +195,7 @@ fn flown_with<'a>(archived: &'a FlownFiles, camera: &CameraFrames) -> Vec<&'a Fl
     if different.iter().any(|file| is_named(&file)) {
         return different.iter().filter(is_named).copied().collect();
     }
-    // One that only a newer program can read contradicts nothing.
+    // A file that only a newer program can read contradicts nothing.
     different.retain(|file| {
         let instrument = Instrument::parse(&file.path, &file.text);
         instrument.is_ok_and(|instrument| instrument.check_taken_by(&camera.taken_by).is_ok())
@@ -219,13 +219,13 @@ fn built_in(camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
     Ok((Instrument::parse(Path::new(name), text)?, text.into()))
 }
 
-/// Refuses an instrument of another camera than those that the archive was flown with.
+/// Refuses an instrument whose sensor differs from those that the archive was flown with.
 fn refuse_other_sensor(stated: &Instrument, flown: &[&FlownFile]) -> anyhow::Result<()> {
     let size = |instrument: &Instrument| (instrument.camera.width_px, instrument.camera.height_px);
     let flown = flown
         .iter()
         .map(|file| Instrument::parse(&file.path, &file.text));
-    // One that only a newer program can read contradicts nothing.
+    // A file that only a newer program can read contradicts nothing.
     let sizes: Vec<_> = flown
         .flatten()
         .map(|instrument| size(&instrument))

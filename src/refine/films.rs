@@ -10,7 +10,7 @@ use crate::pointing_history::PointingHistory;
 use crate::report::overlay;
 use image::RgbImage;
 
-/// Makes the film of a history; `label` sets its camera apart.
+/// Makes the film of a history; `label` distinguishes its camera.
 ///
 /// # Errors
 /// As [`Film::make`].
@@ -40,7 +40,7 @@ pub fn make_film(
     film.make(&mut flight, watch)
 }
 
-/// The dated frames of a history, in its archive.
+/// The dated frames of a history and its archive.
 struct HistoryFrames<'a> {
     archive: &'a ArchiveReader,
     history: &'a History,
@@ -56,7 +56,7 @@ impl Frames for HistoryFrames<'_> {
         nearest.filter(|n| away_s(n) <= within_s)
     }
 
-    /// The frame solved by itself once more: the journal has no pixels.
+    /// Solves the frame again by itself: the journal has no pixels.
     fn overlay(&self, frame: usize) -> Result<RgbImage, String> {
         let file = self.history.file(frame).map_err(|why| why.to_string())?;
         let recipe = self.history.recipe();

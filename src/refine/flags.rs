@@ -2,10 +2,10 @@
 
 use std::fmt;
 
-/// The part of a uniform distribution's width that is 1 sigma.
+/// Standard deviation of a uniform distribution over its width.
 pub(super) const SIGMA_PER_WIDTH: f64 = 0.288_675;
 
-/// Order of the frames of one stamp.
+/// Order used for the frames of one stamp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Order {
     Monotonic,
@@ -23,7 +23,7 @@ impl Order {
     }
 }
 
-/// Why a frame's time is flagged.
+/// Reason for which a frame's time is flagged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum TimeFlag {
     /// UTC had stepped against the monotonic clock.
@@ -32,7 +32,7 @@ pub enum TimeFlag {
     CoarseTime { step_us: u64, by: Order },
     /// The time contradicts the numbers and times of the other frames.
     AgainstNumbers,
-    /// Another frame has the same time, and nothing orders the two.
+    /// Another frame has the same time, and the order of the two is not known.
     SharedTime,
     /// The times of most frames contradict their numbers, and the Sun's motion does, too.
     ShuffledTime,
@@ -41,7 +41,7 @@ pub enum TimeFlag {
 }
 
 impl TimeFlag {
-    /// Whether the frame may determine where the smoothed path is at its time.
+    /// Whether the smoothed path uses the frame at its time.
     pub fn is_of_path(self) -> bool {
         matches!(
             self,
@@ -79,26 +79,26 @@ impl fmt::Display for TimeFlag {
     }
 }
 
-/// Why a frame is flagged, compared with the others.
+/// Reason for which a frame is flagged in comparison with the others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum FrameFlag {
-    /// The frame alone showed no disc.
+    /// The disc was found in the second pass only.
     SecondPass,
-    /// The radius is not that of the other frames.
+    /// The radius differs from that of the other frames.
     Radius,
-    /// The limb is not as round as the mapping makes it.
+    /// The limb is less round than the mapping predicts.
     Limb,
-    /// Far fewer marks were read than the disc lights.
+    /// Far fewer marks were identified than the disc illuminates.
     FewMarks,
     /// Much more or less light than in the frames before and after.
     Light,
     /// Much more noise than in the frames before and after.
     Noise,
-    /// The plate stands elsewhere on the sensor than in the frames before and after.
+    /// The plate's position on the sensor differs from that in the frames before and after.
     Knocked,
     /// The marks were identified wrongly.
     Misread,
-    /// The place is off the path between the frames before and after.
+    /// The Sun's position is off the path between the frames before and after.
     Path,
 }
 
@@ -115,7 +115,7 @@ impl FrameFlag {
         Self::Path,
     ];
 
-    /// Whether it rejects the Sun's place; otherwise it is only reported.
+    /// Whether the flag rejects the Sun's position; otherwise it is only reported.
     fn rejects(self) -> bool {
         match self {
             Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,
@@ -153,7 +153,7 @@ impl FrameFlags {
         self.0 & (1 << flag as u16) != 0
     }
 
-    /// Whether one of them rejects the Sun's place.
+    /// Whether one of them rejects the Sun's position.
     pub fn reject(self) -> bool {
         self.iter().any(FrameFlag::rejects)
     }

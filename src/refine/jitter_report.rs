@@ -1,4 +1,4 @@
-//! The report's part on jitter: spectrum, cumulative jitter and Allan deviation.
+//! The report's section on jitter: spectrum, cumulative jitter and Allan deviation.
 
 use super::allan;
 use super::report::{Drawn, Part};
@@ -6,7 +6,7 @@ use crate::estimation::median;
 use crate::estimation::spectrum;
 use crate::report::plot::{self, Curve, Labels, Stroke};
 
-/// Frames further apart than so many usual steps end a run.
+/// Frames further apart than this multiple of the median step end a run.
 const GAP_STEPS: f64 = 1.5;
 
 /// The colour of series without an axis.
@@ -16,9 +16,9 @@ const GREY: usize = 5;
 struct Motion {
     name: &'static str,
     points: Vec<(f64, f64)>,
-    /// 1 sigma of a frame along the axis, the median of all, arcsec; none where it is not known or stands with another motion.
+    /// 1 sigma of a frame along the axis, the median of all, arcsec; none if it is not known or is shown with another motion.
     frame_sigma: Option<f64>,
-    /// Name of that noise's line.
+    /// Name of the line for this noise.
     noise: &'static str,
     noise_hue: usize,
     hue: usize,
@@ -44,13 +44,13 @@ impl Part<'_> {
         );
     }
 
-    /// The offsets from the target where they are known, else the Sun's places on the plate.
+    /// The offsets from the target where known, else the Sun's positions on the plate.
     fn motions(&self) -> (&'static str, [Motion; 2]) {
         let frame_sigma = |axis: usize| {
             let sigmas = self.over_time(|row| Some(row.sigma_mil[axis]));
             Some(median(sigmas.iter().map(|(_, sigma)| sigma))? * self.arcsec_per_mil)
         };
-        // Across and elevation mix the plate's axes: the mean variance of these.
+        // Across and elevation mix the plate's axes: use their mean variance.
         let both = frame_sigma(0).zip(frame_sigma(1));
         let mean = both.map(|(x, y)| (x.hypot(y)) / 2_f64.sqrt());
         let offset = |hue: usize, name| Motion {
@@ -139,7 +139,7 @@ fn allan_figure(what: &str, motions: &[Motion]) -> Result<String, plot::PlotErro
 }
 
 impl Motion {
-    /// Its spectrum, and the usual step between frames, s.
+    /// The spectrum, and the median step between frames, s.
     fn spectrum(&self) -> Option<(Vec<(f64, f64)>, f64)> {
         let (runs, step_s) = runs(&self.points)?;
         let points = spectrum::density(&runs, step_s);
@@ -147,7 +147,7 @@ impl Motion {
     }
 }
 
-/// Runs without gaps, and their usual step.
+/// Runs without gaps, and their median step.
 fn runs(points: &[(f64, f64)]) -> Option<(Vec<Vec<f64>>, f64)> {
     let steps = points.windows(2).map(|pair| pair[1].0 - pair[0].0);
     let step_s = median(steps).filter(|step_s| *step_s > 0.0)?;

@@ -7,23 +7,23 @@ use crate::units::{Measured, PlateMil};
 use nalgebra::Matrix2;
 use serde::Serialize;
 
-/// Why a frame's marks do not count for the flight's mapping.
+/// Use of a frame's marks in the flight's mapping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Standing {
-    /// No marks were read.
+    /// No marks were identified.
     Unmarked,
-    /// They agree with the flight's.
+    /// The marks agree with the flight's mapping.
     Agrees,
-    /// The plate stands elsewhere than in the frames before and after: the camera was knocked, or is about to be.
+    /// The plate's position differs from that in the frames before and after: the camera was knocked, or is about to be.
     Alone,
-    /// They are identified wrongly: so far off no camera is knocked.
+    /// The marks are misidentified: no knock moves the camera so far.
     Misread,
 }
 
 /// A sudden change of the mapping.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Jump {
-    /// The first frame after it, and the last one before it whose marks were read.
+    /// The first frame after it, and the last one before it with identified marks.
     #[serde(skip)]
     pub after: usize,
     #[serde(skip)]
@@ -37,12 +37,12 @@ pub struct Jump {
 /// Summary of the mapping in a flight.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MappingFacts {
-    /// The summary names their frames.
+    /// Jumps; the summary names their frames.
     #[serde(skip)]
     pub jumps: Vec<Jump>,
-    /// Process noise of the view, px after a second: shift; turn at 1000 mil from the plate's centre.
+    /// Process noise of the view, px after a second: shift; rotation at 1000 mil from the plate's centre.
     pub process_noise_px: [f64; 2],
-    /// By how much the marks' sigmas were inflated.
+    /// Factor by which the marks' sigmas were inflated.
     pub inflation: f64,
     pub temperature: TemperatureDependence,
 }
@@ -53,12 +53,12 @@ pub struct MappingFacts {
 pub enum TemperatureDependence {
     /// The headers hold no temperature that changes.
     NotObservable,
-    /// The marks are not enough more likely with it: so much, natural logarithm.
+    /// Temperature does not increase the likelihood of the marks enough; the gain is a natural logarithm.
     Insignificant { gain: f64 },
-    /// The mapping follows it.
+    /// The mapping depends linearly on it.
     Linear {
         gain: f64,
-        /// Shift x and y, stretch and turn at 1000 mil from the plate's centre.
+        /// Change of shift x and y, stretch and rotation at 1000 mil from the plate's centre.
         px_per_degc: [Measured; 4],
     },
 }
@@ -71,10 +71,10 @@ pub struct FlightMapping {
     pub facts: MappingFacts,
 }
 
-/// The mapping in numbers that people read.
+/// The mapping in conventional numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MappingNumbers {
-    /// Where the plate's centre is seen.
+    /// Sensor position of the plate's centre.
     pub centre_px: [Measured; 2],
     /// Scale and rotation there.
     pub there: LocalSimilarity,
@@ -86,7 +86,7 @@ impl FlightMapping {
         self.reference.mapping(&self.estimates[frame].state)
     }
 
-    /// Covariance of a plate position got through the mapping of a frame, mil^2.
+    /// Covariance of a plate position by the mapping of a frame, mil^2.
     pub fn covariance_mil2(&self, frame: usize, at: PlateMil, mapping: &Mapping) -> Matrix2<f64> {
         let covariance = unpacked(&self.estimates[frame].covariance);
         let own = self
@@ -102,7 +102,7 @@ impl FlightMapping {
         }
     }
 
-    /// The size of the jump that happened at a marked frame, or since the one before it, px.
+    /// Size of the jump at a marked frame, or since the previous marked one, px.
     pub fn own_jump(&self, frame: usize) -> Option<f64> {
         let [x, y] = self.jump_at(frame)?.shift_px;
         Some(x.hypot(y))
@@ -114,8 +114,8 @@ impl FlightMapping {
         jumps.find(|jump| (jump.before + 1..=jump.after).contains(&frame))
     }
 
-    /// The mapping of a frame in numbers; at a jump, whose moment is not known, half of it counts as 1 sigma. `None` where the
-    /// mapping cannot be inverted.
+    /// The mapping of a frame in numbers; at a jump, whose time is not known, half of it counts as 1 sigma. `None` if the mapping cannot
+    /// be inverted.
     pub fn numbers(&self, frame: usize) -> Option<MappingNumbers> {
         let mapping = self.at(frame)?;
         let middle = PlateMil::new(0.0, 0.0);

@@ -1,21 +1,21 @@
 //! The best aspect history of a flight from its archive: [`refine`].
 //!
-//! 1. Every frame on its own ([`observe`](crate::observe)): the fine pipeline without a prior, on all cores. Its result is a compact
-//!    [`FrameRecord`] in a journal; neither pixels nor solutions are kept. A run that is killed goes on where it was.
-//! 2. The flight as a whole ([`History::new`]). Each stage gives a column of the dated frames:
+//! 1. Every frame on its own ([`observe`](crate::observe)): the full pipeline without a prior, on all cores. Its result is a compact
+//!    [`FrameRecord`] in a journal; neither pixels nor solutions are kept. A run that is killed resumes where it stopped.
+//! 2. The flight as a whole ([`History::new`]). Each stage adds a column for the dated frames:
 //!
 //! | stage | |
 //! |---|---|
 //! | `timeline` | their times, checked against the monotonic clock, the frames' numbers and each other, and their order |
-//! | `frames` | the result of each on its own, as far as other frames are judged by it |
+//! | `frames` | the result of each on its own, as far as other frames are compared with it |
 //! | `mapping` | one slowly varying view of the plate, with jumps, from the marks of all |
-//! | `suns` | each one's Sun from its own limb through that mapping |
+//! | `suns` | each frame's Sun from its own limb and that mapping |
 //! | `outliers` | flags of frames that differ from the others |
 //! | `path` | the Sun's path between them ([`smoothing`](crate::smoothing)) |
-//! | `second_pass` | solves those again that had failed |
+//! | `second_pass` | solves failed frames again |
 //! | `roll`, `sky` | the body's roll where the horizon was seen; azimuth, elevation and the offset from the target |
 //!
-//! 3. A [`RefinedRow`] is put together from the columns and the record when it is asked for ([`History::rows`]), and never
+//! 3. A [`RefinedRow`] is assembled from the columns and the record on request ([`History::rows`]), and never
 //!    changed.
 //!
 //! ```no_run
@@ -34,8 +34,8 @@
 //! # Ok::<(), anyhow::Error>(())
 //! ```
 //!
-//! The results depend on archive, instrument and settings alone, bit for bit: not on the order in which frames were done, by how many
-//! cores or machines, nor on how often the run was killed.
+//! The results depend on archive, instrument and settings alone, bit for bit: not on the order in which frames were processed, the number
+//! of cores or machines, or interruptions of the run.
 
 mod allan;
 mod attitude;

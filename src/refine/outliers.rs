@@ -1,4 +1,4 @@
-//! Frames that differ from the others: their flags.
+//! Flags of frames that differ from the others.
 
 use super::disc::PlateDisc;
 use super::flags::{FrameFlag, FrameFlags};
@@ -9,29 +9,29 @@ use crate::estimation::median;
 use crate::units::Measured;
 use rayon::prelude::*;
 
-/// Deviations beyond so many times the flight's usual scatter are flagged.
+/// Deviations beyond this multiple of the flight's median scatter are flagged.
 const UNUSUAL_SIGMAS: f64 = 8.0;
-/// Smaller deviations of the radius are none, relative.
+/// Smaller deviations of the radius are not flagged, relative.
 const LEAST_UNUSUAL_RADIUS: f64 = 1e-3;
-/// A limb that scatters so many times more than usual is flagged.
+/// A limb is flagged if its scatter exceeds the median by this factor.
 const UNUSUAL_SCATTER: f64 = 2.0;
-/// Light or noise that differs by more than this factor from the frames about it is flagged.
+/// Light or noise that differs by more than this factor from the frames before and after is flagged.
 const UNUSUAL_LIGHT: f64 = 1.3;
 const UNUSUAL_NOISE: f64 = 1.6;
-/// Frames to each side whose median is usual.
+/// Frames to each side for that median.
 const ABOUT: usize = 20;
-/// Fewer marks than this part of those that are lit are flagged.
+/// Frames with fewer marks than this part of the illuminated ones are flagged.
 const UNUSUAL_MARKS: f64 = 0.5;
 
-/// Usual values of a flight.
+/// Median values of a flight.
 struct Usual {
     scatter: f64,
-    /// Each dated frame's light and noise over those of the frames about it.
+    /// Each dated frame's light and noise, relative to the frames before and after.
     light: Vec<Option<f64>>,
     noise: Vec<Option<f64>>,
 }
 
-/// The flags of each of some dated frames; none without a mapping of the flight.
+/// The flags of each of some dated frames; empty without a mapping of the flight.
 pub(super) fn outliers(flight: &Flight, suns: &Suns, of: &[usize]) -> Vec<FrameFlags> {
     if flight.mapping.is_none() {
         return vec![FrameFlags::default(); of.len()];
@@ -72,7 +72,7 @@ fn flags(flight: &Flight, suns: &Suns, n: usize, usual: &Usual) -> FrameFlags {
     of_disc.flatten().chain(of_marks).collect()
 }
 
-/// Something of each dated frame's levels over the median of the frames about it that have a disc.
+/// A quantity of each dated frame's levels, relative to its median over the neighbouring frames that have a disc.
 fn about(flight: &Flight, suns: &Suns, value: impl Fn(&[f64; 3]) -> f64) -> Vec<Option<f64>> {
     let lit: Vec<(usize, f64)> = (0..flight.frames.len())
         .filter(|n| suns.seen[*n].is_some())
@@ -89,7 +89,7 @@ fn about(flight: &Flight, suns: &Suns, value: impl Fn(&[f64; 3]) -> f64) -> Vec<
     over
 }
 
-/// How many marks lie well within the disc.
+/// Number of marks that lie well within the disc.
 fn lit_marks(flight: &Flight, disc: &PlateDisc) -> f64 {
     let plate = &flight.recipe.instrument.plate;
     let reach = disc.radius_mil.value - plate.shape.size_mil();

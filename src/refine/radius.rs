@@ -1,8 +1,8 @@
-//! The disc's radius on the plate against the ephemeris, and what the camera's temperature does to it: the Sun does not breathe, plate
-//! and focus do.
+//! The disc's radius on the plate compared with the ephemeris, and its dependence on the camera's temperature: plate and
+//! focus change with temperature, the Sun does not.
 //!
-//! The mapping from camera to plate is that of the marks, so what the camera's own scale does is not in the radius. What is: a plate that
-//! is farther away makes the disc larger, a plate that expands makes it smaller in the plate's own mil.
+//! The mapping from camera to plate comes from the marks, so changes of the camera's scale do not affect the radius. Two things do: a
+//! plate that is farther away makes the disc larger, a plate that expands makes it smaller in the plate's own mil.
 
 use super::suns::{Flight, Suns};
 use super::temperature;
@@ -12,14 +12,14 @@ use nalgebra::Vector2;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
-/// The discs are averaged in so many blocks, one after the other: neighbours share the mapping's error, and a block's scatter holds it.
+/// Number of blocks of successive discs that are averaged: neighbours share the mapping's error, which the scatter of blocks includes.
 const BLOCKS: usize = 40;
-/// Fewer discs than this for each block determine nothing.
+/// Fewer discs for each block do not determine a slope.
 const LEAST_PER_BLOCK: usize = 2;
 /// A slope below this many sigmas is not determined.
 const SIGNIFICANT: f64 = 4.0;
 
-/// Relative effect of a degree of the camera's temperature on the radius on the plate.
+/// Relative change of the radius on the plate per degC of the camera's temperature.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum RadiusDependence {
     NoTemperature,
@@ -27,7 +27,7 @@ pub enum RadiusDependence {
         found: usize,
         least: usize,
     },
-    /// The slope is within its errors.
+    /// The slope is not significant against its sigma.
     Insignificant {
         per_degc: Measured,
     },
@@ -36,7 +36,7 @@ pub enum RadiusDependence {
     },
 }
 
-/// Slope and sigma, whether they are more than their errors, and both in words.
+/// Slope and sigma, whether the slope is significant, and both in words.
 impl Serialize for RadiusDependence {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut map = serializer.serialize_map(Some(3))?;
@@ -48,7 +48,7 @@ impl Serialize for RadiusDependence {
 }
 
 impl RadiusDependence {
-    /// By the dated frames of a flight. A change with time that goes as the temperature does is not separated.
+    /// Determines it from the dated frames of a flight. A change with time that is proportional to the temperature is not separated.
     pub(super) fn of(flight: &Flight, suns: &Suns) -> Self {
         let times_s = (0..flight.frames.len()).filter_map(|n| flight.timeline.unix_s(n));
         let times_s: Vec<f64> = times_s.collect();
@@ -63,7 +63,7 @@ impl RadiusDependence {
         Self::through(&discs)
     }
 
-    /// Temperatures and radii over the expected ones, in the order of time.
+    /// Fits temperatures and radii relative to the expected ones, in the order of time.
     fn through(discs: &[(f64, f64)]) -> Self {
         let least = LEAST_PER_BLOCK * BLOCKS;
         let few = Self::TooFewDiscs {
@@ -82,7 +82,7 @@ impl RadiusDependence {
         }
     }
 
-    /// The slope, where there is one, determined or not.
+    /// The slope, if there is one, significant or not.
     pub fn per_degc(&self) -> Option<Measured> {
         match self {
             Self::Insignificant { per_degc } | Self::Linear { per_degc } => Some(*per_degc),
@@ -123,7 +123,7 @@ fn ratio(flight: &Flight, suns: &Suns, n: usize) -> Option<f64> {
     Some(suns.seen[n]?.disc.radius_mil.value / frame.expected_radius_mil?)
 }
 
-/// The slope of the blocks' means, as a part of the radius; its sigma is inflated by what successive blocks have in common.
+/// Relative slope of the blocks' means; its sigma is inflated for the correlation of successive blocks.
 fn slope(discs: &[(f64, f64)]) -> Option<Measured> {
     let size = discs.len().div_ceil(BLOCKS);
     let blocks: Vec<(Vector2<f64>, f64, f64)> = discs.chunks(size).map(mean_of_block).collect();
@@ -141,7 +141,7 @@ fn slope(discs: &[(f64, f64)]) -> Option<Measured> {
     (middle > 0.0).then(|| Measured::new(slope.value / middle, inflated / middle))
 }
 
-/// One and the temperature, the radius and its relative sigma.
+/// The regressors one and temperature, the radius and its relative sigma.
 fn mean_of_block(discs: &[(f64, f64)]) -> (Vector2<f64>, f64, f64) {
     let count = discs.len() as f64;
     let sum = discs.iter().fold((0.0, 0.0), |s, d| (s.0 + d.0, s.1 + d.1));
@@ -149,7 +149,7 @@ fn mean_of_block(discs: &[(f64, f64)]) -> (Vector2<f64>, f64, f64) {
     (at, sum.1 / count, 1.0 / count.sqrt())
 }
 
-/// By how much a sigma grows where each residual resembles the one before (a first-order process), never below 1.
+/// Factor by which the correlation of successive residuals (a first-order process) increases a sigma, never below 1.
 fn inflation(residuals: &[f64]) -> f64 {
     const MOST_ALIKE: f64 = 0.9;
     let squares: f64 = residuals.iter().map(|r| r * r).sum();

@@ -7,21 +7,21 @@ use crate::config::Config;
 use crate::instrument::Instrument;
 use crate::observe::{Observer, Span, Unsolved, hash_of, with_frame};
 
-/// Recipe of a run; everything that a frame's own record depends on.
+/// Recipe of a run: everything that a frame's own record depends on.
 #[derive(Debug, Clone)]
 pub struct Recipe {
     pub instrument: Instrument,
     pub settings: aspect::SolverSettings,
     /// The effective configuration and the instrument's file.
     pub flown: Flown,
-    /// Instruments that frames may name, where instrument and configuration are the archive's.
+    /// Instruments that frames may name, if instrument and configuration are the archive's.
     pub archived: FlownFiles,
-    /// The instrument, and the solver's part of the configuration.
+    /// Text of the instrument, and of the solver's part of the configuration.
     stated: [String; 2],
 }
 
 impl Recipe {
-    /// An instrument with the text that it was read from, and a configuration, of which the solver's part counts.
+    /// Makes a recipe from an instrument, the text that it was read from, and a configuration, of which only the solver's part is used.
     pub fn new(
         (instrument, text): (Instrument, String),
         config: &Config,
@@ -42,13 +42,13 @@ impl Recipe {
         }
     }
 
-    /// Hashes of the instrument and of the solver's settings, as they were stated.
+    /// Hashes of the instrument and of the solver's settings as stated.
     pub fn stated_hashes(&self) -> [u64; 2] {
         self.stated.each_ref().map(|text| hash_of(text.as_bytes()))
     }
 }
 
-/// The values of a TOML text in the order of their keys: what was stated, however it was written.
+/// The values of a TOML text in the order of their keys: independent of the layout of the text.
 pub(super) fn plain_toml(text: &str) -> String {
     let table: Option<toml::Table> = toml::from_str(text).ok();
     table.map_or_else(|| text.to_owned(), |table| table.to_string())

@@ -18,12 +18,12 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-/// Pictures of a reason.
+/// Number of pictures for each reason.
 const PICTURES: usize = 3;
-/// Pixels of the frame that make one of a picture.
+/// Pixels of the frame for each pixel of a picture, along an axis.
 const SHRUNK: usize = 8;
 
-/// The page of a refinement: a part for each camera.
+/// The page of a refinement, with a section for each camera.
 #[derive(Default)]
 pub struct Report {
     pub(super) page: Page,
@@ -35,23 +35,23 @@ pub(super) struct Drawn {
     pub unix_s: f64,
     pub sun_mil: [f32; 2],
     pub sigma_mil: [f32; 2],
-    /// Per axis, of the limb's points and of the mapping.
+    /// 1 sigma per axis: contributions of the limb's points and of the mapping.
     parts_mil: Option<[f32; 2]>,
     own_sigma_mil: Option<f32>,
     calibration_arcsec: Option<f32>,
-    /// In flight minus refined.
+    /// Difference of the results, in flight minus refined.
     in_flight_mil: Option<[f32; 2]>,
     radius_ratio: Option<f32>,
     pub centre_px: Option<[f32; 2]>,
     pub temperature_c: Option<f32>,
-    /// Counts the jumps before it.
+    /// Number of jumps before it.
     pub jumps: u32,
-    /// Across and in elevation.
+    /// Offset across and in elevation.
     pub offset_arcsec: Option<[f32; 2]>,
 }
 
 impl Drawn {
-    /// None of a row that is not fine.
+    /// None if the row is not fine.
     fn of(row: &RefinedRow, jumps: u32) -> Option<Self> {
         let sun = row.sun.filter(|_| row.is_fine())?;
         let per_axis = |trace: f64| (trace.max(0.0) / 2.0).sqrt() as f32;
@@ -93,15 +93,15 @@ pub struct Rows {
     jumps: u32,
 }
 
-/// Why rows are not fine, or flagged.
+/// Reasons for which rows are not fine, or flagged.
 #[derive(Default)]
 pub(super) struct Reasons(BTreeMap<String, Reason>);
 
 #[derive(Default)]
 pub(super) struct Reason {
-    /// Fine, coarse and none.
+    /// Number of rows by quality: fine, coarse, none.
     pub counts: [usize; 3],
-    /// The first of them.
+    /// The first of the files.
     pub files: Vec<String>,
 }
 
@@ -124,12 +124,12 @@ impl Reasons {
         self.0.is_empty()
     }
 
-    /// In the order of the alphabet.
+    /// In alphabetical order.
     pub fn iter(&self) -> impl Iterator<Item = (&str, &Reason)> {
         self.0.iter().map(|(name, reason)| (name.as_str(), reason))
     }
 
-    /// Each of the first files of each reason, with the reason.
+    /// The first files of each reason, each with the reason.
     pub fn files(&self) -> impl Iterator<Item = (&str, &str)> {
         self.iter()
             .flat_map(|(name, reason)| reason.files.iter().map(move |file| (file.as_str(), name)))
@@ -148,7 +148,7 @@ impl Rows {
 }
 
 impl Report {
-    /// Adds a camera's part; of several, `label` begins its headings.
+    /// Adds a camera's section; if there are several, `label` begins its headings.
     pub fn add(
         &mut self,
         label: Option<&str>,
@@ -179,12 +179,12 @@ impl Report {
         part.jitter();
     }
 
-    /// Adds what others say behind what there is.
+    /// Appends another page.
     pub fn append(&mut self, page: Page) {
         self.page.append(page);
     }
 
-    /// Says what is not in it.
+    /// Adds a note, for example on what is missing.
     pub fn note(&mut self, text: &str) {
         self.page.note(text);
     }
@@ -192,7 +192,7 @@ impl Report {
     /// Writes `report.html` to a folder.
     ///
     /// # Errors
-    /// A file that cannot be written.
+    /// If a file cannot be written.
     pub fn write(self, folder: &Path) -> Result<(), FileError> {
         let title = format!("Aspect of {}", self.instruments.join(" and "));
         let text = self.page.finish(&title);
@@ -202,19 +202,19 @@ impl Report {
     }
 }
 
-/// One camera's part of the page.
+/// One camera's section of the page.
 pub(super) struct Part<'a> {
     pub page: &'a mut Page,
     /// Beginning of headings.
     label: String,
     /// Beginning of figures' captions.
     source: String,
-    /// The fine ones.
+    /// The fine rows.
     pub rows: &'a [Drawn],
     pub arcsec_per_mil: f64,
 }
 
-/// The archive that a figure is of: its folder's name, so that a report does not depend on where the archive lies.
+/// Source of a figure: the archive's folder name, so that a report does not depend on the archive's location.
 pub(super) fn source(archive: &ArchiveReader) -> String {
     let name = archive
         .name()
@@ -228,12 +228,12 @@ impl Part<'_> {
         self.page.heading(&format!("{}{text}", self.label));
     }
 
-    /// A figure, or a line that says why there is none.
+    /// Adds a figure, or a line with the reason why there is none.
     pub(super) fn figure(&mut self, figure: Result<String, PlotError>) {
         self.figure_with(figure, "");
     }
 
-    /// The same with what else a reader has to know of it.
+    /// The same with explanatory text.
     pub(super) fn figure_with(&mut self, figure: Result<String, PlotError>, text: &str) {
         match figure {
             Ok(svg) => {
@@ -405,7 +405,7 @@ impl Part<'_> {
     }
 }
 
-/// A frame, small and stretched to its brightest pixel; none where it cannot be read.
+/// A frame, reduced and scaled to its brightest pixel; none if it cannot be read.
 fn thumbnail(archive: &ArchiveReader, file: &str) -> Option<GrayImage> {
     let frame = archive.open_file(file).ok()?.frame().ok()?;
     let (width, height) = (frame.width() / SHRUNK, frame.height() / SHRUNK);

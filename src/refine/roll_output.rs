@@ -13,35 +13,35 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// The summary: counts, and what the numbers rest on.
+/// The summary: counts, and the inputs that the numbers depend on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RollSummary {
     pub program: &'static str,
-    /// That the program was built from, where it is known.
+    /// Commit that the program was built from, where it is known.
     pub commit: Option<&'static str>,
     pub times: &'static str,
     /// SHA-256 of the effective configuration and of the camera's file.
     pub configuration_sha256: Option<String>,
     pub camera_sha256: Option<String>,
-    /// Of `roll.fits`.
+    /// SHA-256 of `roll.fits`.
     pub table_sha256: String,
     #[serde(flatten)]
     pub counts: Counts,
     #[serde(flatten)]
     pub inputs: InputSummary,
-    /// Frames by why they are not fine.
+    /// Number of frames by the reason why they are not fine.
     pub remarks: BTreeMap<String, usize>,
-    /// Median 1 sigma of the roll: of a frame by itself, and smoothed.
+    /// Median 1 sigma of the roll: of single frames, and smoothed.
     pub frame_sigma_deg: Option<f64>,
     pub smoothed_sigma_deg: Option<f64>,
-    /// Which part of the frames' sigmas changes from one to the next, of roll and pitch.
+    /// Part of the frames' sigmas that changes between frames, of roll and pitch.
     pub changing_part: [f64; 2],
 }
 
 /// Writes table, CSV and summary to a folder; `each` sees every row.
 ///
 /// # Errors
-/// A file that cannot be written, a journal that cannot be read.
+/// If a file cannot be written or a journal cannot be read.
 pub fn write_roll(
     folder: &Path,
     history: &RollHistory,
@@ -53,7 +53,7 @@ pub fn write_roll(
     let (mut counts, mut remarks) = (Counts::default(), BTreeMap::new());
     let (mut sigmas, mut smoothed) = (Vec::new(), Vec::new());
     let table = (ROLL, ROLL_COLUMNS);
-    // UNIX_S counts from there.
+    // Zero of UNIX_S.
     let mut cards = zero_cards(Timestamp::UNIX_EPOCH);
     cards.extend(recipe.flown.cards());
     write_table(&path, &cards, table, rows, |row| {

@@ -1,4 +1,4 @@
-//! The roll camera's part of the report.
+//! The roll camera's section of the report.
 
 use super::record::Grade;
 use super::report::{Reasons, Report, source};
@@ -10,7 +10,7 @@ use crate::report::plot::{self, Labels, Mark, Series};
 use image::RgbImage;
 use image::imageops::thumbnail;
 
-/// Pictures are so wide at most.
+/// Greatest width of pictures.
 const WIDTH_PX: u32 = 480;
 
 /// The report's data of the roll camera's rows.
@@ -50,7 +50,7 @@ impl RollRows {
 }
 
 impl Report {
-    /// Adds the roll camera's part.
+    /// Adds the roll camera's section.
     pub fn add_roll(
         &mut self,
         archive: &ArchiveReader,
@@ -118,7 +118,7 @@ impl Report {
         }
     }
 
-    /// How many frames are not fine, by reason, and pictures of some with what was taken for the horizon.
+    /// Adds the number of frames that are not fine, by reason, and pictures of some with the horizon that was found.
     fn flagged_frames(&mut self, archive: &ArchiveReader, flagged: &Reasons, recipe: &RollRecipe) {
         if flagged.is_empty() {
             return;
@@ -137,7 +137,7 @@ impl Report {
     }
 }
 
-/// A frame with what was taken for the horizon, made small. `None` where it cannot be read.
+/// A frame with the horizon that was found, reduced in size. `None` if it cannot be read.
 fn overlay(archive: &ArchiveReader, file: &str, recipe: &RollRecipe) -> Option<RgbImage> {
     let frame = archive.open_file(file).ok()?.frame().ok()?;
     let (solution, sphere) = recipe.solve_again(&frame)?;

@@ -1,4 +1,4 @@
-//! From an archive to its history: what `solaspect refine` does, as a function.
+//! Refines an archive to its history: `solaspect refine` as a function.
 
 use super::attitude::AttitudeFound;
 use super::files::{Files, Given};
@@ -34,20 +34,20 @@ use std::fs::create_dir_all;
 use std::path::{Path, PathBuf, absolute};
 use std::thread::available_parallelism;
 
-/// Frames that are read from an object store for each core: each waits for the network several times as long as it is solved.
+/// Frames read in parallel from an object store for each core: waiting for the network takes several times as long as solving.
 const REMOTE_JOBS: usize = 8;
-/// Of the table POINTING, where no other is wanted.
+/// Default rate of the table POINTING.
 const POINTING_RATE_HZ: f64 = 10.0;
 
-/// How an archive is refined.
+/// Options of a refinement.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
     /// The folder of journal and results; made if missing.
     pub out: PathBuf,
     pub given: Given,
-    /// Frames read and solved at a time; by default one for each core, from an object store eight.
+    /// Frames read and solved in parallel; by default one for each core, from an object store eight.
     pub jobs: Option<usize>,
-    /// A part of the frames, which are observed and no more.
+    /// A part of the frames, which are observed only.
     pub shard: Option<Shard>,
     /// Folders of other runs of the same archive, instrument and settings, whose journals are read.
     pub merge: Vec<PathBuf>,
@@ -60,7 +60,7 @@ pub struct Options {
     pub film: Option<film::Options>,
 }
 
-/// Results; they are written to the folder, too.
+/// Results, which are also written to the folder.
 #[derive(Default)]
 pub struct Refined {
     /// The cameras of a shard, which have no history.
@@ -68,7 +68,7 @@ pub struct Refined {
     pub cameras: Vec<RefinedCamera>,
     pub roll: Option<RefinedRoll>,
     pub attitude: Option<AttitudeFound>,
-    /// Which frames were left alone, and why.
+    /// Frames that were ignored, with the reason.
     pub notes: Vec<String>,
     /// Files that could not be read for now, each with the reason.
     pub unread: BTreeMap<String, String>,
@@ -87,7 +87,7 @@ pub struct ShardDone {
 
 /// The history of a camera that sees the plate.
 pub struct RefinedCamera {
-    /// What distinguishes it from others; none of a single one.
+    /// Name that distinguishes it from others; none of a single camera.
     pub label: Option<String>,
     pub history: History,
     pub pointing: PointingHistory,
@@ -96,12 +96,12 @@ pub struct RefinedCamera {
     pub film: Option<film::Made>,
 }
 
-/// The table between frames.
+/// The table of offsets between frames.
 #[derive(Debug, Clone, Copy)]
 pub struct Stabilised {
     pub rate_hz: f64,
     pub rows: usize,
-    /// Those whose offset is known.
+    /// Rows with a known offset.
     pub valid: usize,
 }
 
@@ -111,10 +111,10 @@ pub struct RefinedRoll {
 }
 
 impl Refined {
-    /// Refuses a run that is not whole: files that could not be read for now, or no frame at all.
+    /// Refuses an incomplete run: some files could not be read for now, or no frame at all was read.
     ///
     /// # Errors
-    /// The first such file; why the files cannot be read.
+    /// The first such file; the reason why the files cannot be read.
     pub fn check(&self, archive: &Path) -> anyhow::Result<()> {
         if let Some((file, why)) = self.unread.first_key_value() {
             bail!(
@@ -138,11 +138,12 @@ impl Refined {
     }
 }
 
-/// Refines an archive: a folder tree of FITS frames, or the URL of objects. `watch` follows, and may end it: what is done is in the journal.
+/// Refines an archive: a folder tree of FITS frames, or the URL of objects. `watch` receives the progress and may cancel; completed
+/// frames stay in the journal.
 ///
 /// # Errors
-/// An archive, options or files that do not go together, frames that are not of the instrument's camera, a folder that cannot be written,
-/// a watch that cancels. Single bad frames are rows with the reason.
+/// If archive, options or files do not match, the frames are not of the instrument's camera, the folder cannot be written, or
+/// `watch` cancels. Single bad frames are rows with the reason.
 pub fn refine(archive: &Path, options: &Options, watch: &dyn Watch) -> anyhow::Result<Refined> {
     let archive = ArchiveReader::open(archive, &options.out)?;
     let cores = available_parallelism().map_or(1, usize::from);
@@ -162,7 +163,7 @@ pub fn refine(archive: &Path, options: &Options, watch: &dyn Watch) -> anyhow::R
     })
 }
 
-/// A run with what all cameras share.
+/// Inputs of a run that all cameras share.
 struct Run<'a> {
     archive: &'a ArchiveReader,
     options: &'a Options,
@@ -194,7 +195,7 @@ impl Run<'_> {
             watch,
         };
         let cameras = observe::cameras(&pass, listing.frames)?;
-        // What may be missing is said before hours of work.
+        // Refuse missing inputs before hours of work.
         let film = options.film.as_ref().map(|film| self.film(film));
         let film = film.transpose()?;
         let recipes = Recipes::of(&files, &cameras, &config)?;
@@ -220,7 +221,7 @@ impl Run<'_> {
         }
     }
 
-    /// Files of the film beside the flight. Pictures in the archive would be taken for frames.
+    /// Files of the film, which must not be in the archive: there its pictures would be taken for frames.
     fn film(&self, film: &film::Options) -> anyhow::Result<Film> {
         let path = absolute(&film.destination.path)?;
         let folder = path
@@ -242,7 +243,7 @@ impl Run<'_> {
         Ok(Film::new(film)?)
     }
 
-    /// The histories of all cameras, written with their report.
+    /// Makes the histories of all cameras, and writes them with their report.
     fn histories(
         &self,
         pass: &Pass<'_>,
@@ -332,7 +333,7 @@ impl Run<'_> {
         Ok(refined)
     }
 
-    /// The history of one camera that sees the plate.
+    /// Makes the history of one camera that sees the plate.
     fn history(
         &self,
         pass: &Pass<'_>,
@@ -354,7 +355,7 @@ impl Run<'_> {
         })
     }
 
-    /// Writes what a camera's history and the gyros say of the pointing.
+    /// Writes the pointing from a camera's history and the gyros.
     fn finish(
         &self,
         seen: Seen,
@@ -394,7 +395,7 @@ impl Run<'_> {
         })
     }
 
-    /// Writes the table of offsets between frames, where it is wanted.
+    /// Writes the table of offsets between frames, if selected.
     fn stabilise(
         &self,
         folder: &Path,
@@ -414,7 +415,7 @@ impl Run<'_> {
     }
 }
 
-/// Facts of a camera once its rows are written.
+/// Data of a camera once its rows are written.
 struct Seen {
     label: Option<String>,
     folder: PathBuf,
@@ -423,17 +424,17 @@ struct Seen {
     written: Written,
 }
 
-/// Other sensors' measurements of where the telescope points.
+/// Other sensors' measurements of the telescope's pointing.
 struct Others<'a> {
     roll: Option<&'a RollHistory>,
-    /// Of the pointing, by gyros.
+    /// States of the pointing, by gyros.
     states: &'a States,
-    /// Of cameras from the gyros.
+    /// Differences of cameras from the gyros.
     differences: &'a [Difference],
     dips: &'a Dips,
 }
 
-/// With what the frames of each camera are observed.
+/// The recipes for the frames of each camera.
 struct Recipes {
     plate: Vec<Recipe>,
     /// None where the roll camera's file is missing.
@@ -462,7 +463,7 @@ impl Recipes {
     }
 }
 
-/// Which frames are left alone, in words.
+/// Frames that are ignored, in words.
 fn left_alone(cameras: &Cameras, recipes: &Recipes) -> Vec<String> {
     let frames = |camera: &CameraFrames| counted(camera.inputs.len() as u64, "frame");
     let others = cameras.others.iter().map(|camera| {
@@ -487,7 +488,7 @@ fn left_alone(cameras: &Cameras, recipes: &Recipes) -> Vec<String> {
     others.chain(roll).collect()
 }
 
-/// Observes a part of the frames, and no more.
+/// Observes a part of the frames only.
 fn observe_shard(
     pass: &Pass<'_>,
     shard: Shard,

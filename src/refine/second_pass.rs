@@ -108,7 +108,7 @@ fn solve(
     let file = archive.open_file(&flight.timeline.file(n).ok()?).ok()?;
     let file = file.of_size(known.instrument.camera.size_px());
     let found = file.with_frame(|frame| known.find(frame)).ok()??;
-    // A limb that is mostly hidden does not determine its radius.
+    // A limb that is seen only in part does not determine its radius.
     let sigma = match found.limb_part >= LEAST_LIMB {
         true => LOOSE_RADIUS.sigma,
         false => ratio.sigma,

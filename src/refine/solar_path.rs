@@ -1,4 +1,4 @@
-//! The boresight's path on the Sun in equal steps of time, and how near to its target it was.
+//! The boresight's path on the Sun in equal steps of time, and its distance from the target.
 
 use super::sky::Sky;
 use crate::estimation::median;
@@ -12,39 +12,39 @@ use nalgebra::{Matrix2, Vector2};
 use serde::Serialize;
 use std::fmt;
 
-/// Steps a second; of a flight with more steps than that they are longer.
+/// Steps a second, and the greatest number of steps: longer flights have longer steps.
 const RATE_HZ: f64 = 10.0;
 const MOST_STEPS: f64 = 1e6;
-/// A target that the Sun carries along is asked for once in this, s: it moves by less than 0.2 arcsec.
+/// A target that rotates with the Sun is computed once in this time, s: it moves by less than 0.2 arcsec.
 const TARGET_EVERY_S: f64 = 60.0;
 
-/// Where the boresight was at a moment.
+/// Position of the boresight at a moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SolarStep {
-    /// UTC, since 1970-01-01.
+    /// UTC, s since 1970-01-01.
     pub unix_s: f64,
     pub at: HelioprojectiveArcsec,
     pub is_valid: bool,
-    /// True angle; none where the target is behind the limb.
+    /// True angle from the target; none where the target is behind the limb.
     pub from_target_arcsec: Option<f64>,
 }
 
-/// Where the boresight was on the Sun, at the times at which that is known.
+/// The boresight's positions on the Sun, at the times at which they are known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolarPath {
     pub steps: Vec<SolarStep>,
     /// Steps a second.
     pub rate_hz: f64,
-    /// The target's places over the flight: one where it stays.
+    /// The target's positions over the flight: a single one if it is fixed.
     pub target: Vec<HelioprojectiveArcsec>,
-    /// The middle of the flight, and how the Sun is turned then.
+    /// The middle of the flight, and the Sun's orientation then.
     pub disc: Option<(Timestamp, Disc)>,
-    /// Of the boresight to solar west and north, random part: the mean over the valid steps.
+    /// Covariance of the boresight to solar west and north, random part: the mean over the valid steps.
     pub covariance_arcsec2: Option<Matrix2<f64>>,
 }
 
 impl SolarPath {
-    /// Along the pointing of a flight.
+    /// Evaluates the pointing of a flight.
     pub fn of(pointing: &PointingHistory, sky: &Sky) -> Self {
         let ends_s = pointing.ends_s().unwrap_or([0.0; 2]);
         let duration_s = ends_s[1] - ends_s[0];
@@ -92,7 +92,7 @@ impl SolarPath {
         distances.flatten().collect()
     }
 
-    /// How near to the target it was; none where the pointing is never valid, or the target never in view.
+    /// Statistics of the distance from the target; none where the pointing is never valid, or the target never in view.
     pub fn on_target(&self) -> Option<OnTarget> {
         let distances = self.distances_arcsec();
         let seconds = |steps: usize| steps as f64 / self.rate_hz;
@@ -109,19 +109,19 @@ impl SolarPath {
     }
 }
 
-/// How long the boresight was near its target, by the valid pointing.
+/// Time that the boresight spent near its target, by the valid pointing.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct OnTarget {
-    /// The valid time.
+    /// The valid time, s.
     pub valid_s: f64,
     pub within_20_arcsec_s: f64,
     pub within_60_arcsec_s: f64,
-    /// Of the distance, over the valid time.
+    /// Median distance over the valid time.
     pub median_arcsec: f64,
 }
 
 impl OnTarget {
-    /// The limits of the requirements by name: how long it was within, and which part of the valid time.
+    /// The limits of the requirements by name: the time within each, and its part of the valid time.
     pub fn within(&self) -> [(&'static str, String); 2] {
         [
             ("20 arcsec", self.within_20_arcsec_s),
@@ -136,7 +136,7 @@ impl OnTarget {
     }
 }
 
-/// In a line, for people.
+/// One line, for people.
 impl fmt::Display for OnTarget {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [near, wide] = self.within();
@@ -152,7 +152,7 @@ fn utc(unix_s: f64) -> Option<Timestamp> {
     Timestamp::from_nanosecond((unix_s * 1e9) as i128).ok()
 }
 
-/// The random covariance of a boresight from the telescope's right and up to solar west and north.
+/// Rotates the random covariance of a boresight from the telescope's right and up to solar west and north.
 fn on_the_sun(line_of_sight: &LineOfSight) -> Matrix2<f64> {
     let towards = |axis: usize| {
         let column = line_of_sight.sun_from_telescope.column(axis);
@@ -163,7 +163,7 @@ fn on_the_sun(line_of_sight: &LineOfSight) -> Matrix2<f64> {
     turn * line_of_sight.random_arcsec2.fixed_view::<2, 2>(0, 0) * turn.transpose()
 }
 
-/// The target's places so far.
+/// The target's positions so far.
 #[derive(Default)]
 struct TargetWay {
     minute: Option<f64>,
@@ -172,7 +172,7 @@ struct TargetWay {
 }
 
 impl TargetWay {
-    /// Where it is at a time, asked for in order; none behind the limb.
+    /// Position of the target at a time; times must be in order. None behind the limb.
     fn at(
         &mut self,
         unix_s: f64,
@@ -214,7 +214,7 @@ mod tests {
         (Vector3::z() - to_sun() * to_sun().z).normalize()
     }
 
-    /// A telescope that points at a place about the Sun, its up towards solar north.
+    /// A telescope that points at a position near the Sun, its up axis towards solar north.
     fn state(since_s: f64, at: HelioprojectiveArcsec) -> State {
         let axes = Matrix3::from_columns(&[to_sun(), to_sun().cross(&north()), north()]);
         let forward = axes * at.direction();

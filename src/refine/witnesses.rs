@@ -1,6 +1,6 @@
-//! Two witnesses of where the telescope points: what its cameras show, held against the attitude by the gyros.
+//! Consistency check of the telescope's pointing: the directions from its cameras compared with the attitude by gyros.
 //!
-//! Directions that the filter takes are compared as it meets them ([`navigation`](crate::navigation)). A roll camera that it does not take
+//! Directions that the filter uses are compared by its innovations ([`navigation`](crate::navigation)). A roll camera that it does not use
 //! is compared by the dip of the telescope's second axis, which is the body's: the horizon gives the roll in this form at any elevation.
 
 use super::roll::RollRow;
@@ -13,16 +13,16 @@ use jiff::Timestamp;
 use serde::Serialize;
 use std::fmt;
 
-/// A difference of the witnesses.
+/// A difference between camera and gyros.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Difference {
     pub unix_s: f64,
     pub axis: Axis,
-    /// Over its 1 sigma.
+    /// The difference over its 1 sigma.
     pub sigmas: f64,
 }
 
-/// How deep the telescope's second axis dips, as the roll camera showed it.
+/// Dip of the telescope's second axis, measured by the roll camera.
 #[derive(Clone, Copy)]
 struct Dip {
     unix_s: f64,
@@ -34,7 +34,7 @@ struct Dip {
 pub(super) struct Dips(Vec<Dip>);
 
 impl Dips {
-    /// Notes the horizon of a frame.
+    /// Records the horizon of a frame.
     pub fn see(&mut self, row: &RollRow) {
         if let Some((unix_s, nadir)) = row.unix_s().zip(row.nadir_at_time()) {
             let sigma = nadir.covariance_rad2.m22.max(0.0).sqrt();
@@ -43,7 +43,7 @@ impl Dips {
         }
     }
 
-    /// Held against the pointing, where that rests on gyros.
+    /// Differences from the pointing, where that is based on gyros.
     fn differences(&self, pointing: &PointingHistory) -> impl Iterator<Item = Difference> {
         self.0.iter().filter_map(|dip| {
             let line_of_sight = pointing.at(dip.unix_s).line_of_sight?;
@@ -55,7 +55,7 @@ impl Dips {
 impl Dip {
     /// Measured minus predicted by the gyros.
     fn difference(&self, line_of_sight: &LineOfSight) -> Difference {
-        // A roll moves the second axis by as much as the third one points down.
+        // A roll changes the second axis's height by the vertical component of the third axis.
         let up = line_of_sight.horizon_from_telescope.row(2);
         let variance_rad2 =
             line_of_sight.random_arcsec2.m33 / ARCSEC_PER_RAD.powi(2) * up[2].powi(2);
@@ -72,23 +72,23 @@ impl Dip {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Compared {
     pub axes: Vec<ComparedAxis>,
-    /// Where they contradict each other.
+    /// Times at which they contradict each other.
     pub findings: Vec<Contradiction>,
     #[serde(skip)]
     pub(super) differences: [Vec<Difference>; 3],
 }
 
-/// One axis of a flight.
+/// Comparison of one axis over a flight.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct ComparedAxis {
     pub axis: Axis,
     pub frames: usize,
-    /// Of the differences over their sigma.
+    /// Rms and maximum of the differences over their sigma.
     pub rms_over_sigma: f64,
     pub most_over_sigma: f64,
 }
 
-/// From when to when two witnesses contradict each other.
+/// A time span in which camera and gyros contradict each other.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Contradiction {
     pub axis: Axis,
@@ -100,7 +100,7 @@ pub struct Contradiction {
 }
 
 impl Compared {
-    /// Of directions that the filter took, and of the roll camera where it took none. `None` where there is nothing to compare.
+    /// Compares the directions that the filter used, and the roll camera where it used none. `None` if there is nothing to compare.
     pub(super) fn of(
         by_filter: &[Difference],
         dips: &Dips,
@@ -129,7 +129,7 @@ impl Compared {
         })
     }
 
-    /// The heads and the rows of a table of the axes.
+    /// The headings and the rows of a table of the axes.
     pub(super) fn table(&self) -> ([&'static str; 4], Vec<Vec<String>>) {
         let row = |axis: &ComparedAxis| {
             vec![
@@ -195,7 +195,7 @@ fn contradictions(axis: Axis, all: &[Difference]) -> Vec<Contradiction> {
     stretches.filter_map(finding).collect()
 }
 
-/// In a line, for people.
+/// One line, for people.
 impl fmt::Display for Compared {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let axis = |axis: &ComparedAxis| {

@@ -1,6 +1,6 @@
-//! How the view drifts: as a random walk, and beside it with the camera's temperature.
+//! The drift of the view: a random walk plus a linear dependence on the camera's temperature.
 //!
-//! The state is the view and, where the temperature counts, what a degree changes of it: constants that all marks of the flight
+//! The state is the view and, where the temperature is used, the thermal coefficients: constants that all marks of the flight
 //! determine together with the walk.
 
 mod observations;
@@ -11,30 +11,30 @@ use super::view::{Covariance, Reference, STATES, State, UpperTriangle, packed, u
 use crate::smoothing::{Disturbance, Gaussian, Process, Step, log_likelihood, smooth};
 use nalgebra::{Matrix4, SMatrix, SVector, Vector4};
 
-/// The random walk of the view, 1 sigma after a second: square roots of the process noise's density.
+/// Process noise of the view's random walk, 1 sigma after a second: square roots of the spectral density.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ProcessNoise {
     pub shift_px: f64,
-    /// Turn and stretch, px at a unit of the plate from its centre.
+    /// Rotation and stretch, px at a unit of the plate from its centre.
     pub turn_px: f64,
 }
 
-/// The process noise of the view's shear over that of its turn.
+/// Process noise of the view's shear, relative to that of its rotation.
 const SHEAR_PART: f64 = 0.1;
-/// Uncertainty after a jump, px.
+/// Uncertainty after a jump: shift; rotation and stretch, px.
 const JUMP_PX: [f64; 2] = [10.0, 3.0];
-/// Prior of the view before the first mark, 1 sigma from the reference: shift, turn and shear, px; tilt.
+/// Prior of the view before the first mark, 1 sigma from the reference: shift, rotation and shear, px; tilt.
 const FIRST_SIGMA: [f64; 4] = [50.0, 50.0, 2.0, 0.01];
 
-/// The numbers of the view that a degree changes, the first ones: shift x and y, stretch and turn.
+/// Number of view parameters that depend on temperature, the first ones: shift x and y, stretch and rotation.
 const THERMAL: usize = 4;
-/// The prior of what a degree does, 1 sigma, px: cameras on balloons shift by a tenth of a pixel, and aluminium
-/// stretches by 23e-6, 0.004 px.
+/// Prior of the thermal coefficients, 1 sigma, px per degC: cameras on balloons shift by a tenth of a pixel, and aluminium expands by
+/// 23e-6, 0.004 px.
 const THERMAL_SIGMA_PX: [f64; THERMAL] = [0.2, 0.2, 0.02, 0.02];
-/// The view's numbers and the thermal coefficients.
+/// Number of view parameters and thermal coefficients.
 const WITH_THERMAL: usize = STATES + THERMAL;
 
-/// Effect of a degree of the camera's temperature on shift x and y, stretch and turn, px.
+/// Change of shift x and y, stretch and rotation per degC of the camera's temperature, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ThermalCoefficients {
     pub px_per_degc: Vector4<f64>,
@@ -49,7 +49,7 @@ pub(super) struct Estimate {
 }
 
 impl Estimate {
-    /// Of this one or, with a probability, another.
+    /// Mean and covariance of this estimate or, with a probability, another.
     pub fn or(&self, other: &Self, probability: f64) -> Self {
         let step = other.state - self.state;
         let [own, others] = [self, other].map(|one| unpacked(&one.covariance));
@@ -62,31 +62,31 @@ impl Estimate {
     }
 }
 
-/// A jump may lie between a moment and the one before it.
+/// A possible jump between a moment and the one before it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct JumpCandidate {
     pub moment: usize,
-    /// How unlikely it is that this is mere process noise: chi^2 of four.
+    /// Significance of the jump against process noise: chi^2 of four degrees of freedom.
     pub chi2: f64,
 }
 
 /// Smoothed estimate of the view from the whole flight.
 pub(super) struct Smoothed {
     pub estimates: Vec<Estimate>,
-    /// Where a jump would explain most.
+    /// The most significant candidate for a jump.
     pub jump: Option<JumpCandidate>,
-    /// None where the temperature does not count.
+    /// None where the temperature is not used.
     pub thermal: Option<ThermalCoefficients>,
 }
 
-/// All that estimating the drift takes.
+/// Inputs of the drift estimate.
 pub(super) struct Drift<'a> {
     pub reference: &'a Reference,
     pub observations: &'a Observations,
     pub process_noise: ProcessNoise,
     /// Moments before which the view jumped, in order.
     pub jumps: &'a [usize],
-    /// The camera's temperature at each moment, from the flight's middle, degC; none where it is not to count.
+    /// The camera's temperature at each moment, relative to the flight's median, degC; none where it is not used.
     pub temperature_c: Option<&'a [f64]>,
 }
 
@@ -99,7 +99,7 @@ impl Drift<'_> {
         }
     }
 
-    /// The estimates from all the flight.
+    /// Estimates smoothed over the whole flight.
     pub fn smoothed(&self) -> Option<Smoothed> {
         match self.temperature_c {
             Some(_) => self.smoothed_as::<WITH_THERMAL>(),
@@ -128,7 +128,7 @@ impl Drift<'_> {
         Some(smoothed)
     }
 
-    /// How far the disturbance of shift, stretch and turn before a moment is beyond what the process noise explains.
+    /// Significance of the disturbance of shift, stretch and rotation before a moment, beyond what the process noise explains.
     fn jump_candidate<const N: usize>(
         &self,
         moment: usize,
@@ -164,7 +164,7 @@ impl Drift<'_> {
     }
 }
 
-/// The view, which so many degrees move by the coefficients.
+/// State transition: the coefficients move the view by a change of temperature in degrees.
 fn warmed<const N: usize>(degrees: f64) -> SMatrix<f64, N, N> {
     let mut transition = SMatrix::identity();
     for n in STATES..N {
@@ -173,7 +173,7 @@ fn warmed<const N: usize>(degrees: f64) -> SMatrix<f64, N, N> {
     transition
 }
 
-/// Variances of shift, turn, shear and tilt as those of a view, and none of the coefficients.
+/// Variances of shift, rotation, shear and tilt assigned to the view's parameters; zero for the coefficients.
 fn of_view<const N: usize>(variances: [f64; 4]) -> SVector<f64, N> {
     SVector::from_fn(|n, _| variances.get(n / 2).copied().unwrap_or(0.0))
 }
@@ -188,7 +188,7 @@ fn thermal<const N: usize>(state: &Gaussian<N>) -> Option<ThermalCoefficients> {
     })
 }
 
-/// With or without the thermal coefficients.
+/// Implemented with and without the thermal coefficients.
 impl<const N: usize> Process<N> for Drift<'_> {
     fn moments(&self) -> usize {
         self.observations.len()
@@ -281,8 +281,8 @@ mod tests {
         (0..COUNT).map(|n| 5.0 * (n as f64 / 40.0).sin()).collect()
     }
 
-    /// The first moments of a flight whose view goes with the temperature by so many px per degree, beside a slow walk; no frame shows marks for a
-    /// sixth of it. And the view in truth.
+    /// The first moments of a flight whose view depends on the temperature by `px_per_degc`, plus a slow random walk; frames show no
+    /// marks for a sixth of it. Also returns the true view.
     fn flight(moments: usize, px_per_degc: [f64; THERMAL]) -> (Observations, Vec<State>) {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);
         let mut noise = |sigma: f64| sigma * rng.sample::<f64, _>(StandardNormal);

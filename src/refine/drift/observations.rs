@@ -10,11 +10,11 @@ use std::ops::Range;
 pub struct MarkObservation {
     /// Position on the ideal sensor, px.
     pub seen: Vector2<f64>,
-    /// Where the mark is on the plate.
+    /// Position of the mark on the plate.
     pub printed: PlateMil,
-    /// Inverse covariance, px^-2: xx, xy, yy. There are many of these.
+    /// Inverse covariance, px^-2: xx, xy, yy. In single precision to save memory.
     pub information: [f32; 3],
-    /// 0 to 1.
+    /// Robust weight, 0 to 1.
     pub weight: f32,
 }
 
@@ -24,7 +24,7 @@ impl MarkObservation {
     }
 }
 
-/// The moments of the flight, and the marks observed then. All marks lie in one allocation, so that their memory is given back.
+/// The moments of the flight, and the marks observed then. All marks share one allocation, so that their memory is released.
 #[derive(Debug, Clone)]
 pub struct Observations {
     marks: Vec<MarkObservation>,
@@ -33,14 +33,14 @@ pub struct Observations {
 
 #[derive(Debug, Clone)]
 struct Moment {
-    /// Since the first moment.
+    /// Time since the first moment, s.
     time_s: f64,
-    /// Its marks lie between the end of the moment before and this.
+    /// End of its marks; they begin at the end of the previous moment's.
     end: u32,
 }
 
 impl Observations {
-    /// The marks moment by moment, and each moment with its time in s and the end of its marks among all.
+    /// Takes the marks moment by moment, and each moment's time in s with the end of its marks.
     pub fn new(marks: Vec<MarkObservation>, moments: impl Iterator<Item = (f64, u32)>) -> Self {
         let moment = |(time_s, end)| Moment { time_s, end };
         Self {
@@ -53,7 +53,7 @@ impl Observations {
         self.moments.len()
     }
 
-    /// From the moment before to a moment; 0 where there is none before, or where time goes back.
+    /// Time from the previous moment, s; 0 for the first one, or where time goes back.
     pub fn step_s(&self, moment: usize) -> f64 {
         let time_s = |moment: usize| self.moments[moment].time_s;
         (time_s(moment) - time_s(moment.saturating_sub(1))).max(0.0)
@@ -74,7 +74,7 @@ impl Observations {
         moment.checked_sub(1).map_or(0, end)..end(moment)
     }
 
-    /// Whether any mark of a moment counts.
+    /// Whether any mark of a moment has weight.
     pub fn counts(&self, moment: usize) -> bool {
         self.at(moment).iter().any(|mark| mark.weight > 0.0)
     }

@@ -16,7 +16,7 @@ const ONE: Measured = Measured {
 /// Names that the documentation gives for a key, or that the program writes below it.
 type Keys = BTreeMap<String, BTreeSet<String>>;
 
-/// A summary with all keys that there are.
+/// A summary that contains all keys.
 fn summary(temperature: TemperatureDependence) -> Summary {
     let swing = FoundSwing {
         period_s: 3.47,
@@ -155,13 +155,13 @@ fn is_name(word: &str) -> bool {
     word.starts_with(|c: char| c.is_ascii_lowercase()) && word.bytes().all(legal)
 }
 
-/// What stands between backticks.
+/// The texts between backticks.
 fn quoted(text: &str) -> impl Iterator<Item = String> {
     let names = text.split('`').skip(1).step_by(2);
     names.filter(|name| is_name(name)).map(String::from)
 }
 
-/// The keys of a section's table, each with the names in its meaning.
+/// The keys of a section's table, each with the names in its description.
 fn documented(section: &str) -> Keys {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/refine-reference.md");
     let page = std::fs::read_to_string(path).unwrap();

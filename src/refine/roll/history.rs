@@ -12,25 +12,25 @@ use crate::observe::{CameraFrames, Done, InputSummary, JournalError, Span};
 use crate::pointing::body_nadir;
 use crate::units::Measured;
 
-/// The body's roll and pitch over the flight. Its rows are put together when they are asked for: what a frame gave stays in the journal.
+/// The body's roll and pitch over the flight. Rows are assembled on request: the results of the frames stay in the journal.
 #[derive(Debug)]
 pub struct RollHistory {
     timeline: Timeline<HorizonRecord>,
-    /// Of each dated frame.
+    /// Smoothed roll and pitch at each dated frame.
     smoothed: Vec<Option<SmoothedRoll>>,
-    /// The coarse ones that lie off the path of the fine ones, in order.
+    /// The coarse frames that lie off the path of the fine ones, in order.
     off: Vec<usize>,
     path: Option<RollPath>,
-    /// Which part of the stated sigmas changes from frame to frame, of roll and pitch. The rest is the limb's own shape and the camera's
-    /// height, alike in neighbours.
+    /// Part of the stated sigmas that changes between frames, of roll and pitch. The rest comes from the limb's own shape and the camera's
+    /// height, and is common to neighbours.
     pub changing: [f64; 2],
 }
 
 impl RollHistory {
-    /// The history of all frames, each of which a pass has observed.
+    /// Makes the history of all frames, after a pass has observed each of them.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn new(
         done: Done<HorizonRecord>,
         camera: CameraFrames,
@@ -67,7 +67,7 @@ impl RollHistory {
         })
     }
 
-    /// How many files there are.
+    /// Number of files.
     pub fn len(&self) -> usize {
         self.timeline.len()
     }
@@ -76,7 +76,7 @@ impl RollHistory {
         self.len() == 0
     }
 
-    /// Parts of the files that were not used as they stand.
+    /// Inputs that were not used as they stand.
     pub fn inputs(&self) -> &InputSummary {
         &self.timeline.inputs
     }
@@ -118,12 +118,12 @@ impl RollHistory {
         })
     }
 
-    /// The body at times, s since 1970 and in order; `None` where no frame is near.
+    /// Roll and pitch of the body at times, s since 1970 and in order; `None` where no frame is near.
     pub fn at(&self, times_s: &[f64]) -> Vec<Option<SmoothedRoll>> {
         smoothed(self.path.as_ref(), times_s)
     }
 
-    /// Straight down in the body's axes at such times.
+    /// The nadir in the body's axes at such times.
     pub fn body_nadirs(&self, times_s: &[f64]) -> Vec<Option<Direction>> {
         let nadir = |s: SmoothedRoll| body_nadir(s.roll_deg, s.pitch_deg);
         let smoothed = self.at(times_s).into_iter();
@@ -131,7 +131,7 @@ impl RollHistory {
     }
 }
 
-/// The body at times, s since 1970 and in order.
+/// Roll and pitch of the body at times, s since 1970 and in order.
 fn smoothed(path: Option<&RollPath>, times_s: &[f64]) -> Vec<Option<SmoothedRoll>> {
     path.map_or_else(|| vec![None; times_s.len()], |path| path.at(times_s))
 }

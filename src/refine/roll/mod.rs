@@ -1,7 +1,7 @@
-//! The roll camera's frames: each one's nadir, and the roll and pitch of the gondola's body as the flight has them.
+//! The roll camera's frames: each one's nadir, and the roll and pitch of the gondola's body over the flight.
 //!
-//! Each frame is observed by itself ([`RollRecipe`]), as those of the other cameras are. The history ([`RollHistory`]) puts them in the order of
-//! time and smooths them. The body's nadir at any time of the flight goes into the offsets of the cameras that see the plate.
+//! Each frame is observed by itself ([`RollRecipe`]), like those of the other cameras. The history ([`RollHistory`]) sorts them by
+//! time and smooths them. The body's nadir at any time of the flight enters the offsets of the cameras that see the plate.
 
 mod history;
 mod path;
@@ -23,18 +23,18 @@ use crate::observe::{Observer, Span, Unsolved, with_frame};
 use crate::reasons::{at, horizon as reasons};
 use crate::units::{Place, Rejected};
 
-/// Recipe for the roll camera's frames; everything that a frame's own record depends on.
+/// Recipe for the roll camera's frames: everything that a frame's own record depends on.
 #[derive(Debug, Clone)]
 pub struct RollRecipe {
     pub camera: MountedCamera,
     pub settings: config::Roll,
-    /// For frames that do not say where they were taken.
+    /// Used for frames that do not state their position.
     pub place: Option<Place>,
     /// The effective configuration and the camera's file.
     pub flown: Flown,
-    /// Cameras that frames may name, where camera and configuration are the archive's.
+    /// Cameras that frames may name, if camera and configuration are the archive's.
     pub archived: FlownFiles,
-    /// Camera, settings and place.
+    /// Text of camera, settings and place.
     stated: String,
 }
 
@@ -58,7 +58,7 @@ impl Observer for RollRecipe {
 }
 
 impl RollRecipe {
-    /// A camera with the text that it was read from, and a configuration, of which roll and place count.
+    /// Makes a recipe from a camera, the text that it was read from, and a configuration, of which roll and place are used.
     pub fn new(
         (camera, text): (MountedCamera, String),
         config: &Config,
@@ -92,18 +92,18 @@ impl RollRecipe {
         Ok(HorizonRecord::new(&frame.info, header, &solution, turn))
     }
 
-    /// The Earth about the camera when it took a frame; `None` where that was not above the limb's edge.
+    /// The Earth as seen from the camera when it took a frame; `None` if the camera was not above the limb's edge.
     fn sphere(&self, frame: &Frame) -> Option<Sphere> {
         self.settings.sphere(self.height_m(frame))
     }
 
-    /// Where a frame was taken; the settings may state another height.
+    /// Height at which a frame was taken, m; the settings may state another one.
     fn height_m(&self, frame: &Frame) -> Option<f64> {
         let place = frame.info.place.or(self.place);
         place.map(|place| place.height_m)
     }
 
-    /// Why such a frame has no nadir, as in flight: a height that is not stated counts as 0.
+    /// The reason for which such a frame has no nadir, as in flight: a height that is not stated counts as 0.
     fn not_above_the_limb(&self, frame: &Frame) -> Stopped {
         let height_m = self.settings.height_m.or(self.height_m(frame));
         let rejected = Rejected {
@@ -114,7 +114,7 @@ impl RollRecipe {
         at(Stage::Light)(rejected)
     }
 
-    /// The solution of a frame, once more: for a picture of it. `None` where it cannot be solved.
+    /// Solves a frame again, for a picture of it. `None` where it cannot be solved.
     pub(super) fn solve_again(&self, frame: &Frame) -> Option<(Solution, Sphere)> {
         let optics = &self.camera.optics;
         optics.check(frame).ok()?;
@@ -139,7 +139,7 @@ focal_px = [60.0, 60.0]
 body_from_camera = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
 ";
 
-    /// Of a dark frame from some height, where settings may state another.
+    /// Record of a dark frame taken at some height, where settings may state another.
     fn record(of_frame_m: f64, stated_m: Option<f64>) -> HorizonRecord {
         let camera = MountedCamera::parse(Path::new("roll.toml"), CAMERA).unwrap();
         let roll = config::Roll {

@@ -1,4 +1,4 @@
-//! The path of the body's roll and pitch: fitted once, asked often.
+//! The path of the body's roll and pitch: fitted once, evaluated often.
 
 use super::super::record::Grade;
 use super::super::timeline::Timeline;
@@ -11,13 +11,13 @@ use crate::units::Measured;
 
 /// Unit of the path: about the error of a frame.
 const UNIT_DEG: f64 = 0.01;
-/// A roll known worse than this, 1 sigma, is not stated.
+/// A roll with a larger 1 sigma is not stated.
 const MOST_SIGMA_DEG: f64 = 0.5;
-/// Fewer differences of neighbours determine nothing, nor do frames of which one step is so many times another.
+/// Fewest differences of neighbours; in each, the ratio of the steps between frames must be below the second value.
 const LEAST_DIFFERENCES: usize = 20;
 const EVEN_STEPS: f64 = 1.5;
-/// At least this part of the stated sigmas changes from frame to frame: a camera that repeats a picture has differences of 0, and a path
-/// through frames without an error cannot be found.
+/// Least part of the stated sigmas that changes between frames: a camera that repeats a picture has differences of 0, and a path through
+/// frames without an error cannot be found.
 const LEAST_CHANGING: f64 = 0.05;
 
 /// The body's path through frames.
@@ -30,7 +30,7 @@ pub(super) struct RollPath {
 }
 
 impl RollPath {
-    /// Through frames in the order of time, of whose sigmas a part changes from frame to frame. `None` without any.
+    /// Fits frames in the order of time; `changing` is the part of their sigmas that changes between frames. `None` without any.
     pub fn through(seen: Vec<Seen>, changing: [f64; 2], max_age_s: f64) -> Option<Self> {
         let first_s = seen.first()?.time_s;
         let moments = seen.iter().map(|seen| seen.moment(first_s, changing));
@@ -42,7 +42,7 @@ impl RollPath {
         })
     }
 
-    /// The body at times, s since 1970 and in order; `None` where no frame is near.
+    /// Roll and pitch of the body at times, s since 1970 and in order; `None` where no frame is near.
     pub fn at(&self, times_s: &[f64]) -> Vec<Option<SmoothedRoll>> {
         let first_s = self.seen[0].time_s;
         let since: Vec<f64> = times_s.iter().map(|time_s| time_s - first_s).collect();
@@ -59,7 +59,7 @@ impl RollPath {
         times_s.iter().zip(points).map(smoothed).collect()
     }
 
-    /// A point of the path, with the errors that are alike in neighbours.
+    /// A point of the path, with the errors common to neighbours added.
     fn smoothed(&self, point: &PathPoint, nearest: &Seen) -> SmoothedRoll {
         let angle = |axis: usize| {
             let changing = point.variance[axis].max(0.0).sqrt() * UNIT_DEG;
@@ -83,10 +83,10 @@ impl RollPath {
     }
 }
 
-/// A frame that shows roll and pitch, at a time of the path.
+/// A frame with roll and pitch, at a time of the path.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seen {
-    /// Its place among the dated frames.
+    /// Its index among the dated frames.
     pub frame: usize,
     pub quality: Grade,
     pub time_s: f64,
@@ -127,8 +127,8 @@ impl Seen {
     }
 }
 
-/// Which part of the stated sigmas changes from frame to frame, of roll and pitch: third differences show it, in which slow motion is
-/// nothing. All of it, where there are too few frames or the motion is too fast.
+/// Part of the stated sigmas that changes between frames, of roll and pitch, from third differences: these suppress slow motion.
+/// All of it if there are too few frames or the motion is too fast.
 pub(super) fn changing(seen: &[Seen]) -> [f64; 2] {
     let evenly = |four: &&[Seen]| {
         let steps = four.windows(2).map(|pair| pair[1].time_s - pair[0].time_s);
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn a_camera_that_repeats_a_picture_still_has_a_smoothed_roll() {
-        // Four frames a second.
+        // Frames at 4 Hz.
         let fine = |frame: usize, roll_deg: f64| Seen {
             frame,
             quality: Grade::Fine,

@@ -17,13 +17,13 @@ use serde::{Deserialize, Serialize};
 pub struct HorizonRecord {
     pub facts: FrameFacts,
     pub quality: Grade,
-    /// Why there is no nadir.
+    /// The reason why there is no nadir.
     pub reason: Option<String>,
-    /// Things beside the edge, or that hide it.
+    /// Objects beside the edge, or in front of it.
     pub flags: String,
-    /// Straight down in the body's axes.
+    /// The nadir in the body's axes.
     pub nadir: Option<NadirRecord>,
-    /// Places of the edge that are in view, and those that agree with the nadir.
+    /// Points of the edge in view, and those that agree with the nadir.
     pub places: usize,
     pub agreeing: usize,
     /// The body's roll and 1 sigma as the flight's program wrote them into the header, deg.
@@ -66,7 +66,7 @@ impl Dated for HorizonRecord {
 }
 
 impl HorizonRecord {
-    /// Record of a frame, with its file's facts; `body_from_camera` turns directions of the camera to the body's axes.
+    /// Makes the record of a frame, with its file's facts; `body_from_camera` rotates directions of the camera to the body's axes.
     pub fn new(
         info: &FrameInfo,
         header: &Header,

@@ -11,11 +11,11 @@ use crate::units::Measured;
 use jiff::Timestamp;
 use nalgebra::Matrix3;
 
-/// One file's row, put together from what its frame gave and what the flight made of it.
+/// One file's row, assembled from its frame's record and the flight's results.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RollRow {
     pub file: String,
-    /// The file whose frame this one holds once more.
+    /// The file of which this one's frame is a copy.
     pub copy_of: Option<String>,
     /// Mid-exposure, ns since 1970.
     pub utc_ns: Option<i64>,
@@ -23,19 +23,19 @@ pub struct RollRow {
     /// Record of the frame on its own; none of a file without a frame.
     pub own: Option<HorizonRecord>,
     pub quality: Grade,
-    /// Why there is no nadir; empty where nothing is to be said.
+    /// The reason why there is no nadir; empty if there is none to state.
     pub reason: String,
-    /// Straight down in the body's axes, by this frame alone.
+    /// The nadir in the body's axes, from this frame alone.
     pub nadir: Option<Direction>,
     pub smoothed: Option<SmoothedRoll>,
 }
 
-/// Roll and pitch of the body as the frames about a moment have them.
+/// Smoothed roll and pitch of the body at a moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SmoothedRoll {
     pub roll_deg: Measured,
     pub pitch_deg: Measured,
-    /// Of roll and pitch.
+    /// Rates of roll and pitch.
     pub rates_deg_per_s: [f64; 2],
 }
 
@@ -49,7 +49,7 @@ impl RollRow {
         Some(self.utc_ns? as f64 / 1e9)
     }
 
-    /// Roll and pitch by this frame alone.
+    /// Roll and pitch from this frame alone.
     pub fn angles_deg(&self) -> Option<[Measured; 2]> {
         let nadir = self.nadir.as_ref()?;
         Some([body_roll_deg(nadir), body_pitch_deg(nadir)])
@@ -60,14 +60,14 @@ impl RollRow {
         self.own.as_ref()?.in_flight_deg
     }
 
-    /// Why there is no roll, and why the time is flagged; empty where nothing is to be said.
+    /// The reason why there is no roll, and the flag of the time; empty if there is nothing to state.
     pub fn full_reason(&self) -> String {
         let own = (!self.reason.is_empty()).then(|| self.reason.clone());
         let flag = self.timing.flag.map(|flag| format!("refine: {flag}"));
         own.into_iter().chain(flag).collect::<Vec<_>>().join("; ")
     }
 
-    /// The nadir at the row's time, with what the uncertainty of that adds; none where that is not known.
+    /// The nadir at the row's time, with the uncertainty that the time adds; none where that is not known.
     pub fn nadir_at_time(&self) -> Option<Direction> {
         let nadir = self.nadir?;
         let Some(sigma_s) = self.timing.sigma_s else {
@@ -85,7 +85,7 @@ impl RollRow {
         self.own.as_ref().map_or("", |own| own.flags.as_str())
     }
 
-    /// Why the frame is not fine; empty where it is.
+    /// The reason why the frame is not fine; empty if it is fine.
     pub fn remark(&self) -> String {
         match self.quality {
             Grade::Coarse if self.reason.is_empty() => {

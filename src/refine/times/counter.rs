@@ -1,26 +1,26 @@
-//! Times held against the frames' numbers.
+//! Times checked against the frames' numbers.
 //!
-//! A camera's number goes on with time. Frames whose times do not rise with their numbers, except for the fewest that can be left out
-//! (the longest rising subsequence stays), were stamped wrongly, unless the counter restarted. So were frames between a jump of
-//! time and its return, where the camera is steady otherwise. Wrong times are replaced by those that the numbers and the frames before and
-//! after give.
+//! A camera's frame number increases with time. The longest subsequence of frames whose times rise with their numbers is correct; the other
+//! frames were stamped wrongly, unless the counter restarted. So were frames between a jump of time and its return, if the camera's
+//! frame rate is steady otherwise. Wrong times are replaced by times interpolated with the numbers from the frames before and after.
 
 use super::super::flags::SIGMA_PER_WIDTH;
 use crate::estimation::median;
 use crate::units::Measured;
 
-/// Where more frames share their number with others, the counter restarted or gives no order.
+/// If a larger part of the frames shares its number with others, the counter restarted or gives no order.
 const MOST_REPEATED: f64 = 0.1;
-/// Where times and numbers contradict each other in more frames, neither can be corrected by the other.
+/// If times and numbers contradict each other in a larger part of the frames, neither can correct the other.
 const MOST_WRONG: f64 = 0.4;
-/// A camera is steady whose steps scatter by less than this part of a step; then a step that is off by more than that one is a jump.
+/// A camera is steady if the scatter of its steps is less than this part of a step; a step that is off by more than the second part is then
+/// a jump.
 const STEADY: f64 = 0.05;
 const JUMP: f64 = 0.25;
-/// The return of a jump is as long as the jump except for this part of a step.
+/// The return of a jump equals the jump within this part of a step.
 const SAME_JUMP: f64 = 0.1;
-/// Numbers that are further behind or before the others are of another start of the counter.
+/// Numbers that are below or above the others by more than this belong to another start of the counter.
 const FAR: u64 = 2;
-/// Fewer frames show no order.
+/// Fewer frames do not determine an order.
 const LEAST_FRAMES: usize = 4;
 
 /// A frame with a number and a time.
@@ -34,16 +34,16 @@ pub(super) struct Numbered {
     pub is_confirmed: bool,
 }
 
-/// Verdict of the numbers on the times.
+/// Result of checking the times against the numbers.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Found {
-    /// Frames, and what is to be added to their times.
+    /// Frames, and the correction to add to their times.
     pub corrections_s: Vec<(usize, Measured)>,
     /// Frames whose times cannot be corrected, and 1 sigma of these, s.
     pub shuffled: Vec<(usize, f64)>,
 }
 
-/// Takes frames in any order. Of times that are confirmed nothing is found.
+/// Takes frames in any order. Confirmed times are never corrected.
 pub(super) fn examine(frames: Vec<Numbered>) -> Found {
     let mut is_confirmed = vec![false; frames.iter().map(|f| f.frame + 1).max().unwrap_or(0)];
     for frame in &frames {
@@ -63,7 +63,7 @@ fn examine_all(mut frames: Vec<Numbered>) -> Found {
         return Found::default();
     }
     let mut found = Found::default();
-    // Where the counter restarted, steps of its starts alternate.
+    // If the counter restarted, steps of its two starts may alternate.
     if repeated == 0 {
         for (n, shift) in displaced(&frames) {
             found.corrections_s.push((frames[n].frame, shift));
@@ -81,14 +81,14 @@ fn examine_all(mut frames: Vec<Numbered>) -> Found {
 
 /// The longest subsequence of rising times.
 fn rising(frames: &[Numbered]) -> Vec<bool> {
-    // Of each length, the frame of the earliest time with which a rising sequence of it ends.
+    // For each length, the frame with the earliest time at which a rising sequence of that length ends.
     let mut ends: Vec<usize> = Vec::new();
     let mut before = vec![None; frames.len()];
     for (n, frame) in frames.iter().enumerate() {
         let length = ends.partition_point(|end| frames[*end].time_s < frame.time_s);
         before[n] = length.checked_sub(1).map(|shorter| ends[shorter]);
         match ends.get_mut(length) {
-            // Of frames of one time, the first: the clock stood still behind it.
+            // Of frames with equal times keep the first: the clock stood still after it.
             Some(end) if frames[*end].time_s == frame.time_s => {}
             Some(end) => *end = n,
             None => ends.push(n),
@@ -103,8 +103,8 @@ fn rising(frames: &[Numbered]) -> Vec<bool> {
     is_rising
 }
 
-/// The frames that are not rising, except for those of other starts of the counter: together in time, with numbers that the rising
-/// ones have, too, or far from all of theirs.
+/// The frames that are not rising, except for those of other starts of the counter: blocks in time whose numbers repeat those of the
+/// rising ones, or are far from all of theirs.
 fn wrong(frames: &[Numbered], rising: &[bool]) -> Vec<bool> {
     let mut wrong = vec![false; frames.len()];
     let mut numbers = (0..frames.len())
@@ -136,7 +136,7 @@ fn wrong(frames: &[Numbered], rising: &[bool]) -> Vec<bool> {
     wrong
 }
 
-/// The usual time from a number to the next.
+/// Median time between successive numbers, s.
 fn period<'a>(frames: impl Iterator<Item = &'a Numbered>) -> Option<f64> {
     let frames: Vec<&Numbered> = frames.collect();
     let steps = frames.windows(2).filter_map(|pair| {
@@ -146,7 +146,7 @@ fn period<'a>(frames: impl Iterator<Item = &'a Numbered>) -> Option<f64> {
     median(steps.collect::<Vec<f64>>()).filter(|period_s| *period_s > 0.0)
 }
 
-/// Replacement of wrong times: whole runs of frames that follow each other evenly are shifted to the frames before and behind.
+/// Corrections of wrong times: whole runs of evenly spaced frames are shifted to fit the frames before and after.
 fn replaced(frames: &[Numbered], wrong: &[bool]) -> Vec<(usize, Measured)> {
     let mut found = Vec::new();
     let right = frames.iter().zip(wrong).filter(|(_, wrong)| !**wrong);
@@ -182,7 +182,7 @@ fn replaced(frames: &[Numbered], wrong: &[bool]) -> Vec<(usize, Measured)> {
     found
 }
 
-/// Frames of a steady camera between a jump of time and its return; by their place, with what corrects them.
+/// Frames of a steady camera between a jump of time and its return, by index, with their correction.
 fn displaced(frames: &[Numbered]) -> Vec<(usize, Measured)> {
     let Some(period_s) = period(frames.iter()) else {
         return Vec::new();
@@ -215,8 +215,8 @@ fn displaced(frames: &[Numbered]) -> Vec<(usize, Measured)> {
     found
 }
 
-/// Frames whose times and numbers contradict each other throughout, with 1 sigma of their times, s: none, where the motion shows that
-/// the numbers are wrong. What moves goes a longer way in the order that is wrong.
+/// Frames whose times and numbers contradict each other throughout, with 1 sigma of their times, s. Empty if the object's motion shows that
+/// the numbers are wrong: its path is longer in the wrong order.
 fn shuffled(frames: &[Numbered]) -> Vec<(usize, f64)> {
     let way = |frames: &[Numbered]| {
         let places: Vec<[f64; 2]> = frames.iter().filter_map(|frame| frame.place).collect();

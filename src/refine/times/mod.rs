@@ -1,12 +1,12 @@
-//! When frames were taken: their stamps held against the monotonic clock, the frames' numbers and each other.
+//! Times of the frames: their stamps checked against the monotonic clock, the frames' numbers and each other.
 //!
-//! A stamp that contradicts these sharpens nothing. In this order:
+//! A stamp that contradicts these does not improve the path. The checks, in this order:
 //!
-//! 1. A clock that gives all frames one time stands still: they have no time.
-//! 2. Stamps in [steps](quantum) that hold several frames are spread over the step by what orders the frames.
+//! 1. A clock that gives all frames the same time is stopped: the frames have no time.
+//! 2. If stamps are quantised in [steps](quantum) that hold several frames, the frames are spread over the step in their order.
 //! 3. Steps of UTC against the [monotonic clock](super::clock) are corrected.
-//! 4. Times that run back, or jump and return, while the frames' [numbers](counter) go on are corrected by these.
-//! 5. Frames that still share a time keep it, with the time to the next stamp as its uncertainty, and are not of the smoothed path.
+//! 4. Times that run back, or jump and return, while the frames' [numbers](counter) increase are corrected by these.
+//! 5. Frames that still share a time keep it, with the time to the next stamp as its uncertainty; the smoothed path ignores them.
 
 mod counter;
 mod quantum;
@@ -23,10 +23,10 @@ use std::collections::{BTreeMap, HashMap};
 pub(super) const TIME_SIGMA: &str =
     "1 sigma of the time, where the header's contradicts others; none where it is believed";
 
-/// Fewer frames of one time alone may well have been taken at it.
+/// Fewer frames may have been taken at the same time.
 const LEAST_STUCK: usize = 3;
 
-/// A frame's time by its file, and where it shows its object; `place` has any unit.
+/// A frame's time as stated in its file, and the position of its object, in any unit.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Stamp {
     pub utc_ns: Option<i64>,
@@ -68,7 +68,7 @@ impl Timing {
         }
     }
 
-    /// The time of a stamp; none where the clock stood still.
+    /// The corrected time of a stamp; none where the clock was stopped.
     pub fn utc_ns(&self, stamped_ns: Option<i64>) -> Option<i64> {
         let stamped_ns = stamped_ns.filter(|_| self.flag != Some(TimeFlag::StoppedClock))?;
         Some(match &self.correction_s {
@@ -81,7 +81,7 @@ impl Timing {
 /// Timing of the stamps of a camera's frames.
 #[derive(Debug, Default)]
 pub(super) struct Times {
-    /// Of each frame.
+    /// Timing of each frame.
     pub timings: Vec<Timing>,
     /// Clock corrections by the monotonic clock.
     pub clocks: Clocks,
@@ -110,7 +110,7 @@ impl Times {
         times
     }
 
-    /// One warning of each kind.
+    /// Logs one warning of each kind.
     fn warn(&self) {
         let mut kinds: BTreeMap<TimeFlag, u64> = BTreeMap::new();
         for flag in self.timings.iter().filter_map(|timing| timing.flag) {
@@ -183,7 +183,7 @@ impl Times {
         }
     }
 
-    /// Frames that share a time though nothing else is said of it: it is at least that of one of them.
+    /// Flags frames that share a time and have no other flag: each was taken at or after it.
     fn shared(&mut self, stamps: &[Stamp]) {
         let time = |n: usize| self.timings[n].utc_ns(stamps[n].utc_ns);
         let mut dated: Vec<(i64, usize)> = (0..stamps.len())
@@ -225,7 +225,7 @@ fn is_stopped(stamps: &[Stamp]) -> bool {
     same && count >= LEAST_STUCK
 }
 
-/// Frames of one number and one time: no order of them can be known.
+/// Frames that share number and time with another frame: their order cannot be determined.
 fn twins(stamps: &[Stamp]) -> Vec<bool> {
     let key = |stamp: &Stamp| stamp.number.zip(stamp.utc_ns);
     let mut counts: HashMap<(u64, i64), u32> = HashMap::new();

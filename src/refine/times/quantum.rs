@@ -1,46 +1,47 @@
-//! Stamps in steps, such as whole seconds, that hold several frames.
+//! Stamps quantised in steps, such as whole seconds, that hold several frames.
 //!
-//! A stamp says that a frame was taken between it and the next one. What orders the frames (the monotonic clock, their numbers, else
-//! the files) runs evenly: a straight line of time through as many frames as their steps allow, then the next one.
+//! A stamp states that a frame was taken between it and the next one. The quantity that orders the frames (the monotonic clock, their
+//! numbers, else the files) increases evenly with time: a straight line of time through as many frames as their steps allow, then the
+//! next line.
 
 use super::super::flags::Order;
 use super::Stamp;
 use crate::estimation::median;
 use std::collections::HashMap;
 
-/// Steps that clocks are known to be stamped in, us.
+/// Known steps of camera clocks, us.
 const STEPS_US: [i64; 7] = [
     60_000_000, 10_000_000, 2_000_000, 1_000_000, 100_000, 15_625, 10_000,
 ];
-/// This part of the stamps stands on the steps.
+/// Part of the stamps that must lie on the steps.
 const ON_STEPS: f64 = 0.95;
-/// Where fewer frames share their stamp, something else is wrong with these.
+/// If a smaller part of the frames shares its stamp, the cause is not quantisation.
 const LEAST_SHARING: f64 = 0.1;
-/// This part of the steps must be in order.
+/// Part of the steps that must be in order.
 const IN_ORDER: f64 = 0.9;
-/// The pace of the order is measured over so many stamps at most.
+/// The pace of the order is measured over at most this many stamps.
 const LONGEST_BASE: usize = 200;
-/// How far the pace of the monotonic clock may seem to be from one.
+/// Largest deviation of the monotonic clock's apparent pace from one.
 const MONOTONIC_PACE: f64 = 0.1;
 
-/// Stamps in steps.
+/// Result of spreading quantised stamps.
 #[derive(Debug, PartialEq)]
 pub(super) struct Spread {
     pub step_s: f64,
-    /// None where nothing orders the frames.
+    /// The order used; none if nothing orders the frames.
     pub by: Option<Order>,
     /// Correction of each frame's stamp; none where the frame cannot be placed.
     pub shifts_s: Vec<Option<f64>>,
 }
 
-/// Frames on their steps.
+/// Frames with quantised stamps.
 struct Stepped {
     step_us: i64,
     /// Stamp and frame, in the order of both.
     stamps: Vec<(i64, usize)>,
 }
 
-/// A frame with what orders it.
+/// A frame with its ordering key.
 #[derive(Clone, Copy)]
 struct Ordered {
     stamp_us: f64,
@@ -48,9 +49,9 @@ struct Ordered {
     frame: usize,
 }
 
-/// Spreads the frames over steps that hold several of them; `None` where there is no such step. Twins are not placed.
+/// Spreads the frames over steps that hold several of them; `None` if there is no such step. Twins are not placed.
 pub(super) fn spread(stamps: &[Stamp], twins: &[bool]) -> Option<Spread> {
-    // The start of the exposure is stamped, or its middle.
+    // The camera stamps either the start of the exposure or its middle.
     let both = [0.5, 0.0].map(|part| Stepped::of(stamps, part));
     let stepped = both.into_iter().flatten();
     let stepped = stepped.max_by_key(|stepped| stepped.step_us)?;
@@ -79,7 +80,7 @@ pub(super) fn spread(stamps: &[Stamp], twins: &[bool]) -> Option<Spread> {
 }
 
 impl Stepped {
-    /// The longest step on which stamps stand; `part` of the exposure is taken off them.
+    /// Finds the longest step on which the stamps lie, after subtracting `part` of the exposure.
     fn of(stamps: &[Stamp], part: f64) -> Option<Self> {
         let stamp_us = |stamp: &Stamp| {
             let before_ns = (stamp.exposure_s.unwrap_or(0.0) * part * 1e9).round() as i64;
@@ -118,13 +119,13 @@ impl Stepped {
         self.stamps.chunk_by(|a, b| a.0 == b.0)
     }
 
-    /// Which part of the frames shares its stamp with others.
+    /// Part of the frames that share their stamp with others.
     fn sharing(&self) -> f64 {
         let sharing = self.groups().filter(|group| group.len() > 1);
         sharing.map(<[_]>::len).sum::<usize>() as f64 / self.stamps.len() as f64
     }
 
-    /// The frames in their order, if it is one, and its pace, us.
+    /// The frames sorted by `by`, and the time per unit of its key, us; `None` if it does not order them.
     fn ordered(&self, stamps: &[Stamp], twins: &[bool], by: Order) -> Option<(Vec<Ordered>, f64)> {
         let mut keys = 0;
         let mut in_order = [0, 0];
@@ -152,7 +153,7 @@ impl Stepped {
             }
         }
         if by == Order::Files {
-            // Files of the same stamp may stand anywhere among those of other cameras: their rank counts.
+            // The files of one stamp may be anywhere among those of other cameras: use their rank.
             (0..frames.len()).for_each(|rank| frames[rank].key = rank as f64);
         }
         let enough = |part: usize, all: usize| part as f64 >= IN_ORDER * all as f64;
@@ -168,7 +169,7 @@ impl Stepped {
     }
 }
 
-/// The time from one to the next of what orders the frames, us.
+/// Time per unit of the ordering key, us.
 ///
 /// The first frame of each stamp is near the stamp, except for the first stamp of all, of which frames may be missing.
 fn pace(frames: &[Ordered]) -> Option<f64> {
@@ -183,14 +184,14 @@ fn pace(frames: &[Ordered]) -> Option<f64> {
     median(paces.collect::<Vec<f64>>())
 }
 
-/// Times of frames by straight lines.
+/// Times of frames, fitted by straight lines.
 struct Lines {
     us: Vec<f64>,
     lines: usize,
 }
 
 impl Lines {
-    /// Whether the frames are so even, and their stamps so uneven, that only the steps explain it.
+    /// Whether the frames are so even, and their stamps so uneven, that only quantisation explains it.
     fn is_uneven(&self, shifts: impl Iterator<Item = f64>, stepped: &Stepped) -> bool {
         let (least, most) = shifts.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), s| {
             (least.min(s), most.max(s))
@@ -199,7 +200,7 @@ impl Lines {
     }
 }
 
-/// Each line goes through as many frames as have it within their steps; of all that do, the middle one.
+/// Fits lines: each passes through as many frames as possible within their steps; of the possible lines, the middle one.
 fn times(frames: &[Ordered], pace: f64, step_us: f64) -> Lines {
     let mut found = Lines {
         us: Vec::with_capacity(frames.len()),
@@ -207,7 +208,7 @@ fn times(frames: &[Ordered], pace: f64, step_us: f64) -> Lines {
     };
     let mut rest = frames;
     while let Some(first) = rest.first() {
-        // Not before the frame before it.
+        // No earlier than the previous frame.
         let begin = found
             .us
             .last()

@@ -5,7 +5,7 @@ use super::*;
 
 const START_NS: i64 = 1_379_786_400_000_000_000;
 
-/// Frames taken at these times, s, numbered from 100 on, that move evenly; stamped in whole microseconds.
+/// Frames taken at these times, s, numbered from 100, of a uniformly moving object; stamped in whole microseconds.
 fn taken(times_s: impl Iterator<Item = f64>) -> Vec<Stamp> {
     let stamp = |(n, time_s): (usize, f64)| Stamp {
         utc_ns: Some(START_NS + (time_s * 1e6).round() as i64 * 1000),
@@ -17,7 +17,7 @@ fn taken(times_s: impl Iterator<Item = f64>) -> Vec<Stamp> {
     times_s.enumerate().map(stamp).collect()
 }
 
-/// Four a second, with the jitter of a computer.
+/// Frames at 4 Hz, with the jitter of a computer.
 fn steady(frames: usize) -> Vec<Stamp> {
     taken((0..frames).map(|n| n as f64 / 4.0 + 1e-3 * (n * 7919 % 11) as f64))
 }
@@ -30,7 +30,7 @@ fn shift(stamp: &mut Stamp, by_s: f64) {
     stamp.utc_ns = stamp.utc_ns.map(|utc_ns| utc_ns + (by_s * 1e9) as i64);
 }
 
-/// As a clock with steps stamps them.
+/// The stamps quantised in steps.
 fn in_steps(mut stamps: Vec<Stamp>, step_s: f64) -> Vec<Stamp> {
     let step_ns = (step_s * 1e9) as i64;
     for stamp in &mut stamps {
@@ -55,7 +55,7 @@ fn flagged(stamps: &[Stamp]) -> Vec<usize> {
     found.map(|(n, _)| n).collect()
 }
 
-/// Holds all times to three of their sigmas, and to `most_s`.
+/// Checks that all time errors are within three of their sigmas, and below `most_s`.
 fn expect_corrected(stamps: &[Stamp], expected: &[usize], most_s: f64) {
     assert_eq!(flagged(stamps), expected);
     for (n, (error_s, timing)) in judged(stamps).iter().enumerate() {
@@ -76,7 +76,7 @@ fn good_times_are_left_alone() {
     for rate_hz in [0.5, 1.0, 2.0, 4.0, 10.0, 26.0] {
         assert!(flagged(&exact(rate_hz)).is_empty(), "{rate_hz}");
     }
-    // A pause, frames that are missing, another rate, and no numbers.
+    // A pause, missing frames, another rate, and no numbers.
     let mut paused: Vec<Stamp> = steady(200);
     paused[120..]
         .iter_mut()
@@ -145,7 +145,7 @@ fn frames_of_a_whole_second_are_spread_over_it() {
                 );
                 let sigma_s = timing.sigma_s.unwrap();
                 assert!((sigma_s - step_s / 12_f64.sqrt()).abs() < 1e-3 * step_s);
-                // Even frames are spread as well as their steps allow.
+                // Evenly spaced frames are spread as accurately as their steps allow.
                 assert!(
                     error_s.abs() < 0.6 / rate_hz,
                     "{by:?} {rate_hz} {n}: {error_s}"
@@ -193,7 +193,7 @@ fn a_clock_that_stands_still_gives_no_time() {
         assert_eq!(timing.utc_ns(first), None);
         assert_eq!(timing.flag, Some(TimeFlag::StoppedClock));
     }
-    // For a while only: the numbers show.
+    // Stopped for a while only: the numbers show it.
     let mut stamps = steady(200);
     let first = stamps[50].utc_ns;
     stamps[50..70]
@@ -204,7 +204,7 @@ fn a_clock_that_stands_still_gives_no_time() {
         assert!(error_s.abs() < 0.03, "{error_s} {timing:?}");
     }
     assert!(flagged(&stamps).len() >= 19);
-    // And where they do not, the time to the next stamp is the uncertainty.
+    // Without numbers the uncertainty is the time to the next stamp.
     stamps.iter_mut().for_each(|stamp| stamp.number = None);
     for (error_s, timing) in &judged(&stamps)[50..70] {
         assert_eq!(timing.flag, Some(TimeFlag::SharedTime));
@@ -224,13 +224,13 @@ fn times_that_leave_the_order_of_the_numbers_are_corrected() {
             expect_corrected(&stamps, &wrong, 0.05);
         }
     }
-    // The end of a flight, by another time zone.
+    // The end of a flight stamped in another time zone.
     let mut stamps = steady(200);
     stamps[150..]
         .iter_mut()
         .for_each(|stamp| shift(stamp, -6.0 * 3600.0));
     expect_corrected(&stamps, &(150..200).collect::<Vec<_>>(), 0.05);
-    // A second, where frames are two seconds apart: no time runs back.
+    // A shift of one second between frames two seconds apart: no time runs back.
     let mut slow = taken((0..100).map(|n| 2.0 * n as f64));
     slow[30..34].iter_mut().for_each(|stamp| shift(stamp, 1.0));
     expect_corrected(&slow, &[30, 31, 32, 33], 0.05);
