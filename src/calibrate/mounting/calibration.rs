@@ -15,18 +15,18 @@ use crate::observe::RejectedFrame;
 pub struct Mounting {
     pub fit: MountingFit,
     pub quantities: Vec<CalibratedQuantity>,
-    /// How the camera sees the plate, as the marks say.
+    /// Handedness of the camera's view of the plate, as determined by the marks.
     pub handedness: Handedness,
-    /// Where directions on the plate are counted; `None` where the observations do not distinguish.
+    /// Convention for directions on the plate; `None` if the observations do not distinguish it.
     pub directions: Option<Directions>,
-    /// Frames whose observation does not take part.
+    /// Frames whose observation was rejected.
     pub rejected: Vec<RejectedFrame>,
 }
 
 /// Calibrates the mounting of an instrument from observations of the Sun.
 ///
 /// # Errors
-/// Observations that do not determine a mounting at all; see [`MountingError`].
+/// If the observations do not determine a mounting at all; see [`MountingError`].
 pub fn calibrate(
     observations: &[SunObservation],
     pointings: Pointings,
@@ -67,14 +67,14 @@ fn check_enough(
     Ok(())
 }
 
-/// The Sun must move enough for an angle to mean something.
+/// Requires that the Sun moves enough to determine an angle.
 fn check_spread(
     observations: &[SunObservation],
     pointings: Pointings,
 ) -> Result<(), MountingError> {
     const LEAST_MIL: f64 = 100.0;
     let extent = |coordinate: fn(&SunObservation) -> f64| {
-        // Without the tenth at each end, which bad frames may make up.
+        // Ignore a tenth at each end, which may be bad frames.
         let mut values: Vec<f64> = observations.iter().map(coordinate).collect();
         values.sort_by(f64::total_cmp);
         values[values.len() - 1 - values.len() / 10] - values[values.len() / 10]
@@ -94,7 +94,7 @@ fn check_spread(
     })
 }
 
-/// A telescope that moved, or pointings of another night, fit nothing.
+/// Refuses a poor fit: the telescope moved, or the pointings are of another night.
 fn check_agreement(fit: &MountingFit, pointings: Pointings) -> Result<(), MountingError> {
     let (limit_mil, instead) = match pointings {
         Pointings::Known => (200.0, "check the clock and the place of the pointings"),
@@ -114,7 +114,7 @@ fn check_agreement(fit: &MountingFit, pointings: Pointings) -> Result<(), Mounti
 }
 
 impl Mounting {
-    /// Writes the determined values into an instrument's file; the others stay.
+    /// Writes the determined values into an instrument's file; the other values stay.
     pub fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
         for quantity in &self.quantities {
             quantity.revise(revision, provenance);

@@ -15,22 +15,22 @@ use crate::units::Place;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// With which instrument, place and pointings the frames are solved.
+/// Instrument, observer's position and pointings with which the frames are solved.
 #[derive(Debug, Clone)]
 pub struct Frames<'a> {
     pub instrument: &'a Instrument,
-    /// Where the frames were taken, for those that do not say so.
+    /// Position used for frames that do not state theirs.
     pub place: Option<Place>,
-    /// Where the telescope pointed; none in a drift scan.
+    /// Pointings of the telescope; none in a drift scan.
     pub log: Option<&'a PointingLog>,
-    /// Whether the log's elevations hold refraction already, as a theodolite reads them.
+    /// Whether the log's elevations include refraction, as a theodolite reads them.
     pub apparent: bool,
-    /// The air about the observer; none for the standard atmosphere's at the place's height.
+    /// The air around the observer; none for the standard atmosphere at the observer's height.
     pub air: Option<Air>,
     pub ephemeris: Ephemeris,
 }
 
-/// Missing facts of a frame; where all of them lack the same, that is why there is no calibration.
+/// Missing facts of a frame; if all frames lack the same, this is the reason why there is no calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Lack {
     Time,
@@ -39,14 +39,14 @@ enum Lack {
     Other,
 }
 
-/// Why a frame gives no observation.
+/// The reason why a frame gives no observation.
 type Rejection = (Lack, String);
 
-/// Solves the frames; gives their observations in the order of the files, the rejected frames, and how the camera sees the
-/// plate: as the instrument states, unless the marks can be identified only in the other handedness.
+/// Solves the frames; returns their observations in the order of the files, the rejected frames, and the handedness of the camera's view:
+/// as the instrument states, unless the marks can be identified only in the other handedness.
 ///
 /// # Errors
-/// Frames of several cameras, of another size than the instrument's, or all without what every one needs.
+/// If the frames are of several cameras or of another size than the instrument's, or all of them lack a required fact.
 pub fn collect(
     files: &[PathBuf],
     frames: &Frames<'_>,
@@ -88,13 +88,13 @@ pub fn collect(
     Ok((observations, rejected, handedness))
 }
 
-/// Why hardly a frame gave an observation, where most of them lack the same.
+/// The reason why hardly any frame gave an observation, if most of them lack the same fact.
 fn explain(
     lacks: &[Lack],
     rejected: &[RejectedFrame],
     observations: usize,
 ) -> Result<(), FramesError> {
-    /// Fewer observations than this want an explanation.
+    /// With fewer observations an explanation is given.
     const FEW: usize = 5;
     let all = lacks.len() + observations;
     let most = |lack: Lack| 2 * lacks.iter().filter(|l| **l == lack).count() > all;
@@ -113,9 +113,9 @@ fn explain(
     Err(FramesError::Lacking(lacking))
 }
 
-/// How the camera sees the plate: the coded marks can be identified in one handedness only.
+/// Handedness of the camera's view: the coded marks can be identified in one handedness only.
 fn determined_handedness(files: &[PathBuf], instrument: &Instrument) -> Handedness {
-    /// Frames that are tried.
+    /// Number of frames that are tried.
     const SAMPLE: usize = 24;
     let stated = instrument.mounting.handedness;
     let other = stated.other();
@@ -146,7 +146,7 @@ fn solve(frame: &Frame, instrument: &Instrument) -> Solution {
 }
 
 impl Frames<'_> {
-    /// A frame's setting and observation. A frame of another size ends it all: it is another instrument's.
+    /// A frame's setting and observation. A frame of another size aborts the calibration: it is another instrument's.
     fn observe(
         &self,
         file: &Path,
@@ -194,7 +194,7 @@ impl Frames<'_> {
     }
 }
 
-/// A direction as seen through the air.
+/// Apparent direction, with refraction.
 fn apparent(direction: Horizontal, air: &Air) -> Horizontal {
     Horizontal {
         elevation_deg: direction.elevation_deg + air.lift_deg(direction.elevation_deg),
@@ -202,7 +202,7 @@ fn apparent(direction: Horizontal, air: &Air) -> Horizontal {
     }
 }
 
-/// The Sun as seen through the air.
+/// Apparent direction of the Sun, with refraction.
 fn apparent_sun(
     ephemeris: &mut Ephemeris,
     utc: jiff::Timestamp,

@@ -1,4 +1,4 @@
-//! The least squares: which mounting, and in a drift scan which pointing, puts the Sun where it was observed.
+//! Least-squares fit of the mounting, and in a drift scan of the pointing, to the Sun's observed positions.
 
 use super::observation::SunObservation;
 use super::scatter::{Residual, correlation, extra_variance};
@@ -14,10 +14,10 @@ use crate::sky::SunPosition;
 use crate::units::{Measured, PlateMil};
 use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2, Vector4, Vector6};
 
-/// Knowledge of where the telescope pointed.
+/// Whether the telescope's pointing is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pointings {
-    /// Every observation has its own.
+    /// Each observation has its own known pointing.
     Known,
     /// One direction for all, unknown: a drift scan.
     Fixed,
@@ -29,30 +29,30 @@ pub enum Unknown {
     /// Boresight on the plate, mil.
     CentreX,
     CentreY,
-    /// deg.
+    /// Clocking, deg.
     Clocking,
-    /// mm.
+    /// Plate distance, mm.
     Distance,
     /// The fixed telescope's direction, deg.
     Azimuth,
     Elevation,
 }
 
-/// The wide priors, 1 sigma about the start: they only separate what the observations do not.
+/// Wide priors, 1 sigma about the start: they only matter where the observations do not separate the unknowns.
 const CENTRE_PRIOR_MIL: f64 = 500.0;
 const LEAST_CENTRE_PRIOR_MIL: f64 = 0.1;
 const CLOCKING_PRIOR_DEG: f64 = 180.0;
 const DISTANCE_PRIOR: f64 = 0.1;
 const POINTING_PRIOR_DEG: f64 = 10.0;
 
-/// Observations with larger residuals do not take part: of good ones, one in 800.
+/// Observations with larger normalised residuals are rejected: one in 800 of good ones.
 const MOST_SIGMAS: f64 = 3.66;
 const START_PASSES: usize = 4;
-/// Fits in turn with estimates of the scatter; at most so many, since a median may alternate between two neighbours.
+/// Greatest number of fits alternating with estimates of the scatter; a median may alternate between two neighbours.
 const SCATTER_PASSES: usize = 15;
 /// A smaller relative change of the scatter counts as converged.
 const SETTLED: f64 = 1e-6;
-/// Where fits end, in sigmas of the unknowns: the first, which only finds the outliers, and the last.
+/// Convergence of the fits, in sigmas of the unknowns: of the first ones, which only find the outliers, and of the last.
 const ROUGH_SIGMAS: f64 = 0.05;
 const FINE_SIGMAS: f64 = 1e-6;
 
@@ -60,20 +60,20 @@ const FINE_SIGMAS: f64 = 1e-6;
 #[derive(Debug, Clone)]
 pub struct MountingFit {
     pub pointings: Pointings,
-    /// Where directions on the plate are counted.
+    /// Convention for directions on the plate.
     pub directions: Directions,
-    /// The fitted unknowns in the order of [`Unknown`]; those of the pointing only in a drift scan.
+    /// The fitted unknowns in the order of [`Unknown`]; the pointing's only in a drift scan.
     pub values: DVector<f64>,
     pub covariance: DMatrix<f64>,
-    /// In the order of time.
+    /// Residuals in the order of time.
     pub residuals: Vec<Residual>,
     /// Scatter of the accepted observations per axis, rms.
     pub scatter_mil: f64,
-    /// By how much the variances grew because the residuals of neighbours are correlated; 1 where they are not.
+    /// Inflation of the variances for the correlation of successive residuals; 1 if there is none.
     pub correlation: f64,
 }
 
-/// Two fits are distinguished where their sums of squares differ by more than this.
+/// Two fits are distinguished if their sums of squares differ by more than this.
 pub(super) const DISTINGUISHED: f64 = 25.0;
 
 impl MountingFit {
@@ -96,7 +96,7 @@ impl MountingFit {
         self.covariance.fixed_view::<2, 2>(0, 0).into_owned()
     }
 
-    /// The frames whose observation does not take part.
+    /// The frames whose observation was rejected.
     pub(super) fn rejected(&self) -> Vec<RejectedFrame> {
         let far = self.residuals.iter().filter(|r| !r.accepted);
         far.map(|r| {
@@ -109,8 +109,8 @@ impl MountingFit {
         .collect()
     }
 
-    /// By how much the sum of squares is below another fit's, with the better one's sigmas. No observation counts for much, and
-    /// correlated neighbours count once.
+    /// Difference of the sums of squares, another fit's minus this one's, with the better one's sigmas. The square of each observation is
+    /// limited, and correlated neighbours count once.
     pub(super) fn advantage(&self, over: &Self) -> f64 {
         const MOST_SQUARE: f64 = 12.25;
         let better = match self.scatter_mil <= over.scatter_mil {
@@ -127,18 +127,18 @@ impl MountingFit {
     }
 }
 
-/// A fit by the rule of directions that the observations follow, and the one by the other rule.
+/// The fit with the direction convention that the observations support, and the fit with the other convention.
 pub(super) struct Fits {
     pub best: MountingFit,
-    /// `None` where the observations agree with no mounting by that rule.
+    /// `None` if the observations agree with no mounting by that convention.
     pub other: Option<MountingFit>,
 }
 
-/// Fits the mounting of an instrument by its own rule of directions and by the other, which is the best only where the
-/// observations distinguish the two and suit it better.
+/// Fits the mounting of an instrument with its own direction convention and with the other, which is the best only if the observations
+/// distinguish the two and support it.
 ///
 /// # Errors
-/// Observations that agree with no mounting by either rule.
+/// If the observations agree with no mounting by either convention.
 pub(super) fn fit(
     observations: &[SunObservation],
     pointings: Pointings,
@@ -173,7 +173,7 @@ pub(super) fn fit(
     Ok(Fits { best, other })
 }
 
-/// An instrument, by one rule of directions, with the observations that its mounting has to explain.
+/// An instrument with one direction convention, and the observations to which its mounting is fitted.
 struct Model<'a> {
     observations: &'a [SunObservation],
     pointings: Pointings,
@@ -203,7 +203,7 @@ impl Model<'_> {
         Ok(self.conclude(&fitted, &accepted))
     }
 
-    /// Fits the accepted observations. Their sigmas hold what they scatter beyond their own, which depends on the fit.
+    /// Fits the accepted observations. Their variances include the extra scatter, which depends on the fit.
     fn settled<const N: usize>(
         &self,
         mut fit: LeastSquares<N>,
@@ -225,7 +225,7 @@ impl Model<'_> {
         }
     }
 
-    /// A first mounting.
+    /// An initial mounting.
     fn first(&self) -> Option<Vector4<f64>> {
         let known = |sun: &SunObservation| sun.pointing.unwrap_or(at_sun(&sun.sun));
         let start = self.start(known)?;
@@ -238,12 +238,12 @@ impl Model<'_> {
         ))
     }
 
-    /// A first mounting with the stated centre, and the pointing that goes with it.
+    /// An initial mounting with the stated centre, and the corresponding pointing.
     fn first_with_pointing(&self) -> Option<Vector6<f64>> {
         let centre = self.stated.mounting.boresight_mil;
         let mut towards = at_sun(&self.observations.get(self.observations.len() / 2)?.sun);
         let mut mounting = Vector4::zeros();
-        // The nearer the assumed direction, the more plate and sky are similar.
+        // The closer the assumed direction, the better plate and sky agree as similar figures.
         for _ in 0..START_PASSES {
             let start = self.start(|_| towards)?;
             let [clocking, distance] = self.turned(&start);
@@ -266,7 +266,7 @@ impl Model<'_> {
         start(self.observations, telescope, self.stated, self.side)
     }
 
-    /// Clocking, within half a turn of the stated one, and distance of a start.
+    /// Clocking, within half a turn of the stated one, and distance from a start.
     fn turned(&self, start: &Start) -> [f64; 2] {
         let turn_deg = match self.side {
             Side::Front => start.turn_deg,
@@ -289,7 +289,7 @@ impl Model<'_> {
         instrument
     }
 
-    /// Where each observation's Sun should be, mil; so far away that it is rejected where it stands behind the lens.
+    /// Predicted position of the Sun in each observation, mil; if it is behind the lens, so far away that it is rejected.
     fn expected(&self, values: &[f64]) -> Vec<Vector2<f64>> {
         const NOWHERE_MIL: f64 = 1e6;
         let instrument = self.instrument(values);
@@ -308,7 +308,7 @@ impl Model<'_> {
         suns.map(|sun| expected(sun).unwrap_or(nowhere)).collect()
     }
 
-    /// The residual of each observation. The variance per axis is its own, and what the accepted ones scatter beyond theirs.
+    /// The residual of each observation. The variance per axis is the observation's own plus the extra scatter of the accepted ones.
     fn residuals<const N: usize>(
         &self,
         values: &SVector<f64, N>,
@@ -332,7 +332,7 @@ impl Model<'_> {
         residuals
     }
 
-    /// The accepted observations near some values, by differences.
+    /// The accepted observations, linearised by differences at some values.
     fn linearised<const N: usize>(
         &self,
         values: &SVector<f64, N>,
@@ -361,10 +361,10 @@ impl Model<'_> {
         accepted.map(linearised).collect()
     }
 
-    /// The prior of each unknown, about its start.
+    /// The prior of each unknown, about its start value.
     fn prior<const N: usize>(&self, first: &SVector<f64, N>) -> Prior<N> {
         let mounting = &self.stated.mounting;
-        // With directions counted at the telescope a scan does not determine the centre, with which the clocking is correlated.
+        // With directions at the telescope a scan does not determine the centre, which is correlated with the clocking.
         let centre_mil = match (self.pointings, mounting.directions) {
             (Pointings::Fixed, Directions::Telescope) => {
                 mounting.boresight_sigma_mil.max(LEAST_CENTRE_PRIOR_MIL)

@@ -1,4 +1,4 @@
-//! From files to a mounting.
+//! Calibrates a mounting from files.
 
 use super::calibration::{Mounting, calibrate};
 use super::collect::{Frames, collect};
@@ -13,13 +13,13 @@ use crate::observe::{Depth, RejectedFrame, Watch, list};
 use crate::report::plot::PlotError;
 use std::path::PathBuf;
 
-/// A mounting that frames gave, and what it was made of.
+/// A mounting determined from frames, and its inputs.
 #[derive(Debug, Clone)]
 pub struct FromFrames {
     pub mounting: Mounting,
-    /// The instrument that it began with, except for how the camera sees the plate: as the marks say.
+    /// The initial instrument, but with the handedness determined from the marks.
     pub seen: Instrument,
-    /// How the camera sees the plate, where the instrument stated it otherwise.
+    /// Handedness of the camera's view, if it differs from the instrument's.
     pub other_handedness: Option<Handedness>,
     pub rejected: Vec<RejectedFrame>,
     pub provenance: Provenance,
@@ -28,7 +28,7 @@ pub struct FromFrames {
 /// Calibrates the mounting of an instrument from frames and folders of them.
 ///
 /// # Errors
-/// Frames that are not the instrument's, or do not determine a mounting at all.
+/// If the frames are not the instrument's, or do not determine a mounting at all.
 pub fn from_frames(
     given: &[PathBuf],
     frames: &Frames<'_>,
@@ -56,7 +56,7 @@ pub fn from_frames(
 }
 
 impl FromFrames {
-    /// Writes the determined values into an instrument's file; the others stay.
+    /// Writes the determined values into an instrument's file; the other values stay.
     pub fn revise(&self, revision: &mut Revision) {
         self.mounting.revise(revision, &self.provenance);
         if let Some(found) = self.other_handedness {
@@ -75,7 +75,7 @@ impl FromFrames {
     }
 
     /// # Errors
-    /// A figure that cannot be drawn.
+    /// If a figure cannot be drawn.
     pub fn page(&self) -> Result<String, PlotError> {
         let source = &self.provenance.source;
         page(&self.mounting, &self.seen, source, &self.rejected)
@@ -90,6 +90,6 @@ fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
     let times = mounting.fit.residuals.iter().map(|r| r.utc);
     let frames = mounting.fit.accepted();
     let done = format!("mounting calibration, {way}");
-    // The Sun's path determines the plate's mounting, not which camera sees it.
+    // The Sun's path determines the plate's mounting, not the camera that sees it.
     Provenance::over("mounting", &done, frames, times, files)
 }

@@ -1,4 +1,4 @@
-//! Logs of angles in CSV files: where the telescope pointed, or how the body lay.
+//! Logs of angles in CSV files: the telescope's pointing, or the body's attitude.
 
 use crate::calibrate::numbers::median;
 use crate::clock::parse_utc;
@@ -9,12 +9,12 @@ use jiff::Timestamp;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Where the rows about a frame do not belong together, a row this near is taken as it is, s.
+/// If the rows before and after a frame are too far apart to interpolate, a row this near is used as it is, s.
 const SAME_TIME_S: f64 = 0.02;
-/// Rows farther apart than so many median spacings leave a gap.
+/// Rows farther apart than this multiple of the median spacing leave a gap.
 const GAP_SPACINGS: f64 = 5.0;
 
-/// Columns of a log beside UTC: the beginnings of their headings, their names and ranges.
+/// Columns of a log besides UTC: the beginnings of their headings, their names and ranges.
 struct Columns {
     headings: [&'static [&'static str]; 2],
     names: [&'static str; 2],
@@ -49,8 +49,8 @@ struct AngleLog {
 }
 
 impl AngleLog {
-    /// Reads a CSV file of UTC (ISO 8601, with or without Z) and two angles: its first three columns, or those that a heading
-    /// names; lines that begin with # are comments. Rows that cannot be read are left out.
+    /// Reads a CSV file of UTC (ISO 8601, with or without Z) and two angles: its first three columns, or those named in a heading; lines
+    /// that begin with # are comments. Rows that cannot be read are skipped.
     fn read(path: &Path, columns: &Columns) -> Result<Self, TableError> {
         let (mut rows, mut places) = (Vec::new(), [0, 1, 2]);
         let (mut left_out, mut is_first) = (LeftOut::of(path), true);
@@ -91,7 +91,7 @@ impl AngleLog {
         })
     }
 
-    /// The rows about an instant, and which part of the way from one to the other it lies; else the reason why that is not known.
+    /// The rows before and after an instant, and its position between them, 0 to 1; else the reason why the angles are not known.
     fn about(&self, utc: Timestamp) -> Result<([f64; 2], [f64; 2], f64), String> {
         let after = self.rows.partition_point(|row| row.0 < utc);
         let before = after.checked_sub(1).and_then(|n| self.rows.get(n));
@@ -102,7 +102,7 @@ impl AngleLog {
                 return Ok((before.1, after.1, seconds(before.0, utc) / apart_s));
             }
         }
-        // Beside a gap, and at the log's ends.
+        // Beside a gap, or at the log's ends.
         let away_s = |row: &&AngleRow| seconds(row.0, utc).abs();
         let nearest = before.into_iter().chain(after);
         let nearest = nearest.min_by(|a, b| away_s(a).total_cmp(&away_s(b)));
@@ -112,7 +112,7 @@ impl AngleLog {
         }
     }
 
-    /// Why an instant between two neighbouring rows, or beyond one, is not known.
+    /// The reason why the angles are not known between two neighbouring rows, or beyond one.
     fn nothing_about(before: Option<&AngleRow>, after: Option<&AngleRow>) -> String {
         match (before, after) {
             (Some(before), Some(after)) => {
@@ -126,16 +126,16 @@ impl AngleLog {
     }
 }
 
-/// Where the telescope pointed.
+/// Pointings of the telescope.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PointingLog(AngleLog);
 
 impl PointingLog {
-    /// Reads a CSV file of UTC (ISO 8601, with or without Z), azimuth and elevation in deg: its first three columns, or those that a
-    /// heading names utc or time, az... and el...; lines that begin with # are comments.
+    /// Reads a CSV file of UTC (ISO 8601, with or without Z), azimuth and elevation in deg: its first three columns, or those whose
+    /// headings are utc or time, az... and el...; lines that begin with # are comments.
     ///
     /// # Errors
-    /// The file, the line and the field, and what was expected there.
+    /// The error names the file, the line and the field, and what was expected there.
     pub fn read(path: &Path) -> Result<Self, TableError> {
         AngleLog::read(path, &POINTING).map(Self)
     }
@@ -147,14 +147,14 @@ impl PointingLog {
         AngleLog::new(rows.collect()).map(Self)
     }
 
-    /// The pointing at an instant, along the great circle between the rows about it; else the reason why it is not known.
+    /// The pointing at an instant, interpolated along the great circle between two rows; else the reason why it is not known.
     pub fn at(&self, utc: Timestamp) -> Result<Horizontal, String> {
         let (before, after, part) = self.0.about(utc)?;
         Ok(between(before, after, part))
     }
 }
 
-/// How the body lay.
+/// Attitudes of the body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AttitudeLog(AngleLog);
 
@@ -168,7 +168,7 @@ impl AttitudeLog {
         AngleLog::read(path, &ATTITUDE).map(Self)
     }
 
-    /// Roll and pitch at an instant, deg, half-way between the rows about it where it is; else the reason why they are not known.
+    /// Roll and pitch at an instant, deg, interpolated between two rows; else the reason why they are not known.
     pub fn at(&self, utc: Timestamp) -> Result<[f64; 2], String> {
         let (before, after, part) = self.0.about(utc)?;
         Ok([0, 1].map(|n| before[n] + (after[n] - before[n]) * part))
@@ -179,7 +179,7 @@ fn seconds(from: Timestamp, to: Timestamp) -> f64 {
     to.duration_since(from).as_secs_f64()
 }
 
-/// On the great circle between two near directions.
+/// Interpolates on the great circle between two near directions.
 fn between(a: [f64; 2], b: [f64; 2], part: f64) -> Horizontal {
     let [a, b] = [a, b].map(|[azimuth_deg, elevation_deg]| direction(azimuth_deg, elevation_deg));
     let (azimuth_deg, elevation_deg) = angles_deg(&(a * (1.0 - part) + b * part));
@@ -189,7 +189,7 @@ fn between(a: [f64; 2], b: [f64; 2], part: f64) -> Horizontal {
     }
 }
 
-/// The columns of UTC and both angles by their headings; `None` where one has none.
+/// The columns of UTC and both angles, by their headings; `None` if one is missing.
 fn named(heading: &tables::TableRow, columns: &Columns) -> Option<[usize; 3]> {
     let column = |names: &[&str]| {
         (0..heading.width()).find(|n| {
@@ -260,7 +260,7 @@ mod tests {
     fn a_dense_log_does_not_lag() {
         let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
         let after = |time_s: f64| start + jiff::SignedDuration::from_secs_f64(time_s);
-        // At 100 Hz, an angle that runs by 1 deg/s.
+        // At 100 Hz, an angle that changes by 1 deg/s.
         let row = |n: u32| {
             let time_s = f64::from(n) * 0.01;
             (after(time_s), [180.0 + time_s, 40.0])

@@ -1,19 +1,19 @@
-//! Plate-to-telescope alignment: the boresight on the plate (its calibrated centre), the clocking and the plate's distance
-//! from the lens, from the Sun's places on the plate and the ephemeris.
+//! Plate-to-telescope alignment: the boresight on the plate (its calibrated centre), the clocking and the plate's distance from the lens,
+//! from the Sun's positions on the plate and the ephemeris.
 //!
 //! # Method
-//! A [`SunObservation`] is one frame's Sun on the plate beside the Sun in the sky. Given where the telescope pointed,
-//! [`pointing::sun_on_plate`](crate::pointing::sun_on_plate) says where the Sun should be; the unknowns are fitted to
-//! the observed places. In a drift scan the telescope's one direction is unknown too.
+//! A [`SunObservation`] is one frame's Sun on the plate and the Sun in the sky. Given the telescope's pointing,
+//! [`pointing::sun_on_plate`](crate::pointing::sun_on_plate) predicts the Sun's position on the plate; the unknowns are fitted to the
+//! observed positions. In a drift scan the telescope's constant direction is an unknown, too.
 //!
-//! 1. `start`: to a part in fifty plate and sky are similar in the plane; the one of least median distance, over many
-//!    pairs of observations, is right while more than half of the observations are.
+//! 1. `start`: plate and sky are similar plane figures to a part in fifty; the similarity of least median distance, over many
+//!    pairs of observations, is right if more than half of the observations are.
 //! 2. `fit`: least squares on the sphere, first with Tukey's loss, then on the observations
-//!    that agree. What they scatter beyond their own sigmas is added to the noise of every observation; where successive
+//!    that agree. Scatter beyond the observations' own sigmas is added to the noise of every observation; where successive
 //!    residuals are correlated the covariance is inflated.
-//!    All this twice: directions on the plate are counted at the telescope or at the Sun; the observations decide, see
-//!    [`Directions`](crate::instrument::Directions). Where they do not distinguish the two, the instrument's rule holds.
-//! 3. The same with the plate in a mirror, to find whether the data determine the side.
+//!    This is done twice: directions on the plate are relative to the telescope or to the Sun; the observations decide, see
+//!    [`Directions`](crate::instrument::Directions). If they do not distinguish the two, the instrument's convention is kept.
+//! 3. The same with the plate mirrored, to find whether the data determine the side.
 //! 4. `verdict`: each quantity is determined, with a sigma, or keeps the instrument's value.
 //!
 //! ```text

@@ -1,4 +1,4 @@
-//! Observation of one frame, and why observations may give no mounting.
+//! Observation of one frame, and reasons for which observations give no mounting.
 
 use crate::estimation::FitError;
 use crate::pointing::Horizontal;
@@ -7,7 +7,7 @@ use crate::units::{Estimate, PlateMil};
 use jiff::Timestamp;
 use std::path::PathBuf;
 
-/// The Sun on the plate and in the sky at the middle of one frame's exposure. Directions are apparent, through the air.
+/// The Sun on the plate and in the sky at the middle of one frame's exposure. Directions are apparent, with refraction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SunObservation {
     /// The frame's file.
@@ -15,11 +15,11 @@ pub struct SunObservation {
     pub utc: Timestamp,
     pub sun_plate: Estimate<PlateMil>,
     pub sun: SunPosition,
-    /// Where the telescope pointed, where that is known.
+    /// The telescope's pointing, if known.
     pub pointing: Option<Horizontal>,
 }
 
-/// Why the observations give no mounting; each says what to take instead.
+/// Reasons for which the observations give no mounting; each says which frames to take instead.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MountingError {
     #[error(

@@ -1,4 +1,4 @@
-//! The calibration as one page of HTML that needs nothing else.
+//! The calibration as one self-contained page of HTML.
 
 use super::calibration::Mounting;
 use super::fit::{MountingFit, Pointings};
@@ -10,7 +10,7 @@ use crate::report::html::Page;
 use crate::report::plot::{self, Arrow, Density, Labels, PlotError, Series};
 
 impl Mounting {
-    /// How many observations agree, and how well.
+    /// The number of observations that agree, and their scatter.
     pub fn agreement(&self, stated: &Instrument) -> String {
         let scatter_mil = self.fit.scatter_mil;
         format!(
@@ -25,7 +25,7 @@ impl Mounting {
 /// The page: verdicts, residuals over time and on the plate, and the rejected frames.
 ///
 /// # Errors
-/// Where a figure cannot be drawn.
+/// If a figure cannot be drawn.
 pub fn page(
     mounting: &Mounting,
     stated: &Instrument,

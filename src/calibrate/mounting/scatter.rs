@@ -1,4 +1,4 @@
-//! How residuals scatter: the noise beyond their own sigmas, and the correlation of neighbours.
+//! Scatter of residuals: the noise beyond their own sigmas, and the correlation of neighbours.
 
 use crate::calibrate::numbers::median;
 use crate::estimation::MEDIAN_CHI2_2D;
@@ -6,29 +6,29 @@ use crate::units::PlateMil;
 use nalgebra::Vector2;
 use std::path::PathBuf;
 
-/// An observation's part in a fit.
+/// Residual of an observation in a fit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Residual {
     pub file: PathBuf,
     pub utc: jiff::Timestamp,
-    /// Where the Sun was observed.
+    /// Observed position of the Sun.
     pub at: PlateMil,
     /// Observed minus fitted, mil.
     pub off: Vector2<f64>,
-    /// 1 sigma per axis that was taken, mil.
+    /// 1 sigma per axis used in the fit, mil.
     pub sigma_mil: f64,
-    /// Whether it took part.
+    /// Whether the fit used it.
     pub accepted: bool,
 }
 
 impl Residual {
-    /// Its length in units of its sigma.
+    /// Normalised residual: its length in units of its sigma.
     pub fn normalised(&self) -> f64 {
         self.off.norm() / self.sigma_mil
     }
 }
 
-/// The variance per axis beyond their own that gives the accepted residuals the median they have; 0 where their own suffices.
+/// The extra variance per axis for which the median of the accepted residuals is as expected; 0 if their own sigmas suffice.
 pub(super) fn extra_variance(residuals: &[Residual]) -> f64 {
     let accepted = residuals.iter().filter(|r| r.accepted);
     let squares: Vec<(f64, f64)> = accepted
@@ -51,8 +51,8 @@ pub(super) fn extra_variance(residuals: &[Residual]) -> f64 {
     high
 }
 
-/// How many times more a mean of the residuals varies than if each were on its own: 1 + 2 sum of the autocorrelation, in the
-/// order of time, up to where it vanishes in noise; the larger of the two axes.
+/// Factor by which correlation increases the variance of a mean of the residuals: 1 + 2 sum of the autocorrelation, in the order of time,
+/// up to where it vanishes in noise; the larger of the two axes.
 pub(super) fn correlation(taken: &[&Residual]) -> f64 {
     let along = |axis: usize| {
         let values = taken.iter().map(|r| r.off[axis] / r.sigma_mil);
@@ -61,7 +61,7 @@ pub(super) fn correlation(taken: &[&Residual]) -> f64 {
     along(0).max(along(1))
 }
 
-/// The same of one axis.
+/// The same for one axis.
 pub fn correlation_of(values: &[f64]) -> f64 {
     let count = values.len();
     if count < 20 {

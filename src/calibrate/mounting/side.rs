@@ -1,21 +1,21 @@
-//! From which side the plate is seen.
+//! The side from which the plate is seen.
 
 use crate::instrument::Instrument;
 use crate::pointing::{self, Horizontal, Roll};
 use crate::sky::SunPosition;
 use nalgebra::Vector2;
 
-/// From which side the plate is seen.
+/// The side from which the plate is seen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Side {
-    /// As [`pointing`] has it.
+    /// The convention of [`pointing`].
     Front,
-    /// In a mirror.
+    /// Mirrored.
     Back,
 }
 
 impl Side {
-    /// A shift on the plate as this side sees it.
+    /// A shift on the plate as seen from this side.
     pub fn seen(self, shift: Vector2<f64>) -> Vector2<f64> {
         match self {
             Self::Front => shift,
@@ -23,7 +23,7 @@ impl Side {
         }
     }
 
-    /// The Sun's shift from the boresight on the plate, mil; `None` when the Sun stands behind the lens.
+    /// The Sun's shift from the boresight on the plate, mil; `None` if the Sun is behind the lens.
     pub fn shift(
         self,
         telescope: Horizontal,

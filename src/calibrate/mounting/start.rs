@@ -1,7 +1,7 @@
-//! A first mounting, which no minority of wrong observations can corrupt.
+//! An initial mounting, robust against any minority of wrong observations.
 //!
-//! Were the sky flat about the Sun, the plate would be a picture of it turned by the clocking and stretched with the distance: a
-//! similarity from where an unturned instrument would see the Sun to where it is seen. Every pair of observations gives one.
+//! If the sky were flat near the Sun, the plate would be a picture of it rotated by the clocking and scaled with the distance: a
+//! similarity from the Sun's position predicted for an unrotated instrument to the observed one. Every pair of observations gives one.
 
 use super::observation::SunObservation;
 use super::side::Side;
@@ -11,24 +11,24 @@ use crate::pointing::Horizontal;
 use crate::units::{Measured, PlateMil};
 use nalgebra::{Rotation2, Vector2};
 
-/// Pairs of observations that are tried: of so many, with a third of them wrong, one right pair is as good as sure.
+/// Number of pairs of observations that are tried: with a third of them wrong, one right pair is almost certainly among them.
 const MOST_PAIRS: usize = 400;
-/// A pair nearer than this part of the observations' spread determines no angle.
+/// A pair closer than this part of the observations' spread does not determine an angle.
 const LEAST_SPREAD: f64 = 0.3;
 
-/// A similarity on the plate: turned by an angle, stretched, shifted.
+/// A similarity on the plate: rotation, scale, shift.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Start {
     pub turn_deg: f64,
     pub stretch: f64,
     pub shift: Vector2<f64>,
-    /// The observation that it suits best.
+    /// The observation that it fits best.
     pub best: usize,
 }
 
-/// The similarity of least median distance; `None` when no two observations determine an angle.
+/// The similarity of least median distance; `None` if no two observations determine an angle.
 ///
-/// `telescope` says where the telescope is taken to point at each observation.
+/// `telescope` gives the assumed pointing of the telescope at each observation.
 pub(super) fn start(
     observations: &[SunObservation],
     telescope: impl Fn(&SunObservation) -> Horizontal,
@@ -58,17 +58,17 @@ pub(super) fn start(
 
 type Pair = (Vector2<f64>, Vector2<f64>);
 
-/// Pairs of indices, always the same, of all distances.
+/// Deterministic pairs of indices, at all distances.
 fn indices(count: usize) -> impl Iterator<Item = (usize, usize)> {
     let pairs = if count > 0 { MOST_PAIRS } else { 0 };
-    // Steps by the golden section and by the root of two visit everything and meet no period.
+    // Steps by the golden section and by the square root of two visit all indices without a period.
     (0..pairs).map(move |k| {
         let part = |step: f64| (((k as f64 + 0.5) * step).fract() * count as f64) as usize;
         (part(0.618_034), part(0.414_214))
     })
 }
 
-/// The median distance of the expected places from their middle.
+/// The median distance of the predicted positions from their middle.
 fn spread(pairs: &[Pair]) -> f64 {
     let middle = Vector2::new(
         median(pairs.iter().map(|p| p.0.x)),
@@ -84,7 +84,7 @@ fn through(a: &Pair, b: &Pair, least: f64) -> Option<Start> {
     }
     let turn = (to.y.atan2(to.x)) - (from.y.atan2(from.x));
     let stretch = to.norm() / from.norm();
-    // A plate's distance is known to better than a half.
+    // The plate's distance is known better than within a factor of two.
     if !(0.5..2.0).contains(&stretch) {
         return None;
     }

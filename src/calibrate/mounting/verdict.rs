@@ -1,4 +1,4 @@
-//! Which quantities the observations determine, and which they do not.
+//! Decides which quantities the observations determine.
 
 use super::fit::{DISTINGUISHED, MountingFit, Pointings, Unknown};
 use super::observation::MountingError;
@@ -7,17 +7,17 @@ use crate::calibrate::quantity::{CalibratedQuantity, Verdict};
 use crate::instrument::{Directions, Instrument};
 use crate::units::{ARCSEC_PER_RAD, MIL_MM, Measured};
 
-/// Sigmas beyond which a quantity counts as not determined.
+/// A quantity with a larger sigma is not determined; the distance's sigma is relative.
 const MOST_CENTRE_MIL: f64 = 5.0;
 const MOST_CLOCKING_DEG: f64 = 0.3;
 const MOST_DISTANCE: f64 = 0.005;
-/// A stated value that is so many sigmas away from the found one is wrong, however small its sigma.
+/// A stated value that differs from the found one by this many sigmas is wrong, however small its sigma.
 const CONTRADICTED_SIGMAS: f64 = 4.0;
 
 /// Whether the observations distinguish the plate from its mirror image.
 ///
 /// # Errors
-/// They agree with the mirror image only.
+/// If they agree with the mirror image only.
 pub(super) fn mirror(
     straight: &MountingFit,
     mirrored: Option<&MountingFit>,
@@ -96,7 +96,7 @@ fn centre(fit: &MountingFit, stated: &Instrument) -> CalibratedQuantity {
     }
 }
 
-/// Why a scan does not determine the centre.
+/// The reason why a scan does not determine the centre.
 fn scan_remark(fit: &MountingFit, apart_mil: f64, sigma_mil: f64) -> String {
     let why = "not determined: with the pointing unknown, a shift of the centre and a turn of the telescope are degenerate; keeps \
                the instrument's value. Take frames with known pointing to measure it";
@@ -109,7 +109,7 @@ fn scan_remark(fit: &MountingFit, apart_mil: f64, sigma_mil: f64) -> String {
     }
 }
 
-/// By which rule directions on the plate are counted. `other` is the fit by the other rule.
+/// The direction convention with its verdict. `other` is the fit with the other convention.
 pub(super) fn directions(fit: &MountingFit, other: Option<&MountingFit>) -> CalibratedQuantity {
     const NAME: &str = "directions on the plate";
     let rule = fit.directions.name();
@@ -185,8 +185,8 @@ fn single(
     }
 }
 
-/// A quantity is taken over where its sigma is within the limit, and either below what is stated or in contradiction to it.
-/// `apart` is how far found and stated values are, with the stated sigma.
+/// The found value is adopted if its sigma is within the limit, and is below the stated sigma or the two values contradict each other.
+/// `apart` is the distance of found and stated values, with the stated sigma.
 fn judge(sigma: f64, limit: f64, apart: Measured, to: &str) -> (Verdict, String) {
     if sigma.is_nan() || sigma > limit {
         let remark = format!("not determined (only to {to}): keeps the instrument's value");
@@ -201,7 +201,7 @@ fn judge(sigma: f64, limit: f64, apart: Measured, to: &str) -> (Verdict, String)
     (Verdict::Determined, format!("determined to {to}"))
 }
 
-/// A fixed telescope's direction goes with the centre that was fitted; it stands in no file.
+/// A fixed telescope's direction for the fitted centre; it is not written to the file.
 fn pointing(fit: &MountingFit) -> Option<CalibratedQuantity> {
     let azimuth = fit.measured(Unknown::Azimuth)?;
     let elevation = fit.measured(Unknown::Elevation)?;

@@ -1,10 +1,10 @@
 //! One adjustment of all marks, the lens and every view: Gauss-Newton on normal equations.
 //!
-//! Within a pose camera and plate are one rigid body, which may drift slowly, so that the observations of a mark in a pose are one
-//! [`Cell`], their weighted mean and their trend about it, and the work does not grow with the frames.
+//! Within a pose camera and plate are one rigid body, which may drift slowly. The observations of a mark in a pose are combined into one
+//! [`Cell`], their weighted mean and their trend about it, so that the cost does not grow with the number of frames.
 //!
-//! Views, lens and marks leave a shift, a rotation and a scale open. Those are held by condition: the displacements of the
-//! measured marks from the drawing have none in common.
+//! Views, lens and marks leave a shift, a rotation and a scale undetermined. These are fixed by constraints: the displacements of the
+//! measured marks from the drawing have none of them in common.
 
 use super::camera::{LENS, Lens, Prediction, predict, prior_sigmas};
 use crate::estimation::{Large, LargeSolved};
@@ -13,61 +13,61 @@ use crate::geometry::view::{PARAMETERS, ParameterCovariance, View, parameters_of
 use crate::units::PlateMil;
 use nalgebra::{DMatrix, DVector, Matrix1, Matrix2, SMatrix, Vector1, Vector2};
 
-/// The degree of the polynomial in time that a drift follows at most.
+/// Highest degree of the polynomial in time that describes a drift.
 pub(super) const DRIFT: usize = 3;
 
-/// The terms of a drift at a time within a pose, -1 to 1: the polynomials of Legendre from the first degree on, each 1 at the end.
+/// The terms of a drift at a time within a pose, -1 to 1: Legendre polynomials from the first degree on, each 1 at the end.
 pub(super) fn drift_terms(time: f64) -> [f64; DRIFT] {
     let t = time;
     [t, (3.0 * t * t - 1.0) / 2.0, (5.0 * t * t - 3.0) * t / 2.0]
 }
 
-/// The drift of a pose along both axes: by how many px each term moves the plate's picture.
+/// The drift of a pose along both axes: displacement of the plate's picture by each term, px.
 pub(super) type Drift = [Vector2<f64>; DRIFT];
 
 /// The observations of a mark in a pose.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cell {
     pub mark: usize,
-    /// Their weighted mean, px.
+    /// Weighted mean of the observed positions, px.
     pub seen: Vector2<f64>,
-    /// The weighted means of a drift's terms: by how much each of them moves the mean.
+    /// Weighted means of the drift terms: the change of the mean position with each of them.
     pub terms: [Matrix2<f64>; DRIFT],
     /// Inverse of the mean's covariance, px^-2.
     pub weight: Matrix2<f64>,
-    /// Information of the observations on a drift: weighted products of its terms about their means, and of these with how far
-    /// each was seen from the mean.
+    /// Information of the observations on a drift: weighted products of the terms about their means, and of these with the deviation of
+    /// each observation from the mean position.
     pub spread: [[Matrix2<f64>; DRIFT]; DRIFT],
     pub trend: [Vector2<f64>; DRIFT],
 }
 
-/// A mark before it is measured.
+/// A mark's position before it is measured.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct MarkPrior {
     pub place: PlateMil,
     /// 1 sigma per axis.
     pub sigma_mil: [f64; 2],
-    /// Whether any observation counts; the others take no part in the gauge.
+    /// Whether any observation has weight; the gauge ignores the others.
     pub measured: bool,
 }
 
-/// Free parameters; the rest is held.
+/// The free parameters; the others are fixed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Freedoms {
     pub view: MappingKind,
     pub lens: [bool; LENS],
     pub marks: bool,
-    /// Number of its terms.
+    /// Number of drift terms.
     pub drift: usize,
 }
 
-/// The unknowns. In vectors and matrices: the lens terms, x and y of every mark, the parameters of every view, the drifts.
+/// The unknowns. Their order in vectors and matrices: the lens terms, x and y of every mark, the parameters of every view, the drifts.
 #[derive(Debug, Clone)]
 pub(super) struct State {
     pub views: Vec<View>,
     pub lens: Lens,
     pub places: Vec<PlateMil>,
-    /// Times within a pose count from -1 at its first frame to 1 at its last.
+    /// Drift of each pose, px; time within a pose runs from -1 at its first frame to 1 at its last.
     pub drift_px: Vec<Drift>,
 }
 
@@ -95,7 +95,7 @@ impl State {
         self.drift_index(self.views.len())
     }
 
-    /// Parameter of the n-th unknown.
+    /// The parameter with index n among the unknowns.
     pub(super) fn unknown(&self, n: usize) -> Unknown {
         let (views, drifts) = (self.view_index(0), self.drift_index(0));
         match n {
@@ -109,7 +109,7 @@ impl State {
         }
     }
 
-    /// How far a pose has drifted at a time within it, px.
+    /// Drift of a pose at a time within it, px.
     pub(super) fn drifted(&self, pose: usize, time: f64) -> Vector2<f64> {
         let terms = self.drift_px[pose].iter().zip(drift_terms(time));
         terms.map(|(px, term)| px * term).sum()
@@ -132,7 +132,7 @@ impl State {
     }
 }
 
-/// Priors.
+/// Inputs of the adjustment: observations and priors.
 pub(super) struct Problem<'a> {
     /// By pose.
     pub cells: &'a [Vec<Cell>],
@@ -142,19 +142,19 @@ pub(super) struct Problem<'a> {
     pub freedoms: Freedoms,
 }
 
-/// The unknowns where they converged.
+/// The converged unknowns.
 #[derive(Debug, Clone)]
 pub(super) struct Settled {
     pub state: State,
-    /// Of all unknowns; zero for those that are held.
+    /// Covariance of all unknowns; zero for fixed ones.
     covariance: DMatrix<f64>,
     /// Squared deviations from the priors over their variance.
     pub chi2_prior: f64,
-    /// How many parameters the observations, not the priors, determine.
+    /// Number of parameters determined by the observations instead of the priors.
     pub determined: f64,
 }
 
-/// An unknown by what it is of.
+/// The meaning of an unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Unknown {
     Lens(usize),
@@ -167,7 +167,7 @@ pub(super) enum Unknown {
 }
 
 impl Settled {
-    /// Of all unknowns; zero for those that are held.
+    /// Covariance of all unknowns; zero for fixed ones.
     pub(super) fn covariance(&self) -> &DMatrix<f64> {
         &self.covariance
     }
@@ -189,7 +189,7 @@ impl Settled {
         self.block(self.state.view_index(pose))
     }
 
-    /// Of x and y of each term.
+    /// Covariance of x and y of each drift term.
     pub(super) fn drift_covariance(
         &self,
         pose: usize,
@@ -198,7 +198,7 @@ impl Settled {
     }
 }
 
-/// Adds the observations of a mark in a pose: their mean, and what they say of the drift among themselves.
+/// Adds the observations of a mark in a pose: their mean, and their information on the drift.
 fn add_cell(normal: &mut Large, state: &State, pose: usize, cell: &Cell) {
     let p = state.predict(pose, cell.mark);
     let drift_px = &state.drift_px[pose];
@@ -224,10 +224,10 @@ fn add_cell(normal: &mut Large, state: &State, pose: usize, cell: &Cell) {
     }
 }
 
-/// Of a condition by the unknowns that it is of.
+/// Derivatives of a constraint by the unknowns it depends on.
 type Slopes = Vec<(usize, Vector1<f64>)>;
 
-/// A prior of one unknown: how far it is from its expectation, with 1 sigma.
+/// A prior of one unknown: its deviation from the expected value, with 1 sigma.
 struct Prior {
     unknown: usize,
     off: f64,
@@ -235,17 +235,17 @@ struct Prior {
 }
 
 const STEPS: usize = 15;
-/// Two marks determine shift, rotation and scale of a view; what else there is of it has a prior.
+/// Two marks determine shift, rotation and scale of a view; its other parameters have priors.
 const LEAST_MARKS: usize = 2;
-/// A shorter step changes nothing: for px, mil and parts of a view.
+/// A shorter step has converged: for px, mil and view parameters.
 const SETTLED_STEP: f64 = 1e-6;
-/// Holds what the gauge forbids, against any information from observations, mil^-2.
+/// Weight of the gauge constraints, far above the information of any observations, mil^-2.
 const GAUGE_WEIGHT: f64 = 1e10;
 /// Prior of each term of a camera's drift, 1 sigma per axis.
 const DRIFT_PRIOR_PX: f64 = 1.0;
 
 impl Problem<'_> {
-    /// Adjusts from a start. `None` where observations and priors together do not determine the unknowns.
+    /// Adjusts the unknowns from a start. `None` if observations and priors together do not determine them.
     pub(super) fn settle(&self, start: &State) -> Option<Settled> {
         let mut state = start.clone();
         for view in &mut state.views {
@@ -274,7 +274,7 @@ impl Problem<'_> {
         })
     }
 
-    /// Whether an unknown stays as it is: a view, where fewer marks are seen than determine it.
+    /// Whether an unknown is fixed: not free, or part of a view with too few marks to determine it.
     fn is_held(&self, unknown: Unknown) -> bool {
         let is_determined = |pose: usize| self.cells[pose].len() >= LEAST_MARKS;
         let is_free = match unknown {
@@ -314,7 +314,7 @@ impl Problem<'_> {
         normal.solve(|n| self.is_held(state.unknown(n)))
     }
 
-    /// Of the lens terms, the marks, the views and the drifts, in this order.
+    /// Priors of the lens terms, the marks, the views and the drifts, in this order.
     fn priors(&self, state: &State) -> Vec<Prior> {
         let lens = (0..LENS).map(|n| Prior {
             unknown: n,
@@ -354,9 +354,9 @@ impl Problem<'_> {
         lens.chain(marks).chain(views).chain(drifts).collect()
     }
 
-    /// Constraints: the displacements of the measured marks from their priors have no common shift in x and y, rotation, scale.
-    /// Marks count by what the priors know of them, so that those which were measured before keep their place beside those
-    /// which were only drawn. Each is a unit vector over the unknowns, with how much of it the displacements have.
+    /// Constraints: the displacements of the measured marks from their priors have no common shift in x and y, rotation or scale. Marks
+    /// are weighted by their prior variance, so that previously measured marks keep their position against marks that were only drawn.
+    /// Each constraint is a unit vector over the unknowns, with its product with the displacements.
     fn gauge(&self, state: &State) -> Vec<(Slopes, f64)> {
         let measured = || self.marks.iter().enumerate().filter(|(_, m)| m.measured);
         let weight =
@@ -388,7 +388,8 @@ impl Problem<'_> {
         moves.into_iter().map(row).collect()
     }
 
-    /// Each parameter counts by the part of its prior variance that the observations took away, those of a view in full.
+    /// Number of determined parameters: each counts by the fraction of its prior variance that the observations removed, those of a view
+    /// in full.
     fn determined(&self, state: &State, priors: &[Prior], covariance: &DMatrix<f64>) -> f64 {
         let views = (self.freedoms.view.parameters() * state.views.len()) as f64;
         let is_common = |n: usize| match state.unknown(n) {
@@ -400,7 +401,7 @@ impl Problem<'_> {
             let left = covariance[(prior.unknown, prior.unknown)] / prior.sigma.powi(2);
             1.0 - left.min(1.0)
         };
-        // The gauge takes four of the marks' freedoms.
+        // The gauge removes four degrees of freedom of the marks.
         let gauge = if self.freedoms.marks { 4.0 } else { 0.0 };
         common.map(part).sum::<f64>() - gauge + views
     }

@@ -1,4 +1,4 @@
-//! From files to a plate calibration: observe, find the poses, fit, judge.
+//! Calibrates a plate from files: observes the frames, finds the poses, fits, and checks the result.
 
 use super::counted::Counted;
 use super::fit::{PlateFit, PoseFit, fit};
@@ -17,58 +17,58 @@ use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-/// A plate calibration: the fit and what it rests on.
+/// A plate calibration: the fit and its inputs.
 #[derive(Debug, Clone)]
 pub struct Calibration {
-    /// The instrument that it began with.
+    /// The initial instrument.
     pub start: Instrument,
     pub beginning: Beginning,
-    /// With their frames.
+    /// Poses with their frames.
     pub poses: Vec<Pose>,
-    /// How many frames could be identified with the plate as found only.
+    /// Number of frames that could only be identified with the measured plate.
     pub read_later: usize,
     pub fit: PlateFit,
     pub rejected: Vec<RejectedFrame>,
-    /// Marks that were lit and not read.
+    /// Marks that were illuminated but not identified.
     pub suspects: Vec<SuspectMark>,
-    /// Over the sorted SHA-256 of the files that were given, whatever their names and order.
+    /// Hash over the sorted SHA-256 of the given files, independent of their names and order.
     pub frames_sha256: String,
-    /// The frames that the new file rests on.
+    /// The frames that the new file is based on.
     pub counted: Counted,
-    /// The camera's name, as the frames have it.
+    /// The camera's name stated in the frames.
     pub camera: Option<String>,
-    /// The pose nearest to where the start's mounting states the camera: the others were made for the calibration.
+    /// The pose nearest to the camera's position in the start's mounting: the others were made for the calibration.
     pub mounted_pose: usize,
 }
 
-/// Where the marks of a calibration began.
+/// Initial positions of the marks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Beginning {
-    /// Where the file has them.
+    /// Positions in the file.
     File,
-    /// Where they were drawn, for the file rests on the given frames and no others.
+    /// Drawn positions, because the file is based on exactly the given frames.
     Drawing,
 }
 
 impl Calibration {
-    /// The frames of all poses, as [`Residual::frame`](super::Residual::frame) counts them.
+    /// The frames of all poses, in the order of [`Residual::frame`](super::Residual::frame).
     pub fn frames(&self) -> impl Iterator<Item = &FrameObservation> {
         self.poses.iter().flat_map(|pose| &pose.frames)
     }
 
-    /// When the first and the last frame were taken.
+    /// Times of the first and the last frame.
     pub fn span(&self) -> Option<[Timestamp; 2]> {
         let times = || self.frames().filter_map(|frame| frame.utc);
         Some([times().min()?, times().max()?])
     }
 }
 
-/// Poses whose frames do not rest are parted so often at most.
+/// Greatest number of times that poses whose frames are not at rest are split.
 const MOST_PARTINGS: usize = 4;
-/// Passes over the rejected frames after the first: each uses the plate as the one before measured it.
+/// Passes over the rejected frames after the first: each uses the plate measured by the previous one.
 const LATER_PASSES: usize = 3;
 
-/// The files of frames and folders, each once.
+/// The files of frames and folders, without repetition.
 fn files(given: &[PathBuf]) -> Result<Vec<PathBuf>, Refusal> {
     let mut known = BTreeSet::new();
     let mut files = list(given, Depth::Nearest)?;
@@ -76,7 +76,7 @@ fn files(given: &[PathBuf]) -> Result<Vec<PathBuf>, Refusal> {
     Ok(files)
 }
 
-/// Calibrates plate, lens and poses from frames and folders, each frame once: those that the start's file rests on are set aside.
+/// Calibrates plate, lens and poses from frames and folders, each frame once: frames that the start's file is based on are excluded.
 ///
 /// # Errors
 /// A [`Refusal`] says why the set of frames is unsuitable and which frames to take instead. Single bad frames are listed in
@@ -144,12 +144,12 @@ pub fn calibrate(
     })
 }
 
-/// Input of a calibration.
+/// Inputs of a calibration.
 struct Given {
     files: Vec<PathBuf>,
     start: Instrument,
     beginning: Beginning,
-    /// Frames that the start's file rests on.
+    /// Frames that the start's file is based on.
     known: Vec<RejectedFrame>,
     frames_sha256: String,
     counted: Counted,
@@ -188,8 +188,8 @@ impl Given {
     }
 }
 
-/// What [`calibrate`] makes of frames that are read: the poses of each folder, those of which half of the frames or more contradict the others
-/// left out, and the fit.
+/// The part of [`calibrate`] after reading the frames: finds the poses of each folder, excludes those in which at least half of the
+/// frames contradict the others, and fits.
 ///
 /// # Errors
 /// As [`calibrate`].
@@ -210,8 +210,8 @@ pub fn fit_frames(
     }
 }
 
-/// Fits the poses, those that do not rest parted up to so many times by where their frames have the plate, without those of which half of
-/// the frames or more contradict the others.
+/// Fits the poses. Splits those that are not at rest, up to `partings` times, by the plate's position in their frames, and excludes poses
+/// in which at least half of the frames contradict the others.
 fn settle(
     mut posed: Posed,
     start: &Instrument,
@@ -229,16 +229,16 @@ fn settle(
     }
 }
 
-/// A later pass over rejected frames: with the plate, the lens and the pose as found so far, marks can be identified for which
-/// two hypotheses fitted equally well, or which lie far from where they were drawn. Of each frame the solution that agrees best with the
-/// pose it was made with.
+/// A later pass over rejected frames: with the plate, the lens and the pose found so far, marks can be identified for which two
+/// hypotheses fitted equally well, or which lie far from their drawn position. Each frame keeps the solution that agrees best with the
+/// pose used for it.
 fn identify_again(
     rejected: &[RejectedFrame],
     poses: &[Pose],
     fit: &PlateFit,
     start: &Instrument,
 ) -> Vec<FrameObservation> {
-    /// A mark this near to where a pose puts it is the right one: others are 47 px off.
+    /// A mark this near to its position predicted by a pose is the right one: others are 47 px off.
     const RIGHT_PX: f64 = 5.0;
     let with_pose = |pose: &PoseFit| as_found(pose, fit, start);
     let instruments: Vec<Instrument> = fit.poses.iter().map(with_pose).collect();
@@ -259,8 +259,8 @@ fn identify_again(
     rejected.par_iter().filter_map(one).collect()
 }
 
-/// The start with plate, lens and mounting as found. The pose is so certain that no other can be meant, yet not so certain that
-/// a frame's keystone contradicts it.
+/// The start with plate, lens and mounting as found. The pose's sigmas exclude other poses, but are large enough not to contradict a
+/// frame's keystone.
 fn as_found(pose: &PoseFit, fit: &PlateFit, start: &Instrument) -> Instrument {
     const CENTRE_SIGMA_PX: f64 = 1.0;
     const ROTATION_SIGMA_DEG: f64 = 0.1;
@@ -279,7 +279,7 @@ fn as_found(pose: &PoseFit, fit: &PlateFit, start: &Instrument) -> Instrument {
 
 /// Refuses poses of different scale.
 fn check_scales(poses: &[Pose], fit: &PlateFit) -> Result<(), Refusal> {
-    /// Scales of one camera's poses differ by less than this part.
+    /// Relative difference of the scales of one camera's poses is below this.
     const SAME_SCALE: f64 = 0.05;
     let scale = |pose: usize| fit.poses[pose].scale_mil_per_px.value;
     match (0..poses.len()).find(|n| (scale(*n) / scale(0) - 1.0).abs() > SAME_SCALE) {
@@ -293,7 +293,7 @@ fn check_scales(poses: &[Pose], fit: &PlateFit) -> Result<(), Refusal> {
     }
 }
 
-/// The pose whose picture of the plate is nearest to the stated one.
+/// The pose whose mapping of the plate is nearest to the stated one.
 fn mounted_pose(fit: &PlateFit, start: &Instrument) -> usize {
     let Some(stated) = start.nominal_mapping() else {
         return 0;

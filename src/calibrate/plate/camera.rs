@@ -1,4 +1,4 @@
-//! How the camera sees the plate: one view for each pose, one lens for all.
+//! Camera model of a plate calibration: one view for each pose, one lens for all.
 
 use crate::geometry::Distortion;
 use crate::geometry::view::{PARAMETERS, ParameterJacobian, UNIT_MIL, View};
@@ -8,10 +8,10 @@ use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 /// Terms of the lens: radial r^2 and r^4, decentring 1 and 2.
 pub(super) const LENS: usize = 4;
 
-/// Priors of a view's parameters, 1 sigma about zero: a camera placed by hand is straight within 5 deg, its pixels square
+/// Priors of a view's parameters, 1 sigma about zero: a camera placed by hand is perpendicular within 5 deg, and its pixels are square
 /// within 0.5 %.
 pub(super) fn prior_sigmas(view: &View) -> [Option<f64>; PARAMETERS] {
-    /// Of the whole plate, 3000 mil.
+    /// Change over the whole plate, 3000 mil.
     const TILT: f64 = 0.01;
     const STRETCH: f64 = 0.005;
     let tilt = Some(TILT * UNIT_MIL / 3000.0);
@@ -19,7 +19,7 @@ pub(super) fn prior_sigmas(view: &View) -> [Option<f64>; PARAMETERS] {
     [None, None, None, None, stretch, stretch, tilt, tilt]
 }
 
-/// The lens, each term as the displacement it makes at `reach_px` from the centre, px.
+/// The lens, each term as its displacement at `reach_px` from the centre, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Lens {
     pub centre: SensorPx,
@@ -55,7 +55,7 @@ impl Lens {
         }
     }
 
-    /// Derivative of the seen position by the terms, at an ideal position.
+    /// Derivative of the observed position by the terms, at an ideal position.
     pub(super) fn slopes(&self, ideal: Vector2<f64>) -> SMatrix<f64, 2, LENS> {
         let d = (ideal - self.centre.vector()) / self.reach_px;
         let r2 = d.norm_squared();
@@ -76,7 +76,7 @@ pub(super) struct Prediction {
     pub place: Matrix2<f64>,
 }
 
-/// Where a mark at a plate position is seen.
+/// Predicts the sensor position of a mark at a plate position.
 pub(super) fn predict(view: &View, lens: &Lens, at: PlateMil) -> Prediction {
     let ideal = view.project(at);
     let distortion = lens.distortion();

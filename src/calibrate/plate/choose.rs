@@ -6,27 +6,27 @@ use super::robust::Bundle;
 use crate::geometry::MappingKind;
 use nalgebra::Vector2;
 
-/// Everything free.
+/// All parameters free.
 pub(super) const RICHEST: Freedoms = Freedoms {
     view: MappingKind::Homography,
     lens: [true; LENS],
     marks: true,
     drift: DRIFT,
 };
-/// The lens's radial term r^2 alone: the first to be tried.
+/// The lens's radial term r^2 alone: tried first.
 const RADIAL: [bool; LENS] = [true, false, false, false];
-/// Groups of lens terms in the order in which they are tried after it: decentring, radial r^4.
+/// Groups of lens terms that are tried after it, in this order: decentring, radial r^4.
 const LENS_STEPS: [&[usize]; 2] = [&[2, 3], &[1]];
-/// Least gain in chi^2 for each added parameter, whatever the number of observations.
+/// Least decrease of chi^2 for each added parameter, whatever the number of observations.
 const LEAST_GAIN: f64 = 9.0;
 
-/// Which views, lens terms and drifts were chosen.
+/// The chosen views, lens terms and drifts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Choice {
     pub kind: MappingKind,
     /// Radial r^2, radial r^4, decentring.
     pub lens: [bool; LENS],
-    /// The degree in time of the drift within a pose; 0 where the camera rests.
+    /// The degree in time of the drift within a pose; 0 if the camera is at rest.
     pub drift: usize,
 }
 
@@ -51,8 +51,8 @@ pub struct Separation {
 }
 
 impl Separation {
-    /// Compares the lens's sigma with what it were if the marks might be anywhere near their place. A lens that needs no
-    /// terms still is one that might have them: the first is always free here.
+    /// Compares the lens's sigma with its value for marks that might be far from their drawn position. Even a lens that needs no terms
+    /// might have them: the first is always free here.
     pub(super) fn of(bundle: &Bundle, settled: &Settled, choice: Choice) -> Self {
         const LOOSER: f64 = 10.0;
         let mut freedoms = choice.freedoms();
@@ -83,11 +83,11 @@ fn corner_sigma_px(settled: &Settled) -> f64 {
     (spread.trace() / 2.0).max(0.0).sqrt()
 }
 
-/// Chooses kind and lens terms with the bundle's weights; gives the fit that the choice leads to.
+/// Chooses kind and lens terms with the bundle's weights; returns the fit with that choice.
 ///
-/// A step is taken when chi^2, with the variances that the richest fit shows, falls by more than ln n for each parameter
-/// that it adds, n the number of coordinates (Schwarz's criterion, which is the F test at that level). The radial term r^2 is left out
-/// only where the frames distinguish it from errors of the plate: elsewhere the marks would take its place, with sigmas that know nothing of it.
+/// A step is taken if chi^2, with the variances from the richest fit, decreases by more than ln n for each added parameter,
+/// where n is the number of coordinates (Schwarz's criterion, which is the F test at that level). The radial term r^2 is omitted
+/// only if the frames distinguish it from errors of the plate: otherwise the marks would absorb it, with sigmas that do not include it.
 pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settled)> {
     let least_gain = bundle.coordinates().max(1.0).ln().max(LEAST_GAIN);
     let fit = |choice: Choice| {
@@ -136,7 +136,7 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
 
 type Fitted = (Choice, Settled, f64);
 
-/// The richer fit where its chi^2 is lower by enough for each parameter that it adds.
+/// The richer fit, if the decrease of its chi^2 justifies the parameters that it adds.
 fn better(
     simple: Fitted,
     richer: Option<Fitted>,

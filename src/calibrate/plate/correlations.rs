@@ -1,4 +1,4 @@
-//! Which of the unknowns the frames cannot separate: the largest correlations of a fit.
+//! The largest correlations of a fit: unknowns that the frames do not separate.
 
 use super::adjust::{Settled, Unknown};
 use super::camera::LENS;
@@ -17,18 +17,18 @@ pub struct Correlation {
 pub enum Parameter {
     /// A term of the lens: radial r^2, radial r^4, decentring 1, decentring 2.
     Lens(usize),
-    /// A mark's place along an axis.
+    /// A mark's position along an axis.
     Mark(MarkId, usize),
-    /// A pose's parameter, as [`crate::geometry::view::Parameters`] counts them.
+    /// A pose's parameter, in the order of [`crate::geometry::view::Parameters`].
     View(usize, usize),
-    /// How a pose drifts: pose, term (the first is even in time) and axis.
+    /// A pose's drift: pose, term (the first is linear in time) and axis.
     Drift(usize, usize, usize),
 }
 
 const AXES: [&str; 2] = ["x", "y"];
 
 impl Parameter {
-    /// In words; poses count from 1.
+    /// Name in words; poses count from 1.
     pub fn name(self) -> String {
         const LENS_TERMS: [&str; LENS] =
             ["radial r^2", "radial r^4", "decentring 1", "decentring 2"];
@@ -57,13 +57,13 @@ impl Parameter {
         matches!(self, Self::Mark(..))
     }
 
-    /// Whether two are of the same mark.
+    /// Whether two parameters belong to the same mark.
     fn is_of_same_mark(self, other: Self) -> bool {
         matches!((self, other), (Self::Mark(a, _), Self::Mark(b, _)) if a == b)
     }
 }
 
-/// The largest correlations by size: so many that lens or poses have a part in, and so many between different marks.
+/// The largest correlations by size: `count` that involve lens or poses, and `count` between different marks.
 pub(super) fn largest(settled: &Settled, ids: &[MarkId], count: usize) -> Vec<Correlation> {
     let covariance = settled.covariance();
     let parameter = |n: usize| match settled.state.unknown(n) {

@@ -1,25 +1,25 @@
-//! The frames that an instrument's file rests on already: none of them counts twice.
+//! The frames that an instrument's file is based on already: each frame is used once only.
 
 use crate::calibrate::revision::Revision;
 use crate::observe::Hash;
 use std::collections::BTreeSet;
 use toml_edit::{Item, value};
 
-/// Digits of a frame's SHA-256 that distinguish it from others: in one of five million sets of 10,000 frames two are taken for one.
+/// Digits of a frame's SHA-256 that distinguish it from others: in one of five million sets of 10,000 frames two are confused.
 const DIGITS: usize = 12;
-/// Where the file lists them.
+/// Key of their list in the file.
 const KEY: &str = "calibration.plate.frame_hashes";
 
-/// The frames that a file's marks rest on.
+/// The frames that a file's marks are based on.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Counted {
-    /// Over all frames of the last calibration: older files list none.
+    /// Common hash of all frames of the last calibration; none for older files without it.
     of_all: Option<String>,
     frames: BTreeSet<String>,
 }
 
 impl Counted {
-    /// Those that an instrument's file lists.
+    /// The frames listed in an instrument's file.
     pub fn of(revision: &Revision) -> Self {
         let text = |key: &str| revision.get(key).and_then(Item::as_str);
         let frames = text(KEY).unwrap_or_default().split_whitespace();
@@ -29,7 +29,7 @@ impl Counted {
         }
     }
 
-    /// Whether they are all the frames that are given, whose common hash is this.
+    /// Whether they are exactly the given frames, whose common hash is `frames_sha256`.
     pub(super) fn are(&self, frames_sha256: &str) -> bool {
         self.of_all.as_deref() == Some(frames_sha256)
     }
@@ -38,7 +38,7 @@ impl Counted {
         self.frames.contains(&digits(frame))
     }
 
-    /// With further frames.
+    /// Adds further frames.
     pub(super) fn with<'a>(&self, frames: impl Iterator<Item = &'a Hash>) -> Self {
         let frames = self.frames.iter().cloned().chain(frames.map(digits));
         Self {

@@ -1,4 +1,4 @@
-//! From observations to the plate: the steps in order.
+//! Fits the plate to the observations: the steps in order.
 
 use super::adjust::{DRIFT, Freedoms, MarkPrior, Settled, State};
 use super::camera::{LENS, Lens};
@@ -16,14 +16,14 @@ use jiff::Timestamp;
 use nalgebra::Vector2;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A mark as it was measured.
+/// A measured mark.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredMark {
     pub id: MarkId,
-    /// The shift, rotation and scale common to the measured marks removed.
+    /// Position, without the shift, rotation and scale common to the measured marks.
     pub position: PlateMil,
     pub sigma_mil: [f64; 2],
-    /// How many observations of it count.
+    /// Number of observations with weight.
     pub observations: usize,
 }
 
@@ -31,12 +31,12 @@ pub struct MeasuredMark {
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseFit {
     pub mapping: Mapping,
-    /// Where the plate's centre is seen without the lens's distortion, and 1 sigma per axis.
+    /// Sensor position of the plate's centre without the lens's distortion, and 1 sigma per axis.
     pub plate_centre_px: SensorPx,
     pub plate_centre_sigma_px: f64,
     pub scale_mil_per_px: Measured,
     pub rotation_deg: Measured,
-    /// How fast the plate's picture drifts along x and y on the mean; none where the camera rests, as far as the frames show.
+    /// Mean rate at which the plate's picture drifts along x and y; none if the frames show no drift.
     pub drift_px_per_h: Option<[Measured; 2]>,
     pub frames: usize,
 }
@@ -44,25 +44,25 @@ pub struct PoseFit {
 /// The residual of an observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Residual {
-    /// Among the frames of all poses, one pose after the other.
+    /// Index among the frames of all poses, one pose after the other.
     pub frame: usize,
     pub pose: usize,
     pub id: MarkId,
     pub at: SensorPx,
-    /// Observed less predicted.
+    /// Observed minus predicted.
     pub residual_px: Vector2<f64>,
-    /// The same with the marks where the start has them, no distortion and similarities alone.
+    /// The same with the start's mark positions, no distortion and only similarities as mappings.
     pub before_px: Vector2<f64>,
-    /// 1 sigma of it as stated by the frame, per axis.
+    /// 1 sigma of the observation as stated by the frame, per axis.
     pub stated_px: f64,
-    /// 0 (rejected) to 1.
+    /// Robust weight, 0 (rejected) to 1.
     pub weight: f64,
 }
 
-/// The plate, the lens and the poses that the observations give.
+/// The plate, the lens and the poses fitted to the observations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlateFit {
-    /// By id.
+    /// Marks in the order of their ids.
     pub marks: Vec<MeasuredMark>,
     pub distortion: Distortion,
     /// 1 sigma of [r^2, r^4, decentring 1, decentring 2], the file's units.
@@ -73,11 +73,11 @@ pub struct PlateFit {
     pub residuals: Vec<Residual>,
     /// Inflation of the observations' stated sigmas.
     pub sigma_factor: f64,
-    /// Root mean square of the kept residuals, px per axis.
+    /// Root mean square of the accepted residuals, px per axis.
     pub residual_px: f64,
-    /// Inflation of the marks' sigmas before they were measured to how far they were found from where they were expected.
+    /// Inflation of the marks' prior sigmas to match the displacements found.
     pub prior_factor: f64,
-    /// The largest.
+    /// The largest correlations.
     pub correlations: Vec<Correlation>,
     /// Frames that do not agree with the others.
     pub rejected: Vec<RejectedFrame>,
@@ -89,7 +89,7 @@ const LISTED_CORRELATIONS: usize = 8;
 /// Prior of the lens at its reach, 1 sigma of each term, px, wide enough for any lens in use.
 pub const LENS_PRIOR_PX: f64 = 5.0;
 
-/// Nothing of the plate or the lens measured.
+/// Neither plate nor lens free.
 const AS_STATED: Freedoms = Freedoms {
     view: MappingKind::Similarity,
     lens: [false; LENS],
@@ -98,18 +98,18 @@ const AS_STATED: Freedoms = Freedoms {
 };
 
 impl PlateFit {
-    /// The residuals of the observations that count.
+    /// The residuals of the observations with weight.
     pub fn kept(&self) -> impl Iterator<Item = &Residual> {
         self.residuals.iter().filter(|r| r.weight > 0.0)
     }
 
-    /// Which part of the observations does not count.
+    /// Fraction of the observations without weight.
     pub fn dropped_share(&self) -> f64 {
         1.0 - self.kept().count() as f64 / self.residuals.len().max(1) as f64
     }
 }
 
-/// Fits plate, lens and poses to the frames' observations. `None` where they do not determine them.
+/// Fits plate, lens and poses to the frames' observations. `None` if these do not determine them.
 pub(super) fn fit(poses: &[Pose], start: &Instrument) -> Option<PlateFit> {
     let (mut bundle, ids, first) = gather(poses, start)?;
     let by_drawing = bundle.by_drawing(&first, RICHEST)?;
@@ -135,7 +135,7 @@ pub(super) fn fit(poses: &[Pose], start: &Instrument) -> Option<PlateFit> {
     })
 }
 
-/// The bundle of all frames, its marks' ids, and the start.
+/// The bundle of all frames, the ids of its marks, and the initial state.
 fn gather(poses: &[Pose], start: &Instrument) -> Option<(Bundle, Vec<MarkId>, State)> {
     let views = poses.iter().map(|pose| {
         let view = View::of(&pose.mapping)?;
@@ -190,7 +190,7 @@ fn gather(poses: &[Pose], start: &Instrument) -> Option<(Bundle, Vec<MarkId>, St
     Some((bundle, ids.into_iter().collect(), state))
 }
 
-/// When the frames of a pose were taken.
+/// Time span of a pose's frames.
 #[derive(Debug, Clone, Copy)]
 struct Span {
     first: Timestamp,
@@ -198,7 +198,7 @@ struct Span {
 }
 
 impl Span {
-    /// `None` where not all state their times, or all were taken at once.
+    /// `None` if some frames do not state their times, or all were taken at once.
     fn of(pose: &Pose) -> Option<Self> {
         let times = pose.frames.iter().map(|frame| frame.utc);
         let times: Vec<Timestamp> = times.collect::<Option<_>>()?;
@@ -213,7 +213,7 @@ impl Span {
     }
 }
 
-/// The start's lens about its own centre, else about the sensor's.
+/// The start's lens about its own centre, or about the sensor's if it states none.
 fn start_lens(start: &Instrument) -> Lens {
     let camera = &start.camera;
     let middle = camera.middle_px();
@@ -225,7 +225,7 @@ fn start_lens(start: &Instrument) -> Lens {
     Lens::of(&camera.distortion, centre, reach_px)
 }
 
-/// Frames of which nothing counts.
+/// Frames none of whose observations has weight.
 fn disagreeing(poses: &[Pose], bundle: &Bundle) -> Vec<RejectedFrame> {
     let frames = poses.iter().flat_map(|pose| &pose.frames);
     let frames: Vec<&FrameObservation> = frames.collect();
@@ -274,7 +274,7 @@ fn pose_fits(
     let drift = |pose: usize| {
         let span = Span::of(&poses[pose]).filter(|_| choice.drift > 0)?;
         let (terms, covariance) = (settled.state.drift_px[pose], settled.drift_covariance(pose));
-        // From the first frame to the last, terms of odd degree move the picture by twice their size, the others not at all.
+        // From the first frame to the last, terms of odd degree move the picture by twice their size, the others by nothing.
         Some([0, 1].map(|axis| {
             let odd_terms = || (0..DRIFT).step_by(2);
             let moved = odd_terms().map(|n| terms[n][axis]).sum::<f64>();
@@ -303,7 +303,7 @@ fn pose_fits(
     (0..bundle.poses).map(fit).collect()
 }
 
-/// 1 sigma of a view's scale, as a part of it, and of its rotation, rad: the same for both.
+/// 1 sigma of a view's scale, relative, and of its rotation, rad: equal for both.
 fn relative_sigma(view: &View, covariance: &ParameterCovariance) -> f64 {
     let spread = covariance.fixed_view::<2, 2>(2, 2).trace() / 2.0;
     spread.max(0.0).sqrt() / view.unit_px()

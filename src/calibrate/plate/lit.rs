@@ -1,7 +1,7 @@
-//! A measuring frame: the whole plate lit evenly, no Sun.
+//! Calibration frames with the whole plate evenly illuminated, without Sun.
 //!
 //! Such a frame is divided into round windows of the Sun's size, all over the sensor. In each the marks are detected and
-//! identified as if the Sun lit them; the windows that agree give all marks.
+//! identified as if illuminated by the Sun; the windows that agree give all marks.
 
 use super::observation::{FrameObservation, MarkObservation, consensus};
 use crate::aspect;
@@ -24,16 +24,16 @@ use std::path::Path;
 
 /// Angular radius of the windows: the Sun's.
 const WINDOW_ARCSEC: f64 = 960.0;
-/// The Sun lights 2 % of the sensor, a lamp far more than this.
+/// Least illuminated fraction of the sensor: the Sun illuminates 2 %, a lamp far more than this.
 const LEAST_LIT: f64 = 0.25;
-/// The lit plate outshines the noise by this many sigma.
+/// Least brightness of the illuminated plate above the background, in sigmas of the noise.
 const LEAST_LIGHT_SIGMA: f64 = 20.0;
-/// Fewest marks of a measuring frame.
+/// Fewest marks in such a frame.
 const LEAST_MARKS: usize = 12;
-/// The places of a mark in two windows of a frame must agree so closely.
+/// Greatest distance of a mark's positions in two windows of a frame.
 const SAME_PLACE_PX: f64 = 0.5;
 
-/// Levels of a frame of the lit plate; `None` where the frame is none.
+/// Levels of a frame of the illuminated plate; `None` if the frame is none.
 pub(super) fn lit_levels(frame: &Frame) -> Option<Levels> {
     let (mut values, noise_dn) = with_view!(frame, view => (sample(&view), noise(&view)));
     values.sort_by(f32::total_cmp);
@@ -54,7 +54,7 @@ fn sample<T: Sample>(view: &View<'_, T>) -> Vec<f32> {
     view.pixels().step_by(EVERY).map(|v| v.dn()).collect()
 }
 
-/// 1 sigma of a pixel's noise, from how neighbours differ.
+/// 1 sigma of a pixel's noise, from differences of neighbours.
 fn noise<T: Sample>(view: &View<'_, T>) -> f64 {
     const EVERY: usize = 37;
     let pairs = view.pixels().zip(view.pixels().skip(1)).step_by(EVERY);
@@ -64,7 +64,7 @@ fn noise<T: Sample>(view: &View<'_, T>) -> f64 {
     sigma.max(ROUNDING_NOISE_DN)
 }
 
-/// The marks of a lit plate.
+/// The marks of an illuminated plate.
 pub(super) fn by_lamp(
     file: &Path,
     frame: &Frame,
@@ -117,14 +117,14 @@ struct LitPlate<'a> {
     frame: &'a Frame,
     /// The whole frame.
     cutout: Cutout,
-    /// Of the lamp, above the background.
+    /// Level of the lamp above the background.
     light_dn: f64,
     instrument: &'a Instrument,
     settings: aspect::SolverSettings,
 }
 
 impl LitPlate<'_> {
-    /// Windows so close that each mark lies well inside one of them.
+    /// Windows that overlap so that each mark lies well inside one of them.
     fn windows(&self) -> impl Iterator<Item = Ellipse> {
         let radius = self.instrument.radius_px(WINDOW_ARCSEC);
         let steps = move |size: usize| {
@@ -142,7 +142,7 @@ impl LitPlate<'_> {
         })
     }
 
-    /// The marks in a window, identified and refined; `None` where they cannot be identified.
+    /// The marks in a window, identified and fitted; `None` if they cannot be identified.
     fn identify(&self, outline: Ellipse, file: &Path) -> Option<FrameObservation> {
         let instrument = self.instrument;
         let (plate, mounting) = (&instrument.plate, &instrument.mounting);
@@ -157,7 +157,7 @@ impl LitPlate<'_> {
         };
         let flat = FlatDisc::new(&self.cutout, outline, &window, &shape)?;
         let mut found = fiducial::detect(&flat, &shape, &self.settings.fiducial);
-        // The window's edge is no edge of the illumination.
+        // The window's edge is not an edge of the illumination.
         found.marks.retain(|mark| mark.lighting == Lighting::Full);
         let prior = self.prior(outline, &found, &shape);
         let fiducial = &self.settings.fiducial;
@@ -201,9 +201,9 @@ impl LitPlate<'_> {
         found: &Detections,
         shape: &MarkImage,
     ) -> IdentificationPrior {
-        /// A window's radius on the plate is as uncertain as the scale, and the lens's distortion.
+        /// Relative sigma of a window's radius on the plate: from the scale and the lens's distortion.
         const SCALE_SIGMA: f64 = 0.006;
-        /// Marks that go unseen on a plate in plain light.
+        /// Fraction of marks that are not detected on an evenly illuminated plate.
         const MISSED: f64 = 0.02;
         let mounting = &self.instrument.mounting;
         let radius = outline.mean_radius() * mounting.scale_mil_per_px.value;
@@ -232,7 +232,7 @@ mod tests {
     use crate::simulate::{Conditions, RandomScenes, Sun};
     use crate::units::{PlateMil, SensorPx};
 
-    /// A lamp is a Sun as large as the plate, without limb darkening.
+    /// Simulates a lamp by a Sun as large as the plate, without limb darkening.
     fn lit_frame(instrument: &Instrument) -> crate::simulate::Scene {
         let scenes = RandomScenes::new(instrument, &Conditions::of(instrument), 3).unwrap();
         let mut scene = scenes.scene(0).unwrap();

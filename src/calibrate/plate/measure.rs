@@ -1,4 +1,4 @@
-//! From files to observations: each frame is read and solved; only its marks are kept.
+//! Observations from files: each frame is read and solved; only its marks are kept.
 
 use super::lit::{by_lamp, lit_levels};
 use super::observation::{FrameObservation, MarkObservation};
@@ -16,11 +16,11 @@ use std::path::{Path, PathBuf};
 pub(super) struct Observations {
     pub frames: Vec<FrameObservation>,
     pub rejected: Vec<RejectedFrame>,
-    /// Of every file that could be read.
+    /// Facts of every file that could be read.
     pub files: Vec<FileFacts>,
 }
 
-/// Facts of a file, whatever its frame shows.
+/// Facts of a file, whatever its frame contains.
 #[derive(Debug, Clone)]
 pub(super) struct FileFacts {
     pub file: PathBuf,
@@ -29,7 +29,7 @@ pub(super) struct FileFacts {
     has_time: bool,
 }
 
-/// Reads and solves all frames, each once; copies of others' frames are apart.
+/// Reads and solves all frames, each once; copies of other frames are listed separately.
 ///
 /// # Errors
 /// [`InputError::Cancelled`].
@@ -55,7 +55,7 @@ pub(super) fn measure(
     Ok((observations, observed.copies))
 }
 
-/// Facts of a file, and its marks or why there are none.
+/// Facts of a file, and its marks or the reason why there are none.
 pub(super) fn read(
     file: &Path,
     frame: &Frame,
@@ -76,9 +76,10 @@ pub(super) fn read(
     (facts, marks)
 }
 
-/// The marks of a frame of the Sun, those that the limb cuts too: their own pixels placed them, in the limb's illumination.
+/// The marks of a frame of the Sun, including those cut by the limb: their positions were fitted to their own pixels with the limb's
+/// illumination.
 fn by_sun(file: &Path, frame: &Frame, instrument: &Instrument) -> Result<FrameObservation, String> {
-    /// Fewest marks of a frame that is used.
+    /// Fewest marks of a usable frame.
     const LEAST_MARKS: usize = 3;
     let Some(utc) = frame.info.mid_exposure else {
         return Err("no time: expected DATE-OBS or DATE-AVG in a frame of the Sun".into());
@@ -108,7 +109,7 @@ fn by_sun(file: &Path, frame: &Frame, instrument: &Instrument) -> Result<FrameOb
 }
 
 impl Observations {
-    /// The camera's name, as the frames have it.
+    /// The camera's name stated in the frames.
     pub(super) fn camera(&self) -> Option<String> {
         self.files.iter().find_map(|facts| facts.setting.camera())
     }
@@ -135,7 +136,7 @@ impl Observations {
 
     /// Refuses frames that show too little of the plate.
     pub(super) fn check_coverage(&self, instrument: &Instrument) -> Result<(), Refusal> {
-        /// Fewest marks observed more than once that a calibration rests on.
+        /// Fewest marks observed more than once for a calibration.
         const LEAST_MARKS: usize = 12;
         let frames = self.frames.len();
         let Some(first) = self.frames.first() else {
@@ -146,7 +147,7 @@ impl Observations {
             });
         };
         let suns: Option<Vec<_>> = self.frames.iter().map(|frame| frame.sun).collect();
-        // A frame of the lit plate shows all marks at once.
+        // A frame of the illuminated plate shows all marks at once.
         let (Some(suns), Some(first)) = (suns, first.sun) else {
             return Ok(());
         };

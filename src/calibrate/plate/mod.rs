@@ -1,15 +1,16 @@
-//! The plate as it is, not as it was drawn: every mark's position, the lens's distortion and the camera's poses, from many
-//! frames with the Sun all over the plate.
+//! Measures the plate as printed: every mark's position, the lens's distortion and the camera's poses, from many frames with the Sun all
+//! over the plate.
 //!
 //! # Method
-//! Within a pose, camera and plate are one rigid body, so all frames of a pose share one mapping, which may drift slowly; where the camera
-//! slips, another pose begins. One robust bundle adjustment estimates the marks' displacements, the lens (radial and decentring terms, as many as the
-//! data support) and the mapping of every pose (shift, rotation and one scale; keystone where the data demand it). The
-//! shift, rotation and scale that the measured marks have in common are no property of the plate and are held at zero.
+//! Within a pose, camera and plate are one rigid body, so all frames of a pose share one mapping, which may drift slowly; if the camera
+//! slips, another pose begins. One robust bundle adjustment estimates the marks' displacements, the lens (as many radial and decentring
+//! terms as the data support) and the mapping of every pose (shift, rotation and one scale; keystone if the data require it). The
+//! shift, rotation and scale common to the measured marks are no property of the plate and are fixed at zero.
 //!
-//! Priors: marks lie within the sigma that the start's file states of the place that it states, which is the drawing's where they were
-//! not measured; each term of the lens moves the sensor's corner by less than [`LENS_PRIOR_PX`]. Where the frames separate the plate's errors from the lens's distortion (the camera was
-//! moved between poses) these do not matter; where they do not, they split the two, and [`Separation`] says so.
+//! Priors: marks lie within the stated sigma of their position in the start's file, which is the drawn one if they were
+//! not measured; each term of the lens moves the sensor's corner by less than [`LENS_PRIOR_PX`]. If the frames separate the plate's errors
+//! from the lens's distortion (the camera was moved between poses) the priors do not matter; otherwise they divide the errors between the
+//! two, and [`Separation`] reports it.
 //!
 //! ```text
 //! counted <- calibration; observation <- refusal, lit <- measure <- poses <- calibration, suspects <- summary, write <- report

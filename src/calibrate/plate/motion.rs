@@ -1,29 +1,29 @@
-//! A motion of the camera in its mount, small beside a pixel's distance from the middle: shift, turn and stretch of the plate's picture.
+//! A motion of the camera in its mount: small shift, rotation and stretch of the plate's picture.
 
 use crate::estimation::{
     FitError, Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS_2D,
 };
 use nalgebra::{Matrix2x4, SMatrix, SVector, Vector2, Vector4};
 
-/// Displacements that are farther off than this do not count.
+/// Loss that rejects displacements far from the motion.
 pub(super) const LOSS: Loss = Loss::Tukey(TUKEY_SIGMAS_2D);
-/// Turns and stretches are displacements at this distance from the middle, px.
+/// Rotations and stretches are displacements at this distance from the middle, px.
 const REACH_PX: f64 = 500.0;
-/// Prior of the motions, 1 sigma, px: what displacements do not determine stays near zero.
+/// Prior of the motions, 1 sigma, px: undetermined parts stay near zero.
 const UNKNOWN_PX: f64 = 10.0;
 
-/// How far something has moved on the sensor.
+/// A displacement on the sensor.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Displacement {
-    /// Where, from the middle of the picture.
+    /// Position relative to the middle of the picture.
     pub at: Vector2<f64>,
     pub moved_px: Vector2<f64>,
-    /// 1 sigma of it per axis.
+    /// 1 sigma of the displacement per axis.
     pub sigma_px: f64,
 }
 
 impl Displacement {
-    /// Displacement by one px of shift x, shift y, turn and stretch.
+    /// Displacement for one px of shift x, shift y, rotation and stretch.
     pub fn slopes(&self) -> Matrix2x4<f64> {
         let at = self.at / REACH_PX;
         Matrix2x4::new(1.0, 0.0, -at.y, at.x, 0.0, 1.0, at.x, at.y)
@@ -35,7 +35,7 @@ impl Displacement {
     }
 }
 
-/// The motion that displacements show, px along each of its slopes, which are given with each.
+/// The motion fitted to displacements, px along each of the slopes given with them.
 pub(super) fn motion<'a, const N: usize>(
     displacements: impl Iterator<Item = (&'a Displacement, SMatrix<f64, 2, N>)>,
 ) -> Result<Fitted<N>, FitError> {

@@ -1,4 +1,4 @@
-//! Observations of the frames: the places of identified marks, by frame and pose.
+//! Observations of the frames: the positions of identified marks, by frame and pose.
 
 use crate::calibrate::numbers::median;
 use crate::geometry::Mapping;
@@ -24,20 +24,20 @@ pub struct MarkObservation {
 pub struct FrameObservation {
     pub file: PathBuf,
     pub utc: Option<Timestamp>,
-    /// The frame's own mapping, from its own marks.
+    /// The mapping from the frame's own marks.
     pub mapping: Mapping,
-    /// Where the Sun stood on the plate; none in a frame of the lit plate.
+    /// Position of the Sun on the plate; none in a frame of the illuminated plate.
     pub sun: Option<PlateMil>,
     pub marks: Vec<MarkObservation>,
 }
 
 impl FrameObservation {
-    /// The folder that the frame lies in.
+    /// The folder of the frame's file.
     pub(super) fn folder(&self) -> &Path {
         folder_of(&self.file)
     }
 
-    /// How many marks lie within a distance of where they are expected.
+    /// Number of marks within a distance of their predicted position.
     pub(super) fn count_near(
         &self,
         limit_px: f64,
@@ -56,20 +56,20 @@ impl FrameObservation {
     }
 }
 
-/// The camera at rest, and the frames that it took.
+/// The frames taken with the camera at rest in one position.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pose {
-    /// The folder that holds its frames.
+    /// The folder of its frames.
     pub folder: PathBuf,
-    /// Which of the poses found in the folder, from 1; none where it is the only one.
+    /// Number of the pose among those found in the folder, from 1; none if it is the only one.
     pub number: Option<usize>,
-    /// The frame's own mapping that most frames agree with, before anything is adjusted.
+    /// The frame mapping that most frames agree with, before the adjustment.
     pub mapping: Mapping,
     pub frames: Vec<FrameObservation>,
 }
 
 impl Pose {
-    /// Another of the same folder and about the same mapping.
+    /// Another pose of the same folder with about the same mapping.
     pub(super) fn with_frames(&self, frames: Vec<FrameObservation>) -> Self {
         Self {
             folder: self.folder.clone(),
@@ -87,14 +87,14 @@ impl fmt::Display for Pose {
     }
 }
 
-/// The folder that a file lies in.
+/// The folder of a file.
 pub(super) fn folder_of(file: &Path) -> &Path {
     file.parent().unwrap_or(Path::new(""))
 }
 
-/// Takes out the frames of which even the best mark is far less certain than in most frames: blur, haze, smear.
+/// Removes the frames in which even the best mark is far less certain than in most frames: blur, haze, smear.
 pub(super) fn take_blurred(frames: &mut Vec<FrameObservation>) -> Vec<RejectedFrame> {
-    /// The best mark of a sharp frame is as certain as those of the other frames, within this factor.
+    /// The best mark of a sharp frame is as certain as that of the median frame within this factor.
     const SHARP: f64 = 2.0;
     let middle = median(frames.iter().map(FrameObservation::best_px));
     let rejected = |frame: FrameObservation| {
@@ -108,23 +108,23 @@ pub(super) fn take_blurred(frames: &mut Vec<FrameObservation>) -> Vec<RejectedFr
     blurred.map(rejected).collect()
 }
 
-/// Consensus of most frames before anything is adjusted.
+/// Consensus of most frames before the adjustment.
 pub(super) struct Consensus {
     pub mapping: Mapping,
     /// The frames that agree, as indices into all frames.
     pub frames: Vec<usize>,
 }
 
-/// The mapping that most of some frames agree with; `None` without frames.
+/// The mapping that most of the frames agree with; `None` without frames.
 pub(super) fn consensus(
     frames: &[&FrameObservation],
     among: &[usize],
     plate: &Plate,
 ) -> Option<Consensus> {
-    /// A frame's mapping rests on a few marks: elsewhere on the sensor it is off by pixels, and the lens adds some more.
+    /// A frame's mapping is based on a few marks: elsewhere on the sensor it is off by pixels, and the lens adds some more.
     /// Wrong ids are off by 47 px at least.
     const AGREEING_PX: f64 = 15.0;
-    /// Most frames whose mappings are tried.
+    /// Greatest number of frames whose mappings are tried.
     const TRIED: usize = 50;
     let agreeing = |mapping: Mapping| {
         let expected: HashMap<MarkId, SensorPx> = plate
@@ -143,7 +143,7 @@ pub(super) fn consensus(
     };
     let every = among.len().div_ceil(TRIED).max(1);
     let tried = among.iter().step_by(every).rev();
-    // From the back: of equals the last is taken, here the first frame's.
+    // In reverse: `max_by_key` returns the last of equals, here the first frame's.
     tried
         .map(|n| agreeing(frames[*n].mapping))
         .max_by_key(|c| c.frames.len())

@@ -1,13 +1,13 @@
-//! Which frames were taken in which pose of the camera: a folder holds one pose or several, in whatever order.
+//! Assigns frames to poses of the camera: a folder contains one pose or several, in any order.
 //!
 //! # Algorithm
-//! 1. The mapping that most frames of the folder agree with gathers its frames ([`consensus`]); of those left, again the one
-//!    that most agree with, and so on. This separates poses that differ by some 15 px and more anywhere on the plate.
+//! 1. The mapping that most frames of the folder agree with gathers its frames ([`consensus`]); the same is repeated with the
+//!    remaining frames. This separates poses that differ by some 15 px and more anywhere on the plate.
 //! 2. Where the camera slipped in the order of time, another pose begins ([`slips`](super::slips)).
-//! 3. Once plate and lens are fitted, frames of a pose that do not rest are parted by where they have the plate, whatever their times
-//!    ([`Shifts`]).
+//! 3. Once plate and lens are fitted, poses whose frames are not at rest are split by the plate's position in the frames, regardless
+//!    of time ([`Shifts`]).
 //!
-//! Fewer than three frames are no pose but outliers, unless one is of the lit plate, which shows all marks.
+//! Fewer than three frames are outliers instead of a pose, unless one is of the illuminated plate, which shows all marks.
 
 use super::fit::PlateFit;
 use super::observation::{FrameObservation, Pose, consensus};
@@ -20,7 +20,7 @@ use crate::plate::Plate;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Poses with their frames, and the frames of none.
+/// Poses with their frames, and the frames without a pose.
 #[derive(Debug, Clone, Default)]
 pub struct Posed {
     pub poses: Vec<Pose>,
@@ -33,7 +33,7 @@ const LEAST_FRAMES: usize = 3;
 /// Finds the poses of each folder.
 ///
 /// # Errors
-/// A folder of which half of the frames or more agree with no other.
+/// If at least half of a folder's frames agree with no other frame.
 pub(super) fn find(frames: &[FrameObservation], plate: &Plate) -> Result<Posed, Refusal> {
     let mut folders: Vec<(&Path, Vec<&FrameObservation>)> = Vec::new();
     for frame in frames {
@@ -51,7 +51,7 @@ pub(super) fn find(frames: &[FrameObservation], plate: &Plate) -> Result<Posed, 
 }
 
 impl Posed {
-    /// The poses among the frames of a folder, in the order in which they were first taken.
+    /// Finds the poses among the frames of a folder, in the order in which they were first taken.
     fn find_in(
         &mut self,
         folder: &Path,
@@ -88,7 +88,7 @@ fn elsewhere(frame: &FrameObservation) -> RejectedFrame {
     RejectedFrame::new(&frame.file, reason)
 }
 
-/// The poses among frames of one folder: about where each has the plate, and its frames, in their order.
+/// The poses among frames of one folder: about the mapping of each, and its frames, in their order.
 fn groups(frames: &[&FrameObservation], plate: &Plate) -> Vec<(Mapping, Vec<usize>)> {
     let enough = |group: &[usize]| {
         let lit = group.iter().any(|n| frames[*n].sun.is_none());
@@ -112,7 +112,7 @@ fn groups(frames: &[&FrameObservation], plate: &Plate) -> Vec<(Mapping, Vec<usiz
 }
 
 impl Posed {
-    /// With one pose for all those that slips separated.
+    /// Merges the poses that slips separated.
     pub(super) fn joined(self) -> Self {
         let join = |poses: Vec<usize>| {
             let frames = poses.iter().flat_map(|n| self.poses[*n].frames.clone());
@@ -126,7 +126,8 @@ impl Posed {
         joined
     }
 
-    /// Divides the frames of each stand again by where they have the plate, if they do not rest in their poses. Whether anything changed.
+    /// Splits the frames of each group of poses that differ by slips again by the plate's position, if they are not at rest in their poses.
+    /// Returns whether anything changed.
     pub(super) fn part(&mut self, fit: &PlateFit) -> bool {
         let shifts = Shifts::of(fit);
         let ends = self.poses.iter().scan(0, |end, pose| {
@@ -165,7 +166,7 @@ impl Posed {
         changed
     }
 
-    /// The poses whose frames one mapping gathered: they differ by slips.
+    /// Groups of poses whose frames agree with one mapping: they differ by slips.
     fn stands(&self) -> Vec<Vec<usize>> {
         let mut stands: Vec<Vec<usize>> = Vec::new();
         for (n, pose) in self.poses.iter().enumerate() {
@@ -181,10 +182,10 @@ impl Posed {
         stands
     }
 
-    /// Rejects the poses of which half of the frames or more do not agree with the other frames. Gives how many.
+    /// Rejects the poses in which at least half of the frames disagree with the others. Returns their number.
     ///
     /// # Errors
-    /// A folder that would lose all its poses.
+    /// If a folder would lose all its poses.
     pub(super) fn reject(&mut self, fit: &PlateFit) -> Result<usize, Refusal> {
         let poses = std::mem::take(&mut self.poses);
         let (kept, lost): (Vec<_>, Vec<_>) = poses
@@ -230,7 +231,7 @@ mod tests {
     use crate::units::{PlateMil, SensorPx};
     use nalgebra::Matrix2;
 
-    /// Marks near a Sun in the middle of the plate, in a picture moved along x.
+    /// Marks near a Sun in the middle of the plate, in a picture shifted along x.
     fn frame(n: usize, demo: &Instrument, moved_px: f64) -> FrameObservation {
         let stated = demo.mounting.similarity();
         let at = stated.plate_centre;
@@ -265,7 +266,7 @@ mod tests {
         }
     }
 
-    /// What is found among frames that lie so far along x.
+    /// The poses found among frames shifted along x.
     fn found(moved_px: impl Fn(usize) -> f64) -> Result<Posed, Refusal> {
         let demo = builtin("demo").unwrap();
         let frames: Vec<_> = (0..60).map(|n| frame(n, &demo, moved_px(n))).collect();

@@ -1,4 +1,4 @@
-//! Why a calibration is refused, and what to take instead.
+//! Reasons for which a calibration is refused, and which frames to take instead.
 
 use super::observation::Pose;
 use crate::calibrate::frames::WrongFrames;
@@ -11,7 +11,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::path::PathBuf;
 
-/// A set of frames that gives no calibration.
+/// Reasons for which a set of frames gives no calibration.
 #[derive(Debug, thiserror::Error)]
 pub enum Refusal {
     #[error(transparent)]
@@ -65,13 +65,13 @@ pub enum Refusal {
     Undetermined(Vec<Lack>),
 }
 
-/// Missing parts of a pose's frames.
+/// Coverage missing from a pose's frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Lack {
     pub pose: String,
     pub frames: usize,
     pub marks: usize,
-    /// Parts of the plate of which they show no mark, or one alone; see [`PARTS`](crate::calibrate::parts::PARTS).
+    /// Parts of the plate in which they show at most one mark; see [`PARTS`](crate::calibrate::parts::PARTS).
     pub unseen: Vec<&'static str>,
 }
 
@@ -92,10 +92,10 @@ impl fmt::Display for Lack {
 }
 
 impl Refusal {
-    /// That poses do not determine the plate: those of fewest marks, and what to photograph in them.
+    /// Error for poses that do not determine the plate: those with the fewest marks, and the parts to photograph.
     pub(super) fn undetermined(poses: &[Pose], plate: &Plate) -> Self {
         const LISTED: usize = 3;
-        /// Fewer marks of a part do not determine where it is.
+        /// Fewer marks do not determine the position of a part.
         const LEAST_MARKS: usize = 2;
         let reach = plate.reach_mil();
         let part_of = |id: MarkId| {

@@ -1,4 +1,4 @@
-//! The report of a calibration: one HTML page with its figures inside, a certificate of the plate.
+//! The report of a calibration: one HTML page with embedded figures, a certificate of the plate.
 
 use super::calibration::Calibration;
 use super::correlations::{Correlation, Parameter};
@@ -17,10 +17,10 @@ use crate::units::SensorPx;
 use nalgebra::Vector2;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The report as one HTML page that needs nothing beside it. `file_sha256` is that of the file it made.
+/// The report as one self-contained HTML page. `file_sha256` is that of the instrument's new file.
 ///
 /// # Errors
-/// A figure that cannot be drawn.
+/// If a figure cannot be drawn.
 pub fn html(calibration: &Calibration, file_sha256: &str) -> Result<String, PlotError> {
     let mut page = Page::default();
     identity(&mut page, calibration, file_sha256);
@@ -78,7 +78,7 @@ fn identity(page: &mut Page, calibration: &Calibration, file_sha256: &str) {
     page.table(&[], &rows.map(|(name, value)| vec![name.to_owned(), value]));
 }
 
-/// The folders of the frames, each once.
+/// The folders of the frames, without repetition.
 fn folders(calibration: &Calibration) -> Vec<String> {
     let folders: BTreeSet<_> = calibration.poses.iter().map(|pose| &pose.folder).collect();
     folders
@@ -161,7 +161,7 @@ fn correlations(page: &mut Page, correlations: &[Correlation]) {
     );
 }
 
-/// A figure and what it shows.
+/// A figure and its caption.
 type Captioned = (Result<String, PlotError>, &'static str);
 
 fn marks(calibration: &Calibration) -> [Captioned; 3] {
@@ -212,12 +212,12 @@ fn residuals(calibration: &Calibration) -> [Captioned; 6] {
 
 /// Half the width of a map of the plate, mil: its marks and a margin about them.
 fn map_reach_mil(plate: &Plate) -> f64 {
-    /// In units of the marks' reach.
+    /// Factor on the marks' reach.
     const MARGIN: f64 = 1.0876;
     MARGIN * plate.reach_mil()
 }
 
-/// Width of a mark's square on a map: near the distance of neighbours.
+/// Width of a mark's square on a map: close to the spacing of neighbours.
 fn cell_mil(plate: &Plate) -> f64 {
     0.55 / plate.density_per_mil2().sqrt()
 }
@@ -250,7 +250,7 @@ fn displacements(calibration: &Calibration) -> Result<String, PlotError> {
     plate_map(plate, "Marks, measured less drawn", arrows)
 }
 
-/// A number of each mark.
+/// Map of a value for each mark.
 fn mark_map(
     calibration: &Calibration,
     title: &str,
@@ -314,12 +314,12 @@ fn residual_map(calibration: &Calibration) -> Result<String, PlotError> {
     plate_map(plate, "Mean residual of each mark", arrows)
 }
 
-/// Residuals to draw: a name, and which they are.
+/// Residuals to draw: name and values.
 type Kind = (&'static str, fn(&Residual) -> Vector2<f64>);
 const BEFORE: Kind = ("drawing, no lens", |r| r.before_px);
 const AFTER: Kind = ("calibrated", |r| r.residual_px);
 
-/// The outward part of residuals over the distance from the sensor's middle.
+/// The radial residuals against the distance from the sensor's middle.
 fn by_radius(calibration: &Calibration, which: &str, kinds: &[Kind]) -> Result<String, PlotError> {
     let series = kinds.iter().map(|(name, residual_px)| {
         let point = |r: &Residual| {
@@ -344,7 +344,7 @@ fn lengths(calibration: &Calibration) -> Result<String, PlotError> {
         .map(|r| r.residual_px.norm())
         .collect();
     let labels = Labels::new("Length of the residuals", "px", "observations");
-    // By the median: the scatter of most, whatever a few do.
+    // From the median, which a few outliers do not affect.
     let sigma = median(&lengths).unwrap_or(0.0) / MEDIAN_LENGTH_2D;
     let rayleigh = Density::Rayleigh { sigma };
     let expected = (sigma > 0.0).then_some(("Rayleigh, of the same median", rayleigh));
@@ -369,7 +369,7 @@ fn over_time(calibration: &Calibration) -> Result<String, PlotError> {
     let title = "Each frame against the mapping of its pose";
     let (labels, x) = match times {
         Some(times) => (Labels::over_utc(title, "mean residual, px"), times),
-        // Frames without time count one after the other.
+        // Frames without a time are numbered.
         None => (
             Labels::new(title, "frame", "mean residual, px"),
             means.keys().map(|frame| *frame as f64).collect(),

@@ -1,8 +1,8 @@
-//! Whether the camera rested in each pose, by the plate that was fitted.
+//! Checks with the fitted plate whether the camera was at rest in each pose.
 //!
-//! Where it moved, and the times of the frames do not show when (all alike, or of several runs at once), a pose holds frames of several, and
-//! the fit is of none of them. The marks of a frame, taken together, then lie away from where its pose has them, and so do those of the other
-//! frames that were taken before the camera moved, or after: these are the poses.
+//! If the camera moved, and the times of the frames do not show when (all equal, or of several runs at once), a pose mixes frames of several
+//! positions, and the fit matches none of them. The marks of a frame then have a common displacement from their positions predicted by the
+//! pose, and so do those of all frames taken before the camera moved, or after: these are the poses.
 
 use super::fit::{PlateFit, Residual};
 use super::motion::{Displacement, motion};
@@ -13,38 +13,38 @@ use crate::units::PlateMil;
 use nalgebra::{Matrix4, Vector2, Vector4};
 use std::collections::BTreeMap;
 
-/// A frame that lies so many sigmas off does not rest.
+/// A frame displaced by more sigmas is not at rest.
 const OFF_SIGMAS: f64 = 5.0;
-/// A pose is at rest though this part of its frames is off.
+/// A pose counts as at rest if at most this part of its frames is displaced.
 const FEW: f64 = 0.1;
 /// Fewest frames of a part.
 const LEAST_FRAMES: usize = 3;
-/// Fewest frames of a part, on the mean: a pose in more parts does not rest at all.
+/// Least mean number of frames in a part: a pose that splits into more parts is never at rest.
 const LEAST_MEAN: usize = 8;
-/// A motion is fitted to the frames that agree with it so often, and so often frames go to the nearest motion.
+/// Number of iterations of fitting a motion to the frames that agree with it, and of assigning frames to the nearest motion.
 const ROUNDS: usize = 3;
-/// Most frames, and pairs of them, whose motions are tried.
+/// Greatest number of frames, and of pairs of them, whose motions are tried.
 const TRIED: usize = 200;
-/// 1 sigma of a median of normal values over that of their mean.
+/// 1 sigma of the median of normally distributed values, relative to that of their mean.
 const MEDIAN_SIGMA: f64 = 1.25;
 
-/// A mark of a frame that other frames saw too, and by how much its residual grows where these alone determine its place.
+/// A mark that other frames observed too, and the factor by which its residual grows if these alone determine its position.
 #[derive(Debug, Clone, Copy)]
 struct Checked<'a> {
     residual: &'a Residual,
     growth: f64,
 }
 
-/// The frames of a fit, and how far off they lie.
+/// The frames of a fit with their displacements.
 pub(super) struct Shifts<'a> {
     fit: &'a PlateFit,
     /// The marks of each frame, by pose.
     frames: Vec<BTreeMap<usize, Vec<Checked<'a>>>>,
-    /// Of the marks within the frames, over what these state.
+    /// Scatter of the marks within the frames, relative to their stated sigmas.
     scatter: f64,
 }
 
-/// The frames of some poses by parts that each rest.
+/// The frames of some poses, split into parts that are each at rest.
 pub(super) struct Parts {
     pub parts: Vec<Vec<usize>>,
     /// Frames whose part is not determined.
@@ -81,12 +81,12 @@ impl<'a> Shifts<'a> {
         }
     }
 
-    /// How many frames are off in the poses that do not rest.
+    /// Number of displaced frames in the poses that are not at rest.
     pub fn moving(&self) -> usize {
         (0..self.frames.len()).map(|pose| self.off(pose)).sum()
     }
 
-    /// How many frames of a pose are off; none where it rests.
+    /// Number of displaced frames of a pose; 0 if it is at rest.
     pub fn off(&self, pose: usize) -> usize {
         let frames = &self.frames[pose];
         let is_off = |marks: &&Vec<Checked>| {
@@ -99,7 +99,7 @@ impl<'a> Shifts<'a> {
         if off < few { 0 } else { off }
     }
 
-    /// The frames of some poses, whose mappings are nearly one, by parts that each rest. `None` where they do not make such parts.
+    /// Splits the frames of poses with nearly the same mapping into parts that are each at rest. `None` if there are no such parts.
     pub fn parts(&self, poses: &[usize]) -> Option<Parts> {
         let mapping = self.fit.poses[*poses.first()?].mapping;
         let marks = self.fit.marks.iter();
@@ -132,8 +132,8 @@ fn from_own_pose(marks: &[Checked]) -> Option<Displacement> {
     shift(marks, |_| Vector2::zeros())
 }
 
-/// How far the marks of a frame are off, together: their median, whatever a few of them say that it misread. `pose_px` is how far its pose is
-/// off there. `None` where no other frame determines their places.
+/// Common displacement of a frame's marks: their median, which a few misidentified marks do not affect. `pose_px` is the displacement of
+/// the frame's pose there. `None` if no other frame determines the positions of the marks.
 fn shift(marks: &[Checked], pose_px: impl Fn(&Residual) -> Vector2<f64>) -> Option<Displacement> {
     let off_px = |m: &Checked| pose_px(m.residual) + m.residual.residual_px * m.growth;
     let middle = |of: &dyn Fn(&Checked) -> f64| median(marks.iter().map(of));
@@ -145,7 +145,7 @@ fn shift(marks: &[Checked], pose_px: impl Fn(&Residual) -> Vector2<f64>) -> Opti
     })
 }
 
-/// Frames by the motions that most of them agree with, each with the one that leaves it least.
+/// Splits frames by the motions that most of them agree with, each to the motion with the smallest residual.
 fn parted(shifts: &BTreeMap<usize, Displacement>) -> Option<Vec<Vec<usize>>> {
     let (mut rest, mut motions) = (shifts.clone(), Vec::new());
     while let Some(motion) = most_agreed(&rest) {
@@ -179,7 +179,7 @@ fn parted(shifts: &BTreeMap<usize, Displacement>) -> Option<Vec<Vec<usize>>> {
     (off.count() as f64 <= FEW * shifts.len() as f64).then_some(parts)
 }
 
-/// The motion that most frames agree with: of those of a frame alone, and of each with the next.
+/// The motion that most frames agree with, among those of single frames and of successive pairs.
 fn most_agreed(shifts: &BTreeMap<usize, Displacement>) -> Option<Vector4<f64>> {
     let frames: Vec<&Displacement> = shifts.values().collect();
     let of_frame = |one: &&Displacement| Vector4::new(one.moved_px.x, one.moved_px.y, 0.0, 0.0);
@@ -197,7 +197,7 @@ fn most_agreed(shifts: &BTreeMap<usize, Displacement>) -> Option<Vector4<f64>> {
     let tried = frames.len().div_ceil(TRIED).max(1);
     let alone = frames.iter().step_by(tried).map(of_frame);
     let in_pairs = frames.windows(2).step_by(tried).filter_map(of_pair);
-    // Such a motion has the errors of its frames.
+    // Such a motion has the errors of its frames: use a wider limit.
     let with = |motion: &Vector4<f64>| agreeing(shifts, motion, 2.0 * OFF_SIGMAS);
     let mut part = alone
         .chain(in_pairs)

@@ -1,13 +1,13 @@
-//! The adjustment that a third of bad frames does not disturb.
+//! Robust adjustment, which tolerates a third of bad frames.
 //!
 //! # Algorithm
-//! 1. Each view begins where most frames of its pose have the plate ([`Pose`](super::observation::Pose)).
-//! 2. Views and lens with every mark where it was drawn, observations weighed down the farther off they are. A mark's own
-//!    displacement is the median of its residuals, so that errors show even before marks are adjusted.
-//! 3. All unknowns, the weights from normalised residuals, until the weights converge. A frame that loses half of its
+//! 1. Each view starts from the mapping that most frames of its pose agree with ([`Pose`](super::observation::Pose)).
+//! 2. Views and lens with every mark at its drawn position and robust weights. A mark's own
+//!    displacement is the median of its residuals, so that outliers are found even before marks are adjusted.
+//! 3. All unknowns, with weights from normalised residuals, until the weights converge. A frame that loses half of its
 //!    observations is rejected as a whole.
 //!
-//! The scale of the residuals is their median: their own, not what the frames state.
+//! The scale of the residuals is from their own median, not from the sigmas that the frames state.
 
 use super::adjust::{Cell, DRIFT, Freedoms, MarkPrior, Problem, Settled, State, drift_terms};
 use crate::calibrate::numbers::median;
@@ -22,21 +22,21 @@ pub(super) struct Observation {
     /// Index into the marks.
     pub mark: usize,
     pub seen: Vector2<f64>,
-    /// Within its pose, from -1 to 1; 0 where frames do not state their times.
+    /// Time within its pose, from -1 to 1; 0 if frames do not state their times.
     pub time: f64,
     pub covariance_px2: Matrix2<f64>,
-    /// 0 (rejected) to 1.
+    /// Robust weight, 0 (rejected) to 1.
     pub weight: f64,
 }
 
 impl Observation {
-    /// Where it would have been seen without the drift of its pose.
+    /// Observed position with the drift of its pose removed.
     pub(super) fn at_rest(&self, state: &State) -> Vector2<f64> {
         self.seen - state.drifted(self.pose, self.time)
     }
 }
 
-/// All that is adjusted together.
+/// Observations and marks that are adjusted together.
 #[derive(Debug, Clone)]
 pub(super) struct Bundle {
     pub observations: Vec<Observation>,
@@ -48,22 +48,22 @@ pub(super) struct Bundle {
     pub variance_factor: f64,
 }
 
-/// Residuals up to this many sigma count in full, from the second on not at all.
+/// Residuals up to this many sigma have full weight, from the second value on none.
 const FULL: f64 = 3.5;
 const NONE: f64 = 6.0;
 const ROUNDS: usize = 12;
-/// Weights that all change by less than this have converged.
+/// The weights have converged if none changes by more than this.
 const CONVERGED: f64 = 1e-3;
-/// An observation counts for the scale if the others leave it this part of its variance: the only one of a mark has no residual.
+/// An observation is used for the scale if its residual keeps this part of its variance: the only observation of a mark has no residual.
 const CHECKED: f64 = 0.2;
 /// Fewest residuals that determine the scale.
 const LEAST_CHECKED: usize = 20;
 /// Weight of the stated sigmas against the residuals, in degrees of freedom.
 const STATED_FREEDOM: f64 = 6.0;
-/// Enough observations for the median of a mark's residuals.
+/// Fewest observations for the median of a mark's residuals.
 const ENOUGH: usize = 5;
 
-/// Residual of an observation over its own sigma.
+/// Normalised residual of an observation.
 #[derive(Debug, Clone, Copy)]
 struct NormalisedResidual {
     size: f64,
@@ -71,7 +71,7 @@ struct NormalisedResidual {
     checked: bool,
 }
 
-/// Sums over the observations of a [`Cell`], weighted.
+/// Weighted sums over the observations of a [`Cell`].
 #[derive(Debug, Clone, Copy, Default)]
 struct CellSums {
     weight: Matrix2<f64>,
@@ -112,7 +112,7 @@ impl CellSums {
 }
 
 impl Bundle {
-    /// The observations of every mark in every pose, with their common mean.
+    /// The observations of every mark in every pose, combined into cells.
     pub(super) fn cells(&self) -> Vec<Vec<Cell>> {
         let mut sums = self.everywhere(|_, _| CellSums::default());
         for o in self.observations.iter().filter(|o| o.weight > 0.0) {
@@ -128,19 +128,19 @@ impl Bundle {
             .collect()
     }
 
-    /// A value for every mark in every pose, at [`place`](Self::place).
+    /// A value for every mark in every pose, at index [`place`](Self::place).
     fn everywhere<T>(&self, value: impl Fn(usize, usize) -> T) -> Vec<T> {
         let marks = self.marks.len();
         let places = (0..self.poses).flat_map(|pose| (0..marks).map(move |mark| (pose, mark)));
         places.map(|(pose, mark)| value(pose, mark)).collect()
     }
 
-    /// Where the value of an observation's mark and pose stands.
+    /// Index of the value for an observation's mark and pose.
     fn place(&self, o: &Observation) -> usize {
         o.pose * self.marks.len() + o.mark
     }
 
-    /// Notes which marks have an observation that counts.
+    /// Records which marks have an observation with weight.
     fn note_measured(&mut self) {
         self.marks.iter_mut().for_each(|m| m.measured = false);
         for o in self.observations.iter().filter(|o| o.weight > 0.0) {
@@ -148,7 +148,7 @@ impl Bundle {
         }
     }
 
-    /// Adjusts with the weights as they are.
+    /// Adjusts with the current weights.
     pub(super) fn settle(&self, start: &State, freedoms: Freedoms) -> Option<Settled> {
         let cells = self.cells();
         let problem = Problem {
@@ -160,7 +160,7 @@ impl Bundle {
         problem.settle(start)
     }
 
-    /// Step 2: views and lens by the drawing, and weights that the marks' own displacements do not sway.
+    /// Step 2: views and lens with drawn marks, and weights that the marks' own displacements do not affect.
     pub(super) fn by_drawing(&mut self, start: &State, freedoms: Freedoms) -> Option<State> {
         let freedoms = Freedoms {
             marks: false,
@@ -181,7 +181,7 @@ impl Bundle {
         Some(state)
     }
 
-    /// How far from its place the state puts each observation, on the plate.
+    /// Distance of each observation from its predicted position, on the plate.
     fn off_mil(&self, state: &State) -> Vec<Vector2<f64>> {
         let back = self.everywhere(|pose, mark| {
             let p = state.predict(pose, mark);
@@ -194,7 +194,7 @@ impl Bundle {
         self.observations.iter().map(off).collect()
     }
 
-    /// The median displacement of each mark that is seen often; none of the others.
+    /// The median displacement of each mark that is observed often enough; zero for the others.
     fn medians(&self, off: &[Vector2<f64>]) -> Vec<Vector2<f64>> {
         let mut by_mark: Vec<Vec<Vector2<f64>>> = vec![Vec::new(); self.marks.len()];
         for (o, v) in self.observations.iter().zip(off) {
@@ -210,7 +210,7 @@ impl Bundle {
         by_mark.iter().map(middle).collect()
     }
 
-    /// New weights from the size of each normalised residual; gives the largest change.
+    /// Sets the weights from the size of each normalised residual; returns the largest change.
     fn reweigh(&mut self, size: impl Fn(usize) -> f64) -> f64 {
         let mut changed: f64 = 0.0;
         for (n, o) in self.observations.iter_mut().enumerate() {
@@ -221,7 +221,7 @@ impl Bundle {
         changed
     }
 
-    /// Step 3: everything, until the weights converge.
+    /// Step 3: all unknowns, until the weights converge.
     pub(super) fn in_full(&mut self, start: &State, freedoms: Freedoms) -> Option<Settled> {
         let mut state = start.clone();
         for _ in 0..ROUNDS {
@@ -243,7 +243,7 @@ impl Bundle {
         self.settle(&settled.state, freedoms)
     }
 
-    /// Inflates the marks' prior sigma to how far the observations show them from the drawing; gives the factor.
+    /// Inflates the marks' prior sigma to match their displacements from the drawing; returns the factor.
     pub(super) fn inflate_priors(&mut self, settled: &Settled) -> f64 {
         let off = |(mark, prior): (usize, &MarkPrior)| {
             let covariance = settled.place_covariance(mark);
@@ -265,7 +265,7 @@ impl Bundle {
         sigmas.for_each(|sigma| *sigma *= factor);
     }
 
-    /// By how much the residuals exceed their sigmas; 1 where too few are checked.
+    /// Ratio of the residuals to their sigmas; 1 if too few are checked.
     fn scale(&self, residuals: &[NormalisedResidual]) -> f64 {
         let pairs = self.observations.iter().zip(residuals);
         let checked = pairs.filter(|(o, residual)| o.weight > 0.0 && residual.checked);
@@ -276,8 +276,7 @@ impl Bundle {
         }
     }
 
-    /// The residual of each observation over its own sigma: the part of it that the observation itself absorbs does not
-    /// count.
+    /// Normalised residual of each observation: its variance excludes the part that the observation itself absorbs.
     fn normalised_residuals(&self, settled: &Settled) -> Vec<NormalisedResidual> {
         let of_mark = self.everywhere(|pose, mark| {
             let p = settled.state.predict(pose, mark);
@@ -287,7 +286,7 @@ impl Bundle {
         let normalised = |o: &Observation| {
             let (seen, spread) = of_mark[self.place(o)];
             let stated = o.covariance_px2 * self.variance_factor;
-            // An observation that counts has drawn the mark towards itself; one that does not, has not.
+            // An observation with weight has moved the mark towards itself; one without has not.
             let variance = stated - spread * (2.0 * o.weight - 1.0);
             let least = variance.symmetric_eigenvalues().min() / (stated.trace() / 2.0);
             let variance = match least > 2e-3 {
@@ -306,8 +305,8 @@ impl Bundle {
         self.observations.iter().map(normalised).collect()
     }
 
-    /// A frame that has lost half of its observations or more loses the others too. Only those count that other frames check: the
-    /// only observation of a mark is never off.
+    /// A frame that has lost half of its observations or more loses the others too. Only observations checked by other frames count: the
+    /// only observation of a mark has no residual.
     fn reject_frames(&mut self, residuals: &[NormalisedResidual]) {
         let mut counts = vec![(0_usize, 0.0_f64); self.frames];
         let pairs = self.observations.iter().zip(residuals);
@@ -323,7 +322,7 @@ impl Bundle {
         }
     }
 
-    /// Squared residuals over their variances, weighed.
+    /// Weighted sum of squared residuals over their variances.
     pub(super) fn chi2(&self, state: &State) -> f64 {
         let predicted = self.everywhere(|pose, mark| state.predict(pose, mark).seen);
         let one = |o: &Observation| {
@@ -337,12 +336,12 @@ impl Bundle {
         self.observations.iter().map(one).sum()
     }
 
-    /// Coordinates that count.
+    /// Number of coordinates with weight.
     pub(super) fn coordinates(&self) -> f64 {
         2.0 * self.observations.iter().map(|o| o.weight).sum::<f64>()
     }
 
-    /// Chi-square over its degrees of freedom; where these are few, towards 1.
+    /// Reduced chi-square, pulled towards 1 if there are few degrees of freedom.
     fn reduced_chi2(&self, settled: &Settled) -> f64 {
         let freedom = (self.coordinates() - settled.determined).max(0.0);
         (self.chi2(&settled.state) + STATED_FREEDOM) / (freedom + STATED_FREEDOM)
@@ -353,8 +352,7 @@ impl Bundle {
 mod tests {
     use super::*;
 
-    /// Summed, they lose nothing but what neither place nor drift changes: the chi-square of any place and drift differs from that of each
-    /// observation by a constant.
+    /// A cell loses only a constant: the chi-square of any position and drift by the cell differs from that by its observations by a constant.
     #[test]
     fn a_cell_stands_for_its_observations_whatever_their_shapes() {
         let seen = [

@@ -1,17 +1,17 @@
-//! When the camera slipped: the moments at which it moved in its mount, too little to be another pose at a glance.
+//! Detects slips of the camera: moments at which it moved in its mount, too little to be obvious as another pose.
 //!
 //! # Algorithm
-//! While the camera rests, a mark is seen in one place, whatever the lens and wherever the mark was drawn. So each mark that is seen on
-//! both sides of a moment, last before it and first after it, shows what happened in between ([`Pair`]).
+//! While the camera is at rest, a mark stays at one sensor position, whatever the lens and wherever the mark was drawn. So each mark that is
+//! observed on both sides of a moment, last before it and first after it, measures the motion in between ([`Pair`]).
 //!
-//! 1. A slow drift (a shift that follows a polynomial in time, an even turn and stretch) explains the pairs of all moments as well as it
-//!    can. The adjustment knows such a shift ([`State`](super::adjust::State)).
-//! 2. For each moment, what the drift leaves of the pairs about it is fitted by one sudden shift, turn and stretch. The moment at which
-//!    this is the most significant is a slip, if it is significant enough.
+//! 1. A slow drift (a shift polynomial in time, rotation and stretch linear in time) is fitted to the pairs of all moments. The adjustment
+//!    models such a shift ([`State`](super::adjust::State)).
+//! 2. For each moment, the residuals of the pairs around it are fitted by one sudden shift, rotation and stretch. The moment at which
+//!    this is most significant is a slip, if it is significant enough.
 //! 3. The same for the frames before it and for those after it.
-//! 4. Of several slips each is sought again between its neighbours, where no pair shows another slip beside it.
+//! 4. Each of several slips is searched again between its neighbours, where no pair includes another slip.
 //!
-//! Both fits are robust: a frame that stands alone, and marks taken for others, do not make a slip.
+//! Both fits are robust: an isolated frame, or misidentified marks, do not make a slip.
 
 use super::adjust::{DRIFT, drift_terms};
 use super::motion::{Displacement, LOSS, motion};
@@ -22,26 +22,26 @@ use std::collections::BTreeMap;
 
 /// Fewest frames on either side of a slip.
 const LEAST_FRAMES: usize = 3;
-/// Fewest marks seen on both sides of it.
+/// Fewest marks observed on both sides of it.
 const LEAST_PAIRS: usize = 8;
-/// A slip has chi^2 of four so large. Rest reaches 40 at one moment in 20 million.
+/// Least chi^2, of four degrees of freedom, of a slip. A camera at rest reaches 40 at one moment in 20 million.
 const SLIP_CHI2: f64 = 40.0;
 
-/// Slopes of a mark's place by shift, turn and stretch evenly in time, and by the shift's further terms.
+/// Derivatives of a mark's position by shift, rotation and stretch linear in time, and by the shift's further terms.
 type Matrix2xDrift = SMatrix<f64, 2, { 4 + 2 * (DRIFT - 1) }>;
 
-/// A mark seen twice, and not in between.
+/// A mark observed twice, and not in between.
 #[derive(Debug, Clone, Copy)]
 struct Pair {
-    /// Places of the two frames in the order of time.
+    /// Indices of the two frames in the order of time.
     frames: [usize; 2],
-    /// Change of the terms of a drift in between.
+    /// Change of the drift terms in between.
     terms: [f64; DRIFT],
     moved: Displacement,
 }
 
 impl Pair {
-    /// Displacement of the mark by one px of each term of a drift: shift, turn and stretch evenly, then the shift's further terms.
+    /// Displacement of the mark for one px of each term of a drift: shift, rotation and stretch linear in time, then the shift's further terms.
     fn drift_slopes(&self) -> Matrix2xDrift {
         let [even, further @ ..] = self.terms;
         let mut slopes = Matrix2xDrift::zeros();
@@ -55,7 +55,7 @@ impl Pair {
     }
 }
 
-/// The frames of a pose, in the order of time, by runs between slips. Frames of the same time are not parted.
+/// The frames of a pose, in the order of time, as runs between slips. Frames of the same time are not separated.
 pub(super) fn runs(frames: &[&FrameObservation], of_pose: &[usize]) -> Vec<Vec<usize>> {
     let mut order = of_pose.to_vec();
     order.sort_by_key(|n| (frames[*n].utc, *n));
@@ -70,7 +70,7 @@ pub(super) fn runs(frames: &[&FrameObservation], of_pose: &[usize]) -> Vec<Vec<u
     runs
 }
 
-/// Parts frames at the most significant slip, then each part again.
+/// Splits frames at the most significant slip, then each part again.
 fn parted(frames: &[&FrameObservation], order: Vec<usize>) -> Vec<Vec<usize>> {
     let Some(first_after) = slip(frames, &order) else {
         return vec![order];
@@ -81,7 +81,7 @@ fn parted(frames: &[&FrameObservation], order: Vec<usize>) -> Vec<Vec<usize>> {
         .concat()
 }
 
-/// The first frame after the most significant slip, as its place in the order of time.
+/// The first frame after the most significant slip, as its index in the order of time.
 fn slip(frames: &[&FrameObservation], order: &[usize]) -> Option<usize> {
     let pairs = at_rest_but_for_slips(pairs(frames, order)?)?;
     let possible = LEAST_FRAMES..(order.len() + 1).saturating_sub(LEAST_FRAMES);
@@ -97,7 +97,7 @@ fn slip(frames: &[&FrameObservation], order: &[usize]) -> Option<usize> {
     (best.1 > SLIP_CHI2).then_some(best.0)
 }
 
-/// All marks that were seen again. `None` where the frames do not state their times.
+/// All marks that were observed again. `None` if the frames do not state their times.
 fn pairs(frames: &[&FrameObservation], order: &[usize]) -> Option<Vec<Pair>> {
     let first = frames[*order.first()?].utc?;
     let places = order.iter().flat_map(|n| &frames[*n].marks);
@@ -131,7 +131,7 @@ fn pairs(frames: &[&FrameObservation], order: &[usize]) -> Option<Vec<Pair>> {
     Some(pairs)
 }
 
-/// The pairs without a slow drift, their sigmas inflated to the scatter that remains.
+/// The pairs with slow drift removed, their sigmas inflated to the remaining scatter.
 fn at_rest_but_for_slips(mut pairs: Vec<Pair>) -> Option<Vec<Pair>> {
     let slopes = pairs.iter().map(|pair| (&pair.moved, pair.drift_slopes()));
     let drift = motion(slopes).ok()?;
@@ -142,8 +142,8 @@ fn at_rest_but_for_slips(mut pairs: Vec<Pair>) -> Option<Vec<Pair>> {
     Some(pairs)
 }
 
-/// By how much a sudden motion lowers the cost of the pairs about a moment, as chi^2. Pairs that it makes worse count against the moment:
-/// this shows on which side of the slip a frame was taken.
+/// Decrease of the cost of the pairs around a moment by a sudden motion, as chi^2. Pairs that it makes worse count against the moment:
+/// this determines on which side of the slip a frame was taken.
 fn explained(pairs: &[&Pair], motion: &Vector4<f64>) -> f64 {
     let cost = |motion: &Vector4<f64>| -> f64 {
         let sizes = pairs.iter().map(|pair| pair.moved.left_by(motion).norm());

@@ -17,9 +17,9 @@ pub fn summary(calibration: &Calibration) -> String {
 
 /// The lines of [`summary`] without the rejected frames.
 pub(super) fn used(calibration: &Calibration) -> Vec<String> {
-    /// A stated sigma of the marks that is off by so much is worth a line.
+    /// A factor on the marks' stated sigma above this is reported in a line.
     const NOTABLE: f64 = 1.5;
-    /// The same of the part of the observations that is dropped, and of the scatter of the others over what they state.
+    /// The same for the rejected part of the observations, and for the scatter of the others relative to their stated sigmas.
     const MOST_DROPPED: f64 = 0.1;
     const MOST_SCATTER: f64 = 2.0;
     let fit = &calibration.fit;
@@ -102,13 +102,13 @@ fn drift(pose: &PoseFit) -> String {
     })
 }
 
-/// The folders that hold several poses, and how many.
+/// The folders with several poses, and their numbers.
 fn poses_of_folders(calibration: &Calibration) -> BTreeMap<&Path, usize> {
     let numbered = calibration.poses.iter().filter_map(|pose| {
         let folder = pose.folder.as_path();
         pose.number.map(|number| (folder, number))
     });
-    // The last number of a folder is the count.
+    // The last pose number of a folder is the count.
     numbered.collect()
 }
 

@@ -1,4 +1,4 @@
-//! Marks that were lit and not read: where they are printed is not where they were expected, or something covers them.
+//! Marks that were illuminated but not identified: they are not printed at their expected position, or something covers them.
 
 use super::fit::{PlateFit, PoseFit};
 use super::observation::{FrameObservation, Pose};
@@ -8,13 +8,13 @@ use crate::units::PlateMil;
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// A mark that was lit and hardly ever read.
+/// A mark that was illuminated but hardly ever identified.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SuspectMark {
     pub id: MarkId,
-    /// In how many frames the Sun or a lamp lit all of it.
+    /// Number of frames in which the Sun or a lamp illuminated all of it.
     pub lit: usize,
-    /// In how many of them it was read in the place that the others say.
+    /// Number of frames in which it was identified at the position found from the others.
     pub read: usize,
 }
 
@@ -25,14 +25,14 @@ impl fmt::Display for SuspectMark {
     }
 }
 
-/// Fewest frames that lit a suspect.
+/// Fewest frames in which a suspect was illuminated.
 const LEAST_LIT: usize = 3;
-/// A mark is read in more than this share of the frames that light it.
+/// A mark is identified in more than this share of the frames that illuminate it.
 const LEAST_READ: f64 = 0.1;
 /// Marks nearer to the sensor's border may be cut off, px.
 const BORDER_PX: f64 = 20.0;
 
-/// The marks that are suspect, by id.
+/// The suspect marks, by id.
 pub(super) fn suspects(poses: &[Pose], fit: &PlateFit, start: &Instrument) -> Vec<SuspectMark> {
     let mut read: BTreeMap<MarkId, usize> = BTreeMap::new();
     for residual in fit.kept() {
@@ -51,7 +51,7 @@ pub(super) fn suspects(poses: &[Pose], fit: &PlateFit, start: &Instrument) -> Ve
     start.plate.marks().filter_map(suspect).collect()
 }
 
-/// Whether all of a mark is lit and on the sensor.
+/// Whether all of a mark is illuminated and on the sensor.
 fn is_lit(at: PlateMil, frame: &FrameObservation, pose: &PoseFit, start: &Instrument) -> bool {
     let reach_mil = start.optics.radius_mil(SMALLEST_SUN_ARCSEC) - start.plate.shape.size_mil();
     let by_sun = frame.sun.is_none_or(|sun| sun.distance(at) < reach_mil);

@@ -1,4 +1,4 @@
-//! The calibrated instrument as TOML: what was measured put in its place in the start's file.
+//! Writes the calibrated instrument as TOML: measured values replace those in the start's file.
 
 use super::calibration::Calibration;
 use super::fit::PoseFit;
@@ -13,8 +13,7 @@ use std::collections::BTreeMap;
 use toml_edit::{Array, ArrayOfTables, Item, Table, Value, value};
 
 impl Calibration {
-    /// Writes marks, lens and mounting, and where they come from, into the file of the start instrument; all else stays as it
-    /// is.
+    /// Writes marks, lens and mounting, with their provenance, into the file of the start instrument; all other values stay.
     pub fn revise(&self, revision: &mut Revision) {
         let (fit, start) = (&self.fit, &self.start);
         let provenance = provenance(self);
@@ -43,9 +42,9 @@ impl Calibration {
     }
 }
 
-/// Comment beside every value; the number of frames stands once, in `[calibration.plate]`.
+/// Comment beside every value; the number of frames is stated once, in `[calibration.plate]`.
 fn provenance(calibration: &Calibration) -> Provenance {
-    // The day of the frames, so that the same frames give the same file.
+    // Use the date of the frames, so that the same frames give the same file.
     let day = |last: Timestamp| last.to_zoned(TimeZone::UTC).date();
     Provenance {
         name: "plate",
@@ -96,8 +95,8 @@ fn distortion(revision: &mut Revision, calibration: &Calibration, provenance: &P
     }
 }
 
-/// Scale, rotation and centre of the pose nearest to the stated one. A camera that was moved may be moved again, so that
-/// after several poses the start's sigmas stand beside the fit's.
+/// Writes scale, rotation and centre of the pose nearest to the stated one. A camera that was moved may be moved again, so that after
+/// several poses the start's sigmas are added to the fit's.
 fn mounting(
     revision: &mut Revision,
     start: &Instrument,
@@ -118,7 +117,7 @@ fn mounting(
         true => provenance.remarked(", the pose nearest to the stated one"),
         false => provenance.clone(),
     };
-    // To the digits of the fit, whatever the start's sigma adds.
+    // Round to the fit's digits, whatever the start's sigma adds.
     let mut set = |key: &str, value: Value, of_fit: f64, stated: f64| {
         revision.set(key, value, Some(sigma(of_fit, stated)), &provenance);
     };
@@ -148,10 +147,10 @@ fn id_value(id: MarkId) -> Value {
     Value::Array(Array::from_iter([i64::from(id.i), i64::from(id.j)]))
 }
 
-/// The marks that were measured, and of the others those that the file had measured before.
+/// The measured marks, and of the others those already measured in the file.
 fn marks(calibration: &Calibration, start: &Instrument) -> ArrayOfTables {
     const LEAST_SIGMA_MIL: f64 = 0.0001;
-    // The long list stands at the file's end.
+    // Sorts the long list to the file's end.
     const AFTER_ALL_ELSE: isize = 1_000_000;
     let fixed = |v: f64| format!("{v:.4}");
     let pair = |pair: [f64; 2]| {
@@ -163,7 +162,7 @@ fn marks(calibration: &Calibration, start: &Instrument) -> ArrayOfTables {
         .map(|mark| (mark.id, (mark.position, mark.sigma_mil)))
         .collect();
     let plate = &start.plate;
-    // Of a drawing that is the list itself every mark stays, with its drawn place.
+    // If the drawing is the list itself every mark stays, with its drawn position.
     let is_drawing = plate.pattern() == Pattern::Listed;
     let before = |id: MarkId| {
         let stays = if is_drawing {
