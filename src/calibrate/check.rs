@@ -1,8 +1,8 @@
-//! Whether fine frames contradict what the calibration states of the camera: the wrong file, or a camera that was moved.
+//! Checks whether fine frames contradict the calibration of the camera: a wrong file, or a camera that was moved.
 //!
-//! A fine frame measures rotation, scale and the place of the plate's centre on its own. Its sigma here holds what the
-//! registration's leaves out: a tilt of the camera that a similarity does not show near the Sun but the calibration's place,
-//! far from it, does; and marks that are printed where they should not be, which are the same in every frame.
+//! A fine frame measures rotation, scale and the position of the plate's centre on its own. Its sigma here includes two terms that the
+//! registration's omits: a tilt of the camera, which a similarity does not show near the Sun but which is significant at the calibration's
+//! reference far from it; and errors of the marks' printed positions, which are the same in every frame.
 
 use crate::aspect::{Quality, Solution, printed_mil};
 use crate::estimation::CONTRADICTION_SIGMAS;
@@ -12,10 +12,10 @@ use crate::units::Measured;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Number of fine frames in a row that prove it if they agree: a single misread one does not.
+/// Number of successive fine frames that must agree on a contradiction: a single misidentified frame is not sufficient.
 const PROVE: u32 = 3;
 
-/// Quantities of the camera that an instrument's file states and every fine frame measures.
+/// Quantities of the camera that are stated in an instrument's file and measured in every fine frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Quantity {
     Rotation,
@@ -27,7 +27,7 @@ pub enum Quantity {
 impl Quantity {
     pub const ALL: [Self; 4] = [Self::Rotation, Self::Scale, Self::CentreX, Self::CentreY];
 
-    /// Where the instrument's file states it, and its unit.
+    /// Key in the instrument's file, and unit.
     pub fn key(self) -> &'static str {
         match self {
             Self::Rotation => "mounting.rotation_deg",
@@ -88,7 +88,7 @@ impl fmt::Display for Contradiction {
     }
 }
 
-/// Contradictions between a fine frame and the instrument; none for any other frame.
+/// Contradictions between a fine frame and the instrument; empty for any other frame.
 pub fn contradictions(solution: &Solution, instrument: &Instrument) -> Vec<Contradiction> {
     let found = Quantity::ALL
         .into_iter()
@@ -124,32 +124,32 @@ fn measured(solution: &Solution, instrument: &Instrument) -> Option<[Measured; 4
         (turned * from_sun_px).hypot(printed * from_sun_px.hypot(aspect.sun_radius_px.value));
     Some([
         widened(rotation_deg, turned.hypot(printed).to_degrees()),
-        // Along the tilt the scale changes twice as much as across it.
+        // The relative change of scale along the tilt is twice that across it.
         widened(scale, scale.value * (1.5 * turned).hypot(printed)),
         widened(x_px, open_px),
         widened(y_px, open_px),
     ])
 }
 
-/// The instrument's calibration as a flight's fine frames see it.
+/// Check of the instrument's calibration against a flight's fine frames.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct CalibrationCheck {
-    /// In the order of [`Quantity::ALL`].
+    /// Trials in the order of [`Quantity::ALL`].
     trials: [Trial; 4],
 }
 
-/// A stated quantity before the fine frames.
+/// A stated quantity and its contradictions by fine frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Trial {
-    /// The last frame's contradiction, and how many in a row agreed on it.
+    /// The last frame's contradiction, and the number of successive frames that agree on it.
     last: Option<(Contradiction, u32)>,
-    /// Fine frames in a row that do not contradict.
+    /// Number of successive fine frames without a contradiction.
     agreeing: u32,
     proven: Option<Contradiction>,
 }
 
 impl CalibrationCheck {
-    /// Takes a frame's solution into account: what is proven by it and was not before.
+    /// Takes a frame's solution into account; returns the contradictions that it newly proves.
     pub fn note(&mut self, solution: &Solution, instrument: &Instrument) -> Vec<Contradiction> {
         if measured(solution, instrument).is_none() {
             return Vec::new();
@@ -162,7 +162,7 @@ impl CalibrationCheck {
         proven.collect()
     }
 
-    /// Quantities that fine frames have disproved.
+    /// Contradictions that fine frames have proved.
     pub fn proven(&self) -> impl Iterator<Item = Contradiction> {
         self.trials.iter().filter_map(|trial| trial.proven)
     }
@@ -178,7 +178,7 @@ impl CalibrationCheck {
             measured,
         } in self.proven()
         {
-            // A part of the sensor that is read counts its pixels from another corner: the shift stays.
+            // On a sensor readout window pixels count from another corner: apply the difference.
             let shift = measured.value - stated.value;
             match quantity {
                 Quantity::Rotation => mounting.rotation_deg = measured,
@@ -187,7 +187,7 @@ impl CalibrationCheck {
                 Quantity::CentreY => mounting.plate_centre_px.y += shift,
             }
             if matches!(quantity, Quantity::CentreX | Quantity::CentreY) {
-                // The axis that is not disproved is known no worse than it was stated.
+                // The axes share a sigma; the axis that was not disproved keeps at least the stated one.
                 let stated_px = instrument.mounting.plate_centre_sigma_px;
                 mounting.plate_centre_sigma_px = stated_px.max(measured.sigma);
             }

@@ -1,4 +1,4 @@
-//! Changes from one instrument to another, in arcsec on the sky, of a turn or a scale in arcsec at the plate's edge.
+//! Changes from one instrument to another, in arcsec on the sky; those of a rotation or a scale in arcsec at the plate's edge.
 
 mod sensor;
 
@@ -15,12 +15,12 @@ use std::fmt;
 /// A change of position.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Shift {
-    /// Along x and y, in the unit of what moved.
+    /// Shift along x and y, in the unit of the quantity.
     pub by: [f64; 2],
     pub arcsec: f64,
 }
 
-/// A turn or a stretch about the plate's centre.
+/// A rotation or a stretch about the plate's centre.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Turn {
     pub before: f64,
@@ -32,16 +32,16 @@ pub struct Turn {
 /// The marks' displacements.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MarksMoved {
-    /// Marks that are not at their drawn place.
+    /// Marks whose position differs from the drawing.
     pub measured_before: usize,
     pub measured_after: usize,
-    /// Marks that have another place.
+    /// Marks whose position changed.
     pub moved: usize,
-    /// Root mean square per axis over those.
+    /// Root mean square displacement of these per axis.
     pub rms_mil: f64,
     pub rms_arcsec: f64,
     pub largest: Option<LargestMove>,
-    /// The median of the marks' sigmas.
+    /// Median of the marks' sigmas.
     pub sigma_before_mil: f64,
     pub sigma_after_mil: f64,
 }
@@ -54,12 +54,12 @@ pub struct LargestMove {
     pub arcsec: f64,
 }
 
-/// How differently the lens moves positions on the sensor.
+/// Change of the lens's displacement of positions on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct LensChange {
     /// The largest change at a corner of the sensor.
     pub corner_px: f64,
-    /// Over the whole sensor, per axis.
+    /// Root mean square change over the whole sensor, per axis.
     pub rms_px: f64,
     pub corner_arcsec: f64,
 }
@@ -73,14 +73,14 @@ pub struct Comparison {
     pub edge_mil: f64,
     pub marks: MarksMoved,
     pub lens: LensChange,
-    /// Where the sensor sees the plate's centre, px.
+    /// Sensor position of the plate's centre, px.
     pub plate_centre_px: Shift,
     pub scale_mil_per_px: Turn,
     pub rotation_deg: Turn,
     pub boresight_mil: Shift,
     pub clocking_deg: Turn,
     pub roll_deg: Turn,
-    /// The rules by which directions on the plate are counted.
+    /// Conventions for directions on the plate.
     pub directions: [&'static str; 2],
     /// A plate farther away makes every offset smaller.
     pub plate_distance_mm: Turn,
@@ -88,7 +88,7 @@ pub struct Comparison {
     pub sensor: SensorChange,
 }
 
-/// Compares instrument `b` with `a`, which was before it.
+/// Compares instrument `b` with its predecessor `a`.
 pub fn compare(a: &Instrument, b: &Instrument) -> Comparison {
     let edge_mil = b.plate.edge_mil();
     let arcsec_per_mil = b.optics.arcsec_per_mil();
@@ -151,7 +151,7 @@ fn marks_moved(a: &Instrument, b: &Instrument, arcsec_per_mil: f64) -> MarksMove
         moves.filter(|(_, mil)| *mil > 0.0)
     };
     let moved = moves().count();
-    // From 0: the sum of nothing is -0.
+    // Start from 0: an empty sum is -0.
     let squares = moves().fold(0.0, |sum, (_, mil)| sum + mil * mil);
     let rms_mil = (squares / (2 * moved).max(1) as f64).sqrt();
     let largest = moves().max_by(|x, y| x.1.total_cmp(&y.1));

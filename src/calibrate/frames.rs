@@ -1,4 +1,4 @@
-//! Common facts of all frames of a calibration: one camera, which is the instrument's, at one setting.
+//! Properties that all frames of a calibration must share: one camera, which is the instrument's, at one setting.
 
 use crate::frame::{Frame, TakenBy};
 use crate::instrument::{Instrument, WrongCamera, WrongSize};
@@ -6,11 +6,11 @@ use crate::observe::{InputError, RejectedFrame};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// Common facts of all frames of one calibration.
+/// Properties common to all frames of one calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Setting {
     file: PathBuf,
-    /// Instrument and camera by the frame.
+    /// Instrument and camera stated in the frame.
     taken_by: TakenBy,
     /// Name and value of each property that the frame states.
     properties: Vec<(&'static str, String)>,
@@ -29,19 +29,19 @@ impl Setting {
         }
     }
 
-    /// The camera's name, as the frame has it.
+    /// The camera's name stated in the frame.
     pub fn camera(&self) -> Option<String> {
         self.taken_by.camera.clone()
     }
 
-    /// Its size as well.
+    /// Adds the frame's size.
     pub fn with_size(mut self, frame: &Frame) -> Self {
         let size = format!("{} x {} px", frame.width(), frame.height());
         self.properties.push(("size", size));
         self
     }
 
-    /// Its gains as well.
+    /// Adds the frame's gains.
     pub fn with_gains(mut self, frame: &Frame) -> Self {
         let gains = [
             ("analogue gain", frame.info.analogue_gain),
@@ -56,7 +56,7 @@ impl Setting {
     }
 }
 
-/// Two frames that differ in what all must have in common.
+/// Two frames that differ in a property that all must share.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "mixed instruments: expected frames of one {what}, found {found} in {} and {other} in {}; give the frames of one camera and setting only",
@@ -70,7 +70,7 @@ pub struct Mixed {
     pub other: String,
 }
 
-/// Frames that make no calibration of an instrument.
+/// Frames that are unsuitable for a calibration of an instrument.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum WrongFrames {
     #[error(transparent)]
@@ -82,7 +82,7 @@ pub enum WrongFrames {
     },
 }
 
-/// Why files give no frames for a calibration.
+/// Reasons for which files give no frames for a calibration.
 #[derive(Debug, thiserror::Error)]
 pub enum FramesError {
     #[error(transparent)]
@@ -96,12 +96,12 @@ pub enum FramesError {
         .file.display(), .size_px[0], .size_px[1]
     )]
     Region { file: PathBuf, size_px: [usize; 2] },
-    /// All of them lack what each one needs.
+    /// All of them lack a required fact.
     #[error("{0}")]
     Lacking(String),
 }
 
-/// Why frames give no calibration.
+/// Reasons for which frames give no calibration.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrateError<E: std::fmt::Display> {
     #[error(transparent)]
@@ -124,10 +124,10 @@ impl<E: std::fmt::Display> From<InputError> for CalibrateError<E> {
     }
 }
 
-/// Whether one camera, which is the instrument's, took all frames at one setting.
+/// Checks that one camera, which is the instrument's, took all frames at one setting.
 ///
 /// # Errors
-/// The first two that differ, and the first of another instrument or camera.
+/// The first two frames that differ, or the first of another instrument or camera.
 pub fn check_settings<'a>(
     settings: impl IntoIterator<Item = &'a Setting>,
     instrument: &Instrument,

@@ -1,5 +1,5 @@
-//! The instrument as it is: from frames to a new instrument file. Each part measures some of its numbers, says what the
-//! frames do not determine, and leaves the rest of the file as it was.
+//! Calibration of the instrument: from frames to a new instrument file. Each module measures some of its values, reports which the frames
+//! do not determine, and leaves the rest of the file unchanged.
 //!
 //! ```text
 //! parts, numbers <- revision <- quantity, frames <- camera, mounting, plate; compare; mounting <- roll_camera <- horizon_camera; revision <- navigation

@@ -9,21 +9,21 @@ use nalgebra::{DMatrix, Matrix3, Rotation3, Vector3};
 use std::path::Path;
 use toml_edit::{Array, Item, Table, Value, value};
 
-/// Basis of the new values.
+/// Provenance of the new values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Source {
-    /// Of the flight, UTC; none if not known.
+    /// Date of the flight, UTC; none if not known.
     pub date: Option<Date>,
-    /// Method, for people.
+    /// Description of the method, for people.
     pub text: String,
-    /// Those that the flight was read from.
+    /// Files from which the flight was read.
     pub files: Vec<String>,
 }
 
-/// The text of a NAV.toml whose biases and misalignments are those that the filter ended with. Every other line stays as it was.
+/// The text of a NAV.toml with the filter's final biases and misalignments. Every other line stays unchanged.
 ///
 /// # Errors
-/// A text whose cameras are no tables `[[camera]]`, or that cannot be read again; `path` is what errors name.
+/// If the cameras of the text are no tables `[[camera]]`, or the result cannot be parsed; errors name `path`.
 pub fn calibrated(
     path: &Path,
     text: &str,
@@ -46,7 +46,7 @@ pub fn calibrated(
             }
             Constant::Misalignment(camera) => {
                 let camera = &settings.cameras[*camera];
-                // The true direction is the camera's file's, turned further by the misalignment.
+                // The true direction is that of the camera's file, rotated further by the misalignment.
                 let turned = Rotation3::new(*errors) * camera.body_from_camera;
                 let sigma_deg = sigma.to_degrees();
                 for (key, value) in [
@@ -91,7 +91,7 @@ fn signature(
     table
 }
 
-/// The states of an error: what it is, its axis, its unit.
+/// Names of the states of an error: quantity, axis, unit.
 fn names(constant: Constant, settings: &NavigationSettings) -> [String; 3] {
     let (name, unit) = match constant {
         Constant::AccelerometerBias => ("accelerometer_bias".into(), "m_s2"),
@@ -114,7 +114,7 @@ fn rows(matrix: &Matrix3<f64>) -> Value {
     Value::Array((0..3).map(row).collect())
 }
 
-/// A matrix, a line for each of its rows.
+/// A matrix, one line per row.
 fn lines(matrix: &DMatrix<f64>) -> Array {
     let exact = |x: &f64| format!("{x:e}").parse().unwrap_or(Value::from(*x));
     let row = |n: usize| {

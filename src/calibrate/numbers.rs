@@ -1,4 +1,4 @@
-//! Numbers: the middle of some, and measured ones for people, to two digits of the sigma.
+//! Numbers: medians, and formatting of measured values to two digits of the sigma.
 
 use crate::estimation;
 use crate::units::Measured;
@@ -12,7 +12,7 @@ pub fn sigma_text(sigma: f64) -> String {
     value_text(Measured::new(sigma, sigma))
 }
 
-/// A value to two digits of its sigma; all of its digits where there is no useful sigma.
+/// A value to two digits of its sigma; all digits if there is no useful sigma.
 pub fn value_text(measured: Measured) -> String {
     let Measured { value, sigma } = measured;
     if !(sigma.is_finite() && sigma > 0.0) {
@@ -26,7 +26,7 @@ pub fn value_text(measured: Measured) -> String {
     format!("{value:.digits$}")
 }
 
-/// The median of those of some values that are finite; 0 where there are none.
+/// The median of the finite ones of some values; 0 if there are none.
 pub fn median<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> f64 {
     let values = values.into_iter().map(|v| *v.borrow());
     estimation::median(values.filter(|v| v.is_finite())).unwrap_or_default()

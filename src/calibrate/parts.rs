@@ -1,6 +1,6 @@
 //! Parts of a picture, or of a plate: three by three.
 
-/// Their names, from the upper left.
+/// Names of the parts, from the upper left.
 pub const PARTS: [&str; 9] = [
     "the upper left",
     "the top",
@@ -13,13 +13,13 @@ pub const PARTS: [&str; 9] = [
     "the lower right",
 ];
 
-/// The part of a place, from 0 at the left and at the top to 1.
+/// The part at a position, from 0 at the left and at the top to 1.
 pub fn part(from_left: f64, from_top: f64) -> usize {
     let [column, row] = [from_left, from_top].map(|at| ((3.0 * at).max(0.0) as usize).min(2));
     3 * row + column
 }
 
-/// The names of the parts of which that is true.
+/// The names of the parts for which `is_so` holds.
 pub fn named(is_so: impl Fn(usize) -> bool) -> Vec<&'static str> {
     let parts = PARTS.iter().enumerate();
     parts

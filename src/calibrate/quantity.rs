@@ -19,14 +19,14 @@ pub enum Verdict {
 #[derive(Debug, Clone, PartialEq)]
 pub struct CalibratedQuantity {
     pub name: &'static str,
-    /// Dotted key of the instrument's file; none for what is no value there.
+    /// Dotted key in the instrument's file; none if the quantity has no value there.
     pub key: Option<&'static str>,
     pub unit: &'static str,
-    /// Empty where the instrument states nothing to compare with.
+    /// Stated values; empty if the instrument states none.
     pub stated: Vec<f64>,
-    /// Empty where nothing was found.
+    /// Found values; empty if none were found.
     pub found: Vec<f64>,
-    /// 1 sigma of what was found, per axis.
+    /// 1 sigma of the found values, per axis.
     pub sigma: f64,
     pub verdict: Verdict,
     /// For people, in one sentence.
@@ -34,7 +34,7 @@ pub struct CalibratedQuantity {
 }
 
 impl CalibratedQuantity {
-    /// A verdict on what has no value.
+    /// A verdict on a quantity without a value.
     pub fn without_value(name: &'static str, verdict: Verdict, remark: impl Into<String>) -> Self {
         Self {
             name,
@@ -48,7 +48,7 @@ impl CalibratedQuantity {
         }
     }
 
-    /// A number that was measured with a remark on how, or the reason why it was not.
+    /// A measured number with a remark on the method, or the reason why it was not measured.
     pub fn measured(
         (name, key, unit): (&'static str, &'static str, &'static str),
         found: Result<Measured, String>,
@@ -74,7 +74,7 @@ impl CalibratedQuantity {
         }
     }
 
-    /// Writes what was determined into an instrument's file.
+    /// Writes determined values into an instrument's file.
     pub fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
         let (Some(key), Verdict::Determined) = (self.key, self.verdict) else {
             return;
@@ -86,7 +86,7 @@ impl CalibratedQuantity {
         }
     }
 
-    /// The found numbers: beside stated ones to as many digits as these, else to two digits of the sigma.
+    /// The found numbers: to as many digits as the stated ones, or without these to two digits of the sigma.
     fn found_text(&self) -> String {
         match (&self.stated[..], &self.found[..], self.verdict) {
             ([], [value], Verdict::Determined) => value_text(Measured::new(*value, self.sigma)),

@@ -1,4 +1,4 @@
-//! A new edition of an instrument's file, or of NAV.toml: some entries renewed, every other line, comment and order as it was.
+//! A revision of an instrument's file, or of NAV.toml: some entries are replaced, every other line, comment and their order stay.
 
 use crate::calibrate::numbers::value_text;
 use crate::instrument::{Instrument, TomlError};
@@ -12,24 +12,24 @@ use nalgebra::SMatrix;
 use std::path::{Path, PathBuf};
 use toml_edit::{DocumentMut, InlineTable, Item, Table, TableLike, Value, value};
 
-/// Where new values come from, for people: it stands beside each.
+/// Provenance of new values, for people: it is written beside each value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Provenance {
-    /// The name of the calibration: the table `[calibration.NAME]` holds what it rests on.
+    /// The name of the calibration: the table `[calibration.NAME]` describes its inputs.
     pub name: &'static str,
-    /// Method, with the number of frames.
+    /// Description of the method, with the number of frames.
     pub source: String,
-    /// When the frames were taken; none where they do not state it.
+    /// Date of the frames; none if they do not state it.
     pub date: Option<Date>,
     pub frames: usize,
-    /// Over the sorted SHA-256 of the files.
+    /// Hash over the sorted SHA-256 of the files.
     pub frames_sha256: String,
-    /// The camera's name, as the frames have it.
+    /// The camera's name stated in the frames.
     pub camera: Option<String>,
 }
 
 impl Provenance {
-    /// Of so many frames, taken at some times, of some files: what was done, and from when to when.
+    /// Provenance from the number of frames, their times and files: the method, and the time span.
     pub fn over(
         name: &'static str,
         done: &str,
@@ -54,17 +54,17 @@ impl Provenance {
     }
 }
 
-/// An instrument's file, open for new entries.
+/// An instrument's file, open for changes.
 #[derive(Debug, Clone)]
 pub struct Revision {
     path: PathBuf,
-    /// Of the text before.
+    /// SHA-256 of the original text.
     sha256: String,
     document: DocumentMut,
 }
 
 impl Revision {
-    /// Opens an instrument's text; `path` is what errors name.
+    /// Parses an instrument's text; errors name `path`.
     pub fn of(path: &Path, text: &str) -> Result<Self, TomlError> {
         let document = text.parse().map_err(|error: toml_edit::TomlError| {
             TomlError::new(path, "", "valid TOML", error.message())
@@ -76,20 +76,20 @@ impl Revision {
         })
     }
 
-    /// Renews a number; both it and its sigma are written to two digits of the sigma.
+    /// Replaces a number; both it and its sigma are written to two digits of the sigma.
     pub fn set_measured(&mut self, key: &str, found: Measured, provenance: &Provenance) {
         let value = number(found.value, found.sigma);
         self.set(key, value, Some(found.sigma), provenance);
     }
 
-    /// Renews a pair of numbers that share a sigma.
+    /// Replaces a pair of numbers that share a sigma.
     pub fn set_pair(&mut self, key: &str, pair: [f64; 2], sigma: f64, provenance: &Provenance) {
         let numbers = pair.map(|value| number(value, sigma));
         let value = Value::Array(numbers.into_iter().collect());
         self.set(key, value, Some(sigma), provenance);
     }
 
-    /// Renews an entry by its dotted key: its value, sigma, source and date. Tables on the way are made.
+    /// Replaces an entry by its dotted key: its value, sigma, source and date. Missing tables are created.
     pub fn set(&mut self, key: &str, value: Value, sigma: Option<f64>, provenance: &Provenance) {
         let mut entry = InlineTable::new();
         entry.insert("value", value);
@@ -103,7 +103,7 @@ impl Revision {
         self.put(key, Item::Value(Value::InlineTable(entry)));
     }
 
-    /// Notes what the calibration rests on, and whose camera it is now.
+    /// Records the inputs of the calibration, and the camera's name.
     pub fn sign(&mut self, provenance: &Provenance) {
         if let Some(camera) = &provenance.camera {
             self.set("camera.name", camera.into(), None, provenance);
@@ -111,7 +111,7 @@ impl Revision {
         self.note(provenance, Table::new());
     }
 
-    /// Notes what the calibration rests on, with more that it found.
+    /// Records the inputs of the calibration, with further results.
     pub fn note(&mut self, provenance: &Provenance, more: Table) {
         let mut table = more;
         table["frames"] = value(provenance.frames as i64);
@@ -135,7 +135,7 @@ impl Revision {
         }
     }
 
-    /// Puts an item at a dotted key, in place of what stood there.
+    /// Sets an item at a dotted key, replacing any existing one.
     pub fn put(&mut self, key: &str, item: Item) {
         let (tables, last) = key.rsplit_once('.').unwrap_or(("", key));
         let mut table = self.document.as_table_mut();
@@ -150,7 +150,7 @@ impl Revision {
             }
         }
         match table.get_mut(last) {
-            // The key keeps its comments and its place.
+            // The key keeps its comments and its position.
             Some(old) => *old = item,
             None => {
                 table.insert(last, item);
@@ -158,7 +158,7 @@ impl Revision {
         }
     }
 
-    /// Renews a bare value of a table; a comment behind it stays.
+    /// Replaces a bare value of a table; a comment behind it stays.
     pub fn renew(&mut self, table: &str, key: &str, value: Value) {
         let table = self.document.entry(table);
         let table = table.or_insert(Item::Table(Table::new()));
@@ -167,10 +167,10 @@ impl Revision {
         }
     }
 
-    /// The same in that table of an array whose name is this.
+    /// The same in the table with a given name of an array.
     ///
     /// # Errors
-    /// There is none.
+    /// If there is no such table.
     pub fn renew_named(
         &mut self,
         array: &str,
@@ -193,14 +193,14 @@ impl Revision {
         Ok(())
     }
 
-    /// A value of the text before, by its dotted key.
+    /// A value of the original text, by its dotted key.
     pub fn get(&self, key: &str) -> Option<&Item> {
         let mut names = key.split('.');
         let first = self.document.get(names.next()?);
         names.try_fold(first?, |table, name| table.get(name))
     }
 
-    /// SHA-256 of the text before.
+    /// SHA-256 of the original text.
     pub fn sha256(&self) -> &str {
         &self.sha256
     }
@@ -210,10 +210,10 @@ impl Revision {
         self.document.to_string()
     }
 
-    /// The new text and the instrument that it describes.
+    /// The new text and the instrument parsed from it.
     ///
     /// # Errors
-    /// A value out of its range; the error names it.
+    /// If a value is out of its range; the error names it.
     pub fn finish(&self) -> Result<(String, Instrument), TomlError> {
         let text = self.text();
         let instrument = Instrument::parse(&self.path, &text)?;
@@ -231,7 +231,7 @@ fn renew(table: &mut dyn TableLike, key: &str, mut value: Value) {
     }
 }
 
-/// A number to two digits of a sigma; all of them where the sigma is zero or infinite.
+/// A number to two digits of a sigma; all digits if the sigma is zero or infinite.
 pub fn number(value: f64, sigma: f64) -> Value {
     let text = value_text(Measured::new(value, sigma));
     text.parse().unwrap_or_else(|_| value.into())
@@ -243,7 +243,7 @@ pub fn rows<const R: usize, const C: usize>(matrix: &SMatrix<f64, R, C>) -> Valu
     Value::Array((0..R).map(row).collect())
 }
 
-/// Why a new edition is not written.
+/// Reasons for which a revision is not written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
     #[error("{}: cannot write: {cause}", .path.display())]
@@ -255,10 +255,10 @@ pub enum WriteError {
     Unreadable(#[from] TomlError),
 }
 
-/// Writes a file if it is one that everything else can read; else what stood there stays.
+/// Writes a file if the program can read it again; otherwise the existing file stays.
 ///
 /// # Errors
-/// A file that cannot be written, or read again.
+/// If the file cannot be written, or read again.
 pub fn write_if(
     path: &Path,
     text: &str,

@@ -1,4 +1,4 @@
-//! From frames to what the camera is.
+//! Calibrates the camera from frames.
 
 use super::dark;
 use super::flat;
@@ -13,12 +13,12 @@ use crate::instrument::Instrument;
 use crate::report::plot::Figure;
 use toml_edit::{Array, Value};
 
-/// The frames of a calibration, by what they show.
+/// The frames of a calibration, by kind.
 #[derive(Debug, Default)]
 pub struct Inputs {
     pub dark: Shots,
     pub flat: Shots,
-    /// Frames of the Sun on the plate that are kept whole.
+    /// Frames of the Sun on the plate whose pixels are kept.
     pub sun: Shots,
     /// Results of every frame of the Sun.
     pub suns: Vec<SunShot>,
@@ -31,14 +31,14 @@ pub struct CameraCalibration {
     pub quantities: Vec<CalibratedQuantity>,
     /// Columns and rows; `None` where the frames do not determine them.
     pub hot_pixels: Option<Vec<(usize, usize)>>,
-    /// The middle of the vignetting that was fitted.
+    /// The middle of the fitted vignetting.
     pub middle_px: [f64; 2],
-    /// The mean temperature where there is a dependence on it.
+    /// The mean temperature, if there is a dependence on it.
     pub reference_c: Option<f64>,
     pub figures: Vec<Figure>,
 }
 
-/// Why the frames give no calibration.
+/// Reasons for which the frames give no calibration.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CameraError {
     #[error(
@@ -58,7 +58,7 @@ pub enum CameraError {
 /// Calibrates the camera of an instrument from its frames.
 ///
 /// # Errors
-/// Too few frames, frames of several cameras or settings, frames that are not dark or not evenly lit.
+/// If there are too few frames, frames of several cameras or settings, or frames that are not dark or not evenly illuminated.
 pub fn calibrate(inputs: &Inputs, stated: &Instrument) -> Result<CameraCalibration, CameraError> {
     let all = || {
         inputs
@@ -125,7 +125,7 @@ impl CameraCalibration {
         determined.any(|q| q.key == Some(key) && q.verdict == Verdict::Determined)
     }
 
-    /// Writes the determined values into an instrument's file; the others stay.
+    /// Writes the determined values into an instrument's file; the other values stay.
     pub fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
         let mut set = |key, value| revision.set(key, value, None, provenance);
         let noise_keys = ["camera.noise.dark_dn", "camera.noise.read_noise_dn"];
@@ -144,7 +144,7 @@ impl CameraCalibration {
         }
         for quantity in &self.quantities {
             let key = quantity.key.unwrap_or_default();
-            // A gain without the dark level beside it says nothing.
+            // A gain without the corresponding dark level is useless.
             if noise || !key.starts_with("camera.noise.") {
                 quantity.revise(revision, provenance);
             }
@@ -156,7 +156,7 @@ impl CameraCalibration {
     }
 }
 
-/// The pixels as an array, each on a line of its own.
+/// The pixels as an array, one per line.
 fn listed(pixels: &[(usize, usize)]) -> Value {
     let mut array = Array::new();
     for (x, y) in pixels {

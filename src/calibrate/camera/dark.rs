@@ -1,4 +1,4 @@
-//! Pixels without light: their level, their noise, and which of them are hot.
+//! Pixels without light: dark level, read noise, and hot pixels.
 
 use super::shots::{Shot, Shots};
 use crate::calibrate::quantity::CalibratedQuantity;
@@ -6,24 +6,24 @@ use crate::frame::Frame;
 use crate::units::Measured;
 use crate::with_view;
 
-/// Fewest frames of which a pixel's median separates a hot pixel from noise.
+/// Fewest frames for which a pixel's median separates a hot pixel from noise.
 const LEAST_FRAMES: usize = 3;
-/// A pixel is hot that stands above the level by more than so many sigmas of the noise of one frame.
+/// A hot pixel exceeds the level by more than this many sigmas of the noise of one frame.
 const HOT_SIGMAS: f64 = 5.0;
-/// More bright neighbours than this are no hot pixels but light.
+/// With more bright neighbours than this a pixel is illuminated, not hot.
 const MOST_NEIGHBOURS: usize = 2;
-/// Where more than this part of the values lie at zero, noise is cut off there.
+/// If more than this part of the values is zero, the noise is clipped there.
 const CUT_OFF: f64 = 0.003;
-/// Every so many pixels serve for level and noise.
+/// Every n-th pixel is used for level and noise.
 const STRIDE: usize = 3;
 /// The part of a normal distribution below one sigma.
 const ONE_SIGMA: f64 = 0.841_345;
-/// Systematic error of level and noise by rounding and the sample, DN.
+/// Systematic error of level and noise from rounding and sampling, DN.
 const FLOOR_DN: f64 = 0.01;
-/// The same of what whole values show of the upper half of a distribution.
+/// The same for noise estimated from integer values in the upper half of a distribution.
 const COARSE_DN: f64 = 0.05;
 
-/// Levels of the unlit pixels.
+/// Levels of the unilluminated pixels.
 #[derive(Debug, Clone)]
 pub(super) struct Dark {
     pub level: Result<Measured, String>,
@@ -32,7 +32,7 @@ pub(super) struct Dark {
     pub hot: Option<Vec<(usize, usize)>>,
 }
 
-/// Level, noise and hot pixels of the unlit parts of frames.
+/// Level, noise and hot pixels of the unilluminated parts of frames.
 pub(super) fn measure(shots: &Shots) -> Dark {
     let values: Vec<f64> = shots.frames.iter().flat_map(unlit).collect();
     if values.len() < 1000 {
@@ -83,14 +83,13 @@ fn sample(frame: &Frame) -> impl Iterator<Item = (usize, usize)> + use<> {
     every.map(move |n| (n % width, n / width))
 }
 
-/// A sample of a frame's unlit pixels.
+/// A sample of a frame's unilluminated pixels.
 fn unlit(shot: &Shot) -> Vec<f64> {
     let unlit = sample(&shot.frame).filter(|(x, y)| shot.is_unlit(*x, *y));
     with_view!(&shot.frame, view => unlit.map(|(x, y)| f64::from(view.dn(x, y))).collect())
 }
 
-/// Noise from differences of frames that follow each other, which fixed patterns leave; where it is cut off at zero, from
-/// the upper half of the values.
+/// Noise from differences of successive frames, which cancel fixed patterns; if it is clipped at zero, from the upper half of the values.
 fn noise(shots: &Shots, histogram: &Histogram, level: f64) -> (Measured, &'static str) {
     let cut_off = histogram.part_of(0) > CUT_OFF;
     let differences: Vec<f64> = shots
@@ -120,7 +119,7 @@ fn noise(shots: &Shots, histogram: &Histogram, level: f64) -> (Measured, &'stati
     )
 }
 
-/// A sample of the differences of two frames, where both are unlit.
+/// A sample of the differences of two frames, where both are unilluminated.
 fn difference(a: &Shot, b: &Shot) -> Vec<f64> {
     let unlit = sample(&a.frame).filter(|(x, y)| a.is_unlit(*x, *y) && b.is_unlit(*x, *y));
     unlit.map(|(x, y)| dn(a, x, y) - dn(b, x, y)).collect()
@@ -131,7 +130,7 @@ pub(super) fn dn(shot: &Shot, x: usize, y: usize) -> f64 {
     with_view!(&shot.frame, view => f64::from(view.dn(x, y)))
 }
 
-/// The variance of values without the few that lie beyond five sigmas: hot pixels flicker.
+/// The variance of values without the few beyond five sigmas: hot pixels flicker.
 pub(super) fn clipped_variance(values: &[f64]) -> f64 {
     let mut limit = f64::INFINITY;
     let mut variance = 0.0;
@@ -149,8 +148,7 @@ pub(super) fn clipped_variance(values: &[f64]) -> f64 {
     variance
 }
 
-/// The pixels whose median over the frames in which they are unlit stands well above the level, and whose neighbours' do
-/// not.
+/// The pixels whose median over the frames in which they are unilluminated is well above the level, unlike that of their neighbours.
 fn hot_pixels(shots: &Shots, level: f64, noise: f64) -> Option<Vec<(usize, usize)>> {
     let first = &shots.frames.first()?.frame;
     if shots.frames.len() < LEAST_FRAMES {
@@ -179,7 +177,7 @@ fn hot_pixels(shots: &Shots, level: f64, noise: f64) -> Option<Vec<(usize, usize
     Some(hot.map(|n| (n % width, n / width)).collect())
 }
 
-/// Counts of whole values.
+/// Histogram of integer values.
 struct Histogram {
     counts: Vec<u64>,
     total: f64,
@@ -201,7 +199,7 @@ impl Histogram {
         self.counts[value] as f64 / self.total
     }
 
-    /// The value below which a part of the counts lies, interpolated within a value.
+    /// The value below which a part of the counts lies, interpolated within an integer.
     fn value_above(&self, part: f64) -> f64 {
         let wanted = part * self.total;
         let mut below = 0.0;

@@ -1,4 +1,4 @@
-//! How the light falls off from the middle of the picture.
+//! Vignetting: decrease of the light from the middle of the picture.
 
 use super::dark::{Dark, dn};
 use super::shots::{Shots, SunShot, TILE_PX, inside, tiles};
@@ -10,31 +10,31 @@ use crate::report::plot::{Figure, Labels, Series};
 use crate::units::Measured;
 use nalgebra::{SVector, Vector5};
 
-/// Every so many pixels of a square, in both axes, give its light.
+/// Every n-th pixel of a square, in both axes, is used for its light.
 const STRIDE_PX: usize = 3;
-/// A fourth-order term below so many sigmas is not fitted.
+/// A fourth-order term below this many sigmas is not fitted.
 const SIGNIFICANT: f64 = 5.0;
-/// Fewest frames of the Sun, and the part of the way to the corner that they must reach.
+/// Fewest frames of the Sun, and the part of the distance to the corner that they must reach.
 const LEAST_SUNS: usize = 12;
 const LEAST_REACH: f64 = 0.4;
-/// Systematic error of the disc's brightness at the corner.
+/// Systematic relative error of the disc's brightness at the corner.
 const SUNS_SYSTEMATIC: f64 = 0.005;
 
-/// How the light falls off: light in the middle, and the terms of second and, where it is significant, fourth order.
+/// Vignetting: light in the middle, and the terms of second and, if significant, fourth order.
 struct Falloff {
     middle: f64,
     square: Measured,
     fourth: Option<Measured>,
 }
 
-/// Light at a position from the middle.
+/// Light at a position relative to the middle.
 struct Light {
     x: f64,
     y: f64,
     dn: f64,
 }
 
-/// The vignetting of evenly lit frames.
+/// The vignetting from evenly illuminated frames.
 pub(super) fn by_flats(flats: &Shots, dark: &Dark) -> (Vec<CalibratedQuantity>, Option<Figure>) {
     let lights: Vec<Light> = flats
         .frames
@@ -66,14 +66,14 @@ pub(super) fn by_flats(flats: &Shots, dark: &Dark) -> (Vec<CalibratedQuantity>, 
     )
 }
 
-/// Frames of any exposure, each in units of its own median light.
+/// Normalises frames of any exposure to their own median light.
 fn relative(mut lights: Vec<Light>) -> Vec<Light> {
     let median = median(lights.iter().map(|l| l.dn));
     lights.iter_mut().for_each(|l| l.dn /= median);
     lights
 }
 
-/// The mean of the values that are not far from their median: hot pixels do not count.
+/// The mean of the values near their median, which excludes hot pixels.
 fn mean_near(values: &[f64], middle: f64) -> f64 {
     let off: Vec<f64> = values.iter().map(|v| (v - middle).abs()).collect();
     let far = 8.0 * median(&off) + 1.0;
@@ -106,7 +106,7 @@ pub(super) fn by_suns(
     )
 }
 
-/// `systematic` is what the second order may be off by, whatever the scatter.
+/// `systematic` is the systematic error of the second order, added to the scatter.
 fn conclude(
     lights: &[Light],
     systematic: f64,
@@ -155,7 +155,7 @@ fn square_quantity(found: Result<Measured, String>, how: &str) -> CalibratedQuan
 }
 
 fn fit(lights: &[Light]) -> Option<Falloff> {
-    /// Radii are fitted in this unit.
+    /// Unit of the radii in the fit.
     const UNIT_PX: f64 = 500.0;
     let all = |l: &Light| {
         let r2 = (l.x * l.x + l.y * l.y) / UNIT_PX.powi(2);
@@ -185,7 +185,7 @@ fn fit(lights: &[Light]) -> Option<Falloff> {
     })
 }
 
-/// A coefficient as a part of the light in the middle.
+/// A coefficient relative to the light in the middle.
 fn share<const N: usize>(fitted: &Fitted<N>, n: usize, unit: f64) -> Measured {
     let whole = fitted.parameters[0] * unit;
     let Measured { value, sigma } = fitted.measured(n);

@@ -11,7 +11,7 @@ use nalgebra::Vector2;
 /// Fewest frames, and the least range of temperature, that determine a dependence.
 const LEAST_FRAMES: usize = 8;
 const LEAST_RANGE_C: f64 = 3.0;
-/// Systematic error of the limb's fit, whatever the number of frames.
+/// Systematic error of the limb fit, whatever the number of frames.
 const BLUR_SYSTEMATIC_PX: f64 = 0.02;
 
 pub(super) struct Focus {
@@ -69,7 +69,7 @@ pub(super) fn measure(suns: &[SunShot]) -> Focus {
     }
 }
 
-/// Why such temperatures determine no dependence.
+/// The reason why such temperatures do not determine a dependence.
 fn refusal(temperatures: &[f64]) -> Option<String> {
     let most = temperatures
         .iter()
@@ -99,7 +99,7 @@ fn quantity(
     CalibratedQuantity::measured((name, key, unit), found, remark)
 }
 
-/// The blur: where it depends on temperature, at the mean temperature.
+/// The blur; if it depends on temperature, at the mean temperature.
 fn blur(suns: &[SunShot], with_temperature: Option<&Vec<(f64, f64)>>) -> CalibratedQuantity {
     let values: Vec<f64> = suns.iter().filter_map(|s| s.blur_px).collect();
     let at_reference = with_temperature

@@ -1,4 +1,4 @@
-//! From files to what the camera is.
+//! Calibrates the camera from files.
 
 use super::calibration::{CameraCalibration, CameraError, Inputs, calibrate};
 use super::report::page;
@@ -11,32 +11,32 @@ use crate::report::plot::PlotError;
 use jiff::tz::TimeZone;
 use std::path::PathBuf;
 
-/// Frames and folders of them, by what they show.
+/// Frames and folders of frames, by kind.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Given<'a> {
-    /// No light, at equal exposure.
+    /// Dark frames, at equal exposure.
     pub dark: &'a [PathBuf],
-    /// Even light, two frames at each of several exposures.
+    /// Evenly illuminated frames, two at each of several exposures.
     pub flat: &'a [PathBuf],
-    /// The Sun on the plate.
+    /// Frames of the Sun on the plate.
     pub sun: &'a [PathBuf],
 }
 
-/// A camera that frames gave, and what it was made of.
+/// A camera calibrated from frames, and the inputs.
 #[derive(Debug, Clone)]
 pub struct FromFrames {
     pub calibration: CameraCalibration,
     pub rejected: Vec<RejectedFrame>,
     pub provenance: Provenance,
     instrument: String,
-    /// The inputs, for people.
+    /// Description of the inputs, for people.
     given: String,
 }
 
 /// Calibrates the camera of an instrument from frames and folders of them.
 ///
 /// # Errors
-/// Frames that are not the instrument's, or determine nothing.
+/// If the frames are not the instrument's, or determine nothing.
 pub fn from_frames(
     given: Given<'_>,
     stated: &Instrument,
@@ -68,13 +68,13 @@ pub fn from_frames(
 }
 
 impl FromFrames {
-    /// Writes the determined values into an instrument's file; the others stay.
+    /// Writes the determined values into an instrument's file; the other values stay.
     pub fn revise(&self, revision: &mut Revision) {
         self.calibration.revise(revision, &self.provenance);
     }
 
     /// # Errors
-    /// A figure that cannot be drawn.
+    /// If a figure cannot be drawn.
     pub fn page(&self) -> Result<String, PlotError> {
         let source = format!("{} ({})", self.provenance.source, self.given);
         page(&self.calibration, &self.instrument, &source, &self.rejected)

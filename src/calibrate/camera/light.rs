@@ -1,21 +1,21 @@
-//! Whether frames are lit as they have to be: not at all, or evenly. Frames of the Sun are neither.
+//! Checks the illumination of frames: dark frames must be dark, flat frames evenly illuminated. Frames of the Sun are neither.
 
 use super::dark::{Dark, dn};
 use super::shots::{Shot, Shots, TILE_PX, inside, tiles};
 use crate::calibrate::numbers::median;
 use std::path::PathBuf;
 
-/// Every so many pixels of a square, in both axes, sample its light.
+/// Every n-th pixel of a square, in both axes, is used for its light.
 const STRIDE_PX: usize = 3;
-/// An evenly lit frame has at least this share of its brightest light in all but the darkest tenth: lenses leave more in
-/// the corners, the Sun leaves nothing beside its disc.
+/// In an evenly illuminated frame all but the darkest tenth have at least this share of the brightest light: lenses leave more in the
+/// corners, the Sun leaves nothing beside its disc.
 const LEAST_SHARE: f64 = 0.25;
-/// Differences below so many times the read noise are none.
+/// Differences below this multiple of the read noise are not significant.
 const LEAST_NOISE: f64 = 5.0;
-/// A covered camera's glow stays below this share of saturation.
+/// Greatest glow of a covered camera, as a share of saturation.
 const MOST_GLOW: f64 = 0.05;
 
-/// A frame that is not lit as it has to be.
+/// A frame with wrong illumination.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum WrongLight {
     #[error(
@@ -39,7 +39,7 @@ pub enum WrongLight {
     },
 }
 
-/// The brightest square of a frame, its middle, and what the darkest tenth of the squares stays below, DN.
+/// The brightest square of a frame, its middle, and the upper limit of the darkest tenth of the squares, DN.
 struct Extremes {
     brightest_dn: f64,
     column: usize,
@@ -63,10 +63,10 @@ fn extremes(shot: &Shot) -> Option<Extremes> {
     })
 }
 
-/// Whether frames without light are dark.
+/// Checks that dark frames are dark.
 ///
 /// # Errors
-/// The first in which something shines.
+/// The first frame with an illuminated part.
 pub(super) fn check_dark(darks: &Shots) -> Result<(), WrongLight> {
     for shot in &darks.frames {
         let Some(found) = extremes(shot) else {
@@ -85,10 +85,10 @@ pub(super) fn check_dark(darks: &Shots) -> Result<(), WrongLight> {
     Ok(())
 }
 
-/// Whether evenly lit frames are.
+/// Checks that flat frames are evenly illuminated.
 ///
 /// # Errors
-/// The first that is not.
+/// The first frame that is not.
 pub(super) fn check_even(flats: &Shots, dark: &Dark) -> Result<(), WrongLight> {
     for shot in &flats.frames {
         let Some(found) = extremes(shot) else {

@@ -2,16 +2,16 @@
 //! depend on temperature.
 //!
 //! # Method
-//! - `dark`: the median of every pixel over frames without light (dark frames, else the unlit parts of the Sun's frames) gives
-//!   level and hot pixels; differences of frames that follow each other give the read noise.
-//! - `transfer`: photon transfer. The variance of the difference of two evenly lit frames grows with their light by the gain, DN per
-//!   photo-electron. Without such frames, the grain of the Sun's disc between the marks does instead.
-//! - `flat`: how the light of evenly lit frames, else the brightness of the Sun's disc, falls off from the middle.
-//! - `focus`: the blur of the Sun's limb, and how blur and scale depend on the camera's temperature.
+//! - `dark`: the median of every pixel over frames without light (dark frames, else the unilluminated parts of the Sun's frames) gives
+//!   level and hot pixels; differences of successive frames give the read noise.
+//! - `transfer`: photon transfer. The variance of the difference of two evenly illuminated frames increases with their light; the slope is
+//!   the gain, DN per photo-electron. Without such frames, the grain of the Sun's disc between the marks is used.
+//! - `flat`: decrease of the light from the middle, in evenly illuminated frames or else in the brightness of the Sun's disc.
+//! - `focus`: the blur of the Sun's limb, and the dependence of blur and scale on the camera's temperature.
 //!
-//! `light` refuses dark frames that something lights, and flat ones that are not evenly lit: frames of the Sun.
+//! `light` refuses illuminated dark frames, and flat frames that are not evenly illuminated, such as frames of the Sun.
 //!
-//! Undetermined values stay the instrument's, with the reason.
+//! Undetermined values stay as in the instrument's file, with the reason.
 //!
 //! ```text
 //! shots <- dark <- light, transfer, flat; shots <- focus; all <- calibration <- report <- from_frames

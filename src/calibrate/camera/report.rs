@@ -1,4 +1,4 @@
-//! The calibration as one page of HTML that needs nothing else.
+//! The calibration as one self-contained page of HTML.
 
 use super::calibration::CameraCalibration;
 use crate::calibrate::quantity::CalibratedQuantity;
@@ -7,7 +7,7 @@ use crate::report::html::Page;
 use crate::report::plot::{self, PlotError};
 
 impl CameraCalibration {
-    /// Every quantity, and the hot pixels, a line each.
+    /// Every quantity and the hot pixels, one per line.
     pub fn summary(&self) -> String {
         let quantities = self.quantities.iter().map(ToString::to_string);
         let hot = match &self.hot_pixels {
@@ -21,10 +21,10 @@ impl CameraCalibration {
     }
 }
 
-/// The page: what was found, the figures behind it, and the rejected frames.
+/// The page: the results, their figures, and the rejected frames.
 ///
 /// # Errors
-/// Where a figure cannot be drawn.
+/// If a figure cannot be drawn.
 pub fn page(
     calibration: &CameraCalibration,
     name: &str,

@@ -1,4 +1,4 @@
-//! Frames in memory, and what lights them.
+//! Frames in memory, and their illumination.
 
 use crate::aspect::{self, Expected, Quality};
 use crate::calibrate::frames::{FramesError, Setting};
@@ -8,17 +8,17 @@ use crate::observe::{RejectedFrame, Watch, over};
 use crate::units::SensorPx;
 use std::path::{Path, PathBuf};
 
-/// Light scattered about the disc reaches so far beyond its limb, in its radii.
+/// Radius of the light scattered around the disc, in radii of its limb.
 const GLOW_RADII: f64 = 1.5;
 
-/// A frame and the part of it that the Sun lights.
+/// A frame and the part of it illuminated by the Sun.
 #[derive(Debug, Clone)]
 pub struct Shot {
     pub file: PathBuf,
     pub frame: Frame,
     /// The disc: centre and radius, px; none in a frame without Sun.
     pub disc: Option<(SensorPx, f64)>,
-    /// Where the plate's marks are seen.
+    /// Sensor positions of the plate's marks.
     pub marks: Vec<SensorPx>,
 }
 
@@ -32,18 +32,18 @@ impl Shot {
         }
     }
 
-    /// Frames of different gain count light in different DN.
+    /// Frames of different gain have different DN for the same light.
     pub(super) fn setting(&self) -> Setting {
         Setting::of(&self.file, &self.frame).with_gains(&self.frame)
     }
 
-    /// How far from the disc's centre, in its radii; none without a disc.
+    /// Distance from the disc's centre, in its radii; none without a disc.
     pub fn radii(&self, x: usize, y: usize) -> Option<f64> {
         let (centre, radius) = self.disc?;
         Some(SensorPx::new(x as f64, y as f64).distance(centre) / radius)
     }
 
-    /// Whether the Sun leaves a pixel dark.
+    /// Whether a pixel is not illuminated by the Sun.
     pub fn is_unlit(&self, x: usize, y: usize) -> bool {
         self.radii(x, y).is_none_or(|radii| radii > GLOW_RADII)
     }
@@ -60,7 +60,7 @@ pub(super) fn tiles(frame: &Frame) -> impl Iterator<Item = (usize, usize)> + use
     rows.flat_map(move |y| (0..right).step_by(TILE_PX).map(move |x| (x, y)))
 }
 
-/// Columns and rows of a square, every so many pixels in both axes.
+/// Columns and rows of a square, every n-th pixel in both axes.
 pub(super) fn inside(
     (x0, y0): (usize, usize),
     step: usize,
@@ -76,7 +76,7 @@ pub struct Shots {
 }
 
 impl Shots {
-    /// Frames that follow each other, at equal exposure and gain: each in one pair at most.
+    /// Pairs of successive frames of equal exposure and gain; each frame is in at most one pair.
     pub(super) fn pairs(&self) -> Vec<(&Shot, &Shot)> {
         let setting = |shot: &Shot| {
             let info = &shot.frame.info;
@@ -97,19 +97,19 @@ impl Shots {
 #[derive(Debug, Clone, PartialEq)]
 pub struct SunShot {
     pub sun_px: SensorPx,
-    /// The disc's bright part above the background.
+    /// Level of the disc's bright part above the background.
     pub light_dn: f64,
     /// Blur of the limb, 1 sigma.
     pub blur_px: Option<f64>,
-    /// Of the frame's own marks.
+    /// Scale from the frame's own marks.
     pub scale_mil_per_px: Option<f64>,
     pub temperature_c: Option<f64>,
 }
 
-/// Reads frames that show no Sun, some of them; those that cannot be read are rejected.
+/// Reads a selection of frames without Sun; unreadable ones are rejected.
 ///
 /// # Errors
-/// A frame of another size than the instrument's.
+/// If a frame is of another size than the instrument's.
 pub fn load(
     files: &[PathBuf],
     instrument: &Instrument,
@@ -132,7 +132,7 @@ pub fn load(
     Ok((Shots { frames }, rejected))
 }
 
-/// Pixels are identified by their place on the whole sensor: a part of it does not do.
+/// Requires the whole sensor: pixels are identified by their position on it.
 fn check_size(frame: &Frame, instrument: &Instrument, file: &Path) -> Result<(), FramesError> {
     let (file, size_px) = (file.to_owned(), instrument.camera.size_px());
     match instrument.seen_by(frame) {
@@ -142,17 +142,17 @@ fn check_size(frame: &Frame, instrument: &Instrument, file: &Path) -> Result<(),
     }
 }
 
-/// The files whose frames are kept in memory: evenly chosen pairs that follow each other.
+/// The files whose frames are kept in memory: evenly selected pairs of successive frames.
 fn kept(files: &[PathBuf]) -> Vec<&PathBuf> {
     const MOST_KEPT: usize = 32;
     let step = files.len().div_ceil(MOST_KEPT).max(1);
     files.chunks(2).step_by(step).flatten().collect()
 }
 
-/// Solves frames of the Sun, and keeps some of them whole.
+/// Solves frames of the Sun, and keeps the pixels of some of them.
 ///
 /// # Errors
-/// A frame of another size than the instrument's.
+/// If a frame is of another size than the instrument's.
 pub fn solve(
     files: &[PathBuf],
     instrument: &Instrument,
@@ -177,7 +177,7 @@ pub fn solve(
     Ok((shots, suns, rejected))
 }
 
-/// A frame of the Sun, whole if it is to be kept, and what it gave; else why it is rejected.
+/// A frame of the Sun, with its pixels if it is kept, and its results; else the reason why it is rejected.
 type Solved = Result<(Option<Shot>, Option<SunShot>), String>;
 
 fn solve_one(file: &Path, frame: Frame, instrument: &Instrument, keep: bool) -> Solved {

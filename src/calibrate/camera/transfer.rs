@@ -1,4 +1,4 @@
-//! Photon transfer: how the noise grows with the light.
+//! Photon transfer: increase of the noise with the light.
 
 use super::dark::{Dark, clipped_variance, dn};
 use super::shots::{Shot, Shots, inside, tiles};
@@ -10,19 +10,19 @@ use crate::report::plot::{Figure, Labels, Series};
 use crate::units::{Measured, SensorPx};
 use nalgebra::Vector2;
 
-/// Light must span so many times the read noise, or it determines no slope.
+/// Least span of light, in units of the read noise, that determines a slope.
 const LEAST_SPAN: f64 = 3.0;
-/// Noise between neighbours that the plate's grain and the marks' feet may add.
+/// Relative noise between neighbours that the plate's grain and the wings of the marks' images may add.
 const GRAIN: f64 = 0.03;
 
-/// Light above the dark level and variance, DN and DN^2, with the pixels behind it.
+/// Light above the dark level (DN) and variance (DN^2), with the number of pixels.
 struct Point {
     light: f64,
     variance: f64,
     pixels: f64,
 }
 
-/// Gain from pairs of evenly lit frames.
+/// Gain from pairs of evenly illuminated frames.
 pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (CalibratedQuantity, Option<Figure>) {
     let pairs = flats.pairs();
     let mut points: Vec<Point> = pairs
@@ -30,7 +30,7 @@ pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (CalibratedQuantity, Optio
         .flat_map(|(a, b)| of_pair(a, b, dark))
         .collect();
     if let Ok(noise) = &dark.noise {
-        // Worth ten squares of a pair.
+        // Has the weight of ten squares of a pair.
         points.push(Point {
             light: 0.0,
             variance: noise.value.powi(2),
@@ -41,7 +41,7 @@ pub(super) fn by_pairs(flats: &Shots, dark: &Dark) -> (CalibratedQuantity, Optio
     conclude(points, dark, none, "from pairs of evenly lit frames", 0.0)
 }
 
-/// The squares of a pair: the light of one differs from the other's by a common factor at most.
+/// The squares of a pair: the light of the two frames may differ by a common factor only.
 fn of_pair(a: &Shot, b: &Shot, dark: &Dark) -> Vec<Point> {
     let level = dark.level_dn();
     let saturation = f64::from(a.frame.saturation_dn());
@@ -94,7 +94,7 @@ pub(super) fn by_suns(
     conclude(points, dark, none, how, GRAIN)
 }
 
-/// Light and noise of rings of the disc: what a pixel differs from the mean of its neighbours to left and right.
+/// Light and noise in rings of the disc: difference of a pixel from the mean of its left and right neighbours.
 fn grain(shot: &Shot, mark_reach_px: f64, dark: &Dark) -> Vec<Point> {
     const RINGS: usize = 6;
     const OUTERMOST: f64 = 0.9;
@@ -131,7 +131,7 @@ fn grain(shot: &Shot, mark_reach_px: f64, dark: &Dark) -> Vec<Point> {
         .filter(|(values, _)| values.len() > 200)
         .filter_map(|(values, differences)| {
             let seen = median(values);
-            // Of independent pixels the difference has one and a half times their variance.
+            // For independent pixels the difference has 1.5 times their variance.
             let variance = clipped_variance(differences) / 1.5;
             let clear = seen + 5.0 * variance.max(1.0).sqrt() < saturation;
             clear.then_some(Point {
@@ -143,7 +143,7 @@ fn grain(shot: &Shot, mark_reach_px: f64, dark: &Dark) -> Vec<Point> {
         .collect()
 }
 
-/// The gain: the slope of variance over light.
+/// The gain: the slope of variance against light.
 fn conclude(
     points: Vec<Point>,
     dark: &Dark,
@@ -175,7 +175,7 @@ fn conclude(
     (gain, (points.len() > 1).then_some(figure))
 }
 
-/// The variance without light, and the slope, where the light determines them.
+/// The variance without light, and the slope, if the light determines them.
 fn determined_line(points: &[Point], dark: &Dark, none: &str) -> Result<(f64, Measured), String> {
     if points.len() < 4 {
         return Err(none.into());
@@ -203,13 +203,13 @@ fn determined_line(points: &[Point], dark: &Dark, none: &str) -> Result<(f64, Me
     Ok((fitted.parameters[0], gain))
 }
 
-/// Variance over light as a straight line, without outliers.
+/// Variance against light as a straight line, without outliers.
 ///
-/// A variance of n values is uncertain by the true variance times the square root of 2 / n. The line gives the true one: by
-/// themselves those that chance made small would weigh most, and the slope would come out low. So it would by a robust loss,
-/// for the errors of variances are skewed.
+/// A variance of n values has a relative error of the square root of 2 / n. The weights use the variance predicted by the line: with the
+/// measured ones, values that are small by chance would have the largest weight, and the slope would be too low. A robust loss would
+/// make it too low as well, because the errors of variances are skewed.
 fn line(points: &[Point]) -> Result<Fitted<2>, FitError> {
-    /// Each pass brings the weights nearer by the part that a variance is uncertain by, some hundredths.
+    /// Each pass reduces the error of the weights by the relative error of a variance, a few hundredths.
     const PASSES: usize = 3;
     let at = |p: &Point| Vector2::new(1.0, p.light);
     let sigma = |p: &Point, expected: f64| expected.max(1e-3) * (2.0 / p.pixels).sqrt();

@@ -1,4 +1,4 @@
-//! Changes in how the sensor answers to light.
+//! Changes in the sensor's response to light.
 
 use crate::calibrate::numbers::{sigma_text, value_text};
 use crate::instrument::{Instrument, Noise};
@@ -6,17 +6,17 @@ use crate::units::{Measured, SensorPx};
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// A quantity before and after: value and 1 sigma; none where the instrument does not state it.
+/// A quantity before and after: value and 1 sigma; none if the instrument does not state it.
 pub type Renewed = [Option<[f64; 2]>; 2];
 
-/// Changes of the sensor, in the DN that each instrument states its noise in.
+/// Changes of the sensor, each in the DN of its instrument.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SensorChange {
     pub saturation_dn: [Option<u16>; 2],
     pub dark_dn: Renewed,
     pub read_noise_dn: Renewed,
     pub gain_dn_per_electron: Renewed,
-    /// The share of the light that is lost in the corner that loses most.
+    /// Fraction of the light lost in the darkest corner.
     pub corner_loss: [Option<f64>; 2],
     pub hot_pixels_before: usize,
     pub hot_pixels_after: usize,
@@ -91,7 +91,7 @@ impl SensorChange {
     }
 }
 
-/// To two digits of the sigma; to six where there is none, as in the truth of a simulation.
+/// Rounds to two digits of the sigma; to six without a sigma, as in the truth of a simulation.
 fn text([value, sigma]: [f64; 2]) -> String {
     if sigma > 0.0 {
         let digits = value_text(Measured::new(value, sigma));

@@ -1,4 +1,4 @@
-//! The limb's edge in frames, and which parts of the picture it crosses.
+//! The limb's edge in frames, and the parts of the picture that it crosses.
 
 use crate::calibrate::parts::{PARTS, named, part};
 use crate::calibrate::roll_camera::Horizons;
@@ -18,8 +18,8 @@ pub struct Limb {
     pub edge: EdgeRays,
 }
 
-/// The limbs of frames, in the order of time, and the frames that show none. Where the camera is known roughly only, the edge's height is left free,
-/// so that the search follows an edge that the camera bends.
+/// The limbs of frames, in the order of time, and the frames that show none. If the camera is only roughly known, the edge's height is
+/// fitted so that the search follows an edge distorted by the camera's errors.
 ///
 /// # Errors
 /// [`InputError::Cancelled`].
@@ -51,7 +51,7 @@ pub(super) fn collect(
 /// Fewest frames whose limb crosses a part.
 const LEAST_FRAMES: usize = 3;
 
-/// The parts of the picture that hardly a limb crosses.
+/// The parts of the picture that hardly any limb crosses.
 pub(super) fn uncrossed(limbs: &[Limb], camera: &DirectionCamera) -> Vec<&'static str> {
     let mut frames = [0; PARTS.len()];
     for limb in limbs {

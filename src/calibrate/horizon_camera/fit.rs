@@ -1,10 +1,10 @@
-//! The camera of least squares: every frame has a nadir of its own, all have one camera and one height of the edge.
+//! Least-squares fit of the camera: every frame has its own nadir, all share one camera and one height of the edge.
 //!
-//! Each frame's nadir is found as in flight ([`horizon::nadir`](crate::horizon::nadir())), with its loss; Gauss-Newton steps for what all share
-//! follow from what the frames leave once each has determined its nadir.
+//! Each frame's nadir is determined as in flight ([`horizon::nadir`](crate::horizon::nadir())), with its loss. Gauss-Newton steps for the
+//! shared parameters use the residuals after each frame's nadir is fitted.
 //!
-//! A limb's residuals are correlated from place to place, and from frame to frame of one flight, so that the covariance is not that of noise: blocks of
-//! frames that follow each other are the draws from which it is estimated (the sandwich of Huber 1967).
+//! A limb's residuals are correlated along the edge, and between frames of one flight, so the covariance is larger than for white noise. It is
+//! estimated from blocks of successive frames as independent samples (the sandwich of Huber 1967).
 
 use super::edges::{Limb, uncrossed};
 use super::unknowns::{Change, Stated, UNKNOWNS, Unknown};
@@ -18,32 +18,32 @@ use nalgebra::{SMatrix, SVector, UnitVector3};
 use rayon::prelude::*;
 use std::slice::from_ref;
 
-/// Fewer frames determine no scatter.
+/// Fewer frames do not determine a scatter.
 const LEAST_FRAMES: usize = 30;
 /// Number of blocks of frames.
 const BLOCKS: usize = 60;
 const MOST_STEPS: usize = 30;
-/// A shorter step ends the fit, in sigmas: a point that is now a part of the edge and now none moves it by less.
+/// A shorter step ends the fit, in sigmas: points that enter or leave the edge change the solution by less.
 const SETTLED_SIGMAS: f64 = 0.02;
-/// The camera's slopes are differences over this part of the sigma that its file is taken to have.
+/// Step of the camera's numerical derivatives, relative to the assumed sigma of its file.
 const DIFFERENCE: f64 = 1e-3;
-/// Of a nadir and what all frames share.
+/// Number of parameters of a frame: its nadir and the shared ones.
 const OF_FRAME: usize = 2 + UNKNOWNS;
 
-/// A camera's optics by frames.
+/// A camera's optics determined from frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Optics {
     pub camera: CameraModel,
-    /// By how much each unknown differs from what the file says; see [`Unknown`].
+    /// Difference of each unknown from the file's value; see [`Unknown`].
     pub change: SVector<f64, UNKNOWNS>,
     pub covariance: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
-    /// Rms of the edge from the cone, px, of the points that agree.
+    /// Rms distance of the agreeing points of the edge from the cone, px.
     pub residual_px: f64,
     pub frames: usize,
-    /// Of the edge that agree, and all.
+    /// Points of the edge that agree, and all.
     pub agreeing: usize,
     pub points: usize,
-    /// Parts of the picture that hardly a limb crosses; see [`PARTS`](crate::calibrate::parts::PARTS).
+    /// Parts of the picture that hardly any limb crosses; see [`PARTS`](crate::calibrate::parts::PARTS).
     pub uncrossed: Vec<&'static str>,
 }
 
@@ -54,7 +54,7 @@ impl Optics {
         Measured::new(self.change[n], self.covariance[(n, n)].max(0.0).sqrt())
     }
 
-    /// By how much the unknowns differ from others, in sigmas: the one that does most.
+    /// Greatest difference of an unknown from another solution, in sigmas.
     pub(super) fn sigmas_from(&self, other: &Self) -> f64 {
         let apart = (self.change - other.change).abs();
         let sigmas = Unknown::ALL.map(|unknown| self.changed(unknown).sigma);
@@ -82,7 +82,7 @@ impl Optics {
     }
 }
 
-/// Why frames give no optics.
+/// Reasons for which frames give no optics.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum OpticsError {
     #[error("too few frames: expected at least {LEAST_FRAMES} that show the limb, found {0}")]
@@ -103,10 +103,10 @@ pub enum OpticsError {
     NoFit,
 }
 
-/// Fits the optics from what the camera's file says. Whether the frames determine them is [`Optics::check_determined`]'s to say.
+/// Fits the optics, starting from the camera's file. [`Optics::check_determined`] checks whether the frames determine them.
 ///
 /// # Errors
-/// Too few frames, or frames that no camera fits.
+/// If there are too few frames, or no camera fits them.
 pub fn fit(limbs: &[Limb], file: &DirectionCamera) -> Result<Optics, OpticsError> {
     if limbs.len() < LEAST_FRAMES {
         return Err(OpticsError::TooFew(limbs.len()));
@@ -134,7 +134,8 @@ fn sum(frames: &[Normal<UNKNOWNS>]) -> Normal<UNKNOWNS> {
         .fold(Normal::zero(), |sum, frame| sum.with(frame))
 }
 
-/// Information of each frame on the shared parameters, its own nadir eliminated. Nothing of a frame whose edge determines no nadir; `None` of no camera.
+/// Information of each frame on the shared parameters, its own nadir eliminated. Zero for a frame whose edge does not determine a nadir;
+/// `None` if the change gives no valid camera.
 fn of_frames(
     limbs: &[Limb],
     stated: &Stated<'_>,
@@ -153,18 +154,18 @@ fn of_frames(
     )
 }
 
-/// A limb as a camera has it.
+/// A limb observed with a camera.
 struct Seen {
-    /// With its edge as high as all frames have it.
+    /// The Earth's sphere with the common height of the edge.
     sphere: Sphere,
-    /// 1 sigma of the half-angle that all frames share: of the edge's height, and of where a picture's light has it.
+    /// 1 sigma of the half-angle common to all frames: from the edge's height, and from its dependence on the picture's brightness.
     edge_rad: f64,
     rays: Vec<EdgeRay>,
     nadir: Nadir,
 }
 
 impl Seen {
-    /// `None` of an edge that determines no nadir.
+    /// `None` if the edge does not determine a nadir.
     fn by(camera: &CameraModel, limb: &Limb, change: &Change) -> Option<Self> {
         let seen = |ray: &EdgeRay| {
             let unit = camera.ray(ray.at)?;
@@ -186,7 +187,7 @@ impl Seen {
         })
     }
 
-    /// The rays that are a part of the edge. They have equal weights: were they weighted by what is left of them, the slopes of the weights belonged into
+    /// The rays that are part of the edge. They have equal weights: weights that depend on the residuals would add their derivatives to
     /// the normal equations.
     fn agreeing(&self) -> impl Iterator<Item = &EdgeRay> {
         let rays = self.rays.iter().enumerate();
@@ -198,13 +199,13 @@ impl Seen {
         &self.nadir.direction.unit
     }
 
-    /// By how much a ray is inside of the edge.
+    /// Angle of a ray inside the edge, rad.
     fn left_rad(&self, ray: &EdgeRay) -> f64 {
         let down = self.down();
         self.sphere.half_angle_towards(&ray.unit, down) - ray.angle_from(down).0
     }
 
-    /// The ray of the edge that is next to a ray.
+    /// The point of the edge nearest to a ray.
     fn foot(&self, ray: &EdgeRay) -> UnitVector3<f64> {
         let inward = self.down().into_inner() - ray.unit.into_inner() * ray.unit.dot(self.down());
         let (sine, cosine) = self.left_rad(ray).sin_cos();
@@ -212,7 +213,7 @@ impl Seen {
     }
 }
 
-/// A camera, and the same with each of its unknowns moved on by a little.
+/// A camera, and variants with each of its unknowns changed by a small step.
 struct Cameras {
     camera: CameraModel,
     moved: [(CameraModel, f64); UNKNOWNS - 1],
@@ -231,7 +232,7 @@ impl Cameras {
         Some(Self { camera, moved })
     }
 
-    /// The normal equations of a frame: of its nadir, and of what all share. Rays beyond a lens's limit are left out.
+    /// The normal equations of a frame, for its nadir and the shared parameters. Rays beyond a lens's limit are ignored.
     fn normal(&self, seen: &Seen) -> Normal<OF_FRAME> {
         let mut normal = Normal::zero();
         for ray in seen.agreeing() {
@@ -244,8 +245,9 @@ impl Cameras {
         normal
     }
 
-    /// Of a ray's angle from the edge, by the nadir and what all frames share. They are those of the edge next to the ray: the noise of a ray would
-    /// go into its own slopes, and a camera of longer focal length would seem better because all angles, noise as well, are smaller in it.
+    /// Derivatives of a ray's angle from the edge, by the nadir and the shared parameters. They are evaluated at the nearest point of the
+    /// edge: at the ray its noise would enter its own derivatives, and a longer focal length would seem better because all angles,
+    /// including noise, are smaller with it.
     fn slopes(&self, seen: &Seen, ray: &EdgeRay) -> Option<SVector<f64, OF_FRAME>> {
         let foot = EdgeRay {
             unit: seen.foot(ray),
@@ -265,7 +267,7 @@ impl Cameras {
     }
 }
 
-/// The covariance of the solution, by how the blocks of frames differ.
+/// The covariance of the solution, from the scatter of the blocks of frames.
 fn sandwich(
     frames: &[Normal<UNKNOWNS>],
     solved: &Solved<UNKNOWNS>,
@@ -275,12 +277,12 @@ fn sandwich(
     let count = blocks.len() as f64;
     let scatter = blocks.map(|block| {
         let sum = sum(block);
-        // What is left of it by the solution; without, a start that is wrong counted as scatter.
+        // The gradient at the solution; otherwise a wrong start would count as scatter.
         let gradient = sum.gradient - sum.information * solved.step;
         gradient * gradient.transpose()
     });
     let scatter: SMatrix<f64, UNKNOWNS, UNKNOWNS> = scatter.sum();
-    // Five of the blocks' degrees of freedom determine the camera.
+    // The camera's parameters use five of the blocks' degrees of freedom.
     let freedom = count / (count - (UNKNOWNS - 1) as f64);
     let inverse = solved.covariance();
     inverse * (scatter * freedom + SMatrix::from_diagonal(prior)) * inverse

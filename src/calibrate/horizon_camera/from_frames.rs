@@ -1,4 +1,4 @@
-//! From files to a camera's optics.
+//! Calibrates a camera's optics from files.
 
 use super::edges::collect;
 use super::fit::{Optics, OpticsError, fit};
@@ -9,18 +9,18 @@ use crate::horizon::EdgeHeight;
 use crate::observe::{Depth, RejectedFrame, Watch, list};
 use std::path::PathBuf;
 
-/// A camera is the same of which no unknown changes by more, in sigmas: with it, some places come into view or go, so that two cameras may follow
-/// each other for ever.
+/// The camera has converged if no unknown changes by more, in sigmas: with a new camera some points come into view or leave it, so that
+/// the solution may alternate between two cameras.
 const SAME_SIGMAS: f64 = 1.0;
 /// The most passes over the frames.
 const MOST_PASSES: usize = 6;
 
 /// The name of the calibration in the file.
 pub const NAME: &str = "horizon_camera";
-/// Method, for the file.
+/// Description of the method, for the file.
 const DONE: &str = "optics by the limb";
 
-/// A camera's optics that frames gave, and what they were made of.
+/// A camera's optics determined from frames, and the inputs.
 #[derive(Debug, Clone)]
 pub struct FromFrames {
     pub optics: Optics,
@@ -28,11 +28,11 @@ pub struct FromFrames {
     pub provenance: Provenance,
 }
 
-/// Calibrates the optics of a camera that sees the horizon, from frames and folders of them. The frames are solved again with the camera that
-/// they gave until it stays as it is.
+/// Calibrates the optics of a camera that sees the horizon, from frames and folders of frames. The frames are solved again with the
+/// resulting camera until it converges.
 ///
 /// # Errors
-/// Frames that are not the camera's, or do not determine its optics.
+/// If the frames are not the camera's, or do not determine its optics.
 pub fn from_frames(
     given: &[PathBuf],
     horizons: &Horizons<'_>,
@@ -41,7 +41,7 @@ pub fn from_frames(
     let files = list(given, Depth::All)?;
     let stated = horizons.camera;
     let mut camera = stated.clone();
-    // The search follows an edge that a wrong camera bends where the edge's height is free.
+    // With a free height of the edge the search follows an edge distorted by a wrong camera.
     let (mut height, mut last) = (EdgeHeight::Fitted, None);
     let mut pass = 0;
     loop {

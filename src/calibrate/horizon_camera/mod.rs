@@ -1,8 +1,8 @@
-//! The optics of a camera that sees the horizon, by its own frames: focal length, centre and the first terms of its distortion.
+//! The optics of a camera that sees the horizon, from its own frames: focal length, centre and the first terms of its distortion.
 //!
-//! The edge of the Earth's limb is a cone of rays whose half-angle the camera's height gives. A camera that is wrong bends it: where the limb
-//! crosses the picture at many places, each of its own nadir, all of them are cones of one camera alone. The edge's height is known to a sigma
-//! only, which all frames share, and is fitted with them.
+//! The edge of the Earth's limb is a cone of rays whose half-angle follows from the camera's height. Errors of the camera's optics distort it:
+//! if limbs with different nadirs cross many parts of the picture, only one camera makes all of them cones. The edge's height is only known to
+//! a sigma, which all frames share, and is fitted with them.
 //!
 //! ```text
 //! edges, unknowns <- fit <- from_frames <- report

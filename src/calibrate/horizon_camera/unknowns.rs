@@ -1,4 +1,4 @@
-//! Unknowns of a camera that sees the horizon, and their priors by its file.
+//! Unknowns of a camera that sees the horizon, and their priors from its file.
 
 use crate::estimation::{Normal, Prior};
 use crate::geometry::camera::{CameraModel, Lens};
@@ -6,13 +6,13 @@ use crate::instrument::DirectionCamera;
 use crate::units::SensorPx;
 use nalgebra::SVector;
 
-/// How many unknowns there are.
+/// Number of unknowns.
 pub const UNKNOWNS: usize = 6;
 
 /// An unknown, in the order of the vectors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unknown {
-    /// The logarithm of the focal length: that of both axes, whose ratio is held.
+    /// The logarithm of the focal length of both axes, whose ratio is fixed.
     Focal,
     CentreX,
     CentreY,
@@ -32,7 +32,7 @@ impl Unknown {
         Self::Quintic,
         Self::Edge,
     ];
-    /// Those that the frames must determine. If they do not determine k3, it stays near the file's.
+    /// Unknowns that the frames must determine. If they do not determine k3, it stays near the file's.
     pub const REQUIRED: [Self; 4] = [Self::Focal, Self::CentreX, Self::CentreY, Self::Cubic];
 
     pub fn name(self) -> &'static str {
@@ -52,7 +52,7 @@ impl Unknown {
         PART * self.stated_sigma(camera)
     }
 
-    /// 1 sigma of what a camera's file says.
+    /// Assumed 1 sigma of the values in a camera's file.
     pub(super) fn stated_sigma(self, camera: &DirectionCamera) -> f64 {
         const FOCAL: f64 = 0.1;
         const CENTRE: f64 = 0.05;
@@ -69,10 +69,10 @@ impl Unknown {
     }
 }
 
-/// By how much each unknown differs from what the file says.
+/// Difference of each unknown from the file's value.
 pub(super) type Change = SVector<f64, UNKNOWNS>;
 
-/// A camera's file with what is unknown of it.
+/// A camera's file and its lens as a polynomial.
 #[derive(Debug, Clone)]
 pub(super) struct Stated<'a> {
     pub file: &'a DirectionCamera,
@@ -80,7 +80,7 @@ pub(super) struct Stated<'a> {
 }
 
 impl<'a> Stated<'a> {
-    /// `None` of a rectilinear lens to which no polynomial is near.
+    /// `None` if no polynomial approximates the rectilinear lens.
     pub fn new(file: &'a DirectionCamera) -> Option<Self> {
         let k = match file.lens.lens() {
             Lens::KannalaBrandt(k) => k,
@@ -89,7 +89,7 @@ impl<'a> Stated<'a> {
         Some(Self { file, k })
     }
 
-    /// `None` of no camera.
+    /// `None` if the change gives no valid camera.
     pub fn camera(&self, change: &Change) -> Option<CameraModel> {
         let lens = &self.file.lens;
         let mut k = self.k;
@@ -115,7 +115,7 @@ impl<'a> Stated<'a> {
     }
 }
 
-/// The largest angle from the axis that the picture shows: in a corner.
+/// The largest angle from the axis in the picture, at a corner.
 fn corner_rad(camera: &DirectionCamera) -> Option<f64> {
     let (right, bottom) = (camera.width_px as f64, camera.height_px as f64);
     let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)];
@@ -124,7 +124,7 @@ fn corner_rad(camera: &DirectionCamera) -> Option<f64> {
     corners.into_iter().filter_map(angle).reduce(f64::max)
 }
 
-/// k1 to k5 of the radius tan theta, up to an angle.
+/// k1 to k5 that approximate the radius tan theta, up to an angle.
 fn nearest_to_rectilinear(up_to_rad: f64) -> Option<[f64; 5]> {
     const SAMPLES: u32 = 200;
     let mut normal = Normal::<5>::zero();

@@ -13,23 +13,23 @@ use jiff::Timestamp;
 use nalgebra::UnitVector3;
 use std::path::{Path, PathBuf};
 
-/// Frames of the Sun further apart say nothing of the moments between, s.
+/// Frames of the Sun further apart are not interpolated, s.
 const LONGEST_STEP_S: f64 = 1.5;
 
-/// With what frames of the horizon are solved.
+/// Camera and observer's position with which frames of the horizon are solved.
 #[derive(Debug, Clone)]
 pub struct Horizons<'a> {
     pub camera: &'a DirectionCamera,
     pub settings: config::Roll,
-    /// For frames that do not say where they were taken.
+    /// Position used for frames that do not state theirs.
     pub place: Option<Place>,
 }
 
 impl Horizons<'_> {
-    /// The sphere below the camera, and what a frame shows of it.
+    /// The sphere below the camera, and the solution of a frame.
     ///
     /// # Errors
-    /// A frame of another size, or without height.
+    /// If a frame is of another size, or has no height.
     pub fn solved(
         &self,
         frame: &Frame,
@@ -64,7 +64,7 @@ impl Horizons<'_> {
     }
 }
 
-/// Solves frames of the horizon: those that show one, in the order of time, and the others.
+/// Solves frames of the horizon: returns those that show one, in the order of time, and the others.
 ///
 /// # Errors
 /// [`InputError::Cancelled`].
@@ -82,7 +82,7 @@ pub fn collect(
     Ok((seen, rejected))
 }
 
-/// Observations at moments of which the body's attitude is known.
+/// Observations at moments at which the body's attitude is known.
 pub fn with_attitude(
     horizons: Vec<Horizon>,
     log: &AttitudeLog,

@@ -1,4 +1,4 @@
-//! The turn from the camera's axes to the body's by least squares.
+//! Least-squares fit of the rotation from the camera's axes to the body's.
 
 use super::observation::{HorizonObservation, Known};
 use crate::calibrate::mounting::correlation_of;
@@ -8,31 +8,31 @@ use crate::estimation::{
 use crate::geometry::attitude::Direction;
 use nalgebra::{Matrix3, Rotation3, RowVector3, Vector1, Vector3};
 
-/// An axis whose turn the frames determine less well, beside what all of them share, is not determined, 1 sigma.
+/// An axis whose rotation has a larger sigma, without the error shared by all frames, is not determined, 1 sigma.
 pub const LIMIT_DEG: f64 = 0.1;
-/// Fewer observations show no outliers.
+/// Fewer observations do not show outliers.
 const LEAST_OBSERVATIONS: usize = 20;
-/// The turn settles well before.
+/// Number of iterations; the fit converges well before.
 const ROUNDS: usize = 6;
-/// Least robust weight of an observation that counts as taken.
+/// Least robust weight of an observation that counts as accepted.
 const LEAST_WEIGHT: f64 = 0.1;
 
-/// The turn that was found.
+/// The fitted rotation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Turn {
     pub body_from_camera: Rotation3<f64>,
-    /// Of a small turn about the body's axes.
+    /// Covariance of a small rotation about the body's axes.
     pub covariance_rad2: Matrix3<f64>,
-    /// Rms of what is left of the observations that were taken, per angle.
+    /// Rms residual of the accepted observations, per angle.
     pub scatter_deg: f64,
-    /// Observations that took part, and all.
+    /// Accepted observations, and all.
     pub taken: usize,
     pub observations: usize,
-    /// How many times more the residuals' mean varies than if each were on its own.
+    /// Factor by which correlation increases the variance of the residuals' mean.
     pub correlation: f64,
 }
 
-/// Why there is no turn.
+/// Reasons for which there is no rotation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TurnError {
     #[error(
@@ -73,10 +73,10 @@ impl Turn {
     }
 }
 
-/// Fits the turn from where it is thought to be.
+/// Fits the rotation from an approximate one.
 ///
 /// # Errors
-/// Observations that do not determine the turn; see [`TurnError`].
+/// If the observations do not determine the rotation; see [`TurnError`].
 pub fn fit(observations: &[HorizonObservation], start: &Rotation3<f64>) -> Result<Turn, TurnError> {
     let by_sun = matches!(
         observations.first().map(|s| s.known),
@@ -107,7 +107,7 @@ pub fn fit(observations: &[HorizonObservation], start: &Rotation3<f64>) -> Resul
     })
 }
 
-/// The turn of least squares, and the last step's fit to it.
+/// The converged rotation, and the last step's fit.
 fn settled(
     observations: &[HorizonObservation],
     start: &Rotation3<f64>,
@@ -129,8 +129,8 @@ fn settled(
     Ok((turn, fitted.ok_or(FitError::NotConverged)?))
 }
 
-/// How many times more the mean of what is left varies than if each angle were on its own. An error that lasts over frames stays in its own
-/// axis, so that each axis is taken alone; the larger of them.
+/// Factor by which correlation increases the variance of the residuals' mean. A persistent error stays in its own axis, so that each axis
+/// is evaluated alone; the larger of them.
 fn correlation(observations: &[HorizonObservation], turn: &Rotation3<f64>, weights: &[f64]) -> f64 {
     let angles: Vec<(Angle, &f64)> = angles(observations, turn).zip(weights).collect();
     let along = |axis: Axis| {
@@ -146,12 +146,12 @@ fn correlation(observations: &[HorizonObservation], turn: &Rotation3<f64>, weigh
     axes.map(along).into_iter().fold(1.0, f64::max)
 }
 
-/// A turn, turned on by a small one about the body's axes.
+/// A rotation followed by a small one about the body's axes.
 fn moved(by: &Vector3<f64>, turn: &Rotation3<f64>) -> Rotation3<f64> {
     Rotation3::new(*by) * turn
 }
 
-/// Every angle that is known, near a turn.
+/// Every known angle, linearised at a rotation.
 fn rows(observations: &[HorizonObservation], turn: &Rotation3<f64>) -> Vec<Linearised<1, 3>> {
     angles(observations, turn)
         .map(|angle| Linearised {
@@ -161,7 +161,7 @@ fn rows(observations: &[HorizonObservation], turn: &Rotation3<f64>) -> Vec<Linea
         .collect()
 }
 
-/// Along what an angle is counted.
+/// The axis along which an angle is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Axis {
     Right,
@@ -169,10 +169,10 @@ enum Axis {
     Sun,
 }
 
-/// One angle that is known, and what a turn makes of it.
+/// One known angle, and its derivative by the rotation.
 struct Angle {
     axis: Axis,
-    /// Known less found, rad.
+    /// Known minus found, rad.
     left: f64,
     sigma_rad: f64,
     by_turn: RowVector3<f64>,
@@ -219,7 +219,7 @@ fn scatter_deg(observations: &[HorizonObservation], turn: &Rotation3<f64>, weigh
     (sum / count).sqrt().to_degrees()
 }
 
-/// The part of the error that all frames share turns the camera with it: the median frame's.
+/// The covariance of the rotation from the error shared by all frames: the median frame's.
 fn shared(observations: &[HorizonObservation], turn: &Rotation3<f64>) -> Matrix3<f64> {
     let mut nadirs: Vec<&Direction> = observations.iter().map(|s| &s.horizon.nadir).collect();
     nadirs.sort_by(|a, b| {
@@ -275,7 +275,7 @@ mod tests {
 
     const OWN_RAD: f64 = 1e-4;
 
-    /// Five minutes of a body that tilts slowly, seen by a camera that is not turned in it; each error keeps a part of the one before.
+    /// Five minutes of a body that tilts slowly, seen by a camera aligned with it; each error keeps a part of the previous one.
     fn observations(seed: u64, kept: f64) -> Vec<HorizonObservation> {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
         let mut error = Vector3::zeros();
@@ -300,8 +300,8 @@ mod tests {
         (0..1200).map(observation).collect()
     }
 
-    /// Error of the heading over its sigma, rms of some flights, and the mean correlation. The frames' sigma counts as alike in all of
-    /// them, but not in the heading of a level body.
+    /// Error of the heading over its sigma, rms of some flights, and the mean correlation. The frames' sigma counts as common to all of
+    /// them, but does not affect the heading of a level body.
     fn heading_and_correlation(kept: f64) -> (f64, f64) {
         const FLIGHTS: u64 = 24;
         let (mut squares, mut correlation) = (0.0, 0.0);

@@ -1,4 +1,4 @@
-//! From files to the camera's place on the body.
+//! Calibrates the camera's orientation in the body from files.
 
 use super::collect::{Horizons, collect, with_attitude, with_sun};
 use super::fit::{Turn, TurnError, fit};
@@ -13,15 +13,15 @@ use crate::observe::{Depth, RejectedFrame, Watch, list};
 use nalgebra::Rotation3;
 use std::path::PathBuf;
 
-/// Reference of the body beside the horizon.
+/// Reference for the body's attitude, other than the horizon.
 #[derive(Debug, Clone, Copy)]
 pub enum Reference<'a> {
     Attitude(&'a AttitudeLog),
-    /// The Sun, which a telescope on the same body sees.
+    /// The Sun, observed with a telescope on the same body.
     Sun(&'a Frames<'a>),
 }
 
-/// A camera's turn that frames gave, and what it was made of.
+/// A camera's rotation determined from frames, and the inputs.
 #[derive(Debug, Clone)]
 pub struct FromFrames {
     pub turn: Turn,
@@ -30,10 +30,10 @@ pub struct FromFrames {
     stated: Rotation3<f64>,
 }
 
-/// Calibrates how a camera that sees the horizon sits in the body, from frames and folders of them.
+/// Calibrates the orientation in the body of a camera that sees the horizon, from frames and folders of frames.
 ///
 /// # Errors
-/// Frames that are not the cameras', or do not determine the turn.
+/// If the frames are not the cameras', or do not determine the rotation.
 pub fn from_frames(
     given: &[PathBuf],
     camera: &MountedCamera,
@@ -77,7 +77,7 @@ pub fn from_frames(
 }
 
 impl FromFrames {
-    /// Writes the turn into the camera's file.
+    /// Writes the rotation into the camera's file.
     pub fn revise(&self, revision: &mut Revision) {
         self.turn.revise(revision, &self.provenance);
     }

@@ -1,13 +1,13 @@
-//! How a camera that sees the horizon sits in the body that carries it: `camera.body_from_camera`.
+//! Orientation of a camera that sees the horizon in the body that carries it: `camera.body_from_camera`.
 //!
-//! A [`HorizonObservation`] is one frame's nadir in the camera's axes beside what is known of it in the body's:
-//! - all of it, where roll and pitch of the body are known;
-//! - its angle from the Sun, where a telescope on the same body saw the Sun at the time: 90 deg and the Sun's elevation. The telescope's
-//!   boresight is then the body's forward axis. One angle says nothing of the turn about the Sun's direction; the turn shows as the Sun moves
-//!   sideways over the plate and the body rolls.
+//! A [`HorizonObservation`] is one frame's nadir in the camera's axes and what is known of it in the body's:
+//! - the nadir itself, if roll and pitch of the body are known;
+//! - its angle from the Sun, if a telescope on the same body saw the Sun at the time: 90 deg plus the Sun's elevation. The telescope's
+//!   boresight is then the body's forward axis. One angle does not determine the rotation about the Sun's direction; this becomes observable
+//!   as the Sun moves sideways over the plate and the body rolls.
 //!
-//! The turn of least squares has the residuals' own scatter in its covariance, and the error that all frames of a flight share: the shape of
-//! its limb and the camera's height.
+//! The covariance of the least-squares rotation includes the residuals' own scatter, and the error shared by all frames of a flight: the
+//! shape of the limb and the camera's height.
 //!
 //! ```text
 //! observation <- fit <- report <- from_frames; observation <- collect <- from_frames

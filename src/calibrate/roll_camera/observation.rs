@@ -1,4 +1,4 @@
-//! One frame's nadir beside what is known of it.
+//! One frame's nadir with its reference.
 
 use crate::geometry::attitude::Direction;
 use jiff::Timestamp;
@@ -10,7 +10,7 @@ use std::path::PathBuf;
 pub struct Horizon {
     pub file: PathBuf,
     pub utc: Timestamp,
-    /// In the camera's axes.
+    /// The nadir in the camera's axes.
     pub nadir: Direction,
 }
 
@@ -18,14 +18,14 @@ pub struct Horizon {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Known {
     Nadir(UnitVector3<f64>),
-    /// The Sun in these axes, and its elevation as seen through the air.
+    /// The Sun in these axes, and its apparent elevation, with refraction.
     Sun {
         unit: UnitVector3<f64>,
         elevation_deg: f64,
     },
 }
 
-/// A frame of the horizon at a moment of which something is known.
+/// A frame of the horizon with its reference.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HorizonObservation {
     pub horizon: Horizon,

@@ -1,4 +1,4 @@
-//! The turn in words and in the camera's file.
+//! The rotation in words and in the camera's file.
 
 use super::fit::Turn;
 use crate::calibrate::revision::{Provenance, Revision, number, rows};
@@ -10,13 +10,13 @@ use toml_edit::{Array, Table, value};
 pub const NAME: &str = "body_from_camera";
 
 impl Turn {
-    /// By how much it turns a stated one on, about the body's forward, right and down axes, deg.
+    /// Difference from a stated rotation, about the body's forward, right and down axes, deg.
     pub fn from_stated_deg(&self, stated: &Rotation3<f64>) -> [f64; 3] {
         let more = self.body_from_camera * stated.inverse();
         more.scaled_axis().map(f64::to_degrees).into()
     }
 
-    /// Writes the turn with its sigmas and covariance into a camera's file.
+    /// Writes the rotation with its sigmas and covariance into a camera's file.
     pub fn revise(&self, revision: &mut Revision, provenance: &Provenance) {
         let sigmas_deg = self.sigmas_deg();
         let worst_deg = sigmas_deg.into_iter().fold(0.0, f64::max);
