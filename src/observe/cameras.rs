@@ -1,4 +1,4 @@
-//! Which camera took which frames of an archive, by their headers.
+//! Assigns the frames of an archive to cameras by their headers.
 
 use super::copies::{CopiedFrame, Distinct, PixelDigests, distinct, may_be_copied};
 use super::headers::{CameraHeader, CameraHeaders};
@@ -14,18 +14,18 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 /// The cameras of an archive.
 #[derive(Debug, Default)]
 pub struct Cameras {
-    /// Those that see the plate.
+    /// Cameras that see the plate.
     pub plate: Vec<CameraFrames>,
-    /// The first that sees the horizon.
+    /// The first camera that sees the horizon.
     pub roll: Option<CameraFrames>,
-    /// The rest of those that see no plate.
+    /// Other cameras that do not see the plate.
     pub others: Vec<CameraFrames>,
 }
 
-/// The cameras of an archive by the headers of its frames, each frame once.
+/// The cameras of an archive by the headers of its frames, without copies of frames.
 ///
 /// # Errors
-/// A pass that ends early.
+/// If a pass ends early.
 pub fn cameras(pass: &Pass<'_>, frames: Vec<StoredFile>) -> Result<Cameras, PassError> {
     let frames = match pass.shard {
         Some(shard) => shard.part(frames),
@@ -58,7 +58,7 @@ pub fn cameras(pass: &Pass<'_>, frames: Vec<StoredFile>) -> Result<Cameras, Pass
     })
 }
 
-/// The files without copies. A shard does not search for them: other shards may have the frames that its own are copies of.
+/// The files without copies. A shard does not search for copies: other shards may have the originals.
 fn each_once(
     pass: &Pass<'_>,
     headers: &Done<CameraHeader>,
@@ -89,23 +89,23 @@ fn each_once(
 #[derive(Debug, Clone, Default)]
 pub struct CameraFrames {
     pub taken_by: TakenBy,
-    /// What distinguishes it from the archive's other cameras, as files and folders may be named.
+    /// Label that distinguishes it from the archive's other cameras, usable in names of files and folders.
     pub label: String,
-    /// By path. A file whose header cannot be read is taken for one of the camera that the file before it is of.
+    /// Files in the order of their paths. A file whose header cannot be read is assigned to the camera of the previous file.
     pub inputs: Vec<StoredFile>,
-    /// Files that hold frames of `inputs` once more.
+    /// Files with copies of frames in `inputs`.
     pub copies: Vec<CopiedFrame>,
     /// SHA-256 of the instrument's files that the frames name.
     pub instruments_sha256: BTreeSet<String>,
 }
 
 impl CameraFrames {
-    /// The role and the ordinal in its name; `None` of a camera that sees a plate.
+    /// The role and the ordinal in its name; `None` for a camera that sees a plate.
     pub fn named_role(&self) -> Option<(Role, usize)> {
         Role::labelled(self.taken_by.instrument.as_deref()?)
     }
 
-    /// The frames of several cameras as if they were one's; `None` of none.
+    /// Merges the frames of several cameras; `None` if there are none.
     pub fn together(cameras: Vec<Self>) -> Option<Self> {
         cameras.into_iter().reduce(|mut all, camera| {
             all.inputs.extend(camera.inputs);
@@ -152,7 +152,7 @@ fn by_camera(
     Ok(labelled(cameras))
 }
 
-/// Each with a label of its own: the instrument's name; the camera's, where that does not distinguish them; both; and a number at last.
+/// Assigns unique labels: the instrument's name; the camera's, if that does not distinguish them; both; and finally a number.
 fn labelled(cameras: BTreeMap<TakenBy, CameraFrames>) -> Vec<CameraFrames> {
     let part = |part: &Option<String>| plain(part.as_deref().unwrap_or_default());
     let ways: [&dyn Fn(&TakenBy) -> String; 3] = [

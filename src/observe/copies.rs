@@ -1,4 +1,4 @@
-//! Frames that an archive holds more than once, as that of both disks of a mirroring flight: each counts once.
+//! Duplicate frames in an archive, such as those of both disks of a mirroring flight: each frame counts once.
 
 use super::headers::CameraHeader;
 use super::journal::JournalError;
@@ -31,41 +31,41 @@ impl Observer for PixelDigests {
     }
 }
 
-/// A file whose frame another file holds, too.
+/// A file that contains a copy of another file's frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CopiedFrame {
     pub input: StoredFile,
     pub identity: Identity,
-    /// The file whose frame counts.
+    /// The file whose frame is used.
     pub first: String,
 }
 
 impl CopiedFrame {
-    /// Why the file gives nothing.
+    /// The reason why the file gives no result.
     pub fn reason(&self) -> String {
         format!("the same frame as {}", self.first)
     }
 
-    /// Whether its frame, which is not used, was taken within a span.
+    /// Whether its unused frame was taken within a span.
     pub fn is_in(&self, span: &Span) -> bool {
         span.holds(self.identity.utc())
     }
 }
 
-/// The files of frames, each frame once.
+/// The files of frames, without copies.
 #[derive(Debug, Default)]
 pub struct Distinct {
-    /// In the order given.
+    /// Files in the order given.
     pub inputs: Vec<StoredFile>,
     pub copies: Vec<CopiedFrame>,
-    /// Files whose frames have the camera, the number and the time of another file's, but other pixels; with that file.
+    /// Files with the same camera, number and time as another file, but different pixels; with that file.
     pub contradicting: Vec<[String; 2]>,
 }
 
 /// The files whose pixels must be compared, by their headers.
 ///
 /// # Errors
-/// A journal that cannot be read.
+/// If a journal cannot be read.
 pub(super) fn may_be_copied(
     headers: &Done<CameraHeader>,
     inputs: &[StoredFile],
@@ -77,10 +77,10 @@ pub(super) fn may_be_copied(
     Ok(marked.map(|(input, _)| input.clone()).collect())
 }
 
-/// Parts the frames from their copies.
+/// Separates the frames from their copies.
 ///
 /// # Errors
-/// A journal that cannot be read.
+/// If a journal cannot be read.
 pub(super) fn distinct(
     headers: &Done<CameraHeader>,
     digests: &Done<PixelDigest>,

@@ -1,4 +1,4 @@
-//! Frames that are named one by one, or by their folders: their files, their hash, one pass over them, and those rejected.
+//! Frames given as files or folders: their files, their hashes, a pass over them, and the rejected ones.
 
 use super::pass::Watch;
 use crate::fits::{self, FRAME_ENDINGS, Unlisted};
@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// A frame that is not used, and why.
+/// A rejected frame, with the reason.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RejectedFrame {
     pub file: PathBuf,
@@ -26,7 +26,7 @@ impl RejectedFrame {
         }
     }
 
-    /// How many frames are rejected, and why the first is: the context of an error that may come of it.
+    /// The number of rejected frames, and the first reason: context for an error that may result.
     pub fn count_and_first(rejected: &[Self]) -> String {
         match rejected.first() {
             Some(first) => {
@@ -52,7 +52,7 @@ impl fmt::Display for RejectedFrame {
     }
 }
 
-/// Why the frames cannot be listed, or are not all read.
+/// Reasons for which the frames cannot be listed, or not all of them are read.
 #[derive(Debug, thiserror::Error)]
 pub enum InputError {
     #[error("{path}: cannot read: {cause}", path = .path.display())]
@@ -75,19 +75,19 @@ impl From<Unlisted> for InputError {
     }
 }
 
-/// Which of the frames below a given folder are meant.
+/// Which frames of a given folder are listed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Depth {
-    /// Those in it; where it holds none, those in the folders in it.
+    /// Frames in the folder; if it contains none, those in its direct subfolders.
     Nearest,
-    /// Those in it and in all folders below it.
+    /// Frames in the folder and in all folders below it.
     All,
 }
 
 /// The files of frames and of folders of them, folders in the order of their names.
 ///
 /// # Errors
-/// A path that cannot be read, a folder without frames.
+/// If a path cannot be read, or a folder has no frames.
 pub fn list(given: &[PathBuf], depth: Depth) -> Result<Vec<PathBuf>, InputError> {
     let mut files = Vec::new();
     for path in given {
@@ -108,10 +108,10 @@ pub fn list(given: &[PathBuf], depth: Depth) -> Result<Vec<PathBuf>, InputError>
     Ok(files)
 }
 
-/// The files among `given` as they are named, and the frames of each folder; one without frames stays, for a line of its own.
+/// The files among `given` as they are named, and the frames of each folder; a folder without frames is kept, so that it can be reported.
 ///
 /// # Errors
-/// A folder that cannot be listed.
+/// If a folder cannot be listed.
 pub fn named(given: &[PathBuf]) -> Result<Vec<PathBuf>, Unlisted> {
     let mut files = Vec::new();
     for path in given {
@@ -127,10 +127,10 @@ pub fn named(given: &[PathBuf]) -> Result<Vec<PathBuf>, Unlisted> {
     Ok(files)
 }
 
-/// Takes what each item comes to, in the order of the items, `jobs` of them at a time.
+/// Takes the result of each item, in the order of the items, with `jobs` of them at a time.
 ///
 /// # Errors
-/// As `take`.
+/// Any error of `take`.
 pub fn in_order<I: Sync, O: Send>(
     items: &[I],
     jobs: usize,
@@ -158,9 +158,9 @@ fn nearest(folder: &Path) -> Result<Vec<PathBuf>, Unlisted> {
 /// Result of a pass over files.
 #[derive(Debug)]
 pub struct Observed<T> {
-    /// In the order given, each frame once: what it gave, or why its file cannot be read.
+    /// Frames in the order given, without copies: the result, or the reason why the file cannot be read.
     pub frames: Vec<(PathBuf, Result<T, String>)>,
-    /// Files that hold the frame of another one.
+    /// Files that contain a copy of another one's frame.
     pub copies: Vec<RejectedFrame>,
 }
 
@@ -179,8 +179,8 @@ impl<T> Observed<Result<T, String>> {
     }
 }
 
-/// Opens each file once, several at a time, and gives what is made of its frame; of a file of several images the one of `size_px`. Warns of
-/// files that cannot be read, of values of headers that are not used, and of frames in one folder that cannot be distinguished.
+/// Opens each file once, several at a time, and returns the result for its frame; in a file with several images it uses the one of
+/// `size_px`. Warns of unreadable files, of ignored header values, and of frames in one folder that cannot be distinguished.
 ///
 /// # Errors
 /// [`InputError::Cancelled`].
@@ -229,7 +229,7 @@ pub fn over<T: Send>(
     Ok(all)
 }
 
-/// Identity of a frame, and the parts of its file that were not used.
+/// Identity of a frame, and the unused parts of its file.
 struct Seen {
     identity: Identity,
     digest: PixelDigest,
@@ -246,7 +246,7 @@ impl Seen {
     }
 }
 
-/// The file whose frame each file holds once more.
+/// For each file with a copy, the file of the original frame.
 fn first_of(files: &[PathBuf], seen: &[Option<&Seen>]) -> Vec<Option<usize>> {
     let read = seen
         .iter()
@@ -280,7 +280,7 @@ fn first_of(files: &[PathBuf], seen: &[Option<&Seen>]) -> Vec<Option<usize>> {
     first_of
 }
 
-/// Warns of what was not used, and counts it.
+/// Warns of unused inputs, and counts them.
 fn warn_of<T>(files: &[PathBuf], observed: &[Result<(Seen, T), String>]) {
     let (mut warnings, mut unreadable) = (Warnings::default(), Unreadable::default());
     for (file, observed) in files.iter().zip(observed) {
@@ -289,7 +289,7 @@ fn warn_of<T>(files: &[PathBuf], observed: &[Result<(Seen, T), String>]) {
             Err(error) => unreadable.note(error),
         }
     }
-    // Of each kind of warning its first file was named already.
+    // The first file of each kind of warning was already named.
     for (kind, files) in warnings.counts().filter(|(_, files)| *files > 1) {
         tracing::warn!("{}: {kind}", counted(files, "file"));
     }
@@ -301,20 +301,20 @@ fn warn_of<T>(files: &[PathBuf], observed: &[Result<(Seen, T), String>]) {
 /// The SHA-256 of a file.
 pub type Hash = [u8; 32];
 
-/// The hash of each file; none of one that cannot be read.
+/// The hash of each file; none if it cannot be read.
 pub fn hashes<F: AsRef<Path> + Sync>(files: &[F]) -> Vec<Option<Hash>> {
     let one = |file: &F| Some(Sha256::digest(fits::read_bytes(file.as_ref()).ok()?).into());
     files.par_iter().map(one).collect()
 }
 
-/// SHA-256 over sorted hashes, hexadecimal: whatever names and order the files have.
+/// SHA-256 over sorted hashes, hexadecimal: independent of the names and order of the files.
 pub fn sha256_of(hashes: &[Option<Hash>]) -> String {
     let mut hashes: Vec<&Hash> = hashes.iter().flatten().collect();
     hashes.sort_unstable();
     provenance::sha256(hashes.into_iter().flatten().copied().collect::<Vec<u8>>())
 }
 
-/// The same of the files that can be read.
+/// The same for the files that can be read.
 pub fn sha256<F: AsRef<Path> + Sync>(files: &[F]) -> String {
     sha256_of(&hashes(files))
 }
@@ -324,7 +324,7 @@ mod tests {
     use super::*;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    /// Ends a pass after so many frames.
+    /// Ends a pass after this many frames.
     struct Patience(AtomicUsize);
 
     impl Watch for Patience {
@@ -348,7 +348,7 @@ mod tests {
             over(files.clone(), [8, 8], &patience, |_, _| ())
         };
         assert!(matches!(pass(10), Err(InputError::Cancelled)));
-        // No such file: a row with its reason each.
+        // Missing files: one row with the reason for each.
         assert_eq!(pass(1000).unwrap().frames.len(), 100);
     }
 }

@@ -1,4 +1,4 @@
-//! Time, camera and instrument by the frames' headers.
+//! Time, camera and instrument from the frames' headers.
 
 use super::pass::{Observer, Span, Unsolved};
 use crate::archive::{ArchiveReader, StoredFile, flown_sha256, role_of};
@@ -6,13 +6,13 @@ use crate::frame::Identity;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// Camera and instrument's file by a frame's header.
+/// Camera and instrument's file named in a frame's header.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct CameraHeader {
     pub(super) identity: Identity,
 }
 
-/// Reads the headers of all frames, whichever camera took them.
+/// Reads the headers of all frames, of whichever camera.
 #[derive(Debug, Clone, Copy)]
 pub struct CameraHeaders;
 
@@ -30,7 +30,7 @@ impl Observer for CameraHeaders {
         _: &Span,
     ) -> Result<Option<CameraHeader>, Unsolved> {
         let (info, header) = archive.info(input)?;
-        // Roll and Moon camera have no instrument of the plate that their headers could name.
+        // Roll and Moon cameras have no plate instrument that their headers could name.
         let by_name = || {
             let (role, ordinal) = role_of(Path::new(&input.file))?;
             role.label(ordinal)

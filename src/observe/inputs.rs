@@ -1,4 +1,4 @@
-//! When and where frames were taken, and what of their files was not used as it stands: copies, files that could not be read, values of headers.
+//! Time and place of frames, and inputs that were not used as they stand: copies, unreadable files, header values.
 
 use super::copies::CopiedFrame;
 use super::pass::Span;
@@ -9,7 +9,7 @@ use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
 use std::collections::BTreeMap;
 
-/// When and where a frame was taken.
+/// Time and place of a frame.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct FrameFacts {
     /// Mid-exposure, ns since 1970.
@@ -17,13 +17,13 @@ pub struct FrameFacts {
     pub monotonic_s: Option<f64>,
     pub number: Option<u64>,
     pub temperature_c: Option<f64>,
-    /// How long the shutter was open, s.
+    /// Exposure time, s.
     pub exposure_s: Option<f64>,
     /// Latitude and longitude (deg) and height (m).
     place: Option<[f64; 3]>,
-    /// Parts of the file that were not used as they stand.
+    /// Contents of the file that were not used as they stand.
     pub warnings: Vec<Warning>,
-    /// Why the frame has no time although its file states one.
+    /// The reason why the frame has no time although its file states one.
     pub untimed: Option<Warning>,
 }
 
@@ -44,7 +44,7 @@ impl FrameFacts {
         }
     }
 
-    /// A frame's reason: why its time is not used, and its own.
+    /// A frame's reason: the reason why its time is not used, and its own.
     pub fn reason(&self, own: Option<&str>) -> String {
         let untimed = self.untimed.as_ref().map(|why| format!("time: {why}"));
         let own = own.map(str::to_owned);
@@ -65,20 +65,20 @@ impl FrameFacts {
     }
 }
 
-/// Their counts.
+/// Counts of inputs that were not used as they stand.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct InputSummary {
-    /// Files that hold a frame once more.
+    /// Files with a copy of another file's frame.
     pub copies: usize,
     /// Files that could not be read.
     #[serde(flatten, serialize_with = "unreadable")]
     pub unreadable: Unreadable,
-    /// Frames by what of their files was not used.
+    /// Number of frames by the kind of warning.
     pub warnings: BTreeMap<String, u64>,
 }
 
 impl InputSummary {
-    /// How many of so many files gave a frame.
+    /// Number of files that gave a frame, of a total number.
     pub fn frames(&self, files: usize) -> usize {
         files - self.copies - self.unreadable.files()
     }
@@ -97,7 +97,7 @@ impl InputSummary {
     }
 }
 
-/// Files that could not be read: `unreadable`, and `unreadable_reasons` with the count of each.
+/// Files that could not be read: `unreadable`, and `unreadable_reasons` with the number for each reason.
 fn unreadable<S: Serializer>(unreadable: &Unreadable, serializer: S) -> Result<S::Ok, S::Error> {
     let mut map = serializer.serialize_map(Some(2))?;
     map.serialize_entry("unreadable", &unreadable.files())?;

@@ -1,7 +1,7 @@
-//! The journal of the first pass: one record a file, appended as it is made.
+//! The journal of the first pass: one record per file, appended when it is complete.
 //!
-//! A record is its length and its checksum (CRC-32), 4 bytes each, and its bytes. A program that is killed leaves a torn
-//! record at most, at the end: what does not match its checksum is cut off when the journal is next opened.
+//! A record is its length and its checksum (CRC-32), 4 bytes each, and its bytes. If the program is killed, at most the last record is
+//! incomplete: a record that does not match its checksum is cut off when the journal is next opened.
 
 use crate::archive::StoredFile;
 use crc::{CRC_32_ISO_HDLC, Crc};
@@ -14,14 +14,14 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
-/// Length and checksum.
+/// Size of length and checksum, bytes.
 const HEAD: usize = 8;
-/// No record is longer.
+/// Greatest length of a record.
 const MOST_BYTES: u32 = 1 << 22;
-/// How a journal begins.
+/// First bytes of a journal.
 const MAGIC: &[u8; 8] = b"solasp1\n";
 
-/// Why a journal cannot be used.
+/// Reasons for which a journal cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum JournalError {
     #[error("{}: expected to {action}, found \"{cause}\"", .path.display())]
@@ -42,21 +42,21 @@ pub enum JournalError {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record<T> {
     pub input: StoredFile,
-    /// The frame's record, or the fault of the file.
+    /// The frame's record, or the error of the file.
     pub outcome: Result<T, String>,
 }
 
-/// Where a record stands.
+/// Position of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Place {
-    /// Of its first byte behind length and checksum.
+    /// Offset of its first byte after length and checksum.
     start: u64,
     bytes: u32,
-    /// Which of several journals, as their reader counts them; there are many places.
+    /// Index among several journals of a reader; 32 bit because there are many places.
     pub(super) journal: u32,
 }
 
-/// A journal of what frames gave, open for reading, and for adding to where it is one's own.
+/// A journal of frames' results, open for reading, and for appending if it is the run's own.
 #[derive(Debug)]
 pub struct Journal<T> {
     path: PathBuf,
@@ -66,10 +66,10 @@ pub struct Journal<T> {
 }
 
 impl<T: Serialize + DeserializeOwned> Journal<T> {
-    /// Opens a journal to add to, made if it is not there; `each` sees every whole record. A torn end is cut off.
+    /// Opens a journal to append to, and creates a missing one; `each` receives every complete record. An incomplete end is cut off.
     ///
     /// # Errors
-    /// A file that cannot be read or written, is no journal, or in which another program writes.
+    /// If the file cannot be read or written, is no journal, or is being written by another program.
     pub fn open(path: &Path, each: impl FnMut(Record<T>, Place)) -> Result<Self, JournalError> {
         let io = |action| move |cause| io_error(path, action, cause);
         let mut options = OpenOptions::new();
@@ -95,10 +95,10 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
         })
     }
 
-    /// Opens a journal that another run has made.
+    /// Opens a journal made by another run.
     ///
     /// # Errors
-    /// A file that cannot be read or is no journal.
+    /// If the file cannot be read or is no journal.
     pub fn read(path: &Path, each: impl FnMut(Record<T>, Place)) -> Result<Self, JournalError> {
         let file = File::open(path).map_err(|cause| io_error(path, "open the journal", cause))?;
         let end = Mutex::new(read_all(path, &file, each)?);
@@ -110,19 +110,19 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
         })
     }
 
-    /// Lets others add to it: nothing more is added here.
+    /// Unlocks the journal so that others can append to it: nothing more is appended here.
     ///
     /// # Errors
-    /// A file that cannot be unlocked.
+    /// If the file cannot be unlocked.
     pub fn release(&self) -> Result<(), JournalError> {
         let released = self.file.unlock();
         released.map_err(|cause| io_error(&self.path, "unlock the journal", cause))
     }
 
-    /// Adds a record.
+    /// Appends a record.
     ///
     /// # Errors
-    /// A disk that refuses; a later record takes the place of what was half written.
+    /// If the disk refuses the write; a later record overwrites an incomplete one.
     pub fn append(&self, record: &Record<T>) -> Result<Place, JournalError> {
         let refused = |cause| io_error(&self.path, "add to the journal", cause);
         let body = postcard::to_stdvec(record).map_err(|error| refused(io::Error::other(error)))?;
@@ -144,7 +144,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// Reads one record again.
     ///
     /// # Errors
-    /// A disk that refuses, or bytes that have changed.
+    /// If the disk refuses the read, or the bytes have changed.
     pub fn record(&self, place: Place) -> Result<Record<T>, JournalError> {
         let mut body = vec![0; place.bytes as usize];
         let read = self.file.read_exact_at(&mut body, place.start);
@@ -164,7 +164,7 @@ fn io_error(path: &Path, action: &'static str, cause: io::Error) -> JournalError
     }
 }
 
-/// Reads every whole record; where the last of them ends.
+/// Reads every complete record; returns the end of the last one.
 fn read_all<T: DeserializeOwned>(
     path: &Path,
     mut file: &File,
@@ -195,7 +195,7 @@ fn read_all<T: DeserializeOwned>(
     Ok(end)
 }
 
-/// The next record with the length of its body; none at the end, and none where it is torn.
+/// The next record with the length of its body; none at the end, or if it is incomplete.
 fn next<T: DeserializeOwned>(file: &mut impl Read) -> Option<(Record<T>, u32)> {
     let mut word = || {
         let mut bytes = [0; 4];

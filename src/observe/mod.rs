@@ -1,11 +1,11 @@
 //! One pass over frames: each file is opened once, several at a time, and its result is kept.
 //!
 //! - [`Pass`]: frames of an archive, a folder or an object store. Each result is a [`Record`] in a [`Journal`], appended at once: a run that
-//!   was killed goes on where it was, shards of several machines are merged. [`Done`] gives each record again.
-//! - [`cameras`]: which camera took which frame, by a first pass over the headers, without the [copies](CopiedFrame) of other frames.
-//! - [`over`]: frames that are named one by one, or by their folders; the results are in memory.
-//! - [`InputSummary`]: parts of the files that were not used as they stand.
-//! - [`Watch`] follows a pass, and may end it.
+//!   was killed resumes where it stopped, shards of several machines are merged. [`Done`] reads each record again.
+//! - [`cameras`]: assigns frames to cameras by a first pass over the headers, without [copies](CopiedFrame) of other frames.
+//! - [`over`]: frames given as files or folders; the results are in memory.
+//! - [`InputSummary`]: inputs that were not used as they stand.
+//! - [`Watch`] follows a pass, and may cancel it.
 
 mod cameras;
 mod copies;

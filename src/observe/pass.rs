@@ -1,4 +1,4 @@
-//! A pass over frames: each on its own, on all cores, its record in the journal as soon as it is made.
+//! A pass over frames: each is processed on its own, on all cores, and its record is written to the journal at once.
 
 use super::journal::{Journal, JournalError, Place, Record};
 use crate::archive::{ArchiveReader, FlownFiles, StoredFile};
@@ -13,7 +13,7 @@ use std::hash::{Hash, Hasher};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Counts with every change of what a record holds or how it is made.
+/// Incremented with every change of a record's content or computation.
 const JOURNAL_VERSION: u32 = 7;
 
 /// FNV-1a, the same on every machine and in every release of the compiler.
@@ -22,18 +22,18 @@ pub fn hash_of(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, mix)
 }
 
-/// Who follows a pass, and may end it.
+/// Receives the progress of a pass, and may cancel it.
 pub trait Watch: Sync {
     /// A pass over this many frames begins.
     fn begin(&self, _frames: usize, _what: &str) {}
 
-    /// One more is done.
+    /// One more frame is done.
     fn step(&self) {}
 
-    /// All are done.
+    /// All frames are done.
     fn end(&self) {}
 
-    /// Whether no further frame is to be begun.
+    /// Whether the pass must not begin further frames.
     fn is_cancelled(&self) -> bool {
         false
     }
@@ -42,7 +42,7 @@ pub trait Watch: Sync {
 /// A pass without a watch.
 impl Watch for () {}
 
-/// Why a pass ended before its last frame, or what it gave cannot be read again.
+/// Reasons for which a pass ended before its last frame, or its results cannot be read again.
 #[derive(Debug, thiserror::Error)]
 pub enum PassError {
     #[error(transparent)]
@@ -61,16 +61,16 @@ pub enum PassError {
     NoJournal { folder: PathBuf, name: String },
 }
 
-/// One part of several that share the work.
+/// One of several parts that share the work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shard {
-    /// From 1.
+    /// Number of the part, from 1.
     pub number: u32,
     pub of: u32,
 }
 
 impl Shard {
-    /// Every Nth of all, from the Ith on.
+    /// Every N-th item, from the I-th.
     pub fn part<T>(self, all: Vec<T>) -> Vec<T> {
         let (skip, every) = (self.number as usize - 1, self.of as usize);
         all.into_iter().skip(skip).step_by(every).collect()
@@ -90,7 +90,7 @@ impl std::str::FromStr for Shard {
     }
 }
 
-/// The first and the last mid-exposure that count; frames without a time count where neither is given.
+/// The first and the last mid-exposure included; frames without a time are included if neither is given.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Span {
     pub since: Option<Timestamp>,
@@ -109,25 +109,25 @@ impl Span {
     }
 }
 
-/// The work of a pass on each frame.
+/// Processing of each frame in a pass.
 pub trait Observer: Sync {
     /// Record of a frame.
     type Given: Serialize + DeserializeOwned + Clone + Send;
 
-    /// Beginning of the journal's name.
+    /// Prefix of the journal's name.
     fn prefix(&self) -> &'static str {
         ""
     }
 
-    /// All that was stated and that a frame's record depends on, as text: the same text, the same records.
+    /// Text of all settings that a frame's record depends on: the same text gives the same records.
     fn stated(&self) -> String {
         String::new()
     }
 
-    /// Record of a file's frame; none where its time lies outside the span.
+    /// Record of a file's frame; none if its time is outside the span.
     ///
     /// # Errors
-    /// Why there is no frame, in words.
+    /// The reason why there is no frame, in words.
     fn observe(
         &self,
         archive: &ArchiveReader,
@@ -135,7 +135,7 @@ pub trait Observer: Sync {
         span: &Span,
     ) -> Result<Option<Self::Given>, Unsolved>;
 
-    /// A number that changes with the program's version and with what was stated.
+    /// A hash of the program's version and the settings.
     fn hash(&self) -> u64 {
         let stated = self.stated();
         hash_of(format!("{} {JOURNAL_VERSION} {stated}", provenance::VERSION).as_bytes())
@@ -153,7 +153,7 @@ pub struct Pass<'a> {
     pub archive: &'a ArchiveReader,
     /// The folder of the journal.
     pub out: &'a Path,
-    /// Folders of other runs whose journals are read as well.
+    /// Folders of other runs whose journals are also read.
     pub merge: &'a [PathBuf],
     pub shard: Option<Shard>,
     pub span: Span,
@@ -161,11 +161,11 @@ pub struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// Observes the inputs that neither this run's journal nor a merged one holds; `what` names them for the watch.
+    /// Observes the inputs that are neither in this run's journal nor in a merged one; `what` names them for the watch.
     ///
     /// # Errors
-    /// A journal that cannot be used, an object store that does not answer, a watch that cancels. Frames that cannot be read are no error,
-    /// but a record.
+    /// If a journal cannot be used, an object store does not respond, or the watch cancels. Frames that cannot be read are no error, but
+    /// a record.
     pub fn over<O: Observer>(
         &self,
         observer: &O,
@@ -184,10 +184,10 @@ impl Pass<'_> {
         Ok(done)
     }
 
-    /// Refuses to go on after a cancellation, or where the source does not answer.
+    /// Fails after a cancellation, or if the source does not respond.
     ///
     /// # Errors
-    /// An object store that does not answer, a watch that cancels.
+    /// If an object store does not respond, or the watch cancels.
     pub fn check(&self) -> Result<(), PassError> {
         if self.watch.is_cancelled() {
             return Err(PassError::Cancelled);
@@ -206,11 +206,11 @@ impl Pass<'_> {
         }
     }
 
-    /// Refuses to merge where no folder holds an observer's journal, and warns of folders that hold none: a run with another instrument
-    /// would observe all frames again.
+    /// Refuses to merge if no folder contains an observer's journal, and warns of folders that contain none: a run with another
+    /// instrument would observe all frames again.
     ///
     /// # Errors
-    /// The first folder, where none holds one.
+    /// The first folder, if none contains one.
     pub fn expect_journals(&self, observer: &impl Observer) -> Result<(), PassError> {
         let name = observer.journal_name();
         let lacks = |folder: &&PathBuf| !folder.join(&name).is_file();
@@ -238,30 +238,30 @@ impl Pass<'_> {
     }
 }
 
-/// Where the record of each input stands.
+/// Position of the record of each input.
 #[derive(Debug)]
 pub struct Done<T> {
     records: Records<T>,
-    /// By the input's key, in order.
+    /// Positions by the input's key, sorted.
     places: Vec<(u64, Place)>,
-    /// Results of this run alone, which are in no journal: frames that contradict their archive, for another run may be asked to use them,
-    /// and files that could not be read for now.
+    /// Results of this run that are in no journal: frames that contradict their archive, because another run may be told to use them, and
+    /// files that could not be read for now.
     passing: HashMap<u64, Record<T>>,
 }
 
-/// The records of a pass, by their places.
+/// The records of a pass, by their positions.
 #[derive(Debug)]
 pub struct Records<T>(Vec<Journal<T>>);
 
 impl<T: Serialize + DeserializeOwned> Records<T> {
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn read(&self, place: Place) -> Result<Record<T>, JournalError> {
         self.0[place.journal as usize].record(place)
     }
 }
 
-/// An input's key: what the record must match.
+/// An input's key, which its record must match.
 pub fn key(input: &StoredFile) -> u64 {
     let mut hasher = Fnv::default();
     input.hash(&mut hasher);
@@ -285,7 +285,7 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     /// Opens the run's own journal and reads those of other runs.
     ///
     /// # Errors
-    /// A journal that cannot be used.
+    /// If a journal cannot be used.
     pub fn open(own: &Path, others: &[PathBuf]) -> Result<Self, JournalError> {
         let mut places = Vec::new();
         let mut journals = Vec::new();
@@ -311,20 +311,20 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
         self.place(input).is_some()
     }
 
-    /// Where the record of an input stands, if it is in a journal.
+    /// Position of the record of an input, if it is in a journal.
     pub fn place(&self, input: &StoredFile) -> Option<Place> {
         place(&self.places, key(input))
     }
 
-    /// The records alone, for those who know their places.
+    /// The records alone, for callers that keep the positions.
     pub fn into_records(self) -> Records<T> {
         self.records
     }
 
-    /// The record of an input, where it is done.
+    /// The record of an input, if it is done.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn record(&self, input: &StoredFile) -> Result<Option<Record<T>>, JournalError> {
         self.record_of(key(input))
     }
@@ -332,7 +332,7 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     /// The same by the input's key.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn record_of(&self, key: u64) -> Result<Option<Record<T>>, JournalError> {
         match place(&self.places, key) {
             Some(place) => self.records.read(place).map(Some),
@@ -340,10 +340,10 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
         }
     }
 
-    /// How many inputs have no frame, for whatever reason.
+    /// Number of inputs without a frame, for whatever reason.
     ///
     /// # Errors
-    /// A journal that cannot be read.
+    /// If a journal cannot be read.
     pub fn unreadable(&self, inputs: &[StoredFile]) -> Result<usize, JournalError> {
         let mut unreadable = 0;
         for input in inputs {
@@ -353,7 +353,7 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
         Ok(unreadable)
     }
 
-    /// Observes the inputs that are not done, several at a time, and notes each in the run's own journal.
+    /// Observes the inputs that are not done, several at a time, and records each in the run's own journal.
     fn add(
         &mut self,
         pass: &Pass<'_>,
@@ -400,7 +400,7 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     }
 }
 
-/// In the order of the keys, of each the place that came last.
+/// Sorts by key and keeps the last position of each.
 fn by_key(mut places: Vec<(u64, Place)>) -> Vec<(u64, Place)> {
     places.reverse();
     places.sort_by_key(|(key, _)| *key);
@@ -413,21 +413,21 @@ fn place(by_key: &[(u64, Place)], key: u64) -> Option<Place> {
     Some(by_key[found.ok()?].1)
 }
 
-/// Why a frame has no record of its own, in words.
+/// Reasons for which a frame has no record of its own, in words.
 pub enum Unsolved {
     /// The content of the file cannot be read.
     Unreadable(String),
     /// The file could not be opened or fetched: another attempt may succeed.
     Unread(String),
-    /// It names another instrument or configuration than its archive's.
+    /// The frame names another instrument or configuration than its archive's.
     Contradicting(String),
 }
 
-/// Record of a file's frame, of several images the one of this size; `None` where its time lies outside the span. A frame that names
-/// another instrument or configuration than its archive's is refused.
+/// Record of a file's frame (of several images the one of this size); `None` if its time is outside the span. A frame that names another
+/// instrument or configuration than its archive's is refused.
 ///
 /// # Errors
-/// Why there is no frame, in words.
+/// The reason why there is no frame, in words.
 pub fn with_frame<T>(
     archive: &ArchiveReader,
     input: &StoredFile,
@@ -447,7 +447,7 @@ pub fn with_frame<T>(
     made.map(Some).map_err(Unsolved::Unreadable)
 }
 
-/// The row names the file already.
+/// The text omits the file, which the row names already.
 impl From<FileError> for Unsolved {
     fn from(error: FileError) -> Self {
         let text = error.problem.to_string();
@@ -520,7 +520,7 @@ mod tests {
         assert_eq!(lasting, Err("why".into()));
     }
 
-    /// Cancels after so many frames.
+    /// Cancels after this many frames.
     struct Impatient {
         left: AtomicUsize,
     }

@@ -1,4 +1,4 @@
-//! A picture in colour on which sensor positions can be drawn, magnified.
+//! A magnified colour picture on which sensor positions can be drawn.
 
 use crate::frame::{Frame, Region};
 use crate::units::SensorPx;
@@ -30,7 +30,7 @@ impl Colour {
     }
 }
 
-/// Part of a frame, magnified, or another picture, with a strip for text below it.
+/// A magnified part of a frame, or another picture, with a strip for text below it.
 #[derive(Clone)]
 pub struct Canvas {
     image: RgbImage,
@@ -47,8 +47,8 @@ impl Canvas {
     /// Width of a letter, px.
     pub const LETTER_PX: u32 = 9;
 
-    /// A region of a frame, each pixel `zoom` x `zoom`, brightness stretched from `black_dn` to `white_dn`, with
-    /// space for `text_lines` below.
+    /// A region of a frame, each pixel magnified to `zoom` x `zoom`, brightness scaled from `black_dn` to `white_dn`, with space for
+    /// `text_lines` below.
     pub fn of_frame(
         frame: &Frame,
         region: Region,
@@ -73,7 +73,7 @@ impl Canvas {
         }
     }
 
-    /// A picture in colour, each pixel of it a place, with space for `text_lines` below.
+    /// A colour picture, each pixel of which is one position, with space for `text_lines` below.
     pub fn of_image(picture: &RgbImage, text_lines: u32) -> Self {
         let (width, height) = picture.dimensions();
         let mut image = RgbImage::new(width, height + text_lines * Self::LINE_PX);
@@ -138,7 +138,7 @@ impl Canvas {
         self.draw(&Text::new(text, place, style));
     }
 
-    /// A line of text in the strip below the picture, counted from 0. The strip grows wider than the picture where the text is.
+    /// A line of text in the strip below the picture, counted from 0. A longer text widens the strip.
     pub fn caption(&mut self, line: u32, text: &str, colour: Colour) {
         let width = MARGIN_PX + Self::LETTER_PX * (text.chars().count() as u32 + 1);
         if width > self.image.width() {
@@ -154,8 +154,7 @@ impl Canvas {
         ));
     }
 
-    /// The legend, in the strip below the picture from a line on; goes on in the next line where one is full. Gives the
-    /// first free line.
+    /// The legend, in the strip below the picture from `first_line`; continues in the next line if one is full. Returns the first free line.
     pub fn legend(&mut self, first_line: u32, entries: &[(&str, Colour)]) -> u32 {
         const SWATCH_PX: u32 = 12;
         let (mut line, mut x) = (first_line, 6);
@@ -177,7 +176,7 @@ impl Canvas {
         line + 1
     }
 
-    /// A bar as long as so many sensor pixels in the strip below the picture, with the length it stands for.
+    /// A scale bar in the strip below the picture, `length_px` sensor pixels long, with its length as text.
     pub fn scale_bar(&mut self, line: u32, length_px: f64, text: &str) {
         let y = self.baseline(line) - 5;
         let length = (length_px * f64::from(self.zoom)).round() as i32;
@@ -191,7 +190,7 @@ impl Canvas {
         self.draw(&Text::new(text, Point::new(6 + length + 10, y + 5), style));
     }
 
-    /// Where the text of a line in the strip stands.
+    /// Baseline of a line of text in the strip, px.
     fn baseline(&self, line: u32) -> i32 {
         (self.picture_size().height + (line + 1) * Self::LINE_PX) as i32 - 5
     }

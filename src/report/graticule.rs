@@ -4,7 +4,7 @@ use crate::pointing::{Feature, HelioprojectiveArcsec};
 use crate::sky::Disc;
 use jiff::Timestamp;
 
-/// Of the lines' points, deg.
+/// Spacing of the points of a line, deg.
 const STEP_DEG: u32 = 2;
 
 /// The limb, a closed line.
@@ -20,7 +20,7 @@ pub fn limb(disc: &Disc) -> Vec<HelioprojectiveArcsec> {
     (0..=360 / STEP_DEG).map(at).collect()
 }
 
-/// The visible circles of latitude and meridians, at a step in degrees, from the equator and the central meridian on.
+/// The visible circles of latitude and meridians, every `apart_deg`, from the equator and the central meridian.
 pub fn graticule(disc: &Disc, apart_deg: u32) -> Vec<Vec<HelioprojectiveArcsec>> {
     let circles = (apart_deg..180)
         .step_by(apart_deg as usize)
@@ -42,7 +42,7 @@ pub fn graticule(disc: &Disc, apart_deg: u32) -> Vec<Vec<HelioprojectiveArcsec>>
     circles.chain(meridians).flatten().collect()
 }
 
-/// The parts of a line on the sphere that lie before the limb. Longitudes count from the meridian behind the Sun, so that a circle is one part.
+/// The visible parts of a line on the sphere. Longitudes count from the meridian behind the Sun, so that a circle is one part.
 fn seen(disc: &Disc, line: impl Iterator<Item = (f64, f64)>) -> Vec<Vec<HelioprojectiveArcsec>> {
     let epoch = Timestamp::UNIX_EPOCH;
     let places: Vec<Option<HelioprojectiveArcsec>> = line
@@ -76,7 +76,7 @@ mod tests {
         // The angle on the sphere is up to 0.001 arcsec less than in the plane.
         let within = |at: &HelioprojectiveArcsec| at.x.hypot(at.y) <= radius + 0.01;
         assert!(lines.iter().flatten().all(within));
-        // On the central meridian the equator is as far south of the centre as B0 says.
+        // On the central meridian the equator is south of the centre by B0.
         let south = -radius * 7.0_f64.to_radians().sin();
         let is_there = |at: &HelioprojectiveArcsec| at.x.abs() < 1.0 && (at.y - south).abs() < 1.0;
         assert!(lines.iter().flatten().any(is_there));

@@ -1,4 +1,4 @@
-//! A page that needs nothing beside itself: text, tables, figures as SVG and pictures as PNG, all in one file.
+//! A self-contained page: text, tables, figures as SVG and pictures as PNG, all in one file.
 
 use base64::prelude::{BASE64_STANDARD, Engine};
 use image::{EncodableLayout, ImageBuffer, ImageFormat, PixelWithColorType};
@@ -6,13 +6,13 @@ use std::fmt::Write;
 use std::io::Cursor;
 use std::ops::Deref;
 
-/// A page in the making.
+/// A page under construction.
 #[derive(Debug, Clone, Default)]
 pub struct Page {
     body: String,
 }
 
-/// Light on every screen; on A4 nothing is cut in two that fits a sheet.
+/// A light theme on every screen; on A4 no element that fits a sheet is split.
 const STYLE: &str = ":root{color-scheme:light}\
 body{font-family:system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#222;background:#fff}\
 table{border-collapse:collapse;margin:1em 0}td,th{border:1px solid #ccc;padding:.3em .7em;text-align:left;vertical-align:top}\
@@ -24,7 +24,7 @@ pre{background:#f5f5f5;padding:1em;white-space:pre-wrap;overflow-wrap:anywhere}\
 @media print{body{max-width:none;margin:0;padding:0;font-size:9.5pt}h2,thead{break-after:avoid}figure,tr{break-inside:avoid}\
 figure.plot svg{max-height:105mm}td,th{padding:.15em .4em}pre{font-size:8pt}.note,figcaption{color:#222}}";
 
-/// A text as it may stand in a page.
+/// A text escaped for HTML.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
@@ -41,12 +41,12 @@ impl Page {
         self.body += &format!("<p class=\"note\">{}</p>\n", escaped(text));
     }
 
-    /// Lines of text as they are.
+    /// Preformatted lines of text.
     pub fn preformatted(&mut self, text: &str) {
         self.body += &format!("<pre>{}</pre>\n", escaped(text));
     }
 
-    /// A table: the heads of its columns, none for a table of names and values, and its rows.
+    /// A table: the column headings (empty for a table of names and values), and its rows.
     pub fn table(&mut self, heads: &[&str], rows: &[Vec<String>]) {
         self.body += "<table>\n";
         let line = |cells: Vec<String>, tag: &str| {
@@ -66,7 +66,7 @@ impl Page {
         self.body += "</table>\n";
     }
 
-    /// A figure, as [`plot`](super::plot) draws it, with what a reader has to know of it.
+    /// A figure drawn by [`plot`](super::plot), with a caption.
     pub fn figure(&mut self, svg: &str, caption: &str) {
         let caption = match caption {
             "" => String::new(),
@@ -93,12 +93,12 @@ impl Page {
         }
     }
 
-    /// Adds another page behind this one.
+    /// Appends another page.
     pub fn append(&mut self, other: Self) {
         self.body += &other.body;
     }
 
-    /// The page under a title.
+    /// The complete page with a title.
     pub fn finish(self, title: &str) -> String {
         let title = escaped(title);
         format!(

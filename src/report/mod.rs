@@ -1,4 +1,4 @@
-//! Drawing: pictures of a frame with shapes and text laid over it, and figures of numbers.
+//! Drawing: pictures of a frame with shapes and text overlaid, and figures of numbers.
 
 mod canvas;
 mod graticule;

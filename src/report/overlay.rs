@@ -1,4 +1,4 @@
-//! A picture of a solved frame on which a person sees what the pipeline saw.
+//! A picture of a solved frame that shows the pipeline's results.
 
 use super::{Canvas, Colour};
 use crate::aspect::{Mark, Solution};
@@ -13,14 +13,14 @@ use nalgebra::Vector2;
 
 /// Length of the drawn plate axes, in radii of the disc.
 const AXIS_RADII: f64 = 0.64;
-/// A mark's refined position is no farther from where it was detected.
+/// Greatest distance of a mark's fitted position from its detection.
 const SAME_MARK_PX: f64 = 2.0;
-/// Of the circle about a mark.
+/// Radius of the circle around a mark.
 const MARK_RADIUS_PX: f64 = 11.0;
-/// Captions, two lines of legend, the scale.
+/// Lines of captions; lines of the strip, with two of legend and the scale.
 const CAPTION_LINES: u32 = 4;
 const STRIP_LINES: u32 = CAPTION_LINES + 3;
-/// The scale's bar is the longest of these that takes no more than a quarter of the picture's width.
+/// The scale bar is the longest of these that is not longer than a quarter of the picture's width.
 const SCALES_ARCSEC: [f64; 7] = [3000.0, 1000.0, 500.0, 200.0, 100.0, 50.0, 20.0];
 const LEGEND: [(&str, Colour); 6] = [
     ("limb points", Colour::YELLOW),
@@ -31,9 +31,9 @@ const LEGEND: [(&str, Colour); 6] = [
     ("plate's axes", Colour::MAGENTA),
 ];
 
-/// The disc magnified, with points of the limb (yellow), the fitted disc (green), marks
-/// with their ids (blue; orange when cut by the limb), detections that are no mark (red) and the plate's axes (magenta); below it what
-/// the colours mean and a scale in arcsec. A frame without a disc is shown whole, with the reason.
+/// The disc magnified, with points of the limb (yellow), the fitted disc (green), marks with their ids (blue; orange if cut by the limb),
+/// rejected detections (red) and the plate's axes (magenta); below it the legend and a scale in arcsec. A frame without a disc is shown
+/// whole, with the reason.
 pub fn overlay(
     frame: &Frame,
     solution: &Solution,
@@ -83,7 +83,7 @@ pub fn overlay(
     canvas.into_image()
 }
 
-/// By the frame's own scale where it has one, else by the stated one.
+/// Uses the frame's own scale if determined, else the stated one.
 fn draw_scale(
     canvas: &mut Canvas,
     line: u32,
@@ -104,7 +104,7 @@ fn draw_scale(
     }
 }
 
-/// The limb as the mapping shows it: a circle on the plate, not always one on the sensor.
+/// The limb by the mapping: a circle on the plate, not always one on the sensor.
 fn draw_disc(canvas: &mut Canvas, mapping: &Mapping, centre: PlateMil, radius_px: f64) {
     let seen = mapping.to_sensor(centre);
     let radius_mil = radius_px * mapping.scale_mil_per_px(seen);
@@ -155,7 +155,7 @@ fn draw_marks(canvas: &mut Canvas, solution: &Solution, plate: &Plate) {
     }
 }
 
-/// The printed mark where the mapping puts it: a cross's arms, a dot's edge.
+/// The printed mark at its position by the mapping: a cross's arms, a dot's edge.
 fn draw_mark(canvas: &mut Canvas, mapping: &Mapping, plate: &Plate, id: MarkId, colour: Colour) {
     let Some(centre) = plate.position(id) else {
         return;

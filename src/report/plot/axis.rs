@@ -1,9 +1,9 @@
-//! Axes: what they span, and where their ticks stand.
+//! Axes: range and ticks.
 
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 
-/// How values are spread along an axis.
+/// Scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Scale {
     Linear,
@@ -42,7 +42,7 @@ pub(super) fn extent(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
 }
 
 impl Axis {
-    /// From exactly one value to another.
+    /// An axis with exactly this range.
     pub(super) fn exact(low: f64, high: f64) -> Self {
         Self {
             scale: Scale::Linear,
@@ -51,7 +51,7 @@ impl Axis {
         }
     }
 
-    /// Spans values with a little space at both ends; a single value stands in the middle.
+    /// Spans values with some space at both ends; a single value is centred.
     pub(super) fn linear((low, high): (f64, f64)) -> Self {
         let space = match high - low {
             span if span > 1e-9 * high.abs().max(low.abs()) => 0.04 * span,
@@ -61,7 +61,7 @@ impl Axis {
         Self::exact(low - space, high + space)
     }
 
-    /// Spans times, at least a second.
+    /// Spans times, at least one second.
     pub(super) fn utc((low, high): (f64, f64)) -> Self {
         let space = (0.01 * (high - low)).max(0.5);
         Self {
@@ -71,13 +71,13 @@ impl Axis {
         }
     }
 
-    /// From exactly one time to another, s since 1970.
+    /// An axis of times with exactly this range, s since 1970.
     pub(super) fn exact_utc(low: f64, high: f64) -> Self {
         let scale = Scale::Utc;
         Self { scale, low, high }
     }
 
-    /// Spans positive values by their logarithms.
+    /// Spans positive values on a logarithmic scale.
     pub(super) fn logarithmic((low, high): (f64, f64)) -> Self {
         Self {
             scale: Scale::Logarithmic,
@@ -86,7 +86,7 @@ impl Axis {
         }
     }
 
-    /// Where a value stands: 0 at the low end, 1 at the high one.
+    /// Position of a value: 0 at the low end, 1 at the high one.
     pub(super) fn fraction(&self, value: f64) -> f64 {
         match self.scale {
             Scale::Logarithmic => (value / self.low).ln() / (self.high / self.low).ln(),
@@ -94,7 +94,7 @@ impl Axis {
         }
     }
 
-    /// The power of ten that the labels of very large or small values leave out.
+    /// The power of ten omitted in labels of very large or small values.
     pub(super) fn left_out(&self) -> i32 {
         let largest = self.low.abs().max(self.high.abs());
         let is_plain = (1e-2..1e5).contains(&largest);
@@ -106,7 +106,7 @@ impl Axis {
         }
     }
 
-    /// About so many ticks, at least two.
+    /// Approximately `about` ticks, at least two.
     pub(super) fn ticks(&self, about: usize) -> Vec<Tick> {
         match self.scale {
             Scale::Linear => self.linear_ticks(about),
@@ -127,7 +127,7 @@ impl Axis {
         multiples(self.low, self.high, step).map(tick).collect()
     }
 
-    /// At 1, 2 and 5 of each decade, of many decades at each or every few; where that leaves hardly any, evenly.
+    /// Ticks at 1, 2 and 5 of each decade, or for many decades at each or every few; if these are too few, evenly spaced ones.
     fn logarithmic_ticks(&self, about: usize) -> Vec<Tick> {
         let decades = self.low.log10().floor() as i32..=self.high.log10().ceil() as i32;
         let span = (self.high / self.low).log10();
@@ -181,12 +181,12 @@ impl Axis {
 
 /// The multiples of a step within a range.
 fn multiples(low: f64, high: f64, step: f64) -> impl Iterator<Item = f64> {
-    // Rounding does not lose a tick at the end.
+    // Tolerate rounding, so that a tick at the end is kept.
     let (first, last) = ((low / step - 1e-9).ceil(), (high / step + 1e-9).floor());
     (0..=(last - first).max(0.0) as usize).map(move |n| (first + n as f64) * step)
 }
 
-/// 1, 2 or 5 times a power of ten that divides a span into about so many parts, never fewer than two.
+/// 1, 2 or 5 times a power of ten that divides a span into approximately `about` parts, never fewer than two.
 fn step(span: f64, about: usize) -> f64 {
     let raw = span / about.max(2) as f64;
     let decade = 10_f64.powf(raw.log10().floor());
@@ -195,11 +195,11 @@ fn step(span: f64, about: usize) -> f64 {
         .iter()
         .find(|factor| *factor * decade >= raw * 0.999);
     let step = found.unwrap_or(&10.0) * decade;
-    // Three parts hold two ticks at least.
+    // Three parts contain at least two ticks.
     if step * 3.0 > span { step / 2.5 } else { step }
 }
 
-/// A step of time, s, as clocks are divided.
+/// A step of time in conventional units, s.
 fn time_step(span_s: f64, about: usize) -> f64 {
     const STEPS_S: [f64; 19] = [
         1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 120.0, 300.0, 600.0, 900.0, 1800.0, 3600.0, 7200.0,
@@ -215,7 +215,7 @@ fn time_step(span_s: f64, about: usize) -> f64 {
         .unwrap_or_else(|| DAY_S * step(span_s / DAY_S, about).ceil())
 }
 
-/// The decimals that distinguish multiples of a step.
+/// The decimals needed to distinguish multiples of a step.
 pub(super) fn decimals(step: f64) -> usize {
     (0..12)
         .find(|decimals| {
@@ -225,7 +225,7 @@ pub(super) fn decimals(step: f64) -> usize {
         .unwrap_or(12) as usize
 }
 
-/// A number with so many decimals; never "-0".
+/// A number with a number of decimals; never "-0".
 pub(super) fn fixed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     match text.strip_prefix('-') {
@@ -234,7 +234,7 @@ pub(super) fn fixed(value: f64, decimals: usize) -> String {
     }
 }
 
-/// A value to so many digits, as short as it goes.
+/// A value to a number of significant digits, in its shortest form.
 pub(super) fn short(value: f64, digits: i32) -> String {
     if value == 0.0 || !value.is_finite() {
         return fixed(value, 0);
@@ -246,7 +246,7 @@ pub(super) fn short(value: f64, digits: i32) -> String {
     }
 }
 
-/// A digit times a power of ten: in full where that is short.
+/// A digit times a power of ten, written in full if that is short.
 fn power_text(digit: f64, decade: i32) -> String {
     match decade {
         -3..0 => fixed(digit * 10_f64.powi(decade), decade.unsigned_abs() as usize),
@@ -277,7 +277,7 @@ pub(super) fn date(unix_s: f64) -> String {
     zoned(unix_s).map_or_else(String::new, |at| at.date().to_string())
 }
 
-/// Hours and minutes, and as much more as a step needs.
+/// Hours and minutes, and seconds if a step needs them.
 fn time_of_day(unix_s: f64, step_s: f64) -> String {
     let Some(at) = zoned(unix_s) else {
         return String::new();
@@ -341,7 +341,7 @@ mod tests {
 
     #[test]
     fn times_are_of_the_clock_and_dates_stand_where_days_begin() {
-        // 2013-09-21 22:00 UTC and four hours on.
+        // 2013-09-21 22:00 UTC to four hours later.
         let axis = Axis {
             scale: Scale::Utc,
             low: 1_379_800_800.0,

@@ -1,8 +1,8 @@
-//! The parts of lines that lie in a panel.
+//! The parts of lines within a panel.
 
 pub(super) type Point = (f64, f64);
 
-/// The part of a segment within left, top, right and bottom of a panel (Liang and Barsky 1984). An end that lies in the panel stays the same number.
+/// The part of a segment within left, top, right and bottom of a panel (Liang and Barsky 1984). An end within the panel stays exactly the same.
 pub(super) fn segment(
     from: Point,
     to: Point,
@@ -33,7 +33,7 @@ pub(super) fn segment(
     (first <= last).then(|| (at(first), at(last)))
 }
 
-/// Segments in order as lines: one goes on where the next begins at its end.
+/// Joins segments in order to lines: a line continues if the next segment begins at its end.
 pub(super) fn joined(segments: impl Iterator<Item = (Point, Point)>) -> Vec<Vec<Point>> {
     let mut lines: Vec<Vec<Point>> = Vec::new();
     for (from, to) in segments {
@@ -45,7 +45,7 @@ pub(super) fn joined(segments: impl Iterator<Item = (Point, Point)>) -> Vec<Vec<
     lines
 }
 
-/// The parts of a line.
+/// The parts of a line within a panel.
 pub(super) fn line(points: &[Point], panel: [f64; 4]) -> Vec<Vec<Point>> {
     let segments = points.windows(2);
     joined(segments.filter_map(|ends| segment(ends[0], ends[1], panel)))

@@ -4,24 +4,24 @@ use super::axis::{Axis, extent};
 use super::labels::{Labels, PlotError};
 use super::sheet::{self, DOT_PX, Entry, Sheet, Swatch, hue};
 
-/// How a curve is drawn.
+/// Style of a curve.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stroke {
-    /// Points joined by a line: measured.
+    /// Points joined by a line: measured values.
     Measured,
-    /// A line alone: of very many points, or known a priori.
+    /// A line only: very many points, or values known a priori.
     Known,
     /// Dashed: a limit.
     Limit,
 }
 
-/// A named curve of points (x, y). Only positive ones can be drawn.
+/// A named curve of points (x, y). Only positive values can be drawn.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Curve {
     pub name: String,
     pub points: Vec<(f64, f64)>,
     pub stroke: Stroke,
-    /// Which colour it takes; none: that of its place among the curves.
+    /// Index of its colour; none: its index among the curves.
     pub hue: Option<usize>,
 }
 
@@ -59,7 +59,7 @@ const SIZE: (f64, f64) = (1000.0, 460.0);
 /// Curves over two logarithmic axes.
 ///
 /// # Errors
-/// Nothing to draw.
+/// If there is nothing to draw.
 pub fn curves(labels: &Labels, curves: &[Curve]) -> Result<String, PlotError> {
     let points = || curves.iter().flat_map(Curve::positive);
     let x = extent(points().map(|p| p.0)).ok_or_else(|| labels.empty())?;

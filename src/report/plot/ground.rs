@@ -1,30 +1,30 @@
-//! Shared parts of maps: a square field with lines and a target in it, and a scale of colours beside it.
+//! Common elements of maps: a square field with lines and a target in it, and a colour scale beside it.
 
 use super::axis::{Axis, superscript};
 use super::labels::Labels;
 use super::sheet::{Anchor, BESIDE_PX, Entry, Sheet, Stroke, Swatch};
 use std::ops::Range;
 
-/// Points that are joined.
+/// A polyline.
 pub type Line = Vec<(f64, f64)>;
 
-/// The field of a map: the range of both axes, equally long, and the drawings below and above its contents.
+/// The field of a map: the range of both axes, equally long, and the lines below and above its contents.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ground {
     pub x: Range<f64>,
     pub y: Range<f64>,
     pub outline: Line,
     pub grid: Vec<Line>,
-    /// Where something should be, or the way of what moves; empty: nowhere.
+    /// Position of a target, or the path of a moving one; empty without a target.
     pub target: Line,
 }
 
-/// Width of a map without what stands beside it, and its height without a legend: the panel is square.
+/// Width of a map without the colour scale, and its height without a legend: the panel is square.
 const SIDE_PX: f64 = 620.0;
 const HEIGHT_PX: f64 = 610.0;
-/// Of the legend's row.
+/// Height of a row of the legend.
 const ROW_PX: f64 = 19.0;
-/// Space for the scale of colours.
+/// Width of the colour scale.
 const SCALE_PX: f64 = 90.0;
 const GRID: &str = "#d9b77c";
 const OUTLINE: &str = "#b5761c";
@@ -32,7 +32,7 @@ const TARGET: &str = "#000000";
 const TARGET_PX: f64 = 7.0;
 
 impl Ground {
-    /// A field and nothing else.
+    /// An empty field.
     pub fn over(x: Range<f64>, y: Range<f64>) -> Self {
         Self {
             x,
@@ -48,7 +48,7 @@ impl Ground {
         Self::over(-reach..reach, -reach..reach)
     }
 
-    /// Of both axes.
+    /// Scale of both axes.
     pub(super) fn px_per_unit(&self) -> f64 {
         (SIDE_PX - BESIDE_PX) / (self.x.end - self.x.start)
     }
@@ -57,13 +57,13 @@ impl Ground {
         self.x.contains(&x) && self.y.contains(&y)
     }
 
-    /// The parts of the target's way in the field.
+    /// The parts of the target's path within the field.
     fn target_within(&self) -> Line {
         let within = |at: &(f64, f64)| self.contains(*at);
         self.target.iter().copied().filter(within).collect()
     }
 
-    /// An empty panel, and a scale beside it if there is one.
+    /// An empty panel, with a colour scale beside it if there is one.
     pub(super) fn sheet(
         &self,
         labels: &Labels,
@@ -97,13 +97,13 @@ impl Ground {
         }
     }
 
-    /// Marks the target over what is drawn: both ends of its way.
+    /// Marks the target above the contents, at both ends of its path.
     pub(super) fn draw_target(&self, sheet: &mut Sheet) {
         let way = self.target_within();
         let ends = way.first().into_iter().chain(way.last());
         let ends: Vec<(f64, f64)> = ends.map(|at| sheet.place(*at)).collect();
         let way: Vec<(f64, f64)> = way.iter().map(|at| sheet.place(*at)).collect();
-        // White beside the black sets it apart from dark paths.
+        // A white outline makes the black visible against dark paths.
         for stroke in [
             Stroke::solid("#ffffff", 4.0).pale(0.8),
             Stroke::solid(TARGET, 1.6),
@@ -117,11 +117,11 @@ impl Ground {
     }
 }
 
-/// Colours between these, in equal parts.
+/// A colour map that interpolates these colours at equal steps.
 pub(super) struct Shades(pub &'static [[u8; 3]]);
 
 impl Shades {
-    /// From 0 to 1.
+    /// The colour at a fraction from 0 to 1.
     pub fn at(&self, fraction: f64) -> String {
         let stops = self.0;
         let place = fraction.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
@@ -135,7 +135,7 @@ impl Shades {
     }
 }
 
-/// Values and their colours.
+/// A colour scale.
 pub(super) struct Scale<'a> {
     pub axis: Axis,
     pub shades: &'a Shades,
@@ -148,7 +148,7 @@ impl Scale<'_> {
         self.shades.at(self.axis.fraction(value))
     }
 
-    /// The colours beside their values, right of the panel.
+    /// Draws the colours with their values, right of the panel.
     fn draw(&self, sheet: &mut Sheet) {
         const STEPS: u32 = 100;
         let [_, top, right, bottom] = sheet.panel();
@@ -157,7 +157,7 @@ impl Scale<'_> {
         let at = |fraction: f64| bottom - fraction * (bottom - top);
         for n in 0..STEPS {
             let [from, to] = [n, n + 1].map(|n| f64::from(n) / f64::from(STEPS));
-            // The next covers it, so that no gap shows between two.
+            // The next one covers it, so that there is no gap between two.
             let overlap = if n + 1 < STEPS { 1.5 } else { 0.0 };
             let colour = self.shades.at(from);
             sheet.rectangle((left, at(from)), (right, at(to) - overlap), &colour);

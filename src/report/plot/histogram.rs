@@ -1,4 +1,4 @@
-//! Histograms, beside the distribution that is expected.
+//! Histograms, with the expected distribution.
 
 use super::axis::{Axis, decimals, extent, fixed};
 use super::labels::{Labels, PlotError};
@@ -10,7 +10,7 @@ use std::f64::consts::PI;
 pub enum Density {
     /// Normal about zero.
     Normal { sigma: f64 },
-    /// Lengths of vectors of which both components are normal about zero (Rayleigh 1880).
+    /// Lengths of vectors with two normally distributed components about zero (Rayleigh 1880).
     Rayleigh { sigma: f64 },
 }
 
@@ -30,16 +30,16 @@ impl Density {
 }
 
 const SIZE: (f64, f64) = (760.0, 420.0);
-/// The axis ends at so many times the value that all but a thousandth keep below; what lies beyond is counted in the title.
+/// The axis ends at this multiple of the 99.9 % quantile; the title states the number of values beyond.
 const REACH: f64 = 1.5;
-/// Lines up to so many times that value lie on the axis.
+/// Lines up to this multiple of that quantile are within the axis.
 const NEAR: f64 = 4.0;
 
-/// A histogram of as many bins, with named upright lines and, by name, a distribution of the same area. Each value counts as much as `each`: 1
-/// for a frame, or the seconds that it stands for. The legend says of lines that lie beyond the axis that they do.
+/// A histogram with named vertical lines and, by name, a distribution of the same area. Each value counts as `each`: 1 for a frame, or
+/// the seconds that it represents. The legend states which lines are beyond the axis.
 ///
 /// # Errors
-/// Nothing to draw.
+/// If there is nothing to draw.
 pub fn histogram(
     labels: &Labels,
     values: &[f64],
@@ -96,7 +96,7 @@ pub fn histogram(
     Ok(sheet.finish())
 }
 
-/// Range of the axis: from 0 where no value is negative. Lines that are near the values lie within.
+/// Range of the axis: from 0 if no value is negative. It includes lines near the values.
 fn span(values: &[f64], lines: &[(&str, f64)]) -> Option<(f64, f64)> {
     let (low, high) = extent(values.iter().copied())?;
     let mut sizes: Vec<f64> = values

@@ -1,4 +1,4 @@
-//! Labels of a figure, and why it cannot be drawn.
+//! Labels of a figure, and the reason why it cannot be drawn.
 
 /// Why a figure cannot be drawn.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -33,7 +33,7 @@ impl Labels {
         }
     }
 
-    /// Of a figure over time: x in seconds since 1970-01-01, UTC.
+    /// Labels of a figure over time: x in seconds since 1970-01-01, UTC.
     pub fn over_utc(title: impl Into<String>, y: impl Into<String>) -> Self {
         Self {
             title: title.into(),

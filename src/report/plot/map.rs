@@ -1,4 +1,4 @@
-//! Maps of a square field: vectors as arrows beside an arrow of known length, numbers as colours beside a scale.
+//! Maps of a square field: vectors as arrows with an arrow of known length, numbers as colours with a colour scale.
 
 use super::axis::{Axis, extent, short};
 use super::ground::{Ground, Scale, Shades};
@@ -7,30 +7,30 @@ use super::sheet::{Entry, Swatch};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// A vector at a place, both in the units of the map's own.
+/// A vector at a position, both in the units of the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Arrow {
     pub at: (f64, f64),
     pub vector: (f64, f64),
 }
 
-/// A number at a place.
+/// A number at a position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cell {
     pub at: (f64, f64),
     pub value: f64,
 }
 
-/// All but a twentieth of the arrows are no longer than this, and none longer than that.
+/// Length that 95 % of the arrows do not exceed, and the greatest length.
 const USUAL_PX: f64 = 36.0;
 const LONGEST_PX: f64 = 90.0;
-/// A binned field has about so many cells along an axis.
+/// Approximate number of cells of a binned field along an axis.
 const CELLS: f64 = 50.0;
 
-/// A field of vectors over `range` in both axes, drawn to a scale of its own that an arrow of stated length in `unit` shows.
+/// A field of vectors over `range` in both axes, drawn to a scale shown by an arrow of stated length in `unit`.
 ///
 /// # Errors
-/// Nothing to draw.
+/// If there is nothing to draw.
 pub fn vector_map(
     labels: &Labels,
     range: Range<f64>,
@@ -69,7 +69,7 @@ pub fn vector_map(
 
 const ARROW: &str = "#0072b2";
 
-/// 1, 2 or 5 times a power of ten that is no larger.
+/// The largest of 1, 2 and 5 times a power of ten that is not above the value.
 fn round_down(value: f64) -> f64 {
     if value <= 0.0 {
         return 1.0;
@@ -82,10 +82,10 @@ fn round_down(value: f64) -> f64 {
     found.unwrap_or(&1.0) * decade
 }
 
-/// Numbers as squares of `cell` in width over a field, with the scale of their colours in `unit`.
+/// Numbers as squares of width `cell` over a field, with a colour scale in `unit`.
 ///
 /// # Errors
-/// Nothing to draw.
+/// If there is nothing to draw.
 pub fn scalar_map(
     labels: &Labels,
     ground: &Ground,
@@ -125,7 +125,7 @@ pub fn cell_of(ground: &Ground) -> f64 {
     round_down(2.0 * wanted)
 }
 
-/// How much falls into each cell of a width, where each point counts as much.
+/// Total in each cell of width `cell`, where each point counts as `each`.
 pub fn binned(points: impl Iterator<Item = (f64, f64)>, cell: f64, each: f64) -> Vec<Cell> {
     let mut counts: BTreeMap<(i64, i64), u32> = BTreeMap::new();
     for (x, y) in points.filter(|(x, y)| x.is_finite() && y.is_finite()) {
@@ -141,8 +141,8 @@ pub fn binned(points: impl Iterator<Item = (f64, f64)>, cell: f64, each: f64) ->
     binned.collect()
 }
 
-/// From light green to dark blue, even in lightness (ColorBrewer's YlGnBu without its yellow, which is too light on white): distinct for the
-/// colour-blind and in grey.
+/// From light green to dark blue, uniform in lightness (ColorBrewer's YlGnBu without its yellow, which is too light on white): distinct
+/// for colour-blind readers and in greyscale.
 const SHADES: Shades = Shades(&[
     [199, 233, 180],
     [127, 205, 187],

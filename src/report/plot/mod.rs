@@ -1,12 +1,11 @@
-//! Figures as SVG: curves over logarithmic axes, series over linear ones or over time, histograms, maps. Input is numbers and
-//! labels.
+//! Figures as SVG: curves over logarithmic axes, series over linear ones or over time, histograms, maps. The inputs are numbers and labels.
 //!
-//! - `axis`: what axes span, and their ticks.
-//! - `sheet`: what is drawn on: title, legend above the panel, grid, shapes.
-//! - `thin`: long series made short without losing what stands out.
+//! - `axis`: range and ticks of axes.
+//! - `sheet`: the drawing area: title, legend above the panel, grid, shapes.
+//! - `thin`: reduction of long series that preserves extreme values.
 //! - `clip`: the parts of lines in a panel.
-//! - `ground`: the square field of maps, and the scale of colours beside it.
-//! - `series`, `curves`, `histogram`, `map`, `path_map`: a kind of figure each.
+//! - `ground`: the square field of maps, and their colour scale.
+//! - `series`, `curves`, `histogram`, `map`, `path_map`: one kind of figure each.
 
 mod axis;
 mod clip;

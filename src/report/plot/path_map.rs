@@ -8,22 +8,22 @@ use super::sheet::{Entry, Sheet, Stroke, Swatch, px};
 use super::thin::{PIECE_PX, Piece, longest_step, uncovered};
 use std::fmt::Write;
 
-/// A place of a path at a time, UTC, s since 1970-01-01.
+/// A position of a path at a time, UTC, s since 1970-01-01.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Passage {
     pub unix_s: f64,
     pub at: (f64, f64),
-    /// What is not, is drawn grey.
+    /// Invalid positions are drawn grey.
     pub is_valid: bool,
 }
 
-/// An ellipse of errors in the units of the axes, with its name.
+/// An error ellipse in the units of the axes, with its name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ellipse {
     pub name: String,
-    /// The longer one first.
+    /// Semi-axes, the longer one first.
     pub semi_axes: [f64; 2],
-    /// Of the first semi-axis, from x towards y.
+    /// Angle of the first semi-axis, from x towards y.
     pub turn_rad: f64,
 }
 
@@ -38,19 +38,19 @@ const TIMES: Shades = Shades(&[
 /// Number of colours.
 const SHADES: usize = 64;
 const INVALID: &str = "#aaaaaa";
-/// The path moves so far before it is drawn on, px.
+/// The path is drawn in steps of at least this, px.
 const FINEST_PX: f64 = 0.5;
-/// An ellipse of a smaller diameter does not show.
+/// Least diameter of a visible ellipse.
 const LEAST_ELLIPSE_PX: f64 = 2.0;
 const ELLIPSE: &str = "#009e73";
-/// From the panel's edges.
+/// Distance from the panel's edges.
 const MARGIN_PX: f64 = 10.0;
 
-/// A path in the order of time over a field, with a scale of its times beside it. Where it crosses itself, the later part is above. It stops where steps
-/// are missing. The ellipse stands in the lower left corner; of one that is too small to show, the legend says so.
+/// A path in the order of time over a field, with a colour scale of its times. Where it crosses itself, the later part is above. It is
+/// interrupted where steps are missing. The ellipse is in the lower left corner; if it is too small to be visible, the legend states it.
 ///
 /// # Errors
-/// Nothing to draw.
+/// If there is nothing to draw.
 pub fn path_map(
     labels: &Labels,
     ground: &Ground,
@@ -94,7 +94,7 @@ fn legend(path: &[Passage], ellipse: Option<(&Ellipse, bool)>) -> Vec<Entry> {
     invalid.into_iter().chain(ellipse).collect()
 }
 
-/// Which colour a piece has; none where the path is not valid, which lies below.
+/// Colour index of a piece; none for an invalid part of the path, which is drawn below.
 type Shade = Option<usize>;
 
 fn draw_path(sheet: &mut Sheet, path: &[Passage], times: Axis) {
@@ -186,7 +186,7 @@ mod tests {
         }
     }
 
-    /// The x of every point of each path of a colour, or of a width, in the order in which they are drawn.
+    /// The x of every point of each path of a colour, or of a width, in drawing order.
     fn across(svg: &str, stroke: &str) -> Vec<Vec<f64>> {
         let drawn = svg.lines().filter(|line| line.contains(stroke));
         let across = |line: &str| {

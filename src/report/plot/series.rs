@@ -7,11 +7,11 @@ use super::thin::{Column, columns, distinct, runs};
 use crate::estimation::median;
 use std::ops::Range;
 
-/// How a series is drawn.
+/// Style of a series.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mark {
     Dots,
-    /// Points joined where none are missing between them: a line stops at gaps.
+    /// Points joined by a line that is interrupted at gaps.
     Line,
     /// Points joined throughout: a model, a fit, a function.
     Curve,
@@ -19,13 +19,13 @@ pub enum Mark {
     Limit,
 }
 
-/// A named series of points (x, y). One without a name is not in the legend.
+/// A named series of points (x, y). A series without a name is not in the legend.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
     pub name: String,
     pub points: Vec<(f64, f64)>,
     pub mark: Mark,
-    /// Which colour it takes; none: that of its place among the series.
+    /// Index of its colour; none: its index among the series.
     pub hue: Option<usize>,
 }
 
@@ -67,7 +67,7 @@ impl Series {
         }
     }
 
-    /// Without what is more than five times the median, which would flatten the rest.
+    /// Removes values above five times the median, which would compress the rest.
     pub fn up_to_five_medians(mut self) -> Self {
         let middle = median(self.points.iter().map(|(_, value)| value));
         let most = 5.0 * middle.unwrap_or(0.0);
@@ -84,20 +84,20 @@ pub struct Figure {
 }
 
 const SIZE: (f64, f64) = (1000.0, 380.0);
-/// Of a figure in a stack.
+/// Size of a figure in a stack.
 const PANEL: (f64, f64) = (1000.0, 230.0);
-/// So that the panel is square, beside one row of legend.
+/// Size with a square panel and one row of legend.
 const SQUARE: (f64, f64) = (620.0, 629.0);
-/// More dots than that are drawn as the envelope from the least to the most in each column of pixels.
+/// More dots than this are drawn as the range in each column of pixels.
 const MOST_DOTS: usize = 5000;
 
-/// Series over linear axes or over time, with a line at y = 0 where it lies among them.
+/// Series over linear axes or over time, with a line at y = 0 if that is within their range.
 ///
-/// Of a series with more points than the panel has columns of pixels (a line) or than can be distinguished (dots), each column shows
-/// the least, the most and the median of its points: no spike is lost.
+/// If a series has more points than the panel has columns of pixels (a line) or than can be distinguished (dots), each column shows
+/// the least, the greatest and the median of its points: no spike is lost.
 ///
 /// # Errors
-/// Nothing to draw.
+/// If there is nothing to draw.
 pub fn series(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
     let finite = |(x, y): &&(f64, f64)| x.is_finite() && y.is_finite();
     let points = || series.iter().flat_map(|s| &s.points).filter(finite);
@@ -110,8 +110,8 @@ pub fn series(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
     Ok(sheet(SIZE, labels, (x, Axis::linear(of_y)), series).finish())
 }
 
-/// Draws figures one below the other, over exactly one range of times (seconds since 1970-01-01, UTC). One without values says so. The root says where the panels' edges
-/// stand: `data-left` and `data-right`, px.
+/// Draws figures one below the other, over exactly one range of times (seconds since 1970-01-01, UTC). A figure without values says so.
+/// The root element states the panels' edges: `data-left` and `data-right`, px.
 pub fn stack(figures: &[Figure], (from, to): (f64, f64)) -> String {
     let x = Axis::exact_utc(from, to);
     let (mut body, mut height, mut edges_px) = (String::new(), 0.0, (0.0, 0.0));
@@ -139,13 +139,13 @@ pub fn stack(figures: &[Figure], (from, to): (f64, f64)) -> String {
     )
 }
 
-/// Series over a square of the same range in both axes.
+/// Series in a square with the same range in both axes.
 pub fn square(labels: &Labels, range: Range<f64>, series: &[Series]) -> String {
     let axis = Axis::exact(range.start, range.end);
     sheet(SQUARE, labels, (axis, axis), series).finish()
 }
 
-/// A panel with its series drawn.
+/// A panel with its series.
 fn sheet(size: (f64, f64), labels: &Labels, axes: (Axis, Axis), series: &[Series]) -> Sheet {
     let hues = series
         .iter()
@@ -218,7 +218,7 @@ fn draw(sheet: &mut Sheet, series: &Series, colour: &'static str) {
         }
         Mark::Curve => {
             let points = placed(sheet, &series.points);
-            // White beside the curve separates it from the dots below it.
+            // A white outline separates the curve from the dots below it.
             sheet.line(&points, Stroke::solid("#ffffff", 4.0).pale(0.8));
             sheet.line(&points, Stroke::solid(colour, 1.8));
         }
@@ -245,7 +245,7 @@ fn envelope(sheet: &mut Sheet, series: &Series, colour: &'static str) {
     }
 }
 
-/// A line from the least to the most in each column.
+/// Vertical lines from the least to the greatest value in each column.
 fn upright(columns: &[Column]) -> String {
     use super::sheet::px;
     let one = |c: &Column| format!("M{} {}V{}", px(c.x), px(c.least), px(c.most));

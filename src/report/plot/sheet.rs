@@ -5,7 +5,7 @@ use super::clip;
 use super::labels::{Horizontal, Labels};
 use std::fmt::Write;
 
-/// Colours that are distinct for the colour-blind, and in print (Okabe and Ito 2008).
+/// Colours that are distinct for colour-blind readers, and in print (Okabe and Ito 2008).
 const HUES: [&str; 6] = [
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#555555",
 ];
@@ -22,15 +22,15 @@ const TITLE_PX: f64 = 38.0;
 const LEFT_PX: f64 = 78.0;
 const RIGHT_PX: f64 = 20.0;
 const BELOW_PX: f64 = 50.0;
-/// Margin beside a panel on its sheet.
+/// Horizontal margins of a panel on its sheet.
 pub(super) const BESIDE_PX: f64 = LEFT_PX + RIGHT_PX;
-/// Of a row of the legend.
+/// Height of a row of the legend.
 const ROW_PX: f64 = 19.0;
 const SWATCH_PX: f64 = 22.0;
 /// Mean width of a letter of the labels.
 const LETTER_PX: f64 = 6.6;
 
-/// How an entry shows in the legend: as it is drawn in the panel.
+/// Symbol of an entry in the legend, as drawn in the panel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Swatch {
     Dots,
@@ -38,10 +38,10 @@ pub(super) enum Swatch {
     Dashes,
     /// A line with dots.
     Joined,
-    /// From the least to the most, with the median.
+    /// The range from least to greatest value, with the median.
     Envelope,
     Bars,
-    /// Of so many px.
+    /// An arrow of this length, px.
     Arrow(f64),
     Ring,
 }
@@ -54,7 +54,7 @@ pub(super) struct Entry {
     pub colour: &'static str,
 }
 
-/// How a stroke is drawn.
+/// Style of a stroke.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Stroke<'a> {
     pub colour: &'a str,
@@ -106,7 +106,7 @@ impl<'a> Stroke<'a> {
     }
 }
 
-/// Which end of a text stands at its place.
+/// The part of a text at its position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Anchor {
     Start,
@@ -114,7 +114,7 @@ pub(super) enum Anchor {
     End,
 }
 
-/// A figure in the making. Shapes are placed in px from the upper left corner.
+/// A figure under construction. Positions are in px from the upper left corner.
 pub(super) struct Sheet {
     pub x: Axis,
     pub y: Axis,
@@ -127,13 +127,13 @@ pub(super) struct Sheet {
     body: String,
 }
 
-/// A length to a tenth of a pixel, as short as it goes.
+/// A length to a tenth of a pixel, in its shortest form.
 pub(super) fn px(v: f64) -> String {
     let text = format!("{v:.1}");
     text.strip_suffix(".0").map_or(text.clone(), str::to_owned)
 }
 
-/// A text as it may stand in SVG.
+/// A text escaped for SVG.
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;")
         .replace('<', "&lt;")
@@ -153,7 +153,7 @@ impl Sheet {
         let right = width - RIGHT_PX - right_px;
         let rows = rows(legend, right - LEFT_PX);
         let top = TITLE_PX + ROW_PX * rows.len() as f64;
-        // Rows of the legend do not take from the panel.
+        // Further rows of the legend increase the height instead of shrinking the panel.
         let height = height + ROW_PX * rows.len().saturating_sub(1) as f64;
         let mut sheet = Self {
             x: axes.0,
@@ -179,18 +179,18 @@ impl Sheet {
         [self.left, self.top, self.right, self.bottom]
     }
 
-    /// Where a point of the axes stands on the sheet, within 5 panels of it.
+    /// Position of a point on the sheet, limited to 5 panels from it.
     pub(super) fn place(&self, point: (f64, f64)) -> (f64, f64) {
         let fraction = self.fraction(point).map(|part| part.clamp(-5.0, 6.0));
         self.at(fraction)
     }
 
-    /// The same wherever it is.
+    /// Position of a point on the sheet, without a limit.
     pub(super) fn anywhere(&self, point: (f64, f64)) -> (f64, f64) {
         self.at(self.fraction(point))
     }
 
-    /// Where a point of the axes stands in the panel, from its lower left corner to its upper right one.
+    /// Position of a point in the panel, from 0 at its lower left corner to 1 at its upper right one.
     fn fraction(&self, (x, y): (f64, f64)) -> [f64; 2] {
         [self.x.fraction(x), self.y.fraction(y)]
     }
@@ -200,7 +200,7 @@ impl Sheet {
         (self.left + across * width, self.bottom - up * height)
     }
 
-    /// The parts of a line through points of the axes that lie in the panel, on the sheet.
+    /// The parts of a line that lie in the panel, as positions on the sheet.
     pub(super) fn parts(&self, line: &[(f64, f64)]) -> Vec<Vec<(f64, f64)>> {
         let line: Vec<(f64, f64)> = line.iter().map(|point| self.anywhere(*point)).collect();
         clip::line(&line, self.panel())
@@ -227,7 +227,7 @@ impl Sheet {
         self.path(&at.iter().map(dot).collect::<String>(), stroke);
     }
 
-    /// A ring about a place on the sheet.
+    /// A ring around a position on the sheet.
     pub(super) fn ring(&mut self, (x, y): (f64, f64), radius_px: f64, stroke: Stroke<'_>) {
         let (left, r, across) = (px(x - radius_px), px(radius_px), px(2.0 * radius_px));
         let ring = format!(
@@ -237,7 +237,7 @@ impl Sheet {
         self.path(&ring, stroke);
     }
 
-    /// A path in SVG's words.
+    /// A path in SVG syntax.
     pub(super) fn path(&mut self, path: &str, stroke: Stroke<'_>) {
         if !path.is_empty() {
             let _ = writeln!(self.body, "<path d=\"{path}\" {}/>", stroke.attributes());
@@ -272,7 +272,7 @@ impl Sheet {
         );
     }
 
-    /// An arrow between two places on the sheet; a very short one is a dot.
+    /// An arrow between two positions on the sheet; a very short one is a dot.
     pub(super) fn arrow(&mut self, from: (f64, f64), to: (f64, f64), colour: &'static str) {
         const HEAD_PX: f64 = 5.0;
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
@@ -352,7 +352,7 @@ impl Sheet {
         for tick in self.x.ticks(across) {
             let (x, _) = self.place((tick.at, self.y.low));
             self.line(&[(x, top), (x, bottom)], grid);
-            // A label at the panel's end is not cut.
+            // Shift a label at the panel's end so that it is not cut.
             let half_px = LETTER_PX * tick.label.chars().count() as f64 / 2.0;
             let x = x.min(self.size.0 - half_px);
             self.text((x, bottom + 16.0), Anchor::Middle, &tick.label);
@@ -404,7 +404,7 @@ impl Sheet {
         self.finish_at(0.0)
     }
 
-    /// The SVG, so many px below the top of one that it is part of.
+    /// The SVG, placed `y` px below the top of an enclosing one.
     pub(super) fn finish_at(self, y: f64) -> String {
         let (width, height) = (px(self.size.0), px(self.size.1));
         let title = escaped(&self.title);
@@ -433,7 +433,7 @@ fn width(entry: &Entry) -> f64 {
     swatch_px(entry) + 6.0 + LETTER_PX * entry.name.chars().count() as f64 + 22.0
 }
 
-/// The entries in rows of a width.
+/// Arranges the entries in rows of a width.
 fn rows(legend: &[Entry], width_px: f64) -> Vec<Vec<Entry>> {
     let mut rows: Vec<Vec<Entry>> = Vec::new();
     let mut free_px = 0.0;

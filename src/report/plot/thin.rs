@@ -1,12 +1,12 @@
-//! Long series made short without losing what stands out.
+//! Reduction of long series that preserves extreme values.
 
 use crate::estimation::median;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
-/// Points so many median steps apart are not joined: frames are missing between them, or a night.
+/// Points further apart than this multiple of the median step are not joined: frames are missing between them.
 const GAP_STEPS: f64 = 3.0;
 
-/// The runs of points in which no step is a gap and every value is finite.
+/// Splits points into runs without gaps and without values that are not finite.
 pub(super) fn runs(points: &[(f64, f64)]) -> Vec<Vec<(f64, f64)>> {
     let longest = longest_step(points.iter().map(|point| point.0));
     let finite = |point: &(f64, f64)| point.0.is_finite() && point.1.is_finite();
@@ -35,7 +35,7 @@ pub(super) struct Column {
     pub median: f64,
 }
 
-/// Points on the sheet, px, by columns of a pixel: the least, the most and the median of each.
+/// Reduces points on the sheet, px, to columns of pixels with the least, the greatest and the median value of each.
 pub(super) fn columns(points: impl Iterator<Item = (f64, f64)>) -> Vec<Column> {
     let mut columns: BTreeMap<i64, Vec<f64>> = BTreeMap::new();
     for (x, y) in points {
@@ -50,7 +50,7 @@ pub(super) fn columns(points: impl Iterator<Item = (f64, f64)>) -> Vec<Column> {
     columns.into_iter().map(column).collect()
 }
 
-/// Points on the sheet, px, to half a pixel, each once.
+/// Points on the sheet, px, rounded to half a pixel, without duplicates.
 pub(super) fn distinct(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f64)> {
     let half = |v: f64| (2.0 * v).round() as i64;
     let distinct: BTreeSet<(i64, i64)> = points.map(|(x, y)| (half(x), half(y))).collect();
@@ -58,7 +58,7 @@ pub(super) fn distinct(points: impl Iterator<Item = (f64, f64)>) -> Vec<(f64, f6
     distinct.into_iter().map(back).collect()
 }
 
-/// A piece of a line on the sheet, px, and what it is drawn in.
+/// A piece of a line on the sheet, px, and its shade.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Piece<S> {
     pub from: (f64, f64),
@@ -69,7 +69,7 @@ pub(super) struct Piece<S> {
 /// Width of a line of pieces, px.
 pub(super) const PIECE_PX: f64 = 2.0;
 
-/// Pieces in the order in which they are drawn, without those that later ones cover: no more are left than the panel has squares of a line's width,
+/// Pieces in drawing order, without those covered by later ones: at most as many remain as the panel has squares of a line's width,
 /// however long the path is.
 pub(super) fn uncovered<S>(pieces: Vec<Piece<S>>) -> Vec<Piece<S>> {
     let mut covered = HashSet::new();
