@@ -1,14 +1,14 @@
 //! Least squares for a few parameters: reweighted Gauss-Newton steps, halved until they lower the cost.
 //!
-//! Residuals come in units of their stated sigmas. The loss weights them by their size over the scale; scale and weights are
-//! found together with the parameters (iteratively reweighted least squares: Holland and Welsch, 1977).
+//! Residuals are in units of their stated sigmas. The loss weights them by their size relative to the scale; scale and weights are
+//! determined together with the parameters (iteratively reweighted least squares: Holland and Welsch, 1977).
 
 use super::normal::{Normal, Prior};
 use super::robust::{Loss, MEDIAN_LENGTH_2D, SIGMA_PER_MEDIAN, TUKEY_SIGMAS, median_among};
 use crate::units::Measured;
 use nalgebra::{SMatrix, SVector};
 
-/// An observation near some parameters, in units of its sigma.
+/// An observation linearised at some parameters, in units of its sigma.
 #[derive(Debug, Clone, Copy)]
 pub struct Linearised<const D: usize, const N: usize> {
     /// Observed minus predicted.
@@ -17,18 +17,18 @@ pub struct Linearised<const D: usize, const N: usize> {
     pub jacobian: SMatrix<f64, D, N>,
 }
 
-/// By how much the sigmas of observations and prior are inflated.
+/// Inflation of the sigmas of observations and prior.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scale {
-    /// Not at all.
+    /// No inflation.
     Stated,
     /// To the weighted rms of the residuals; never below 1.
     Inflated,
-    /// To what the median of the residuals' lengths says, in one axis or in two: stated sigmas are relative.
+    /// From the median length of the residuals, in one axis or in two: stated sigmas are relative.
     Median,
 }
 
-/// A fit to be made.
+/// Settings of a fit.
 #[derive(Debug, Clone, Copy)]
 pub struct LeastSquares<const N: usize> {
     pub start: SVector<f64, N>,
@@ -39,12 +39,12 @@ pub struct LeastSquares<const N: usize> {
     pub tolerance_sigmas: f64,
 }
 
-/// Parameters where the cost is least.
+/// The parameters with the least cost.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fitted<const N: usize> {
     pub parameters: SVector<f64, N>,
     pub covariance: SMatrix<f64, N, N>,
-    /// By how much the sigmas were inflated; see [`Scale`].
+    /// Inflation of the sigmas; see [`Scale`].
     pub scatter: f64,
     /// The loss's weight of each observation, 0 to 1.
     pub weights: Vec<f64>,
@@ -56,7 +56,7 @@ impl<const N: usize> Fitted<N> {
     }
 }
 
-/// Why there is no fit.
+/// Reasons for which there is no fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FitError {
     #[error("the observations do not determine the parameters")]
@@ -66,20 +66,20 @@ pub enum FitError {
 }
 
 const MOST_STEPS: usize = 100;
-/// The scale is held from this step on, so that the weights that depend on it settle.
+/// The scale is constant from this step on, so that the weights that depend on it converge.
 const SCALE_STEPS: usize = 25;
-/// A change of the scale by so much of the parameters' tolerance in sigmas moves them by less than that.
+/// Convergence of the scale, relative: this multiple of the parameters' tolerance in sigmas moves them by less than that tolerance.
 const SETTLED_SCALE: f64 = 0.02;
 const LEAST_SETTLED_SCALE: f64 = 1e-6;
-/// A step halved so often is lost in rounding: there is no lower cost.
+/// A step halved this often is lost in rounding: there is no lower cost.
 const MOST_HALVINGS: i32 = 40;
 
 impl<const N: usize> LeastSquares<N> {
-    /// Fits. `linearise` gives all observations near some parameters, always as many and in the same order; `None` where the
-    /// parameters predict nothing.
+    /// Fits the parameters. `linearise` gives all observations at some parameters, always as many and in the same order; `None` if the
+    /// parameters give no prediction.
     ///
     /// # Errors
-    /// Observations and prior that do not determine the parameters, or steps that do not settle.
+    /// If observations and prior do not determine the parameters, or the steps do not converge.
     pub fn fit<const D: usize>(
         &self,
         linearise: impl Fn(&SVector<f64, N>) -> Option<Vec<Linearised<D, N>>>,
@@ -87,10 +87,10 @@ impl<const N: usize> LeastSquares<N> {
         self.fit_each(linearise)
     }
 
-    /// The same of observations that are given one after the other.
+    /// The same for observations that come from an iterator.
     ///
     /// # Errors
-    /// As [`fit`](Self::fit).
+    /// Those of [`fit`](Self::fit).
     pub fn fit_each<const D: usize, Rows: IntoIterator<Item = Linearised<D, N>>>(
         &self,
         linearise: impl Fn(&SVector<f64, N>) -> Option<Rows>,
@@ -145,10 +145,10 @@ impl<const N: usize> LeastSquares<N> {
         Err(FitError::NotConverged)
     }
 
-    /// Fits from where plain least squares end: for a start at which residuals do not yet show outliers.
+    /// Fits after a first fit by plain least squares: for a start at which residuals do not yet show outliers.
     ///
     /// # Errors
-    /// As [`fit`](Self::fit).
+    /// Those of [`fit`](Self::fit).
     pub fn fit_after_plain<const D: usize, Rows: IntoIterator<Item = Linearised<D, N>>>(
         &self,
         linearise: impl Fn(&SVector<f64, N>) -> Option<Rows>,
@@ -185,7 +185,7 @@ fn normal_equations<const D: usize, const N: usize>(
     normal
 }
 
-/// A loss of residuals over their scale; all have equal weights where they have none.
+/// A loss of residuals relative to their scale; equal weights if the scale is zero.
 struct Scaled {
     loss: Loss,
     scale: f64,
@@ -213,7 +213,7 @@ impl Scaled {
 }
 
 impl Scale {
-    /// By these observations; `list` is one to be used for their residuals' sizes.
+    /// The scale from these observations; `list` is a buffer for the sizes of their residuals.
     fn of<const D: usize, const N: usize>(
         self,
         rows: &[Linearised<D, N>],
@@ -243,11 +243,11 @@ impl Scale {
     }
 }
 
-/// Robust linear regression: values as sums of coefficients times known terms. `sigmas` are relative, their scale follows
-/// from the scatter.
+/// Robust linear regression: values as sums of coefficients times known terms. `sigmas` are relative, their scale is determined from the
+/// scatter.
 ///
 /// # Errors
-/// Terms that do not determine the coefficients, or that leave no value to determine the scatter.
+/// If the terms do not determine the coefficients, or leave no value to determine the scatter.
 pub fn regression<const N: usize>(
     terms: &[SVector<f64, N>],
     values: &[f64],
@@ -262,10 +262,10 @@ pub fn regression<const N: usize>(
     )
 }
 
-/// Linear regression with a loss and a scale of its own. Plain squares have no bias where errors are skewed; a robust loss has.
+/// Linear regression with a given loss and scale. Plain squares are unbiased for skewed errors; a robust loss is biased.
 ///
 /// # Errors
-/// As [`regression`].
+/// Those of [`regression`].
 pub fn regression_by<const N: usize>(
     loss: Loss,
     scale: Scale,
@@ -356,7 +356,7 @@ mod tests {
         assert!((fitted.parameters - Vector2::new(3.0, 0.5)).norm() < 1e-12);
     }
 
-    /// The decay a exp(-b x) seen without errors at ten places, from a start.
+    /// The decay a exp(-b x) observed without errors at ten points, from a start.
     fn decay(start: [f64; 2], prior: Prior<2>) -> Result<Fitted<2>, FitError> {
         let fit = LeastSquares {
             start: start.into(),

@@ -1,8 +1,8 @@
 //! Estimation: robust scale and loss, and least squares for a few parameters.
 //!
-//! - `robust`: medians, scatter from medians, Tukey's loss, and the constants of the normal distribution that go with them.
-//! - `least_squares`: residuals with their derivatives, a prior and a loss to parameters, covariance and scatter.
-//! - `normal`: the normal equations of a few parameters or of many, for fits with steps of their own.
+//! - `robust`: medians, scatter from medians, Tukey's loss, and the related constants of the normal distribution.
+//! - `least_squares`: from residuals with their derivatives, a prior and a loss to parameters, covariance and scatter.
+//! - `normal`: the normal equations of a few parameters or of many, for fits with their own steps.
 //! - `spectrum`: the power spectral density of a motion.
 //! - `schmidt`: the update of an error of many states, some of which are only considered.
 

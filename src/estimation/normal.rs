@@ -1,15 +1,15 @@
-//! Normal equations: of a few parameters, and of many of which each observation is of a few.
+//! Normal equations: of a few parameters, and of many parameters with observations that depend on a few each.
 
 use nalgebra::{Cholesky, Const, DMatrix, DVector, Dyn, Matrix2, SMatrix, SVector, Vector2};
 
-/// An unknown with less than this part of its information independent of those before it is not determined.
+/// Least part of an unknown's information that must be independent of the previous unknowns; else it is not determined.
 const LEAST_OWN_PART: f64 = 1e-10;
 
-/// The priors of the parameters, each on its own.
+/// Independent priors of the parameters.
 #[derive(Debug, Clone, Copy)]
 pub struct Prior<const N: usize> {
     pub mean: SVector<f64, N>,
-    /// 1 / variance; 0 where nothing is known, infinite where the parameter is held: a fit must start with it at the mean.
+    /// 1 / variance; 0 without a prior, infinite for a fixed parameter: a fit must start with it at the mean.
     pub information: SVector<f64, N>,
 }
 
@@ -21,7 +21,7 @@ impl<const N: usize> Prior<N> {
         }
     }
 
-    /// Information on the free parameters.
+    /// Prior information on the free parameters.
     fn free(&self) -> SVector<f64, N> {
         self.information
             .map(|known| if known.is_finite() { known } else { 0.0 })
@@ -37,7 +37,7 @@ impl<const N: usize> Prior<N> {
     }
 }
 
-/// The normal equations of observations near some parameters, residuals and slopes in units of their sigmas.
+/// The normal equations of observations linearised at some parameters, with residuals and derivatives in units of their sigmas.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Normal<const N: usize> {
     pub information: SMatrix<f64, N, N>,
@@ -49,14 +49,14 @@ pub struct Normal<const N: usize> {
 /// Solved normal equations.
 #[derive(Debug, Clone)]
 pub struct Solved<const N: usize> {
-    /// Of the parameters.
+    /// Step of the parameters.
     pub step: SVector<f64, N>,
     root: Cholesky<f64, Const<N>>,
     is_held: [bool; N],
 }
 
 impl<const N: usize> Solved<N> {
-    /// Covariance of the parameters after the step: 0 for those that are held.
+    /// Covariance of the parameters after the step: 0 for fixed ones.
     pub fn covariance(&self) -> SMatrix<f64, N, N> {
         let mut covariance = self.root.inverse();
         for n in (0..N).filter(|n| self.is_held[*n]) {
@@ -75,14 +75,14 @@ impl<const N: usize> Normal<N> {
         }
     }
 
-    /// Adds an observation of some weight: derivatives of its prediction, and observed minus predicted.
+    /// Adds an observation with a weight: derivatives of its prediction, and observed minus predicted.
     pub fn add(&mut self, slopes: &SVector<f64, N>, residual: f64, weight: f64) {
         self.information.ger(weight, slopes, slopes, 1.0);
         self.gradient.axpy(weight * residual, slopes, 1.0);
         self.chi2 += weight * residual * residual;
     }
 
-    /// The same observations, each counting so much.
+    /// The same observations, each multiplied by a weight.
     pub fn weighted(&self, weight: f64) -> Self {
         Self {
             information: self.information * weight,
@@ -91,7 +91,7 @@ impl<const N: usize> Normal<N> {
         }
     }
 
-    /// These observations and others.
+    /// Sum of these observations and others.
     pub fn with(&self, other: &Self) -> Self {
         Self {
             information: self.information + other.information,
@@ -100,8 +100,8 @@ impl<const N: usize> Normal<N> {
         }
     }
 
-    /// Normal equations of the last `LEFT` of the parameters once the observations alone have determined the `FIRST` (Schur complement). `None` where
-    /// they do not. FIRST + LEFT = N.
+    /// Normal equations of the last `LEFT` parameters with the `FIRST` ones eliminated by the observations alone (Schur complement).
+    /// `None` if these do not determine them. FIRST + LEFT = N.
     pub fn of_last<const FIRST: usize, const LEFT: usize>(&self) -> Option<Normal<LEFT>> {
         let block = self.information.fixed_view::<FIRST, FIRST>(0, 0);
         let mixed = self.information.fixed_view::<FIRST, LEFT>(0, FIRST);
@@ -116,8 +116,8 @@ impl<const N: usize> Normal<N> {
         })
     }
 
-    /// The Gauss-Newton step from some parameters of which something is known; those of infinite information are held at their mean.
-    /// `None` where the others are not determined.
+    /// The Gauss-Newton step from parameters with a prior; those with infinite information are fixed at their mean. `None` if the others
+    /// are not determined.
     pub fn solve(&self, prior: &Prior<N>, parameters: &SVector<f64, N>) -> Option<Solved<N>> {
         let mut information = self.information;
         let mut gradient = self.gradient;
@@ -147,13 +147,13 @@ impl<const N: usize> Normal<N> {
         })
     }
 
-    /// The sum of the squared residuals after a step, as far as they are linear.
+    /// The sum of the squared residuals predicted for a step by the linearisation.
     pub fn chi2_after(&self, step: &SVector<f64, N>) -> f64 {
         self.chi2 - 2.0 * step.dot(&self.gradient) + step.dot(&(self.information * step))
     }
 }
 
-/// The normal equations of many unknowns. A prior is an observation as well.
+/// The normal equations of many unknowns. A prior is added as an observation.
 #[derive(Debug, Clone)]
 pub struct Large {
     information: DMatrix<f64>,
@@ -163,9 +163,9 @@ pub struct Large {
 /// Solved normal equations of many unknowns.
 #[derive(Debug, Clone)]
 pub struct LargeSolved {
-    /// 0 for those that are held.
+    /// Step of all unknowns: 0 for fixed ones.
     pub step: DVector<f64>,
-    /// Of those that are not.
+    /// Cholesky factor of the free unknowns' information.
     root: Cholesky<f64, Dyn>,
     free: Vec<usize>,
 }
@@ -178,8 +178,8 @@ impl Large {
         }
     }
 
-    /// Adds an observation of `D` coordinates and some weight, the inverse of its covariance: the derivatives of its prediction by the unknowns that
-    /// it is of, and observed minus predicted.
+    /// Adds an observation of `D` coordinates with a weight, the inverse of its covariance: the derivatives of its prediction by the
+    /// unknowns on which it depends, and observed minus predicted.
     pub fn add<const D: usize>(
         &mut self,
         slopes: &[(usize, SVector<f64, D>)],
@@ -195,7 +195,7 @@ impl Large {
         }
     }
 
-    /// Adds to the information of two neighbouring unknowns with two others, or with themselves.
+    /// Adds to the information between two neighbouring unknowns and two others, or themselves.
     pub fn add_block(&mut self, [row, column]: [usize; 2], information: &Matrix2<f64>) {
         let mut block = self.information.fixed_view_mut::<2, 2>(row, column);
         block += information;
@@ -207,7 +207,7 @@ impl Large {
         rows += gradient;
     }
 
-    /// The Gauss-Newton step. `None` where the unknowns that are not held are not determined.
+    /// The Gauss-Newton step. `None` if the free unknowns are not determined.
     pub fn solve(&self, is_held: impl Fn(usize) -> bool) -> Option<LargeSolved> {
         let free: Vec<usize> = (0..self.gradient.len()).filter(|n| !is_held(*n)).collect();
         let information = self.information.select_rows(&free).select_columns(&free);
@@ -223,7 +223,7 @@ impl Large {
 }
 
 impl LargeSolved {
-    /// Covariance of the unknowns after the step: 0 for those that are held.
+    /// Covariance of the unknowns after the step: 0 for fixed ones.
     pub fn covariance(&self) -> DMatrix<f64> {
         let of_free = self.root.inverse();
         let mut covariance = DMatrix::zeros(self.step.len(), self.step.len());
@@ -240,7 +240,7 @@ impl LargeSolved {
 mod tests {
     use super::*;
 
-    /// A line through (0, 1), (1, 3) and (2, 5.3), all to 0.1.
+    /// A line through (0, 1), (1, 3) and (2, 5.3), each with sigma 0.1.
     fn line() -> Normal<2> {
         let mut normal = Normal::zero();
         for (x, y) in [(0.0, 1.0), (1.0, 3.0), (2.0, 5.3)] {

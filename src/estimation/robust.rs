@@ -1,4 +1,4 @@
-//! Location, scale and loss that a minority of outliers hardly changes.
+//! Location, scale and loss that are robust against a minority of outliers.
 
 use crate::kernels::squares_within;
 use std::borrow::Borrow;
@@ -11,15 +11,15 @@ pub const QUARTILE_SIGMAS: f64 = 0.6745;
 pub const MEDIAN_LENGTH_2D: f64 = 1.177;
 /// Its square: the median of chi^2 with two degrees of freedom.
 pub const MEDIAN_CHI2_2D: f64 = 2.0 * std::f64::consts::LN_2;
-/// 1 sigma of the median of many normal values over that of their mean: the square root of pi / 2.
+/// 1 sigma of the median of many normally distributed values over that of their mean: the square root of pi / 2.
 pub const MEDIAN_SIGMA: f64 = 1.253_314_137_315_500_3;
 
-/// Two values so many sigma apart are not of the same thing.
+/// Two values that differ by more sigmas than this contradict each other.
 pub const CONTRADICTION_SIGMAS: f64 = 5.0;
 
-/// Tukey's limit for residuals in one axis: 95 % of the efficiency of least squares where errors are normal.
+/// Tukey's limit for residuals in one axis: 95 % of the efficiency of least squares for normal errors.
 pub const TUKEY_SIGMAS: f64 = 4.685;
-/// The same for the length of residuals in two axes, in sigmas per axis. It is larger since such lengths are.
+/// The same for the length of residuals in two axes, in sigmas per axis; it is larger because such lengths are.
 pub const TUKEY_SIGMAS_2D: f64 = 5.123;
 
 /// Loss of residuals, and so their weights.
@@ -52,7 +52,7 @@ impl Loss {
     }
 }
 
-/// The median of some values, of an even number the larger of the two in the middle; `None` of none.
+/// The median of some values, the larger of the two middle ones if their number is even; `None` without values.
 pub fn median<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> Option<f64> {
     median_among(
         &mut values
@@ -62,42 +62,42 @@ pub fn median<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> Option<f64
     )
 }
 
-/// The same of values whose order does not matter any more.
+/// The same, reordering the values.
 pub fn median_among(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// The [`median`] of some values, and 1 sigma of their scatter about it; `None` of none.
+/// The [`median`] of some values, and 1 sigma of their scatter about it; `None` without values.
 pub fn median_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
     let middle = median(values)?;
     let away = median(values.iter().map(|value| (value - middle).abs()))?;
     Some((middle, SIGMA_PER_MEDIAN * away))
 }
 
-/// A whole number by which numbers are ordered as by themselves, and compared more quickly.
+/// An integer with the same order as the numbers, for faster comparisons.
 pub fn order(value: f32) -> i32 {
     let bits = value.to_bits() as i32;
     bits ^ ((bits >> 31) & i32::MAX)
 }
 
-/// The [`median`] of numbers that are given by their [`order`]; `None` of none.
+/// The [`median`] of numbers given by their [`order`]; `None` without values.
 pub fn median_of_orders(orders: &mut [i32]) -> Option<f32> {
     let middle = orders.len() / 2;
-    // The number of an order is the order of its bits.
+    // The mapping between bits and order is its own inverse.
     let of = |middle: i32| f32::from_bits(order(f32::from_bits(middle as u32)) as u32);
     (!orders.is_empty()).then(|| of(*orders.select_nth_unstable(middle).1))
 }
 
-/// 1 sigma of residuals, at least `least`, from those within three sigmas: in rounds, since the limit depends on the result.
-/// `None` of too few.
+/// 1 sigma of residuals, at least `least`, from those within three sigmas: iterated, because the limit depends on the result.
+/// `None` if there are too few.
 pub fn clipped_sigma(residuals: &[f32], start: f32, least: f64) -> Option<f64> {
     /// Fewest values that determine a sigma.
     const MIN_VALUES: f32 = 10.0;
-    /// Share of its sigma that a normal distribution keeps within three sigmas.
+    /// Ratio of the standard deviation of a normal distribution cut at three sigmas to its sigma.
     const KEPT: f32 = 0.9866;
     const ROUNDS: usize = 4;
-    /// The start may be of another part of the picture.
+    /// The start may be from another part of the picture.
     const FIRST_LIMIT: f32 = 5.0;
     let mut limit = FIRST_LIMIT * start;
     let mut sigma = None;

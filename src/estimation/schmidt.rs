@@ -1,4 +1,4 @@
-//! A Gaussian error of any number of states, some of which are only considered: the Schmidt-Kalman update in Joseph's form.
+//! Gaussian error of any number of states, some of which are only considered: the Schmidt-Kalman update in Joseph's form.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, SMatrix, SVector};
 
@@ -6,7 +6,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn, SMatrix, SVector};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Role {
     Estimated,
-    /// Its error counts in every covariance, and no measurement changes it.
+    /// Its error contributes to every covariance, but no measurement changes it.
     Considered,
 }
 
@@ -16,15 +16,15 @@ pub struct Proposal<const M: usize> {
     /// Observed minus predicted, and its covariance.
     pub residual: SVector<f64, M>,
     pub covariance: SMatrix<f64, M, M>,
-    /// Of the state with the residual.
+    /// Covariance of the state with the residual.
     across: DMatrix<f64>,
     root: Cholesky<f64, nalgebra::Const<M>>,
     noise: SMatrix<f64, M, M>,
 }
 
 impl<const M: usize> Proposal<M> {
-    /// An observation of a state of some covariance: observed minus predicted values, the derivatives of the prediction by the state, and the
-    /// covariance of the observation's errors. `None` where that of the residual is not positive.
+    /// Prepares an update from the state's covariance: observed minus predicted values, the derivatives of the prediction by the state,
+    /// and the covariance of the observation's errors. `None` if the residual's covariance is not positive.
     pub fn new(
         covariance: &DMatrix<f64>,
         residual: SVector<f64, M>,
@@ -44,18 +44,18 @@ impl<const M: usize> Proposal<M> {
         })
     }
 
-    /// The residual's square over its covariance.
+    /// The normalised residual squared.
     pub fn chi2(&self) -> f64 {
         self.residual.dot(&self.root.solve(&self.residual))
     }
 
-    /// The residual in units of its errors, independent of each other: of a good filter their mean is 0.
+    /// The residual in units of its errors, decorrelated: for a consistent filter the mean is 0.
     pub fn whitened(&self) -> SVector<f64, M> {
         let whitened = self.root.l_dirty().solve_lower_triangular(&self.residual);
         whitened.unwrap_or_else(SVector::zeros)
     }
 
-    /// Takes the observation: the change of the estimated states, and the covariance of all after it.
+    /// Applies the update: returns the change of the estimated states, and updates the covariance of all.
     pub fn take(&self, covariance: &mut DMatrix<f64>, roles: &[Role]) -> DVector<f64> {
         let across = self.across.fixed_columns::<M>(0);
         let mut gain = self.root.solve(&across.transpose()).transpose();
@@ -65,7 +65,7 @@ impl<const M: usize> Proposal<M> {
         {
             gain.row_mut(n).fill(0.0);
         }
-        // (1 - K H) P (1 - K H)^T + K R K^T, one factor after the other.
+        // (1 - K H) P (1 - K H)^T + K R K^T, one factor at a time.
         let predicted = self.covariance - self.noise;
         let kept = across - &gain * predicted;
         covariance.gemm(-1.0, &gain, &across.transpose(), 1.0);
@@ -76,7 +76,7 @@ impl<const M: usize> Proposal<M> {
     }
 }
 
-/// Takes away what rounding adds to a covariance.
+/// Removes the asymmetry of a covariance caused by rounding.
 pub fn symmetrise(covariance: &mut DMatrix<f64>) {
     for column in 0..covariance.ncols() {
         for row in 0..column {
@@ -87,7 +87,7 @@ pub fn symmetrise(covariance: &mut DMatrix<f64>) {
     }
 }
 
-/// The square root of a covariance whose states have units of their own: states are scaled to one first. `None` where it is not positive.
+/// Cholesky factor of a covariance whose states have different units: states are first scaled to unit variance. `None` if it is not positive.
 pub struct ScaledRoot {
     scale: DVector<f64>,
     root: Cholesky<f64, Dyn>,
@@ -103,7 +103,7 @@ impl ScaledRoot {
             scaled.row_mut(n).scale_mut(*factor);
             scaled.column_mut(n).scale_mut(*factor);
         }
-        // What rounding may take from the smallest axis.
+        // Allows for rounding in the smallest eigenvalue.
         const LEAST: f64 = 1e-13;
         (0..scaled.nrows()).for_each(|n| scaled[(n, n)] += LEAST);
         Some(Self {
@@ -163,7 +163,7 @@ mod tests {
             assert_eq!(change[2], 0.0);
         }
         assert_eq!(covariance[(2, 2)], 1.0);
-        // The sum of both is known: of the first that leaves 4 * 1 / (4 + 1) at least.
+        // The sum of both is known: this leaves at least 4 * 1 / (4 + 1) of the first.
         assert!((0.8..0.9).contains(&covariance[(0, 0)]), "{covariance}");
         assert!(covariance.cholesky().is_some());
     }

@@ -1,16 +1,16 @@
-//! The spectrum of a motion: Welch's mean of overlapping pieces under a Hann window.
+//! The spectrum of a motion: Welch's mean over overlapping segments with a Hann window.
 
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
 use std::f64::consts::TAU;
 
-/// The longest piece, samples.
+/// Longest segment, samples.
 const LONGEST: usize = 1024;
-/// A shorter piece is left out.
+/// A shorter segment is ignored.
 const SHORTEST: usize = 16;
 
-/// Power spectral density, one-sided: frequency (Hz) and density (unit^2/Hz), from values so many seconds apart. Each run is without
-/// gaps. Empty where no run is long enough.
+/// Power spectral density, one-sided: frequency (Hz) and density (unit^2/Hz), from values `step_s` apart. The runs have no gaps. Empty if
+/// no run is long enough.
 pub fn density(runs: &[Vec<f64>], step_s: f64) -> Vec<(f64, f64)> {
     let longest = runs.iter().map(Vec::len).max().unwrap_or(0);
     let length = (SHORTEST..=LONGEST.min(longest))
@@ -47,14 +47,14 @@ pub fn density(runs: &[Vec<f64>], step_s: f64) -> Vec<(f64, f64)> {
     found.map(|(n, sum)| (frequency(n), density(sum))).collect()
 }
 
-/// The one-sided density of white noise of 1 sigma per value, values so many seconds apart (unit^2/Hz): its variance spread evenly
-/// up to half the rate of the values.
+/// The one-sided density of white noise with 1 sigma per value, values `step_s` apart (unit^2/Hz): its variance spread evenly up to half
+/// the sampling rate.
 pub fn floor(sigma: f64, step_s: f64) -> f64 {
     2.0 * sigma.powi(2) * step_s
 }
 
-/// The rms of all that is at a frequency or above: the square root of the density integrated from the highest frequency down.
-/// Frequencies of `density` (Hz, unit^2/Hz) are even steps from the first, each of which stands for a step.
+/// The rms of all motion at or above a frequency: the square root of the density integrated from the highest frequency down.
+/// The frequencies of `density` (Hz, unit^2/Hz) are multiples of the first, which is the step.
 pub fn rms_above(density: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let step_hz = density.first().map_or(0.0, |first| first.0);
     let mut variance = 0.0;

@@ -19,7 +19,7 @@ pub(super) type Covariance = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 const MOST_STEPS: usize = 12;
 /// After a step as short as this, the residuals are linear to a hundred-thousandth of a pixel.
 const SHORT_STEP_PX: f64 = 0.03;
-/// The problem: pairs and outline on the ideal sensor, free of the lens's distortion.
+/// The problem: pairs and outline on the ideal sensor, free of lens distortion.
 #[derive(Clone)]
 pub(super) struct Problem {
     pairs: Vec<IdealPair>,
@@ -31,7 +31,7 @@ pub(super) struct Problem {
 struct IdealPair {
     observed: Vector2<f64>,
     printed: PlateMil,
-    /// Inverse Cholesky factor of the covariance: takes a residual (px) to two uncorrelated numbers of sigma 1.
+    /// Inverse Cholesky factor of the covariance: transforms a residual (px) to two uncorrelated numbers of sigma 1.
     whitening: Matrix2<f64>,
 }
 
@@ -45,14 +45,14 @@ struct IdealOutline {
     radius_mil: Measured,
 }
 
-/// The unknowns: how the camera sees the plate, and the circle that the outline is the image of.
+/// The unknowns: the camera's view of the plate, and the circle whose image is the outline.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Model {
     pub view: View,
     pub circle: Option<Circle>,
 }
 
-/// Which unknowns are free, and with what sigmas.
+/// The free unknowns, and the inflation of the sigmas.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Terms {
     pub kind: MappingKind,
@@ -65,24 +65,24 @@ pub(super) struct Terms {
 pub(super) struct Adjusted {
     pub terms: Terms,
     pub model: Model,
-    /// Zero for unknowns that are held.
+    /// Zero for fixed unknowns.
     pub covariance: Covariance,
-    /// By the pairs' stated sigmas.
+    /// Chi^2 of the pairs with their stated sigmas.
     pub chi2_pairs: f64,
-    /// Of the outline's points, and of the priors.
+    /// Chi^2 of the outline's points and the priors.
     pub chi2_others: f64,
     /// Degrees of freedom of the pairs' residuals: Förstner's redundancy numbers, summed.
     pub redundancy: f64,
 }
 
 impl Adjusted {
-    /// By the inflated sigmas.
+    /// Total chi^2 with the inflated sigmas.
     pub(super) fn chi2(&self) -> f64 {
         self.chi2_pairs / self.terms.inflation.powi(2) + self.chi2_others
     }
 
-    /// Square root of the determinant of the tilt's covariance over that of its prior: the part of the tilts that are possible
-    /// a priori which the data leave open.
+    /// Square root of the determinant of the tilt's covariance over that of its prior: the fraction of the a priori possible tilts that
+    /// the data leave open.
     pub(super) fn open_tilts(&self) -> f64 {
         let [x, y] = TILT;
         let c = &self.covariance;
@@ -92,7 +92,7 @@ impl Adjusted {
 }
 
 impl Model {
-    /// All parameters zero, from where one step leads to the similarity of the pairs alone.
+    /// All parameters zero: one step from here gives the similarity of the pairs alone.
     fn zero(handedness: Handedness) -> Self {
         Self {
             view: View::zero(handedness),
@@ -123,7 +123,7 @@ impl Model {
         }
     }
 
-    /// How far a step moves the image of what lies [`UNIT_MIL`] from the plate's centre, px.
+    /// Displacement by a step of the image at [`UNIT_MIL`] from the plate's centre, px.
     fn moved_px(&self, step: &Unknowns) -> f64 {
         let unit_px = self.view.unit_px();
         let linear = step.fixed_rows::<6>(0).norm();
@@ -139,7 +139,7 @@ impl Model {
 }
 
 impl Problem {
-    /// `None` when a covariance is not positive.
+    /// `None` if a covariance is not positive.
     pub(super) fn new(
         pairs: &[Pair],
         outline: Option<&Outline<'_>>,
@@ -200,7 +200,7 @@ impl Problem {
         Some(fitted.model)
     }
 
-    /// The same with the circle that the outline is the image of, where there is one.
+    /// The same with the circle whose image is the outline, if there is one.
     pub(super) fn similarity(&self) -> Option<Model> {
         let Model { view, .. } = self.similarity_of_pairs()?;
         let circle = match &self.outline {
@@ -213,8 +213,7 @@ impl Problem {
         Some(Model { view, circle })
     }
 
-    /// Fits from a model near the solution; without the outline where the model has no circle. `None` when the data do not
-    /// determine the fit.
+    /// Fits from a model near the solution; without the outline if the model has no circle. `None` if the data do not determine the fit.
     pub(super) fn adjust(&self, start: &Model, terms: Terms) -> Option<Adjusted> {
         let held = held(terms.kind, start.circle.is_some());
         let mut model = *start;
@@ -243,8 +242,8 @@ impl Problem {
         None
     }
 
-    /// By how much chi^2 falls over the first step from a model in the unknowns of each of some kinds, all at stated sigmas.
-    /// `None` where the data determine no step.
+    /// Decrease of chi^2 by the first step from a model in the unknowns of each of some kinds, all with stated sigmas.
+    /// `None` if the data do not determine a step.
     pub(super) fn first_step_gains<const N: usize>(
         &self,
         model: &Model,
@@ -275,7 +274,8 @@ impl Problem {
         normal
     }
 
-    /// Of the priors of tilt and radius, and of the points that lie on the circle; nothing without a circle. `None` where a point has no place on the plate.
+    /// Normal equations of the priors of tilt and radius, and of the outline's points; zero without a circle. `None` if a point has no
+    /// position on the plate.
     fn normal_of_others(&self, model: &Model) -> Option<Normal<UNKNOWNS>> {
         let mut normal = Normal::zero();
         let (Some(outline), Some(circle)) = (&self.outline, model.circle) else {
@@ -293,7 +293,7 @@ impl Problem {
             let from_centre = on_plate.vector() - circle.centre;
             let distance = from_centre.norm();
             let outward = (distance > 0.0).then(|| from_centre / distance)?;
-            // What a shift of the point on the sensor changes of its distance on the plate.
+            // Change of the point's distance on the plate with its shift on the sensor.
             let across = to_plate.tr_mul(&outward);
             let weight = (sigma_px * across.norm()).powi(-2);
             let mut slopes = Unknowns::zeros();
@@ -316,14 +316,14 @@ impl Problem {
     }
 }
 
-/// The slopes of an observation of one unknown.
+/// Derivatives of an observation of one unknown.
 fn along(unknown: usize, weight: f64) -> Unknowns {
     let mut slopes = Unknowns::zeros();
     slopes[unknown] = weight;
     slopes
 }
 
-/// Which unknowns are held for a kind of mapping.
+/// The fixed unknowns for a kind of mapping.
 fn held(kind: MappingKind, with_circle: bool) -> Prior<UNKNOWNS> {
     let mut free = [with_circle; UNKNOWNS];
     free[..PARAMETERS].copy_from_slice(&parameters_of(kind));

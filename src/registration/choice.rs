@@ -1,37 +1,36 @@
-//! Which kind of mapping, which pairs, and with what sigmas.
+//! Chooses the kind of mapping, the accepted pairs, and their sigmas.
 
 use super::RegistrationSettings;
 use super::adjust::{Adjusted, Covariance, Model, Problem, Terms};
 use crate::geometry::MappingKind;
 
-/// Fewest redundant coordinates of the pairs that determine their sigmas; with fewer, pairs that lie well by chance bend
-/// the mapping to themselves.
+/// Fewest redundant coordinates of the pairs that determine their sigmas; with fewer, pairs that agree by chance would dominate the fit.
 const MIN_REDUNDANCY: f64 = 4.0;
-/// A pair so many sigma off the mapping of the others is an outlier.
+/// A pair is an outlier if it is this many sigma off the mapping of the others.
 const MAX_NORMALISED_RESIDUAL: f64 = 6.0;
-/// With fewer pairs it is undetermined which of them is the outlier.
+/// With fewer pairs the outlier cannot be identified.
 const LEAST_TO_REJECT: usize = 5;
-/// Share of the marks that something on them displaces, a sunspot most of all: one in forty where there are many spots.
+/// Fraction of the marks displaced by an object on them, mostly a sunspot: one in forty if there are many spots.
 const DISPLACED_SHARE: f64 = 0.025;
-/// Residuals of which chi^2 exceeds its expectation by more than this many sigma are not those of the stated noise.
+/// Residuals whose chi^2 exceeds its expectation by more than this many sigma are not explained by the stated noise.
 const EXPLAINED_SIGMAS: f64 = 6.0;
 /// An inflation of less than this is not significant.
 const EXPLAINED_INFLATION: f64 = 1.3;
-/// A richer kind whose first step does not gain this part of the least gain is not fitted.
+/// A richer kind is not fitted if its first step gains less than this part of the least gain.
 const FIRST_STEP_SHARE: f64 = 0.5;
-/// Pairs that need a larger inflation than this beside the outline are contradicted by it ...
+/// If pairs with the outline need a larger inflation than this, the outline contradicts them ...
 const CONTRADICTED_INFLATION: f64 = 3.0;
-/// ... if they need less than this without it.
+/// ... provided that they need less than this without it.
 const AGREED_INFLATION: f64 = 1.5;
-/// How often an outline's sigmas are inflated.
+/// Greatest number of inflations of an outline's sigmas.
 const OUTLINE_INFLATIONS: usize = 6;
-/// How often the pairs' sigmas are inflated until they agree with the residuals.
+/// Number of iterations of inflating the pairs' sigmas to agree with the residuals.
 const PAIR_INFLATIONS: usize = 4;
-/// Odds, before any data, of a camera whose tilt matters against one that faces the plate squarely.
+/// Prior odds of a camera with a significant tilt against one perpendicular to the plate.
 const TILTED_ODDS: f64 = 0.3;
 
-/// The simplest mapping that the data support, without the pairs that are outliers. The covariance holds what pairs and outline
-/// cannot distinguish: a tilt, and which of a few marks is displaced.
+/// The simplest mapping that the data support, without outliers among the pairs. The covariance includes the uncertainty that pairs and
+/// outline leave: a tilt, and which of a few marks is displaced.
 pub(super) fn choose(problem: &mut Problem, settings: &RegistrationSettings) -> Option<Adjusted> {
     if problem.pairs() < LEAST_TO_REJECT {
         let displaced = DISPLACED_SHARE * MAX_NORMALISED_RESIDUAL.powi(2);
@@ -48,8 +47,8 @@ pub(super) fn choose(problem: &mut Problem, settings: &RegistrationSettings) -> 
     })
 }
 
-/// The simplest mapping that the data support. An outline that contradicts pairs which agree among themselves is not the image
-/// of a circle, since the Sun moved; its sigmas are inflated until both agree.
+/// The simplest mapping that the data support. An outline that contradicts consistent pairs is not the image of a circle, because the Sun
+/// moved; its sigmas are inflated until both agree.
 fn agreeing(problem: &mut Problem, settings: &RegistrationSettings) -> Option<Adjusted> {
     let mut best = simplest(problem, settings)?;
     if best.terms.inflation < CONTRADICTED_INFLATION || !pairs_agree(problem, settings) {
@@ -68,7 +67,7 @@ fn agreeing(problem: &mut Problem, settings: &RegistrationSettings) -> Option<Ad
     Some(best)
 }
 
-/// Whether a similarity explains the pairs by themselves.
+/// Whether a similarity explains the pairs without the outline.
 fn pairs_agree(problem: &Problem, settings: &RegistrationSettings) -> bool {
     let alone = || {
         let start = problem.similarity_of_pairs()?;
@@ -90,7 +89,7 @@ fn simplest(problem: &Problem, settings: &RegistrationSettings) -> Option<Adjust
     ];
     let gains = problem.first_step_gains(&similarity.model, kinds)?;
     for (kind, first_gain) in kinds.into_iter().zip(gains) {
-        // What hardly gains at stated sigmas is not worth a fit.
+        // A kind that hardly gains with the stated sigmas is not fitted.
         let added = (kind.parameters() - best.terms.kind.parameters()).max(1);
         let least_gain = FIRST_STEP_SHARE * settings.min_gain * added as f64;
         if first_gain.is_none_or(|gain| gain < least_gain) {
@@ -107,15 +106,14 @@ fn simplest(problem: &Problem, settings: &RegistrationSettings) -> Option<Adjust
     Some(best)
 }
 
-/// By how much a richer kind lowers chi^2, for every parameter that it adds. `None` where one of the two cannot be
-/// fitted with the inflation of both.
+/// Decrease of chi^2 by a richer kind for every added parameter. `None` if one of the two cannot be fitted with the inflation of both.
 fn gain(
     problem: &Problem,
     simple: &Adjusted,
     rich: &Adjusted,
     settings: &RegistrationSettings,
 ) -> Option<f64> {
-    // Both take the same sigmas: those that the richer one's residuals show, if they determine them.
+    // Use the same sigmas for both: those from the richer one's residuals, if they determine them.
     let inflation = match rich.redundancy < MIN_REDUNDANCY {
         true => simple.terms.inflation,
         false => rich.terms.inflation,
@@ -130,7 +128,7 @@ fn gain(
 }
 
 impl Problem {
-    /// A fit repeated with another inflation of the pairs' sigmas.
+    /// Repeats a fit with another inflation of the pairs' sigmas.
     fn with_inflation(&self, fit: &Adjusted, inflation: f64) -> Option<Adjusted> {
         if fit.terms.inflation == inflation {
             return Some(*fit);
@@ -143,7 +141,7 @@ impl Problem {
     }
 }
 
-/// Fits a kind, the pairs' sigmas inflated until they agree with the residuals.
+/// Fits a kind of mapping, and inflates the pairs' sigmas until they agree with the residuals.
 pub(super) fn fit_kind(
     problem: &Problem,
     start: &Model,
@@ -165,10 +163,10 @@ pub(super) fn fit_kind(
     Some(adjusted)
 }
 
-/// The factor of the pairs' sigmas that agrees with a fit's residuals.
+/// The factor on the pairs' sigmas that agrees with a fit's residuals.
 ///
-/// Residuals that the stated sigmas can explain are weighed against these. Larger ones count alone, and the fewer they are
-/// the wider: Student's distribution of nu degrees of freedom is wider than its scale by sqrt(nu / (nu - 2)).
+/// Residuals that the stated sigmas can explain are averaged with these. Larger ones are used alone, with a margin that increases for
+/// fewer of them: Student's distribution of nu degrees of freedom is wider than its scale by sqrt(nu / (nu - 2)).
 fn inflation(adjusted: &Adjusted, settings: &RegistrationSettings) -> f64 {
     let (chi2, freedom) = (adjusted.chi2_pairs, adjusted.redundancy.max(0.5));
     let explained = freedom + EXPLAINED_SIGMAS * (2.0 * freedom).sqrt();
@@ -181,8 +179,8 @@ fn inflation(adjusted: &Adjusted, settings: &RegistrationSettings) -> f64 {
     variance.max(1.0).sqrt()
 }
 
-/// How much more pairs must gain whose sigmas come from few residuals: the quantile of F(2, nu) over that of
-/// F(2, infinity), which is chi^2 per parameter. Stated sigmas that explain the residuals count for their own freedom.
+/// Factor on the required gain of pairs whose sigmas come from few residuals: the quantile of F(2, nu) over that of F(2, infinity), which
+/// is chi^2 per parameter. Stated sigmas that explain the residuals add their own degrees of freedom.
 fn f_ratio(rich: &Adjusted, settings: &RegistrationSettings) -> f64 {
     let stated = match rich.terms.inflation < EXPLAINED_INFLATION {
         true => settings.prior_freedom,
@@ -193,7 +191,7 @@ fn f_ratio(rich: &Adjusted, settings: &RegistrationSettings) -> f64 {
     half * ((gain / half).exp() - 1.0) / gain
 }
 
-/// The pair of the largest normalised residual, if it is an outlier.
+/// The pair with the largest normalised residual, if it is an outlier.
 fn outlier(problem: &Problem, adjusted: &Adjusted) -> Option<usize> {
     if problem.pairs() < LEAST_TO_REJECT {
         return None;
@@ -203,17 +201,17 @@ fn outlier(problem: &Problem, adjusted: &Adjusted) -> Option<usize> {
         .map(|(chi2, _)| chi2)
         .enumerate()
         .max_by(|a, b| a.1.total_cmp(&b.1))?;
-    // The variance factor that the other pairs show.
+    // The variance factor from the other pairs.
     let others = (adjusted.chi2_pairs - squared) / (adjusted.redundancy - 2.0).max(1.0);
     (squared > MAX_NORMALISED_RESIDUAL.powi(2) * others.max(1.0)).then_some(worst)
 }
 
-/// The covariance of a mapping without tilt, averaged with that of the same mapping with a tilt of up to 3 deg by how probable the
-/// latter is (Bayesian model averaging: Hoeting et al. 1999).
+/// The covariance of a mapping without tilt, averaged with that of the same mapping with a tilt of up to 3 deg, weighted by the
+/// probability of the latter (Bayesian model averaging: Hoeting et al. 1999).
 ///
-/// The odds of the tilt are those before any data, times exp(half the gain in chi^2), times the part of the possible tilts that
-/// the data leave open (Occam's factor). Where a tilt would show, it is improbable and adds nothing; where it would not, as
-/// with few marks and half a limb, the covariance holds it.
+/// The odds of the tilt are the prior odds, times exp(half the gain in chi^2), times the fraction of the possible tilts that
+/// the data leave open (Occam's factor). If a tilt would be observable, it is improbable and adds nothing; if not, as
+/// with few marks and half a limb, the covariance includes it.
 fn averaged_covariance(problem: &Problem, simple: &Adjusted) -> Covariance {
     if simple.model.circle.is_none() {
         return simple.covariance;

@@ -1,33 +1,33 @@
-//! Fits mappings to pairs of sensor and plate positions, whatever they are positions of.
+//! Fits mappings to pairs of sensor and plate positions, independent of what they represent.
 //!
 //! # Method
-//! Errors lie on the sensor, so the projection of the plate onto the sensor is fitted, a [`View`], by weighted least
+//! Errors are on the sensor, so the projection of the plate onto the sensor is fitted, a [`View`], by weighted least
 //! squares; lens distortion is removed from the sensor positions first.
 //!
-//! Beside the pairs there may be the outline of a disc: points of the sensor that lie on one circle of the plate. Its centre
-//! and radius are adjusted together with the mapping. Seen at all azimuths, its roundness determines the mapping's
+//! In addition to the pairs there may be the outline of a disc: points on the sensor that lie on one circle of the plate. Its centre
+//! and radius are adjusted together with the mapping. If it is observed at all azimuths, its roundness determines the mapping's
 //! stretch and shear three times as well as half a dozen marks do.
 //!
-//! # Which kind of mapping
-//! The simplest that the data support: similarity, keystone, affine, homography. A richer kind is taken when it lowers
+//! # Kind of mapping
+//! The simplest that the data support: similarity, keystone, affine, homography. A richer kind is chosen if it decreases
 //! chi^2 by more than [`RegistrationSettings::min_gain`] for every parameter it adds. The outline's gain counts in full. The
-//! pairs' gain counts by the sigmas that the richer kind's residuals show, and the less the fewer these are (the F test); with
-//! too few residuals it does not count, else one bad pair bends the mapping to itself.
+//! pairs' gain is computed with the sigmas from the richer kind's residuals, and reduced if these are few (the F test); with
+//! too few residuals it does not count, because one bad pair would dominate the fit.
 //!
-//! Where pairs that fit a similarity contradict the outline, the outline's sigmas are inflated until both agree: then it is not
+//! If pairs that fit a similarity contradict the outline, the outline's sigmas are inflated until both agree: it is then not
 //! the image of a circle.
 //!
-//! Cameras are aligned by hand: beside an outline, their tilt has a prior of 0 +- 3 deg per axis. It shows most in the angles
-//! far from the plate's centre, and then also gives what a few marks do not show: how far the centre of the disc's ellipse
-//! lies from the image of the disc's centre, 0.1 px at 3 deg.
+//! Cameras are aligned by hand: with an outline, their tilt has a prior of 0 +- 3 deg per axis. A tilt mainly changes angles
+//! far from the plate's centre. It also determines a quantity that a few marks do not: the distance from the centre of the disc's
+//! ellipse to the image of the disc's centre, 0.1 px at 3 deg.
 //!
 //! # Uncertainty
-//! The covariance follows from the sigmas of pairs and outline. Where the pairs' residuals are larger than their sigmas
-//! allow, these are inflated to fit (variance components after Förstner). Few redundant coordinates say little: they are
-//! weighed against the stated sigmas as if those rested on [`RegistrationSettings::prior_freedom`] degrees of freedom.
+//! The covariance follows from the sigmas of pairs and outline. If the pairs' residuals are larger than their sigmas
+//! allow, these are inflated to fit (variance components after Förstner). A few redundant coordinates are weak evidence: they are
+//! averaged with the stated sigmas as if those had [`RegistrationSettings::prior_freedom`] degrees of freedom.
 //!
-//! Beside an outline, the covariance of a mapping without tilt is averaged with that of a tilted one, by how probable a tilt
-//! is after the data. Fewer pairs than can show which of them is an outlier have sigmas that allow for one.
+//! With an outline, the covariance of a mapping without tilt is averaged with that of a tilted one, weighted by the posterior
+//! probability of a tilt. If there are too few pairs to identify an outlier, their sigmas allow for one.
 
 mod adjust;
 mod choice;
@@ -61,7 +61,7 @@ pub struct Outline<'a> {
     pub radius_mil: Measured,
 }
 
-/// How a mapping is chosen.
+/// Criteria for the choice of a mapping.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RegistrationSettings {
     /// Least gain in chi^2, per added parameter.
@@ -79,16 +79,15 @@ impl Default for RegistrationSettings {
     }
 }
 
-/// The disc that an outline belongs to.
+/// The disc of an outline.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Disc {
-    /// Its centre on the plate; the mapping's uncertainty included.
+    /// Its centre on the plate, with the mapping's uncertainty included.
     pub on_plate: Estimate<PlateMil>,
     /// Its centre on the sensor.
     pub on_sensor: Estimate<SensorPx>,
     pub radius_mil: Measured,
-    /// The radius at the mapping's scale at the centre. Its sigma is smaller than those of radius and scale, whose errors go
-    /// together.
+    /// The radius at the mapping's scale at the centre. Its sigma is smaller than those of radius and scale, whose errors are correlated.
     pub radius_px: Measured,
 }
 
@@ -98,14 +97,14 @@ pub struct Registration {
     pub mapping: Mapping,
     /// Root mean square distance between observed and predicted positions, per axis.
     pub residual_px: f64,
-    /// The disc, where an outline was fitted.
+    /// The disc, if an outline was fitted.
     pub disc: Option<Disc>,
     view: View,
     covariance: ParameterCovariance,
 }
 
 impl Registration {
-    /// Covariance, from the mapping alone, of a plate position got through it; mil^2.
+    /// Covariance, from the mapping alone, of a plate position computed with it; mil^2.
     pub fn covariance_mil2(&self, at: PlateMil) -> Matrix2<f64> {
         self.view
             .covariance_mil2(at, &self.mapping, &self.covariance)
@@ -129,7 +128,7 @@ impl Registration {
         ]
     }
 
-    /// Scale and rotation of the mapping where the sensor sees a place, with the sigmas of pairs and outline.
+    /// Scale and rotation of the mapping at a sensor position, with the sigmas of pairs and outline.
     pub fn local_similarity(&self, seen: SensorPx) -> LocalSimilarity {
         self.view
             .local_similarity(seen, &self.mapping, &self.covariance)
@@ -139,7 +138,7 @@ impl Registration {
     /// and outline.
     pub fn principal_scales(&self, at: PlateMil) -> [Measured; 2] {
         let jacobian = self.view.jacobian(at);
-        // The direction on the plate of the largest picture, and the one across it.
+        // The direction on the plate that is magnified most, and the perpendicular one.
         let square = jacobian.tr_mul(&jacobian);
         let angle = 0.5 * (2.0 * square.m12).atan2(square.m11 - square.m22);
         let along = unit(angle);
@@ -155,7 +154,7 @@ impl Registration {
     }
 }
 
-/// Fits the simplest mapping that the pairs and the outline support. `None` when they do not determine one.
+/// Fits the simplest mapping that the pairs and the outline support. `None` if they do not determine one.
 pub fn register(
     pairs: &[Pair],
     outline: Option<&Outline<'_>>,
@@ -168,7 +167,7 @@ pub fn register(
     registration(&problem, &chosen, distortion)
 }
 
-/// Fits a mapping of one kind. `None` when the pairs do not determine it.
+/// Fits a mapping of one kind. `None` if the pairs do not determine it.
 pub fn fit(
     pairs: &[Pair],
     kind: MappingKind,
@@ -216,7 +215,7 @@ fn disc(circle: &Circle, adjusted: &Adjusted, mapping: &Mapping) -> Disc {
     let on_sensor = mapping.to_sensor(centre);
     let radius_variance = covariance[(CIRCLE + 2, CIRCLE + 2)];
     let radius_px = circle.radius / mapping.scale_mil_per_px(on_sensor);
-    // Of ln radius - ln scale, by all unknowns.
+    // Derivative of ln radius - ln scale by all unknowns.
     let mut log_radius_px = RowSVector::<f64, UNKNOWNS>::zeros();
     log_radius_px
         .fixed_columns_mut::<PARAMETERS>(0)

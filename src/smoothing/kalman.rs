@@ -17,7 +17,7 @@ pub struct Step<const N: usize> {
     pub noise: SMatrix<f64, N, N>,
 }
 
-/// Observed minus predicted, and its covariance: of prediction and observation together.
+/// Observed minus predicted, with its covariance: that of prediction plus observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Innovation<const M: usize> {
     pub residual: SVector<f64, M>,
@@ -25,23 +25,23 @@ pub struct Innovation<const M: usize> {
     pub likelihood: Likelihood,
 }
 
-/// How well an observation was predicted.
+/// Agreement of an observation with its prediction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Likelihood {
-    /// The innovation's square over its covariance.
+    /// The normalised innovation squared.
     pub chi2: f64,
     /// Natural logarithm of the determinant of that covariance up to a constant of the observation.
     pub log_determinant: f64,
 }
 
 impl Likelihood {
-    /// Natural logarithm of the likelihood up to a constant, with chi^2 counted up to a limit.
+    /// Natural logarithm of the likelihood up to a constant, with chi^2 limited to `most_chi2`.
     pub fn log(&self, most_chi2: f64) -> f64 {
         -(self.chi2.min(most_chi2) + self.log_determinant) / 2.0
     }
 }
 
-/// The disturbance of a step as all observations show it, in units of the prediction's covariance: the auxiliary residual of
+/// The disturbance of a step estimated from all observations, with the prediction's covariance: the auxiliary residual of
 /// Harvey and Koopman (1992).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Disturbance<const N: usize> {
@@ -64,8 +64,8 @@ impl<const N: usize> Gaussian<N> {
         }
     }
 
-    /// Takes an observation: observed minus predicted values, the derivatives of the prediction by the state, and the covariance
-    /// of the observation's errors. In Joseph's form, which keeps the covariance positive. `None`, and nothing changed, where the
+    /// Updates with an observation: observed minus predicted values, the derivatives of the prediction by the state, and the covariance
+    /// of the observation's errors. Uses Joseph's form, which keeps the covariance positive. `None`, without a change, if the
     /// innovation's covariance is not positive.
     pub fn update<const M: usize>(
         &mut self,
@@ -92,9 +92,9 @@ impl<const N: usize> Gaussian<N> {
         })
     }
 
-    /// Takes many observations at once by their normal equations at the mean: information (derivatives squared over
-    /// variance), gradient (derivatives times residual over variance) and the residuals' chi^2. `None`, and nothing changed, where a
-    /// covariance is not positive.
+    /// Updates with many observations at once by their normal equations at the mean: information (derivatives squared over variance),
+    /// gradient (derivatives times residual over variance) and the residuals' chi^2. `None`, without a change, if a covariance is not
+    /// positive.
     pub fn update_by_information(
         &mut self,
         information: &SMatrix<f64, N, N>,
@@ -112,8 +112,7 @@ impl<const N: usize> Gaussian<N> {
         })
     }
 
-    /// What later observations say of this state, from the smoothed state one step later. `None` where the predicted
-    /// covariance is not positive.
+    /// Smooths this state with the smoothed state one step later. `None` if the predicted covariance is not positive.
     fn smoothed(&self, step: &Step<N>, later: &Self) -> Option<(Self, Disturbance<N>)> {
         let predicted = self.predicted(step);
         let inverse = predicted.covariance.cholesky()?.inverse();
@@ -122,7 +121,7 @@ impl<const N: usize> Gaussian<N> {
             later.mean - predicted.mean,
             later.covariance - predicted.covariance,
         );
-        // A sum of squares stays positive where the step's noise outweighs what is known by many orders.
+        // As a sum of squares it stays positive even if the step's noise is many orders of magnitude above the state's covariance.
         let kept = SMatrix::<f64, N, N>::identity() - gain * step.transition;
         let noisy = later.covariance + step.noise;
         let smoothed = Self {
@@ -148,22 +147,22 @@ fn log_determinant<const N: usize>(root: &Cholesky<f64, Const<N>>) -> f64 {
     2.0 * (0..N).map(|n| l[(n, n)].ln()).sum::<f64>()
 }
 
-/// A state that moves in steps and is observed at each moment, or not.
+/// A state that evolves in steps, and may be observed at each moment.
 pub trait Process<const N: usize> {
     fn moments(&self) -> usize;
 
-    /// The state before anything is observed.
+    /// The state before any observation.
     fn initial(&self) -> Gaussian<N>;
 
-    /// From the moment before to this one, which is not the first; `None` where the state restarts.
+    /// The step from the previous moment to this one, which is not the first; `None` if the state restarts.
     fn step(&self, moment: usize) -> Option<Step<N>>;
 
-    /// Updates the predicted state by what is observed at a moment. The logarithm of its likelihood; `None` where the
+    /// Updates the predicted state with the observations of a moment, and returns the logarithm of their likelihood; `None` if the
     /// estimate fails.
     fn observe(&self, moment: usize, state: &mut Gaussian<N>) -> Option<f64>;
 }
 
-/// The filtered state at a moment from that of the moment before.
+/// The predicted and updated state at a moment, from the state of the previous moment.
 fn advanced<const N: usize>(
     process: &impl Process<N>,
     moment: usize,
@@ -178,7 +177,7 @@ fn advanced<const N: usize>(
     Some((state, likelihood))
 }
 
-/// Filters all moments; gives each filtered state, and the logarithm of the likelihood of all observations.
+/// Filters all moments; passes on each filtered state, and returns the logarithm of the likelihood of all observations.
 fn filter<const N: usize>(
     process: &impl Process<N>,
     mut each: impl FnMut(usize, &Gaussian<N>),
@@ -193,17 +192,16 @@ fn filter<const N: usize>(
     total.is_finite().then_some(total)
 }
 
-/// Logarithm of the likelihood of all observations up to a constant. `None` where the estimate fails.
+/// Logarithm of the likelihood of all observations up to a constant. `None` if the estimate fails.
 pub fn log_likelihood<const N: usize>(process: &impl Process<N>) -> Option<f64> {
     filter(process, |_, _| {})
 }
 
-/// Moments from one filtered state that is kept to the next; between them the filter runs again, which costs less memory than
-/// to keep all.
+/// Distance in moments between stored filtered states; the filter runs again between them, which needs less memory than storing all of them.
 const BLOCK: usize = 256;
 
-/// Estimates the state at each moment from all observations: gives them from the last moment to the first, with the disturbance of the
-/// step to the next one. `None` where the filter fails.
+/// Estimates the state at each moment from all observations: passes them on from the last moment to the first, with the disturbance of
+/// the step to the next one. `None` if the filter fails.
 pub fn smooth<const N: usize>(
     process: &impl Process<N>,
     mut each: impl FnMut(usize, &Gaussian<N>, Option<&Disturbance<N>>),
@@ -223,7 +221,7 @@ pub fn smooth<const N: usize>(
         }
         for (n, state) in filtered.iter().enumerate().rev() {
             let moment = first + n;
-            // A state that restarts, and a prediction without scatter, say nothing of the moment before.
+            // A restart, or a prediction without scatter, gives no information on the previous moment.
             let smoothed = later.and_then(|l| state.smoothed(&process.step(moment + 1)?, &l));
             let (state, disturbance) = smoothed.map_or((*state, None), |(s, d)| (s, Some(d)));
             each(moment, &state, disturbance.as_ref());
@@ -238,7 +236,7 @@ mod tests {
     use super::*;
     use nalgebra::{Matrix1, Matrix2, Matrix2x1, RowVector2, Vector1, Vector2};
 
-    /// Place and speed, the speed a random walk; places observed with an error of 1.
+    /// Position and speed, the speed a random walk; positions observed with an error of 1.
     struct Walk {
         observed: Vec<Option<f64>>,
         restarted_at: Option<usize>,

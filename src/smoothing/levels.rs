@@ -5,19 +5,19 @@ use super::{Moment, SharedErrors};
 use crate::estimation::median;
 use rayon::prelude::*;
 
-/// The factor from each of the process noises that gondolas may have to the next, and how many there are.
+/// Ratio of successive trial values of process noise, and their number.
 const NOISE_FACTOR: f64 = 3.0;
 const NOISES: usize = 20;
-/// Process noises that are tried at a time: the scores of each take memory.
+/// Number of trial values evaluated at a time: the scores of each need memory.
 const TOGETHER: usize = 4;
 /// Cost of a change to the next larger or smaller noise, natural logarithm of the likelihood.
 const CHANGE_COST: f64 = 2.0;
-/// In a gap the process noise is that of so many times its length before and after.
+/// In a gap the process noise is the mean over this multiple of its length before and after.
 const GAP_REACH: f64 = 5.0;
-/// Frames so many usual steps apart make a gap.
+/// Steps longer than this multiple of the median step are gaps.
 const GAP_STEPS: f64 = 2.5;
 
-/// Input for the choice of process noises: one axis of the moments that are measured, and its swings.
+/// Input for the choice of process noises: one axis of the measured moments, and its swings.
 pub(super) struct Levels<'a> {
     pub measured: &'a [Moment],
     pub axis: usize,
@@ -28,7 +28,7 @@ pub(super) struct Levels<'a> {
 }
 
 impl Levels<'_> {
-    /// The likeliest process noise of the step to each moment.
+    /// The most likely process noise of the step to each moment.
     pub fn likeliest(&self) -> Vec<f64> {
         let mut scores: Vec<Scores> = vec![[f32::NEG_INFINITY; NOISES]; self.measured.len()];
         let noises: Vec<usize> = (0..NOISES).collect();
@@ -43,7 +43,7 @@ impl Levels<'_> {
             }
         }
         let levels = likeliest_levels(&scores);
-        // A step's noise is the larger of its two frames'.
+        // A step has the larger noise of its two frames.
         let steps = (0..levels.len()).map(|n| levels[n].max(levels[n.saturating_sub(1)]));
         let steps = steps.map(|level| self.noise(level)).collect();
         over_gaps(self.measured, steps)
@@ -53,8 +53,8 @@ impl Levels<'_> {
         self.least * NOISE_FACTOR.powi(level as i32)
     }
 
-    /// How well a constant process noise predicts each measured moment from all others, from the last to the first: logarithm of the
-    /// likelihood up to a constant. One with which the filter fails predicts nothing.
+    /// Score of a constant process noise at each measured moment, from the last to the first: logarithm of the likelihood of the moment
+    /// given all others, up to a constant. Empty if the filter fails.
     fn predicted(&self, noise: f64) -> Vec<f32> {
         let moments = Moments::Measured(self.measured);
         let axis = Axis {
@@ -69,7 +69,7 @@ impl Levels<'_> {
             let score = self.measured[n].measured.map(|measured| {
                 let measured = measured[self.axis];
                 let variance = measured.variance;
-                // The smoothed place holds this measurement: without it, the residual and its variance grow by the same factor.
+                // The smoothed position includes this measurement: without it, the residual and its variance are larger by the same factor.
                 let left = (variance - state.seen_variance).max(1e-9 * variance);
                 let factor = variance / left;
                 let chi2 = (measured.place - state.seen).powi(2) * factor / variance;
@@ -85,10 +85,10 @@ impl Levels<'_> {
     }
 }
 
-/// How well each of the process noises predicts a moment.
+/// Score of each process noise at a moment.
 type Scores = [f32; NOISES];
 
-/// The level of each moment, whose scores together are greatest, less what changes cost.
+/// The sequence of levels with the greatest sum of scores, minus the cost of changes.
 fn likeliest_levels(scores: &[Scores]) -> Vec<usize> {
     let Some((first, later)) = scores.split_first() else {
         return Vec::new();
@@ -117,7 +117,7 @@ fn likeliest_levels(scores: &[Scores]) -> Vec<usize> {
     levels
 }
 
-/// In a gap the gondola may do what it did before and after: the mean density of the process noise there.
+/// In a gap the gondola may move as before and after it: uses the mean density of the process noise there.
 fn over_gaps(measured: &[Moment], steps: Vec<f64>) -> Vec<f64> {
     let length_s = |n: usize| measured[n].time_s - measured[n - 1].time_s;
     let usual_s = median((1..measured.len()).map(length_s)).unwrap_or(f64::INFINITY);

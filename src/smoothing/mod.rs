@@ -1,24 +1,25 @@
-//! The Kalman filter and its smoother ([`Process`], [`smooth`]), and the path between frames that rests on them ([`path`], [`Path`]): fitted once,
-//! asked often. The mapping's drift is such a process; the Sun's way over the plate, and the body's in roll and pitch, are such paths.
+//! The Kalman filter and its smoother ([`Process`], [`smooth`]), and the path between frames based on them ([`path`], [`Path`]): fitted
+//! once, evaluated often. The mapping's drift is such a process; the Sun's path over the plate, and the body's in roll and pitch, are
+//! such paths.
 //!
-//! A path is place, speed and acceleration, each axis on its own.
+//! A path has position, speed and acceleration; its axes are independent.
 //!
 //! Its unit is about the size of the frames' errors: a mil on the plate, a hundredth of a degree in roll and pitch.
 //!
-//! The acceleration is a random walk. How far it walks, the process noise, changes with what the gondola does: it rests, swings, begins
-//! and ends a slew, steps. So each axis has a process noise of its own at every frame:
+//! The acceleration is a random walk. Its process noise changes with the state of the gondola: it rests, swings, begins
+//! and ends a slew, steps. So each axis has its own process noise at every frame:
 //!
-//! 1. The path is smoothed with each of a scale of constant process noises.
-//! 2. Each frame says how well each of them predicts it from all other frames: the logarithm of its likelihood.
-//! 3. The noise of greatest likelihood over the flight, where every change has a price (Viterbi 1967), times nine
-//!    for caution.
+//! 1. The path is smoothed with each of a geometric series of constant process noises.
+//! 2. Each of them is scored at each frame: the logarithm of the frame's likelihood given all other frames.
+//! 3. The sequence of noises with the greatest likelihood over the flight, where every change has a cost (Viterbi 1967), is multiplied
+//!    by nine as a safety factor.
 //!
-//! 4. Swings of the gondola are sought beside it, each with a frequency, a damping time and a drive of its own, by maximum likelihood. Where
-//!    they pay for themselves and explain most of the flight, they are part of the axis's motion, and the noise is chosen again from the least
-//!    that suffices beside them.
+//! 4. Swings of the gondola are added to the random walk, each with its own frequency, damping time and drive, by maximum likelihood. If they
+//!    improve the likelihood by more than their cost and explain most of the flight, they become part of the axis's motion, and the noise is
+//!    chosen again from the least that suffices with them.
 //!
-//! Too much process noise costs little at a frame, for the place then follows the frame's own; too little is wrong with
-//! confidence.
+//! Too much process noise costs little at a frame, because the position then follows the frame's own; too little gives wrong positions with
+//! small sigmas.
 
 mod kalman;
 mod levels;
@@ -33,31 +34,31 @@ use process::{Axis, LONGEST_GAP_S, Moments, Smoothed, Swing};
 use serde::Serialize;
 use swings::{Fit, Found, Stretch};
 
-/// A place along an axis.
+/// A measured position along an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Measurement {
     pub place: f64,
-    /// Of the moment's own error.
+    /// Variance of the moment's own error.
     pub variance: f64,
-    /// Of the error that it shares with its neighbours.
+    /// Variance of the error shared with its neighbours.
     pub shared_variance: f64,
 }
 
-/// A moment of the path, with what was measured then, if anything was, in each axis.
+/// A moment of the path, with the measurements of both axes, if any.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moment {
     pub time_s: f64,
-    /// 1 sigma of the time of what was measured: along the path it is a place.
+    /// 1 sigma of the measurement's time: with the path's speed it becomes a position error.
     pub time_sigma_s: f64,
     pub measured: Option<[Measurement; 2]>,
 }
 
-/// How long errors that neighbours share last: a Gauss-Markov process.
+/// Correlation of the errors shared by neighbours: a Gauss-Markov process.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SharedErrors {
-    /// In which their correlation falls to 1/e.
+    /// Time in which their correlation falls to 1/e.
     pub correlation_s: f64,
-    /// When they are drawn again, in order.
+    /// Times at which they become independent, in order.
     pub jumps_s: Vec<f64>,
 }
 
@@ -83,8 +84,8 @@ pub struct PathPoint {
 /// The path of a flight.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Path {
-    /// The likeliest process noise, the median over moments and axes: square root of its density, unit/s^2.5. The acceleration walks
-    /// by so many unit/s^2 in a second.
+    /// The median over moments and axes of the most likely process noise: square root of its density, unit/s^2.5. The acceleration
+    /// changes by this many unit/s^2 in a second, 1 sigma.
     pub process_noise: f64,
     /// The swings of each axis.
     pub swings: [Vec<FoundSwing>; 2],
@@ -97,46 +98,46 @@ pub struct Path {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FoundSwing {
     pub period_s: f64,
-    /// In which its amplitude falls to 1/e where nothing drives it; none where that is not determined: a swing without damping explains the
-    /// stretch of the flight by which it was found within 2 sigma.
+    /// Time in which its amplitude falls to 1/e without a drive; none if that is not determined: an undamped swing then explains the
+    /// stretch of the flight from which it was determined within 2 sigma.
     pub damping_s: Option<f64>,
-    /// It is no shorter than that, by 2 sigma.
+    /// Lower limit of the damping time, 2 sigma.
     pub damping_least_s: f64,
-    /// Of its place over the flight.
+    /// Rms of its displacement over the flight.
     pub rms: f64,
 }
 
-/// Result for a swing's damping time from a stretch of a flight.
+/// A swing's damping time from a stretch of a flight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Damping {
-    /// The likeliest; none where it may be any above the least.
+    /// The most likely value; none if any value above the least is possible.
     found_s: Option<f64>,
-    /// The shortest within 2 sigma.
+    /// The shortest value within 2 sigma.
     least_s: f64,
 }
 
-/// The least process noise that gondolas without swings may have, unit/s^2.5.
+/// The least process noise of gondolas without swings, unit/s^2.5.
 const LEAST_NOISE: f64 = 0.1;
-/// The noise that predicts best leaves a path that is off by as much by its stiffness as by the frames' errors: so many times
-/// it, and only the errors are left.
+/// The noise that predicts best gives a path whose error from its stiffness equals that from the frames' errors: with this multiple of it
+/// only the latter remain.
 const CAUTION: f64 = 9.0;
 
-/// Swings must explain so much of the flight.
+/// Swings must explain this part of the flight.
 const CALM_PART: f64 = 0.8;
 
-/// How an axis moves.
+/// Model of an axis's motion.
 #[derive(Debug, Clone, PartialEq)]
 struct Motion {
     swings: Vec<Swing>,
-    /// Of each swing.
+    /// Damping time of each swing.
     dampings: Vec<Damping>,
-    /// Of the step to each measured moment, the likeliest.
+    /// Most likely process noise of the step to each measured moment.
     noise: Vec<f64>,
-    /// The least of these that is thought of.
+    /// The least process noise considered.
     least: f64,
 }
 
-/// The smoothed path through moments in the order of time. `None` where nothing was measured.
+/// The smoothed path through moments in the order of time. `None` if nothing was measured.
 pub fn path(moments: impl IntoIterator<Item = Moment>, shared: SharedErrors) -> Option<Path> {
     let moments = moments.into_iter();
     let measured: Vec<Moment> = moments.filter(|m| m.measured.is_some()).collect();
@@ -157,7 +158,7 @@ pub fn path(moments: impl IntoIterator<Item = Moment>, shared: SharedErrors) -> 
 }
 
 impl Path {
-    /// The path at any times in order, by its own motion; `None` outside what was measured and in gaps that are too long.
+    /// The path at times in order, from its own motion; `None` outside the measurements and in gaps that are too long.
     pub fn at(&self, times_s: &[f64]) -> Vec<Option<PathPoint>> {
         let is_within = |time_s: f64| {
             let after = self.measured.partition_point(|m| m.time_s < time_s);
@@ -177,17 +178,17 @@ impl Path {
             .collect()
     }
 
-    /// The same, before, after and between what was measured: its variance grows with the distance in time. `None` where the filter fails.
+    /// The same before, after and between measurements: the variance increases with the distance in time. `None` if the filter fails.
     pub fn anywhere(&self, times_s: &[f64]) -> Option<Vec<PathPoint>> {
         self.points(times_s, Motion::cautious)
     }
 
-    /// The same with the likeliest process noise: where to search, not what to state.
+    /// The same with the most likely process noise: for search areas, not for results.
     pub fn likeliest(&self, times_s: &[f64]) -> Option<Vec<PathPoint>> {
         self.points(times_s, |_, noise| noise)
     }
 
-    /// The path at times in order. The errors of the times of neighbours may be correlated: smoothing does not reduce what that adds.
+    /// The path at times in order. Errors of the times of neighbours may be correlated: smoothing does not reduce their contribution.
     fn points(&self, times_s: &[f64], noise: fn(&Motion, f64) -> f64) -> Option<Vec<PathPoint>> {
         let moments = Moments::asked(&self.measured, times_s);
         let along = |axis: usize| {
@@ -220,7 +221,7 @@ impl Path {
         Some(times_s.iter().zip(x).zip(y).map(point).collect())
     }
 
-    /// An axis at moments in order, from the last to the first.
+    /// Smooths an axis at moments in order, from the last to the first.
     fn smooth(
         &self,
         axis: usize,
@@ -246,7 +247,7 @@ impl Path {
         along.smooth(each)
     }
 
-    /// The swings of an axis, as they are along the path.
+    /// The swings of an axis, evaluated along the path.
     fn found(&self, axis: usize) -> Option<Vec<FoundSwing>> {
         let Motion {
             swings, dampings, ..
@@ -271,7 +272,7 @@ impl Path {
 }
 
 impl Motion {
-    /// Where swings suffice, the walk's noise beside them is not doubted.
+    /// If the swings suffice, the safety factor is not applied to the remaining process noise.
     fn cautious(&self, noise: f64) -> f64 {
         match !self.swings.is_empty() && self.suffices(noise) {
             true => noise,
@@ -284,7 +285,7 @@ impl Motion {
     }
 }
 
-/// How the measured moments say that an axis moves.
+/// Determines the motion model of an axis from the measured moments.
 fn motion(measured: &[Moment], axis: usize, shared: &SharedErrors) -> Motion {
     let with = |swings: Vec<Swing>, dampings: Vec<Damping>, least: f64| {
         let levels = Levels {
@@ -325,7 +326,7 @@ fn motion(measured: &[Moment], axis: usize, shared: &SharedErrors) -> Motion {
         };
         along.log_likelihood().unwrap_or(f64::NEG_INFINITY)
     };
-    // Swings of a part of the flight would loosen the path in the rest of it.
+    // Swings during a part of the flight would increase the path's uncertainty in the rest of it.
     let calm = swinging
         .noise
         .iter()

@@ -1,14 +1,14 @@
-//! The process along an axis: a place whose acceleration is a random walk, swings, and the error that neighbours share.
+//! The process along an axis: a position whose acceleration is a random walk, swings, and the error shared by neighbours.
 
 use super::kalman::{Gaussian, Process, Step, log_likelihood, smooth};
 use super::{Measurement, Moment, SharedErrors};
 use nalgebra::{Matrix1, Matrix2, Matrix3, SMatrix, SVector, Vector1};
 
-/// A swing of the gondola: a damped harmonic oscillator that white noise drives, x'' + 2 x' / damping_s + rate^2 x = noise.
+/// A swing of the gondola: a damped harmonic oscillator driven by white noise, x'' + 2 x' / damping_s + rate^2 x = noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Swing {
     pub rate_rad_per_s: f64,
-    /// In which its amplitude falls to 1/e where nothing drives it: a period at least.
+    /// Time in which its amplitude falls to 1/e without a drive: a period at least.
     pub damping_s: f64,
     /// Square root of the noise's density, unit/s^1.5.
     pub drive: f64,
@@ -19,7 +19,7 @@ impl Swing {
         std::f64::consts::TAU / self.rate_rad_per_s
     }
 
-    /// Of place and speed.
+    /// Transition of position and speed.
     fn transition(&self, step_s: f64) -> Matrix2<f64> {
         let (rate2, decay) = (self.rate_rad_per_s.powi(2), 1.0 / self.damping_s);
         let damped = (rate2 - decay * decay).sqrt();
@@ -29,7 +29,7 @@ impl Swing {
             * (-decay * step_s).exp()
     }
 
-    /// What the noise leaves after a step: what it leaves in the long run, except for what remains of that after the step.
+    /// Covariance of the noise after a step: the stationary covariance, minus its part that remains from before the step.
     fn noise(&self, transition: &Matrix2<f64>) -> Matrix2<f64> {
         let speed2 = self.drive.powi(2) * self.damping_s / 4.0;
         let lasting = Matrix2::new(speed2 / self.rate_rad_per_s.powi(2), 0.0, 0.0, speed2);
@@ -37,23 +37,23 @@ impl Swing {
     }
 }
 
-/// At most so many swings of an axis.
+/// Greatest number of swings of an axis.
 pub(super) const MOST_SWINGS: usize = 3;
-/// Place, speed and acceleration; the shared error in its own sigma.
+/// Number of states without swings: position, speed and acceleration; the shared error in units of its sigma.
 const WITHOUT_SWINGS: usize = 4;
 const SHARED: usize = 3;
-/// Prior of place, speed (unit/s) and acceleration (unit/s^2) before the first frame.
+/// Prior of position, speed (unit/s) and acceleration (unit/s^2) before the first frame.
 const FIRST_SIGMA: [f64; 3] = [1e4, 1e3, 1e3];
-/// ... and of a swing's place.
+/// ... and of a swing's displacement.
 const FIRST_SWING: f64 = 1e2;
-/// Over longer gaps nothing is said about the path.
+/// In longer gaps the path is not determined.
 pub(super) const LONGEST_GAP_S: f64 = 10.0;
 
 /// Moments in the order of time.
 pub(super) enum Moments<'a> {
-    /// Those that were measured.
+    /// The measured moments.
     Measured(&'a [Moment]),
-    /// And between them times at which the motion is asked for.
+    /// With additional times between them at which the motion is evaluated.
     Asked {
         measured: &'a [Moment],
         times_s: &'a [f64],
@@ -61,7 +61,7 @@ pub(super) enum Moments<'a> {
     },
 }
 
-/// A moment's place among the measured ones, or among the times that are asked for.
+/// Index of a moment, among the measured ones or the additional times.
 #[derive(Clone, Copy)]
 pub(super) enum Place {
     Measured(u32),
@@ -69,7 +69,7 @@ pub(super) enum Place {
 }
 
 impl<'a> Moments<'a> {
-    /// Times in order, each behind what was measured until then.
+    /// Inserts times, which are in order, each after the measurements up to it.
     pub fn asked(measured: &'a [Moment], times_s: &'a [f64]) -> Self {
         let mut order = Vec::with_capacity(measured.len() + times_s.len());
         let mut next = 0;
@@ -99,7 +99,7 @@ impl<'a> Moments<'a> {
         matches!(self, Self::Asked { order, .. } if matches!(order[n], Place::Asked(_)))
     }
 
-    /// What was measured at a moment; its time alone, where it is one that is asked for.
+    /// The measurement at a moment, or the time alone of an additional one.
     fn at(&self, n: usize) -> Result<&'a Moment, f64> {
         match self {
             Self::Measured(measured) => Ok(&measured[n]),
@@ -130,25 +130,25 @@ pub(super) struct Axis<'a> {
     pub axis: usize,
     pub shared: &'a SharedErrors,
     pub swings: &'a [Swing],
-    /// Of the step to each moment: square root of the density of the acceleration's walk, unit/s^2.5.
+    /// Process noise of the step to each moment: square root of the density of the acceleration's walk, unit/s^2.5.
     pub process_noise: &'a [f64],
 }
 
-/// Smoothed estimate of a moment, along an axis.
+/// Smoothed estimate at a moment, along an axis.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Smoothed {
     pub place: f64,
     pub variance: f64,
     pub speed: f64,
-    /// What a frame measures there: the place with the error that neighbours share.
+    /// Predicted measurement: the position plus the error shared by neighbours.
     pub seen: f64,
     pub seen_variance: f64,
-    /// Place of each swing.
+    /// Displacement of each swing.
     pub swings: [f64; MOST_SWINGS],
 }
 
 impl Axis<'_> {
-    /// Logarithm of the likelihood of all measurements up to a constant. `None` where the filter fails.
+    /// Logarithm of the likelihood of all measurements up to a constant. `None` if the filter fails.
     pub fn log_likelihood(&self) -> Option<f64> {
         match self.swings.len() {
             0 => log_likelihood::<WITHOUT_SWINGS>(self),
@@ -158,7 +158,7 @@ impl Axis<'_> {
         }
     }
 
-    /// The motion at each moment, from the last to the first. `None` where the filter fails.
+    /// Smooths the motion at each moment, from the last to the first. `None` if the filter fails.
     pub fn smooth(&self, each: impl FnMut(usize, &Smoothed)) -> Option<()> {
         match self.swings.len() {
             0 => self.smooth_as::<WITHOUT_SWINGS>(each),
@@ -193,7 +193,7 @@ impl Axis<'_> {
     }
 }
 
-/// The derivatives of what a frame measures by the state.
+/// Derivatives of a measured position by the state.
 fn places<const N: usize>(shared_sigma: f64) -> SVector<f64, N> {
     SVector::from_fn(|n, _| match n {
         SHARED => shared_sigma,
@@ -203,7 +203,7 @@ fn places<const N: usize>(shared_sigma: f64) -> SVector<f64, N> {
     })
 }
 
-/// The random walk of the acceleration: place, speed and acceleration after a step, and its noise for a density of one.
+/// The random walk of the acceleration: transition of position, speed and acceleration, and the process noise for a density of one.
 fn walk(step_s: f64) -> (Matrix3<f64>, Matrix3<f64>) {
     let [t, t2, t3, t4, t5] = [1, 2, 3, 4, 5].map(|n| step_s.powi(n));
     let transition = Matrix3::new(1.0, t, t2 / 2.0, 0.0, 1.0, t, 0.0, 0.0, 1.0);

@@ -1,78 +1,78 @@
-//! The swings of an axis, by maximum likelihood: frequency, damping and drive of each, beside the random walk of the acceleration.
+//! The swings of an axis, by maximum likelihood: frequency, damping and drive of each, in addition to the random walk of the acceleration.
 //!
-//! 1. The most even stretch of the flight that holds enough frames.
-//! 2. What the swings so far leave: a further one stands in its periodogram.
-//! 3. Process noise and swings of greatest likelihood from there, as long as a further swing pays for its three parameters
+//! 1. Select the stretch of the flight with enough frames that has the least events.
+//! 2. Find a further swing in the periodogram of the residuals after the swings so far.
+//! 3. Fit process noise and swings by maximum likelihood from there, while the likelihood justifies the three parameters of a further swing
 //!    (Schwarz 1978).
-//! 4. The damping times that the stretch leaves possible: those that make it no less likely than 2 sigma do. Where a swing without damping is
-//!    among them, its damping time is not determined. Of a swing that a wind drives it is determined within a stretch some four times as long.
+//! 4. Determine the damping times that the stretch allows: those that are less likely by at most 2 sigma. If an undamped swing is
+//!    among them, the damping time is not determined. For a swing driven by wind it is determined within a stretch some four times as long.
 
 use super::process::{Axis, MOST_SWINGS, Moments, Swing};
 use super::{Damping, Moment, SharedErrors};
 use crate::estimation::{median, spectrum};
 use std::f64::consts::TAU;
 
-/// Frames that the likelihood is searched with, and the least time from one to the next.
+/// Number of frames used for the likelihood, and the least time between them.
 const FRAMES: usize = 1024;
 const LEAST_STEP_S: f64 = 0.12;
-/// Fewer determine no swing.
+/// Fewer frames do not determine a swing.
 const LEAST_FRAMES: usize = 64;
-/// Where so many times the flight's usual process noise is wanted, the gondola does something that is no swing.
+/// Where more than this multiple of the flight's median process noise is needed, the motion is not a swing.
 const EVENT: f64 = 9.0;
-/// What a swing must gain, in logarithms of the number of frames: half of one for damping and drive each, and three halves for the rate, whose
-/// error falls as that number to the power of 3/2 (Djuric 1996).
+/// Least gain in likelihood for a swing, in logarithms of the number of frames: 1/2 each for damping and drive, and 3/2 for the rate,
+/// whose error decreases as that number to the power of 3/2 (Djuric 1996).
 const PRICE: f64 = 2.5;
-/// Peaks of the periodogram that are tried, and how many bins wide a Hann window makes them.
+/// Peaks of the periodogram that are tried, and their width in bins with a Hann window.
 const PEAKS: usize = 2;
 const PEAK_WIDTH: f64 = 1.5;
-/// At a peak the search begins with a swing that dies away in so many periods, driven as its power asks for or by these parts of that. The
-/// walk's noise begins with the same part.
+/// Initial values at a peak: damping time in periods; drive as a multiple of the one that gives the peak's power. The process noise of
+/// the walk is scaled by the same multiple.
 const FIRST_DAMPING_PERIODS: f64 = 10.0;
 const FIRST_DRIVES: [f64; 3] = [1.0, 0.1, 0.01];
-/// The walk's noise before it is estimated, unit/s^2.5.
+/// Initial process noise of the walk, unit/s^2.5.
 const FIRST_NOISE: f64 = 1.0;
-/// The least noise and drive, and least and most damping time, in periods, that are thought of.
+/// Least process noise and drive, and range of the damping time, in periods.
 const LEAST_NOISE: f64 = 1e-4;
 const LEAST_DRIVE: f64 = 1e-4;
 const DAMPING_PERIODS: [f64; 2] = [1.0, 1e7];
-/// Cost of 2 sigma, natural logarithm of the likelihood, and the factor to which the bound of a damping time is found.
+/// Decrease of the log-likelihood at 2 sigma, and the factor to which the bound of a damping time is determined.
 const TWO_SIGMA: f64 = 2.0;
 const DAMPING_FACTOR: f64 = 1.1;
 /// The fastest swing, periods in a step.
 const MOST_PERIODS_A_STEP: f64 = 0.4;
 /// The slowest swing, rad/s.
 const SLOWEST: f64 = 0.01;
-/// The search ends where its steps have shrunk by so much and a round gains less than this, or after so many rounds.
+/// The search ends when its steps have shrunk to this part and a round gains less than this, or after this many rounds.
 const FINEST: f64 = 0.1;
 const ENOUGH: f64 = 0.05;
 const MOST_ROUNDS: usize = 40;
 
-/// A process of constant noise along an axis.
+/// A motion with constant process noise along an axis.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Fit {
     pub process_noise: f64,
     pub swings: Vec<Swing>,
 }
 
-/// A fit with what it knows of each swing's damping.
+/// A fit with the damping time of each swing.
 pub(super) struct Found {
     pub fit: Fit,
     pub dampings: Vec<Damping>,
 }
 
-/// An even stretch of a flight along one axis.
+/// A uniform stretch of a flight along one axis.
 pub(super) struct Stretch<'a> {
     moments: Vec<Moment>,
     axis: usize,
     shared: &'a SharedErrors,
-    /// The process noise where the gondola does more than elsewhere, zero where it does not.
+    /// Process noise during events, where it is well above the median; zero elsewhere.
     events: Vec<f64>,
     step_s: f64,
 }
 
 impl<'a> Stretch<'a> {
-    /// The stretch of measured moments where the process noise that suffices without swings is least beside the flight's usual one. `None` of
-    /// too few frames.
+    /// Selects the stretch of measured moments with the least number of events, where the process noise without swings is far above the
+    /// flight's median. `None` if there are too few frames.
     pub fn of(
         measured: &[Moment],
         noise: &[f64],
@@ -111,7 +111,7 @@ impl<'a> Stretch<'a> {
         (stretch.moments.len() >= LEAST_FRAMES && stretch.step_s > 0.0).then_some(stretch)
     }
 
-    /// The process of greatest likelihood, each swing at its price; without swings where none pays.
+    /// The process of greatest likelihood, where each swing must gain at least its price; without swings if none does.
     pub fn fit(&self) -> Option<Found> {
         let price = PRICE * (self.moments.len() as f64).ln();
         let (mut fit, mut likelihood) = self.climb(Fit {
@@ -137,7 +137,7 @@ impl<'a> Stretch<'a> {
         })
     }
 
-    /// Bounds of a swing's damping, all else as it was found.
+    /// Bounds of a swing's damping time, with the other parameters fixed.
     fn damping(&self, fit: &Fit, swing: usize, likelihood: f64) -> Damping {
         let found_s = fit.swings[swing].damping_s;
         let [shortest_s, longest_s] =
@@ -190,7 +190,7 @@ impl<'a> Stretch<'a> {
         }
     }
 
-    /// The process with a further swing, at peaks of the periodogram of what the swings so far leave.
+    /// Initial values with a further swing, at peaks of the periodogram of the residuals after the swings so far.
     fn starts(&self, fit: &Fit) -> Option<Vec<Fit>> {
         let noise: Vec<f64> = self
             .events
@@ -226,7 +226,7 @@ impl<'a> Stretch<'a> {
         Some(starts)
     }
 
-    /// Goes up the likelihood, one parameter after the other with steps that grow and shrink.
+    /// Maximises the likelihood one parameter after the other, with adaptive step sizes.
     fn climb(&self, start: Fit) -> Option<(Fit, f64)> {
         let mut best = self.log_likelihood(&start)?;
         let mut fit = start;
@@ -270,7 +270,7 @@ impl<'a> Stretch<'a> {
 }
 
 impl Fit {
-    /// With one parameter changed: process noise and drive and damping by a factor, rates by a difference.
+    /// The fit with one parameter changed: process noise, drive and damping by a factor, rates by a difference.
     fn moved(&self, parameter: usize, by: f64, fastest: f64) -> Self {
         let mut moved = self.clone();
         if parameter == 0 {
@@ -292,7 +292,7 @@ impl Fit {
     }
 }
 
-/// Values at even times, on straight lines between those there are.
+/// Resamples values at a constant step by linear interpolation.
 fn evenly(values: &[(f64, f64)], step_s: f64) -> Vec<f64> {
     let Some(((first_s, _), (last_s, _))) = values.first().zip(values.last()) else {
         return Vec::new();
@@ -310,7 +310,7 @@ fn evenly(values: &[(f64, f64)], step_s: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The peaks that stand highest above what is about them, within an octave to each side: frequency and density.
+/// The peaks with the greatest ratio to their surroundings within an octave on each side: frequency and density.
 fn peaks(spectrum: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let highest =
         |n: &usize| spectrum[n - 1].1 < spectrum[*n].1 && spectrum[*n].1 >= spectrum[n + 1].1;

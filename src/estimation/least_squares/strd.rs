@@ -4,7 +4,7 @@
 use super::*;
 use nalgebra::Vector1;
 
-/// A model of N parameters b: its value at x, and its derivatives by them.
+/// A model with N parameters b: its value at x, and its derivatives by the parameters.
 type Model<const N: usize> = fn(f64, &SVector<f64, N>) -> (f64, [f64; N]);
 
 struct Problem<const N: usize> {
@@ -13,12 +13,13 @@ struct Problem<const N: usize> {
     /// Certified values, and the standard deviation of each.
     values: [f64; N],
     deviations: [f64; N],
-    /// (y, x).
+    /// Pairs (y, x).
     data: &'static [(f64, f64)],
 }
 
 impl<const N: usize> Problem<N> {
-    /// Unit weights: the scale is the residual standard deviation. Sigmas are stated too small by so much that it inflates them.
+    /// Fits with unit weights: the scale is the residual standard deviation. The stated sigmas are too small by a factor, so that they
+    /// are inflated.
     fn fit(&self, start: [f64; N]) -> Result<Fitted<N>, FitError> {
         const STATED: f64 = 1e-6;
         let fit = LeastSquares {
@@ -42,7 +43,7 @@ impl<const N: usize> Problem<N> {
         })
     }
 
-    /// From every start the certified values to seven digits, and the certified deviations to six.
+    /// Checks the certified values to seven digits, and the certified deviations to six, from every start.
     fn holds(&self) {
         for start in self.starts {
             let fitted = self.fit(start).unwrap();
@@ -234,7 +235,7 @@ fn eckerle4_a_gaussian_of_higher_difficulty() {
             (0.0000710, 500.0),
         ],
     };
-    // Its first start is five widths away, where the data say nothing of the parameters: no fit is made for that.
+    // The first start is five widths away, where the data do not constrain the parameters: it is not tested.
     problem.starts[0] = problem.starts[1];
     problem.holds();
 }
