@@ -2,8 +2,8 @@
 
 use nalgebra::Vector2;
 
-/// A direction's angle from +x towards +y, 0 to 1 turn, to 0.0003 turns: what sorting by angle needs, at a tenth of the
-/// arc tangent's cost.
+/// A direction's angle from +x towards +y, 0 to 1 turn, accurate to 0.0003 turns: sufficient for sorting by angle, at a tenth of the cost
+/// of the arc tangent.
 pub(crate) fn turns(direction: Vector2<f64>) -> f64 {
     let (x, y) = (direction.x.abs(), direction.y.abs());
     let slope = x.min(y) / x.max(y);

@@ -24,7 +24,7 @@ impl Direction {
         }
     }
 
-    /// The same direction, known less well: with another 1 sigma per axis.
+    /// The same direction with an additional error of 1 sigma per axis.
     pub fn loosened(&self, sigma_rad: f64) -> Self {
         Self {
             covariance_rad2: self.covariance_rad2 + Self::new(self.unit, sigma_rad).covariance_rad2,
@@ -50,7 +50,7 @@ impl Direction {
     }
 }
 
-/// One direction, as measured in the body frame and as known in the reference frame.
+/// One direction, measured in the body frame and known in the reference frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     pub body: Direction,
@@ -58,13 +58,13 @@ pub struct Observation {
 }
 
 impl Observation {
-    /// Covariance of the body's direction less the reference's, taken to the body frame.
+    /// Covariance of the body's direction minus the reference's, transformed to the body frame.
     fn covariance_rad2(&self, rotation: &Rotation3<f64>) -> Matrix3<f64> {
         let reference = rotation * self.reference.covariance_rad2 * rotation.inverse();
         self.body.covariance_rad2 + reference
     }
 
-    /// Inverse of the mean variance per axis, which no rotation changes.
+    /// Inverse of the mean variance per axis, which is invariant under rotation.
     fn weight(&self) -> f64 {
         2.0 / (self.body.covariance_rad2 + self.reference.covariance_rad2).trace()
     }
@@ -78,7 +78,7 @@ pub struct Attitude {
 }
 
 impl Attitude {
-    /// A direction of the reference frame in the body frame. The errors of both are taken as independent.
+    /// A direction of the reference frame, transformed to the body frame. The errors of both are assumed independent.
     pub fn rotate(&self, reference: &Direction) -> Direction {
         let rotation = self.rotation.to_rotation_matrix();
         let unit = rotation * reference.unit;
@@ -100,9 +100,8 @@ impl Attitude {
     }
 }
 
-/// The attitude of two directions by TRIAD (Shuster and Oh 1981, "Three-Axis Attitude Determination from Vector
-/// Observations"): the first is met exactly, the second gives the rotation about it. `None` when the two are parallel in
-/// either frame.
+/// The attitude from two directions by TRIAD (Shuster and Oh 1981, "Three-Axis Attitude Determination from Vector Observations"): the
+/// first is reproduced exactly, the second gives the rotation about it. `None` if the two are parallel in either frame.
 pub fn triad(first: &Observation, second: &Observation) -> Option<Attitude> {
     let frame = |first: &Direction, second: &Direction| {
         let (a, b) = (first.unit.into_inner(), second.unit.into_inner());
@@ -114,7 +113,7 @@ pub fn triad(first: &Observation, second: &Observation) -> Option<Attitude> {
     let rotation = body * frame(&first.reference, &second.reference)?.inverse();
     let (a, b) = (&first.body.unit, &second.body.unit);
     let (normal, sin) = UnitVector3::new_and_get(a.cross(b));
-    // delta = a x e1 + a n . (e2 - (a x e1) x b) / sin, with e1 and e2 the errors of the two directions.
+    // delta = a x e1 + a n . (e2 - (a x e1) x b) / sin, where e1 and e2 are the errors of the two directions.
     let about_a = a.into_inner() * normal.transpose() / sin;
     let by_first = (Matrix3::identity() + about_a * b.cross_matrix()) * a.cross_matrix();
     let part = |by: Matrix3<f64>, observation: &Observation| {
@@ -126,11 +125,11 @@ pub fn triad(first: &Observation, second: &Observation) -> Option<Attitude> {
     })
 }
 
-/// The attitude of two and more directions that minimises the sum of w |b - R r|^2 (Wahba 1965), by Davenport's q method
+/// The attitude from two or more directions that minimises the sum of w |b - R r|^2 (Wahba 1965), by Davenport's q method
 /// (Shuster and Oh 1981, "The QUEST Algorithm"). The weight w is the inverse of a direction's mean variance per axis.
 ///
-/// The covariance is propagated from each direction's own, so it also holds where that is uneven; where it is even it is
-/// that of QUEST, (sum of w (1 - b b^T))^-1. `None` when all directions are parallel, or one has no error.
+/// The covariance is propagated from each direction's own, so it is also valid for anisotropic errors; for isotropic ones it is that of
+/// QUEST, (sum of w (1 - b b^T))^-1. `None` if all directions are parallel, or one has no error.
 pub fn attitude(observations: &[Observation]) -> Option<Attitude> {
     let mut profile = Matrix3::zeros();
     for observation in observations {
@@ -158,7 +157,7 @@ pub fn attitude(observations: &[Observation]) -> Option<Attitude> {
 /// Sine of the least angle between directions that determine an attitude.
 const LEAST_SIN_ANGLE: f64 = 1e-6;
 
-/// The rotation R that makes trace (R^T profile) largest: the eigenvector of the largest eigenvalue of Davenport's matrix.
+/// The rotation R that maximises trace (R^T profile): the eigenvector of the largest eigenvalue of Davenport's matrix.
 fn davenport(profile: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
     let b = profile;
     let twice_skew = Vector3::new(
@@ -181,7 +180,7 @@ fn davenport(profile: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
     Some(UnitQuaternion::from_quaternion(Quaternion::from(best)))
 }
 
-/// Projection of vectors across a direction.
+/// Projection of vectors onto the plane perpendicular to a direction.
 fn across(unit: &UnitVector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() - unit.into_inner() * unit.transpose()
 }
@@ -214,7 +213,7 @@ mod tests {
         }
     }
 
-    /// Without errors, but with their covariances.
+    /// Error-free observations with their covariances.
     fn observations() -> [Observation; 3] {
         [
             (unit(1.0, 0.2, -0.1), [2e-4, 2e-4], [1e-4, 5e-5]),
@@ -234,7 +233,7 @@ mod tests {
             Self(Xoshiro256PlusPlus::seed_from_u64(7))
         }
 
-        /// A vector of a covariance, which may be of lower rank.
+        /// A random vector with a covariance, which may be of lower rank.
         fn vector(&mut self, covariance: &Matrix3<f64>) -> Vector3<f64> {
             let eigen = covariance.symmetric_eigen();
             let sigmas = eigen.eigenvalues.map(|v| v.max(0.0).sqrt());
@@ -258,7 +257,7 @@ mod tests {
         }
     }
 
-    /// Root mean square of error over sigma, along each principal axis of the stated covariance.
+    /// Checks the root mean square of error over sigma, along each principal axis of the stated covariance.
     fn assert_honest(errors: impl Iterator<Item = Vector3<f64>>, covariance: &Matrix3<f64>) {
         let eigen = covariance.symmetric_eigen();
         let (mut squares, mut count) = (Vector3::zeros(), 0.0);
@@ -268,7 +267,7 @@ mod tests {
             count += 1.0;
         }
         for n in 0..3 {
-            // A covariance across a direction has one axis without error.
+            // A covariance across a direction has one axis without an error.
             if eigen.eigenvalues[n] < 1e-6 * eigen.eigenvalues.max() {
                 assert!(squares[n] / count < 1e-5 * eigen.eigenvalues.max());
                 continue;

@@ -1,8 +1,8 @@
-//! A camera that sees directions.
+//! A camera that measures directions.
 //!
-//! Camera frame: x to the right along the rows, y down, z forward along the optical axis. A ray is the unit vector from
-//! the camera to what it sees. At the angle theta from z, the ideal image lies at the radius r(theta), in focal lengths,
-//! from the principal point; pixels are fx and fy per focal length in x and y.
+//! Camera frame: x to the right along the rows, y down, z forward along the optical axis. A ray is the unit vector from the camera to an
+//! object. At the angle theta from z, the ideal image is at the radius r(theta), in focal lengths, from the principal point; one focal
+//! length is fx and fy pixels in x and y.
 //!
 //! r is either tan theta (rectilinear) or k1 theta + k2 theta^3 + k3 theta^5 + k4 theta^7 + k5 theta^9 (Kannala and Brandt
 //! 2006, "A Generic Camera Model and Calibration Method"; Braun and Barf 2022, eq. 13), which covers lenses of 180 deg and
@@ -15,7 +15,7 @@ use nalgebra::{
 };
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Radius in the image, in focal lengths, of the angle from the optical axis.
+/// Radius in the image, in focal lengths, as a function of the angle from the optical axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Lens {
     /// tan theta.
@@ -41,7 +41,7 @@ impl Lens {
         }
     }
 
-    /// The angle up to which r grows with theta, at most pi.
+    /// The angle up to which r increases with theta, at most pi.
     fn limit_rad(&self) -> f64 {
         const STEPS: u32 = 4096;
         if *self == Self::Rectilinear {
@@ -65,18 +65,18 @@ impl Lens {
     }
 }
 
-/// A camera: lens and pixels. Its rays are those of [`Lens`]'s range of growing radius.
+/// A camera: lens and pixels. Its rays are limited to angles up to which the [`Lens`]'s radius increases.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraModel {
     lens: Lens,
-    /// fx and fy.
+    /// Focal lengths fx and fy, px.
     focal_px: Vector2<f64>,
     principal_point: SensorPx,
     limit_rad: f64,
 }
 
 impl CameraModel {
-    /// `None` when a number is not finite, a focal length is not positive or the radius does not grow from the axis.
+    /// `None` if a number is not finite, a focal length is not positive or the radius does not increase from the axis.
     pub fn new(lens: Lens, focal_px: [f64; 2], principal_point: SensorPx) -> Option<Self> {
         let limit_rad = lens.limit_rad();
         let (at_limit, at_axis) = (lens.radius(limit_rad).0, lens.radius(0.0).1);
@@ -90,7 +90,7 @@ impl CameraModel {
         })
     }
 
-    /// A camera that makes no distortion, with square pixels. The focal length must be positive.
+    /// A camera without distortion, with square pixels. The focal length must be positive.
     pub fn rectilinear(focal_px: f64, principal_point: SensorPx) -> Self {
         Self {
             lens: Lens::Rectilinear,
@@ -104,7 +104,7 @@ impl CameraModel {
         self.lens
     }
 
-    /// fx and fy.
+    /// Focal lengths fx and fy, px.
     pub fn focal_px(&self) -> [f64; 2] {
         self.focal_px.into()
     }
@@ -113,20 +113,20 @@ impl CameraModel {
         self.principal_point
     }
 
-    /// Largest angle from the optical axis that the camera sees, rad, without the limit of the sensor's size.
+    /// Largest angle of a ray from the optical axis, rad, without the limit of the sensor's size.
     pub fn limit_rad(&self) -> f64 {
         self.limit_rad
     }
 
-    /// The mean of the two focal lengths: pixels per rad at the axis of a lens that makes no distortion.
+    /// The mean of the two focal lengths: pixels per rad at the axis of a lens without distortion.
     pub fn mean_focal_px(&self) -> f64 {
         self.lens.radius(0.0).1 * (self.focal_px.x + self.focal_px.y) / 2.0
     }
 
-    /// By how much the radius grows with the angle from the axis where a ray is seen, over what it does at the axis.
+    /// Derivative of the radius by the angle from the axis at a ray, relative to that at the axis.
     pub fn growth(&self, ray: &UnitVector3<f64>) -> f64 {
         match self.lens {
-            // The same without angles.
+            // The same formula without angles.
             Lens::Rectilinear => ray.z.powi(-2),
             Lens::KannalaBrandt(_) => {
                 let (theta, _) = polar(ray);
@@ -135,15 +135,15 @@ impl CameraModel {
         }
     }
 
-    /// The horizontal focal length over the vertical one: how many times as high as wide pixels are.
+    /// The horizontal focal length over the vertical one: the ratio of the pixels' height to their width.
     pub fn aspect(&self) -> f64 {
         self.focal_px.x / self.focal_px.y
     }
 
-    /// The pixel that sees a ray. `None` beyond the limit of the lens.
+    /// The pixel of a ray. `None` beyond the limit of the lens.
     pub fn pixel(&self, ray: &UnitVector3<f64>) -> Option<SensorPx> {
         let at = match self.lens {
-            // The same without angles.
+            // The same formula without angles.
             Lens::Rectilinear => (ray.z > 0.0).then(|| ray.xy() / ray.z)?,
             Lens::KannalaBrandt(_) => {
                 let (theta, outward) = polar(ray);
@@ -154,7 +154,7 @@ impl CameraModel {
         Some((self.principal_point.vector() + from_centre).into())
     }
 
-    /// The ray that a pixel sees: the inverse of [`pixel`](Self::pixel). `None` beyond the limit of the lens.
+    /// The ray of a pixel: the inverse of [`pixel`](Self::pixel). `None` beyond the limit of the lens.
     pub fn ray(&self, pixel: SensorPx) -> Option<UnitVector3<f64>> {
         if self.lens == Lens::Rectilinear {
             let at = self.in_plane(pixel);
@@ -167,12 +167,12 @@ impl CameraModel {
         Some(UnitVector3::new_normalize(ray))
     }
 
-    /// Derivative of [`pixel`](Self::pixel), px per rad across the ray; lengthening the ray moves no pixel.
+    /// Derivative of [`pixel`](Self::pixel), px per rad across the ray; the component along the ray is zero.
     pub fn pixel_jacobian(&self, ray: &UnitVector3<f64>) -> Option<Matrix2x3<f64>> {
         let (theta, outward) = polar(ray);
         let (r, slope) = self.seen(theta)?;
         let (sin, cos) = theta.sin_cos();
-        // Of theta and of the direction outwards, by the ray.
+        // Derivatives of theta and of the outward direction by the ray.
         let polar = RowVector3::new(outward.x * cos, outward.y * cos, -sin);
         let around = RowVector3::new(-outward.y, outward.x, 0.0);
         let per_sin = if sin > 0.0 { r / sin } else { slope };
@@ -185,7 +185,7 @@ impl CameraModel {
         let per_px = Matrix2::from_diagonal(&self.focal_px.map(f64::recip));
         if self.lens == Lens::Rectilinear {
             let ray = self.ray(pixel)?.into_inner();
-            // The plane's axes, without what they have along the ray, over its distance.
+            // The axes of the image plane, without their components along the ray, over its distance.
             let axes = Matrix3x2::identity() - ray * ray.xy().transpose();
             return Some(axes * per_px * ray.z);
         }
@@ -210,24 +210,24 @@ impl CameraModel {
         })
     }
 
-    /// r and its slope, within the limit.
+    /// r and its derivative, within the limit.
     fn seen(&self, theta: f64) -> Option<(f64, f64)> {
         (theta < self.limit_rad).then(|| self.lens.radius(theta))
     }
 
-    /// Angle from the axis (rad), and the unit vector outwards in the image, of a pixel.
+    /// Angle of a pixel from the axis (rad), and the outward unit vector in the image.
     fn angles(&self, pixel: SensorPx) -> Option<(f64, Vector2<f64>)> {
         let at = self.in_plane(pixel);
         Some((self.angle(at.norm())?, outward(at)))
     }
 
-    /// A pixel from the principal point, in focal lengths.
+    /// Position of a pixel relative to the principal point, in focal lengths.
     fn in_plane(&self, pixel: SensorPx) -> Vector2<f64> {
         let from_centre = pixel.vector() - self.principal_point.vector();
         from_centre.component_div(&self.focal_px)
     }
 
-    /// The angle of a radius, by Newton's method within a bracket that every step narrows.
+    /// The angle for a radius, by Newton's method within a bracket that every step narrows.
     fn angle(&self, radius: f64) -> Option<f64> {
         if self.lens == Lens::Rectilinear {
             return radius.is_finite().then(|| radius.atan());
@@ -261,18 +261,18 @@ impl CameraModel {
     }
 }
 
-/// Angle from z (rad), and the unit vector outwards in the image, of a ray.
+/// Angle of a ray from z (rad), and the outward unit vector in the image.
 fn polar(ray: &UnitVector3<f64>) -> (f64, Vector2<f64>) {
     let across = ray.xy();
     (across.norm().atan2(ray.z), outward(across))
 }
 
-/// The direction of a vector; +x for zero, where all directions serve.
+/// The direction of a vector; +x for zero, where the direction is arbitrary.
 fn outward(across: Vector2<f64>) -> Vector2<f64> {
     across.try_normalize(0.0).unwrap_or_else(Vector2::x)
 }
 
-/// A vector turned by 90 deg from +x towards +y.
+/// A vector rotated by 90 deg from +x towards +y.
 fn turned(v: Vector2<f64>) -> Vector2<f64> {
     Vector2::new(-v.y, v.x)
 }
@@ -288,7 +288,7 @@ mod tests {
         let lens = [
             Lens::Rectilinear,
             Lens::KannalaBrandt([1.0, -0.05, 0.01, -2e-3, 1e-4]),
-            // An equidistant fish-eye, of all directions.
+            // An equidistant fish-eye lens, for all directions.
             Lens::KannalaBrandt([0.9, 0.0, 0.0, 0.0, 0.0]),
         ];
         lens.map(|lens| CameraModel::new(lens, [800.0, 790.0], CENTRE).unwrap())
@@ -353,7 +353,7 @@ mod tests {
         let [rectilinear, polynomial, fish_eye] = cameras();
         assert_eq!(rectilinear.pixel(&ray(1.6, 0.3)), None);
         assert_eq!(fish_eye.limit_rad(), PI);
-        // r = theta - theta^3 / 3 grows up to 1 rad, where it is 2/3.
+        // r = theta - theta^3 / 3 increases up to 1 rad, where it is 2/3.
         let lens = Lens::KannalaBrandt([1.0, -1.0 / 3.0, 0.0, 0.0, 0.0]);
         let narrow = CameraModel::new(lens, [300.0, 300.0], CENTRE).unwrap();
         assert!((narrow.limit_rad() - 1.0).abs() < 1e-9);

@@ -11,12 +11,12 @@ pub struct Circle {
 }
 
 impl Circle {
-    /// Distance of a point outwards from the circle.
+    /// Distance of a point outside the circle; negative inside.
     pub fn excess(&self, point: Vector2<f64>) -> f64 {
         (point - self.centre).norm() - self.radius
     }
 
-    /// The circle through three points; `None` when they lie on a line.
+    /// The circle through three points; `None` if they lie on a line.
     pub fn through(a: Vector2<f64>, b: Vector2<f64>, c: Vector2<f64>) -> Option<Self> {
         let (ab, ac) = (b - a, c - a);
         let m = Matrix2::new(ab.x, ab.y, ac.x, ac.y) * 2.0;

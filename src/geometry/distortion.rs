@@ -1,13 +1,13 @@
 //! Radial and decentring distortion of the camera lens (Brown 1966, "Decentering Distortion of Lenses").
 //!
-//! With d the position from the distortion's centre on the ideal (undistorted) sensor and r = |d|, the lens
-//! puts it at `d (1 + k1 r^2 + k2 r^4) + (2 p1 dx dy + p2 (r^2 + 2 dx^2), p1 (r^2 + 2 dy^2) + 2 p2 dx dy)`.
+//! With d the position relative to the distortion's centre on the ideal (undistorted) sensor and r = |d|, the distorted position is `d (1
+//! + k1 r^2 + k2 r^4) + (2 p1 dx dy + p2 (r^2 + 2 dx^2), p1 (r^2 + 2 dy^2) + 2 p2 dx dy)`.
 
 use crate::units::SensorPx;
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// Distortion of the lens, as it moves positions on the sensor.
+/// Distortion of the lens, as a displacement of positions on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Distortion {
     /// The point that does not move.
@@ -30,7 +30,7 @@ impl Distortion {
         self.radial == [0.0; 2] && self.decentring == [0.0; 2]
     }
 
-    /// Where the lens puts an ideal position.
+    /// The distorted position of an ideal one.
     pub fn distort(&self, ideal: SensorPx) -> SensorPx {
         if self.is_none() {
             return ideal;
@@ -45,8 +45,8 @@ impl Distortion {
         (self.centre.vector() + d * (1.0 + k1 * r2 + k2 * r2 * r2) + decentring).into()
     }
 
-    /// The ideal position of one seen on the sensor: the inverse of [`distort`](Self::distort), by Newton's
-    /// method; distortions of a real lens converge in two or three steps.
+    /// The ideal position of a distorted one: the inverse of [`distort`](Self::distort), by Newton's method, which converges in two or
+    /// three steps for the distortion of a real lens.
     pub fn correct(&self, seen: SensorPx) -> SensorPx {
         if self.is_none() {
             return seen;

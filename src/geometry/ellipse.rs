@@ -3,11 +3,11 @@
 use super::circle::Circle;
 use nalgebra::{Matrix2, Vector2};
 
-/// An ellipse as the image of the unit circle: x = centre + root w, |w| = 1, with `root` symmetric and positive: the square
-/// root of the matrix of its squared half axes.
+/// An ellipse as the image of the unit circle: x = centre + root w, |w| = 1, where `root` is symmetric and positive: the square root of
+/// the matrix of its squared half axes.
 ///
-/// A disc that is round on the plate is such an ellipse on the sensor, and `root` then is, up to a rotation, the local
-/// mapping from plate to sensor in units of the disc's radius.
+/// A disc that is round on the plate is such an ellipse on the sensor, and `root` is then, up to a rotation, the local mapping from plate
+/// to sensor in units of the disc's radius.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipse {
     pub centre: Vector2<f64>,
@@ -16,7 +16,7 @@ pub struct Ellipse {
 }
 
 impl Ellipse {
-    /// `None` when the root is not symmetric and positive.
+    /// `None` if the root is not symmetric and positive.
     pub fn new(centre: Vector2<f64>, root: Matrix2<f64>) -> Option<Self> {
         let positive = root.m11 > 0.0 && root.determinant() > 0.0;
         let symmetric = (root.m12 - root.m21).abs() <= 1e-9 * root.m11.abs();
@@ -30,8 +30,8 @@ impl Ellipse {
 
     /// The image of the unit circle under a linear mapping.
     pub fn of_unit_circle(centre: Vector2<f64>, mapping: &Matrix2<f64>) -> Option<Self> {
-        // The root is the symmetric part of the mapping's polar decomposition, the square root of M M^T, which by Cayley and
-        // Hamilton is (M M^T + d 1) / sqrt(trace + 2 d) with d^2 its determinant.
+        // The root is the symmetric part of the mapping's polar decomposition, the square root of M M^T. By Cayley and
+        // Hamilton it is (M M^T + d 1) / sqrt(trace + 2 d) with d^2 its determinant.
         let square = mapping * mapping.transpose();
         let d = mapping.determinant().abs();
         let root = (square + Matrix2::identity() * d) / (square.trace() + 2.0 * d).sqrt();
@@ -52,12 +52,12 @@ impl Ellipse {
         self.root.trace() / 2.0
     }
 
-    /// Both half axes longer by so many px; `None` where nothing is left.
+    /// Both half axes longer by `px`; `None` if nothing remains.
     pub fn grown(&self, px: f64) -> Option<Self> {
         Self::new(self.centre, self.root + Matrix2::identity() * px)
     }
 
-    /// A position in units of the disc's radius, from its centre: 1 on the outline.
+    /// A position relative to the centre in units of the disc's radius: 1 on the outline.
     pub fn to_disc(&self, point: Vector2<f64>) -> Vector2<f64> {
         self.inverse * (point - self.centre)
     }
@@ -67,23 +67,23 @@ impl Ellipse {
         self.centre + self.root * w
     }
 
-    /// Outward unit normal of the outline where it is the image of `w`.
+    /// Outward unit normal of the outline at the image of `w`.
     pub fn normal(&self, w: Vector2<f64>) -> Vector2<f64> {
         (self.inverse * w).normalize()
     }
 
-    /// Distance of a point outwards from the outline; to first order in that distance and in the ellipse's flatness.
+    /// Distance of a point outside the outline; to first order in that distance and in the ellipse's flattening.
     pub fn excess(&self, point: Vector2<f64>) -> f64 {
         self.excess_at(self.to_disc(point))
     }
 
-    /// The same of a position in units of the disc's radius.
+    /// The same for a position in units of the disc's radius.
     pub fn excess_at(&self, w: Vector2<f64>) -> f64 {
         let r = w.norm();
         if r == 0.0 {
             return -self.mean_radius();
         }
-        // The slope of |w| along its own gradient, per px.
+        // The derivative of |w| along its own gradient, per px.
         (r - 1.0) * r / (self.inverse * w).norm()
     }
 }

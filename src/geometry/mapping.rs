@@ -1,17 +1,16 @@
-//! The mapping from sensor to plate: a plane homography, of which affine and similarity are the simple kinds,
-//! behind the lens's distortion.
+//! The mapping from sensor to plate: a plane homography, with affine and similarity as simple kinds, and the lens's distortion.
 
 use super::distortion::Distortion;
 use crate::units::{PlateMil, SensorPx};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Which parameters of a [`View`](super::view::View) a mapping has.
+/// Parameters of a [`View`](super::view::View) that a mapping has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum MappingKind {
     /// Shift, rotation and one scale: 4 parameters.
     Similarity,
-    /// A similarity with tilt, true to angles at the plate's centre: 6 parameters.
+    /// A similarity with tilt, conformal at the plate's centre: 6 parameters.
     Keystone,
     /// Shift and any linear map: 6 parameters.
     Affine,
@@ -38,17 +37,17 @@ impl MappingKind {
     }
 }
 
-/// Whether the camera sees the plate's X growing along with its own x, once rotation is taken out.
+/// Handedness of the camera's view, without rotation: signs of the plate's axes on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Handedness {
-    /// x falls with X, y grows with Y: the camera sees the plate mirrored (HEROES).
+    /// x decreases with X, y increases with Y: the camera sees the plate mirrored (HEROES).
     Mirrored,
-    /// x grows with X, y grows with Y.
+    /// x increases with X, y increases with Y.
     Direct,
 }
 
 impl Handedness {
-    /// As the instrument's file says it.
+    /// Name in the instrument's file.
     pub fn name(self) -> &'static str {
         match self {
             Self::Mirrored => "mirrored",
@@ -56,7 +55,7 @@ impl Handedness {
         }
     }
 
-    /// That of the mirror image.
+    /// Handedness of the mirror image.
     pub fn other(self) -> Self {
         match self {
             Self::Mirrored => Self::Direct,
@@ -64,7 +63,7 @@ impl Handedness {
         }
     }
 
-    /// The plate's axes projected at rotation 0, apart from scale.
+    /// The plate's axes projected at rotation 0, without scale.
     pub fn axes(self) -> Matrix2<f64> {
         match self {
             Self::Mirrored => Matrix2::new(-1.0, 0.0, 0.0, 1.0),
@@ -73,14 +72,14 @@ impl Handedness {
     }
 }
 
-/// The parameters of a similarity as a person states them.
+/// The parameters of a similarity in conventional terms.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimilarityParameters {
-    /// Where the plate's centre is seen.
+    /// Sensor position of the plate's centre.
     pub plate_centre: SensorPx,
     /// Plate length per pixel.
     pub scale_mil_per_px: f64,
-    /// Of the plate's [`axes`](Handedness::axes), positive from +x towards +y.
+    /// Rotation of the plate's [`axes`](Handedness::axes), positive from +x towards +y.
     pub rotation_deg: f64,
     pub handedness: Handedness,
 }
@@ -95,8 +94,8 @@ pub struct Mapping {
 }
 
 impl Mapping {
-    /// A mapping from the homography that takes ideal sensor positions (px) to the plate (mil).
-    /// `None` when it cannot be inverted or holds a number that is not finite.
+    /// A mapping from the homography of ideal sensor positions (px) to the plate (mil).
+    /// `None` if it cannot be inverted or contains a number that is not finite.
     pub fn new(kind: MappingKind, to_plate: Matrix3<f64>, distortion: Distortion) -> Option<Self> {
         let to_sensor = to_plate.try_inverse()?;
         let finite = to_plate
@@ -111,7 +110,7 @@ impl Mapping {
         })
     }
 
-    /// A similarity from its parameters. `None` when the scale is zero or a parameter is not finite.
+    /// A similarity from its parameters. `None` if the scale is zero or a parameter is not finite.
     pub fn similarity(parameters: SimilarityParameters, distortion: Distortion) -> Option<Self> {
         let (sin, cos) = parameters.rotation_deg.to_radians().sin_cos();
         let linear = Matrix2::new(cos, -sin, sin, cos) * parameters.handedness.axes()
@@ -142,12 +141,12 @@ impl Mapping {
         &self.distortion
     }
 
-    /// The plate position seen at a sensor position.
+    /// The plate position at a sensor position.
     pub fn to_plate(&self, seen: SensorPx) -> PlateMil {
         project(&self.to_plate, self.distortion.correct(seen).vector()).into()
     }
 
-    /// Where on the sensor a plate position is seen.
+    /// The sensor position of a plate position.
     pub fn to_sensor(&self, position: PlateMil) -> SensorPx {
         self.distortion
             .distort(project(&self.to_sensor, position.vector()).into())
@@ -173,7 +172,7 @@ impl Mapping {
         self.plate_jacobian(seen).determinant().abs().sqrt()
     }
 
-    /// Mirrored or not.
+    /// Handedness of the view.
     pub fn handedness(&self) -> Handedness {
         let linear = self.to_plate.fixed_view::<2, 2>(0, 0);
         if linear.determinant() < 0.0 {

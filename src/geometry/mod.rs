@@ -1,5 +1,5 @@
-//! Mappings between the sensor and the plate, the lens's distortion, cameras that see directions, attitudes, and the Earth. No
-//! fitting here: that is [`registration`](crate::registration)'s work.
+//! Mappings between the sensor and the plate, the lens's distortion, cameras that measure directions, attitudes, and the Earth. Fitting
+//! is in [`registration`](crate::registration).
 
 mod angle;
 pub mod attitude;

@@ -1,11 +1,11 @@
-//! The view of a plane by a pinhole camera, with the derivatives that fitting it takes.
+//! The view of a plane by a pinhole camera, with the derivatives needed for fitting it.
 //!
-//! x = t + L w / (1 + g . w), with w = A P; P is the position on the plate (mil) and x that on the ideal sensor, free of the
-//! lens's distortion (px). The fixed axes A describe the plate in units of [`UNIT_MIL`], which makes the parameters similar in
-//! size, and mirrored where the camera sees it so.
+//! x = t + L w / (1 + g . w), with w = A P; P is the position on the plate (mil) and x that on the ideal sensor, free of lens distortion
+//! (px). The fixed axes A express the plate in units of [`UNIT_MIL`], which makes the parameters similar in size, and mirror it if the
+//! camera does.
 //!
-//! L = [a, -b; b, a] + [c, d; d, -c] is any linear map, split into a similarity (scale and rotation) and a stretch with
-//! shear; g is the tilt, seen as keystone. As homography: Hartley and Zisserman, Multiple View Geometry, 2nd ed., section
+//! L = [a, -b; b, a] + [c, d; d, -c] is any linear map, split into a similarity (scale and rotation) and a stretch with shear; g is the
+//! tilt, whose effect is keystone. As homography: Hartley and Zisserman, Multiple View Geometry, 2nd ed., section
 //! 2.3.
 
 use super::distortion::Distortion;
@@ -29,46 +29,46 @@ pub type ParameterSlopes = RowSVector<f64, PARAMETERS>;
 /// The plate's unit of length in a view.
 pub const UNIT_MIL: f64 = 1000.0;
 
-/// Displacement of a place by a camera tilted by 3 deg, over the square of its distance from the plate's centre, 1/px: tan(3 deg)
-/// over four times the width of the sensor. A camera aligned by hand is tilted by this much, 1 sigma.
+/// Displacement of a position by a camera tilted by 3 deg, over the square of its distance from the plate's centre, 1/px: tan(3 deg)
+/// over four times the width of the sensor. This is the tilt of a camera aligned by hand, 1 sigma.
 ///
-/// This near the Sun, at a distance d (px) from the plate's centre, the tilt turns the picture by up to this times d (rad) and
+/// Near the Sun, at a distance d (px) from the plate's centre, the tilt rotates the picture by up to this times d (rad) and
 /// changes its scale by up to 1.5 times this times d.
 pub const TILT_PER_PX: f64 = 1.0e-5;
 
-/// Which parameters a kind of mapping has; the others are zero.
+/// The parameters of a kind of mapping; the others are zero.
 pub fn parameters_of(kind: MappingKind) -> [bool; PARAMETERS] {
     let stretch = matches!(kind, MappingKind::Affine | MappingKind::Homography);
     let tilt = matches!(kind, MappingKind::Keystone | MappingKind::Homography);
     [true, true, true, true, stretch, stretch, tilt, tilt]
 }
 
-/// How an ideal camera sees the plate.
+/// An ideal camera's view of the plate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct View {
     pub parameters: Parameters,
-    /// Takes plate positions (mil) to w.
+    /// Transforms plate positions (mil) to w.
     axes: Matrix2<f64>,
 }
 
-/// Scale and rotation of the projected plate at one place.
+/// Scale and rotation of the projected plate at one position.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct LocalSimilarity {
     /// Plate length per pixel: the square root of the ratio of areas.
     pub scale_mil_per_px: Measured,
-    /// Positive from +x towards +y.
+    /// Rotation, positive from +x towards +y.
     pub rotation_deg: Measured,
 }
 
-/// Derivatives of scale and rotation at one place by the parameters.
+/// Derivatives of scale and rotation at one position by the parameters.
 pub struct SimilaritySlopes {
-    /// Of the natural logarithm of the plate length per pixel.
+    /// Derivative of the natural logarithm of the plate length per pixel.
     pub log_scale: ParameterSlopes,
     pub rotation_rad: ParameterSlopes,
 }
 
 impl View {
-    /// All parameters zero: where a linear fit of a similarity starts.
+    /// All parameters zero: the start of a linear fit of a similarity.
     pub fn zero(handedness: Handedness) -> Self {
         Self {
             parameters: Parameters::zeros(),
@@ -76,14 +76,14 @@ impl View {
         }
     }
 
-    /// The view of a mapping, without its distortion. `None` when the mapping sees the plate's centre at infinity.
+    /// The view of a mapping, without its distortion. `None` if the mapping has the plate's centre at infinity.
     pub fn of(mapping: &Mapping) -> Option<Self> {
         let axes = mapping.handedness().axes() / UNIT_MIL;
         Self::along(axes, &mapping.matrix().try_inverse()?)
     }
 
-    /// The view of a homography from plate (mil) to ideal sensor (px), with these axes. `None` when the axes cannot be
-    /// inverted or the plate's centre is seen at infinity.
+    /// The view of a homography from plate (mil) to ideal sensor (px), with these axes. `None` if the axes cannot be inverted or the
+    /// plate's centre is at infinity.
     pub fn along(axes: Matrix2<f64>, to_sensor: &Matrix3<f64>) -> Option<Self> {
         let h = to_sensor / to_sensor.m33;
         let inverse = axes.try_inverse()?;
@@ -105,7 +105,7 @@ impl View {
         }
     }
 
-    /// The parameters that a simpler kind does not have set to zero.
+    /// Sets the parameters that a simpler kind does not have to zero.
     pub fn simplified(mut self, kind: MappingKind) -> Self {
         for (parameter, has) in self.parameters.iter_mut().zip(parameters_of(kind)) {
             *parameter = if has { *parameter } else { 0.0 };
@@ -131,12 +131,12 @@ impl View {
         self.parameters[2].hypot(self.parameters[3])
     }
 
-    /// Rotation at the plate's centre from the axes, positive from +x towards +y, -180 to 180 deg.
+    /// Rotation at the plate's centre relative to the axes, positive from +x towards +y, -180 to 180 deg.
     pub fn rotation_deg(&self) -> f64 {
         self.parameters[3].atan2(self.parameters[2]).to_degrees()
     }
 
-    /// Where the ideal sensor sees a plate position, px.
+    /// Position of a plate position on the ideal sensor, px.
     pub fn project(&self, at: PlateMil) -> Vector2<f64> {
         let w = self.axes * at.vector();
         self.shift() + self.linear() * w / (1.0 + self.tilt().dot(&w))
@@ -201,7 +201,7 @@ impl View {
         ])
     }
 
-    /// How scale and rotation at a plate position follow the parameters of a view that can be inverted.
+    /// Derivatives of scale and rotation at a plate position by the parameters of an invertible view.
     pub fn similarity_slopes(&self, at: PlateMil) -> SimilaritySlopes {
         let jacobian = self.jacobian(at);
         let determinant = jacobian.determinant();
@@ -209,7 +209,7 @@ impl View {
             true => Handedness::Mirrored.axes(),
             false => Handedness::Direct.axes(),
         };
-        // a and b of the local linear map, twice.
+        // Twice a and b of the local linear map.
         let doubled = |m: Matrix2<f64>| Vector2::new(m.m11 + m.m22, m.m21 - m.m12);
         let local = doubled(jacobian * axes);
         let [along_x, along_y] =
@@ -230,8 +230,8 @@ impl View {
         slopes
     }
 
-    /// Scale and rotation of a mapping near this view where the sensor sees a place, with the 1 sigma that the covariance of the
-    /// view's parameters gives. The place counts as known.
+    /// Scale and rotation of a mapping near this view at a sensor position, with 1 sigma from the covariance of the view's parameters.
+    /// The position is taken as exact.
     pub fn local_similarity(
         &self,
         seen: SensorPx,
@@ -248,8 +248,7 @@ impl View {
         }
     }
 
-    /// The plate position seen at a place on the ideal sensor, mil, and its derivative, mil per px. `None` when the view is
-    /// degenerate.
+    /// The plate position at a position on the ideal sensor, mil, and its derivative, mil per px. `None` if the view is degenerate.
     pub fn unproject(&self, seen: Vector2<f64>) -> Option<(PlateMil, Matrix2<f64>)> {
         let inverse = (self.linear() * self.axes).try_inverse()?;
         let tilt = self.axes.tr_mul(&self.tilt());
@@ -260,7 +259,7 @@ impl View {
         Some((at.into(), slopes))
     }
 
-    /// Covariance of a plate position got through a mapping near this view, from that of the view's parameters; mil^2.
+    /// Covariance of a plate position computed with a mapping near this view, from that of the view's parameters; mil^2.
     pub fn covariance_mil2(
         &self,
         at: PlateMil,
@@ -284,7 +283,7 @@ impl View {
         )
     }
 
-    /// The mapping from sensor to plate behind a lens. `None` when the view is degenerate.
+    /// The mapping from sensor to plate with a lens. `None` if the view is degenerate.
     pub fn mapping(&self, kind: MappingKind, distortion: Distortion) -> Option<Mapping> {
         Mapping::new(kind, self.to_sensor().try_inverse()?, distortion)
     }
@@ -376,7 +375,7 @@ mod tests {
         let view = View::zero(Handedness::Mirrored).advanced(&Parameters::from([
             650.0, 480.0, 120.0, 90.0, 0.0, 0.0, 0.0, 0.0,
         ]));
-        // a and b to 0.3 px; together they are 150 px long.
+        // a and b with sigma 0.3 px; together they are 150 px long.
         let covariance = ParameterCovariance::from_diagonal_element(0.09);
         let found =
             view.local_similarity(SensorPx::new(650.0, 480.0), &mapping(&view), &covariance);
