@@ -1,45 +1,45 @@
-//! When something of the Sun changes sign: rise, transit, set, and the hours it spends in a band of elevations.
+//! Times at which a quantity of the Sun changes sign: rise, transit, set, and time spans in a range of elevations.
 
 use super::SkyError;
 use crate::units::{EARTH_RADIUS_M, Place};
 use jiff::{SignedDuration, Timestamp};
 
-/// The search samples at this interval: what rises and falls back within that may be missed.
+/// Interval of the search: two crossings within it may be missed.
 const GRID: SignedDuration = SignedDuration::from_mins(5);
-/// A crossing is found within this.
+/// Precision of a crossing.
 const PRECISION: SignedDuration = SignedDuration::from_millis(50);
 
-/// Which way a value went through zero.
+/// Direction of a zero crossing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rising {
     Up,
     Down,
 }
 
-/// A value went through zero.
+/// A zero crossing of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Crossing {
     pub utc: Timestamp,
     pub rising: Rising,
 }
 
-/// The elevation of the Sun's centre as it rises and sets for an observer at a height, deg, without refraction: its upper
-/// limb (16 arcmin) on the horizon of a smooth Earth, lifted by the 34 arcmin of the almanacs.
+/// Elevation of the Sun's centre at rise and set for an observer at a height, deg, without refraction: the upper limb (16 arcmin) is on
+/// the horizon of a smooth Earth, lifted by the 34 arcmin of the almanacs.
 ///
-/// From a height the horizon lies lower by acos(R / (R + h)), 6.3 deg at 38.4 km. The ray that grazes it is bent again on
-/// its way up to the observer, by up to another 34 arcmin, which is left out: a balloon sees the Sun some minutes longer.
+/// From a height the horizon is lower by acos(R / (R + h)), 6.3 deg at 38.4 km. The ray that grazes it is refracted again on its way up
+/// to the observer, by up to another 34 arcmin. This is neglected: a balloon sees the Sun some minutes longer.
 pub fn horizon_deg(place: Place) -> f64 {
     const LIMB_AND_REFRACTION_DEG: f64 = 50.0 / 60.0;
     -horizon_dip_deg(place.height_m) - LIMB_AND_REFRACTION_DEG
 }
 
-/// How far below the horizontal the limb of a smooth Earth without air lies from a height, deg.
+/// Angle of the limb of a smooth Earth without atmosphere below the horizontal, from a height, deg.
 pub fn horizon_dip_deg(height_m: f64) -> f64 {
     let dip = (EARTH_RADIUS_M / (EARTH_RADIUS_M + height_m.max(0.0))).acos();
     dip.to_degrees()
 }
 
-/// Where a value goes through zero between two instants, in order.
+/// Zero crossings of a value between two instants, in order.
 ///
 /// # Errors
 /// Those of the value.
@@ -67,7 +67,7 @@ pub fn crossings(
     Ok(found)
 }
 
-/// The spells between two instants during which a value lies within limits.
+/// Time spans between two instants in which a value is within limits.
 ///
 /// # Errors
 /// Those of the value.
@@ -97,7 +97,7 @@ pub fn spells(
     Ok(spells)
 }
 
-/// By halving.
+/// Finds a crossing by bisection.
 fn between(
     mut start: (Timestamp, f64),
     mut end: (Timestamp, f64),
@@ -129,7 +129,7 @@ mod tests {
         Timestamp::from_second(second).unwrap()
     }
 
-    /// A wave of a day that starts at zero, going up.
+    /// A sine with a period of one day, zero and rising at the beginning.
     fn wave(utc: Timestamp) -> Result<f64, SkyError> {
         Ok((utc.as_duration().as_secs_f64() / DAY_S as f64 * std::f64::consts::TAU).sin())
     }
@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn a_wave_is_in_a_band_twice_and_above_it_once() {
-        // sin 30 deg = 0.5: from 2 h to 10 h above.
+        // sin 30 deg = 0.5: above it from 2 h to 10 h.
         let spells = |low, high| spells(at(0), at(DAY_S), [low, high], wave).unwrap();
         let hours =
             |spell: &[Timestamp; 2]| spell[1].duration_since(spell[0]).as_secs_f64() / 3600.0;

@@ -1,9 +1,8 @@
-//! Where the Sun and the Moon stand, how large they are and how they are turned, for an observer on or above
-//! the Earth.
+//! Position, size and orientation of the Sun and the Moon for an observer on or above the Earth.
 //!
 //! Positions are topocentric and without refraction (at 38 km it is 0.9 arcsec at 15 deg of elevation;
-//! [`Air`] states it). They come from the IAU's SOFA routines (crate `sofars`): the Earth's place by `epv00`, the Moon's by
-//! `moon98`, good to about 10 arcsec; leap seconds, UT1 and the pole by the IERS's table ([`OrientationTable`]).
+//! [`Air`] computes it). They use the IAU's SOFA routines (crate `sofars`): the Earth's position by `epv00`, the Moon's by
+//! `moon98`, accurate to about 10 arcsec; leap seconds, UT1 and polar motion by the IERS's table ([`OrientationTable`]).
 //!
 //! The Sun's radius and rotation axis are the IAU's (radius 695 700 km, resolution B3 of 2015; pole at right
 //! ascension 286.13 deg and declination 63.87 deg, prime meridian 84.176 deg + 14.1844 deg/day, Archinal et
@@ -38,10 +37,10 @@ pub const SUN_RADIUS_KM: f64 = 695_700.0;
 const MOON_RADIUS_KM: f64 = 1_737.4;
 const SUN_POLE_DEG: [f64; 2] = [286.13, 63.87];
 const SUN_PRIME_MERIDIAN_DEG: f64 = 84.176;
-/// Sidereal, of the Carrington longitudes.
+/// Sidereal rotation rate of the Carrington longitudes.
 pub const SUN_ROTATION_DEG_PER_DAY: f64 = 14.1844;
 
-/// Why a position cannot be given.
+/// Reasons for which a position cannot be computed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SkyError {
     #[error("expected a date from 1900 to 2100, as the Earth's ephemeris goes, found {0}")]
@@ -55,7 +54,7 @@ pub enum SkyError {
 }
 
 impl SkyError {
-    /// The error as a frame's reason. Dates are years, with days as their fraction.
+    /// The error as a frame's reason. Dates are decimal years.
     pub fn rejected(&self) -> Rejected {
         let year = |utc: &Timestamp| 1970.0 + utc.as_second() as f64 / (365.2425 * 86_400.0);
         let (reason, measured, limit) = match self {
@@ -77,16 +76,16 @@ impl SkyError {
     }
 }
 
-/// The Sun as an observer sees it.
+/// The Sun as seen by an observer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SunPosition {
-    /// From north through east.
+    /// Azimuth from north through east.
     pub azimuth_deg: f64,
-    /// Without refraction.
+    /// Elevation without refraction.
     pub elevation_deg: f64,
     /// Angular radius as seen from the Earth's centre.
     pub radius_arcsec: f64,
-    /// From the observer.
+    /// Distance from the observer.
     pub distance_au: f64,
     /// Direction of solar north from the zenith, clockwise (towards larger azimuth) as seen looking out.
     pub zenith_to_north_deg: f64,
@@ -96,21 +95,20 @@ pub struct SunPosition {
     pub b0_deg: f64,
     /// Carrington longitude of the disc's centre as seen from the Earth's centre, 0 to 360.
     pub l0_deg: f64,
-    /// By how much 1 sigma of UT1 moves the Sun: towards larger azimuth (true angle) and up. Zero within the table of Earth
-    /// orientation.
+    /// Shift of the Sun for 1 sigma of UT1: towards larger azimuth (true angle) and up. Zero within the table of Earth orientation.
     pub ut1_shift_arcsec: [f64; 2],
 }
 
-/// The Moon as an observer sees it.
+/// The Moon as seen by an observer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MoonPosition {
-    /// From north through east.
+    /// Azimuth from north through east.
     pub azimuth_deg: f64,
-    /// Without refraction.
+    /// Elevation without refraction.
     pub elevation_deg: f64,
     /// Angular radius as seen by the observer.
     pub radius_arcsec: f64,
-    /// From the observer.
+    /// Distance from the observer.
     pub distance_km: f64,
     /// The angle between the Sun and the observer as seen from the Moon: 0 full, 180 new.
     pub phase_angle_deg: f64,
@@ -120,17 +118,17 @@ pub struct MoonPosition {
     pub zenith_to_bright_limb_deg: f64,
 }
 
-/// How the Sun is turned to the Earth's centre, and how far it is.
+/// Orientation of the Sun as seen from the Earth's centre, and its distance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Disc {
     pub b0_deg: f64,
-    /// 0 to 360.
+    /// Carrington longitude of the disc's centre, 0 to 360.
     pub l0_deg: f64,
     pub distance_au: f64,
 }
 
 impl Disc {
-    /// The Sun's radius from this distance.
+    /// The Sun's angular radius at this distance.
     pub fn radius_arcsec(&self) -> f64 {
         solar_radius_arcsec(self.distance_au * AU_KM)
     }
@@ -146,8 +144,8 @@ impl From<&SunPosition> for Disc {
     }
 }
 
-/// Sun and Moon for any place and instant. What is costly is done once for a second and kept for the instants that
-/// follow in it; answers do not depend on what was asked before.
+/// Sun and Moon for any place and instant. Expensive quantities are computed once for a second and reused for further instants in it;
+/// results do not depend on earlier calls.
 #[derive(Debug, Clone)]
 pub struct Ephemeris {
     table: Arc<OrientationTable>,
@@ -155,7 +153,7 @@ pub struct Ephemeris {
 }
 
 impl Default for Ephemeris {
-    /// With the table of Earth orientation that the program carries.
+    /// Uses the built-in table of Earth orientation.
     fn default() -> Self {
         Self::new(OrientationTable::built_in())
     }
@@ -172,13 +170,13 @@ impl Ephemeris {
     /// The Sun from a place at an instant.
     ///
     /// # Errors
-    /// A date before the table of Earth orientation, or a place outside its ranges.
+    /// If the date is before the table of Earth orientation, or the place is outside its ranges.
     pub fn sun(&mut self, utc: Timestamp, place: Place) -> Result<SunPosition, SkyError> {
         let orientation = self.table.at(utc)?;
         let observer = self.observer(utc, place, &orientation)?;
         let from_observer = sun_from(&observer);
-        // Solar north: a step along the axis through the same chain. Any length serves, for the step stays in
-        // the plane of the Sun's centre and its axis; a long one keeps its digits.
+        // Solar north: transform a step along the axis in the same way. Its length is arbitrary, because the step stays in the plane of
+        // the Sun's centre and its axis; a long one avoids rounding errors.
         let north_of_it = from_observer + sun_pole() * 1e-3;
         let [centre, north] = [from_observer, north_of_it].map(|v| observer.equatorial(&v));
         let [centre_up, north_up] = [centre, north].map(|v| observer.horizontal(&v));
@@ -200,7 +198,7 @@ impl Ephemeris {
         })
     }
 
-    /// Whether the orientation of the Earth at an instant is extrapolated, behind the end of its table.
+    /// Whether the orientation of the Earth at an instant is extrapolated beyond the end of its table.
     pub fn extrapolates(&self, utc: Timestamp) -> Option<Extrapolated> {
         self.table.extrapolates(utc)
     }
@@ -208,7 +206,7 @@ impl Ephemeris {
     /// The Moon from a place at an instant.
     ///
     /// # Errors
-    /// As for [`sun`](Self::sun).
+    /// Those of [`sun`](Self::sun).
     pub fn moon(&mut self, utc: Timestamp, place: Place) -> Result<MoonPosition, SkyError> {
         let orientation = self.table.at(utc)?;
         let observer = self.observer(utc, place, &orientation)?;
@@ -230,10 +228,10 @@ impl Ephemeris {
         })
     }
 
-    /// The Moon and the Sun from the Earth's centre, au, axes of the ICRS: where they are, without light time.
+    /// The geometric positions of the Moon and the Sun from the Earth's centre, au, axes of the ICRS, without light time.
     ///
     /// # Errors
-    /// A date before the table of Earth orientation.
+    /// If the date is before the table of Earth orientation.
     pub fn geocentric(&mut self, utc: Timestamp) -> Result<[Vector3<f64>; 2], SkyError> {
         let orientation = self.table.at(utc)?;
         let earth = self.second(utc, &orientation)?.earth(utc);
@@ -241,10 +239,10 @@ impl Ephemeris {
         Ok([moon, -earth.heliocentric[0]])
     }
 
-    /// How the Sun is turned to the Earth's centre.
+    /// Orientation of the Sun as seen from the Earth's centre.
     ///
     /// # Errors
-    /// A date before the table of Earth orientation.
+    /// If the date is before the table of Earth orientation.
     pub fn disc(&mut self, utc: Timestamp) -> Result<Disc, SkyError> {
         let orientation = self.table.at(utc)?;
         Ok(disc(&self.second(utc, &orientation)?.earth(utc)))
@@ -273,25 +271,24 @@ impl Ephemeris {
     }
 }
 
-/// The Sun's angular radius as seen from the Earth's centre, arcsec: far cheaper than [`Ephemeris::sun`], and for any date
-/// from 1900 to 2100.
+/// The Sun's angular radius as seen from the Earth's centre, arcsec: far cheaper than [`Ephemeris::sun`], and for any date from 1900 to 2100.
 ///
 /// # Errors
-/// A date outside these years.
+/// If the date is outside these years.
 pub fn sun_angular_radius(utc: Timestamp) -> Result<f64, SkyError> {
-    /// How far terrestrial time is ahead of UTC, within a minute and a half; the radius changes by 0.0003 arcsec in that.
+    /// Difference of terrestrial time and UTC, accurate to a minute and a half; the radius changes by 0.0003 arcsec in that time.
     const AHEAD_S: f64 = 69.2;
     let earth = Earth::at(JulianDate::ahead_of(utc, AHEAD_S), utc)?;
     Ok(sun_radius_arcsec(&earth))
 }
 
-/// The Sun from the observer when the light that arrives now left it, au.
+/// Position of the Sun relative to the observer, corrected for light time, au.
 fn sun_from(observer: &Observer) -> Vector3<f64> {
     let light_days = observer.earth.heliocentric[0].norm() * LIGHT_DAYS_PER_AU;
     observer.earth.sun_before(light_days) - observer.barycentric()
 }
 
-/// The Moon from the observer when the light that arrives now left it, au.
+/// Position of the Moon relative to the observer, corrected for light time, au.
 fn moon_from(observer: &Observer) -> Vector3<f64> {
     let [earth, earth_velocity] = observer.earth.barycentric;
     let mut light_days = 0.0;
@@ -305,7 +302,7 @@ fn moon_from(observer: &Observer) -> Vector3<f64> {
     moon
 }
 
-/// How far the Earth's rotation moves a direction in a time, arcsec: towards larger azimuth, and up.
+/// Shift of a direction by the Earth's rotation in a time, arcsec: towards larger azimuth, and up.
 fn diurnal_arcsec(observer: &Observer, horizontal: &Vector3<f64>, time_s: f64) -> [f64; 2] {
     let pole = observer.horizontal(&Vector3::z());
     let moved = horizontal.normalize().cross(&pole) * (ARCSEC_PER_S * time_s);
@@ -317,7 +314,7 @@ fn sun_radius_arcsec(earth: &Earth) -> f64 {
     solar_radius_arcsec(earth.heliocentric[0].norm() * AU_KM)
 }
 
-/// The Sun's angular radius from so far from its centre.
+/// The Sun's angular radius at a distance from its centre.
 pub fn solar_radius_arcsec(distance_km: f64) -> f64 {
     (SUN_RADIUS_KM / distance_km).asin() * ARCSEC_PER_RAD
 }
@@ -326,11 +323,11 @@ fn sun_pole() -> Vector3<f64> {
     direction(SUN_POLE_DEG[0], SUN_POLE_DEG[1])
 }
 
-/// How the Sun is turned to the Earth's centre.
+/// Orientation of the Sun as seen from the Earth's centre.
 fn disc(earth: &Earth) -> Disc {
     let from_sun = earth.heliocentric[0];
     let pole = sun_pole();
-    // The ascending node of the solar equator on that of the ICRS, from which rotation counts.
+    // The ascending node of the solar equator on that of the ICRS: the origin of the rotation angle.
     let node = direction(SUN_POLE_DEG[0] + 90.0, 0.0);
     let quarter = pole.cross(&node);
     let seen = Vector3::new(

@@ -1,5 +1,5 @@
-//! From places in the solar system to the observer's horizon at one instant: the IAU's chain (SOFA) with
-//! light time left to the caller, aberration, precession and nutation, Earth rotation, and no refraction.
+//! Transforms positions in the solar system to the observer's horizon at one instant: the IAU's chain (SOFA) with aberration, precession
+//! and nutation, and Earth rotation; the caller corrects for light time, and there is no refraction.
 
 use super::{EarthOrientation, SkyError};
 use crate::units::{ARCSEC_PER_RAD, Place};
@@ -11,19 +11,19 @@ use sofars::erst::era00;
 use sofars::pnp::{bpn2xy, pnm06a, s06, sp00};
 use sofars::vm::rxp;
 
-/// Light's time for one astronomical unit, days.
+/// Light time for one astronomical unit, days.
 pub(super) const LIGHT_DAYS_PER_AU: f64 = 499.004_783_836 / 86_400.0;
 
 /// Terrestrial time - TAI.
 const TT_TAI_S: f64 = 32.184;
 const DAY_S: i64 = 86_400;
 
-/// An instant in two parts, as SOFA takes it: Julian date = first + second.
+/// An instant in two parts, as used by SOFA: Julian date = first + second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct JulianDate(pub f64, pub f64);
 
 impl JulianDate {
-    /// The date that a clock shows which is ahead of UTC.
+    /// The date of a clock that is ahead of UTC.
     pub fn ahead_of(utc: Timestamp, ahead_s: f64) -> Self {
         let (days, second) = (
             utc.as_second().div_euclid(DAY_S),
@@ -51,14 +51,14 @@ impl JulianDate {
 #[derive(Debug, Clone)]
 pub(super) struct Earth {
     pub tt: JulianDate,
-    /// From the Sun.
+    /// Relative to the Sun.
     pub heliocentric: [Vector3<f64>; 2],
-    /// From the barycentre of the solar system.
+    /// Relative to the barycentre of the solar system.
     pub barycentric: [Vector3<f64>; 2],
 }
 
 impl Earth {
-    /// By SOFA's `epv00`; `utc` is for the error.
+    /// Computed by SOFA's `epv00`; `utc` is for the error.
     pub fn at(tt: JulianDate, utc: Timestamp) -> Result<Self, SkyError> {
         let (heliocentric, barycentric) = epv00(tt.0, tt.1).ok_or(SkyError::Date(utc))?;
         Ok(Self {
@@ -68,7 +68,7 @@ impl Earth {
         })
     }
 
-    /// The Earth some moments later; for a second its path is straight to 3 mm.
+    /// The Earth a short time later; within a second its path is straight to 3 mm.
     fn after(&self, days: f64) -> Self {
         let moved =
             |[position, velocity]: [Vector3<f64>; 2]| [position + velocity * days, velocity];
@@ -79,14 +79,14 @@ impl Earth {
         }
     }
 
-    /// The Sun from the barycentre, some days before; its path within an hour is straight to a metre.
+    /// The Sun relative to the barycentre, `days` earlier; within an hour its path is straight to a metre.
     pub fn sun_before(&self, days: f64) -> Vector3<f64> {
         let velocity = self.barycentric[1] - self.heliocentric[1];
         self.barycentric[0] - self.heliocentric[0] - velocity * days
     }
 }
 
-/// The costly part of the chain, done once for a second: where the Earth is and how its axis stands. The axis moves by
+/// The expensive part of the chain, computed once for a second: the Earth's position and the orientation of its axis. The axis moves by
 /// less than 2e-6 arcsec in that time.
 #[derive(Debug, Clone)]
 pub(super) struct Second {
@@ -98,7 +98,7 @@ pub(super) struct Second {
 }
 
 impl Second {
-    /// The second of which an instant is part: the same for every instant in it.
+    /// The second that contains an instant: the same for every instant in it.
     pub fn of(utc: Timestamp, orientation: &EarthOrientation) -> Result<Self, SkyError> {
         let start = whole_second(utc);
         let tt = JulianDate::terrestrial(start, orientation);
@@ -167,7 +167,7 @@ impl Observer {
         Ok(Self { earth, astrometry })
     }
 
-    /// The observer from the barycentre, au.
+    /// The observer relative to the barycentre, au.
     pub fn barycentric(&self) -> Vector3<f64> {
         self.astrometry.eb.into()
     }
@@ -182,7 +182,7 @@ impl Observer {
         intermediate.into()
     }
 
-    /// The direction of an apparent equatorial one in the horizon's frame: north, east, up.
+    /// Transforms an apparent equatorial direction to the horizon's frame: north, east, up.
     pub fn horizontal(&self, equatorial: &Vector3<f64>) -> Vector3<f64> {
         let ascension = equatorial.y.atan2(equatorial.x);
         let declination = equatorial.z.atan2(equatorial.x.hypot(equatorial.y));

@@ -1,15 +1,15 @@
-//! How the Earth stands within its mean rotation and how far its clocks are apart, by the IERS's table.
+//! Orientation of the Earth relative to its mean rotation, and differences of its time scales, from the IERS's table.
 //!
-//! The table that the program carries is made by `tools/iers` from the IERS's finals2000A and list of leap seconds:
-//! measured from 1973 on, predicted for about a year after it was made. Between its rows UT1 - TAI, which knows no
-//! leap seconds, and the pole run straight, within 0.4 ms (0.006 arcsec of azimuth) of the daily values. Of the
-//! predictions the IERS states 1 sigma: 25 ms (0.4 arcsec) after a year. Before 1990 its own series differ by up to 6 ms.
+//! The built-in table is made by `tools/iers` from the IERS's finals2000A and list of leap seconds: measured from 1973 on, predicted for
+//! about a year after it was made. UT1 - TAI, which has no leap seconds, and the pole are interpolated linearly between its rows, within
+//! 0.4 ms (0.006 arcsec of azimuth) of the daily values. The IERS states
+//! 1 sigma of the predictions: 25 ms (0.4 arcsec) after a year. Before 1990 its own series differ by up to 6 ms.
 //!
-//! Behind its last row the pole is held, and UT1 - TAI goes on as in the table's last year, with a 1 sigma that grows:
-//! 21 ms (Bulletin A's 0.00025 s d^0.75 for d = 365 days of prediction) and 0.35 ms for each day. That covers the rms error
-//! of this rule on the table's own years 1973 to 2025: 34 ms after 100 days, 87 ms after one year, 0.40 s after three; and
-//! the pole's 0.2 arcsec per axis. Leap seconds to come are not known: UT1 - UTC, which they keep within 0.9 s, is held
-//! there, and its sigma stays below 0.5 s, that of any value in this range.
+//! After its last row the pole is constant, and UT1 - TAI is extrapolated with the trend of the table's last year and a 1 sigma that grows:
+//! 21 ms (Bulletin A's 0.00025 s d^0.75 for d = 365 days of prediction) and 0.35 ms for each day. That covers the rms error of this rule
+//! on the table's own years 1973 to 2025: 34 ms after 100 days, 87 ms after one year, 0.40 s after three; and the pole's 0.2 arcsec per
+//! axis. Future leap seconds are unknown, but keep UT1 - UTC within 0.9 s: it is clamped to this range, and its sigma stays below 0.5 s,
+//! that of any value in this range.
 
 use super::SkyError;
 use crate::files::{self, Unread};
@@ -26,30 +26,30 @@ const UNIX_EPOCH_MJD: f64 = 40_587.0;
 const DAY_S: f64 = 86_400.0;
 /// The Earth's rotation with respect to the mean Sun.
 pub(super) const ARCSEC_PER_S: f64 = 15.0;
-/// The trend of UT1 - TAI is that of a year: a shorter time shows the seasons.
+/// Length of the trend of UT1 - TAI: a year, because a shorter time includes seasonal variations.
 const TREND_DAYS: f64 = 365.25;
-/// 1 sigma of UT1 at the table's end, and what it grows by.
+/// 1 sigma of UT1 at the table's end, its growth, and its limit.
 const END_SIGMA_S: f64 = 0.021;
 const SIGMA_S_PER_DAY: f64 = 0.35e-3;
 const MAX_SIGMA_S: f64 = 0.5;
 /// Leap seconds keep UT1 - UTC within this (ITU-R TF.460).
 const MAX_UT1_UTC_S: f64 = 0.9;
 
-/// How the Earth stands, and what its clocks show, at one instant (IERS).
+/// Orientation of the Earth and differences of time scales at one instant (IERS).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EarthOrientation {
-    /// Leap seconds, and the ten before them.
+    /// TAI - UTC: leap seconds, and the ten seconds before them.
     pub tai_utc_s: f64,
-    /// One second of it moves every azimuth by up to 15 arcsec.
+    /// UT1 - UTC; a difference of one second changes every azimuth by up to 15 arcsec.
     pub ut1_utc_s: f64,
-    /// The pole's place.
+    /// Position of the pole.
     pub x_arcsec: f64,
     pub y_arcsec: f64,
-    /// 1 sigma of `ut1_utc_s` behind the table's end; 0 within the table.
+    /// 1 sigma of `ut1_utc_s` after the table's end; 0 within the table.
     pub ut1_sigma_s: f64,
 }
 
-/// An instant behind the end of a table of Earth orientation.
+/// An instant after the end of a table of Earth orientation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Extrapolated {
     pub utc: Timestamp,
@@ -75,7 +75,7 @@ impl fmt::Display for Extrapolated {
 /// The Earth's orientation over the years.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OrientationTable {
-    /// By growing date, two at least.
+    /// Rows in the order of time, two at least.
     rows: Vec<OrientationRow>,
 }
 
@@ -85,7 +85,7 @@ struct OrientationRow {
     orientation: EarthOrientation,
 }
 
-/// Why a table of Earth orientation was refused.
+/// Reasons for which a table of Earth orientation is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
     #[error("{}: {source}", path.display())]
@@ -100,7 +100,7 @@ pub enum TableError {
 }
 
 impl OrientationTable {
-    /// The table that the program carries.
+    /// The built-in table.
     pub fn built_in() -> Arc<Self> {
         static TABLE: OnceLock<Arc<OrientationTable>> = OnceLock::new();
         let read = || {
@@ -110,10 +110,10 @@ impl OrientationTable {
         Arc::clone(TABLE.get_or_init(read))
     }
 
-    /// Reads a table as `tools/iers` makes it.
+    /// Reads a table made by `tools/iers`.
     ///
     /// # Errors
-    /// A file that cannot be read, other columns, a value that is not a number, dates that do not increase, fewer than two.
+    /// If the file cannot be read, or has other columns, a value that is not a number, dates that do not increase, or fewer than two rows.
     pub fn read(path: &Path) -> Result<Self, TableError> {
         let text = files::read_text(path).map_err(|source| TableError::Unreadable {
             path: path.into(),
@@ -152,14 +152,14 @@ impl OrientationTable {
         Ok(Self { rows })
     }
 
-    /// The orientation at an instant; behind the table's end it is extrapolated.
+    /// The orientation at an instant; after the table's end it is extrapolated.
     ///
     /// # Errors
     /// [`SkyError::Orientation`] before the table's beginning.
     pub fn at(&self, utc: Timestamp) -> Result<EarthOrientation, SkyError> {
         let mjd = modified_julian_date(utc);
         let after = self.rows.partition_point(|row| row.mjd <= mjd);
-        // The last instant of the table stands behind its last row.
+        // The last instant of the table coincides with its last row.
         let is_end = after == self.rows.len() && self.rows[after - 1].mjd == mjd;
         let after = if is_end { after - 1 } else { after };
         if after == 0 {
@@ -201,7 +201,7 @@ impl OrientationTable {
         }
     }
 
-    /// Whether an instant is behind the table's end, and what that makes uncertain.
+    /// Set if an instant is after the table's end, with the resulting uncertainty.
     pub fn extrapolates(&self, utc: Timestamp) -> Option<Extrapolated> {
         let [_, last] = self.dates();
         let ut1_sigma_s = self.at(utc).ok()?.ut1_sigma_s;
@@ -212,7 +212,7 @@ impl OrientationTable {
         })
     }
 
-    /// The days of the first and the last row; the table ends as its last day begins.
+    /// Dates of the first and the last row; the table ends at the beginning of its last day.
     pub fn dates(&self) -> [Date; 2] {
         let date = |row: &OrientationRow| {
             let second = ((row.mjd - UNIX_EPOCH_MJD) * DAY_S) as i64;
@@ -314,7 +314,7 @@ mod tests {
         );
     }
 
-    /// The rule's own past: its errors from any day of the table are as large as the sigma says, or smaller.
+    /// Tests the rule on past data: its errors from any day of the table are within the stated sigma.
     #[test]
     fn the_sigma_behind_the_end_covers_what_the_rule_missed_since_1973() {
         let table = OrientationTable::built_in();
@@ -333,7 +333,7 @@ mod tests {
                 let predicted = before.at(instant(then)).unwrap();
                 let truth = table.at(instant(then)).unwrap();
                 let ut1_tai = |o: &EarthOrientation| o.ut1_utc_s - o.tai_utc_s;
-                // Where the clamp holds, leap seconds have their say.
+                // At the clamp leap seconds affect the result.
                 if predicted.ut1_utc_s.abs() < MAX_UT1_UTC_S {
                     squares += (ut1_tai(&predicted) - ut1_tai(&truth)).powi(2);
                     count += 1.0;

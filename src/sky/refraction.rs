@@ -1,26 +1,27 @@
-//! How much higher things stand for an observer within air.
+//! Refraction for an observer within the atmosphere.
 //!
-//! SOFA's `refco` gives the two constants of dz = A tan z + B tan^3 z. On the ground it agrees with ray tracing to 0.06
-//! arcsec down to 15 deg of elevation and to 0.6 arcsec at 10 deg; lower it fails, and below 3 deg it is held at its value
-//! there (0.18 deg on the ground, where the truth at the horizon is 0.57 deg). At 38 km it is 0.9 arcsec at 15 deg; below the horizontal, where the ray dips into thicker air, it is too small.
+//! SOFA's `refco` gives the two constants of dz = A tan z + B tan^3 z. On the ground it agrees with ray tracing to 0.06 arcsec down to 15
+//! deg of elevation and to 0.6 arcsec at 10 deg; lower it fails. Below 3 deg it is constant at the value there (0.18 deg on the ground,
+//! where the true value at the horizon is 0.57 deg). At 38 km it is 0.9 arcsec at 15 deg; below the horizontal, where the ray passes
+//! through denser air, it is too small.
 
 use sofars::astro::refco;
 use std::str::FromStr;
 
-/// Middle of the band-pass.
+/// Centre of the bandpass.
 const WAVELENGTH_UM: f64 = 0.63;
-/// The sine of the elevation below which refraction no longer grows, as in SOFA.
+/// The sine of the elevation below which refraction is constant, as in SOFA.
 const LOWEST_SINE: f64 = 0.05;
 
-/// The air about the observer; taken as dry.
+/// The air around the observer, assumed dry.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Air {
     pub pressure_hpa: f64,
     pub temperature_c: f64,
 }
 
-/// A layer of the standard atmosphere: geopotential height of its base (m), temperature (K) and pressure (hPa) there, and
-/// the lapse of temperature (K/m).
+/// A layer of the standard atmosphere: geopotential height of its base (m), temperature (K) and pressure (hPa) there, and the temperature
+/// gradient (K/m).
 struct Layer(f64, f64, f64, f64);
 
 /// US Standard Atmosphere 1976, table 4 and equations 33.
@@ -55,14 +56,14 @@ impl Air {
         }
     }
 
-    /// How much higher than without air a thing stands that stands at an elevation without it, deg.
+    /// Refraction at an elevation given without refraction, deg.
     pub fn lift_deg(&self, elevation_deg: f64) -> f64 {
         let (a, b) = refco(self.pressure_hpa, self.temperature_c, 0.0, WAVELENGTH_UM);
         let (sin, cos) = elevation_deg.to_radians().sin_cos();
         let sin = sin.max(LOWEST_SINE);
         let tan_z = cos / sin;
         let w = b * tan_z * tan_z;
-        // One step of Newton's, for A and B count from the apparent place (SOFA's atioq).
+        // One Newton step, because A and B refer to the apparent direction (SOFA's atioq).
         ((a + w) * tan_z / (1.0 + (a + 3.0 * w) / (sin * sin))).to_degrees()
     }
 }

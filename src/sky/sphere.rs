@@ -1,9 +1,9 @@
-//! Directions on a sphere as unit vectors: place, move, and measure them without small-angle approximations.
+//! Directions on a sphere as unit vectors: construct, move, and measure them without small-angle approximations.
 //!
-//! A frame's third axis is its pole; longitude grows from the first axis towards the second. In the horizon's
-//! frame (north, east, up) longitude is azimuth and latitude elevation; in an equatorial frame they are right
-//! ascension and declination. Bearings count from the pole towards growing longitude: in the horizon's frame
-//! clockwise from the zenith as seen looking out, in an equatorial one from north through east.
+//! A frame's third axis is its pole; longitude increases from the first axis towards the second. In the horizon's frame (north, east, up)
+//! longitude is azimuth and latitude elevation; in an equatorial frame they are right ascension and declination. Bearings are measured
+//! from the pole towards increasing longitude: in the horizon's frame clockwise from the zenith as seen looking out, in an equatorial one
+//! from north through east.
 
 use nalgebra::Vector3;
 
@@ -20,7 +20,7 @@ pub fn angles_deg(v: &Vector3<f64>) -> (f64, f64) {
     (longitude, v.z.atan2(v.x.hypot(v.y)).to_degrees())
 }
 
-/// The unit vectors at a direction towards the pole and towards growing longitude.
+/// The unit vectors at a direction towards the pole and towards increasing longitude.
 pub fn tangents(at: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
     let (sin_lon, cos_lon) = at.y.atan2(at.x).sin_cos();
     let (sin_lat, cos_lat) = at.z.atan2(at.x.hypot(at.y)).sin_cos();
@@ -30,7 +30,7 @@ pub fn tangents(at: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
     )
 }
 
-/// Where one arrives from `start` along a great circle of the given bearing and length, rad.
+/// The end point from `start` along a great circle of the given bearing and length, rad.
 pub fn travel(start: &Vector3<f64>, bearing_rad: f64, length_rad: f64) -> Vector3<f64> {
     let (poleward, along) = tangents(start);
     let course = poleward * bearing_rad.cos() + along * bearing_rad.sin();
@@ -43,7 +43,7 @@ pub fn bearing_rad(at: &Vector3<f64>, towards: &Vector3<f64>) -> f64 {
     towards.dot(&along).atan2(towards.dot(&poleward))
 }
 
-/// The angle between two vectors of any length, rad; exact for small angles too.
+/// The angle between two vectors of any length, rad; accurate for small angles too.
 pub fn separation_rad(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     a.cross(b).norm().atan2(a.dot(b))
 }

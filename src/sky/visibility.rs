@@ -1,6 +1,6 @@
-//! When the Moon can be seen from an orbit or a balloon: above the Earth's limb, and clear of the Sun.
+//! Visibility of the Moon from an orbit or a balloon: above the Earth's limb, and clear of the Sun.
 //!
-//! The Moon and the Sun count by their centres, the Earth is a sphere of mean radius; air neither bends light nor hides them.
+//! The Moon and the Sun are represented by their centres, the Earth is a sphere of mean radius; refraction and absorption by air are neglected.
 
 use super::sphere::{angles_deg, direction, separation_rad};
 use super::{AU_KM, Ephemeris, SkyError, horizon_dip_deg};
@@ -10,27 +10,27 @@ use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
-/// Of the Earth, km^3/s^2, and its oblateness with its equator, km (WGS 84).
+/// Gravitational parameter of the Earth, km^3/s^2, its oblateness and its equatorial radius, km (WGS 84).
 const GRAVITY_KM3_PER_S2: f64 = 398_600.441_8;
 const OBLATENESS: f64 = 1.082_63e-3;
 const EQUATOR_KM: f64 = 6_378.137;
-/// A turn of the Sun about the Earth, s.
+/// Period of the Sun's apparent revolution around the Earth, s.
 const TROPICAL_YEAR_S: f64 = 365.242_19 * 86_400.0;
 
-/// From where the Moon is observed.
+/// The observer's vantage point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Vantage {
-    /// A balloon that stays where it is.
+    /// A stationary balloon.
     Place(Place),
     Orbit(SunSynchronous),
 }
 
-/// A circular orbit whose plane turns with the Sun.
+/// A circular orbit whose plane rotates with the Sun.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SunSynchronous {
-    /// Above the equator.
+    /// Height above the equator.
     pub height_km: f64,
-    /// Local time by the true Sun at which it crosses the equator northwards, h.
+    /// Local true solar time of the ascending node, h.
     pub node_h: f64,
 }
 
@@ -44,14 +44,14 @@ impl SunSynchronous {
         (GRAVITY_KM3_PER_S2 / self.radius_km().powi(3)).sqrt()
     }
 
-    /// The inclination at which the Earth's oblateness turns the plane once a year.
+    /// The inclination at which the Earth's oblateness rotates the plane once a year.
     fn inclination_rad(&self) -> f64 {
         let turn = TAU / TROPICAL_YEAR_S;
         let flattening = 1.5 * OBLATENESS * (EQUATOR_KM / self.radius_km()).powi(2);
         (-turn / (flattening * self.motion_rad_per_s())).acos()
     }
 
-    /// Where the satellite is, km, in the equator's axes, some time after it crossed the equator, for a Sun at a right ascension.
+    /// Position of the satellite, km, in equatorial axes, a time after it crossed the equator, for the Sun's right ascension.
     fn position_km(&self, sun_ascension_rad: f64, since_s: f64) -> Vector3<f64> {
         let node = sun_ascension_rad + (self.node_h - 12.0) / 24.0 * TAU;
         let (sin_node, cos_node) = node.sin_cos();
@@ -69,14 +69,14 @@ pub struct Observation {
     pub moon_above_limb_deg: f64,
     pub sun_above_limb_deg: f64,
     pub moon_from_sun_deg: f64,
-    /// The share of the Moon's disc that the Sun shines on.
+    /// The illuminated fraction of the Moon's disc.
     pub lit: f64,
 }
 
-/// The Moon and the Sun from a vantage, over some time. A satellite crosses the equator at its beginning.
+/// The Moon and the Sun from a vantage point over a time span. A satellite crosses the equator at its beginning.
 ///
 /// # Errors
-/// Dates that the ephemeris does not know, or an impossible place.
+/// If the ephemeris does not cover the dates, or the place is impossible.
 pub fn observations(
     ephemeris: &mut Ephemeris,
     vantage: &Vantage,
@@ -143,22 +143,22 @@ fn from_orbit(
     })
 }
 
-/// Assumptions of the study of a Moon sensor ("The Development of a Moon Sensor", 2005, section 3.2): the Moon and the Sun far
-/// away in one plane, at right angles to the plane of the satellite's orbit; the Earth with its air hides a cone; the Moon
-/// within some angle of the Sun is not visible.
+/// Assumptions of the study of a Moon sensor ("The Development of a Moon Sensor", 2005, section 3.2): the Moon and the Sun are infinitely
+/// distant in one plane, perpendicular to the plane of the satellite's orbit; the Earth with its atmosphere obstructs a cone; the Moon is
+/// not visible within an angle of the Sun.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Simplified {
-    /// Of the satellite's orbit.
+    /// Radius of the satellite's orbit.
     pub orbit_radius_km: f64,
-    /// Of the Earth with the air that hides a body.
+    /// Radius of the Earth including the atmosphere that obstructs the view.
     pub opaque_radius_km: f64,
-    /// Between the Sun and the orbit's plane.
+    /// Angle between the Sun and the orbit's plane.
     pub sun_from_plane_deg: f64,
     pub clear_of_sun_deg: f64,
 }
 
 impl Simplified {
-    /// Its numbers: a satellite 550 km above an Earth of 6,378 km with 40 km of air.
+    /// The study's numbers: a satellite 550 km above an Earth of 6,378 km with 40 km of atmosphere.
     pub const STUDY_OF_2005: Self = Self {
         orbit_radius_km: 6_378.0 + 550.0,
         opaque_radius_km: 6_378.0 + 40.0,
@@ -166,21 +166,21 @@ impl Simplified {
         clear_of_sun_deg: 15.0,
     };
 
-    /// Half the angle that Earth and air hide (half of eq. 3.2).
+    /// Half the angle obstructed by Earth and atmosphere (half of eq. 3.2).
     pub fn hidden_deg(&self) -> f64 {
         (self.opaque_radius_km / self.orbit_radius_km)
             .asin()
             .to_degrees()
     }
 
-    /// Where the Moon's path meets the normal of the orbit's plane, degrees from new Moon; the other end is 180 deg on.
+    /// Intersection of the Moon's path with the normal of the orbit's plane, degrees from new Moon; the other one is 180 deg further.
     fn normal_deg(&self) -> f64 {
         90.0 + self.sun_from_plane_deg
     }
 
-    /// The share of each orbit in which a body is above the limb that stands so far from the Sun along the Moon's path.
+    /// The fraction of each orbit in which a body at an angle from the Sun along the Moon's path is above the limb.
     pub fn share(&self, from_sun_deg: f64) -> f64 {
-        // How far the body stands from the orbit's plane.
+        // Angle of the body from the orbit's plane.
         let sine = (from_sun_deg - self.normal_deg()).to_radians().cos();
         let cosine = (1.0 - sine * sine).sqrt();
         let edge = self.hidden_deg().to_radians().cos();
@@ -190,7 +190,7 @@ impl Simplified {
         }
     }
 
-    /// The share in which the Moon is visible: above the limb, and clear of the Sun.
+    /// The fraction in which the Moon is visible: above the limb, and clear of the Sun.
     pub fn moon_share(&self, from_new_deg: f64) -> f64 {
         let from_sun = from_new_deg.min(360.0 - from_new_deg);
         match from_sun < self.clear_of_sun_deg {
@@ -199,8 +199,8 @@ impl Simplified {
         }
     }
 
-    /// Where the kind of visibility changes, degrees from new Moon, in order: too near the Sun, visible for a part of each
-    /// orbit, visible always.
+    /// Boundaries between kinds of visibility, degrees from new Moon, in order: too near the Sun, visible for a part of each orbit,
+    /// always visible.
     pub fn edges_deg(&self) -> Vec<f64> {
         let always = 90.0 - self.hidden_deg();
         let (clear, normal) = (self.clear_of_sun_deg, self.normal_deg());
@@ -221,13 +221,13 @@ impl Simplified {
         edges
     }
 
-    /// The least and the greatest share in which the Moon is visible, from one edge to the next.
+    /// The least and the greatest fraction in which the Moon is visible, between two boundaries.
     pub fn moon_share_range(&self, between_deg: Range<f64>) -> [f64; 2] {
         let Range { start, end } = between_deg;
         if self.moon_share((start + end) / 2.0) == 0.0 {
             return [0.0; 2];
         }
-        // Between two edges the share turns only where the Moon crosses the orbit's plane.
+        // Between two boundaries the fraction has an extremum only where the Moon crosses the orbit's plane.
         let crossings = [self.normal_deg() - 90.0, self.normal_deg() + 90.0];
         let inside = crossings
             .into_iter()
@@ -237,7 +237,7 @@ impl Simplified {
         [least, shares.fold(0.0, f64::max)]
     }
 
-    /// The share of the Moon's path on which it is visible for at least a share of each orbit.
+    /// The fraction of the Moon's path on which it is visible for at least a given fraction of each orbit.
     pub fn path_with(&self, least_share: f64) -> f64 {
         const STEPS: u32 = 36_000;
         let middle_deg = |n: u32| (f64::from(n) + 0.5) * 360.0 / f64::from(STEPS);
@@ -265,7 +265,7 @@ mod tests {
 
     #[test]
     fn the_orbit_at_550_km_takes_95_minutes_and_keeps_to_the_sun_at_97_and_a_half_degrees() {
-        // The study has 95.65 min (eq. 3.1); a sun-synchronous orbit at 550 km is inclined by 97.59 deg.
+        // The study states 95.65 min (eq. 3.1); a sun-synchronous orbit at 550 km has an inclination of 97.59 deg.
         assert!((TAU / LEO.motion_rad_per_s() / 60.0 - 95.65).abs() < 0.01);
         assert!((LEO.inclination_rad().to_degrees() - 97.59).abs() < 0.03);
     }
@@ -273,7 +273,7 @@ mod tests {
     #[test]
     fn the_studys_table_comes_out_under_its_assumptions() {
         let study = Simplified::STUDY_OF_2005;
-        // Eq. 3.2, both halves.
+        // Eq. 3.2, full angle.
         assert!((2.0 * study.hidden_deg() - 136.0).abs() < 0.5);
         // Table 3.1.
         let printed = [0.0, 15.0, 98.0, 142.0, 180.0, 278.0, 322.0, 345.0, 360.0];
@@ -282,8 +282,8 @@ mod tests {
         for (edge, printed) in edges.iter().zip(printed) {
             assert!((edge - printed).abs() < 0.2, "{edge}, {printed}");
         }
-        // Its least share of 61.7 % is a hidden arc of 138 deg; its own cone of 135.7 deg leaves 62.3 %, and rows that do not
-        // reach the orbit's plane stay above that.
+        // Its least fraction of 61.7 % corresponds to an obstructed arc of 138 deg; its own cone of 135.7 deg gives 62.3 %, and rows that
+        // do not include the orbit's plane are above that.
         let least = 1.0 - study.hidden_deg() / 180.0;
         assert!((least - 0.617).abs() < 0.007, "{least}");
         let at = |deg: f64| study.share(deg);
@@ -333,14 +333,14 @@ mod tests {
             share(&found, |seen| seen.moon_above_limb_deg > 0.0)
         };
         let (low, high) = (up(0.0), up(38_000.0));
-        // Half of a month, less 1.1 % for a parallax of a degree; the orbit's eccentricity of 0.055 moves that by 3.5 % at most.
+        // Half of a month, minus 1.1 % for a parallax of one degree; the orbit's eccentricity of 0.055 changes that by 3.5 % at most.
         assert!((low - 0.489).abs() < 0.036, "{low}");
-        // At most 28.5 deg from the equator, it moves by 6.5 deg a day there: 6.3 deg of dip are 2 days of 27.3.
+        // The Moon's declination, at most 28.5 deg, changes by 6.5 deg a day near the equator: 6.3 deg of dip are 2 days of 27.3.
         assert!((high - low - 0.071).abs() < 0.015, "{low}, {high}");
     }
 
-    /// The share of an orbit in which a body is above the limb. The line that grazes the Earth from the orbit to the body
-    /// spans acos(R / orbit) + acos(R / distance) at the Earth's centre.
+    /// The fraction of an orbit in which a body is above the limb. The line from the orbit to the body that grazes the Earth spans acos(R
+    /// / orbit) + acos(R / distance) at the Earth's centre.
     fn share_of_an_orbit(body_km: &Vector3<f64>, normal: &Vector3<f64>) -> f64 {
         let earth_km = EARTH_RADIUS_M / 1e3;
         let from_plane = body_km.normalize().dot(normal).asin();
@@ -362,7 +362,7 @@ mod tests {
                 let utc = month.0 + step * i32::try_from(n).unwrap();
                 let bodies = ephemeris.geocentric(utc).unwrap().map(|au| au * AU_KM);
                 let node_deg = angles_deg(&bodies[1]).0 + (node_h - 12.0) * 15.0;
-                // 97.59 deg from the equator's pole, a quarter of a turn behind the node.
+                // 97.59 deg from the equator's pole, a quarter turn behind the node.
                 let normal = direction(node_deg - 90.0, 90.0 - 97.59);
                 for (sum, body) in expected.iter_mut().zip(&bodies) {
                     *sum += share_of_an_orbit(body, &normal) / found.len() as f64;
@@ -372,7 +372,7 @@ mod tests {
             let sun = share(&found, |seen| seen.sun_above_limb_deg > 0.0);
             assert!((moon - expected[0]).abs() < 3e-3, "{moon}, {expected:?}");
             assert!((sun - expected[1]).abs() < 3e-3, "{sun}, {expected:?}");
-            // Half of a month the disc is lit by more than a half.
+            // For half of a month more than half of the disc is illuminated.
             let gibbous = share(&found, |seen| seen.lit > 0.5);
             assert!((gibbous - 0.5).abs() < 0.05, "{gibbous}");
         }
@@ -380,7 +380,7 @@ mod tests {
 
     #[test]
     fn a_noon_orbit_loses_the_sun_behind_the_whole_disc_of_the_earth() {
-        // 2026-03-20: the Sun on the equator, hence in the plane. 1 - asin(6371 / 6928) / 180 deg = 62.85 %.
+        // 2026-03-20: the Sun is on the equator, hence in the plane. 1 - asin(6371 / 6928) / 180 deg = 62.85 %.
         let noon = Vantage::Orbit(SunSynchronous {
             node_h: 12.0,
             ..LEO
@@ -409,7 +409,7 @@ mod tests {
             });
             let sun = share(&found, |seen| seen.sun_above_limb_deg > 0.0);
             for (found, expected) in [up, visible, sun].into_iter().zip(expected) {
-                // Two samples of 4,253.
+                // Tolerance of two samples of 4,253.
                 assert!((found - expected).abs() < 5e-4, "{found}, {expected}");
             }
         }
