@@ -1,14 +1,14 @@
-//! How the plate lies against the sky: the two rules by which the Sun's place on the plate gives where the telescope points.
+//! Alignment of the plate with the sky: the two conventions that convert the Sun's position on the plate to the telescope's pointing.
 //!
 //! A shift s of the Sun from the boresight on the plate is an angle theta with tan(theta) = |s| / plate distance. The
-//! lens's focal length does not enter: the ray through its middle goes straight. The great circle from the Sun to where the
-//! telescope points leaves in the direction -(atan2(s.x, s.y) + clocking), clockwise from "up" as seen looking out, where up is
+//! lens's focal length does not enter: the ray through its centre is not deflected. The great circle from the Sun to the pointing
+//! of the telescope leaves in the direction -(atan2(s.x, s.y) + clocking), clockwise from "up" as seen looking out, where up is
 //!
-//! - [`Directions::Telescope`]: the telescope's own, in the vertical plane of the boresight turned by the roll. From the
-//!   telescope the Sun lies the opposite way. The plate is the plane that touches the sky where the telescope points
+//! - [`Directions::Telescope`]: the telescope's own, in the vertical plane of the boresight rotated by the roll. From the
+//!   telescope the Sun is in the opposite direction. The plate is the tangent plane of the sky at the boresight
 //!   (gnomonic projection).
-//! - [`Directions::Sun2013`]: the zenith's direction at the Sun (HEROES flight program, 2013). The plate is the plane that
-//!   touches the sky at the Sun; roll does not enter.
+//! - [`Directions::Sun2013`]: the zenith's direction at the Sun (HEROES flight program, 2013). The plate is the tangent plane
+//!   of the sky at the Sun; roll does not enter.
 
 use super::refusal::PointingError;
 use crate::geometry::attitude::Direction;
@@ -19,16 +19,16 @@ use nalgebra::{Matrix2, Matrix3, Matrix3x2, Rotation3, UnitVector3, Vector2, Vec
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
 
-/// The telescope's roll: its turn about the boresight, positive with the right side low.
+/// The telescope's roll: its rotation about the boresight, positive with the right side low.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Roll {
-    /// The instrument's `mounting.roll_deg`. Its error is the same in every frame and belongs to the calibration.
+    /// The instrument's `mounting.roll_deg`. Its error is the same in every frame and is part of the calibration's.
     Stated,
-    /// Measured for this frame, deg. Its error belongs to the frame.
+    /// Measured for this frame, deg. Its error is part of the frame's.
     Measured(Measured),
 }
 
-/// The roll of a body whose axes are forward, right and down, by straight down in them, deg: positive with the right side low.
+/// The roll of a body with axes forward, right and down, from the nadir in these axes, deg: positive with the right side low.
 pub fn body_roll_deg(nadir: &Direction) -> Measured {
     let down = &nadir.unit;
     let by_nadir = Vector3::new(0.0, down.z, -down.y) / (down.y * down.y + down.z * down.z);
@@ -45,7 +45,7 @@ pub fn body_pitch_deg(nadir: &Direction) -> Measured {
     Measured::new(-sine.asin().to_degrees(), sigma_rad.to_degrees())
 }
 
-/// Straight down in the axes of a body of some roll and pitch, deg.
+/// The nadir in the axes of a body with a roll and a pitch, deg.
 pub fn body_nadir(roll_deg: Measured, pitch_deg: Measured) -> Direction {
     let (sin_roll, cos_roll) = roll_deg.value.to_radians().sin_cos();
     let (sin_pitch, cos_pitch) = pitch_deg.value.to_radians().sin_cos();
@@ -64,8 +64,9 @@ pub fn body_nadir(roll_deg: Measured, pitch_deg: Measured) -> Direction {
 }
 
 impl Roll {
-    /// The roll of a telescope at an elevation that turns in elevation about the second axis of such a body, or is the body itself: that axis
-    /// dips as much in both, and a roll about the boresight tilts it by sin(roll) cos(elevation). `None` where no roll dips so much.
+    /// The roll of a telescope at an elevation. The telescope either rotates in elevation about the second axis of such a body, or is the
+    /// body itself: the dip of that axis is the same in both, and a roll about the boresight tilts it by sin(roll) cos(elevation). `None`
+    /// if no roll gives this dip.
     pub fn by_nadir(nadir: &Direction, elevation_deg: f64) -> Option<Self> {
         let level = elevation_deg.to_radians().cos();
         let sine = nadir.unit.y / level;
@@ -75,7 +76,7 @@ impl Roll {
         (cosine > 0.0).then_some(Self::Measured(roll))
     }
 
-    /// The roll in numbers, deg.
+    /// The roll as a number, deg.
     pub fn about_boresight_deg(self, instrument: &Instrument) -> Measured {
         match self {
             Self::Stated => instrument.mounting.roll_deg,
@@ -83,7 +84,7 @@ impl Roll {
         }
     }
 
-    /// The roll that turns directions on the plate, deg.
+    /// The roll that rotates directions on the plate, deg.
     fn turning(self, mounting: &Mounting) -> Measured {
         match (mounting.directions, self) {
             (Directions::Sun2013, _) => Measured::new(0.0, 0.0),
@@ -93,15 +94,15 @@ impl Roll {
     }
 }
 
-/// Plate and telescope as the calibration and the roll have them. Between plate and sky lies a plane: the tangent of the angle
-/// from the Sun to the boresight in the direction of the great circle, towards the zenith and clockwise from it.
+/// Plate and telescope with the calibration and the roll. Plate and sky are related through a plane: the tangent of the angle from the
+/// Sun to the boresight in the direction of the great circle, towards the zenith and clockwise from it.
 pub(super) struct Alignment {
     directions: Directions,
     boresight_mil: Vector2<f64>,
     distance_mil: f64,
-    /// Clocking less roll, deg. A roll to the right turns the plate's +Y clockwise; the clocking counts the other way.
+    /// Clocking minus roll, deg. A roll to the right rotates the plate's +Y clockwise; the clocking has the opposite sign.
     turn_deg: f64,
-    /// That turns directions on the plate.
+    /// Roll that rotates directions on the plate.
     roll_deg: f64,
     pub roll_sigma_deg: f64,
 }
@@ -120,32 +121,32 @@ impl Alignment {
         }
     }
 
-    /// From a shift on the plate, mil, to the plane.
+    /// Converts a shift on the plate, mil, to the plane.
     pub fn to_plane(&self) -> Matrix2<f64> {
         let (sin, cos) = self.turn_deg.to_radians().sin_cos();
         Matrix2::new(-sin, cos, -cos, -sin) / self.distance_mil
     }
 
-    /// The plane's point for a place of the Sun on the plate.
+    /// The plane's point for a position of the Sun on the plate.
     pub fn on_plane(&self, sun_on_plate: PlateMil) -> Vector2<f64> {
         self.to_plane() * (sun_on_plate.vector() - self.boresight_mil)
     }
 
-    /// The Sun's place on the plate for a point of the plane.
+    /// The Sun's position on the plate for a point of the plane.
     pub fn on_plate(&self, on_plane: &Vector2<f64>) -> PlateMil {
         (self.boresight_mil + self.to_shift(on_plane)).into()
     }
 
-    /// From the plane to a shift on the plate, mil.
+    /// Converts a point of the plane to a shift on the plate, mil.
     pub fn to_shift(&self, on_plane: &Vector2<f64>) -> Vector2<f64> {
         // `to_plane` is a rotation divided by the distance.
         self.to_plane().transpose() * on_plane * self.distance_mil.powi(2)
     }
 
-    /// The direction in which the telescope points, as a unit vector; so is the Sun's.
+    /// The telescope's pointing as a unit vector, from that to the Sun.
     ///
     /// # Errors
-    /// [`PointingError::NoBoresight`] near the zenith, by [`Directions::Telescope`].
+    /// [`PointingError::NoBoresight`] near the zenith, with [`Directions::Telescope`].
     pub fn boresight(
         &self,
         on_plane: &Vector2<f64>,
@@ -157,7 +158,7 @@ impl Alignment {
         }
     }
 
-    /// The plane's point at which the telescope points in a direction, less than 90 deg from the Sun.
+    /// The plane's point for a pointing of the telescope less than 90 deg from the Sun.
     pub fn towards(&self, boresight: &Vector3<f64>, sun: &Vector3<f64>) -> Vector2<f64> {
         match self.directions {
             Directions::Telescope => -gnomonic(boresight, sun),
@@ -165,11 +166,11 @@ impl Alignment {
         }
     }
 
-    /// From the plane that touches the sky at the Sun, with the zenith's direction there, to the plane of the plate. At the telescope
-    /// the zenith's direction is another: it turns along the great circle from the Sun.
+    /// Rotation from the tangent plane of the sky at the Sun, with the zenith's direction there, to the plane of the plate. The zenith's
+    /// direction at the telescope's pointing differs: it rotates along the great circle from the Sun.
     ///
     /// # Errors
-    /// As [`boresight`](Self::boresight).
+    /// Those of [`boresight`](Self::boresight).
     pub fn turn_from_sun(
         &self,
         on_plane: &Vector2<f64>,
@@ -179,7 +180,7 @@ impl Alignment {
         Ok(self.up_and_right(&boresight, sun).transpose() * carried(sun, &boresight))
     }
 
-    /// Up and right, as columns, of a telescope without roll that points in a direction: what directions on the plate are counted from.
+    /// Up and right, as columns, of a telescope without roll at a pointing: the reference for directions on the plate.
     fn up_and_right(&self, boresight: &Vector3<f64>, sun: &Vector3<f64>) -> Matrix3x2<f64> {
         match self.directions {
             Directions::Telescope => axes(boresight),
@@ -187,7 +188,7 @@ impl Alignment {
         }
     }
 
-    /// The telescope's own axes - forward, right, up - as columns, where it points in a direction.
+    /// The telescope's own axes - forward, right, up - as columns, at a pointing.
     pub fn telescope(&self, boresight: &Vector3<f64>, sun: &Vector3<f64>) -> Matrix3<f64> {
         let level = self.up_and_right(boresight, sun);
         let (up, right) = (level.column(0), level.column(1));
@@ -195,8 +196,8 @@ impl Alignment {
         Matrix3::from_columns(&[*boresight, right * cos - up * sin, up * cos + right * sin])
     }
 
-    /// By how much a telescope turns about its boresight while that moves a little: what its up is counted from turns with the azimuth, or as
-    /// an axis does that is carried along great circles from the Sun (by the area between two of them).
+    /// Rotation of a telescope about its boresight during a small motion of the boresight: its reference for up rotates with the azimuth,
+    /// or like an axis that is transported along great circles from the Sun (by the area between two of them).
     pub fn turned_about(
         &self,
         boresight: &Vector3<f64>,
@@ -212,11 +213,11 @@ impl Alignment {
         }
     }
 
-    /// How the boresight moves, rad of true angle across (towards larger azimuth) and in elevation: with the point on the plane,
-    /// and with the Sun (towards the zenith and clockwise). Central differences, exact to 1e-6 of themselves up to 85 deg of elevation.
+    /// Derivatives of the boresight, rad of true angle across (towards larger azimuth) and in elevation: by the point on the plane, and
+    /// by the Sun (towards the zenith and clockwise). Central differences, accurate to 1e-6 relative up to 85 deg of elevation.
     ///
     /// # Errors
-    /// As [`boresight`](Self::boresight).
+    /// Those of [`boresight`](Self::boresight).
     pub fn derivatives(
         &self,
         on_plane: &Vector2<f64>,
@@ -240,9 +241,9 @@ impl Alignment {
     }
 }
 
-/// Where a telescope without roll points that has the Sun above and to the right of its boresight, by the tangents of these
-/// angles. Its elevation E follows from the Sun's vertical component, (sin E + above cos E) / secant of the Sun's angle; its azimuth
-/// from the horizontal ones. Of two boresights, on both sides of the zenith, it is the one within 90 deg of the Sun's azimuth.
+/// Pointing of a telescope without roll that has the Sun above and to the right of its boresight, by the tangents of these angles. Its
+/// elevation E follows from the Sun's vertical component, (sin E + above cos E) / secant of the Sun's angle; its azimuth from the
+/// horizontal ones. Of two solutions, on both sides of the zenith, it is the one within 90 deg of the Sun's azimuth.
 fn from_telescope(
     above_and_right: Vector2<f64>,
     sun: &Vector3<f64>,
@@ -250,7 +251,7 @@ fn from_telescope(
     let (above, right) = (above_and_right.x, above_and_right.y);
     let secant = above_and_right.norm().hypot(1.0);
     let elevation = (sun.z * secant / above.hypot(1.0)).asin() - above.atan();
-    // Where the sine exceeds 1 the elevation is NaN, which fails the comparison.
+    // If the sine exceeds 1 the elevation is NaN, which fails the comparison.
     if elevation.abs() <= FRAC_PI_2 {
         let forward = elevation.cos() - above * elevation.sin();
         let azimuth = sun.y.atan2(sun.x) - right.atan2(forward);
@@ -262,19 +263,18 @@ fn from_telescope(
     })
 }
 
-/// A direction on the plane that touches the sky at another: towards the zenith, and clockwise.
+/// Gnomonic projection of a direction onto the tangent plane of the sky at another: towards the zenith, and clockwise.
 pub(super) fn gnomonic(at: &Vector3<f64>, of: &Vector3<f64>) -> Vector2<f64> {
     axes(at).transpose() * of / of.dot(at)
 }
 
-/// The axes at the Sun as they come along the great circle to another direction.
+/// The axes at the Sun, transported along the great circle to another direction.
 fn carried(sun: &Vector3<f64>, to: &Vector3<f64>) -> Matrix3x2<f64> {
     let along = Rotation3::rotation_between(sun, to);
     along.map_or(axes(sun), |along| along * axes(sun))
 }
 
-/// The axes of the plane that touches the sky at a direction, as columns: towards the zenith, and clockwise, which is towards
-/// larger azimuth.
+/// The axes of the tangent plane of the sky at a direction, as columns: towards the zenith, and clockwise, which is towards larger azimuth.
 fn axes(at: &Vector3<f64>) -> Matrix3x2<f64> {
     let (up, clockwise) = tangents(at);
     Matrix3x2::from_columns(&[up, clockwise])

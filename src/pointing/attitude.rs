@@ -1,4 +1,4 @@
-//! How the telescope is turned: its Sun determines two axes, its roll the third.
+//! The telescope's attitude: its Sun determines two axes, its roll the third.
 
 use super::alignment::{Alignment, Roll};
 use super::{PointingError, sun_direction};
@@ -8,22 +8,22 @@ use crate::sky::sphere::tangents;
 use crate::units::{ARCSEC_PER_RAD, Estimate, PlateMil};
 use nalgebra::{Matrix2, Matrix3, Rotation3, Vector2, Vector3};
 
-/// How the telescope is turned. Its own axes are forward, right and down.
+/// The telescope's attitude. Its own axes are forward, right and down.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TelescopeAttitude {
-    /// From the telescope's axes to north, east and down.
+    /// Rotation from the telescope's axes to north, east and down.
     pub turn: Rotation3<f64>,
-    /// Uncertainty by the frame, rad^2: of small turns that move the boresight to the telescope's right, up, and about it (right side
-    /// low positive).
+    /// Uncertainty from the frame, rad^2, for small rotations that move the boresight to the telescope's right, up, and about it (right
+    /// side low positive).
     pub random_rad2: Matrix3<f64>,
-    /// Uncertainty by the calibration, as [`Offset`](super::Offset) has it, except for UT1, which moves Sun and telescope together.
+    /// Uncertainty from the calibration, as in [`Offset`](super::Offset), without UT1, which moves Sun and telescope together.
     pub systematic_rad2: Matrix3<f64>,
 }
 
-/// The attitude of a telescope that has the Sun at a place on its plate.
+/// The attitude of a telescope from the Sun's position on its plate.
 ///
 /// # Errors
-/// [`PointingError::NoBoresight`] when no pointing near the zenith puts the Sun there.
+/// [`PointingError::NoBoresight`] if no pointing near the zenith gives this position of the Sun.
 pub fn telescope_attitude(
     sun_on_plate: &Estimate<PlateMil>,
     roll: Roll,
@@ -34,7 +34,7 @@ pub fn telescope_attitude(
     let boresight = alignment.boresight(&alignment.on_plane(sun_on_plate.position), &centre)?;
     let telescope = alignment.telescope(&boresight, &centre);
     let errors = Errors::new(sun_on_plate, roll, instrument, sun)?;
-    // From across, up and about to right, up and about.
+    // Convert from across, up and about to right, up and about.
     let (up, across) = tangents(&boresight);
     let (right, own_up) = (telescope.column(1), telescope.column(2));
     #[rustfmt::skip]
@@ -43,7 +43,7 @@ pub fn telescope_attitude(
         own_up.dot(&across), own_up.dot(&up), 0.0,
         0.0, 0.0, 1.0,
     );
-    // North, east, up to north, east, down; and the telescope's up to its down.
+    // Convert north, east, up to north, east, down; and the telescope's up to its down.
     let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -1.0));
     Ok(TelescopeAttitude {
         turn: Rotation3::from_matrix_unchecked(flip * telescope * flip),
@@ -52,8 +52,8 @@ pub fn telescope_attitude(
     })
 }
 
-/// Uncertainty by the calibration of a telescope whose roll other sensors measure, rad^2, as [`TelescopeAttitude::systematic_rad2`] has
-/// it: `towards` is the Sun in the telescope's axes, forward, right and down.
+/// Uncertainty from the calibration of a telescope whose roll is measured by other sensors, rad^2, as in
+/// [`TelescopeAttitude::systematic_rad2`]: `towards` is the Sun in the telescope's axes, forward, right and down.
 pub fn calibration_rad2(towards: &Vector3<f64>, instrument: &Instrument) -> Matrix3<f64> {
     let shift = Vector2::new(towards.y, -towards.z) / towards.x;
     let (mounting, optics) = (&instrument.mounting, &instrument.optics);
@@ -67,11 +67,11 @@ pub fn calibration_rad2(towards: &Vector3<f64>, instrument: &Instrument) -> Matr
     covariance.fixed_resize(0.0)
 }
 
-/// Uncertainty of the attitude, rad^2: of small turns that move the boresight to larger azimuth, up, and about it.
+/// Uncertainty of the attitude, rad^2, for small rotations that move the boresight to larger azimuth, up, and about it.
 pub(super) struct Errors {
     pub frame_rad2: Matrix3<f64>,
     pub calibration_rad2: Matrix3<f64>,
-    /// By UT1, which moves the Sun: across and up.
+    /// Uncertainty from UT1, which moves the Sun: across and up.
     pub ut1_rad2: Matrix2<f64>,
 }
 
@@ -130,12 +130,12 @@ impl Errors {
     }
 }
 
-/// The part of the boresight's two axes.
+/// The part for the boresight's two axes.
 pub(super) fn across_and_up(covariance: &Matrix3<f64>) -> Matrix2<f64> {
     covariance.fixed_view::<2, 2>(0, 0).into_owned()
 }
 
-/// The covariance of one error.
+/// The covariance of one fully correlated error.
 fn squared(error: Vector3<f64>) -> Matrix3<f64> {
     error * error.transpose()
 }
@@ -166,7 +166,7 @@ mod tests {
         }
     }
 
-    /// The turn from an attitude to another: to the right, up and about the boresight.
+    /// The rotation from one attitude to another: to the right, up and about the boresight.
     fn moved(from: &TelescopeAttitude, to: &TelescopeAttitude) -> Vector3<f64> {
         let turn = (from.turn.inverse() * to.turn).scaled_axis();
         Vector3::new(turn.z, turn.y, turn.x)
@@ -215,7 +215,7 @@ mod tests {
         let alone = calibration_rad2(&towards, &instrument);
         let boresight = |of: &Matrix3<f64>| across_and_up(of);
         let off = boresight(&with_roll.systematic_rad2) - boresight(&alone);
-        // By the vertical the roll turns with the azimuth, which the Sun feels a hundredth of the plate's distance away.
+        // With the vertical as reference the roll rotates with the azimuth; the Sun is a hundredth of the plate's distance off the boresight.
         assert!(off.norm() < 0.03 * alone.norm(), "{off}");
     }
 }

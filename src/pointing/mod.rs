@@ -1,11 +1,11 @@
-//! From the Sun on the plate to the telescope's offset from its target, and back.
+//! Converts the Sun on the plate to the telescope's offset from its target, and back.
 //!
-//! The Sun's shift from the boresight on the plate is an angle in a direction, counted at the telescope or at the Sun as the
-//! instrument's `mounting.directions` says: see [`Directions`](crate::instrument::Directions). Where it is counted at the telescope, the
-//! telescope's [`Roll`] turns it.
-//! The target lies at helioprojective coordinates about the Sun, whose north is turned from the zenith as the
-//! ephemeris says.
-//! All of it is on the sphere; nothing assumes small angles.
+//! The Sun's shift from the boresight on the plate is an angle in a direction, relative to the telescope or to the Sun as stated in the
+//! instrument's `mounting.directions`: see [`Directions`](crate::instrument::Directions). If it is relative to the telescope, the
+//! telescope's [`Roll`] rotates it.
+//! The target has helioprojective coordinates relative to the Sun, whose north is rotated from the zenith by the angle of the
+//! ephemeris.
+//! All computations are on the sphere, without small-angle approximations.
 
 mod alignment;
 mod attitude;
@@ -30,10 +30,10 @@ use nalgebra::{Matrix2, Matrix3, UnitVector3, Vector3};
 use refusal::NoOffset;
 use serde::{Deserialize, Serialize};
 
-/// Above this elevation a difference of azimuths says nothing of use.
+/// Above this elevation a difference of azimuths is ill-conditioned.
 const HIGHEST_ELEVATION_DEG: f64 = 85.0;
 
-/// A place about the Sun's centre as seen by the observer: x towards solar west, y towards solar north.
+/// A position relative to the Sun's centre as seen by the observer: x towards solar west, y towards solar north.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct HelioprojectiveArcsec {
     pub x: f64,
@@ -41,7 +41,7 @@ pub struct HelioprojectiveArcsec {
 }
 
 impl HelioprojectiveArcsec {
-    /// Of a direction in the axes about the Sun: to its centre, to solar west and north (Thompson 2006).
+    /// From a direction in the axes about the Sun: to its centre, to solar west and north (Thompson 2006).
     pub fn of_direction(v: &Vector3<f64>) -> Self {
         Self {
             x: v.y.atan2(v.x) * ARCSEC_PER_RAD,
@@ -63,11 +63,11 @@ pub struct Horizontal {
     pub elevation_deg: f64,
 }
 
-/// Where the telescope points, minus the target.
+/// The telescope's pointing, minus the target.
 /// There is no offset in roll: one Sun determines two axes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Offset {
-    /// The difference of the azimuths (no cos(elevation) factor), -180 to 180, as the HEROES controller took it.
+    /// The difference of the azimuths (no cos(elevation) factor), -180 to 180, as used by the HEROES controller.
     pub azimuth_deg: f64,
     /// The difference of the elevations.
     pub elevation_deg: f64,
@@ -76,27 +76,27 @@ pub struct Offset {
     pub cross_elevation_deg: f64,
     /// 1 sigma per axis of true angle on the sky, the rms of the two axes of `covariance_deg2`.
     pub sigma_deg: f64,
-    /// Uncertainty by this frame, in true angle: across (towards larger azimuth) and in elevation. It holds the
-    /// stated sigma of the mapping, where that was borrowed, and that of the roll, where it was measured.
+    /// Uncertainty from this frame, in true angle: across (towards larger azimuth) and in elevation. It includes the stated sigma of the
+    /// mapping, if that was borrowed, and that of the roll, if it was measured.
     pub covariance_deg2: Matrix2<f64>,
-    /// Uncertainty of the pointing by the calibration, the same in every frame: boresight, clocking, plate
-    /// distance and stated roll, by the sigmas that the instrument states, and UT1 behind the table of Earth orientation, which moves Sun
-    /// and target alike. It is not part of `covariance_deg2`.
+    /// Uncertainty of the pointing from the calibration, the same in every frame: boresight, clocking, plate distance and stated roll,
+    /// with the sigmas stated by the instrument, and UT1 after the end of the table of Earth orientation, which moves Sun and target
+    /// alike. It is not part of `covariance_deg2`.
     pub calibration_deg2: Matrix2<f64>,
-    /// The telescope's roll that it rests on.
+    /// The telescope's roll that the offset uses.
     pub roll: Roll,
 }
 
 impl Offset {
-    /// 1 sigma per axis that the calibration leaves, as `sigma_deg` is of the frame.
+    /// 1 sigma per axis from the calibration; `sigma_deg` is that from the frame.
     pub fn calibration_sigma_deg(&self) -> f64 {
         per_axis(&self.calibration_deg2)
     }
 }
 
-/// The offset of a solved frame, with straight down in the axes of the body that carries the telescope (see [`Roll::by_nadir`]) if it was seen. `None` where the frame has no Sun, or its time or place is not known. Where sky or sphere
-/// give no answer (a date out of range, too near the zenith, a target behind the limb), the solution says so, unless an
-/// earlier stage has had its say, and stays as good as it is.
+/// The offset of a solved frame, with the nadir in the axes of the body that carries the telescope (see [`Roll::by_nadir`]) if it was
+/// observed. `None` if the frame has no Sun, or its time or place is not known. If sky or sphere give no result (a date out of range, too
+/// near the zenith, a target behind the limb), the solution gets the reason, unless an earlier stage has set one, and keeps its quality.
 pub fn offset_of(
     solution: &mut Solution,
     utc: Option<Timestamp>,
@@ -130,8 +130,8 @@ pub fn offset_of(
     }
 }
 
-/// The telescope's roll by straight down in the axes of the body that carries it ([`Roll::by_nadir`]). It takes the elevation, which depends on
-/// the roll, but little. The roll is as stated where the body gives none: near the zenith.
+/// The telescope's roll from the nadir in the axes of the body that carries it ([`Roll::by_nadir`]). The elevation that it needs depends
+/// on the roll only slightly. The stated roll is used if the body gives none, near the zenith.
 pub fn roll_by_nadir(
     nadir: &Direction,
     sun_on_plate: PlateMil,
@@ -146,11 +146,11 @@ pub fn roll_by_nadir(
     found.unwrap_or(Roll::Stated)
 }
 
-/// The telescope's offset from a target, with what the Sun's place on the plate and the calibration leave uncertain.
+/// The telescope's offset from a target, with the uncertainty from the Sun's position on the plate and from the calibration.
 ///
 /// # Errors
-/// [`PointingError::NearZenith`] when the pointing or the target stands above 85 deg;
-/// [`PointingError::NoBoresight`] when no pointing near the zenith puts the Sun there.
+/// [`PointingError::NearZenith`] if the pointing or the target is above 85 deg;
+/// [`PointingError::NoBoresight`] if no pointing near the zenith gives this position of the Sun.
 pub fn offset(
     sun_on_plate: Estimate<PlateMil>,
     roll: Roll,
@@ -174,7 +174,7 @@ pub fn offset(
     })
 }
 
-/// A direction minus another, as [`Offset`] has them.
+/// Difference of two directions, defined as in [`Offset`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Difference {
     pub azimuth_deg: f64,
@@ -182,10 +182,10 @@ pub struct Difference {
     pub cross_elevation_deg: f64,
 }
 
-/// Where a telescope points, minus its target: unit vectors towards north, east and up.
+/// A telescope's pointing minus its target: unit vectors towards north, east and up.
 ///
 /// # Errors
-/// [`PointingError::NearZenith`] when one of them stands above 85 deg.
+/// [`PointingError::NearZenith`] if one of them is above 85 deg.
 pub fn difference(
     boresight: &Vector3<f64>,
     target: &Vector3<f64>,
@@ -201,10 +201,10 @@ pub fn difference(
     })
 }
 
-/// Where the telescope points when the Sun stands at a place on the plate.
+/// The telescope's pointing for a position of the Sun on the plate.
 ///
 /// # Errors
-/// [`PointingError::NoBoresight`] when no pointing near the zenith puts the Sun there.
+/// [`PointingError::NoBoresight`] if no pointing near the zenith gives this position of the Sun.
 pub fn pointing(
     sun_on_plate: PlateMil,
     roll: Roll,
@@ -214,11 +214,11 @@ pub fn pointing(
     Ok(horizontal(&boresight(sun_on_plate, roll, instrument, sun)?))
 }
 
-/// Where the telescope points about the Sun's centre, when the Sun stands at a place on the plate: the inverse of a
-/// [`Target`]'s place.
+/// The telescope's pointing relative to the Sun's centre, for a position of the Sun on the plate; in the coordinates of a
+/// [`Target`].
 ///
 /// # Errors
-/// As [`pointing`].
+/// Those of [`pointing`].
 pub fn helioprojective(
     sun_on_plate: PlateMil,
     roll: Roll,
@@ -232,11 +232,11 @@ pub fn helioprojective(
     Ok(HelioprojectiveArcsec::of_direction(&axes.tr_mul(&towards)))
 }
 
-/// Where on the plate a place about the Sun is seen while the Sun's centre stands at `sun_on_plate`: in the Sun's image, the
-/// plane that touches the sky at its centre.
+/// Plate position of a point relative to the Sun, with the Sun's centre at `sun_on_plate`: in the Sun's image, the tangent plane of the
+/// sky at its centre.
 ///
 /// # Errors
-/// As [`pointing`].
+/// Those of [`pointing`].
 pub fn place_on_plate(
     place: HelioprojectiveArcsec,
     sun_on_plate: PlateMil,
@@ -247,11 +247,11 @@ pub fn place_on_plate(
     let (alignment, centre) = (Alignment::new(instrument, roll), sun_direction(sun));
     let turn = alignment.turn_from_sun(&alignment.on_plane(sun_on_plate), &centre)?;
     let from_centre = turn * gnomonic(&centre, &target_direction(place, sun));
-    // The image is upside down: the Sun moves one way as the telescope moves the other.
+    // The image is inverted: the Sun moves opposite to the telescope.
     Ok((sun_on_plate.vector() - alignment.to_shift(&from_centre)).into())
 }
 
-/// Where on the plate the Sun stands when the telescope points in a direction.
+/// The Sun's position on the plate for a pointing of the telescope.
 ///
 /// # Errors
 /// [`PointingError::BehindTheLens`] when the Sun is 90 deg or more away.
@@ -282,7 +282,7 @@ pub fn sun_in_telescope(sun_on_plate: PlateMil, instrument: &Instrument) -> Unit
     UnitVector3::new_normalize(Vector3::new(1.0, -right, up))
 }
 
-/// The same with its uncertainty: the rms of the two axes of the Sun's place on the plate.
+/// The same with its uncertainty: the rms of the two axes of the Sun's position on the plate.
 pub fn measured_sun_in_telescope(
     sun_on_plate: &Estimate<PlateMil>,
     instrument: &Instrument,
@@ -296,7 +296,7 @@ pub fn measured_sun_in_telescope(
     )
 }
 
-/// Where on the plate the Sun stands when the telescope is off its target by an offset: the inverse of
+/// The Sun's position on the plate for an offset of the telescope from its target: the inverse of
 /// [`offset`].
 ///
 /// # Errors
@@ -316,14 +316,14 @@ pub fn sun_on_plate_for(
     sun_on_plate(pointing, roll, instrument, sun)
 }
 
-/// 1 sigma of the turn of directions on the plate, deg: by the clocking, and by the roll where it turns them.
+/// 1 sigma of the rotation of directions on the plate, deg: from the clocking, and from the roll if it rotates them.
 pub fn turn_sigma_deg(roll: Roll, instrument: &Instrument) -> f64 {
     let clocking = instrument.mounting.clocking_deg;
     let roll_sigma_deg = Alignment::new(instrument, roll).roll_sigma_deg;
     clocking.sigma.hypot(roll_sigma_deg)
 }
 
-/// The direction in which the telescope points, a unit vector.
+/// The telescope's pointing, a unit vector.
 fn boresight(
     sun_on_plate: PlateMil,
     roll: Roll,

@@ -1,11 +1,11 @@
-//! Why there is no offset.
+//! Reasons for which there is no offset.
 
 use super::HIGHEST_ELEVATION_DEG;
 use crate::reasons::pointing as reasons;
 use crate::sky::SkyError;
 use crate::units::Rejected;
 
-/// Why an offset or a plate position cannot be given.
+/// Reasons for which an offset or a plate position cannot be computed.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum PointingError {
     #[error(
@@ -69,7 +69,7 @@ impl PointingError {
     }
 }
 
-/// Why a frame with a Sun, a time and a place has no offset.
+/// Reasons for which a frame with a Sun, a time and a place has no offset.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum NoOffset {
     #[error(transparent)]

@@ -1,9 +1,8 @@
-//! The target: a place about the Sun's centre, or a feature of its surface that its rotation carries along.
+//! The target: a position relative to the Sun's centre, or a feature of its surface that moves with its rotation.
 //!
 //! Rates of rotation are those of magnetic features by Howard, Harvey and Forgach (1990, Solar Physics 130, 295), sunpy's default:
-//! 2.894 - 0.428 sin^2 B - 0.370 sin^4 B microradian/s, sidereal. The feature keeps its latitude and drifts in
-//! Carrington longitude by the difference from the rate that defines it. A feature of its own motion errs by much more
-//! than this does.
+//! 2.894 - 0.428 sin^2 B - 0.370 sin^4 B microradian/s, sidereal. The feature keeps its latitude and drifts in Carrington longitude by
+//! the difference from the rate that defines it. The error for a feature with proper motion is much larger than that of the rate.
 
 use super::{HelioprojectiveArcsec, PointingError};
 use crate::sky::{AU_KM, Disc, SUN_RADIUS_KM, SUN_ROTATION_DEG_PER_DAY, SunPosition};
@@ -14,12 +13,12 @@ use nalgebra::Vector3;
 const DAY_S: f64 = 86_400.0;
 const RADIUS_AU: f64 = SUN_RADIUS_KM / AU_KM;
 
-/// Where the telescope should point.
+/// The direction to which the telescope should point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Target {
-    /// A place about the Sun's centre, on the disc or off it.
+    /// A position relative to the Sun's centre, on the disc or off it.
     Fixed(HelioprojectiveArcsec),
-    /// A place on the Sun's surface, carried along by its rotation.
+    /// A position on the Sun's surface that moves with its rotation.
     Feature(Feature),
 }
 
@@ -31,10 +30,10 @@ impl Default for Target {
 }
 
 impl Target {
-    /// Where the target is at an instant.
+    /// Position of the target at an instant.
     ///
     /// # Errors
-    /// [`PointingError::BehindTheLimb`] when rotation has carried it there.
+    /// [`PointingError::BehindTheLimb`] if rotation has moved it there.
     pub fn at(
         &self,
         utc: Timestamp,
@@ -43,10 +42,10 @@ impl Target {
         self.on_disc(utc, &Disc::from(sun))
     }
 
-    /// Where the target is on the disc of an instant.
+    /// Position of the target on the disc of an instant.
     ///
     /// # Errors
-    /// As [`at`](Self::at).
+    /// Those of [`at`](Self::at).
     pub fn on_disc(
         &self,
         utc: Timestamp,
@@ -59,10 +58,10 @@ impl Target {
     }
 }
 
-/// A place on the Sun's surface that its rotation carries along.
+/// A position on the Sun's surface that moves with its rotation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Feature {
-    /// Heliographic.
+    /// Heliographic latitude.
     pub latitude_deg: f64,
     /// Carrington longitude at the epoch, 0 to 360.
     pub longitude_deg: f64,
@@ -70,7 +69,7 @@ pub struct Feature {
 }
 
 impl Feature {
-    /// The feature that was seen at a place on the disc.
+    /// The feature observed at a position on the disc.
     ///
     /// # Errors
     /// [`PointingError::OffTheDisc`].
@@ -82,7 +81,7 @@ impl Feature {
         let distance = disc.distance_au;
         let (sin_x, cos_x) = (at.x / ARCSEC_PER_RAD).sin_cos();
         let (sin_y, cos_y) = (at.y / ARCSEC_PER_RAD).sin_cos();
-        // The line of sight: to the west, to the north, to the Sun's centre; its near crossing of the sphere.
+        // The line of sight: to the west, to the north, to the Sun's centre; its near intersection with the sphere.
         let ray = Vector3::new(cos_y * sin_x, sin_y, cos_y * cos_x);
         let nearest = distance * ray.z;
         let depth_squared = nearest.powi(2) - distance.powi(2) + RADIUS_AU.powi(2);
@@ -106,7 +105,7 @@ impl Feature {
         })
     }
 
-    /// Where the feature is seen.
+    /// Observed position of the feature.
     ///
     /// # Errors
     /// [`PointingError::BehindTheLimb`].
@@ -133,7 +132,7 @@ impl Feature {
         })
     }
 
-    /// In Carrington longitude.
+    /// Drift in Carrington longitude.
     fn drift_deg_per_day(&self) -> f64 {
         let sin2 = self.latitude_deg.to_radians().sin().powi(2);
         let microradian_per_s = 2.894 - 0.428 * sin2 - 0.370 * sin2.powi(2);

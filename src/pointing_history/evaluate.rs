@@ -1,4 +1,4 @@
-//! From a state to the sky, and whether it may be used.
+//! Converts a state to sky coordinates, and checks whether it is valid.
 
 use super::seconds::Axes;
 use super::state::{Basis, State};
@@ -7,7 +7,7 @@ use crate::sky::sphere::angles_deg;
 use crate::units::ARCSEC_PER_RAD;
 use nalgebra::{Matrix3, UnitVector3, Vector3};
 
-/// Why a pointing is not to be used.
+/// Reasons for which a pointing is invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Invalid {
     /// Nothing was measured for too long.
@@ -16,7 +16,7 @@ pub enum Invalid {
     Extrapolated,
     /// The Sun or the horizon contradicts the gyros.
     Contradicted,
-    /// The telescope turns faster than [`Limits::fastest_arcsec_per_s`].
+    /// The telescope rotates faster than [`Limits::fastest_arcsec_per_s`].
     Slew,
     /// 1 sigma is larger than [`Limits::most_sigma_arcsec`].
     Uncertain,
@@ -34,12 +34,12 @@ impl Invalid {
     }
 }
 
-/// Up to where a pointing is valid.
+/// Limits of a valid pointing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
     /// 1 sigma of the boresight, random part, in its worse axis.
     pub most_sigma_arcsec: f64,
-    /// How fast the boresight may move over the sky.
+    /// Greatest speed of the boresight over the sky.
     pub fastest_arcsec_per_s: f64,
 }
 
@@ -55,26 +55,26 @@ impl Default for Limits {
 /// The pointing at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pointed {
-    /// `None` where nothing is known.
+    /// `None` if the pointing is not known.
     pub line_of_sight: Option<LineOfSight>,
-    /// `None` where the pointing is valid.
+    /// `None` if the pointing is valid.
     pub invalid: Option<Invalid>,
 }
 
-/// Where the telescope points, and how it is turned about that.
+/// The telescope's pointing, and its rotation about that.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LineOfSight {
     pub helioprojective_arcsec: HelioprojectiveArcsec,
-    /// From the telescope's up to solar north, counter-clockwise as seen looking out.
+    /// Angle from the telescope's up to solar north, counter-clockwise as seen looking out.
     pub north_angle_deg: f64,
     pub horizontal: Horizontal,
-    /// About the boresight, from the vertical plane, right side low positive.
+    /// Roll about the boresight, from the vertical plane, right side low positive.
     pub roll_deg: f64,
-    /// Random, and of the calibration: right, up and about the boresight.
+    /// Covariances, random and from the calibration: right, up and about the boresight.
     pub random_arcsec2: Matrix3<f64>,
     pub systematic_arcsec2: Matrix3<f64>,
     pub basis: Basis,
-    /// From the telescope's axes to those about the Sun: to its centre, to solar west and north.
+    /// Rotation from the telescope's axes to those about the Sun: to its centre, to solar west and north.
     pub sun_from_telescope: Matrix3<f64>,
     /// The same to north, east and up.
     pub horizon_from_telescope: Matrix3<f64>,
@@ -94,31 +94,31 @@ impl Pointed {
 }
 
 impl LineOfSight {
-    /// Where a direction in the telescope's axes - forward, right and down - points about the Sun.
+    /// Position relative to the Sun of a direction in the telescope's axes: forward, right and down.
     pub fn helioprojective(&self, towards: &UnitVector3<f64>) -> HelioprojectiveArcsec {
         HelioprojectiveArcsec::of_direction(&(self.sun_from_telescope * towards.into_inner()))
     }
 
-    /// The direction of a place about the Sun, towards north, east and up.
+    /// The direction of a position relative to the Sun, towards north, east and up.
     pub fn direction(&self, place: HelioprojectiveArcsec) -> Vector3<f64> {
         let in_telescope = self.sun_from_telescope.tr_mul(&place.direction());
         self.horizon_from_telescope * in_telescope
     }
 
-    /// Where the telescope points, towards north, east and up.
+    /// The telescope's pointing, towards north, east and up.
     pub fn boresight(&self) -> Vector3<f64> {
         self.horizon_from_telescope.column(0).into()
     }
 }
 
 impl Limits {
-    /// The sky at a state.
+    /// Sky coordinates of a state, and their validity.
     pub(super) fn judged(&self, state: State, axes: &Axes) -> Pointed {
         let telescope = state.attitude.to_rotation_matrix().into_inner();
         let sun_from_telescope = axes.sun.tr_mul(&telescope);
         let horizon_from_telescope = axes.horizon.tr_mul(&telescope);
         let (azimuth_deg, elevation_deg) = angles_deg(&horizon_from_telescope.column(0).into());
-        // Solar north lies along the third axis about the Sun; the telescope's up is against its down.
+        // Solar north is the third axis about the Sun; the telescope's up is opposite to its down.
         let (north_right, north_down) = (sun_from_telescope.m32, sun_from_telescope.m33);
         let (up_right, up_down) = (horizon_from_telescope.m32, horizon_from_telescope.m33);
         let arcsec2 = ARCSEC_PER_RAD * ARCSEC_PER_RAD;

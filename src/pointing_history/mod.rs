@@ -1,11 +1,11 @@
-//! Where the telescope pointed, as a function of time: [`PointingHistory::at`].
+//! Pointing of the telescope as a function of time: [`PointingHistory::at`].
 //!
-//! A refined flight leaves the states of its smoother in `pointing.fits`: at each the telescope's attitude, its rate and covariance. They stand
-//! so close that between two of them the attitude is a cubic: an answer depends on the flight alone, not on the rate of any table. Beside
-//! them, once a second, stand the place of the balloon and the Sun as seen from there.
+//! `pointing.fits` of a refined flight contains the states of its smoother: the telescope's attitude, its rate and covariance. They are
+//! so close that the attitude is interpolated by a cubic: a result depends on the flight alone, not on the rate of any table. Once a
+//! second the file also contains the position of the balloon and the Sun as seen from there.
 //!
-//! The telescope's axes are forward, right and down; a covariance is that of small turns which move its boresight to the right and up, and
-//! turn it about that, right side low positive.
+//! The telescope's axes are forward, right and down; a covariance is that of small rotations which move its boresight to the right and
+//! up, and rotate the telescope about it, right side low positive.
 
 mod evaluate;
 mod intervals;
@@ -23,13 +23,13 @@ pub use table::{LONGEST_WORD, POINTING, POINTING_COLUMNS, PointingRow, pointing_
 use nalgebra::Vector3;
 use seconds::Seconds;
 
-/// Longer steps from state to state are gaps, s.
+/// Longer steps between states are gaps, s.
 const LONGEST_STEP_S: f64 = 1.0;
 
 /// The pointing of a flight.
 #[derive(Debug, Clone)]
 pub struct PointingHistory {
-    /// Of the states, s since 1970: what is searched.
+    /// Times of the states, s since 1970, for searches.
     times_s: Vec<f64>,
     states: Vec<State>,
     seconds: Seconds,
@@ -37,8 +37,8 @@ pub struct PointingHistory {
 }
 
 impl PointingHistory {
-    /// By states in the order of time, and what is known of each whole second from before the first to behind the last; those without a state
-    /// need not be there.
+    /// From states in the order of time, and the data of each whole second from before the first to after the last; seconds without a
+    /// state may be missing.
     pub fn new(states: Vec<State>, seconds: Vec<Second>) -> Self {
         Self {
             times_s: states.iter().map(|state| state.unix_s).collect(),
@@ -48,12 +48,12 @@ impl PointingHistory {
         }
     }
 
-    /// The first and the last time that is known, s since 1970.
+    /// The first and the last known time, s since 1970.
     pub fn ends_s(&self) -> Option<[f64; 2]> {
         Some([*self.times_s.first()?, *self.times_s.last()?])
     }
 
-    /// Notes that from a time to another, s since 1970, what cameras show contradicts the gyros.
+    /// Marks a time span, s since 1970, in which cameras contradict the gyros.
     pub fn contradict(&mut self, [first_s, last_s]: [f64; 2]) {
         let from = self.times_s.partition_point(|time_s| *time_s < first_s);
         let to = self.times_s.partition_point(|time_s| *time_s <= last_s);
@@ -62,18 +62,18 @@ impl PointingHistory {
         }
     }
 
-    /// Where the telescope was in the second before a time, s since 1970: in ECEF.
+    /// Position of the telescope in ECEF at the second before a time, s since 1970.
     pub fn position_m(&self, unix_s: f64) -> Option<Vector3<f64>> {
         Some(self.seconds.row(unix_s)?.position_m)
     }
 
-    /// The times of two states that follow each other without a gap.
+    /// The times of pairs of successive states without a gap.
     fn steps_s(&self) -> impl Iterator<Item = [f64; 2]> {
         let steps = self.times_s.windows(2).map(|step| [step[0], step[1]]);
         steps.filter(|[from, to]| to - from <= LONGEST_STEP_S)
     }
 
-    /// Where the telescope pointed at a time, s since 1970.
+    /// The telescope's pointing at a time, s since 1970.
     pub fn at(&self, unix_s: f64) -> Pointed {
         self.within(&self.limits, unix_s)
     }
@@ -81,7 +81,7 @@ impl PointingHistory {
     /// The same with other limits.
     pub fn within(&self, limits: &Limits, unix_s: f64) -> Pointed {
         let next = self.times_s.partition_point(|time_s| *time_s <= unix_s);
-        // The last state is the end of its step.
+        // The last state belongs to the step that ends there.
         let next = match self.times_s.last() {
             Some(last) if *last == unix_s => self.states.len() - 1,
             _ => next,

@@ -1,5 +1,4 @@
-//! Slowly changing quantities, once a second: the balloon's place, the Sun as seen from there, and what the calibration leaves
-//! uncertain.
+//! Slowly changing quantities, once a second: the balloon's position, the Sun as seen from there, and the uncertainty from the calibration.
 
 use crate::geometry::earth::north_east_up;
 use nalgebra::{Matrix3, UnitVector3, Vector3};
@@ -7,18 +6,18 @@ use nalgebra::{Matrix3, UnitVector3, Vector3};
 /// Quantities of a whole second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Second {
-    /// Since 1970.
+    /// Time since 1970.
     pub unix_s: i64,
-    /// In ECEF, as the directions are.
+    /// Position in ECEF, the axes of the directions below.
     pub position_m: Vector3<f64>,
     pub to_sun: UnitVector3<f64>,
-    /// Solar north, across the direction to the Sun.
+    /// Solar north, perpendicular to the direction to the Sun.
     pub north: UnitVector3<f64>,
-    /// Of the calibration: right, up and about the boresight.
+    /// Covariance of the calibration: right, up and about the boresight.
     pub systematic_rad2: Matrix3<f64>,
 }
 
-/// The same of a moment, with axes as columns.
+/// The same at any moment, with axes as columns.
 pub(super) struct Axes {
     /// North, east and up at the balloon.
     pub horizon: Matrix3<f64>,
@@ -27,11 +26,11 @@ pub(super) struct Axes {
     pub systematic_rad2: Matrix3<f64>,
 }
 
-/// Seconds in the order of time, some of which may be missing.
+/// Seconds in the order of time; some may be missing.
 #[derive(Debug, Clone)]
 pub(super) struct Seconds {
     pub rows: Vec<Second>,
-    /// Up, at each.
+    /// Up at each second.
     up: Vec<Vector3<f64>>,
 }
 
@@ -44,7 +43,7 @@ impl Seconds {
         }
     }
 
-    /// The row of the second that a time is in.
+    /// The row of the second that contains a time.
     pub fn row(&self, unix_s: f64) -> Option<&Second> {
         self.rows.get(self.index(unix_s)?)
     }
@@ -62,7 +61,7 @@ impl Seconds {
         }
     }
 
-    /// Between two seconds directions turn evenly, to a thousandth of an arcsecond.
+    /// Interpolates linearly between two seconds, accurate to a thousandth of an arcsecond.
     pub fn at(&self, unix_s: f64) -> Option<Axes> {
         let before = self.index(unix_s)?;
         let from = &self.rows[before];

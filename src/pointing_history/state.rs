@@ -1,8 +1,8 @@
-//! A state of the smoother, and what lies between two.
+//! A state of the smoother, and interpolation between two.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-/// Sensors behind an attitude.
+/// Sensors used for an attitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Basis {
     Sun,
@@ -19,7 +19,7 @@ impl Basis {
         }
     }
 
-    /// That of a moment between two: what they have in common.
+    /// Basis between two states: the sensors common to both.
     fn shared(self, other: Self) -> Self {
         match (self, other) {
             (Self::Both, one) | (one, Self::Both) => one,
@@ -32,24 +32,24 @@ impl Basis {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct State {
     pub unix_s: f64,
-    /// From the telescope's axes to Earth-fixed ones (ECEF).
+    /// Rotation from the telescope's axes to Earth-fixed ones (ECEF).
     pub attitude: UnitQuaternion<f64>,
-    /// Against the Earth, in the telescope's axes.
+    /// Angular rate relative to the Earth, in the telescope's axes.
     pub rate_rad_s: Vector3<f64>,
-    /// Random part: right, up and about the boresight.
+    /// Random covariance: right, up and about the boresight.
     pub covariance_rad2: Matrix3<f64>,
     pub basis: Basis,
     /// Whether the Sun or the horizon contradicts the gyros then.
     pub is_contradicted: bool,
 }
 
-/// The turn of small angles.
+/// Rotation by small angles.
 fn turn(rad: Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::from_scaled_axis(rad)
 }
 
-/// The state at a time between two others. The attitude is the cubic that has their attitudes and rates: the turn since the first state is a
-/// small vector, whose rate differs from the body's by half its product with that (Bortz 1971).
+/// The state at a time between two others. The attitude is the cubic with their attitudes and rates: the rotation since the first state
+/// is a small vector, whose rate differs from the body's by half their vector product (Bortz 1971).
 pub fn between(before: &State, after: &State, unix_s: f64) -> State {
     let length_s = after.unix_s - before.unix_s;
     let turned = (before.attitude.inverse() * after.attitude).scaled_axis();

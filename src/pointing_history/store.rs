@@ -1,4 +1,4 @@
-//! The states on disk: `pointing.fits`.
+//! Storage of the states: `pointing.fits`.
 
 use super::PointingHistory;
 use super::seconds::Second;
@@ -10,7 +10,7 @@ use fitsio::{FileOpenMode, FitsFile};
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, UnitVector3, Vector3};
 use std::path::{Path, PathBuf};
 
-/// The file of a refined flight that holds its pointing's states.
+/// The file of a refined flight with its pointing's states.
 pub const POINTING_FILE: &str = "pointing.fits";
 /// Its tables.
 const STATES: &str = "STATES";
@@ -73,7 +73,7 @@ fn basis(state: &State) -> i64 {
         }
 }
 
-/// Why stored states cannot be read.
+/// Reasons for which stored states cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     #[error("{}: expected a refined flight's {POINTING_FILE}, found \"{cause}\"", .path.display())]
@@ -87,7 +87,7 @@ pub enum StoreError {
         table: &'static str,
         column: &'static str,
         expected: &'static str,
-        /// From 1 on.
+        /// Number of the row, from 1.
         row: usize,
     },
 }
@@ -116,10 +116,10 @@ impl StoreError {
 }
 
 impl PointingHistory {
-    /// Writes the states to a folder; `cards` go into every header.
+    /// Writes the states to a folder; `cards` are added to every header.
     ///
     /// # Errors
-    /// A file that cannot be written.
+    /// If the file cannot be written.
     pub fn write(&self, folder: &Path, cards: &[Card]) -> Result<(), FileError> {
         columns::write_tables(&folder.join(POINTING_FILE), cards, |file| {
             let states = self.states.iter().map(Ok::<_, FileError>);
@@ -139,7 +139,7 @@ impl PointingHistory {
     /// Reads the states of a refined flight.
     ///
     /// # Errors
-    /// A folder without them, or values that no states have.
+    /// If the folder has none, or a value is invalid.
     pub fn read(folder: &Path) -> Result<Self, StoreError> {
         let path = folder.join(POINTING_FILE);
         let mut file = Stored::open(&path)?;
@@ -262,7 +262,7 @@ impl<const N: usize> Columns<f64, N> {
     }
 }
 
-/// Of the six numbers that tables have: the variances, and the covariances above the diagonal.
+/// Covariance from the six numbers in tables: the variances, and the covariances above the diagonal.
 fn covariance(numbers: &[f64]) -> Matrix3<f64> {
     match numbers {
         [xx, yy, zz, xy, xz, yz] => Matrix3::new(*xx, *xy, *xz, *xy, *yy, *yz, *xz, *yz, *zz),

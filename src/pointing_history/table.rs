@@ -7,17 +7,17 @@ use crate::fits::{Card, format_time, keyword, place_cards, zero_cards};
 use crate::geometry::earth::geodetic;
 use jiff::{Timestamp, Unit};
 
-/// The extension that holds the pointing.
+/// The extension with the pointing.
 pub const POINTING: &str = "POINTING";
 
-/// No word of the table is longer: "extrapolated".
+/// Length of the longest word in the table, "extrapolated".
 pub const LONGEST_WORD: usize = 12;
 
 /// The pointing at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointingRow {
     pub unix_s: f64,
-    /// Since MJDREF.
+    /// Time since MJDREF.
     pub time_s: f64,
     pub pointed: Pointed,
 }
@@ -55,7 +55,7 @@ pub const POINTING_COLUMNS: &[Column<PointingRow>] = &[
 ];
 
 impl PointingHistory {
-    /// Midnight before the first state: the zero of the table's times.
+    /// Midnight before the first state: the origin of the table's times.
     pub fn reference(&self) -> Option<Timestamp> {
         const DAY_S: i64 = 86_400;
         let first_s = self.ends_s()?[0].floor() as i64;
@@ -79,7 +79,7 @@ impl PointingHistory {
     }
 }
 
-/// Header cards of the table: its times, and where the telescope was in their middle.
+/// Header cards of the table: its times, and the telescope's position in their middle.
 pub fn pointing_cards(history: &PointingHistory) -> Vec<Card> {
     let (Some(zero), Some(ends_s)) = (history.reference(), history.ends_s()) else {
         return Vec::new();

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 const AT_M: [f64; 3] = [-1_302_000.0, -5_137_000.0, 3_617_000.0];
 const SUN: [f64; 3] = [-0.31, -0.62, 0.72];
 
-/// A telescope that swings by 100 arcsec within a second in pitch and yaw, and by a degree within ten in roll.
+/// A telescope that swings by 100 arcsec with periods of about a second in pitch and yaw, and by a degree within ten seconds in roll.
 fn attitude(unix_s: f64) -> UnitQuaternion<f64> {
     let swing = |period_s: f64, phase: f64| (TAU * unix_s / period_s + phase).sin();
     let arcsec = 100.0 / ARCSEC_PER_RAD;
@@ -47,13 +47,13 @@ fn history(states: impl Iterator<Item = f64>) -> PointingHistory {
     PointingHistory::new(states.map(state).collect(), (0..20).map(second).collect())
 }
 
-/// The angle from the found attitude to the true one, arcsec.
+/// The angle between the found attitude and the true one, arcsec.
 fn off_arcsec(history: &PointingHistory, unix_s: f64) -> f64 {
     let line_of_sight = history.at(unix_s).line_of_sight.unwrap();
     let axes = history.seconds.at(unix_s).unwrap().sun;
     let found = axes * line_of_sight.sun_from_telescope;
     let truth = attitude(unix_s).to_rotation_matrix();
-    // Of a small turn: the difference of the axes is that over the square root of 2.
+    // For a small rotation the angle is the norm of the difference over the square root of 2.
     (found - truth.matrix()).norm() / 2f64.sqrt() * ARCSEC_PER_RAD
 }
 
@@ -64,7 +64,7 @@ fn between_states_a_swing_of_a_second_is_followed_to_a_twentieth_of_an_arcsecond
         let off = off_arcsec(&history, 0.0123 + f64::from(n) * 0.0131);
         assert!(off < 0.05, "{off}");
     }
-    // At a state it is the state's.
+    // At a state it equals the state's.
     assert!(off_arcsec(&history, 0.7) < 1e-6);
     assert!(history.at(14.9).line_of_sight.is_some());
 }
@@ -100,7 +100,7 @@ fn what_is_stored_comes_back_bit_for_bit() {
         let unix_s = f64::from(n) * 0.01;
         let [a, b] = [&stored, &read].map(|history| history.at(unix_s));
         let angle = |pointed: Pointed| pointed.line_of_sight.unwrap().helioprojective_arcsec;
-        // Reading normalises what was normalised.
+        // Reading normalises the quaternions again.
         assert!((angle(a).x - angle(b).x).abs() < 1e-8, "{a:?} {b:?}");
         assert_eq!(a.invalid, b.invalid);
     }
