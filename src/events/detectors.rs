@@ -1,4 +1,4 @@
-//! DET.toml: which columns hold a photon's time and place, and how each detector is mounted.
+//! DET.toml: the columns with a photon's time and position, and the mounting of each detector.
 
 use super::good_times::Good;
 use crate::fits::Problem;
@@ -10,30 +10,30 @@ use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// All that DET.toml states.
+/// Contents of DET.toml.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Detectors {
     pub columns: PhotonColumns,
     detectors: Vec<Detector>,
 }
 
-/// The names of the columns that are read.
+/// Names of the columns that are read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PhotonColumns {
     pub time: String,
     pub x: String,
     pub y: String,
-    /// `None` where a detector without id has all photons.
+    /// `None` if a single detector without id has all photons.
     pub id: Option<String>,
 }
 
-/// How a detector is mounted, with 1 sigma of each value, per axis where it has two.
+/// Mounting of a detector, with 1 sigma of each value, per axis if it has two.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Detector {
     id: Option<i64>,
-    /// From where to where it measures x and y; where it is stated.
+    /// Ranges of the measured x and y, if stated.
     pub field: Option<[[f64; 2]; 2]>,
-    /// The extension of its good time intervals, where it is stated.
+    /// The extension with its good time intervals, if stated.
     good_times: Option<String>,
     scale_arcsec: f64,
     scale_sigma_arcsec: f64,
@@ -46,13 +46,13 @@ pub struct Detector {
     offset_sigma_arcsec: f64,
 }
 
-/// Where a photon came from, in the telescope's axes.
+/// Direction of a photon in the telescope's axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FromBoresight {
-    /// In the plane that touches the sky at the boresight, to the right and up.
+    /// Position in the tangent plane of the sky at the boresight, to the right and up.
     pub right_rad: f64,
     pub up_rad: f64,
-    /// Of what is stated of the detector, mean of the two axes.
+    /// Variance from the stated mounting of the detector, mean of the two axes.
     pub variance_arcsec2: f64,
 }
 
@@ -129,15 +129,15 @@ const KEYS: &[&str] = &[
 
 impl Detectors {
     /// # Errors
-    /// The file, the field, and what was expected there.
+    /// The error names the file, the field, and what was expected there.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
         Self::parse(path, &read_text(path)?)
     }
 
-    /// Reads the text of such a file; `path` is for errors.
+    /// Parses the text of such a file; errors name `path`.
     ///
     /// # Errors
-    /// As [`read`](Self::read).
+    /// Those of [`read`](Self::read).
     pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
         let known: Vec<String> = KEYS.iter().map(|key| (*key).into()).collect();
         let raw: RawFile = parse_strict(path, text, &known)?;
@@ -157,13 +157,13 @@ impl Detectors {
         })
     }
 
-    /// The detector of this id, and its number in the file; `None` where there is none.
+    /// The detector with this id, and its index in the file; `None` if there is none.
     pub fn of_id(&self, id: Option<f64>) -> Option<(usize, &Detector)> {
         let is_it = |(_, detector): &(usize, &Detector)| detector.id.map(|id| id as f64) == id;
         self.detectors.iter().enumerate().find(is_it)
     }
 
-    /// In the order of the file.
+    /// Detectors in the order of the file.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = &Detector> {
         self.detectors.iter()
     }
@@ -176,7 +176,7 @@ impl Detectors {
     }
 }
 
-/// Ids part the photons: each detector has its own, and only a single one needs none.
+/// Checks the ids that assign photons to detectors: each detector has its own, and only a single one needs none.
 fn check_ids(path: &Path, detectors: &[RawDetector]) -> Result<(), TomlError> {
     if detectors.is_empty() {
         let expected = "one [[detector]] or more";
@@ -200,10 +200,10 @@ fn check_ids(path: &Path, detectors: &[RawDetector]) -> Result<(), TomlError> {
 }
 
 impl Detector {
-    /// Its good times among those of a list: those that it names, or the only ones. `None` where the list has none.
+    /// Its good times from a list: the ones that it names, or the only ones. `None` if the list has none.
     ///
     /// # Errors
-    /// A name that none of them has, or none where there are several.
+    /// If none of them has the name, or there are several and it names none.
     pub fn good_times<'a>(&self, all: &'a [Good]) -> Result<Option<&'a Good>, Problem> {
         let wrong = |found: &str| {
             let names: Vec<&str> = all.iter().map(|good| good.name.as_str()).collect();
@@ -271,7 +271,7 @@ impl RawDetector {
 }
 
 impl Detector {
-    /// Where a photon came from that it has measured at a place.
+    /// The direction of a photon measured at a position.
     pub fn locate(&self, place: Vector2<f64>) -> FromBoresight {
         let mut from_axis = place - self.centre;
         if self.mirrored {
@@ -279,7 +279,7 @@ impl Detector {
         }
         let arcsec = self.rotation * from_axis * self.scale_arcsec + self.offset_arcsec;
         let [right_rad, up_rad] = [arcsec.x, arcsec.y].map(|arcsec| arcsec / ARCSEC_PER_RAD);
-        // The scale moves a photon along its distance from the module's axis, the rotation across it.
+        // An error of the scale moves a photon along its distance from the module's axis, one of the rotation across it.
         let along = from_axis.norm() * self.scale_sigma_arcsec;
         let across = from_axis.norm() * self.scale_arcsec * self.rotation_sigma_rad;
         let centre = self.scale_arcsec * self.centre_sigma;

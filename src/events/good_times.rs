@@ -1,4 +1,4 @@
-//! Good time intervals: when the telescope observed, and its pointing is valid.
+//! Good time intervals: times at which the telescope observed with a valid pointing.
 
 use super::times::{Counted, Keywords};
 use crate::fits::{AmendedTable, DiskHdu, FileError, Header, Inward, NumberColumn, Problem};
@@ -9,33 +9,33 @@ pub struct GoodTimes {
     stop: End,
 }
 
-/// A column of the intervals' ends.
+/// A column with one end of the intervals.
 struct End {
     column: NumberColumn,
     counted: Counted,
 }
 
-/// Remaining intervals of a table, and their total length.
+/// Remaining intervals of a table, and their total length before the cut.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cut {
     pub before_s: f64,
-    /// UTC, s since 1970.
+    /// Remaining intervals, UTC, s since 1970.
     pub left_s: Vec<[f64; 2]>,
 }
 
-/// When a detector counted with a valid pointing.
+/// Times at which a detector counted with a valid pointing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Good {
-    /// Of the extension.
+    /// Name of the extension.
     pub name: String,
-    /// UTC, s since 1970, in the order of time; none overlaps another.
+    /// UTC, s since 1970, in the order of time, without overlaps.
     pub intervals_s: Vec<[f64; 2]>,
-    /// The part of the time in which it was not dead.
+    /// The fraction of the time in which the detector was live.
     pub live_fraction: f64,
 }
 
 impl Good {
-    /// Of intervals in any order.
+    /// Takes intervals in any order.
     pub fn new(name: String, mut intervals_s: Vec<[f64; 2]>, live_fraction: f64) -> Self {
         intervals_s.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let mut merged: Vec<[f64; 2]> = Vec::new();
@@ -66,11 +66,11 @@ impl Good {
     }
 }
 
-/// The part of the time in which a detector was not dead, as the first of some headers says that says it: DEADC, or LIVETIME over ONTIME
-/// (OGIP/93-003); 1 where none does.
+/// The live fraction of a detector, from the first of some headers that states it: DEADC, or LIVETIME over ONTIME
+/// (OGIP/93-003); 1 if none does.
 ///
 /// # Errors
-/// An empty part.
+/// If the fraction is not above 0 and at most 1.
 pub fn live_fraction(headers: &[&Header]) -> Result<f64, Problem> {
     for header in headers {
         let times = header.number("LIVETIME")?.zip(header.number("ONTIME")?);
@@ -79,7 +79,7 @@ pub fn live_fraction(headers: &[&Header]) -> Result<f64, Problem> {
             (None, Some((live, on))) => ("LIVETIME over ONTIME", live / on),
             (None, None) => continue,
         };
-        // A quotient of rounded times may be a little more than 1.
+        // A quotient of rounded times may slightly exceed 1.
         if !(found > 0.0 && found <= 1.0 + 1e-6) {
             let expected = "live time over good time, above 0 and at most 1";
             return Err(Problem::field(field, expected, found));
@@ -93,17 +93,17 @@ pub fn length_s(intervals: &[[f64; 2]]) -> f64 {
     intervals.iter().map(|[start, stop]| stop - start).sum()
 }
 
-/// Whether an extension holds good time intervals.
+/// Whether an extension contains good time intervals.
 pub fn are_in(hdu: &DiskHdu) -> bool {
     let name = hdu.name().to_ascii_uppercase();
     hdu.is_table && (name == "GTI" || name.starts_with("STDGTI") || hdu.says("HDUCLAS1", "GTI"))
 }
 
 impl GoodTimes {
-    /// The columns in an extension. Its times are counted as its keywords say, or as the photons' where it has none.
+    /// The columns in an extension. Its keywords define how its times are counted, or those of the photons if it has none.
     ///
     /// # Errors
-    /// A table without START and STOP; keywords that are none.
+    /// If the table has no START and STOP, or its keywords are invalid.
     pub fn of(hdu: &DiskHdu, primary: &DiskHdu, photons: Counted) -> Result<Self, Problem> {
         let keywords = Keywords {
             own: &hdu.header,
@@ -121,11 +121,10 @@ impl GoodTimes {
         })
     }
 
-    /// Leaves of a table's intervals the parts in which the pointing is valid. Each part has the row of its interval, whose other columns stay
-    /// as they are.
+    /// Keeps the parts of a table's intervals with a valid pointing. Each part has the row of its interval, whose other columns are unchanged.
     ///
     /// # Errors
-    /// A table that cannot be read or written.
+    /// If the table cannot be read or written.
     pub fn intersect(
         &self,
         table: &mut AmendedTable,
@@ -148,7 +147,7 @@ impl GoodTimes {
             self.stop.put(table, n, part[1], own[1], Inward::Down)?;
         }
         let after = self.intervals(table)?;
-        // An interval may be shorter than what its columns can resolve.
+        // An interval may be shorter than the resolution of its columns.
         for row in (1..=after.len())
             .rev()
             .filter(|row| after[row - 1].is_none())
@@ -162,7 +161,7 @@ impl GoodTimes {
         })
     }
 
-    /// UTC, s since 1970; `None` of a row without one that lasts.
+    /// UTC, s since 1970; `None` for a row without a positive interval.
     fn intervals(&self, table: &mut AmendedTable) -> Result<Vec<Option<[f64; 2]>>, FileError> {
         let [starts, stops] = [self.start.read(table)?, self.stop.read(table)?];
         let interval = |(start, stop): (Option<f64>, Option<f64>)| {
@@ -174,7 +173,7 @@ impl GoodTimes {
 }
 
 impl End {
-    /// UTC, s since 1970.
+    /// Times in UTC, s since 1970.
     fn read(&self, table: &mut AmendedTable) -> Result<Vec<Option<f64>>, FileError> {
         let mut times = vec![0.0; table.rows()? as usize];
         table.read(&self.column, 1, &mut times)?;
@@ -182,7 +181,7 @@ impl End {
         Ok(times.into_iter().map(unix_s).collect())
     }
 
-    /// Puts a time into a row, unless it is the one that stands there.
+    /// Writes a time into a row, unless the row has it already.
     fn put(
         &self,
         table: &mut AmendedTable,

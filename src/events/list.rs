@@ -1,4 +1,4 @@
-//! An event list on disk: where its photons are, and how it counts times.
+//! An event list on disk: its photons' table, and its time system.
 
 use super::detectors::Detectors;
 use super::photons::{Measured, PHOTON_COLUMNS};
@@ -15,20 +15,20 @@ use tempfile::NamedTempFile;
 /// An open event list.
 pub struct EventList {
     pub file: DiskFile,
-    /// Which HDU has the photons.
+    /// Index of the HDU with the photons.
     pub photons: usize,
     pub rows: u64,
-    /// How the keywords beside the photons count times.
+    /// Time system of the photons' table.
     pub counted: Counted,
     pub measured: Measured,
 }
 
 impl EventList {
-    /// Opens a list, plain or gzipped, with a column of energies where one is wanted; the folder takes what is unpacked, for it may not fit into
-    /// memory.
+    /// Opens a list, plain or gzipped, with a column of energies if selected. Unpacked data go to a file in `folder`, because they may
+    /// not fit into memory.
     ///
     /// # Errors
-    /// A file that cannot be read, or that has no photons with times and places.
+    /// If the file cannot be read, or has no photons with times and positions.
     pub fn open(
         path: &Path,
         folder: &Path,
@@ -74,10 +74,10 @@ impl EventList {
         &self.file.hdus()[0]
     }
 
-    /// From TSTART to TSTOP, s since 1970 UTC, where both are stated.
+    /// TSTART and TSTOP, s since 1970 UTC, if both are stated.
     ///
     /// # Errors
-    /// Values that are not numbers.
+    /// If the values are not numbers.
     pub fn stated_span(&self) -> Result<Option<[f64; 2]>, Problem> {
         let keywords = Keywords {
             own: &self.hdu().header,
@@ -101,7 +101,7 @@ fn open(path: &Path, folder: &Path) -> Result<DiskFile, FileError> {
     let plain = NamedTempFile::with_prefix_in(".events-", folder);
     let mut plain = plain.map_err(|cause| columns::refused(folder, cause))?;
     unpack(packed, plain.as_file_mut()).map_err(refused)?;
-    // It is open, and may go from the folder.
+    // The file is open, so that its name may be removed from the folder.
     DiskFile::open(plain.path(), path)
 }
 
@@ -113,7 +113,7 @@ fn unpack(packed: File, plain: &mut File) -> Result<(), Problem> {
     copied.map(drop).map_err(whole)
 }
 
-/// The table with the photons: EVENTS, else the only one that has times.
+/// The table with the photons: EVENTS, else the only one with times.
 fn photons_hdu(file: &DiskFile, time: &str) -> Result<usize, Problem> {
     let tables = || (0..).zip(file.hdus()).filter(|(_, hdu)| hdu.is_table);
     if let Some((n, _)) = tables().find(|(_, hdu)| hdu.says("EXTNAME", "EVENTS")) {
@@ -131,13 +131,13 @@ fn photons_hdu(file: &DiskFile, time: &str) -> Result<usize, Problem> {
     }
 }
 
-/// Whether a column is among others, in capitals or not.
+/// Whether a column is among others, ignoring case.
 fn is_among(name: &str, columns: &[String]) -> bool {
     let mut columns = columns.iter();
     columns.any(|column| column.eq_ignore_ascii_case(name))
 }
 
-/// Refuses a table that has columns of the names that are added.
+/// Refuses a table that already has columns with the names of the added ones.
 fn refuse_columns(hdu: &DiskHdu) -> Result<(), Problem> {
     let columns = hdu.columns()?;
     let mut ours = PHOTON_COLUMNS.iter().map(|ours| ours.name);

@@ -1,14 +1,14 @@
-//! Photons put on the Sun: the event list of a telescope, with each photon's helioprojective place by the pointing of a refined flight, and the
-//! image that they make.
+//! Assignment of photons to positions on the Sun: the event list of a telescope, with each photon's helioprojective position by the
+//! pointing of a refined flight, and an image of the photons.
 //!
-//! Event lists are FITS files as X-ray astronomy keeps them (OGIP): a table EVENTS with a row for each photon, and tables of good time
+//! Event lists are FITS files in the format of X-ray astronomy (OGIP): a table EVENTS with a row for each photon, and tables of good time
 //! intervals. [`place_photons`] copies such a file. In the copy the photons' table has more columns ([`PHOTON_COLUMNS`]), the good time
-//! intervals are those in which the pointing is valid, too, and all else is as it was, byte for byte. An [image](ImageRequest) counts the photons
-//! in squares of the sky, beside the time for which each was seen.
+//! intervals are restricted to valid pointing, and all else is identical, byte for byte. An [image](ImageRequest) counts the photons in
+//! pixels of the sky, with the exposure of each.
 //!
-//! A detector measures a photon at (x, y). How it is mounted ([`Detectors`]) makes of that two angles from the boresight, to the telescope's
-//! right R and up U in the plane that touches the sky there: the photon came from the direction forward + R right + U up. The pointing at the
-//! photon's time turns that into axes about the Sun.
+//! A detector measures a photon at (x, y). With its mounting ([`Detectors`]) this gives two angles from the boresight, to the telescope's
+//! right R and up U in the tangent plane of the sky there: the photon came from the direction forward + R right + U up. The pointing at
+//! the photon's time rotates this to axes about the Sun.
 
 mod detectors;
 mod good_times;
@@ -38,7 +38,7 @@ pub struct Files<'a> {
     pub events: &'a Path,
     /// DET.toml.
     pub detectors: &'a Path,
-    /// The copy; what stood there is replaced.
+    /// The copy; an existing file is replaced.
     pub out: Option<&'a Path>,
     pub image: Option<&'a ImageRequest>,
 }
@@ -48,13 +48,13 @@ pub struct Files<'a> {
 pub struct Placed {
     pub photons: u64,
     pub valid: u64,
-    /// How many are not, by the reason.
+    /// Number of invalid photons by the reason.
     pub invalid: BTreeMap<&'static str, u64>,
     pub exposures: Vec<Exposure>,
     pub image: Option<Imaged>,
 }
 
-/// The length of the good time intervals of an extension, without and with a valid pointing.
+/// The length of the good time intervals of an extension, before the cut and with a valid pointing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Exposure {
     pub extension: String,
@@ -62,7 +62,7 @@ pub struct Exposure {
     pub after_s: f64,
 }
 
-/// Why photons are not put on the Sun.
+/// Reasons for which photons cannot be assigned to positions on the Sun.
 #[derive(Debug, thiserror::Error)]
 pub enum EventsError {
     #[error(transparent)]

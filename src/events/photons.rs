@@ -1,4 +1,4 @@
-//! A photon on the Sun: its place, and how well that is known.
+//! A photon's position on the Sun, with its uncertainty.
 
 use super::detectors::{Detector, Detectors, FromBoresight};
 use super::times::Counted;
@@ -8,7 +8,7 @@ use crate::pointing::HelioprojectiveArcsec;
 use crate::pointing_history::{LineOfSight, PointingHistory};
 use nalgebra::{Matrix2x3, Matrix3, UnitVector3, Vector3};
 
-/// No telescope sees a photon further from its boresight; tangent of 45 deg.
+/// Greatest distance of a photon from the boresight: tangent of 45 deg.
 const FARTHEST: f64 = 1.0;
 
 /// Result for a photon.
@@ -16,19 +16,19 @@ const FARTHEST: f64 = 1.0;
 pub struct Photon {
     /// UTC, s since 1970.
     pub unix_s: Option<f64>,
-    /// `None` where time or position is unknown, or no pointing.
+    /// `None` if time, position or pointing is unknown.
     pub place: Option<Place>,
-    /// Why the place is not to be used; `None` where it is valid.
+    /// The reason why the position is invalid; `None` if it is valid.
     pub invalid: Option<&'static str>,
 }
 
-/// Where a photon came from, with 1 sigma per axis.
+/// Position of a photon's origin, with 1 sigma per axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
     pub helioprojective_arcsec: HelioprojectiveArcsec,
-    /// Random part of the pointing.
+    /// 1 sigma from the random part of the pointing.
     pub sigma_arcsec: f64,
-    /// Of the calibration, and of what is stated of the detector.
+    /// 1 sigma from the calibration, and from the stated mounting of the detector.
     pub systematic_arcsec: f64,
 }
 
@@ -46,7 +46,7 @@ pub const PHOTON_COLUMNS: &[Column<Photon>] = &[
     logical("HP_VALID", "whether the place may be used", |p| p.invalid.is_none()),
 ];
 
-/// The columns of a table that say when and where photons were measured.
+/// The columns of a table with the times and positions of photons.
 pub struct Measured {
     time: NumberColumn,
     x: NumberColumn,
@@ -56,21 +56,21 @@ pub struct Measured {
     counted: Counted,
 }
 
-/// A row's data of a photon; NaN where it has none.
+/// A photon's row; NaN for missing values.
 pub struct PhotonRow {
     time: f64,
-    /// As the detector has it.
+    /// Position measured by the detector.
     pub position: [f64; 2],
     id: Option<f64>,
-    /// In the unit of its column, where one is wanted.
+    /// Energy in the unit of its column, if selected.
     pub energy: Option<f64>,
 }
 
 impl Measured {
-    /// The columns of a table; that of the energy where one is wanted.
+    /// The columns of a table; that of the energy if selected.
     ///
     /// # Errors
-    /// A column that the table has not.
+    /// If the table has no such column.
     pub fn of(
         hdu: &DiskHdu,
         detectors: &Detectors,
@@ -89,10 +89,10 @@ impl Measured {
         })
     }
 
-    /// From where to where positions may lie, as TLMINn and TLMAXn state it: of whole numbers, to the edges of the first and the last pixel.
+    /// Range of positions from TLMINn and TLMAXn; for integers, to the edges of the first and the last pixel.
     ///
     /// # Errors
-    /// Values that are not numbers.
+    /// If the values are not numbers.
     pub fn stated_field(&self, hdu: &DiskHdu) -> Result<Option<[[f64; 2]; 2]>, Problem> {
         let range = |column: &NumberColumn| {
             let number = |keyword: &str| hdu.header.number(&format!("{keyword}{}", column.number));
@@ -107,10 +107,10 @@ impl Measured {
         Ok(x.zip(y).map(|(x, y)| [x, y]))
     }
 
-    /// Photons of so many rows, from one on.
+    /// Reads photons of a number of rows, from a first one on.
     ///
     /// # Errors
-    /// A table that cannot be read.
+    /// If the table cannot be read.
     pub fn read(
         &self,
         table: &mut AmendedTable,
@@ -140,10 +140,10 @@ impl Measured {
         Ok((0..count).map(row))
     }
 
-    /// Puts the photon of a row on the Sun, and gives the number of its detector in DET.toml.
+    /// Determines the position of a row's photon on the Sun, and the index of its detector in DET.toml.
     ///
     /// # Errors
-    /// The id of no detector.
+    /// If no detector has the id.
     pub fn place(
         &self,
         row: &PhotonRow,
@@ -190,14 +190,14 @@ impl Measured {
     }
 }
 
-/// The place of a photon; `None` where its position is not a number, or is further from the boresight than [`FARTHEST`].
+/// The position of a photon; `None` if its measured position is not a number, or is further from the boresight than [`FARTHEST`].
 fn on_the_sun(line_of_sight: &LineOfSight, located: &FromBoresight) -> Option<Place> {
     let FromBoresight {
         right_rad,
         up_rad,
         variance_arcsec2,
     } = *located;
-    // No number is within the range.
+    // NaN is outside the range.
     let distance = Some(right_rad.hypot(up_rad));
     distance.filter(|distance| (0.0..=FARTHEST).contains(distance))?;
     let towards = UnitVector3::new_normalize(Vector3::new(1.0, right_rad, -up_rad));
@@ -209,7 +209,7 @@ fn on_the_sun(line_of_sight: &LineOfSight, located: &FromBoresight) -> Option<Pl
     })
 }
 
-/// The variance of a direction, mean of its two axes: small turns move it with the boresight, and about that.
+/// The variance of a direction, mean of its two axes: small rotations move it with the boresight, and about that.
 fn per_axis(covariance: &Matrix3<f64>, right: f64, up: f64) -> f64 {
     let moved = Matrix2x3::new(1.0, 0.0, up, 0.0, 1.0, -right);
     (moved * covariance * moved.transpose()).trace() / 2.0

@@ -1,5 +1,5 @@
-//! A run: the tables of an event list are amended, each in a file of its own, and go from there into the copy; the photons are counted in the
-//! image as they pass.
+//! A run: the tables of an event list are amended, each in its own file, and copied from there; the photons are counted in the image as
+//! they are processed.
 
 use super::detectors::{Detector, Detectors};
 use super::good_times::{self, Good, GoodTimes, common, length_s, live_fraction};
@@ -22,15 +22,16 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use tempfile::NamedTempFile;
 
-/// Photons that are read at a time, after which a watch is shown a step.
+/// Number of photons read at a time, after which the progress is reported.
 const STEP: u64 = 1000;
 
-/// Puts the photons of an event list on the Sun: writes a copy with each photon's place, an image of them, or both.
+/// Assigns the photons of an event list to positions on the Sun: writes a copy with each photon's position, an image, or both.
 ///
-/// Memory holds the flight's pointing, the good time intervals and the image; photons pass through.
+/// Memory contains the flight's pointing, the good time intervals and the image; photons are streamed.
 ///
 /// # Errors
-/// Files that cannot be read or are not what they should be, a photon of an unknown detector, a file that cannot be written: then none is.
+/// If a file cannot be read or has wrong contents, a photon is of an unknown detector, or a file cannot be written: no output is then
+/// made.
 pub fn place_photons(files: Files<'_>, watch: &dyn Watch) -> Result<Placed, EventsError> {
     refuse_overwriting(&files)?;
     let detectors = Detectors::read(files.detectors)?;
@@ -54,7 +55,7 @@ pub fn place_photons(files: Files<'_>, watch: &dyn Watch) -> Result<Placed, Even
     placed
 }
 
-/// Refuses to replace a file that is read, by whatever name, or to write two into one.
+/// Refuses to replace an input file, by whatever name, or to write two outputs to one file.
 fn refuse_overwriting(files: &Files<'_>) -> Result<(), EventsError> {
     let identity = |path: &Path| {
         fs::metadata(path)
@@ -85,13 +86,13 @@ fn refuse_overwriting(files: &Files<'_>) -> Result<(), EventsError> {
     }
 }
 
-/// The folder of unfinished files: it has space for the results.
+/// The folder of unfinished files: on the disk of the results.
 fn scratch<'a>(files: &Files<'a>) -> &'a Path {
     let image = files.image.map(|image| image.path.as_path());
     folder_of(files.out.or(image).unwrap_or(files.events))
 }
 
-/// A file that is written through, but has not its name yet.
+/// Writes a temporary file, which does not have its name yet.
 fn written(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<fs::File>) -> Result<(), EventsError>,
@@ -121,7 +122,7 @@ struct Run<'a> {
     list: &'a EventList,
     detectors: Detectors,
     history: PointingHistory,
-    /// When the pointing is valid.
+    /// Intervals of valid pointing.
     valid: Vec<[f64; 2]>,
     watch: &'a dyn Watch,
     placed: Placed,
@@ -129,9 +130,9 @@ struct Run<'a> {
     span: Option<[f64; 2]>,
 }
 
-/// A table that was amended.
+/// An amended table.
 struct Amended {
-    /// The number of its HDU.
+    /// The index of its HDU.
     hdu: usize,
     table: AmendedTable,
 }
@@ -160,7 +161,7 @@ impl Run<'_> {
         Ok(self.placed)
     }
 
-    /// Lines of HISTORY: which program, and from what.
+    /// Lines of HISTORY: program and inputs.
     fn provenance(&self) -> Result<Vec<String>, FileError> {
         let pointing = self.files.refined.join(POINTING_FILE);
         Ok(vec![
@@ -172,12 +173,12 @@ impl Run<'_> {
         ])
     }
 
-    /// Names the HDU and the file that are at fault.
+    /// Adds the HDU and the file to a problem.
     fn within(&self, hdu: &DiskHdu, problem: Problem) -> FileError {
         problem.within(&hdu.name()).in_file(self.files.events)
     }
 
-    /// The part of the time in which a detector was not dead; only an image needs it.
+    /// The live fraction of a detector, needed only for an image.
     fn live_fraction(&self, headers: &[&Header]) -> Result<f64, Problem> {
         match self.files.image {
             Some(_) => live_fraction(headers),
@@ -185,7 +186,7 @@ impl Run<'_> {
         }
     }
 
-    /// The tables of good time intervals, cut to those with a valid pointing.
+    /// The tables of good time intervals, restricted to valid pointing.
     fn cut_good_times(&mut self) -> Result<(Vec<Amended>, Vec<Good>), FileError> {
         let (mut tables, mut all) = (Vec::new(), Vec::new());
         let list = self.list;
@@ -213,7 +214,7 @@ impl Run<'_> {
         Ok((tables, all))
     }
 
-    /// The image, without photons.
+    /// The image, still without photons.
     fn picture<'b>(
         &self,
         request: &'b ImageRequest,
@@ -243,7 +244,7 @@ impl Run<'_> {
         Picture::new(request, grid, &self.detectors, &fields, good).map_err(of_detectors)
     }
 
-    /// Adds the photons' places to their table, and counts them.
+    /// Adds the photons' positions to their table, and counts them.
     fn place(&mut self, mut picture: Option<&mut Picture<'_>>) -> Result<Amended, EventsError> {
         let list = self.list;
         let (measured, rows) = (&list.measured, list.rows);
@@ -287,13 +288,13 @@ impl Run<'_> {
         })
     }
 
-    /// Names the row that is at fault.
+    /// Adds the row to a problem.
     fn within_row(&self, row: u64, problem: Problem) -> FileError {
         let table = format!("{}, row {row}", self.list.hdu().name());
         problem.within(&table).in_file(self.files.events)
     }
 
-    /// Good time intervals of a file that has none: between TSTART and TSTOP, or else the first and the last photon.
+    /// Good time intervals of a file without any: between TSTART and TSTOP, or else the first and the last photon.
     fn good_times(&mut self) -> Result<(AmendedTable, Good), FileError> {
         const NAME: &str = "GTI";
         let (list, counted) = (self.list, self.list.counted);
@@ -338,7 +339,7 @@ impl Run<'_> {
         Ok((table, Good::new(NAME.into(), parts, part)))
     }
 
-    /// The copy, except for its name; a new table of good times stands behind what was there.
+    /// Writes the copy under a temporary name; a new table of good times is appended.
     fn copy(
         &self,
         out: &Path,
@@ -369,7 +370,7 @@ impl Run<'_> {
         })
     }
 
-    /// The image, except for its name.
+    /// Writes the image under a temporary name.
     fn image(
         &mut self,
         picture: Picture<'_>,
@@ -390,7 +391,7 @@ impl Run<'_> {
         })
     }
 
-    /// Cards of the list on observer and instrument.
+    /// Cards of the list with observer and instrument.
     fn observed_cards(&self) -> Vec<Card> {
         let headers = [&self.list.hdu().header, &self.list.primary().header];
         let keywords = [&keyword::TELESCOP, &keyword::INSTRUME, &keyword::OBJECT];

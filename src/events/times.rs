@@ -1,15 +1,15 @@
-//! Times as event lists count them: from MJDREF on, in the scale of TIMESYS (OGIP/93-003; FITS 4.0, section 9).
+//! Time systems of event lists: times since MJDREF, in the scale of TIMESYS (OGIP/93-003; FITS 4.0, section 9).
 
 use crate::clock::Scale;
 use crate::fits::{Header, Problem};
 
-/// The keywords that say how a table counts its times.
+/// Keywords of a table's time system.
 pub const KEYWORDS: &[&str] = &[
     "TIMESYS", "MJDREF", "MJDREFI", "MJDREFF", "TIMEZERO", "TIMEZERI", "TIMEZERF", "TIMEOFFS",
     "TIMEUNIT",
 ];
 
-/// Days of 1970-01-01.
+/// Modified Julian date of 1970-01-01.
 const MJD_OF_UNIX_EPOCH: f64 = 40_587.0;
 const DAY_S: f64 = 86_400.0;
 
@@ -26,11 +26,11 @@ const UNITS: [Unit; 7] = [
     Unit { name: "ns", s: 1e-9 },
 ];
 
-/// How times of a table are counted.
+/// Time system of a table.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Counted {
     pub scale: Scale,
-    /// Of 0, s since 1970 by a clock of the scale.
+    /// Time of zero, s since 1970 by a clock of the scale.
     zero_s: f64,
     unit: Unit,
 }
@@ -42,7 +42,7 @@ struct Unit {
     s: f64,
 }
 
-/// The keywords of a table, and those of the primary header, which count where the table has none.
+/// The keywords of a table, and those of the primary header, which are used if the table has none.
 #[derive(Debug, Clone, Copy)]
 pub struct Keywords<'a> {
     pub own: &'a Header,
@@ -50,17 +50,17 @@ pub struct Keywords<'a> {
 }
 
 impl Keywords<'_> {
-    /// How keywords count times, in this scale where TIMESYS names none; `None` without a MJDREF.
+    /// The time system of the keywords, in this scale if TIMESYS names none; `None` without a MJDREF.
     ///
     /// # Errors
-    /// Values that are not numbers, units or scales.
+    /// If a value is not a number, a unit or a scale.
     pub fn counted(self, unstated: Scale) -> Result<Option<Counted>, Problem> {
         let Some(days) = self.sum(["MJDREF", "MJDREFI", "MJDREFF"])? else {
             return Ok(None);
         };
         let unit = self.text("TIMEUNIT")?;
         let unit = unit.map_or(Ok(SECOND), |name| Unit::named("TIMEUNIT", &name))?;
-        // TIMEOFFS is what FITS 4.0 calls it.
+        // FITS 4.0 calls it TIMEOFFS.
         let zero = match self.sum(["TIMEZERO", "TIMEZERI", "TIMEZERF"])? {
             Some([whole, part]) => whole + part,
             None => self.number("TIMEOFFS")?.unwrap_or_default(),
@@ -84,7 +84,7 @@ impl Keywords<'_> {
         Ok(Some(scale))
     }
 
-    /// A keyword's number, or those of two that share it: the whole and the fraction.
+    /// A keyword's number, or the two keywords that share it: whole part and fraction.
     fn sum(self, [one, whole, part]: [&str; 3]) -> Result<Option<[f64; 2]>, Problem> {
         for header in [self.own, self.primary] {
             if let Some(number) = header.number(one)? {
@@ -128,7 +128,7 @@ impl Unit {
 }
 
 impl Counted {
-    /// The same of a column that states a unit of its own.
+    /// The same for a column that states its own unit.
     pub fn in_unit(self, field: &str, unit: Option<&str>) -> Result<Self, Problem> {
         let unit = unit.map_or(Ok(self.unit), |name| Unit::named(field, name))?;
         Ok(Self { unit, ..self })

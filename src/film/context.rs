@@ -1,7 +1,7 @@
 //! A solar image on which the path is drawn.
 //!
-//! It was taken at another time and from another place than the flight. Its scale is made the flight's by the Sun's radius; what
-//! rotation and the observer's place change stays, and is said.
+//! It was taken at another time and from another position than the flight. Its scale is matched to the flight's by the Sun's radius;
+//! effects of rotation and the observer's position are not corrected, but reported.
 
 use super::wcs::WorldCoordinates;
 use crate::fits::{FileError, FitsFile, Header, Problem};
@@ -12,18 +12,18 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::Vector2;
 use std::path::{Path, PathBuf};
 
-/// The Sun turns by 7 deg in so long.
+/// Age above which there is a warning: the Sun rotates by 7 deg in this time.
 const OLD: SignedDuration = SignedDuration::from_hours(12);
-/// Of an observer from the Earth, as seen from the Sun: above the first there is a warning, above the second no map.
+/// Angle of an observer from the Earth, as seen from the Sun: above the first value there is a warning, above the second no map.
 const ASIDE_DEG: f64 = 5.0;
 const FAR_DEG: f64 = 20.0;
-/// By how much the radius may differ from that seen from the Earth, where no other observer is named.
+/// Greatest relative difference of the radius from that seen from the Earth, if no other observer is named.
 const RADIUS_DIFFERENCE: f64 = 0.05;
-/// Of the disc's pixels, those that show its brightness are about so many in a row.
+/// Approximate number of pixels per row of the image that are sampled for the disc's brightness.
 const SAMPLES: usize = 256;
-/// Parts of the disc's pixels that are darker than black and brighter than white.
+/// Fractions of the disc's pixels that are darker than black and brighter than white.
 const OUTSIDE: f64 = 0.005;
-/// How far black lies below the darkest of the disc, as a part of its range, so that the limb stands out.
+/// Distance of black below the darkest part of the disc, as a part of its range, so that the limb is visible.
 const FOOT: f64 = 0.25;
 
 /// A solar image with its coordinates.
@@ -31,23 +31,23 @@ const FOOT: f64 = 0.25;
 pub struct Context {
     path: PathBuf,
     size_px: [usize; 2],
-    /// Row by row, the lowest first.
+    /// Pixel values row by row, the lowest row first.
     values: Vec<f32>,
     world: WorldCoordinates,
-    /// The Sun's radius as the image's observer saw it.
+    /// The Sun's radius as seen by the image's observer.
     radius_arcsec: f64,
     taken: Option<Timestamp>,
-    /// Between the observer and the Earth, as seen from the Sun; `None` where the header does not say it.
+    /// Angle between the observer and the Earth, as seen from the Sun; `None` if the header does not state it.
     aside_deg: Option<f64>,
     stretch: Stretch,
 }
 
-/// From a value to a brightness.
+/// Conversion from a value to a brightness.
 #[derive(Debug, Clone, Copy)]
 struct Stretch {
     black: f32,
     white: f32,
-    /// The power that puts the disc's median at half the brightness, where that is darker.
+    /// The exponent that maps a darker median of the disc to half the brightness.
     power: f32,
 }
 
@@ -55,7 +55,7 @@ impl Context {
     /// Reads a FITS image.
     ///
     /// # Errors
-    /// A file that cannot be read, is no image, has no helioprojective coordinates, or is of an observer far from the Earth.
+    /// If the file cannot be read, is no image, has no helioprojective coordinates, or has an observer far from the Earth.
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let file = FitsFile::open(path)?;
         let taken = file.info()?.0.mid_exposure;
@@ -87,12 +87,12 @@ impl Context {
         &self.path
     }
 
-    /// The side of a pixel where the Sun has this radius.
+    /// The size of a pixel for this radius of the Sun.
     pub fn arcsec_per_px(&self, radius_arcsec: f64) -> f64 {
         self.world.arcsec_per_px() * radius_arcsec / self.radius_arcsec
     }
 
-    /// From 0 to 1, at a place about a Sun of this radius; `None` where the image shows nothing.
+    /// Brightness from 0 to 1 at a position, for a Sun of this radius; `None` outside the image.
     pub fn brightness(&self, place: HelioprojectiveArcsec, radius_arcsec: f64) -> Option<f32> {
         let scale = self.radius_arcsec / radius_arcsec;
         let (x, y) = (place.x * scale, place.y * scale);
@@ -100,7 +100,7 @@ impl Context {
         Some(self.stretch.brightness(value))
     }
 
-    /// Between the four pixels about a place of the image.
+    /// Interpolates between the four pixels around a position in the image.
     fn value(&self, at: Vector2<f64>) -> Option<f32> {
         let corner = at.map(f64::floor);
         let [width, height] = self.size_px;
@@ -118,7 +118,7 @@ impl Context {
         value.is_finite().then_some(value)
     }
 
-    /// When it was taken, against a time of the flight, and what is to be known of that.
+    /// Age of the image at a time of the flight, and warnings.
     pub fn words(&self, utc: Timestamp) -> Words {
         let Some(taken) = self.taken else {
             let text = "context, date unknown".to_owned();
@@ -162,7 +162,7 @@ pub struct Words {
     pub is_warning: bool,
 }
 
-/// How far from the Earth the observer is, by heliographic coordinates: Stonyhurst's, else Carrington's.
+/// Angle of the observer from the Earth, from heliographic coordinates: Stonyhurst's, else Carrington's.
 fn aside_deg(header: &Header, earth: Option<&Disc>) -> Result<Option<f64>, Problem> {
     let carrington = header.number("CRLN_OBS")?.zip(earth);
     let carrington = carrington.map(|(deg, earth)| ("CRLN_OBS", deg - earth.l0_deg));
@@ -188,7 +188,7 @@ fn aside_deg(header: &Header, earth: Option<&Disc>) -> Result<Option<f64>, Probl
     Ok(Some(aside_deg))
 }
 
-/// The Sun's radius as the observer saw it; as from the Earth where the header does not say it.
+/// The Sun's radius as seen by the observer; as from the Earth if the header does not state it.
 fn radius_arcsec(
     header: &Header,
     earth: Option<&Disc>,
@@ -221,7 +221,7 @@ fn radius_arcsec(
 }
 
 impl Stretch {
-    /// By the pixels of the disc.
+    /// From the pixels of the disc.
     fn of_disc(
         values: &[f32],
         [width, height]: [usize; 2],

@@ -1,4 +1,4 @@
-//! Where a film goes, and as what.
+//! Destination and format of a film.
 
 use std::ffi::OsStr;
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ pub enum Form {
     Apng,
 }
 
-/// Where a film goes: a file that ends in .gif, .apng or .png, or a folder.
+/// Destination of a film: a file that ends in .gif, .apng or .png, or a folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Destination {
     pub path: PathBuf,
@@ -43,7 +43,7 @@ impl FromStr for Destination {
 }
 
 impl Destination {
-    /// That of one of several cameras: a folder of its own, or a file with its label in the name.
+    /// Destination for one of several cameras: a folder of its own, or a file with its label in the name.
     pub fn of_camera(&self, label: &str) -> Self {
         let path = match self.form {
             Form::Folder => self.path.join(label),

@@ -1,12 +1,12 @@
-//! A film of where the telescope pointed on the Sun.
+//! A film of the telescope's pointing on the Sun.
 //!
 //! ```text
 //! pointing history -> Track -> Painter (Panels, Context) -> pictures -> Writer
 //! ```
 //!
-//! Each picture shows the Sun, north up and west to the right, as a [`Context`] map shows it or limb-darkened, with the path up to its time,
-//! the boresight and the target; below it what is to be known in words. Where the path is small an inset magnifies the target's
-//! surroundings. The frame that was taken nearest in time may stand beside.
+//! Each picture shows the Sun, north up and west to the right, as a [`Context`] image or limb-darkened, with the path up to its time, the
+//! boresight and the target; below it a strip of text. If the path is small an inset magnifies the target's surroundings. The frame
+//! nearest in time may be shown beside it.
 
 mod context;
 mod form;
@@ -37,22 +37,22 @@ use std::path::PathBuf;
 use track::Track;
 use writers::Writer;
 
-/// Of a film whose step is not stated, about.
+/// Approximate number of pictures of a film without a stated step.
 const PICTURES: f64 = 300.0;
-/// From picture to picture, at least.
+/// Least time between pictures.
 pub const LEAST_STEP_S: f64 = 0.01;
-/// Frames that are read and solved beside each other, for each thread.
+/// Number of frames read and solved at a time, for each thread.
 const TOGETHER: usize = 4;
 
 /// Settings of a film.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
     pub destination: Destination,
-    /// From picture to picture, [`LEAST_STEP_S`] at least; by default such that there are about 300, and no more than frames.
+    /// Time between pictures, at least [`LEAST_STEP_S`]; by default such that there are about 300, and no more than frames.
     pub step_s: Option<f64>,
     /// A solar image with helioprojective coordinates; by default a limb-darkened disc.
     pub context: Option<PathBuf>,
-    /// Whether the frame nearest in time is shown beside.
+    /// Whether the frame nearest in time is shown beside the map.
     pub has_frames: bool,
 }
 
@@ -65,25 +65,25 @@ pub struct Film {
 
 /// Frames of a flight in the order of time.
 pub trait Frames: Sync {
-    /// The one nearest to a time, s since 1970, if it is so near.
+    /// The frame nearest to a time, s since 1970, if it is within `within_s`.
     fn nearest(&self, unix_s: f64, within_s: f64) -> Option<usize>;
 
-    /// The picture of a frame with what was found in it.
+    /// The picture of a frame with its results.
     ///
     /// # Errors
-    /// Why there is none, in words.
+    /// The reason why there is none, in words.
     fn overlay(&self, frame: usize) -> Result<RgbImage, String>;
 }
 
-/// Of what a film is made.
+/// Inputs of a film.
 pub struct Flight<'a> {
     pub title: String,
-    /// The name that sets its camera apart; none of a single one.
+    /// Name that distinguishes its camera; none for a single one.
     pub label: Option<&'a str>,
     pub pointing: &'a PointingHistory,
     pub target: Target,
     pub ephemeris: Ephemeris,
-    /// From frame to frame.
+    /// Time between frames.
     pub frame_step_s: f64,
     pub frames: &'a dyn Frames,
 }
@@ -111,7 +111,7 @@ impl fmt::Display for Made {
     }
 }
 
-/// Why there is no film.
+/// Reasons for which there is no film.
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
     #[error(transparent)]
@@ -123,10 +123,10 @@ pub enum FilmError {
 }
 
 impl Film {
-    /// Reads what a film needs beside the flight.
+    /// Reads the inputs of a film other than the flight.
     ///
     /// # Errors
-    /// A context that is no solar image, or one of an observer far from the Earth.
+    /// If the context is no solar image, or has an observer far from the Earth.
     pub fn new(options: &Options) -> Result<Self, FileError> {
         let context = options.context.as_deref().map(Context::read);
         Ok(Self {
@@ -135,10 +135,10 @@ impl Film {
         })
     }
 
-    /// Makes the film of a flight; `None` where nothing is known of its pointing.
+    /// Makes the film of a flight; `None` if its pointing is not known at any time.
     ///
     /// # Errors
-    /// A file that cannot be written, a date before the table of Earth orientation, a watch that cancels. There is no film then.
+    /// If a file cannot be written, a date is before the table of Earth orientation, or the watch cancels: there is no film then.
     pub fn make(
         &self,
         flight: &mut Flight<'_>,
@@ -196,7 +196,7 @@ impl Film {
         }))
     }
 
-    /// Shared parts of all pictures; warns of a context that misleads.
+    /// Elements common to all pictures; warns of a misleading context.
     fn stage(&self, track: &Track, flight: &mut Flight<'_>) -> Result<Stage<'_>, SkyError> {
         let utc = timestamp(track.middle_s());
         let disc = flight.ephemeris.disc(utc)?;
@@ -225,7 +225,7 @@ impl Film {
     }
 }
 
-/// The frame or note beside the path of a picture.
+/// Time and target of a picture.
 fn moment(index: usize, track: &Track, flight: &mut Flight<'_>) -> Result<Moment, SkyError> {
     let utc = timestamp(track.points[index].unix_s);
     let disc = flight.ephemeris.disc(utc)?;
@@ -237,20 +237,20 @@ fn moment(index: usize, track: &Track, flight: &mut Flight<'_>) -> Result<Moment
     })
 }
 
-/// To a millisecond: what is left of a time in seconds since 1970 is not worth more.
+/// Rounds to a millisecond: times in seconds since 1970 are not more accurate.
 fn timestamp(unix_s: f64) -> Timestamp {
     let ms = (unix_s * 1e3).round() as i64;
     Timestamp::from_millisecond(ms).unwrap_or_default()
 }
 
-/// The frames' pictures that stand beside.
+/// The frames' pictures beside the map.
 struct Beside {
     within_s: f64,
     shown: BTreeMap<Option<usize>, RgbImage>,
 }
 
 impl Beside {
-    /// Solves the frames that pictures of these times need, and drops others.
+    /// Solves the frames needed for pictures at these times, and drops others.
     fn prepare(
         &mut self,
         times_s: impl Iterator<Item = f64>,

@@ -1,4 +1,4 @@
-//! A square part of the sky about the Sun, on which places are drawn: north up, west to the right.
+//! A square part of the sky near the Sun, on which positions are drawn: north up, west to the right.
 
 use super::context::Context;
 use super::track::Point;
@@ -10,12 +10,12 @@ use crate::units::SensorPx;
 use image::{Rgb, RgbImage};
 use rayon::prelude::*;
 
-/// Between circles of the graticule.
+/// Spacing of the circles of the graticule, deg.
 const APART_DEG: u32 = 15;
-/// The middle of the disc where there is no context, and a context's white: the path stands out on it.
+/// Grey level of the middle of the disc without a context, and of a context's white: the path is visible on it.
 const DISC_GREY: f64 = 170.0;
 const WHITE_GREY: f64 = 215.0;
-/// Of a pixel, along each side, at most: what is averaged where the context is finer than the picture.
+/// Greatest number of samples in a pixel along each side, averaged where the context is finer than the picture.
 const MOST_SAMPLES: f64 = 4.0;
 
 const LIMB: Colour = Colour(200, 200, 210);
@@ -26,7 +26,7 @@ pub const INVALID: Colour = Colour(140, 140, 150);
 pub const BORESIGHT: Colour = Colour::RED;
 pub const TARGET: Colour = Colour::GREEN;
 
-/// Which part of the sky a picture shows.
+/// The part of the sky in a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct View {
     pub centre: HelioprojectiveArcsec,
@@ -35,7 +35,7 @@ pub struct View {
 }
 
 impl View {
-    /// A square of this side about a place, from its centre so far to each edge.
+    /// A square of this side around a position, with the distance from its centre to each edge.
     pub fn about(centre: HelioprojectiveArcsec, reach_arcsec: f64, side_px: u32) -> Self {
         Self {
             centre,
@@ -48,7 +48,7 @@ impl View {
         f64::from(self.side_px - 1) / 2.0
     }
 
-    /// The pixel of a place.
+    /// The pixel of a position.
     pub fn px(&self, place: HelioprojectiveArcsec) -> SensorPx {
         let along = |arcsec: f64| arcsec / self.arcsec_per_px;
         SensorPx::new(
@@ -57,14 +57,14 @@ impl View {
         )
     }
 
-    /// Whether a place lies within.
+    /// Whether a position is within the view.
     pub fn holds(&self, place: HelioprojectiveArcsec) -> bool {
         let px = self.px(place);
         let side = 0.0..f64::from(self.side_px);
         side.contains(&px.x) && side.contains(&px.y)
     }
 
-    /// The place of a pixel.
+    /// The position of a pixel.
     pub fn place(&self, px: SensorPx) -> HelioprojectiveArcsec {
         HelioprojectiveArcsec {
             x: self.centre.x + (px.x - self.middle_px()) * self.arcsec_per_px,
@@ -73,7 +73,7 @@ impl View {
     }
 }
 
-/// A part of the sky with what has been drawn on it.
+/// A part of the sky and its drawings.
 #[derive(Clone)]
 pub struct Panel {
     pub view: View,
@@ -81,7 +81,7 @@ pub struct Panel {
 }
 
 impl Panel {
-    /// The Sun, as the context shows it or limb-darkened, with limb and graticule.
+    /// The Sun, from the context or limb-darkened, with limb and graticule.
     pub fn new(view: View, disc: &Disc, context: Option<&Context>) -> Self {
         let sun = sun(&view, disc.radius_arcsec(), context);
         let canvas = Canvas::of_image(&sun, 0);
@@ -99,7 +99,7 @@ impl Panel {
         }
     }
 
-    /// A straight line between two places, as far as it may be within.
+    /// A straight line between two positions, if it may cross the view.
     fn line(&mut self, from: HelioprojectiveArcsec, to: HelioprojectiveArcsec, colour: Colour) {
         let [from, to] = [from, to].map(|place| self.view.px(place));
         let side = f64::from(self.view.side_px);
@@ -140,7 +140,7 @@ impl Panel {
         self.canvas.dot(at, colour);
     }
 
-    /// The edges of what another view shows.
+    /// The edges of another view.
     pub fn outline(&mut self, other: &View, colour: Colour) {
         let half = other.arcsec_per_px * f64::from(other.side_px) / 2.0;
         let corner = |x: f64, y: f64| HelioprojectiveArcsec {

@@ -1,4 +1,4 @@
-//! A picture of the film: the whole Sun, the surroundings of the target, a strip of text, and the frame beside.
+//! A picture of the film: the whole Sun, the surroundings of the target, a strip of text, and the frame beside them.
 
 use super::context::{Context, Words};
 use super::panel::{BORESIGHT, INVALID, OLD_PATH, PATH, Panel, TARGET, View};
@@ -16,18 +16,18 @@ use jiff::Timestamp;
 /// Side of the square with the Sun, and of the one about the target in its corner.
 pub const MAP_PX: u32 = 720;
 const INSET_PX: u32 = 240;
-/// Width of what stands beside.
+/// Width of the picture beside the map.
 const BESIDE_PX: u32 = 740;
-/// From the map's centre to its edge: at least so many radii, and as far as the path goes, but not farther than the second.
+/// Distance from the map's centre to its edge: at least the first number of radii, and up to the extent of the path, but at most the second.
 const REACH_RADII: [f64; 2] = [1.2, 3.0];
-/// There is an inset where this part of the path lies within that part of the map's reach about the target.
+/// There is an inset if this part of the path is within that part of the map's half side from the target.
 const IN_INSET: f64 = 0.9;
 const SMALL: f64 = 0.2;
-/// Least reach of an inset, from its centre to its edge.
+/// Least distance from an inset's centre to its edge.
 const LEAST_INSET_ARCSEC: f64 = 5.0;
-/// The path of so many pictures is bright.
+/// The path of this many pictures is bright.
 const RECENT_PICTURES: usize = 20;
-/// Time, boresight, target, context, legend.
+/// Lines of text: time, boresight, target, context, legend.
 const LINES: u32 = 5;
 const LEGEND: [(&str, Colour); 5] = [
     ("boresight", BORESIGHT),
@@ -37,35 +37,35 @@ const LEGEND: [(&str, Colour); 5] = [
     ("not valid", INVALID),
 ];
 
-/// Shared parts of all pictures of a film.
+/// Elements common to all pictures of a film.
 pub struct Stage<'a> {
     pub title: String,
-    /// In the middle of the film, as the target is.
+    /// The disc in the middle of the film; so is the target.
     pub disc: Disc,
     pub target: Option<HelioprojectiveArcsec>,
     pub context: Option<&'a Context>,
     /// Description of the context.
     pub words: Words,
-    /// Whether a frame stands beside.
+    /// Whether a frame is shown beside the map.
     pub has_beside: bool,
 }
 
-/// The frame or note beside the path of a picture.
+/// Time and target of a picture.
 pub struct Moment {
-    /// Its place in the track.
+    /// Its index in the track.
     pub index: usize,
     pub utc: Timestamp,
-    /// Where to point; else why nowhere.
+    /// Position of the target; else the reason why there is none.
     pub target: Result<HelioprojectiveArcsec, String>,
 }
 
-/// Draws one picture after the other.
+/// Draws the pictures in order.
 pub struct Painter<'a> {
     stage: Stage<'a>,
     map: Panel,
-    /// With its upper left corner on the map.
+    /// The inset, with its upper left corner on the map.
     inset: Option<(Panel, [u32; 2])>,
-    /// How much of the path is drawn on the panels for good.
+    /// Number of points of the path drawn permanently on the panels.
     settled: usize,
 }
 
@@ -83,7 +83,7 @@ impl<'a> Painter<'a> {
             let mut inset = panel(view);
             let side_px = INSET_PX - 1;
             inset.outline(&View { side_px, ..view }, Colour::WHITE);
-            // In the corner that is farthest from the target.
+            // In the corner farthest from the target.
             let corner = |is_first| if is_first { 0 } else { MAP_PX - INSET_PX };
             (inset, [corner(target.x > 0.0), corner(target.y < 0.0)])
         });
@@ -190,7 +190,7 @@ impl<'a> Painter<'a> {
         canvas.legend(LINES - 1, &LEGEND);
     }
 
-    /// The picture beside: a frame's, or why there is none.
+    /// The picture beside the map: a frame's, or the reason why there is none.
     pub fn beside(&self, frame: Result<RgbImage, String>) -> RgbImage {
         let mut place = RgbImage::new(BESIDE_PX, self.size_px().1);
         let shown = match frame {
@@ -212,7 +212,7 @@ impl<'a> Painter<'a> {
     }
 }
 
-/// A panel with the path, the target and the boresight of a moment.
+/// A panel with the path, the target and the boresight at a moment.
 fn with_path(panel: &Panel, path: &[Point], moment: &Moment) -> Canvas {
     let mut panel = panel.clone();
     panel.path(path, PATH);
@@ -231,7 +231,7 @@ fn with_path(panel: &Panel, path: &[Point], moment: &Moment) -> Canvas {
     panel.canvas
 }
 
-/// From the map's centre to its edge.
+/// Distance from the map's centre to its edge.
 fn reach_arcsec(track: &Track, disc: &Disc) -> f64 {
     let farthest = track.valid().map(|place| place.x.hypot(place.y));
     let farthest = farthest.fold(0.0, f64::max);
@@ -239,7 +239,7 @@ fn reach_arcsec(track: &Track, disc: &Disc) -> f64 {
     (farthest * 1.05).clamp(least, most)
 }
 
-/// From the inset's centre to its edge, where the path is small beside the map.
+/// Distance from the inset's centre to its edge, if the path is small on the map.
 fn inset_reach_arcsec(track: &Track, target: HelioprojectiveArcsec, map: f64) -> Option<f64> {
     let from_target = |place: HelioprojectiveArcsec| (place.x - target.x).hypot(place.y - target.y);
     let mut distances: Vec<f64> = track.valid().map(from_target).collect();
@@ -249,14 +249,14 @@ fn inset_reach_arcsec(track: &Track, target: HelioprojectiveArcsec, map: f64) ->
     (reach < SMALL * map).then_some(reach)
 }
 
-/// As much of a text as fits into a line of the strip.
+/// The beginning of a text that fits into a line of the strip.
 fn fitting(text: &str, width_px: u32) -> &str {
     let letters = (width_px / Canvas::LETTER_PX - 2) as usize;
     let end = text.char_indices().nth(letters);
     end.map_or(text, |(end, _)| &text[..end])
 }
 
-/// A picture that fits, not magnified.
+/// A picture reduced to fit, but never magnified.
 fn scaled(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
     let ratio = |space: u32, side: u32| f64::from(space) / f64::from(side.max(1));
     let scale = ratio(width, picture.width()).min(ratio(height, picture.height()));

@@ -13,7 +13,7 @@ use tempfile::TempDir;
 
 /// 2013-09-21T18:00:00Z.
 const START_S: i64 = 1_379_786_400;
-/// Of the Sun's radius that day, by the distance of JPL's Horizons, 1.0040 au.
+/// The Sun's radius that day, from the distance by JPL's Horizons, 1.0040 au.
 const RADIUS_ARCSEC: f64 = 955.6;
 const LENGTH_S: i64 = 20;
 const TARGET: HelioprojectiveArcsec = HelioprojectiveArcsec {
@@ -103,7 +103,7 @@ fn picture(folder: &Path, number: usize) -> RgbImage {
     image::open(path).unwrap().into_rgb8()
 }
 
-/// The mean place of a colour on the map, without the inset in its upper left corner.
+/// The mean position of a colour on the map, without the inset in its upper left corner.
 fn mean_px(picture: &RgbImage, Colour(red, green, blue): Colour) -> Option<[f64; 2]> {
     let on_map = |x: u32, y: u32| y < 720 && x < 720 && (x >= 240 || y >= 240);
     let of_colour = picture
@@ -142,7 +142,7 @@ fn the_boresight_is_drawn_where_it_points_in_each_picture_of_the_step() {
         let off = (x - expected[0]).hypot(y - expected[1]);
         assert!(off < 0.8, "{since_s} s: ({x}, {y}), expected {expected:?}");
     }
-    // A film that is made again takes the place of the one before.
+    // A film that is made again replaces the previous one.
     film(&folder, "pictures", Some(10.0), false);
     assert_eq!(fs::read_dir(&path).unwrap().count(), 3);
     assert_eq!(
@@ -212,7 +212,7 @@ fn a_frame_stands_beside_as_high_as_the_map_and_one_that_cannot_be_read_leaves_i
 
 const HMI: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/hmi/continuum.fits");
 
-/// The picture of HMI with other cards in place of those of these keywords.
+/// The picture of HMI with replaced cards.
 fn hmi(folder: &TempDir, cards: &[(&str, &str)]) -> PathBuf {
     let mut bytes = fs::read(HMI).unwrap();
     for (keyword, card) in cards {
@@ -253,7 +253,7 @@ fn the_limb_of_a_context_falls_on_that_of_the_flight() {
     assert!(centre.iter().all(|off| off.abs() < 0.002), "{centre:?}");
 }
 
-/// The largest spot, where astropy's coordinates have its darkest pixel: an image that is turned or mirrored has it elsewhere.
+/// The largest spot, at the position of its darkest pixel by astropy: an image that is rotated or mirrored has it elsewhere.
 #[test]
 fn a_spot_of_a_context_is_drawn_where_it_was() {
     let context = Context::read(Path::new(HMI)).unwrap();

@@ -1,23 +1,23 @@
-//! The path of the boresight over the Sun, in even steps.
+//! The path of the boresight over the Sun, in equal steps.
 
 use crate::pointing::HelioprojectiveArcsec;
 use crate::pointing_history::{Invalid, PointingHistory};
 
-/// Between two points of the path, at most: a gondola swings within seconds.
+/// Greatest time between two points of the path: a gondola swings within seconds.
 const STEP_S: f64 = 0.25;
 
 /// A moment of the path.
 #[derive(Debug, Clone, Copy)]
 pub struct Point {
-    /// Since 1970.
+    /// Time, s since 1970.
     pub unix_s: f64,
-    /// Where the boresight was; `None` where nothing is known.
+    /// Position of the boresight; `None` if it is not known.
     pub place: Option<HelioprojectiveArcsec>,
-    /// Why the pointing is not to be used; `None` where it is valid.
+    /// The reason why the pointing is invalid; `None` if it is valid.
     pub invalid: Option<Invalid>,
 }
 
-/// The path, with the same number of points from each picture to the next.
+/// The path, with the same number of points between successive pictures.
 #[derive(Debug, Clone)]
 pub struct Track {
     pub points: Vec<Point>,
@@ -25,10 +25,10 @@ pub struct Track {
 }
 
 impl Track {
-    /// With a picture each so many seconds from the first time that is known; `None` where nothing is known.
+    /// Track with a picture every `step_s` seconds from the first known time; `None` if the pointing is never known.
     pub fn of(pointing: &PointingHistory, step_s: f64) -> Option<Self> {
         let [first_s, last_s] = pointing.ends_s()?;
-        // Frames' times have finite digits: the last may seem a little early.
+        // Frames' times are rounded: the last may seem slightly early.
         let steps = ((last_s - first_s) / step_s + 1e-3).floor() as usize;
         let points_per_picture = (step_s / STEP_S).ceil().max(1.0) as usize;
         let point = |n: usize| {
@@ -53,7 +53,7 @@ impl Track {
         self.points.len().div_ceil(self.points_per_picture)
     }
 
-    /// The place in the path at which a picture is, counted from 0.
+    /// The index in the path of a picture, counted from 0.
     pub fn at_picture(&self, picture: usize) -> usize {
         picture * self.points_per_picture
     }
@@ -63,7 +63,7 @@ impl Track {
         (self.points[0].unix_s + self.points[last].unix_s) / 2.0
     }
 
-    /// The places of valid pointing.
+    /// The positions of valid pointing.
     pub fn valid(&self) -> impl Iterator<Item = HelioprojectiveArcsec> {
         let valid = self.points.iter().filter(|point| point.invalid.is_none());
         valid.filter_map(|point| point.place)

@@ -1,7 +1,7 @@
-//! The world coordinates of a solar image: from a pixel to a place about the Sun's centre, and back.
+//! The world coordinates of a solar image: conversion from a pixel to a position relative to the Sun's centre, and back.
 //!
 //! The image is a gnomonic projection (TAN) of helioprojective longitude and latitude about its reference point (Calabretta and Greisen
-//! 2002, A&A 395, 1077; Thompson 2006, A&A 449, 791). What the header does not state has the value that FITS 4.0 gives it.
+//! 2002, A&A 395, 1077; Thompson 2006, A&A 449, 791). Missing keywords have the defaults of FITS 4.0.
 
 use crate::fits::{Header, Problem};
 use crate::pointing::HelioprojectiveArcsec;
@@ -9,29 +9,30 @@ use crate::sky::sphere::tangents;
 use crate::units::ARCSEC_PER_RAD;
 use nalgebra::{Matrix2, Matrix3, Vector2};
 
-/// CTYPE of each axis, without blanks and dashes: as the standard has it, and as it was written before.
+/// CTYPE of each axis, without blanks and dashes: by the standard, and by older usage.
 const TYPES: [[&str; 2]; 2] = [["HPLNTAN", "SOLARX"], ["HPLTTAN", "SOLARY"]];
 const EXPECTED_TYPES: [&str; 2] = [
     "'HPLN-TAN' or 'SOLARX' of a solar image",
     "'HPLT-TAN' or 'SOLARY' of a solar image",
 ];
 
-/// Where on the Sun each pixel of an image is. Pixel (0, 0) is the centre of the first, in the lowest row of the picture; y grows upwards.
+/// Position on the Sun of each pixel of an image. Pixel (0, 0) is the centre of the first, in the lowest row of the picture; y increases
+/// upwards.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WorldCoordinates {
     reference_px: Vector2<f64>,
-    /// From pixels to the plane of projection, rad, and back.
+    /// Conversion from pixels to the plane of projection, rad, and back.
     to_plane: Matrix2<f64>,
     to_pixels: Matrix2<f64>,
-    /// The plane's axes: to the reference point, to larger longitude (west) and latitude (north) there.
+    /// The plane's axes: to the reference point, to increasing longitude (west) and latitude (north) there.
     axes: Matrix3<f64>,
 }
 
 impl WorldCoordinates {
-    /// By the keywords of an image.
+    /// From the keywords of an image.
     ///
     /// # Errors
-    /// The first keyword that is missing or states other coordinates than helioprojective ones.
+    /// The first keyword that is missing or states coordinates other than helioprojective ones.
     pub fn read(header: &Header) -> Result<Self, Problem> {
         let rad = [axis_unit_rad(header, 0)?, axis_unit_rad(header, 1)?];
         let turned = header.number("LONPOLE")?.filter(|deg| *deg != 180.0);
@@ -60,27 +61,27 @@ impl WorldCoordinates {
         })
     }
 
-    /// The place that a pixel shows.
+    /// The position of a pixel.
     pub fn place(&self, pixel: Vector2<f64>) -> HelioprojectiveArcsec {
         let plane = self.to_plane * (pixel - self.reference_px);
         let direction = self.axes * plane.insert_row(0, 1.0);
         HelioprojectiveArcsec::of_direction(&direction.normalize())
     }
 
-    /// The pixel that shows a place; `None` of one behind the observer.
+    /// The pixel of a position; `None` if it is behind the observer.
     pub fn pixel(&self, place: HelioprojectiveArcsec) -> Option<Vector2<f64>> {
         let direction = self.axes.tr_mul(&place.direction());
         let plane = direction.yz() / direction.x;
         (direction.x > 0.0).then(|| self.reference_px + self.to_pixels * plane)
     }
 
-    /// The side of a pixel at the reference point.
+    /// The size of a pixel at the reference point.
     pub fn arcsec_per_px(&self) -> f64 {
         self.to_plane.determinant().abs().sqrt() * ARCSEC_PER_RAD
     }
 }
 
-/// The unit of an axis, rad, once its type is known to be helioprojective.
+/// The unit of an axis, rad, if its type is helioprojective.
 fn axis_unit_rad(header: &Header, axis: usize) -> Result<f64, Problem> {
     let keyword = format!("CTYPE{}", axis + 1);
     let stated = header.text(&keyword)?;
@@ -96,7 +97,7 @@ fn axis_unit_rad(header: &Header, axis: usize) -> Result<f64, Problem> {
     match unit.as_deref().map(str::trim) {
         Some("arcsec") => Ok(1.0 / ARCSEC_PER_RAD),
         Some("deg") => Ok(1f64.to_radians()),
-        // Images with the older names count in arcsec.
+        // Images with the older names use arcsec.
         None if kind == 1 => Ok(1.0 / ARCSEC_PER_RAD),
         other => {
             let found = other.map_or("nothing".into(), |text| format!("'{text}'"));
@@ -105,7 +106,7 @@ fn axis_unit_rad(header: &Header, axis: usize) -> Result<f64, Problem> {
     }
 }
 
-/// From pixels to the axes' own units: CDi_j; else CDELTi, turned by PCi_j or CROTA2.
+/// Conversion from pixels to the axes' own units: CDi_j; else CDELTi, rotated by PCi_j or CROTA2.
 fn steps(header: &Header) -> Result<Matrix2<f64>, Problem> {
     if let Some(steps) = matrix(header, "CD", Matrix2::zeros())? {
         return Ok(steps);
@@ -124,7 +125,7 @@ fn steps(header: &Header) -> Result<Matrix2<f64>, Problem> {
     Ok(Matrix2::new(x * cos, -y * sin, x * sin, y * cos))
 }
 
-/// The elements of a matrix, those not stated as in `other`; `None` where none is.
+/// The elements of a matrix, missing ones from `other`; `None` if all are missing.
 fn matrix(
     header: &Header,
     name: &str,
@@ -181,7 +182,7 @@ mod tests {
         others.chain(more).copied().collect()
     }
 
-    /// Pixels, counted from 0, with their places by astropy 8.0.2's `WCS.wcs_pix2world`, arcsec.
+    /// Pixels, counted from 0, with their positions by astropy 8.0.2's `WCS.wcs_pix2world`, arcsec.
     type Places = [([f64; 2], [f64; 2]); 3];
 
     #[track_caller]

@@ -1,6 +1,7 @@
-//! Films as files: pictures in a folder, GIF, APNG. What is not whole is not there: pictures go to a part beside, which is renamed at the end.
+//! Films as files: pictures in a folder, GIF, APNG. An incomplete film is never visible: pictures go to a temporary file or folder, which
+//! is renamed at the end.
 //!
-//! In GIF and APNG a pixel that is as in the picture before is transparent: few bytes hold what moves.
+//! In GIF and APNG an unchanged pixel is transparent, so that only changes need space.
 
 use super::form::{Destination, Form};
 use crate::columns::{folder_of, part_beside, refused};
@@ -28,10 +29,10 @@ enum Kind {
 }
 
 impl Writer {
-    /// Begins a film of so many pictures of a size, px.
+    /// Begins a film with a number of pictures of a size, px.
     ///
     /// # Errors
-    /// A file or folder that cannot be made.
+    /// If the file or folder cannot be created.
     pub fn begin(
         destination: &Destination,
         size_px: (u32, u32),
@@ -52,7 +53,7 @@ impl Writer {
     /// Adds a picture.
     ///
     /// # Errors
-    /// A file that cannot be written.
+    /// If the file cannot be written.
     pub fn add(&mut self, picture: &RgbImage) -> Result<(), FileError> {
         let added = match &mut self.kind {
             Kind::Folder(folder) => folder.add(picture),
@@ -62,10 +63,10 @@ impl Writer {
         added.map_err(|cause| refused(&self.path, cause))
     }
 
-    /// Puts the film in its place.
+    /// Moves the film to its destination.
     ///
     /// # Errors
-    /// A file that cannot be written or renamed.
+    /// If the file cannot be written or renamed.
     pub fn finish(self) -> Result<(), FileError> {
         let path = self.path.as_path();
         let finished = match self.kind {
@@ -77,7 +78,7 @@ impl Writer {
     }
 }
 
-/// A file that becomes the film.
+/// The temporary file of a film.
 fn part_of(path: &Path) -> io::Result<(NamedTempFile, BufWriter<File>)> {
     fs::create_dir_all(folder_of(path))?;
     let part = part_beside(path)?;
@@ -130,7 +131,7 @@ impl Folder {
         file.flush()
     }
 
-    /// Takes the place of a film that was there before.
+    /// Replaces an existing film.
     fn finish(self, path: &Path) -> io::Result<()> {
         fs::create_dir_all(path)?;
         for entry in fs::read_dir(path)? {
@@ -147,10 +148,10 @@ impl Folder {
     }
 }
 
-/// Levels of grey and of each colour in the palette: the same in all pictures, so that nothing flickers.
+/// Number of levels of grey and of each colour in the palette: the same in all pictures to avoid flicker.
 const GREYS: u16 = 128;
 const LEVELS: u16 = 5;
-/// Of a pixel that is as before.
+/// Palette index of an unchanged pixel.
 const TRANSPARENT: u8 = 255;
 
 struct Gif {
@@ -185,7 +186,7 @@ impl Gif {
         let frame = gif::Frame {
             width: self.size_px[0],
             height: self.size_px[1],
-            // In hundredths of a second.
+            // Unit: hundredths of a second.
             delay: 100 / RATE_HZ,
             dispose: gif::DisposalMethod::Keep,
             transparent: Some(TRANSPARENT),
@@ -204,7 +205,7 @@ impl Gif {
     }
 }
 
-/// Greys, then a cube of colours.
+/// Greys, followed by a cube of colours.
 fn palette() -> Vec<u8> {
     let grey = |n: u16| [(n * 255 / (GREYS - 1)) as u8; 3];
     let level = |n: u16| (n % LEVELS * 255 / (LEVELS - 1)) as u8;
@@ -213,7 +214,7 @@ fn palette() -> Vec<u8> {
     greys.chain((0..LEVELS.pow(3)).flat_map(colour)).collect()
 }
 
-/// The palette's nearest colour.
+/// The nearest colour of the palette.
 fn in_palette(Rgb(rgb): &Rgb<u8>) -> u8 {
     let nearest = |v: u8, levels: u16| (u16::from(v) * (levels - 1) + 127) / 255;
     let [red, green, blue] = rgb.map(|v| nearest(v, LEVELS));

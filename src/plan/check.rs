@@ -1,4 +1,4 @@
-//! Checks of the files and folders that a plan names. A flight opens its sources by itself, and waits for neither saved values nor archive.
+//! Checks of the files and folders named in a plan. A flight opens its sources by itself, and does not wait for saved values or archive.
 
 use super::{Plan, Remarks};
 use crate::camera::{CameraError, FolderCamera, Source};
@@ -34,7 +34,7 @@ impl Plan {
         self.saved_values(remarks);
     }
 
-    /// Saved values of commands that would fly instead of the configuration's.
+    /// Checks saved values of commands, which would replace the configuration's in flight.
     fn saved_values(&self, remarks: &mut Remarks) {
         let Some(file) = SavedValues::of(&self.config) else {
             return;
@@ -57,14 +57,14 @@ impl Plan {
     }
 }
 
-/// The device that holds a folder, or the nearest one above it that is there.
+/// The device of a folder, or of its nearest existing parent.
 pub fn device(folder: &Path) -> Option<u64> {
     let there = |folder: &Path| folder.metadata().ok();
     folder.ancestors().find_map(there).map(|found| found.dev())
 }
 
-/// Only whether they can be read and kept: what flies checks their sum, and starts without them where it is wrong. A file of something else
-/// is never replaced.
+/// Only checks whether they can be read and stored: the flight checks their checksum, and starts without them if it is wrong. A file with
+/// other contents is never replaced.
 fn values_file(file: &Path, remarks: &mut Remarks) {
     let key = "link.saved_values";
     let path = file.display();
@@ -116,7 +116,7 @@ fn source(camera: &ConfiguredCamera, remarks: &mut Remarks) {
                 }
             }
         }
-        // Where it is not there, the flight keeps searching for it.
+        // If it does not exist, the flight keeps searching for it.
         Some(Source::Followed(folder, _)) => {
             let folder = folder.clone();
             let found = remarks.answered(&key, move || (folder.is_dir(), folder));

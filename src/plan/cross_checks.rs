@@ -1,4 +1,4 @@
-//! Contradictions and implausible values of a configuration. Of other files only the key of the line is read.
+//! Contradictions and implausible values of a configuration. Of other files it only reads the key of the line.
 
 use super::Remarks;
 use crate::camera::{Backlog, Source};
@@ -38,8 +38,8 @@ pub(super) fn check(config: &Config, remarks: &mut Remarks) {
     }
 }
 
-/// Whether what is asked of the first camera of its role comes in time: a roll that is too old for the next frame of the Sun before the next of the horizon comes, and a
-/// request for the Moon, which waits for the exposure that runs, the next one, and its reading.
+/// Warns if the first camera of its role is too slow: a roll becomes too old for the frames of the Sun before the next frame of the
+/// horizon, or a request for the Moon, which must wait for the current exposure, the next one, and its readout, expires.
 fn waits(camera: &ConfiguredCamera, config: &Config, remarks: &mut Remarks) {
     let period_s = 1.0 / camera.rate_hz;
     let rate = format!("{}.rate_hz", camera.name);
@@ -80,7 +80,7 @@ fn exposure(camera: &ConfiguredCamera, remarks: &mut Remarks) {
     }
 }
 
-/// A camera can be opened once; a folder or the simulator may serve twice, if that is meant.
+/// A camera can be opened once; a folder or the simulator may be used twice intentionally.
 fn same_sources(config: &Config, remarks: &mut Remarks) {
     let cameras: Vec<&ConfiguredCamera> = config.cameras.flying().collect();
     for (n, camera) in cameras.iter().enumerate() {
@@ -95,7 +95,7 @@ fn same_sources(config: &Config, remarks: &mut Remarks) {
             None => {}
             // The simulator then draws the horizon or the Moon.
             Some(Source::Simulated(_)) if sees_sky => {}
-            // Each brings its own.
+            // Each camera supplies its own.
             Some(Source::Own) => {}
             Some(source) if source.is_real() => remarks.error(&key, expected, source.to_string()),
             Some(source) => remarks.warn(&key, expected, source.to_string()),
@@ -103,7 +103,8 @@ fn same_sources(config: &Config, remarks: &mut Remarks) {
     }
 }
 
-/// A folder that is followed is apart from the archive: a flight would take its own frames for the camera's, and an archive hold another's.
+/// A followed folder must be separate from the archive: a flight would otherwise take its own frames for the camera's, and an archive
+/// contain another's.
 fn followed(config: &Config, remarks: &mut Remarks) {
     let archive = &config.archive;
     let archives: Vec<PathBuf> = [&archive.directory, &archive.second_directory]
@@ -137,7 +138,7 @@ fn followed(config: &Config, remarks: &mut Remarks) {
     }
 }
 
-/// A path without links and dots; of one that is not there, as far as it is.
+/// A path without links and dots; for one that does not exist, as far as it exists.
 fn real(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.into());
     let there = path.ancestors().find_map(|above| {
@@ -194,7 +195,7 @@ fn navigation(own: &config::Navigation, remarks: &mut Remarks) {
 
 fn outputs(config: &Config, remarks: &mut Remarks) {
     for (name, output) in config.outputs.iter() {
-        // A file has said something of it, but not where it goes.
+        // The file configures the output, but not its destination.
         if output.to.is_none() && (name != Outputs::TABLE || *output != Output::default()) {
             let expected = Destination::EXPECTED;
             remarks.warn(

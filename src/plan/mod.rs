@@ -1,11 +1,11 @@
-//! The flight to be flown: the configuration with the files that it names, checked.
+//! The planned flight: the configuration with its files, checked.
 //!
 //! ```text
 //! configuration + options -> Plan and Remarks -> Flight
 //! ```
 //!
-//! `preflight`, `config check` and `fly` make the same plan, with the same checks of every value against the others. Only a plan without errors
-//! flies, unless it is forced to.
+//! `preflight`, `config check` and `fly` make the same plan, with the same checks of every value against the others. A plan with errors
+//! is not flown, unless it is forced.
 
 mod check;
 mod cross_checks;
@@ -41,12 +41,12 @@ pub struct Options {
     pub camera: Option<Source>,
     /// The controller's port.
     pub serial: Option<String>,
-    /// The archive's folders, the second one if any; empty where the configuration's hold.
+    /// The archive's folders, the second one if any; empty if the configuration's apply.
     pub archive: Vec<PathBuf>,
 }
 
 impl Options {
-    /// Puts what was said over the configuration.
+    /// Replaces values of the configuration by the stated options.
     pub fn over(&self, config: &mut Config) {
         let mut folders = self.archive.iter().cloned();
         if let Some(first) = folders.next() {
@@ -65,54 +65,54 @@ impl Options {
     }
 }
 
-/// A camera that is to fly.
+/// A camera of the planned flight.
 #[derive(Debug, Clone)]
 pub struct PlannedCamera {
     pub camera: Camera,
     pub configured: ConfiguredCamera,
     pub source: Source,
-    /// When values of its instrument were measured.
+    /// Dates at which values of its instrument were measured.
     pub dates: Vec<Dated>,
 }
 
-/// The navigation that is to fly.
+/// The navigation of the planned flight.
 #[derive(Debug, Clone)]
 pub struct PlannedNavigation {
     pub settings: navigation::NavigationSettings,
-    /// The file of the settings, letter by letter.
+    /// The text of the settings' file, unchanged.
     pub toml: String,
-    /// The IMU's own line; `None` where it sends on the controller's.
+    /// The IMU's own line; `None` if it uses the controller's.
     pub imu: Option<PortAddress>,
     pub gps: Option<PortAddress>,
 }
 
-/// The flight to be flown.
+/// The planned flight.
 #[derive(Debug, Clone)]
 pub struct Plan {
     pub config: Config,
-    /// In the order of their tables.
+    /// Cameras in the order of their tables.
     pub cameras: Vec<PlannedCamera>,
-    /// Where the controller is, and the end of a UDP line here.
+    /// Address of the controller, and the local end of a UDP line.
     pub line: Option<(PortAddress, LocalEnd)>,
-    /// `None` where no filter flies.
+    /// `None` if the flight has no navigation filter.
     pub navigation: Option<PlannedNavigation>,
     pub orientation: Arc<OrientationTable>,
     pub target: Target,
-    /// A simulated flight begins when it is planned.
+    /// The clock; a simulated flight begins when it is planned.
     pub clock: FlightClock,
 }
 
-/// How the frames of a plan's cameras come.
+/// Replay of frames from a plan's cameras.
 #[derive(Debug, Clone, Copy)]
 pub struct Replay {
     /// Length of a simulated run; `None` without end.
     pub duration: Option<Duration>,
-    /// How many times faster than it was taken a folder is replayed.
+    /// Speed of the replay of a folder, relative to the original.
     pub speed: f64,
 }
 
 impl Default for Replay {
-    /// Without end, and as fast as it was taken.
+    /// Endless, at the original speed.
     fn default() -> Self {
         let (duration, speed) = (None, 1.0);
         Self { duration, speed }
@@ -120,8 +120,8 @@ impl Default for Replay {
 }
 
 impl Plan {
-    /// Reads a configuration (the defaults without a file) and the files of its instruments, navigation and sky, and checks all against each other. What
-    /// is wrong is left out of the plan, or stays at its default, and is an error among the remarks.
+    /// Reads a configuration (the defaults without a file) and the files of its instruments, navigation and sky, and checks all against
+    /// each other. Faulty parts are omitted from the plan, or keep their defaults, and are reported as errors among the remarks.
     pub fn survey(file: Option<&Path>, options: &Options) -> (Self, Remarks) {
         let nobody = match *options == Options::default() {
             true => "defaults",
@@ -148,7 +148,7 @@ impl Plan {
         (Self::of(config, &mut remarks), remarks)
     }
 
-    /// Contents of the files that the configuration names.
+    /// Reads the files named in the configuration.
     fn of(config: Config, remarks: &mut Remarks) -> Self {
         let cameras = cameras(&config, remarks);
         let orientation = orientation(&config).map_err(|error| {
@@ -159,7 +159,7 @@ impl Plan {
         let orientation = orientation.unwrap_or_else(|()| OrientationTable::built_in());
         let mut ephemeris = Ephemeris::new(Arc::clone(&orientation));
         let target = target(&config, &mut ephemeris).map_err(|error| match error {
-            // It has been said why.
+            // The reason was already reported.
             _ if !known => {}
             NoTarget::Epoch(error) => {
                 let expected = "a time of which the sky is known";
@@ -170,7 +170,7 @@ impl Plan {
                 remarks.error("target", expected, error.to_string());
             }
         });
-        // A line with errors is not used: its guard may be wrong.
+        // A line with errors is not used, because its guard may be wrong.
         let line = match remarks
             .errors()
             .any(|one| one.what.field.starts_with("link."))
@@ -196,7 +196,7 @@ impl Plan {
         plan
     }
 
-    /// Whether the solver's settings leave a Sun.
+    /// Tests whether the solver still finds a Sun with the configured settings.
     fn prove(&self, remarks: &mut Remarks) {
         let instrument = self.cameras.iter().find_map(|one| one.camera.sees.plate());
         let is_changed = self.config.solver() != aspect::SolverSettings::default();
@@ -208,13 +208,13 @@ impl Plan {
         }
     }
 
-    /// Settings that the ground may change in such a flight.
+    /// Settings that the ground may change during such a flight.
     pub fn controls(&self) -> Controls {
         let cameras = self.cameras.iter().map(|one| &one.camera);
         Controls::of_flight(self.config.clone(), self.target, cameras)
     }
 
-    /// Whether the camera that commands speak of is there: nothing flies without it.
+    /// Whether the camera to which commands apply exists: without it there is no flight.
     pub fn has_first_camera(&self) -> bool {
         let first = &self.config.cameras.first().name;
         self.cameras
@@ -233,7 +233,8 @@ impl Plan {
         both.into_iter().flatten().cloned().collect()
     }
 
-    /// Record of the files that a camera has taken of a folder that it follows: kept in the first of the archive's folders; without an archive, in memory.
+    /// Record of the files already taken by a camera from a followed folder: stored in the first of the archive's folders; without an
+    /// archive, in memory.
     pub fn taken_files(&self, planned: &PlannedCamera) -> TakenFiles {
         let archive = self.folders().into_iter().next();
         archive.map_or_else(TakenFiles::default, |archive| {
@@ -242,10 +243,10 @@ impl Plan {
         })
     }
 
-    /// Makes the function that opens a camera of it, as often as needed; `taken` is what it has taken of a folder that it follows.
+    /// Makes the function that opens the camera, as often as needed; `taken` records the files already taken from a followed folder.
     ///
     /// # Errors
-    /// As [`camera::open`].
+    /// Those of [`camera::open`].
     pub fn camera_factory(
         &self,
         planned: &PlannedCamera,
@@ -265,7 +266,7 @@ impl Plan {
     }
 }
 
-/// The cameras with what they see; each file that is wrong is noted, and its camera left out. With several, each has a folder of its own.
+/// The cameras with their instruments; a faulty file is reported, and its camera omitted. If there are several, each has its own folder.
 fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
     let mut planned = Vec::new();
     for configured in config.cameras.flying() {
@@ -302,9 +303,9 @@ fn cameras(config: &Config, remarks: &mut Remarks) -> Vec<PlannedCamera> {
     planned
 }
 
-/// Whether frames of a camera's plate can be read: an error where none can, a warning where some of the field cannot.
+/// Checks whether frames of a camera's plate can be identified: an error if none can, a warning if those of some of the field cannot.
 fn plate(camera: &str, instrument: &Instrument, config: &Config, remarks: &mut Remarks) {
-    /// Less of the field is where a mounting was drawn that is off by three sigma and more.
+    /// A smaller part of the field corresponds to randomly drawn mountings that are off by three sigma or more.
     const NOTABLE_PART: f64 = 0.025;
     let (key, least_marks) = (format!("{camera}.instrument"), config.fiducial.min_marks);
     let found = plate_check::check(instrument, &config.solver(), &CheckSettings::quick());
@@ -327,7 +328,7 @@ fn navigation(config: &Config, remarks: &mut Remarks) -> Option<PlannedNavigatio
     let settings = navigation::NavigationSettings::parse(path, &toml);
     let settings = settings.and_then(|settings| settings.for_flight(path, &names));
     let settings = remarks.noted(settings)?;
-    // What is wrong with these has been said.
+    // Their errors were already reported.
     let (imu, gps) = (own.imu_address().ok()?, own.gps_address().ok()?);
     if settings.plumb_rad <= 0.0 && settings.cameras.len() < 2 {
         let expected = "filter.plumb_sigma_deg in its file, or a second camera: one direction determines no attitude";
@@ -341,10 +342,10 @@ fn navigation(config: &Config, remarks: &mut Remarks) -> Option<PlannedNavigatio
     })
 }
 
-/// The ephemeris with the configured table of Earth orientation, else the program's own.
+/// The ephemeris with the configured table of Earth orientation, or else the built-in one.
 ///
 /// # Errors
-/// A table that is refused.
+/// If the table is refused.
 pub fn ephemeris(config: &Config) -> Result<Ephemeris, TableError> {
     orientation(config).map(Ephemeris::new)
 }
@@ -356,7 +357,7 @@ fn orientation(config: &Config) -> Result<Arc<OrientationTable>, TableError> {
     }
 }
 
-/// Why a configured target cannot be pointed at.
+/// Reasons for which a configured target has no position.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoTarget {
     #[error("target.epoch_utc: {0}")]
@@ -365,10 +366,10 @@ pub enum NoTarget {
     Place(#[from] PointingError),
 }
 
-/// The configured target; with an epoch, the feature that stood there then.
+/// The configured target; with an epoch, the feature at that position then.
 ///
 /// # Errors
-/// An epoch of which the sky is not known, a feature off the disc.
+/// If the sky is not known at the epoch, or the feature is off the disc.
 pub fn target(config: &Config, ephemeris: &mut Ephemeris) -> Result<Target, NoTarget> {
     let at = HelioprojectiveArcsec {
         x: config.target.x_arcsec,

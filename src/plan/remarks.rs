@@ -1,4 +1,4 @@
-//! Errors and unusual values of a configuration: all at once.
+//! Collects all errors and unusual values of a configuration.
 
 use crate::bounded::within;
 use crate::instrument::TomlError;
@@ -11,11 +11,11 @@ use std::time::Duration;
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
     Error,
-    /// It would fly, though perhaps not as was meant.
+    /// It would fly, though perhaps not as intended.
     Warning,
 }
 
-/// One thing that is wrong with a configuration, or unusual.
+/// An error in a configuration, or an unusual value.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Remark {
     pub severity: Severity,
@@ -24,7 +24,7 @@ pub struct Remark {
     pub remedy: &'static str,
 }
 
-/// A folder of a day's frames may take seconds to list.
+/// Time allowed for a disk: listing a folder with a day's frames may take seconds.
 const PATIENCE: Duration = Duration::from_secs(20);
 const PARAMETERS: &str = "see docs/parameters.md";
 const BUILD: &str = "take a program built with `--features gige`, or another camera";
@@ -39,7 +39,7 @@ impl fmt::Display for Remark {
     }
 }
 
-/// A plan with errors, one a line.
+/// Errors of a plan, one per line.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{0}")]
 pub struct Faulty(String);
@@ -52,7 +52,7 @@ pub struct Remarks {
 }
 
 impl Remarks {
-    /// No remarks on a file yet.
+    /// An empty list of remarks on a file.
     pub(super) fn of(file: &Path) -> Self {
         Self {
             file: file.into(),
@@ -93,12 +93,12 @@ impl Remarks {
         self.add(Severity::Warning, what);
     }
 
-    /// Something that is wrong in a file.
+    /// An error in a file.
     pub(super) fn wrong(&mut self, what: TomlError) {
         self.add(Severity::Error, what);
     }
 
-    /// A source of frames that this program cannot have.
+    /// A source of frames that this program was built without.
     pub(super) fn not_built(&mut self, key: &str, found: String) {
         let expected = "a program built with `--features gige` for such a camera";
         self.list.push(Remark {
@@ -108,12 +108,12 @@ impl Remarks {
         });
     }
 
-    /// The value of a file, or the error noted.
+    /// Returns a value of a file, or adds the error to the remarks.
     pub(super) fn noted<T>(&mut self, result: Result<T, TomlError>) -> Option<T> {
         result.map_err(|what| self.add(Severity::Error, what)).ok()
     }
 
-    /// Result of `work`, or an error in a key of the configuration where the disk that it reads hangs.
+    /// Result of `work`, or an error in a key of the configuration if the disk that it reads hangs.
     pub(super) fn answered<T: Send + 'static>(
         &mut self,
         key: &str,
@@ -136,7 +136,7 @@ impl Remarks {
     /// Whether the plan may fly.
     ///
     /// # Errors
-    /// All that is wrong with it.
+    /// All errors of the plan.
     pub fn without_errors(&self) -> Result<(), Faulty> {
         let errors: Vec<String> = self.errors().map(|one| one.what.to_string()).collect();
         match errors.is_empty() {

@@ -1,4 +1,4 @@
-//! A plan in words: what would fly.
+//! A plan in words.
 
 use super::{Plan, PlannedCamera};
 use crate::config::{ConfiguredCamera, Switch};

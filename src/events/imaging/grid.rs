@@ -1,4 +1,4 @@
-//! The squares of the sky in which photons are counted.
+//! The pixels of the sky in which photons are counted.
 
 use crate::archive::Helioprojection;
 use crate::fits::Problem;
@@ -11,14 +11,14 @@ const MOST_PX: f64 = 4096.0;
 /// Field of an image: a rectangle along solar west and north.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Field {
-    /// From the Sun's centre, to solar west and north.
+    /// Position relative to the Sun's centre, to solar west and north.
     pub centre_arcsec: [f64; 2],
     /// Width and height.
     pub size_arcsec: [f64; 2],
 }
 
 impl Default for Field {
-    /// The Sun, and a quarter of its radius about it.
+    /// The Sun with a margin of a quarter of its radius.
     fn default() -> Self {
         Self {
             centre_arcsec: [0.0; 2],
@@ -27,19 +27,19 @@ impl Default for Field {
     }
 }
 
-/// Squares in the plane that touches the sky at the Sun's centre, counted from 0; rows run to solar west, and the next one is to the north.
+/// Square pixels in the tangent plane of the sky at the Sun's centre, counted from 0; rows run to solar west, and the next row is to the north.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
     pub pixel_arcsec: f64,
     pub width_px: usize,
     pub height_px: usize,
-    /// Where the Sun's centre is; the first pixel has its centre at 0.
+    /// Position of the Sun's centre; the first pixel has its centre at 0.
     sun_px: [f64; 2],
 }
 
 impl Grid {
     /// # Errors
-    /// A field of more pixels than an image may have, or of none.
+    /// If the field has too many pixels, or none.
     pub fn new(pixel_arcsec: f64, field: &Field) -> Result<Self, Problem> {
         let size_px = field.size_arcsec.map(|size| (size / pixel_arcsec).ceil());
         let [width, height] = size_px;
@@ -60,14 +60,14 @@ impl Grid {
         })
     }
 
-    /// Where a direction in the axes about the Sun is, px; `None` behind the observer.
+    /// Position of a direction in the axes about the Sun, px; `None` behind the observer.
     pub fn place_px(&self, towards: &Vector3<f64>) -> Option<[f64; 2]> {
         let scale = ARCSEC_PER_RAD / self.pixel_arcsec / towards.x;
         let [x, y] = self.sun_px;
         (towards.x > 0.0).then_some([x + towards.y * scale, y + towards.z * scale])
     }
 
-    /// The number of the pixel at a place, row by row.
+    /// The index of the pixel at a position, row by row.
     pub fn pixel(&self, place_px: [f64; 2]) -> Option<usize> {
         let [column, row] = place_px.map(|along| (along + 0.5).floor());
         let is_inside = (0.0..self.width_px as f64).contains(&column)

@@ -1,24 +1,24 @@
-//! For how long each pixel was in the field of a detector that counted, with a valid pointing.
+//! Exposure map: time for which each pixel was in the field of a live detector with a valid pointing.
 
 use super::grid::Grid;
 use crate::events::detectors::FromBoresight;
 use crate::pointing_history::PointingHistory;
 use nalgebra::Vector3;
 
-/// The field is evaluated at the ends of pieces no longer than this, s: swings take seconds.
+/// The field is evaluated at the ends of pieces of at most this length, s: swings take seconds.
 const PIECE_S: f64 = 0.1;
-/// In each part of a piece the field moves no further, px.
+/// Greatest motion of the field in each part of a piece, px.
 const STEP_PX: f64 = 0.5;
-/// More parts than this no piece has: in a slew of a degree a second each is a tenth of a pixel of 5 arcsec long.
+/// Greatest number of parts in a piece: in a slew of a degree per second each is a tenth of a pixel of 5 arcsec long.
 const MOST_PARTS: f64 = 1000.0;
 
 /// The corners of a detector's field, in order.
 pub type Corners = [FromBoresight; 4];
 
-/// A map in the making.
+/// A map under construction.
 pub struct LiveTime<'a> {
     grid: &'a Grid,
-    /// Of each row, by how much the time changes from a pixel to the next, s.
+    /// Differences of the time between neighbouring pixels of each row, s.
     changes_s: Vec<f64>,
 }
 
@@ -30,7 +30,7 @@ impl<'a> LiveTime<'a> {
         }
     }
 
-    /// Adds an interval in which a detector counted for a part of the time.
+    /// Adds an interval in which a detector was live for a fraction of the time.
     pub fn add(
         &mut self,
         history: &PointingHistory,
@@ -58,7 +58,7 @@ impl<'a> LiveTime<'a> {
         }
     }
 
-    /// The outline of a field on the image; straight lines stay straight in planes that touch the sky.
+    /// The outline of a field on the image; straight lines remain straight in tangent planes of the sky.
     fn outline_px(
         &self,
         history: &PointingHistory,
@@ -76,7 +76,7 @@ impl<'a> LiveTime<'a> {
         Some(outline)
     }
 
-    /// Adds a time to the pixels within a convex outline; a pixel that its left or right edge cuts has its share.
+    /// Adds a time to the pixels within a convex outline, in proportion for pixels cut by its left or right edge.
     fn fill(&mut self, outline: &[[f64; 2]; 4], seconds: f64) {
         let rows = outline.iter().map(|[_, y]| *y);
         let (low, high) = rows.fold((f64::MAX, f64::MIN), |(low, high), y| {
@@ -101,7 +101,7 @@ impl<'a> LiveTime<'a> {
         }
     }
 
-    /// From a place of a row on, the time is longer.
+    /// Increases the time of a row from a position on.
     fn change(&mut self, row: usize, from_px: f64, seconds: f64) {
         let from = (from_px + 0.5).clamp(0.0, self.grid.width_px as f64);
         let (pixel, part) = (from.floor(), from.fract());
@@ -117,7 +117,7 @@ impl<'a> LiveTime<'a> {
         let along = |row: &[f64]| {
             let times = row[..width].iter().scan(0.0, |sum, change| {
                 *sum += change;
-                // What sums of many steps leave where no time is.
+                // Suppress rounding errors of the sums where the time is zero.
                 Some(if *sum > 1e-9 { *sum as f32 } else { 0.0 })
             });
             times.collect::<Vec<f32>>()
@@ -126,7 +126,7 @@ impl<'a> LiveTime<'a> {
     }
 }
 
-/// How far the corner that moves most has moved.
+/// Displacement of the corner that moves most.
 fn moved_px(from: &[[f64; 2]; 4], to: &[[f64; 2]; 4]) -> f64 {
     let moved = from
         .iter()

@@ -1,5 +1,4 @@
-//! The image that photons make: how many came from each square of the sky, for how long each square was seen, and, apart, the photons that
-//! are not to be used.
+//! Images of photons: the number from each pixel of the sky, the exposure of each pixel, and, separately, the invalid photons.
 
 mod grid;
 mod live_time;
@@ -24,20 +23,20 @@ use std::path::PathBuf;
 /// Settings of the image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImageRequest {
-    /// FITS; what stood there is replaced.
+    /// FITS file; an existing one is replaced.
     pub path: PathBuf,
     pub pixel_arcsec: f64,
     pub field: Field,
-    /// Which photons count; all of them without it.
+    /// Energies of the photons that count; all without it.
     pub energies: Option<Energies>,
 }
 
 /// A range of energies.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Energies {
-    /// The column of the photons' table, of an energy or a channel.
+    /// The column of the photons' table with an energy or a channel.
     pub column: String,
-    /// From one value to another, both included.
+    /// Lowest and highest value, both included.
     pub range: [f64; 2],
 }
 
@@ -53,31 +52,31 @@ impl fmt::Display for Energies {
 pub struct Imaged {
     pub width_px: usize,
     pub height_px: usize,
-    /// In the image.
+    /// Photons in the image.
     pub photons: u64,
-    /// In the image of those that are not to be used.
+    /// Invalid photons in the image.
     pub invalid: u64,
-    /// Elsewhere in the sky.
+    /// Photons elsewhere in the sky.
     pub outside: u64,
-    /// Whose place is not known.
+    /// Photons whose position is not known.
     pub unplaced: u64,
-    /// Of other energies, wherever they are.
+    /// Photons of other energies, at any position.
     pub other_energies: u64,
-    /// The time for which a detector counted with a valid pointing, mean of the detectors, s.
+    /// The live time with a valid pointing, mean of the detectors, s.
     pub live_s: f64,
 }
 
 /// Contribution of each detector.
 struct Seen<'a> {
-    /// From where to where it measures x and y.
+    /// Ranges of the measured x and y.
     field: [[f64; 2]; 2],
     corners: Corners,
-    /// When it counts with a valid pointing; `None` of a list that does not say when detectors counted.
+    /// Times at which it counts with a valid pointing; `None` if the list has no good times.
     good: Option<&'a Good>,
 }
 
 impl Seen<'_> {
-    /// Whether a photon was measured where and when the exposure counts.
+    /// Whether a photon was measured within the field and times of the exposure.
     fn sees(&self, row: &PhotonRow, photon: &Photon) -> bool {
         let within = |(at, [low, high]): (&f64, &[f64; 2])| (*low..=*high).contains(at);
         let is_good = |good: &Good| photon.unix_s.is_some_and(|at| good.holds(at));
@@ -85,7 +84,7 @@ impl Seen<'_> {
     }
 }
 
-/// An image in the making.
+/// An image under construction.
 pub struct Picture<'a> {
     request: &'a ImageRequest,
     grid: Grid,
@@ -96,10 +95,10 @@ pub struct Picture<'a> {
 }
 
 impl<'a> Picture<'a> {
-    /// An image without photons; `fields` are those of the detectors, `good` their good times, where the list has them.
+    /// An image without photons; `fields` are those of the detectors, `good` their good times, if the list has them.
     ///
     /// # Errors
-    /// Good times that do not say of which detector they are.
+    /// If good times cannot be assigned to a detector.
     pub fn new(
         request: &'a ImageRequest,
         grid: Grid,
@@ -134,7 +133,7 @@ impl<'a> Picture<'a> {
         })
     }
 
-    /// Counts a photon that a detector, by its number in DET.toml, has measured.
+    /// Counts a photon measured by a detector, given by its index in DET.toml.
     pub fn count(&mut self, row: &PhotonRow, photon: &Photon, detector: usize) {
         let is_wanted = |energies: &Energies| {
             let [low, high] = energies.range;
@@ -172,11 +171,11 @@ impl<'a> Picture<'a> {
         self.request
     }
 
-    /// The file's bytes, and what is in it. `otherwise` are the good times of detectors whose list has none; `cards` and `lines` of HISTORY stand
-    /// in each header.
+    /// The bytes of the file, and a summary of the image. `otherwise` are the good times of detectors whose list has none; `cards` and
+    /// `lines` of HISTORY are added to each header.
     ///
     /// # Errors
-    /// No time at all for which a detector counted with a valid pointing.
+    /// If no detector counted at any time with a valid pointing.
     pub fn finish(
         self,
         history: &PointingHistory,
@@ -235,7 +234,7 @@ impl<'a> Picture<'a> {
     }
 }
 
-/// When was observed, for how long, and from where in the middle of that.
+/// Cards on the times of the observation, its length, and the observer's position in its middle.
 fn observation_cards<'a>(
     history: &PointingHistory,
     good: impl Iterator<Item = &'a Good>,
@@ -251,7 +250,7 @@ fn observation_cards<'a>(
     let middle_s = middle_s(&intervals);
     let utc = |unix_s: f64| {
         let utc = Timestamp::from_nanosecond((unix_s * 1e9) as i128).ok()?;
-        // sunpy keeps milliseconds of a map's time: with more it takes the map's own observer for another one.
+        // sunpy rounds a map's time to milliseconds: with more digits it would take the map's own observer for another one.
         utc.round(Unit::Millisecond).ok()
     };
     let mut cards = vec![
@@ -275,7 +274,7 @@ fn observation_cards<'a>(
     Ok(cards)
 }
 
-/// Before and after it was observed for as long.
+/// Middle of the observed time: equal times were observed before and after it.
 fn middle_s(intervals: &[[f64; 2]]) -> f64 {
     let all_s: f64 = intervals.iter().map(|[start, stop]| stop - start).sum();
     let mut before_s = all_s / 2.0;
