@@ -20,7 +20,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 pub enum Lens {
     /// tan theta.
     Rectilinear,
-    /// k1 to k5 of the odd powers of theta (rad), from theta to theta^9.
+    /// Coefficients k1 to k5 of the odd powers of theta (rad), from theta to theta^9.
     KannalaBrandt([f64; 5]),
 }
 

@@ -1,7 +1,7 @@
 //! Radial and decentring distortion of the camera lens (Brown 1966, "Decentering Distortion of Lenses").
 //!
-//! With d the position relative to the distortion's centre on the ideal (undistorted) sensor and r = |d|, the distorted position is `d (1
-//! + k1 r^2 + k2 r^4) + (2 p1 dx dy + p2 (r^2 + 2 dx^2), p1 (r^2 + 2 dy^2) + 2 p2 dx dy)`.
+//! With d the position relative to the distortion's centre on the ideal (undistorted) sensor and r = |d|, the distorted position
+//! is `d (1 + k1 r^2 + k2 r^4) + (2 p1 dx dy + p2 (r^2 + 2 dx^2), p1 (r^2 + 2 dy^2) + 2 p2 dx dy)`.
 
 use crate::units::SensorPx;
 use nalgebra::{Matrix2, Vector2};

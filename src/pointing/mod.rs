@@ -275,7 +275,7 @@ pub fn sun_on_plate(
 /// The Sun in the telescope's own axes: forward along the boresight, right and down.
 pub fn sun_in_telescope(sun_on_plate: PlateMil, instrument: &Instrument) -> UnitVector3<f64> {
     let level = Roll::Measured(Measured::new(0.0, 0.0));
-    // From the Sun to the boresight.
+    // Vector from the Sun to the boresight.
     let [up, right] = Alignment::new(instrument, level)
         .on_plane(sun_on_plate)
         .into();

@@ -29,7 +29,7 @@ const LEAST_READINGS: usize = 20;
 const LEAST_DRIFT_S: f64 = 10.0;
 /// Largest drift of a crystal, assumed where it was not measured.
 const UNKNOWN_DRIFT: f64 = 1e-4;
-/// Runs that differ by so many sigma, or by less than the least step, agree.
+/// Runs that differ by less than this many sigma, or by less than the least step, agree.
 const AGREE_SIGMAS: f64 = 5.0;
 
 /// Both clocks at a frame.

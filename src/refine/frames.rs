@@ -157,8 +157,7 @@ impl Against {
     }
 
     /// Set if no frame is fine, and in most frames that show something bright the marks do not match the plate as seen by
-    /// this instrument: a
-    /// mirrored picture, or another plate.
+    /// this instrument: a mirrored picture, or another plate.
     fn unidentified(&self) -> Option<String> {
         let (frames, bright) = (self.unidentified.values().sum::<usize>(), self.bright);
         let (reason, _) = self

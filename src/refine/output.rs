@@ -88,7 +88,7 @@ pub struct Summary {
 pub struct PointingFacts {
     /// Cameras compared with the attitude by gyros; none without an IMU.
     pub witnesses: Option<Compared>,
-    /// How long the telescope was near its target; none where that is not known.
+    /// Time that the telescope was near its target; none where that is not known.
     pub on_target: Option<OnTarget>,
 }
 

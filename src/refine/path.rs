@@ -1,8 +1,7 @@
 //! The Sun's path by the frames, and the frames that lie off it.
 //!
 //! If a frame's limb determines its own radius, and this is the flight's, the disc is the Sun: the frame defines the path,
-//! wherever it is. A
-//! frame that shows less of the limb is compared with the path of those.
+//! wherever it is. A frame that shows less of the limb is compared with the path of those.
 
 use super::suns::{Flight, Suns};
 use crate::estimation::median;
@@ -141,8 +140,7 @@ impl SunPath {
 }
 
 /// Correlation time of the mapping's errors. For a smoothed random walk it is twice the variance of the error over the
-/// density of the walk's
-/// process noise; a jump starts new errors.
+/// density of the walk's process noise; a jump starts new errors.
 fn shared_errors(flight: &Flight, suns: &Suns, first_s: f64) -> SharedErrors {
     let Some(mapping) = &flight.mapping else {
         return SharedErrors::default();

@@ -200,7 +200,7 @@ fn caption(path: &SolarPath) -> String {
     )
 }
 
-/// For how long the boresight was where, and what a map of that says.
+/// Map of the boresight's dwell time, and its caption.
 fn dwell(path: &SolarPath, ground: &Ground) -> (Result<String, PlotError>, String) {
     let cell = plot::cell_of(ground);
     let each_s = 1.0 / path.rate_hz;

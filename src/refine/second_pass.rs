@@ -27,7 +27,7 @@ use rayon::prelude::*;
 
 /// Position uncertainty above which the disc is searched for, 1 sigma, px.
 const VAGUE_PX: f64 = 2.0;
-/// The search extends over so many sigmas and a margin, px.
+/// The search extends over this many sigmas plus a margin, px.
 const SEARCHED_SIGMAS: f64 = 4.0;
 const SEARCHED_PX: f64 = 10.0;
 /// Parts of the radius within which the disc's level is measured, and between which that of its surroundings.
@@ -37,7 +37,7 @@ const AROUND: [f64; 2] = [1.15, 1.6];
 const DISC_QUANTILE: f64 = 0.9;
 /// Fewer pixels do not determine a level.
 const LEAST_PIXELS: usize = 100;
-/// The disc must outshine its surroundings by so many sigma of a pixel's noise.
+/// Least contrast of the disc with its surroundings, in sigmas of a pixel's noise.
 const LEAST_CONTRAST: f64 = 2.0;
 /// Sigma of a limb point (px) at a contrast of one, with 180 points on the limb; and the largest sigma accepted: fewer points are used to
 /// reach it, because less accurate points cannot be distinguished from noise.
@@ -56,7 +56,7 @@ const MAX_SCATTER_PX: f64 = 1.0;
 const MOST_PLACE_SIGMA_MIL: f64 = 200.0;
 /// Distance between a frame's own disc and the disc of the second pass, 1 sigma.
 const OWN_DISC_SIGMA_MIL: f64 = 5.0;
-/// A frame's own disc is another object if it is so many sigma off the path.
+/// A frame's own disc is another object if it is this many sigma off the path.
 const OTHER_THING_SIGMAS: f64 = 8.0;
 
 /// Solves again the frames in which disc and marks were not found, or were identified wrongly. Returns in order those that now have another

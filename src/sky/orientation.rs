@@ -2,8 +2,8 @@
 //!
 //! The built-in table is made by `tools/iers` from the IERS's finals2000A and list of leap seconds: measured from 1973 on, predicted for
 //! about a year after it was made. UT1 - TAI, which has no leap seconds, and the pole are interpolated linearly between its rows, within
-//! 0.4 ms (0.006 arcsec of azimuth) of the daily values. The IERS states
-//! 1 sigma of the predictions: 25 ms (0.4 arcsec) after a year. Before 1990 its own series differ by up to 6 ms.
+//! 0.4 ms (0.006 arcsec of azimuth) of the daily values. The IERS states 1 sigma of the predictions: 25 ms
+//! (0.4 arcsec) after a year. Before 1990 its own series differ by up to 6 ms.
 //!
 //! After its last row the pole is constant, and UT1 - TAI is extrapolated with the trend of the table's last year and a 1 sigma that grows:
 //! 21 ms (Bulletin A's 0.00025 s d^0.75 for d = 365 days of prediction) and 0.35 ms for each day. That covers the rms error of this rule

@@ -339,8 +339,8 @@ mod tests {
         assert!((high - low - 0.071).abs() < 0.015, "{low}, {high}");
     }
 
-    /// The fraction of an orbit in which a body is above the limb. The line from the orbit to the body that grazes the Earth spans acos(R
-    /// / orbit) + acos(R / distance) at the Earth's centre.
+    /// The fraction of an orbit in which a body is above the limb. The line from the orbit to the body that grazes the Earth
+    /// spans acos(R / orbit) + acos(R / distance) at the Earth's centre.
     fn share_of_an_orbit(body_km: &Vector3<f64>, normal: &Vector3<f64>) -> f64 {
         let earth_km = EARTH_RADIUS_M / 1e3;
         let from_plane = body_km.normalize().dot(normal).asin();

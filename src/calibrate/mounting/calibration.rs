@@ -1,4 +1,4 @@
-//! From observations to a mounting.
+//! Calibrates a mounting from observations.
 
 use super::fit::{self, Fits, MountingFit, Pointings};
 use super::observation::{MountingError, SunObservation};

@@ -1,4 +1,4 @@
-//! From frames to observations of the Sun.
+//! Makes observations of the Sun from frames.
 
 use super::log::PointingLog;
 use super::observation::SunObservation;

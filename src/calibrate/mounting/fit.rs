@@ -19,7 +19,7 @@ use nalgebra::{DMatrix, DVector, Matrix2, SMatrix, SVector, Vector2, Vector4, Ve
 pub enum Pointings {
     /// Each observation has its own known pointing.
     Known,
-    /// One direction for all, unknown: a drift scan.
+    /// All observations have one unknown pointing: a drift scan.
     Fixed,
 }
 

@@ -163,7 +163,7 @@ impl AttitudeLog {
     /// [`PointingLog::read`] does.
     ///
     /// # Errors
-    /// As there.
+    /// Those of [`PointingLog::read`].
     pub fn read(path: &Path) -> Result<Self, TableError> {
         AngleLog::read(path, &ATTITUDE).map(Self)
     }

@@ -134,7 +134,7 @@ impl State {
 
 /// Inputs of the adjustment: observations and priors.
 pub(super) struct Problem<'a> {
-    /// By pose.
+    /// Cells of each pose.
     pub cells: &'a [Vec<Cell>],
     pub marks: &'a [MarkPrior],
     /// 1 sigma of each lens term, px at its reach.

@@ -207,7 +207,7 @@ impl Span {
         (half_h > 0.0).then_some(Self { first, half_h })
     }
 
-    /// From -1 at the first frame to 1 at the last.
+    /// Time within the pose, from -1 at the first frame to 1 at the last.
     fn time(&self, utc: Timestamp) -> f64 {
         utc.duration_since(self.first).as_secs_f64() / 3600.0 / self.half_h - 1.0
     }

@@ -1,4 +1,4 @@
-//! From frames to observations.
+//! Makes observations from frames.
 
 use super::observation::{Horizon, HorizonObservation, Known};
 use crate::calibrate::mounting::{AttitudeLog, SunObservation};

@@ -237,7 +237,7 @@ fn sigmas_deg(covariance_rad2: &Matrix3<f64>) -> [f64; 3] {
     variances.map(|v| v.max(0.0).sqrt().to_degrees()).into()
 }
 
-/// Advice on a turn that the frames do not determine.
+/// Advice on a rotation that the frames do not determine.
 fn what_would(by_sun: bool) -> &'static str {
     match by_sun {
         true => {

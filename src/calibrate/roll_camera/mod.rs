@@ -1,6 +1,6 @@
 //! Orientation of a camera that sees the horizon in the body that carries it: `camera.body_from_camera`.
 //!
-//! A [`HorizonObservation`] is one frame's nadir in the camera's axes and what is known of it in the body's:
+//! A [`HorizonObservation`] is one frame's nadir in the camera's axes and its reference in the body's:
 //! - the nadir itself, if roll and pitch of the body are known;
 //! - its angle from the Sun, if a telescope on the same body saw the Sun at the time: 90 deg plus the Sun's elevation. The telescope's
 //!   boresight is then the body's forward axis. One angle does not determine the rotation about the Sun's direction; this becomes observable

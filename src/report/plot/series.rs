@@ -110,8 +110,8 @@ pub fn series(labels: &Labels, series: &[Series]) -> Result<String, PlotError> {
     Ok(sheet(SIZE, labels, (x, Axis::linear(of_y)), series).finish())
 }
 
-/// Draws figures one below the other, over exactly one range of times (seconds since 1970-01-01, UTC). A figure without values says so.
-/// The root element states the panels' edges: `data-left` and `data-right`, px.
+/// Draws figures one below the other, over exactly one range of times (seconds since 1970-01-01, UTC). A figure without values is an empty
+/// panel. The root element states the panels' edges: `data-left` and `data-right`, px.
 pub fn stack(figures: &[Figure], (from, to): (f64, f64)) -> String {
     let x = Axis::exact_utc(from, to);
     let (mut body, mut height, mut edges_px) = (String::new(), 0.0, (0.0, 0.0));
