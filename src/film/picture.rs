@@ -105,7 +105,7 @@ impl<'a> Painter<'a> {
         (MAP_PX + beside, MAP_PX + LINES * Canvas::LINE_PX)
     }
 
-    /// The picture of a moment, with the frame beside; those of a film in the order of time.
+    /// The picture of a moment, with the frame beside it; must be called in the order of time.
     pub fn picture(
         &mut self,
         track: &Track,

@@ -22,7 +22,7 @@ pub(super) struct Frame {
     pub disc: Option<OwnDisc>,
     /// Background, noise and disc, DN.
     pub levels_dn: Option<[f32; 3]>,
-    /// Marks that were read.
+    /// Number of identified marks.
     pub marks: u16,
     pub temperature_c: Option<f64>,
     /// The disc's radius from ephemeris and plate distance.

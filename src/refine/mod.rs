@@ -1,6 +1,6 @@
 //! The best aspect history of a flight from its archive: [`refine`].
 //!
-//! 1. Every frame on its own ([`observe`](crate::observe)): the full pipeline without a prior, on all cores. Its result is a compact
+//! 1. Every frame on its own ([`observe`](crate::observe)): the pipeline without a tracking prior, on all cores. Its result is a compact
 //!    [`FrameRecord`] in a journal; neither pixels nor solutions are kept. A run that is killed resumes where it stopped.
 //! 2. The flight as a whole ([`History::new`]). Each stage adds a column for the dated frames:
 //!

@@ -117,7 +117,7 @@ fn usual_roll_deg(by_gyros: &States) -> Option<Measured> {
     (count > 0.0).then(|| Measured::new(mean, square.sqrt()))
 }
 
-/// The nearest of some things in the order of time, if it is near.
+/// The item nearest in time, of items in the order of time, if it is near.
 pub(super) fn nearest<T>(things: &[T], time: impl Fn(&T) -> f64, time_s: f64) -> Option<&T> {
     let next = things.partition_point(|thing| time(thing) < time_s);
     let both = things[next.saturating_sub(1)..].iter().take(2);

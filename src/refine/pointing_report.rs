@@ -222,7 +222,7 @@ mod tests {
     use crate::sky::Ephemeris;
     use nalgebra::Matrix2;
 
-    /// A path about a target, as wide, and in its first second far off.
+    /// A path of this width around a target, and far off in its first second.
     fn path(width_arcsec: f64) -> SolarPath {
         let step = |n: u32| {
             let (sin, cos) = (f64::from(n) / 30.0).sin_cos();

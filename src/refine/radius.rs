@@ -116,7 +116,7 @@ impl RadiusDependence {
     }
 }
 
-/// The radius over the expected one, of fine frames that show enough of the limb to determine it.
+/// The radius relative to the expected one, of fine frames that show enough of the limb to determine it.
 fn ratio(flight: &Flight, suns: &Suns, n: usize) -> Option<f64> {
     let frame = &flight.frames[n];
     suns.fine(flight, n).filter(|_| suns.is_sure(frame, n))?;

@@ -20,7 +20,7 @@ const TOGETHER: usize = 1024;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StabilisationRow {
     pub unix_s: f64,
-    /// None where the pointing or the target is not known.
+    /// None if the pointing or the target is not known.
     pub offset: Option<StableOffset>,
     /// Whether the offset is known and nothing contradicts it. A slew or a large sigma (which is given) does not invalidate it.
     pub is_valid: bool,
@@ -51,8 +51,8 @@ pub enum RateError {
 
 /// The offset at the multiples of 1 / `rate_hz`, s since 1970, from the first dated frame to the last.
 ///
+/// # Errors
 /// If the rate makes more than ten million rows.
-/// A rate that makes more than ten million rows.
 pub fn stabilisation(
     history: &History,
     pointing: &PointingHistory,

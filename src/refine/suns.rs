@@ -49,7 +49,7 @@ pub(super) struct Seen {
 }
 
 impl Flight {
-    /// Covariance that the mapping of a frame adds to a place, mil^2.
+    /// Covariance that the mapping of a frame adds to a position, mil^2.
     fn by_mapping(&self, n: usize, place: PlateMil) -> Option<Matrix2<f64>> {
         let mapping = self.mapping.as_ref()?;
         Some(mapping.covariance_mil2(n, place, &mapping.at(n)?))

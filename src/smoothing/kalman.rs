@@ -41,8 +41,8 @@ impl Likelihood {
     }
 }
 
-/// The disturbance of a step estimated from all observations, with the prediction's covariance: the auxiliary residual of
-/// Harvey and Koopman (1992).
+/// The disturbance of a step estimated from all observations, times the inverse of the prediction's covariance: the auxiliary residual
+/// of Harvey and Koopman (1992).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Disturbance<const N: usize> {
     pub residual: SVector<f64, N>,
