@@ -53,7 +53,7 @@ impl Answer {
 
 impl Hears for Shared<Recent> {
     fn hear(&self, answer: &Answer) {
-        /// More than any camera takes between two packets.
+        /// Number of solve times kept: more frames than any camera takes between two packets.
         const MOST: usize = 1000;
         let mut recent = self.lock();
         recent.answer = Some(answer.clone());
@@ -71,7 +71,7 @@ impl Hears for Sender<Answer> {
 }
 
 impl Solved {
-    /// Result of a frame, in words; `None` where it shows nothing.
+    /// Result of a frame, in words; `None` if it shows nothing.
     pub fn in_words(&self) -> Option<String> {
         match &self.found {
             Found::Sun(sun) => sun_in_words(sun),

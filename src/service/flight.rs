@@ -24,22 +24,22 @@ use std::time::Duration;
 /// Parts of a flight.
 pub struct Flight {
     pub config: Config,
-    /// Where the telescope should point until a command says otherwise.
+    /// Target of the telescope until a command changes it.
     pub target: Target,
     pub ephemeris: Ephemeris,
-    /// The first pitch-yaw camera, of which commands speak, before all others.
+    /// All cameras of the flight. The first pitch-yaw camera, to which commands refer, comes before all others.
     pub cameras: Vec<FlightCamera>,
     /// The line to the controller.
     pub line: Connection,
-    /// How the attitude goes on between frames; `None` where no filter flies.
+    /// Attitude propagation between frames; `None` without a navigation filter.
     pub navigation: Option<Navigation>,
-    /// The archives on the disks; none where frames are not kept.
+    /// The archives on the disks; empty if frames are not kept.
     pub stores: Vec<Store>,
-    /// The lock of the saved values, where they are [claimed](Self::claim).
+    /// The lock of the saved values, if they are [claimed](Self::claim).
     pub saved_values: Option<Lock>,
 }
 
-/// Why a flight does not begin: another one may go on.
+/// Reason why a flight does not begin: another program may be flying.
 #[derive(Debug, thiserror::Error)]
 pub enum ClaimError {
     #[error(transparent)]
@@ -48,16 +48,16 @@ pub enum ClaimError {
     SavedValues(#[from] SavedError),
 }
 
-/// A camera that nothing can be brought for.
+/// Error: no camera of this name has the source `own`.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("[{0}]: expected a camera of the flight whose source is \"own\", found none")]
 pub struct NoOwnCamera(String);
 
-/// How long a disk is waited for at the start. One that hangs keeps nothing from starting.
+/// Longest wait for a disk at the start. A disk that hangs does not prevent the start.
 const CLAIM: Duration = Duration::from_millis(500);
 
 impl Flight {
-    /// A flight of some cameras with the defaults for everything else: no line, no archive, the disc's centre as target.
+    /// A flight of the given cameras with the defaults for everything else: no line, no archive, the disc's centre as target.
     pub fn of(cameras: Vec<FlightCamera>) -> Self {
         Self {
             config: Config::default(),
@@ -71,10 +71,10 @@ impl Flight {
         }
     }
 
-    /// The flight of a plan. Cameras, ports and disks are opened later, and those that are not there are searched for in flight.
+    /// The flight of a plan. Cameras, ports and disks are opened later; missing ones are searched for in flight.
     ///
     /// # Errors
-    /// A key of the line that can no longer be read.
+    /// If a key of the line can no longer be read.
     pub fn of_plan(plan: &Plan, replay: Replay) -> Result<Self, Refused> {
         let camera = |planned: &PlannedCamera| FlightCamera {
             camera: planned.camera.clone(),
@@ -101,10 +101,10 @@ impl Flight {
         })
     }
 
-    /// Brings the camera of a table whose source is `own`: `open` opens it, now and whenever its thread has failed.
+    /// Supplies the camera of a table whose source is `own`: `open` opens it, now and whenever its thread has failed.
     ///
     /// # Errors
-    /// Where no such camera flies.
+    /// If no such camera flies.
     pub fn bring_camera<S: FrameSource + 'static>(
         &mut self,
         table: &str,
@@ -119,11 +119,11 @@ impl Flight {
         Ok(())
     }
 
-    /// Takes archives and saved values for this program alone, before anything is sent or a camera opened. Disks that are not there, or
-    /// hang, are left for later.
+    /// Claims archives and saved values for this program alone, before anything is sent or a camera opened. Disks that are missing or
+    /// hang are claimed later.
     ///
     /// # Errors
-    /// Another program flies with one of them, or the file of saved values is something else.
+    /// If another program flies with one of them, or the file of saved values is not one.
     pub fn claim(&mut self) -> Result<(), ClaimError> {
         for store in &self.stores {
             store.claim_within(CLAIM)?;
@@ -134,8 +134,8 @@ impl Flight {
         Ok(())
     }
 
-    /// The effective configuration as a file that gives it again. Comments at its head name the cameras' instruments with their
-    /// hashes, so that the hash of this text is of the instruments, too.
+    /// The effective configuration as a file that reproduces it. Comments at its head name the cameras' instruments with their
+    /// hashes, so that the hash of this text covers the instruments, too.
     pub fn configuration_toml(&self) -> String {
         let mut text = String::new();
         for (number, FlightCamera { camera, .. }) in (1..).zip(&self.cameras) {
@@ -157,7 +157,7 @@ impl Flight {
         text + &self.config.to_toml()
     }
 
-    /// The cameras' places, `configuration` being [that of the flight](Self::configuration_toml).
+    /// The cameras' stations; `configuration` is [that of the flight](Self::configuration_toml).
     pub(super) fn stations(&self, configuration: &str) -> Vec<Arc<Station>> {
         let cameras: Vec<&Camera> = self.cameras.iter().map(|one| &one.camera).collect();
         stations(&cameras, configuration)
@@ -166,7 +166,7 @@ impl Flight {
     /// Opens the cameras that are not open.
     ///
     /// # Errors
-    /// That of the first which cannot be opened.
+    /// The error of the first camera that cannot be opened.
     pub fn open_cameras(&mut self) -> Result<(), CameraError> {
         for camera in &mut self.cameras {
             if let (None, Some(open)) = (&camera.source, &camera.open) {
@@ -203,21 +203,21 @@ fn navigation(plan: &Plan, own: &PlannedNavigation) -> Navigation {
 /// The navigation of a flight.
 pub struct Navigation {
     pub settings: NavigationSettings,
-    /// The file of the settings, letter by letter, for the archive.
+    /// Verbatim text of the settings file, for the archive.
     pub settings_toml: String,
-    /// The IMU's own line; none where it sends on the controller's.
+    /// The IMU's own line; `None` if it sends on the controller's.
     pub imu: Option<Connection>,
     pub gps: Option<Connection>,
-    /// By which the date of a fix is judged.
+    /// Clock against which the date of a fix is checked.
     pub clock: FlightClock,
 }
 
-/// A camera of a flight, and how its frames are come by.
+/// A camera of a flight, and the source of its frames.
 pub struct FlightCamera {
     pub camera: Camera,
-    /// Where its frames come from, if it is open already.
+    /// The source of its frames, if it is already open.
     pub source: Option<Box<dyn FrameSource>>,
-    /// Opens it, and opens it again when its thread has failed.
+    /// Opens the source, and opens it again when its thread has failed.
     pub open: Option<CameraFactory>,
 }
 

@@ -1,4 +1,4 @@
-//! Frames on their way to a solver, and the cameras' places that they come from.
+//! Frames on their way to a solver, and the stations of the cameras that take them.
 
 use super::messages::{Middle, Station, UnsolvedFrame};
 use crate::archive::Flown;
@@ -8,7 +8,7 @@ use crate::instrument::Role;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// The places of cameras that fly together; `configuration` is that of their flight.
+/// The stations of cameras that fly together; `configuration` is that of their flight.
 pub fn stations(cameras: &[&Camera], configuration: &str) -> Vec<Arc<Station>> {
     let roles: Vec<Role> = cameras.iter().map(|camera| camera.role).collect();
     let numbers = Role::numbers(&roles);
@@ -26,7 +26,7 @@ pub fn stations(cameras: &[&Camera], configuration: &str) -> Vec<Arc<Station>> {
 }
 
 impl Station {
-    /// The place of a camera that is tried alone.
+    /// The station of a camera that is used alone.
     pub fn alone(camera: &Camera) -> Self {
         Self {
             index: 0,
@@ -49,7 +49,7 @@ impl UnsolvedFrame {
         }
     }
 
-    /// When the exposure began.
+    /// Start of the exposure.
     pub fn began(&self) -> Instant {
         let exposure = self.exposure.frame.info.exposure.unwrap_or_default();
         self.arrived.checked_sub(exposure).unwrap_or(self.arrived)
@@ -57,7 +57,7 @@ impl UnsolvedFrame {
 }
 
 impl Middle {
-    /// No frame is delayed by more: the clock has made a step.
+    /// Longest plausible delay of a frame; a longer one means that the clock has stepped.
     const LONGEST_DELAY_S: f64 = 2.0;
 
     fn of(info: &FrameInfo, arrived: Instant) -> Self {
@@ -68,7 +68,7 @@ impl Middle {
         }
     }
 
-    /// How long after this one another was, s; negative before.
+    /// Time from this exposure to another, s; negative if the other was earlier.
     pub fn until(&self, other: &Self) -> f64 {
         let (from, to) = (self.by_arrival, other.by_arrival);
         let by_arrival = match to.checked_duration_since(from) {

@@ -1,4 +1,4 @@
-//! The housekeeping of each second, put together from the counts and the latest answer.
+//! The housekeeping of each second, made from the counts and the latest answer.
 
 use super::messages::{Answer, MoonDesk, Recent, SolvedSun};
 use super::shared::Shared;
@@ -22,27 +22,27 @@ use crate::reasons::horizon as reasons;
 use jiff::{SignedDuration, Timestamp};
 use std::time::{Duration, Instant};
 
-/// Where Linux gives the computer's temperature, in thousandths of a degree.
+/// File in which Linux gives the computer's temperature, in thousandths of a degree.
 const COMPUTER_TEMPERATURE: &str = "/sys/class/thermal/thermal_zone0/temp";
 
-/// Frames whose time differs from the computer's by more are those of another time.
+/// Largest difference between a frame's time and the computer's; beyond it the frame belongs to another time.
 const ANOTHER_TIME: Duration = Duration::from_secs(60);
 
-/// How often threads were started again.
+/// Number of thread restarts.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Restarts {
     pub all: u64,
-    /// Of them, those that hung.
+    /// Restarts of threads that hung.
     pub takeovers: u64,
 }
 
-/// Packets to the ground of a second.
+/// Packets to the ground for one second.
 pub(super) struct SecondReport {
     pub time: Timestamp,
     pub housekeeping: Box<Housekeeping>,
-    /// Of cameras that are not in the housekeeping.
+    /// Counts of cameras that have no fields in the housekeeping.
     pub counts: Vec<CameraCounts>,
-    /// Of plates whose ids do not fit into the housekeeping.
+    /// Ids of marks on plates whose ids do not fit into the housekeeping.
     pub marks: Vec<FrameMarks>,
 }
 
@@ -53,7 +53,7 @@ pub(super) struct HousekeepingSource {
     /// SHA-256 of the flight's configuration.
     configuration: Digits,
     start: Instant,
-    /// By how much the frames of a simulated flight are ahead of the computer's clock.
+    /// Lead of a simulated flight's frames over the computer's clock.
     ahead: SignedDuration,
     before: FlightTally,
 }
@@ -74,7 +74,7 @@ impl HousekeepingSource {
         }
     }
 
-    /// `events` wait for the line.
+    /// The packets of the next second; `events` is the number of events that wait for the line.
     pub fn next(&mut self, tallies: &Tallies, restarts: Restarts, events: usize) -> SecondReport {
         let tally = tallies.brief();
         let recents = take_recents(tallies);
@@ -111,7 +111,7 @@ impl HousekeepingSource {
         }
     }
 
-    /// A simulated flight has the time of its frames, which may begin on any day: its housekeeping belongs beside them.
+    /// A simulated flight takes the time of its frames, which may begin on any day; its housekeeping uses the same time.
     fn note_simulated_time(&mut self, answer: &Answer) {
         let info = &answer.exposure.frame.info;
         if let Some(utc) = info.mid_exposure.filter(|_| info.is_simulated()) {
@@ -122,7 +122,7 @@ impl HousekeepingSource {
         }
     }
 
-    /// Of all cameras, and of the first one of each role.
+    /// Status of all cameras, and of the first one of each role.
     fn cameras(
         &self,
         tallies: &Tallies,
@@ -146,7 +146,7 @@ impl HousekeepingSource {
         let camera = &tally.camera;
         let misfits: u64 = tally.solvers.iter().map(|one| one.solver.misfits).sum();
         let waiting: usize = tallies.cameras.iter().map(|one| one.unsolved.len()).sum();
-        // From 0 again after 65535.
+        // The count wraps to 0 after 65535.
         let stopped = |stage| sun.stopped_at(stage) as u16;
         CamerasStatus {
             clock_stepped: camera.utc_steps > self.before.camera.utc_steps,
@@ -219,7 +219,7 @@ impl HousekeepingSource {
         }
     }
 
-    /// From frame to packet, of the solutions since the last packet: median and 99 %, ms.
+    /// Latencies from frame to packet, of the solutions since the last packet: median and 99 %, ms.
     fn latencies(&self, tally: &FlightTally) -> [Option<f32>; 2] {
         let sent = tally
             .counts
@@ -261,7 +261,7 @@ fn frame_number(answer: &Answer) -> u32 {
     saturated(answer.exposure.frame.info.number.unwrap_or_default())
 }
 
-/// The counts of a camera that has no fields in the housekeeping; `None` of the first one of a role, which has.
+/// The counts of a camera that has no fields in the housekeeping; `None` for the first one of a role, which has.
 fn further(camera: &CameraTallies) -> Option<CameraCounts> {
     let station = &camera.station;
     if station.ordinal == 1 {
@@ -340,7 +340,7 @@ fn gps_status(tally: &FlightTally) -> GpsStatus {
     }
 }
 
-/// The layout wants these to begin again after 65535.
+/// Median solve time since the last packet, ms; that of the latest frame if there was none since.
 fn solve_ms(mut solve_times: Vec<Duration>, answer: Option<&Answer>) -> Option<f32> {
     let latest = answer.map(|answer| answer.solved.solve_time);
     quantile(&mut solve_times, 0.5).or(latest).map(milliseconds)
@@ -352,7 +352,7 @@ fn frame_status(answer: &Answer) -> FrameStatus {
     let (solution, levels) = (sun.map(|sun| &sun.solution), answer.solved.levels);
     let offset = sun.and_then(|sun| sun.offset.as_ref());
     let marks = solution.map_or(&[][..], |solution| &solution.marks);
-    // Only together are they those of this frame.
+    // Aspect and mapping are those of this frame only if both are present.
     let placed = solution.and_then(|one| one.aspect.as_ref().zip(one.mapping.as_ref()));
     let aspect = placed.map(|(aspect, _)| aspect);
     let adopted = placed.map(|(_, adopted)| adopted);
@@ -437,7 +437,7 @@ mod tests {
         *source.next(tallies, restarts, 3).housekeeping
     }
 
-    /// What is sent where the navigation has counted this.
+    /// The housekeeping that is sent for these counts.
     fn housekeeping(navigation: NavigationTally) -> Housekeeping {
         let tallies = Tallies::default();
         *tallies.navigation.lock() = navigation;
@@ -482,7 +482,7 @@ mod tests {
         ];
         assert_eq!(counts[..12], reasons);
         assert_eq!(counts[12..14], ["0", "0"], "unreadable, noise");
-        // No fix, the same again, and out of time.
+        // No fix, repeated, and out of time.
         assert_eq!(housekeeping.gps_without_fix, 1 + 11 + 12);
     }
 

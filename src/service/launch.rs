@@ -1,4 +1,4 @@
-//! The threads of a flight are started here, each with what it shares with the others.
+//! Starts the threads of a flight, each with the values that it shares with the others.
 
 use super::archiver::{self, Archive};
 use super::flight::{Flight, FlightCamera, Navigation};
@@ -33,20 +33,20 @@ use std::time::Duration;
 const UNSOLVED: usize = 8;
 /// Events that may wait for the line.
 const LINK_EVENTS: usize = 256;
-/// A camera that gives no word for so long hangs. It gives one each second, and may take two to be set.
+/// Silence after which a camera counts as hung. It shows that it is alive each second, and may take two seconds to be set.
 const CAMERA_PATIENCE: Duration = Duration::from_secs(10);
-/// So does a solver. It takes a hundredth of a second for a frame.
+/// The same for a solver. It takes 0.01 s for a frame.
 const SOLVER_PATIENCE: Duration = Duration::from_secs(5);
-/// Of the navigation, for the archive: seconds of three logs.
+/// Rows of the navigation that may wait for the archive: one for each second of its three logs.
 const NAVIGATION_ROWS: usize = 64;
 
-/// How long the start waits for the saved values, and the end for the last of them to be saved.
+/// Longest wait for the saved values at the start, and for the last of them to be saved at the end.
 pub(super) const SAVED_VALUES: Duration = Duration::from_millis(500);
 
 /// A running service.
 pub struct Service {
     pub(super) watch: JoinHandle<FlightTally>,
-    /// Only where values set by command are saved.
+    /// `None` if values set by command are not saved.
     pub(super) values: Option<JoinHandle<u64>>,
     pub(super) controls: Controls,
     pub(super) tallies: Tallies,
@@ -147,7 +147,7 @@ struct Workers {
     watcher: Option<Sender<Answer>>,
     signals: Arc<Signals>,
     tallies: Tallies,
-    /// Of the first camera of each role.
+    /// Results of the first camera of each role.
     shelf: Shelf,
     /// The inputs of the navigation filter; `None` without one.
     inputs: Option<Inputs>,
@@ -156,7 +156,7 @@ struct Workers {
 }
 
 impl Workers {
-    /// Starts the filter and its sensors, where one flies.
+    /// Starts the filter and its sensors, if the flight has a filter.
     fn start_navigation(
         &mut self,
         navigation: Option<Navigation>,
@@ -202,7 +202,7 @@ impl Workers {
             outputs: Arc::new(self.outputs.clone()),
         };
         let (host, closing) = (self.host, Arc::clone(&self.signals.closing));
-        // Held by one life after the other: the port outlives a thread that panicked.
+        // Successive lives of the thread share it: the port outlives a thread that panicked.
         let connection = Arc::new(Mutex::new(connection));
         Worker::start("link", None, move || {
             let (around, connection) = (around.clone(), Arc::clone(&connection));
@@ -214,7 +214,7 @@ impl Workers {
         })
     }
 
-    /// The watch over all of them.
+    /// The watch over all threads.
     fn watch(
         self,
         (navigation, navigation_rows): (Vec<Worker>, Receiver<NavigationRows>),

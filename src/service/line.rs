@@ -1,13 +1,13 @@
-//! The link's thread: it alone reads and writes the port.
+//! The link's thread: only this thread reads and writes the port.
 //!
 //! # Rules
 //!
 //! 1. Only exposures of the sending camera are announced ([`config::Link::sending_camera`]), and only announced ones are reported.
 //! 2. If the peer does not read, the thread waits briefly once; then the queue is dropped, and the newest packet goes first when the
 //!    peer reads again. While bytes pile up in the system, exposures are not announced: late announcements are useless.
-//! 3. Ages and waits are monotonic: a step of the clock stops nothing.
+//! 3. Ages and waits are monotonic: a step of the clock does not stop the line.
 //! 4. A port that is lost is opened again; nothing else waits for it.
-//! 5. Packets by wire are accepted. Datagrams pass the [guard](crate::link::guard) first.
+//! 5. Packets that come by wire are accepted. Datagrams pass the [guard](crate::link::guard) first.
 
 mod hearing;
 mod moon;
@@ -37,15 +37,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How long the thread waits for something to send before it checks whether something came.
+/// How long the thread waits for something to send before it checks for received bytes.
 const PATIENCE: Duration = Duration::from_millis(5);
-/// The same where a filter takes the IMU's samples, each with the time at which it came.
+/// The same if a filter takes the IMU's samples, each with its time of arrival.
 const PATIENCE_FOR_SAMPLES: Duration = Duration::from_millis(1);
 /// How long a packet waits for space in the system's buffer. At 115200 baud the system's buffer drains 230 bytes in it.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
-/// More bytes than this in the system's buffer, and the line cannot follow: 45 ms at 115200 baud.
+/// Bytes in the system's buffer beyond which the line cannot follow: 45 ms at 115200 baud.
 const BACKLOG: usize = 512;
-/// An offset by the gyros that has waited for longer is not sent: the next one is better.
+/// Age beyond which an offset by the gyros is not sent: the next one is better.
 const OLDEST_OFFSET: Duration = Duration::from_millis(100);
 
 /// Shared state of the link's thread.
@@ -55,9 +55,9 @@ pub(super) struct Surroundings {
     pub tally: Shared<LineTally>,
     pub counters: Arc<Counters>,
     pub moon_desk: Shared<MoonDesk>,
-    /// Where samples of the IMU go; `None` where no filter flies.
+    /// Receiver of the IMU's samples; `None` without a filter.
     pub navigation: Option<Arc<dyn TakesSamples>>,
-    /// Who hears the telemetry, too.
+    /// Receivers of the telemetry besides the port.
     pub outputs: Arc<dyn HearsTelemetry>,
 }
 
@@ -71,20 +71,20 @@ pub(super) struct Line<'a> {
     start: Instant,
     outcomes: u64,
     unsaid: u64,
-    /// Packets that came again.
+    /// Number of packets that came again.
     repeated: u64,
     stalled: bool,
     stopping_since: Option<Instant>,
     picture: Option<PictureUnderWay>,
-    /// Packets of the second's marks, which wait until the line is free.
+    /// Packets of the second's marks, kept until the line is free.
     marks: VecDeque<Vec<u8>>,
     tally: Shared<LineTally>,
     counters: Arc<Counters>,
-    /// The frame of the horizon whose roll went out last.
+    /// Arrival of the horizon frame whose roll was sent last.
     last_roll: Option<Instant>,
     moon_desk: Shared<MoonDesk>,
     moon_requests: MoonRequests,
-    /// Where samples of the IMU go; `None` where no filter flies.
+    /// Receiver of the IMU's samples; `None` without a filter.
     navigation: Option<Arc<dyn TakesSamples>>,
     outputs: Arc<dyn HearsTelemetry>,
 }
@@ -131,7 +131,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Talks and listens until it is to hang up and nothing is left to say.
+    /// Sends and receives until the line is to be closed and nothing is left to send.
     pub fn run(&mut self, events: &Receiver<LinkEvent>, closing: &AtomicBool, life: &Life) {
         let patience = match self.navigation {
             Some(_) => PATIENCE_FOR_SAMPLES,
@@ -164,7 +164,7 @@ impl<'a> Line<'a> {
         tally.conversation = *self.responder.state();
     }
 
-    /// Sends the queued packets. If the port does not take one, the rest of the queue is dropped: it would only be older.
+    /// Sends what an event asks for. If the port does not take it, outcomes that still wait are dropped: they would only be older.
     fn hear(&mut self, event: LinkEvent, events: &Receiver<LinkEvent>) {
         self.follow_settings();
         self.say(event);
@@ -198,7 +198,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Sends housekeeping to the ground; whether the port took it.
+    /// Sends housekeeping to the ground; returns whether the port took it.
     fn send_housekeeping(&mut self, packet: Result<TelemetryPacket, MessageError>) -> bool {
         match packet {
             Ok(packet) => {
@@ -212,7 +212,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Keeps the second's marks for when the line is free; those of the second before, if they are still there, are outdated.
+    /// Keeps the second's marks until the line is free; those of the second before, if not sent yet, are outdated.
     fn queue_marks(&mut self, time: Timestamp, marks: &[FrameMarks]) {
         self.marks.clear();
         for one in marks {
@@ -226,7 +226,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// After housekeeping they would fill the system's buffer so far that an exposure is not announced: they go when it is empty.
+    /// Sends marks when the system's buffer is empty: right after housekeeping they would fill it so far that an exposure is not announced.
     fn send_marks(&mut self) {
         while !self.stalled
             && self.backlog() == 0
@@ -236,7 +236,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// The parts that are due, when there is nothing else to say.
+    /// Sends the parts of a picture that are due, when nothing else waits.
     fn send_picture(&mut self) {
         let baud = self.settings.baud;
         while !self.stalled {
@@ -262,7 +262,7 @@ impl<'a> Line<'a> {
             self.version = version;
             self.settings = self.controls.config().link;
             if self.controls.tracking() {
-                // Saved values that came after the start: a disk hung.
+                // Saved values that came after the start, because a disk hung.
                 self.responder.go_on_tracking();
             }
         }
@@ -336,7 +336,7 @@ impl<'a> Line<'a> {
     }
 
     fn note_sent(&mut self, outcome: &Outcome) {
-        // Under the lock, for the latencies are those of the solutions counted.
+        // Under the lock, because the latencies must be those of the solutions counted.
         let mut tally = self.tally.lock();
         self.counters.solutions.count();
         note_latency(&mut tally.latencies, outcome.arrived.elapsed());
@@ -347,7 +347,7 @@ impl<'a> Line<'a> {
         self.last_roll = roll;
     }
 
-    /// The packet that concludes an exposure: its solution, or why there is none.
+    /// The packet that concludes an exposure: its solution, or the reason why there is none.
     fn conclusion(&mut self, outcome: &Outcome) -> Result<Option<Vec<u8>>, MessageError> {
         match outcome.solution() {
             Some(solution) => self.responder.solution(outcome.exposure, &solution),
@@ -378,7 +378,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    /// Sends answers to commands: receipts and results, and what commands ask for.
+    /// Sends answers to commands: receipts, results, and requested data.
     fn answer(&mut self, packets: &[Vec<u8>]) {
         for packet in packets {
             if let Ok(Packet::Telemetry(packet)) = Packet::decode(Direction::ToController, packet) {
@@ -409,7 +409,7 @@ impl<'a> Line<'a> {
         self.connection.port().map_or(0, |port| port.backlog())
     }
 
-    /// Whether the port took the packet.
+    /// Sends a packet; returns whether the port took it.
     fn send(&mut self, packet: &[u8]) -> bool {
         let Some(port) = self.connection.port() else {
             return false;
@@ -435,7 +435,7 @@ impl<'a> Line<'a> {
         false
     }
 
-    /// A message that no packet can hold: the clock is out of range, and every further one will be like it.
+    /// Notes a message that no packet can hold: the clock is out of range, and so is every further message.
     fn note_unsaid(&mut self, error: &MessageError, what: &'static str) {
         self.unsaid += 1;
         if worth_a_line(self.unsaid) {
@@ -451,7 +451,7 @@ impl<'a> Line<'a> {
         self.connection.lose(self.start.elapsed());
     }
 
-    /// Opens a lost port again. What was said on the old one is over; what the controller wants still holds.
+    /// Opens a lost port again. State of the old connection is dropped; the controller's settings still hold.
     fn revive(&mut self) {
         if self.connection.revive(self.start.elapsed()) {
             self.parser.abandon();

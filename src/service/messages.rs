@@ -1,4 +1,4 @@
-//! Messages between threads, and values that they share. Every stage knows this file, and no other stage.
+//! Messages between threads, and values that they share. Every stage uses this file, and no other stage.
 
 use super::shared::Shared;
 use crate::archive::Flown;
@@ -27,11 +27,11 @@ use std::time::{Duration, Instant};
 #[derive(Debug, Clone)]
 pub struct Station {
     pub camera: Camera,
-    /// Among the flight's cameras, from 0.
+    /// Number among the flight's cameras, from 0.
     pub index: usize,
-    /// Among those of its role, from 1.
+    /// Number among the cameras of its role, from 1.
     pub ordinal: usize,
-    /// On the line, where a picture says which camera took it.
+    /// Number on the line, by which a picture states the camera that took it.
     pub number: u8,
     /// Settings with which its frames are taken and solved.
     pub flown: Arc<Flown>,
@@ -44,24 +44,24 @@ pub struct UnsolvedFrame {
     pub middle: Middle,
 }
 
-/// The middle of an exposure: by the frame's own time, and by its arrival, which a busy computer delays.
+/// The middle of an exposure: by the frame's own time stamp, and by its arrival, which a busy computer delays.
 #[derive(Debug, Clone, Copy)]
 pub struct Middle {
     pub utc: Option<Timestamp>,
     pub by_arrival: Instant,
 }
 
-/// A frame's brightness and its exposure, us: from the solver to the shutter.
+/// A frame's brightness and its exposure, us; the solver passes them to the camera's thread.
 pub(super) type Glimpse = Shared<Option<(Brightness, u32)>>;
 
 /// A solved frame.
 #[derive(Debug, Clone)]
 pub struct Answer {
-    /// Of the camera that took the frame.
+    /// The camera that took the frame.
     pub station: Arc<Station>,
     pub exposure: Arc<Exposure>,
     pub solved: Arc<Solved>,
-    /// Source of its offset.
+    /// Target of the offset.
     pub target: Target,
     /// Whether the picture goes to the archive; the row always does.
     pub to_be_stored: bool,
@@ -72,17 +72,17 @@ pub struct Answer {
 pub struct Solved {
     pub found: Found,
     pub quality: Quality,
-    /// Stage and reason where the frame went no further; of a coarse frame, too.
+    /// Stage and reason if the frame went no further; set for a coarse frame, too.
     pub stopped: Option<Stopped<&'static str>>,
     pub levels: Option<Levels>,
-    /// Brightness for an exposure that follows the light.
+    /// Brightness for the automatic exposure.
     pub brightness: Brightness,
     pub roll: Option<SeenRoll>,
-    /// Of the solver alone.
+    /// Time that the solver alone took.
     pub solve_time: Duration,
 }
 
-/// Content of a frame, by what its camera sees.
+/// Content of a frame, by the kind of its camera.
 #[derive(Debug, Clone)]
 pub enum Found {
     Sun(Box<SolvedSun>),
@@ -96,22 +96,22 @@ pub enum Found {
 pub struct SolvedSun {
     pub solution: aspect::Solution,
     pub offset: Option<Offset>,
-    /// As it was when the frame was taken: as commands have set it, and the part of the sensor that was read.
+    /// The instrument when the frame was taken: with commanded settings, and the part of the sensor that was read.
     pub instrument: Arc<Instrument>,
 }
 
 #[derive(Debug, Clone)]
 pub struct SolvedMoon {
     pub found: Result<moon::Disc, moon::Stopped>,
-    /// In the camera's axes.
+    /// Direction in the camera's axes.
     pub direction: Option<Direction>,
 }
 
-/// The body's roll, by this frame of the horizon or by the one nearest to this frame of the Sun.
+/// The body's roll, from this frame of the horizon or from the one nearest in time to this frame of the Sun.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SeenRoll {
     pub deg: Measured,
-    /// When that frame of the horizon was there.
+    /// Arrival of that frame of the horizon.
     pub arrived: Instant,
 }
 
@@ -127,23 +127,23 @@ pub(super) trait HearsTelemetry: Send + Sync {
 
 /// A receiver of samples of the IMU.
 pub(super) trait TakesSamples: Send + Sync {
-    /// Takes a packet that was read at a time.
+    /// Takes a packet that was read at the time `read`.
     fn take_sample(&self, packet: &TelemetryPacket, read: Instant);
 }
 
-/// Latest nadir by the horizon; the solvers of the other cameras read it.
+/// Latest nadir from the horizon; the solvers of the other cameras read it.
 pub(super) type LatestNadir = Shared<Option<SeenNadir>>;
 
-/// Straight down in the axes of the body that carries the cameras: forward, right, down.
+/// Nadir in the axes of the body that carries the cameras: forward, right, down.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SeenNadir {
     pub direction: Direction,
     pub at: Middle,
-    /// When the frame was there.
+    /// Arrival of the frame.
     pub arrived: Instant,
-    /// How it turns in these axes, by the latest frames.
+    /// Turn rate of the nadir in these axes, from the latest frames.
     pub turn_rad_per_s: Vector3<f64>,
-    /// The error of such a prediction at the frame that came, 1 sigma per axis, and after how long.
+    /// The error of a prediction with this rate at this frame, 1 sigma per axis, and the time over which it was predicted.
     pub error_rad: f64,
     pub after_s: f64,
 }
@@ -151,7 +151,7 @@ pub(super) struct SeenNadir {
 /// The line's requests to the Moon camera, and its latest result.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct MoonDesk {
-    /// Where the platform was at the latest request.
+    /// The platform's place at the latest request.
     pub asked_from: Option<Place>,
     pub seen: Option<SeenMoon>,
 }
@@ -159,10 +159,10 @@ pub(super) struct MoonDesk {
 /// Result of the Moon camera's last frame.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SeenMoon {
-    /// When its exposure began.
+    /// Start of its exposure.
     pub began: Instant,
     pub outcome: MoonOutcome,
-    /// Whether the Sun was below the horizon; `None` where time or place is not known.
+    /// Whether the Sun was below the horizon; `None` if time or place is not known.
     pub is_night: Option<bool>,
 }
 
@@ -170,7 +170,7 @@ pub(super) struct SeenMoon {
 #[derive(Debug, Default)]
 pub(super) struct Recent {
     pub answer: Option<Answer>,
-    /// Of the frames since the last packet.
+    /// Solve times of the frames since the last packet.
     pub solve_times: Vec<Duration>,
 }
 
@@ -182,11 +182,11 @@ pub(super) enum LinkEvent {
     Propagated(PropagatedEvent),
     /// The second's housekeeping, and its time.
     Housekeeping(Timestamp, Box<Housekeeping>),
-    /// Counts of cameras that are not in the housekeeping, at a time.
+    /// Counts of cameras that have no fields in the housekeeping, at a time.
     Cameras(Timestamp, Vec<link::CameraCounts>),
-    /// Marks of plates that housekeeping has no ids for, at its time.
+    /// Ids of marks that do not fit into the housekeeping, at its time.
     Marks(Timestamp, Vec<link::FrameMarks>),
-    /// A picture for the ground: it takes minutes, between other packets. A new one takes the place of an old one.
+    /// A picture for the ground: it takes minutes, between other packets. A new one replaces an old one.
     Picture(Box<Picture>),
 }
 
@@ -194,19 +194,19 @@ pub(super) enum LinkEvent {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PropagatedEvent {
     pub propagated: Propagated,
-    /// When the sample was read that it rests on.
+    /// Reading time of the sample on which the offset rests.
     pub read: Instant,
 }
 
 /// Result of an exposure.
 pub(super) struct Outcome {
     pub exposure: link::Exposure,
-    /// When the frame was there.
+    /// Arrival of the frame.
     pub arrived: Instant,
-    /// How long the shutter was open, where it is known.
+    /// Exposure time, if known.
     pub shutter: Option<Duration>,
     pub offset: Option<Offset>,
-    /// The body's, where it is known.
+    /// The body's roll, if known.
     pub roll: Option<SeenRoll>,
     pub stopped: Option<aspect::Stopped>,
 }
@@ -214,21 +214,21 @@ pub(super) struct Outcome {
 /// A sensor's input to the navigation filter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Input {
-    /// A sample, and when it was read.
+    /// A sample, and its reading time.
     Imu(ImuPacket, Instant),
     Fix(TimedFix),
     Seen(Seen),
 }
 
-/// A direction that a camera has seen.
+/// A direction observed by a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Seen {
-    /// Among the flight's cameras, from 0.
+    /// Number among the flight's cameras, from 0.
     pub camera: usize,
     pub target: SeenTarget,
     /// Mid-exposure.
     pub utc: Timestamp,
-    /// In axes that are forward, right and down in the telescope or the body that carries the camera; a Moon camera's own.
+    /// In forward, right and down axes of the telescope or the body that carries the camera; in a Moon camera's own axes.
     pub direction: Direction,
 }
 
@@ -240,7 +240,7 @@ pub(super) enum NavigationLog {
     Propagated,
 }
 
-/// Rows of a log, of a second or so.
+/// Rows of a log, covering about a second.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct NavigationRows {
     pub log: NavigationLog,

@@ -17,36 +17,36 @@
 //!  watch: checks all of them, gives the housekeeping to link and logs each second, feeds systemd's watchdog
 //! ```
 //!
-//! Each camera has a thread and a solver of its own, numbered in the order of the cameras; what the solver finds depends on what its camera sees
-//! (`solvers`). Only solvers of a plate send to the controller. That of the first roll camera leaves the latest nadir for these. That of the first Moon camera
-//! leaves what it saw for the link, which answers requests for the Moon with it. Where a navigation filter flies, its thread takes what
-//! IMU, GPS and solvers say, and gives the link an offset at some of the IMU's samples. Every disk of the archive has two threads; while it
-//! compresses a picture, the first may start `archive.threads` less one for it. Every output that others read has a thread of a lower priority than all these;
-//! only the end waits for it, for a moment.
+//! Each camera has a thread and a solver of its own, numbered in the order of the cameras; the kind of solver depends on what its camera sees
+//! (`solvers`). Only solvers of a plate send to the controller. The solver of the first roll camera passes the latest nadir to these. The solver of
+//! the first Moon camera passes its result to the link, which answers requests for the Moon with it. If a navigation filter flies, its thread takes
+//! the data of IMU, GPS and solvers, and gives the link an offset at some of the IMU's samples. Every disk of the archive has two threads; while it
+//! compresses a picture, the first may start `archive.threads` less one for it. Every output for other programs has a thread of a lower priority than
+//! all these; only the end waits for it, for a moment.
 //!
 //! | channel | holds | when it is full |
 //! |---|---|---|
 //! | frames | frames to solve | the frame is lost and counted: a camera does not wait; frames of a folder or the simulator wait for 10 s before |
-//! | Glimpse | brightness of the last frame | the newer takes the place of the older |
+//! | Glimpse | brightness of the last frame | the newer value replaces the older |
 //! | pictures | solved frames to store | by the rule `archive.overflow` a picture is given up, and counted; solving goes on |
 //! | rows | rows of the log | the row is lost and counted |
 //! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
-//! | inputs | samples, fixes and directions for the filter | the input is lost and counted: no solver and no line waits for the filter |
-//! | navigation's rows | what the archive keeps of it, a second at a time, from navigation to watch (64), and on among the rows | the rows are lost and counted |
-//! | messages | what an output says: solved frames, or the telemetry of the line | the message is dropped and counted: no solver and no line waits for a reader |
+//! | inputs | samples, fixes and directions for the filter | the input is lost and counted: neither solvers nor the line wait for the filter |
+//! | navigation's rows | the archive's rows of the navigation, a second at a time, from navigation to watch (64), and on among the rows | the rows are lost and counted |
+//! | messages | messages of an output: solved frames, or the telemetry of the line | the message is dropped and counted: neither solvers nor the line wait for a reader |
 //! | LinkEvent | exposures about to start, solutions, offsets by the gyros, housekeeping, counts of further cameras, ids of marks, pictures | the event is dropped and counted: the line is stuck |
 //!
 //! A thread ends when the channel it reads from is closed: the camera ends first, then solver and archive, each after
 //! the last of its work. Link and outputs go on until the service is joined.
 //!
 //! A thread that panics is started again. So is a camera, a solver or the filter that shows no sign of life for a while, with the
-//! same channels; the one that hangs is left alone. While three of them hang, the next is not replaced; where no camera is solved
+//! same channels; the thread that hangs is abandoned. While three of them hang, the next is not replaced; if no camera is solved
 //! any more, the program ends in order, and systemd starts it again. A stop of the whole program counts against no thread. A
-//! thread blocked on a disk is not restarted: the other disk's goes on. Where watch or link hang, systemd's watchdog is not
+//! thread blocked on a disk is not restarted: the other disk's goes on. If watch or link hang, systemd's watchdog is not
 //! fed, and it starts the program again.
 //!
-//! The program's log has a queue and a thread of its own ([`crate::log`]): no thread here waits for standard error. So has the list of what was taken of
-//! a folder that is followed ([`crate::camera::TakenFiles`], 4096 names, then lost and counted): no frame waits for its disk.
+//! The program's log has a queue and a thread of its own ([`crate::log`]): no thread here waits for standard error. So has the list of files taken
+//! from a folder that is followed ([`crate::camera::TakenFiles`], 4096 names, then lost and counted): no frame waits for its disk.
 
 mod answer;
 mod archiver;
@@ -98,13 +98,13 @@ impl Service {
         launch::launch(flight, None)
     }
 
-    /// Starts the threads of a flight; every answer goes to the watcher, too.
+    /// Starts the threads of a flight; every answer also goes to the returned receiver.
     pub fn start_watched(flight: Flight) -> std::io::Result<(Self, Receiver<Answer>)> {
         let (watcher, answers) = unbounded();
         Ok((launch::launch(flight, Some(watcher))?, answers))
     }
 
-    /// Settings and values for the ground.
+    /// Settings and values that the ground may set.
     pub fn controls(&self) -> &Controls {
         &self.controls
     }
@@ -114,7 +114,7 @@ impl Service {
         self.signals.stop.store(true, Ordering::Relaxed);
     }
 
-    /// As [`stop`](Self::stop); what is not finished after this time is given up.
+    /// As [`stop`](Self::stop); work that is not finished after this time is given up.
     pub fn stop_within(&self, time: Duration) {
         self.stop();
         self.signals
@@ -140,7 +140,7 @@ impl Service {
         tally
     }
 
-    /// How the archive's disks are.
+    /// State of the archive's disks.
     pub fn disks(&self) -> Vec<DiskHealth> {
         self.tallies.archive.disks()
     }
@@ -150,7 +150,7 @@ impl Service {
         self.tallies.archive.waiting()
     }
 
-    /// Waits for the last frame, hangs up, and says what happened.
+    /// Waits for the last frame, closes the line, and returns the counts.
     pub fn join(self) -> Result<FlightTally, ThreadFailed> {
         self.signals.awaited.store(true, Ordering::Relaxed);
         let tally = self.watch.join().map_err(|_| ThreadFailed("watch"));

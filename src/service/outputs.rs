@@ -1,5 +1,5 @@
-//! Outputs that others read: each has a thread and a queue of its own. No thread waits for one: what does not fit into its queue, and what its
-//! reader does not take, is dropped and counted.
+//! Outputs for other programs: each has a thread and a queue of its own. No thread waits for one: messages that do not fit into its queue, or
+//! that its reader does not take, are dropped and counted.
 
 use super::messages::{Answer, Found, Hears, HearsTelemetry};
 use super::priority::normal_priority;
@@ -14,25 +14,25 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Messages that may wait for an output: ten seconds' worth of one camera at 26 frames/s.
+/// Messages that may wait for an output: 10 s of one camera at 26 frames/s.
 const WAITING: usize = 256;
 /// How long a thread waits for a message before it checks its readers.
 const PATIENCE: Duration = Duration::from_millis(50);
-/// Messages that wait for longer than this after the end are dropped.
+/// Time after the end for which messages may still wait; then they are dropped.
 const LAST_WORDS: Duration = Duration::from_millis(200);
 
-/// Where messages are handed to the outputs.
+/// The outputs, as a receiver of messages.
 #[derive(Clone, Default)]
 pub(super) struct Outputs(Arc<[Output]>);
 
-/// An output, as the others see it.
+/// An output as seen by other threads.
 struct Output {
     format: Format,
     queue: Sender<Message>,
     counts: Arc<Counts>,
 }
 
-/// Counts of an output. No lock: its thread may be put off for long, and no other thread may wait for it.
+/// Counts of an output, without a lock: its thread may be preempted for long, and no other thread may wait for it.
 struct Counts {
     to: Destination,
     format: Format,
@@ -66,7 +66,7 @@ impl Counts {
     }
 }
 
-/// Starts the threads of the outputs. They end when they are asked to end by `closing` and have written what waits.
+/// Starts the threads of the outputs. They end when `closing` is set and they have written the messages that wait.
 pub(super) fn start(
     outputs: &config::Outputs,
     closing: &Arc<AtomicBool>,
@@ -87,7 +87,7 @@ pub(super) fn start(
         gauges.0.push(Arc::clone(&counts));
         let own = Arc::clone(&counts);
         let closing = Arc::clone(closing);
-        // No other thread can do its work, if it waits.
+        // No other thread can take over its work if it blocks.
         workers.push(Worker::start(
             format!("output-{number}"),
             None,
@@ -112,7 +112,7 @@ pub(super) fn start(
 }
 
 impl Outputs {
-    /// Hands a message to those that carry it. It is made only if one does.
+    /// Hands a message to the outputs that carry it. The message is made only if one does.
     fn hand_on(&self, carries: impl Fn(Format) -> bool, message: impl FnOnce() -> Message) {
         if !self.0.iter().any(|output| carries(output.format)) {
             return;
@@ -164,7 +164,7 @@ impl Writing {
         loop {
             life.beat();
             let message = messages.recv_timeout(PATIENCE);
-            // Who has connected by now gets the message, too.
+            // Readers that have connected by now get the message, too.
             self.endpoint.poll(self.start.elapsed());
             if closing.load(Ordering::Relaxed) {
                 ended.get_or_insert_with(Instant::now);

@@ -1,4 +1,4 @@
-//! Real-time scheduling and locked memory, where the configuration asks for them and the computer grants them.
+//! Real-time scheduling and locked memory, if the configuration asks for them and the computer grants them.
 
 use super::worker::{Job, Life};
 use crate::config::{Host, Memory};
@@ -9,7 +9,7 @@ use thread_priority::{
     set_thread_priority_and_policy, thread_native_id,
 };
 
-/// Why the computer does not grant what was asked for.
+/// Reason why the computer does not grant a request.
 #[derive(Debug, thiserror::Error)]
 pub enum NotGranted {
     #[error("host.realtime_priority = {priority}: needs CAP_SYS_NICE or LimitRTPRIO: {cause}")]
@@ -23,7 +23,7 @@ pub enum NotGranted {
 /// Puts the calling thread among the real-time threads.
 ///
 /// # Errors
-/// The operating system does not allow it.
+/// If the operating system does not allow it.
 pub fn run_in_real_time(priority: u8) -> Result<(), NotGranted> {
     let refused = |cause: String| NotGranted::Realtime { priority, cause };
     let value = ThreadPriorityValue::try_from(priority).map_err(|e| refused(e.to_string()))?;
@@ -33,10 +33,10 @@ pub fn run_in_real_time(priority: u8) -> Result<(), NotGranted> {
         .map_err(|error| refused(format!("{error:?}")))
 }
 
-/// Keeps the memory that the program has, and will have, from being swapped out.
+/// Keeps the memory that the program has now and later from being swapped out.
 ///
 /// # Errors
-/// The operating system does not allow it, or sets a limit: a program that comes to it later gets no more memory at all.
+/// If the operating system does not allow it, or sets a limit: a program that reaches it later gets no more memory at all.
 pub fn lock_memory() -> Result<(), NotGranted> {
     let (limit, _) = getrlimit(Resource::RLIMIT_MEMLOCK).map_err(NotGranted::Memory)?;
     if limit != RLIM_INFINITY {
@@ -45,11 +45,11 @@ pub fn lock_memory() -> Result<(), NotGranted> {
     mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE).map_err(NotGranted::Memory)
 }
 
-/// Work for a thread that goes after all others: it takes the processor when they leave it (nice 10), whatever the configuration asks for.
+/// Work for a thread of lower priority than all others (nice 10), whatever the configuration asks for.
 pub(super) fn normal_priority(work: impl FnOnce(&Life) + Send + 'static) -> Job {
     Box::new(move |life| {
         const NICE: libc::c_int = 10;
-        // SAFETY: it takes three numbers. On Linux 0 is the calling thread, and threads have priorities of their own.
+        // SAFETY: it takes three numbers. On Linux 0 is the calling thread, and each thread has its own priority.
         if unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICE) } != 0 {
             tracing::warn!("the thread is scheduled like all others");
         }
@@ -57,7 +57,7 @@ pub(super) fn normal_priority(work: impl FnOnce(&Life) + Send + 'static) -> Job 
     })
 }
 
-/// Which of the real-time threads goes first.
+/// Order of the real-time threads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Rank {
     /// Solvers, which take milliseconds.
@@ -77,7 +77,7 @@ impl Rank {
 }
 
 impl Host {
-    /// Work for a thread that is scheduled as the configuration asks; what is not granted is logged.
+    /// Work for a thread that is scheduled as the configuration asks; a refused request is logged.
     pub(super) fn real_time(self, rank: Rank, work: impl FnOnce(&Life) + Send + 'static) -> Job {
         Box::new(move |life| {
             let priority = self.realtime_priority.map(|own| rank.above(own));

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Clones share the value. A thread that panicked while it held it has at worst left a count short.
+/// Clones share the value. If a thread panicked while it held the lock, at worst a count is too small.
 #[derive(Debug, Default)]
 pub(super) struct Shared<T>(Arc<Mutex<T>>);
 

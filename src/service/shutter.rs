@@ -21,12 +21,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// After a failure the camera is not asked again at once.
+/// Pause after a failure before the camera is asked again.
 const PAUSE: Duration = Duration::from_millis(10);
-/// How long frames that wait are kept waiting for the solver: longer than one that hangs takes to be replaced.
+/// How long frames that can wait are held for the solver: longer than the replacement of a solver that hangs takes.
 const HOLD: Duration = Duration::from_secs(10);
-/// UTC may differ by this much from one frame to the next against the monotonic clock: more is a step. A clock that is
-/// being slewed gains half a millisecond a second.
+/// Largest change of UTC against the monotonic clock from one frame to the next; a larger one is a step. A clock that is
+/// being slewed gains 0.5 ms/s.
 const STEP: SignedDuration = SignedDuration::from_millis(20);
 
 #[derive(Clone)]
@@ -51,7 +51,7 @@ impl Shutter {
         life: &Life,
     ) {
         self.take_frames(source, open, life);
-        // A thread that was replaced leaves the silence to the one that took over.
+        // A thread that was replaced leaves the silence to its successor.
         if !life.is_over() {
             self.silence.lock().end(Instant::now());
         }
@@ -144,13 +144,13 @@ impl Shutter {
         }
     }
 
-    /// Waits until the solver's queue can take a frame: those behind it wait, too, and none is lost.
+    /// Waits until the solver's queue can take a frame: the frames behind it wait, too, and none is lost.
     fn wait_for_solver(&self, falls_silent: bool, life: &Life) {
         let until = Instant::now() + HOLD;
         while self.to_solver.is_full() && Instant::now() < until && !life.is_over() {
             life.beat();
             if falls_silent {
-                // It is not the camera that makes the gap.
+                // The camera does not cause this gap.
                 self.silence.lock().frame(Instant::now());
             }
             thread::sleep(PAUSE);
@@ -179,12 +179,12 @@ impl Shutter {
     }
 }
 
-/// The camera's settings: the commanded ones, and the exposure that follows the light where that is wanted.
+/// The camera's settings: the commanded ones, and the automatic exposure if it is on.
 struct Dial {
     version: u64,
     settings: CameraSettings,
     auto: Option<(AutoExposureSettings, AutoExposure)>,
-    /// Whether the source has been given the settings.
+    /// Whether the source has the settings.
     set: bool,
 }
 

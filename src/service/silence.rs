@@ -1,4 +1,4 @@
-//! Whether a camera gives frames: a dead one may hold its thread in a call of the driver, so the watch checks from outside.
+//! Detects a camera that gives no frames: a dead one may hold its thread in a call of the driver, so the watch checks from outside.
 
 use super::shared::Shared;
 use crate::camera::CameraSettings;
@@ -6,43 +6,43 @@ use std::time::{Duration, Instant};
 
 /// A camera whose last frame is not older than this is not silent.
 const LEAST: Duration = Duration::from_millis(500);
-/// For a camera to be found and opened, from the start of the flight.
+/// Time for a camera to be found and opened, from the start of the flight.
 const OPENING: Duration = Duration::from_secs(5);
-/// For a camera to take a command: the longest that `FrameSource::apply` may take.
+/// Time for a camera to take a command: the longest that `FrameSource::apply` may take.
 const SETTING: Duration = Duration::from_secs(2);
 
 /// The time for which a camera gave no frames though it should have.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Silence {
-    /// From when on the next frame is overdue: the last frame, or when the camera should be ready; `None` where no frame is
+    /// Time from which the next frame is overdue: the last frame, or when the camera should be ready; `None` if no frame is
     /// expected.
     since: Option<Instant>,
-    /// A longer gap between frames is a silence.
+    /// Gap between frames beyond which the camera is silent.
     limit: Duration,
     /// Whether the present gap is counted already.
     is_silent: bool,
     count: u64,
-    /// Of the silences that have ended.
+    /// Total duration of the silences that have ended.
     ended: Duration,
 }
 
 /// Log entries of a silence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Change {
-    /// The n-th silence has begun; no frame for so long.
+    /// The n-th silence has begun, and the time without a frame.
     Silent(u64, Duration),
-    /// Frames have come again after so long.
+    /// Frames have come again after the n-th silence, and its duration.
     Back(u64, Duration),
 }
 
 impl Silence {
-    /// The camera is to give frames with these settings from now on. A silence that another thread left goes on.
+    /// The camera should give frames with these settings from now on. A silence that another thread left goes on.
     pub fn begin(&mut self, now: Instant, settings: &CameraSettings) {
         self.expect(settings);
         self.since.get_or_insert(now + OPENING);
     }
 
-    /// The settings by which the next frames are taken.
+    /// The settings with which the next frames are taken.
     pub fn expect(&mut self, settings: &CameraSettings) {
         let exposure = settings.exposure();
         self.limit = LEAST.max(3 * settings.period().max(exposure) + exposure);
@@ -123,7 +123,7 @@ pub(super) fn log(camera: usize, change: Option<Change>) {
     }
 }
 
-/// Checks all cameras, and logs which has fallen silent.
+/// Checks all cameras, and logs the ones that have fallen silent.
 pub(super) fn check<'s>(silences: impl Iterator<Item = &'s Shared<Silence>>) {
     for (index, silence) in silences.enumerate() {
         let change = silence.lock().check(Instant::now());
@@ -142,7 +142,7 @@ mod tests {
         }
     }
 
-    /// A clock that stands at so many milliseconds, and a silence that began at 0.
+    /// A clock in milliseconds, and a silence that began at 0.
     fn begun(settings: &CameraSettings) -> (impl Fn(u64) -> Instant + use<>, Silence) {
         let start = Instant::now();
         let mut silence = Silence::default();
@@ -193,7 +193,7 @@ mod tests {
         silence.excuse(at(5_520));
         assert_eq!(silence.check(at(8_020)), None);
         assert!(silence.check(at(8_021)).is_some());
-        // One that was never there; another thread that tries again does not restart the count.
+        // A camera that was never there; another thread that tries again does not restart the count.
         let (at, mut silence) = begun(&at_26_hz());
         assert!(silence.check(at(5_501)).is_some());
         silence.begin(at(9_000), &at_26_hz());

@@ -1,4 +1,4 @@
-//! A solver's thread: frame in, answer out, to the line and to all who hear of answers.
+//! A solver's thread: it takes frames, and passes answers to the line and to all receivers.
 
 use super::messages::{
     Answer, Found, Glimpse, Hears, LinkEvent, Outcome, Solved, Station, UnsolvedFrame,
@@ -30,9 +30,9 @@ pub(super) struct Solving {
     pub frames: Receiver<UnsolvedFrame>,
     pub cameras_ended: Arc<AtomicBool>,
     pub to_line: Sender<LinkEvent>,
-    /// Where the camera learns of its frames' brightness.
+    /// Brightness of the frames, for the camera's thread.
     pub glimpse: Glimpse,
-    /// Who gets the answers, in this order.
+    /// Receivers of the answers, in this order.
     pub hearers: Vec<Arc<dyn Hears>>,
     pub tally: Shared<SolverTally>,
 }
@@ -117,7 +117,7 @@ impl Solving {
         }
     }
 
-    /// The line first: a solution does not wait for a disk.
+    /// The line comes first: a solution does not wait for a disk.
     fn hand_on(&self, answer: &Answer, arrived: Instant) {
         self.send_to_line(answer, arrived);
         if self.controls.takes_picture(self.station.camera.role) {
@@ -132,7 +132,7 @@ impl Solving {
         }
     }
 
-    /// Of frames of the plate the controller hears.
+    /// Sends the results of frames of the plate to the controller.
     fn send_to_line(&self, answer: &Answer, arrived: Instant) {
         let Found::Sun(sun) = &answer.solved.found else {
             return;
@@ -159,7 +159,7 @@ impl Solving {
         }
     }
 
-    /// The ground's requests.
+    /// Sends the pictures that the ground has requested.
     fn send_picture(&self, answer: &Answer) {
         let frame = &answer.exposure.frame;
         let time = frame.info.mid_exposure.unwrap_or_else(Timestamp::now);

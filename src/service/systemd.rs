@@ -1,7 +1,7 @@
-//! The service manager, where it has started this program (`Type=notify`, `WatchdogSec`): it is notified that the flight is
-//! ready, that it lives, and that it ends.
+//! The service manager, if it has started this program (`Type=notify`, `WatchdogSec`): it is notified that the flight is
+//! ready, that it is alive, and that it ends.
 //!
-//! The crate `sd-notify` sends to sockets of the file system alone; systemd may give one of Linux's abstract ones.
+//! The crate `sd-notify` sends only to sockets of the file system; systemd may use one of Linux's abstract ones.
 
 use sd_notify::NotifyState;
 use std::ffi::OsStr;
@@ -11,11 +11,11 @@ use std::os::unix::ffi::OsStrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::time::{Duration, Instant};
 
-/// The variable with the socket's address, and what it may be.
+/// Environment variable with the socket's address.
 const VARIABLE: &str = "NOTIFY_SOCKET";
 const EXPECTED: &str =
     "an absolute path of at most 107 bytes, or @NAME for an abstract socket (no vsock)";
-/// A service manager that reads nothing does not hold up the watch for longer.
+/// Longest wait for a service manager that reads nothing: it must not delay the watch.
 const PATIENCE: Duration = Duration::from_millis(100);
 
 pub(super) struct Systemd {
@@ -46,7 +46,7 @@ impl Systemd {
         let mut systemd = Self {
             is_there: socket.is_some(),
             address,
-            // Twice as often as it wants to be fed.
+            // Twice as often as the service manager requires.
             every: sd_notify::watchdog_enabled().map(|patience| patience / 2),
             fed: Instant::now(),
             failed: 0,
@@ -55,8 +55,8 @@ impl Systemd {
         systemd
     }
 
-    /// Only the watch feeds it: cameras and solvers that hang are started again; if the watch or the line hangs, systemd
-    /// does the rest.
+    /// Only the watch feeds it: cameras and solvers that hang are started again here; if the watch or the line hangs, systemd
+    /// restarts the program.
     pub fn feed(&mut self) {
         if self.every.is_some_and(|every| self.fed.elapsed() >= every) {
             self.fed = Instant::now();
@@ -82,7 +82,7 @@ impl Systemd {
     }
 }
 
-/// The address of a socket as systemd writes it; `None` where it is none of a Unix socket.
+/// The address of a socket as systemd writes it; `None` if it is not that of a Unix socket.
 fn address(text: &OsStr) -> Option<SocketAddr> {
     match text.as_bytes() {
         [b'@', name @ ..] if !name.is_empty() => SocketAddr::from_abstract_name(name).ok(),

@@ -1,4 +1,4 @@
-//! The tallies of all threads, where every thread may see them.
+//! The tallies of all threads, accessible to every thread.
 
 use super::archiver::Gauges;
 use super::messages::{Recent, Station, UnsolvedFrame};
@@ -24,20 +24,20 @@ pub(super) struct Tallies {
     pub outputs: outputs::Gauges,
 }
 
-/// Those of a camera's threads.
+/// Tallies of a camera's threads.
 #[derive(Clone)]
 pub(super) struct CameraTallies {
     pub station: Arc<Station>,
     pub camera: Shared<CameraTally>,
     pub silence: Shared<Silence>,
     pub solver: Shared<SolverTally>,
-    /// Frames that wait for its solver: only their number is of interest here.
+    /// Frames that wait for its solver; only their number is used here.
     pub unsolved: Receiver<UnsolvedFrame>,
     pub recent: Shared<Recent>,
 }
 
 impl Tallies {
-    /// All that has happened.
+    /// All counts so far.
     pub fn tally(&self) -> FlightTally {
         FlightTally {
             line: self.line.copy(),
@@ -45,10 +45,10 @@ impl Tallies {
         }
     }
 
-    /// The same, with the latencies of the last moment alone.
+    /// The same, with only the latest latencies.
     pub fn brief(&self) -> FlightTally {
         let (counts, line) = {
-            // Together: latencies are those of the solutions counted. The line waits meanwhile, and for no more than that.
+            // Under one lock: latencies are those of the solutions counted. The line waits meanwhile, and only for this.
             let line = self.line.lock();
             (self.counters.now(), line.brief())
         };

@@ -17,17 +17,17 @@ use std::time::Duration;
 pub struct CameraTally {
     /// Frames that did not fit into the solver's queue.
     pub lost: u64,
-    /// Frames that the source could not give.
+    /// Frames that the source failed to give.
     pub failed: u64,
     /// Exposures that did not fit into the line's queue.
     pub unannounced: u64,
     /// Times that the camera gave no frames though it should have.
     pub silences: u64,
-    /// The time without frames in these, from the last frame on.
+    /// Total time without frames in these silences, each from the last frame on.
     pub silent: Duration,
-    /// Times that UTC made a step.
+    /// Number of steps of UTC.
     pub utc_steps: u64,
-    /// Of the camera itself.
+    /// State of the camera itself.
     pub health: CameraHealth,
 }
 
@@ -84,15 +84,15 @@ impl CameraTally {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SolverTally {
     pub solved: BTreeMap<Quality, u64>,
-    /// Why frames went no further, by stage and reason; coarse ones too.
+    /// Number of frames that went no further, by stage and reason; coarse ones too.
     pub reasons: BTreeMap<(&'static str, Reason), u64>,
     /// Frames of the wrong size.
     pub misfits: u64,
     /// Answers that did not fit into the line's queue.
     pub unsent: u64,
-    /// Quantities of the instruments that fine frames have disproved, with stated and measured values.
+    /// Calibrated quantities that fine frames contradict, with stated and measured values.
     pub contradictions: BTreeSet<String>,
-    /// Whether anything stated is disproved now.
+    /// Whether frames now contradict any of them.
     pub contradicted: bool,
 }
 
@@ -101,18 +101,18 @@ impl SolverTally {
         self.solved.get(&quality).copied().unwrap_or(0)
     }
 
-    /// All frames that were solved, whatever they show.
+    /// All frames that were solved, whatever their result.
     pub fn frames(&self) -> u64 {
         self.solved.values().sum()
     }
 
-    /// Frames that went no further for a reason.
+    /// Frames that went no further for this reason.
     pub fn because(&self, reason: Reason) -> u64 {
         let same = self.reasons.iter().filter(|((_, why), _)| *why == reason);
         same.map(|(_, count)| count).sum()
     }
 
-    /// Frames that went no further than a stage.
+    /// Frames that went no further than this stage.
     pub fn stopped_at(&self, stage: impl reasons::Stage) -> u64 {
         let here = self
             .reasons
@@ -165,13 +165,13 @@ pub struct ArchiveTally {
     pub disk_full: u64,
     /// Pictures that could not be stored for another reason.
     pub failed: u64,
-    /// Frames that were still on their way to a disk when the flight ended; only in the last tally.
+    /// Frames that had not reached a disk when the flight ended; only in the last tally.
     pub unfinished: u64,
-    /// Refusals by any disk; the frame may be stored all the same.
+    /// Refusals by any disk; another disk may have stored the frame.
     pub refused: u64,
-    /// Refusals of rows by any disk, and rows that did not fit into a log's queue; the row may be in a log all the same.
+    /// Refusals of rows by any disk, and rows that did not fit into a log's queue; another log may have the row.
     pub rows_refused: u64,
-    /// Frames' rows that are in no log.
+    /// Rows of frames that are in no log.
     pub rows_lost: u64,
     /// Half-written files of an earlier run that were removed.
     pub swept: u64,
@@ -206,26 +206,26 @@ pub struct LineTally {
     /// Housekeeping packets and whole pictures that went to the ground.
     pub housekeeping: u64,
     pub pictures: u64,
-    /// How often the port was lost, and opened again.
+    /// Number of times that the port was lost, and opened again.
     pub lost: u64,
     pub reopened: u64,
-    /// Whether there is a port that could never be opened.
+    /// Whether the configured port could never be opened.
     pub never_open: bool,
-    /// Bytes of the line that were no packet.
+    /// Bytes of the line that belonged to no packet.
     pub rejected: Rejected,
     pub commands: u64,
     pub moon_requests: u64,
-    /// Settings by the controller and the ground.
+    /// Settings by controller and ground.
     pub conversation: LinkState,
-    /// From a frame's arrival to its solution's last byte: the latest ten thousand.
+    /// Latencies from a frame's arrival to its solution's last byte: the latest ten thousand.
     pub latencies: VecDeque<Duration>,
-    /// From the arrival of a sample of the IMU to the last byte of the offset that rests on it: as many.
+    /// Latencies from the arrival of an IMU sample to the last byte of the offset that rests on it: the same number.
     pub propagated_latencies: VecDeque<Duration>,
-    /// From the arrival of a frame of the horizon to the last byte of the first solution that has its roll: as many.
+    /// Latencies from the arrival of a horizon frame to the last byte of the first solution that has its roll: the same number.
     pub roll_latencies: VecDeque<Duration>,
 }
 
-/// Keeps the latest of them.
+/// Adds a latency and keeps the latest ten thousand.
 pub(super) fn note_latency(latencies: &mut VecDeque<Duration>, latency: Duration) {
     const KEPT: usize = 10_000;
     if latencies.len() == KEPT {
@@ -235,7 +235,7 @@ pub(super) fn note_latency(latencies: &mut VecDeque<Duration>, latency: Duration
 }
 
 impl LineTally {
-    /// The counts, with the latencies of the last moment alone: the line waits while they are copied.
+    /// The counts, with only the latest latencies: the line waits while they are copied.
     pub(super) fn brief(&self) -> Self {
         const MOMENT: usize = 64;
         let latest = |all: &VecDeque<Duration>| {
@@ -300,22 +300,22 @@ impl LineTally {
 pub struct NavigationTally {
     /// Samples that are missing by their counter.
     pub lost_samples: u64,
-    /// Packets of the IMU and datagrams that are no good.
+    /// Packets of the IMU and datagrams that cannot be read.
     pub unreadable: u64,
-    /// Of the GPS receiver.
+    /// Counts of the GPS receiver.
     pub gps: GpsCounts,
-    /// Directions of cameras.
+    /// Directions observed by cameras.
     pub seen: u64,
-    /// Measurements that contradict the filter, and that came too late or too early.
+    /// Measurements that contradict the filter, and measurements that came too late or too early.
     pub refused: u64,
     pub out_of_time: u64,
     /// Restarts of the filter.
     pub restarts: u64,
-    /// Times that the IMU was unsound, or directions contradicted it.
+    /// Times that the IMU data were unsound, or directions contradicted them.
     pub doubted: u64,
     /// Times that directions contradicted the gyros by more than 5 sigma for 10 s.
     pub contradicted: u64,
-    /// Offsets that were made, and of them those that are too uncertain to be sent.
+    /// Offsets computed, and the number of them that are too uncertain to be sent.
     pub offsets: u64,
     pub uncertain: u64,
     /// Rows that did not fit into the archive's queue.
@@ -325,7 +325,7 @@ pub struct NavigationTally {
     pub latest: Option<PropagatedOffset>,
     /// The latest differences of cameras from the gyros, in sigmas: right, up and roll of the telescope.
     pub differences: [Option<f64>; 3],
-    /// `None` where nothing is compared.
+    /// `None` if nothing is compared.
     pub agreement: Option<Agreement>,
 }
 
@@ -366,10 +366,10 @@ impl NavigationTally {
 /// Counts of an output for other programs.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct OutputTally {
-    /// As the configuration has it.
+    /// Destination as in the configuration.
     pub to: String,
     pub format: &'static str,
-    /// Messages that went out, one for each reader.
+    /// Messages sent, one for each reader.
     pub sent: u64,
     /// Messages that a reader did not take, that had no reader, or that did not fit into a queue.
     pub dropped: u64,
@@ -394,18 +394,18 @@ impl OutputTally {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FlightTally {
     pub counts: Counts,
-    /// Of all cameras.
+    /// Counts of all cameras together.
     pub camera: CameraTally,
-    /// Of each camera, in the order of the flight's.
+    /// Counts of each camera's solver, in the order of the flight's cameras.
     pub solvers: Vec<CameraSolved>,
     pub navigation: NavigationTally,
     pub archive: ArchiveTally,
     pub line: LineTally,
-    /// In the order of the configuration. What is dropped there is no loss: outputs do not wait for readers.
+    /// In the order of the configuration. Messages dropped there do not count as lost: outputs do not wait for readers.
     pub outputs: Vec<OutputTally>,
     /// Threads that panicked or hung, and were started again.
     pub restarts: u64,
-    /// Of them, threads that hung.
+    /// Restarts of threads that hung.
     pub takeovers: u64,
     /// Whether the flight ended because its threads hung again and again.
     pub gave_up: bool,
@@ -414,7 +414,7 @@ pub struct FlightTally {
 }
 
 impl FlightTally {
-    /// Of all cameras of a role together.
+    /// Counts of all cameras of a role together.
     pub fn solver(&self, role: Role) -> SolverTally {
         let mut all = SolverTally::default();
         let of_role = self.solvers.iter().filter(|camera| camera.role == role);
@@ -422,12 +422,12 @@ impl FlightTally {
         all
     }
 
-    /// Frames of pitch-yaw cameras that were solved, whatever they show.
+    /// Frames of pitch-yaw cameras that were solved, whatever their result.
     pub fn solved(&self) -> u64 {
         self.solver(Role::PitchYaw).frames()
     }
 
-    /// Frames, stored files, rows and packets that did not get where they should, and silences of cameras. A row that one disk
+    /// Frames, stored files, rows and packets that did not reach their destination, and silences of cameras. A row that one disk
     /// refused and another has is not lost.
     pub fn lost(&self) -> u64 {
         let camera = self.camera.lost + self.camera.failed + self.camera.silences;
@@ -474,7 +474,7 @@ impl fmt::Display for FlightTally {
     }
 }
 
-/// The value below which a fraction of the values lies; `None` of no values.
+/// The value below which a fraction of the values lies; `None` if there are no values.
 pub fn quantile<T: Copy + PartialOrd>(values: &mut [T], fraction: f64) -> Option<T> {
     values.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
     let last = values.len().checked_sub(1)?;

@@ -20,31 +20,31 @@ use std::time::{Duration, Instant};
 /// How often the threads are checked.
 const CHECK_EVERY: Duration = Duration::from_millis(10);
 const REPORT_EVERY: Duration = Duration::from_secs(1);
-/// A check that comes so late shows that the whole program was stopped: suspended, or by SIGSTOP.
+/// A check delayed by this much shows that the whole program was stopped: suspended, or by SIGSTOP.
 const STOPPED: Duration = Duration::from_secs(1);
 /// Time for the last frames to be stored before a program that hangs is replaced.
 const ENDING: Duration = Duration::from_millis(1500);
-/// A line that shows no sign of life for so long is left to systemd: only a new process gets a new port.
+/// Silence of the line after which recovery is left to systemd: only a new process gets a new port.
 const LINE_PATIENCE: Duration = Duration::from_secs(10);
 /// How long the archive waits for the filter's last rows after the last frame.
 const NAVIGATION_ENDING: Duration = Duration::from_millis(500);
-/// How long the line may take to hang up.
+/// How long the line may take to close.
 const HANGING_UP: Duration = Duration::from_millis(300);
 
 /// Shared state of the watch and the rest of the program.
 #[derive(Debug, Default)]
 pub(super) struct Signals {
-    /// No more frames.
+    /// No more frames are to be taken.
     pub stop: Arc<AtomicBool>,
     /// No camera takes frames any more; threads of cameras that hang may still hold their channels.
     pub cameras_ended: Arc<AtomicBool>,
     /// The last frame is solved and stored, or given up.
     pub finished: AtomicBool,
-    /// A caller waits for the end: the port may be closed when all is finished.
+    /// A caller waits for the end: the port may be closed when everything is finished.
     pub awaited: AtomicBool,
-    /// No more talking.
+    /// Nothing more is to be sent.
     pub closing: Arc<AtomicBool>,
-    /// When what is not done by then is given up.
+    /// Time at which unfinished work is given up.
     pub deadline: Shared<Option<Instant>>,
     /// The housekeeping sent last.
     pub housekeeping: Shared<Option<Housekeeping>>,
@@ -55,12 +55,12 @@ pub(super) struct Signals {
 pub(super) struct Watch {
     pub cameras: Vec<Worker>,
     pub solvers: Vec<Worker>,
-    /// The filter, and sensors with lines of their own. Nothing waits for them.
+    /// Threads of the filter, and of sensors with lines of their own. The end does not wait for them.
     pub navigation: Vec<Worker>,
     pub navigation_rows: Receiver<NavigationRows>,
     pub disks: archiver::Threads,
     pub line: Worker,
-    /// Of the outputs that others read. Nothing waits for them but the end, for a moment.
+    /// Threads of the outputs for other programs. Only the end waits for them, for a moment.
     pub outputs: Vec<Worker>,
     /// Held until the last solver has ended.
     pub archive: Option<Archive>,
@@ -69,9 +69,9 @@ pub(super) struct Watch {
     pub housekeeping: HousekeepingSource,
     pub tallies: Tallies,
     pub signals: Arc<Signals>,
-    /// Whether the flight was ended because threads could not be helped any more.
+    /// Whether the flight was ended because its threads could not be restarted any more.
     pub gave_up: bool,
-    /// When frames were last solved.
+    /// Latest time at which frames were still taken or solved.
     pub landed: Option<Instant>,
 }
 
@@ -102,7 +102,7 @@ impl Watch {
                 self.report();
                 report_at += REPORT_EVERY;
                 if report_at <= now {
-                    // Seconds in which the program was stopped are not made up for.
+                    // Seconds in which the program was stopped are not repeated.
                     report_at = now + REPORT_EVERY;
                 }
             }
@@ -123,7 +123,7 @@ impl Watch {
         tally
     }
 
-    /// Whether the line or an output has more to say.
+    /// Whether the line or an output still has something to send.
     fn is_hanging_up(&mut self, now: Instant) -> bool {
         let writing = worker::check(&mut self.outputs, now);
         self.line.check(now) || writing
@@ -139,7 +139,7 @@ impl Watch {
         self.tallies.archive.note_lost_commands(lost);
     }
 
-    /// Hands on what the archive keeps of the navigation.
+    /// Passes the navigation's rows to the archive.
     fn note_navigation(&self) {
         for rows in self.navigation_rows.try_iter() {
             if let Some(archive) = &self.archive {
@@ -148,7 +148,7 @@ impl Watch {
         }
     }
 
-    /// The threads were stopped like everything else: this is not their fault.
+    /// The threads were stopped like the whole program: they did not hang.
     fn excuse(&self, stopped: Duration) {
         let stopped_s = stopped.as_secs_f64();
         tracing::warn!(stopped_s, "the whole program was stopped for a while");
@@ -158,7 +158,7 @@ impl Watch {
         workers.for_each(Worker::excuse);
     }
 
-    /// Whether there is no camera left that takes frames and has them solved.
+    /// Whether no camera is left that takes frames and has them solved.
     fn is_beyond_help(&self, now: Instant) -> bool {
         let mut pairs = self.cameras.iter().zip(&self.solvers);
         pairs.all(|(camera, solver)| camera.is_beyond_help(now) || solver.is_beyond_help(now))
@@ -173,7 +173,7 @@ impl Watch {
         self.signals.deadline.lock().get_or_insert(deadline);
     }
 
-    /// Checks all threads: whether the work is done and the port is to be closed.
+    /// Checks all threads; returns whether the work is done and the port is to be closed.
     fn is_over(&mut self, now: Instant) -> bool {
         silence::check(self.tallies.cameras.iter().map(|camera| &camera.silence));
         let taking = worker::check(&mut self.cameras, now);
@@ -226,7 +226,7 @@ impl Watch {
             archive.note(time, &housekeeping);
         }
         *self.signals.housekeeping.lock() = Some((*housekeeping).clone());
-        // A line that is stuck has more urgent things to say.
+        // If the line is stuck, other messages are more urgent.
         let send = |event| _ = self.to_line.try_send(event);
         send(LinkEvent::Housekeeping(time, housekeeping));
         if !counts.is_empty() {

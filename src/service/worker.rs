@@ -14,14 +14,14 @@ use std::time::{Duration, Instant};
 
 /// A thread that panics sooner than this after its start is not started again at once.
 const SOON: Duration = Duration::from_secs(1);
-/// Threads that hang and were replaced. While so many hang still, the next one is not replaced.
+/// Largest number of replaced threads that still hang; the next one is not replaced.
 const MOST_ABANDONED: usize = 3;
 
 /// One life of a worker: its heartbeat, and whether another has taken its place.
 #[derive(Debug)]
 pub(super) struct Life {
     begin: Instant,
-    /// When it last beat, since `begin`.
+    /// Time of the last heartbeat, ms since `begin`.
     beat_ms: AtomicU64,
     over: AtomicBool,
 }
@@ -35,13 +35,13 @@ impl Life {
         }
     }
 
-    /// Says that the thread is at work, or waiting for some.
+    /// Notes that the thread works, or waits for work.
     pub fn beat(&self) {
         let now = self.begin.elapsed().as_millis() as u64;
         self.beat_ms.store(now, Ordering::Relaxed);
     }
 
-    /// Whether another thread has taken over: this one is to touch nothing any more.
+    /// Whether another thread has taken over; this one must not touch anything any more.
     pub fn is_over(&self) -> bool {
         self.over.load(Ordering::Relaxed)
     }
@@ -52,24 +52,24 @@ impl Life {
     }
 }
 
-/// Work of a thread in one life. It returns when there is nothing left to do.
+/// Work of a thread in one life. It returns when no work is left.
 pub(super) type Job = Box<dyn FnOnce(&Life) + Send>;
 type Make = Box<dyn FnMut() -> Job + Send>;
 
 /// A thread under watch.
 pub(super) struct Worker {
     name: String,
-    /// Longer silence is a hang that another thread may end; `None` where none may: it would wait for the same disk or
+    /// Silence beyond which another thread takes over; `None` if none may: it would wait for the same disk or
     /// port.
     patience: Option<Duration>,
-    /// Makes the job of the next life; none once the work is done, so that its channels close.
+    /// Makes the job of the next life; `None` once the work is done, so that its channels close.
     make: Option<Make>,
     running: Option<Running>,
     due: Instant,
     backoff: Backoff,
     panics: u64,
     takeovers: u64,
-    /// Threads that were replaced and hang still.
+    /// Threads that were replaced and still hang.
     abandoned: Vec<JoinHandle<()>>,
 }
 
@@ -100,36 +100,36 @@ impl Worker {
         Ok(worker)
     }
 
-    /// How often the thread was started again, after a panic or a hang.
+    /// Number of restarts of the thread, after a panic or a hang.
     pub fn restarts(&self) -> u64 {
         self.panics + self.takeovers
     }
 
-    /// How often a thread that hung was replaced.
+    /// Number of times that a thread that hung was replaced.
     pub fn takeovers(&self) -> u64 {
         self.takeovers
     }
 
-    /// Whether the thread had shown no sign of life for longer than this at `now`.
+    /// Whether at `now` the thread had shown no sign of life for longer than `patience`.
     pub fn is_silent_for(&self, patience: Duration, now: Instant) -> bool {
         let running = self.running.as_ref();
         running.is_some_and(|running| running.life.silence(now) > patience)
     }
 
-    /// Whether the thread hangs, and too many before it do, so that it is not replaced.
+    /// Whether the thread hangs and is not replaced, because too many before it hang.
     pub fn is_beyond_help(&self, now: Instant) -> bool {
         let hangs = |patience| self.is_silent_for(patience, now);
         self.abandoned.len() >= MOST_ABANDONED && self.patience.is_some_and(hangs)
     }
 
-    /// Counts its silence from now on: the whole program was stopped for a while.
+    /// Restarts the count of its silence: the whole program was stopped for a while.
     pub fn excuse(&self) {
         if let Some(running) = &self.running {
             running.life.beat();
         }
     }
 
-    /// Checks the thread as it was at `now`: whether its work goes on.
+    /// Checks the thread as it was at `now`; returns whether its work goes on.
     pub fn check(&mut self, now: Instant) -> bool {
         self.abandoned.retain(|thread| !thread.is_finished());
         match &self.running {
@@ -175,7 +175,7 @@ impl Worker {
             Ok(()) => self.make = None,
             Err(panic) => {
                 self.panics += 1;
-                // What a panic carries may itself panic when it is dropped.
+                // The payload of a panic may itself panic when it is dropped.
                 let said = log::panic_message(&*panic);
                 let _ = std::panic::catch_unwind(AssertUnwindSafe(|| drop(panic)));
                 let restarts = self.restarts();
@@ -201,7 +201,7 @@ impl Worker {
     }
 }
 
-/// Checks threads: whether the work of any goes on.
+/// Checks threads; returns whether the work of any goes on.
 pub(super) fn check(workers: &mut [Worker], now: Instant) -> bool {
     let at_work = workers
         .iter_mut()

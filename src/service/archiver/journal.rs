@@ -1,6 +1,6 @@
 //! A disk's log and telemetry: a thread of their own, so that no row waits for a picture's disk for long.
 //!
-//! A disk that refuses a row is tried again after a rest, and the rows behind it wait: an outage loses none of them while there
+//! A row that the disk refuses is retried after a pause, and the rows behind it wait: an outage loses none of them while there
 //! is space for them. The telemetry repeats the same numbers, and does not wait.
 
 use super::picture::StoredAt;
@@ -21,7 +21,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// How long a row waits to hear what became of its picture.
+/// Longest wait of a row for the result of storing its picture.
 pub(super) const FATE_KNOWN: Duration = Duration::from_secs(5);
 
 /// Entries of the journal.
@@ -34,28 +34,28 @@ pub(super) enum Entry {
 
 /// A row on its way to the log.
 pub(super) struct RowEntry {
-    /// Of the camera, in the order of the flight's.
+    /// Number of the camera, in the order of the flight's.
     pub station: usize,
     pub row: Box<LoggedRow>,
-    /// Where the frame is stored; `None` where it is not to be stored, or once that is known.
+    /// Receives the file in which the frame is stored; `None` if it is not to be stored, or once that is known.
     pub stored_at: Option<Receiver<StoredAt>>,
-    /// When the row is written without the file's name.
+    /// Time at which the row is written without the file's name.
     pub deadline: Instant,
     /// Shared with the same row on its way to the other log.
     pub fate: Arc<RowFate>,
 }
 
-/// How many rows came to what, in whatever log.
+/// Counts of rows by their result, over all logs.
 #[derive(Debug, Default)]
 pub(super) struct RowCounts {
     pub offered: AtomicU64,
-    /// In one log at least.
+    /// Rows in at least one log.
     pub kept: AtomicU64,
-    /// In none.
+    /// Rows in no log.
     pub lost: AtomicU64,
 }
 
-/// Whether a row is in any log. When it is dropped without a word, the row is in none.
+/// Whether a row is in any log. If it is dropped without being marked as kept, the row is in none.
 pub(super) struct RowFate {
     kept: AtomicBool,
     counts: Arc<RowCounts>,
@@ -100,22 +100,22 @@ pub(super) struct Journal {
     store: Arc<Store>,
     /// The disk's number on this computer, from 0.
     number: usize,
-    /// By camera.
+    /// One per camera.
     books: Vec<Book>,
     housekeeping: Log,
     commands: Log,
     /// In the order of [`NavigationLog::ALL`].
     navigation: [Log; NavigationLog::ALL.len()],
-    /// The disk's visit in which the files were opened.
+    /// Number of the disk's mount in which the files were opened.
     visit: u64,
-    /// Says nothing, and is closed when the flight ends.
+    /// Carries no messages; it is closed when the flight ends.
     ended: Receiver<Infallible>,
     tally: Arc<JournalTally>,
-    /// Until when frames may wait for a disk that was away.
+    /// Time until which frames may wait for a disk that was away.
     patience: Instant,
 }
 
-/// The first word of a log's files, and its columns; `t_s` counts from 1970, UTC, as the sensors have said it.
+/// First part of the names of a log's files, and its columns; `t_s` counts from 1970, UTC, by the sensors' time stamps.
 fn navigation_log(log: NavigationLog) -> (&'static str, Vec<&'static str>) {
     match log {
         NavigationLog::Imu => ("imu", files::IMU.to_vec()),
@@ -186,7 +186,7 @@ impl Journal {
         }
     }
 
-    /// Writes what it gets, in its order, until no more comes. What the disk refuses is tried again until the flight ends.
+    /// Writes entries in their order until no more come. Rows that the disk refuses are retried until the flight ends.
     pub fn run(mut self, entries: &Receiver<Entry>) {
         for mut entry in entries {
             let mut rests = Backoff::DISK;
@@ -218,10 +218,10 @@ impl Journal {
             let stored_at = stored_at.recv_deadline(deadline).ok();
             entry.row.on_own_disk = stored_at.as_ref().map(|at| at.disk == self.number);
             entry.row.record.file = stored_at.map_or(String::new(), |at| at.file);
-            // The disk may have gone in the meantime.
+            // The disk may have been removed in the meantime.
             self.enter(entry.station)?;
         }
-        // Also where no picture is stored.
+        // Also if no picture is stored.
         self.store.put_flight_files()?;
         let book = &mut self.books[entry.station];
         book.log.append(&entry.row)?;
@@ -256,7 +256,7 @@ impl Journal {
         self.commands.append(&note.fields())
     }
 
-    /// Writes the rows, and leaves those that are not written yet.
+    /// Writes the rows, and leaves in `rows` those that are not written yet.
     fn write_navigation(&mut self, rows: &mut NavigationRows) -> Result<(), ArchiveError> {
         self.store.prepare()?;
         self.reopen_after_a_mount();
@@ -268,7 +268,7 @@ impl Journal {
         Ok(())
     }
 
-    /// Files that were open when the disk was mounted before are useless now.
+    /// Opens the files again after a mount: those that were open before it are useless now.
     fn reopen_after_a_mount(&mut self) {
         let visit = self.store.visits();
         if visit != self.visit {

@@ -52,7 +52,7 @@ const ROWS: usize = 10_000;
 pub(super) struct Archive {
     queues: Vec<Arc<Queue<StoredPicture>>>,
     logs: Vec<Sender<Entry>>,
-    /// Closed with the last copy: then no row is tried again.
+    /// Closed with the last copy: from then on no row is retried.
     _flying: Sender<Infallible>,
     gauges: Gauges,
 }
@@ -164,7 +164,7 @@ fn queues(settings: &config::Archive, disks: usize) -> Vec<Arc<Queue<StoredPictu
 }
 
 impl Hears for Archive {
-    /// Stores a solved frame and its row, when and where there is space.
+    /// Stores a solved frame and its row, if there is space.
     fn hear(&self, answer: &Answer) {
         let heard = self.hand_to_disks(answer);
         let deadline = Instant::now() + FATE_KNOWN;
@@ -193,7 +193,7 @@ impl Archive {
         self.gauges.clone()
     }
 
-    /// Keeps the second's housekeeping.
+    /// Stores the second's housekeeping.
     pub fn note(&self, time: Timestamp, housekeeping: &Housekeeping) {
         for log in &self.logs {
             self.log(
@@ -203,14 +203,14 @@ impl Archive {
         }
     }
 
-    /// Keeps a command.
+    /// Stores a command.
     pub fn note_command(&self, note: &CommandNote) {
         for log in &self.logs {
             self.log(log, Entry::Command(Box::new(note.clone())));
         }
     }
 
-    /// Keeps rows of the navigation.
+    /// Stores rows of the navigation.
     pub fn note_navigation(&self, rows: &NavigationRows) {
         for log in &self.logs {
             self.log(log, Entry::Navigation(rows.clone()));
@@ -226,7 +226,7 @@ impl Archive {
         }
     }
 
-    /// Queues the picture, if this camera's are stored, and returns where each log hears of it.
+    /// Queues the picture, if this camera's are stored; returns for each log the receiver of the file's name.
     fn hand_to_disks(&self, answer: &Answer) -> Vec<Option<Receiver<StoredAt>>> {
         if !answer.to_be_stored || self.queues.is_empty() {
             return vec![None; self.logs.len()];
@@ -281,7 +281,7 @@ impl Gauges {
         tally
     }
 
-    /// The counts at the end of waiting: pictures on a disk that hangs, and those that still wait, are lost.
+    /// The final counts: pictures on a disk that hangs, and those that still wait, are lost.
     pub fn final_tally(&self, counts: &Counts) -> ArchiveTally {
         let mut tally = self.tally();
         let missing =
@@ -323,7 +323,7 @@ impl Gauges {
 }
 
 impl Threads {
-    /// A disk may take its time: no other thread can do its work.
+    /// Starts a disk's thread. It may block for long: no other thread can take over its work.
     fn start(
         &mut self,
         name: String,
@@ -333,7 +333,7 @@ impl Threads {
         Ok(())
     }
 
-    /// Starts the thread of a disk's logs: those of the cameras' folders, begun at a time.
+    /// Starts the thread of a disk's logs: those in the cameras' folders, begun at the given time.
     fn log(
         &mut self,
         disk: &Writer,
@@ -352,7 +352,7 @@ impl Threads {
         })
     }
 
-    /// Checks the threads: whether the work of any goes on.
+    /// Checks the threads; returns whether the work of any goes on.
     pub fn check(&mut self, now: Instant) -> bool {
         worker::check(&mut self.0, now)
     }

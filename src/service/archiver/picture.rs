@@ -1,4 +1,4 @@
-//! A solved frame on its way to the disks, and the word of what became of it.
+//! A solved frame on its way to the disks, and the report of its storage.
 
 use crate::archive::Encoded;
 use crate::link::Counters;
@@ -26,23 +26,23 @@ impl StoredPicture {
     }
 }
 
-/// How many frames came to what, on whatever disk.
+/// Counts of frames by their result, over all disks.
 #[derive(Debug, Default)]
 pub(super) struct FrameCounts {
     pub offered: AtomicU64,
     pub counters: Arc<Counters>,
 }
 
-/// Where a frame is.
+/// Location of a stored frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct StoredAt {
-    /// The path under the archive's root.
+    /// The path relative to the archive's root.
     pub file: String,
     /// The disk's number on this computer, from 0.
     pub disk: usize,
 }
 
-/// Reports to the logs where a frame is. When it is dropped before that, the frame was not stored.
+/// Reports to the logs where a frame is stored. If it is dropped before that, the frame was not stored.
 pub(super) struct Fate {
     stored: AtomicBool,
     to_logs: Vec<Sender<StoredAt>>,
@@ -50,7 +50,7 @@ pub(super) struct Fate {
 }
 
 impl Fate {
-    /// A fate, and what each of so many logs will hear of it.
+    /// A fate, and one receiver for each of `logs` logs.
     pub fn new(logs: usize, counts: &Arc<FrameCounts>) -> (Self, Vec<Receiver<StoredAt>>) {
         counts.offered.fetch_add(1, Ordering::Relaxed);
         let (to_logs, heard) = (0..logs).map(|_| bounded(1)).unzip();
@@ -62,14 +62,14 @@ impl Fate {
         (fate, heard)
     }
 
-    /// The frame is in this file on this disk; of several, the first one is reported.
+    /// Reports that the frame is in this file on this disk; if there are several, only the first is reported.
     pub fn stored(&self, file: &str, disk: usize) {
         if self.stored.swap(true, Ordering::Relaxed) {
             return;
         }
         self.counts.counters.stored.count();
         for log in &self.to_logs {
-            // A log that no longer listens has written its row without.
+            // A log that no longer listens has written its row without the name.
             let file = file.to_owned();
             let _ = log.try_send(StoredAt { file, disk });
         }

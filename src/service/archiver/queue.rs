@@ -1,7 +1,7 @@
 //! The pictures that wait for a disk.
 //!
 //! One disk, or several that alternate, take from one queue; each of two that mirror has its own. A disk that refuses a
-//! picture gives it back and rests, so that another may take it at once; pictures are given up only by the
+//! picture gives it back and pauses, so that another may take it at once; pictures are given up only by the
 //! rules of overflow and of space, or when the flight ends.
 
 use crate::archive::{FreeSpace, Overflow};
@@ -9,41 +9,41 @@ use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Refusals after which a picture itself is taken to be at fault.
+/// Number of refusals after which the picture itself is considered the cause.
 const MOST_REFUSALS: u32 = 5;
 
-/// When pictures are given up.
+/// Rules by which pictures are given up.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Rules {
     /// Pictures that may wait.
     pub bound: usize,
     pub overflow: Overflow,
-    /// One in so many is stored when they are thinned out.
+    /// One in this many is stored when pictures are thinned out.
     pub every: u64,
 }
 
 /// Counts of a queue.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct QueueTally {
-    /// Given up because the disks could not follow.
+    /// Pictures given up because the disks could not follow.
     pub overflowed: u64,
-    /// Given up because the disks are nearly full.
+    /// Pictures given up because the disks are nearly full.
     pub disk_full: u64,
-    /// Refused too often, or still waiting when the last disk ended.
+    /// Pictures refused too often, or still waiting when the last disk ended.
     pub failed: u64,
 }
 
-/// Cost of taking a picture in.
+/// Picture given up when another is queued.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum GivenUp {
     Nothing,
-    /// This picture or an older one, because the disks cannot follow; how many so far.
+    /// This picture or an older one, because the disks cannot follow; with their number so far.
     ForSpeed(u64),
-    /// This picture, because the disks are nearly full; how many so far.
+    /// This picture, because the disks are nearly full; with their number so far.
     ForSpace(u64),
 }
 
-/// A picture, and how often disks have refused it.
+/// A picture, and the number of times that disks have refused it.
 pub(super) struct Waiting<P> {
     pub picture: P,
     refusals: u32,
@@ -52,9 +52,9 @@ pub(super) struct Waiting<P> {
 /// Answer to a disk that asks for a picture.
 pub(super) enum Taken<P> {
     Picture(Waiting<P>),
-    /// None in time.
+    /// No picture in time.
     Nothing,
-    /// None will come any more.
+    /// No picture will come any more.
     Closed,
 }
 
@@ -70,7 +70,7 @@ struct State<P> {
     closed: bool,
     /// The disk that took the last picture.
     last: Option<usize>,
-    /// From when the queue was full until nothing waits any more.
+    /// Whether the queue was full and has not been empty since.
     overflowing: bool,
     offered: u64,
     tally: QueueTally,
@@ -122,7 +122,7 @@ impl<P> Queue<P> {
         self.lock().pictures.len()
     }
 
-    /// Takes the picture in, or gives up this or an older one by the rules.
+    /// Queues the picture, or gives up this or an older one by the rules.
     pub fn offer(&self, picture: P) -> GivenUp {
         let waiting = Waiting {
             picture,
@@ -133,7 +133,7 @@ impl<P> Queue<P> {
         given_up
     }
 
-    /// Stores one in so many from now on, when pictures are thinned out.
+    /// Sets the fraction stored when pictures are thinned out, to one in `every`.
     pub fn set_every(&self, every: u64) {
         self.lock().rules.every = every;
     }
@@ -148,7 +148,7 @@ impl<P> Queue<P> {
     pub fn take(&self, disk: usize, deadline: Instant) -> Taken<P> {
         let mut state = self.lock();
         state.disks[disk].activity = Activity::Waiting;
-        // A disk that leaves off waiting may have been the one that another stood back for.
+        // A disk that stops waiting may have been the one to which another left the picture.
         self.changed.notify_all();
         let taken = loop {
             if let Some(picture) = state.next_for(disk) {
@@ -183,7 +183,7 @@ impl<P> Queue<P> {
         } else if other_works {
             state.pictures.push_front(waiting);
         } else {
-            // The disk's next attempt is with another one: this one may be at fault itself.
+            // The disk's next attempt is with another picture: this one may be the cause itself.
             state.pictures.push_back(waiting);
         }
         drop(state);
@@ -195,7 +195,7 @@ impl<P> Queue<P> {
         self.lock().other_works(disk)
     }
 
-    /// Waits until `deadline`, or until the queue is closed: whether it is.
+    /// Waits until `deadline`, or until the queue is closed; returns whether it is closed.
     pub fn rest(&self, disk: usize, deadline: Instant) -> bool {
         let mut state = self.lock();
         state.disks[disk].activity = Activity::Resting;
@@ -209,7 +209,7 @@ impl<P> Queue<P> {
         }
     }
 
-    /// Counts a picture that is at fault itself.
+    /// Counts a picture that is itself the cause of refusals.
     pub fn fail(&self) {
         self.lock().tally.failed += 1;
     }
@@ -220,7 +220,7 @@ impl<P> Queue<P> {
         self.changed.notify_all();
     }
 
-    /// A disk ends. With the last one, what still waits is given up.
+    /// A disk ends. With the last one, the pictures that still wait are given up.
     pub fn end(&self, disk: usize) {
         let mut state = self.lock();
         state.disks[disk].activity = Activity::Ended;
@@ -271,7 +271,7 @@ impl<P> State<P> {
         GivenUp::ForSpeed(self.tally.overflowed)
     }
 
-    /// Of the disks that take pictures; while none does, this is not known.
+    /// Best state of free space among the disks that take pictures; unknown while none does.
     fn best_space(&self) -> FreeSpace {
         let working =
             |disk: &&DiskState| matches!(disk.activity, Activity::Waiting | Activity::Writing);
@@ -287,8 +287,8 @@ impl<P> State<P> {
         self.pictures.pop_front()
     }
 
-    /// Whether a disk leaves the next picture to another one: to one that waits, when it took the last itself; and to
-    /// one with more space, unless that cannot follow.
+    /// Whether a disk leaves the next picture to another one: to one that waits, if it took the last itself; and to
+    /// one with more space, unless that one cannot follow.
     fn stands_back(&self, disk: usize) -> bool {
         let own = self.disks[disk].space;
         let others = self.disks.iter().enumerate();
@@ -327,7 +327,7 @@ mod tests {
         }
     }
 
-    /// Picture that a disk gets without waiting.
+    /// The picture that a disk gets without waiting.
     fn take(queue: &Queue<u32>, disk: usize, space: FreeSpace) -> Option<Waiting<u32>> {
         queue.set_space(disk, space);
         match queue.take(disk, Instant::now()) {
@@ -434,7 +434,7 @@ mod tests {
             }
             let waiting = |disk: &DiskState| disk.activity == Activity::Waiting;
             for picture in 0..6 {
-                // Both have come back for more.
+                // Both disks wait for more.
                 while !(queue.lock().disks.iter().all(waiting) && queue.length() == 0) {
                     std::thread::yield_now();
                 }

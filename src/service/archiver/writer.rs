@@ -1,4 +1,4 @@
-//! A disk's thread: it takes pictures from the queue and brings them to its disk.
+//! A disk's thread: it takes pictures from the queue and stores them on its disk.
 
 use super::picture::StoredPicture;
 use super::queue::{Queue, Taken, Waiting};
@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The longest rest of a disk without another that takes its frames meanwhile: they wait in memory, which holds some seconds of
+/// Longest pause of a disk if no other takes its frames meanwhile: they wait in memory, which holds some seconds of
 /// them.
 const LONGEST_REST_ALONE: Duration = Duration::from_millis(500);
 /// How often a disk's free space is measured.
@@ -34,14 +34,14 @@ pub struct DiskHealth {
     pub rows_refused: u64,
     /// Half-written files of an earlier run that were removed.
     pub swept: usize,
-    /// `None` where it does not say.
+    /// `None` if the disk does not report it.
     pub free_percent: Option<f64>,
     pub space: FreeSpace,
     /// Whether its last attempt was refused.
     pub resting: bool,
 }
 
-/// A disk's health, shared between its thread and those who ask.
+/// A disk's health, shared between its thread and its readers.
 pub(super) type SharedHealth = Arc<Mutex<DiskHealth>>;
 
 pub(super) fn health_of(shared: &SharedHealth) -> MutexGuard<'_, DiskHealth> {
@@ -57,14 +57,14 @@ pub(super) struct Writer {
     /// Its number on this computer, from 0.
     pub number: usize,
     pub controls: Controls,
-    /// The computer's clock, as of the last check.
+    /// Status of the computer's clock at the last check.
     pub clock: Option<ClockStatus>,
     pub ephemeris: Ephemeris,
     pub health: SharedHealth,
 }
 
 impl Writer {
-    /// Stores until the queue is closed and empty, or the disk refuses after that.
+    /// Stores pictures until the queue is closed and empty, or the disk refuses one after that.
     pub fn run(mut self) {
         let mut rests = Backoff::DISK;
         let mut checked = None;
@@ -100,7 +100,7 @@ impl Writer {
         self.queue.end(self.disk);
     }
 
-    /// Stores a picture; an error is the disk's, which then has given it back.
+    /// Stores a picture; an error is the disk's, and the picture has then been given back.
     fn keep(&mut self, waiting: Waiting<StoredPicture>) -> Result<(), ArchiveError> {
         match self.store(&waiting.picture) {
             Ok(path) => {
@@ -133,7 +133,7 @@ impl Writer {
             }
             None => {
                 let encoded = self.encode(picture)?;
-                // Two disks that mirror may both come here; what one of them made serves.
+                // Two disks that mirror may both come here; the bytes that one of them made serve for both.
                 self.store.put(picture.encoded.get_or_init(|| encoded))
             }
         }
@@ -179,7 +179,7 @@ impl Writer {
         }
         let mut health = health_of(&self.health);
         health.free_percent = free_percent;
-        // A disk that does not say keeps its last state; writing to it will show.
+        // A disk that does not report its free space keeps its last state; writing to it will show.
         let Some(free_percent) = free_percent else {
             return;
         };

@@ -12,11 +12,11 @@ use std::time::{Duration, Instant};
 
 /// More than the longest datagram.
 const READ_BYTES: usize = 2048;
-/// Datagrams that are handled in a turn: a flood of them must not hold up what is to be sent.
+/// Datagrams handled per turn: a flood of them must not delay packets that are to be sent.
 const DATAGRAMS: usize = 64;
 
 impl Line<'_> {
-    /// Reads what has come and answers it.
+    /// Reads received packets and answers them.
     pub(super) fn listen(&mut self) {
         let mut buffer = [0; READ_BYTES];
         for _ in 0..DATAGRAMS {
@@ -48,7 +48,7 @@ impl Line<'_> {
         }
     }
 
-    /// Samples of the IMU; without a filter they are dropped.
+    /// Takes samples of the IMU; without a filter they are dropped.
     fn hear_telemetry(&self, packet: &TelemetryPacket) {
         if let Some(inputs) = &self.navigation {
             inputs.take_sample(packet, Instant::now());
@@ -63,7 +63,7 @@ impl Line<'_> {
             Err(refusal) => return self.refuse(refusal, None, sender),
         };
         let packets = self.parser.feed(opened.bytes, self.start.elapsed());
-        // No packet goes on in the next datagram.
+        // No packet continues in the next datagram.
         self.parser.abandon();
         for packet in packets {
             match packet {
@@ -71,14 +71,14 @@ impl Line<'_> {
                     self.note_stamp();
                     self.obey_once(packet, sender, opened.is_new);
                 }
-                // A sample that comes again has nothing new.
+                // A sample that comes again carries nothing new.
                 Packet::Telemetry(packet) if opened.is_new => self.hear_telemetry(&packet),
                 Packet::Telemetry(_) => {}
             }
         }
     }
 
-    /// Keeps the newest stamp over a restart. Those of samples are too many for a file.
+    /// Saves the newest stamp for the next start. Stamps of samples are too frequent for a file.
     fn note_stamp(&mut self) {
         let newest = self.connection.guard().newest_stamp();
         if newest > self.controls.stamp_ns() {
@@ -86,7 +86,7 @@ impl Line<'_> {
         }
     }
 
-    /// Carries a packet of a datagram out, unless it was before.
+    /// Executes a packet of a datagram, unless it was executed before.
     fn obey_once(&mut self, packet: CommandPacket, sender: SocketAddr, is_new: bool) {
         let now = Instant::now();
         match self.connection.guard().admit(&packet, sender, is_new, now) {
@@ -107,7 +107,7 @@ impl Line<'_> {
         }
     }
 
-    /// `packet` is what was refused, where it was read so far.
+    /// Refuses a datagram; `packet` is its packet, if it could be read.
     fn refuse(&mut self, refusal: Refusal, packet: Option<&CommandPacket>, sender: SocketAddr) {
         let refused = self.counters.datagrams_refused.count();
         if worth_a_line(refused) {
@@ -124,7 +124,7 @@ impl Line<'_> {
         }
     }
 
-    /// Writes the fate of a packet that was not carried out into the command log.
+    /// Writes the result for a packet that was not executed into the command log.
     fn note_commands(&self, packet: &CommandPacket, sender: SocketAddr, result: &str) {
         for (key, message) in self.responder.commands_in(packet) {
             let command = CommandInWords::of(key, message.as_ref());
@@ -133,7 +133,7 @@ impl Line<'_> {
         }
     }
 
-    /// Carries a packet out; returns what it was answered with.
+    /// Executes a packet; returns its answers.
     fn obey(&mut self, packet: &CommandPacket, sender: &str) -> Vec<Vec<u8>> {
         let now = Timestamp::now();
         match self.responder.handle(packet, now, &mut self.controls) {

@@ -6,7 +6,7 @@ use crate::link::{MoonAnswer, MoonOutcome, MoonRequest};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// More than a platform sends while a picture is taken; of more, the oldest is answered at once.
+/// More requests than a platform sends while a picture is taken; beyond them the oldest is answered at once.
 const MOST: usize = 16;
 
 /// Requests in the order in which they came.
@@ -19,7 +19,7 @@ struct Waiting {
 }
 
 impl MoonRequests {
-    /// The requests that are answered now: those of which a picture was begun since, and those that have waited too long.
+    /// The requests to be answered now: those with a picture begun since they came, and those that have waited too long.
     fn answers(
         &mut self,
         seen: Option<(Instant, MoonOutcome)>,
@@ -49,7 +49,7 @@ impl MoonRequests {
 }
 
 impl Line<'_> {
-    /// Takes requests; a picture that is begun from now on answers them.
+    /// Queues requests; a picture that begins from now on answers them.
     pub(super) fn request_moon(&mut self, requests: &[(u16, MoonRequest)]) {
         for (sequence, request) in requests {
             self.tally.lock().moon_requests += 1;

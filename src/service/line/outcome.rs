@@ -7,14 +7,14 @@ use crate::service::messages::Outcome;
 use std::time::Duration;
 
 impl Outcome {
-    /// Since mid-exposure.
+    /// Time since mid-exposure.
     pub fn age(&self) -> Duration {
         self.arrived.elapsed() + self.shutter.unwrap_or_default() / 2
     }
 
     pub fn solution(&self) -> Option<Solution> {
         let offset = self.offset?;
-        // The packet has no other word for a roll that is not known, or that the offset does not rest on.
+        // The packet has no other code for a roll that is not known, or on which the offset does not rest.
         let roll_deg = match (offset.roll, self.roll) {
             (Roll::Measured(_), Some(roll)) => roll.deg.value,
             _ => 0.0,
@@ -34,7 +34,7 @@ impl Outcome {
         })
     }
 
-    /// Message to the controller without a solution.
+    /// Code of the message to the controller without a solution.
     pub fn error_code(&self) -> u16 {
         self.stopped
             .map_or(NO_OFFSET, |stopped| stopped.stage as u16 + 1)

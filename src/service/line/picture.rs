@@ -1,16 +1,16 @@
-//! A picture on its way to the ground: it takes half of the line, and waits for everything else.
+//! A picture on its way to the ground: it takes half of the line's capacity, and gives way to everything else.
 
 use crate::link::packet::TELEMETRY_HEADER;
 use crate::link::{Picture, TelemetryPacket};
 use std::time::{Duration, Instant};
 
-/// The share of the line that pictures take.
+/// Fraction of the line's capacity that pictures take.
 const SHARE: f64 = 0.5;
-/// Bits of a byte on the line, with its start and stop bit.
+/// Bits per byte on the line, with start and stop bit.
 const BITS: f64 = 10.0;
-/// How much of its share a picture makes up for after a pause.
+/// Largest part of its share that a picture makes up for after a pause.
 const ARREARS: Duration = Duration::from_millis(20);
-/// How long other packets may have to wait for parts that have been written already, beyond the one that must.
+/// How long other packets may have to wait for parts already written, beyond the one that must be finished.
 const AHEAD: Duration = Duration::from_millis(5);
 
 /// The picture that is being sent.
@@ -34,7 +34,7 @@ impl PictureUnderWay {
         self.next_part >= self.picture.parts()
     }
 
-    /// The next part, where it is due and the `backlog` (bytes that the system has not passed on) leaves space for it.
+    /// The next part, if it is due and the `backlog` (bytes that the system has not passed on) leaves space for it.
     pub fn next_due(&mut self, baud: u32, backlog: usize, now: Instant) -> Option<TelemetryPacket> {
         if !self.pace.is_due(now) {
             return None;
@@ -50,7 +50,7 @@ impl PictureUnderWay {
     }
 }
 
-/// When the next part is due, whenever it is asked.
+/// Time at which the next part is due.
 struct Pace {
     due: Instant,
 }
@@ -60,8 +60,8 @@ impl Pace {
         now >= self.due
     }
 
-    /// A part was sent: the next one is due when its share of the line's time is over, counted from when this one was due,
-    /// so that turns of the thread, however long, do not slow the picture down.
+    /// A part was sent: the next one is due after its share of the line's time, counted from when this one was due,
+    /// so that long turns of the thread do not slow the picture down.
     fn note(&mut self, bytes: usize, baud: u32, now: Instant) {
         let earliest = now.checked_sub(ARREARS).unwrap_or(self.due);
         self.due = self.due.max(earliest) + time_on_line(bytes, baud).div_f64(SHARE);
@@ -76,10 +76,10 @@ fn time_on_line(bytes: usize, baud: u32) -> Duration {
 mod tests {
     use super::*;
 
-    /// Bytes of a part.
+    /// Size of a part, bytes.
     const PART: usize = 124;
 
-    /// Rate of sending, bytes/s, if the thread takes its turn at these times and the system passes on at once.
+    /// Rate of sending, bytes/s, if the thread takes its turn at these times and the system passes bytes on at once.
     fn rate(baud: u32, turns: impl Iterator<Item = Duration>) -> f64 {
         let start = Instant::now();
         let mut pace = Pace { due: start };

@@ -1,4 +1,4 @@
-//! The line's thread over pseudo-terminals; exposures and their outcomes are made by hand.
+//! The line's thread over pseudo-terminals; the test makes exposures and their outcomes.
 
 use super::*;
 use crate::aspect::{Stage, Stopped};
@@ -164,7 +164,7 @@ impl Bench {
         }
     }
 
-    /// Waits until all events have been heard. The first answer may overtake the last event, the second cannot.
+    /// Waits until all events have been handled. The first answer may overtake the last event, the second cannot.
     fn settle(&mut self) {
         self.drain();
         for _ in 0..2 {
@@ -371,7 +371,7 @@ fn a_clock_that_steps_stops_nothing() {
 fn the_controller_hears_of_one_camera_which_a_command_chooses() {
     let mut bench = bench(|_| {});
     bench.far.ask("start_tracking", &[]);
-    // Both cameras see every exposure at one time; one sends.
+    // Both cameras take every exposure at one time; one sends.
     let expose_both = |bench: &mut Bench, number| {
         let both = [1, 2].map(|camera| Exposure {
             camera,
@@ -390,7 +390,7 @@ fn the_controller_hears_of_one_camera_which_a_command_chooses() {
     assert_eq!(bench.far.ask("set_integer", &["4", "3"]), 2);
 }
 
-/// Hands the sending over; returns the stop, which may be answered later.
+/// Hands the sending over from one computer to the other; returns the stop, which may be answered later.
 fn hand_over(from: &mut Bench, to: &mut Bench) -> u16 {
     let stop = from.far.say("stop_sending", &[]);
     assert_eq!(to.far.ask("start_sending", &[]), 0);
@@ -409,7 +409,7 @@ fn a_hand_over_leaves_neither_a_gap_nor_a_double_wherever_it_falls_in_an_exposur
             bench.starts(exposure(number));
             bench.settle();
         }
-        // In the middle of an exposure.
+        // During an exposure.
         let mut stop_one = (number == 2).then(|| hand_over(&mut one, &mut two));
         let stop_two = (number == 8).then(|| hand_over(&mut two, &mut one));
         for bench in [&mut one, &mut two] {
@@ -453,13 +453,13 @@ fn a_stop_is_answered_even_if_the_announced_frame_never_comes() {
 fn a_peer_that_takes_nothing_holds_up_nothing_and_hears_the_newest_afterwards() {
     let mut bench = bench(|_| {});
     bench.far.ask("start_tracking", &[]);
-    // Twice what any pseudo-terminal holds. There is no reader.
+    // Twice the capacity of any pseudo-terminal. There is no reader.
     let many = 3000;
     for number in 0..many {
         bench.expose(exposure(number));
     }
     bench.drain();
-    // The peer is back. What it reads first is what the system held; then the line is as before.
+    // The peer reads again. It first reads the bytes that the system held; then the line is as before.
     let end = Instant::now() + LONG;
     for number in many.. {
         assert!(Instant::now() < end, "nothing new is heard");
@@ -650,7 +650,7 @@ fn garbage_on_the_line_loses_no_command() {
     assert!(tally.rejected.packets >= 20);
 }
 
-/// A port of datagrams that have come, each with its sender, and of packets that were sent.
+/// A port with received datagrams, each with its sender, and the packets that were sent.
 #[derive(Default)]
 struct Datagrams {
     to_read: VecDeque<(Vec<u8>, SocketAddr)>,
@@ -696,7 +696,7 @@ fn ground_controls() -> Controls {
     Controls::new(Config::default(), Target::default(), mounting)
 }
 
-/// What a line that listens to the ground makes of datagrams: how many commands it has answered and datagrams refused, and its answers.
+/// Result of a line that listens to the ground for these datagrams: numbers of commands answered and datagrams refused, and the answers.
 fn heard(
     controls: &Controls,
     seal: Option<Seal>,
@@ -785,7 +785,7 @@ impl<S: tracing::Subscriber> tracing_subscriber::Layer<S> for Lines {
     }
 }
 
-/// The command, its values, and who sends it.
+/// The command, its values, and its sender.
 type Flood = (&'static str, &'static [&'static str], &'static str);
 
 #[test]
@@ -806,7 +806,7 @@ fn a_flood_writes_few_lines_into_the_log_and_every_change_one() {
         ("set_twist", &["1000"], GROUND),
         ("start_tracking", &[], GROUND),
     ];
-    // Threads of other tests have no log: one that writes a line first would make it count as unwanted.
+    // Threads of other tests have no log: if one of them wrote a line first, it would disable the log for this place.
     let warm_up = ground_controls();
     for flood in floods {
         count(&warm_up, 2, flood);

@@ -1,17 +1,17 @@
-//! Directions that contradict the gyros for 10 s: a line of the log where that begins, and one where it ends.
+//! Directions that contradict the gyros for 10 s: a log line when that begins, and one when it ends.
 
 use crate::log::worth_a_line;
 use crate::navigation::{Agreement, Axis, Comparison, NavigationSettings};
 use crate::service::tally::NavigationTally;
 
-/// Whether directions contradict the gyros, as it was last noted.
+/// Whether directions contradicted the gyros at the last note.
 #[derive(Debug, Default)]
 pub(super) struct LastingContradiction {
     is_on: bool,
 }
 
 impl LastingContradiction {
-    /// Notes how cameras and gyros agree; the 1st, 2nd, 4th ... contradiction is logged.
+    /// Notes the agreement of cameras and gyros; the 1st, 2nd, 4th ... contradiction is logged.
     pub fn note(
         &mut self,
         comparison: &Comparison,

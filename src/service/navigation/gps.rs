@@ -9,11 +9,11 @@ use crate::service::messages::NavigationLog;
 use crate::service::tally::NavigationTally;
 use crate::units::Place;
 
-/// A fix of a time that is further from the IMU's is of another day, or stale.
+/// Largest difference of a fix's time from the IMU's; beyond it the fix is of another day, or stale.
 const FIX_WITHIN_S: f64 = 3.0;
 
 impl Navigator {
-    /// Has the place of frames follow the receiver; `false` where the fix is a jump, which the filter does not get either.
+    /// Makes the place of frames follow the receiver; `false` if the fix is a jump, which is not passed to the filter either.
     pub(super) fn follow(&self, fix: &TimedFix) -> bool {
         let follows = self.controls.follow(fix.place);
         if !follows {
@@ -32,7 +32,7 @@ impl Navigator {
 impl Filter<'_> {
     pub(super) fn fix(&mut self, timed: &TimedFix) {
         if self.last_fix.replace(timed.utc) == Some(timed.utc) {
-            // A receiver that says the same again has nothing new.
+            // A receiver that repeats its fix adds nothing.
             let why = timed.utc.to_string();
             return self.own.tally.lock().refuse_fix(Refusal::Repeated, why);
         }
@@ -45,7 +45,7 @@ impl Filter<'_> {
         }
         let motion = self.live.now().and_then(|row| row.attitude);
         self.targets.note(Fix {
-            // A fix that jumps does not move the Sun.
+            // A jump of the fix does not change the Sun's direction.
             position_m: motion.map_or(fix.position_m, |(motion, _)| motion.position_m),
             ..fix
         });
@@ -70,12 +70,12 @@ impl NavigationTally {
         }
     }
 
-    /// The same of a fix that does not fit what was known before it.
+    /// Counts and logs a fix that is inconsistent with earlier ones.
     pub(super) fn refuse_fix(&mut self, refusal: Refusal, why: String) {
         self.note_gps(&Heard::Refused(Refused::new(refusal, why)));
     }
 
-    /// Notes how many bytes of the GPS receiver were part of no sentence, all in all, and logs it each time they have doubled.
+    /// Notes the total number of the GPS receiver's bytes that were part of no sentence, and logs it each time it has doubled.
     pub(super) fn note_gps_noise(&mut self, bytes: u64) {
         let before = std::mem::replace(&mut self.gps.noise_bytes, bytes);
         if before.checked_ilog2() != bytes.checked_ilog2() {

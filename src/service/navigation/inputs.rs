@@ -1,4 +1,4 @@
-//! The filter's inputs: samples of the IMU, fixes of GPS, and the directions that cameras have seen.
+//! The filter's inputs: samples of the IMU, fixes of GPS, and directions observed by cameras.
 
 use crate::link::{Counters, ImuPacket, TelemetryPacket};
 use crate::log::worth_a_line;
@@ -33,7 +33,7 @@ impl Inputs {
         (own, inputs)
     }
 
-    /// Passes an input to the filter. If its queue is full the input is lost and counted: later ones matter more.
+    /// Passes an input to the filter. If its queue is full, the input is lost and counted: later ones matter more.
     pub fn take(&self, input: Input) {
         // A filter that has ended with the cameras needs no more.
         if let Err(TrySendError::Full(_)) = self.queue.try_send(input) {
@@ -61,7 +61,7 @@ impl TakesSamples for Inputs {
 }
 
 impl Hears for Inputs {
-    /// Passes what a frame shows to the filter.
+    /// Passes the direction that a frame gives to the filter.
     fn hear(&self, answer: &Answer) {
         if let Some(seen) = seen(answer) {
             self.take(Input::Seen(seen));
@@ -69,7 +69,7 @@ impl Hears for Inputs {
     }
 }
 
-/// The direction that a frame gives; `None` where it shows none, or has no time.
+/// The direction that a frame gives; `None` if it gives none, or has no time.
 fn seen(answer: &Answer) -> Option<Seen> {
     let (target, direction) = match &answer.solved.found {
         Found::Sun(sun) => {

@@ -1,6 +1,6 @@
-//! The navigation filter's thread: samples, fixes and directions in, offsets between frames out.
+//! The navigation filter's thread: it takes samples, fixes and directions, and computes offsets between frames.
 //!
-//! Its clock is the samples' own time. A measurement stands at its own time, less its sensor's delay; it may come up to 3 s late.
+//! Its clock is the samples' own time. The time of a measurement is its stamp, less its sensor's delay; it may come up to 3 s late.
 
 mod contradiction;
 mod gps;
@@ -43,13 +43,13 @@ use steps::Steps;
 
 /// How long the filter waits for an input before it shows that it is at work.
 const PATIENCE: Duration = Duration::from_millis(100);
-/// A filter that gives no word for so long hangs.
+/// Silence after which the filter counts as hung.
 const PATIENT_FOR: Duration = Duration::from_secs(5);
-/// An IMU that is silent for so long leaves nothing that is true now.
+/// Silence of the IMU after which no earlier state is valid.
 const SILENCE: Duration = Duration::from_secs(1);
-/// Offsets are left out where so many events wait for the line: frames come first.
+/// Offsets are not sent if this many events wait for the line: frames come first.
 const MOST_EVENTS: usize = 32;
-/// The archive gets rows of so much time at once.
+/// Span of time for which the archive gets rows at once.
 const ROWS_S: f64 = 1.0;
 
 /// Shared state of the filter's thread. It outlives a thread that fails; the filter does not.
@@ -72,7 +72,7 @@ impl Navigator {
     /// Starts the filter's thread, and one for each sensor that has a line of its own.
     ///
     /// # Errors
-    /// The operating system gives no thread.
+    /// If the operating system gives no thread.
     pub fn start(
         self,
         imu: Option<Connection>,
@@ -111,7 +111,7 @@ impl Navigator {
         while !life.is_over() {
             life.beat();
             if self.ended.load(Ordering::Relaxed) {
-                // An IMU on the controller's line goes on until that is closed.
+                // An IMU on the controller's line continues until that is closed.
                 let since = *ending.get_or_insert_with(Instant::now);
                 if since.elapsed() > PATIENCE {
                     break;
@@ -141,7 +141,7 @@ impl Navigator {
     }
 }
 
-/// Nothing is known of now.
+/// Removes the current state from the tally.
 fn clear(tally: &mut NavigationTally) {
     (tally.status, tally.latest) = (None, None);
     (tally.differences, tally.agreement) = Default::default();
@@ -165,7 +165,7 @@ struct Filter<'a> {
     targets: Targets,
     epoch: Timestamp,
     body_from_telescope: Rotation3<f64>,
-    /// The last sample, and the time of the last fix.
+    /// The last sample.
     last_sample: Option<ImuPacket>,
     steps: Steps,
     last_fix: Option<Timestamp>,
@@ -176,15 +176,15 @@ struct Filter<'a> {
     contradiction: LastingContradiction,
     rows: [VecDeque<Vec<String>>; NavigationLog::ALL.len()],
     handed_on_s: f64,
-    /// Directions that could not be used for want of the target's.
+    /// Number of directions that could not be used because the target's direction is not known.
     unknown: u64,
 }
 
 impl<'a> Filter<'a> {
-    /// Waits for what comes; `epoch` is about the first sample's time.
+    /// A filter that waits for its first input; `epoch` is about the first sample's time.
     fn new(own: &'a Navigator, epoch: Timestamp) -> Self {
         let settings = &own.settings;
-        // One that does not fly gives no directions, whatever its role.
+        // A camera that does not fly gives no directions, whatever its role.
         let targets = settings.cameras.iter().map(|stated| {
             let flown = own.cameras.iter().find(|(name, _)| *name == stated.name);
             flown.map_or(Target::Sun, |(_, role)| Target::of(*role))
@@ -238,7 +238,7 @@ impl<'a> Filter<'a> {
         let before_s = self.live.newest_s();
         let row = self.live.sample(felt);
         self.note(row.map(|row| row.status));
-        // Passed over, or a packet that came twice.
+        // The filter has ignored the sample, or the packet came twice.
         if self.live.newest_s() != Some(t_s) || before_s == Some(t_s) {
             return;
         }
@@ -296,7 +296,7 @@ impl<'a> Filter<'a> {
         let t_s = self.since_epoch_s(seen.utc) - settings.cameras[camera].delay_s;
         let towards = match self.targets.towards(seen.target, t_s) {
             Ok(towards) => towards,
-            // The filter has not begun yet.
+            // The filter has not started yet.
             Err(NoDirection::NoFix) => return,
             Err(error) => {
                 self.unknown += 1;
@@ -332,14 +332,14 @@ impl<'a> Filter<'a> {
                 propagated: propagated(&offset, utc, age_s),
                 read,
             };
-            // A line that is stuck sends nothing; the next offset is a better one.
+            // A line that is stuck sends nothing; the next offset is better.
             let _ = self.own.to_line.try_send(LinkEvent::Propagated(event));
         }
         let row = propagated_row(utc, &offset, age_s, row.status);
         self.keep(NavigationLog::Propagated, row);
     }
 
-    /// The offset at a row and its time; `None` before the start, and where the target cannot be pointed at.
+    /// The offset at a row and its time; `None` before the start, and if the target cannot be pointed at.
     fn offset(&mut self, row: &NavigationRow) -> Option<(Timestamp, PropagatedOffset)> {
         row.attitude?;
         let target = self.own.controls.snapshot().target;

@@ -1,4 +1,4 @@
-//! A sensor with a line of its own: the IMU where it does not speak on the controller's, and the GPS receiver. A line that is lost is opened
+//! A sensor with a line of its own: the IMU if it does not send on the controller's, and the GPS receiver. A lost line is opened
 //! again.
 
 use super::inputs::Inputs;
@@ -38,7 +38,7 @@ impl Speaks {
     }
 }
 
-/// A sensor's thread. The line is held by one life after the other: the port outlives a thread that panicked.
+/// A sensor's thread. Its successive lives share the line: the port outlives a thread that panicked.
 #[derive(Clone)]
 pub(super) struct Sensor {
     pub connection: Arc<Mutex<Connection>>,
@@ -58,7 +58,7 @@ impl Sensor {
             .unwrap_or_else(PoisonError::into_inner);
         let mut packets = Parser::new(Direction::ToAspect);
         let mut sentences = Nmea::default();
-        // Of the lives before.
+        // Noise bytes of the lives before.
         let noise_before = self.tally.lock().gps.noise_bytes;
         let start = Instant::now();
         let mut buffer = [0; READ_BYTES];
@@ -99,7 +99,7 @@ impl Sensor {
         }
     }
 
-    /// Reads what has come; of datagrams those of the sensor alone.
+    /// Reads received bytes; of datagrams, only those of the sensor.
     fn read(&self, connection: &mut Connection, buffer: &mut [u8]) -> Result<usize, PortError> {
         let Some(port) = connection.port() else {
             std::thread::sleep(PATIENCE);

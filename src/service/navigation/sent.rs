@@ -1,4 +1,4 @@
-//! Which offsets by the gyros are sent, and as what.
+//! Selection of the offsets by the gyros that are sent, and their form.
 
 use crate::config;
 use crate::link::{Propagated, Solution};
@@ -6,13 +6,13 @@ use crate::navigation::PropagatedOffset;
 use jiff::Timestamp;
 
 impl config::Navigation {
-    /// Whether an offset is sent: it is asked for, and certain enough.
+    /// Whether an offset is sent: it is asked for, and its uncertainty is small enough.
     pub(super) fn sends(&self, offset: &PropagatedOffset) -> bool {
         self.send == config::Switch::On && offset.sigma_deg <= self.max_sigma_deg()
     }
 }
 
-/// An offset as the controller gets it, `age_s` after the last direction.
+/// An offset in the form for the controller, `age_s` after the last direction.
 pub(super) fn propagated(offset: &PropagatedOffset, utc: Timestamp, age_s: f64) -> Propagated {
     Propagated {
         solution: Solution {

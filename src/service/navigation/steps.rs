@@ -1,26 +1,26 @@
-//! Whether the times of samples go on as their counter does.
+//! Steps of the clock: whether the times of samples advance as their counter does.
 
 use crate::link::ImuPacket;
 
-/// Steps of the clock beyond so many samples are steps; less is how a driver stamps.
+/// Deviation in samples beyond which the clock has stepped; a smaller one is time-stamp jitter.
 const SAMPLES: f64 = 2.0;
-/// The time from sample to sample is one that two agree on so well.
+/// Largest relative difference of two intervals that agree.
 const AGREES: f64 = 0.2;
 const SHARE: f64 = 0.01;
-/// A clock that is off by more was set, s: the filter is restarted.
+/// Change of the clock beyond which it was set, s: the filter is restarted.
 const SET_S: f64 = 1.0;
 
 /// The times of samples so far.
 #[derive(Debug, Default)]
 pub(super) struct Steps {
     last: Option<ImuPacket>,
-    /// From sample to sample, the last time and as a rule, s.
+    /// Last interval between samples, s.
     before_s: Option<f64>,
     usual_s: Option<f64>,
 }
 
 impl Steps {
-    /// By how much the clock stepped before a sample, s; 0 where it went on as the samples did.
+    /// Step of the clock before a sample, s; 0 if it advanced as the samples did.
     pub fn step_s(&mut self, sample: &ImuPacket) -> f64 {
         let Some(last) = self.last else {
             self.last = Some(*sample);
@@ -46,7 +46,7 @@ impl Steps {
         let is_step = step_s.abs() > SAMPLES * *usual_s;
         match (near(*usual_s), agrees) {
             (true, _) => *usual_s += SHARE * (each_s - *usual_s),
-            // The IMU goes on at another rate.
+            // The IMU continues at another rate.
             (false, true) => *usual_s = each_s,
             (false, false) => {}
         }
@@ -80,7 +80,7 @@ mod tests {
         assert_eq!(step(30, 300), 0.0);
         assert_eq!(step(31, 315), 0.0);
         assert!((step(32, 620) - 0.3).abs() < 0.01);
-        // Back by a twentieth of a second: what is not later than the last is passed over.
+        // Back by 0.05 s: samples that are not later than the last are ignored.
         for n in 33..38 {
             assert_eq!(step(n, 580 + 10 * (i64::from(n) - 33)), 0.0);
         }

@@ -1,4 +1,4 @@
-//! Flights of simulated sensors through the filter, at the speed of the computer.
+//! Flights of simulated sensors through the filter, as fast as the computer allows.
 
 mod comparison;
 mod faults;
@@ -21,7 +21,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use std::path::Path;
 
 const START: &str = "2013-09-21T18:00:00Z";
-/// 1 sigma per axis of a frame's Sun.
+/// Error of a frame's Sun, 1 sigma per axis.
 const SUN_ARCSEC: f64 = 0.11;
 const FRAMES_HZ: u64 = 4;
 
@@ -63,11 +63,11 @@ fn sending() -> Config {
 #[derive(Debug, Default)]
 struct Judged {
     offsets: usize,
-    /// Of cross-elevation and elevation: errors in their sigmas, and in arcsec with their age.
+    /// Errors in cross-elevation and elevation, in sigmas.
     sigmas: Vec<f64>,
     arcsec: Vec<(f64, f64)>,
     roll_deg: Vec<f64>,
-    /// When each was sent, s since the start.
+    /// Time at which each offset was sent, s since the start.
     sent_s: Vec<f64>,
 }
 
@@ -81,7 +81,7 @@ impl Judged {
         rms(self.sigmas.iter().copied())
     }
 
-    /// Of those whose last frame is so old, s.
+    /// RMS error of the offsets whose last frame has an age in this range, s.
     fn rms_arcsec(&self, ages_s: std::ops::Range<f64>) -> f64 {
         let of_age = self
             .arcsec
@@ -107,7 +107,7 @@ fn seen(camera: usize, target: Target, since: Duration, direction: Direction) ->
     }
 }
 
-/// The fixes of some sentences, all of which are one.
+/// The fixes of some sentences, all of which must be fixes.
 fn fixes(receiver: &mut Nmea, sentences: &str) -> Vec<TimedFix> {
     let heard = receiver.feed(sentences.as_bytes(), START.parse().unwrap());
     let fix = |heard| match heard {
@@ -117,8 +117,8 @@ fn fixes(receiver: &mut Nmea, sentences: &str) -> Vec<TimedFix> {
     heard.into_iter().map(fix).collect()
 }
 
-/// Flies the simulated telescope. Frames show the Sun where `is_seen` says so of their time, and are solved 40 ms late; `corrupt` may change what
-/// the IMU says, or lose it, and `receive` a fix.
+/// Flies the simulated telescope. Frames show the Sun at times for which `is_seen` is true, and are solved 40 ms late; `corrupt` may change
+/// or drop a sample of the IMU, and `receive` a fix.
 fn fly(
     duration_s: u64,
     seed: u64,
@@ -130,7 +130,7 @@ fn fly(
     fly_judged(duration_s, seed, seen, corrupt, receive, |_| true, &[])
 }
 
-/// The same after commands; only offsets of which `is_judged` says so count.
+/// The same after commands; only offsets at times for which `is_judged` is true count.
 fn fly_judged(
     duration_s: u64,
     seed: u64,
@@ -189,7 +189,7 @@ fn fly_judged(
 }
 
 impl Judged {
-    /// Holds an offset against the flight's own attitude.
+    /// Compares an offset with the flight's true attitude.
     fn note(&mut self, said: &Propagated, flown: &mut TelescopeFlight, start: Timestamp) {
         let judged = JudgedOffset::of(said, flown, start).unwrap();
         for error_arcsec in judged.error_arcsec {
@@ -201,7 +201,7 @@ impl Judged {
     }
 }
 
-/// Printed result of a promise, so that a failure can be read.
+/// Prints the results, so that a failure can be understood.
 fn say(judged: &Judged, tally: &NavigationTally) {
     println!(
         "{} offsets, beyond 3 sigma {:.4}, error/sigma {:.2}; arcsec: {:.2} within 0.4 s, {:.2} after 50 to 60 s, {:.2} after more; roll {:.4} deg; {tally:?}",
@@ -215,7 +215,7 @@ fn say(judged: &Judged, tally: &NavigationTally) {
     );
 }
 
-/// Every five minutes a gap of 60 s, and once a camera that is dead for two minutes.
+/// A gap of 60 s every five minutes, and one camera outage of two minutes.
 fn with_gaps(t_s: f64) -> bool {
     !(100.0..160.0).contains(&(t_s % 300.0)) && !(1800.0..1920.0).contains(&t_s)
 }
@@ -224,7 +224,7 @@ fn as_received(_: u64, fix: TimedFix) -> Option<TimedFix> {
     Some(fix)
 }
 
-/// Several flights: the errors of one have much in common, such as the bias of its accelerometers, which turns all offsets about the Sun.
+/// Several flights: the errors of one flight are correlated, for example by the biases of its accelerometers, which turn all offsets about the Sun.
 fn fly_all(
     duration_s: u64,
     seeds: u64,
@@ -251,7 +251,7 @@ fn fly_all(
 #[test]
 fn offsets_between_frames_and_through_gaps_are_as_certain_as_they_say() {
     let (judged, tally) = fly_all(250, 12, |_| false);
-    // 20 a second, except for the first seconds.
+    // 20 per second, except for the first seconds.
     assert!(judged.offsets > 12 * 4900);
     assert!(judged.beyond_3_sigma() < 0.01);
     assert!((0.8..1.25).contains(&judged.ratio()));
@@ -274,7 +274,7 @@ fn offsets_of_an_hour_are_as_certain_as_they_say() {
 
 #[test]
 fn lost_samples_make_an_offset_less_certain_and_not_wrong() {
-    // One in ten, as by chance, and each half minute a fifth of a second.
+    // One in ten at random, and 0.2 s every half minute.
     let is_lost =
         |n: u64| n % 3000 > 2980 || n.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32 & 0xff < 26;
     let (judged, tally) = fly_all(250, 12, is_lost);
@@ -290,7 +290,7 @@ fn a_clock_that_steps_and_samples_that_no_vehicle_feels_begin_the_filter_anew_at
         if n % 1000 == 500 {
             sample.force_m_s2[1] = 1e30;
         }
-        // For two seconds the IMU's clock is of another day, and once for one sample.
+        // For two seconds the IMU's clock is of another day, and later for one sample.
         if (5000..5200).contains(&n) || n == 7000 {
             sample.time -= SignedDuration::from_hours(24);
         }
@@ -313,7 +313,7 @@ fn fixes_that_jump_are_stale_or_do_not_come_move_no_offset() {
             fix.place.latitude_deg += 0.045;
             Some(fix)
         }
-        // A receiver that says the same again and again.
+        // A receiver that repeats the same fix.
         120..150 => Some(*held.get_or_insert(fix)),
         180..240 => None,
         _ => Some(fix),
@@ -346,7 +346,7 @@ fn fixes_without_velocity_begin_the_filter_and_keep_it() {
 fn a_fix_of_another_time_than_the_imus_is_counted_as_such() {
     let late = SignedDuration::from_secs(18);
     let receive = |second: u64, mut fix: TimedFix| {
-        // A receiver that does not know the leap seconds, for a while.
+        // A receiver that does not know the leap seconds for a while.
         if (10..15).contains(&second) {
             fix.utc += late;
         }

@@ -1,4 +1,4 @@
-//! The solver of a roll camera: a frame of the horizon in, straight down in the body's axes out.
+//! The solver of a roll camera: it takes a frame of the horizon and gives the nadir in the body's axes.
 
 use super::{Solver, timed};
 use crate::aspect::Quality;
@@ -17,7 +17,7 @@ use tracing::Level;
 pub(super) struct HorizonSolver {
     camera: MountedCamera,
     latest: LatestNadir,
-    /// Straight down by the last frame, in the camera's axes.
+    /// The nadir of the last frame, in the camera's axes.
     last: Option<UnitVector3<f64>>,
 }
 
@@ -30,7 +30,7 @@ impl HorizonSolver {
         }
     }
 
-    /// The horizon of a frame. One of another size than the camera's is stored, and not solved.
+    /// The horizon of a frame. A frame of another size than the camera's is stored, and not solved.
     fn horizon(&self, frame: &Frame, commanded: &Snapshot) -> Solution {
         let camera = &self.camera.optics;
         if camera.check(frame).is_err() {
@@ -107,7 +107,7 @@ impl Solver for HorizonSolver {
     }
 }
 
-/// A frame that is not searched, with its light: the exposure follows that all the same.
+/// A frame that is not searched, with its brightness: the automatic exposure uses that all the same.
 fn unsolved(frame: &Frame, reason: Reason, measured: f64, limit: f64) -> Solution {
     let whole_px = frame.width().max(frame.height()) as f64;
     let rejected = Rejected::new(reason, measured, limit);
@@ -120,8 +120,8 @@ fn unsolved(frame: &Frame, reason: Reason, measured: f64, limit: f64) -> Solutio
     }
 }
 
-/// The limb's light for the exposure that follows it: the Sun in the picture is too small to count. A picture that is bright all over has too
-/// much, and one that is dark says nothing of the limb.
+/// The limb's brightness for the automatic exposure: the Sun in the picture is too small to count. A picture that is saturated all over has too
+/// much light, and a dark one does not show the limb.
 fn brightness(solution: &Solution, saturation_dn: u16) -> Brightness {
     let full_dn = f64::from(saturation_dn);
     let is_too_bright = |stopped: &horizon::Stopped| stopped.rejected.reason == reasons::TOO_BRIGHT;

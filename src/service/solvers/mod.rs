@@ -1,4 +1,4 @@
-//! Solvers: one for each thing that a camera may see, all behind one trait.
+//! Solvers: one for each kind of object that a camera sees, all behind one trait.
 
 mod horizon;
 mod moon;
@@ -19,22 +19,22 @@ use crate::sky::Ephemeris;
 use std::time::{Duration, Instant};
 use tracing::Level;
 
-/// Finds in the frames of a camera what it sees.
+/// Solves the frames of a camera.
 pub trait Solver: Send {
-    /// Solves a frame. The frame gets the place that the answer rests on.
+    /// Solves a frame. The frame gets the place on which the answer rests.
     ///
     /// # Errors
-    /// A frame of another camera: nothing can be said of it.
+    /// If the frame is of another camera: it cannot be solved.
     fn solve(
         &mut self,
         frame: &mut UnsolvedFrame,
         commanded: &Snapshot,
     ) -> Result<Solved, WrongSize>;
 
-    /// Leaves what a frame has shown where others read it.
+    /// Stores the result of a frame where other solvers read it.
     fn leave(&mut self, _frame: &UnsolvedFrame, _solved: &Solved) {}
 
-    /// Log entry, now and then, of a frame that went no further; `None` where that is nothing unusual.
+    /// Log entry, now and then, for a frame that went no further; `None` if that is nothing unusual.
     fn complaint(&self, _solved: &Solved) -> Option<(Level, &'static str)> {
         None
     }
@@ -65,7 +65,7 @@ pub(super) struct Memory {
     pub tally: Shared<SolverTally>,
 }
 
-/// Makes the solver of a camera's frames, for one life after the other.
+/// Makes the solver of a camera's frames, for successive lives of its thread.
 #[derive(Clone)]
 pub(super) struct MakeSolver {
     pub station: Station,
@@ -97,13 +97,13 @@ impl MakeSolver {
     }
 }
 
-/// The solver of the frames of a camera that is tried alone.
+/// The solver of the frames of a camera that is used alone.
 pub fn solver(camera: &Camera, ephemeris: Ephemeris) -> Box<dyn Solver> {
     let station = Station::alone(camera);
     MakeSolver::new(&station, ephemeris, &Shelf::default(), Memory::default()).make()
 }
 
-/// For a camera of which nothing is stated: only the frame's light is measured.
+/// For a camera without a calibration: only the frame's brightness is measured.
 struct Levels;
 
 impl Solver for Levels {
@@ -128,7 +128,7 @@ impl Solver for Levels {
     }
 }
 
-/// The time that some work takes, and what it gives.
+/// The result of some work, and the time that it took.
 fn timed<T>(work: impl FnOnce() -> T) -> (T, Duration) {
     let start = Instant::now();
     let given = work();

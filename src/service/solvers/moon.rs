@@ -1,4 +1,4 @@
-//! The solver of a Moon camera: a frame of the night sky in, the Moon's place and direction out.
+//! The solver of a Moon camera: it takes a frame of the night sky and gives the Moon's place and direction.
 
 use super::{Solver, timed};
 use crate::aspect::Quality;
@@ -24,11 +24,11 @@ pub(super) struct MoonSolver {
     camera: DirectionCamera,
     ephemeris: Ephemeris,
     desk: Shared<MoonDesk>,
-    /// At the last frame; `None` where its time or place is not known.
+    /// Whether it was night at the last frame; `None` if its time or place is not known.
     is_night: Option<bool>,
 }
 
-/// Where the ephemeris has Moon and Sun, and whether the Moon can be seen.
+/// Directions of Moon and Sun by the ephemeris, and whether the Moon can be seen.
 struct Heavens {
     moon: MoonPosition,
     hidden: Option<Rejected>,
@@ -45,7 +45,7 @@ impl MoonSolver {
         }
     }
 
-    /// `None` for dates that the ephemeris does not know.
+    /// `None` for dates outside the ephemeris.
     fn heavens(&mut self, utc: Timestamp, place: Place, snapshot: &Snapshot) -> Option<Heavens> {
         let moon = self.ephemeris.moon(utc, place).ok()?;
         let sun = self.ephemeris.sun(utc, place).ok()?;
@@ -58,7 +58,7 @@ impl MoonSolver {
         })
     }
 
-    /// The Moon in a frame. One of another size than the camera's, or taken while the Moon cannot be seen, is stored and not searched.
+    /// The Moon in a frame. A frame of another size than the camera's, or taken while the Moon cannot be seen, is stored and not searched.
     fn disc(&self, frame: &Frame, heavens: Option<&Heavens>) -> Result<Disc, Stopped> {
         if let Err(wrong) = self.camera.check(frame) {
             return Err(at(Stage::Light)(Rejected {
@@ -123,7 +123,7 @@ impl Solver for MoonSolver {
         let asked_from = self.desk.lock().asked_from;
         let frame = &mut frame.exposure.frame;
         let info = &mut frame.info;
-        // The platform knows best; the file states the place that its answer rests on.
+        // The platform's place has priority; the file states the place on which its answer rests.
         info.place = asked_from.or(info.place).or(commanded.place);
         let known = info.mid_exposure.zip(info.place);
         let ((heavens, found), solve_time) = timed(|| {
@@ -183,7 +183,7 @@ fn not_found(stage: Stage) -> MoonOutcome {
     }
 }
 
-/// A frame's levels for the logs, and the Moon's light for the exposure that follows it. While the Moon cannot be seen, no light is its own.
+/// A frame's levels for the logs, and the Moon's brightness for the automatic exposure. While the Moon cannot be seen, it has no brightness.
 fn light(frame: &Frame, found: &Result<Disc, Stopped>) -> (Option<frame::Levels>, Brightness) {
     let full_dn = f64::from(frame.saturation_dn());
     let levels = match (Levels::of(frame), found) {

@@ -1,21 +1,21 @@
-//! Straight down between frames of the horizon: it turns on as the body does, and is the less certain the further away the frame is.
+//! Nadir between frames of the horizon: it is propagated with the body's turn rate; its uncertainty grows with the time from the frame.
 
 use crate::geometry::attitude::Direction;
 use crate::service::messages::{Middle, SeenNadir};
 use nalgebra::{Rotation3, Vector3};
 use std::time::Duration;
 
-/// The gondola's turn in a second before any frames have measured it, 1 sigma: half a degree.
+/// Turn rate of the gondola before any frames have measured it, 1 sigma: 0.5 deg/s.
 const USUAL_RAD_PER_S: f64 = 0.009;
 /// Frames further apart than this do not determine a rate.
 const RATE_VALID_S: f64 = 1.5;
-/// The rate follows the frames in this time.
+/// Time constant of the rate, s.
 const RATE_FOLLOWS_S: f64 = 0.15;
-/// The part of the mean prediction error that is kept from frame to frame.
+/// Fraction of the mean prediction error that is kept from frame to frame.
 const ERROR_KEPT: f64 = 0.9;
 
 impl SeenNadir {
-    /// A direction, without earlier frames that determine how it turns.
+    /// A direction, without earlier frames that determine its turn rate.
     fn first(direction: Direction, at: Middle) -> Self {
         Self {
             direction,
@@ -27,7 +27,7 @@ impl SeenNadir {
         }
     }
 
-    /// The state after it.
+    /// The state after the next direction.
     pub fn next(last: Option<Self>, direction: Direction, at: Middle) -> Self {
         let Some(last) = last else {
             return Self::first(direction, at);
@@ -51,8 +51,8 @@ impl SeenNadir {
         }
     }
 
-    /// The direction at the middle of another exposure, by how it turns, and less certain by the error of such a prediction; `None` where the two
-    /// are too far apart.
+    /// The direction at the middle of another exposure, propagated with the turn rate; its error is increased by that of the prediction.
+    /// `None` if the two are too far apart in time.
     pub fn at(self, moment: &Middle, max_age: Duration) -> Option<Direction> {
         let after_s = self.at.until(moment);
         let near = after_s.abs() <= max_age.as_secs_f64();
@@ -71,8 +71,8 @@ impl SeenNadir {
         }
     }
 
-    /// The error of a predicted turn after some time, 1 sigma per axis: in proportion to it, and to its square beyond the time that frames cover
-    /// of. It cannot be worse than no turn at all.
+    /// The error of a predicted turn after some time, 1 sigma per axis: proportional to the time, and to its square beyond the time that the frames
+    /// cover. It is at most the error without any turn.
     fn error_rad(self, after_s: f64) -> f64 {
         let part = after_s.abs() / self.after_s;
         let still = (self.turn_rad_per_s.norm() + USUAL_RAD_PER_S) * after_s.abs();
@@ -103,7 +103,7 @@ mod tests {
         }
     }
 
-    /// How far the direction of some frames is off a swing, and its sigma beside the frames' own, at a time.
+    /// Error of the direction from some frames on a swing, and the sigma added to the frames' own, at a time.
     fn error_and_sigma(frames_s: &[f64], time_s: f64) -> Option<(f64, f64)> {
         let start = Instant::now();
         let mut seen = None;
@@ -139,7 +139,7 @@ mod tests {
         for count in 20..60 {
             let last_s = frames[count - 1];
             let (error, sigma) = error_and_sigma(&frames[..count], last_s + 0.25).unwrap();
-            // Less than half of what it turns where it is fastest.
+            // Less than half of the turn where the swing is fastest.
             assert!(error < 0.45 * 0.25 * 0.034, "{error}");
             sum += (error / sigma).powi(2);
         }
@@ -153,10 +153,10 @@ mod tests {
         let is = |sigma: Option<f64>, expected: f64| (sigma.unwrap() - expected).abs() < 1e-9;
         assert!(is(sigma(&[1.0], 1.0), 0.0));
         assert!(is(sigma(&[1.0], 1.5), 0.5 * USUAL_RAD_PER_S));
-        // An exposure before it is as far away as one after it.
+        // An exposure before the frame is as far away as one after it.
         assert!(is(sigma(&[1.0], 0.5), 0.5 * USUAL_RAD_PER_S));
         assert_eq!(sigma(&[1.0], 2.001), None);
-        // After a gap nothing is known of how it turns.
+        // After a gap the turn rate is unknown.
         assert!(is(sigma(&[1.0, 1.5, 9.0], 9.5), 0.5 * USUAL_RAD_PER_S));
     }
 }

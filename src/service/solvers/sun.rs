@@ -1,4 +1,4 @@
-//! The solver of a pitch-yaw camera: a frame of the plate in, the Sun's place and the offset from the target out.
+//! The solver of a pitch-yaw camera: it takes a frame of the plate and gives the Sun's place and the offset from the target.
 
 use super::{MakeSolver, Memory, Solver, timed};
 use crate::aspect::{self, Expected, Stage, Track};
@@ -16,11 +16,11 @@ use tracing::Level;
 pub(super) struct SunSolver {
     camera: u8,
     stated: Instrument,
-    /// As commands have set it.
+    /// The instrument with commanded settings.
     mounted: Instrument,
-    /// The same as the last frame saw it: the part of the sensor that was read.
+    /// The same for the part of the sensor that was read in the last frame.
     instrument: Arc<Instrument>,
-    /// Whether commands about the mounting are about this camera's: about the first one's.
+    /// Whether commands of the mounting apply to this camera: they apply to the first one.
     is_commanded: bool,
     ephemeris: Ephemeris,
     /// Latest result of the first roll camera.
@@ -47,8 +47,8 @@ impl SunSolver {
         }
     }
 
-    /// Fits the instrument to the frame. Where it changes - the ground has turned camera or plate, or another part of the sensor is read - what the
-    /// last frames determined no longer holds.
+    /// Adapts the instrument to the frame. If it changes - the ground has turned camera or plate, or another part of the sensor is read - the
+    /// results of the last frames no longer hold.
     fn fit(&mut self, frame: &UnsolvedFrame, commanded: &Snapshot) -> Result<(), WrongSize> {
         if self.is_commanded {
             self.mounted.mounting = commanded.mounting(&self.stated.mounting);
@@ -75,7 +75,7 @@ impl Solver for SunSolver {
         let size = utc.and_then(|utc| self.sun.at(utc));
         let prior = self.track.as_ref();
         let (mut solution, solve_time) = timed(|| {
-            // Without a mapping of an earlier frame the calibration's is borrowed, but not what frames have disproved.
+            // Without a mapping of an earlier frame the calibration's is used, except for quantities that frames have contradicted.
             let corrected = match prior.is_some_and(|prior| prior.registration.is_some()) {
                 true => None,
                 false => self.memory.calibration.lock().corrected(&self.instrument),
@@ -86,7 +86,7 @@ impl Solver for SunSolver {
         if solution.track.is_some() {
             self.track.clone_from(&solution.track);
         }
-        // The file states the place that its offset and its coordinates rest on.
+        // The file states the place on which its offset and its coordinates rest.
         frame.info.place = frame.info.place.or(commanded.place);
         let seen = self.nadir.copy();
         let nadir = seen.and_then(|seen| seen.at(&middle, commanded.roll.max_age()));
@@ -118,7 +118,7 @@ impl Solver for SunSolver {
         })
     }
 
-    /// Says once what fine frames have disproved of the calibration.
+    /// Logs once the calibrated quantities that fine frames contradict.
     fn leave(&mut self, _: &UnsolvedFrame, solved: &Solved) {
         let Found::Sun(sun) = &solved.found else {
             return;
@@ -142,7 +142,7 @@ impl Solver for SunSolver {
     }
 }
 
-/// The Sun's size changes by a thousandth in a day: one evaluation of the ephemeris serves for a second and more.
+/// The Sun's size changes by 0.1 % in a day: one evaluation of the ephemeris serves for a second and more.
 #[derive(Default)]
 struct SunSize {
     last: Option<(Timestamp, Option<Expected>)>,

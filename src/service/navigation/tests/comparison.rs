@@ -1,4 +1,4 @@
-//! Cameras against gyros: flights of a telescope that swings, with Sun and horizon, whose directions are moved for a while.
+//! Comparison of cameras with gyros: flights of a telescope that swings, with Sun and horizon, whose directions are shifted for a while.
 
 use super::*;
 use crate::geometry::earth::ecef_m;
@@ -8,9 +8,9 @@ use crate::simulate::Gondola;
 use nalgebra::UnitVector3;
 use std::ops::Range;
 
-/// 1 sigma of the nadir, each of its two angles.
+/// Error of the nadir, 1 sigma, in each of its two angles.
 const NADIR_DEG: f64 = 0.02;
-/// Answers come so late, in samples of the IMU.
+/// Delay of answers, in samples of the IMU.
 const LATE: u64 = 4;
 const FRAME_S: f64 = 1.0 / FRAMES_HZ as f64;
 
@@ -28,7 +28,7 @@ const SUN: usize = 0;
 const SECOND_SUN: usize = 1;
 const HORIZON: usize = 2;
 
-/// What a camera shows is moved along the telescope's right meanwhile.
+/// Shift of a camera's directions along the telescope's right, for a time.
 struct Moved {
     camera: usize,
     rad: f64,
@@ -57,7 +57,7 @@ struct Compared {
     known: Vec<Known>,
     /// The differences of each axis, in sigmas.
     sigmas: [Vec<f64>; 3],
-    /// When each was compared last, s.
+    /// Time at which each axis was compared last, s.
     compared_s: [Option<f64>; 3],
     tally: NavigationTally,
 }
@@ -78,7 +78,7 @@ impl Compared {
         });
     }
 
-    /// When an agreement was known, from the first to the last sample, s.
+    /// First and last time at which the comparison had this agreement, s.
     fn span_s(&self, agreement: Agreement) -> Option<(f64, f64)> {
         let is_so = |known: &&Known| known.agreement == Some(agreement);
         let first = self.known.iter().find(is_so)?;
@@ -87,7 +87,7 @@ impl Compared {
     }
 }
 
-/// The nadir as the telescope has it, where its cameras measure straight down to the Earth's centre.
+/// The nadir in the telescope's axes; its cameras measure the direction to the Earth's centre.
 fn nadir(flown: &mut TelescopeFlight, since: Duration) -> UnitVector3<f64> {
     let down = UnitVector3::new_normalize(-ecef_m(&FORT_SUMNER));
     flown.attitude(since).unwrap().inverse() * down
@@ -113,7 +113,7 @@ fn shown(
     seen(camera, target, since, Direction::new(unit, sigma_rad))
 }
 
-/// Flies a telescope that swings with its gondola. Four times a second its cameras show the Sun, where `is_seen` says so, and the nadir.
+/// Flies a telescope that swings with its gondola. At 4 Hz its cameras observe the Sun, at times for which `is_seen` is true, and the nadir.
 fn fly_compared(
     duration_s: u64,
     seed: u64,
@@ -232,7 +232,7 @@ fn a_sun_that_is_moved_contradicts_the_gyros_after_10_s_and_until_the_first_fram
         assert_eq!(first.signum(), arcsec.signum());
         let up = compared.sigmas[Axis::Up as usize].iter();
         assert!(up.map(|sigmas| sigmas.abs()).fold(0.0, f64::max) < 5.0);
-        // The filter's own doubt begins with it, and is gone before it is found: the filter has followed the camera.
+        // The filter's own doubt begins with the shift, and ends before the contradiction is found: the filter has followed the camera.
         let doubted = |known: &&Known| known.status == Some(Status::Contradicted);
         let first_s = compared.known.iter().find(doubted).unwrap().t_s;
         assert_eq!(first_s, begin_s);
@@ -252,7 +252,7 @@ fn a_sun_that_is_moved_for_less_than_10_s_is_no_lasting_contradiction() {
 
 #[test]
 fn a_camera_that_stays_moved_is_compared_with_what_the_filter_has_made_of_it_after_ten_minutes() {
-    // The sigma of the gyros' own drift would hide 100 arcsec before that.
+    // The uncertainty of the gyros' own drift would hide 100 arcsec before that.
     let moved = Moved::sun(2000.0, 60.0..f64::INFINITY);
     let compared = fly_compared(700, 4, &[SUN, HORIZON], |_| true, &moved);
     let (found_s, _) = compared.span_s(Agreement::LastingContradiction).unwrap();

@@ -1,20 +1,20 @@
-//! Faults of an IMU: what is sent meanwhile and after them is as certain as it says, or is not sent.
+//! Faults of an IMU: offsets sent during and after them have correct uncertainties, or are not sent.
 
 use super::*;
 use crate::simulate::navigation::{FaultyImu, IMU_FAULTS, ImuFault, Shows};
 
-/// When a fault begins while frames show the Sun, and again in a gap between frames, s.
+/// Start of a fault while frames show the Sun, and in a gap between frames, s.
 const BEGINS_S: [f64; 2] = [30.0, 60.0];
 const GAP_S: std::ops::Range<f64> = 58.0..80.0;
 const END_S: f64 = 100.0;
-/// A value that repeats is seen as such after so long.
+/// Time after which a repeated value is recognised, s.
 const SEEN_TO_REPEAT_S: f64 = 0.03;
-/// An error beyond this many sigmas is wrong with confidence.
+/// Error in sigmas beyond which an offset is wrong.
 const MOST_SIGMAS: f64 = 6.0;
-/// After this time from the next fine frame nothing wrong is sent any more.
+/// Time after the next fine frame from which no wrong offset may be sent, s.
 const MENDED_S: f64 = 0.5;
 
-/// How a flight is tried: so many frames a second, and a fault that lasts so long.
+/// Conditions of a flight: frames per second, and duration of the fault.
 #[derive(Clone, Copy)]
 struct Trial {
     frames_hz: u64,
@@ -32,7 +32,7 @@ const TRIALS: [Trial; 2] = [
     },
 ];
 
-/// Errors of a flight with a fault: when, and by how many of its sigmas it was wrong.
+/// Errors of a flight with a fault: the time, and the error in sigmas.
 struct Flown {
     sent: Vec<(f64, f64)>,
     tally: NavigationTally,
@@ -73,7 +73,7 @@ fn flown(trial: Trial, fault: &ImuFault, seed: u64) -> Flown {
     }
 }
 
-/// Whether what is sent at a time may be wrong: from a fault's begin, or its end, to half a second after the next frame.
+/// Whether an offset at this time may be wrong: from a fault's start, or its end, to 0.5 s after the next frame.
 fn excuses(trial: Trial, fault: &ImuFault, t_s: f64) -> bool {
     let frames = 1.0 / trial.frames_hz as f64;
     BEGINS_S.into_iter().any(|first_s| {
@@ -92,7 +92,7 @@ fn excuses(trial: Trial, fault: &ImuFault, t_s: f64) -> bool {
     })
 }
 
-/// Wrong offsets, beyond any excuse: first and last time, how often, and the most sigmas.
+/// Wrong offsets outside these times: first and last time, their number, and the largest error in sigmas.
 fn judge(trial: Trial, fault: &ImuFault, flown: &Flown) -> Option<String> {
     let is_wrong =
         |(t_s, sigmas): &&(f64, f64)| *sigmas > MOST_SIGMAS && !excuses(trial, fault, *t_s);
