@@ -1,5 +1,5 @@
-//! A byte log: what came over a line, and when. Lines of text: the UTC time of the bytes as seconds since 1970 with nine
-//! decimals, a space, the bytes in hexadecimal. Lines that begin with `#` are remarks.
+//! A byte log: the bytes that came over a line, with their times. Each line of text holds the UTC time of the bytes as seconds since 1970 with nine
+//! decimals, a space, and the bytes in hexadecimal. Lines that begin with `#` are remarks.
 
 mod reader;
 
@@ -43,11 +43,11 @@ pub fn read(bytes: &[u8]) -> (Vec<Burst>, Reader) {
 /// Contents of a log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contents {
-    /// With the times at which they were complete.
+    /// Packets, with the times at which they were complete.
     pub packets: Vec<(Timestamp, Packet)>,
-    /// Bytes and lines that were no packets.
+    /// Bytes and lines that belonged to no packet.
     pub rejected: Rejected,
-    /// Why, of the first 16 that were rejected.
+    /// Reasons for the first 16 rejections.
     pub reasons: Vec<PacketError>,
 }
 
@@ -70,7 +70,7 @@ pub fn packets(bursts: &[Burst], direction: Direction) -> Contents {
     }
 }
 
-/// The direction in which bytes make more sense.
+/// The direction for which more of the bytes form packets.
 pub fn likely_direction(bursts: &[Burst]) -> Direction {
     let rejected = |direction| packets(bursts, direction).rejected.bytes;
     match rejected(Direction::ToAspect) < rejected(Direction::ToController) {

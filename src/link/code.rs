@@ -7,7 +7,7 @@ const CODE12_MAX: f64 = 4095.0;
 
 /// The 16-bit code of a number: `round(8 (value + 1024))`. `None` outside -1024 to 7167.875.
 ///
-/// Angles (deg), clocking and twist travel so, in steps of 1/8.
+/// Used for angles (deg), clocking and twist, in steps of 1/8.
 pub fn angle_code(value: f64) -> Option<u16> {
     let code = (8.0 * (value + 1024.0)).round();
     (0.0..=f64::from(u16::MAX))
@@ -15,7 +15,7 @@ pub fn angle_code(value: f64) -> Option<u16> {
         .then_some(code as u16)
 }
 
-/// The number a 16-bit code stands for: `code / 8 - 1024`.
+/// The number that a 16-bit code represents: `code / 8 - 1024`.
 pub fn angle_from_code(code: u16) -> f64 {
     f64::from(code) / 8.0 - 1024.0
 }
@@ -28,7 +28,7 @@ pub fn pair3b(position: SensorPx) -> Option<[u8; 3]> {
     Some([high, middle, low])
 }
 
-/// The position that three bytes of [`pair3b`] stand for.
+/// The position that three bytes of [`pair3b`] represent.
 pub fn position_from_pair3b(bytes: [u8; 3]) -> SensorPx {
     let [high, middle, low] = bytes;
     let codes = u32::from_be_bytes([0, high, middle, low]);

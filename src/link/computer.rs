@@ -1,6 +1,6 @@
 //! The two computers of the aspect system.
 
-/// The bits of a command's key that name computers.
+/// The bits of a command's key that select computers.
 pub const COMPUTERS: u16 = 0xF000;
 
 /// One of the two computers of the aspect system.
@@ -27,17 +27,17 @@ impl Computer {
         }
     }
 
-    /// Whether it sends solutions before a command says anything.
+    /// Whether it sends solutions unless a command changes that.
     pub fn sends_by_default(self) -> bool {
         self == Self::One
     }
 
-    /// Whether a command with this key is for this computer. One may be for both, or for none.
+    /// Whether a command with this key is for this computer. It may be for both, or for none.
     pub fn is_addressed_by(self, key: u16) -> bool {
         key & self.bit() != 0
     }
 
-    /// The bit of a key that addresses it.
+    /// The bit of a key that selects it.
     pub fn bit(self) -> u16 {
         match self {
             Self::One => 0x1000,

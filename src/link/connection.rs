@@ -1,4 +1,4 @@
-//! A port that may go and come back: unplugged, not there yet, the network down.
+//! A port that may be lost and come back: unplugged, not there yet, or the network is down.
 
 use super::guard::{Guard, Peer};
 use super::port::{BytePort, PortError, SerialPort};
@@ -9,18 +9,18 @@ use std::net::SocketAddr;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// A port that stays up so long is a good one: its next loss is a new fault.
+/// Time after which an open port counts as good: its next loss is a new fault.
 const GOOD: Duration = Duration::from_secs(2);
 
-/// A port that carries bytes, whatever it is.
+/// A port that carries bytes, of any kind.
 pub type AnyPort = Box<dyn BytePort + Send>;
 type Open = Box<dyn FnMut() -> Result<AnyPort, PortError> + Send>;
 
-/// Forms of an address.
+/// Forms of an address, for error messages.
 pub const EXPECTED: &str = "a serial device by its path (/dev/...), udp:HOST:PORT or udp:HOST:PORT@LOCALPORT, where HOST is an \
                             IP address (names are not resolved: that may take seconds)";
 
-/// Where the other end is: a serial device by its path, or `udp:HOST:PORT[@LOCALPORT]` with an IP address as HOST.
+/// Address of the other end: a serial device by its path, or `udp:HOST:PORT[@LOCALPORT]` with an IP address as HOST.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PortAddress {
     Serial {
@@ -38,7 +38,7 @@ impl FromStr for PortAddress {
     fn from_str(text: &str) -> Result<Self, String> {
         let refused = || format!("port: expected {EXPECTED}; found \"{text}\"");
         let Some(udp) = text.strip_prefix("udp:") else {
-            // A path: what has a colon before its first slash is another scheme, such as tcp:, and any other name is none.
+            // A path: a name with a colon before its first slash is another scheme, such as tcp:, and any other name is no address.
             let is_path = text
                 .split_once('/')
                 .is_some_and(|(begin, _)| !begin.contains(':'));
@@ -73,7 +73,7 @@ impl fmt::Display for PortAddress {
 }
 
 impl PortAddress {
-    /// Opens the port: `baud` is for a serial one, `local` for UDP; a local port in the address goes over that.
+    /// Opens the port: `baud` applies to a serial one, `local` to UDP; a local port in the address has priority over that.
     pub fn open(&self, baud: u32, local: LocalEnd) -> Result<AnyPort, PortError> {
         Ok(match self {
             Self::Serial { name } => Box::new(SerialPort::open(name, baud)?),
@@ -87,7 +87,7 @@ impl PortAddress {
         })
     }
 
-    /// The part of this computer that it occupies, in words: a device, its links resolved, or a UDP port. `None` for any free port.
+    /// The resource of this computer that it occupies, in words: a device, its links resolved, or a UDP port. `None` for any free port.
     pub fn takes(&self, udp_local_port: Option<u16>) -> Option<String> {
         match self {
             Self::Serial { name } => {
@@ -101,7 +101,7 @@ impl PortAddress {
         }
     }
 
-    /// Takes commands of the address alone, from any of its ports; over a wire, whatever comes.
+    /// A guard that accepts commands from this address alone, from any of its ports; over a wire, it accepts all.
     fn guard(&self) -> Guard {
         let peers = match self {
             Self::Udp { peer, .. } => vec![Peer::any_port_of(peer.ip())],
@@ -111,11 +111,11 @@ impl PortAddress {
     }
 }
 
-/// A port that is opened again, with growing waits, whenever it is lost. Times are monotonic, since any start.
+/// A port that is opened again, with growing waits, whenever it is lost. Times are monotonic, from any origin.
 pub struct Connection {
     port: Option<AnyPort>,
     open: Option<Open>,
-    /// It outlives a port that is lost, and a thread that panics.
+    /// Kept when the port is lost, and when a thread panics.
     guard: Guard,
     opened_at: Duration,
     retry_at: Duration,
@@ -125,7 +125,7 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// A connection that `open` makes, now and after every loss.
+    /// A connection over ports that `open` makes, now and after every loss.
     pub fn new(open: impl FnMut() -> Result<AnyPort, PortError> + Send + 'static) -> Self {
         Self {
             open: Some(Box::new(open)),
@@ -133,18 +133,18 @@ impl Connection {
         }
     }
 
-    /// To an address, at a speed; `local` as in [`PortAddress::open`]. Over UDP, commands of that address alone are taken.
+    /// A connection to an address, at a baud rate; `local` as in [`PortAddress::open`]. Over UDP, commands of that address alone are accepted.
     pub fn to(address: PortAddress, baud: u32, local: LocalEnd) -> Self {
         let guard = address.guard();
         Self::new(move || address.open(baud, local)).guarded(guard)
     }
 
-    /// The same with another guard of what comes in datagrams.
+    /// The same connection with another guard for datagrams.
     pub fn guarded(self, guard: Guard) -> Self {
         Self { guard, ..self }
     }
 
-    /// Over a port that cannot be opened again. Datagrams are refused, unless a guard lets them pass.
+    /// A connection over a port that cannot be opened again. Datagrams are refused, unless a guard accepts them.
     pub fn over(port: impl BytePort + Send + 'static) -> Self {
         Self {
             port: Some(Box::new(port)),
@@ -153,7 +153,7 @@ impl Connection {
         }
     }
 
-    /// No line at all.
+    /// A connection without a line.
     pub fn none() -> Self {
         Self {
             port: None,
@@ -167,17 +167,17 @@ impl Connection {
         }
     }
 
-    /// The port, where there is one.
+    /// The port, if it is open.
     pub fn port(&mut self) -> Option<&mut AnyPort> {
         self.port.as_mut()
     }
 
-    /// Who decides on what comes in datagrams.
+    /// The guard that accepts or refuses datagrams.
     pub fn guard(&mut self) -> &mut Guard {
         &mut self.guard
     }
 
-    /// Whether there is a line at all, be it open or not.
+    /// Whether there is a line at all, open or not.
     pub fn is_wanted(&self) -> bool {
         self.open.is_some() || self.opened > 0
     }
@@ -187,12 +187,12 @@ impl Connection {
         self.is_wanted() && self.opened == 0
     }
 
-    /// How often the port was opened, the first time not counted.
+    /// Number of times that the port was opened, without the first time.
     pub fn reopened(&self) -> u64 {
         self.opened.saturating_sub(1)
     }
 
-    /// Opens the port where it is not open and an attempt is due; true when it is new.
+    /// Opens the port if it is not open and an attempt is due; returns true when it is new.
     pub fn revive(&mut self, now: Duration) -> bool {
         let Some(open) = self.open.as_mut() else {
             return false;
@@ -219,7 +219,7 @@ impl Connection {
         }
     }
 
-    /// Gives the port up.
+    /// Closes the port and schedules the next attempt.
     pub fn lose(&mut self, now: Duration) {
         self.port = None;
         if now.saturating_sub(self.opened_at) > GOOD {
@@ -313,7 +313,7 @@ mod tests {
     fn a_lost_port_is_opened_again_with_growing_waits_that_end_when_it_stays() {
         let attempts = Arc::new(AtomicU64::new(0));
         let counted = Arc::clone(&attempts);
-        // There at the start, gone for ten attempts, and there again.
+        // Present at the start, absent for ten attempts, and present again.
         let mut connection =
             Connection::new(move || match counted.fetch_add(1, Ordering::Relaxed) {
                 1..=10 => Err(PortError::Udp {

@@ -1,4 +1,4 @@
-//! The responder's requests to the flight service: to carry commands out, and to take the gondola's place.
+//! The responder's requests to the flight service: to execute commands, and to take the gondola's place.
 
 use super::message::{AspectCommand, GpsFix, MoonRequest};
 use super::number::Codes;
@@ -7,11 +7,11 @@ use crate::units::is_nowhere;
 /// Results of commands; a read answers with its value instead.
 pub mod result {
     pub const DONE: u16 = 0;
-    /// Known, but this program does not do it, or its packet lacks variables.
+    /// Known, but this program does not implement it, or its packet lacks variables.
     pub const NOT_IMPLEMENTED: u16 = 1;
-    /// A value was out of range; nothing has changed.
+    /// A value was out of range; nothing was changed.
     pub const REFUSED: u16 = 2;
-    /// No such command; of a read: what it asks for is not known.
+    /// No such command; for a read, the requested value is not known.
     pub const UNKNOWN: u16 = 0xFFFF;
 }
 
@@ -30,15 +30,15 @@ pub enum CommandResult {
     Done,
     /// Value of a read.
     Value(u16),
-    /// Out of range: nothing has changed.
+    /// Out of range: nothing was changed.
     Refused,
     NotImplemented,
-    /// No such command, or nothing is known of what it reads.
+    /// No such command, or the value to be read is not known.
     Unknown,
 }
 
 impl CommandResult {
-    /// The number that travels.
+    /// The number that is sent.
     pub fn code(self) -> u16 {
         match self {
             Self::Done => result::DONE,
@@ -54,7 +54,7 @@ impl CommandResult {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Carried {
     Result(CommandResult),
-    /// A wish of the conversation, which the responder fulfils.
+    /// A change of the conversation, which the responder makes.
     StartSending,
     StopSending,
 }
@@ -65,14 +65,14 @@ impl From<CommandResult> for Carried {
     }
 }
 
-/// Carries out what goes beyond the conversation: settings are set, values are read.
+/// Executes commands that go beyond the conversation: it sets settings and reads values.
 pub trait Control {
-    /// Whether there is a command of this key, whatever its computers' bits.
+    /// Whether there is a command with this key, whatever its computers' bits.
     fn knows(&self, key: u16) -> bool;
 
     fn carry_out(&mut self, command: &AspectCommand) -> Carried;
 
-    /// Why the last command was refused, where that is known; asking takes it away.
+    /// Reason why the last command was refused, if known; the call removes it.
     fn take_reason(&mut self) -> Option<String> {
         None
     }
@@ -80,11 +80,11 @@ pub trait Control {
     /// A place from GPS.
     fn take_fix(&mut self, fix: GpsFix) -> CommandResult;
 
-    /// A request for the Moon: whether it will be answered.
+    /// Takes a request for the Moon; the result says whether it will be answered.
     fn request_moon(&mut self, request: &MoonRequest) -> CommandResult;
 }
 
-/// A fix this far from the last one is taken for an error, deg.
+/// A fix this far from the last one counts as an error, deg.
 const LATITUDE_JUMP_DEG: f32 = 5.0;
 const LONGITUDE_JUMP_DEG: f32 = 15.0;
 /// Fixes within this of each other, in latitude and in longitude, agree, deg.
@@ -97,7 +97,7 @@ impl GpsFix {
         on_earth && !is_nowhere(self.latitude_deg.into(), self.longitude_deg.into())
     }
 
-    /// Whether it is no jump from the last fix, where there is one: a jump is a mistake of the receiver or of the line.
+    /// Whether it is no jump from the last fix, if there is one: a jump is an error of the receiver or of the line.
     pub fn may_follow(self, last: Option<Self>) -> bool {
         last.is_none_or(|last| self.is_within(last, LATITUDE_JUMP_DEG, LONGITUDE_JUMP_DEG))
     }

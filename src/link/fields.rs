@@ -28,15 +28,15 @@ impl Said {
     }
 }
 
-/// How a value travels: as one number or several.
+/// Encoding of a value as one number or several.
 pub trait Wire<T = Self> {
-    /// Its length.
+    /// Length of the encoded value.
     const BYTES: usize;
 
-    /// Its fields, one for each number, as the rows say.
+    /// Its fields, one for each number, described by the rows.
     fn fields(said: &[Said]) -> Vec<Field>;
 
-    /// Reads it; `field` is its name in errors.
+    /// Reads the value; `field` is its name in errors.
     fn read(input: &mut Reader, field: &'static str) -> Result<T, MessageError>;
 
     fn write(value: &T, out: &mut Writer, field: &'static str) -> Result<(), MessageError>;
@@ -134,7 +134,7 @@ impl<const N: usize> Wire for [[i16; 2]; N] {
     }
 }
 
-/// Seconds and milliseconds since 1970: the whole time is rounded, so that .9996 s is the next second's 0 ms.
+/// Seconds and milliseconds since 1970. The whole time is rounded, so that .9996 s becomes 0 ms of the next second.
 pub struct Milliseconds;
 
 impl Wire<Timestamp> for Milliseconds {
@@ -146,7 +146,7 @@ impl Wire<Timestamp> for Milliseconds {
         parts.map(|(said, number)| said.field(number)).collect()
     }
 
-    /// Up to 1000 ms: the flight program of 2013 rounded without carrying.
+    /// Accepts up to 1000 ms: the flight program of 2013 rounded without carrying.
     fn read(input: &mut Reader, field: &'static str) -> Result<Timestamp, MessageError> {
         let seconds = u32::from_le_bytes(input.take()?);
         let milliseconds = u16::read(input, field)?;
@@ -174,7 +174,7 @@ impl Wire<Timestamp> for Milliseconds {
     }
 }
 
-/// Seconds since 1970 in one number.
+/// Seconds since 1970 as one number.
 pub struct Seconds;
 
 impl Wire<Timestamp> for Seconds {
@@ -193,7 +193,7 @@ impl Wire<Timestamp> for Seconds {
         if !(0.0..=f64::from(u32::MAX)).contains(&time) {
             return Err(refused());
         }
-        // Rounded on their own, the nanoseconds may come to a whole second.
+        // Rounded on their own, the nanoseconds may make a whole second.
         let nanoseconds = (time.fract() * 1e9).round() as i64;
         let seconds = Timestamp::from_second(time as i64).map_err(|_| refused())?;
         seconds
@@ -211,7 +211,7 @@ impl Wire<Timestamp> for Seconds {
     }
 }
 
-/// The codec of a field: its own type, or the one that is named.
+/// The codec of a field: its own type, or the type that is named.
 macro_rules! codec {
     ($type:ty) => {
         $type
@@ -221,9 +221,9 @@ macro_rules! codec {
     };
 }
 
-/// Payloads, each a struct with a row a field: the name, the type (`as` another codec than its own), the unit and what it is; then, where there are such, its
-/// [`Codes`] (`=> CODES`) or the range that a person may give (`in low, high`). A value of several numbers has a row for each in brackets, a payload
-/// within another has none. The sentence of a payload says it in words, its fields by their names.
+/// Payloads, each a struct with a row for each field: the name, the type (`as` another codec than its own), the unit and the description; then, if it has
+/// any, its [`Codes`] (`=> CODES`) or the range for a person's input (`in low, high`). A value of several numbers has a row for each in brackets; a payload
+/// within another has none. The sentence of a payload gives it in words, with its fields by name.
 macro_rules! fields {
     ($(
         $(#[$about:meta])*
@@ -280,7 +280,7 @@ macro_rules! fields {
         }
 
         impl $name {
-            /// In words.
+            /// The payload in words.
             #[allow(unused_variables, reason = "a sentence may leave a field out")]
             pub fn words(&self) -> String {
                 let Self { $($field),* } = self;
@@ -292,7 +292,7 @@ macro_rules! fields {
 
 pub(super) use {codec, fields};
 
-/// Why a message cannot be read or written.
+/// Reason why a message cannot be read or written.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MessageError {
     #[error("message: expected a key of 2 bytes, found {found} bytes")]
@@ -325,7 +325,7 @@ pub enum MessageError {
     Packet(#[from] PacketError),
 }
 
-/// Seconds and nanoseconds since 1970, where they fit 32 bits.
+/// Seconds and nanoseconds since 1970, if they fit 32 bits.
 pub fn unix_time(key: u16, time: Timestamp) -> Result<(u32, u32), MessageError> {
     let found = || MessageError::Time {
         key,
@@ -348,7 +348,7 @@ impl Writer {
         Self { key, bytes }
     }
 
-    /// Writes fields alone: the key is for errors.
+    /// Writes fields without a key; the key is only for errors.
     pub fn after_key(key: u16) -> Self {
         Self {
             key,
@@ -375,7 +375,7 @@ impl<'a> Reader<'a> {
         Ok(Self::after_key(u16::from_le_bytes(*key), rest))
     }
 
-    /// The rest behind a key that has been read elsewhere.
+    /// Reads the rest after a key that has already been read.
     pub fn after_key(key: u16, rest: &'a [u8]) -> Self {
         Self { key, rest }
     }
@@ -394,7 +394,7 @@ impl<'a> Reader<'a> {
         Ok(*bytes)
     }
 
-    /// The rest, as 16-bit numbers; an odd last byte is left out.
+    /// The rest, as 16-bit numbers; a last single byte is dropped.
     pub fn words(&self) -> impl Iterator<Item = u16> {
         let pairs = self.rest.chunks_exact(2);
         pairs.map(|pair| u16::from_le_bytes([pair[0], pair[1]]))

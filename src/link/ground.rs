@@ -1,4 +1,4 @@
-//! The ground's side of the line: a message is sent, and its answer waited for.
+//! The ground's side of the line: it sends a message and waits for the answer.
 
 use super::control::result;
 use super::message::{Message, MessageError, Messages, MoonRequest};
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Why a message was not answered.
+/// Reason why a message was not answered.
 #[derive(Debug, thiserror::Error)]
 pub enum AskError {
     #[error("no {what} within {timeout:?}")]
@@ -41,7 +41,7 @@ impl From<CommandOutcome> for Answered {
 /// Sends an order and waits for receipt and result.
 ///
 /// # Errors
-/// [`AskError::NoAnswer`] says which of them did not come; the port's own.
+/// [`AskError::NoAnswer`] names the missing one of the two; other errors are the port's own.
 pub fn ask(
     port: &mut dyn BytePort,
     message: &Message,
@@ -66,7 +66,7 @@ pub fn ask(
     answered.ok_or(AskError::NoAnswer { what, timeout })
 }
 
-/// Sends a request for the Moon and waits for what was found, or for the result of one that is not carried out.
+/// Sends a request for the Moon and waits for the Moon's place, or for the result if the request is refused.
 ///
 /// # Errors
 /// As [`ask`].
@@ -95,7 +95,7 @@ pub fn ask_for_moon(
     answered.ok_or(AskError::NoAnswer { what, timeout })
 }
 
-/// Sends a message and listens until the expected packet comes; `None` where none comes in time.
+/// Sends a message and listens until the expected packet comes; `None` if none comes in time.
 fn converse<T>(
     port: &mut dyn BytePort,
     message: &Message,

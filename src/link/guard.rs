@@ -1,15 +1,15 @@
-//! Whose commands are taken over UDP, where anyone on the network may send.
+//! Decides whose commands are accepted over UDP, where anyone on the network may send.
 //!
 //! # Rules
 //!
 //! 1. Datagrams from other addresses than the peers' are refused.
 //! 2. Without a key, a packet must be newer than the last one of its sender (address and port), by serial arithmetic on
-//!    its sequence number (RFC 1982). What is known of a sender is dropped [`MEMORY`] after its last accepted packet, so
-//!    that one that starts its count again is heard again.
-//! 3. With a key, a datagram must be signed for this computer, and its stamp must be new: none that was taken before, and not older than
+//!    its sequence number (RFC 1982). The record of a sender is dropped [`MEMORY`] after its last accepted packet, so
+//!    that a sender that restarts its count is accepted again.
+//! 3. With a key, a datagram must be signed for this computer, and its stamp must be new: not accepted before, and not older than
 //!    [`MEMORY`] before the newest of any sender. So senders whose clocks differ do not disturb each other, and a
-//!    copy from any address is refused. The own clock plays no part: a wrong one locks no sender out.
-//! 4. A packet that has been carried out within [`MEMORY`] and comes again is answered again, and not carried out twice.
+//!    copy from any address is refused. The computer's own clock is not used: if it is wrong, no sender is locked out.
+//! 4. A packet that has been executed within [`MEMORY`] and comes again is answered again, and not executed twice.
 
 use super::key::Seal;
 use super::packet::CommandPacket;
@@ -22,10 +22,10 @@ use std::time::{Duration, Instant};
 pub const MEMORY: Duration = Duration::from_secs(30);
 const SENDERS: usize = 64;
 const PACKETS: usize = 32;
-/// An IMU of 200 Hz fills them in 40 s.
+/// Number of stamps that are kept. An IMU of 200 Hz fills them in 40 s.
 const STAMPS: usize = 8192;
 
-/// Why a datagram, or a packet in it, is not listened to.
+/// Reason why a datagram, or a packet in it, is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
     #[error("sender: expected one of link.udp_peers")]
@@ -38,7 +38,7 @@ pub enum Refusal {
     OldStamp,
 }
 
-/// An address that commands are taken from.
+/// An address from which commands are accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Peer {
     address: IpAddr,
@@ -80,21 +80,21 @@ impl FromStr for Peer {
 /// Content of a peer's datagram.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Opened<'a> {
-    /// Without the signature.
+    /// The datagram without the signature.
     pub bytes: &'a [u8],
-    /// Whether what it holds may be carried out; an old one may only be answered again.
+    /// Whether its content may be executed; a repeated one may only be answered again.
     pub is_new: bool,
 }
 
-/// Decides on datagrams.
+/// Accepts or refuses datagrams.
 #[derive(Debug)]
 pub struct Guard {
     peers: Vec<Peer>,
     seal: Option<Seal>,
-    /// Without a key.
+    /// Used without a key.
     senders: VecDeque<Sender>,
     packets: VecDeque<Remembered>,
-    /// With a key: those taken, and the one that all others must be newer than.
+    /// Used with a key: the accepted stamps.
     stamps: BTreeSet<i64>,
     oldest_stamp: i64,
 }
@@ -106,7 +106,7 @@ struct Sender {
     accepted: Instant,
 }
 
-/// A packet that was carried out, with its answers.
+/// A packet that was executed, with its answers.
 #[derive(Debug)]
 struct Remembered {
     packet: CommandPacket,
@@ -116,7 +116,7 @@ struct Remembered {
 }
 
 impl Guard {
-    /// Takes datagrams of these peers; with the seal of a computer, only those that are signed for it.
+    /// Accepts datagrams of these peers; with the seal of a computer, only those that are signed for it.
     pub fn new(peers: Vec<Peer>, seal: Option<Seal>) -> Self {
         Self {
             peers,
@@ -128,12 +128,12 @@ impl Guard {
         }
     }
 
-    /// The newest stamp that was taken; 0 without one.
+    /// The newest stamp that was accepted; 0 if there is none.
     pub fn newest_stamp(&self) -> i64 {
         self.stamps.last().copied().unwrap_or(self.oldest_stamp)
     }
 
-    /// Refuses what is not newer than a stamp that an earlier run of the program took.
+    /// Refuses stamps that are not newer than one that an earlier run of the program accepted.
     pub fn refuse_to(&mut self, stamp: i64) {
         if stamp > self.newest_stamp() {
             self.stamps.clear();
@@ -159,7 +159,7 @@ impl Guard {
         Ok(Opened { bytes, is_new })
     }
 
-    /// Whether the stamp is a new one.
+    /// Records a stamp; returns whether it is new.
     fn take_stamp(&mut self, stamp: i64) -> bool {
         if stamp <= self.oldest_stamp || !self.stamps.insert(stamp) {
             return false;
@@ -174,7 +174,7 @@ impl Guard {
         true
     }
 
-    /// Whether a packet is to be carried out: `None`; else the answers that it had when it was.
+    /// `None` if a packet is to be executed; else the answers given when it was executed.
     pub fn admit(
         &mut self,
         packet: &CommandPacket,
@@ -185,7 +185,7 @@ impl Guard {
         let is_fresh = |accepted: Instant| now.saturating_duration_since(accepted) <= MEMORY;
         self.packets.retain(|known| is_fresh(known.accepted));
         self.senders.retain(|known| is_fresh(known.accepted));
-        // With a key, the sender of a copy has nothing but that copy.
+        // With a key, the sender of a copy can only repeat that copy.
         let any_sender = self.seal.is_some();
         let known = self
             .packets
@@ -204,7 +204,7 @@ impl Guard {
         self.count(packet.sequence(), sender, now).map(|()| None)
     }
 
-    /// Moves a sender's count to this sequence number, if that is a later one.
+    /// Advances a sender's count to this sequence number, if it is a later one.
     fn count(&mut self, found: u16, address: SocketAddr, now: Instant) -> Result<(), Refusal> {
         let at = self.senders.iter().position(|s| s.address == address);
         let last = at.and_then(|at| self.senders.get(at)).map(|s| s.sequence);
@@ -223,7 +223,7 @@ impl Guard {
         Ok(())
     }
 
-    /// Keeps the answers of a packet that was carried out.
+    /// Keeps the answers of a packet that was executed.
     pub fn remember(
         &mut self,
         packet: CommandPacket,
@@ -243,7 +243,7 @@ impl Guard {
     }
 }
 
-/// Serial arithmetic: less than half of all numbers ahead.
+/// Serial arithmetic: later means ahead by less than half of all numbers.
 fn is_later(sequence: u16, than: u16) -> bool {
     (1..0x8000).contains(&sequence.wrapping_sub(than))
 }
@@ -314,7 +314,7 @@ mod tests {
             taken.is_ok()
         };
         assert!(admits(100, 0) && admits(101, 10));
-        // It starts its count again.
+        // The sender restarts its count.
         assert!((11..=40).all(|second| !admits(second as u16 - 10, second)));
         assert!(admits(31, 41));
     }

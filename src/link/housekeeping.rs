@@ -1,7 +1,7 @@
-//! Housekeeping: what the aspect system reports to the ground each second, in one telemetry packet of type 0x70.
+//! Housekeeping: the report of the aspect system to the ground each second, in one telemetry packet of type 0x70.
 //!
-//! The table below is the layout, the struct and the page on the protocol. The first byte of the payload is the
-//! layout's number: a field that is added, removed or changed makes a new one.
+//! The table below defines the layout, the struct and the page on the protocol. The first byte of the payload is the
+//! layout's number: a field that is added, removed or changed requires a new one.
 
 use super::fields;
 use super::message::MessageError;
@@ -12,10 +12,10 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The layout that this program writes. Those before are read, too.
+/// The layout that this program writes. It also reads the earlier ones.
 pub const LAYOUT: u8 = 9;
 
-/// The earlier layouts, and the field that the next one began its additions with.
+/// The earlier layouts, and the first field that the next layout added to each.
 const EARLIER: [(u8, &str); 8] = [
     (1, "takeovers"),
     (2, "commit"),
@@ -35,7 +35,7 @@ pub struct Field {
     pub number: Number,
     pub count: usize,
     pub bytes: usize,
-    /// Whether it holds a number, and not digits or ids.
+    /// Whether it holds a number, rather than digits or ids.
     pub is_number: bool,
     pub unit: &'static str,
     /// Meaning of its number.
@@ -46,12 +46,12 @@ pub struct Field {
 }
 
 impl Field {
-    /// Its number, from its bytes in a payload; `None` where it is not known.
+    /// Its number, from its bytes in a payload; `None` if it is not known.
     pub fn value(&self, bytes: &[u8]) -> Option<f64> {
         (self.value)(bytes)
     }
 
-    /// The same as a field of any payload.
+    /// The same as a field of a general payload.
     pub fn plain(&self) -> number::Field {
         number::Field {
             name: self.name,
@@ -96,11 +96,11 @@ macro_rules! codes {
     };
 }
 
-/// Sections of rows, each a struct of its own, in the order of the payload: what threads count (`count`), what is known of the latest frame
-/// (`frame`), and so on. A row: the field, its type, its unit, its description, and the meaning of its numbers.
+/// Sections of rows, each a struct of its own, in the order of the payload: counts of the threads (`count`), status of the latest frame
+/// (`frame`), and so on. A row has the field, its type, its unit, its description, and the meaning of its numbers.
 macro_rules! housekeeping {
     ($([$section:ident] $($field:ident: $type:ty, $unit:literal, $documentation:literal $(=> $codes:ident)?;)*)*) => {
-        /// The status of one second. `None` is what is not known.
+        /// The status of one second. `None` means not known.
         #[derive(Debug, Clone, PartialEq, Default)]
         pub struct Housekeeping {
             $($(#[doc = $documentation] pub $field: $type,)*)*
@@ -139,13 +139,13 @@ macro_rules! housekeeping {
                 Some(Self { $($($field: Wire::read(&mut rest)?,)*)* })
             }
 
-            /// The values as fields of a CSV row, in the order of [`FIELDS`]; what is not known is empty.
+            /// The values as fields of a CSV row, in the order of [`FIELDS`]; unknown ones are empty.
             pub fn csv_row(&self) -> Vec<String> {
                 vec![$($(self.$field.text(),)*)*]
             }
 
-            /// Reads what [`csv_row`](Self::csv_row) writes; `value` gives the text of a field, `None` where the row lacks it.
-            /// `None` where a text is no value of its field.
+            /// Reads the row that [`csv_row`](Self::csv_row) writes; `value` gives the text of a field, `None` if the row lacks it.
+            /// `None` if a text is no value of its field.
             pub fn from_csv<'a>(mut value: impl FnMut(&str) -> Option<&'a str>) -> Option<Self> {
                 Some(Self { $($($field: match value(stringify!($field)) {
                     Some(text) => Wire::parse(text)?,
@@ -176,9 +176,9 @@ macro_rules! housekeeping {
     };
 }
 
-/// The struct of a section: the rows of that name, and no others.
+/// The struct of a section: only the rows of that name.
 macro_rules! sections {
-    // A row of the section, or of another one.
+    // A row of the section, or of another section.
     (@count $struct:ident [$($done:tt)*] count { $($rows:tt)* } $($rest:tt)*) => { sections!(@count $struct [$($done)* $($rows)*] $($rest)*); };
     (@frame $struct:ident [$($done:tt)*] frame { $($rows:tt)* } $($rest:tt)*) => { sections!(@frame $struct [$($done)* $($rows)*] $($rest)*); };
     (@cameras $struct:ident [$($done:tt)*] cameras { $($rows:tt)* } $($rest:tt)*) => { sections!(@cameras $struct [$($done)* $($rows)*] $($rest)*); };
@@ -217,7 +217,7 @@ macro_rules! sections {
     ($struct:ident, $section:ident, $($rest:tt)*) => { sections!(@$section $struct [] $($rest)*); };
 }
 
-/// All values of the housekeeping, by the part that knows them. For a new field the compiler shows where it is missing.
+/// All values of the housekeeping, by the part of the program that supplies them. For a new field the compiler shows where it is missing.
 #[derive(Debug, Clone, Default)]
 pub struct Parts {
     pub count: Counts,
@@ -230,7 +230,7 @@ pub struct Parts {
     pub system: SystemStatus,
 }
 
-/// How a part's value becomes that of its field: as it is; counts stop at the largest that fits.
+/// Conversion of a part's value to that of its field: unchanged; counts saturate at the largest that fits.
 trait IntoField<T> {
     fn into_field(self) -> T;
 }
@@ -258,12 +258,12 @@ impl IntoField<u32> for u64 {
 pub struct Counter(AtomicU64);
 
 impl Counter {
-    /// One more; how many there are now.
+    /// Adds one; returns the new count.
     pub fn count(&self) -> u64 {
         self.add(1)
     }
 
-    /// Adds to it; how many there are now.
+    /// Adds to it; returns the new count.
     pub fn add(&self, more: u64) -> u64 {
         self.0.fetch_add(more, Ordering::Relaxed) + more
     }
@@ -273,7 +273,7 @@ impl Counter {
     }
 }
 
-/// A count as it fits a field.
+/// A count that fits a field, saturated if need be.
 pub fn saturated<T: TryFrom<u64> + Most>(count: u64) -> T {
     T::try_from(count).unwrap_or(T::MOST)
 }
@@ -502,7 +502,7 @@ housekeeping! {
 pub struct MarkIds([Option<[i32; 2]>; 16]);
 
 impl MarkIds {
-    /// The first sixteen. One that does not fit a byte is left out, so that it is not read as another.
+    /// The first sixteen ids. An id that does not fit a byte is omitted, so that it is not read as another.
     pub fn new(ids: impl IntoIterator<Item = [i32; 2]>) -> Self {
         let mut own = Self::default();
         let fits = |id: &[i32; 2]| id.iter().all(|index| (-7..=7).contains(index));
@@ -517,18 +517,18 @@ impl MarkIds {
     }
 }
 
-/// Ids as logs and pages have them.
+/// Ids in the form used by logs and pages.
 pub fn ids_in_words(ids: impl Iterator<Item = [i32; 2]>) -> String {
     let ids: Vec<String> = ids.map(|[i, j]| format!("{i},{j}")).collect();
     ids.join(" ")
 }
 
-/// The first 8 of a number's hexadecimal digits; `None` where it is not known.
+/// The first 8 of a number's hexadecimal digits; `None` if it is not known.
 #[derive(Clone, Copy, PartialEq, Eq, Default)]
 pub struct Digits(Option<u32>);
 
 impl Digits {
-    /// Those that a text begins with.
+    /// The digits with which a text begins.
     pub fn of(text: &str) -> Self {
         let first = text.get(..8);
         Self(first.and_then(|digits| u32::from_str_radix(digits, 16).ok()))
@@ -544,7 +544,7 @@ impl fmt::Debug for Digits {
     }
 }
 
-/// The fields after the layout's number, each with the first layout that has it.
+/// The fields after the layout's number, each with the first layout that contains it.
 pub fn fields_by_layout() -> impl Iterator<Item = (u8, &'static Field)> {
     let mut layout = 1;
     FIELDS.iter().map(move |field| {
@@ -555,7 +555,7 @@ pub fn fields_by_layout() -> impl Iterator<Item = (u8, &'static Field)> {
     })
 }
 
-/// A payload of an earlier layout as one of this: what was added since, from a field on, is nothing or not known.
+/// A payload of an earlier layout converted to this one: fields added since, from `added` on, are zero or not known.
 fn completed(payload: &[u8], added: &str) -> Option<Vec<u8>> {
     let added = FIELDS.iter().skip_while(|field| field.name != added);
     let added: usize = added.map(|field| field.bytes).sum();
@@ -580,7 +580,7 @@ impl Housekeeping {
         )?)
     }
 
-    /// Reads a packet; `None` where it is of another type or layout, or too short.
+    /// Reads a packet; `None` if it is of another type or layout, or too short.
     pub fn decode(packet: &TelemetryPacket) -> Option<Self> {
         (packet.kind() == telemetry_type::HOUSEKEEPING)
             .then(|| Self::from_payload(packet.payload()))
@@ -588,7 +588,7 @@ impl Housekeeping {
     }
 }
 
-/// How a field travels: so many numbers of a kind.
+/// Encoding of a field as one or more numbers of a type.
 trait Wire: Sized {
     const NUMBER: Number;
     const COUNT: usize = 1;
@@ -597,28 +597,28 @@ trait Wire: Sized {
     fn kind() -> String;
     fn write(&self, bytes: &mut Vec<u8>);
     fn read(rest: &mut &[u8]) -> Option<Self>;
-    /// In words; empty where not known.
+    /// In words; empty if not known.
     fn text(&self) -> String;
-    /// Reads what [`text`](Self::text) says.
+    /// Reads the text that [`text`](Self::text) writes.
     fn parse(text: &str) -> Option<Self>;
-    /// Whether its number means something to a reader.
+    /// Whether its number is meaningful to a reader.
     const IS_NUMBER: bool;
-    /// `None` where not known.
+    /// `None` if not known.
     fn value(&self) -> Option<f64>;
 }
 
-/// A field that is one number, which double precision holds in full.
+/// A field that is one number, which double precision represents exactly.
 trait Single: Sized {
     const NUMBER: Number;
-    /// Its meaning beside a number.
+    /// Note added to the number's type.
     const NOTE: &'static str = "";
-    /// As it travels.
+    /// The number as sent.
     fn number(&self) -> f64;
     fn of(number: f64) -> Self;
     fn in_words(&self) -> String;
     fn from_words(text: &str) -> Option<Self>;
     const IS_NUMBER: bool = true;
-    /// `None` where not known.
+    /// `None` if not known.
     fn known(&self) -> Option<f64> {
         Some(self.number())
     }
@@ -752,7 +752,7 @@ impl Single for Option<u8> {
     }
 }
 
-/// Reads what is empty where it is not known.
+/// Reads a value that is empty if not known.
 fn parse_known<T: FromStr>(text: &str) -> Option<Option<T>> {
     match text {
         "" => Some(None),
@@ -800,7 +800,7 @@ impl Wire for MarkIds {
     }
 
     fn write(&self, bytes: &mut Vec<u8>) {
-        // From -8 to 7, of any bytes that were read.
+        // From -8 to 7, for any bytes that were read.
         let nibble = |index: i32| (index + 8) as u8;
         let byte = |id: &Option<[i32; 2]>| id.map_or(0, |[i, j]| nibble(i) << 4 | nibble(j));
         bytes.extend(self.0.iter().map(byte));
@@ -920,7 +920,7 @@ mod tests {
     fn the_table_gives_the_length_and_it_is_short() {
         let length: usize = FIELDS.iter().map(|field| field.bytes).sum();
         assert_eq!(full().payload().len(), 1 + length);
-        // Of the 11,520 bytes that the line carries in a second 3.5 %.
+        // 3.5 % of the 11,520 bytes that the line carries in a second.
         assert!(length <= 400, "{length} bytes");
     }
 

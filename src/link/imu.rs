@@ -1,4 +1,4 @@
-//! Samples of the gondola's inertial measurement unit (IMU), which come to the aspect system as telemetry, a packet each.
+//! Samples of the gondola's inertial measurement unit (IMU), which the aspect system receives as telemetry, one packet each.
 
 use super::fields::{MessageError, Reader, Wire, Writer, fields, unix_time};
 use super::packet::{TelemetryPacket, id, telemetry_type};
@@ -16,7 +16,7 @@ fields! {
             "force_y_m_s2", "m/s^2", "along its y axis";
             "force_z_m_s2", "m/s^2", "along its z axis";
         ];
-        /// Against inertial space, rad/s.
+        /// Rate relative to inertial space, rad/s.
         rate_rad_s: [f32; 3] [
             "rate_x_rad_s", "rad/s", "mean rate against inertial space about the x axis";
             "rate_y_rad_s", "rad/s", "about the y axis";
@@ -29,16 +29,16 @@ fields! {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImuPacket {
     pub time: Timestamp,
-    /// Counts the samples; after 65535 comes 0.
+    /// Counter of the samples; after 65535 it wraps to 0.
     pub counter: u16,
     /// Specific force, m/s^2: acceleration less gravitation.
     pub force_m_s2: [f32; 3],
-    /// Against inertial space, rad/s.
+    /// Rate relative to inertial space, rad/s.
     pub rate_rad_s: [f32; 3],
 }
 
 impl ImuPacket {
-    /// Samples that are missing between this and a later one, by their counters; none where they came in another order, or the IMU restarted.
+    /// Number of samples missing between this and a later one, by their counters; 0 if they came in another order, or the IMU restarted.
     pub fn missing_before(&self, later: &Self) -> u64 {
         let step = later.counter.wrapping_sub(self.counter);
         match step {
@@ -47,7 +47,7 @@ impl ImuPacket {
         }
     }
 
-    /// Without its time.
+    /// The sample without its time.
     pub fn sample(&self) -> Sample {
         Sample {
             counter: self.counter,
@@ -59,7 +59,7 @@ impl ImuPacket {
     /// The packet, as the controller sends it.
     ///
     /// # Errors
-    /// Numbers that are not finite, times that do not fit.
+    /// Numbers that are not finite, and times that do not fit.
     pub fn packet(&self) -> Result<TelemetryPacket, MessageError> {
         let mut out = Writer::after_key(KIND);
         Sample::write(&self.sample(), &mut out, "sample")?;

@@ -1,4 +1,4 @@
-//! A controller in this program, in place of one at the end of a wire.
+//! A controller in this program, instead of one at the other end of a wire.
 
 use super::message::{Message, Messages};
 use super::packet::{Direction, Packet, TelemetryPacket, id};
@@ -6,27 +6,27 @@ use super::parser::Parser;
 use super::port::{BytePort, PortError};
 use std::time::{Duration, Instant};
 
-/// Who steers by the offsets, in the same program. The line's thread calls it, and all that is sent waits meanwhile: each call returns within a
-/// millisecond.
+/// A controller in the same program that uses the offsets. The line's thread calls it, and everything to be sent waits meanwhile: each call must return
+/// within 1 ms.
 pub trait Controller: Send {
-    /// Takes a message: an exposure that begins, an offset, whether tracking is on.
+    /// Takes a message: the start of an exposure, an offset, or whether tracking is on.
     fn hear(&mut self, message: &Message);
 
-    /// Its next message: [`Message::StartTracking`], a fix, a sample of its IMU; `None` without one. It is asked a hundred times a
-    /// second and more.
+    /// Its next message: [`Message::StartTracking`], a fix, a sample of its IMU; `None` if there is none. It is called at least a hundred times per
+    /// second.
     fn say(&mut self) -> Option<Message>;
 
-    /// Takes a packet for the ground, such as the housekeeping, which a controller passes on.
+    /// Takes a packet for the ground, such as the housekeeping, which a controller may relay.
     fn hear_telemetry(&mut self, _packet: &TelemetryPacket) {}
 }
 
-/// The line to a controller of this program. It carries the same packets as a wire.
+/// The line to a controller in this program. It carries the same packets as a wire.
 pub struct InProcess<C> {
     controller: C,
     parser: Parser,
     start: Instant,
     sequence: u16,
-    /// Bytes of the controller that have not been read.
+    /// Bytes from the controller that have not been read.
     said: Vec<u8>,
 }
 
@@ -41,7 +41,7 @@ impl<C: Controller> InProcess<C> {
         }
     }
 
-    /// The controller's next message as a packet. One with a field that no packet can hold is not sent.
+    /// The controller's next message as a packet. A message with a field that no packet can hold is not sent.
     fn ask(&mut self) {
         let Some(message) = self.controller.say() else {
             return;
@@ -55,7 +55,7 @@ impl<C: Controller> InProcess<C> {
 }
 
 impl<C: Controller> BytePort for InProcess<C> {
-    /// Waits for nothing: what the controller has to say is there.
+    /// Returns at once: the controller's messages are already there.
     fn read(&mut self, buffer: &mut [u8], _: Duration) -> Result<usize, PortError> {
         if self.said.is_empty() {
             self.ask();

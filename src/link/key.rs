@@ -6,8 +6,8 @@
 //! | 8 | the stamp: UTC since 1970, ns, i64, little-endian |
 //! | 32 | HMAC-SHA256 over the recipient's label, the packet and the stamp |
 //!
-//! The label, `solaspect: to computer 1` or `2`, is not sent: sender and recipient know who is meant. So what was signed for one computer
-//! is nothing to another that has the same secret, and neither is what a computer would sign for the ground.
+//! The label, `solaspect: to computer 1` or `2`, is not sent: sender and recipient know the recipient. So a packet that was signed for one computer
+//! is invalid for another that has the same secret, and so is a packet that a computer would sign for the ground.
 
 use super::computer::Computer;
 use crate::files::{self, Unread};
@@ -19,12 +19,12 @@ use std::path::{Path, PathBuf};
 
 const STAMP: usize = 8;
 const TAG: usize = 32;
-/// The shortest secret that is taken, bytes.
+/// Shortest secret that is accepted, bytes.
 const SHORTEST: usize = 16;
-/// The largest file that is taken for one, bytes.
+/// Largest file that is accepted as a secret, bytes.
 const LONGEST: u64 = 1 << 16;
 
-/// Why a file is no key.
+/// Reason why a file is no key.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
     #[error("{}: key: {cause}", .path.display())]
@@ -33,33 +33,33 @@ pub enum KeyError {
     Short { path: PathBuf, found: usize },
 }
 
-/// A secret that ground and flight share.
+/// A secret shared by ground and flight.
 #[derive(Clone)]
 pub struct Key(Hmac<Sha256>);
 
-/// Signs packets to one computer, and recognises packets signed for it.
+/// Signs packets to one computer, and verifies packets signed for it.
 #[derive(Clone)]
 pub struct Seal(Hmac<Sha256>);
 
 impl fmt::Debug for Seal {
-    /// Shows nothing of the secret.
+    /// Does not show the secret.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str("Seal")
     }
 }
 
 impl fmt::Debug for Key {
-    /// Shows nothing of the secret.
+    /// Does not show the secret.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str("Key")
     }
 }
 
 impl Key {
-    /// Reads the secret from a file: all of its bytes but white space at its end.
+    /// Reads the secret from a file: all of its bytes except white space at its end.
     ///
     /// # Errors
-    /// A file that cannot be read, or holds less than 16 bytes.
+    /// If the file cannot be read, or holds less than 16 bytes.
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         let bytes = files::read(path, LONGEST).map_err(|cause| {
             let path = path.into();
@@ -72,7 +72,7 @@ impl Key {
         })
     }
 
-    /// A key of a secret; `None` where that is shorter than 16 bytes.
+    /// A key from a secret; `None` if that is shorter than 16 bytes.
     pub fn new(secret: &[u8]) -> Option<Self> {
         if secret.len() < SHORTEST {
             return None;
@@ -80,7 +80,7 @@ impl Key {
         Hmac::new_from_slice(secret).ok().map(Self)
     }
 
-    /// The seal of what goes to this computer.
+    /// The seal of packets to this computer.
     pub fn towards(&self, computer: Computer) -> Seal {
         let label = format!("solaspect: to computer {}", computer.number());
         Seal(self.0.clone().chain_update(label))
@@ -88,13 +88,13 @@ impl Key {
 }
 
 impl Seal {
-    /// The datagram of a packet that is signed now.
+    /// The datagram of a packet, signed with the present time.
     pub fn sign_now(&self, packet: &[u8]) -> Vec<u8> {
-        // Until the year 2262.
+        // Valid until the year 2262.
         self.sign(packet, Timestamp::now().as_nanosecond() as i64)
     }
 
-    /// The datagram of a packet; `stamp` is the time, ns since 1970.
+    /// The signed datagram of a packet; `stamp` is the time, ns since 1970.
     pub fn sign(&self, packet: &[u8], stamp: i64) -> Vec<u8> {
         let mut datagram = [packet, &stamp.to_le_bytes()].concat();
         let tag = self.0.clone().chain_update(&datagram).finalize();
@@ -102,7 +102,7 @@ impl Seal {
         datagram
     }
 
-    /// Packet and stamp of a datagram; `None` where it was not signed with this key, and for this computer.
+    /// Packet and stamp of a datagram; `None` if it was not signed with this key, or not for this computer.
     pub fn verified<'a>(&self, datagram: &'a [u8]) -> Option<(&'a [u8], i64)> {
         let (signed, tag) = datagram.split_last_chunk::<TAG>()?;
         let (packet, stamp) = signed.split_last_chunk::<STAMP>()?;

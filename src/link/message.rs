@@ -1,11 +1,11 @@
 //! Contents of packets: the messages of the control loop, the ground's commands, and our answers.
 //!
 //! A payload holds one message or several, one after the other ([`Messages`]). A message begins with a key (u16) that
-//! names it; the rest is fixed by the key. A key of zero, or a rest too short for a key, ends the reading, so that a
-//! sender that pads its packets is understood.
+//! identifies it and fixes the rest. A key of zero, or a rest too short for a key, ends the reading, so that
+//! padded packets are understood.
 //!
 //! To add a message, add its row to the table of messages and its fields above; the codec, the words, the page on the protocol and the
-//! descriptions for other programs follow.
+//! descriptions for other programs are derived from it.
 
 pub use super::fields::MessageError;
 
@@ -17,10 +17,10 @@ use super::packet::Direction::{self, ToAspect, ToController};
 use crate::units::{Place, PlaceError};
 use jiff::Timestamp;
 
-/// Error code of a frame whose Sun was found but whose time or place is not known.
+/// Error code of a frame whose Sun was found, but time or place is not known.
 pub const NO_OFFSET: u16 = 100;
 
-/// Codes for a frame without a solution: 1 to 7 for the stage that it did not pass.
+/// Codes for a frame without a solution: 1 to 7 for the stage at which it stopped.
 #[rustfmt::skip] // One row, one line.
 pub static ERROR_CODES: Codes = Codes { name: "error_code", rows: &[
     (1, "levels", "levels: no disc stands out of the background"),
@@ -37,20 +37,20 @@ pub static ERROR_CODES: Codes = Codes { name: "error_code", rows: &[
 pub const CAMERA: u16 = 1;
 
 fields! {
-    /// Where the telescope points, minus the target, at the start of an exposure.
+    /// Pointing of the telescope minus the target, at the start of an exposure.
     Solution, format!("solution azimuth {azimuth_deg} elevation {elevation_deg} roll {roll_deg} error {error_deg} deg at {time}") => {
         azimuth_deg: f64, "deg", "offset in azimuth, pointing minus target (coordinate difference, no cos(elevation) factor)";
         elevation_deg: f64, "deg", "offset in elevation";
         roll_deg: f64, "deg", "the body's roll by the horizon (0 where it is not known), or about the boresight where the offset is one by the gyros";
         error_deg: f64, "deg", "the offset's 1 sigma per axis of true angle";
-        /// The time its exposure packet announced; sent to the nearest millisecond.
+        /// The time that its exposure packet announced; sent to the nearest millisecond.
         time: Timestamp as Milliseconds [
             "seconds", "s", "its time, UTC since 1970";
             "milliseconds", "ms", "of its time";
         ];
     }
 
-    /// Where the telescope points, minus the target, by the gyros since a frame.
+    /// Pointing of the telescope minus the target, propagated by the gyros since a frame.
     Propagated, format!("by gyros {}, {age_ms} ms after a frame", solution.words().trim_start_matches("solution ")) => {
         /// Its time is that of the attitude.
         solution: Solution;
@@ -68,13 +68,13 @@ fields! {
         time: Timestamp as Seconds, "s", "start of the exposure, UTC since 1970";
     }
 
-    /// The gondola's place, as the ground sends it.
+    /// The gondola's place, sent by the ground.
     GpsFix, format!("GPS latitude {latitude_deg} longitude {longitude_deg} deg") => {
         latitude_deg: f32, "deg", "the gondola's latitude" in -90.0, 90.0;
         longitude_deg: f32, "deg", "its longitude, east positive" in -360.0, 360.0;
     }
 
-    /// The platform asks where the Moon is, and says where it is itself.
+    /// The platform requests the Moon's place, and states its own.
     MoonRequest, format!("where is the Moon from latitude {latitude_deg} longitude {longitude_deg} deg height {height_m} m") => {
         latitude_deg: f64, "deg", "the platform's latitude" in -90.0, 90.0;
         longitude_deg: f64, "deg", "its longitude, east positive" in -180.0, 360.0;
@@ -87,7 +87,7 @@ fields! {
         fix: MoonFix;
     }
 
-    /// The ephemeris has the Moon where it cannot be seen.
+    /// By the ephemeris the Moon cannot be seen.
     MoonNotVisible, format!("Moon of seq {request}: not visible ({code}): {}", reason(&NOT_VISIBLE, *code)) => {
         request: u16, "", "sequence number of the request's packet";
         code: u16, "", "why" => NOT_VISIBLE;
@@ -108,14 +108,14 @@ impl MoonRequest {
     /// The platform's place.
     ///
     /// # Errors
-    /// Coordinates out of range.
+    /// If a coordinate is out of range.
     pub fn place(&self) -> Result<Place, PlaceError> {
         Place::new(self.latitude_deg, self.longitude_deg, self.height_m)
     }
 }
 
-/// A command of the ground to the aspect system, as it travels: a key and as many variables as its low 4 bits say.
-/// Its top 4 bits name the computers it is for; what it means is in the table of commands.
+/// A command of the ground to the aspect system, as sent: a key, and as many variables as its low 4 bits state.
+/// Its top 4 bits select the computers it is for; its meaning is in the table of commands.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AspectCommand {
     key: u16,
@@ -123,7 +123,7 @@ pub struct AspectCommand {
 }
 
 impl AspectCommand {
-    /// A command whose number of variables is the one its key states.
+    /// A command whose number of variables must be the one that its key states.
     pub fn new(key: u16, variables: Vec<u16>) -> Result<Self, MessageError> {
         let (expected, found) = (variable_count(key), variables.len());
         if found != expected {
@@ -136,7 +136,7 @@ impl AspectCommand {
         Ok(Self { key, variables })
     }
 
-    /// The key with the computers' bits.
+    /// The key, including the computers' bits.
     pub fn key(&self) -> u16 {
         self.key
     }
@@ -190,7 +190,7 @@ pub struct MessageRow {
 }
 
 impl MessageRow {
-    /// The fields after the key. The aspect command has the words of its variables after them.
+    /// The fields after the key. Those of the aspect command are followed by its variables.
     pub fn fields(&self) -> Vec<Field> {
         (self.fields)()
     }
@@ -203,7 +203,7 @@ macro_rules! bind {
     };
 }
 
-/// A row a message, with the struct of its fields where it has some: the constant of its key, the key, its direction, name and meaning.
+/// A row for each message, with the struct of its fields if it has any: the constant of its key, the key, its direction, name and meaning.
 macro_rules! messages {
     ($($message:ident $(($body:ident))? = $constant:ident, $key:literal, $direction:ident, $name:literal, $documentation:literal;)*) => {
         /// The keys of messages.
@@ -234,7 +234,7 @@ macro_rules! messages {
                 }
             }
 
-            /// The message as it travels: its key and its fields.
+            /// The message as sent: its key and its fields.
             pub fn payload(&self) -> Result<Vec<u8>, MessageError> {
                 let mut out = Writer::new(self.key());
                 match self {
@@ -254,7 +254,7 @@ macro_rules! messages {
                 }
             }
 
-            /// In words.
+            /// The message in words.
             pub fn words(&self) -> String {
                 match self {
                     $(Self::$message $((bind!(body, $body)))? => {
@@ -297,7 +297,7 @@ impl From<MoonAnswer> for Message {
 }
 
 impl Message {
-    /// The answer to a request for the Moon, where the message is one.
+    /// The answer to a request for the Moon, if the message is one.
     pub fn moon_answer(&self) -> Option<MoonAnswer> {
         let (request, outcome) = match *self {
             Self::MoonFound(MoonFound { request, fix }) => (request, MoonOutcome::Found(fix)),
@@ -312,7 +312,7 @@ impl Message {
         Some(MoonAnswer { request, outcome })
     }
 
-    /// The message as a packet. Numbers that are not finite and times that do not fit are refused.
+    /// The message as a packet. It refuses numbers that are not finite and times that do not fit.
     pub fn packet(&self, target: u8, sequence: u16) -> Result<CommandPacket, MessageError> {
         Ok(CommandPacket::new(target, sequence, self.payload()?)?)
     }
@@ -320,7 +320,7 @@ impl Message {
 
 /// The messages of a payload in their order, each with its own bytes.
 ///
-/// A message that cannot be read is an error in its place. Where its key does not give its length, or the payload is too
+/// A message that cannot be read is an error in its place. If its key does not give its length, or the payload is too
 /// short for it, it is the last one, and its bytes stay in the [rest](Self::rest).
 #[derive(Debug, Clone)]
 pub struct Messages<'a> {
@@ -338,12 +338,12 @@ impl<'a> Messages<'a> {
         }
     }
 
-    /// The unread rest; after the last message, padding or what is not understood.
+    /// The unread rest: after the last message, padding or bytes that are not understood.
     pub fn rest(&self) -> &'a [u8] {
         self.rest
     }
 
-    /// How many bytes of the rest are not understood: none of padding with zeros.
+    /// Number of bytes of the rest that are not understood; 0 for padding with zeros.
     pub fn not_understood(&self) -> usize {
         match self.rest.iter().any(|&byte| byte != 0) {
             true => self.rest.len(),
@@ -357,7 +357,7 @@ impl<'a> Iterator for Messages<'a> {
 
     fn next(&mut self) -> Option<Self::Item> {
         let key = first_word(self.rest).unwrap_or_default();
-        // A payload without any message is an error of its first one.
+        // In a payload without any message, the first message is an error.
         if self.ended || (self.begun && key == 0) {
             return None;
         }
@@ -396,7 +396,7 @@ pub fn message_of(key: u16) -> Option<&'static MessageRow> {
     MESSAGES.iter().find(|row| row.key == key)
 }
 
-/// How many variables an aspect command has: the low 4 bits of its key.
+/// Number of variables of an aspect command: the low 4 bits of its key.
 pub fn variable_count(key: u16) -> usize {
     usize::from(key & 0x000F)
 }

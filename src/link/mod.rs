@@ -1,12 +1,12 @@
 //! The line to the gondola's controller: packets, messages, the conversation and the port.
 //!
 //! ```text
-//! port (bytes) -> Parser -> Packet -> Message -> Responder -> packets to send and what has changed
+//! port (bytes) -> Parser -> Packet -> Message -> Responder -> packets to send and changes
 //! ```
 //!
-//! Nothing here starts a thread or reads a clock: the times are arguments, and the flight service owns the loop.
+//! Nothing here starts a thread or reads a clock: times are arguments, and the flight service owns the loop.
 //! The interface is that of the HEROES flight program (2013, repository HEROES-GSFC/SAS); `docs/protocol.md`
-//! sets it out in tables.
+//! describes it in tables.
 
 pub mod byte_log;
 pub mod code;

@@ -5,11 +5,11 @@ use super::number::Codes;
 use jiff::Timestamp;
 
 fields! {
-    /// Where the Moon was found.
+    /// Position and direction of the Moon in a picture.
     MoonFix, format!("found at {x_px} {y_px} px, towards {direction:?}, at {time}") => {
         x_px: f64, "px", "the disc's centre";
         y_px: f64, "px", "the disc's centre";
-        /// xx, xy and yy of the centre, px^2.
+        /// Covariance of the centre, px^2: xx, xy and yy.
         covariance_px2: [f64; 3] [
             "covariance_xx_px2", "px^2", "covariance of the centre";
             "covariance_xy_px2", "px^2", "covariance of the centre";
@@ -37,15 +37,15 @@ pub struct MoonAnswer {
     pub outcome: MoonOutcome,
 }
 
-/// Result for the Moon after a picture.
+/// Result for the Moon in a picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MoonOutcome {
     Found(MoonFix),
-    /// The ephemeris has it where it cannot be seen; the number is one of [`NOT_VISIBLE`].
+    /// By the ephemeris the Moon cannot be seen; the number is one of [`NOT_VISIBLE`].
     NotVisible {
         code: u16,
     },
-    /// It should be in the picture and is not found; the number is one of [`NOT_FOUND`].
+    /// It should be in the picture and was not found; the number is one of [`NOT_FOUND`].
     NotFound {
         code: u16,
     },
@@ -53,7 +53,7 @@ pub enum MoonOutcome {
 
 pub const BELOW_HORIZON: u16 = 1;
 pub const NEAR_SUN: u16 = 2;
-/// Why the Moon cannot be seen.
+/// Reasons why the Moon cannot be seen.
 #[rustfmt::skip] // One row, one line.
 pub static NOT_VISIBLE: Codes = Codes { name: "not_visible_code", rows: &[
     (BELOW_HORIZON, "below_horizon", "it is below the Earth's limb"),
@@ -62,9 +62,9 @@ pub static NOT_VISIBLE: Codes = Codes { name: "not_visible_code", rows: &[
 
 pub const NO_PICTURE: u16 = 1;
 pub const WRONG_SIZE: u16 = 2;
-/// The stages of the solver follow in their order.
+/// Code of the solver's first stage; the other stages follow in their order.
 pub const FIRST_STAGE: u16 = 3;
-/// Why the Moon is not found.
+/// Reasons why the Moon is not found.
 #[rustfmt::skip] // One row, one line.
 pub static NOT_FOUND: Codes = Codes { name: "not_found_code", rows: &[
     (NO_PICTURE, "no_picture", "no picture that was begun after the request came in time (`moon.answer_within_s`)"),

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-/// How a number travels, little-endian.
+/// Type of a number as sent, little-endian.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Number {
     U8,
@@ -24,7 +24,7 @@ impl Number {
         }
     }
 
-    /// The least and the most of a whole number.
+    /// Smallest and largest value of an integer type.
     pub fn range(self) -> Option<(f64, f64)> {
         match self {
             Self::U8 => Some((0.0, u8::MAX.into())),
@@ -47,7 +47,7 @@ impl Number {
         }
     }
 
-    /// The bytes of a number that a person has written; `None` where the text is none of this type.
+    /// The bytes of a number that a person has written; `None` if the text is no number of this type.
     pub fn bytes_of(self, text: &str) -> Option<Vec<u8>> {
         fn parsed<T: FromStr>(text: &str) -> Option<T> {
             text.parse().ok()
@@ -62,7 +62,7 @@ impl Number {
         })
     }
 
-    /// Adds a number, which must be one of its type.
+    /// Appends a number, which must be within the range of its type.
     pub fn write(self, number: f64, bytes: &mut Vec<u8>) {
         match self {
             Self::U8 => bytes.push(number as u8),
@@ -74,7 +74,7 @@ impl Number {
         }
     }
 
-    /// The first of some bytes as a number, and the rest; `None` where there are too few.
+    /// The number with which some bytes begin, and the remaining bytes; `None` if there are too few.
     pub fn read(self, bytes: &[u8]) -> Option<(f64, &[u8])> {
         let (own, rest) = bytes.split_at_checked(self.bytes())?;
         let value = match self {
@@ -113,7 +113,7 @@ impl Codes {
     }
 }
 
-/// A field of a payload: one number, or several of a kind.
+/// A field of a payload: one number, or several of a type.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Field {
     pub name: &'static str,
@@ -122,7 +122,7 @@ pub struct Field {
     /// Empty for counts and codes.
     pub unit: &'static str,
     pub documentation: &'static str,
-    /// Where its numbers stand for something.
+    /// Meanings of its numbers, if it is a code.
     pub codes: Option<&'static Codes>,
     /// Range for a person's input; its type may hold more.
     pub range: Option<(f64, f64)>,

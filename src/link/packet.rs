@@ -1,4 +1,4 @@
-//! Packets: a header, a checksum and a payload. What the payload says is in [`message`](super::message).
+//! Packets: a header, a checksum and a payload. The content of the payload is described in [`message`](super::message).
 //!
 //! All numbers are little-endian. The checksum is CRC-16/MODBUS over the whole packet with the checksum's own
 //! two bytes zero; it alone is stored high byte first.
@@ -13,7 +13,7 @@
 use super::number::Codes;
 use crc::{CRC_16_MODBUS, Crc, Table};
 
-/// The two bytes every packet begins with: 0xC39A, little-endian.
+/// The two bytes with which every packet begins: 0xC39A, little-endian.
 pub const SYNC: [u8; 2] = 0xC39A_u16.to_le_bytes();
 /// Length of a command packet's header, bytes.
 pub const COMMAND_HEADER: usize = 8;
@@ -21,10 +21,10 @@ pub const COMMAND_HEADER: usize = 8;
 pub const TELEMETRY_HEADER: usize = 16;
 
 const CHECKSUM_AT: usize = 6;
-/// Sixteen bytes at a step: a parser may have to judge many false headers that claim long packets.
+/// Sixteen bytes per step: a parser may have to check many false headers that claim long packets.
 static MODBUS: Crc<u16, Table<16>> = Crc::<u16, Table<16>>::new(&CRC_16_MODBUS);
 
-/// Who a packet is for, or from.
+/// Ids of the recipients and senders of packets.
 pub mod id {
     pub const CONTROLLER: u8 = 0x01;
     pub const ASPECT: u8 = 0x30;
@@ -52,14 +52,14 @@ pub mod telemetry_type {
     pub const RESULT: u8 = 0xE1;
 }
 
-/// Which way the bytes of a line run. Telemetry runs to the controller only, except for samples of the IMU, so this decides how headers read.
+/// Direction in which the bytes of a line run. Telemetry runs to the controller only, except for samples of the IMU, so it decides how headers are read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
     ToController,
     ToAspect,
 }
 
-/// Why bytes are not a packet, or a payload does not fit one.
+/// Reason why bytes are not a packet, or a payload does not fit one.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PacketError {
     #[error("packet: expected the sync word c39a at its start, found {found:02x?}")]
@@ -72,7 +72,7 @@ pub enum PacketError {
     Payload { limit: usize, found: usize },
 }
 
-/// A command packet, either way: the messages of both sides travel in it.
+/// A command packet, in either direction: it carries the messages of both sides.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CommandPacket {
     target: u8,
@@ -114,7 +114,7 @@ impl CommandPacket {
     }
 }
 
-/// A telemetry packet: what the aspect system reports without being part of the control loop.
+/// A telemetry packet: a report of the aspect system that is not part of the control loop.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TelemetryPacket {
     kind: u8,
@@ -151,7 +151,7 @@ impl TelemetryPacket {
         self.source
     }
 
-    /// When the packet was made: seconds and nanoseconds UTC since 1970, as its header says.
+    /// Time at which the packet was made, from its header: seconds and nanoseconds UTC since 1970.
     pub fn time(&self) -> (u32, u32) {
         (self.seconds, self.nanoseconds)
     }
@@ -181,7 +181,7 @@ pub enum Packet {
 }
 
 impl Packet {
-    /// The length a packet that begins with `bytes` says it has; `None` while its header is not there yet.
+    /// The length that a packet beginning with `bytes` states; `None` until its header is complete.
     pub fn length(direction: Direction, bytes: &[u8]) -> Option<usize> {
         let (kind, source) = (*bytes.get(2)?, *bytes.get(3)?);
         if is_telemetry(direction, kind, source) {
@@ -232,7 +232,7 @@ impl Packet {
 }
 
 /// Both forms share one sync word. A type of telemetry is no id of a target, except for 0x01: there the next byte
-/// shows, since no command has a payload as long as the aspect system's id (48 bytes).
+/// decides, since no command has a payload as long as the aspect system's id (48 bytes).
 fn is_telemetry(direction: Direction, kind: u8, source: u8) -> bool {
     use telemetry_type::*;
     match (direction, kind) {
@@ -255,7 +255,7 @@ fn fits(payload: &[u8], limit: usize) -> Result<(), PacketError> {
     Ok(())
 }
 
-/// The checksum of a packet of at least a header's length, its own field taken as zero.
+/// The checksum of a packet of at least a header's length, with its own field set to zero.
 fn checksum(bytes: &[u8]) -> u16 {
     let mut digest = MODBUS.digest();
     digest.update(&bytes[..CHECKSUM_AT]);
@@ -284,7 +284,7 @@ mod tests {
     use super::*;
     use Direction::*;
 
-    /// "Stop tracking", sequence number 8, as the HEROES flight program writes it.
+    /// "Stop tracking", sequence number 8, in the form of the HEROES flight program.
     const STOP: [u8; 10] = [0x9a, 0xc3, 0x30, 2, 8, 0, 0x6f, 0x33, 1, 0x10];
 
     #[test]

@@ -1,27 +1,27 @@
-//! From a stream of bytes to packets, whatever comes in between.
+//! Finds packets in a stream of bytes, with any bytes in between.
 //!
 //! # Method
 //!
-//! Every sync word in the stream is a *candidate*, whether or not it stands inside another one. A candidate whose
-//! bytes are all there is judged by its checksum; the first one that passes, in the order of the stream, is a packet, and
-//! all before its end is done with. So a false header never holds back a good packet that has come, whatever length it
+//! Every sync word in the stream is a *candidate*, whether or not it stands inside another one. When all bytes of a candidate
+//! have come, its checksum is checked; the first one that passes, in the order of the stream, is a packet, and
+//! all bytes before its end are done. So a false header never holds back a good packet that has come, whatever length it
 //! claims, and the buffer never holds more than one packet of the greatest length.
 //!
 //! # When it fails
 //!
-//! A false header passes the checksum once in 65536 times. A packet whose payload holds a whole packet is taken for the
-//! inner one where that is complete first.
+//! A false header passes the checksum once in 65536 times. If a packet's payload holds a whole packet, the inner one is
+//! found if it is complete first.
 
 use super::packet::{COMMAND_HEADER, Direction, Packet, PacketError, SYNC};
 use std::time::Duration;
 
-/// The longest silence between two bytes of one packet. At 115200 baud a byte takes 0.09 ms.
+/// Longest pause between two bytes of one packet. At 115200 baud a byte takes 0.09 ms.
 pub const SILENCE: Duration = Duration::from_millis(100);
 
-/// Of how many rejected packets the reasons are kept.
+/// Number of rejected packets for which the reasons are kept.
 const REASONS: usize = 16;
 
-/// Counts of bytes that were no packet.
+/// Counts of bytes that belong to no packet.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Rejected {
     /// Bytes that belong to no packet.
@@ -37,7 +37,7 @@ pub struct Parser {
     bytes: Vec<u8>,
     /// The sync words in `bytes`, in order. The first one is always open.
     candidates: Vec<Candidate>,
-    /// Where to search for the next sync word.
+    /// Position from which to search for the next sync word.
     searched: usize,
     last_byte: Duration,
     rejected: Rejected,
@@ -77,7 +77,7 @@ impl Parser {
         self.rejected
     }
 
-    /// Why packets were rejected, the first 16 of them.
+    /// Reasons why packets were rejected, for the first 16.
     pub fn reasons(&self) -> &[PacketError] {
         &self.reasons
     }
@@ -105,7 +105,7 @@ impl Parser {
         packets
     }
 
-    /// Abandons what has come of a packet, as on a line that was lost.
+    /// Abandons an incomplete packet, as on a line that was lost.
     pub fn abandon(&mut self) {
         self.reject_to(self.bytes.len());
     }
@@ -122,7 +122,7 @@ impl Parser {
         }
     }
 
-    /// The first candidate that is a packet: its start, its length and what it says.
+    /// The first candidate that is a packet: its start, its length and the packet.
     fn judge_candidates(&mut self) -> Option<(usize, usize, Packet)> {
         let open = self
             .candidates
@@ -144,7 +144,7 @@ impl Parser {
         None
     }
 
-    /// Where the bytes begin that may yet be part of a packet.
+    /// Start of the bytes that may yet be part of a packet.
     fn first_open(&self) -> usize {
         let open = self.candidates.iter().find(|c| c.state == State::Open);
         open.map_or(self.searched, |candidate| candidate.start)
@@ -175,7 +175,7 @@ impl Parser {
 }
 
 impl Candidate {
-    /// Why it is no packet; one that is still open was cut off.
+    /// Reason why it is no packet; one that is still open was cut off.
     fn reason(&self, bytes: &[u8], direction: Direction) -> PacketError {
         match &self.state {
             State::Refuted(error) => error.clone(),
@@ -303,7 +303,7 @@ mod tests {
         prop_oneof![command, telemetry]
     }
 
-    /// Bytes at random, a header without a packet, a packet cut off, with a wrong bit or a wrong length.
+    /// Random bytes, a header without a packet, a packet cut off, with a wrong bit or a wrong length.
     fn garbage() -> impl Strategy<Value = Vec<u8>> {
         let header = prop::sample::select(vec![0x01, 0x30, 0x82, 0xE1, 0xFF]);
         let false_header = (header, prop::collection::vec(any::<u8>(), 0..20))
@@ -348,7 +348,7 @@ mod tests {
     }
 
     proptest! {
-        // A fixed seed: garbage passes a 16-bit checksum by chance often enough to matter over many runs.
+        // A fixed seed: random bytes pass a 16-bit checksum often enough to matter over many runs.
         #![proptest_config(ProptestConfig { rng_seed: RngSeed::Fixed(20130921), ..ProptestConfig::default() })]
 
         #[test]

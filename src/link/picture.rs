@@ -9,7 +9,7 @@
 //! | rest | pixels |
 //!
 //! A tag is a keyword of its header: 16 bytes of value, type (as in cfitsio: 16 text, 41 i32, 82 f64), camera, 8 bytes of
-//! name, 32 of comment. Source: HEROES flight program, 2013, whose sections had 1000 pixels; these are short, so that a
+//! name, 32 of comment. Source: HEROES flight program, 2013, whose sections had 1000 pixels; the sections here are short, so that a
 //! solution on a serial line never waits long for one.
 
 use super::fields::unix_time;
@@ -19,9 +19,9 @@ use super::packet::{TelemetryPacket, id, telemetry_type};
 use crate::frame::{Frame, Pixels};
 use jiff::Timestamp;
 
-/// Pixels of a section. With both headers 124 bytes, 11 ms at 115200 baud.
+/// Number of pixels of a section. With both headers it takes 124 bytes, 11 ms at 115200 baud.
 pub const SECTION_PIXELS: usize = 100;
-/// The largest width and height that 12 bits hold.
+/// The largest width and height that fit into 12 bits.
 const LARGEST: usize = 4095;
 const EIGHT_BITS: u32 = 3;
 
@@ -33,7 +33,7 @@ pub static TAG_TYPES: Codes = Codes { name: "tag_type", rows: &[
     (82, "number", "f64"),
 ] };
 
-/// Content of a tag.
+/// Value of a tag.
 #[derive(Debug, Clone, PartialEq)]
 pub enum TagValue {
     Text(String),
@@ -61,8 +61,8 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// The picture of a frame, scaled so that saturation becomes 255 where its pixels have more than 8 bits.
-    /// `time` goes into every packet. `None` where the frame is larger than 4095 px either way.
+    /// The picture of a frame; pixels of more than 8 bits are scaled so that saturation becomes 255.
+    /// `time` goes into every packet. `None` if the frame is larger than 4095 px in either direction.
     pub fn new(
         frame: &Frame,
         camera: u8,
@@ -90,7 +90,7 @@ impl Picture {
         }))
     }
 
-    /// How many packets it takes.
+    /// Number of its packets.
     pub fn parts(&self) -> usize {
         self.tags.len() + self.pixels.len().div_ceil(SECTION_PIXELS)
     }
@@ -142,7 +142,7 @@ impl Tag {
         payload
     }
 
-    /// Reads a telemetry packet of type 0x83: the camera and its tag; `None` where it is none.
+    /// Reads a telemetry packet of type 0x83: the camera and its tag; `None` if it is of another type.
     pub fn decode(packet: &TelemetryPacket) -> Option<(u8, Self)> {
         if packet.kind() != telemetry_type::PICTURE_TAG {
             return None;
@@ -180,7 +180,7 @@ fn padded(bytes: &[u8], length: usize) -> Vec<u8> {
     padded
 }
 
-/// A section as the ground reads it.
+/// A section, read by the ground.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Section<'a> {
     pub camera: u8,
@@ -193,7 +193,7 @@ pub struct Section<'a> {
 }
 
 impl<'a> Section<'a> {
-    /// Reads a telemetry packet of type 0x82; `None` where it is none.
+    /// Reads a telemetry packet of type 0x82; `None` if it is of another type.
     pub fn decode(packet: &'a TelemetryPacket) -> Option<Self> {
         if packet.kind() != telemetry_type::PICTURE {
             return None;

@@ -1,4 +1,4 @@
-//! Ports: bytes in, bytes out, and never a wait without an end.
+//! Ports: they carry bytes in and out, and every wait has a timeout.
 
 use nix::errno::Errno;
 use nix::fcntl::{FcntlArg, OFlag, fcntl};
@@ -8,12 +8,12 @@ use std::net::SocketAddr;
 use std::os::fd::AsRawFd;
 use std::time::{Duration, Instant};
 
-/// The controller's line, bit/s; 8 data bits, no parity, 1 stop bit.
+/// Baud rate of the controller's line, bit/s; 8 data bits, no parity, 1 stop bit.
 pub const BAUD: u32 = 115_200;
-/// The most bytes that one call of the system is asked to write.
+/// Most bytes that one system call is asked to write.
 const CHUNK: usize = 256;
 
-/// Why a port failed.
+/// Reason why a port failed.
 #[derive(Debug, thiserror::Error)]
 pub enum PortError {
     #[error("serial port {name}: cannot be opened: {cause}")]
@@ -40,17 +40,17 @@ pub enum PortError {
     },
 }
 
-/// A carrier of bytes both ways. Tests put their own in the place of a serial line.
+/// A carrier of bytes in both directions. Tests use their own instead of a serial line.
 pub trait BytePort {
-    /// Reads what has come, waiting at most `timeout` for the first byte; 0 bytes where none has.
+    /// Reads received bytes, waiting at most `timeout` for the first byte; returns 0 if none has come.
     fn read(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, PortError>;
 
-    /// Who sent what was read last, where a read is a datagram; `None` where none came, and of a wire.
+    /// Sender of the datagram that was read last; `None` if none came, and for a wire.
     fn sender(&self) -> Option<SocketAddr> {
         None
     }
 
-    /// Writes all bytes, one packet at a time, or fails after `timeout`; how many went by then is in the error.
+    /// Writes all bytes, one packet at a time, or fails after `timeout`; the error states how many were written by then.
     fn write(&mut self, bytes: &[u8], timeout: Duration) -> Result<(), PortError>;
 
     /// Bytes that have been written and are still on this machine, as far as the system reports.
@@ -62,7 +62,7 @@ pub trait BytePort {
     fn discard_backlog(&mut self) {}
 }
 
-/// A serial line, or an end of a pseudo-terminal.
+/// A serial line, or one end of a pseudo-terminal.
 #[derive(Debug)]
 pub struct SerialPort {
     name: String,
@@ -79,7 +79,7 @@ impl SerialPort {
             .flow_control(FlowControl::None);
         let port = builder.open_native().map_err(|cause| {
             let name = name.into();
-            // What the crate says where another program holds the lock, and what is said of an ordinary file.
+            // The crate's message if another program holds the lock, and its message for an ordinary file.
             match cause.description.as_str() {
                 said if said.contains("exclusive lock") => PortError::InUse { name },
                 said if said == Errno::ENOTTY.desc() => PortError::NotSerial { name },
@@ -106,8 +106,8 @@ impl SerialPort {
         &self.name
     }
 
-    /// A write that exceeds the system's buffer would otherwise wait for the reader, however long, whatever the
-    /// port's timeout says.
+    /// Without this, a write that exceeds the system's buffer would wait for the reader indefinitely, whatever the
+    /// port's timeout.
     fn non_blocking(name: String, port: TTYPort) -> Result<Self, PortError> {
         let descriptor = port.as_raw_fd();
         let set = fcntl(descriptor, FcntlArg::F_GETFL).and_then(|flags| {
@@ -179,7 +179,7 @@ impl BytePort for SerialPort {
     }
 
     fn discard_backlog(&mut self) {
-        // What fails here will fail at the next write, too.
+        // If this fails, the next write will fail, too.
         let _ = serialport::SerialPort::clear(&self.port, serialport::ClearBuffer::Output);
     }
 }

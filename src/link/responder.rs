@@ -1,22 +1,22 @@
-//! Our side of the conversation: the answers, and the messages around an exposure.
+//! The aspect system's side of the conversation: the answers, and the messages around an exposure.
 //!
-//! A [`Responder`] is a state machine without threads, clocks or ports. The flight service hands it every command
-//! packet and every exposure, and writes what it gives back. What commands set and read beyond the conversation it
-//! leaves to a [`Control`].
+//! A [`Responder`] is a state machine without threads, clocks or ports. The flight service passes it every command
+//! packet and every exposure, and writes the packets that it returns. Commands that go beyond the conversation are
+//! executed by a [`Control`].
 //!
 //! # Rules (HEROES flight program, 2013)
 //!
 //! 1. Packets for other ids, and aspect commands for the other computer or for none, are ignored unanswered.
 //! 2. Every other packet is answered: a receipt, then a result for each of its commands, in order; start and stop of tracking by
 //!    "tracking is on" or "off", too.
-//! 3. While sending is enabled, tracking or not, the time of every exposure goes out before it starts.
-//! 4. A solution goes out only while tracking is on and sending is enabled, only if its own exposure's time went
-//!    out, once, and never after one of a later exposure; an error takes its place where there is none.
-//! 5. Sending changes between exposures: a command that disables it is done, and its result sent, when the announced
+//! 3. While sending is enabled, tracking or not, the time of every exposure is sent before it starts.
+//! 4. A solution is sent only while tracking is on and sending is enabled, only if the time of its own exposure was
+//!    sent, once, and never after one of a later exposure; if there is no solution, an error is sent instead.
+//! 5. Sending changes between exposures: a command that disables it is executed, and its result sent, when the announced
 //!    exposure has been concluded, so that a hand-over to the other computer leaves no gap and no duplicate.
-//! 6. An offset by the gyros goes out while tracking is on and sending is enabled, whatever was announced.
+//! 6. An offset by the gyros is sent while tracking is on and sending is enabled, whatever was announced.
 //! 7. A request for the Moon is answered by its result at once, and by the Moon's place when a picture has been solved, whether or
-//!    not it tracks or sends.
+//!    not tracking or sending is on.
 
 use super::computer::Computer;
 use super::control::{Carried, CommandResult, Control};
@@ -30,15 +30,15 @@ use super::telemetry::{CommandOutcome, Receipt, Telemetry};
 use jiff::Timestamp;
 use std::collections::VecDeque;
 
-/// How many announced exposures may wait for their solutions.
+/// Number of announced exposures that may wait for their solutions.
 const ANNOUNCEMENTS: usize = 64;
 
-/// State of the conversation as the controller and the ground have set it. At first no solutions are wanted, and nothing is sent.
+/// State of the conversation, set by the controller and the ground. Initially no solutions are wanted, and nothing is sent.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LinkState {
     /// The controller wants solutions.
     pub tracking: bool,
-    /// This computer is the one that sends them.
+    /// This computer sends them.
     pub sending: bool,
 }
 
@@ -53,12 +53,12 @@ pub struct Reply {
     pub changed: bool,
 }
 
-/// A command to this computer, and what came of it.
+/// A command to this computer, and its result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Heard {
-    /// With the computers' bits.
+    /// The key, including the computers' bits.
     pub key: u16,
-    /// `None` where it could not be read.
+    /// `None` if it could not be read.
     pub message: Option<Message>,
     pub execution: Execution,
 }
@@ -67,13 +67,13 @@ pub struct Heard {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Execution {
     Result(CommandResult),
-    /// With the reason, where it is known.
+    /// With the reason, if known.
     Refused(Option<String>),
     /// It waits for the announced exposure.
     Waits,
 }
 
-/// One exposure of one of this computer's cameras, known by the time that was announced.
+/// One exposure of one of this computer's cameras, identified by the announced time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Exposure {
     /// The number of the pitch-yaw camera, from 1.
@@ -88,7 +88,7 @@ struct Stop {
     key: u16,
 }
 
-/// Decides the answers of one aspect computer.
+/// Generates the answers of one aspect computer.
 #[derive(Debug, Clone)]
 pub struct Responder {
     computer: Computer,
@@ -101,10 +101,10 @@ pub struct Responder {
     stops: Vec<Stop>,
 }
 
-/// The kind of answer that a message asks for.
+/// The kind of answer to a message.
 enum Answer {
     Result(CommandResult),
-    /// Done, and said by a message, too.
+    /// Done, and reported by a message, too.
     Message(Message),
     /// The result comes later.
     Later,
@@ -122,7 +122,7 @@ impl Answer {
 }
 
 impl Responder {
-    /// A computer that begins as controller and ground have left it.
+    /// A computer in the state left by controller and ground.
     pub fn new(computer: Computer, state: LinkState) -> Self {
         Self {
             computer,
@@ -134,7 +134,7 @@ impl Responder {
         }
     }
 
-    /// Tracks as before a restart, unasked.
+    /// Resumes tracking after a restart, without a command.
     pub fn go_on_tracking(&mut self) {
         self.state.tracking = true;
     }
@@ -143,9 +143,9 @@ impl Responder {
         &self.state
     }
 
-    /// Answers a packet that came from the line; `now` goes into the answers.
+    /// Answers a packet that came from the line; `now` is the time of the answers.
     ///
-    /// The error is a `now` that no packet can hold; the commands have been carried out all the same.
+    /// It fails if no packet can hold `now`; the commands have been executed all the same.
     pub fn handle(
         &mut self,
         packet: &CommandPacket,
@@ -191,7 +191,7 @@ impl Responder {
         })
     }
 
-    /// The commands to this computer that a packet holds: their keys, and the messages that could be read.
+    /// The commands to this computer in a packet: their keys, and the messages that could be read.
     pub fn commands_in(&self, packet: &CommandPacket) -> Vec<(u16, Option<Message>)> {
         let messages = Messages::of(packet.payload());
         let commands =
@@ -199,7 +199,7 @@ impl Responder {
         commands.collect()
     }
 
-    /// The receipt of a packet, and what its commands, known by their keys, are answered with.
+    /// The receipt of a packet, and the results of its commands, with their keys.
     fn answered(
         &mut self,
         sequence: u16,
@@ -238,7 +238,7 @@ impl Responder {
         Ok(Some(packet))
     }
 
-    /// The packet with an exposure's solution, whose `time` is the exposure's start; `None` where it must not go.
+    /// The packet with an exposure's solution, whose `time` is the exposure's start; `None` if it must not be sent.
     pub fn solution(
         &mut self,
         exposure: Exposure,
@@ -247,7 +247,7 @@ impl Responder {
         self.conclude(exposure, &Message::Solution(*solution))
     }
 
-    /// The packet that says why an exposure has no solution; `None` where it must not go.
+    /// The packet with the reason why an exposure has no solution; `None` if it must not be sent.
     pub fn error(
         &mut self,
         exposure: Exposure,
@@ -256,7 +256,7 @@ impl Responder {
         self.conclude(exposure, &Message::Error(NoSolution { code }))
     }
 
-    /// The packet with an offset by the gyros; `None` where it must not go.
+    /// The packet with an offset by the gyros; `None` if it must not be sent.
     pub fn propagated(&mut self, propagated: Propagated) -> Result<Option<Vec<u8>>, MessageError> {
         match self.state.tracking && self.state.sending && !self.stopping {
             true => self.numbered(&Message::Propagated(propagated)).map(Some),
@@ -269,12 +269,12 @@ impl Responder {
         self.numbered(&answer.into())
     }
 
-    /// Takes an announcement back: its packet could not be written, or nothing will be said of it.
+    /// Withdraws an announcement: its packet could not be written, or no message will follow it.
     pub fn forget(&mut self, exposure: Exposure) {
         self.announced.retain(|&announced| announced != exposure);
     }
 
-    /// Takes all announcements back.
+    /// Withdraws all announcements.
     pub fn forget_all(&mut self) {
         self.announced.clear();
     }
@@ -285,7 +285,7 @@ impl Responder {
         self.stopping
     }
 
-    /// The results of commands to stop sending, once the announced exposures are concluded. Asked after every event.
+    /// The results of commands to stop sending, once the announced exposures are concluded. To be called after every event.
     pub fn stopped(&mut self, now: Timestamp) -> Result<Vec<Vec<u8>>, MessageError> {
         if self.stopping && !self.announced.is_empty() {
             return Ok(Vec::new());
@@ -323,7 +323,7 @@ impl Responder {
         Ok(bytes)
     }
 
-    /// The key that names the command in our answer, or `None` where the message is not ours to answer.
+    /// The key that identifies the command in the answer, or `None` if the message is not for this computer.
     fn key_for_us(&self, message: &[u8]) -> Option<u16> {
         let (first, rest) = message.split_first_chunk()?;
         match u16::from_le_bytes(*first) {
@@ -335,7 +335,7 @@ impl Responder {
         }
     }
 
-    /// Carries a message out.
+    /// Executes a message.
     fn execute(&mut self, message: &Message, stop: Stop, control: &mut dyn Control) -> Answer {
         match message {
             Message::StartTracking => {
@@ -349,7 +349,7 @@ impl Responder {
             Message::Gps(fix) => Answer::Result(control.take_fix(*fix)),
             Message::MoonRequest(request) => Answer::Result(control.request_moon(request)),
             Message::Aspect(command) => self.command(command, stop, control),
-            // Messages of our own side are no commands to us.
+            // Messages of the aspect system's own side are no commands to it.
             _ => Answer::Result(CommandResult::Unknown),
         }
     }
@@ -371,7 +371,7 @@ impl Responder {
         }
     }
 
-    /// At once, where nothing will be said of the announced exposures.
+    /// Stops sending; at once, if no message will follow the announced exposures.
     fn stop_sending(&mut self, stop: Stop) -> Answer {
         if self.state.sending && self.state.tracking && !self.announced.is_empty() {
             self.stopping = true;
@@ -383,7 +383,7 @@ impl Responder {
     }
 }
 
-/// The result of a packet that is no message of ours.
+/// The result for a packet that holds no known message.
 fn malformed(error: &MessageError, control: &dyn Control) -> CommandResult {
     match error {
         MessageError::UnknownKey { .. } => CommandResult::Unknown,

@@ -1,4 +1,4 @@
-//! Lengths and types of the tables against what the program writes.
+//! Lengths and types of the tables, compared with the packets that the program writes.
 
 use crate::link::housekeeping::{self, fields_by_layout};
 use crate::link::message::tests::every_message;
@@ -14,7 +14,7 @@ use crate::link::{
 };
 use jiff::Timestamp;
 
-/// The numbers of a payload by the table, and how many bytes they take.
+/// The numbers of a payload read by the table, and their length in bytes.
 fn read(fields: &[Field], payload: &[u8]) -> (Vec<f64>, usize) {
     let mut rest = payload;
     let mut numbers = Vec::new();
@@ -125,7 +125,7 @@ fn telemetry_is_read_by_the_tables() {
 fn the_types_of_telemetry_are_those_that_distinguish_packets() {
     for direction in [ToController, ToAspect] {
         for kind in 0..=255 {
-            // Not a payload as long as the source's id: the length distinguishes the two forms.
+            // The payload is not as long as the source's id: the length distinguishes the two forms.
             let header = [SYNC[0], SYNC[1], kind, id::ASPECT, 0, 0];
             let is_telemetry = Packet::length(direction, &header) == Some(16);
             let mut rows = TELEMETRY.iter();

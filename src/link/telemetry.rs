@@ -8,7 +8,7 @@ use super::packet::Direction::{self, ToAspect, ToController};
 use super::packet::{TelemetryPacket, id, telemetry_type};
 use jiff::Timestamp;
 
-/// Ids of marks that fit into a packet.
+/// Number of ids of marks that fit into a packet.
 pub const MOST_MARK_IDS: usize = 32;
 
 fields! {
@@ -34,7 +34,7 @@ fields! {
         lost: u32, "", "frames that the camera or the solver lost";
     }
 
-    /// The marks that were read in a frame of a plate of another pattern than that of 2013. Housekeeping of the same time has the rest.
+    /// The marks identified in a frame of a plate of another pattern than that of 2013. Housekeeping of the same time has the rest.
     FrameMarks, format!("camera {camera}, frame {number}: {marks} marks, ids {}", ids_in_words(ids_of(*marks, mark_ids))) => {
         camera: u16, "", "number of the camera, as in its pictures";
         number: u32, "", "number of its latest frame";
@@ -43,7 +43,7 @@ fields! {
     }
 }
 
-/// A payload as a packet of a type made at `time`; `name` is its own in errors.
+/// A payload as a packet of the given type, made at `time`; `name` is its name in errors.
 fn packed<T: Wire>(
     kind: u8,
     name: &'static str,
@@ -56,7 +56,7 @@ fn packed<T: Wire>(
     Ok(TelemetryPacket::new(kind, id::ASPECT, time, out.finish())?)
 }
 
-/// The payload of a packet, which must be of a type.
+/// The payload of a packet, which must be of the given type.
 fn unpacked<T: Wire>(
     kind: u8,
     name: &'static str,
@@ -83,7 +83,7 @@ impl CameraCounts {
 }
 
 impl FrameMarks {
-    /// The first [`MOST_MARK_IDS`] of the ids, and how many there are. `None` where an id does not fit 16 bits: nothing else may stand for it.
+    /// The first [`MOST_MARK_IDS`] of the ids, and their total number. `None` if an id does not fit 16 bits: no other value may replace it.
     pub fn new(camera: u16, number: u32, ids: &[[i32; 2]]) -> Option<Self> {
         let mut mark_ids = [[0; 2]; MOST_MARK_IDS];
         for (place, [i, j]) in mark_ids.iter_mut().zip(ids) {
@@ -97,7 +97,7 @@ impl FrameMarks {
         })
     }
 
-    /// The ids that fitted.
+    /// The ids in the packet.
     pub fn ids(&self) -> impl Iterator<Item = [i32; 2]> {
         ids_of(self.marks, &self.mark_ids)
     }
@@ -113,7 +113,7 @@ impl FrameMarks {
     }
 }
 
-/// The places of a packet that hold ids of so many marks.
+/// The elements of a packet that hold the ids of `marks` marks.
 fn ids_of(marks: u16, mark_ids: &[[i16; 2]]) -> impl Iterator<Item = [i32; 2]> {
     let ids = mark_ids.iter().take(marks.into());
     ids.map(|id| id.map(i32::from))
@@ -133,7 +133,7 @@ pub struct TelemetryRow {
 #[derive(Debug, Clone, Copy)]
 pub enum Payload {
     Fields(fn() -> Vec<Field>),
-    /// The layout's number, and the fields of [`housekeeping::FIELDS`](super::housekeeping::FIELDS) that it has.
+    /// The layout's number, and the fields of [`housekeeping::FIELDS`](super::housekeeping::FIELDS) that the layout contains.
     Housekeeping,
     PictureSection,
     PictureTag,
@@ -169,7 +169,7 @@ pub const TELEMETRY: &[TelemetryRow] = &[
     row(telemetry_type::RESULT, "result", ToController, Payload::Fields(|| CommandOutcome::fields(&[])), "what came of a command"),
 ];
 
-/// Content of a telemetry packet of the link: every command is answered by a receipt and a result.
+/// Answers to a command in telemetry: every command is answered by a receipt and a result.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Telemetry {
     Receipt(Receipt),

@@ -1,4 +1,4 @@
-//! The link over UDP, as the HEROES flight program had it: one packet a datagram.
+//! The link over UDP, as in the HEROES flight program: one packet per datagram.
 
 use super::key::Seal;
 use super::port::{BytePort, PortError, means_later};
@@ -6,17 +6,17 @@ use std::io::{self, ErrorKind};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::time::Duration;
 
-/// The end of a UDP line on this machine.
+/// The local end of a UDP line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct LocalEnd {
-    /// `None`: all addresses of the machine.
+    /// `None`: all addresses of the computer.
     pub address: Option<IpAddr>,
-    /// 0: any free one.
+    /// 0: any free port.
     pub port: u16,
 }
 
-/// A UDP socket that sends to one peer and takes what comes from any: whom to believe is decided by a
-/// [`Guard`](super::Guard).
+/// A UDP socket that sends to one peer and receives from any: a
+/// [`Guard`](super::Guard) decides which senders to accept.
 #[derive(Debug)]
 pub struct UdpPort {
     name: String,
@@ -47,7 +47,7 @@ impl UdpPort {
         }
     }
 
-    /// The same, signing all that it sends.
+    /// The same port, signing every datagram that it sends.
     pub fn signing(self, seal: Seal) -> Self {
         let seal = Some(seal);
         Self { seal, ..self }
@@ -64,7 +64,7 @@ impl UdpPort {
     }
 
     fn receive(&self, buffer: &mut [u8], timeout: Duration) -> io::Result<(usize, SocketAddr)> {
-        // A timeout of zero would mean none.
+        // A zero timeout would mean no timeout.
         self.socket.set_nonblocking(timeout.is_zero())?;
         if !timeout.is_zero() {
             self.socket.set_read_timeout(Some(timeout))?;
@@ -107,7 +107,7 @@ impl BytePort for UdpPort {
                 length: bytes.len(),
                 timeout: Duration::ZERO,
             }),
-            // No program listens there yet, or the network is down for now: the datagram is lost, the port is not.
+            // No program listens there yet, or the network is down: the datagram is lost, but not the port.
             Err(error) if is_of_the_peer(&error) => Ok(()),
             Err(error) => Err(self.lost(error)),
         }
@@ -140,7 +140,7 @@ mod tests {
         UdpPort::open(peer, LocalEnd::default()).unwrap()
     }
 
-    /// Two ends that know each other.
+    /// Two ends that are each other's peers.
     fn pair() -> (UdpPort, UdpPort) {
         let near = open(to_port(9));
         let far = open(to_port(near.local_port().unwrap()));

@@ -1,7 +1,7 @@
-//! Reads a byte log as it stands on a disk: cut off by a power cut, filled with zero bytes, copied twice, or still growing.
+//! Reads a byte log as found on a disk: cut off by a power cut, filled with zero bytes, copied twice, or still growing.
 //!
-//! Bad lines are skipped and counted. Of a damaged line the bytes before the damage are kept: packets have checksums, so those that
-//! are whole are found, and a cut one is rejected.
+//! Bad lines are skipped and counted. Of a damaged line the bytes before the damage are kept: packets have checksums, so complete
+//! ones are found, and a truncated one is rejected.
 
 use super::Burst;
 use crate::link::hex::from_hex;
@@ -12,20 +12,20 @@ use std::fmt;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem;
 
-/// The longest line, bytes. The 64 KiB of a datagram take 128 KiB in hexadecimal.
+/// Length of the longest line, bytes. The 64 KiB of a datagram take 128 KiB in hexadecimal.
 const LONGEST: usize = 1 << 20;
-/// The digits of the seconds since 1970 in the years 2001 to 2286.
+/// Number of digits of the seconds since 1970 in the years 2001 to 2286.
 const DIGITS: usize = 10;
-/// The decimals that are written.
+/// Number of decimals that are written.
 const DECIMALS: usize = 9;
 
 /// Fault of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// It holds zero bytes: what a disk shows of a file whose end it did not get.
+    /// It holds zero bytes: content of a file whose end did not reach the disk.
     ZeroBytes,
     NotUtf8,
-    /// It is cut off, or anything else.
+    /// It is cut off, or has another fault.
     Malformed,
     /// The same bytes at the same nanosecond as a line before.
     Repeated,
@@ -64,13 +64,13 @@ impl Kind {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: expected {}, found {found}", .kind.expected())]
 pub struct BadLine {
-    /// Counted from 1.
+    /// Line number, from 1.
     pub line: u64,
     pub kind: Kind,
     pub found: String,
 }
 
-/// Why a file is no byte log: nothing of it could be read.
+/// Reason why a file is no byte log: nothing in it could be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LogError {
     #[error("expected a byte log, found an empty file")]
@@ -119,18 +119,18 @@ impl fmt::Display for Skipped {
     }
 }
 
-/// Takes a byte log piece by piece.
+/// Reads a byte log piece by piece.
 #[derive(Debug, Default)]
 pub struct Reader {
-    /// Of a line whose end has not come, each run of zero bytes as one.
+    /// Bytes of a line whose end has not come, each run of zero bytes as one.
     rest: Vec<u8>,
     zeros: u64,
     is_too_long: bool,
-    /// Lines whose ends have come.
+    /// Number of lines whose ends have come.
     lines: u64,
-    /// Bursts and remarks.
+    /// Number of bursts and remarks.
     read: u64,
-    /// The most digits that seconds have had: a line with fewer has lost its first ones.
+    /// Largest number of digits of the seconds so far: a line with fewer has lost its first ones.
     digits: usize,
     /// Hashes of the bursts with exact times.
     seen: HashSet<u64>,
@@ -138,7 +138,7 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Takes the next bytes of the log and gives the bursts of the lines whose ends are in them.
+    /// Takes the next bytes of the log and returns the bursts of the lines that end in them.
     pub fn feed(&mut self, bytes: &[u8]) -> Vec<Burst> {
         let mut bursts = Vec::new();
         for piece in bytes.split_inclusive(|byte| *byte == b'\n') {
@@ -153,7 +153,7 @@ impl Reader {
         bursts
     }
 
-    /// Takes a last line that has no end.
+    /// Reads a last line that has no end.
     pub fn finish(&mut self) -> Vec<Burst> {
         let mut bursts = Vec::new();
         if !self.rest.is_empty() || self.is_too_long {
@@ -166,10 +166,10 @@ impl Reader {
         &self.skipped
     }
 
-    /// Whether anything was read.
+    /// Checks that anything was read.
     ///
     /// # Errors
-    /// Nothing was: the first line, with expected and found content.
+    /// If nothing was read: the first line, with expected and found content.
     pub fn check(&self) -> Result<(), LogError> {
         match (self.read, self.skipped.first()) {
             (0, Some(first)) => Err(LogError::NoLines(first.clone())),
@@ -202,14 +202,14 @@ impl Reader {
             let mut pieces = line.split(|byte| *byte == 0);
             let (first, last) = (pieces.next(), pieces.next_back());
             bursts.extend(self.beginning(first.unwrap_or_default()));
-            // A file that was written on after the power cut has a whole line behind them.
+            // If the file was continued after the power cut, a whole line follows the zero bytes.
             bursts.extend(self.salvaged(last.and_then(text).and_then(Line::parse)));
         } else {
             bursts.extend(self.line(line));
         }
     }
 
-    /// The burst of a line without zero bytes, or of what is good of it.
+    /// The burst of a line without zero bytes, or of its undamaged part.
     fn line(&mut self, line: &[u8]) -> Option<Burst> {
         // Some editors put a byte order mark before the first line.
         let line = line.strip_prefix("\u{feff}".as_bytes()).unwrap_or(line);
@@ -238,7 +238,7 @@ impl Reader {
     fn taken(&mut self, line: Line) -> Option<Burst> {
         self.read += 1;
         self.digits = line.digits;
-        // A writer of coarser times may have had the same bytes twice.
+        // A writer of less exact times may have received the same bytes twice.
         if line.is_exact() && !self.seen.insert(line.hash()) {
             let found = format!("{} again", shown(&line.burst.to_string()));
             self.skip(Kind::Repeated, found);
@@ -247,7 +247,7 @@ impl Reader {
         Some(line.burst)
     }
 
-    /// The bytes before the damage of a line.
+    /// The bytes of a line before its damage.
     fn beginning(&mut self, line: &[u8]) -> Option<Burst> {
         let good = line.utf8_chunks().next()?.valid();
         let (time, digits) = good.split_once(' ')?;
@@ -256,7 +256,7 @@ impl Reader {
         self.salvaged(Line::parse(&beginning))
     }
 
-    /// A burst out of a damaged line: only a whole time confirms it.
+    /// A burst of a damaged line; it counts only with a complete time.
     fn salvaged(&mut self, line: Option<Line>) -> Option<Burst> {
         let line = line.filter(Line::is_exact)?;
         self.read += 1;
@@ -269,7 +269,7 @@ impl Reader {
     }
 }
 
-/// A line's burst, and how many digits its time has before and behind the point.
+/// A line's burst, and the numbers of digits that its time has before and after the decimal point.
 struct Line {
     burst: Burst,
     digits: usize,
@@ -296,7 +296,7 @@ impl Line {
         })
     }
 
-    /// Whether its time is written as this program does.
+    /// Whether its time has the form that this program writes.
     fn is_exact(&self) -> bool {
         (self.digits, self.decimals) == (DIGITS, DECIMALS)
     }
@@ -329,7 +329,7 @@ fn shown(text: &str) -> String {
 mod tests {
     use super::*;
 
-    /// Bytes that were recorded, with the lines that each is on.
+    /// Recorded lines, and the numbers of the lines that hold each.
     const RECORD: [&str; 4] = [
         "# solaspect byte log: UTC seconds since 1970, bytes in hexadecimal",
         "1379786400.000000001 9ac30102007e310011",
@@ -339,7 +339,7 @@ mod tests {
 
     fn read(log: &[u8]) -> (Vec<Burst>, Skipped) {
         let mut reader = Reader::default();
-        // In small pieces, as a file that grows is read.
+        // In small pieces, as a growing file is read.
         let mut bursts: Vec<Burst> = log.chunks(7).flat_map(|piece| reader.feed(piece)).collect();
         bursts.extend(reader.finish());
         (bursts, reader.skipped().clone())
@@ -371,7 +371,7 @@ mod tests {
                 &[Kind::ZeroBytes],
                 1,
             ),
-            // Written on after the power cut, and a cut line before the zeros.
+            // Continued after the power cut, and a truncated line before the zeros.
             (
                 format!("{first}\n{second}{zeros}{third}\n"),
                 &[Kind::ZeroBytes],

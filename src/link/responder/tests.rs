@@ -29,7 +29,7 @@ fn conclude(responder: &mut Responder, second: i64) -> Result<Option<Vec<u8>>, M
     responder.solution(exposure(second), &solution(second))
 }
 
-/// A service that sets targets, refuses settings of cameras, reads 4711, and knows nothing else.
+/// A service that sets targets, refuses settings of cameras, reads 4711, and knows no other command.
 struct Desk;
 
 impl Control for Desk {
@@ -105,7 +105,7 @@ fn aspect(key: u16, variables: &[u16]) -> Message {
     Message::Aspect(AspectCommand::new(key, variables.to_vec()).unwrap())
 }
 
-/// No solutions are wanted yet.
+/// A state in which no solutions are wanted yet.
 fn sending(sending: bool) -> LinkState {
     let tracking = false;
     LinkState { tracking, sending }
