@@ -1,17 +1,17 @@
-//! Automatic exposure, which follows the Sun's light and holds under clouds.
+//! Automatic exposure: it follows the Sun's brightness and is held under clouds.
 
 use crate::frame::Levels;
 
-/// How the exposure is held.
+/// Settings of the automatic exposure.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AutoExposureSettings {
-    /// Where the disc's 99th percentile shall stand, as a fraction of full scale.
+    /// Set point of the disc's 99th percentile, as a fraction of full scale.
     pub target: f64,
-    /// How far, relatively, the exposure may be from the best one before it is changed.
+    /// Relative deviation from the best exposure beyond which it is changed.
     pub band: f64,
     /// The largest factor from one frame to the next.
     pub max_factor: f64,
-    /// Frames through which the exposure is held when the disc grows dim or is lost.
+    /// Number of frames for which the exposure is held when the disc grows dim or is lost.
     pub hold_frames: u32,
     pub min_us: u32,
     pub max_us: u32,
@@ -42,7 +42,7 @@ pub enum Brightness {
 }
 
 impl Brightness {
-    /// The brightness of a frame whose pixels saturate at `saturation_dn`; no levels, no disc.
+    /// The brightness of a frame whose pixels saturate at `saturation_dn`; without levels there is no disc.
     pub fn of(levels: Option<&Levels>, saturation_dn: u16) -> Self {
         let full_dn = f64::from(saturation_dn);
         levels.map_or(Self::NoDisc, |levels| Self::Disc {
@@ -52,34 +52,34 @@ impl Brightness {
     }
 }
 
-/// A level from here on only shows that it is too much.
+/// Level from which the disc is saturated: it only shows that the exposure is too long.
 const SATURATED: f64 = 0.985;
-/// A disc that falls below this fraction of its light from one frame to the next is behind a cloud.
+/// Fraction of its brightness below which a disc, from one frame to the next, is behind a cloud.
 const CLOUD: f64 = 0.7;
-/// Step per frame behind a cloud that stays.
+/// Factor per frame while a cloud persists.
 const CREEP: f64 = 1.02;
-/// The furthest that it creeps from the exposure of the last clear frame while there is no disc.
+/// Largest factor between the exposure without a disc and that of the last clear frame.
 const FURTHEST: f64 = 4.0;
 
 /// Holds the disc at a set brightness.
 ///
-/// Each frame gives, from its own exposure, the one that would have been right; so it does not matter how many frames
-/// late a change takes effect. A cloud is a sudden loss of light: the exposure is held for a while, then it creeps. Too much light
-/// is met at once.
+/// From each frame and its own exposure it computes the right exposure; so it does not matter after how many
+/// frames a change takes effect. A cloud is a sudden loss of light: the exposure is held for a while, then it changes slowly. If the disc is
+/// saturated, the exposure is reduced at once.
 #[derive(Debug, Clone)]
 pub struct AutoExposure {
     settings: AutoExposureSettings,
-    /// The last answer.
+    /// The last exposure returned.
     set_us: Option<f64>,
     clear: Option<Clear>,
-    /// Frames in a row behind a cloud.
+    /// Number of successive frames behind a cloud.
     clouded: u32,
 }
 
-/// Lesson of the last clear frame.
+/// Result of the last clear frame.
 #[derive(Debug, Clone, Copy)]
 struct Clear {
-    /// Light of the disc in 1 us, as a fraction of full scale.
+    /// Brightness of the disc per microsecond of exposure, as a fraction of full scale.
     light_per_us: f64,
     exposure_us: f64,
 }
@@ -150,7 +150,7 @@ impl AutoExposure {
     fn after_nothing(&mut self, set_us: f64) -> f64 {
         self.clouded += 1;
         match self.clear {
-            // The Sun has not been seen yet: perhaps it is there, but too dim.
+            // The Sun has not been seen yet: it may be there, but too dim.
             None => set_us * self.settings.max_factor,
             Some(_) if self.clouded <= self.settings.hold_frames => set_us,
             Some(clear) => (set_us * CREEP).min((FURTHEST * clear.exposure_us).max(set_us)),
@@ -166,7 +166,7 @@ mod tests {
 
     const BACKGROUND: f64 = 0.016;
 
-    /// A camera whose new exposure takes effect one frame late, under a Sun of some light, with 1 % of noise.
+    /// A camera whose new exposure takes effect one frame late, under a Sun of given brightness, with 1 % of noise.
     struct Loop {
         auto: AutoExposure,
         rng: Xoshiro256PlusPlus,
@@ -183,7 +183,7 @@ mod tests {
             }
         }
 
-        /// A frame under a light (1: the target at 15 ms); its level, where the disc is seen.
+        /// A frame under a light (1: the target at 15 ms); its level, if the disc is seen.
         fn frame(&mut self, light: f64) -> Option<f64> {
             let [taken_us, following_us] = self.exposures_us;
             let signal = 0.784 * light * f64::from(taken_us) / 15_000.0;

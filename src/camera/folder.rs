@@ -1,4 +1,4 @@
-//! A folder of files as a camera: its frames in the order of their names, at the times at which they were taken.
+//! A folder of files as a camera: it replays their frames in the order of their names, with the intervals at which they were taken.
 
 use super::pace::Pace;
 use super::{CameraError, CameraSettings, Exposure, FrameSource, Take, settings};
@@ -9,21 +9,21 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// The longest pause between two frames: a flight of the next day is not waited for.
+/// The longest pause between two frames, so that a gap of a day is not waited for.
 const LONGEST_PAUSE: Duration = Duration::from_secs(10);
 
 /// Replays the frames of a folder and of the folders in it.
 ///
 /// A frame follows the one before it by the difference of their times. Frames without times, or out of their order,
-/// follow at a steady rate; no pause is longer than ten seconds. A speed makes all of it faster.
+/// follow at a constant rate; no pause is longer than 10 s. The speed divides all pauses.
 pub struct FolderCamera {
     files: VecDeque<PathBuf>,
     period: Duration,
     speed: f64,
     pace: Pace,
-    /// The frame whose turn it is, read ahead.
+    /// The next frame, read ahead.
     ahead: Option<Frame>,
-    /// Mid-exposure of the frame before it.
+    /// Mid-exposure of the previous frame.
     before: Option<Timestamp>,
     warnings: Warnings,
 }
@@ -32,7 +32,7 @@ impl FolderCamera {
     /// Lists the folder's frames. They are replayed `speed` times as fast as they were taken.
     ///
     /// # Errors
-    /// Where the folder cannot be listed, or holds no frame.
+    /// If the folder cannot be listed, or holds no frame.
     pub fn open(folder: &Path, rate_hz: f64, speed: f64) -> Result<Self, CameraError> {
         let files = fits::list_tree(folder).map_err(|unlisted| CameraError::Folder {
             folder: folder.into(),
@@ -57,7 +57,7 @@ impl FolderCamera {
 }
 
 impl FolderCamera {
-    /// Reads the next frame and lets it be due when its turn is; `None` at the end.
+    /// Reads the next frame and sets the time at which it is due; `None` at the end.
     fn read_ahead(&mut self) -> Result<Option<Frame>, CameraError> {
         let Some(path) = self.files.pop_front() else {
             return Ok(None);
@@ -74,7 +74,7 @@ impl FolderCamera {
         Ok(Some(frame))
     }
 
-    /// From the frame before to the one of this time, at its own speed.
+    /// The pause from the previous frame to one of this time, divided by the speed.
     fn pause(&self, time: Option<Timestamp>) -> Duration {
         time.zip(self.before)
             .map(|(time, before)| time.duration_since(before))
@@ -102,7 +102,7 @@ impl FrameSource for FolderCamera {
         Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
     }
 
-    /// Takes the rate; the rest was set when the frames were taken.
+    /// Applies the rate; the other settings are those with which the frames were taken.
     fn apply(&mut self, settings: &CameraSettings) -> Result<(), CameraError> {
         self.period = settings.period();
         Ok(())

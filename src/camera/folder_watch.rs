@@ -1,8 +1,8 @@
-//! Events in a folder and in the folders in it: files that come, and files that are written to their end.
+//! Events in a folder and its subfolders: files that appear, and files that are written to their end.
 //!
-//! The kernel reports it (inotify). Of what other computers write, on a file system that they share, it hears nothing: such a folder is listed over
-//! and over. Folders are listed on threads of their own, as that may take long; reports are read only between listings, so that all folders
-//! that they speak of are known.
+//! The kernel reports them (inotify). It does not report files that other computers write to a shared file system: such a folder is listed
+//! repeatedly. Folders are listed on threads of their own, as that may take long; reports are read only between listings, so that all folders
+//! they mention are known.
 
 use super::CameraError;
 use crate::fits::{self, Unlisted};
@@ -20,13 +20,13 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
-/// Between two listings of a folder of which the kernel reports nothing, at least.
+/// Shortest interval between two listings of a folder for which the kernel reports nothing.
 const LIST_EVERY: Duration = Duration::from_millis(250);
-/// The same, as a multiple of the time that a listing takes.
+/// The same interval, as a multiple of the time that a listing takes.
 const LISTING_SHARE: u32 = 10;
-/// How often the folder is checked: a disk may be gone, or another one in its place.
+/// How often the folder is checked: a disk may be gone, or another one mounted in its place.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
-/// Blocks of reports that are read at a time: there are frames to be read, too.
+/// Blocks of reports that are read at a time, so that frames are read in between.
 const MOST_BLOCKS: usize = 64;
 
 /// Events of a folder that the kernel is to report.
@@ -36,7 +36,7 @@ const REPORTED: AddWatchFlags = AddWatchFlags::IN_CREATE
     .union(AddWatchFlags::IN_MOVED_TO)
     .union(AddWatchFlags::IN_ONLYDIR);
 
-/// File systems that computers share, by their numbers in statfs(2).
+/// File systems that computers share, by their type numbers in statfs(2).
 const SHARED: [u32; 9] = [
     0x0000_6969, // NFS
     0x0000_517b, // SMB
@@ -52,37 +52,37 @@ const SHARED: [u32; 9] = [
 /// Length and time of the last change of a file.
 pub(super) type FileState = (u64, SystemTime);
 
-/// The state of a regular file; `None` where there is none.
+/// The state of a regular file; `None` if there is none.
 pub(super) fn state_of(file: &Path) -> Option<FileState> {
     let found = fs::metadata(file).ok().filter(fs::Metadata::is_file)?;
     Some((found.len(), found.modified().ok()?))
 }
 
-/// Something that has happened, or was found.
+/// An event, or the result of a listing.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Change {
-    /// Files that lie there, in the order of their names; whether they are whole is not known.
+    /// Files in a folder, in the order of their names; it is not known whether they are complete.
     Listed(Vec<(PathBuf, FileState)>),
-    /// A file that was made, and may yet be written.
+    /// A file that was created, and may still be written.
     Begun(PathBuf),
     /// A file that was closed after writing, or renamed into place.
     Whole(PathBuf),
-    /// A file that was here has another name or is elsewhere.
+    /// A file that was here has been renamed or moved away.
     Left(PathBuf),
-    /// The same where its new name is in the folder, too.
+    /// A file was renamed within the folder.
     Renamed { from: PathBuf, to: PathBuf },
-    /// Files that have other names now, since their folder has.
+    /// Files whose paths have changed because their folder was renamed.
     Moved(Vec<PathBuf>),
 }
 
-/// A listing that is wanted.
+/// A requested listing.
 #[derive(Debug)]
 enum Wanted {
-    /// Of all, as far as is known nothing was reported.
+    /// Listing of the whole folder, because reports may be missing.
     All,
-    /// Of a folder that has come.
+    /// Listing of a new folder.
     New(PathBuf),
-    /// Of a folder that has another name.
+    /// Listing of a folder that was renamed.
     Moved(PathBuf),
 }
 
@@ -92,18 +92,18 @@ pub(super) struct FolderWatch {
     /// Device and number of the folder.
     identity: (u64, u64),
     checked: Instant,
-    /// `None` where the folder is listed again and again.
+    /// `None` if the folder is listed repeatedly instead.
     reports: Option<Arc<Reports>>,
     folders: HashMap<WatchDescriptor, PathBuf>,
-    /// Last renaming: the number that both of its reports have, and the name before.
+    /// Last renaming: the cookie that both of its reports have, and the old name.
     leaving: Option<(u32, PathBuf)>,
     wanted: VecDeque<Wanted>,
     listing: Option<Listing>,
-    /// When a folder that is listed again and again is listed next.
+    /// Time of the next listing of a folder that is listed repeatedly.
     due: Instant,
 }
 
-/// A listing that is being made.
+/// A listing in progress.
 struct Listing {
     wanted: Wanted,
     begun: Instant,
@@ -114,15 +114,15 @@ struct Listing {
 struct Tree {
     files: Vec<(PathBuf, FileState)>,
     folders: Vec<(WatchDescriptor, PathBuf)>,
-    /// Why the kernel reports no more of a folder.
+    /// Reason why the kernel stopped reporting on a folder.
     unreported: Option<Errno>,
 }
 
 impl FolderWatch {
-    /// Begins to watch a folder. What lies in it is the first change.
+    /// Begins to watch a folder. The files in it are the first change.
     ///
     /// # Errors
-    /// No such folder.
+    /// If there is no such folder.
     pub fn begin(root: &Path) -> Result<Self, CameraError> {
         let now = Instant::now();
         Ok(Self {
@@ -141,10 +141,10 @@ impl FolderWatch {
         })
     }
 
-    /// Waits for changes, for so long at most.
+    /// Waits for changes, at most for this time.
     ///
     /// # Errors
-    /// The folder is gone, or another one is in its place: it is to be watched again.
+    /// If the folder is gone, or another one is in its place: it must be watched again.
     pub fn wait(&mut self, patience: Duration) -> Result<Vec<Change>, CameraError> {
         self.check()?;
         if self.listing.is_none() {
@@ -177,7 +177,7 @@ impl FolderWatch {
         Ok(changes)
     }
 
-    /// The same, as where the kernel reports nothing.
+    /// The same for a folder on which the kernel reports nothing.
     #[cfg(test)]
     pub fn begin_unreported(root: &Path) -> Result<Self, CameraError> {
         let reports = None;
@@ -203,7 +203,7 @@ impl FolderWatch {
         }
     }
 
-    /// Begins the next listing that is wanted.
+    /// Begins the next requested listing.
     fn list_next(&mut self) -> Result<(), CameraError> {
         if self.reports.is_none() && self.wanted.is_empty() && Instant::now() >= self.due {
             self.wanted.push_back(Wanted::All);
@@ -218,7 +218,7 @@ impl FolderWatch {
         let (give, answer) = bounded(1);
         let reports = self.reports.clone();
         let list = move || {
-            // The receiver is gone where the folder is no longer watched.
+            // The receiver is gone if the folder is no longer watched.
             let _ = give.send(tree(folder, reports.as_deref()));
         };
         let name = "folder-listing".to_string();
@@ -233,7 +233,7 @@ impl FolderWatch {
         Ok(())
     }
 
-    /// Result of a listing.
+    /// Changes from the result of a listing.
     fn listed(&mut self, tree: Result<Tree, Unlisted>) -> Result<Vec<Change>, CameraError> {
         let Some(Listing { wanted, begun, .. }) = self.listing.take() else {
             return Ok(Vec::new());
@@ -244,7 +244,7 @@ impl FolderWatch {
             Err(unlisted) if matches!(wanted, Wanted::All) => {
                 return Err(self.problem(unlisted.cause));
             }
-            // It came and went.
+            // The folder came and went.
             Err(_) => return Ok(Vec::new()),
         };
         if let Some(error) = tree.unreported {
@@ -318,14 +318,14 @@ fn identity(folder: &Path) -> Result<(u64, u64), CameraError> {
     }
 }
 
-/// Whether other computers may write to a folder's file system.
+/// Whether other computers may write to the file system of a folder.
 fn is_shared(folder: &Path) -> bool {
     // The numbers have 32 bits, in a type that is wider on some machines.
     statfs(folder).is_ok_and(|found| SHARED.contains(&(found.filesystem_type().0 as u32)))
 }
 
-/// The frames in a folder and the folders in it. Each folder is reported of before it is listed, so that what comes meanwhile is found twice and not
-/// never.
+/// The frames in a folder and its subfolders. Reports on each folder are switched on before it is listed, so that a file that comes meanwhile is
+/// found twice rather than missed.
 fn tree(folder: PathBuf, reports: Option<&Reports>) -> Result<Tree, Unlisted> {
     let mut tree = Tree {
         files: Vec::new(),
@@ -337,7 +337,7 @@ fn tree(folder: PathBuf, reports: Option<&Reports>) -> Result<Tree, Unlisted> {
     while let Some(folder) = folders.pop() {
         match reports.map(|reports| reports.0.add_watch(&folder, REPORTED)) {
             Some(Ok(number)) => tree.folders.push((number, folder.clone())),
-            // A folder that is gone is not there to be listed, either.
+            // A folder that is gone cannot be listed either.
             None | Some(Err(Errno::ENOENT | Errno::ENOTDIR | Errno::EACCES)) => {}
             Some(Err(error)) => tree.unreported = Some(error),
         }
@@ -349,7 +349,7 @@ fn tree(folder: PathBuf, reports: Option<&Reports>) -> Result<Tree, Unlisted> {
                 folders.extend(listing.folders);
             }
             Err(unlisted) if folder == root => return Err(unlisted),
-            // One that is gone again, or another's, such as lost+found.
+            // A subfolder that is gone again, or that belongs to another user, such as lost+found.
             Err(unlisted) => tracing::warn!("{unlisted}: left out"),
         }
     }
@@ -366,7 +366,7 @@ impl Reports {
         Inotify::init(InitFlags::IN_CLOEXEC | InitFlags::IN_NONBLOCK).map(Self)
     }
 
-    /// Waits for reports, for so long at most.
+    /// Waits for reports, at most for this time.
     fn read(&self, patience: Duration) -> Result<Vec<InotifyEvent>, Errno> {
         let mut waiting = [PollFd::new(self.0.as_raw_fd(), PollFlags::POLLIN)];
         let patience_ms = i32::try_from(patience.as_millis()).unwrap_or(i32::MAX);
@@ -388,7 +388,7 @@ impl Reports {
 
 impl Drop for Reports {
     fn drop(&mut self) {
-        // It is a plain number: nothing else closes it.
+        // A plain file descriptor: no other owner closes it.
         let _ = nix::unistd::close(self.0.as_raw_fd());
     }
 }

@@ -1,13 +1,13 @@
-//! A folder that another program fills, as a camera: each frame once, as soon as its file is whole.
+//! A folder that another program fills, as a camera: it gives each frame once, as soon as its file is complete.
 //!
 //! ```text
 //! reports of the kernel, listings -> whole ------------> a frame
 //!                                 -> unfinished -> whole
 //! ```
 //!
-//! A file is whole when it has been closed after writing or renamed into place, or has not changed for a second, and can be read. The frames come in
-//! the order in which their files became whole; those that were found at one time, in the order of their names. One that cannot be read for five seconds
-//! after its last change is bad: it is an error, once. It holds up none of the others.
+//! A file is whole when it has been closed after writing or renamed into place, or has not changed for 1 s, and can be read. The frames come in
+//! the order in which their files became whole; those found at the same time, in the order of their names. A file that cannot be read for 5 s
+//! after its last change is bad: it is reported once as an error. It does not delay the others.
 
 use super::folder_watch::{Change, FileState, FolderWatch, state_of};
 use super::pace::PATIENCE;
@@ -22,19 +22,19 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
-/// For what lies in the folder to be listed before the flight begins; after that it goes on meanwhile.
+/// Time for the first listing of the folder before the flight begins; a longer listing continues during the flight.
 const OPENING: Duration = Duration::from_secs(2);
-/// A file that was not reported as whole may be so when it has not changed for so long.
+/// Time without a change after which a file that was not reported as whole is read.
 const QUIET: Duration = Duration::from_secs(1);
-/// A file that cannot be read for so long after its last change is bad.
+/// Time after its last change at which a file that cannot be read is bad.
 const GIVE_UP: Duration = Duration::from_secs(5);
 /// How often unfinished files are checked.
 const CHECK_EVERY: Duration = PATIENCE;
 
-/// Use of the frames that lie in a folder when it is first found.
+/// Use of the frames that are already in a folder when it is first found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Backlog {
-    /// They are passed over.
+    /// They are skipped.
     Skipped,
     /// They are taken, except for those that an earlier run has taken.
     Taken,
@@ -48,25 +48,25 @@ pub struct FollowedFolder {
     /// `None` while there is no such folder.
     watch: Option<FolderWatch>,
     backoff: Backoff,
-    /// When a folder that is not there is searched next.
+    /// Time of the next search for a folder that is missing.
     due: Instant,
-    /// Files that should be whole, in the order in which they became so.
+    /// Files believed to be whole, in the order in which they became so.
     whole: VecDeque<PathBuf>,
-    /// Files that may yet be written.
+    /// Files that may still be written.
     unfinished: BTreeMap<PathBuf, Unfinished>,
-    /// When the unfinished ones are checked next.
+    /// Time of the next check of the unfinished files.
     check_due: Instant,
-    /// Files that were written again under a name that was taken.
+    /// Number of files that were rewritten under a name that had already been taken.
     rewritten: u64,
     warnings: Warnings,
 }
 
-/// A file that may yet be written.
+/// A file that may still be written.
 struct Unfinished {
     state: Option<FileState>,
-    /// When it was found to be in this state.
+    /// Time at which it was found in this state.
     since: Instant,
-    /// Whether it could not be read in this state.
+    /// Whether an attempt to read it in this state has failed.
     is_tried: bool,
 }
 
@@ -79,7 +79,7 @@ impl Unfinished {
         }
     }
 
-    /// Whether it is time to read it.
+    /// Whether it is time to read it, or read it again.
     fn is_due(&self) -> bool {
         let limit = if self.is_tried { GIVE_UP } else { QUIET };
         self.since.elapsed() >= limit
@@ -87,7 +87,7 @@ impl Unfinished {
 }
 
 impl FollowedFolder {
-    /// Follows a folder, which need not be there yet.
+    /// Follows a folder, which need not exist yet.
     pub fn open(folder: &Path, backlog: Backlog, taken: &TakenFiles) -> Self {
         let now = Instant::now();
         let mut followed = Self {
@@ -104,7 +104,7 @@ impl FollowedFolder {
             warnings: Warnings::default(),
         };
         while !taken.has_begun() && now.elapsed() < OPENING {
-            // That it is not there is said when frames are wanted.
+            // A missing folder is reported when frames are requested.
             if followed.follow(PATIENCE).is_err() {
                 followed.due = now;
                 break;
@@ -113,7 +113,7 @@ impl FollowedFolder {
         followed
     }
 
-    /// Waits for what happens in the folder, and notes it.
+    /// Waits for events in the folder, and notes them.
     fn follow(&mut self, patience: Duration) -> Result<(), CameraError> {
         let wait = self.due.saturating_duration_since(Instant::now());
         if self.watch.is_none() && !wait.is_zero() {
@@ -160,7 +160,7 @@ impl FollowedFolder {
                 let before = self.name(&from);
                 match self.taken.knows(&before) {
                     true => {
-                        // The next file of that name is another one.
+                        // The next file with that name is a different one.
                         self.taken.release(&before);
                         self.taken.record(&self.name(&to), None);
                     }
@@ -192,7 +192,7 @@ impl FollowedFolder {
         }
     }
 
-    /// Whether these files, which lie in the folder when it is first found, are passed over.
+    /// Whether these files, which are in the folder when it is first found, are skipped.
     fn begins_after(&self, files: &[(PathBuf, FileState)]) -> bool {
         if self.backlog == Backlog::Taken {
             match self.taken.begin_with_list() {
@@ -230,7 +230,7 @@ impl FollowedFolder {
         }
     }
 
-    /// A file is no longer here under this name.
+    /// Notes that a file no longer has this name.
     fn leave(&mut self, file: &Path) {
         if fits::is_frame_name(file) {
             self.unfinished.remove(file);
@@ -260,7 +260,7 @@ impl FollowedFolder {
         });
     }
 
-    /// Reads a file that should be whole.
+    /// Reads a file that is believed to be whole.
     fn take(&mut self, file: &Path) -> Result<Option<Exposure>, CameraError> {
         let name = self.name(file);
         if !self.taken.claim(&name) {
@@ -299,7 +299,7 @@ impl FollowedFolder {
 }
 
 impl FrameSource for FollowedFolder {
-    /// The start of an exposure is reported when its frame is here.
+    /// Reports the start of an exposure when its frame is available.
     fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
         let patience = match self.whole.is_empty() {
             true => PATIENCE,
@@ -377,7 +377,7 @@ mod tests {
         let mut followed = FollowedFolder::open(folder.path(), Backlog::Skipped, &taken);
         let begun = Instant::now();
         assert!(matches!(followed.next(&mut |_| {}), Ok(Take::NotYet)));
-        // It waits for a quarter of that; the machine may be slow.
+        // It waits for a quarter of this time; the computer may be slow.
         assert!(begun.elapsed() < Duration::from_secs(5));
     }
 }

@@ -1,4 +1,4 @@
-//! Which camera of a flight takes the frames.
+//! Identity of a camera of a flight.
 
 use crate::instrument::role::of_several;
 use crate::instrument::{Instrument, Role, Sees};
@@ -7,20 +7,20 @@ use std::path::PathBuf;
 /// A camera of a flight.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Camera {
-    /// Its table in the configuration.
+    /// Name of its table in the configuration.
     pub name: String,
     pub role: Role,
     pub sees: Sees,
-    /// The file that states what it sees, letter by letter; `None` where none does.
+    /// Verbatim text of its calibration file; `None` without one.
     pub toml: Option<String>,
-    /// Name of its frames and logs, and of its instrument in headers.
+    /// Label of its frames and logs, and name of its instrument in headers.
     pub label: String,
-    /// Of its frames and logs under the archive's root; empty for the root itself.
+    /// Folder of its frames and logs under the archive's root; empty for the root itself.
     pub folder: PathBuf,
 }
 
 impl Camera {
-    /// The first camera of its role. One that sees no plate has a folder of its own.
+    /// The first camera of its role. A camera that sees no plate has a folder of its own.
     pub fn new(name: &str, role: Role, sees: Sees) -> Self {
         let label = role.label(1);
         let folder = label.as_deref().unwrap_or_default().into();
@@ -41,7 +41,7 @@ impl Camera {
     }
 }
 
-/// Labels cameras that fly together, so that the folders which are named by labels differ.
+/// Labels cameras that fly together so that the folders named by the labels differ.
 pub fn give_names(cameras: &mut [Camera], folder: impl Fn(&str) -> String) {
     for index in 0..cameras.len() {
         let (before, rest) = cameras.split_at_mut(index);

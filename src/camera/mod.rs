@@ -1,5 +1,5 @@
-//! Where frames come from, each behind the same trait: a GenICam camera, a folder of files, one that another program fills, the simulator, or a camera of
-//! another's.
+//! Sources of frames, all behind the same trait: a GenICam camera, a folder of files, a folder that another program fills, the simulator, or a camera
+//! supplied by the user.
 
 mod auto_exposure;
 mod device;
@@ -38,10 +38,10 @@ use jiff::Timestamp;
 use std::error::Error;
 use std::path::PathBuf;
 
-/// Why a source gave no frame, or did not take its settings.
+/// Reason why a source gave no frame, or did not take its settings.
 #[derive(Debug, thiserror::Error)]
 pub enum CameraError {
-    /// One file is bad; the next may be good.
+    /// One file is bad; the next may be readable.
     #[error(transparent)]
     File(#[from] FileError),
     #[error("{}: expected a folder of frames, found {found}", .folder.display())]
@@ -52,7 +52,7 @@ pub enum CameraError {
     Time(#[from] jiff::Error),
     #[error("the simulated camera: {0}")]
     Sky(#[from] SkyError),
-    /// A flight's file is bad.
+    /// The file of a flight is bad.
     #[error(transparent)]
     Path(#[from] TomlError),
     #[error("this build has no GigE Vision or USB3 cameras: build it with `--features gige`")]
@@ -61,10 +61,10 @@ pub enum CameraError {
         "a source \"own\" is a camera that a program of one's own brings; this program brings none"
     )]
     NotBrought,
-    /// Error of another's driver: see [`CameraError::own`].
+    /// Error of a user's driver: see [`CameraError::own`].
     #[error("the camera: {0}")]
     Own(Box<dyn Error + Send + Sync>),
-    /// The camera itself, as its user names it, or this frame of it.
+    /// Problem of the camera, with the name that its user gives it, or of this frame.
     #[error("the camera {camera}: {problem}")]
     Device { camera: String, problem: String },
     #[error("camera.{setting}: expected {expected}, found {found}")]
@@ -76,7 +76,7 @@ pub enum CameraError {
 }
 
 impl CameraError {
-    /// The error of a camera of one's own: any error, or a text.
+    /// The error of a user's camera: any error, or a text.
     pub fn own(error: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
         Self::Own(error.into())
     }
@@ -90,7 +90,7 @@ impl CameraError {
     }
 }
 
-/// A frame with the facts of its exposure.
+/// A frame with the data of its exposure.
 #[derive(Debug, Clone)]
 pub struct Exposure {
     pub frame: Frame,
@@ -98,12 +98,12 @@ pub struct Exposure {
     pub announced: Timestamp,
 }
 
-/// Result of asking for a frame.
+/// Result of a request for a frame.
 #[derive(Debug, Clone)]
 pub enum Take {
-    // Boxed, as the others carry nothing.
+    // Boxed, because the other variants carry no data.
     Exposure(Box<Exposure>),
-    /// No frame is due or complete yet: ask again.
+    /// No frame is due or complete yet: call again.
     NotYet,
     /// There are no more frames.
     End,
@@ -114,49 +114,49 @@ pub enum Take {
 pub struct CameraHealth {
     /// Frames that arrived with parts missing, and were not used.
     pub incomplete: u64,
-    /// Exposures of which no frame arrived.
+    /// Exposures for which no frame arrived.
     pub missing: u64,
-    /// Packets that never arrived, resends counted in; GigE Vision alone counts them.
+    /// Packets that never arrived, including resent ones; only GigE Vision counts them.
     pub lost_packets: u64,
-    /// Frames that found no buffer.
+    /// Frames for which no buffer was free.
     pub underruns: u64,
     /// Settings that the camera did not take.
     pub refused_settings: u64,
-    /// Times the camera was gone and came back.
+    /// Number of times that the camera was lost and reconnected.
     pub reconnects: u64,
     pub temperature_c: Option<f64>,
 }
 
 /// A source of frames.
 pub trait FrameSource: Send {
-    /// Waits for the next frame, for a second at most. `starts` is called with the time of the exposure just before it
-    /// begins, which may be in an earlier call than the one that gives the frame. A source that learns of an exposure by its frame calls it then.
+    /// Waits for the next frame, for at most 1 s. `starts` is called with the time of the exposure just before it
+    /// begins, which may be in an earlier call than the one that gives the frame. A source that learns of an exposure only from its frame calls it
+    /// then.
     ///
     /// # Errors
-    /// Where this one frame cannot be had. The next call tries the next frame.
+    /// If this one frame cannot be obtained. The next call tries the next frame.
     fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError>;
 
-    /// Takes the frames from now on with these settings, as far as they make sense to the source. Returns within two
-    /// seconds.
+    /// Takes the frames from now on with these settings, as far as they apply to the source. Returns within 2 s.
     ///
     /// # Errors
-    /// Where a setting was not taken; the others are.
+    /// If a setting was not taken; the others are.
     fn apply(&mut self, _settings: &CameraSettings) -> Result<(), CameraError> {
         Ok(())
     }
 
-    /// Whether frames wait to be taken, as a folder's and the simulator's do: a pause loses nothing then. What a camera does
-    /// not give in time is lost.
+    /// Whether frames wait to be taken, as those of a folder and the simulator do: then a pause loses none. Frames that a camera
+    /// does not deliver in time are lost.
     fn frames_wait(&self) -> bool {
         false
     }
 
-    /// Whether frames should come at the settings' rate, so that a long gap means that something is wrong: the camera is silent.
+    /// Whether frames should come at the configured rate, so that a long gap means a silent camera.
     fn falls_silent(&self) -> bool {
         !self.frames_wait()
     }
 
-    /// Status of the camera; the default where there is no camera.
+    /// Status of the camera; the default if the source is not a camera.
     fn health(&self) -> CameraHealth {
         CameraHealth::default()
     }

@@ -1,5 +1,5 @@
-//! Monochrome pixel formats of GenICam cameras, with the names and numbers of the Pixel Format Naming Convention, and their pixels
-//! unpacked.
+//! Monochrome pixel formats of GenICam cameras, with the names and numbers of the Pixel Format Naming Convention, and the unpacking
+//! of their pixels.
 
 use super::PixelFormat;
 use crate::frame::Pixels;
@@ -7,25 +7,25 @@ use crate::frame::Pixels;
 /// A monochrome pixel format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MonoFormat {
-    /// As cameras name it.
+    /// Name used by cameras.
     pub name: &'static str,
-    /// The number that stands for it in a frame.
+    /// Number of the format in a frame.
     pub code: u32,
     /// Significant bits of a pixel.
     pub bits: usize,
     packing: Packing,
 }
 
-/// How pixels lie in memory. They follow each other from one line to the next.
+/// Packing of the pixels in memory. Lines follow each other without a gap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Packing {
-    /// A byte each.
+    /// One byte per pixel.
     Bytes,
-    /// Two bytes each, the lower one first.
+    /// Two bytes per pixel, the lower one first.
     Words,
-    /// Without a gap, the lowest bit first.
+    /// Without gaps, the lowest bit first.
     LowestFirst,
-    /// Two in three bytes: the upper eight bits of the first, the lower bits of both, the upper eight bits of the second.
+    /// Two pixels in three bytes: the upper eight bits of the first, the lower bits of both, the upper eight bits of the second.
     Pairs,
 }
 
@@ -38,7 +38,7 @@ const fn format(name: &'static str, code: u32, bits: usize, packing: Packing) ->
     }
 }
 
-/// Of the same depth the first is the easiest to read.
+/// Among formats of the same depth the first is the easiest to read.
 const FORMATS: [MonoFormat; 8] = [
     format("Mono8", 0x0108_0001, 8, Packing::Bytes),
     format("Mono10", 0x0110_0003, 10, Packing::Words),
@@ -51,23 +51,23 @@ const FORMATS: [MonoFormat; 8] = [
 ];
 
 impl MonoFormat {
-    /// The format that a number stands for.
+    /// The format with this number.
     pub fn of_code(code: u32) -> Option<Self> {
         FORMATS.into_iter().find(|format| format.code == code)
     }
 
-    /// Every format that digitises like this, the one to prefer first.
+    /// All formats of this depth, the preferred one first.
     pub fn of_depth(depth: PixelFormat) -> impl Iterator<Item = Self> {
         let is_it = move |format: &Self| format.bits == depth.bits();
         FORMATS.into_iter().filter(is_it)
     }
 
-    /// The names of all, for messages.
+    /// The names of all formats, for messages.
     pub fn names() -> String {
         FORMATS.map(|format| format.name).join(", ")
     }
 
-    /// The first `count` pixels; `None` where the bytes are too few for them.
+    /// The first `count` pixels; `None` if there are too few bytes.
     pub fn unpack(self, mut bytes: Vec<u8>, count: usize) -> Option<Pixels> {
         bytes.truncate(self.bytes(count));
         if bytes.len() < self.bytes(count) {
@@ -89,7 +89,7 @@ impl MonoFormat {
         Some(Pixels::U16(pixels))
     }
 
-    /// Bytes that so many pixels take.
+    /// Number of bytes of this many pixels.
     fn bytes(self, count: usize) -> usize {
         match self.packing {
             Packing::Bytes => count,
@@ -99,8 +99,8 @@ impl MonoFormat {
         }
     }
 
-    /// The value at which pixels saturate, DN: the largest of so many bits. Of 16 bits a camera may use fewer. Where no pixel has the
-    /// lowest ones set, it uses the upper ones; where it has `stated` its largest number and no pixel contradicts that, the lower ones.
+    /// The value at which pixels saturate, DN: the largest number of this many bits. Of 16 bits a camera may use fewer. If no pixel has any of the
+    /// lowest bits set, it uses the upper ones; if it has `stated` its largest number and no pixel contradicts that, it uses the lower ones.
     pub fn saturation_dn(self, pixels: &Pixels, stated: Option<i64>) -> u16 {
         let largest = u16::MAX >> (16 - self.bits);
         if self.bits < 16 {
@@ -133,7 +133,7 @@ fn pairs(bytes: &[u8], bits: usize) -> Vec<u16> {
     })
 }
 
-/// The pixels of every group of so many bytes, each group with what follows it, or zeros.
+/// The pixels of every group of `BYTES` bytes, each group with the bytes after it, or zeros.
 fn unpacked<const BYTES: usize, const PIXELS: usize>(
     bytes: &[u8],
     group: usize,
@@ -164,13 +164,13 @@ mod tests {
         formats.find(|format| format.name == name).unwrap()
     }
 
-    /// Five pixels, so that a packed picture ends within a group, and the bytes in which they arrive.
+    /// Five pixels, so that a packed picture ends within a group, and the bytes that encode them.
     #[test]
     fn known_pixels_of_every_format_of_a_camera_are_unpacked() {
         let ten = [0x001, 0x3fe, 0x155, 0x2aa, 0x300];
         let twelve = [0x001, 0xffe, 0x555, 0xaaa, 0x123];
         let sixteen = [0x0001, 0xfffe, 0x5555, 0xaaaa, 0x1234];
-        // Each row: as the convention describes it. "p": the lowest bit of the first pixel is the lowest bit of the first byte, and the
+        // Each row follows the convention. "p": the lowest bit of the first pixel is the lowest bit of the first byte, and the
         // next pixel begins at the next bit. "Packed": upper eight bits of one pixel, a nibble of each, upper eight bits of the other.
         let cases: [(&str, &[u16], &[u8]); 8] = [
             ("Mono8", &[1, 0, 255, 4, 128], &[1, 0, 255, 4, 128]),
@@ -279,7 +279,7 @@ mod tests {
         let sixteen = |dn: &[u16], stated| named("Mono16").saturation_dn(&pixels(dn), stated);
         assert_eq!(sixteen(&[3, 17], None), 65_535);
         assert_eq!(sixteen(&[3, 17], Some(4095)), 4095);
-        // Pixels that contradict what is stated.
+        // Pixels that contradict the stated largest number.
         assert_eq!(sixteen(&[3, 4096], Some(4095)), 65_535);
         // Twelve bits, aligned to the left.
         assert_eq!(sixteen(&[0x10, 0xfff0], Some(4095)), 0xfff0);

@@ -1,8 +1,8 @@
-//! When frames are due.
+//! Times at which frames are due.
 
 use std::time::{Duration, Instant};
 
-/// The longest that a source waits before it says that there is no frame yet.
+/// Longest wait of a source before it reports that there is no frame yet.
 pub(super) const PATIENCE: Duration = Duration::from_millis(250);
 
 /// The time at which the next frame is due, counted from the first.
@@ -13,22 +13,22 @@ pub(super) struct Pace {
 }
 
 impl Pace {
-    /// From the first frame to the one that is due next.
+    /// Time from the first frame to the next one due.
     pub(super) fn due(&self) -> Duration {
         self.due
     }
 
-    /// Whether a frame has been waited for.
+    /// Whether the first frame has been requested.
     pub(super) fn has_begun(&self) -> bool {
         self.start.is_some()
     }
 
-    /// Begins to count, unless it does already.
+    /// Begins to count time, unless it has begun already.
     pub(super) fn begin(&mut self) -> Instant {
         *self.start.get_or_insert_with(Instant::now)
     }
 
-    /// Waits until the next frame is due, with [`PATIENCE`]; whether it is. A late frame is due at once.
+    /// Waits until the next frame is due, at most for [`PATIENCE`]; returns whether it is. A late frame is due at once.
     pub(super) fn is_due(&mut self) -> bool {
         let start = self.begin();
         let wait = self.due.saturating_sub(start.elapsed());
@@ -36,12 +36,12 @@ impl Pace {
         wait <= PATIENCE
     }
 
-    /// Lets the next frame be due so much after this one.
+    /// Makes the next frame due this much later than the present one.
     pub(super) fn advance(&mut self, by: Duration) {
         self.due = self.due.saturating_add(by);
     }
 
-    /// As [`advance`](Self::advance), but past the frames that the present frame has no time for: a camera does not
+    /// As [`advance`](Self::advance), but skips the frames for which the present frame leaves no time: a camera does not
     /// catch up.
     #[cfg(feature = "gige")]
     pub(super) fn advance_past_now(&mut self, by: Duration) {

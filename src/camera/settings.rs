@@ -3,14 +3,14 @@
 use crate::frame::Region;
 use std::time::Duration;
 
-/// The settings that a camera gets. What is `None` stays as the camera has it.
+/// Settings for a camera. A setting that is `None` is not changed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraSettings {
     pub rate_hz: f64,
     pub exposure_us: u32,
-    /// The camera's own scale.
+    /// Gain on the camera's own scale.
     pub analogue_gain: Option<f64>,
-    /// The camera's own scale.
+    /// Gain on the camera's own scale.
     pub preamp_gain: Option<f64>,
     /// The part of the sensor that is read; `None` for all of it.
     pub region: Option<Region>,
@@ -35,28 +35,28 @@ impl CameraSettings {
         Duration::from_micros(self.exposure_us.into())
     }
 
-    /// From one frame to the next.
+    /// Time from one frame to the next.
     pub fn period(&self) -> Duration {
         period(self.rate_hz)
     }
 }
 
-/// From one frame to the next; zero for an invalid rate.
+/// Time from one frame to the next; zero for an invalid rate.
 pub(super) fn period(rate_hz: f64) -> Duration {
     Duration::try_from_secs_f64(1.0 / rate_hz).unwrap_or(Duration::ZERO)
 }
 
-/// How a camera digitises.
+/// Bit depth of a camera's pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum PixelFormat {
     /// 8 bits.
     #[default]
     Mono8,
-    /// 10 bits, two bytes to a pixel.
+    /// 10 bits, two bytes per pixel.
     Mono10,
-    /// 12 bits, two bytes to a pixel.
+    /// 12 bits, two bytes per pixel.
     Mono12,
-    /// 16 bits, or as many of them as the camera fills.
+    /// 16 bits, or as many of them as the camera uses.
     Mono16,
 }
 
@@ -87,7 +87,7 @@ impl PixelFormat {
         }
     }
 
-    /// Bytes of a pixel in a frame.
+    /// Bytes per pixel in a frame.
     pub const fn bytes(self) -> usize {
         self.bits().div_ceil(8)
     }

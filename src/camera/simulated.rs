@@ -1,4 +1,4 @@
-//! The simulator as a camera: it takes its time over every exposure, as a camera does.
+//! The simulator as a camera: an exposure takes as long as with a real camera.
 
 use super::pace::Pace;
 use super::{CameraError, CameraSettings, Exposure, FrameSource, PixelFormat, Take};
@@ -11,10 +11,10 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// The exposure at which limb and Moon are as bright as the simulator's usual ones.
+/// The exposure at which limb and Moon have the simulator's standard brightness.
 const USUAL_EXPOSURE: Duration = Duration::from_millis(15);
 
-/// The truth of every frame so far by its number. It stays with the simulator's side; the solver never sees it.
+/// The truth of all frames so far, by their numbers. It stays with the simulator; the solver never reads it.
 #[derive(Debug, Clone, Default)]
 pub struct TruthLog(Arc<Mutex<BTreeMap<u64, Option<TruthOfSun>>>>);
 
@@ -24,14 +24,14 @@ impl TruthLog {
         log.insert(number, truth);
     }
 
-    /// Where the Sun was in a frame: outer `None` for a frame that was never taken, inner for one without Sun.
+    /// Position of the Sun in a frame: outer `None` for a frame that was never taken, inner for one without Sun.
     pub fn of(&self, number: u64) -> Option<Option<TruthOfSun>> {
         let log = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         log.get(&number).copied()
     }
 }
 
-/// Target of a simulated camera.
+/// Scene in front of a simulated camera.
 pub enum View {
     /// The Sun on the plate.
     Plate(Box<FlightScenes>),
@@ -41,7 +41,7 @@ pub enum View {
 }
 
 impl View {
-    /// The frame of a number, the middle of its exposure being at a time of the flight.
+    /// The frame with a number, with its mid-exposure at a time of the flight.
     fn draw(
         &mut self,
         number: u64,
@@ -95,20 +95,20 @@ struct Drawn {
     truth: Option<TruthOfSun>,
 }
 
-/// A camera that sees a simulated flight, at its own rate and on a clock with a given start.
+/// A camera in a simulated flight, with its own rate and a clock with a given start.
 pub struct SimulatedCamera {
     view: View,
     settings: CameraSettings,
     pace: Pace,
     start: Timestamp,
-    /// How far the flight was when the first frame was taken.
+    /// Time of the flight at the first frame.
     ahead: Duration,
     /// Length of the whole run; `None` without end.
     duration: Option<Duration>,
     number: u64,
     truth: TruthLog,
-    /// The next exposure and its announced time, drawn before its time: a camera's frame is there when its exposure ends, however long it takes to
-    /// draw.
+    /// The next exposure and its announced time, rendered in advance: a camera's frame is available when its exposure ends, however long the
+    /// rendering takes.
     drawn: Option<Result<(Drawn, Timestamp), CameraError>>,
 }
 
@@ -133,7 +133,7 @@ impl SimulatedCamera {
         }
     }
 
-    /// The same, begun so long after the flight.
+    /// The same, beginning at this time of the flight.
     pub fn ahead_by(self, ahead: Duration) -> Self {
         Self { ahead, ..self }
     }
@@ -143,7 +143,7 @@ impl SimulatedCamera {
         self.truth.clone()
     }
 
-    /// Whether the run holds as many frames as fit, to the nearest.
+    /// Whether the run is complete; its number of frames is rounded to the nearest.
     fn is_over(&self) -> bool {
         let middle = self.pace.due() + self.settings.period() / 2;
         self.duration.is_some_and(|duration| middle > duration)

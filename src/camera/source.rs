@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::time::Duration;
 
-/// Where frames come from.
+/// Source of frames.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Source {
     Device(Device),
@@ -26,9 +26,9 @@ pub enum Source {
     Folder(PathBuf),
     /// The frames that another program writes into a folder.
     Followed(PathBuf, Backlog),
-    /// The simulator's flight, or the one in a file.
+    /// The simulator's standard flight, or the flight in a file.
     Simulated(Option<PathBuf>),
-    /// A camera that the program brings which flies this library.
+    /// A camera supplied by the program that uses this library.
     Own,
 }
 
@@ -38,10 +38,10 @@ pub enum Source {
 pub struct NoSource(String);
 
 impl Source {
-    /// Name of a source.
+    /// Forms of a source's name, for error messages.
     pub const EXPECTED: &str = "gige:ADDRESS, gige:SERIAL, genicam:ID, folder:DIR, folder:DIR?follow, folder:DIR?follow=all, simulated, simulated:FILE.toml or own";
 
-    /// Whether its frames are made up, and must be marked so.
+    /// Whether its frames are simulated, and must be marked so.
     pub fn is_simulated(&self) -> bool {
         match self {
             Self::Simulated(_) => true,
@@ -50,12 +50,12 @@ impl Source {
         }
     }
 
-    /// Whether it is a camera that sees the world now. It can be opened once, and its frames have their times from this computer's clock.
+    /// Whether it is a real camera. It can be opened only once, and its frames have their times from this computer's clock.
     pub fn is_real(&self) -> bool {
         matches!(self, Self::Device(_) | Self::Own) && !self.is_simulated()
     }
 
-    /// Of `DIR`, `DIR?follow` or `DIR?follow=all`. A question mark before the last slash is part of the name.
+    /// The source of `DIR`, `DIR?follow` or `DIR?follow=all`. A question mark before the last slash is part of the name.
     fn of_folder(text: &str) -> Option<Self> {
         let (folder, how) = match text.rsplit_once('?') {
             Some((folder, how)) if !how.contains('/') => (folder, Some(how)),
@@ -101,7 +101,7 @@ impl fmt::Display for Source {
             Self::Device(device) => write!(out, "{device}"),
             Self::Folder(folder) => {
                 let name = folder.display().to_string();
-                // Else what is behind the question mark says how.
+                // Otherwise the text after the question mark is the mode.
                 let is_bare = name
                     .rsplit('/')
                     .next()
@@ -122,26 +122,26 @@ impl fmt::Display for Source {
     }
 }
 
-/// Surroundings of a source beside its settings.
+/// Inputs of a source besides its settings.
 #[derive(Debug, Clone)]
 pub struct Surroundings {
     pub sees: Sees,
-    /// The time that a simulated flight's frames carry.
+    /// Clock of a simulated flight's frames.
     pub clock: FlightClock,
     /// Seed of the simulator.
     pub seed: u64,
     /// Length of a simulated run; `None` without end.
     pub duration: Option<Duration>,
-    /// How many times faster than it was taken a folder is replayed.
+    /// Factor by which a replayed folder is faster than the original.
     pub speed: f64,
-    /// Files that this camera has taken of a folder that it follows.
+    /// Files that this camera has taken from a folder that it follows.
     pub taken: TakenFiles,
 }
 
-/// Opens a source and applies the settings. A device, and a folder that is followed, need not be there yet.
+/// Opens a source and applies the settings. A device, and a folder that is followed, need not exist yet.
 ///
 /// # Errors
-/// Where a folder holds no frames or a flight cannot be simulated, and for a kind of source that this build lacks.
+/// If a folder holds no frames or a flight cannot be simulated, or this build lacks the kind of source.
 pub fn open(
     source: &Source,
     settings: &CameraSettings,
@@ -165,9 +165,9 @@ pub fn open(
     Ok(camera)
 }
 
-/// A simulated camera above Fort Sumner. One of a plate is as far into its flight as the flight's clock is, and begins one now where that has no start;
-/// limb and Moon are those of the clock's time, whatever path the Sun takes on the plate of another camera. One of which nothing is stated takes the
-/// frames of the demo.
+/// A simulated camera above Fort Sumner. A camera of a plate is as far into its flight as the flight's clock is, and begins one now if that has no
+/// start; limb and Moon are those at the clock's time, whatever path the Sun takes on the plate of another camera. A camera without a calibration
+/// takes the frames of the demo.
 fn simulated(
     file: Option<&Path>,
     settings: &CameraSettings,
@@ -198,10 +198,10 @@ fn simulated(
     })
 }
 
-/// Where the Sun goes in a simulated flight: as a file says, or on a path of rests and slews without end.
+/// Path of the Sun in a simulated flight: from a file, or an endless sequence of rests and slews.
 ///
 /// # Errors
-/// A file that describes no flight, and an instrument whose picture is too small for one.
+/// If the file describes no flight, or the instrument's picture is too small for one.
 pub fn simulated_course(
     file: Option<&Path>,
     instrument: &Instrument,

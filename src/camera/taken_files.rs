@@ -1,7 +1,7 @@
-//! Which files of a followed folder have been taken: each is taken once, also by a thread or a program that starts again.
+//! Record of the files that were taken from a followed folder: each is taken once, even if a thread or the program restarts.
 //!
-//! The names are in memory as hashes, eight bytes each, for a long flight has millions of them, and in a file, one line each, which a thread of its
-//! own writes: a disk that hangs holds up no frame.
+//! The names are kept in memory as hashes, eight bytes each, for a long flight has millions of them, and in a file, one line each, which a thread of
+//! its own writes: a disk that hangs does not delay frames.
 
 use crate::bounded::within;
 use crate::log::worth_a_line;
@@ -15,32 +15,32 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// For the list of an earlier run to be read: a disk that takes longer hangs.
+/// Time allowed for reading the list of an earlier run: a disk that takes longer hangs.
 const READING: Duration = Duration::from_secs(5);
-/// A power cut costs the names of so long at most.
+/// Longest time for which a power cut may lose names.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
-/// For the last names to be written when the flight ends.
+/// Time allowed for writing the last names when the flight ends.
 const ENDING: Duration = Duration::from_secs(1);
-/// Names that may wait for the list's thread: minutes of frames.
+/// Names that may wait for the list's thread: those of minutes of frames.
 const UNWRITTEN: usize = 4096;
-/// Most bytes that the thread itself holds while the disk refuses.
+/// Most bytes that the thread itself holds while the disk refuses them.
 const MOST_HELD: usize = 1 << 20;
 
-/// The files that were taken, or passed over, shared by all who follow the folder for one camera.
+/// The files that were taken or skipped, shared by all readers of the folder for one camera.
 #[derive(Debug, Clone, Default)]
 pub struct TakenFiles(Arc<Mutex<Taken>>);
 
 #[derive(Debug, Default)]
 struct Taken {
-    /// Whether what lay in the folder at first is known.
+    /// Whether the initial content of the folder has been noted.
     has_begun: bool,
     known: HashSet<u64>,
-    /// `None` where the names are in memory alone.
+    /// `None` if the names are kept in memory alone.
     list: Option<List>,
 }
 
 impl TakenFiles {
-    /// With the names kept in a file, from one run of the program to the next. The default keeps them in memory.
+    /// Keeps the names in a file, from one run of the program to the next. The default keeps them in memory.
     pub fn kept_in(file: &Path) -> Self {
         let list = Some(List::new(file));
         Self(Arc::new(Mutex::new(Taken {
@@ -49,22 +49,22 @@ impl TakenFiles {
         })))
     }
 
-    /// Whether what lay in the folder when it was first found has been noted.
+    /// Whether the initial content of the folder has been noted.
     pub(super) fn has_begun(&self) -> bool {
         self.lock().has_begun
     }
 
-    /// Passes over these files: the ones that lie in the folder when it is first found.
+    /// Skips these files: the ones that are in the folder when it is first found.
     pub(super) fn begin_after<'n>(&self, names: impl IntoIterator<Item = &'n str>) {
         let mut taken = self.lock();
         taken.known.extend(names.into_iter().map(hash));
         taken.has_begun = true;
     }
 
-    /// Begins with what earlier runs have taken.
+    /// Begins with the files that earlier runs have taken.
     ///
     /// # Errors
-    /// A list that cannot be read.
+    /// If the list cannot be read.
     pub(super) fn begin_with_list(&self) -> io::Result<()> {
         let mut taken = self.lock();
         if let Some(list) = &taken.list {
@@ -80,18 +80,18 @@ impl TakenFiles {
         self.lock().known.contains(&hash(name))
     }
 
-    /// Takes a file before it is read, so that one which hangs its reader, or makes it panic, is not tried by the next; `false` where it was taken
+    /// Takes a file before it is read, so that one which makes its reader hang or panic is not tried by the next; `false` if it was taken
     /// before.
     pub(super) fn claim(&self, name: &str) -> bool {
         self.lock().known.insert(hash(name))
     }
 
-    /// Gives a file back, to be taken when it is whole.
+    /// Releases a file, to be taken when it is whole.
     pub(super) fn release(&self, name: &str) {
         self.lock().known.remove(&hash(name));
     }
 
-    /// Notes for later runs that a file was taken; `fault` says why it gave no frame.
+    /// Records for later runs that a file was taken; `fault` is the reason if it gave no frame.
     pub(super) fn record(&self, name: &str, fault: Option<&str>) {
         let mut taken = self.lock();
         taken.known.insert(hash(name));
@@ -176,7 +176,7 @@ impl Drop for List {
     fn drop(&mut self) {
         if let Some(Writer { lines, ended }) = self.writer.take() {
             drop(lines);
-            // It ends by closing its side; a disk that hangs is not waited for.
+            // The thread ends by closing its side; a disk that hangs is not waited for.
             let _ = ended.recv_timeout(ENDING);
         }
     }
@@ -261,7 +261,7 @@ fn append(path: &Path, file: &mut Option<File>, held: &mut String, sync: bool) -
     if sync { open.sync_data() } else { Ok(()) }
 }
 
-/// Opens a list to write behind what it holds; a line that was cut is ended.
+/// Opens a list for appending; an incomplete last line is ended.
 fn open_list(path: &Path) -> io::Result<File> {
     let mut file = File::options()
         .create(true)

@@ -221,9 +221,9 @@ macro_rules! codec {
     };
 }
 
-/// Payloads, each a struct with a row for each field: the name, the type (`as` another codec than its own), the unit and the description; then, if it has
-/// any, its [`Codes`] (`=> CODES`) or the range for a person's input (`in low, high`). A value of several numbers has a row for each in brackets; a payload
-/// within another has none. The sentence of a payload gives it in words, with its fields by name.
+/// Payloads, each a struct with a row for each field: the name, the type (`as` another codec than its own), the unit and the description; then,
+/// if it has any, its [`Codes`] (`=> CODES`) or the range for a person's input (`in low, high`). A value of several numbers has a row for each
+/// in brackets; a payload within another has none. The sentence of a payload gives it in words, with its fields by name.
 macro_rules! fields {
     ($(
         $(#[$about:meta])*

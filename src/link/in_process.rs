@@ -6,8 +6,8 @@ use super::parser::Parser;
 use super::port::{BytePort, PortError};
 use std::time::{Duration, Instant};
 
-/// A controller in the same program that uses the offsets. The line's thread calls it, and everything to be sent waits meanwhile: each call must return
-/// within 1 ms.
+/// A controller in the same program that uses the offsets. The line's thread calls it, and everything to be sent waits meanwhile: each call
+/// must return within 1 ms.
 pub trait Controller: Send {
     /// Takes a message: the start of an exposure, an offset, or whether tracking is on.
     fn hear(&mut self, message: &Message);

@@ -52,7 +52,8 @@ pub mod telemetry_type {
     pub const RESULT: u8 = 0xE1;
 }
 
-/// Direction in which the bytes of a line run. Telemetry runs to the controller only, except for samples of the IMU, so it decides how headers are read.
+/// Direction in which the bytes of a line run. Telemetry runs to the controller only, except for samples of the IMU;
+/// so the interpretation of a header depends on the direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
     ToController,

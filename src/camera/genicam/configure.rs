@@ -11,7 +11,7 @@ pub(super) struct Actual {
     pub exposure: Option<Duration>,
     pub analogue_gain: Option<f64>,
     pub preamp_gain: Option<f64>,
-    /// The largest number that a pixel can have.
+    /// The largest possible value of a pixel.
     pub largest_dn: Option<i64>,
 }
 
@@ -119,13 +119,13 @@ fn set_exposure(camera: &Camera, settings: &CameraSettings) -> Result<(), Camera
         .set_exposure_time(wanted_us)
         .and_then(|()| camera.exposure_time());
     match found {
-        // Cameras count in steps of their own.
+        // Cameras quantise the exposure.
         Ok(found_us) if (found_us - wanted_us).abs() <= (0.01 * wanted_us).max(20.0) => Ok(()),
         found => Err(refusal("exposure_us", wanted_us, found)),
     }
 }
 
-/// Names under which cameras have a gain, the usual one first.
+/// Feature names that cameras use for the gain, the most common one first.
 const ANALOGUE_GAIN: [&str; 3] = ["GainRaw", "Gain", "AnalogGain"];
 const PREAMP_GAIN: [&str; 3] = ["PreAmpRaw", "PreAmpGain", "PreAmp"];
 
@@ -133,7 +133,7 @@ fn feature<'a>(camera: &Camera, names: &[&'a str]) -> Option<&'a str> {
     names.iter().copied().find(|name| has(camera, name))
 }
 
-/// The value of a feature that is a number of either kind.
+/// The value of an integer or floating-point feature.
 fn number(camera: &Camera, feature: &str) -> Result<f64, aravis::glib::Error> {
     match camera.integer(feature) {
         Ok(whole) => Ok(whole as f64),

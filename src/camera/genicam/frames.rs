@@ -1,4 +1,4 @@
-//! The frames of a camera: what triggers them, the buffers that they arrive in, and what was lost on the way.
+//! The frames of a camera: their triggers, their buffers, and losses in transport.
 
 use super::numbers::Ids;
 use aravis::glib::object::ObjectExt;
@@ -6,16 +6,16 @@ use aravis::prelude::*;
 use aravis::{Buffer, Camera, FakeDevice, Stream};
 use std::time::Duration;
 
-/// Buffers of a stream: frames that may arrive before they are fetched.
+/// Number of buffers of a stream: frames that may arrive before they are fetched.
 const BUFFERS: usize = 4;
 
-/// How a camera is attached.
+/// Interface of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Transport {
     GigeVision,
     /// USB3 Vision.
     Other,
-    /// Aravis's fake device. It pays no heed to triggers, and fills whatever buffer it is given: here, one for each trigger.
+    /// Aravis's fake device. It ignores triggers, and fills every buffer that it is given: here, one for each trigger.
     Fake,
 }
 
@@ -35,9 +35,9 @@ impl Transport {
 /// Losses of a stream.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Losses {
-    /// Of GigE Vision alone.
+    /// Lost packets; GigE Vision only.
     pub packets: u64,
-    /// Frames that found no buffer.
+    /// Frames for which no buffer was free.
     pub underruns: u64,
 }
 
@@ -52,7 +52,7 @@ pub(super) struct Frames {
 }
 
 impl Frames {
-    /// A stream with buffers for the present size, and the acquisition started. The one before it must be gone.
+    /// Starts a stream with buffers for the present size, and the acquisition. The previous stream must be gone.
     pub(super) fn start(camera: &Camera) -> Result<Self, aravis::glib::Error> {
         let payload = camera.payload()? as usize;
         let mut frames = Self {
@@ -72,7 +72,7 @@ impl Frames {
         Ok(frames)
     }
 
-    /// How the camera counts its frames.
+    /// The form of the camera's frame ids.
     pub(super) fn ids(&self) -> Ids {
         match self.transport {
             Transport::GigeVision | Transport::Fake => Ids::Short,
@@ -80,7 +80,7 @@ impl Frames {
         }
     }
 
-    /// Drops whatever still arrived: it belongs to a trigger that was given up.
+    /// Drops frames that still arrived: they belong to triggers that were given up.
     pub(super) fn drop_late(&mut self) {
         while let Some(late) = self.stream.try_pop_buffer() {
             self.give_back(late);
@@ -94,12 +94,12 @@ impl Frames {
         camera.software_trigger()
     }
 
-    /// The frame of a trigger; `None` where none comes in time.
+    /// The frame of a trigger; `None` if none comes in time.
     pub(super) fn wait(&self, wait: Duration) -> Option<Buffer> {
         self.stream.timeout_pop_buffer(wait.as_micros() as u64)
     }
 
-    /// Lets a buffer be filled again.
+    /// Makes a buffer available again.
     pub(super) fn give_back(&mut self, buffer: Buffer) {
         match self.transport {
             Transport::Fake => self.spare = Some(buffer),
@@ -107,7 +107,7 @@ impl Frames {
         }
     }
 
-    /// Losses since this was last asked for.
+    /// Losses since the last call.
     pub(super) fn new_losses(&mut self) -> Losses {
         let now = self.losses();
         let before = std::mem::replace(&mut self.lost, now);
@@ -124,12 +124,12 @@ impl Frames {
                 packets: self.stream.info_uint64_by_name("n_missing_packets"),
                 underruns,
             },
-            // Others do not have that number, and Aravis complains when it is asked for.
+            // Other cameras do not have that number, and Aravis complains about a request for it.
             Transport::Other => Losses {
                 packets: 0,
                 underruns,
             },
-            // It counts every request for a buffer that was not given.
+            // It counts every request for a buffer when none was free.
             Transport::Fake => Losses::default(),
         }
     }

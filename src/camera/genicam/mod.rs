@@ -1,8 +1,8 @@
-//! A GenICam camera, by way of Aravis: GigE Vision, USB3 Vision, or Aravis's own fake device.
+//! A GenICam camera, through Aravis: GigE Vision, USB3 Vision, or Aravis's own fake device.
 //!
 //! Each frame is triggered by software, so that its time can be announced before the exposure begins. The camera
-//! belongs to a thread of its own (`worker`), since calls to one that has gone block for seconds; this side waits a
-//! quarter of a second at a time. A camera that is gone is released with its stream and thread and reopened,
+//! belongs to a thread of its own (`worker`), since calls to a lost camera block for seconds; this side waits
+//! 0.25 s at a time. A lost camera is released with its stream and thread and reopened,
 //! and every setting is applied again before the first frame: an earlier experiment lost its flight to a camera that came
 //! back with its own exposure.
 
@@ -36,19 +36,19 @@ enum Phase {
     Exposing(Timestamp),
 }
 
-/// A camera that is brought back whenever it goes.
+/// A camera that is reconnected whenever it is lost.
 pub struct GenicamCamera {
     device: Device,
     settings: CameraSettings,
     link: Option<Link>,
     phase: Phase,
-    /// Since when the camera owes an answer.
+    /// Time since which the camera owes an answer.
     waiting: Instant,
     pace: Pace,
-    /// An attempt to open it takes 2.5 s itself.
+    /// Waits between attempts to open it; an attempt takes 2.5 s itself.
     backoff: Backoff,
     due: Instant,
-    /// Zero of the monotonic times.
+    /// Origin of the monotonic times.
     zero: Instant,
     next_number: u64,
     was_there: bool,
@@ -58,7 +58,7 @@ pub struct GenicamCamera {
 }
 
 impl GenicamCamera {
-    /// A camera that need not be there yet.
+    /// A camera that need not be present yet.
     pub fn new(device: Device, settings: &CameraSettings) -> Self {
         Self {
             device,
@@ -77,7 +77,7 @@ impl GenicamCamera {
         }
     }
 
-    /// Opens the camera in its thread, if it is time to try.
+    /// Opens the camera in its thread, if an attempt is due.
     fn open(&mut self) -> Result<Take, CameraError> {
         let wait = self.due.saturating_duration_since(Instant::now());
         if !wait.is_zero() {
@@ -140,7 +140,7 @@ impl GenicamCamera {
                 self.next_number = frame.info.number.map_or(self.next_number, |n| n + 1);
                 Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
             }
-            // Its receiver no longer waits.
+            // The receiver of the result no longer waits.
             Report::Applied(applied) => applied.map(|()| Take::NotYet),
             Report::Gone(error) => {
                 self.give_up();
@@ -179,14 +179,14 @@ impl FrameSource for GenicamCamera {
         }
     }
 
-    /// A camera that is away, or does not answer in time, gets the settings when it is back.
+    /// A camera that is lost, or does not answer in time, gets the settings when it is back.
     fn apply(&mut self, settings: &CameraSettings) -> Result<(), CameraError> {
         self.settings = settings.clone();
         let Some(link) = &self.link else {
             return Ok(());
         };
         if self.phase == Phase::Opening {
-            // It opens with the settings of before.
+            // It is being opened with the previous settings.
             link.apply(settings);
             return Ok(());
         }
@@ -208,7 +208,7 @@ impl FrameSource for GenicamCamera {
 }
 
 impl Drop for GenicamCamera {
-    /// Lets the camera go before the next program wants it, if it answers.
+    /// Releases the camera for the next program, if it answers.
     fn drop(&mut self) {
         if let Some(link) = self.link.take() {
             link.close(Duration::from_millis(500));

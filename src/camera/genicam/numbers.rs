@@ -1,18 +1,18 @@
-//! From a camera's frame ids to numbers that only grow.
+//! Converts a camera's frame ids to numbers that only grow.
 
-/// The largest id of 16 bits; after it comes 1, as 0 is none.
+/// The largest id of 16 bits; the next one is 1, as 0 is not used.
 const LAST_SHORT_ID: u64 = 65_535;
 
-/// How a camera counts its frames.
+/// Form of a camera's frame ids.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Ids {
-    /// With 16 bits, as GigE Vision does; or with more: then it goes beyond them.
+    /// 16 bits, as in GigE Vision; or more, if an id exceeds 16 bits.
     Short,
-    /// With 64 bits, as USB3 Vision does.
+    /// 64 bits, as in USB3 Vision.
     Long,
 }
 
-/// Counts frames by the camera's ids, so that a frame that is missing leaves a gap.
+/// Numbers frames by the camera's ids, so that a missing frame leaves a gap.
 #[derive(Debug)]
 pub(super) struct Numbers {
     next: u64,
@@ -43,7 +43,7 @@ impl Numbers {
         number
     }
 
-    /// The acquisition restarts, and perhaps the ids do, too.
+    /// Notes that the acquisition restarts; the ids may restart, too.
     pub(super) fn restart(&mut self) {
         self.last_id = None;
     }
@@ -62,7 +62,7 @@ mod tests {
     fn numbers_go_on_where_ids_of_16_bits_wrap_past_zero() {
         let seen = numbers(7, Ids::Short, [65_534, 65_535, 1, 2, 4, 65_535, 2]);
         assert_eq!(seen, [7, 8, 9, 10, 12, 65_543, 65_545]);
-        // One that does not skip 0.
+        // A camera that does not skip 0.
         assert_eq!(numbers(0, Ids::Short, [65_535, 0, 1]), [0, 1, 2]);
     }
 
@@ -71,7 +71,7 @@ mod tests {
         for ids in [Ids::Short, Ids::Long] {
             assert_eq!(numbers(0, ids, [65_535, 65_536, 65_540]), [0, 1, 5]);
         }
-        // A USB3 camera that restarted has lost nothing that is known.
+        // For a USB3 camera that restarted, no loss is known.
         assert_eq!(numbers(0, Ids::Long, [500, 501, 0, 1]), [0, 1, 2, 3]);
     }
 

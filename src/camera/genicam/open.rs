@@ -1,4 +1,4 @@
-//! A camera by its name, made ready for triggers.
+//! Opens a camera by its name and prepares it for triggers.
 
 use super::configure::has;
 use crate::camera::Device;
@@ -10,14 +10,14 @@ use std::sync::{LazyLock, Mutex, PoisonError};
 
 /// Aravis's name of the protocol of GigE Vision cameras.
 const GIGE_VISION: &str = "GigEVision";
-/// How often a second the fake device searches for a buffer to fill.
+/// Rate at which the fake device searches for a buffer to fill, Hz.
 const CHECKS_HZ: f64 = 500.0;
 
 /// The library's list of cameras belongs to one thread at a time.
 static LIBRARY: LazyLock<Option<Mutex<Aravis>>> =
     LazyLock::new(|| Aravis::initialize().ok().map(Mutex::new));
 
-/// Opens a camera, and lets it take frames one at a time, each when triggered.
+/// Opens a camera, and sets it to take frames one at a time, each when triggered.
 pub(super) fn open(device: &Device) -> Result<Camera, String> {
     let camera = match device.is_fake() {
         true => fake().map_err(|error| error.to_string())?,
@@ -27,7 +27,7 @@ pub(super) fn open(device: &Device) -> Result<Camera, String> {
     Ok(camera)
 }
 
-/// Aravis's fake device. Opened like this it needs no interface that would be enabled for the whole program, and is in no list.
+/// Aravis's fake device. Opened this way it needs no interface that would be enabled for the whole program, and appears in no list.
 fn fake() -> Result<Camera, aravis::glib::Error> {
     let device = FakeDevice::new("1")?;
     if let Some(sensor) = device.fake_camera() {
@@ -38,8 +38,8 @@ fn fake() -> Result<Camera, aravis::glib::Error> {
 
 /// Opens a camera by IP address, or by serial number or Aravis's id.
 ///
-/// Opened by its name, without listing first, a GigE Vision camera on some hosts sends its stream to the wrong interface: so
-/// the name serves to find the address only. Others have no address.
+/// If a GigE Vision camera is opened by its name without listing first, on some hosts it sends its stream to the wrong interface: so
+/// the name is used only to find the address. Other cameras have no address.
 fn find(device: &Device) -> Result<Camera, String> {
     let library = LIBRARY.as_ref().ok_or("Aravis is in use already")?;
     let library = library.lock().unwrap_or_else(PoisonError::into_inner);
@@ -88,9 +88,9 @@ fn prepare(camera: &Camera) -> Result<(), String> {
     if !has(camera, "TriggerSoftware") {
         return Err("it cannot be triggered by software".into());
     }
-    // What the camera's own description rules out is not even sent.
+    // Values that the camera's own description rules out are not even sent.
     camera.set_range_check_policy(aravis::RangeCheckPolicy::Enable);
-    // One that was left running takes no settings.
+    // A camera that was left running takes no settings.
     let _ = camera.stop_acquisition();
     camera
         .set_acquisition_mode(aravis::AcquisitionMode::Continuous)

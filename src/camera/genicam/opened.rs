@@ -12,32 +12,32 @@ use jiff::{SignedDuration, Timestamp};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How long a frame may be on its way after the exposure.
+/// Longest transfer time of a frame after the exposure.
 const TRANSFER: Duration = Duration::from_millis(500);
-/// A camera that gives no frame so often in a row is gone.
+/// Number of successive triggers without a frame after which a camera is lost.
 const SILENT_FRAMES: u32 = 3;
-/// How often the temperature is asked for.
+/// Interval between readings of the temperature.
 const TEMPERATURE_PERIOD: Duration = Duration::from_secs(1);
 
-/// Counters that the camera's thread and its owner share.
+/// Counters shared by the camera's thread and its owner.
 pub(super) type SharedHealth = Arc<Mutex<CameraHealth>>;
 
 pub(super) fn count(health: &SharedHealth, note: impl FnOnce(&mut CameraHealth)) {
     note(&mut health.lock().unwrap_or_else(PoisonError::into_inner));
 }
 
-/// How a camera is opened.
+/// Inputs for opening a camera.
 pub(super) struct Opening {
     pub device: Device,
     pub settings: CameraSettings,
-    /// Zero of the monotonic times.
+    /// Origin of the monotonic times.
     pub zero: Instant,
     /// Number of the first frame.
     pub next_number: u64,
     pub health: SharedHealth,
 }
 
-/// Why there is no frame.
+/// Reason why there is no frame.
 pub(super) enum Fault {
     /// This frame was lost; the next may be good.
     Frame(CameraError),
@@ -50,10 +50,10 @@ pub(super) struct OpenCamera {
     device: Device,
     name: String,
     camera: Camera,
-    /// `None` only where it could not be restarted: the camera is gone then.
+    /// `None` only if the stream could not be restarted: the camera is lost then.
     frames: Option<Frames>,
     settings: CameraSettings,
-    /// As the camera has them.
+    /// Settings as read back from the camera.
     actual: Actual,
     temperature: Option<(Instant, f64)>,
     numbers: Numbers,
@@ -64,7 +64,7 @@ pub(super) struct OpenCamera {
 }
 
 impl OpenCamera {
-    /// Opens the camera, applies every setting and lets it wait for triggers. A setting that it does not take is logged and
+    /// Opens the camera, applies every setting and makes it wait for triggers. A setting that it does not take is logged and
     /// counted.
     pub(super) fn open(opening: Opening) -> Result<Self, CameraError> {
         let Opening { device, .. } = opening;
@@ -97,7 +97,7 @@ impl OpenCamera {
         CameraError::of(&self.device, problem)
     }
 
-    /// Applies every setting. Inner error: a setting that the camera did not take; outer: the camera is gone.
+    /// Applies every setting. Inner error: a setting that the camera did not take; outer: the camera is lost.
     pub(super) fn apply(
         &mut self,
         settings: &CameraSettings,
@@ -105,8 +105,8 @@ impl OpenCamera {
         let reshaped = settings.region != self.settings.region
             || settings.pixel_format != self.settings.pixel_format;
         let (actual, refused) = if reshaped {
-            // Size and format are locked while the stream runs, and its buffers are made for them. A USB3 stream that ends after the
-            // next has begun would end that, too.
+            // Size and format are locked while the stream runs, and its buffers are made for them. If a USB3 stream ended after the
+            // next has begun, it would end that one, too.
             self.camera
                 .stop_acquisition()
                 .map_err(|e| self.problem(e))?;
@@ -142,7 +142,7 @@ impl OpenCamera {
         if let Err(error) = frames.trigger(&self.camera) {
             return Err(self.is_gone(error));
         }
-        // The camera got the trigger half-way between the order and its answer.
+        // The camera received the trigger half-way between the order and its answer.
         let on_the_way = before.elapsed() / 2;
         let exposure = self.actual.exposure.unwrap_or(self.settings.exposure());
         let buffer = frames.wait(exposure + TRANSFER);
@@ -171,7 +171,7 @@ impl OpenCamera {
         Fault::Camera(self.problem(problem))
     }
 
-    /// No frame came.
+    /// Handles a trigger without a frame.
     fn silence(&mut self) -> Fault {
         self.silent += 1;
         count(&self.health, |health| health.missing += 1);
@@ -182,7 +182,7 @@ impl OpenCamera {
         }
     }
 
-    /// The picture in a buffer, where all of it arrived, with what is known of it except for its time.
+    /// The picture in a buffer, if it arrived completely, with its data except for the time.
     fn frame(&mut self, number: u64, buffer: &Buffer) -> Result<Frame, CameraError> {
         let status = buffer.status();
         if status != BufferStatus::Success {
@@ -230,7 +230,7 @@ impl OpenCamera {
         Ok((pixels, saturation_dn))
     }
 
-    /// The camera's temperature, asked for once in a while; `None` where it has no thermometer.
+    /// The camera's temperature, read at intervals; `None` if it has no thermometer.
     fn temperature_c(&mut self) -> Option<f64> {
         let fresh = self
             .temperature
@@ -251,14 +251,14 @@ impl OpenCamera {
 
 impl Drop for OpenCamera {
     fn drop(&mut self) {
-        // One that is gone would keep this waiting.
+        // A lost camera would make this wait.
         if !self.gone {
             let _ = self.camera.stop_acquisition();
         }
     }
 }
 
-/// Its maker, model and serial number. What the fake device sends is marked as simulated.
+/// Its maker, model and serial number. The fake device is marked as simulated.
 fn name(camera: &Camera, device: &Device) -> String {
     if device.is_fake() {
         return SIMULATED_CAMERA.into();

@@ -1,4 +1,4 @@
-//! The thread that the camera belongs to: it does as it is ordered, one order after the other.
+//! The camera's thread: it executes orders one after the other.
 
 use super::opened::{Fault, OpenCamera, Opening};
 use crate::camera::{CameraError, CameraSettings};
@@ -17,20 +17,20 @@ pub(super) enum Report {
     Ready,
     Taken(Box<Result<Frame, CameraError>>),
     Applied(Result<(), CameraError>),
-    /// The camera is gone, and the thread ends.
+    /// The camera is lost, and the thread ends.
     Gone(CameraError),
 }
 
-/// The way to the thread. Dropped, it lets the thread end after what it is doing.
+/// Connection to the thread. When it is dropped, the thread ends after its present order.
 pub(super) struct Link {
     orders: Sender<Order>,
     reports: Receiver<Report>,
 }
 
 impl Link {
-    /// Starts the thread. It never outlives the camera by more than the call that the camera hangs in.
+    /// Starts the thread. It outlives the camera at most by the call in which the camera hangs.
     pub(super) fn open(opening: Opening) -> std::io::Result<Self> {
-        // Neither grows: one frame is ordered at a time.
+        // Neither queue grows: one frame is ordered at a time.
         let (orders, ordered) = unbounded();
         let (report, reports) = unbounded();
         std::thread::Builder::new()
@@ -39,7 +39,7 @@ impl Link {
         Ok(Self { orders, reports })
     }
 
-    /// Orders a frame. A thread that has ended says so itself.
+    /// Orders a frame. A thread that has ended has reported so itself.
     pub(super) fn take_frame(&self) {
         let _ = self.orders.send(Order::Take);
     }
@@ -48,13 +48,13 @@ impl Link {
         let _ = self.orders.send(Order::Apply(Box::new(settings.clone())));
     }
 
-    /// Report of the thread within a time; `None` without one.
+    /// The next report of the thread, within `wait`; `None` without one.
     pub(super) fn report(&self, wait: Duration) -> Option<Report> {
         match self.reports.recv_timeout(wait) {
             Ok(report) => Some(report),
             Err(error) => {
                 if error.is_disconnected() {
-                    // It said why when it ended; only a panic says nothing. Do not turn in circles then.
+                    // It reported the reason when it ended; only a panic gives no report. The sleep avoids a busy loop then.
                     std::thread::sleep(wait);
                 }
                 None
