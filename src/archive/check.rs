@@ -1,9 +1,10 @@
-//! Whether an archive is sound: every file by itself, and the files as a sequence.
+//! Checks that an archive is sound: every file by itself, and the files as a sequence.
 //!
-//! A file is sound when its structure is whole, the checksums of every HDU match, the picture unpacks, the keywords are of
-//! the kind that the [table](crate::fits::keyword) states, its marks can be read, it bears the name that it was given, and its time is not
-//! before that of the file before it, and the configuration and the instrument that it names are those of the archive, if it holds any. A file that a solution log names must be there, on this disk or on the other. Frames that are
-//! missing by their times or numbers alone make a gap, which is no fault of the files that are there; nor is a copy of a frame a fault.
+//! A file is sound when its structure is complete, the checksums of every HDU match, the picture unpacks, the keywords have
+//! the types that the [table](crate::fits::keyword) states, its marks can be read, it has the name that it was given, and its time is not
+//! before that of the file before it, and the configuration and the instrument that it names are those of the archive, if it holds any. A file that a
+//! solution log names must be present, on this disk or on the other. Frames that are missing only by their times or numbers make a gap, which is no
+//! fault of the files that are present; nor is a copy of a frame a fault.
 
 mod files;
 mod keywords;
@@ -41,9 +42,9 @@ pub struct Report {
     pub gaps: usize,
     /// Entries of `missing_files`.
     pub missing: usize,
-    /// Frames that are by a log on the other disk, which is not checked.
+    /// Frames that according to a log are on the other disk, which is not checked.
     pub on_other_disk: usize,
-    /// Files whose names begin with a dot and end in `.part`: partial when the power went.
+    /// Files whose names begin with a dot and end in `.part`: incomplete at a power cut.
     pub unfinished: usize,
     /// Sound files whose frames have no time.
     pub undated: usize,
@@ -51,7 +52,7 @@ pub struct Report {
     pub copies: usize,
     /// Entries of `contradiction_list`.
     pub contradictions: usize,
-    /// Frames that are missing by their numbers.
+    /// Number of frames missing from the sequence of frame numbers.
     pub missing_frames: u64,
     /// Mid-exposure of the earliest sound frame.
     #[serde(serialize_with = "milliseconds")]
@@ -61,7 +62,7 @@ pub struct Report {
     pub last_utc: Option<Timestamp>,
     pub bad_files: Vec<BadFile>,
     pub gap_list: Vec<Gap>,
-    /// Files that a log names and that are not there.
+    /// Files that a log names and that do not exist.
     pub missing_files: Vec<MissingFile>,
     /// Files that hold the same frame as another one.
     pub copy_list: Vec<CopiedFile>,
@@ -76,7 +77,7 @@ pub struct CopiedFile {
     pub same_as: String,
 }
 
-/// A file and the one that its header says it is.
+/// A file, and the file whose frame its header claims.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ContradictingFile {
     pub file: String,
@@ -84,13 +85,13 @@ pub struct ContradictingFile {
 }
 
 impl Report {
-    /// Whether every file is sound, and every file that a log names is there.
+    /// Whether every file is sound, and every file that a log names exists.
     pub fn is_sound(&self) -> bool {
         self.bad == 0 && self.missing == 0
     }
 }
 
-/// A file and what is wrong with it, in one line.
+/// A file and its fault, in one line.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct BadFile {
     pub file: String,
@@ -106,13 +107,13 @@ impl From<FileError> for BadFile {
     }
 }
 
-/// Finding of a check of a file on its own.
+/// Result of checking one file.
 #[derive(Default)]
 struct Checked {
-    /// Facts of the file's frame, where it can be read.
+    /// Identity and pixels of the file's frame, if it can be read.
     frame: Option<(Identity, PixelDigest)>,
     fault: Option<FileError>,
-    /// That the file has another name than it was given: a fault, unless it is a copy.
+    /// Error if the file does not have the name that it was given: a fault, unless it is a copy.
     misnamed: Option<FileError>,
 }
 
@@ -186,7 +187,7 @@ pub fn check(tree: &Tree, checked: &(dyn Fn() + Sync)) -> Report {
     }
 }
 
-/// Of each file the one that it is a copy of, and files that contradict each other.
+/// For each file the one of which it is a copy; and files that contradict each other.
 fn compare(files: &[PathBuf], checked: &[Checked]) -> (Vec<Option<usize>>, Vec<ContradictingFile>) {
     let (mut compared, mut at) = (Vec::new(), Vec::new());
     for (n, (path, checked)) in files.iter().zip(checked).enumerate() {

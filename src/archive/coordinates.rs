@@ -1,8 +1,8 @@
-//! How a frame lies on the sky: the world coordinates of its pixels (Thompson 2006), and who observed.
+//! World coordinates of a frame's pixels on the sky (Thompson 2006), and keywords of the observer.
 //!
-//! Nothing here says how plate and sky hang together. A place on the Sun is brought to the sensor by
-//! [`pointing`](crate::pointing), which also gives the offsets. Steps of a solar radius to all four sides make the matrix. So
-//! coordinates and offsets cannot disagree: the pixel on which the boresight falls has the coordinates at which the
+//! The transformation between plate and sky is not defined here: [`pointing`](crate::pointing) maps a place on the Sun to the plate,
+//! and also gives the offsets. Steps of a solar radius in all four directions determine the matrix. So
+//! coordinates and offsets are consistent: the pixel on which the boresight falls has the coordinates at which the
 //! telescope points.
 
 use crate::aspect::{Aspect, Solution};
@@ -21,17 +21,17 @@ const AU_M: f64 = AU_KM * 1e3;
 /// The helioprojective coordinates of a frame's pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Helioprojection {
-    /// Where the Sun's centre is seen: the origin.
+    /// Position of the Sun's centre in the picture: the origin.
     pub centre_px: SensorPx,
     /// First row: to solar west; second: to solar north. First column: a step along x; second: along y.
     pub arcsec_per_px: Matrix2<f64>,
 }
 
 impl Helioprojection {
-    /// The coordinates of a frame that has a Sun. `None` where the mapping has no inverse there.
+    /// The coordinates of a frame that has a Sun. `None` if the mapping has no inverse there.
     ///
     /// # Errors
-    /// [`PointingError::NoBoresight`] when no pointing near the zenith puts the Sun where it is seen.
+    /// [`PointingError::NoBoresight`] if no pointing near the zenith puts the Sun at its observed position.
     pub fn new(
         aspect: &Aspect,
         mapping: &Mapping,
@@ -56,7 +56,7 @@ impl Helioprojection {
         }))
     }
 
-    /// Side of a square as large as a pixel.
+    /// Side of a square with the area of a pixel.
     pub fn scale_arcsec_per_px(&self) -> f64 {
         self.arcsec_per_px.determinant().abs().sqrt()
     }
@@ -91,8 +91,8 @@ impl Helioprojection {
     }
 }
 
-/// The keywords of the sky behind a frame: the observer and the Sun, where time and place are known, and the pixels'
-/// coordinates, where there is a Sun too.
+/// The keywords of the sky behind a frame: the observer and the Sun, if time and place are known, and the pixels'
+/// coordinates, if there is a Sun too.
 pub fn sky_cards(
     info: &FrameInfo,
     solution: &Solution,
@@ -139,7 +139,7 @@ pub fn sky_cards(
     cards
 }
 
-/// How well the coordinates are known: at random, the disc's centre; at the limb, clocking and roll.
+/// Errors of the coordinates: the random one, of the disc's centre; the systematic one, at the limb, of clocking and roll.
 fn error_cards(
     helioprojection: &Helioprojection,
     aspect: &Aspect,
@@ -158,7 +158,7 @@ fn error_cards(
     ]
 }
 
-/// Who observed, from where about the Sun, and where the Sun stood.
+/// Keywords of the observer: position relative to the Sun, and apparent position of the Sun.
 pub fn observer_cards(sun: &SunPosition, place: Place) -> Vec<Card> {
     let (longitude_deg, latitude_deg) = stonyhurst_deg(sun, place);
     let carrington_deg = (sun.l0_deg + longitude_deg).rem_euclid(360.0);
@@ -177,10 +177,10 @@ pub fn observer_cards(sun: &SunPosition, place: Place) -> Vec<Card> {
     ]
 }
 
-/// The observer's heliographic longitude from the Earth's centre, and latitude. The observer stands off the line from
-/// the Sun to the Earth's centre towards the zenith.
+/// The observer's heliographic longitude relative to the Earth's centre, and latitude. The observer is displaced from the line between
+/// the Sun and the Earth's centre towards the zenith.
 fn stonyhurst_deg(sun: &SunPosition, place: Place) -> (f64, f64) {
-    // The Earth's flattening moves the observer by a ten-millionth of the way to the Sun.
+    // The Earth's flattening moves the observer by 1e-7 of the distance to the Sun.
     let up_m = EARTH_RADIUS_M + place.height_m;
     let aside = up_m * sun.elevation_deg.to_radians().cos() / (sun.distance_au * AU_M);
     let (sin, cos) = sun.zenith_to_north_deg.to_radians().sin_cos();

@@ -1,11 +1,11 @@
-//! The telemetry as a dirfile, which KST plots while it grows: the same numbers as the solution log's.
+//! The telemetry as a dirfile, which KST plots while it grows: it holds the same numbers as the solution log.
 //!
 //! A dirfile (<https://getdata.sourceforge.net/dirfile.html>, Standards Version 8) is a folder with a text file `format`
 //! that declares the fields, and one file of plain binary samples per field; here one sample per frame, little-endian.
-//! Values that a frame did not reach are NaN, by the convention of dirfiles; the codes, which are whole numbers, have one for it.
+//! Values of stages that a frame did not reach are NaN, by the convention of dirfiles; the codes, which are integers, have a code for that.
 //!
-//! `TIME` is the reference field, whose length gives a reader how many frames there are, and is written last: a reader
-//! that follows never meets a frame that is there in part. A frame that the disk took in part is written over by the
+//! `TIME` is the reference field, whose length gives the number of frames, and is written last: a program
+//! that reads while it grows never finds an incomplete frame. A frame that the disk stored incompletely is overwritten by the
 //! next.
 
 use super::disk::Disk;
@@ -26,7 +26,7 @@ impl Field {
         }
     }
 
-    /// Bytes of a sample.
+    /// Size of a sample, bytes.
     fn size(&self) -> u64 {
         match self.value {
             Value::Code(_) => 1,
@@ -34,7 +34,7 @@ impl Field {
         }
     }
 
-    /// NaN where it is not known.
+    /// NaN if it is not known.
     fn bytes(&self, row: &LoggedRow) -> Vec<u8> {
         let number = match self.value {
             Value::Code(value) => return vec![value(row)],
@@ -63,7 +63,7 @@ fn format_text() -> String {
             "" => String::new(),
             unit => format!(" [{unit}]"),
         };
-        // As comments, for who reads the file: KST 2.0.8 fails on fields of type STRING.
+        // As comments, for a person who reads the file: KST 2.0.8 fails on fields of type STRING.
         text += &format!("# {meaning}{unit}\n{name} RAW {} 1\n", field.type_name());
     }
     text + "/REFERENCE TIME\n"
@@ -71,8 +71,8 @@ fn format_text() -> String {
 
 /// The dirfile of one start in one archive: `telemetry_<start>/`.
 ///
-/// After a refusal its files are opened again with the next frame, and go on behind the last whole one; where they are no longer
-/// there, another folder is begun.
+/// After a refusal its files are opened again with the next frame, and continue after the last complete one; if they no longer
+/// exist, another folder is begun.
 #[derive(Debug)]
 pub struct Dirfile {
     disk: Arc<dyn Disk>,
@@ -85,14 +85,14 @@ pub struct Dirfile {
 #[derive(Debug)]
 struct Made {
     folder: PathBuf,
-    /// In the order of the fields; none after a refusal.
+    /// The files in the order of the fields; empty after a refusal.
     files: Vec<Growing>,
-    /// Whole frames.
+    /// Number of complete frames.
     frames: u64,
 }
 
 impl Dirfile {
-    /// A dirfile under an archive's root; its folder is made with the first frame and never in place of another.
+    /// A dirfile under an archive's root; its folder is made with the first frame and never replaces another.
     pub fn new(disk: Arc<dyn Disk>, root: &Path, start: Timestamp) -> Self {
         Self {
             disk,
@@ -105,7 +105,7 @@ impl Dirfile {
     /// Adds a sample to every field.
     ///
     /// # Errors
-    /// Where the disk refuses; the frame is then not in the dirfile, and the next one may be tried.
+    /// If the disk refuses; the frame is then not in the dirfile, and the next one may be tried.
     pub fn append(&mut self, row: &LoggedRow) -> Result<(), ArchiveError> {
         let disk = self.disk.as_ref();
         self.made.take_if(|made| !made.reopen(disk));
@@ -134,12 +134,12 @@ impl Made {
         let (folder, ()) = make_new(root, "telemetry", start, "", make)?;
         let made = Self::fill(disk, &folder);
         if made.is_err() {
-            // Each try makes a folder: none may stay without a writer.
+            // Each attempt makes a folder: none may stay without a writer.
             let _ = disk.remove_tree(&folder);
         }
         let files = made?;
         let name = Path::new(folder.file_name().unwrap_or_default());
-        // A convenience for who follows; not every file system has links.
+        // The link is a convenience for readers; not every file system has links.
         let _ = disk.link(&root.join("telemetry"), name);
         Ok(Self {
             folder,
@@ -148,7 +148,7 @@ impl Made {
         })
     }
 
-    /// The fields' files, empty, and then `format`: who finds that finds them all.
+    /// Creates the fields' files, empty, and then `format`: a program that finds `format` finds them all.
     fn fill(disk: &dyn Disk, folder: &Path) -> Result<Vec<Growing>, ArchiveError> {
         let make = |name: &str| {
             let path = folder.join(name);
@@ -166,7 +166,7 @@ impl Made {
         Ok(files)
     }
 
-    /// Opens files that were closed: whether all stand, with their whole frames.
+    /// Opens files that were closed; returns whether all exist with their complete frames.
     fn reopen(&mut self, disk: &dyn Disk) -> bool {
         if self.files.is_empty() {
             let open = |field: &Field| {

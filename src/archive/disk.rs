@@ -1,4 +1,4 @@
-//! The archive's operations on a disk, step by step, so that a test may stand in for one that fills, fails or loses power
+//! The archive's operations on a disk, step by step, so that a test may substitute a disk that fills, fails or loses power
 //! between any two steps.
 
 use std::fmt::Debug;
@@ -8,34 +8,34 @@ use std::os::unix::fs::{MetadataExt, symlink};
 use std::path::{Path, PathBuf};
 use tempfile::TempPath;
 
-/// A disk, or what a test puts in its place. Every operation is on whole paths and may fail at any time.
+/// A disk, or a test's substitute. Every operation is on whole paths and may fail at any time.
 pub trait Disk: Debug + Send + Sync {
-    /// Makes a folder and those above it.
+    /// Makes a folder and its parent folders.
     fn make_root(&self, folder: &Path) -> io::Result<()>;
 
-    /// Makes a folder in one that is there; [`ErrorKind::AlreadyExists`] where it stands already.
+    /// Makes a folder in an existing one; [`ErrorKind::AlreadyExists`] if it exists already.
     fn make_folder(&self, folder: &Path) -> io::Result<()>;
 
     /// Makes a new file.
     fn create(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
 
-    /// Opens a file that is there, to write behind what it holds; [`ErrorKind::NotFound`] where there is none.
+    /// Opens an existing file for appending; [`ErrorKind::NotFound`] if there is none.
     fn open(&self, file: &Path) -> io::Result<Box<dyn DiskFile>>;
 
-    /// Gives a file another name, in one step, and never in place of another file:
+    /// Renames a file atomically, and never replaces another one:
     /// [`ErrorKind::AlreadyExists`] then.
     fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()>;
 
-    /// Brings a folder's list of names to the disk.
+    /// Syncs a folder's list of names to the disk.
     fn sync_folder(&self, folder: &Path) -> io::Result<()>;
 
     /// Removes a file.
     fn remove(&self, file: &Path) -> io::Result<()>;
 
-    /// Removes a folder with all that is in it.
+    /// Removes a folder with its content.
     fn remove_tree(&self, folder: &Path) -> io::Result<()>;
 
-    /// Makes a symbolic link to a name beside it, in place of the link that was there, in one step.
+    /// Makes a symbolic link to a name beside it, replacing an existing link atomically.
     fn link(&self, link: &Path, name: &Path) -> io::Result<()>;
 
     fn exists(&self, path: &Path) -> bool;
@@ -43,13 +43,13 @@ pub trait Disk: Debug + Send + Sync {
     /// Content of a folder.
     fn list(&self, folder: &Path) -> io::Result<Vec<Entry>>;
 
-    /// Takes a file for this program alone; [`ErrorKind::ResourceBusy`] while another holds it.
+    /// Locks a file for this program alone; [`ErrorKind::ResourceBusy`] while another holds it.
     fn lock(&self, file: &Path, absent: Absent) -> io::Result<Lock>;
 
     fn space(&self, folder: &Path) -> io::Result<Space>;
 }
 
-/// Handling of a file that is to be locked and is not there.
+/// Handling of a file that is to be locked and does not exist.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Absent {
     /// It is made.
@@ -60,13 +60,13 @@ pub enum Absent {
 
 /// A file that is being written.
 pub trait DiskFile: Write + Debug + Send {
-    /// Brings the file's bytes to the disk.
+    /// Syncs the file's bytes to the disk.
     fn sync(&mut self) -> io::Result<()>;
 
-    /// Bytes of the file.
+    /// Length of the file, bytes.
     fn length(&mut self) -> io::Result<u64>;
 
-    /// Cuts off what is behind the first `length` bytes; the next write goes there.
+    /// Truncates the file to `length` bytes; the next write goes there.
     fn cut(&mut self, length: u64) -> io::Result<()>;
 }
 
@@ -88,17 +88,17 @@ pub enum EntryKind {
 /// The right to write to an archive, until it is dropped.
 #[derive(Debug)]
 pub struct Lock {
-    /// None on a disk that knows no locks.
+    /// `None` on a file system without locks.
     held: Option<File>,
 }
 
 impl Lock {
-    /// On a disk that knows no locks.
+    /// A lock on a file system without locks.
     pub fn unguarded() -> Self {
         Self { held: None }
     }
 
-    /// Whether `file` is still the one that was locked. When a disk was mounted again it is another file, which is not locked.
+    /// Whether `file` is still the one that was locked. After the disk was mounted again it is another file, which is not locked.
     pub fn is_of(&self, file: &Path) -> bool {
         let Some(held) = &self.held else {
             return true;
@@ -109,17 +109,17 @@ impl Lock {
     }
 }
 
-/// How much a disk holds and may yet take.
+/// Capacity and free space of a disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Space {
     pub free_bytes: u64,
     pub total_bytes: u64,
-    /// Files that it may yet take (inodes); `None` where the file system does not count them.
+    /// Number of files that can still be made (inodes); `None` if the file system does not count them.
     pub free_files: Option<u64>,
 }
 
 impl Space {
-    /// 0 to 100; 0 of a disk that holds nothing.
+    /// 0 to 100; 0 for a disk without capacity.
     pub fn free_percent(self) -> f64 {
         if self.total_bytes == 0 {
             return 0.0;
@@ -203,7 +203,7 @@ impl Disk for LocalDisk {
         match file.try_lock() {
             Ok(()) => Ok(Lock { held: Some(file) }),
             Err(TryLockError::WouldBlock) => Err(ErrorKind::ResourceBusy.into()),
-            // Some file systems have no locks; the archive is worth more than its guard.
+            // Some file systems have no locks; the archive is more important than its lock.
             Err(TryLockError::Error(_)) => Ok(Lock { held: Some(file) }),
         }
     }

@@ -1,4 +1,4 @@
-//! A disk that fails on command: for the soak test, and for the training of operators.
+//! A disk that fails on command: for the soak test, and for training operators.
 
 use super::disk::{Absent, Disk, DiskFile, Entry, LocalDisk, Lock, Space};
 use std::io::{self, ErrorKind, Write};
@@ -6,10 +6,10 @@ use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How long each operation fails when they fail in turn.
+/// Duration of the failure of each operation when they fail in turn.
 pub const EACH: Duration = Duration::from_millis(500);
 
-/// Request to a disk.
+/// An operation of the disk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Step {
     MakeFolder,
@@ -43,25 +43,25 @@ const STEPS: [Step; 13] = [
     Step::Space,
 ];
 
-/// How long it takes until every operation has failed.
+/// Time until every operation has failed once.
 pub const ALL_IN_TURN: Duration = Duration::from_millis(500 * STEPS.len() as u64);
 
 /// Fault of a disk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DiskFault {
-    /// It takes no byte, and reports that none is free.
+    /// It accepts no byte, and reports that none is free.
     Full,
-    /// It can make no further file, and says so.
+    /// It can make no further file, and reports that.
     NoInodes,
     /// It refuses to make or write any file.
     Refusing,
-    /// Since then one operation after the other fails, each for [`EACH`].
+    /// From this time on one operation after the other fails, each for [`EACH`].
     Failing(Instant),
-    /// No call returns until the fault is gone.
+    /// No call returns until the fault is removed.
     Stuck,
 }
 
-/// A folder of this computer as a disk with faults. Clones share them.
+/// A folder of this computer as a disk with faults. Clones share the faults.
 #[derive(Debug, Clone, Default)]
 pub struct FaultyDisk {
     shared: Arc<Shared>,
@@ -76,7 +76,7 @@ struct Shared {
 #[derive(Debug, Default)]
 struct State {
     fault: Option<DiskFault>,
-    /// How often the disk has dropped: files that were open then are dead.
+    /// Number of times that the disk has dropped: files that were open then are invalid.
     dropped: u64,
 }
 
@@ -94,7 +94,7 @@ impl FaultyDisk {
         })
     }
 
-    /// Every open file is dead from now on, as after an unmount.
+    /// Makes every open file invalid, as after an unmount.
     pub fn drop_files(&self) {
         self.shared.state().dropped += 1;
     }
@@ -206,7 +206,7 @@ impl Disk for FaultyDisk {
 struct FaultyFile {
     file: Box<dyn DiskFile>,
     shared: Arc<Shared>,
-    /// How often the disk had dropped when the file was opened.
+    /// Number of drops of the disk when the file was opened.
     dropped: u64,
 }
 

@@ -1,5 +1,5 @@
-//! Files with which a camera's frames were taken and solved, beside the frames: the flight's configuration and the instrument, a
-//! file of each for every start of the program. Their hashes stand in the header of every frame.
+//! Files that describe how a camera's frames were taken and solved, stored beside the frames: the flight's configuration and the instrument, one
+//! file of each for every start of the program. Their hashes are in the header of every frame.
 
 use super::store::Encoded;
 use crate::fits::keyword::{self, Keyword};
@@ -10,7 +10,7 @@ use crate::provenance::sha256;
 use jiff::Timestamp;
 use std::path::{Path, PathBuf};
 
-/// Which of the two a file holds: the first word of its name, and the keyword with its hash.
+/// Kind of a file: the first part of its name, and the keyword of its hash.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FlownKind {
     pub name: &'static str,
@@ -26,7 +26,7 @@ pub const INSTRUMENT: FlownKind = FlownKind {
     keyword: &keyword::INSTSHA,
 };
 
-/// SHA-256 of configuration and instrument's file that a frame's header names.
+/// SHA-256 of the configuration and of the instrument's file, as named in a frame's header.
 pub fn flown_sha256(header: &Header) -> [Option<String>; 2] {
     [CONFIGURATION, INSTRUMENT].map(|kind| match header.get(kind.keyword.name) {
         Some(Value::Text(sha256)) => Some(sha256.clone()),
@@ -46,7 +46,7 @@ struct FlownText {
 }
 
 impl Flown {
-    /// The effective configuration and the instrument's file, letter by letter; an instrument that no file describes has none.
+    /// Verbatim texts of the effective configuration and the instrument's file; an instrument that no file describes has none.
     pub fn new(configuration: String, instrument: Option<String>) -> Self {
         let texts = [
             (CONFIGURATION, Some(configuration)),
@@ -72,7 +72,7 @@ impl Flown {
         text.map(|text| text.sha256.clone())
     }
 
-    /// The files of a start of the program, to stand in a camera's folder: `configuration_<start>.toml` and
+    /// The files of one start of the program, in a camera's folder: `configuration_<start>.toml` and
     /// `instrument_<start>.toml`.
     pub fn files(&self, folder: &Path, start: Timestamp) -> impl Iterator<Item = Encoded> {
         let start = start.strftime("%Y%m%dT%H%M%S").to_string();
@@ -83,7 +83,7 @@ impl Flown {
     }
 }
 
-/// Settings of the navigation of a start of the program: `navigation_<start>.toml`.
+/// Settings of the navigation for one start of the program: `navigation_<start>.toml`.
 pub fn navigation_file(text: &str, start: Timestamp) -> Encoded {
     let start = start.strftime("%Y%m%dT%H%M%S");
     Encoded {
@@ -111,7 +111,7 @@ pub struct FlownFile {
 }
 
 impl FlownFile {
-    /// A file, which is of one of the kinds by its name.
+    /// A file whose name has one of the kinds.
     pub fn new(path: PathBuf, text: String) -> Self {
         Self {
             kind: match INSTRUMENT.names(&path) {
@@ -140,10 +140,10 @@ impl FromIterator<FlownFile> for FlownFiles {
 }
 
 impl FlownFiles {
-    /// Reads files, of which each is of one of the kinds by its name.
+    /// Reads files whose names each have one of the kinds.
     ///
     /// # Errors
-    /// The first that cannot be read.
+    /// The error of the first file that cannot be read.
     pub fn read(paths: &[PathBuf]) -> Result<Self, TomlError> {
         let read = |path: &PathBuf| Ok(FlownFile::new(path.clone(), read_text(path)?));
         paths.iter().map(read).collect()
@@ -153,16 +153,16 @@ impl FlownFiles {
         self.0.iter().filter(move |file| file.kind == kind)
     }
 
-    /// Leaves out those of a kind: frames may name any then.
+    /// Removes the files of a kind: frames may then name any.
     pub fn without(mut self, kind: FlownKind) -> Self {
         self.0.retain(|file| file.kind != kind);
         self
     }
 
-    /// Refuses a frame that names another configuration or instrument than those here, of the kinds of which any are here.
+    /// Refuses a frame that names another configuration or instrument than those here; a kind without files is not checked.
     ///
     /// # Errors
-    /// The keyword, what was expected and what was found.
+    /// The keyword, with the expected and the found value.
     pub fn check(&self, header: &Header) -> Result<(), Problem> {
         for kind in [CONFIGURATION, INSTRUMENT] {
             let Some(Value::Text(named)) = header.get(kind.keyword.name) else {

@@ -1,4 +1,4 @@
-//! The keywords and tables of a frame's file beside the numbers of its record.
+//! The keywords and tables of a frame's file that are not numbers of its record.
 
 use crate::aspect::Solution;
 use crate::fits::{Card, Column, Table, Values, keyword};
@@ -6,7 +6,7 @@ use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
 use crate::pointing::{Roll, Target};
 
-/// The keywords of what the telescope is to point at: what stays about the Sun.
+/// The keywords of the telescope's target, as far as they do not change with the Sun.
 pub fn target_cards(target: &Target) -> Vec<Card> {
     match target {
         Target::Fixed(place) => vec![
@@ -18,7 +18,7 @@ pub fn target_cards(target: &Target) -> Vec<Card> {
     }
 }
 
-/// The keywords of what a frame was taken with, and of the roll that its directions rest on.
+/// The keywords of the instrument, and of the roll on which the directions rest.
 pub fn instrument_cards(instrument: &Instrument, roll: Roll) -> Vec<Card> {
     let mounting = &instrument.mounting;
     let roll_deg = roll.about_boresight_deg(instrument);
@@ -41,7 +41,7 @@ pub fn instrument_cards(instrument: &Instrument, roll: Roll) -> Vec<Card> {
     ]
 }
 
-/// The marks and the limb's points of a frame, as tables for its file. Empty ones are left out.
+/// The marks and the limb points of a frame, as tables for its file. Empty ones are omitted.
 pub fn tables(solution: &Solution) -> Vec<Table> {
     const SEEN: &str = "where it was seen, first pixel is 0";
     const EDGE: &str = "point of the limb, first pixel is 0";

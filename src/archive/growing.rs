@@ -1,17 +1,17 @@
-//! A file that grows, of which only whole pieces count.
+//! A file that grows, of which only complete pieces count.
 //!
-//! A disk that was away has other files under the same names when it is back: the old file handles are useless. So a
-//! file is opened again after each refusal, and continues where its whole pieces end.
+//! When a disk was away and comes back, the same names belong to other files: the old file handles are useless. So a
+//! file is opened again after each refusal, and continues where its complete pieces end.
 
 use super::disk::{Disk, DiskFile};
 use std::io::{self, ErrorKind};
 use std::path::Path;
 
-/// A file that is open, with the number of its bytes that count.
+/// An open file, with the number of its valid bytes.
 #[derive(Debug)]
 pub(super) struct Growing {
     file: Box<dyn DiskFile>,
-    /// Bytes of whole pieces. An attempt that failed may have left more.
+    /// Bytes of complete pieces. A failed attempt may have left more.
     whole: u64,
 }
 
@@ -22,10 +22,10 @@ impl Growing {
         Ok(Self { file, whole: 0 })
     }
 
-    /// Opens a file of which the first `whole` bytes count.
+    /// Opens a file of which the first `whole` bytes are valid.
     ///
     /// # Errors
-    /// Where it is gone, or has fewer bytes; or where the disk refuses.
+    /// If it is gone, or has fewer bytes; or if the disk refuses.
     pub fn open(disk: &dyn Disk, path: &Path, whole: u64) -> io::Result<Self> {
         let mut file = disk.open(path)?;
         match file.length()? {
@@ -38,7 +38,7 @@ impl Growing {
         self.whole
     }
 
-    /// Writes behind the whole pieces, in place of what an attempt that failed may have left there.
+    /// Writes after the complete pieces, over the remains of a failed attempt.
     pub fn append(&mut self, piece: &[u8]) -> io::Result<()> {
         self.file.cut(self.whole)?;
         self.file.write_all(piece)?;
@@ -46,7 +46,7 @@ impl Growing {
         Ok(())
     }
 
-    /// Brings the file to the disk.
+    /// Syncs the file to the disk.
     pub fn sync(&mut self) -> io::Result<()> {
         self.file.sync()
     }

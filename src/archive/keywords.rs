@@ -4,10 +4,10 @@ use crate::fits::keyword::{FOREIGN, GROUPS, Group, Keyword, Kind, Use};
 use crate::record;
 use std::fmt::Write;
 
-/// The title of what a solution says.
+/// The title of the group of a solution.
 const SOLUTION: &str = "Solution";
 
-/// All groups but those of [`FOREIGN`], which are never written: titles and keywords.
+/// All groups except those of [`FOREIGN`], which are never written: titles and keywords.
 pub fn groups() -> impl Iterator<Item = (&'static str, Vec<&'static Keyword>)> {
     let of = |group: &'static Group| (group.title, group.keywords.iter().collect());
     let solution = (SOLUTION, record::keywords().collect());

@@ -1,7 +1,7 @@
 //! The solution log: one CSV row per frame, beside the frames, with the same numbers as their files.
 //!
-//! A log is one file per start of the program, made with the first row; where the disk lost it, another is begun. Every row reaches the operating system before
-//! the next frame is handled, and the disk within a second; a row that the disk took in part is cut off again before
+//! A log is one file per start of the program, made with the first row; if the disk lost it, another is begun. Every row reaches the operating system
+//! before the next frame is handled, and the disk within 1 s; a row that the disk stored incompletely is truncated before
 //! the next is written.
 
 use super::disk::Disk;
@@ -14,16 +14,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Logs of the same second that one folder takes.
+/// Largest number of logs of the same second in one folder.
 const MOST_NAMESAKES: u32 = 1000;
 
-/// Rows that a power cut may cost.
+/// Time between syncs: rows of this time may be lost in a power cut.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
 
 /// A log of one start in one archive: `<what>_<start>.csv`, a file that is made with its first row.
 ///
-/// After a refusal the file is opened again with the next row, and goes on behind its last whole row; where that is no longer
-/// there, another file is begun.
+/// After a refusal the file is opened again with the next row, and continues after its last complete row; if it no longer
+/// exists, another file is begun.
 #[derive(Debug)]
 pub struct Log {
     disk: Arc<dyn Disk>,
@@ -42,7 +42,7 @@ pub struct SolutionLog(Log);
 #[derive(Debug)]
 struct Csv {
     path: PathBuf,
-    /// Bytes of whole rows.
+    /// Bytes of complete rows.
     whole: u64,
     /// `None` after a refusal.
     file: Option<Growing>,
@@ -50,7 +50,7 @@ struct Csv {
 }
 
 impl SolutionLog {
-    /// A log under an archive's root; its file is made with the first row and never stands in place of another.
+    /// A log under an archive's root; its file is made with the first row and never replaces another.
     pub fn new(disk: Arc<dyn Disk>, root: &Path, start: Timestamp) -> Self {
         let columns = LoggedRow::csv_columns().into_iter().map(str::to_owned);
         Self(Log::new(disk, root, "solutions", columns.collect(), start))
@@ -59,7 +59,7 @@ impl SolutionLog {
     /// Adds a row.
     ///
     /// # Errors
-    /// Where the disk refuses; the row is then not in the log, and may be tried again.
+    /// If the disk refuses; the row is then not in the log, and may be tried again.
     pub fn append(&mut self, row: &LoggedRow) -> Result<(), ArchiveError> {
         self.0.append(&row.csv_fields())
     }
@@ -71,7 +71,7 @@ impl SolutionLog {
 }
 
 impl Log {
-    /// A log of these columns under an archive's root; its file never stands in place of another.
+    /// A log with these columns under an archive's root; its file never replaces another.
     pub fn new(
         disk: Arc<dyn Disk>,
         root: &Path,
@@ -92,7 +92,7 @@ impl Log {
     /// Adds a row with a field for each column.
     ///
     /// # Errors
-    /// Where the disk refuses; the row is then not in the log, and may be tried again.
+    /// If the disk refuses; the row is then not in the log, and may be tried again.
     pub fn append(&mut self, fields: &[String]) -> Result<(), ArchiveError> {
         let outcome = self.try_append(fields);
         if outcome.is_err() {
@@ -131,7 +131,7 @@ impl Log {
         csv.append(&self.columns, fields)
     }
 
-    /// Opens the file of before; drops it if it is no longer whole.
+    /// Opens the previous file; drops it if it is no longer complete.
     fn reopen(&mut self) {
         if let Some(csv) = &mut self.csv
             && csv.file.is_none()
@@ -162,7 +162,7 @@ impl Csv {
         self.whole = file.whole();
         if self.synced.elapsed() >= SYNC_EVERY {
             self.synced = Instant::now();
-            // The row is in the file: what a disk says here concerns the whole file, and shows again in the next row.
+            // The row is in the file: an error here concerns the whole file, and appears again with the next row.
             if file.sync().is_err() {
                 self.file = None;
             }
@@ -171,8 +171,8 @@ impl Csv {
     }
 }
 
-/// Makes `<what>_<start><ending>` in the folder, or, where that stands, `<what>_<start>_2<ending>` and so on. `make`
-/// must refuse what exists.
+/// Makes `<what>_<start><ending>` in the folder, or, if that exists, `<what>_<start>_2<ending>` and so on. `make`
+/// must refuse existing names.
 pub(super) fn make_new<T>(
     folder: &Path,
     what: &str,

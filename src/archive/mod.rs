@@ -1,8 +1,8 @@
-//! How a frame survives: a name that sorts by time, and a file that is whole or absent; and beside the files every
-//! frame's numbers, as a log and as telemetry.
+//! Storage of frames: a name that sorts by time, and a file that is complete or absent; and beside the files the numbers of every
+//! frame, as a log and as telemetry.
 //!
-//! Which values of a solution fill which keywords, columns and fields is decided in one place, [`record`](crate::record); the world
-//! coordinates of the pixels are made in [`Helioprojection`]. An archive is read through [`ArchiveReader`], from a folder or an object store.
+//! The assignment of a solution's values to keywords, columns and fields is defined in one place, [`record`](crate::record); the world
+//! coordinates of the pixels are computed in [`Helioprojection`]. An archive is read through [`ArchiveReader`], from a folder or an object store.
 
 pub mod check;
 mod coordinates;

@@ -1,10 +1,10 @@
-//! The names of archived frames: they sort by time, and a folder holds an hour.
+//! The names of archived frames: they sort by time, and each folder covers an hour.
 
 use crate::instrument::Role;
 use jiff::Timestamp;
 use std::path::{Path, PathBuf};
 
-/// The role and the ordinal (from 1) of the camera of which a file is, by its name; `None` of a camera that an instrument names.
+/// The role and the ordinal (from 1) of the camera to which a file belongs, by its name; `None` if an instrument names the camera.
 pub fn role_of(path: &Path) -> Option<(Role, usize)> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let (camera, _) = stem.split_once('_')?;
@@ -15,12 +15,12 @@ pub fn role_of(path: &Path) -> Option<(Role, usize)> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NameTime {
     MidExposure(Timestamp),
-    /// The frame has no time: when it was written instead. It goes to a folder of its own, so that nobody takes
-    /// this for the time of the exposure.
+    /// Time of writing, because the frame has no time. Such a frame goes to a folder of its own, so that this is not mistaken for the time of the
+    /// exposure.
     Written(Timestamp),
 }
 
-/// Where a frame goes under the archive's root:
+/// Path of a frame under the archive's root:
 /// `20130921T18/heroes-pyas-f_20130921T180000.250_00000042.fits`, or `undated/...` without a time. A frame without
 /// a number has none in its name. Times are UTC.
 pub fn name(instrument: &str, time: NameTime, number: Option<u64>) -> PathBuf {
@@ -34,8 +34,8 @@ pub fn name(instrument: &str, time: NameTime, number: Option<u64>) -> PathBuf {
     PathBuf::from(folder).join(format!("{instrument}_{instant}{number}.fits"))
 }
 
-/// The name of an instrument without what means something to a shell, a file system or the parts of a file's name: what folders
-/// and files are named by.
+/// The name of an instrument without characters that have a meaning for a shell, a file system or the parts of a file's name: it is used in the names
+/// of folders and files.
 pub fn plain(instrument: &str) -> String {
     let kept = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
     match instrument {

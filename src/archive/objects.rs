@@ -1,7 +1,7 @@
-//! An archive under a prefix of an object store: S3, Google Cloud Storage, Azure, or a folder as the same interface shows it.
+//! An archive under a prefix of an object store: S3, Google Cloud Storage, Azure, or a folder through the same interface.
 //!
-//! `object_store` retries requests that fail for the moment, and continues a body that was cut off; a page of a list that was cut off it
-//! does not. It is asynchronous; each of our threads waits for its own request.
+//! `object_store` retries requests that fail temporarily, and continues an interrupted body, but not an interrupted page of a list.
+//! It is asynchronous; each of our threads waits for its own request.
 
 use super::check::{TreeError, is_fits, is_flown, is_navigation};
 use super::storage::{Listing, Storage, StoredFile};
@@ -31,7 +31,7 @@ use url::Url;
 
 /// Folders that are listed at the same time. A list comes in pages of 1000 objects, one after another.
 const LISTS_AT_ONCE: usize = 16;
-/// With a random wait of up to three times the last one, these bridge about a minute without an answer.
+/// With a random wait of up to three times the previous one, these retries bridge about one minute without an answer.
 const RETRIES: RetryConfig = RetryConfig {
     backoff: BackoffConfig {
         init_backoff: Duration::from_millis(500),
@@ -41,7 +41,7 @@ const RETRIES: RetryConfig = RetryConfig {
     max_retries: 20,
     retry_timeout: Duration::from_secs(60),
 };
-/// Servers answer with whole pages.
+/// Longest error text that is kept: servers answer with whole pages.
 const LONGEST_ERROR: usize = 300;
 
 #[derive(Debug)]
@@ -61,10 +61,10 @@ enum Store {
 }
 
 impl Objects {
-    /// The objects under a URL, with credentials and server of the environment.
+    /// The objects under a URL, with credentials and server from the environment.
     ///
     /// # Errors
-    /// A URL of no object store that is known, or credentials that are none.
+    /// If the URL is of no known object store, or the credentials are invalid.
     pub fn open(url: &str) -> Result<Self, TreeError> {
         let error = |found: String| {
             let expected = "the URL of an object store, such as s3://bucket/flight";
@@ -103,7 +103,7 @@ impl Objects {
         Ok(objects)
     }
 
-    /// Relative to the archive; none of the object of the prefix itself, and none of hidden files.
+    /// Path relative to the archive; `None` for the object of the prefix itself, and for hidden files.
     fn relative(&self, object: &ObjectMeta) -> Option<String> {
         let parts = object.location.prefix_match(&self.prefix)?;
         let parts: Vec<String> = parts.map(|part| part.as_ref().to_owned()).collect();
@@ -182,7 +182,7 @@ impl Storage for Objects {
 }
 
 impl Store {
-    /// The store of a URL, with credentials and server of the environment.
+    /// The store of a URL, with credentials and server from the environment.
     fn open(scheme: &ObjectStoreScheme, url: &str) -> object_store::Result<Self> {
         Ok(match scheme {
             ObjectStoreScheme::AmazonS3 => {
@@ -216,7 +216,7 @@ impl Store {
         }
     }
 
-    /// Lists by pages; a folder has none.
+    /// The interface for lists by pages; `None` for a folder.
     fn lists(&self) -> Option<&dyn PaginatedListStore> {
         match self {
             Self::S3(store) => Some(store),
@@ -227,7 +227,7 @@ impl Store {
     }
 }
 
-/// All objects whose names begin with a prefix; with a delimiter those of its folder, and the folders in it.
+/// All objects whose names begin with a prefix; with a delimiter, those of its folder, and its subfolders.
 async fn list_pages(
     store: &dyn PaginatedListStore,
     prefix: String,
@@ -249,7 +249,7 @@ async fn list_pages(
     }
 }
 
-/// Asks again for a page that was cut off, for as long as a request is repeated.
+/// Requests an interrupted page again, for as long as a request is repeated.
 async fn list_page(
     store: &dyn PaginatedListStore,
     prefix: &str,
@@ -268,7 +268,7 @@ async fn list_page(
     }
 }
 
-/// Whether the connection failed, not the storage refused.
+/// Whether the connection failed, rather than the storage refusing.
 fn is_cut_off(error: &object_store::Error) -> bool {
     let mut causes = iter::successors(error.source(), |&cause| cause.source());
     causes.any(|cause| cause.is::<HttpError>())

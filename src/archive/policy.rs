@@ -1,24 +1,24 @@
 //! Rules of the archive for two disks, for a disk that cannot follow, and for one that fills up.
 
-/// How two disks share the work.
+/// Division of the frames between two disks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Sharing {
-    /// Each frame goes to one of them, in turn; one alone takes all.
+    /// Each frame goes to one of them, in turn; if only one works, it takes all.
     #[default]
     Alternate,
     /// Each frame goes to both.
     Mirror,
 }
 
-/// Which pictures are given up when the disks cannot follow. Rows of the log never are.
+/// Rule for the pictures that are given up when the disks cannot follow. Rows of the log never are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Overflow {
-    /// The one that has waited longest.
+    /// The picture that has waited longest.
     #[default]
     DropOldest,
-    /// From then on until none waits any more, all but every n-th.
+    /// All except every n-th, from then on until none waits any more.
     EveryNth,
-    /// From then on until none waits any more, all.
+    /// All, from then on until none waits any more.
     SolutionsOnly,
 }
 
@@ -27,7 +27,7 @@ macro_rules! named {
         impl $kind {
             /// Every kind.
             pub const KINDS: &[Self] = &[$(Self::$variant),+];
-            /// The names of the kinds, as the configuration gives them.
+            /// The names of the kinds in the configuration.
             pub const NAMES: &[&'static str] = &[$($name),+];
 
             /// The name of the kind.
@@ -48,7 +48,7 @@ named!(
     SolutionsOnly = "solutions_only"
 );
 
-/// How much free space calls for what, in percent of the disk.
+/// Limits of the free space, in percent of the disk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpaceLimits {
     pub warn_percent: f64,
@@ -57,7 +57,7 @@ pub struct SpaceLimits {
 }
 
 impl SpaceLimits {
-    /// State of a disk with so much free space.
+    /// State of a disk with this much free space.
     pub fn free_space(&self, free_percent: f64) -> FreeSpace {
         if free_percent < self.stop_percent {
             FreeSpace::None
@@ -71,14 +71,14 @@ impl SpaceLimits {
     }
 }
 
-/// How much free space a disk has, the least first.
+/// State of a disk's free space, from least to most.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub enum FreeSpace {
-    /// For no pictures any more; the rest is for the logs.
+    /// Too little for pictures; the rest is for the logs.
     None,
-    /// For every n-th picture.
+    /// Enough for every n-th picture.
     Scarce,
-    /// For all, with a warning.
+    /// Enough for all pictures, with a warning.
     Low,
     #[default]
     Plenty,

@@ -1,4 +1,4 @@
-//! An archive that is read: a folder of this machine, or, with the feature `object-store`, objects under a prefix of an object store.
+//! Reading of an archive: from a folder of this computer, or, with the feature `object-store`, from objects under a prefix of an object store.
 
 use super::check::TreeError;
 use super::flown::{FlownFile, FlownFiles};
@@ -13,10 +13,10 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// An object store that fails to answer so many requests in a row, each after its retries, is lost.
+/// Number of successive requests, each with its retries, after whose failure an object store is lost.
 const MOST_FAILURES: usize = 16;
 
-/// An archive that is read. Notes which of its files could not be read for now.
+/// An archive for reading. It records which of its files temporarily could not be read.
 #[derive(Debug)]
 pub struct ArchiveReader {
     name: PathBuf,
@@ -26,10 +26,10 @@ pub struct ArchiveReader {
 }
 
 impl ArchiveReader {
-    /// An archive by its folder, or by its URL, as `s3://bucket/flight`. Files under `results` are not of a folder.
+    /// An archive by its folder, or by its URL, such as `s3://bucket/flight`. Files of a folder under `results` do not belong to it.
     ///
     /// # Errors
-    /// A URL that is none of an object store; any URL, where the program is built without the feature `object-store`.
+    /// If a URL is of no object store; for any URL, if the program is built without the feature `object-store`.
     pub fn open(archive: &Path, results: &Path) -> Result<Self, TreeError> {
         let storage: Box<dyn Storage> = match url(archive) {
             Some(url) => at_url(archive, url)?,
@@ -53,10 +53,10 @@ impl ArchiveReader {
         url(&self.name).is_some()
     }
 
-    /// Lists the archive's files. Folders within that cannot be listed count as files that could not be read.
+    /// Lists the archive's files. Subfolders that cannot be listed count as files that could not be read.
     ///
     /// # Errors
-    /// An archive that cannot be listed or holds no frames.
+    /// If the archive cannot be listed or holds no frames.
     pub fn list(&self) -> Result<Listing, TreeError> {
         let mut listing = self.storage.list()?;
         let path = |file: &StoredFile| PathBuf::from(&file.file);
@@ -72,14 +72,14 @@ impl ArchiveReader {
     /// Reads a FITS file.
     ///
     /// # Errors
-    /// A file that cannot be read, or is no whole FITS file.
+    /// If the file cannot be read, or is no complete FITS file.
     pub fn open_file(&self, file: &str) -> Result<FitsFile, FileError> {
         let path = self.name.join(file);
         let bytes = self.noted(file, || self.storage.read(file));
         FitsFile::of(&path, bytes.map_err(|problem| problem.in_file(&path))?)
     }
 
-    /// How a frame was taken, and its keywords; reads no more than the start of its file, where that holds its headers.
+    /// Exposure data and keywords of a frame; reads only the start of its file, if that holds its headers.
     ///
     /// # Errors
     /// As [`fits::read_info`].
@@ -93,7 +93,7 @@ impl ArchiveReader {
     /// Reads a text file: its path for messages, and its text.
     ///
     /// # Errors
-    /// A file that cannot be read or is no text.
+    /// If the file cannot be read or is no text.
     pub fn text(&self, file: &str) -> Result<(PathBuf, String), TomlError> {
         let path = self.name.join(file);
         let refused = |found: String| TomlError::new(&path, "", "a readable text file", found);
@@ -106,7 +106,7 @@ impl ArchiveReader {
     /// Reads configurations and instruments.
     ///
     /// # Errors
-    /// The first that cannot be read.
+    /// The error of the first file that cannot be read.
     pub fn flown(&self, files: &[String]) -> Result<FlownFiles, TomlError> {
         let file = |file: &String| {
             let (path, text) = self.text(file)?;
@@ -120,12 +120,12 @@ impl ArchiveReader {
         self.unread().clone()
     }
 
-    /// Whether the object store no longer answers: nothing more is asked of it.
+    /// Whether the object store no longer answers: no more requests are sent to it.
     pub fn is_lost(&self) -> bool {
         self.is_remote() && self.failures_in_a_row.load(Ordering::Relaxed) >= MOST_FAILURES
     }
 
-    /// Result of an attempt to read a file; notes where another one may give something else.
+    /// Passes on the result of an attempt to read a file; records errors after which another attempt may succeed.
     fn noted<T>(
         &self,
         file: &str,
@@ -158,7 +158,7 @@ impl ArchiveReader {
     }
 }
 
-/// The text of a URL; none of a path.
+/// The text of a URL; `None` for a path.
 fn url(archive: &Path) -> Option<&str> {
     archive.to_str().filter(|text| text.contains("://"))
 }
@@ -178,7 +178,7 @@ fn at_url(archive: &Path, _: &str) -> Result<Box<dyn Storage>, TreeError> {
 mod tests {
     use super::*;
 
-    /// Fails as often as asked, and answers then.
+    /// Fails as often as specified, and then answers.
     #[derive(Debug)]
     struct Unsteady {
         failures: AtomicUsize,

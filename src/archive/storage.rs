@@ -1,4 +1,4 @@
-//! Where the files of an archive are kept, and what they are; a folder tree of this machine.
+//! Storage of an archive's files, and their list; a folder tree of this computer.
 
 use super::check::{BadFile, Tree, TreeError};
 use crate::fits::{self, Problem};
@@ -8,13 +8,13 @@ use std::fmt::Debug;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-/// A frame's file, as its storage lists it. A file that has another size or time since is another file.
+/// A frame's file as listed by its storage. A file whose size or time has changed is another file.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct StoredFile {
-    /// Relative to the archive, with `/` between folders.
+    /// Path relative to the archive, with `/` between folders.
     pub file: String,
     pub bytes: u64,
-    /// When the file was last written, ns since 1970.
+    /// Time of the last change of the file, ns since 1970.
     pub written_ns: i64,
 }
 
@@ -26,22 +26,22 @@ pub struct Listing {
     pub flown: Vec<String>,
     /// Settings of the navigation, `navigation_*.toml`, in the archive's root.
     pub navigation: Vec<String>,
-    /// Folders that could not be listed, and why.
+    /// Folders that could not be listed, with the reasons.
     pub unlisted: Vec<BadFile>,
 }
 
-/// Where the files of an archive are kept. All names are relative to it.
+/// Storage of an archive's files. All names are relative to it.
 pub(super) trait Storage: Debug + Send + Sync {
     /// Lists the files, in any order.
     ///
     /// # Errors
-    /// A storage that cannot be listed or holds no frames.
+    /// If the storage cannot be listed or holds no frames.
     fn list(&self) -> Result<Listing, TreeError>;
 
     /// The bytes of a file.
     ///
     /// # Errors
-    /// [`Problem::Io`] where another attempt may succeed.
+    /// [`Problem::Io`] if another attempt may succeed.
     fn read(&self, file: &str) -> Result<Vec<u8>, Problem>;
 
     /// The first [`fits::START_BYTES`] of a file.
@@ -55,12 +55,12 @@ pub(super) trait Storage: Debug + Send + Sync {
 #[derive(Debug)]
 pub(super) struct Folder {
     root: PathBuf,
-    /// A folder within it whose files are not the archive's.
+    /// A subfolder whose files do not belong to the archive.
     results: Option<PathBuf>,
 }
 
 impl Folder {
-    /// Files under `results` are not of the archive.
+    /// Files under `results` do not belong to the archive.
     pub fn new(root: &Path, results: &Path) -> Self {
         let full = |path: &Path| path.canonicalize().ok();
         let nested = full(root).zip(full(results));

@@ -1,9 +1,9 @@
-//! Writing to the archive's disk: a file is there whole, or it is not there.
+//! Writing to the archive's disk: a file is complete or absent.
 //!
-//! A frame is encoded in memory, written under a temporary name in its own folder, brought to the disk (fsync),
-//! and only then given its name, without replacing what may stand there; then the folder is brought to the disk too.
-//! A power cut at any moment leaves whole files and at most a temporary, which begins with a dot, does not end in
-//! `.fits`, and is swept away when the store is next opened. In a folder that was no archive before, nothing is swept.
+//! A frame is encoded in memory, written under a temporary name in its own folder, synced to the disk (fsync),
+//! and only then renamed, without replacing an existing file; then the folder is synced too.
+//! A power cut at any moment leaves complete files and at most a temporary one, which begins with a dot, does not end in
+//! `.fits`, and is removed when the store is next opened. In a folder that was no archive before, nothing is removed.
 
 use super::disk::{Absent, Disk, Entry, EntryKind, LocalDisk, Lock, Space};
 use super::name::{NameTime, name};
@@ -20,42 +20,42 @@ use std::time::Duration;
 /// Ending of the name of a file that is being written; it begins with a dot.
 pub const UNFINISHED: &str = ".part";
 
-/// The file at an archive's root that distinguishes an archive's disk from the empty folder it is mounted on.
+/// The file at an archive's root that distinguishes an archive's disk from an empty mount point.
 pub const MARK: &str = "archive.lock";
 
-/// Frames with the same instrument, time and number that one folder takes.
+/// Largest number of frames with the same instrument, time and number in one folder.
 const MOST_NAMESAKES: u32 = 1000;
 
-/// Why the archive could not do its work.
+/// Reason why an operation of the archive failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ArchiveError {
-    /// The operating system refused; a full disk, for one.
+    /// The operating system refused, for example because the disk is full.
     #[error("{}: expected to {action}, found \"{cause}\"", .path.display())]
     Io {
         path: PathBuf,
         action: &'static str,
         cause: io::Error,
     },
-    /// The frame or its keywords do not make a FITS file.
+    /// The frame or its keywords cannot be written as a FITS file.
     #[error(transparent)]
     File(#[from] FileError),
     /// Far too many frames have the same name.
     #[error("{}: expected fewer than {MOST_NAMESAKES} frames of that name, found more", .path.display())]
     Namesakes { path: PathBuf },
-    /// A folder or file that would not be under the archive's root.
+    /// A folder or file whose path is not under the archive's root.
     #[error("{}: expected a path that stays under the archive's folder, found one that leaves it", .path.display())]
     Outside { path: PathBuf },
 }
 
 impl ArchiveError {
-    /// Whether another program has what was asked for.
+    /// Whether another program holds the file.
     fn is_busy(&self) -> bool {
         matches!(self, Self::Io { cause, .. } if cause.kind() == ErrorKind::ResourceBusy)
     }
 }
 
-/// Says, of a failed operation, what it was and on which path.
+/// Adds to the error of a failed operation its name and path.
 pub(super) trait During<T> {
     fn during(self, action: &'static str, path: &Path) -> Result<T, ArchiveError>;
 }
@@ -81,21 +81,21 @@ pub struct Store {
     root: PathBuf,
     instrument: String,
     packing: Packing,
-    /// Held while this program writes to the archive.
+    /// Present while this program writes to the archive.
     claim: Mutex<Option<Claim>>,
-    /// How often the disk was taken, and unfinished files that were removed: read while the claim waits for the disk.
+    /// Number of times that the disk was taken; readable while the claim waits for the disk.
     visits: AtomicU64,
     swept: AtomicUsize,
     flight_files: Mutex<Vec<FlightFile>>,
 }
 
-/// The archive is this program's.
+/// This program's claim on the archive.
 #[derive(Debug)]
 struct Claim {
     lock: Lock,
-    /// Whether it began with this claim: other files there are not ours.
+    /// Whether the archive was new with this claim: other files there are then not ours.
     is_new: bool,
-    /// Whether it has been cleaned of what an earlier run left unfinished.
+    /// Whether unfinished files of an earlier run have been removed.
     is_prepared: bool,
 }
 
@@ -103,13 +103,13 @@ struct Claim {
 #[derive(Debug)]
 struct FlightFile {
     file: Encoded,
-    /// The disk's visit in which it was put there; none where the name may be another file's.
+    /// The disk's visit in which it was put there; `None` if the name may belong to another file.
     visit: Option<u64>,
 }
 
 impl Store {
-    /// A store on a disk that is not opened yet. The folder that holds the archive's must be there when it is opened:
-    /// where a disk is not mounted, its mount point must not be made.
+    /// A store on a disk that is not opened yet. The parent folder of the archive's must exist when it is opened:
+    /// if a disk is not mounted, its mount point must not be made.
     pub fn new(
         disk: Arc<dyn Disk>,
         root: &Path,
@@ -128,11 +128,11 @@ impl Store {
         }
     }
 
-    /// Opens the archive at `root`, makes the folder and those above it if need be, and removes files that an earlier run
-    /// left unfinished.
+    /// Opens the archive at `root`, makes the folder and its parents if need be, and removes unfinished files of an earlier
+    /// run.
     ///
     /// # Errors
-    /// Where the folder cannot be made or listed, a file in it not removed, or where another program writes to it.
+    /// If the folder cannot be made or listed, a file in it cannot be removed, or another program writes to it.
     pub fn open(
         root: &Path,
         instrument: &str,
@@ -160,17 +160,17 @@ impl Store {
         Ok(store)
     }
 
-    /// Gives the archive files that stand in it before any frame does, again where the disk has lost them. Where another file
-    /// bears the name already, they get `_2` and so on.
+    /// Adds files that the archive stores before any frame, and again if the disk has lost them. If another file
+    /// has the name already, they get `_2` and so on.
     pub fn add_flight_files(&self, files: impl IntoIterator<Item = Encoded>) {
         let file = |file| FlightFile { file, visit: None };
         self.flight_files().extend(files.into_iter().map(file));
     }
 
-    /// Brings to the disk what it lacks of the files that were added.
+    /// Writes those of the added files that the disk lacks.
     ///
     /// # Errors
-    /// Where the disk refuses.
+    /// If the disk refuses.
     pub fn put_flight_files(&self) -> Result<(), ArchiveError> {
         let visit = Some(self.visits());
         let mut files = self.flight_files();
@@ -191,11 +191,11 @@ impl Store {
         files.unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Makes ready for writing, as [`open`](Self::open) does except for the folders above, if that has not been done; else checks
-    /// whether the disk is still there, and locks it again where it was mounted again.
+    /// Prepares for writing, as [`open`](Self::open) does except for the parent folders, if that has not been done; else checks
+    /// that the disk is still present, and locks it again if it was mounted again.
     ///
     /// # Errors
-    /// As `open`; where the folder above is not there; and where the disk has gone, or an empty folder stands in its place.
+    /// As `open`; if the parent folder does not exist; and if the disk has gone, or an empty folder is in its place.
     pub fn prepare(&self) -> Result<(), ArchiveError> {
         let mut claim = self.claim();
         let mark = self.root.join(MARK);
@@ -224,7 +224,7 @@ impl Store {
         self.claim.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A disk that was there may go until it is locked; then no mark is made in its place.
+    /// Handling of a missing mark at the first visit: a disk that was present may go before it is locked; then no mark is made in its place.
     fn first_visit(&self) -> Absent {
         match self.visits() {
             0 => Absent::Made,
@@ -232,11 +232,11 @@ impl Store {
         }
     }
 
-    /// Takes the archive for this program alone before a flight begins, and leaves all else to [`prepare`](Self::prepare). A disk that is
-    /// not there, refuses, or does not answer within `limit` is no error: it may come later.
+    /// Claims the archive for this program alone before a flight begins, and leaves all else to [`prepare`](Self::prepare). A disk that is
+    /// missing, refuses, or does not answer within `limit` is no error: it may come later.
     ///
     /// # Errors
-    /// Another program writes to the archive.
+    /// If another program writes to the archive.
     pub fn claim_within(&self, limit: Duration) -> Result<(), ArchiveError> {
         let (disk, root, absent) = (self.disk(), self.root.clone(), self.first_visit());
         match within(limit, move || take(disk.as_ref(), &root, absent)) {
@@ -249,7 +249,7 @@ impl Store {
         }
     }
 
-    /// How often the disk was taken. Files that were opened before the last time are of no use.
+    /// Number of times that the disk was taken. Files opened before the last time are useless.
     pub fn visits(&self) -> u64 {
         self.visits.load(Ordering::Acquire)
     }
@@ -259,10 +259,10 @@ impl Store {
         Arc::clone(&self.disk)
     }
 
-    /// Whether the disk is there: where it is not, nothing may be written in its place.
+    /// Checks that the disk is present: if it is not, nothing may be written in its place.
     ///
     /// # Errors
-    /// Where it has gone.
+    /// If it has gone.
     pub fn present(&self) -> Result<(), ArchiveError> {
         let mark = self.root.join(MARK);
         match self.disk.exists(&mark) {
@@ -273,7 +273,7 @@ impl Store {
         }
     }
 
-    /// How many unfinished files of an earlier run were removed.
+    /// Number of unfinished files of an earlier run that were removed.
     pub fn swept(&self) -> usize {
         self.swept.load(Ordering::Relaxed)
     }
@@ -282,21 +282,21 @@ impl Store {
         &self.root
     }
 
-    /// How much the disk may yet take.
+    /// Free space of the disk.
     ///
     /// # Errors
-    /// Where the disk does not say.
+    /// If the disk does not report it.
     pub fn space(&self) -> Result<Space, ArchiveError> {
         self.disk
             .space(&self.root)
             .during("read the disk's free space", &self.root)
     }
 
-    /// Archives a frame with further keywords and tables, and returns the file it is in. When this returns, the
+    /// Archives a frame with further keywords and tables, and returns its file. When this returns, the
     /// file is on the disk.
     ///
     /// # Errors
-    /// Where the frame cannot be encoded (see [`write_frame`](crate::fits::write_frame)) or the disk refuses; then
+    /// If the frame cannot be encoded (see [`write_frame`](crate::fits::write_frame)) or the disk refuses; then
     /// no file is left.
     pub fn write(
         &self,
@@ -311,7 +311,7 @@ impl Store {
     /// the root, for one camera of several; empty for the root itself.
     ///
     /// # Errors
-    /// Where the disk has gone, or the frame cannot be encoded.
+    /// If the disk has gone, or the frame cannot be encoded.
     pub fn encode(
         &self,
         folder: &Path,
@@ -336,18 +336,18 @@ impl Store {
         Ok(Encoded { name, bytes })
     }
 
-    /// The second half of [`write`](Self::write): brings the file to the disk. Another store's encoded frame will
-    /// do, unless its name is taken here ([`has`](Self::has)).
+    /// The second half of [`write`](Self::write): writes the file to the disk. A frame encoded by another store may be
+    /// used, unless its name exists here ([`has`](Self::has)).
     ///
     /// # Errors
-    /// Where the disk refuses; then no file is left.
+    /// If the disk refuses; then no file is left.
     pub fn put(&self, encoded: &Encoded) -> Result<PathBuf, ArchiveError> {
         self.prepare()?;
         self.put_flight_files()?;
         self.place(encoded)
     }
 
-    /// As [`put`](Self::put), on a disk that is taken.
+    /// As [`put`](Self::put), on a disk that has been taken.
     fn place(&self, encoded: &Encoded) -> Result<PathBuf, ArchiveError> {
         let path = self.root.join(&encoded.name);
         let folder = path.parent().unwrap_or(&self.root);
@@ -361,7 +361,7 @@ impl Store {
                     .during("name the file", &path)
             });
         if named.is_err() {
-            // What cannot be removed now is swept away at the next start.
+            // If it cannot be removed now, the next start removes it.
             let _ = self.disk.remove(&unfinished);
         }
         named?;
@@ -369,15 +369,15 @@ impl Store {
         Ok(path)
     }
 
-    /// Whether a file of that name is here.
+    /// Whether a file of that name exists.
     pub fn has(&self, name: &Path) -> bool {
         self.disk.exists(&self.root.join(name))
     }
 
-    /// Makes a folder under the root if need be, when the disk is there.
+    /// Makes a folder under the root if need be, if the disk is present.
     ///
     /// # Errors
-    /// As [`prepare`](Self::prepare), where the folder cannot be made, or is not under the root.
+    /// As [`prepare`](Self::prepare); if the folder cannot be made, or is not under the root.
     pub fn enter(&self, folder: &Path) -> Result<(), ArchiveError> {
         self.prepare()?;
         self.make_folders(folder)
@@ -421,7 +421,7 @@ impl Store {
         sync_folder(self.disk.as_ref(), folder)
     }
 
-    /// The name itself, or with the first counter under which no file stands. One program writes to an archive, so
+    /// The name itself, or the name with the first counter that is free. Only one program writes to an archive, so
     /// the name stays free.
     fn free_name(&self, name: &Path) -> Result<PathBuf, ArchiveError> {
         (1..=MOST_NAMESAKES)
@@ -432,7 +432,7 @@ impl Store {
             })
     }
 
-    /// Removes unfinished files from the root and all folders under it, and counts them.
+    /// Removes unfinished files from the root and all its subfolders, and counts them.
     fn sweep(&self) -> Result<usize, ArchiveError> {
         let mut swept = 0;
         let mut folders = vec![self.root.clone()];
@@ -455,7 +455,7 @@ impl Store {
     }
 }
 
-/// Locks the mark of the archive at `root`; where none was ever seen, the folder and its mark are made.
+/// Locks the mark of the archive at `root`; if `absent` allows it, makes the folder and its mark.
 fn take(disk: &dyn Disk, root: &Path, absent: Absent) -> Result<Claim, ArchiveError> {
     if absent == Absent::Made {
         make_folder_in_place(disk, root)?;
@@ -482,7 +482,7 @@ fn take(disk: &dyn Disk, root: &Path, absent: Absent) -> Result<Claim, ArchiveEr
     }
 }
 
-/// Makes the archive's folder if need be, in one that is there.
+/// Makes the archive's folder if need be, in an existing one.
 fn make_folder_in_place(disk: &dyn Disk, root: &Path) -> Result<(), ArchiveError> {
     if disk.exists(root) {
         return Ok(());
@@ -505,14 +505,14 @@ fn sync_folder(disk: &dyn Disk, folder: &Path) -> Result<(), ArchiveError> {
         .during("bring the folder to the disk", folder)
 }
 
-/// A file's bytes, and its place under the root.
+/// A file's bytes, and its path under the root.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Encoded {
     pub name: PathBuf,
     pub bytes: Vec<u8>,
 }
 
-/// The n-th file of a name: `a.fits`, `a_2.fits`, `a_3.fits` ...
+/// The n-th file with the same name: `a.fits`, `a_2.fits`, `a_3.fits` ...
 fn namesake(path: &Path, n: u32) -> PathBuf {
     if n == 1 {
         return path.into();

@@ -6,7 +6,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A folder that is no archive.
+/// Error: a folder is no archive.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: expected {expected}, found {found}", .path.display())]
 pub struct TreeError {
@@ -32,7 +32,7 @@ impl TreeError {
 /// The files under a folder and its folders, except folders whose names begin with a dot.
 #[derive(Debug, Default)]
 pub struct Tree {
-    /// Those whose names end in `.fits`, by path.
+    /// Files whose names end in `.fits`, by path.
     pub files: Vec<PathBuf>,
     /// Solution logs, by path.
     pub logs: Vec<PathBuf>,
@@ -40,9 +40,9 @@ pub struct Tree {
     pub flown: Vec<PathBuf>,
     /// Settings of the navigation, by path.
     pub navigation: Vec<PathBuf>,
-    /// How many names are those of partial files.
+    /// Number of unfinished files, by their names.
     pub unfinished: usize,
-    /// Folders within that could not be listed, and why.
+    /// Subfolders that could not be listed, with the reasons.
     pub unlisted: Vec<BadFile>,
 }
 
@@ -50,15 +50,15 @@ impl Tree {
     /// Checks a folder.
     ///
     /// # Errors
-    /// A folder that is missing, cannot be listed or has no `.fits` file.
+    /// If the folder is missing, cannot be listed or has no `.fits` file.
     pub fn of(root: &Path) -> Result<Self, TreeError> {
         Self::of_all(&[root])
     }
 
-    /// Checks several folders, as those of an archive on two disks.
+    /// Checks several folders, such as those of an archive on two disks.
     ///
     /// # Errors
-    /// One that is missing or cannot be listed; where none has a `.fits` file.
+    /// If one is missing or cannot be listed, or none has a `.fits` file.
     pub fn of_all(roots: &[impl AsRef<Path>]) -> Result<Self, TreeError> {
         let mut tree = Self::default();
         let mut folders = Vec::new();
@@ -98,7 +98,7 @@ impl Tree {
             let entry = entry?;
             let path = entry.path();
             let hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
-            // Of the link itself: a link to a folder may lead back here.
+            // The type of the link itself: a link to a folder may lead back here.
             match (entry.file_type()?.is_dir(), hidden) {
                 (true, true) => {}
                 (true, false) => folders.push(path),
@@ -114,14 +114,14 @@ impl Tree {
     }
 }
 
-/// Of a name that begins with a dot.
+/// Whether a name that begins with a dot is that of an unfinished file.
 fn is_unfinished(path: &Path) -> bool {
     path.as_os_str()
         .as_encoded_bytes()
         .ends_with(UNFINISHED.as_bytes())
 }
 
-/// Settings of the navigation.
+/// Whether the file holds settings of the navigation.
 pub(in crate::archive) fn is_navigation(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     name.starts_with("navigation_") && name.ends_with(".toml")
@@ -141,10 +141,10 @@ pub(in crate::archive) fn is_fits(path: &Path) -> bool {
         .is_some_and(|end| end.eq_ignore_ascii_case("fits"))
 }
 
-/// Files as they are named, and for each folder the files in it.
+/// The named files, and for each named folder the files in it.
 ///
 /// # Errors
-/// A folder that [`Tree::of`] refuses, or one within that cannot be listed.
+/// If [`Tree::of`] refuses a folder, or a subfolder cannot be listed.
 pub fn frames_of(paths: &[PathBuf]) -> Result<Vec<PathBuf>, TreeError> {
     let mut files = Vec::new();
     for path in paths {

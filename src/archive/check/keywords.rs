@@ -1,4 +1,4 @@
-//! The keywords of archived frames: of the right kind, as a line of a list, as a row of a table.
+//! The keywords of archived frames: check of their types, a line of a list, and a row of a table.
 
 use super::field;
 use crate::archive::keywords;
@@ -10,7 +10,7 @@ use jiff::tz::TimeZone;
 use serde::Serialize;
 use std::path::Path;
 
-/// Checks that each keyword of the table has a value of its kind.
+/// Checks that each keyword of the table has a value of its type.
 fn check_kinds(header: &Header) -> Result<(), Problem> {
     let known = header
         .iter()
@@ -33,13 +33,13 @@ fn check_kinds(header: &Header) -> Result<(), Problem> {
     Ok(())
 }
 
-/// A time as FITS writes it, UTC.
+/// A time in the form of FITS, UTC.
 fn time(text: &str) -> Option<Timestamp> {
     let civil: DateTime = text.strip_suffix('Z').unwrap_or(text).parse().ok()?;
     TimeZone::UTC.to_timestamp(civil).ok()
 }
 
-/// The keywords of a file, each of its kind.
+/// The keywords of a file, with their types checked.
 pub(super) fn checked(file: &FitsFile) -> Result<Header, FileError> {
     let header = file.keywords()?;
     match check_kinds(&header) {
@@ -48,7 +48,7 @@ pub(super) fn checked(file: &FitsFile) -> Result<Header, FileError> {
     }
 }
 
-/// A frame's line in a list of the archive. What the frame does not state is `None`.
+/// A frame's line in a list of the archive. A value that the frame does not state is `None`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct KeywordRow {
     pub file: String,
@@ -64,7 +64,7 @@ impl KeywordRow {
     /// Reads the line from a file's keywords.
     ///
     /// # Errors
-    /// A file that is no FITS file with a picture, or a keyword of another kind than the table states.
+    /// If the file is no FITS file with a picture, or a keyword has another type than the table states.
     pub fn read(path: &Path) -> Result<Self, FileError> {
         let header = checked(&FitsFile::open(path)?)?;
         let text = |name| match header.get(name)? {
@@ -95,13 +95,13 @@ impl KeywordRow {
     }
 }
 
-/// Keywords that belong together: name, value and comment.
+/// Keywords of one group: name, value and comment.
 pub struct Group {
     pub title: &'static str,
     pub cards: Vec<(String, String, String)>,
 }
 
-/// The keywords of a file in the groups of the table, those that the table does not know last.
+/// The keywords of a file in the groups of the table; those that are not in the table come last.
 ///
 /// # Errors
 /// As [`KeywordRow::read`].
@@ -130,7 +130,7 @@ pub fn grouped(file: &FitsFile) -> Result<Vec<Group>, FileError> {
     Ok(groups)
 }
 
-/// The keywords that have columns: all but those about the file itself.
+/// The keywords that have columns: all except those about the file itself.
 fn columns() -> impl Iterator<Item = &'static Keyword> {
     let about_frames = keywords::groups().filter(|(title, _)| *title != "File");
     about_frames.flat_map(|(_, keywords)| keywords)
@@ -148,7 +148,7 @@ pub fn csv_header() -> Vec<String> {
     names
 }
 
-/// A file's row: what it does not state is empty; of a file that cannot be read, only name and error are there.
+/// A file's row: values that it does not state are empty; if the file cannot be read, only name and error are given.
 pub fn csv_row(path: &Path) -> Vec<String> {
     let mut row = vec![path.display().to_string()];
     match FitsFile::open(path).and_then(|file| checked(&file)) {

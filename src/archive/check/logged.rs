@@ -1,8 +1,8 @@
-//! Files that the solution logs name and that are not there.
+//! Files that the solution logs name and that do not exist.
 //!
-//! A log has a row for every frame, with the file it is in and whether that is on the log's own disk. So a file that is missing is
-//! known by its row, whatever its place in the sequence; and with one of two disks that alternate at hand, the frames of the
-//! other are known to be there.
+//! A log has a row for every frame, with its file and whether that is on the log's own disk. So a missing file is
+//! known from its row, whatever its place in the sequence; and if one of two alternating disks is available, the frames of the
+//! other are known to exist.
 
 use super::BadFile;
 use crate::record::LoggedRow;
@@ -13,16 +13,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A file that a log names and that is not there.
+/// A file that a log names and that does not exist.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct MissingFile {
-    /// Where it should be.
+    /// Its expected path.
     pub file: String,
     /// The log that names it.
     pub log: String,
 }
 
-/// A frame whose file is on a disk that is not at hand.
+/// A frame whose file is on a disk that is not available.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Elsewhere {
     pub file: PathBuf,
@@ -30,16 +30,16 @@ pub(super) struct Elsewhere {
     pub number: Option<u64>,
 }
 
-/// Missing files by the logs.
+/// Missing files according to the logs.
 #[derive(Debug, Default)]
 pub(super) struct Absent {
     pub missing: Vec<MissingFile>,
     pub elsewhere: Vec<Elsewhere>,
-    /// Logs that cannot be read, and why.
+    /// Logs that cannot be read, with the reasons.
     pub bad: Vec<BadFile>,
 }
 
-/// A frame's row, as far as it states where the frame is.
+/// The part of a frame's row that locates the frame.
 struct LoggedFrame {
     /// Path under the archive's root.
     file: String,
@@ -48,7 +48,7 @@ struct LoggedFrame {
     number: Option<u64>,
 }
 
-/// Searches for the files that the logs name. Logs of one start on two disks are taken together.
+/// Searches for the files that the logs name. Logs of one start on two disks are combined.
 pub(super) fn find_absent(logs: &[PathBuf]) -> Absent {
     let mut absent = Absent::default();
     let mut starts: BTreeMap<String, Vec<(&Path, Vec<LoggedFrame>)>> = BTreeMap::new();
@@ -95,21 +95,21 @@ fn find_absent_of_a_start(logs: &[(&Path, Vec<LoggedFrame>)], absent: &mut Absen
     }
 }
 
-/// The part of a log's name that the logs of one start share: `solutions_<start>`.
+/// The part of a log's name shared by the logs of one start: `solutions_<start>`.
 fn start(log: &Path) -> String {
     let stem = log.file_stem().unwrap_or_default().to_string_lossy();
     let parts: Vec<&str> = stem.split('_').take(2).collect();
     parts.join("_")
 }
 
-/// The archive's root: each camera of several has a folder of its own under it, with its log.
+/// The archive's root: each of several cameras has a folder of its own under it, with its log.
 fn root_of(log: &Path, file: &str) -> Option<PathBuf> {
     let folder = log.parent()?.canonicalize().ok()?;
     let camera_folders = Path::new(file).components().count().saturating_sub(2);
     folder.ancestors().nth(camera_folders).map(Path::to_owned)
 }
 
-/// The rows that name a file. A power cut may have left a row in part: it is ignored.
+/// The rows that name a file. A row left incomplete by a power cut is ignored.
 fn read(log: &Path) -> io::Result<Vec<LoggedFrame>> {
     let mut reader = ReaderBuilder::new().flexible(true).from_path(log)?;
     let header = StringRecord::from_byte_record_lossy(reader.byte_headers()?.clone());
@@ -120,7 +120,7 @@ fn read(log: &Path) -> io::Result<Vec<LoggedFrame>> {
         let row = StringRecord::from_byte_record_lossy(row?);
         let text = |column: Option<usize>| column.and_then(|column| row.get(column));
         let on_own_disk = match (disk, text(disk)) {
-            // A log from before there was the column.
+            // A log of an earlier version without the column.
             (None, _) | (_, Some(LoggedRow::THIS_DISK)) => true,
             (_, Some(LoggedRow::OTHER_DISK)) => false,
             _ => continue,

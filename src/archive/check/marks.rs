@@ -1,21 +1,21 @@
-//! The table of marks that an archived file carries.
+//! The table of marks in an archived file.
 
 use super::field;
 use crate::fits::{Column, FileError, FitsFile, Problem, Table, Values};
 
-/// A mark as the file has it.
+/// A mark in a file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mark {
     pub id: [i64; 2],
     pub px: [f64; 2],
-    /// Per axis.
+    /// 1 sigma per axis.
     pub sigma_px: f64,
 }
 
-/// The marks of a file, as [`tables`](crate::archive::tables) lays them out; none where it has no such table.
+/// The marks of a file, in the layout of [`tables`](crate::archive::tables); none if it has no such table.
 ///
 /// # Errors
-/// A table of marks without one of the columns, or with another kind of values in it.
+/// If a table of marks lacks one of the columns, or has values of another type in it.
 pub fn marks(file: &FitsFile) -> Result<Vec<Mark>, FileError> {
     match file.table("MARKS")? {
         None => Ok(Vec::new()),

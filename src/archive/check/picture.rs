@@ -1,13 +1,13 @@
-//! A frame's picture for the eye.
+//! A frame's picture for display.
 
 use crate::frame::{Frame, Sample};
 use crate::with_view;
 use image::GrayImage;
 
-/// This part of the pixels may be darker than black, and as many brighter than white.
+/// Fraction of the pixels that may be clipped to black, and to white.
 const CLIPPED: f64 = 0.001;
 
-/// The frame with its darkest pixels black and its brightest white, so that a faint disc shows, too.
+/// The frame, stretched so that its darkest pixels are black and its brightest white; so a faint disc is visible, too.
 pub fn stretched(frame: &Frame) -> GrayImage {
     let values: Vec<f32> = with_view!(frame, view => view.pixels().map(|p| p.dn()).collect());
     let (black, white) = ends(&values, frame.saturation_dn());
@@ -19,7 +19,7 @@ pub fn stretched(frame: &Frame) -> GrayImage {
     picture
 }
 
-/// The values to become black and white, DN; of a picture without contrast, the whole range.
+/// The values mapped to black and white, DN; for a picture without contrast, the whole range.
 fn ends(values: &[f32], saturation_dn: u16) -> (f32, f32) {
     let mut sorted = values.to_vec();
     let clipped = (CLIPPED * values.len() as f64) as usize;

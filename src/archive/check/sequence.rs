@@ -1,7 +1,8 @@
-//! Files as a sequence: times that go back, and gaps.
+//! Files as a sequence: times that decrease, and gaps.
 //!
-//! A sequence is the files whose names begin alike, up to the time: one instrument's. A bad file still stands for the
-//! frame that it was, so it makes no gap; nor does a frame that is on another disk, nor a file that is there twice. Frames may be numbered from the start again, as after a power cut.
+//! A sequence is the files of one instrument: their names have the same beginning, up to the time. A bad file still represents its
+//! frame, so it makes no gap; nor does a frame that is on another disk, nor a file that exists twice. Frames may be numbered from the start again, as
+//! after a power cut.
 
 use super::BadFile;
 use super::logged::Elsewhere;
@@ -10,7 +11,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A step between frames longer than this times the median step is a gap.
+/// Ratio of a step between frames to the median step beyond which it is a gap.
 const LONGEST_STEP: f64 = 1.5;
 
 /// Frames that are missing between two files.
@@ -22,7 +23,7 @@ pub struct Gap {
     pub before: String,
     pub step_s: f64,
     pub median_step_s: f64,
-    /// By their numbers, where frames have them.
+    /// Number of missing frames by their numbers, if frames have them.
     pub missing_frames: u64,
 }
 
@@ -30,11 +31,11 @@ pub struct Gap {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Dated {
     file: String,
-    /// The name without folder and ending, by which files are in order.
+    /// The name without folder and ending, by which files are sorted.
     stem: String,
     /// Time and number of the frame; `None` for a bad file.
     taken: Option<(Timestamp, Option<u64>)>,
-    /// Whether the file was read, not only its row of the log.
+    /// Whether the file itself was read, rather than only its row of the log.
     is_here: bool,
 }
 
@@ -46,7 +47,7 @@ impl Dated {
         }
     }
 
-    /// A frame on a disk that is not at hand.
+    /// A frame on a disk that is not available.
     pub fn elsewhere(frame: &Elsewhere) -> Option<Self> {
         Some(Self {
             taken: Some((frame.utc?, frame.number)),
@@ -74,7 +75,7 @@ impl Dated {
     }
 }
 
-/// Findings on the sequences of an archive.
+/// Findings about the sequences of an archive.
 #[derive(Debug, Default)]
 pub(super) struct Sequence {
     pub backward: Vec<BadFile>,
@@ -91,7 +92,7 @@ pub(super) fn examine(files: Vec<Dated>) -> Sequence {
     }
     let mut found = Sequence::default();
     for files in all.values_mut() {
-        // Of a frame that is on two disks, a sound file stands for both.
+        // If a frame is on two disks, a sound file represents both.
         files.sort_by(|a, b| (&a.stem, a.taken.is_none()).cmp(&(&b.stem, b.taken.is_none())));
         files.dedup_by(|b, a| a.stem == b.stem);
         found.backward.extend(take_backward(files));
@@ -104,7 +105,7 @@ pub(super) fn examine(files: Vec<Dated>) -> Sequence {
     found
 }
 
-/// The files whose time is before that of the file before them; from here on they count as bad.
+/// The files whose time is before that of the previous file; from here on they count as bad.
 fn take_backward(files: &mut [Dated]) -> Vec<BadFile> {
     let mut backward = Vec::new();
     let mut previous: Option<(Timestamp, String)> = None;
@@ -128,12 +129,12 @@ fn take_backward(files: &mut [Dated]) -> Vec<BadFile> {
     backward
 }
 
-/// Two sound files that follow each other.
+/// Two successive sound files.
 struct Step<'a> {
     from: &'a Dated,
     to: &'a Dated,
     seconds: f64,
-    /// Frames from one to the other by their numbers; `None` where unknown or begun again.
+    /// Frames from one to the other by their numbers; `None` if unknown or if the numbers restarted.
     frames: Option<u64>,
     /// Bad files between them.
     bad: u32,
@@ -190,7 +191,7 @@ fn steps(files: &[Dated]) -> Vec<Step<'_>> {
     steps
 }
 
-/// The middle of some values; of an even number, half-way between the two in the middle.
+/// The median; for an even number of values, the mean of the two in the middle.
 fn median(values: &mut [f64]) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;
@@ -205,7 +206,7 @@ fn median(values: &mut [f64]) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Files named for their place in order, each with its time in s and number; `None` for a bad one.
+    /// Files named by their place in the order, each with its time in s and number; `None` for a bad one.
     fn files(taken: &[Option<(i64, u64)>]) -> Vec<Dated> {
         let file = |(n, taken): (usize, &Option<(i64, u64)>)| {
             let path = format!("pyas_{n:03}.fits");
