@@ -1,7 +1,7 @@
-//! A table of another's file that is amended: it is copied into a file of its own, where cfitsio changes it, and goes from there into the copy
+//! A table of an existing file that is amended: it is copied into a file of its own, where cfitsio changes it, and is copied from there into the copy
 //! of the file.
 //!
-//! In the whole file cfitsio would change more than was asked for: of each HDU that it passes, it rewrites the lengths in TFORMn and the fill.
+//! In the whole file cfitsio would change more than requested: in each HDU that it passes, it rewrites the lengths in TFORMn and the fill.
 
 use super::by_cfitsio::{called, open_disk_file, unopened};
 use super::disk_file::{DiskFile, DiskHdu, NumberColumn, copy};
@@ -17,19 +17,19 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use tempfile::NamedTempFile;
 
-/// How often a number that a column cannot hold is put further off.
+/// Largest number of steps by which a number that a column cannot represent is moved further.
 const MOST_STEPS: i32 = 64;
 
-/// A table in the making, in a file of its own that goes with it. Rows count from 1 on, as FITS counts them.
+/// A table being written, in a temporary file of its own. Rows count from 1, as in FITS.
 pub struct AmendedTable {
-    /// The file that messages name, and the table.
+    /// Path of the file in messages, and name of the table.
     path: PathBuf,
     name: String,
     file: FitsFile,
     own: NamedTempFile,
 }
 
-/// Which way a number is rounded that its column cannot hold.
+/// Direction in which a number is rounded that its column cannot represent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Inward {
     Up,
@@ -37,10 +37,10 @@ pub enum Inward {
 }
 
 impl DiskFile {
-    /// The table of an HDU, to be amended; the folder takes its file.
+    /// The table of an HDU, to be amended; its temporary file is made in `folder`.
     ///
     /// # Errors
-    /// Files that cannot be read or written, a table that cfitsio does not read.
+    /// If files cannot be read or written, or cfitsio does not read the table.
     pub fn amended(&self, hdu: &DiskHdu, folder: &Path) -> Result<AmendedTable, FileError> {
         let mut own = begun(folder).map_err(|problem| problem.in_file(folder))?;
         self.copy(hdu, own.as_file_mut())?;
@@ -69,7 +69,7 @@ fn begun(folder: &Path) -> Result<NamedTempFile, Problem> {
 }
 
 impl AmendedTable {
-    /// A table without columns and rows; errors name it as one of the file at `path`, the folder takes its own.
+    /// A table without columns and rows; errors name it as one of the file at `path`, its temporary file is made in `folder`.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -126,10 +126,10 @@ impl AmendedTable {
         given.map_err(|problem| problem.within(&self.name).in_file(&self.path))
     }
 
-    /// How many rows there are.
+    /// Number of rows.
     ///
     /// # Errors
-    /// A header that does not say it.
+    /// If the header does not state it.
     pub fn rows(&mut self) -> Result<u64, FileError> {
         let mut rows = 0;
         self.called("count rows", |file, status| {
@@ -139,10 +139,10 @@ impl AmendedTable {
         Ok(rows as u64)
     }
 
-    /// Numbers of a column, from a row on; NaN where there is none.
+    /// Numbers of a column, from a row on; NaN for a missing value.
     ///
     /// # Errors
-    /// Rows that are not there.
+    /// If a row does not exist.
     pub fn read(
         &mut self,
         column: &NumberColumn,
@@ -152,7 +152,7 @@ impl AmendedTable {
         let count = numbers.len() as i64;
         let mut any = 0;
         self.called(&format!("read column {}", column.name), |file, status| {
-            // SAFETY: there is space for so many numbers.
+            // SAFETY: the buffer has space for this many numbers.
             unsafe {
                 sys::ffgcvd(
                     file,
@@ -169,10 +169,10 @@ impl AmendedTable {
         })
     }
 
-    /// Puts a number into a cell, rounded where the column cannot hold it.
+    /// Puts a number into a cell, rounded if the column cannot represent it.
     ///
     /// # Errors
-    /// A number beyond the column's range.
+    /// If the number is beyond the column's range.
     pub fn put(
         &mut self,
         column: &NumberColumn,
@@ -180,7 +180,8 @@ impl AmendedTable {
         number: f64,
         inward: Inward,
     ) -> Result<(), FileError> {
-        // cfitsio rounds to the nearest. A number twice, four times ... as far off as that one will be the next that the column has.
+        // cfitsio rounds to the nearest. Moving the number by its error, then 2, 4 ... times that, reaches the next value that the column can
+        // represent.
         let mut put = number;
         for step in 0..MOST_STEPS {
             let mut read = [put];
@@ -217,25 +218,25 @@ impl AmendedTable {
     /// The bytes of all rows, for tables that fit into memory.
     ///
     /// # Errors
-    /// Rows that are not there.
+    /// If a row does not exist.
     pub fn bytes(&mut self) -> Result<Vec<u8>, FileError> {
         let count = self.rows()?.saturating_mul(self.row_bytes()?);
         let mut bytes = vec![0; count as usize];
         self.called("read rows", |file, status| {
-            // SAFETY: there is space for so many bytes.
+            // SAFETY: the buffer has space for this many bytes.
             unsafe { sys::ffgtbb(file, 1, 1, count as i64, bytes.as_mut_ptr(), status) };
         })?;
         Ok(bytes)
     }
 
-    /// The length of a row.
+    /// The length of a row, bytes.
     ///
     /// # Errors
-    /// A header that does not say it.
+    /// If the header does not state it.
     pub fn row_bytes(&mut self) -> Result<u64, FileError> {
         let mut bytes = 0;
         self.called("read NAXIS1", |file, status| {
-            // SAFETY: the keyword ends with NUL, the number outlives the call, and the comment is not asked for.
+            // SAFETY: the keyword ends with NUL, the number outlives the call, and the comment is not requested.
             unsafe {
                 let none = std::ptr::null_mut();
                 sys::ffgkyjj(file, c"NAXIS1".as_ptr(), &raw mut bytes, none, status)
@@ -244,14 +245,14 @@ impl AmendedTable {
         Ok(bytes as u64)
     }
 
-    /// Puts bytes into a row, behind so many others.
+    /// Writes bytes into a row, after its first `behind` bytes.
     ///
     /// # Errors
     /// Bytes that cannot be written.
     pub fn put_bytes(&mut self, row: u64, behind: u64, bytes: &[u8]) -> Result<(), FileError> {
         self.called("write a row", |file, status| {
             let (first, count) = (behind as i64 + 1, bytes.len() as i64);
-            // SAFETY: cfitsio reads so many bytes and changes none.
+            // SAFETY: cfitsio reads this many bytes and changes none.
             unsafe {
                 let bytes = bytes.as_ptr().cast_mut();
                 sys::ffptbb(file, row as i64, first, count, bytes, status)
@@ -259,7 +260,7 @@ impl AmendedTable {
         })
     }
 
-    /// Adds rows at the end, or takes rows from there.
+    /// Adds rows at the end, or removes rows from there.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -267,7 +268,7 @@ impl AmendedTable {
         let now = self.rows()?;
         self.called("change the number of rows", |file, status| {
             let (now, rows) = (now as i64, rows as i64);
-            // SAFETY: numbers alone are given.
+            // SAFETY: only numbers are passed.
             unsafe {
                 match rows > now {
                     true => sys::ffirow(file, now, rows - now, status),
@@ -277,18 +278,18 @@ impl AmendedTable {
         })
     }
 
-    /// Takes a row out.
+    /// Deletes a row.
     ///
     /// # Errors
-    /// A row that is not there.
+    /// If the row does not exist.
     pub fn delete_row(&mut self, row: u64) -> Result<(), FileError> {
         self.called("delete a row", |file, status| {
-            // SAFETY: numbers alone are given.
+            // SAFETY: only numbers are passed.
             unsafe { sys::ffdrow(file, row as i64, 1, status) };
         })
     }
 
-    /// Adds columns behind the others, without values.
+    /// Adds columns after the others, without values.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -303,7 +304,7 @@ impl AmendedTable {
         });
         self.called("add columns", |file, status| {
             let count = names.len() as i32;
-            // SAFETY: there are so many names and forms; they end with NUL, outlive the calls, and are only read.
+            // SAFETY: there are this many names and forms; they end with NUL, outlive the calls, and are only read.
             unsafe {
                 sys::ffgncl(file, &raw mut before, status);
                 let (names, forms) = (names.as_mut_ptr(), forms.as_mut_ptr());
@@ -356,7 +357,7 @@ impl AmendedTable {
         Ok(())
     }
 
-    /// Writes the checksums. cfitsio's own function says the time of day beside them: the same table would not give the same bytes.
+    /// Writes the checksums. cfitsio's own function writes the time of day beside them: the same table would not give the same bytes.
     fn seal(&mut self) -> Result<(), FileError> {
         for [keyword, comment] in [DATASUM, CHECKSUM] {
             self.keyword(keyword, NO_CHECKSUM, comment)?;
@@ -371,7 +372,7 @@ impl AmendedTable {
         self.keyword(CHECKSUM[0], &text, CHECKSUM[1])
     }
 
-    /// Of the data, and of the whole HDU.
+    /// Sums of the data, and of the whole HDU.
     fn sums(&mut self) -> Result<[u64; 2], FileError> {
         let (mut data, mut whole) = (0, 0);
         self.called("sum the table", |file, status| {
@@ -385,7 +386,7 @@ impl AmendedTable {
         Ok([data, whole])
     }
 
-    /// Writes the table, with its checksums, behind what is there.
+    /// Writes the table, with its checksums, at the end of `to`.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -394,7 +395,7 @@ impl AmendedTable {
         let (mut start, mut end) = (0, 0);
         self.called("write the table", |file, status| {
             let none = std::ptr::null_mut();
-            // SAFETY: the numbers outlive the call; where the data begin is not asked for.
+            // SAFETY: the numbers outlive the call; the start of the data is not requested.
             unsafe {
                 sys::ffflus(file, status);
                 sys::ffghadll(file, &raw mut start, none, &raw mut end, status)

@@ -1,6 +1,6 @@
-//! Files that cfitsio opens: tables larger than memory, and tables of others, whose shapes the reader here need not know.
+//! Files that cfitsio opens: tables larger than memory, and tables of other programs, whose forms the reader in this module need not know.
 //!
-//! A name is that of a file on disk: cfitsio's extended names, which may name filters, other machines or programs, are not understood.
+//! A name is that of a file on disk: cfitsio's extended names, which may name filters, other computers or programs, are not interpreted.
 
 use super::Problem;
 use fitsio::errors::{Error, FitsError};
@@ -22,7 +22,7 @@ pub fn open_disk_file(path: &Path, mode: FileOpenMode) -> Result<FitsFile, Error
         FileOpenMode::READONLY => sys::READONLY,
         FileOpenMode::READWRITE => sys::READWRITE,
     };
-    // SAFETY: the name ends with NUL and outlives the call; what comes back is null or an open file, which FitsFile closes.
+    // SAFETY: the name ends with NUL and outlives the call; the result is null or an open file, which FitsFile closes.
     unsafe {
         sys::ffdkopn(&raw mut file, name.as_ptr(), access as i32, &raw mut status);
         match status {
@@ -36,14 +36,14 @@ pub fn open_disk_file(path: &Path, mode: FileOpenMode) -> Result<FitsFile, Error
     }
 }
 
-/// Result of a call of cfitsio, which is given the open file and a place for its status; `action` is what it was to do.
+/// Result of a call of cfitsio, which gets the open file and a place for its status; `action` names the operation.
 pub(super) fn called<T>(
     file: &mut FitsFile,
     action: &str,
     call: impl FnOnce(*mut fitsfile, &mut i32) -> T,
 ) -> Result<T, Problem> {
     let mut status = 0;
-    // SAFETY: the pointer is that of an open file, and is not used when the call is over.
+    // SAFETY: the pointer is that of an open file, and is not used after the call.
     let given = call(unsafe { file.as_raw() }, &mut status);
     match status {
         0 => Ok(given),
@@ -55,7 +55,7 @@ pub(super) fn called<T>(
     }
 }
 
-/// cfitsio's message on a file that it does not open.
+/// cfitsio's message for a file that it does not open.
 pub(super) fn unopened(cause: Error) -> String {
     match cause {
         Error::Fits(FitsError { message, .. }) => format!("\"{message}\""),
@@ -63,7 +63,7 @@ pub(super) fn unopened(cause: Error) -> String {
     }
 }
 
-/// cfitsio's message on a status.
+/// cfitsio's message for a status.
 pub fn message(status: i32) -> String {
     let mut text = [0u8; 31];
     // SAFETY: cfitsio writes at most 30 characters and NUL.

@@ -1,4 +1,4 @@
-//! How a frame was taken, to keywords.
+//! Keywords of a frame's exposure data.
 
 use super::header::Value;
 use super::place::place_cards;
@@ -7,7 +7,7 @@ use crate::clock::ClockStatus;
 use crate::frame::{Frame, FrameInfo};
 use jiff::Timestamp;
 
-/// The time as FITS writes it: no Z, microseconds, and nanoseconds where there are any.
+/// The time as FITS writes it: no Z, microseconds, and nanoseconds if there are any.
 pub fn format_time(time: Timestamp) -> String {
     let digits = if time.subsec_nanosecond() % 1000 == 0 {
         6
@@ -18,7 +18,7 @@ pub fn format_time(time: Timestamp) -> String {
     text.trim_end_matches('Z').into()
 }
 
-/// The keywords that say how a frame was taken.
+/// The keywords of the exposure data.
 pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
     let info = &frame.info;
     let mut cards = time_cards(info);
@@ -66,8 +66,8 @@ pub(super) fn info_cards(frame: &Frame) -> Vec<Card> {
     cards
 }
 
-/// Each time stands twice, as a date and as a Modified Julian Date: what is missing readers of world coordinates add
-/// themselves, and say so.
+/// Each time is written twice, as a date and as a Modified Julian Date: readers of world coordinates add a missing one
+/// themselves, with a warning.
 fn time_cards(info: &FrameInfo) -> Vec<Card> {
     let (start, end) = (info.exposure_start(), info.exposure_end());
     let mut cards = vec![Card::new(&keyword::TIMESYS, "UTC")];
@@ -94,7 +94,7 @@ fn time_cards(info: &FrameInfo) -> Vec<Card> {
     cards
 }
 
-/// The keywords that say how well the computer's clock was held, from which the frame's times come.
+/// The keywords of the synchronisation of the computer's clock, from which the frame's times come.
 pub fn clock_cards(clock: &ClockStatus) -> Vec<Card> {
     let mut cards = vec![
         Card::new(&keyword::CLKSYNC, clock.synchronised),
@@ -109,7 +109,7 @@ pub fn clock_cards(clock: &ClockStatus) -> Vec<Card> {
     cards
 }
 
-/// Cards of how times are counted: in seconds from a zero, UTC.
+/// Cards of a time scale: seconds since a zero, UTC.
 pub fn zero_cards(zero: Timestamp) -> Vec<Card> {
     vec![
         Card::new(&keyword::TIMESYS, "UTC"),

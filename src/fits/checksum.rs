@@ -9,11 +9,11 @@ use multiversion::multiversion;
 pub struct Checksums {
     /// HDUs in the file.
     pub hdus: usize,
-    /// Of these, the ones that carry both CHECKSUM and DATASUM.
+    /// Number of these that have both CHECKSUM and DATASUM.
     pub guarded: usize,
 }
 
-/// Checks every checksum that a file carries, and that nothing follows which none can guard.
+/// Checks every checksum of a file, and that no bytes follow which no checksum covers.
 pub(super) fn check_all(bytes: &[u8], hdus: &[Hdu]) -> Result<Checksums, Problem> {
     for (n, hdu) in hdus.iter().enumerate() {
         let data = data_sum(bytes, hdu);
@@ -42,7 +42,7 @@ pub(super) fn check_all(bytes: &[u8], hdus: &[Hdu]) -> Result<Checksums, Problem
     })
 }
 
-/// Checks the sum of an HDU's data, where its header states one.
+/// Checks the sum of an HDU's data, if its header states one.
 pub(super) fn check_data(bytes: &[u8], hdu: &Hdu) -> Result<(), Problem> {
     match hdu.header.get("DATASUM") {
         Some(_) => check_data_sum(hdu, data_sum(bytes, hdu)),
@@ -56,7 +56,7 @@ fn data_sum(bytes: &[u8], hdu: &Hdu) -> u32 {
     sum(&bytes[hdu.data_bytes.start..end])
 }
 
-/// Holds the sum of an HDU's data against the one that its header states, if any.
+/// Compares the sum of an HDU's data with the one that its header states, if any.
 fn check_data_sum(hdu: &Hdu, found: u32) -> Result<(), Problem> {
     let stated: u32 = match hdu.header.get("DATASUM") {
         None => return Ok(()),
@@ -74,14 +74,14 @@ fn check_data_sum(hdu: &Hdu, found: u32) -> Result<(), Problem> {
     Err(Problem::field("DATASUM", expected, found))
 }
 
-/// The sum of big-endian words, each carry added back at the other end. A last word cut short counts as filled
+/// The sum of big-endian words, with each carry added at the low end. An incomplete last word is padded
 /// with zeros.
 #[multiversion(targets("x86_64+avx2"))]
 pub(super) fn sum(bytes: &[u8]) -> u32 {
     let (words, rest) = bytes.as_chunks::<4>();
     let mut last = [0; 4];
     last[..rest.len()].copy_from_slice(rest);
-    // A file is far below 2^32 words, so 64 bits hold the sum before the carries are folded in.
+    // A file has far fewer than 2^32 words, so 64 bits hold the sum before the carries are folded in.
     let mut total = u64::from(u32::from_be_bytes(last));
     for word in words {
         total += u64::from(u32::from_be_bytes(*word));
@@ -98,7 +98,7 @@ pub(super) fn added(a: u32, b: u32) -> u32 {
     sum + u32::from(carry)
 }
 
-/// A sum as 16 letters and digits, which add up to it where they stand in a CHECKSUM card (appendix J.2).
+/// A sum as 16 letters and digits, which add up to it at their place in a CHECKSUM card (appendix J.2).
 pub(super) fn encoded(sum: u32) -> String {
     let mut characters = [0; 16];
     for (n, byte) in sum.to_be_bytes().into_iter().enumerate() {

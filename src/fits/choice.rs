@@ -1,4 +1,4 @@
-//! Which of a file's pictures is read.
+//! Choice of the picture that is read from a file.
 
 use super::header::Header;
 use super::structure::{Content, Hdu, MAX_SIDE};
@@ -15,7 +15,7 @@ pub(super) struct Shape {
 }
 
 impl Shape {
-    /// Axes of length one do not count. `None` of what is no picture.
+    /// Axes of length one do not count. `None` if it is no picture.
     fn of(hdu: &Hdu) -> Option<Self> {
         let prefix = match hdu.content() {
             Content::Image => "",
@@ -45,10 +45,10 @@ impl Shape {
 /// The picture that is read.
 pub(super) struct Chosen<'a> {
     pub hdu: &'a Hdu,
-    /// Its keywords over those of the primary HDU.
+    /// Keywords of its HDU and, where these lack one, of the primary HDU.
     pub header: Header,
     pub shape: Shape,
-    /// That there are others.
+    /// Warning of other pictures in the file.
     pub left_out: Option<Warning>,
 }
 
@@ -92,7 +92,7 @@ pub(super) fn choose(hdus: &[Hdu], wanted: Option<Size>) -> Result<Chosen<'_>, P
     })
 }
 
-/// The size of a picture that is not too large.
+/// The size of a picture; an error if it is too large.
 pub(super) fn checked_size(shape: &Shape, prefix: &str) -> Result<Size, Problem> {
     let [width, height] = shape.size;
     for (n, side) in [(1, width), (2, height)] {

@@ -1,8 +1,8 @@
-//! Tile-compressed images (FITS 4.0, section 10): a binary table with a tile in each row.
+//! Tile-compressed images (FITS 4.0, section 10): a binary table with one tile per row.
 //!
-//! A header is not believed: cfitsio (3.49) divides by zero where a tile's size is bad, and reads beyond its buffer where a stream is
-//! damaged. RICE_1, GZIP_1 and GZIP_2 are known, which are what cameras' programs, cfitsio and astropy write. A tile that does not
-//! compress stands in a column of its own, gzipped or plain, and so may floating-point pixels that were not rounded.
+//! Headers are checked: cfitsio (3.49) divides by zero if a tile's size is bad, and reads beyond its buffer if a stream is
+//! damaged. RICE_1, GZIP_1 and GZIP_2 are supported, which cameras' programs, cfitsio and astropy write. A tile that does not
+//! compress is in a column of its own, gzipped or plain; so may be floating-point pixels that were not quantised.
 
 use super::Problem;
 use super::header::Header;
@@ -15,7 +15,7 @@ use flate2::read::MultiGzDecoder;
 use std::io::Read;
 use std::ops::Range;
 
-/// More pixels than this per byte of table no compression reaches (deflate's limit is 1032).
+/// Most pixels per byte of table that any compression reaches (deflate's limit is 1032).
 const MOST_PIXELS_PER_BYTE: usize = 1100;
 
 /// The algorithms.
@@ -34,17 +34,17 @@ pub(super) struct Tiles {
     /// Size of a tile that is not cut by the image's edge.
     tile: [usize; 2],
     algorithm: Algorithm,
-    /// Where in the file each tile's stream stands, row of tiles by row of tiles; empty where a tile stands in another column.
+    /// Range in the file of each tile's stream, row of tiles by row of tiles; empty if the tile is in another column.
     streams: Vec<Range<usize>>,
-    /// The same of tiles that are only gzipped, and of those that are not compressed.
+    /// The same for tiles that are only gzipped, and for those that are not compressed.
     gzipped: Option<Vec<Range<usize>>>,
     plain: Option<Vec<Range<usize>>>,
-    /// None of whole numbers, and of floating-point ones that were not rounded.
+    /// `None` for integers, and for floating-point pixels that were not quantised.
     quantised: Option<Quantised>,
 }
 
 impl Tiles {
-    /// Checks the table of `planes` images of `width` x `height` against itself and the size of its data. The first one is read.
+    /// Checks the table of `planes` images of `width` x `height` for consistency and against the size of its data. The first one is read.
     pub fn new(
         bytes: &[u8],
         hdu: &Hdu,
@@ -66,7 +66,7 @@ impl Tiles {
             Some(_) => header.size(keyword, 1..=MAX_SIDE).map(|side| side as usize),
             None => Ok(default),
         };
-        // A tile that reaches beyond the image ends at its edge.
+        // A tile that extends beyond the image ends at its edge.
         let tile = [
             side("ZTILE1", width)?.min(width),
             side("ZTILE2", 1)?.min(height),
@@ -101,7 +101,7 @@ impl Tiles {
         })
     }
 
-    /// Whether each tile has a stream of whole numbers.
+    /// Whether each tile has a stream of integers.
     pub fn are_whole_numbers(&self) -> bool {
         self.quantised.is_none() && self.streams.iter().all(|stream| !stream.is_empty())
     }
@@ -111,10 +111,10 @@ impl Tiles {
         self.tile == [self.width, 1]
     }
 
-    /// Some rows of pixels, where each row is a tile and the pixels have the width of the numbers in its stream; else `None`.
+    /// Some rows of pixels, if each row is a tile and the pixels have the width of the numbers in its stream; else `None`.
     ///
     /// # Errors
-    /// A tile that is damaged.
+    /// If a tile is damaged.
     pub fn rows<T: StoredPixel>(
         &self,
         file: &[u8],
@@ -135,11 +135,11 @@ impl Tiles {
         Ok(Some(pixels))
     }
 
-    /// Unpacks the image from its first row on: `each` is given the numbers of one or more whole rows, as stored, before BZERO. Ends with
-    /// false where it does not take them.
+    /// Unpacks the image from its first row on: `each` is given the numbers of one or more whole rows, as stored, before BZERO. Returns
+    /// false if it rejects them.
     ///
     /// # Errors
-    /// A tile that is damaged.
+    /// If a tile is damaged.
     pub fn unpack(&self, file: &[u8], each: impl FnMut(&[i32]) -> bool) -> Result<bool, Problem> {
         self.bands(|n, numbers| self.decode(file, n, numbers), each)
     }
@@ -147,7 +147,7 @@ impl Tiles {
     /// The values of all pixels.
     ///
     /// # Errors
-    /// A tile that is damaged.
+    /// If a tile is damaged.
     pub fn values(&self, file: &[u8], coding: &Coding) -> Result<Vec<f32>, Problem> {
         let mut all = Vec::with_capacity(self.width * self.height);
         let decode = |n: usize, values: &mut [f32]| self.decode_values(file, n, coding, values);
@@ -158,7 +158,7 @@ impl Tiles {
         Ok(all)
     }
 
-    /// Puts the tiles beside each other, band by band.
+    /// Joins the tiles, band by band.
     fn bands<T: Copy + Default>(
         &self,
         decode: impl Fn(usize, &mut [T]) -> Result<(), Problem>,
@@ -193,7 +193,7 @@ impl Tiles {
     /// Unpacks tile `n`, from 0, of the file to its numbers.
     ///
     /// # Errors
-    /// A tile that is damaged.
+    /// If a tile is damaged.
     pub fn decode(&self, file: &[u8], n: usize, numbers: &mut [i32]) -> Result<(), Problem> {
         let stream = &file[self.streams[n].clone()];
         let count = numbers.len();
@@ -201,7 +201,7 @@ impl Tiles {
         decoded.ok_or_else(|| damaged(n, count, stream))
     }
 
-    /// The values of tile `n`, from whichever column it stands in.
+    /// The values of tile `n`, from whichever column contains it.
     fn decode_values(
         &self,
         file: &[u8],
@@ -248,7 +248,7 @@ fn damaged(n: usize, pixels: usize, stream: &[u8]) -> Problem {
     Problem::field(format!("tile {}", n + 1), expected, found)
 }
 
-/// At most so many bytes, and one to show that there are more.
+/// The unzipped bytes: at most `most`, and one more to show that there are more.
 fn gunzip(stream: &[u8], most: usize) -> Option<Vec<u8>> {
     let mut bytes = Vec::new();
     let mut unzipped = MultiGzDecoder::new(stream).take(most as u64 + 1);
@@ -256,7 +256,7 @@ fn gunzip(stream: &[u8], most: usize) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// Numbers of so many bytes, of which all first bytes stood before all second ones.
+/// Numbers of `width` bytes, from bytes sorted so that all first bytes come before all second ones.
 fn unshuffled(bytes: &[u8], width: usize) -> Vec<u8> {
     let count = bytes.len() / width;
     (0..count * width)
@@ -302,7 +302,7 @@ fn rice(header: &Header) -> Result<Rice, Problem> {
 }
 
 impl Algorithm {
-    /// Fills `numbers` from a stream; `None` where it does not hold as many.
+    /// Fills `numbers` from a stream; `None` if the stream holds fewer.
     fn decode(self, stream: &[u8], numbers: &mut [i32]) -> Option<()> {
         if let Self::Rice(rice) = self {
             return rice.decode(stream, numbers);

@@ -1,4 +1,4 @@
-//! A FITS file of any size whose data stay on disk: its HDUs, which are copied as they are, or one at a time as a table that is amended.
+//! A FITS file of any size whose data stay on disk: its HDUs are copied unchanged, or one at a time as a table that is amended.
 
 use super::by_cfitsio::{called, open_disk_file, unopened};
 use super::form::Form;
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// The longest header that is read, bytes.
 const MOST_HEADER: u64 = 16 << 20;
 
-/// A FITS file, open to be read.
+/// A FITS file, open for reading.
 #[derive(Debug)]
 pub struct DiskFile {
     path: PathBuf,
@@ -25,13 +25,13 @@ pub struct DiskFile {
     hdus: Vec<DiskHdu>,
 }
 
-/// A header, and where its HDU is.
+/// A header, and the range of its HDU.
 #[derive(Debug)]
 pub struct DiskHdu {
     pub header: Header,
-    /// The header as it stands, with its END and fill.
+    /// The bytes of the header, with its END and fill.
     cards: Vec<u8>,
-    /// With the fill of the last block, which the end of a file may lack.
+    /// Range in the file, with the fill of the last block, which the end of a file may lack.
     bytes: Range<u64>,
     /// Whether it is a binary table, and no compressed image.
     pub is_table: bool,
@@ -40,13 +40,13 @@ pub struct DiskHdu {
 /// A column with one number in each row.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NumberColumn {
-    /// From 1 on.
+    /// Number of the column, from 1.
     pub number: i32,
     /// Whether its cells are integers.
     pub is_whole: bool,
-    /// As TTYPEn has it.
+    /// Value of TTYPEn.
     pub name: String,
-    /// As TUNITn has it.
+    /// Value of TUNITn.
     pub unit: Option<String>,
 }
 
@@ -72,7 +72,7 @@ impl DiskFile {
         let mut by_cfitsio =
             opened.map_err(|cause| Problem::content("a FITS file", unopened(cause)))?;
         let mut end = 0;
-        // What follows the last HDU and is no extension is no part of the file's content (FITS 4.0, 3.5).
+        // Bytes after the last HDU that are no extension do not belong to the file's content (FITS 4.0, 3.5).
         while end == 0 || found.at_most(end, 8)? == b"XTENSION" {
             let hdu = found.next_hdu(&mut by_cfitsio)?;
             end = hdu.bytes.end;
@@ -81,12 +81,12 @@ impl DiskFile {
         Ok(found)
     }
 
-    /// The HDU behind those that are known.
+    /// The HDU after those already read.
     fn next_hdu(&self, file: &mut FitsFile) -> Result<DiskHdu, Problem> {
         let number = self.hdus.len() as i32 + 1;
         let (mut kind, mut start, mut data, mut end) = (0, 0, 0, 0);
         called(file, &format!("find HDU {number}"), |file, status| {
-            // SAFETY: all that is pointed to outlives the calls.
+            // SAFETY: everything that is pointed to outlives the calls.
             unsafe {
                 sys::ffmahd(file, number, &raw mut kind, status);
                 sys::ffghadll(file, &raw mut start, &raw mut data, &raw mut end, status)
@@ -123,27 +123,27 @@ impl DiskFile {
         &self.hdus
     }
 
-    /// A number of bytes from a place on, or fewer at the end of the file.
+    /// `bytes` bytes from `start` on, or fewer at the end of the file.
     fn at_most(&self, start: u64, bytes: u64) -> Result<Vec<u8>, Problem> {
         let mut read = vec![0; bytes.min(self.bytes.saturating_sub(start)) as usize];
         let filled = self.file.read_exact_at(&mut read, start);
         filled.map_err(Problem::unread).map(|()| read)
     }
 
-    /// Copies an HDU as it is.
+    /// Copies an HDU unchanged.
     ///
     /// # Errors
     /// Bytes that cannot be read or written.
     pub fn copy(&self, hdu: &DiskHdu, to: &mut impl Write) -> Result<(), FileError> {
         let Range { start, end } = hdu.bytes;
         let copied = copy(&self.file, start..end.min(self.bytes), to);
-        // The last block of a file may lack its fill, which what follows needs.
+        // The last block of a file may lack its fill, which the next HDU needs.
         let fill = vec![0; end.saturating_sub(self.bytes) as usize];
         let copied = copied.and_then(|()| to.write_all(&fill).map_err(uncopied));
         copied.map_err(|problem| problem.in_file(&self.path))
     }
 
-    /// Copies what follows the last HDU.
+    /// Copies the bytes after the last HDU.
     ///
     /// # Errors
     /// Bytes that cannot be read or written.
@@ -178,21 +178,21 @@ impl DiskHdu {
         self.header.text(keyword).ok().flatten()
     }
 
-    /// Its EXTNAME, empty where it has none.
+    /// Its EXTNAME, empty if it has none.
     pub fn name(&self) -> String {
         self.text("EXTNAME").unwrap_or_default().trim().into()
     }
 
-    /// Whether a keyword has this text, in capitals or not.
+    /// Whether a keyword has this text, ignoring case.
     pub fn says(&self, keyword: &str, text: &str) -> bool {
         let found = self.text(keyword);
         found.is_some_and(|found| found.trim().eq_ignore_ascii_case(text))
     }
 
-    /// Of a table.
+    /// Number of rows of a table.
     ///
     /// # Errors
-    /// A header that does not say it.
+    /// If the header does not state it.
     pub fn rows(&self) -> Result<u64, Problem> {
         self.header.size("NAXIS2", 0..=i64::MAX)
     }
@@ -217,10 +217,10 @@ impl DiskHdu {
         (1..=count).map(name).collect()
     }
 
-    /// The column of numbers of a name, in capitals or not.
+    /// The column of numbers with this name, ignoring case.
     ///
     /// # Errors
-    /// None or several of the name, or one that has not one number in each row.
+    /// If none or several have the name, or the column does not have one number in each row.
     pub fn column(&self, name: &str) -> Result<NumberColumn, Problem> {
         let columns = self.columns()?;
         let field = || format!("column {name}");
@@ -242,7 +242,7 @@ impl DiskHdu {
             let expected = "one number in each row (B, I, J, K, E or D)";
             return Err(Problem::field(field(), expected, format!("'{form}'")));
         };
-        // cfitsio passes over those that it cannot read.
+        // cfitsio ignores values that it cannot read.
         for keyword in ["TSCAL", "TZERO"] {
             self.header.number(&format!("{keyword}{number}"))?;
         }

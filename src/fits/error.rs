@@ -1,9 +1,9 @@
-//! Why a file was refused: always one line that names the file, the field and what was expected there.
+//! Error of a refused file: always one line that names the file, the field and the expected content.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A file that could not be read or written, and why.
+/// A file that could not be read or written, with the reason.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {problem}", .path.display())]
 pub struct FileError {
@@ -11,7 +11,7 @@ pub struct FileError {
     pub problem: Problem,
 }
 
-/// Fault of a file, or of data that were to be written to it.
+/// Fault of a file, or of data to be written to it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Problem {
@@ -21,10 +21,10 @@ pub enum Problem {
         action: &'static str,
         cause: io::Error,
     },
-    /// The file as a whole is not what it should be.
+    /// The file as a whole is not of the expected kind.
     #[error("expected {expected}, found {found}")]
     Content { expected: String, found: String },
-    /// A keyword, a column or the pixels hold something else than they should.
+    /// A keyword, a column or the pixels do not have the expected content.
     #[error("{field}: expected {expected}, found {found}")]
     Field {
         field: String,
@@ -34,13 +34,13 @@ pub enum Problem {
 }
 
 impl Problem {
-    /// That the operating system did not read.
+    /// The operating system failed to read.
     pub(crate) fn unread(cause: io::Error) -> Self {
         let action = "read";
         Self::Io { action, cause }
     }
 
-    /// That the operating system did not write.
+    /// The operating system failed to write.
     pub(crate) fn unwritten(cause: io::Error) -> Self {
         let action = "write";
         Self::Io { action, cause }
@@ -65,7 +65,7 @@ impl Problem {
         }
     }
 
-    /// Names the table that a field is in.
+    /// Adds the table of the field to the message.
     pub(crate) fn within(self, table: &str) -> Self {
         match self {
             Self::Field {
@@ -81,7 +81,7 @@ impl Problem {
         }
     }
 
-    /// Names the file that the problem is in.
+    /// Adds the file of the problem to the message.
     pub(crate) fn in_file(self, path: &Path) -> FileError {
         FileError {
             path: path.into(),

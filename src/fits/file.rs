@@ -1,4 +1,4 @@
-//! A FITS file in memory, from which several things are read.
+//! A FITS file in memory, from which several parts are read.
 
 use super::choice::Size;
 use super::structure::{Hdu, scan};
@@ -8,7 +8,7 @@ use crate::frame::{Frame, FrameInfo};
 use std::path::{Path, PathBuf};
 use std::sync::PoisonError;
 
-/// A FITS file that was read once and whose structure is whole. What else may be wrong with it, each method says of its part.
+/// A FITS file that was read once and whose structure is complete. Each method reports faults of its own part.
 #[derive(Debug)]
 pub struct FitsFile {
     path: PathBuf,
@@ -46,7 +46,7 @@ impl FitsFile {
         })
     }
 
-    /// Of several pictures, takes the first of this width and height, px, for the frame.
+    /// Selects, among several pictures, the first of this width and height, px, for the frame.
     pub fn of_size(mut self, wanted: Size) -> Self {
         self.wanted = Some(wanted);
         self
@@ -64,8 +64,8 @@ impl FitsFile {
         self.named(read::read_fits(&self.bytes, &self.hdus, self.wanted))
     }
 
-    /// Width and height of the image, px, and what its pixels stand for, whatever they are: row by row as FITS stores them, the lowest
-    /// first; not a number where a pixel has no value.
+    /// Width and height of the image, px, and the physical values of its pixels, of any type: row by row as FITS stores them, the lowest
+    /// first; NaN for a pixel without a value.
     ///
     /// # Errors
     /// As [`read_frame`](super::read_frame).
@@ -73,11 +73,11 @@ impl FitsFile {
         self.named(read::read_values(&self.bytes, &self.hdus, self.wanted))
     }
 
-    /// Result of `work` on the frame. A row is decoded when it is first read, where each is a tile, and DATASUM and SATURATE are stated; else
+    /// Result of `work` on the frame. A row is decoded when it is first read, if each row is a tile, and DATASUM and SATURATE are stated; else
     /// the whole frame is decoded before. Damage of a row that `work` does not read is not reported.
     ///
     /// # Errors
-    /// As [`read_frame`](super::read_frame), and where a row that was read is damaged.
+    /// As [`read_frame`](super::read_frame), and if a row that was read is damaged.
     pub fn with_frame<T>(self, work: impl FnOnce(&Frame) -> T) -> Result<T, FileError> {
         let named = |problem: Problem| problem.in_file(&self.path);
         let (frame, damage) =
@@ -95,7 +95,7 @@ impl FitsFile {
         self.named(read::read_keywords(&self.hdus, self.wanted))
     }
 
-    /// How the frame was taken, and its keywords, without reading its pixels.
+    /// The exposure data of the frame, and its keywords, without reading its pixels.
     ///
     /// # Errors
     /// A file without an image.
@@ -103,18 +103,18 @@ impl FitsFile {
         self.named(read::read_headers(&self.hdus, self.wanted))
     }
 
-    /// Checks every checksum that the file carries.
+    /// Checks every checksum of the file.
     ///
     /// # Errors
-    /// One that does not match, or bytes that none can guard.
+    /// If one does not match, or there are bytes that none covers.
     pub fn checksums(&self) -> Result<Checksums, FileError> {
         self.named(checksum::check_all(&self.bytes, &self.hdus))
     }
 
-    /// The binary table of a name, `None` where the file has none. Its columns hold one number or one text in each row.
+    /// The binary table with this name, `None` if the file has none. Its columns hold one number or one text in each row.
     ///
     /// # Errors
-    /// Columns of other kinds, columns that are scaled, or rows that are not there.
+    /// If columns are of other kinds or scaled, or rows are missing.
     pub fn table(&self, name: &str) -> Result<Option<Table>, FileError> {
         self.named(table::read_table(&self.bytes, &self.hdus, name))
     }

@@ -1,4 +1,4 @@
-//! TFORMn: what a column of a binary table holds in each row (FITS 4.0, section 7.3.1).
+//! TFORMn: content of a column of a binary table in each row (FITS 4.0, section 7.3.1).
 
 /// The most values of one kind in a row.
 const MOST_VALUES: usize = 65_536;
@@ -8,12 +8,12 @@ const MOST_VALUES: usize = 65_536;
 pub(super) struct Form {
     pub repeat: usize,
     pub letter: char,
-    /// For descriptors (P, Q), what they point to.
+    /// For descriptors (P, Q), the type of the elements to which they point.
     pub pointed_to: Option<char>,
 }
 
 impl Form {
-    /// Reads repeat count (one if it is left out) and letter; `None` where that is no form.
+    /// Reads repeat count (one if it is omitted) and letter; `None` if the text is no form.
     pub fn parse(form: &str) -> Option<Self> {
         let letters = form.trim_start_matches(|c: char| c.is_ascii_digit());
         let repeat = match &form[..form.len() - letters.len()] {
@@ -31,7 +31,7 @@ impl Form {
         })
     }
 
-    /// Bytes of the column in a row; `None` for kinds that no file of frames has.
+    /// Bytes of the column in a row; `None` for kinds that do not occur in files of frames.
     pub fn bytes(self) -> Option<usize> {
         let one = match self.letter {
             'B' | 'A' | 'L' => 1,

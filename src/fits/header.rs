@@ -1,4 +1,4 @@
-//! The cards of one header: keyword and value, as FITS 4.0 (section 4) writes them.
+//! The cards of one header: keyword and value, in the form of FITS 4.0 (section 4).
 
 use super::Problem;
 use super::keyword::Keyword;
@@ -66,7 +66,7 @@ enum Content {
     Unreadable(String),
 }
 
-/// The keywords of one header, in their order. Cards without a value are left out.
+/// The keywords of one header, in their order. Cards without a value are omitted.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Header {
     cards: Vec<(String, Content)>,
@@ -89,7 +89,7 @@ impl Card {
 }
 
 impl Header {
-    /// Reads cards up to END. `None` where the bytes end before it.
+    /// Reads cards up to END. `None` if the bytes end before it.
     pub(super) fn parse(bytes: &[u8]) -> Option<(Self, usize)> {
         let mut header = Self::default();
         for (n, card) in bytes.chunks_exact(CARD).enumerate() {
@@ -112,7 +112,7 @@ impl Header {
         }
     }
 
-    /// A long text goes on over CONTINUE cards as long as it ends in '&'.
+    /// A long text continues over CONTINUE cards as long as it ends in '&'.
     fn extend_text(&mut self, more: &str) {
         if let Some((_, Content::Value(Value::Text(text)))) = self.cards.last_mut()
             && text.ends_with('&')
@@ -133,7 +133,7 @@ impl Header {
         self.content(keyword).is_some()
     }
 
-    /// The value of a keyword, as it stands.
+    /// The value of a keyword, unconverted.
     pub fn get(&self, keyword: &str) -> Option<&Value> {
         match self.content(keyword)? {
             Content::Value(value) => Some(value),
@@ -171,7 +171,7 @@ impl Header {
         })
     }
 
-    /// A whole number; one written with a decimal point counts.
+    /// An integer; one written with a decimal point is accepted.
     pub(super) fn integer(&self, keyword: &str) -> Result<Option<i64>, Problem> {
         self.typed(keyword, "a whole number", |value| match value {
             Value::Integer(number) => Some(*number),
@@ -209,7 +209,7 @@ impl Header {
         }
     }
 
-    /// A whole number that must be there and lie in a range.
+    /// A required integer within a range.
     pub(super) fn size(
         &self,
         keyword: &str,
@@ -223,7 +223,7 @@ impl Header {
         }
     }
 
-    /// Image keywords over primary ones: one header that holds both.
+    /// Merges image keywords with primary ones; the image's take precedence.
     pub(super) fn over(&self, primary: &Self) -> Self {
         let cards = self.cards.iter().chain(&primary.cards);
         Self {
@@ -232,7 +232,7 @@ impl Header {
     }
 }
 
-/// The card as text; what may not stand in a header becomes '?', so that messages stay on one line.
+/// The card as text; characters not allowed in a header become '?', so that messages stay on one line.
 pub(super) fn printable(card: &[u8]) -> String {
     let shown = |byte: &u8| match byte {
         b' '..=b'~' => *byte,
@@ -241,7 +241,7 @@ pub(super) fn printable(card: &[u8]) -> String {
     String::from_utf8(card.iter().map(shown).collect()).unwrap_or_default()
 }
 
-/// The content of a value field; `None` where the value is left undefined.
+/// The content of a value field; `None` if the value is undefined.
 fn parse_value(field: &str) -> Option<Content> {
     if let Some(quoted) = field.strip_prefix('\'') {
         return Some(match closed_text(quoted) {
@@ -265,7 +265,7 @@ fn parse_value(field: &str) -> Option<Content> {
     Some(Content::Value(value))
 }
 
-/// The text up to its closing quote; a doubled quote stands for one, trailing blanks do not count.
+/// The text up to its closing quote; a doubled quote represents one, trailing blanks do not count.
 fn closed_text(quoted: &str) -> Option<String> {
     let (part, rest) = quoted.split_once('\'')?;
     match rest.strip_prefix('\'') {

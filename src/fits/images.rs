@@ -1,11 +1,11 @@
-//! Images in two axes that are no frames: numbers as they were counted or computed, one image in each HDU (FITS 4.0, sections 4.4 and 5).
+//! Two-dimensional images that are no frames: numbers that were counted or computed, one image in each HDU (FITS 4.0, sections 4.4 and 5).
 
 use super::Problem;
 use super::header::Card;
 use super::layout::Layout;
 use super::write::{program, put_cards};
 
-/// The numbers of an image, row by row from its lowest row on.
+/// The numbers of an image, row by row from its lowest row.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Samples {
     Whole(Vec<i32>),
@@ -35,17 +35,17 @@ impl Samples {
     }
 }
 
-/// An image with what its header says of it.
+/// An image with the cards of its header.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Image {
     pub name: &'static str,
-    /// Of a row.
+    /// Length of a row.
     pub width_px: usize,
     pub samples: Samples,
     pub cards: Vec<Card>,
 }
 
-/// The bytes of a file of images: the first one is the primary HDU, so that every viewer shows it. `history` stands in each header.
+/// The bytes of a file of images: the first one is the primary HDU, so that every viewer shows it. `history` is written to each header.
 ///
 /// # Errors
 /// A card whose value is not of its keyword's kind.
@@ -83,5 +83,5 @@ pub fn encode_images(images: &[Image], history: &[String]) -> Result<Vec<u8>, Pr
     Ok(file.into_bytes())
 }
 
-/// Space for a header, and for the fill behind its data.
+/// Space for a header, and for the fill after its data.
 const HEADER_BYTES: usize = 1 << 14;

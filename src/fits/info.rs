@@ -1,6 +1,6 @@
-//! How a frame was taken, from keywords.
+//! Exposure data of a frame, from keywords.
 //!
-//! Nothing of it is needed to find the Sun: a value that cannot be used is a [`Warning`] of the frame.
+//! None of them is needed to find the Sun: a value that cannot be used is a [`Warning`] of the frame.
 
 use super::place::read_place;
 use super::times::{LONGEST_S, heroes_monotonic, mid_exposure};
@@ -10,7 +10,7 @@ use crate::frame::{FrameInfo, Warning};
 use jiff::SignedDuration;
 use std::time::Duration;
 
-/// Reads how a frame was taken, except for the part of the sensor that it shows. The warnings stay with the values.
+/// Reads the exposure data of a frame, except for the part of the sensor that it shows. The warnings stay with the values.
 pub(super) fn read_info(values: &mut Values) -> FrameInfo {
     let exposure = ["EXPTIME", "XPOSURE", "EXPOSURE"]
         .into_iter()
@@ -39,7 +39,7 @@ pub(super) fn read_info(values: &mut Values) -> FrameInfo {
     }
 }
 
-/// A length of time.
+/// A duration.
 fn seconds(values: &mut Values, keyword: &str) -> Option<Duration> {
     let seconds = values.within(keyword, 0.0..=LONGEST_S, "a time from 0 to 1e9 s")?;
     Some(Duration::from_secs_f64(seconds))

@@ -1,32 +1,32 @@
-//! A FITS file laid out in memory, one HDU after the other (FITS 4.0, sections 3 and 4): a header of cards, the data behind it,
+//! A FITS file laid out in memory, one HDU after the other (FITS 4.0, sections 3 and 4): a header of cards, the data after it,
 //! and the checksums of both.
 
 use super::checksum;
 use super::header::CARD;
 use super::structure::BLOCK;
 
-/// A file in the making.
+/// A file being written.
 pub(super) struct Layout {
     bytes: Vec<u8>,
-    /// Where the header and the data of the last HDU begin.
+    /// Start of the header and of the data of the last HDU.
     header: usize,
     data: usize,
-    /// The card of its CHECKSUM, behind which that of its DATASUM stands.
+    /// The card of its CHECKSUM, followed by that of its DATASUM.
     checksum_card: usize,
-    /// Whether a text of the header goes on in another card.
+    /// Whether a text of the header continues in another card.
     continues: bool,
 }
 
-/// Between its quotes a text has at most so many characters on a card.
+/// Most characters of a text between its quotes on one card.
 const TEXT: usize = CARD - 12;
 /// Cards of the checksums.
 pub(super) const CHECKSUM: [&str; 2] = ["CHECKSUM", "checksum of the HDU"];
 pub(super) const DATASUM: [&str; 2] = ["DATASUM", "checksum of the data"];
-/// A checksum that is not known yet.
+/// Placeholder of a checksum that is not known yet.
 pub(super) const NO_CHECKSUM: &str = "0000000000000000";
 
 impl Layout {
-    /// An empty file; memory is never moved where it needs no more bytes than expected.
+    /// An empty file; memory is not reallocated unless it needs more bytes than expected.
     pub fn new(expected_bytes: usize) -> Self {
         Self {
             bytes: Vec::with_capacity(expected_bytes),
@@ -43,7 +43,7 @@ impl Layout {
         self.continues = false;
     }
 
-    /// Adds a card. What may not stand in a header becomes '?', and what is too long ends with the card.
+    /// Adds a card. Characters not allowed in a header become '?', and a text that is too long is cut off at the end of the card.
     pub fn card(&mut self, text: &str) {
         let start = self.bytes.len();
         self.bytes.extend(text.chars().take(CARD).map(printable));
@@ -59,18 +59,18 @@ impl Layout {
         self.bytes.truncate(end);
     }
 
-    /// Adds a card with a number or a truth, written as FITS writes it.
+    /// Adds a card with a number or a logical value, in the form of FITS.
     pub fn value(&mut self, keyword: &str, value: &str, comment: &str) {
         self.card(&value_card(keyword, value, comment));
     }
 
-    /// Adds a text; one that is longer than a card goes on in CONTINUE cards (section 4.2.1.2).
+    /// Adds a text; one that is longer than a card continues in CONTINUE cards (section 4.2.1.2).
     pub fn text(&mut self, keyword: &str, text: &str, comment: &str) {
         let mut rest = text.replace('\'', "''");
         let mut start = format!("{keyword:<8}= ");
         while rest.chars().count() > TEXT {
             let mut cut = TEXT - 1;
-            // A doubled quote is one.
+            // A doubled quote represents one.
             let quotes = |rest: &str, cut| rest.chars().take(cut).filter(|c| *c == '\'').count();
             if quotes(&rest, cut) % 2 == 1 && rest.chars().nth(cut) == Some('\'') {
                 cut -= 1;
@@ -87,7 +87,7 @@ impl Layout {
     /// Ends the header; the data follow.
     pub fn end_header(&mut self) {
         if self.continues {
-            // Readers of before FITS 4.0 expect it.
+            // Readers older than FITS 4.0 expect it.
             self.card(&text_card(
                 ["LONGSTRN", "texts may go on in CONTINUE cards"],
                 "OGIP 1.0",
@@ -106,13 +106,13 @@ impl Layout {
         &mut self.bytes
     }
 
-    /// Ends the HDU: what must still be changed of its header is changed before this.
+    /// Ends the HDU: its header must be final before this call.
     pub fn end(&mut self) {
         self.fill(0);
         self.seal(checksum::sum(&self.bytes[self.data..]));
     }
 
-    /// Writes the checksums of an HDU whose data have this sum, wherever they are.
+    /// Writes the checksums of an HDU whose data have this sum.
     pub fn seal(&mut self, data: u32) {
         let datasum = text_card(DATASUM, &data.to_string());
         self.set_card(self.checksum_card + 1, &datasum);
@@ -133,12 +133,12 @@ impl Layout {
     }
 }
 
-/// A card with a number or a truth.
+/// A card with a number or a logical value.
 pub(super) fn value_card(keyword: &str, value: &str, comment: &str) -> String {
     format!("{keyword:<8}= {value:>20} / {comment}")
 }
 
-/// A card with a text that needs no more; keyword and comment.
+/// A card with a text that fits on it; keyword and comment.
 pub(super) fn text_card([keyword, comment]: [&str; 2], text: &str) -> String {
     last_text_card(&format!("{keyword:<8}= "), text, comment)
 }
@@ -152,7 +152,7 @@ fn last_text_card(start: &str, text: &str, comment: &str) -> String {
     }
 }
 
-/// A character as FITS may hold it.
+/// A character as allowed in FITS.
 pub(super) fn printable(c: char) -> u8 {
     match c {
         ' '..='~' => c as u8,

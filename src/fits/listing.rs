@@ -1,15 +1,15 @@
-//! Which files are taken for frames.
+//! Selection of the files that count as frames.
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Endings of the files that are taken for frames.
+/// Endings of the files that count as frames.
 pub const FRAME_ENDINGS: [&str; 10] = [
     ".fits", ".fit", ".fts", ".fits.gz", ".fits.fz", ".png", ".tif", ".tiff", ".jpg", ".jpeg",
 ];
 
-/// Whether a file of this name is taken for a frame: its ending is one of [`FRAME_ENDINGS`], in capitals or not, and it does not begin with a
+/// Whether a file of this name counts as a frame: its ending is one of [`FRAME_ENDINGS`], ignoring case, and it does not begin with a
 /// dot, as the names of unfinished files do.
 pub fn is_frame_name(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -23,10 +23,10 @@ pub fn is_hidden(path: &Path) -> bool {
     name.as_encoded_bytes().starts_with(b".")
 }
 
-/// Content of a folder that concerns frames, each sorted; hidden files do not.
+/// Frames and subfolders of a folder, each sorted; hidden ones are omitted.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Listing {
-    /// Files whose names end as a frame's do.
+    /// Files whose names have a frame's ending.
     pub files: Vec<PathBuf>,
     pub folders: Vec<PathBuf>,
 }
@@ -65,7 +65,7 @@ pub fn list_folder(folder: &Path) -> Result<Listing, Unlisted> {
     Ok(listing)
 }
 
-/// The frames in a folder and in the folders in it, in the order of their names.
+/// The frames in a folder and its subfolders, in the order of their names.
 ///
 /// # Errors
 /// A folder that cannot be listed.

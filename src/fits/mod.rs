@@ -1,16 +1,16 @@
-//! A frame and its keywords, from a file and to a file.
+//! Reading and writing of frames and their keywords.
 //!
-//! Reading takes FITS (plain, gzipped or tile-compressed; the image of the wanted size or the first one, wherever it stands),
-//! PNG, TIFF and JPEG; what a file is, its first bytes decide. A file is read into memory and its skeleton
-//! checked against its size before anything is allocated for it: a truncated, hostile or foreign file is one line of
+//! Reading accepts FITS (plain, gzipped or tile-compressed; the image of the wanted size or the first one, in any HDU),
+//! PNG, TIFF and JPEG; the first bytes of a file determine its format. A file is read into memory and its structure is
+//! checked against its size before anything is allocated for it: a truncated, hostile or foreign file gives one line of
 //! error, see [`FileError`]. Writing makes a primary HDU without data, an image extension with every keyword beside
 //! the pixels, and binary tables, each HDU with its checksums.
 //!
-//! Both are done here, in safe code: a reader of foreign or damaged files has to check every size and offset anyway, and a
-//! flight's frames are to cost no more to store than to solve. The tests hold both against cfitsio, which shares nothing with them. The
+//! Both are implemented here, in safe code: a reader of foreign or damaged files has to check every size and offset anyway, and
+//! storing a flight's frame must cost no more than solving it. The tests compare both with cfitsio, which shares no code with them. The
 //! keywords are those of one table, [`keyword`].
 //!
-//! Tables of others, and tables larger than memory, cfitsio reads and writes: [`DiskFile`], [`AmendedTable`].
+//! Tables of other programs, and tables larger than memory, are read and written by cfitsio: [`DiskFile`], [`AmendedTable`].
 
 mod amended_table;
 mod by_cfitsio;
@@ -74,20 +74,20 @@ use std::path::Path;
 /// The largest file that is read, bytes, before and after gunzip.
 const MAX_BYTES: u64 = 512 << 20;
 
-/// How far into a file its headers are searched for first, bytes.
+/// Length of the beginning of a file in which its headers are searched first, bytes.
 pub const START_BYTES: u64 = 1 << 16;
 
-/// The largest image that is read.
+/// The largest image that is read, pixels.
 const MAX_PIXELS: u64 = 1 << 26;
 
 /// Reads a frame from a FITS, PNG, TIFF or JPEG file; of several pictures in a file, the first.
 ///
-/// Pixels are whole numbers of 8 or 16 bits; others are [scaled to 16](FrameInfo::warnings). The keywords of the image's HDU go over
-/// those of the primary one. A keyword that cannot be used, and whatever else is not read as it stands, is a warning of the frame.
+/// Pixels are integers of 8 or 16 bits; others are [scaled to 16](FrameInfo::warnings). The keywords of the image's HDU take precedence over
+/// those of the primary one. A keyword that cannot be used, and anything else that is not read unchanged, is a warning of the frame.
 ///
 /// # Errors
-/// Anything that keeps the file from being such a frame, in one line that names the file, the field and what was
-/// expected there; data that do not match their DATASUM too.
+/// Any reason why the file is no such frame, in one line that names the file, the field and the expected
+/// content; also data that do not match their DATASUM.
 pub fn read_frame(path: &Path) -> Result<Frame, FileError> {
     read_picture(path, None)
 }
@@ -119,7 +119,7 @@ pub fn read_keywords(path: &Path) -> Result<Header, FileError> {
     FitsFile::open(path)?.keywords()
 }
 
-/// How a frame was taken, and the keywords of its FITS file. Where its image's header stands near the beginning, no more is read.
+/// The exposure data of a frame, and the keywords of its FITS file. If its image's header is near the beginning, no more is read.
 ///
 /// # Errors
 /// A file that cannot be read or is no FITS file with an image.
@@ -128,17 +128,17 @@ pub fn read_info(path: &Path) -> Result<(FrameInfo, Header), FileError> {
     info_of_start(&start).map_or_else(|| FitsFile::open(path)?.info(), Ok)
 }
 
-/// The same from the first [`START_BYTES`] of a file; `None` where its image's header does not end within them.
+/// The same from the first [`START_BYTES`] of a file; `None` if its image's header does not end within them.
 pub fn info_of_start(start: &[u8]) -> Option<(FrameInfo, Header)> {
     read::read_headers(&structure::begun(start), None).ok()
 }
 
-/// Checks every checksum of a FITS file; an error where one does not match.
+/// Checks every checksum of a FITS file; an error if one does not match.
 pub fn check_sums(path: &Path) -> Result<Checksums, FileError> {
     FitsFile::open(path)?.checksums()
 }
 
-/// Reads the binary table of a name from a FITS file, `None` where it has none; see [`FitsFile::table`].
+/// Reads the binary table with this name from a FITS file, `None` if it has none; see [`FitsFile::table`].
 pub fn read_table(path: &Path, name: &str) -> Result<Option<Table>, FileError> {
     FitsFile::open(path)?.table(name)
 }
@@ -154,14 +154,14 @@ pub fn read_start(path: &Path) -> Result<Vec<u8>, Problem> {
 /// The bytes of a file.
 ///
 /// # Errors
-/// A file that cannot be read, or is larger than frames are.
+/// If the file cannot be read, or is larger than 512 MiB.
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>, Problem> {
     let bytes = read_at_most(path, MAX_BYTES + 1)?;
     check_length(bytes.len() as u64)?;
     Ok(bytes)
 }
 
-/// Refuses a file that is larger than frames are.
+/// Refuses a file that is larger than 512 MiB.
 pub(crate) fn check_length(bytes: u64) -> Result<(), Problem> {
     match bytes <= MAX_BYTES {
         true => Ok(()),
@@ -198,7 +198,7 @@ fn gunzipped(bytes: Vec<u8>) -> Result<Vec<u8>, Problem> {
     Ok(whole)
 }
 
-/// The bytes, if they begin as FITS does.
+/// The bytes, if they begin as a FITS file does.
 fn checked_fits<'a>(bytes: &'a [u8], expected: &str) -> Result<&'a [u8], Problem> {
     if bytes.is_empty() {
         return Err(Problem::content(expected, "an empty file"));

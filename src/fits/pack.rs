@@ -1,4 +1,4 @@
-//! An image's rows as compressed tiles, a row of pixels a tile (FITS 4.0, section 10): what `compressed` unpacks.
+//! Compression of an image's rows as tiles, one row of pixels per tile (FITS 4.0, section 10); `compressed` unpacks them.
 
 use super::layout::{Layout, text_card, value_card};
 use super::rice::{BLOCK, Encoder, StoredPixel};
@@ -9,7 +9,7 @@ use std::num::NonZeroUsize;
 use std::slice::ChunksExact;
 use std::thread::{self, Builder};
 
-/// How the pixels of an image extension are compressed. All are lossless.
+/// Compression of the pixels of an image extension. All kinds are lossless.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Compression {
     /// Rice, row by row: about half the size, and fast.
@@ -21,7 +21,7 @@ pub enum Compression {
 }
 
 impl Compression {
-    /// The names of the kinds, as files and commands give them.
+    /// The names of the kinds in files and commands.
     pub const NAMES: [&str; 3] = ["rice", "none", "gzip"];
     /// Every kind.
     pub const KINDS: [Self; 3] = [Self::Rice, Self::None, Self::Gzip];
@@ -36,7 +36,7 @@ impl Compression {
     }
 }
 
-/// How the pixels of an image extension are compressed, and by how many threads. The bytes are the same whatever their number.
+/// Compression of the pixels of an image extension, and number of threads. The bytes do not depend on that number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Packing {
     pub compression: Compression,
@@ -44,7 +44,7 @@ pub struct Packing {
 }
 
 impl From<Compression> for Packing {
-    /// On one thread.
+    /// With one thread.
     fn from(compression: Compression) -> Self {
         let threads = 1;
         Self {
@@ -54,11 +54,11 @@ impl From<Compression> for Packing {
     }
 }
 
-/// A thread that compresses needs little, and locked memory is taken whole.
+/// Stack of a thread that compresses: it needs little, and locked memory is taken in full.
 const STACK_BYTES: usize = 1 << 18;
-/// Bytes of a tile's descriptor: its length, and where it begins in the heap.
+/// Bytes of a tile's descriptor: its length, and its start in the heap.
 const DESCRIPTOR: usize = 8;
-/// Of the header of a table of tiles, the cards for what is known only when all tiles are there.
+/// Numbers of those cards in the header of a table of tiles whose values are known only when all tiles are there.
 const PCOUNT: usize = 5;
 const TFORM: usize = 9;
 
@@ -113,7 +113,7 @@ fn axes(layout: &mut Layout, prefix: &str, bits: usize, sides: [usize; 2]) {
     value("NAXIS2", sides[1], "length of axis 2");
 }
 
-/// FITS's 16 bits have a sign: what is stored is 32768 less.
+/// The 16-bit numbers of FITS have a sign: the stored value is less by 32768.
 fn offset(layout: &mut Layout, pixels: &Pixels) {
     if let Pixels::U16(_) = pixels {
         layout.value("BZERO", "32768", "offset of the values");
@@ -121,10 +121,10 @@ fn offset(layout: &mut Layout, pixels: &Pixels) {
     }
 }
 
-/// Adds the image's pixels as the HDU's data, and what the header must state of them.
+/// Adds the image's pixels as the HDU's data, and the header cards that depend on them.
 ///
 /// # Errors
-/// None but what the compressor of gzip may give.
+/// Only errors of the gzip compressor.
 pub(super) fn put(
     layout: &mut Layout,
     pixels: &Pixels,
@@ -154,10 +154,10 @@ fn put_as<T: StoredPixel + Sync>(
     }
 }
 
-/// Adds the tiles of some rows to a heap, and returns the bytes of each.
+/// Adds the tiles of some rows to a heap, and returns the length of each, bytes.
 type Pack<T> = fn(rows: ChunksExact<'_, T>, heap: &mut Vec<u8>) -> io::Result<Vec<usize>>;
 
-/// Adds descriptors and heap: a tile for each row. Threads beyond this one, no more than there are cores for, take a part of the rows each.
+/// Adds descriptors and heap: a tile for each row. Threads beyond this one, at most as many as there are cores, take a part of the rows each.
 fn put_tiles<T: Sync>(
     layout: &mut Layout,
     pixels: &[T],
@@ -185,7 +185,7 @@ fn put_tiles<T: Sync>(
         }
         let mut lengths = pack(first.chunks_exact(width), bytes)?;
         for (part, other) in others {
-            // A thread that could not be started costs time, and no frame.
+            // A thread that could not be started costs time, but no frame.
             let Some(other) = other else {
                 lengths.extend(pack(part.chunks_exact(width), bytes)?);
                 continue;

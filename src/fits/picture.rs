@@ -1,7 +1,7 @@
-//! PNG, TIFF and JPEG pictures as frames. They say nothing of time or exposure.
+//! PNG, TIFF and JPEG pictures as frames. They carry no time or exposure.
 //!
-//! A greyscale picture is read as it stands; any other as its luminance, with a warning: such a camera's numbers are seldom proportional
-//! to light. A picture that says how it was turned (TIFF's orientation, EXIF) is turned back.
+//! A greyscale picture is read unchanged; any other as its luminance, with a warning: the numbers of such a camera are seldom proportional
+//! to light. A picture that states its orientation (TIFF, EXIF) is rotated back.
 
 use super::choice::Size;
 use super::read::refused;
@@ -12,7 +12,7 @@ use crate::frame::{Frame, FrameInfo, Pixels};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use std::io::Cursor;
 
-/// Where a PNG states the bits of a pixel, in the chunk IHDR, which is its first: decoders do not say.
+/// Position of the bit depth in a PNG, in its first chunk IHDR: decoders do not report it.
 const PNG_DEPTH: usize = 24;
 
 /// Format of a file, if it is a picture.
@@ -25,7 +25,7 @@ pub(super) fn format_of(bytes: &[u8]) -> Option<ImageFormat> {
     }
 }
 
-/// Reads a picture; of several in a TIFF, the first of the wanted size, if there is one.
+/// Reads a picture; if a TIFF has several, the first of the wanted size, if there is one.
 pub(super) fn read_picture(
     bytes: &[u8],
     format: ImageFormat,

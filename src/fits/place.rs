@@ -1,8 +1,8 @@
-//! Where a frame was taken, from keywords and to keywords.
+//! Place of a frame's exposure, from keywords and to keywords.
 //!
-//! A [`Place`] is on WGS 84, and LATITUDE, LONGITUD and HEIGHT hold it as it is. OBSGEO-X, -Y and -Z are the same place
-//! in metres from the Earth's centre. OBSGEO-B, -L and -H are on the IAU's ellipsoid of 1976, as the standard has it (Rots
-//! et al. 2015, section 4.1.3), which puts a height 3 m lower. They are read in this order: files of others have the
+//! A [`Place`] is on WGS 84, and LATITUDE, LONGITUD and HEIGHT hold it unchanged. OBSGEO-X, -Y and -Z are the same place
+//! in metres from the Earth's centre. OBSGEO-B, -L and -H are on the IAU's ellipsoid of 1976, as in the standard (Rots
+//! et al. 2015, section 4.1.3), which makes a height 3 m lower. They are read in this order: files of other programs have the
 //! latter two.
 
 use super::keyword::{self, Keyword};
@@ -17,13 +17,13 @@ const GEODETIC: Triple = [&keyword::LATITUDE, &keyword::LONGITUD, &keyword::HEIG
 const GEOCENTRIC: Triple = [&keyword::OBSGEO_X, &keyword::OBSGEO_Y, &keyword::OBSGEO_Z];
 const GEODETIC_IAU: Triple = [&keyword::OBSGEO_B, &keyword::OBSGEO_L, &keyword::OBSGEO_H];
 
-/// Keywords that only make sense together.
+/// Three keywords that are only valid together.
 type Triple = [&'static Keyword; 3];
 
 /// Equatorial radius (m) and flattening of the IAU's ellipsoid of 1976.
 const IAU_1976: (f64, f64) = (6_378_140.0, 1.0 / 298.2577);
 
-/// Reads the place, by the first three keywords that give one; or, where the header states a place that cannot be used, why there is none.
+/// Reads the place, from the first three keywords that give one; if the header states a place that cannot be used, the reason why there is none.
 pub(super) fn read_place(values: &mut Values) -> (Option<Place>, Option<Warning>) {
     values.reading(place)
 }
@@ -45,7 +45,7 @@ fn place(values: &mut Values) -> Option<Place> {
 
 fn from_iau([latitude, longitude, height]: [f64; 3]) -> Result<Place, Problem> {
     let field = "OBSGEO-B/L/H";
-    // Checked first: a latitude beyond the pole has a geocentric position too.
+    // Checked first: a latitude beyond 90 deg would give a geocentric position too.
     checked(field, latitude, longitude, height)?;
     let (radius, flattening) = IAU_1976;
     let [longitude, latitude] = [longitude, latitude].map(f64::to_radians);
@@ -58,7 +58,7 @@ fn from_iau([latitude, longitude, height]: [f64; 3]) -> Result<Place, Problem> {
 pub fn place_cards(place: Place) -> Vec<Card> {
     let geodetic = [place.latitude_deg, place.longitude_deg, place.height_m];
     let mut cards = cards(GEODETIC, geodetic);
-    // To a tenth of a millimetre: more would be noise of the conversion.
+    // To 0.1 mm: more digits would be noise of the conversion.
     let xyz: [f64; 3] = earth::ecef_m(&place).into();
     let xyz = xyz.map(|metres| (metres * 1e4).round() / 1e4);
     cards.extend(self::cards(GEOCENTRIC, xyz));
@@ -96,7 +96,7 @@ fn checked(field: &str, latitude: f64, longitude: f64, height: f64) -> Result<Pl
     })
 }
 
-/// Three numbers that only make sense together.
+/// Three numbers that are only valid together.
 fn triple(values: &mut Values, keywords: Triple) -> Option<[f64; 3]> {
     let keywords = keywords.map(|keyword| keyword.name);
     let stated = keywords.map(|keyword| values.header.contains(keyword));

@@ -1,24 +1,24 @@
-//! Floating-point pixels that were rounded to whole numbers before they were compressed (FITS 4.0, section 10.2 and appendix I).
+//! Floating-point pixels that were quantised before compression (FITS 4.0, section 10.2 and appendix I).
 
 use super::Problem;
 use super::header::Header;
 use std::sync::OnceLock;
 
-/// A pixel that was exactly zero, under the second method of dithering.
+/// Number of a pixel that was exactly zero, under the second method of dithering.
 const EXACT_ZERO: i32 = -2_147_483_646;
-/// This and what is less has no value.
+/// Largest number that means no value.
 const NO_VALUE: i32 = -2_147_483_647;
 
-/// How the numbers of each tile become values again.
+/// Conversion of the numbers of each tile to values.
 pub(super) struct Quantised {
-    /// Of each tile: the step, and the value of number 0.
+    /// For each tile, the step and the value of number 0.
     pub steps: Vec<[f64; 2]>,
     dither: Option<Dither>,
 }
 
-/// The offsets that were added before rounding, less than a step each.
+/// The dither offsets that were added before rounding, less than one step each.
 struct Dither {
-    /// Which of the random numbers the first tile begins with, from 1.
+    /// Index of the random number with which the first tile begins, from 1.
     seed: usize,
     keeps_zeros: bool,
 }
@@ -69,31 +69,31 @@ impl Quantised {
     }
 }
 
-/// How many random numbers there are.
+/// Number of random numbers.
 const RANDOM: usize = 10_000;
 
-/// The random numbers of all programs: Park and Miller's generator.
+/// The random numbers that all programs use: Park and Miller's generator.
 fn random() -> &'static [f64] {
     static NUMBERS: OnceLock<Vec<f64>> = OnceLock::new();
     NUMBERS.get_or_init(|| {
         const MODULUS: u64 = 2_147_483_647;
         let next = |seed: &u64| Some(16_807 * seed % MODULUS);
         let seeds = std::iter::successors(next(&1), next).take(RANDOM);
-        // Programs keep them in single precision.
+        // Programs store them in single precision.
         seeds
             .map(|seed| f64::from((seed as f64 / MODULUS as f64) as f32))
             .collect()
     })
 }
 
-/// The offsets of a tile's pixels: random numbers in a row, from one that is itself drawn.
+/// The dither offsets of a tile's pixels: successive random numbers, from a start that is itself random.
 struct Offsets {
     drawn: usize,
     at: usize,
 }
 
 impl Offsets {
-    /// Of a tile, counted from 1.
+    /// The offsets of a tile, counted from 1.
     fn new(tile: usize) -> Self {
         let drawn = (tile - 1) % RANDOM;
         Self {

@@ -14,17 +14,17 @@ use multiversion::multiversion;
 use std::ops::{Range, RangeInclusive};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// The kinds of pixels that a camera's frame can have.
+/// Types of the pixels of a camera's frame.
 #[derive(Clone, Copy)]
 enum PixelType {
     U8,
     /// 16 bit, stored with an offset of 32768.
     U16,
-    /// 16 bit with a sign that no pixel may use.
+    /// 16 bit with a sign; no pixel may be negative.
     I16,
 }
 
-/// Reads the image of the wanted size, else the first one, in the primary HDU or an extension.
+/// Reads the image of the wanted size, else the first one, from the primary HDU or an extension.
 pub(super) fn read_fits(
     bytes: &[u8],
     hdus: &[Hdu],
@@ -33,7 +33,7 @@ pub(super) fn read_fits(
     Image::find(bytes, hdus, wanted)?.frame(bytes)
 }
 
-/// The size of that image, and what its pixels stand for.
+/// The size of that image, and the physical values of its pixels.
 pub(super) fn read_values(
     bytes: &[u8],
     hdus: &[Hdu],
@@ -43,8 +43,8 @@ pub(super) fn read_values(
     Ok(([image.width, image.height], image.values(bytes)?))
 }
 
-/// As [`read_fits`], but rows are decoded when they are first read, where each is a tile of its own, the sum of all was checked, and
-/// this program stated the saturation. Then what a row's damage is will stand in the second value.
+/// As [`read_fits`], but a row is decoded when it is first read, if each row is a tile of its own, the sum of all was checked, and
+/// this program stated the saturation. The second value then receives the fault of a damaged row.
 pub(super) fn read_on_demand(
     bytes: Vec<u8>,
     hdus: &[Hdu],
@@ -91,14 +91,14 @@ pub(super) type Damage = Arc<Mutex<Option<Problem>>>;
 /// An image whose structure is checked, and the sum of its data.
 struct Image<'a> {
     hdu: &'a Hdu,
-    /// Its keywords over those of the primary HDU.
+    /// Keywords of its HDU and, where these lack one, of the primary HDU.
     header: Header,
     width: usize,
     height: usize,
     coding: Coding,
-    /// None where pixels must be computed from the numbers as stored.
+    /// `None` if pixels must be computed from the numbers as stored.
     plain: Option<PixelType>,
-    /// None where it is not compressed.
+    /// `None` if it is not compressed.
     tiles: Option<Tiles>,
     /// Pictures of the file that are not read.
     left_out: Option<Warning>,
@@ -139,7 +139,7 @@ impl<'a> Image<'a> {
         })
     }
 
-    /// How it was taken, and how it lies on the sensor.
+    /// Its exposure data, and its orientation on the sensor.
     fn info(&self) -> (FrameInfo, Section) {
         let mut values = Values::of(&self.header);
         let (mut info, section) = info(&mut values, [self.width, self.height]);
@@ -148,7 +148,7 @@ impl<'a> Image<'a> {
         (info, section)
     }
 
-    /// All of it, decoded.
+    /// The whole frame, decoded.
     fn frame(&self, bytes: &[u8]) -> Result<Frame, Problem> {
         let (mut info, section) = self.info();
         let mut values = Values::of(&self.header);
@@ -171,7 +171,7 @@ impl<'a> Image<'a> {
         Ok(frame.with_unusable(unusable))
     }
 
-    /// Pixels that are stored as frames have them; none where some are not.
+    /// Pixels that are stored in the form of a frame; `None` if some are not.
     fn plain_pixels(&self, bytes: &[u8]) -> Result<Option<Pixels>, Problem> {
         let Some(pixel_type) = self.plain else {
             return Ok(None);
@@ -200,7 +200,7 @@ impl<'a> Image<'a> {
         digitise(&self.values(bytes)?, self.coding.bits)
     }
 
-    /// Physical value of each pixel, as stored row by row; NaN where it has no value.
+    /// Physical value of each pixel, row by row as stored; NaN if it has no value.
     fn values(&self, bytes: &[u8]) -> Result<Vec<f32>, Problem> {
         match &self.tiles {
             Some(tiles) => tiles.values(bytes, &self.coding),
@@ -213,7 +213,7 @@ impl<'a> Image<'a> {
     }
 }
 
-/// How a frame of a size was taken, and how it lies on the sensor.
+/// Exposure data of a frame of this size, and its orientation on the sensor.
 fn info(values: &mut Values, size: Size) -> (FrameInfo, Section) {
     let info = read_info(values);
     let section = Section::read(values, size);
@@ -221,7 +221,7 @@ fn info(values: &mut Values, size: Size) -> (FrameInfo, Section) {
     (FrameInfo { corner_px, ..info }, section)
 }
 
-/// The rows of an image of which each is a tile.
+/// The rows of an image in which each row is a tile.
 struct TileRows {
     pixel_type: PixelType,
     width: usize,
@@ -256,12 +256,12 @@ impl RowSource for TileRows {
     }
 }
 
-/// The keywords of the image over those of the primary HDU, without reading the pixels.
+/// The keywords of the image and the primary HDU, without reading the pixels; the image's take precedence.
 pub(super) fn read_keywords(hdus: &[Hdu], wanted: Option<Size>) -> Result<Header, Problem> {
     choose(hdus, wanted).map(|chosen| chosen.header)
 }
 
-/// How the frame was taken, and its keywords, without reading the pixels.
+/// The exposure data of the frame, and its keywords, without reading the pixels.
 pub(super) fn read_headers(
     hdus: &[Hdu],
     wanted: Option<Size>,
@@ -275,7 +275,7 @@ pub(super) fn read_headers(
 }
 
 impl PixelType {
-    /// Type of plain numbers, if they can be pixels as they stand.
+    /// Type of plain numbers, if they can be used as pixels unchanged.
     fn of(coding: &Coding) -> Option<Self> {
         let is_plain = coding.scale == 1.0 && coding.blank.is_none();
         match (coding.bits, coding.zero) {
@@ -286,7 +286,7 @@ impl PixelType {
         }
     }
 
-    /// Some rows of tiles whose numbers are such pixels, all of them; else `None`.
+    /// Some rows of tiles, if all their numbers are such pixels; else `None`.
     fn rows(self, tiles: &Tiles, file: &[u8], y: Range<usize>) -> Result<Option<Pixels>, Problem> {
         Ok(match self {
             Self::U8 => tiles.rows(file, y)?.map(Pixels::U8),
@@ -310,7 +310,7 @@ impl PixelType {
         }
     }
 
-    /// The least and the largest number as stored.
+    /// The smallest and the largest number as stored.
     fn range(self) -> (i32, i32) {
         match self {
             Self::U8 => (0, 255),
@@ -320,7 +320,7 @@ impl PixelType {
     }
 }
 
-/// Pixels that come row by row.
+/// Pixels that are added row by row.
 struct PixelBuffer {
     pixel_type: PixelType,
     width: usize,
@@ -340,7 +340,7 @@ impl PixelBuffer {
         }
     }
 
-    /// Adds the pixels of an image that is not compressed: big-endian numbers. False where some are none.
+    /// Adds the pixels of an image that is not compressed: big-endian numbers. False if some are no valid pixels.
     fn add_plain(&mut self, data: &[u8]) -> bool {
         if let Pixels::U8(pixels) = &mut self.pixels {
             pixels.extend_from_slice(data);
@@ -356,7 +356,7 @@ impl PixelBuffer {
         })
     }
 
-    /// Adds pixels of numbers as stored; false where some can be none.
+    /// Adds pixels from numbers as stored; false if some are no valid pixels.
     fn add(&mut self, numbers: &[i32]) -> bool {
         let (least, most) = self.pixel_type.range();
         if !all_within(numbers, &(least..=most)) {

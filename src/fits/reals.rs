@@ -1,9 +1,9 @@
-//! Numbers that are no camera's whole ones, as the 16 bits that frames have: floating-point pixels, scaled ones, and negative or undefined
-//! values among whole ones.
+//! Conversion to the 16-bit integers of frames, for pixels that are no unsigned integers of a camera: floating-point pixels, scaled ones, and
+//! negative or undefined values among integers.
 //!
-//! Whole numbers that fit into 16 bits stay as they are, except for an offset where some are negative. All others are scaled to the whole
-//! range, so that a step is far below their noise. A value is impossible where it is so far from the median that no camera could
-//! hold both: a range of 16 bits, in steps as large as the noise, and many times the range of nearly all pixels.
+//! Integers that fit into 16 bits are unchanged, except for an offset if some are negative. All others are scaled to the whole
+//! range, so that a step is far below their noise. A value is impossible if it is so far from the median that no camera could
+//! represent both: beyond a range of 16 bits, in steps as large as the noise, and many times the range of nearly all pixels.
 
 use super::header::Header;
 use super::values::Values;
@@ -11,30 +11,30 @@ use super::{Problem, saturation};
 use crate::estimation::median;
 use crate::frame::{Frame, FrameInfo, Pixels, Warning};
 
-/// The largest number of a frame.
+/// The largest pixel value of a frame.
 const TOP: f32 = u16::MAX as f32;
-/// Of the pixels whose values and differences show spread and noise, one in so many.
+/// Sampling interval of the pixels from which spread and noise are estimated.
 const SAMPLED: usize = 61;
-/// The part of the pixels below and above the spread of nearly all.
+/// Fraction of the pixels below and above the spread of nearly all.
 const OUTSIDE: f64 = 0.01;
-/// A factor of that spread that is possible, too: frames that are means of many have little noise.
+/// Factor of that spread that is still possible: frames that are means of many have little noise.
 const SPREADS: f32 = 100.0;
-/// Where so many pixels have the largest value, it is that of saturation.
+/// Number of pixels with the largest value from which it counts as saturation.
 const SATURATED_PIXELS: usize = 100;
 
-/// How pixels that are not plain whole numbers are stored (FITS 4.0, sections 4.4.2.5 and 7).
+/// Storage of pixels that are not plain integers (FITS 4.0, sections 4.4.2.5 and 7).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Coding {
     /// BITPIX.
     pub bits: i64,
     pub scale: f64,
     pub zero: f64,
-    /// Whole number for a missing value.
+    /// Integer that means a missing value.
     pub blank: Option<i64>,
 }
 
 impl Coding {
-    /// Of an image's header; of a compressed one, `prefix` is Z.
+    /// Reads the coding of an image's header; for a compressed one, `prefix` is Z.
     pub fn read(header: &Header, prefix: &str) -> Result<Self, Problem> {
         let blank = ["BLANK", "ZBLANK"].into_iter();
         let mut blanks = blank.map(|keyword| header.integer(keyword).ok().flatten());
@@ -58,7 +58,7 @@ impl Coding {
         self.bits.unsigned_abs() as usize / 8
     }
 
-    /// The value of a whole number as stored; not a number where it has none.
+    /// The value of an integer as stored; NaN if it has none.
     pub fn whole(self, number: i64) -> f32 {
         match Some(number) == self.blank {
             true => f32::NAN,
@@ -85,21 +85,21 @@ impl Coding {
     }
 }
 
-/// Numbers as the pixels of a frame.
+/// Values converted to the pixels of a frame.
 pub(super) struct Digitised {
     pub pixels: Pixels,
-    /// Which pixels have no value, or an impossible one.
+    /// Pixels that have no value, or an impossible one.
     pub unusable: Vec<bool>,
     pub warnings: Vec<Warning>,
-    /// A pixel is its value less `zero`, over `step`.
+    /// A pixel is (value - `zero`) / `step`.
     zero: f32,
     step: f32,
-    /// Where many pixels have the largest value.
+    /// The largest value, if many pixels have it.
     saturation: Option<u16>,
 }
 
 impl Digitised {
-    /// The value at which pixels saturate, as SATURATE states it in the numbers' own unit; else as the pixels show it.
+    /// The value at which pixels saturate: from SATURATE, in the unit of the values; else from the pixels.
     pub fn saturation_dn(&self, values: &mut Values) -> u16 {
         if self.zero == 0.0 && self.step == 1.0 {
             return saturation::saturation_dn(values, self.pixels.as_slice());
@@ -108,18 +108,18 @@ impl Digitised {
         self.dn(stated).or(self.saturation).unwrap_or(u16::MAX)
     }
 
-    /// The number of a pixel that has this value; none of one below the least.
+    /// The pixel with this value; `None` if it is below the smallest.
     fn dn(&self, value: Option<f64>) -> Option<u16> {
         let dn = (value? - f64::from(self.zero)) / f64::from(self.step);
         (dn >= 1.0).then_some(dn.min(TOP.into()) as u16)
     }
 }
 
-/// A frame of values in the order of its pixels, whatever they are: as whole numbers of 16 bit, scaled where need be. `bits` is as BITPIX
-/// states it, and they saturate at `saturation` in their own unit.
+/// A frame of values of any kind, in the order of its pixels: as 16-bit integers, scaled if need be. `bits` is BITPIX,
+/// and `saturation` is the value at which they saturate, in their own unit.
 ///
 /// # Errors
-/// No pixel has a value, or there are not `width` x `height` values.
+/// If no pixel has a value, or there are not `width` x `height` values.
 pub fn frame_of_values(
     values: &[f32],
     bits: i64,
@@ -142,10 +142,10 @@ pub fn frame_of_values(
     Ok(frame.with_unusable(digitised.unusable))
 }
 
-/// Turns values into pixels; `bits` as BITPIX states them.
+/// Converts values to pixels; `bits` is BITPIX.
 ///
 /// # Errors
-/// No pixel has a value.
+/// If no pixel has a value.
 pub(super) fn digitise(values: &[f32], bits: i64) -> Result<Digitised, Problem> {
     let none = || Problem::field("pixels", "some pixel with a value", "none");
     let (low, high) = range(values).ok_or_else(none)?;
@@ -193,7 +193,7 @@ pub(super) fn digitise(values: &[f32], bits: i64) -> Result<Digitised, Problem> 
     })
 }
 
-/// The least and the largest value that are possible; `None` where there is no value.
+/// The smallest and the largest possible value; `None` if there is no value.
 fn range(values: &[f32]) -> Option<(f32, f32)> {
     let finite = |value: &f32| value.is_finite().then_some(*value);
     let mut sample: Vec<f32> = values.iter().step_by(SAMPLED).filter_map(finite).collect();
@@ -216,7 +216,7 @@ fn range(values: &[f32]) -> Option<(f32, f32)> {
     }
 }
 
-/// That a picture's luminance is read.
+/// Warning that a picture's luminance is read.
 pub(super) fn luminance_warning(kind: &str) -> Warning {
     let found = format!("{kind}: its luminance, which is seldom proportional to light");
     Warning::new("picture", "greyscale of 8 or 16 bit", found)

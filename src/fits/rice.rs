@@ -1,16 +1,16 @@
-//! Rice compression as FITS 4.0 (section 10.4.1) describes it: differences of neighbouring pixels, in blocks, each
+//! Rice compression as in FITS 4.0 (section 10.4.1): differences of neighbouring pixels, in blocks, each
 //! with its own number of low bits.
 //!
-//! A stream begins with its first pixel, not compressed. Each difference d between neighbours is folded to a number without a sign: 2 d, or
-//! -2 d - 1 where d is negative. All but its low k bits are counted by zeros, which a 1 bit ends; the low k bits follow as they are. Each block states its k.
-//! Two more values of k say that all differences of the block are zero, and that they are not compressed.
+//! A stream begins with its first pixel, not compressed. Each difference d between neighbours is folded to an unsigned number: 2 d, or
+//! -2 d - 1 if d is negative. All except its low k bits are coded as that number of zeros, ended by a 1 bit; the low k bits follow unchanged. Each
+//! block states its k. Two more values of k mean that all differences of the block are zero, and that they are not compressed.
 
 use multiversion::multiversion;
 use std::borrow::Cow;
 use std::mem;
 use std::sync::LazyLock;
 
-/// How the numbers of a Rice stream are laid out.
+/// Layout of the numbers of a Rice stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Rice {
     /// Pixels in a block.
@@ -19,7 +19,7 @@ pub(super) struct Rice {
     pub width: Width,
 }
 
-/// Bytes of a number: without a sign where it is 1, with a sign where they are 2 or 4.
+/// Bytes of a number: unsigned for 1, signed for 2 or 4.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Width {
     One,
@@ -36,7 +36,7 @@ impl Width {
         }
     }
 
-    /// The bits that a number has.
+    /// Mask of the bits of a number.
     fn mask(self) -> u32 {
         u32::MAX >> (u32::BITS - 8 * self.bytes() as u32)
     }
@@ -52,7 +52,7 @@ impl Width {
 }
 
 impl Rice {
-    /// Fills `numbers` from a stream. `None` where the stream ends too soon.
+    /// Fills `numbers` from a stream. `None` if the stream ends too soon.
     pub fn decode(self, stream: &[u8], numbers: &mut [i32]) -> Option<()> {
         match self.width {
             Width::One => decode(self, stream, numbers, |bits| (bits as u8).into()),
@@ -67,14 +67,14 @@ impl Rice {
     }
 }
 
-/// Bits that hold most codes of few low bits.
+/// Number of bits that hold most codes with few low bits.
 const INDEX_BITS: u32 = 12;
-/// Value that a code that begins with some bits adds to a number; [`LONG`] where it has more bits.
+/// Difference encoded by a code with these first bits; [`LONG`] if the code has more bits.
 type Differences = [u32; 1 << INDEX_BITS];
-/// Above the sum of the differences of a group.
+/// Larger than the sum of the differences of a group.
 const LONG: u32 = 1 << 20;
 
-/// For each number of low bits, so far as most codes are that short.
+/// Tables for each number of low bits for which most codes are that short.
 static OF_BYTES: LazyLock<Vec<Differences>> = LazyLock::new(|| differences(Width::One));
 static OF_WORDS: LazyLock<Vec<Differences>> = LazyLock::new(|| differences(Width::Two));
 
@@ -89,13 +89,13 @@ fn differences(width: Width) -> Vec<Differences> {
     (0..width.parameter().1.min(8)).map(of_low).collect()
 }
 
-/// The difference that was folded: even numbers stand for what is not negative, odd ones for what is.
+/// The difference that was folded: even numbers represent non-negative ones, odd numbers negative ones.
 #[inline(always)]
 fn unfolded(folded: u32) -> u32 {
     (folded >> 1) ^ (folded & 1).wrapping_neg()
 }
 
-/// As [`Rice::decode`]; `of` makes a number of the bits that stand lowest. Shifts by what a register holds are one instruction where the processor has them.
+/// As [`Rice::decode`]; `of` makes a number from the lowest bits. Variable shifts of a register are one instruction if the processor has them.
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2+lzcnt"))]
 fn decode<T>(rice: Rice, stream: &[u8], numbers: &mut [T], of: impl Fn(u32) -> T) -> Option<()> {
     let tables: &[Differences] = match rice.width {
@@ -112,11 +112,11 @@ fn decode<T>(rice: Rice, stream: &[u8], numbers: &mut [T], of: impl Fn(u32) -> T
         let low = parameter.wrapping_sub(1);
         let computed = |window: u64| {
             let zeros = window.leading_zeros();
-            // The 1 bit stands on top now, and counts as 2^low below.
+            // The 1 bit is the highest now, and contributes 2^low below.
             let code = window.wrapping_shl(zeros) >> (63 - low);
             unfolded((zeros << low) + code as u32 - (1 << low)) & mask
         };
-        // As many at a time as mostly stand in a window.
+        // As many at a time as usually fit into a window.
         if let Some(table) = tables.get(low as usize) {
             let known = |window: u64| table[(window >> (u64::BITS - INDEX_BITS)) as usize];
             match low {
@@ -132,30 +132,30 @@ fn decode<T>(rice: Rice, stream: &[u8], numbers: &mut [T], of: impl Fn(u32) -> T
     (bits.at <= 8 * stream.len()).then_some(())
 }
 
-/// Pixels of a block that is written.
+/// Pixels of a block in streams that are written.
 pub(super) const BLOCK: usize = 32;
 
-/// A stream needs no more bytes than these and, for each pixel, one more than the pixel has: the first pixel, what ends the last byte, and the 8 bytes
-/// that each [`Writer::put`] stores. There are fewer than four zeros a pixel, because k follows the block's mean.
+/// A stream needs at most this many bytes plus, for each pixel, one more than the pixel has: for the first pixel, the end of the last byte, and the 8
+/// bytes that each [`Writer::put`] stores. There are fewer than four zeros per pixel, because k follows the block's mean.
 const OVERHEAD_BYTES: usize = 16;
 
-/// A pixel as a file holds it.
+/// A pixel in the form stored in a file.
 pub(super) trait StoredPixel: Copy + Default + Into<u32> {
     const WIDTH: Width;
 
-    /// The number that is stored, as its bits.
+    /// The stored number, as its bits.
     fn stored(self) -> u32;
 
-    /// The pixel whose number is stored in the lowest of these bits.
+    /// The pixel whose stored number is in the lowest of these bits.
     fn of_stored(bits: u32) -> Self;
 
-    /// The bytes of the numbers that are stored, the highest of each first.
+    /// The bytes of the stored numbers, the highest of each first.
     fn bytes(row: &[Self]) -> Cow<'_, [u8]>;
 
-    /// The folded difference from the pixel before.
+    /// The folded difference from the previous pixel.
     fn folded(self, before: Self) -> Self;
 
-    /// Four numbers beside each other, the first in the lowest bits.
+    /// Four numbers side by side, the first in the lowest bits.
     fn beside(four: [Self; 4]) -> u64;
 }
 
@@ -187,7 +187,7 @@ impl StoredPixel for u8 {
 impl StoredPixel for u16 {
     const WIDTH: Width = Width::Two;
 
-    /// FITS's 16 bits have a sign: what is stored is 32768 less.
+    /// The 16-bit numbers of FITS have a sign: the stored value is less by 32768.
     fn stored(self) -> u32 {
         (self ^ 0x8000).into()
     }
@@ -211,16 +211,16 @@ impl StoredPixel for u16 {
     }
 }
 
-/// Makes streams of rows, in memory that all of them use.
+/// Makes streams of rows, in memory that is reused for each.
 pub(super) struct Encoder<T> {
     folded: Vec<T>,
-    /// Of each whole block's folded differences.
+    /// Sum of the folded differences of each whole block.
     sums: Vec<u32>,
     fours: Fours,
     stream: Vec<u8>,
 }
 
-/// Of each four pixels of whole blocks: the low bits of a code, the four codes strung together, and how many bits these are.
+/// For each group of four pixels of whole blocks: the number of low bits, the four codes joined, and their length in bits.
 struct Fours {
     low: Vec<u64>,
     codes: Vec<u64>,
@@ -228,7 +228,7 @@ struct Fours {
 }
 
 impl<T: StoredPixel> Encoder<T> {
-    /// For rows of so many pixels.
+    /// An encoder for rows of this many pixels.
     pub fn new(pixels: usize) -> Self {
         let blocks = pixels / BLOCK;
         let fours = blocks * FOURS;
@@ -251,14 +251,14 @@ impl<T: StoredPixel> Encoder<T> {
     }
 }
 
-/// Each step in a pass of its own over the row, so that the compiler vectorises it.
+/// Each step is a pass of its own over the row, so that the compiler vectorises it.
 #[multiversion(targets("x86_64+avx2+bmi1+bmi2+lzcnt"))]
 fn encode<T: StoredPixel>(row: &[T], encoder: &mut Encoder<T>) -> usize {
     let Some(first) = row.first() else {
         return 0;
     };
     let folded = &mut encoder.folded[..row.len()];
-    // The first pixel of a row has none before it.
+    // The first pixel of a row has no predecessor.
     folded[0] = T::default();
     for ((folded, pixel), before) in folded[1..].iter_mut().zip(&row[1..]).zip(row) {
         *folded = pixel.folded(*before);
@@ -302,7 +302,7 @@ fn encode<T: StoredPixel>(row: &[T], encoder: &mut Encoder<T>) -> usize {
     encoder.stream.len() - left
 }
 
-/// The codes of four folded differences with so many low bits, and their length; of no use where it is above [`MAX_PUT_BITS`].
+/// The joined codes of four folded differences with `low` low bits, and their length; invalid if the length is above [`MAX_PUT_BITS`].
 #[inline(always)]
 fn strung(four: u64, low: u64, width: Width) -> (u64, u32) {
     let bits = 8 * width.bytes() as u32;
@@ -316,29 +316,29 @@ fn strung(four: u64, low: u64, width: Width) -> (u64, u32) {
     (codes, length as u32)
 }
 
-/// Bits that become bytes, the highest of each byte first.
+/// Writes bits to bytes, the highest of each byte first.
 struct Writer<'a> {
-    /// Space for all, and for a window behind it.
+    /// Space for all bytes, and for a window after them.
     out: &'a mut [u8],
-    /// The last `count` bits, below 8, that are no whole byte yet, from the top down.
+    /// The last `count` bits, fewer than 8, that do not fill a byte yet, from the top down.
     window: u64,
     count: u32,
 }
 
-/// Bits that are added at once, at most: seven more may wait in the window.
+/// Most bits that are added at once: seven more may wait in the window.
 const MAX_PUT_BITS: u32 = 56;
-/// Fours of a block.
+/// Groups of four pixels in a block.
 const FOURS: usize = BLOCK / 4;
 
 impl Writer<'_> {
-    /// Adds the low `bits`, at most [`MAX_PUT_BITS`], of a number that has no others.
+    /// Adds the low `bits`, at most [`MAX_PUT_BITS`], of a number without higher bits.
     #[inline(always)]
     fn put(&mut self, number: u64, bits: u32) {
         self.count += bits;
         self.window |= number << (64 - self.count);
-        // Without a branch: whether a byte is whole could not be predicted by the processor.
+        // Without a branch: the processor could not predict whether a byte is complete.
         self.out[..8].copy_from_slice(&self.window.to_be_bytes());
-        // Below 8, so that the compiler need not ask whether there is space.
+        // Less than 8, so that the compiler needs no bounds check.
         let bytes = self.count / 8 % 8;
         self.out = &mut mem::take(&mut self.out)[bytes as usize..];
         self.window <<= 8 * bytes;
@@ -398,33 +398,33 @@ impl Writer<'_> {
     }
 }
 
-/// A 1 bit and the low bits: what follows a folded difference's zeros.
+/// The part of a code after the zeros: a 1 bit and the low bits.
 #[inline(always)]
 fn code(folded: u64, low: u64) -> u64 {
     let one = 1 << low;
     one | folded & (one - 1)
 }
 
-/// How many bits of a block are low, by the sum of its folded differences.
+/// Number of low bits of a block, by the sum of its folded differences.
 fn low_bits(sum: u32, pixels: u32) -> u32 {
     let mean = sum.saturating_sub(pixels / 2 + 1) / pixels;
     u32::BITS - (mean >> 1).leading_zeros()
 }
 
-/// Bits of a stream, the highest of each byte first; zeros behind its end.
+/// Reads the bits of a stream, the highest of each byte first; zeros after its end.
 #[derive(Clone, Copy)]
 struct Bits<'a> {
     stream: &'a [u8],
-    /// The next bit.
+    /// Position of the next bit.
     at: usize,
     width: Width,
     /// The last number, as its bits.
     last: u32,
 }
 
-/// Bits of a window, whatever bit of a byte it begins with: 64 - 7.
+/// Number of valid bits of a window, whatever bit of a byte it begins with: 64 - 7.
 const WINDOW_BITS: u32 = 57;
-/// The bit behind them.
+/// The bit after them.
 const END: u64 = 1 << (u64::BITS - 1 - WINDOW_BITS);
 
 impl<'a> Bits<'a> {
@@ -464,7 +464,7 @@ impl<'a> Bits<'a> {
         window.checked_shr(64 - count).unwrap_or(0) as u32
     }
 
-    /// Takes zeros up to the next 1 bit, and that bit; how many zeros. `None` where no 1 bit follows.
+    /// Takes zeros up to the next 1 bit, and that bit; returns the number of zeros. `None` if no 1 bit follows.
     fn zeros(&mut self) -> Option<u32> {
         let mut zeros = 0;
         while self.at < 8 * self.stream.len() {
@@ -479,7 +479,7 @@ impl<'a> Bits<'a> {
         None
     }
 
-    /// The numbers of a block with so many low bits, N at a time.
+    /// The numbers of a block with `low` low bits, N at a time.
     #[inline(always)]
     fn groups<const N: usize, T>(
         &mut self,
@@ -502,7 +502,7 @@ impl<'a> Bits<'a> {
         Some(())
     }
 
-    /// Takes numbers whose codes all stand in one window; the last one, or `None` where they do not, or one of them is [`LONG`].
+    /// Takes numbers whose codes all fit into one window; returns the last one, or `None` if they do not, or one of them is [`LONG`].
     #[inline(always)]
     fn group<const N: usize, T>(
         &mut self,
@@ -511,7 +511,7 @@ impl<'a> Bits<'a> {
         difference: &impl Fn(u64) -> u32,
         of: &impl Fn(u32) -> T,
     ) -> Option<u32> {
-        // A 1 bit ends the window. It is gone when more was taken than stood in it.
+        // A 1 bit ends the window. It is gone if more bits were taken than the window held.
         let mut window = (self.window() | END) & END.wrapping_neg();
         let mut sum = self.last;
         for number in group {
@@ -519,7 +519,7 @@ impl<'a> Bits<'a> {
             *number = of(sum);
             window = window.wrapping_shl(window.leading_zeros()) << (low + 1);
         }
-        // Asked once, not after each: that takes half as long.
+        // Checked once, not after each number: that takes half as long.
         if sum >= LONG || window == 0 {
             return None;
         }
@@ -527,7 +527,8 @@ impl<'a> Bits<'a> {
         Some(sum)
     }
 
-    /// The plain twin of [`Self::groups`], for a block with any parameter; what follows. A copy, so that the compiler keeps the caller's in registers.
+    /// The simple counterpart of [`Self::groups`], for a block with any parameter; returns the state after it. A copy, so that the compiler keeps the
+    /// caller's in registers.
     #[inline(never)]
     fn one_by_one<T>(
         mut self,
@@ -549,7 +550,7 @@ impl<'a> Bits<'a> {
         Some(self)
     }
 
-    /// A folded difference: zeros up to a 1 bit count how often 2^`low` goes into it, and `low` bits, at most 24, are the rest.
+    /// A folded difference: the number of zeros before a 1 bit is its quotient by 2^`low`, and `low` bits, at most 24, are the remainder.
     fn one(&mut self, low: u32) -> Option<u32> {
         Some(self.zeros()?.wrapping_shl(low) | self.take(low))
     }
@@ -559,7 +560,7 @@ impl<'a> Bits<'a> {
 mod tests {
     use super::*;
 
-    /// The first pixel's bytes, and then bits, which blanks may part; the last byte is filled with zeros.
+    /// The first pixel's bytes, and then bits, in groups separated by blanks; the last byte is filled with zeros.
     fn stream(first: &[u8], bits: &str) -> Vec<u8> {
         let bits: Vec<u8> = bits
             .bytes()
@@ -605,7 +606,7 @@ mod tests {
         assert_eq!(decoded(Width::One, &stream), Some([7, 7, 7, 7, 8, 8]));
     }
 
-    /// The same by single bits, as the standard describes it.
+    /// The same, bit by bit as in the standard.
     fn plainly_encoded<T: StoredPixel>(row: &[T]) -> Vec<u8> {
         let mut bits: Vec<u8> = Vec::new();
         let mut put = |number: u32, count: u32| {
@@ -643,7 +644,7 @@ mod tests {
         bits.chunks(8).map(byte).collect()
     }
 
-    /// Rows of every roughness: still, noisy, with spikes, wild; and of lengths that end a block anywhere.
+    /// Rows of every roughness: constant, noisy, with spikes, random; and of lengths that end a block anywhere.
     fn rows(most: u32) -> impl Iterator<Item = Vec<u32>> {
         let mut state = 7_u64;
         let mut random = move || {

@@ -4,18 +4,18 @@ use super::header::Header;
 use super::values::Values;
 use crate::frame::{PixelSlice, Warning};
 
-/// A header's SATURATE that pixels exceed by this factor is wrong: sensors respond well beyond the end of linearity, but not so far.
+/// Factor by which pixels must exceed a header's SATURATE to show that it is wrong: sensors respond beyond the end of linearity, but not so far.
 const CONTRADICTED: u32 = 2;
 
-/// As SATURATE states it.
+/// The value of SATURATE.
 pub(super) fn stated(values: &mut Values, pixels: PixelSlice<'_>) -> Option<u16> {
     let expected = "a level from 1 to 65535 DN";
     let level = values.within("SATURATE", 1.0..=65_535.0, expected)? as u16;
     Some(level.min(full(pixels)))
 }
 
-/// As SATURATE or BITDEPTH states it, unless pixels contradict that. What 16-bit pixels hold is 0 to 4095 otherwise, or all 16 bits
-/// where a pixel beyond 4095 shows that it is not so.
+/// The value of SATURATE or BITDEPTH, unless pixels contradict it. Otherwise the range of 16-bit pixels is 0 to 4095, or all 16 bits
+/// if a pixel exceeds 4095.
 pub(super) fn saturation_dn(values: &mut Values, pixels: PixelSlice<'_>) -> u16 {
     let exceed = |most: u32| u32::from(pixels.bits_set()) > most;
     if let Some(level) = stated(values, pixels) {
@@ -34,7 +34,7 @@ pub(super) fn saturation_dn(values: &mut Values, pixels: PixelSlice<'_>) -> u16 
     pixels.assumed_saturation_dn()
 }
 
-/// Whether this program wrote the file: then what it states holds, and rows that are decoded one by one need not be compared with it.
+/// Whether this program wrote the file: then its SATURATE is valid, and rows that are decoded one by one need not be compared with it.
 pub(super) fn is_own(header: &Header) -> bool {
     let creator = header.text("CREATOR").ok().flatten();
     creator.is_some_and(|creator| creator.starts_with(env!("CARGO_PKG_NAME")))

@@ -1,19 +1,19 @@
-//! Which part of the sensor a picture is, and which way up it stands.
+//! The part of the sensor that a picture shows, and its orientation.
 
 use super::values::Values;
 use crate::frame::{Pixels, Warning};
 
-/// How a picture lies on the sensor.
+/// Position and orientation of a picture on the sensor.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Section {
-    /// Column and row of the sensor at the first pixel, where the file names them.
+    /// Column and row of the sensor at the first pixel, if the file states them.
     pub corner_px: Option<(usize, usize)>,
-    /// Whether columns and rows run against those of the sensor.
+    /// Whether columns and rows run opposite to those of the sensor.
     pub reversed: [bool; 2],
 }
 
 impl Section {
-    /// Reads where a picture of this size lies.
+    /// Reads the position of a picture of this size.
     pub fn read(values: &mut Values, size: [usize; 2]) -> Self {
         let corner = |values: &mut Values, keywords: [&str; 2]| {
             let [x, y] = keywords.map(|keyword| values.whole(keyword));
@@ -43,7 +43,7 @@ impl Section {
         section
     }
 
-    /// The picture as the sensor has it.
+    /// The picture in the orientation of the sensor.
     pub fn upright(self, pixels: Pixels, unusable: Vec<bool>, width: usize) -> (Pixels, Vec<bool>) {
         if self.reversed == [false; 2] {
             return (pixels, unusable);
@@ -67,8 +67,8 @@ impl Section {
     }
 }
 
-/// A section of the sensor as NOAO's convention writes it: "[x0:x1,y0:y1]", counted from 1, both ends included, against the direction of
-/// reading where the second is less than the first.
+/// A section of the sensor in NOAO's notation: "[x0:x1,y0:y1]", counted from 1, both ends included, opposite to the direction of
+/// reading if the second is less than the first.
 fn section(values: &mut Values, keyword: &str, size: [usize; 2]) -> Option<Section> {
     let text = values.text(keyword)?;
     let found = parse(&text).filter(|ends| {

@@ -10,14 +10,14 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// How a column's values are stored.
+/// Storage of a column's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CellForm {
     /// Text of this many characters.
     Text(usize),
-    /// 64 bits; TNULLn stands for none.
+    /// 64 bits; TNULLn means none.
     Integer,
-    /// Double precision; NaN stands for none.
+    /// Double precision; NaN means none.
     Float,
     Logical,
 }
@@ -48,9 +48,9 @@ impl CellForm {
 #[derive(Debug, Clone, Copy)]
 pub struct StoredColumn {
     pub name: &'static str,
-    /// As FITS writes it where it knows it; empty for values without.
+    /// Unit in the form of FITS, if FITS knows it; empty for values without.
     pub unit: &'static str,
-    /// Meaning of the values, as TCOMMn states it.
+    /// Meaning of the values, for TCOMMn.
     pub meaning: &'static str,
     pub form: CellForm,
 }
@@ -67,7 +67,7 @@ impl StoredColumn {
     }
 }
 
-/// A row in the making: a cell of each column, in their order.
+/// A row being written: a cell for each column, in their order.
 #[derive(Debug, Default)]
 pub struct StoredRow(Vec<u8>);
 
@@ -77,7 +77,7 @@ impl StoredRow {
         &self.0
     }
 
-    /// Empties it for the next row.
+    /// Empties the row for the next one.
     pub fn clear(&mut self) {
         self.0.clear();
     }
@@ -101,21 +101,21 @@ impl StoredRow {
     }
 }
 
-/// A file of binary tables behind a primary HDU without data, in the making. Nothing in it states when it was made: the same tables give
+/// A file of binary tables after a primary HDU without data, being written. It contains no time of writing: the same tables give
 /// the same bytes.
 #[derive(Debug)]
 pub struct TableFile {
     path: PathBuf,
     file: BufWriter<File>,
-    /// In every header.
+    /// Cards of every header.
     cards: Vec<Card>,
 }
 
 impl TableFile {
-    /// Begins a file, replacing what stood there; `cards` go into every header.
+    /// Begins a file, replacing an existing one; `cards` go into every header.
     ///
     /// # Errors
-    /// A card that no keyword of the table is; a file that cannot be written.
+    /// If a card is not of a keyword of the table, or the file cannot be written.
     pub fn create(path: &Path, cards: &[Card]) -> Result<Self, FileError> {
         let begun = || {
             let mut header = Layout::new(BLOCK);
@@ -140,7 +140,7 @@ impl TableFile {
     /// Adds a table; `fill` writes each of its rows.
     ///
     /// # Errors
-    /// Errors of `fill`; a row without a cell of each column; a file that cannot be written.
+    /// Errors of `fill`; a row without a cell for each column; a file that cannot be written.
     pub fn table<R, E: From<FileError>>(
         &mut self,
         name: &str,
@@ -188,7 +188,7 @@ impl TableFile {
         Ok(())
     }
 
-    /// The whole file, written through.
+    /// Completes the file and syncs it to the disk.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -207,7 +207,7 @@ impl TableFile {
     }
 }
 
-/// The header of a table of so many rows.
+/// The header of a table with this number of rows.
 fn header(
     name: &str,
     columns: &[StoredColumn],
@@ -220,11 +220,11 @@ fn header(
     Ok(header)
 }
 
-/// The sum of data that come in pieces.
+/// The sum of data that arrive in pieces.
 #[derive(Default)]
 struct DataSum {
     sum: u32,
-    /// Of a word that is not whole yet.
+    /// Bytes of an incomplete word.
     rest: Vec<u8>,
 }
 

@@ -1,15 +1,15 @@
-//! The skeleton of a FITS file: where each header and its data lie, checked against the size of the file.
+//! The structure of a FITS file: the ranges of each header and its data, checked against the size of the file.
 //!
-//! Nothing is allocated for what a header merely promises.
+//! No memory is allocated for sizes that a header merely states.
 
 use super::Problem;
 use super::header::{CARD, Header};
 use std::ops::Range;
 
-/// Bytes of a FITS block: headers and data fill whole ones.
+/// Bytes of a FITS block: headers and data fill whole blocks.
 pub(super) const BLOCK: usize = 2880;
 
-/// The widest side of an image that is read, px.
+/// The longest side of an image that is read, px.
 pub(super) const MAX_SIDE: i64 = 65_536;
 
 /// One header and the data it describes, as ranges of bytes in the file.
@@ -49,14 +49,14 @@ impl Hdu {
     }
 }
 
-/// Every HDU of a file, each complete; the first error otherwise.
+/// Every HDU of a file, each complete; otherwise the first error.
 pub(super) fn scan(bytes: &[u8]) -> Result<Vec<Hdu>, Problem> {
     let mut hdus = vec![hdu_at(bytes, 0)?];
     loop {
         let next = hdus
             .last()
             .map_or(0, |hdu| hdu.data_bytes.end.next_multiple_of(BLOCK));
-        // What follows the last HDU and is no extension is no part of the file's content (FITS 4.0, 3.5).
+        // Bytes after the last HDU that are no extension do not belong to the file's content (FITS 4.0, 3.5).
         if !bytes
             .get(next..)
             .is_some_and(|b| b.starts_with(b"XTENSION"))
@@ -67,7 +67,7 @@ pub(super) fn scan(bytes: &[u8]) -> Result<Vec<Hdu>, Problem> {
     }
 }
 
-/// The HDUs whose headers lie in the beginning of a file, without their data.
+/// The HDUs whose headers are in the beginning of a file, without their data.
 pub(super) fn begun(bytes: &[u8]) -> Vec<Hdu> {
     let mut hdus = Vec::new();
     let mut start = 0;
@@ -116,7 +116,7 @@ fn hdu_at(bytes: &[u8], start: usize) -> Result<Hdu, Problem> {
     })
 }
 
-/// Bytes of data that a header promises (FITS 4.0, equation 2); saturates instead of overflowing.
+/// Bytes of data that a header states (FITS 4.0, equation 2); saturates instead of overflowing.
 pub(super) fn data_size(header: &Header) -> Result<u64, Problem> {
     let axes = header.size("NAXIS", 0..=999)?;
     let bits = header.integer("BITPIX")?;

@@ -8,7 +8,7 @@ use super::{Column, Header, Problem, Table, Value, Values};
 /// The most values, rows times columns, that are read.
 const MOST_VALUES: usize = 1 << 22;
 
-/// Type of a column's values, and how they are stored.
+/// Type and storage of a column's values.
 #[derive(Debug, Clone, Copy)]
 enum Kind {
     Integer,
@@ -17,7 +17,7 @@ enum Kind {
     Text,
 }
 
-/// Where a column stands in a row.
+/// Position of a column in a row.
 struct Field {
     name: String,
     unit: String,
@@ -27,7 +27,7 @@ struct Field {
     bytes: usize,
 }
 
-/// Reads the first binary table of that name, none where the file has none.
+/// Reads the first binary table with this name; `None` if the file has none.
 pub(super) fn read_table(bytes: &[u8], hdus: &[Hdu], name: &str) -> Result<Option<Table>, Problem> {
     let named = |hdu: &&Hdu| {
         let text = |keyword| match hdu.header.get(keyword) {
@@ -58,7 +58,7 @@ fn columns(header: &Header, data: &[u8]) -> Result<Vec<Column>, Problem> {
         return Err(Problem::field("NAXIS1", expected, row_bytes));
     }
     let rows = header.size("NAXIS2", 0..=i64::MAX)? as usize;
-    // No column is without bytes, so a table without columns alone has none in its rows.
+    // Every column has bytes, so only a table without columns has rows without bytes.
     let most = (MOST_VALUES / fields.len().max(1)).min(data.len() / width.max(1));
     if rows > most && width > 0 {
         let expected = format!("at most {most} rows of {width} bytes");
@@ -129,7 +129,7 @@ fn kind(form: &str) -> Option<(Kind, usize)> {
     Some((kind, form.bytes()?))
 }
 
-/// A big-endian number: unsigned where it is one byte, signed otherwise.
+/// A big-endian number: unsigned if it is one byte, signed otherwise.
 fn integer(cell: &[u8]) -> i64 {
     let first = match cell {
         [byte] => i64::from(*byte),

@@ -1,4 +1,4 @@
-//! Parts of TIFF files that pictures' decoders do not read: pages, palettes, and numbers that no picture has.
+//! Parts of TIFF files that pictures' decoders do not read: pages, palettes, and number types that do not occur in pictures.
 
 use super::Problem;
 use super::choice::Size;
@@ -8,10 +8,10 @@ use std::io::Cursor;
 use tiff::decoder::{Decoder, DecodingResult};
 use tiff::tags::Tag;
 
-/// More pages are not read.
+/// Largest number of pages that are read.
 const MOST_PAGES: usize = 1000;
 
-/// A greyscale picture of numbers that no frame has: floating-point ones, or whole ones with a sign or of more than 16 bits.
+/// A greyscale picture of numbers that frames do not have: floating-point ones, or integers with a sign or of more than 16 bits.
 pub(super) struct Numbers {
     values: Vec<f32>,
     bits: i64,
@@ -19,7 +19,7 @@ pub(super) struct Numbers {
     orientation: u16,
 }
 
-/// Those of a TIFF; `None` of any other.
+/// The numbers of such a TIFF; `None` for any other.
 pub(super) fn numbers(bytes: &[u8]) -> Option<Numbers> {
     let mut decoder = Decoder::new(Cursor::new(bytes)).ok()?;
     let tiff::ColorType::Gray(bits) = decoder.colortype().ok()? else {
@@ -28,7 +28,7 @@ pub(super) fn numbers(bytes: &[u8]) -> Option<Numbers> {
     let formats = decoder
         .find_tag_unsigned_vec::<u16>(Tag::SampleFormat)
         .ok()?;
-    // 1, or nothing, is whole numbers without a sign: up to 16 bits those are read as pictures are.
+    // 1, or no entry, means unsigned integers: up to 16 bits they are read like pictures.
     let without_sign = formats.is_none_or(|formats| formats.first() == Some(&1));
     if without_sign && bits <= 16 {
         return None;
@@ -36,7 +36,7 @@ pub(super) fn numbers(bytes: &[u8]) -> Option<Numbers> {
     Numbers::decode(decoder)
 }
 
-/// The luminance of a TIFF that has a palette of 8 bits; `None` of any other. Its decoder knows no palettes: the picture is decoded as if
+/// The luminance of a TIFF with a palette of 8 bits; `None` for any other. Its decoder does not support palettes: the picture is decoded as if
 /// the numbers were grey.
 pub(super) fn palette(bytes: &[u8], warnings: &mut Vec<Warning>) -> Option<Numbers> {
     const PALETTE: u16 = 3;
@@ -53,7 +53,7 @@ pub(super) fn palette(bytes: &[u8], warnings: &mut Vec<Warning>) -> Option<Numbe
         true => number.to_le_bytes(),
         false => number.to_be_bytes(),
     };
-    // Entries of 12 bytes behind their number: tag, type, count and value (TIFF 6.0, section 2).
+    // Entries of 12 bytes after their number: tag, type, count and value (TIFF 6.0, section 2).
     let entries = bytes.get(directory + 2..)?.chunks_exact(12);
     let entry = entries
         .take_while(|entry| !entry.is_empty())
@@ -112,7 +112,7 @@ impl Numbers {
     }
 }
 
-/// The same TIFF with the wanted page as its first, where that is another; warns of pages that are left out.
+/// The same TIFF with the wanted page as its first, if that is another one; warns of pages that are not read.
 pub(super) fn page(
     bytes: &[u8],
     wanted: Option<Size>,
@@ -141,7 +141,7 @@ pub(super) fn page(
         chosen + 1
     );
     warnings.push(Warning::new("file", "one picture", found));
-    // Where the first page's directory stands: in the header.
+    // Position of the first page's directory: in the header.
     let is_little = bytes[0] == b'I';
     let is_big_tiff = bytes[2..4].contains(&43);
     let (at, pointer) = match (is_little, is_big_tiff) {

@@ -1,4 +1,4 @@
-//! The binary table of a tile-compressed image: where each tile's stream stands.
+//! The binary table of a tile-compressed image: positions of the tiles' streams.
 
 use super::Problem;
 use super::form::Form;
@@ -6,13 +6,13 @@ use super::header::Header;
 use super::structure::Hdu;
 use std::ops::Range;
 
-/// All tiles together may have so many times the bytes of the data: some may share a stream.
+/// Largest ratio of the bytes of all tiles together to those of the data: some tiles may share a stream.
 const MOST_SHARING: usize = 4;
 
-/// The table of tiles: a row for each.
+/// The table of tiles, with one row for each.
 pub(super) struct TileTable<'a> {
     data: &'a [u8],
-    /// Where the data begin in the file.
+    /// Start of the data in the file.
     start: usize,
     row_bytes: usize,
     tiles: usize,
@@ -21,7 +21,7 @@ pub(super) struct TileTable<'a> {
 }
 
 impl<'a> TileTable<'a> {
-    /// The table of so many tiles, checked against the size of its data.
+    /// The table of this many tiles, checked against the size of its data.
     pub fn new(bytes: &'a [u8], hdu: &Hdu, tiles: usize) -> Result<Self, Problem> {
         let (header, data) = (&hdu.header, &bytes[hdu.data_bytes.clone()]);
         let row_bytes = header.size("NAXIS1", 1..=1_000_000)? as usize;
@@ -41,7 +41,7 @@ impl<'a> TileTable<'a> {
         })
     }
 
-    /// A column by its name, and where it begins in a row.
+    /// A column by its name, and its start in a row.
     fn column(&self, name: &str) -> Option<(&Column, usize)> {
         let index = self.columns.iter().position(|column| column.name == name)?;
         let start = self.columns[..index]
@@ -55,12 +55,12 @@ impl<'a> TileTable<'a> {
         self.data.chunks_exact(self.row_bytes).take(self.tiles)
     }
 
-    /// Where in the file the stream of bytes of each tile stands, as the descriptors of a column give it.
+    /// Range in the file of each tile's stream of bytes, from the descriptors of a column.
     pub fn streams(&self, name: &str) -> Result<Option<Vec<Range<usize>>>, Problem> {
         self.streams_of(name, |element_bytes| element_bytes == 1)
     }
 
-    /// The same of tiles that are not compressed: streams of numbers.
+    /// The same for tiles that are not compressed: streams of numbers.
     pub fn plain_streams(&self, name: &str) -> Result<Option<Vec<Range<usize>>>, Problem> {
         self.streams_of(name, |_| true)
     }
@@ -89,7 +89,7 @@ impl<'a> TileTable<'a> {
             Ok(start..start + length)
         });
         let streams: Vec<Range<usize>> = streams.collect::<Result<_, Problem>>()?;
-        // Tiles may share a stream, but a short file may not keep its reader busy for hours.
+        // Tiles may share a stream, but a short file must not keep its reader busy for hours.
         let all: usize = streams.iter().map(Range::len).sum();
         let most = MOST_SHARING * self.data.len();
         if all > most {
@@ -99,7 +99,7 @@ impl<'a> TileTable<'a> {
         Ok(Some(streams))
     }
 
-    /// Step and value of number 0 of each tile, from columns or keywords; none where numbers were not rounded.
+    /// Step and value of number 0 of each tile, from columns or keywords; `None` if numbers were not quantised.
     pub fn steps(&self, header: &Header) -> Result<Option<Vec<[f64; 2]>>, Problem> {
         let column = |name: &str| {
             let (_, start) = self.column(name).filter(|(column, _)| column.is_double)?;
@@ -119,7 +119,7 @@ impl<'a> TileTable<'a> {
     }
 }
 
-/// Where in the data the heap lies, behind the table's rows.
+/// Range of the heap in the data, after the table's rows.
 fn heap(
     header: &Header,
     data_bytes: usize,
@@ -144,7 +144,7 @@ struct Column {
     name: String,
     /// Bytes in a row.
     bytes: usize,
-    /// Of a descriptor of a stream: half its bytes, and the bytes of an element of the stream; `None` in any other column.
+    /// For a descriptor of a stream: half its bytes, and the bytes of an element of the stream; `None` in any other column.
     pointer: Option<(usize, usize)>,
     /// Whether it holds one floating-point number of 64 bits.
     is_double: bool,
@@ -175,7 +175,7 @@ fn column(header: &Header, n: u64) -> Result<Column, Problem> {
     })
 }
 
-/// A column of this form; descriptors (P, Q) only as one a row.
+/// A column of this form; of descriptors (P, Q) only one per row is allowed.
 fn column_of(form: &str, name: String) -> Option<Column> {
     let form = Form::parse(form)?;
     let half = match form.letter {

@@ -1,9 +1,9 @@
-//! The middle of the exposure in UTC, from the keywords that programs give their times in.
+//! Mid-exposure in UTC, from the keywords that programs use for their times.
 //!
-//! DATE-AVG is the middle; where there is none that can be used, half the exposure is added to its start: DATE-OBS, with TIME-OBS where it
-//! has no time of day, or DATE-BEG. A start without an exposure is taken as that of a very short one. Files of the HEROES flight of
-//! 2013 give the start as RT_SEC and RT_NSEC (s and ns since 1970), or as C's `asctime` writes it. At last come Modified Julian
-//! Dates and Julian Dates. TIMESYS names the scale of all of them but RT_SEC (FITS 4.0, section 9.2).
+//! DATE-AVG is mid-exposure; if there is none that can be used, half the exposure is added to its start: DATE-OBS, with TIME-OBS if it
+//! has no time of day, or DATE-BEG. A start without an exposure is treated as that of a very short one. Files of the HEROES flight of
+//! 2013 give the start as RT_SEC and RT_NSEC (s and ns since 1970), or in the form of C's `asctime`. Modified Julian
+//! Dates and Julian Dates come last. TIMESYS names the scale of all of them except RT_SEC (FITS 4.0, section 9.2).
 
 use super::values::Values;
 use crate::clock::{Scale, Utc, read_utc, utc_of_mjd};
@@ -11,23 +11,23 @@ use crate::frame::Warning;
 use jiff::{SignedDuration, Timestamp};
 use std::time::Duration;
 
-/// The longest exposure or monotonic time that is believed, s: thirty years.
+/// The longest plausible exposure or monotonic time, s: thirty years.
 pub(super) const LONGEST_S: f64 = 1e9;
 
-/// The latest RT_SEC that is believed: the year 9999.
+/// The latest plausible RT_SEC, s: the year 9999.
 const LONGEST_CLOCK_S: f64 = 253_370_764_800.0;
 
-/// A Julian Date less a Modified one.
+/// Julian Date minus Modified Julian Date.
 const JULIAN_OF_MODIFIED: f64 = 2_400_000.5;
 
-/// Which time of the exposure a keyword gives.
+/// The part of the exposure whose time a keyword gives.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Part {
     Start,
     Middle,
 }
 
-/// The middle of the exposure; or, where the header states a time that cannot be used, why there is none.
+/// Mid-exposure; if the header states a time that cannot be used, the reason why there is none.
 pub(super) fn mid_exposure(
     values: &mut Values,
     exposure: Option<Duration>,
@@ -45,7 +45,7 @@ pub(super) fn mid_exposure(
 
 type Reader = fn(&mut Values) -> Option<Utc>;
 
-/// In the order in which they are believed.
+/// In order of precedence.
 const READERS: [(Part, Reader); 9] = [
     (Part::Middle, |values| text(values, "DATE-AVG")),
     (Part::Start, heroes_clock_time),
@@ -80,14 +80,14 @@ fn middle(values: &mut Values, start: Utc, exposure: Option<Duration>) -> Option
     })
 }
 
-/// From the start to DATE-END, where that is later.
+/// Duration from the start to DATE-END, if that is later.
 fn until_end(values: &mut Values, start: Timestamp) -> Option<SignedDuration> {
     let end = text(values, "DATE-END")?;
     let exposure = end.time.duration_since(start);
     exposure.is_positive().then_some(exposure)
 }
 
-/// The scale of the header's times, UTC where it names none; `None`, with a warning, where it names one that is not known.
+/// The scale of the header's times, UTC if it names none; `None`, with a warning, if it names an unknown one.
 fn scale(values: &mut Values) -> Option<Option<Scale>> {
     let Some(name) = values.text("TIMESYS") else {
         return Some(None);
@@ -106,7 +106,7 @@ fn scale(values: &mut Values) -> Option<Option<Scale>> {
     scale.map(Some)
 }
 
-/// The time of a date's keyword.
+/// The time of a keyword with a date.
 fn text(values: &mut Values, keyword: &'static str) -> Option<Utc> {
     let date = values.date(keyword)?;
     let scale = scale(values)?;
@@ -119,7 +119,7 @@ fn text(values: &mut Values, keyword: &'static str) -> Option<Utc> {
         .ok()
 }
 
-/// A date whose time of day stands in a keyword of its own, as before 1998.
+/// A date whose time of day is in a keyword of its own, as before 1998.
 fn with_time_of_day(
     values: &Values,
     date: &str,
@@ -139,7 +139,7 @@ fn julian(values: &mut Values, keyword: &'static str, zero: f64) -> Option<Utc> 
         .ok()
 }
 
-/// The computer's clock as HEROES wrote it, where no keyword of today's gives the time.
+/// The computer's clock as written by HEROES, if no standard keyword gives the time.
 fn heroes_clock_time(values: &mut Values) -> Option<Utc> {
     let today = ["DATE-OBS", "DATE-BEG"].iter().any(|keyword| {
         let text = values.header.text(keyword).ok().flatten();
@@ -156,7 +156,7 @@ fn heroes_clock_time(values: &mut Values) -> Option<Utc> {
     })
 }
 
-/// Mid-exposure on the monotonic clock as HEROES wrote its start.
+/// Mid-exposure on the monotonic clock, from its start as written by HEROES.
 pub(super) fn heroes_monotonic(
     values: &mut Values,
     exposure: Option<Duration>,

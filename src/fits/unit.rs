@@ -1,7 +1,7 @@
-//! Which units FITS knows (FITS 4.0, section 4.3), and how a unit that it does not know is stated all the same.
+//! Units that FITS knows (FITS 4.0, section 4.3), and the notation of a unit that it does not know.
 //!
-//! Readers warn of a unit that is not FITS's own, and drop it. So one that FITS knows stands where readers expect it, in
-//! TUNITn or in brackets; any other, as mil and degC, only in the words that explain the value.
+//! Readers warn of a unit that is not FITS's own, and drop it. So one that FITS knows is written where readers expect it, in
+//! TUNITn or in brackets; any other, such as mil and degC, only in the text that explains the value.
 
 /// Units of tables 3 to 5 of the standard that this program may write, some with a metric prefix.
 const KNOWN: [&str; 24] = [
@@ -21,8 +21,8 @@ pub(super) fn is_known(unit: &str) -> bool {
     unit.split('/').all(known)
 }
 
-/// The comment of a keyword's value: the unit in brackets before the meaning, or, where FITS does not know it, in
-/// parentheses behind it.
+/// The comment of a keyword's value: the unit in brackets before the meaning, or, if FITS does not know it, in
+/// parentheses after it.
 pub(super) fn keyword_comment(meaning: &str, unit: &str) -> String {
     match unit {
         "" => meaning.into(),
@@ -31,7 +31,7 @@ pub(super) fn keyword_comment(meaning: &str, unit: &str) -> String {
     }
 }
 
-/// The comment of a table's column: the meaning, and the unit where FITS does not know it, the mil with its size.
+/// The comment of a table's column: the meaning, and the unit if FITS does not know it, the mil with its size.
 pub(super) fn column_comment(meaning: &str, unit: &str) -> String {
     let (mil, size) = MIL;
     match unit {

@@ -1,4 +1,4 @@
-//! Values of a header, each judged where it is used: one that cannot be used is a warning, and the frame goes on without it.
+//! Values of a header, each checked when it is used: one that cannot be used gives a warning, and the frame is read without it.
 
 use super::Problem;
 use super::header::{Header, Value};
@@ -23,7 +23,7 @@ impl<'a> Values<'a> {
         self.warnings.push(warning);
     }
 
-    /// Value that is read; or, where there is none, the first warning of it.
+    /// The value that `read` gives; if there is none, the first warning about it.
     pub fn reading<T>(
         &mut self,
         read: impl FnOnce(&mut Self) -> Option<T>,
@@ -34,7 +34,7 @@ impl<'a> Values<'a> {
         (found, why.cloned())
     }
 
-    /// A finite number. One in quotes counts, with a warning.
+    /// A finite number. One in quotes is accepted, with a warning.
     pub fn number(&mut self, keyword: &str) -> Option<f64> {
         match self.header.number(keyword) {
             Ok(number) => number,
@@ -56,7 +56,7 @@ impl<'a> Values<'a> {
             .find_map(|keyword| self.number(keyword))
     }
 
-    /// A number in a range; `expected` says of what.
+    /// A number in a range; `expected` describes it.
     pub fn within(
         &mut self,
         keyword: &str,
@@ -71,7 +71,7 @@ impl<'a> Values<'a> {
         is_within.then_some(number)
     }
 
-    /// A whole number that is not negative.
+    /// A non-negative integer.
     pub fn whole(&mut self, keyword: &str) -> Option<u64> {
         /// Beyond this a floating-point number is not exact.
         const MOST: f64 = 9e15;
@@ -86,7 +86,7 @@ impl<'a> Values<'a> {
         Some(number as u64)
     }
 
-    /// A text as it stands; one without quotes counts, with a warning.
+    /// A text unchanged; one without quotes is accepted, with a warning.
     pub fn date(&mut self, keyword: &str) -> Option<String> {
         self.header.text(keyword).unwrap_or_else(|problem| {
             self.warn(problem.into());

@@ -1,7 +1,7 @@
 //! A frame, extra keywords and tables as the bytes of a FITS file.
 //!
-//! The primary HDU is without data; the pixels stand in an image extension, with every keyword beside them, and
-//! tables follow. Uncompressed pixels too, so that a reader finds the same layout in every file.
+//! The primary HDU is without data; the pixels are in an image extension, with every keyword beside them, and
+//! tables follow. This also holds for uncompressed pixels, so that a reader finds the same layout in every file.
 
 use super::cards::{format_time, info_cards};
 use super::header::{Card, Value};
@@ -33,9 +33,9 @@ pub struct Table {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Column {
     pub name: String,
-    /// Unit, as FITS writes it where it knows it; empty for values without.
+    /// Unit in the form of FITS, if FITS knows it; empty for values without.
     pub unit: String,
-    /// Meaning of the values, as TCOMMn states it.
+    /// Meaning of the values, for TCOMMn.
     pub meaning: String,
     pub values: Values,
 }
@@ -43,9 +43,9 @@ pub struct Column {
 /// The values of a column.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Values {
-    /// NaN, in FITS, is a value that is not known.
+    /// NaN means, in FITS, a value that is not known.
     Float(Vec<f64>),
-    /// As they are stored; TNULLn is not used.
+    /// Stored unchanged; TNULLn is not used.
     Integer(Vec<i64>),
     Logical(Vec<bool>),
     Text(Vec<String>),
@@ -65,7 +65,7 @@ impl Values {
         self.len() == 0
     }
 
-    /// Meaning of the values, in words.
+    /// Type of the values, in words.
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Float(_) => "floating-point numbers",
@@ -122,10 +122,10 @@ impl Values {
     }
 }
 
-/// Writes a frame with further keywords and tables to a file, replacing what stood there.
+/// Writes a frame with further keywords and tables to a file, replacing an existing one.
 ///
-/// The keywords that [`FrameInfo`](crate::frame::FrameInfo) fills are written from it; `cards` go beside them, each
-/// with the unit and comment of the [`keyword`] table. Every HDU carries its checksums. For a file that must be whole
+/// The keywords that [`FrameInfo`](crate::frame::FrameInfo) determines are written from it; `cards` are added to them, each
+/// with the unit and comment of the [`keyword`] table. Every HDU has its checksums. For a file that must be complete
 /// or absent, see [`archive`](crate::archive).
 ///
 /// # Errors
@@ -225,17 +225,17 @@ pub(super) fn program() -> Vec<Card> {
     cards
 }
 
-/// Where the file comes from.
+/// Origin of the file.
 fn provenance() -> Vec<Card> {
     let now = Timestamp::from_second(Timestamp::now().as_second()).unwrap_or_default();
     let mut cards = program();
     cards.push(Card::new(&keyword::DATE, format_time(now)));
-    // In part: SOLARNET wants WAVEUNIT as a power of ten, where FITS and sunpy want a unit.
+    // In part: SOLARNET requires WAVEUNIT as a power of ten, but FITS and sunpy require a unit.
     cards.push(Card::new(&keyword::SOLARNET, 0.5));
     cards
 }
 
-/// A keyword stands once in a header; one from above may not contradict the frame's own.
+/// A keyword may occur only once in a header; a caller's card may not contradict the frame's own.
 fn refuse_duplicates(own: &[Card], extra: &[Card]) -> Result<(), Problem> {
     let mut seen: BTreeSet<&str> = own.iter().map(|card| card.keyword.name).collect();
     seen.extend([keyword::EXTNAME, keyword::OBS_HDU].map(|keyword| keyword.name));
@@ -268,7 +268,7 @@ fn put_card(file: &mut Layout, card: &Card) -> Result<(), Problem> {
     Ok(())
 }
 
-/// The shortest number that reads back as the same one, with a decimal point, as every FITS reader knows it.
+/// The shortest number that reads back as the same one, with a decimal point, as every FITS reader accepts it.
 fn float(number: f64) -> String {
     let text = format!("{number:?}").replace('e', "E");
     match text.split_once('E') {
@@ -277,7 +277,7 @@ fn float(number: f64) -> String {
     }
 }
 
-/// Adds a binary table; `cards` stand in its header, too.
+/// Adds a binary table; `cards` are added to its header, too.
 fn put_table(file: &mut Layout, table: &Table, cards: &[Card]) -> Result<(), Problem> {
     let columns = &table.columns;
     let rows = columns.first().map_or(0, |column| column.values.len());
@@ -320,11 +320,11 @@ pub(super) struct ColumnCards<'a> {
     pub form: String,
     pub unit: &'a str,
     pub meaning: &'a str,
-    /// The number that stands for none.
+    /// The number that means none.
     pub null: Option<i64>,
 }
 
-/// Adds the header of a binary table, of so many bytes a row and so many rows.
+/// Adds the header of a binary table, with its bytes per row and its number of rows.
 pub(super) fn put_table_header<'a>(
     file: &mut Layout,
     name: &str,
@@ -354,7 +354,7 @@ pub(super) fn put_table_header<'a>(
     Ok(())
 }
 
-/// Name, kind, unit and meaning of a column; a unit that FITS does not know stands in its comment alone.
+/// Name, kind, unit and meaning of a column; a unit that FITS does not know is only in its comment.
 fn put_column(file: &mut Layout, n: usize, column: &ColumnCards<'_>) {
     let mut text = |keyword: &str, text: &str| file.text(&format!("{keyword}{n}"), text, "");
     text("TTYPE", column.name);

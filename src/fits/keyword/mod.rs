@@ -1,6 +1,6 @@
-//! The table of keywords: everything that is written to or read from a header, with its unit and meaning.
+//! The table of keywords: every keyword that is written to or read from a header, with its unit and meaning.
 //!
-//! Each is a constant, so that no other can be written. To add a keyword, add a row to `table.rs`; those of a solution stand with its
+//! Each is a constant, so that no other can be written. To add a keyword, add a row to `table.rs`; those of a solution are defined with its
 //! [numbers](crate::record). Structural keywords that the library writes itself (SIMPLE, NAXISn, ZTILEn, TFORMn ...) are not rows.
 
 mod table;
@@ -12,7 +12,7 @@ pub use table::*;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     Text,
-    /// A text: UTC, ISO 8601 as FITS writes it, without Z.
+    /// A text: UTC, ISO 8601 in the form of FITS, without Z.
     Time,
     Integer,
     Float,
@@ -32,7 +32,7 @@ pub enum Use {
 pub struct Keyword {
     pub name: &'static str,
     pub kind: Kind,
-    /// Unit, as FITS writes it where it knows it; empty for a value without.
+    /// Unit in the form of FITS, if FITS knows it; empty for a value without.
     pub unit: &'static str,
     pub meaning: &'static str,
     pub used: Use,
@@ -68,7 +68,7 @@ pub const fn row(
     }
 }
 
-/// Groups of keywords, each a constant; one whose name is no identifier says it behind an equals sign.
+/// Groups of keywords, each a constant; if its name is no identifier, the name follows an equals sign.
 macro_rules! keywords {
     ($(#[$docs:meta])* $groups:ident: $($title:literal: $($name:ident $(= $text:literal)?, $kind:ident, $unit:literal, $used:ident, $meaning:literal;)*)*) => {
         $($(pub const $name: Keyword = row(keywords!(@name $name $($text)?), $kind, $unit, $used, $meaning);)*)*

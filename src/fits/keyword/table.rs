@@ -5,7 +5,7 @@ use super::Use::{Both, Read, Written};
 use super::{Group, Keyword, keywords, row};
 
 keywords! {
-    /// The whole table, except for what a solution says.
+    /// The whole table, except for the keywords of a solution.
     GROUPS:
     "File":
     ORIGIN, Text, "", Written, "where the file was made";
@@ -128,7 +128,7 @@ keywords! {
     CSYER2, Float, "arcsec", Written, "1 sigma at limb by clocking and roll";
 }
 
-/// Keywords of others for the same facts; read where the keywords above do not stand, never written.
+/// Keywords of other programs for the same facts; read if the keywords above are missing, never written.
 pub const FOREIGN: &[Group] = &[HEROES, OTHERS];
 
 #[rustfmt::skip]
