@@ -1,8 +1,9 @@
-//! Times as other programs write them, to UTC; and the computer's clock: whether it is held to UTC, how far it may be off, and by whom it is held.
+//! Conversion of times from other programs to UTC; and the synchronisation of the computer's clock: whether it is held to UTC, its largest error, and
+//! its time service.
 //!
-//! The kernel itself knows (adjtimex(2), read only, no privilege needed): whoever holds the clock reports to it at every
-//! correction how far off the clock may be, and the kernel lets that grow by 0.5 ms a second until the next one. After 16 s of
-//! it, about nine hours, it takes the clock for free-running.
+//! The kernel reports it (adjtimex(2), read only, no privilege needed): at every correction the time service states
+//! the largest error of the clock, and the kernel increases it by 0.5 ms/s until the next one. After an error of 16 s,
+//! about nine hours, the kernel considers the clock free-running.
 
 mod flight;
 mod utc;
@@ -12,7 +13,7 @@ use std::io;
 use std::path::Path;
 pub use utc::{Scale, Utc, parse_utc, read_utc, utc_microseconds, utc_of_mjd, utc_text};
 
-/// Files that are there while a time service runs.
+/// Files that exist while a time service runs.
 const SERVICES: [(&str, &str); 5] = [
     ("chrony", "/run/chrony/chronyd.pid"),
     ("chrony", "/run/chronyd.pid"),
@@ -26,24 +27,24 @@ const SERVICES: [(&str, &str); 5] = [
 pub struct ClockStatus {
     /// Whether a time service holds it to UTC.
     pub synchronised: bool,
-    /// By how much it is ahead of UTC, as far as the kernel has yet to correct it; services that correct by frequency alone
+    /// Lead of the clock over UTC that the kernel has yet to correct; services that correct only by frequency
     /// leave 0 here.
     pub offset_us: f64,
-    /// The largest error, as the time service last stated it, grown since.
+    /// The largest error, as last stated by the time service, and increased since.
     pub max_error_us: f64,
-    /// The time service that runs on this computer; `None` where none is known to.
+    /// The time service that runs on this computer; `None` if no known one runs.
     pub source: Option<&'static str>,
 }
 
 impl ClockStatus {
-    /// Asks the kernel, in a few microseconds.
+    /// Asks the kernel; this takes a few microseconds.
     ///
     /// # Errors
-    /// Where the kernel does not answer, as in some containers.
+    /// If the kernel does not answer, as in some containers.
     pub fn read() -> io::Result<Self> {
-        // SAFETY: all of its fields are integers, for which zeros are values; no `modes` means that nothing is set.
+        // SAFETY: all of its fields are integers, for which zero is valid; no `modes` means that nothing is set.
         let mut kernel: libc::timex = unsafe { std::mem::zeroed() };
-        // SAFETY: the pointer is to a whole timex that outlives the call.
+        // SAFETY: the pointer is to a complete timex that outlives the call.
         let state = unsafe { libc::adjtimex(&raw mut kernel) };
         if state < 0 {
             return Err(io::Error::last_os_error());
@@ -60,7 +61,7 @@ impl ClockStatus {
         };
         Self {
             synchronised: state != libc::TIME_ERROR && kernel.status & libc::STA_UNSYNC == 0,
-            // The kernel has the correction.
+            // The kernel states the correction, which has the opposite sign.
             offset_us: 0.0 - kernel.offset as f64 / per_us,
             max_error_us: kernel.maxerror as f64,
             source,

@@ -16,7 +16,7 @@ impl FlightClock {
         }
     }
 
-    /// When the simulated flight began, where that is stated.
+    /// Start of the simulated flight, if it is stated.
     pub fn start(self) -> Option<Timestamp> {
         self.start
     }

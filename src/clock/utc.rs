@@ -1,8 +1,8 @@
-//! Times as other programs write them, to UTC: texts and Julian dates, in any of the scales that instruments keep.
+//! Conversion of times from other programs to UTC: texts and Julian dates, in any of the scales that instruments use.
 //!
-//! Accepted texts: `2013-09-21T18:00:00.25` and what differs from it by the separator (a blank, a lower-case `t`), a comma for the point,
+//! Accepted texts: `2013-09-21T18:00:00.25` and variants with another separator (a blank, a lower-case `t`), a decimal comma,
 //! missing seconds, slashes in the date or no separators, an ordinal date (`2013-264`), a closing `Z`, `UTC`, `(UTC)`, `TAI` or an offset such as `-06:00`;
-//! and what C's `asctime` writes. A date whose order is open, such as 21/09/13, is no time.
+//! and the form of C's `asctime`. A date with an ambiguous order, such as 21/09/13, is not accepted.
 //!
 //! Leap seconds are those of the IAU's table (SOFA, `iauDat`).
 
@@ -11,7 +11,7 @@ use jiff::tz::Offset;
 use jiff::{SignedDuration, Timestamp, ToSpan, Unit};
 use sofars::ts::dat;
 
-/// Expectation where a text is no time.
+/// Expected value in the error for a text that is no time.
 const EXPECTED: &str = "a time such as 2013-09-21T18:00:00Z";
 const CLEAR_ORDER: &str =
     "a date of clear order such as 2013-09-21 (FITS takes dd/mm/yy for 1900 to 1999)";
@@ -22,7 +22,7 @@ const SINCE_1972: &str = "a date from 1972 on, since when UTC has whole leap sec
 /// An instant in UTC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Utc {
-    /// Counted as POSIX does, without leap seconds: an instant in one has the number of the second after it.
+    /// POSIX time, without leap seconds: an instant in a leap second has the number of the second after it.
     pub time: Timestamp,
     /// Whether it lies in a leap second.
     pub in_leap_second: bool,
@@ -37,12 +37,12 @@ impl From<Timestamp> for Utc {
     }
 }
 
-/// ISO 8601 with Z, to so many digits of a second; a leap second as second 60.
+/// ISO 8601 with Z, to this many digits of a second; a leap second is written as second 60.
 pub fn utc_text(utc: Utc, digits: usize) -> String {
     if !utc.in_leap_second {
         return format!("{:.digits$}", utc.time);
     }
-    // 23:59:59 of the day before, and its fraction.
+    // 23:59:59 of the previous day, with its fraction.
     let before = utc.time - SignedDuration::from_secs(1);
     let before = format!("{before:.digits$}");
     format!("{}60{}", &before[..17], &before[19..])
@@ -66,7 +66,7 @@ pub enum Scale {
 }
 
 impl Scale {
-    /// The scale that FITS or an instrument calls so (FITS 4.0, table 30), in either case, perhaps with a realisation in parentheses.
+    /// The scale with this name in FITS or for an instrument (FITS 4.0, table 30), ignoring case, possibly with a realisation in parentheses.
     pub fn named(name: &str) -> Option<Self> {
         let name = name.split('(').next().unwrap_or_default().trim();
         match name.to_ascii_uppercase().as_str() {
@@ -79,7 +79,7 @@ impl Scale {
         }
     }
 
-    /// TAI minus this scale; none of UTC, which has leap seconds.
+    /// TAI minus this scale; `None` for UTC, which has leap seconds.
     fn behind_tai(self) -> Option<SignedDuration> {
         match self {
             Self::Utc => None,
@@ -90,10 +90,10 @@ impl Scale {
     }
 }
 
-/// Reads a text in a scale, which the text may name itself.
+/// Reads a text in a scale, which the text itself may name.
 ///
 /// # Errors
-/// Expectation.
+/// The expected value.
 pub fn read_utc(text: &str, scale: Option<Scale>) -> Result<Utc, &'static str> {
     let text = text.trim();
     if let Some(civil) = asctime(text) {
@@ -116,7 +116,7 @@ pub fn read_utc(text: &str, scale: Option<Scale>) -> Result<Utc, &'static str> {
     }
 }
 
-/// The beginning of the day that a date without a time of day names, else as [`read_utc`] reads a text.
+/// The beginning of the day for a date without a time of day, else as [`read_utc`] reads a text.
 ///
 /// # Errors
 /// Expected and found value.
@@ -136,7 +136,7 @@ pub fn parse_utc(text: &str) -> Result<Timestamp, String> {
 /// The instant of a Modified Julian Date, to the microsecond.
 ///
 /// # Errors
-/// Expectation.
+/// The expected value.
 pub fn utc_of_mjd(days: f64, scale: Scale) -> Result<Utc, &'static str> {
     const ZERO: Date = date(1858, 11, 17);
     const EXPECTED: &str = "a Julian date of the years 1858 to 9999";
@@ -154,8 +154,8 @@ pub fn utc_of_mjd(days: f64, scale: Scale) -> Result<Utc, &'static str> {
 }
 
 impl Scale {
-    /// The instant, s since 1970 UTC, at which a clock of this scale shows so many seconds since its own 1970-01-01; `None` outside the years
-    /// that are known. UTC is counted as POSIX does.
+    /// The instant, s since 1970 UTC, at which a clock of this scale shows this number of seconds since its own 1970-01-01; `None` outside the known
+    /// years. UTC is counted as in POSIX.
     pub fn unix_s(self, seconds: f64) -> Option<f64> {
         if self == Self::Utc {
             return Some(seconds);
@@ -179,7 +179,7 @@ impl Scale {
 /// A date and time of day in some scale.
 #[derive(Debug, Clone, Copy)]
 struct Civil {
-    /// Of a second 60, the second before.
+    /// For a second 60, the second before.
     time: DateTime,
     is_second_60: bool,
 }
@@ -193,7 +193,7 @@ impl Civil {
     }
 }
 
-/// The instant that a scale's clock shows as this.
+/// The instant at which a clock of the scale shows this time.
 fn instant(civil: Civil, scale: Scale) -> Result<Utc, &'static str> {
     let label = Offset::UTC.to_timestamp(civil.time).map_err(|_| EXPECTED)?;
     let second = SignedDuration::from_secs(1);
@@ -219,7 +219,7 @@ fn instant(civil: Civil, scale: Scale) -> Result<Utc, &'static str> {
         let utc = tai.checked_sub(SignedDuration::from_secs(seconds));
         utc.map_err(|_| EXPECTED)
     };
-    // Half a minute after a new leap second, TAI's date has it and UTC's has not.
+    // For half a minute after a new leap second, the date in TAI includes it and the date in UTC does not.
     let first = less(leap_seconds(tai).ok_or(SINCE_1972)?)?;
     let leap = leap_seconds(first).ok_or(SINCE_1972)?;
     let time = less(leap)?;
@@ -229,7 +229,7 @@ fn instant(civil: Civil, scale: Scale) -> Result<Utc, &'static str> {
     })
 }
 
-/// TAI minus UTC on the day of an instant, s; none before 1972.
+/// TAI minus UTC on the day of an instant, s; `None` before 1972.
 fn leap_seconds(utc: Timestamp) -> Option<i64> {
     let day = Offset::UTC.to_datetime(utc);
     let (year, month, day) = (day.year(), day.month(), day.day());
@@ -315,11 +315,11 @@ fn civil(date: Date, clock: &str) -> Option<Civil> {
     })
 }
 
-/// Time scale that a text names behind the time of day.
+/// Time scale or offset that a text states after the time of day.
 enum Zone {
     Unnamed,
     Scale(Scale),
-    /// East of Greenwich.
+    /// Offset east of Greenwich.
     Offset(Offset),
 }
 
@@ -351,7 +351,7 @@ fn zone_of(text: &str) -> Result<Zone, &'static str> {
     offset.map(Zone::Offset).map_err(|_| EXPECTED)
 }
 
-/// A date as C's `asctime` writes it: "Sat Sep 21 18:00:00 2013", perhaps with its line end, which no header may hold.
+/// A date in the form of C's `asctime`: "Sat Sep 21 18:00:00 2013", possibly with its line end, which no header may hold.
 fn asctime(text: &str) -> Option<DateTime> {
     let text = text.trim_end_matches('?').trim_end();
     DateTime::strptime("%a %b %e %H:%M:%S %Y", text).ok()
@@ -443,7 +443,7 @@ mod tests {
         assert_eq!(read("1971-09-21T18:00:00", tai), Err(SINCE_1972));
     }
 
-    /// By the IERS's Bulletin C 52: a leap second at the end of 2016, after which TAI - UTC = 37 s.
+    /// IERS Bulletin C 52: a leap second at the end of 2016, after which TAI - UTC = 37 s.
     #[test]
     fn a_leap_second_is_kept_where_there_is_one_and_refused_elsewhere() {
         let leap = Ok("2016-12-31T23:59:60.250Z".to_owned());

@@ -1,11 +1,11 @@
-//! A camera of the flight: where its frames come from, and how it is run.
+//! A camera of the flight: its source of frames, and its settings.
 
 use crate::camera::{AutoExposureSettings, CameraSettings, PixelFormat, Source};
 use crate::frame::Region;
 use crate::instrument::Role;
 use std::path::PathBuf;
 
-/// The cameras of a configuration, by their tables: those of [`Role::tables`], the first pitch-yaw camera at their head, and any that a file adds.
+/// The cameras of a configuration, by their tables: those of [`Role::tables`], with the first pitch-yaw camera first, and any that a file adds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cameras(Vec<ConfiguredCamera>);
 
@@ -38,12 +38,12 @@ impl Cameras {
         self.0.iter()
     }
 
-    /// Those that are there: with a source.
+    /// Cameras that fly: those with a source.
     pub fn flying(&self) -> impl Iterator<Item = &ConfiguredCamera> {
         self.iter().filter(|camera| camera.source.is_some())
     }
 
-    /// Adds a camera, among those that were added by name: numbers on the line follow their order.
+    /// Adds a camera, sorted by name among the added ones: numbers on the line follow their order.
     pub(super) fn push(&mut self, camera: ConfiguredCamera) {
         let usual = Role::tables().count();
         let later = self.0[usual..]
@@ -57,12 +57,12 @@ impl Cameras {
 /// A camera as its table configures it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ConfiguredCamera {
-    /// Of the table.
+    /// Name of the table.
     pub name: String,
     pub role: Role,
-    /// `None` where there is no such camera.
+    /// `None` if there is no such camera.
     pub source: Option<Source>,
-    /// The file that states what it sees.
+    /// The camera's calibration file.
     pub instrument: Option<PathBuf>,
     pub rate_hz: f64,
     pub exposure_us: u32,
@@ -79,7 +79,7 @@ pub struct ConfiguredCamera {
     pub auto_exposure_max_us: u32,
 }
 
-/// Whether something is done.
+/// Whether a function is on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Switch {
     Off,
@@ -89,7 +89,7 @@ pub enum Switch {
 impl Switch {
     pub const KINDS: [Self; 2] = [Self::Off, Self::On];
 
-    /// As the configuration gives it.
+    /// Name in the configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::Off => "off",
@@ -99,7 +99,7 @@ impl Switch {
 }
 
 impl ConfiguredCamera {
-    /// The settings that the camera gets.
+    /// The settings for the camera.
     pub fn settings(&self) -> CameraSettings {
         CameraSettings {
             rate_hz: self.rate_hz,
@@ -111,7 +111,7 @@ impl ConfiguredCamera {
         }
     }
 
-    /// How the exposure is held; `None` where it is not.
+    /// Settings of the automatic exposure; `None` if it is off.
     pub fn auto_exposure(&self) -> Option<AutoExposureSettings> {
         (self.auto_exposure == Switch::On).then_some(AutoExposureSettings {
             target: self.auto_exposure_target,

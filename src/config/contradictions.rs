@@ -1,4 +1,4 @@
-//! Contradictions in a configuration whose values are allowed one by one: by the same rules for a file, a command and saved values.
+//! Contradictions between values that are allowed individually: the same rules apply to a file, a command and saved values.
 
 use super::{Config, ConfiguredCamera, Refused};
 use crate::camera::Source;
@@ -8,7 +8,7 @@ use crate::output::Destination;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
 impl Config {
-    /// Faults that keep this configuration from flying: missing values and contradictions.
+    /// Faults that prevent a flight with this configuration: missing values and contradictions.
     pub fn faults(&self) -> Vec<Refused> {
         let plates = self
             .cameras
@@ -18,8 +18,8 @@ impl Config {
         self.missing().into_iter().chain(contradictions).collect()
     }
 
-    /// Required values without a default: the first camera, the instrument of every real camera that sees a plate, and the file of one
-    /// that sees the Moon.
+    /// Missing required values without a default: the first camera, the instrument of every real camera that sees a plate, and the file
+    /// of one that sees the Moon.
     fn missing(&self) -> Vec<Refused> {
         let none = |key: String, expected: &str| Refused {
             key: key.into(),
@@ -62,7 +62,7 @@ impl Config {
 
     /// Contradictions with this number of pitch-yaw cameras.
     pub fn contradictions(&self, pitch_yaw_cameras: usize) -> Vec<Refused> {
-        // The first one always flies.
+        // The first camera always flies.
         let first = self.cameras.first();
         let others = self
             .cameras
@@ -120,7 +120,7 @@ impl Config {
         })
     }
 
-    /// The lines that are read from, each with its key: the controller's, and those of sensors that fly.
+    /// The lines that are read, each with its key: the controller's, and those of sensors that fly.
     fn lines(&self) -> impl Iterator<Item = (&'static str, PortAddress)> {
         let flies = self.navigation.is_enabled();
         let sensor = |address| flies.then_some(address);
@@ -134,7 +134,7 @@ impl Config {
         lines.into_iter().filter_map(readable)
     }
 
-    /// Lines that two would read from.
+    /// Lines with a port that another line reads, too.
     fn shared_ports(&self) -> Vec<Refused> {
         let taken = |(key, address): (&'static str, PortAddress)| {
             // A sensor's line takes any free port.
@@ -154,7 +154,7 @@ impl Config {
         taken.iter().enumerate().filter_map(shared).collect()
     }
 
-    /// Outputs that go where another one goes, or where the controller or a sensor is.
+    /// Outputs with the same destination as another one, as the controller or as a sensor.
     fn shared_destinations(&self) -> Vec<Refused> {
         let mut taken = Vec::new();
         for (key, address) in self.lines() {
@@ -178,7 +178,7 @@ impl Config {
     }
 }
 
-/// Where datagrams of this computer come to a line over UDP.
+/// Local address of a line over UDP, at which datagrams of this computer reach it.
 fn own_end(line: &PortAddress, default_port: u32) -> Option<PortAddress> {
     let PortAddress::Udp { peer, local_port } = line else {
         return None;
@@ -194,7 +194,7 @@ fn own_end(line: &PortAddress, default_port: u32) -> Option<PortAddress> {
     })
 }
 
-/// An exposure ends before the next frame, and the shortest of automatic ones is shorter than the longest.
+/// An exposure must end before the next frame, and the automatic exposure's minimum must be below its maximum.
 fn exposure(camera: &ConfiguredCamera) -> Vec<Refused> {
     let period_us = 1e6 / camera.rate_hz;
     let (shortest, longest) = (camera.auto_exposure_min_us, camera.auto_exposure_max_us);

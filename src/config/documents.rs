@@ -26,7 +26,7 @@ pub fn example() -> String {
 }
 
 impl Config {
-    /// The configuration as a file that gives it again: every parameter that is set.
+    /// The configuration as a file that reproduces it: every parameter that is set.
     pub fn to_toml(&self) -> String {
         let mut text = String::new();
         for (table, rows) in tables() {
@@ -53,7 +53,7 @@ impl Config {
         text
     }
 
-    /// A table with what is set in it, and the role of a camera whose name does not give it.
+    /// A table with the values set in it, and the role of a camera whose name does not imply it.
     fn table_toml(
         &self,
         head: &str,
@@ -64,7 +64,7 @@ impl Config {
         let role = role.map(|role| format!("role = \"{}\"\n", role.name()));
         let set = |row: &Parameter| {
             let value = match row.get_of(self, table)? {
-                // Rust shows some letters otherwise than TOML reads them.
+                // Rust escapes some characters in a form that TOML does not read.
                 Value::Text(text) => toml::Value::from(text).to_string(),
                 number => number.to_string(),
             };

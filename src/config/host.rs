@@ -1,9 +1,9 @@
 //! Requests to the operating system.
 
-/// Nothing unless set: a flight must not fail, nor a laptop stall, for want of a privilege.
+/// Nothing unless set: a flight must not fail, nor a laptop become unresponsive, for lack of a privilege.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Host {
-    /// Priority of the solvers among real-time threads, other threads from frame to packet having one more; none where they are scheduled like all others.
+    /// Real-time priority of the solvers; other threads between frame and packet have one more. `None` if all threads are scheduled normally.
     pub realtime_priority: Option<u8>,
     pub memory: Memory,
 }

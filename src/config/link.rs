@@ -1,4 +1,4 @@
-//! Meaning of the texts of `[link]`.
+//! Interpretation of the texts in `[link]`.
 
 use super::{Link, Refused};
 use crate::link::connection::EXPECTED;
@@ -6,7 +6,7 @@ use crate::link::{Computer, Guard, Key, LocalEnd, Peer, PortAddress};
 use std::net::{IpAddr, SocketAddr};
 
 impl Link {
-    /// Where the controller is; `None` where nothing is sent.
+    /// Address of the controller; `None` if nothing is sent.
     ///
     /// # Errors
     /// Expected and found value of `link.port`.
@@ -21,9 +21,9 @@ impl Link {
     /// The end of a UDP line on this computer.
     ///
     /// # Errors
-    /// A `link.udp_bind` that is no IP address, or of another family than the peer's.
+    /// If `link.udp_bind` is no IP address, or of another family than the peer's.
     pub fn local_end(&self) -> Result<LocalEnd, Refused> {
-        // The parameter table keeps it within a port's range.
+        // The parameter table limits it to the range of a port.
         let port = self.udp_local_port as u16;
         let Some(text) = &self.udp_bind else {
             let address = None;
@@ -42,10 +42,10 @@ impl Link {
         }
     }
 
-    /// Whose commands are taken over UDP; over a serial line it has nothing to decide.
+    /// The guard of commands over UDP; over a serial line it accepts all.
     ///
     /// # Errors
-    /// A peer that is no IP address, a key that cannot be read.
+    /// If a peer is no IP address, or a key cannot be read.
     pub fn guard(&self) -> Result<Guard, Refused> {
         let peers = match &self.udp_peers {
             Some(peers) => peers.split(',').map(|text| peer(text.trim())).collect(),

@@ -1,8 +1,8 @@
-//! The configuration: plain structs for the program, one table of parameters for everyone else.
+//! The configuration: plain structs for the program, and one table of parameters for all other uses.
 //!
 //! The table in `table` declares each parameter once: key, unit, allowed values, command number and
 //! documentation. Reading TOML, the shipped example, the page of parameters and the commands that set
-//! parameters in flight all come from it. Defaults live in the structs' `Default`, where modules that are used
+//! parameters in flight are all derived from it. Defaults are in the structs' `Default`, where modules that are used
 //! without a configuration find them too.
 //!
 //! To add a parameter: a field in a struct that [`Config`] holds, its default, and one row in the table.
@@ -57,7 +57,7 @@ use jiff::Timestamp;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Everything that a flight may set. `Config::default()` is a valid configuration.
+/// All settings of a flight. `Config::default()` is a valid configuration.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Config {
     pub site: Site,
@@ -86,7 +86,7 @@ impl Config {
         start.map_or_else(FlightClock::default, FlightClock::starting)
     }
 
-    /// The tunable parts of the solver.
+    /// The configurable settings of the solver.
     pub fn solver(&self) -> aspect::SolverSettings {
         aspect::SolverSettings {
             limb: self.limb,
@@ -96,7 +96,7 @@ impl Config {
     }
 }
 
-/// Where the observer is, unless a frame says so itself: all three or none.
+/// Place of the observer, unless a frame states its own: all three values or none.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Site {
     pub latitude_deg: Option<f64>,
@@ -115,7 +115,7 @@ impl From<Place> for Site {
 }
 
 impl Site {
-    /// The place, where all of it is known.
+    /// The place, if all of it is known.
     pub fn place(&self) -> Option<Place> {
         Place::new(self.latitude_deg?, self.longitude_deg?, self.height_m?).ok()
     }
@@ -132,7 +132,7 @@ pub struct Sky {
     pub earth_orientation: Option<PathBuf>,
 }
 
-/// Where the telescope should point, helioprojective; with an epoch, what stood there then.
+/// Target of the telescope, helioprojective; with an epoch, the feature that was there at that time.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Target {
     pub x_arcsec: f64,
@@ -141,7 +141,7 @@ pub struct Target {
 }
 
 defaults! {
-    /// How the roll camera's horizon is solved and used.
+    /// Solution and use of the roll camera's horizon.
     #[derive(Copy)]
     Roll {
         max_age_s: f64 = 1.0,
@@ -157,8 +157,8 @@ impl Roll {
         Duration::from_secs_f64(self.max_age_s)
     }
 
-    /// The Earth about a camera, at the stated height or else that of its place; `None` below the limb's edge. Its ellipsoid moves the roll by a
-    /// hundredth of a degree at most.
+    /// The Earth as seen by a camera, at the stated height or else that of its place; `None` below the limb's edge. The Earth's ellipsoid changes the
+    /// roll by at most 0.01 deg.
     pub fn sphere(&self, height_m: Option<f64>) -> Option<Sphere> {
         let height = Measured::new(self.height_m.or(height_m)?, self.height_sigma_m);
         let edge_m = Measured::new(self.atmosphere_m, self.edge_sigma_m);
@@ -168,7 +168,7 @@ impl Roll {
 }
 
 defaults! {
-    /// When the Moon camera's frames are solved, and how requests for the Moon are answered.
+    /// Conditions for solving the Moon camera's frames, and for answering requests for the Moon.
     #[derive(Copy)]
     Moon {
         clear_of_sun_deg: f64 = 15.0,
@@ -183,7 +183,7 @@ impl Moon {
 }
 
 defaults! {
-    /// How the controller is spoken to.
+    /// Settings of the controller's line.
     Link {
         port: Option<String> = None,
         baud: u32 = 115_200,
@@ -201,7 +201,7 @@ defaults! {
 }
 
 defaults! {
-    /// Where and how frames are kept.
+    /// Storage of frames.
     Archive {
         directory: Option<PathBuf> = None,
         second_directory: Option<PathBuf> = None,
@@ -218,7 +218,7 @@ defaults! {
 }
 
 impl Archive {
-    /// How pictures are packed.
+    /// Compression of pictures.
     pub fn packing(&self) -> Packing {
         Packing {
             compression: self.compression,
@@ -226,7 +226,7 @@ impl Archive {
         }
     }
 
-    /// How much free space calls for what.
+    /// Limits of the free space.
     pub fn space_limits(&self) -> SpaceLimits {
         SpaceLimits {
             warn_percent: self.warn_free_percent,
@@ -246,7 +246,7 @@ defaults! {
 }
 
 defaults! {
-    /// How scenes are simulated.
+    /// Settings of simulated scenes.
     Simulation {
         seed: u64 = 1,
         start_utc: Option<Timestamp> = None,

@@ -1,4 +1,4 @@
-//! How the attitude goes on between frames.
+//! Propagation of the attitude between frames.
 
 use super::{Refused, Switch};
 use crate::link::PortAddress;
@@ -6,10 +6,10 @@ use crate::link::connection::EXPECTED;
 use std::path::PathBuf;
 
 defaults! {
-    /// Whether and how the navigation filter flies.
+    /// Settings of the navigation filter.
     Navigation {
         enabled: Switch = Switch::Off,
-        /// NAV.toml.
+        /// Path of NAV.toml.
         settings: Option<PathBuf> = None,
         imu_port: Option<String> = None,
         gps_port: Option<String> = None,
@@ -29,7 +29,7 @@ impl Navigation {
         self.max_sigma_arcsec / 3600.0
     }
 
-    /// The IMU's own line; `None` where it sends on the controller's.
+    /// The IMU's own line; `None` if it sends on the controller's.
     ///
     /// # Errors
     /// Expected and found value of `navigation.imu_port`.
@@ -54,7 +54,7 @@ fn address(key: &'static str, text: Option<&str>) -> Result<Option<PortAddress>,
     };
     let parsed = text.map(str::parse).transpose();
     match parsed.map_err(|_: String| refused(EXPECTED))? {
-        // A sensor cannot send to a port that is any free one.
+        // A sensor cannot send to a port that the system chooses freely.
         Some(PortAddress::Udp {
             local_port: None, ..
         }) => Err(refused(

@@ -1,4 +1,4 @@
-//! The outputs that others read, by their tables `[[output]]`.
+//! The outputs for other programs, by their tables `[[output]]`.
 
 use crate::link::port::BAUD;
 use crate::output::{Destination, Format};
@@ -6,14 +6,14 @@ use crate::output::{Destination, Format};
 defaults! {
     /// An output.
     Output {
-        /// `None` where there is no such output.
+        /// `None` if there is no such output.
         to: Option<Destination> = None,
         format: Format = Format::Jsonl,
         baud: u32 = BAUD,
     }
 }
 
-/// The outputs of a configuration, in the order of the file. There is always one, which goes nowhere unless the file says where.
+/// The outputs of a configuration, in the order of the file. There is always at least one, without a destination unless the file sets one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outputs(Vec<Output>);
 
@@ -34,15 +34,15 @@ impl FromIterator<Output> for Outputs {
 }
 
 impl Outputs {
-    /// The table of each.
+    /// Name of the table of each output.
     pub const TABLE: &'static str = "output";
 
-    /// All of them, with the names by which errors speak of them: `output`, `output-2` and so on.
+    /// All outputs, with their names in error messages: `output`, `output-2` and so on.
     pub fn iter(&self) -> impl Iterator<Item = (String, &Output)> {
         self.0.iter().zip(0..).map(|(output, n)| (name(n), output))
     }
 
-    /// Those that go somewhere.
+    /// The outputs that have a destination.
     pub fn flying(&self) -> impl Iterator<Item = (String, &Output)> {
         self.iter().filter(|(_, output)| output.to.is_some())
     }
@@ -55,7 +55,7 @@ impl Outputs {
         self.0.get_mut(place(name)?)
     }
 
-    /// The name of the output of the file's `n`-th table, from 0; it is added if it is not there.
+    /// The name of the output of the file's `n`-th table, from 0; the output is added if it does not exist.
     pub(super) fn of_table(&mut self, n: usize) -> String {
         self.0.resize(self.0.len().max(n + 1), Output::default());
         name(n)

@@ -13,19 +13,19 @@ use std::fmt;
 /// A parameter of the configuration.
 #[derive(Clone)]
 pub struct Parameter {
-    /// Dotted path in the TOML file, with the unit in its last word where it has one.
+    /// Dotted path in the TOML file; its last word ends in the unit, if there is one.
     pub key: &'static str,
-    /// Empty for counts, names and the camera's own scales.
+    /// Empty for counts, names and quantities on the camera's own scale.
     pub unit: &'static str,
     pub allowed: Allowed,
     /// The number by which the ground sets it in flight (aspect commands 0x0712 and 0x0722).
     pub command: Option<u16>,
     pub documentation: &'static str,
-    /// Value in the example, commented out, where nothing is set by default.
+    /// Value in the example, commented out, if there is no default.
     pub(super) sample: Option<Sample>,
-    /// The field's value; a camera's or an output's is that of its table.
+    /// Gets the field's value; for a camera or an output, that of the given table.
     pub(super) get: fn(&Config, &str) -> Option<Value>,
-    /// Sets the field, or says `None` where its type cannot hold the value.
+    /// Sets the field; `None` if its type cannot hold the value.
     pub(super) set: fn(&mut Config, &str, Option<Value>) -> Option<()>,
 }
 
@@ -60,9 +60,9 @@ pub enum Allowed {
     Utc,
     /// A part of the sensor.
     Region,
-    /// Where frames come from.
+    /// A source of frames.
     Source,
-    /// Where an output goes.
+    /// A destination of an output.
     Destination,
 }
 
@@ -76,7 +76,7 @@ impl Allowed {
             (Self::Whole(low, high), Value::Whole(value)) => (low..=high).contains(value),
             (Self::Name(names), Value::Text(value)) => names.contains(&value.as_str()),
             (Self::Text, Value::Text(_)) => true,
-            // Empty sets nothing.
+            // An empty text sets nothing.
             (Self::Source, Value::Text(text)) => text.is_empty() || text.parse::<Source>().is_ok(),
             (Self::Destination, Value::Text(text)) => {
                 text.is_empty() || text.parse::<Destination>().is_ok()
@@ -88,7 +88,7 @@ impl Allowed {
     }
 }
 
-/// Why a parameter was not set: expected and found value.
+/// Reason why a parameter was not set: expected and found value.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{key}: expected {expected}, found {found}")]
 pub struct Refused {
@@ -108,12 +108,12 @@ impl Parameter {
         self.key.split_once('.').map_or(self.key, |(_, name)| name)
     }
 
-    /// The value in a configuration; `None` where nothing is set.
+    /// The value in a configuration; `None` if it is not set.
     pub fn get(&self, config: &Config) -> Option<Value> {
         self.get_of(config, self.table())
     }
 
-    /// The same of another camera's or output's table.
+    /// The same for the table of another camera or output.
     pub(super) fn get_of(&self, config: &Config, table: &str) -> Option<Value> {
         (self.get)(config, table)
     }
@@ -123,10 +123,10 @@ impl Parameter {
         self.get(&Config::default())
     }
 
-    /// Sets the value; `None` unsets a parameter that need not be set.
+    /// Sets the value; `None` unsets a parameter that is optional.
     ///
     /// # Errors
-    /// A value of another type, outside the allowed ones, or none where one is needed.
+    /// If the value has another type or is not allowed, or is missing but required.
     pub fn set(&self, config: &mut Config, value: Option<Value>) -> Result<(), Refused> {
         self.set_of(config, self.table(), value)
     }
@@ -148,7 +148,7 @@ impl Parameter {
         }
     }
 
-    /// As [`set`](Self::set), for the camera or output of a table where it is such a one's.
+    /// As [`set`](Self::set), for the camera or output of a table, if the parameter belongs to one.
     pub(super) fn set_from_toml(
         &self,
         config: &mut Config,
@@ -157,7 +157,7 @@ impl Parameter {
     ) -> Result<(), Refused> {
         match (self.allowed, Value::from_toml(value), value) {
             (_, Some(value), _) => self.set_of(config, table, Some(value)),
-            // A time without quotes is one with them: see `Utc`.
+            // A time without quotes is accepted like one with quotes: see `Utc`.
             (Allowed::Utc, _, toml::Value::Datetime(time)) => {
                 self.set_of(config, table, Some(Value::Text(time.to_string())))
             }

@@ -1,4 +1,4 @@
-//! The configuration from its TOML file: every error that it has, each with the file, the key and what was expected.
+//! Reads the configuration from its TOML file and reports all of its errors, each with the file, the key and the expected value.
 
 use super::value::{self, Field, Value};
 use super::{Config, ConfiguredCamera, Outputs, Parameter, by_key, parameters};
@@ -7,11 +7,11 @@ use crate::instrument::{Role, TomlError};
 use std::path::Path;
 
 impl Config {
-    /// Reads a configuration; what the file leaves out keeps its default.
+    /// Reads a configuration; parameters that the file omits keep their defaults.
     ///
     /// # Errors
-    /// A file that cannot be read, an unknown key (named with the nearest known one), a value of the wrong type
-    /// or out of range, an incomplete site.
+    /// If the file cannot be read, a key is unknown (the nearest known one is named), a value has the wrong type
+    /// or is out of range, or the site is incomplete.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
         Self::parse(path, &read_text(path)?)
     }
@@ -22,7 +22,7 @@ impl Config {
         errors.into_iter().next().map_or(Ok(config), Err)
     }
 
-    /// As [`parse`](Self::parse), but with every error that the text has, and with what was right beside them.
+    /// As [`parse`](Self::parse), but with every error of the text, and with the values that are valid.
     pub fn parse_all(path: &Path, text: &str) -> (Self, Vec<TomlError>) {
         let mut config = Self::default();
         let mut errors = Vec::new();
@@ -99,7 +99,7 @@ impl Config {
         errors.extend(values.iter().filter_map(|pair| keyed(pair).err()));
     }
 
-    /// Takes the role of a camera's table: a table whose name gives no role, ending in `_camera`, adds a camera.
+    /// Reads the role of a camera's table: a table whose name implies no role, ending in `_camera`, adds a camera.
     fn read_role(
         &mut self,
         path: &Path,
@@ -136,7 +136,7 @@ impl Config {
         value: &toml::Value,
     ) -> Result<(), TomlError> {
         let key = format!("{table}.{name}");
-        // All cameras have the same parameters, and so have all outputs.
+        // All cameras have the same parameters, and so do all outputs.
         let parameter = match self.cameras.named(table) {
             Some(_) => by_key(&format!("{}.{name}", self.cameras.first().name)),
             None if self.outputs.named(table).is_some() => {
@@ -151,21 +151,21 @@ impl Config {
     }
 }
 
-/// Whether a table may be a camera's by its name, which files may have without quotes.
+/// Whether a table's name may be that of a camera; such names need no quotes in a file.
 fn is_camera_name(table: &str) -> bool {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     table.ends_with("_camera") && table.chars().all(is_plain)
 }
 
-/// Whether a table is called nearly as one that is known.
+/// Whether a table's name is close to a known one.
 fn is_misspelled(table: &str) -> bool {
     Role::table_names()
         .iter()
         .any(|known| strsim::damerau_levenshtein(known, table) <= 2)
 }
 
-/// The error for an unknown key or table. A parameter of the same name in another table is nearest, whatever
-/// the letters say.
+/// The error for an unknown key or table. A parameter of the same name in another table is suggested first, whatever
+/// the edit distance.
 fn unknown(path: &Path, key: &str) -> TomlError {
     let name = key.rsplit('.').next();
     let namesake = |p: &&Parameter| Some(p.name()) == name;
@@ -339,7 +339,7 @@ mod tests {
         assert_eq!(parse("[link]\nport = \"\"\n").unwrap().link.port, None);
     }
 
-    /// Files that are wrong, and what the error says.
+    /// Invalid files, with their error messages.
     const BAD: &[(&str, &[&str])] = &[
         (
             "[camera]\nrate_hertz = 4\n",

@@ -1,16 +1,16 @@
-//! The file of values set by command: how it is recognised, and which other files may not be in its place.
+//! The file of values set by command: its recognition among other files.
 
-/// How the file begins; a checksum follows.
+/// Beginning of the file; a checksum follows.
 pub const HEADER: &str = "# solaspect: values set by command. crc32 ";
 
 /// The largest such file, bytes.
 pub const LARGEST: u64 = 1 << 20;
 
-/// One in so many bytes of the head may be wrong: disks do that, and no other file begins like this.
+/// One in this many bytes of the beginning may be wrong: disks cause such errors, and no other file begins like this.
 const LIKE: usize = 8;
 
-/// Whether a file that begins so is one of saved values, whole or damaged: a file of anything else is neither set aside nor replaced.
-/// A disk may leave an empty file, or one of zeros, of such a file.
+/// Whether a file with this beginning is a file of saved values, intact or damaged: any other file is neither renamed nor replaced.
+/// A disk may have left such a file empty, or filled with zeros.
 pub fn is_ours(bytes: &[u8]) -> bool {
     if bytes.iter().all(|byte| *byte == 0) {
         return true;

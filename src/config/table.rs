@@ -1,7 +1,7 @@
 //! The parameter table.
 //!
-//! A row: the field in [`Config`](super::Config), its unit, the allowed values, its command number, where it has one, and what
-//! it means (with the effect of raising it, where that is not plain). A field that may stay unset shows a sample in
+//! A row has the field in [`Config`](super::Config), its unit, the allowed values, its command number, if any, and its
+//! meaning (with the effect of raising it, if that is not obvious). An optional field shows a sample in
 //! the example. Command numbers are for parameters that have no command of their own; a number once given is
 //! never given again.
 
@@ -67,7 +67,7 @@ macro_rules! row {
     };
 }
 
-/// The rows of one camera. `$rate` is the command number of its rate, if any; the texts after it say by which commands
+/// The rows of one camera. `$rate` is the command number of its rate, if any; the texts after it state the commands by which
 /// exposure, analogue gain and pre-amplifier gain are set in flight.
 macro_rules! camera_rows {
     ($table:ident, instrument $file:literal, $instrument:literal, rate ($($rate:literal)?), exposure $exposure:literal, analogue $analogue:literal, preamp $preamp:literal) => {[
@@ -103,7 +103,7 @@ macro_rules! camera_rows {
     ]};
 }
 
-/// The usual cameras: two that see a plate, one for roll, and one that sees the Moon, unless a file gives them another role.
+/// The standard cameras: two that see a plate, one for roll, and one that sees the Moon, unless a file gives them another role.
 fn cameras() -> impl Iterator<Item = Parameter> {
     let camera = camera_rows!(
         camera,
@@ -159,7 +159,7 @@ static BEFORE_CAMERAS: &[Parameter] = &[
     row!(target.epoch_utc, "UTC", Utc, sample Sample::Text("2013-09-21T18:00:00Z"),
         "When the target was at x and y; it rotates with the Sun (differential rotation, Howard et al. 1990). Unset, the target keeps its place on the disc, as one set by command does."),
 
-    // The cameras stand here: see `parameters`.
+    // The cameras are inserted here: see `parameters`.
 ];
 
 #[rustfmt::skip]
@@ -320,7 +320,7 @@ pub fn by_key(key: &str) -> Option<&'static Parameter> {
     parameters().iter().find(|parameter| parameter.key == key)
 }
 
-/// The parameter that the ground knows by a number.
+/// The parameter with this number in commands of the ground.
 pub fn by_command(number: u16) -> Option<&'static Parameter> {
     parameters()
         .iter()
@@ -333,7 +333,7 @@ mod tests {
     use crate::config::{Config, Value};
     use std::collections::HashSet;
 
-    /// Values at the ends of what a parameter allows, and one between.
+    /// Values at the limits of the allowed range, and one between.
     fn probes(parameter: &Parameter) -> Vec<Value> {
         match parameter.allowed {
             Number(low, high) => [low, 0.3 * low + 0.7 * high, high]
@@ -352,7 +352,7 @@ mod tests {
         }
     }
 
-    /// Values just outside what a parameter allows, and of other types.
+    /// Values just outside the allowed range, and of other types.
     fn outside(parameter: &Parameter) -> Vec<Value> {
         let mut values = match parameter.allowed {
             Number(low, high) => [low - 1e-3, high * 1.001 + 1e-3, f64::NAN, f64::INFINITY]

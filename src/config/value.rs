@@ -1,4 +1,4 @@
-//! Values of parameters, and how the typed fields of the configuration become them and back.
+//! Values of parameters, and their conversion to and from the typed fields of the configuration.
 
 use super::{Memory, Switch};
 use crate::archive::{Overflow, Sharing};
@@ -21,7 +21,7 @@ pub enum Value {
 }
 
 impl fmt::Display for Value {
-    /// As TOML writes it.
+    /// In the form of TOML.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Whole(value) => write!(out, "{value}"),
@@ -32,7 +32,7 @@ impl fmt::Display for Value {
 }
 
 impl Value {
-    /// The value in a file, where it is of a kind that parameters have.
+    /// The value in a file, if parameters can have its type.
     pub fn from_toml(value: &toml::Value) -> Option<Self> {
         match value {
             toml::Value::Integer(value) => Some(Self::Whole(*value)),
@@ -43,7 +43,7 @@ impl Value {
     }
 }
 
-/// A value of a file as an error shows it: on one line.
+/// A value of a file for an error message: on one line.
 pub(super) fn found(value: &toml::Value) -> String {
     match Value::from_toml(value) {
         Some(value) => value.to_string(),
@@ -55,7 +55,7 @@ pub(super) fn found(value: &toml::Value) -> String {
 pub(super) trait Field: Sized {
     fn value(&self) -> Option<Value>;
 
-    /// The field from a value, where the type can hold it.
+    /// The field from a value, if the type can hold it.
     fn from_value(value: Option<Value>) -> Option<Self>;
 }
 
@@ -125,7 +125,7 @@ impl Field for Timestamp {
     }
 }
 
-/// Nothing, and an empty text, set nothing.
+/// A missing value and an empty text both set nothing.
 impl<T: Field> Field for Option<T> {
     fn value(&self) -> Option<Value> {
         self.as_ref().and_then(T::value)

@@ -4,9 +4,9 @@
 //! |---|---|
 //! | 6 | primary header: telemetry, with a secondary header, unsegmented; the APID is the packet's type; each APID has a sequence count of its own |
 //! | 9 | secondary header: the packet's time as CCSDS day-segmented code (CCSDS 301.0-B-4) with its P-field: days since 1958, ms of the day, us of the ms, UTC |
-//! | rest | the packet's payload, as `docs/protocol.md` lays it out |
+//! | rest | the packet's payload, as specified in `docs/protocol.md` |
 //!
-//! Numbers of the headers are big-endian, as CCSDS has them, those of the payload little-endian, as they are on the line.
+//! Numbers of the headers are big-endian, as in CCSDS; those of the payload are little-endian, as on the line.
 
 use crate::link::TelemetryPacket;
 use arbitrary_int::{u11, u14};
@@ -15,7 +15,7 @@ use spacepackets::time::cds::{CdsTime, SubmillisPrecision};
 use spacepackets::{CcsdsPacketCreator, PacketType, SpHeader};
 use std::collections::BTreeMap;
 
-/// The numbers of the next packets, by their types.
+/// Sequence numbers of the next packets, by type.
 #[derive(Debug, Default)]
 pub(super) struct Sequences(BTreeMap<u8, u14>);
 
@@ -28,7 +28,7 @@ impl Sequences {
     }
 }
 
-/// The space packet; `None` of a payload or a time that none can hold, which no packet of this program has.
+/// The space packet; `None` for a payload or a time that does not fit, which no packet of this program has.
 pub(super) fn space_packet(packet: &TelemetryPacket, sequence: u14) -> Option<Vec<u8>> {
     let (seconds, nanoseconds) = packet.time();
     let time = UnixTime::new_checked(seconds.into(), nanoseconds)?;
@@ -96,7 +96,7 @@ mod tests {
             prop_assert!(read.sp_header().sec_header_flag());
             let (time, payload) = read.packet_data().split_at(9);
             prop_assert_eq!(payload, packet.payload());
-            // By the standard's words: a day has 86,400,000 ms, and 1970 begins 4,383 days after 1958.
+            // By the standard: a day has 86,400,000 ms, and 1970 begins 4,383 days after 1958.
             let days = u64::from(u16::from_be_bytes([time[1], time[2]])) - 4_383;
             let ms = u64::from(u32::from_be_bytes([time[3], time[4], time[5], time[6]]));
             let us = u64::from(u16::from_be_bytes([time[7], time[8]]));

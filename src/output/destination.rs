@@ -1,11 +1,11 @@
-//! Where an output goes.
+//! Destination of an output.
 
 use crate::link::PortAddress;
 use std::fmt;
 use std::net::SocketAddr;
 use std::str::FromStr;
 
-/// Where an output goes.
+/// Destination of an output.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Destination {
     /// Datagrams to a peer, or a serial device.
@@ -22,7 +22,7 @@ pub struct NoDestination(String);
 impl Destination {
     pub const EXPECTED: &'static str = "udp:HOST:PORT, serial:/dev/... or tcp-listen:ADDRESS:PORT, where HOST and ADDRESS are IP addresses";
 
-    /// Whether both write to one place.
+    /// Whether both are the same destination.
     pub fn is_same_place(&self, other: &Self) -> bool {
         use PortAddress::{Serial, Udp};
         match (self, other) {

@@ -1,5 +1,5 @@
-//! The end of an output: a port, or the programs that have connected. A reader takes a message whole or not at all, and none is waited for longer than
-//! [`WRITE_TIMEOUT`].
+//! The end of an output: a port, or the programs that have connected. A reader takes a message completely or not at all, and no reader is waited for
+//! longer than [`WRITE_TIMEOUT`].
 
 use super::Destination;
 use crate::backoff::Backoff;
@@ -8,16 +8,16 @@ use std::io::{self, ErrorKind, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::time::Duration;
 
-/// How long a port may take for a message.
+/// Time limit for a port to take a message.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(50);
-/// Programs that may be connected at a time.
+/// Programs that may be connected at the same time.
 const MOST_CLIENTS: usize = 8;
-/// A client that has taken nothing for so long, though there was something, is disconnected.
+/// Time after which a client that has taken no byte, though messages were offered, is disconnected.
 const CLIENT_PATIENCE: Duration = Duration::from_secs(30);
 /// The longest payload of a datagram over IPv4.
 const LONGEST_DATAGRAM: usize = 65_507;
 
-/// How many copies of a message went out, and how many should have.
+/// Number of copies of a message that were sent, and that were dropped.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Went {
     pub sent: u64,
@@ -38,7 +38,7 @@ impl Went {
     }
 }
 
-/// The end of an output. Times are monotonic, since any start.
+/// The end of an output. Times are monotonic, from any origin.
 pub struct Endpoint(End);
 
 enum End {
@@ -47,7 +47,7 @@ enum End {
 }
 
 impl Endpoint {
-    /// To a destination, at a speed where it is serial. It is opened by the first [`poll`](Self::poll), and again whenever it is lost.
+    /// An endpoint for a destination; `baud` applies to a serial one. It is opened by the first [`poll`](Self::poll), and again whenever it is lost.
     pub fn new(to: &Destination, baud: u32) -> Self {
         Self(match to {
             Destination::Port(address) => End::Port(Box::new(Port {
@@ -62,7 +62,7 @@ impl Endpoint {
         })
     }
 
-    /// Opens what is closed, and takes in who has come.
+    /// Opens what is closed, and accepts programs that connect.
     pub fn poll(&mut self, now: Duration) {
         match &mut self.0 {
             End::Port(port) => port.poll(now),
@@ -70,7 +70,7 @@ impl Endpoint {
         }
     }
 
-    /// Writes a message to all readers. With none it is dropped.
+    /// Writes a message to all readers. Without a reader it is dropped.
     pub fn send(&mut self, message: &[u8], now: Duration) -> Went {
         match &mut self.0 {
             End::Port(port) => port.send(message, now),
@@ -79,12 +79,12 @@ impl Endpoint {
     }
 }
 
-/// Rest of the message that a reader has begun to take.
+/// Rest of a message of which a reader has taken a part.
 #[derive(Default)]
 struct Rest(Vec<u8>);
 
 impl Rest {
-    /// Offers the rest again; whether the reader has all of it. `write` says how many bytes went.
+    /// Offers the rest again; returns whether the reader has all of it. `write` returns the number of bytes taken.
     fn finish<E>(&mut self, write: &mut impl FnMut(&[u8]) -> Result<usize, E>) -> Result<bool, E> {
         if !self.0.is_empty() {
             let taken = write(&self.0)?;
@@ -93,7 +93,7 @@ impl Rest {
         Ok(self.0.is_empty())
     }
 
-    /// Offers a message after the rest of the one before; whether the reader has begun to take it.
+    /// Offers a message after the rest of the previous one; returns whether the reader has taken any of it.
     fn offer<E>(
         &mut self,
         message: &[u8],
@@ -143,7 +143,7 @@ impl Port {
     }
 }
 
-/// How many bytes a port takes.
+/// Number of bytes that a port takes.
 fn taken(port: &mut AnyPort, bytes: &[u8]) -> Result<usize, PortError> {
     match port.write(bytes, WRITE_TIMEOUT) {
         Ok(()) => Ok(bytes.len()),
@@ -165,7 +165,7 @@ struct Client {
     stream: TcpStream,
     peer: SocketAddr,
     rest: Rest,
-    /// When it last took a byte.
+    /// Time at which it last took a byte.
     took_at: Duration,
 }
 
@@ -182,7 +182,7 @@ impl Clients {
 
     fn poll(&mut self, now: Duration) {
         self.listen(now);
-        // A flood of them keeps no message waiting.
+        // Limited, so that a flood of connections does not delay messages.
         for _ in 0..MOST_CLIENTS {
             let accept = |listener: &TcpListener| listener.accept().ok();
             let Some((stream, peer)) = self.listener.as_ref().and_then(accept) else {
@@ -250,7 +250,7 @@ impl Clients {
         })
     }
 
-    /// Offers something to every client; who has gone, or takes nothing any more, is let go.
+    /// Offers messages to every client; a client that has disconnected, or takes nothing any more, is dropped.
     fn serve(
         &mut self,
         now: Duration,
@@ -282,7 +282,7 @@ impl Clients {
     }
 }
 
-/// Writes what a stream takes at once; how many bytes that is.
+/// Writes the bytes that a stream takes at once; returns their number.
 fn written(stream: &mut TcpStream, bytes: &[u8]) -> io::Result<usize> {
     let mut count = 0;
     while count < bytes.len() {
@@ -312,7 +312,7 @@ mod tests {
         dropped: 0,
     };
 
-    /// Of a port without a device.
+    /// A free address of this computer.
     fn free_address() -> SocketAddr {
         let any = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         any.local_addr().unwrap()
@@ -322,7 +322,7 @@ mod tests {
         Endpoint::new(to, 115_200)
     }
 
-    /// An endpoint that listens, and clients that it has taken in.
+    /// An endpoint that listens, and clients that it has accepted.
     fn with_clients<const N: usize>() -> (Endpoint, [TcpStream; N]) {
         let address = free_address();
         let mut endpoint = endpoint(&Destination::Clients(address));
@@ -351,7 +351,7 @@ mod tests {
         }
     }
 
-    /// A long line with its number at its begin.
+    /// A long line that begins with its number.
     fn line(number: usize) -> Vec<u8> {
         let mut line = format!("{number} ").into_bytes();
         line.resize(100_000, b'x');
@@ -359,7 +359,7 @@ mod tests {
         line
     }
 
-    /// The numbers of lines, which must all be whole.
+    /// The numbers of lines, which must all be complete.
     fn numbers(bytes: &[u8]) -> Vec<usize> {
         let lines = bytes.split_inclusive(|byte| *byte == b'\n');
         let number = |own: &[u8]| {
@@ -390,7 +390,7 @@ mod tests {
             });
             assert_eq!(read, message);
         }
-        // It has lost the last ones. When it reads again, it finds whole lines, and gets the next.
+        // It has lost the last messages. When it reads again, it finds complete lines, and gets the next one.
         stuck.set_nonblocking(true).unwrap();
         let mut read = Vec::new();
         wait_until(|| {
@@ -435,7 +435,7 @@ mod tests {
         });
         assert_eq!(endpoint.send(b"all\n", NOW).sent, 8);
         drop(clients);
-        // The first write to who has left may still be taken by the system.
+        // The system may still take the first write to a client that has left.
         wait_until(|| endpoint.send(b"anyone?\n", NOW) == Went::DROPPED);
         let mut tenth = TcpStream::connect(address).unwrap();
         wait_until(|| {
@@ -482,7 +482,7 @@ mod tests {
             let count = near.read(&mut buffer, Duration::from_millis(1)).unwrap();
             read.extend_from_slice(&buffer[..count]);
         };
-        // The rest of the message that was begun goes first.
+        // The rest of the incomplete message goes first.
         wait_until(|| {
             read_on(&mut read);
             endpoint.send(&message(999_999), NOW) == SENT

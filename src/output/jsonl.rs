@@ -1,4 +1,4 @@
-//! A solved frame as a JSON object on a line of its own: that of `solaspect solve`, with the camera and the frame's number.
+//! A solved frame as a JSON object on one line: that of `solaspect solve`, with the camera and the frame's number.
 
 use super::Report;
 use crate::record::Record;
@@ -7,13 +7,13 @@ use serde::Serialize;
 #[derive(Serialize)]
 struct Line<'a> {
     camera: &'a str,
-    /// Number of the frame in its sequence, where the camera counts.
+    /// Number of the frame in its sequence, if the camera counts frames.
     frame: Option<u64>,
     #[serde(flatten)]
     record: &'a Record,
 }
 
-/// The line, with its end.
+/// The line, including its end.
 pub(super) fn line(report: &Report) -> Option<Vec<u8>> {
     let line = Line {
         camera: &report.camera,

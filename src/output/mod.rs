@@ -6,7 +6,7 @@
 //! TelemetryPacket         /
 //! ```
 //!
-//! Nothing here starts a thread or waits for longer than a write may take: the flight service owns the loop. `docs/outputs.md` has the fields.
+//! Nothing here starts a thread or waits for longer than a write may take: the flight service owns the loop. `docs/outputs.md` describes the fields.
 
 mod ccsds;
 mod destination;
@@ -37,7 +37,7 @@ impl Format {
     pub const KINDS: [Self; 3] = [Self::Jsonl, Self::Nmea, Self::Ccsds];
     pub const NAMES: &'static [&'static str] = &["jsonl", "nmea", "ccsds"];
 
-    /// As the configuration gives it.
+    /// Name in the configuration.
     pub fn name(self) -> &'static str {
         match self {
             Self::Jsonl => "jsonl",
@@ -57,7 +57,7 @@ impl Format {
     }
 }
 
-/// Message to go out. Copies share it.
+/// A message to be sent. Copies share its content.
 #[derive(Debug, Clone)]
 pub enum Message {
     Solution(Arc<Report>),
@@ -67,15 +67,15 @@ pub enum Message {
 /// Result of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
-    /// The camera's table in the configuration.
+    /// Name of the camera's table in the configuration.
     pub camera: String,
-    /// Its number on the controller's line.
+    /// The camera's number on the controller's line.
     pub number: u8,
-    /// Without the picture's file: it is stored later, if at all.
+    /// The row without the picture's file: the picture is stored later, if at all.
     pub row: LoggedRow,
 }
 
-/// Makes the bytes of messages.
+/// Encodes messages.
 #[derive(Debug)]
 pub struct Encoder {
     format: Format,
@@ -88,7 +88,7 @@ impl Encoder {
         Self { format, sequences }
     }
 
-    /// The bytes of a message; `None` where the format does not carry it, or cannot hold it.
+    /// The bytes of a message; `None` if the format does not carry it, or it does not fit.
     pub fn encode(&mut self, message: &Message) -> Option<Vec<u8>> {
         match (self.format, message) {
             (Format::Jsonl, Message::Solution(report)) => jsonl::line(report),

@@ -9,7 +9,8 @@ use crate::clock::utc_text;
 use crate::navigation::nmea::summed;
 use crate::record::Record;
 
-/// Characters of a number at most: "-180.000000", "0.000024", "-180.0000", "0.0123". With the other fields 77 of the 82 that a sentence may have.
+/// Most characters of a number: "-180.000000", "0.000024", "-180.0000", "0.0123". With the other fields these make 77 of the 82 that a sentence may
+/// have.
 const ANGLE: usize = 11;
 const SIGMA: usize = 9;
 const ROLL: usize = 9;
@@ -36,7 +37,7 @@ pub(super) fn sentence(report: &Report) -> String {
     summed(&format!("PSASP,{}", fields.join(",")))
 }
 
-/// Mid-exposure, UTC, hhmmss.ss; empty where the frame has no time.
+/// Mid-exposure, UTC, hhmmss.ss; empty if the frame has no time.
 fn time_of_day(record: &Record) -> String {
     let text = record.utc.map(|utc| utc_text(utc, 2));
     let time = text.as_deref().and_then(|text| text.split_once('T'));
@@ -45,7 +46,7 @@ fn time_of_day(record: &Record) -> String {
     })
 }
 
-/// A number with as many of these decimals as fit the width; empty if none fits, or the number is not finite.
+/// A number with at most `decimals` decimals, reduced to fit the width; empty if none fits, or the number is not finite.
 fn fitted(value: f64, decimals: usize, width: usize) -> String {
     if !value.is_finite() {
         return String::new();
@@ -115,7 +116,7 @@ mod tests {
             Some([0.500_812_34, -12.25, 2.44e-5]),
             Some([-0.75, 0.0123]),
         );
-        // The sum is that of another program: `pynmea2.NMEASentence.checksum`.
+        // The checksum was computed by another program: `pynmea2.NMEASentence.checksum`.
         assert_eq!(
             sentence(&text),
             "$PSASP,180007.12,2,0.500812,-12.250000,0.000024,-0.7500,0.0123,1*41\r\n"
@@ -166,7 +167,7 @@ mod tests {
                 (fields[6], roll.map(|roll| roll[0])),
             ] {
                 match value {
-                    // Half of the last decimal that fits a field of such a width.
+                    // Half of the last decimal that fits a field of this width.
                     Some(value) if value.abs() < 180.0 => {
                         let read: f64 = text.parse().unwrap();
                         prop_assert!((read - value).abs() < 0.51e-4, "{text} of {value}");

@@ -1,7 +1,7 @@
-//! One frame's answer as a flat record: each number once, with its names in JSON lines, CSV, FITS headers and the telemetry.
+//! Result of one frame as a flat record: each number once, with its names in JSON lines, CSV, FITS headers and the telemetry.
 //!
-//! A new number is a field of [`Record`] or of its parts, which JSON lines have, and a row of the table below, named in the list of each
-//! form that has it: their orders differ, and are kept.
+//! To add a number, add a field to [`Record`] or its parts, which are the JSON lines, and a row to the table below, named in the list of each
+//! form that contains it: the orders of the forms differ, and do not change.
 
 mod number;
 
@@ -25,7 +25,7 @@ use serde::Serialize;
 use std::borrow::Cow;
 use std::time::Duration;
 
-/// Record of a solved frame. Fields that the frame did not reach are `None`.
+/// Record of a solved frame. Fields of stages not reached are `None`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Record {
     pub file: String,
@@ -43,21 +43,21 @@ pub struct Record {
     pub marks: Option<Vec<MarkRecord>>,
     pub mapping: Option<MappingRecord>,
     pub offset_deg: Option<OffsetRecord>,
-    /// Of the body that carries the cameras, where the horizon was seen.
+    /// Roll of the body that carries the cameras, if the horizon was observed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub roll_deg: Option<RollRecord>,
-    /// Of a frame in which the Moon was found.
+    /// Result of a frame in which the Moon was found.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub moon: Option<MoonRecord>,
     /// Wall time of the solver alone.
     pub solve_us: Option<u64>,
 }
 
-/// Why a frame went no further.
+/// Reason why a frame went no further.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reason {
     pub stage: &'static str,
-    /// For programs; none of what a file says of its time or place.
+    /// Code for programs; `None` for a problem of the file's time or place.
     pub code: Option<&'static str>,
     pub reason: Cow<'static, str>,
     pub measured: Option<f64>,
@@ -75,7 +75,7 @@ impl Reason {
         }
     }
 
-    /// Why a frame has no time or no place, and so no offset, although its file states one.
+    /// Reason why a frame has no time or no place, and so no offset, although its file states one.
     pub fn of_file(stage: &'static str, warning: &Warning) -> Self {
         Self {
             stage,
@@ -87,7 +87,7 @@ impl Reason {
     }
 }
 
-/// A mark that was read.
+/// A mark that was identified.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MarkRecord {
     pub id: [i32; 2],
@@ -95,7 +95,7 @@ pub struct MarkRecord {
     pub sigma_px: f64,
 }
 
-/// The mapping at the Sun's place, with 1 sigma of scale and rotation: this frame's, or those of the mapping that it borrowed.
+/// The mapping at the Sun's place, with 1 sigma of scale and rotation: this frame's, or a borrowed one.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MappingRecord {
     pub kind: &'static str,
@@ -113,9 +113,9 @@ pub struct OffsetRecord {
     pub elevation: f64,
     /// True angle.
     pub cross_elevation: f64,
-    /// Per axis of true angle, of this frame and of the mapping that it borrowed, if it did.
+    /// Per axis, in true angle; from this frame and from the borrowed mapping, if any.
     pub sigma: f64,
-    /// The same of the calibration: boresight, clocking, plate distance; not part of `sigma`.
+    /// The same for the calibration: boresight, clocking, plate distance; not part of `sigma`.
     pub calibration_sigma: f64,
 }
 
@@ -135,7 +135,7 @@ impl From<Measured> for RollRecord {
     }
 }
 
-/// The Moon's disc: its whole one, whatever is lit of it.
+/// The Moon's full disc, including its dark part.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MoonRecord {
     pub centre_px: [f64; 2],
@@ -145,11 +145,11 @@ pub struct MoonRecord {
     pub radius_sigma_px: f64,
     /// 0 full, 180 new.
     pub phase_angle_deg: f64,
-    /// The middle of the bright limb in the picture, from +x towards +y.
+    /// Position angle of the middle of the bright limb in the picture, from +x towards +y.
     pub bright_limb_deg: f64,
     /// Unit vector in the camera's axes.
     pub direction: Option<[f64; 3]>,
-    /// Per axis.
+    /// 1 sigma per axis.
     pub direction_sigma_deg: Option<f64>,
 }
 
@@ -264,7 +264,7 @@ impl Record {
         columns(&COLUMNS).collect()
     }
 
-    /// The record as the fields of a CSV row; what is not known is empty.
+    /// The record as the fields of a CSV row; unknown values are empty.
     pub fn csv_row(&self) -> Vec<String> {
         let row = self.alone();
         COLUMNS.iter().map(|number| number.text(&row)).collect()
@@ -279,46 +279,46 @@ impl Record {
             .collect()
     }
 
-    /// A row of which no more is known.
+    /// A row with only this record.
     fn alone(&self) -> LoggedRow {
         LoggedRow::bare(None, self.clone())
     }
 
-    /// "stage: reason", as FITS and CSV write it.
+    /// "stage: reason", for FITS and CSV.
     pub fn reason_text(&self) -> Option<String> {
         let reason = self.reason.as_ref()?;
         Some(format!("{}: {}", reason.stage, reason.reason))
     }
 }
 
-/// A frame's row in the logs. `record.file` is empty where its picture was not stored.
+/// A frame's row in the logs. `record.file` is empty if its picture was not stored.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoggedRow {
     /// Number of the frame in its sequence.
     pub number: Option<u64>,
     pub quality: Quality,
-    /// Where the frame stopped.
+    /// Stage at which the frame stopped.
     pub stopped: Option<Stage>,
     pub levels: Option<Levels>,
     pub record: Record,
-    /// Whether the picture is on the disk of the log itself; `None` where it is on none.
+    /// Whether the picture is on the disk of the log itself; `None` if it is on none.
     pub on_own_disk: Option<bool>,
     pub upkeep: Upkeep,
 }
 
-/// How the archive was when a frame came.
+/// State of the archive when a frame came.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Upkeep {
-    /// Of each disk; `None` where there is none, or where it does not say.
+    /// Free space of each disk; `None` if there is no disk, or it does not report it.
     pub free_percent: [Option<f64>; 2],
     /// Pictures that waited for a disk.
     pub waiting: u64,
-    /// Pictures so far that no disk has.
+    /// Pictures so far that are on no disk.
     pub unstored: u64,
 }
 
 impl LoggedRow {
-    /// The row of a solved frame; `record` is made of the same solution.
+    /// The row of a solved frame; `record` must be of the same solution.
     pub fn new(number: Option<u64>, solution: &Solution, record: Record) -> Self {
         Self {
             quality: solution.quality,
@@ -328,7 +328,7 @@ impl LoggedRow {
         }
     }
 
-    /// The row of a record, of which no more is known.
+    /// The row with only this record.
     pub fn bare(number: Option<u64>, record: Record) -> Self {
         Self {
             number,
@@ -358,7 +358,7 @@ impl LoggedRow {
             .collect()
     }
 
-    /// The fields of the columns; what is not known is empty.
+    /// The fields of the columns; unknown values are empty.
     pub fn csv_fields(&self) -> Vec<String> {
         let numbers = LOG_BEFORE.iter().chain(&COLUMNS).chain(&LOG_AFTER);
         numbers.map(|number| number.text(self)).collect()
@@ -384,7 +384,7 @@ macro_rules! numbers {
     ($($name:ident: $number:expr;)*) => {
         $(const $name: Number = $number;)*
 
-        /// All of them, with their names here.
+        /// All numbers, with their names here.
         static ALL: &[(&str, Number)] = &[$((stringify!($name), $name)),*];
     };
 }
@@ -481,7 +481,7 @@ numbers! {
     UNSTORED: number(|r| Some(r.upkeep.unstored as f64)).field("UNSTORED", "", "pictures so far that no disk has");
 }
 
-/// The columns of a record, and those that the log has before and after them.
+/// The columns of a record, and the log's columns before and after them.
 #[rustfmt::skip]
 static COLUMNS: [Number; 25] = [
     FILE, UTC, QUALITY, REASON, SUN_X_PX, SUN_Y_PX, SUN_SIGMA_X_PX, SUN_SIGMA_Y_PX, SUN_RADIUS_PX, SUN_RADIUS_SIGMA_PX,

@@ -1,11 +1,11 @@
-//! A number of a record, and its names in each form that has it.
+//! A number of a record, and its names in each form that contains it.
 
 use super::LoggedRow;
 use crate::fits::Card;
 use crate::fits::keyword::{Keyword, Kind, Use, row};
 use std::borrow::Cow;
 
-/// A number or text of a frame: its meaning, and its names in each form that has it.
+/// A number or text of a frame: its meaning, and its names in each form that contains it.
 #[derive(Clone, Copy)]
 pub struct Number {
     value: Value,
@@ -14,7 +14,7 @@ pub struct Number {
     pub field: Option<Field>,
 }
 
-/// Description of a row.
+/// Function that takes the value from a row, by type.
 #[derive(Clone, Copy)]
 pub enum Value {
     Text(fn(&LoggedRow) -> Option<Cow<'_, str>>),
@@ -23,7 +23,7 @@ pub enum Value {
     Code(fn(&LoggedRow) -> u8),
 }
 
-/// How a number is written to CSV: so many digits behind the point, or as many as make it.
+/// Decimals of a number in CSV: a fixed number, or as many as represent it exactly.
 #[derive(Clone, Copy)]
 pub enum Digits {
     Six,
@@ -104,7 +104,7 @@ impl Number {
         Self { field, ..self }
     }
 
-    /// As CSV has it; empty where it is not known.
+    /// The value in CSV; empty if it is not known.
     pub fn text(&self, row: &LoggedRow) -> String {
         let digits = self.column.map_or(Digits::All, |(_, digits)| digits);
         let text = match self.value {
@@ -120,7 +120,7 @@ impl Number {
         text.unwrap_or_default()
     }
 
-    /// As a header has it; a number that is not finite has no place there.
+    /// The value in a header; `None` if it is not finite.
     pub fn card(&'static self, row: &LoggedRow) -> Option<Card> {
         let keyword = self.keyword.as_ref()?;
         match self.value {
