@@ -1,4 +1,4 @@
-//! The whole system on one machine with nothing attached: simulated cameras of Sun and horizon, the real service, a real archive, and
+//! The whole system on one computer without hardware: simulated cameras of Sun and horizon, the real service, a real archive, and
 //! a simulated controller at the other end of a pseudo-terminal.
 
 mod faults;
@@ -46,18 +46,18 @@ use std::time::Duration;
 /// Settings of a demonstration.
 #[derive(Debug, Clone)]
 pub struct Demo {
-    /// `None`: until it is stopped. Then the archive keeps the frames of the last ten minutes only.
+    /// `None`: until it is stopped; then the archive keeps only the frames of the last ten minutes.
     pub duration: Option<Duration>,
     pub rate_hz: f64,
     /// The archive's folder.
     pub archive: PathBuf,
     pub seed: u64,
-    /// For training: faults that may be put on it, and a camera whose pauses are noticed, as a real one is.
+    /// For training: faults that may be injected, and a camera whose pauses are detected, like those of a real one.
     pub faults: Option<Faults>,
 }
 
 impl Demo {
-    /// One of so long without faults, at 4 Hz, with its archive in a folder.
+    /// A demonstration of this duration without faults, at 4 Hz, with its archive in a folder.
     pub fn lasting(duration: Duration, archive: &Path, seed: u64) -> Self {
         Self {
             duration: Some(duration),
@@ -73,7 +73,7 @@ impl Demo {
 #[derive(Debug, Clone)]
 pub struct Glimpse {
     pub answer: Answer,
-    /// The last offset that the controller got.
+    /// The last offset that the controller received.
     pub received: Option<Solution>,
 }
 
@@ -82,33 +82,33 @@ pub struct Glimpse {
 pub struct Summary {
     pub tally: FlightTally,
     pub controller: Report,
-    /// Errors of the aspect against the truth, fine frames, arcsec.
+    /// Errors of the aspect relative to the truth, fine frames, arcsec.
     pub fine_errors_arcsec: Vec<f64>,
-    /// Offsets by the gyros against the truth; none where a ground commands.
+    /// Errors of offsets by the gyros relative to the truth; empty if a ground commands.
     pub propagated: Vec<JudgedOffset>,
-    /// Those of the frames at times for which the horizon gave the roll.
+    /// The same for the offsets of frames at times for which the horizon gave the roll.
     pub by_sun: Vec<JudgedOffset>,
-    /// Errors of the body's roll against the truth, frames of the horizon, deg.
+    /// Errors of the body's roll relative to the truth, frames of the horizon, deg.
     pub roll_errors_deg: Vec<f64>,
-    /// Frames called fine or coarse in which there was no Sun at all.
+    /// Fine or coarse frames in which there was no Sun at all.
     pub false_suns: u64,
-    /// Losses by a trainer's faults.
+    /// Losses caused by a trainer's faults.
     pub fault_cost: FaultCost,
     pub archive: PathBuf,
 }
 
-/// An offset by the gyros or by the Sun, held against the truth.
+/// An offset by the gyros or by the Sun, compared with the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JudgedOffset {
-    /// Of the last frame that it rests on.
+    /// Age of the last frame on which it rests.
     pub age_s: f64,
-    /// True angle across and in elevation, and 1 sigma of each.
+    /// Error in cross-elevation and elevation.
     pub error_arcsec: [f64; 2],
     pub sigma_arcsec: f64,
 }
 
 impl JudgedOffset {
-    /// `None` where the flight has no truth.
+    /// `None` if the flight has no truth.
     pub fn of(said: &Propagated, flown: &mut TelescopeFlight, start: Timestamp) -> Option<Self> {
         let truth = flown.truth(since(start, &said.solution)?).ok()?;
         Some(Self::against(
@@ -118,7 +118,7 @@ impl JudgedOffset {
         ))
     }
 
-    /// The offset of a frame: that of the middle of its exposure, `None` where the flight has no truth.
+    /// The offset of a frame, at mid-exposure; `None` if the flight has no truth.
     fn by_sun(solution: &Solution, flown: &mut TelescopeFlight, start: Timestamp) -> Option<Self> {
         let middle = since(start, solution)? + EXPOSURE / 2;
         let truth = flown.truth(middle).ok()?;
@@ -137,13 +137,13 @@ impl JudgedOffset {
     }
 }
 
-/// The time that a solution states, since the start.
+/// Time from the start to the one that a solution states.
 fn since(start: Timestamp, solution: &Solution) -> Option<Duration> {
     Duration::try_from(solution.time.duration_since(start)).ok()
 }
 
-/// Runs a demonstration; `show` is called with every answer. It ends early when `stopped` says so. `ground` is the line to a ground
-/// that receives what the controller does; it is given back, for the ground to hang up first.
+/// Runs a demonstration; `show` is called with every answer. It ends early when `stopped` returns true. `ground` is the line to a ground
+/// that receives a copy of what the controller receives; it is returned, so that the ground closes it first.
 pub fn run(
     demo: &Demo,
     ground: &mut Option<AnyPort>,
@@ -203,12 +203,12 @@ pub fn run(
         controller.map_err(|_| anyhow!("the controller's thread has failed"))??;
     *ground = far.ground;
     let mut telescope = telescope(demo, &instrument, start)?;
-    // A ground may have set another target: what differs from the Sun's centre is no error then.
+    // A ground may have set another target: then a difference from the Sun's centre is no error.
     let is_judged = ground.is_none();
     let propagated = controller.propagated.iter().filter(|_| is_judged);
     let propagated = propagated.filter_map(|one| JudgedOffset::of(one, &mut telescope, start));
     let propagated = propagated.collect();
-    // A telescope whose roll is not measured yet is taken for level, and sent with a roll of 0.
+    // A telescope whose roll is not measured yet is assumed to be level, and sent with a roll of 0.
     let rolled = |solution: &&Solution| is_judged && solution.roll_deg != 0.0;
     let by_sun = controller.solutions.iter().filter(rolled);
     let by_sun = by_sun.filter_map(|one| JudgedOffset::by_sun(one, &mut telescope, start));
@@ -231,7 +231,7 @@ fn launch_day() -> anyhow::Result<Timestamp> {
     Ok(jiff::tz::Offset::UTC.to_timestamp(noon)?)
 }
 
-/// The controller's thread, which gives its ends of the lines back with its report: hanging up first is the service's part.
+/// The controller's thread, which returns its ends of the lines with its report: the service must close the line first.
 type ControllerThread = JoinHandle<Result<(Report, (Relayed, Controller)), PortError>>;
 
 fn control(
@@ -255,7 +255,7 @@ fn control(
     thread::Builder::new().name("controller".into()).spawn(run)
 }
 
-/// The archive, on a disk that may be put at fault for training.
+/// The archive, on a disk with faults for training.
 fn store(demo: &Demo, instrument: &Instrument) -> Result<Store, ArchiveError> {
     let disk: Arc<dyn Disk> = match &demo.faults {
         Some(faults) => Arc::new(faults.disk()),
@@ -271,7 +271,7 @@ fn configuration(demo: &Demo) -> Config {
     config
 }
 
-/// The camera of the plate with its truth, and the roll camera with the gondola on which it swings.
+/// The camera of the plate with its truth, and the roll camera with its swinging gondola.
 fn cameras(
     demo: &Demo,
     instrument: &Instrument,
@@ -368,7 +368,7 @@ fn watch(
     }
 }
 
-/// Holds answers against the simulator's truth.
+/// Compares answers with the simulator's truth.
 struct Judge {
     truth: TruthLog,
     gondola: SwingingGondola,
@@ -405,7 +405,7 @@ impl Judge {
 }
 
 impl Summary {
-    /// Number of lost and damaged items; 0 when all went well.
+    /// Number of lost and damaged items; 0 if all went well.
     pub fn lost(&self) -> u64 {
         let sent = self.tally.counts.solutions;
         let arrived = self.controller.solutions.len() as u64;

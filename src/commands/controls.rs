@@ -1,7 +1,7 @@
-//! Settings by the ground in flight, in one place: read by every thread, changed by command only.
+//! Settings that the ground changes in flight, in one place: every thread reads them, only commands change them.
 //!
 //! Commands and files of saved values set the same [settings](super::setting). Both are checked in the same place, against the parameter
-//! table, and take effect all together or not at all.
+//! table, and take effect completely or not at all.
 
 mod gps;
 mod orders;
@@ -29,7 +29,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 /// Rows that may wait for the command log.
 const NOTES: usize = 1024;
 
-/// Topics of what may change in flight.
+/// Groups of settings that may change in flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Topic {
     /// Target and place.
@@ -40,11 +40,11 @@ pub enum Topic {
     Solver,
     /// Rate, exposure and gains of any camera.
     Cameras,
-    /// Whose frames are stored.
+    /// Roles whose frames are stored.
     Storing,
     /// Divisor, age limit and sending camera.
     Link,
-    /// The rest, such as whether GPS is accepted.
+    /// All others, such as whether GPS is accepted.
     Other,
 }
 
@@ -64,13 +64,13 @@ impl Topic {
     }
 }
 
-/// The solver's part of all this, frame by frame.
+/// The settings that the solver uses for a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Snapshot {
     pub target: Target,
     /// The place for frames that do not state theirs.
     pub place: Option<Place>,
-    /// Where the ground has set it; else the instrument's own holds.
+    /// Value set by the ground; if `None`, the instrument's own applies.
     pub clocking_deg: Option<f64>,
     pub twist_deg: Option<f64>,
     pub solver: aspect::SolverSettings,
@@ -79,7 +79,7 @@ pub struct Snapshot {
 }
 
 impl Snapshot {
-    /// The mounting as the ground has set it; `stated` is the instrument's own.
+    /// The mounting with the values set by the ground; `stated` is the instrument's own.
     pub fn mounting(&self, stated: &Mounting) -> Mounting {
         let mut mounting = *stated;
         if let Some(clocking_deg) = self.clocking_deg {
@@ -92,7 +92,7 @@ impl Snapshot {
     }
 }
 
-/// Whether settings were others before.
+/// Whether a call has changed any setting.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Changed {
     Yes,
@@ -123,31 +123,31 @@ struct State {
     place: Option<Place>,
     own: Own,
     gps: Gps,
-    /// The instrument's own; `None` where no camera sees a plate.
+    /// The instrument's own mounting; `None` if no camera sees a plate.
     stated: Option<Mounting>,
-    /// All that commands have set, by key: what is saved.
+    /// All values set by commands, by key: these are saved.
     commanded: BTreeMap<String, Value>,
     disks: Vec<Option<u8>>,
     clock_offset_us: Option<i64>,
     cameras: Vec<Role>,
-    /// Configuration and target as they were before any command.
+    /// Configuration and target before any command.
     origin: Arc<(Config, Target)>,
-    /// Frame on which the solver's settings are tried.
+    /// Frame with which the solver's settings are tested.
     proof: Option<Arc<Proof>>,
-    /// How often a command's value was refused, by key.
+    /// Number of refused values, by key.
     refusals: BTreeMap<String, u64>,
-    /// Why the last command was refused.
+    /// Reason why the last command was refused.
     reason: Option<String>,
 }
 
 impl Controls {
-    /// The settings at the start of a flight of these cameras. `target` is where the configuration points.
+    /// The settings at the start of a flight with these cameras. `target` is that of the configuration.
     pub fn of_flight<'c>(
         config: Config,
         target: Target,
         cameras: impl Iterator<Item = &'c Camera> + Clone,
     ) -> Self {
-        // Commands about the instrument are about the first camera's.
+        // Commands about the instrument apply to the first camera's.
         let instrument = cameras.clone().find_map(|camera| camera.sees.plate());
         let mounting = instrument.map(|instrument| instrument.mounting);
         let controls = Self::new(config, target, mounting);
@@ -158,7 +158,7 @@ impl Controls {
         controls
     }
 
-    /// The same of one pitch-yaw camera of an instrument that is mounted so.
+    /// The same for one pitch-yaw camera of an instrument with this mounting.
     pub fn new(config: Config, target: Target, mounting: impl Into<Option<Mounting>>) -> Self {
         let state = State {
             place: config.site.place(),
@@ -187,7 +187,7 @@ impl Controls {
         }))
     }
 
-    /// Counts the changes of a topic: the holder of a copy compares and reads again.
+    /// Number of changes of a topic: the holder of a copy compares it and reads again.
     pub fn version(&self, topic: Topic) -> u64 {
         self.0.versions[topic as usize].load(Ordering::Acquire)
     }
@@ -205,19 +205,19 @@ impl Controls {
         }
     }
 
-    /// The configuration as it is now.
+    /// The present configuration.
     pub fn config(&self) -> Config {
         self.state().config.clone()
     }
 
-    /// How a camera is to be set now.
+    /// The present settings of a camera.
     pub fn camera(&self, camera: &Camera) -> ConfiguredCamera {
         let (name, role) = (&camera.name, camera.role);
         let configured = self.state().config.cameras.named(name).cloned();
         configured.unwrap_or_else(|| ConfiguredCamera::new(name, role))
     }
 
-    /// By how much the host's clock is ahead of true time, where that is known.
+    /// Lead of the host's clock over true time, if it is known.
     pub fn clock_offset_us(&self) -> Option<i64> {
         self.state().clock_offset_us
     }
@@ -227,12 +227,12 @@ impl Controls {
         self.state().own.stores[role as usize]
     }
 
-    /// Whether this computer sends solutions; `None` where no command has said so.
+    /// Whether this computer sends solutions; `None` if no command has set it.
     pub fn sending(&self) -> Option<bool> {
         self.state().own.sending
     }
 
-    /// Keeps what a command has made of the sending.
+    /// Records whether a command has switched sending on or off.
     pub fn note_sending(&self, on: bool) {
         self.keep(SENDING, Value::Whole(on.into()));
     }
@@ -242,7 +242,7 @@ impl Controls {
         self.state().own.tracking
     }
 
-    /// Keeps what the controller has said of tracking.
+    /// Records whether the controller wants solutions.
     pub fn note_tracking(&self, on: bool) {
         self.keep(TRACKING, Value::Whole(on.into()));
     }
@@ -252,22 +252,22 @@ impl Controls {
         self.state().own.stamp_ns
     }
 
-    /// Keeps the stamp of a signed datagram.
+    /// Records the stamp of a signed datagram.
     pub fn note_stamp_ns(&self, stamp: i64) {
         self.keep(STAMP, Value::Whole(stamp));
     }
 
-    /// Whether the ground wants the program to end.
+    /// Whether the ground has ordered the program to end.
     pub fn quits(&self) -> bool {
         self.0.quits.load(Ordering::Relaxed)
     }
 
-    /// Says which cameras there are; before that, a pitch-yaw camera only.
+    /// Sets the roles of the cameras; before that, there is only a pitch-yaw camera.
     pub fn note_cameras(&self, roles: &[Role]) {
         self.state().cameras = roles.to_vec();
     }
 
-    /// Says which instrument flies: settings of the solver with which it would see no Sun are refused.
+    /// Sets the instrument: settings of the solver with which it would find no Sun are refused.
     pub fn note_instrument(&self, instrument: &Instrument) {
         self.state().proof = Some(Arc::new(Proof::of(instrument)));
     }
@@ -277,7 +277,7 @@ impl Controls {
         self.state().differences()
     }
 
-    /// Returns what commands have set to the configuration; how many values that were. What belongs to the conversation stays: stamp, sending,
+    /// Resets values set by commands to the configuration; returns their number. The state of the conversation stays: stamp, sending,
     /// tracking and the GPS fix.
     pub fn reset(&self) -> usize {
         let mut state = self.state();
@@ -292,12 +292,12 @@ impl Controls {
         reset
     }
 
-    /// Whether the ground wants the next picture of a role's camera; asking takes the wish away.
+    /// Whether the ground has requested the next picture of a role's camera; the call removes the request.
     pub fn takes_picture(&self, role: Role) -> bool {
         self.0.pictures[role as usize].swap(false, Ordering::Relaxed)
     }
 
-    /// Sets how full a disk of the archive is, %; disks are counted from 0 here and from 1 by the ground.
+    /// Sets the used fraction of a disk of the archive, %; disks are counted from 0 here and from 1 by the ground.
     pub fn note_disk_use(&self, disk: usize, percent: Option<u8>) {
         let disks = &mut self.state().disks;
         if disks.len() <= disk {
@@ -306,12 +306,12 @@ impl Controls {
         disks[disk] = percent;
     }
 
-    /// Sets by how much the host's clock is ahead of true time.
+    /// Sets the lead of the host's clock over true time.
     pub fn note_clock_offset(&self, microseconds: Option<i64>) {
         self.state().clock_offset_us = microseconds;
     }
 
-    /// Keeps a value of the conversation, which nothing refuses.
+    /// Stores a value of the conversation, which is never refused.
     fn keep(&self, setting: Setting, value: Value) {
         let _ = self.set(&[(setting.key(), value)]);
     }
@@ -319,16 +319,16 @@ impl Controls {
     /// Sets keys to values, all or none of them.
     ///
     /// # Errors
-    /// Which key was refused, and why.
+    /// The key that was refused, and the reason.
     pub fn set(&self, settings: &[(&str, Value)]) -> Result<(), config::Refused> {
         if self.apply(settings)? == Changed::Yes {
-            // The last message has not been taken yet: its receiver will see this change, too.
+            // If the last message has not been taken yet, its receiver will see this change, too.
             let _ = self.0.changed.0.try_send(());
         }
         Ok(())
     }
 
-    /// As [`set`](Self::set), but nothing is saved for it alone.
+    /// As [`set`](Self::set), but does not trigger saving.
     fn apply(&self, settings: &[(&str, Value)]) -> Result<Changed, config::Refused> {
         let mut state = self.state();
         let mut next = state.clone();
@@ -345,24 +345,24 @@ impl Controls {
         Ok(if changed { Changed::Yes } else { Changed::No })
     }
 
-    /// Gives a row to the command log; it waits for nothing.
+    /// Queues a row for the command log, without waiting.
     pub fn note_command(&self, note: CommandNote) {
         if self.0.notes.0.try_send(note).is_err() {
             self.0.notes_lost.fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// How many rows were lost to a full queue since this was asked last.
+    /// Number of rows lost to a full queue since the last call.
     pub fn take_lost_notes(&self) -> u64 {
         self.0.notes_lost.swap(0, Ordering::Relaxed)
     }
 
-    /// The rows that the command log has not been given yet.
+    /// The rows that the command log has not received yet.
     pub fn command_notes(&self) -> impl Iterator<Item = CommandNote> {
         self.0.notes.1.try_iter()
     }
 
-    /// Takes the place of a GPS receiver of our own, where GPS is accepted; `false` where the place is not believed.
+    /// Takes the place from our own GPS receiver, if GPS is accepted; `false` if the place is implausible.
     pub fn follow(&self, place: Place) -> bool {
         let fix = GpsFix {
             latitude_deg: place.latitude_deg as f32,
@@ -375,7 +375,7 @@ impl Controls {
         believed
     }
 
-    /// GPS fixes that were not believed.
+    /// GPS fixes that were rejected as implausible.
     pub fn gps_refused(&self) -> u64 {
         self.state().gps.refused()
     }
@@ -411,7 +411,7 @@ impl State {
         Ok(())
     }
 
-    /// Whether what was set makes sense for this flight: by the same rules as what a file says. `before` is what flew until now.
+    /// Checks the new settings for this flight, by the same rules as a file. `before` is the state until now.
     fn check(&self, settings: &[(&str, Value)], before: &Self) -> Result<(), config::Refused> {
         let known = before.contradictions();
         let is_new = |wrong: &config::Refused| known.iter().all(|known| known.key != wrong.key);
@@ -471,7 +471,7 @@ impl State {
         }
     }
 
-    /// GPS gives no height here: that of the last place holds.
+    /// GPS gives no height here: that of the last place is kept.
     fn move_to_fix(&mut self) {
         let Some((latitude, longitude)) = self.own.latitude_deg.zip(self.own.longitude_deg) else {
             return;
@@ -485,7 +485,7 @@ impl State {
         });
     }
 
-    /// The ground knows better: the next fix is judged by no other.
+    /// The ground has set the place: the next fix is not compared with earlier ones.
     fn forget_fix(&mut self) {
         (self.own.latitude_deg, self.own.longitude_deg) = (None, None);
         self.commanded.remove(LATITUDE.key());
@@ -494,7 +494,7 @@ impl State {
     }
 }
 
-/// Whether the setting of a key outlives a reset.
+/// Whether a reset keeps the setting of a key.
 fn is_kept(key: &str) -> bool {
     KEPT.iter().any(|kept| kept.key() == key)
 }

@@ -1,5 +1,5 @@
-//! The line described for other programs: what travels on it, in one dictionary made from the tables by which this program works. It is
-//! printed in the shape of NASA's F Prime ground system, and read by the descriptions for Kaitai Struct and in XTCE.
+//! Description of the line for other programs: its messages and telemetry, in one dictionary made from the tables that this program uses. It is
+//! printed in the format of NASA's F Prime ground system, and is the source of the descriptions for Kaitai Struct and in XTCE.
 
 mod kaitai;
 mod xtce;
@@ -25,7 +25,7 @@ pub struct Dictionary {
     messages: Vec<Entry>,
     /// The aspect commands, by their keys without the computers.
     commands: Vec<Entry>,
-    /// After the layout's number, each with the first layout that has it.
+    /// Fields after the layout's number, each with the first layout that contains it.
     housekeeping: Vec<(u8, Item)>,
     codes: Vec<&'static Codes>,
 }
@@ -48,7 +48,7 @@ struct Item {
     unit: &'static str,
     documentation: String,
     codes: Option<&'static Codes>,
-    /// Of a variable.
+    /// Kind of a variable.
     kind: Option<Kind>,
 }
 
@@ -134,9 +134,9 @@ impl Default for Dictionary {
 }
 
 impl Dictionary {
-    /// As JSON for the ground system of F Prime: the housekeeping are its channels, what the aspect system says in messages and answers its events,
-    /// and what is said to it its commands. Opcodes are keys of messages; those of aspect commands have their own key in the low 16 bits. Numbers
-    /// stand for what travels: angles for their codes.
+    /// JSON for the ground system of F Prime: the housekeeping fields are its channels, messages and answers of the aspect system are its events,
+    /// and messages to it its commands. Opcodes are keys of messages; those of aspect commands have their own key in the low 16 bits. Numbers
+    /// are those that are sent: angles are given by their codes.
     pub fn json(&self) -> Value {
         let from_aspect = |entry: &&Entry| entry.direction == Direction::ToController;
         // Housekeeping and pictures have no fields here.

@@ -1,10 +1,10 @@
-//! The ground's commands in flight: one table of commands, their settings, and words for all of it.
+//! The ground's commands in flight: one table of commands, their settings, and their description in words.
 //!
-//! To add a command, add a row to the [table](COMMANDS). What it sets or reads is a parameter of the configuration, or a [setting] that
-//! only commands have; one that does what none did before needs an [`Action`], too.
+//! To add a command, add a row to the [table](COMMANDS). It sets or reads a parameter of the configuration, or a [setting] that
+//! only commands have; a command with a new effect needs an [`Action`], too.
 //!
-//! A key's top 4 bits name the computers it is for, its low 4 bits the number of its variables; the table leaves
-//! the computers out. Source: HEROES flight program, 2013.
+//! A key's top 4 bits select the computers it is for, its low 4 bits give the number of its variables; the table omits
+//! the computers. Source: HEROES flight program, 2013.
 
 pub mod controls;
 mod dictionary;
@@ -47,7 +47,7 @@ impl Command {
     }
 }
 
-/// Why a command is not one of the table.
+/// Reason why a command is not in the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
     #[error("aspect command: expected a key of the command table, found {key:#06x}")]
@@ -62,7 +62,7 @@ impl TryFrom<&AspectCommand> for Command {
     fn try_from(command: &AspectCommand) -> Result<Self, CommandError> {
         let key = command.key();
         let row = row_of(key).ok_or(CommandError::Unknown { key })?;
-        // A command has as many variables as its key says, so a key of the table has all of its row's.
+        // A command has as many variables as its key states, so a key of the table has all of its row's.
         let codes = row.variables.iter().zip(command.variables());
         let number = |(variable, code): (&Variable, &u16)| match (variable.kind, *code) {
             (Kind::Switch, found @ 2..) => Err(CommandError::Switch { key, found }),
@@ -126,7 +126,7 @@ mod tests {
             }
         }
         assert_eq!(Kind::Signed.code(0.5), None);
-        // Between two steps: refused rather than another value set.
+        // Between two steps: it is refused, as otherwise another value would be set.
         assert_eq!(Kind::Angle.code(0.26), None);
         assert_eq!(Kind::Angle.nearest_code(0.26), Kind::Angle.code(0.25));
     }

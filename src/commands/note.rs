@@ -1,4 +1,4 @@
-//! The command log: every command with its time, its sender and what came of it.
+//! The command log: every command with its time, its sender and its result.
 
 use super::words::CommandInWords;
 use jiff::Timestamp;
@@ -7,7 +7,7 @@ use jiff::Timestamp;
 #[derive(Debug, Clone, PartialEq)]
 pub struct CommandNote {
     pub utc: Timestamp,
-    /// The port that it came from, or the file.
+    /// The port from which it came, or the file.
     pub sender: String,
     pub command: CommandInWords,
     /// Its result.
@@ -17,7 +17,7 @@ pub struct CommandNote {
 impl CommandNote {
     pub const COLUMNS: [&'static str; 6] = ["utc", "sender", "key", "name", "values", "result"];
 
-    /// A row of this moment.
+    /// A row with the present time.
     pub fn now(sender: impl ToString, command: CommandInWords, result: impl ToString) -> Self {
         Self {
             utc: Timestamp::now(),
@@ -27,7 +27,7 @@ impl CommandNote {
         }
     }
 
-    /// The fields of the columns; what is not known is empty.
+    /// The fields of the columns; unknown values are empty.
     pub fn fields(&self) -> [String; 6] {
         let command = &self.command;
         [

@@ -1,4 +1,4 @@
-//! A command by its name, with values as people write them.
+//! A command by its name, with values as text.
 
 use super::table::{COMMANDS, CommandRow, row_named, row_of};
 use super::variable::Variable;
@@ -7,7 +7,7 @@ use crate::link::ground::Answered;
 use crate::link::message::{MESSAGES, MessageRow, key};
 use crate::link::{AspectCommand, Computer, Direction, Message, MessageError};
 
-/// Why a command cannot be given.
+/// Reason why an order is invalid.
 #[derive(Debug, thiserror::Error)]
 pub enum OrderError {
     #[error(
@@ -33,8 +33,8 @@ pub enum OrderError {
     Message(#[from] MessageError),
 }
 
-/// The message of an order. Commands of the table go by name or by key (`0x0412`), with their values in natural units; messages to the
-/// aspect system go by name.
+/// The message of an order. Commands of the table are named by name or by key (`0x0412`), with their values in natural units; messages to the
+/// aspect system are named by name.
 pub fn order(name: &str, values: &[String], computer: Computer) -> Result<Message, OrderError> {
     match orderable().find(|row| row.name == name) {
         Some(message) => of_message(message, values),
@@ -54,7 +54,7 @@ fn message_names() -> String {
     names.join(", ")
 }
 
-/// The row of a name or a key.
+/// The row with this name or key.
 pub fn row(name: &str) -> Result<&'static CommandRow, OrderError> {
     let by_key = || {
         let key = u16::from_str_radix(name.strip_prefix("0x")?, 16).ok()?;
@@ -93,7 +93,7 @@ fn command(
     Ok(row.command(computer, &codes?)?)
 }
 
-/// A message of which each number is given as text.
+/// A message whose numbers are each given as text.
 fn of_message(row: &MessageRow, values: &[String]) -> Result<Message, OrderError> {
     let fields = row.fields();
     let names: Vec<String> = fields.iter().map(|field| field.name.into()).collect();
@@ -131,7 +131,7 @@ fn count(name: &str, variables: &[String], values: &[String]) -> Result<(), Orde
 }
 
 impl Answered {
-    /// Whether a command was carried out: done, or read.
+    /// Whether a command was executed: done, or read.
     pub fn is_done(self) -> bool {
         let reads = row_of(self.key).is_some_and(|row| row.reads.is_some());
         match reads {

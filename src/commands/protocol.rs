@@ -1,5 +1,5 @@
 //! The page on the protocol: the interface document for builders of the other end, made from the tables that the
-//! program itself works by.
+//! program itself uses.
 
 use super::order::order;
 use super::table::COMMANDS;
@@ -58,7 +58,7 @@ fn roles() -> String {
     Role::KINDS.map(role).join(", ")
 }
 
-/// A table with a row for each of some rows of cells.
+/// A table with the given head and rows of cells.
 fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> String {
     let line = |cells: &[String]| {
         let cells = cells.iter().map(|cell| match cell.is_empty() {
@@ -138,7 +138,7 @@ fn messages() -> String {
     )
 }
 
-/// The reasons with which a request for the Moon is answered.
+/// The reasons in answers to a request for the Moon.
 fn moon_codes() -> String {
     let lists = [("not visible", &NOT_VISIBLE), ("not found", &NOT_FOUND)];
     let rows = lists.into_iter().flat_map(|(message, codes)| {
@@ -219,7 +219,7 @@ fn housekeeping_fields() -> String {
     format!("{table}\nThe payload has {at} bytes.\n")
 }
 
-/// Packets with their bytes; each is what this program sends or understands.
+/// Packets with their bytes; this program sends or accepts each of them.
 fn examples() -> String {
     let packets = example_packets().unwrap_or_default().into_iter();
     let rows = packets.map(|packet| [describe(&packet), format!("`{}`", hex(&packet.encode()))]);

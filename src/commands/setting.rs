@@ -3,7 +3,7 @@
 use crate::config::{Refused, Value};
 use crate::instrument::{Role, TURN_DEG};
 
-/// Something that a command sets or reads. It is made from a field of the configuration (the macro `parameter`) or named here: one that is misspelled
+/// A quantity that a command sets or reads. It is made from a field of the configuration (the macro `parameter`) or named here: a misspelled one
 /// does not compile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Setting(&'static str);
@@ -13,7 +13,7 @@ impl Setting {
         Self(key)
     }
 
-    /// The dotted key that it has in the configuration and in the file of saved values.
+    /// Its dotted key in the configuration and in the file of saved values.
     pub const fn key(self) -> &'static str {
         self.0
     }
@@ -34,7 +34,7 @@ macro_rules! parameter {
 }
 pub(super) use parameter;
 
-/// The same of a camera's parameter, by the camera's table, which a test checks: only a misspelled field does not compile.
+/// The same for a camera's parameter, by the camera's table, which a test checks: only a misspelled field does not compile.
 macro_rules! camera_parameter {
     ($table:ident . $field:ident) => {{
         let _: fn(&$crate::config::ConfiguredCamera) = |camera| {
@@ -49,10 +49,10 @@ macro_rules! camera_parameter {
 }
 pub(super) use camera_parameter;
 
-/// The place, which GPS may know better than the configuration.
+/// The place, which GPS may override.
 pub const SITE_LATITUDE: Setting = parameter!(site.latitude_deg);
 pub const SITE_LONGITUDE: Setting = parameter!(site.longitude_deg);
-/// By how much the host's clock is ahead of true time. It is read only.
+/// Lead of the host's clock over true time. It is read only.
 pub const CLOCK_OFFSET: Setting = Setting("clock.offset_us");
 pub const ACCEPT_GPS: Setting = Setting("gps.accept");
 pub const STORE_PITCH_YAW: Setting = Setting("store.pitch_yaw");
@@ -73,11 +73,11 @@ pub const LONGITUDE: Setting = Setting("gps.longitude_deg");
 /// Settings of the conversation with controller and ground, and not of the flight.
 pub(super) const KEPT: [Setting; 5] = [TRACKING, LATITUDE, LONGITUDE, SENDING, STAMP];
 
-/// Settings by commands alone. `None` where they have not been set.
+/// Settings by commands alone. `None` if they have not been set.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Own {
     pub accepts_gps: bool,
-    /// By role.
+    /// Whether frames are stored, by role.
     pub stores: [bool; Role::COUNT],
     pub sending: Option<bool>,
     /// Whether the controller wants solutions.
@@ -86,12 +86,12 @@ pub(super) struct Own {
     pub stamp_ns: i64,
     pub clocking_deg: Option<f64>,
     pub twist_deg: Option<f64>,
-    /// The last GPS fix that was believed.
+    /// The last GPS fix that was accepted.
     pub latitude_deg: Option<f64>,
     pub longitude_deg: Option<f64>,
 }
 
-/// Where a setting is kept.
+/// Field in which a setting is stored.
 enum Field {
     Switch(fn(&mut Own) -> &mut bool),
     Sending(fn(&mut Own) -> &mut Option<bool>),
@@ -99,7 +99,7 @@ enum Field {
     Stamp(fn(&mut Own) -> &mut i64),
 }
 
-/// The settings that [`Own`] has.
+/// The settings in [`Own`].
 const FIELDS: &[(Setting, Field)] = &[
     (ACCEPT_GPS, Field::Switch(|own| &mut own.accepts_gps)),
     (STORE_PITCH_YAW, Field::Switch(|own| &mut own.stores[0])),
@@ -135,7 +135,7 @@ impl Own {
         set.set(key, value).is_ok() && set == *self
     }
 
-    /// Sets a key, or says why not; a name that is not known is refused, too.
+    /// Sets a key, or returns the reason for refusing it; an unknown name is refused, too.
     pub fn set(&mut self, key: &str, value: &Value) -> Result<(), Refused> {
         let Some((setting, field)) = FIELDS.iter().find(|(setting, _)| setting.key() == key) else {
             return Err(refused("settings", "a key that commands set", value));
@@ -156,7 +156,7 @@ impl Own {
                 *field(self) = Some(*angle);
             }
             (Field::Angle(_), _) => return Err(refused("an angle from -360 to 360 deg")),
-            // It never goes back: a copy of an old datagram must not become new again.
+            // It never decreases: a copy of an old datagram must not become new again.
             (Field::Stamp(field), Value::Whole(stamp)) => {
                 let newest = field(self);
                 *newest = (*newest).max(*stamp);

@@ -21,20 +21,20 @@ pub enum Action {
     SendPicture(Role),
     /// Sets the settings of its variables.
     Set,
-    /// Sets the parameter that has the first variable as its number to the second.
+    /// Sets the parameter whose number is the first variable to the second.
     SetNumbered,
-    /// Returns what commands have set to the configuration.
+    /// Resets values set by commands to the configuration.
     ResetValues,
     /// Reads the setting of its result.
     Read,
-    /// Reads the parameter that has the variable as its number.
+    /// Reads the parameter whose number is the variable.
     ReadNumbered,
-    /// Reads how full the disk is that has the variable as its number, from 1.
+    /// Reads the used fraction of the disk whose number, from 1, is the variable.
     ReadDisk,
 }
 
 impl Action {
-    /// Whether the flight is another one after it: all but reading and asking for pictures.
+    /// Whether it changes the flight: all actions except reads and requests for pictures.
     pub fn changes_flight(self) -> bool {
         match self {
             NoOp | SendPicture(_) | Read | ReadNumbered | ReadDisk => false,
@@ -46,18 +46,18 @@ impl Action {
 /// A command the ground may send.
 #[derive(Debug, PartialEq, Eq)]
 pub struct CommandRow {
-    /// Without the computers' bits.
+    /// The key without the computers' bits.
     pub key: u16,
     pub name: &'static str,
     pub variables: &'static [Variable],
     pub action: Action,
-    /// Its result where it is a read.
+    /// Its result if it is a read.
     pub reads: Option<Variable>,
     pub documentation: &'static str,
 }
 
 impl CommandRow {
-    /// The command as it travels, for one computer; the row's variables in order.
+    /// The command as sent, for one computer; the row's variables in order.
     pub fn command(
         &self,
         computer: Computer,
@@ -177,7 +177,7 @@ mod variables {
 }
 use variables::*;
 
-/// Every command that is known, in the order of the keys.
+/// All known commands, in the order of their keys.
 #[rustfmt::skip] // One row, one line.
 pub const COMMANDS: &[CommandRow] = &[
     does(0x0000, "no_op", &[], NoOp, "do nothing but answer"),
@@ -230,7 +230,7 @@ pub fn row_of(key: u16) -> Option<&'static CommandRow> {
     COMMANDS.iter().find(|row| row.key == key & !COMPUTERS)
 }
 
-/// The row of a name.
+/// The row with this name.
 pub fn row_named(name: &str) -> Option<&'static CommandRow> {
     COMMANDS.iter().find(|row| row.name == name)
 }

@@ -1,4 +1,4 @@
-//! Texts with gaps, which tables fill.
+//! Texts with placeholders, which tables fill.
 
 /// A text with each `@name@` replaced by its value.
 pub fn filled<const N: usize>(text: &str, gaps: [(&str, String); N]) -> String {

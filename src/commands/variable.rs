@@ -1,16 +1,16 @@
-//! The numbers that travel with commands, and what they set.
+//! The numbers sent with commands, and the settings that they change.
 
 use super::setting::Setting;
 use crate::link::code::{angle_code, angle_from_code};
 use crate::link::number::Number;
 use std::fmt;
 
-/// How a number travels in the 16 bits of a variable or a result.
+/// Encoding of a number in the 16 bits of a variable or a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// As it is, from 0 to 65535.
+    /// Unsigned, from 0 to 65535.
     Unsigned,
-    /// As it is, from -32768 to 32767.
+    /// Signed, from -32768 to 32767.
     Signed,
     /// As an angle code: in steps of 1/8 from -1024 to 7167.875.
     Angle,
@@ -19,7 +19,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The 16 bits of a number in its natural unit; `None` where they cannot hold it.
+    /// The 16-bit code of a number in its natural unit; `None` if the code cannot represent it.
     pub fn code(self, value: f64) -> Option<u16> {
         let whole = |low: f64, high: f64| {
             let fits = value.fract() == 0.0 && (low..=high).contains(&value);
@@ -33,7 +33,7 @@ impl Kind {
         }
     }
 
-    /// The 16 bits of the nearest number that they can hold: what a read returns.
+    /// The code of the nearest number that 16 bits can represent: the value that a read returns.
     pub fn nearest_code(self, value: f64) -> Option<u16> {
         match self {
             Self::Unsigned | Self::Switch => Some(value.round() as u16),
@@ -42,7 +42,7 @@ impl Kind {
         }
     }
 
-    /// The number that 16 bits stand for.
+    /// The number that a 16-bit code represents.
     pub fn value(self, code: u16) -> f64 {
         match self {
             Self::Unsigned | Self::Switch => code.into(),
@@ -59,7 +59,7 @@ impl Kind {
         }
     }
 
-    /// The least and the most of its numbers, and the step between them.
+    /// The smallest and the largest number, and the step between numbers.
     pub fn limits(self) -> (f64, f64, f64) {
         match self {
             Self::Unsigned => (0.0, 65_535.0, 1.0),
@@ -89,7 +89,7 @@ impl Kind {
     }
 }
 
-/// A number that travels with a command or comes back as its result.
+/// A number that is sent with a command or returned as its result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Variable {
     pub name: &'static str,

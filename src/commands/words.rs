@@ -1,4 +1,4 @@
-//! Packets in words, for people who read a line.
+//! Packets in words, for people.
 
 use super::order::orderable;
 use super::table::{CommandRow, row_of};
@@ -24,19 +24,19 @@ pub fn describe(packet: &Packet) -> String {
     }
 }
 
-/// A command as people write it.
+/// A command as a person would write it.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct CommandInWords {
-    /// With the computers' bits; `None` where nothing of the command was read.
+    /// The key, including the computers' bits; `None` if nothing of the command was read.
     pub key: Option<u16>,
-    /// Empty for a key that is not known.
+    /// Empty for an unknown key.
     pub name: String,
-    /// In natural units, with blanks between them.
+    /// Values in natural units, separated by blanks.
     pub values: String,
 }
 
 impl CommandInWords {
-    /// The command of a key; `message` is its message, where that could be read.
+    /// The command with this key; `message` is its message, if that could be read.
     pub fn of(key: u16, message: Option<&Message>) -> Self {
         let (name, values) = match (message, name_of_message(key)) {
             (Some(Message::Aspect(command)), _) => (name_of_command(key), natural(key, command)),
@@ -67,7 +67,7 @@ fn name_of_command(key: u16) -> &'static str {
     row_of(key).map_or("", |row| row.name)
 }
 
-/// The name by which a message is ordered, where the key is of one.
+/// The name by which a message is ordered, if the key is that of one.
 fn name_of_message(key: u16) -> Option<&'static str> {
     let row = orderable().find(|row| row.key == key)?;
     Some(row.name)
@@ -95,7 +95,7 @@ fn numbers(message: &Message) -> Vec<f64> {
     row.fields().into_iter().map_while(number).collect()
 }
 
-/// The result of a command in words; `value` is what has come.
+/// The result of a command in words; `value` is the number received.
 pub fn result_in_words(key: u16, value: u16) -> String {
     let reads = row_of(key).and_then(|row| row.reads);
     match (reads, value) {
@@ -211,7 +211,7 @@ fn answer(packet: &TelemetryPacket) -> String {
         Ok(Telemetry::Result(result)) => {
             let CommandOutcome { key, value, .. } = result;
             let name = match key {
-                // The no-op of computer 1 has the key of the start of tracking.
+                // The no-op of computer 1 has the same key as the start of tracking.
                 key::START_TRACKING => "start_tracking or no_op",
                 key => name_of_message(key).unwrap_or_else(|| name_of_command(key)),
             };

@@ -1,4 +1,4 @@
-//! Faults that a trainer puts on a demonstration and takes off again, each where the real thing would fail: at the camera, at the disk, on
+//! Faults that a trainer injects into a demonstration and removes again, each where real hardware would fail: at the camera, at the disk, on
 //! the line.
 
 use crate::archive::faulty::{DiskFault, FaultyDisk};
@@ -11,11 +11,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 /// The part at fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
-    /// The camera that sees the plate gives no frames, and says nothing.
+    /// The camera that sees the plate gives no frames, and reports nothing.
     CameraDead,
     /// The archive's disk takes no byte, and reports that none is free.
     DiskFull,
-    /// Nothing passes the line between the aspect system and the controller, either way.
+    /// Nothing passes the line between the aspect system and the controller, in either direction.
     LineCut,
 }
 
@@ -32,7 +32,7 @@ impl Fault {
     }
 }
 
-/// The faults of one demonstration, and what they have cost. Clones share them.
+/// The faults of one demonstration, and the losses they have caused. Clones share them.
 #[derive(Debug, Clone, Default)]
 pub struct Faults {
     on: Arc<[AtomicBool; Fault::ALL.len()]>,
@@ -73,7 +73,7 @@ impl Faults {
         self.disk.clone()
     }
 
-    /// How many of so many bytes pass the line: all of them, or none where it is cut.
+    /// Number of these bytes that pass the line: all of them, or none if it is cut.
     pub(super) fn passed(&self, bytes: usize) -> usize {
         if !self.is_on(Fault::LineCut) {
             return bytes;
@@ -91,12 +91,12 @@ impl Faults {
     }
 }
 
-/// Losses by faults that the flight itself does not count: frames that the disk refused are in its own tally.
+/// Losses that the flight itself does not count: frames that the disk refused are in its own tally.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FaultCost {
-    /// Frames that the camera took and did not give.
+    /// Frames that the camera took and did not deliver.
     pub frames_withheld: u64,
-    /// Bytes that did not pass the line, both ways together.
+    /// Bytes that did not pass the line, in both directions together.
     pub bytes_cut: u64,
 }
 
@@ -110,7 +110,7 @@ impl fmt::Display for FaultCost {
     }
 }
 
-/// A simulated camera that may fall silent. Its frames do not wait, as those of a real camera do not: the flight loses them.
+/// A simulated camera that may fall silent. Its frames do not wait, like those of a real camera: the flight loses them.
 pub(super) struct TrainingCamera<S> {
     camera: S,
     faults: Faults,
@@ -121,7 +121,7 @@ impl<S: FrameSource> FrameSource for TrainingCamera<S> {
         if !self.faults.is_on(Fault::CameraDead) {
             return self.camera.next(starts);
         }
-        // Behind the fault it goes on: else it would have all its frames to catch up with afterwards.
+        // During the fault it continues: otherwise it would have to catch up with all its frames afterwards.
         Ok(match self.camera.next(&mut |_| {})? {
             Take::Exposure(_) => {
                 self.faults.frames_withheld.fetch_add(1, Ordering::Relaxed);

@@ -4,11 +4,11 @@ use super::faults::Faults;
 use crate::link::{AnyPort, BytePort, PortError, SerialPort};
 use std::time::Duration;
 
-/// How long the ground may take to accept what the controller passes on.
+/// Longest wait for the ground to accept data that the controller relays.
 const GROUND_PATIENCE: Duration = Duration::from_millis(5);
 
-/// The controller's end of the line, with the ground behind it: all that the controller receives goes to the ground as well, and what the
-/// ground sends goes to the aspect system. While the line is cut nothing passes, either way.
+/// The controller's end of the line, with the ground behind it: everything that the controller receives goes to the ground as well, and packets
+/// from the ground go to the aspect system. While the line is cut nothing passes, in either direction.
 pub(super) struct Relayed {
     pub line: SerialPort,
     pub ground: Option<AnyPort>,
@@ -26,7 +26,7 @@ impl BytePort for Relayed {
         let count = self.line.read(buffer, timeout)?;
         let count = self.faults.passed(count);
         if let Some(ground) = &mut self.ground {
-            // A ground that does not listen does not get it.
+            // A ground that does not listen loses it.
             let _ = ground.write(&buffer[..count], GROUND_PATIENCE);
         }
         Ok(count)

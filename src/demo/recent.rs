@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use std::{fs, io};
 
-/// How long a frame is kept: both cameras' at 4 Hz are 3.6 MB a second.
+/// How long a frame is kept: those of both cameras at 4 Hz are 3.6 MB/s.
 const KEPT: Duration = Duration::from_secs(600);
-/// How often older ones are searched for.
+/// How often older frames are searched for.
 const CHECK_EVERY: Duration = Duration::from_secs(60);
 
 /// An archive that keeps its newest frames. Logs stay.
@@ -24,7 +24,7 @@ impl Recent {
         }
     }
 
-    /// Removes the older frames, once in a while.
+    /// Removes the older frames from time to time.
     pub fn tidy(&mut self) {
         if self.checked.elapsed() < CHECK_EVERY {
             return;

@@ -1,11 +1,11 @@
-//! Checks that are given their time and no more.
+//! Checks with a time limit.
 
 pub(super) use crate::bounded::within;
 
 use super::Finding;
 use std::time::Duration;
 
-/// The findings of `work`, or that it gave none, under the name of `check`.
+/// The findings of `work`, or, after the limit, a failure of `check`.
 pub(super) fn findings_within(
     limit: Duration,
     check: &str,

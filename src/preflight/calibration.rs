@@ -1,11 +1,11 @@
-//! Whether the instrument's numbers are recent, and how sure.
+//! Check of the instrument's calibration: its age and its uncertainties.
 
 use super::Finding;
 use crate::instrument::Instrument;
 use crate::plan::{Plan, PlannedCamera};
 use jiff::{Timestamp, tz::Offset};
 
-/// Numbers that a knock or a transport changes.
+/// Quantities that a knock or a transport changes.
 const PERISHABLE: [&str; 5] = [
     "mounting.boresight_mil",
     "mounting.clocking_deg",

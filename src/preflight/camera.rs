@@ -1,4 +1,4 @@
-//! Whether a camera answers, with the settings it was given, and what the flight's solver finds in its frames.
+//! Check of a camera: whether it answers, its settings, and the results of the flight's solver for its frames.
 
 use super::Finding;
 use super::bounded::{findings_within, within};
@@ -19,22 +19,22 @@ use crate::service::solvers::{Solver, solver};
 use crate::service::{Found, SeenRoll, Solved};
 use std::time::{Duration, Instant};
 
-/// For a camera to be found and to give its first frame.
+/// Time for a camera to be found and to give its first frame.
 const PATIENCE: Duration = Duration::from_secs(15);
-/// The longest time of taking frames.
+/// Longest time of taking frames.
 const LONGEST: Duration = Duration::from_secs(30);
-/// The usual time of taking frames.
+/// Usual time of taking frames, s.
 const WATCH_S: f64 = 1.0;
-/// Light from here on, of full scale, is cut off.
+/// Fraction of full scale from which the image is saturated.
 const SATURATED: f64 = 0.985;
-/// Light this dim, of full scale, gives noisy answers.
+/// Fraction of full scale below which results are noisy.
 const DIM: f64 = 0.1;
-/// No gondola hangs at so large a roll.
+/// Roll beyond which a result is implausible for a gondola.
 const MOST_ROLL_DEG: f64 = 15.0;
 const PLUG: &str = "is it powered and plugged in, on this network or free to open by USB, and nobody else's? see docs/camera.md";
 const WRITE: &str = "does a program write whole frames into this folder? see docs/camera.md";
 
-/// A camera that is tried, with the flight's solver.
+/// A camera under test, with the flight's solver.
 pub(super) struct Trial {
     pub source: Box<dyn FrameSource>,
     solver: Box<dyn Solver>,
@@ -42,7 +42,7 @@ pub(super) struct Trial {
 }
 
 impl Trial {
-    /// Opens a planned camera, as the flight does; what it takes of a folder that is followed, the flight takes, too.
+    /// Opens a planned camera, as the flight does; files that it takes from a followed folder are not lost to the flight.
     pub fn open(plan: &Plan, planned: &PlannedCamera) -> Result<Self, CameraError> {
         Ok(Self {
             source: plan.camera_factory(planned, Replay::default(), TakenFiles::default())()?,
@@ -62,7 +62,7 @@ struct TrialFrames {
     last: Option<Exposure>,
     taken: u32,
     failed: Option<String>,
-    /// From the first frame to the last.
+    /// Time from the first frame to the last.
     lasted: Duration,
     health: CameraHealth,
 }
@@ -104,7 +104,7 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
     findings
 }
 
-/// Solves a frame of the right size, and judges its light.
+/// Solves a frame of the right size, and checks its brightness.
 fn solves(mut trial: Trial, camera: Camera, exposure: Exposure) -> Vec<Finding> {
     let check = format!("{} solves", camera.name);
     let makers = "report this to the program's authors";
@@ -145,7 +145,7 @@ fn take_frames(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
             Ok(Take::End) => break,
             Err(error) => {
                 trial.failed = Some(error.to_string());
-                // A camera that refuses at once must not be asked without a pause.
+                // A camera that refuses at once must not be called without a pause.
                 std::thread::sleep(Duration::from_millis(20));
             }
         }
@@ -177,7 +177,7 @@ fn rate(planned: &PlannedCamera, trial: &TrialFrames) -> Finding {
     }
 }
 
-/// Settings by the frame, against those that were asked for. A folder's frames were taken as they were.
+/// Compares the frame's settings with the requested ones. Those of a folder's frames are fixed.
 fn settings(planned: &PlannedCamera, frame: &Frame, health: &CameraHealth) -> Finding {
     let check = format!("{} settings", planned.camera.name);
     if matches!(planned.source, Source::Folder(_) | Source::Followed(..)) {
@@ -247,7 +247,7 @@ fn health(check: &str, trial: &TrialFrames) -> Option<Finding> {
         .then(|| Finding::warn(format!("{check} health"), faults.join("; "), remedy))
 }
 
-/// A fine frame that contradicts what the instrument's file states of the camera.
+/// A warning if a fine frame contradicts the instrument's file.
 fn contradicted(camera: &str, solved: &Solved) -> Option<Finding> {
     let Found::Sun(sun) = &solved.found else {
         return None;
@@ -264,12 +264,12 @@ fn contradicted(camera: &str, solved: &Solved) -> Option<Finding> {
     })
 }
 
-/// The light by which an exposure that follows it is judged.
+/// Finding on the brightness that the automatic exposure uses.
 fn light(camera: &str, solved: &Solved, role: Role) -> Option<Finding> {
     let check = format!("{camera} light");
     let (level, background) = match solved.brightness {
         Brightness::Disc { level, background } => (level, background),
-        // Horizon and Moon may be out of view, and nothing is wrong with the light.
+        // Horizon and Moon may be out of view, without any fault of the exposure.
         Brightness::NoDisc if role != Role::PitchYaw => return None,
         Brightness::NoDisc => {
             let remedy =
@@ -290,7 +290,7 @@ fn light(camera: &str, solved: &Solved, role: Role) -> Option<Finding> {
     })
 }
 
-/// Finding from a frame's solution; `None` of a camera whose frames are not solved.
+/// Finding from a frame's solution; `None` for a camera whose frames are not solved.
 fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
     if let Found::Nothing = solved.found {
         return None;

@@ -1,4 +1,4 @@
-//! Whether the clock has the right time.
+//! Check of the clock.
 
 use super::bounded::within;
 use super::{Finding, Verdict};
@@ -8,7 +8,7 @@ use jiff::{Timestamp, tz::Offset};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// A clock that was never set starts in 1970 or 2000.
+/// Plausible years: a clock that was never set starts in 1970 or 2000.
 const YEARS: std::ops::RangeInclusive<i16> = 2025..=2099;
 const PATIENCE: Duration = Duration::from_secs(2);
 const HOLD_IT: &str = "start a time service (chrony with the gondola's GPS or NTP server) and wait until it holds the clock; \
@@ -26,8 +26,8 @@ pub(super) fn check(plan: &Plan) -> Vec<Finding> {
     findings
 }
 
-/// Judges the clock: `times_frames` where it is this clock that gives the frames their times, and an error is more
-/// than a warning. `Err` says why the kernel said nothing.
+/// Checks the clock: `times_frames` if this clock times the frames; then an error is more
+/// than a warning. `Err` is the reason why the kernel did not answer.
 pub fn judge(
     status: Result<ClockStatus, String>,
     now: Timestamp,
@@ -77,7 +77,7 @@ fn described(status: &ClockStatus) -> String {
     )
 }
 
-/// chrony's source. It is asked with its own program; without that there is no finding.
+/// Finding on chrony's source. It runs chrony's own program; without that there is no finding.
 fn tracking() -> Option<Finding> {
     let ask = || {
         Command::new("chronyc")
@@ -90,8 +90,8 @@ fn tracking() -> Option<Finding> {
     follows(&String::from_utf8_lossy(&output.stdout))
 }
 
-/// Reads chrony's report: the id and the name or address of what it follows, its stratum, the time of the last measurement, the
-/// offset that is left (s), ...
+/// Reads chrony's report: the id and the name or address of its source, its stratum, the time of the last measurement, the
+/// remaining offset (s), ...
 fn follows(report: &str) -> Option<Finding> {
     let fields: Vec<&str> = report.trim().split(',').collect();
     let [_, name, stratum, _, offset_s, ..] = fields[..] else {

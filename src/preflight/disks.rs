@@ -1,4 +1,4 @@
-//! Whether the archive's disks are there, have free space, and are fast enough.
+//! Check of the archive's disks: whether they are present, have free space, and are fast enough.
 
 use super::Finding;
 use super::bounded::findings_within;
@@ -11,13 +11,13 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Of a frame.
+/// Size of a frame if no file states it.
 const USUAL_PX: [usize; 2] = [1296, 966];
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Writing is timed for so long, and over so many files at most.
+/// Writing is timed for this long, and with at most this many files.
 const TIMED: Duration = Duration::from_millis(500);
 const FILES: u32 = 26;
-/// A disk with space for less time of frames is of no use.
+/// A disk with space for less than this time of frames is useless.
 const LEAST_S: f64 = 60.0;
 const SILENT: &str = "the disk hangs: check its cable, its power and the kernel's messages (dmesg)";
 const FREE: &str = "free the disk, or name another folder in archive.directory";
@@ -30,16 +30,16 @@ pub struct Demand {
     pub limits: SpaceLimits,
     /// Bytes of a frame before compression.
     pub frame_bytes: usize,
-    /// Frames that this disk is given.
+    /// Rate of the frames for this disk.
     pub rate_hz: f64,
-    /// The time for whose frames there should be space.
+    /// Required space, in hours of frames.
     pub min_hours: f64,
 }
 
 impl Demand {
     fn of(plan: &Plan, disks: usize) -> Self {
         let archive = &plan.config.archive;
-        // A camera of which no file says its size is taken for one of the usual size.
+        // A camera whose size no file states is assumed to have the usual one.
         let size = |one: &PlannedCamera| {
             let [width, height] = one.camera.sees.size_px().unwrap_or(USUAL_PX);
             width * height * one.configured.pixel_format.bytes()
@@ -113,7 +113,7 @@ fn remedy_for(cause: &io::Error) -> &'static str {
     }
 }
 
-/// Opens one folder of the archive, as the flight does, measures its free space and times its writing. What it writes is removed again.
+/// Opens one folder of the archive, as the flight does, measures its free space and times its writing. The files it writes are removed again.
 pub fn check_folder(disk: Arc<dyn Disk>, folder: &Path, demand: &Demand) -> Vec<Finding> {
     let check = format!("disk {}", folder.display());
     let store = Store::new(
@@ -174,7 +174,7 @@ fn free_space(check: &str, store: &Store, demand: &Demand) -> Finding {
     }
 }
 
-/// In hours, below one in minutes.
+/// A duration in hours, or in minutes below one hour.
 fn span(seconds: f64) -> String {
     match seconds < 3600.0 {
         true => format!("{:.1} min", seconds / 60.0),
@@ -204,16 +204,16 @@ fn speed(check: &str, disk: &dyn Disk, folder: &Path, demand: &Demand) -> Findin
     }
 }
 
-/// Files of so many bytes that the disk takes in a second, each brought to the disk and removed again.
+/// Number of files of this size that the disk stores per second; each is synced and removed again.
 fn timed(disk: &dyn Disk, folder: &Path, bytes: usize) -> io::Result<f64> {
-    // Bytes that no file system makes smaller.
+    // Bytes that no file system can compress.
     let content: Vec<u8> = (0..bytes as u64)
         .map(|n| (n.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 56) as u8)
         .collect();
     let start = Instant::now();
     let mut files = 0;
     while files < FILES && (files == 0 || start.elapsed() < TIMED) {
-        // What ends so is swept away at the next start, should this not come to its end.
+        // Files with this ending are removed at the next start, if this check is interrupted.
         let path = folder.join(format!(".preflight-{}-{files}.part", std::process::id()));
         let written = write(disk, folder, &path, &content);
         let removed = match disk.exists(&path) {

@@ -3,18 +3,18 @@
 use serde::Serialize;
 use std::fmt;
 
-/// Whether a check is passed. The worst last.
+/// Result of a check, from best to worst.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
     Pass,
-    /// One may fly so, and should know.
+    /// A flight is possible, but the operator should know.
     Warn,
     Fail,
 }
 
 impl Verdict {
-    /// As the page shows it: what fails cries out.
+    /// Name on the page: failures are in capitals.
     pub fn name(self) -> &'static str {
         match self {
             Self::Pass => "pass",
@@ -32,7 +32,7 @@ pub struct Finding {
     pub verdict: Verdict,
     /// The finding.
     pub found: String,
-    /// Remedy; empty where nothing needs to be done.
+    /// Remedy; empty if none is needed.
     pub remedy: String,
 }
 

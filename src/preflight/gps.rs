@@ -1,4 +1,4 @@
-//! Whether the GPS receiver has a fix that the flight would use.
+//! Check of the GPS receiver: whether it has a fix that the flight would use.
 
 use super::Finding;
 use super::bounded::within;
@@ -10,10 +10,10 @@ use crate::sky::sphere::{direction, separation_rad};
 use crate::units::Place;
 use std::time::{Duration, Instant};
 
-/// How long the receiver is listened to, beside the time to open its port.
+/// How long the receiver is observed, besides the time to open its port.
 const GPS: Duration = Duration::from_secs(5);
 const PATIENCE: Duration = Duration::from_secs(10);
-/// A fix this far from the configured site is of another one.
+/// Difference from the configured site beyond which a fix belongs to another site.
 const FAR_DEG: f64 = 1.0;
 
 const GPS_PORT: &str =
@@ -35,17 +35,17 @@ pub(super) fn check(plan: &Plan) -> Finding {
     }
 }
 
-/// Data of the receiver up to the first fix.
+/// Data of the receiver until the first fix.
 #[derive(Debug, Default)]
 struct Receiver {
     fix: Option<TimedFix>,
     counts: GpsCounts,
-    /// The last fix that is not used, and the last sentence that cannot be read.
+    /// The last unusable fix, and the last unreadable sentence.
     refused: Option<Refused>,
     unreadable: Option<String>,
 }
 
-/// Listens up to the first fix.
+/// Listens until the first fix.
 fn hear_gps(address: &PortAddress, baud: u32, clock: FlightClock) -> Result<Receiver, PortError> {
     let mut port = address.open(baud, LocalEnd::default())?;
     let (mut sentences, mut receiver) = (Nmea::default(), Receiver::default());
@@ -102,7 +102,7 @@ impl Receiver {
     }
 }
 
-/// Remedy for fixes that would not be used in flight; `None` where the receiver has only to wait for satellites.
+/// Remedy for fixes that would not be used in flight; `None` if the receiver only has to wait for satellites.
 fn remedy(refusal: Refusal) -> Option<&'static str> {
     match refusal {
         Refusal::NoFix | Refusal::Estimated => None,

@@ -1,4 +1,4 @@
-//! Whether the controller's line can be opened, and whether packets arrive on it.
+//! Check of the controller's line: whether it can be opened, and whether packets arrive on it.
 
 use super::Finding;
 use super::bounded::within;
@@ -7,14 +7,14 @@ use crate::plan::Plan;
 use std::time::{Duration, Instant};
 
 const CHECK: &str = "link";
-/// For opening a port.
+/// Time limit for opening a port.
 const PATIENCE: Duration = Duration::from_secs(10);
 const PLUG: &str = "plug it in, and name it in link.port as it stands in /dev/serial/by-id; the service's user must be in the group \
                     that owns it (dialout)";
 const LISTEN: &str =
     "is the controller on, are receive and transmit crossed, is link.baud its speed?";
 
-/// Counts of a while of listening.
+/// Counts during the listening time.
 #[derive(Debug, Default, PartialEq)]
 struct Heard {
     packets: usize,

@@ -1,11 +1,11 @@
-//! Before the flight: is the configuration right, and does everything answer that it names?
+//! Check before the flight: of the configuration, and of all devices that it names.
 //!
 //! ```text
 //! configuration -> Plan and Remarks -> run -> Findings: clock, sky, disks, link, cameras, polarity
 //! ```
 //!
-//! The [plan](crate::plan) is the flight's, and so are the solvers that try a frame of each camera. Each check is given its time and no more, on a thread
-//! of its own that is left behind where it does not come back: a dead network disk or a camera that hangs is a finding, and so is a check that panics.
+//! The [plan](crate::plan) is the flight's, and so are the solvers that test a frame of each camera. Each check has a time limit, and runs on a
+//! thread of its own that is abandoned if it does not return: a dead network disk or a camera that hangs is a finding, and so is a check that panics.
 
 mod bounded;
 mod calibration;
@@ -36,7 +36,7 @@ const CHECKED_LATER: [&str; 4] = [
     "site",
 ];
 
-/// Whether another line of the page will say the same.
+/// Whether another line of the page will report the same.
 fn is_checked_later(remark: &Remark) -> bool {
     let key = remark.what.field.as_str();
     remark.severity == Severity::Warning && CHECKED_LATER.contains(&key)
@@ -52,17 +52,17 @@ impl From<&Remark> for Finding {
     }
 }
 
-/// How far the check goes.
+/// Extent of the check.
 #[derive(Default)]
 pub struct Extent<'a> {
     /// How long the controller is waited for; `None` if only the port is opened.
     pub wait_for_controller: Option<Duration>,
-    /// Who slews the telescope for the polarity test; `None` where it is not made.
+    /// Operator who slews the telescope for the polarity test; `None` if it is not made.
     pub operator: Option<&'a mut dyn Operator>,
 }
 
 /// Makes every check of a configuration (the defaults without a file), in order. `report` gets each finding as it is
-/// made. Where the configuration has errors, clock, disks and line are checked as far as it names them.
+/// made. If the configuration has errors, clock, disks and line are checked as far as it names them.
 pub fn run(
     file: Option<&Path>,
     options: &Options,
@@ -80,7 +80,7 @@ pub fn run(
     }
 }
 
-/// Checks that are possible with errors in the configuration: the parts that it leaves out may be wrong.
+/// Checks that are possible with errors in the configuration: its other parts may be wrong.
 fn check_in_part(plan: &Plan, wait: Option<Duration>, report: &mut dyn FnMut(Finding)) {
     clock::check(plan).into_iter().for_each(&mut *report);
     if !plan.folders().is_empty() {

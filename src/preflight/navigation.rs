@@ -1,4 +1,4 @@
-//! Whether the IMU sends samples, measures gravity and has the right signs.
+//! Check of the IMU: whether it sends samples, measures gravity and has the right signs.
 
 use super::Finding;
 use super::bounded::within;
@@ -10,23 +10,23 @@ use jiff::Timestamp;
 use nalgebra::{Rotation3, Vector3};
 use std::time::{Duration, Instant};
 
-/// How long the IMU at rest and a tilt are listened to.
+/// Observation time of the IMU at rest, and for a tilt.
 const REST: Duration = Duration::from_secs(3);
 const TILT: Duration = Duration::from_secs(15);
-/// For opening a port.
+/// Time limit for opening a port.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Fewer samples make no rate.
+/// Minimum number of samples that determine a rate.
 const LEAST_SAMPLES: usize = 20;
-/// Offsets by the gyros rest on samples at least so often.
+/// Minimum rate of samples for offsets by the gyros.
 const LEAST_HZ: f64 = 50.0;
-/// Standard gravity, where no site is known; it differs by a quarter of a percent over the ground.
+/// Standard gravity, if no site is known; it differs by 0.25 % over the ground.
 const GRAVITY_M_S2: f64 = 9.806_65;
-/// The mean force at rest differs from gravity by no more, relatively: beyond the first one should know, beyond the second a scale is wrong.
+/// Relative difference of the mean force at rest from gravity: beyond the first the operator should know, beyond the second a scale is wrong.
 const GOOD_SCALE: f64 = 0.005;
 const POSSIBLE_SCALE: f64 = 0.05;
-/// Faster than this, rad/s, is no rest.
+/// Rate, rad/s, beyond which the IMU is not at rest.
 const REST_RAD_S: f64 = 0.02;
-/// A tilt of this much is one; gyros and accelerometers agree on it except for this share.
+/// Smallest angle that counts as a tilt; and the fraction of it by which gyros and accelerometers may disagree.
 const TILT_RAD: f64 = 0.05;
 const TILT_AGREES: f64 = 0.2;
 
@@ -42,7 +42,7 @@ pub(super) fn check(plan: &Plan) -> Vec<Finding> {
     findings
 }
 
-/// The tilts by hand.
+/// Checks of the axes by manual tilts.
 pub(super) fn check_axes(plan: &Plan, operator: &mut dyn Operator) -> Vec<Finding> {
     if plan.navigation.is_none() {
         return Vec::new();
@@ -51,7 +51,7 @@ pub(super) fn check_axes(plan: &Plan, operator: &mut dyn Operator) -> Vec<Findin
     tilts.map(|tilt| tilt.check(plan, operator)).into()
 }
 
-/// Samples of the IMU over a while, in the telescope's axes.
+/// Samples of the IMU over some time, in the telescope's axes.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Heard {
     samples: Vec<ImuPacket>,
@@ -71,7 +71,7 @@ impl Heard {
         self.mean(|sample| sample.force_m_s2)
     }
 
-    /// Samples a second by their own times; `None` of too few.
+    /// Rate of the samples by their own times; `None` if there are too few.
     fn rate_hz(&self) -> Option<f64> {
         let (first, last) = (self.samples.first()?, self.samples.last()?);
         let time_s = last.time.duration_since(first.time).as_secs_f64();
@@ -84,7 +84,7 @@ impl Heard {
         pairs.map(|pair| pair[0].missing_before(&pair[1])).sum()
     }
 
-    /// By how much the body has turned about its axes, rad, its earlier mean rate subtracted.
+    /// Rotation of the body about its axes, rad, with its earlier mean rate subtracted.
     fn turned_rad(&self, rate_before_rad_s: &Vector3<f64>) -> Vector3<f64> {
         let steps = self.samples.windows(2).map(|pair| {
             let time_s = pair[1].time.duration_since(pair[0].time).as_secs_f64();
@@ -169,7 +169,7 @@ fn rest(heard: &Heard) -> Finding {
     }
 }
 
-/// A turn by hand about one of the body's axes.
+/// A manual rotation about one of the body's axes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Tilt {
     ForwardUp,
@@ -195,7 +195,7 @@ impl Tilt {
         }
     }
 
-    /// By how much straight down, as it is felt, has turned that way, rad.
+    /// Rotation of the measured vertical in that direction, rad.
     fn felt_rad(self, before: &Vector3<f64>, after: &Vector3<f64>) -> f64 {
         let angle = |force: &Vector3<f64>| match self {
             Self::ForwardUp => force.x.atan2(-force.z),
@@ -314,7 +314,7 @@ mod tests {
     use crate::preflight::Verdict;
     use jiff::SignedDuration;
 
-    /// A second and a half of samples of a body that turns about an axis by an angle, from rest.
+    /// Samples of 1.5 s from a body that rotates about an axis by an angle, from rest.
     fn heard(axis: Vector3<f64>, turned_rad: f64) -> Heard {
         let start: Timestamp = "2026-06-01T12:00:00Z".parse().unwrap();
         let up = Vector3::new(0.0, 0.0, -1.0);
@@ -352,7 +352,7 @@ mod tests {
             );
             assert_eq!(verdict(&heard(-axis, 0.09)), Verdict::Fail, "the other way");
             assert_eq!(verdict(&heard(axis, 0.01)), Verdict::Fail, "hardly");
-            // Gyros whose sign is wrong.
+            // Gyros with the wrong sign.
             let mut wrong = good.clone();
             wrong
                 .samples

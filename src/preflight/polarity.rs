@@ -1,7 +1,7 @@
 //! The guided test of the signs: the operator slews the telescope, and the offsets must follow.
 //!
-//! A wrong twist, clocking or handedness sends the controller the wrong way, with fine solutions. Only a motion whose
-//! direction is known shows.
+//! A wrong twist, clocking or handedness makes the controller steer the wrong way, with fine solutions. Only a motion in a known
+//! direction reveals it.
 
 use super::Finding;
 use super::bounded::within;
@@ -12,19 +12,19 @@ use crate::pointing::Offset;
 use crate::service::Found;
 use std::time::{Duration, Instant};
 
-/// How long a slew is waited for.
+/// Longest wait for a slew.
 const WATCH: Duration = Duration::from_secs(30);
-/// For the camera to be found, and for a call that lasts longer than the watch.
+/// Time for the camera to be found, and for a call that lasts longer than the watch.
 const PATIENCE: Duration = Duration::from_secs(15);
-/// A slew of this much is a motion, and so is nothing below so many sigma.
+/// Smallest change that counts as a motion, in degrees and in sigma.
 const MOVED_DEG: f64 = 0.05;
 const MOVED_SIGMA: f64 = 5.0;
-/// Frames in a row that must agree.
+/// Number of successive frames that must agree.
 const AGREEING: u32 = 3;
 
-/// Who slews the telescope.
+/// The person who slews the telescope.
 pub trait Operator {
-    /// Asks for a slew, and returns when it is about to begin; `false` without one.
+    /// Asks for a slew, and returns when it is about to begin; `false` if there will be none.
     fn is_ready(&mut self, request: &str) -> bool;
 }
 
@@ -64,25 +64,25 @@ impl Axis {
     }
 }
 
-/// Where an offset went.
+/// Direction in which an offset has changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Motion {
     Grew,
     Fell,
 }
 
-/// Follows an offset from its first value until it has moved beyond doubt.
+/// Follows an offset from its first value until it has moved significantly.
 #[derive(Debug, Clone, Default)]
 pub struct Trend {
     first_deg: Option<f64>,
-    /// The direction of the last frames, and how many of them agree.
+    /// The direction in the last frames, and the number of them that agree.
     run: Option<(Motion, u32)>,
     samples: u32,
     change_deg: f64,
 }
 
 impl Trend {
-    /// Takes the next offset with its sigma; the motion, once several frames in a row show it.
+    /// Takes the next offset with its sigma; returns the motion, once several successive frames show it.
     pub fn push(&mut self, offset_deg: f64, sigma_deg: f64) -> Option<Motion> {
         self.samples += 1;
         self.change_deg = offset_deg - *self.first_deg.get_or_insert(offset_deg);
@@ -101,12 +101,12 @@ impl Trend {
         (agreeing >= AGREEING).then_some(motion)
     }
 
-    /// From the first offset to the last.
+    /// Change from the first offset to the last.
     pub fn change_deg(&self) -> f64 {
         self.change_deg
     }
 
-    /// Offsets so far.
+    /// Number of offsets so far.
     pub fn samples(&self) -> u32 {
         self.samples
     }
@@ -192,7 +192,7 @@ fn judge(axis: Axis, trend: &Trend, motion: Option<Motion>) -> Finding {
     }
 }
 
-/// Takes and solves frames until the offset has moved along the axis, or for the time there is.
+/// Takes and solves frames until the offset has moved along the axis, or the time limit.
 fn follow(trial: &mut Trial, axis: Axis) -> (Trend, Option<Motion>) {
     let mut trend = Trend::default();
     let start = Instant::now();

@@ -1,10 +1,10 @@
-//! Whether the sky is known on this day, and from where it is seen.
+//! Check of the sky: whether Earth orientation and place are known.
 
 use super::Finding;
 use crate::plan::Plan;
 use jiff::{Timestamp, ToSpan, tz::Offset};
 
-/// A table that ends sooner is worth renewing.
+/// Number of days before the end of the table from which it should be renewed.
 const SOON_DAYS: i64 = 30;
 const RENEW: &str = "renew it with tools/iers and name it in sky.earth_orientation";
 

@@ -1,21 +1,21 @@
-//! Which GPS fixes are believed.
+//! Selection of plausible GPS fixes.
 
 use crate::link::GpsFix;
 
-/// Number of fixes in a row that contradict the last one, but not each other, before they are accepted.
+/// Number of successive fixes that contradict the last one, but not each other, after which they are accepted.
 const CONVINCING: usize = 3;
 
-/// The fixes so far. Only fixes are compared with fixes: a configured place may be that of another continent.
+/// The fixes so far. Fixes are only compared with fixes: a configured place may be on another continent.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Gps {
     last: Option<GpsFix>,
-    /// Fixes in a row that contradict the last one and agree with each other.
+    /// Successive fixes that contradict the last one and agree with each other.
     disputed: Vec<GpsFix>,
     refused: u64,
 }
 
 impl Gps {
-    /// Fixes that were not believed.
+    /// Number of fixes rejected as implausible.
     pub fn refused(&self) -> u64 {
         self.refused
     }
@@ -25,13 +25,13 @@ impl Gps {
         self.last = Some(fix);
     }
 
-    /// Believes the next fix, wherever it is.
+    /// Accepts the next fix, wherever it is.
     pub fn clear(&mut self) {
         self.last = None;
         self.disputed.clear();
     }
 
-    /// Whether the fix is believed, given those before it.
+    /// Whether the fix is plausible, given the previous ones.
     pub fn believes(&mut self, fix: GpsFix) -> bool {
         let believed = fix.is_possible() && (fix.may_follow(self.last) || self.convinces(fix));
         if believed {

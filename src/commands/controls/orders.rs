@@ -1,4 +1,4 @@
-//! Commands are carried out.
+//! Execution of commands.
 
 use super::{Controls, State};
 use crate::commands::setting::{
@@ -62,11 +62,11 @@ impl Control for Controls {
 }
 
 impl Controls {
-    /// Carries out what goes beyond the conversation.
+    /// Executes commands that go beyond the conversation.
     fn execute(&self, command: &Command) -> CommandResult {
         match command.row.action {
             Action::NoOp => CommandResult::Done,
-            // The conversation's own are not for here.
+            // Commands of the conversation itself are executed elsewhere.
             Action::StartSending | Action::StopSending => CommandResult::NotImplemented,
             Action::Quit => {
                 self.0.quits.store(true, Ordering::Relaxed);
@@ -89,7 +89,7 @@ impl Controls {
         }
     }
 
-    /// Takes a place that is believed. It is kept with the next values that are saved: a fix a second is no reason to write a file a second.
+    /// Takes an accepted place. It is saved together with the next changed values: a fix each second is no reason to write a file each second.
     pub(super) fn move_to(&self, fix: GpsFix) -> CommandResult {
         match self.apply(&[
             (LATITUDE.key(), Value::Number(fix.latitude_deg.into())),
@@ -117,8 +117,8 @@ impl Controls {
         believed
     }
 
-    /// Sets keys to numbers that have travelled. A number equal to what a read returns leaves the value as it is: it may lie between the
-    /// numbers that can travel.
+    /// Sets keys to received numbers. A number equal to the one that a read returns leaves the value unchanged: it may lie between the
+    /// numbers that can be sent.
     fn set_by_command(
         &self,
         settings: impl Iterator<Item = (Setting, Kind, f64)>,
@@ -134,7 +134,7 @@ impl Controls {
             .collect();
         match self.set(&settings) {
             Ok(()) => {
-                // The same again changes nothing, and must not fill the log.
+                // The same value again changes nothing, and must not fill the log.
                 let before = |key| state.commanded.get(key);
                 for (key, value) in settings.iter().filter(|s| before(s.0) != Some(&s.1)) {
                     tracing::info!(key, %value, "set by command");
@@ -152,7 +152,7 @@ impl Controls {
         }
     }
 
-    /// How often the key has been refused by now.
+    /// Counts a refusal of the key; returns the number so far.
     fn count_refusal(&self, key: &str) -> u64 {
         let mut state = self.state();
         let times = state.refusals.entry(key.into()).or_default();
@@ -160,7 +160,7 @@ impl Controls {
         *times
     }
 
-    /// By its number, where the parameter is of the command's kind.
+    /// Sets a parameter by its number, if the parameter has the command's kind.
     fn set_numbered(&self, command: &Command) -> CommandResult {
         if let [number, set] = command.numbers[..]
             && let [_, variable] = command.row.variables
@@ -182,7 +182,7 @@ impl Controls {
     }
 }
 
-/// A number as a setting takes it.
+/// A number as a value for a setting.
 fn value(kind: Kind, number: f64) -> Value {
     match kind {
         Kind::Angle => Value::Number(number),
@@ -190,7 +190,7 @@ fn value(kind: Kind, number: f64) -> Value {
     }
 }
 
-/// The parameter of a number, where its values travel so.
+/// The parameter with this number, if its values can be sent in this kind.
 fn numbered(number: f64, kind: Kind) -> Option<&'static Parameter> {
     let parameter = by_command(number as u16)?;
     let fits = match kind {
@@ -201,7 +201,7 @@ fn numbered(number: f64, kind: Kind) -> Option<&'static Parameter> {
 }
 
 impl State {
-    /// Value of a reading command, in natural units; `None` where it is not known.
+    /// Value of a reading command, in natural units; `None` if it is not known.
     fn read(&self, command: &Command) -> Option<f64> {
         let number = command.numbers.first().copied();
         match command.row.action {
@@ -218,7 +218,7 @@ impl State {
         }
     }
 
-    /// The number of a setting that may be read.
+    /// The number of a readable setting.
     fn value(&self, setting: Setting) -> Option<f64> {
         match setting {
             TWIST => self
@@ -229,7 +229,7 @@ impl State {
                 let stated = self.stated.map(|stated| stated.clocking_deg.value);
                 self.own.clocking_deg.or(stated)
             }
-            // As GPS may know it.
+            // The place that GPS may have overridden.
             SITE_LATITUDE => Some(self.place?.latitude_deg),
             SITE_LONGITUDE => Some(self.place?.longitude_deg),
             CLOCK_OFFSET => self.clock_offset_us.map(|us| us as f64),

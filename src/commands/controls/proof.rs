@@ -1,4 +1,4 @@
-//! Whether the solver's settings leave a Sun: they are tried on a frame as the instrument's file describes it.
+//! Test of the solver's settings: whether the solver finds the Sun with them in a frame simulated from the instrument's file.
 
 use crate::aspect::{self, Expected, Quality};
 use crate::config::{Config, Refused};
@@ -7,7 +7,7 @@ use crate::instrument::{Instrument, MEAN_SUN_ARCSEC};
 use crate::simulate::{Scene, Sun};
 use std::sync::OnceLock;
 
-/// A frame of the Sun at the boresight, drawn when it is first needed.
+/// A frame with the Sun at the boresight, rendered when it is first needed.
 #[derive(Debug)]
 pub struct Proof {
     instrument: Instrument,
@@ -23,7 +23,7 @@ impl Proof {
     }
 
     /// # Errors
-    /// `key` has been set, and the solver finds no Sun where it did with its defaults.
+    /// If, after `key` has been set, the solver finds no Sun, although it did with its defaults.
     pub fn check(&self, key: &str, config: &Config) -> Result<(), Refused> {
         let Some(frame) = self.frame.get_or_init(|| self.draw()) else {
             return Ok(());
@@ -42,7 +42,7 @@ impl Proof {
         })
     }
 
-    /// `None` where the defaults find no Sun, either: such an instrument proves nothing.
+    /// `None` if the solver finds no Sun with the defaults, either: such an instrument cannot be used for the test.
     fn draw(&self) -> Option<Frame> {
         let instrument = &self.instrument;
         let mut scene = Scene::new(instrument, instrument.nominal_mapping()?);

@@ -1,12 +1,12 @@
-//! Values set by commands, kept in a file over a restart.
+//! Values set by commands, saved in a file for the next start.
 //!
-//! The file is a header line with a checksum, then TOML: one key and value a line. It is replaced as a whole, by a new
-//! file that is on the disk before it takes the old one's name: a reader finds the old values or the new ones, never
-//! half of them. The checksum is for what disks do later. The header distinguishes this file from all others: another one that is named by mistake is
-//! neither read nor replaced.
+//! The file is a header line with a checksum, then TOML: one key and value per line. It is replaced atomically, by a new
+//! file that is on the disk before it is renamed: a reader finds the old values or the new ones, never
+//! a mixture. The checksum detects later damage by the disk. The header distinguishes this file from all others: another file that is named by
+//! mistake is neither read nor replaced.
 //!
-//! Tracking and the last GPS fix are kept, too, but only for a flight that goes on: they are taken up again within the same
-//! start of the computer, or if they were saved a short time ago. A computer that is switched on the next day in the
+//! Tracking and the last GPS fix are saved, too, but only for a flight that continues: they are restored within the same
+//! boot of the computer, or if they were saved a short time ago. A computer that is switched on the next day in the
 //! laboratory does not steer. While there is such a value, the file is rewritten each minute, with the time.
 
 mod file;
@@ -32,19 +32,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
-/// How long the thread waits for a change before it checks whether it is to end.
+/// How long the thread waits for a change before it checks whether it must end.
 const PATIENCE: Duration = Duration::from_millis(100);
-/// How often the file is rewritten while it holds a value that is for a short time only.
+/// How often the file is rewritten while it holds a short-lived value.
 const REFRESH: Duration = Duration::from_secs(60);
-/// The keys whose values are for a short time only.
+/// The keys with short-lived values.
 const SHORT_LIVED: [&str; 3] = [TRACKING.key(), LATITUDE.key(), LONGITUDE.key()];
-/// The keys that state when the file was written: the time, and the start of the computer.
+/// The keys that state when the file was written: the time, and the boot of the computer.
 const WRITTEN_UTC: &str = "written.utc";
 const WRITTEN_BOOT: &str = "written.boot";
-/// Where Linux gives a number that is another one after each start of the computer.
+/// File in which Linux gives a number that changes with each boot.
 const BOOT_ID: &str = "/proc/sys/kernel/random/boot_id";
 
-/// Why saved values cannot be used, or could not be saved.
+/// Reason why saved values cannot be used, or could not be saved.
 #[derive(Debug, thiserror::Error)]
 pub enum SavedError {
     #[error("{}: saved values: {cause}", .path.display())]
@@ -61,11 +61,11 @@ pub enum SavedError {
     Taken { path: PathBuf },
 }
 
-/// When a file was written.
+/// Time at which a file was written.
 #[derive(Debug, Clone, PartialEq)]
 struct Written {
     utc: Timestamp,
-    /// `None` where the system does not say.
+    /// `None` if the system does not report it.
     boot: Option<String>,
 }
 
@@ -78,7 +78,7 @@ impl Written {
         }
     }
 
-    /// Takes it out of the values of a file.
+    /// Removes it from the values of a file and returns it.
     fn take(values: &mut BTreeMap<String, Value>) -> Option<Self> {
         let mut text = |key| match values.remove(key) {
             Some(Value::Text(text)) => Some(text),
@@ -91,7 +91,7 @@ impl Written {
         })
     }
 
-    /// Whether a flight of `then` goes on now. A clock that has been set back gives no answer.
+    /// Whether a flight of `then` continues now. If the clock has been set back, only the boot counts.
     fn is_recent(&self, then: &Self, limit: Duration) -> bool {
         let same_boot = self.boot.is_some() && self.boot == then.boot;
         let age = Duration::try_from(self.utc.duration_since(then.utc));
@@ -99,8 +99,8 @@ impl Written {
     }
 }
 
-/// Sets what was saved, except for what has been commanded since. Whatever is wrong is logged, never fatal: a damaged file is set
-/// aside under another name, a value that is refused is left out. Returns how many values were set.
+/// Sets the saved values, except for keys that have been commanded since. All errors are logged, none is fatal: a damaged file is renamed,
+/// a refused value is omitted. Returns the number of values set.
 pub fn restore(controls: &Controls, file: &SavedValues) -> usize {
     let restored = restore_at(controls, file, &Written::now());
     let differences = controls.differences();
@@ -111,11 +111,11 @@ pub fn restore(controls: &Controls, file: &SavedValues) -> usize {
     restored
 }
 
-/// Differences of a file of saved values from the configuration, each in words, and which of them would be refused; none where there is no
+/// Differences of a file of saved values from the configuration, each in words, and those that would be refused; none if there is no
 /// file. Nothing is changed.
 ///
 /// # Errors
-/// The file cannot be read, or is damaged.
+/// If the file cannot be read, or is damaged.
 pub fn differences(
     controls: &Controls,
     file: &SavedValues,
@@ -154,12 +154,12 @@ fn restore_at(controls: &Controls, file: &SavedValues, now: &Written) -> usize {
     }
     let commanded = controls.state().commanded.clone();
     values.retain(|key, _| !commanded.contains_key(key));
-    // Together first: a place is refused by halves. One by one, where not all may be set.
+    // First all together, because half a place is refused; one by one, if not all can be set.
     let mut settings: Vec<(&str, Value)> = values
         .iter()
         .map(|(k, v)| (k.as_str(), v.clone()))
         .collect();
-    // The fix last: where there is one, it is newer than a place set by command.
+    // The fix last: if there is one, it is newer than a place set by command.
     settings.sort_by_key(|(key, _)| SHORT_LIVED.contains(key));
     let note = |(name, value): &(&str, Value), result: &str| {
         let command = CommandInWords {
@@ -200,7 +200,7 @@ fn set_aside(path: &Path) {
     }
 }
 
-/// The values of a file; none where there is no file.
+/// The values of a file; none if there is no file.
 fn read(file: &SavedValues) -> Result<BTreeMap<String, Value>, SavedError> {
     let Some(bytes) = file.bytes()? else {
         return Ok(BTreeMap::new());
@@ -212,7 +212,7 @@ fn read(file: &SavedValues) -> Result<BTreeMap<String, Value>, SavedError> {
     })
 }
 
-/// The values of a file's bytes, or what was expected and what was found.
+/// The values in a file's bytes, or the expected and the found content.
 fn decode(bytes: &[u8]) -> Result<BTreeMap<String, Value>, (String, String)> {
     let text = str::from_utf8(bytes).map_err(|e| ("UTF-8 text".into(), e.to_string()))?;
     let (header, body) = text.split_once('\n').unwrap_or((text, ""));
@@ -253,7 +253,7 @@ fn encode(values: &BTreeMap<String, Value>, written: &Written) -> String {
         values.insert(WRITTEN_BOOT.into(), Value::Text(boot.clone()));
     }
     let lines = values.iter().map(|(key, value)| match value {
-        // A whole number would come back as one.
+        // A number without a decimal point would be read as an integer.
         Value::Number(number) => format!("{key:?} = {number:?}\n"),
         value => format!("{key:?} = {value}\n"),
     });
@@ -262,11 +262,11 @@ fn encode(values: &BTreeMap<String, Value>, written: &Written) -> String {
     format!("{HEADER}{crc:08x}\n{body}")
 }
 
-/// Saves what commands set, on a thread of its own: a disk that hangs does not hold up an answer.
+/// Saves values set by commands, on a thread of its own: a disk that hangs does not delay an answer.
 pub struct ValueSaver {
     controls: Controls,
     file: SavedValues,
-    /// None until the file's folder is there.
+    /// `None` until the file's folder exists.
     lock: Option<Lock>,
 }
 
@@ -280,14 +280,14 @@ impl ValueSaver {
         }
     }
 
-    /// Sets what was saved, says so to `restored`, and saves after every change until asked to end, and then what is left to
-    /// save. Returns how often it failed.
+    /// Restores the saved values, reports that to `restored`, and saves after every change until asked to end, and then the remaining
+    /// changes. Returns the number of failures.
     pub fn run(mut self, restored: &Sender<()>, ends: &AtomicBool) -> u64 {
         match self.hold() {
             Err(error @ SavedError::Taken { .. }) => {
                 tracing::error!(%error, "starting without the saved values");
             }
-            // Where no lock can be made there may yet be a file.
+            // Even if no lock can be made, there may be a file.
             _ => _ = restore(&self.controls, &self.file),
         }
         // The receiver is gone if this came too late.
@@ -323,11 +323,11 @@ impl ValueSaver {
         }
     }
 
-    /// Takes the file for this program alone.
+    /// Locks the file for this program alone.
     fn hold(&mut self) -> Result<(), SavedError> {
         let file = &self.file;
         if !self.lock.as_ref().is_some_and(|lock| file.is_held_by(lock)) {
-            // The old one first: both may be of the same file.
+            // The old lock first: both may be of the same file.
             self.lock = None;
             self.lock = Some(file.lock()?);
         }
@@ -347,7 +347,7 @@ impl ValueSaver {
     }
 }
 
-/// Whether a file holds values that are for a short time only.
+/// Whether a file holds short-lived values.
 enum ShortLived {
     Some,
     None,
@@ -372,7 +372,7 @@ mod tests {
         controls.config().cameras.named(name).unwrap().clone()
     }
 
-    /// Sets some of every kind of value.
+    /// Sets some values of every kind.
     fn set_values(controls: &Controls) {
         controls
             .set(&[
@@ -402,7 +402,7 @@ mod tests {
         SavedValues::at(path).replace(&text).unwrap();
     }
 
-    /// Runs a thread that is asked to end, with what `set` has set after the start: how often it failed.
+    /// Runs a thread that is asked to end, after `set` has changed values; returns its number of failures.
     fn run(controls: &Controls, path: &Path, set: impl Fn(&Controls)) -> u64 {
         let (restored, _) = bounded(1);
         set(controls);
@@ -606,7 +606,7 @@ mod tests {
         for bit in 0..8 * bytes.len() {
             let mut wrong = bytes.clone();
             wrong[bit / 8] ^= 1 << (bit % 8);
-            // Letters of the checksum's own hexadecimal digits may be of either case.
+            // Letters in the checksum's own hexadecimal digits may have either case.
             if !wrong.eq_ignore_ascii_case(&bytes) {
                 assert!(decode(&wrong).is_err(), "bit {bit}");
             }

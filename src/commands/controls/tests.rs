@@ -14,7 +14,7 @@ fn camera(controls: &Controls, name: &str) -> ConfiguredCamera {
     controls.config().cameras.named(name).unwrap().clone()
 }
 
-/// Result of a command by name, its variables as they travel.
+/// Result of a command by name, with its variables as sent.
 fn order(controls: &Controls, name: &str, variables: &[u16]) -> CommandResult {
     let row = COMMANDS.iter().find(|row| row.name == name).unwrap();
     let command = row.command(Computer::One, variables).unwrap();
@@ -332,7 +332,7 @@ fn a_value_that_contradicts_this_flight_is_refused_and_nothing_changes() {
     );
     assert_eq!(order(&controls, "set_pitch_yaw_exposure", &[65_535]), DONE);
     controls.reset();
-    // Each allowed by itself: no frame would show a Sun.
+    // Each is allowed by itself, but no frame would show a Sun.
     assert_eq!(float("fiducial.min_likeness", 1.0), REFUSED);
     assert_eq!(float("fiducial.min_contrast", 1.0), REFUSED);
     assert_eq!(integer("limb.min_limb_points", 720), REFUSED);
@@ -388,7 +388,7 @@ fn what_was_read_and_is_written_again_is_the_same_value() {
     assert_eq!(controls.config(), config);
     assert_eq!(controls.snapshot().clocking_deg, None);
     assert!(controls.differences().is_empty());
-    // Another value is set as it travels.
+    // Another value is set as sent.
     assert_eq!(order(&controls, "set_clocking", &[angle(-52.0)]), DONE);
     assert_eq!(controls.snapshot().clocking_deg, Some(-52.0));
 }
@@ -403,7 +403,7 @@ fn reset_values_returns_to_the_configuration_and_keeps_the_conversation() {
     assert_eq!(order(&controls, "set_target", &[signed(-300), 450]), DONE);
     assert_eq!(order(&controls, "set_twist", &[angle(0.5)]), DONE);
     assert_eq!(order(&controls, "store_roll_frames", &[0]), DONE);
-    // As the configuration has it.
+    // The same value as in the configuration.
     assert_eq!(order(&controls, "accept_gps", &[1]), DONE);
     let differences = controls.differences().join("; ");
     assert_eq!(

@@ -9,7 +9,7 @@ use crate::link::number::Number;
 use crate::link::packet::{Direction, id, telemetry_type};
 use serde_json::json;
 
-/// How the value of a result reads, by the command that it is of.
+/// Interpretation of the value of a result, by its command.
 const OF_RESULT: &str = r#"
     instances:
       command: {value: "key & 0x0fff", enum: command_name, doc: "of an aspect command"}
@@ -20,7 +20,7 @@ const OF_RESULT: &str = r#"
 impl Dictionary {
     /// The description: YAML for Kaitai Struct 0.11.
     pub fn kaitai(&self) -> String {
-        // Those are in the text.
+        // These entries are in the text.
         let is_own = |entry: &&Entry| {
             let in_the_text = entry.number == key::ASPECT_COMMAND;
             !entry.items.is_empty() && !in_the_text
@@ -63,7 +63,7 @@ impl Dictionary {
         filled(include_str!("kaitai.ksy"), gaps)
     }
 
-    /// Which packets of a direction are telemetry, by their bytes 2 and 3.
+    /// Condition that identifies telemetry packets of a direction, by their bytes 2 and 3.
     fn is_telemetry(&self, direction: Direction) -> String {
         let rows = self.telemetry.iter();
         let rows = rows.filter(|row| row.direction == direction);
@@ -83,7 +83,7 @@ fn lines(texts: impl Iterator<Item = String>) -> String {
     texts.collect::<Vec<_>>().join("\n")
 }
 
-/// A text of YAML, quoted as JSON's, which YAML contains.
+/// A text for YAML, quoted as in JSON, which YAML contains.
 fn quoted(text: &str) -> String {
     json!(text).to_string()
 }

@@ -19,7 +19,7 @@ fn everything_of_the_tables_is_described() {
     );
     let lines: Vec<&str> = ksy.lines().collect();
     for pair in lines.windows(2) {
-        // What is closed has no more items on the next line.
+        // After a closed list or object no more items follow on the next line.
         let is_closed = pair[0].ends_with(']') || pair[0].ends_with("}");
         let indent = |line: &str| line.len() - line.trim_start().len();
         assert!(!is_closed || indent(pair[1]) <= indent(pair[0]), "{pair:?}");
@@ -85,7 +85,7 @@ fn a_space_packet_has_the_telemetry_of_the_aspect_system_behind_its_header() {
     }
 }
 
-/// How many parameters, containers, commands, and types of parameters and arguments there are, each with a name of its own.
+/// Numbers of parameters, containers, commands, and types of parameters and arguments, each with a name of its own.
 fn names_of(xtce: &str) -> [usize; 5] {
     let types = [
         "Integer",

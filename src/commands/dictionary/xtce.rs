@@ -16,12 +16,12 @@ enum Role {
     Argument,
 }
 
-/// How packets are framed.
+/// Framing of packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Framing {
     /// As on the controller's line.
     Line,
-    /// As CCSDS space packets: the telemetry of the aspect system alone.
+    /// As CCSDS space packets: only the telemetry of the aspect system.
     Ccsds,
 }
 
@@ -34,7 +34,7 @@ impl Framing {
         }
     }
 
-    /// The lines of a text that are for this framing: those that begin with its name and a bar, and those with no framing's.
+    /// The lines of a text for this framing: those that begin with its name and a bar, and those without a framing.
     fn lines(self, text: &str) -> String {
         let [own, other] = match self {
             Self::Line => ["line|", "ccsds|"],
@@ -59,11 +59,11 @@ impl Dictionary {
     pub fn xtce(&self, framing: Framing) -> String {
         let mut added = Added::default();
         let is_on_line = framing == Framing::Line;
-        // Those of the header, which the text has.
+        // Types of the header, which the text contains.
         for (number, unit) in [(Number::U8, ""), (Number::U16, ""), (Number::U32, "ns")] {
             added.types.push(number_type(Role::Parameter, number, unit));
         }
-        // The text has these containers.
+        // The text contains these containers.
         let by_hand = [
             telemetry_type::HOUSEKEEPING,
             telemetry_type::PICTURE,
@@ -116,7 +116,7 @@ impl Dictionary {
         filled(&framing.lines(include_str!("xtce.xml")), gaps)
     }
 
-    /// Additions of a layout of the housekeeping to the one before it.
+    /// Additions of a layout of the housekeeping to the previous one.
     fn layout(&self, layout: u8, added: &mut Added) {
         let own = self
             .housekeeping
@@ -146,7 +146,7 @@ fn push(list: &mut Vec<String>, text: String) {
 }
 
 impl Added {
-    /// A container of an entry's fields, whose names begin with that of the entry.
+    /// A container of an entry's fields, whose names begin with the entry's name.
     fn entry(&mut self, entry: &Entry, prefix: &str, base: &str, limits: &[(&str, &str, u16)]) {
         let prefix = format!("{prefix}{}_", entry.name);
         let words = entry.name.split('_');
@@ -161,7 +161,7 @@ impl Added {
         );
     }
 
-    /// A container, by its name and what it is, that extends another where some parameters are within limits; and the parameters of its items.
+    /// A container, with name and description, that extends another one if some parameters are within limits; and the parameters of its items.
     fn container<'a>(
         &mut self,
         (name, documentation): (&str, &str),
@@ -176,7 +176,7 @@ impl Added {
                 1 => format!("{prefix}{}", item.name),
                 _ => format!("{prefix}{}_{n}", item.name),
             };
-            // Those of other telemetry stay numbers.
+            // Codes of other telemetry remain numbers.
             let kind = match item.codes.filter(|_| prefix.is_empty()) {
                 Some(codes) => enumerated(codes),
                 None => number_type(Role::Parameter, item.number, item.unit),
@@ -237,7 +237,7 @@ fn meta_command(entry: &Entry, base: &str, payload: usize, key: &str) -> String 
         let (kind, _) = argument_type(item);
         let documentation = match item.kind {
             None => about(&item.documentation),
-            // Its type has the range.
+            // Its type states the range.
             Some(_) => String::new(),
         };
         format!(
@@ -261,7 +261,7 @@ fn meta_command(entry: &Entry, base: &str, payload: usize, key: &str) -> String 
     )
 }
 
-/// The name of an argument's type, and the type where the text has none.
+/// The name of an argument's type, and the type's definition unless the text contains it.
 fn argument_type(item: &Item) -> (String, Option<String>) {
     match item.kind {
         Some(Kind::Switch) => ("switch".into(), None),
@@ -338,7 +338,7 @@ fn units(unit: &str) -> String {
     }
 }
 
-/// A name without what XTCE and programs do not allow in one.
+/// A name without characters that XTCE and programs do not allow.
 fn type_name(wire: &str, unit: &str) -> String {
     let unit = unit
         .replace('%', "percent")
@@ -351,7 +351,7 @@ fn type_name(wire: &str, unit: &str) -> String {
     }
 }
 
-/// The name that a type has.
+/// The name in a type's definition.
 fn name_of(kind: &str) -> &str {
     let (_, rest) = kind.split_once(" name=\"").unwrap_or_default();
     rest.split('"').next().unwrap_or_default()

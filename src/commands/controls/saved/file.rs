@@ -1,6 +1,6 @@
-//! Where values are saved: who may write there, and how the file is replaced.
+//! Location of saved values: write access to it, and the file's replacement.
 //!
-//! One program at a time holds the lock beside the file, and it replaces nothing but a file that begins as its own do.
+//! One program at a time holds the lock beside the file, and it replaces a file only if that begins like a file of saved values.
 
 use super::SavedError;
 use crate::archive::MARK;
@@ -11,16 +11,16 @@ use std::fs::{self, File};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-/// Where values are saved.
+/// Location of saved values.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SavedValues {
     path: PathBuf,
-    /// Whether the folder is an archive's, and must be seen to be one before anything is written there.
+    /// Whether the folder is an archive's, and must be recognised as one before anything is written there.
     in_archive: bool,
 }
 
 impl SavedValues {
-    /// The configured file, else one in the archive; `None` where there is neither.
+    /// The configured file, else one in the archive; `None` if there is neither.
     pub fn of(config: &Config) -> Option<Self> {
         let configured = config.link.saved_values.clone();
         let in_archive = configured.is_none();
@@ -29,7 +29,7 @@ impl SavedValues {
         Some(Self { path, in_archive })
     }
 
-    /// In a file that was named.
+    /// The location given by the path of a file.
     pub fn at(path: &Path) -> Self {
         let (path, in_archive) = (path.into(), false);
         Self { path, in_archive }
@@ -39,10 +39,10 @@ impl SavedValues {
         &self.path
     }
 
-    /// Takes the file for this program alone before a flight begins; `None` where its folder is not there yet, or takes nothing.
+    /// Claims the file for this program alone before a flight begins; `None` if its folder does not exist yet, or cannot be written.
     ///
     /// # Errors
-    /// Another program flies with it. The configuration names a file that is something else.
+    /// If another program flies with it, or the configuration names a file of another kind.
     pub fn claim(&self) -> Result<Option<Lock>, SavedError> {
         let lock = match self.lock() {
             Ok(lock) => Some(lock),
@@ -50,14 +50,14 @@ impl SavedValues {
             Err(_) => None,
         };
         match self.check_ours() {
-            // In the archive the name is the program's own: what else stands there costs the saved values, and not the flight.
+            // In the archive the name is the program's own: another file there costs the saved values, but not the flight.
             Err(foreign @ SavedError::Foreign { .. }) if !self.in_archive => Err(foreign),
             _ => Ok(lock),
         }
     }
 
     /// # Errors
-    /// Another program holds it, the archive is not there, or the folder takes nothing.
+    /// If another program holds it, the archive is missing, or the folder cannot be written.
     pub(super) fn lock(&self) -> Result<Lock, SavedError> {
         self.check_archive()?;
         LocalDisk
@@ -75,7 +75,7 @@ impl SavedValues {
         lock.is_of(&self.beside("lock"))
     }
 
-    /// A disk that is not mounted leaves an empty folder, which is not the archive.
+    /// Checks that the archive is present: a disk that is not mounted leaves an empty folder, which is not the archive.
     pub(super) fn check_archive(&self) -> Result<(), SavedError> {
         let mark = self.folder().join(MARK);
         match self.in_archive && !mark.exists() {
@@ -88,15 +88,15 @@ impl SavedValues {
     }
 
     /// # Errors
-    /// Something else than saved values stands there.
+    /// If the file there is not one of saved values.
     fn check_ours(&self) -> Result<(), SavedError> {
         self.bytes().map(drop)
     }
 
-    /// The bytes of the file; none where there is no file.
+    /// The bytes of the file; `None` if there is no file.
     ///
     /// # Errors
-    /// It cannot be read, or is no file of saved values.
+    /// If it cannot be read, or is no file of saved values.
     pub(super) fn bytes(&self) -> Result<Option<Vec<u8>>, SavedError> {
         let foreign = |found| SavedError::Foreign {
             path: self.path.clone(),
@@ -111,14 +111,14 @@ impl SavedValues {
         }
     }
 
-    /// Replaces the file as a whole. What a power cut leaves of the new one is replaced the next time.
+    /// Replaces the file atomically. An incomplete new file left by a power cut is replaced the next time.
     ///
     /// # Errors
-    /// The folder takes nothing; something else than saved values stands there.
+    /// If the folder cannot be written, or the file there is not one of saved values.
     pub(super) fn replace(&self, text: &str) -> Result<(), SavedError> {
         self.check_archive()?;
         self.check_ours()?;
-        // No name that the archive sweeps: it may do so at any time.
+        // Not a name that the archive removes as unfinished: it may do so at any time.
         let new = self.beside("new");
         let written = self.write_new(&new, text);
         if written.is_err() {
@@ -136,11 +136,11 @@ impl SavedValues {
         file.write_all(text.as_bytes())?;
         file.sync_all()?;
         fs::rename(new, &self.path)?;
-        // The name, too, is to survive a power cut.
+        // The name, too, must survive a power cut.
         File::open(self.folder())?.sync_all()
     }
 
-    /// A file of the same name behind a dot, with an ending.
+    /// A file beside it, with a dot before its name and with an ending.
     fn beside(&self, ending: &str) -> PathBuf {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         self.folder().join(format!(".{name}.{ending}"))
