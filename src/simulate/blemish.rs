@@ -1,4 +1,4 @@
-//! Blemishes of a picture: scratches on the plate, light past the baffles, dust and hot pixels of the camera.
+//! Blemishes of a picture: scratches on the plate, light that passes the baffles, dust and hot pixels of the camera.
 
 use super::scene::{Blemishes, Depth, Dust, HotPixel, Leak, Scene, Scratch};
 use super::{Purpose, generator};
@@ -8,15 +8,15 @@ use crate::units::{PlateMil, SensorPx};
 use rand::RngExt;
 use std::f64::consts::{PI, TAU};
 
-/// How many blemishes to draw at random.
+/// Numbers of blemishes to draw at random.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Counts {
-    /// On the whole sensor.
+    /// Number on the whole sensor.
     pub hot_pixels: usize,
-    /// That cross the Sun's disc, on average over its places.
+    /// Number that cross the Sun's disc, on average over its places.
     pub scratches_per_disc: f64,
     pub leaks: usize,
-    /// That lie before the Sun's disc, on average over its places.
+    /// Number in front of the Sun's disc, on average over its places.
     pub dust_per_disc: f64,
     /// See [`Blemishes::vignetting`].
     pub vignetting: f64,
@@ -35,7 +35,7 @@ impl Blemishes {
         }
     }
 
-    /// Effects on the light on the sensor: leaks add to it, vignetting and dust take from it.
+    /// Applies the blemishes to the light on the sensor: leaks add light, vignetting and dust remove it.
     pub(super) fn shade(&self, scene: &Scene, light: &mut [f32]) {
         for leak in &self.leaks {
             let at = scene.mapping.to_sensor(leak.centre);
@@ -124,7 +124,7 @@ impl Draw<'_> {
         (0..count).map(pixel).collect()
     }
 
-    /// A place anywhere on the sensor.
+    /// A random place on the sensor.
     fn place(&self, rng: &mut super::Generator) -> SensorPx {
         SensorPx::new(
             rng.random_range(-0.5..self.scene.width_px as f64 - 0.5),
@@ -142,7 +142,7 @@ impl Draw<'_> {
         width * height * scale * scale
     }
 
-    /// Scratches one or two pixels wide; so many that `per_disc` of them cross the disc on average.
+    /// Scratches one or two pixels wide; their number is such that `per_disc` of them cross the disc on average.
     fn scratches(&self, per_disc: f64, radius_mil: f64) -> Vec<Scratch> {
         const MEAN_LENGTH_MIL: f64 = 1000.0;
         // A scratch of length l crosses the discs whose centres lie within the radius of it.
@@ -164,7 +164,7 @@ impl Draw<'_> {
         (0..count).map(scratch).collect()
     }
 
-    /// Leaks on a ring around the plate's centre, where its edge is.
+    /// Leaks on a ring around the plate's centre, at its edge.
     fn leaks(&self, count: usize) -> Vec<Leak> {
         let mut rng = self.generator(2);
         let leak = |_| {

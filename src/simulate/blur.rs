@@ -1,11 +1,11 @@
-//! Blur and pixel integration in one separable kernel, from sub-samples to pixels.
+//! Blur and pixel integration in one separable kernel, applied to sub-samples.
 
 use super::coverage::TENT_VARIANCE;
 
-/// Half the width of the kernel, in sigma: what lies beyond is 1e-5 of the light.
+/// Half the width of the kernel, in sigma: 1e-5 of the light is beyond.
 const REACH_SIGMA: f64 = 4.5;
 
-/// The kernel that takes S sub-samples per pixel to pixels.
+/// The kernel that reduces S sub-samples per pixel to pixels.
 #[derive(Debug, Clone)]
 pub(super) struct Kernel {
     samples_per_px: usize,
@@ -17,8 +17,8 @@ pub(super) struct Kernel {
 impl Kernel {
     /// Gaussian of `blur_px` (1 sigma), integrated over the pixel.
     ///
-    /// A sub-sample already stands for the mean over its own small square, so a plain mean of S x S of them is the
-    /// pixel's integral. What the sub-sample's tent blurs beyond that square is taken from the Gaussian.
+    /// A sub-sample already represents the mean over its own small square, so a plain mean of S x S of them is the
+    /// pixel's integral. The blur by the sub-sample's tent beyond that square is subtracted from the Gaussian.
     pub(super) fn new(blur_px: f64, samples_per_px: usize) -> Self {
         let sigma = (blur_px * samples_per_px as f64).powi(2) - TENT_VARIANCE;
         let sigma = sigma.max(0.0).sqrt();
@@ -44,7 +44,7 @@ impl Kernel {
         }
     }
 
-    /// Pixels around a window whose light reaches into it.
+    /// Width of the margin around a window whose light reaches into it.
     pub(super) fn margin_px(&self) -> usize {
         self.reach.div_ceil(self.samples_per_px)
     }

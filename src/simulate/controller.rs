@@ -1,7 +1,7 @@
-//! The gondola's controller at the other end of the line: it starts tracking and checks all that comes.
+//! Emulator of the gondola's controller at the other end of the line: it starts tracking and checks all received packets.
 //!
-//! A solution must be of an exposure that was announced, packets must be numbered one by one, and every command of
-//! the controller must be answered. What is wrong is counted by kind in the [`Report`], never fatal: only the
+//! A solution must belong to an announced exposure, packets must be numbered consecutively, and every command of
+//! the controller must be answered. Faults are counted by kind in the [`Report`] and are never fatal: only the
 //! port can fail.
 
 use super::sensors::{SensorError, Sensors};
@@ -17,15 +17,15 @@ use std::time::{Duration, Instant};
 
 /// How long one [`Controller::poll`] waits for bytes.
 pub const POLL: Duration = Duration::from_millis(20);
-/// A start or stop that is not answered is sent again after this.
+/// Time after which a start or stop without an answer is sent again.
 const PATIENCE: Duration = Duration::from_secs(1);
 const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
-/// How many announced exposures, and own commands, are remembered.
+/// Number of announced exposures, and of own commands, that are remembered.
 const MEMORY: usize = 256;
 /// A solution's time is rounded to 1 ms, an announcement's to 0.24 us (an f64 of seconds).
 const SAME_TIME: SignedDuration = SignedDuration::from_micros(501);
 
-/// Faults of what came.
+/// Faults of the received packets.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Faults {
     /// Sync words from which no packet came: wrong checksums, false headers, packets cut off.
@@ -34,9 +34,9 @@ pub struct Faults {
     pub out_of_sequence: u64,
     /// Packets with unknown keys, payloads too short, numbers that are not finite.
     pub unreadable: u64,
-    /// Messages that are not for a controller, and answers to what it never sent.
+    /// Messages that are not for a controller, and answers to commands that it never sent.
     pub unexpected: u64,
-    /// Solutions of exposures that were not announced, or second ones of the same exposure.
+    /// Solutions of exposures that were not announced, or repeated for the same exposure.
     pub unannounced: u64,
     /// Solutions and errors after "tracking is off".
     pub unasked: u64,
@@ -68,7 +68,7 @@ pub struct Report {
     pub results: u64,
     /// Telemetry other than receipts and results.
     pub other_telemetry: u64,
-    /// Bytes that belong to no packet. No fault in themselves: a line may be joined in the middle of a packet.
+    /// Bytes that belong to no packet. They are no fault in themselves: the controller may start to listen in the middle of a packet.
     pub stray_bytes: u64,
     pub faults: Faults,
 }
@@ -108,7 +108,7 @@ impl fmt::Display for Report {
     }
 }
 
-/// The controller's requests to the aspect system.
+/// The tracking state that the controller wants.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Wish {
     Track,
@@ -119,7 +119,7 @@ enum Wish {
 pub struct Controller {
     parser: Parser,
     wish: Wish,
-    /// The aspect system's last word on its tracking.
+    /// The tracking state last reported by the aspect system.
     answer: Option<Wish>,
     asked_at: Option<Duration>,
     sequence: u16,
@@ -165,29 +165,29 @@ impl Controller {
         &self.report
     }
 
-    /// Whether the aspect system has said that its tracking is as this controller wants it.
+    /// Whether the aspect system has reported the tracking state that this controller wants.
     pub fn is_obeyed(&self) -> bool {
         self.answer == Some(self.wish)
     }
 
-    /// From now on, tracking is to stop.
+    /// Wants tracking to stop from now on.
     pub fn stop_tracking(&mut self) {
         self.wish = Wish::Rest;
         self.asked_at = None;
     }
 
-    /// From now on, tracking is wanted again.
+    /// Wants tracking again from now on.
     pub fn start_tracking(&mut self) {
         self.wish = Wish::Track;
         self.asked_at = None;
     }
 
-    /// The solutions that have come since they were last taken; they leave the report.
+    /// The solutions received since the last call; they are removed from the report.
     pub fn take_solutions(&mut self) -> Vec<Solution> {
         std::mem::take(&mut self.report.solutions)
     }
 
-    /// The offsets by the gyros that have come since they were last taken; they leave the report.
+    /// The offsets by the gyros received since the last call; they are removed from the report.
     pub fn take_propagated(&mut self) -> Vec<Propagated> {
         std::mem::take(&mut self.report.propagated)
     }
@@ -203,8 +203,8 @@ impl Controller {
         Ok(())
     }
 
-    /// One step: sends requests that are due, waits at most [`POLL`] for bytes, checks what came and
-    /// gives the messages of it. `now` is a monotonic time since any start.
+    /// One step: sends requests that are due, waits at most [`POLL`] for bytes, checks the received packets and
+    /// returns their messages. `now` is a monotonic time from any origin.
     pub fn poll(
         &mut self,
         port: &mut dyn BytePort,
@@ -237,8 +237,8 @@ impl Controller {
         Ok(messages)
     }
 
-    /// Polls until `stopped` says so, then stops the tracking and waits a second at most for the answer.
-    /// `heard` is called with every message as it comes.
+    /// Polls until `stopped` returns true, then stops the tracking and waits at most 1 s for the answer.
+    /// `heard` is called with every received message.
     pub fn run(
         &mut self,
         port: &mut dyn BytePort,
@@ -261,7 +261,7 @@ impl Controller {
         Ok(&self.report)
     }
 
-    /// A flight that cannot be simulated any more silences the sensors; a port that is lost is the caller's.
+    /// Handles an error of the sensors: they fall silent if the flight cannot be simulated any more; a lost port is returned to the caller.
     fn silence(&mut self, error: SensorError) -> Result<(), PortError> {
         match error {
             SensorError::Port(error) => Err(error),

@@ -8,30 +8,30 @@ use rand::RngExt;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-/// Something before the Sun; it moves with the Sun's image.
+/// An object in front of the Sun; it moves with the Sun's image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Cover {
     /// A dark disc as sharp as the Sun: the Moon.
     Disc {
-        /// From the Sun's centre.
+        /// Offset from the Sun's centre.
         offset_mil: Vector2<f64>,
         radius_mil: f64,
     },
-    /// A shadow with straight edges: a strut, or a cloud, which does not end.
+    /// A shadow with straight edges: a strut, or a cloud, which has only one edge in view.
     Shadow {
         /// Direction across it, from +x towards +y on the plate, rad.
         across_rad: f64,
-        /// Where it begins and ends in that direction, from the Sun's centre.
+        /// Positions of its two edges in that direction, from the Sun's centre.
         edges_mil: [f64; 2],
         /// Gaussian softness of its edges, 1 sigma.
         soft_mil: f64,
-        /// Share of the light that it absorbs, 0 to 1.
+        /// Fraction of the light that it absorbs, 0 to 1.
         depth: f64,
     },
 }
 
 impl Cover {
-    /// Share of the light that passes at an offset from the Sun's centre, 0 to 1.
+    /// Fraction of the light that passes at an offset from the Sun's centre, 0 to 1.
     pub fn left(&self, offset_mil: Vector2<f64>) -> f64 {
         match *self {
             Self::Disc {
@@ -53,28 +53,28 @@ impl Cover {
     }
 }
 
-/// How much of the Sun to hide, and by what. Directions, places and softness are drawn at random.
+/// Extent of the covers of each kind. Directions, places and softness are drawn at random.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Covers {
-    /// The part of the Sun's diameter that the Moon covers.
+    /// Fraction of the Sun's diameter that the Moon covers.
     pub eclipse: f64,
-    /// Share of the light that a cloud absorbs, 0 to 1; its edge crosses the disc.
+    /// Fraction of the light that a cloud absorbs, 0 to 1; its edge crosses the disc.
     pub cloud: f64,
     /// Width of a dark strut across the disc, in radii of the Sun.
     pub strut: f64,
 }
 
-/// Radius of the Moon in that of the Sun.
+/// Ratio of the Moon's radius to the Sun's.
 const MOON_RADII: Range<f64> = 0.93..1.07;
-/// Softness of a cloud's edge and of a strut out of focus, 1 sigma, in radii: drawn evenly in its logarithm.
+/// Softness of the edges of a cloud and of a strut out of focus, 1 sigma, in solar radii: uniform in its logarithm.
 const CLOUD_SOFT_RADII: Range<f64> = 0.02..0.5;
 const STRUT_SOFT_RADII: Range<f64> = 0.01..0.1;
 
 impl Covers {
-    /// Drawn before a Sun of some radius.
+    /// Covers drawn for a Sun of this radius.
     pub(super) fn random(&self, radius_mil: f64, seed: u64) -> Vec<Cover> {
         let mut rng = generator(seed, Purpose::Covers, 0);
-        // Everything is drawn whether it is wanted or not: one more effect moves no other.
+        // Everything is drawn whether it is used or not, so that one more effect changes no other.
         let [moon, cloud, strut]: [f64; 3] = std::array::from_fn(|_| rng.random_range(0.0..TAU));
         let moon_mil = rng.random_range(MOON_RADII) * radius_mil;
         let mut soft_mil = |radii: Range<f64>| {

@@ -1,12 +1,12 @@
 //! Coverage of a sub-sample by an edge.
 //!
-//! A sub-sample weighs the light around it with a tent: its square folded with itself. A mere square would keep the
-//! amount of light and yet move it to the sub-sample's middle, by thousandths of a pixel; with the tent the light's
+//! A sub-sample weights the light around it with a tent: its square convolved with itself. A plain square would conserve the
+//! light but move it to the sub-sample's middle, by thousandths of a pixel; with the tent the light's
 //! first moment survives sampling exactly, whatever the phase.
 //!
-//! The square is a parallelogram on the plate. Across a straight edge the tent is two boxes as wide as the one side
-//! reaches across the edge, and two as wide as the other does. The mean of anything that depends on the depth behind the edge is therefore
-//! a fourth difference of that thing's fourth integral.
+//! The square is a parallelogram on the plate. Across a straight edge the tent is the convolution of two boxes with the projected length of one side,
+//! and two with that of the other. The mean of any function of the depth behind the edge is therefore
+//! a fourth difference of that function's fourth integral.
 
 use nalgebra::Vector2;
 
@@ -20,10 +20,10 @@ pub(super) struct Footprint {
     pub row: Vector2<f64>,
 }
 
-/// A straight edge as one sub-sample after the other meets it.
+/// A straight edge as projected onto the sides of a sub-sample.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Edge {
-    /// How far the two sides of the square reach across the edge.
+    /// Projections of the two sides of the square across the edge.
     long: f64,
     short: f64,
 }
@@ -33,24 +33,24 @@ impl Footprint {
     pub(super) fn edge(&self, normal: Vector2<f64>) -> Edge {
         let (a, b) = (normal.dot(&self.column).abs(), normal.dot(&self.row).abs());
         let long = a.max(b);
-        // Along an edge a box has no width; a hundredth of the other changes nothing and divides well.
+        // Along an edge a box has no width; 1 % of the other width has no visible effect and avoids a division by zero.
         let short = a.min(b).max(0.01 * long);
         Edge { long, short }
     }
 
-    /// Within this of any edge a sub-sample sees it, mil.
+    /// Largest distance of an edge that can affect a sub-sample, mil.
     pub(super) fn reach(&self) -> f64 {
         self.column.norm() + self.row.norm()
     }
 }
 
 impl Edge {
-    /// Within this of it a sub-sample sees the edge.
+    /// Largest distance at which the edge affects a sub-sample, mil.
     pub(super) fn reach(&self) -> f64 {
         self.long + self.short
     }
 
-    /// The share of a sub-sample inside the edge, its middle `inside` mil behind it.
+    /// The fraction of a sub-sample inside the edge, with its middle `inside` mil behind it.
     pub(super) fn coverage(&self, inside: f64) -> f64 {
         let reach = self.reach();
         if inside >= reach {
@@ -67,7 +67,7 @@ impl Edge {
         self.mean(inside, |x| 16.0 / 945.0 * x.powi(4) * x.sqrt())
     }
 
-    /// Mean of a function of the depth that is zero outside, by its fourth integral.
+    /// Mean of a function of the depth that is zero outside, from its fourth integral.
     fn mean(&self, inside: f64, fourth_integral: impl Fn(f64) -> f64) -> f64 {
         let integral = |x: f64| fourth_integral(x.max(0.0));
         let along_short =

@@ -20,7 +20,7 @@ pub(super) struct Disc {
     footprint: Footprint,
 }
 
-/// The Sun at as many moments as its smear needs, one sub-sample apart at most; the exposure shares its light
+/// The Sun at as many moments as its smear needs, at most one sub-sample apart; the exposure's light is divided
 /// among them.
 pub(super) fn exposures(sun: &Sun, grid: &Grid) -> Vec<Disc> {
     let step_mil = grid.footprint.column.norm();
@@ -91,7 +91,7 @@ impl Disc {
         }
     }
 
-    /// Takes a part of the light within a circle.
+    /// Removes a fraction of the light within a circle.
     fn darken(
         &self,
         xs: &[f32],
@@ -109,7 +109,7 @@ impl Disc {
         });
     }
 
-    /// At the limb, where light falls as the square root of the depth and ends, takes the mean over each sub-sample.
+    /// At the limb, where the light varies as the square root of the depth and ends, uses the mean over each sub-sample.
     fn round_off(&self, xs: &[f32], ys: &[f32], light: &mut [f32]) {
         let (plain, darkened) = (1.0 - self.darkening, f64::from(self.darkening));
         let radius = f64::from(self.radius);
@@ -130,7 +130,7 @@ impl Disc {
     }
 }
 
-/// Calls with number, offset and distance for those positions of a row whose distance from a centre lies in a range.
+/// Calls `visit` with number, offset and distance for those positions of a row whose distance from a centre is within a range.
 fn near_circle(
     xs: &[f32],
     ys: &[f32],
@@ -138,7 +138,7 @@ fn near_circle(
     distances: Range<f32>,
     mut visit: impl FnMut(usize, Vector2<f32>, f64),
 ) {
-    /// Positions that are passed over together when all are too near or too far.
+    /// Number of positions that are skipped together if all are too near or too far.
     const STRETCH: usize = 24;
     let offset = |n: usize| Vector2::new(xs[n] - centre.x, ys[n] - centre.y);
     for start in (0..xs.len()).step_by(STRETCH) {

@@ -8,7 +8,7 @@ use crate::sky::{Air, Ephemeris, SkyError, SunPosition};
 use crate::units::{Place, PlateMil, SensorPx};
 use jiff::Timestamp;
 
-/// Why a drift scan has no scene for an instant.
+/// Reason why a drift scan has no scene at an instant.
 #[derive(Debug, thiserror::Error)]
 pub enum DriftError {
     #[error(transparent)]
@@ -21,14 +21,14 @@ pub enum DriftError {
     Time(#[from] jiff::Error),
 }
 
-/// The scenes of a drift scan, by instant: conditions and blemishes as in [`RandomScenes`], the Sun where the ephemeris
-/// and the instrument's own mounting put it, refraction by the standard atmosphere included.
+/// The scenes of a drift scan, by instant: conditions and blemishes as in [`RandomScenes`], the Sun at the position given by the ephemeris
+/// and the instrument's own mounting, with refraction by the standard atmosphere.
 #[derive(Debug, Clone)]
 pub struct DriftScenes {
     scenes: RandomScenes,
     instrument: Instrument,
     place: Place,
-    /// Where the telescope points, as seen through the air.
+    /// Apparent direction of the telescope.
     towards: Horizontal,
     /// The same without refraction.
     pub pointing: Horizontal,
@@ -36,7 +36,7 @@ pub struct DriftScenes {
 }
 
 impl DriftScenes {
-    /// A scan whose Sun stands in the middle of the sensor at an instant.
+    /// A scan with the Sun in the middle of the sensor at an instant.
     pub fn new(
         instrument: &Instrument,
         conditions: &Conditions,
@@ -67,7 +67,7 @@ impl DriftScenes {
         })
     }
 
-    /// The scene of the frame whose exposure has its middle at an instant.
+    /// The scene of the frame with mid-exposure at an instant.
     pub fn scene(&mut self, number: u64, utc: Timestamp) -> Result<Scene, DriftError> {
         let centre = self.sun_on_plate(utc)?;
         let half = jiff::SignedDuration::from_millis(500);

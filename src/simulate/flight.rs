@@ -14,12 +14,12 @@ use rand::RngExt;
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-/// Where the Sun goes, and what stands between.
+/// Path of the Sun, and clouds in front of it.
 #[derive(Debug, Clone)]
 pub enum Course {
     /// Rests, slews and sway.
     Trajectory(Box<Trajectory>),
-    /// As a file says.
+    /// A path from a file.
     Pieces(Pieces),
 }
 
@@ -36,7 +36,7 @@ impl From<Pieces> for Course {
 }
 
 impl Course {
-    /// Where on the plate the Sun is, perhaps outside what the camera sees.
+    /// Position of the Sun on the plate, possibly outside the camera's view.
     pub fn position(&self, since_start: Duration) -> PlateMil {
         match self {
             Self::Trajectory(trajectory) => trajectory.position(since_start),
@@ -58,7 +58,7 @@ impl Course {
         }
     }
 
-    /// Share of the light that passes the clouds, 0 to 1.
+    /// Fraction of the light that passes the clouds, 0 to 1.
     fn light(&self, since_start: Duration) -> f64 {
         match self {
             Self::Trajectory(_) => 1.0,
@@ -74,7 +74,7 @@ pub struct FlightScenes {
     pub template: Scene,
     /// The Sun of every scene, except for its place and smear.
     pub sun: Sun,
-    /// How long the shutter is open. The Sun is as bright as `sun` says at [`EXPOSURE`], and in proportion otherwise.
+    /// Exposure time. The Sun has the brightness of `sun` at [`EXPOSURE`], and is proportional otherwise.
     pub exposure: Duration,
     course: Course,
     drift: MappingDrift,
@@ -112,7 +112,7 @@ impl FlightScenes {
         })
     }
 
-    /// The scene whose exposure has its middle `since_start` of the run.
+    /// The scene with mid-exposure `since_start` of the run.
     pub fn scene(&self, number: u64, since_start: Duration) -> Result<Scene, SceneError> {
         let velocity = self.course.velocity_mil_per_s(since_start);
         let exposure_s = self.exposure.as_secs_f64();
@@ -137,7 +137,7 @@ impl FlightScenes {
     }
 }
 
-/// A mapping that differs from the stated one by up to its sigmas: half of each for good, half coming and going.
+/// A mapping that differs from the stated one by up to its sigmas: half of each is constant, half varies periodically.
 #[derive(Debug, Clone)]
 struct MappingDrift {
     stated: SimilarityParameters,

@@ -1,4 +1,4 @@
-//! The unfiltered Sun in a picture, or beside it: its disc, glow and rays, and the flares of the lens on the line through the picture's middle.
+//! The unfiltered Sun in a picture, or beside it: its disc, glow and rays, and the lens flares on the line through the picture's middle.
 
 use super::Generator;
 use crate::units::SensorPx;
@@ -33,7 +33,7 @@ pub(super) struct Glare {
 }
 
 impl Glare {
-    /// Of a Sun at a place, in the picture or beside it, with so many flares on the line through the picture's middle.
+    /// The glare of a Sun in the picture or beside it, with `flares` flares on the line through the picture's middle.
     pub fn new(
         sun: SensorPx,
         radius_px: f64,
@@ -84,7 +84,7 @@ impl Flare {
         const SOFT_PX: f64 = 4.0;
         let depth = (self.radius_px - at.distance(self.at)) / SOFT_PX;
         match self.is_ring {
-            // A ring's Gaussian ends where it is nothing.
+            // Here a ring's Gaussian is negligible.
             true if depth.abs() > 5.0 => 0.0,
             true => self.light_dn * (-0.5 * depth * depth).exp(),
             false => self.light_dn * (0.5 + depth / 2.0).clamp(0.0, 1.0),

@@ -1,4 +1,4 @@
-//! How a simulated gondola hangs under its balloon: all that it carries swings with it.
+//! Attitude of a simulated gondola under its balloon: everything that it carries swings with it.
 
 use crate::geometry::attitude::Direction;
 use crate::pointing::body_nadir;
@@ -6,10 +6,10 @@ use crate::units::Measured;
 use std::f64::consts::TAU;
 use std::time::Duration;
 
-/// Swings of a balloon's gondola: amplitude, deg, and period, s. The long one is the whole flight train's, the short one its own.
+/// Swings of a balloon's gondola: amplitude, deg, and period, s. The long one is that of the whole flight train, the short one the gondola's own.
 const ROLL: [(f64, f64); 2] = [(0.8, 12.3), (0.2, 3.7)];
 const PITCH: [(f64, f64); 1] = [(0.3, 12.3)];
-/// It hangs with a small tilt, deg.
+/// Constant roll, deg.
 const TILT_DEG: f64 = 1.5;
 
 /// A gondola under its balloon.
@@ -22,7 +22,7 @@ pub enum Gondola {
 }
 
 impl Gondola {
-    /// Positive with the right side low, some time after the start.
+    /// Roll, positive with the right side low, at a time after the start.
     pub fn roll_deg(self, after: Duration) -> f64 {
         match self {
             Self::Still => 0.0,
@@ -30,7 +30,7 @@ impl Gondola {
         }
     }
 
-    /// Positive with the forward end high.
+    /// Pitch, positive with the forward end high.
     pub fn pitch_deg(self, after: Duration) -> f64 {
         match self {
             Self::Still => 0.0,
@@ -38,7 +38,7 @@ impl Gondola {
         }
     }
 
-    /// Straight down in its axes: forward, right and down.
+    /// Nadir in its axes: forward, right and down.
     pub fn nadir(self, after: Duration) -> Direction {
         let [roll, pitch] = [self.roll_deg(after), self.pitch_deg(after)];
         body_nadir(Measured::new(roll, 0.0), Measured::new(pitch, 0.0))

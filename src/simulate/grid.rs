@@ -1,4 +1,4 @@
-//! The sub-samples at which a scene is rendered, and where each lies on the plate.
+//! The sub-samples at which a scene is rendered, and their positions on the plate.
 
 use super::coverage::Footprint;
 use super::scene::{Scene, Sun};
@@ -6,11 +6,11 @@ use crate::geometry::Mapping;
 use crate::units::{PlateMil, SensorPx};
 use std::ops::Range;
 
-/// The mapping is computed every so many pixels and drawn straight between. Under a keystone of 3 deg straight
-/// lines differ from it by less than 5e-5 px.
+/// Spacing of the pixels at which the mapping is computed; between them it is interpolated linearly. Under a keystone of 3 deg
+/// the interpolation error is less than 5e-5 px.
 const NODE_STEP_PX: usize = 4;
 
-/// The pixels that the Sun reaches.
+/// The pixels that the Sun's light reaches.
 pub(super) struct Window {
     pub x: usize,
     pub y: usize,
@@ -19,7 +19,7 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// `None` where the Sun does not reach the sensor.
+    /// `None` if the Sun does not reach the sensor.
     pub(super) fn around(sun: &Sun, scene: &Scene, margin_px: usize) -> Option<Self> {
         let smear = sun.smear_mil.norm() / 2.0 / local_scale(sun, &scene.mapping);
         let (low, high) = bounds(sun.limb_px(&scene.mapping));
@@ -58,7 +58,7 @@ fn bounds(positions: impl Iterator<Item = SensorPx>) -> (SensorPx, SensorPx) {
     })
 }
 
-/// The sub-samples of a window and its margin, and where each lies on the plate, from the Sun's centre.
+/// The sub-samples of a window and its margin, with their positions on the plate relative to the Sun's centre.
 pub(super) struct Grid {
     pub origin: PlateMil,
     /// Sensor position of the first sub-sample.
@@ -127,7 +127,7 @@ impl Grid {
         }
     }
 
-    /// Rows and columns of the sub-samples within some sensor positions, two pixels to spare; `None` when the grid holds none.
+    /// Rows and columns of the sub-samples within some sensor positions, with a margin of two pixels; `None` if the grid contains none.
     pub(super) fn span(
         &self,
         corners: impl Iterator<Item = SensorPx>,

@@ -1,4 +1,4 @@
-//! Frames that `calibrate camera` asks for: without light and evenly lit, by the camera of random scenes; and what that camera is in truth.
+//! Frames for `calibrate camera`: without light and evenly lit, by the camera of random scenes; and the true properties of that camera.
 
 use super::scene::{Scene, Sun};
 use super::{EXPOSURE, Purpose, RandomScenes};
@@ -11,10 +11,10 @@ impl RandomScenes {
         self.without_sun(Purpose::Covered, number)
     }
 
-    /// The scene of a frame before an even lamp, without the plate: `share` of the lamp's light in the middle, which is as bright as
-    /// the Sun's disc would be, at an exposure that grows with it.
+    /// The scene of a frame of an even lamp, without the plate: `share` is the lamp's light in the middle relative to the brightness of
+    /// the Sun's disc, at an exposure proportional to it.
     pub fn evenly_lit(&self, number: u64, share: f64) -> Scene {
-        /// A disc so large is even all over the sensor.
+        /// Radius of a disc that is uniform over the whole sensor.
         const RADIUS_MIL: f64 = 1e5;
         let mut scene = self.without_sun(Purpose::EvenLamp, number);
         scene.sun = Some(Sun {
@@ -29,13 +29,13 @@ impl RandomScenes {
 }
 
 impl Scene {
-    /// The camera in truth, in its own DN: all sigmas are 0.
+    /// The true properties of the camera, in its own DN: all sigmas are 0.
     pub fn sensor(&self) -> Sensor {
         let exact = |value: f64| Measured::new(value, 0.0);
         let steps = f64::from(self.depth.steps_per_dn());
         let electrons = self.noise.electrons_per_dn;
         let photons = electrons.map_or(0.0, |electrons| self.background_dn.max(0.0) / electrons);
-        // Rounding to whole numbers has the variance 1/12.
+        // Rounding to integers has the variance 1/12.
         let variance = steps.powi(2) * (self.noise.read_dn.powi(2) + photons) + 1.0 / 12.0;
         let mut hot_pixels: Vec<_> = self
             .blemishes

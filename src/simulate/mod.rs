@@ -1,22 +1,22 @@
-//! Pictures of the Sun on the plate with the truth beside them, and whole flights of such pictures.
+//! Pictures of the Sun on the plate with their truth, and whole flights of such pictures.
 //!
-//! A [`Scene`] is everything a picture consists of; [`Scene::picture`] renders it to a [`Frame`](crate::frame::Frame) and states its
+//! A [`Scene`] contains everything that defines a picture; [`Scene::picture`] renders it to a [`Frame`](crate::frame::Frame) and states its
 //! [`Truth`]. The same scene gives the same frame, bit for bit. [`RandomScenes`] draws scenes by condition,
 //! [`RandomScenes::covered`] and [`RandomScenes::evenly_lit`] show the same camera without Sun,
-//! [`FlightScenes`] follows a [`Trajectory`], [`DriftScenes`] the Sun past a gondola that stands still. Beside them the gondola's side of the link: [`controller`];
-//! and what another camera sees, the Earth's limb: [`earth`].
+//! [`FlightScenes`] follows a [`Trajectory`], [`DriftScenes`] the Sun as it drifts past a fixed gondola. Further parts: the gondola's side of the
+//! link, [`controller`]; and the Earth's limb in another camera, [`earth`].
 //!
-//! # How a picture is made
+//! # Rendering
 //!
-//! 1. The part of the sensor that the Sun reaches is sampled S x S times per pixel (S = 3). Each sub-sample looks up
-//!    its place on the plate, takes the disc's light there and what the plate returns of it; edges count by the
-//!    share of the sub-sample behind them, so that sampling moves nothing.
-//! 2. One separable kernel blurs and integrates over the pixel. Coma and a ghost are further images of the same plate, each with its
+//! 1. The part of the sensor that the Sun reaches is sampled S x S times per pixel (S = 3). For each sub-sample,
+//!    its place on the plate gives the disc's light there and the reflectance of the plate; edges are weighted by the
+//!    fraction of the sub-sample behind them, so that sampling causes no displacement.
+//! 2. One separable kernel blurs and integrates over the pixel. Coma and a ghost are further images of the same plate, each with its own
 //!    shift and blur.
 //! 3. On the sensor: leaks, vignetting, dust, gradients of stray light; smear along the columns, background, the step between the
-//!    halves; then noise, digitising, hot pixels.
+//!    halves; then noise, digitisation, hot pixels.
 //!
-//! Positions are true to 0.001 px: `tests/simulation.rs` holds the proof.
+//! Positions are accurate to 0.001 px: `tests/simulation.rs` proves it.
 
 mod blemish;
 mod blur;
@@ -73,14 +73,14 @@ pub const EXPOSURE: Duration = Duration::from_millis(15);
 /// Angular radius of the Sun on 2013-09-21, the day of the HEROES flight: asin(695 700 km / distance), arcsec.
 pub const SUN_RADIUS_ARCSEC: f64 = 955.59;
 
-/// Where simulated frames are taken: float altitude above Fort Sumner, New Mexico.
+/// Place of simulated frames: float altitude above Fort Sumner, New Mexico.
 pub const FORT_SUMNER: Place = Place {
     latitude_deg: 34.49,
     longitude_deg: -104.2218,
     height_m: 38_405.0,
 };
 
-/// Facts of a simulated frame, except for its time.
+/// Exposure data of a simulated frame, except for its time.
 fn frame_info(number: u64) -> FrameInfo {
     FrameInfo {
         number: Some(number),
@@ -91,10 +91,10 @@ fn frame_info(number: u64) -> FrameInfo {
     }
 }
 
-/// The generator behind everything that is drawn at random here: fast, and the same on every machine.
+/// The random generator for everything that is drawn here: fast, and the same on every computer.
 type Generator = Xoshiro256PlusPlus;
 
-/// Purpose of a generator. Each purpose has its own numbers, so that one more hot pixel moves nothing else.
+/// Purpose of a generator. Each purpose has its own random numbers, so that one more hot pixel changes nothing else.
 #[derive(Debug, Clone, Copy)]
 enum Purpose {
     Plate = 1,

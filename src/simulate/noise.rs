@@ -1,4 +1,4 @@
-//! From light to digital numbers: noise and depth.
+//! Conversion of light to digital numbers: noise and digitisation.
 
 use super::scene::{Depth, Noise};
 use super::{Purpose, generator};
@@ -6,7 +6,7 @@ use crate::frame::Pixels;
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
-/// How a sensor is read.
+/// Readout of a sensor.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Readings {
     pub width_px: usize,
@@ -26,7 +26,7 @@ pub(super) fn read_out(light: &[f32], readings: &Readings) -> Pixels {
     }
 }
 
-/// Row by row: first the row's random numbers, then arithmetic that the compiler can do for many pixels at once.
+/// Row by row: first the row's random numbers, then arithmetic that the compiler can vectorise.
 fn digitised<T>(light: &[f32], readings: &Readings, stored: impl Fn(f32) -> T) -> Vec<T> {
     let steps = readings.depth.steps_per_dn();
     let noise = readings.noise;
@@ -42,7 +42,7 @@ fn digitised<T>(light: &[f32], readings: &Readings, stored: impl Fn(f32) -> T) -
         if noise != Noise::NONE {
             normal.fill_with(|| rng.sample(StandardNormal));
         }
-        // Half a step up and cut off: the nearest step. Numbers beyond a pixel's end at its limits.
+        // Adding half a step and truncating rounds to the nearest. Numbers beyond a pixel's range are clipped.
         let dn = |(&light, normal): (&f32, &f32)| (light + sigma(light) * normal) * steps + 0.5;
         pixels.extend(row.iter().zip(&normal).map(|pixel| stored(dn(pixel))));
     }

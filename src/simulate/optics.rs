@@ -1,7 +1,7 @@
 //! Stray light and readout: coma, a ghost, gradients, smear along the columns, a step between the sensor's halves.
 //!
 //! Coma and ghost are images of the plate beside the sharp one: the same plate under a mapping that is shifted and with more blur, so that light
-//! from beyond the sensor's edge reaches the sensor as it does in a camera. The rest is added to the pixels.
+//! from beyond the sensor's edge reaches the sensor as in a camera. The other effects are added to the pixels.
 
 use super::scene::{Coma, Extent, Ghost, Gradient, Readout, Scene, StrayLight};
 use super::{Purpose, generator};
@@ -12,7 +12,7 @@ use rand::RngExt;
 use std::borrow::Cow;
 use std::f64::consts::TAU;
 
-/// How much stray light to draw. Its directions are drawn at random.
+/// Amounts of stray light. Its directions are drawn at random.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Strengths {
     /// Rise of additive light across the sensor; see [`Extent::Sensor`].
@@ -21,15 +21,15 @@ pub struct Strengths {
     pub disc_gradient_dn: f64,
     /// Light of the ghost relative to that of the Sun.
     pub ghost: f64,
-    /// Share of the light that coma displaces.
+    /// Fraction of the light that coma displaces.
     pub coma: f64,
 }
 
-/// How far the ghost is shifted, in radii of the Sun.
+/// Shift of the ghost, in solar radii.
 const GHOST_OFFSET_RADII: std::ops::Range<f64> = 0.5..1.4;
 /// Blur of the ghost, 1 sigma, px.
 const GHOST_BLUR_PX: std::ops::Range<f64> = 3.0..8.0;
-/// How far coma displaces its share of the light, px.
+/// Displacement by coma, px.
 const COMA_OFFSET_PX: f64 = 1.5;
 /// Blur of the displaced light, 1 sigma, px.
 const COMA_BLUR_PX: f64 = 2.5;
@@ -38,7 +38,7 @@ impl StrayLight {
     /// Stray light drawn at random for a Sun of `radius_px`.
     pub(super) fn random(strengths: &Strengths, radius_px: f64, seed: u64) -> Self {
         let mut rng = generator(seed, Purpose::Optics, 0);
-        // Everything is drawn whether it is wanted or not: one more effect moves no other.
+        // Everything is drawn whether it is used or not, so that one more effect changes no other.
         let [sensor, disc, ghost, coma]: [f64; 4] =
             std::array::from_fn(|_| rng.random_range(0.0..TAU));
         let ghost_radii = rng.random_range(GHOST_OFFSET_RADII);
@@ -86,7 +86,7 @@ impl StrayLight {
 }
 
 impl Gradient {
-    /// A place, the light there in DN, and its slope in DN/px; `None` where the place is not determined.
+    /// A place, the light there in DN, and its slope in DN/px; `None` if the place is not determined.
     fn plane(&self, scene: &Scene) -> Option<(SensorPx, f64, Vector2<f64>)> {
         let direction = unit(self.direction_rad);
         match self.across {
@@ -108,7 +108,7 @@ impl Gradient {
 }
 
 impl Readout {
-    /// Turns light into what the readout gives: smear along the columns, the background, the step between the halves.
+    /// Adds the effects of the readout to the light: smear along the columns, the background, the step between the halves.
     pub(super) fn add(&self, scene: &Scene, light: &mut [f32]) {
         let (background, step) = (scene.background_dn as f32, self.tap_step_dn as f32);
         let mut level = vec![background; scene.width_px];
@@ -176,7 +176,7 @@ pub(super) fn images(scene: &Scene) -> Vec<Image<'_>> {
     sharp.into_iter().flatten().chain(ghost).collect()
 }
 
-/// A mapping whose picture lies elsewhere on the sensor. `None` never, for a mapping that can be inverted.
+/// A mapping whose picture is shifted on the sensor. It is never `None` for an invertible mapping.
 fn shifted(mapping: &Mapping, by_px: Vector2<f64>) -> Option<Mapping> {
     let lens = mapping.distortion();
     let lens = Distortion {

@@ -6,10 +6,10 @@ use nalgebra::Vector2;
 use serde::Deserialize;
 use std::path::Path;
 
-/// A path made of pieces, each from its own start to that of the next; the last never ends, or the path starts over.
+/// A path made of pieces, each from its own start to that of the next; the last one never ends, unless the path repeats.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Pieces {
-    /// The path starts over after so many seconds.
+    /// Period of the path, s, if it repeats.
     pub repeat_s: Option<f64>,
     #[serde(default, rename = "piece")]
     pub pieces: Vec<Piece>,
@@ -19,20 +19,20 @@ pub struct Pieces {
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 pub struct Piece {
     pub start_s: f64,
-    /// Where on the plate the Sun is at the start of the piece, mil.
+    /// Position of the Sun on the plate at the start of the piece, mil.
     pub sun_mil: [f64; 2],
-    /// How fast it moves from there, mil/s.
+    /// Its velocity from there, mil/s.
     #[serde(default)]
     pub slew_mil_per_s: [f64; 2],
-    /// How far the picture is turned about the plate's centre, from +x towards +y.
+    /// Rotation of the picture about the plate's centre, from +x towards +y.
     #[serde(default)]
     pub roll_deg: f64,
-    /// Share of the light that the clouds absorb, 0 to 1.
+    /// Fraction of the light that the clouds absorb, 0 to 1.
     #[serde(default)]
     pub cloud: f64,
 }
 
-/// Keys of a file, for errors that name the nearest.
+/// Keys of a file, for errors that suggest the nearest one.
 const KEYS: [&str; 7] = [
     "repeat_s",
     "piece",
@@ -47,7 +47,7 @@ impl Pieces {
     /// Reads a path.
     ///
     /// # Errors
-    /// A file that cannot be read, unknown keys, values out of range, and pieces that are not in the order of time from 0 s
+    /// If the file cannot be read, has unknown keys or values out of range, or its pieces are not in the order of time from 0 s
     /// on.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
         Self::parse(path, &read_text(path)?)
@@ -99,7 +99,7 @@ impl Pieces {
         }
     }
 
-    /// The piece that holds at a time, and how long it has.
+    /// The piece at a time, and the time since its start.
     fn at(&self, time_s: f64) -> Option<(&Piece, f64)> {
         let time_s = self.repeat_s.map_or(time_s, |repeat_s| time_s % repeat_s);
         let begun = self.pieces.partition_point(|piece| piece.start_s <= time_s);
@@ -124,7 +124,7 @@ impl Pieces {
         self.at(time_s).map_or(0.0, |(piece, _)| piece.roll_deg)
     }
 
-    /// Share of the light that passes the clouds, 0 to 1.
+    /// Fraction of the light that passes the clouds, 0 to 1.
     pub(super) fn light(&self, time_s: f64) -> f64 {
         self.at(time_s).map_or(1.0, |(piece, _)| 1.0 - piece.cloud)
     }

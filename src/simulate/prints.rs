@@ -61,7 +61,7 @@ struct Disc {
 }
 
 impl Disc {
-    /// Its edge is straight over a sub-sample.
+    /// Coverage of a sub-sample; its edge counts as straight over a sub-sample.
     fn coverage(&self, at: Vector2<f64>) -> f64 {
         let from_centre = at - self.centre;
         let distance = from_centre.norm();
@@ -74,7 +74,7 @@ impl Disc {
     }
 }
 
-/// Something on the plate that changes the light it sends back, and the sub-samples it concerns.
+/// A print on the plate that changes its reflected light, and the sub-samples that it covers.
 pub(super) struct Print {
     shape: Shape,
     pub rows: Range<usize>,
@@ -82,11 +82,11 @@ pub(super) struct Print {
 }
 
 enum Shape {
-    /// Two arms that take a share of the light.
+    /// Two arms that absorb a fraction of the light.
     Cross { arms: [Bar; 2], contrast: f64 },
-    /// A disc that does.
+    /// A disc that absorbs a fraction of the light.
     Dot { disc: Disc, contrast: f64 },
-    /// A bar that sends back so many times the light.
+    /// A bar that reflects `brightness` times the light.
     Scratch { bar: Bar, brightness: f64 },
 }
 

@@ -1,4 +1,4 @@
-//! Random scenes by condition: the same instrument throughout, the Sun elsewhere in every frame.
+//! Random scenes by condition: the same instrument throughout, with the Sun at another place in every frame.
 
 use super::blemish::Counts;
 use super::optics::Strengths;
@@ -14,14 +14,14 @@ use nalgebra::Vector2;
 use rand::RngExt;
 use std::f64::consts::TAU;
 
-/// Where the Sun stands in random scenes.
+/// Position of the Sun in random scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SunInView {
     /// Anywhere with the whole disc on the sensor.
     Whole,
-    /// Cut by the sensor's edge, half its radius or more still on the sensor.
+    /// Cut by the sensor's edge, with at least half its radius still on the sensor.
     Partial,
-    /// Nowhere.
+    /// Not in the picture.
     Absent,
 }
 
@@ -36,13 +36,13 @@ pub struct Conditions {
     pub keystone_deg: f64,
     pub peak_dn: f64,
     pub background_dn: f64,
-    /// Share of the light that a mark absorbs, 0 to 1.
+    /// Fraction of the light that a mark absorbs, 0 to 1.
     pub mark_contrast: f64,
     /// Displacement of the marks from the instrument's plate, rms in each axis.
     pub mark_scatter_mil: f64,
     /// Gaussian, 1 sigma.
     pub blur_px: f64,
-    /// How far the Sun moves during the exposure, in a direction that is drawn for every frame.
+    /// Motion of the Sun during the exposure, in a direction drawn for every frame.
     pub smear_px: f64,
     pub sunspots: usize,
     /// Whether the Sun has the surface of HMI's picture, turned and mirrored at random; see [`Surface::Hmi`].
@@ -56,7 +56,7 @@ pub struct Conditions {
 }
 
 impl Conditions {
-    /// The instrument as it states itself, the Sun whole, 5 DN of noise, no blemishes.
+    /// The instrument as stated, the whole Sun in view, 5 DN of noise, no blemishes.
     pub fn of(instrument: &Instrument) -> Self {
         Self {
             sun: SunInView::Whole,
@@ -81,7 +81,7 @@ impl Conditions {
     }
 }
 
-/// Random scenes: plate, mapping, blemishes, stray light and the Sun's surface belong to the seed, place, smear and noise to
+/// Random scenes: plate, mapping, blemishes, stray light and the Sun's surface depend on the seed; place, smear and noise on
 /// the frame.
 #[derive(Debug, Clone)]
 pub struct RandomScenes {
@@ -146,7 +146,7 @@ impl RandomScenes {
         })
     }
 
-    /// The scene of a frame with the Sun at a place on the plate, moving by so many mil a second.
+    /// The scene of a frame with the Sun at a place on the plate, moving with a velocity in mil/s.
     pub(super) fn scene_at(&self, number: u64, centre: PlateMil, per_s: Vector2<f64>) -> Scene {
         Scene {
             sun: Some(Sun {
@@ -160,7 +160,7 @@ impl RandomScenes {
         }
     }
 
-    /// The scene of a frame that only the camera makes: no Sun, nothing of the plate, no stray light; its noise is that of a purpose.
+    /// The scene of a frame that only the camera makes: no Sun, no plate, no stray light; the noise has the seed of a purpose.
     pub(super) fn without_sun(&self, purpose: Purpose, number: u64) -> Scene {
         let mut scene = Scene {
             stray: StrayLight::default(),
@@ -178,7 +178,7 @@ impl RandomScenes {
         self.sun.peak_dn
     }
 
-    /// The mapping that all scenes share.
+    /// The mapping of all scenes.
     pub(super) fn mapping(&self) -> &Mapping {
         &self.template.mapping
     }
@@ -194,7 +194,7 @@ impl RandomScenes {
             self.template.width_px as f64,
             self.template.height_px as f64,
         );
-        // Enough for a sensor on which only one place in a thousand will do.
+        // Enough for a sensor on which only one place in a thousand is suitable.
         for _ in 0..20_000 {
             let seen = SensorPx::new(
                 rng.random_range(-reach..width + reach),
@@ -226,7 +226,7 @@ impl RandomScenes {
         self.sun.radius_mil / scale
     }
 
-    /// Whether the Sun stands where the conditions want it.
+    /// Whether the position of the Sun fulfils the conditions.
     fn suits(&self, sun: &Sun, seen: SensorPx) -> bool {
         // A margin for the blur and the smear at the edge.
         let spare = 2.0 + 2.0 * self.template.blur_px + self.smear_px / 2.0;
@@ -244,7 +244,7 @@ impl RandomScenes {
     }
 }
 
-/// How far a position lies inside the sensor's nearest edge, px; negative outside.
+/// Distance of a position inside the sensor's nearest edge, px; negative outside.
 fn depth_in(scene: &Scene, at: SensorPx) -> f64 {
     let (width, height) = (scene.width_px as f64, scene.height_px as f64);
     let x = (at.x + 0.5).min(width - 0.5 - at.x);
@@ -259,7 +259,7 @@ fn middle(scene: &Scene) -> SensorPx {
     )
 }
 
-/// HMI's picture as the seed turns and mirrors it, or none.
+/// HMI's picture, turned and mirrored by the seed, or none.
 fn surface(hmi: bool, seed: u64) -> Surface {
     let mut rng = generator(seed, Purpose::Optics, 1);
     let turned = Surface::Hmi {
@@ -269,7 +269,7 @@ fn surface(hmi: bool, seed: u64) -> Surface {
     if hmi { turned } else { Surface::Plain }
 }
 
-/// Spots within the Sun's activity belts, as far as a picture in one colour shows: nearer its centre than its limb.
+/// Random spots; they are nearer the disc's centre than its limb, which represents the activity belts.
 fn sunspots(count: usize, radius_mil: f64, seed: u64) -> Vec<Sunspot> {
     let mut rng = generator(seed, Purpose::Sun, u64::MAX);
     let spot = |_| {

@@ -1,4 +1,4 @@
-//! Rendering: the Sun's light on the plate, sampled finer than the pixels, blurred and brought to the sensor.
+//! Rendering: the Sun's light on the plate, sampled more finely than the pixels, blurred and mapped to the sensor.
 
 use super::blur::Kernel;
 use super::disc::exposures;
@@ -9,7 +9,7 @@ use super::prints::prints;
 use super::scene::{Picture, Scene, SceneError, Sun};
 use crate::frame::Frame;
 
-/// Sub-samples of a pixel in each axis. Against 15, pixels change by 0.03 DN at most, 0.2 DN around a sunspot and
+/// Number of sub-samples per pixel in each axis. Compared with 15, pixels change by at most 0.03 DN, 0.2 DN around a sunspot and
 /// 0.5 DN where an arm of a mark runs along the limb.
 pub const SAMPLES_PER_PX: usize = 3;
 
@@ -49,7 +49,7 @@ pub fn render_exact(scene: &Scene) -> Vec<f32> {
     render_oversampled(scene, SAMPLES_PER_PX)
 }
 
-/// As [`render_exact`], with `samples_per_px` sub-samples of a pixel in each axis.
+/// As [`render_exact`], with `samples_per_px` sub-samples per pixel in each axis.
 pub fn render_oversampled(scene: &Scene, samples_per_px: usize) -> Vec<f32> {
     let mut light = vec![0.0; scene.width_px * scene.height_px];
     for image in images(scene) {

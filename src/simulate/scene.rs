@@ -1,4 +1,4 @@
-//! A scene, the frame it gives, and the truth about it.
+//! A scene, its frame, and the truth about it.
 
 use super::{Cover, Purpose, generator};
 use crate::frame::{Frame, FrameError, FrameInfo};
@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector2};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
-/// Why a scene cannot be made.
+/// Reason why a scene cannot be made.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SceneError {
     #[error("expected a mapping that can be inverted; check scale, rotation and keystone")]
@@ -27,7 +27,7 @@ pub enum SceneError {
     Frame(#[from] FrameError),
 }
 
-/// Everything a picture consists of. DN are those of an 8-bit camera, whatever the depth.
+/// Everything that defines a picture. DN are those of an 8-bit camera, whatever the depth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     pub width_px: usize,
@@ -36,7 +36,7 @@ pub struct Scene {
     pub plate: Plate,
     /// `None` for a picture without Sun.
     pub sun: Option<Sun>,
-    /// Share of the light that a mark absorbs, 0 to 1.
+    /// Fraction of the light that a mark absorbs, 0 to 1.
     pub mark_contrast: f64,
     /// Level of every pixel without light, DN.
     pub background_dn: f64,
@@ -49,11 +49,11 @@ pub struct Scene {
     pub depth: Depth,
     /// Seed of the noise.
     pub seed: u64,
-    /// Facts that the frame will state.
+    /// Data that the frame will state.
     pub info: FrameInfo,
 }
 
-/// Linear limb darkening of the Sun as HEROES saw it at 630 nm in 2013: light falls as 1 - u (1 - cos theta) towards the limb.
+/// Linear limb darkening of the Sun as observed by HEROES at 630 nm in 2013: the light is proportional to 1 - u (1 - cos theta).
 pub const LIMB_DARKENING: f64 = 0.56;
 
 /// The Sun's image on the plate.
@@ -64,25 +64,25 @@ pub struct Sun {
     pub radius_mil: f64,
     /// Light at the disc's centre, above the background.
     pub peak_dn: f64,
-    /// Linear limb darkening: light falls as 1 - u (1 - cos theta) towards the limb.
+    /// Linear limb darkening u: the light is proportional to 1 - u (1 - cos theta).
     pub limb_darkening: f64,
     pub surface: Surface,
     pub spots: Vec<Sunspot>,
     pub covers: Vec<Cover>,
-    /// How far the image moves during the exposure.
+    /// Motion of the image during the exposure.
     pub smear_mil: Vector2<f64>,
 }
 
-/// Structure of the disc beside its linear limb darkening.
+/// Structure of the disc besides its linear limb darkening.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub enum Surface {
-    /// Nothing.
+    /// No structure.
     #[default]
     Plain,
     /// Spots, granulation and the limb darkening of the continuum picture that SDO/HMI took on 2023-01-31, relative to a linear
     /// limb darkening of 0.56.
     Hmi {
-        /// How far the picture is turned, rad.
+        /// Rotation of the picture, rad.
         turn_rad: f64,
         mirrored: bool,
     },
@@ -91,15 +91,15 @@ pub enum Surface {
 /// A dark disc on the Sun.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sunspot {
-    /// From the Sun's centre.
+    /// Offset from the Sun's centre.
     pub offset_mil: Vector2<f64>,
     pub radius_mil: f64,
-    /// Share of the light that it absorbs, 0 to 1.
+    /// Fraction of the light that it absorbs, 0 to 1.
     pub contrast: f64,
 }
 
 impl Sun {
-    /// A Sun at rest, without spots, as bright and as limb-darkened as HEROES saw it at 630 nm in 2013.
+    /// A Sun at rest, without spots, with the brightness and limb darkening observed by HEROES at 630 nm in 2013.
     pub fn new(centre: PlateMil, radius_mil: f64) -> Self {
         Self {
             centre,
@@ -113,7 +113,7 @@ impl Sun {
         }
     }
 
-    /// Share of the light that passes the cover of the Sun at a place, 0 to 1.
+    /// Fraction of the light that passes the covers of the Sun at a place, 0 to 1.
     pub fn left_by_covers(&self, at: PlateMil) -> f64 {
         let offset_mil = at.vector() - self.centre.vector();
         self.covers.iter().map(|c| c.left(offset_mil)).product()
@@ -137,29 +137,29 @@ pub struct Blemishes {
     pub scratches: Vec<Scratch>,
     pub leaks: Vec<Leak>,
     pub dust: Vec<Dust>,
-    /// Share of the light that is lost in the corners of the sensor; it falls with the square of the distance from
+    /// Fraction of the light that is lost in the corners of the sensor; the loss grows with the square of the distance from
     /// the middle.
     pub vignetting: f64,
 }
 
-/// A pixel that is saturated whatever it sees.
+/// A pixel that is always saturated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HotPixel {
     pub x: usize,
     pub y: usize,
 }
 
-/// A straight scratch on the plate. It shows only where the Sun lights it.
+/// A straight scratch on the plate. It is visible only where the Sun lights it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scratch {
     pub start: PlateMil,
     pub end: PlateMil,
     pub width_mil: f64,
-    /// Its light relative to the plate's around it.
+    /// Its light relative to that of the surrounding plate.
     pub brightness: f64,
 }
 
-/// Light that comes past the baffles: a soft spot near the plate's edge.
+/// Light that passes the baffles: a soft spot near the plate's edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Leak {
     pub centre: PlateMil,
@@ -169,17 +169,17 @@ pub struct Leak {
     pub peak_dn: f64,
 }
 
-/// A speck of dust before the sensor: a soft shadow.
+/// A speck of dust in front of the sensor: a soft shadow.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dust {
     pub centre: SensorPx,
     /// Gaussian, 1 sigma.
     pub sigma_px: f64,
-    /// Share of the light that it absorbs at its middle, 0 to 1.
+    /// Fraction of the light that it absorbs at its middle, 0 to 1.
     pub depth: f64,
 }
 
-/// Light that the optics put where it does not belong. None of it moves the truth.
+/// Stray light of the optics. It does not change the truth.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct StrayLight {
     pub gradients: Vec<Gradient>,
@@ -191,7 +191,7 @@ pub struct StrayLight {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gradient {
     pub rise_dn: f64,
-    /// Where it rises to, from +x towards +y, rad.
+    /// Direction of the rise, from +x towards +y, rad.
     pub direction_rad: f64,
     pub across: Extent,
 }
@@ -199,9 +199,9 @@ pub struct Gradient {
 /// The span of a gradient.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Extent {
-    /// The sensor, from nothing in its darkest corner.
+    /// The sensor, from zero in its darkest corner.
     Sensor,
-    /// The Sun's disc, from half the rise at its darkest limb; nothing without a Sun, and never below nothing.
+    /// The Sun's disc, from half the rise at its darkest limb; zero without a Sun, and never negative.
     Disc,
 }
 
@@ -215,12 +215,12 @@ pub struct Ghost {
     pub blur_px: f64,
 }
 
-/// A share of the light displaced to one side. The rest moves the other way as far as keeps the centroid, so that the
-/// centre of the image stays where the truth says.
+/// Displacement of a fraction of the light to one side. The rest is shifted the other way so that the centroid is conserved: the
+/// centre of the image stays at its true place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Coma {
     pub share: f64,
-    /// From the middle of the rest.
+    /// Displacement relative to the rest.
     pub offset_px: Vector2<f64>,
     /// Gaussian, 1 sigma, beyond the blur of the image.
     pub blur_px: f64,
@@ -229,9 +229,9 @@ pub struct Coma {
 /// Levels that the readout of the sensor adds.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Readout {
-    /// Frame transfer: every pixel receives this share of all the light of its column in addition.
+    /// Frame transfer: every pixel additionally receives this fraction of all the light in its column.
     pub column_smear: f64,
-    /// By how much the right half of the sensor, with an amplifier of its own, lies above the left.
+    /// Level of the right half of the sensor, with an amplifier of its own, above the left.
     pub tap_step_dn: f64,
 }
 
@@ -240,14 +240,14 @@ pub struct Readout {
 pub struct Noise {
     /// Additive Gaussian noise, 1 sigma.
     pub read_dn: f64,
-    /// Photo-electrons of one DN; with it, photons add noise of variance signal / gain, drawn from a Gaussian.
+    /// Photo-electrons per DN; if set, photons add noise of variance signal / gain, drawn from a Gaussian.
     pub electrons_per_dn: Option<f64>,
 }
 
 impl Noise {
     pub const NONE: Self = Self::read(0.0);
 
-    /// Additive noise alone.
+    /// Only additive noise.
     pub const fn read(read_dn: f64) -> Self {
         Self {
             read_dn,
@@ -256,7 +256,7 @@ impl Noise {
     }
 }
 
-/// How finely the camera digitises.
+/// Bit depth of the camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Depth {
     /// 8 bits, saturating at 255.
@@ -270,7 +270,7 @@ pub enum Depth {
 }
 
 impl Depth {
-    /// Where a pixel saturates, in the camera's own DN.
+    /// Saturation of a pixel, in the camera's own DN.
     pub fn saturation_dn(self) -> u16 {
         match self {
             Self::Eight => 255,
@@ -280,7 +280,7 @@ impl Depth {
         }
     }
 
-    /// The camera's own DN in one 8-bit DN.
+    /// The camera's own DN per 8-bit DN.
     pub fn steps_per_dn(self) -> f32 {
         match self {
             Self::Eight => 1.0,
@@ -303,11 +303,11 @@ pub struct Picture {
 pub struct Truth {
     pub sun: Option<TruthOfSun>,
     pub mapping: Mapping,
-    /// Every mark on the sensor that the Sun lights, wholly or in part.
+    /// Every mark on the sensor that the Sun lights, completely or in part.
     pub marks: Vec<LitMark>,
 }
 
-/// Where the Sun is in truth.
+/// True position of the Sun.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TruthOfSun {
     pub plate: PlateMil,
@@ -321,15 +321,15 @@ pub struct TruthOfSun {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LitMark {
     pub id: MarkId,
-    /// Where it is printed, scatter included.
+    /// Its printed position, including scatter.
     pub plate: PlateMil,
     pub px: SensorPx,
-    /// How far its centre lies inside the limb; negative where only an arm is lit.
+    /// Distance of its centre inside the limb; negative if only an arm is lit.
     pub depth_mil: f64,
 }
 
 impl Scene {
-    /// A picture without Sun, blemishes or noise, by an instrument under a mapping.
+    /// A picture without Sun, blemishes or noise, of an instrument with this mapping.
     pub fn new(instrument: &Instrument, mapping: Mapping) -> Self {
         Self {
             width_px: instrument.camera.width_px,
@@ -394,10 +394,10 @@ impl Scene {
     }
 }
 
-/// The mapping of a camera that is tilted against the plate by `keystone_deg`.
+/// The mapping of a camera that is tilted relative to the plate by `keystone_deg`.
 ///
-/// With c the plate's centre on the sensor and q the position from it after rotation, px, a plate position is seen
-/// at c + q / (1 + k q.x), k = tan(keystone) / (4 x sensor width): parallel lines along x run together. `None` when
+/// With c the plate's centre on the sensor and q the position from it after rotation, px, a plate position is imaged
+/// at c + q / (1 + k q.x), k = tan(keystone) / (4 x sensor width): parallel lines along x converge. `None` if
 /// the parameters give no mapping.
 pub fn keystoned(
     parameters: SimilarityParameters,
@@ -422,7 +422,7 @@ pub fn keystoned(
     )
 }
 
-/// The plate with every mark displaced at random, `rms_mil` in each axis, as printing does.
+/// The plate with every mark displaced at random, `rms_mil` in each axis, to simulate errors of printing.
 pub fn scattered(plate: &Plate, rms_mil: f64, seed: u64) -> Plate {
     let mut rng = generator(seed, Purpose::Plate, 0);
     let mut printed = plate.clone();

@@ -1,4 +1,4 @@
-//! The gondola's IMU and GPS receiver, which speak in time.
+//! The gondola's IMU and GPS receiver, which send in real time.
 
 use super::navigation::{NoFlight, TelescopeFlight};
 use crate::link::{AnyPort, BytePort, ImuPacket, PortError};
@@ -8,7 +8,7 @@ use std::time::Duration;
 /// How long a packet or a sentence waits for space.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(10);
 
-/// Change of a sample before it is sent; `None` where it is lost.
+/// Change of a sample before it is sent; `None` if it is lost.
 pub type Corrupt = Box<dyn FnMut(ImuPacket) -> Option<ImuPacket> + Send>;
 
 /// The sensors of a simulated flight. They are silent until they [join](Self::join) its cameras.
@@ -17,14 +17,14 @@ pub struct Sensors {
     corrupt: Corrupt,
     /// The receiver's port; it is silent without one.
     gps: Option<AnyPort>,
-    /// How far the flight is ahead of the caller's clock.
+    /// Lead of the flight over the caller's clock.
     ahead: Option<SignedDuration>,
-    /// The next sample and the next second of the receiver.
+    /// The next sample.
     sample: u64,
     second: u64,
 }
 
-/// Why the sensors are silent.
+/// Reason why the sensors are silent.
 #[derive(Debug, thiserror::Error)]
 pub enum SensorError {
     #[error(transparent)]
@@ -45,7 +45,7 @@ impl Sensors {
         }
     }
 
-    /// Begins with the second of the flight in which it is this time, unless they speak already. `now` is the caller's clock, as in
+    /// Starts the sensors at this time of the flight, rounded down to a second, unless they send already. `now` is the caller's clock, as in
     /// [`speak`](Self::speak).
     pub fn join(&mut self, utc: Timestamp, now: Duration) {
         let since_start = utc.duration_since(self.flight.start());
@@ -57,12 +57,12 @@ impl Sensors {
         self.second = second + 1;
     }
 
-    /// The same with an IMU that is not what it should be.
+    /// The same with an IMU whose samples are changed.
     pub fn corrupted(self, corrupt: Corrupt) -> Self {
         Self { corrupt, ..self }
     }
 
-    /// How long there is nothing to say.
+    /// Time until the next data are due.
     pub fn wait(&self, now: Duration) -> Duration {
         let Some(ahead) = self.ahead else {
             return Duration::MAX;
@@ -73,20 +73,20 @@ impl Sensors {
         Duration::try_from(left).unwrap_or_default()
     }
 
-    /// When the next sample's interval ends, since the flight's start.
+    /// End of the next sample's interval, since the flight's start.
     fn due(&self) -> Duration {
         Duration::from_nanos(self.sample * 1_000_000_000 / self.flight.rate_hz())
     }
 
-    /// Says what is due: samples over the controller's line, sentences over the receiver's own.
+    /// Sends data that are due: samples over the controller's line, sentences over the receiver's own.
     ///
     /// # Errors
-    /// A lost port of the controller, and a flight that goes where nothing points.
+    /// If the controller's port is lost, or the flight has no attitude at this time.
     pub fn speak(&mut self, port: &mut dyn BytePort, now: Duration) -> Result<(), SensorError> {
         while self.wait(now).is_zero() {
             let sample = self.flight.sample(self.sample)?;
             self.sample += 1;
-            // Of its numbers each fits its packet, except for some of a corrupted one: an IMU sends no such packet.
+            // All its numbers fit the packet, except for some of a corrupted sample: an IMU sends no such packet.
             if let Some(Ok(packet)) = (self.corrupt)(sample).map(|sample| sample.packet()) {
                 write(port, &packet.encode())?;
             }
@@ -99,7 +99,7 @@ impl Sensors {
         Ok(())
     }
 
-    /// Says sentences of the receiver, until the other end of its line hangs up: a flight that ends does so before the controller.
+    /// Sends sentences of the receiver, until the other end closes its line: at the end of a flight it does so before the controller.
     fn say(&mut self, sentences: &str) {
         let said = self
             .gps
@@ -161,7 +161,7 @@ mod tests {
         };
         let sample = ImuPacket::decode(first).unwrap();
         assert_eq!(sample.time, start + Duration::from_millis(7_010));
-        // The next second of the receiver is due in three quarters of one.
+        // The next second of the receiver is due in 0.75 s.
         sensors
             .speak(&mut near, now + Duration::from_millis(800))
             .unwrap();

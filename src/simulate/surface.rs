@@ -1,7 +1,7 @@
-//! The Sun's surface as HMI saw it: what its picture shows beside a linear limb darkening.
+//! The Sun's surface in HMI's picture, relative to a linear limb darkening.
 //!
-//! The limb stays that of the disc: exact, where the truth says. Of the picture only the light within 0.98 radii is taken; what lies farther out
-//! repeats what the picture shows there in the same direction.
+//! The limb remains that of the disc: exactly at its true place. Only the part of the picture within 0.98 radii is used; places farther out
+//! repeat the value at that radius in the same direction.
 
 use super::scene::{LIMB_DARKENING, Surface};
 use image::ImageFormat;
@@ -13,14 +13,14 @@ use std::sync::OnceLock;
 const PICTURE: &[u8] = include_bytes!("hmi.png");
 /// Radius of the Sun in the picture, px.
 const RADIUS_PX: f64 = 202.910;
-/// Farther out the picture's own limb begins, blurred and ringing.
+/// Radius, in solar radii, beyond which the picture's own limb begins, blurred and with ringing.
 const REACH: f64 = 0.98;
 
-/// A surface that is turned to its place on the disc.
+/// A surface with its orientation on the disc.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Texture {
     picture: &'static Picture,
-    /// From radii on the disc to radii in the picture.
+    /// Transformation from radii on the disc to radii in the picture.
     turn: nalgebra::Matrix2<f32>,
 }
 
@@ -47,7 +47,7 @@ impl Texture {
         })
     }
 
-    /// Factor of the light of a plain disc, at a place in radii from its centre.
+    /// Factor on the light of a plain disc, at a place in radii from its centre.
     pub(super) fn at(&self, place: Vector2<f32>) -> f32 {
         let reach = REACH as f32;
         let within = place * (reach / place.norm().max(reach));
@@ -58,7 +58,7 @@ impl Texture {
 }
 
 impl Picture {
-    /// Bilinear between the four pixels around a place within the disc.
+    /// Bilinear interpolation between the four pixels around a place within the disc.
     fn between(&self, at: Vector2<f32>) -> f32 {
         let last = self.side as f32 - 1.001;
         let (x, y) = (at.x.clamp(0.0, last), at.y.clamp(0.0, last));
@@ -73,7 +73,7 @@ impl Picture {
     }
 }
 
-/// The picture, decoded once; `None` never, which a test holds.
+/// The picture, decoded once; it is never `None`, which a test checks.
 fn picture() -> Option<&'static Picture> {
     static DECODED: OnceLock<Option<Picture>> = OnceLock::new();
     DECODED.get_or_init(decoded).as_ref()
@@ -103,7 +103,7 @@ fn decoded() -> Option<Picture> {
     })
 }
 
-/// Sum and number of the pixels within a tenth of the radius.
+/// Sum and number of the pixels within 0.1 radii.
 fn near_middle(values: &[f32], side: usize) -> (f32, f32) {
     let reach = (0.1 * RADIUS_PX) as usize;
     let middle = side / 2;

@@ -1,4 +1,4 @@
-//! Random patterns: numbers at the corners of a grid in space, smooth ones between them, and along a limb's circle.
+//! Random patterns: values at the corners of a grid in space, smooth interpolation between them, and functions along the limb's circle.
 
 use super::{Purpose, derived_seed};
 use nalgebra::Vector3;
@@ -19,12 +19,12 @@ impl Random {
         }
     }
 
-    /// 0 to 1; each `which` has numbers of its own.
+    /// A value from 0 to 1; each `which` has values of its own.
     pub fn at(&self, corner: &Vector3<f64>, which: u64) -> f64 {
         share(corner.iter().fold(mix(self.seed ^ which), along))
     }
 
-    /// Those of the eight corners of a cell, the one along x next to each other: what corners share is mixed once.
+    /// The values at the eight corners of a cell, neighbours along x next to each other: the hash of common coordinates is computed once.
     fn around(&self, cell: &Vector3<f64>, which: u64) -> [f64; 8] {
         let next = cell.add_scalar(1.0);
         let [x, y, z] = [0, 1, 2].map(|axis| [&cell[axis], &next[axis]]);
@@ -35,24 +35,24 @@ impl Random {
     }
 }
 
-/// The mixing of SplitMix64 (Steele, Lea and Flood 2014).
+/// The mixing function of SplitMix64 (Steele, Lea and Flood 2014).
 fn mix(bits: u64) -> u64 {
     let bits = (bits ^ bits >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let bits = (bits ^ bits >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
     bits ^ bits >> 31
 }
 
-/// Bits that a whole number changes.
+/// Mixes an integer into the bits.
 fn along(bits: u64, number: &f64) -> u64 {
     mix(bits.wrapping_add(0x9e37_79b9_7f4a_7c15) ^ (*number as i64 as u64))
 }
 
-/// 0 to 1.
+/// A value from 0 to 1.
 fn share(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// Value noise in several octaves, each half as strong and twice as fine as the one before.
+/// Value noise in several octaves, each with half the amplitude and half the scale of the one before.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pattern {
     random: Random,
@@ -67,7 +67,7 @@ impl Pattern {
         }
     }
 
-    /// 0 to 1, about a half, at a place in units of the coarsest cell.
+    /// A value from 0 to 1, with mean 0.5, at a place in units of the coarsest cell.
     pub fn at(&self, place: &Vector3<f64>) -> f64 {
         let (mut sum, mut most, mut scale) = (0.0, 0.0, 1.0);
         for octave in 0..Self::OCTAVES {
@@ -89,17 +89,17 @@ impl Pattern {
     }
 }
 
-/// A random function of the azimuth, correlated as a Gaussian.
+/// A random function of the azimuth with a Gaussian correlation.
 #[derive(Debug, Clone)]
 pub(super) struct AlongLimb {
-    /// Empty where nothing varies.
+    /// Empty if nothing varies.
     values: Vec<f64>,
 }
 
 impl AlongLimb {
     const STEPS: usize = 720;
 
-    /// With 1 sigma of `sigma`, nothing where that is 0; the correlation falls to 1/e over `length_deg`.
+    /// A function with 1 sigma of `sigma`, zero if that is 0; the correlation falls to 1/e over `length_deg`.
     pub fn new(sigma: f64, length_deg: f64, mut random: impl Rng) -> Self {
         if sigma == 0.0 {
             return Self { values: Vec::new() };
@@ -107,7 +107,7 @@ impl AlongLimb {
         let white: Vec<f64> = (0..Self::STEPS)
             .map(|_| random.sample(StandardNormal))
             .collect();
-        // White noise through a Gaussian of half the width has a correlation of this one.
+        // White noise filtered with a Gaussian of half this width has a correlation of this width.
         let width = length_deg / 360.0 * Self::STEPS as f64 / 2.0;
         let weight = |n: usize| {
             let away = n.min(Self::STEPS - n) as f64;
@@ -127,7 +127,7 @@ impl AlongLimb {
         }
     }
 
-    /// Towards a ray (north, east, down).
+    /// The value in the direction of a ray (north, east, down).
     pub fn at(&self, ray: &Vector3<f64>) -> f64 {
         if self.values.is_empty() {
             return 0.0;

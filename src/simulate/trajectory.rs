@@ -15,10 +15,10 @@ use std::time::Duration;
 /// The fastest slew of the gondola (Cramer 2014, section 4.2.1).
 pub const MAX_SLEW_DEG_PER_S: f64 = 0.25;
 
-/// Sway is at most this far from the path, in each axis.
+/// Largest sway from the path, in each axis.
 const SWAY_PX: f64 = 17.5;
 
-/// The fastest sway, both axes together.
+/// Largest sway rate, both axes together.
 const SWAY_PX_PER_S: f64 = 22.0;
 
 /// The path of the Sun's image over the plate.
@@ -32,7 +32,7 @@ pub struct Trajectory {
     slews: Vec<Slew>,
     start: Vector2<f64>,
     swings: [[Swing; 2]; 2],
-    /// The path starts over after so many seconds.
+    /// Period of the path, s, if it repeats.
     cycle_s: Option<f64>,
 }
 
@@ -48,15 +48,15 @@ struct Slew {
 pub(super) struct Swing {
     pub amplitude: f64,
     pub period_s: f64,
-    /// At the start, rad.
+    /// Phase at the start, rad.
     pub phase: f64,
 }
 
 impl Trajectory {
     /// The demonstration's path: the Sun is absent only between 60 % and 75 % of `duration`.
     ///
-    /// While the whole disc is in view it keeps to [`MAX_SLEW_DEG_PER_S`]. In a run of less than about two and
-    /// a half minutes it crosses the edge of the field faster than that, or it could not be gone and back in time.
+    /// While the whole disc is in view its rate is at most [`MAX_SLEW_DEG_PER_S`]. In a run of less than about 2.5 minutes
+    /// it crosses the edge of the field faster than that, as otherwise it could not leave and return in time.
     pub fn demo(
         instrument: &Instrument,
         radius_mil: f64,
@@ -81,12 +81,12 @@ impl Trajectory {
         Ok(plan.trajectory(Some(CYCLE_S)))
     }
 
-    /// Where on the plate the Sun is, perhaps outside what the camera sees, `since_start` of the run.
+    /// Position of the Sun on the plate, possibly outside the camera's view, `since_start` of the run.
     pub fn position(&self, since_start: Duration) -> PlateMil {
         self.mapping.to_plate(self.seen(since_start.as_secs_f64()))
     }
 
-    /// How fast it moves over the plate, mil/s.
+    /// Its velocity on the plate, mil/s.
     pub fn velocity_mil_per_s(&self, since_start: Duration) -> Vector2<f64> {
         let time_s = since_start.as_secs_f64();
         let (_, path) = self.path(self.in_cycle(time_s));
@@ -108,7 +108,7 @@ impl Trajectory {
         self.cycle_s.map_or(time_s, |cycle| time_s % cycle)
     }
 
-    /// Place and speed on the path without sway, px and px/s.
+    /// Position and velocity on the path without sway, px and px/s.
     fn path(&self, time_s: f64) -> (Vector2<f64>, Vector2<f64>) {
         let begun = self.slews.partition_point(|s| s.time_s.start <= time_s);
         match begun.checked_sub(1).and_then(|last| self.slews.get(last)) {
@@ -143,15 +143,15 @@ impl Swing {
     }
 }
 
-/// A path being laid out, px on the sensor.
+/// A path under construction, px on the sensor.
 struct Plan {
     mapping: Mapping,
     rng: Generator,
-    /// Where the path may rest: the middle of the plate, where many marks are lit.
+    /// Region where the path may rest: the middle of the plate, where many marks are lit.
     home: [Range<f64>; 2],
     /// The last place with the whole disc in view, on the way out.
     gate: Vector2<f64>,
-    /// A place with nothing of the disc in view.
+    /// A place with no part of the disc in view.
     away: Vector2<f64>,
     slew_px_per_s: f64,
     start: Vector2<f64>,
@@ -212,7 +212,7 @@ impl Plan {
         self.rng.random_range(2.0..6.0)
     }
 
-    /// How long a slew takes whose peak, twice its mean, is the fastest allowed.
+    /// Duration of a slew whose peak rate, twice its mean, is the largest allowed.
     fn slew_s(&self, from: Vector2<f64>, to: Vector2<f64>) -> f64 {
         2.0 * (to - from).norm() / self.slew_px_per_s
     }
@@ -223,14 +223,14 @@ impl Plan {
         }
     }
 
-    /// The path before and through the absence, laid out backwards from the moment the Sun leaves.
+    /// The path before and through the absence, constructed backwards from the moment the Sun leaves.
     fn until_gone(&mut self, absence_s: &Range<f64>) {
         let (mut time_s, mut to) = (absence_s.start, self.gate);
         while time_s > 0.0 {
             let mut from = self.anywhere_at_home();
             let needed_s = self.slew_s(from, to);
             let begin_s = (time_s - needed_s).max(0.0);
-            // Where the time does not suffice, come from nearer by.
+            // If the time does not suffice, start from a nearer place.
             if needed_s > time_s {
                 from = to + (from - to) * (time_s / needed_s);
             }
@@ -291,7 +291,7 @@ fn within(rng: &mut Generator, range: &Range<f64>) -> f64 {
     }
 }
 
-/// How far the picture may be shifted against the instrument's stated mapping, and a margin for the blur.
+/// Possible shift of the picture relative to the instrument's stated mapping, and a margin for the blur.
 fn uncertainty_px(instrument: &Instrument) -> f64 {
     let (camera, mounting) = (&instrument.camera, &instrument.mounting);
     let half_diagonal = (camera.width_px as f64).hypot(camera.height_px as f64) / 2.0;

@@ -40,7 +40,7 @@ fn solution(millisecond: i64) -> Message {
     })
 }
 
-/// The report after the messages have come in this order, numbered from 1.
+/// The report after these messages in this order, numbered from 1.
 fn report_of(messages: &[Message]) -> Report {
     let numbered = (1..).zip(messages);
     report_of_packets(numbered.map(|(n, m)| m.packet(id::CONTROLLER, n).unwrap().encode()))

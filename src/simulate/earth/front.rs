@@ -1,4 +1,4 @@
-//! Things between the camera and the Earth, or beside it: the vehicle's struts and banners, a Moon, light that the lens scatters.
+//! Objects between the camera and the Earth, or beside it: the vehicle's struts and banners, a Moon, light that the lens scatters.
 
 use super::EarthConditions;
 use crate::simulate::Generator;
@@ -6,10 +6,10 @@ use nalgebra::{Rotation2, Vector2};
 use rand::RngExt;
 use std::ops::Range;
 
-/// Extra blur of near edges beyond the lens's usual blur, px.
+/// Extra blur of near edges in addition to the lens's, px.
 const SOFT_PX: f64 = 0.5;
 
-/// A part of the vehicle: a rectangle, evenly lit.
+/// A part of the vehicle: a uniformly lit rectangle.
 #[derive(Debug, Clone, Copy)]
 struct Panel {
     middle: Vector2<f64>,
@@ -19,7 +19,7 @@ struct Panel {
 }
 
 impl Panel {
-    /// A strut from one end of the picture to the other, or a banner that hides up to a tenth of it.
+    /// A strut from one end of the picture to the other, or a banner that covers up to a tenth of it.
     fn drawn(picture: &Vector2<f64>, random: &mut Generator) -> Self {
         const LIGHT_DN: Range<f64> = 15.0..230.0;
         const STRUT_PX: Range<f64> = 4.0..60.0;
@@ -37,7 +37,7 @@ impl Panel {
         }
     }
 
-    /// Share of a pixel that it hides.
+    /// Fraction of a pixel that it covers.
     fn hides(&self, at: &Vector2<f64>) -> f64 {
         let inside = self.half_size_px - (self.turn.inverse() * (at - self.middle)).abs();
         (0.5 + inside.min() / (2.0 * SOFT_PX)).clamp(0.0, 1.0)
@@ -51,7 +51,7 @@ struct Moon {
     radius_px: f64,
 }
 
-/// Light that grows from one side of the picture to the other, and towards a place beyond it.
+/// Light that increases from one side of the picture to the other, and towards a place beyond it.
 #[derive(Debug, Clone, Copy)]
 struct Gradient {
     across: Vector2<f64>,
@@ -81,7 +81,7 @@ impl Gradient {
     }
 }
 
-/// All of a scene.
+/// All objects of a scene.
 pub(super) struct Front {
     picture: Vector2<f64>,
     moon: Option<Moon>,
@@ -114,7 +114,7 @@ impl Front {
         }
     }
 
-    /// The light of a pixel whose own light that is, DN.
+    /// The light of a pixel, DN, given its light without these objects.
     pub fn light_dn(&self, at: &Vector2<f64>, behind_dn: f64) -> f64 {
         const MOON_DN: f64 = 200.0;
         let moon = self.moon.map_or(0.0, |moon| {

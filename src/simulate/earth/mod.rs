@@ -1,8 +1,8 @@
-//! Pictures of the Earth's limb from a balloon or a rocket, with the truth beside them.
+//! Pictures of the Earth's limb from a balloon or a rocket, with the truth about them.
 //!
-//! A ray of a pixel passes the air, a deck of clouds and the ground. Air scatters sunlight: its brightness saturates with the air's
-//! optical depth along the ray, which falls off exponentially with the ray's lowest height (Chapman's grazing incidence, for a layer that is
-//! thin against the Earth). Rays are straight.
+//! The ray of a pixel passes the air, a deck of clouds and the ground. Air scatters sunlight: its brightness saturates with the air's
+//! optical depth along the ray, which decreases exponentially with the ray's lowest height (Chapman's grazing incidence, for a layer that is
+//! thin compared with the Earth). Rays are straight.
 
 mod front;
 mod sky;
@@ -24,7 +24,7 @@ use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector2, Vector3};
 use rand::RngExt;
 use sky::Sky;
 
-/// How far a picture is sampled beyond its edges, for the blur.
+/// Margin of the rendered picture beyond its edges, for the blur.
 const MARGIN_PX: usize = 8;
 
 /// Conditions of the pictures: drawn at random for each, or fixed.
@@ -40,19 +40,19 @@ pub struct EarthConditions {
     pub air: Air,
     /// `None` for clear ground.
     pub clouds: Option<Clouds>,
-    /// Night on a part of the Earth: the Sun low, on any side, or where the picture shows it.
+    /// Night on a part of the Earth: the Sun low, in any direction, or at its place in the picture.
     pub terminator: bool,
     /// The Sun in view, with its flares.
     pub sun: bool,
-    /// Light above the limb that falls off over degrees.
+    /// Light above the limb that decreases over degrees.
     pub glow: Option<Glow>,
     /// Struts and banners of the vehicle in view.
     pub structure: bool,
-    /// A full Moon in the picture, before whatever is there.
+    /// A full Moon in the picture, added to the other light.
     pub moon: bool,
-    /// Stray light that grows across the picture.
+    /// Stray light that increases across the picture.
     pub gradient: bool,
-    /// Turn about the camera's vertical during the exposure, deg.
+    /// Rotation about the camera's vertical during the exposure, deg.
     pub spin_deg: f64,
     pub blur_px: f64,
     pub background_dn: f64,
@@ -60,12 +60,12 @@ pub struct EarthConditions {
     pub depth: Depth,
 }
 
-/// Where the camera points.
+/// Pointing of the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Aim {
-    /// The horizon somewhere in the picture, rolled by as much either way, deg.
+    /// The horizon somewhere in the picture, with a roll up to this in either direction, deg.
     Horizon { most_roll_deg: f64 },
-    /// Angle from straight down, deg: the whole Earth in view, from high enough.
+    /// Angle from the nadir, deg: the whole Earth is in view from high enough.
     Down { most_tilt_deg: f64 },
     /// Away from the Earth.
     Space,
@@ -106,13 +106,13 @@ impl EarthConditions {
         }
     }
 
-    /// The same over a limb whose brightness and height vary along it, 1 sigma: by a part, and by m.
+    /// The same with a limb whose brightness (relative) and height (m) vary along it, 1 sigma.
     pub fn varying(mut self, varies_by: f64, varies_by_m: f64) -> Self {
         (self.air.varies_by, self.air.varies_by_m) = (varies_by, varies_by_m);
         self
     }
 
-    /// The scene of a seed and a number.
+    /// The scene for a seed and a number.
     pub fn scene(&self, seed: u64, number: u64) -> EarthScene {
         let mut random = generator(seed, Purpose::Earth, number);
         let latitude_deg = random.random_range(-80.0..80.0);
@@ -135,7 +135,7 @@ impl EarthConditions {
     fn attitude(&self, random: &mut Generator) -> (f64, f64) {
         match self.aim {
             Aim::Horizon { most_roll_deg } => {
-                // The edge of the limb stands by so much below the horizontal.
+                // Dip of the limb's edge below the horizontal.
                 let radius = self.shape.mean_radius_m();
                 let dip_deg = (radius / (radius + self.height_m)).acos().to_degrees();
                 let half_height =
@@ -158,41 +158,41 @@ impl EarthConditions {
     }
 }
 
-/// Everything that a picture of the Earth consists of.
+/// Everything that defines a picture of the Earth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EarthScene {
     pub conditions: EarthConditions,
-    /// Geodetic.
+    /// Geodetic latitude.
     pub latitude_deg: f64,
-    /// Of the optical axis, from north over east.
+    /// Azimuth of the optical axis, from north over east.
     pub heading_deg: f64,
     /// Positive with the right side low.
     pub roll_deg: f64,
-    /// Of the optical axis, above the horizontal.
+    /// Elevation of the optical axis above the horizontal.
     pub pitch_deg: f64,
     pub seed: u64,
     pub number: u64,
-    /// Which limb and which clouds: frames of one flight share them.
+    /// Number of the limb and the clouds: frames of one flight share them.
     pub weather: u64,
-    /// Of those of the vehicle: each has its own noise.
+    /// Number of the vehicle's camera: each has its own noise.
     pub camera: u64,
 }
 
 /// The truth about a picture of the Earth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EarthTruth {
-    /// In the camera frame: straight down.
+    /// Nadir in the camera frame.
     pub nadir: UnitVector3<f64>,
     /// Height above the ground at which the clear limb has half of its greatest brightness above the dark sky, m.
     pub edge_m: f64,
     /// Length of the edge that the picture shows, px.
     pub arc_px: f64,
-    /// Share of that edge on which the Sun shines with half of its light or more.
+    /// Fraction of that edge that has at least half of the full sunlight.
     pub lit: f64,
 }
 
 impl EarthScene {
-    /// Turns directions of the camera frame to north, east, down.
+    /// Rotation from the camera frame to north, east, down.
     pub fn local_from_camera(&self) -> Rotation3<f64> {
         let [roll, pitch, heading] =
             [self.roll_deg, self.pitch_deg, self.heading_deg].map(f64::to_radians);
@@ -204,7 +204,7 @@ impl EarthScene {
         level * Rotation3::from_matrix_unchecked(body_from_camera)
     }
 
-    /// The same scene at the same moment, seen by another camera whose directions `turn` takes to the frame of this one.
+    /// The same scene at the same moment in another camera; `turn` rotates its directions to the frame of this one.
     pub fn seen_by(&self, turn: &Rotation3<f64>) -> Self {
         let local = self.local_from_camera() * turn;
         let down = local.inverse() * Vector3::z_axis();
@@ -221,7 +221,7 @@ impl EarthScene {
     /// The frame: rendered, with noise, digitised.
     ///
     /// # Errors
-    /// A picture without pixels.
+    /// If the picture has no pixels.
     pub fn frame(&self) -> Result<Frame, FrameError> {
         let conditions = &self.conditions;
         let readings = Readings {
@@ -297,7 +297,7 @@ impl EarthScene {
         Some(Glare::new(sun, radius_px, middle, FLARES, &mut random))
     }
 
-    /// Where the picture has the Sun: on the sky. A picture without any has no Sun in it.
+    /// Position of the Sun in the picture, on the sky; `None` without a Sun, or if the picture shows no sky.
     fn sun_px(&self) -> Option<SensorPx> {
         self.sun_among(&mut generator(self.seed, Purpose::Glare, self.number))
     }
@@ -323,19 +323,19 @@ impl EarthScene {
         )
     }
 
-    /// The angle from straight down to the ground's edge.
+    /// The angle from the nadir to the ground's edge.
     fn edge_angle_rad(&self) -> f64 {
         let radius = self.conditions.shape.mean_radius_m();
         (radius / (radius + self.conditions.height_m)).asin()
     }
 
-    /// Whether a pixel sees what is above the ground.
+    /// Whether a pixel is above the ground.
     fn shows_sky(&self, at: SensorPx) -> bool {
         let ray = self.conditions.camera.ray(at);
         ray.is_some_and(|ray| (self.local_from_camera() * ray).z < self.edge_angle_rad().cos())
     }
 
-    /// The turns of the camera that the exposure is the mean of, deg.
+    /// The rotations of the camera over which the exposure is averaged, deg.
     fn turns_deg(&self) -> Vec<f64> {
         const STEP_PX: f64 = 1.0;
         let spin_deg = self.conditions.spin_deg;
@@ -364,7 +364,7 @@ impl EarthScene {
         }
     }
 
-    /// The edge within the picture: pieces' lengths, px, and the ray to each in north, east, down.
+    /// The edge within the picture: lengths of its pieces, px, and the ray to each in north, east, down.
     fn arc(&self, edge_m: f64) -> Vec<(f64, Vector3<f64>)> {
         const STEPS: u32 = 3600;
         let conditions = &self.conditions;

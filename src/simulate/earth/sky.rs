@@ -34,7 +34,7 @@ impl Shape {
         self.equator_m * (1.0 - self.flattening)
     }
 
-    /// A place on longitude 0 by geodetic latitude and height, m from the centre: the ellipse at the reduced latitude, and the height along
+    /// A place on longitude 0 from geodetic latitude and height, m from the centre: the ellipse at the reduced latitude, and the height along
     /// its normal.
     pub fn place(&self, latitude_rad: f64, height_m: f64) -> Vector3<f64> {
         let (sine, cosine) = latitude_rad.sin_cos();
@@ -50,15 +50,15 @@ impl Shape {
 /// Air that scatters sunlight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Air {
-    /// Brightness of thick air, DN.
+    /// Brightness of optically thick air, DN.
     pub brightness_dn: f64,
     /// Optical depth of a ray that grazes the ground.
     pub depth: f64,
     /// Height over which the air's density falls to 1/e.
     pub scale_m: f64,
-    /// A layer that scatters more than the air about it.
+    /// A layer that scatters more than the surrounding air.
     pub haze: Option<Haze>,
-    /// Brightness of the airglow's layer at 90 km, DN: with no Sun, too.
+    /// Brightness of the airglow's layer at 90 km, DN: also without the Sun.
     pub airglow_dn: f64,
     /// Brightness along the limb: 1 sigma, relative.
     pub varies_by: f64,
@@ -69,7 +69,7 @@ pub struct Air {
 }
 
 impl Air {
-    /// As pictures from 38 and 230 km show it: half as bright at 20 km.
+    /// Air as in pictures from 38 and 230 km: half as bright at 20 km.
     pub const CLEAR: Self = Self {
         brightness_dn: 165.0,
         depth: 12.0,
@@ -81,7 +81,7 @@ impl Air {
         length_deg: 10.0,
     };
 
-    /// A ray that passes higher brings less than a thousandth of a DN.
+    /// Height above which a ray contributes less than 0.001 DN.
     fn top_m(&self) -> f64 {
         const SCALES: f64 = 15.0;
         const SIGMAS: f64 = 6.0;
@@ -92,32 +92,32 @@ impl Air {
         }
     }
 
-    /// Optical depth of a ray that is lowest at a height and clear of the ground, by haze.
+    /// Optical depth of haze for a ray with this lowest height that is clear of the ground.
     fn haze_depth(&self, height_m: f64) -> f64 {
         self.haze
             .map_or(0.0, |haze| haze.depth * haze.met(height_m))
     }
 }
 
-/// A layer about the Earth.
+/// A layer around the Earth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Haze {
     pub height_m: f64,
-    /// Above it a ray meets less over this height, 1 sigma of a Gaussian.
+    /// Scale of the decrease above it, 1 sigma of a Gaussian.
     pub thickness_m: f64,
     /// Optical depth of a ray that grazes it.
     pub depth: f64,
 }
 
 impl Haze {
-    /// As volcanoes leave it in the stratosphere.
+    /// Volcanic haze in the stratosphere.
     pub const THIN: Self = Self {
         height_m: 20_000.0,
         thickness_m: 2_000.0,
         depth: 0.2,
     };
 
-    /// How much of the layer a ray that is lowest at a height meets, over one that grazes it: a shell is met the steeper, the lower the ray.
+    /// Path of a ray with this lowest height through the layer, relative to a grazing one: the lower the ray, the more steeply it crosses the shell.
     fn met(&self, height_m: f64) -> f64 {
         let above = (height_m - self.height_m) / self.thickness_m;
         match above {
@@ -127,19 +127,19 @@ impl Haze {
     }
 }
 
-/// Oxygen's, as the space station's crew photographs it.
+/// Airglow of oxygen, as in photographs from the space station.
 const AIRGLOW: Haze = Haze {
     height_m: 90_000.0,
     thickness_m: 5_000.0,
     depth: 0.0,
 };
 
-/// Light above the limb: sunlight that air, lens or window scatters.
+/// Light above the limb: sunlight scattered by air, lens or window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Glow {
-    /// At the limb, over the limb's brightness.
+    /// Brightness at the limb, relative to the limb's.
     pub brightness: f64,
-    /// It falls to 1/e over this angle above the limb.
+    /// Angle above the limb over which it falls to 1/e.
     pub reach_deg: f64,
 }
 
@@ -154,14 +154,14 @@ impl Glow {
 /// A deck of clouds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Clouds {
-    /// Share of the sky that they cover.
+    /// Fraction of the sky that they cover.
     pub cover: f64,
     pub height_m: f64,
     pub brightness_dn: f64,
 }
 
 impl Clouds {
-    /// Over half of the ground, as high as the air's lower layer reaches.
+    /// Clouds over half of the ground, up to the height of the air's lower layer.
     pub const BRIGHT: Self = Self {
         cover: 0.5,
         height_m: 10_000.0,
@@ -169,7 +169,7 @@ impl Clouds {
     };
 }
 
-/// Of ground without clouds, DN.
+/// Brightness of ground without clouds, DN.
 const GROUND_DN: f64 = 70.0;
 /// Size of the largest clouds, m.
 const CLOUD_M: f64 = 400_000.0;
@@ -177,15 +177,15 @@ const CLOUD_M: f64 = 400_000.0;
 /// A scene's sky, ready for its rays.
 pub(super) struct Sky<'a> {
     scene: &'a EarthScene,
-    /// The camera's place over the ellipsoid's half axes: there the ground is the unit sphere.
+    /// The camera's place in units of the ellipsoid's half axes: in this scaled frame the ground is the unit sphere.
     place: Vector3<f64>,
-    /// From north, east, down to that frame, in metres.
+    /// Transformation from north, east, down, in metres, to that frame.
     scaled_from_local: Matrix3<f64>,
     pattern: Pattern,
     brightness: AlongLimb,
     height: AlongLimb,
     sunlight: Option<Sunlight>,
-    /// Of the ground's edge.
+    /// Angle from the nadir to the ground's edge.
     edge_angle_rad: f64,
 }
 
@@ -279,14 +279,14 @@ impl<'a> Sky<'a> {
         }
     }
 
-    /// Metres of height for a unit of the scaled frame.
+    /// Metres of height per unit of the scaled frame.
     fn radius_m(&self, at: &Vector3<f64>) -> f64 {
         let shape = self.scene.conditions.shape;
         let polar = at.z / at.norm();
         shape.equator_m * (1.0 - shape.flattening * polar * polar)
     }
 
-    /// Share of the Sun's light where a ray is lowest.
+    /// Fraction of the Sun's light at the lowest point of a ray.
     fn lit(&self, lowest: &Vector3<f64>) -> f64 {
         let Some(sunlight) = &self.sunlight else {
             return 1.0;
@@ -295,12 +295,12 @@ impl<'a> Sky<'a> {
         sunlight.share(towards.dot(&lowest.normalize()))
     }
 
-    /// The same of a ray (north, east, down; unit).
+    /// The same for a ray (north, east, down; unit).
     pub fn lit_towards(&self, ray: &Vector3<f64>) -> f64 {
         self.lit(&self.passage(ray).lowest)
     }
 
-    /// How much of a ray a deck of clouds covers, and its light; `None` above the clouds.
+    /// Fraction of a ray covered by a deck of clouds, and its light; `None` above the clouds.
     fn cloud(&self, clouds: &Clouds, passage: &Passage, air: &Air) -> Option<(f64, f64)> {
         let radius = 1.0 + clouds.height_m / passage.radius_m;
         let lowest = passage.lowest.norm();
@@ -311,7 +311,7 @@ impl<'a> Sky<'a> {
         let top = passage.lowest - passage.along * back;
         const SOFT: f64 = 0.1;
         let pattern = self.pattern.at(&(top * (passage.radius_m / CLOUD_M)));
-        // The pattern has about a half everywhere, and a sigma of about a tenth.
+        // The pattern has a mean of about 0.5, and a sigma of about 0.1.
         let edge = 0.5 + (0.5 - clouds.cover) * 0.4;
         let cover = ((pattern - edge) / SOFT + 0.5).clamp(0.0, 1.0);
         let before = air.depth * (-clouds.height_m / air.scale_m).exp() / 2.0;
@@ -337,20 +337,20 @@ impl<'a> Sky<'a> {
     }
 }
 
-/// How a straight ray passes the Earth.
+/// Passage of a straight ray near the Earth.
 struct Passage {
-    /// Its lowest place, in the scaled frame.
+    /// Its lowest point, in the scaled frame.
     lowest: Vector3<f64>,
     height_m: f64,
     camera_m: f64,
-    /// From the camera; negative for a ray that rises.
+    /// Distance from the camera; negative for a ray that rises.
     to_lowest_m: f64,
     radius_m: f64,
     along: Vector3<f64>,
 }
 
 impl Passage {
-    /// Of a ray that is lowest at a height, seen from another one.
+    /// The passage of a ray with a lowest height, from a camera at another height.
     fn at(height_m: f64, camera_m: f64, shape: &Shape) -> Self {
         let radius_m = shape.mean_radius_m();
         let (lowest, camera) = (radius_m + height_m, radius_m + camera_m);
@@ -368,9 +368,9 @@ impl Passage {
         self.height_m < 0.0 && self.to_lowest_m > 0.0
     }
 
-    /// Optical depth from the camera to where the ray leaves the air or meets the ground.
+    /// Optical depth from the camera to the point where the ray leaves the air or meets the ground.
     fn depth(&self, air: &Air) -> f64 {
-        // Along a ray, density is a Gaussian about the lowest place, of this 1 sigma.
+        // Along a ray, density is a Gaussian about the lowest point, with this 1 sigma.
         let sigma_m = (self.radius_m * air.scale_m).sqrt();
         if self.hits_ground() {
             let u = -self.height_m / air.scale_m;
@@ -378,7 +378,7 @@ impl Passage {
         }
         let before = self.to_lowest_m / sigma_m / 2.0_f64.sqrt();
         if before < 0.0 {
-            // The lowest place lies behind the camera, deep within the Earth if the ray is steep: the air from the camera upwards.
+            // The lowest point is behind the camera, deep within the Earth if the ray is steep: only the air from the camera upwards counts.
             let at_camera = (-self.camera_m / air.scale_m).exp();
             return air.depth * at_camera * scaled_erfc(-before) / 2.0;
         }
@@ -386,7 +386,7 @@ impl Passage {
         depth + air.haze_depth(self.height_m)
     }
 
-    /// Share of the air in front of a place so far before the lowest one, of that on the half of a ray which is lowest there.
+    /// Fraction of the air in front of a point at this distance before the lowest one, relative to that on half of a ray with its lowest point there.
     fn share_to(&self, before_m: f64, air: &Air) -> f64 {
         let sigma_m = (self.radius_m * air.scale_m).sqrt();
         scaled_erfc(before_m / sigma_m / 2.0_f64.sqrt())
@@ -396,7 +396,7 @@ impl Passage {
 /// exp(x^2) erfc(x), for x of 0 and more.
 fn scaled_erfc(x: f64) -> f64 {
     match x {
-        // erfc falls to nothing where its square is still far from overflow.
+        // erfc is negligible where its argument squared is still far from overflow.
         ..5.0 => (x * x).exp() * erfc(x),
         _ => (1.0 - 0.5 / (x * x)) / (x * PI.sqrt()),
     }

@@ -1,4 +1,4 @@
-//! Where the Sun stands, and how its light fades across the terminator.
+//! Direction of the Sun, and the decrease of its light across the terminator.
 
 use super::EarthScene;
 use crate::simulate::{Purpose, generator};
@@ -8,15 +8,15 @@ use rand::RngExt;
 /// Sunlight on a part of the Earth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Sunlight {
-    /// In north, east, down at the camera.
+    /// Direction to the Sun in north, east, down at the camera.
     pub towards: UnitVector3<f64>,
-    /// Over so much of the Sun's sine of elevation its light fades.
+    /// Range of the sine of the Sun's elevation over which its light decreases.
     fades_over: f64,
 }
 
 impl Sunlight {
-    /// Of a scene whose terminator is drawn: the Sun where the picture shows it, or anywhere around, at most a little higher than the limb
-    /// reaches down. `None` of day everywhere.
+    /// The sunlight of a scene with a terminator: from the Sun's place in the picture, or from a random direction, at the lowest so that
+    /// everything in view is just dark. `None` if the whole Earth is in daylight.
     pub fn of(scene: &EarthScene) -> Option<Self> {
         const MOST_SINE: f64 = 0.6;
         const FADES_OVER: std::ops::Range<f64> = 0.05..0.4;
@@ -25,7 +25,7 @@ impl Sunlight {
         }
         let mut random = generator(scene.seed, Purpose::Sunlight, scene.number);
         let azimuth = random.random_range(0.0..std::f64::consts::TAU);
-        // Below the lower end all that is in view lies in the night.
+        // Below the lower end everything in view is dark.
         let lowest = -scene.edge_angle_rad().cos();
         let up: f64 = random.random_range(lowest..MOST_SINE);
         let level = (1.0 - up * up).sqrt();
@@ -43,7 +43,7 @@ impl Sunlight {
         })
     }
 
-    /// The share of the Sun's light where its elevation has a sine.
+    /// The fraction of the Sun's light at a sine of its elevation.
     pub fn share(&self, sine: f64) -> f64 {
         let day = (0.5 + sine / self.fades_over).clamp(0.0, 1.0);
         day * day * (3.0 - 2.0 * day)

@@ -1,4 +1,4 @@
-//! The Earth's limb as a camera of a swinging gondola sees it.
+//! The Earth's limb in a camera of a swinging gondola.
 
 use super::{Aim, EarthConditions, EarthScene};
 use crate::instrument::MountedCamera;
@@ -7,7 +7,7 @@ use crate::units::Place;
 use nalgebra::{Matrix3, Rotation3};
 use std::time::Duration;
 
-/// Of the body's first axis, from north over east.
+/// Azimuth of the body's first axis, from north over east.
 const HEADING_DEG: f64 = 180.0;
 
 /// A gondola that swings under its balloon.
@@ -20,7 +20,7 @@ pub struct SwingingGondola {
 }
 
 impl SwingingGondola {
-    /// With a camera on it, at a place, over a limb that varies by 2 % and 100 m.
+    /// A gondola with a camera, at a place, over a limb that varies by 2 % and 100 m.
     pub fn new(camera: &MountedCamera, place: &Place, seed: u64) -> Self {
         Self {
             conditions: EarthConditions {
@@ -36,16 +36,16 @@ impl SwingingGondola {
         }
     }
 
-    /// The body's roll, some time after the start.
+    /// The body's roll at a time after the start.
     pub fn roll_deg(&self, after: Duration) -> f64 {
         Gondola::Swinging.roll_deg(after)
     }
 
-    /// The camera's picture then; `brightness` times as bright as usual.
+    /// The camera's picture at that time; `brightness` scales the standard one.
     pub fn scene(&self, number: u64, after: Duration, brightness: f64) -> EarthScene {
         let mut conditions = self.conditions.clone();
         conditions.air.brightness_dn *= brightness;
-        // Seen along the body's first axis, and from there by the camera.
+        // First along the body's first axis, then rotated to the camera.
         let forward = EarthScene {
             conditions,
             latitude_deg: self.latitude_deg,

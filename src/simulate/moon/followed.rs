@@ -9,13 +9,13 @@ use jiff::Timestamp;
 use nalgebra::{UnitVector3, Vector3};
 use std::f64::consts::TAU;
 
-/// The mount leaves the Moon so far off the camera's axis, in the picture's height, and swings in so many seconds.
+/// Amplitude of the Moon's excursions from the camera's axis, as a fraction of the picture's height, and their periods in s.
 const SWING: f64 = 0.2;
 const PERIODS_S: [f64; 2] = [37.0, 53.0];
-/// Stars in a picture.
+/// Number of stars in a picture.
 const STARS: usize = 20;
 
-/// The Moon at the phase and size that it has at a place, in a camera that follows it without roll. Below the limb there are stars alone.
+/// The Moon with its phase and size at a place, in a camera that follows it without roll. Below the limb there are only stars.
 #[derive(Debug, Clone)]
 pub struct FollowedMoon {
     camera: DirectionCamera,
@@ -34,10 +34,10 @@ impl FollowedMoon {
         }
     }
 
-    /// The scene of a time; `brightness` is that of the usual exposure's picture, times so much.
+    /// The scene at a time; `brightness` scales that of a picture with the standard exposure.
     ///
     /// # Errors
-    /// A time that the ephemeris does not know.
+    /// If the ephemeris does not cover the time.
     pub fn scene(
         &mut self,
         number: u64,
@@ -70,7 +70,7 @@ impl FollowedMoon {
             conditions,
             centre: SensorPx::new(axis.x + dx, axis.y + dy),
             phase_angle_deg: moon.phase_angle_deg,
-            // From the zenith, which is up in the picture, clockwise.
+            // Clockwise from the zenith, which is up in the picture.
             bright_limb_deg: moon.zenith_to_bright_limb_deg - 90.0,
             turn_deg: 0.0,
             seed: self.seed,
@@ -79,7 +79,7 @@ impl FollowedMoon {
     }
 }
 
-/// An angle downwards from a camera's axis, px.
+/// Distance in the picture for an angle downwards from the camera's axis, px.
 fn vertical_px(camera: &CameraModel, angle_rad: f64) -> f64 {
     let (sin, cos) = angle_rad.sin_cos();
     let at = |ray: UnitVector3<f64>| camera.pixel(&ray).map(|at| at.y);

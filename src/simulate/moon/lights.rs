@@ -6,7 +6,7 @@ use nalgebra::{Rotation2, Vector2};
 use rand::RngExt;
 use std::f64::consts::PI;
 
-/// Of the brightest star, and of planets.
+/// Peak light of the brightest star, and of planets.
 const STAR_DN: f64 = 150.0;
 const PLANET_DN: std::ops::Range<f64> = 200.0..3000.0;
 
@@ -38,20 +38,20 @@ pub(super) fn add_points(scene: &MoonScene, light: &mut [f32]) {
     }
 }
 
-/// An even, more or less round light with glow, on a pole.
+/// A uniform, approximately round light with a glow, on a pole.
 pub(super) struct Lamp {
     at: Vector2<f64>,
     /// Half axes, px.
     half: Vector2<f64>,
     turn: Rotation2<f64>,
     light_dn: f64,
-    /// Of the light, at its rim; falls off over a part of its size.
+    /// Glow at the rim, relative to the light; it decreases over a fraction of the lamp's size.
     glow: f64,
     pole_dn: f64,
 }
 
 impl Lamp {
-    /// At the place of a scene's Moon.
+    /// A lamp at the place of a scene's Moon.
     pub fn of(scene: &MoonScene) -> Self {
         let conditions = &scene.conditions;
         let mut random = generator(scene.seed, Purpose::Lamp, scene.number);
@@ -60,7 +60,7 @@ impl Lamp {
             true => random.random_range(0.35..0.8),
             false => random.random_range(1.3..2.7),
         };
-        // Saturated with glare, another size, or oval: a round lamp of the Moon's size that shows its rim is a full Moon.
+        // Saturated with glare, of another size, or oval: a round lamp of the Moon's size with a visible rim would be a full Moon.
         let (ratio, size, light_dn, glow) = match random.random_range(0..3) {
             0 => (ratio, 1.0, random.random_range(500.0..2000.0), 0.4),
             1 => (ratio, size, random.random_range(80.0..400.0), 0.1),
@@ -84,7 +84,7 @@ impl Lamp {
 
     /// Adds its light to a picture's, row by row.
     pub fn add(&self, width_px: usize, light: &mut [f32]) {
-        /// Half the pole's width, px, and over how many half axes the glow falls to 1/e.
+        /// Half the pole's width, px; and the distance, in half axes, over which the glow falls to 1/e.
         const POLE_PX: f64 = 3.0;
         const GLOW_REACH: f64 = 0.5;
         let mean_px = self.half.sum() / 2.0;
@@ -92,7 +92,7 @@ impl Lamp {
             let place = Vector2::new((n % width_px) as f64, (n / width_px) as f64);
             let away = place - self.at;
             let radii = (self.turn * away).component_div(&self.half).norm();
-            // The rim is as soft as a pixel.
+            // The edge is one pixel wide.
             let within = (0.5 + (1.0 - radii) * mean_px).clamp(0.0, 1.0);
             let glow = self.glow * ((1.0 - radii) / GLOW_REACH).min(0.0).exp();
             let pole_dn = match away.x.abs() < POLE_PX && away.y > 0.0 {

@@ -1,6 +1,6 @@
-//! Pictures of the Moon at any phase, a shaded sphere with or without craters, and of what is no Moon; the truth beside them.
+//! Pictures of the Moon at any phase, a shaded sphere with or without craters, and of other objects; with the truth about them.
 //!
-//! Lengths on the disc are in its radius: x to the right, y down, z to the observer.
+//! Lengths on the disc are in units of its radius: x to the right, y down, z to the observer.
 
 mod followed;
 mod lights;
@@ -25,21 +25,21 @@ use rand::RngExt;
 use std::ops::Range;
 use surface::Surface;
 
-/// A disc of so few pixels is drawn with so many sub-samples in each axis; a larger one with fewer.
+/// The number of sub-samples in each axis is this divided by the disc's radius in px, within the range below.
 const SUBSAMPLED_PX: f64 = 120.0;
 const SUBSAMPLES: Range<usize> = 2..9;
 
-/// Content of a picture.
+/// Object in a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shown {
     Moon,
-    /// The sky alone.
+    /// Only the sky.
     Nothing,
     /// A street lamp, which differs from the Moon in size, in roundness, or by its glow.
     Lamp,
     /// The unfiltered Sun, about as large as the Moon.
     Sun,
-    /// Clouds, and the glow or the corona of a Moon behind them that is not seen itself.
+    /// Clouds, and the glow or the corona of a Moon that they hide.
     Clouds,
 }
 
@@ -48,28 +48,28 @@ pub enum Shown {
 pub struct MoonConditions {
     pub width_px: usize,
     pub height_px: usize,
-    /// Horizontal half axis of the disc over its vertical one.
+    /// Ratio of the disc's horizontal half axis to its vertical one.
     pub pixel_aspect: f64,
     pub shown: Shown,
     /// Vertical half axis.
     pub radius_px: f64,
-    /// Lit shares of the disc, from which each picture draws its own.
+    /// Range of the lit fraction of the disc, from which each picture draws its own.
     pub lit: Range<f64>,
     pub shading: Shading,
     pub craters: bool,
-    /// Large plains half as bright as other ground.
+    /// Large plains with half the brightness of other ground.
     pub seas: bool,
-    /// Of the brightest place above the background.
+    /// Light of the brightest place above the background.
     pub peak_dn: f64,
     pub background_dn: f64,
     pub noise: Noise,
     pub blur_px: f64,
-    /// Light of the dark side, in that of the brightest place.
+    /// Light of the dark side, relative to the brightest place.
     pub earthshine: f64,
     pub stars: usize,
-    /// Brighter than any star.
+    /// Number of points brighter than any star.
     pub planets: usize,
-    /// Light that the lens spreads around the Moon, one radius from its limb, in that of the brightest place.
+    /// Light that the lens spreads around the Moon, one radius from its limb, relative to the brightest place.
     pub glow: f64,
     /// Whether the Sun shines into the lens from beside the picture.
     pub sun_glare: bool,
@@ -79,7 +79,7 @@ pub struct MoonConditions {
 }
 
 impl MoonConditions {
-    /// A camera of 720 x 578 px; noise of 5 DN, 200 DN of Moon, no craters, any lit share from a tenth to the whole.
+    /// A camera of 720 x 578 px; noise of 5 DN, a Moon of 200 DN, no craters, a lit fraction from 0.1 to 1.
     pub fn clear(radius_px: f64) -> Self {
         Self {
             width_px: 720,
@@ -108,8 +108,8 @@ impl MoonConditions {
         }
     }
 
-    /// The scene of a seed and a number: the disc's place, lit share and turn drawn. The whole disc is in view, or its centre within half a radius
-    /// of one of the picture's edges.
+    /// The scene for a seed and a number, with the disc's place, lit fraction and rotation drawn. The whole disc is in view, or its centre is within
+    /// half a radius of one of the picture's edges.
     pub fn scene(&self, seed: u64, number: u64) -> MoonScene {
         let mut random = generator(seed, Purpose::Moon, number);
         let half = Vector2::new(self.radius_px * self.pixel_aspect, self.radius_px);
@@ -147,29 +147,29 @@ impl MoonConditions {
     }
 }
 
-/// Everything that a picture of the Moon consists of.
+/// Everything that defines a picture of the Moon.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MoonScene {
     pub conditions: MoonConditions,
-    /// Of the whole disc.
+    /// Centre of the whole disc.
     pub centre: SensorPx,
     /// 0 full, 180 new.
     pub phase_angle_deg: f64,
-    /// The middle of the bright limb, from +x towards +y, on the disc as it is in the sky: pixels as high as wide.
+    /// Position angle of the middle of the bright limb, from +x towards +y, on the disc as in the sky: for square pixels.
     pub bright_limb_deg: f64,
-    /// Of the surface.
+    /// Rotation of the surface.
     pub turn_deg: f64,
     pub seed: u64,
     pub number: u64,
 }
 
 impl MoonScene {
-    /// The share of the disc that the Sun shines on.
+    /// The lit fraction of the disc.
     pub fn lit(&self) -> f64 {
         (1.0 + self.phase_angle_deg.to_radians().cos()) / 2.0
     }
 
-    /// The middle of the bright limb in the picture, from +x towards +y.
+    /// Position angle of the middle of the bright limb in the picture, from +x towards +y.
     pub fn bright_limb_in_picture_deg(&self) -> f64 {
         let (sin, cos) = self.bright_limb_deg.to_radians().sin_cos();
         sin.atan2(cos * self.conditions.pixel_aspect).to_degrees()
@@ -178,7 +178,7 @@ impl MoonScene {
     /// The frame: rendered, with noise, digitised.
     ///
     /// # Errors
-    /// A picture without pixels.
+    /// If the picture has no pixels.
     pub fn frame(&self) -> Result<Frame, FrameError> {
         let conditions = &self.conditions;
         let readings = Readings {
@@ -219,7 +219,7 @@ impl MoonScene {
         light
     }
 
-    /// Light that falls off with the square of the distance from the middle of the disc's light.
+    /// Adds light that decreases with the square of the distance from the centroid of the disc's light.
     fn add_glow(&self, light: &mut [f32]) {
         let conditions = &self.conditions;
         let sphere = Sphere::new(conditions.shading, self.phase_angle_deg.to_radians());
@@ -271,7 +271,7 @@ impl MoonScene {
             conditions.radius_px * conditions.pixel_aspect,
             conditions.radius_px,
         );
-        // The surface stands up by a few thousandths at most.
+        // Relief exceeds the sphere by a few thousandths at most.
         let reach = half * 1.02 + Vector2::repeat(margin as f64 + 1.0);
         let span = |centre: f64, reach: f64, pixels: usize| {
             let first = (centre - reach).floor().clamp(0.0, pixels as f64) as usize;
@@ -307,7 +307,7 @@ impl MoonScene {
         }
     }
 
-    /// Towards the Sun.
+    /// Direction to the Sun.
     fn sun(&self) -> Vector3<f64> {
         towards_sun(self.phase_angle_deg, self.bright_limb_deg)
     }

@@ -1,4 +1,4 @@
-//! Clouds by night: what the light of a Moon that is not seen makes of them.
+//! Clouds at night, lit by a hidden Moon.
 
 use super::MoonScene;
 use crate::simulate::texture::Pattern;
@@ -7,24 +7,24 @@ use nalgebra::{Vector2, Vector3};
 use rand::RngExt;
 use std::ops::Range;
 
-/// The light in its middle: much of it may be saturated.
+/// Light in the middle of the glow: much of it may be saturated.
 const GLOW_DN: Range<f64> = 40.0..2000.0;
-/// How far it reaches, in shares of the picture's width: drawn evenly in its logarithm, as its brightness is.
+/// Reach of the glow, as a fraction of the picture's width: uniform in its logarithm, like its brightness.
 const GLOW_SHARE: Range<f64> = 0.01..0.5;
-/// Size of the clouds, in the same.
+/// Size of the clouds, as a fraction of the picture's width.
 const CLOUD_SHARE: Range<f64> = 0.05..0.6;
-/// How much of the clouds' pattern is their edge: the less, the sharper.
+/// Width of the clouds' edges in units of their pattern: the smaller, the sharper.
 const EDGE: Range<f64> = 0.005..0.5;
 /// Light of clouds that are lit from below.
 const FROM_BELOW_DN: f64 = 120.0;
 
-/// How the light falls off from its middle.
+/// Profile of the glow.
 #[derive(Debug, Clone, Copy)]
 enum Glow {
     None,
-    /// As a Gaussian, by haze.
+    /// Gaussian, by haze.
     Haze,
-    /// As diffraction by drops of one size makes it (a corona): a bright disc with an edge, and rings.
+    /// Diffraction by drops of one size (a corona): a bright disc with an edge, and rings.
     Corona,
 }
 
@@ -38,12 +38,12 @@ pub(super) struct Clouds {
     pattern: Pattern,
     size_px: f64,
     edge: f64,
-    /// The least that the clouds leave or have of the light.
+    /// Smallest fraction of the light in the clouds' pattern.
     thinnest: f64,
 }
 
 impl Clouds {
-    /// Of a scene, about the place of its Moon.
+    /// The clouds of a scene, around the place of its Moon.
     pub fn of(scene: &MoonScene) -> Self {
         let mut random = generator(scene.seed, Purpose::NightSky, scene.number);
         let width_px = scene.conditions.width_px as f64;
@@ -79,13 +79,13 @@ impl Clouds {
         }
     }
 
-    /// The glow at a distance from its middle, in its reach, as a share of that in the middle.
+    /// The glow at a distance from its middle, in units of its reach, relative to that in the middle.
     fn glow(&self, distance: f64) -> f64 {
         match self.glow {
             Glow::None => 0.0,
             Glow::Haze => (-distance * distance).exp(),
             Glow::Corona => {
-                // Of a round drop (Airy 1835); its first dark ring lies at the reach.
+                // Diffraction by a round drop (Airy 1835); its first dark ring is at the reach.
                 let x = (3.831_706 * distance).max(1e-6);
                 (2.0 * libm::j1(x) / x).powi(2)
             }

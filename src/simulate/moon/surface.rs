@@ -1,4 +1,4 @@
-//! The Moon's surface: its light from every place of the disc.
+//! The Moon's surface: its light at every place of the disc.
 
 use super::{MoonConditions, MoonScene};
 use crate::moon::Shading;
@@ -7,11 +7,11 @@ use crate::simulate::coverage::Footprint;
 use crate::simulate::texture::{Pattern, Random};
 use nalgebra::{Rotation3, Vector2, Vector3};
 
-/// Albedo goes so far either way; its largest pattern has so many cells across the radius. Value noise in five octaves goes so far about a half.
+/// Amplitude of the albedo; number of cells of its largest pattern across the radius; amplitude of value noise in five octaves about its mean of 0.5.
 const ALBEDO: f64 = 0.25;
 const ALBEDO_CELLS: f64 = 3.0;
 const PATTERN_REACH: f64 = 0.3;
-/// Seas are this bright, in the light of other ground; so large, in radii; and so much of their pattern is shore.
+/// Albedo of seas relative to other ground; their size in radii; and the width of the shore in units of the pattern.
 const SEA: f64 = 0.5;
 const SEA_RADII: f64 = 0.8;
 const SHORE: f64 = 0.06;
@@ -50,9 +50,9 @@ impl Surface {
         }
     }
 
-    /// Light of a sub-sample around a place on the disc; 0 beside it. One that the limb crosses counts by its share within.
+    /// Light of a sub-sample around a place on the disc; 0 outside. If the limb crosses it, its fraction inside counts.
     pub fn light(&self, x: f64, y: f64, footprint: &Footprint) -> f64 {
-        /// Nearer to the limb than that, craters and mountains may hide a place or show it.
+        /// Distance from the limb within which craters and mountains may cover or reveal a place.
         const NEAR_LIMB: f64 = 0.02;
         let distance = x.hypot(y);
         let radius = match &self.ground {
@@ -67,7 +67,7 @@ impl Surface {
         if within == 0.0 {
             return 0.0;
         }
-        // The middle of what lies within.
+        // The middle of the part inside.
         let middle = distance.min(radius - edge.reach() * within / 2.0) / radius;
         let scale = middle.max(0.0) / distance.max(f64::MIN_POSITIVE);
         let place = Vector3::new(
@@ -87,7 +87,7 @@ impl Surface {
     }
 }
 
-/// Large dark plains, which draw the middle of the light to one side.
+/// Large dark plains, which shift the centroid of the light to one side.
 struct Seas {
     pattern: Pattern,
     turn: Rotation3<f64>,
@@ -102,7 +102,7 @@ impl Seas {
 }
 
 impl Ground {
-    /// Height in radii, and how it changes with the place.
+    /// Height in radii, and its gradient.
     fn relief(&self, place: &Vector3<f64>) -> (f64, Vector3<f64>) {
         let (height, slope) = self.craters.at(&(self.turn * place));
         (height, self.turn.inverse() * slope)
@@ -120,13 +120,13 @@ impl Ground {
     }
 }
 
-/// Craters of some sizes: where the sphere cuts a ball that stands somewhere in a cell of space. A bowl with a rim.
+/// Craters of some sizes: intersections of the sphere with balls at random places in the cells of space. Each is a bowl with a rim.
 struct Craters {
     random: Random,
 }
 
 impl Craters {
-    /// Cells of the largest craters, in radii; each size is half the one before.
+    /// Cell size of the largest craters, in radii; each further size is half the previous one.
     const CELL: f64 = 0.2;
     const SIZES: u32 = 3;
     /// Radii of the balls, in cells.
@@ -140,7 +140,7 @@ impl Craters {
         }
     }
 
-    /// Height in radii, and how it changes with the place.
+    /// Height in radii, and its gradient.
     fn at(&self, place: &Vector3<f64>) -> (f64, Vector3<f64>) {
         let (mut height, mut slope) = (0.0, Vector3::zeros());
         for size in 0..Self::SIZES {
@@ -173,7 +173,7 @@ struct Crater {
 }
 
 impl Crater {
-    /// Height at a place, and how it changes.
+    /// Height at a place, and its gradient.
     fn at(&self, place: &Vector3<f64>) -> (f64, Vector3<f64>) {
         let away = (place - self.centre) / self.radius;
         let square = away.norm_squared();

@@ -1,6 +1,7 @@
 //! A telescope under a balloon above Fort Sumner that follows the Sun.
 //!
-//! The balloon drifts along its parallel at a steady speed with slow deviations. Pendulum motion turns the gondola about the IMU, which does not move with it.
+//! The balloon drifts along its parallel at a constant speed with slow deviations. Pendulum motion rotates the gondola about the IMU, whose position
+//! it does not change.
 
 use super::earth::{EARTH_RATE_RAD_S, FixedSun, ecef_from_north_east_down, position_m};
 use super::motion::{Angle, Attitude, Motion, Path, State, Wave, phases, swing};
@@ -36,11 +37,11 @@ pub(super) fn sun() -> FixedSun {
 #[derive(Debug, Clone)]
 pub(super) struct Balloon {
     start_m: Vector3<f64>,
-    /// The longitude's.
+    /// Rate of the longitude.
     turn_rad_s: f64,
-    /// From north, east and down at the start.
+    /// Rotation from north, east and down at the start.
     local: UnitQuaternion<f64>,
-    /// Along Earth-fixed axes at the start.
+    /// Swings along Earth-fixed axes at the start.
     swings: [(Vector3<f64>, [Wave; 2]); 3],
     azimuth_drift: [Wave; 2],
     roll: [Wave; 2],
@@ -68,7 +69,7 @@ impl Balloon {
         }
     }
 
-    /// In axes that drift with the balloon.
+    /// Path in axes that drift with the balloon.
     fn path(&self, t_s: f64) -> Path {
         let [position_m, velocity_m_s, acceleration_m_s2] = [0, 1, 2].map(|derivative| {
             let along = |(axis, waves): &(Vector3<f64>, [Wave; 2])| {
@@ -83,7 +84,7 @@ impl Balloon {
         }
     }
 
-    /// Azimuth from north over east, and elevation, of the Sun above the drifting horizon.
+    /// Azimuth, from north over east, and elevation of the Sun above the drifting horizon.
     fn sun_angles(&self, t_s: f64) -> (Angle, Angle) {
         let seen = sun().direction(t_s);
         let drifted = Attitude::level()

@@ -28,9 +28,9 @@ impl fmt::Display for Target {
 /// Errors of measured directions, for each of the two angles across them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct DirectionErrors {
-    /// Independent from one measurement to the next.
+    /// 1 sigma, independent from one measurement to the next.
     pub white_sigma_deg: f64,
-    /// A first-order Gauss-Markov process, of its own for each camera and target.
+    /// 1 sigma of a first-order Gauss-Markov process, separate for each camera and target.
     pub correlated_sigma_deg: f64,
 }
 
@@ -41,16 +41,16 @@ impl DirectionErrors {
     }
 }
 
-/// When a camera sees its targets.
+/// Times at which a camera observes its targets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Seen {
     Always,
-    /// Both ends included.
+    /// From one time to another, both included.
     Between {
         from_s: f64,
         to_s: f64,
     },
-    /// Not in the last part of every period since time 0.
+    /// Except for the last part of every period from time 0 on.
     WithGaps {
         period_s: f64,
         gap_s: f64,
@@ -71,11 +71,11 @@ impl Seen {
 #[derive(Debug, Clone, PartialEq)]
 pub struct TargetCamera {
     pub name: &'static str,
-    /// As the navigation knows it: takes vectors of the camera's axes (x right, y down, z forward) to the body's.
+    /// Rotation known to the navigation: from the camera's axes (x right, y down, z forward) to the body's.
     pub body_from_camera: Matrix3<f64>,
-    /// By how much the camera is turned from there, about each of the body's axes.
+    /// Misalignment of the camera relative to that, about each of the body's axes.
     pub misalignment_sigma_deg: f64,
-    /// Over which the correlation of its errors falls to 1/e.
+    /// Time over which the correlation of its errors falls to 1/e.
     pub correlation_time_s: f64,
     pub rate_hz: u64,
     pub targets: Vec<Target>,
@@ -98,7 +98,7 @@ impl Sky {
         }
     }
 
-    /// In the body's axes.
+    /// Direction in the body's axes.
     fn true_direction(&self, target: Target, state: &State, t_s: f64) -> Vector3<f64> {
         let direction = match target {
             Target::Sun => self.sun.direction(t_s),
@@ -108,7 +108,7 @@ impl Sky {
     }
 }
 
-/// Measurements of all cameras, by time.
+/// Measurements of all cameras, sorted by time.
 pub(super) fn measured(
     cameras: &[TargetCamera],
     span: &Span,
@@ -119,7 +119,7 @@ pub(super) fn measured(
     let mut rows = Vec::new();
     for (place, camera) in cameras.iter().enumerate() {
         let mut mounted = Mounted::drawn(camera, sky, random(seed, Drawn::Camera(place)));
-        // None at the start itself: every measurement falls on a row of the IMU.
+        // None at the start itself: every measurement is at the time of a row of the IMU.
         let times_s = span.ticks_s(camera.rate_hz).skip(1);
         for t_s in times_s.filter(|t_s| camera.seen.at(*t_s)) {
             rows.extend(mounted.measured(&motion.at(t_s), t_s));
@@ -129,7 +129,7 @@ pub(super) fn measured(
     rows
 }
 
-/// By how much a seed has turned each camera, about the body's axes.
+/// Misalignment of each camera for a seed, about the body's axes.
 pub(super) fn misalignments_rad(cameras: &[TargetCamera], seed: u64) -> Vec<Vector3<f64>> {
     let cameras = cameras.iter().enumerate();
     let drawn = |(place, camera)| misalignment_rad(camera, &mut random(seed, Drawn::Camera(place)));
@@ -140,13 +140,13 @@ fn misalignment_rad(camera: &TargetCamera, random: &mut Generator) -> Vector3<f6
     normal(random, camera.misalignment_sigma_deg.to_radians())
 }
 
-/// A camera as a seed has mounted it.
+/// A camera with the misalignment of a seed.
 struct Mounted<'a> {
     camera: &'a TargetCamera,
     sky: &'a Sky,
-    /// About the body's axes.
+    /// Misalignment about the body's axes.
     misalignment_rad: Vector3<f64>,
-    /// Of each target.
+    /// Correlated error of each target.
     correlated: Vec<Correlated>,
     random: Generator,
 }
@@ -202,7 +202,7 @@ struct Correlated {
     sigma_rad: f64,
     time_s: f64,
     last_s: Option<f64>,
-    /// At the last time.
+    /// Error at the last time.
     error_rad: Vector3<f64>,
 }
 

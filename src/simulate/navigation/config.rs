@@ -1,4 +1,4 @@
-//! The file with which the navigation reads a flight's instruments.
+//! The file that describes a flight's instruments to the navigation.
 
 use super::cameras::TargetCamera;
 use super::plan::FlightPlan;

@@ -1,4 +1,4 @@
-//! The Earth as a vehicle near it feels it, and the Sun's direction.
+//! Gravitation and rotation of the Earth, and the Sun's direction.
 
 use crate::simulate::earth::Shape;
 use crate::units::Place;
@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 
 /// Gravitational constant of the Earth times its mass, m^3/s^2.
 pub(super) const GM_M3_S2: f64 = 3.986_004_418e14;
-/// The Earth's rotation against inertial space.
+/// Rate of the Earth's rotation in inertial space.
 pub(super) const EARTH_RATE_RAD_S: f64 = 7.292_115e-5;
 
 /// The Earth's rotation as a vector, Earth-fixed.
@@ -14,7 +14,7 @@ pub(super) fn earth_rate_rad_s() -> Vector3<f64> {
     Vector3::new(0.0, 0.0, EARTH_RATE_RAD_S)
 }
 
-/// Acceleration by attraction alone, without the centrifugal one: that of the body whose gravity is the same all over WGS 84, in closed form
+/// Gravitational acceleration, without the centrifugal one: that of the body whose gravity potential is constant on WGS 84, in closed form
 /// (NIMA TR8350.2, chapter 4, with ellipsoidal coordinates u and beta).
 pub(super) fn gravitation_m_s2(position_m: &Vector3<f64>) -> Vector3<f64> {
     let (equator_m, polar_m) = (Shape::WGS84.equator_m, Shape::WGS84.polar_m());
@@ -49,7 +49,7 @@ pub(super) fn position_m(place: &Place) -> Vector3<f64> {
     Rotation3::from_axis_angle(&Vector3::z_axis(), place.longitude_deg.to_radians()) * on_meridian
 }
 
-/// North, east and down at a place, which it takes to Earth-fixed axes.
+/// Rotation from north, east and down at a place to Earth-fixed axes.
 pub(super) fn ecef_from_north_east_down(place: &Place) -> Rotation3<f64> {
     let (sin, cos) = place.latitude_deg.to_radians().sin_cos();
     let (sin_east, cos_east) = place.longitude_deg.to_radians().sin_cos();
@@ -59,16 +59,16 @@ pub(super) fn ecef_from_north_east_down(place: &Place) -> Rotation3<f64> {
     Rotation3::from_matrix_unchecked(Matrix3::from_columns(&columns))
 }
 
-/// The Sun, which stands still in inertial space for as long as a flight lasts, infinitely far away.
+/// The Sun, infinitely far away, which is fixed in inertial space during a flight.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct FixedSun {
     pub declination_deg: f64,
-    /// Of the place above which it stands at time 0, east positive.
+    /// Longitude of the place above which it is at time 0, east positive.
     pub longitude_deg: f64,
 }
 
 impl FixedSun {
-    /// Above such a place in the morning at time 0, at an elevation; highest then, where the Sun rises no higher.
+    /// A Sun at an elevation above this place in the morning at time 0; if it does not rise so high, at its highest.
     pub fn rising(declination_deg: f64, place: &Place, elevation_deg: f64) -> Self {
         let (sin, cos) = place.latitude_deg.to_radians().sin_cos();
         let (sin_declination, cos_declination) = declination_deg.to_radians().sin_cos();
@@ -81,7 +81,7 @@ impl FixedSun {
         }
     }
 
-    /// Earth-fixed, of length 1.
+    /// Earth-fixed unit vector.
     pub fn direction(&self, t_s: f64) -> Vector3<f64> {
         let (sin, cos) = self.declination_deg.to_radians().sin_cos();
         let (sin_east, cos_east) =

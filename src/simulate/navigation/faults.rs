@@ -6,15 +6,15 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-/// A fault's change of a sample, by the seconds since it began; `None` where the sample is lost.
+/// A fault's change of a sample, given the seconds since it began; `None` if the sample is lost.
 type Corrupt = fn(&mut FaultyImu, f64, ImuPacket) -> Option<ImuPacket>;
 
-/// How a fault can be known.
+/// Data in which a fault can be detected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shows {
-    /// By the samples themselves.
+    /// The samples themselves.
     InTheSamples,
-    /// By the next direction that a camera measures.
+    /// The next direction that a camera measures.
     InFrames,
 }
 use Shows::{InFrames, InTheSamples};
@@ -25,12 +25,12 @@ pub struct ImuFault {
     pub name: &'static str,
     pub shows: Shows,
     corrupt: Corrupt,
-    /// It starts over so often while it lasts, s.
+    /// Interval after which it begins again while it lasts, s.
     again_s: f64,
 }
 
 impl ImuFault {
-    /// When it begins, s after its first begin, where it lasts so long.
+    /// Times at which it begins, s after its first begin, if it lasts for `length_s`.
     pub fn begins_s(&self, length_s: f64) -> impl Iterator<Item = f64> {
         let again = (0..).map(|n| {
             if n == 0 {
@@ -43,7 +43,7 @@ impl ImuFault {
     }
 }
 
-/// An IMU that a fault meets at times.
+/// An IMU with faults at times.
 pub struct FaultyImu {
     /// The last sample before the fault.
     held: Option<ImuPacket>,
@@ -58,7 +58,7 @@ impl FaultyImu {
         }
     }
 
-    /// A sample with the fault that applies and the time since that began, s.
+    /// A sample with the fault that applies; `fault` gives it with the time since its begin, s.
     pub fn sample(
         &mut self,
         sample: ImuPacket,
@@ -95,7 +95,7 @@ const fn again(again_s: f64, fault: ImuFault) -> ImuFault {
     ImuFault { again_s, ..fault }
 }
 
-/// Whether it is so many milliseconds into a period of seconds.
+/// Whether the time within a period of `period_s` seconds is in this range of milliseconds.
 fn at_ms(t_s: f64, period_s: f64, ms: std::ops::Range<f64>) -> bool {
     ms.contains(&(1e3 * (t_s + 1e-6).rem_euclid(period_s)))
 }
@@ -122,7 +122,7 @@ fn late(mut sample: ImuPacket, ms: i64) -> Option<ImuPacket> {
     Some(sample)
 }
 
-/// Kinds of fault, each with a name that says what is wrong.
+/// Kinds of fault, each with a descriptive name.
 pub const IMU_FAULTS: &[ImuFault] = &[
     fault("rates frozen", InTheSamples, |f, _, s| {
         frozen(f, s, [true; 3])

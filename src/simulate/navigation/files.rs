@@ -1,4 +1,4 @@
-//! A flight as files: tables with every digit of their numbers.
+//! A flight as files: tables with all digits of their numbers.
 
 use super::{Flight, GpsRow, ImuRow, SunRow, TruthRow, VectorRow};
 use std::fs::File;
@@ -15,7 +15,7 @@ pub struct WriteError {
 }
 
 impl Flight {
-    /// Writes `imu.csv`, `gps.csv`, `vectors.csv`, `sun.csv`, `truth.csv` and `NAV.toml` to a folder that is there.
+    /// Writes `imu.csv`, `gps.csv`, `vectors.csv`, `sun.csv`, `truth.csv` and `NAV.toml` to an existing folder.
     pub fn write(&self, folder: &Path) -> Result<(), WriteError> {
         table(folder, "imu.csv", &self.imu)?;
         table(folder, "gps.csv", &self.gps)?;
@@ -48,7 +48,7 @@ fn write_rows<T: CsvRow>(path: &Path, rows: &[T]) -> io::Result<()> {
     file.flush()
 }
 
-/// A line of a time and further numbers.
+/// A line with a time and further numbers.
 fn numbers<'a>(
     file: &mut impl Write,
     t_s: f64,

@@ -1,4 +1,4 @@
-//! From a plan to a flight.
+//! Simulation of a flight from a plan.
 
 use super::config::config_toml;
 use super::imu::{self, Imu, true_means};
@@ -7,11 +7,11 @@ use super::plan::FlightPlan;
 use super::{Drawn, Flight, GpsRow, SunRow, TruthRow, cameras, normal, random};
 use nalgebra::UnitQuaternion;
 
-/// The Sun's directions reach so far beyond both ends of a flight.
+/// Margin of the Sun's directions beyond both ends of a flight.
 const SUN_MARGIN_S: i64 = 2;
 
 impl FlightPlan {
-    /// The flight of a seed.
+    /// The flight for a seed.
     pub fn fly(&self, seed: u64) -> Flight {
         let motion = self.vehicle.motion(seed);
         let mut imu = Imu::drawn(&self.imu, seed);
@@ -31,7 +31,7 @@ impl FlightPlan {
         }
     }
 
-    /// From the start on.
+    /// One row per second, from the start on.
     fn gps_rows(&self, motion: &dyn Motion, seed: u64) -> Vec<GpsRow> {
         let mut random = random(seed, Drawn::Gps);
         let row = |t_s| {
@@ -69,7 +69,7 @@ fn truth(motion: &dyn Motion, t_s: f64) -> TruthRow {
     }
 }
 
-/// The same attitude: a quaternion and its negative are one.
+/// The same attitude with a positive first component: a quaternion and its negative are equivalent.
 fn with_positive_first(attitude: UnitQuaternion<f64>) -> UnitQuaternion<f64> {
     match attitude.w < 0.0 {
         true => UnitQuaternion::new_unchecked(-attitude.into_inner()),

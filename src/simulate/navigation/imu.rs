@@ -1,4 +1,4 @@
-//! The inertial measurement unit: true means over its intervals, and the errors on them.
+//! The inertial measurement unit: true means over its intervals, and their errors.
 
 use super::motion::Motion;
 use super::{Drawn, ImuRow, normal, random};
@@ -11,7 +11,7 @@ const INTERVAL_S: f64 = 1.0 / RATE_HZ as f64;
 /// Standard gravity, m/s^2.
 const STANDARD_GRAVITY_M_S2: f64 = 9.80665;
 
-/// The nodes of Gauss and Legendre on -1 to 1 with their weights, which add up to 1: polynomials of degree 7 are exact.
+/// Nodes of Gauss-Legendre quadrature on -1 to 1 with their weights, which add up to 1: exact for polynomials of degree 7.
 const NODES: [(f64, f64); 4] = [
     (-0.861_136_311_594_052_6, 0.173_927_422_568_726_93),
     (-0.339_981_043_584_856_3, 0.326_072_577_431_273_1),
@@ -19,27 +19,27 @@ const NODES: [(f64, f64); 4] = [
     (0.861_136_311_594_052_6, 0.173_927_422_568_726_93),
 ];
 
-/// How large the errors are; constant ones are drawn once a flight, for each axis.
+/// Sizes of the errors; constant ones are drawn once per flight, for each axis.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ImuErrors {
-    /// White noise: a mean over an interval is off by this over the square root of the interval, m/s/sqrt(s).
+    /// White noise: the error of a mean over an interval is this divided by the square root of the interval, m/s/sqrt(s).
     pub velocity_random_walk: f64,
-    /// The same of rates, rad/sqrt(s).
+    /// The same for rates, rad/sqrt(s).
     pub angular_random_walk: f64,
     pub accelerometer_bias_sigma_m_s2: f64,
     pub gyro_bias_sigma_rad_s: f64,
-    /// Turn of the three accelerometers, and another one of the three gyroscopes, about each axis.
+    /// Misalignment of the three accelerometers, and a separate one of the three gyroscopes, about each axis.
     pub misalignment_sigma_rad: f64,
     pub accelerometer_scale_sigma_ppm: f64,
     pub gyro_scale_sigma_ppm: f64,
 }
 
 impl ImuErrors {
-    /// Braun and Barf 2022, table 3, without what they added to tune their filter.
+    /// Braun and Barf 2022, table 3, without the additions by which they tuned their filter.
     pub fn rocket() -> Self {
         Self {
             velocity_random_walk: 0.05e-3 * STANDARD_GRAVITY_M_S2,
-            // An hour has 3600 s, its square root 60.
+            // The square root of an hour of 3600 s is 60.
             angular_random_walk: 0.05_f64.to_radians() / 60.0,
             accelerometer_bias_sigma_m_s2: 2e-3 * STANDARD_GRAVITY_M_S2,
             gyro_bias_sigma_rad_s: 6.0_f64.to_radians() / 3600.0,
@@ -76,7 +76,7 @@ pub(super) fn true_means(motion: &dyn Motion, t_s: f64) -> ImuRow {
     row
 }
 
-/// A unit with the errors that a seed has drawn.
+/// A unit with the errors drawn for a seed.
 #[derive(Debug, Clone)]
 pub(super) struct Imu {
     accelerometers: Triad,
@@ -113,12 +113,12 @@ impl Imu {
         }
     }
 
-    /// Of accelerometers and gyroscopes, m/s^2 and rad/s.
+    /// Biases of accelerometers and gyroscopes, m/s^2 and rad/s.
     pub fn biases(&self) -> [Vector3<f64>; 2] {
         [self.accelerometers.bias, self.gyroscopes.bias]
     }
 
-    /// The row with its errors.
+    /// The row with errors added.
     pub fn measured(&mut self, truth: &ImuRow) -> ImuRow {
         let force = &truth.specific_force_m_s2;
         ImuRow {
@@ -134,10 +134,10 @@ impl Imu {
 /// Three sensors of one kind, m/s^2 or rad/s.
 #[derive(Debug, Clone)]
 struct Triad {
-    /// Scale factors, and the turn of the axes.
+    /// Scale factors and misalignment of the axes.
     gain: Matrix3<f64>,
     bias: Vector3<f64>,
-    /// Of the mean over an interval.
+    /// 1 sigma of the mean over an interval.
     white_sigma: f64,
 }
 

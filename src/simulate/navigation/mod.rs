@@ -1,13 +1,14 @@
-//! Flights of an inertial navigation system with their truth: an inertial measurement unit (IMU), GPS, and cameras that see the Sun and the nadir.
+//! Flights of an inertial navigation system with their truth: an inertial measurement unit (IMU), GPS, and cameras that observe the Sun and the
+//! nadir.
 //!
-//! A [`FlightPlan`] says what flies and how large the errors are; [`FlightPlan::fly`] draws a [`Flight`], the same from the same seed.
-//! Positions and attitudes are formulas of time, and what the IMU feels follows from their derivatives: nothing is integrated here, so that
+//! A [`FlightPlan`] defines the vehicle and the sizes of the errors; [`FlightPlan::fly`] draws a [`Flight`], the same for the same seed.
+//! Positions and attitudes are formulas of time, and the IMU's measurements follow from their derivatives: nothing is integrated here, so that
 //! no filter shares an error with its truth.
 //!
 //! - Earth-fixed axes (ECEF) and the ellipsoid of WGS 84; gravitation with J2 of the Earth's flattening.
-//! - An attitude takes vectors of the body's axes to Earth-fixed ones: Hamilton's quaternion, q0 >= 0.
+//! - An attitude rotates vectors from the body's axes to Earth-fixed ones: Hamilton's quaternion, q0 >= 0.
 //! - A row of the IMU holds the means over the interval that ends at its time, in the body's axes; the first interval begins with the flight.
-//! - Every camera gives every direction that its [`TargetCamera::targets`] name, whatever its field of view.
+//! - Every camera gives every direction that its [`TargetCamera::targets`] name, regardless of its field of view.
 
 mod balloon;
 mod cameras;
@@ -37,22 +38,22 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rand::RngExt;
 use rand_distr::StandardNormal;
 
-/// A flight as its instruments saw it, and as it was.
+/// The measurements of a flight, and its truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flight {
     pub imu: Vec<ImuRow>,
     pub gps: Vec<GpsRow>,
-    /// By time; those of one time in the order of the plan's cameras.
+    /// Sorted by time; those of the same time in the order of the plan's cameras.
     pub vectors: Vec<VectorRow>,
     /// At the times of the IMU's rows.
     pub truth: Vec<TruthRow>,
-    /// Of accelerometers (m/s^2) and gyroscopes (rad/s).
+    /// Biases of accelerometers (m/s^2) and gyroscopes (rad/s).
     pub biases: [Vector3<f64>; 2],
-    /// By how much each camera of the plan is turned, about the body's axes.
+    /// Misalignment of each camera of the plan, about the body's axes.
     pub misalignments_rad: Vec<Vector3<f64>>,
-    /// One a second, 2 s and more beyond both ends of the flight.
+    /// One per second, from 2 s before the flight to 2 s after it.
     pub sun: Vec<SunRow>,
-    /// The instruments as the navigation gets them: the text of `NAV.toml`.
+    /// The description of the instruments for the navigation: the text of `NAV.toml`.
     pub config_toml: String,
 }
 
@@ -62,7 +63,7 @@ pub struct ImuRow {
     pub t_s: f64,
     /// Acceleration less gravitation.
     pub specific_force_m_s2: Vector3<f64>,
-    /// Against inertial space.
+    /// Rate relative to inertial space.
     pub rate_rad_s: Vector3<f64>,
 }
 
@@ -78,16 +79,16 @@ pub struct GpsRow {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VectorRow {
     pub t_s: f64,
-    /// By name.
+    /// Name of the camera.
     pub camera: &'static str,
     pub target: Target,
-    /// Of length 1, in the axes that the camera really has.
+    /// Unit vector in the true axes of the camera.
     pub direction: Vector3<f64>,
-    /// Of each of the two angles across the direction.
+    /// 1 sigma of each of the two angles across the direction.
     pub sigma_rad: f64,
 }
 
-/// Where the vehicle was and how it stood.
+/// True position and attitude of the vehicle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TruthRow {
     pub t_s: f64,
@@ -96,20 +97,20 @@ pub struct TruthRow {
     pub velocity_m_s: Vector3<f64>,
 }
 
-/// Where the Sun was: a direction of length 1, Earth-fixed.
+/// Direction of the Sun: an Earth-fixed unit vector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SunRow {
     pub t_s: f64,
     pub direction: Vector3<f64>,
 }
 
-/// Users of random numbers, each with its own, so that a change to one moves nothing else.
+/// Users of random numbers, each with its own, so that a change to one changes no other.
 #[derive(Debug, Clone, Copy)]
 enum Drawn {
     Motion,
     Imu,
     Gps,
-    /// By place in the plan.
+    /// Index in the plan.
     Camera(usize),
 }
 

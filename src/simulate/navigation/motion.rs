@@ -1,4 +1,4 @@
-//! Motion by formula: turns one after the other, and axes that turn steadily.
+//! Analytic motion: successive rotations, and axes that rotate at a constant rate.
 
 use super::Drawn;
 use super::earth::{earth_rate_rad_s, gravitation_m_s2};
@@ -8,12 +8,12 @@ use rand::RngExt;
 use std::f64::consts::TAU;
 use std::ops::Add;
 
-/// How a vehicle moves.
+/// Motion of a vehicle.
 pub(super) trait Motion {
     fn at(&self, t_s: f64) -> State;
 }
 
-/// Place, attitude and their derivatives at one time.
+/// Position, attitude and their derivatives at one time.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct State {
     pub path: Path,
@@ -21,7 +21,7 @@ pub(super) struct State {
 }
 
 impl State {
-    /// Specific force for an accelerometer without errors, in the body's axes.
+    /// Specific force measured by an accelerometer without errors, in the body's axes.
     pub fn specific_force_m_s2(&self) -> Vector3<f64> {
         let Path {
             position_m,
@@ -36,14 +36,14 @@ impl State {
         self.attitude.rotation.inverse_transform_vector(&felt_m_s2)
     }
 
-    /// Rate for a gyroscope without errors, in the body's axes.
+    /// Rate measured by a gyroscope without errors, in the body's axes.
     pub fn inertial_rate_rad_s(&self) -> Vector3<f64> {
         let earth = earth_rate_rad_s();
         self.attitude.rate_rad_s + self.attitude.rotation.inverse_transform_vector(&earth)
     }
 }
 
-/// Position and its derivatives in axes that belong to the flight; Earth-fixed where a [`State`] holds them.
+/// Position and its derivatives in axes of the flight; Earth-fixed in a [`State`].
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Path {
     pub position_m: Vector3<f64>,
@@ -52,7 +52,7 @@ pub(super) struct Path {
 }
 
 impl Path {
-    /// The path in axes past which its own turn steadily about the common third one. Both agree at time 0.
+    /// The path in axes relative to which its own rotate at a constant rate about the common third one. Both agree at time 0.
     pub fn carried_round(&self, turn_rad_s: f64, t_s: f64) -> Self {
         let turn = Vector3::new(0.0, 0.0, turn_rad_s);
         let rotation = Rotation3::from_axis_angle(&Vector3::z_axis(), turn_rad_s * t_s);
@@ -93,12 +93,12 @@ impl Angle {
     }
 }
 
-/// An attitude built of turns one after the other.
+/// An attitude built of successive rotations.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Attitude {
-    /// Takes vectors of the body's axes to the axes before the first turn.
+    /// Rotation from the body's axes to the axes before the first rotation.
     pub rotation: UnitQuaternion<f64>,
-    /// Of the body against the axes before the first turn, in the body's axes.
+    /// Rate of the body relative to the axes before the first rotation, in the body's axes.
     pub rate_rad_s: Vector3<f64>,
 }
 
@@ -110,7 +110,7 @@ impl Attitude {
         }
     }
 
-    /// A further turn about an axis of the body as the turns before it left it.
+    /// Adds a rotation about an axis of the body, after the previous rotations.
     pub fn turned(&self, axis: Unit<Vector3<f64>>, angle: Angle) -> Self {
         let turn = UnitQuaternion::from_axis_angle(&axis, angle.rad);
         let before_rad_s = turn.inverse_transform_vector(&self.rate_rad_s);
@@ -120,7 +120,7 @@ impl Attitude {
         }
     }
 
-    /// A further turn that does not change with time.
+    /// Adds a constant rotation.
     pub fn mounted(&self, turn: &UnitQuaternion<f64>) -> Self {
         Self {
             rotation: self.rotation * turn,
@@ -138,7 +138,7 @@ pub(super) struct Wave {
 }
 
 impl Wave {
-    /// With a phase that is drawn.
+    /// A wave with a random phase.
     pub fn drawn(amplitude: f64, period_s: f64, random: &mut Generator) -> Self {
         Self {
             amplitude,
@@ -147,7 +147,7 @@ impl Wave {
         }
     }
 
-    /// The same wave a quarter of its period ahead.
+    /// The same wave advanced by a quarter of its period.
     pub fn quarter_ahead(&self) -> Self {
         Self {
             phase_rad: self.phase_rad + TAU / 4.0,
@@ -166,7 +166,7 @@ impl Wave {
     }
 }
 
-/// Waves of degrees, added.
+/// Sum of waves in degrees.
 pub(super) fn swing<const N: usize>(waves_deg: &[Wave; N], t_s: f64) -> Angle {
     let still = Angle::steady(0.0, t_s);
     waves_deg.iter().fold(still, |sum, wave| {
@@ -176,7 +176,7 @@ pub(super) fn swing<const N: usize>(waves_deg: &[Wave; N], t_s: f64) -> Angle {
     })
 }
 
-/// The generator of a flight's phases.
+/// The random generator of a flight's phases.
 pub(super) fn phases(seed: u64) -> Generator {
     super::random(seed, Drawn::Motion)
 }

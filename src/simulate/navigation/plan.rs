@@ -8,7 +8,7 @@ use super::motion::Motion;
 use super::rocket::{self, Rocket};
 use super::span::Span;
 
-/// Of every camera.
+/// Correlation time of every camera's errors.
 const CORRELATION_TIME_S: f64 = 20.0;
 
 /// The vehicle. Each seed draws the phases of its swings.
@@ -21,7 +21,7 @@ pub enum Vehicle {
 }
 
 impl Vehicle {
-    /// Time at which the flight begins: the rocket's motor has gone, the balloon is at float.
+    /// Time at which the flight begins: the rocket's motor has separated, the balloon is at float.
     pub fn start_s(self) -> u64 {
         match self {
             Self::Rocket => 60,
@@ -29,7 +29,7 @@ impl Vehicle {
         }
     }
 
-    /// Until the rocket meets air, or until the Sun is low over the balloon.
+    /// Longest duration: until the rocket meets air, or until the Sun is low for the balloon.
     pub fn longest_s(self) -> f64 {
         match self {
             Self::Rocket => 370.0,
@@ -52,14 +52,14 @@ impl Vehicle {
     }
 }
 
-/// White errors of each axis of a position and a velocity, once a second.
+/// White errors in each axis of position and velocity, once per second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GpsErrors {
     pub position_sigma_m: f64,
     pub velocity_sigma_m_s: f64,
 }
 
-/// A flight to be drawn.
+/// Plan of a simulated flight.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlightPlan {
     pub vehicle: Vehicle,
@@ -73,7 +73,7 @@ pub struct FlightPlan {
 
 impl FlightPlan {
     /// The coast of Braun and Barf 2022 (section 7) and its sensors, T+60 s to T+430 s. Two cameras on opposite sides point 20 deg downwards; both
-    /// give Sun and nadir from T+171 s to T+300 s, once a second.
+    /// give Sun and nadir from T+171 s to T+300 s, once per second.
     pub fn rocket() -> Self {
         let camera = |name, side| TargetCamera {
             name,
@@ -102,8 +102,8 @@ impl FlightPlan {
         }
     }
 
-    /// Twenty minutes of a telescope whose camera `pyas` gives the Sun to 0.11 arcsec, except for a minute in three, and whose camera
-    /// `roll` gives the nadir; both four times a second.
+    /// Twenty minutes of a telescope whose camera `pyas` gives the Sun to 0.11 arcsec, except for one minute in three, and whose camera
+    /// `roll` gives the nadir; both at 4 Hz.
     pub fn balloon() -> Self {
         let pyas = TargetCamera {
             name: "pyas",
@@ -159,7 +159,7 @@ impl FlightPlan {
     }
 }
 
-/// Of both vehicles.
+/// GPS errors of both vehicles.
 const GPS: GpsErrors = GpsErrors {
     position_sigma_m: 5.0,
     velocity_sigma_m_s: 0.05,

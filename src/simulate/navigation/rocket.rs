@@ -1,7 +1,7 @@
 //! The coast of a VSB-30 from Esrange: Braun and Barf 2022, section 7 (flight ATEK, 2019-06-13).
 //!
-//! The path is Kepler's ellipse about the Earth's centre, turned into Earth-fixed axes, with what the Earth's flattening adds at the highest point
-//! as a steady acceleration. So the payload falls freely, except for 0.004 m/s^2 at most: too little to determine its attitude.
+//! The path is Kepler's ellipse about the Earth's centre, converted to Earth-fixed axes; the effect of the Earth's flattening at the highest point
+//! is added as a constant acceleration. So the payload is in free fall, except for at most 0.004 m/s^2: too little to determine its attitude.
 
 use super::earth::{
     EARTH_RATE_RAD_S, FixedSun, GM_M3_S2, earth_rate_rad_s, ecef_from_north_east_down,
@@ -19,10 +19,10 @@ const APOGEE: Place = Place {
     longitude_deg: 21.1,
     height_m: 238_000.0,
 };
-/// Over ground at the highest point.
+/// Velocity over ground at the highest point.
 const NORTHWARD_M_S: f64 = 140.0;
 
-/// 2019-06-13 02:21 UTC.
+/// Direction on 2019-06-13 02:21 UTC.
 pub(super) const SUN: FixedSun = FixedSun {
     declination_deg: 23.2,
     longitude_deg: 144.7,
@@ -33,13 +33,13 @@ const ROLL_DEG_S: f64 = 0.25;
 const ROLL_DEG_PERIOD_S: (f64, f64) = (8.0, 130.0);
 const CONE_DEG_PERIOD_S: (f64, f64) = (14.0, 120.0);
 const NOD_DEG_PERIOD_S: (f64, f64) = (1.0, 45.0);
-/// The first guess is off by 0.003 rad at most, and each step squares that: three reach the last digit.
+/// Number of Newton steps: the first guess has an error of at most 0.003 rad, and each step squares it; three reach the last digit.
 const KEPLER_STEPS: usize = 4;
 
 #[derive(Debug, Clone)]
 pub(super) struct Rocket {
     arc: Arc,
-    /// From the body's axes before it rolls and cones (x up, y east, z north) to the ellipse's.
+    /// Rotation from the body's axes before it rolls and cones (x up, y east, z north) to the ellipse's.
     upright: UnitQuaternion<f64>,
     roll: [Wave; 1],
     pitch: [Wave; 2],
@@ -99,7 +99,7 @@ struct Arc {
     forward_m: Vector3<f64>,
     eccentricity: f64,
     mean_motion_rad_s: f64,
-    /// By the Earth's flattening.
+    /// Acceleration by the Earth's flattening.
     steady_m_s2: Vector3<f64>,
 }
 
@@ -109,7 +109,7 @@ impl Arc {
         let (radius_m, up) = (place_m.norm(), place_m.normalize());
         let east = Vector3::z().cross(&up).normalize();
         let north = up.cross(&east);
-        // At right angles to the radius, as at the end of an ellipse.
+        // Perpendicular to the radius, as at the end of an ellipse's axis.
         let velocity_m_s = north * NORTHWARD_M_S + earth_rate_rad_s().cross(&place_m);
         let half_axis_m = 1.0 / (2.0 / radius_m - velocity_m_s.norm_squared() / GM_M3_S2);
         let mean_motion_rad_s = (GM_M3_S2 / half_axis_m.powi(3)).sqrt();
@@ -124,7 +124,7 @@ impl Arc {
     }
 
     fn at(&self, since_apogee_s: f64) -> Path {
-        // The eccentric anomaly counted from the highest point.
+        // The eccentric anomaly measured from the highest point.
         let anomaly_rad = self.anomaly_rad(self.mean_motion_rad_s * since_apogee_s);
         let (sin, cos) = anomaly_rad.sin_cos();
         let ellipse_m = self.outward_m * (cos + self.eccentricity) + self.forward_m * sin;
@@ -138,7 +138,7 @@ impl Arc {
         }
     }
 
-    /// Solves mean = anomaly + eccentricity x sin(anomaly) by Newton's steps.
+    /// Solves mean = anomaly + eccentricity x sin(anomaly) by Newton's method.
     fn anomaly_rad(&self, mean_rad: f64) -> f64 {
         let first = mean_rad / (1.0 + self.eccentricity);
         (0..KEPLER_STEPS).fold(first, |anomaly, _| {

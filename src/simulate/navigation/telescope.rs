@@ -1,6 +1,6 @@
-//! IMU and GPS of the telescope whose camera a simulated flight shows: the Sun's place on the plate gives the telescope's attitude.
+//! IMU and GPS of the telescope whose camera a simulated flight shows: the Sun's position on the plate gives the telescope's attitude.
 //!
-//! The telescope hangs above one place and swings as its gondola does.
+//! The telescope is above a fixed place and swings with its gondola.
 
 use super::earth::{earth_rate_rad_s, ecef_from_north_east_down, gravitation_m_s2, position_m};
 use super::imu::{Imu, RATE_HZ};
@@ -22,13 +22,13 @@ use rand_distr::StandardNormal;
 use std::time::Duration;
 
 const KNOT_M_S: f64 = 1852.0 / 3600.0;
-/// Errors of the GPS receiver, of each axis.
+/// Errors of the GPS receiver, 1 sigma per axis.
 const POSITION_SIGMA_M: f64 = 5.0;
 const VELOCITY_SIGMA_M_S: f64 = 0.05;
-/// Between two evaluations of the ephemeris the Sun moves evenly to a thousandth of an arcsecond.
+/// Interval of the evaluations of the ephemeris: linear interpolation between them is accurate to 0.001 arcsec.
 const SAMPLE_EVERY_S: i64 = 1;
 
-/// Why a flight cannot be simulated.
+/// Reason why a flight cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum NoFlight {
     #[error(transparent)]
@@ -39,7 +39,7 @@ pub enum NoFlight {
     Time,
 }
 
-/// Where a telescope pointed.
+/// True pointing of a telescope.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TelescopeTruth {
     pub elevation_deg: f64,
@@ -58,12 +58,12 @@ pub struct TelescopeFlight {
     evaluated: Option<(i64, [SunPosition; 2])>,
     imu: Imu,
     gps: Generator,
-    /// How the telescope was turned at the end of the last sample.
+    /// Attitude of the telescope at the end of the last sample.
     last: Option<(u64, UnitQuaternion<f64>)>,
 }
 
 impl TelescopeFlight {
-    /// A flight that begins at `start`, of a gondola that hangs still; the errors are the seed's.
+    /// A flight that begins at `start`, with a fixed gondola; the errors depend on the seed.
     pub fn new(
         course: impl Into<Course>,
         instrument: &Instrument,
@@ -94,7 +94,7 @@ impl TelescopeFlight {
         self.start
     }
 
-    /// Samples a second.
+    /// Number of samples per second.
     pub fn rate_hz(&self) -> u64 {
         RATE_HZ
     }
@@ -102,7 +102,7 @@ impl TelescopeFlight {
     /// The n-th sample of the IMU, whose interval ends n hundredths of a second after the start; from 1 on.
     ///
     /// # Errors
-    /// A time at which the telescope's attitude is not known.
+    /// If the telescope's attitude is not known at this time.
     pub fn sample(&mut self, n: u64) -> Result<ImuPacket, NoFlight> {
         let interval_s = 1.0 / RATE_HZ as f64;
         let at = |n: u64| Duration::from_nanos(n * 1_000_000_000 / RATE_HZ);
@@ -134,7 +134,7 @@ impl TelescopeFlight {
     /// Sentences of the GPS receiver for a whole second after the start: GGA and RMC.
     ///
     /// # Errors
-    /// A time that no calendar has.
+    /// If the time is out of range of the calendar.
     pub fn sentences(&mut self, second: u64) -> Result<String, NoFlight> {
         let utc = self.utc(Duration::from_secs(second))?;
         let mut normal = |sigma: f64| sigma * self.gps.sample::<f64, _>(StandardNormal);
@@ -162,15 +162,15 @@ impl TelescopeFlight {
         )))
     }
 
-    /// How the telescope is turned: takes its axes - forward, right, down - to Earth-fixed ones.
+    /// Attitude of the telescope: the rotation from its axes - forward, right, down - to Earth-fixed ones.
     ///
     /// # Errors
-    /// Where the ephemeris does not reach, or no telescope points so.
+    /// If the ephemeris does not cover the time, or the pointing is impossible.
     pub fn attitude(&mut self, since: Duration) -> Result<UnitQuaternion<f64>, NoFlight> {
         let (towards, roll_deg) = self.towards(since)?;
         let (sin, cos) = towards.azimuth_deg.to_radians().sin_cos();
         let (sin_up, cos_up) = towards.elevation_deg.to_radians().sin_cos();
-        // North, east and down.
+        // Components: north, east and down.
         let forward = Vector3::new(cos_up * cos, cos_up * sin, -sin_up);
         let right = Vector3::new(-sin, cos, 0.0);
         let axes = Matrix3::from_columns(&[forward, right, forward.cross(&right)]);
@@ -180,7 +180,7 @@ impl TelescopeFlight {
         Ok(UnitQuaternion::from_rotation_matrix(&turned))
     }
 
-    /// Where the telescope points, and its roll about the boresight, deg.
+    /// Pointing of the telescope, and its roll about the boresight, deg.
     fn towards(&mut self, since: Duration) -> Result<(Horizontal, f64), NoFlight> {
         let (at, sun) = (self.sun_on_plate(since), self.sun(since)?);
         let roll = pointing::roll_by_nadir(&self.gondola.nadir(since), at, &self.instrument, &sun);
@@ -188,7 +188,7 @@ impl TelescopeFlight {
         Ok((towards, roll.about_boresight_deg(&self.instrument).value))
     }
 
-    /// Where the telescope points, minus the Sun's centre.
+    /// Pointing of the telescope minus the Sun's centre.
     ///
     /// # Errors
     /// As [`attitude`](Self::attitude).
@@ -203,15 +203,15 @@ impl TelescopeFlight {
         })
     }
 
-    /// Where the Sun stands on the plate.
+    /// Position of the Sun on the plate.
     pub fn sun_on_plate(&self, since: Duration) -> PlateMil {
         self.course.position(since)
     }
 
-    /// Where the Sun stands in the sky.
+    /// Position of the Sun in the sky.
     ///
     /// # Errors
-    /// Where the ephemeris does not reach.
+    /// If the ephemeris does not cover the time.
     pub fn sun(&mut self, since: Duration) -> Result<SunPosition, NoFlight> {
         let second = since.as_secs() as i64 / SAMPLE_EVERY_S * SAMPLE_EVERY_S;
         let [from, to] = match self.evaluated {
@@ -241,9 +241,9 @@ impl TelescopeFlight {
     }
 }
 
-/// An angle as NMEA has it: whole degrees in so many digits, then minutes, then the half of the Earth.
+/// An angle in the format of NMEA: integer degrees with `digits` digits, then minutes, then the hemisphere.
 fn degrees_and_minutes(angle_deg: f64, digits: usize, [plus, minus]: [&str; 2]) -> String {
-    // In units that round without a carry into 60 minutes.
+    // In integer units, so that rounding never gives 60 minutes.
     const PARTS: f64 = 1e6;
     let parts = (angle_deg.abs() * 60.0 * PARTS).round();
     let (degrees, minutes) = (

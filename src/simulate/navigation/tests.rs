@@ -1,4 +1,4 @@
-//! The truth against an integrator of its own, and the errors against what the plans state.
+//! Compares the truth with an independent integrator, and the errors with the plans.
 
 use super::*;
 use crate::simulate::navigation::imu::true_means;
@@ -15,7 +15,7 @@ fn plan(vehicle: Vehicle) -> FlightPlan {
     }
 }
 
-/// Of many numbers whose mean is 0.
+/// RMS of many numbers whose mean is 0.
 fn rms(values: impl IntoIterator<Item = f64>) -> f64 {
     let (mut count, mut sum) = (0.0, 0.0);
     for value in values {
@@ -33,7 +33,7 @@ fn assert_near(found: f64, stated: f64, relative: f64, what: &str) {
 }
 
 mod strapdown {
-    //! Navigation by what the IMU gives, independent of the motion's formulas.
+    //! Strapdown navigation from the IMU's measurements, independent of the motion's formulas.
 
     use super::*;
 
@@ -47,7 +47,7 @@ mod strapdown {
         pub velocity_m_s: Vector3<f64>,
     }
 
-    /// Of gravitation, by the zonal harmonics of WGS 84 (NIMA TR8350.2): its derivatives are taken numerically.
+    /// Gravitational potential from the zonal harmonics of WGS 84 (NIMA TR8350.2): its derivatives are computed numerically.
     fn potential(at: &Vector3<f64>) -> f64 {
         const HARMONICS: [f64; 3] = [1.082_629_821_3e-3, -2.370_911_2e-6, 6.083_46e-9];
         let (mass, radius) = (3.986_004_418e14, 6_378_137.0);
@@ -96,7 +96,7 @@ mod strapdown {
             }
         }
 
-        /// Runge and Kutta's fourth order; force and rate by time within the step.
+        /// Fourth-order Runge-Kutta step; force and rate are functions of time within the step.
         fn stepped(&self, dt_s: f64, felt: impl Fn(f64) -> (Vector3<f64>, Vector3<f64>)) -> Pose {
             let slope = |pose: &Pose, at_s| {
                 let (force, rate) = felt(at_s);
@@ -114,7 +114,7 @@ mod strapdown {
         }
     }
 
-    /// Through all rows but the first and the last: within an interval force and rate are lines through the means of the neighbours.
+    /// Integrates all rows except the first and the last: within an interval force and rate are linear through the means of the neighbours.
     pub fn flown(mut pose: Pose, rows: &[ImuRow]) -> Pose {
         for three in rows.windows(3) {
             let dt_s = three[1].t_s - three[0].t_s;
@@ -144,7 +144,7 @@ mod strapdown {
     }
 }
 
-/// Without errors: the IMU's rows of so many seconds from a time on, with the truth.
+/// The IMU's rows without errors over a number of seconds from a time on, with the truth.
 fn perfect(motion: &dyn Motion, start_s: u64, seconds: u64) -> Vec<(ImuRow, strapdown::Pose)> {
     let ticks = start_s * 100 + 1..=(start_s + seconds) * 100;
     let row = |tick| {
@@ -218,7 +218,7 @@ fn the_balloon_hangs_at_its_height_and_points_at_the_sun() {
         let force = state.attitude.rotation * state.specific_force_m_s2();
         assert!((force.norm() - 9.68).abs() < 0.02, "{}", force.norm());
         let tilt_deg = force.angle(&up).to_degrees();
-        // Between geodetic and geocentric down.
+        // Angle between geodetic and geocentric nadir.
         assert!((tilt_deg - 0.18).abs() < 0.05, "{tilt_deg}");
         let axis = state.attitude.rotation * Vector3::x();
         let off_deg = axis.angle(&sun.direction(t_s)).to_degrees();
@@ -248,7 +248,7 @@ fn the_same_seed_gives_the_same_flight_and_another_one_another() {
         };
         assert_eq!(plan.fly(4), plan.fly(4));
         assert_ne!(plan.fly(4).truth, plan.fly(5).truth);
-        // Errors belong to their instruments: without the IMU's, all else is the same.
+        // Errors belong to their instruments: without the IMU's, all others are the same.
         let quiet = FlightPlan {
             imu: ImuErrors::default(),
             ..plan.clone()
@@ -342,7 +342,7 @@ fn the_errors_of_the_imu_are_as_large_as_stated() {
     };
     for errors in [ImuErrors::rocket(), ImuErrors::balloon()] {
         let [force, rate] = imu_errors(&errors, still, 100);
-        // The mean of 100 rows is that of a second: the white noise adds its random walk.
+        // The mean of 100 rows is that of one second: the white noise adds its random walk.
         let bias = errors
             .accelerometer_bias_sigma_m_s2
             .hypot(errors.velocity_random_walk);
@@ -370,7 +370,7 @@ fn the_errors_of_the_imu_are_as_large_as_stated() {
         gyro_scale_sigma_ppm: 2000.0,
         ..ImuErrors::default()
     };
-    // Equal components: two turns and a scale factor enter every axis.
+    // Equal components: two misalignments and a scale factor affect every axis.
     let moving = ImuRow {
         specific_force_m_s2: Vector3::repeat(10.0),
         rate_rad_s: Vector3::repeat(0.1),
@@ -464,7 +464,7 @@ fn the_errors_of_directions_are_as_large_and_as_long_as_stated() {
         assert_near(mean(&all), errors.sigma_rad().powi(2), 0.08, "variance");
         let step = 2.0 * (white + correlated * (1.0 - f64::exp(-1.0 / 20.0)));
         assert_near(mean(&neighbours), step, 0.05, "change in a second");
-        // The turn of the direction in the camera takes some of the correlation along.
+        // The rotation of the direction in the camera reduces the correlation.
         assert_near(
             mean(&together),
             correlated * f64::exp(-1.0),
