@@ -1,4 +1,4 @@
-//! `solaspect accuracy`: how near the truth the pipeline comes, condition by condition.
+//! `solaspect accuracy`: errors of the pipeline relative to the truth, condition by condition.
 
 use super::output::say;
 use crate::accuracy::{Case, Figures, Page, Program, Report, Size, case_text, frame_columns, text};
@@ -72,7 +72,7 @@ fn all_frames(args: &AccuracyArgs) -> anyhow::Result<ExitCode> {
         None => Figures::Left,
     };
     let program = Program::new(size, &args.only, figures, instrument(args)?).context("--only")?;
-    // Before the run, which may outlast a commit.
+    // Before the run, during which a commit may be made.
     let commit = commit();
     let progress = ProgressBar::new(program.frames());
     if let Ok(style) =
@@ -133,7 +133,7 @@ fn write(folder: &Path, name: &str, text: &str) -> anyhow::Result<()> {
         .with_context(|| format!("cannot write {}", folder.join(name).display()))
 }
 
-/// The commit of the source that the program was built from, where that is still at hand.
+/// The commit of the source from which the program was built, if the source is still available.
 fn commit() -> Option<String> {
     let answer = Command::new("git")
         .args(["-C", env!("CARGO_MANIFEST_DIR")])

@@ -1,4 +1,4 @@
-//! `solaspect archive`: what is in an archive, and whether it is sound.
+//! `solaspect archive`: lists and checks an archive.
 
 use super::output::{make_folder, progress_bar};
 use crate::archive::check::{
@@ -226,7 +226,7 @@ fn list_line(row: &KeywordRow, folder: &Path) -> String {
     .into()
 }
 
-/// The path as from within the folder.
+/// The path relative to the folder.
 fn within(file: &str, folder: &Path) -> String {
     let path = Path::new(file);
     path.strip_prefix(folder)

@@ -1,4 +1,4 @@
-//! Shared parts of `navigate` and `refine`: which rows and files of an attitude are wanted, and the printed summary.
+//! Shared parts of `navigate` and `refine`: the selection of rows and files of an attitude, and the printed summary.
 
 use super::output::say;
 use crate::refine::{AttitudeFound, Wanted};
@@ -36,7 +36,7 @@ pub fn parse_rate(text: &str) -> Result<f64, String> {
         .ok_or_else(|| format!("expected a number from 0.001 to 100000 Hz, found \"{text}\""))
 }
 
-/// Says in a line what came out, and in more why it is not to be trusted: then it is a failure.
+/// Prints the result in one line, and further lines with reasons not to trust it: then it is a failure.
 pub(super) fn print(found: &AttitudeFound) -> anyhow::Result<ExitCode> {
     say(found)?;
     for doubt in found.doubts() {

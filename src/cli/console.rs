@@ -154,7 +154,7 @@ impl ConsoleArgs {
     }
 }
 
-/// The newest of an archive's files of a kind.
+/// The newest file of a kind in an archive.
 fn newest(folder: &Path, kind: &str) -> Option<PathBuf> {
     let entries = std::fs::read_dir(folder).ok()?.flatten();
     let is_of_kind = |path: &PathBuf| {
@@ -164,13 +164,13 @@ fn newest(folder: &Path, kind: &str) -> Option<PathBuf> {
     entries.map(|entry| entry.path()).filter(is_of_kind).max()
 }
 
-/// A flight of the simulator's, with its archive in a temporary folder that goes when the console ends.
+/// A simulated flight, with its archive in a temporary folder that is removed when the console ends.
 struct DemoFlight {
     /// The ground's end of the line, until the console takes it.
     line: Option<Connection>,
     archive: tempfile::TempDir,
     faults: Faults,
-    /// It gives the far end of the line back: the console hangs up first.
+    /// It returns the far end of the line: the console closes its end first.
     thread: thread::JoinHandle<(anyhow::Result<Summary>, Option<AnyPort>)>,
 }
 
@@ -207,11 +207,11 @@ impl DemoFlight {
         })
     }
 
-    /// Waits for its end, and says what it came to.
+    /// Waits for its end, and returns its result.
     fn end(self) -> anyhow::Result<()> {
         match self.thread.join() {
             Ok((Ok(summary), _ground)) => say(&summary),
-            // It is in the log.
+            // The error is in the log.
             Ok((Err(_), _)) | Err(_) => Ok(()),
         }
     }

@@ -69,7 +69,7 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
     })
 }
 
-/// The live line: the frame, what was solved, what the controller got.
+/// The live line: the frame, its solution, and the offset that the controller received.
 fn line(glimpse: &Glimpse) -> String {
     let answer = &glimpse.answer;
     let number = answer.exposure.frame.info.number.unwrap_or_default();

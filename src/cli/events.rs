@@ -1,4 +1,4 @@
-//! `solaspect events`: photons put on the Sun.
+//! `solaspect events`: assigns photons to places on the Sun.
 
 use super::options::interrupted;
 use super::output::{Follower, say};
@@ -110,10 +110,10 @@ pub fn run(args: &EventsArgs) -> anyhow::Result<ExitCode> {
 }
 
 impl EventsArgs {
-    /// Puts the photons on the Sun, and prints how many.
+    /// Assigns the photons to places on the Sun, and prints their number.
     ///
     /// # Errors
-    /// Files that are not what they should be; a run that was cancelled.
+    /// If files are invalid, or the run was cancelled.
     pub fn run(&self, cancelled: &Arc<AtomicBool>) -> anyhow::Result<ExitCode> {
         let follower = Follower::new("events", cancelled);
         let image = self.image.request();

@@ -29,7 +29,7 @@ pub struct FlyArgs {
     force: bool,
 }
 
-/// After a request to end, the program has ended within this time, and a little for the line.
+/// Time after a request to end within which the program ends, apart from a little time for the line.
 const ENDING: Duration = Duration::from_millis(1500);
 
 pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
@@ -74,7 +74,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
 
 fn exit_code(tally: &FlightTally, ends_by_request: bool) -> ExitCode {
     match tally.lost() {
-        // The end was requested; what was lost in flight is in the log.
+        // The end was requested; losses in flight are in the log.
         _ if ends_by_request => ExitCode::SUCCESS,
         _ if tally.gave_up => ExitCode::FAILURE,
         0 => ExitCode::SUCCESS,
@@ -100,7 +100,7 @@ fn say_who_flies(plan: &Plan, flight: &Flight) {
     }
 }
 
-/// Errors of a plan that flies by force, and warnings of any.
+/// Logs errors of a plan that flies by force, and warnings of any plan.
 fn warn_of_remarks(remarks: &Remarks) {
     for remark in &remarks.list {
         match remark.severity {

@@ -1,4 +1,4 @@
-//! Shared parts of the commands that take frames and give an answer for each: options, formats, pictures, order.
+//! Shared parts of the commands that read frames and give an answer for each: options, formats, pictures, order.
 
 use super::output::{make_folder, progress_bar, say};
 use crate::fits::{self, FileError};
@@ -42,10 +42,10 @@ pub(super) enum Format {
 }
 
 impl FramesArgs {
-    /// Puts the frames of each folder in its place, and makes the overlays' folder.
+    /// Replaces each folder by its frames, and makes the overlays' folder.
     ///
     /// # Errors
-    /// A folder cannot be listed; the overlays' folder cannot be made, or the overlays of two frames would have one name.
+    /// If a folder cannot be listed, the overlays' folder cannot be made, or the overlays of two frames would have the same name.
     pub fn prepare(&mut self) -> anyhow::Result<()> {
         self.frames = observe::named(&self.frames)?;
         let Some(folder) = &self.overlay else {
@@ -60,8 +60,8 @@ impl FramesArgs {
         Ok(())
     }
 
-    /// Reads a frame; of several pictures in its file, the first of a camera's width and height, px. What of the file was not used as it
-    /// stands is logged, once a run and kind.
+    /// Reads a frame; if its file has several pictures, the first of a camera's width and height, px. Parts of the file that were not used
+    /// unchanged are logged, once per run and kind.
     pub fn read(&self, path: &Path, size_px: Option<[usize; 2]>) -> Result<Frame, FileError> {
         let frame = match size_px {
             Some(size_px) => fits::read_frame_of_size(path, size_px),
@@ -76,7 +76,7 @@ impl FramesArgs {
         self.warnings.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Writes a frame's overlay, where they are wanted.
+    /// Writes a frame's overlay, if overlays are wanted.
     pub fn draw(&self, path: &Path, picture: impl FnOnce(&str) -> RgbImage) -> anyhow::Result<()> {
         let Some(folder) = &self.overlay else {
             return Ok(());
@@ -87,7 +87,7 @@ impl FramesArgs {
         written.with_context(|| format!("{}: cannot write the overlay", file.display()))
     }
 
-    /// Takes what each item comes to, in the order of the items, `jobs` of them at a time.
+    /// Passes on the result for each item, in the order of the items, with `jobs` of them processed at a time.
     pub fn in_order<I: Sync, O: Send>(
         &self,
         items: &[I],
@@ -97,10 +97,10 @@ impl FramesArgs {
         observe::in_order(items, self.jobs.into(), solve, take)
     }
 
-    /// Prints the answer of each frame as `solve` gives them, in order, and how many frames had warnings of each kind.
+    /// Prints the answer for each frame from `solve`, in order, and the number of frames with warnings of each kind.
     ///
     /// # Errors
-    /// Standard output takes nothing. A file that could not be read is a line of its own, and makes the run a failure.
+    /// If standard output cannot be written. A file that could not be read gets a line of its own, and makes the run a failure.
     pub fn print<R: OutputRow>(
         &self,
         solve: impl FnOnce(&mut dyn FnMut(Answer<R>) -> anyhow::Result<()>) -> anyhow::Result<()>,
@@ -123,7 +123,7 @@ impl FramesArgs {
         Ok(code)
     }
 
-    /// None beside a table on the same terminal, where a bar only flickers.
+    /// None beside a table on the same terminal, where a bar would only flicker.
     fn progress(&self) -> ProgressBar {
         if self.frames.len() < 2 || std::io::stdout().is_terminal() {
             return ProgressBar::hidden();
@@ -132,7 +132,7 @@ impl FramesArgs {
     }
 }
 
-/// The frame's folder and name, so that frames of several folders do not meet in one.
+/// The frame's folder and name, so that frames of several folders have different names.
 fn picture_name(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let folder = path.parent().and_then(Path::file_name);
@@ -142,7 +142,7 @@ fn picture_name(path: &Path) -> String {
     }
 }
 
-/// The width of the table's last column: as wide as it needs.
+/// The width of the table's last column: as wide as necessary.
 pub(super) const REMARKS: usize = 0;
 
 /// Answer for a frame.
@@ -152,17 +152,17 @@ pub(super) trait OutputRow: Serialize {
 
     fn csv_row(&self) -> Vec<String>;
 
-    /// Titles and widths of the table's columns after the file's; the last one is of [`REMARKS`] and has no title.
+    /// Titles and widths of the table's columns after the file's; the last one has the width [`REMARKS`] and no title.
     fn table_columns() -> &'static [(&'static str, usize)];
 
-    /// The file, and what stands in the other columns.
+    /// The file, and the content of the other columns.
     fn table_row(&self) -> (&str, Vec<String>);
 }
 
 /// Answer for a frame, or the file and its error.
 pub(super) type Answer<R> = Result<R, (String, String)>;
 
-/// The answer of a file that could not be solved. The line names the file already, and the error does not again.
+/// The answer for a file that could not be solved. The line already names the file, so the error does not repeat it.
 pub(super) fn bad_file<R>(path: &Path, error: &anyhow::Error) -> Answer<R> {
     let name = path.display().to_string();
     let text = format!("{error:#}");
@@ -183,10 +183,10 @@ struct Printer {
     csv: csv::Writer<std::io::Stdout>,
 }
 
-/// Of the table's first column.
+/// Width of the table's first column.
 const FILE_WIDTH: usize = 21;
 
-/// Of the whole table.
+/// Width of the whole table.
 const TABLE_WIDTH: usize = 100;
 
 impl Printer {
@@ -252,7 +252,7 @@ impl Printer {
     }
 }
 
-/// The file, the quality to the left, numbers to the right, and the remarks last: on a line of their own where the line would grow
+/// The file, the quality left-aligned, numbers right-aligned, and the remarks last: on a line of their own if the line would become
 /// too wide.
 fn table_line<R: OutputRow>(file: &str, fields: impl Iterator<Item = String>) -> String {
     let mut line = format!("{:<FILE_WIDTH$}", tail(file));
@@ -270,7 +270,7 @@ fn table_line<R: OutputRow>(file: &str, fields: impl Iterator<Item = String>) ->
     line
 }
 
-/// Behind the last column, else behind the last that is not empty, else on a line of their own.
+/// Appends the remarks after the last column, else after the last that is not empty, else on a line of their own.
 fn add_remarks(line: &mut String, remarks: &str) {
     if line.len() + 2 + remarks.len() > TABLE_WIDTH {
         line.truncate(line.trim_end().len());
@@ -280,7 +280,7 @@ fn add_remarks(line: &mut String, remarks: &str) {
     *line += remarks;
 }
 
-/// The end of a path, where frames differ.
+/// The end of a path, in which frames differ.
 fn tail(file: &str) -> String {
     let count = file.chars().count();
     if count <= FILE_WIDTH {

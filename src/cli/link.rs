@@ -1,4 +1,4 @@
-//! `solaspect link`: the controller's line by hand: send a command, read packets, record what is said.
+//! `solaspect link`: manual operation of the controller's line: send a command, decode packets, record a line.
 
 use super::options;
 use super::output::say;
@@ -48,9 +48,9 @@ struct Line {
 }
 
 impl Line {
-    /// Signs what is sent to a computer, where there is a key.
+    /// Opens the line; packets to a computer are signed if there is a key.
     fn open(&self, key: Option<&Path>, computer: Computer) -> anyhow::Result<AnyPort> {
-        // Any free local port where the address names none: the peer's own may be on this machine.
+        // Any free local port if the address names none: the peer's own may be on this computer.
         let local = LocalEnd::default();
         match (&self.port, key) {
             (port, None) => Ok(port.open(self.baud, local)?),
@@ -189,8 +189,8 @@ pub fn run(args: LinkArgs) -> anyhow::Result<ExitCode> {
 fn send(args: &SendArgs) -> anyhow::Result<ExitCode> {
     let message = order(&args.command, &args.values, args.computer)?;
     let mut port = args.line.open(args.key_file.as_deref(), args.computer)?;
-    // Over UDP a sender's numbers must rise until it has been silent for 30 s. Those of two commands from one port,
-    // less than 32.7 s apart, do: the numbers begin again after 65.5 s.
+    // Over UDP a sender's numbers must increase until it has been silent for 30 s. Those of two commands from one port,
+    // less than 32.7 s apart, do: the numbers restart after 65.5 s.
     let sequence = Timestamp::now().as_millisecond() as u16;
     let answer = match message {
         Message::MoonRequest(request) => {
@@ -235,7 +235,7 @@ fn decode(args: &DecodeArgs) -> anyhow::Result<ExitCode> {
     Ok(all(&found))
 }
 
-/// Exit code 1 where some bytes are no packets.
+/// Exit code 1 if some bytes are no packets.
 fn all(found: &Contents) -> ExitCode {
     ExitCode::from(u8::from(found.rejected.bytes > 0))
 }
@@ -299,7 +299,7 @@ fn record(
     Ok(())
 }
 
-/// Says what the bytes say.
+/// Prints the packets in the bytes.
 fn print(bursts: &[Burst], from: Option<Speaker>, timed: bool) -> anyhow::Result<Contents> {
     let likely = || byte_log::likely_direction(bursts);
     let direction = from.map_or_else(likely, Speaker::direction);

@@ -1,4 +1,4 @@
-//! The command table, and the commands: each file reads its arguments, calls the library and prints. No logic here.
+//! The command table, and the commands: each file reads its arguments, calls the library and prints. There is no other logic here.
 
 pub mod accuracy;
 pub mod archive;
@@ -74,7 +74,7 @@ enum Command {
 }
 
 impl Program {
-    /// Does what the arguments say.
+    /// Executes the command given by the arguments.
     ///
     /// # Errors
     /// The error, for a line on standard error.
@@ -103,7 +103,7 @@ impl Program {
     }
 }
 
-/// The command table, of which man pages and completions are made.
+/// The command table, from which man pages and completions are made.
 pub fn command() -> clap::Command {
     Program::command()
 }

@@ -1,4 +1,4 @@
-//! `solaspect navigate`: the attitude by gyros between and beyond what cameras see.
+//! `solaspect navigate`: the attitude by gyros between and after observations of cameras.
 
 use super::attitude::{self, AttitudeArgs};
 use super::options;
@@ -127,7 +127,7 @@ impl NavigateArgs {
         let mut left_out = LeftOut::of(&self.vectors);
         for (one, why) in unknown {
             let bad = one.without(why);
-            // One row may have a wrong time; of a target that is never known no row does.
+            // One row may have a wrong time; but if a target is never known, all of its rows are unusable.
             if !observations.iter().any(|other| other.target == one.target) {
                 return Err(bad.at(&self.vectors, one.line).into());
             }

@@ -1,4 +1,4 @@
-//! Options of several commands.
+//! Options shared by several commands.
 
 use crate::camera::Source;
 use crate::config::Config;
@@ -34,7 +34,7 @@ pub(super) struct ConfigurationArgs {
 }
 
 impl ConfigurationArgs {
-    /// Values of the command line.
+    /// Values from the command line.
     pub fn options(&self) -> Options {
         Options {
             instrument: self.instrument.clone(),
@@ -69,12 +69,12 @@ pub(super) fn ephemeris(config: &Config) -> anyhow::Result<Ephemeris> {
     Ok(plan::ephemeris(config)?)
 }
 
-/// The configured target; with an epoch, the feature that stood there then.
+/// The configured target; with an epoch, the feature that was there at that time.
 pub(super) fn target(config: &Config, ephemeris: &mut Ephemeris) -> anyhow::Result<Target> {
     Ok(plan::target(config, ephemeris)?)
 }
 
-/// A length of time such as 20s, 1.5s, 500ms, 10m or 8h; a bare number is in seconds.
+/// A duration such as 20s, 1.5s, 500ms, 10m or 8h; a bare number is in seconds.
 pub(super) fn duration(text: &str) -> Result<std::time::Duration, String> {
     let units = [("ms", 1e-3), ("s", 1.0), ("m", 60.0), ("h", 3600.0)];
     let (number, unit) = units
@@ -97,7 +97,7 @@ pub(super) fn rate_hz(text: &str) -> Result<f64, String> {
     }
 }
 
-/// How many times faster than life.
+/// Factor by which time is accelerated.
 pub(super) fn speed(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(speed) if (0.01..=1000.0).contains(&speed) => Ok(speed),
@@ -107,15 +107,15 @@ pub(super) fn speed(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Becomes true when the program is asked to end: by SIGINT, by SIGTERM, or by SIGHUP, which a terminal sends that is closed. A
-/// program that was started with SIGHUP ignored, as by nohup, goes on ignoring it.
+/// Becomes true when the program is asked to end: by SIGINT, by SIGTERM, or by SIGHUP, which a terminal sends when it is closed. A
+/// program that was started with SIGHUP ignored, as by nohup, continues to ignore it.
 pub(super) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
     let interrupted = Arc::new(AtomicBool::new(false));
     let mut signals = vec![SIGINT, SIGTERM];
     if !is_ignored(SIGHUP) {
         signals.push(SIGHUP);
     }
-    // A file that may grow no further (RLIMIT_FSIZE) is an error of its writer, not the end of the flight.
+    // A file that exceeds the size limit (RLIMIT_FSIZE) is an error of its writer, not the end of the flight.
     signal_hook::flag::register(SIGXFSZ, Arc::default())?;
     for signal in signals {
         signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
@@ -123,7 +123,7 @@ pub(super) fn interrupted() -> anyhow::Result<Arc<AtomicBool>> {
     Ok(interrupted)
 }
 
-/// Whether the program ignores a signal, as Linux reports it: a bit for each, from SIGHUP on.
+/// Whether the program ignores a signal, as reported by Linux: one bit for each signal, from SIGHUP on.
 fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

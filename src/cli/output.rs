@@ -1,4 +1,4 @@
-//! Output of several commands: their answers, and messages beside them.
+//! Output shared by several commands: their answers, and messages beside them.
 
 use crate::log;
 use crate::observe::Watch;
@@ -11,10 +11,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Writes a line to standard output. A reader that has left does not want the rest: that is no error.
+/// Writes a line to standard output. If the reader has closed it, that is no error.
 ///
 /// # Errors
-/// Standard output takes nothing: a full disk, for one.
+/// If standard output cannot be written, for example because the disk is full.
 pub(super) fn say(line: impl Display) -> anyhow::Result<()> {
     match writeln!(io::stdout(), "{line}") {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
@@ -24,7 +24,7 @@ pub(super) fn say(line: impl Display) -> anyhow::Result<()> {
     }
 }
 
-/// A bar of so many frames or files on standard error; hidden by itself where that is no terminal.
+/// A progress bar for this many frames or files on standard error; it is hidden if that is no terminal.
 pub(super) fn progress_bar(count: usize, what: &str) -> ProgressBar {
     let template = format!("{{bar:40}} {{pos}}/{{len}} {what}, {{rate}}, {{eta}} left");
     let style = ProgressStyle::with_template(&template);
@@ -36,7 +36,7 @@ pub(super) fn progress_bar(count: usize, what: &str) -> ProgressBar {
     ProgressBar::new(count as u64).with_style(style.with_key("rate", rate))
 }
 
-/// How far a long run has got, on standard error: a bar on a terminal, elsewhere a line a minute.
+/// Progress of a long run, on standard error: a bar on a terminal, otherwise one line per minute.
 struct Progress {
     command: &'static str,
     what: String,
@@ -44,7 +44,7 @@ struct Progress {
     next_line: Mutex<Instant>,
 }
 
-/// How often a log is written.
+/// Interval of the lines in a log.
 const LINE_EVERY: Duration = Duration::from_secs(60);
 
 impl Progress {
@@ -57,13 +57,13 @@ impl Progress {
         }
     }
 
-    /// One more is done.
+    /// Counts one more item as done.
     pub fn step(&self) {
         self.bar.inc(1);
         if !self.bar.is_hidden() {
             return;
         }
-        // A thread that finds it taken leaves the line to the other one.
+        // If the lock is taken, the other thread writes the line.
         let Ok(mut next_line) = self.next_line.try_lock() else {
             return;
         };
@@ -89,7 +89,7 @@ impl Progress {
     }
 }
 
-/// Shows how far a run is, and ends it when the program is asked to end.
+/// Shows the progress of a run, and ends it when the program is asked to end.
 pub(super) struct Follower {
     command: &'static str,
     progress: Mutex<Option<Progress>>,
@@ -132,7 +132,7 @@ impl Watch for Follower {
     }
 }
 
-/// Makes a folder and those above it.
+/// Makes a folder and its parents.
 pub(super) fn make_folder(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("{}: cannot make the folder", folder.display()))

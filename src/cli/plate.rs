@@ -1,4 +1,4 @@
-//! `solaspect plate`: whether a plate will work, and its artwork.
+//! `solaspect plate`: check of a plate's design, and its artwork.
 
 use super::options;
 use super::output::{make_folder, say};
@@ -153,7 +153,7 @@ fn design(args: &DesignArgs) -> anyhow::Result<ExitCode> {
     write(&args.out.join("marks.csv"), marks.as_bytes())?;
     let file = args.out.join("instrument.toml");
     write(&file, text.as_bytes())?;
-    // Everything else reads what was written.
+    // All later steps read the file that was written.
     let designed = Instrument::read(&file)?;
     let check = CheckSettings {
         rotations: settings.rotations,
@@ -173,7 +173,7 @@ fn design(args: &DesignArgs) -> anyhow::Result<ExitCode> {
     Ok(exit_code(&found))
 }
 
-/// The instrument with the lens and the view that the plate is for.
+/// The instrument with the lens and the view for which the plate is made.
 fn camera(before: &Instrument, args: &DesignArgs) -> anyhow::Result<Instrument> {
     positive("--field-mil", Some(args.field_mil))?;
     let mean_mil = before.optics.radius_mil(MEAN_SUN_ARCSEC);
@@ -187,7 +187,7 @@ fn camera(before: &Instrument, args: &DesignArgs) -> anyhow::Result<Instrument> 
     Ok(start.seeing(args.field_mil))
 }
 
-/// An option's length, which has to be one.
+/// An option's length, which must be positive.
 fn positive(name: &str, mil: Option<f64>) -> anyhow::Result<Option<f64>> {
     if let Some(mil) = mil.filter(|mil| !(mil.is_finite() && *mil > 0.0)) {
         bail!("{name}: expected a length above 0 mil, found {mil}");

@@ -12,7 +12,7 @@ use std::io::{BufRead, IsTerminal};
 use std::process::ExitCode;
 use std::time::Duration;
 
-/// How long the operator may take for an answer.
+/// Longest wait for an answer of the operator.
 const OPERATOR: Duration = Duration::from_secs(600);
 
 /// Check before a flight that clock, disks, line and cameras work as configured
@@ -49,7 +49,7 @@ pub fn run(args: PreflightArgs) -> anyhow::Result<ExitCode> {
     let mut findings = Vec::new();
     let mut report = |finding: Finding| {
         if !args.json {
-            // The checks go on without a reader, and the exit code gives the result.
+            // The checks continue without a reader, and the exit code gives the result.
             let _ = say(&finding);
         }
         findings.push(finding);
@@ -83,7 +83,7 @@ fn conclude(findings: &[Finding], as_json: bool) -> anyhow::Result<ExitCode> {
     })
 }
 
-/// Asks at the terminal. Answers are read on a thread of their own: an operator who has left ends nothing else.
+/// Asks at the terminal. Answers are read on a thread of their own, so that an absent operator does not block the rest.
 struct Console {
     answers: Receiver<String>,
 }

@@ -159,10 +159,10 @@ impl RefineArgs {
         }
     }
 
-    /// Refines, and prints what came out. `cancelled` ends it at the next frame.
+    /// Refines, and prints the result. `cancelled` ends it at the next frame.
     ///
     /// # Errors
-    /// As [`refine::refine`], and files that could not be read.
+    /// As [`refine::refine`], and if files cannot be read.
     pub fn run(&self, cancelled: &Arc<AtomicBool>) -> anyhow::Result<ExitCode> {
         let follower = Follower::new("refine", cancelled);
         let refined = refine::refine(&self.archive, &self.options(), &follower)?;

@@ -1,4 +1,4 @@
-//! `solaspect sky`: where the Sun and the Moon stand.
+//! `solaspect sky`: positions of the Sun and the Moon.
 
 mod report;
 mod visibility;

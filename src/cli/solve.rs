@@ -73,10 +73,10 @@ pub fn run(mut args: SolveArgs) -> anyhow::Result<ExitCode> {
     Ok(code)
 }
 
-/// Result of a file.
+/// Result for a file.
 struct Solved {
     answer: Answer<Line>,
-    /// For an offset, nothing but the place is missing.
+    /// Whether only the place is missing for an offset.
     lacks_place: bool,
     track: Option<Track>,
     /// Contradictions between the frame and the instrument.
@@ -94,7 +94,7 @@ struct Batch<'a> {
 }
 
 impl Batch<'_> {
-    /// Takes what came of every file, in order.
+    /// Passes on the result for every file, in order.
     fn solve(
         &self,
         track: bool,
@@ -122,7 +122,7 @@ impl Batch<'_> {
         })
     }
 
-    /// Warns of every stated quantity that a fine frame contradicts, once in a run.
+    /// Warns of every calibrated quantity that a fine frame contradicts, once per run.
     fn warn_of(&self, found: &[Contradiction], file: &str, warned: &mut Vec<Quantity>) {
         for contradiction in found {
             if !warned.contains(&contradiction.quantity) {
@@ -182,7 +182,7 @@ impl Batch<'_> {
 #[serde(transparent)]
 struct Line {
     record: Record,
-    /// For the table.
+    /// Scale for the table.
     #[serde(skip)]
     arcsec_per_mil: f64,
 }

@@ -17,7 +17,7 @@ pub enum Cover {
         offset_mil: Vector2<f64>,
         radius_mil: f64,
     },
-    /// A shadow with straight edges: a strut, or a cloud, which has only one edge in view.
+    /// A shadow with straight edges: a strut, or a cloud, whose second edge is at infinity.
     Shadow {
         /// Direction across it, from +x towards +y on the plate, rad.
         across_rad: f64,

@@ -1,4 +1,4 @@
-//! `solaspect calibrate compare`: what changed from one instrument to another.
+//! `solaspect calibrate compare`: differences between two instruments.
 
 use crate::calibrate::compare;
 use crate::cli::output::say;

@@ -1,4 +1,4 @@
-//! The instrument's file before a calibration and after it.
+//! The instrument's file before and after a calibration.
 
 use crate::calibrate::revision::Revision;
 use crate::calibrate::revision::write_if;
@@ -27,7 +27,7 @@ pub(super) struct Edition {
 }
 
 impl Edition {
-    /// The instrument so far, and its file open for new entries.
+    /// The present instrument, and its file open for new entries.
     pub fn open(&self) -> anyhow::Result<(Revision, Instrument)> {
         let path = self.instrument.as_deref();
         let (instrument, text) = options::instrument_with_text(path)?;
@@ -37,7 +37,7 @@ impl Edition {
         ))
     }
 
-    /// Writes the new instrument if it is one that everything else can read; else what stood there stays. Gives the SHA-256 of
+    /// Writes the new instrument if it can be read back; else the old file stays. Returns the SHA-256 of
     /// the new file.
     pub fn write(&self, revision: &Revision) -> anyhow::Result<String> {
         let (text, _) = revision.finish()?;
@@ -45,7 +45,7 @@ impl Edition {
         Ok(sha256(text))
     }
 
-    /// Writes the page of the report if one is wanted.
+    /// Writes the page of the report if requested.
     pub fn write_page(
         &self,
         name: &str,

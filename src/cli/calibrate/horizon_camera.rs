@@ -1,4 +1,4 @@
-//! `solaspect calibrate horizon-camera`: the optics of a camera that sees the horizon.
+//! `solaspect calibrate horizon-camera`: the optics of a camera that observes the horizon.
 
 use super::edition::print_rejected;
 use crate::calibrate::horizon_camera;

@@ -1,4 +1,4 @@
-//! `solaspect calibrate`: the instrument as it is.
+//! `solaspect calibrate`: calibration of the instrument.
 
 mod camera;
 mod compare;
@@ -32,10 +32,10 @@ enum Part {
 }
 
 impl CalibrateArgs {
-    /// Calibrates, and prints what came out. `cancelled` ends it at the next frame.
+    /// Calibrates, and prints the result. `cancelled` ends it at the next frame.
     ///
     /// # Errors
-    /// Frames that give no calibration, files that cannot be read or written.
+    /// If the frames give no calibration, or files cannot be read or written.
     pub fn run(self, cancelled: &Arc<AtomicBool>) -> anyhow::Result<ExitCode> {
         let follower = |command| Follower::new(command, cancelled);
         match self.part {

@@ -1,4 +1,4 @@
-//! `solaspect calibrate plate`: the plate as it is.
+//! `solaspect calibrate plate`: the positions of the marks on the actual plate.
 
 use super::edition::Edition;
 use crate::calibrate::plate::{self, Counted};

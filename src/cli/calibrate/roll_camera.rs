@@ -1,4 +1,4 @@
-//! `solaspect calibrate mounting --roll-camera`: how the camera that sees the horizon sits in the body.
+//! `solaspect calibrate mounting --roll-camera`: the orientation of the horizon camera in the body.
 
 use super::edition::print_rejected;
 use super::mounting::MountingArgs;

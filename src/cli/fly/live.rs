@@ -6,10 +6,10 @@ use crate::service::Service;
 use std::io::IsTerminal;
 use std::time::{Duration, Instant};
 
-/// How often it is renewed.
+/// Interval between updates.
 const EVERY: Duration = Duration::from_millis(500);
 
-/// Shown where standard error is a terminal, and nowhere else.
+/// Shown only if standard error is a terminal.
 pub(super) struct LiveLine {
     on_terminal: bool,
     shown: Instant,
@@ -23,7 +23,7 @@ impl LiveLine {
         }
     }
 
-    /// Shows how the flight is, if it is time to.
+    /// Shows the state of the flight, if an update is due.
     pub fn renew(&mut self, service: &Service) {
         if !self.on_terminal || self.shown.elapsed() < EVERY {
             return;
@@ -34,7 +34,7 @@ impl LiveLine {
         }
     }
 
-    /// Leaves nothing of it.
+    /// Clears the line.
     pub fn end(self) {
         if self.on_terminal {
             log::show(String::new());

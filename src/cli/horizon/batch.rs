@@ -13,24 +13,24 @@ use nalgebra::{Rotation3, UnitVector3};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// A camera, and what it searches for.
+/// A camera, and the sphere for which it searches.
 pub(super) struct Mounted {
     pub camera: DirectionCamera,
     pub body_from_camera: Option<Rotation3<f64>>,
     pub sphere: Sphere,
 }
 
-/// What two cameras observe together.
+/// Inputs for the pairs of two cameras.
 pub(super) struct Pair {
-    /// Of each camera.
+    /// Frames of each camera.
     pub frames: [Vec<PathBuf>; 2],
-    /// In the body's frame.
+    /// The sphere in the body's frame.
     pub sphere: Sphere,
 }
 
 /// Shared inputs of all frames.
 pub(super) struct Batch<'a> {
-    /// One, or two of a pair.
+    /// One camera, or the two of a pair.
     pub cameras: Vec<Mounted>,
     pub pair: Option<Pair>,
     pub method: Method,
@@ -39,13 +39,13 @@ pub(super) struct Batch<'a> {
     pub args: &'a FramesArgs,
 }
 
-/// Result of a frame.
+/// Result for a frame.
 enum Found {
     Cone(Box<Solution>),
     Circle(Result<Circle, Stopped>),
 }
 
-/// A frame that was solved, by the number of its camera.
+/// A frame that was solved, with the number of its camera.
 struct Solved {
     camera: usize,
     found: Found,
@@ -53,7 +53,7 @@ struct Solved {
 }
 
 impl Batch<'_> {
-    /// Takes the answer of every frame, in order.
+    /// Passes on the answer for every frame, in order.
     pub fn solve(
         &self,
         track: bool,
@@ -82,7 +82,7 @@ impl Batch<'_> {
         }
     }
 
-    /// The frames of two cameras at one moment: each by itself, and with it what both say of the body.
+    /// Solves the frames of two cameras at one moment, each by itself, and determines the body's attitude from both.
     fn solve_moment(&self, paths: &[Option<PathBuf>; 2], sphere: &Sphere) -> Vec<Answer<Record>> {
         let each = paths.iter().zip(0..);
         let mut solved: Vec<(&Path, anyhow::Result<Solved>)> = each
@@ -100,7 +100,7 @@ impl Batch<'_> {
             .collect()
     }
 
-    /// Replaces the body's attitude by each of two cameras by that of both.
+    /// Replaces the body's attitude from each of two cameras by that from both.
     fn join(&self, seen: &mut [&mut Solved], sphere: &Sphere) {
         let turn = |solved: &Solved| self.cameras[solved.camera].body_from_camera;
         let body = match self.method {

@@ -1,4 +1,4 @@
-//! `solaspect horizon`: frames of the Earth's limb in, the nadir out.
+//! `solaspect horizon`: determines the nadir from frames of the Earth's limb.
 
 mod batch;
 mod pair;
@@ -83,7 +83,7 @@ struct EdgeArgs {
     disc_deg: Option<f64>,
 }
 
-/// A height that is known less well than that is not known.
+/// Sigma beyond which a height counts as unknown.
 const MOST_SIGMA_M: f64 = 1e6;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

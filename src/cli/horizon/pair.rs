@@ -1,4 +1,4 @@
-//! Which frames of two cameras belong together.
+//! Matching of the frames of two cameras.
 
 use crate::fits;
 use anyhow::ensure;
@@ -6,15 +6,15 @@ use jiff::Timestamp;
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
-/// Frames taken within this time of each other make a pair.
+/// Largest difference in time between the frames of a pair.
 const TOGETHER_S: f64 = 0.010;
 
-/// The frames of each camera: those whose name begins as its file's does; else the first half are of the first one.
+/// The frames of each camera: those whose name begins like its file's; without such names, the first half belong to the first camera.
 pub(super) fn by_camera(
     frames: &[PathBuf],
     cameras: &[PathBuf],
 ) -> anyhow::Result<[Vec<PathBuf>; 2]> {
-    // Of names that begin alike, the longer one is meant.
+    // If several names match, the longest one counts.
     let camera_of = |frame: &PathBuf| {
         let name = frame.file_name()?.to_string_lossy().into_owned();
         let stem = |n: &usize| cameras[*n].file_stem().map(|stem| stem.to_string_lossy());
@@ -50,7 +50,7 @@ pub(super) fn by_camera(
     Ok([first.to_vec(), second.to_vec()])
 }
 
-/// The frames of two cameras by the moments they belong to, each camera's at its place.
+/// The frames of two cameras by moments, with each camera's frame at its index.
 pub(super) fn matched(frames: [&[PathBuf]; 2]) -> Vec<[Option<PathBuf>; 2]> {
     let [first, second] = frames;
     let times = |frames: &[PathBuf]| -> Vec<Option<Timestamp>> {
@@ -69,7 +69,7 @@ pub(super) fn matched(frames: [&[PathBuf]; 2]) -> Vec<[Option<PathBuf>; 2]> {
         .collect()
 }
 
-/// When a frame was taken; of a file that cannot be read, and of a picture, nothing is known.
+/// Time of a frame; `None` for a file that cannot be read, and for a picture without a time.
 fn time(path: &Path) -> Option<Timestamp> {
     fits::read_info(path).ok()?.0.mid_exposure
 }
@@ -81,7 +81,7 @@ fn by_order(first: usize, second: usize) -> Vec<[Option<usize>; 2]> {
         .collect()
 }
 
-/// The moments one after the other; then the frames without a time, each alone.
+/// The moments in order; then the frames without a time, each alone.
 fn by_time(first: &[Option<Timestamp>], second: &[Option<Timestamp>]) -> Vec<[Option<usize>; 2]> {
     let timed = |times: &[Option<Timestamp>]| {
         let with_time = |(n, time): (usize, &Option<Timestamp>)| Some(((*time)?, n));

@@ -22,14 +22,14 @@ pub(super) struct Record {
     pitch_deg: Option<f64>,
     conic: Option<&'static str>,
     flags: Vec<&'static str>,
-    /// Height of the edge, where it was found with the nadir.
+    /// Height of the edge, if it was determined with the nadir.
     edge_m: Option<f64>,
     edge_sigma_m: Option<f64>,
-    /// The camera's height by the circle.
+    /// The camera's height from the circle.
     height_m: Option<f64>,
     #[serde(flatten)]
     pub body: InBody,
-    /// Points of the edge, and those of them that agree with the nadir.
+    /// Number of points of the edge.
     edge_points: usize,
     agreeing_points: usize,
     solve_us: u64,
@@ -52,7 +52,7 @@ impl InBody {
         }
     }
 
-    /// Of circles, whose errors are not known.
+    /// The nadir from circles, whose errors are not known.
     pub fn of_circles(unit: &UnitVector3<f64>) -> Self {
         Self {
             nadir_body: Some(unit.into_inner().into()),
@@ -62,7 +62,7 @@ impl InBody {
 }
 
 impl Record {
-    /// Takes what both cameras of a pair say of the body; its own stays where they do not agree.
+    /// Takes the body's attitude from both cameras of a pair; the frame's own remains if they disagree.
     pub fn join(&mut self, body: Option<&InBody>) {
         match body {
             Some(body) => self.body = body.clone(),
@@ -70,7 +70,7 @@ impl Record {
         }
     }
 
-    /// Of a frame that shows nothing.
+    /// Record of a frame without a result.
     fn none(file: &str, stopped: Option<&Stopped>, time: Duration) -> Self {
         Self {
             file: file.into(),
@@ -125,7 +125,7 @@ impl Record {
         }
     }
 
-    /// Of a circle, whose edge stands at a height if it is the Earth's.
+    /// Record of a circle; the edge has a height if the body is the Earth.
     pub fn of_circle(
         file: &str,
         circle: &Result<Circle, Stopped>,
@@ -143,7 +143,7 @@ impl Record {
         }
     }
 
-    /// The reason of a frame that shows nothing, or the flags of one that does.
+    /// The reason of a frame without a result, or the flags of one with a result.
     fn remarks(&self) -> String {
         match self.reason {
             Some(_) => self.reason_text(),

@@ -1,4 +1,4 @@
-//! `solaspect moon`: frames of the Moon in, its centre and direction out.
+//! `solaspect moon`: determines the Moon's centre and direction from frames.
 
 mod record;
 
@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 
-/// A radius that is stated is known this well, relative to it.
+/// Relative sigma of a stated radius.
 const RADIUS_SIGMA: f64 = 2e-4;
 
 /// Find the Moon in frames: the centre of its whole disc at any phase, and its direction
@@ -82,7 +82,7 @@ enum Method {
     Extremities,
 }
 
-/// How a camera points.
+/// Pointing of a camera.
 #[derive(Debug, Clone, Copy)]
 struct Attitude {
     local_from_camera: Rotation3<f64>,
@@ -187,7 +187,7 @@ impl Batch<'_> {
         ))
     }
 
-    /// Where the ephemeris has the Moon, where time and place are known.
+    /// Position of the Moon by the ephemeris, if time and place are known.
     fn position(&self, frame: &Frame) -> anyhow::Result<Option<MoonPosition>> {
         let Some(place) = self.args.place else {
             return Ok(None);
@@ -200,7 +200,7 @@ impl Batch<'_> {
         Ok(Some(self.ephemeris.clone().moon(utc, place)?))
     }
 
-    /// That the Moon is below the horizon.
+    /// The reason for a Moon below the horizon.
     fn not_up(&self, moon: Option<&MoonPosition>) -> Option<Stopped> {
         let below = moon::below_horizon(moon?, self.args.place?);
         below.map(crate::reasons::at(moon::Stage::Sky))

@@ -9,10 +9,10 @@ use nalgebra::Rotation3;
 use serde::Serialize;
 use std::time::Duration;
 
-/// Result of a frame.
+/// Result for a frame.
 pub(super) enum Found {
     Disc(Box<Disc>),
-    /// Centre and vertical half axis, px, of the circle by extremities.
+    /// Centre and vertical half axis, px, of the circle through the extremities.
     Circle(SensorPx, f64),
     None(Stopped),
 }
@@ -96,7 +96,7 @@ impl Record {
         }
     }
 
-    /// With the centre and the directions to it.
+    /// The record with the centre and the directions to it.
     fn towards(
         self,
         centre: SensorPx,
@@ -113,7 +113,7 @@ impl Record {
         }
     }
 
-    /// Of a frame of which nothing is known.
+    /// Record of a frame of which nothing is known.
     fn none(file: &str, time: Duration) -> Self {
         Self {
             file: file.into(),

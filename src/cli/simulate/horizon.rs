@@ -10,9 +10,9 @@ use anyhow::ensure;
 use clap::{Args, ValueEnum};
 use nalgebra::{Matrix3, Rotation3};
 
-/// The first line of `truth.csv`. The nadir is in the camera frame (x right, y down, z forward); `in_view` is 1 where some of the
-/// limb's edge is in the picture; `edge_m` is the height of that edge; bx, by, bz is the nadir in the body's axes, for a pair; `lit` the share of the edge in the
-/// picture on which the Sun shines.
+/// The first line of `truth.csv`. The nadir is in the camera frame (x right, y down, z forward); `in_view` is 1 if some of the
+/// limb's edge is in the picture; `edge_m` is the height of that edge; bx, by, bz is the nadir in the body's axes, for a pair; `lit` is the fraction
+/// of the edge in the picture on which the Sun shines.
 const TRUTH_HEADER: &str = "n,file,nx,ny,nz,roll_deg,pitch_deg,height_m,heading_deg,in_view,edge_m,latitude_deg,bx,by,bz,lit";
 
 /// The mountings of a pair: rows of the rotation from the camera to a body whose axes point forward, right and down.
@@ -104,7 +104,7 @@ enum AimAt {
     Space,
 }
 
-/// A camera of the vehicle: what its files' names begin with.
+/// A camera of the vehicle, with the beginning of its files' names.
 struct VehicleCamera {
     frames: &'static str,
     file: String,

@@ -12,10 +12,10 @@ use clap::Args;
 use std::path::Path;
 use toml_edit::{Array, Value};
 
-/// The first line of `truth.csv`: s; light in the middle of the picture above the dark level, DN of the camera.
+/// The first line of `truth.csv`: exposure, s; light in the middle of the picture above the dark level, DN of the camera.
 const TRUTH_HEADER: &str = "n,exposure_s,light_dn";
 
-/// Other scenes, and what only the Sun has.
+/// Options of other scenes, and options that need the Sun.
 const NOT_OF_A_LAMP: [&str; 7] = [
     "horizon",
     "moon",
@@ -41,7 +41,7 @@ pub struct LampArgs {
 /// Makes the frames, `truth.csv` and `truth.toml`.
 pub(super) fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     let (instrument, text) = options::instrument_with_text(args.instrument.as_deref())?;
-    // No Sun is seen: its size is of no account.
+    // There is no Sun in these frames, so its size does not matter.
     let conditions = args.conditions(&instrument, SUN_RADIUS_ARCSEC);
     let scenes = RandomScenes::new(&instrument, &conditions, args.seed)?;
     let mut truth = TruthFile::create(&args.out, TRUTH_HEADER)?;
@@ -77,7 +77,7 @@ fn truth_line(number: u64, scene: &Scene) -> String {
     format!("{number},{exposure_s:.9},{:.6}", light * steps)
 }
 
-/// The instrument with the camera in truth, under the keys that `calibrate camera` writes.
+/// The instrument with the true values of its camera, under the keys that `calibrate camera` writes.
 fn truth_toml(text: &str, sensor: &Sensor) -> anyhow::Result<String> {
     let provenance = Provenance {
         name: "camera",

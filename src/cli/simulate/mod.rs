@@ -1,4 +1,4 @@
-//! `solaspect simulate`: frames of random scenes or a navigation system's flight, and the truth about them.
+//! `solaspect simulate`: frames of random scenes or a navigation system's flight, with the truth about them.
 
 mod horizon;
 mod lamp;
@@ -23,7 +23,7 @@ use jiff::{SignedDuration, Timestamp};
 use std::path::PathBuf;
 use truth::{TruthFile, write_file};
 
-/// The first line of `truth.csv`: px, px, mil, mil, px.
+/// The first line of `truth.csv`, in px, px, mil, mil, px.
 const TRUTH_HEADER: &str = "n,sun_x,sun_y,plate_x,plate_y,radius";
 
 /// Make frames of random scenes, with the truth about them in truth.csv
@@ -215,7 +215,7 @@ pub enum Bits {
     Twelve,
 }
 
-/// Accepts numbers within a range and says the range when it refuses one: lowest, highest, unit.
+/// Accepts numbers within a range and names the range when it refuses one: lowest, highest, unit.
 #[derive(Debug, Clone, Copy)]
 struct Within(f64, f64, &'static str);
 
@@ -237,7 +237,7 @@ impl clap::builder::IntoResettable<clap::builder::ValueParser> for Within {
     }
 }
 
-/// The most of anything that is counted.
+/// Largest number for any option that is a count.
 const MOST: u16 = 10_000;
 
 fn count() -> clap::builder::RangedI64ValueParser<u16> {
@@ -282,13 +282,13 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     }
 }
 
-/// Where the frames' scenes come from.
+/// Source of the frames' scenes.
 pub enum Scenes {
     Random(Box<RandomScenes>),
     Drift(Box<DriftScenes>),
 }
 
-/// A line of `truth.csv`; without Sun every column but the first is empty.
+/// A line of `truth.csv`; without Sun every column except the first is empty.
 fn truth_line(number: u64, truth: &Truth) -> String {
     match truth.sun {
         Some(sun) => format!(
@@ -300,10 +300,10 @@ fn truth_line(number: u64, truth: &Truth) -> String {
 }
 
 impl SimulateArgs {
-    /// The scenes of the Sun on the plate that the options ask for.
+    /// The scenes of the Sun on the plate for these options.
     ///
     /// # Errors
-    /// The instrument's file; a year in which the Sun's size is not known; options that give no scene.
+    /// If the instrument's file is invalid, the Sun's size is not known in the year, or the options give no scene.
     pub fn scenes(&self) -> anyhow::Result<Scenes> {
         let instrument = options::instrument(self.instrument.as_deref())?;
         let radius_arcsec = match self.sun.sun_radius {
@@ -342,7 +342,7 @@ impl SimulateArgs {
         Ok(scene.picture()?)
     }
 
-    /// The one direction of a drift scan at the time of every frame, without refraction.
+    /// The constant pointing of a drift scan for the time of every frame, without refraction.
     fn write_pointing(&self, drift: &DriftScenes) -> anyhow::Result<()> {
         let (azimuth, elevation) = (drift.pointing.azimuth_deg, drift.pointing.elevation_deg);
         let mut text = String::from("utc,azimuth_deg,elevation_deg\n");

@@ -10,8 +10,8 @@ use crate::simulate::moon::{MoonConditions, MoonScene, Shown};
 use anyhow::ensure;
 use clap::{Args, ValueEnum};
 
-/// The first line of `truth.csv`. x and y are of the whole disc's centre, radius is its vertical half axis and rx the horizontal one, px; the middle of
-/// the bright limb lies in the picture at chi_deg, from +x towards +y; in_view is 1 where some of the disc is in the picture.
+/// The first line of `truth.csv`. x and y are those of the whole disc's centre, radius is its vertical half axis and rx the horizontal one, px; the
+/// position angle of the middle of the bright limb in the picture is chi_deg, from +x towards +y; in_view is 1 if some of the disc is in the picture.
 const TRUTH_HEADER: &str = "n,file,in_view,x,y,radius,rx,phase_deg,lit,chi_deg";
 
 #[derive(Debug, Clone, Args)]
@@ -61,7 +61,7 @@ pub struct MoonArgs {
     shows: Shows,
 }
 
-/// A range of lit shares.
+/// A range of lit fractions.
 #[derive(Debug, Clone, Copy)]
 struct Lit(f64, f64);
 
@@ -187,9 +187,9 @@ fn conditions(args: &SimulateArgs) -> anyhow::Result<(MoonConditions, String)> {
     Ok((conditions, text))
 }
 
-/// The file of a camera with square pixels that sees a disc of the radius where the Moon has its mean size.
+/// The file of a camera with square pixels in which the Moon at its mean size has the disc's radius.
 fn plain_camera(plain: &MoonConditions) -> String {
-    /// Of the Moon at its mean distance.
+    /// Radius of the Moon at its mean distance.
     const RADIUS_ARCSEC: f64 = 932.4;
     let focal = plain.radius_px / (RADIUS_ARCSEC / crate::units::ARCSEC_PER_RAD).tan();
     format!(

@@ -22,7 +22,7 @@ pub struct NavigationArgs {
     camera_misalignment_deg: Option<f64>,
 }
 
-/// Other scenes, and what only frames have.
+/// Options of other scenes, and options that only apply to frames.
 const NOT_OF_A_FLIGHT: [&str; 10] = [
     "horizon",
     "moon",
@@ -70,7 +70,7 @@ fn plan(args: &NavigationArgs, flies: Flies) -> anyhow::Result<FlightPlan> {
     );
     let stated = args.camera_misalignment_deg;
     for camera in &mut plan.cameras {
-        // Zero stays: such a camera defines the body's axes.
+        // Zero remains zero: such a camera defines the body's axes.
         if camera.misalignment_sigma_deg > 0.0 {
             camera.misalignment_sigma_deg = stated.unwrap_or(camera.misalignment_sigma_deg);
         }

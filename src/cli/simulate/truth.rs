@@ -1,4 +1,4 @@
-//! `truth.csv`: a row for each frame, on the disk when the frame is.
+//! `truth.csv`: a row for each frame, written as soon as the frame is.
 
 use crate::cli::output::make_folder;
 use anyhow::Context;
@@ -23,7 +23,7 @@ impl TruthFile {
         Ok(truth)
     }
 
-    /// Writes a row, at once: a program that is interrupted leaves the rows of its frames.
+    /// Writes a row immediately, so that an interrupted program leaves the rows of its frames.
     pub fn row(&mut self, row: &str) -> anyhow::Result<()> {
         let line = format!("{row}\n");
         let written = self.file.write_all(line.as_bytes());

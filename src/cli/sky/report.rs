@@ -1,4 +1,4 @@
-//! Output of `solaspect sky`: of one instant, or of a span of time for planning a flight.
+//! Output of `solaspect sky`: for one instant, or for a span of time for planning a flight.
 
 use crate::sky::sphere::direction;
 use crate::sky::{Air, Ephemeris, Rising, SkyError, crossings, horizon_deg, spells};
@@ -33,7 +33,7 @@ pub(super) struct MoonReport {
     radius_arcsec: f64,
     phase_angle_deg: f64,
     bright_limb_deg: f64,
-    /// For people only.
+    /// Only in the output for people.
     #[serde(skip)]
     zenith_to_bright_limb_deg: f64,
 }
@@ -66,7 +66,7 @@ pub(super) struct Band {
 pub(super) struct View {
     pub ephemeris: Ephemeris,
     pub place: Place,
-    /// The air that lifts elevations, where it is to.
+    /// The air for the refraction of elevations, if it is wanted.
     pub air: Option<Air>,
 }
 
@@ -147,7 +147,7 @@ impl View {
             Rising::Up => (crossing.utc, "rise"),
             Rising::Down => (crossing.utc, "set"),
         });
-        // The Sun goes from east to west above the pole; below it, by night, it comes back.
+        // The Sun moves from east to west above the pole; below it, at night, it moves back.
         let noons = east
             .iter()
             .filter(|crossing| crossing.rising == Rising::Down)

@@ -1,4 +1,4 @@
-//! `solaspect sky visibility`: when the Moon can be seen.
+//! `solaspect sky visibility`: times at which the Moon can be observed.
 
 use crate::cli::options;
 use crate::clock::parse_utc;
@@ -13,12 +13,12 @@ use std::io::Write as _;
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-/// Rows of the table, by the share of the disc that is lit.
+/// Number of rows of the table, by the lit fraction of the disc.
 const ROWS: usize = 4;
 const LEO_HEIGHT_KM: f64 = 550.0;
-/// At 10 h the Sun stands some 30 deg off the orbit's plane, as in the study of 2005.
+/// At 10 h the Sun is some 30 deg off the orbit's plane, as in the study of 2005.
 const NODE_H: f64 = 10.0;
-/// Enough for one every minute of a year.
+/// Enough for one sample every minute of a year.
 const MOST_SAMPLES: f64 = 1e6;
 
 /// For which share of a month the Moon is above the Earth's limb, clear of the Sun, and how much of it is lit
@@ -68,37 +68,37 @@ fn parse_vantage(text: &str) -> Result<Vantage, String> {
     }
 }
 
-/// Counts over the time. Shares are of 0 to 1.
+/// Counts over the time. Fractions are from 0 to 1.
 #[derive(Serialize)]
 struct Report {
     from_utc: String,
     days: f64,
     clear_of_sun_deg: f64,
     samples: usize,
-    /// The share of the time that the Sun is above the limb.
+    /// Fraction of the time in which the Sun is above the limb.
     sun_above_limb: f64,
-    /// The same of the Moon.
+    /// Fraction of the time in which the Moon is above the limb.
     above_limb: f64,
-    /// The share of the time that it is also clear of the Sun.
+    /// Fraction of the time in which it is also clear of the Sun.
     seen: f64,
-    /// The mean lit share of its disc, and that while it is seen, if it is.
+    /// Mean lit fraction of its disc, and that while it can be observed, if it ever can.
     mean_lit: f64,
     mean_lit_seen: Option<f64>,
     by_lit: Vec<LitRow>,
 }
 
-/// The time in which the lit share of the disc lies in a range.
+/// The time in which the lit fraction of the disc is within a range.
 #[derive(Serialize)]
 struct LitRow {
     lit: [f64; 2],
-    /// Of the whole time.
+    /// Fraction of the whole time.
     time: f64,
-    /// Of the time in this row, if there is any.
+    /// Fraction of the time in this row, if there is any.
     above_limb: Option<f64>,
     seen: Option<f64>,
 }
 
-/// A row of the study's table. Lit shares are those at its two ends; shares of an orbit the least and the greatest in it.
+/// A row of the study's table. Lit fractions are those at its two ends; fractions of an orbit are the smallest and the largest in it.
 #[derive(Serialize)]
 struct SimplifiedRow {
     from_new_deg: [f64; 2],
@@ -111,9 +111,9 @@ struct SimplifiedReport {
     clear_of_sun_deg: f64,
     hidden_deg: f64,
     sun_of_orbit: f64,
-    /// The share of the Moon's path on which it is seen in a part of each orbit.
+    /// Fraction of the Moon's path on which it can be observed in a part of each orbit.
     seen_of_path: f64,
-    /// The share on which it is seen for as long as the Sun is above the limb, and longer.
+    /// Fraction on which it can be observed for at least as long as the Sun is above the limb.
     seen_as_long_as_sun_of_path: f64,
     rows: Vec<SimplifiedRow>,
 }
@@ -205,13 +205,13 @@ fn counted(args: &VisibilityArgs, all: &[Observation]) -> Report {
     }
 }
 
-/// None of no values.
+/// The mean; `None` if there are no values.
 fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / f64::from(count))
 }
 
-/// The share of all samples that are kept; there is always one.
+/// The fraction of all samples that are kept; there is at least one sample.
 fn share(all: &[Observation], keep: impl Fn(&Observation) -> bool) -> f64 {
     all.iter().filter(|one| keep(one)).count() as f64 / all.len() as f64
 }
