@@ -59,7 +59,7 @@ impl FitsFile {
     /// The frame, as [`read_frame`](super::read_frame) reads it.
     ///
     /// # Errors
-    /// As there.
+    /// As [`read_frame`](super::read_frame).
     pub fn frame(&self) -> Result<Frame, FileError> {
         self.named(read::read_fits(&self.bytes, &self.hdus, self.wanted))
     }

@@ -11,9 +11,9 @@
 //!                                    ^ ^     inputs (1024)  |
 //!        controller, over a byte port| \_____ offsets ______/
 //!
-//!  solutions of all solvers, telemetry of link --- messages (256) ---> output-1, output-2     what others read
+//!  solutions of all solvers, telemetry of link --- messages (256) ---> output-1, output-2     for other programs
 //!
-//!  Controls (shared): what the ground sets; values: saves it
+//!  Controls (shared): settings by the ground; values: saves them
 //!  watch: checks all of them, gives the housekeeping to link and logs each second, feeds systemd's watchdog
 //! ```
 //!

@@ -9,9 +9,9 @@ use rand::RngExt;
 pub(super) const SUN_RAD: f64 = 0.00465;
 /// Brightness of the disc: any sensor saturates.
 const SUN_DN: f64 = 5000.0;
-/// Of the glow, one radius from the disc.
+/// Light of the glow, one radius from the disc.
 const GLOW_DN: f64 = 120.0;
-/// Width of a ray, px, and how far it reaches.
+/// Width and reach of a ray, px.
 const RAY_PX: f64 = 4.0;
 const RAY_REACH_PX: f64 = 200.0;
 const RAYS: u32 = 6;
