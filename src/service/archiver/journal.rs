@@ -268,7 +268,7 @@ impl Journal {
         Ok(())
     }
 
-    /// Opens the files again after a mount: those that were open before it are useless now.
+    /// Closes the files after a mount, so that the next rows open them again: the old handles are useless.
     fn reopen_after_a_mount(&mut self) {
         let visit = self.store.visits();
         if visit != self.visit {
