@@ -1,28 +1,28 @@
-//! The profile of a filled disc behind a Gaussian blur, as a table by the distance from its middle.
+//! The profile of a filled disc behind a Gaussian blur, as a table by the distance from its centre.
 
 use crate::kernels::marks::{Coverage, Offsets};
 use crate::kernels::normal_tail;
 use std::f64::consts::{PI, TAU};
 
-/// Steps of the table in a pixel.
+/// Steps of the table per pixel.
 const STEPS_PER_PX: f64 = 8.0;
-/// Distance from its edge, in blurs, at which the disc is whole, or gone.
+/// Distance from the disc's edge, in blurs, beyond which the share is 1 or 0.
 const EDGE_BLURS: f64 = 4.5;
-/// Chords of the disc that are summed.
+/// Number of chords of the disc in the sum.
 const CHORDS: i32 = 32;
 
 /// A filled disc behind a Gaussian blur.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct BlurredDot {
-    /// Share of the light that it takes, by distance.
+    /// Share of the light that the dot absorbs, by distance.
     shares: Vec<f32>,
 }
 
 impl BlurredDot {
-    /// By the disc's radius and the blur's 1 sigma, px.
+    /// For the disc's radius and the blur's 1 sigma, px.
     pub(super) fn new(radius_px: f64, blur_px: f64) -> Self {
         let reach = radius_px + EDGE_BLURS * blur_px;
-        // One step more, whose slope is that beyond.
+        // One more step, which gives the slope at the end.
         let steps = (reach * STEPS_PER_PX).ceil() as usize + 2;
         let share = |n: usize| share(n as f64 / STEPS_PER_PX, radius_px, blur_px);
         Self {
@@ -30,14 +30,15 @@ impl BlurredDot {
         }
     }
 
-    /// The share at a distance from the middle, and its slope, 1/px: a parabola through the nearest three of the table.
+    /// The share at a distance from the centre, and its slope, 1/px: a parabola through the nearest three values of the
+    /// table.
     fn at(&self, distance_px: f32) -> (f32, f32) {
         let at = distance_px * STEPS_PER_PX as f32;
         let nearest = at.round() as usize;
         let [Some(here), Some(after)] = [nearest, nearest + 1].map(|n| self.shares.get(n)) else {
             return (0.0, 0.0);
         };
-        // The profile is even about its middle.
+        // The profile is even about its centre.
         let before = &self.shares[nearest.abs_diff(1)];
         let part = at - nearest as f32;
         let (slope, bend) = ((after - before) / 2.0, after + before - 2.0 * here);
@@ -45,8 +46,8 @@ impl BlurredDot {
         (share, (slope + part * bend) * STEPS_PER_PX as f32)
     }
 
-    /// Share and slopes along x and y at an offset from the middle; `to_dot` leads, by rows, from an offset to one in which the dot is
-    /// round.
+    /// Share and slopes along x and y at an offset from the centre; `to_dot` maps, by rows, an offset to one in which the
+    /// dot is round.
     fn cover_at(&self, [ux, uy, vx, vy]: [f32; 4], x: f32, y: f32) -> [f32; 3] {
         let (u, v) = (ux * x + uy * y, vx * x + vy * y);
         let distance = u.hypot(v);
@@ -72,8 +73,9 @@ impl BlurredDot {
     }
 }
 
-/// The share that the disc takes at a distance from its middle: over the blur along that distance, what the disc's chord there
-/// takes across it. A chord's length grows as a root at the disc's edge; in the sine of an angle it grows evenly.
+/// The share absorbed at a distance from the disc's centre: the integral over the blur along that direction of the share
+/// absorbed by the disc's chord across it. A chord's length grows as a square root at the disc's edge, but smoothly in the
+/// sine of an angle.
 fn share(distance: f64, radius: f64, blur: f64) -> f64 {
     let first = ((-radius - distance) / blur).max(-EDGE_BLURS);
     let last = ((radius - distance) / blur).min(EDGE_BLURS);
@@ -98,7 +100,7 @@ fn share(distance: f64, radius: f64, blur: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// The blurred disc straight from its definition: a sum over a fine grid.
+    /// The blurred disc by its definition: a sum over a fine grid.
     fn by_brute_force(distance: f64, radius: f64, blur: f64) -> f64 {
         let steps = 300;
         let step = 2.0 * radius / f64::from(steps);

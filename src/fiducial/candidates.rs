@@ -1,21 +1,21 @@
-//! Where the disc is dark over about the size of a mark, whatever the camera's rotation.
+//! Candidates: positions where the disc is dark over about the size of a mark, at any rotation of the camera.
 
 use super::{FiducialSettings, FlatDisc, MarkImage};
 use crate::kernels::column_sums;
 use crate::units::SensorPx;
 
-/// Bins along a mark's length; the disc is summed over such bins first.
+/// Bins along a mark's length; the disc is first summed over such bins.
 const BINS_PER_LENGTH: f64 = 5.0;
-/// Bins along the side of a box: the cross's middle, where its arms are dense, fills it.
+/// Bins along the side of a box: the dense centre of the cross fills it.
 const BOX: usize = 3;
-/// A cross of contrast 1 darkens a box about its centre by 0.4, one that is between bins or cut by the limb by less.
+/// A cross of contrast 1 darkens a box about its centre by 0.4; a cross between bins, or cut by the limb, by less.
 const BOX_SHARE: f64 = 0.2;
-/// A box must be darker than the noise by so many sigma.
+/// Detection threshold of a box, in sigma of the noise.
 const BOX_SIGMA: f64 = 4.0;
-/// Number of candidates that are tried for each mark that may be found.
+/// Number of candidates that are tried per mark that may be found.
 const CANDIDATES_PER_DETECTION: usize = 2;
 
-/// Indices into the flattened disc's values of its darkest places, darkest first, half a mark apart at least.
+/// Indices of the darkest positions among the flattened disc's values, darkest first, at least half a mark apart.
 pub(super) fn candidates(
     flat: &FlatDisc,
     shape: &MarkImage,
@@ -40,12 +40,12 @@ pub(super) fn candidates(
     kept.into_iter().map(|(index, _)| index).collect()
 }
 
-/// Sums of the darkness over boxes, each a bin from the next.
+/// Sums of the darkness over boxes, one bin apart.
 struct Boxes {
     bin_px: usize,
     side_px: usize,
     flat_side: usize,
-    /// Boxes in a row, and rows.
+    /// Number of boxes in a row, and number of rows.
     count: usize,
     sums: Vec<f32>,
 }
@@ -81,7 +81,7 @@ impl Boxes {
         }
     }
 
-    /// Boxes darker than a least sum that no neighbour exceeds: the flattened disc's index of the middle, and the sum.
+    /// Boxes that exceed a minimum sum and all their neighbours: the flattened disc's index of the centre, and the sum.
     fn peaks(&self, least: f32) -> Vec<(usize, f32)> {
         let middle = |n: usize| n * self.bin_px + self.side_px / 2;
         let mut peaks = Vec::new();

@@ -18,22 +18,23 @@ pub struct Detection {
     pub sigma_px: f64,
     /// Darkness of the mark as a fraction of the light around it.
     pub contrast: f64,
-    /// Part of the structure about the position that the mark explains, 0 to 1.
+    /// Fraction of the structure around the position that the mark explains, 0 to 1.
     pub likeness: f64,
     pub lighting: Lighting,
 }
 
-/// The marks that were found, and the rotation their arms show.
+/// The detected marks, and the rotation of their arms.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Detections {
     pub marks: Vec<Detection>,
-    /// Rotation of the arms from the axes of the disc's own coordinates ([`Ellipse::to_disc`](crate::geometry::Ellipse::to_disc); of a
-    /// round disc: from the sensor's axes), modulo a quarter turn, 0 to 90 deg. `None` of marks without arms, and where none was found.
+    /// Rotation of the arms from the axes of the disc's own coordinates
+    /// ([`Ellipse::to_disc`](crate::geometry::Ellipse::to_disc); of a round disc: from the sensor's axes), modulo a quarter
+    /// turn, 0 to 90 deg. `None` for marks without arms, or if none was found.
     pub arms_deg: Option<Measured>,
 }
 
 impl Detections {
-    /// Rotation of the plate's axes modulo a quarter turn, by the arms of its crosses; `None` where there are none.
+    /// Rotation of the plate's axes modulo a quarter turn, from the arms of its crosses; `None` if there are none.
     pub fn quarter_rotation_deg(
         &self,
         shape: &MarkShape,
@@ -42,7 +43,7 @@ impl Detections {
         let MarkShape::Cross(cross) = shape else {
             return None;
         };
-        // A mirror turns the other way round.
+        // A mirror reverses the sense of rotation.
         let from_axes_deg = match handedness {
             Handedness::Mirrored => -cross.arm_angle_deg,
             Handedness::Direct => cross.arm_angle_deg,
@@ -52,22 +53,22 @@ impl Detections {
     }
 }
 
-/// Systematic error of a parabola's top over the sub-pixel phases, px; added to every mark's sigma.
+/// Systematic error of a parabola's vertex over the sub-pixel phases, px; added to every mark's sigma.
 const PARABOLA_SIGMA_PX: f64 = 0.01;
-/// Structure that the cross does not explain counts as noise that is correlated over this many pixels: the size of a sunspot.
+/// Unexplained structure counts as noise that is correlated over this many pixels: the size of a sunspot.
 const DISTURBANCE_PX2: f64 = 6.0;
-/// The structure of a clean cross, between pixels and blurred as it may be, over what the filter explains of it.
+/// Structure of a clean cross, at any sub-pixel phase and blur, relative to the part that the filter explains.
 const CLEAN_SHARE: f64 = 1.4;
-/// The same of a dot.
+/// The same for a dot.
 const CLEAN_SHARE_OF_DOT: f64 = 1.1;
-/// Only its size and its even darkness distinguish a dot from a sunspot: it must explain this part of the structure.
+/// Only its size and uniform darkness distinguish a dot from a sunspot: it must explain this fraction of the structure.
 const LEAST_LIKENESS_OF_DOT: f64 = 0.5;
-/// The contrast that the fourfold part of a cross shows, over that of the whole: 1 for a cross in focus, 0.3 in haze that
-/// the filter does not know of, and 0, except for noise, of a round spot.
+/// Contrast of a cross's fourfold part relative to that of the whole: 1 for a cross in focus, 0.3 in haze that the filter
+/// does not model, and 0, apart from noise, for a round spot.
 const FOURFOLD_SHARE: std::ops::Range<f64> = 0.2..2.0;
-/// That part must be significant by itself, by less than the whole.
+/// The fourfold part must be significant by itself, by this many sigma, less than the whole.
 const FOURFOLD_SIGMA: f64 = 4.0;
-/// Error of the arms' rotation by pixels and neighbours beside the noise, 1 sigma, deg.
+/// Error of the arms' rotation from sampling and neighbours, beside the noise, 1 sigma, deg.
 const ARMS_SIGMA_DEG: f64 = 0.6;
 /// All marks of a plate have the same contrast; saturation, the limb and blemishes change it by less than this.
 const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
@@ -75,13 +76,14 @@ const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
 /// Finds the marks on a flattened disc. `shape` is the mark at the frame's own blur.
 ///
 /// # Algorithm
-/// 1. Candidates: places that are dark over about the size of a mark.
-/// 2. Each is centred by a filter of the mark's round part, which answers at any rotation.
-/// 3. The rotation that the arms there have in common; dots have none.
-/// 4. At each candidate, the peak of the response to the blurred mark at that rotation. It must be significant, like a
-///    mark, and of a cross as fourfold as one: sunspots and dust are round.
-/// 5. Of those too near to each other the likest; of all, those of the contrast that the frame's marks have in common.
-/// 6. The rotation again, from the marks' own places.
+/// 1. Candidates: positions that are dark over about the size of a mark.
+/// 2. Each is centred by a filter of the mark's round part, which responds at any rotation.
+/// 3. The rotation common to the arms at the candidates; dots have none.
+/// 4. At each candidate, the peak of the response to the blurred mark at that rotation. It must be significant, explain
+///    most of the structure, and for a cross have a fourfold part: sunspots and dust are round.
+/// 5. Of detections too near to each other, the one most like a mark; of all, those with the contrast common to the frame's
+///    marks.
+/// 6. The rotation again, from the marks' own positions.
 pub fn detect(flat: &FlatDisc, shape: &MarkImage, settings: &FiducialSettings) -> Detections {
     let window = Window::within(shape.reach_px());
     let candidates = candidates(flat, shape, settings); // 1
@@ -104,13 +106,14 @@ pub fn detect(flat: &FlatDisc, shape: &MarkImage, settings: &FiducialSettings) -
     Detections { marks, arms_deg }
 }
 
-/// A filter of what is round of a mark: its share less the rest.
+/// A filter for the round part of a mark: its share minus the rest.
 fn round_template(window: &Window, share: &[f32], rest: &[f32]) -> Template {
     let round = share.iter().zip(rest).map(|(share, rest)| share - rest);
     Template::new(window, &round.collect::<Vec<f32>>())
 }
 
-/// Candidates moved to the middle of what is dark there, each place once; those that move by more than half a mark are none.
+/// Candidates moved to the centre of the dark spot, each position once; those that move by more than half a mark are
+/// dropped.
 fn centred(
     flat: &FlatDisc,
     shape: &MarkImage,
@@ -131,12 +134,12 @@ fn centred(
     places
 }
 
-/// Filters for the arms' rotation: the fourth harmonic of the darkness about a place.
+/// Filters for the arms' rotation: the fourth harmonic of the darkness around a position.
 struct ArmRotation<'a> {
     window: &'a Window,
     real: Vec<f32>,
     imaginary: Vec<f32>,
-    /// Sum of the squares of either.
+    /// Sum of the squares of either part.
     energy: f64,
 }
 
@@ -145,7 +148,7 @@ impl<'a> ArmRotation<'a> {
         let to_disc = flat.outline.inverse().cast::<f32>();
         let reach2 = shape.reach_px().powi(2) as f32;
         let harmonic = |(x, y): (&f32, &f32)| {
-            // Where arms are apart from each other, and smooth, lest the pixels' own square shows.
+            // Weight the radii where the arms are separate, smoothly, so that the square pixel grid has no effect.
             let part2 = (x * x + y * y) / reach2;
             let weight = (part2 * (1.0 - part2)).max(0.0);
             let w = to_disc * Vector2::new(*x, *y);
@@ -164,8 +167,8 @@ impl<'a> ArmRotation<'a> {
         }
     }
 
-    /// The rotation of the arms in the disc's coordinates that some places have in common, each to the nearest pixel: an
-    /// offset turns opposite arms in opposite ways. `None` without places.
+    /// The common rotation of the arms at some positions, in the disc's coordinates. Positions to the nearest pixel
+    /// suffice: an offset rotates opposite arms in opposite directions. `None` without positions.
     fn common_deg(&self, flat: &FlatDisc, places: impl Iterator<Item = usize>) -> Option<Measured> {
         let (mut common, mut variance) = (Complex::new(0.0_f32, 0.0), 0.0);
         for place in places.filter(|place| self.window.fits(flat, *place)) {
@@ -173,7 +176,7 @@ impl<'a> ArmRotation<'a> {
                 .map(|weights| self.window.correlate(weights, flat, place));
             let harmonic = Complex::new(re, im);
             let squares = self.window.squares(flat, place);
-            // A place counts by how fourfold it is, so that the many that are no marks hardly do.
+            // A position is weighted by its fourfold part, so that the many false candidates hardly count.
             if squares > 0.0 {
                 let counts = harmonic.norm_sqr() / squares;
                 common += harmonic * counts;
@@ -196,7 +199,7 @@ struct MarkSearch<'a> {
     settings: &'a FiducialSettings,
     window: &'a Window,
     mark: Template,
-    /// Of a cross without its round part.
+    /// The cross without its round part; `None` for a mark without arms.
     fourfold: Option<Template>,
     /// Sum of the squared slopes of the mark along one axis, 1/px^2.
     slope_energy: f64,
@@ -204,15 +207,15 @@ struct MarkSearch<'a> {
     arms: Matrix2<f64>,
 }
 
-/// Steps of a pixel by which a mark may be from the middle of the darkness.
+/// Largest distance of a mark from its candidate, in pixels.
 const MOST_STEPS: usize = 6;
 
-/// How a mark explains what is about its place.
+/// The fraction of the structure around a position that a mark explains.
 struct Explained {
-    /// Sum of the squared darkness that it explains, and of all but the noise's own share.
+    /// Sum of the squared darkness that the mark explains, and of all the darkness minus the noise.
     explained: f64,
     structure: f64,
-    /// The structure of a clean mark over what is explained of it.
+    /// Structure of a clean mark relative to the explained part.
     clean_share: f64,
     least_likeness: f64,
 }
@@ -233,7 +236,7 @@ impl<'a> MarkSearch<'a> {
                 let mark = Template::new(window, &coverage.share);
                 (mark, Some(Template::new(window, &rest)))
             }
-            // Arms that do not show may point anywhere.
+            // Unresolved arms may have any rotation.
             false => (round_template(window, &coverage.share, &rest), None),
         };
         Self {
@@ -243,7 +246,7 @@ impl<'a> MarkSearch<'a> {
             window,
             mark,
             fourfold,
-            // A quarter turn leaves the mark as it is, so its slope is the same along every axis.
+            // The mark is invariant under a quarter turn, so its slope is the same along every axis.
             slope_energy: coverage.slope_energy(),
             arms: to_arms.transpose() * shape.half_length_px,
         }
@@ -271,7 +274,7 @@ impl<'a> MarkSearch<'a> {
             Some(fourfold) => self.as_cross(fourfold, peak.index, contrast, noise)?,
             None => self.as_dot(peak.index, contrast, noise),
         };
-        // The noise of this very place may exceed its mean share; structure is never less than what is explained.
+        // The local noise may exceed its expected share; the structure is at least the explained part.
         let likeness = explained / structure.max(explained);
         if likeness < least_likeness {
             return None;
@@ -288,7 +291,7 @@ impl<'a> MarkSearch<'a> {
         })
     }
 
-    /// By its fourfold part: nothing round has one. `None` of what is no cross.
+    /// Compares the fourfold part, which nothing round has. `None` if it is not a cross.
     fn as_cross(
         &self,
         template: &Template,
@@ -311,7 +314,7 @@ impl<'a> MarkSearch<'a> {
         })
     }
 
-    /// By all that is not even.
+    /// Compares all structure except the mean.
     fn as_dot(&self, index: usize, contrast: f64, noise: f64) -> Explained {
         let all = f64::from(self.window.squares(self.flat, index));
         let even = f64::from(self.window.sum(self.flat, index)).powi(2);
@@ -323,7 +326,7 @@ impl<'a> MarkSearch<'a> {
         }
     }
 
-    /// Sum of squares about a place by noise alone.
+    /// Expected sum of squares around a position from noise alone.
     fn noise_squares(&self, noise: f64) -> f64 {
         self.window.pixels() as f64 * noise * noise
     }
@@ -342,7 +345,8 @@ fn likest(mut found: Vec<Detection>, shape: &MarkImage) -> Vec<Detection> {
     kept
 }
 
-/// The detections whose contrast is that of most fully lit ones (of all, where none is), strongest first.
+/// The detections whose contrast agrees with the median of the fully lit ones (of all, if none is fully lit), strongest
+/// first.
 fn with_common_contrast(mut marks: Vec<Detection>) -> Vec<Detection> {
     marks.sort_by(|a, b| b.contrast.total_cmp(&a.contrast));
     let full = || marks.iter().filter(|mark| mark.lighting == Lighting::Full);

@@ -1,4 +1,5 @@
-//! The disc without its own brightness: a mark becomes a dark cross on even ground, and the limb leaves no edge.
+//! The disc divided by its own brightness: a mark becomes a dark cross on a uniform background, and the limb leaves no
+//! edge.
 
 use super::{Illumination, Lighting, MarkImage};
 use crate::estimation::{Normal, Prior, SIGMA_PER_MEDIAN, median};
@@ -9,28 +10,28 @@ use crate::units::SensorPx;
 use nalgebra::{Vector2, Vector4};
 use std::ops::Range;
 
-/// The square reaches over the disc by this part of its radius: the outline is not final yet.
+/// Margin of the square around the disc relative to its radius: the outline is not final yet.
 const DISC_MARGIN: f64 = 0.02;
-/// Where less than this part of the brightest light falls, nothing is judged: from a pixel inside the limb outwards an error
-/// of the outline by 0.1 px shows as 5 % of the light and more.
+/// Pixels with less than this fraction of the brightest light are not used: from a pixel inside the limb outwards an error
+/// of the outline by 0.1 px changes the brightness by 5 % and more.
 const LEAST_LIGHT: f32 = 0.4;
-/// Pixels brighter than this many sigma are taken for that bright: scratches and hot pixels.
+/// Pixels brighter than this many sigma are clipped: scratches and hot pixels.
 const BRIGHTEST_SIGMA: f64 = 3.0;
 
-/// The darkness of every pixel about the disc: 0 on the clean disc and outside it, 1 where no light is left.
+/// The darkness of every pixel around the disc: 0 on the clean disc and outside it, 1 where no light is left.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlatDisc {
     pub outline: Ellipse,
-    /// The part of the sensor that is known.
+    /// The region of the sensor with pixel values.
     known: Region,
-    /// The sensor's pixel that the first value belongs to; the square about the disc may reach over the sensor.
+    /// The sensor pixel of the first value; the square around the disc may extend beyond the sensor.
     left: isize,
     top: isize,
     side: usize,
     darkness: Vec<f32>,
-    /// Light of the clean disc, DN.
+    /// Brightness of the clean disc, DN.
     light: Vec<f32>,
-    /// Where the expected light is less, nothing is judged: the light is 0 there, DN.
+    /// Pixels with less expected light are not used, and their light is set to 0; DN.
     least_light: f32,
     noise: PixelNoise,
     /// The scatter of the clean disc's pixels over their stated noise, at least 1.
@@ -38,7 +39,7 @@ pub struct FlatDisc {
 }
 
 impl FlatDisc {
-    /// Divides a disc by its light, with ground of darkness 0 about it, so wide that a cross at the limb fits in.
+    /// Divides a disc by its light. The margin of darkness 0 around it is wide enough for a cross at the limb.
     ///
     /// The light is the expected one times a smooth factor that the disc's own pixels determine. Masked pixels have
     /// darkness 0. `None` when the disc is not in the cutout.
@@ -74,7 +75,7 @@ impl FlatDisc {
         Some(flat)
     }
 
-    /// The columns of a row of the sensor in the disc, as far as they lie in a region.
+    /// The columns of a row of the sensor within the disc, clipped to a region.
     fn chord(&self, y: usize, about: &Region) -> Range<usize> {
         let reach = self.outline.mean_radius() * (1.0 + DISC_MARGIN);
         let dy = y as f64 - self.outline.centre.y;
@@ -83,7 +84,7 @@ impl FlatDisc {
         from.clamp(about.x0, about.x1)..to.clamp(about.x0, about.x1)
     }
 
-    /// Fills in the expected light.
+    /// Fills in the expected brightness.
     fn expect_light(&mut self, about: &Region, illumination: &impl Illumination) {
         let stride = Ground::stride_px(&self.outline);
         let mut brightest = 0.0;
@@ -97,7 +98,7 @@ impl FlatDisc {
         self.least_light = LEAST_LIGHT * brightest;
     }
 
-    /// Fills in the darkness; the expected light becomes the disc's own.
+    /// Fills in the darkness; the expected brightness is replaced by the disc's own.
     fn divide(&mut self, cutout: &Cutout, about: &Region, factor: &LightFactor) {
         let brightest = f64::from(self.least_light / LEAST_LIGHT);
         let most_excess_dn = BRIGHTEST_SIGMA * self.inflation * self.noise.sigma_dn(brightest);
@@ -117,13 +118,13 @@ impl FlatDisc {
         }
     }
 
-    /// The index of a pixel of the sensor that lies in the square.
+    /// The index of a sensor pixel in the square.
     fn offset(&self, x: usize, y: usize) -> usize {
         let (column, row) = (x as isize - self.left, y as isize - self.top);
         row as usize * self.side + column as usize
     }
 
-    /// Pixels in a row, and rows.
+    /// Number of pixels in a row, and of rows.
     pub fn side(&self) -> usize {
         self.side
     }
@@ -142,7 +143,7 @@ impl FlatDisc {
         )
     }
 
-    /// The index of the value nearest to a position; `None` beyond the square.
+    /// The index of the value nearest to a position; `None` outside the square.
     pub(super) fn index(&self, at: SensorPx) -> Option<usize> {
         let column = at.x.round() - self.left as f64;
         let row = at.y.round() - self.top as f64;
@@ -150,28 +151,28 @@ impl FlatDisc {
         (within(column) && within(row)).then(|| row as usize * self.side + column as usize)
     }
 
-    /// 1 sigma of the darkness at a value's index; infinite where nothing is judged.
+    /// 1 sigma of the darkness at a value's index; infinite where pixels are not used.
     pub fn noise(&self, index: usize) -> f64 {
         let light = f64::from(self.light[index]);
         self.inflation * self.noise.sigma_dn(light) / light
     }
 
-    /// How a mark at a place is lit whose tips are so far from it.
+    /// Lighting of a mark at a position, by the offsets of its tips.
     pub fn lighting(&self, at: SensorPx, tips: impl Iterator<Item = Vector2<f64>>) -> Lighting {
         Lighting::of(at, tips, &self.outline, &self.known)
     }
 }
 
-/// The clean disc's light over the expected one: a constant, a tilt (vignetting, the lamp), and a part that grows with the square of
-/// the distance from the disc's middle (another limb darkening). Coefficients of 1, u, v and u^2 + v^2, in radii from the
-/// middle.
+/// Ratio of the clean disc's brightness to the expected one: a constant, a tilt (vignetting, the lamp), and a term in the
+/// square of the distance from the disc's centre (a different limb darkening). Coefficients of 1, u, v and u^2 + v^2, in
+/// radii from the centre.
 struct LightFactor {
     outline: Ellipse,
     coefficients: Vector4<f64>,
 }
 
 impl LightFactor {
-    /// Offset of a pixel from the disc's middle, radii.
+    /// Offset of a pixel from the disc's centre, radii.
     fn offset(outline: &Ellipse, x: usize, y: usize) -> [f64; 2] {
         let radius = outline.mean_radius();
         [
@@ -180,7 +181,8 @@ impl LightFactor {
         ]
     }
 
-    /// The factor on a row's pixels from column `x` on: a polynomial of second degree in the pixel's number, the constant first.
+    /// The factor on a row's pixels from column `x` on: a polynomial of second degree in the pixel's index, the constant
+    /// first.
     fn along_row(&self, x: usize, y: usize) -> [f32; 3] {
         let [u, v] = Self::offset(&self.outline, x, y);
         let step = 1.0 / self.outline.mean_radius();
@@ -199,23 +201,23 @@ struct Ground {
 
 struct GroundPixel {
     basis: Vector4<f64>,
-    /// Expected light, DN.
+    /// Expected brightness, DN.
     light: f64,
-    /// Seen over expected light.
+    /// Ratio of observed to expected brightness.
     ratio: f64,
 }
 
 impl Ground {
-    /// Most columns and rows from one pixel of the sample to the next: some 600 pixels of the demo's disc, of which few are left where
-    /// it is saturated. A smaller disc has as many as it has pixels for.
+    /// Largest stride of the sample in columns and rows: some 600 pixels of the demo's disc, of which few remain if it is
+    /// saturated. A smaller disc has a smaller stride.
     const MOST_STRIDE_PX: f64 = 7.0;
     const STRIDES_PER_RADIUS: f64 = 12.0;
     /// Fewest pixels that determine the factor.
     const MIN_PIXELS: usize = 40;
-    /// Scatter of single pixels' ratios, and how far tilt and bend are from none, 1 sigma.
+    /// Scatter of single pixels' ratios, and 1 sigma of tilt and curvature about zero.
     const RATIO_SIGMA: f64 = 0.05;
     const UNEVEN_SIGMA: f64 = 0.15;
-    /// Farther than this from the factor is a mark or a blemish: the limit of each pass.
+    /// Pixels that differ from the factor by more than this are marks or blemishes: the limit of each pass.
     const LIMITS: [f64; 3] = [0.3, 0.15, 0.15];
 
     fn stride_px(outline: &Ellipse) -> usize {
@@ -223,13 +225,13 @@ impl Ground {
         stride_px.clamp(1.0, Self::MOST_STRIDE_PX) as usize
     }
 
-    /// `None` of too few pixels.
+    /// `None` if there are too few pixels.
     fn sample(flat: &FlatDisc, cutout: &Cutout, about: Region) -> Option<Self> {
         let mut pixels = Vec::new();
         let stride_px = Self::stride_px(&flat.outline);
         for y in (about.y0..about.y1).step_by(stride_px) {
             let (seen, masked) = (cutout.row(y), cutout.mask.row(y));
-            // Each row starts elsewhere, so that no column of blemishes counts more than its share.
+            // The first column changes from row to row, so that a column of blemishes does not count too much.
             let first = about.x0 + 3 * y % stride_px;
             for x in (first..about.x1).step_by(stride_px) {
                 let light = f64::from(flat.light[flat.offset(x, y)]);
@@ -250,14 +252,14 @@ impl Ground {
         })
     }
 
-    /// By least squares on the light, without what is far from the pass before; the first starts from the median.
+    /// Least squares on the brightness, without outliers of the previous pass; the first pass starts from the median.
     fn factor(&self) -> LightFactor {
         let middle = median(self.pixels.iter().map(|pixel| pixel.ratio)).unwrap_or(1.0);
         let start = Vector4::new(middle, 0.0, 0.0, 0.0);
         let mut coefficients = start;
         let lights = self.pixels.iter().map(|pixel| pixel.light);
         let brightest = lights.fold(f64::MIN_POSITIVE, f64::max);
-        // A saturated disc shows a thin ring only, which must not determine how the light bends.
+        // A saturated disc shows only a thin ring, which must not determine the curvature.
         let uneven = Self::UNEVEN_SIGMA.powi(-2);
         let even = Prior {
             mean: Vector4::zeros(),
@@ -287,7 +289,7 @@ impl Ground {
         }
     }
 
-    /// Scatter of the pixels over their stated noise, by the median.
+    /// Scatter of the pixels relative to their stated noise, by the median.
     fn scatter(&self, factor: &LightFactor, noise: &PixelNoise) -> f64 {
         let normalised = self.pixels.iter().map(|pixel| {
             let light = pixel.light * pixel.basis.dot(&factor.coefficients);

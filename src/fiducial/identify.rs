@@ -1,24 +1,24 @@
-//! Identification of the marks from where they are beside each other.
+//! Identification of the marks from their relative positions.
 //!
-//! The disc's outline and the ephemeris determine the local mapping before any mark is identified, the crosses' arms its
-//! rotation, up to the quarter turn; of marks without arms the stated rotation does, in steps over its uncertainty. So one
-//! detection's id and a rotation fix a labelling, and those that put the plate's centre anywhere near the stated position
-//! are few enough to try them all:
+//! The disc's outline and the ephemeris determine the local mapping before any mark is identified, and the crosses' arms
+//! its rotation, up to a quarter turn; for marks without arms the stated rotation is used, in steps over its uncertainty.
+//! So one detection's id and a rotation fix a labelling, and the labellings that put the plate's centre anywhere near the
+//! stated position are few enough to try them all:
 //!
 //! 1. [`identify`] tries each of them.
-//! 2. [`labelling`](super::labelling) follows one over all detections and scores it by its evidence: the detections that it
-//!    explains and how closely, and the marks that it predicts and that are not there.
+//! 2. [`labelling`](super::labelling) extends one to all detections and scores it by its evidence: the detections that it
+//!    explains and how closely, and the predicted marks that were not found.
 //! 3. [`prior`](super::prior) adds the odds of plate centre and rotation against the stated ones; the printed positions are
 //!    the [plate's](crate::plate).
 //!
-//! A pair, an L or a 2 x 2 block alone is consistent at any quarter turn, a row at any place along the other axis. Where the
-//! marks leave it open, the plate's centre may decide: a row at the pattern's edge, at another quarter turn, puts it off
-//! by 22 px, which counts where the instrument states it to 5 px. A labelling must beat all that contradict it, and
-//! chance, decisively; else all are refused.
+//! A pair, an L or a 2 x 2 block alone is consistent at any quarter turn, a row at any position along the other axis. If
+//! the marks leave it open, the plate's centre may decide: a row at the pattern's edge, at another quarter turn, shifts it
+//! by 22 px, which is significant if the instrument states it to 5 px. A labelling must be decisively more likely than all
+//! that contradict it, and than chance; otherwise all are rejected.
 //!
-//! The pattern of 2013 has no two places with the same pattern. Another plate may: where the marks in view fit another place equally well,
-//! however far away, the stated centre alone would decide, and a camera that was moved since would have all frames wrong. Such
-//! a labelling is refused.
+//! The pattern of 2013 has no two places with the same pattern. Another plate may: if the marks in view fit another place
+//! equally well, however far away, the stated centre alone would decide, and for a camera that was moved since, all frames
+//! would be wrong. Such a labelling is rejected.
 
 use super::labelling::{Labelling, Lists, MANY_DETECTIONS, Places, Scene};
 use super::prior::{
@@ -30,16 +30,16 @@ use crate::plate::{MarkId, Pattern, Plate};
 use crate::reasons::sun;
 use crate::units::Rejected;
 
-/// Of many fully lit detections, so many are tried as the first of a labelling, not all: what explains none of these is no rival of
-/// what explains most.
+/// Of many fully lit detections only so many are tried as the first one of a labelling: a labelling that explains none of
+/// these is no rival of one that explains most.
 const ANCHORS_OF_MANY: usize = 8;
-/// A million labellings whose odds against the best are beyond this change no decision.
+/// Labellings with odds beyond this against them change no decision, even a million of them.
 const OVERWHELMING_ODDS: f64 = 25.0;
 
-/// How many first detections of a labelling are tried.
+/// Number of detections that are tried as the first one of a labelling.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Anchors {
-    /// Until no labelling that starts at another can matter.
+    /// Stop when no labelling that starts from another detection can matter.
     UntilDecided,
     All,
 }
@@ -47,9 +47,9 @@ enum Anchors {
 /// Why detections have no ids.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Unread {
-    /// They allow no labelling, or more than one.
+    /// There is no labelling, or more than one.
     Undecided(Rejected),
-    /// They allow one, which contradicts how the camera is stated to be mounted.
+    /// There is one labelling, which contradicts the stated mounting of the camera.
     Contradicting(Rejected),
 }
 
@@ -70,16 +70,16 @@ impl From<Rejected> for Unread {
 /// Detections with their ids.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Identified {
-    /// Index into the detections, and id.
+    /// Index of the detection, and id.
     pub ids: Vec<(usize, MarkId)>,
-    /// By how much the logarithm of the odds exceeds what is asked, in the comparison that was closest.
+    /// Difference between the logarithm of the odds and its limit, in the closest comparison.
     pub margin: f64,
 }
 
 /// Identifies the detections.
 ///
 /// # Errors
-/// No labelling, more than one, or one that contradicts the stated mounting.
+/// If there is no labelling, more than one, or one that contradicts the stated mounting.
 pub fn identify(
     detections: &[Detection],
     prior: &IdentificationPrior,
@@ -90,7 +90,7 @@ pub fn identify(
     Ok(identify_by(anchors, detections, prior, plate, settings)?.ids)
 }
 
-/// The same with its margin, which the least likely of the rivals have a part in: all are tried.
+/// The same with its margin. The margin depends also on the least likely rivals, so all labellings are tried.
 ///
 /// # Errors
 /// As [`identify`].
@@ -124,7 +124,7 @@ fn identify_by(
     })
 }
 
-/// The ids of the likeliest labelling, whether it is decisive or not: the indices into the detections, with ids.
+/// The ids of the most likely labelling, decisive or not: indices of the detections, with ids.
 pub(crate) fn likeliest(
     detections: &[Detection],
     prior: &IdentificationPrior,
@@ -142,7 +142,8 @@ fn fully_lit(detections: &[Detection]) -> Vec<usize> {
     (0..detections.len()).filter(is_full).collect()
 }
 
-/// The labellings that put the plate's centre near the stated one, the likeliest first: all of them, or all that can matter.
+/// The labellings that put the plate's centre near the stated one, the most likely first: all of them, or all that can
+/// matter.
 fn near_the_stated_centre(
     search: Anchors,
     detections: &[Detection],
@@ -159,7 +160,7 @@ fn near_the_stated_centre(
         .turns()
         .filter_map(|turn| Scene::new(prior, detections, plate, turn, in_view_mil))
         .collect();
-    // A labelling, rivals included, explains two fully lit detections: one of them is among all but the last.
+    // Every labelling, rivals included, explains two fully lit detections: at least one of them is not the last.
     let anchors = match full.len() > MANY_DETECTIONS {
         true => ANCHORS_OF_MANY,
         false => full.len().saturating_sub(1),
@@ -184,11 +185,11 @@ fn near_the_stated_centre(
     all
 }
 
-/// Holds a labelling against those of the same marks anywhere on the plate, whatever the stated centre: by how much its odds exceed
-/// what is asked.
+/// Compares a labelling with those of the same marks anywhere on the plate, whatever the stated centre. Returns the
+/// difference between its odds and their limit.
 ///
 /// # Errors
-/// One of them explains as many marks, and is not much less likely.
+/// If one of them explains as many marks and is not much less likely.
 fn check_place(
     best: &Labelling,
     full: &[usize],
@@ -198,7 +199,8 @@ fn check_place(
 ) -> Result<f64, Rejected> {
     let explained = best.matches.iter().map(|m| m.detection);
     let explained: Vec<usize> = explained.filter(|n| full.contains(n)).collect();
-    // A labelling of as many marks explains two of any three of these, except for one that the best does not explain.
+    // A rival that explains as many marks explains two of any three of these, unless it explains one that the best does
+    // not.
     let pairs = match explained[..] {
         [a, b, c, ..] => vec![[a, b], [b, c], [c, a]],
         [a, b] => vec![[a, b]],
@@ -222,7 +224,7 @@ fn check_place(
                 if !known && rival.full >= best.full && rival.contradicts(best) {
                     rival.score += prior.rotation_odds(rival.rotation_deg);
                     likelihood += (rival.score - own).exp();
-                    // On a regular plate every place is one: the first is enough.
+                    // On a regular plate every place is a rival: the first one is enough.
                     Rejected::at_least(DECISIVE_ODDS, -likelihood.ln(), sun::CENTRE_ALONE)?;
                     rivals.push(rival);
                 }
@@ -232,7 +234,7 @@ fn check_place(
     Ok(-likelihood.ln() - DECISIVE_ODDS)
 }
 
-/// Adds the labellings at one rotation that start with the first detection of an order.
+/// Adds the labellings at one rotation that start with the first detection of `order`.
 fn add_labellings(
     found: &mut Vec<Labelling>,
     scene: &Scene,
@@ -243,7 +245,7 @@ fn add_labellings(
 ) {
     let (prior, max_shift_px) = (scene.prior, settings.max_centre_shift_px);
     for (id, printed) in scene.marks_about(order[0], reach_mil) {
-        // Another order led to the same labelling.
+        // Another order has led to the same labelling.
         if found.iter().any(|l| l.id_of(order[0]) == Some(id)) {
             continue;
         }
@@ -259,8 +261,8 @@ fn add_labellings(
     }
 }
 
-/// The first labelling, the best, of so many fully lit detections, if all that contradict it are unlikely together, and by how much its
-/// odds exceed what is asked.
+/// Accepts the first labelling, the best, if all that contradict it are unlikely together; `full` is the number of fully
+/// lit detections. Also returns the difference between its odds and their limit.
 fn decide(
     labellings: &[Labelling],
     full: usize,

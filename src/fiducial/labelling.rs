@@ -1,17 +1,17 @@
 //! A labelling: one hypothesis of the ids of all detections, and its evidence.
 //!
 //! # The model
-//! The Sun is round on the plate, so its outline turns a position on the sensor into an offset from the Sun's centre on
-//! the plate, in mil, up to a rotation; the arms determine that to a quarter turn, and where marks have none it is what
-//! the instrument states. A labelling then fixes where on the plate the Sun's centre lies, and small corrections of
-//! rotation and scale ([`LocalSimilarity`]). Its score is the logarithm of the evidence: how much likelier the detections
-//! are under it than if all were false. It is summed mark by mark, each compared with the position that the marks before it
-//! predict, the nearest to the first mark first:
+//! The Sun is round on the plate, so its outline maps a position on the sensor to an offset from the Sun's centre on the
+//! plate, in mil, up to a rotation. The arms determine that to a quarter turn; for marks without arms it is the stated
+//! rotation. A labelling then fixes the position of the Sun's centre on the plate, and small corrections of rotation and
+//! scale ([`LocalSimilarity`]). Its score is the logarithm of the evidence: the likelihood of the detections relative to
+//! that of all being false. It is summed mark by mark, each compared with the position that the previous marks predict, in
+//! order of distance from the first mark:
 //!
 //! | term | per |
 //! |---|---|
 //! | ln(found share x density of the position / density of false detections) | detection that is a mark |
-//! | ln(missed share) | mark that must have been found and is not |
+//! | ln(missed share) | mark that must have been found and was not |
 //! | ln(density of the contrast as a mark's / as a false detection's) | fully lit detection that is a mark |
 //!
 //! Shares, scatters and densities are those of [`prior`](super::prior).
@@ -28,7 +28,7 @@ use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::TAU;
 
-/// A detection with the mark that it is.
+/// A detection with the mark that it is identified with.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Match {
     /// Index of the detection.
@@ -44,22 +44,22 @@ pub(super) struct Match {
 pub(super) struct Labelling {
     /// Every detection that the labelling explains.
     pub matches: Vec<Match>,
-    /// Fully lit marks among them.
+    /// Number of fully lit marks among them.
     pub full: usize,
     /// The plate's centre, extrapolated from the marks, and its 1 sigma per axis, px.
     pub plate_centre: SensorPx,
     pub centre_sigma_px: f64,
-    /// Rotation of the plate's axes at the Sun, and scale there.
+    /// Rotation of the plate's axes at the Sun's position, and scale there.
     pub rotation_deg: Measured,
     pub scale_mil_per_px: Measured,
     /// Logarithm of the evidence.
     pub score: f64,
-    /// Score by the stated place of the plate's centre.
+    /// Part of the score that comes from the stated position of the plate's centre.
     pub centre_odds: f64,
 }
 
 impl Labelling {
-    /// The detections whose positions may be used, with their ids.
+    /// The detections with usable positions, with their ids.
     pub(super) fn usable(&self) -> Vec<(usize, MarkId)> {
         let usable = self.matches.iter().filter(|m| m.usable);
         usable.map(|m| (m.detection, m.id)).collect()
@@ -92,7 +92,7 @@ struct Candidate {
     lighting: Lighting,
 }
 
-/// Detections and printed marks at one rotation: all that its labellings share.
+/// Detections and printed marks at one rotation: the common input of its labellings.
 pub(super) struct Scene<'a> {
     pub prior: &'a IdentificationPrior,
     detections: &'a [Detection],
@@ -101,17 +101,17 @@ pub(super) struct Scene<'a> {
     rotation_deg: Measured,
     /// From offsets on the plate, mil, to the unit disc.
     to_disc: Matrix2<f64>,
-    /// One for each detection.
+    /// One candidate per detection.
     candidates: Vec<Candidate>,
-    /// The Sun's centre on the plate by the stated plate centre.
+    /// Predicted position of the Sun's centre on the plate, from the stated plate centre.
     expected_sun: PlateMil,
     /// The marks that may be in view.
     marks: Vec<(MarkId, PlateMil)>,
 }
 
 impl<'a> Scene<'a> {
-    /// The detections at one of [`IdentificationPrior::turns`], with the plate's marks within `in_view_mil` of the
-    /// Sun's expected position; `None` when the outline has no size.
+    /// The detections at one of [`IdentificationPrior::turns`], with the plate's marks within `in_view_mil` of the Sun's
+    /// expected position; `None` if the outline has zero size.
     pub(super) fn new(
         prior: &'a IdentificationPrior,
         detections: &'a [Detection],
@@ -142,7 +142,7 @@ impl<'a> Scene<'a> {
         })
     }
 
-    /// The marks that a detection may be when the plate's centre is less than `reach_mil` from the stated one.
+    /// The possible marks of a detection if the plate's centre is less than `reach_mil` from the stated one.
     pub(super) fn marks_about(
         &self,
         detection: usize,
@@ -153,7 +153,7 @@ impl<'a> Scene<'a> {
         marks.filter(move |(_, at)| (at.vector() - expected).norm() < reach_mil)
     }
 
-    /// The marks that one detection may be if another detection is to be a mark, too, whatever the plate's centre.
+    /// The possible marks of one detection if another detection is a mark as well, for any plate centre.
     pub(super) fn marks_of_pair(
         &self,
         [first, second]: [usize; 2],
@@ -170,8 +170,8 @@ impl<'a> Scene<'a> {
         self.marks.iter().filter(is_pair).copied().collect()
     }
 
-    /// The labelling that follows when the first of some fully lit detections is the mark `anchor`; the others are tried in
-    /// their order, then those that the limb cuts. `None` when it explains fewer than two that are fully lit.
+    /// The labelling that results if the first of some fully lit detections is the mark `anchor`; the others are tried in
+    /// their order, then those that the limb cuts. `None` if it explains fewer than two fully lit detections.
     pub(super) fn follow(
         &self,
         anchor: (MarkId, PlateMil),
@@ -200,8 +200,8 @@ impl<'a> Scene<'a> {
         Some(hypothesis.labelling(full))
     }
 
-    /// No labelling that explains none but these of the fully lit detections has a higher score: each at its predicted position, with the
-    /// contrast of the others, and the first without evidence of its own.
+    /// Upper bound of the score of any labelling that explains, of the fully lit detections, none but these: each at its
+    /// predicted position, with the contrast of the others, and the first without evidence of its own.
     pub(super) fn most_score(&self, full: &[usize]) -> f64 {
         let peak = |candidate: &Candidate| {
             let density = -(TAU * candidate.variance).ln();
@@ -236,10 +236,10 @@ impl<'a> Scene<'a> {
 
 /// More fully lit detections than this are many: more than the pattern of 2013 shows.
 pub(super) const MANY_DETECTIONS: usize = 24;
-/// The nearest so many of them are not all false.
+/// The nearest eight of them are not all false.
 const NEAREST_OF_MANY: usize = 8;
 
-/// The places of a plate's marks, by their x.
+/// The positions of a plate's marks, sorted by x.
 pub(super) struct Places(Vec<PlateMil>);
 
 impl Places {
@@ -249,7 +249,7 @@ impl Places {
         Self(places)
     }
 
-    /// Whether any mark is within so much of a place.
+    /// Whether any mark lies within `reach_mil` of a position.
     fn hold_any(&self, at: PlateMil, reach_mil: f64) -> bool {
         let first = self.0.partition_point(|place| place.x < at.x - reach_mil);
         let near = self.0[first..]
@@ -259,16 +259,16 @@ impl Places {
     }
 }
 
-/// The lists of a labelling in the making, which the next one uses again.
+/// Buffers of a labelling under construction, reused for the next one.
 #[derive(Default)]
 pub(super) struct Lists {
-    /// The marks on the disc or near it, by the first mark.
+    /// The marks on the disc or near it, for the current first mark.
     marks: Vec<(MarkId, PlateMil)>,
     matches: Vec<Match>,
     contrasts: Vec<f64>,
 }
 
-/// A labelling in the making.
+/// A labelling under construction.
 struct Hypothesis<'a, 'l> {
     scene: &'a Scene<'a>,
     fit: LocalSimilarity,
@@ -360,7 +360,7 @@ impl<'a, 'l> Hypothesis<'a, 'l> {
         offset.norm() < prior.sure_reach_mil() && prior.on_sensor(self.scene.to_sensor(offset))
     }
 
-    /// Marks that must have been found and are not.
+    /// Number of marks that must have been found and were not.
     fn missed(&self) -> usize {
         let expected = self.lists.marks.iter().map(|(_, printed)| printed);
         let found = self.lists.matches.iter().map(|m| &m.printed);
@@ -368,8 +368,8 @@ impl<'a, 'l> Hypothesis<'a, 'l> {
         expected.filter(sure).count() - found.filter(sure).count()
     }
 
-    /// Log odds of the contrasts as those of one print against those of false detections. The print's contrast is not
-    /// known, so the first one is no evidence.
+    /// Log odds of the contrasts as those of one print against those of false detections. The print's contrast is unknown,
+    /// so the first one is no evidence.
     fn contrast_odds(&mut self) -> f64 {
         let detections = self.scene.detections;
         let contrast = |m: &Match| detections[m.detection].contrast.ln();
@@ -384,12 +384,12 @@ impl<'a, 'l> Hypothesis<'a, 'l> {
         odds.sum::<f64>() - contrast_odds(0.0)
     }
 
-    /// The labelling with so many fully lit marks.
+    /// The finished labelling; `full` is its number of fully lit marks.
     fn labelling(self, full: usize) -> Labelling {
         let (prior, fit) = (self.scene.prior, &self.fit);
         let centre = fit.offset(PlateMil::new(0.0, 0.0));
         let on_plate = fit.rotation_deg();
-        // A mirror turns the other way round.
+        // A mirror reverses the sense of rotation.
         let on_sensor = match prior.handedness {
             Handedness::Mirrored => on_plate.value,
             Handedness::Direct => -on_plate.value,

@@ -19,7 +19,8 @@ pub enum Lighting {
 }
 
 impl Lighting {
-    /// Of a mark at a place whose [`tips`](super::MarkImage::tips) reach so far from it, on a disc of which the sensor shows a region.
+    /// Lighting of a mark at a position, by the offsets of its [`tips`](super::MarkImage::tips), on a disc of which the
+    /// sensor shows a region.
     pub fn of(
         at: SensorPx,
         mut tips: impl Iterator<Item = Vector2<f64>>,

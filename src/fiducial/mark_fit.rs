@@ -1,4 +1,5 @@
-//! One mark's fit: place, contrast and light by Gauss-Newton steps on the pixels of its patch, reweighted against outliers.
+//! Fit of one mark: position, contrast and illumination by Gauss-Newton steps on the pixels of its patch, reweighted
+//! against outliers.
 
 use super::MarkImage;
 use super::mark_image::{Cover, rows};
@@ -9,23 +10,22 @@ use crate::kernels::marks::{Coverage, MarkModel, MarkPixels, Near, Offsets, UNKN
 use crate::kernels::{LANES, groups, larger, products, smaller};
 use nalgebra::{Matrix2, Matrix6, Vector2, Vector6};
 
-/// A step as short as this ends where the next one would, px: a tenth of what the noise of a clean frame leaves.
+/// The fit has converged when a step is shorter than this, px: a tenth of the noise error in a clean frame.
 const SETTLED_PX: f64 = 0.003;
 const MOST_STEPS: usize = 10;
-/// From this step on the pixels' weights are held: with some outliers weights and place would oscillate.
+/// From this step on the pixels' weights are held: with some outliers, weights and position would oscillate.
 const REWEIGHTED_STEPS: usize = 6;
-/// Pixels farther than this from the model, in sigma, may be something else: hot pixels, scratches.
+/// Pixels farther than this from the model, in sigma, are down-weighted: hot pixels, scratches.
 const DOUBTED_SIGMA: f64 = 3.0;
-/// Fewest pixels that make a fit, for each unknown.
+/// Fewest pixels of a fit, per unknown.
 const MIN_PIXELS_PER_UNKNOWN: usize = 10;
 
-/// Unknowns of the fit, by index, as [`UNKNOWNS`] has it.
+/// Unknowns of the fit, indexed as [`UNKNOWNS`] states.
 pub(super) type Unknowns = Vector6<f64>;
 pub(super) const X: usize = 0;
 pub(super) const Y: usize = 1;
 pub(super) const CONTRAST: usize = 2;
-/// The unknowns before the fit, and what is known of them, 1 / sigma: it holds in place what a saturated or cut patch does
-/// not determine.
+/// Prior of the unknowns: mean, and 1 / sigma. It constrains unknowns that a saturated or cut patch does not determine.
 const EXPECTED: [f64; UNKNOWNS] = [0.0, 0.0, 0.5, 1.0, 0.0, 0.0];
 const EXPECTED_INVERSE_SIGMA: [f64; UNKNOWNS] = [0.0, 0.0, 2.0, 2.0, 5.0, 5.0];
 
@@ -40,7 +40,7 @@ pub(super) struct MarkFit<'a> {
     pub noise: PixelNoise,
 }
 
-/// The lists of a fit, which the next one uses again.
+/// Buffers of a fit, reused for the next one.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Lists {
     pub patch: Patch,
@@ -50,24 +50,25 @@ pub(super) struct Lists {
     counted: Vec<f32>,
 }
 
-/// Where a fit settled.
+/// Result of a converged fit.
 pub(super) struct Settled {
     pub unknowns: Unknowns,
-    /// Of the place, px^2; inflated where the residuals scatter by more than the stated noise.
+    /// Covariance of the position, px^2; inflated if the residuals scatter by more than the stated noise.
     pub covariance: Matrix2<f64>,
     /// Mean square of the residuals in units of the pixels' stated variance.
     pub reduced_chi2: f64,
 }
 
 impl MarkFit<'_> {
-    /// Steps until the place settles. `None` when the pixels are too few, or the place goes farther than a mark may be.
+    /// Iterates until the position converges. `None` if there are too few pixels, or the position moves farther than
+    /// allowed.
     pub(super) fn run(&self, lists: &mut Lists, farthest_px: f64) -> Option<Settled> {
         let prior = Prior {
             mean: Unknowns::from(EXPECTED),
             information: Unknowns::from(EXPECTED_INVERSE_SIGMA.map(|s| s * s)),
         };
         let mut unknowns = prior.mean;
-        // The very first model is too far off to show outliers.
+        // The first model is too far off to identify outliers.
         lists.weights.clear();
         lists.weights.extend_from_slice(groups(&lists.patch.counts));
         let mut reduced_chi2: f64 = 1.0;
@@ -78,7 +79,7 @@ impl MarkFit<'_> {
                 lists.weigh();
             }
             let (normal, freedoms) = normal_equations(&lists.near, &lists.weights)?;
-            // The pixels' variances are inflated by their chi^2 where that is larger than 1.
+            // The pixels' variances are inflated by their reduced chi^2 if that is larger than 1.
             let solve = |reduced_chi2: f64| {
                 let inflated = normal.weighted(1.0 / reduced_chi2.max(1.0));
                 inflated.solve(&prior, &unknowns)
@@ -88,7 +89,7 @@ impl MarkFit<'_> {
             // A higher contrast needs a smaller shift for the same change of the picture.
             let higher = unknowns[CONTRAST] / (unknowns[CONTRAST] + step[CONTRAST]);
             let mut moved = step.fixed_rows::<2>(X) * higher.clamp(0.0, 1.0);
-            // A step back shows that the one before was too long.
+            // A reversed step shows that the previous one was too long.
             if moved.dot(&last_move) < 0.0 {
                 moved /= 2.0;
             }
@@ -123,7 +124,7 @@ impl MarkFit<'_> {
 }
 
 impl Lists {
-    /// The model at some unknowns.
+    /// The model at the given unknowns.
     fn linearise(&mut self, fit: &MarkFit<'_>, unknowns: &Unknowns) {
         let Patch {
             x, y, seen, lit, ..
@@ -152,8 +153,9 @@ impl Lists {
         linearise(&model, pixels, &mut self.near);
     }
 
-    /// Weights 1 of pixels within a limit of the model and 0 beyond twice that, of those that count: the limit by the scatter that
-    /// most pixels show, at least the stated one, and by what the model may be off. Those of before where pixels are too few.
+    /// Weights of the pixels that count: 1 within a limit of the model, 0 beyond twice that. The limit comes from the
+    /// scatter of the pixels, at least the stated one, and from the model's own error. If there are too few pixels, the
+    /// previous weights stay.
     fn weigh(&mut self) {
         let Self {
             patch,
@@ -164,7 +166,7 @@ impl Lists {
         } = self;
         counted.clear();
         let counts = groups(&patch.counts);
-        // What does not count is beyond every limit.
+        // Pixels that do not count are placed beyond every limit.
         for (pixels, counts) in near.pixels.iter().zip(counts) {
             let residuals = pixels[UNKNOWNS];
             counted.extend(std::array::from_fn::<f32, LANES, _>(|k| {
@@ -174,7 +176,7 @@ impl Lists {
                 }
             }));
         }
-        // Outliers must not widen the limit by themselves, so the scatter starts from what is expected.
+        // Outliers must not widen the limit by themselves, so the scatter starts from its expected value.
         let model_error = near
             .allowed
             .as_flattened()
@@ -196,14 +198,14 @@ impl Lists {
     }
 }
 
-/// The normal equations of a model, with their degrees of freedom; `None` of too few pixels.
+/// The normal equations of a model, with their degrees of freedom; `None` if there are too few pixels.
 fn normal_equations(near: &Near, weights: &[[f32; LANES]]) -> Option<(Normal<UNKNOWNS>, f64)> {
     let each = weights.as_flattened();
     let pixels = each.iter().filter(|weight| **weight > 0.0).count();
     if pixels < MIN_PIXELS_PER_UNKNOWN * UNKNOWNS {
         return None;
     }
-    // The last row and column belong to the residuals.
+    // The last row and column contain the residuals.
     let sums = products(&near.pixels, weights);
     let sum = |m: usize, n: usize| f64::from(sums[m.max(n)][m.min(n)]);
     let total: f32 = each.iter().sum();

@@ -1,4 +1,4 @@
-//! A printed mark as the camera sees it: behind a Gaussian blur.
+//! A printed mark in the camera's image, behind a Gaussian blur.
 
 use super::blurred_dot::BlurredDot;
 use crate::frame::PIXEL_VARIANCE_PX2;
@@ -6,13 +6,13 @@ use crate::kernels::marks::{Bars, Coverage, Offsets, cover};
 use crate::plate::MarkShape;
 use nalgebra::{Matrix2, Rotation2, Vector2};
 
-/// A mark on the sensor.
+/// Image of a mark on the sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MarkImage {
     pub form: MarkForm,
-    /// Half a cross from tip to tip, or a dot's radius.
+    /// Half the length of a cross from tip to tip, or a dot's radius.
     pub half_length_px: f64,
-    /// Gaussian blur of lens and pixel together, 1 sigma.
+    /// Gaussian blur of lens and pixel combined, 1 sigma.
     pub blur_px: f64,
 }
 
@@ -23,21 +23,22 @@ pub enum MarkForm {
     Dot,
 }
 
-/// How far beyond its tips a mark is searched, in blurs: a wider window gains nothing and lets in what lies beside.
+/// Margin of the search window beyond a mark's tips, in blurs: a wider window gains nothing and includes neighbouring
+/// structure.
 const TIP_BLURS: f64 = 1.5;
-/// Ground about a cross that takes part in its fit, in widths of an arm: it determines the light's level and tilt. More of it lets
-/// in what lies beside.
+/// Margin around a cross that is included in its fit, in widths of an arm: it determines the brightness and its tilt. A
+/// wider one includes neighbouring structure.
 const GROUND_WIDTHS: f64 = 1.6;
-/// The same about a dot, in its radius.
+/// The same for a dot, in its radius.
 const GROUND_RADII: f64 = 0.5;
-/// The same in blurs, where that is more: the blurred edge must end within.
+/// The minimum of the margin, in blurs: the blurred edge must end within it.
 const GROUND_BLURS: f64 = 1.3;
 const GROUND_BLURS_OF_DOT: f64 = 3.0;
-/// However small the mark is: fewer pixels do not determine its place and the light about it.
+/// Minimum fit radius for any mark: fewer pixels do not determine its position and the illumination.
 const LEAST_FIT_REACH_PX: f64 = 5.2;
 
 impl MarkImage {
-    /// A mark of the plate at a scale, behind a lens's blur (1 sigma), on pixels of finite size.
+    /// A mark of the plate at a given scale, behind a lens's blur (1 sigma), on pixels of finite size.
     pub fn new(shape: &MarkShape, scale_mil_per_px: f64, lens_blur_px: f64) -> Self {
         let (half_length_mil, form) = match shape {
             MarkShape::Cross(cross) => {
@@ -56,12 +57,12 @@ impl MarkImage {
         }
     }
 
-    /// How far the fit of the mark is shifted by light that is displaced and blurred more, over the product of that light's part
-    /// and its displacement. `blurs` is the blur of the displaced light over that of the rest.
+    /// Shift of the fitted mark by light that is displaced and blurred more, divided by the product of that light's
+    /// fraction and its displacement. `blurs` is the blur of the displaced light relative to that of the rest.
     ///
-    /// The fit takes for a shift what of the displaced profile b' lies along the slope f' of an arm's own: the integral of f' b'
-    /// over that of f'^2. For a bar of half width h behind Gaussian blurs both are differences of Gaussians. A dot's edge counts
-    /// as that of a bar as wide as it.
+    /// The fit interprets the projection of the displaced profile b' on the slope f' of an arm's own profile as a shift:
+    /// the integral of f' b' divided by that of f'^2. For a bar of half width h behind Gaussian blurs both are differences
+    /// of Gaussians. A dot's edge counts as that of a bar of the same width.
     pub fn coma_shift(&self, blurs: f64) -> f64 {
         let (h2, own) = (self.half_width_px().powi(2), self.blur_px.powi(2));
         let both = own * (1.0 + blurs.powi(2));
@@ -76,9 +77,9 @@ impl MarkImage {
         }
     }
 
-    /// Whether the camera resolves a cross's arms; a dot has none, and a small cross is like one.
+    /// Whether the camera resolves a cross's arms; a dot has none, and a small cross looks like a dot.
     pub fn shows_arms(&self) -> bool {
-        /// From tip to tip.
+        /// Minimum length from tip to tip.
         const LEAST_LENGTH_PX: f64 = 7.0;
         match self.form {
             MarkForm::Cross { .. } => 2.0 * self.half_length_px > LEAST_LENGTH_PX,
@@ -86,8 +87,8 @@ impl MarkImage {
         }
     }
 
-    /// How deep inside the limb the mark's middle must lie for it to be found whatever its contrast, px. In simulated frames all crosses
-    /// are found from half of half their length on; of a dot the limb cuts all that is nearer than its radius.
+    /// Depth of the mark's centre inside the limb from which it is found at any contrast, px. In simulated frames all
+    /// crosses are found from half of half their length on; the limb cuts every dot that is nearer than its radius.
     pub fn sure_depth_px(&self) -> f64 {
         let of_half_length = match self.form {
             MarkForm::Cross { .. } => 0.75,
@@ -96,12 +97,12 @@ impl MarkImage {
         of_half_length * self.half_length_px
     }
 
-    /// How far from its centre the mark darkens the picture plainly, px.
+    /// Radius within which the mark clearly darkens the image, px.
     pub fn reach_px(&self) -> f64 {
         self.half_length_px + TIP_BLURS * self.blur_px
     }
 
-    /// How far from its centre pixels take part in its fit, px.
+    /// Radius of the pixels that are included in its fit, px.
     pub(super) fn fit_reach_px(&self) -> f64 {
         let ground_px = match self.form {
             MarkForm::Cross { half_width_px } => {
@@ -114,13 +115,14 @@ impl MarkImage {
         (self.half_length_px + ground_px).max(LEAST_FIT_REACH_PX)
     }
 
-    /// Half the width of an arm, or a dot's radius, as the blur leaves it, px: an offset larger than this is beside the mark.
+    /// Half the blurred width of an arm, or blurred radius of a dot, px: a position farther off than this is beside the
+    /// mark.
     pub(super) fn blurred_half_width_px(&self) -> f64 {
         self.half_width_px().hypot(self.blur_px)
     }
 
-    /// The points of the mark farthest from its middle, as offsets: a cross's tips, a dot's edge all round. `arms` has two neighbouring
-    /// tips, or two radii at right angles, as columns.
+    /// The points of the mark farthest from its centre, as offsets: a cross's tips, or points of a dot's edge. `arms` has
+    /// two neighbouring tips, or two perpendicular radii, as columns.
     pub fn tips(&self, arms: &Matrix2<f64>) -> impl Iterator<Item = Vector2<f64>> + use<> {
         let (a, b) = (arms.column(0).into_owned(), arms.column(1).into_owned());
         let (sum, difference) = (a + b, a - b);
@@ -134,8 +136,8 @@ impl MarkImage {
         tips.flat_map(|tip| [tip, -tip])
     }
 
-    /// The share of the light that the mark takes at offsets from its centre, px. `to_arms` leads from an offset on the
-    /// sensor to one along the arms, both px.
+    /// The share of the light that the mark absorbs at offsets from its centre, px. `to_arms` maps an offset on the sensor
+    /// to one along the arms, both px.
     pub(super) fn coverage(&self, x: &[f32], y: &[f32], to_arms: &Matrix2<f64>) -> Coverage {
         let from = [0.0; 2];
         let mut coverage = Coverage::default();
@@ -143,7 +145,7 @@ impl MarkImage {
         coverage
     }
 
-    /// How well a mark's detection determines its place, 1 sigma per axis, px, among noise that is so large beside the mark's darkness.
+    /// Uncertainty of a detected mark's position, 1 sigma per axis, px, for a noise relative to the mark's darkness.
     pub fn place_sigma_px(&self, noise: f64) -> f64 {
         let reach = self.reach_px().ceil() as i32;
         let along = || (-reach..=reach).map(|n| n as f32);
@@ -166,7 +168,7 @@ impl MarkImage {
     }
 }
 
-/// Light absorbed by a mark, and how that changes.
+/// Share of the light absorbed by a mark, and its derivatives.
 #[derive(Debug, Clone)]
 pub(super) enum Cover {
     Cross(Bars),
@@ -181,7 +183,8 @@ impl Cover {
         }
     }
 
-    /// At offsets from the middle; `to_arms` leads, by rows, from an offset on the sensor to one along the arms, both px.
+    /// Coverage at offsets from the centre; `to_arms` maps, by rows, an offset on the sensor to one along the arms, both
+    /// px.
     pub fn at(&self, to_arms: [f32; 4], offsets: Offsets<'_>, coverage: &mut Coverage) {
         match self {
             Self::Cross(bars) => cover(bars, to_arms, offsets, coverage),
@@ -190,12 +193,12 @@ impl Cover {
     }
 }
 
-/// A matrix by rows.
+/// The elements of a matrix by rows.
 pub(super) fn rows(matrix: &Matrix2<f64>) -> [f32; 4] {
     [matrix.m11, matrix.m12, matrix.m21, matrix.m22].map(|v| v as f32)
 }
 
-/// From an offset on the sensor to one along arms that are turned from the sensor's axes.
+/// From an offset on the sensor to one along arms that are rotated from the sensor's axes.
 pub(super) fn turned(rotation_deg: f64) -> Matrix2<f64> {
     Rotation2::new(-rotation_deg.to_radians()).into_inner()
 }

@@ -1,16 +1,17 @@
-//! The plate's fiducial marks: dark crosses or dots are found on the disc, their places beside each other identify them, and
-//! least squares on their pixels measures them.
+//! The plate's fiducial marks: dark crosses or dots are detected on the disc, identified by their relative positions, and
+//! measured by least squares on their pixels.
 //!
 //! # Method (Cramer 2014, sections 4.3 and 4.4, with the improvements its author lists)
-//! 1. The disc is flattened: its own light is divided out, so that a mark is dark on even ground and the limb
+//! 1. The disc is flattened: its own brightness is divided out, so that a mark is dark on a uniform background and the limb
 //!    leaves no edge ([`FlatDisc`]).
-//! 2. Sums over boxes give candidates whatever the camera's rotation; the arms there show the rotation to a quarter turn; a
-//!    matched filter of the blurred cross at that rotation gives position and contrast, and its fourfold part separates crosses
-//!    from what is round. Dots, and crosses too small to show their arms, are found by a round filter ([`detect`]).
-//! 3. Ids come from the places of marks beside each other. Every labelling near the stated plate centre is scored by all
-//!    marks in view, and one that is not clearly the best is refused ([`identify()`]).
-//! 4. A fit of the blurred mark to the pixels about it gives a mark's place without the bias that a paraboloid has over the
-//!    sub-pixel phase, with a covariance of its own: [`Refiner::refine`] cuts the pixels out (`patch`) and takes Gauss-Newton
+//! 2. Sums over boxes give candidates at any rotation of the camera; the arms there determine the rotation to a quarter
+//!    turn; a matched filter of the blurred cross at that rotation gives position and contrast, and its fourfold part
+//!    separates crosses from round features. Dots, and crosses too small to resolve their arms, are found by a round filter
+//!    ([`detect`]).
+//! 3. Ids come from the relative positions of the marks. Every labelling near the stated plate centre is scored by all
+//!    marks in view, and one that is not clearly the best is rejected ([`identify()`]).
+//! 4. A fit of the blurred mark to the pixels around it gives the mark's position without a paraboloid's bias over the
+//!    sub-pixel phase, with its own covariance: [`Refiner::refine`] extracts the pixels (`patch`) and iterates Gauss-Newton
 //!    steps on them (`mark_fit`).
 
 mod blurred_dot;
@@ -50,17 +51,17 @@ pub(crate) mod shares {
 /// Tunable settings for finding and identifying marks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FiducialSettings {
-    /// A mark's response must exceed this many sigma of the noise.
+    /// Detection threshold of a mark's response, in sigma of the noise.
     pub detection_sigma: f64,
-    /// A mark's least contrast, as a fraction of the light around it.
+    /// Minimum contrast of a mark, as a fraction of the light around it.
     pub min_contrast: f64,
-    /// How much of the structure about a detection the cross must explain, 0 to 1.
+    /// Minimum fraction of the structure around a detection that the cross explains, 0 to 1.
     pub min_likeness: f64,
-    /// Most detections that are identified.
+    /// Maximum number of detections that are identified.
     pub max_detections: usize,
-    /// Fewest marks that make a labelling.
+    /// Minimum number of marks of a labelling.
     pub min_marks: usize,
-    /// Largest distance of the plate's centre, as a labelling puts it on the sensor, from the instrument's value, px.
+    /// Largest distance of the plate's centre on the sensor, by a labelling, from the instrument's value, px.
     pub max_centre_shift_px: f64,
 }
 

@@ -1,16 +1,16 @@
-//! The pixels about a mark, and the light that would fall on them without it.
+//! The pixels around a mark, and the illumination that they would have without it.
 
 use crate::frame::{Cutout, Region};
 use crate::kernels::limb::Lit;
 use crate::kernels::{LANES, larger};
 use crate::units::SensorPx;
 
-/// The light that falls on the plate's marks, behind the lens's blur, as it would be without marks.
+/// The illumination of the plate's marks, behind the lens's blur, as it would be without marks.
 pub trait Illumination {
-    /// The light on a row's pixels from column `x` on, DN above the background.
+    /// The light on the pixels of a row from column `x` on, DN above the background.
     fn fill(&self, x: f64, y: f64, light: &mut [f32]);
 
-    /// The light at places in whole lanes, given from a position, px.
+    /// The light at positions in whole lanes, relative to `position`, px.
     fn about(&self, position: SensorPx, x: &[f32], y: &[f32], lit: &mut Lit);
 }
 
@@ -43,26 +43,26 @@ impl<F: Fn(f64, f64) -> f64> Illumination for F {
     }
 }
 
-/// A pixel with less than this part of the patch's brightest light is not used for the mark.
+/// A pixel with less than this fraction of the patch's brightest light is not used.
 const LEAST_LIGHT: f32 = 0.05;
 
-/// The pixels about a mark, one list for each quantity, in whole lanes: the last ones may be filled up with pixels that do not
+/// The pixels around a mark, one list per quantity, in whole lanes: the last lane may be padded with pixels that do not
 /// count.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Patch {
-    /// Offset from where the mark is expected, px.
+    /// Offset from the mark's expected position, px.
     pub x: Vec<f32>,
     pub y: Vec<f32>,
     /// Light above the background, DN.
     pub seen: Vec<f32>,
-    /// Light without the mark.
+    /// Light expected without the mark.
     pub lit: Lit,
     /// 1 for pixels that count, 0 for masked and unlit ones.
     pub counts: Vec<f32>,
 }
 
 impl Patch {
-    /// Takes in the pixels within `reach` of a place instead of those that it had; `None` when the cutout has none of them.
+    /// Replaces the pixels by those within `reach` of a position; `None` if the cutout has none of them.
     pub(super) fn take(
         &mut self,
         place: SensorPx,

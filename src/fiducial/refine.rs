@@ -1,17 +1,17 @@
-//! A mark's place by least squares on its pixels.
+//! Fit of a mark's position by least squares on its pixels.
 //!
-//! The picture is the plate's light L times what the mark leaves of it, 1 - c C, and blurred. For a Gaussian blur s the
-//! blur of a product is exp(s^2 grad . grad) of the product of the blurred factors L' and C', one gradient acting on each:
+//! The image is the plate's brightness L times the mark's transmission 1 - c C, blurred. For a Gaussian blur s the blur of
+//! a product is exp(s^2 grad . grad) of the product of the blurred factors L' and C', one gradient acting on each:
 //!
 //! > blur(L (1 - c C)) = L' (1 - c C') - c s^2 grad L' . grad C' - ...
 //!
-//! The second term keeps a mark in its place where the light falls towards the limb: without it, marks there are measured up
-//! to 0.02 px too far inwards. What follows matters only where the light bends within a blur's width, that is at the
-//! limb's very edge; pixels there weigh less for it.
+//! The second term removes a bias where the brightness falls towards the limb: without it, marks there are measured up to
+//! 0.02 px too far inwards. Further terms matter only where the brightness curves within a blur's width, that is at the
+//! very edge of the limb; pixels there have a lower weight for it.
 //!
-//! # When it fails
-//! Where the limb leaves a single arm, nothing determines the place along that arm: the covariance says so, or there is no
-//! result.
+//! # Failure
+//! If only a single arm is lit at the limb, the position along that arm is not determined: the covariance shows it, or
+//! there is no result.
 
 use super::MarkImage;
 use super::mark_fit::{CONTRAST, Lists, MarkFit, Settled, X, Y};
@@ -22,10 +22,11 @@ use crate::plate::MarkShape;
 use crate::units::{Estimate, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 
-/// A mark as its pixels show it.
+/// A mark measured from its pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RefinedMark {
-    /// Where it is, with the fit's covariance: by the pixels' stated variance, or by the residuals' own where that is larger.
+    /// Its position, with the fit's covariance: from the pixels' stated variance, or from the residuals if theirs is
+    /// larger.
     pub place: Estimate<SensorPx>,
     /// Darkness of the mark as a fraction of the light around it.
     pub contrast: f64,
@@ -33,7 +34,7 @@ pub struct RefinedMark {
     pub reduced_chi2: f64,
 }
 
-/// Refines the marks of a frame: their shape at the frame's scale and blur.
+/// Refines the marks of a frame: contains their shape at the frame's scale and blur.
 #[derive(Debug, Clone)]
 pub struct Refiner {
     image: MarkImage,
@@ -46,7 +47,8 @@ pub struct Refiner {
 }
 
 impl Refiner {
-    /// For marks of the plate at a scale and a lens's blur (1 sigma), on pixels of some noise. A blur that is off by a fifth moves no mark.
+    /// For marks of the plate at a scale and a lens's blur (1 sigma), on pixels with some noise. An error of the blur by a
+    /// fifth shifts no mark.
     pub fn new(
         shape: &MarkShape,
         scale_mil_per_px: f64,
@@ -64,7 +66,7 @@ impl Refiner {
         }
     }
 
-    /// How far from a mark's expected place pixels take part, px.
+    /// Radius of the pixels used around a mark's expected position, px.
     pub fn reach_px(&self) -> f64 {
         self.image.fit_reach_px()
     }
@@ -72,7 +74,7 @@ impl Refiner {
     /// The mark near `start`, within half an arm's width.
     ///
     /// `illumination` is the blurred light without marks, DN above background; `jacobian` the mapping from plate to sensor
-    /// there, px per mil. `None` when the pixels do not lead to a mark near the start.
+    /// there, px per mil. `None` if the fit does not converge to a mark near the start.
     pub fn refine(
         &mut self,
         cutout: &Cutout,
@@ -89,7 +91,7 @@ impl Refiner {
             reach,
             noise: self.noise,
         };
-        // What is farther off than an arm is wide is another mark, or none.
+        // Beyond an arm's width there is another mark, or none.
         let farthest_px = self.image.blurred_half_width_px();
         let settled = fit.run(&mut self.lists, farthest_px)?;
         RefinedMark::of(&settled, start)
@@ -97,7 +99,7 @@ impl Refiner {
 }
 
 impl RefinedMark {
-    /// `None` of what is no mark.
+    /// `None` if it is not a mark.
     fn of(settled: &Settled, start: SensorPx) -> Option<Self> {
         let Settled {
             unknowns,

@@ -1,4 +1,4 @@
-//! A local similarity: from offsets on the disc to the plate, by the marks that a labelling has identified so far.
+//! A local similarity: from offsets on the disc to the plate, from the marks that a labelling has identified so far.
 
 use super::prior::GATE_SIGMAS;
 use crate::units::{Measured, PlateMil};
@@ -6,7 +6,7 @@ use nalgebra::Vector2;
 use std::f64::consts::TAU;
 
 /// From offsets to the plate: a shift, and small changes of scale and rotation. Weighted least squares with priors of scale
-/// and rotation, in sums that one mark after another is added to.
+/// and rotation; marks are added one by one to the sums.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct LocalSimilarity {
     weight: f64,
@@ -21,7 +21,7 @@ pub(super) struct LocalSimilarity {
 }
 
 impl LocalSimilarity {
-    /// Before any mark, with 1 sigma of the change of scale (relative) and of rotation (rad).
+    /// Before any mark; arguments are 1 sigma of the change of scale (relative) and of rotation (rad).
     pub(super) fn new(scale_sigma: f64, rotation_sigma: f64) -> Self {
         Self {
             weight: 0.0,
@@ -58,7 +58,7 @@ impl LocalSimilarity {
         )
     }
 
-    /// Position on the plate of an offset.
+    /// Position on the plate of an offset on the disc.
     pub(super) fn place(&self, offset: Vector2<f64>) -> PlateMil {
         let (scale, rotation) = self.changes();
         let lever = offset - self.mean_offset;
@@ -84,20 +84,20 @@ impl LocalSimilarity {
         Measured::new(self.changes().1.to_degrees(), sigma.to_degrees())
     }
 
-    /// Scale, mil/px, where `of_offsets` is that of the offsets.
+    /// Scale, mil/px; `of_offsets` is the scale of the offsets.
     pub(super) fn scale(&self, of_offsets: f64) -> Measured {
         let sigma = self.scale_weight.powf(-0.5);
         Measured::new(of_offsets * (1.0 + self.changes().0), of_offsets * sigma)
     }
 
-    /// Variance of a predicted position in the worse direction, mil^2.
+    /// Variance of a predicted position along its less certain direction, mil^2.
     pub(super) fn variance(&self, offset: Vector2<f64>) -> f64 {
         let least = self.scale_weight.min(self.rotation_weight);
         1.0 / self.weight + (offset - self.mean_offset).norm_squared() / least
     }
 
-    /// Logarithm of the probability density, per mil^2, of observing at an offset the mark that is printed at a position;
-    /// `variance` (mil^2) is the observation's own. `None` when the residual exceeds [`GATE_SIGMAS`].
+    /// Logarithm of the probability density, per mil^2, of observing at `offset` the mark that is printed at `printed`;
+    /// `variance` (mil^2) is that of the observation. `None` if the residual exceeds [`GATE_SIGMAS`].
     pub(super) fn log_density(
         &self,
         offset: Vector2<f64>,

@@ -1,21 +1,22 @@
-//! Matched filters: weights for the pixels about a place of the flattened disc.
+//! Matched filters: weights for the pixels around a position of the flattened disc.
 
 use super::FlatDisc;
 use crate::kernels::{LANES, correlate, weighted_squares};
 
-/// The pixels within a radius of one of them: a square about it, row by row, each row filled up to whole lanes.
+/// The pixels within a radius of a central one: a square around it, row by row, each row padded to whole lanes.
 #[derive(Debug, Clone)]
 pub(super) struct Window {
-    /// Pixels from the middle to the edge, in both axes.
+    /// Pixels from the centre to the edge, along both axes.
     reach: usize,
-    /// Pixels of a row, those that fill it up included.
+    /// Pixels of a row, padding included.
     width: usize,
-    /// Offsets from the middle, px.
+    /// Offsets from the centre, px.
     pub x: Vec<f32>,
     pub y: Vec<f32>,
-    /// The ring about the middle, a pixel wide, that a pixel lies in. Those outside the radius share the last one.
+    /// Index of the ring about the centre, one pixel wide, that each pixel lies in. Those outside the radius share the last
+    /// one.
     ring: Vec<usize>,
-    /// How many pixels each ring has.
+    /// Number of pixels of each ring.
     ring_pixels: Vec<f32>,
     /// 1 within the radius, else 0.
     inside: Vec<f32>,
@@ -47,7 +48,7 @@ impl Window {
         }
     }
 
-    /// Pixels within the radius.
+    /// Number of pixels within the radius.
     pub(super) fn pixels(&self) -> usize {
         self.ring
             .iter()
@@ -59,8 +60,8 @@ impl Window {
         ring <= self.reach
     }
 
-    /// A list's values less their mean over the ring that each lies in: nothing is left of what is round about the middle. 0 outside
-    /// the radius.
+    /// A list's values minus their mean over their ring: the part that is round about the centre is removed. 0 outside the
+    /// radius.
     pub(super) fn without_round_part(&self, values: &[f32]) -> Vec<f32> {
         let mut sums = vec![0.0; self.reach + 2];
         for (value, ring) in values.iter().zip(&self.ring) {
@@ -73,15 +74,15 @@ impl Window {
         values.iter().zip(&self.ring).map(less_mean).collect()
     }
 
-    /// Sum of the squared values about one of them, where the window [`fits`](Self::fits), within the radius.
+    /// Sum of the squared values within the radius of a position at which the window [`fits`](Self::fits).
     pub(super) fn squares(&self, flat: &FlatDisc, index: usize) -> f32 {
         let (values, side) = (self.values(flat, index), flat.side());
         weighted_squares(&self.inside, self.width, values, side)
     }
 
-    /// The same of what is round about the middle.
+    /// The same for the part that is round about the centre.
     pub(super) fn round_squares(&self, flat: &FlatDisc, index: usize) -> f32 {
-        /// Rings beyond count as the last.
+        /// Farther rings count as the last.
         const MOST_RINGS: usize = 128;
         let last = self.reach.min(MOST_RINGS - 2) + 1;
         let mut sums = [0.0; MOST_RINGS];
@@ -95,38 +96,39 @@ impl Window {
         rings.map(|(sum, pixels)| sum * sum / pixels.max(1.0)).sum()
     }
 
-    /// Sum of the values about one of them, where the window [`fits`](Self::fits), within the radius.
+    /// Sum of the values within the radius of a position at which the window [`fits`](Self::fits).
     pub(super) fn sum(&self, flat: &FlatDisc, index: usize) -> f32 {
         self.correlate(&self.inside, flat, index)
     }
 
-    /// Whether the pixels about a value of the flattened disc, with one to spare, are all in its square.
+    /// Whether the pixels around a value of the flattened disc, plus a margin of one, are all in its square.
     pub(super) fn fits(&self, flat: &FlatDisc, index: usize) -> bool {
         let inner = self.reach + 1..flat.side().saturating_sub(self.width - self.reach);
         inner.contains(&(index / flat.side())) && inner.contains(&(index % flat.side()))
     }
 
-    /// The flattened disc's values from the first pixel about one of them on.
+    /// The flattened disc's values from the first pixel of the window at a position.
     fn values<'f>(&self, flat: &'f FlatDisc, index: usize) -> &'f [f32] {
         &flat.values()[index - self.reach * (flat.side() + 1)..]
     }
 
-    /// Sum of the products of weights with the values about one of them, where the window [`fits`](Self::fits).
+    /// Sum of the products of weights and the values around a position at which the window [`fits`](Self::fits).
     pub(super) fn correlate(&self, weights: &[f32], flat: &FlatDisc, index: usize) -> f32 {
         correlate(weights, self.width, self.values(flat, index), flat.side())
     }
 }
 
-/// A zero-mean filter, so that even ground does not answer. Its response is the contrast of the picture it was made of.
+/// A zero-mean filter, so that it does not respond to a constant. Its response is the contrast of the picture it was made
+/// from.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Template {
     weights: Vec<f32>,
-    /// Sum of the squared weights: what a picture of contrast 1 adds to the sum of squares.
+    /// Sum of the squared weights: the contribution of a picture of contrast 1 to the sum of squares.
     pub energy: f64,
 }
 
 impl Template {
-    /// Of the darkness to be found about the middle of a window.
+    /// From the darkness expected around the centre of a window.
     pub(super) fn new(window: &Window, darkness: &[f32]) -> Self {
         let inside = |n: &usize| window.is_inside(window.ring[*n]);
         let sum: f32 = (0..darkness.len())
@@ -140,18 +142,18 @@ impl Template {
         Self { weights, energy }
     }
 
-    /// Contrast of the searched pattern, about a value where the window fits.
+    /// Contrast of the pattern around a value, at which the window must fit.
     pub(super) fn response(&self, window: &Window, flat: &FlatDisc, index: usize) -> f64 {
         f64::from(window.correlate(&self.weights, flat, index)) / self.energy
     }
 
-    /// 1 sigma of a response where the values have this noise.
+    /// 1 sigma of a response; `values` is the noise of the values.
     pub(super) fn noise(&self, values: f64) -> f64 {
         values / self.energy.sqrt()
     }
 
-    /// Climbs to the highest response within so many steps of a place, a pixel at a time. `None` when that leads farther, or
-    /// out of the square.
+    /// Climbs to the highest response within `most_steps` of a position, one pixel at a time. `None` if it is farther off,
+    /// or outside the square.
     pub(super) fn climb(
         &self,
         window: &Window,
@@ -181,19 +183,19 @@ impl Template {
     }
 }
 
-/// A pixel whose response no neighbour's exceeds.
+/// A pixel whose response is not exceeded by any neighbour.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Peak {
-    /// Of the flattened disc's values.
+    /// Index into the flattened disc's values.
     pub index: usize,
     pub response: f64,
-    /// To the left, to the right, above and below.
+    /// Responses to the left, to the right, above and below.
     beside: [f64; 4],
 }
 
 impl Peak {
-    /// The top of the response from the pixel's middle, px, by a parabola in each axis: a cross is the same after a quarter
-    /// turn, and so its response has no other axes. `None` on even ground.
+    /// The vertex of the response relative to the pixel's centre, px, by a parabola along each axis: a cross is invariant
+    /// under a quarter turn, so its response has no other axes. `None` if it is flat.
     pub(super) fn top(&self) -> Option<[f64; 2]> {
         let [left, right, above, below] = self.beside;
         let top = |before: f64, after: f64| {
@@ -235,7 +237,8 @@ mod tests {
             let sum: f32 = places
                 .map(|((x, y), weight)| weight * (-(x * x + y * y) / (2.0 * sigma * sigma)).exp())
                 .sum();
-            // A cross must show a fifth of its contrast to this template: a fifth of that from what is round is harmless.
+            // A cross must show a fifth of its contrast to this template: a response of a fifth of that to something round
+            // is harmless.
             assert!(
                 f64::from(sum.abs()) < 0.04 * template.energy,
                 "{sum} of {} at {sigma}",

@@ -1,10 +1,10 @@
-//! The background under and about the disc.
+//! The background under and around the disc.
 //!
-//! Stray light changes slowly over the frame; the halves of a sensor that are read through two amplifiers differ by a step; in
-//! a frame-transfer CCD every pixel of a column receives the same small part of the column's light while the charge is shifted
-//! (Powell, Chmielewski and others call it smear). So the background is a plane, a step at the middle column and at the middle
-//! row, and a multiple of each column's sum. All are fitted to the pixels about the disc, which determine them far better than
-//! the few pixels of a sector of the limb.
+//! Stray light varies slowly over the frame. The halves of a sensor that are read through two amplifiers differ by a step.
+//! In a frame-transfer CCD every pixel of a column receives the same small fraction of the column's light while the charge
+//! is shifted (Powell, Chmielewski and others call it smear). The model is therefore a plane, a step at the middle column
+//! and at the middle row, and a multiple of each column's sum. All terms are fitted to the pixels around the disc, which
+//! determine them far better than the few pixels of a sector of the limb.
 
 use crate::estimation::{Fitted, LeastSquares, Linearised, Loss, Prior, Scale, TUKEY_SIGMAS};
 use crate::frame::{Background, Frame, Levels, Region, Sample, View};
@@ -13,12 +13,12 @@ use crate::kernels::sum_within;
 use crate::with_view;
 use nalgebra::{SVector, Vector1};
 
-/// The background is determined by pixels between these distances from the disc's centre, in radii: beyond the blur and the halo.
+/// The background is fitted to pixels at these distances from the disc's centre, in radii: beyond the blur and the halo.
 const ABOUT: [f64; 2] = [1.15, 2.2];
-/// Pixels are averaged over squares of this side, by every so many rows.
+/// Pixels are averaged over squares of this side, reading every `STRIDE_PX`-th row.
 const CELL_PX: usize = 48;
 const STRIDE_PX: usize = 4;
-/// Pixels farther than this from the frame's background belong to something else: leaks, hot pixels. In sigma.
+/// Pixels that deviate more than this from the frame's background are rejected: light leaks, hot pixels. In sigma.
 const SAME_SIGMAS: f64 = 5.0;
 /// A term smaller than this many sigma is dropped.
 const SIGNIFICANT_SIGMAS: f64 = 4.0;
@@ -27,7 +27,7 @@ const SIGNIFICANT_SIGMAS: f64 = 4.0;
 const TERMS: usize = 6;
 const PLANE: usize = 3;
 
-/// The background of a region about a disc. Where too little of the frame is dark about it, the frame's level.
+/// The background of a region around a disc. If too few dark pixels surround it, the background level of the frame.
 pub fn background(frame: &Frame, region: Region, disc: &Circle, levels: &Levels) -> Background {
     let even = Background::even(region, levels.background_dn);
     let about = Region::around(
@@ -46,14 +46,14 @@ pub fn background(frame: &Frame, region: Region, disc: &Circle, levels: &Levels)
     }
 }
 
-/// A square of dark pixels: its terms, its mean above the frame's level (DN) and how many pixels it has.
+/// A square of dark pixels: its terms, its mean above the frame's background level (DN) and its number of pixels.
 struct Cell {
     terms: SVector<f64, TERMS>,
     mean_dn: f64,
     pixels: f64,
 }
 
-/// The dark pixels about a disc, and what the columns hold.
+/// The dark pixels around a disc, and the column sums.
 struct Scene {
     about: Region,
     middle: [f64; 2],
@@ -88,7 +88,7 @@ impl Scene {
         scene
     }
 
-    /// `None` where the disc or its halo is near.
+    /// `None` if the disc or its halo is near.
     fn cell<T: Sample>(
         &self,
         view: &View<'_, T>,
@@ -132,7 +132,7 @@ impl Scene {
         ])
     }
 
-    /// -1 to 1 from edge to edge of the pixels that are used.
+    /// Relative position, -1 to 1 across the region of the pixels that are used.
     fn relative_place(&self, x: f64, y: f64) -> [f64; 2] {
         let along =
             |at: f64, from: usize, to: usize| 2.0 * (at - from as f64) / (to - from) as f64 - 1.0;
@@ -142,7 +142,7 @@ impl Scene {
         ]
     }
 
-    /// The coefficients of the terms: the plane's always, of the others those that are significant.
+    /// The coefficients of the terms: the plane always, the other terms only if they are significant.
     fn fit(&self) -> Option<SVector<f64, TERMS>> {
         let all = self.regression(&[true; TERMS], SVector::zeros())?;
         let significant = |n: usize| {
@@ -157,7 +157,7 @@ impl Scene {
         Some(fit.parameters)
     }
 
-    /// Fits the terms that are used, the others held at 0; so is one that is the same in all cells.
+    /// Fits the terms that are used and holds the others at 0. A term that is the same in all cells is held as well.
     fn regression(
         &self,
         used: &[bool; TERMS],
@@ -188,7 +188,7 @@ impl Scene {
         (self.cells.len() > 2 * TERMS).then(|| fit.fit_each(rows).ok())?
     }
 
-    /// Whether enough cells differ in a term from the first.
+    /// Whether enough cells differ from the first one in term `n`.
     fn varies(&self, n: usize) -> bool {
         const DIFFERENT: f64 = 0.2;
         let first = self.cells.first().map_or(0.0, |cell| cell.terms[n]);
@@ -268,7 +268,7 @@ mod tests {
         radius: 80.0,
     };
 
-    /// A disc of 200 DN over a background, with even noise of 3 DN rms; twelve bits, so that rounding is no matter.
+    /// A disc of 200 DN over a background, with uniform noise of 3 DN rms; 12 bits, so that rounding is negligible.
     fn frame(background: impl Fn(f64, f64) -> f64, column_smear: f64) -> Frame {
         let light = |x: f64, y: f64| match DISC.excess(Vector2::new(x, y)) < 0.0 {
             true => 200.0,
@@ -288,7 +288,7 @@ mod tests {
         Frame::new(SIZE[0], SIZE[1], pixels, 4095, FrameInfo::default()).unwrap()
     }
 
-    /// How far the background that is found about the disc is from the true one, DN: the most of all pixels.
+    /// Largest error of the fitted background over all pixels around the disc, DN.
     fn worst_dn(background: impl Fn(f64, f64) -> f64, column_smear: f64) -> f64 {
         let frame = frame(&background, column_smear);
         let region = Region::sized(230, 150, 200, 200);

@@ -1,4 +1,4 @@
-//! The pixels about the limb, sector by sector.
+//! The pixels near the limb, sector by sector.
 
 use crate::frame::{Cutout, Mask};
 use crate::geometry::Ellipse;
@@ -6,35 +6,35 @@ use crate::kernels::ring::{MOST_SECTORS, Ring, Run, locate};
 use crate::kernels::{LANES, zeros};
 use nalgebra::Vector2;
 
-/// How far a band reaches from its ellipse, px.
+/// Range of a band on either side of its ellipse, px.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Reach {
     pub inside_px: f64,
     pub outside_px: f64,
 }
 
-/// Pixels within reach of an ellipse, those of a sector of azimuth next to each other.
+/// Pixels within reach of an ellipse, ordered by sector of azimuth.
 pub(super) struct Band {
-    /// Outwards from the ellipse.
+    /// Distance outwards from the ellipse.
     distance_px: Vec<f32>,
     light_dn: Vec<f32>,
-    /// Where each sector begins, and where the last one ends.
+    /// Index of the first pixel of each sector, and the end of the last sector.
     begins: Vec<usize>,
 }
 
-/// Which pixels a band is to hold.
+/// Selection of the pixels of a band.
 pub(super) struct Wanted<'a> {
     pub cutout: &'a Cutout,
-    /// Of the cutout's region; masked pixels are left out.
+    /// Mask of the cutout's region; masked pixels are excluded.
     pub mask: &'a Mask,
     pub ellipse: &'a Ellipse,
     pub reach: Reach,
     pub sectors: usize,
-    /// Every so many rows are read.
+    /// Row stride: every `every_row`-th row is read.
     pub every_row: usize,
 }
 
-/// The pixels of a sector, or of all.
+/// The pixels of one sector, or of all sectors.
 #[derive(Clone, Copy)]
 pub(super) struct SectorPixels<'a> {
     pub distance_px: &'a [f32],
@@ -55,7 +55,7 @@ impl Band {
         let groups = |run: &Run<'_>| run.light_dn.len().div_ceil(LANES);
         let mut located = Vec::with_capacity(runs.iter().map(groups).sum());
         locate(&ring, &runs, &mut located);
-        // What is not wanted comes last, in a sector of its own.
+        // Unwanted pixels come last, in a sector of their own.
         let mut ends = [0_u32; MOST_SECTORS];
         for group in &located {
             for sector in &group.sector {
@@ -92,7 +92,7 @@ impl Band {
         }
     }
 
-    /// Counts the distances from another ellipse near by, about which the sectors are as good as the same.
+    /// Shifts the distances to refer to another ellipse nearby; the assignment to sectors is kept.
     pub(super) fn follow(&mut self, from: &Ellipse, to: &Ellipse) {
         let sectors = self.begins.len() - 1;
         let (shift, grown) = (to.centre - from.centre, to.root() - from.root());
@@ -123,14 +123,14 @@ impl Band {
 }
 
 impl<'a> Wanted<'a> {
-    /// Runs of the rows about the ellipse, and a little beside it.
+    /// Runs of the rows around the ellipse, with a small margin.
     fn runs(&self) -> Vec<Run<'a>> {
         let (region, root, centre) = (
             self.cutout.region(),
             self.ellipse.root(),
             self.ellipse.centre,
         );
-        // Distances are of first order.
+        // Distances are first-order approximations.
         const SPARE_PX: f64 = 0.2;
         let uneven = ((root.m11 - root.m22) / 2.0).hypot(root.m12) + SPARE_PX;
         let outer = self.ellipse.mean_radius() + self.reach.outside_px + uneven;
@@ -147,7 +147,7 @@ impl<'a> Wanted<'a> {
                 false => [(-to, to), (0.0, 0.0)],
             };
             for (start, end) in spans {
-                // The next column; whether it is one too far is no matter beside the spare.
+                // The next column; an error of one column is covered by the margin.
                 let column =
                     |x: f64| ((centre.x + x + 1.0).max(region.x0 as f64) as usize).min(region.x1);
                 let (start, end) = (column(start), column(end));
@@ -278,7 +278,7 @@ mod tests {
             let pixels = band.begins[n]..band.begins[n + 1];
             let shift = mean(&band.distance_px[pixels.clone()]) - mean(&before[pixels]);
             let at = ellipse().from_disc(middle_of_sector(n, SECTORS));
-            // Distances are of first order: 0.4 px of 80 leave 0.002 px.
+            // Distances are first-order: a shift of 0.4 px on a radius of 80 px leaves 0.002 px.
             assert!((f64::from(shift) - moved.excess(at)).abs() < 0.003);
         }
     }

@@ -1,7 +1,7 @@
-//! Chords: rows and columns of the sensor, where they are bright, and where they cross the limb.
+//! Chords: bright runs of rows and columns of the sensor, and their crossings with the limb.
 //!
-//! A chord is what is left of a bright run when hot pixels and marks are taken out (Cramer 2014, table 8); one that
-//! runs into the sensor's edge keeps the crossing that is seen.
+//! A chord is a bright run after hot pixels and marks are removed (Cramer 2014, table 8). A chord that runs into the
+//! sensor's edge keeps its one visible crossing.
 
 use super::LimbSettings;
 use crate::frame::{Frame, Region};
@@ -15,7 +15,7 @@ pub(super) enum Axis {
     Column,
 }
 
-/// A place where a chord crosses the limb, with the unit vector along the chord into the disc.
+/// Position where a chord crosses the limb, with the unit vector along the chord into the disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Crossing {
     pub at: Vector2<f64>,
@@ -54,22 +54,22 @@ impl<'a> Line<'a> {
     }
 }
 
-/// Settings of chords: the threshold, and the lengths of what is no disc.
+/// Settings of chords: the threshold, and the minimum and maximum lengths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Scan {
     pub threshold_dn: f64,
     /// Shorter bright runs are hot pixels and noise.
     pub min_run_px: usize,
-    /// Shorter dark gaps are marks.
+    /// Shorter dark gaps are marks and are filled.
     pub max_gap_px: usize,
-    /// Shorter runs that are left are no disc, unless the line's end cuts them.
+    /// Shorter runs are not part of the disc, unless the line's end cuts them.
     pub min_chord_px: usize,
 }
 
 impl Scan {
     /// A scan for a threshold and a mark's length from tip to tip, px.
     pub(super) fn new(threshold_dn: f64, mark_length_px: f64, settings: &LimbSettings) -> Self {
-        /// A mark that is turned by an eighth is as much longer, and its blur with it.
+        /// A mark rotated by 45 deg is longer by this factor, and so is its blur.
         const LONGEST: f64 = 1.3;
         let gap = (LONGEST * mark_length_px).ceil() as usize;
         Self {
@@ -80,7 +80,7 @@ impl Scan {
         }
     }
 
-    /// Bright runs of a line, counted from its first pixel: long enough to be no hot pixel, marks filled in.
+    /// Bright runs of a line, counted from its first pixel. Hot pixels are removed and marks filled in.
     pub(super) fn runs<'l>(&self, line: &'l Line<'_>) -> impl Iterator<Item = Range<usize>> + 'l {
         let Self {
             threshold_dn,
@@ -120,9 +120,9 @@ impl Scan {
         })
     }
 
-    /// Where the straight line through the four pixels about a place meets the threshold, `first_after` being the first pixel
-    /// beyond; the window is centred again once, since noise may have moved the first guess. `inward` is 1 where light rises
-    /// along the line and -1 where it falls. `None` where the line ends.
+    /// Position where the straight line through four pixels meets the threshold; `first_after` is the first pixel beyond
+    /// it. The window is centred again once, since noise may have shifted the first guess. `inward` is 1 if brightness
+    /// rises along the line and -1 if it falls. `None` if the line ends.
     fn crossing(&self, line: &Line<'_>, first_after: usize, inward: f64) -> Option<Crossing> {
         let mut first_after = first_after;
         let mut along = None;
@@ -154,7 +154,8 @@ impl Scan {
     }
 }
 
-/// The first pixel from one on that is as wanted. Most of a line is dark: groups without any are passed over.
+/// The first pixel at or after `from` that fulfils the condition. Most of a line is dark: groups without such a pixel are
+/// skipped.
 fn first(dn: &[f32], from: usize, wanted: impl Fn(&f32) -> bool) -> Option<usize> {
     const GROUP: usize = 16;
     let any = |group: &[f32]| group.iter().fold(false, |any, dn| any | wanted(dn));

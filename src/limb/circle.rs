@@ -12,24 +12,24 @@ use nalgebra::{Matrix2, RowVector3, SVector, Vector1, Vector2, Vector3};
 
 /// Distance from the circle within which a crossing agrees with it, px.
 const AGREEMENT_PX: f64 = 2.0;
-/// Crossings within this part of the radius from the circle belong to the same bright patch.
+/// Crossings within this fraction of the radius from the circle belong to the same bright patch.
 const NEAR: f64 = 0.25;
-/// Crossings are never better than this, px: marks, haze and the sensor's tilt see to it.
+/// Lower bound of a crossing's sigma, px: marks, haze and the sensor's tilt cause at least this error.
 const CROSSING_SIGMA_PX: f64 = 0.1;
-/// Most circles that are tried. Nineteen of twenty crossings of a clean disc agree: there a dozen are enough.
+/// Maximum number of trial circles. On a clean disc nineteen of twenty crossings agree, and a dozen trials suffice.
 const MOST_TRIALS: usize = 400;
 const LEAST_TRIALS: usize = 12;
-/// Probability of never having picked three agreeing crossings at which the trials end.
+/// Trials end when the probability of never having picked three agreeing crossings falls below this.
 const LEAST_DOUBT: f64 = 1e-4;
-/// This part of the crossings near the circle must agree with it.
+/// Minimum fraction of the crossings near the circle that must agree with it.
 const LEAST_AGREEING: f64 = 0.6;
-/// Less of the limb does not distinguish a disc from a speck at the sensor's edge.
+/// A shorter arc does not distinguish a disc from a speck at the sensor's edge.
 const LEAST_ARC: f64 = 0.1;
-/// The expected radius is this good, relative to it.
+/// Relative uncertainty of the expected radius, 1 sigma.
 const RADIUS_SIGMA: f64 = 0.003;
-/// A limb that determines the radius as well as this, relative to it, is asked for it.
+/// The limb's own radius is used if its relative sigma is below this.
 const WELL_DETERMINED: f64 = 0.001;
-/// A disc known less well than this is not known, px.
+/// Largest acceptable sigma of the centre, px.
 const MAX_CENTRE_SIGMA_PX: f64 = 1.0;
 
 /// The circle of nearly the expected radius that most crossings lie on.
@@ -61,7 +61,7 @@ pub(super) fn agreed_circle(
     Ok(circle_of(&fit.parameters))
 }
 
-/// Crossings, and what is known of their circle.
+/// Crossings, and the prior knowledge of their circle.
 struct Consensus<'a> {
     crossings: &'a [Crossing],
     radius_px: f64,
@@ -69,9 +69,9 @@ struct Consensus<'a> {
 }
 
 impl Consensus<'_> {
-    /// The best of many circles. Circles through three crossings serve when much of the limb is seen, circles of the
-    /// expected radius through two when little is. The choice of crossings is a fixed sequence: the same frame always
-    /// gives the same disc.
+    /// The best of many circles: through three crossings if much of the limb is visible, or of the expected radius through
+    /// two crossings if little is. Crossings are chosen by a fixed sequence, so that the same frame always gives the same
+    /// disc.
     fn best_circle(&self) -> Option<Circle> {
         let mut pick = Sequence::new(self.crossings.len());
         let (mut best, mut least_cost) = (None, f64::INFINITY);
@@ -101,21 +101,21 @@ impl Consensus<'_> {
         (circle.radius / self.radius_px - 1.0).abs() <= self.settings.max_radius_deviation
     }
 
-    /// The crossings that lie on a circle with their bright side inwards.
+    /// The crossings that lie on a circle, with their bright side inwards.
     fn on(&self, circle: &Circle) -> impl Iterator<Item = &Crossing> + Clone {
         let circle = *circle;
         let agrees = move |c: &&Crossing| departure_px(c, &circle) < AGREEMENT_PX;
         self.crossings.iter().filter(agrees)
     }
 
-    /// Squared distances from a circle, those that disagree at the least distance of disagreement.
+    /// Sum of squared distances from a circle; a crossing that disagrees counts with the agreement limit.
     fn cost_px2(&self, circle: &Circle) -> f64 {
         let departures = self.crossings.iter().map(|c| departure_px(c, circle));
         departures.map(|px| px.min(AGREEMENT_PX).powi(2)).sum()
     }
 
-    /// The circle through all that agree: of the radius that they determine where they do so well, or plainly another than the
-    /// expected one; of the expected one where the arc is too short for that.
+    /// The circle through all agreeing crossings. Its radius is fitted if they determine it well, or if it clearly differs
+    /// from the expected radius; on a shorter arc it is held at the expected radius.
     fn refined(&self, start: &Circle) -> Option<Fitted<3>> {
         let fit = |sigma: f64| {
             let radius_px = Measured::new(self.radius_px, sigma * self.radius_px);
@@ -134,7 +134,7 @@ impl Consensus<'_> {
             .or_else(|| fit(RADIUS_SIGMA))
     }
 
-    /// A limb is long, sharply known, and what lies about it is its own.
+    /// Checks that the arc is long enough, the centre is well determined, and most crossings near the circle agree with it.
     fn check(&self, fit: &Fitted<3>) -> Result<(), Rejected> {
         let circle = circle_of(&fit.parameters);
         let near = self.crossings.iter();
@@ -150,7 +150,7 @@ impl Consensus<'_> {
     }
 }
 
-/// Distance of a crossing from a circle; of one with its bright side outwards, more than agrees.
+/// Distance of a crossing from a circle; if its bright side faces outwards, a distance above the agreement limit.
 fn departure_px(crossing: &Crossing, circle: &Circle) -> f64 {
     match (crossing.at - circle.centre).dot(&crossing.inward) < 0.0 {
         true => circle.excess(crossing.at).abs(),
@@ -158,7 +158,7 @@ fn departure_px(crossing: &Crossing, circle: &Circle) -> f64 {
     }
 }
 
-/// Centre x, y and radius by least squares with Tukey's weights, which keep off marks, scratches and leaks.
+/// Centre x, y and radius by least squares with Tukey's weights, which reject marks, scratches and leaks.
 fn fitted<'c>(
     crossings: impl Iterator<Item = &'c Crossing> + Clone,
     start: &Circle,
@@ -195,13 +195,13 @@ fn circle_of(parameters: &SVector<f64, 3>) -> Circle {
     }
 }
 
-/// 1 sigma of the centre in the direction in which it is known least.
+/// 1 sigma of the centre in its least certain direction.
 fn centre_sigma_px(fit: &Fitted<3>) -> f64 {
     let centre: Matrix2<f64> = fit.covariance.fixed_view::<2, 2>(0, 0).into();
     centre.symmetric_eigenvalues().max().max(0.0).sqrt()
 }
 
-/// Trials, half of them of three crossings, after which three agreeing ones have been picked.
+/// Number of trials, half of them with three crossings, after which three agreeing ones have been picked.
 fn trials_for(agreeing_share: f64) -> usize {
     let fails = (1.0 - agreeing_share.powi(3)).clamp(1e-9, 1.0 - 1e-9);
     let trials = 2.0 * LEAST_DOUBT.ln() / fails.ln();
@@ -254,7 +254,7 @@ mod tests {
         radius: 95.2,
     };
 
-    /// Where 24 rows cross a circle, the first six crossings off by `off_px` in x.
+    /// Crossings of 24 rows with a circle; the first six are off by `off_px` in x.
     fn crossings(off_px: f64) -> Vec<Crossing> {
         let row = |n: usize| {
             let y = TRUTH.centre.y + 7.5 * (n as f64 - 11.5);

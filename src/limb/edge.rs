@@ -1,17 +1,18 @@
-//! Points of the limb: in every sector of azimuth the profile is fitted to the pixels of its edge.
+//! Points of the limb: the profile is fitted to the edge pixels of every sector of azimuth.
 //!
 //! # Method
-//! In a sector the light is taken to be, to first order about the profile P of the whole limb,
+//! The brightness in a sector is modelled to first order about the profile P of the whole limb as
 //!
 //! > (1 + l) P(d - s) + b + q/2 P'' - c W'
 //!
 //! with d the distance from the ellipse: s is the limb's shift, l an excess of the illumination, b a background that the
-//! frame's own model did not remove, and q an excess of the blur's variance. Coma displaces a part of the light and blurs it
-//! more; c is that part times its displacement, and W the profile behind [`COMA_BLURS`] times the blur. The shift is free in every sector. The others are smooth round the disc ([`Shape`]): they come from
-//! vignetting, stray light and ghosts, the Sun's motion during the exposure, and coma. All sectors together determine them; an
-//! effect that is not significant is held at nothing, for each costs some certainty of the limb. What illumination and
-//! background are in one sector may then depart from the smooth course as far as all sectors show that they do
-//! (DerSimonian and Laird 1986).
+//! frame's own model did not remove, and q an excess of the blur's variance. Coma displaces a fraction of the light and
+//! blurs it more; c is that fraction times its displacement, and W the profile behind [`COMA_BLURS`] times the blur. The
+//! shift is free in every sector. The other quantities vary smoothly round the disc ([`Shape`]): they come from vignetting,
+//! stray light and ghosts, the Sun's motion during the exposure, and coma. All sectors together determine them. An effect
+//! that is not significant is held at zero, because each free effect increases the uncertainty of the limb. Illumination
+//! and background of a single sector may then depart from the smooth course by as much as the scatter of all sectors
+//! indicates (DerSimonian and Laird 1986).
 //!
 //! Residuals are weighted by Tukey's biweight, against hot pixels and scratches.
 
@@ -35,45 +36,46 @@ pub struct LimbPoint {
     pub sigma_px: f64,
 }
 
-/// Those that a sector has of its own, beside the smooth course: shift, illumination, background.
+/// Number of a sector's own quantities, beside the smooth course: shift, illumination, background.
 const OWN: usize = 3;
 
-/// 1 sigma of each coefficient of the smooth courses before the fit: illumination, background in parts of the plateau, px^2,
-/// px. They hold what a short arc does not determine.
+/// 1 sigma of each coefficient of the smooth courses before the fit: illumination, background as fractions of the plateau,
+/// px^2, px. They constrain coefficients that a short arc does not determine.
 const PRIOR: [f64; SMOOTH] = [
     0.1, 0.1, 0.1, 0.05, 0.05, 0.05, 0.03, 0.03, 1.0, 1.0, 1.0, 0.3, 0.3,
 ];
-/// Effects that are this unlikely by chance, in each, are taken to be there: chi^2 per degree of freedom.
+/// Effects are fitted if their chi^2 per degree of freedom exceeds this.
 const SIGNIFICANT_CHI2: f64 = 6.0;
-/// The least that the illumination of a sector departs from the smooth course, 1 sigma: ink and texture.
+/// Smallest departure of a sector's illumination from the smooth course, 1 sigma: ink and texture.
 const UNEVEN_ILLUMINATION: f64 = 0.02;
-/// One sector of a blemish says nothing of the others: it counts as so many sigma.
+/// A blemish in one sector says nothing about the others: its departure is limited to this many sigma.
 const MOST_DEPARTURE_SIGMAS: f64 = 4.0;
 
-/// Variance of a place found with Tukey's weights w, of normal residuals r, over that which their weighted information gives:
-/// E[(r w)^2] E[w] / E[d(r w)/dr]^2.
+/// Variance of a position fitted with Tukey's weights w of normal residuals r, relative to the inverse of their weighted
+/// information: E[(r w)^2] E[w] / E[d(r w)/dr]^2.
 const TUKEY_VARIANCE: f64 = 0.963;
-/// A step is made at most so many times longer than the weights make it.
+/// Upper limit of the factor by which a step is lengthened.
 const LONGEST_STEP: f64 = 1.5;
-/// The light of sectors that show the limb, over that of most: vignetting and a first outline that is off by 2 px leave so much.
+/// Accepted brightness of a sector relative to the median: vignetting and a first outline that is off by 2 px stay within
+/// it.
 const USUAL_LIGHT: std::ops::Range<f64> = 0.75..1.33;
-/// A sector that fits its own model so many sigma worse than the others do shows not only the limb.
+/// A sector whose misfit exceeds that of the others by so many sigma is rejected: it shows not only the limb.
 const MOST_MISFIT_SIGMAS: f64 = 4.0;
-/// A sector's own shift is so large that its model is not linear, in blurs.
+/// Beyond this shift of a sector, in blurs, its model is not linear.
 const MOST_LINEAR_BLURS: f64 = 0.3;
-/// Where less than this part of the information on the shift is independent of the illumination, it is not determined.
+/// The shift is not determined if less than this fraction of its information is independent of the illumination.
 const LEAST_OWN_PART: f64 = 1e-3;
-/// A point so uncertain, or so far from the ellipse, is rejected; in blurs.
+/// A point with a larger sigma, or farther from the ellipse, is rejected; in blurs.
 const MOST_SIGMA_BLURS: f64 = 0.75;
 const MOST_SHIFT_BLURS: f64 = 3.2;
 
-/// Points of the limb about an ellipse, and the model with which they were measured.
+/// Points of the limb near an ellipse, and the model with which they were measured.
 pub(super) struct EdgeFit {
     pub points: Vec<LimbPoint>,
     pub model: EdgeModel,
 }
 
-/// Fits every sector of a band about an ellipse.
+/// Fits every sector of a band around an ellipse.
 pub(super) fn fit_edge(band: &Band, ellipse: &Ellipse, model: &EdgeModel) -> EdgeFit {
     let mut sectors = lit_sectors(band, model);
     retain_limb(&mut sectors, model);
@@ -122,11 +124,11 @@ fn lit_sectors(band: &Band, model: &EdgeModel) -> Vec<Sector> {
     sectors
 }
 
-/// Makes steps as long as Newton's (see [`sums`](crate::kernels::sums)).
+/// Lengthens the steps to those of Newton's method (see [`sums`](crate::kernels::sums)).
 fn lengthen_steps(sectors: &mut [Sector]) {
     let information: f64 = sectors.iter().map(|s| s.information.m11).sum();
     let newton: f64 = sectors.iter().map(|s| s.newton).sum();
-    // Where many pixels are outliers, weights say little of the way.
+    // If many pixels are outliers, the weights are a poor guide to the step length.
     let longer = match newton > 0.0 {
         true => (information / newton).min(LONGEST_STEP),
         false => 1.0,
@@ -136,8 +138,8 @@ fn lengthen_steps(sectors: &mut [Sector]) {
     }
 }
 
-/// Leaves out the sectors that show no limb, or not only one: what hides the limb, wholly or in part, leaves less light than most
-/// of the limb has; the edge of a shadow that crosses it leaves light that no smooth illumination explains.
+/// Rejects the sectors that show no limb, or not only the limb. Something that covers the limb, wholly or in part, leaves
+/// less light than most of the limb has; the edge of a shadow across it leaves light that no smooth illumination explains.
 fn retain_limb(sectors: &mut Vec<Sector>, model: &EdgeModel) {
     let lights = &mut sectors.iter().map(|s| s.light).collect::<Vec<_>>();
     let most = median_among(lights).unwrap_or_default();
@@ -181,12 +183,12 @@ struct Sector {
     terms: SVector<f64, SMOOTH>,
     information: SMatrix<f64, SECTOR, SECTOR>,
     gradient: SVector<f64, SECTOR>,
-    /// Sum of the squared residuals, those of outliers hardly counted.
+    /// Sum of the squared residuals; outliers have little weight.
     chi2: f64,
     pixels: f64,
-    /// Information on the shift as Newton's step has it.
+    /// Information on the shift for Newton's step.
     newton: f64,
-    /// The light that is seen over the profile's.
+    /// Observed light relative to the profile's.
     light: f64,
 }
 
@@ -205,8 +207,8 @@ impl Sector {
         }
     }
 
-    /// Decrease of a sector's squared residuals by a shift, an illumination, a background and a blur of its own, over the weight of
-    /// its pixels. `None` where they are not determined, or the shift is so large that they do not say.
+    /// Decrease of a sector's squared residuals by a shift, an illumination, a background and a blur of its own, relative
+    /// to the weight of its pixels. `None` if they are not determined, or if the shift is too large for the linear model.
     fn misfit(&self, model: &EdgeModel) -> Option<f64> {
         const FREE: usize = 4;
         let information = self.information.fixed_view::<FREE, FREE>(0, 0);
@@ -216,7 +218,7 @@ impl Sector {
         near.then(|| (self.chi2 - step.dot(&gradient)) / self.information[(BACKGROUND, BACKGROUND)])
     }
 
-    /// Information and gradient without the sector's own departures, which take what they may.
+    /// Information and gradient after marginalising over the sector's own departures.
     fn reduced(
         &self,
         departure: &Departure,
@@ -237,7 +239,7 @@ impl Sector {
         own
     }
 
-    /// The limb's shift and its sigma, px; `None` where the pixels do not determine it.
+    /// The limb's shift and its sigma, px; `None` if the pixels do not determine it.
     fn shift(
         &self,
         courses: &Courses,
@@ -255,7 +257,7 @@ impl Sector {
         let by_quantity = inverse.row(SHIFT) * self.information.fixed_rows::<OWN>(0);
         let by_courses =
             RowSVector::<f64, SMOOTH>::from_fn(|_, n| by_quantity[QUANTITY[n]] * self.terms[n]);
-        // What the courses leave open moves whole parts of the limb: so many points must not average it away.
+        // The uncertainty of the courses moves whole arcs of the limb: the average over many points must not reduce it.
         let common = (by_courses * courses.covariance * by_courses.transpose())[0];
         let variance = TUKEY_VARIANCE * inverse.m11 + 0.5 * courses.sectors as f64 * common;
         let sigma_px = variance.max(0.0).sqrt();
@@ -265,7 +267,7 @@ impl Sector {
     }
 }
 
-/// How far single sectors depart from the smooth courses, 1 sigma.
+/// Departures of single sectors from the smooth courses, 1 sigma.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Departure {
     illumination: f64,
@@ -273,7 +275,7 @@ struct Departure {
 }
 
 impl Departure {
-    /// As far as the sectors show it: the variance between them by DerSimonian and Laird's moments, never less than `self`.
+    /// Estimated from the sectors: the variance between them by DerSimonian and Laird's moments, never less than `self`.
     fn shown_by(&self, sectors: &[Sector], step: &SVector<f64, SMOOTH>) -> Self {
         let left: Vec<_> = sectors.iter().map(|s| s.left(step)).collect();
         let between = |index: usize| {
@@ -305,7 +307,7 @@ impl Sector {
         self.gradient - self.information * course(&self.terms, step)
     }
 
-    /// Departure of one quantity from its course by the remaining gradient, and the variance of that, the shift being free.
+    /// Departure of one quantity from its course by the remaining gradient, and its variance; the shift is free.
     fn departure(&self, index: usize, gradient: &SVector<f64, SECTOR>) -> Option<(f64, f64)> {
         let (ss, si, ii) = (
             self.information.m11,
@@ -323,7 +325,7 @@ impl Sector {
     }
 }
 
-/// The smooth courses: their steps from the model and the covariance of these.
+/// The smooth courses: their steps from the model, with the covariance of the steps.
 struct Courses {
     step: SVector<f64, SMOOTH>,
     covariance: SMatrix<f64, SMOOTH, SMOOTH>,
@@ -338,7 +340,7 @@ impl Courses {
                 continue;
             };
             let terms = &sector.terms;
-            // What each quantity has to do with the coefficients.
+            // Coupling of each quantity with the coefficients.
             let with: [SVector<f64, SMOOTH>; SECTOR] = std::array::from_fn(|quantity| {
                 SVector::from_fn(|m, _| terms[m] * own[(QUANTITY[m], quantity)])
             });

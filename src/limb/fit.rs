@@ -1,4 +1,5 @@
-//! The outline of the disc: roughly from every fourth row, then from the whole limb; points and ellipse in turn, until neither moves.
+//! The outline of the disc: first a rough fit from every fourth row, then a fit of the whole limb that alternates between
+//! points and ellipse until neither moves.
 
 use super::band::{Band, Reach, SectorPixels, Wanted};
 use super::edge::{EdgeFit, LimbPoint, fit_edge};
@@ -15,10 +16,10 @@ use crate::reasons::sun;
 use crate::units::{Rejected, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 
-/// The limb as one frame shows it.
+/// The limb measured on one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limb {
-    /// The points that lie on the outline, their sigmas inflated by the scatter that they show.
+    /// The points that lie on the outline, their sigmas inflated by their scatter.
     pub points: Vec<LimbPoint>,
     pub outline: OutlineFit,
     pub light: DiscLight,
@@ -43,8 +44,8 @@ impl Limb {
         }
     }
 
-    /// Means of a few neighbouring points each, and 1 sigma across the limb: the outline is so smooth that they determine it as well
-    /// (astrometry's normal points).
+    /// Means of a few neighbouring points each, and 1 sigma across the limb. The outline is so smooth that they determine
+    /// it equally well (astrometry's normal points).
     pub fn normal_points(&self) -> Vec<(SensorPx, f64)> {
         let ellipse = &self.outline.ellipse;
         let mean = |points: &[LimbPoint]| {
@@ -63,7 +64,7 @@ impl Limb {
     }
 }
 
-/// Points of the limb that are averaged.
+/// Number of points of the limb in an average.
 const NEIGHBOURS: usize = 4;
 
 /// Priors of the outline before the limb is measured, in two grades.
@@ -76,8 +77,8 @@ pub struct KnownOutline {
 }
 
 impl KnownOutline {
-    /// The stated prior constrains the outline of a disc of which little is visible. A limb that contradicts it is believed
-    /// instead.
+    /// The stated prior constrains the outline of a disc of which little is visible. If the limb contradicts it, the fit
+    /// without it is used.
     fn fit(&self, points: &[LimbPoint], start: &Ellipse) -> Option<OutlineFit> {
         let free = fit_outline(points, start, &self.possible).ok()?;
         if free.contradicts(&self.stated) {
@@ -89,44 +90,44 @@ impl KnownOutline {
 
 const PASSES: usize = 6;
 const ROUGH_PASSES: usize = 3;
-/// An outline that moved by less than this in a pass is as good as it gets, in blurs: the next one would move it by 3 % of that.
+/// An outline that moved by less than this in a pass has converged, in blurs: the next pass would move it by 3 % of that.
 const SETTLED_BLURS: f64 = 0.08;
-/// A profile taken about an outline that was farther off is smeared, in blurs.
+/// A profile measured around an outline that was farther off is smeared, in blurs.
 const STEADY_BLURS: f64 = 0.3;
-/// How far the passes may lead away from the first outline, in blurs.
+/// Largest distance of the final outline from the first one, in blurs.
 const MOST_BLURS_AWAY: f64 = 8.5;
-/// The band about an outline reaches so many blurs, and at least so many px: inside the light hardly bends any more, outside
-/// pixels show the background.
+/// Width of the band on either side of the outline, in blurs and at least in px: at its inner edge the brightness hardly
+/// curves any more, at its outer edge pixels show the background.
 const INSIDE: (f64, f64) = (5.0, 7.0);
 const OUTSIDE: (f64, f64) = (6.0, 6.0);
-/// How far the limb may be from an outline before and after a first pass, 1 sigma, in blurs.
+/// Uncertainty of the limb's distance from the outline in the first pass and in later ones, 1 sigma, in blurs.
 const FIRST_SHIFT_BLURS: f64 = 0.7;
 const LATER_SHIFT_BLURS: f64 = 0.05;
-/// A limb so many times softer than expected is measured again in a wider band.
+/// A limb softer than expected by this factor is measured again in a wider band.
 const WIDER_BLURS: f64 = 1.5;
-/// Distances that share a median, per blur; fewest pixels that make one; and the distance of the rows that they are of.
+/// Bins of the radial medians per blur; fewest pixels of a bin; and the spacing of the rows that are read.
 const MEDIANS_PER_BLUR: f64 = 3.0;
 const MIN_MEDIAN_PIXELS: usize = 10;
 const MOST_BINS: usize = 256;
 const ROUGH_ROWS_PX: usize = 4;
-/// The limb bends too much in a sector that is wider than the circle's part.
+/// Fewest sectors: in wider ones the limb curves too much.
 const LEAST_SECTORS: usize = 16;
 
 /// Fits the disc's outline to the whole limb of a frame.
 #[derive(Debug, Clone, Copy)]
 pub struct LimbFit<'a> {
     pub cutout: &'a Cutout,
-    /// Light of the disc's bright part, DN.
+    /// Brightness of the disc's bright part, DN.
     pub disc_dn: f64,
-    /// The expected blur, 1 sigma, the pixel's own size included.
+    /// The expected blur, 1 sigma, pixel response included.
     pub blur_px: f64,
     pub known: KnownOutline,
     pub settings: &'a LimbSettings,
 }
 
 impl LimbFit<'_> {
-    /// The disc's light and outline from every fourth row, about a first outline that is within 2 px or so. Where that shows too
-    /// little of the limb, the outline is the first one, as much larger or smaller as radial medians show.
+    /// The disc's light and outline from every fourth row, around a first outline that is within 2 px or so. If that shows
+    /// too little of the limb, the outline is the first one, scaled to the radius that radial medians show.
     pub fn rough(&self, start: &Ellipse) -> Result<DiscLight, Rejected> {
         let mut outline = *start;
         let mut profile = Profile {
@@ -159,12 +160,12 @@ impl LimbFit<'_> {
                     return Ok(light);
                 }
             }
-            // Again in a band as wide as the blur asks for; what else is expected stays.
+            // Again in a band of the width that the blur needs; the other expected values stay.
             (outline, profile.blur_px) = (light.outline, blur_px);
         }
     }
 
-    /// The disc's light by radial medians of a band, and its outline, as much larger or smaller than the band's as they show.
+    /// The disc's light by radial medians of a band, and its outline: the band's, scaled to the radius that they show.
     fn by_medians(
         &self,
         band: &Band,
@@ -193,7 +194,7 @@ impl LimbFit<'_> {
         })
     }
 
-    /// The limb of a disc that is roughly known, without the pixels that are masked.
+    /// The limb of a disc that is roughly known, without masked pixels.
     pub fn near(&self, rough: &DiscLight, mask: &Mask) -> Result<Limb, Rejected> {
         let mut light = *rough;
         let blur_px = light.edge.profile.blur_px;
@@ -238,7 +239,7 @@ impl LimbFit<'_> {
             mask,
             ellipse,
             reach: reach(blur_px),
-            // As many pixels in each whatever rows are read.
+            // The same number of pixels in each sector for any row stride.
             sectors: (self.settings.limb_points / every_row).max(LEAST_SECTORS),
             every_row,
         }
@@ -263,7 +264,7 @@ impl LimbFit<'_> {
     }
 }
 
-/// How far the band about a limb of some blur reaches.
+/// Range of the band around a limb with this blur.
 fn reach(blur_px: f64) -> Reach {
     let px = |(blurs, least): (f64, f64)| (blurs * blur_px).max(least);
     Reach {
@@ -272,7 +273,7 @@ fn reach(blur_px: f64) -> Reach {
     }
 }
 
-/// Medians of the light by distance from the ellipse, all round; what saturates says nothing.
+/// Medians of the brightness by distance from the ellipse, over all azimuths; saturated medians are dropped.
 fn radial_medians(band: &Band, reach: &Reach, blur_px: f64, saturated_dn: f64) -> Vec<Brightness> {
     let width_px = blur_px / MEDIANS_PER_BLUR;
     let first_px = -reach.inside_px;
@@ -280,7 +281,7 @@ fn radial_medians(band: &Band, reach: &Reach, blur_px: f64, saturated_dn: f64) -
     let (per_width, first) = ((1.0 / width_px) as f32, first_px as f32);
     let last = bins as f32 - 1.0;
     let bin = |distance_px: &f32| smaller((distance_px - first) * per_width, last) as u8;
-    // Values of a bin next to each other.
+    // Sorts the values by bin.
     let SectorPixels {
         distance_px,
         light_dn,
@@ -312,7 +313,7 @@ fn radial_medians(band: &Band, reach: &Reach, blur_px: f64, saturated_dn: f64) -
     medians.filter(|median| median.dn < saturated_dn).collect()
 }
 
-/// How far one outline lies from another, except for its size, which a pass takes in by itself.
+/// Distance of one outline from another, apart from its size, which a pass fits by itself.
 fn moved_px(from: &Ellipse, to: &Ellipse) -> f64 {
     let grown = to.root() - from.root();
     let even = Matrix2::identity() * (grown.trace() / 2.0);

@@ -1,9 +1,10 @@
 //! Robust brightness levels of a frame (Cramer 2014, section 4.2.5, steps 2 to 4).
 //!
 //! The Sun covers 2 % of a whole frame and up to half of a small one, so background and noise come from the middle of the
-//! distribution of some ten thousand pixels from all over the frame; where noise is cut off at zero the median and what
-//! lies above it do not mind. The disc comes from those pixels that outshine the noise. A cap of it at the sensor's edge has
-//! only some hundred pixels: every fourth row is searched for them. Hot pixels stand alone and do not count.
+//! distribution of some ten thousand pixels sampled over the whole frame. The median and the values above it are not
+//! affected if noise is cut off at zero. The disc's level comes from the pixels that outshine the noise. A cap of the disc
+//! at the sensor's edge has only some hundred pixels: every fourth row is searched for them. Hot pixels have no bright
+//! neighbour and do not count.
 
 use super::LimbSettings;
 use crate::estimation::QUARTILE_SIGMAS;
@@ -12,27 +13,27 @@ use crate::reasons::sun;
 use crate::units::Rejected;
 use crate::with_view;
 
-/// Background and noise come from about so many pixels, which determine them to a hundredth of the noise, ...
+/// Background and noise come from about this many pixels, which determine them to 1 % of the noise, ...
 const SAMPLED_PIXELS: usize = 12_000;
-/// ... in groups of so many neighbours in every so many rows.
+/// ... in groups of this many neighbours in every `SAMPLED_ROWS_PX`-th row.
 const GROUP_PX: usize = 64;
 const SAMPLED_ROWS_PX: usize = 8;
-/// Distance of the rows that are searched for bright pixels, ...
+/// Spacing of the rows that are searched for bright pixels, ...
 const BRIGHT_ROWS_PX: usize = 4;
-/// ... in rounds, every fourth of them in each, ...
+/// ... in rounds, every fourth of these rows in each, ...
 const ROUNDS: usize = 4;
-/// ... until so many bright pairs are found: a cap's are all wanted, the whole disc's are not.
+/// ... until this many bright pairs are found: all pairs of a cap are needed, but not all of a whole disc.
 const ENOUGH_PAIRS: f64 = 500.0;
-/// Neighbours that are passed over together where none is bright.
+/// Group of neighbours that is skipped if none is bright.
 const STRETCH_PX: usize = 128;
-/// Pixels this many sigma above the background are bright: of a dark frame's fewer than one in 30 000.
+/// Pixels this many sigma above the background are bright: fewer than one in 30 000 of a dark frame.
 const BRIGHT_SIGMAS: f64 = 4.0;
-/// Which part of the bright pixels is darker than the disc's level.
+/// Quantile of the bright pixels that is the disc's level.
 const DISC_QUANTILE: f64 = 0.9;
-/// Fewest bright pairs in those rows that can be a disc: 32 stand for 256 pixels, 1 % of the Sun.
+/// Fewest bright pairs in these rows for a disc: 32 represent 256 pixels, 1 % of the Sun.
 const MIN_BRIGHT_PAIRS: f64 = 32.0;
-/// A dark background and a bright disc leave less than this part of the values in the middle third between them; noise alone
-/// has half of its own there.
+/// With a dark background and a bright disc, less than this fraction of the values lies in the middle third between them;
+/// with noise alone half of them do.
 const MOST_BETWEEN: f64 = 0.1;
 
 /// The levels of a frame; rejected when nothing outshines the background.
@@ -49,8 +50,8 @@ pub fn levels(frame: &Frame, settings: &LimbSettings) -> Result<Levels, Rejected
     })
 }
 
-/// A regular sample of the frame. Its groups shift from row to row, so that they do not meet a column of the sensor's pattern
-/// always or never.
+/// A regular sample of the frame. Its groups shift from row to row, so that they do not always or never coincide with a
+/// column of the sensor's pattern.
 fn sampled(frame: &Frame) -> Histogram {
     let width = frame.width();
     let rows = (SAMPLED_ROWS_PX / 2..frame.height()).step_by(SAMPLED_ROWS_PX);
@@ -66,8 +67,8 @@ fn sampled(frame: &Frame) -> Histogram {
     histogram
 }
 
-/// The pixels above a value, in some of the rows, one of each pair of them. One without a bright neighbour is hot: of a cap's
-/// hundred pixels in these rows, hot ones from all over the sensor would be the brightest tenth.
+/// The pixels above a value in some of the rows, one of each bright pair. A pixel without a bright neighbour is hot: a cap
+/// has a hundred pixels in these rows, and hot pixels from all over the sensor would be the brightest tenth.
 fn brighter(frame: &Frame, dn: f64) -> Histogram {
     let mut histogram = Histogram::new(frame);
     for round in 0..ROUNDS {
@@ -91,7 +92,7 @@ fn brighter(frame: &Frame, dn: f64) -> Histogram {
     histogram
 }
 
-/// How many pixels have each value; all that saturate count as saturation.
+/// Number of pixels of each value; all saturated pixels count as saturation.
 struct Histogram {
     counts: Vec<u32>,
 }
@@ -103,7 +104,7 @@ impl Histogram {
         }
     }
 
-    /// Adds one of each pair of neighbours of which both are above a value.
+    /// Adds one of each pair of neighbours that are both above a value.
     fn add_pairs<T: Sample>(&mut self, row: &[T], dn: f64) {
         let last = self.counts.len() - 1;
         let below = T::floor(dn);
@@ -119,7 +120,7 @@ impl Histogram {
         f64::from(self.counts.iter().sum::<u32>())
     }
 
-    /// How many have at most a value.
+    /// Number of pixels with at most a value.
     fn up_to(&self, dn: f64) -> f64 {
         let values = (dn.max(0.0) as usize + 1).min(self.counts.len());
         f64::from(self.counts[..values].iter().sum::<u32>())
@@ -142,8 +143,8 @@ impl Histogram {
         self.counts.len() as f64 - 0.5
     }
 
-    /// How many values are no disc's, where a disc may cover half of a small picture: those below the middle of the range,
-    /// if hardly any lie about it.
+    /// Number of values not of the disc, which may cover half of a small picture: those below the middle of the range, if
+    /// few lie near the middle.
     fn dark_total(&self) -> f64 {
         let total = self.total();
         let (low, high) = (self.quantile(0.01 * total), self.quantile(0.99 * total));
@@ -155,7 +156,7 @@ impl Histogram {
         }
     }
 
-    /// Background and its noise, 1 sigma, DN; the second time without what outshines it, which would shift both.
+    /// Background and its noise, 1 sigma, DN; the second pass excludes the pixels that outshine it, which would bias both.
     fn background(&self) -> (f64, f64) {
         let estimate = |total: f64| {
             let background_dn = self.quantile(0.5 * total);
@@ -200,7 +201,7 @@ mod tests {
         let half = frame(|x, y| if x < 100 { 200 } else { even(x, y) });
         let levels = levels(&half, &LimbSettings::default()).unwrap();
         assert!((levels.background_dn - 10.0).abs() <= 1.0, "{levels:?}");
-        // A quarter of an even spread lies between its middle and its upper quartile.
+        // A quarter of a uniform distribution lies between its median and its upper quartile.
         let noise_dn = 21.0 / 4.0 / QUARTILE_SIGMAS;
         assert!(
             (levels.noise_dn / noise_dn - 1.0).abs() < 0.15,

@@ -1,4 +1,4 @@
-//! The light of the disc, as far as its edge shows it.
+//! The light of the disc, as determined from its edge.
 
 use super::shape::EdgeModel;
 use crate::frame::{PIXEL_VARIANCE_PX2, PixelNoise};
@@ -6,12 +6,12 @@ use crate::geometry::Ellipse;
 use crate::kernels::limb::{Disc, Lit};
 use nalgebra::{Matrix2, Vector2};
 
-/// A larger part of the limb shows at which azimuths it is softer.
+/// With a larger fraction of the limb, the azimuths at which it is softer are determined.
 const MOTION_LIMB: f64 = 0.7;
-/// A limb so many times softer than the lens makes it is as sharp as it is stated.
+/// A limb softer than the lens's blur by less than this factor counts as equally sharp.
 const HARDLY_SOFTER: f64 = 1.3;
 
-/// The disc's blurred light without marks: its outline, and what its edge shows all round.
+/// The disc's blurred light without marks: its outline, and the model of its edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DiscLight {
     pub outline: Ellipse,
@@ -19,8 +19,8 @@ pub struct DiscLight {
 }
 
 impl DiscLight {
-    /// Variance of the blur along the limb's normal, all round, and the largest and smallest about it, px^2; the pixel's own
-    /// size taken off.
+    /// Variance of the blur along the limb's normal, the mean over azimuth and the amplitude at twice the azimuth, px^2;
+    /// the pixel response is subtracted in quadrature.
     fn blur_px2(&self) -> (f64, f64) {
         let mean = self.edge.profile.blur_px.powi(2) + self.edge.shape.blur_px2();
         (
@@ -29,19 +29,19 @@ impl DiscLight {
         )
     }
 
-    /// The blur of the limb, 1 sigma, all round.
+    /// Blur of the limb, 1 sigma, mean over azimuth.
     pub fn blur_px(&self) -> f64 {
         self.blur_px2().0.max(0.0).sqrt()
     }
 
-    /// The blur of the lens, 1 sigma: that of the limb where the Sun's motion does not soften it.
+    /// Blur of the lens, 1 sigma: the limb's blur where the Sun's motion does not add to it.
     pub fn lens_blur_px(&self) -> f64 {
         let (mean, motion) = self.blur_px2();
         (mean - motion).max(0.0).sqrt()
     }
 
-    /// How far the Sun's image may have moved during the exposure, px, where the lens itself blurs by so much: on part of a limb
-    /// motion and haze cannot be distinguished, and all that it is softer counts as motion.
+    /// Upper limit of the motion of the Sun's image during the exposure, px, for a given blur of the lens. On part of a
+    /// limb motion and haze cannot be distinguished, and all excess blur counts as motion.
     pub fn most_motion_px(&self, lens_blur_px: f64, limb_fraction: f64) -> f64 {
         if limb_fraction > MOTION_LIMB {
             return self.motion_px();
@@ -50,19 +50,19 @@ impl DiscLight {
         self.motion_px().max((12.0 * softer_px2).max(0.0).sqrt())
     }
 
-    /// How far the Sun's image moved during the exposure, px. A uniform motion by l spreads the limb by l^2/12 along it and not
-    /// at all across it, l^2/24 all round and as much at twice the azimuth.
+    /// Motion of the Sun's image during the exposure, px. A uniform motion by l adds the variance l^2/12 along it and none
+    /// across it: a mean of l^2/24, and an amplitude of l^2/24 at twice the azimuth.
     pub fn motion_px(&self) -> f64 {
         (24.0 * self.blur_px2().1).sqrt()
     }
 
-    /// Coma: the part of the light that it displaces times the displacement, px, and the covariance of that; 0 where it is not
+    /// Coma: the fraction of the light that it displaces times the displacement, px, and its covariance; 0 if it is not
     /// significant. The displaced light is blurred by [`COMA_BLURS`](super::COMA_BLURS) times the blur.
     pub fn coma(&self) -> (Vector2<f64>, Matrix2<f64>) {
         self.edge.coma()
     }
 
-    /// How far outwards or inwards the limb may lie all round, since its profile is uncertain, 1 sigma, px.
+    /// Uncertainty of the limb's radial position that is common to all azimuths, from that of its profile, 1 sigma, px.
     pub fn place_sigma_px(&self) -> f64 {
         self.edge.place_sigma_px
     }
@@ -72,13 +72,13 @@ impl DiscLight {
         self.edge.noise
     }
 
-    /// The light on a row's pixels from column `x` on, DN above the background.
+    /// The disc's light on the pixels of a row from column `x` on, DN above the background.
     pub fn fill(&self, x: f64, y: f64, light: &mut [f32]) {
         let from = Vector2::new(x, y) - self.outline.centre;
         self.disc().fill(from.x as f32, from.y as f32, light);
     }
 
-    /// The light at places given from `about`, px.
+    /// The light at positions relative to `about`, px.
     pub fn about(&self, about: Vector2<f64>, x: &[f32], y: &[f32], lit: &mut Lit) {
         let from = (about - self.outline.centre).cast::<f32>();
         self.disc().at(from.into(), x, y, lit);

@@ -14,7 +14,7 @@ use nalgebra::{Matrix2, RowSVector, SMatrix, SVector, Vector1, Vector2};
 pub struct OutlinePrior {
     /// Mean radius, px.
     pub radius_px: Measured,
-    /// How far a half axis differs from the mean radius, 1 sigma about none, over the radius.
+    /// Difference of a half axis from the mean radius relative to the radius, 1 sigma about zero.
     pub flatness: f64,
 }
 
@@ -24,7 +24,7 @@ pub struct OutlineFit {
     pub ellipse: Ellipse,
     /// Covariance of centre x, y, mean radius and the two parts of the flatness (along x, along the diagonal), px^2.
     pub covariance: SMatrix<f64, PARAMETERS, PARAMETERS>,
-    /// By how much the points' sigmas were inflated: their scatter, and how far neighbours depart together.
+    /// Factor by which the points' sigmas were inflated, for their scatter and for correlated departures of neighbours.
     pub scatter: f64,
     /// Distance of all points from the outline, 1 sigma from the median.
     pub scatter_px: f64,
@@ -34,13 +34,13 @@ pub struct OutlineFit {
 
 /// Centre x, y, mean radius, half the difference of the half axes along x and y, and along the diagonals; px.
 const PARAMETERS: usize = 5;
-/// A start is far off where half of the points are so many sigma from it; a circle is first fitted there.
+/// A start is poor if half of the points are so many sigma from it; a circle is then fitted first.
 const FAR_OFF_SIGMAS: f64 = 4.0;
-/// Fewer points make no outline.
+/// Minimum number of points of an outline.
 const MIN_POINTS: usize = 6;
-/// Neighbouring points are averaged over arcs of so many sectors.
+/// Neighbouring points are averaged over arcs of this many sectors.
 const ARC_POINTS: usize = 8;
-/// The stated sigmas count against the scatter of the arcs as so many arcs.
+/// Weight of the stated sigmas against the scatter of the arcs, in arcs.
 const STATED_ARCS: f64 = 10.0;
 
 impl OutlineFit {
@@ -49,7 +49,7 @@ impl OutlineFit {
         self.covariance.fixed_view::<2, 2>(0, 0).into_owned()
     }
 
-    /// Part of the points that lie on the outline.
+    /// Fraction of the points that lie on the outline.
     pub fn accepted_share(&self) -> f64 {
         let accepted = self.accepted.iter().filter(|a| **a).count();
         accepted as f64 / self.accepted.len().max(1) as f64
@@ -60,7 +60,7 @@ impl OutlineFit {
         self.covariance[(2, 2)].max(0.0).sqrt()
     }
 
-    /// Whether radius or flatness differ from what a prior states by more than both their sigmas allow.
+    /// Whether radius or flatness differ from a prior by more than both sigmas allow.
     pub fn contradicts(&self, prior: &OutlinePrior) -> bool {
         let found = shape_of(&self.ellipse);
         let known = prior.known();
@@ -70,7 +70,7 @@ impl OutlineFit {
         })
     }
 
-    /// The outline with what a prior states taken into account: the maximum of the product of two normal distributions.
+    /// The outline combined with a prior: the maximum of the product of two normal distributions.
     pub fn with(&self, prior: &OutlinePrior) -> Option<Self> {
         let known = prior.known();
         let own = self.covariance.cholesky()?.inverse();
@@ -106,7 +106,7 @@ impl OutlinePrior {
 /// Least-squares ellipse through points of the limb, with Tukey's weights against marks, scratches and leaks.
 ///
 /// # Errors
-/// Too few points that agree, or points that determine no ellipse.
+/// If too few points agree, or if the points do not determine an ellipse.
 pub fn fit_outline(
     points: &[LimbPoint],
     start: &Ellipse,
@@ -123,7 +123,7 @@ pub fn fit_outline(
         scale: Scale::Median,
         tolerance_sigmas: 0.05,
     };
-    // An outlying arc leads an ellipse astray that starts far off; a circle is harder to lead.
+    // An outlying arc can make an ellipse fit diverge from a poor start; a circle fit is more robust.
     let off = points
         .iter()
         .map(|p| start.excess(p.at.vector()).abs() / p.sigma_px);
@@ -153,8 +153,8 @@ pub fn fit_outline(
     })
 }
 
-/// By how much the points' sigmas must be inflated for what neighbouring points have in common: light that nothing models
-/// moves whole arcs of the limb. Hardly below 1, so that on average chance adds nothing.
+/// Factor by which the points' sigmas must be inflated for correlated errors of neighbours: unmodelled light shifts whole
+/// arcs of the limb. It is hardly ever below 1, so that on average chance adds nothing.
 fn common_departure(points: &[LimbPoint], ellipse: &Ellipse, fitted: &Fitted<PARAMETERS>) -> f64 {
     let scatter = fitted.scatter.max(1.0);
     let (mut chi2, mut arcs) = (0.0, 0.0);
@@ -212,7 +212,7 @@ fn linearised(point: &LimbPoint, ellipse: &Ellipse) -> Linearised<1, PARAMETERS>
     }
 }
 
-/// Which part of the outline has points on it, 0 to 1, in steps of 10 deg.
+/// Fraction of the outline that has points on it, 0 to 1, in steps of 10 deg.
 pub fn arc_fraction(points: impl Iterator<Item = Vector2<f64>>, centre: Vector2<f64>) -> f64 {
     const BINS: usize = 36;
     let mut seen = [false; BINS];

@@ -1,12 +1,12 @@
 //! Brightness across the limb: a limb-darkened disc behind a Gaussian blur.
 //!
-//! The disc's light falls towards its edge as A ((1 - u) + u sqrt(1 - r^2 / R^2)), r from its centre. The first part is
-//! an even ground that ends at the edge; the second, near the edge, falls as the square root of the depth. Blurred by b, the
-//! one becomes the normal distribution's tail E(z) and the other sqrt(2 b / R) F(z) with z = distance / b and
-//! F(z) = <sqrt(max(0, x - z))> over normally distributed x. The limb is so nearly straight over the blur's width that
-//! what its curve adds, b / 2R of a blur, moves the edge by 0.005 px, the same all round.
+//! The disc's brightness falls towards its edge as A ((1 - u) + u sqrt(1 - r^2 / R^2)), r from its centre. The first term
+//! is a uniform disc; the second, near the edge, falls as the square root of the depth. Convolved with a blur b, the first
+//! becomes the normal distribution's tail E(z) and the second sqrt(2 b / R) F(z) with z = distance / b and F(z) =
+//! <sqrt(max(0, x - z))> over normally distributed x. The limb is nearly straight over the blur's width: its curvature, b /
+//! 2R of a blur, moves the edge by 0.005 px, the same at all azimuths.
 //!
-//! Both are formulas, so that many pixels are computed in parallel ([`EdgeLight`]).
+//! Both are closed formulas, so that many pixels are computed in parallel ([`EdgeLight`]).
 
 use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};
 use crate::kernels::limb::EdgeLight;
@@ -18,9 +18,9 @@ use nalgebra::{RowSVector, SVector, Vector1};
 pub struct Profile {
     /// Brightness outside the disc.
     pub background_dn: f64,
-    /// Light of the even part, A (1 - u).
+    /// Brightness of the uniform part, A (1 - u).
     pub even_dn: f64,
-    /// Light of the part that falls to zero at the edge, A u.
+    /// Brightness of the part that falls to zero at the edge, A u.
     pub darkened_dn: f64,
     /// Gaussian blur, 1 sigma, the pixel's own size included.
     pub blur_px: f64,
@@ -28,7 +28,7 @@ pub struct Profile {
     pub radius_px: f64,
 }
 
-/// The median brightness at a distance from the limb, and the number of pixels whose mean is as precise.
+/// The median brightness at a distance from the limb, and the number of pixels whose mean is equally precise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Brightness {
     pub distance_px: f64,
@@ -36,12 +36,13 @@ pub struct Brightness {
     pub weight: f64,
 }
 
-/// How far this model puts the limb from where it is, all round, 1 sigma, px: the curve alone does by so much.
+/// Error of the limb's radial position by this model, common to all azimuths, 1 sigma, px: the neglected curvature alone
+/// causes this much.
 pub(super) const MODEL_SIGMA_PX: f64 = 0.005;
-/// The blur is kept within these bounds, px: the fit is not led astray by a picture without a limb.
+/// Bounds of the blur, px: they keep the fit stable on a picture without a limb.
 const BLUR_PX: [f64; 2] = [0.35, 8.0];
-/// How well background, the two parts of the light (relative to the peak), the blur (its logarithm) and the place of the limb
-/// (px) are known before the fit, 1 sigma. A window about the limb shows little of the limb darkening.
+/// 1 sigma before the fit of the background, the two parts of the brightness (relative to the peak), the blur (its
+/// logarithm) and the position of the limb (px). A window about the limb shows little of the limb darkening.
 const PRIOR: [f64; 5] = [f64::INFINITY, 0.5, 0.5, 1.0, 2.0];
 
 impl Profile {
@@ -61,7 +62,7 @@ impl Profile {
         }
     }
 
-    /// The disc's light at the middle of an unblurred disc.
+    /// Brightness at the centre of an unblurred disc.
     pub fn peak_dn(&self) -> f64 {
         self.even_dn + self.darkened_dn
     }
@@ -74,8 +75,8 @@ impl Profile {
         }
     }
 
-    /// Fits the profile, and how far outwards the limb lies from distance 0 (px), to radial medians; the start is this profile.
-    /// `None` when they do not determine one.
+    /// Fits the profile and the limb's position outwards from distance 0 (px) to radial medians, starting from this
+    /// profile. `None` if they do not determine it.
     pub fn fitted(&self, medians: &[Brightness], noise_dn: f64) -> Option<(Self, Measured)> {
         let start = SVector::from([
             self.background_dn,
@@ -113,8 +114,8 @@ impl Profile {
         (profile.peak_dn() > 0.0).then(|| (profile, found.measured(4)))
     }
 
-    /// A median's residual, and the slopes of the model in background, even light, darkened light, logarithm of the blur and
-    /// place of the limb.
+    /// A median's residual, and the derivatives of the model in background, uniform part, darkened part, logarithm of the
+    /// blur and position of the limb.
     fn linearised(&self, median: &Brightness, limb_px: f64, weight: f64) -> Linearised<1, 5> {
         let distance_px = median.distance_px - limb_px;
         let light = self.light();
@@ -142,7 +143,7 @@ mod tests {
         radius_px: 95.163,
     };
 
-    /// The blurred disc along a radius, by plain summation in two dimensions.
+    /// The blurred disc along a radius, by direct numerical integration in two dimensions.
     fn summed(distance: f64) -> f64 {
         let (r0, b) = (PROFILE.radius_px + distance, PROFILE.blur_px);
         let (mut sum, mut weights) = (0.0, 0.0);
@@ -163,7 +164,7 @@ mod tests {
 
     #[test]
     fn the_profile_is_that_of_a_blurred_limb_darkened_disc() {
-        // The curve of the limb moves the blurred edge by b^2 / 2R, which a fit of the radius takes up.
+        // The limb's curvature moves the blurred edge by b^2 / 2R, which a fit of the radius absorbs.
         let curve = PROFILE.blur_px.powi(2) / (2.0 * PROFILE.radius_px);
         for distance in [-9.0, -4.0, -2.0, -1.0, -0.3, 0.0, 0.4, 1.0, 2.0] {
             let found = PROFILE.at(distance + curve);

@@ -1,5 +1,4 @@
-//! Finding the disc: sparse rows over the whole frame, chords where it is bright, and a circle that most crossings
-//! agree on.
+//! Finding the disc: sparse rows over the whole frame, chords in bright patches, and a circle that most crossings agree on.
 
 use super::chords::{Axis, Line, Scan};
 use super::circle::agreed_circle;
@@ -10,40 +9,40 @@ use crate::reasons::sun;
 use crate::units::Rejected;
 use nalgebra::Vector2;
 
-/// Patches that are tried.
+/// Maximum number of patches that are tried.
 const MOST_PATCHES: usize = 6;
-/// More bright runs than this, on average over the rows, are no Sun on a dark sky: it has one in every fifth row.
+/// More bright runs than this, on average over the rows, rule out a Sun on a dark sky, which has one in every fifth row.
 const MOST_RUNS_PER_ROW: usize = 4;
-/// Lines across a disc, or across the shorter side of a patch.
+/// Number of lines across a disc, or across the shorter side of a patch.
 const LINES_ACROSS: usize = 24;
-/// Lines are no nearer to each other than this: what is between is the same noise twice.
+/// Minimum spacing of lines: nearer lines would sample the same noise twice.
 const LEAST_SPACING_PX: usize = 2;
-/// A patch this much wider than high is crossed by columns: rows would hardly cross its limb.
+/// A patch wider than this times its height is crossed by columns: few rows would cross its limb.
 const WIDE: usize = 2;
-/// A part of the disc this bright, relative to its middle, has the whole disc's level.
+/// The level of a part of the disc this bright, relative to the centre, stands for the whole disc.
 const HARDLY_DARKER: f64 = 0.95;
 
 /// A search for the disc, whole or in part.
 ///
 /// # Algorithm
-/// 1. Rows far apart find where the frame is bright: bright runs that touch each other make patches.
-/// 2. Each patch, the largest first, is crossed by rows or columns: the smaller it is, the nearer they lie.
-/// 3. The circle that most of their crossings agree on is the disc if it is bright within and dark about.
-/// 4. Where the sensor shows only the darker outside of the disc, 2 and 3 again with the threshold that the whole
-///    disc would have had.
+/// 1. Widely spaced rows find where the frame is bright: bright runs that touch each other form patches.
+/// 2. Each patch, the largest first, is crossed by rows or columns, more closely spaced the smaller it is.
+/// 3. The circle that most of their crossings agree on is the disc if it is bright inside and dark around.
+/// 4. If the sensor shows only the darker outer part of the disc, steps 2 and 3 are repeated with the threshold of the
+///    whole disc.
 #[derive(Debug, Clone, Copy)]
 pub struct DiscSearch<'a> {
     pub frame: &'a Frame,
     pub levels: &'a Levels,
     /// The expected radius.
     pub radius_px: f64,
-    /// A mark from tip to tip.
+    /// Length of a mark from tip to tip.
     pub mark_length_px: f64,
     pub settings: &'a LimbSettings,
 }
 
 impl DiscSearch<'_> {
-    /// Searches the disc, to a pixel or so, everywhere in a region of the frame.
+    /// Searches a region of the frame for the disc, to about a pixel.
     pub fn anywhere(&self, region: Region) -> Result<Circle, Rejected> {
         let mut reason = Rejected {
             reason: sun::NO_BRIGHT_PATCH,
@@ -61,7 +60,7 @@ impl DiscSearch<'_> {
         Err(reason)
     }
 
-    /// Searches the disc in a region about the place where it was: steps 2 to 4, the region for a patch.
+    /// Searches the disc near its previous position: steps 2 to 4, with the region as the patch.
     pub fn near(&self, region: Region) -> Result<Circle, Rejected> {
         self.disc_on(&Grid {
             region,
@@ -111,14 +110,14 @@ impl DiscSearch<'_> {
         self.settings.search_spacing_px.max(1)
     }
 
-    /// Each line crosses the limb twice at the most: where many crossings are asked for, so are lines.
+    /// Each line crosses the limb at most twice: more required crossings need more lines.
     fn lines_across(&self) -> usize {
         LINES_ACROSS.max(self.settings.min_crossings)
     }
 
     /// The rows or columns that cross a patch.
     fn grid_over(&self, patch: &Patch) -> Grid {
-        // The patch may end anywhere before the next row, and its chords need dark pixels at their ends.
+        // The patch may end anywhere before the next row, and its chords need dark pixels at both ends.
         let margin_px = self.spacing_px() + self.settings.min_run_px;
         let region = patch.grown(margin_px, self.frame);
         let (width, height) = (region.width(), region.height());
@@ -133,7 +132,7 @@ impl DiscSearch<'_> {
         }
     }
 
-    /// The disc that a grid crosses; by the threshold of the whole disc where the levels are those of a darker part.
+    /// The disc that a grid crosses; by the threshold of the whole disc if the levels are those of a darker part.
     fn disc_on(&self, grid: &Grid) -> Result<Circle, Rejected> {
         let circle = self.disc_above(grid, self.levels)?;
         let brightest = brightest_seen(&circle, self.frame);
@@ -162,17 +161,17 @@ impl DiscSearch<'_> {
     }
 }
 
-/// Bright runs that touch each other.
+/// A set of touching bright runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Patch {
-    /// The smallest region that holds them.
+    /// Bounding box of the runs.
     region: Region,
-    /// Their pixels.
+    /// Number of their pixels.
     bright_px: usize,
 }
 
 impl Patch {
-    /// Adds a run to the patches, and makes one of all those that it touches.
+    /// Adds a run to the patches, and merges all patches that it touches.
     fn join(self, patches: &mut Vec<Self>, gap_px: usize, rows_px: usize) {
         let mut joined = self;
         patches.retain(|patch| {
@@ -199,7 +198,7 @@ impl Patch {
         }
     }
 
-    /// The patch with a margin about it, as far as the frame goes.
+    /// The patch with a margin, clipped to the frame.
     fn grown(&self, margin_px: usize, frame: &Frame) -> Region {
         let region = self.region;
         Region {
@@ -211,7 +210,7 @@ impl Patch {
     }
 }
 
-/// Light of the brightest part of a disc that the frame shows, relative to that of its middle.
+/// Brightness of the brightest visible part of a disc relative to that of its centre.
 fn brightest_seen(circle: &Circle, frame: &Frame) -> f64 {
     let centre = circle.centre;
     let nearest = Vector2::new(
@@ -231,7 +230,7 @@ struct Grid {
 }
 
 impl Grid {
-    /// Which rows or columns.
+    /// Indices of the rows or columns.
     fn lines(&self) -> impl Iterator<Item = usize> {
         let (spacing, region) = (self.spacing_px.max(LEAST_SPACING_PX), self.region);
         let across = match self.axis {
@@ -242,11 +241,11 @@ impl Grid {
     }
 }
 
-/// A disc is bright within and dark about: a circle of noise, or one drawn through anything else, is not.
+/// Checks that a disc is bright inside and dark around; a circle fitted to noise or to something else is not.
 fn check_filled(frame: &Frame, circle: &Circle, threshold_dn: f64) -> Result<(), Rejected> {
-    /// Pixels that are checked.
+    /// Number of pixels that are checked.
     const PIXELS: usize = 400;
-    /// The Moon may cover half of it.
+    /// Minimum bright fraction: the Moon may cover half of the disc.
     const LEAST_BRIGHT: f64 = 0.45;
     const LEAST_DARK: f64 = 0.8;
     const INSIDE: f64 = 0.95;

@@ -1,4 +1,5 @@
-//! How the limb departs, round the disc, from one and the same profile: smooth courses of illumination, background, blur and coma.
+//! Departures of the limb from one common profile round the disc: smooth courses of illumination, background, blur and
+//! coma.
 
 use super::band::{Band, middle_of_sector};
 use super::profile::Profile;
@@ -7,15 +8,15 @@ use crate::frame::{PixelNoise, ROUNDING_NOISE_DN};
 use crate::kernels::sums::SECTOR;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 
-/// Quantities of a sector, by index: the limb's shift outwards (px), excess illumination (a fraction),
-/// background (DN), excess of the blur's variance (px^2), the displaced part of the light times its displacement (px).
+/// Quantities of a sector, by index: the limb's shift outwards (px), excess illumination (a fraction), background (DN),
+/// excess of the blur's variance (px^2), the displaced fraction of the light times its displacement (px).
 pub(super) const SHIFT: usize = 0;
 pub(super) const ILLUMINATION: usize = 1;
 pub(super) const BACKGROUND: usize = 2;
 pub(super) const BLUR: usize = 3;
 pub(super) const COMA_SHIFT: usize = 4;
-/// The blur of the light that coma displaces, in blurs. With this one the marks' shift follows from the limb's whatever the
-/// true one is, from 1.1 to 3.7, to 3 %.
+/// The blur of the light that coma displaces, in blurs. With this value the marks' shift follows from the limb's to 3 % for
+/// any true value from 1.1 to 3.7.
 pub const COMA_BLURS: f64 = 2.1;
 
 /// Coefficients of the smooth courses: illumination 1, x, y; background 1, x, y, cos 2 phi, sin 2 phi; variance of the blur 1,
@@ -25,7 +26,7 @@ pub(super) const UNEVEN_BACKGROUND: std::ops::Range<usize> = 4..8;
 pub(super) const MOTION: std::ops::Range<usize> = 9..11;
 pub(super) const COMA: std::ops::Range<usize> = 11..13;
 
-/// How the limb departs round the disc from one and the same profile.
+/// Departures of the limb from one common profile round the disc.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Shape {
     pub(super) coefficients: SVector<f64, SMOOTH>,
@@ -43,7 +44,7 @@ impl Shape {
         course(&smooth_terms(w), &self.coefficients)
     }
 
-    /// Whether motion and coma are so nearly the same that a fit from the one leads to the other in a step.
+    /// Whether motion and coma are so similar that a fit converges from one to the other in one step.
     pub(super) fn is_near(&self, other: &Self) -> bool {
         const MOTION_PX2: f64 = 0.05;
         const COMA_PX: f64 = 0.01;
@@ -57,13 +58,13 @@ impl Shape {
         self.coefficients.fixed_rows::<2>(MOTION.start).into_owned()
     }
 
-    /// Excess of the blur's variance all round, px^2.
+    /// Excess of the blur's variance, mean over azimuth, px^2.
     pub(super) fn blur_px2(&self) -> f64 {
         self.coefficients[MOTION.start - 1]
     }
 }
 
-/// Which of a sector's quantities each coefficient belongs to.
+/// The quantity of a sector to which each coefficient belongs.
 pub(super) const QUANTITY: [usize; SMOOTH] = [
     ILLUMINATION,
     ILLUMINATION,
@@ -80,7 +81,7 @@ pub(super) const QUANTITY: [usize; SMOOTH] = [
     COMA_SHIFT,
 ];
 
-/// By what each coefficient is multiplied in a direction.
+/// The factor of each coefficient in a direction.
 pub(super) fn smooth_terms(w: Vector2<f64>) -> SVector<f64, SMOOTH> {
     let w = w.normalize();
     let (c2, s2) = (w.x * w.x - w.y * w.y, 2.0 * w.x * w.y);
@@ -99,21 +100,21 @@ pub(super) fn course(
     course
 }
 
-/// The model of a frame's limb, all round.
+/// The model of a frame's limb at all azimuths.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct EdgeModel {
     pub profile: Profile,
-    /// How far outwards or inwards the limb may lie all round, since the profile is uncertain, 1 sigma, px.
+    /// Uncertainty of the limb's radial position common to all azimuths, from that of the profile, 1 sigma, px.
     pub place_sigma_px: f64,
     pub shape: Shape,
     /// Covariance of the shape's coefficients; zero where they are held.
     pub covariance: SMatrix<f64, SMOOTH, SMOOTH>,
     pub noise: PixelNoise,
-    /// The unit of what is near and far: the profile's blur, and at least the expected one, px.
+    /// The unit of near and far distances: the profile's blur, but at least the expected one, px.
     pub resolution_px: f64,
-    /// How far the limb may be from the ellipse that the band lies about, px.
+    /// Uncertainty of the limb's distance from the ellipse of the band, 1 sigma, px.
     pub shift_sigma_px: f64,
-    /// Pixels whose expected light is above this saturate too often to be of use, DN.
+    /// Pixels whose expected value is above this saturate too often to be used, DN.
     pub saturated_dn: f64,
 }
 
@@ -124,7 +125,7 @@ impl EdgeModel {
         self.profile.with_blur(variance.max(0.0).sqrt())
     }
 
-    /// The part of the light that coma displaces times its displacement, px, and the covariance of that.
+    /// The fraction of the light that coma displaces times its displacement, px, and its covariance.
     pub(super) fn coma(&self) -> (Vector2<f64>, Matrix2<f64>) {
         let own = self.covariance.fixed_view::<2, 2>(COMA.start, COMA.start);
         let coefficients = self.shape.coefficients.fixed_rows::<2>(COMA.start);
@@ -137,9 +138,9 @@ impl EdgeModel {
     }
 }
 
-/// The noise that pixels well away from the limb show: outside without the disc's light, inside with it.
+/// The noise of pixels well away from the limb: outside without the disc's light, inside with it.
 pub(super) fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
-    /// Number of pixels that is enough.
+    /// Sufficient number of pixels.
     const PIXELS: usize = 1000;
     let clear = (3.0 * model.profile.blur_px) as f32;
     let mut inside_dn = 0.0;
@@ -157,7 +158,7 @@ pub(super) fn noise(band: &Band, model: &EdgeModel) -> PixelNoise {
             .zip(pixels.light_dn)
             .step_by(stride);
         for (distance_px, light_dn) in pixels.filter(|(distance, _)| distance.abs() > clear) {
-            // This far out the disc leaves no light.
+            // The disc's light is negligible at this distance.
             let light = match *distance_px > clear {
                 true => 0.0,
                 false => light_at.at(*distance_px).0,
