@@ -1,4 +1,4 @@
-//! Acquiring: a first mapping from the marks of a frame of which nothing is known before.
+//! Acquisition: a first mapping from the marks of a frame without prior information.
 
 use super::stages::{DiscImage, MARK_MARGIN_PX, Pipeline, at};
 use super::{Measured, Solution, Stage, Stopped};
@@ -18,20 +18,21 @@ use crate::units::{self, Rejected, SensorPx};
 use nalgebra::Matrix2;
 use std::f64::consts::PI;
 
-/// Relative error of a scale taken from the disc's radius: what the ephemeris calls the Sun's edge and what the limb shows
+/// Relative error of a scale derived from the disc's radius: the Sun's edge of the ephemeris and the edge seen on the limb
 /// may differ by half a pixel.
 const DISC_SCALE_SIGMA: f64 = 0.006;
-/// Haze may widen the disc by this.
+/// Haze may widen the disc by up to this.
 const HAZE_PX: f64 = 1.0;
 
-/// The plate's centre may be as far as this from where it is stated when marks that cannot be read there are read anywhere, px.
+/// Largest distance of the plate's centre from the stated position when marks that cannot be identified there are searched
+/// anywhere, px.
 const ANYWHERE_PX: f64 = 2000.0;
 
 impl Pipeline<'_> {
-    /// Limb and marks of a frame by itself: by the mapping that its marks give, or the limb alone.
+    /// Limb and marks of a single frame: by the mapping that its marks give, or the limb alone.
     ///
     /// # Errors
-    /// No limb, or marks that contradict every mapping which could be borrowed.
+    /// If there is no limb, or if the marks contradict every mapping that could be borrowed.
     pub(super) fn alone(
         &self,
         frame: &Frame,
@@ -63,9 +64,9 @@ impl Pipeline<'_> {
         }
     }
 
-    /// As many detections as the disc has marks, on a plate that has many of them.
+    /// On a plate with many marks, allows as many detections as the disc has marks.
     fn detection_settings(&self) -> fiducial::FiducialSettings {
-        /// A place of the plate may hold so many times the mean.
+        /// Largest local density of the plate's marks relative to the mean.
         const DENSEST: f64 = 1.5;
         let settings = self.settings.fiducial;
         let disc_mil2 = PI * self.radius_mil.value.powi(2);
@@ -81,7 +82,7 @@ impl Pipeline<'_> {
         }
     }
 
-    /// The cutout's mask, and what was found on the disc: no mapping predicts which marks lie near the limb.
+    /// The cutout's mask, and all detections on the disc: no mapping predicts which marks lie near the limb.
     fn detections_mask(&self, image: &DiscImage, detections: &Detections) -> Mask {
         let mut mask = image.cutout.mask.clone();
         let reach_px = self.shape.half_length_px + MARK_MARGIN_PX;
@@ -91,7 +92,7 @@ impl Pipeline<'_> {
         mask
     }
 
-    /// A similarity by the marks that were detected and can be read.
+    /// A similarity from the marks that were detected and can be identified.
     fn acquire(
         &self,
         frame: &Frame,
@@ -124,8 +125,8 @@ impl Pipeline<'_> {
         }))
     }
 
-    /// The ids of what was detected about a disc's outline on a sensor of some width and height: where the plate is stated to be, unless it
-    /// shows that the plate is somewhere else or mirrored.
+    /// The ids of the detections around a disc's outline on a sensor of some width and height, with the plate at its stated
+    /// position; rejected if the detections show that the plate is somewhere else or mirrored.
     ///
     /// # Errors
     /// As [`fiducial::identify`].
@@ -167,7 +168,7 @@ impl Pipeline<'_> {
             let full = ids.iter().filter(|(n, _)| is_full(&detections.marks[*n]));
             full.count()
         };
-        // What is not read here may be because all are somewhere else.
+        // Marks that are not identified at the stated position may show that the plate is somewhere else.
         let read_here = count_full(&here);
         if read_here < detections.marks.iter().filter(|mark| is_full(mark)).count() {
             let read_there = elsewhere().map_or(0, |there| count_full(&there));
@@ -178,7 +179,7 @@ impl Pipeline<'_> {
         Ok(here)
     }
 
-    /// The ids if the camera is mounted like this, near enough.
+    /// The ids for a camera mounted nearly like this.
     ///
     /// # Errors
     /// As [`fiducial::identify`].
@@ -194,7 +195,7 @@ impl Pipeline<'_> {
         fiducial::identify(&detections.marks, &prior, &self.instrument.plate, settings)
     }
 
-    /// The likeliest ids, whether they are decisive or not.
+    /// The most likely ids, decisive or not.
     pub(crate) fn likeliest_ids(
         &self,
         sensor_px: [f64; 2],
@@ -207,7 +208,7 @@ impl Pipeline<'_> {
         fiducial::likeliest(&detections.marks, &prior, &instrument.plate, settings)
     }
 
-    /// Prior before marks are identified, by a disc's outline on a sensor of some width and height.
+    /// Prior before marks are identified, for a disc's outline on a sensor of some width and height.
     pub(crate) fn identification_prior(
         &self,
         sensor_px: [f64; 2],
@@ -239,7 +240,8 @@ fn is_full(mark: &Detection) -> bool {
     mark.lighting == Lighting::Full
 }
 
-/// How the camera would be mounted if its pictures were mirrored: its rows or columns read in the opposite order, or its file wrong.
+/// Mounting of the camera if its pictures were mirrored: its rows or columns read in the opposite order, or an error in its
+/// file.
 fn mirror_images(mounting: &Mounting, [width_px, height_px]: [f64; 2]) -> [Mounting; 3] {
     let SensorPx { x, y } = mounting.plate_centre_px;
     let (last_x, last_y) = (width_px - 1.0, height_px - 1.0);
@@ -268,8 +270,8 @@ impl Illumination for DiscLight {
     }
 }
 
-/// Share of the marks that go unseen, by how well the others are seen. Held above what simulated frames show: none of some
-/// 1,500 where marks are plain, 0.3 % in haze, 1.4 % of faint ones among blemishes.
+/// Share of the marks that are missed, estimated from the sigmas of the detected ones. Above the share in simulated frames:
+/// none of some 1,500 where marks have high contrast, 0.3 % in haze, 1.4 % of faint ones among blemishes.
 pub(crate) fn missed_share(detections: &Detections) -> f64 {
     const MOST: f64 = 0.1;
     const LEAST: f64 = 0.003;

@@ -1,4 +1,4 @@
-//! The mapping that a solution rests on: the frame's own, or a borrowed one.
+//! The mapping of a solution: the frame's own, or a borrowed one.
 
 use crate::geometry::{LocalSimilarity, Mapping};
 use crate::instrument::Instrument;
@@ -7,17 +7,17 @@ use crate::units::{Measured, PlateMil, SensorPx};
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 
-/// How far a mapping may have moved since the frame that gave it.
+/// Drift of a mapping since the frame that it comes from, 1 sigma.
 const PRIOR_DRIFT_PX: f64 = 0.5;
 
-/// The mapping that a solution rests on.
+/// The mapping of a solution.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Adopted {
-    /// Of this frame's marks.
+    /// From this frame's marks.
     Own(Registration),
-    /// Of the last frame that had marks.
+    /// From the last frame that had marks.
     Prior(Registration),
-    /// As the calibration states it.
+    /// From the calibration.
     Calibration(Mapping),
 }
 
@@ -29,7 +29,7 @@ impl Adopted {
         }
     }
 
-    /// The registration that a frame's marks gave, this one's or an earlier one's.
+    /// The registration by a frame's marks, of this frame or of an earlier one.
     pub fn registration(&self) -> Option<&Registration> {
         match self {
             Self::Own(registration) | Self::Prior(registration) => Some(registration),
@@ -37,7 +37,7 @@ impl Adopted {
         }
     }
 
-    /// The registration of this very frame.
+    /// The registration by this frame's own marks.
     pub fn own(&self) -> Option<&Registration> {
         match self {
             Self::Own(registration) => Some(registration),
@@ -50,7 +50,7 @@ impl Adopted {
         self.own().map(|own| own.residual_px)
     }
 
-    /// The mapping's kind, or where it was borrowed.
+    /// The kind of mapping, or its source if borrowed.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Own(registration) => registration.mapping.kind().name(),
@@ -59,7 +59,7 @@ impl Adopted {
         }
     }
 
-    /// Scale and rotation at a place, as marks gave them or as the calibration states them.
+    /// Scale and rotation at a position, from the marks or from the calibration.
     pub(super) fn local_similarity(
         &self,
         at: SensorPx,
@@ -78,7 +78,7 @@ impl Adopted {
         }
     }
 
-    /// Covariance, from the mapping alone, of a place on the plate; mil^2.
+    /// Covariance of a position on the plate from the mapping alone, mil^2.
     pub(super) fn covariance_mil2(&self, at: PlateMil, instrument: &Instrument) -> Matrix2<f64> {
         match self {
             Self::Own(own) => own.covariance_mil2(at),

@@ -13,18 +13,18 @@ use nalgebra::{Matrix2, Vector2};
 
 /// Largest residual of the marks about their mapping.
 const MAX_RESIDUAL_PX: f64 = 0.6;
-/// Largest scatter of the limb about its outline: the Sun's is a tenth of it, a square's ten times as large.
+/// Largest scatter of the limb about its outline: the Sun's is a tenth of this, that of a square ten times as large.
 const MAX_SCATTER_PX: f64 = 1.0;
-/// Least part of the limb's points that must lie on its outline: marks and scratches hide a tenth of them.
+/// Minimum fraction of the limb's points on its outline: marks and scratches mask a tenth of them.
 const LEAST_ON_OUTLINE: f64 = 0.6;
-/// The limb's fit holds for an image that moves by so many px during the exposure, four times what the fastest slew does
-/// (0.25 deg/s for 15 ms); one that moves farther is no picture of a circle any more.
+/// The limb fit is valid for an image that moves by so many px during the exposure, four times the motion by the fastest
+/// slew (0.25 deg/s for 15 ms); if it moves farther, its outline is no longer a circle.
 const MOST_MOTION_PX: f64 = 5.0;
-/// The limb's part that makes a fine solution.
+/// Minimum fraction of the limb for a fine solution.
 const LEAST_FINE_LIMB: f64 = 0.4;
 
 impl Pipeline<'_> {
-    /// The mapping and the disc on the plate, from marks and limb together.
+    /// The mapping and the disc on the plate, fitted to marks and limb together.
     pub(super) fn register(&self, marks: &[Mark], limb: &Limb) -> Result<Registration, Rejected> {
         let pair = |mark: &Mark| {
             Some(Pair {
@@ -58,11 +58,12 @@ impl Pipeline<'_> {
         Ok(registration)
     }
 
-    /// Holds scale and the disc's radius to what instrument and ephemeris state.
+    /// Compares the scale and the disc's radius with those of instrument and ephemeris.
     ///
     /// # Errors
-    /// A scale at the Sun, in any direction, that is off the stated one by more than five sigma and a tilt's share; a radius on the
-    /// plate that is off the expected one by more than five sigma. Both sigmas hold the frame's own and the print's.
+    /// If the scale at the Sun, in any direction, differs from the stated one by more than five sigma plus the allowance
+    /// for a tilt, or if the radius on the plate differs from the expected one by more than five sigma. Both sigmas include
+    /// those of the frame and of the print.
     pub(super) fn check_stated(&self, own: &Registration, marks: &[Mark]) -> Result<(), Rejected> {
         let Some(disc) = own.disc else {
             return Ok(());
@@ -90,14 +91,15 @@ impl Pipeline<'_> {
         )
     }
 
-    /// A mark that is known less well than the plate's best weighs less: on a plate that was measured, the few marks that
-    /// were not seen are still where the drawing puts them.
+    /// A mark known less well than the plate's best one has a lower weight: on a measured plate, the few unmeasured marks
+    /// keep their drawn positions.
     fn poorly_known_px2(&self, id: MarkId) -> Matrix2<f64> {
         let scale = self.instrument.mounting.scale_mil_per_px.value;
         Matrix2::identity() * (self.instrument.plate.excess_variance_mil2(id) / scale.powi(2))
     }
 
-    /// The disc's radius on the plate, so loosely that a whole limb determines it; a short one depends on it.
+    /// Prior of the disc's radius on the plate, so loose that a whole limb determines it; on a short limb the prior
+    /// dominates.
     fn loose_radius_mil(&self) -> Measured {
         let definition = LIMB_DEFINITION_SIGMA_PX * self.instrument.mounting.scale_mil_per_px.value;
         Measured::new(
@@ -125,7 +127,7 @@ impl Pipeline<'_> {
         })
     }
 
-    /// The Sun's place on sensor and plate.
+    /// The Sun's position on sensor and plate.
     pub(super) fn aspect(&self, limb: &Limb, adopted: &Adopted) -> Result<Aspect, Stopped> {
         check_round(limb).map_err(at(Stage::Limb))?;
         let aspect = match adopted.own().and_then(|own| own.disc) {
@@ -146,7 +148,7 @@ impl Pipeline<'_> {
         Ok(aspect)
     }
 
-    /// Marks do not serve where the Sun moved so far that its size and light mislead who reads them.
+    /// Rejects the marks if the image moved so far that the fitted size and light of the Sun would bias them.
     pub(super) fn check_motion(&self, limb: &Limb) -> Result<(), Stopped> {
         let reason = sun::MOVED;
         Rejected::at_most(MOST_MOTION_PX, self.motion_px(limb), reason).map_err(at(Stage::Limb))
@@ -157,7 +159,7 @@ impl Pipeline<'_> {
             .most_motion_px(self.instrument.optics.blur_px.value, limb_fraction(limb))
     }
 
-    /// The outline's centre through a mapping that is not this frame's.
+    /// The outline's centre through a borrowed mapping.
     fn borrowed_aspect(&self, limb: &Limb, adopted: &Adopted) -> Aspect {
         let mapping = adopted.mapping();
         let outline = &limb.outline;
@@ -168,7 +170,7 @@ impl Pipeline<'_> {
         );
         let on_plate = mapping.to_plate(on_sensor);
         let to_plate = mapping.plate_jacobian(on_sensor);
-        // An outline that moved is uncertain by its motion.
+        // A moving image adds its motion to the uncertainty.
         let moved = match self.check_motion(limb) {
             Ok(()) => 0.0,
             Err(_) => self.motion_px(limb).powi(2) / 12.0,
@@ -192,8 +194,8 @@ impl Pipeline<'_> {
         }
     }
 
-    /// A radius with the uncertainty of the limb's profile, which moves all points together, as far as these determine the radius and not
-    /// what is stated of it.
+    /// Adds the uncertainty of the limb's profile, which moves all points together, to a radius, in proportion to the
+    /// weight of the points against the prior.
     fn with_sigma_of_profile(&self, radius_px: Measured, limb: &Limb) -> Measured {
         let stated = limb.outline.radius_sigma_px() / self.stated_radius_px().sigma;
         let by_points = (1.0 - stated.powi(2)).max(0.0);
@@ -206,10 +208,10 @@ impl Pipeline<'_> {
     }
 }
 
-/// Holds a borrowed place to the one by the frame's own marks, where these are not adopted.
+/// Compares a borrowed position with the one from the frame's own marks, if their mapping is not adopted.
 ///
 /// # Errors
-/// Places on the plate that contradict each other.
+/// If the two positions on the plate contradict each other.
 pub(super) fn check_borrowed(borrowed: &Aspect, own: &Registration) -> Result<(), Rejected> {
     let Some(disc) = own.disc else {
         return Ok(());
@@ -222,7 +224,7 @@ pub(super) fn check_borrowed(borrowed: &Aspect, own: &Registration) -> Result<()
     Rejected::at_most(CONTRADICTION_SIGMAS, sigmas, reason)
 }
 
-/// The quality, and why a coarse solution is not fine where nothing before says so.
+/// The quality, and the reason for a coarse one if no earlier stage gave it.
 pub(super) fn judge(aspect: &Aspect, adopted: &Adopted) -> (Quality, Option<Stopped>) {
     let reason = sun::PART_OF_LIMB;
     match Rejected::at_least(LEAST_FINE_LIMB, aspect.limb_fraction, reason) {
@@ -232,7 +234,7 @@ pub(super) fn judge(aspect: &Aspect, adopted: &Adopted) -> (Quality, Option<Stop
     }
 }
 
-/// How well the marks of a frame are known on the plate, 1 sigma per axis.
+/// Uncertainty of the printed positions of a frame's marks, 1 sigma per axis.
 pub(crate) fn printed_mil(marks: &[Mark], plate: &Plate) -> f64 {
     let places = marks.iter().filter_map(|mark| plate.place(mark.id));
     let squares: f64 = places
@@ -245,7 +247,7 @@ pub(crate) fn printed_mil(marks: &[Mark], plate: &Plate) -> f64 {
     (squares / marks.len().max(1) as f64).sqrt()
 }
 
-/// Part of the limb that is seen, 0 to 1.
+/// Visible fraction of the limb, 0 to 1.
 fn limb_fraction(limb: &Limb) -> f64 {
     let points = limb.points.iter().map(|point| point.at.vector());
     limb::arc_fraction(points, limb.outline.ellipse.centre)
@@ -259,8 +261,8 @@ fn check_round(limb: &Limb) -> Result<(), Rejected> {
     Rejected::at_most(MAX_SCATTER_PX, outline.scatter_px, reason)
 }
 
-/// The image of the centre of a disc on the plate whose outline is centred on `outline_centre`: under a tilt of 3 deg the two are
-/// a tenth of a pixel apart.
+/// The image of the centre of a disc on the plate whose outline is centred on `outline_centre`: with a tilt of 3 deg the
+/// two are 0.1 px apart.
 fn disc_centre(mapping: &Mapping, outline_centre: SensorPx, radius_mil: f64) -> SensorPx {
     let middle = mapping.to_plate(outline_centre).vector();
     let seen = |angle: f64| {

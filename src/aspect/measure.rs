@@ -1,7 +1,7 @@
-//! Measuring: limb and marks by their own pixels, where a mapping predicts the marks.
+//! Measurement: limb and marks from their own pixels, with a mapping that predicts the marks.
 //!
-//! The mapping is the prior's or an acquired one; nothing of it enters the result but the places where the fits start and the
-//! marks that are searched. The marks show whether it was right: they are where it predicts them, or it was wrong.
+//! The mapping is the prior's or an acquired one. Only the starting positions of the fits and the selection of marks depend
+//! on it. The marks validate it: if they are not at their predicted positions, it was wrong.
 
 use super::stages::{DISC_REACH, DiscImage, Pipeline, at, marks_mask};
 use super::{Mark, Stage, Stopped, Track};
@@ -15,34 +15,36 @@ use nalgebra::{Matrix2, Vector2};
 
 /// A mark farther than this from its predicted place is false, or the camera moved; px.
 const MAX_DRIFT_PX: f64 = 1.0;
-/// Part of a mark that must lie inside the limb for it to be measured, in half lengths from its middle.
+/// Minimum depth of a measured mark's centre inside the limb, in half lengths.
 const LEAST_INSIDE: f64 = 0.3;
 /// A mark whose residuals exceed the pixels' stated variance by this factor is false, or covered by something.
 const MAX_CHI2: f64 = 16.0;
-/// All marks of a plate have the same contrast; what differs by more from the fully lit ones is something else, or more than one.
+/// All marks of a plate have the same contrast; a mark outside this range, relative to the fully lit ones, is something
+/// else, or more than one.
 const COMMON_CONTRAST: std::ops::Range<f64> = 0.45..2.2;
-/// A cut mark whose place is less certain is rejected, px.
+/// A cut mark with a less certain position is rejected, px.
 const MOST_CUT_SIGMA_PX: f64 = 0.3;
-/// Marks beyond those that make a labelling that must be predicted: a wrong mapping that fits a few by chance does not fit these.
+/// Number of predicted marks required beyond the minimum of a labelling: a wrong mapping that fits a few by chance does not
+/// fit these.
 const MORE_MARKS: usize = 2;
-/// After so many frames the marks are detected and identified again: a wrong id must not last.
+/// After this many frames the marks are detected and identified again, so that a wrong id does not persist.
 const MOST_IN_SUCCESSION: u32 = 30;
-/// Part of a shift by coma that is uncertain, since the displaced light may be blurred more or less: see [`COMA_BLURS`].
+/// Relative uncertainty of a shift by coma, since the blur of the displaced light is uncertain: see [`COMA_BLURS`].
 const COMA_OPEN: f64 = 0.05;
 
-/// Limb and marks by their own pixels.
+/// Limb and marks measured from their own pixels.
 pub struct Measured {
     pub limb: Limb,
-    /// Or why there are none.
+    /// The marks, or the reason for having none.
     pub marks: Result<Vec<Mark>, Stopped>,
-    /// Fully lit marks that are not where the mapping predicts them.
+    /// Number of fully lit marks that were not found at their predicted positions.
     pub missing: usize,
 }
 
-/// How far coma shifts the marks against the limb.
+/// Shift of the marks against the limb by coma.
 struct ComaShift {
     shift_px: Vector2<f64>,
-    /// Variance that it adds to each mark.
+    /// Variance that the shift adds to each mark.
     covariance_px2: Matrix2<f64>,
 }
 
@@ -57,9 +59,9 @@ impl ComaShift {
 }
 
 impl Pipeline<'_> {
-    /// Limb and marks as the prior's mapping predicts them, and how many frames in succession were measured so. `None` where there is
-    /// no such mapping, or not all is as it predicts: a mapping whose ids were wrong would predict marks where the pattern has
-    /// none.
+    /// Limb and marks by the prior's mapping, and the number of frames in succession that were measured so. `None` if there
+    /// is no such mapping, or if not all is as it predicts: a mapping with wrong ids would predict marks where the pattern
+    /// has none.
     pub(super) fn tracked(
         &self,
         image: &DiscImage,
@@ -73,14 +75,14 @@ impl Pipeline<'_> {
         (measured.missing == 0 && full >= enough).then(|| (measured, prior.predicted + 1))
     }
 
-    /// The limb without masked pixels; with too many masked, what these do to the limb is the lesser evil.
+    /// The limb without masked pixels; if too many are masked, the limb including them is the lesser evil.
     pub(super) fn limb_beside(&self, image: &DiscImage, mask: &Mask) -> Result<Limb, Stopped> {
         self.limb(image, mask)
             .or_else(|_| self.limb(image, &image.cutout.mask))
             .map_err(at(Stage::Limb))
     }
 
-    /// Limb and marks of a disc that is roughly known, by a mapping.
+    /// Limb and marks of a disc that is roughly known, with a mapping.
     pub fn measure(&self, image: &DiscImage, mapping: &Mapping) -> Result<Measured, Stopped> {
         let DiscImage { cutout, light, .. } = image;
         let mask = marks_mask(cutout, self.instrument, &light.outline, mapping);
@@ -112,7 +114,7 @@ impl Pipeline<'_> {
                 || largest_variance(&found.place.covariance) < MOST_CUT_SIGMA_PX.powi(2))
     }
 
-    /// The plate's marks that the disc illuminates, where a mapping puts them.
+    /// The plate's marks illuminated by the disc, at the positions that a mapping predicts.
     fn predicted_marks(&self, cutout: &Cutout, limb: &Limb, mapping: &Mapping) -> Vec<Mark> {
         let plate = &self.instrument.plate;
         let arms = plate.shape.arms() * (plate.shape.size_mil() / 2.0);
@@ -134,7 +136,7 @@ impl Pipeline<'_> {
         marks.collect()
     }
 
-    /// Marks by their own pixels, without the shift that coma gives them against the limb; none where the pixels do not
+    /// Marks measured from their own pixels and corrected for the shift by coma against the limb; none if the pixels do not
     /// agree with a cross.
     pub fn refine(
         &self,
@@ -160,8 +162,8 @@ impl Pipeline<'_> {
         marks.iter().map(refined).collect()
     }
 
-    /// By how much coma shifts marks against the limb. Its uncertainty moves all marks together: many marks must not average it
-    /// away.
+    /// Shift of the marks against the limb by coma. Its uncertainty is common to all marks: the average over many marks
+    /// must not reduce it.
     fn coma_shift(&self, light: &DiscLight, marks: usize) -> ComaShift {
         let (coma, covariance) = light.coma();
         let response = self.disc_shape(light).coma_shift(COMA_BLURS);
@@ -174,7 +176,7 @@ impl Pipeline<'_> {
 }
 
 impl Mark {
-    /// The mark where its pixels show it.
+    /// The mark at its measured position.
     fn placed(&self, found: &RefinedMark) -> Self {
         Self {
             at: found.place.position,
@@ -189,7 +191,7 @@ fn fully_lit(marks: &[Mark]) -> usize {
     marks.iter().filter(full).count()
 }
 
-/// Along the direction that is known worst.
+/// Variance along the least certain direction.
 fn largest_variance(covariance: &Matrix2<f64>) -> f64 {
     let half_difference = (covariance.m11 - covariance.m22) / 2.0;
     covariance.trace() / 2.0 + half_difference.hypot(covariance.m12)

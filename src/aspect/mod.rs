@@ -1,4 +1,4 @@
-//! The pipeline on one page: from a frame to the Sun's centre on the plate.
+//! The pipeline in overview: from a frame to the Sun's centre on the plate.
 
 mod acquire;
 mod adopted;
@@ -24,7 +24,7 @@ use conclusion::{check_borrowed, judge};
 use jiff::Timestamp;
 use stages::at;
 
-/// The Sun by the ephemeris, computed by the caller: it costs more than it changes from frame to frame.
+/// The Sun by the ephemeris, computed by the caller: it costs more time than the change from frame to frame justifies.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
     /// Angular radius of the disc.
@@ -32,7 +32,7 @@ pub struct Expected {
 }
 
 impl Expected {
-    /// The expectation for an instant; where the ephemeris does not know, that is logged and nothing is expected.
+    /// The expected values for an instant; if the ephemeris does not cover it, this is logged and `None` returned.
     pub fn at(utc: Timestamp) -> Option<Self> {
         sky::sun_angular_radius(utc)
             .inspect_err(|error| {
@@ -46,7 +46,7 @@ impl Expected {
     }
 }
 
-/// The tunable parts of every stage.
+/// Tunable settings of every stage.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct SolverSettings {
     pub limb: limb::LimbSettings,
@@ -72,18 +72,19 @@ pub fn solve(
 
 /// Finds the Sun's centre on the plate.
 ///
-/// The same frame, instrument, expectation and prior always give the same solution. A stage that fails ends the
-/// frame's way, but what earlier stages found stays in the solution.
+/// The same frame, instrument, expectation and prior always give the same solution. A stage that fails ends the processing
+/// of the frame, but the results of earlier stages stay in the solution.
 ///
 /// # Algorithm
 /// 1. Levels of background and disc.
-/// 2. The disc, by sparse chords: about the prior's place first, then anywhere.
-/// 3. Its light and its outline, from every fourth row.
-/// 4. A mapping from sensor to plate: the prior's, if the marks are where it predicts them; else an acquired one, from marks that are
-///    found on the flattened disc and read from the code in their spacings.
-/// 5. Limb and marks by their own pixels: the limb without those near any mark of the plate, seen or not; the marks where the mapping
-///    predicts them, in the illumination that follows from the limb.
-/// 6. The mapping and the disc on the plate, adjusted together; where the marks give none, the prior's, else the calibration's.
+/// 2. The disc, by sparse chords: near the prior's position first, then anywhere.
+/// 3. Its light model and its outline, from every fourth row.
+/// 4. A mapping from sensor to plate: the prior's, if the marks are where it predicts them; else an acquired one, from
+///    marks that are detected on the flattened disc and identified by the code in their spacings.
+/// 5. Limb and marks from their own pixels: the limb without pixels near any mark of the plate, detected or not; the marks
+///    where the mapping predicts them, in the illumination that follows from the limb.
+/// 6. The mapping and the disc on the plate, adjusted together; if the marks give no mapping, the prior's, else the
+///    calibration's.
 /// 7. The Sun's centre on plate and sensor, with covariance; quality.
 pub fn solve_with(
     settings: &SolverSettings,
@@ -95,7 +96,7 @@ pub fn solve_with(
     let mut solution = Solution::none();
     let work = Pipeline::new(settings, instrument, expected);
     if let Err(stopped) = run(&work, frame, prior, &mut solution) {
-        // What ended the frame's way outweighs what only made it coarse.
+        // The reason that ended the processing outweighs a reason that only made the solution coarse.
         solution.stopped = Some(stopped);
     }
     solution
@@ -125,7 +126,7 @@ fn run(
             .map_err(at(Stage::Registration))?; // 6
         match work.check_stated(&own, &marks) {
             Ok(()) => {
-                // Ids that give no mapping are not to be trusted.
+                // Ids that give no mapping are not reliable.
                 solution.marks = marks;
                 Ok(own)
             }

@@ -1,4 +1,4 @@
-//! Solution of a frame: every stage's product as far as the frame got, and why it went no further.
+//! Solution of a frame: every stage's product as far as processing got, and why it went no further.
 
 use super::Adopted;
 use crate::fiducial::{Detections, Lighting};
@@ -12,14 +12,14 @@ use crate::units::{Estimate, Measured, PlateMil, SensorPx};
 use nalgebra::Matrix2;
 use serde::{Deserialize, Serialize};
 
-/// How good a solution is.
+/// Quality of a solution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Quality {
     /// No Sun.
     None,
     /// Part of the disc, or a mapping borrowed from the prior or the calibration.
     Coarse,
-    /// Disc and mapping from this very frame.
+    /// Disc and mapping from this frame.
     Fine,
 }
 
@@ -33,7 +33,7 @@ impl Quality {
     }
 }
 
-/// The stages of the pipeline, in order, and what follows it.
+/// The stages of the pipeline, in order, and the stage that follows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Stage {
     Levels,
@@ -76,7 +76,7 @@ impl reasons::Stage for Stage {
     }
 }
 
-/// Why a frame went no further than it did.
+/// Why processing of a frame stopped.
 pub type Stopped = reasons::Stopped<Stage>;
 
 /// A mark of the plate with its id.
@@ -95,20 +95,20 @@ impl Mark {
     }
 }
 
-/// Where the Sun stands.
+/// Position of the Sun.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Aspect {
     /// The image of the disc's centre on the sensor.
     pub sun_px: Estimate<SensorPx>,
-    /// The disc's radius at the mapping's scale there. Where little of the limb is seen, its value and sigma are nearly those
-    /// that ephemeris, focus and stated scale give.
+    /// The disc's radius at the mapping's scale there. If little of the limb is visible, its value and sigma are nearly
+    /// those of ephemeris, focus and stated scale.
     pub sun_radius_px: Measured,
-    /// The mapping's scale and rotation there. Of a borrowed mapping they have the sigma of the frame that gave it, or that
-    /// which the calibration states for the plate's centre: no tilt of the camera is in it.
+    /// The mapping's scale and rotation there. Those of a borrowed mapping have the sigma of the frame that gave it, or
+    /// that of the calibration for the plate's centre, without the effect of a tilt of the camera.
     pub mapping: LocalSimilarity,
-    /// The disc's centre on the plate; the mapping's uncertainty included.
+    /// The disc's centre on the plate, with the mapping's uncertainty included.
     pub sun_plate: Estimate<PlateMil>,
-    /// Part of the limb that was seen, 0 to 1.
+    /// Visible fraction of the limb, 0 to 1.
     pub limb_fraction: f64,
 }
 
@@ -118,7 +118,7 @@ pub struct Track {
     pub disc: Circle,
     /// Frames in succession whose marks were measured where the prior predicted them, without detection.
     pub predicted: u32,
-    /// The last registration that a frame's own marks gave.
+    /// The last registration from a frame's own marks.
     pub registration: Option<Registration>,
 }
 
@@ -128,16 +128,16 @@ pub struct Solution {
     pub quality: Quality,
     pub stopped: Option<Stopped>,
     pub levels: Option<Levels>,
-    /// Points of the limb that the disc rests on.
+    /// Points of the limb that the disc was fitted to.
     pub limb: Vec<LimbPoint>,
-    /// Blur of the limb, 1 sigma, the pixel's own size taken off.
+    /// Blur of the limb, 1 sigma, with the pixel response subtracted in quadrature.
     pub limb_blur_px: Option<f64>,
-    /// The detected marks; none where a prior predicted them.
+    /// The detected marks; none if a prior predicted them.
     pub detections: Detections,
     pub marks: Vec<Mark>,
     pub mapping: Option<Adopted>,
     pub aspect: Option<Aspect>,
-    /// The prior of the next frame.
+    /// The prior for the next frame.
     pub track: Option<Track>,
 }
 

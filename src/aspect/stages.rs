@@ -1,5 +1,5 @@
 //! The steps of the pipeline up to the disc's light: each takes the products of earlier stages and calls the module that
-//! does it.
+//! computes it.
 
 use super::{Expected, SolverSettings, Stage, Stopped};
 use crate::fiducial::MarkImage;
@@ -10,38 +10,38 @@ use crate::limb::{self, DiscLight, DiscSearch, KnownOutline, Limb, LimbFit, Outl
 pub(super) use crate::reasons::at;
 use crate::units::{Measured, Rejected};
 
-/// How far the Sun's angular radius strays from its mean in a year.
+/// Variation of the Sun's angular radius about its mean in a year.
 const YEARLY_ARCSEC: f64 = 11.0;
-/// How far the limb that the profile's fit finds may be from the edge that the ephemeris means.
+/// Difference between the limb by the profile's fit and the edge of the ephemeris, 1 sigma.
 pub(super) const LIMB_DEFINITION_SIGMA_PX: f64 = 0.1;
-/// A camera tilted by 3 deg makes the half axes differ by this part from their mean, 1 sigma.
+/// Relative difference of the half axes from their mean for a camera tilted by 3 deg, 1 sigma.
 const TILTED_FLATNESS: f64 = 0.002;
-/// A camera without tilt, as the instrument states.
+/// The same for a camera without tilt, as the instrument states.
 const STATED_FLATNESS: f64 = 0.0003;
-/// Distance from a mark's arm within which the limb is not trusted, px.
+/// Distance from a mark's arm within which the limb is masked, px.
 pub(crate) const MARK_MARGIN_PX: f64 = 3.0;
-/// The limb's fit reads pixels so far inside the limb; outside it marks take no light.
+/// The limb fit reads pixels down to this depth inside the limb; outside the limb marks absorb no light.
 const MASKED_DEPTH_PX: f64 = 14.0;
-/// The cutout reaches so many radii from the disc's centre: the limb's band and the marks' patches lie within.
+/// Half width of the cutout, in radii from the disc's centre: the limb's band and the marks' patches lie within.
 const CUTOUT_RADII: f64 = 1.3;
-/// The marks near a disc lie within so many times its radius: a tilted camera flattens its image.
+/// The marks near a disc lie within this many radii: a tilted camera flattens its image.
 pub(super) const DISC_REACH: f64 = 1.2;
-/// The Sun may have moved this far since the prior: 0.25 deg/s at 4 frames/s, twice over.
+/// Largest motion of the Sun since the prior: 0.25 deg/s at 4 frames/s, doubled.
 const PRIOR_REACH_PX: f64 = 45.0;
-/// A lens so many times softer than it is stated is out of focus, or behind haze.
+/// A lens softer than stated by this factor is out of focus, or behind haze.
 const SOFT: f64 = 1.3;
 
-/// The image of a disc as limb and marks are measured on it.
+/// The image of a disc, as used to measure limb and marks.
 pub struct DiscImage {
-    /// Light of the disc's bright part, DN.
+    /// Brightness of the disc's bright part, DN.
     disc_dn: f64,
-    /// The pixels about it: the background taken off, hot pixels masked.
+    /// The pixels around it: background subtracted, hot pixels masked.
     pub cutout: Cutout,
-    /// The disc's light, roughly.
+    /// A rough model of the disc's light.
     pub light: DiscLight,
 }
 
-/// Inputs of every stage, before a frame is read.
+/// Inputs of every stage, independent of the frame.
 #[derive(Clone)]
 pub struct Pipeline<'a> {
     pub(super) settings: &'a SolverSettings,
@@ -50,7 +50,7 @@ pub struct Pipeline<'a> {
     pub(super) radius_mil: Measured,
     /// The same on the sensor, at the nominal scale.
     pub(super) radius_px: f64,
-    /// A mark at the nominal scale, as sharp as the lens is stated.
+    /// A mark at the nominal scale and the stated blur of the lens.
     pub(super) shape: MarkImage,
 }
 
@@ -78,7 +78,7 @@ impl<'a> Pipeline<'a> {
         }
     }
 
-    /// The levels. A background cut off at zero shows less noise than there is: the stated noise is the least.
+    /// The levels. A background cut off at zero shows too little noise, so the stated noise is the minimum.
     pub fn levels(&self, frame: &Frame) -> Result<Levels, Stopped> {
         let seen = limb::levels(frame, &self.settings.limb).map_err(at(Stage::Levels))?;
         let stated = self
@@ -95,7 +95,7 @@ impl<'a> Pipeline<'a> {
         })
     }
 
-    /// The disc to a pixel or so: about the place where it was before, then anywhere.
+    /// The disc to about a pixel: near its previous position, then anywhere.
     pub fn find_disc(
         &self,
         frame: &Frame,
@@ -117,7 +117,7 @@ impl<'a> Pipeline<'a> {
         near.map_or_else(anywhere, Ok).map_err(at(Stage::Limb))
     }
 
-    /// The image of a disc that was found to a pixel or so.
+    /// The image of a disc that was found to about a pixel.
     pub fn image(
         &self,
         frame: &Frame,
@@ -157,13 +157,13 @@ impl<'a> Pipeline<'a> {
         }
     }
 
-    /// The limb of a disc without the pixels that are masked.
+    /// The limb of a disc without masked pixels.
     pub fn limb(&self, image: &DiscImage, mask: &Mask) -> Result<Limb, Rejected> {
         self.limb_fit(image.disc_dn, &image.cutout)
             .near(&image.light, mask)
     }
 
-    /// The disc's radius on the sensor by ephemeris and stated scale.
+    /// The disc's radius on the sensor from ephemeris and stated scale.
     pub(super) fn stated_radius_px(&self) -> Measured {
         let scale = self.instrument.mounting.scale_mil_per_px;
         let relative =
@@ -177,7 +177,7 @@ impl<'a> Pipeline<'a> {
         self.radius_mil.value / disc.outline.mean_radius()
     }
 
-    /// Blur of the marks, 1 sigma, without the pixel's own size.
+    /// Blur of the marks, 1 sigma, without the pixel response.
     pub(super) fn mark_blur_px(&self, disc: &DiscLight) -> f64 {
         let stated_px = self.instrument.optics.blur_px.value;
         let limb_px = disc.lens_blur_px();
@@ -195,7 +195,7 @@ impl<'a> Pipeline<'a> {
     }
 }
 
-/// The disc's surroundings as limb and marks are read from them: the background taken off, the instrument's hot pixels masked.
+/// The disc's surroundings for measuring limb and marks: background subtracted, the instrument's hot pixels masked.
 pub(crate) fn cutout(
     frame: &Frame,
     instrument: &Instrument,
@@ -214,7 +214,7 @@ pub(crate) fn cutout(
     cutout
 }
 
-/// The cutout's mask, and every mark of the plate that a mapping puts near the limb, seen or not.
+/// The cutout's mask, plus every mark of the plate that a mapping puts near the limb, detected or not.
 pub(crate) fn marks_mask(
     cutout: &Cutout,
     instrument: &Instrument,

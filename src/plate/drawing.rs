@@ -1,4 +1,4 @@
-//! The identity of a drawing: two plates of one drawing have one hash.
+//! The identity of a drawing: two plates with the same drawing have the same hash.
 
 use super::{MarkShape, Plate};
 use crate::provenance;
@@ -6,12 +6,13 @@ use crate::units::MIL_MM;
 use std::fmt::Write;
 
 const NM_PER_MIL: f64 = MIL_MM * 1e6;
-/// A cross that is turned by so much is the same cross.
+/// A cross rotated by this angle is the same cross.
 const QUARTER_TURN_UDEG: i64 = 90_000_000;
 
 impl Plate {
-    /// The drawing as a text: the shape of the marks, then a line `i,j,x_nm,y_nm` for each mark, in the order of their ids. Lengths are
-    /// whole nanometres, so that a table in mil and the same table in mm give the same text. What was measured does not enter.
+    /// The drawing as text: the shape of the marks, then a line `i,j,x_nm,y_nm` for each mark, in the order of their ids.
+    /// Lengths are whole nanometres, so that a table in mil and the same table in mm give the same text. Measured positions
+    /// do not enter.
     pub fn drawing_text(&self) -> String {
         let mut text = match self.shape {
             MarkShape::Cross(cross) => {

@@ -11,9 +11,9 @@ use crate::units::PlateMil;
 /// The largest |i| and |j| of a mark.
 const MAX_INDEX: i32 = 7;
 
-/// The Sun may stand within this of the plate's centre.
+/// The Sun's centre may be within this distance of the plate's centre.
 pub const FIELD_RADIUS_MIL: f64 = 2000.0;
-/// The outermost mark on an axis: what moves at the plate's edge is stated there.
+/// The outermost mark on an axis: displacements at the plate's edge are stated there.
 pub const EDGE: MarkId = MarkId {
     i: -MAX_INDEX,
     j: 0,
@@ -42,7 +42,7 @@ fn code(n: i32) -> f64 {
     f64::from(value)
 }
 
-/// Where the drawing puts a mark of the pattern.
+/// Drawn position of a mark of the pattern.
 pub fn position(id: MarkId) -> PlateMil {
     PlateMil::new(
         6.0 * (code(id.i) - 15.0 * f64::from(id.j)),

@@ -1,7 +1,7 @@
-//! The plate: where every mark is drawn and printed, and the shape of a mark.
+//! The plate: drawn and printed positions of every mark, and the shape of a mark.
 //!
-//! A plate's drawing is the pattern of 2013 ([`heroes`]) or a list of marks ([`read_table`]). Places that were measured stand beside those
-//! that were drawn.
+//! A plate's drawing is the pattern of 2013 ([`heroes`]) or a list of marks ([`read_table`]). Measured positions are kept
+//! beside the drawn ones.
 
 pub mod artwork;
 mod drawing;
@@ -16,15 +16,15 @@ use crate::units::PlateMil;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// The most marks that a plate may have.
+/// Maximum number of marks of a plate.
 pub const MOST_MARKS: usize = 2000;
-/// No two marks are nearer to each other than this, in their size: the camera would see one.
+/// Minimum distance between two marks, in their size: nearer ones would look like one mark.
 pub const LEAST_APART_SIZES: f64 = 2.0;
-/// Each index of an id lies within this of 0.
+/// Maximum absolute value of each index of an id.
 pub const MAX_INDEX: i32 = 9999;
 
-/// The name of a mark. The marks of 2013 have their place in the pattern, others what their drawing says; a plate that numbers its
-/// marks uses (n, 0).
+/// The id of a mark. Ids of the plate of 2013 are positions in the pattern, others are those of the drawing; a plate with
+/// numbered marks uses (n, 0).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct MarkId {
     pub i: i32,
@@ -32,7 +32,7 @@ pub struct MarkId {
 }
 
 impl MarkId {
-    /// The id, where both indices are within [`MAX_INDEX`].
+    /// The id, if both indices are within [`MAX_INDEX`].
     pub fn new(i: i32, j: i32) -> Option<Self> {
         let range = -MAX_INDEX..=MAX_INDEX;
         (range.contains(&i) && range.contains(&j)).then_some(Self { i, j })
@@ -56,7 +56,7 @@ pub enum Pattern {
     Listed,
 }
 
-/// Where a mark is on the plate, and how well that is known.
+/// Position of a mark on the plate, and its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MarkPlace {
     pub at: PlateMil,
@@ -65,7 +65,7 @@ pub struct MarkPlace {
 }
 
 impl MarkPlace {
-    /// Of a mark known equally well in both axes.
+    /// Position of a mark with the same sigma in both axes.
     pub fn new(at: PlateMil, sigma_mil: f64) -> Self {
         Self {
             at,
@@ -73,14 +73,14 @@ impl MarkPlace {
         }
     }
 
-    /// Mean of both axes.
+    /// Mean variance of both axes.
     pub fn variance_mil2(&self) -> f64 {
         let [x, y] = self.sigma_mil;
         (x * x + y * y) / 2.0
     }
 }
 
-/// A mark of a plate, as it was drawn and as it is.
+/// A mark of a plate, as drawn and as known now.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct PlateMark {
     id: MarkId,
@@ -88,28 +88,28 @@ struct PlateMark {
     place: MarkPlace,
 }
 
-/// A plate: where every mark is, and how well that is known.
+/// A plate: position and uncertainty of every mark.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plate {
     pub shape: MarkShape,
-    /// The Sun may stand within this of the plate's centre.
+    /// The Sun's centre may be within this distance of the plate's centre.
     pub field_radius_mil: f64,
     pattern: Pattern,
     drawing_sigma_mil: f64,
-    /// In the order of their ids.
+    /// The marks, ordered by id.
     marks: Vec<PlateMark>,
     /// Variance of the best known mark's position, per axis.
     least_variance_mil2: f64,
 }
 
 impl Plate {
-    /// The plate of 2013 as drawn, every mark within `sigma_mil` (1 sigma per axis) of its drawn position.
+    /// The plate of 2013 as drawn, with every mark within `sigma_mil` (1 sigma per axis) of its drawn position.
     pub fn heroes(shape: MarkShape, sigma_mil: f64) -> Self {
         let place = |id| (id, MarkPlace::new(heroes::position(id), sigma_mil));
         Self::new(Pattern::Heroes, shape, sigma_mil, heroes::ids().map(place))
     }
 
-    /// A plate of marks, each with an id of its own; `sigma_mil` is that of marks of which nothing else is said.
+    /// A plate of marks with unique ids; `sigma_mil` is the default for marks without a sigma of their own.
     pub fn new(
         pattern: Pattern,
         shape: MarkShape,
@@ -123,7 +123,7 @@ impl Plate {
         };
         let mut marks: Vec<PlateMark> = marks.into_iter().map(mark).collect();
         marks.sort_by_key(|mark| mark.id);
-        /// Where nothing is stated, the field reaches to this part of the marks.
+        /// If the field is not stated, its radius is this fraction of the marks' extent.
         const FIELD: f64 = 0.7;
         let mut plate = Self {
             shape,
@@ -150,12 +150,12 @@ impl Plate {
         self.pattern
     }
 
-    /// How well the drawing is known to be printed: 1 sigma per axis of marks of which nothing else is said, mil.
+    /// Uncertainty of the print relative to the drawing: 1 sigma per axis of marks without a sigma of their own, mil.
     pub fn drawing_sigma_mil(&self) -> f64 {
         self.drawing_sigma_mil
     }
 
-    /// How many marks it has.
+    /// Number of marks.
     pub fn count(&self) -> usize {
         self.marks.len()
     }
@@ -165,7 +165,7 @@ impl Plate {
         self.marks.get(index)
     }
 
-    /// Replaces a mark's drawn position by a measured one; nothing of a mark that the plate has not.
+    /// Replaces a mark's drawn position by a measured one; ignores an id that the plate does not have.
     pub fn set(&mut self, id: MarkId, position: PlateMil, sigma_mil: [f64; 2]) {
         let index = self.marks.binary_search_by_key(&id, |mark| mark.id);
         let Some(mark) = index.ok().and_then(|index| self.marks.get_mut(index)) else {
@@ -178,28 +178,28 @@ impl Plate {
         self.find_least_variance();
     }
 
-    /// Where a mark is; `None` of one that the plate has not.
+    /// Position of a mark; `None` for an id that the plate does not have.
     pub fn position(&self, id: MarkId) -> Option<PlateMil> {
         Some(self.mark(id)?.place.at)
     }
 
-    /// Where a mark is and how well that is known; `None` of one that the plate has not.
+    /// Position of a mark and its uncertainty; `None` for an id that the plate does not have.
     pub fn place(&self, id: MarkId) -> Option<MarkPlace> {
         Some(self.mark(id)?.place)
     }
 
-    /// Where the drawing puts a mark.
+    /// Drawn position of a mark.
     pub fn drawn_position(&self, id: MarkId) -> Option<PlateMil> {
         Some(self.mark(id)?.drawn.at)
     }
 
-    /// Where a mark was measured: it is not where the drawing has it, or known otherwise than by the drawing.
+    /// Measured position of a mark: its position or sigma differs from the drawing's.
     pub fn measured(&self, id: MarkId) -> Option<MarkPlace> {
         let mark = self.mark(id)?;
         (mark.place != mark.drawn).then_some(mark.place)
     }
 
-    /// The drawing so many times as large, its marks and how well they are known, too.
+    /// The plate scaled by a factor, including its marks and their sigmas.
     pub fn scaled(&self, by: f64) -> Self {
         let scaled = |mark: &PlateMark| {
             let place = MarkPlace {
@@ -217,7 +217,7 @@ impl Plate {
         )
     }
 
-    /// The plate as it was drawn, nothing of it measured.
+    /// The plate as drawn, without measured positions.
     pub fn as_drawn(&self) -> Self {
         let mut drawn = self.clone();
         for mark in &mut drawn.marks {
@@ -227,16 +227,16 @@ impl Plate {
         drawn
     }
 
-    /// By how much the variance of a mark's position exceeds that of the plate's best known mark, mil^2 per axis: nothing on
-    /// a plate whose marks are all equally well known.
+    /// Difference between the variance of a mark's position and that of the plate's best known mark, mil^2 per axis: zero
+    /// if all marks are known equally well.
     pub fn excess_variance_mil2(&self, id: MarkId) -> f64 {
         self.mark(id).map_or(0.0, |mark| {
             mark.place.variance_mil2() - self.least_variance_mil2
         })
     }
 
-    /// Distance of the plate's edge from its centre, mil: of the outermost mark on an axis of the pattern of 2013, of another drawing's
-    /// outermost mark.
+    /// Distance of the plate's edge from its centre, mil: for the pattern of 2013, of the outermost mark on an axis; for
+    /// other drawings, of the outermost mark.
     pub fn edge_mil(&self) -> f64 {
         match self.pattern {
             Pattern::Heroes => heroes::position(heroes::EDGE).vector().norm(),
@@ -247,7 +247,7 @@ impl Plate {
         }
     }
 
-    /// How far its marks are drawn from the plate's axes at most, mil.
+    /// Largest distance of a drawn mark from the plate's axes, mil.
     pub fn reach_mil(&self) -> f64 {
         let reach = self.marks.iter().map(|mark| mark.drawn.at);
         reach
@@ -255,7 +255,7 @@ impl Plate {
             .fold(0.0, f64::max)
     }
 
-    /// How many marks an area of the plate holds, 1 / mil^2, on average over the rectangle that all of them fill.
+    /// Mean number of marks per area, 1 / mil^2, over the bounding rectangle of all marks.
     pub fn density_per_mil2(&self) -> f64 {
         let side = |of: fn(&PlateMil) -> f64| {
             let along = || self.marks.iter().map(|mark| of(&mark.drawn.at));
@@ -275,7 +275,7 @@ impl Plate {
         self.marks.iter().map(|mark| (mark.id, mark.drawn.at))
     }
 
-    /// The marks in the square that reaches so far about a position, in the order of all.
+    /// The marks in a square of half width `reach_mil` around a position, ordered by id.
     pub fn marks_about(
         &self,
         at: PlateMil,

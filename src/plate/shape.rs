@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Rotation2, Vector2};
 
-/// The shape of a plate's marks: one for all of them.
+/// The shape of a plate's marks, the same for all of them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MarkShape {
     Cross(Cross),
@@ -12,10 +12,10 @@ pub enum MarkShape {
     },
 }
 
-/// Two arms that cross at right angles in their middles.
+/// Two arms that cross at right angles in their centres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cross {
-    /// Tip to tip.
+    /// Length from tip to tip.
     pub arm_length_mil: f64,
     pub arm_width_mil: f64,
     /// Angle of an arm from the plate's +X towards +Y.
@@ -23,7 +23,7 @@ pub struct Cross {
 }
 
 impl Cross {
-    /// Those of the plate of 2013 (Cramer 2014, section 4.3.1).
+    /// The cross of the plate of 2013 (Cramer 2014, section 4.3.1).
     pub const HEROES: Self = Self {
         arm_length_mil: 90.0,
         arm_width_mil: 12.0,
@@ -32,7 +32,7 @@ impl Cross {
 }
 
 impl MarkShape {
-    /// From one end to the other: of a cross from tip to tip, of a dot its diameter.
+    /// Size from one end to the other: length of a cross from tip to tip, or a dot's diameter.
     pub fn size_mil(&self) -> f64 {
         match self {
             Self::Cross(cross) => cross.arm_length_mil,
@@ -40,7 +40,7 @@ impl MarkShape {
         }
     }
 
-    /// Width of the lines that it is drawn with; of a dot its radius.
+    /// Line width of a cross, or a dot's radius.
     pub fn line_mil(&self) -> f64 {
         match self {
             Self::Cross(cross) => cross.arm_width_mil,
@@ -48,7 +48,7 @@ impl MarkShape {
         }
     }
 
-    /// The same shape so many times as large.
+    /// The same shape scaled by a factor.
     pub fn scaled(&self, by: f64) -> Self {
         match self {
             Self::Cross(cross) => Self::Cross(Cross {
@@ -62,7 +62,7 @@ impl MarkShape {
         }
     }
 
-    /// Directions on the plate of a cross's arms, as columns; of a dot, which has none, the plate's axes.
+    /// Directions of a cross's arms on the plate, as columns; for a dot, which has none, the plate's axes.
     pub fn arms(&self) -> Matrix2<f64> {
         match self {
             Self::Cross(cross) => Rotation2::new(cross.arm_angle_deg.to_radians()).into_inner(),
@@ -70,8 +70,8 @@ impl MarkShape {
         }
     }
 
-    /// Gives whether a mark, and a margin about it, covers an offset from its middle that `to_plate` leads to one along the plate's
-    /// axes, mil.
+    /// Returns a function that says whether a mark, with a margin, covers an offset from its centre; `to_plate` maps the
+    /// offset to one along the plate's axes, mil.
     pub fn covers(
         &self,
         margin_mil: f64,
@@ -93,7 +93,7 @@ impl MarkShape {
         }
     }
 
-    /// As the instrument's file says it.
+    /// The name in the instrument's file.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Cross(_) => "cross",

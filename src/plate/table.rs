@@ -4,11 +4,11 @@ use super::{MAX_INDEX, MarkId, MarkPlace, Plate};
 use crate::units::{MIL_MM, PlateMil};
 use std::collections::HashMap;
 
-/// Faults of a table of marks.
+/// Error in a table of marks.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{field}: expected {expected}, found {found}")]
 pub struct TableError {
-    /// The line, and the column where it is of one.
+    /// The line, and the column if only one is wrong.
     pub field: String,
     pub expected: String,
     pub found: String,
@@ -28,10 +28,10 @@ impl TableError {
     }
 }
 
-/// Marks with their places; a mark without a sigma has `sigma_mil`. Lines that begin with `#` are comments.
+/// Reads marks with their positions; a mark without a sigma gets `sigma_mil`. Lines that begin with `#` are comments.
 ///
 /// # Errors
-/// The line, the column and what was expected there: a name of a column, a number, an id that no other line has.
+/// The line, the column and what was expected there: a column name, a number, or an id that no other line has.
 pub fn read_table(text: &str, sigma_mil: f64) -> Result<Vec<(MarkId, MarkPlace)>, TableError> {
     // Spreadsheets begin their files with a byte order mark.
     let text = text.trim_start_matches('\u{feff}');
@@ -64,7 +64,7 @@ pub fn read_table(text: &str, sigma_mil: f64) -> Result<Vec<(MarkId, MarkPlace)>
     Ok(marks)
 }
 
-/// The table of a drawing, to a thousandth of a mil.
+/// The table of a drawing, rounded to 0.001 mil.
 pub fn table_text(plate: &Plate) -> String {
     let mut text = String::from("i,j,x_mil,y_mil\n");
     for (id, at) in plate.drawn_marks() {
@@ -73,7 +73,7 @@ pub fn table_text(plate: &Plate) -> String {
     text
 }
 
-/// Where the columns of a table stand.
+/// Indices of the columns of a table.
 struct Columns {
     i: usize,
     j: usize,

@@ -1,4 +1,5 @@
-//! Detections as the flight expects them: some marks are missed, some detections false, by the shares that its evidence counts with.
+//! Detections as expected in flight: some marks are missed and some detections are false, with the probabilities that the
+//! flight software assumes.
 
 use super::scene::{CONTRAST, CheckScene, Seen};
 use crate::aspect::missed_share;
@@ -13,7 +14,7 @@ use rand::{Rng, RngExt};
 use rand_distr::{Distribution, Poisson, StandardNormal};
 use std::f64::consts::TAU;
 
-/// Detections among clutter: marks are missed, false detections lie anywhere on the disc.
+/// Detections among clutter: marks are missed, and false detections lie anywhere on the disc.
 pub(super) fn among_clutter(scene: &CheckScene, rng: &mut impl Rng) -> Seen {
     let all = scene.all_found(rng);
     let missed = missed_share(&all.detections);
@@ -31,7 +32,7 @@ pub(super) fn among_clutter(scene: &CheckScene, rng: &mut impl Rng) -> Seen {
             seen.push(Some(mark.id), detection);
         }
     }
-    // A Poisson distribution of a positive mean is one.
+    // The mean is positive, so the distribution exists.
     let count = Poisson::new(FALSE_ON_DISC).map_or(0.0, |count| count.sample(rng));
     for _ in 0..count as usize {
         let radius = scene.radius_px() * rng.random_range(0.0_f64..1.0).sqrt();
@@ -51,7 +52,7 @@ pub(super) fn among_clutter(scene: &CheckScene, rng: &mut impl Rng) -> Seen {
     seen
 }
 
-/// The contrast of this print in such a share of the cases, else any.
+/// The contrast of this print with the probability `share_of_print`, otherwise any contrast.
 fn contrast(share_of_print: f64, rng: &mut impl Rng) -> f64 {
     match rng.random_bool(share_of_print) {
         true => CONTRAST * (CONTRAST_SCATTER * rng.sample::<f64, _>(StandardNormal)).exp(),
@@ -59,7 +60,7 @@ fn contrast(share_of_print: f64, rng: &mut impl Rng) -> f64 {
     }
 }
 
-/// Of detections nearer to each other than marks are long the flight keeps one.
+/// Whether a detection is farther from the others than a mark's length; of nearer ones the flight software keeps one.
 fn is_apart(seen: &Seen, at: SensorPx, scene: &CheckScene) -> bool {
     let apart_px = 2.0 * scene.view.image.half_length_px;
     let mut others = seen.detections.marks.iter();
@@ -93,7 +94,7 @@ mod tests {
             found += seen.ids.iter().flatten().count();
             false_ones += seen.ids.iter().filter(|id| id.is_none()).count();
         }
-        // Some fall on marks, where the flight keeps one of the two.
+        // Some fall on marks, where the flight software keeps one of the two.
         assert!((600..1000).contains(&false_ones), "{false_ones}");
         let found = found as f64 / 1000.0;
         assert!(

@@ -1,4 +1,4 @@
-//! Results of the check of a plate: place by place, and in few numbers.
+//! Results of the check of a plate: for each place, and as a summary.
 
 use super::Rotations;
 use crate::instrument::LensMisfit;
@@ -6,28 +6,28 @@ use crate::units::PlateMil;
 use serde::{Serialize, Serializer};
 use std::collections::BTreeMap;
 
-/// Result of a place of the Sun.
+/// Result for a position of the Sun.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct CheckedPlace {
     pub x_mil: f64,
     pub y_mil: f64,
-    /// Marks that are fully lit.
+    /// Number of fully lit marks.
     pub lit: usize,
-    /// The part of the limb that no mark hides, 0 to 1.
+    /// Fraction of the limb not masked by marks, 0 to 1.
     pub limb_free: f64,
     pub verdict: PlaceVerdict,
-    /// By how much the logarithm of the odds of the true labelling exceeds what is asked, the least of the draws.
+    /// Difference between the logarithm of the odds of the true labelling and its limit, the minimum over the draws.
     pub margin: Option<f64>,
-    /// The worst that becomes of draws that are read when marks are missed and detections false as often as the flight expects.
+    /// The worst verdict of safe draws if marks are missed and detections false as often as the flight software expects.
     pub among_clutter: Option<PlaceVerdict>,
-    /// How well the Sun's place would be known, 1 sigma per axis.
+    /// Uncertainty of the Sun's position, 1 sigma per axis.
     pub sigma_mil: Option<f64>,
-    /// By how much marks move it that are misprinted as far as the plate's sigmas say, 1 sigma per axis.
+    /// Error of the Sun's position from misprinted marks, according to the plate's sigmas, 1 sigma per axis.
     pub misprint_mil: Option<f64>,
 }
 
 impl CheckedPlace {
-    /// A place where no mark is lit.
+    /// A position at which no mark is lit.
     pub(super) fn unlit(at: PlateMil) -> Self {
         Self {
             x_mil: at.x,
@@ -42,7 +42,7 @@ impl CheckedPlace {
         }
     }
 
-    /// The least of the draws so far, and another one.
+    /// Takes in another draw: keeps the worst verdict and the smallest margin.
     pub(super) fn worsen(&mut self, verdict: PlaceVerdict, margin: f64) {
         let (worst, least) = match self.margin {
             Some(least) => (self.verdict, least),
@@ -56,24 +56,24 @@ impl CheckedPlace {
     }
 }
 
-/// Fate of frames with the Sun at a place.
+/// Result of frames with the Sun at a position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlaceVerdict {
-    /// Its marks are read, and as no others.
+    /// Its marks are identified correctly.
     Safe,
-    /// Fewer marks are lit on the sensor than make a mapping.
+    /// Fewer marks are lit on the sensor than a mapping needs.
     FewMarks,
     /// Another labelling is nearly as likely.
     Ambiguous,
     /// The marks fit several places of the plate.
     SeveralPlaces,
-    /// Its marks are read as others.
+    /// Its marks are identified as others.
     Wrong,
 }
 
 impl PlaceVerdict {
-    /// All of them, the best first.
+    /// All verdicts, the best first.
     pub const ALL: [Self; 5] = [
         Self::Safe,
         Self::FewMarks,
@@ -82,7 +82,7 @@ impl PlaceVerdict {
         Self::Wrong,
     ];
 
-    /// Its meaning.
+    /// Meaning of the verdict.
     pub fn meaning(self) -> &'static str {
         match self {
             Self::Safe => "marks are read, and as no others",
@@ -102,20 +102,21 @@ pub struct PlateCheck {
     pub shape: &'static str,
     pub field_radius_mil: f64,
     pub rotations: Rotations,
-    /// Why no frame can be read at all.
+    /// Why no frame can be identified at all.
     #[serde(serialize_with = "as_text")]
     pub misfit: Option<LensMisfit>,
     pub places: Vec<CheckedPlace>,
 }
 
 impl PlateCheck {
-    /// How many places have a verdict.
+    /// Number of places with a verdict.
     pub fn count(&self, verdict: PlaceVerdict) -> usize {
         let places = self.places.iter();
         places.filter(|place| place.verdict == verdict).count()
     }
 
-    /// The part of the field where frames cannot be read, and what most of it lacks; `None` where they can be read all over it.
+    /// Fraction of the field where frames cannot be identified, and the most frequent reason; `None` if they can be
+    /// identified everywhere.
     pub fn unreadable(&self) -> Option<(f64, &'static str)> {
         let bad = PlaceVerdict::ALL.into_iter().skip(1);
         let counts = bad.map(|verdict| (self.count(verdict), verdict.meaning()));
@@ -125,7 +126,7 @@ impl PlateCheck {
         (most.0 > 0).then_some((part, most.1))
     }
 
-    /// Whether frames can be read all over the field.
+    /// Whether frames can be identified all over the field.
     pub fn passes(&self) -> bool {
         self.misfit.is_none() && self.count(PlaceVerdict::Safe) == self.places.len()
     }
@@ -152,7 +153,7 @@ impl PlateCheck {
         }
     }
 
-    /// A number of the places that have it, the least first.
+    /// The values of a quantity at the places that have one, in ascending order.
     fn sorted(&self, of: impl Fn(&CheckedPlace) -> Option<f64>) -> Vec<f64> {
         let mut numbers: Vec<f64> = self.places.iter().filter_map(of).collect();
         numbers.sort_by(f64::total_cmp);
@@ -160,25 +161,25 @@ impl PlateCheck {
     }
 }
 
-/// The check in few numbers.
+/// Summary of the check.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CheckSummary {
-    /// Whether frames can be read all over the field.
+    /// Whether frames can be identified all over the field.
     pub passes: bool,
-    /// How many places have each verdict that any has.
+    /// Number of places of each verdict that occurs.
     pub places: BTreeMap<PlaceVerdict, usize>,
     pub fewest_lit: Option<usize>,
-    /// The part of the limb that no mark hides, where marks hide most of it.
+    /// Unmasked fraction of the limb at the place where marks mask most of it.
     pub least_limb_free: Option<f64>,
-    /// By how much the logarithm of the odds exceeds what is asked, at the worst place.
+    /// Difference between the logarithm of the odds and its limit, at the worst place.
     pub least_margin: Option<f64>,
-    /// Of the draws that are read when all that must be is found, the share that is read among clutter, too.
+    /// Share of the safe draws that are safe among clutter as well.
     pub read_among_clutter: Option<f64>,
-    /// Of the Sun's place by noise, 1 sigma per axis.
+    /// Uncertainty of the Sun's position from noise, 1 sigma per axis.
     pub least_sigma_mil: Option<f64>,
     pub median_sigma_mil: Option<f64>,
     pub most_sigma_mil: Option<f64>,
-    /// The same by misprints.
+    /// Largest error of the Sun's position from misprints, 1 sigma per axis.
     pub most_misprint_mil: Option<f64>,
 }
 

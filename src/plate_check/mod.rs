@@ -1,15 +1,17 @@
-//! Whether a plate will work, before it is made.
+//! Check of a plate before it is made.
 //!
 //! # Method
-//! The Sun is put all over the plate's field, and at each place the camera is mounted as far off its stated mounting as its sigmas say.
-//! No frame is drawn: the marks that would be detected follow from the drawing, each displaced by the sigmas of its detection and of the
-//! print, and the flight's own identification judges them. It says by how much the odds of its labelling against every rival exceed what the
-//! flight asks: a place whose least margin of all draws is below 0 is ambiguous.
+//! The Sun is placed all over the plate's field, and at each position the camera's mounting is drawn from the stated one
+//! and its sigmas. No frame is rendered: the marks that would be detected follow from the drawing, each displaced by the
+//! sigmas of its detection and of the print, and the flight's own identification is applied to them. It returns the
+//! difference between the odds of its labelling against every rival and their limit: a position whose smallest margin over
+//! all draws is below 0 is ambiguous.
 //!
-//! A draw of each place is judged once more with marks missed and detections false as often as the flight's evidence expects (module
-//! `clutter`): how many are read then is reported beside the verdicts, and changes one only where marks are read as others.
+//! Some draws of each position are judged once more with marks missed and detections false as often as the flight's
+//! evidence expects (module `clutter`): the share that is identified then is reported beside the verdicts, and changes a
+//! verdict only if marks are identified as others.
 //!
-//! How well the Sun's place would be known follows from the marks' and the limb's own sigmas (module `sigma`).
+//! The uncertainty of the Sun's position follows from the marks' and the limb's own sigmas (module `sigma`).
 //!
 //! ```text
 //! scene <- sigma, clutter; these, found <- mod; found <- page
@@ -39,30 +41,31 @@ use serde::Serialize;
 /// Extent of a check.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CheckSettings {
-    /// Places of the Sun, evenly over the field.
+    /// Number of positions of the Sun, evenly distributed over the field.
     pub places: u64,
-    /// Mountings that are drawn at each place.
+    /// Number of mountings that are drawn at each position.
     pub draws: u64,
-    /// Of these, so many are judged among clutter, too.
+    /// Number of these that are also judged among clutter.
     pub cluttered_draws: u64,
     pub rotations: Rotations,
-    /// Noise of a frame over the light of the disc's middle.
+    /// Noise of a frame relative to the brightness of the disc's centre.
     pub noise_share: f64,
     pub seed: u64,
 }
 
-/// How the camera may be turned.
+/// Range of the camera's rotation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Rotations {
     /// Within the stated sigma.
     Stated,
-    /// Anyhow.
+    /// Any rotation.
     Any,
 }
 
 impl CheckSettings {
-    /// Enough to warn of a plate: a part of a second, or two where it has 2,000 marks or dots that may be turned anyhow.
+    /// Sufficient to warn of a plate. Takes a fraction of a second, or two seconds for 2,000 marks or for dots at any
+    /// rotation.
     pub fn quick() -> Self {
         Self {
             places: 100,
@@ -107,7 +110,7 @@ pub fn check(
     }
 }
 
-/// Checks some places only, each with its number in the check.
+/// Checks some positions only, each with its index in the check.
 pub(crate) fn check_places(
     instrument: &Instrument,
     solver: &SolverSettings,
@@ -123,7 +126,7 @@ pub(crate) fn check_places(
     places.par_iter().map(checked).collect()
 }
 
-/// The n-th of some places that lie evenly in a circle: on a spiral, each turned from the one before by the golden angle (Vogel 1979).
+/// The n-th of some positions evenly distributed in a circle: on a spiral with steps of the golden angle (Vogel 1979).
 fn evenly(n: u64, count: u64, radius_mil: f64) -> PlateMil {
     const GOLDEN_ANGLE_RAD: f64 = 2.399_963_229_728_653;
     let part = ((n as f64 + 0.5) / count as f64).sqrt();
@@ -153,7 +156,7 @@ fn checked(
     }
     for draw in 0..settings.draws {
         let scene = CheckScene::new(view, at, &view.drawn(settings.rotations, &mut rng));
-        // A mounting that is off may leave fewer marks on the sensor.
+        // A displaced mounting may leave fewer marks on the sensor.
         if scene.lit() < least_marks {
             continue;
         }
@@ -166,7 +169,7 @@ fn checked(
             let unread = (PlaceVerdict::FewMarks, 0.0);
             let (verdict, margin) = among.unwrap_or(unread);
             place.among_clutter = place.among_clutter.max(Some(verdict));
-            // That a mark was missed is no fault of the plate, but a wrong labelling is.
+            // A missed mark is no fault of the plate, but a wrong labelling is.
             if verdict == PlaceVerdict::Wrong {
                 place.worsen(verdict, margin);
             }
@@ -175,14 +178,15 @@ fn checked(
     place
 }
 
-/// The flight's identification of a scene, and by how much its odds exceed what is asked; `None` where it is not the marks
-/// that keep it from being read: fewer than a mapping takes were found, or the mounting is off by more than the flight allows.
+/// The flight's identification of a scene, and the difference between its odds and their limit; `None` if the marks'
+/// pattern is not the cause of a failure: too few marks for a mapping were found, or the mounting is off by more than the
+/// flight allows.
 ///
-/// Whether the marks would be read of a camera that is mounted otherwise is left out: the flight asks that of a frame to refuse it.
+/// Whether the marks could be identified for a different mounting is not checked: in flight such a frame is rejected.
 fn judged(scene: &CheckScene, seen: &Seen) -> Option<(PlaceVerdict, f64)> {
     let rejected = match scene.identify(&seen.detections) {
         Ok(found) => {
-            // What is false may lie where a mark is that was missed: nothing distinguishes it from that mark.
+            // A false detection may lie at the position of a missed mark: nothing distinguishes it from that mark.
             let true_ids = found.ids.iter();
             let true_ids = true_ids.filter_map(|(n, id)| Some((seen.ids[*n]?, *id)));
             let right = true_ids.clone().filter(|(truth, id)| truth == id).count();

@@ -1,4 +1,4 @@
-//! The check of a plate as lines of text and as one HTML page.
+//! The check of a plate as lines of text and as an HTML page.
 
 use super::{CheckSummary, CheckedPlace, PlateCheck, Rotations};
 use crate::provenance::{COMMIT, PROGRAM};
@@ -7,10 +7,10 @@ use crate::report::plot::{self, Cell, Ground, Labels, PlotError};
 use serde::Serialize;
 use std::fmt;
 
-/// A number of a place.
+/// A quantity of a place.
 type NumberOf = fn(&CheckedPlace) -> Option<f64>;
 
-/// As lines of text.
+/// Lines of text.
 impl fmt::Display for PlateCheck {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (count, field) = (self.places.len(), self.field_radius_mil);
@@ -72,10 +72,10 @@ impl fmt::Display for PlateCheck {
     }
 }
 
-/// The check as JSON: its numbers and all places.
+/// The check as JSON: its summary and all places.
 ///
 /// # Errors
-/// A number that JSON does not have.
+/// If a number cannot be represented in JSON.
 pub fn json(check: &PlateCheck) -> serde_json::Result<String> {
     #[derive(Serialize)]
     struct Whole<'a> {
@@ -87,10 +87,10 @@ pub fn json(check: &PlateCheck) -> serde_json::Result<String> {
     serde_json::to_string_pretty(&Whole { summary, check })
 }
 
-/// The check as one HTML page that needs nothing beside it.
+/// The check as a self-contained HTML page.
 ///
 /// # Errors
-/// A figure that cannot be drawn.
+/// If a figure cannot be drawn.
 pub fn html(check: &PlateCheck) -> Result<String, PlotError> {
     let mut page = Page::default();
     let verdict = match check.passes() {
@@ -124,7 +124,7 @@ pub fn html(check: &PlateCheck) -> Result<String, PlotError> {
     Ok(page.finish(&format!("Plate of {}", check.instrument)))
 }
 
-/// A number of each place; `None` where no place has it.
+/// A map of a quantity over the places; `None` if no place has it.
 fn map(
     check: &PlateCheck,
     title: &str,
@@ -142,7 +142,7 @@ fn map(
         return Ok(None);
     }
     let reach = 1.05 * check.field_radius_mil;
-    // As wide as the places are apart.
+    // Cell size equal to the spacing of the places.
     let side = check.field_radius_mil * (std::f64::consts::PI / check.places.len() as f64).sqrt();
     let labels = Labels::new(title, "plate X, mil", "plate Y, mil");
     plot::scalar_map(&labels, &Ground::about_zero(reach), &cells, side, unit).map(Some)

@@ -1,4 +1,4 @@
-//! Detections of a plate with the Sun at some place, without a frame.
+//! Detections of a plate with the Sun at a given position, without a frame.
 
 use super::Rotations;
 use crate::aspect::{Expected, MARK_MARGIN_PX, Pipeline, SolverSettings};
@@ -13,25 +13,26 @@ use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 use std::f64::consts::TAU;
 
-/// Contrast of a usual print.
+/// Contrast of a typical print.
 pub(super) const CONTRAST: f64 = 0.8;
-/// How well the arms show the camera's rotation, 1 sigma.
+/// Uncertainty of the camera's rotation from the arms, 1 sigma.
 const ARMS_SIGMA_DEG: f64 = 0.6;
 
-/// A plate before a camera: what all places of the Sun have in common. The Sun is the smallest, which lights the fewest marks.
+/// A plate in front of a camera: the common input for all positions of the Sun. The Sun has its smallest size, which lights
+/// the fewest marks.
 pub(super) struct PlateView<'a> {
     pub instrument: &'a Instrument,
     solver: &'a SolverSettings,
     pipeline: Pipeline<'a>,
-    /// The camera as it is stated.
+    /// Mapping of the camera with the stated mounting.
     pub stated: Mapping,
     pub image: MarkImage,
-    /// Of a mark's detection, 1 sigma per axis.
+    /// Uncertainty of a mark's detection, 1 sigma per axis.
     pub sigma_px: f64,
 }
 
 impl<'a> PlateView<'a> {
-    /// `None` where the stated mounting is no mapping.
+    /// `None` if the stated mounting gives no mapping.
     pub fn new(
         instrument: &'a Instrument,
         solver: &'a SolverSettings,
@@ -56,7 +57,7 @@ impl<'a> PlateView<'a> {
         })
     }
 
-    /// A camera whose mounting is off the stated one as far as its sigmas say, or is turned anyhow.
+    /// A camera whose mounting is drawn from the stated one and its sigmas, or has any rotation.
     pub fn drawn(&self, rotations: Rotations, rng: &mut impl Rng) -> Mapping {
         let mut mounting = (self.instrument.mounting).drawn(|| rng.sample(StandardNormal));
         if rotations == Rotations::Any {
@@ -78,13 +79,13 @@ pub(super) struct LitMark {
     pub id: MarkId,
     pub at: SensorPx,
     pub lighting: Lighting,
-    /// Whether it is found whatever its contrast.
+    /// Whether it is found at any contrast.
     pub is_sure: bool,
-    /// How far it may be from where the plate has it, 1 sigma per axis.
+    /// Uncertainty of its printed position, 1 sigma per axis.
     pub print_mil: f64,
 }
 
-/// The Sun at a place of the plate before a camera that is mounted somehow.
+/// The Sun at a position of the plate in front of a camera with some mounting.
 pub(super) struct CheckScene<'a> {
     pub view: &'a PlateView<'a>,
     pub outline: Ellipse,
@@ -137,7 +138,7 @@ impl<'a> CheckScene<'a> {
         self.outline.mean_radius()
     }
 
-    /// How many marks are fully lit.
+    /// Number of fully lit marks.
     pub fn lit(&self) -> usize {
         self.full().count()
     }
@@ -147,7 +148,7 @@ impl<'a> CheckScene<'a> {
         self.marks.iter().filter(|m| m.lighting == Lighting::Full)
     }
 
-    /// The part of the limb that no mark of the plate hides, 0 to 1.
+    /// Fraction of the limb not masked by marks of the plate, 0 to 1.
     pub fn limb_free(&self, sun: PlateMil) -> f64 {
         const POINTS: usize = 360;
         let (plate, radius_mil) = (&self.view.instrument.plate, self.view.radius_mil());
@@ -165,7 +166,7 @@ impl<'a> CheckScene<'a> {
         (0..POINTS).filter(free).count() as f64 / POINTS as f64
     }
 
-    /// Detections, if these are all that must be found.
+    /// Detections if only the marks that must be found are found.
     pub fn all_found(&self, rng: &mut impl Rng) -> Seen {
         let mut seen = Seen::new(self);
         for mark in self.marks.iter().filter(|mark| mark.is_sure) {
@@ -174,7 +175,7 @@ impl<'a> CheckScene<'a> {
         seen
     }
 
-    /// A detection of a mark, off by its own sigma and by the print's.
+    /// A detection of a mark, displaced by its own sigma and by the print's.
     pub fn detection(&self, mark: &LitMark, rng: &mut impl Rng) -> Detection {
         let print_px = mark.print_mil * self.radius_px() / self.view.radius_mil();
         let sigma_px = self.view.sigma_px.hypot(print_px);
@@ -205,7 +206,7 @@ impl<'a> CheckScene<'a> {
         )
     }
 
-    /// The lighting of something as large as a mark.
+    /// The lighting of an object of a mark's size.
     pub fn lighting(&self, at: SensorPx) -> Lighting {
         let view = self.view;
         Lighting::of(
@@ -229,15 +230,15 @@ impl PlateView<'_> {
     }
 }
 
-/// Detections, and which marks they truly are.
+/// Detections, and the marks that they truly are.
 pub(super) struct Seen {
     pub detections: Detections,
-    /// One for each detection; `None` of a false one.
+    /// One for each detection; `None` for a false one.
     pub ids: Vec<Option<MarkId>>,
 }
 
 impl Seen {
-    /// Nothing but the arms' direction, where the camera resolves them.
+    /// Only the direction of the arms, if the camera resolves them.
     pub fn new(scene: &CheckScene) -> Self {
         let arm = scene.arms;
         let arms_deg = arm.m21.atan2(arm.m11).to_degrees().rem_euclid(90.0);

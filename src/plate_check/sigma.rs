@@ -1,30 +1,32 @@
-//! How well the Sun's place on the plate would be known from marks and limb.
+//! Predicted uncertainty of the Sun's position on the plate from marks and limb.
 //!
 //! # Method
-//! Marks of one sigma s at places r from the Sun's centre determine a similarity there: shift, rotation and scale. The Fisher
-//! matrix of shift (x, y), rotation and scale has the blocks of least squares, and the disc's radius, which is known on the plate,
-//! adds to the scale's. The limb's centre comes on top: a limb that falls by D behind a blur b among noise n shows a shift
-//! along its normal D^2 / (2 sqrt(pi) b n^2) for every px of its length, half of it along each axis.
+//! Marks with a common sigma s at positions r from the Sun's centre determine a similarity there: shift, rotation and
+//! scale. The Fisher matrix of shift (x, y), rotation and scale has the blocks of least squares; the disc's radius, which
+//! is known on the plate, adds to the information on the scale. The limb's centre contributes as well: a limb with a step D
+//! behind a blur b and noise n determines a shift along its normal with the information D^2 / (2 sqrt(pi) b n^2) per px of
+//! its length, half of it along each axis.
 //!
-//! That is the Cramer-Rao bound except for what correlates limb and marks: within a fifth of `accuracy`'s, which differentiates the whole picture.
+//! This is the Cramer-Rao bound apart from correlations between limb and marks: within a fifth of the bound in `accuracy`,
+//! which differentiates the whole picture.
 
 use super::scene::CheckScene;
 use nalgebra::{Matrix4, Vector2};
 use std::f64::consts::PI;
 
-/// Light at the limb: 1 - u of a linear limb darkening of 0.56.
+/// Brightness at the limb: 1 - u of a linear limb darkening of 0.56.
 const LIMB_LIGHT: f64 = 0.44;
 
-/// How well a place would be known.
+/// Predicted uncertainty of a position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct KnownPlace {
-    /// By noise, 1 sigma per axis.
+    /// Error from noise, 1 sigma per axis.
     pub sigma_mil: f64,
-    /// By marks that are off as far as the plate's sigmas say, 1 sigma per axis.
+    /// Error from misprinted marks, according to the plate's sigmas, 1 sigma per axis.
     pub misprint_mil: f64,
 }
 
-/// `None` where marks and limb determine no similarity.
+/// `None` if marks and limb do not determine a similarity.
 pub(super) fn of_place(scene: &CheckScene, noise_share: f64) -> Option<KnownPlace> {
     let (view, radius_px) = (scene.view, scene.radius_px());
     let per_length = (LIMB_LIGHT / noise_share).powi(2) / (2.0 * PI.sqrt() * view.image.blur_px);
@@ -49,7 +51,8 @@ pub(super) fn of_place(scene: &CheckScene, noise_share: f64) -> Option<KnownPlac
     })
 }
 
-/// Mean variance per axis, px^2, of the shift at the origin, by places each of so much information; `of_scale` is what else determines the scale.
+/// Mean variance per axis, px^2, of the shift at the origin, from positions with their information; `of_scale` is
+/// additional information on the scale.
 fn shift_variance(places: impl Iterator<Item = (Vector2<f64>, f64)>, of_scale: f64) -> Option<f64> {
     let mut information = Matrix4::zeros();
     for (r, per_place) in places {
@@ -70,7 +73,7 @@ mod tests {
         let places = [[90.0, 0.0], [-90.0, 0.0], [0.0, 90.0], [0.0, -90.0]].map(Vector2::from);
         let variance = shift_variance(places.map(|p| (p, 25.0)).into_iter(), 0.0).unwrap();
         assert!((variance - 0.01).abs() < 1e-12);
-        // Far from the marks, rotation and scale carry on top: each is known to 1 / (25 x 4 x 90^2).
+        // Far from the marks, the errors of rotation and scale add: each has a variance of 1 / (25 x 4 x 90^2).
         let far = places.map(|p| (p + Vector2::new(180.0, 0.0), 25.0));
         let variance = shift_variance(far.into_iter(), 0.0).unwrap();
         assert!((variance - 0.01 * (1.0 + 4.0)).abs() < 1e-9, "{variance}");

@@ -6,11 +6,11 @@ use crate::plate::{MarkShape, Plate};
 use std::path::Path;
 use toml_edit::{Array, InlineTable, Item, Table, Value, value};
 
-/// An instrument's text with what was designed in place of its own: the plate, its marks in a file `marks.csv` beside it, and lens and
-/// scale where they are others. `path` is what errors name.
+/// An instrument's text with the designed parts replaced: the plate, its marks in a file `marks.csv` beside it, and lens
+/// and scale if they changed. `path` is used in error messages.
 ///
 /// # Errors
-/// A text that is no TOML.
+/// If the text is not TOML.
 pub fn file(
     (path, text): (&Path, &str),
     before: &Instrument,
@@ -19,7 +19,7 @@ pub fn file(
 ) -> Result<String, TomlError> {
     let mut revision = Revision::of(path, text)?;
     revision.put("plate", Item::Table(plate_table(&designed.plate, source)));
-    // Its frames are not those of the instrument that it began with.
+    // Its frames are not those of the original instrument.
     revision.put("name", value(format!("{}-designed", before.name)));
     let field_mil = designed.plate.field_radius_mil;
     let description = format!(
@@ -67,7 +67,7 @@ fn plate_table(plate: &Plate, source: &str) -> Table {
     table
 }
 
-/// A value as an instrument's file states it.
+/// A value in the format of an instrument's file.
 fn entry(number: Value, sigma: Option<f64>, source: &str) -> Item {
     let mut entry = InlineTable::new();
     entry.insert("value", number);

@@ -1,4 +1,4 @@
-//! Places of marks in the making.
+//! Positions of marks during the design.
 
 use super::{DesignError, DesignSettings, Generator};
 use crate::geometry::unit;
@@ -9,18 +9,18 @@ use nalgebra::Vector2;
 use rand::RngExt;
 use std::f64::consts::{PI, TAU};
 
-/// Marks keep so many times their size apart: more than a plate must.
+/// Minimum distance of marks in their size: more than the minimum of a plate.
 const APART_SIZES: f64 = 1.1 * LEAST_APART_SIZES;
-/// How far a mark is displaced from its place on the lattice at most, in the lattice's spacing.
+/// Largest displacement of a mark from its lattice node, in the lattice's spacing.
 const JITTER: f64 = 0.28;
 
-/// Places of marks, and the lattice that they come from.
+/// Positions of marks, and the lattice that they come from.
 #[derive(Debug, Clone)]
 pub(super) struct Layout {
-    /// Each with its place on the lattice.
+    /// Lattice node and position of each mark.
     marks: Vec<(Vector2<f64>, Vector2<f64>)>,
     spacing_mil: f64,
-    /// Marks within this of the Sun's centre are fully lit.
+    /// Marks within this distance of the Sun's centre are fully lit.
     lit_mil: f64,
     least_apart_mil: f64,
     field_mil: f64,
@@ -36,16 +36,17 @@ impl Layout {
         }
     }
 
-    /// The layout of the widest lattice that leaves every place of the field its marks, without those that are not needed.
+    /// The layout of the widest lattice that gives every position of the Sun in the field enough marks, without superfluous
+    /// marks.
     pub fn widest(
         instrument: &Instrument,
         settings: &DesignSettings,
         rng: &mut Generator,
     ) -> Result<Self, DesignError> {
-        /// Blur that a fully lit mark keeps from the limb, px.
+        /// Margin between a fully lit mark and the limb, px.
         const BLUR_PX: f64 = 3.0;
         const STEPS: usize = 60;
-        /// The next lattice is narrower by this.
+        /// Ratio of the spacings of successive lattices.
         const NARROWER: f64 = 0.97;
         let size_mil = settings.shape.size_mil();
         let blur_mil = BLUR_PX * instrument.mounting.scale_mil_per_px.value;
@@ -59,10 +60,10 @@ impl Layout {
             marks_in_view: settings.marks_in_view,
         };
         for _ in 0..STEPS {
-            // Some of them will not be needed.
+            // Some of them will be removed as superfluous.
             layout.check_count(layout.expected_count() / 1.5)?;
             layout.fill(rng);
-            // With marks so near to each other none could be displaced.
+            // Marks so close to each other could not be displaced.
             if layout.spacing_mil * (1.0 - JITTER) < layout.least_apart_mil {
                 break;
             }
@@ -91,7 +92,7 @@ impl Layout {
         }
     }
 
-    /// Puts marks on the lattice, each displaced.
+    /// Puts marks on the lattice, each randomly displaced.
     fn fill(&mut self, rng: &mut Generator) {
         let reach = self.field_mil + self.lit_mil;
         let rows = (reach / (self.spacing_mil * 0.75_f64.sqrt())).ceil() as i32 + 1;
@@ -110,7 +111,7 @@ impl Layout {
         }
     }
 
-    /// A place about a node, apart from the marks so far; the node itself where none is found soon.
+    /// A position near a node, apart from the marks so far; the node itself if none is found in a few tries.
     fn apart_about(&self, node: Vector2<f64>, rng: &mut Generator) -> Vector2<f64> {
         const TRIES: usize = 20;
         for _ in 0..TRIES {
@@ -137,13 +138,13 @@ impl Layout {
         others.all(|(_, other)| (other - at).norm() > self.least_apart_mil)
     }
 
-    /// Places of the Sun all over the field, closer than marks are.
+    /// Positions of the Sun all over the field, closer than the marks.
     fn suns(&self) -> Vec<Vector2<f64>> {
         let step = self.spacing_mil / 5.0;
         let count = (self.field_mil / step).ceil() as i32;
         let along = move || (-count..=count).map(move |n| f64::from(n) * step);
         let all = along().flat_map(|x| along().map(move |y| Vector2::new(x, y)));
-        // The edge itself, too.
+        // Includes the edge itself.
         let edge = (0..360).map(|n| unit(f64::from(n).to_radians()) * self.field_mil);
         all.filter(|at| at.norm() < self.field_mil)
             .chain(edge)
@@ -163,8 +164,8 @@ impl Layout {
             .unwrap_or(0)
     }
 
-    /// Takes marks away without which every place has as many as are asked for, those first that are farthest out, while more are left
-    /// than `least`.
+    /// Removes marks, the outermost first, if every position keeps the requested number without them, while more than
+    /// `least` remain.
     fn prune(&mut self, least: usize) {
         let mut left = self.marks.len();
         let suns = self.suns();
@@ -174,7 +175,7 @@ impl Layout {
         for mark in std::mem::take(&mut self.marks) {
             let near = |n: &usize| (mark.1 - suns[*n]).norm() < self.lit_mil;
             let near: Vec<usize> = (0..suns.len()).filter(near).collect();
-            // Of a mark that nothing lights none is left.
+            // Removes all marks that are lit from no position.
             if left > least && near.iter().all(|n| lit[*n] > self.marks_in_view) {
                 left -= 1;
                 near.iter().for_each(|n| lit[*n] -= 1);
@@ -185,8 +186,8 @@ impl Layout {
         self.marks = kept;
     }
 
-    /// The layout with a mark in view of a place displaced again, and from where to where; `None` where the marks would be too near or too
-    /// few somewhere.
+    /// The layout with one mark in view of a position displaced again, and the mark's positions before and after; `None` if
+    /// the marks would be too close or too few somewhere.
     pub fn displaced(
         &self,
         sun: PlateMil,
@@ -217,7 +218,7 @@ impl Layout {
                 .partial_cmp(&(b.y, b.x))
                 .unwrap_or(std::cmp::Ordering::Equal)
         });
-        // The plate is made as it was checked: to a thousandth of a mil.
+        // The plate is made as it was checked: rounded to 0.001 mil.
         let rounded = |v: f64| (v * 1e3).round() / 1e3;
         let mark = |(i, at): (i32, Vector2<f64>)| {
             let at = PlateMil::new(rounded(at.x), rounded(at.y));

@@ -1,11 +1,11 @@
-//! A plate designed: places for marks such that frames can be read all over a field.
+//! Design of a plate: positions of marks such that frames can be identified all over a field.
 //!
 //! # Method
-//! 1. Marks on a triangular lattice, each displaced at random, so that no two places of the plate show the same pattern. The lattice is as
-//!    wide as leaves every place of the Sun in the field the marks that are asked for.
+//! 1. Marks on a triangular lattice, each displaced at random, so that no two places of the plate show the same pattern.
+//!    The lattice is the widest that leaves every position of the Sun in the field the requested number of marks.
 //! 2. Marks that no place needs are removed: fewer marks leave more of the limb free.
-//! 3. The [check](crate::plate_check) judges it. A mark about the place of the least margin is displaced again, and a plate that
-//!    the check likes better is kept: so many times.
+//! 3. The [check](crate::plate_check) judges it. A mark near the position with the smallest margin is displaced again, and
+//!    the new plate is kept if the check rates it higher; this is repeated.
 //! 4. The best of several trials, by the whole check.
 //!
 //! ```text
@@ -31,25 +31,26 @@ type Generator = Xoshiro256PlusPlus;
 /// Goals of a design.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DesignSettings {
-    /// The Sun may stand within this of the plate's centre.
+    /// The Sun's centre may be within this distance of the plate's centre.
     pub field_mil: f64,
-    /// Least marks that are fully lit wherever it stands.
+    /// Minimum number of fully lit marks for any position of the Sun in the field.
     pub marks_in_view: usize,
-    /// Marks that are kept even where fewer would do: more of them determine the Sun's place better, and hide more of the limb.
+    /// Minimum number of marks that are kept even if fewer would do: more marks determine the Sun's position better, and
+    /// mask more of the limb.
     pub least_marks: usize,
     pub shape: MarkShape,
     pub rotations: Rotations,
     pub trials: u64,
-    /// How often marks are displaced in a trial.
+    /// Number of displacements of marks per trial.
     pub exchanges: usize,
     pub seed: u64,
 }
 
-/// Plates that are tried, unless it is said otherwise.
+/// Default number of trials.
 pub const TRIALS: u64 = 8;
 
 impl DesignSettings {
-    /// Crosses as on the plate of 2013, as many trials and exchanges as half a minute allows.
+    /// Crosses as on the plate of 2013, with as many trials and exchanges as take half a minute.
     pub fn new(field_mil: f64, marks_in_view: usize) -> Self {
         Self {
             field_mil,
@@ -64,12 +65,13 @@ impl DesignSettings {
     }
 }
 
-/// A cross that an instrument's camera reads well and that leaves space for others on the disc, its arms of whole mil.
+/// A cross that an instrument's camera identifies well and that leaves space for others on the disc; its dimensions are
+/// whole mil.
 pub fn usual_cross(instrument: &Instrument) -> MarkShape {
     cross_of(usual_mil(instrument, 15.6, 1.0 / 6.0))
 }
 
-/// A cross as that of the plate of 2013, its arms so long.
+/// A cross of the proportions of the plate of 2013, with the given arm length.
 pub fn cross_of(arm_length_mil: f64) -> MarkShape {
     MarkShape::Cross(Cross {
         arm_length_mil,
@@ -78,14 +80,14 @@ pub fn cross_of(arm_length_mil: f64) -> MarkShape {
     })
 }
 
-/// A dot of the same kind, of whole mil.
+/// A dot chosen in the same way, of whole mil.
 pub fn usual_dot(instrument: &Instrument) -> MarkShape {
     MarkShape::Dot {
         diameter_mil: usual_mil(instrument, 9.0, 1.0 / 10.0),
     }
 }
 
-/// In pixels, or this part of the Sun's radius if that is less.
+/// A length in pixels, or a fraction of the Sun's radius if that is less, as whole mil.
 fn usual_mil(instrument: &Instrument, px: f64, of_radius: f64) -> f64 {
     let radius_mil = instrument.optics.radius_mil(MEAN_SUN_ARCSEC);
     let mil = (px * instrument.mounting.scale_mil_per_px.value).min(of_radius * radius_mil);
@@ -109,10 +111,10 @@ pub enum DesignError {
     TooMany { count: f64, field_mil: f64 },
 }
 
-/// Designs a plate for an instrument, whose lens and camera it is for; `done` is called after every exchange.
+/// Designs a plate for an instrument with its lens and camera; `done` is called after every exchange.
 ///
 /// # Errors
-/// Marks too large or too many for the Sun's disc.
+/// If the marks are too large or too many for the Sun's disc.
 pub fn design(
     instrument: &Instrument,
     settings: &DesignSettings,
@@ -124,7 +126,7 @@ pub fn design(
         let layout = Layout::widest(instrument, settings, &mut rng)?;
         layouts.push(improved(instrument, settings, layout, &mut rng, done));
     }
-    // The one that would be chosen needs no check.
+    // A single layout needs no comparison.
     if layouts.len() > 1 {
         let whole = CheckSettings {
             rotations: settings.rotations,
@@ -140,14 +142,14 @@ pub fn design(
     Ok(best.instrument(instrument, settings))
 }
 
-/// A layout with what the check says of it.
+/// A layout with the result of its check.
 #[derive(Debug, Clone)]
 struct Judged {
     layout: Layout,
     places: Vec<CheckedPlace>,
 }
 
-/// Settings of the check of a layout in the making: fewer places than of the finished plate.
+/// Settings of the check during the design: fewer places than for the finished plate.
 fn check_settings(settings: &DesignSettings) -> CheckSettings {
     CheckSettings {
         places: 400,
@@ -172,8 +174,8 @@ impl Judged {
         }
     }
 
-    /// The same with one mark displaced: the places are checked again that light it, or did. Others keep what was found: that one of
-    /// their rivals has another place now changes little, and the whole plate is checked at the end.
+    /// The same with one mark displaced. The positions that light the mark, before or after, are checked again. Others keep
+    /// their result: the changed place of a rival changes little, and the whole plate is checked at the end.
     fn displaced(
         &self,
         instrument: &Instrument,
@@ -200,7 +202,7 @@ impl Judged {
         Some(Self { layout, places })
     }
 
-    /// The place of the Sun of the least margin; one without a margin has none.
+    /// The position of the Sun with the smallest margin; a position without a margin counts as the smallest.
     fn worst(&self) -> Option<&CheckedPlace> {
         let places = self.places.iter();
         places.min_by(|a, b| margin(a).total_cmp(&margin(b)))
@@ -215,7 +217,7 @@ fn margin(place: &CheckedPlace) -> f64 {
     place.margin.unwrap_or(f64::NEG_INFINITY)
 }
 
-/// Displaces a mark about the worst place, and keeps what the check prefers.
+/// Displaces marks near the worst position, and keeps what the check rates higher.
 fn improved(
     instrument: &Instrument,
     settings: &DesignSettings,

@@ -1,4 +1,4 @@
-//! Artwork as DXF of AutoCAD 2000, in mm. Ground and marks are closed outlines on layers of their own.
+//! Artwork as DXF of AutoCAD 2000, in mm. Ground and marks are closed outlines on separate layers.
 
 use super::{Artwork, Layer, Shape};
 use dxf::entities::{Circle, Entity, EntityType, LwPolyline, Text};
@@ -34,19 +34,19 @@ fn name(layer: Layer) -> String {
 
 fn set_header(drawing: &mut Drawing, artwork: &Artwork) {
     let header = &mut drawing.header;
-    // The first that states its unit.
+    // The first version that states its unit.
     header.version = AcadVersion::R2000;
     header.default_drawing_units = Units::Millimeters;
     header.drawing_units = DrawingUnits::Metric;
     header.minimum_drawing_extents = flat(artwork.frame.low);
     header.maximum_drawing_extents = flat(artwork.frame.high);
-    // One drawing gives one file, whenever and wherever it is written.
+    // One drawing gives identical files, independent of place and time.
     header.fingerprint_guid = Default::default();
     header.version_guid = Default::default();
     set_dates(header);
 }
 
-/// The format wants dates, in local time too. All are the day from which the crate counts, the only one that no time zone shifts.
+/// The format requires dates, also in local time. All are set to the crate's epoch, the only one that no time zone shifts.
 fn set_dates(header: &mut Header) {
     header.creation_date_universal = Default::default();
     let first = header.creation_date_universal.naive_utc() - FROM_1900_TO_1970;

@@ -1,6 +1,6 @@
 //! Artwork as Gerber (RS-274X with attributes), in mm.
 //!
-//! The format has no letters: words are flashed as rectangles. A comment repeats them for who searches the file.
+//! The format has no letters: words are flashed as rectangles. A comment repeats them for text searches in the file.
 
 use super::{Artwork, Item, Layer, Rectangle, Shape, Tone, letters, on_grid};
 use crate::provenance::VERSION;
@@ -17,7 +17,7 @@ fn format() -> CoordinateFormat {
     CoordinateFormat::new(ZeroOmission::Leading, CoordinateMode::Absolute, 4, 6)
 }
 
-/// The first number that an aperture may have.
+/// The lowest number of an aperture.
 const FIRST_APERTURE: i32 = 10;
 
 pub(super) fn write(artwork: &Artwork) -> Result<Vec<u8>, GerberError> {
@@ -56,7 +56,7 @@ fn head(artwork: &Artwork) -> Vec<Command> {
         .collect()
 }
 
-/// Marks that are cut from the ground are drawn in the opposite polarity.
+/// Marks cut from the ground are drawn in the opposite polarity.
 fn polarity(layer: Layer, tone: Tone) -> Polarity {
     match (layer, tone) {
         (Layer::Marks, Tone::ClearMarks) => Polarity::Clear,
@@ -121,7 +121,7 @@ impl Apertures {
     }
 }
 
-/// The apertures that a shape is drawn with.
+/// The apertures of a shape.
 fn used(shape: &Shape) -> Vec<Aperture> {
     match shape {
         Shape::Polygon(_) => Vec::new(),
@@ -179,7 +179,7 @@ fn at(place: Vector2<f64>) -> Option<Coordinates> {
     Some(Coordinates::new(x, y, format()))
 }
 
-/// A comment on one line; what ends a command is escaped.
+/// A comment on one line; characters that end a command are escaped.
 fn comment(text: &str) -> Command {
     let escaped = text.replace('%', "\\u0025").replace('*', "\\u002A");
     FunctionCode::GCode(GCode::Comment(CommentContent::String(escaped))).into()

@@ -3,26 +3,26 @@
 use super::{Rectangle, Shape, point};
 use nalgebra::Vector2;
 
-/// Between neighbours, mm.
+/// Gap between neighbours, mm.
 const GAP_MM: f64 = 3.0;
-/// Of a capital letter, mm.
+/// Height of a capital letter, mm.
 const TEXT_MM: f64 = 2.0;
-/// From one baseline to the next, mm.
+/// Distance between baselines, mm.
 const LINE_MM: f64 = 3.5;
 const FRAME_WIDTH_MM: f64 = 0.2;
 const BAR_HEIGHT_MM: f64 = 1.0;
-/// Of the legs of the orientation corner, mm.
+/// Length of the legs of the orientation corner, mm.
 const CORNER_MM: f64 = 8.0;
-/// A narrower field has the short scale bar.
+/// A field narrower than this has the short scale bar.
 const WIDE_MM: f64 = 110.0;
 
 pub(super) const CORNER_WORDS: &str = "+X +Y";
 
-/// Where everything stands.
+/// Positions of all parts of the artwork.
 pub(super) struct Layout {
-    /// Of the marks.
+    /// Field of the marks.
     pub field: Rectangle,
-    /// About everything.
+    /// Frame around everything.
     pub frame: Rectangle,
     bar_length_mm: f64,
 }
@@ -48,7 +48,7 @@ impl Layout {
         }
     }
 
-    /// Their outer edges are the frame.
+    /// Lines whose outer edges are the frame.
     pub fn frame_lines(&self) -> impl Iterator<Item = Shape> + use<> {
         let middles = Rectangle {
             low: self.frame.low.add_scalar(FRAME_WIDTH_MM / 2.0),
@@ -108,7 +108,7 @@ impl Layout {
     }
 }
 
-/// At most: letters are about as wide as high, and narrower in most fonts.
+/// Upper bound of a text's width: letters are about as wide as high, and narrower in most fonts.
 fn text_width_mm(text: &str) -> f64 {
     TEXT_MM * text.chars().count() as f64
 }

@@ -1,4 +1,4 @@
-//! Letters of a bitmap font as rectangles, for a format that has no letters.
+//! Letters of a bitmap font as rectangles, for a format without text.
 
 use super::{Rectangle, point};
 use embedded_graphics::mono_font::MonoTextStyle;
@@ -10,7 +10,7 @@ use embedded_graphics::text::{Baseline, Text};
 use nalgebra::Vector2;
 use std::convert::Infallible;
 
-/// Rows of a capital letter of the font.
+/// Height of a capital letter of the font, in rows.
 const CAPITAL_PX: f64 = 10.0;
 
 /// The letters of a text: a rectangle for each run of set pixels in a row. The baseline begins at `start`, capital letters are `height_mm`
@@ -26,7 +26,7 @@ pub(super) fn rectangles(
         point(start.x + x, start.y + y)
     };
     runs(text).into_iter().map(move |Run { x, y, length }| {
-        // The font's rows grow downwards, and row 0 stands on the baseline.
+        // The font's rows grow downwards, and row 0 lies on the baseline.
         Rectangle {
             low: corner(x, -y),
             high: corner(x + length, 1 - y),
@@ -34,7 +34,7 @@ pub(super) fn rectangles(
     })
 }
 
-/// Set pixels side by side in a row, the first at (x, y).
+/// Adjacent set pixels in a row, the first at (x, y).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Run {
     x: i32,
@@ -42,7 +42,7 @@ struct Run {
     length: i32,
 }
 
-/// The runs of a text in the order of rows; the baseline begins at (0, 0).
+/// The runs of a text, row by row; the baseline begins at (0, 0).
 fn runs(text: &str) -> Vec<Run> {
     let glyphs = text.chars().map(|c| match ISO_8859_1.contains(c) {
         true => c,
@@ -63,7 +63,7 @@ fn runs(text: &str) -> Vec<Run> {
     .collect()
 }
 
-/// Collects the pixels that a text sets; it has no edges.
+/// Collects the set pixels of a text, without bounds.
 #[derive(Debug, Default)]
 struct SetPixels(Vec<Point>);
 

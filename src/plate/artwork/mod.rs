@@ -1,7 +1,7 @@
 //! Artwork of a plate at true scale: one list of shapes, written as SVG, DXF and Gerber.
 //!
-//! Lengths are in mm from the plate's centre, +X to the right and +Y up, as a person sees the drawn side. Every coordinate is a whole
-//! number of nanometres, which all three formats can state.
+//! Lengths are in mm from the plate's centre, +X to the right and +Y up, as seen on the drawn side. Every coordinate is a
+//! whole number of nanometres, which all three formats can represent.
 
 mod dxf;
 mod gerber;
@@ -16,7 +16,7 @@ use crate::units::{MIL_MM, PlateMil};
 use layout::Layout;
 use nalgebra::Vector2;
 
-/// Whether the marks are printed or left free.
+/// Whether the marks are printed or left clear.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Tone {
     /// Dark marks on clear ground.
@@ -33,7 +33,7 @@ pub enum Layer {
     Marks,
     Frame,
     ScaleBar,
-    /// The corner that shows a mirrored print.
+    /// The corner that reveals a mirrored print.
     Orientation,
     Title,
 }
@@ -78,7 +78,7 @@ pub enum Shape {
     Text {
         /// Left end of the baseline.
         start: Vector2<f64>,
-        /// Of a capital letter.
+        /// Height of a capital letter.
         height_mm: f64,
         text: String,
     },
@@ -122,13 +122,13 @@ pub struct Artwork {
     pub tone: Tone,
     /// Title of the artwork, in lines: the instrument, its marks, the hash of the drawing.
     pub title: Vec<String>,
-    /// The frame about everything.
+    /// The frame around everything.
     pub frame: Rectangle,
-    /// In the order of their layers.
+    /// The items, ordered by layer.
     pub items: Vec<Item>,
 }
 
-/// A format could not hold the artwork.
+/// A format cannot represent the artwork.
 #[derive(Debug, thiserror::Error)]
 pub enum ArtworkError {
     #[error("DXF: {0}")]
@@ -138,7 +138,7 @@ pub enum ArtworkError {
 }
 
 impl Artwork {
-    /// The artwork of an instrument's plate: every mark where the drawing has it, measured places aside.
+    /// The artwork of an instrument's plate: every mark at its drawn position; measured positions are ignored.
     pub fn new(instrument: &str, plate: &Plate, tone: Tone) -> Self {
         let title = title(instrument, plate);
         let layout = Layout::new(field(plate), &title);
@@ -162,10 +162,10 @@ impl Artwork {
         }
     }
 
-    /// The artwork's files: their names and what they hold.
+    /// The artwork's files: names and contents.
     ///
     /// # Errors
-    /// A format that cannot hold the artwork.
+    /// If a format cannot represent the artwork.
     pub fn files(&self) -> Result<[(&'static str, Vec<u8>); 3], ArtworkError> {
         Ok([
             ("plate.svg", svg::write(self)),
@@ -181,7 +181,7 @@ impl Artwork {
     }
 }
 
-/// A point on the grid of all coordinates.
+/// A point rounded to the grid of all coordinates.
 fn point(x_mm: f64, y_mm: f64) -> Vector2<f64> {
     Vector2::new(on_grid(x_mm), on_grid(y_mm))
 }
@@ -207,7 +207,7 @@ fn mark(shape: MarkShape, at: PlateMil) -> Shape {
     }
 }
 
-/// Corners of a cross along its arms, counterclockwise, from its middle.
+/// Corners of a cross along its arms, counterclockwise, relative to its centre.
 fn cross_corners_mil(cross: &Cross) -> [Vector2<f64>; 12] {
     let (tip, side) = (cross.arm_length_mil / 2.0, cross.arm_width_mil / 2.0);
     [
@@ -227,9 +227,9 @@ fn cross_corners_mil(cross: &Cross) -> [Vector2<f64>; 12] {
     .map(|(u, v)| Vector2::new(u, v))
 }
 
-/// The rectangle about all marks, twice their size from the outermost.
+/// The bounding rectangle of all marks, with a margin of twice their size.
 fn field(plate: &Plate) -> Rectangle {
-    // From the middle of a mark to its end, and the margin.
+    // From the centre of a mark to its end, plus the margin.
     let margin_mil = 2.5 * plate.shape.size_mil();
     let places = || plate.drawn_marks().map(|(_, at)| at.vector());
     let low = places().reduce(|a, b| a.inf(&b)).unwrap_or_default();
@@ -240,7 +240,7 @@ fn field(plate: &Plate) -> Rectangle {
 }
 
 fn title(instrument: &str, plate: &Plate) -> Vec<String> {
-    // To 0.1 um.
+    // Rounded to 0.1 um.
     let mm = |mil: f64| (mil * MIL_MM * 1e4).round() / 1e4;
     let count = plate.count();
     let marks = match plate.shape {

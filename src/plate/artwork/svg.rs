@@ -5,7 +5,7 @@ use nalgebra::Vector2;
 use svg::Document;
 use svg::node::element::{Group, Line, Path, Text, Title};
 
-/// Height of a capital letter of common fonts, of the font's size.
+/// Height of a capital letter of common fonts, relative to the font's size.
 const CAPITAL: f64 = 0.72;
 
 pub(super) fn write(artwork: &Artwork) -> Vec<u8> {
@@ -16,7 +16,7 @@ pub(super) fn write(artwork: &Artwork) -> Vec<u8> {
         .set("height", format!("{}mm", size.y))
         .set("viewBox", (left, top, size.x, size.y))
         .add(Title::new(artwork.title.join("; ")));
-    // Even-odd cuts the marks out of the ground: both are one path.
+    // The even-odd rule cuts the marks out of the ground: both are one path.
     let groups = artwork.items.chunk_by(|a, b| group(a) == group(b));
     let document = groups.fold(document, |document, items| match items.first() {
         Some(first) => document.add(drawn(group(first), items)),
@@ -57,7 +57,7 @@ fn drawn(layer: Layer, items: &[Item]) -> Group {
     group.add(path.set("fill", "black"))
 }
 
-/// A closed part of a path. The crate's own paths have single precision.
+/// A closed part of a path. The crate's own paths have only single precision.
 fn polygon(corners: &[Vector2<f64>]) -> String {
     let corners = corners.iter().map(|corner| {
         let [x, y] = down(*corner);
@@ -66,7 +66,7 @@ fn polygon(corners: &[Vector2<f64>]) -> String {
     format!("M{}Z", corners.collect::<Vec<_>>().join("L"))
 }
 
-/// The same of two half circles.
+/// A circle as two half circles of a path.
 fn circle(centre: Vector2<f64>, diameter_mm: f64) -> String {
     let ([x, y], radius_mm) = (down(centre), diameter_mm / 2.0);
     let half = |along_mm: f64| format!("a{radius_mm},{radius_mm},0,1,0,{along_mm},0");
@@ -95,7 +95,7 @@ fn words(start: Vector2<f64>, height_mm: f64, text: &str) -> Text {
         .set("font-size", on_grid(height_mm / CAPITAL))
 }
 
-/// As SVG counts.
+/// Coordinates with y downwards, as in SVG.
 fn down(at: Vector2<f64>) -> [f64; 2] {
     [at.x, 0.0 - at.y]
 }

@@ -11,7 +11,7 @@ use quick_xml::events::Event;
 use std::collections::HashMap;
 use std::io::BufReader;
 
-/// What a file may differ from the drawing.
+/// Largest difference between a file and the drawing.
 const TOLERANCE_MM: f64 = 1e-3;
 const DOT: MarkShape = MarkShape::Dot { diameter_mil: 50.0 };
 
@@ -22,7 +22,7 @@ fn cross(arm_angle_deg: f64) -> MarkShape {
     })
 }
 
-/// Marks at places that no unit makes round, one of which was measured elsewhere.
+/// Marks at positions that are round numbers in no unit; one of them has a measured position.
 fn plate(shape: MarkShape) -> Plate {
     let mark = |n: i32| {
         let angle = 2.4 * f64::from(n);
@@ -37,7 +37,7 @@ fn plate(shape: MarkShape) -> Plate {
     plate
 }
 
-/// Plates of every kind of mark, and the pattern of 2013.
+/// Plates with every kind of mark, and the pattern of 2013.
 fn plates() -> Vec<Plate> {
     let mut plates: Vec<Plate> = [cross(0.0), cross(30.0), DOT].map(plate).into();
     plates.push(builtin("demo").unwrap().plate);
@@ -54,7 +54,7 @@ fn file(artwork: &Artwork, name: &str) -> Vec<u8> {
     bytes
 }
 
-/// Holds the shapes of a file's marks, and of its ground, against the drawing.
+/// Compares the shapes of a file's marks, and of its ground, with the drawing.
 fn check(plate: &Plate, tone: Tone, mut shapes: Vec<Shape>) {
     if tone == Tone::ClearMarks {
         let ground = shapes.remove(0);
@@ -105,7 +105,7 @@ fn check_cross(
     let next = corners.iter().cycle().skip(1);
     let twice_area: f64 = corners.iter().zip(next).map(|(a, b)| a.perp(b)).sum();
     let area_mm2 = width_mm * (2.0 * length_mm - width_mm);
-    // In SVG y grows downwards, and so a cross may turn the other way when it is read.
+    // In SVG y grows downwards, so a cross may have the opposite orientation when it is read.
     assert!((twice_area.abs() / 2.0 - area_mm2).abs() < TOLERANCE_MM * 4.0 * length_mm);
 }
 
@@ -337,7 +337,7 @@ fn gerber_has_every_mark_where_the_drawing_has_it() {
         let artwork = artwork(&plate, tone);
         let mut shapes = flashes_and_regions(&file(&artwork, "plate.gbr"));
         let ground = usize::from(tone == Tone::ClearMarks);
-        // Behind the marks: scale bar, orientation corner and the words.
+        // After the marks: scale bar, orientation corner and words.
         let last = shapes.split_off(ground + plate.count());
         let clear = |(polarity, _): &(Polarity, Shape)| *polarity == Polarity::Clear;
         let marks = &shapes[ground..];
@@ -397,7 +397,7 @@ fn letters_are_as_high_as_stated_upright_and_in_order() {
     let (low, high) = (low.unwrap(), high.unwrap());
     assert!((low.y - start.y).abs() < 1e-6 && (high.y - start.y - 2.0).abs() < 1e-6);
     assert!(low.x >= start.x && high.x <= start.x + 2.0);
-    // The foot of an L is its longest run, and its stem is at the left.
+    // The foot of an L is its longest run, and its stem is on the left.
     let letter = letters("L");
     let foot = letter.iter().find(|run| run.low.y == low.y).unwrap();
     for run in &letter {
@@ -430,7 +430,7 @@ fn what_surrounds_the_marks_is_outside_of_their_field_and_inside_the_frame() {
         }
         for shape in artwork.layer(Layer::Marks) {
             let [low, high] = extent(shape);
-            // The tip of a turned arm reaches a little further than half the mark's size.
+            // The tip of a rotated arm extends slightly farther than half the mark's size.
             let margin_mm = 1.9 * plate.shape.size_mil() * MIL_MM;
             assert!((low - field.low).min() > margin_mm, "{shape:?}");
             assert!((field.high - high).min() > margin_mm, "{shape:?}");
@@ -438,7 +438,7 @@ fn what_surrounds_the_marks_is_outside_of_their_field_and_inside_the_frame() {
     }
 }
 
-/// The corners of the rectangle about a shape; letters are taken as wide as high.
+/// The corners of the bounding rectangle of a shape; letters count as wide as high.
 fn extent(shape: &Shape) -> [Vector2<f64>; 2] {
     match shape {
         Shape::Polygon(corners) => [
