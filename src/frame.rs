@@ -1,4 +1,4 @@
-//! A picture and what is known of how it was taken.
+//! A picture with the circumstances of its exposure.
 
 mod copies;
 mod cutout;
@@ -25,25 +25,25 @@ pub use unreadable::Unreadable;
 use unusable::Unusable;
 pub use warning::{Warning, Warnings};
 
-/// The name of the camera in frames that the simulator has made, which distinguishes them from real ones.
+/// Camera name of frames made by the simulator, which distinguishes them from real ones.
 pub const SIMULATED_CAMERA: &str = "simulated";
 
-/// How a frame was taken. What the source does not state is `None`.
+/// Circumstances of a frame's exposure. A value that the source does not state is `None`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FrameInfo {
     /// Number of the frame in its sequence.
     pub number: Option<u64>,
-    /// The middle of the exposure, UTC: the time the aspect belongs to.
+    /// The middle of the exposure, UTC: the time of the aspect.
     pub mid_exposure: Option<Timestamp>,
-    /// Whether it lies in a leap second, which has the count of the second after it.
+    /// Whether the middle lies in a leap second, which has the same count as the second after it.
     pub in_leap_second: bool,
     /// The middle of the exposure on the host's monotonic clock, since an arbitrary start.
     pub monotonic: Option<Duration>,
-    /// By how much UTC has moved against the monotonic clock since the frame before, where that was a step.
+    /// Step of UTC against the monotonic clock since the previous frame, if there was one.
     pub utc_step: Option<SignedDuration>,
     /// The camera's own clock for this frame, since an arbitrary start.
     pub camera_clock: Option<Duration>,
-    /// How long the shutter was open.
+    /// Exposure time.
     pub exposure: Option<Duration>,
     /// Analogue gain, the camera's own units.
     pub analogue_gain: Option<f64>,
@@ -51,23 +51,23 @@ pub struct FrameInfo {
     pub preamp_gain: Option<f64>,
     /// Temperature of the camera, deg C.
     pub camera_temperature_c: Option<f64>,
-    /// Column and row of the sensor at which the frame's first pixel stands, where only a part of it was read.
+    /// Column and row of the sensor of the frame's first pixel, if only a part of the sensor was read.
     pub corner_px: Option<(usize, usize)>,
-    /// Where the frame was taken.
+    /// Place where the frame was taken.
     pub place: Option<Place>,
-    /// The camera's name, as the source gives it.
+    /// The camera's name in the source.
     pub camera: Option<String>,
-    /// The name of the instrument, as the header has it.
+    /// The instrument's name in the header.
     pub instrument: Option<String>,
-    /// Parts of the file that were not used as they stand; empty for a good one.
+    /// Values of the file that were not used as stored; empty for a good file.
     pub warnings: Vec<Warning>,
-    /// Why the frame has no time although its file states one: one of the warnings.
+    /// The warning that explains why the frame has no time although its file states one.
     pub untimed: Option<Warning>,
-    /// Why the frame has no place although its file states one: one of the warnings.
+    /// The warning that explains why the frame has no place although its file states one.
     pub unplaced: Option<Warning>,
 }
 
-/// Who took a frame, as its header says.
+/// Instrument and camera of a frame, from its header.
 #[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct TakenBy {
     /// `OBSRVTRY`.
@@ -98,13 +98,13 @@ impl FrameInfo {
         self.camera.as_deref() == Some(SIMULATED_CAMERA)
     }
 
-    /// The start of the exposure, where both its middle and its length are known.
+    /// The start of the exposure, if both its middle and its length are known.
     pub fn exposure_start(&self) -> Option<Timestamp> {
         let half = SignedDuration::try_from(self.exposure? / 2).ok()?;
         self.mid_exposure?.checked_sub(half).ok()
     }
 
-    /// The end of the exposure, where both its middle and its length are known.
+    /// The end of the exposure, if both its middle and its length are known.
     pub fn exposure_end(&self) -> Option<Timestamp> {
         let half = SignedDuration::try_from(self.exposure? / 2).ok()?;
         self.mid_exposure?.checked_add(half).ok()
@@ -125,13 +125,13 @@ pub enum FrameError {
     Empty { width: usize, height: usize },
 }
 
-/// A picture with what is known of how it was taken.
+/// A picture with the circumstances of its exposure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
     width: usize,
     height: usize,
     pixels: PixelStorage,
-    /// None where all pixels can be used.
+    /// None if all pixels are usable.
     unusable: Option<Unusable>,
     saturation_dn: u16,
     pub info: FrameInfo,
@@ -157,7 +157,7 @@ impl Frame {
         })
     }
 
-    /// The same of pixels in the caller's memory, which is not copied.
+    /// The same for pixels in the caller's memory, which are not copied.
     pub fn shared(
         width: usize,
         height: usize,
@@ -176,8 +176,8 @@ impl Frame {
         })
     }
 
-    /// A frame of `height` rows that are taken from `source` when they are first read. They have the length and the type of `dark`,
-    /// which stands for a row that is damaged.
+    /// A frame of `height` rows that are taken from `source` on first access. They have the length and the type of `dark`,
+    /// which replaces a damaged row.
     pub fn on_demand(
         dark: Pixels,
         height: usize,
@@ -200,12 +200,12 @@ impl Frame {
         })
     }
 
-    /// Pixels in a row.
+    /// Number of pixels in a row.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
+    /// Number of rows.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -230,7 +230,7 @@ impl Frame {
         self.pixels.bits()
     }
 
-    /// A typed view of the pixels. The type must be theirs.
+    /// A typed view of the pixels. The type must be that of the pixels.
     pub fn view<T: Sample>(&self) -> View<'_, T> {
         self.pixels.view(self.width, self.height)
     }
@@ -240,15 +240,15 @@ impl Frame {
         crate::with_view!(self, view => view.dn(x, y))
     }
 
-    /// Whether some column of a row is brighter than a number of DN. Compared as the whole numbers that they are: most rows are
-    /// dark, and need not be read any further.
+    /// Whether at least one of the columns of a row is brighter than `dn`. The comparison uses integers, which quickly
+    /// skips dark rows, the majority.
     pub fn is_brighter(&self, y: usize, columns: Range<usize>, dn: f64) -> bool {
         crate::with_view!(self, view => {
             any_above(&view.row(y)[columns], Sample::floor(dn))
         })
     }
 
-    /// Counts the values of some columns of a row; those beyond the last count as the last.
+    /// Counts the values of some columns of a row; values beyond the last count as the last.
     pub fn count(&self, y: usize, columns: Range<usize>, counts: &mut [u32]) {
         let Some((last, others)) = counts.split_last_mut() else {
             return;
@@ -275,7 +275,7 @@ impl Frame {
         list
     }
 
-    /// The values of some columns of a row, DN, instead of what a list held.
+    /// Replaces the contents of a list by the values of some columns of a row, DN.
     pub fn read_row(&self, y: usize, columns: Range<usize>, list: &mut Vec<f32>) {
         list.clear();
         crate::with_view!(self, view => {
@@ -283,18 +283,18 @@ impl Frame {
         });
     }
 
-    /// The values of some rows of a column, DN, likewise.
+    /// Replaces the contents of a list by the values of some rows of a column, DN.
     pub fn read_column(&self, x: usize, rows: Range<usize>, list: &mut Vec<f32>) {
         list.clear();
         crate::with_view!(self, view => list.extend(rows.map(|y| view.dn(x, y))));
     }
 
-    /// The pixels within `reach` px of a position in both axes; `None` when none is on the sensor.
+    /// The pixels within `reach` px of a position in both axes; `None` if none is on the sensor.
     pub fn around(&self, centre: SensorPx, reach: f64) -> Option<Region> {
         Region::around(centre, reach, self.width, self.height)
     }
 
-    /// The frame's part within a region; `None` where the region is empty or reaches over the frame's edge.
+    /// The part of the frame within a region; `None` if the region is empty or extends beyond the frame.
     pub fn cropped(&self, region: Region) -> Option<Self> {
         let within = region.x1 <= self.width && region.y1 <= self.height;
         if !within || region.x0 >= region.x1 || region.y0 >= region.y1 {
@@ -326,7 +326,7 @@ impl Frame {
     }
 }
 
-/// Whether so many pixels make a frame.
+/// Checks that the number of pixels matches the size of the frame.
 fn check_count(width: usize, height: usize, found: usize) -> Result<(), FrameError> {
     let expected = width * height;
     if expected == 0 {
@@ -354,10 +354,10 @@ fn cropped<T: Copy>(pixels: &[T], width: usize, region: Region) -> Vec<T> {
         .collect()
 }
 
-/// Variance of a pixel's own box, px^2: what the pixel's size adds to a lens's blur.
+/// Variance of a uniform distribution over one pixel, px^2: the contribution of the pixel's size to the blur.
 pub const PIXEL_VARIANCE_PX2: f64 = 1.0 / 12.0;
 
-/// Noise that rounding to whole numbers makes, 1 sigma, DN: no frame shows less.
+/// Noise from rounding to integers, 1 sigma, DN: the minimum of any frame.
 pub const ROUNDING_NOISE_DN: f64 = 0.2887;
 
 /// Brightness levels of a frame.

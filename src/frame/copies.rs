@@ -1,5 +1,5 @@
-//! Which frames of a set are copies of others: from the other disk of a mirroring flight, under another name, or compressed
-//! otherwise. A copy is no second measurement.
+//! Detection of frames in a set that are copies of others: from the other disk of a mirroring flight, renamed, or
+//! compressed differently. A copy is not an independent measurement.
 
 use super::{Frame, FrameInfo, Sample, TakenBy};
 use crate::with_view;
@@ -10,12 +10,13 @@ use std::ffi::OsStr;
 use std::hash::Hash;
 use std::path::Path;
 
-/// A frame in which fewer pixels than this part differ from the most frequent value shows nothing by which it could be recognised.
+/// A frame in which fewer than this fraction of the pixels differ from the most frequent value has no structure by which it
+/// could be recognised.
 const LEAST_STRUCTURE: f64 = 1e-3;
-/// Of larger groups all frames are compared without asking which of them may be copies.
+/// In larger groups all frames are compared, without first selecting possible copies.
 const MOST_PAIRED: usize = 16;
 
-/// A frame's time and source by its file.
+/// A frame's time and source according to its file.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Identity {
     pub taken_by: TakenBy,
@@ -24,7 +25,7 @@ pub struct Identity {
     pub utc_ns: Option<i64>,
     /// Exposure (s), analogue and pre-amplifier gain.
     setting: [Option<f64>; 3],
-    /// SHA-256 of the configuration and of the instrument's file that it was flown with, where the reader knows them.
+    /// SHA-256 of the configuration and of the instrument's file used in flight, if the reader knows them.
     pub flown_sha256: [Option<String>; 2],
 }
 
@@ -48,7 +49,7 @@ impl Identity {
         Timestamp::from_nanosecond(self.utc_ns?.into()).ok()
     }
 
-    /// Whether nothing that both state differs.
+    /// Whether no value that both state differs.
     fn agrees(&self, other: &Self) -> bool {
         fn same<T: PartialEq>(a: &Option<T>, b: &Option<T>) -> bool {
             a.as_ref().zip(b.as_ref()).is_none_or(|(a, b)| a == b)
@@ -66,14 +67,14 @@ impl Identity {
         self.number.zip(self.utc_ns)
     }
 
-    /// Whether both are stated to be the same frame: of one camera, number and time.
+    /// Whether the files state that both are the same frame: same camera, number and time.
     fn is_stated_same(&self, other: &Self) -> bool {
         let stated = self.number_and_time();
         stated.is_some() && stated == other.number_and_time() && self.agrees(other)
     }
 }
 
-/// A hash of a frame's pixels, however its file stores them.
+/// A hash of a frame's pixels, independent of how its file stores them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PixelDigest {
     hash: u64,
@@ -94,7 +95,7 @@ impl PixelDigest {
     }
 }
 
-/// A row's hash; the rows before it gave another.
+/// A row's hash, chained to the hash of the previous rows.
 fn hash_of_row<T: Sample>(before: u64, row: &[T]) -> u64 {
     let (fours, rest) = row.as_chunks::<4>();
     let word = |four: &[T]| {
@@ -109,7 +110,7 @@ fn hash_of_row<T: Sample>(before: u64, row: &[T]) -> u64 {
     mixed(hash, word(rest))
 }
 
-/// Whether most pixels have one value: the middle one of every so many rows and columns.
+/// Whether most pixels of a sparse sample have one value, the median.
 fn is_blank<'a, T: Sample, R: ExactSizeIterator<Item = &'a [T]>>(rows: impl Fn() -> R) -> bool {
     const STEP: usize = 37;
     let sample = rows()
@@ -127,7 +128,7 @@ fn is_blank<'a, T: Sample, R: ExactSizeIterator<Item = &'a [T]>>(rows: impl Fn()
     (different as f64) < LEAST_STRUCTURE * pixels as f64
 }
 
-/// FNV-1a of words; the rotation lets high bits act on low ones.
+/// FNV-1a of words; the rotation mixes high bits into low ones.
 fn mixed(hash: u64, word: u64) -> u64 {
     let mixed = (hash ^ word ^ 0xcbf2_9ce4_8422_2325).wrapping_mul(0x0100_0000_01b3);
     mixed.rotate_left(29)
@@ -138,13 +139,13 @@ fn mixed(hash: u64, word: u64) -> u64 {
 pub struct Compared<'a> {
     pub path: &'a Path,
     pub identity: &'a Identity,
-    /// None where the pixels cannot be read or need not be.
+    /// None if the pixels cannot be read, or need not be.
     pub digest: Option<PixelDigest>,
 }
 
 impl Compared<'_> {
-    /// Whether one of two frames is a copy of the other: nothing that their files state differs, and the pixels are the same. Frames
-    /// without structure all are alike: of them, files must state that they are the same frame.
+    /// Whether one of two frames is a copy of the other: no stated value differs, and the pixels are the same. Frames
+    /// without structure all look alike: their files must state that they are the same frame.
     fn is_copy(&self, other: &Self) -> bool {
         let Some((digest, others)) = self.digest.zip(other.digest) else {
             return false;
@@ -153,8 +154,8 @@ impl Compared<'_> {
         digest == others && a.agrees(b) && (!digest.is_blank || a.is_stated_same(b))
     }
 
-    /// Of copies the first in this order is the frame: one that has a time before those that lack it, then by folder and name. The
-    /// ending comes after the name, so that `a.fits` is before `a (1).fits`.
+    /// Of copies, the first one in this order is kept as the frame: frames with a time before those without, then by folder
+    /// and name. The extension is compared after the name, so that `a.fits` precedes `a (1).fits`.
     fn order(&self) -> impl Ord {
         let path = self.path;
         let name = |part: Option<&OsStr>| part.map(OsStr::to_owned);
@@ -171,14 +172,14 @@ impl Compared<'_> {
 /// Result of a comparison of frames.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Copies {
-    /// Of each frame, the one that it is a copy of.
+    /// For each frame, the frame that it is a copy of.
     pub of: Vec<Option<usize>>,
-    /// Frames of one camera, number and time whose pixels differ: the later ones with the first.
+    /// Frames with the same camera, number and time whose pixels differ: the later ones, each with the first.
     pub contradicting: Vec<[usize; 2]>,
 }
 
 impl Copies {
-    /// Finds them; the result does not depend on the order of the frames.
+    /// Finds the copies; the result does not depend on the order of the frames.
     pub fn among(frames: &[Compared<'_>]) -> Self {
         let mut order: Vec<usize> = (0..frames.len()).collect();
         order.sort_by_cached_key(|n| frames[*n].order());
@@ -217,7 +218,7 @@ impl Copies {
     }
 }
 
-/// Which frames may be copies of one another, by what their files state: only their pixels need to be compared.
+/// Which frames may be copies of one another according to their files: only their pixels need to be compared.
 pub fn may_be_copies(frames: &[Option<&Identity>]) -> Vec<bool> {
     let mut marked = vec![false; frames.len()];
     let known = || {
@@ -246,7 +247,7 @@ pub fn may_be_copies(frames: &[Option<&Identity>]) -> Vec<bool> {
     marked
 }
 
-/// Frames of the same key, of which `wanted` holds for one at least: groups of two and more.
+/// Groups of at least two frames with the same key, of which `wanted` holds for at least one.
 fn grouped<'a, K: Eq + Hash>(
     frames: impl Iterator<Item = (usize, &'a Identity)>,
     key: impl Fn(&Identity) -> Option<K>,
@@ -295,7 +296,7 @@ mod tests {
         digest(Pixels::U8(pixels.collect()))
     }
 
-    /// For each file, the file it is a copy of.
+    /// For each file, the file that it is a copy of.
     fn copies(frames: &[(&str, Identity, PixelDigest)]) -> Vec<Option<usize>> {
         found(frames).of
     }

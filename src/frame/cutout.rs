@@ -1,21 +1,21 @@
-//! A part of a frame as every stage after the disc search reads it: light above the background, and pixels that do not count.
+//! A part of a frame as used by every stage after the disc search: brightness above the background, and masked pixels.
 
 use super::{Frame, Region, Sample, View};
 use crate::kernels::{any_above, copied, subtract, zeros};
 use crate::units::SensorPx;
 use crate::with_view;
 
-/// Variance of a pixel's value, DN^2: read noise and rounding, and photon noise in proportion to the light.
+/// Variance of a pixel's value, DN^2: read noise and rounding, and photon noise proportional to the light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelNoise {
-    /// Without light, DN^2.
+    /// Variance without light, DN^2.
     pub dark_dn2: f64,
-    /// For each DN of light, DN.
+    /// Variance per DN of light, DN.
     pub per_light_dn: f64,
 }
 
 impl PixelNoise {
-    /// The same whatever the light, 1 sigma.
+    /// Constant noise, independent of the light, 1 sigma.
     pub fn even(sigma_dn: f64) -> Self {
         Self {
             dark_dn2: sigma_dn.powi(2),
@@ -23,7 +23,7 @@ impl PixelNoise {
         }
     }
 
-    /// Of a pixel with so much light above the background, DN^2.
+    /// Variance of a pixel with a brightness above the background, DN^2.
     pub fn variance(&self, light_dn: f64) -> f64 {
         self.dark_dn2 + self.per_light_dn * light_dn.max(0.0)
     }
@@ -34,7 +34,7 @@ impl PixelNoise {
     }
 }
 
-/// Level of a region's pixels beside the light of the disc: the sum of a value of the column and one of the row, DN.
+/// Level of a region's pixels without the light of the disc: the sum of a value of the column and one of the row, DN.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Background {
     pub columns_dn: Vec<f32>,
@@ -42,7 +42,7 @@ pub struct Background {
 }
 
 impl Background {
-    /// The same all over a region.
+    /// A constant background over a region.
     pub fn even(region: Region, dn: f64) -> Self {
         Self {
             columns_dn: vec![dn as f32; region.width()],
@@ -51,20 +51,21 @@ impl Background {
     }
 }
 
-/// A rectangle of a frame: light above the background, DN, in single precision; places are those of the frame.
+/// A rectangle of a frame: brightness above the background, DN, in single precision; positions are those of the frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cutout {
     region: Region,
     light_dn: Vec<f32>,
     pub noise: PixelNoise,
-    /// Light at which no pixel saturates yet, DN.
+    /// Brightness up to which no pixel saturates, DN.
     pub unsaturated_dn: f64,
-    /// Pixels that do not count: saturated, or hot.
+    /// Excluded pixels: saturated, or hot.
     pub mask: Mask,
 }
 
 impl Cutout {
-    /// The region must lie within the frame, and the background be that of the region. Pixels that saturate or cannot be used are masked.
+    /// The region must lie within the frame, and the background must be that of the region. Saturated and unusable pixels
+    /// are masked.
     pub fn new(frame: &Frame, region: Region, background: &Background, noise: PixelNoise) -> Self {
         let most = |list: &[f32]| list.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let most_dn = most(&background.columns_dn) + most(&background.rows_dn);
@@ -110,14 +111,14 @@ impl Cutout {
         self.region
     }
 
-    /// The light of a row of the frame from column `region().x0` on, DN. The row must be one of the region.
+    /// The brightness of a row of the frame from column `region().x0` on, DN. The row must be within the region.
     pub fn row(&self, y: usize) -> &[f32] {
         let width = self.region.width();
         &self.light_dn[(y - self.region.y0) * width..][..width]
     }
 }
 
-/// Pixels of a region that do not count.
+/// Excluded pixels of a region.
 #[derive(Debug, PartialEq)]
 pub struct Mask {
     region: Region,
@@ -134,7 +135,7 @@ impl Clone for Mask {
 }
 
 impl Mask {
-    /// All pixels count.
+    /// A mask that excludes no pixel.
     pub fn none(region: Region) -> Self {
         Self {
             region,
@@ -146,7 +147,7 @@ impl Mask {
         self.region
     }
 
-    /// A row of the frame from column `region().x0` on. The row must be one of the region.
+    /// A row of the frame from column `region().x0` on. The row must be within the region.
     pub fn row(&self, y: usize) -> &[bool] {
         let width = self.region.width();
         &self.masked[(y - self.region.y0) * width..][..width]
@@ -157,7 +158,7 @@ impl Mask {
         &mut self.masked[(y - self.region.y0) * width..][..width]
     }
 
-    /// Masks those of the pixels within `reach` px of a position in both axes for which something holds.
+    /// Masks the pixels within `reach` px of a position in both axes that fulfil a condition.
     pub fn hide_where(&mut self, at: SensorPx, reach: f64, holds: impl Fn(SensorPx) -> bool) {
         let Some(near) = Region::around(at, reach, self.region.x1, self.region.y1) else {
             return;
@@ -171,7 +172,7 @@ impl Mask {
         }
     }
 
-    /// Masks a pixel; nothing happens to one outside the region.
+    /// Masks a pixel; pixels outside the region are ignored.
     pub fn hide(&mut self, x: usize, y: usize) {
         let region = self.region;
         if (region.x0..region.x1).contains(&x) && (region.y0..region.y1).contains(&y) {

@@ -1,4 +1,4 @@
-//! The pixels of a frame, all of them in memory or each row decoded when it is first read, and typed views of them.
+//! The pixels of a frame, either all in memory or decoded row by row on first access, and typed views of them.
 
 use std::fmt;
 use std::sync::{Arc, OnceLock};
@@ -32,7 +32,7 @@ impl Pixels {
     }
 }
 
-/// Pixels as [`Pixels`] has them, in memory of the caller.
+/// Pixels as in [`Pixels`], in memory of the caller.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PixelSlice<'a> {
     U8(&'a [u8]),
@@ -59,7 +59,7 @@ impl PixelSlice<'_> {
         }
     }
 
-    /// The bits that some pixel has set.
+    /// The bits that are set in at least one pixel.
     pub fn bits_set(&self) -> u16 {
         match self {
             Self::U8(p) => p.iter().fold(0, |bits, dn| bits | dn).into(),
@@ -67,8 +67,9 @@ impl PixelSlice<'_> {
         }
     }
 
-    /// The value at which pixels saturate that come without a word about it: 16 bits hold 0 to 4095 unless a pixel shows that it is
-    /// not so. Where no pixel has the lowest bits set, the numbers are aligned to the left, and the largest has not either.
+    /// Saturation value of pixels whose source does not state it: 16-bit pixels are assumed to range from 0 to 4095 unless
+    /// a pixel exceeds that. If no pixel has the lowest bits set, the numbers are left-aligned, and the largest value has
+    /// these bits clear as well.
     pub fn assumed_saturation_dn(&self) -> u16 {
         let Self::U16(_) = self else {
             return 255;
@@ -87,20 +88,20 @@ impl PixelSlice<'_> {
     }
 }
 
-/// Memory that holds the pixels of a frame, row by row from the first, and is not the frame's own.
+/// Memory that holds the pixels of a frame, row by row from the first, but is not owned by the frame.
 pub trait SharedPixels: Send + Sync {
-    /// The pixels: always the same.
+    /// The pixels; they must never change.
     fn pixels(&self) -> PixelSlice<'_>;
 }
 
-/// A pixel's value as the algorithms read it.
+/// A pixel's value as used by the algorithms.
 pub trait Sample: Copy + Default + Ord + Into<u32> + Send + Sync + 'static {
     fn dn(self) -> f32;
 
-    /// The largest value that is not above a number of DN.
+    /// The largest value that is not above `dn`.
     fn floor(dn: f64) -> Self;
 
-    /// The pixels, if they are of this type; else none.
+    /// The pixels, if they are of this type; otherwise an empty slice.
     fn of(pixels: PixelSlice<'_>) -> &[Self];
 }
 
@@ -140,13 +141,13 @@ impl Sample for u16 {
     }
 }
 
-/// Where the rows of a frame come from.
+/// Source of the rows of a frame.
 pub trait RowSource: Send + Sync {
-    /// The pixels of row `y`; none where it is damaged.
+    /// The pixels of row `y`; `None` if it is damaged.
     fn row(&self, y: usize) -> Option<Pixels>;
 }
 
-/// A frame's pixels, each row decoded when it is first asked for.
+/// A frame's pixels, each row decoded on first access.
 pub(super) struct OnDemand {
     source: Box<dyn RowSource>,
     /// Replacement of a damaged row.
@@ -193,7 +194,7 @@ impl fmt::Debug for OnDemand {
     }
 }
 
-/// A frame's pixels in memory of the caller, copied only when they are asked for as [`Pixels`].
+/// A frame's pixels in memory of the caller, copied only when they are requested as [`Pixels`].
 pub(super) struct Shared {
     source: Box<dyn SharedPixels>,
     whole: OnceLock<Pixels>,
@@ -214,7 +215,7 @@ impl fmt::Debug for Shared {
     }
 }
 
-/// How a frame has its pixels.
+/// Storage of a frame's pixels.
 #[derive(Debug, Clone)]
 pub(super) enum PixelStorage {
     Whole(Pixels),
@@ -241,7 +242,7 @@ impl PixelStorage {
         }
     }
 
-    /// A typed view of the pixels. The type must be theirs.
+    /// A typed view of the pixels. The type must be that of the pixels.
     pub fn view<T: Sample>(&self, width: usize, height: usize) -> View<'_, T> {
         View {
             width,
@@ -335,7 +336,7 @@ mod tests {
     use crate::frame::{Frame, FrameInfo, Pixels, RowSource};
     use std::sync::{Arc, Mutex};
 
-    /// Rows of four pixels that have their row's number; row 2 is damaged, row 3 too long.
+    /// Rows of four pixels with the row's number as value; row 2 is damaged, row 3 too long.
     struct Counting(Arc<Mutex<Vec<usize>>>);
 
     impl RowSource for Counting {

@@ -14,8 +14,8 @@ pub struct Region {
 }
 
 impl Region {
-    /// The pixels within `reach` px of a position in both axes, as far as they lie on a sensor of
-    /// `width` x `height`. `None` when none does.
+    /// The pixels within `reach` px of a position in both axes, clipped to a sensor of `width` x `height`. `None` if there
+    /// are none.
     pub fn around(centre: SensorPx, reach: f64, width: usize, height: usize) -> Option<Self> {
         let span = |at: f64, size: usize| {
             let low = (at - reach).floor().clamp(0.0, size as f64) as usize;
@@ -27,7 +27,7 @@ impl Region {
         Some(Self { x0, y0, x1, y1 })
     }
 
-    /// A region of `width` x `height` pixels from a corner on.
+    /// A region of `width` x `height` pixels with the given corner.
     pub fn sized(x0: usize, y0: usize, width: usize, height: usize) -> Self {
         Self {
             x0,
@@ -41,7 +41,7 @@ impl Region {
         (self.x0..self.x1).contains(&x) && (self.y0..self.y1).contains(&y)
     }
 
-    /// Whether a place lies on the region's pixels, so far inside its edge at least.
+    /// Whether a position lies on the region's pixels, at least `margin_px` inside its edge.
     pub fn holds(&self, at: SensorPx, margin_px: f64) -> bool {
         let within = |v: f64, from: usize, to: usize| {
             v >= from as f64 + margin_px && v <= to as f64 - 1.0 - margin_px
@@ -49,7 +49,7 @@ impl Region {
         within(at.x, self.x0, self.x1) && within(at.y, self.y0, self.y1)
     }
 
-    /// The pixels that two regions share; `None` when there are none.
+    /// The intersection of two regions; `None` if it is empty.
     pub fn intersection(&self, other: &Self) -> Option<Self> {
         let common = Self {
             x0: self.x0.max(other.x0),
@@ -70,7 +70,7 @@ impl Region {
 }
 
 impl fmt::Display for Region {
-    /// Column and row of the corner, width and height: "100,50,640,480".
+    /// Format: column and row of the corner, width and height, "100,50,640,480".
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (width, height) = (self.width(), self.height());
         write!(out, "{},{},{width},{height}", self.x0, self.y0)

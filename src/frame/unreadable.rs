@@ -3,14 +3,14 @@
 use crate::units::counted;
 use std::collections::BTreeMap;
 
-/// Files that could not be read, by what was expected of them.
+/// Files that could not be read, by the reason in their error message.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Unreadable {
     reasons: BTreeMap<String, usize>,
 }
 
 impl Unreadable {
-    /// Counts a file; its error without what differs from file to file is the reason.
+    /// Counts a file; the reason is its error without the part that differs from file to file.
     pub fn note(&mut self, error: &str) {
         let reason = error.split_once(", found ").map_or(error, |(kind, _)| kind);
         *self.reasons.entry(reason.into()).or_default() += 1;
@@ -30,7 +30,7 @@ impl Unreadable {
         &self.reasons
     }
 
-    /// Their number and the most frequent reason, in words; `None` of none.
+    /// Their number and the most frequent reason, in words; `None` if there are none.
     pub fn line(&self) -> Option<String> {
         let most = self.reasons.iter().rev().max_by_key(|(_, files)| **files);
         most.map(|(reason, _)| {

@@ -1,14 +1,14 @@
-//! Pixels that hold no light: undefined, not a number, or impossible.
+//! Pixels without a valid value: undefined, not a number, or impossible.
 
 use super::{Frame, Pixels};
 use std::sync::Arc;
 
-/// Which pixels of a frame are not to be used, row by row.
+/// Flags of the unusable pixels of a frame, row by row.
 pub(super) type Unusable = Arc<[bool]>;
 
 impl Frame {
-    /// The same frame with pixels that are not to be used, one value for each pixel. They are masked in every cutout; for stages that read
-    /// brightness alone, a straight line between their neighbours in the row stands in their place.
+    /// The same frame with unusable pixels, one flag per pixel. They are masked in every cutout; for stages that read only
+    /// the brightness, they are interpolated linearly between their neighbours in the row.
     pub fn with_unusable(mut self, unusable: Vec<bool>) -> Self {
         if unusable.len() != self.width * self.height || !unusable.contains(&true) {
             return self;
@@ -22,14 +22,14 @@ impl Frame {
         self
     }
 
-    /// Which pixels of columns `x0` to `x1` of a row are not to be used; none where all can be.
+    /// Flags of the unusable pixels of columns `x0` to `x1` of a row; `None` if all pixels of the frame are usable.
     pub fn unusable(&self, y: usize, x0: usize, x1: usize) -> Option<&[bool]> {
         let unusable = self.unusable.as_ref()?;
         Some(&unusable[y * self.width..][x0..x1])
     }
 }
 
-/// The pixels with a straight line over each gap of a row; a row without any pixel is that above it, or below.
+/// The pixels with each gap of a row interpolated; a row without usable pixels is replaced by the row above it, or below.
 fn filled<T: Copy + Into<f64> + FromDn>(pixels: &[T], width: usize, unusable: &[bool]) -> Vec<T> {
     let mut filled = pixels.to_vec();
     let mut rows = unusable.chunks_exact(width);
@@ -50,7 +50,7 @@ fn filled<T: Copy + Into<f64> + FromDn>(pixels: &[T], width: usize, unusable: &[
     filled
 }
 
-/// Draws a line over each gap of a row that has some pixel.
+/// Interpolates linearly over each gap of a row that has at least one usable pixel.
 fn bridge<T: Copy + Into<f64> + FromDn>(row: &mut [T], unusable: &[bool]) {
     let mut x = 0;
     while x < row.len() {
@@ -76,7 +76,7 @@ fn bridge<T: Copy + Into<f64> + FromDn>(row: &mut [T], unusable: &[bool]) {
     }
 }
 
-/// A pixel's type from a number within its range.
+/// Conversion of a number in range to a pixel's type.
 trait FromDn {
     fn from_dn(dn: f64) -> Self;
 }

@@ -1,11 +1,11 @@
-//! Parts of a frame's file that were not used as they stand, and the count of such files in a run.
+//! Values of a frame's file that were not used as stored, and the count of such files in a run.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// A value of a frame's file that was not used as it stands. Field and expectation together are its kind: neither holds what differs
-/// from file to file.
+/// A value of a frame's file that was not used as stored. Field and expectation together are its kind: neither contains a
+/// part that differs from file to file.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Warning {
     /// A keyword, or a part of the file.
@@ -39,14 +39,14 @@ impl fmt::Display for Warning {
     }
 }
 
-/// The warnings of a run. Each kind is logged where it first comes up; all are counted.
+/// The warnings of a run. Each kind is logged on its first occurrence; all are counted.
 #[derive(Debug, Default)]
 pub struct Warnings {
     kinds: BTreeMap<(String, String), u64>,
 }
 
 impl Warnings {
-    /// Counts the warnings of a file, and logs those of a kind that no file before had.
+    /// Counts the warnings of a file, and logs those of a new kind.
     pub fn note(&mut self, file: &str, warnings: &[Warning]) {
         for warning in warnings {
             let kind = (warning.field.clone(), warning.expected.clone());
@@ -58,7 +58,7 @@ impl Warnings {
         }
     }
 
-    /// Each kind in words, with the number of files.
+    /// Each kind in words, with its number of files.
     pub fn counts(&self) -> impl Iterator<Item = (String, u64)> {
         self.kinds
             .iter()

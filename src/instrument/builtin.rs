@@ -1,4 +1,4 @@
-//! The instruments that the program carries with it.
+//! The instruments that are built into the program.
 
 use super::toml_file::unreadable;
 use super::{Instrument, TomlError, raw};
@@ -20,7 +20,7 @@ const FILES: [(&str, &str); 3] = [
 /// The file of the demonstration's roll camera.
 pub const DEMO_HORIZON: &str = include_str!("../../calibration/demo-horizon.toml");
 
-/// Of cameras that see the sky.
+/// Files of cameras that observe the sky.
 const SKY_FILES: [(&str, &str); 2] = [
     ("demo-horizon", DEMO_HORIZON),
     (
@@ -52,11 +52,12 @@ pub fn builtin_text(name: &str) -> Option<&'static str> {
     known.map(|(_, text)| *text)
 }
 
-/// The text of an instrument's file, or of a file of a camera that sees the sky: where `path` is a built-in one's name and no such
-/// file is there, the built-in one's. The table of marks that an instrument's file names is taken into the text.
+/// The text of an instrument's file, or of a file of a camera that observes the sky. If no such file exists and `path` is
+/// the name of a built-in one, the built-in text. The table of marks named in an instrument's file is inserted into the
+/// text.
 ///
 /// # Errors
-/// Neither a file nor the name of a built-in one, or a file that cannot be read, that of the marks too.
+/// If `path` is neither a file nor the name of a built-in one, or if the file or its table of marks cannot be read.
 pub fn text_of(path: &Path) -> Result<String, TomlError> {
     match files::read_text(path) {
         Err(unread) if unread.is_absent() => {}
@@ -73,7 +74,8 @@ pub fn text_of(path: &Path) -> Result<String, TomlError> {
     })
 }
 
-/// The text of an instrument's file and what errors name; without a file it is the built-in demo, whatever files lie about.
+/// The text of an instrument's file, and the path for error messages; without a file the built-in demo, regardless of
+/// existing files.
 ///
 /// # Errors
 /// As [`text_of`].

@@ -1,4 +1,5 @@
-//! When the numbers of an instrument were measured: for people and for the check before a flight, not for the solver.
+//! Dates at which the numbers of an instrument were measured: for people and for the check before a flight, not for the
+//! solver.
 
 use super::toml_file::{TomlError, Utc};
 use super::{Instrument, raw};
@@ -6,7 +7,7 @@ use jiff::civil::Date;
 use jiff::tz::Offset;
 use std::path::Path;
 
-/// When one number of an instrument was found.
+/// Date of one number of an instrument.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Dated {
     /// Its dotted key in the instrument's file.
@@ -24,7 +25,7 @@ impl Instrument {
     }
 }
 
-/// The dates in one table of a file that has been found valid.
+/// The dates in one table of a file that has been validated.
 fn dates(text: &str, table: &str) -> Vec<Dated> {
     let document: toml::Table = text.parse().unwrap_or_default();
     let entries = document.get(table).and_then(toml::Value::as_table);

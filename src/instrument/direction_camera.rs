@@ -1,4 +1,4 @@
-//! A camera that sees directions, as its file states it: horizon and Moon are found with it.
+//! A camera that measures directions, as described in its file: it is used to find horizon and Moon.
 //!
 //! ```toml
 //! [camera]
@@ -22,15 +22,15 @@ use nalgebra::{Matrix3, Rotation3};
 use serde::Deserialize;
 use std::path::Path;
 
-/// A camera that sees directions.
+/// A camera that measures directions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DirectionCamera {
     pub width_px: usize,
     pub height_px: usize,
     pub lens: CameraModel,
-    /// Turns directions of the camera frame to the body's axes.
+    /// Rotates directions from the camera frame to the body's axes.
     pub body_from_camera: Option<Rotation3<f64>>,
-    /// Parts of the picture that show the vehicle itself.
+    /// Regions of the picture that show the vehicle itself.
     pub mask: Vec<Region>,
 }
 
@@ -42,15 +42,15 @@ pub struct MountedCamera {
 }
 
 impl MountedCamera {
-    /// Reads a camera's file that states how the camera is mounted.
+    /// Reads a camera's file that states the camera's mounting.
     ///
     /// # Errors
-    /// As [`DirectionCamera::read`], and where the file does not say.
+    /// As [`DirectionCamera::read`], and if the file does not state the mounting.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
         Self::parse(path, &text_of(path)?)
     }
 
-    /// Reads the text of such a file; `path` is for errors.
+    /// Reads the text of such a file; `path` is used in error messages.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -67,7 +67,7 @@ impl MountedCamera {
     }
 }
 
-/// A frame that is not this camera's.
+/// A frame that is not from this camera.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "size: expected {expected_width} x {expected_height} px as of the camera, found {width} x {height}"
@@ -116,7 +116,7 @@ struct RawFile {
     _name: Option<String>,
     #[serde(default, rename = "description")]
     _description: Option<String>,
-    /// Basis of a calibration; for people.
+    /// Basis of a calibration; informative only.
     #[serde(default, rename = "calibration")]
     _calibrations: Option<toml::Table>,
     camera: RawCamera,
@@ -153,7 +153,7 @@ impl DirectionCamera {
         Self::parse(path, &text_of(path)?)
     }
 
-    /// Reads the text of a camera's file; `path` is for errors.
+    /// Reads the text of a camera's file; `path` is used in error messages.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -248,12 +248,12 @@ impl DirectionCamera {
     }
 }
 
-/// The rotation of three rows, made exact; `None` of what is no rotation.
+/// The rotation given by three rows, orthonormalised; `None` if it is not a rotation.
 pub(crate) fn rotation_of_rows(rows: &[[f64; 3]; 3]) -> Option<Rotation3<f64>> {
     const TOLERANCE: f64 = 1e-4;
     let matrix = Matrix3::from_fn(|row, column| rows[row][column]);
     let off = (matrix * matrix.transpose() - Matrix3::identity()).amax();
-    // Of infinities the largest deviation is not a number, which may be passed over.
+    // With infinite elements the largest deviation is NaN, which a comparison may miss.
     let is_finite = matrix.iter().all(|number| number.is_finite());
     let is_rotation = is_finite && off < TOLERANCE && matrix.determinant() > 0.0;
     is_rotation.then(|| Rotation3::from_matrix(&matrix))

@@ -1,10 +1,10 @@
-//! Where directions on the plate are counted from the zenith.
+//! Reference point of directions on the plate relative to the zenith.
 
 use serde::Deserialize;
 
-/// Where directions on the plate are counted from the zenith. The zenith's direction at the Sun is not parallel to that
-/// at the telescope: the two rules give the same pointing with the Sun at the boresight, and at an angle a from it differ by up to
-/// about a^2 tan(elevation).
+/// Point at which directions on the plate are related to the zenith. The zenith's direction at the Sun is not parallel to
+/// that at the telescope: the two rules give the same pointing with the Sun at the boresight, and at an angle a from it
+/// differ by up to about a^2 tan(elevation).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 pub enum Directions {
     /// At the telescope, in which the plate is fixed.

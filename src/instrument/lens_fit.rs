@@ -1,4 +1,4 @@
-//! Whether lens, plate and camera fit each other, so that frames can be read at all.
+//! Checks whether lens, plate and camera fit each other, so that frames can be solved at all.
 
 use super::Instrument;
 use crate::units::{Measured, counted};
@@ -6,13 +6,13 @@ use nalgebra::Vector2;
 
 /// The Sun's radius at 1 AU.
 pub const MEAN_SUN_ARCSEC: f64 = 959.63;
-/// It is never smaller nor larger than this from the Earth.
+/// Range of the Sun's radius as seen from the Earth.
 pub const SMALLEST_SUN_ARCSEC: f64 = 943.0;
 const LARGEST_SUN_ARCSEC: f64 = 977.0;
-/// Radii of the disc that the solver is tried with, px.
+/// Range of the disc's radius for which the solver is tested, px.
 const RADII_PX: std::ops::RangeInclusive<f64> = 15.0..=1000.0;
 
-/// Why no frame of an instrument can be read.
+/// Why no frame of an instrument can be solved.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LensMisfit {
     #[error(
@@ -37,7 +37,7 @@ pub enum LensMisfit {
 }
 
 impl LensMisfit {
-    /// Remedy that would fit.
+    /// A change that would make it fit.
     pub fn expected(&self, least_marks: usize) -> String {
         match self {
             Self::FewMarks { .. } => {
@@ -53,7 +53,8 @@ impl LensMisfit {
 }
 
 impl Instrument {
-    /// The instrument with another lens, its plate and the camera's view of it so many times as large.
+    /// The instrument with another lens that magnifies by the given factor; the plate and the camera's view of it are
+    /// scaled as well.
     #[must_use]
     pub fn scaled(mut self, by: f64) -> Self {
         let times = |value: Measured| Measured::new(value.value * by, value.sigma * by);
@@ -68,8 +69,8 @@ impl Instrument {
         self
     }
 
-    /// The instrument with its camera farther away, if it must be to see the whole Sun wherever it stands within so much of the plate's
-    /// centre, which may be 3 sigma from its stated place on the sensor.
+    /// The instrument with its camera moved back if necessary to see the whole Sun at any position within `field_mil` of
+    /// the plate's centre, which may be 3 sigma from its stated position on the sensor.
     #[must_use]
     pub fn seeing(mut self, field_mil: f64) -> Self {
         let mounting = &mut self.mounting;
@@ -86,10 +87,10 @@ impl Instrument {
         self
     }
 
-    /// Whether a frame can be read somewhere on the plate, which takes so many marks.
+    /// Whether a frame can be solved somewhere on the plate, given the required number of marks.
     ///
     /// # Errors
-    /// Why none can.
+    /// The reason why no frame can be solved.
     pub fn check_lens(&self, least_marks: usize) -> Result<(), LensMisfit> {
         let radius_px = self.radius_px(LARGEST_SUN_ARCSEC);
         if !RADII_PX.contains(&radius_px) {
@@ -122,7 +123,8 @@ impl Instrument {
     }
 }
 
-/// The most places that a disc holds, or `enough` where it holds as many: where it holds most, two of them can be on its edge.
+/// The largest number of positions within a disc, but at most `enough`: in a disc with the largest number, two of them can
+/// be on the edge.
 fn most_within(places: &[Vector2<f64>], radius: f64, enough: usize) -> usize {
     let mut most = usize::from(radius > 0.0 && !places.is_empty());
     for (n, a) in places.iter().enumerate() {
@@ -138,7 +140,7 @@ fn most_within(places: &[Vector2<f64>], radius: f64, enough: usize) -> usize {
             let across = Vector2::new(-half.y, half.x).normalize();
             let height = (radius.powi(2) - half.norm_squared()).max(0.0).sqrt();
             for centre in [a + half + across * height, a + half - across * height] {
-                // Those on the edge are held.
+                // Positions on the edge count as inside.
                 let within = |p: &&&Vector2<f64>| (**p - centre).norm() < radius * (1.0 + 1e-9);
                 most = most.max(near.iter().filter(within).count());
                 if most >= enough {

@@ -1,8 +1,8 @@
-//! The instrument: camera, plate, optics and mounting, read from a TOML file, checked, and fixed from then on.
+//! The instrument: camera, plate, optics and mounting, read from a TOML file, checked, and immutable afterwards.
 //!
-//! A file names each number's unit in its key and carries its 1-sigma, source and date beside it:
-//! `scale_mil_per_px = { value = 5.75, sigma = 0.0115, source = "...", date = 2013-09-21 }`. Reading is in two
-//! steps: `raw` holds what the file says, [`Instrument`] what has been checked.
+//! A file states each number's unit in its key and its 1-sigma, source and date beside it: `scale_mil_per_px = { value =
+//! 5.75, sigma = 0.0115, source = "...", date = 2013-09-21 }`. Reading has two steps: `raw` holds the contents of the file,
+//! [`Instrument`] the checked values.
 
 mod builtin;
 mod dates;
@@ -36,26 +36,26 @@ use nalgebra::{Matrix2, Vector2};
 use std::borrow::Cow;
 use std::path::Path;
 
-/// Everything the solver and the pointing need to know of the hardware.
+/// All properties of the hardware that the solver and the pointing need.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Instrument {
     pub name: String,
-    /// The name of its camera as frames have it (`CAMERA`); none where the file states none.
+    /// Name of its camera in frames (`CAMERA`); none if the file states none.
     pub camera_name: Option<String>,
     pub camera: PlateCamera,
-    /// How the camera's pixels answer to light.
+    /// Response of the camera's pixels to light.
     pub sensor: Sensor,
     pub plate: Plate,
     pub optics: Optics,
     pub mounting: Mounting,
 }
 
-/// The camera of the plate.
+/// The camera that observes the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlateCamera {
     pub width_px: usize,
     pub height_px: usize,
-    /// Bits of a pixel as the camera digitises it.
+    /// Bits per pixel as digitised by the camera.
     pub bits: u32,
     pub distortion: Distortion,
 }
@@ -66,24 +66,24 @@ impl PlateCamera {
         [self.width_px, self.height_px]
     }
 
-    /// The middle of the sensor.
+    /// The centre of the sensor.
     pub fn middle_px(&self) -> SensorPx {
         let middle = |pixels: usize| (pixels as f64 - 1.0) / 2.0;
         SensorPx::new(middle(self.width_px), middle(self.height_px))
     }
 }
 
-/// The telescope that throws the Sun's image on the plate.
+/// The telescope that projects the Sun's image onto the plate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Optics {
     pub focal_length_mm: Measured,
-    /// From the lens to the plate.
+    /// Distance from the lens to the plate.
     pub plate_distance_mm: Measured,
     /// Gaussian blur of the picture on the sensor, 1 sigma.
     pub blur_px: Measured,
     /// Wavelength of the band-pass filter.
     pub wavelength_nm: f64,
-    /// How blur and scale change with temperature; the solver measures both in each frame and does not ask.
+    /// Change of blur and scale with temperature; the solver does not use it, since it measures both in each frame.
     pub thermal: Option<Thermal>,
 }
 
@@ -99,31 +99,31 @@ impl Optics {
     }
 }
 
-/// Range of an angle of the mounting.
+/// Allowed range of an angle of the mounting.
 pub const TURN_DEG: std::ops::RangeInclusive<f64> = -360.0..=360.0;
 
-/// How plate and camera sit in the gondola.
+/// Orientation and position of plate and camera in the gondola.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mounting {
     /// Plate length per pixel.
     pub scale_mil_per_px: Measured,
-    /// Rotation of the picture, the camera's twist (0 or 180 deg) included; positive from +x towards +y.
+    /// Rotation of the picture, including the camera's twist (0 or 180 deg); positive from +x towards +y.
     pub rotation_deg: Measured,
     /// The part of the rotation that is the camera's twist.
     pub twist_deg: f64,
     pub handedness: Handedness,
-    /// Where the camera sees the plate's centre; 1 sigma per axis.
+    /// Position of the plate's centre on the sensor; 1 sigma per axis.
     pub plate_centre_px: SensorPx,
     pub plate_centre_sigma_px: f64,
-    /// The boresight: where the Sun stands on the plate when the telescope points at it.
+    /// The boresight: position of the Sun on the plate when the telescope points at it.
     pub boresight_mil: PlateMil,
     pub boresight_sigma_mil: f64,
     /// Angle of the plate's +Y from the direction to the zenith.
     pub clocking_deg: Measured,
-    /// Where directions on the plate are counted from the zenith.
+    /// Reference point of directions on the plate relative to the zenith.
     pub directions: Directions,
-    /// The telescope's roll where no sensor measures it: its turn about the boresight, positive with the right side low.
-    /// Without effect where directions are counted at the Sun.
+    /// The telescope's roll if no sensor measures it: its rotation about the boresight, positive with the right side low.
+    /// Without effect if directions refer to the zenith at the Sun.
     pub roll_deg: Measured,
 }
 
@@ -145,7 +145,7 @@ impl Mounting {
         }
     }
 
-    /// A similarity that is off the stated one as far as its sigmas say; `normal` gives a standard normal number.
+    /// A similarity drawn at random from the stated values and sigmas; `normal` returns a standard normal number.
     pub fn drawn(&self, mut normal: impl FnMut() -> f64) -> SimilarityParameters {
         let mut drawn = self.similarity();
         drawn.plate_centre.x += self.plate_centre_sigma_px * normal();
@@ -156,7 +156,7 @@ impl Mounting {
     }
 }
 
-/// A frame that is not this instrument's.
+/// A frame with another size than this instrument's.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "size: expected {expected_width} x {expected_height} px as of instrument \"{instrument}\", found {width} x {height}; a part of the sensor \
@@ -170,7 +170,7 @@ pub struct WrongSize {
     pub height: usize,
 }
 
-/// A frame that another instrument or another camera took.
+/// A frame taken by another instrument or another camera.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{keyword}: expected \"{expected}\" as of instrument \"{instrument}\", found \"{found}\"")]
 pub struct WrongCamera {
@@ -181,10 +181,10 @@ pub struct WrongCamera {
 }
 
 impl Instrument {
-    /// Whether a frame is this instrument's, by what its header says of instrument and camera.
+    /// Checks that a frame is from this instrument, by instrument and camera in its header.
     ///
     /// # Errors
-    /// The keyword that names another.
+    /// The keyword that names another one.
     pub fn check_taken_by(&self, by: &TakenBy) -> Result<(), WrongCamera> {
         let wrong = |keyword, expected: &str, found: &str| WrongCamera {
             keyword,
@@ -204,11 +204,11 @@ impl Instrument {
         }
     }
 
-    /// The instrument as a frame sees it: positions on the sensor count from the frame's corner, where the frame states
-    /// that it is a part of the sensor.
+    /// The instrument for a given frame: if the frame states that it is a part of the sensor, positions refer to the part's
+    /// corner.
     ///
     /// # Errors
-    /// A frame that is neither the whole sensor nor a part of it.
+    /// If the frame is neither the whole sensor nor a part of it.
     pub fn seen_by(&self, frame: &Frame) -> Result<Cow<'_, Self>, WrongSize> {
         let wrong = match self.check_size(frame) {
             Ok(()) => return Ok(Cow::Borrowed(self)),
@@ -226,10 +226,10 @@ impl Instrument {
         }
     }
 
-    /// Whether a frame has the size of the whole sensor.
+    /// Checks that a frame has the size of the whole sensor.
     ///
     /// # Errors
-    /// A frame of another size.
+    /// If the frame has another size.
     pub fn check_size(&self, frame: &Frame) -> Result<(), WrongSize> {
         let (expected_width, expected_height) = (self.camera.width_px, self.camera.height_px);
         let (width, height) = (frame.width(), frame.height());
@@ -258,24 +258,24 @@ impl Instrument {
         window
     }
 
-    /// Reads and checks an instrument's TOML file, or the built-in instrument of that name.
+    /// Reads and checks an instrument's TOML file, or a built-in instrument by name.
     pub fn read(path: &Path) -> Result<Self, TomlError> {
         raw::parse(path, &text_of(path)?)
     }
 
-    /// Checks an instrument's TOML text; `path` is what errors name.
+    /// Checks an instrument's TOML text; `path` is used in error messages.
     pub fn parse(path: &Path, text: &str) -> Result<Self, TomlError> {
         raw::parse(path, text)
     }
 
-    /// The mapping that the calibration states, with its covariance at the Sun's place by
+    /// The mapping stated by the calibration; for its covariance at the Sun's position see
     /// [`nominal_covariance_mil2`](Self::nominal_covariance_mil2).
     pub fn nominal_mapping(&self) -> Option<Mapping> {
         Mapping::similarity(self.mounting.similarity(), self.camera.distortion)
     }
 
-    /// Covariance of a plate position got through the nominal mapping, from the stated sigmas of the plate's
-    /// centre, the rotation and the scale; mil^2.
+    /// Covariance of a plate position obtained by the nominal mapping, from the stated sigmas of the plate's centre, the
+    /// rotation and the scale; mil^2.
     pub fn nominal_covariance_mil2(&self, at: PlateMil) -> Matrix2<f64> {
         let m = &self.mounting;
         let shift = m.plate_centre_sigma_px * m.scale_mil_per_px.value;

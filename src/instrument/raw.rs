@@ -1,4 +1,4 @@
-//! The instrument as the file says it, and the checks that make it an [`Instrument`].
+//! The raw contents of an instrument's file, and the checks that turn them into an [`Instrument`].
 
 use super::toml_file::{TomlError, Utc, keys_of, parse_strict};
 use super::{Directions, Instrument, Mounting, Optics, PlateCamera, TURN_DEG};
@@ -15,8 +15,8 @@ use plate::RawPlate;
 pub(super) use plate::with_table;
 use sensor::{RawNoise, RawThermal, RawVignetting};
 
-/// A number with what is known of it. Source and date are for people; the program keeps value and sigma. A calibration from
-/// frames without times has no date.
+/// A number with its metadata. Source and date are informative; the program uses value and sigma. A calibration from frames
+/// without times has no date.
 #[derive(Deserialize)]
 struct Entry<T> {
     value: T,
@@ -47,30 +47,30 @@ struct RawInstrument {
     _calibrations: BTreeMap<String, RawCalibration>,
 }
 
-/// Basis of a calibration; for people, like source and date.
+/// Basis of a calibration; informative, like source and date.
 #[derive(Deserialize)]
 struct RawCalibration {
     #[serde(rename = "frames")]
     _frames: usize,
     #[serde(default, rename = "poses")]
     _poses: Option<usize>,
-    /// Marks that were lit and never read: ids.
+    /// Ids of marks that were lit but never identified.
     #[serde(default, rename = "suspect_marks")]
     _suspect_marks: Vec<[i32; 2]>,
-    /// Over the sorted SHA-256 of the files.
+    /// SHA-256 over the sorted SHA-256 of the files.
     #[serde(rename = "frames_sha256")]
     _frames_sha256: String,
-    /// The beginning of each file's.
+    /// The first digits of each file's SHA-256.
     #[serde(default, rename = "frame_hashes")]
     _frame_hashes: Option<String>,
-    /// Of the last frame.
+    /// Date of the last frame.
     #[serde(default, rename = "date")]
     _date: Option<Utc>,
     #[serde(rename = "program")]
     _program: String,
     #[serde(default, rename = "commit")]
     _commit: Option<String>,
-    /// Of the file that the calibration began with.
+    /// SHA-256 of the file that the calibration started from.
     #[serde(default, rename = "instrument_sha256")]
     _instrument_sha256: Option<String>,
     #[serde(default, rename = "note")]
@@ -126,7 +126,7 @@ pub(super) fn parse(path: &Path, text: &str) -> Result<Instrument, TomlError> {
     Checker { path }.instrument(raw)
 }
 
-/// Keys that the demo does without: what an unknown key may have been meant for.
+/// Keys that the demo does not use, as suggestions for an unknown key.
 const OPTIONAL_KEYS: [&str; 18] = [
     "camera.hot_pixels_px",
     "camera.name",
@@ -148,10 +148,10 @@ const OPTIONAL_KEYS: [&str; 18] = [
     "plate.shape",
 ];
 
-/// The sigma of a gondola's roll that was not measured: balancing levels it to about a degree.
+/// The roll of a gondola without a measurement: balancing levels it to about a degree.
 const UNMEASURED_ROLL_DEG: Measured = Measured::new(0.0, 1.0);
 
-/// Turns raw values into checked ones; knows the file for its errors.
+/// Turns raw values into checked ones; contains the path for its errors.
 struct Checker<'a> {
     path: &'a Path,
 }
@@ -171,7 +171,7 @@ impl Checker<'_> {
         })
     }
 
-    /// Files and folders bear the name.
+    /// The name is used for files and folders.
     fn name(&self, name: &str) -> Result<(), TomlError> {
         let leads_elsewhere = |c: char| matches!(c, '/' | '\\') || c.is_control();
         if !name.trim().is_empty() && !name.contains("..") && !name.contains(leads_elsewhere) {
@@ -295,7 +295,7 @@ impl Checker<'_> {
         })
     }
 
-    /// A plate is fixed in its telescope unless the file states the other rule.
+    /// Directions refer to the zenith at the telescope, in which the plate is fixed, unless the file states the other rule.
     fn directions(&self, entry: Option<Entry<Directions>>) -> Result<Directions, TomlError> {
         let Some(entry) = entry else {
             return Ok(Directions::Telescope);
@@ -373,7 +373,7 @@ impl Checker<'_> {
     }
 }
 
-/// The unit that a key names at its end.
+/// The unit at the end of a key.
 fn unit_of(field: &str) -> &'static str {
     let key = field.trim_end_matches(".sigma");
     const UNITS: [(&str, &str); 10] = [

@@ -1,11 +1,11 @@
-//! Roles of cameras: each once, with all of its names.
+//! Roles of cameras, each defined once with all of its names.
 
 /// Role of a camera of a flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
-    /// It sees the plate: the controller hears of it.
+    /// It observes the plate and is used by the controller.
     PitchYaw,
-    /// It sees the horizon.
+    /// It observes the horizon.
     Roll,
     Moon,
 }
@@ -13,29 +13,30 @@ pub enum Role {
 /// The names of a role.
 struct Names {
     role: Role,
-    /// In the configuration.
+    /// Name in the configuration.
     name: &'static str,
     in_words: &'static str,
-    /// Its target, and the command that finds that in a file.
+    /// Its target, and the command that finds the target in a file.
     target: &'static str,
     command: &'static str,
-    /// The tables of the configuration whose cameras have this role unless they say otherwise.
+    /// The tables of the configuration whose cameras have this role by default.
     tables: &'static [&'static str],
-    /// Frames, folders and logs of its camera, and its instrument in headers; none where the instrument has a name of its own.
+    /// Name of its camera's frames, folders and logs, and its instrument in headers; none if the instrument has a name of
+    /// its own.
     label: Option<&'static str>,
-    /// Its first camera on the line.
+    /// Number of its first camera on the serial line.
     number: u8,
-    /// Which of its cameras need a file that states what they see, and what that is.
+    /// Which of its cameras need a file that states their target, and the kind of file.
     file: (Need, &'static str),
 }
 
-/// Which cameras need something.
+/// Which cameras need a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Need {
-    /// Those that are no simulation and no folder.
+    /// All except simulated ones and folders.
     Real,
     All,
-    /// Without it, frames are stored and not solved.
+    /// None; without it, frames are stored but not solved.
     No,
 }
 
@@ -75,17 +76,17 @@ const ROLES: [Names; Role::COUNT] = [
     },
 ];
 
-/// Pitch-yaw cameras have the numbers from 1 to this on the line; those that are left, and further cameras of other roles, those above
-/// [`Role::LAST`].
+/// Pitch-yaw cameras have the numbers from 1 to this on the serial line; the remaining ones, and further cameras of other
+/// roles, have numbers above [`Role::LAST`].
 const MOST_PITCH_YAW: u8 = 5;
 
 impl Role {
     pub const COUNT: usize = 3;
     pub const KINDS: [Self; Self::COUNT] = [Self::PitchYaw, Self::Roll, Self::Moon];
     pub const NAMES: [&'static str; Self::COUNT] = [ROLES[0].name, ROLES[1].name, ROLES[2].name];
-    /// The largest number on the line of a role's first camera.
+    /// The largest number on the serial line of a role's first camera.
     const LAST: u8 = 7;
-    /// The largest that fits into a picture.
+    /// The largest number that fits into an image packet.
     pub const MOST_NUMBERED: u8 = 15;
 
     fn names(self) -> &'static Names {
@@ -100,24 +101,24 @@ impl Role {
         self.names().in_words
     }
 
-    /// Its target.
+    /// Its target, in words.
     pub fn target(self) -> &'static str {
         self.names().target
     }
 
-    /// The command of the program that finds it in a file.
+    /// The command of the program that finds the target in a file.
     pub fn command(self) -> &'static str {
         self.names().command
     }
 
-    /// The file that a camera needs to fly; `None` where it needs none.
+    /// The kind of file that a camera needs to fly; `None` if it needs none.
     pub fn needed_file(self, is_real: bool) -> Option<&'static str> {
         let (need, file) = self.names().file;
         let is_needed = need == Need::All || (need == Need::Real && is_real);
         is_needed.then_some(file)
     }
 
-    /// The configuration's tables of cameras that need not state their role.
+    /// The configuration's tables of cameras with a default role.
     pub fn tables() -> impl Iterator<Item = (&'static str, Self)> {
         let tables = |names: &'static Names| names.tables.iter().map(|table| (*table, names.role));
         ROLES.iter().flat_map(tables)
@@ -128,25 +129,26 @@ impl Role {
         Self::tables().map(|(table, _)| table).collect()
     }
 
-    /// The table of its `ordinal`-th camera (from 1), where that is one of those.
+    /// The table of its `ordinal`-th camera (from 1), if it has one.
     pub fn table(self, ordinal: usize) -> Option<&'static str> {
         let tables = self.names().tables;
         tables.get(ordinal.checked_sub(1)?).copied()
     }
 
-    /// Beginning of the names of its `ordinal`-th camera's frames (from 1); `None` where the instrument names them.
+    /// Prefix of the names of its `ordinal`-th camera's frames (from 1); `None` if the instrument names them.
     pub fn label(self, ordinal: usize) -> Option<String> {
         Some(of_several(self.names().label?, ordinal))
     }
 
-    /// The role and the ordinal of a camera whose frames are named so; `None` of the name of an instrument.
+    /// The role and the ordinal of a camera whose frames have this prefix; `None` for the name of an instrument.
     pub fn labelled(name: &str) -> Option<(Self, usize)> {
         let (label, ordinal) = one_of_several(name);
         let names = ROLES.iter().find(|names| names.label == Some(label))?;
         Some((names.role, ordinal))
     }
 
-    /// Numbers on the line of cameras of these roles, in their order. Those of a role's first camera are always the same.
+    /// Numbers on the serial line of cameras with these roles, in their order. Those of a role's first camera are always
+    /// the same.
     pub fn numbers(roles: &[Self]) -> Vec<u8> {
         let mut further = Self::LAST;
         let number = |(index, role): (usize, &Self)| {
@@ -164,7 +166,7 @@ impl Role {
         roles.iter().enumerate().map(number).collect()
     }
 
-    /// Name of a camera with a number on the line, where the number alone is enough.
+    /// Name of a camera with a number on the serial line, if the number alone determines it.
     pub fn numbered(number: u8) -> Option<String> {
         let is_one = |names: &&Names| names.number == number;
         match ROLES.iter().find(is_one) {
@@ -174,13 +176,13 @@ impl Role {
         }
     }
 
-    /// Its first camera's number on the line.
+    /// Its first camera's number on the serial line.
     pub fn number(self) -> u8 {
         self.names().number
     }
 }
 
-/// The name of one of several cameras that would be called the same, by its ordinal from 1.
+/// The name of one of several cameras with the same base name, by its ordinal from 1.
 pub fn of_several(name: &str, ordinal: usize) -> String {
     match ordinal {
         ..=1 => name.into(),
@@ -188,11 +190,11 @@ pub fn of_several(name: &str, ordinal: usize) -> String {
     }
 }
 
-/// The name that such cameras share, and the ordinal.
+/// The base name of such a camera, and its ordinal.
 pub fn one_of_several(name: &str) -> (&str, usize) {
     let split = name.rsplit_once('-').and_then(|(shared, number)| {
         let ordinal = number.parse().ok().filter(|ordinal| *ordinal > 1)?;
-        // As `of_several` writes it.
+        // In the format of `of_several`.
         (number.starts_with(|c: char| c.is_ascii_digit() && c != '0')).then_some((shared, ordinal))
     });
     split.unwrap_or((name, 1))

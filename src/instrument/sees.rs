@@ -1,10 +1,10 @@
-//! Target of a camera of a flight, by its file.
+//! Target of a flight camera according to its file.
 
 use super::{Dated, DirectionCamera, Instrument, MountedCamera, Role, TomlError, text_or_demo};
 use crate::frame::Frame;
 use std::path::Path;
 
-/// A camera's target, and the settings by which it is found.
+/// A camera's target, and the settings to find it.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Sees {
     /// The Sun on the plate.
@@ -12,22 +12,23 @@ pub enum Sees {
     /// The horizon, for roll.
     Horizon(MountedCamera),
     Moon(DirectionCamera),
-    /// No file says what: its frames are stored, and not solved.
+    /// No file states the target: its frames are stored but not solved.
     Unstated,
 }
 
-/// A camera's target, and the file that says so.
+/// A camera's target, and the text of its file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stated {
     pub sees: Sees,
-    /// The file, letter by letter; `None` where there is none.
+    /// The file's text, verbatim; `None` if there is no file.
     pub toml: Option<String>,
-    /// When values of an instrument were measured.
+    /// Dates at which values of an instrument were measured.
     pub dates: Vec<Dated>,
 }
 
 impl Stated {
-    /// Reads the file of a camera of a role, or takes a built-in one's name. Without a file, a camera of a plate is the built-in demo.
+    /// Reads the file of a camera of a role, or a built-in one by name. Without a file, a camera of a plate is the built-in
+    /// demo.
     ///
     /// # Errors
     /// The file, the field, and what was expected there.
@@ -71,7 +72,7 @@ impl Sees {
         }
     }
 
-    /// Use of its frames.
+    /// Use of its frames, in words.
     pub fn in_words(&self) -> String {
         match self {
             Self::Plate(instrument) => format!("instrument \"{}\"", instrument.name),
@@ -81,7 +82,7 @@ impl Sees {
         }
     }
 
-    /// Width and height of its frames, px, where a file states them.
+    /// Width and height of its frames, px, if a file states them.
     pub fn size_px(&self) -> Option<[usize; 2]> {
         match self {
             Self::Plate(instrument) => Some(instrument.camera.size_px()),
@@ -91,7 +92,7 @@ impl Sees {
         }
     }
 
-    /// Whether a frame is of this camera's size, or a part of its sensor where it may be.
+    /// Checks that a frame has this camera's size, or is a part of its sensor where that is allowed.
     ///
     /// # Errors
     /// Both sizes, in words.

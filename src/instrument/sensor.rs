@@ -1,5 +1,5 @@
-//! How the sensor answers to light, as `calibrate camera` measures it. All of it is optional: an instrument that states
-//! nothing is solved by what each frame shows.
+//! Response of the sensor to light, as measured by `calibrate camera`. All of it is optional: for an instrument without it,
+//! each frame's own statistics are used.
 
 use crate::frame::Frame;
 use crate::units::{Measured, SensorPx};
@@ -9,12 +9,12 @@ use crate::units::{Measured, SensorPx};
 pub struct Sensor {
     pub noise: Option<Noise>,
     pub vignetting: Option<Vignetting>,
-    /// Columns and rows of pixels that are bright without light.
+    /// Columns and rows of pixels that are bright in the dark.
     pub hot_pixels: Vec<(usize, usize)>,
 }
 
 impl Sensor {
-    /// The sensor as a part of it is read, positions from the part's corner.
+    /// The sensor restricted to a part, with positions relative to the part's corner.
     pub(super) fn windowed(&self, corner_px: (usize, usize), size_px: (usize, usize)) -> Self {
         let within = |(x, y): &(usize, usize)| {
             let at = (x.checked_sub(corner_px.0)?, y.checked_sub(corner_px.1)?);
@@ -39,21 +39,21 @@ impl Sensor {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Noise {
     pub saturation_dn: u16,
-    /// Level without light.
+    /// Level in the dark.
     pub dark_dn: Measured,
-    /// Noise of a pixel without light, 1 sigma, rounding included.
+    /// Noise of a pixel in the dark, 1 sigma, rounding included.
     pub read_noise_dn: Measured,
-    /// DN of one photo-electron.
+    /// DN per photo-electron.
     pub gain_dn_per_electron: Option<Measured>,
 }
 
 impl Noise {
-    /// Whether the frame counts in the same DN.
+    /// Whether the frame uses the same DN.
     pub fn is_of(&self, frame: &Frame) -> bool {
         frame.saturation_dn() == self.saturation_dn
     }
 
-    /// 1 sigma of a pixel that holds so much light, DN.
+    /// 1 sigma of a pixel with the given light, DN.
     pub fn at(&self, light_dn: f64) -> f64 {
         let photons = self
             .gain_dn_per_electron
@@ -62,7 +62,8 @@ impl Noise {
     }
 }
 
-/// How the light falls off from the middle of the picture: at a distance r the share 1 + a r^2 + b r^4 is left.
+/// Decrease of the brightness from the centre of the picture: at a distance r the transmitted fraction is 1 + a r^2 + b
+/// r^4.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Vignetting {
     pub centre: SensorPx,
@@ -71,20 +72,20 @@ pub struct Vignetting {
 }
 
 impl Vignetting {
-    /// The share of the light that is left at a position.
+    /// The transmitted fraction at a position.
     pub fn share(&self, at: SensorPx) -> f64 {
         let r2 = at.distance(self.centre).powi(2);
         1.0 + r2 * (self.radial[0].value + r2 * self.radial[1].value)
     }
 }
 
-/// How focus and scale change with the camera's temperature.
+/// Change of focus and scale with the camera's temperature.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Thermal {
-    /// Where blur and scale are as stated, deg C.
+    /// Temperature at which blur and scale have their stated values, deg C.
     pub reference_c: f64,
     pub blur_px_per_c: Option<Measured>,
-    /// Change of the plate length per pixel, as a part of it, per deg C.
+    /// Relative change of the plate length per pixel, per deg C.
     pub scale_per_c: Option<Measured>,
 }
 

@@ -9,12 +9,12 @@ use serde::de::DeserializeOwned;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Why a TOML file was refused: which file, which field, what was expected there and what was found.
+/// Why a TOML file was rejected: file, field, what was expected there and what was found.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{}: {}expected {expected}, found {found}", .path.display(), Field(.field))]
 pub struct TomlError {
     pub path: PathBuf,
-    /// Dotted path of the field; empty when the file as a whole is meant.
+    /// Dotted path of the field; empty if the error concerns the whole file.
     pub field: String,
     pub expected: String,
     pub found: String,
@@ -48,7 +48,7 @@ impl TomlError {
     }
 }
 
-/// Text of a file, without control characters for the terminal that shows it.
+/// Text of a file with control characters made visible for the terminal.
 fn printable(text: &str) -> String {
     let shown = |c: char| match c.is_control() && c != '\n' {
         true => c.escape_default().to_string(),
@@ -57,7 +57,7 @@ fn printable(text: &str) -> String {
     text.chars().map(shown).collect()
 }
 
-/// An instant in UTC, as all files say it: in quotes or not, with an offset or without one (then UTC); a date alone is its
+/// An instant in UTC as in all files: quoted or not, with an offset or without one (then UTC); a date alone means its
 /// beginning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "toml::Value")]
@@ -80,7 +80,7 @@ impl TryFrom<toml::Value> for Utc {
     }
 }
 
-/// The text of a file, or an error that names it: no regular file, one that is too large for a text, a disk that hangs.
+/// The text of a file, or an error that names it: not a regular file, too large for a text, or on a disk that hangs.
 pub fn read_text(path: &Path) -> Result<String, TomlError> {
     files::read_text(path).map_err(|unread| unreadable(path, &unread))
 }
@@ -89,8 +89,8 @@ pub(super) fn unreadable(path: &Path, unread: &Unread) -> TomlError {
     TomlError::new(path, "", unread.expected(), unread.found())
 }
 
-/// Parses `text` into `T`. Keys that `T` does not know are errors that name the nearest of `known_keys`
-/// (dotted paths, from the shipped example). No number of it is infinite or none, whatever `T` makes of it.
+/// Parses `text` into `T`. Keys that `T` does not know are errors that name the nearest of `known_keys` (dotted paths, from
+/// the shipped example). Infinite numbers and NaN are errors as well, for any `T`.
 pub fn parse_strict<T: DeserializeOwned>(
     path: &Path,
     text: &str,
@@ -101,7 +101,7 @@ pub fn parse_strict<T: DeserializeOwned>(
     Ok(parsed)
 }
 
-/// The same of a text whose numbers the caller checks, each against its own range.
+/// The same for a text whose numbers the caller checks, each against its own range.
 pub fn parse_loosely<T: DeserializeOwned>(
     path: &Path,
     text: &str,
@@ -127,7 +127,7 @@ pub fn parse_loosely<T: DeserializeOwned>(
     })
 }
 
-/// Refuses the first number that is infinite or none (`nan`): TOML has words for them, and nothing here has a use for them.
+/// Rejects the first number that is infinite or `nan`: TOML allows them, but no value here may have them.
 fn check_finite(path: &Path, text: &str) -> Result<(), TomlError> {
     let found = text.parse::<toml::Table>();
     let found = found.ok().and_then(|table| infinite(&table.into()));
@@ -160,10 +160,10 @@ fn infinite(value: &toml::Value) -> Option<(String, f64)> {
     }
 }
 
-/// The values of a text that is TOML.
+/// Parses a text as TOML.
 ///
 /// # Errors
-/// The line where it is none.
+/// The line that is not TOML.
 pub fn document<'a>(path: &Path, text: &'a str) -> Result<toml::Deserializer<'a>, TomlError> {
     toml::Deserializer::parse(text).map_err(|error| {
         let line = line_of(text, error.span());
@@ -171,7 +171,7 @@ pub fn document<'a>(path: &Path, text: &'a str) -> Result<toml::Deserializer<'a>
     })
 }
 
-/// Serde's names of kinds of values, and those that people use.
+/// Serde's names of kinds of values, and the usual names for them.
 const KINDS: [(&str, &str); 7] = [
     ("struct Entry", "a table such as { value = 1 }"),
     ("struct", "a table"),
@@ -182,13 +182,13 @@ const KINDS: [(&str, &str); 7] = [
     ("string", "a text"),
 ];
 
-/// Value in a file, and its position.
+/// Value in a file, with its position.
 struct Standing<'a> {
     line: String,
     text: &'a str,
 }
 
-/// The error for a value that is not what its key takes, from serde's message about it.
+/// The error for a value of the wrong kind, from serde's message about it.
 fn misfit(path: &Path, field: &str, message: &str, standing: &Standing) -> TomlError {
     if let Some(name) = message.strip_prefix("missing field ") {
         let name = name.trim_matches('`');
@@ -202,7 +202,7 @@ fn misfit(path: &Path, field: &str, message: &str, standing: &Standing) -> TomlE
     let said = wrong.iter().find_map(|begin| message.strip_prefix(begin));
     match said.and_then(|said| said.rsplit_once(", expected ")) {
         Some((found, expected)) => {
-            // What stands there, behind the name of its kind if it is one value.
+            // The value, preceded by the name of its kind if it is a single value.
             let value = found.trim_start_matches(|c: char| c.is_alphabetic() || c == ' ');
             let found = if value.is_empty() {
                 in_plain_words(found)
@@ -212,7 +212,7 @@ fn misfit(path: &Path, field: &str, message: &str, standing: &Standing) -> TomlE
             let found = format!("{found} on {}", standing.line);
             TomlError::new(path, field, in_plain_words(expected), found)
         }
-        // A type with words of its own for what it takes.
+        // A type with its own description of the expected value.
         None => {
             let first = standing.text.lines().next().unwrap_or_default();
             let found = format!("{first} on {}", standing.line);
@@ -235,12 +235,12 @@ fn in_plain_words(kind: &str) -> String {
     }
 }
 
-/// Keys less alike than this, from 0 to 1, are no slips of each other.
+/// Keys with a similarity below this, from 0 to 1, are not treated as misspellings of each other.
 const UNLIKE: f64 = 0.7;
 
-/// The error for a key that nothing knows, naming the nearest that is known, if any is near.
+/// The error for an unknown key, with the nearest known key if one is similar.
 pub fn unknown_key(path: &Path, key: &str, known_keys: &[String]) -> TomlError {
-    // A key of the same name in another table is near, whatever the letters of the tables say.
+    // A key of the same name in another table counts as near, however different the tables' names are.
     let is_namesake = |known: &str| known.rsplit('.').next() == key.rsplit('.').next();
     let likeness =
         |known: &String| strsim::jaro_winkler(known, key) + f64::from(u8::from(is_namesake(known)));

@@ -1,12 +1,13 @@
-//! The light of a disc: across its edge, and on the pixels of the sensor. The formulas are those of [`Profile`](crate::limb::Profile).
+//! The light of a disc: across its edge, and on the pixels of the sensor. The formulas are those of
+//! [`Profile`](crate::limb::Profile).
 
 use super::{LANES, groups, larger, normal_tail, smaller};
 use multiversion::multiversion;
 
-/// Light across the edge of a disc.
+/// Brightness across the edge of a disc.
 #[derive(Debug, Clone, Copy)]
 pub struct EdgeLight {
-    /// Of the even part, and of the part that falls to zero at the edge.
+    /// Brightness of the uniform part, and of the part that falls to zero at the edge.
     pub even_dn: f32,
     pub darkened_dn: f32,
     /// 1 / sigma of the blur.
@@ -15,7 +16,7 @@ pub struct EdgeLight {
 }
 
 impl EdgeLight {
-    /// Light at a distance outwards from the edge, DN, its change per px, and how that changes per px.
+    /// Brightness at a distance outwards from the edge, DN, and its first and second derivative, per px.
     #[inline(always)]
     pub fn at(&self, distance_px: f32) -> (f32, f32, f32) {
         let (even, darkened, per_blur) = (self.even_dn, self.darkened_dn, self.per_blur);
@@ -29,23 +30,23 @@ impl EdgeLight {
         )
     }
 
-    /// The two parts of the light at a distance, relative to the middle of an unblurred disc.
+    /// The two parts of the brightness at a distance, relative to the centre of an unblurred disc.
     #[inline(always)]
     pub fn parts(&self, distance_px: f32) -> Parts {
         let (per_blur, per_radius) = (self.per_blur, self.per_radius);
         let depth = smaller(larger(-distance_px, 0.0), 1.0 / per_radius);
-        // From F(z)^2 to 1 - r^2 / R^2 with r = R + distance.
+        // Converts F(z)^2 to 1 - r^2 / R^2 with r = R + distance.
         let scale2 = (2.0 - depth * per_radius) * (per_radius / per_blur);
         Parts::at(distance_px * per_blur, scale2)
     }
 }
 
-/// The blurred disc's two parts so many blurs outwards from the limb.
+/// The blurred disc's two parts at a distance outwards from the limb, in blurs.
 pub struct Parts {
-    /// E(z) and the normal distribution's density, by which it falls.
+    /// E(z), and the normal distribution's density, by which it decreases.
     pub tail: f32,
     density: f32,
-    /// F(z), scaled, its change with z, and the change of that.
+    /// F(z), scaled, and its first and second derivative by z.
     pub root: f32,
     root_slope: f32,
     root_bend: f32,
@@ -53,13 +54,13 @@ pub struct Parts {
 
 impl Parts {
     /// With d = max(0, x - z), <sqrt d> is at most sqrt(<1> <d>) and <1 / sqrt d> at least sqrt(<1>^3 / <d>), where <1> is
-    /// the tail and <d> the density less z tails. Deep in the disc they are that, and far out less by a sixth and more by
-    /// three quarters; in between factors fitted to the integrals lead from the one to the other. F is true to 0.004 and its
-    /// slope to 0.008, which are 0.05 DN and 0.1 DN per px of a Sun of 200 DN.
+    /// the tail and <d> the density minus z times the tail. Deep in the disc they equal these bounds, and far outside they
+    /// differ by a sixth (less) and three quarters (more); in between, factors fitted to the integrals interpolate. F is
+    /// accurate to 0.004 and its slope to 0.008, which are 0.05 DN and 0.1 DN per px for a Sun of 200 DN.
     #[inline(always)]
     fn at(z: f32, scale2: f32) -> Self {
         let (tail, density) = normal_tail(z);
-        // Far out, where <d> vanishes in rounding, it is a tenth of the tail and less.
+        // Far outside, where <d> is lost in rounding, it is at most a tenth of the tail.
         let beyond = larger(density - z * tail, 0.1 * tail);
         let bound = (scale2 * tail * beyond + f32::MIN_POSITIVE).sqrt();
         let per_far = 1.0 / (z * z + 2.5).sqrt();
@@ -67,7 +68,7 @@ impl Parts {
         let factor = 0.9169 + out * (0.07366 * out - 0.01016);
         let slope_factor = 1.56246 + out * (0.22187 - 0.35538 * out);
         let factor_slope = (0.22187 - 0.71076 * out) * 2.5 * per_far * per_far * per_far;
-        // Both derivatives have this factor: -s / 2 of the scale s, tail over bound.
+        // Common factor of both derivatives: -s / 2 of the scale s, times tail over bound.
         let common = -0.5 * scale2 * tail / bound;
         let root_bend =
             factor_slope * tail - slope_factor * (1.5 * density - 0.5 * tail * tail / beyond);
@@ -84,11 +85,11 @@ impl Parts {
 /// A limb-darkened disc on the sensor.
 pub struct Disc {
     pub edge: EdgeLight,
-    /// Of the outline's root: xx, xy, yy, 1/px.
+    /// Inverse of the outline's square root: xx, xy, yy, 1/px.
     pub inverse: [f32; 3],
 }
 
-/// Light at some places, DN, its slopes, DN/px, and how much these change (div grad), DN/px^2.
+/// Brightness at some positions, DN, its slopes, DN/px, and its Laplacian (div grad), DN/px^2.
 #[derive(Debug, Clone, Default)]
 pub struct Lit {
     pub light: Vec<f32>,
@@ -109,14 +110,14 @@ impl Lit {
 }
 
 impl Disc {
-    /// From this radius inwards, squared, in disc radii, the blur hardly changes the light.
+    /// Squared radius, in disc radii, inside which the blur hardly changes the brightness.
     fn deep2(&self) -> f32 {
         const DEEP_BLURS: f32 = 8.0;
         let deep = 1.0 - DEEP_BLURS * self.edge.per_radius / self.edge.per_blur;
         larger(deep, 0.0) * larger(deep, 0.0)
     }
 
-    /// The light there and its slope by the squared radius, DN: of an unblurred disc.
+    /// The brightness there and its derivative by the squared radius, DN, for an unblurred disc.
     #[inline(always)]
     fn deep_light(&self, r2: f32) -> (f32, f32) {
         let EdgeLight {
@@ -128,7 +129,7 @@ impl Disc {
         (even_dn + darkened_dn * root, -0.5 * darkened_dn / root)
     }
 
-    /// In units of the disc's radius the square of a place's distance from its centre; and half of how that changes, 1/px.
+    /// The squared distance of a position from the disc's centre, in units of the radius, and half of its gradient, 1/px.
     #[inline(always)]
     fn radial(&self, [x, y]: [f32; 2]) -> ([f32; 2], f32) {
         let [a, b, c] = self.inverse;
@@ -136,19 +137,19 @@ impl Disc {
         ([a * u + b * v, b * u + c * v], u * u + v * v)
     }
 
-    /// The light at a place, by its distance outwards from the edge to first order.
+    /// The brightness at a position, from its first-order distance outwards from the edge.
     #[inline(always)]
     fn edge_light(&self, place: [f32; 2]) -> f32 {
         let ([nx, ny], r2) = self.radial(place);
-        // The very centre has no direction.
+        // The gradient has no direction at the very centre.
         let per_disc = (nx * nx + ny * ny + f32::MIN_POSITIVE).sqrt();
         self.edge.at((r2 - r2.sqrt()) / per_disc).0
     }
 
-    /// The light on some neighbours in a row from a place on.
+    /// The brightness on adjacent pixels of a row from a position on.
     #[inline(always)]
     fn run_light(&self, first: f32, y: f32, deep2: f32) -> [f32; LANES] {
-        // Along a row the squared radius is a polynomial of the pixel's number.
+        // Along a row the squared radius is a polynomial of the pixel's index.
         let [a, b, _] = self.inverse;
         let ([slope, _], start) = self.radial([first, y]);
         let r2 = |k: usize| {
@@ -156,7 +157,7 @@ impl Disc {
             start + k * (2.0 * slope + k * (a * a + b * b))
         };
         let mut light = [0.0; LANES];
-        // A row's ends are farther out than what lies between them.
+        // The ends of a row are farther out than the pixels between them.
         if larger(start, r2(LANES - 1)) < deep2 {
             for (k, light) in light.iter_mut().enumerate() {
                 (*light, _) = self.deep_light(r2(k));
@@ -169,12 +170,12 @@ impl Disc {
         light
     }
 
-    /// The light on a row's pixels from a place on, which is given from the disc's centre, px.
+    /// The brightness on a row's pixels from a position on, relative to the disc's centre, px.
     pub fn fill(&self, x: f32, y: f32, light: &mut [f32]) {
         fill(self, x, y, light);
     }
 
-    /// The light at places in whole lanes. They are given from one that is given from the disc's centre, px.
+    /// The brightness at positions in whole lanes. They are relative to `from`, which is relative to the disc's centre, px.
     pub fn at(&self, from: [f32; 2], x: &[f32], y: &[f32], lit: &mut Lit) {
         for list in lit.lists() {
             list.clear();
@@ -189,7 +190,7 @@ fn fill(disc: &Disc, first: f32, y: f32, light: &mut [f32]) {
     let deep2 = disc.deep2();
     for (n, light) in light.chunks_mut(LANES).enumerate() {
         let found = disc.run_light(first + (n * LANES) as i32 as f32, y, deep2);
-        // A copy of a constant length is one instruction.
+        // A copy of constant length compiles to one instruction.
         match light.len() {
             LANES => light.copy_from_slice(&found),
             left => light.copy_from_slice(&found[..left]),
@@ -197,7 +198,7 @@ fn fill(disc: &Disc, first: f32, y: f32, light: &mut [f32]) {
     }
 }
 
-/// A pixel and its neighbours, by whose differences the light's slopes are known at the edge.
+/// A pixel and its neighbours, whose differences give the slopes at the edge.
 const STENCIL: [[f32; 2]; 5] = [[0.0, 0.0], [-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]];
 
 #[multiversion(targets("x86_64+avx2"))]
@@ -251,7 +252,8 @@ mod tests {
         let density = |x: f64| (-0.5 * x * x).exp() / std::f64::consts::TAU.sqrt();
         for n in -60..=32 {
             let z = f64::from(n) * 0.25;
-            // With x = z + s^2 the root is gone: F = integral of 2 s^2 density, F' = -integral of density.
+            // The substitution x = z + s^2 removes the square root: F = integral of 2 s^2 density, F' = -integral of
+            // density.
             let step = (8.0 - z).max(1.0).sqrt() / 2000.0;
             let cells = (0..2000).map(|n| (n as f64 + 0.5) * step);
             let (root, slope) = cells.fold((0.0, 0.0), |(root, slope), s| {

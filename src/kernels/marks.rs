@@ -1,4 +1,4 @@
-//! A mark's pixels: what it takes of the light, and the model of them that its fit linearises.
+//! A mark's pixels: the light that it absorbs, and the model that its fit linearises.
 
 use super::limb::Lit;
 use super::{LANES, groups, larger, normal_tail};
@@ -14,7 +14,7 @@ pub struct Bars {
 }
 
 impl Bars {
-    /// Whether each end of an arm may be taken on its own: they are so many sigma of the blur from its middle.
+    /// Whether each end of an arm can be treated separately: both are many sigma of the blur from its centre.
     #[inline(always)]
     pub fn has_ends_apart(&self) -> bool {
         const ENDS_APART_SIGMAS: f32 = 5.0;
@@ -22,7 +22,7 @@ impl Bars {
     }
 }
 
-/// Shares of the light that a cross takes at some places, and their slopes along x and y.
+/// Shares of the light that a cross absorbs at some positions, and their slopes along x and y.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Coverage {
     pub share: Vec<f32>,
@@ -31,13 +31,13 @@ pub struct Coverage {
 }
 
 impl Coverage {
-    /// Sum of the squared slopes along one axis, the mean of both.
+    /// Sum of the squared slopes along one axis, averaged over both axes.
     pub fn slope_energy(&self) -> f64 {
         let squares = |slopes: &[f32]| slopes.iter().map(|s| f64::from(s * s)).sum::<f64>();
         (squares(&self.slope_x) + squares(&self.slope_y)) / 2.0
     }
 
-    /// Makes space for so many places; what was there stays.
+    /// Resizes the lists for a number of positions; existing values stay.
     pub fn resize(&mut self, count: usize) {
         for list in [&mut self.share, &mut self.slope_x, &mut self.slope_y] {
             list.resize(count, 0.0);
@@ -45,7 +45,7 @@ impl Coverage {
     }
 }
 
-/// Offsets from a mark's middle, px: a place, and what others are from it.
+/// Offsets from a mark's centre, px: a position, and the others relative to it.
 #[derive(Clone, Copy)]
 pub struct Offsets<'a> {
     pub from: [f32; 2],
@@ -53,11 +53,10 @@ pub struct Offsets<'a> {
     pub y: &'a [f32],
 }
 
-/// Absorption of a cross at offsets from its middle; `to_arms` leads, by rows, from an offset to one along the
-/// arms.
+/// Absorption of a cross at offsets from its centre; `to_arms` maps, by rows, an offset to one along the arms.
 ///
-/// A blurred bar is its profile along times its profile across, each a difference of two tails of the normal distribution;
-/// the cross is two bars less their common middle.
+/// A blurred bar is the product of its profiles along and across, each a difference of two tails of the normal
+/// distribution; the cross is the sum of two bars minus their common centre.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn cover(bars: &Bars, to_arms: [f32; 4], offsets: Offsets<'_>, coverage: &mut Coverage) {
     if bars.has_ends_apart() {
@@ -67,7 +66,7 @@ pub fn cover(bars: &Bars, to_arms: [f32; 4], offsets: Offsets<'_>, coverage: &mu
     }
 }
 
-/// The coverage, `long_bar` giving the share and slope of the bars along their length.
+/// The coverage; `long_bar` gives the share and slope of the bars along their length.
 #[inline(always)]
 fn cover_by(
     long_bar: impl Fn(f32, f32, f32) -> (f32, f32),
@@ -88,7 +87,7 @@ fn cover_by(
     }
 }
 
-/// Share and slopes along x and y at one place.
+/// Share and slopes along x and y at one position.
 #[inline(always)]
 pub fn cover_at(
     long_bar: impl Fn(f32, f32, f32) -> (f32, f32),
@@ -111,14 +110,14 @@ pub fn cover_at(
     ]
 }
 
-/// The share and slope of a bar so long that its other end is not seen from either.
+/// The share and slope of a bar so long that its two ends do not overlap.
 #[inline(always)]
 pub fn long_blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
     let (share, density) = normal_tail((at.abs() - half) * per_blur);
     (share, -(density * per_blur).copysign(at))
 }
 
-/// The share that a blurred bar of some half length covers at an offset from its middle, and its slope.
+/// The share that a blurred bar of some half length covers at an offset from its centre, and its slope.
 #[inline(always)]
 pub fn blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
     let (near, near_density) = normal_tail((at - half) * per_blur);
@@ -126,52 +125,52 @@ pub fn blurred_bar(at: f32, half: f32, per_blur: f32) -> (f32, f32) {
     (near - far, (far_density - near_density) * per_blur)
 }
 
-/// Unknowns of a mark's fit: the offset from where the mark is expected, px; the mark's contrast; the light over the expected light there, and
-/// how that changes over the patch's radius along x and y.
+/// Number of unknowns of a mark's fit: the offset from the expected position, px; the mark's contrast; the ratio of the
+/// light to the expected light there, and the change of that ratio over the patch's radius along x and y.
 pub const UNKNOWNS: usize = 6;
 
-/// Beyond the noise, the model may be off by this part of the light: a blur that is not quite the lens's shows at the arms'
-/// edges, and rejecting some of them would move the mark.
+/// Error of the model beside the noise, relative to the light: a blur that differs from the lens's leaves residuals at the
+/// arms' edges, and rejecting some of them would shift the mark.
 const MODEL_ERROR: f32 = 0.04;
-/// The terms that the blurred product leaves out are about this part of s^2 div grad L', of a mark of contrast 1.
+/// The neglected terms of the blurred product are about this fraction of s^2 div grad L', for a mark of contrast 1.
 const LEFT_OUT: f32 = 0.4;
 
-/// The pixels about a mark, in whole lanes.
+/// The pixels around a mark, in whole lanes.
 #[derive(Clone, Copy)]
 pub struct MarkPixels<'a> {
-    /// Offset from where the mark is expected, px.
+    /// Offset from the mark's expected position, px.
     pub x: &'a [f32],
     pub y: &'a [f32],
     /// Light above the background, DN.
     pub seen: &'a [f32],
-    /// Without the mark.
+    /// Light without the mark.
     pub lit: &'a Lit,
     /// The mark's absorption.
     pub coverage: &'a Coverage,
 }
 
-/// Parameters of a mark beside its pixels.
+/// Parameters of a mark's model apart from its pixels.
 pub struct MarkModel {
     pub unknowns: [f32; UNKNOWNS],
-    /// Variance of a pixel without light, DN^2, and for each DN of light, DN.
+    /// Variance of a pixel without light, DN^2, and per DN of light, DN.
     pub dark_dn2: f32,
     pub per_light_dn: f32,
-    /// Of the blur, px^2.
+    /// Variance of the blur, px^2.
     pub blur_variance: f32,
     /// 1 / radius of the patch.
     pub per_reach: f32,
 }
 
-/// A model near some unknowns, pixel by pixel, in units of the pixels' sigma.
+/// A model linearised at some unknowns, pixel by pixel, in units of the pixels' sigma.
 #[derive(Debug, Clone, Default)]
 pub struct Near {
-    /// Change of the prediction with each unknown, then seen minus predicted.
+    /// Derivatives of the prediction by each unknown, then observed minus predicted.
     pub pixels: Vec<[[f32; LANES]; UNKNOWNS + 1]>,
-    /// By how much the model itself may be off.
+    /// Allowance for the error of the model itself.
     pub allowed: Vec<[f32; LANES]>,
 }
 
-/// One pixel, and what the mark takes of its light.
+/// One pixel, and the share of its light that the mark absorbs.
 struct Pixel {
     x: f32,
     y: f32,
@@ -183,14 +182,14 @@ struct Pixel {
     cover: [f32; 3],
 }
 
-/// Slopes by the unknowns and residual, and by how much the model may be off, in units of a pixel's sigma.
+/// Derivatives by the unknowns and residual, and the error of the model, in units of a pixel's sigma.
 #[inline(always)]
 fn near_pixel(model: &MarkModel, pixel: &Pixel) -> ([f32; UNKNOWNS + 1], f32) {
     let Pixel { x, y, light, .. } = *pixel;
     let [.., contrast, even, tilt_x, tilt_y] = model.unknowns;
     let per_reach = model.per_reach;
     let [share, share_x, share_y] = pixel.cover;
-    // The light that a mark of contrast 1 takes, and what this one leaves.
+    // The light that a mark of contrast 1 absorbs, and the light that this mark leaves.
     let taken =
         light * share + model.blur_variance * (pixel.slope_x * share_x + pixel.slope_y * share_y);
     let left = light - contrast * taken;
@@ -212,7 +211,7 @@ fn near_pixel(model: &MarkModel, pixel: &Pixel) -> ([f32; UNKNOWNS + 1], f32) {
     (columns, per_sigma * MODEL_ERROR * light)
 }
 
-/// The model at some unknowns: residuals and slopes of every pixel in units of its sigma.
+/// The model at some unknowns: residuals and derivatives of every pixel in units of its sigma.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn linearise(model: &MarkModel, pixels: MarkPixels<'_>, near: &mut Near) {
     let count = pixels.x.len() / LANES;
@@ -260,7 +259,7 @@ mod tests {
             half_width: 1.05,
             per_blur: 1.0 / 0.95,
         };
-        // The blurred cross straight from its definition, turned by 0.3 rad.
+        // The blurred cross by its definition, rotated by 0.3 rad.
         let share = |x: f64, y: f64| {
             let (sin, cos) = 0.3_f64.sin_cos();
             let (u, v) = (cos * x + sin * y, cos * y - sin * x);

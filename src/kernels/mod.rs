@@ -1,4 +1,4 @@
-//! Kernels: the loops over pixels that the processor runs in parallel (SIMD), each held to a plain twin by a test.
+//! Kernels: the loops over pixels that the processor runs in parallel (SIMD), each compared with a plain version by a test.
 
 pub mod limb;
 pub mod marks;
@@ -8,16 +8,16 @@ pub mod sums;
 
 use multiversion::multiversion;
 
-/// Numbers that the processor handles in parallel (SIMD).
+/// Number of values that the processor handles in parallel (SIMD).
 pub const LANES: usize = 8;
 
-/// A list's whole groups of numbers that are processed in parallel (SIMD).
+/// A list's complete groups of values that are processed in parallel (SIMD).
 #[inline(always)]
 pub fn groups(list: &[f32]) -> &[[f32; LANES]] {
     list.as_chunks().0
 }
 
-/// A number of zeros. Long fills in one go are slow to begin.
+/// A list of zeros. Filling it in blocks avoids the slow start of long fills.
 pub fn zeros<T: Copy + Default>(count: usize) -> Vec<T> {
     let mut list = Vec::with_capacity(count);
     while list.len() < count {
@@ -26,7 +26,7 @@ pub fn zeros<T: Copy + Default>(count: usize) -> Vec<T> {
     list
 }
 
-/// A copy of a list, likewise.
+/// A copy of a list, made in the same way.
 pub fn copied<T: Copy>(list: &[T]) -> Vec<T> {
     let mut copy = Vec::with_capacity(list.len());
     for part in list.chunks(FILL) {
@@ -35,22 +35,22 @@ pub fn copied<T: Copy>(list: &[T]) -> Vec<T> {
     copy
 }
 
-/// Numbers that are filled in at a time.
+/// Number of values that are filled in at a time.
 const FILL: usize = 256;
 
-/// The larger of two numbers, neither of them NaN: the processor's own comparison, where [`f32::max`] takes three.
+/// The larger of two numbers, neither of them NaN: one instruction, where [`f32::max`] takes three.
 #[inline(always)]
 pub fn larger(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-/// The smaller of two, likewise.
+/// The smaller of two numbers, likewise.
 #[inline(always)]
 pub fn smaller(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// Above it the last bit of a number stands for 1.
+/// Added to a number, this constant rounds it to an integer: the last bit of the sum has the value 1.
 const WHOLES: f32 = 12_582_912.0;
 
 /// The normal distribution's tail beyond z (Abramowitz and Stegun, Handbook of Mathematical Functions, 26.2.16, to 1e-5),
@@ -63,10 +63,10 @@ pub fn normal_tail(z: f32) -> (f32, f32) {
     (if z < 0.0 { 1.0 - beyond } else { beyond }, density)
 }
 
-/// The normal distribution's density at z, to 1e-5 of it; what is below 2^-120 is taken for about that.
+/// The normal distribution's density at z, with a relative error of 1e-5; values below 2^-120 are returned as about that.
 ///
-/// It is 2^x / sqrt(2 pi) of an x below 0: a series in x less the nearest whole number (interpolated at Chebyshev's nodes), the
-/// whole number added to its exponent.
+/// It is 2^x / sqrt(2 pi) with x below 0: a polynomial in x minus its nearest integer (interpolated at Chebyshev's nodes),
+/// with the integer added to the exponent.
 #[inline(always)]
 fn normal_density(z: f32) -> f32 {
     const EXPONENT_BITS: u32 = 23;
@@ -82,7 +82,7 @@ fn normal_density(z: f32) -> f32 {
     )
 }
 
-/// Sums over rows that are as long as the sums, column by column.
+/// Sums over rows of the same length as `sums`, column by column.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn column_sums(rows: &[f32], sums: &mut [f32]) {
     sums.fill(0.0);
@@ -93,7 +93,7 @@ pub fn column_sums(rows: &[f32], sums: &mut [f32]) {
     }
 }
 
-/// Adds a row's light: its pixels less the background of each column and of the row.
+/// Adds a row's light: its pixels minus the background of each column and of the row.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn subtract<T: Copy + Into<u32>>(
     row: &[T],
@@ -107,10 +107,10 @@ pub fn subtract<T: Copy + Into<u32>>(
     }));
 }
 
-/// Whether some pixel of a row is above a value.
+/// Whether at least one pixel of a row is above a value.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn any_above<T: Copy + Default + Ord>(row: &[T], floor: T) -> bool {
-    /// Pixels that are compared in parallel.
+    /// Number of pixels that are compared in parallel.
     const GROUP: usize = 32;
     let (groups, rest) = row.as_chunks::<GROUP>();
     let mut most = [T::default(); GROUP];
@@ -127,7 +127,7 @@ pub fn any_above<T: Copy + Default + Ord>(row: &[T], floor: T) -> bool {
     of(&most).max(of(rest)) > floor
 }
 
-/// How many values are within a limit, and the sum of their squares.
+/// Number of values within a limit, and the sum of their squares.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn squares_within(values: &[f32], limit: f32) -> [f32; 2] {
     let (mut counts, mut squares) = ([0.0_f32; LANES], [0.0_f32; LANES]);
@@ -142,7 +142,7 @@ pub fn squares_within(values: &[f32], limit: f32) -> [f32; 2] {
     [counts, squares].map(|lanes| lanes.iter().sum())
 }
 
-/// The sum of those pixels of a row that are from a least to a most value, DN, and how many these are.
+/// The sum of the pixels of a row that are within a range, DN, and their number.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn sum_within<T: Copy + Into<u32>>(row: &[T], [least, most]: [i32; 2]) -> [i32; 2] {
     let [mut sum, mut count] = [0; 2];
@@ -156,7 +156,7 @@ pub fn sum_within<T: Copy + Into<u32>>(row: &[T], [least, most]: [i32; 2]) -> [i
     [sum, count]
 }
 
-/// Weighted sums of the products of a pixel's numbers with each other and themselves: a symmetric matrix, of which the lower triangle is
+/// Weighted sums of the products of all pairs of a pixel's numbers: a symmetric matrix, of which the lower triangle is
 /// filled in.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn products<const N: usize>(
@@ -170,7 +170,7 @@ pub fn products<const N: usize>(
             for k in 0..LANES {
                 weighted[k] = values[m][k] * weights[k];
             }
-            // A plain condition is decided when the loop is unrolled; the end of a range is not.
+            // The compiler resolves this condition when it unrolls the loop, but not a range with a variable end.
             for l in 0..N {
                 if l <= m {
                     for k in 0..LANES {
@@ -187,8 +187,7 @@ pub fn products<const N: usize>(
     std::array::from_fn(|m| std::array::from_fn(|l| total(m, l)))
 }
 
-/// Sum of the products of weights, in rows of `width` (whole lanes), with values, of which a row begins `stride` after the
-/// one before.
+/// Sum of the products of weights, in rows of `width` (whole lanes), with values, whose rows begin `stride` apart.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn correlate(weights: &[f32], width: usize, values: &[f32], stride: usize) -> f32 {
     sum_over(weights, width, values, stride, |weight, value| {
@@ -227,13 +226,13 @@ fn sum_over(
 pub struct SeenRow<'a> {
     pub seen: &'a [f32],
     pub masked: &'a [bool],
-    /// The light of the disc over the expected one: a polynomial in the pixel's number, the constant first.
+    /// The ratio of the disc's light to the expected light: a polynomial in the pixel's index, the constant first.
     pub factor: [f32; 3],
 }
 
-/// The darkness of a row's pixels, 1 less what is seen over the light there. What is brighter than the light counts as brighter by the
-/// most allowed. The expected light becomes that of the disc itself; where less than the least is expected, darkness and light are 0, and of
-/// masked pixels the darkness.
+/// The darkness of a row's pixels: 1 minus the ratio of observed light to the disc's light. Excess brightness is clipped at
+/// the largest allowed. The expected light is replaced by that of the disc itself; where less than the minimum is expected,
+/// darkness and light are 0, and for masked pixels the darkness is 0.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn divide_row(
     row: &SeenRow<'_>,
@@ -335,7 +334,7 @@ mod tests {
         let row = SeenRow {
             seen: &[50.0, 100.0, 110.0, 300.0, 1.0],
             masked: &[false, false, false, true, false],
-            // 1, 2, 1, -2, ...: a polynomial through the first three.
+            // 1, 2, 1, -2, ...: the polynomial through the first three.
             factor: [1.0, 2.0, -1.0],
         };
         divide_row(&row, 10.0, 20.0, &mut light, &mut darkness);

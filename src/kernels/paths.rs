@@ -1,25 +1,25 @@
-//! Light along paths across a picture, and tables of it by columns.
+//! Brightness along paths across a picture, and tables of it by columns.
 
 use super::{LANES, WHOLES, groups, larger, smaller};
 use multiversion::multiversion;
 
-/// Columns of a table that are processed in parallel (SIMD).
+/// Number of columns of a table that are processed in parallel (SIMD).
 pub const COLUMNS: usize = 2 * LANES;
 
-/// Positions in a picture that follow each other along a path.
+/// Successive positions along a path in a picture.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct OnPath {
-    /// The pixels before each position, and the parts of one beyond them.
+    /// Index of the pixel before each position, and the fraction of a pixel beyond it.
     pub column: [u32; LANES],
     pub row: [u32; LANES],
     right: [f32; LANES],
     below: [f32; LANES],
-    /// The four pixels about each position: the upper ones, left and right, then the lower ones.
+    /// The four pixels around each position: the upper ones, left and right, then the lower ones.
     pub pixels: [[u32; LANES]; 4],
 }
 
-/// The positions at the steps of a path, from `first` on, in a picture of some width and height. Its columns and its rows are polynomials of the
-/// steps, the constant first.
+/// The positions at the steps of a path, from `first` on, in a picture of some width and height. Columns and rows are
+/// polynomials of the step, the constant first.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn follow_path(
     [columns, rows]: [[f32; 3]; 2],
@@ -38,7 +38,7 @@ pub fn follow_path(
     }
 }
 
-/// Positions on one axis as the number of a pixel, `last` at most, and the part of one beyond it.
+/// Positions on one axis as a pixel index, at most `last`, and the fraction of a pixel beyond it.
 #[inline(always)]
 fn whole_pixels(steps: &[f32; LANES], path: [f32; 3], last: f32) -> ([u32; LANES], [f32; LANES]) {
     const BITS: u32 = (1 << 22) - 1;
@@ -52,7 +52,7 @@ fn whole_pixels(steps: &[f32; LANES], path: [f32; 3], last: f32) -> ([u32; LANES
     (whole, part)
 }
 
-/// The light between the four pixels about each position.
+/// The brightness interpolated between the four pixels around each position.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn light_on_path(groups: &[OnPath], light: &mut [f32]) {
     for (group, light) in groups.iter().zip(light.as_chunks_mut::<LANES>().0) {
@@ -71,8 +71,8 @@ pub fn light_on_path(groups: &[OnPath], light: &mut [f32]) {
     }
 }
 
-/// The number of each column of a table that so many others are below, to 2^-18 of the column's range. `width`, the length of a row and the number of
-/// quantiles, is a multiple of [`COLUMNS`].
+/// The quantile of each column of a table, with `below` values below it, to 2^-18 of the column's range. `width`, the
+/// length of a row and the number of quantiles, is a multiple of [`COLUMNS`].
 #[multiversion(targets("x86_64+avx2"))]
 pub fn column_quantiles(table: &[f32], width: usize, below: usize, quantiles: &mut [f32]) {
     const HALVINGS: usize = 18;
@@ -109,8 +109,9 @@ pub fn column_quantiles(table: &[f32], width: usize, below: usize, quantiles: &m
     }
 }
 
-/// Linear least squares of values by three columns, the first of which is 1 where values count and 0 elsewhere, as the others are there. Given the
-/// inverse of the normal matrix, returns coefficients and the sum of squared residuals. All lists are of the same length, in whole lanes.
+/// Linear least squares of values by three columns. The first column is 1 where values count; all columns are 0 elsewhere.
+/// Given the inverse of the normal matrix, returns the coefficients and the sum of squared residuals. All lists have the
+/// same length, in whole lanes.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn fit_columns(
     columns: [&[f32]; 3],
@@ -150,7 +151,7 @@ mod tests {
         const SIZE: [usize; 2] = [9, 7];
         let dn = |x: u32, y: u32| x * x + 10 * y;
         let mut groups = [OnPath::default(); 2];
-        // From (0, 6) to (8, 0), and on beyond the corner.
+        // From (0, 6) to (8, 0), and beyond the corner.
         let path = [[4.0, 1.0, 0.0], [3.0, -0.75, 0.0]];
         follow_path(path, -4.0, SIZE, &mut groups);
         for group in &mut groups {
@@ -190,7 +191,7 @@ mod tests {
     fn values_are_fitted_by_columns_where_they_count() {
         let row = |n: usize| [1.0, (n as f32 * 0.3).sin(), (n as f32 * 0.8).cos()];
         let fitted = |[a, b, c]: [f32; 3], [x, y, z]: [f32; 3]| a * x + b * y + c * z;
-        // The first three do not count.
+        // The first three values do not count.
         let mut columns = [[0.0; 3 * LANES]; 3];
         let mut values = [100.0; 3 * LANES];
         let mut normal = nalgebra::Matrix3::<f32>::zeros();
@@ -207,7 +208,7 @@ mod tests {
         let left = |n: usize| values[n] - fitted(found, row(n));
         let plain: f32 = (3..values.len()).map(|n| left(n).powi(2)).sum();
         assert!((squares - plain).abs() < 1e-3 * plain);
-        // Residuals of the least squares are across all columns.
+        // Least-squares residuals are orthogonal to all columns.
         for m in 0..3 {
             let along: f32 = (3..values.len()).map(|n| left(n) * row(n)[m]).sum();
             assert!(along.abs() < 1e-3);

@@ -1,11 +1,11 @@
-//! Where pixels about an ellipse lie: outwards from it, and in which direction.
+//! Positions of pixels relative to an ellipse: distance outwards from it, and sector.
 
 use super::{LANES, WHOLES, smaller};
 use multiversion::multiversion;
 
 /// Neighbouring pixels of a row.
 pub struct Run<'a> {
-    /// Place of the first one from the ellipse's centre, px.
+    /// Position of the first pixel relative to the ellipse's centre, px.
     pub x: f32,
     pub y: f32,
     pub light_dn: &'a [f32],
@@ -14,28 +14,28 @@ pub struct Run<'a> {
 
 /// The pixels within reach of an ellipse, in sectors.
 pub struct Ring {
-    /// Of the ellipse's root: xx, xy, yy, 1/px.
+    /// Inverse of the ellipse's square root: xx, xy, yy, 1/px.
     pub inverse: [f32; 3],
     pub inside_px: f32,
     pub outside_px: f32,
     pub sectors: usize,
 }
 
-/// More than a ring has sectors: a power of 2, so that an index needs no check.
+/// Upper bound of the number of sectors of a ring: a power of 2, so that an index needs no check.
 pub const MOST_SECTORS: usize = 1024;
 
-/// Where some pixels of a run lie, the last ones' rest filled up with some that are not wanted.
+/// Positions of some pixels of a run; the last group is padded with unwanted ones.
 #[derive(Clone, Copy)]
 pub struct Located {
-    /// Outwards from the ellipse, to first order.
+    /// Distance outwards from the ellipse, to first order.
     pub away_px: [f32; LANES],
-    /// Below [`MOST_SECTORS`]; of pixels that are masked or out of reach the number of sectors.
+    /// Sector, below [`MOST_SECTORS`]; for masked pixels and those out of reach, the number of sectors.
     pub sector: [u32; LANES],
 }
 
-/// Finds where the pixels of runs lie.
+/// Locates the pixels of runs.
 ///
-/// Directions are counted by y / (|x| + |y|), which grows with the angle as evenly as sectors need and costs no arctangent.
+/// Directions are measured by y / (|x| + |y|), which is uniform enough in angle for sectors and needs no arctangent.
 #[multiversion(targets("x86_64+avx2"))]
 pub fn locate(ring: &Ring, runs: &[Run<'_>], found: &mut Vec<Located>) {
     let [a, b, c] = ring.inverse;
@@ -65,7 +65,7 @@ pub fn locate(ring: &Ring, runs: &[Run<'_>], found: &mut Vec<Located>) {
                 } else {
                     sectors
                 };
-                // Rounded by the addition, the number is the last bits of the sum.
+                // The addition rounds the number, which is then in the last bits of the sum.
                 sector[k] = (chosen + WHOLES).to_bits() % beyond;
             }
             found.push(Located { away_px, sector });

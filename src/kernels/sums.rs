@@ -1,7 +1,8 @@
-//! The kernel of the limb's fit: sums over the pixels of a sector, eight of them in parallel (SIMD).
+//! The kernel of the limb fit: sums over the pixels of a sector, eight of them in parallel (SIMD).
 //!
-//! With Tukey's weights w a step by the normal equations is too short, since weights change on the way: Newton's step has d(r w)/dr
-//! in place of w. Of that one sum is enough, for the shift: it says how much longer the step ought to be.
+//! With Tukey's weights w a step by the normal equations is too short, since the weights change during the step: Newton's
+//! step has d(r w)/dr in place of w. One such sum, for the shift, is enough: it gives the factor by which the step must be
+//! lengthened.
 
 use super::limb::EdgeLight;
 use super::{LANES, larger};
@@ -11,45 +12,46 @@ use multiversion::multiversion;
 pub const SECTOR: usize = 5;
 /// Derivatives of the model by a sector's quantities and, last, the residual.
 pub const COLUMNS: usize = SECTOR + 1;
-/// In the sums, in Newton's step, and among all.
+/// Weights of a pixel: in the sums, in Newton's step, and without Tukey's weight.
 const WEIGHTS: usize = 3;
-/// Newton's sum, and the two for the amount of light.
+/// Sums beside the products: Newton's, and two for the mean brightness.
 const OTHERS: usize = 3;
 
-/// The model of a sector, and what decides how much a pixel counts.
+/// The model of a sector, and the parameters of a pixel's weight.
 #[derive(Clone, Copy)]
 pub struct Weighing {
     pub light: EdgeLight,
-    /// The same behind the blur of the light that coma displaces.
+    /// The same with the blur of the light that coma displaces.
     pub wide: EdgeLight,
-    /// Beside the light of the disc, DN.
+    /// Level without the light of the disc, DN.
     pub background_dn: f32,
     pub illumination: f32,
-    /// The displaced part of the light times its displacement, px.
+    /// The displaced fraction of the light times its displacement, px.
     pub coma_px: f32,
-    /// Variance of a pixel without light, DN^2, and for each DN of light, DN.
+    /// Variance of a pixel without light, DN^2, and per DN of light, DN.
     pub dark_dn2: f32,
     pub per_light_dn: f32,
-    /// How far illumination and limb may be from the model, 1 sigma: residuals as large are no outliers.
+    /// Uncertainty of illumination and limb in the model, 1 sigma: residuals of this size are no outliers.
     pub illumination_sigma: f32,
     pub shift_sigma_px: f32,
     pub saturated_dn: f32,
-    /// Square of the residual in sigmas from which on Tukey's weight is 0.
+    /// Squared residual in sigmas above which Tukey's weight is 0.
     pub tukey2: f32,
 }
 
 /// The sums over a sector.
 #[derive(Clone, Copy)]
 pub struct Sums {
-    /// Weighted, of the products of every two columns.
+    /// Weighted sums of the products of every two columns.
     pub products: [[f64; COLUMNS]; COLUMNS],
-    /// Of the squared derivative by the shift, weighted as Newton's step has it.
+    /// Sum of the squared derivative by the shift, with the weight of Newton's step.
     pub newton: f64,
-    /// The light that is seen over the profile's, with equal weights of all pixels.
+    /// Ratio of the observed light to the profile's, without Tukey's weights.
     pub light: f64,
 }
 
-/// The derivatives and the residual of a pixel, and how much it counts (1 / DN^2): in the sums, in Newton's step, and as one among all.
+/// The derivatives and the residual of a pixel, and its weights (1 / DN^2): in the sums, in Newton's step, and equal
+/// weight.
 #[inline(always)]
 fn terms(model: &Weighing, distance_px: f32, light_dn: f32) -> ([f32; COLUMNS], [f32; WEIGHTS]) {
     let (light, slope, bend) = model.light.at(distance_px);
@@ -105,7 +107,7 @@ fn add(
     let (mut local, mut local_others) = (*sums, *others);
     let (whole, rest) = distance_px.as_chunks::<LANES>();
     let (whole_light, rest_light) = light_dn.as_chunks::<LANES>();
-    // The last group is filled up with pixels that do not count.
+    // The last group is padded with pixels that do not count.
     let (mut distance, mut light, mut counts) = ([0.0; LANES], [0.0; LANES], [1.0; LANES]);
     for n in 0..=whole.len() {
         if n < whole.len() {

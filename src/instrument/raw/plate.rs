@@ -1,4 +1,4 @@
-//! The plate as an instrument's file states it: its drawing, the shape of its marks, and the places that were measured.
+//! The plate in an instrument's file: its drawing, the shape of its marks, and the measured positions.
 
 use super::{Checker, Entry, IntoPosition};
 use crate::files;
@@ -13,23 +13,23 @@ use serde::Deserialize;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-/// No mark is farther from the plate's axes: plates are at most 1 m wide.
+/// Largest distance of a mark from the plate's axes: plates are at most 1 m wide.
 pub(super) const MOST_PLACE_MIL: f64 = 20_000.0;
-/// Sizes of a mark that a camera resolves and that leaves space for others on the disc, px.
+/// Range of a mark's size for which the camera resolves it and others still fit on the disc, px.
 const SIZES_PX: RangeInclusive<f64> = 3.0..=60.0;
-/// A line thinner than this does not show, px.
+/// Minimum visible width of a line, px.
 const LEAST_LINE_PX: f64 = 0.1;
-/// Fewest marks of a plate: that many make a mapping.
+/// Minimum number of marks of a plate: this many determine a mapping.
 const LEAST_MARKS: usize = 3;
-/// A place so far from the drawing of 2013 is no measured one of it: half an arm.
+/// A position farther than this from the drawing of 2013 is not a measurement of that drawing: half an arm.
 const UNLIKE_DRAWING_MIL: f64 = 45.0;
 
 #[derive(Deserialize)]
 pub(super) struct RawPlate {
     pattern: Option<RawPattern>,
-    /// File of the drawing's marks, as the instrument's file sees it.
+    /// File of the drawing's marks, relative to the instrument's file.
     marks: Option<PathBuf>,
-    /// Content of that file, where it was read before.
+    /// Contents of that file, if it has already been read.
     drawing: Option<RawDrawing>,
     #[serde(default)]
     shape: RawShape,
@@ -63,13 +63,13 @@ struct RawDrawing {
     csv: String,
 }
 
-/// A mark of the drawing, or one that was measured.
+/// A mark of the drawing, or a measured one.
 #[derive(Deserialize)]
 struct RawMark {
     id: [i32; 2],
     position_mil: [f64; 2],
     sigma_mil: Option<[f64; 2]>,
-    /// Where it was drawn, where a list is the drawing and the position was measured.
+    /// Its drawn position, if a list is the drawing and the position was measured.
     drawn_mil: Option<[f64; 2]>,
 }
 
@@ -80,10 +80,11 @@ struct CheckedMark {
     drawn: Option<PlateMil>,
 }
 
-/// The text of an instrument's file with the table of marks that it names in it: the text alone describes the whole plate.
+/// The text of an instrument's file with the table of marks that it names inserted: the text alone then describes the whole
+/// plate.
 ///
 /// # Errors
-/// The table's file, and what is wrong with it.
+/// The table's file, and the error in it.
 pub(in crate::instrument) fn with_table(path: &Path, text: String) -> Result<String, TomlError> {
     // The parser reports text that is not TOML.
     let Ok(mut document) = text.parse::<toml_edit::DocumentMut>() else {
@@ -100,7 +101,7 @@ pub(in crate::instrument) fn with_table(path: &Path, text: String) -> Result<Str
     };
     let file = beside(path, Path::new(marks));
     let csv = read_marks(&file)?;
-    // Whatever is wrong in it is found before it is taken in.
+    // Errors in the table are found before it is inserted.
     plate::read_table(&csv, 0.0).map_err(|error| in_table(&file, error))?;
     let mut drawing = toml_edit::Table::new();
     drawing["csv"] = toml_edit::value(csv);
@@ -112,7 +113,7 @@ fn read_marks(file: &Path) -> Result<String, TomlError> {
     files::read_text(file).map_err(|unread| unreadable(file, &unread))
 }
 
-/// A file as another one names it.
+/// The path of a file named in another one.
 fn beside(path: &Path, named: &Path) -> PathBuf {
     path.parent().unwrap_or(Path::new("")).join(named)
 }
@@ -122,7 +123,7 @@ fn in_table(file: &Path, error: TableError) -> TomlError {
 }
 
 impl Checker<'_> {
-    /// The plate, before a camera of some scale.
+    /// The plate, for a camera with the given scale.
     pub(super) fn plate(&self, raw: RawPlate, scale_mil_per_px: f64) -> Result<Plate, TomlError> {
         let entry = raw.drawing_sigma_mil;
         let sigma = self.measured("plate.drawing_sigma_mil", entry, 0.0..=20.0)?;
@@ -240,7 +241,7 @@ impl Checker<'_> {
         Ok(Some(table))
     }
 
-    /// Source of the plate's drawing. Marks that lie elsewhere than those of 2013 are a drawing of their own.
+    /// Source of the plate's drawing. Marks at other positions than those of 2013 are a separate drawing.
     fn pattern(
         &self,
         stated: Option<RawPattern>,
@@ -270,7 +271,7 @@ impl Checker<'_> {
         }
     }
 
-    /// That no two marks of a list have one id.
+    /// Checks that no two marks of a list have the same id.
     fn check_ids(&self, marks: &[CheckedMark]) -> Result<(), TomlError> {
         let mut known = std::collections::HashMap::new();
         for (n, mark) in marks.iter().enumerate() {
@@ -283,7 +284,7 @@ impl Checker<'_> {
         Ok(())
     }
 
-    /// Whether a drawing has enough marks, not too many, and none so near to another that the two are one to a camera.
+    /// Checks that a drawing has enough marks, not too many, and no two so close that the camera cannot separate them.
     fn check_drawing(&self, field: &str, plate: &Plate) -> Result<(), TomlError> {
         let count = plate.count();
         if !(LEAST_MARKS..=MOST_MARKS).contains(&count) {
@@ -348,7 +349,7 @@ impl Checker<'_> {
     }
 }
 
-/// Shape of the marks by a file.
+/// Shape of the marks in a file.
 struct Shape {
     shape: RawShape,
     arm_length_mil: Option<Entry<f64>>,

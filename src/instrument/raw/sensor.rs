@@ -1,4 +1,4 @@
-//! Values of the sensor's pixels and of temperature in the file, all of them optional.
+//! The sensor's pixel properties and temperature values in the file, all of them optional.
 
 use super::{Checker, Entry, RawCamera};
 use crate::instrument::{Noise, Sensor, Thermal, TomlError, Vignetting};
