@@ -1,8 +1,9 @@
-//! The limb's light by the law of its air.
+//! The limb's brightness by a model of the air.
 //!
-//! Air of an optical depth t along a ray scatters 1 - exp(-t) of what thick air does. The depth falls off exponentially with the height at which
-//! the ray grazes the Earth (Chapman 1931, for a layer that is thin against it), less what lies behind a camera within the air. How the light
-//! turns from the faint air above to the thick one below determines the brightness of the latter, even where only its clouds are seen.
+//! Air with an optical depth t along a ray scatters the fraction 1 - exp(-t) of the light that thick air scatters. The
+//! depth falls off exponentially with the ray's grazing height above the Earth (Chapman 1931, for a layer that is thin
+//! relative to the radius), minus the part behind a camera within the air. The transition of the brightness from the thin
+//! air above to the thick air below determines the brightness of the thick air, even if only its clouds are visible.
 
 use super::sphere::Sphere;
 use crate::estimation::{LeastSquares, Linearised, Loss, Prior, Scale};
@@ -11,22 +12,23 @@ use libm::erf;
 use nalgebra::{RowVector3, Vector1, Vector3};
 use std::f64::consts::{LN_2, PI, SQRT_2};
 
-/// Residuals are counted in this share of the limb's brightness: what the mean of many places has of noise. The law is not the air's where they are so
-/// many times larger.
+/// 1 sigma of the residuals, relative to the limb's brightness: the noise of the mean of many places. If their scatter is
+/// larger by `MOST_SCATTER`, the model does not apply.
 const NOISE: f64 = 1e-3;
 const MOST_SCATTER: f64 = 4.0;
-/// 1 sigma of the logarithms of depth and scale height, before.
+/// 1 sigma of the priors of the logarithms of depth and scale height.
 const DEPTH_SIGMA: f64 = 1.0;
 const SCALE_SIGMA: f64 = 0.3;
-/// Samples share a part of their noise with their neighbours, so that fewer of them count.
+/// Neighbouring samples share a part of their noise, so the sigma is larger by this factor.
 const SHARED_NOISE: f64 = 1.4;
-/// The law is known to that part of what blur makes of it.
+/// Uncertainty of the model's blur correction, relative to the correction.
 const BLUR_SIGMA: f64 = 0.5;
 
-/// The air of a limb: its brightness where it is thick, and the logarithms of the depth at the edge and of the scale height over the usual one.
+/// The air of a limb: its brightness where it is thick, and the logarithms of the depth at the edge and of the scale height
+/// relative to the standard one.
 type Parameters = Vector3<f64>;
 
-/// Rays across the edge, and where their light comes from.
+/// Rays across the edge, and the air along them.
 pub(super) struct Air {
     camera_radius_m: f64,
     half_angle_rad: f64,
@@ -36,7 +38,7 @@ pub(super) struct Air {
 }
 
 impl Air {
-    /// `None` of a sphere without air.
+    /// `None` for a sphere without air.
     pub fn new(sphere: &Sphere, step_rad: f64, blur_steps: f64) -> Option<Self> {
         let camera_radius_m = EARTH_RADIUS_M + sphere.viewpoint?.height_m.value;
         let half_angle_rad = sphere.half_angle_rad.value;
@@ -49,17 +51,18 @@ impl Air {
         })
     }
 
-    /// The usual air, of half the thick one's light at the edge.
+    /// The standard air, with half of the thick air's brightness at the edge.
     fn usual() -> Parameters {
         Vector3::new(1.0, LN_2.ln(), 0.0)
     }
 
-    /// Optical depth of a ray so many steps outside of the edge, and the derivative of its logarithm by that of the scale height.
+    /// Optical depth of a ray at a distance outside of the edge, in steps, and the derivative of its logarithm by that of
+    /// the scale height.
     fn depth(&self, steps: f64, air: &Parameters) -> (f64, f64) {
         let scale_m = Sphere::SCALE_HEIGHT_M * air.z.exp();
         let (sine, cosine) = (self.half_angle_rad + steps * self.step_rad).sin_cos();
         let scales = (self.camera_radius_m * sine - self.edge_m) / scale_m;
-        // Along a ray, density is a Gaussian about the lowest place.
+        // Along a ray, the density is a Gaussian about the lowest point.
         let to_lowest = self.camera_radius_m * cosine / (EARTH_RADIUS_M * scale_m).sqrt();
         let before = 1.0 + erf(to_lowest / SQRT_2);
         let nearer = to_lowest * (-to_lowest * to_lowest / 2.0).exp() / (2.0 * PI).sqrt();
@@ -67,25 +70,25 @@ impl Air {
         (depth, scales - nearer / before)
     }
 
-    /// Share of the thick air's light, and its derivatives by the logarithms of depth and scale height.
+    /// Fraction of the thick air's brightness, and its derivatives by the logarithms of depth and scale height.
     fn share(&self, steps: f64, air: &Parameters) -> Vector3<f64> {
         let (depth, by_scale) = self.depth(steps, air);
         let by_depth = depth * (-depth).exp();
         Vector3::new(1.0 - (-depth).exp(), by_depth, by_depth * by_scale)
     }
 
-    /// A share in a blurred picture, to the second order of the blur.
+    /// The fraction in a blurred picture, to second order in the blur.
     fn blurred(&self, steps: f64, air: &Parameters) -> Vector3<f64> {
         (self.share(steps - self.blur_steps, air) + self.share(steps + self.blur_steps, air)) / 2.0
     }
 
-    /// Light of the usual air over its brightness.
+    /// Brightness of the standard air as a fraction of the thick air's.
     pub fn usual_share(&self, steps: f64) -> f64 {
         self.share(steps, &Self::usual()).x
     }
 
-    /// Steps from the edge to where half of the thick air's light is scattered, by light above that of the last step. `None` of light that
-    /// has another law.
+    /// Steps from the edge to the ray that scatters half of the thick air's light, fitted to the brightness above that of
+    /// the last step. `None` if the brightness does not follow the model.
     pub fn half(&self, light: &[(f64, f64)], last: f64, brightness: f64) -> Option<Measured> {
         let rows = |air: &Parameters| {
             let below = self.share(last, air);
@@ -118,7 +121,7 @@ impl Air {
         let half = self.half_of(air)?;
         let depth = |steps: f64| self.depth(steps, air).0;
         let scale_steps = 1.0 / (depth(half - 0.5) / depth(half + 0.5)).ln();
-        // The depth at half stays what it is, by whatever the air changes.
+        // At this ray the depth is fixed, however the parameters of the air change.
         let slope = Vector3::new(0.0, 1.0, self.depth(half, air).1) * scale_steps;
         let variance = (slope.transpose() * found.covariance * slope).x;
         let blur = BLUR_SIGMA * self.blur_steps.powi(2) / scale_steps;
@@ -126,7 +129,7 @@ impl Air {
         sigma.is_finite().then(|| Measured::new(half, sigma))
     }
 
-    /// Where the depth is ln 2, by Newton's steps of its logarithm.
+    /// Position where the depth is ln 2, by Newton's method on its logarithm.
     fn half_of(&self, air: &Parameters) -> Option<f64> {
         const STEPS: usize = 6;
         let half = (0..STEPS).fold(0.0, |at, _| {

@@ -1,8 +1,8 @@
 //! Borders of bright regions.
 //!
-//! A border runs between pixels, along the cracks between a bright one on its left and a dark one on its right. Following it takes
-//! two reads of a pixel for each step, so that a horizon costs thousands of pixels and not the millions of the picture. It is
-//! met first at the picture's edge or on one of a few rows (Braun and Barf 2022, sections 3.1 and 5).
+//! A border runs between pixels, along the cracks between a bright one on its left and a dark one on its right. Following
+//! it takes two reads of a pixel per step, so that a horizon costs thousands of pixels and not the millions of the picture.
+//! It is first detected at the picture's edge or on one of a few rows (Braun and Barf 2022, sections 3.1 and 5).
 
 use super::edge::EdgePoint;
 use crate::frame::{Region, Sample, View};
@@ -10,18 +10,18 @@ use crate::units::SensorPx;
 use nalgebra::Vector2;
 use std::collections::HashSet;
 
-/// Steps of border for each pixel of the picture's width and height. More is clutter, and no border is worth it.
+/// Maximum number of border steps per pixel of the picture's width plus height. More steps indicate clutter.
 const MOST_STEPS: usize = 16;
-/// A point stands for so many steps, and its direction is taken from as many to both sides.
+/// Number of steps per point; its direction is determined over as many steps on both sides.
 const STEPS_PER_POINT: usize = 8;
-/// 1 sigma of a point: pixels are whole, and noise frays a soft edge.
+/// 1 sigma of a point: pixels are discrete, and noise frays a soft edge.
 const SIGMA_PX: f64 = 1.0;
 
-/// Thresholds that separate bright pixels from dark ones, and pixels that are used from those that are not.
+/// Threshold that separates bright pixels from dark ones, with the mask of unused pixels.
 pub(super) struct Binary<'a, T> {
     view: View<'a, T>,
     threshold_dn: f64,
-    /// Pixels of the vehicle's own parts: dark.
+    /// Pixels of the vehicle's own parts, which count as dark.
     mask: &'a [Region],
 }
 
@@ -57,7 +57,7 @@ impl Heading {
         self.turned_left().turned_left().turned_left()
     }
 
-    /// The pixels to the left and to the right of the crack that begins at a corner. Corner (0, 0) is that of the picture.
+    /// The pixels to the left and to the right of the crack that begins at a corner. Corner (0, 0) is the picture's corner.
     fn sides(self, (x, y): Corner) -> [(isize, isize); 2] {
         match self {
             Self::Right => [(x, y - 1), (x, y)],
@@ -71,7 +71,7 @@ impl Heading {
 /// A corner of pixels.
 type Corner = (isize, isize);
 
-/// A border from crack to crack: the corner where each begins, and its heading.
+/// A border as a list of cracks: the corner where each begins, and its heading.
 type Border = Vec<(Corner, Heading)>;
 
 impl<'a, T: Sample> Binary<'a, T> {
@@ -97,12 +97,12 @@ impl<'a, T: Sample> Binary<'a, T> {
         self.mask.iter().any(|region| region.contains(x, y))
     }
 
-    /// Whether a crack is a part of a border.
+    /// Whether a crack is part of a border.
     fn is_border(&self, corner: Corner, heading: Heading) -> bool {
         heading.sides(corner).map(|pixel| self.is_bright(pixel)) == [Some(true), Some(false)]
     }
 
-    /// The border from a crack on: to the picture's edge, or around to where it began. `None` of more than `most` steps.
+    /// The border from a crack on: to the picture's edge, or back to its start. `None` if it has more than `most` steps.
     fn follow(&self, first: (Corner, Heading), most: usize) -> Option<Border> {
         let (mut corner, mut heading) = first;
         let mut border = vec![first];
@@ -124,7 +124,7 @@ impl<'a, T: Sample> Binary<'a, T> {
         None
     }
 
-    /// The cracks at the picture's edge from which borders lead inwards.
+    /// The cracks at the picture's edge at which borders lead inwards.
     fn at_the_edge(&self) -> impl Iterator<Item = (Corner, Heading)> + '_ {
         let (width, height) = (self.view.width as isize, self.view.height as isize);
         let across =
@@ -136,8 +136,8 @@ impl<'a, T: Sample> Binary<'a, T> {
             .filter(|&(corner, heading)| self.is_border(corner, heading))
     }
 
-    /// Points of the outer borders of bright regions that reach the picture's edge or one of the rows a spacing apart: one list for
-    /// each stretch of a border that no mask and no end of the picture interrupts.
+    /// Points of the outer borders of bright regions that reach the picture's edge or one of the rows with the given
+    /// spacing: one list for each stretch of a border that is not interrupted by a mask or the picture's edge.
     pub fn arcs(&self, row_spacing: usize) -> Vec<Vec<EdgePoint>> {
         let mut left = MOST_STEPS * (self.view.width + self.view.height);
         let rows: Vec<isize> = (row_spacing..self.view.height)
@@ -172,7 +172,7 @@ impl<'a, T: Sample> Binary<'a, T> {
         arcs
     }
 
-    /// A border as points, without the cracks beside a mask; nothing of the border of a hole.
+    /// A border as points, without the cracks beside a mask; the border of a hole gives none.
     fn stretches(&self, border: &Border) -> Vec<Vec<EdgePoint>> {
         if is_hole(border) {
             return Vec::new();
@@ -192,14 +192,14 @@ impl<'a, T: Sample> Binary<'a, T> {
     }
 }
 
-/// Whether a border closes about a dark hole: with the bright side on its left, it then turns the other way.
+/// Whether a border encloses a dark hole: with the bright side on its left, it then has the opposite orientation.
 fn is_hole(border: &Border) -> bool {
     let (Some((first, _)), Some((last, heading))) = (border.first(), border.last()) else {
         return true;
     };
     let (dx, dy) = heading.step();
     let is_closed = (last.0 + dx, last.1 + dy) == *first;
-    // Twice the area, positive where the turn is from x to y, which has its inside on the right.
+    // Twice the area, positive if the border turns from x to y, with its inside on the right.
     let area: isize = border
         .iter()
         .map(|((x, y), heading)| {
@@ -210,13 +210,13 @@ fn is_hole(border: &Border) -> bool {
     is_closed && area > 0
 }
 
-/// A point every few cracks, between its neighbours, with the bright side from the direction of the border there.
+/// A point every few cracks, between its neighbours; the bright side follows from the direction of the border there.
 fn points(cracks: &[(Corner, Heading)]) -> Vec<EdgePoint> {
     const REACH: usize = STEPS_PER_POINT;
     let middle = |&((x, y), heading): &(Corner, Heading)| {
         let (dx, dy) = heading.step();
         let half = Vector2::new(dx as f64, dy as f64) / 2.0;
-        // A corner is half a pixel from the centres around it.
+        // A corner is half a pixel from the centres of its pixels.
         Vector2::new(x as f64 - 0.5, y as f64 - 0.5) + half
     };
     let mean = |cracks: &[(Corner, Heading)]| {

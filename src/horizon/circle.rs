@@ -1,8 +1,9 @@
-//! The nadir by a circle through a border, as HORACE found it (2014, sections 2.2.4 to 2.2.6), and the local vertical of two
-//! cameras by their circles (Lomaka, Belokonov and Ustugov 2016, section 2.1).
+//! The nadir from a circle through a border, by the method of HORACE (2014, sections 2.2.4 to 2.2.6), and the local
+//! vertical of two cameras from their circles (Lomaka, Belokonov and Ustugov 2016, section 2.1).
 //!
-//! Both take the horizon for a circle in the picture, which holds where the field is narrow. In the stereographic plane, where a ray at an
-//! angle from the axis lies at tan(angle / 2), every cone of rays is a circle, so that the border is taken there first.
+//! Both approximate the horizon by a circle in the picture, which is valid for a narrow field. In the stereographic plane,
+//! where a ray at an angle from the axis lies at tan(angle / 2), every cone of rays is a circle, so the border is
+//! transformed to that plane first.
 
 use super::border::Binary;
 use super::edge::EdgeRay;
@@ -18,45 +19,47 @@ use crate::with_view;
 use nalgebra::{Rotation3, UnitVector3, Vector2, Vector3};
 use std::f64::consts::PI;
 
-/// A part of the picture is divided while its halves are at least so long (HORACE, table 3.1).
+/// A part of the picture is divided while its halves are at least this long (HORACE, table 3.1).
 const LEAST_DIVIDED_PX: usize = 400;
-/// The radius of the sphere's picture over what the height lets expect: success by HORACE's definition (section 1.3.5).
+/// Ratio of the radius of the sphere's picture to that expected from the height: success by HORACE's definition (section
+/// 1.3.5).
 const RADIUS_RATIO: std::ops::Range<f64> = 0.9..1.1;
-/// The distance of the centre that is found from the true one, over the sphere's radius: the same.
+/// Distance of the fitted centre from the true one relative to the sphere's radius, by the same definition.
 const MOST_CENTRE_ERROR: f64 = 0.1;
-/// Planes that make a smaller angle with each other, rad, do not cross.
+/// Planes with a smaller angle between them, rad, have no usable line of intersection.
 const LEAST_CROSSING_RAD: f64 = 0.02;
 
-/// Result of a circle through the border.
+/// Circle fitted to the border.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Circle {
     pub nadir: UnitVector3<f64>,
-    /// In the picture, from the axis to the nadir.
+    /// Direction in the picture, from the axis to the nadir.
     pub towards: Vector2<f64>,
-    /// Half-angle of the cone of rays through the circle.
+    /// Half-angle of the cone of rays on the circle.
     pub half_angle_rad: f64,
 }
 
 impl Circle {
-    /// The camera's height by the circle's radius (eq. 2.38), above the sphere whose edge stands at a height, m.
+    /// The camera's height from the circle's radius (eq. 2.38), for a sphere whose edge is at the height `edge_m`, m.
     pub fn height_m(&self, edge_m: f64) -> f64 {
         (EARTH_RADIUS_M + edge_m) / self.half_angle_rad.sin() - EARTH_RADIUS_M
     }
 
-    /// Whether HORACE calls it a success: radius and centre of the sphere within a tenth of its radius.
+    /// Whether it is a success by HORACE's definition: radius and centre of the sphere within a tenth of its radius.
     pub fn succeeds(&self, sphere: &Sphere, truth: &UnitVector3<f64>) -> bool {
         let half_angle_rad = sphere.half_angle_rad.value;
-        // The centre is 1 / sin(half-angle) radii away.
+        // The centre is 1 / sin(half-angle) radii away from the camera.
         let centre_error = 2.0 * (self.nadir.angle(truth) / 2.0).sin() / half_angle_rad.sin();
         RADIUS_RATIO.contains(&(self.half_angle_rad.tan() / half_angle_rad.tan()))
             && centre_error < MOST_CENTRE_ERROR
     }
 }
 
-/// The circle through the longest border of a frame; if that is no circle, the median of those of the frame's halves, or of halves of these.
+/// The circle through the longest border of a frame; if that is no circle, the median of the circles of the frame's halves,
+/// or of their halves.
 ///
 /// # Errors
-/// Why the whole frame shows none, where no part does.
+/// The reason why the whole frame shows none, if no part does.
 pub fn circle(
     settings: &HorizonSettings,
     frame: &Frame,
@@ -70,7 +73,7 @@ pub fn circle(
     })
 }
 
-/// The circles of the halves of a region; halves without one are divided on.
+/// The circles of the halves of a region; halves without a circle are divided further.
 fn divided(region: Region, part: &impl Fn(Region) -> Result<Circle, Stopped>) -> Vec<Circle> {
     let Region { x0, y0, x1, y1 } = region;
     if region.width().max(region.height()) < 2 * LEAST_DIVIDED_PX {
@@ -110,7 +113,7 @@ fn divided(region: Region, part: &impl Fn(Region) -> Result<Circle, Stopped>) ->
         .collect()
 }
 
-/// The median of circles, part by part; `None` of none.
+/// The median of each parameter of some circles; `None` if there are none.
 fn middle(circles: &[Circle]) -> Option<Circle> {
     let of = |value: &dyn Fn(&Circle) -> f64| median(circles.iter().map(value));
     let nadir = [0, 1, 2].map(|axis| of(&|circle| circle.nadir[axis]));
@@ -167,7 +170,7 @@ fn in_part(
     }
 }
 
-/// A mask's part within a region, in the region's own pixels.
+/// The part of a mask within a region, in the region's own pixels.
 fn within(mask: &Region, region: &Region) -> Option<Region> {
     let part = mask.intersection(region)?;
     Some(Region {
@@ -178,8 +181,8 @@ fn within(mask: &Region, region: &Region) -> Option<Region> {
     })
 }
 
-/// The circle of x^2 + y^2 = 2 a x + 2 b y + c through rays in the stereographic plane (HORACE, eq. 2.7 to 2.25), with the nadir at the expected
-/// half-angle beyond its point next to the axis.
+/// The circle x^2 + y^2 = 2 a x + 2 b y + c fitted to rays in the stereographic plane (HORACE, eq. 2.7 to 2.25). The nadir
+/// is at the expected half-angle from the circle's point nearest to the axis.
 fn through(rays: &[EdgeRay], expected_rad: f64) -> Option<Circle> {
     let points: Vec<Vector2<f64>> = rays.iter().map(|ray| stereographic(&ray.unit)).collect();
     let terms: Vec<Vector3<f64>> = points
@@ -191,7 +194,7 @@ fn through(rays: &[EdgeRay], expected_rad: f64) -> Option<Circle> {
     let centre = fitted.parameters.xy();
     let radius = (fitted.parameters.z + centre.norm_squared()).sqrt();
     let away = centre.try_normalize(0.0)?;
-    // Where the line from the axis to the centre meets the circle.
+    // Intersections of the circle with the line from the axis to the centre.
     let (near, far) = (centre.norm() - radius, centre.norm() + radius);
     let apart_rad = (far.atan() - near.atan()).abs();
     let inward: f64 = rays
@@ -220,8 +223,9 @@ fn stereographic(ray: &UnitVector3<f64>) -> Vector2<f64> {
     ray.xy() / (1.0 + ray.z)
 }
 
-/// The local vertical of two cameras: the line in which the planes through each one's axis and the nadir in its picture cross, downward. `None`
-/// where they do not. Each camera comes with the turn from its own frame to that of the result.
+/// The local vertical of two cameras: the line of intersection, downward, of the planes through each camera's axis and the
+/// nadir in its picture. `None` if they do not intersect. Each camera comes with the rotation from its own frame to that of
+/// the result.
 pub fn vertical(cameras: [(&Circle, Rotation3<f64>); 2]) -> Option<UnitVector3<f64>> {
     let [one, other] = cameras.map(|(circle, turn)| {
         let towards = Vector3::new(circle.towards.x, circle.towards.y, 0.0);

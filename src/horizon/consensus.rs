@@ -1,26 +1,28 @@
-//! Which points lie on one sphere's edge: RANSAC (Fischler and Bolles 1981; Braun and Barf 2022, section 3.6) with the cone's half-angle
-//! known, so that two points and their bright sides determine the nadir.
+//! Selection of the points that lie on one sphere's edge: RANSAC (Fischler and Bolles 1981; Braun and Barf 2022, section
+//! 3.6) with a known half-angle of the cone, so that two points and their bright sides determine the nadir.
 
 use super::edge::EdgeRay;
 use nalgebra::UnitVector3;
 
-/// Pairs from which guesses are made.
+/// Number of pairs of points from which nadirs are computed.
 const PAIRS: usize = 500;
-/// Steps of the pairs through the points, by the plastic number: evenly spread, whatever their number (Roberts 2018, the sequence R2).
+/// Steps of the pairs through the points, by the plastic number: evenly distributed for any number of points (Roberts 2018,
+/// the sequence R2).
 const STEPS: [f64; 2] = [0.754_877_666_246_693, 0.569_840_290_998_053];
-/// Guesses are judged by no more points than this.
+/// Maximum number of points that are used to judge a guess.
 const MOST_JUDGES: usize = 120;
-/// Cosine of the angle by which the bright side may lie off the direction to the nadir.
+/// Minimum cosine of the angle between the bright side and the direction to the nadir.
 const LEAST_SAME_SIDE: f64 = 0.8;
 
-/// A nadir, and how many of some points agree with it.
+/// A nadir, and the number of points that agree with it.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Guess {
     pub nadir: UnitVector3<f64>,
     pub agreeing: usize,
 }
 
-/// The nadir with which most of some points agree; then the one with which most of the others do, and so on, `most` at most.
+/// The nadir with which most points agree; then the one with which most of the remaining points agree, and so on, at most
+/// `most`.
 pub(super) fn consensus(
     edge: &[EdgeRay],
     half_angle_rad: f64,
@@ -55,7 +57,7 @@ pub(super) fn consensus(
 struct Cone {
     cosine: f64,
     sine: f64,
-    /// Of a ray's cosine.
+    /// Tolerance of a ray's cosine.
     tolerance: f64,
 }
 
@@ -69,13 +71,13 @@ impl Cone {
         }
     }
 
-    /// Whether a ray lies on the cone of a nadir, with the bright side towards it.
+    /// Whether a ray lies on the cone of a nadir, with its bright side towards the nadir.
     fn has(&self, nadir: &UnitVector3<f64>, ray: &EdgeRay) -> bool {
         (ray.unit.dot(nadir) - self.cosine).abs() < self.tolerance
             && ray.inward.dot(nadir) > LEAST_SAME_SIDE * self.sine
     }
 
-    /// The nadirs whose cone has two rays.
+    /// The nadirs whose cone contains two rays.
     fn through(&self, one: &EdgeRay, other: &EdgeRay) -> Option<[UnitVector3<f64>; 2]> {
         let (p, q) = (one.unit.into_inner(), other.unit.into_inner());
         let (along, across) = (p + q, p.cross(&q));
@@ -88,7 +90,7 @@ impl Cone {
     }
 }
 
-/// The nadirs by pairs of points.
+/// The nadirs from pairs of points.
 fn guesses(edge: &[EdgeRay], cone: &Cone) -> Vec<UnitVector3<f64>> {
     let pair = |n: usize| {
         STEPS.map(|step| &edge[((n as f64 * step).fract() * edge.len() as f64) as usize])

@@ -1,16 +1,16 @@
-//! How the limb departs from the sphere: neighbours do alike.
+//! Correlated departures of the limb from the sphere.
 
 use super::edge::EdgeRay;
 use crate::estimation::median;
 use nalgebra::{SMatrix, SVector};
 use std::f64::consts::E;
 
-/// The limb does alike over so many places.
+/// Number of lags over which the covariance of neighbours is averaged.
 const SHARED_PLACES: usize = 3;
-/// An arc is worth as many free stretches as this, however long its neighbours do alike.
+/// Minimum number of independent stretches of an arc, however long the correlation length.
 const LEAST_STRETCHES: f64 = 6.0;
 
-/// How the edge itself departs from its cone: as a Gauss-Markov process of first order (Braun and Barf 2022, eq. 34).
+/// Departure of the edge from its cone: a Gauss-Markov process of first order (Braun and Barf 2022, eq. 34).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Departure {
     /// 1 sigma.
@@ -20,13 +20,13 @@ pub struct Departure {
 }
 
 impl Departure {
-    /// Of a limb that is a sphere's.
+    /// A limb without departures from the sphere.
     pub const NONE: Self = Self {
         sigma_rad: 0.0,
         length_rad: 1.0,
     };
 
-    /// That all rays have alike.
+    /// A departure common to all rays.
     pub(super) fn shared(sigma_rad: f64) -> Self {
         Self {
             sigma_rad,
@@ -34,7 +34,7 @@ impl Departure {
         }
     }
 
-    /// By what a fit leaves beyond noise: rays that follow each other, and how far each is from the edge that was found, rad.
+    /// Estimated from the residuals of a fit beyond noise: rays in order, each with its distance from the fitted edge, rad.
     pub(super) fn of_residuals(left: &[(&EdgeRay, f64)]) -> Self {
         if left.is_empty() {
             return Self::NONE;
@@ -43,8 +43,8 @@ impl Departure {
             let pairs = left.iter().zip(left.iter().skip(lag));
             pairs.map(|((_, one), (_, other))| one * other).sum::<f64>() / left.len() as f64
         };
-        // Noise differs from one place to the next; what neighbours share is the limb's. The mean of so many products is uncertain, and the
-        // limb may hide in that: it counts as half a sigma larger.
+        // Noise is independent from one place to the next; the covariance of neighbours is the limb's. The mean of these
+        // products is uncertain, and a departure may be undetected within it: it is increased by half a sigma.
         let hidden = together(0) / ((SHARED_PLACES * left.len()) as f64).sqrt() / 2.0;
         let shared = |lag: usize| {
             let lags = lag..lag + SHARED_PLACES;
@@ -54,10 +54,11 @@ impl Departure {
         let steps = left.windows(2);
         let spacing_rad = median(steps.map(|pair| pair[0].0.unit.angle(&pair[1].0.unit)));
         let fallen = (1..left.len()).find(|lag| shared(*lag) < variance / E);
-        // Only what may hide in noise falls nowhere: it shows no length, and counts from place to place.
+        // A departure that is undetected in the noise has no correlation length, and is taken as independent from place to
+        // place.
         let lag = fallen.unwrap_or(1) as f64;
-        // Of so many stretches that are free of each other, the nadir's two parameters take two, and the length one; a variance of few is itself
-        // so uncertain (Student's t) that it counts as if two more were missing.
+        // Of the number of independent stretches, the nadir's two parameters take two, and the length one; a variance from
+        // few stretches is so uncertain (Student's t) that two more are subtracted.
         let stretches = (left.len() as f64 / (2.0 * lag)).max(LEAST_STRETCHES);
         let variance = variance * stretches / (stretches - 5.0);
         Self {
@@ -66,9 +67,9 @@ impl Departure {
         }
     }
 
-    /// Covariance of the sum of gradients, each times its ray's departure. Rays are in order, and the last and the first are no neighbours: an edge
-    /// that closes counts as a chain. The sum over all pairs takes one pass, since the correlation of two
-    /// rays is that over all steps between them (Braun and Barf 2022, eq. 35).
+    /// Covariance of the sum of gradients, each times its ray's departure. Rays are in order, and the last and the first
+    /// are not neighbours: a closed edge counts as a chain. The sum over all pairs takes one pass, since the correlation of
+    /// two rays is the product of those of all steps between them (Braun and Barf 2022, eq. 35).
     pub(super) fn scatter<const N: usize>(
         self,
         gradients: &[(SVector<f64, N>, &EdgeRay)],

@@ -1,4 +1,4 @@
-//! Points of the edge in a picture, and the rays to them.
+//! Points of the edge in a picture, and their rays.
 
 use crate::geometry::camera::CameraModel;
 use crate::units::SensorPx;
@@ -10,22 +10,22 @@ pub struct EdgePoint {
     pub at: SensorPx,
     /// Unit vector in the image across the edge, towards the sphere.
     pub inward: Vector2<f64>,
-    /// 1 sigma across the edge, by the camera's noise alone, px.
+    /// 1 sigma across the edge, from the camera's noise alone, px.
     pub sigma_px: f64,
-    /// By how much its brightness may have moved it, all that are as dark or as bright alike: 1 sigma, px.
+    /// Shift of the edge by its brightness, common to all points of the same brightness: 1 sigma, px.
     pub of_brightness_px: f64,
 }
 
-/// The edge in one picture. Rays that follow each other are neighbours.
+/// The edge in one picture. Successive rays are neighbours.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EdgeRays {
     pub rays: Vec<EdgeRay>,
-    /// 1 sigma of where a picture's light has its edge, which neighbours have alike.
+    /// 1 sigma of the edge's position in a picture's light, common to neighbours.
     pub sigma_rad: f64,
 }
 
 impl EdgeRays {
-    /// Without the points beyond the limit of the lens. `sigma_rad` is the error that all the picture's edges share.
+    /// Excludes the points beyond the limit of the lens. `sigma_rad` is the error common to all edges of the picture.
     pub fn of(points: &[EdgePoint], camera: &CameraModel, sigma_rad: f64) -> Self {
         let rays = points.iter();
         Self {
@@ -36,7 +36,7 @@ impl EdgeRays {
         }
     }
 
-    /// The same edge in another frame.
+    /// The same edge in a rotated frame.
     pub fn turned(&self, rotation: &Rotation3<f64>) -> Self {
         let turned = |ray: &EdgeRay| EdgeRay {
             unit: rotation * ray.unit,
@@ -57,11 +57,11 @@ pub struct EdgeRay {
     pub unit: UnitVector3<f64>,
     /// Unit vector across the ray, towards the sphere.
     pub inward: Vector3<f64>,
-    /// 1 sigma of the ray across the edge, by the camera's noise alone.
+    /// 1 sigma of the ray across the edge, from the camera's noise alone.
     pub sigma_rad: f64,
-    /// By how much its brightness may have moved it, all that are as dark or as bright alike: 1 sigma.
+    /// Shift of the ray by the brightness, common to all rays of the same brightness: 1 sigma.
     pub of_brightness_rad: f64,
-    /// By how much the edge still moves when its light is read again.
+    /// Change of the edge's position in the last iteration.
     pub unsettled_rad: f64,
 }
 

@@ -1,4 +1,5 @@
-//! Whether the light within an edge goes on, or fades, as an Earth's does. That of a strut or of a flare ends as sharply as it began.
+//! Check that the light inside an edge continues, or fades, as an Earth's does. The light of a strut or of a flare ends as
+//! sharply as it begins.
 
 use super::edge::EdgePoint;
 use super::profile::{interpolated, is_inside, read_along};
@@ -9,20 +10,20 @@ use crate::reasons::horizon as reasons;
 use crate::units::Rejected;
 use nalgebra::Vector2;
 
-/// Light is read so many scale heights apart, or pixels where these are more, and so often.
+/// Spacing of the samples in scale heights, its minimum in px, and the number of samples.
 const APART_SCALES: f64 = 3.0;
 const APART_PX: f64 = 4.0;
 const SAMPLES: usize = 30;
-/// At one place in so many.
+/// Every `EVERY`-th place is checked.
 const EVERY: usize = 3;
-/// Over the edge's own fall: light that falls by so much from one sample to the next, to less than that, and for
-/// most of the way on, ends.
+/// The light ends where it falls from one sample to the next by more than `LEAST_FALL` of the edge's own fall, to less than
+/// `MOST_LEFT` of it, and stays that low for most of the remaining samples.
 const LEAST_FALL: f32 = 0.5;
 const MOST_LEFT: f32 = 0.2;
-/// It may end at this share of the places: where a strut hides it.
+/// Maximum share of the places where it ends, for example at a strut.
 const MOST_ENDING: f64 = 0.4;
 
-/// Whether light goes on within an edge whose own light falls to 1/e over `scale_px`.
+/// Checks that light continues inside an edge whose own light falls to 1/e over `scale_px`.
 ///
 /// # Errors
 /// The share of the places where it ends.

@@ -1,4 +1,4 @@
-//! Levels of a frame's light from a few of its pixels.
+//! Brightness levels of a frame from a few of its pixels.
 
 use super::sphere::Sphere;
 use crate::estimation::{SIGMA_PER_MEDIAN, median_among, median_of_orders, order};
@@ -11,28 +11,32 @@ use nalgebra::UnitVector3;
 use std::f64::consts::{PI, SQRT_2};
 use std::ops::Range;
 
-/// One pixel in so many is sampled, in each axis, and so many across a sphere or a picture that is small.
+/// Largest spacing of the sampled pixels along each axis, and minimum number of samples across a small sphere or a small
+/// picture.
 const MOST_SPACING_PX: f64 = 40.0;
 const ACROSS: f64 = 8.0;
 const RASTER_LINES: usize = 24;
-/// Shares of the pixels: of the dark sky, and of those above the bright level, of which a thousandth may be the Sun. Where the Sun is searched,
-/// the bright level is exceeded by a part of it.
+/// Quantiles of the pixels: of the dark sky, and the share above the bright level, of which a thousandth may be the Sun. If
+/// the Sun is searched, the share is a part of the Sun's.
 const DARK_SHARE: f64 = 0.02;
 const BRIGHT_SHARE: f64 = 0.005;
 const PART_OF_SPHERE: f64 = 0.25;
-/// The border of what is bright stands at this share of the way from dark to bright: above glare, below land that no cloud covers.
+/// The border of the bright area is at this fraction of the way from dark to bright: above glare, below land without
+/// clouds.
 const BORDER_SHARE: f64 = 0.3;
-/// Of the saturated level. A frame whose mean is above has no dark sky (HORACE 2014, section 2.2.1 and table 3.1).
+/// Relative to saturation. A frame with a higher mean has no dark sky (HORACE 2014, section 2.2.1 and table 3.1).
 const MOST_MEAN: f64 = 235.0 / 255.0;
-/// Of the saturated level, and in sigmas of a pixel's noise, from dark to bright. A frame that has less shows nothing.
+/// Minimum contrast from dark to bright, relative to saturation, and in sigmas of a pixel's noise. A frame with less shows
+/// no edge.
 const LEAST_CONTRAST: f64 = 12.0 / 255.0;
 const LEAST_CONTRAST_SIGMAS: f64 = 10.0;
 
-/// The same of the raster that shows which side of the edge is bright.
+/// Largest spacing of the raster that shows which side of the edge is bright.
 const MOST_RASTER_PX: usize = 54;
-/// Beyond the limb's light by so much, the sky is as dark as it is, rad.
+/// Distance beyond the limb's light at which the sky has its full darkness, rad.
 const FAR_RAD: f64 = 0.05;
-/// Of a raster's pixels within the sphere so many are bright, and of those of the sky at most so many. Both kinds are needed to find the border.
+/// Minimum share of bright pixels of the raster within the sphere, and maximum share in the sky. Both are needed to find
+/// the border.
 const LEAST_INSIDE: f64 = 0.1;
 const MOST_OUTSIDE: f64 = 0.4;
 const LEAST_PIXELS: usize = 40;
@@ -42,20 +46,20 @@ const LEAST_PIXELS: usize = 40;
 pub struct Levels {
     pub dark_dn: f64,
     pub bright_dn: f64,
-    /// Of a pixel, 1 sigma.
+    /// Noise of a pixel, 1 sigma.
     pub noise_dn: f64,
 }
 
 impl Levels {
-    /// The reason of a frame that is bright all over.
+    /// Reason for a frame that is bright all over.
     pub const TOO_BRIGHT: &'static str = "too_bright";
-    /// Of one that is dark all over.
+    /// Reason for a frame that is dark all over.
     pub const TOO_DARK: &'static str = "too_dark";
 
-    /// The levels by a raster of pixels, or why the frame cannot show an edge for a sphere of some radius in the picture.
+    /// The levels from a raster of pixels, for a sphere with the given radius in the picture.
     ///
     /// # Errors
-    /// A frame that is dark, or bright, all over.
+    /// If the frame is dark, or bright, all over and cannot show an edge.
     pub fn of(frame: &Frame, radius_px: f64) -> Result<Self, Rejected> {
         let shorter_px = frame.width().min(frame.height());
         let spacing_px = (2.0 * radius_px / ACROSS).min(MOST_SPACING_PX) as usize;
@@ -84,13 +88,13 @@ impl Levels {
         Ok(levels)
     }
 
-    /// Where the border of what is bright stands, DN.
+    /// Level of the border of the bright area, DN.
     pub fn border_dn(&self) -> f64 {
         self.dark_dn + BORDER_SHARE * (self.bright_dn - self.dark_dn)
     }
 }
 
-/// Some of the pixels, their mean, and the brighter ones' noise by the difference from their neighbours.
+/// Some of the pixels, their mean, and the noise of the brighter ones from the difference between neighbours.
 struct Sampled {
     pixels: Vec<u32>,
     mean: f64,
@@ -108,7 +112,7 @@ impl Sampled {
         let pixels: Vec<u32> = pairs.iter().map(|[one, _]| *one).collect();
         let sum: u64 = pixels.iter().map(|dn| u64::from(*dn)).sum();
         let mean = sum as f64 / pixels.len() as f64;
-        // Light has noise of its own, and the dark sky may have lost some at the bottom of the scale.
+        // The noise grows with the light, and that of the dark sky may be clipped at 0.
         let bright = pairs.iter().filter(|[one, _]| f64::from(*one) >= mean);
         let differences = bright.map(|[one, next]| order(one.abs_diff(*next) as f32));
         let median = median_of_orders(&mut differences.collect::<Vec<i32>>());
@@ -117,13 +121,13 @@ impl Sampled {
         Self {
             mean,
             pixels,
-            // Of whole numbers, half a one at the least.
+            // At least half a DN, because of rounding.
             noise_dn: noise.max(0.5),
         }
     }
 }
 
-/// Pixels all over the frame that are not masked: the direction of each, and its light, DN.
+/// Unmasked pixels all over the frame: the direction of each, and its brightness, DN.
 pub(super) struct Raster {
     pixels: Vec<(UnitVector3<f64>, f64)>,
 }
@@ -146,7 +150,7 @@ impl Raster {
         Self { pixels }
     }
 
-    /// The light of the pixels whose rays have a cosine within a range with a nadir; `None` of too few.
+    /// The brightness of the pixels whose rays have a cosine to a nadir within a range; `None` if there are too few.
     fn light_within(&self, nadir: &UnitVector3<f64>, range: Range<f64>) -> Option<Vec<f64>> {
         let mut light = Vec::with_capacity(self.pixels.len());
         for (ray, dn) in &self.pixels {
@@ -157,16 +161,16 @@ impl Raster {
         (light.len() >= LEAST_PIXELS).then_some(light)
     }
 
-    /// Level of the sky far from the limb, DN; `None` where too little of it is in view.
+    /// Level of the sky far from the limb, DN; `None` if too little of it is in view.
     pub fn far_sky_dn(&self, sphere: &Sphere, nadir: &UnitVector3<f64>) -> Option<f64> {
         let angle = sphere.half_angle_rad.value + sphere.outside_rad + FAR_RAD;
         median_among(&mut self.light_within(nadir, f64::NEG_INFINITY..angle.cos())?)
     }
 
-    /// Whether light fills the sphere, as far as it is day there, and not the sky. Flares have edges, too.
+    /// Checks that the sphere is bright, as far as it is day there, and the sky is not. Flares have edges as well.
     ///
     /// # Errors
-    /// The share of bright pixels that says otherwise.
+    /// The share of bright pixels that contradicts this.
     pub fn is_filled(
         &self,
         sphere: &Sphere,

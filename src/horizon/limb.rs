@@ -1,10 +1,10 @@
-//! The edge of the limb to a part of a pixel, by profiles of its light.
+//! The sub-pixel edge of the limb, from profiles of its brightness.
 //!
-//! The edge is where the limb has half of its brightness above the sky. Brightness varies along the limb, and clouds lie beside
-//! it, so that half is found in two steps: the mean profile gives where half is, and each place is compared with that profile
-//! where no cloud reaches, with a darkness, a brightness and a shift of its own.
+//! The edge is where the limb has half of its brightness above the sky. Brightness varies along the limb, and clouds lie
+//! beside it, so that this point is found in two steps: the mean profile gives the half-brightness point, and each place is
+//! compared with that profile above any cloud, with a darkness, a brightness and a shift of its own.
 //!
-//! An edge is not yet a limb: see [`Shape::check`].
+//! An edge is not necessarily a limb: see [`Shape::check`].
 
 use super::edge::EdgePoint;
 use super::places::{Light, OfPlaces, is_limb, mean_profile, unlike};
@@ -16,46 +16,46 @@ use crate::estimation::median;
 use crate::reasons::horizon as reasons;
 use crate::units::Rejected;
 
-/// Profiles and their mean are found in so many rounds.
+/// Number of iterations of the profiles and their mean.
 const ROUNDS: usize = 2;
-/// A place whose shift is known less well shows no edge.
+/// A place whose shift has a larger sigma shows no edge.
 const MOST_SIGMA_STEPS: f64 = 2.0;
-/// A limb may be so much darker than the middle one, as it is near the terminator.
+/// Minimum brightness of a place relative to the median one: near the terminator the limb is darker.
 const LEAST_BRIGHTNESS: f64 = 0.15;
 
-/// Where the limb is darker than the brightest, except for so much of its logarithm that may be weather, twilight moves half of its light: by so many scale
-/// heights for a factor of e.
+/// Where the limb is darker than the brightest place, twilight shifts its half-brightness point: by so many scale heights
+/// per factor of e. A difference of the logarithm up to `LIKE_BRIGHT` may be due to weather and does not count.
 const LIKE_BRIGHT: f64 = 0.2;
 const TWILIGHT_SCALES: f64 = 0.3;
-/// Beyond noise, half of the places differ from the mean profile by this share of their brightness at most.
+/// Maximum median deviation of the places from the mean profile, beyond noise, relative to their brightness.
 const MOST_UNEVEN: f64 = 0.015;
-/// A limb that fades into night has less than this of the brightest at so many places before.
+/// A limb that fades into night is darker than this fraction of the brightest place at so many places before.
 const FADED: f64 = 0.7;
 const FADING_PLACES: usize = 4;
-/// Above clouds, a place that is brighter by a factor of e may as well have its edge farther out, by so many scale heights.
+/// Above clouds, the edge of a place that is brighter by a factor of e may be farther out by so many scale heights.
 const CLOUDED_SCALES: f64 = 0.5;
-/// Noise is known to this share of it.
+/// Relative uncertainty of the noise.
 const NOISE_SIGMA: f64 = 0.7;
 
-/// The edge as the profiles show it.
+/// The edge measured from the profiles.
 pub(super) struct Edge {
     pub points: Vec<EdgePoint>,
-    /// Whether it is a limb's. A cone that is not yet aligned with the edge blurs it.
+    /// Whether it is a limb's edge. Before the cone is aligned with the edge, the edge looks blurred.
     pub likeness: Result<(), Rejected>,
-    /// How well it is known where the edge has half of the limb's brightness, all around alike.
+    /// Uncertainty of the half-brightness point, common to all places.
     pub sigma_rad: f64,
     /// Share of the places with clouds.
     pub clouded: f64,
-    /// No cloud is seen, and all light has the law of air.
+    /// No cloud is visible, and all light follows the model of the air.
     pub is_clear: bool,
-    /// Places that show light of any kind.
+    /// Number of places with light of any kind.
     pub lit: usize,
 }
 
-/// The edge at every place that shows one.
+/// The edge at every place where it is visible.
 ///
 /// # Errors
-/// Nothing is bright before the sky.
+/// If nothing is brighter than the sky.
 pub(super) fn edge(profiles: &Profiles, sphere: &Sphere, light: &Light) -> Result<Edge, Rejected> {
     let mut limbs: Vec<Limb> = profiles
         .light()
@@ -112,7 +112,7 @@ pub(super) fn edge(profiles: &Profiles, sphere: &Sphere, light: &Light) -> Resul
     })
 }
 
-/// Whether light falls off alike at half of the places.
+/// Checks that the light falls off in the same way at half of the places or more.
 fn check_alike<'a>(
     limbs: impl Iterator<Item = &'a Limb> + Clone,
     noise_dn: f64,
@@ -123,13 +123,14 @@ fn check_alike<'a>(
     Rejected::at_most(most, uneven, reasons::UNEVEN_EDGE)
 }
 
-/// How many of the places show light, or should: the limb fades into night, and where it ends while it is bright it is hidden, or no limb.
+/// Number of places that show light, or should: a limb may fade into night, but where it ends while it is bright, something
+/// covers it, or it is no limb.
 fn lit(profiles: &Profiles, limbs: &[Limb], least_dn: f64, brightest_dn: f64) -> usize {
     let is_lit = |light: &[f32]| {
         let limit_dn = mean_dn(&light[profiles.sky()]) + least_dn;
         light.iter().any(|dn| f64::from(*dn) > limit_dn)
     };
-    // The brightness of the places that show light; none of the others.
+    // The brightness of the places with light; none for the others.
     let bright: Vec<Option<f64>> = profiles
         .light()
         .zip(limbs)
@@ -152,7 +153,7 @@ fn lit(profiles: &Profiles, limbs: &[Limb], least_dn: f64, brightest_dn: f64) ->
     count
 }
 
-/// The light of a place by the ends of its profile.
+/// The brightness of a place from the ends of its profile.
 fn seen(profiles: &Profiles, light: &[f32]) -> Limb {
     let dark_dn = mean_dn(&light[profiles.sky()]);
     Limb {

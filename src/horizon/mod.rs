@@ -1,23 +1,24 @@
-//! The direction of a sphere by its edge: the Earth's horizon, seen by a camera.
+//! The direction of a sphere from its edge: the Earth's horizon in a camera's picture.
 //!
-//! Rays from the camera to the edge of a sphere make a cone about the direction of its centre, the nadir (Braun and Barf 2022,
-//! "Image processing based horizon sensor for estimating the orientation of sounding rockets, launch vehicles and spacecraft", section 2.4).
-//! The distance gives the cone's half-angle; points of the edge determine its axis, however long or short the arc is that they lie on.
+//! Rays from the camera to the edge of a sphere form a cone about the direction of its centre, the nadir (Braun and Barf
+//! 2022, "Image processing based horizon sensor for estimating the orientation of sounding rockets, launch vehicles and
+//! spacecraft", section 2.4). The distance gives the cone's half-angle; points of the edge determine its axis, for any
+//! length of the arc that they lie on.
 //!
 //! Directions are in the camera frame: x to the right, y down, z forward.
 //!
-//! # The way of a frame
-//! 1. [`Levels`]: the light of a raster of pixels. A frame that is dark or bright all over is refused.
-//! 2. `scan`: sharp edges along rows and columns. `consensus`: RANSAC finds the nadirs that most of them agree with. Where the last
-//!    frame's nadir is known, it replaces both.
-//! 3. `profile`: the light across the edge all along the cone. `limb`: where it has half of the limb's own brightness, and whether it is
-//!    a limb at all: as sharp as the air (`shape`), the same from place to place, and light that continues inside (`inside`). The profiles
-//!    are read again until the edge converges.
-//! 4. [`nadir()`] fits the direction, with the covariance of noise, limb, height and of what moves the edge. Several guesses may come so far:
-//!    the best one counts, in doubt where another is nearly as good ([`Solution`]).
+//! # Processing of a frame
+//! 1. [`Levels`]: the brightness of a raster of pixels. A frame that is dark or bright all over is rejected.
+//! 2. `scan`: sharp edges along rows and columns. `consensus`: RANSAC finds the nadirs that most of them agree with. If the
+//!    last frame's nadir is known, it replaces both.
+//! 3. `profile`: the brightness across the edge all along the cone. `limb`: the point with half of the limb's own
+//!    brightness, and whether it is a limb at all: as sharp as the air (`shape`), the same from place to place, and with
+//!    light that continues inside (`inside`). The profiles are read again until the edge converges.
+//! 4. [`nadir()`] fits the direction, with its covariance from noise, limb, height and shifts of the edge. If several
+//!    guesses get this far, the best one is kept, in doubt if another is nearly as good ([`Solution`]).
 //!
-//! [`joint`] does the last step for cameras of one vehicle together. [`circle`] is a simpler method that follows the border of the bright area,
-//! for comparison.
+//! [`joint`] does the last step for all cameras of one vehicle together. [`circle`] is a simpler method that follows the
+//! border of the bright area, for comparison.
 
 mod air;
 mod border;
@@ -53,23 +54,24 @@ use crate::with_view;
 use nalgebra::{Rotation3, UnitVector3};
 use search::{Search, enough, fitted, unfitted};
 
-/// Nadirs that are farther apart than this are two, deg; the second is a rival with such a share of the first one's points.
+/// Nadirs farther apart than this, deg, are different; the second one is a rival if it has this share of the first one's
+/// points.
 const APART_DEG: f64 = 2.0;
 const RIVAL_POINTS: f64 = 0.5;
-/// Share of the places above which an effect is flagged.
+/// Minimum share of the places for a flag.
 const LEAST_SHARE: f64 = 0.1;
 
-/// How a frame is solved.
+/// Settings for the solution of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct HorizonSettings {
-    /// For [`circle`], pixels of at least this are bright, DN; by the frame's own light where it is not stated.
+    /// For [`circle`], pixels of at least this value are bright, DN; if not stated, derived from the frame's own levels.
     pub threshold_dn: Option<f64>,
     pub height: EdgeHeight,
-    /// How the limb departs from a sphere; by the frame's own residuals where it is not stated.
+    /// Departure of the limb from a sphere; if not stated, derived from the frame's own residuals.
     pub departure: Option<Departure>,
 }
 
-/// Where the solution of a frame may end.
+/// Stage at which the solution of a frame may end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
     Light,
@@ -89,7 +91,7 @@ impl Stage {
     }
 }
 
-/// The stage that went no further, and why.
+/// The stage at which processing stopped, and the reason.
 pub type Stopped = crate::reasons::Stopped<Stage>;
 
 impl crate::reasons::Stage for Stage {
@@ -98,12 +100,12 @@ impl crate::reasons::Stage for Stage {
     }
 }
 
-/// How good a nadir is.
+/// Quality of a nadir.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Quality {
-    /// Nothing contradicts it.
+    /// No check contradicts it.
     Fine,
-    /// Something does: see [`Solution::doubt`].
+    /// A check contradicts it: see [`Solution::doubt`].
     Coarse,
     None,
 }
@@ -118,16 +120,16 @@ impl Quality {
     }
 }
 
-/// Things beside the edge, or that hide it.
+/// Features near the edge, or that cover it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Flag {
-    /// Clouds reach into the limb: where they do, the air above them determines the edge.
+    /// Clouds reach into the limb: there the air above them determines the edge.
     Clouds,
-    /// Places whose edge is not the sphere's: of a cloud's top, of the ground, of a flare.
+    /// Places whose edge is not the sphere's, but that of a cloud top, of the ground, or of a flare.
     OtherEdges,
     /// Places that show no edge: night, or glare.
     NoEdge,
-    /// Cameras of one vehicle that see no common cone: each answers for itself.
+    /// Cameras of one vehicle without a common cone: each camera has its own nadir.
     CamerasDisagree,
 }
 
@@ -142,25 +144,25 @@ impl Flag {
     }
 }
 
-/// Solution of a frame, as far as it got.
+/// Solution of a frame, as far as processing got.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
     pub levels: Option<Levels>,
-    /// Places of the edge that are in view.
+    /// Number of places of the edge that are in view.
     pub places: usize,
-    /// Those of them that show light of any kind.
+    /// Number of these with light of any kind.
     pub lit: usize,
-    /// The edge where it is seen.
+    /// The edge where it is visible.
     pub edge: EdgeRays,
     /// Share of the places with clouds in the limb.
     pub clouded: f64,
     pub nadir: Result<Nadir, Stopped>,
-    /// Why a nadir is not fine; none of one that is.
+    /// Why a nadir is not fine; none if it is.
     pub doubt: Option<Stopped>,
 }
 
 impl Solution {
-    /// Of a frame that shows nothing.
+    /// Solution of a frame that shows nothing.
     pub fn none(stopped: Stopped) -> Self {
         Self {
             levels: None,
@@ -173,7 +175,7 @@ impl Solution {
         }
     }
 
-    /// Points that are part of the edge.
+    /// Number of points that are part of the edge.
     pub fn agreeing(&self) -> usize {
         self.nadir.as_ref().map_or(0, Nadir::agreeing)
     }
@@ -191,7 +193,7 @@ impl Solution {
         self.nadir.as_ref().err().or(self.doubt.as_ref())
     }
 
-    /// The better one of two, in doubt where the other is nearly as good.
+    /// The better one of two, in doubt if the other is nearly as good.
     fn or_rival(self, other: Self) -> Self {
         let worth = |solution: &Self| (std::cmp::Reverse(solution.quality()), solution.agreeing());
         let (best, rival) = match worth(&other) > worth(&self) {
@@ -214,7 +216,7 @@ impl Solution {
         }
     }
 
-    /// Flags for a reader of the nadir; none of a frame without one.
+    /// Flags for the user of the nadir; empty for a frame without one.
     pub fn flags(&self) -> Vec<Flag> {
         let (places, seen) = (self.places as f64, self.edge.rays.len() as f64);
         let flags = [
@@ -231,7 +233,7 @@ impl Solution {
     }
 }
 
-/// Finds a sphere in a frame; near the last frame's nadir first, where there is one.
+/// Finds a sphere in a frame; first near the last frame's nadir, if there is one.
 pub fn solve(
     settings: &HorizonSettings,
     frame: &Frame,
@@ -253,11 +255,11 @@ pub fn solve(
     })
 }
 
-/// The nadir by what several cameras of one vehicle see at a time, each with the turn from its own frame to the vehicle's body. `sphere` is
-/// that of the body's frame.
+/// The nadir from simultaneous pictures of several cameras of one vehicle, each with the rotation from its own frame to the
+/// vehicle's body. `sphere` is in the body's frame.
 ///
 /// # Errors
-/// No camera that sees the edge, or a camera whose edge agrees too little with the nadir of all.
+/// If no camera sees the edge, or if a camera's edge agrees too little with the common nadir.
 pub fn joint(
     settings: &HorizonSettings,
     sphere: &Sphere,

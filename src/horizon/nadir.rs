@@ -1,8 +1,9 @@
-//! The nadir by rays to the edge.
+//! The nadir from rays to the edge.
 //!
-//! The fit is by angles: that between each ray and the nadir, less the cone's half-angle, over its sigma. Two unknowns move the nadir across
-//! itself, so that it stays a unit vector; linear least squares for its three components (Braun and Barf 2022, eq. 22-24) are biased where the
-//! arc is short. A third one, the half-angle, is held unless it is asked for.
+//! The residual of a ray is its angle from the nadir minus the cone's half-angle, over its sigma. Two unknowns move the
+//! nadir perpendicular to itself, so that it stays a unit vector; linear least squares for its three components (Braun and
+//! Barf 2022, eq. 22-24) is biased if the arc is short. A third unknown, the half-angle, is held unless its fit is
+//! requested.
 
 use super::departure::Departure;
 use super::edge::{EdgeRay, EdgeRays};
@@ -12,22 +13,22 @@ use crate::geometry::attitude::Direction;
 use crate::units::Measured;
 use nalgebra::{Matrix3, RowVector3, UnitVector3, Vector1, Vector3};
 
-/// Fewer rays determine no direction.
+/// Minimum number of rays for a direction.
 const LEAST_RAYS: usize = 3;
-/// The half-angle that is fitted lies so near the given one, rad: 1 sigma, far more than any air makes.
+/// Prior of a fitted half-angle about the given one, rad: 1 sigma, far more than the effect of any air.
 const FREE_RAD: f64 = 0.05;
-/// Brightness and blur, which say where a picture's light has its edge, change over such angles along it.
+/// Correlation angle, along the edge, of brightness and blur, which shift the edge in a picture's light.
 const LIGHT_RAD: f64 = 50.0;
-/// A point of less weight is no part of the edge.
+/// A point with a lower weight is not part of the edge.
 const LEAST_WEIGHT: f64 = 0.1;
 
 /// Whether the height of the edge is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum EdgeHeight {
-    /// As the sphere's half-angle says, within its sigma.
+    /// Held at the sphere's half-angle, within its sigma.
     #[default]
     Given,
-    /// Found together with the nadir, by how much the edge curves.
+    /// Fitted together with the nadir, from the curvature of the edge.
     Fitted,
 }
 
@@ -40,7 +41,7 @@ pub enum Conic {
 }
 
 impl Conic {
-    /// By the elevation of the nadir above the image plane against the half-angle (Braun and Barf 2022, eq. 11).
+    /// From the elevation of the nadir above the image plane and the half-angle (Braun and Barf 2022, eq. 11).
     pub fn of(nadir: &UnitVector3<f64>, half_angle_rad: f64) -> Self {
         const SAME_RAD: f64 = 1e-12;
         let above = nadir.z.abs().asin() - half_angle_rad;
@@ -60,18 +61,18 @@ impl Conic {
     }
 }
 
-/// The direction of a sphere's centre; of an ellipsoid, straight down.
+/// The direction of a sphere's centre; for an ellipsoid, straight down.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Nadir {
     pub direction: Direction,
     pub height: EdgeHeight,
     pub half_angle_rad: Measured,
     pub conic: Conic,
-    /// How the edge was taken to depart from the sphere.
+    /// Departure of the edge from the sphere that was assumed.
     pub departure: Departure,
-    /// Rms of the residuals over their sigmas.
+    /// Rms of the normalised residuals.
     pub scatter: f64,
-    /// The loss's weight of each ray, 0 to 1.
+    /// Weight of each ray by the loss function, 0 to 1.
     pub weights: Vec<f64>,
 }
 
@@ -84,10 +85,10 @@ pub enum NadirError {
     Fit(#[from] FitError),
 }
 
-/// The nadir by the edge of a sphere in one picture, or in several at one time.
+/// The nadir from the edge of a sphere in one picture, or in several at one time.
 ///
 /// # Errors
-/// Too few rays, or rays that determine no direction.
+/// If there are too few rays, or if they do not determine a direction.
 pub fn nadir(
     pictures: &[EdgeRays],
     sphere: &Sphere,
@@ -127,7 +128,7 @@ pub fn nadir(
             let outward = (1.0 - along * along).sqrt();
             let slope = tangents.tr_mul(&ray.unit) / outward;
             Linearised {
-                // The sine of a difference of angles, which is small: that difference.
+                // The sine of a small difference of angles, which equals that difference.
                 residual: Vector1::new((sine * along - cosine * outward) / *sigma),
                 jacobian: -RowVector3::new(slope.x, slope.y, free_rad) / *sigma,
             }
@@ -135,7 +136,8 @@ pub fn nadir(
     };
     let robust = LeastSquares {
         start: Vector3::zeros(),
-        // Of the half-angle's change in units of what is free; of none that is free, it keeps the equations regular.
+        // Prior of the half-angle's change in units of its free range; if it is held, the prior keeps the equations
+        // regular.
         prior: Prior {
             mean: Vector3::zeros(),
             information: Vector3::z(),
@@ -158,9 +160,10 @@ pub fn nadir(
         gradient * gradient.transpose() * ray.sigma_rad.powi(2)
     };
     let mut scatter: Matrix3<f64> = gradients.iter().map(noise).sum();
-    // The prior's own, of the half-angle in units of what is free.
+    // Contribution of the prior of the half-angle, in units of its free range.
     scatter += Matrix3::from_diagonal(&Vector3::z());
-    // What the residuals show of the edge's departure is a part of what its height's sigma lets expect, not more of it.
+    // The departure seen in the residuals is already a part of that expected from the height's sigma: the larger one
+    // counts.
     let shown = departure.scatter(&gradients);
     let expected = sphere.departure.scatter(&gradients);
     let of_nadir = |scatter: &Matrix3<f64>| scatter.m11 + scatter.m22;
@@ -169,7 +172,7 @@ pub fn nadir(
         false => shown,
     };
     scatter += Departure::shared(held_rad).scatter(&gradients);
-    // What moves all rays together, each by its own measure.
+    // Shifts common to all rays, each with its own magnitude.
     let together = |moved_rad: fn(&EdgeRay) -> f64| {
         let moved = gradients
             .iter()
@@ -184,7 +187,7 @@ pub fn nadir(
         scatter += light(picture).scatter(own);
         left = others;
     }
-    // The core has inflated each of the two already, and once is right.
+    // Both covariances contain the inflation by the scatter; it must count once.
     let covariance = fitted.covariance * scatter * fitted.covariance / fitted.scatter.powi(2);
     if !covariance.iter().all(|v| v.is_finite()) {
         return Err(FitError::Undetermined.into());
@@ -209,7 +212,7 @@ pub fn nadir(
     })
 }
 
-/// Turn of the camera about its axis, deg, from the horizontal: positive with its right side low.
+/// Rotation of the camera about its axis from the horizontal, deg: positive with its right side low.
 pub fn roll_deg(nadir: &UnitVector3<f64>) -> f64 {
     nadir.x.atan2(nadir.y).to_degrees()
 }
@@ -228,12 +231,12 @@ impl Nadir {
         pitch_deg(&self.direction.unit)
     }
 
-    /// Root of the largest eigenvalue of the covariance, deg: the isotropic bound (Braun and Barf 2022, eq. 37).
+    /// Square root of the largest eigenvalue of the covariance, deg: the isotropic bound (Braun and Barf 2022, eq. 37).
     pub fn sigma_deg(&self) -> f64 {
         self.direction.sigma_rad().to_degrees()
     }
 
-    /// The height of the edge that was found; `None` where it was held, or of a sphere without air.
+    /// The fitted height of the edge; `None` if it was held, or for a sphere without air.
     pub fn edge_m(&self, sphere: &Sphere) -> Option<Measured> {
         match self.height {
             EdgeHeight::Given => None,
@@ -241,28 +244,28 @@ impl Nadir {
         }
     }
 
-    /// Whether the n-th ray is a part of the edge.
+    /// Whether the n-th ray is part of the edge.
     pub fn agrees(&self, n: usize) -> bool {
         self.weights.get(n).is_some_and(is_part)
     }
 
-    /// Of the rays of the edge, how many are a part of it.
+    /// Number of rays that are part of the edge.
     pub fn agreeing(&self) -> usize {
         agreeing(&self.weights)
     }
 }
 
-/// How many of the rays of such weights are a part of the edge.
+/// Number of rays that are part of the edge, by their weights.
 pub(super) fn agreeing(weights: &[f64]) -> usize {
     weights.iter().filter(|weight| is_part(weight)).count()
 }
 
-/// Whether a ray of such a weight is a part of the edge.
+/// Whether a ray with this weight is part of the edge.
 pub(super) fn is_part(weight: &f64) -> bool {
     *weight > LEAST_WEIGHT
 }
 
-/// How a picture's light puts the edge too far out, or in.
+/// Common shift of a picture's edge, outwards or inwards, by its light.
 fn light(picture: &EdgeRays) -> Departure {
     Departure {
         sigma_rad: picture.sigma_rad,
@@ -270,7 +273,7 @@ fn light(picture: &EdgeRays) -> Departure {
     }
 }
 
-/// Where each ray, and the side on which the sphere is seen, have the nadir.
+/// Mean of the nadirs that follow from each ray and its bright side.
 fn start<'a>(edge: impl Iterator<Item = &'a EdgeRay>, angle: f64) -> Option<UnitVector3<f64>> {
     let (sine, cosine) = angle.sin_cos();
     let of_one = |ray: &EdgeRay| ray.unit.into_inner() * cosine + ray.inward * sine;
@@ -293,24 +296,25 @@ mod tests {
 
     const SIZE_PX: [f64; 2] = [1920.0, 1080.0];
     const NOISE_PX: f64 = 0.1;
-    /// Of the whole edge, in view or not.
+    /// Number of points on the whole edge, in view or not.
     const DRAWN_POINTS: u32 = 2000;
 
-    /// 94.4 deg across.
+    /// A field of 94.4 deg.
     fn camera() -> CameraModel {
         let focal = SIZE_PX[0] / 2.0 / 47.2_f64.to_radians().tan();
         let centre = SensorPx::new(959.5, 539.5);
         CameraModel::new(Lens::Rectilinear, [focal, focal], centre).unwrap()
     }
 
-    /// A nadir by the camera's roll and pitch.
+    /// A nadir from the camera's roll and pitch.
     fn nadir_of(roll_deg: f64, pitch_deg: f64) -> UnitVector3<f64> {
         let (roll, pitch) = (roll_deg.to_radians(), pitch_deg.to_radians());
         let level = Vector3::new(roll.sin(), roll.cos(), 0.0) * pitch.cos();
         UnitVector3::new_normalize(level - Vector3::z() * pitch.sin())
     }
 
-    /// Errors of a drawn edge: white noise of the camera (px), a correlated one of the edge and one of the half-angle.
+    /// Errors of a drawn edge: white noise of the camera (px), a correlated error of the edge and an error of the
+    /// half-angle.
     #[derive(Clone, Copy)]
     struct Errors {
         noise_px: f64,
@@ -324,7 +328,7 @@ mod tests {
         angle_rad: 0.0,
     };
 
-    /// Points of the edge within the picture, some pixels apart, whose errors are drawn.
+    /// Points of the edge within the picture, some pixels apart, with drawn errors.
     fn edge(
         nadir: &UnitVector3<f64>,
         angle: f64,
@@ -385,13 +389,13 @@ mod tests {
         }]
     }
 
-    /// The nadir of points on a sphere's edge.
+    /// The nadir fitted to points on a sphere's edge.
     fn found(points: &[EdgePoint], angle: Measured, departure: Departure) -> Nadir {
         let sphere = Sphere::disc(angle);
         nadir(&rays(points), &sphere, EdgeHeight::Given, departure).unwrap()
     }
 
-    /// Root of the mean of the squared error over its covariance, over many scenes.
+    /// Rms of the errors normalised by their covariance, over many scenes.
     fn error_over_sigma(height_m: f64, errors: Errors) -> f64 {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(20);
         let angle = half_angle(height_m);
@@ -477,7 +481,7 @@ mod tests {
     fn the_edges_height_is_found_with_the_nadir_and_known_as_well_as_it_says() {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(6);
         let angle = half_angle(230_000.0);
-        // Off by as much as the air stands above the sphere.
+        // The half-angle is off by the height of the air above the sphere.
         let start = Sphere::disc(Measured::new(angle - 0.012, 0.0));
         let mut squares = 0.0;
         const SCENES: usize = 200;
@@ -510,7 +514,7 @@ mod tests {
             off.0 += across.transpose() * (found.direction.unit.into_inner() - truth.into_inner());
             off.1 += across.transpose() * found.direction.covariance_rad2 * across;
         }
-        // The mean error is a draw of the mean covariance over the number of scenes, twice.
+        // The mean error is a draw from the mean covariance over the number of scenes, twice.
         let chi2 = (off.0.transpose() * off.1.try_inverse().unwrap() * off.0)[0];
         assert!(chi2 < 13.8, "{chi2}: one in a thousand is larger");
     }

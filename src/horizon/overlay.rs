@@ -1,4 +1,4 @@
-//! A picture of a frame on which a person sees what was taken for the horizon.
+//! A picture of a frame that shows the detected horizon.
 
 use super::circle::Circle;
 use super::nadir::is_part;
@@ -13,7 +13,7 @@ use image::RgbImage;
 use nalgebra::UnitVector3;
 use std::f64::consts::TAU;
 
-/// Below them two lines of legend.
+/// The caption is followed by two lines of legend.
 const CAPTION_LINES: u32 = 4;
 const STRIP_LINES: u32 = CAPTION_LINES + 2;
 const LEGEND: [(&str, Colour); 5] = [
@@ -25,7 +25,7 @@ const LEGEND: [(&str, Colour); 5] = [
 ];
 const ARROW_PX: f64 = 120.0;
 
-/// The whole frame with the edge as it was seen (yellow; red where it does not agree), the edge of the sphere that was found (green), the
+/// The whole frame with the observed edge (yellow; red where it does not agree), the edge of the fitted sphere (green), the
 /// direction down (magenta) and the vehicle's own parts (blue).
 pub fn overlay(
     frame: &Frame,
@@ -58,7 +58,7 @@ pub fn overlay(
     captioned(canvas, &captions(solution, title))
 }
 
-/// The same of a circle: the edge of the sphere that it gives, and the direction down.
+/// The same for a circle: the edge of its sphere, and the direction down.
 pub fn overlay_of_circle(
     frame: &Frame,
     circle: Result<&Circle, &Stopped>,
@@ -78,7 +78,7 @@ pub fn overlay_of_circle(
     captioned(canvas, &[title.to_owned(), text])
 }
 
-/// The frame with the vehicle's own parts, stretched between two levels or to its limits.
+/// The frame with the vehicle's own parts marked, its contrast stretched between two levels or to its limits.
 fn canvas(frame: &Frame, camera: &DirectionCamera, levels_dn: Option<(f64, f64)>) -> Canvas {
     let limits_dn = (0.0, f64::from(frame.saturation_dn()));
     let stretch = levels_dn.unwrap_or(limits_dn);

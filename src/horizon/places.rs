@@ -1,42 +1,43 @@
-//! Properties of the limb from all places along an edge.
+//! Properties of the limb over all places along an edge.
 
 use super::profile::{INTERPOLATED_NOISE, Profiles};
 use super::template::Limb;
 use crate::estimation::median;
 use crate::kernels::paths::{COLUMNS, column_quantiles};
 
-/// Places that are averaged, and the share of them that has no cloud, where the limb's brightness is read. Less, and the places that a flare or the
-/// Sun corrupts would count.
+/// Number of places in an average, and the quantile of the averages, without clouds, from which the limb's brightness is
+/// read. With smaller values, places corrupted by a flare or the Sun would count.
 const AVERAGED_PLACES: usize = 5;
 const CLOUDLESS_SHARE: f64 = 0.1;
-/// The brightest place is the one that so many are darker than.
+/// The brightest place is this quantile of the brightness.
 const BRIGHTEST: f64 = 0.9;
 
-/// Levels of a frame's light, DN.
+/// Brightness levels of a frame, DN.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Light {
-    /// The limb is brighter than the sky by so much at the least.
+    /// Minimum brightness of the limb above the sky.
     pub least_dn: f64,
-    /// Of a pixel, 1 sigma.
+    /// Noise of a pixel, 1 sigma.
     pub noise_dn: f64,
-    /// Beyond noise, a place's profile differs from the mean one by this share of its brightness at most.
+    /// Maximum deviation of a place's profile from the mean one, beyond noise, relative to its brightness.
     pub most_unlike: f64,
-    /// Of a pixel of the sky far from the limb, if any is in view.
+    /// Level of a pixel of the sky far from the limb, if any is in view.
     pub far_sky_dn: Option<f64>,
 }
 
-/// Whether a place shows what the others do, and not a part of the vehicle.
+/// Whether a place shows the limb as the others do, and not a part of the vehicle.
 pub(super) fn is_limb(limb: &Limb, light: &Light) -> bool {
     limb.brightness_dn > light.least_dn && unlike(limb, light.noise_dn) < light.most_unlike
 }
 
-/// Residual of a place's profile against the mean one, beyond noise, over its brightness.
+/// Residual of a place's profile against the mean one, beyond noise, relative to its brightness.
 pub(super) fn unlike(limb: &Limb, noise_dn: f64) -> f64 {
     let noise_dn = INTERPOLATED_NOISE * noise_dn;
     (limb.scatter_dn.powi(2) - noise_dn.powi(2)).max(0.0).sqrt() / limb.brightness_dn
 }
 
-/// The first samples of all places that show the limb, each less its darkness and over its brightness. A row for each place, whole [`COLUMNS`] long.
+/// The first samples of all places that show the limb, each minus its darkness and divided by its brightness. One row per
+/// place, padded to whole [`COLUMNS`].
 struct Normalised {
     light: Vec<f32>,
     samples: usize,
@@ -59,7 +60,7 @@ impl Normalised {
         }
     }
 
-    /// The means of so many rows that follow each other.
+    /// The means of so many successive rows.
     fn running_means(self, rows: usize) -> Self {
         let count = self.light.len().saturating_sub((rows - 1) * self.stride);
         let mut means = self.light[..count].to_vec();
@@ -78,7 +79,7 @@ impl Normalised {
         }
     }
 
-    /// At each sample, what so large a share of rows is darker than. Nothing of no row.
+    /// The quantile of the rows at each sample. Empty if there are no rows.
     fn quantiles(&self, share: f64) -> Vec<f32> {
         if self.light.is_empty() {
             return Vec::new();
@@ -91,7 +92,7 @@ impl Normalised {
     }
 }
 
-/// The middle of all profiles. Nothing of no limb.
+/// The median of all profiles. Empty if there is no limb.
 pub(super) fn mean_profile(profiles: &Profiles, limbs: &[Limb], light: &Light) -> Vec<f64> {
     let middle = Normalised::of(profiles, profiles.length, limbs, light).quantiles(0.5);
     middle.into_iter().map(f64::from).collect()
@@ -99,20 +100,21 @@ pub(super) fn mean_profile(profiles: &Profiles, limbs: &[Limb], light: &Light) -
 
 /// Common properties of the places of a limb.
 pub(super) struct OfPlaces {
-    /// Brightness of the middle one and of the brightest, DN.
+    /// Median and highest brightness of the places, DN.
     pub limb_dn: f64,
     pub brightest_dn: f64,
-    /// Beyond their profiles.
+    /// Level beyond the ends of their profiles.
     pub sky_dn: f64,
-    /// Places that were averaged.
+    /// Number of places in an average.
     pub averaged: usize,
-    /// The limb at its brightest height, over its brightness in the mean profile: of the places without clouds, and of the middle one.
+    /// Brightness of the limb at its brightest height, relative to the mean profile's: of the places without clouds, and of
+    /// the median place.
     pub cloudless: f64,
     pub middle: f64,
 }
 
 impl OfPlaces {
-    /// `None` of no limb.
+    /// `None` if there is no limb.
     pub fn new(profiles: &Profiles, limbs: &[Limb], light: &Light) -> Option<Self> {
         let alike = || limbs.iter().filter(|limb| is_limb(limb, light));
         let mut bright: Vec<f64> = alike().map(|limb| limb.brightness_dn).collect();

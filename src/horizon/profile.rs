@@ -1,4 +1,4 @@
-//! Profiles of light across the edge of a cone.
+//! Profiles of brightness across the edge of a cone.
 
 use super::edge::EdgePoint;
 use super::sphere::{Cone, ConeEdge, Sphere};
@@ -13,20 +13,21 @@ use std::f64::consts::TAU;
 use std::iter;
 use std::ops::Range;
 
-/// Places all around the edge, whatever their distance.
+/// Range of the number of places around the edge.
 const LEAST_PLACES: usize = 96;
 const MOST_PLACES: usize = 960;
-/// Samples of a profile to each side of the edge.
+/// Range of the number of samples of a profile on each side of the edge.
 const LEAST_SAMPLES: usize = 6;
 const MOST_SAMPLES: usize = 42;
-/// Where the picture grows outwards by less than this share of what it does at its axis, as near the limit of a lens, it shows no profile.
+/// If the picture's scale outwards is less than this fraction of the scale at its axis, as near the limit of a lens, it
+/// shows no profile.
 const LEAST_GROWTH: f64 = 0.3;
-/// The outer part of a profile shows the dark sky.
+/// The outer fraction of a profile that shows the dark sky.
 const SKY_SHARE: f64 = 0.15;
-/// Noise of the light between four pixels over that of one, on average.
+/// Noise of a value interpolated between four pixels relative to that of one, on average.
 pub(super) const INTERPOLATED_NOISE: f64 = 2.0 / 3.0;
 
-/// A place of the edge: where the picture shows what lies some steps outside of it, c0 + c1 t + c2 t^2, px.
+/// A place of the edge: its path in the picture, the position c0 + c1 t + c2 t^2, px, at t steps outside of the edge.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Place {
     path: [Vector2<f64>; 3],
@@ -38,7 +39,7 @@ impl Place {
         (c0 + (c1 + c2 * steps) * steps).into()
     }
 
-    /// Where the path turns back along x or y, if it does.
+    /// Parameters at which the path turns back along x or y, if it does.
     fn turns(&self) -> impl Iterator<Item = f64> + use<> {
         let [_, c1, c2] = self.path;
         let turns = [0, 1].map(|axis| -c1[axis] / (2.0 * c2[axis]));
@@ -56,27 +57,27 @@ impl Place {
     }
 }
 
-/// Profiles of light across the edge of a cone at places along it, DN, from the inside outwards.
+/// Profiles of brightness across the edge of a cone at places along it, DN, from the inside outwards.
 pub(super) struct Profiles {
     pub places: Vec<Place>,
-    /// Those of the first place, then the next, each filled up with what has no meaning.
+    /// The values of the first place, then those of the next, each padded with meaningless values.
     light_dn: Vec<f32>,
-    /// Numbers from the beginning of one to that of the next: whole [`COLUMNS`].
+    /// Distance between the beginnings of successive profiles: whole [`COLUMNS`].
     pub stride: usize,
-    /// Samples of each, and which of them lies on the edge.
+    /// Number of samples of each, and the index of the sample on the edge.
     pub length: usize,
     pub edge: usize,
     pub step_rad: f64,
     pub step_px: f64,
 }
 
-/// Where the profiles across the edge lie.
+/// Steps of the profiles across the edge.
 #[derive(Debug, Clone, Copy)]
 struct Steps {
     step_rad: f64,
     inside: usize,
     outside: usize,
-    /// Sines and cosines of the angles from the edge to the first and to the last sample.
+    /// Sine and cosine of the angle from the edge to the first and to the last sample.
     first: (f64, f64),
     last: (f64, f64),
 }
@@ -98,7 +99,7 @@ impl Steps {
 }
 
 impl Profiles {
-    /// Profiles at places of a cone's edge so far from each other, those that are in view with their whole profile, and not masked.
+    /// Profiles at places of a cone's edge with the given spacing, if the whole profile is in view and not masked.
     pub fn of<T: Sample>(
         view: &View<'_, T>,
         camera: &DirectionCamera,
@@ -146,7 +147,7 @@ impl Profiles {
         self.filled_up().map(|light| &light[..self.length])
     }
 
-    /// The same, each with what fills it up.
+    /// The same including the padding.
     pub fn filled_up(&self) -> impl Iterator<Item = &[f32]> {
         self.light_dn.chunks_exact(self.stride)
     }
@@ -158,10 +159,11 @@ impl Profiles {
         self.length - sky..self.length
     }
 
-    /// Where each profile falls through the middle of its own light: the edge as it is where nothing is known of the profile.
+    /// The position where each profile falls through the middle of its own range: the edge while nothing is known of the
+    /// profile.
     pub fn crossings(&self, least_contrast_dn: f64) -> Vec<EdgePoint> {
         const SIGMA_STEPS: f64 = 1.0;
-        // Noise makes the brightest sample brighter than the limb.
+        // Because of noise the brightest sample is brighter than the limb.
         const AVERAGED: usize = 5;
         let crossing = |(place, light): (&Place, &[f32])| {
             let dark = mean_dn(&light[self.sky()]);
@@ -181,8 +183,8 @@ impl Profiles {
     }
 }
 
-/// The place at a cone's edge; `None` where its profile is not in view (its ends, its middle and where it
-/// turns), or too near the lens's limit.
+/// The place at a cone's edge; `None` if its profile is not in view (its ends, its centre and its turning points), or too
+/// near the lens's limit.
 fn place(
     edge: &ConeEdge,
     camera: &CameraModel,
@@ -193,7 +195,7 @@ fn place(
         let at = camera.pixel(&ray)?;
         is_seen(at).then(|| at.vector())
     };
-    // The parabola through three pixels of the profile. Most places of a wide cone fail with the first.
+    // The parabola through three pixels of the profile. Most places of a wide cone fail at the first.
     let on = seen(edge.ray())?;
     let (below, above) = (
         seen(edge.outside(steps.first))?,
@@ -208,7 +210,7 @@ fn place(
     let place = Place {
         path: [on, to_low - curvature * low, curvature],
     };
-    // Between the three a bent path may leave the picture, farthest where it turns.
+    // Between the three pixels a curved path may leave the picture, farthest at its turning points.
     place
         .turns()
         .filter(|t| (low..high).contains(t))
@@ -216,7 +218,7 @@ fn place(
         .then_some(place)
 }
 
-/// Whether the picture has all pixels about a position, and none of them is masked.
+/// Whether all pixels around a position are in the picture and not masked.
 pub(super) fn is_inside<T>(view: &View<'_, T>, mask: &[Region], at: SensorPx) -> bool {
     let within = |v: f64, size: usize| (0.0..size as f64 - 1.0).contains(&v);
     within(at.x, view.width) && within(at.y, view.height) && (mask.is_empty() || is_seen(mask, at))
@@ -227,8 +229,8 @@ fn is_seen(mask: &[Region], at: SensorPx) -> bool {
     !mask.iter().any(|region| region.contains(x, y))
 }
 
-/// Reads the light at the steps of a path, as a place has it, from one on, in whole groups. Those that count must be inside the picture; the light of
-/// others has no meaning.
+/// Reads the brightness at the steps of a path, as in `Place`, from `first` on, in whole groups. Steps that count must be
+/// inside the picture; the values of the others are meaningless.
 pub(super) fn read_along<T: Sample>(
     view: &View<'_, T>,
     path: &[Vector2<f64>; 3],
@@ -249,10 +251,10 @@ pub(super) fn read_along<T: Sample>(
     light_on_path(groups, light);
 }
 
-/// The light between four pixels, DN. The position must be inside the picture.
+/// The brightness interpolated between four pixels, DN. The position must be inside the picture.
 #[inline(always)]
 pub(super) fn interpolated<T: Sample>(view: &View<'_, T>, at: SensorPx) -> f32 {
-    // Small whole numbers are converted more quickly.
+    // Small integers are converted more quickly.
     let (x, y) = (at.x as u32, at.y as u32);
     let (right, below) = ((at.x - f64::from(x)) as f32, (at.y - f64::from(y)) as f32);
     let [left, at_right, under, diagonal] = view.square(x as usize, y as usize).map(Sample::dn);
@@ -265,7 +267,7 @@ pub(super) fn mean_dn(light: &[f32]) -> f64 {
     light.iter().map(|dn| f64::from(*dn)).sum::<f64>() / light.len() as f64
 }
 
-/// The last place, in samples, where the light falls below a level.
+/// The last position, in samples, at which the brightness falls below a level.
 pub(super) fn falls_through(light: &[f32], level: f64) -> Option<f64> {
     let level = level as f32;
     let n = light

@@ -1,7 +1,8 @@
-//! Where light falls off sharply along rows and columns of a picture: the limb before dark space, and whatever else has such an edge.
+//! Sharp falls of the brightness along rows and columns of a picture: the limb in front of dark space, and anything else
+//! with such an edge.
 //!
-//! A terminator, a glow or a gradient falls off over degrees, the limb over the scale height of the air (or a sharp sphere over the camera's
-//! blur). A fall counts where it takes place within this reach, and not beyond it.
+//! A terminator, a glow or a gradient falls off over degrees, the limb over the scale height of the air (or a sharp sphere
+//! over the camera's blur). A fall counts if it takes place within this reach, and not beyond it.
 
 use super::edge::EdgePoint;
 use super::profile::{interpolated, is_inside};
@@ -9,43 +10,43 @@ use crate::frame::{Region, Sample, View};
 use crate::units::SensorPx;
 use nalgebra::Vector2;
 
-/// Rows and columns are so far apart at most, and so many across a sphere or a picture that is small.
+/// Largest spacing of rows and columns, and minimum number of lines across a small sphere or a small picture.
 const MOST_SPACING_PX: f64 = 54.0;
 const LINES_ACROSS_SPHERE: f64 = 8.0;
 const LINES_ACROSS_PICTURE: f64 = 20.0;
-/// The reach is so many scale heights, and within these.
+/// The reach in scale heights, and its limits in px.
 const REACH_SCALES: f64 = 2.0;
 const REACH_PX: std::ops::Range<f64> = 3.0..60.0;
-/// Of the radius of a sphere that is small.
+/// Maximum reach, relative to the radius of a small sphere.
 const MOST_REACH: f64 = 0.25;
-/// Samples of a line to each side of an edge.
+/// Samples of a line on each side of an edge.
 const SAMPLES: usize = 2;
-/// An edge that crosses a line at a smaller sine is left to the lines of the other direction.
+/// An edge that crosses a line at a smaller sine is found by the lines of the other direction.
 const LEAST_ACROSS: f64 = 0.6;
-/// Light is read at such distances from the edge, in reaches: near it, and where it falls off no more.
+/// Distances from the edge at which the brightness is read, in reaches: near it, and where it falls off no more.
 const NEAR: [f64; 3] = [0.5, 1.0, 1.5];
 const FAR: [f64; 2] = [2.4, 3.0];
-/// Over the fall itself: how much the light may still fall further out, and further in, and how bright it is there at least.
+/// Relative to the fall itself: maximum further fall outside and inside, and minimum brightness there.
 const MOST_FALL_OUTSIDE: f64 = 0.5;
 const MOST_FALL_INSIDE: f64 = 0.6;
 const LEAST_INSIDE: f64 = 0.4;
 /// 1 sigma of a point.
 const SIGMA_PX: f64 = 1.0;
 
-/// How a picture is scanned.
+/// Parameters of a scan.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Scan {
     spacing: usize,
-    /// Pixels from one sample of a line to the next.
+    /// Pixels between successive samples of a line.
     stride: usize,
-    /// Over such a distance to each side the light of an edge falls off.
+    /// Distance on each side over which the light of an edge falls off.
     reach_px: f64,
     least_dn: f64,
 }
 
 impl Scan {
-    /// For edges whose light falls to 1/e over `scale_px`, of a sphere of some radius in the picture; they are brighter than what is outside by
-    /// so much.
+    /// For edges whose light falls to 1/e over `scale_px`, of a sphere with the given radius in the picture; they must be
+    /// brighter than the outside by `least_dn`.
     pub fn new<T>(view: &View<'_, T>, scale_px: f64, radius_px: f64, least_dn: f64) -> Self {
         let shorter_px = view.width.min(view.height) as f64;
         let spacing_px = (2.0 * radius_px / LINES_ACROSS_SPHERE)
@@ -83,11 +84,11 @@ impl Scan {
         points
     }
 
-    /// Where the light of a line differs most from one side to the other, px.
+    /// The positions of a line at which the two sides differ most in brightness, px.
     fn falls(&self, light: &[f32]) -> Vec<f64> {
         const BLOCK: usize = 32;
         let side = ((self.reach_px / self.stride as f64) as usize).max(1);
-        // What the first side has above the second.
+        // Excess of the first side over the second.
         let mut falls = vec![0.0_f32; light.len().saturating_sub(2 * side - 1)];
         for n in 0..side {
             let sides = light[n..].iter().zip(&light[n + side..]);
@@ -121,7 +122,7 @@ impl Scan {
         places
     }
 
-    /// The edge at a place of a line, if it is sharp and crosses the line.
+    /// The edge at a position of a line, if it is sharp and crosses the line.
     fn edge<T: Sample>(
         &self,
         view: &View<'_, T>,

@@ -1,5 +1,5 @@
-//! The search for a sphere's edge in a frame: guesses by sharp edges, each followed by the light across its edge to a nadir, and the doubts
-//! about it.
+//! The search for a sphere's edge in a frame: guesses from sharp edges, each refined by the brightness across its edge to a
+//! nadir, and checks of its quality.
 
 use super::consensus::{Guess, consensus};
 use super::light::Raster;
@@ -20,42 +20,44 @@ use nalgebra::UnitVector3;
 use std::ops::Range;
 use std::slice::from_ref;
 
-/// Points of an edge along lines of the picture scatter by less.
+/// Upper bound of the scatter of an edge's points on lines of the picture.
 const EDGE_TOLERANCE_PX: f64 = 3.0;
-/// Points of one edge that make a guess; guesses that are tried, and the share of the best one's points that they need.
+/// Minimum number of points of a guess; maximum number of guesses that are tried, and the share of the best one's points
+/// that they need.
 const LEAST_POINTS: usize = 8;
 const MOST_GUESSES: usize = 3;
 const RIVAL_SHARE: f64 = 0.3;
-/// An edge whose height is to be found may stand so far off, m.
+/// Tolerance of the edge's height if it is fitted, m.
 const FITTED_TOLERANCE_M: f64 = 15_000.0;
-/// Distance of places along the edge: those that the cone is first aligned with, roughly and once more, and all, of which many overlap what noise
-/// leaves to gain.
+/// Spacing of places along the edge: for the first rough alignment of the cone, for a second one, and for the final fit,
+/// where closer places would reduce the noise no further.
 const ROUGH_SPACING_PX: f64 = 96.0;
 const ALIGNING_SPACING_PX: f64 = 48.0;
 const SPACING_PX: f64 = 12.0;
-/// Profiles are read again while the nadir moves by more, so often at most. Before clouds, the profiles' ends affect the result.
+/// The profiles are read again while the nadir moves by more than this, at most `MOST_ROUNDS` times. In front of clouds,
+/// the profiles' ends affect the result.
 const SETTLED_PX: f64 = 0.3;
 const SETTLED_CLOUDED_PX: f64 = 0.2;
 const MOST_ROUNDS: usize = 8;
-/// An edge is brighter than the sky by this share of the frame's contrast, and by so many sigmas of a pixel's noise.
+/// Minimum brightness of an edge above the sky, as a share of the frame's contrast, and in sigmas of a pixel's noise.
 const LEAST_CONTRAST: f64 = 0.1;
 const LEAST_CONTRAST_SIGMAS: f64 = 4.0;
-/// Beyond noise, a place of the limb differs from the others by this share of its brightness at most.
+/// Maximum deviation of a place of the limb from the others, beyond noise, relative to its brightness.
 const MOST_UNLIKE: f64 = 0.1;
-/// A sphere shows its edge at so many places and this share of those that show light.
+/// Minimum number of places that show the edge, and their minimum share of those that show light.
 pub(super) const LEAST_PLACES: usize = 12;
 const LEAST_SHARE: f64 = 0.4;
-/// A nadir is fine with so much of what is lit, and of all that is in view; and with so many places, or most of a small picture's: a short edge
-/// may be a flare's.
+/// A fine nadir needs these shares of the lit places and of all places in view; also a minimum number of places, or most of
+/// those in a small picture, because a short edge may be a flare's.
 const FINE_SHARE: f64 = 0.66;
 const FINE_PLACES: f64 = 0.25;
 const FINE_LEAST: f64 = 20.0;
 const FINE_MOST: f64 = 0.9;
-/// No nadir is fine that is known less well, deg.
+/// Largest sigma of a fine nadir, deg.
 const MOST_SIGMA_DEG: f64 = 0.9;
-/// A limb departs less from its sphere, m, 1 sigma.
+/// Largest departure of a limb from its sphere, m, 1 sigma.
 const MOST_DEPARTURE_M: f64 = 4_500.0;
-/// Heights that the edge of air can have, m.
+/// Possible heights of the air's edge, m.
 const EDGE_HEIGHTS_M: Range<f64> = 0.0..60_000.0;
 
 /// Inputs of the search in a frame.
@@ -124,7 +126,7 @@ impl Search<'_> {
         Ok(nadir)
     }
 
-    /// The nadirs that most sharp edges agree with, the best one first.
+    /// The nadirs with which most sharp edges agree, the best one first.
     fn detect<T: Sample>(&self, view: &View<'_, T>, levels: &Levels) -> Vec<Guess> {
         let lens = &self.camera.lens;
         let scan = Scan::new(
@@ -140,18 +142,18 @@ impl Search<'_> {
         consensus(&edge.rays, half_angle_rad, tolerance_rad, MOST_GUESSES)
     }
 
-    /// By how much the limb is brighter than the sky at the least, DN.
+    /// Minimum brightness of the limb above the sky, DN.
     fn least_dn(&self, levels: &Levels) -> f64 {
         let contrast_dn = LEAST_CONTRAST * (levels.bright_dn - levels.dark_dn);
         contrast_dn.max(LEAST_CONTRAST_SIGMAS * levels.noise_dn)
     }
 
-    /// The smallest radius of the sphere in the picture, wherever it is.
+    /// The radius of the sphere in the picture at its smallest.
     fn radius_px(&self) -> f64 {
         self.camera.lens.mean_focal_px() * self.sphere.half_angle_rad.value.tan()
     }
 
-    /// By how much the border of what is bright may lie off the edge.
+    /// Tolerance of the border of the bright area about the edge.
     fn tolerance_rad(&self) -> f64 {
         let height_rad = self.sphere.rad_per_m * FITTED_TOLERANCE_M;
         match self.settings.height {
@@ -160,8 +162,8 @@ impl Search<'_> {
         }
     }
 
-    /// Reads the light across the edge until the nadir moves no more. Returns that nadir, as of an edge that does not depart from its sphere,
-    /// and the sphere it was fitted with.
+    /// Reads the brightness across the edge until the nadir converges. Returns that nadir, fitted without departures from
+    /// the sphere, and the sphere it was fitted with.
     fn edge<T: Sample>(
         &self,
         view: &View<'_, T>,
@@ -190,7 +192,7 @@ impl Search<'_> {
             let light = Light {
                 least_dn,
                 noise_dn: levels.noise_dn,
-                // Of a sharp edge, where pixels begin makes the profiles differ.
+                // For a sharp edge, the sub-pixel phase makes the profiles differ.
                 most_unlike: self.sphere.viewpoint.map_or(f64::INFINITY, |_| MOST_UNLIKE),
                 far_sky_dn,
             };
@@ -226,7 +228,7 @@ impl Search<'_> {
         Ok((sphere, nadir))
     }
 
-    /// Over so many pixels the limb's light falls to 1/e.
+    /// Number of pixels over which the limb's light falls to 1/e.
     fn scale_px(&self) -> f64 {
         self.sphere.scale_rad() * self.camera.lens.mean_focal_px()
     }
@@ -253,7 +255,7 @@ impl Search<'_> {
         checks().map_err(at(Stage::Fit)).err()
     }
 
-    /// The nadir of an edge that does not depart from its sphere.
+    /// The nadir of an edge without departures from its sphere.
     fn fit_as_sphere(&self, sphere: &Sphere, edge: &EdgeRays) -> Result<Nadir, Stopped> {
         nadir(
             from_ref(edge),
@@ -265,7 +267,8 @@ impl Search<'_> {
     }
 }
 
-/// The nadir by the edge in one picture or more. How it departs from a sphere is found in what a plain fit leaves, unless it is stated.
+/// The nadir from the edge in one or more pictures. Unless it is stated, the departure from a sphere is estimated from the
+/// residuals of a plain fit.
 pub(super) fn fitted(
     settings: &HorizonSettings,
     sphere: &Sphere,
@@ -289,13 +292,13 @@ fn departure(edges: &[EdgeRays], sphere: &Sphere, nadir: &Nadir) -> Departure {
     Departure::of_residuals(&left)
 }
 
-/// Whether so many places show the edge, of those that show light.
+/// Checks that enough of the places with light show the edge.
 pub(super) fn enough(seen: usize, solution: &Solution) -> Result<(), Stopped> {
     let least = (LEAST_SHARE * solution.lit as f64).max(LEAST_PLACES as f64);
     Rejected::at_least(least, seen as f64, reasons::LITTLE_EDGE).map_err(at(Stage::Edge))
 }
 
-/// Too few sharp edges agree.
+/// The error if too few sharp edges agree.
 pub(super) fn no_horizon(points: usize) -> Stopped {
     let limit = LEAST_POINTS as f64;
     Stopped::new(Stage::Detection, reasons::NO_HORIZON, points as f64, limit)

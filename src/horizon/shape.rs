@@ -1,4 +1,4 @@
-//! The mean profile of a limb: where it has half of its brightness, and whether it is a limb's at all.
+//! The mean profile of a limb: its half-brightness point, and whether it is a limb's at all.
 
 use super::air::Air;
 use super::places::{Light, OfPlaces};
@@ -9,71 +9,72 @@ use crate::reasons::horizon as reasons;
 use crate::units::{Measured, Rejected};
 use std::ops::Range;
 
-/// By so many sigmas noise makes the last of the places without clouds darker (normal distribution, a tenth of them).
+/// Noise lowers the cloudless quantile of the places by so many sigmas (normal distribution, a tenth of them).
 const CLOUDLESS_SIGMAS: f64 = 1.282;
-/// 1 sigma of the usual blur of lens, pixels and interpolation.
+/// 1 sigma of the typical blur of lens, pixels and interpolation.
 const BLUR_PX: f64 = 0.9;
-/// The loss of the limb's peak by blur is known to this share of it.
+/// Relative uncertainty of the correction of the limb's peak for blur.
 const BLUR_SIGMA: f64 = 0.5;
-/// The limb's brightness is known to this share of it.
+/// Relative uncertainty of the limb's brightness.
 const BRIGHTNESS_SIGMA: f64 = 0.005;
-/// The darkest places may have clouds, too: 1 sigma, over what the middle one is brighter.
+/// The darkest places may have clouds as well: 1 sigma, relative to the excess brightness of the median place.
 const CLOUDS_LEFT: f64 = 0.6;
-/// Of the limb's brightness: light beyond the profile. More is glare.
+/// Relative to the limb's brightness: light beyond the profile. More is glare.
 const MOST_BEYOND: f64 = 0.04;
-/// Of the limb's brightness: below, the air is above any cloud, and its law determines the brightness.
+/// Relative to the limb's brightness: darker air is above any cloud, and its model determines the brightness.
 const AIR_ALONE: f64 = 0.6;
-/// The same where no clouds are.
+/// The same without clouds.
 const AIR_OF_CLEAR: f64 = 0.93;
-/// Brightness and law differ by more sigmas only where clouds lie all along the limb.
+/// Brightness and model differ by more sigmas only if clouds lie all along the limb.
 const MOST_LAW_SIGMAS: f64 = 3.0;
-/// The sky begins so many scale heights above the edge, and is measured by so many samples.
+/// The sky begins so many scale heights above the edge, and needs at least so many samples.
 const SKY_SCALES: f64 = 4.0;
 const LEAST_SKY: usize = 4;
-/// The sky's growth towards the edge that may be the limb's own, over its brightness.
+/// Increase of the sky towards the edge that may be the limb's own, relative to its brightness.
 const OWN_SKY: f64 = 0.02;
-/// Sky that grows towards the limb grows on to the edge as it does, to this share.
+/// Relative uncertainty of the extrapolation of the sky's increase to the edge.
 const SKY_SIGMA: f64 = 0.5;
 
-/// Light falls off within so many scale heights of half, or pixels where these are more, by this share of the brightness.
+/// Light falls off within so many scale heights of the half-brightness point, or pixels if these are more, by this share of
+/// the brightness.
 const WITHIN_SCALES: f64 = 2.0;
 const WITHIN_PX: f64 = 2.0;
 const FALLS_WITHIN: Range<f64> = 0.6..1.7;
-/// Thin air above a limb leaves this share so far outside of half, in scale heights, or pixels where these are more. A panel leaves none; the
-/// contrast of a photograph, some.
+/// Thin air above a limb leaves this share at so many scale heights outside of the half-brightness point, or pixels if
+/// these are more. A panel leaves none; the contrast of a photograph, some.
 const THIN_AIR_SCALES: f64 = 0.5;
 const THIN_AIR_PX: f64 = 1.0;
 const LEAST_THIN_AIR: f64 = 0.08;
-/// The innermost samples, and what they have of the brightness at the least.
+/// Number of the innermost samples, and their minimum share of the brightness.
 const INNERMOST: usize = 4;
 const LEAST_INSIDE: f64 = 0.35;
 
-/// A mean profile that may be a limb's. Light falls off over a few scale heights of the air: a terminator, a glow or a gradient is softer, a strut
-/// sharper. What is inside is as bright as an Earth.
+/// A mean profile that may be a limb's. The light falls off over a few scale heights of the air: a terminator, a glow or a
+/// gradient is softer, a strut sharper. The inside is as bright as an Earth.
 pub(super) struct Shape {
-    /// Less the sky that grows towards it, from the inside outwards, and the sample on the edge.
+    /// The profile minus the sky's increase towards it, from the inside outwards, and the index of the sample on the edge.
     light: Vec<f64>,
     edge: usize,
-    /// The sky's growth for each step towards the edge.
+    /// The sky's increase per step towards the edge.
     glow: f64,
     air: Option<Air>,
-    /// The sky's samples.
+    /// Range of the sky's samples.
     sky: Range<usize>,
-    /// Over so many steps light falls to 1/e.
+    /// Number of steps over which the light falls to 1/e.
     pub scale: f64,
     step_px: f64,
 }
 
-/// Where the mean profile has half of the limb's brightness.
+/// The point of the mean profile with half of the limb's brightness.
 pub(super) struct Half {
-    /// Outwards from the edge of the cone.
+    /// Distance outwards from the edge of the cone.
     pub steps: Measured,
     brightness: f64,
-    /// The light has the law of air down to the thick air, and no place shows a cloud; or there is no air.
+    /// The light follows the model of the air down to the thick air, and no place shows a cloud; or there is no air.
     pub is_clear: bool,
 }
 
-/// The mean of two, weighted by their variances; as well known as they agree.
+/// The weighted mean of two values; its sigma grows with their disagreement.
 fn weighted_mean(one: Measured, other: Measured) -> Measured {
     let weights = [one, other].map(|m| m.sigma.powi(-2));
     let sum = weights[0] + weights[1];
@@ -104,7 +105,7 @@ impl Shape {
         shape
     }
 
-    /// By how much the sky grows with a step towards the limb, beyond what the limb's own light there does.
+    /// Increase of the sky per step towards the limb, beyond that of the limb's own light there.
     fn growth(&self) -> f64 {
         let first = self.edge + (SKY_SCALES * self.scale).ceil() as usize;
         let sky = first..self.light.len();
@@ -126,7 +127,7 @@ impl Shape {
         (slope(&|n| self.light[n]) - own).max(0.0)
     }
 
-    /// The light some steps outside of the edge.
+    /// The brightness at a distance outside of the edge, in steps.
     fn at(&self, steps: f64) -> f64 {
         let last = self.light.len() - 1;
         let at = (self.edge as f64 + steps).clamp(0.0, last as f64);
@@ -134,14 +135,15 @@ impl Shape {
         self.light[n] + (at - n as f64) * (self.light[n + 1] - self.light[n])
     }
 
-    /// Where the light has half of the limb's brightness above the sky. Where no cloud is seen, places determine the brightness, and so does the law of the air;
-    /// else the law alone, by the air above all clouds. Light that has another law leaves the places. `None` of no limb.
+    /// The point with half of the limb's brightness above the sky. Without clouds, the places and the model of the air both
+    /// determine the brightness; otherwise the model alone, from the air above all clouds. If the light does not follow the
+    /// model, the places determine it. `None` if there is no limb.
     pub fn half(&self, places: &OfPlaces, clouded: f64, light: &Light) -> Option<Half> {
         let noise =
             INTERPOLATED_NOISE * light.noise_dn / places.limb_dn / (places.averaged as f64).sqrt();
         let cloudless = places.cloudless + CLOUDLESS_SIGMAS * noise;
         let clouds = (places.middle - cloudless).max(0.0);
-        // The limb's light reaches beyond the profile, above all to a balloon, which has some air above itself.
+        // The limb's light extends beyond the profile, most of all for a balloon, which has some air above it.
         let beyond = |far_dn: f64| (places.sky_dn - far_dn) / places.limb_dn;
         let beyond = light.far_sky_dn.map_or(0.0, beyond).clamp(0.0, MOST_BEYOND);
         let sky = self.glow * (self.light.len() - self.edge) as f64;
@@ -167,13 +169,13 @@ impl Shape {
         })
     }
 
-    /// Steps from the edge to the last place where the light falls below a level.
+    /// Steps from the edge to the last position at which the light falls below a level.
     fn falls_through(&self, level: f64) -> Option<f64> {
         let light: Vec<f32> = self.light.iter().map(|light| *light as f32).collect();
         Some(falls_through(&light, level)? - self.edge as f64)
     }
 
-    /// The same by the law of the air, of light that is less than a share of the brightness.
+    /// The half-brightness point by the model of the air, from light below a share of the brightness.
     fn half_by_law(&self, brightness: f64, most: f64) -> Option<Measured> {
         let thick = self
             .light
@@ -186,9 +188,9 @@ impl Shape {
         self.air.as_ref()?.half(&light, last, brightness)
     }
 
-    /// Loss of the profile's peak by blur: as much, for its variance, as more blur takes again.
+    /// Loss of the profile's peak by blur, estimated from the loss by an additional blur in proportion to the variance.
     fn taken_by_blur(&self) -> f64 {
-        // Of the weights 1/4, 1/2, 1/4, in steps.
+        // Variance of the weights 1/4, 1/2, 1/4, in steps^2.
         const VARIANCE: f64 = 0.5;
         let light = &self.light;
         let inner = 1..=self.edge.min(light.len().saturating_sub(2));
@@ -198,10 +200,10 @@ impl Shape {
         peak.map_or(0.0, |n| taken(n).max(0.0) * blur_steps.powi(2) / VARIANCE)
     }
 
-    /// Whether this is a limb.
+    /// Checks that this is a limb.
     ///
     /// # Errors
-    /// The share of the brightness that says otherwise.
+    /// The share of the brightness that contradicts it.
     pub fn check(&self, half: &Half) -> Result<(), Rejected> {
         let fall =
             |steps: f64| self.at(half.steps.value - steps) - self.at(half.steps.value + steps);

@@ -1,4 +1,5 @@
-//! Where the edge of a sphere stands about the direction to its centre, and that of the Earth's ellipsoid about straight down.
+//! The angle between the edge of a sphere and the direction to its centre, and for the Earth's ellipsoid, between its edge
+//! and straight down.
 
 use super::departure::Departure;
 use crate::geometry::earth::{EQUATOR_M, FLATTENING, ecef_m};
@@ -6,25 +7,27 @@ use crate::units::{EARTH_RADIUS_M, Measured, Place};
 use nalgebra::{Matrix3, Matrix3x2, UnitVector3, Vector2, Vector3};
 use std::f64::consts::{PI, TAU};
 
-/// The light of the Earth's limb falls off over these heights about its edge, m. Inside, clouds follow; outside, the sky is dark.
+/// The light of the Earth's limb falls off over these heights around its edge, m. Inside there are clouds; outside, the sky
+/// is dark.
 const LIMB_INSIDE_M: f64 = 20_000.0;
 const LIMB_OUTSIDE_M: f64 = 50_000.0;
-/// By how much the border of what is bright may stand above or below the edge, m.
+/// Tolerance of the height of the bright area's border about the edge, m.
 const BORDER_HEIGHT_M: f64 = 4_000.0;
-/// An edge whose height is known to a sigma varies along the limb by this part of it: its correlation falls to 1/e over such an azimuth, rad.
+/// The edge varies along the limb by this fraction of its height's sigma; the correlation falls to 1/e over this azimuth,
+/// rad.
 const VARIES: f64 = 0.05;
 const VARIES_RAD: f64 = 0.17;
-/// An edge's height is found by so many steps; each leaves a quarter of the last one's error at most.
+/// Maximum number of iterations for the edge's height; each reduces the error by a factor of 4 or more.
 const HEIGHT_STEPS: usize = 20;
-/// Azimuths of which the half-angle's mean is taken.
+/// Number of azimuths in the mean of the half-angle.
 const AZIMUTHS: u32 = 72;
-/// An axis so near straight down has no azimuth, rad.
+/// An axis within this angle of straight down has no azimuth, rad.
 const LEAST_LEVEL: f64 = 1e-6;
 
-/// Of air at sea level for visible light, at 15 deg C and 1013 hPa (Edlen 1966).
+/// Refractivity of air at sea level for visible light, at 15 deg C and 1013 hPa (Edlen 1966).
 const REFRACTIVITY: f64 = 2.77e-4;
 
-/// Whether air bends the rays to the limb.
+/// Refraction of the rays to the limb.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refraction {
     /// Rays are straight.
@@ -46,7 +49,7 @@ impl Refraction {
         }
     }
 
-    /// Change of n r with r at a height.
+    /// Derivative of n r by r at a height.
     fn slope(self, height_m: f64) -> f64 {
         let falls_per_m = self.refractivity(height_m) / Sphere::SCALE_HEIGHT_M;
         self.index(height_m) - falls_per_m * (EARTH_RADIUS_M + height_m)
@@ -56,28 +59,28 @@ impl Refraction {
 /// A sphere, or the Earth's ellipsoid, whose edge is searched.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sphere {
-    /// Half-angle of the cone of rays to its edge: of an ellipsoid, the mean of all azimuths.
+    /// Half-angle of the cone of rays to its edge; for an ellipsoid, the mean over all azimuths.
     pub half_angle_rad: Measured,
-    /// How the half-angle departs from that mean; `None` of a sphere.
+    /// Departure of the half-angle from that mean; `None` for a sphere.
     pub ellipsoid: Option<Ellipsoid>,
-    /// Over which angles about its edge its light falls off.
+    /// Angles about its edge over which its light falls off.
     pub inside_rad: f64,
     pub outside_rad: f64,
-    /// By how much the border of what is bright may lie off the edge.
+    /// Tolerance of the border of the bright area about the edge.
     pub tolerance_rad: f64,
-    /// Change of the half-angle with the edge's height; none of a sphere whose edge has no height.
+    /// Derivative of the half-angle by the edge's height; 0 for a sphere whose edge has no height.
     pub rad_per_m: f64,
-    /// How the edge departs from the sphere, as far as its height is unknown.
+    /// Departure of the edge from the sphere, as far as its height is unknown.
     pub departure: Departure,
-    /// From where the edge is seen; `None` of a sphere whose edge has no height.
+    /// Position from which the edge is observed; `None` for a sphere whose edge has no height.
     pub viewpoint: Option<Viewpoint>,
 }
 
 impl Sphere {
-    /// The air's density, and with it the limb's light, falls to 1/e over this height in the stratosphere, where the limb's edge is.
+    /// Scale height of the air's density in the stratosphere, where the limb's edge is, and thus of the limb's light.
     pub const SCALE_HEIGHT_M: f64 = 7_000.0;
 
-    /// The Earth as a sphere, with its limb: see [`Viewpoint::half_angle_rad`]. `None` for a camera that is not above the edge.
+    /// The Earth as a sphere, with its limb: see [`Viewpoint::half_angle_rad`]. `None` for a camera below the edge.
     pub fn earth(height_m: Measured, edge_m: Measured, refraction: Refraction) -> Option<Self> {
         let viewpoint = Viewpoint {
             height_m,
@@ -100,8 +103,8 @@ impl Sphere {
         })
     }
 
-    /// The Earth as an ellipsoid (WGS 84): the direction found is straight down along its normal. `heading` is that of the axis of the rays'
-    /// frame that `forward` names, from north over east.
+    /// The Earth as an ellipsoid (WGS 84): the fitted direction is straight down along its normal. `heading` is the
+    /// heading, from north over east, of the axis `forward` of the rays' frame.
     pub fn earth_at(
         place: &Place,
         height_sigma_m: f64,
@@ -118,7 +121,7 @@ impl Sphere {
         };
         let straight = straight.half_angle_rad(edge_m)?;
         let mut ellipsoid = Ellipsoid::new(place, edge_m.value, heading_deg, forward)?;
-        // Rays bend by as much as those to the sphere.
+        // The refraction is the same as for the sphere.
         ellipsoid.over_sphere_rad = ellipsoid.mean_rad - straight.value;
         let Measured { value, sigma } = sphere.half_angle_rad;
         Some(Self {
@@ -129,7 +132,7 @@ impl Sphere {
         })
     }
 
-    /// A sphere with a sharp edge, as the Sun and the Moon are.
+    /// A sphere with a sharp edge, such as the Sun or the Moon.
     pub fn disc(angular_radius_rad: Measured) -> Self {
         Self {
             half_angle_rad: angular_radius_rad,
@@ -143,7 +146,7 @@ impl Sphere {
         }
     }
 
-    /// Over this angle the limb's light falls to 1/e; none of a sharp edge.
+    /// Angle over which the limb's light falls to 1/e; 0 for a sharp edge.
     pub fn scale_rad(&self) -> f64 {
         Sphere::SCALE_HEIGHT_M * self.rad_per_m
     }
@@ -154,21 +157,22 @@ impl Sphere {
         self.half_angle_rad.value + self.ellipsoid.map_or(0.0, departure)
     }
 
-    /// The height of the edge that is seen at a half-angle; `None` of a sphere whose edge has no height.
+    /// The height of an edge at the given half-angle; `None` for a sphere whose edge has no height.
     pub fn edge_m(&self, found_rad: Measured) -> Option<Measured> {
-        // The ellipsoid's half-angle goes with the edge's height as the sphere's does.
+        // The ellipsoid's half-angle changes with the edge's height in the same way as the sphere's.
         let over_sphere_rad = self.ellipsoid.map_or(0.0, |e| e.over_sphere_rad);
         let found_rad = Measured::new(found_rad.value - over_sphere_rad, found_rad.sigma);
         self.viewpoint.map(|viewpoint| viewpoint.edge_m(found_rad))
     }
 }
 
-/// From where the edge of a sphere of [`EARTH_RADIUS_M`] is seen, and how rays come from there.
+/// Position of the camera relative to a sphere of [`EARTH_RADIUS_M`], and the refraction of the rays.
 ///
-/// Along a bent ray n r sin(angle to the vertical) is the same everywhere (Bouguer's rule); where the ray grazes the edge the sine is 1.
+/// Along a refracted ray n r sin(angle to the vertical) is constant (Bouguer's rule); where the ray grazes the edge the
+/// sine is 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Viewpoint {
-    /// Above the sphere.
+    /// Height above the sphere.
     pub height_m: Measured,
     pub refraction: Refraction,
 }
@@ -180,8 +184,8 @@ impl Viewpoint {
         self.refraction.index(height_m) * (EARTH_RADIUS_M + height_m)
     }
 
-    /// The half-angle, with its 1-sigma, of the cone of rays to the horizon (Braun and Barf 2022, eq. 5), rad. The edge that is seen stands
-    /// `edge_m` above the sphere. `None` for a camera that is not above the edge.
+    /// The half-angle, with its 1-sigma, of the cone of rays to the horizon (Braun and Barf 2022, eq. 5), rad. The edge is
+    /// `edge_m` above the sphere. `None` for a camera below the edge.
     pub fn half_angle_rad(&self, edge_m: Measured) -> Option<Measured> {
         let Measured { value, sigma } = edge_m;
         let sine = self.refraction.index(value) * (EARTH_RADIUS_M + value) / self.invariant_m();
@@ -194,12 +198,12 @@ impl Viewpoint {
         Some(Measured::new(angle, sigma))
     }
 
-    /// Change of the half-angle with the edge's height.
+    /// Derivative of the half-angle by the edge's height.
     fn rad_per_m(&self, edge_m: f64, half_angle_rad: f64) -> f64 {
         self.refraction.slope(edge_m) / self.invariant_m() / half_angle_rad.cos()
     }
 
-    /// The height of the edge whose half-angle that is.
+    /// The height of the edge with the given half-angle.
     fn edge_m(&self, half_angle_rad: Measured) -> Measured {
         let Measured { value, sigma } = half_angle_rad;
         let grazing_m = self.invariant_m() * value.sin();
@@ -212,21 +216,21 @@ impl Viewpoint {
     }
 }
 
-/// The edge of the Earth's ellipsoid as it is seen from a place.
+/// The edge of the Earth's ellipsoid as observed from a place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipsoid {
     /// Rays to the edge, in north, east, down, have r^T M r = 0.
     cone: Matrix3<f64>,
     mean_rad: f64,
-    /// By how much that mean is above a sphere's half-angle.
+    /// Difference between that mean and a sphere's half-angle.
     over_sphere_rad: f64,
     heading_rad: f64,
-    /// The axis whose heading that is, in the rays' frame.
+    /// The axis with that heading, in the rays' frame.
     forward: UnitVector3<f64>,
 }
 
 impl Ellipsoid {
-    /// Of the ellipsoid enlarged by the edge's height. `None` for a place that is not above it.
+    /// For the ellipsoid enlarged by the edge's height. `None` for a place below it.
     fn new(
         place: &Place,
         edge_m: f64,
@@ -234,7 +238,7 @@ impl Ellipsoid {
         forward: UnitVector3<f64>,
     ) -> Option<Self> {
         let latitude = place.latitude_deg.to_radians();
-        // The Earth is round about its axis, so that longitude does not matter.
+        // The Earth is rotationally symmetric, so longitude does not matter.
         let from_centre = ecef_m(&Place {
             longitude_deg: 0.0,
             ..*place
@@ -243,7 +247,7 @@ impl Ellipsoid {
         let axes_m = Vector3::new(EQUATOR_M, EQUATOR_M, polar_m).add_scalar(edge_m);
         let to_unit_sphere = Matrix3::from_diagonal(&axes_m.map(f64::recip));
         let at = to_unit_sphere * from_centre;
-        // A ray at + t d touches the unit sphere where (at . d)^2 = d^2 (at^2 - 1).
+        // A ray at + t d is tangent to the unit sphere if (at . d)^2 = d^2 (at^2 - 1).
         let touching = at * at.transpose() - Matrix3::identity() * (at.norm_squared() - 1.0);
         let (sine, cosine) = latitude.sin_cos();
         let north = Vector3::new(-sine, 0.0, cosine);
@@ -266,7 +270,7 @@ impl Ellipsoid {
     fn half_angle_rad(&self, azimuth_rad: f64) -> f64 {
         let level = Vector3::new(azimuth_rad.cos(), azimuth_rad.sin(), 0.0);
         let down = Vector3::z();
-        // (down cos + level sin)^T M (down cos + level sin) = 0, for the tangent.
+        // Solves (down cos + level sin)^T M (down cos + level sin) = 0 for the tangent.
         let by = |a: &Vector3<f64>, b: &Vector3<f64>| a.dot(&(self.cone * b));
         let (square, half, constant) = (by(&level, &level), by(&level, &down), by(&down, &down));
         let root = (half * half - square * constant).sqrt();
@@ -285,7 +289,7 @@ impl Ellipsoid {
         self.half_angle_rad(self.heading_rad + aside_rad) - self.mean_rad
     }
 
-    /// The largest departure.
+    /// The largest departure from the mean.
     fn most_rad(&self) -> f64 {
         let departures = (0..AZIMUTHS).map(|n| self.half_angle_rad(azimuth(n)) - self.mean_rad);
         departures.fold(0.0, |most, departure| most.max(departure.abs()))
@@ -296,7 +300,7 @@ fn azimuth(n: u32) -> f64 {
     TAU * f64::from(n) / f64::from(AZIMUTHS)
 }
 
-/// Rays to a sphere's edge, and about it.
+/// Rays to a sphere's edge, and near it.
 pub(super) struct Cone<'a> {
     sphere: &'a Sphere,
     nadir: UnitVector3<f64>,
@@ -307,7 +311,7 @@ pub(super) struct Cone<'a> {
 
 impl<'a> Cone<'a> {
     pub fn new(sphere: &'a Sphere, nadir: &UnitVector3<f64>) -> Self {
-        // Angles around the nadir begin behind the camera, so that an arc in view is not parted where they do.
+        // Angles around the nadir start behind the camera, so that an arc in view is not split at the start.
         let behind = nadir.into_inner() * nadir.z - Vector3::z();
         let across = match behind.try_normalize(LEAST_LEVEL) {
             Some(behind) => Matrix3x2::from_columns(&[behind, nadir.cross(&behind)]),
@@ -321,7 +325,7 @@ impl<'a> Cone<'a> {
         }
     }
 
-    /// The edge in a direction around the nadir, whose angle's cosine and sine are given.
+    /// The edge in a direction around the nadir, given by its cosine and sine.
     pub fn edge(&self, around: &Vector2<f64>) -> ConeEdge {
         let outward = UnitVector3::new_unchecked(self.across * around);
         let (sine, cosine) = match self.sphere.ellipsoid {
@@ -351,13 +355,13 @@ impl ConeEdge {
         UnitVector3::new_unchecked(self.ray)
     }
 
-    /// The ray outside of the edge by an angle of which sine and cosine are given.
+    /// The ray outside of the edge by an angle, given by its sine and cosine.
     pub fn outside(&self, (sine, cosine): (f64, f64)) -> UnitVector3<f64> {
         UnitVector3::new_unchecked(self.ray * cosine + self.outward * sine)
     }
 }
 
-/// Two unit vectors across a direction and each other.
+/// Two unit vectors perpendicular to a direction and to each other.
 pub(crate) fn across(unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
     let first = match unit.x.abs() < 0.5 {
         true => unit.cross(&Vector3::x()).normalize(),
@@ -396,7 +400,7 @@ mod tests {
 
     #[test]
     fn refraction_raises_the_limb_as_it_bends_a_ray_step_by_step() {
-        // From where the ray is level at 20 km: d(n t)/ds is the gradient of n, which points down.
+        // Starts where the ray is level at 20 km: d(n t)/ds is the gradient of n, which points down.
         const STEP_M: f64 = 50.0;
         let (edge_m, camera_m) = (20_000.0, 38_000.0);
         let index = |at: &Vector2<f64>| Refraction::StandardAir.index(at.norm() - EARTH_RADIUS_M);
@@ -438,7 +442,7 @@ mod tests {
                 let of_edge = from(camera_m).rad_per_m(edge_m, angle.value) * edge.sigma;
                 let found = from(camera_m).edge_m(Measured::new(angle.value, of_edge));
                 assert!((found.value - edge_m).abs() < 0.1, "{found:?}");
-                // Differences for the derivatives.
+                // Finite differences for the derivatives.
                 let at = |camera_m: f64, angle: f64| from(camera_m).edge_m(exact(angle)).value;
                 let by_angle = at(camera_m, angle.value + 1e-6) - at(camera_m, angle.value - 1e-6);
                 let by_height = at(camera_m + 1.0, angle.value) - at(camera_m - 1.0, angle.value);

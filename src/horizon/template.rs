@@ -1,30 +1,31 @@
-//! The profile of a place as the mean one, moved.
+//! Fit of the mean profile to the profile of a place.
 
 use super::profile::{INTERPOLATED_NOISE, Profiles};
 use crate::kernels::paths::fit_columns;
 use nalgebra::{Matrix3, Vector3};
 
-/// Of the mean profile's brightness: clouds may show where it is brighter. They raise that brightness, too, and blur reaches above them.
+/// Relative to the mean profile's brightness: clouds may show above this level. They raise that brightness as well, and
+/// blur extends above them.
 const CLOUDLESS: f64 = 0.7;
-/// Over a pixel's noise: a profile that fits less well has clouds in it.
+/// Relative to a pixel's noise: a profile with a larger scatter contains clouds.
 const CLOUDED: f64 = 1.25;
-/// In more of the places than this, clouds count.
+/// Minimum share of clouded places for which clouds are taken into account.
 pub(super) const CLOUDED_SHARE: f64 = 0.05;
 
-/// Result of a place's profile.
+/// Fitted parameters of a place's profile.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Limb {
     pub dark_dn: f64,
-    /// In units of the mean profile's.
+    /// Brightness in units of the mean profile's.
     pub brightness_dn: f64,
-    /// Outwards from the mean profile.
+    /// Shift outwards from the mean profile.
     pub shift_steps: f64,
     pub shift_sigma_steps: f64,
-    /// Rms of what the fit leaves.
+    /// Rms of the residuals.
     pub scatter_dn: f64,
 }
 
-/// Fits of the mean profile to a place's: to all of it, and to the air above any cloud.
+/// Fits of the mean profile to a place's profile: to all of it, and to the air above any cloud.
 pub(super) struct LimbFits {
     whole: TemplateFit,
     air: TemplateFit,
@@ -32,7 +33,7 @@ pub(super) struct LimbFits {
 }
 
 impl LimbFits {
-    /// `None` of no limb.
+    /// `None` if there is no limb.
     pub fn new(mean: &[f64], profiles: &Profiles, noise_dn: f64) -> Option<Self> {
         let brightness = mean
             .get(..=profiles.edge)?
@@ -47,13 +48,13 @@ impl LimbFits {
         })
     }
 
-    /// The limb at each place by the air above any clouds.
+    /// The limb at each place from the air above any clouds.
     pub fn above_clouds(&self, profiles: &Profiles) -> Vec<Limb> {
         self.air.limbs(profiles)
     }
 
-    /// The limb at each place, and the share of places with clouds. Whole profiles determine the brightness best; where clouds stand in more
-    /// than a few, the air alone is fair to all.
+    /// The limb at each place, and the share of places with clouds. Whole profiles determine the brightness best; if more
+    /// than a few places have clouds, all are fitted to the air alone, to treat them equally.
     pub fn limbs(&self, profiles: &Profiles) -> (Vec<Limb>, f64) {
         let whole = self.whole.limbs(profiles);
         let clouded = whole
@@ -67,17 +68,18 @@ impl LimbFits {
     }
 }
 
-/// A profile as the mean one with a darkness, a brightness and a small shift: linear least squares.
+/// A profile as the mean one with an offset, a brightness and a small shift: linear least squares.
 struct TemplateFit {
-    /// At each sample: 1, the mean profile, and its change by a step outwards; 0 at samples that do not count.
+    /// At each sample: 1, the mean profile, and its derivative by a shift outwards; 0 at samples that do not count.
     columns: [Vec<f32>; 3],
     inverse: Matrix3<f64>,
-    /// Samples beyond the three that are found.
+    /// Degrees of freedom: samples minus the three unknowns.
     freedom: f64,
 }
 
 impl TemplateFit {
-    /// By the samples from `first` on, of profiles that are filled up to a length. `None` if they do not determine the three.
+    /// From the samples from `first` on, of profiles padded to `length`. `None` if they do not determine the three
+    /// unknowns.
     fn new(mean: &[f64], first: usize, length: usize) -> Option<Self> {
         let samples = first..mean.len().checked_sub(1)?;
         let freedom = samples.len().checked_sub(3).filter(|left| *left > 0)?;
