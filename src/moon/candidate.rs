@@ -1,4 +1,4 @@
-//! A light that may be the Moon, and what is known of it before its limb is read.
+//! A bright patch that may be the Moon, and the prior knowledge of it before its limb is read.
 
 use super::expected::{Expected, Radius};
 use super::known::Known;
@@ -13,13 +13,14 @@ use crate::units::Measured;
 use std::f64::consts::PI;
 use std::ops::Range;
 
-/// A disc of a smaller radius is no Moon, px.
+/// Minimum radius of a disc that may be the Moon, px.
 const LEAST_RADIUS_PX: f64 = 4.0;
-/// Phase and side of the light by its middle, rad: 1 sigma of a whole disc, and of one that the picture cuts.
+/// Uncertainty of phase and side of the light from the light's centroid, rad: 1 sigma for a whole disc, and for one that
+/// the picture's edge cuts.
 const BY_MIDDLE_RAD: f64 = 0.2;
 const BY_CUT_MIDDLE_RAD: f64 = 0.6;
 
-/// A frame as it is measured near a light.
+/// A frame with the values needed to measure it near a bright patch.
 pub(super) struct View<'a> {
     pub frame: &'a Frame,
     pub levels: &'a Levels,
@@ -27,11 +28,11 @@ pub(super) struct View<'a> {
     pub shading: Shading,
 }
 
-/// A light that may be the Moon.
+/// A bright patch that may be the Moon.
 pub(super) struct Candidate<'a> {
     pub view: View<'a>,
     pub expected: &'a Expected,
-    /// In round px.
+    /// Outline in round px.
     pub outline: Outline,
 }
 
@@ -59,7 +60,7 @@ impl<'a> Candidate<'a> {
         })
     }
 
-    /// The radius that is expected, round px.
+    /// The expected radius, round px.
     pub fn radius(&self) -> Option<Measured> {
         match self.expected.radius? {
             Radius::Pixels(radius) => Some(radius),
@@ -73,7 +74,7 @@ impl<'a> Candidate<'a> {
         }
     }
 
-    /// The radii that it may have, round px.
+    /// The range of possible radii, round px.
     pub fn radii(&self) -> Range<f64> {
         let frame = self.view.frame;
         match self.radius() {
@@ -85,13 +86,13 @@ impl<'a> Candidate<'a> {
         }
     }
 
-    /// The phase that is expected, rad.
+    /// The expected phase angle, rad.
     pub fn phase_rad(&self) -> Option<Measured> {
         let radians = |deg: Measured| Measured::new(deg.value.to_radians(), deg.sigma.to_radians());
         self.expected.phase_angle_deg.map(radians)
     }
 
-    /// The middle of the bright limb that is expected, in round px, rad.
+    /// The expected direction of the bright limb's middle, in round px, rad.
     pub fn bright_limb_rad(&self) -> Option<Measured> {
         let plane = &self.view.plane;
         let round = |deg: Measured| {
@@ -101,7 +102,7 @@ impl<'a> Candidate<'a> {
         self.expected.bright_limb_deg.map(round)
     }
 
-    /// Priors before the limb is read: by the ephemeris, else by where the light is.
+    /// Priors before the limb is read: from the ephemeris, else from the light's centroid.
     pub fn known(&self, circle: &Circle) -> Known {
         let off = self.outline.middle - circle.centre;
         let sigma = match self.outline.is_cut {
@@ -117,19 +118,19 @@ impl<'a> Candidate<'a> {
         }
     }
 
-    /// The middle of a thin crescent lies where none of its light does: the lit share of the disc determines its phase better.
+    /// The centroid of a thin crescent lies outside its light: the lit fraction of the disc determines its phase better.
     fn phase_by_middle_rad(&self, circle: &Circle) -> f64 {
         let of_area = phase_rad_of_lit(self.light_area(circle));
         self.sphere_by_middle(circle).phase_rad().min(of_area)
     }
 
-    /// The sphere whose light's middle lies as far off.
+    /// The sphere whose centroid of light has the same distance from its centre.
     pub fn sphere_by_middle(&self, circle: &Circle) -> Sphere {
         let off = (self.outline.middle - circle.centre).norm() / circle.radius;
         Sphere::of_offset(self.view.shading, off)
     }
 
-    /// The area of the light, in that of a disc.
+    /// Area of the light relative to that of the disc.
     pub fn light_area(&self, circle: &Circle) -> f64 {
         let disc_px = PI * circle.radius.powi(2) * self.view.plane.sensor_area();
         self.outline.light_px as f64 / disc_px

@@ -1,4 +1,4 @@
-//! Checks that reject lights that are no Moon, or not the expected one.
+//! Checks that reject patches that are not the Moon, or not the expected one.
 
 use super::candidate::{Candidate, View};
 use super::known::MOST_SATURATED;
@@ -13,29 +13,31 @@ use crate::reasons::{at, moon as reasons};
 use crate::units::{Reason, Rejected};
 use nalgebra::{SVector, Vector2};
 
-/// An oval is no Moon: longest axis over shortest.
+/// Maximum ratio of the longest to the shortest axis: an oval is not the Moon.
 const MOST_AXIS_RATIO: f64 = 1.15;
-/// An oval is one where it is seen so many sigmas long.
+/// Significance, in sigma, above which a disc counts as oval.
 const OVAL_SIGMAS: f64 = 4.0;
-/// A lit share that differs by more from the expected one is another thing's.
+/// Maximum difference of the lit fraction from the expected one.
 const MOST_LIT_DEVIATION: f64 = 0.2;
-/// The share of the light's variance within and around a disc that the shading may leave unexplained.
+/// Maximum share of the light's variance within and around a disc that the shading leaves unexplained.
 const MOST_UNLIKE: f64 = 0.3;
-/// Around a saturated disc, in its radii: where the sky is brighter than this share of the saturated level, no limb shows.
+/// Range around a saturated disc, in its radii: if the sky there is brighter than this share of saturation, no limb is
+/// visible.
 const GLARE: std::ops::Range<f64> = 1.2..1.6;
 const MOST_GLARE: f64 = 0.2;
-/// Sharp limb points off the circle by more than their sigmas explain: this share of the radius, rms, is no circle.
+/// Maximum residual of sharp limb points about the circle beyond their sigmas, rms relative to the radius.
 const MOST_ROUGHNESS: f64 = 0.02;
-/// A centre that is known less well is of no disc of that radius, 1 sigma in radii.
+/// Maximum sigma of the centre, in radii.
 const MOST_SIGMA: f64 = 0.03;
-/// A limb point that is known less well has no edge, 1 sigma in radii; so many of the limb's points may be such.
+/// A limb point with a larger sigma, in radii, has no edge; maximum share of such points.
 const MOST_POINT_SIGMA: f64 = 0.05;
 const MOST_BLUNT: f64 = 0.2;
 
-/// Where no radius is stated, a limb that is blurred by so many sigmas more than is usual may be a cloud's or a corona's edge.
+/// If no radius is stated, a limb whose blur exceeds the expected one by so many sigmas may be the edge of a cloud or a
+/// corona.
 const BLUR_SIGMAS: f64 = 2.0;
 
-/// Whether what was found may be the Moon.
+/// Checks that the fitted disc may be the Moon.
 pub(super) fn check(candidate: &Candidate, settled: &Settled, unlike: f64) -> Result<(), Stopped> {
     let Settled { found, limb, .. } = settled;
     let circle = circle_of(&found.fitted.parameters);
@@ -53,7 +55,7 @@ pub(super) fn check(candidate: &Candidate, settled: &Settled, unlike: f64) -> Re
     check_limb(settled)
 }
 
-/// Whether the limb is a circle of the expected radius all along its lit part, and not a piece of another thing's outline.
+/// Checks that the limb is a circle all along its lit part, and not a part of another object's outline.
 fn check_limb(settled: &Settled) -> Result<(), Stopped> {
     let Settled { found, limb, .. } = settled;
     let radius = settled.at()[2];
@@ -87,7 +89,7 @@ fn check_radius(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
     at_most(reasons::RADIUS, deviation, MOST_RADIUS_DEVIATION)
 }
 
-/// Whether as much of the disc is light as the expected phase says, and it lies where that puts it.
+/// Checks that the lit fraction of the disc agrees with the expected phase, and so does the position of the light.
 fn check_lit(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
     let Some(expected) = candidate.expected.phase_angle_deg else {
         return Ok(());
@@ -105,7 +107,7 @@ fn check_lit(candidate: &Candidate, circle: &Circle) -> Result<(), Stopped> {
     at_most(reasons::LIT, (seen - expected).abs(), MOST_LIT_DEVIATION)
 }
 
-/// How bright the sky around a disc is, of the saturated level.
+/// Brightness of the sky around a disc relative to saturation.
 fn glare(view: &View, circle: &Circle) -> f64 {
     let (frame, levels) = (view.frame, view.levels);
     const PLACES: usize = 48;
@@ -127,7 +129,7 @@ fn glare(view: &View, circle: &Circle) -> f64 {
     sum / f64::from(count.max(1)) / (levels.saturated_dn - levels.dark_dn).max(1.0)
 }
 
-/// Longest axis over shortest, by how the limb departs from a circle of a known radius; 1 where that is not seen.
+/// Ratio of the longest to the shortest axis, from the limb's departures from a circle; 1 if they are not significant.
 fn axis_ratio(found: &LimbFit) -> f64 {
     let terms = |angle: f64| {
         let ((sin, cos), (sin2, cos2)) = (angle.sin_cos(), (2.0 * angle).sin_cos());
@@ -149,7 +151,7 @@ fn axis_ratio(found: &LimbFit) -> f64 {
     }
 }
 
-/// How far the limb lies off the circle beyond its sigmas, rms, px.
+/// Rms distance of the limb from the circle beyond its sigmas, px.
 fn roughness_px(points: &[&LimbPoint]) -> f64 {
     let excess = points.iter().map(|point| point.excess_px);
     let squares = excess.map(|excess| excess.value.powi(2) - excess.sigma.powi(2));

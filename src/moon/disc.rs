@@ -1,4 +1,4 @@
-//! The circle of the whole disc, roughly, through an outline of which a part is the terminator.
+//! A rough circle of the whole disc, fitted to an outline of which a part is the terminator.
 
 use super::extremities;
 use super::patch::Outline;
@@ -8,27 +8,30 @@ use nalgebra::{Rotation2, RowVector3, Vector1, Vector2, Vector3};
 use std::f64::consts::PI;
 use std::ops::Range;
 
-/// A point this near a circle lies on it: so many pixels, or this share of the radius.
+/// A point lies on a circle if it is within this many pixels, or this share of the radius.
 const ON_PX: f64 = 0.8;
 const ON_SHARE: f64 = 0.015;
-/// Circles are tried through points this far apart, as shares of the outline's points, from so many places each.
+/// Spacings of the points through which circles are tried, as shares of the outline's points, and number of starting points
+/// for each.
 const APART: [f64; 4] = [0.33, 0.2, 0.12, 0.06];
 const PLACES: usize = 12;
-/// Circles are judged by at most so many points.
+/// Maximum number of points that are used to judge a circle.
 const MOST_JUDGES: usize = 160;
-/// No point may lie further out but this share: the rest is of stars and hot pixels.
+/// Maximum share of points farther outside, which are stars or hot pixels.
 const MOST_OUTSIDE: f64 = 0.1;
-/// The radius of a disc that is not cut, in extents of its light: the horns of a crescent may be too dim.
+/// Range of the radius of an uncut disc relative to the extent of its light: the horns of a crescent may be too dim to be
+/// seen.
 const WHOLE: Range<f64> = 0.45..0.75;
 
-/// The circle that most of an outline lies on, with the rest inside it: the terminator lies within the disc. `None` where none has a radius
-/// that is allowed or too much lies outside.
+/// The circle on which most of an outline lies, with the rest inside it: the terminator lies within the disc. `None` if no
+/// such circle has an allowed radius, or if too many points lie outside.
 pub(super) fn circle(outline: &Outline, radii: &Range<f64>) -> Option<Circle> {
     let points = in_order(outline);
     let radii = match outline.is_cut {
         true => radii.clone(),
         false => {
-            // A straight terminator is no part of a large disc: the lit limb is half a circle, and longer than the terminator.
+            // This rejects a straight terminator as part of a large disc: the lit limb is half a circle, and longer than
+            // the terminator.
             let extent = extent(&points);
             radii.start.max(WHOLE.start * extent)..radii.end.min(WHOLE.end * extent)
         }
@@ -49,7 +52,7 @@ pub(super) fn circle(outline: &Outline, radii: &Range<f64>) -> Option<Circle> {
         .map(|(circle, _)| refined(circle, &points))
 }
 
-/// The circle of least squares through the points near a circle.
+/// The least-squares circle through the points near a circle.
 fn refined(circle: Circle, points: &[Vector2<f64>]) -> Circle {
     let on = ON_PX.max(ON_SHARE * circle.radius);
     let near = points
@@ -101,7 +104,7 @@ fn extent(points: &[Vector2<f64>]) -> f64 {
     (0..8).map(span).fold(0.0, f64::max)
 }
 
-/// How many points lie on a circle; `None` where too many lie outside.
+/// Number of points that lie on a circle; `None` if too many lie outside.
 fn agreeing(circle: &Circle, points: &[Vector2<f64>]) -> Option<usize> {
     let on = ON_PX.max(ON_SHARE * circle.radius);
     let (mut agreeing, mut outside) = (0, 0);
@@ -113,7 +116,7 @@ fn agreeing(circle: &Circle, points: &[Vector2<f64>]) -> Option<usize> {
     (outside as f64 <= MOST_OUTSIDE * points.len() as f64).then_some(agreeing)
 }
 
-/// The outline's points around the middle of its box.
+/// The outline's points in order of angle around the centre of their bounding box.
 fn in_order(outline: &Outline) -> Vec<Vector2<f64>> {
     let points = &outline.points;
     let lowest = points
@@ -168,7 +171,7 @@ mod tests {
             centre: Vector2::new(60.0, 45.0),
             radius: 20.0,
         };
-        // A thin crescent, half a Moon, one that is nearly full.
+        // A thin crescent, a half Moon, a nearly full Moon.
         for width in [-0.7, 0.0, 0.7] {
             let found = super::circle(&crescent(&circle, width), &(4.0..100.0)).unwrap();
             assert!((found.centre - circle.centre).norm() < 0.1, "{width}");

@@ -1,4 +1,4 @@
-//! Expectations of the Moon before a frame is solved.
+//! Prior expectations of the Moon before a frame is solved.
 
 use crate::geometry::camera::CameraModel;
 use crate::reasons::moon as reasons;
@@ -7,35 +7,36 @@ use crate::sky::{MoonPosition, SunPosition, horizon_deg};
 use crate::units::{ARCSEC_PER_RAD, Measured, Place, Rejected};
 use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
 
-/// A lens's scale is known this well, and so the radius in px; the Moon's own radius and distance far better.
+/// Relative uncertainty of a lens's scale, and so of the radius in px; the Moon's own radius and distance are known far
+/// better.
 const SCALE_SIGMA: f64 = 3e-3;
-/// The ephemeris's phase, and the side of the light where an attitude is stated, 1 sigma, deg.
+/// Uncertainty of the ephemeris's phase, and of the side of the light for a stated attitude, 1 sigma, deg.
 const PHASE_SIGMA_DEG: f64 = 0.1;
 const SIDE_SIGMA_DEG: f64 = 2.0;
-/// A Moon farther below the horizon is not in the picture, deg: air bends light by less.
+/// A Moon farther below the horizon than this, deg, is not in the picture: refraction is smaller.
 const BELOW_DEG: f64 = 1.0;
 
-/// Expectations of the Moon before a frame is solved.
+/// Prior expectations of the Moon before a frame is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Expected {
     pub radius: Option<Radius>,
-    /// 0 full, 180 new.
+    /// 0 at full Moon, 180 at new Moon.
     pub phase_angle_deg: Option<Measured>,
-    /// The middle of the bright limb in the picture, from +x towards +y.
+    /// Direction of the bright limb's middle in the picture, from +x towards +y.
     pub bright_limb_deg: Option<Measured>,
 }
 
-/// A radius that is known a priori.
+/// A prior radius.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Radius {
     /// Vertical half axis in the picture, px.
     Pixels(Measured),
-    /// Angular radius, rad, where the camera is known.
+    /// Angular radius, rad, for a camera with known optics.
     Angle(Measured),
 }
 
 impl Expected {
-    /// By the ephemeris.
+    /// From the ephemeris.
     pub fn of(moon: &MoonPosition) -> Self {
         let radius_rad = moon.radius_arcsec / ARCSEC_PER_RAD;
         let radius = Measured::new(radius_rad, SCALE_SIGMA * radius_rad);
@@ -46,7 +47,7 @@ impl Expected {
         }
     }
 
-    /// The same with the side of the light as a camera of a known attitude sees it.
+    /// The same with the side of the light for a camera of known attitude.
     pub fn seen_by(
         self,
         moon: &MoonPosition,
@@ -74,7 +75,7 @@ impl Expected {
     }
 }
 
-/// That the Moon is below the horizon of a place: no picture from there shows it.
+/// The rejection if the Moon is below the horizon of a place: no picture from there shows it.
 pub fn below_horizon(moon: &MoonPosition, place: Place) -> Option<Rejected> {
     let (measured, limit) = (moon.elevation_deg, horizon_deg(place) - BELOW_DEG);
     (measured < limit).then_some(Rejected {
@@ -84,7 +85,7 @@ pub fn below_horizon(moon: &MoonPosition, place: Place) -> Option<Rejected> {
     })
 }
 
-/// That the Moon stands nearer to the Sun than some angle, and the Sun is up.
+/// The rejection if the Moon is nearer to the Sun than a given angle while the Sun is up.
 pub fn near_sun(
     moon: &MoonPosition,
     sun: &SunPosition,
@@ -110,15 +111,16 @@ pub fn is_night(sun: &SunPosition, place: Place) -> bool {
     sun.elevation_deg < horizon_deg(place)
 }
 
-/// Takes directions of the camera frame (x right, y down, z forward) to the local one (east, north, up), for a camera whose axis points to an
-/// azimuth and an elevation and which is turned about it by a roll, positive with its right side low.
+/// Rotates directions from the camera frame (x right, y down, z forward) to the local frame (east, north, up), for a camera
+/// whose axis has the given azimuth and elevation and which is rotated about it by a roll, positive with its right side
+/// low.
 pub fn local_from_camera(azimuth_deg: f64, elevation_deg: f64, roll_deg: f64) -> Rotation3<f64> {
     let forward = direction(azimuth_deg, elevation_deg);
     let (up, right) = tangents(&forward);
     let (sin, cos) = roll_deg.to_radians().sin_cos();
     let x = right * cos - up * sin;
     let y = -up * cos - right * sin;
-    // The sky's vectors are of north, east and up.
+    // The vectors of `sky` are north, east and up.
     let axes = [x, y, forward].map(|axis| Vector3::new(axis.y, axis.x, axis.z));
     Rotation3::from_matrix_unchecked(Matrix3::from_columns(&axes))
 }

@@ -1,4 +1,4 @@
-//! The circle through three of an outline's eight extremities: whatever the phase, three of them lie on the true limb.
+//! The circle through three of an outline's eight extremities: at any phase, three of them lie on the true limb.
 //!
 //! "The Development of a Moon Sensor" (2005), section 3.3.1.
 
@@ -6,10 +6,10 @@ use crate::geometry::Circle;
 use nalgebra::{Rotation2, Vector2};
 use std::f64::consts::FRAC_PI_4;
 
-/// The circle of an outline; `None` where its extremities lie on a line.
+/// The circle of an outline; `None` if its extremities are collinear.
 ///
-/// The extremities in the directions x, x + y, y and so on make four pairs. The longest pair divides the light across its phase; of all eight,
-/// the one furthest from the line between them lies on the limb, and so do its two neighbours.
+/// The extremities in the directions x, x + y, y and so on form four pairs. The longest pair divides the light across its
+/// phase; the extremity farthest from the line between them lies on the limb, and so do its two neighbours.
 pub(super) fn circle(points: &[Vector2<f64>]) -> Option<Circle> {
     let furthest_along = |n: usize| {
         let axis = Rotation2::new(n as f64 * FRAC_PI_4) * Vector2::x();

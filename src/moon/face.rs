@@ -1,4 +1,4 @@
-//! The face of a disc: how its light is spread over it, beside the sky around it.
+//! The distribution of brightness over a disc and the sky around it.
 
 use super::candidate::View;
 use super::sector::{Parameters, circle_of};
@@ -7,48 +7,48 @@ use crate::units::Measured;
 use nalgebra::Vector2;
 use std::f64::consts::PI;
 
-/// The sky counts so far out, in radii.
+/// Outer radius of the sky that is included, in radii.
 const AROUND: f64 = 1.25;
-/// The edge, which is blurred, is left out, px.
+/// Half width of the excluded blurred edge, px.
 const EDGE_PX: f64 = 1.5;
-/// About so many pixels are sampled.
+/// Approximate number of sampled pixels.
 const SAMPLED_PX: f64 = 400.0;
-/// Phases are tried this far apart, deg.
+/// Spacing of the phases that are tried, deg.
 const PHASE_STEP_DEG: usize = 10;
 const HALVINGS: usize = 3;
-/// 1 sigma of the phase by the limb, rad.
+/// 1 sigma of the phase from the limb, rad.
 const BY_LIMB_RAD: f64 = 0.8;
-/// Of the light of the brightest limb.
+/// Maximum earthshine relative to the light of the brightest limb.
 const MOST_EARTHSHINE: f64 = 0.2;
-/// Bright and dark ground lies on a disc in about so many pieces: so many times an error of the light is independent.
+/// Number of independent errors of the brightness: bright and dark ground forms about so many pieces on a disc.
 const PIECES: f64 = 12.0;
 
 /// A pixel on the disc.
 struct Place {
-    /// Towards the bright limb, in radii.
+    /// Distance from the centre towards the bright limb, in radii.
     along: f64,
     /// Cosine of the angle between the ground's normal and the observer.
     to_observer: f64,
-    /// Above the mean of disc and sky.
+    /// Brightness above the mean of disc and sky.
     dn: f64,
 }
 
-/// How the light is spread over a disc and the sky around it.
+/// The distribution of brightness over a disc and the sky around it.
 pub(super) struct Face {
     shading: Shading,
     disc: Vec<Place>,
-    /// Pixels, of the sky too.
+    /// Number of pixels, including the sky.
     count: f64,
-    /// Sum of the squares of their DN about the mean.
+    /// Sum of the squares of their deviations from the mean, DN^2.
     squares: f64,
-    /// Part of the noise in it.
+    /// Expected contribution of the noise to that sum.
     noise: f64,
-    /// The share of the disc that is saturated, and not used.
+    /// Share of the disc that is saturated and not used.
     pub saturated: f64,
 }
 
 impl Face {
-    /// Sees a disc of some parameters.
+    /// Samples a disc with the given parameters.
     pub fn seen(view: &View, at: &Parameters) -> Self {
         let circle = circle_of(at);
         let bright_limb = Vector2::new(at[5].cos(), at[5].sin());
@@ -95,16 +95,17 @@ impl Face {
         }
     }
 
-    /// The share of the light's variance that is neither noise nor that of a sphere at a phase, with an earthshine.
+    /// The share of the brightness's variance that is explained neither by noise nor by a sphere at the given phase with
+    /// earthshine.
     pub fn unlike(&self, phase_rad: f64) -> f64 {
         let all = (self.squares - self.noise).max(f64::MIN_POSITIVE);
         ((self.left(phase_rad) - self.noise) / all).clamp(0.0, 1.0)
     }
 
-    /// The phase angle that it shows best, 0 to pi, beside that of the limb; its sigma is what bright and dark ground makes of it. The side of the
-    /// light is that of the limb.
+    /// The best-fitting phase angle, 0 to pi, combined with that of the limb; its sigma comes from the variations of bright
+    /// and dark ground. The side of the light is that of the limb.
     pub fn phase_rad(&self, of_limb: f64) -> Measured {
-        // Twice the negative logarithm of its chance, with errors of an unknown sigma.
+        // Twice the negative logarithm of its likelihood, for errors of unknown sigma.
         let tried = |phase_rad: f64| {
             let left = self.left(phase_rad).max(f64::MIN_POSITIVE);
             let off = (phase_rad - of_limb) / BY_LIMB_RAD;
@@ -129,7 +130,7 @@ impl Face {
         Measured::new(best.1, (squares / sum).sqrt())
     }
 
-    /// The sum of squares that neither the light of a sphere nor an earthshine, which is even and dim, explains.
+    /// The sum of squares that is explained neither by the light of a sphere nor by a uniform dim earthshine.
     fn left(&self, phase_rad: f64) -> f64 {
         let sphere = Sphere::new(self.shading, phase_rad);
         let (mut light, mut squares, mut along, mut disc_along) = (0.0, 0.0, 0.0, 0.0);
@@ -172,7 +173,7 @@ mod tests {
     const AT: Parameters =
         Parameters::from_array_storage(nalgebra::ArrayStorage([[60.0, 60.0, 40.0, 0.8, 0.0, 0.7]]));
 
-    /// A picture with a light at places in radii from the middle of a disc of 40 px.
+    /// A picture with a brightness as a function of position, in radii from the centre of a disc of 40 px.
     fn frame(light: impl Fn(Vector2<f64>) -> f64) -> Frame {
         let pixels = (0..SIZE * SIZE).map(|n| {
             let at = Vector2::new((n % SIZE) as f64, (n / SIZE) as f64);
@@ -206,7 +207,7 @@ mod tests {
         ))
     }
 
-    /// A sphere lit from the side that the parameters have, as vectors have it.
+    /// A sphere lit from the side given by the parameters, computed with vectors.
     fn sphere(phase_deg: f64, place: Vector2<f64>) -> f64 {
         let height = 1.0 - place.norm_squared();
         if height <= 0.0 {

@@ -2,24 +2,26 @@
 
 use crate::units::Measured;
 
-/// A radius that the picture contradicts by so many sigmas and so much, relative to it, is known only this well, 1 sigma relative to it.
+/// If the picture contradicts a prior radius by so many sigmas and by this relative difference, the radius gets this
+/// relative uncertainty, 1 sigma.
 pub(super) const CONTRADICTION_SIGMAS: f64 = 5.0;
 const CONTRADICTION: f64 = 0.015;
 const LOOSE_RADIUS: f64 = 0.06;
-/// Where more of the lit limb is saturated its radius is not the Moon's: light has spilled by about so much.
+/// If a larger share of the lit limb is saturated, its radius is not the Moon's: the light has spilled over by about so
+/// much.
 pub(super) const MOST_SATURATED: f64 = 0.2;
 const SPILLED_PX: f64 = 1.5;
 
 /// Priors of a limb before it is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Known {
-    /// Round px.
+    /// Radius, round px.
     pub radius: Option<Measured>,
     pub phase_rad: Measured,
     pub bright_limb_rad: Measured,
 }
 
-/// How far the radius that the picture shows lies from the one that was known: px, and sigmas of both.
+/// Difference between the radius in the picture and the prior one: in px, and in sigmas of the difference.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Contradiction {
     pub off_px: f64,
@@ -27,7 +29,8 @@ pub(super) struct Contradiction {
 }
 
 impl Known {
-    /// The same where the picture shows another radius: then the picture determines it, within what is allowed.
+    /// The same with a loose prior of the radius if the picture contradicts it: then the picture determines the radius,
+    /// within the allowed range.
     pub fn contradicted(self, by: Option<Contradiction>) -> Self {
         let loose = |radius: Measured| {
             let sigma = LOOSE_RADIUS * radius.value;
@@ -47,7 +50,7 @@ impl Known {
         }
     }
 
-    /// The same where so much of the limb is saturated.
+    /// The same with a loose radius if too much of the limb is saturated.
     pub fn loosened(self, saturated: f64) -> Self {
         let loose = |radius: Measured| Measured::new(radius.value, radius.sigma.max(SPILLED_PX));
         match saturated > MOST_SATURATED {

@@ -1,7 +1,8 @@
-//! The lit limb to a part of a pixel: the circle whose shaded, blurred light the pixels along the limb show.
+//! The sub-pixel position of the lit limb: the circle whose shaded, blurred brightness fits the pixels along the limb best.
 //!
-//! The brightness of the ground at a place is not known, nor that of the sky before it: each few pixels of the limb have a brightness and a sky
-//! of their own. What is left is the shape of the light across the limb.
+//! The brightness of the ground at a place is unknown, and so is that of the sky in front of it: each sector of a few
+//! pixels of the limb has a brightness and a sky level of its own. The fit uses only the shape of the brightness profile
+//! across the limb.
 
 use super::candidate::View;
 use super::known::{Contradiction, Known};
@@ -19,20 +20,21 @@ use crate::units::Measured;
 use nalgebra::{SMatrix, Vector2};
 use std::f64::consts::{PI, TAU};
 
-/// A sector is seen where its brightest pixel stands so many sigmas of a pixel's noise above the sky.
+/// Minimum brightness of a sector's brightest pixel above the sky, in sigmas of a pixel's noise.
 const SEEN_SIGMAS: f64 = 4.0;
-/// The limb is lit where the sphere shows this share of the light in the middle of the bright limb, this far behind the limb. Further on it is
-/// the terminator that is seen, and mountains move that.
+/// The limb is lit where the sphere has this share of the brightness in the middle of the bright limb, at this depth behind
+/// the limb. Beyond that, the terminator is visible, whose position depends on mountains.
 const LIT_SHARE: f64 = 0.2;
 const LIT_DEPTH_PX: f64 = 1.5;
 const LIT_DEPTH: f64 = 0.1;
-/// A sector lies off the circle by so many sigmas, or so many times the usual.
+/// A sector is an outlier if it is off the circle by so many sigmas, or by so many times the typical scatter.
 const OFF_SIGMAS: f64 = 5.0;
-/// The ground's residual along the limb is correlated over this length, px.
+/// Correlation length of the ground's residual along the limb, px.
 const ALIKE_PX: f64 = 12.0;
-/// An outline's circle lies about so far off the disc's, towards the light, px: it runs outside of the bright limb, and inside of the dim horns.
+/// Typical distance of an outline's circle from the disc's, towards the light, px: it runs outside the bright limb, and
+/// inside the dim horns.
 const OUTLINE_PX: f64 = 0.5;
-/// Blur of the optics beside that of the pixels, px, as far as it is known before.
+/// Prior of the blur by the optics, without that by the pixels, px.
 pub(super) const BLUR_PX: Measured = Measured::new(0.8, 0.4);
 const POSSIBLE_BLUR_PX: std::ops::Range<f64> = 0.05..3.0;
 
@@ -47,7 +49,7 @@ pub(super) struct Limb {
     pub saturated: f64,
 }
 
-/// A circle with what its limb shows.
+/// A fitted circle with its limb points.
 pub(super) struct LimbFit {
     pub fitted: Fitted<PARAMETERS>,
     pub points: Vec<LimbPoint>,
@@ -60,12 +62,12 @@ impl LimbFit {
     }
 }
 
-/// A few pixels' limb.
+/// The limb measured on one sector.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct LimbPoint {
-    /// From +x towards +y, in round px.
+    /// Angle from +x towards +y, in round px.
     pub angle_rad: f64,
-    /// How far the limb lies outwards of the circle there.
+    /// Distance of the limb outwards from the circle.
     pub excess_px: Measured,
 }
 
@@ -78,7 +80,7 @@ impl Limb {
         let sectors = Sectors::of_radius(circle.radius);
         let (count, width_rad) = (sectors.count, sectors.width_rad);
         let from_middle = |n: usize| from_middle(sectors.angle_rad(n), start[5]);
-        // Of the lit sectors, and one further.
+        // Only the lit sectors and one more on each side are needed.
         let profile = |n: usize| {
             let is_needed = from_middle(n).abs() <= lit_rad + 1.01 * width_rad;
             is_needed.then(|| lights.profile(&lights.here, from_middle(n)))
@@ -133,16 +135,16 @@ impl Limb {
         }
     }
 
-    /// Sectors in which the limb is seen.
+    /// Number of sectors in which the limb is visible.
     pub fn seen(&self) -> usize {
         self.sectors.len()
     }
 
-    /// The circle of least squares, with the blur, the phase and the side of the light. Sectors that lie far off it count no longer: a star is
-    /// there, or a piece of the vehicle.
+    /// The least-squares circle, with the blur, the phase and the side of the light. Sectors far off the circle are
+    /// rejected: they show a star, or a part of the vehicle.
     ///
     /// # Errors
-    /// A limb that does not determine it.
+    /// If the limb does not determine it.
     pub fn fit(&self) -> Result<LimbFit, FitError> {
         let all: Vec<&Sector> = self.sectors.iter().collect();
         let first = self.fit_through(&all)?;
@@ -200,7 +202,7 @@ impl Limb {
             });
         let points: Vec<LimbPoint> = points.collect();
         let radius_contradiction = self.radius_contradiction(&fitted);
-        // A sector of no light does not determine the ground.
+        // A sector without light does not determine the ground's brightness.
         let lit = points.iter().copied().zip(gradients);
         let (lit, gradients): (Vec<LimbPoint>, Vec<Gradient>) = lit
             .filter(|(point, _)| point.excess_px.sigma < SLACK_PX)
@@ -213,7 +215,8 @@ impl Limb {
         })
     }
 
-    /// Contradiction of the known radius: prior and result differ by as much as the variance shrinks, where they agree.
+    /// Contradiction of the prior radius: if prior and result agree, the variance of their difference is the decrease of
+    /// the variance.
     fn radius_contradiction(&self, fitted: &Fitted<PARAMETERS>) -> Option<Contradiction> {
         let known = self.known.radius?;
         let off = (fitted.parameters[2] - known.value).abs();
@@ -247,14 +250,15 @@ impl Limb {
     }
 }
 
-/// The ground's part of the covariance. Mountains, and ground that grows brighter or darker across the limb, move it, and neighbours together: a process
-/// of first order along the limb. Its variance is that of the excess beyond the noise; the circle's fit absorbs a part of such a process.
+/// The contribution of the ground to the covariance. Mountains, and ground with a brightness gradient across the limb,
+/// shift the limb of neighbouring sectors together: a first-order process along the limb. Its variance is that of the
+/// excess beyond the noise; the circle's fit absorbs a part of such a process.
 fn of_rough_limb(
     points: &[LimbPoint],
     gradients: &[Gradient],
     fitted: &Fitted<PARAMETERS>,
 ) -> SMatrix<f64, PARAMETERS, PARAMETERS> {
-    // How the parameters move with each sector's limb, and the limb with the parameters.
+    // Derivatives of the parameters by each sector's limb, and of the limb by the parameters.
     let inverse = fitted.covariance / fitted.scatter.powi(2);
     let moves: Vec<Parameters> = gradients
         .iter()
@@ -280,17 +284,17 @@ fn of_rough_limb(
     covariance * ((shown - noise) / expected.max(1.0)).max(0.0)
 }
 
-/// How well the ground agrees at two places of the limb.
+/// Correlation of the ground at two places of the limb.
 fn alike(apart_rad: f64, radius: f64) -> f64 {
     let apart = (apart_rad + PI).rem_euclid(TAU) - PI;
     (-apart.abs() * radius / ALIKE_PX).exp()
 }
 
-/// How far from the middle of the bright limb it is lit, rad.
+/// Half angle of the lit part of the limb about the middle of the bright limb, rad.
 pub(super) fn lit_rad(shading: Shading, at: &Parameters) -> f64 {
     const STEPS: u32 = 180;
     let sphere = Sphere::new(shading, at[4]);
-    // The half of a thin crescent.
+    // At most half the width of a thin crescent.
     let depth = LIT_DEPTH.min(LIT_DEPTH_PX / at[2]).min(sphere.lit());
     let light = |angle: f64| sphere.light(1.0 - depth, angle);
     let least = LIT_SHARE * light(0.0);
@@ -299,7 +303,7 @@ pub(super) fn lit_rad(shading: Shading, at: &Parameters) -> f64 {
     lit.last().unwrap_or(0.0)
 }
 
-/// Where a search begins: at a circle with its radius, if that is known, and the middle of its bright limb where it is.
+/// Start of a search: a circle with the prior radius and direction of the bright limb, if they are known.
 pub(super) fn begin(circle: &Circle, known: &Known) -> Parameters {
     let radius = known.radius.map_or(circle.radius, |radius| radius.value);
     let (sin, cos) = known.bright_limb_rad.value.sin_cos();

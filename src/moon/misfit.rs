@@ -1,11 +1,12 @@
-//! How little a disc's whole edge shows the light of a sphere.
+//! Misfit between a disc's whole edge and the light of a sphere.
 
 use super::candidate::View;
 use super::profile::{Blur, Profile};
 use super::sector::{LEAST_PIXELS, PIXELS, Parameters, SLACK_PX, Sectors, circle_of, from_middle};
 use super::shading::Sphere;
 
-/// Pixels count so much further behind the limb than for its fit, in radii: what the ground does there shows the side of the light.
+/// Additional depth of the pixels behind the limb compared with the fit, in radii: the shading there shows the side of the
+/// light.
 const DEPTH: f64 = 0.12;
 const LEAST_SQUARES: f64 = 1e-9;
 
@@ -30,7 +31,7 @@ impl Sums {
         self.dn_dn += dn * dn;
     }
 
-    /// The variance that a sky and a brightness of its own leave, DN^2.
+    /// Mean squared residual, DN^2, after a fit of a sky level and a brightness.
     fn left(&self) -> f64 {
         let about_mean = |products: f64, one: f64, other: f64| products - one * other / self.pixels;
         let light_light = about_mean(self.light_light, self.light, self.light);
@@ -41,8 +42,8 @@ impl Sums {
     }
 }
 
-/// The mean logarithm of the variance, DN^2, that a smooth sphere of some parameters leaves of the pixels along its whole circle, lit or not: of two
-/// spheres, the one with less is the likelier.
+/// The mean logarithm of the residual variance, DN^2, of a smooth sphere with the given parameters, over the pixels along
+/// its whole circle, lit or not: of two spheres, the one with the smaller value is more likely.
 pub(super) fn misfit(view: &View, at: &Parameters) -> f64 {
     let circle = circle_of(at);
     let (sphere, blur) = (Sphere::new(view.shading, at[4]), Blur::new(at[3]));

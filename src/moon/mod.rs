@@ -1,18 +1,21 @@
-//! The Moon in a picture: the centre of its whole disc, whatever its phase and however it is turned.
+//! The Moon in a picture: the centre of its whole disc, at any phase and orientation.
 //!
-//! # The way of a frame
-//! 1. [`Levels`]: sky and noise by a raster of pixels. A frame that is bright all over is refused.
-//! 2. `patch`: bright pixels that touch, and the outline of the largest ones. Where none of them is the Moon, those of a higher level.
-//! 3. `disc`: of the circles through points of the outline, and the one through its eight extremities ("The Development of a Moon Sensor", 2005,
-//!    section 3.3.1), the one on which most of the outline lies with the rest inside.
-//! 4. `candidate`: how the Sun lights it. The middle of the light lies off the circle's centre towards the bright limb, the further the less is lit.
-//! 5. `settle`: the lit limb to a part of a pixel (`limb`, `sector`). The circle is fitted with the blur, the phase and the side of the light; what is
-//!    `known` of radius, phase and side takes part with its sigma. Then the limb is read again along that circle, until it converges. Near full, where
-//!    the middle of the light shows no side, from every side: the whole edge (`misfit`) decides which is the best.
-//! 6. `face`: the phase, by all of the disc, where it is not known.
-//! 7. `checks`: what is no Moon, or not the one that is expected, is refused.
+//! # Processing of a frame
+//! 1. [`Levels`]: sky level and noise from a raster of pixels. A frame that is bright all over is rejected.
+//! 2. `patch`: connected bright pixels, and the outline of the largest patches. If none of them is the Moon, a higher level
+//!    is tried.
+//! 3. `disc`: of the circles through points of the outline, and the one through its eight extremities ("The Development of
+//!    a Moon Sensor", 2005, section 3.3.1), the one on which most of the outline lies with the rest inside.
+//! 4. `candidate`: its illumination by the Sun. The centroid of the light is displaced from the circle's centre towards the
+//!    bright limb, more for a smaller lit fraction.
+//! 5. `settle`: the sub-pixel lit limb (`limb`, `sector`). The circle is fitted with the blur, the phase and the side of
+//!    the light; prior values (`known`) of radius, phase and side enter with their sigma. The limb is then read again along
+//!    the fitted circle until it converges. Near full Moon, where the centroid of the light shows no side, all sides are
+//!    tried: the whole edge (`misfit`) decides which is the best.
+//! 6. `face`: the phase from the whole disc, if it is not known.
+//! 7. `checks`: an object that is not the Moon, or not the expected one, is rejected.
 //!
-//! Inside, columns are drawn together so that the disc is round (`plane`).
+//! Internally, columns are rescaled so that the disc is round (`plane`).
 
 mod candidate;
 mod checks;
@@ -50,28 +53,28 @@ use plane::Plane;
 use sector::Sectors;
 use settle::{Settled, settle};
 
-/// A patch of fewer pixels is no Moon.
+/// Minimum number of pixels of a patch.
 const LEAST_PIXELS: usize = 20;
-/// Number of patches that are tried, the largest first, where the radius is known; else the largest alone.
+/// Number of patches that are tried, the largest first, if the radius is known; otherwise only the largest.
 const MOST_PATCHES: usize = 4;
-/// Where no light is the Moon, those are tried that stand so many times higher above the sky.
+/// If no patch is the Moon, the next level above the sky is higher by this factor.
 const NEXT_LEVEL: f64 = 2.0;
-/// A radius that differs by more from the expected one is another thing's.
+/// Maximum relative difference of the radius from the expected one.
 const MOST_RADIUS_DEVIATION: f64 = 0.12;
-/// A find is fine where so much of the lit limb is seen.
+/// Minimum visible share of the lit limb for a fine result.
 const FINE_SHARE: f64 = 0.6;
-/// A limb point agrees that lies within so many of its sigmas of the circle.
+/// A limb point agrees if it lies within so many of its sigmas of the circle.
 const AGREEING_SIGMAS: f64 = 4.0;
 
-/// How pixels see the sky.
+/// Mapping of the sky to the pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Optics {
-    /// Pixels so many times as high as wide: the disc's horizontal half axis over its vertical one.
+    /// Ratio of the pixels' height to their width: the disc's horizontal half axis over its vertical one.
     Aspect(f64),
     Camera(CameraModel),
 }
 
-/// How a frame is solved.
+/// Settings for the solution of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MoonSettings {
     pub shading: Shading,
@@ -88,7 +91,8 @@ impl Default for MoonSettings {
 }
 
 impl MoonSettings {
-    /// The plane of a disc near a place. A radius in px is that of an ellipse with the camera's axes; an angle is projected by its lens.
+    /// The plane of a disc near a position. A radius in px refers to an ellipse along the camera's axes; an angle is
+    /// projected by its lens.
     fn plane(&self, expected: &Expected, at: SensorPx) -> Option<Plane> {
         match (&self.optics, expected.radius) {
             (Optics::Aspect(aspect), _) => Some(Plane::of_aspect(*aspect)),
@@ -98,7 +102,7 @@ impl MoonSettings {
     }
 }
 
-/// Where the solution of a frame may end.
+/// Stage at which the solution of a frame may end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
     /// The ephemeris has no Moon above the horizon.
@@ -121,7 +125,7 @@ impl Stage {
     }
 }
 
-/// The stage that went no further, and why.
+/// The stage at which processing stopped, and the reason.
 pub type Stopped = crate::reasons::Stopped<Stage>;
 
 impl crate::reasons::Stage for Stage {
@@ -130,10 +134,10 @@ impl crate::reasons::Stage for Stage {
     }
 }
 
-/// How good a find is.
+/// Quality of a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Quality {
-    /// Most of the lit limb is seen.
+    /// Most of the lit limb is visible.
     Fine,
     /// The picture cuts the limb, much of it is saturated, or it contradicts the stated radius.
     Coarse,
@@ -151,17 +155,17 @@ impl Quality {
 /// The Moon's disc.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Disc {
-    /// Of the whole disc.
+    /// Centre of the whole disc.
     pub centre: Estimate<SensorPx>,
     /// Vertical half axis.
     pub radius_px: Measured,
     /// Horizontal half axis over the vertical one.
     pub aspect: f64,
     pub phase_angle_deg: Measured,
-    /// The middle of the bright limb in the picture, from +x towards +y.
+    /// Direction of the bright limb's middle in the picture, from +x towards +y.
     pub bright_limb_deg: f64,
     pub quality: Quality,
-    /// Where the limb was seen, and whether it agrees with the circle.
+    /// Observed points of the limb, and whether each agrees with the circle.
     pub limb: Vec<(SensorPx, Agreement)>,
 }
 
@@ -173,7 +177,8 @@ pub enum Agreement {
 }
 
 impl Disc {
-    /// The share of the disc that the Sun shines on. Its sigma is half of what it changes by within 1 sigma of the phase to either side.
+    /// The sunlit fraction of the disc. Its sigma is half of the change of the fraction between -1 and +1 sigma of the
+    /// phase.
     pub fn lit(&self) -> Measured {
         let phase = self.phase_angle_deg;
         let lit = |off_deg: f64| shading::lit((phase.value + off_deg).clamp(0.0, 180.0));
@@ -181,10 +186,10 @@ impl Disc {
     }
 }
 
-/// The circle by eight extremities alone: centre, and vertical half axis, px.
+/// The circle through eight extremities alone: centre, and vertical half axis, px.
 ///
 /// # Errors
-/// A frame that shows no light of some size.
+/// If the frame shows no light of sufficient size.
 pub fn by_extremities(settings: &MoonSettings, frame: &Frame) -> Result<(SensorPx, f64), Stopped> {
     let levels = Levels::of(frame).map_err(at(Stage::Light))?;
     let level_dn = levels.least_dn();
@@ -201,14 +206,14 @@ pub fn by_extremities(settings: &MoonSettings, frame: &Frame) -> Result<(SensorP
 /// Finds the Moon in a frame.
 ///
 /// # Errors
-/// Where the frame shows none: the stage, and why. Of several lights, the reason of the largest.
+/// If the frame shows no Moon: the stage, and the reason. With several lights, the reason for the largest.
 pub fn solve(settings: &MoonSettings, frame: &Frame, expected: &Expected) -> Result<Disc, Stopped> {
     let levels = Levels::of(frame).map_err(at(Stage::Light))?;
     let mut level_dn = levels.least_dn();
-    // A bright part of the Moon is no other light.
+    // Without a radius, a bright part of the Moon must not be taken for another light.
     let most = expected.radius.map_or(1, |_| MOST_PATCHES);
     let mut first = None;
-    // What the Sun's glare joins at one level lies apart at a higher one.
+    // Lights that the Sun's glare joins at one level are separate at a higher one.
     while levels.dark_dn + level_dn < levels.saturated_dn {
         match solve_at(settings, frame, expected, &levels, level_dn, most) {
             Ok(disc) => return Ok(disc),
@@ -219,7 +224,7 @@ pub fn solve(settings: &MoonSettings, frame: &Frame, expected: &Expected) -> Res
     Err(first.unwrap_or_else(|| no_moon(0)))
 }
 
-/// Finds the Moon among so many of the lights that stand by some DN above the sky, the largest first.
+/// Finds the Moon among the largest `most` lights above the sky by `level_dn`, the largest first.
 fn solve_at(
     settings: &MoonSettings,
     frame: &Frame,
@@ -261,7 +266,7 @@ fn beyond_lens() -> Stopped {
     Stopped::new(Stage::Detection, reasons::BEYOND_LENS, 0.0, 0.0)
 }
 
-/// Finds the Moon in a light.
+/// Finds the Moon in one patch.
 fn solve_in(candidate: &Candidate) -> Result<Disc, Stopped> {
     let circle = disc::circle(&candidate.outline, &candidate.radii()).ok_or_else(|| {
         let points = candidate.outline.points.len() as f64;
@@ -270,7 +275,7 @@ fn solve_in(candidate: &Candidate) -> Result<Disc, Stopped> {
     })?;
     let settled = settle(candidate, &circle)?;
     let face = Face::seen(&candidate.view, settled.at());
-    // The limb alone determines it poorly: but near the terminator its light is much the same at any phase.
+    // The limb alone determines the phase poorly, but near the terminator its brightness is nearly the same at any phase.
     let by_face = || face.phase_rad(settled.at()[4]);
     let phase_rad = candidate.phase_rad().unwrap_or_else(by_face);
     checks::check(candidate, &settled, face.unlike(phase_rad.value))?;
@@ -291,7 +296,7 @@ fn disc_of(candidate: &Candidate, settled: &Settled, face: &Face, phase_rad: Mea
     let lit_rad = 2.0 * limb::lit_rad(candidate.view.shading, &lit_at);
     let seen_rad = limb.seen() as f64 * Sectors::of_radius(at[2]).width_rad;
     let is_whole = seen_rad >= FINE_SHARE * lit_rad;
-    // Where the radius is not stated, a saturated disc may be any light that has spilled.
+    // If the radius is not stated, a saturated disc may be any light that has spilled over.
     let saturated = match candidate.expected.radius {
         Some(_) => limb.saturated,
         None => limb.saturated.max(face.saturated),

@@ -1,4 +1,4 @@
-//! A picture of a frame on which a person sees what was taken for the Moon.
+//! A picture of a frame that shows the detected Moon.
 
 use super::{Agreement, Disc, Levels, Quality, Stopped};
 use crate::frame::Frame;
@@ -7,7 +7,7 @@ use crate::units::SensorPx;
 use image::RgbImage;
 use std::f64::consts::TAU;
 
-/// Below them two lines of legend.
+/// The caption is followed by two lines of legend.
 const CAPTION_LINES: u32 = 3;
 const STRIP_LINES: u32 = CAPTION_LINES + 2;
 const LEGEND: [(&str, Colour); 4] = [
@@ -17,8 +17,8 @@ const LEGEND: [(&str, Colour); 4] = [
     ("centre, bright limb", Colour::MAGENTA),
 ];
 
-/// The whole frame with the limb as it was seen (yellow; red where it does not agree), the whole disc (green), its centre, and an arrow to the
-/// middle of the bright limb (magenta).
+/// The whole frame with the observed limb (yellow; red where it does not agree), the whole disc (green), its centre, and an
+/// arrow to the middle of the bright limb (magenta).
 pub fn overlay(frame: &Frame, found: &Result<Disc, Stopped>, title: &str) -> RgbImage {
     let saturated = f64::from(frame.saturation_dn());
     let dark = Levels::of(frame).map_or(0.0, |levels| levels.dark_dn);

@@ -6,21 +6,22 @@ use crate::reasons::moon as reasons;
 use crate::units::Rejected;
 use nalgebra::Vector2;
 
-/// A frame with more runs of bright pixels, and one for every so many pixels, shows a pattern, and is no night sky.
+/// A frame with more runs of bright pixels than this, and than one per so many pixels, shows a pattern and not a night sky.
 const MANY_RUNS: usize = 20_000;
 const PIXELS_PER_RUN: usize = 30;
-/// Columns that are scanned together: most of the sky is dark.
+/// Number of columns that are scanned together: most of the sky is dark.
 const BLOCK_PX: usize = 96;
-/// A patch's outline stands at this share of what so many of its pixels exceed, above the sky.
+/// Level of a patch's outline above the sky, as a share of the level that this share of its pixels exceeds.
 const OUTLINE_SHARE: f64 = 0.4;
 const BRIGHT_SHARE: f64 = 0.1;
-/// And at no less than this share of what so many exceed: a thin crescent is so little of a disc with an earthshine.
+/// The minimum of that level, with another share of the brightest pixels: a thin crescent is a small part of a disc with
+/// earthshine.
 const CRESCENT_SHARE: f64 = 0.25;
 const BRIGHTEST_SHARE: f64 = 0.01;
-/// The outline is searched so far around the patch.
+/// Margin around the patch in which the outline is searched.
 const MARGIN_PX: usize = 2;
 
-/// Bright pixels that touch.
+/// A set of connected bright pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Patch {
     pub pixels: usize,
@@ -42,7 +43,7 @@ impl Run {
 
 /// The patches of pixels above a threshold, the largest first.
 ///
-/// # Errors
+/// If there are runs of bright pixels all over the frame.
 /// Runs of bright pixels all over.
 pub(super) fn patches(frame: &Frame, threshold_dn: f64) -> Result<Vec<Patch>, Rejected> {
     let most_runs = MANY_RUNS.max(frame.width() * frame.height() / PIXELS_PER_RUN);
@@ -128,9 +129,9 @@ fn runs(frame: &Frame, y: usize, threshold_dn: f64) -> Vec<(usize, usize)> {
 /// The outline of a patch and its light.
 #[derive(Debug, Clone)]
 pub(super) struct Outline {
-    /// Where its rows and columns first and last cross a level, px.
+    /// First and last crossings of a level in its rows and columns, px.
     pub points: Vec<Vector2<f64>>,
-    /// Where its light is, on the whole, px.
+    /// Centroid of its light, px.
     pub middle: Vector2<f64>,
     /// Pixels above the level.
     pub light_px: usize,
@@ -139,7 +140,7 @@ pub(super) struct Outline {
 }
 
 impl Outline {
-    /// Of a patch of pixels that stand by so many DN above the sky.
+    /// For a patch of pixels that are at least `least_dn` above the sky.
     pub fn of(frame: &Frame, patch: &Patch, levels: &Levels, least_dn: f64) -> Self {
         let Region { x0, y0, x1, y1 } = patch.region;
         let region = Region {
@@ -191,7 +192,8 @@ fn outline_dn(frame: &Frame, region: &Region, pixels: usize, dark_dn: f64, least
     dark_dn + level_dn.max(crescent_dn).max(least_dn)
 }
 
-/// Where a line of pixels first rises above a level and last falls below it, to a part of a pixel; not where the picture cuts it.
+/// Positions, to a fraction of a pixel, at which a line of pixels first rises above a level and last falls below it; none
+/// where the picture's edge cuts it.
 fn ends(line: &[f32], level: f64) -> impl Iterator<Item = f64> + use<> {
     let level = level as f32;
     let crossing = |dark: f32, bright: f32| f64::from((level - dark) / (bright - dark));
@@ -206,7 +208,7 @@ fn ends(line: &[f32], level: f64) -> impl Iterator<Item = f64> + use<> {
     rise.into_iter().chain(fall)
 }
 
-/// The middle of the light above a level, and its pixels.
+/// The centroid of the light above a level, and its number of pixels.
 fn light(frame: &Frame, region: &Region, level: f64, dark_dn: f64) -> (Vector2<f64>, usize) {
     let (mut sum, mut moment, mut count) = (0.0, Vector2::zeros(), 0);
     for y in region.y0..region.y1 {
@@ -268,7 +270,7 @@ mod tests {
         let outline = Outline::of(&frame, &patch, &levels, 6.0);
         assert!(!outline.is_cut);
         assert!((outline.middle - Vector2::new(3.5, 3.0)).norm() < 1e-9);
-        // 0.4 of the light: 0.4 of a pixel beside the first that is lit.
+        // 0.4 of the light: 0.4 px beside the first lit pixel.
         let (left, right) = (1.0 + OUTLINE_SHARE, 6.0 - OUTLINE_SHARE);
         assert_eq!(outline.points.len(), 2 * (3 + 4));
         for point in &outline.points {

@@ -1,4 +1,4 @@
-//! The plane in which the Moon's disc is a circle: the picture's, with its columns drawn together.
+//! The plane in which the Moon's disc is a circle: the picture's, with its columns rescaled.
 
 use crate::frame::{Frame, Region};
 use crate::geometry::Circle;
@@ -7,17 +7,17 @@ use crate::units::{Estimate, SensorPx};
 use nalgebra::{Matrix2, Matrix3x2, Vector2, Vector3};
 use std::ops::Range;
 
-/// Takes the picture's px to round px, in which the disc's radius is its vertical half axis in the picture.
+/// Maps the picture's px to round px, in which the disc's radius is its vertical half axis in the picture.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Plane {
     from_sensor: Matrix2<f64>,
     to_sensor: Matrix2<f64>,
-    /// Round px a rad.
+    /// Round px per rad.
     pub px_per_rad: Option<f64>,
 }
 
 impl Plane {
-    /// Of pixels that are higher than wide by a factor.
+    /// For pixels whose height is `aspect` times their width.
     pub fn of_aspect(aspect: f64) -> Self {
         Self {
             from_sensor: Matrix2::new(1.0 / aspect, 0.0, 0.0, 1.0),
@@ -26,7 +26,7 @@ impl Plane {
         }
     }
 
-    /// Of a camera near a pixel; `None` where its lens sees nothing.
+    /// For a camera near a pixel; `None` if the pixel is beyond the limit of its lens.
     pub fn of_camera(camera: &CameraModel, at: SensorPx) -> Option<Self> {
         let ray = camera.ray(at)?;
         let down = (Vector3::y() - ray.into_inner() * ray.y).try_normalize(1e-6)?;
@@ -61,12 +61,12 @@ impl Plane {
         self.to_sensor.row(0).norm()
     }
 
-    /// Area in the picture of a unit of area.
+    /// Area in the picture per unit of area.
     pub fn sensor_area(&self) -> f64 {
         self.to_sensor.determinant().abs()
     }
 
-    /// The same direction in the picture, from +x towards +y.
+    /// The corresponding direction in the picture, from +x towards +y.
     pub fn sensor_angle_rad(&self, round_rad: f64) -> f64 {
         let (sin, cos) = round_rad.sin_cos();
         let along = self.to_sensor * Vector2::new(cos, sin);
@@ -79,7 +79,8 @@ impl Plane {
         along.y.atan2(along.x)
     }
 
-    /// Takes every pixel, or one in so many of both axes, of some depths behind a circle: its place in round px, its DN.
+    /// Visits every pixel, or every `step`-th along both axes, in a range of depths behind a circle: its position in round
+    /// px, and its DN.
     pub fn each_near(
         &self,
         frame: &Frame,

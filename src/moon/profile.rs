@@ -1,24 +1,24 @@
-//! The light across the limb of a shaded sphere, blurred.
+//! The blurred brightness across the limb of a shaded sphere.
 
 use super::shading::Sphere;
 
 const STEPS_PER_PX: f64 = 4.0;
-/// The blur's Gaussian ends after so many sigmas.
+/// Cut-off of the blur's Gaussian, in sigmas.
 const REACH_SIGMAS: f64 = 3.5;
-/// A pixel blurs by as much as a Gaussian of this variance, px^2.
+/// Variance of the blur by a pixel, px^2.
 pub(super) const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
 
-/// A range of depths behind the limb, px; what lies before the limb is less than 0.
+/// A range of depths behind the limb, px; negative in front of the limb.
 pub(super) type Depths = std::ops::Range<f64>;
 
-/// The light across a limb at one angle, by depth.
+/// The brightness across a limb at one angle, by depth.
 #[derive(Debug, Clone)]
 pub(super) struct Profile {
     steps: Vec<f64>,
     first_px: f64,
 }
 
-/// Light of a place, and its derivatives by the depth, px, once and twice.
+/// Brightness at a position, and its first and second derivatives by the depth, px.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Light {
     pub light: f64,
@@ -32,7 +32,7 @@ pub(super) struct Blur {
 }
 
 impl Blur {
-    /// Of optics and pixels; `blur_px` is the optics', 1 sigma.
+    /// Blur of optics and pixels; `blur_px` is that of the optics, 1 sigma.
     pub fn new(blur_px: f64) -> Self {
         let sigma = (blur_px * blur_px + PIXEL_VARIANCE).sqrt();
         let reach = (REACH_SIGMAS * sigma * STEPS_PER_PX).ceil();
@@ -49,9 +49,9 @@ impl Blur {
 }
 
 impl Profile {
-    /// Of a sphere of some radius, px, for depths in a range, at an angle from the middle of the bright limb.
+    /// For a sphere of some radius, px, for a range of depths, at an angle from the middle of the bright limb.
     pub fn new(sphere: &Sphere, radius: f64, blur: &Blur, depths: &Depths, angle_rad: f64) -> Self {
-        // The limb falls between two steps.
+        // The limb lies between two steps.
         let first = (depths.start * STEPS_PER_PX).floor() + 0.5;
         let steps = ((depths.end - depths.start) * STEPS_PER_PX).ceil() as usize + 2;
         let (taps, cos_angle) = (blur.weights.len(), angle_rad.cos());
@@ -68,7 +68,7 @@ impl Profile {
         }
     }
 
-    /// By how much it is brighter than another, which has the same depths, a unit of some step.
+    /// Difference from another profile with the same depths, divided by a step.
     pub fn change_from(&self, other: &Self, step: f64) -> Self {
         let both = self.steps.iter().zip(&other.steps);
         Self {
@@ -77,8 +77,8 @@ impl Profile {
         }
     }
 
-    /// The light at a depth behind the limb, by the cubic through a step and the next whose slopes are those of their neighbours (Catmull and
-    /// Rom 1974): light and slope change without a jump.
+    /// The brightness at a depth behind the limb, interpolated by the cubic through neighbouring steps with slopes from
+    /// their neighbours (Catmull and Rom 1974): brightness and slope are continuous.
     pub fn at(&self, depth_px: f64) -> Light {
         let last = self.steps.len() as f64 - 2.0;
         let place = ((depth_px - self.first_px) * STEPS_PER_PX).clamp(1.0, last - 1e-9);
@@ -105,7 +105,7 @@ mod tests {
 
     #[test]
     fn the_blurred_limb_of_an_even_disc_is_the_integral_of_a_gaussian() {
-        // The full Moon is half as bright as the brightest ground all over, by Lommel and Seeliger.
+        // By the law of Lommel and Seeliger, the full Moon is uniformly half as bright as the brightest ground.
         let full = Sphere::new(Shading::LommelSeeliger, 0.0);
         let sigma = (0.8_f64 * 0.8 + PIXEL_VARIANCE).sqrt();
         let profile = Profile::new(&full, 40.0, &Blur::new(0.8), &(-6.0..6.5), 1.1);

@@ -1,4 +1,4 @@
-//! A few pixels' limb: its pixels, and the light that a sphere shows there.
+//! A sector of the limb: its pixels, and the brightness of a sphere there.
 
 use super::known::Known;
 use super::profile::{Blur, Depths, PIXEL_VARIANCE, Profile};
@@ -9,19 +9,21 @@ use crate::units::Measured;
 use nalgebra::{SMatrix, SVector, Vector1, Vector2};
 use std::f64::consts::{PI, TAU};
 
-/// Pixels of the limb that share a brightness, and how many such sectors a limb has at least.
+/// Length of the limb, px, that shares a brightness, and minimum number of such sectors of a limb.
 const SECTOR_PX: f64 = 3.0;
 const LEAST_SECTORS: f64 = 24.0;
-/// Fewer pixels say nothing of a sector.
+/// Minimum number of pixels of a sector.
 pub(super) const LEAST_PIXELS: usize = 6;
-/// Pixels count so far before and behind the limb, px: further behind it the ground's own light and shade would move it.
+/// Range of the pixels in front of and behind the limb, px: farther behind it, variations of the ground would bias the
+/// limb.
 pub(super) const PIXELS: Depths = -4.0..3.0;
-/// A fit moves the limb by at most so much, px, and turns the light, in whose phase and side it is linear, by so much; then the limb is read again.
+/// Limits of one fit: shift of the limb, px, and change of the light's phase and side, in which the model is linear; beyond
+/// them the limb is read again.
 pub(super) const SLACK_PX: f64 = 2.0;
 pub(super) const SLACK_RAD: f64 = 0.3;
-/// The derivative by the phase is taken over so much, rad.
+/// Step of the numerical derivative by the phase, rad.
 const PHASE_STEP_RAD: f64 = 0.02;
-/// A phase that is known as well as this is not fitted, rad.
+/// A phase with a smaller prior sigma is not fitted, rad.
 const KNOWN_PHASE_RAD: f64 = 0.01;
 
 /// Centre x and y (round px), radius (px), blur (px), phase angle, and angle of the bright limb's middle (rad).
@@ -53,12 +55,12 @@ impl Sectors {
         }
     }
 
-    /// Of the middle of a sector.
+    /// Angle of the middle of a sector.
     pub fn angle_rad(&self, n: usize) -> f64 {
         (n as f64 + 0.5) * self.width_rad
     }
 
-    /// The sector of a direction from the centre, and that direction, 0 to 2 pi.
+    /// The sector of a direction from the centre, and the angle of that direction, 0 to 2 pi.
     pub fn at(&self, away: &Vector2<f64>) -> (usize, f64) {
         let angle_rad = away.y.atan2(away.x);
         let around_rad = if angle_rad < 0.0 {
@@ -73,17 +75,18 @@ impl Sectors {
 
 /// A pixel near the limb.
 pub(super) struct Pixel {
-    /// In round px.
+    /// Position in round px.
     pub at: Vector2<f64>,
-    /// How its light differs from that of its sector, and changes by blur, phase and side of the light, as the circle was when it was read.
+    /// Difference of its brightness from that of its sector, and derivatives by blur, phase and side of the light, for the
+    /// circle at which it was read.
     pub beside: f64,
     pub by_others: [f64; 3],
     pub light_dn: f64,
 }
 
-/// Pixels of a few px of the limb.
+/// The pixels of a few px of the limb's length.
 pub(super) struct Sector {
-    /// From +x towards +y.
+    /// Angle from +x towards +y.
     pub angle_rad: f64,
     pub light: SectorLight,
     pub pixels: Vec<Pixel>,
@@ -94,10 +97,10 @@ pub(super) fn from_middle(angle_rad: f64, bright_limb_rad: f64) -> f64 {
     (angle_rad - bright_limb_rad + PI).rem_euclid(TAU) - PI
 }
 
-/// The light along a limb about some parameters: linear in blur, phase and the side of the light.
+/// The brightness along a limb near some parameters: linear in blur, phase and the side of the light.
 pub(super) struct Lights {
     pub here: Sphere,
-    /// At a phase that is a step further; none where the phase is known.
+    /// At a phase larger by a step; none if the phase is known.
     pub stepped: Option<Sphere>,
     pub blur: Blur,
     pub radius: f64,
@@ -120,25 +123,26 @@ impl Lights {
         }
     }
 
-    /// A blurred circle appears smaller than a blurred straight edge does, by so many px at a distance from its centre.
+    /// Decrease of the apparent radius of a blurred circle compared with a blurred straight edge, px, at a distance from
+    /// its centre.
     pub fn shrinks(&self, distance: f64) -> f64 {
         (self.blur_px.powi(2) + PIXEL_VARIANCE) / (2.0 * distance.max(1.0))
     }
 
-    /// The light across the limb at an angle from the middle of the bright limb.
+    /// The brightness across the limb at an angle from the middle of the bright limb.
     pub fn profile(&self, sphere: &Sphere, angle_rad: f64) -> Profile {
         let depths = PIXELS.start - SLACK_PX..PIXELS.end + SLACK_PX;
         Profile::new(sphere, self.radius, &self.blur, &depths, angle_rad)
     }
 
-    /// How it changes with the phase, 1/rad.
+    /// Its derivative by the phase, 1/rad.
     pub fn by_phase(&self, here: &Profile, angle_rad: f64) -> Option<Profile> {
         let stepped = self.profile(self.stepped.as_ref()?, angle_rad);
         Some(stepped.change_from(here, PHASE_STEP_RAD))
     }
 }
 
-/// The light across the limb in the middle of a sector, and how it changes.
+/// The brightness across the limb in the middle of a sector, and its derivatives.
 pub(super) struct SectorLight {
     pub here: Profile,
     pub by_angle: Profile,
@@ -146,7 +150,7 @@ pub(super) struct SectorLight {
 }
 
 impl SectorLight {
-    /// How the light at an angle from the sector's middle differs from that there, and how it changes with blur, phase and side.
+    /// Difference of the brightness at an angle from the sector's middle, and its derivatives by blur, phase and side.
     pub fn others(
         &self,
         angle_rad: f64,
@@ -177,7 +181,7 @@ impl Sector {
         self.pixels.len() >= LEAST_PIXELS && brightest > least_dn
     }
 
-    /// Adds the pixels without what the sector's own sky and brightness explain.
+    /// Adds the pixels after eliminating the sector's own sky level and brightness.
     pub fn add_rows(
         &self,
         at: &Parameters,
@@ -217,7 +221,7 @@ impl Sector {
 }
 
 impl Pixel {
-    /// The pixel's light where the ground's brightness is 1, in the residual's place, and its derivatives.
+    /// The pixel's brightness for a ground of brightness 1, in place of the residual, and its derivatives.
     fn modelled(&self, at: &Parameters, lights: &Lights, profile: &Profile) -> SectorRow {
         let away = self.at - Vector2::new(at[0], at[1]);
         let distance = away.norm().max(1.0);
@@ -247,11 +251,11 @@ impl Pixel {
 
 /// The gradient of a sector's squared residuals.
 pub(super) struct Gradient {
-    /// At the radius alone.
+    /// By the radius alone.
     pub radial: f64,
-    /// By how much that changes with the limb's place, 1/px^2.
+    /// Its derivative by the limb's position, 1/px^2.
     pub information: f64,
-    /// How the gradient by all parameters changes with the limb's place, 1/px.
+    /// Derivative of the gradient by all parameters with respect to the limb's position, 1/px.
     pub by_excess: Parameters,
 }
 
@@ -269,7 +273,7 @@ impl Gradient {
         }
     }
 
-    /// How far the limb lies outwards of the circle.
+    /// Distance of the limb outwards from the circle.
     pub fn excess(&self, scatter: f64) -> Measured {
         Measured::new(
             self.radial / self.information,

@@ -1,4 +1,5 @@
-//! The limb is read until it converges; where nothing determines the side that the light comes from, from several sides, of which the best fit is kept.
+//! Reads the limb repeatedly until it converges. If nothing determines the side of the light, several sides are tried and
+//! the best fit is kept.
 
 use super::candidate::{Candidate, View};
 use super::face::Face;
@@ -13,32 +14,33 @@ use crate::units::{Measured, Rejected};
 use nalgebra::Matrix2;
 use std::f64::consts::{PI, TAU};
 
-/// Fewer sectors of the limb make no circle.
+/// Minimum number of sectors of a limb.
 const LEAST_SECTORS: usize = 6;
-/// The limb is read again while the circle or the blur moves by more, or the light turns by more, so often at most.
+/// The limb is read again while the circle or the blur changes by more than this, or the light's direction by more, at most
+/// `MOST_ROUNDS` times.
 const SETTLED_PX: f64 = 0.1;
 const SETTLED_RAD: f64 = 0.08;
 const MOST_ROUNDS: usize = 8;
-/// At a smaller phase, bright and dark ground may draw the light's middle to any side.
+/// At a smaller phase angle, bright and dark ground may displace the light's centroid to any side.
 const NEAR_FULL_RAD: f64 = 0.9;
-/// From so many sides it is then tried, each to this many rad, at phases near this.
+/// Number of sides that are then tried, the sigma of each, rad, and the prior of the phase.
 const SIDES: u32 = 8;
 const SIDE_RAD: f64 = 0.5;
 const PHASE_RAD: Measured = Measured::new(0.35, 0.25);
-/// Near full the outline is limb all round: a circle whose centre or radius is further off has strayed, in radii.
+/// Near full Moon the outline is limb all round: a circle whose centre or radius differs by more, in radii, has diverged.
 const STRAYED: f64 = 0.25;
-/// Ground is even where so little of the variance is not the shading's.
+/// The ground is uniform if the shading leaves less than this share of the variance unexplained.
 const EVEN: f64 = 0.01;
-/// A light is not tried of whose variance on and about its circle more is not a sphere's.
+/// A light is rejected if more of the variance on and around its circle is not explained by a sphere.
 const ROUGHLY_UNLIKE: f64 = 0.5;
-/// A misfit so much larger is e times less likely.
+/// An increase of the misfit by this reduces the likelihood by a factor of e.
 const MISFIT_SCALE: f64 = 0.03;
 
-/// A limb that stays where it was read.
+/// A converged limb.
 pub(super) struct Settled {
     pub found: LimbFit,
     pub limb: Limb,
-    /// Variance that another side of the light adds to the centre, px^2.
+    /// Variance of the centre from the ambiguity of the light's side, px^2.
     other_side: Matrix2<f64>,
 }
 
@@ -47,13 +49,13 @@ impl Settled {
         &self.found.fitted.parameters
     }
 
-    /// Of the centre, px^2: by the fit, and by other sides of the light.
+    /// Covariance of the centre, px^2: from the fit, and from other sides of the light.
     pub fn covariance(&self) -> Matrix2<f64> {
         self.found.fitted.covariance.fixed_view::<2, 2>(0, 0) + self.other_side
     }
 }
 
-/// Where the limb of a light settles that begins at a circle.
+/// The converged limb of a light, starting at a circle.
 pub(super) fn settle(candidate: &Candidate, circle: &Circle) -> Result<Settled, Stopped> {
     let (view, known) = (&candidate.view, candidate.known(circle));
     let by_middle = settle_at(view, circle, known);
@@ -90,7 +92,8 @@ pub(super) fn settle(candidate: &Candidate, circle: &Circle) -> Result<Settled, 
     Ok(best)
 }
 
-/// Whether the ground is as bright everywhere as its shading says: then so does the middle of its light.
+/// Whether the ground is so uniform that its brightness follows the shading: then the centroid of the light is valid as
+/// well.
 fn is_even(view: &View, by_middle: &Result<Settled, Stopped>) -> bool {
     by_middle.as_ref().is_ok_and(|settled| {
         let at = settled.at();
@@ -98,14 +101,14 @@ fn is_even(view: &View, by_middle: &Result<Settled, Stopped>) -> bool {
     })
 }
 
-/// Most lights that are no Moon are rejected before every side is tried.
+/// Rejects most lights that are not the Moon before every side is tried.
 fn check_light(view: &View, circle: &Circle, known: &Known) -> Result<(), Stopped> {
     let face = Face::seen(view, &limb::begin(circle, known));
     let unlike = face.unlike(face.phase_rad(known.phase_rad.value).value);
     Rejected::at_most(ROUGHLY_UNLIKE, unlike, reasons::UNLIKE).map_err(at(Stage::Detection))
 }
 
-/// That a circle has not strayed from where it began; a radius that is known holds it.
+/// Checks that a circle has not diverged from its start; a prior radius constrains it.
 fn near(circle: &Circle, known: &Known, settled: Settled) -> Result<Settled, Stopped> {
     let grown = match known.radius {
         Some(_) => 0.0,
@@ -118,7 +121,7 @@ fn near(circle: &Circle, known: &Known, settled: Settled) -> Result<Settled, Sto
     }
 }
 
-/// Where it settles that begins with what is known.
+/// The converged limb, starting from the priors.
 fn settle_at(view: &View, circle: &Circle, mut known: Known) -> Result<Settled, Stopped> {
     let mut at = limb::begin(circle, &known);
     for round in 1.. {
@@ -150,7 +153,7 @@ fn settle_at(view: &View, circle: &Circle, mut known: Known) -> Result<Settled, 
     Err(no_fit())
 }
 
-/// The same light: at a negative phase it comes from the other side.
+/// The same light with a positive phase: at a negative phase it comes from the opposite side.
 fn with_positive_phase(mut at: Parameters) -> Parameters {
     if at[4] < 0.0 {
         at[4] = -at[4];
