@@ -1,7 +1,8 @@
-//! An attitude as an Attitude Ephemeris Message in keyword-value notation (CCSDS 504.0-B-1, section 4): what flight dynamics programs read.
+//! An attitude as an Attitude Ephemeris Message in keyword-value notation (CCSDS 504.0-B-1, section 4), the input format of
+//! flight dynamics programs.
 //!
-//! The quaternion takes vectors of the Earth-fixed frame to the body's, scalar first; the standard's rotations turn the frame, so that its
-//! components are those of the Hamilton quaternion that turns the body's vectors to the Earth's.
+//! The quaternion transforms vectors of the Earth-fixed frame to the body's, scalar first. The standard's rotations rotate
+//! the frame, so its components are those of the Hamilton quaternion that transforms the body's vectors to the Earth's.
 
 use super::solve::NavigationRow;
 use crate::clock::utc_microseconds;
@@ -17,7 +18,7 @@ pub struct Head<'a> {
     pub object: &'a str,
 }
 
-/// The stretches of rows that have an attitude, by the first row's time and the last one's, s.
+/// Time spans of successive rows with an attitude: the first row's time and the last one's, s.
 #[derive(Debug, Clone, Default)]
 pub struct Stretches {
     ended: Vec<(f64, f64)>,
@@ -25,7 +26,7 @@ pub struct Stretches {
 }
 
 impl Stretches {
-    /// Notes the next row.
+    /// Takes in the next row.
     pub fn note(&mut self, row: &NavigationRow) {
         match (&mut self.under_way, &row.attitude) {
             (Some((_, last)), Some(_)) => *last = row.t_s,
@@ -39,21 +40,21 @@ impl Stretches {
     }
 }
 
-/// A message while it is written: each stretch of rows is a segment of its own.
+/// A message being written: each time span is a segment of its own.
 pub struct Aem<'a, W> {
     out: W,
     head: Head<'a>,
     segments: Vec<(f64, f64)>,
-    /// Those that are begun.
+    /// Number of segments begun so far.
     begun: usize,
     is_open: bool,
 }
 
 impl<'a, W: Write> Aem<'a, W> {
-    /// Begins a message of the rows that `stretches` has noted.
+    /// Begins a message for the rows that `stretches` has taken in.
     ///
     /// # Errors
-    /// The writer fails.
+    /// If the writer fails.
     pub fn begin(mut out: W, head: Head<'a>, stretches: Stretches) -> io::Result<Self> {
         writeln!(out, "CCSDS_AEM_VERS = 1.0")?;
         writeln!(out, "CREATION_DATE = {}", utc(head.created))?;
@@ -70,7 +71,7 @@ impl<'a, W: Write> Aem<'a, W> {
     /// Adds the next row.
     ///
     /// # Errors
-    /// The writer fails, or a time that no calendar has.
+    /// If the writer fails, or if a time is outside the calendar's range.
     pub fn add(&mut self, row: &NavigationRow) -> io::Result<()> {
         let Some((motion, _)) = &row.attitude else {
             return self.close();
@@ -86,7 +87,7 @@ impl<'a, W: Write> Aem<'a, W> {
     /// Ends the message.
     ///
     /// # Errors
-    /// The writer fails.
+    /// If the writer fails.
     pub fn finish(mut self) -> io::Result<()> {
         self.close()?;
         self.out.flush()
@@ -122,7 +123,7 @@ impl<'a, W: Write> Aem<'a, W> {
     }
 }
 
-/// A time as the standard has it: UTC without a zone, to the microsecond.
+/// A time in the standard's format: UTC without a zone, to the microsecond.
 fn utc(time: Timestamp) -> String {
     utc_microseconds(time).trim_end_matches('Z').to_owned()
 }
@@ -189,7 +190,7 @@ mod tests {
             .skip(1)
             .map(|q| q.parse().unwrap())
             .collect();
-        // The standard's matrix from A to B by its quaternion (504.0-B-1, annex): (qc^2 - q.q) 1 + 2 q q^T - 2 qc [q x].
+        // The standard's matrix from A to B from its quaternion (504.0-B-1, annex): (qc^2 - q.q) 1 + 2 q q^T - 2 qc [q x].
         let (scalar, vector) = (q[0], Vector3::new(q[1], q[2], q[3]));
         let matrix = Matrix3::identity() * (scalar * scalar - vector.norm_squared())
             + vector * vector.transpose() * 2.0

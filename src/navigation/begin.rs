@@ -1,5 +1,5 @@
-//! Before the filter runs: it waits for a fix and two directions that were seen at about the same time, of which one may be straight down as
-//! the accelerometers feel it.
+//! Initial alignment: the filter waits for a fix and two directions observed at about the same time; one of them may be
+//! straight down as measured by the accelerometers.
 
 use super::estimate::Estimate;
 use super::filter::{Filter, MOST_DRIFT_M_S, Trust, towards};
@@ -13,27 +13,27 @@ use crate::geometry::earth;
 use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
 use std::sync::Arc;
 
-/// Directions that old serve to begin with, s.
+/// Maximum age of directions for the alignment, s.
 const FRESH_S: f64 = 1.5;
-/// Sine of the least angle between the two.
+/// Minimum sine of the angle between the two directions.
 const LEAST_SINE: f64 = 0.05;
-/// The white part of a direction's error is at least this share of it: none is all correlated.
+/// Minimum white share of a direction's error: no error is fully correlated.
 const LEAST_WHITE: f64 = 0.01;
 
-/// The accelerometers' mean over so long is straight down, s, where it is gravity's except for this share of it.
+/// The accelerometers' mean over this time, s, is used as straight down if it equals gravity to within this share.
 const PLUMB_S: f64 = 2.0;
 const PLUMB_SHARE: f64 = 0.05;
 
-/// The last direction of each target in each camera, in the body's axes, turned on as the body turns.
+/// The last direction of each target in each camera, in the body's axes, propagated with the body's rotation.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Waiting {
     seen: Vec<Seen>,
     felt: Felt,
-    /// The body's last rate.
+    /// The body's last angular rate.
     rate_rad_s: Vector3<f64>,
 }
 
-/// Mean specific force of the last seconds, in the body's axes, turned on as the body turns.
+/// Mean specific force of the last seconds, in the body's axes, propagated with the body's rotation.
 #[derive(Debug, Clone, Copy, Default)]
 struct Felt {
     sum_m_s: Vector3<f64>,
@@ -51,7 +51,7 @@ impl Felt {
         self.time_s >= PLUMB_S
     }
 
-    /// Straight down, where what was felt is gravity.
+    /// Straight down, if the measured force is gravity.
     fn down(&self, gravity_m_s2: f64) -> Option<UnitVector3<f64>> {
         let force = self.sum_m_s / self.time_s;
         let is_gravity = (force.norm() / gravity_m_s2 - 1.0).abs() < PLUMB_SHARE;
@@ -62,13 +62,13 @@ impl Felt {
 #[derive(Debug, Clone)]
 struct Seen {
     observation: DirectionObservation,
-    /// In the body's axes, now.
+    /// Direction in the body's axes at the current time.
     body: UnitVector3<f64>,
     age_s: f64,
 }
 
 impl Seen {
-    /// Error added since: by the gyro, and by how the target moves.
+    /// Error accumulated since the observation, from the gyro and from the motion of the target.
     fn added_rad(&self, settings: &NavigationSettings, fix: &Fix) -> f64 {
         let walk = settings.imu.angular_random_walk * self.age_s.sqrt();
         let moves = match self.observation.towards {
@@ -113,7 +113,8 @@ impl Waiting {
         });
     }
 
-    /// A filter that begins at a fix; `None` until two directions of different targets were seen.
+    /// A filter that starts at a fix; `None` until two directions of different targets, or one direction and straight down,
+    /// are available.
     pub fn begin(&self, model: &Arc<Model>, fix: &Fix) -> Option<Filter> {
         let Model { settings, layout } = &**model;
         let observation = |seen: &Seen| {
@@ -164,7 +165,8 @@ impl Waiting {
         Some(filter)
     }
 
-    /// The two directions that determine the attitude best: both seen, else one and straight down as it is felt.
+    /// The two directions that determine the attitude best: two observed ones, or else one and straight down from the
+    /// accelerometers.
     fn pair(&self, settings: &NavigationSettings, fix: &Fix) -> Option<Pair<'_>> {
         if let Some((first, second)) = self.seen_pair() {
             return Some(Pair::Seen(first, second));
@@ -195,7 +197,7 @@ impl Waiting {
     }
 }
 
-/// Initial state of a filter.
+/// The pair of directions of an alignment.
 enum Pair<'a> {
     Seen(&'a Seen, &'a Seen),
     WithPlumb(&'a Seen, Observation),

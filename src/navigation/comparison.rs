@@ -1,9 +1,11 @@
-//! Whether the cameras agree with the gyros: how far a direction is from where the attitude predicts it, in its sigmas, by axis of the telescope.
+//! Comparison of the cameras with the gyros: the difference of a direction from the prediction of the attitude, in its
+//! sigmas, by axis of the telescope.
 //!
-//! The filter itself cannot report a contradiction that lasts: `doubts` has it follow the directions after two of them, whichever is wrong
-//! (status [`Contradicted`](super::Status::Contradicted), for seconds). Both begin with the same direction: one that is beyond 5 sigma on an
-//! axis has a chi^2 above 18, and the filter refuses it. From then on the attitude of before is carried on beside the filter, by the
-//! gyros, fixes and the directions that agree with it. What is compared is compared with that attitude, until the directions agree with both.
+//! The filter itself cannot report a lasting contradiction: after two contradicting directions `doubts` makes it follow the
+//! directions, whichever side is wrong (status [`Contradicted`](super::Status::Contradicted), for seconds). Both start with
+//! the same direction: one that differs by more than 5 sigma on an axis has a chi^2 above 18, and the filter rejects it.
+//! From then on the previous attitude is propagated in parallel with the filter, by the gyros, fixes and the directions
+//! that agree with it. Directions are compared with that attitude until they agree with both.
 
 use super::filter::{Filter, Trust};
 use super::measurement::{Innovation, Measurement, Source};
@@ -12,14 +14,15 @@ use super::settings::Target;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// A difference of more sigmas is a contradiction: of good ones 1 in 1.7 million is.
+/// A difference of more sigmas is a contradiction: the probability is 1 in 1.7 million for a valid direction.
 pub const MOST_SIGMAS: f64 = 5.0;
-/// One that lasts so long is a finding, s.
+/// Duration after which a contradiction is reported, s.
 pub const LASTING_S: f64 = 10.0;
-/// The attitude of before is carried on for so long at most, s: a jump of the gyros that is over must not be an alarm for the whole flight.
+/// The previous attitude is propagated for this long at most, s: a transient jump of the gyros must not cause an alarm for
+/// the whole flight.
 const CARRIED_S: f64 = 600.0;
 
-/// An axis of the telescope along which the Sun, or about which the nadir, is compared.
+/// An axis of the telescope along which the Sun's direction, or about which the nadir's, is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Axis {
@@ -42,50 +45,50 @@ impl Axis {
         }
     }
 
-    /// The axes that a target measures, in the order of an innovation's.
+    /// The axes that a target measures, in the order of the innovation's axes.
     fn measured_by(target: Target) -> &'static [Self] {
         match target {
             Target::Sun => &[Self::Right, Self::Up],
-            // The Sun measures the other one far better.
+            // The Sun measures the other axis far better.
             Target::Nadir => &[Self::Roll],
             Target::Moon => &[],
         }
     }
 }
 
-/// The latest difference of a camera from the gyros along an axis.
+/// The latest difference between a camera and the gyros along an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Difference {
     pub t_s: f64,
-    /// Measured minus predicted, in the 1 sigma of that.
+    /// Measured minus predicted, divided by its 1 sigma.
     pub sigmas: f64,
-    /// Since when all of them have been beyond 5 sigma.
+    /// Start of the period in which all differences exceeded 5 sigma, if the latest does.
     pub beyond_since_s: Option<f64>,
 }
 
 impl Difference {
-    /// Whether they have been beyond 5 sigma for 10 s or more.
+    /// Whether the differences have exceeded 5 sigma for 10 s or more.
     pub fn lasts(&self) -> bool {
         let beyond_s = self.beyond_since_s.map(|since_s| self.t_s - since_s);
         beyond_s.is_some_and(|beyond_s| beyond_s >= LASTING_S)
     }
 }
 
-/// How cameras and gyros agree.
+/// Agreement of cameras and gyros.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Agreement {
-    /// No direction is beyond 5 sigma.
+    /// No direction exceeds 5 sigma.
     Within,
-    /// One is, for less than 10 s so far.
+    /// A direction exceeds 5 sigma, for less than 10 s so far.
     Beyond,
-    /// For 10 s or more.
+    /// A direction has exceeded 5 sigma for 10 s or more.
     LastingContradiction,
 }
 
 /// Cameras compared with the gyros.
 #[derive(Debug, Clone, Default)]
 pub struct Comparison {
-    /// By axis, and by camera of the settings.
+    /// Keys: axis, and index of the camera in the settings.
     latest: BTreeMap<(Axis, usize), Difference>,
     carried: Option<Carried>,
 }
@@ -98,20 +101,20 @@ struct Carried {
 }
 
 impl Comparison {
-    /// The latest differences by axis and camera of the settings; none before the start.
+    /// The latest differences by axis and index of the camera in the settings; empty before the start.
     pub fn latest(&self) -> impl Iterator<Item = (Axis, usize, &Difference)> {
         let all = self.latest.iter();
         all.map(|((axis, camera), difference)| (*axis, *camera, difference))
     }
 
-    /// The latest difference along an axis, in its sigmas: the largest of the cameras'.
+    /// The latest difference along an axis, in sigmas: the largest of all cameras.
     pub fn sigmas(&self, axis: Axis) -> Option<f64> {
         let own = self.latest().filter(|(of, ..)| *of == axis);
         own.map(|(.., difference)| difference.sigmas)
             .max_by(|a, b| a.abs().total_cmp(&b.abs()))
     }
 
-    /// The worst of all axes and cameras; `None` where nothing is compared.
+    /// The worst of all axes and cameras; `None` if nothing is compared.
     pub fn agreement(&self) -> Option<Agreement> {
         let of_one = |difference: &Difference| match difference.beyond_since_s {
             None => Agreement::Within,
@@ -121,14 +124,15 @@ impl Comparison {
         self.latest.values().map(of_one).max()
     }
 
-    /// Carries the attitude of before on over an interval, as the IMU has said it.
+    /// Propagates the previous attitude over an interval of IMU data.
     pub(super) fn advance(&mut self, said: &Interval) {
         if let Some(carried) = &mut self.carried {
             carried.filter.advance(said);
         }
     }
 
-    /// Compares what the filter has made of a direction; the attitude of one that contradicts it is kept as it is now.
+    /// Compares a direction by the filter's innovation; if it is a contradiction, the present attitude is kept for
+    /// propagation.
     pub(super) fn note(&mut self, innovation: &Innovation, filter: &Filter) {
         if self.carried.is_some() {
             return;
@@ -142,8 +146,8 @@ impl Comparison {
         }
     }
 
-    /// Compares a measurement with the attitude of before, where there is one; `is_settled` says that the filter takes all directions
-    /// without a doubt. `white_rad` is the part of a direction's error that is white.
+    /// Compares a measurement with the previous attitude, if one is kept; `is_settled` states that the filter accepts all
+    /// directions and doubts no sensor. `white_rad` is the white part of a direction's error.
     pub(super) fn take(&mut self, measurement: &Measurement, white_rad: f64, is_settled: bool) {
         let Some(carried) = &mut self.carried else {
             return;
@@ -168,7 +172,8 @@ impl Comparison {
         }
     }
 
-    /// The filter restarts: what cameras show is compared with the attitude of before, if there is one, else with nothing.
+    /// After a restart of the filter, directions are compared with the previous attitude if one is kept, otherwise with
+    /// nothing.
     pub(super) fn restart(&mut self) {
         if self.carried.is_none() {
             self.latest.clear();

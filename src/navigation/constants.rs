@@ -1,24 +1,24 @@
-//! The constant errors of the sensors: results of a flight for the next one.
+//! The constant errors of the sensors: results of one flight for the next.
 
 use super::filter::Filter;
 use nalgebra::{DMatrix, Vector3};
 
-/// An error that stays what it is, about the three axes of the body.
+/// A constant error about the three axes of the body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Constant {
     /// m/s^2
     AccelerometerBias,
     /// rad/s
     GyroBias,
-    /// Of a camera of the settings, rad.
+    /// Index of the camera in the settings; rad.
     Misalignment(usize),
 }
 
-/// The constant errors that the settings do not state exactly, as a filter has them.
+/// The constant errors that the settings do not state as exact, as estimated by a filter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ConstantErrors {
     pub values: Vec<(Constant, Vector3<f64>)>,
-    /// Of their axes, in the order of `values`.
+    /// Covariance of their axes, in the order of `values`.
     pub covariance: DMatrix<f64>,
 }
 
@@ -36,7 +36,7 @@ impl ConstantErrors {
                 states.extend(triad.range());
             }
         }
-        // They do not change from the last measurement to the end.
+        // They do not change between the last measurement and the end.
         let covariance = &filter.covariance;
         let of = |row: usize, column: usize| covariance[(states[row], states[column])];
         Self {

@@ -1,48 +1,52 @@
 //! Uncertainty of the attitude while directions contradict the filter.
 //!
-//! 1. A direction is refused: it may be wrong, or the filter. The stated attitude's covariance includes the difference at once.
-//! 2. The next one of its kind is taken, as well: the first was wrong, and the doubt is gone.
-//! 3. It is refused, too: the gyros were wrong. The attitude restarts from it, and the gyros are believed as far only as directions show
-//!    from then on; that fades while they agree.
+//! 1. A direction is rejected: either it or the filter may be wrong. The stated attitude's covariance includes the
+//!    difference at once.
+//! 2. If the next one of its kind is accepted, the first was wrong, and the doubt ends.
+//! 3. If the next one is rejected as well, the gyros were wrong. The attitude restarts from this direction, and the gyros
+//!    get an additional noise according to the directions from then on, which decays while they agree.
 //!
-//! Where a finer direction agreed with the filter meanwhile, the coarser one is in doubt, and what it might still determine is the angle about the finer.
+//! If a more precise direction agreed with the filter in between, the less precise one is in doubt, and only the angle
+//! about the more precise one may be wrong.
 //!
-//! The doubt is gone seconds after the filter follows the directions, whether they or the gyros are wrong. `comparison` goes on to compare
-//! them with the gyros of before.
+//! The doubt ends within seconds after the filter follows the directions, whether they or the gyros are wrong. `comparison`
+//! continues to compare them with the previous gyro attitude.
 //!
-//! Velocities that contradict the filter twice, or lie on one side of it for long, do the same for the accelerometers: the attitude does not
-//! follow what they feel.
+//! Two successive velocities that contradict the filter, or velocities that deviate to one side for a long time, have the
+//! same effect for the accelerometers: the attitude no longer follows their measurements.
 
 use super::measurement::{DirectionObservation, Innovation, Source, Verdict};
 use super::states::Sensors;
 use nalgebra::{Matrix3, UnitVector3, Vector3};
 
-/// Gyros and accelerometers are believed again over so long, s.
+/// Decay time of the doubt about gyros and accelerometers, s.
 const GYROS_FADE_S: f64 = 1.0;
 const ACCELEROMETERS_FADE_S: f64 = 10.0;
-/// Measurements further apart are independent of them, s.
+/// Measurements farther apart are independent of the sensors, s.
 const LONGEST_S: f64 = 1.0;
-/// The mean of so many velocities, in their sigmas, with a larger chi^2 of its three axes is on one side.
+/// Number of velocities in the mean, and limit of its chi^2 (three axes, in sigmas) above which the velocities deviate to
+/// one side.
 const VELOCITIES: f64 = 30.0;
 pub(super) const ONE_SIDED_CHI2: f64 = 16.0;
-/// A difference with a larger chi^2 of its two axes is the gyros'.
+/// A difference with a larger chi^2 (two axes) is attributed to the gyros.
 const MOST_CHI2: f64 = 9.0;
-/// Less doubt than this share of the directions' own error is ignored.
+/// A doubt below this share of the directions' own variance is ignored.
 const NO_DOUBT: f64 = 0.1;
-/// An error that began just before a direction grows by as much in this share of the time to the next.
+/// An error that began just before a direction was observed grows by its own amount in this share of the time since the
+/// previous direction.
 const JUST_BEFORE: f64 = 0.2;
-/// A larger difference is beyond what the filter can correct, rad.
+/// A larger difference is beyond the filter's linear range, rad.
 pub(super) const LOST_RAD: f64 = 0.1;
 
-/// A direction as the filter finds it.
+/// A direction relative to the filter's prediction.
 #[derive(Debug, Clone, Copy)]
 struct Found {
     t_s: f64,
-    /// In ECEF.
+    /// Predicted direction in ECEF.
     towards: UnitVector3<f64>,
     sigma_rad: f64,
     difference_rad: f64,
-    /// Since the last one of its kind that was taken.
+    /// Time since the last accepted direction of its kind.
     after_s: f64,
 }
 
@@ -51,15 +55,15 @@ struct Found {
 struct Refused {
     source: Source,
     found: Found,
-    /// A finer direction that agreed with the filter since.
+    /// A more precise direction that has agreed with the filter since.
     finer: Option<UnitVector3<f64>>,
 }
 
-/// Action on a refused direction.
+/// Action after a rejected direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Remedy {
     Wait,
-    /// The attitude is unknown by this, about each axis.
+    /// The attitude has this additional uncertainty about each axis.
     Open {
         rad: f64,
     },
@@ -67,29 +71,29 @@ pub(super) enum Remedy {
     BeginAnew,
 }
 
-/// The doubts at a time.
+/// The current doubts.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Doubts {
     refused: Vec<Refused>,
-    /// When each kind was last taken.
+    /// Time of the last accepted direction of each kind.
     taken: Vec<(Source, f64)>,
-    /// How far the sensors are doubted, as the square of a random walk beside their own, rad^2/s and m^2/s^3.
+    /// Additional noise of the sensors as the square of a random walk, rad^2/s and m^2/s^3.
     gyros: f64,
     accelerometers: f64,
     velocity: Velocity,
 }
 
-/// Findings from velocities.
+/// State derived from velocities.
 #[derive(Debug, Clone, Default)]
 struct Velocity {
-    /// The mean of the last ones' innovations, whitened.
+    /// The mean of the latest whitened innovations.
     mean: Vector3<f64>,
     last_s: Option<f64>,
     refused: u32,
 }
 
 impl Velocity {
-    /// Whether the velocities lie on one side: those of good accelerometers do so once in 15 h at 1 Hz.
+    /// Whether the velocities deviate to one side: with good accelerometers this occurs once in 15 h at 1 Hz.
     fn is_one_sided(&self) -> bool {
         let share = 1.0 / VELOCITIES;
         self.mean.norm_squared() * (2.0 - share) / share > ONE_SIDED_CHI2
@@ -97,7 +101,7 @@ impl Velocity {
 }
 
 impl Doubts {
-    /// The random walk of sensors by the doubts, rad/sqrt(s) or m/s/sqrt(s).
+    /// The additional random walk of sensors, rad/sqrt(s) or m/s/sqrt(s).
     pub fn random_walk(&self, sensors: Sensors) -> f64 {
         match sensors {
             Sensors::Accelerometers => self.accelerometers.sqrt(),
@@ -105,7 +109,8 @@ impl Doubts {
         }
     }
 
-    /// Until directions agree with them the gyros may be off by as much as the body turns, rad/s: about a direction nothing else shows it.
+    /// Until directions agree with them, the gyros may be off by the body's rate, rad/s: the rotation about a direction is
+    /// not observable otherwise.
     pub fn unproven(&mut self, rate_rad_s: f64) {
         self.gyros = self.gyros.max(rate_rad_s.powi(2) * LONGEST_S);
     }
@@ -115,12 +120,12 @@ impl Doubts {
         self.gyros > 0.0 || self.refused.iter().any(|one| one.finer.is_none())
     }
 
-    /// Whether the filter takes directions of every kind, and believes the gyros.
+    /// Whether the filter accepts directions of every kind, and the gyros are not in doubt.
     pub fn is_settled(&self) -> bool {
         self.gyros == 0.0 && self.refused.is_empty()
     }
 
-    /// Variance that they add to the attitude about the axes of ECEF, rad^2.
+    /// Variance that the doubts add to the attitude about the axes of ECEF, rad^2.
     pub fn covariance(&self, t_s: f64) -> Matrix3<f64> {
         let of_one = |one: &Refused| {
             let Found { towards, .. } = one.found;
@@ -137,7 +142,7 @@ impl Doubts {
         self.refused.iter().map(of_one).sum()
     }
 
-    /// Notes a direction that was taken.
+    /// Takes in an accepted direction.
     pub fn take(
         &mut self,
         observation: &DirectionObservation,
@@ -162,7 +167,7 @@ impl Doubts {
         }
     }
 
-    /// Notes one that was refused, while the body turned at a rate.
+    /// Takes in a rejected direction, observed while the body rotated at a rate.
     pub fn refuse(
         &mut self,
         observation: &DirectionObservation,
@@ -196,7 +201,7 @@ impl Doubts {
         Remedy::Wait
     }
 
-    /// Notes what a velocity has shown; the variance of velocity that is unknown by it, m^2/s^2.
+    /// Takes in the innovation of a velocity. Returns the variance to add to the velocity, m^2/s^2.
     pub fn note_velocity(&mut self, innovation: &Innovation) -> Option<f64> {
         if innovation.source != Source::Velocity {
             return None;
@@ -256,14 +261,14 @@ impl Doubts {
         }
     }
 
-    /// Gyros in doubt are believed again while directions agree with them.
+    /// Reduces the doubt about the gyros while directions agree with them.
     fn judge_gyros(&mut self, found: &Found, innovation: &Innovation) {
         if self.gyros == 0.0 || found.after_s <= 0.0 {
             return;
         }
         let doubted = self.gyros * found.after_s;
         let own = found.sigma_rad.powi(2);
-        // What the difference would be expected to be without the doubt.
+        // The expected variance of the difference without the doubt.
         let without = |sigma: f64| (sigma * sigma - doubted).max(own);
         let axes = innovation.axes.iter();
         let chi2: f64 = axes.map(|(r, sigma)| r * r / without(*sigma)).sum();
@@ -337,7 +342,7 @@ mod tests {
         assert_eq!(sun(&mut doubts, 0.25, 1e-3), Remedy::Wait);
         let held = doubts.covariance(0.25);
         assert!((held[(1, 1)].sqrt() - 1e-3).abs() < 1e-9 && held[(0, 0)] == 0.0);
-        // It may have begun just before the frame.
+        // The error may have begun just before the frame.
         assert!(doubts.covariance(0.5)[(2, 2)].sqrt() > 5e-3);
         sun(&mut doubts, 0.5, 0.0);
         assert!(!doubts.any() && doubts.covariance(0.5).norm() == 0.0);
@@ -355,7 +360,7 @@ mod tests {
             sun(&mut doubts, 0.25 * f64::from(n), 1e-7);
         }
         assert!(!doubts.any());
-        // About the direction nothing else shows how far they are off: by as much as the body turns.
+        // The rotation about the direction is not observable: the gyros may be off by the body's rate.
         let (one, two) = [20.0, 20.25]
             .map(|t_s| observation(t_s, Target::Sun, 1e-6))
             .into();
@@ -364,7 +369,7 @@ mod tests {
             doubts.refuse(&refused, SUN, &innovation, 1e-3);
         }
         assert!(doubts.random_walk(Sensors::Gyros) >= 1e-3);
-        // In doubt one is enough, and what is too far off is beyond a correction.
+        // While in doubt, one rejection suffices; a large difference is beyond the linear range.
         assert_eq!(sun(&mut doubts, 20.5, 0.2), Remedy::BeginAnew);
     }
 

@@ -1,17 +1,17 @@
-//! Which rows are due at a rate.
+//! Selection of rows at a given rate.
 
-/// Takes rows at a rate, as they come in the order of time. It starts over where the time runs back.
+/// Selects rows at a rate; the rows come in the order of time. It starts over if the time runs backwards.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Due {
-    /// From when on the next row is due.
+    /// Time from which the next row is due.
     from_s: Option<f64>,
 }
 
 impl Due {
-    /// Whether a row of a time is due.
+    /// Whether a row at a time is due.
     pub fn takes(&mut self, t_s: f64, rate_hz: f64) -> bool {
         let period_s = 1.0 / rate_hz;
-        // A hundredth of a period early is in time: times are rounded.
+        // A row may be early by 1 % of a period: times are rounded.
         let early_s = 0.01 * period_s;
         let is_due = |from_s: f64| t_s >= from_s - early_s || t_s < from_s - period_s - early_s;
         let takes = self.from_s.is_none_or(is_due);

@@ -1,4 +1,4 @@
-//! The filter's estimate, and how its errors are corrected.
+//! The filter's estimate, and the correction of its errors.
 
 use super::model::Model;
 use super::motion::{Interval, Motion};
@@ -17,7 +17,7 @@ pub(super) struct Estimate {
 }
 
 impl Estimate {
-    /// A motion, with sensors that have no errors but the biases that are stated.
+    /// A motion, with sensors without errors except for the stated biases.
     pub fn new(motion: Motion, model: &Model) -> Self {
         let Model { settings, layout } = model;
         let (imu, zero) = (&settings.imu, Vector3::zeros());
@@ -30,7 +30,7 @@ impl Estimate {
         }
     }
 
-    /// Specific force and rate of the body, where the IMU has measured them.
+    /// Corrected specific force and rate of the body from the IMU's measurements.
     pub fn felt(&self, said: &Interval) -> Interval {
         let [
             force_bias,
@@ -48,7 +48,7 @@ impl Estimate {
         }
     }
 
-    /// Goes on over an interval as the body felt it; correlated errors fade.
+    /// Propagates over an interval with corrected force and rate; correlated errors decay.
     pub fn advance(&mut self, felt: &Interval, layout: &Layout) {
         self.motion = self.motion.advanced(felt);
         for (own, layout) in self.correlated.iter_mut().zip(&layout.correlated) {
@@ -60,7 +60,7 @@ impl Estimate {
         }
     }
 
-    /// Takes errors away.
+    /// Subtracts estimated errors.
     pub fn correct(&mut self, errors: &DVector<f64>, layout: &Layout) {
         let part = |first| errors.fixed_rows::<3>(first).into_owned();
         let motion = [POSITION, VELOCITY, ATTITUDE].map(part);
@@ -68,7 +68,7 @@ impl Estimate {
         self.each_triad(layout, |first, triad| *triad += part(first));
     }
 
-    /// The error of `other` against this.
+    /// The error of `other` relative to this estimate.
     pub fn minus(&self, other: &Self, layout: &Layout) -> DVector<f64> {
         let mut errors = DVector::zeros(layout.len());
         let mut set = |first: usize, part: &Vector3<f64>| {
@@ -91,7 +91,7 @@ impl Estimate {
         errors
     }
 
-    /// The estimated errors of sensors, each with its first state.
+    /// The estimated errors of sensors, each with the index of its first state.
     pub fn each_triad(&mut self, layout: &Layout, mut each: impl FnMut(usize, &mut Vector3<f64>)) {
         for (own, triad) in self.imu.iter_mut().zip(&layout.imu) {
             triad.iter().for_each(|triad| each(triad.first, own));

@@ -1,4 +1,5 @@
-//! The filter while it runs: an estimate with the covariance of its errors, carried on by the IMU and corrected by measurements.
+//! The running filter: an estimate with the covariance of its errors, propagated with the IMU and corrected by
+//! measurements.
 
 use super::estimate::Estimate;
 use super::measurement::{Climb, DirectionObservation, Fix, Innovation, Source, Towards, Verdict};
@@ -12,25 +13,26 @@ use crate::geometry::earth;
 use nalgebra::{DMatrix, Matrix2, Matrix3, Matrix3x2, SMatrix, UnitVector3, Vector2, Vector3};
 use std::sync::Arc;
 
-/// An innovation with a larger chi^2 is of another motion: of two axes 1 in 8,000 good ones, of three 1 in 9,000.
+/// An innovation with a larger chi^2 is rejected: for two axes 1 in 8,000 valid ones, for three 1 in 9,000.
 pub(super) const MOST_CHI2: [f64; 2] = [18.0, 21.0];
-/// So little is known of the attitude before the first directions are taken, rad: nothing, but that they were used to begin.
+/// Uncertainty of the attitude before the first directions are processed, rad: none is known, apart from their use in the
+/// alignment.
 const FIRST_ATTITUDE_RAD: f64 = 0.5;
 
-/// A balloon rises or falls no faster, 1 sigma.
+/// Climb rate of a balloon, 1 sigma.
 const MOST_CLIMB_M_S: f64 = 20.0;
-/// Nor does the wind carry it faster, where a fix gives no velocity.
+/// Horizontal speed in the wind if a fix has no velocity, 1 sigma.
 pub(super) const MOST_DRIFT_M_S: f64 = 100.0;
 
-/// Cosine of a direction with the telescope's right beyond which it is to the side: 26 deg from it.
+/// Cosine of the angle to the telescope's right beyond which a direction counts as sideways: 26 deg.
 const TO_THE_SIDE: f64 = 0.9;
 
-/// Which measurements are taken.
+/// Which measurements are accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Trust {
-    /// Those whose innovations are of this motion.
+    /// Measurements whose innovations pass the chi^2 test.
     Tested,
-    /// All: those that the filter begins with.
+    /// All, including those of the alignment.
     Blind,
 }
 
@@ -38,16 +40,16 @@ pub(super) enum Trust {
 pub(super) struct Filter {
     pub model: Arc<Model>,
     pub estimate: Estimate,
-    /// Of all errors at the last measurement.
+    /// Covariance of all errors at the last measurement.
     pub covariance: DMatrix<f64>,
-    /// Since then.
+    /// Transition since then.
     pub since: Transition,
-    /// The body's last rate, rad/s.
+    /// The body's last angular rate, rad/s.
     pub rate_rad_s: Vector3<f64>,
 }
 
 impl Filter {
-    /// Begins with an estimate; position and velocity are the fix's.
+    /// Starts with an estimate; position and velocity are those of the fix.
     pub fn new(model: Arc<Model>, estimate: Estimate, fix: &Fix) -> Self {
         let Model { settings, layout } = &*model;
         let mut covariance = DMatrix::zeros(layout.len(), layout.len());
@@ -75,7 +77,7 @@ impl Filter {
         }
     }
 
-    /// Goes on over an interval, as the IMU has said it.
+    /// Propagates over an interval of IMU data.
     pub fn advance(&mut self, said: &Interval) {
         let felt = self.estimate.felt(said);
         self.since
@@ -89,7 +91,7 @@ impl Filter {
         self.since.attitude(&self.model.layout, &self.covariance)
     }
 
-    /// Brings the covariance of all errors up to now.
+    /// Propagates the covariance of all errors to the current time.
     pub fn settle(&mut self) {
         if self.since.time_s > 0.0 {
             self.covariance = self.since.predicted(&self.model.layout, &self.covariance);
@@ -97,7 +99,7 @@ impl Filter {
         self.since = Transition::none();
     }
 
-    /// Increases what is unknown of the attitude by so many times. By how much it opened the variances.
+    /// Adds `times` the attitude's variances to them. Returns the added variances.
     pub fn open_attitude(&mut self, times: f64) -> Opened {
         self.settle();
         let mut opened = Opened::zeros();
@@ -108,8 +110,8 @@ impl Filter {
         opened
     }
 
-    /// Discards what sensors have made of the motion, by a variance of each axis, and their bias, which is as unknown as at the start. By how
-    /// much it opened the variances.
+    /// Adds a variance to each axis of the motion that the sensors determine, and resets the variance of their bias to its
+    /// initial value. Returns the added variances.
     pub fn open(&mut self, sensors: Sensors, variance: f64) -> Opened {
         self.settle();
         let mut opened = Opened::zeros();
@@ -127,13 +129,13 @@ impl Filter {
         opened
     }
 
-    /// 1 sigma of the attitude about its worst axis; at measurements.
+    /// 1 sigma of the attitude about its worst axis; valid at measurements.
     pub fn worst_attitude_rad(&self) -> f64 {
         let sigmas = (0..3).map(|n| self.sigma(ATTITUDE + n));
         sigmas.fold(0.0, f64::max)
     }
 
-    /// Takes a fix: position and, where there is one, velocity, one after the other.
+    /// Processes a fix: position and, if present, velocity, one after the other.
     pub fn take_fix(&mut self, fix: &Fix) -> [Option<Innovation>; 2] {
         let gps = self.model.settings.gps;
         let (sigma_m, sigma_m_s) = (gps.position_sigma_m, gps.velocity_sigma_m_s);
@@ -161,7 +163,7 @@ impl Filter {
         [position, velocity]
     }
 
-    /// Takes three numbers that are three states, and what the attitude makes of an arm.
+    /// Processes a measurement of three states, with the effect of the attitude on a lever arm.
     fn take_triad(
         &mut self,
         (t_s, source): (f64, Source),
@@ -179,7 +181,7 @@ impl Filter {
         self.take((t_s, source), residual, &jacobian, noise, Trust::Tested)
     }
 
-    /// Takes straight down in the body's axes, as the accelerometers feel it at rest.
+    /// Processes straight down in the body's axes, as measured by the accelerometers at rest.
     pub fn take_plumb(
         &mut self,
         t_s: f64,
@@ -207,7 +209,7 @@ impl Filter {
         )
     }
 
-    /// Takes a direction.
+    /// Processes a direction.
     pub fn take_direction(
         &mut self,
         observation: &DirectionObservation,
@@ -220,7 +222,7 @@ impl Filter {
         let body = self.estimate.motion.attitude.to_rotation_matrix();
         let true_body = body.inverse() * towards;
         let correlated = self.estimate.correlated[camera][target as usize];
-        // Where it should be in the body's axes as the camera's file has them.
+        // Predicted direction in the body's axes according to the camera's file.
         let seen = true_body.into_inner() - self.estimate.cameras[camera].cross(&true_body);
         let predicted = UnitVector3::new_normalize(seen + correlated);
         let said = self.model.settings.cameras[camera].body_from_camera * observation.unit;
@@ -240,7 +242,7 @@ impl Filter {
             set(correlated.triad.first, Matrix3::identity());
         }
         let source = Source::Direction { camera, target };
-        // A large correction is bent by itself, and by what is not known about the other axes.
+        // The linearisation error of a large correction, including that from the uncertainty of the other axes.
         let off_rad = residual.norm();
         let bent_rad = off_rad * (off_rad / 2.0 + self.worst_attitude_rad());
         let noise = Matrix2::identity() * (white_rad.powi(2) + bent_rad.powi(2));
@@ -257,17 +259,17 @@ impl Filter {
         self.take((observation.t_s, source), residual, &jacobian, noise, trust)
     }
 
-    /// The direction of a target in ECEF from where the body is.
+    /// The direction of a target in ECEF from the body's position.
     pub fn towards(&self, observation: &DirectionObservation) -> UnitVector3<f64> {
         let at_m = &self.estimate.motion.position_m;
         towards(&observation.towards, at_m, self.model.settings.vertical)
     }
 
-    /// The telescope's right and up across a direction in the body's axes: two unit vectors.
+    /// The telescope's right and up projected perpendicular to a direction in the body's axes: two unit vectors.
     fn across(&self, unit: &UnitVector3<f64>) -> Matrix3x2<f64> {
         let telescope = self.model.settings.body_from_telescope();
         let right = telescope * Vector3::y_axis();
-        // A direction to the side has no right across it.
+        // For a sideways direction the projection of right is undefined.
         let beside = match unit.dot(&right).abs() < TO_THE_SIDE {
             true => right,
             false => -(telescope * Vector3::x_axis()),
@@ -308,14 +310,14 @@ impl Filter {
         })
     }
 
-    /// How large the motion's errors are, 1 sigma of each state.
+    /// 1 sigma of the error of a state.
     pub fn sigma(&self, state: usize) -> f64 {
         debug_assert!(state < MOTION || self.since.time_s == 0.0);
         self.covariance[(state, state)].sqrt()
     }
 }
 
-/// Variance that a fix leaves of the velocity in ECEF, m^2/s^2.
+/// Variance of the velocity in ECEF that a fix leaves undetermined, m^2/s^2.
 fn unknown_velocity(fix: &Fix) -> Matrix3<f64> {
     match (fix.velocity_m_s, fix.climb) {
         (None, _) => Matrix3::identity() * MOST_DRIFT_M_S.powi(2),
@@ -327,7 +329,7 @@ fn unknown_velocity(fix: &Fix) -> Matrix3<f64> {
     }
 }
 
-/// The direction of a target in ECEF from a place.
+/// The direction of a target in ECEF from a position.
 pub(super) fn towards(
     towards: &Towards,
     at_m: &Vector3<f64>,

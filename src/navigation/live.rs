@@ -1,5 +1,5 @@
-//! The filter in flight: samples and measurements as they come. A measurement that comes late - its exposure, its solving, another camera took
-//! time - is put where it belongs: the filter goes on again from a state that it kept from before.
+//! The filter in flight, fed with samples and measurements as they arrive. A late measurement - delayed by its exposure,
+//! its processing, or another camera - is processed at its own time: the filter resumes from an earlier stored state.
 
 use super::comparison::Comparison;
 use super::measurement::{ImuSample, Innovation, Measurement, Verdict};
@@ -12,13 +12,14 @@ use super::states::{Choice, Layout};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// A measurement may come so late.
+/// Maximum delay of a measurement.
 const HISTORY_S: f64 = 3.0;
-/// A state to go on from is kept so often.
+/// Interval at which states are stored.
 const KEPT_EVERY_S: f64 = 0.05;
-/// Samples before a state that its next interval rests on.
+/// Number of samples before a stored state that its next interval depends on.
 const NEIGHBOURS: usize = 5;
-/// Longer than this without samples, or back by it, and the filter restarts: how the body turned is not known.
+/// After a gap in the samples of more than this, or a step back by it, the filter restarts: the body's rotation in between
+/// is unknown.
 const MOST_GAP_S: f64 = 1.0;
 
 /// The filter in flight.
@@ -27,28 +28,29 @@ pub struct Live {
     /// The samples and measurements of the last seconds.
     recent: Flight,
     run: Run,
-    /// In the order of time.
+    /// Stored states, in the order of time.
     kept: VecDeque<Run>,
-    /// Of the last seconds: a late measurement may change them.
+    /// Innovations of the last seconds: a late measurement may change them.
     innovations: VecDeque<Innovation>,
     row: Option<NavigationRow>,
     counts: Counts,
-    /// The last sample, if its time is another than the clock's so far: one alone is a slip, two are a gap or a clock that was set.
+    /// The last sample, if its time does not fit the clock so far: a single one is an error, two are a gap or a clock that
+    /// was set.
     stray: Option<ImuSample>,
 }
 
-/// Fate of measurements.
+/// Counts of measurements by result.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
     pub taken: u64,
-    /// Their innovations were too large.
+    /// Number of rejected measurements, whose innovations were too large.
     pub refused: u64,
-    /// They came later than the filter remembers, or are of a time that is still to come.
+    /// Number of measurements older than the filter's history, or with a time in the future.
     pub out_of_time: u64,
 }
 
 impl Live {
-    /// Waits for samples, fixes and directions; `sees` are the targets of each camera of the settings.
+    /// Waits for samples, fixes and directions; `sees` lists the targets of each camera of the settings.
     pub fn new(settings: NavigationSettings, sees: &[Vec<Target>]) -> Self {
         let layout = Layout::new(&settings, sees, Choice::AsStated);
         let run = Run::new(Arc::new(Model {
@@ -70,7 +72,8 @@ impl Live {
         }
     }
 
-    /// Takes a sample of the IMU, which is later than all before; one that is not is passed over. The attitude at its time.
+    /// Processes a sample of the IMU; one that is not later than all previous ones is ignored. Returns the attitude at the
+    /// latest sample.
     pub fn sample(&mut self, sample: ImuSample) -> Option<NavigationRow> {
         if let Some(last) = self.recent.imu.last() {
             let is_near = |other: &ImuSample| (sample.t_s - other.t_s).abs() <= MOST_GAP_S;
@@ -104,7 +107,7 @@ impl Live {
         self.row = None;
     }
 
-    /// Takes a measurement. One of a time that the samples have not quite reached waits for them.
+    /// Processes a measurement. One slightly ahead of the samples waits for them.
     pub fn measure(&mut self, measurement: Measurement) {
         let t_s = measurement.t_s();
         let newest_s = self.newest_s();
@@ -142,27 +145,27 @@ impl Live {
         self.recent.imu.last().map(|last| last.t_s)
     }
 
-    /// When a direction was last taken; minus infinity before.
+    /// Time of the last accepted direction; minus infinity before the first.
     pub fn seen_s(&self) -> f64 {
         self.run.seen_s
     }
 
-    /// Why the IMU's last values determine less than they should.
+    /// Why the IMU's last values do not determine the motion.
     pub fn unsound(&self) -> Option<Unsound> {
         self.run.unsound()
     }
 
-    /// How far what cameras show is from where the gyros have it.
+    /// Differences between cameras and gyros.
     pub fn comparison(&self) -> &Comparison {
         &self.run.comparison
     }
 
-    /// Fate of the measurements that no late one can change any more, and of those that are too late.
+    /// Counts of the measurements that no late one can change any more, and of those that were too late.
     pub fn counts(&self) -> Counts {
         self.counts
     }
 
-    /// Times that the filter had diverged, or samples were missing, and it restarted.
+    /// Number of restarts, after a divergence of the filter or missing samples.
     pub fn restarts(&self) -> u32 {
         self.run.restarts
     }
@@ -183,7 +186,7 @@ impl Live {
         }
     }
 
-    /// Drops what is older than the filter remembers.
+    /// Drops data older than the filter's history.
     fn drop_before(&mut self) {
         let oldest_s = self.run.at_s - HISTORY_S;
         while self.kept.get(1).is_some_and(|run| run.at_s <= oldest_s) {
@@ -204,7 +207,7 @@ impl Live {
         }
         let (samples, measurements) = first.passed();
         let samples = samples.saturating_sub(NEIGHBOURS);
-        // In whole blocks: each time is a copy of what is left.
+        // In whole blocks: each time the remainder is copied.
         const BLOCK: usize = 256;
         if samples >= BLOCK {
             self.recent.imu.drain(..samples);

@@ -1,26 +1,27 @@
-//! Measurements of the sensors, each at its own time.
+//! Measurements of the sensors, each with its own time.
 
 use super::settings::{Imu, Target};
 use nalgebra::{UnitVector3, Vector3};
 
-/// The mean of specific force and rate against inertial space over the interval that ends at a time, in the body's axes.
+/// The mean specific force and angular rate relative to inertial space over the interval that ends at a time, in the body's
+/// axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImuSample {
     pub t_s: f64,
     pub force_m_s2: Vector3<f64>,
     pub rate_rad_s: Vector3<f64>,
-    /// By how much its time steps against the count of the samples, s; 0 where nothing counts them.
+    /// Step of its time relative to the count of samples, s; 0 if the samples are not counted.
     pub time_step_s: f64,
 }
 
-/// A larger specific force (50 g) is in other units, or none.
+/// A larger specific force (50 g) is in other units, or invalid.
 const MOST_FORCE_M_S2: f64 = 500.0;
 
-/// From the Earth's centre, m; and the fastest, m/s.
+/// Range of the distance from the Earth's centre, m, and maximum speed, m/s.
 const DISTANCES_M: std::ops::Range<f64> = 6.3e6..1e8;
 const MOST_SPEED_M_S: f64 = 12_000.0;
 
-/// Values that no vehicle and no receiver can have.
+/// Values that are physically impossible for vehicle or receiver.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{what}: expected {expected}, found {found}")]
 pub struct Implausible {
@@ -31,7 +32,7 @@ pub struct Implausible {
 
 impl ImuSample {
     /// # Errors
-    /// A force that no vehicle feels, or a rate beyond the one that is stated of this vehicle.
+    /// If the force is impossible for a vehicle, or the rate exceeds the limit stated for this vehicle.
     pub fn check(&self, imu: &Imu) -> Result<(), Implausible> {
         let (force, rate) = (self.force_m_s2.norm(), self.rate_rad_s.norm());
         for (what, unit, size, most) in [
@@ -50,19 +51,19 @@ impl ImuSample {
     }
 }
 
-/// A fix of GPS, in ECEF.
+/// A GPS fix, in ECEF.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fix {
     pub t_s: f64,
     pub position_m: Vector3<f64>,
-    /// `None` where the receiver gives none.
+    /// `None` if the receiver gives none.
     pub velocity_m_s: Option<Vector3<f64>>,
     pub climb: Climb,
 }
 
 impl Fix {
     /// # Errors
-    /// A place that is not near the Earth, or a speed that no vehicle has there.
+    /// If the position is not near the Earth, or the speed is impossible for a vehicle.
     pub fn check(&self) -> Result<(), Implausible> {
         let distance_m = self.position_m.norm();
         if !DISTANCES_M.contains(&distance_m) {
@@ -83,11 +84,11 @@ impl Fix {
     }
 }
 
-/// Whether a fix says how fast its receiver rises.
+/// Whether a fix contains the vertical velocity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Climb {
     Measured,
-    /// As of NMEA 0183: the velocity is level.
+    /// As in NMEA 0183: the velocity is horizontal only.
     Unknown,
 }
 
@@ -105,26 +106,26 @@ impl Climb {
     }
 }
 
-/// A direction that a camera has seen.
+/// A direction observed by a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DirectionObservation {
     pub t_s: f64,
-    /// Among the cameras of the settings.
+    /// Index among the cameras of the settings.
     pub camera: usize,
     pub target: Target,
-    /// In the camera's axes.
+    /// Unit vector in the camera's axes.
     pub unit: UnitVector3<f64>,
-    /// Of each of the two angles, the part that is correlated in time included.
+    /// 1 sigma of each of the two angles, including the part that is correlated in time.
     pub sigma_rad: f64,
     pub towards: Towards,
 }
 
-/// Where a target is.
+/// Direction of a target.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Towards {
-    /// In ECEF, at the time of the observation.
+    /// Unit vector in ECEF, at the time of the observation.
     Known(UnitVector3<f64>),
-    /// Straight down from where the body is.
+    /// Straight down from the body's position.
     Down,
 }
 
@@ -135,7 +136,7 @@ pub enum Measurement {
 }
 
 impl Measurement {
-    /// All in the order of time; of one time the directions first.
+    /// All measurements in the order of time; at equal times the directions first.
     pub fn in_order(
         observations: impl IntoIterator<Item = DirectionObservation>,
         fixes: &[Fix],
@@ -161,17 +162,17 @@ pub enum Source {
         camera: usize,
         target: Target,
     },
-    /// Straight down as the accelerometers feel it, to begin with.
+    /// Straight down as measured by the accelerometers, for the alignment.
     Plumb,
     Position,
     Velocity,
 }
 
-/// Whether a measurement was taken.
+/// Whether a measurement was accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
     Taken,
-    /// Its innovation is too large to be of this motion.
+    /// Its innovation is too large.
     Refused,
 }
 
@@ -180,11 +181,12 @@ pub enum Verdict {
 pub struct Innovation {
     pub t_s: f64,
     pub source: Source,
-    /// Along each axis that was measured, and its 1 sigma; rad, m or m/s. Of a direction: the telescope's right and up, as they stand across it.
+    /// Along each measured axis, with its 1 sigma; rad, m or m/s. For a direction: the telescope's right and up, projected
+    /// perpendicular to it.
     pub axes: Vec<(f64, f64)>,
-    /// The same in units of its errors, independent of each other.
+    /// The same in units of its sigmas and decorrelated.
     pub whitened: Vec<f64>,
-    /// Its square over its covariance.
+    /// Its square normalised by its covariance.
     pub chi2: f64,
     pub verdict: Verdict,
 }

@@ -1,22 +1,23 @@
 //! Attitude without Sun and horizon: gyros and accelerometers propagate it between and beyond the cameras' directions (Braun and Barf
 //! 2022, sections 6 and 7).
 //!
-//! # The way of a flight
-//! 1. `begin`: the filter waits for a fix of GPS and two directions that were seen at about the same time.
-//! 2. `motion`: from sample to sample of the IMU position, velocity and attitude are carried on in ECEF ([`earth`](crate::geometry::earth): WGS 84, its
-//!    gravity and turning), cut where a measurement was taken.
-//! 3. `transition`: how errors of motion and IMU grow meanwhile; `states` lists them all.
-//! 4. `filter`: at a measurement the covariance is brought up to date, the innovation tested, and the errors that it shows are corrected.
-//!    Some states are only considered (Schmidt): their errors count, no measurement changes them.
-//! 5. `soundness`: faults that an IMU's values show by themselves; `doubts`: the added uncertainty where directions contradict
-//!    the filter. Both grow its covariance. `comparison`: whether cameras and gyros agree, and for how long they have not.
-//! 6. `run`: many refused measurements in a row, and the filter restarts.
-//! 7. `live` takes samples and measurements as they come in flight, and puts late ones where they belong.
-//! 8. `offset` computes from the attitude how far the telescope is from its target.
-//! 9. `solve` gives the attitude at each sample by all measurements up to then, `smooth` by those of the whole flight; `spool` keeps the rows
-//!    on disk meanwhile, and `aem` writes them for others' programs.
-//! 10. `suspected`: which other units the IMU's numbers may be in.
-//! 11. `constants`: the constant errors of the sensors, results of a flight for the next one.
+//! # Processing of a flight
+//! 1. `begin`: the filter waits for a GPS fix and two directions observed at about the same time.
+//! 2. `motion`: position, velocity and attitude are propagated in ECEF from sample to sample of the IMU
+//!    ([`earth`](crate::geometry::earth): WGS 84, its gravity and rotation); the intervals are split at measurements.
+//! 3. `transition`: growth of the errors of motion and IMU in between; `states` lists them all.
+//! 4. `filter`: at a measurement the covariance is propagated, the innovation tested, and the estimated errors are
+//!    corrected. Some states are only considered (Schmidt): their errors count, but no measurement changes them.
+//! 5. `soundness`: faults that the IMU's values reveal by themselves; `doubts`: the additional uncertainty when directions
+//!    contradict the filter. Both increase its covariance. `comparison`: whether cameras and gyros agree, and how long they
+//!    have not.
+//! 6. `run`: after many rejected measurements in a row, the filter restarts.
+//! 7. `live` takes samples and measurements as they arrive in flight, and processes late ones at their own time.
+//! 8. `offset` computes the telescope's offset from its target from the attitude.
+//! 9. `solve` gives the attitude at each sample from all measurements up to then, `smooth` from those of the whole flight;
+//!    `spool` keeps the rows on disk meanwhile, and `aem` writes them in an exchange format.
+//! 10. `suspected`: other units that the IMU's numbers may be in.
+//! 11. `constants`: the constant errors of the sensors, results of one flight for the next.
 
 pub mod aem;
 mod begin;

@@ -3,7 +3,7 @@
 use super::settings::NavigationSettings;
 use super::states::Layout;
 
-/// The sensors, and the states that they make.
+/// The settings of the sensors, and the resulting states.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Model {
     pub settings: NavigationSettings,

@@ -1,20 +1,21 @@
-//! How a body moves between two instants: the inertial mechanisation in ECEF.
+//! Motion of a body between two instants: the inertial mechanisation in ECEF.
 
 use crate::geometry::earth;
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// Where a body is, how it moves, and how it is turned.
+/// Position, velocity and attitude of a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
-    /// ECEF.
+    /// Position in ECEF.
     pub position_m: Vector3<f64>,
-    /// Against the turning Earth, in ECEF.
+    /// Velocity relative to the rotating Earth, in ECEF.
     pub velocity_m_s: Vector3<f64>,
-    /// Takes vectors of the body to ECEF.
+    /// Transforms vectors of the body to ECEF.
     pub attitude: UnitQuaternion<f64>,
 }
 
-/// Specific force and rate against inertial space over a time, in the body's axes: their means, and how they change.
+/// Specific force and angular rate relative to inertial space over a time, in the body's axes: their means and their rates
+/// of change.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Interval {
     pub from_s: f64,
@@ -23,11 +24,11 @@ pub struct Interval {
     pub force_change_m_s3: Vector3<f64>,
     pub rate_rad_s: Vector3<f64>,
     pub rate_change_rad_s2: Vector3<f64>,
-    /// Noise added by lost samples.
+    /// Additional noise from lost samples.
     pub lost: Lost,
 }
 
-/// Uncertainty of an interval in which samples were lost, as random walks beside those of the IMU.
+/// Uncertainty of an interval with lost samples, as random walks in addition to those of the IMU.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Lost {
     /// m/s/sqrt(s)
@@ -51,7 +52,7 @@ impl Interval {
         self.to_s - self.from_s
     }
 
-    /// The part between two instants, force and rate changing evenly.
+    /// The part between two instants, with force and rate changing linearly.
     pub fn part(&self, from_s: f64, to_s: f64) -> Self {
         let shift_s = (from_s + to_s - self.from_s - self.to_s) / 2.0;
         Self {
@@ -63,13 +64,14 @@ impl Interval {
         }
     }
 
-    /// By how much the body turns, as a rotation vector in its axes: the mean rate, and what axes that turn add (Magnus's second term).
+    /// Rotation of the body, as a rotation vector in its axes: the mean rate, and the effect of rotating axes (Magnus's
+    /// second term).
     fn turn_rad(&self) -> Vector3<f64> {
         let h = self.length_s();
         self.rate_rad_s * h + self.rate_rad_s.cross(&self.rate_change_rad_s2) * (h.powi(3) / 12.0)
     }
 
-    /// Specific force at a share of the interval.
+    /// Specific force at a fraction of the interval.
     fn force_at(&self, share: f64) -> Vector3<f64> {
         self.force_m_s2 + self.force_change_m_s3 * (self.length_s() * (share - 0.5))
     }
@@ -83,8 +85,8 @@ impl Motion {
         [q.w, q.i, q.j, q.k]
     }
 
-    /// The motion at an interval's end from that at its begin: position and velocity by Runge and Kutta's fourth order, the attitude by the
-    /// body's turn and the Earth's.
+    /// The motion at an interval's end from that at its beginning: position and velocity by the fourth-order Runge-Kutta
+    /// method, the attitude by the rotations of body and Earth.
     pub fn advanced(&self, interval: &Interval) -> Self {
         let h = interval.length_s();
         let half = interval.part(interval.from_s, interval.from_s + h / 2.0);
@@ -118,7 +120,8 @@ impl Motion {
         turned
     }
 
-    /// The same motion, its errors corrected: of position (m), velocity (m/s), and a small rotation about the axes of ECEF (rad).
+    /// The same motion with its errors corrected: of position (m), velocity (m/s), and a small rotation about the axes of
+    /// ECEF (rad).
     pub fn corrected(
         &self,
         position_m: &Vector3<f64>,
@@ -152,7 +155,7 @@ mod tests {
         }
     }
 
-    /// A body that cones: its axis runs round a circle, and the mean of its rate is no rate of the body.
+    /// A coning body: its axis moves on a circle, so the mean of its rate is not zero although the body does not drift.
     #[test]
     fn a_coning_body_does_not_drift() {
         let (tilt, speed) = (0.02f64, 10.0f64);

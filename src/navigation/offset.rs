@@ -1,4 +1,4 @@
-//! Where the telescope points by the attitude, minus its target.
+//! Pointing of the telescope according to the attitude, minus its target.
 
 use super::solve::NavigationRow;
 use crate::geometry::earth::north_east_up;
@@ -6,14 +6,14 @@ use crate::pointing::{Difference, PointingError, difference};
 use crate::units::Measured;
 use nalgebra::{Matrix2x3, Rotation3, UnitVector3, Vector3};
 
-/// An offset that comes not from a frame but from the attitude between frames.
+/// An offset from the attitude between frames, not from a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PropagatedOffset {
     pub t_s: f64,
     pub difference: Difference,
-    /// 1 sigma per axis of true angle, the rms of the two axes.
+    /// 1 sigma per axis of true angle, the rms of both axes.
     pub sigma_deg: f64,
-    /// About the boresight, positive with the right side low.
+    /// Roll about the boresight, positive with the right side low.
     pub roll_deg: Measured,
 }
 
@@ -28,7 +28,7 @@ impl PropagatedOffset {
         "roll_sigma_deg",
     ];
 
-    /// The numbers as tables have them.
+    /// The numbers in the format of tables.
     pub fn cells(&self) -> [String; 6] {
         let difference = &self.difference;
         let numbers = [
@@ -43,10 +43,11 @@ impl PropagatedOffset {
     }
 }
 
-/// The offset of a telescope from a target in ECEF, at a row; `None` before the start. The telescope's own axes are forward, right and down.
+/// The offset of the telescope from a target in ECEF, for a row; `None` before the start. The telescope's axes are forward,
+/// right and down.
 ///
 /// # Errors
-/// [`PointingError::NearZenith`] when the pointing or the target stands above 85 deg.
+/// [`PointingError::NearZenith`] if the pointing or the target is above 85 deg.
 pub fn offset(
     row: &NavigationRow,
     body_from_telescope: &Rotation3<f64>,
@@ -59,7 +60,7 @@ pub fn offset(
     let [forward, right, down] = [Vector3::x(), Vector3::y(), Vector3::z()].map(|v| telescope * v);
     let axes = north_east_up(&motion.position_m);
     let difference = difference(&(axes.tr_mul(&forward)), &axes.tr_mul(target))?;
-    // A turn about an axis of the telescope moves the boresight along another.
+    // A rotation about one axis of the telescope moves the boresight along the other.
     let across = Matrix2x3::from_rows(&[right.transpose(), down.transpose()]);
     let variance_rad2 = (across * covariance * across.transpose()).trace() / 2.0;
     let up = axes.column(2);

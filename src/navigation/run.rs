@@ -1,4 +1,4 @@
-//! A flight through the filter: IMU samples in their order, each measurement at its own time between them.
+//! Processing of a flight by the filter: IMU samples in order, with each measurement at its own time in between.
 
 use super::begin::{Waiting, white_rad};
 use super::comparison::Comparison;
@@ -15,22 +15,23 @@ use super::states::{Choice, Layout, Opened, Sensors};
 use nalgebra::Vector3;
 use std::sync::Arc;
 
-/// Number of refused measurements of one kind in a row, and the time over which, after which the filter counts as wrong.
+/// Number of rejected measurements of one kind in a row, and the time that they must span, after which the filter counts as
+/// diverged.
 const REFUSED_IN_A_ROW: u32 = 15;
 const REFUSED_S: f64 = 3.0;
-/// The shortest time between two such restarts: a receiver that is wrong would cause one again and again.
+/// Minimum time between two such restarts: a faulty receiver would cause them repeatedly.
 const RESTART_PAUSE_S: f64 = 60.0;
-/// Without a direction for so long the attitude is the gyros' alone.
+/// After this time without a direction the attitude is from the gyros alone.
 pub(super) const COASTING_S: f64 = 10.0;
-/// A row says for so long that it has restarted.
+/// Duration for which rows report a restart.
 pub(super) const RESTARTED_S: f64 = 10.0;
-/// Where less is known of the attitude than this, rad, and than half of what it began with, the filter restarts.
+/// The filter restarts if the attitude's sigma exceeds this, rad, and is larger than the initial one by this factor.
 const UNKNOWN_RAD: f64 = 0.2;
 const WORSE: f64 = 2.0;
-/// Neighbours that far apart, in intervals, do not show how force and rate change.
+/// Maximum spacing of neighbours, in intervals, from which the change of force and rate is computed.
 const NEIGHBOUR: f64 = 1.5;
 
-/// All that a flight is solved from, in the order of time.
+/// All input of a flight's solution, in the order of time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flight {
     pub settings: NavigationSettings,
@@ -39,7 +40,7 @@ pub struct Flight {
 }
 
 impl Flight {
-    /// Each run of the IMU with what was measured up to its end; both in the order of time.
+    /// Each run of the IMU with the measurements up to its end; both in the order of time.
     pub fn of_runs(
         settings: &NavigationSettings,
         runs: Vec<Vec<ImuSample>>,
@@ -78,7 +79,7 @@ impl Flight {
         Layout::new(&self.settings, &used, choice)
     }
 
-    /// The interval of a sample. Force and rate change as its neighbours say.
+    /// The interval of a sample. The change of force and rate is computed from its neighbours.
     fn interval(&self, n: usize) -> Option<Interval> {
         let sample = self.imu.get(n)?;
         let length = |n: usize| Some(self.imu.get(n)?.t_s - self.imu.get(n.checked_sub(1)?)?.t_s);
@@ -100,7 +101,7 @@ impl Flight {
             rate_change_rad_s2: (to.rate_rad_s - from.rate_rad_s) * per_s,
             lost: Lost::default(),
         };
-        // Samples may have been lost just before, too.
+        // Samples may have been lost just before as well.
         let usual_s = (n.saturating_sub(3)..n)
             .filter_map(length)
             .fold(own, f64::min);
@@ -112,8 +113,8 @@ impl Flight {
         })
     }
 
-    /// An interval in which samples were lost: the values of the last one hold for its usual length, and for the rest the mean of it and the one
-    /// before, with half their difference as 1 sigma. Their noise counts more than once then.
+    /// An interval with lost samples: the values of the last sample are used for its usual length, and for the rest its
+    /// mean with the previous sample, with half their difference as 1 sigma. Their noise then counts more than once.
     fn bridged(&self, interval: Interval, before: &ImuSample, usual_s: f64) -> Interval {
         let own_s = interval.length_s();
         let lost_s = own_s - usual_s;
@@ -138,11 +139,11 @@ impl Flight {
     }
 }
 
-/// Result of a step of the run.
+/// Reason for the end of a step.
 pub(super) enum Stop {
-    /// The IMU's sample of a number, all measurements of its time taken.
+    /// The IMU's sample with this index; all measurements up to its time are processed.
     Sample(usize),
-    /// Measurements were taken; the filter has restarted with the first of them, or gone on from what it was before.
+    /// Measurements were processed; the filter has either restarted with the first of them, or continued.
     Node(Begun),
 }
 
@@ -158,29 +159,29 @@ pub(super) enum Phase {
     Running(Box<Filter>),
 }
 
-/// A flight on its way through the filter.
+/// State of the processing of a flight.
 #[derive(Debug, Clone)]
 pub(super) struct Run {
     pub model: Arc<Model>,
     pub phase: Phase,
-    /// The next sample and the next measurement.
+    /// Indices of the next sample and of the next measurement.
     sample: usize,
     measurement: usize,
-    /// Up to when the filter has gone.
+    /// Time up to which the filter has been propagated.
     pub at_s: f64,
-    /// When a direction was last taken, and when the filter last restarted.
+    /// Time of the last accepted direction, and of the filter's last restart.
     pub seen_s: f64,
     pub restarted_s: Option<f64>,
     pub restarts: u32,
     refused: Vec<(Source, u32, f64)>,
     pub doubts: Doubts,
     pub comparison: Comparison,
-    /// At the last measurements.
+    /// Variances added at the last measurements.
     pub opened: Opened,
     soundness: Soundness,
-    /// What a sample leaves unknown of its interval, and which sample it is.
+    /// Index of a sample, and the uncertainty of its interval.
     unknown: Option<(usize, Lost)>,
-    /// 1 sigma of the attitude when the filter began, of its worst axis.
+    /// 1 sigma of the attitude about its worst axis when the filter started.
     begun_rad: f64,
 }
 
@@ -210,7 +211,7 @@ impl Run {
         self.soundness.found()
     }
 
-    /// The interval of the present sample, with what it leaves unknown.
+    /// The interval of the current sample, with its uncertainty.
     fn interval(&mut self, flight: &Flight) -> Option<Interval> {
         let interval = flight.interval(self.sample)?;
         let unknown = match self.unknown {
@@ -228,7 +229,8 @@ impl Run {
         })
     }
 
-    /// Goes on to the next sample, or to the next time of which there are measurements; `None` at the end. `each` learns of innovations.
+    /// Advances to the next sample, or to the next time with measurements; `None` at the end. `each` is called with every
+    /// innovation.
     pub fn step(&mut self, flight: &Flight, each: &mut impl FnMut(Innovation)) -> Option<Stop> {
         let interval = self.interval(flight)?;
         self.at_s = self.at_s.max(interval.from_s);
@@ -251,7 +253,7 @@ impl Run {
         }
     }
 
-    /// Takes the measurements of a time. What was measured before the IMU began has no time to stand at.
+    /// Processes the measurements at one time. Measurements from before the first IMU sample are ignored.
     fn take_all(&mut self, flight: &Flight, t_s: f64, each: &mut impl FnMut(Innovation)) -> Begun {
         let mut begun = Begun::Before;
         self.opened = Opened::zeros();
@@ -270,7 +272,7 @@ impl Run {
         begun
     }
 
-    /// Goes on as if the flight had begun so many samples and measurements later.
+    /// Shifts the indices as if the flight had begun so many samples and measurements later.
     pub fn drop_before(&mut self, samples: usize, measurements: usize) {
         self.sample -= samples;
         self.unknown = self
@@ -279,18 +281,18 @@ impl Run {
         self.measurement -= measurements;
     }
 
-    /// The samples and measurements that it has passed.
+    /// Number of samples and measurements that have been processed.
     pub fn passed(&self) -> (usize, usize) {
         (self.sample, self.measurement)
     }
 
-    /// Whether both are at the same place of the same flight.
+    /// Whether both are at the same point of the same flight.
     pub fn is_at(&self, other: &Self) -> bool {
         (self.sample, self.measurement) == (other.sample, other.measurement)
             && self.at_s == other.at_s
     }
 
-    /// The filter as it arrives at a time within the present interval, before any measurement.
+    /// The filter propagated to a time within the current interval, before any measurement.
     pub fn carried_to(&self, flight: &Flight, to_s: f64) -> Option<Filter> {
         let mut run = self.clone();
         let interval = run.interval(flight)?;
@@ -361,7 +363,7 @@ impl Run {
         Begun::Before
     }
 
-    /// Compares a measurement that the filter has dealt with with the gyros of before.
+    /// Compares a measurement that the filter has processed with the previous gyro attitude.
     fn compare(&mut self, measurement: &Measurement) {
         let Model { settings, layout } = &*self.model;
         let white_rad = match measurement {
@@ -403,7 +405,7 @@ impl Run {
                 each(innovation);
                 self.opened += filter.open(Sensors::Gyros, rad * rad);
                 if !was_doubted {
-                    // The filter has followed them as far as no direction contradicted.
+                    // The filter has followed the gyros as long as no direction contradicted them.
                     self.opened += filter.open_attitude(MOST_CHI2[0]);
                 }
                 let white_rad = white_rad(&self.model.settings, &self.model.layout, observation);
@@ -416,13 +418,13 @@ impl Run {
         }
     }
 
-    /// Updates the doubts by a fix, and the filter by the doubts: the next one finds a velocity that is unknown.
+    /// Updates the doubts by a fix, and the filter by the doubts: the next fix then determines the velocity.
     fn note_fix(&mut self, innovation: Innovation, each: &mut impl FnMut(Innovation)) {
         if let Phase::Running(filter) = &mut self.phase
             && let Some(variance) = self.doubts.note_velocity(&innovation)
         {
             self.opened += filter.open(Sensors::Accelerometers, variance);
-            // It has followed them as far as that is not seen.
+            // The filter has followed the accelerometers as long as this was undetected.
             self.opened += filter.open_attitude(ONE_SIDED_CHI2);
         }
         self.note(innovation, each);
@@ -437,7 +439,7 @@ impl Run {
         self.phase = Phase::Waiting(Waiting::default());
     }
 
-    /// Counts what is refused in a row: a filter that has diverged waits again.
+    /// Counts rejected measurements in a row: a diverged filter returns to the alignment.
     fn note(&mut self, innovation: Innovation, each: &mut impl FnMut(Innovation)) {
         let (t_s, source) = (innovation.t_s, innovation.source);
         match (innovation.verdict, source) {

@@ -17,7 +17,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// Target of a camera of a role.
+    /// Target of the cameras of a role.
     pub fn of(role: Role) -> Self {
         match role {
             Role::PitchYaw => Self::Sun,
@@ -41,18 +41,19 @@ impl Target {
     }
 }
 
-/// Which way is down.
+/// Definition of the downward direction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Vertical {
-    /// To the Earth's centre.
+    /// Towards the Earth's centre.
     #[default]
     Geocentric,
-    /// Across the ellipsoid.
+    /// Normal to the ellipsoid.
     Geodetic,
 }
 
-/// Groups of states that are estimated, or considered: their errors count in every covariance, and no measurement changes them (Schmidt).
+/// Groups of states that are estimated, or only considered: their errors enter every covariance, but no measurement changes
+/// them (Schmidt).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Group {
@@ -60,13 +61,13 @@ pub enum Group {
     GyroBias,
     AccelerometerScale,
     GyroScale,
-    /// Of both triads of axes.
+    /// Misalignment of both triads of axes.
     Misalignment,
     CameraMisalignment,
     CorrelatedErrors,
 }
 
-/// Errors that the paper considers (table 3), except for the gyro's bias, which a long flight shows.
+/// Errors that the paper considers (table 3), except for the gyro's bias, which a long flight determines.
 const CONSIDERED: [Group; 4] = [
     Group::AccelerometerScale,
     Group::GyroScale,
@@ -74,26 +75,26 @@ const CONSIDERED: [Group; 4] = [
     Group::CorrelatedErrors,
 ];
 
-/// The camera whose telescope points, as its table in the configuration is called.
+/// The camera of the telescope, by the name of its table in the configuration.
 const TELESCOPE: &str = "camera";
 
-/// No fix is better, m and m/s: two of one time would contradict each other.
+/// Minimum sigma of a fix, m and m/s: with smaller ones, two fixes at one time would contradict each other.
 const LEAST_FIX: f64 = 1e-4;
 
-/// No bias is larger, m/s^2 and rad/s, and no antenna is further away.
+/// Maximum biases, m/s^2 and rad/s, and maximum distance of the antenna.
 const MOST_ACCELEROMETER_BIAS: f64 = 10.0;
 const MOST_GYRO_BIAS: f64 = 1.0;
 const MOST_ANTENNA_M: f64 = 1000.0;
 
-/// No vehicle turns faster, rad/s: a larger rate is in other units.
+/// Maximum rate of a vehicle, rad/s: a larger one is in other units.
 const MOST_RATE_RAD_S: f64 = 60.0;
-/// No range or limit of an IMU is larger, in the units of its key.
+/// Maximum of an IMU's range or limit, in the units of its key.
 const MOST_OF_RANGE: f64 = 1e5;
 
-/// No sensor's times are off by more.
+/// Maximum delay of a sensor's times.
 const MOST_DELAY_S: f64 = 1.0;
 
-/// Errors of the inertial measurement unit, 1 sigma where nothing else is said.
+/// Errors of the inertial measurement unit, 1 sigma unless stated otherwise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Imu {
     pub velocity_random_walk: f64,
@@ -102,17 +103,17 @@ pub struct Imu {
     pub gyro_bias_sigma_rad_s: f64,
     pub accelerometer_scale: f64,
     pub gyro_scale: f64,
-    /// Of each triad of axes.
+    /// Misalignment of each triad of axes.
     pub misalignment_rad: f64,
     /// Initial uncertainty, about each axis.
     pub accelerometer_bias_m_s2: Vector3<f64>,
     pub gyro_bias_rad_s: Vector3<f64>,
-    /// Its times are late by this.
+    /// Delay of its times.
     pub delay_s: f64,
     /// Measuring range of its axes.
     pub accelerometer_range_m_s2: Option<f64>,
     pub gyro_range_rad_s: Option<f64>,
-    /// The vehicle turns no faster, and its rate changes no faster.
+    /// Maximum rate of the vehicle, and of its change.
     pub most_rate_rad_s: f64,
     pub most_turn_rad_s2: Option<f64>,
 }
@@ -121,9 +122,9 @@ pub struct Imu {
 pub struct Gps {
     pub position_sigma_m: f64,
     pub velocity_sigma_m_s: f64,
-    /// Of the antenna, from the IMU, in the body's axes.
+    /// Position of the antenna relative to the IMU, in the body's axes.
     pub antenna_m: Vector3<f64>,
-    /// Its times are late by this.
+    /// Delay of its times.
     pub delay_s: f64,
 }
 
@@ -133,11 +134,11 @@ pub struct NavigationCamera {
     pub body_from_camera: Rotation3<f64>,
     pub misalignment_rad: f64,
     pub correlation_time_s: f64,
-    /// Its times are late by this.
+    /// Delay of its times.
     pub delay_s: f64,
 }
 
-/// All that NAV.toml states.
+/// All values of NAV.toml.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NavigationSettings {
     /// The instant of t_s = 0.
@@ -145,11 +146,11 @@ pub struct NavigationSettings {
     pub imu: Imu,
     pub gps: Gps,
     pub cameras: Vec<NavigationCamera>,
-    /// Of the directions to Sun, nadir and Moon: the part of their errors that is correlated in time, 1 sigma of each angle.
+    /// Time-correlated part of the errors of directions to Sun, nadir and Moon, 1 sigma of each angle.
     pub correlated_rad: [f64; 3],
     pub vertical: Vertical,
     pub considered: Vec<Group>,
-    /// How far the accelerometers' mean over 2 s lies off straight down, 1 sigma; 0 where it is not used to begin with.
+    /// Deviation of the accelerometers' mean over 2 s from straight down, 1 sigma; 0 if it is not used for the alignment.
     pub plumb_rad: f64,
 }
 
@@ -170,7 +171,7 @@ struct RawFile {
     sun: RawTarget,
     #[serde(default)]
     moon: RawTarget,
-    /// Basis of a calibration; for people.
+    /// Basis of a calibration; informative only.
     #[serde(default, rename = "calibration")]
     _calibration: Option<toml::Table>,
 }
@@ -274,7 +275,7 @@ impl NavigationSettings {
         Self::parse(path, &read_text(path)?)
     }
 
-    /// Reads the text of such a file; `path` is for errors.
+    /// Reads the text of such a file; `path` is used in error messages.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -302,8 +303,8 @@ impl NavigationSettings {
         })
     }
 
-    /// Settings that can fly with cameras of these names, those of their tables in the configuration: no others may be named, and the axes of the
-    /// telescope's own are the basis of the offsets.
+    /// Settings for a flight with cameras of these names, those of their tables in the configuration: no other names are
+    /// allowed, and the telescope's own camera must be present, since its axes are the basis of the offsets.
     ///
     /// # Errors
     /// The file, the field, and what was expected there.
@@ -344,19 +345,21 @@ impl NavigationSettings {
         }
     }
 
-    /// 1 sigma of each of the two angles of a direction: its own, and what is stated to be correlated in time, of which a frame knows nothing.
+    /// 1 sigma of each of the two angles of a direction: its own, and the stated time-correlated part, which a single frame
+    /// cannot determine.
     pub fn sigma_rad(&self, target: Target, direction: &Direction) -> f64 {
         let own_rad = (direction.covariance_rad2.trace() / 2.0).max(0.0).sqrt();
         own_rad.hypot(self.correlated_rad[target as usize])
     }
 
-    /// From the telescope's axes - forward, right, down - to the body's: those of the first camera in flight; the same axes where none is named.
+    /// Rotation from the telescope's axes - forward, right, down - to the body's: those of the first camera in flight;
+    /// identity if none is named.
     pub fn body_from_telescope(&self) -> Rotation3<f64> {
         let telescope = self.camera(TELESCOPE);
         telescope.map_or_else(Rotation3::identity, |n| self.cameras[n].body_from_camera)
     }
 
-    /// The camera of a name.
+    /// The index of a camera by name.
     pub fn camera(&self, name: &str) -> Option<usize> {
         self.cameras.iter().position(|camera| camera.name == name)
     }
@@ -370,7 +373,7 @@ impl Check<'_> {
         TomlError::new(self.0, field, expected, found.to_string())
     }
 
-    /// A sigma, which is no less than 0 and no more than a limit.
+    /// A sigma between 0 and a limit.
     fn sigma(&self, field: &str, value: f64, most: f64) -> Result<f64, TomlError> {
         match (0.0..=most).contains(&value) {
             true => Ok(value),
@@ -378,7 +381,7 @@ impl Check<'_> {
         }
     }
 
-    /// Three numbers, none of which is larger than a limit.
+    /// Three numbers with absolute values up to a limit.
     fn within(&self, field: &str, value: [f64; 3], most: f64) -> Result<Vector3<f64>, TomlError> {
         match value.iter().all(|one| one.abs() <= most) {
             true => Ok(value.into()),
@@ -399,7 +402,7 @@ impl Check<'_> {
         }
     }
 
-    /// A number above 0, where there is one.
+    /// A positive number, if there is one.
     fn limit(&self, field: &str, value: Option<f64>) -> Result<Option<f64>, TomlError> {
         let is_limit = |value: &f64| *value > 0.0 && *value <= MOST_OF_RANGE;
         match value {

@@ -1,7 +1,8 @@
-//! The attitude at each sample of the IMU, by all measurements of the flight: the smoother of Rauch, Tung and Striebel (1965).
+//! The attitude at each sample of the IMU from all measurements of the flight: the smoother of Rauch, Tung and Striebel
+//! (1965).
 //!
-//! It runs on a filter that estimates all states: a smoother has to know how the errors of one instant and of the next belong together, and
-//! in a Schmidt-Kalman filter they belong together by more than the transition.
+//! It runs on a filter that estimates all states: a smoother needs the correlation between the errors of successive
+//! instants, and in a Schmidt-Kalman filter this is not given by the transition alone.
 
 use super::estimate::Estimate;
 use super::motion::Motion;
@@ -13,23 +14,24 @@ use crate::estimation::{ScaledRoot, symmetrise};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::sync::Arc;
 
-/// Measurements from one state of the run that is kept to the next; between them it runs again, which costs less memory than to keep all.
+/// Number of measurements between stored states of the run; in between the run is repeated, which needs less memory than
+/// storing all states.
 const BLOCK: usize = 256;
 
 /// State of the filter at measurements.
 struct Node {
-    /// Before and after them.
+    /// Estimates before and after the measurements.
     predicted: Estimate,
     estimate: Estimate,
     covariance: DMatrix<f64>,
-    /// Of all errors, from the measurements before; `None` where the filter restarted.
+    /// Transition of all errors from the previous measurements; `None` if the filter restarted.
     transition: Option<Transition>,
 }
 
 /// State of the filter at a sample of the IMU.
 struct Sample {
     row: NavigationRow,
-    /// Since the last measurement.
+    /// Transition since the last measurement.
     since: Transition,
 }
 
@@ -44,7 +46,7 @@ struct Smoothed {
     covariance: DMatrix<f64>,
 }
 
-/// Smoothes a flight: the rows from the last to the first. `None` where a covariance is not positive.
+/// Smooths a flight: returns the rows from the last to the first. `None` if a covariance is not positive definite.
 pub fn smooth(flight: &Flight, mut each: impl FnMut(NavigationRow)) -> Option<()> {
     let model = flight.model(Choice::AllEstimated);
     let layout = &model.layout;
@@ -72,11 +74,11 @@ pub fn smooth(flight: &Flight, mut each: impl FnMut(NavigationRow)) -> Option<()
     Some(())
 }
 
-/// Transition of the run from one kept state up to and with the next.
+/// Transitions of the run from one stored state up to and including the next.
 fn entries(flight: &Flight, mut run: Run, until: Option<&Run>) -> Vec<Entry> {
     let mut entries = Vec::new();
     if let Phase::Running(filter) = &run.phase {
-        // Only what goes on from it is needed of the node that it was kept at.
+        // Of the node at which the run was stored, only the input for the following node is needed.
         entries.push(Entry::Node(Box::new(Node {
             predicted: filter.estimate.clone(),
             estimate: filter.estimate.clone(),
@@ -130,14 +132,14 @@ fn node(flight: &Flight, before: &Run, after: &Run, begun: Begun) -> Option<Entr
     })))
 }
 
-/// The way back through a flight.
+/// The backward pass through a flight.
 struct Backwards<'a> {
     layout: &'a Layout,
-    /// The node that was passed last, and what all measurements say of it.
+    /// The previously processed, later node, with its smoothed estimate.
     later: Option<(Later, Smoothed)>,
 }
 
-/// Part of a node that earlier nodes need.
+/// Values of a node that earlier nodes need.
 struct Later {
     predicted: Estimate,
     transition: Option<Transition>,
@@ -153,9 +155,9 @@ impl Later {
 }
 
 impl Backwards<'_> {
-    /// Goes back through entries: each node's samples follow it.
+    /// Processes entries backwards: the samples of each node follow it.
     fn go(&mut self, entries: &[Entry], each: &mut impl FnMut(NavigationRow)) -> Option<()> {
-        // A block ends with the node that the one after it began with, which is smoothed already.
+        // A block ends with the first node of the following block, which is already smoothed.
         let entries = match (&mut self.later, entries.split_last()) {
             (Some((later, _)), Some((Entry::Node(node), before))) => {
                 *later = Later::of(node);
@@ -170,7 +172,7 @@ impl Backwards<'_> {
                 end = at;
             }
         }
-        // Before the first node the filter waits.
+        // Before the first node the filter was waiting.
         let rest = entries[..end].iter().rev();
         rest.for_each(|entry| {
             if let Entry::Sample(sample) = entry {
@@ -209,7 +211,7 @@ impl Backwards<'_> {
     }
 }
 
-/// From a node to the next one, whose smoothed state is known.
+/// The step from a node to the next one, whose smoothed state is known.
 struct Step<'a> {
     layout: &'a Layout,
     transition: &'a Transition,
@@ -253,7 +255,7 @@ impl<'a> Step<'a> {
         let gain = self.root.solve(&across.transpose()).transpose();
         let mut estimate = node.estimate.clone();
         estimate.correct(&(&across * &self.gradient), self.layout);
-        // A sum of squares stays positive where the noise outweighs what is known by many orders.
+        // The form of a sum of squares stays positive even if the noise exceeds the covariance by many orders of magnitude.
         let n = self.layout.len();
         let kept = DMatrix::identity(n, n) - &gain * &self.matrix;
         let noisy = &self.later.covariance + &self.noise;

@@ -1,4 +1,4 @@
-//! The attitude at each sample of the IMU, by all measurements up to then.
+//! The attitude at each sample of the IMU from all measurements up to then.
 
 use super::comparison::{Axis, Difference};
 use super::constants::ConstantErrors;
@@ -9,24 +9,24 @@ use super::run::{COASTING_S, Flight, Phase, RESTARTED_S, Run, Stop};
 use super::states::Choice;
 use nalgebra::{Matrix3, Vector3};
 
-/// Where the attitude comes from.
+/// Status of the attitude.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Status {
-    /// There is none yet, or not any more.
+    /// No attitude yet, or no longer one.
     Waiting,
     Aligned,
-    /// No direction was taken for 10 s.
+    /// No direction was accepted for 10 s.
     Coasting,
-    /// The filter had diverged, and restarted in the last 10 s.
+    /// The filter diverged, and restarted in the last 10 s.
     Restarted,
-    /// Directions contradict the gyros: the attitude is less certain by what they differ.
+    /// Directions contradict the gyros: the attitude's covariance includes their difference.
     Contradicted,
-    /// The IMU's last values determine less than they should.
+    /// The IMU's last values do not determine the motion.
     Unsound,
 }
 
 impl Status {
-    /// In the order of their numbers.
+    /// All statuses, in the order of their numbers.
     pub const ALL: [Self; 6] = [
         Self::Waiting,
         Self::Aligned,
@@ -36,7 +36,7 @@ impl Status {
         Self::Unsound,
     ];
 
-    /// Whether something is wrong with the IMU, by itself or by what directions say.
+    /// Whether the IMU is suspect, by itself or because of the directions.
     pub fn is_doubted(self) -> bool {
         matches!(self, Self::Contradicted | Self::Unsound)
     }
@@ -66,30 +66,30 @@ pub struct NavigationRow {
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensorErrors {
     pub t_s: f64,
-    /// Of accelerometer and gyro, m/s^2 and rad/s.
+    /// Biases of accelerometer and gyro, m/s^2 and rad/s.
     pub biases: [Option<(Vector3<f64>, Vector3<f64>)>; 2],
     /// Misalignments, rad.
     pub cameras: Vec<Option<(Vector3<f64>, Vector3<f64>)>>,
 }
 
-/// Results of a flight besides its rows.
+/// Results of a flight apart from its rows.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Summary {
     pub innovations: Vec<Innovation>,
-    /// Of cameras from the gyros, in the order of time.
+    /// Differences between cameras and gyros, in the order of time.
     pub differences: Vec<(Axis, Difference)>,
     pub errors: Vec<SensorErrors>,
     /// 1 sigma of the attitude about the axes of ECEF, rad, with its time.
     pub attitude_sigmas: Vec<(f64, Vector3<f64>)>,
-    /// From when to when no direction was taken, longer than 10 s.
+    /// Start and end of the periods longer than 10 s without an accepted direction.
     pub gaps: Vec<(f64, f64)>,
-    /// Restarts of the filter.
+    /// Number of restarts of the filter.
     pub restarts: u32,
-    /// Final state of the filter; `None` where it waited at the end.
+    /// Final state of the filter; `None` if it was waiting at the end.
     pub constants: Option<ConstantErrors>,
 }
 
-/// Errors of sensors and sigmas are kept so often.
+/// Interval at which sensor errors and sigmas are stored.
 const KEPT_EVERY_S: f64 = 1.0;
 
 /// Solves a flight; `each` gets the rows in the order of time.
@@ -127,7 +127,7 @@ pub fn solve(flight: &Flight, mut each: impl FnMut(NavigationRow)) -> Summary {
 }
 
 impl Summary {
-    /// Adds what a later flight of the same sensors comes to.
+    /// Appends the summary of a later flight with the same sensors.
     pub fn append(&mut self, later: Self) {
         self.innovations.extend(later.innovations);
         self.differences.extend(later.differences);
@@ -148,7 +148,7 @@ impl Summary {
         }
     }
 
-    /// Those of the last measurements.
+    /// Stores the differences of the last measurements.
     fn note_differences(&mut self, run: &Run) {
         let noted_s = self.differences.last().map(|(_, last)| last.t_s);
         let latest = run.comparison.latest();

@@ -1,23 +1,26 @@
-//! Faults of an IMU's values that the values show by themselves: values that repeat, that stand at the end of the range, that jump as the
-//! vehicle cannot, and times that step against the samples' count.
+//! Faults that an IMU's values reveal by themselves: values that repeat, that saturate at the end of the range, that jump
+//! more than the vehicle can, and times that step against the samples' count.
 //!
-//! A fault is noise. No sample is rejected: the covariance grows by what is not known, until directions determine it again.
+//! A fault is treated as noise. No sample is rejected: the covariance grows by the uncertainty until directions determine
+//! the motion again.
 
 use super::measurement::ImuSample;
 use super::motion::Lost;
 use super::settings::Imu;
 use nalgebra::Vector3;
 
-/// A value that stands for more samples than that, beyond what is usual for its axis, repeats.
+/// A value that stays constant for this many samples more than usual for its axis counts as repeating.
 const FEW: f64 = 3.0;
-/// And this many times longer than usual: values of a coarse axis repeat without a fault.
+/// It must also stay constant this many times longer than usual: values of a coarsely quantised axis repeat without a
+/// fault.
 const LONGER: f64 = 8.0;
-/// Time over which usual values are learnt, s.
+/// Averaging times of the usual values, s.
 const USUAL_S: f64 = 30.0;
 const USUAL_RUN_S: f64 = 60.0;
-/// A value so near to the end of the range is at it.
+/// A value above this fraction of the range counts as saturated.
 const AT_THE_END: f64 = 0.98;
-/// Noise of the difference of two samples beyond which it is the vehicle's, in the sigma of one.
+/// Limit of the difference of two samples that may be noise, in the sigma of one sample; a larger one is motion of the
+/// vehicle.
 const NOISE: f64 = 8.5;
 
 /// Why an IMU's values do not determine the motion.
@@ -33,7 +36,7 @@ pub enum Unsound {
     TimeSteps,
 }
 
-/// Checks the samples in their order.
+/// Checks the samples in order.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Soundness {
     force: [Axis; 3],
@@ -41,19 +44,19 @@ pub(super) struct Soundness {
     found: Option<Unsound>,
 }
 
-/// Expected values of an axis.
+/// Limits and noise of an axis.
 struct Expected {
     range: Option<f64>,
-    /// Margin beyond the range.
+    /// Possible excess of the true value beyond the range.
     beyond: f64,
-    /// The most that it changes in a second.
+    /// Maximum change per second.
     change_s: Option<f64>,
     /// 1 sigma of a sample's own noise.
     noise: f64,
 }
 
 impl Soundness {
-    /// What a sample leaves unknown of the interval of `length_s` that ends with it.
+    /// Uncertainty that a sample adds to the interval of `length_s` that ends with it.
     pub fn judge(&mut self, sample: &ImuSample, length_s: f64, imu: &Imu) -> Lost {
         self.found = None;
         let force = Expected {
@@ -91,7 +94,7 @@ impl Soundness {
         lost
     }
 
-    /// Findings of the last sample.
+    /// Fault of the last sample.
     pub fn found(&self) -> Option<Unsound> {
         self.found
     }
@@ -101,29 +104,29 @@ impl Soundness {
 #[derive(Debug, Clone, Default)]
 struct Axis {
     last: Option<f64>,
-    /// For so many samples the last value has stood, and for how many values usually do.
+    /// Number of samples for which the last value has been constant, and the usual number.
     run: f64,
     usual_run: f64,
-    /// Number of samples in a row that were at the end of the range, or jumped.
+    /// Number of samples in a row that were saturated, or jumped.
     at_the_end: f64,
     jumped: f64,
-    /// The last value that did not jump, and how long ago it was.
+    /// The last value that did not jump, and its age.
     sound: Option<(f64, f64)>,
-    /// Mean and variance of the last half minute, and of how many samples.
+    /// Mean and variance over the last 30 s, and the number of samples.
     mean: f64,
     variance: f64,
     count: f64,
 }
 
 impl Axis {
-    /// The variance of what a value leaves unknown of its interval's integral, and why.
+    /// The variance that a value adds to its interval's integral, and the reason.
     fn judge(&mut self, value: f64, length_s: f64, expected: &Expected) -> (f64, Option<Unsound>) {
         let found = [
             (self.repeats(value, length_s), Unsound::Repeats),
             (self.saturates(value, expected), Unsound::Saturated),
             (self.jumps(value, length_s, expected), Unsound::Jumps),
         ];
-        // An error that stays the same for n samples grows with n, not with its square root: the n-th adds this.
+        // A constant error over n samples grows with n, not with its square root: the n-th sample adds this.
         let added = |(samples, error): (f64, f64)| {
             (2.0 * samples - 1.0).max(0.0) * (error * length_s).powi(2)
         };
@@ -136,7 +139,7 @@ impl Axis {
         (variance, why.map(|(_, why)| *why))
     }
 
-    /// For how many samples a value has stood for too long, and how far the true one may be off.
+    /// Number of samples for which a value has been constant too long, and the possible error of the value.
     fn repeats(&mut self, value: f64, length_s: f64) -> (f64, f64) {
         let most = FEW + LONGER * (self.usual_run - 1.0).max(0.0);
         if self.last.replace(value) == Some(value) {
@@ -191,7 +194,7 @@ impl Axis {
         self.variance += share * ((1.0 - share) * off * off - self.variance);
     }
 
-    /// How far values lie from their mean, 1 sigma.
+    /// Scatter of the values about their mean, 1 sigma.
     fn spread(&self) -> f64 {
         self.variance.max(0.0).sqrt()
     }
@@ -212,7 +215,7 @@ mod tests {
             .imu;
         let mut soundness = Soundness::default();
         let judged = rates.enumerate().map(|(n, rate)| {
-            // Neither accelerometers nor the other gyros repeat.
+            // Neither accelerometers nor the other gyros repeat values.
             let other = 1e-5 * (n as f64 * 1.7).sin();
             let sample = ImuSample {
                 t_s: n as f64 * STEP_S,
@@ -233,14 +236,14 @@ mod tests {
     fn a_value_that_repeats_leaves_the_angle_unknown_and_one_that_swings_does_not() {
         let walks = walks((0..3000).map(swing).chain([swing(2999); 1000]));
         assert!(walks[..3000].iter().all(|walk| *walk == 0.0));
-        // Ten seconds of a swing's rate: 2e-3 rad/s, 1 sigma.
+        // 10 s of a swing's rate: 2e-3 rad/s, 1 sigma.
         let angle: f64 = walks.iter().map(|walk| walk * walk * STEP_S).sum();
         assert!((0.018..0.025).contains(&angle.sqrt()), "{}", angle.sqrt());
     }
 
     #[test]
     fn a_coarse_gyro_is_known_as_such_after_a_minute() {
-        // A thousandth of a degree a second: each value stands for a sixth of a second.
+        // Quantised to 2e-4 rad/s: each value stays constant for a sixth of a second.
         let coarse = |n: i32| (swing(n) / 2e-4).round() * 2e-4;
         let walks = walks((0..60_000).map(coarse));
         let unsound = |range: std::ops::Range<usize>| {

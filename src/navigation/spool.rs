@@ -1,4 +1,5 @@
-//! Rows of an attitude on disk: a flight of twelve hours has millions, which the smoother gives from the last to the first.
+//! Rows of an attitude on disk: a flight of twelve hours has millions, which the smoother returns from the last to the
+//! first.
 
 use super::motion::Motion;
 use super::solve::{NavigationRow, Status};
@@ -8,27 +9,27 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
-/// Numbers of a row: time, position, velocity, quaternion, covariance.
+/// Number of values of a row: time, position, velocity, quaternion, covariance.
 const NUMBERS: usize = 1 + 3 + 3 + 4 + 9;
-/// Then whether there is an attitude, and the status.
+/// Followed by the flag for an attitude, and the status.
 const ROW_BYTES: usize = 8 * NUMBERS + 2;
-/// Rows are written so many at a time.
+/// Number of rows per write.
 const BLOCK: usize = 4096;
 
-/// Rows of an attitude in a file that has no name and ends with the program.
+/// Rows of an attitude in an unnamed file that is removed when the program ends.
 pub struct Spool {
     file: File,
-    /// The place of the first row that waits to be written.
+    /// The index of the first row that is not yet written.
     first: u64,
     waiting: Vec<u8>,
     rows: u64,
 }
 
 impl Spool {
-    /// An empty one on the disk of a folder.
+    /// An empty spool on the disk of a folder.
     ///
     /// # Errors
-    /// A folder that no file can be made in.
+    /// If no file can be created in the folder.
     pub fn in_folder(folder: &Path) -> io::Result<Self> {
         Ok(Self {
             file: tempfile::tempfile_in(folder)?,
@@ -46,10 +47,10 @@ impl Spool {
         self.rows == 0
     }
 
-    /// Adds a row behind the last.
+    /// Appends a row.
     ///
     /// # Errors
-    /// A disk that does not take it.
+    /// If the disk refuses the write.
     pub fn push(&mut self, row: &NavigationRow) -> io::Result<()> {
         self.waiting.extend(encoded(row));
         self.rows += 1;
@@ -59,10 +60,10 @@ impl Spool {
         }
     }
 
-    /// Writes a row in the place of another.
+    /// Replaces a row by another.
     ///
     /// # Errors
-    /// A disk that does not take it.
+    /// If the disk refuses the write.
     pub fn replace(&mut self, n: u64, row: &NavigationRow) -> io::Result<()> {
         self.flush()?;
         self.file.write_all_at(&encoded(row), n * ROW_BYTES as u64)
@@ -71,7 +72,7 @@ impl Spool {
     /// All rows, from the first to the last.
     ///
     /// # Errors
-    /// A disk that does not take or give them.
+    /// If the disk refuses a write or a read.
     pub fn rows(
         &mut self,
     ) -> io::Result<impl Iterator<Item = io::Result<NavigationRow>> + use<'_>> {

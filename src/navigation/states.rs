@@ -1,16 +1,16 @@
-//! The errors that the filter estimates, in their order.
+//! The errors that the filter estimates, in order.
 //!
 //! | states | unit | axes |
 //! |---|---|---|
 //! | position, velocity | m, m/s | ECEF |
-//! | attitude | rad | ECEF: the true attitude is the estimated one, turned further by it |
+//! | attitude | rad | ECEF: the true attitude is the estimated one, rotated further by it |
 //! | accelerometer bias, gyro bias | m/s^2, rad/s | body |
 //! | accelerometer scale, gyro scale | 1 | body |
 //! | accelerometer axes, gyro axes | rad | body: a small rotation of the triad |
 //! | misalignment of each camera | rad | body: v_body = (1 + mu x) R_body_from_camera v_camera (Braun and Barf 2022, eq. 50) |
-//! | correlated error of each camera and target | rad | body, across the direction |
+//! | correlated error of each camera and target | rad | body, perpendicular to the direction |
 //!
-//! States that are known exactly (sigma 0) are left out.
+//! States that are known exactly (sigma 0) are omitted.
 
 use super::settings::{Group, NavigationSettings, Target};
 use crate::estimation::Role;
@@ -19,13 +19,13 @@ use std::ops::Range;
 
 /// Position, velocity, attitude.
 pub(super) const MOTION: usize = 9;
-/// The same with six triads of errors of the IMU, known exactly or not.
+/// The same plus six triads of IMU errors, whether known exactly or not.
 pub(super) const DRIVING: usize = 27;
 pub(super) const POSITION: usize = 0;
 pub(super) const VELOCITY: usize = 3;
 pub(super) const ATTITUDE: usize = 6;
 
-/// The sensors of the IMU, each with the states of the motion that it drives.
+/// The sensors of the IMU; each drives some states of the motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Sensors {
     Accelerometers,
@@ -33,7 +33,7 @@ pub(super) enum Sensors {
 }
 
 impl Sensors {
-    /// The first state of velocity or attitude.
+    /// Index of the first state of velocity or attitude.
     pub fn driven(self) -> usize {
         match self {
             Self::Accelerometers => VELOCITY,
@@ -41,17 +41,17 @@ impl Sensors {
         }
     }
 
-    /// The place of their bias in [`Layout::imu`].
+    /// Index of their bias in [`Layout::imu`].
     pub fn bias(self) -> usize {
         self as usize
     }
 }
 
-/// By how much the variances of motion and biases were opened at once, in the order of the states.
+/// Variances added to motion and biases at once, in the order of the states.
 pub(super) type Opened = SVector<f64, OPENED>;
 const OPENED: usize = MOTION + 6;
 
-/// Three states that belong together.
+/// Three successive states.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Triad {
     pub first: usize,
@@ -72,10 +72,10 @@ pub(super) struct Correlated {
     pub time_s: f64,
 }
 
-/// Which states there are.
+/// The list of states.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Layout {
-    /// Of the IMU: accelerometer bias, gyro bias, accelerometer scale, gyro scale, accelerometer axes, gyro axes.
+    /// States of the IMU: accelerometer bias, gyro bias, accelerometer scale, gyro scale, accelerometer axes, gyro axes.
     pub imu: [Option<Triad>; 6],
     pub cameras: Vec<Option<Triad>>,
     /// By camera and [`Target`].
@@ -84,7 +84,7 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// `used` are the targets that each camera sees; `estimated` says that nothing is only considered.
+    /// `used` lists the targets of each camera; `choice` tells whether states may be only considered.
     pub fn new(settings: &NavigationSettings, used: &[Vec<Target>], choice: Choice) -> Self {
         let mut layout = Self {
             imu: [None; 6],
@@ -120,7 +120,7 @@ impl Layout {
             for target in targets {
                 let sigma = match camera.correlation_time_s > 0.0 {
                     true => settings.correlated_rad[*target as usize],
-                    // Errors that last no time are white.
+                    // Errors with a correlation time of 0 are white.
                     false => 0.0,
                 };
                 let triad = layout.add(sigma, role(Group::CorrelatedErrors));
@@ -147,7 +147,7 @@ impl Layout {
         self.roles.len()
     }
 
-    /// Opened variances, by state.
+    /// Added variances, by state.
     pub fn opened<'a>(&self, opened: &'a Opened) -> impl Iterator<Item = (usize, f64)> + use<'a> {
         let biases = [self.imu[0], self.imu[1]];
         opened.iter().enumerate().filter_map(move |(n, added)| {
@@ -159,7 +159,7 @@ impl Layout {
         })
     }
 
-    /// Every triad beyond the motion.
+    /// Every triad except the motion.
     pub fn triads(&self) -> impl Iterator<Item = Triad> {
         let imu = self.imu.iter().flatten().copied();
         let cameras = self.cameras.iter().flatten().copied();
@@ -172,10 +172,10 @@ impl Layout {
     }
 }
 
-/// Which states measurements change.
+/// States that measurements change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Choice {
     AsStated,
-    /// All of them: what smoothing needs.
+    /// All of them: required for smoothing.
     AllEstimated,
 }

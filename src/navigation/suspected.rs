@@ -1,21 +1,22 @@
-//! Whether the IMU's numbers resemble those of other units. The filter may find an attitude by them, and refuse some of its measurements only.
+//! Checks whether the IMU's numbers are in other units. The filter may find an attitude from them, and reject only some of
+//! its measurements.
 
 use super::measurement::{DirectionObservation, Measurement};
 use super::run::Flight;
 use nalgebra::Vector3;
 
-/// The median of the specific force, or that of the first samples, is so near to 1: gravity in g.
+/// The median of the specific force, or that of the first samples, is this close to 1: gravity in g.
 const NEAR_ONE_G: f64 = 0.1;
 const FIRST_SAMPLES: usize = 200;
-/// No IMU for inertial navigation is slower, s.
+/// Maximum sampling interval of an IMU for inertial navigation, s.
 const LONGEST_STEP_S: f64 = 1.0;
-/// Directions further apart in time say little of the rate between them, s.
+/// Maximum time between directions from which a rate is computed, s.
 const LONGEST_TURN_S: f64 = 2.0;
-/// The rates' scale by the directions is known to so much of itself, and agrees with a degree's to so much.
+/// Maximum relative sigma of the rates' scale from the directions, and its tolerance about the scale of a degree.
 const KNOWN: f64 = 0.2;
 const AGREES: f64 = 0.5;
 
-/// The units that the IMU's numbers may be in instead of those of its columns, and why; none for a good flight.
+/// The units that the IMU's numbers may be in instead of those of its columns, with the reason; empty for a valid flight.
 pub fn suspected_units(runs: &[Flight]) -> Vec<String> {
     [force_in_g(runs), time_in_parts(runs), rate_in_deg(runs)]
         .into_iter()
@@ -49,7 +50,8 @@ fn time_in_parts(runs: &[Flight]) -> Option<String> {
     ))
 }
 
-/// Directions turn in the body's axes as its rate says. The least-squares scale between the two is 1; of rates in deg/s it is that of a degree.
+/// Compares the rotation of directions in the body's axes with the rate. The least-squares scale between the two is 1; for
+/// rates in deg/s it is that of a degree.
 fn rate_in_deg(runs: &[Flight]) -> Option<String> {
     let (mut both, mut square, mut noise) = (0.0, 0.0, 0.0);
     for run in runs {
@@ -75,7 +77,7 @@ fn rate_in_deg(runs: &[Flight]) -> Option<String> {
     })
 }
 
-/// Directions to a target by one camera, and the next one soon after.
+/// Pairs of successive directions to a target from one camera.
 fn neighbours(
     run: &Flight,
 ) -> impl Iterator<Item = (&DirectionObservation, &DirectionObservation)> {
@@ -98,7 +100,7 @@ fn neighbours(
     })
 }
 
-/// By how much the body turns about its axes, by the rates alone.
+/// Rotation of the body about its axes, from the rates alone.
 fn turned_rad(run: &Flight, from_s: f64, to_s: f64) -> Vector3<f64> {
     let [from, to] = [from_s, to_s].map(|t_s| run.imu.partition_point(|one| one.t_s <= t_s));
     let steps = run.imu[from.saturating_sub(1)..to].windows(2);

@@ -1,4 +1,4 @@
-//! Where Sun and Moon are, seen from the flight.
+//! Directions of Sun and Moon from the flight's position.
 
 use super::measurement::{Fix, Towards};
 use super::settings::Target;
@@ -11,25 +11,25 @@ use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix3, UnitVector3, Vector3};
 use std::collections::BTreeMap;
 
-/// The sky is asked so often; between, its directions turn evenly to 0.001 arcsec.
+/// Interval of the ephemeris computations; linear interpolation between them is accurate to 0.001 arcsec.
 const EVERY_S: f64 = 2.0;
-/// In flight directions are asked no later than this after their time.
+/// In flight directions are requested no later than this after their time.
 const KEPT_S: f64 = 20.0;
 
-/// The source of the places of Sun and Moon.
+/// The source of the directions of Sun and Moon.
 pub enum Sky {
-    /// The ephemeris, `epoch` being the instant of t_s = 0.
+    /// The ephemeris; `epoch` is the instant of t_s = 0.
     Ephemeris {
         ephemeris: Box<Ephemeris>,
         epoch: Timestamp,
     },
     /// Directions to the Sun in ECEF by time.
     Sun(Vec<(f64, UnitVector3<f64>)>),
-    /// Nothing.
+    /// No source.
     Unknown,
 }
 
-/// Where Sun, Moon and the telescope's target are, as the flight goes on.
+/// Directions of Sun, Moon and the telescope's target during the flight.
 pub struct Targets {
     sky: Sky,
     /// In the order of time.
@@ -38,14 +38,14 @@ pub struct Targets {
     aimed: Option<Aimed>,
 }
 
-/// Where the telescope's target is at a step and the next.
+/// The direction of the telescope's target at a step and at the next.
 struct Aimed {
     target: pointing::Target,
     step: i64,
     towards: [Vector3<f64>; 2],
 }
 
-/// Why a direction is not known.
+/// Why a direction is unknown.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoDirection {
     #[error("neither epoch_utc in the configuration nor, for the Sun, a table (--sun)")]
@@ -72,14 +72,14 @@ impl Targets {
         }
     }
 
-    /// Takes the place of the body as it flies: later queries use it, and old places are dropped.
+    /// Takes in the current position in flight: later requests use it, and old positions are dropped.
     pub fn note(&mut self, fix: Fix) {
         self.fixes = vec![fix];
         let oldest = ((fix.t_s - KEPT_S) / EVERY_S) as i64;
         self.known.retain(|(_, step), _| *step >= oldest);
     }
 
-    /// Where a target is.
+    /// The direction of a target.
     ///
     /// # Errors
     /// As [`direction`](Self::direction).
@@ -93,7 +93,7 @@ impl Targets {
     /// The direction to Sun or Moon in ECEF.
     ///
     /// # Errors
-    /// Why it is not known.
+    /// Why it is unknown.
     pub fn direction(&mut self, target: Target, t_s: f64) -> Result<UnitVector3<f64>, NoDirection> {
         if let (Sky::Sun(table), Target::Sun) = (&self.sky, target) {
             return by_table(table, t_s).ok_or(NoDirection::BeyondTable);
@@ -105,10 +105,10 @@ impl Targets {
         Ok(UnitVector3::new_normalize(from.lerp(&to, share)))
     }
 
-    /// The direction in ECEF to what the telescope is to point at.
+    /// The direction in ECEF of the telescope's target.
     ///
     /// # Errors
-    /// Why it is not known.
+    /// Why it is unknown.
     pub fn aim(
         &mut self,
         target: &pointing::Target,
@@ -178,7 +178,7 @@ impl Targets {
         let since = SignedDuration::try_from_secs_f64(t_s).map_err(|_| NoDirection::Time)?;
         let utc = epoch.checked_add(since).map_err(|_| NoDirection::Time)?;
         let longitude_deg = up.y.atan2(up.x).to_degrees();
-        // Their parallax hardly feels a height that is that of a sphere.
+        // The parallax is insensitive to using the height above a sphere.
         let height_m = (at_m.norm() - EARTH_RADIUS_M).clamp(-1000.0, 2e6);
         let place = Place::new(up.z.asin().to_degrees(), longitude_deg, height_m);
         let place = place.map_err(SkyError::from)?;

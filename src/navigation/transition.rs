@@ -1,4 +1,4 @@
-//! How errors of the motion grow from one instant to another.
+//! Growth of the errors of the motion from one instant to another.
 
 use super::motion::{Interval, Motion};
 use super::settings::Imu;
@@ -14,16 +14,16 @@ type Driven = SMatrix<f64, MOTION, DRIVING>;
 /// Transition of the errors of the motion and of the IMU over some time, and their process noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Transition {
-    /// Of the motion's errors at the end by those of motion and IMU at the begin.
+    /// Errors of the motion at the end as a function of those of motion and IMU at the beginning.
     pub matrix: Driven,
     pub noise: MotionMatrix,
     pub time_s: f64,
-    /// At the end.
+    /// Variances added at the end.
     pub opened: Opened,
 }
 
 impl Transition {
-    /// Over no time.
+    /// The transition over no time.
     pub fn none() -> Self {
         Self {
             matrix: Driven::identity(),
@@ -33,7 +33,7 @@ impl Transition {
         }
     }
 
-    /// Goes on over an interval through which a body moves so.
+    /// Extends the transition over an interval of the body's motion.
     pub fn advance(&mut self, motion: &Motion, interval: &Interval, imu: &Imu) {
         let h = interval.length_s();
         let middle = interval.part(interval.from_s, interval.from_s + h / 2.0);
@@ -83,7 +83,7 @@ impl Transition {
         self.time_s += h;
     }
 
-    /// From an instant within it to its end, where this is up to the end and `before` up to that instant.
+    /// The transition from an intermediate instant to its end; `before` is the one up to that instant.
     pub fn since(&self, before: &Self) -> Option<Self> {
         let early = before.matrix.fixed_columns::<MOTION>(0).into_owned();
         let late = self.matrix.fixed_columns::<MOTION>(0) * early.try_inverse()?;
@@ -102,7 +102,7 @@ impl Transition {
         })
     }
 
-    /// The same among all states of a layout, and the noise of all.
+    /// The transition and the noise of all states of a layout.
     pub fn whole(&self, layout: &Layout) -> (DMatrix<f64>, DMatrix<f64>) {
         let n = layout.len();
         let (mut matrix, mut noise) = (DMatrix::identity(n, n), DMatrix::zeros(n, n));
@@ -126,14 +126,14 @@ impl Transition {
             let kept = (-self.time_s / correlated.time_s).exp();
             for state in correlated.triad.range() {
                 matrix[(state, state)] = kept;
-                // What keeps the variance as it is (the discrete Lyapunov equation, Braun and Barf 2022, eq. 44).
+                // Noise that keeps the variance constant (the discrete Lyapunov equation, Braun and Barf 2022, eq. 44).
                 noise[(state, state)] = correlated.triad.sigma.powi(2) * (1.0 - kept * kept);
             }
         }
         (matrix, noise)
     }
 
-    /// The covariance of all states after it.
+    /// The covariance of all states after the transition.
     pub fn predicted(&self, layout: &Layout, covariance: &DMatrix<f64>) -> DMatrix<f64> {
         let n = layout.len();
         let top = self.top(layout, covariance);
@@ -166,7 +166,7 @@ impl Transition {
         predicted
     }
 
-    /// The covariance of the motion after it with all states before it.
+    /// The covariance of the motion after the transition with all states before it.
     pub fn top(&self, layout: &Layout, covariance: &DMatrix<f64>) -> DMatrix<f64> {
         let own = self.matrix.fixed_columns::<MOTION>(0);
         let mut top = own * covariance.rows(0, MOTION);
@@ -179,7 +179,7 @@ impl Transition {
         DMatrix::from_fn(MOTION, layout.len(), |row, column| top[(row, column)])
     }
 
-    /// The motion's own covariance carried by [`top`](Self::top), without noise.
+    /// The motion's own covariance after the transition from [`top`](Self::top), without noise.
     fn of_motion(&self, layout: &Layout, top: &DMatrix<f64>) -> MotionMatrix {
         let own = self.matrix.fixed_columns::<MOTION>(0);
         let mut motion = top.fixed_columns::<MOTION>(0) * own.transpose();
@@ -192,10 +192,10 @@ impl Transition {
         motion.fixed_view::<MOTION, MOTION>(0, 0).into_owned()
     }
 
-    /// The covariance of the attitude after it.
+    /// The covariance of the attitude after the transition.
     pub fn attitude(&self, layout: &Layout, covariance: &DMatrix<f64>) -> Matrix3<f64> {
         let mut parts = vec![(ATTITUDE, ATTITUDE)];
-        // Of the IMU's errors, those of the gyro turn the attitude.
+        // Of the IMU's errors, only those of the gyro affect the attitude.
         for (n, triad) in layout.imu.iter().enumerate().skip(1).step_by(2) {
             parts.extend(triad.map(|triad| (MOTION + 3 * n, triad.first)));
         }
@@ -218,7 +218,7 @@ fn diagonal(of: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_diagonal(of)
 }
 
-/// How gravitation changes from place to place, of a sphere, 1/s^2.
+/// The gradient of gravitation of a sphere, 1/s^2.
 fn gradient(at_m: &Vector3<f64>) -> Matrix3<f64> {
     let r = at_m.norm();
     let up = at_m / r;

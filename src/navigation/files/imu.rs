@@ -1,4 +1,4 @@
-//! The samples of an IMU in runs, each of which is one clock's and without gaps.
+//! The samples of an IMU in runs, each on one clock and without gaps.
 
 use super::parts::{Late, Part, parts, usual_step_s, without_overlaps};
 use super::{FileRows, IMU, read_files, read_table};
@@ -7,14 +7,14 @@ use crate::navigation::settings::NavigationSettings;
 use crate::tables::{BadRow, Kind, LeftOut, TableError};
 use std::path::{Path, PathBuf};
 
-/// The IMU loses no more samples than that within a run.
+/// Maximum number of lost samples within a run.
 const MOST_MISSING: f64 = 10.0;
 
-/// The samples of a flight's files, in the order of time, in runs: one ends where the IMU was silent for longer than ten samples, and where its
-/// clock was set.
+/// The samples of a flight's files, in the order of time, in runs. A run ends where more than ten samples are missing, and
+/// where the clock was set.
 ///
 /// # Errors
-/// File, line and column: files that cannot be read, or without two samples that can.
+/// File, line and column, if a file cannot be read, or if it has fewer than two valid samples.
 pub fn read_imu(
     paths: &[PathBuf],
     settings: &NavigationSettings,
@@ -30,7 +30,7 @@ pub fn read_imu(
         }));
         left_out.push(bad);
     }
-    // Without a step between two samples nothing says how long an interval is.
+    // Without a step between two samples the length of an interval is unknown.
     let steps = all.iter().filter_map(|part| usual_step_s(&part.rows));
     let mut steps: Vec<f64> = steps.collect();
     steps.sort_by(f64::total_cmp);
@@ -45,7 +45,7 @@ pub fn read_imu(
     Ok(runs(all, MOST_MISSING * usual_s))
 }
 
-/// Parts that follow each other in different files are one run, and one ends at each silence that is longer than `most_s`.
+/// Successive parts in different files form one run; a run ends at each gap longer than `most_s`.
 fn runs(parts: Vec<Part<ImuSample>>, most_s: f64) -> Vec<Vec<ImuSample>> {
     let mut runs: Vec<Vec<ImuSample>> = Vec::new();
     let mut before: Option<(usize, bool)> = None;
@@ -69,7 +69,7 @@ fn runs(parts: Vec<Part<ImuSample>>, most_s: f64) -> Vec<Vec<ImuSample>> {
         }
     }
     let runs = runs.into_iter().flat_map(|run| at_gaps(run, most_s));
-    // One sample alone has no length.
+    // A single sample has no interval.
     runs.filter(|run| run.len() > 1).collect()
 }
 

@@ -13,30 +13,30 @@ use parts::{Late, Part, Read, Timed, parts, without_overlaps};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// The columns of an IMU's table, and of that of GPS.
+/// The columns of an IMU's table, and of a GPS table.
 pub const IMU: [&str; 7] = [
     "t_s", "fx_m_s2", "fy_m_s2", "fz_m_s2", "wx_rad_s", "wy_rad_s", "wz_rad_s",
 ];
 pub const GPS: [&str; 7] = ["t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"];
-/// A further column of GPS, which may be missing.
+/// An optional column of GPS.
 pub const CLIMB: &str = "climb";
 const VECTORS: [&str; 7] = ["t_s", "camera", "target", "x", "y", "z", "sigma_rad"];
 const SUN: [&str; 4] = ["t_s", "x", "y", "z"];
 
-/// A unit vector is off by no more.
+/// Tolerance of a unit vector's length.
 const UNIT: f64 = 1e-3;
-/// Measurements come no later than that, s.
+/// Maximum delay of measurements, s.
 const LATE_S: f64 = 2.0;
-/// No time is further from its epoch, s: 3,000 years.
+/// Maximum time from the epoch, s: 3,000 years.
 const MOST_TIME_S: f64 = 1e11;
 
-/// The rows of a file, and those that were left out.
+/// The rows of a file, and its rejected rows.
 type FileRows<T> = (Vec<Read<T>>, LeftOut);
 
-/// Reads the rows of a table whose columns are these, in this order. Those that `read` refuses are left out.
+/// Reads the rows of a table with the given columns in this order. Rows that `read` refuses are rejected.
 ///
 /// # Errors
-/// A file that cannot be read, other columns, and rows of which none can be read.
+/// If the file cannot be read, if it has other columns, or if none of its rows can be read.
 fn read_table<T, const N: usize>(
     path: &Path,
     columns: [&'static str; N],
@@ -69,7 +69,7 @@ fn read_table<T, const N: usize>(
     }
 }
 
-/// How many columns a heading names.
+/// Number of columns in a heading.
 fn width_of(path: &Path, heading: &TableRow, columns: &[&str]) -> Result<usize, TableError> {
     let count = columns.len();
     let whole = heading.check(1, usize::MAX);
@@ -121,7 +121,7 @@ impl<const N: usize> Cells<'_, N> {
         ))
     }
 
-    /// `None` where all three are empty.
+    /// `None` if all three are empty.
     fn known_vector(&self, first: usize) -> Result<Option<Vector3<f64>>, BadRow> {
         match (first..first + 3).all(|n| self.text(n).is_empty()) {
             true => Ok(None),
@@ -173,8 +173,8 @@ impl Timed for (f64, UnitVector3<f64>) {
     }
 }
 
-/// The tables of several files, each with the rows that were left out. Of several files one without a row that can be read is passed over with
-/// a warning: a power cut may leave one that has just been begun.
+/// The tables of several files, each with its rejected rows. If there are several, a file without a valid row is skipped
+/// with a warning: a power cut may leave a file that has just been created.
 fn read_files<T>(
     paths: &[PathBuf],
     read: impl Fn(&Path) -> Result<FileRows<T>, TableError>,
@@ -198,7 +198,7 @@ fn read_files<T>(
     }
 }
 
-/// Measurements of a file, in the order of time; of those that have the same `key` the first.
+/// Measurements of a file, in the order of time; of those with the same `key`, the first.
 fn in_order<T: Timed, K: Ord>((rows, mut left_out): FileRows<T>, key: impl Fn(&T) -> K) -> Vec<T> {
     let parts = parts(rows, Late::SortedIn(LATE_S), &mut left_out);
     let mut rows: Vec<Read<T>> = parts.into_iter().flatten().collect();
@@ -218,7 +218,7 @@ fn in_order<T: Timed, K: Ord>((rows, mut left_out): FileRows<T>, key: impl Fn(&T
     rows.into_iter().map(|row| row.value).collect()
 }
 
-/// The fixes of GPS of a flight's files, in the order of time.
+/// The GPS fixes of a flight's files, in the order of time.
 ///
 /// # Errors
 /// As [`read_imu`].
@@ -229,7 +229,7 @@ pub fn read_gps(paths: &[PathBuf], settings: &NavigationSettings) -> Result<Vec<
         fixes.extend(in_order(table, |_| ()));
     }
     fixes.sort_by(|a, b| a.t_s.total_cmp(&b.t_s));
-    // Files of both disks of a flight.
+    // Files from both disks of a flight.
     fixes.dedup_by_key(|fix| fix.t_s);
     Ok(fixes)
 }
@@ -253,19 +253,19 @@ fn read_fixes(path: &Path, settings: &NavigationSettings) -> Result<FileRows<Fix
     })
 }
 
-/// A direction as its table has it.
+/// A direction in its table.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seen {
     pub line: u64,
     pub t_s: f64,
     pub camera: usize,
     pub target: Target,
-    /// In the camera's axes.
+    /// Unit vector in the camera's axes.
     pub unit: UnitVector3<f64>,
     pub sigma_rad: f64,
 }
 
-/// The directions that cameras have seen, in the order of time.
+/// The directions observed by cameras, in the order of time.
 ///
 /// # Errors
 /// As [`read_imu`].
@@ -312,7 +312,7 @@ fn sigma_rad(row: &Cells<7>, settings: &NavigationSettings, target: Target) -> R
     if sigma_rad <= 0.0 || sigma_rad > 1.0 {
         return refused("a number above 0, and of 1 rad at most".into());
     }
-    // Rounding may make them differ.
+    // Rounding may cause a small difference.
     if sigma_rad < correlated_rad * (1.0 - 1e-6) {
         return refused(format!(
             "{correlated_rad} rad or more, the part that [{}] correlated_sigma_deg states",
@@ -342,7 +342,7 @@ pub fn read_sun(path: &Path) -> Result<Vec<(f64, UnitVector3<f64>)>, TableError>
 }
 
 impl Seen {
-    /// That the place of its target is not known.
+    /// The error for a target with unknown position.
     pub fn without(&self, why: impl ToString) -> BadRow {
         let expected = "a target whose direction is known";
         BadRow::new(Kind::OutOfRange, self.target.name(), expected, why)

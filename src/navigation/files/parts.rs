@@ -1,13 +1,13 @@
-//! The order of a file's rows in time. Where the clock jumps another part begins; a row that alone has another time is left out.
+//! Order of a file's rows in time. A new part begins where the clock jumps; a single row with a different time is rejected.
 
 use crate::tables::{BadRow, Kind, LeftOut};
 
-/// A time this far from that of the row before is one of another clock, or one after a gap, s: as in flight.
+/// A time farther than this from that of the previous row belongs to another clock, or comes after a gap, s: as in flight.
 const NEAR_S: f64 = 1.0;
-/// The same in usual steps, where these are long.
+/// The same in median steps, if these are long.
 const NEAR_STEPS: f64 = 10.0;
 
-/// What a row says of a time.
+/// The time of a row.
 pub(super) trait Timed {
     fn t_s(&self) -> f64;
 }
@@ -25,15 +25,15 @@ impl<T: Timed> Read<T> {
     }
 }
 
-/// Handling of rows that are earlier than one before.
+/// Handling of rows that are earlier than a previous one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Late {
     LeftOut,
-    /// Measurements come late, by so much at most, s.
+    /// Measurements may be late, by at most so much, s.
     SortedIn(f64),
 }
 
-/// The usual step between rows, s; `None` where no time rises.
+/// The median step between rows, s; `None` if no time increases.
 pub(super) fn usual_step_s<T: Timed>(rows: &[Read<T>]) -> Option<f64> {
     let steps = rows.windows(2).map(|pair| pair[1].t_s() - pair[0].t_s());
     let mut steps: Vec<f64> = steps.filter(|step_s| *step_s > 0.0).collect();
@@ -42,7 +42,7 @@ pub(super) fn usual_step_s<T: Timed>(rows: &[Read<T>]) -> Option<f64> {
     Some(*usual_s)
 }
 
-/// The rows of a file in parts, in the file's order. In each of them the times rise, except for measurements that come late.
+/// The rows of a file in parts, in the file's order. Within each part the times increase, except for late measurements.
 pub(super) fn parts<T: Timed>(
     rows: Vec<Read<T>>,
     late: Late,
@@ -52,7 +52,7 @@ pub(super) fn parts<T: Timed>(
     let near_s = (NEAR_STEPS * usual_s).max(NEAR_S);
     let mut steps = rows.windows(2).map(|pair| pair[1].t_s() - pair[0].t_s());
     if !rows.is_empty() && steps.all(|step_s| 0.0 < step_s && step_s <= near_s) {
-        // A good file is not copied.
+        // A valid file is not copied.
         return vec![rows];
     }
     let mut sorter = Sorter {
@@ -71,7 +71,7 @@ struct Sorter<'a, T> {
     near_s: f64,
     late: Late,
     parts: Vec<Vec<Read<T>>>,
-    /// The latest time of the present part.
+    /// The latest time of the current part.
     newest_s: f64,
     /// The last row, if its time is far from that of the part: the next one shows whether the clock has jumped.
     stray: Option<Read<T>>,
@@ -98,7 +98,7 @@ impl<T: Timed> Sorter<'_, T> {
             self.begin(stray);
             self.append(row);
         } else if goes_on {
-            // Rows that come seldom.
+            // Rows at long intervals.
             self.begin(stray);
             self.stray = Some(row);
         } else {
@@ -136,7 +136,7 @@ impl<T: Timed> Sorter<'_, T> {
         self.left_out.note(row.line, bad);
     }
 
-    /// Leaves out the file's first row where the second one is of an earlier time: as any other that alone has its time.
+    /// Rejects the file's first row if the second one has an earlier time, like any other single row with a different time.
     fn drop_first(&mut self, next: &Read<T>) {
         if let [part] = self.parts.as_slice()
             && part.len() == 1
@@ -171,17 +171,17 @@ impl<T: Timed> Sorter<'_, T> {
     }
 }
 
-/// A part of a file, or what others have left of it.
+/// A part of a file, or the remainder after removing overlaps.
 pub(super) struct Part<T> {
-    /// Of its file.
+    /// Index of its file.
     pub file: usize,
     pub rows: Vec<Read<T>>,
-    /// Rows of it are of a time that other rows cover.
+    /// Whether rows were removed because others cover their time.
     pub is_trimmed: bool,
 }
 
-/// Parts in the order of time, none of which overlaps another: of two that do, the longer one is kept whole. A clock that was set back,
-/// and files that overlap, make such parts.
+/// Parts in the order of time, without overlaps: of two overlapping parts, the longer one is kept whole. Overlaps result
+/// from a clock that was set back, and from overlapping files.
 pub(super) fn without_overlaps<T: Timed>(
     mut parts: Vec<Part<T>>,
     left_out: &mut [LeftOut],
@@ -206,7 +206,7 @@ fn first_s<T: Timed>(part: &Part<T>) -> f64 {
     part.rows.first().map_or(f64::INFINITY, |row| row.t_s())
 }
 
-/// The pieces of a part between those that are kept, which are in the order of time.
+/// The pieces of a part between the kept ones, which are in the order of time.
 fn trimmed<T: Timed>(part: Part<T>, kept: &[Part<T>], left_out: &mut [LeftOut]) -> Vec<Part<T>> {
     let ends = |kept: &Part<T>| kept.rows.last().map_or(f64::NEG_INFINITY, |row| row.t_s());
     let (file, length) = (part.file, part.rows.len());

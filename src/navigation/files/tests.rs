@@ -1,4 +1,4 @@
-//! Tables as flights, people and power cuts leave them.
+//! Tables as written by flights, people and interrupted by power cuts.
 
 use super::*;
 use crate::instrument::DEMO_NAVIGATION;
@@ -9,7 +9,8 @@ fn settings() -> NavigationSettings {
     NavigationSettings::parse(Path::new("NAV.toml"), DEMO_NAVIGATION).unwrap()
 }
 
-/// IMU logs with these times, a file each; the samples of each run: its first and last time, and how many.
+/// Writes IMU logs with these times, one file each, and reads them: for each run the first and last time, and the number of
+/// samples.
 fn imu(files: &[&[f64]]) -> Vec<(f64, f64, usize)> {
     let folder = tempfile::tempdir().unwrap();
     let write = |(n, times): (usize, &&[f64])| {
@@ -29,7 +30,7 @@ fn imu(files: &[&[f64]]) -> Vec<(f64, f64, usize)> {
     runs.iter().map(whole).collect()
 }
 
-/// Times from one to another at 100 Hz, in hundredths of a second, the last one left out.
+/// Times at 100 Hz, given in hundredths of a second, the last one excluded.
 fn times(hundredths: std::ops::Range<u32>) -> Vec<f64> {
     hundredths.map(|n| f64::from(n) / 100.0).collect()
 }
@@ -38,7 +39,7 @@ fn times(hundredths: std::ops::Range<u32>) -> Vec<f64> {
 fn a_gap_begins_a_run_and_lost_samples_do_not() {
     let flight = [times(0..500), times(505..900), times(1100..1500)].concat();
     assert_eq!(imu(&[&flight]), [(0.0, 8.99, 895), (11.0, 14.99, 400)]);
-    // A tenth of a second and more is a gap.
+    // A gap of more than 0.1 s ends a run.
     let flight = [times(0..500), times(520..900)].concat();
     assert_eq!(imu(&[&flight]), [(0.0, 4.99, 500), (5.2, 8.99, 380)]);
 }
@@ -76,7 +77,7 @@ fn a_clock_of_another_time_for_a_sample_or_a_while_costs_no_other_rows() {
 
 #[test]
 fn of_two_parts_that_cover_the_same_time_the_longer_one_is_kept() {
-    // The clock is set back by a minute after two, and by five after ten.
+    // The clock is set back by one minute after two minutes, and by five minutes after ten.
     let back = [times(0..12_000), times(6_000..72_000)].concat();
     assert_eq!(imu(&[&back]), [(0.0, 59.99, 6_000), (60.0, 719.99, 66_000)]);
     let back = [times(30_000..90_000), times(60_000..61_000)].concat();
@@ -89,9 +90,9 @@ fn files_of_a_flight_are_joined_in_the_order_of_time() {
     assert_eq!(imu(&[&second, &first]), [(0.0, 8.99, 900)]);
     let late = times(490..900);
     assert_eq!(imu(&[&late, &first]), [(0.0, 4.99, 500), (5.0, 8.99, 400)]);
-    // The same log on both disks of a flight.
+    // The same log from both disks of a flight.
     assert_eq!(imu(&[&first, &first]), [(0.0, 4.99, 500)]);
-    // A log that a power cut has left without a row.
+    // A log without rows after a power cut.
     assert_eq!(imu(&[&[], &first]), [(0.0, 4.99, 500)]);
 }
 
@@ -101,7 +102,7 @@ fn fixes_are_in_the_order_of_time_and_one_may_have_no_velocity() {
     let path = folder.path().join("gps.csv");
     let heading = GPS.join(",") + ",climb\n";
     let row = |t_s: f64| format!("{t_s},-1300000,-5100000,3600000,,,,unknown\n");
-    // Fixes that are late, an hour without any, a fix of another year, and some that come seldom.
+    // Late fixes, an hour without any, a fix of another year, and fixes at long intervals.
     let times = [
         1.0, 2.0, 4.0, 3.0, 5.0, 3605.0, 3606.0, 9e8, 3607.0, 3700.0, 3800.0,
     ];

@@ -1,4 +1,4 @@
-//! Which fixes of a receiver are used: one rule for the flight's place, its filter and `preflight`.
+//! Selection of a receiver's fixes: one rule for the flight's position, its filter and `preflight`.
 
 use super::TimedFix;
 use super::sentence::{Gga, Rmc, Zda};
@@ -8,39 +8,39 @@ use jiff::{SignedDuration, Timestamp, Unit};
 use std::fmt;
 
 const KNOT_M_S: f64 = 1852.0 / 3600.0;
-/// Slower than this a receiver stands.
+/// A receiver slower than this is at rest.
 const STANDS_M_S: f64 = 0.2;
-/// The date of a fix is that of the clock: it is further off where either is of another day.
+/// Maximum difference between the dates of fix and clock: a larger one means that either has the wrong day.
 const ANOTHER_DAY: SignedDuration = SignedDuration::from_hours(12);
-/// A receiver counts weeks up to 1024, and begins again.
+/// A receiver's week counter wraps at 1024.
 const ROLLOVER_DAYS: f64 = 1024.0 * 7.0;
 
-/// Kinds of fixes that are not used.
+/// Reasons for rejecting a fix.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Refusal {
-    /// The receiver says that it has none.
+    /// The receiver reports that it has no fix.
     NoFix,
     /// Dead reckoning.
     Estimated,
-    /// A place that was typed in.
+    /// A position that was entered by hand.
     Manual,
-    /// A simulator's.
+    /// From a simulator.
     Simulated,
     /// A field or a sentence is missing.
     Incomplete,
     /// The date is off by 1024 weeks, or twice that.
     WeekRollover,
-    /// The date is another than that of the clock.
+    /// The date differs from that of the clock.
     AnotherDay,
-    /// Latitude and longitude are both about 0: what a receiver sends that knows no place.
+    /// Latitude and longitude are both about 0: sent by a receiver that has no position.
     Nowhere,
-    /// Place, height or speed are out of range.
+    /// Position, height or speed are out of range.
     Impossible,
     /// Far from the last fixes, and not confirmed by others.
     Jump,
-    /// Of the time of the one before.
+    /// It has the time of the previous fix.
     Repeated,
-    /// Of a time that is not the IMU's.
+    /// It has a time outside the IMU's.
     OutOfTime,
 }
 
@@ -78,7 +78,7 @@ impl Refusal {
     }
 }
 
-/// A fix that is not used, and why.
+/// A rejected fix, and the reason.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Refused {
     pub refusal: Refusal,
@@ -98,7 +98,7 @@ impl fmt::Display for Refused {
     }
 }
 
-/// A receiver's data of one time.
+/// A receiver's data for one time.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Said {
     pub gga: Option<Gga>,
@@ -107,10 +107,10 @@ pub(super) struct Said {
 }
 
 impl Said {
-    /// The fix, where it may be used; `now` is the flight's time.
+    /// The fix, if it is usable; `now` is the flight's time.
     ///
     /// # Errors
-    /// Why it may not.
+    /// Why it is not usable.
     pub fn judge(&self, now: Timestamp) -> Result<TimedFix, Refused> {
         self.is_fix()?;
         let missing = |what: &str| Refused::new(Refusal::Incomplete, format!("{what} is missing"));
@@ -125,7 +125,7 @@ impl Said {
             let why = "latitude and longitude are both about 0";
             return Err(Refused::new(Refusal::Nowhere, why));
         }
-        // GGA counts the height from the geoid.
+        // GGA states the height above the geoid.
         let height_m = altitude_m + gga.geoid_m.unwrap_or(0.0);
         let impossible = |why: String| Refused::new(Refusal::Impossible, why);
         if longitude_deg.abs() > 180.0 {
@@ -153,7 +153,7 @@ impl Said {
         };
         if let Some(gga) = &self.gga {
             match gga.quality {
-                // 9 is how some receivers name a fix with corrections by satellite.
+                // Some receivers report a fix with satellite corrections as 9.
                 Some('1'..='5' | '9') => {}
                 Some(found @ '6') => return refused(Refusal::Estimated, "GGA's quality", found),
                 Some(found @ '7') => return refused(Refusal::Manual, "GGA's quality", found),
@@ -166,7 +166,7 @@ impl Said {
             return Ok(());
         };
         match rmc.mode {
-            // Before NMEA 2.3 there was none.
+            // Before NMEA 2.3 there was no mode indicator.
             None | Some('A' | 'D' | 'F' | 'P' | 'R') => {}
             Some(found @ 'E') => return refused(Refusal::Estimated, "RMC's mode", found),
             Some(found @ 'M') => return refused(Refusal::Manual, "RMC's mode", found),
@@ -180,7 +180,7 @@ impl Said {
         }
     }
 
-    /// The instant, if it is of the clock's day. A receiver that gives no date takes part in the clock's.
+    /// The instant, if it is on the clock's day. If the receiver gives no date, the clock's day is used.
     fn utc(&self, micros: i64, now: Timestamp) -> Result<Timestamp, Refused> {
         let since = SignedDuration::from_micros(micros);
         let stated = self.rmc.and_then(|rmc| rmc.date);
@@ -222,7 +222,7 @@ fn at(date: Date, since: SignedDuration) -> Option<Timestamp> {
     midnight.timestamp().checked_add(since).ok()
 }
 
-/// The time of day on the day that brings it nearest to an instant.
+/// The time of day on the day for which it is nearest to an instant.
 fn nearest(since: SignedDuration, now: Timestamp) -> Option<Timestamp> {
     let today = jiff::tz::TimeZone::UTC.to_datetime(now).date();
     let days = [today.yesterday().ok(), Some(today), today.tomorrow().ok()];

@@ -1,5 +1,5 @@
-//! Fixes of a GPS receiver that sends NMEA 0183: of each time a sentence GGA, with place and height, and a sentence RMC, with date and
-//! velocity. A receiver without RMC gives fixes without velocity, dated by its ZDA or by the clock.
+//! Fixes of a GPS receiver with NMEA 0183 output: for each time a sentence GGA, with position and height, and a sentence
+//! RMC, with date and velocity. A receiver without RMC gives fixes without velocity, dated by its ZDA or by the clock.
 
 mod judge;
 mod sentence;
@@ -21,12 +21,13 @@ use std::fmt;
 pub struct TimedFix {
     pub utc: Timestamp,
     pub place: Place,
-    /// Level: towards north and east, m/s. `None` where the receiver gives no velocity, or a speed without a course.
+    /// Horizontal velocity towards north and east, m/s. `None` if the receiver gives no velocity, or a speed without a
+    /// course.
     pub level_m_s: Option<[f64; 2]>,
 }
 
 impl TimedFix {
-    /// In ECEF, at a time of the filter's clock.
+    /// The fix in ECEF, with the time of the filter's clock.
     pub fn fix(&self, t_s: f64) -> Fix {
         let position_m = ecef_m(&self.place);
         let level =
@@ -40,7 +41,7 @@ impl TimedFix {
     }
 }
 
-/// Result of a receiver's bytes.
+/// Result of parsing a receiver's bytes.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Heard {
     Fix(TimedFix),
@@ -52,16 +53,16 @@ pub enum Heard {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct GpsCounts {
     pub fixes: u64,
-    /// Fixes that are not used, in the order of [`Refusal::ALL`].
+    /// Rejected fixes, in the order of [`Refusal::ALL`].
     refused: [u64; Refusal::ALL.len()],
-    /// Sentences that are cut off, or whose checksum or fields are wrong.
+    /// Sentences that are truncated, or have a wrong checksum or invalid fields.
     pub unreadable: u64,
-    /// Bytes that are part of no sentence.
+    /// Bytes outside any sentence.
     pub noise_bytes: u64,
 }
 
 impl GpsCounts {
-    /// Counts what was heard; how often that kind of it was.
+    /// Counts a result; returns the count of its kind.
     pub fn note(&mut self, heard: &Heard) -> u64 {
         let count = match heard {
             Heard::Fix(_) => &mut self.fixes,
@@ -76,7 +77,7 @@ impl GpsCounts {
         self.refused[refusal as usize]
     }
 
-    /// The kinds of fixes that were not used, with their counts.
+    /// The kinds of rejected fixes, with their counts.
     pub fn refusals(&self) -> impl Iterator<Item = (Refusal, u64)> {
         let counts = Refusal::ALL.into_iter().zip(self.refused);
         counts.filter(|(_, count)| *count > 0)
@@ -96,17 +97,17 @@ impl fmt::Display for GpsCounts {
     }
 }
 
-/// The receiver's sentences, as they come.
+/// Parser of the receiver's sentences.
 #[derive(Debug, Default)]
 pub struct Nmea {
     framer: Framer,
-    /// Sentences of the latest time, until a fix is made of them.
+    /// Sentences of the latest time, until they are combined to a fix.
     said: Said,
     time: Option<TimeOfDay>,
 }
 
 impl Nmea {
-    /// Takes bytes in any pieces; gives what they complete. `now` is the flight's time.
+    /// Takes bytes in pieces of any size; returns the completed results. `now` is the flight's time.
     pub fn feed(&mut self, bytes: &[u8], now: Timestamp) -> Vec<Heard> {
         let mut heard = Vec::new();
         for byte in bytes {
@@ -119,7 +120,7 @@ impl Nmea {
         heard
     }
 
-    /// Bytes that were part of no sentence.
+    /// Number of bytes outside any sentence.
     pub fn noise_bytes(&self) -> u64 {
         self.framer.noise_bytes()
     }
@@ -146,7 +147,8 @@ impl Nmea {
         }
     }
 
-    /// Begins a time: the data of the one before are complete. So are those that a receiver that hangs repeats.
+    /// Begins a new time: the data of the previous one are complete. This also applies if a hanging receiver repeats a
+    /// time.
     fn turn_to(
         &mut self,
         time: Option<TimeOfDay>,

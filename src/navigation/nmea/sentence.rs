@@ -1,4 +1,5 @@
-//! Sentences of NMEA 0183 in the bytes of a line: where they begin and end, their checksum, and the fields of those that describe a fix.
+//! Parsing of NMEA 0183 sentences in a byte stream: their limits, their checksum, and the fields of those that describe a
+//! fix.
 
 use std::str::FromStr;
 
@@ -31,20 +32,21 @@ pub enum Unreadable {
     },
 }
 
-/// Result of a byte.
+/// Result of processing a byte.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Piece {
-    /// The characters between `$` and `*`, whose checksum is right.
+    /// The characters between `$` and `*`, with a valid checksum.
     Sentence(String),
     Unreadable(Unreadable),
 }
 
-/// Cuts bytes into sentences. One begins at `$`, whatever was before, and ends with its checksum: what is behind it does not matter.
+/// Splits bytes into sentences. A sentence begins at any `$` and ends with its checksum; anything after the checksum is
+/// ignored.
 #[derive(Debug, Default)]
 pub(super) struct Framer {
     /// Bytes since `$`; `None` between sentences.
     line: Option<String>,
-    /// Bytes that are part of no sentence, ends of lines and blanks apart.
+    /// Bytes outside any sentence, except line ends and blanks.
     noise_bytes: u64,
 }
 
@@ -56,7 +58,7 @@ impl Framer {
     pub fn push(&mut self, byte: u8) -> Option<Piece> {
         if byte == b'$' {
             return self.line.replace(String::new()).and_then(|line| {
-                // Cut off by the next one.
+                // Truncated by the next sentence.
                 self.broken(line, Unreadable::NoChecksum)
             });
         }
@@ -87,7 +89,7 @@ impl Framer {
         Some(checked(&line, star))
     }
 
-    /// A sentence that was begun and has no good end. What has no address was never one: binary messages hold `$`, too.
+    /// A sentence without a valid end. Text without an address is not a sentence: binary messages contain `$` as well.
     fn broken(&mut self, line: String, why: fn(String) -> Unreadable) -> Option<Piece> {
         match line.find(',') {
             Some(at) if ADDRESS.contains(&at) && is_address(&line[..at]) => {
@@ -106,7 +108,7 @@ fn is_address(text: &str) -> bool {
         .all(|byte| byte.is_ascii_uppercase() || byte.is_ascii_digit())
 }
 
-/// A sentence of the characters between `$` and `*`, with its checksum and end.
+/// A sentence built from the characters between `$` and `*`, with its checksum and line end.
 pub fn summed(text: &str) -> String {
     format!("${text}*{:02X}\r\n", checksum(text))
 }
@@ -134,19 +136,19 @@ pub(super) enum Sentence {
     Gga(Gga),
     Rmc(Rmc),
     Zda(Zda),
-    /// Of another kind.
+    /// Any other kind.
     Other,
 }
 
-/// Place and height. What the receiver left empty is `None`.
+/// Position and height. A field left empty by the receiver is `None`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Gga {
     pub time: Option<TimeOfDay>,
     /// Latitude and longitude, deg, north and east positive.
     pub at_deg: Option<[f64; 2]>,
-    /// How it was found: '0' is no fix.
+    /// Quality of the fix: '0' is no fix.
     pub quality: Option<char>,
-    /// Above mean sea level, and that above the ellipsoid.
+    /// Height above mean sea level, and that of mean sea level above the ellipsoid.
     pub altitude_m: Option<f64>,
     pub geoid_m: Option<f64>,
 }
@@ -155,12 +157,12 @@ pub(super) struct Gga {
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Rmc {
     pub time: Option<TimeOfDay>,
-    /// 'V' is no fix.
+    /// 'V' means no fix.
     pub status: Option<char>,
     pub speed_knots: Option<f64>,
     pub course_deg: Option<f64>,
     pub date: Option<jiff::civil::Date>,
-    /// How the fix was found, from NMEA 2.3 on.
+    /// Mode of the fix, from NMEA 2.3 on.
     pub mode: Option<char>,
 }
 
@@ -171,18 +173,18 @@ pub(super) struct Zda {
     pub date: Option<jiff::civil::Date>,
 }
 
-/// Microseconds since midnight, UTC. Second 60 is the next minute's first: Unix time has no name for a leap second, and some receivers
-/// round 59.999 up to 60.
+/// Microseconds since midnight, UTC. Second 60 counts as the first second of the next minute: Unix time cannot represent a
+/// leap second, and some receivers round 59.999 up to 60.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct TimeOfDay {
     pub micros: i64,
 }
 
 impl Sentence {
-    /// Reads the characters between `$` and `*`. Any two letters may name the talker: GP, GN, GL, GA, GB.
+    /// Parses the characters between `$` and `*`. Any two letters may name the talker: GP, GN, GL, GA, GB.
     ///
     /// # Errors
-    /// The first field that has a value and cannot be read.
+    /// The first non-empty field that cannot be parsed.
     pub fn parse(text: &str) -> Result<Self, Unreadable> {
         let (address, rest) = text.split_once(',').unwrap_or((text, ""));
         let fields = Fields(rest.split(',').map(str::trim).collect());
@@ -213,11 +215,11 @@ impl Sentence {
     }
 }
 
-/// The fields behind the address.
+/// The fields after the address.
 struct Fields<'a>(Vec<&'a str>);
 
 impl Fields<'_> {
-    /// A field's text; `None` where it is empty or not there.
+    /// A field's text; `None` if it is empty or missing.
     fn text(&self, n: usize) -> Option<&str> {
         self.0.get(n).copied().filter(|text| !text.is_empty())
     }
@@ -306,7 +308,7 @@ impl Fields<'_> {
     }
 }
 
-/// A number without signs of infinity, exponents and the like.
+/// A number without infinities, exponents and the like.
 fn plain_number(text: &str) -> Option<f64> {
     let is_plain = |byte: u8| byte.is_ascii_digit() || b"+-.".contains(&byte);
     let number: f64 = text.bytes().all(is_plain).then(|| text.parse().ok())??;
@@ -325,14 +327,14 @@ fn time_of_day(text: &str) -> Option<TimeOfDay> {
     let seconds = plain_number(text.get(4..)?)?;
     let is_time = hours < 24 && minutes < 60 && (0.0..61.0).contains(&seconds);
     let since_s = f64::from(3600 * hours + 60 * minutes) + seconds;
-    // Second 60 of the day's last minute is the next day's.
+    // Second 60 of the day's last minute belongs to the next day.
     debug_assert!(!is_time || since_s < DAY_S + 1.0);
     is_time.then(|| TimeOfDay {
         micros: (since_s * 1e6).round() as i64,
     })
 }
 
-/// Degrees and minutes as one number, the minutes being its last two digits before the point.
+/// Degrees and minutes from one number, whose last two digits before the point are the minutes.
 fn degrees(text: &str) -> Option<f64> {
     let point = text.find('.').unwrap_or(text.len());
     let (degrees, minutes) = text.split_at_checked(point.checked_sub(2)?)?;

@@ -1,8 +1,8 @@
-//! Receivers' sentences, made by hand; the two sentences of gpsd's documentation have its checksums.
+//! Handmade receivers' sentences; the two sentences of gpsd's documentation have its checksums.
 
 use super::*;
 
-/// As gpsd's documentation of NMEA has them; the sums are those of the standard.
+/// Sentences from gpsd's documentation of NMEA, with checksums according to the standard.
 const GGA: &str = "$GPGGA,123519.50,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*71\r\n";
 const RMC: &str = "$GPRMC,123519.50,A,4807.038,N,01131.000,E,022.4,084.4,230324,003.1,W*79\r\n";
 const CLOCK: &str = "2024-03-23T12:35:19Z";
@@ -45,7 +45,7 @@ fn fixes(text: &str) -> Vec<TimedFix> {
     hear(text).0.into_iter().filter_map(fix).collect()
 }
 
-/// The one refusal of a text.
+/// The only rejected fix of a text.
 fn refusal_at(text: &str, clock: &str) -> (Refusal, String) {
     match hear_at(text.as_bytes(), clock).0.as_slice() {
         [Heard::Refused(refused)] => (refused.refusal, refused.to_string()),
@@ -59,7 +59,7 @@ fn refusal(text: &str) -> Refusal {
 
 #[test]
 fn two_sentences_of_a_second_make_a_fix_in_whatever_pieces_and_order_they_come() {
-    // gpsd's sums are of its own sentences: these have other times.
+    // The times differ from gpsd's sentences, so the checksums must be recomputed.
     let [gga, rmc] = [GGA, RMC].map(|text| summed(&text[1..text.find('*').unwrap()]));
     for text in [gga.clone() + &rmc, rmc + &gga] {
         for pieces in [1, 7, 500] {
@@ -126,7 +126,7 @@ fn what_is_not_measured_is_no_fix_whichever_sentence_says_so() {
         let text = gga("123519.50", quality) + &rmc("123519.50", "22.4,84.4", "230324", modes);
         assert_eq!(refusal(&text), wanted, "quality {quality}, modes {modes}");
     }
-    // The navigational status is V of receivers that do not provide it.
+    // The navigational status is V if the receiver does not provide it.
     for (quality, modes) in [
         ("1", "A,V"),
         ("2", "D,V"),
@@ -145,7 +145,7 @@ fn what_is_not_measured_is_no_fix_whichever_sentence_says_so() {
 #[test]
 fn a_date_of_another_day_is_refused_and_a_rollover_is_called_so() {
     let of = |date: &str| gga("123519.50", "1") + &rmc("123519.50", "22.4,84.4", date, "A");
-    // 1024 weeks are 7168 days: 2024-03-23 less 7168 days is 2004-08-07; more, 2043-11-07.
+    // 1024 weeks are 7168 days: 2024-03-23 minus 7168 days is 2004-08-07; plus 7168 days, 2043-11-07.
     for (date, weeks) in [("070804", "-1024"), ("071143", "+1024")] {
         let (refusal, why) = refusal_at(&of(date), CLOCK);
         assert_eq!(refusal, Refusal::WeekRollover, "{why}");
@@ -154,7 +154,7 @@ fn a_date_of_another_day_is_refused_and_a_rollover_is_called_so() {
     for date in ["220324", "010180", "060804"] {
         assert_eq!(refusal(&of(date)), Refusal::AnotherDay, "{date}");
     }
-    // A clock that is hours off is no reason to lose the place.
+    // A clock that is off by hours is no reason to lose the position.
     for clock in ["2024-03-23T00:40:00Z", "2024-03-24T00:30:00Z"] {
         let (heard, _) = hear_at(of("230324").as_bytes(), clock);
         assert!(matches!(heard[..], [Heard::Fix(_)]), "{clock}: {heard:?}");
@@ -164,7 +164,7 @@ fn a_date_of_another_day_is_refused_and_a_rollover_is_called_so() {
 #[test]
 fn binary_messages_between_sentences_cost_none_of_them() {
     let both = gga("123519.50", "1") + &rmc("123519.50", "22.4,84.4", "230324", "A");
-    // As u-blox sends them, with every byte there is: `$` and line ends too.
+    // As sent by u-blox receivers, with all byte values, including `$` and line ends.
     let mut binary = b"\xb5\x62\x01\x07".to_vec();
     binary.extend((0..=255).rev());
     let mut bytes = binary.clone();
@@ -175,7 +175,7 @@ fn binary_messages_between_sentences_cost_none_of_them() {
     let (heard, counts) = hear_at(&bytes, CLOCK);
     assert!(matches!(heard[..], [Heard::Fix(_)]), "{heard:?}");
     assert_eq!((counts.fixes, counts.unreadable), (1, 0));
-    // All but blanks and ends of lines, six of 256.
+    // All except blanks and line ends, six of 256.
     assert!(
         (3 * 250..3 * 260).contains(&(counts.noise_bytes as usize)),
         "{counts:?}"
@@ -237,7 +237,7 @@ fn what_cannot_be_read_is_counted_and_says_why() {
             "{counts:?}"
         );
     }
-    // Without an end noise is not kept.
+    // Noise without line ends is not stored.
     let (_, counts) = hear_at(&[0xFF; 100_000], CLOCK);
     assert_eq!(counts.noise_bytes, 100_000);
 }
@@ -248,7 +248,7 @@ fn a_speed_without_a_course_leaves_the_position() {
         let text = gga("123519.50", "1") + &rmc("123519.50", velocity, "230324", "A");
         fixes(&text)[0].level_m_s
     };
-    // A tenth of a metre a second is standing.
+    // A speed of 0.1 m/s counts as rest.
     assert_eq!(of("0.2,"), Some([0.0, 0.0]));
     assert_eq!(of("0.793,"), None);
     assert_eq!(of(",84.4"), None);
@@ -289,7 +289,7 @@ fn second_60_is_the_next_minutes_first() {
     let [Heard::Fix(fix)] = heard.as_slice() else {
         panic!("{heard:?}");
     };
-    // As Unix time counts it.
+    // As in Unix time.
     assert_eq!(fix.utc.to_string(), "2017-01-01T00:00:00Z");
 }
 
@@ -301,7 +301,7 @@ fn a_receiver_without_rmc_gives_places_dated_by_zda_or_by_the_clock() {
     let seconds: Vec<_> = found.iter().map(|fix| fix.utc.to_string()).collect();
     assert_eq!(seconds, ["2024-03-23T12:35:18.9Z", "2024-03-23T12:35:19Z"]);
     assert!(found.iter().all(|fix| fix.level_m_s.is_none()));
-    // Midnight is near, on either side.
+    // Times on both sides of midnight.
     let around = gga("235959.50", "1") + &gga("000000.50", "1") + &gga("000001.50", "1");
     let (heard, _) = hear_at(around.as_bytes(), "2024-03-23T23:59:59.9Z");
     let utc = |heard: &Heard| match heard {
@@ -343,7 +343,7 @@ fn ten_fixes_a_second_are_separated_and_one_that_is_said_again_is_reported_again
         found.iter().filter(|fix| fix.level_m_s.is_some()).count(),
         1
     );
-    // A receiver that hangs: whoever takes the fixes sees their times.
+    // A hanging receiver: the caller can detect it from the repeated times.
     let hangs = (gga("123519.00", "1") + &rmc("123519.00", "22.4,84.4", "230324", "A")).repeat(3);
     assert_eq!(fixes(&hangs).len(), 3);
     assert_eq!(fixes(&gga("123519.00", "1").repeat(3)).len(), 2);
