@@ -1,7 +1,7 @@
-//! Who may view and who may command: token, sessions, origin, and limits on what one address may ask.
+//! Access control for viewing and commanding: token, sessions, origin, and rate limits per address.
 //!
-//! Reading is free on this machine's own addresses; elsewhere, and for commands always, a viewer logs in with the token of a file and
-//! holds a session by a cookie. Requests that change anything must come from a page of the console itself.
+//! Reading is free on this machine's own addresses; elsewhere, and always for commands, a viewer logs in with the token
+//! from a file and holds a session by a cookie. Requests that change anything must come from a page of the console itself.
 
 use super::origin::Origin;
 use axum::http::{HeaderMap, Method, header};
@@ -14,22 +14,22 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use subtle::ConstantTimeEq;
 
-/// Of the session's cookie.
+/// Name of the session's cookie.
 pub const COOKIE: &str = "solaspect_session";
-/// How long a session lasts.
+/// Duration of a session.
 pub const SESSION: Duration = Duration::from_secs(12 * 3600);
 const MOST_SESSIONS: usize = 100;
-/// Of the token's file, bytes.
+/// Minimum size of the token's file, bytes.
 const SHORTEST: usize = 16;
-/// Logins of one address that may fail in a minute.
+/// Maximum number of failed logins per address and minute.
 const MOST_FAILURES: u32 = 5;
 const MINUTE: Duration = Duration::from_secs(60);
-/// Requests of one address at once, and as many more each second.
+/// Maximum burst of requests of one address, and the number that is added each second.
 const BURST: f64 = 1000.0;
 const PER_SECOND: f64 = 200.0;
 const MOST_ADDRESSES: usize = 10_000;
 
-/// Why a file is no token.
+/// Why a file is not a valid token.
 #[derive(Debug, thiserror::Error)]
 pub enum TokenError {
     #[error("{}: token: cannot be read: {cause}", .path.display())]
@@ -38,7 +38,7 @@ pub enum TokenError {
     Short { path: PathBuf, found: usize },
 }
 
-/// The hash of a secret: two of them are compared in constant time, whatever the lengths of the secrets.
+/// The hash of a secret: two hashes are compared in constant time, independent of the lengths of the secrets.
 #[derive(Clone, Copy)]
 pub struct Secret([u8; 32]);
 
@@ -47,10 +47,10 @@ impl Secret {
         Self(Sha256::digest(text.as_bytes()).into())
     }
 
-    /// Reads a token: all of its file but white space at its end.
+    /// Reads a token: the whole file except white space at its end.
     ///
     /// # Errors
-    /// A file that cannot be read, or holds less than 16 characters.
+    /// If the file cannot be read, or has less than 16 characters.
     pub fn read(path: &Path) -> Result<Self, TokenError> {
         let text = std::fs::read_to_string(path).map_err(|cause| {
             let path = path.into();
@@ -75,13 +75,13 @@ impl Secret {
 pub enum Refused {
     /// Too many requests.
     Rate,
-    /// The request names another host than this.
+    /// The request names a host other than this one.
     Host,
     /// It comes from a foreign page.
     Origin,
     /// It needs a login.
     Login,
-    /// The token is another one.
+    /// The token is wrong.
     Token,
     /// Too many logins have failed.
     Failures,
@@ -90,17 +90,17 @@ pub enum Refused {
 /// The rules of one console.
 pub struct Access {
     token: Option<Secret>,
-    /// Whether only this machine reaches it.
+    /// Whether it is reachable from this machine only.
     is_local: bool,
-    /// Under which a proxy shows it.
+    /// Public origin of a reverse proxy.
     public_origin: Option<Origin>,
     sessions: Mutex<Vec<(Secret, Instant)>>,
     addresses: Mutex<HashMap<IpAddr, Address>>,
 }
 
-/// Record of an address.
+/// State of an address.
 struct Address {
-    /// Requests that it may still make.
+    /// Number of requests that it may still make.
     left: f64,
     since: Instant,
     failures: u32,
@@ -123,24 +123,24 @@ impl Access {
         self.token.is_some()
     }
 
-    /// Whether viewing needs a login, too.
+    /// Whether viewing requires a login as well.
     pub fn guards_reading(&self) -> bool {
         !self.is_local || self.public_origin.is_some()
     }
 
-    /// Whether the session's cookie may go over TLS alone.
+    /// Whether the session's cookie may be sent over TLS only.
     pub fn is_behind_tls(&self) -> bool {
         self.public_origin.as_ref().is_some_and(Origin::is_secure)
     }
 
-    /// Checks a request before anything else is done with it.
+    /// Checks a request before it is processed.
     pub fn check(&self, method: &Method, headers: &HeaderMap, peer: IpAddr) -> Result<(), Refused> {
         if !self.take_turn(peer) {
             return Err(Refused::Rate);
         }
         let host = text(headers, header::HOST).unwrap_or_default();
         let plain = Origin::of_host(host);
-        // A foreign name for this address (DNS rebinding) is refused; a bare address cannot be.
+        // A foreign name for this address (DNS rebinding) is rejected; a bare address cannot be one.
         let is_own = plain.as_ref().is_some_and(Origin::is_bare) || self.is_public(host);
         if !is_own {
             return Err(Refused::Host);
@@ -170,13 +170,13 @@ impl Access {
             .unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes one of the requests that an address may make.
+    /// Counts a request against the rate limit of an address; whether it is allowed.
     fn take_turn(&self, peer: IpAddr) -> bool {
         let now = Instant::now();
         let mut addresses = self.addresses();
         if addresses.len() >= MOST_ADDRESSES {
             addresses.retain(|_, known| now.duration_since(known.since) < MINUTE);
-            // All of the last minute: the one that asked longest ago is dropped.
+            // All are from the last minute: the one with the oldest request is dropped.
             if addresses.len() >= MOST_ADDRESSES {
                 let oldest = addresses.iter().min_by_key(|(_, known)| known.since);
                 let oldest = oldest.map(|(address, _)| *address);
@@ -197,7 +197,7 @@ impl Access {
         may
     }
 
-    /// Opens a session by the token: the text of its cookie.
+    /// Opens a session by the token; returns the text of its cookie.
     pub fn log_in(&self, token: &str, peer: IpAddr) -> Result<String, Refused> {
         let now = Instant::now();
         let mut addresses = self.addresses();
@@ -232,7 +232,7 @@ impl Access {
         }
     }
 
-    /// Whether a request comes from a user who has logged in.
+    /// Whether a request comes from a logged-in user.
     pub fn is_logged_in(&self, headers: &HeaderMap) -> bool {
         let Some(session) = session(headers) else {
             return false;
@@ -248,7 +248,7 @@ impl Access {
     }
 }
 
-/// 256 random bits of the system's generator, in hexadecimal digits.
+/// 256 random bits of the system's generator, as hexadecimal digits.
 pub fn unguessable() -> String {
     let bits: [u8; 32] = rand::random();
     bits.iter().map(|byte| format!("{byte:02x}")).collect()
@@ -346,7 +346,7 @@ mod tests {
             ),
             Ok(())
         );
-        // A proxy may state the usual port, and no browser writes capitals or the port.
+        // A proxy may state the usual port, but no browser sends capitals or that port.
         let stated = ("host", "console.example.org:443");
         let origin = ("origin", "https://console.example.org");
         assert_eq!(check(Method::POST, &[stated, origin]), Ok(()));

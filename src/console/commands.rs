@@ -1,4 +1,4 @@
-//! Requests that are about commands.
+//! Requests concerning commands.
 
 use super::access::{Refused, unguessable};
 use super::history::History;
@@ -19,7 +19,7 @@ use jiff::Timestamp;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-/// The command table with what is set now.
+/// The command table with the present values.
 pub async fn table(State(console): State<Console>) -> Json<Value> {
     let history = console.shared().history();
     let orders = console.shared().orders();
@@ -57,7 +57,7 @@ fn command(row: &'static CommandRow, history: &History, orders: &Orders) -> Valu
     })
 }
 
-/// Present value: as the housekeeping reports, or as it was read last.
+/// Present value: from the housekeeping, or the value read last.
 fn present(row: &CommandRow, variable: usize, history: &History, orders: &Orders) -> Option<Value> {
     let set = field_of(row, variable).and_then(|name| {
         let newest = history.row(None)?;
@@ -78,7 +78,7 @@ fn present(row: &CommandRow, variable: usize, history: &History, orders: &Orders
 fn message(row: &MessageRow) -> Value {
     let variable = |field: Field| {
         let range = field.range;
-        // The unit stands beside it.
+        // The unit is shown beside it.
         let name = field.name.strip_suffix(&format!("_{}", field.unit));
         json!({
             "name": name.unwrap_or(field.name),
@@ -102,7 +102,7 @@ fn message(row: &MessageRow) -> Value {
     })
 }
 
-/// A parameter that commands set by its number.
+/// A parameter that is set by a numbered command.
 fn parameter(parameter: &Parameter) -> Option<Value> {
     let number = parameter.command?;
     let (command, low, high) = match parameter.allowed {
@@ -127,7 +127,7 @@ pub async fn compose(request: Body<Request>) -> Answer<Json<Value>> {
     Ok(Json(json!(composed)))
 }
 
-/// The sender has logged in, and the console was started for sending.
+/// Checks that the sender has logged in, and that the console was started for sending.
 pub fn check_sender(console: &Console, headers: &HeaderMap) -> Answer<()> {
     if !console.takes_commands() {
         let words = "this console only shows: commands need --token-file, and a line to the gondola (--gondola over UDP)";

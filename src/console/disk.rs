@@ -1,16 +1,16 @@
-//! Files of an archive, read for viewers: inside the archive alone, and within a time, for a disk may hang.
+//! Files of an archive, read for viewers: only inside the archive, and with a time limit, because a disk may hang.
 //!
-//! Each read has a thread of its own. One that hangs keeps it until the disk answers; others go on.
+//! Each read has its own thread. One that hangs keeps its thread until the disk answers; others continue.
 
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;
 
-/// Files that are read at a time, and how often the same one.
+/// Maximum number of simultaneous reads, in all and of one file.
 const MOST: usize = 16;
 const MOST_OF_ONE: usize = 2;
-/// A disk that answers does so within this.
+/// Time limit of a read.
 const LIMIT: Duration = Duration::from_secs(5);
 
 /// Why a file was not read.
@@ -24,12 +24,12 @@ pub enum Unread {
     Failed(String, String),
 }
 
-/// The reads that have not ended, by their files.
+/// The unfinished reads, by their files.
 #[derive(Debug, Clone, Default)]
 pub struct Reads(Arc<Mutex<Vec<String>>>);
 
 impl Reads {
-    /// Result of `read` on the file of a name under a folder.
+    /// Result of `read` on a named file under a folder.
     pub async fn read<T: Send + 'static>(
         &self,
         folder: PathBuf,
@@ -51,7 +51,7 @@ impl Reads {
         let (done, result) = oneshot::channel();
         let thread = std::thread::Builder::new().name("read".into());
         let started = thread.spawn(move || {
-            // The receiver may be gone.
+            // The receiver may have gone.
             let _ = done.send(work());
             drop(turn);
         });
@@ -65,7 +65,7 @@ impl Reads {
         }
     }
 
-    /// One of the reads at a time.
+    /// Registers a read, if the limits allow it.
     fn turn(&self, name: &str) -> Result<Turn, Unread> {
         let mut reads = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let of_one = reads.iter().filter(|other| *other == name).count();
@@ -94,7 +94,7 @@ impl Drop for Turn {
     }
 }
 
-/// The regular file of a name inside a folder, its links resolved.
+/// The regular file with a given name inside a folder, with links resolved.
 fn within(folder: &Path, name: &str) -> anyhow::Result<PathBuf> {
     let relative = Path::new(name);
     let is_plain = |component| matches!(component, Component::Normal(_));
@@ -106,7 +106,7 @@ fn within(folder: &Path, name: &str) -> anyhow::Result<PathBuf> {
     if !path.starts_with(&root) {
         anyhow::bail!("expected a file inside the archive, found a link that leaves it");
     }
-    // A pipe would wait for its other end.
+    // Reading a pipe would block until it has a writer.
     if !path.metadata()?.is_file() {
         anyhow::bail!("expected a regular file");
     }

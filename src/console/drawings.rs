@@ -20,7 +20,7 @@ pub struct PictureQuery {
     camera: u8,
     at: Option<String>,
     overlay: Option<u8>,
-    /// Distinguishes one from another for a browser's cache.
+    /// Distinguishes versions for a browser's cache.
     #[serde(rename = "version")]
     _version: Option<String>,
 }
@@ -87,7 +87,7 @@ pub async fn plate(State(console): State<Console>, query: Asked<At>) -> Answer<R
     beside(move || Ok(svg(console.parts().ground.plate(&sun)))).await
 }
 
-/// By the housekeeping, else by the log of an archive.
+/// From the housekeeping, else from the log of an archive.
 fn sun_on_plate(view: &View) -> Option<SunOnPlate> {
     let history = view.history;
     let place = history.row(view.at).and_then(|row| {
@@ -120,7 +120,7 @@ pub struct PlotQuery {
 }
 
 impl PlotQuery {
-    /// The range of times: all there is where nothing else is asked for.
+    /// The requested range of times; by default all available times.
     fn range(&self, console: &Console) -> Answer<Range<Nanoseconds>> {
         let (from, to) = (
             time("from", self.from.as_ref())?,
@@ -179,7 +179,7 @@ pub async fn plot(State(console): State<Console>, query: Asked<PlotQuery>) -> An
         let range = query.0.range(&console)?;
         let fields = query.0.numbers(&console, &range)?;
         let stack = plots::panels(fields, &range);
-        // The page finds a time by where it is pointed at.
+        // The page computes a time from the pointer's position.
         let root = format!(
             "<svg data-from=\"{}\" data-to=\"{}\"",
             utc(range.start),

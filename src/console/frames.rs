@@ -1,4 +1,4 @@
-//! Requests that are about the frames of an archive.
+//! Requests concerning the frames of an archive.
 
 use super::history::{FrameRow, History};
 use super::request::{Answer, Asked, Console, Failure, attachment, beside, png, time};
@@ -22,13 +22,13 @@ const MOST: usize = 500;
 #[serde(deny_unknown_fields)]
 pub struct ListQuery {
     quality: Option<String>,
-    /// How the reason begins.
+    /// Beginning of the reason.
     reason: Option<String>,
     before: Option<String>,
     count: Option<usize>,
 }
 
-/// The frames, the latest first, with how many there are of each quality and reason.
+/// The frames, the latest first, with their numbers by quality and reason.
 pub async fn list(State(console): State<Console>, query: Asked<ListQuery>) -> Answer<Json<Value>> {
     let query = query.0;
     let before = time("before", query.before.as_ref())?.unwrap_or(Nanoseconds::MAX);
@@ -110,7 +110,7 @@ pub struct FileQuery {
     overlay: Option<u8>,
 }
 
-/// A file is one that a log names, and nothing else.
+/// A file named in a log; any other file is rejected.
 fn named(console: &Console, file: &str) -> Answer<String> {
     let history = console.shared().history();
     let is_named = !file.is_empty() && history.frames.iter().any(|frame| &*frame.file == file);
@@ -141,7 +141,7 @@ pub fn read_frame(path: &Path) -> anyhow::Result<Frame> {
     Ok(fits::read_frame(path)?)
 }
 
-/// A frame as it is.
+/// A frame's file unchanged.
 pub async fn file(State(console): State<Console>, query: Asked<FileQuery>) -> Answer<Response> {
     let file = named(&console, &query.0.file)?;
     let bytes = console.read(file.clone(), |path| Ok(std::fs::read(path)?));

@@ -1,5 +1,5 @@
-//! The ground's own data beside the flight, and what it draws with them: the instrument, the target, frames and pictures solved
-//! on the ground.
+//! The ground's own data beside the flight, and the drawings made from them: the instrument, the target, frames and
+//! pictures solved on the ground.
 
 use super::table::{Nanoseconds, timestamp};
 use crate::aspect::{self, Expected};
@@ -14,11 +14,11 @@ use image::RgbImage;
 use nalgebra::Matrix2;
 use std::path::PathBuf;
 
-/// Half of the width of the plate as it is drawn, in what its marks reach.
+/// Half width of the drawn plate, relative to the extent of its marks.
 const REACH: f64 = 1.06;
-/// The Sun's radius at 1 AU, where the ephemeris does not know the day's.
+/// The Sun's radius at 1 AU, if the ephemeris does not give the day's.
 const RADIUS_ARCSEC: f64 = 959.23;
-/// Half of the size of the crosses at the Sun's centre and the target, likewise.
+/// Half size of the crosses at the Sun's centre and the target, relative to the same extent.
 const CROSS: f64 = 0.045;
 
 /// Data on the ground.
@@ -27,14 +27,14 @@ pub struct Ground {
     pub instrument: Instrument,
     pub settings: aspect::SolverSettings,
     pub target: Target,
-    /// Where the gondola is, for the target's place on the plate.
+    /// The gondola's place, for the target's position on the plate.
     pub place: Option<Place>,
     pub ephemeris: Ephemeris,
-    /// The flight's archive, where one is at hand.
+    /// The flight's archive, if it is available.
     pub archive: Option<PathBuf>,
 }
 
-/// The Sun on the plate as the housekeeping reports it.
+/// The Sun on the plate according to the housekeeping.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SunOnPlate {
     pub time: Nanoseconds,
@@ -43,10 +43,10 @@ pub struct SunOnPlate {
 }
 
 impl Ground {
-    /// A frame solved here, with what was found drawn over it.
+    /// A frame solved here, with the result drawn over it.
     ///
     /// # Errors
-    /// The frame is not of the instrument's camera.
+    /// If the frame is not from the instrument's camera.
     pub fn overlay(&self, frame: &Frame, title: &str) -> anyhow::Result<RgbImage> {
         let instrument = self.instrument.seen_by(frame)?;
         let expected = frame.info.mid_exposure.and_then(Expected::at);
@@ -54,10 +54,10 @@ impl Ground {
         Ok(report::overlay(frame, &solution, &instrument, title))
     }
 
-    /// A frame of the archive as a picture, with or without what is found in it.
+    /// A frame of the archive as a picture, with or without the result drawn over it.
     ///
     /// # Errors
-    /// It is not of the instrument's camera.
+    /// If it is not from the instrument's camera.
     pub fn frame(&self, frame: &Frame, file: &str, with_overlay: bool) -> anyhow::Result<RgbImage> {
         if with_overlay {
             return self.overlay(frame, file);
@@ -66,8 +66,8 @@ impl Ground {
         Ok(Canvas::of_frame(frame, frame.region(), 1, stretch, 0).into_image())
     }
 
-    /// Where the Sun stands on the plate while the telescope is on its target. Without a place that is known for the Sun's centre
-    /// alone.
+    /// Position of the Sun on the plate while the telescope is on its target. Without a place it is known for the Sun's
+    /// centre only.
     fn on_target(&self, time: Nanoseconds) -> Option<PlateMil> {
         let utc = timestamp(time);
         let centre = self.instrument.mounting.boresight_mil;
@@ -88,7 +88,7 @@ impl Ground {
         pointing::sun_on_plate_for(&on_target, Roll::Stated, &self.instrument, &sun, target).ok()
     }
 
-    /// The plate with its marks, the Sun's disc and where its centre should be.
+    /// The plate with its marks, the Sun's disc and the target position of its centre.
     pub fn plate(&self, sun: &SunOnPlate) -> String {
         let optics = &self.instrument.optics;
         let radius_arcsec =

@@ -1,4 +1,4 @@
-//! All that the ground knows of a flight: what packets and logs have brought, in the order of its own time.
+//! All data of a flight on the ground: received packets and logs, ordered by the flight's own time.
 
 use super::housekeeping::HousekeepingRows;
 use super::pictures::Partial;
@@ -14,22 +14,22 @@ use jiff::Timestamp;
 use std::collections::BTreeMap;
 
 const SECOND_NS: i64 = 1_000_000_000;
-/// Over which counters are said to have grown.
+/// Period over which the growth of counters is reported.
 const MINUTE_NS: i64 = 60 * SECOND_NS;
-/// The silence after which housekeeping, sent each second, counts as missing.
+/// Time without housekeeping, which is sent each second, after which it counts as missing.
 pub const SILENCE_S: i64 = 5;
-/// Alarms that are kept.
+/// Maximum number of stored alarms.
 const MOST_ALARMS: usize = 1000;
-/// Reasons that are distinguished.
+/// Maximum number of different reasons.
 const MOST_REASONS: usize = 500;
 const OTHER_REASONS: &str = "other reasons";
-/// Tables that are kept: a few of each camera.
+/// Maximum number of tables: a few for each camera.
 pub const MOST_TABLES: usize = 64;
-/// Pictures that are kept, of 2.5 MB each.
+/// Maximum number of stored pictures, of 2.5 MB each.
 const MOST_PICTURES: usize = 12;
-/// Packets of marks that are kept: three days of one camera.
+/// Maximum number of stored packets of marks: three days of one camera.
 const MOST_MARKS: usize = 1 << 18;
-/// Old rows are dropped in pieces of an hour.
+/// Old rows are dropped in blocks of an hour.
 const PIECE_NS: i64 = 3600 * SECOND_NS;
 
 /// Names of the tables.
@@ -37,7 +37,7 @@ pub const HOUSEKEEPING: &str = "housekeeping";
 pub const RECEIVED: &str = "received";
 pub const GYROS: &str = "gyros";
 
-/// Something that was wrong for a while.
+/// An alarm with its period.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Alarm {
     /// The rule's name.
@@ -45,26 +45,26 @@ pub struct Alarm {
     pub severity: Severity,
     pub words: String,
     pub since: Nanoseconds,
-    /// `None` while it lasts.
+    /// `None` while the condition lasts.
     pub until: Option<Nanoseconds>,
 }
 
-/// Content of the line.
+/// Counts of the line.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct LineCounts {
     pub packets: u64,
     pub rejected: u64,
-    /// Seconds of which no housekeeping came, between those of which it did.
+    /// Seconds without housekeeping between seconds with it.
     pub missing: u64,
     pub doubled: u64,
     pub late: u64,
-    /// Rows of another time than those about them: see [`Steady`].
+    /// Rows whose time disagrees with that of their neighbours: see [`Steady`].
     pub doubtful: u64,
-    /// Bytes in all.
+    /// Total number of bytes.
     pub bytes: u64,
 }
 
-/// The kinds of news, each with its own number, which grows with every change.
+/// Counters of news by kind, which increase with every change.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct News {
     pub housekeeping: u64,
@@ -78,60 +78,61 @@ pub struct News {
 }
 
 impl News {
-    /// How much has come in all.
+    /// Total number of packets.
     pub fn total(&self) -> u64 {
         let packets = self.housekeeping + self.solution + self.gyros + self.pictures + self.marks;
         packets + self.frames + self.orders + self.training
     }
 }
 
-/// A frame that a solution log names.
+/// A frame named in a solution log.
 #[derive(Debug, Clone)]
 pub struct FrameRow {
     pub time: Nanoseconds,
-    /// Path under the archive's folder; empty where the picture was not stored.
+    /// Path under the archive's folder; empty if the picture was not stored.
     pub file: Box<str>,
-    /// The folder of its camera in the archive's; empty for the first one.
+    /// The folder of its camera under the archive's; empty for the first camera.
     pub camera: Box<str>,
-    /// As the log says: fine, coarse or none.
+    /// Quality in the log: fine, coarse or none.
     pub quality: &'static str,
-    /// Its place in [`History::reasons`].
+    /// Index into [`History::reasons`].
     pub reason: Option<u16>,
 }
 
 /// The flight so far.
 pub struct History {
     pub housekeeping: HousekeepingRows,
-    /// Of the row that arrived last and was not late.
+    /// Row that arrived last and was not late.
     newest: Option<usize>,
-    /// By name.
+    /// Tables by name.
     pub tables: BTreeMap<String, Table>,
     pub frames: Vec<FrameRow>,
     pub reasons: Vec<String>,
-    /// By the camera's number and the time of the frame.
+    /// Pictures by the camera's number and the time of the frame.
     pub pictures: BTreeMap<(u8, Nanoseconds), Partial>,
-    /// Marks whose ids do not fit into the housekeeping, by its time and the camera's number, with when they arrived.
+    /// Marks with ids that do not fit into the housekeeping, by its time and the camera's number, with their time of
+    /// arrival.
     marks: BTreeMap<(Nanoseconds, u16), (Nanoseconds, FrameMarks)>,
     pub alarms: Vec<Alarm>,
     pub line: LineCounts,
     pub news: News,
-    /// When the last solution and offset by gyros arrived, by the ground's clock.
+    /// Time of arrival of the last solution and the last offset by gyros, by the ground's clock.
     pub solution_arrived: Option<Nanoseconds>,
     pub gyros_arrived: Option<Nanoseconds>,
-    /// When the last frame was read in a log.
+    /// Time at which the last frame was read from a log.
     pub frame_read: Option<Nanoseconds>,
     stated_times: Steady,
     solution_times: Steady,
     gyro_times: Steady,
-    /// The exposure that was announced last, which an error is about.
+    /// The last announced exposure, to which an error refers.
     announced: Option<Nanoseconds>,
-    /// How long rows are kept, by when they arrived.
+    /// How long rows are kept after their arrival.
     keep: Nanoseconds,
-    /// When old rows were dropped last.
+    /// Time at which old rows were last dropped.
     forgot: Option<Nanoseconds>,
 }
 
-/// The columns of a solution as it is received.
+/// The columns of a received solution.
 const SOLUTION_COLUMNS: [(&str, &str, &str); 5] = [
     ("azimuth_deg", "deg", "offset in azimuth"),
     ("elevation_deg", "deg", "offset in elevation"),
@@ -199,7 +200,7 @@ impl History {
         }
     }
 
-    /// Takes a packet that arrived at a time of the ground's clock.
+    /// Takes in a packet that arrived at a time of the ground's clock.
     pub fn take(&mut self, packet: &Packet, arrived: Timestamp) {
         self.line.packets += 1;
         match packet {
@@ -279,7 +280,7 @@ impl History {
         }
     }
 
-    /// They belong to the housekeeping of their time, and may come before it or after it.
+    /// The marks belong to the housekeeping of their time, and may arrive before or after it.
     fn take_marks(&mut self, marks: FrameMarks, time: Nanoseconds, arrived: Nanoseconds) {
         self.marks.insert((time, marks.camera), (arrived, marks));
         if self.marks.len() > MOST_MARKS {
@@ -288,7 +289,7 @@ impl History {
         self.news.marks += 1;
     }
 
-    /// The ids of marks that were reported beside the housekeeping of a time, camera by camera.
+    /// The ids of marks that were reported in addition to the housekeeping of a time, camera by camera.
     pub fn ids_beside(&self, time: Nanoseconds) -> Option<String> {
         let beside = self.marks.range((time, 0)..=(time, u16::MAX));
         let ids = beside.map(|((_, camera), (_, marks))| {
@@ -299,7 +300,7 @@ impl History {
         (!ids.is_empty()).then(|| ids.join("; "))
     }
 
-    /// Changes the picture of a camera's frame of a time.
+    /// Changes the picture of a camera's frame at a time.
     fn change_picture(
         &mut self,
         camera: u8,
@@ -307,7 +308,7 @@ impl History {
         change: impl FnOnce(&mut Partial),
     ) {
         if self.pictures.len() >= MOST_PICTURES && !self.pictures.contains_key(&(camera, time)) {
-            // By arrival: a picture may say any time.
+            // By arrival: a picture may state any time.
             let oldest = self.pictures.iter().min_by_key(|(_, known)| known.arrived);
             let oldest = oldest.map(|(picture, _)| *picture);
             oldest.and_then(|oldest| self.pictures.remove(&oldest));
@@ -320,7 +321,7 @@ impl History {
         self.news.pictures += 1;
     }
 
-    /// Takes housekeeping of a time, in its place: packets may be late, or come twice.
+    /// Inserts housekeeping by its time: packets may be late, or arrive twice.
     pub fn take_housekeeping(
         &mut self,
         housekeeping: &Housekeeping,
@@ -337,7 +338,7 @@ impl History {
             self.line.doubled += 1;
             return;
         }
-        // A clock that was set back makes rows that are newer by the time since the start, but not by their own.
+        // After a clock was set back, rows are newer by the time since the start, but not by their own time.
         let newest = self.newest.and_then(|row| self.housekeeping.at_row(row));
         let is_late = at < self.housekeeping.times.len()
             && newest.is_some_and(|newest| housekeeping.uptime_s < newest.uptime_s);
@@ -352,7 +353,8 @@ impl History {
         self.drop_old(arrived);
     }
 
-    /// Counts the seconds without housekeeping before that of a time; one that is late was counted. A clock that was set makes none.
+    /// Counts the seconds without housekeeping before a time; a late packet was counted before and is subtracted. A step of
+    /// the clock adds none.
     fn count_missing(&mut self, is_late: bool, time: Nanoseconds, arrived: Nanoseconds) {
         if is_late {
             self.line.late += 1;
@@ -379,14 +381,14 @@ impl History {
         for (bit, rule) in rules::rules().enumerate() {
             let found = (rule.found)(&minute);
             self.housekeeping.flags[row] |= u64::from(found.is_some()) << bit;
-            // What a late row says is over.
+            // The findings of a late row are out of date.
             if !is_late {
                 self.note_alarm(rule, found, time);
             }
         }
     }
 
-    /// Begins, goes on with or ends the alarm of a rule.
+    /// Begins, continues or ends the alarm of a rule.
     fn note_alarm(&mut self, rule: &'static Rule, found: Option<String>, time: Nanoseconds) {
         let lasts = |alarm: &&mut Alarm| alarm.rule == rule.name && alarm.until.is_none();
         match (self.alarms.iter_mut().rev().find(lasts), found) {
@@ -406,7 +408,7 @@ impl History {
         }
     }
 
-    /// The housekeeping of a minute before a row, or of the start of its flight.
+    /// The housekeeping from a minute before a row, or from the start of its flight.
     fn before(&self, row: usize) -> Option<Housekeeping> {
         let times = &self.housekeeping.times;
         let mut first = row_at(times, times.get(row)? - MINUTE_NS).unwrap_or(0);
@@ -420,7 +422,7 @@ impl History {
         }
     }
 
-    /// Alarms by a row's rules, with the time since when, the worst first.
+    /// Alarms by a row's rules, with their start times, the worst first.
     pub fn findings(&self, row: usize) -> Vec<Alarm> {
         let (Some(now), Some(before)) = (self.housekeeping.at_row(row), self.before(row)) else {
             return Vec::new();
@@ -449,7 +451,7 @@ impl History {
         found
     }
 
-    /// The first camera's last frame that was stored, at a time or so far.
+    /// The first camera's last stored frame, up to a time or up to now.
     pub fn stored_frame(&self, at: Option<Nanoseconds>) -> Option<&FrameRow> {
         let time = at.unwrap_or(Nanoseconds::MAX);
         let end = self.frames.partition_point(|frame| frame.time <= time);
@@ -457,7 +459,7 @@ impl History {
         self.frames[..end].iter().rev().find(is_stored)
     }
 
-    /// The picture of a camera at a time, or its last.
+    /// The picture of a camera at a time, or its last one.
     pub fn picture(&self, camera: u8, at: Option<Nanoseconds>) -> Option<&Partial> {
         let range = (camera, Nanoseconds::MIN)..=(camera, at.unwrap_or(Nanoseconds::MAX));
         self.pictures
@@ -466,7 +468,7 @@ impl History {
             .map(|(_, picture)| picture)
     }
 
-    /// The cameras of which there are pictures.
+    /// The cameras with pictures.
     pub fn cameras(&self) -> std::collections::BTreeSet<u8> {
         self.pictures.keys().map(|(camera, _)| *camera).collect()
     }
@@ -479,7 +481,7 @@ impl History {
         }
     }
 
-    /// From the first time of which anything is known to the last.
+    /// The first and the last time of any data.
     pub fn span(&self) -> Option<(Nanoseconds, Nanoseconds)> {
         let tables = self.tables.values().map(Table::times);
         let all = tables.chain([self.housekeeping.times.as_slice()]);
@@ -487,7 +489,7 @@ impl History {
         ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
     }
 
-    /// The place of a reason among those known.
+    /// The index of a reason, which is added if it is new.
     pub fn reason(&mut self, words: &str) -> Option<u16> {
         if words.is_empty() {
             return None;
@@ -506,7 +508,7 @@ impl History {
         u16::try_from(place).ok()
     }
 
-    /// Drops what arrived too long ago, an hour at once.
+    /// Drops data that arrived too long ago, in blocks of an hour.
     fn drop_old(&mut self, now: Nanoseconds) {
         let before = *self.forgot.get_or_insert(now);
         if now.saturating_sub(before) < PIECE_NS {

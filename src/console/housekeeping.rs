@@ -1,34 +1,34 @@
-//! The housekeeping of a flight, row by row, as it came.
+//! The housekeeping of a flight, stored row by row as received.
 
 use super::table::{Nanoseconds, keep};
 use crate::link::Housekeeping;
 use crate::link::housekeeping::{FIELDS, Field};
 use std::ops::Range;
 
-/// The housekeeping packets, each as it came, with what the rules say of it.
+/// The housekeeping packets as received, with the findings of the rules.
 #[derive(Debug, Default)]
 pub struct HousekeepingRows {
-    /// When each was made, by the gondola's clock, and when it arrived, by the ground's.
+    /// Time of each packet by the gondola's clock, and time of arrival by the ground's.
     pub times: Vec<Nanoseconds>,
     pub arrived: Vec<Nanoseconds>,
-    /// The rules that find something, a bit for each.
+    /// The rules with findings, one bit each.
     pub flags: Vec<u64>,
     payloads: Vec<u8>,
 }
 
-/// Bytes of a payload of the present layout.
+/// Number of bytes of a payload in the present layout.
 fn payload_bytes() -> usize {
     1 + FIELDS.iter().map(|field| field.bytes).sum::<usize>()
 }
 
 impl HousekeepingRows {
-    /// Whether the row before a place is of the same time and says the same.
+    /// Whether the row before an index has the same time and payload.
     pub fn has(&self, at: usize, time: Nanoseconds, payload: &[u8]) -> bool {
         at.checked_sub(1)
             .is_some_and(|row| self.times[row] == time && self.payload(row) == Some(payload))
     }
 
-    /// Puts a row in its place, not judged yet.
+    /// Inserts a row at an index, without judging it.
     pub fn insert(&mut self, at: usize, time: Nanoseconds, arrived: Nanoseconds, payload: Vec<u8>) {
         self.times.insert(at, time);
         self.arrived.insert(at, arrived);
@@ -46,7 +46,7 @@ impl HousekeepingRows {
         Housekeeping::from_payload(self.payload(row)?)
     }
 
-    /// A field's number in every row of a range.
+    /// A field's values in a range of rows.
     pub fn numbers(&self, rows: Range<usize>, name: &str) -> Vec<f32> {
         let mut at = 1;
         let found = FIELDS.iter().find(|field| {
@@ -63,7 +63,7 @@ impl HousekeepingRows {
             .collect()
     }
 
-    /// Drops what arrived before a time: of each row, whether it was kept.
+    /// Drops rows that arrived before a time; for each row, whether it was kept.
     pub fn forget_before(&mut self, arrived: Nanoseconds) -> Vec<bool> {
         let kept: Vec<bool> = self.arrived.iter().map(|own| *own >= arrived).collect();
         keep(&mut self.times, &kept);

@@ -1,6 +1,6 @@
-//! The stream of one viewer: the newest of each kind as it comes, or a replay of what was.
+//! The stream of one viewer: the newest data of each kind as they arrive, or a replay of the past.
 //!
-//! Nothing is queued for a viewer but the events of one moment. A slow reader skips events, and delays no one else.
+//! Only the events of one update are queued for a viewer. A slow reader skips events, and delays no one else.
 
 use super::history::News;
 use super::orders::OrderRow;
@@ -21,32 +21,32 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
-/// The least time between two moments of a stream, and the most.
+/// Minimum and maximum time between two updates of a stream.
 const LEAST: Duration = Duration::from_millis(40);
 const MOST: Duration = Duration::from_secs(1);
-/// Between two moments of a replay.
+/// Time between two updates of a replay.
 const STEP: Duration = Duration::from_millis(250);
-/// How often a viewer on a slow line is informed of what is left out for it.
+/// Interval at which a viewer on a slow line is informed of the omitted data.
 const REPORT_LEFT_OUT: Duration = Duration::from_secs(10);
 const SOON: Duration = Duration::from_secs(2);
-/// Overhead of an event: its name, and the headers of the network.
+/// Overhead of an event: its name, and the headers of the network, bytes.
 const OVERHEAD_BYTES: usize = 100;
-/// The share of a slow line that the stream takes: the rest is for what a viewer asks for.
+/// The share of a slow line used by the stream: the rest is for the viewer's requests.
 const SHARE: f64 = 0.6;
-/// Rows of the log of commands that may have changed since the last moment.
+/// Number of rows of the command log that may have changed since the last update.
 const ROWS: usize = 20;
 
-/// A replay: from a time on, so many times as fast as it was.
+/// A replay: its start time, and its speed relative to real time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Replay {
     pub at: Nanoseconds,
     pub speed: f64,
 }
 
-/// Request of a viewer.
+/// Options of a viewer.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Wish {
-    /// Of the line to the viewer.
+    /// Rate of the line to the viewer.
     pub bits_per_s: Option<f64>,
     pub replay: Option<Replay>,
 }
@@ -73,7 +73,7 @@ pub fn stream(
     })
 }
 
-/// The bytes that the line carried, for its rate.
+/// Number of bytes received, for the line's rate.
 struct Rate {
     bytes: u64,
     since: Instant,
@@ -85,7 +85,7 @@ struct Viewer {
     console: Console,
     wish: Wish,
     news: watch::Receiver<News>,
-    /// State that the viewer has been sent.
+    /// State that was last sent to the viewer.
     seen: Option<News>,
     rows: Vec<OrderRow>,
     events: VecDeque<(&'static str, String)>,
@@ -94,7 +94,7 @@ struct Viewer {
     rate: Rate,
     left_out: u64,
     left_out_sent: Instant,
-    /// Where a replay is.
+    /// Current position of a replay.
     position: Option<Nanoseconds>,
     has_ended: bool,
 }
@@ -135,7 +135,7 @@ impl Viewer {
         self.console.shared()
     }
 
-    /// The next event; `None` at the stream's end.
+    /// The next event; `None` at the end of the stream.
     async fn next(&mut self) -> Option<(&'static str, String)> {
         loop {
             if let Some((kind, data)) = self.events.pop_front() {
@@ -152,7 +152,7 @@ impl Viewer {
         }
     }
 
-    /// Leaves a slow line the time that an event takes on it.
+    /// Waits for the time that an event takes on a slow line.
     async fn pace(&self, bytes: usize) {
         if let Some(bits_per_s) = self.wish.bits_per_s {
             let bits = 8 * (bytes + OVERHEAD_BYTES);
@@ -165,7 +165,7 @@ impl Viewer {
         if self.seen.is_some() {
             let since = self.moment.elapsed();
             sleep(LEAST.saturating_sub(since)).await;
-            // News or not: the state is sent each second.
+            // The state is sent each second, with or without news.
             let left = MOST.saturating_sub(self.state_sent.elapsed());
             let _ = timeout(left, self.news.changed()).await;
         }
@@ -200,7 +200,7 @@ impl Viewer {
         self.seen = Some(news);
     }
 
-    /// Changes since the last moment.
+    /// Changes since the last update.
     fn news_of(
         &self,
         view: &View,
@@ -255,7 +255,7 @@ impl Viewer {
         events
     }
 
-    /// The rate of the line, over a few seconds.
+    /// Measures the rate of the line over a few seconds.
     fn measure(&mut self) {
         let (elapsed, bytes) = (
             self.rate.since.elapsed(),
@@ -327,7 +327,7 @@ impl Viewer {
         self.seen = Some(News::default());
     }
 
-    /// State of a replay at its time; housekeeping and frames only where they are others than before.
+    /// State of a replay at its time; housekeeping and frames only if they changed.
     fn replayed(
         &self,
         view: &View,

@@ -1,4 +1,5 @@
-//! The ground console: a flight in a browser, live or stored, for any number of viewers, and commands to it for one trusted person.
+//! The ground console: a flight in a browser, live or stored, for any number of viewers, with commands to it by one
+//! authorised person.
 //!
 //! ```text
 //!  line, record ──> receive ──┐                        ┌── a task for each viewer: live, server, commands, frames
@@ -13,10 +14,10 @@
 //! | `console-web` | [`Running::start`] | answers all requests, as tasks of one runtime | the network |
 //! | up to four of the runtime's | a drawing | draws and reads files | nothing |
 //!
-//! The history is locked to take a packet in and to copy out what an answer needs, never while something is drawn, sent or read from
-//! a disk. A viewer gets what is newest when it can take it: one that stalls has nothing queued for it.
+//! The history is locked only to take in a packet and to copy the data of an answer, never while drawing, sending or
+//! reading from a disk. A viewer gets the newest data when it is ready: nothing is queued for a stalled one.
 //!
-//! The console reads what the ground receives and nothing else, so it costs the flight nothing.
+//! The console only uses data received on the ground, so it puts no load on the flight.
 
 mod access;
 mod commands;
@@ -72,36 +73,36 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 use stored::Follower;
 
-/// Commands that wait for the line.
+/// Maximum number of commands waiting for the line.
 const OUTBOX: usize = 16;
 
-/// Settings of a console: its source and its viewers.
+/// Settings of a console: its source, its outputs and its access rules.
 pub struct ConsoleSettings {
     pub source: Source,
-    /// The line of a source that has no address of its own.
+    /// An open line for a source without an address.
     pub line: Option<Connection>,
-    /// Where commands go over UDP, and what signs them.
+    /// Destination of commands over UDP, and the key that signs them.
     pub gondola: Option<SocketAddr>,
     pub key: Option<crate::link::Key>,
-    /// Of a serial line, bit/s.
+    /// Rate of a serial line, bit/s.
     pub baud: u32,
-    /// Whom all that is received is passed on to.
+    /// Destinations to which all received data are passed on.
     pub relays: Vec<SocketAddr>,
     pub recording: Option<PathBuf>,
-    /// The file that keeps the log of commands.
+    /// The file with the log of commands.
     pub command_log: PathBuf,
     /// How long rows are kept.
     pub keep: Duration,
     pub ground: Ground,
     pub listen: SocketAddr,
     pub token: Option<Secret>,
-    /// Under which a proxy shows the console.
+    /// Public origin of a reverse proxy.
     pub public_origin: Option<Origin>,
     /// The faults of the demo, for training.
     pub training: Option<Faults>,
 }
 
-/// A console that runs.
+/// A running console.
 pub struct Running {
     address: SocketAddr,
     shared: Arc<Shared>,
@@ -112,8 +113,8 @@ impl Running {
     /// Starts a console.
     ///
     /// # Errors
-    /// An address that may not be listened on, or cannot; a source that cannot be opened or read; a log or a recording that cannot
-    /// be written.
+    /// If the address is not allowed or cannot be listened on, if the source cannot be opened or read, or if a log or a
+    /// recording cannot be written.
     pub fn start(settings: ConsoleSettings) -> anyhow::Result<Self> {
         ensure!(
             settings.listen.ip().is_loopback() || settings.token.is_some(),
@@ -156,7 +157,7 @@ impl Running {
         })
     }
 
-    /// Where it listens.
+    /// The address on which it listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
@@ -166,7 +167,7 @@ impl Running {
         !self.threads.iter().any(JoinHandle::is_finished)
     }
 
-    /// Ends it; viewers are disconnected.
+    /// Stops it; viewers are disconnected.
     pub fn end(self) {
         self.shared.end();
         for thread in self.threads {
@@ -177,7 +178,7 @@ impl Running {
     }
 }
 
-/// Thread that reads the source.
+/// The reader of the source.
 enum Reader {
     Line(Box<Line>),
     Archive(Follower),
@@ -231,14 +232,14 @@ fn reader(
     })))
 }
 
-/// The line of the source. A serial device that is not there is waited for; an address that cannot be listened on is an error.
+/// The line of the source. It waits for a missing serial device; an address that cannot be listened on is an error.
 fn connection(settings: ConsoleSettings) -> anyhow::Result<Connection> {
     if let Some(line) = settings.line {
         return Ok(line);
     }
     match settings.source {
         Source::Udp(here) => {
-            // Nothing is sent to an unused port.
+            // Port 9 is unused: nothing is sent.
             let nobody = SocketAddr::from((Ipv4Addr::LOCALHOST, 9));
             let local = LocalEnd {
                 address: Some(here.ip()),

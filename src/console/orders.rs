@@ -1,4 +1,4 @@
-//! Commands to the flight: composed from the command table, armed, sent once, and followed until they are answered.
+//! Commands to the flight: composed from the command table, armed, sent once, and tracked until they are answered.
 
 use crate::commands::OrderError;
 use crate::commands::order::{self, order};
@@ -16,14 +16,14 @@ use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// How long an armed command may be sent.
+/// Time within which an armed command may be sent.
 pub const ARMED: SignedDuration = SignedDuration::from_secs(30);
-/// After which a command counts as not answered.
+/// Time after which a command counts as unanswered.
 const PATIENCE: SignedDuration = SignedDuration::from_secs(5);
-/// Rows of the log that the page shows.
+/// Number of rows of the log on the page.
 const MOST_ROWS: usize = 1000;
 
-/// A command as a person composes it.
+/// A command as composed by a user.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Request {
@@ -55,7 +55,7 @@ pub enum Refusal {
     Log { path: PathBuf, cause: io::Error },
 }
 
-/// A command as it travels.
+/// A command in the form that is sent.
 #[derive(Debug, Clone, Serialize)]
 pub struct Composed {
     #[serde(serialize_with = "as_hex")]
@@ -79,10 +79,10 @@ fn as_number<S: serde::Serializer>(computer: &Computer, out: S) -> Result<S::Ok,
 }
 
 impl Request {
-    /// The packet of the command, numbered by the time, as `solaspect link send` does.
+    /// The packet of the command, with a number from the time, like those of `solaspect link send`.
     ///
     /// # Errors
-    /// No such command, or values that it does not take.
+    /// If there is no such command, or if it does not accept the values.
     pub fn compose(&self, now: Timestamp) -> Result<Composed, Refusal> {
         let refused = Refusal::Computer(self.computer);
         let computer = Computer::numbered(self.computer).ok_or(refused)?;
@@ -105,7 +105,7 @@ impl Request {
     }
 }
 
-/// A row of the log: a command, and what became of it.
+/// A row of the log: a command and its result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OrderRow {
     pub number: u64,
@@ -140,33 +140,33 @@ pub struct Read {
 /// The commands of this console.
 #[derive(Debug, Default)]
 pub struct Orders {
-    /// The one that is armed, by a name that cannot be guessed, and when.
+    /// The armed command, with an unguessable name and the time at which it was armed.
     armed: Option<(String, Timestamp, Composed)>,
-    /// The latest first.
+    /// The rows of the log, the latest first.
     rows: VecDeque<OrderRow>,
     number: u64,
-    /// Values of reading commands, by their names.
+    /// Values of reading commands, by name.
     pub read: BTreeMap<&'static str, Read>,
     log: Option<Log>,
 }
 
-/// The file that keeps the log.
+/// The file with the log.
 #[derive(Debug)]
 struct Log {
     path: PathBuf,
     file: File,
 }
 
-/// Columns of the file: a row for each thing that happens to a command.
+/// Columns of the file: one row per event of a command.
 const COLUMNS: [&str; 7] = [
     "utc", "number", "event", "computer", "command", "bytes", "words",
 ];
 
 impl Orders {
-    /// With a file to which the log is added.
+    /// With a file to which the log is appended.
     ///
     /// # Errors
-    /// It cannot be opened or written.
+    /// If it cannot be opened or written.
     pub fn logged(path: &Path) -> Result<Self, Refusal> {
         let failed = |cause| Refusal::Log {
             path: path.into(),
@@ -187,15 +187,15 @@ impl Orders {
         })
     }
 
-    /// Arms a command under a name, in the place of any that was armed.
+    /// Arms a command under a name, replacing any armed command.
     pub fn arm(&mut self, name: String, composed: Composed, now: Timestamp) {
         self.armed = Some((name, now, composed));
     }
 
-    /// Takes the armed command for sending and writes it to the log, first of all: what cannot be logged is not sent.
+    /// Takes the armed command for sending and writes it to the log first: a command that cannot be logged is not sent.
     ///
     /// # Errors
-    /// None is armed under this name, it was not confirmed, or the log cannot be written.
+    /// If none is armed under this name, if it was not confirmed, or if the log cannot be written.
     pub fn release(
         &mut self,
         name: &str,
@@ -236,7 +236,7 @@ impl Orders {
         self.rows.iter()
     }
 
-    /// Hears what came over the line; whether a row has changed.
+    /// Processes a packet from the line; whether a row has changed.
     pub fn hear(&mut self, packet: &Packet, now: Timestamp) -> bool {
         let Packet::Telemetry(packet) = packet else {
             return false;
@@ -274,7 +274,7 @@ impl Orders {
         }
     }
 
-    /// Closes the unanswered rows; whether one has changed.
+    /// Closes the unanswered rows; whether a row has changed.
     pub fn give_up(&mut self, now: Timestamp) -> bool {
         let is_due = |row: &&mut OrderRow| row.is_open() && now.duration_since(row.utc) > PATIENCE;
         let mut due = Vec::new();
@@ -299,7 +299,7 @@ impl Orders {
         !due.is_empty()
     }
 
-    /// A command that the line did not take.
+    /// Records a command that could not be sent.
     pub fn fail(&mut self, number: u64, why: &str, now: Timestamp) {
         let Some(row) = self.rows.iter_mut().find(|row| row.number == number) else {
             return;
@@ -351,19 +351,19 @@ impl Orders {
     }
 }
 
-/// The command that reads what a variable of another sets.
+/// The command that reads the value set by a variable of another command.
 pub fn reading(row: &CommandRow, variable: usize) -> Option<&'static CommandRow> {
     let set = row.variables.get(variable)?.settings;
     let reads = |row: &&CommandRow| row.reads.is_some_and(|reads| reads.settings == set);
     COMMANDS.iter().filter(|_| !set.is_empty()).find(reads)
 }
 
-/// The field of the housekeeping that shows what a variable of a command has set last.
+/// The housekeeping field that shows the last value set by a variable of a command.
 pub fn field_of(row: &CommandRow, variable: usize) -> Option<&'static str> {
     match row.variables.get(variable)?.settings {
         [setting::STORE_PITCH_YAW] => Some("storing"),
         [setting] => {
-            // The fields of the frame have the names of the first camera's parameters.
+            // The frame's fields have the names of the first camera's parameters.
             let name = setting.key().strip_prefix("camera.")?;
             FIELDS
                 .iter()
@@ -374,7 +374,8 @@ pub fn field_of(row: &CommandRow, variable: usize) -> Option<&'static str> {
     }
 }
 
-/// Whether the flight is another one after a command: all but reading, and asking for pictures or the Moon. An unknown one may change it.
+/// Whether a command changes the flight: all except reading, and requests for pictures or the Moon. An unknown one may
+/// change it.
 pub fn changes_flight(name: &str) -> bool {
     let of_command = |row: &CommandRow| row.action.changes_flight();
     order::row(name).map_or(name != "moon", of_command)

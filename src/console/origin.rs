@@ -1,18 +1,18 @@
-//! Scheme, host and port of a web page, as browsers write them.
+//! Scheme, host and port of a web page, in the format of browsers.
 
 use std::fmt;
 use std::str::FromStr;
 use url::{Host, Url};
 
-/// Form of an origin: `https://host` or `http://host:8080`, in lower case, an international name in its ASCII form, without the
+/// An origin: `https://host` or `http://host:8080`, in lower case, an international name in its ASCII form, without the
 /// scheme's usual port.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Origin {
-    /// Of these three parts, and of no others.
+    /// A URL with only these three parts.
     url: Url,
 }
 
-/// Why a text is no origin.
+/// Why a text is not an origin.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("expected https://HOST or https://HOST:PORT (or http) {problem}; found \"{found}\"")]
 pub struct NoOrigin {
@@ -55,7 +55,7 @@ impl fmt::Display for Origin {
 }
 
 impl Origin {
-    /// Of a page that was asked for over plain HTTP, by the request's Host header.
+    /// Origin of a page requested over plain HTTP, from the request's Host header.
     pub fn of_host(host: &str) -> Option<Self> {
         format!("http://{host}").parse().ok()
     }
@@ -72,7 +72,7 @@ impl Origin {
         }
     }
 
-    /// Whether a request's Host header names this host. A proxy may leave out the port, or state the usual one.
+    /// Whether a request's Host header names this host. A proxy may omit the port, or state the usual one.
     pub fn is_named_by(&self, host: &str) -> bool {
         let scheme = self.url.scheme();
         let Ok(named) = format!("{scheme}://{host}").parse::<Self>() else {
@@ -87,7 +87,7 @@ impl Origin {
 mod tests {
     use super::*;
 
-    /// `Origin` as Chromium and Firefox send it for pages under these addresses (WHATWG URL, section 4.5).
+    /// `Origin` as sent by Chromium and Firefox for pages at these addresses (WHATWG URL, section 4.5).
     #[test]
     fn an_origin_is_written_as_browsers_write_it() {
         for (text, browser) in [

@@ -1,4 +1,4 @@
-//! The pages with their scripts and styles: part of the program.
+//! The pages with their scripts and styles, embedded in the program.
 
 use super::request::Failure;
 use crate::provenance::sha256;
@@ -10,7 +10,7 @@ const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
 const MODULE: &str = "text/javascript; charset=utf-8";
 
-/// Address, type and text.
+/// Path, content type and text.
 const FILES: &[(&str, &str, &str)] = &[
     ("/", HTML, include_str!("pages/now.html")),
     ("/plots", HTML, include_str!("pages/plots.html")),
@@ -30,7 +30,7 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/view.js", MODULE, include_str!("pages/view.js")),
 ];
 
-/// Tag by which a browser sees whether the file that it has is this one.
+/// Tags by which a browser detects whether its copy of a file is current.
 static TAGS: LazyLock<Vec<String>> = LazyLock::new(|| {
     let tag = |text: &str| format!("\"{}\"", &sha256(text)[..16]);
     FILES.iter().map(|(.., text)| tag(text)).collect()
@@ -50,11 +50,11 @@ pub async fn page(uri: Uri, headers: HeaderMap) -> Response {
     let known = headers
         .get(header::IF_NONE_MATCH)
         .and_then(|value| value.to_str().ok());
-    // What is compressed on the way has a weak tag.
+    // A file that is compressed in transit has a weak tag.
     if known.is_some_and(|known| known.trim_start_matches("W/") == tag) {
         return (StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response();
     }
-    // Asked for again with every start of a page: another program may be behind the address now.
+    // Revalidated at every load of a page: another program may be at this address now.
     let headers = [
         (header::ETAG, tag),
         (header::CONTENT_TYPE, kind),

@@ -1,4 +1,4 @@
-//! A picture as it comes down in pieces.
+//! A picture received in pieces.
 
 use super::table::{Nanoseconds, timestamp};
 use crate::frame::{Frame, FrameInfo, Pixels};
@@ -6,33 +6,33 @@ use crate::instrument::Role;
 use crate::link::picture::{Section, Tag};
 use image::{Rgb, RgbImage};
 
-/// Where pixels have not come: a hatch of these.
+/// Missing pixels: a hatch of these colours.
 const MISSING: [Rgb<u8>; 2] = [Rgb([70, 90, 120]), Rgb([95, 115, 145])];
 const HATCH_PX: u32 = 8;
-/// Keywords of a picture that are kept: a frame has fewer.
+/// Maximum number of stored keywords of a picture: a frame has fewer.
 const MOST_TAGS: usize = 256;
 
-/// A picture of which some pixels have come.
+/// A picture with the pixels received so far.
 #[derive(Debug, Clone)]
 pub struct Partial {
     pub width: usize,
     pub height: usize,
-    /// Of 8 bits, `None` where not come.
+    /// 8-bit pixels, `None` if not received.
     pixels: Vec<Option<u8>>,
     pub received: usize,
     pub tags: Vec<Tag>,
-    /// Keywords that did not fit.
+    /// Number of keywords that exceeded the limit.
     pub tags_lost: u64,
-    /// That its packets carry: of the frame.
+    /// Time of the frame, carried by its packets.
     pub time: Nanoseconds,
-    /// When its last packet arrived.
+    /// Time of arrival of its last packet.
     pub arrived: Nanoseconds,
-    /// Grows with every packet.
+    /// Increases with every packet.
     pub version: u64,
 }
 
 impl Partial {
-    /// One of which nothing has come but its time.
+    /// A picture of which only the time is known.
     pub fn begun(time: Nanoseconds, arrived: Nanoseconds) -> Self {
         Self {
             width: 0,
@@ -47,7 +47,7 @@ impl Partial {
         }
     }
 
-    /// Takes a run of pixels. One that says another size than those before is ignored.
+    /// Takes in a run of pixels. A run with a different picture size than the previous ones is ignored.
     pub fn take_section(&mut self, section: &Section) {
         if self.pixels.is_empty() {
             (self.width, self.height) = (section.width, section.height);
@@ -63,7 +63,7 @@ impl Partial {
         }
     }
 
-    /// Takes a keyword; a later one of the same name is in the place of the earlier one.
+    /// Takes in a keyword; a later one replaces an earlier one of the same name.
     pub fn take_tag(&mut self, tag: Tag) {
         self.tags.retain(|known| known.name != tag.name);
         if self.tags.len() >= MOST_TAGS {
@@ -73,7 +73,7 @@ impl Partial {
         self.tags.push(tag);
     }
 
-    /// The picture with a hatch where pixels are missing.
+    /// The picture with a hatch for missing pixels.
     pub fn image(&self) -> RgbImage {
         RgbImage::from_fn(self.width as u32, self.height as u32, |x, y| {
             let pixel = self.pixels.get(y as usize * self.width + x as usize);
@@ -84,7 +84,7 @@ impl Partial {
         })
     }
 
-    /// The picture as a frame, where all of it has come.
+    /// The picture as a frame, if it is complete.
     pub fn frame(&self) -> Option<Frame> {
         let pixels: Option<Vec<u8>> = self.pixels.iter().copied().collect();
         let info = FrameInfo {
@@ -96,7 +96,7 @@ impl Partial {
     }
 }
 
-/// Name of a camera with a number on the line.
+/// Name of a camera by its number on the serial line.
 pub fn camera_name(number: u8) -> String {
     Role::numbered(number).unwrap_or_else(|| format!("camera {number}"))
 }

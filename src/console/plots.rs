@@ -9,13 +9,13 @@ use crate::report::plot::{Curve, Figure, Labels, PlotError, Series, Stroke, curv
 use std::fmt::Write;
 use std::ops::Range;
 
-/// Panels of one drawing.
+/// Maximum number of panels of one drawing.
 pub const MOST_FIELDS: usize = 12;
-/// Offsets so many median steps apart are not of one run of a spectrum.
+/// Offsets more than so many median steps apart belong to different runs of a spectrum.
 const GAP_STEPS: f64 = 1.5;
 const SHORTEST_RANGE_NS: i64 = 1_000_000_000;
 
-/// A field by its table and name, such as `housekeeping.disk_1`.
+/// A field by table and name, such as `housekeeping.disk_1`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FieldName {
     pub table: String,
@@ -23,7 +23,7 @@ pub struct FieldName {
 }
 
 impl FieldName {
-    /// Reads a name; `None` where it names no table.
+    /// Parses a name; `None` if it does not name a table.
     pub fn parse(text: &str) -> Option<Self> {
         let (table, name) = text.rsplit_once('.')?;
         let (table, name) = (table.into(), name.into());
@@ -31,14 +31,15 @@ impl FieldName {
     }
 }
 
-/// The numbers of a field over time: a copy, so that the history is not held while they are drawn.
+/// The values of a field over time: a copy, so that the history is not locked while they are drawn.
 pub struct Numbers {
     pub label: String,
     pub unit: String,
     pub points: Vec<(Nanoseconds, f32)>,
 }
 
-/// The numbers of a field within a range of times, with the row before it and the one behind it. `None` where there is no such field.
+/// The values of a field within a range of times, with the row before and the row after it. `None` if there is no such
+/// field.
 pub fn numbers(
     history: &History,
     field: &FieldName,
@@ -79,7 +80,7 @@ fn seconds(time: Nanoseconds) -> f64 {
     time as f64 / 1e9
 }
 
-/// Panels of the fields, one below the other, over a range of times of a second at least.
+/// Panels of the fields, one below the other, over a range of times of at least one second.
 pub fn panels(fields: Vec<Numbers>, range: &Range<Nanoseconds>) -> String {
     let figure = |field: Numbers| {
         let points = field
@@ -100,7 +101,7 @@ pub fn panels(fields: Vec<Numbers>, range: &Range<Nanoseconds>) -> String {
     stack(&figures, (seconds(range.start), seconds(end)))
 }
 
-/// The table with offsets that has the most rows, and how its columns begin.
+/// The table of offsets with the most rows, and the prefix of its columns.
 fn offsets(history: &History) -> Option<(&Table, &'static str)> {
     let known = [(RECEIVED, ""), ("solutions", "offset_")];
     let known = known
@@ -109,13 +110,13 @@ fn offsets(history: &History) -> Option<(&Table, &'static str)> {
     known.max_by_key(|(table, _)| table.times().len())
 }
 
-/// Runs of offsets without gaps, arcsec, in azimuth and in elevation, and the step from one to the next, s.
+/// Runs of offsets without gaps, arcsec, in azimuth and in elevation, and the step between them, s.
 pub struct OffsetRuns {
     runs: [Vec<Vec<f64>>; 2],
     step_s: f64,
 }
 
-/// The offsets within a range of times. `None` where there are none.
+/// The offsets within a range of times. `None` if there are none.
 pub fn offset_runs(history: &History, range: &Range<Nanoseconds>) -> Option<OffsetRuns> {
     let (table, prefix) = offsets(history)?;
     let rows = rows_within(table.times(), range);
@@ -144,7 +145,7 @@ pub fn offset_runs(history: &History, range: &Range<Nanoseconds>) -> Option<Offs
 /// The spectrum of offsets.
 ///
 /// # Errors
-/// No run is long enough.
+/// If no run is long enough.
 pub fn offset_spectrum(offsets: &OffsetRuns) -> Result<String, PlotError> {
     let labels = Labels::new(
         "Spectrum of the offsets",
@@ -166,7 +167,7 @@ pub fn offset_spectrum(offsets: &OffsetRuns) -> Result<String, PlotError> {
     )
 }
 
-/// The numbers of fields of one table, a row for each time.
+/// The values of fields of one table, one row per time.
 pub fn csv(fields: &[Numbers], range: &Range<Nanoseconds>) -> String {
     let mut text = String::from("utc");
     for field in fields {

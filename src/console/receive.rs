@@ -1,4 +1,4 @@
-//! The thread that receives: packets of a line into the history, commands onto it.
+//! The receiving thread: packets from a line into the history, and commands onto the line.
 
 use super::history::History;
 use super::relay::Relay;
@@ -15,31 +15,31 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long the line is waited for before commands are checked.
+/// Time to wait for the line before commands are checked.
 const WAIT: Duration = Duration::from_millis(20);
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
-/// How often a growing archive or recording is read.
+/// Interval at which a growing archive or recording is read.
 pub const POLL_EVERY: Duration = Duration::from_millis(500);
 
-/// A command on its way to the line.
+/// A command to be sent.
 #[derive(Debug, Clone)]
 pub struct Outgoing {
-    /// Of its row in the log.
+    /// Number of its row in the log.
     pub number: u64,
     pub to: Computer,
     pub bytes: Vec<u8>,
 }
 
-/// A line on which a flight is received.
+/// A line from which a flight is received.
 pub struct Line {
     pub connection: Connection,
     pub outbox: Outbox<Outgoing>,
     /// Key that signs the commands.
     pub key: Option<Key>,
-    /// Passes all that is received on.
+    /// Passes on all received data.
     pub relay: Relay,
     pub recording: Option<BufWriter<File>>,
-    /// The flight's archive, where one is at hand.
+    /// The flight's archive, if it is available.
     pub frames: Option<Follower>,
 }
 
@@ -65,7 +65,7 @@ impl Line {
                     let packets = parser.feed(&buffer[..count], start.elapsed());
                     match is_datagram {
                         true => self.relay.pass_on(&buffer[..count], Instant::now()),
-                        // What comes by wire comes in pieces.
+                        // Data from a wire arrive in pieces.
                         false => packets.iter().for_each(|packet| {
                             self.relay.pass_on(&packet.encode(), Instant::now());
                         }),
@@ -120,7 +120,7 @@ impl Line {
         }
     }
 
-    /// Sends the commands that wait.
+    /// Sends the waiting commands.
     fn send(&mut self, shared: &Shared, now: Duration) {
         while let Ok(Outgoing { number, to, bytes }) = self.outbox.try_recv() {
             let bytes = match &self.key {
@@ -146,16 +146,16 @@ impl Line {
 
     fn poll_frames(&mut self, shared: &Shared) {
         if let Some(frames) = &mut self.frames {
-            // Its folder may not be there yet.
+            // Its folder may not exist yet.
             let _ = read_on(frames, shared);
         }
     }
 }
 
-/// Begins a recording: a byte log.
+/// Creates a recording: a byte log.
 ///
 /// # Errors
-/// The file exists, or cannot be written.
+/// If the file exists, or cannot be written.
 pub fn recording(path: &Path) -> io::Result<BufWriter<File>> {
     let mut file = BufWriter::new(File::create_new(path)?);
     writeln!(file, "{}", byte_log::HEADER)?;
@@ -168,7 +168,7 @@ pub fn follow(mut archive: Follower, shared: &Arc<Shared>) {
     let (mut failed, mut is_read) = (0_u64, false);
     while !shared.is_over() {
         match read_on(&mut archive, shared) {
-            // What was there at the beginning may be of any time.
+            // The data at the beginning may be of any age.
             Ok(true) if is_read => shared.note_growth(),
             Ok(true) => {}
             Ok(false) => {

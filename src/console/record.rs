@@ -1,4 +1,4 @@
-//! A recording, read into the history, and read on while it grows.
+//! A recording, read into the history, and continued while it grows.
 
 use super::history::History;
 use super::receive::POLL_EVERY;
@@ -11,12 +11,12 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Bytes that are read at a time.
+/// Number of bytes per read.
 const PIECE: usize = 1 << 16;
-/// The end of a line that has not come for so long was cut off.
+/// A line whose end is missing for this time is truncated.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Why a file is no recording.
+/// Why a file is not a recording.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     #[error(transparent)]
@@ -25,15 +25,15 @@ pub enum RecordError {
     Log(#[from] LogError),
 }
 
-/// A recording, as far as it has been read.
+/// A recording and the position up to which it has been read.
 pub struct Record {
     path: PathBuf,
     file: File,
     reader: Reader,
-    /// Beginning that was read to see whether it is one.
+    /// First lines, which were read to check the format.
     bursts: Vec<Burst>,
     parser: Parser,
-    /// Bad lines of which the log has been warned.
+    /// Number of bad lines already reported in the log.
     warned: u64,
 }
 
@@ -41,7 +41,7 @@ impl Record {
     /// Opens a recording and reads its first lines.
     ///
     /// # Errors
-    /// It cannot be read, or no line of it.
+    /// If it cannot be read, or if no line of it is valid.
     pub fn open(path: &Path) -> Result<Self, RecordError> {
         let mut record = Self {
             path: path.into(),
@@ -78,7 +78,7 @@ impl Record {
                 }
                 Ok(_) => {
                     grew = Instant::now();
-                    // What was there at the beginning may be of any time.
+                    // The data at the beginning may be of any age.
                     if is_read {
                         shared.note_growth();
                     }
@@ -116,7 +116,7 @@ impl Record {
         }
     }
 
-    /// Warns of bad lines: once of those that were there, and of a recording that grows when they have doubled.
+    /// Warns of bad lines: once of those already present, and for a growing recording whenever their number has doubled.
     fn warn(&mut self) {
         let skipped = self.reader.skipped();
         if skipped.total() > 2 * self.warned {
@@ -135,7 +135,7 @@ mod tests {
     use jiff::Timestamp;
     use std::io::Write;
 
-    /// A line with the housekeeping of a second.
+    /// A line with the housekeeping of one second.
     fn line(second: u32) -> String {
         let time = Timestamp::new(1_379_786_400 + i64::from(second), 1).unwrap();
         let housekeeping = Housekeeping {
@@ -176,7 +176,7 @@ mod tests {
             wait_for(&shared, 2);
             write!(file, "{}{}", line(2), line(2)).unwrap();
             wait_for(&shared, 3);
-            // The packet of a last line without an end is taken when no end comes.
+            // A last line without an end is processed if no end arrives.
             write!(file, "{}", line(3).trim_end()).unwrap();
             wait_for(&shared, 4);
             shared.end();

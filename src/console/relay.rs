@@ -1,8 +1,8 @@
 //! Relay of received packets to other consoles.
 //!
-//! Consoles may pass on to each other in a ring, by two ways, or by mistake to themselves. So each passes a datagram on once: one that is,
-//! byte by byte, the same as one that it passed on within [`MEMORY`] goes no further. The flight says nothing twice: its telemetry bears the
-//! time to the nanosecond, its other packets a number that comes back after 65,536 of them.
+//! Consoles may pass data on in a ring, on two paths, or by mistake to themselves. So each passes a datagram on once: one
+//! that is byte for byte the same as one passed on within [`MEMORY`] is dropped. The flight never sends the same datagram
+//! twice: its telemetry contains the time to the nanosecond, its other packets a number that repeats after 65,536 packets.
 
 use super::source::Source;
 use crate::link::{BytePort, LocalEnd, PortError, UdpPort};
@@ -12,9 +12,9 @@ use std::hash::{BuildHasher, RandomState};
 use std::net::{IpAddr, SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-/// How long a datagram is remembered: longer than any way round takes.
+/// How long a datagram is remembered: longer than any path takes.
 const MEMORY: Duration = Duration::from_secs(30);
-/// Of how many datagrams at most: 2,000 a second.
+/// Maximum number of remembered datagrams: 2,000 per second.
 const MOST: usize = 1 << 16;
 
 /// Passes datagrams on, each once.
@@ -24,10 +24,10 @@ pub struct Relay {
 }
 
 impl Relay {
-    /// To other consoles than the one that receives from `source`.
+    /// A relay to consoles other than the one that receives from `source`.
     ///
     /// # Errors
-    /// The address at which this console itself listens; one that cannot be sent to.
+    /// If a peer is the address on which this console itself listens, or if it cannot be sent to.
     pub fn to(peers: &[SocketAddr], source: &Source) -> anyhow::Result<Self> {
         for peer in peers {
             ensure!(
@@ -42,7 +42,7 @@ impl Relay {
         })
     }
 
-    /// Passes a datagram on, unless it was passed on a short time ago. A console that does not listen does not get it.
+    /// Passes a datagram on, unless it was passed on recently. A console that is not listening does not get it.
     pub fn pass_on(&mut self, datagram: &[u8], now: Instant) {
         if self.ports.is_empty() || !self.passed.is_new(datagram, now) {
             return;
@@ -53,30 +53,30 @@ impl Relay {
     }
 }
 
-/// Whether what is sent to `peer` comes back to the socket that listens on `here`.
+/// Whether a datagram sent to `peer` arrives at the socket that listens on `here`.
 fn is_own(peer: SocketAddr, here: SocketAddr) -> bool {
     let is_here =
         here.ip().is_unspecified() || here.ip() == peer.ip() || peer.ip().is_unspecified();
     peer.port() == here.port() && is_here && is_of_this_machine(peer.ip())
 }
 
-/// Whether an address is one of this machine's: then a socket can be bound to it.
+/// Whether an address belongs to this machine: then a socket can be bound to it.
 fn is_of_this_machine(address: IpAddr) -> bool {
-    // What is sent to no address at all goes to the machine itself.
+    // Data sent to the unspecified address go to the machine itself.
     UdpSocket::bind((address, 0)).is_ok()
 }
 
-/// The datagrams of the last time, as digests.
+/// Digests of the recent datagrams.
 #[derive(Default)]
 struct Passed {
-    /// Another one in each run: no one can make two equal datagrams.
+    /// Randomised at every start, so that no one can construct two datagrams with equal digests.
     hash: RandomState,
     digests: HashSet<u64>,
     in_order: VecDeque<(Instant, u64)>,
 }
 
 impl Passed {
-    /// Whether a datagram is not among them; from now on it is.
+    /// Whether a datagram is new; adds it.
     fn is_new(&mut self, datagram: &[u8], now: Instant) -> bool {
         let is_old = |passed: Instant| now.saturating_duration_since(passed) > MEMORY;
         while let Some((passed, digest)) = self.in_order.front().copied() {

@@ -1,4 +1,4 @@
-//! Shared parts of every request: the data for its answer, how it is read, and how an answer or a failure is written.
+//! Shared parts of all requests: the data for answers, parsing, and the format of answers and failures.
 
 use super::access::{Access, Refused};
 use super::disk::{Reads, Unread};
@@ -34,7 +34,7 @@ pub struct Console {
     turns: Arc<Semaphore>,
 }
 
-/// Drawings that are made at a time, and how long another waits for its turn.
+/// Maximum number of simultaneous drawings, and maximum time that another one waits.
 const DRAWINGS: usize = 2;
 const DRAWING_TURN: Duration = Duration::from_secs(10);
 
@@ -44,14 +44,14 @@ pub struct Parts {
     pub source: Source,
     pub access: Access,
     pub ground: Ground,
-    /// Where commands go; `None` where they cannot.
+    /// Channel for commands; `None` if none can be sent.
     pub outbox: Option<Sender<Outgoing>>,
     pub recording: Option<PathBuf>,
     /// The faults of the demo.
     pub training: Option<Faults>,
 }
 
-/// Why a request has no answer: shown as `{"error": ...}`.
+/// Failure of a request: shown as `{"error": ...}`.
 pub struct Failure(pub StatusCode, pub String);
 
 impl Failure {
@@ -148,7 +148,7 @@ impl Console {
         Ok(self.reads.read(archive, file, read).await?)
     }
 
-    /// Drawings take turns, so that no number of viewers takes the whole machine.
+    /// Waits for a turn at drawing: the number of viewers must not overload the machine.
     pub async fn turn(&self) -> Answer<OwnedSemaphorePermit> {
         let turns = Arc::clone(&self.turns);
         match tokio::time::timeout(DRAWING_TURN, turns.acquire_owned()).await {
@@ -160,22 +160,22 @@ impl Console {
         }
     }
 
-    /// Whether silence is a fault: what is received comes each second.
+    /// Whether silence is a fault: received data arrive each second.
     pub fn is_live(&self) -> bool {
         self.parts.source.is_line()
     }
 
-    /// Whether the flight still grows: an archive or a recording does that has grown lately.
+    /// Whether the flight is still growing: a line always is, an archive or a recording if it has grown recently.
     pub fn grows(&self) -> bool {
         self.is_live() || self.parts.shared.has_grown_lately()
     }
 
-    /// Whether commands may be sent by a user who has logged in.
+    /// Whether commands may be sent by a logged-in user.
     pub fn takes_commands(&self) -> bool {
         self.parts.outbox.is_some() && self.parts.access.has_token()
     }
 
-    /// Reads the flight at a time, or at its newest.
+    /// Reads the flight at a time, or at the newest time.
     pub fn view<T>(&self, at: Option<Nanoseconds>, read: impl FnOnce(&View) -> T) -> T {
         let history = self.parts.shared.history();
         read(&View {
@@ -187,7 +187,7 @@ impl Console {
     }
 }
 
-/// Does work that takes longer than an answer may beside the answers.
+/// Runs long work on another thread.
 pub async fn beside<T: Send + 'static>(
     work: impl FnOnce() -> Answer<T> + Send + 'static,
 ) -> Answer<T> {
@@ -206,7 +206,7 @@ pub fn time(name: &str, text: Option<&String>) -> Answer<Option<Nanoseconds>> {
     time.map_err(|error| Failure::bad(format!("{name}: {error}")))
 }
 
-/// A picture as PNG: fast, for it is viewed once.
+/// A picture as PNG, compressed quickly, because it is viewed only once.
 pub fn png(image: &RgbImage) -> Answer<Response> {
     let mut bytes = Vec::new();
     let encoder = PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Sub);
@@ -220,7 +220,7 @@ pub fn svg(drawing: String) -> Response {
     ([(header::CONTENT_TYPE, "image/svg+xml")], drawing).into_response()
 }
 
-/// A file for the viewer's disk. Its name is of letters, digits, dots, dashes and underscores alone.
+/// A file for download. Its name has only letters, digits, dots, dashes and underscores.
 pub fn attachment(kind: &'static str, name: &str, bytes: Vec<u8>) -> Response {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "._-".contains(c);
     let name: String = name
@@ -235,7 +235,7 @@ pub fn attachment(kind: &'static str, name: &str, bytes: Vec<u8>) -> Response {
     (headers, bytes).into_response()
 }
 
-/// Query behind the question mark, with words where it cannot be read.
+/// The query string, with an error message if it cannot be parsed.
 pub struct Asked<T>(pub T);
 
 impl<T: serde::de::DeserializeOwned, S: Send + Sync> axum::extract::FromRequestParts<S>
@@ -251,7 +251,7 @@ impl<T: serde::de::DeserializeOwned, S: Send + Sync> axum::extract::FromRequestP
     }
 }
 
-/// A body of JSON, with words where it cannot be read.
+/// A JSON body, with an error message if it cannot be parsed.
 pub struct Body<T>(pub T);
 
 impl<T: serde::de::DeserializeOwned, S: Send + Sync> axum::extract::FromRequest<S> for Body<T> {
@@ -264,7 +264,7 @@ impl<T: serde::de::DeserializeOwned, S: Send + Sync> axum::extract::FromRequest<
     }
 }
 
-/// The time that is asked for.
+/// The requested time.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct At {

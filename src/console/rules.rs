@@ -4,7 +4,7 @@
 use crate::link::Housekeeping;
 use crate::units::counted;
 
-/// How much it matters.
+/// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Severity {
     Good,
@@ -22,21 +22,21 @@ impl Severity {
     }
 }
 
-/// The latest housekeeping, and that of a minute before it or of the flight's start.
+/// The latest housekeeping, and that from a minute before or from the flight's start.
 pub struct Minute<'a> {
     pub now: &'a Housekeeping,
     pub before: &'a Housekeeping,
 }
 
-/// A rule: what is wrong, if anything is.
+/// A rule that detects one fault.
 pub struct Rule {
     pub name: &'static str,
     pub severity: Severity,
-    /// In words, for a sentence.
+    /// Description of the fault, for a sentence; `None` if there is none.
     pub found: fn(&Minute) -> Option<String>,
 }
 
-/// Fields that are watched together: a row of the page's table, and the rules that judge them. Some are for people to judge.
+/// Fields that are monitored together: a row of the page's table, with the rules that judge them. Some fields have no rule.
 pub struct Watch {
     pub fields: &'static [&'static str],
     pub good: &'static str,
@@ -44,15 +44,16 @@ pub struct Watch {
     pub rules: &'static [Rule],
 }
 
-/// A disk fuller than that is warned of, then thinned (`archive.warn_free_percent`, `archive.thin_free_percent`).
+/// Above these levels a disk causes a warning, and then is thinned (`archive.warn_free_percent`,
+/// `archive.thin_free_percent`).
 const DISK_WARNING_PERCENT: u8 = 90;
 const DISK_ALARM_PERCENT: u8 = 97;
 const RESIDUAL_PX: f32 = 0.3;
 const LATENCY_MS: f32 = 10.0;
-/// In which the Sun moves by 0.15 arcsec.
+/// Limit of the clock's error, in which the Sun moves by 0.15 arcsec.
 const CLOCK_US: f32 = 10_000.0;
 
-/// Of `gyro_agreement`.
+/// Value of `gyro_agreement` for a contradiction.
 const CONTRADICTED: u8 = 3;
 
 macro_rules! counter {
@@ -195,7 +196,7 @@ pub const WATCHES: &[Watch] = &[
                 1 => Some("the inertial filter waits for samples, a fix and the Sun".into()),
                 3 => Some("the inertial filter coasts: no frame for 10 s".into()),
                 4 => Some("the inertial filter has restarted".into()),
-                // The alarm below says it.
+                // The alarm below reports it.
                 5 if minute.now.gyro_agreement == CONTRADICTED => None,
                 5 => Some("frames contradict the gyros: inertial offsets are uncertain".into()),
                 6 => Some(
@@ -348,12 +349,12 @@ pub const WATCHES: &[Watch] = &[
     },
 ];
 
-/// All rules, in the order of the table: a rule's place is its bit in the flags of a packet.
+/// All rules, in the order of the table: a rule's index is its bit in the flags of a packet.
 pub fn rules() -> impl Iterator<Item = &'static Rule> {
     WATCHES.iter().flat_map(|watch| watch.rules)
 }
 
-/// A counter that has grown within the minute; `what` is for one and for several.
+/// The growth of a counter within the minute; `what` is for one and for several.
 fn growth(what: &str, before: u64, now: u64) -> Option<String> {
     let grown = now.checked_sub(before).filter(|grown| *grown > 0)?;
     let (one, several) = what.split_once('|').unwrap_or((what, what));
@@ -363,7 +364,7 @@ fn growth(what: &str, before: u64, now: u64) -> Option<String> {
     ))
 }
 
-/// How far what the cameras show is from where the gyros have it; `None` where nothing is compared.
+/// Difference between cameras and gyros; `None` if nothing is compared.
 pub fn gyros_against_sun(housekeeping: &Housekeeping) -> Option<String> {
     let sigmas =
         |value: Option<f32>| value.map_or("\u{2013}".into(), |value| format!("{value:.1}"));
@@ -416,7 +417,7 @@ fn without_fine(minute: &Minute) -> Option<String> {
     })
 }
 
-/// The frames that went no further than each stage.
+/// The numbers of frames that stopped at each stage.
 fn stopped(housekeeping: &Housekeeping) -> [(&'static str, u16); 7] {
     [
         ("levels", housekeeping.stopped_levels),
@@ -506,7 +507,7 @@ mod tests {
         };
         let words = "no Sun in 236 frames of the last minute; most stopped at limb";
         assert_eq!(found(sunless), [words]);
-        // The filter's doubt and the contradiction that lasts are said once.
+        // The filter's doubt and a lasting contradiction are reported once.
         let contradicted = Housekeeping {
             navigation: 5,
             gyro_agreement: 3,

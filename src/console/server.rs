@@ -1,4 +1,4 @@
-//! The web server: which address answers what. See `docs/console.md`.
+//! The web server and its routes. See `docs/console.md`.
 
 use super::access::{COOKIE, Refused, SESSION};
 use super::live::{self, Replay, Wish};
@@ -20,10 +20,10 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tower_http::compression::CompressionLayer;
 
-/// Viewers of the live stream at a time.
+/// Maximum number of viewers of the live stream.
 const MOST_VIEWERS: usize = 100;
 
-/// A viewer's browser loads nothing but what this console sends, and shows it in no other site's frame.
+/// A viewer's browser loads only content from this console, and does not show it in another site's frame.
 const CONTENT_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
                               connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'";
 
@@ -40,7 +40,7 @@ pub fn router(console: Console) -> Router {
         .route("/api/now", get(now))
         .route("/api/live", get(stream))
         .route("/api/frames", get(frames::list))
-        // Their files are read before they take their turn at drawing.
+        // Their files are read before they wait for a turn at drawing.
         .route("/api/picture.png", get(drawings::picture))
         .route("/api/frame.png", get(frames::picture))
         .route("/api/frame.fits", get(frames::file))
@@ -55,13 +55,13 @@ pub fn router(console: Console) -> Router {
         .route("/api/training", post(training::switch))
         .merge(drawn)
         .fallback(get(pages::page))
-        // Not the stream of events, nor pictures.
+        // The stream of events and pictures are not compressed.
         .layer(CompressionLayer::new())
         .layer(middleware::from_fn_with_state(console.clone(), guard))
         .with_state(console)
 }
 
-/// Checks every request, and says with every answer what a browser may do with it.
+/// Checks every request, and adds the security headers to every answer.
 async fn guard(
     State(console): State<Console>,
     ConnectInfo(peer): ConnectInfo<SocketAddr>,
@@ -71,7 +71,7 @@ async fn guard(
     let access = &console.parts().access;
     let (method, headers) = (request.method().clone(), request.headers());
     let path = request.uri().path();
-    // The pages themselves are the login's.
+    // The pages themselves contain the login.
     let needs_login = access.guards_reading()
         && path.starts_with("/api/")
         && !matches!(path, "/api/login" | "/api/flight");

@@ -1,4 +1,4 @@
-//! Shared state of the threads of the console.
+//! State shared by the threads of the console.
 
 use super::history::{History, News};
 use super::orders::Orders;
@@ -9,19 +9,19 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
-/// The flight, the commands to it, and the news of both.
+/// The flight, the commands to it, and notifications of changes in both.
 pub struct Shared {
     history: Mutex<History>,
     orders: Mutex<Orders>,
     news: watch::Sender<News>,
-    /// Viewers of the live stream.
+    /// Number of viewers of the live stream.
     pub viewers: AtomicUsize,
     over: AtomicBool,
-    /// When an archive or a recording grew last.
+    /// Time at which an archive or a recording last grew.
     grew: Mutex<Option<Instant>>,
 }
 
-/// An archive that has not grown for this time is of a flight that is over.
+/// An archive that has not grown for this time belongs to a finished flight.
 const LATELY: Duration = Duration::from_secs(30);
 
 impl Shared {
@@ -57,12 +57,12 @@ impl Shared {
         }
     }
 
-    /// Wakes those who wait for changes.
+    /// A receiver that is woken by changes.
     pub fn subscribe(&self) -> watch::Receiver<News> {
         self.news.subscribe()
     }
 
-    /// Searches for answers to commands in a packet.
+    /// Checks a packet for answers to commands.
     pub fn hear_answer(&self, packet: &Packet, now: Timestamp) {
         let has_changed = self.orders().hear(packet, now);
         self.notify_of_orders(has_changed);
@@ -85,7 +85,7 @@ impl Shared {
         }
     }
 
-    /// Notes that an archive or a recording has grown.
+    /// Records that an archive or a recording has grown.
     pub fn note_growth(&self) {
         *self.grew.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
     }
@@ -95,7 +95,7 @@ impl Shared {
         grew.is_some_and(|grew| grew.elapsed() < LATELY)
     }
 
-    /// Ends the threads that ask.
+    /// Tells the threads to end.
     pub fn end(&self) {
         self.over.store(true, Ordering::Relaxed);
     }

@@ -1,4 +1,4 @@
-//! Where a flight comes from.
+//! Source of a flight's data.
 
 use crate::link::PortAddress;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -8,7 +8,7 @@ use std::str::FromStr;
 /// Forms of a source.
 const EXPECTED: &str = "udp:[ADDR]:PORT, serial:DEV, archive:DIR, record:FILE or demo";
 
-/// Where a flight comes from.
+/// Source of a flight's data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
     /// Datagrams that arrive at an address of this machine.
@@ -17,9 +17,9 @@ pub enum Source {
     Serial(String),
     /// An archive's folder, which may still grow.
     Archive(PathBuf),
-    /// A byte log: what was received. It may still grow.
+    /// A byte log of received data. It may still grow.
     Record(PathBuf),
-    /// A flight of the simulator's.
+    /// A simulated flight.
     Demo,
 }
 
@@ -67,12 +67,12 @@ impl std::fmt::Display for Source {
 }
 
 impl Source {
-    /// Whether it is a line, on which packets come as they are sent.
+    /// Whether it is a line, on which packets arrive as they are sent.
     pub fn is_line(&self) -> bool {
         matches!(self, Self::Udp(_) | Self::Serial(_) | Self::Demo)
     }
 
-    /// Whether commands can be sent. Over UDP the gondola must be named: who sends is not proved by a datagram.
+    /// Whether commands can be sent. Over UDP the gondola must be named: a datagram does not prove its sender.
     pub fn takes_commands(&self, gondola: Option<SocketAddr>) -> bool {
         match self {
             Self::Serial(_) | Self::Demo => true,

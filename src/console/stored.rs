@@ -1,4 +1,4 @@
-//! A flight on disk: its logs are read into the history, and read on while they grow. See `docs/archive.md`.
+//! A flight on disk: its logs are read into the history, and followed while they grow. See `docs/archive.md`.
 
 use super::history::{FrameRow, History, MOST_TABLES};
 use super::table::nanoseconds;
@@ -11,22 +11,22 @@ use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// Bytes of a log that are taken at a time, so that no viewer waits long.
+/// Maximum number of bytes per read of a log, so that no viewer waits long.
 const PIECE: u64 = 1 << 20;
-/// Cameras have folders of their own in the archive's.
+/// Cameras have their own folders in the archive's.
 const DEPTH: usize = 2;
 
-/// Logs that are read: the first words of their names.
+/// Logs that are read: the first parts of their names.
 const HOUSEKEEPING: &str = "housekeeping";
 const SOLUTIONS: &str = "solutions";
 const OTHERS: [&str; 2] = ["propagated", "gps"];
 
-/// A log, as far as it has been read.
+/// A log and the position up to which it has been read.
 struct Log {
     /// The folder of its camera under the archive's; empty for the first camera.
     folder: String,
     what: String,
-    /// Whether solutions come from here alone.
+    /// Whether it is the only source of solutions.
     is_only_source: bool,
     offset: u64,
     header: Vec<String>,
@@ -36,12 +36,12 @@ struct Log {
 pub struct Follower {
     root: PathBuf,
     logs: BTreeMap<PathBuf, Log>,
-    /// Whether housekeeping and offsets come from here, too, or over a line.
+    /// Whether housekeeping and offsets come from here as well, and not over a line.
     is_only_source: bool,
 }
 
 impl Follower {
-    /// Of an archive that is all there is of a flight.
+    /// For an archive that is the only source of a flight.
     pub fn of_flight(root: &Path) -> Self {
         Self {
             root: root.into(),
@@ -50,7 +50,7 @@ impl Follower {
         }
     }
 
-    /// Of the frames alone, of a flight that is received over a line.
+    /// For the frames only, of a flight that is received over a line.
     pub fn of_frames(root: &Path) -> Self {
         Self {
             is_only_source: false,
@@ -58,11 +58,11 @@ impl Follower {
         }
     }
 
-    /// Reads a piece of what the logs have that was not read. Gives whether there was any. `change` is given the way to change
-    /// the history.
+    /// Reads the next piece of unread data from the logs. Returns whether there was any. `change` is called with the
+    /// operation on the history.
     ///
     /// # Errors
-    /// A folder that cannot be listed, a log that cannot be read.
+    /// If a folder cannot be listed, or a log cannot be read.
     pub fn read_on(
         &mut self,
         mut change: impl FnMut(&mut dyn FnMut(&mut History)),
@@ -119,7 +119,7 @@ impl Follower {
     }
 }
 
-/// Folders of an hour's frames, `20130921T18`, and telemetry hold no logs.
+/// Whether a folder holds no logs: an hour's frames, `20130921T18`, or telemetry.
 fn is_of_frames(name: &str) -> bool {
     let hour = name.split_once('T');
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
@@ -127,7 +127,7 @@ fn is_of_frames(name: &str) -> bool {
 }
 
 impl Log {
-    /// Whole lines that were not read yet.
+    /// The next complete lines.
     fn next_piece(&mut self, path: &Path) -> io::Result<String> {
         let mut file = File::open(path)?;
         file.seek(SeekFrom::Start(self.offset))?;
@@ -135,7 +135,7 @@ impl Log {
         file.take(PIECE).read_to_end(&mut bytes)?;
         let whole = match bytes.iter().rposition(|byte| *byte == b'\n') {
             Some(end) => end + 1,
-            // No line is so long: these are the zero bytes of a power cut, or another file.
+            // No valid line is this long: these are zero bytes from a power cut, or another kind of file.
             None if bytes.len() as u64 == PIECE => bytes.len(),
             None => 0,
         };
@@ -144,7 +144,7 @@ impl Log {
         Ok(String::from_utf8_lossy(&bytes).into_owned())
     }
 
-    /// The rows of whole lines. The log's first one is its header; lines that are no CSV are skipped.
+    /// The rows of complete lines. The log's first row is its header; lines that are not CSV are skipped.
     fn rows(&mut self, text: &str) -> Vec<csv::StringRecord> {
         let mut reader = csv::ReaderBuilder::new();
         let reader = reader
@@ -154,7 +154,7 @@ impl Log {
         let mut rows: Vec<csv::StringRecord> =
             reader.into_records().filter_map(Result::ok).collect();
         if self.header.is_empty() && !rows.is_empty() {
-            // "taken [unit]": the name is before the unit.
+            // "taken [unit]": the name precedes the unit.
             let name = |name: &str| name.split(' ').next().unwrap_or_default().to_owned();
             self.header = rows.remove(0).iter().map(name).collect();
         }
@@ -199,7 +199,7 @@ impl Log {
         table.push(time, time, &numbers);
         match self.what.as_str() {
             SOLUTIONS => {
-                // Where a line brings solutions, too, they are the newer ones.
+                // If a line delivers solutions as well, those are newer.
                 history.news.solution += u64::from(self.is_only_source);
                 history.news.frames += 1;
                 history.frame_read = Some(nanoseconds(Timestamp::now()));
@@ -216,7 +216,7 @@ impl Log {
         }
     }
 
-    /// The log's columns that hold numbers.
+    /// The log's columns with numbers.
     fn columns(&self) -> Vec<Column> {
         const WORDS: [&str; 8] = [
             "utc", "t_s", "file", "quality", "reason", "mapping", "disk", "status",
@@ -250,7 +250,7 @@ impl Log {
     }
 }
 
-/// The unit with which the name of a column ends.
+/// The unit at the end of a column's name.
 fn unit(name: &str) -> &'static str {
     const UNITS: [(&str, &str); 10] = [
         ("_mil_per_px", "mil/px"),

@@ -1,4 +1,4 @@
-//! Numbers over time: what a packet or a row of a log brings, in columns.
+//! Time series: the values of packets or of rows of a log, in columns.
 
 use jiff::Timestamp;
 use std::ops::Range;
@@ -7,7 +7,7 @@ use std::ops::Range;
 pub type Nanoseconds = i64;
 
 pub fn nanoseconds(time: Timestamp) -> Nanoseconds {
-    // Until the year 2262.
+    // Valid until the year 2262.
     time.as_nanosecond() as i64
 }
 
@@ -15,16 +15,17 @@ pub fn timestamp(time: Nanoseconds) -> Timestamp {
     Timestamp::from_nanosecond(time.into()).unwrap_or_default()
 }
 
-/// Times that follow each other as our clock goes on. One of another hour is not believed before others have agreed with it for a while: a
-/// broken packet that passes its checksum, or a forged one, must not set the clock.
+/// Checks that the flight's time advances with the ground's clock. A time that differs by an hour or more is accepted only
+/// after others have agreed with it for a while: a corrupt packet with a valid checksum, or a forged one, must not set the
+/// clock.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Steady {
     last: Option<Moment>,
-    /// The first and the last of those that are not believed yet.
+    /// The first and the last of the times not accepted yet.
     doubted: Option<(Moment, Moment)>,
 }
 
-/// A time of the flight's clock, and of ours when it was reported.
+/// A time of the flight's clock, and the ground's time when it arrived.
 #[derive(Debug, Clone, Copy)]
 struct Moment {
     time: Nanoseconds,
@@ -32,7 +33,7 @@ struct Moment {
 }
 
 impl Moment {
-    /// Whether the clock has moved as ours from one moment to another.
+    /// Whether the flight's clock has advanced like the ground's between two moments.
     fn agrees(&self, other: &Self) -> bool {
         const HOUR_NS: u64 = 3_600_000_000_000;
         let moved = self.time.saturating_sub(other.time);
@@ -42,10 +43,10 @@ impl Moment {
 }
 
 impl Steady {
-    /// A clock that was set is believed after so long of ours.
+    /// Time of the ground's clock after which a new setting of the flight's clock is accepted.
     pub const PERSISTS_NS: i64 = 5_000_000_000;
 
-    /// Whether a time that arrived at one of ours is believed.
+    /// Whether a time that arrived at a ground time is accepted.
     pub fn take(&mut self, time: Nanoseconds, arrived: Nanoseconds) -> bool {
         let now = Moment { time, arrived };
         let first = match self.doubted.filter(|(_, last)| last.agrees(&now)) {
@@ -62,7 +63,7 @@ impl Steady {
     }
 }
 
-/// Content of a column.
+/// Description of a column.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Column {
     pub name: String,
@@ -81,14 +82,14 @@ impl Column {
     }
 }
 
-/// Rows in the order of their times (UTC, ns since 1970). Numbers are kept in single precision, NaN where not known: 24 hours at
-/// 4 Hz with five columns take 10 MB.
+/// Rows in the order of their times (UTC, ns since 1970). Values are stored in single precision, NaN if unknown: 24 hours
+/// at 4 Hz with five columns take 10 MB.
 #[derive(Debug, Clone)]
 pub struct Table {
     pub name: String,
     pub columns: Vec<Column>,
     times: Vec<i64>,
-    /// When each arrived by our clock, s since 1970.
+    /// Time of arrival of each row by the ground's clock, s since 1970.
     arrived_s: Vec<u32>,
     values: Vec<Vec<f32>>,
 }
@@ -104,7 +105,7 @@ impl Table {
         }
     }
 
-    /// Adds a row that arrived at a time of ours, in its place by its own; as many numbers as the table has columns.
+    /// Inserts a row by its own time, with its time of arrival; `row` has one value per column.
     pub fn push(&mut self, time: i64, arrived: Nanoseconds, row: &[Option<f64>]) {
         let at = place(&self.times, time);
         self.times.insert(at, time);
@@ -118,19 +119,19 @@ impl Table {
         &self.times
     }
 
-    /// The numbers of a column, NaN where not known.
+    /// The values of a column, NaN if unknown.
     pub fn column(&self, name: &str) -> Option<&[f32]> {
         let at = self.columns.iter().position(|column| column.name == name)?;
         self.values.get(at).map(Vec::as_slice)
     }
 
-    /// A number of a row.
+    /// A value of a row.
     pub fn value(&self, row: usize, column: &str) -> Option<f64> {
         let value = *self.column(column)?.get(row)?;
         value.is_finite().then(|| value.into())
     }
 
-    /// Drops what arrived before a time.
+    /// Drops rows that arrived before a time.
     pub fn forget_before(&mut self, arrived: Nanoseconds) {
         let oldest_s = seconds(arrived);
         let kept: Vec<bool> = self.arrived_s.iter().map(|own| *own >= oldest_s).collect();
@@ -146,13 +147,13 @@ fn seconds(time: Nanoseconds) -> u32 {
     u32::try_from(time / 1_000_000_000).unwrap_or(0)
 }
 
-/// Keeps the rows that are to be kept.
+/// Keeps the flagged rows.
 pub fn keep<T>(rows: &mut Vec<T>, kept: &[bool]) {
     let mut kept = kept.iter();
     rows.retain(|_| kept.next().is_none_or(|kept| *kept));
 }
 
-/// Where a time belongs among ordered ones: behind those equal to it.
+/// Index at which to insert a time into ordered times: after those equal to it.
 pub fn place(times: &[i64], time: i64) -> usize {
     match times.last() {
         Some(last) if *last > time => times.partition_point(|at| *at <= time),
@@ -160,7 +161,7 @@ pub fn place(times: &[i64], time: i64) -> usize {
     }
 }
 
-/// The last row that is not later than a time.
+/// The last row with a time not later than the given one.
 pub fn row_at(times: &[i64], time: i64) -> Option<usize> {
     times.partition_point(|at| *at <= time).checked_sub(1)
 }
@@ -185,12 +186,12 @@ mod tests {
         let mut take =
             |time_s: i64, arrived_s: i64| steady.take(time_s * SECOND, arrived_s * SECOND);
         assert!(take(10, 0) && take(11, 1));
-        // Two packets ten years ahead, and the flight goes on.
+        // Two packets are ten years ahead, and the flight continues.
         assert!(!take(315_360_000, 2) && !take(315_360_001, 3));
         assert!(take(14, 4));
-        // After a day without a word it is as far on as we are.
+        // After a day of silence the flight's clock has advanced like the ground's.
         assert!(take(86_414, 86_404));
-        // The clock was set: believed when it has gone on as ours for five seconds.
+        // The clock was set: accepted after it has advanced like the ground's for five seconds.
         let set = (0..8).map(|n| take(n, 86_410 + n));
         let set: Vec<bool> = set.collect();
         assert_eq!(set, [false, false, false, false, false, true, true, true]);

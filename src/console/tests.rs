@@ -93,7 +93,7 @@ const PATHS: [&str; 23] = [
     "/api/logout",
     "/../../etc/passwd",
 ];
-/// Requests of pages.
+/// Requests as sent by the pages.
 const USUAL: [&str; 8] = [
     "/api/now?at=2013-09-21T18:00:10Z",
     "/api/plot.svg?fields=housekeeping.taken,received.azimuth_deg",
@@ -174,7 +174,7 @@ fn random_request(random: &mut Xoshiro256PlusPlus) -> Request<Body> {
         random,
         &["application/json", "application/json", "text/plain"],
     );
-    // Many addresses, so that the limit of one does not answer for all.
+    // Many addresses, so that the rate limit of one does not reject all.
     let peer = IpAddr::V4(Ipv4Addr::from(0x0A00_0000 + random.random_range(0..1000)));
     Request::builder()
         .method(method)
@@ -218,7 +218,7 @@ fn ten_thousand_random_requests_change_nothing_and_none_panics() {
     );
 }
 
-/// Packets of every type with any payload, some with a good checksum.
+/// Packets of all types with random payloads, some with a valid checksum.
 fn broken_packet(random: &mut Xoshiro256PlusPlus) -> Vec<u8> {
     let kind = *[0x01, 0x03, 0x70, 0x71, 0x72, 0x73, 0x82, 0x83, 0xE1, 0x00]
         .choose(random)
@@ -319,7 +319,7 @@ fn two_packets_of_another_decade_drop_nothing_and_lose_nothing() {
     }
     assert_eq!(history.housekeeping.times.len(), 28);
     assert_eq!((history.line.missing, history.line.doubtful), (2, 2));
-    // An hour and more later what arrived first is dropped.
+    // More than an hour later the first data are dropped.
     for second in 7200..7202 {
         let packet = housekeeping(second).packet(at(second.into())).unwrap();
         history.take(&Packet::Telemetry(packet), at(second.into()));

@@ -10,14 +10,14 @@ use axum::http::HeaderMap;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
-/// A fault as an operator meets it.
+/// A fault from the operator's view.
 pub struct Exercise {
     pub fault: Fault,
     pub title: &'static str,
     pub happens: &'static str,
     pub shows: &'static str,
     pub remedy: &'static str,
-    /// The rules by which the console notices it.
+    /// The rules by which the console detects it.
     pub rules: &'static [&'static str],
 }
 
@@ -54,7 +54,7 @@ pub const EXERCISES: &[Exercise] = &[
     },
 ];
 
-/// Content of the page's panel.
+/// Contents of the page's panel.
 pub fn panel(faults: &Faults) -> Value {
     let exercise = |one: &Exercise| {
         json!({
@@ -70,7 +70,7 @@ pub fn panel(faults: &Faults) -> Value {
     EXERCISES.iter().map(exercise).collect()
 }
 
-/// A press of a button.
+/// A button press.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Press {
@@ -78,7 +78,7 @@ pub struct Press {
     on: bool,
 }
 
-/// Puts a fault on, or takes it off: an order like any other, but to the simulator. It stands in the program's log.
+/// Switches a fault on or off: a command like any other, but to the simulator. It is recorded in the program's log.
 pub async fn switch(
     State(console): State<Console>,
     headers: HeaderMap,

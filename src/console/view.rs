@@ -1,4 +1,4 @@
-//! A flight as one viewer sees it, at a time: the objects that the pages are made of, as JSON.
+//! A flight as shown to one viewer at a time: the objects of the pages, as JSON.
 
 use super::history::{Alarm, GYROS, HOUSEKEEPING, History, RECEIVED, SILENCE_S};
 use super::pictures::camera_name;
@@ -11,12 +11,12 @@ use crate::link::picture::TagValue;
 use jiff::Timestamp;
 use serde_json::{Map, Value, json};
 
-/// Alarms that have ended are shown for so long.
+/// Time for which ended alarms are shown.
 const ENDED_NS: i64 = 24 * 3600 * 1_000_000_000;
 const MOST_ALARMS: usize = 50;
 const FEW_ALARMS: usize = 3;
 
-/// Fields that a viewer on a slow line is sent.
+/// Fields that are sent to a viewer on a slow line.
 const MAIN_FIELDS: [&str; 16] = [
     "uptime_s",
     "taken",
@@ -36,31 +36,31 @@ const MAIN_FIELDS: [&str; 16] = [
     "solutions",
 ];
 
-/// How much a viewer gets.
+/// Level of detail for a viewer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Detail {
     All,
-    /// Fields for a slow line: the last alarms, the main fields.
+    /// For a slow line: the last alarms, the main fields.
     Main,
 }
 
-/// A time as the pages read it.
+/// A time in the format of the pages.
 pub fn utc(time: Nanoseconds) -> String {
     format!("{:.3}", timestamp(time))
 }
 
-/// The flight at a time, or its newest; `now` is the ground's clock, by which the age of what arrives counts.
+/// The flight at a time, or at its newest; `now` is the ground's clock, which determines the age of received data.
 #[derive(Clone, Copy)]
 pub struct View<'a> {
     pub history: &'a History,
     pub at: Option<Nanoseconds>,
     pub now: Timestamp,
-    /// Whether more may come: then silence is a fault.
+    /// Whether more data may arrive: then silence is a fault.
     pub is_live: bool,
 }
 
 impl View<'_> {
-    /// State line: present alarms in words, the alarms so far, and the load of the line.
+    /// State line: present alarms in words, the alarms so far, and the line's load.
     pub fn state(&self, bits_per_s: u64, viewers: usize, detail: Detail) -> Value {
         let row = self.history.row(self.at);
         let mut findings = self.silence().into_iter().collect::<Vec<_>>();
@@ -94,13 +94,13 @@ impl View<'_> {
         })
     }
 
-    /// The time that is shown.
+    /// The time shown.
     fn time(&self) -> Option<Nanoseconds> {
         self.at
             .or_else(|| self.history.span().map(|(_, last)| last))
     }
 
-    /// That no rule finds anything: all is well, or nothing is known.
+    /// The state without findings: all is well, or nothing is known.
     fn nothing_found(&self, row: Option<usize>) -> Value {
         let Some(row) = row else {
             let words = "no housekeeping has come yet";
@@ -112,7 +112,7 @@ impl View<'_> {
         json!({"rule": null, "severity": "good", "words": "all is well", "since": since})
     }
 
-    /// That no housekeeping comes, or came at the time.
+    /// The alarm for missing housekeeping, now or at the given time.
     fn silence(&self) -> Option<Alarm> {
         let rows = &self.history.housekeeping;
         let row = self.history.row(self.at)?;
@@ -152,7 +152,7 @@ impl View<'_> {
             .collect()
     }
 
-    /// The housekeeping of the time, its fields by their names.
+    /// The housekeeping at the time, with its fields by name.
     pub fn housekeeping(&self, detail: Detail) -> Option<Value> {
         let rows = &self.history.housekeeping;
         let row = self.history.row(self.at)?;
@@ -166,7 +166,7 @@ impl View<'_> {
             .filter(|(field, _)| is_shown(field));
         let time = rows.times[row];
         let value = |field: &Field, text: &str| match field.name {
-            // Those of other plates come in packets of their own.
+            // Ids of other plates come in separate packets.
             "ids" if text.is_empty() => json!(self.history.ids_beside(time)),
             _ => field_json(field, text),
         };
@@ -181,7 +181,7 @@ impl View<'_> {
         }))
     }
 
-    /// The last solution: as it was received, else as the log of an archive has it.
+    /// The last solution: as received, else from the log of an archive.
     pub fn solution(&self) -> Option<Value> {
         let received = self.offset(RECEIVED, "", self.history.solution_arrived);
         received.or_else(|| self.logged_solution())
@@ -207,7 +207,7 @@ impl View<'_> {
         received.or_else(|| self.offset("propagated", "", None))
     }
 
-    /// The offset in the last row of a table, whose columns' names begin in a way.
+    /// The offset in the last row of a table whose columns have a prefix.
     fn offset(&self, table: &str, prefix: &str, arrived: Option<Nanoseconds>) -> Option<Value> {
         let table: &Table = self.history.tables.get(table)?;
         let row = row_at(table.times(), self.at.unwrap_or(Nanoseconds::MAX))?;
@@ -272,14 +272,14 @@ impl View<'_> {
         }))
     }
 
-    /// The frame of an archive that was the last at the time, in the place of a picture of the first camera.
+    /// The archive's last frame at the time, in place of a picture of the first camera.
     pub fn frame(&self) -> Option<Value> {
         let frame = self.history.stored_frame(self.at)?;
         let arrived = self.history.frame_read.filter(|_| self.at.is_none());
         Some(json!({
             "camera": 1,
             "name": camera_name(1),
-            // A frame is there as a whole or not at all.
+            // A frame is either complete or missing.
             "width": 0,
             "height": 0,
             "received": 0,
@@ -315,7 +315,7 @@ fn error_in_words(code: u16) -> &'static str {
     ERROR_CODES.meaning(code).unwrap_or("unknown error")
 }
 
-/// A field's text as JSON: a number where it holds one, null where not known.
+/// A field's text as JSON: a number if it has one, null if unknown.
 fn field_json(field: &Field, text: &str) -> Value {
     let number = |text: &str| text.parse().map_or(Value::Null, |value: f64| json!(value));
     match field.is_number {
@@ -325,7 +325,7 @@ fn field_json(field: &Field, text: &str) -> Value {
     }
 }
 
-/// Every field, by its table; those that hold no numbers cannot be plotted.
+/// Every field, by its table; those without numbers cannot be plotted.
 pub fn fields(history: &History) -> Vec<Value> {
     let field = |table: &str, name: &str, unit: &str, documentation: &str| {
         json!({

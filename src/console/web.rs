@@ -1,7 +1,7 @@
-//! Connections: taken in, answered, and closed when they stall.
+//! Connections: accepted, answered, and closed if they stall.
 //!
-//! A slow client delays itself alone. A head and a body have a time limit each; one address takes half of the places at most; and where no
-//! place is left, the connection gives way that has waited longest without one whole request.
+//! A slow client delays only itself. A head and a body have a time limit each; one address may take at most half of the
+//! connections; and if none is free, the one is closed that has waited longest without a complete request.
 
 use super::request::Failure;
 use super::shared::Shared;
@@ -24,17 +24,17 @@ use tokio::task::AbortHandle;
 use tokio::time::timeout;
 use tower::ServiceExt;
 
-/// Connections at a time, in all and of one address: a proxy's viewers are all of one.
+/// Maximum number of connections, in all and from one address: a proxy's viewers share an address.
 const MOST_CONNECTIONS: usize = 512;
 const MOST_OF_ADDRESS: usize = 256;
-/// In which a request's head must be there, and in which its body must follow.
+/// Time limits for a request's head, and for its body after that.
 const HEAD: Duration = Duration::from_secs(10);
 const BODY: Duration = Duration::from_secs(10);
-/// The largest body of a request, bytes.
+/// Maximum size of a request's body, bytes.
 const LARGEST_BODY: usize = 16 * 1024;
-/// How often the end of the console is checked.
+/// Interval at which the end of the console is checked.
 const POLL_EVERY: Duration = Duration::from_millis(100);
-/// Threads that draw.
+/// Number of threads for drawing.
 const DRAWERS: usize = 4;
 
 /// Serves until the console ends.
@@ -64,13 +64,13 @@ async fn accept(listener: TcpListener, router: Router, shared: &Shared) -> std::
         let (stream, peer) = match accepted {
             Ok(accepted) => accepted,
             Err(error) => {
-                // No more descriptors, for one: those that are open may close.
+                // For example, no more file descriptors: open connections may close.
                 tracing::warn!(%error, "a connection cannot be taken");
                 tokio::time::sleep(POLL_EVERY).await;
                 continue;
             }
         };
-        // Where all places are taken by others that are served, the connection closes at once.
+        // If all places are taken by connections that have been served, the new one is closed at once.
         if places.make_space(peer.ip()) {
             let served = Arc::new(AtomicBool::new(false));
             let task = answer(stream, peer, router.clone(), Arc::clone(&served));
@@ -84,10 +84,10 @@ async fn accept(listener: TcpListener, router: Router, shared: &Shared) -> std::
     Ok(())
 }
 
-/// A connection that is open.
+/// An open connection.
 struct Place {
     peer: IpAddr,
-    /// Whether a whole request has come over it.
+    /// Whether a complete request has arrived over it.
     served: Arc<AtomicBool>,
     task: AbortHandle,
 }
@@ -97,7 +97,7 @@ struct Place {
 struct Places(Vec<Place>);
 
 impl Places {
-    /// Whether one more of an address is allowed. It may take the place of one that was not served yet.
+    /// Whether another connection from an address is allowed. It may replace one that has not been served yet.
     fn make_space(&mut self, peer: IpAddr) -> bool {
         self.0.retain(|place| !place.task.is_finished());
         let is_own = |place: &Place| place.peer == peer;
@@ -117,9 +117,9 @@ impl Places {
     }
 }
 
-/// Answers the requests of one connection.
+/// Answers the requests on one connection.
 async fn answer(stream: TcpStream, peer: SocketAddr, router: Router, served: Arc<AtomicBool>) {
-    // An event is a packet of its own: it must not wait for the next.
+    // An event must be sent at once, without waiting for the next.
     let _ = stream.set_nodelay(true);
     let service = service_fn(move |request: hyper::Request<Incoming>| {
         let (router, served) = (router.clone(), Arc::clone(&served));
@@ -143,7 +143,7 @@ async fn answer(stream: TcpStream, peer: SocketAddr, router: Router, served: Arc
     }
 }
 
-/// A request with all of its body, which must come within a limit.
+/// A request with its complete body, which must arrive within a limit.
 async fn whole(request: Request<Body>, limit: Duration) -> Result<Request<Body>, Failure> {
     let (head, body) = request.into_parts();
     match timeout(limit, to_bytes(body, LARGEST_BODY)).await {
@@ -189,7 +189,7 @@ mod tests {
             }
             assert_eq!(places.0.len(), MOST_OF_ADDRESS);
             assert!(places.make_space(other));
-            // The same address gets in, too: the one that waited longest gives way.
+            // The same address gets a connection as well: the one that waited longest is closed.
             let oldest = places.0[0].task.clone();
             assert!(places.make_space(hostile));
             assert_eq!(places.0.len(), MOST_OF_ADDRESS - 1);
