@@ -1,17 +1,17 @@
-//! The Cramer-Rao bound of a scene: how well its Sun's place on the plate can be known from the one frame.
+//! The Cramer-Rao bound of a scene: the smallest possible error of the Sun's position on the plate from a single frame.
 //!
 //! # Method
-//! The noise-free picture is differentiated numerically with respect to everything that a solver does not know: the
-//! Sun's place on the plate, its radius, peak and limb darkening, background and blur, and how the camera sees the
-//! plate (shift, scale, rotation; for a tilted camera its two tilts, too). The Fisher matrix is the sum over the pixels
-//! of products of slopes over the noise's variance; its inverse is the least covariance of any estimate without bias.
-//! A shift of the Sun on the plate and a shift of the plate below the camera are degenerate on the limb: the marks alone
-//! separate them, which the inverse holds. A tilted camera's mapping is taken for conformal at the plate's centre, as
-//! [`registration`](crate::registration) does: its tilts are about that point.
+//! The noise-free picture is differentiated numerically with respect to all unknowns of a solver: the Sun's position on the
+//! plate, its radius, peak and limb darkening, background and blur, and the camera's view of the plate (shift, scale,
+//! rotation; for a tilted camera also its two tilts). The Fisher matrix is the sum over the pixels of products of slopes
+//! over the noise's variance; its inverse is the smallest covariance of any unbiased estimate. A shift of the Sun on the
+//! plate and a shift of the plate relative to the camera are degenerate on the limb: only the marks separate them, which
+//! the inverse includes. A tilted camera's mapping is assumed conformal at the plate's centre, as in
+//! [`registration`](crate::registration): its tilts are about that point.
 //!
 //! # Not included
-//! Blemishes, stray light, what the readout adds, the Sun's surface and its spots: they only take from the frame's information. Misprint:
-//! the marks are taken to be known where they are.
+//! Blemishes, stray light, readout effects, the Sun's surface and its spots: they only reduce the frame's information.
+//! Misprint: the marks' positions are assumed to be exact.
 
 use crate::geometry::{Distortion, Mapping, MappingKind};
 use crate::simulate::{Blemishes, Readout, Scene, StrayLight, Sun, Surface, render_exact};
@@ -38,17 +38,17 @@ enum Unknown {
 
 use Unknown::*;
 
-/// Steps on the plate are of a tenth of a pixel; this is one of the demo.
+/// Steps on the plate are 0.1 px; this is the value for the demo.
 const STEP_MIL: f64 = 0.6;
 const SCALE_MIL_PER_PX: f64 = 5.75;
 const STEP_PX: f64 = 0.1;
-/// Moves the limb by a tenth of a pixel.
+/// Moves the limb by 0.1 px.
 const STEP_RELATIVE: f64 = 1e-3;
-/// Per pixel; moves a Sun at the sensor's edge by half a pixel.
+/// Per pixel; moves a Sun at the sensor's edge by 0.5 px.
 const STEP_TILT: f64 = 1e-6;
 
-/// The unknowns, the Sun's place first, those of a tilted camera last. Each with the step that its slope is taken over: small
-/// beside the blur, large beside the rounding of the rendered picture.
+/// The unknowns, the Sun's position first, those of a tilted camera last. Each with the step of its numerical derivative:
+/// small relative to the blur, large relative to the rounding of the rendered picture.
 const UNKNOWNS: [(Unknown, f64); 13] = [
     (SunX, STEP_MIL),
     (SunY, STEP_MIL),
@@ -64,11 +64,11 @@ const UNKNOWNS: [(Unknown, f64); 13] = [
     (TiltX, STEP_TILT),
     (TiltY, STEP_TILT),
 ];
-/// Unknowns of a tilted camera.
+/// Number of additional unknowns of a tilted camera.
 const TILTS: usize = 2;
 
 impl Unknown {
-    /// The scene with this changed by an amount.
+    /// The scene with this unknown changed by an amount.
     fn changed(self, scene: &Scene, sun: &Sun, by: f64) -> Option<Scene> {
         let mut changed = scene.clone();
         let mut moved = sun.clone();
@@ -104,7 +104,7 @@ impl Unknown {
     }
 }
 
-/// How large a pixel of a scene is on the plate, in the demo's.
+/// Size of a scene's pixel on the plate relative to that of the demo.
 fn plate_unit(scene: &Scene) -> f64 {
     let centre = scene
         .sun
@@ -116,7 +116,7 @@ fn plate_unit(scene: &Scene) -> f64 {
         / SCALE_MIL_PER_PX
 }
 
-/// A mapping whose picture on the sensor is changed by a homography about a place.
+/// A mapping whose picture on the sensor is changed by a homography about a position.
 fn seen_through(mapping: &Mapping, change: Matrix3<f64>, about: SensorPx) -> Option<Mapping> {
     let there = Matrix3::new_translation(&about.vector());
     let back = Matrix3::new_translation(&-about.vector());
@@ -128,8 +128,8 @@ fn seen_through(mapping: &Mapping, change: Matrix3<f64>, about: SensorPx) -> Opt
     )
 }
 
-/// The least covariance of the Sun's place on the plate, mil^2. `None` without a Sun, or where the frame does not
-/// determine it: too few marks.
+/// The smallest covariance of the Sun's position on the plate, mil^2. `None` without a Sun, or if the frame does not
+/// determine it because of too few marks.
 pub fn covariance_mil2(scene: &Scene) -> Option<Matrix2<f64>> {
     let scene = surroundings(scene)?;
     let sun = scene.sun.as_ref()?;
@@ -143,7 +143,7 @@ pub fn covariance_mil2(scene: &Scene) -> Option<Matrix2<f64>> {
         .map(|(unknown, step)| difference(*unknown, *step, &scene, sun))
         .collect();
     let slopes = slopes?;
-    // Per step, so that no entry dwarfs another.
+    // Per step, so that all entries have a similar magnitude.
     let fisher = DMatrix::from_fn(count, count, |a, b| {
         let products = slopes[a].iter().zip(&slopes[b]).zip(&weights);
         products
@@ -155,7 +155,7 @@ pub fn covariance_mil2(scene: &Scene) -> Option<Matrix2<f64>> {
     Some(Matrix2::from(place))
 }
 
-/// How the picture changes per step of an unknown.
+/// Change of the picture per step of an unknown.
 fn difference(unknown: Unknown, step: f64, scene: &Scene, sun: &Sun) -> Option<Vec<f32>> {
     let more = render_exact(&unknown.changed(scene, sun, step / 2.0)?);
     let less = render_exact(&unknown.changed(scene, sun, -step / 2.0)?);
@@ -163,7 +163,7 @@ fn difference(unknown: Unknown, step: f64, scene: &Scene, sun: &Sun) -> Option<V
     Some(pairs.map(|(more, less)| more - less).collect())
 }
 
-/// One over the variance of each pixel, 1/DN^2: its noise and its rounding. Saturated pixels count for nothing.
+/// One over the variance of each pixel, 1/DN^2: its noise and its rounding. Saturated pixels have weight 0.
 fn weights(scene: &Scene) -> Vec<f64> {
     let steps_per_dn = f64::from(scene.depth.steps_per_dn());
     let rounding = 1.0 / 12.0 / steps_per_dn.powi(2);
@@ -181,7 +181,8 @@ fn weights(scene: &Scene) -> Vec<f64> {
     render_exact(scene).into_iter().map(weight).collect()
 }
 
-/// The part of a scene around its Sun, without blemishes and spots: all that the bound depends on, at a twentieth of the cost.
+/// The part of a scene around its Sun, without blemishes and spots: all that the bound depends on, at a twentieth of the
+/// cost.
 fn surroundings(scene: &Scene) -> Option<Scene> {
     const MARGIN_PX: f64 = 10.0;
     let sun = scene.sun.as_ref()?;
@@ -247,7 +248,7 @@ mod tests {
 
     #[test]
     fn the_bound_is_that_of_independent_arithmetic() {
-        // Per axis, of a median scene, with other code and another renderer; scenes differ by a fifth.
+        // Per axis, for a median scene, from other code and another renderer; scenes differ by a fifth.
         for (noise_dn, known) in [(1.0, 0.0155), (5.0, 0.074), (15.0, 0.22)] {
             let found = medians_arcsec(noise_dn);
             assert!((found / known - 1.0).abs() < 0.2, "{noise_dn} DN: {found}");

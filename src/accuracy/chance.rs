@@ -1,10 +1,10 @@
-//! Statistics of a few values, and what chance makes of them.
+//! Statistics of small samples, and their random scatter.
 
 use super::recipe::Generator;
 use rand::{RngExt, SeedableRng};
 use std::ops::RangeInclusive;
 
-/// The smallest value that at least `part` of them do not exceed.
+/// The smallest value that is not exceeded by at least the fraction `part` of the values.
 pub fn quantile(mut values: Vec<f64>, part: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let rank = (part * values.len() as f64).ceil() as usize;
@@ -17,15 +17,16 @@ pub fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0).then(|| (squares / f64::from(count)).sqrt())
 }
 
-/// The rms that so many values of a Gaussian with rms 1 exceed with a probability of `sigmas` (one-sided).
+/// The rms of `count` values of a Gaussian with rms 1 that is exceeded with the one-sided probability of `sigmas`.
 ///
-/// Cube root of chi^2 over its degrees of freedom taken for Gaussian (Wilson and Hilferty 1931): good to 1 % from 5 values on.
+/// The cube root of chi^2 over its degrees of freedom is approximated by a Gaussian (Wilson and Hilferty 1931): accurate to
+/// 1 % from 5 values on.
 fn rms_at(count: usize, sigmas: f64) -> f64 {
     let width = 2.0 / (9.0 * count.max(1) as f64);
     (1.0 - width + sigmas * width.sqrt()).max(0.0).powf(1.5)
 }
 
-/// The rms of the population that so many Gaussian values with a measured rms may come from, to so many sigma either way.
+/// The range of the population's rms for a measured rms of `count` Gaussian values, to `sigmas` on either side.
 pub fn range_of_rms(measured: f64, count: usize, sigmas: f64) -> RangeInclusive<f64> {
     if sigmas == 0.0 {
         return measured..=measured;
@@ -33,7 +34,7 @@ pub fn range_of_rms(measured: f64, count: usize, sigmas: f64) -> RangeInclusive<
     measured / rms_at(count, sigmas)..=measured / rms_at(count, -sigmas)
 }
 
-/// 1 sigma of the rms of so many Gaussian values, relative to it.
+/// Relative 1 sigma of the rms of `count` Gaussian values.
 pub fn relative_sigma_of_rms(count: usize) -> Option<f64> {
     (count > 0).then(|| (0.5 / count as f64).sqrt())
 }
@@ -84,7 +85,7 @@ mod tests {
             let measured = rms(values).unwrap();
             !range_of_rms(measured, 24, 2.0).contains(&1.0)
         });
-        // 2 sigma either way leave 4.55 %, known to 0.15 %.
+        // 2 sigma on either side leave 4.55 %, with an uncertainty of 0.15 %.
         let share = outside.count() as f64 / 20_000.0;
         assert!((share - 0.0455).abs() < 0.006, "{share}");
     }
@@ -104,7 +105,7 @@ mod tests {
             .collect();
         let scatter = rms(ratios.into_iter()).unwrap();
         let stated = sigma_of_ratio(&pairs()).unwrap();
-        // A Rayleigh median of n is good to 0.72 / sqrt(n).
+        // The median of n Rayleigh values has a relative sigma of 0.72 / sqrt(n).
         assert!((scatter - 0.059).abs() < 0.006, "{scatter}");
         assert!((stated / scatter - 1.0).abs() < 0.35, "{stated}");
     }

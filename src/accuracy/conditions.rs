@@ -1,4 +1,4 @@
-//! The conditions that the pipeline is judged under: how their frames depart from the standard one.
+//! The conditions under which the pipeline is tested: how their frames differ from the standard one.
 
 use super::recipe::{ANY_MARKS, ENOUGH_MARKS, Generator, Recipe, View};
 use crate::instrument::Instrument;
@@ -7,26 +7,26 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use std::ops::{Range, RangeInclusive};
 
-/// Noise of so many DN.
+/// Noise in DN.
 pub fn noise(recipe: &mut Recipe, read_dn: f64) {
     recipe.conditions.noise = Noise::read(read_dn);
 }
 
-/// A camera turned by any angle, of which the instrument states no rotation.
+/// A camera rotated by any angle, for which the instrument states no rotation.
 pub fn turned(recipe: &mut Recipe, rng: &mut Generator) {
     recipe.conditions.similarity.rotation_deg = rng.random_range(0.0..360.0);
     recipe.stated.rotation_deg.sigma = 360.0;
 }
 
-/// A camera turned by any angle and tilted.
+/// A camera rotated by any angle and tilted.
 pub fn tilted(recipe: &mut Recipe, rng: &mut Generator) {
     turned(recipe, rng);
     recipe.conditions.keystone_deg = rng.random_range(-3.0..3.0);
 }
 
-/// Hot pixels, scratches and leaks.
+/// Hot pixels, scratches and light leaks.
 pub fn blemished(recipe: &mut Recipe) {
-    /// Makes 12 scratches on the plate that the demo's camera sees.
+    /// Gives 12 scratches on the part of the plate in the demo camera's view.
     const SCRATCHES_PER_DISC: f64 = 0.59;
     let counts = &mut recipe.conditions.blemishes;
     counts.hot_pixels = 60;
@@ -34,12 +34,12 @@ pub fn blemished(recipe: &mut Recipe) {
     counts.leaks = 4;
 }
 
-/// A mapping that is off the stated one as far as the instrument's own sigmas say.
+/// A mapping drawn from the stated one and the instrument's sigmas.
 pub fn displaced(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator) {
     recipe.conditions.similarity = instrument.mounting.drawn(|| rng.sample(StandardNormal));
 }
 
-/// The disc cut by the sensor's edge, in a picture whose mapping is off as far as its sigmas say.
+/// The disc cut by the sensor's edge, with a mapping drawn from the stated one and its sigmas.
 pub fn cut(
     recipe: &mut Recipe,
     limb_share: Range<f64>,
@@ -54,12 +54,13 @@ pub fn cut(
     displaced(recipe, instrument, rng);
 }
 
-/// Share of the light of its column that smear adds to every pixel in the rows about it: 6 DN above and below the Sun.
+/// Fraction of a column's light that smear adds to each of its pixels in the rows about smear: 6 DN above and below the
+/// Sun.
 pub const COLUMN_SMEAR: f64 = 2e-4;
-/// Step between the halves of the sensor in the rows about it, DN.
+/// Step between the halves of the sensor in the rows about such a step, DN.
 pub const TAP_STEP_DN: f64 = 2.0;
 
-/// The noise of photons beside a read noise of 1 DN.
+/// Photon noise in addition to a read noise of 1 DN.
 pub fn photons(recipe: &mut Recipe, electrons_per_dn: f64) {
     recipe.conditions.noise = Noise {
         read_dn: 1.0,
@@ -67,13 +68,13 @@ pub fn photons(recipe: &mut Recipe, electrons_per_dn: f64) {
     };
 }
 
-/// The noise of the centre of the disc everywhere: what photons add there and a read noise of 1 DN.
+/// Constant noise everywhere, equal to that at the centre of the disc from photons and a read noise of 1 DN.
 pub fn as_noisy_everywhere(recipe: &mut Recipe, electrons_per_dn: f64) {
     let light_dn = recipe.conditions.peak_dn + recipe.conditions.background_dn;
     noise(recipe, (1.0 + light_dn / electrons_per_dn).sqrt());
 }
 
-/// Stray light, readout, vignetting and the surface of the Sun, all together.
+/// Stray light, readout, vignetting and the surface of the Sun, all combined.
 pub fn all_effects(recipe: &mut Recipe) {
     let conditions = &mut recipe.conditions;
     conditions.stray = Strengths {
@@ -90,9 +91,9 @@ pub fn all_effects(recipe: &mut Recipe) {
     conditions.hmi = true;
 }
 
-/// Each effect of optics, readout and light in a third of the frames, more or less of it.
+/// Each effect of optics, readout and light in a third of the frames, with random strength.
 fn some_effects(recipe: &mut Recipe, rng: &mut Generator) {
-    // Everything is drawn whether it is wanted or not: one effect changes no other.
+    // Everything is drawn whether it is used or not, so that one effect does not change another.
     let mut up_to = |most: f64| {
         let (strength, wanted) = (rng.random_range(0.0..most), rng.random_bool(1.0 / 3.0));
         if wanted { strength } else { 0.0 }
@@ -118,8 +119,8 @@ fn some_effects(recipe: &mut Recipe, rng: &mut Generator) {
     }
 }
 
-/// A Sun that moves by up to 30 px during the exposure in any direction, a third of the discs cut by the sensor's edge, in a picture
-/// whose mapping is off as far as its sigmas say.
+/// A Sun that moves by up to 30 px during the exposure in any direction, a third of the discs cut by the sensor's edge,
+/// with a mapping drawn from the stated one and its sigmas.
 pub fn moving(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator) {
     const MOST_PX: f64 = 30.0;
     displaced(recipe, instrument, rng);
@@ -132,7 +133,7 @@ pub fn moving(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator)
     recipe.conditions.smear_px = rng.random_range(0.0..MOST_PX);
 }
 
-/// A Sun that the Moon covers by some part of its diameter; three marks or more are left.
+/// A Sun covered by the Moon over some fraction of its diameter; three or more marks remain.
 pub fn eclipsed(recipe: &mut Recipe, parts: Range<f64>, rng: &mut Generator) {
     recipe.view = View::Whole {
         lit_marks: ENOUGH_MARKS,
@@ -140,21 +141,20 @@ pub fn eclipsed(recipe: &mut Recipe, parts: Range<f64>, rng: &mut Generator) {
     recipe.conditions.covers.eclipse = rng.random_range(parts);
 }
 
-/// A cloud whose edge crosses the disc, and that takes a quarter to nine tenths of the light.
+/// A cloud whose edge crosses the disc, and that absorbs a quarter to nine tenths of the light.
 pub fn clouded(recipe: &mut Recipe, rng: &mut Generator) {
     recipe.conditions.covers.cloud = rng.random_range(0.25..0.9);
 }
 
-/// A strut before the disc, up to a quarter of its radius wide.
+/// A strut in front of the disc, up to a quarter of its radius wide.
 pub fn strutted(recipe: &mut Recipe, rng: &mut Generator) {
     recipe.conditions.covers.strut = rng.random_range(0.03..0.25);
 }
 
-/// Everything at once, each more or less, in half of the frames effects of optics and readout, too; every fourth frame without a
-/// usable Sun. The scale is anywhere within five of its sigmas, the rotation contradicts the stated one. The plate is as the
-/// instrument states
-/// it: three misprinted marks that happen to agree leave no trace of their error, which is a property of the plate and not
-/// of the frame. The row about misprinted marks shows how often.
+/// All effects combined, with random strength, in half of the frames also effects of optics and readout; every fourth frame
+/// has no usable Sun. The scale is within five of its sigmas, the rotation contradicts the stated one. The plate is as the
+/// instrument states it: if three misprinted marks happen to agree, their error cannot be detected, which is a property of
+/// the plate and not of the frame. The row about misprinted marks shows how often this happens.
 pub fn mixed(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator) {
     tilted(recipe, rng);
     recipe.stated = instrument.mounting;
@@ -183,13 +183,13 @@ pub fn mixed(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator) 
     counts.leaks = some(rng, 4);
     counts.dust_per_disc = rng.random_range(0.0..2.0);
     counts.vignetting = rng.random_range(0.0..0.2);
-    // Last, so that the frames without these effects are those of earlier versions.
+    // Last, so that the frames without these effects are the same as in earlier versions.
     if rng.random_bool(0.5) {
         some_effects(recipe, rng);
     }
 }
 
-/// None in half of the frames, else up to so many.
+/// Zero in half of the frames, otherwise up to `most`.
 fn some(rng: &mut Generator, most: usize) -> usize {
     if rng.random_bool(0.5) {
         rng.random_range(1..=most)
@@ -198,10 +198,10 @@ fn some(rng: &mut Generator, most: usize) -> usize {
     }
 }
 
-/// Below this part of the limb a Sun is not usable.
+/// Minimum fraction of the limb of a usable Sun.
 pub const LEAST_USABLE_LIMB: f64 = 0.15;
 
-/// Three quarters with a usable Sun, most of them whole; an eighth without Sun, an eighth with a mere edge of it.
+/// Three quarters with a usable Sun, most of them whole; an eighth without Sun, an eighth with only its edge.
 fn mixed_view(rng: &mut Generator) -> View {
     let cut = |limb_share| View::Partial {
         limb_share,

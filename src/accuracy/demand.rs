@@ -5,7 +5,7 @@ use super::outcome::{NEAR_PX, Summary};
 use std::fmt;
 use std::ops::Range;
 
-/// Something that a row has to keep.
+/// A requirement of a row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Demand {
     /// Largest median of the radial errors.
@@ -18,45 +18,45 @@ pub enum Demand {
     AllFineOfFour,
     /// Of such frames with three marks fully lit at least this share is fine.
     FineOfThree(f64),
-    /// Every such frame is fine, except for this share at most whose marks leave two labellings open: three in a row where the
-    /// sensor's edge hides the neighbours that determine the quarter turn.
+    /// Every such frame is fine, except for at most this share whose marks leave two labellings open: three in a row at the
+    /// sensor's edge, which cuts off the neighbours that determine the quarter turn.
     FewUndecided(f64),
-    /// Least share of frames that are at least coarse.
+    /// Minimum share of frames that are at least coarse.
     SolvedShare(f64),
-    /// Least share of solved frames whose Sun is within [`NEAR_PX`] of the truth on the sensor.
+    /// Minimum share of solved frames whose Sun is within [`NEAR_PX`] of the truth on the sensor.
     NearShare(f64),
-    /// Least share of frames that are fine.
+    /// Minimum share of frames that are fine.
     FineShare(f64),
-    /// No frame says it is fine.
+    /// No frame is reported as fine.
     NoneFine,
-    /// Error over stated sigma is neither much more nor much less than 1.
+    /// The ratio of error to stated sigma is close to 1.
     SigmaRatio,
-    /// As [`SigmaRatio`](Self::SigmaRatio), with this as the most, for rows of few frames; see [`Precision`].
+    /// As [`SigmaRatio`](Self::SigmaRatio), with this upper limit, for rows with few frames; see [`Precision`].
     SigmaRatioUpTo(f64),
-    /// Largest median of the radial errors, in that of ideal frames of the same seeds; see [`Precision`].
+    /// Largest median of the radial errors relative to that of ideal frames with the same seeds; see [`Precision`].
     TimesIdeal(f64),
-    /// In at least this share of the frames the marks are not read, and their likeliest labelling is a false one.
+    /// In at least this share of the frames the marks are not identified, and their most likely labelling is a false one.
     RivalsLikeliest(f64),
-    /// No solved frame with a wrong id.
+    /// No solved frame has a wrong id.
     NoWrongId,
-    /// No fine frame that is off by 5 sigma and 2 arcsec.
+    /// No fine frame is off by 5 sigma and 2 arcsec.
     NoWrongFine,
 }
 
-/// Accepted error over stated sigma, rms per axis.
+/// Accepted ratio of error to stated sigma, rms per axis.
 pub const CALIBRATED: Range<f64> = 0.8..1.25;
 
-/// How the statistics of few frames are held against a limit.
+/// Comparison of the statistics of few frames with a limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Precision {
-    /// As they are.
+    /// Without allowance.
     Measured,
-    /// A limit counts as kept unless the statistics exceed it by 3 sigma of what so many frames scatter.
+    /// A limit is exceeded only if the statistics exceed it by 3 sigma of their scatter for that number of frames.
     OfCount,
 }
 
 impl Precision {
-    /// How many sigma of a statistic are allowed beyond a limit.
+    /// Allowance beyond a limit, in sigma of the statistic.
     pub(super) fn allowed_sigmas(self) -> f64 {
         match self {
             Self::Measured => 0.0,
@@ -66,7 +66,7 @@ impl Precision {
 }
 
 impl Demand {
-    /// Why the demand is not met; `None` where it is. What nothing was measured for is not met.
+    /// Why the requirement is not met; `None` if it is. A requirement without measurements is not met.
     pub fn unmet(self, found: &Summary, precision: Precision) -> Option<String> {
         let at_most = |name: &str, value: Option<f64>, limit: f64| {
             let met = value.is_some_and(|v| v <= limit);
@@ -92,7 +92,7 @@ impl Demand {
             Self::FineOfThree(least) => {
                 let missed = found.missed.iter().filter(|m| m.lit_marks == 3).count();
                 let most = (1.0 - least) * found.due_of_three as f64;
-                // One frame of few is no share of them.
+                // With few frames, a single one exceeds any small share.
                 let most = match precision {
                     Precision::Measured => most,
                     Precision::OfCount => most + 3.0 * most.max(1.0).sqrt(),
@@ -146,7 +146,7 @@ impl Demand {
     }
 }
 
-/// Why the error over sigma is not between the least that is accepted and a most; `None` where it is.
+/// Why the ratio of error to sigma is outside the accepted range up to `most`; `None` if it is inside.
 fn dishonest(found: &Summary, most: f64, precision: Precision) -> Option<String> {
     let sigmas = precision.allowed_sigmas();
     let calibrated = |rms: f64| {
@@ -247,7 +247,7 @@ mod tests {
         let few = |over_sigma, ratio| summary(24, over_sigma, ratio);
         for (found, sigma_met, ideal_met) in [
             (few(1.5, 1.8), true, true),
-            // 24 values of a Gaussian have an rms over 1.44 once in a thousand.
+            // 24 values of a Gaussian have an rms above 1.44 with a probability of 1 in 1000.
             (few(2.0, 2.0), false, false),
             (few(0.6, 1.0), true, true),
             (few(0.4, 1.0), false, true),

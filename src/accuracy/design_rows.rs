@@ -1,4 +1,4 @@
-//! The rows about plates that are designed, and about what the check says of plates before they are made.
+//! The rows about designed plates, and about the predictions of the plate check.
 
 use super::conditions::displaced;
 use super::demand::CALIBRATED;
@@ -14,9 +14,9 @@ use crate::units::PlateMil;
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 
-/// Frames of a row of designed plates.
+/// Number of frames of a row of designed plates.
 const DESIGN_FRAMES: [u64; 2] = [40, 10_000];
-/// Frames of a row about the check's verdicts.
+/// Number of frames of a row about the check's verdicts.
 const CHECK_FRAMES: [u64; 2] = [60, 10_000];
 
 /// Every row, in the order of the table.
@@ -24,7 +24,7 @@ pub(super) fn design_rows() -> Vec<AccuracyRow> {
     designed_rows().chain(verdict_rows()).collect()
 }
 
-/// Rows of plates that `solaspect plate design` makes: the Sun anywhere in the field, five seeds.
+/// Rows of plates designed by `solaspect plate design`: the Sun anywhere in the field, five seeds.
 fn designed_rows() -> impl Iterator<Item = AccuracyRow> {
     let rows: [(&str, &str, InstrumentOf); 8] = [
         (
@@ -79,13 +79,13 @@ fn designed_rows() -> impl Iterator<Item = AccuracyRow> {
     })
 }
 
-/// The Sun anywhere in the field, the camera turned by up to 1 deg.
+/// The Sun anywhere in the field, the camera rotated by up to 1 deg.
 fn over_the_field(recipe: &mut Recipe, _: &Instrument, rng: &mut Generator) {
     recipe.view = View::Field;
     recipe.conditions.similarity.rotation_deg += rng.random_range(-1.0..1.0);
 }
 
-/// The instrument with a plate that is designed for it by the n-th seed, its camera so far away that it sees the whole field.
+/// The instrument with a plate designed for it with the n-th seed, its camera far enough away to see the whole field.
 fn designed(
     instrument: Instrument,
     (n, size): (u64, Size),
@@ -102,7 +102,7 @@ fn designed(
         seed: n + 1,
         ..usual
     };
-    // Where none can be designed, a plate without marks has the row fail.
+    // If no plate can be designed, a plate without marks makes the row fail.
     let unmarked = Plate::new(Pattern::Listed, settings.shape, 1.0, []);
     design(&start, &settings, &|| ()).unwrap_or(Instrument {
         plate: unmarked,
@@ -110,7 +110,7 @@ fn designed(
     })
 }
 
-/// Rows of what the check says of places, held against frames with the Sun there and the camera off as far as its sigmas say.
+/// Rows that compare the check's verdicts on places with frames with the Sun there and a mounting drawn from its sigmas.
 fn verdict_rows() -> [AccuracyRow; 2] {
     let safe = row(
         "check-safe",
@@ -132,7 +132,7 @@ fn verdict_rows() -> [AccuracyRow; 2] {
         AccuracyRow {
             frames: CHECK_FRAMES,
             instrument: Some(|i, n, _| match n {
-                // Of nearly a grid some places are safe, and of others the marks fit several.
+                // On an almost regular grid some places are safe, and for others the marks fit several.
                 0 => nearly_a_grid(i, 2.0),
                 1 => random(i, 225),
                 2 => dots(random(i, 225)),
@@ -155,7 +155,7 @@ fn verdict_rows() -> [AccuracyRow; 2] {
     ]
 }
 
-/// The instrument with crosses on a grid, each off it by so much, 1 sigma per axis.
+/// The instrument with crosses on a grid, each displaced randomly, 1 sigma per axis.
 fn nearly_a_grid(instrument: Instrument, off_mil: f64) -> Instrument {
     const STEP_MIL: f64 = 300.0;
     const HALF: i32 = 8;

@@ -1,5 +1,5 @@
-//! The figures: the error against the noise and against the points of the limb, its histogram, a mark's bias over the
-//! sub-pixel phases.
+//! The figures: the error against the noise and against the number of limb points, its histogram, and a mark's bias over
+//! the sub-pixel phases.
 
 use super::conditions::noise;
 use super::marks::{BIAS_PX, BiasMap};
@@ -14,29 +14,29 @@ use crate::simulate::SceneError;
 
 /// Noise of the sweep, DN.
 const NOISE_DN: [f64; 8] = [1.0, 1.5, 2.5, 4.0, 6.0, 8.0, 11.0, 15.0];
-/// Points of the limb of the sweep.
+/// Numbers of limb points of the sweep.
 const LIMB_POINTS: [usize; 7] = [8, 16, 24, 32, 48, 64, 96];
-/// Frames at each value of a sweep.
+/// Number of frames at each value of a sweep.
 const FRAMES: [u64; 2] = [40, 600];
-/// Of these, frames whose bound is computed.
+/// Number of these for which the bound is computed.
 const BOUNDED_FRAMES: [u64; 2] = [6, 60];
 
-/// How the errors change with one thing: value and statistics.
+/// Dependence of the errors on one quantity: its value and the statistics.
 pub type Sweep = Vec<(f64, Summary)>;
 
-/// The measurements that figures need beyond those of the table.
+/// The measurements for figures in addition to those of the table.
 #[derive(Debug, Clone)]
 pub struct Sweeps {
     pub noise: Sweep,
     pub limb_points: Sweep,
 }
 
-/// How many frames the sweeps take.
+/// Number of frames of the sweeps.
 pub fn frames(size: Size) -> u64 {
     size.of(FRAMES) * (NOISE_DN.len() + LIMB_POINTS.len()) as u64
 }
 
-/// The settings that take so many points of the limb.
+/// The settings with a given number of limb points.
 fn with_limb_points(settings: SolverSettings, points: usize) -> SolverSettings {
     let mut changed = settings;
     changed.limb.limb_points = points;
@@ -44,7 +44,7 @@ fn with_limb_points(settings: SolverSettings, points: usize) -> SolverSettings {
 }
 
 impl Sweeps {
-    /// Takes the sweeps on all cores; `done` is called after every frame.
+    /// Runs the sweeps on all cores; `done` is called after every frame.
     pub fn run(trial: &Trial, size: Size, done: &(dyn Fn() + Sync)) -> Result<Self, SceneError> {
         let noise = NOISE_DN
             .iter()
@@ -66,7 +66,7 @@ impl Sweeps {
 /// Noise of a standard frame.
 const STANDARD_DN: f64 = 5.0;
 
-/// The statistics of frames with marks enough, at a noise.
+/// The statistics of frames with enough marks, at a given noise.
 fn at(
     trial: &Trial,
     noise_dn: f64,
@@ -109,7 +109,7 @@ pub fn noise_figure(sweeps: &Sweeps) -> Result<String, PlotError> {
     plot::curves(&labels, &curves_of(&sweeps.noise))
 }
 
-/// The error against the points of the limb.
+/// The error against the number of limb points.
 pub fn limb_figure(sweeps: &Sweeps) -> Result<String, PlotError> {
     let title = format!("Error of the aspect against points of the limb, noise {STANDARD_DN} DN");
     let labels = Labels::new(title, "points of the limb", ERROR);

@@ -15,21 +15,21 @@ use rayon::prelude::*;
 use std::fmt;
 use std::ops::Range;
 
-/// A frame counts where the Sun shines on this share of the edge in view.
+/// Minimum sunlit share of the visible edge of a frame that counts.
 const LEAST_LIT: f64 = 0.25;
-/// A fine frame that is farther off is wrong.
+/// A fine frame with a larger error is wrong.
 const FAR_DEG: f64 = 2.0;
 
-/// Something that a row about the horizon has to keep.
+/// A requirement of a row about the horizon.
 #[derive(Debug, Clone, PartialEq)]
 pub enum HorizonDemand {
-    /// Least share of fine frames among those of whose edge a quarter is lit.
+    /// Minimum share of fine frames among those with at least a quarter of the visible edge lit.
     FineShare(f64),
-    /// Error over stated sigma of the nadir, rms per axis; see [`Precision`].
+    /// Ratio of error to stated sigma of the nadir, rms per axis; see [`Precision`].
     SigmaRatio(Range<f64>),
     /// No fine frame is off by more than 2 deg.
     NoneFarOff,
-    /// No frame says it is fine.
+    /// No frame is reported as fine.
     NoneFine,
 }
 
@@ -37,13 +37,13 @@ pub enum HorizonDemand {
 #[derive(Debug, Clone)]
 pub struct HorizonRow {
     pub title: String,
-    /// How many frames: in the small size, in the full.
+    /// Number of frames: in the small size, and in the full size.
     pub frames: [u64; 2],
-    /// 1 sigma of the height of the edge that the solver gets, by which it is off, m.
+    /// 1 sigma of the height of the edge given to the solver, and of its error, m.
     pub edge_sigma_m: f64,
-    /// Draws what a picture shows.
+    /// Draws the content of a picture.
     draw: fn(&mut Generator, f64) -> EarthConditions,
-    /// Of the camera.
+    /// Height of the camera.
     height_m: f64,
     pub demands: Vec<HorizonDemand>,
 }
@@ -53,7 +53,7 @@ pub struct HorizonRow {
 pub struct HorizonReport {
     pub row: HorizonRow,
     pub found: HorizonSummary,
-    /// Why the row's demands are not met.
+    /// Why the row's requirements are not met.
     pub unmet: Vec<String>,
 }
 
@@ -61,22 +61,22 @@ pub struct HorizonReport {
 #[derive(Debug, Clone, PartialEq)]
 pub struct HorizonSummary {
     pub frames: usize,
-    /// Frames of whose edge a quarter is lit, and how many of these are fine.
+    /// Number of frames with at least a quarter of the edge lit, and of the fine ones among them.
     pub lit: usize,
     pub lit_fine: usize,
     pub fine: usize,
     pub coarse: usize,
     pub roll_deg: Option<f64>,
     pub pitch_deg: Option<f64>,
-    /// Mean of the error of pitch.
+    /// Mean error of the pitch.
     pub pitch_mean_deg: Option<f64>,
-    /// Rms of the error over sigma, per axis.
+    /// Rms of the ratio of error to sigma, per axis.
     pub over_sigma: Option<f64>,
-    /// Seeds of fine frames that are off by more than 2 deg.
+    /// Seeds of fine frames with an error above 2 deg.
     pub far_off: Vec<u64>,
 }
 
-/// A frame that was solved.
+/// A solved frame.
 struct Outcome {
     seed: u64,
     quality: Quality,
@@ -84,7 +84,7 @@ struct Outcome {
     off: Option<Off>,
 }
 
-/// How far a nadir is from the truth.
+/// Difference of a nadir from the truth.
 struct Off {
     nadir_deg: f64,
     roll_deg: f64,
@@ -160,7 +160,7 @@ impl HorizonRow {
     }
 }
 
-/// The camera of a scene, as its file would state it.
+/// The camera of a scene, with the values of its file.
 fn camera(conditions: &EarthConditions) -> DirectionCamera {
     DirectionCamera {
         width_px: conditions.width_px,
@@ -212,14 +212,14 @@ impl HorizonSummary {
         }
     }
 
-    /// Of the frames of whose edge a quarter is lit.
+    /// Share of fine frames among those with at least a quarter of the edge lit.
     pub fn fine_share(&self) -> Option<f64> {
         (self.lit > 0).then(|| self.lit_fine as f64 / self.lit as f64)
     }
 }
 
 impl HorizonDemand {
-    /// Why the demand is not met; `None` where it is. What nothing was measured for is not met.
+    /// Why the requirement is not met; `None` if it is. A requirement without measurements is not met.
     fn unmet(&self, found: &HorizonSummary, precision: Precision) -> Option<String> {
         let sigmas = precision.allowed_sigmas();
         match self {

@@ -10,7 +10,8 @@ use HorizonDemand::{FineShare, NoneFine, SigmaRatio};
 use rand::RngExt;
 use std::ops::Range;
 
-/// Of a picture whose edge is drawn where the solver expects it, m; and the usual one.
+/// Sigma of the edge's height, m: for a picture with the edge at the height that the solver expects, and for other
+/// pictures.
 const EXACT_M: f64 = 0.0;
 const USUAL_M: f64 = 1_000.0;
 /// Heights of photographs from orbit, m.
@@ -88,7 +89,7 @@ fn airs() -> Vec<HorizonRow> {
     [38.0, 230.0, 420.0].map(row).into()
 }
 
-/// Pictures from 200 to 450 km, 30 to 100 deg across, at any roll.
+/// Pictures from 200 to 450 km, fields of 30 to 100 deg, at any roll.
 fn as_photographed() -> Vec<HorizonRow> {
     let row = |title: &str, frames, draw| HorizonRow::new(title, frames, 0.0, USUAL_M, draw);
     vec![
@@ -126,7 +127,7 @@ fn as_photographed() -> Vec<HorizonRow> {
     ]
 }
 
-/// Frames of the sky, and none may be fine.
+/// Frames of the sky, none of which may be fine.
 fn skies() -> Vec<HorizonRow> {
     let row = |title: &str, height_m, draw| {
         HorizonRow::new(title, [16, 2000], height_m, USUAL_M, draw).demanding(&[NoneFine])

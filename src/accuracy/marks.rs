@@ -1,4 +1,4 @@
-//! How well one mark is located: its error over many frames, and its bias over the sub-pixel phases.
+//! Accuracy of a single mark's position: its error over many frames, and its bias over the sub-pixel phases.
 
 use super::chance::{quantile, rms};
 use super::conditions::noise;
@@ -13,9 +13,9 @@ use crate::units::{PlateMil, SensorPx};
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-/// Phases per axis of the bias map.
+/// Number of phases per axis of the bias map.
 pub const PHASES: usize = 8;
-/// Noise of the bias map's frames, DN: low, so that few frames show the bias.
+/// Noise of the bias map's frames, DN: low, so that few frames suffice.
 const MAP_NOISE_DN: f64 = 1.0;
 
 /// Largest radial error of 99.7 % of the marks.
@@ -31,12 +31,12 @@ pub struct MarkSummary {
     pub most_px: f64,
     pub median_arcsec: f64,
     pub most_arcsec: f64,
-    /// Root mean square of error over stated sigma, both axes together.
+    /// Root mean square of the ratio of error to stated sigma, both axes combined.
     pub over_sigma: f64,
 }
 
 impl MarkSummary {
-    /// `None` where no mark was found.
+    /// `None` if no mark was found.
     pub fn of(outcomes: &[Outcome], arcsec_per_px: f64) -> Option<Self> {
         let errors: Vec<MarkError> = errors(outcomes).collect();
         let radial = || errors.iter().map(|e| e.px.norm()).collect();
@@ -71,16 +71,16 @@ pub struct BiasMap {
 /// The mean error at one phase.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bias {
-    /// Of the mark's true place from the middle of a pixel, -0.5 to 0.5 px.
+    /// Position of the true mark relative to a pixel's centre, -0.5 to 0.5 px.
     pub phase_px: Vector2<f64>,
-    /// `None` where the mark was never found.
+    /// `None` if the mark was never found.
     pub mean_px: Option<Vector2<f64>>,
     /// 1 sigma of the mean, per axis.
     pub sigma_px: f64,
 }
 
 impl BiasMap {
-    /// The largest mean error over all phases, px; `None` when a phase has none.
+    /// The largest mean error over all phases, px; `None` if a phase has none.
     pub fn largest_px(&self) -> Option<f64> {
         let lengths: Option<Vec<f64>> = self
             .cells
@@ -91,13 +91,13 @@ impl BiasMap {
     }
 }
 
-/// The middle of a phase's cell, px from the middle of a pixel.
+/// The centre of a phase's cell, px from a pixel's centre.
 fn phase_px(cell: usize) -> Vector2<f64> {
     let along = |n: usize| (n as f64 + 0.5) / PHASES as f64 - 0.5;
     Vector2::new(along(cell % PHASES), along(cell / PHASES))
 }
 
-/// Steps the plate's middle mark through the phases, so many frames each, the Sun around it at random.
+/// Steps the plate's central mark through the phases, with a number of frames each; the Sun is placed around it at random.
 pub fn bias_map(
     trial: &Trial,
     frames_per_phase: u64,
@@ -139,7 +139,7 @@ fn middle_mark(instrument: &Instrument) -> MarkId {
     nearest.map_or(MarkId { i: 0, j: 0 }, |(id, _)| id)
 }
 
-/// The frame whose middle mark lies at a phase.
+/// The frame whose central mark lies at a phase.
 fn stepped(trial: &Trial, phase_px: Vector2<f64>, mark: MarkId) -> Recipe {
     let mut recipe = Recipe::standard(&trial.instrument);
     let centre = &mut recipe.conditions.similarity.plate_centre;

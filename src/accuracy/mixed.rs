@@ -1,4 +1,4 @@
-//! Runs of many kinds of frames in one series: they search for what must never happen, not for small errors.
+//! Series of many kinds of frames: they search for events that must never happen, not for small errors.
 
 use super::chance::{quantile, rms};
 use super::conditions::LEAST_USABLE_LIMB;
@@ -10,22 +10,22 @@ use crate::aspect::Quality;
 #[derive(Debug, Clone, PartialEq)]
 pub struct MixedSummary {
     pub frames: usize,
-    /// Frames with [`LEAST_USABLE_LIMB`] of the limb or more on the sensor.
+    /// Number of frames with at least [`LEAST_USABLE_LIMB`] of the limb on the sensor.
     pub usable: usize,
-    /// Of the usable frames.
+    /// Counts among the usable frames.
     pub fine: usize,
     pub coarse: usize,
-    /// Frames with less, or without Sun, that were solved: coarsely at best.
+    /// Number of solved frames with less, or without Sun: coarse at best.
     pub solved_unusable: usize,
-    /// Fine frames that the errors are of.
+    /// Number of fine frames in the error statistics.
     pub counted: usize,
     /// Median error of the fine frames.
     pub median_arcsec: Option<f64>,
-    /// Root mean square of the fine frames' error over stated sigma, by axis.
+    /// Root mean square of the ratio of the fine frames' error to stated sigma, by axis.
     pub over_sigma: [Option<f64>; 2],
-    /// Solved frames in which a mark has a wrong id, by seed.
+    /// Seeds of solved frames in which a mark has a wrong id.
     pub wrong_ids: Vec<u64>,
-    /// Fine frames that are off by more than 5 sigma and more than 2 arcsec, or without Sun, by seed.
+    /// Seeds of fine frames that are off by more than 5 sigma and more than 2 arcsec, or have no Sun.
     pub wrong_fine: Vec<u64>,
 }
 
@@ -57,7 +57,7 @@ impl MixedSummary {
         }
     }
 
-    /// Why the run fails; `None` where nothing wrong was found.
+    /// Why the run fails; `None` if no error was found.
     pub fn unmet(&self) -> Option<String> {
         let (ids, fine) = (self.wrong_ids.len(), self.wrong_fine.len());
         (ids + fine > 0)

@@ -1,22 +1,23 @@
-//! The Monte Carlo that judges the pipeline: frames with truth, condition by condition, solved one by one and held against
-//! what is demanded.
+//! The Monte Carlo test of the pipeline: frames with known truth, solved one by one under many conditions, and compared
+//! with requirements.
 //!
-//! The same program runs in two sizes: small in the tests, where it bounds every row, and full on all cores for the
-//! figures and tables of the documentation. Every frame has a seed: row and seed give the same frame again, on any
-//! number of threads.
+//! The same program runs in two sizes: small in the tests, where every row has limits, and full on all cores for the
+//! figures and tables of the documentation. Every frame has a seed: row and seed reproduce the frame, on any number of
+//! threads.
 //!
 //! # Method
-//! 1. A row of the table is a name, conditions and demands ([`AccuracyRow`]). Its conditions make a [`Recipe`] of a seed,
-//!    and a recipe a scene. Rows share their seeds: the same seed puts the Sun at the same place wherever the conditions
-//!    allow it.
+//! 1. A row of the table is a name, conditions and requirements ([`AccuracyRow`]). Its conditions turn a seed into a
+//!    [`Recipe`], and a recipe into a scene. Rows share their seeds: the same seed puts the Sun at the same position
+//!    wherever the conditions allow it.
 //! 2. A [`Trial`] renders the scene, solves the frame without a prior and compares with the truth: an [`Outcome`].
-//! 3. A [`Summary`] has quantiles of the radial error (the Sun's centre on the plate, arcsec), the rms of error over
-//!    stated sigma, and what is wrong; a [`Demand`] judges it. Rows about one effect are compared with ideal frames of the same seeds.
-//! 4. For some frames of a row, the Cramer-Rao bound says how small the error could be ([`bound`]).
+//! 3. A [`Summary`] has quantiles of the radial error (the Sun's centre on the plate, arcsec), the rms of the ratio of
+//!    error to stated sigma, and a list of errors; a [`Demand`] evaluates it. Rows about one effect are compared with ideal
+//!    frames with the same seeds.
+//! 4. For some frames of a row, the Cramer-Rao bound gives the smallest possible error ([`bound`]).
 //!
-//! Beside the rows: the errors and the sub-pixel bias of single marks ([`marks`]), and runs of mixed frames and of frames whose Sun moves,
-//! which search for wrong ids and for fine frames that are not ([`mixed`]), and pictures of the Moon
-//! ([`MoonRow`]) and of the Earth's limb ([`HorizonRow`]). [`figures`] draws what a table cannot show.
+//! In addition to the rows: the errors and the sub-pixel bias of single marks ([`marks`]); series of mixed frames and of
+//! frames with a moving Sun, which search for wrong ids and for wrong fine frames ([`mixed`]); and pictures of the Moon
+//! ([`MoonRow`]) and of the Earth's limb ([`HorizonRow`]). [`figures`] draws the figures.
 //!
 //! ```text
 //! recipe <- conditions; bound, recipe <- trial; chance, trial <- outcome <- demand; conditions, demand <- rows

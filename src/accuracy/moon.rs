@@ -1,4 +1,4 @@
-//! Pictures of the Moon, and others without it: a row of them, its requirements and its result.
+//! Pictures of the Moon, and of other objects: a row of them, its requirements and its result.
 
 use super::chance::{range_of_rms, rms};
 use super::demand::Precision;
@@ -32,7 +32,7 @@ impl Knowledge {
         }
     }
 
-    /// As much of a scene: the radius to 0.02 %, the phase to 0.1 deg.
+    /// The prior for a scene: the radius to 0.02 %, the phase to 0.1 deg.
     pub fn expected(self, scene: &MoonScene) -> Expected {
         let radius_px = scene.conditions.radius_px;
         let radius = Radius::Pixels(Measured::new(radius_px, 2e-4 * radius_px));
@@ -45,18 +45,18 @@ impl Knowledge {
     }
 }
 
-/// Something that a row about the Moon has to keep.
+/// A requirement of a row about the Moon.
 #[derive(Debug, Clone, PartialEq)]
 pub enum MoonDemand {
     /// Largest rms of the centre's error across the bright limb, px.
     AcrossPx(f64),
-    /// Least share of frames that are fine.
+    /// Minimum share of frames that are fine.
     FineShare(f64),
-    /// Error over stated sigma of the centre, rms per axis; see [`Precision`].
+    /// Ratio of error to stated sigma of the centre, rms per axis; see [`Precision`].
     SigmaRatio(Range<f64>),
-    /// No fine frame that is off by 5 sigma per axis and 0.3 px.
+    /// No fine frame is off by 5 sigma per axis and 0.3 px.
     NoWrongFine,
-    /// No frame says it is fine.
+    /// No frame is reported as fine.
     NoneFine,
 }
 
@@ -65,9 +65,9 @@ pub enum MoonDemand {
 pub struct MoonRow {
     pub title: String,
     pub known: Knowledge,
-    /// How many frames: in the small size, in the full.
+    /// Number of frames: in the small size, and in the full size.
     pub frames: [u64; 2],
-    /// Draws what a picture shows.
+    /// Draws the content of a picture.
     conditions: Draw,
     pub demands: Vec<MoonDemand>,
 }
@@ -83,11 +83,11 @@ pub(super) enum Draw {
 pub struct MoonReport {
     pub row: MoonRow,
     pub found: MoonSummary,
-    /// Why the row's demands are not met.
+    /// Why the row's requirements are not met.
     pub unmet: Vec<String>,
 }
 
-/// The statistics of a row: of its fine frames, except for the counts.
+/// The statistics of a row's fine frames, except for the counts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MoonSummary {
     pub frames: usize,
@@ -95,12 +95,12 @@ pub struct MoonSummary {
     pub coarse: usize,
     /// Rms of the centre's error across the bright limb, px.
     pub across_px: Option<f64>,
-    /// Rms of its error over sigma, per axis.
+    /// Rms of the ratio of its error to sigma, per axis.
     pub over_sigma: Option<f64>,
-    /// Rms of the error of the lit share, and over its sigma; where the picture determines it.
+    /// Rms of the error of the lit fraction, and of its ratio to sigma; if the picture determines it.
     pub lit: Option<f64>,
     pub lit_over_sigma: Option<f64>,
-    /// Seeds of fine frames that are off by 5 sigma per axis and 0.3 px.
+    /// Seeds of fine frames with an error above 5 sigma per axis and 0.3 px.
     pub wrong_fine: Vec<u64>,
 }
 
@@ -110,7 +110,7 @@ struct Found {
     quality: Quality,
     off_px: Vector2<f64>,
     across_px: f64,
-    /// The error over its sigma, rms of both axes of its covariance.
+    /// Ratio of the error to its sigma, rms of both axes of its covariance.
     over_sigma: f64,
     lit_off: f64,
     lit_sigma: f64,
@@ -227,7 +227,7 @@ impl MoonSummary {
 }
 
 impl MoonDemand {
-    /// Why the demand is not met; `None` where it is. What nothing was measured for is not met.
+    /// Why the requirement is not met; `None` if it is. A requirement without measurements is not met.
     fn unmet(&self, found: &MoonSummary, precision: Precision) -> Option<String> {
         let sigmas = precision.allowed_sigmas();
         let unknown = || Some("no fine frame".into());

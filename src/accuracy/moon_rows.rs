@@ -13,17 +13,18 @@ pub(super) fn moon_rows() -> Vec<MoonRow> {
     [by_lit_share(), as_photographed(), no_moons()].concat()
 }
 
-/// Accepted error over stated sigma, as of frames of the Sun, and of Moons as photographs show them.
+/// Accepted ratio of error to stated sigma: the same as for frames of the Sun, and for Moons as on photographs.
 const SIGMA_RATIO_WITHIN: MoonDemand = MoonDemand::SigmaRatio(CALIBRATED);
 const SIGMA_RATIO_NEARLY: MoonDemand = MoonDemand::SigmaRatio(0.8..1.3);
-/// Lit shares, with the largest error across of smooth discs of 15 px: the radius known, and free.
+/// Lit fractions, with the largest error across the bright limb, px, of smooth discs of 15 px: with the radius known, and
+/// free.
 const LIT: [(Range<f64>, f64, f64); 3] = [
     (0.10..0.25, 0.06, 0.20),
     (0.25..0.60, 0.03, 0.10),
     (0.60..1.00, 0.03, 0.05),
 ];
 
-/// Smooth discs and such with craters, of 15 and 227 px, of any phase.
+/// Smooth and cratered discs, of 15 and 227 px, at any phase.
 fn by_lit_share() -> Vec<MoonRow> {
     let mut rows = Vec::new();
     for (craters, radius_px) in [(false, 15.0), (false, 227.0), (true, 15.0), (true, 227.0)] {
@@ -64,7 +65,7 @@ fn by_lit_share() -> Vec<MoonRow> {
     rows
 }
 
-/// Conditions of photographs: full Moons, seas, skies at 0 DN, crescents with an earthshine.
+/// Conditions of photographs: full Moons, maria, skies at 0 DN, crescents with earthshine.
 fn as_photographed() -> Vec<MoonRow> {
     let both = [Knowledge::Radius, Knowledge::Nothing];
     let row = |title: &str, known, draw, demands: &[MoonDemand]| {
@@ -106,7 +107,7 @@ fn as_photographed() -> Vec<MoonRow> {
     rows
 }
 
-/// Scenes without a Moon: 2,000 frames of each, and none may be fine.
+/// Scenes without a Moon: 2,000 frames of each, none of which may be fine.
 fn no_moons() -> Vec<MoonRow> {
     let row = |title, known, frames, draw| {
         MoonRow::new(title, known, frames, Draw::Any(draw)).demanding(&[MoonDemand::NoneFine])
@@ -138,7 +139,7 @@ fn no_moons() -> Vec<MoonRow> {
 
 fn cratered(radius_px: f64, lit: Range<f64>) -> MoonConditions {
     let clear = MoonConditions::clear(radius_px);
-    // Space for the largest.
+    // Large enough for the largest disc.
     let least_px = (2.5 * radius_px) as usize;
     MoonConditions {
         craters: true,

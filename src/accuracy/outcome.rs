@@ -4,17 +4,17 @@ use super::chance::{self, quantile, rms};
 use super::trial::{AspectError, Outcome};
 use crate::aspect::Quality;
 
-/// Nearly all: a Gaussian's 3 sigma.
+/// Quantile for 3 sigma of a Gaussian.
 pub const MOST: f64 = 0.997;
 
-/// Which frames the statistics of a row are about.
+/// Selection of the frames for the statistics of a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum About {
-    /// Those solved fine.
+    /// Frames solved fine.
     Fine,
-    /// Those solved coarsely.
+    /// Frames solved coarsely.
     Coarse,
-    /// Those solved at all.
+    /// All solved frames.
     Solved,
 }
 
@@ -28,41 +28,41 @@ impl About {
     }
 }
 
-/// The statistics of a row. A share of nothing and a quantile of nothing are `None`.
+/// The statistics of a row. Shares and quantiles of empty sets are `None`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Summary {
     pub frames: usize,
-    /// How many frames the errors are of.
+    /// Number of frames in the error statistics.
     pub counted: usize,
     pub fine: usize,
     pub coarse: usize,
     /// Frames with the whole disc or enough of its limb and three marks fully lit that are not fine.
     pub missed: Vec<Missed>,
-    /// Frames that ought to be fine by three marks.
+    /// Number of frames that should be fine, with exactly three marks.
     pub due_of_three: usize,
     /// Radial errors of the aspect.
     pub median_arcsec: Option<f64>,
     pub most_arcsec: Option<f64>,
     pub largest_arcsec: Option<f64>,
-    /// Root mean square of error over stated sigma, by axis.
+    /// Root mean square of the ratio of error to stated sigma, by axis.
     pub over_sigma: Option<[f64; 2]>,
-    /// Share of the solved frames whose Sun on the sensor is within [`NEAR_PX`].
+    /// Share of the solved frames whose Sun on the sensor is within [`NEAR_PX`] of the truth.
     pub near_share: Option<f64>,
-    /// Frames in which a mark has a wrong id, by seed.
+    /// Seeds of frames in which a mark has a wrong id.
     pub wrong_ids: Vec<u64>,
-    /// Frames whose marks were not read, and whose likeliest labelling is a false one.
+    /// Number of frames without identified marks whose most likely labelling is a false one.
     pub likeliest_false: usize,
-    /// Fine frames that are off by more than they can be, by seed.
+    /// Seeds of fine frames with an impossibly large error.
     pub wrong_fine: Vec<u64>,
     pub bound: Option<AgainstBound>,
-    /// Where the row has ideal frames to be compared with.
+    /// Present if the row has ideal frames for comparison.
     pub ideal: Option<AgainstIdeal>,
 }
 
-/// How near the Sun on the sensor has to be for pointing to find it, px.
+/// Maximum error of the Sun on the sensor that is sufficient for pointing, px.
 pub const NEAR_PX: f64 = 0.5;
 
-/// A frame that ought to be fine and is not.
+/// A frame that should be fine and is not.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Missed {
     pub seed: u64,
@@ -71,7 +71,7 @@ pub struct Missed {
 }
 
 impl Missed {
-    /// Whether its marks can be read in more than one way.
+    /// Whether its marks have more than one possible labelling.
     pub fn is_undecided(&self) -> bool {
         [
             "two labellings of the marks fit equally well",
@@ -82,30 +82,30 @@ impl Missed {
     }
 }
 
-/// Errors beside the Cramer-Rao bound, of those frames whose bound is known.
+/// Errors relative to the Cramer-Rao bound, for the frames with a known bound.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AgainstBound {
     pub frames: usize,
     /// Median over the frames of the bound per axis.
     pub median_arcsec: f64,
-    /// Root mean square, over frames and axes, of the error over the frame's own bound.
+    /// Root mean square, over frames and axes, of the ratio of the error to the frame's own bound.
     pub error_over_bound: f64,
 }
 
-/// Errors beside those of ideal frames of the same seeds, of the seeds that are counted under both conditions.
+/// Errors relative to those of ideal frames with the same seeds, for the seeds that count under both conditions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AgainstIdeal {
     pub frames: usize,
     /// Median of the radial errors of the ideal frames.
     pub median_arcsec: f64,
-    /// The median under the row's conditions over that of the ideal frames.
+    /// The median under the row's conditions relative to that of the ideal frames.
     pub ratio: f64,
     /// 1 sigma of the ratio, from the scatter of the frames.
     pub ratio_sigma: f64,
 }
 
 impl AgainstIdeal {
-    /// Compares outcomes with those of ideal frames. `None` where no seed is counted under both conditions.
+    /// Compares outcomes with those of ideal frames. `None` if no seed counts under both conditions.
     pub fn of(outcomes: &[Outcome], ideal: &[Outcome], about: About) -> Option<Self> {
         let error = |o: &Outcome| {
             let counted = about.holds(o.quality);
@@ -173,21 +173,21 @@ impl Summary {
     }
 }
 
-/// A frame that is solved and names a mark by the id of another.
+/// Whether a solved frame has a mark with the id of another.
 pub fn has_wrong_id(outcome: &Outcome) -> bool {
     outcome.quality != Quality::None && !outcome.wrong_ids.is_empty()
 }
 
-/// A frame that says it is fine, and is off by more than 5 of its sigma and by more than 2 arcsec; or that has no Sun.
+/// Whether a frame reported as fine is off by more than 5 of its sigma and by more than 2 arcsec, or has no Sun.
 pub fn is_wrong_fine(outcome: &Outcome) -> bool {
     let wrong = |e: &AspectError| e.sigmas() > 5.0 && e.radial_arcsec > 2.0;
     outcome.quality == Quality::Fine && outcome.aspect.as_ref().is_none_or(wrong)
 }
 
-/// Part of the limb on the sensor from which on a fine solution is expected.
+/// Minimum fraction of the limb on the sensor for which a fine solution is expected.
 pub const ENOUGH_LIMB: f64 = 0.4;
 
-/// Whether a frame ought to be fine.
+/// Whether a frame should be fine.
 fn is_due(outcome: &Outcome) -> bool {
     outcome.lit_marks >= 3 && outcome.limb_share >= ENOUGH_LIMB
 }
@@ -239,7 +239,7 @@ mod tests {
     use super::*;
     use nalgebra::{Matrix2, Vector2};
 
-    /// A fine frame that is off by so much along X and states a sigma of 1 mil.
+    /// A fine frame with the given error along X and a stated sigma of 1 mil.
     fn off_by(mil: f64) -> Outcome {
         Outcome {
             likeliest_is_false: false,

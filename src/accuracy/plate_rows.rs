@@ -1,4 +1,4 @@
-//! The rows about other plates, lenses and cameras: one departs from the demo in one thing.
+//! The rows about other plates, lenses and cameras, each of which differs from the demo in one respect.
 
 use super::conditions::turned;
 use super::demand::CALIBRATED;
@@ -11,9 +11,9 @@ use crate::units::{Measured, PlateMil};
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 
-/// Area of the demo's plate for each mark, mil^2.
+/// Area of the demo's plate per mark, mil^2.
 const AREA_PER_MARK_MIL2: f64 = 190_000.0;
-/// Frames of a row, and of one with twelve million pixels.
+/// Number of frames of a row, and of one with twelve megapixels.
 const FRAMES: [u64; 2] = [16, 2000];
 const LARGE_FRAMES: [u64; 2] = [2, 200];
 
@@ -97,28 +97,29 @@ pub(super) fn plate_rows() -> Vec<AccuracyRow> {
         }
     };
     let mut rows: Vec<AccuracyRow> = rows.into_iter().map(row).collect();
-    // The last one's frames are the large ones.
+    // The last row has the large frames.
     if let Some(last) = rows.last_mut() {
         last.frames = LARGE_FRAMES;
     }
     rows
 }
 
-/// Marks enough for a mapping in view.
+/// Enough marks in view for a mapping.
 fn marked(recipe: &mut Recipe, _: &Instrument, _: &mut Generator) {
     recipe.view = View::Whole {
         lit_marks: ENOUGH_MARKS,
     };
 }
 
-/// The same, and a camera turned as far as its stated sigma says.
+/// The same, with a camera rotation drawn from its stated sigma.
 fn misaligned(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Generator) {
     marked(recipe, instrument, rng);
     let turned = instrument.mounting.rotation_deg.sigma * rng.sample::<f64, _>(StandardNormal);
     recipe.conditions.similarity.rotation_deg += turned;
 }
 
-/// The instrument with so many crosses anywhere on a square, as close as the demo's are, each apart from the others.
+/// The instrument with `count` crosses at random positions in a square, with the density of the demo's, each apart from the
+/// others.
 pub(super) fn random(instrument: Instrument, count: usize) -> Instrument {
     let half_mil = (count as f64 * AREA_PER_MARK_MIL2).sqrt() / 2.0;
     let mut rng = Generator::seed_from_u64(count as u64);
@@ -161,12 +162,12 @@ fn at_45_deg(instrument: Instrument) -> Instrument {
     with_shape(instrument, MarkShape::Cross(cross))
 }
 
-/// Dots that take as much light as the crosses do.
+/// Dots that absorb as much light as the crosses.
 pub(super) fn dots(instrument: Instrument) -> Instrument {
     with_shape(instrument, MarkShape::Dot { diameter_mil: 50.0 })
 }
 
-/// The instrument with another sensor that sees as much of the plate.
+/// The instrument with another sensor with the same field on the plate.
 fn sampled(mut instrument: Instrument, [width_px, height_px]: [usize; 2]) -> Instrument {
     let camera = &mut instrument.camera;
     let coarser = camera.height_px as f64 / height_px as f64;

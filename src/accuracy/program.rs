@@ -1,4 +1,4 @@
-//! The program: which parts are run, with how many frames, on all cores.
+//! The program: the parts to run, with their numbers of frames, on all cores.
 
 use super::demand::Precision;
 use super::design_rows::design_rows;
@@ -22,9 +22,10 @@ use crate::frame::FrameError;
 use crate::instrument::{Instrument, TomlError, builtin};
 use crate::simulate::{Scene, SceneError};
 
-/// Frames for each phase of the bias map.
+/// Number of frames for each phase of the bias map.
 const FRAMES_PER_PHASE: [u64; 2] = [16, 100];
-/// Frames of a row whose bound is computed: it costs several times as much as the frame, and the small size demands nothing of it.
+/// Number of frames of a row for which the bound is computed: it costs several times as much as the frame, and the small
+/// size has no requirement for it.
 const BOUNDED_FRAMES: [u64; 2] = [0, 200];
 
 /// Why the program cannot run.
@@ -43,12 +44,12 @@ pub enum AccuracyError {
     Instrument(#[from] TomlError),
 }
 
-/// Parts to be run.
+/// Parts to run.
 #[derive(Debug, Clone)]
 pub struct Program {
     pub size: Size,
     trial: Trial,
-    /// Whether the instrument is the demo, whose limits in arcsec hold.
+    /// Whether the instrument is the demo, for which the limits in arcsec are valid.
     is_demo: bool,
     rows: Vec<AccuracyRow>,
     plates: Vec<AccuracyRow>,
@@ -60,7 +61,7 @@ pub struct Program {
     sweeps: bool,
 }
 
-/// Whether the measurements for the figures are taken, too.
+/// Whether the measurements for the figures are made as well.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Figures {
     Drawn,
@@ -68,8 +69,9 @@ pub enum Figures {
 }
 
 impl Program {
-    /// All parts, or those of some names; with the sweeps that the figures need, or without. Of an instrument other than the demo the parts
-    /// that are about it: no other plates, no Moon and no horizon, and no limits in arcsec, which are the demo's.
+    /// All parts, or the named ones; with or without the sweeps for the figures. For an instrument other than the demo,
+    /// only the parts that apply to it: no other plates, no Moon and no horizon, and no limits in arcsec, which are valid
+    /// for the demo only.
     pub fn new(
         size: Size,
         only: &[String],
@@ -114,7 +116,7 @@ impl Program {
         })
     }
 
-    /// How many frames there are to solve.
+    /// Total number of frames to solve.
     pub fn frames(&self) -> u64 {
         let of_row = |row: &AccuracyRow| match row.ideal {
             Some(Ideal::Of(_)) => 2 * self.size.of(row.frames),
@@ -146,7 +148,7 @@ impl Program {
         }
     }
 
-    /// How many standard frames the rows are compared with.
+    /// Number of standard frames with which rows are compared.
     fn standard_frames(&self) -> u64 {
         let compared = |row: &&AccuracyRow| matches!(row.ideal, Some(Ideal::Standard));
         let frames = self
@@ -194,7 +196,7 @@ impl Program {
         standard: &[Outcome],
         done: &(dyn Fn() + Sync),
     ) -> Result<RowReport, SceneError> {
-        // What a frame without marks allows is no more than what it borrows.
+        // The accuracy of a frame without marks is limited by the borrowed mapping.
         let with_bound = match row.about {
             About::Fine => self.size.of(BOUNDED_FRAMES),
             About::Coarse | About::Solved => 0,
@@ -208,7 +210,7 @@ impl Program {
             let recipe = Recipe::drawn(row.vary, &trial.instrument, seed);
             trial.outcome(&recipe, seed, Bounded::up_to(with_bound, seed))
         })?;
-        // They all have the same lens.
+        // All have the same lens.
         let arcsec_per_mil = trials[0].instrument.optics.arcsec_per_mil();
         let mut summary = Summary::of(&outcomes, row.about, arcsec_per_mil);
         summary.ideal = match row.ideal {
@@ -229,7 +231,7 @@ impl Program {
         })
     }
 
-    /// The marks of the standard row's frames, and the map of their bias.
+    /// The marks of the standard row's frames, and their bias map.
     fn marks(
         &self,
         rows: &[RowReport],
@@ -280,7 +282,7 @@ pub struct Case {
 }
 
 impl Case {
-    /// The frame of a seed; `part` is the name of a row or of a run. Without an instrument it is the demo's.
+    /// The frame of a seed; `part` is the name of a row or of a run. Without an instrument, the demo is used.
     pub fn new(
         part: &str,
         seed: u64,
@@ -307,13 +309,13 @@ impl Case {
     }
 }
 
-/// Every row of every part.
+/// All rows of all parts.
 fn all_rows() -> impl Iterator<Item = AccuracyRow> {
     let rows = rows().into_iter().chain(plate_rows());
     rows.chain(design_rows())
 }
 
-/// The name of every part of the program: the rows, the marks, the plates, the designs, the runs, the Moon, the horizon.
+/// The names of all parts of the program: the rows, the marks, the plates, the designs, the runs, the Moon, the horizon.
 pub fn names() -> Vec<&'static str> {
     let rows = all_rows().map(|row| row.name);
     let runs = runs().into_iter().map(|run| run.name);

@@ -15,37 +15,37 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use std::f64::consts::TAU;
 use std::ops::{Range, RangeInclusive};
 
-/// The generator of a frame's random parameters, beside the simulator's own.
+/// The generator of a frame's random parameters, in addition to the simulator's own.
 pub type Generator = Xoshiro256PlusPlus;
 
-/// How a frame departs from the standard one: it changes a recipe by numbers drawn at random.
+/// A change from the standard frame: modifies a recipe by randomly drawn numbers.
 pub type Vary = fn(&mut Recipe, &Instrument, &mut Generator);
 
-/// Where the Sun stands in the frames of a row.
+/// Position of the Sun in the frames of a row.
 #[derive(Debug, Clone, PartialEq)]
 pub enum View {
-    /// Anywhere with the whole disc on the sensor and so many marks fully lit.
+    /// Anywhere with the whole disc on the sensor and the given number of marks fully lit.
     Whole { lit_marks: RangeInclusive<usize> },
-    /// Cut by the sensor's edge, so much of the limb on the sensor, so many marks fully lit.
+    /// Cut by the sensor's edge, with the given fraction of the limb on the sensor, and number of marks fully lit.
     Partial {
         limb_share: Range<f64>,
         lit_marks: RangeInclusive<usize>,
     },
-    /// Anywhere with this mark and two others, or more, fully lit.
+    /// Anywhere with this mark and at least two others fully lit.
     Around(MarkId),
     /// Anywhere in the plate's field.
     Field,
-    /// Anywhere in the field where the check of the plate says this.
+    /// Anywhere in the field where the check of the plate has this verdict.
     Checked(PlaceVerdict),
     /// The whole disc, across the boundary between the sensor's halves: within 0.8 radii of the centre.
     AcrossMiddle,
-    /// Nowhere.
+    /// No Sun.
     Absent,
 }
 
 /// Any number of marks.
 pub const ANY_MARKS: RangeInclusive<usize> = 0..=MOST_MARKS;
-/// Marks enough for a mapping.
+/// Enough marks for a mapping.
 pub const ENOUGH_MARKS: RangeInclusive<usize> = 3..=MOST_MARKS;
 /// Too few marks for a mapping.
 pub const FEW_MARKS: RangeInclusive<usize> = 0..=2;
@@ -54,15 +54,15 @@ pub const FEW_MARKS: RangeInclusive<usize> = 0..=2;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
     pub conditions: Conditions,
-    /// The instrument's statement of the camera, which need not be so.
+    /// The camera as the instrument states it, which may differ from the true one.
     pub stated: Mounting,
     pub view: View,
-    /// Sunspots, each up to 1 % of the disc's area.
+    /// Number of sunspots, each up to 1 % of the disc's area.
     pub sunspots: usize,
 }
 
 impl Recipe {
-    /// The standard frame: the instrument as it states itself, the whole Sun, 5 DN of noise, no blemishes.
+    /// The standard frame: the instrument as stated, the whole Sun, 5 DN of noise, no blemishes.
     pub fn standard(instrument: &Instrument) -> Self {
         Self {
             conditions: Conditions::of(instrument),
@@ -102,7 +102,7 @@ impl Recipe {
         let mut rng = Generator::seed_from_u64(seed);
         let spots = (0..self.sunspots).map(|_| sunspot(sun.radius_mil, &mut rng));
         sun.spots.extend(spots);
-        // Enough for a view that one place in a thousand gives.
+        // Sufficient for a view that one position in a thousand satisfies.
         for _ in 0..20_000 {
             scene.sun = Some(sun.clone());
             if self.suits(instrument, &scene) {
@@ -117,7 +117,7 @@ impl Recipe {
         })
     }
 
-    /// A place for the Sun, drawn evenly where the view may hold.
+    /// A position of the Sun, drawn uniformly where the view may be satisfied.
     fn place(&self, scene: &Scene, radius_mil: f64, rng: &mut Generator) -> PlateMil {
         if let View::Around(id) = self.view
             && let Some(mark) = scene.plate.position(id)
@@ -162,7 +162,7 @@ impl Recipe {
     }
 }
 
-/// Result of the plate's check at the place where the Sun is.
+/// Verdict of the plate's check at the Sun's position.
 fn verdict_of(instrument: &Instrument, scene: &Scene) -> Option<PlaceVerdict> {
     let at = scene.sun.as_ref()?.centre;
     let (solver, settings) = (SolverSettings::default(), CheckSettings::default());
@@ -177,12 +177,12 @@ fn reaches_middle(scene: &Scene) -> bool {
     sun.is_some_and(|sun| (sun.px.x - middle).abs() < 0.8 * sun.radius_px)
 }
 
-/// Where covers leave less of the light, limb and marks count as hidden.
+/// Minimum transmission of covers: below it, limb and marks count as covered.
 const LEAST_LEFT: f64 = 0.8;
 
-/// The marks that show and of which the Sun lights all tips and what blurs into them, wholly on the sensor.
+/// The visible marks whose tips, with the surroundings that blur into them, are all lit by the Sun and on the sensor.
 pub fn fully_lit(scene: &Scene) -> impl Iterator<Item = LitMark> + '_ {
-    /// Light that blur brings from beyond a tip: twice the blur of a sharp picture, 12 mil at 5.75 mil/px.
+    /// Reach of the blur beyond a tip: twice the blur of a sharp picture, 12 mil at 5.75 mil/px.
     const BLUR_PX: f64 = 12.0 / 5.75;
     let half_mil = scene.plate.shape.size_mil() / 2.0;
     let arms = scene.plate.shape.arms();
@@ -199,7 +199,7 @@ pub fn fully_lit(scene: &Scene) -> impl Iterator<Item = LitMark> + '_ {
                 scene.mapping.to_sensor(tip(direction, half_mil + blur_mil)),
             )
         };
-        // A mark is judged by pixels around it, too, which what covers the Sun must leave as bright.
+        // The fit of a mark uses pixels around it as well, which must not be darkened by covers.
         let is_clear = |direction| {
             let tip = tip(direction, 1.2 * half_mil + blur_mil);
             let sun = scene.sun.as_ref();
@@ -210,7 +210,7 @@ pub fn fully_lit(scene: &Scene) -> impl Iterator<Item = LitMark> + '_ {
     })
 }
 
-/// The part of the limb that lies on the sensor and that nothing hides, 0 to 1; 0 without a Sun.
+/// The fraction of the limb that lies on the sensor and is not covered, 0 to 1; 0 without a Sun.
 pub fn limb_share(scene: &Scene) -> f64 {
     let seen = limb(scene).filter(|(is_clear, on_sensor)| *is_clear && *on_sensor);
     seen.count() as f64 / LIMB_POINTS as f64
@@ -221,10 +221,10 @@ fn is_whole(scene: &Scene) -> bool {
     limb(scene).filter(|(_, on_sensor)| *on_sensor).count() == LIMB_POINTS
 }
 
-/// Points along the limb at which it is evaluated.
+/// Number of points along the limb at which it is evaluated.
 const LIMB_POINTS: usize = 720;
 
-/// Whether nothing hides a point of the limb, and whether it is on the sensor, all round; nothing without a Sun.
+/// For points all round the limb: whether it is not covered, and whether it is on the sensor; empty without a Sun.
 fn limb(scene: &Scene) -> impl Iterator<Item = (bool, bool)> + '_ {
     let at = |sun: &Sun| {
         let (centre, radius_mil) = (sun.centre.vector(), sun.radius_mil);

@@ -17,7 +17,7 @@ pub struct RowReport {
     pub row: AccuracyRow,
     pub outcomes: Vec<Outcome>,
     pub summary: Summary,
-    /// Why the row's demands are not met.
+    /// Why the row's requirements are not met.
     pub unmet: Vec<String>,
 }
 
@@ -49,7 +49,7 @@ fn plate_sigma<const AXIS: usize>((_, outcome): &ReportedFrame<'_>) -> Option<f6
     Some(outcome.aspect?.covariance_mil2[(AXIS, AXIS)].sqrt())
 }
 
-/// Content of a table of single frames.
+/// Columns of a table of single frames.
 pub fn frame_columns<'a>() -> [Column<ReportedFrame<'a>>; 7] {
     let of_axis = |name, meaning, value| float(name, "mil", meaning, value);
     [
@@ -96,12 +96,12 @@ pub struct Report {
     pub runs: Vec<RunReport>,
     pub moons: Vec<MoonReport>,
     pub horizons: Vec<HorizonReport>,
-    /// Data of the figures beyond the rows.
+    /// Data of the figures in addition to the rows.
     pub sweeps: Option<Sweeps>,
 }
 
 impl Report {
-    /// Everything that is demanded and not met: where, and why.
+    /// All unmet requirements: where, and why.
     pub fn unmet(&self) -> Vec<(&'static str, &str)> {
         let rows = self.rows.iter().chain(&self.plates).chain(&self.designs);
         let rows = rows.map(|r| (r.row.name, &r.unmet));
@@ -126,7 +126,7 @@ impl Report {
         rows.chain(runs.flat_map(|r| r.outcomes.iter().map(|o| (r.run.name, o))))
     }
 
-    /// Every figure that can be drawn of what was measured: file name and SVG.
+    /// All figures that the measurements allow: file name and SVG.
     pub fn figures(&self) -> Result<Vec<(&'static str, String)>, PlotError> {
         let mut figures = Vec::new();
         if let Some(sweeps) = &self.sweeps {

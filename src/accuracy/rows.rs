@@ -1,4 +1,4 @@
-//! The rows of the table: conditions and what is demanded under them.
+//! The rows of the table: conditions and requirements.
 
 use super::conditions::{
     COLUMN_SMEAR, LEAST_USABLE_LIMB, TAP_STEP_DN, all_effects, as_noisy_everywhere, blemished,
@@ -15,17 +15,17 @@ use super::trial::Trial;
 use crate::instrument::Instrument;
 use crate::simulate::Depth;
 
-/// How many frames.
+/// Size of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Size {
-    /// For the tests: a minute.
+    /// For the tests: one minute.
     Small,
-    /// For the documentation: an hour of one core.
+    /// For the documentation: an hour on one core.
     Full,
 }
 
 impl Size {
-    /// Of a number for the small size and one for the full.
+    /// Selects one of two values, for the small size and for the full size.
     pub(super) fn of<T: Copy>(self, [small, full]: [T; 2]) -> T {
         match self {
             Self::Small => small,
@@ -34,7 +34,7 @@ impl Size {
     }
 }
 
-/// The row whose marks are judged one by one.
+/// The row whose marks are evaluated one by one.
 pub(super) const MARKS_ROW: &str = "standard";
 /// The name of the part about single marks.
 pub const MARKS: &str = "marks";
@@ -60,17 +60,17 @@ pub type InstrumentOf = fn(Instrument, u64, Size) -> Instrument;
 pub struct AccuracyRow {
     pub name: &'static str,
     pub title: &'static str,
-    /// The frames that the errors are of.
+    /// The frames in the error statistics.
     pub about: About,
-    /// How many frames: in the small size, in the full.
+    /// Number of frames: in the small size, and in the full size.
     pub frames: [u64; 2],
-    /// How the row's frames depart from the standard one.
+    /// Change of the row's frames from the standard one.
     pub vary: Vary,
-    /// Instrument of the row, where it is not the program's.
+    /// Instrument of the row, if it is not the program's.
     pub instrument: Option<InstrumentOf>,
-    /// How many instruments take turns: in the small size, in the full.
+    /// Number of instruments used in turn: in the small size, and in the full size.
     pub instruments: [u64; 2],
-    /// The frames that the errors are compared with, of the same seeds.
+    /// The frames with which the errors are compared, with the same seeds.
     pub ideal: Option<Ideal>,
     pub demands: Vec<Demand>,
 }
@@ -80,16 +80,16 @@ pub struct AccuracyRow {
 pub enum Ideal {
     /// Standard frames.
     Standard,
-    /// Frames that depart from the standard one in something else.
+    /// Frames that differ from the standard one in another respect.
     Of(Vary),
 }
 
-/// A series of frames that is searched for what must never happen.
+/// A series of frames that is searched for events that must never happen.
 #[derive(Debug, Clone)]
 pub struct Run {
     pub name: &'static str,
     pub title: &'static str,
-    /// How many frames: in the small size, in the full.
+    /// Number of frames: in the small size, and in the full size.
     pub frames: [u64; 2],
     pub vary: Vary,
 }
@@ -112,16 +112,16 @@ pub fn runs() -> Vec<Run> {
     ]
 }
 
-/// Frames of rows of which much is demanded: in the small size, in the full.
+/// Number of frames of rows with many requirements: in the small size, and in the full size.
 const MANY: [u64; 2] = [150, 3000];
-/// Frames of rows of Suns that something hides.
+/// Number of frames of rows with a partly covered Sun.
 const COVERED: [u64; 2] = [150, 5000];
-/// Frames of rows whose errors are reported only.
+/// Number of frames of rows whose errors are only reported.
 const FEW: [u64; 2] = [60, 1000];
-/// Frames of rows about one effect beside ideal frames.
+/// Number of frames of rows about one effect that are compared with ideal frames.
 const BESIDE_IDEAL: [u64; 2] = [24, 300];
 
-/// A row about fine frames whose errors are reported only.
+/// A row about fine frames whose errors are only reported.
 pub(super) fn row(name: &'static str, title: &'static str, vary: Vary) -> AccuracyRow {
     AccuracyRow {
         name,
@@ -137,7 +137,7 @@ pub(super) fn row(name: &'static str, title: &'static str, vary: Vary) -> Accura
 }
 
 impl AccuracyRow {
-    /// The solver's setup for the frames of a seed, where the program's is `usual`: the row's instruments take turns.
+    /// The solver's setup for the frame of a seed; `usual` is the program's. The row's instruments are used in turn.
     pub(super) fn trial(&self, usual: &Trial, size: Size, seed: u64) -> Trial {
         let mut trial = usual.clone();
         if let Some(make) = self.instrument {
@@ -147,7 +147,7 @@ impl AccuracyRow {
         trial
     }
 
-    /// Without the limits in arcsec.
+    /// The row without the limits in arcsec.
     pub(super) fn without_arcsec(mut self) -> Self {
         let in_arcsec = |d: &Demand| matches!(d, MedianArcsec(_) | MostArcsec(_));
         self.demands.retain(|demand| !in_arcsec(demand));
@@ -167,12 +167,12 @@ impl AccuracyRow {
         self.demanding(&[MedianArcsec(median), MostArcsec(most), AllFine, SigmaRatio])
     }
 
-    /// Bounds the median by that of standard frames.
+    /// Limits the median relative to that of standard frames.
     fn beside_standard(self, most_times: f64) -> Self {
         self.beside(Ideal::Standard, most_times)
     }
 
-    /// Bounds the median by that of ideal frames.
+    /// Limits the median relative to that of ideal frames.
     fn beside(self, ideal: Ideal, most_times: f64) -> Self {
         Self {
             frames: BESIDE_IDEAL,
@@ -194,7 +194,7 @@ pub fn rows() -> Vec<AccuracyRow> {
     [bounded(), borrowing(), reported(), effects(), covered()].concat()
 }
 
-/// Rows whose errors are bounded.
+/// Rows with limits on their errors.
 fn bounded() -> Vec<AccuracyRow> {
     vec![
         row("noise-1", "noise 1 DN", |r, _, _| noise(r, 1.0)).within(0.05, 0.15),
@@ -226,7 +226,7 @@ fn bounded() -> Vec<AccuracyRow> {
     ]
 }
 
-/// Rows about coarse frames, most of which borrow a mapping. It is off as far as its sigmas say.
+/// Rows about coarse frames, most of which borrow a mapping, which is drawn from its sigmas.
 fn borrowing() -> Vec<AccuracyRow> {
     vec![
         row(
@@ -278,7 +278,7 @@ fn borrowing() -> Vec<AccuracyRow> {
     ]
 }
 
-/// Rows whose errors are reported only.
+/// Rows whose errors are only reported.
 fn reported() -> Vec<AccuracyRow> {
     vec![
         row("vignetting", "vignetting 20 %", |r, _, _| {
@@ -310,7 +310,7 @@ fn reported() -> Vec<AccuracyRow> {
     ]
 }
 
-/// Rows about stray light, readout, photons, the real Sun and strong blur, beside ideal frames.
+/// Rows about stray light, readout, photons, the real Sun and strong blur, compared with ideal frames.
 fn effects() -> Vec<AccuracyRow> {
     let ghost = "a ghost of 2 % of the light";
     vec![
@@ -391,7 +391,7 @@ fn effects() -> Vec<AccuracyRow> {
     ]
 }
 
-/// Rows of Suns that something hides in part.
+/// Rows with a partly covered Sun.
 fn covered() -> Vec<AccuracyRow> {
     let rows = vec![
         row(

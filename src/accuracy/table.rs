@@ -28,7 +28,7 @@ const HEAD: [&str; COLUMNS] = [
     "error/bound (frames)",
 ];
 
-/// The cells of a row; `*` marks an error over sigma that is outside the accepted range.
+/// The cells of a row; `*` marks a ratio of error to sigma outside the accepted range.
 fn cells(report: &RowReport) -> [String; COLUMNS] {
     let found = &report.summary;
     let bound = found.bound.as_ref();
@@ -53,7 +53,7 @@ fn percent(share: Option<f64>) -> String {
     share.map_or("-".into(), |s| format!("{:.1} %", 100.0 * s))
 }
 
-/// Three digits after the point where they say something.
+/// Three decimals, or four for values below 0.1.
 fn number(value: Option<f64>) -> String {
     value.map_or("-".into(), |v| {
         let digits = if v < 0.1 { 4 } else { 3 };
@@ -61,7 +61,7 @@ fn number(value: Option<f64>) -> String {
     })
 }
 
-/// By axis, with 1 sigma of either by the number of frames.
+/// Ratio of error to sigma by axis, with the 1 sigma of either from the number of frames.
 fn over_sigma(found: &Summary) -> String {
     let sigma = relative_sigma_of_rms(found.counted);
     let (Some(axes), Some(sigma)) = (found.over_sigma, sigma) else {
@@ -73,7 +73,7 @@ fn over_sigma(found: &Summary) -> String {
     format!("{:.2}, {:.2} +- {sigma:.2}{star}", axes[0], axes[1])
 }
 
-/// With 1 sigma and the number of frames that it is of.
+/// With its 1 sigma and the number of frames.
 fn error_over_bound(found: &Summary) -> String {
     let Some(bound) = &found.bound else {
         return "-".into();
@@ -160,7 +160,7 @@ fn horizon_cells(report: &HorizonReport) -> [String; HORIZON_COLUMNS] {
     ]
 }
 
-/// A table for a terminal; nothing where it has no rows.
+/// A table for a terminal; empty if it has no rows.
 fn text_table<const N: usize>(head: [&str; N], rows: &[[String; N]]) -> String {
     let mut out = String::new();
     if rows.is_empty() {
@@ -185,7 +185,7 @@ fn text_table<const N: usize>(head: [&str; N], rows: &[[String; N]]) -> String {
     out
 }
 
-/// A table in Markdown; nothing where it has no rows.
+/// A table in Markdown; empty if it has no rows.
 fn markdown_table<const N: usize>(head: [&str; N], rows: &[[String; N]]) -> String {
     if rows.is_empty() {
         return String::new();
@@ -219,12 +219,12 @@ pub fn text(report: &Report) -> String {
     out + &demands_text(&report.unmet())
 }
 
-/// The line before what the program writes on the page.
+/// The line before the part of the page that is written by the program.
 const BEGIN: &str = "<!-- Written by `solaspect accuracy --out`: from here -->\n";
 /// The line after it.
 const END: &str = "<!-- to here -->\n";
 
-/// A page of the documentation that has a part of the report.
+/// A page of the documentation with a part of the report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Page {
     Accuracy,
@@ -235,7 +235,7 @@ pub enum Page {
 }
 
 impl Page {
-    /// The pages that have a part of a report.
+    /// The pages with a part of a report.
     pub fn of(report: &Report) -> impl Iterator<Item = Self> {
         let is_of_sun =
             !report.rows.is_empty() || report.marks.is_some() || !report.runs.is_empty();
@@ -271,8 +271,8 @@ impl Page {
         }
     }
 
-    /// The page with its part of the report in it: between the two lines that mark its place on the page as it is, or on a page of its own.
-    /// `commit` is that of the program. `None` for a page without these lines.
+    /// The page with its part of the report inserted: between the two marker lines of the existing page, or on a new page.
+    /// `commit` is that of the program. `None` if the page lacks these lines.
     pub fn with(
         self,
         report: &Report,
@@ -322,7 +322,7 @@ impl Page {
     }
 }
 
-/// Rows in Markdown, with what stands beside them.
+/// Rows in Markdown, with the text beside them.
 fn rows_part(rows: &[RowReport], beside: &str, unmet: &[(&str, &str)]) -> String {
     let table: Vec<_> = rows.iter().map(cells).collect();
     markdown_table(HEAD, &table)
@@ -347,7 +347,7 @@ fn demanded(rows: &[RowReport]) -> String {
     out
 }
 
-/// Text beside the table in both forms.
+/// Text beside the table, for both formats.
 fn beside(report: &Report) -> String {
     let mut out = String::new();
     if let Some(marks) = &report.marks {
@@ -409,7 +409,7 @@ fn run_text(report: &RunReport) -> String {
     )
 }
 
-/// How many frames, and the seeds of the first of them.
+/// Number of frames, and the seeds of the first of them.
 fn counted(seeds: &[u64]) -> String {
     let named: Vec<String> = seeds.iter().take(NAMED).map(u64::to_string).collect();
     let more = if seeds.len() > NAMED { ", ..." } else { "" };
@@ -419,10 +419,10 @@ fn counted(seeds: &[u64]) -> String {
     }
 }
 
-/// Frames that are named for one reason.
+/// Maximum number of frames that are named for one reason.
 const NAMED: usize = 12;
 
-/// The frames of each row that ought to be fine and are not, by reason.
+/// The frames of each row that should be fine and are not, by reason.
 fn missed_text(rows: &[RowReport]) -> String {
     let mut out = String::new();
     for row in rows {
@@ -517,7 +517,7 @@ mod tests {
     use crate::accuracy::plate_rows::plate_rows;
     use crate::accuracy::rows::{rows, runs};
 
-    /// No part of the program.
+    /// A report without any part.
     fn nothing() -> Report {
         let nothing = Report {
             size: Size::Small,

@@ -1,4 +1,4 @@
-//! One frame: its scene, the solution, and how the two differ.
+//! One frame: its scene, the solution, and the difference between the two.
 
 use super::bound;
 use super::recipe::{Recipe, Vary, fully_lit, limb_share};
@@ -11,41 +11,41 @@ use crate::units::SensorPx;
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 
-/// A mark this far from where its id stands in truth has the wrong id, px.
+/// A mark farther than this from the true position of its id has a wrong id, px.
 const WRONG_ID_PX: f64 = 3.0;
-/// Expectation of every frame.
+/// Expectation for every frame.
 const EXPECTED: Option<Expected> = Some(Expected {
     radius_arcsec: SUN_RADIUS_ARCSEC,
 });
 
-/// A frame's solution against the truth.
+/// A frame's solution compared with the truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
     pub seed: u64,
     pub quality: Quality,
-    /// Why the frame is no better than it is.
+    /// The reason if the frame is not fine.
     pub reason: Option<String>,
-    /// The part of the limb on the sensor, in truth.
+    /// True fraction of the limb on the sensor.
     pub limb_share: f64,
-    /// How many marks are fully lit, in truth.
+    /// True number of fully lit marks.
     pub lit_marks: usize,
-    /// `None` without a Sun, found or true.
+    /// `None` without a true Sun or without a solution.
     pub aspect: Option<AspectError>,
-    /// Fully lit marks that have the right id.
+    /// Fully lit marks with the right id.
     pub marks: Vec<MarkError>,
     pub wrong_ids: Vec<MarkId>,
-    /// Whether the marks were not read, and their likeliest labelling is a false one.
+    /// Whether the marks were not identified, and their most likely labelling is a false one.
     pub likeliest_is_false: bool,
-    /// The least covariance of the Sun's place on the plate that the frame allows, mil^2; where it is wanted.
+    /// The Cramer-Rao bound of the covariance of the Sun's position on the plate, mil^2; if requested.
     pub bound_mil2: Option<Matrix2<f64>>,
 }
 
-/// How far the aspect is from the truth.
+/// Difference of the aspect from the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AspectError {
-    /// Found less true, on the plate.
+    /// Solution minus truth, on the plate.
     pub plate_mil: Vector2<f64>,
-    /// As the solution states it.
+    /// Covariance stated by the solution.
     pub covariance_mil2: Matrix2<f64>,
     /// Distance on the plate, as an angle.
     pub radial_arcsec: f64,
@@ -54,12 +54,12 @@ pub struct AspectError {
 }
 
 impl AspectError {
-    /// Error over stated sigma, by axis.
+    /// Ratio of error to stated sigma, by axis.
     pub fn over_sigma(&self) -> [f64; 2] {
         [0, 1].map(|axis| self.plate_mil[axis] / self.covariance_mil2[(axis, axis)].sqrt())
     }
 
-    /// How many sigma the error is, along its own direction.
+    /// The error in sigma, along its own direction.
     pub fn sigmas(&self) -> f64 {
         let weight = self.covariance_mil2.try_inverse();
         weight.map_or(f64::INFINITY, |weight| {
@@ -68,12 +68,12 @@ impl AspectError {
     }
 }
 
-/// How far a mark is from where it is in truth.
+/// Difference of a mark's position from the truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MarkError {
     pub id: MarkId,
     pub true_px: SensorPx,
-    /// Found less true.
+    /// Solution minus truth.
     pub px: Vector2<f64>,
     pub sigma_px: f64,
 }
@@ -85,7 +85,7 @@ pub struct Trial {
     pub settings: SolverSettings,
 }
 
-/// Whether the Cramer-Rao bound of a frame is wanted: it costs several times as much as the frame.
+/// Whether to compute the Cramer-Rao bound of a frame: it costs several times as much as the frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Bounded {
     Yes,
@@ -93,7 +93,7 @@ pub enum Bounded {
 }
 
 impl Bounded {
-    /// Of the first so many seeds.
+    /// For the first `count` seeds.
     pub(super) fn up_to(count: u64, seed: u64) -> Self {
         match seed < count {
             true => Self::Yes,
@@ -103,8 +103,8 @@ impl Bounded {
 }
 
 impl Trial {
-    /// Makes the frame of a recipe and a seed, solves it on its own and compares. The same seed always gives the same
-    /// outcome.
+    /// Makes the frame of a recipe and a seed, solves it on its own and compares it with the truth. The same seed always
+    /// gives the same outcome.
     pub fn outcome(
         &self,
         recipe: &Recipe,
@@ -131,7 +131,7 @@ impl Trial {
         })
     }
 
-    /// Outcomes of so many frames, without their bounds.
+    /// Outcomes of a number of frames, without their bounds.
     pub(super) fn outcomes(
         &self,
         vary: Vary,
@@ -144,7 +144,7 @@ impl Trial {
         })
     }
 
-    /// Whether the likeliest labelling of a frame's marks gives one of them the id of another.
+    /// Whether the most likely labelling of a frame's marks gives one of them the id of another.
     fn is_likeliest_false(
         &self,
         scene: &Scene,
