@@ -1,4 +1,4 @@
-//! When to try again.
+//! Back-off between repeated attempts.
 
 use std::time::Duration;
 
@@ -11,12 +11,12 @@ pub(crate) struct Backoff {
 }
 
 impl Backoff {
-    /// For cheap attempts at things that should be found within seconds when they are back: a port, a camera, a thread.
+    /// For cheap attempts at devices that should be found within seconds after they return: a port, a camera, a thread.
     pub const DEVICE: Self = Self::new(Duration::from_millis(250), Duration::from_secs(2));
     /// For a disk.
     pub const DISK: Self = Self::new(Duration::from_millis(250), Duration::from_secs(5));
 
-    /// For a server that others use, too.
+    /// For a server with other users.
     #[cfg(feature = "object-store")]
     pub const NETWORK: Self = Self::new(Duration::from_secs(1), Duration::from_secs(30));
 
@@ -28,19 +28,19 @@ impl Backoff {
         }
     }
 
-    /// The wait after one more failure.
+    /// The wait after another failure.
     pub fn wait(&mut self) -> Duration {
         self.wait_at_most(self.longest)
     }
 
-    /// The same with another limit, from which later waits go on.
+    /// The same with another limit, from which later waits continue.
     pub fn wait_at_most(&mut self, longest: Duration) -> Duration {
         let wait = self.next.min(longest);
         self.next = self.longest.min(2 * wait);
         wait
     }
 
-    /// An attempt has succeeded: the next failure is a new one.
+    /// Resets the wait after a successful attempt.
     pub fn reset(&mut self) {
         self.next = self.shortest;
     }

@@ -1,10 +1,10 @@
-//! Work that is given its time and no more.
+//! Work with a time limit.
 
 use crossbeam_channel::{RecvTimeoutError, bounded};
 use std::thread;
 use std::time::Duration;
 
-/// Why work gave nothing.
+/// Why work gave no result.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NoAnswer {
     #[error("no answer within {:.0} s", .0.as_secs_f64())]
@@ -15,14 +15,14 @@ pub enum NoAnswer {
     Thread(String),
 }
 
-/// Result of `work` within `limit`. Work that takes longer is left behind on its thread.
+/// Result of `work` within `limit`. Work that takes longer is abandoned on its thread.
 pub fn within<T: Send + 'static>(
     limit: Duration,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, NoAnswer> {
     let (give, take) = bounded(1);
     let on_thread = move || {
-        // The receiver is gone if this came too late.
+        // After the time limit the receiver is gone.
         let _ = give.send(work());
     };
     thread::Builder::new()

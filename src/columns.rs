@@ -1,5 +1,5 @@
-//! Tables whose columns are declared once, each with name, unit, meaning and value: FITS, CSV and the manual's page are made from the
-//! declaration.
+//! Tables whose columns are declared once, each with name, unit, meaning and value; FITS, CSV and the manual's page are
+//! generated from the declaration.
 
 use crate::fits::{Card, CellForm, FileError, Problem, StoredColumn, StoredRow, TableFile};
 use crate::provenance;
@@ -10,16 +10,16 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use tempfile::NamedTempFile;
 
-/// A column: its values are of one type, whatever a row holds, and whether there is one.
+/// A column: its values have one type in all rows, and are either always present or optional.
 pub struct Column<T> {
     pub name: &'static str,
-    /// As FITS writes it where it knows it; empty for values without.
+    /// Unit in FITS notation if FITS knows it; empty for dimensionless values.
     pub unit: &'static str,
     pub meaning: &'static str,
     pub value: Value<T>,
 }
 
-/// A column's value in a row. What is not known is empty in CSV; in FITS it is NaN, or the integer that TNULLn names.
+/// A column's value in a row. An unknown value is empty in CSV; in FITS it is NaN, or the integer named by TNULLn.
 pub enum Value<T> {
     Text(fn(&T) -> Cow<'_, str>),
     Integer(fn(&T) -> Option<i64>),
@@ -82,7 +82,7 @@ pub const fn logical<T>(
 }
 
 impl<T> Column<T> {
-    /// As CSV has it: floats are the shortest that read back as the same number.
+    /// The value in CSV format: floats are the shortest that read back as the same number.
     fn csv<'a>(&self, row: &'a T) -> Cow<'a, str> {
         match self.value {
             Value::Text(value) => value(row),
@@ -113,22 +113,22 @@ impl<T> Column<T> {
     }
 }
 
-/// How many characters the longest text of each column has; FITS must know before the first row.
+/// Maximum number of characters of each column's texts; FITS needs it before the first row.
 #[derive(Debug, Clone)]
 pub struct Widths(Vec<usize>);
 
 impl Widths {
-    /// Of a table without rows.
+    /// For a table without rows.
     pub fn new<T>(columns: &[Column<T>]) -> Self {
         Self::of(columns, 1)
     }
 
-    /// All texts have so many characters at most.
+    /// All texts have at most `characters` characters.
     pub fn of<T>(columns: &[Column<T>], characters: usize) -> Self {
         Self(vec![characters; columns.len()])
     }
 
-    /// Widens the columns for a row.
+    /// Widens the columns to fit a row.
     pub fn hold<T>(&mut self, columns: &[Column<T>], row: &T) {
         for (width, column) in self.0.iter_mut().zip(columns) {
             if let Value::Text(value) = column.value {
@@ -138,10 +138,10 @@ impl Widths {
     }
 }
 
-/// Writes rows as CSV, below a line of the columns' names; gives the widths of their texts.
+/// Writes rows as CSV, below a line with the columns' names; returns the widths of their texts.
 ///
 /// # Errors
-/// Errors of a row; a file that cannot be written.
+/// Errors of a row, or a file that cannot be written.
 pub fn write_csv<T, R: Borrow<T>, E: From<FileError>>(
     path: &Path,
     columns: &[Column<T>],
@@ -167,10 +167,10 @@ pub fn write_csv<T, R: Borrow<T>, E: From<FileError>>(
     Ok(widths)
 }
 
-/// Adds rows as a table of a FITS file.
+/// Appends rows as a table of a FITS file.
 ///
 /// # Errors
-/// Errors of a row; a file that cannot be written.
+/// Errors of a row, or a file that cannot be written.
 pub fn write_fits<T, R: Borrow<T>, E: From<FileError>>(
     file: &mut TableFile,
     name: &str,
@@ -184,7 +184,7 @@ pub fn write_fits<T, R: Borrow<T>, E: From<FileError>>(
     })
 }
 
-/// The columns as FITS stores them.
+/// The columns in FITS format.
 pub fn stored_columns<T>(columns: &[Column<T>], widths: &Widths) -> Vec<StoredColumn> {
     let stored = |(column, width): (&Column<T>, &usize)| StoredColumn {
         name: column.name,
@@ -201,10 +201,10 @@ pub fn store<T>(columns: &[Column<T>], widths: &Widths, row: &T, stored: &mut St
     cells.for_each(|(column, width)| column.store(row, *width, stored));
 }
 
-/// Writes tables to a FITS file that is whole or absent; `cards` go into every header of it.
+/// Writes tables to a FITS file that is either complete or absent; `cards` are added to all of its headers.
 ///
 /// # Errors
-/// Errors of `fill`; a file that cannot be written.
+/// Errors of `fill`, or a file that cannot be written.
 pub fn write_tables<E: From<FileError>>(
     path: &Path,
     cards: &[Card],
@@ -218,10 +218,10 @@ pub fn write_tables<E: From<FileError>>(
     Ok(())
 }
 
-/// Writes a file that is whole or absent.
+/// Writes a file that is either complete or absent.
 ///
 /// # Errors
-/// A file that cannot be written.
+/// If the file cannot be written.
 pub fn whole(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -244,19 +244,19 @@ pub fn folder_of(path: &Path) -> &Path {
     folder.unwrap_or(Path::new("."))
 }
 
-/// A file beside another, which it becomes when it is whole; until then it goes with the run.
+/// A temporary file beside another one, to be renamed when it is complete; otherwise it is removed with the run.
 ///
 /// # Errors
-/// A folder that takes no file.
+/// If no file can be created in the folder.
 pub fn part_beside(path: &Path) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     let builder = builder.prefix(".solaspect-").suffix(".part");
-    // As of any new file: the umask takes its share.
+    // Permissions of a new file, reduced by the umask.
     let builder = builder.permissions(Permissions::from_mode(0o666));
     builder.tempfile_in(folder_of(path))
 }
 
-/// That a file could not be written.
+/// The error for a file that could not be written.
 pub fn refused(path: &Path, cause: io::Error) -> FileError {
     Problem::unwritten(cause).in_file(path)
 }
@@ -264,7 +264,7 @@ pub fn refused(path: &Path, cause: io::Error) -> FileError {
 /// SHA-256 of a file, hexadecimal.
 ///
 /// # Errors
-/// A file that cannot be read.
+/// If the file cannot be read.
 pub fn sha256(path: &Path) -> Result<String, FileError> {
     provenance::sha256_of_file(path).map_err(|cause| Problem::unread(cause).in_file(path))
 }

@@ -1,7 +1,7 @@
-//! Files that are read whole: regular ones, of a bounded size, and within a bounded time.
+//! Files that are read completely: regular files, of a limited size, and within a limited time.
 //!
-//! A path may name anything: a pipe whose opening waits for a writer, a device without an end, a file on a disk that hangs. Each is an
-//! error here, and none a program that waits or fills the memory.
+//! A path may name anything: a pipe whose opening waits for a writer, a device without an end, a file on a disk that hangs.
+//! Here each of these is an error, and never blocks the program or fills the memory.
 
 use crate::bounded::{NoAnswer, within};
 use nix::fcntl::OFlag;
@@ -14,7 +14,7 @@ use std::time::Duration;
 
 /// The largest text that is read, bytes: instruments, configurations, tables.
 pub const LARGEST_TEXT: u64 = 16 << 20;
-/// A file that has not been read by then is on a disk that hangs.
+/// A file that has not been read within this time is on a disk that hangs.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Why a file was not read.
@@ -27,7 +27,7 @@ pub enum Unread {
     Kind(&'static str),
     /// More bytes than a file of its kind has.
     Large { most: u64 },
-    /// No text.
+    /// Not a text.
     Text(Utf8Error),
     /// The disk hangs.
     Silent(NoAnswer),
@@ -135,7 +135,7 @@ pub fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
     Ok(bytes)
 }
 
-/// The bytes of a regular file, `most` at most. On a disk that hangs the reading is left behind, on a thread of its own.
+/// The bytes of a regular file, at most `most`. If the disk hangs, the read is abandoned on its own thread.
 ///
 /// # Errors
 /// All of [`Unread`] but [`Unread::Text`].
@@ -145,7 +145,7 @@ pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
         .unwrap_or_else(|none| Err(Unread::Silent(none)))
 }
 
-/// The text of a regular file of [`LARGEST_TEXT`] at most, as [`read`] reads it.
+/// The text of a regular file of at most [`LARGEST_TEXT`] bytes, read as by [`read`].
 ///
 /// # Errors
 /// All of [`Unread`].
@@ -191,7 +191,7 @@ mod tests {
         std::fs::write(&path, [b'x'; 101]).unwrap();
         let wanted = "expected a file of at most 100 bytes, found a larger one";
         assert_eq!(refusal(&path), wanted);
-        // Sparse: larger than any memory.
+        // A sparse file, larger than any memory.
         File::create(&path).unwrap().set_len(1 << 40).unwrap();
         assert_eq!(refusal(&path), wanted);
     }

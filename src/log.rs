@@ -1,11 +1,11 @@
 //! The log on standard error: bounded and lossy, so that no thread ever waits for its reader.
 //!
-//! A line is made by the thread that logs it and put into a queue; one thread writes the queue to standard error. A line that
-//! finds the queue full, or that standard error refuses, is lost and counted. A terminal may also be shown a live line,
-//! which stands below the log and is replaced as the run goes on.
+//! A line is formatted by the thread that logs it and put into a queue; one thread writes the queue to standard error. A
+//! line is lost and counted if the queue is full, or if standard error refuses it. A terminal may also show a live line
+//! below the log, which is replaced as the run proceeds.
 //!
 //! `tracing-appender` offers such a queue, but does not count lines that the writer refuses, and prints to standard output
-//! where its queue is full at the end.
+//! if its queue is full at the end.
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::any::Any;
@@ -17,12 +17,12 @@ use std::time::Duration;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 
-/// Lines that may wait for standard error: some seconds of a flight at the level of single frames.
+/// Maximum number of lines waiting for standard error: some seconds of a flight at the level of single frames.
 const QUEUE_LINES: usize = 1024;
-/// How long the end of the program waits for standard error to take the last lines.
+/// Time that the program waits at its end for standard error to take the last lines.
 const LAST_LINES: Duration = Duration::from_secs(1);
 
-/// How lines are written.
+/// Format of the lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     Text,
@@ -32,18 +32,18 @@ pub enum Format {
 static QUEUE: OnceLock<Queue> = OnceLock::new();
 static LOST: AtomicU64 = AtomicU64::new(0);
 
-/// Log lines that standard error did not take in time, or at all, since the start of the program.
+/// Number of log lines since the start of the program that standard error did not take in time, or at all.
 pub fn lost_lines() -> u64 {
     LOST.load(Ordering::Relaxed)
 }
 
-/// Starts the log of this program, once; panics are logged too. `verbose` counts from 0 (warnings) to 3 (everything), unless
-/// the environment variable `RUST_LOG` says otherwise.
+/// Starts the log of this program, once; panics are logged as well. `verbose` counts from 0 (warnings) to 3 (everything),
+/// unless the environment variable `RUST_LOG` overrides it.
 ///
-/// The log ends when the guard is dropped, after the lines that still wait.
+/// The log ends when the guard is dropped, after the waiting lines.
 ///
 /// # Errors
-/// There is no thread to write with.
+/// If the writing thread cannot be started.
 pub fn start(verbose: u8, format: Format) -> io::Result<Guard> {
     let level = ["warn", "info", "debug"].get(usize::from(verbose));
     let level = level.copied().unwrap_or("trace");
@@ -57,7 +57,7 @@ pub fn start(verbose: u8, format: Format) -> io::Result<Guard> {
         .with_env_filter(filter)
         .with_ansi(io::stderr().is_terminal())
         .with_writer(queue.clone());
-    // A second log would be the first one's: there is one standard error.
+    // A second log is the same as the first one: there is one standard error.
     let _ = match format {
         Format::Text => log.try_init(),
         Format::Json => log.json().try_init(),
@@ -79,7 +79,7 @@ pub(crate) fn panic_message(payload: &(dyn Any + Send)) -> String {
     text.unwrap_or_else(|| "not a text".into())
 }
 
-/// Writes a message to standard error, in order with the log and whatever its level.
+/// Writes a message to standard error, in order with the log, at any log level.
 pub fn say(text: &str) {
     match QUEUE.get() {
         Some(queue) => queue.offer(Entry::Line(format!("{text}\n").into_bytes())),
@@ -89,7 +89,7 @@ pub fn say(text: &str) {
     }
 }
 
-/// Shows a terminal the present state, in place of the one before. Nothing is shown before the log has started.
+/// Shows the present state on a terminal, replacing the previous one. Nothing is shown before the log has started.
 pub fn show(text: String) {
     if let Some(queue) = QUEUE.get() {
         queue.offer(Entry::Live(text));
@@ -109,7 +109,7 @@ impl Drop for Guard {
             .send_timeout(Entry::Flush(written), LAST_LINES)
             .is_ok()
         {
-            // Standard error that takes nothing does not keep the program from ending.
+            // A blocked standard error does not keep the program from ending.
             let _ = wait.recv_timeout(LAST_LINES);
         }
     }
@@ -118,11 +118,11 @@ impl Drop for Guard {
 enum Entry {
     Line(Vec<u8>),
     Live(String),
-    /// Answered when all before it is written.
+    /// Answered when all earlier entries are written.
     Flush(Sender<()>),
 }
 
-/// The end that threads write to: it never waits.
+/// The sending end for threads: it never waits.
 #[derive(Clone)]
 struct Queue(Sender<Entry>);
 
@@ -154,9 +154,9 @@ impl<'a> MakeWriter<'a> for Queue {
     }
 }
 
-/// Writes what comes, until no more can come.
+/// Writes entries until the queue is closed.
 fn write_all(entries: &Receiver<Entry>, out: &mut impl Write) {
-    /// To the beginning of the line, and nothing in it.
+    /// Returns to the beginning of the line and clears it.
     const CLEAR: &str = "\r\x1b[2K";
     let mut live = String::new();
     for entry in entries {
@@ -168,7 +168,7 @@ fn write_all(entries: &Receiver<Entry>, out: &mut impl Write) {
                 .and_then(|()| out.write_all(live.as_bytes())),
             Entry::Live(text) => {
                 live = text;
-                // What a terminal does not take of it is dropped.
+                // Output of the live line that the terminal does not take is dropped.
                 let _ = out.write_all(format!("{CLEAR}{live}").as_bytes());
                 Ok(())
             }
@@ -183,13 +183,13 @@ fn write_all(entries: &Receiver<Entry>, out: &mut impl Write) {
     }
 }
 
-/// Whether a fault that has happened so often deserves a line in the log: the 1st, 2nd, 4th, 8th ... A dead disk or line
+/// Whether a fault that has occurred `count` times gets a line in the log: the 1st, 2nd, 4th, 8th ... A dead disk or line
 /// must not fill the log.
 pub fn worth_a_line(count: u64) -> bool {
     count.is_power_of_two()
 }
 
-/// Counts a fault that may come with every frame, for those of its lines that are worth one.
+/// Counts a fault that may occur with every frame, to log only some of the occurrences.
 pub struct Seldom(AtomicU64);
 
 impl Seldom {
@@ -197,7 +197,7 @@ impl Seldom {
         Self(AtomicU64::new(0))
     }
 
-    /// Counts one; how many there are by now, where that is worth a line.
+    /// Counts an occurrence; returns the count if it should be logged.
     pub fn counted(&self) -> Option<u64> {
         let times = self.0.fetch_add(1, Ordering::Relaxed) + 1;
         worth_a_line(times).then_some(times)
@@ -214,7 +214,7 @@ impl Default for Seldom {
 mod tests {
     use super::*;
 
-    /// Takes so many bytes and refuses the rest.
+    /// Takes a number of bytes and refuses the rest.
     struct Refusing(usize);
 
     impl Write for Refusing {

@@ -30,7 +30,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// The reader of our output may stop reading: `solaspect solve ... | head` is no failure.
+/// The reader of our output may stop reading: `solaspect solve ... | head` is not a failure.
 fn is_closed_pipe(error: &anyhow::Error) -> bool {
     let io = error.downcast_ref::<std::io::Error>();
     io.is_some_and(|io| io.kind() == ErrorKind::BrokenPipe)

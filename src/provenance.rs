@@ -1,4 +1,4 @@
-//! Who made a file: the program, its version and the commit it was built from, and the hash of its inputs.
+//! Origin of a file: the program, its version and the commit it was built from, and the hash of its inputs.
 
 use sha2::{Digest, Sha256};
 use std::fs::File;
@@ -11,11 +11,11 @@ pub const PROGRAM: &str = concat!("solaspect ", env!("CARGO_PKG_VERSION"));
 /// The version alone.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// The commit that the program was built from, 12 hexadecimal digits, with "-dirty" behind them where its sources were
-/// modified. `None` where it was not built from a checkout.
+/// The commit that the program was built from, 12 hexadecimal digits, followed by "-dirty" if its sources were modified.
+/// `None` if it was not built from a checkout.
 pub const COMMIT: Option<&str> = option_env!("SOLASPECT_COMMIT");
 
-/// The version and, where it is known, the commit: "0.2.0 (0123456789ab)".
+/// The version and, if it is known, the commit: "0.2.0 (0123456789ab)".
 pub const LONG_VERSION: &str = env!("SOLASPECT_VERSION");
 
 /// SHA-256 of bytes, in hexadecimal digits.
@@ -26,7 +26,7 @@ pub fn sha256(bytes: impl AsRef<[u8]>) -> String {
 /// SHA-256 of a file, in hexadecimal digits.
 ///
 /// # Errors
-/// A file that cannot be read.
+/// If the file cannot be read.
 pub fn sha256_of_file(path: &Path) -> io::Result<String> {
     let mut file = BufReader::with_capacity(1 << 20, File::open(path)?);
     let mut hash = Sha256::new();

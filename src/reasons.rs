@@ -1,7 +1,7 @@
-//! Why a frame went no further: each reason once, with a code for programs and a sentence for people.
+//! Reasons for stopping the processing of a frame, each defined once with a code for programs and a sentence for people.
 //!
-//! A code stays as it is; its sentence may be worded better one day. A reason is given with the stage that stopped, what it measured and
-//! the limit that it fails ([`Stopped`]).
+//! A code never changes; its sentence may be reworded. A reason is given with the stage that stopped, the measured value
+//! and the limit that it fails ([`Stopped`]).
 
 use crate::units::{Reason, Rejected};
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
@@ -12,14 +12,14 @@ pub trait Stage: Copy {
     fn name(self) -> &'static str;
 }
 
-/// A stage by its name, whatever the solver.
+/// A stage given by its name, for any solver.
 impl Stage for &'static str {
     fn name(self) -> &'static str {
         self
     }
 }
 
-/// Why a frame went no further than it did.
+/// Why processing of a frame stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Stopped<S> {
     pub stage: S,
@@ -38,13 +38,13 @@ impl<S: Stage> Stopped<S> {
         Self { stage, rejected }
     }
 
-    /// The same, with the stage by its name.
+    /// The same, with the name of the stage.
     pub fn named(&self) -> Stopped<&'static str> {
         let (stage, rejected) = (self.stage.name(), self.rejected);
         Stopped { stage, rejected }
     }
 
-    /// With what was measured and its limit.
+    /// The text with the measured value and its limit.
     pub fn in_full(&self) -> String {
         let Rejected {
             measured, limit, ..
@@ -66,14 +66,14 @@ macro_rules! reasons {
 
             $(pub const $name: Reason = Reason { code: $code, sentence: $sentence };)*
 
-            /// All of them.
+            /// All reasons of this solver.
             pub const ALL: &[Reason] = &[$($name),*];
         }
     };
 }
 
 reasons! {
-    /// Of the Sun on the plate.
+    /// Reasons for frames of the Sun on the plate.
     sun:
     LOW_CONTRAST "low_contrast" "nothing outshines the background by enough"
     FEW_BRIGHT_PIXELS "few_bright_pixels" "too few pixels are brighter than the background"
@@ -115,7 +115,7 @@ reasons! {
 }
 
 reasons! {
-    /// From the plate to the sky.
+    /// Reasons for the pointing, from the plate to the sky.
     pointing:
     DATE "date" "date outside the Earth's ephemeris"
     ORIENTATION "orientation" "date outside the table of Earth orientation"
@@ -131,7 +131,7 @@ reasons! {
 }
 
 reasons! {
-    /// Of the Earth's horizon.
+    /// Reasons for frames of the Earth's horizon.
     horizon:
     TOO_BRIGHT "too_bright" "the frame is bright all over"
     TOO_DARK "too_dark" "the frame is dark all over"
@@ -156,7 +156,7 @@ reasons! {
 }
 
 reasons! {
-    /// Of the Moon.
+    /// Reasons for frames of the Moon.
     moon:
     BELOW_HORIZON "below_horizon" "the Moon is below the horizon"
     NEAR_SUN "near_sun" "the Moon is too near to the Sun, and the Sun is up"
@@ -179,14 +179,14 @@ reasons! {
     LIT "lit" "another part of the disc is lit than the Moon's phase says"
 }
 
-/// Of all solvers.
+/// Reasons of all solvers.
 fn all() -> impl Iterator<Item = &'static Reason> {
     [sun::ALL, pointing::ALL, horizon::ALL, moon::ALL]
         .into_iter()
         .flatten()
 }
 
-/// As code and sentence: solvers share codes.
+/// Serialised with code and sentence: solvers share codes.
 impl Serialize for Reason {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         (self.code, self.sentence).serialize(serializer)
@@ -205,7 +205,7 @@ impl<'de> Deserialize<'de> for Reason {
     }
 }
 
-/// The page of the documentation that lists them.
+/// The page of the documentation that lists the reasons.
 #[cfg(test)]
 fn page() -> String {
     use std::fmt::Write as _;
@@ -231,7 +231,7 @@ mod tests {
     use super::*;
     use std::collections::BTreeSet;
 
-    /// With SOLASPECT_WRITE_DOCS set, the page is written instead.
+    /// If SOLASPECT_WRITE_DOCS is set, the page is written instead.
     #[test]
     fn the_page_on_reasons_is_the_table() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reasons.md");

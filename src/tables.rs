@@ -1,5 +1,5 @@
-//! Rows of CSV tables and logs, as instruments, people and power cuts leave them. A row that cannot be read is left out, counted by kind, and
-//! warned of once a kind: one bad row costs no flight.
+//! Rows of CSV tables and logs, as written by instruments and people, and possibly damaged by power cuts. Rows that cannot
+//! be read are rejected, counted by kind, and reported once per kind: one bad row must not cost the whole flight.
 
 use crate::files::open_log;
 use csv::ByteRecord;
@@ -8,13 +8,13 @@ use std::fmt;
 use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-/// A line is kept up to so many bytes: a file without ends of line must not fill the memory.
+/// Maximum length of a line, bytes: a file without line ends must not fill the memory.
 const LONGEST_LINE: usize = 1 << 16;
 const BUFFER: usize = 1 << 16;
-/// A text is quoted up to so many characters.
+/// Maximum length of a quoted text, characters.
 const LONGEST_QUOTE: usize = 60;
 
-/// Fault of a table: file and line, the column, what was expected there and what was found.
+/// Error in a table: file and line, the column, what was expected there and what was found.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{}, line {line}: {column}: expected {expected}, found {found}", .path.display())]
 pub struct TableError {
@@ -25,20 +25,20 @@ pub struct TableError {
     pub found: String,
 }
 
-/// Kinds of rows that are left out.
+/// Kinds of rejected rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
-    /// Columns are missing, or too many; or the file ends within the row.
+    /// Columns are missing, or there are too many; or the file ends within the row.
     Cut,
-    /// Zero bytes: what a power cut leaves of a page that was not written.
+    /// Zero bytes, left by a power cut in a page that was not written.
     ZeroBytes,
-    /// A text that is no value of its column.
+    /// A text that is not a valid value of its column.
     Unreadable,
-    /// A value that nothing has.
+    /// An impossible value.
     OutOfRange,
-    /// Of the time of a row before.
+    /// It has the time of a previous row.
     Repeated,
-    /// Earlier than the row before.
+    /// Earlier than the previous row.
     OutOfOrder,
     /// A time far from that of the rows before and after.
     Stray,
@@ -61,7 +61,7 @@ impl Kind {
     }
 }
 
-/// Why a row is left out.
+/// Why a row is rejected.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BadRow {
     pub kind: Kind,
@@ -96,11 +96,11 @@ impl BadRow {
     }
 }
 
-/// The rows of a file that were left out.
+/// The rejected rows of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LeftOut {
     path: PathBuf,
-    /// How many of each kind, and the first of them.
+    /// Number of each kind, and the first of them.
     kinds: BTreeMap<Kind, (u64, TableError)>,
 }
 
@@ -122,7 +122,7 @@ impl LeftOut {
         self.kinds.values().map(|(rows, _)| rows).sum()
     }
 
-    /// Fault of the first row of all: why a file has no good one.
+    /// Error of the first rejected row: the reason if a file has no good one.
     pub fn first(&self) -> Option<&TableError> {
         let firsts = self.kinds.values().map(|(_, first)| first);
         firsts.min_by_key(|first| first.line)
@@ -143,31 +143,31 @@ impl LeftOut {
     }
 }
 
-/// A row that is being read.
+/// A row being read.
 pub struct TableRow<'a> {
     pub line: u64,
     record: &'a ByteRecord,
-    /// The file ends within it, or behind it without an end of line: its last number may be cut.
+    /// The file ends within it, or after it without a line end: its last number may be truncated.
     is_last: bool,
 }
 
 impl TableRow<'_> {
-    /// How many columns it has.
+    /// Number of columns.
     pub fn width(&self) -> usize {
         self.record.len()
     }
 
-    /// The text of a column; empty where it has none, or one that is no text.
+    /// The text of a column; empty if it has none, or is not valid text.
     pub fn text(&self, column: usize) -> &str {
         let bytes = self.record.get(column).unwrap_or_default();
         let text = str::from_utf8(bytes).unwrap_or_default();
         text.trim_start_matches('\u{feff}').trim_matches(['"', ' '])
     }
 
-    /// Refuses what a power cut has left.
+    /// Rejects a row damaged by a power cut.
     ///
     /// # Errors
-    /// Zero bytes; fewer columns than `least` or more than `most`; no end of line.
+    /// Zero bytes; fewer columns than `least` or more than `most`; no line end.
     pub fn check(&self, least: usize, most: usize) -> Result<(), BadRow> {
         let is_zero = self.record.iter().any(|field| field.contains(&0));
         if is_zero {
@@ -186,7 +186,7 @@ impl TableRow<'_> {
     }
 
     /// # Errors
-    /// A text that is no finite number.
+    /// If the text is not a finite number.
     pub fn number(&self, n: usize, column: &str) -> Result<f64, BadRow> {
         let text = self.text(n);
         let number: Option<f64> = text.parse().ok();
@@ -205,7 +205,7 @@ impl fmt::Display for TableRow<'_> {
     }
 }
 
-/// A text in quotes, and not longer than a line of a log.
+/// A text in quotes, truncated to the length for a line of a log.
 pub fn quoted(text: &str) -> String {
     match text.char_indices().nth(LONGEST_QUOTE) {
         Some((end, _)) => format!("\"{}...\"", &text[..end]),
@@ -213,11 +213,11 @@ pub fn quoted(text: &str) -> String {
     }
 }
 
-/// Reads the rows of a file, comments (#) and empty lines apart; `each` takes one, the heading too. Fields are not quoted: a quote that garbage
-/// opens would take all that follows as one field.
+/// Reads the rows of a file, without comments (#) and empty lines; `each` takes every row, including the heading. Fields
+/// are not quoted: a stray quote would take everything after it as one field.
 ///
 /// # Errors
-/// A file that cannot be read, and what `each` does not want to go on after.
+/// If the file cannot be read, or if `each` returns an error.
 pub fn read_rows(
     path: &Path,
     mut each: impl FnMut(&TableRow) -> Result<(), TableError>,
@@ -263,7 +263,7 @@ enum End {
     OfFile,
 }
 
-/// Reads up to the next end of line; of a line that is longer than any row no more than its beginning.
+/// Reads up to the next line end; of an overlong line only the beginning is kept.
 fn next_line(file: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<End> {
     line.clear();
     loop {

@@ -1,6 +1,6 @@
-//! Positions that know their frame, values that know their uncertainty, and the observer's place.
+//! Positions with their reference frame in the type, values with their uncertainty, and the observer's place.
 //!
-//! A position on the sensor and one on the plate are two types, so that mixing them does not compile.
+//! A position on the sensor and one on the plate have different types, so that mixing them does not compile.
 
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -19,7 +19,7 @@ pub const EARTH_RADIUS_M: f64 = 6_371_000.0;
 /// A place nearer than this to latitude and longitude 0 is that of a receiver without a fix, deg.
 const NOWHERE_DEG: f64 = 0.1;
 
-/// Whether a place is latitude and longitude 0, or about there: a GPS receiver sends that which knows no place.
+/// Whether latitude and longitude are both about 0: sent by a GPS receiver that has no position.
 pub fn is_nowhere(latitude_deg: f64, longitude_deg: f64) -> bool {
     latitude_deg.abs() < NOWHERE_DEG && longitude_deg.abs() < NOWHERE_DEG
 }
@@ -73,7 +73,7 @@ macro_rules! plane_position {
 plane_position!(SensorPx);
 plane_position!(PlateMil);
 
-/// A value with its 1-sigma uncertainty, both in the same unit; written as the pair of them.
+/// A value with its 1-sigma uncertainty, both in the same unit; serialised as the pair.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Measured {
     pub value: f64,
@@ -85,7 +85,7 @@ impl Measured {
         Self { value, sigma }
     }
 
-    /// Multiplied by a factor.
+    /// The value and its sigma multiplied by a factor.
     pub fn scaled(self, by: f64) -> Self {
         Self::new(self.value * by, self.sigma * by.abs())
     }
@@ -126,13 +126,13 @@ impl<P> Estimate<P> {
 /// A reason: its stable code for programs, and a sentence for people.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Reason {
-    /// In snake case.
+    /// Code in snake case.
     pub code: &'static str,
     pub sentence: &'static str,
 }
 
-/// An expected refusal: the reason, the measured value and the limit that it failed. It is data, not an error:
-/// a frame without a Sun is no failure of the program.
+/// An expected rejection: the reason, the measured value and the limit that it failed. It is data, not an error: a frame
+/// without a Sun is not a failure of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Rejected {
     pub reason: Reason,
@@ -155,12 +155,12 @@ impl Rejected {
         }
     }
 
-    /// Refuses what was measured below a limit, or not at all.
+    /// Rejects a measured value that is below a limit, or NaN.
     pub fn at_least(limit: f64, measured: f64, reason: Reason) -> Result<(), Self> {
         Self::unless(measured >= limit, limit, measured, reason)
     }
 
-    /// Refuses what was measured above a limit, or not at all.
+    /// Rejects a measured value that is above a limit, or NaN.
     pub fn at_most(limit: f64, measured: f64, reason: Reason) -> Result<(), Self> {
         Self::unless(measured <= limit, limit, measured, reason)
     }
@@ -180,7 +180,7 @@ pub struct Place {
     pub height_m: f64,
 }
 
-/// Why a place was refused.
+/// Why a place was rejected.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PlaceError {
     #[error("expected LAT,LON,HEIGHT_M (deg, deg, m), found \"{0}\"")]
@@ -194,7 +194,7 @@ pub enum PlaceError {
 }
 
 impl Place {
-    /// A place whose coordinates have been checked against their ranges.
+    /// A place whose coordinates are checked against their ranges.
     pub fn new(latitude_deg: f64, longitude_deg: f64, height_m: f64) -> Result<Self, PlaceError> {
         if !(-90.0..=90.0).contains(&latitude_deg) {
             return Err(PlaceError::Latitude(latitude_deg));
