@@ -1,10 +1,11 @@
-//! Instructions of a function of a bench, by callgrind.
+//! Instructions of a function of a bench, counted by callgrind.
 
 use anyhow::{Context, ensure};
 use std::fs;
 use std::process::{Command, Stdio};
 
-/// Runs this very program under callgrind with a variable set, and returns the instructions spent in functions that `collected` matches.
+/// Runs this same program under callgrind with an environment variable set, and returns the instructions spent in functions
+/// that match `collected`.
 pub fn instructions(collected: &str, variable: &str, value: &str) -> anyhow::Result<u64> {
     let folder = tempfile::tempdir()?;
     let counts = folder.path().join("counts");

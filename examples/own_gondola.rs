@@ -9,11 +9,11 @@ use solaspect::simulate::{Scene, Sun};
 use solaspect::{instrument::builtin, sky, units::PlateMil};
 use std::{path::Path, thread, time::Duration};
 
-/// Stands for the driver of a real camera: four frames a second of a Sun that drifts over the plate.
+/// Stands for the driver of a real camera: four frames per second of a Sun that drifts over the plate.
 struct MyCamera(Scene, u64);
 
 impl FrameSource for MyCamera {
-    /// Waits for one frame, for a second at most: `Take::NotYet` where none is there.
+    /// Waits for one frame, for at most one second; returns `Take::NotYet` if there is none.
     fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
         let Self(scene, number) = self;
         if *number == 8 {
@@ -42,7 +42,7 @@ fn open_my_camera() -> Result<MyCamera, CameraError> {
     Ok(MyCamera(scene, 0))
 }
 
-/// Stands for the gondola's controller: it starts tracking, and prints what it would steer by.
+/// Stands for the gondola's controller: it starts tracking, and prints the offsets that it would use for steering.
 struct MyController(Option<Message>);
 
 impl Controller for MyController {

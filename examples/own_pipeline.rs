@@ -1,5 +1,5 @@
-//! Build a pipeline of your own from the stages: here a guider, for a camera that sees the Sun and no fiducial marks. It needs the
-//! Sun's centre on the sensor only, and stops after the limb.
+//! Build a pipeline of your own from the stages: here a guider, for a camera that sees the Sun without fiducial marks. It
+//! needs only the Sun's centre on the sensor, and stops after the limb.
 //!
 //! `cargo run --release --example own_pipeline`
 

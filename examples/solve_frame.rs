@@ -11,7 +11,7 @@ use solaspect::sky::Ephemeris;
 use solaspect::{fits, instrument, pointing};
 use std::path::Path;
 
-/// The Sun somewhere on the plate, by the built-in conditions.
+/// The Sun somewhere on the plate, with the default conditions.
 fn simulated(instrument: &Instrument) -> anyhow::Result<Frame> {
     let scenes = RandomScenes::new(instrument, &Conditions::of(instrument), 1)?;
     let mut scene = scenes.scene(0)?;
@@ -21,7 +21,7 @@ fn simulated(instrument: &Instrument) -> anyhow::Result<Frame> {
 }
 
 fn main() -> anyhow::Result<()> {
-    // `Instrument::read` takes a calibrated one from its TOML file.
+    // `Instrument::read` reads a calibrated one from its TOML file.
     let instrument = instrument::builtin("demo")?;
     let frame = match std::env::args().nth(1) {
         Some(path) => fits::read_frame(Path::new(&path))?,
@@ -40,7 +40,7 @@ fn main() -> anyhow::Result<()> {
     println!("Sun on the plate: {:.3}, {:.3} mil", at.x, at.y);
     println!("1 sigma: {sigma_x:.3}, {sigma_y:.3} mil");
 
-    // The offset needs a time and a place; a frame without them has none.
+    // The offset needs a time and a place; without them there is none.
     let offset = pointing::offset_of(
         &mut solution,
         utc,

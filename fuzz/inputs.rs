@@ -1,5 +1,5 @@
-//! What comes from outside, each kind as one function of its bytes: for the fuzz targets, and for the test that replays the kept
-//! seeds. A function panics where the library does, or where a promise is broken that holds for any bytes.
+//! External inputs, each kind as one function of its bytes: for the fuzz targets, and for the test that replays the stored
+//! seeds. A function panics if the library does, or if a property that must hold for any bytes is violated.
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use solaspect::calibrate::mounting::{AttitudeLog, PointingLog};
@@ -35,7 +35,7 @@ static NAVIGATION: LazyLock<NavigationSettings> = LazyLock::new(|| {
     NavigationSettings::parse(Path::new("NAV.toml"), text).expect("a camera")
 });
 
-/// A kind of input: its name, which is that of its target and its folder of seeds, and what reads it.
+/// A kind of input: the name of its target and of its folder of seeds, and the function that reads it.
 pub type Kind = (&'static str, fn(&[u8]));
 
 pub const KINDS: [Kind; 13] = [
@@ -54,8 +54,8 @@ pub const KINDS: [Kind; 13] = [
     ("dates", dates),
 ];
 
-/// A time as a text, after the letter of the scale that a header would name. One that is read is read again from its own text, and differs from
-/// UTC by no more than the scales and zones do.
+/// A time as text, after a letter for the time scale that a header would name. A parsed time must be parsed again from its
+/// own text, and differ from UTC by no more than the offsets of scales and zones.
 pub fn dates(bytes: &[u8]) {
     let (scale, text) = bytes.split_first().unwrap_or((&b' ', &[]));
     let scale = match scale {
@@ -98,7 +98,8 @@ pub fn packets(bytes: &[u8]) {
     }
 }
 
-/// A FITS, PNG, TIFF or JPEG file: a frame, what its header says of it, keywords, tables and checksums, or an error that names the file.
+/// A FITS, PNG, TIFF or JPEG file: a frame, the values of its header, keywords, tables and checksums, or an error that
+/// names the file.
 pub fn fits(bytes: &[u8]) {
     let (_folder, path) = file("frame.fits", bytes);
     let named = |error: fits::FileError| assert!(error.to_string().contains("frame.fits"));
@@ -123,7 +124,7 @@ pub fn fits(bytes: &[u8]) {
     }
 }
 
-/// An instrument's TOML file: what is taken has a mapping and a scale that are numbers.
+/// An instrument's TOML file: an accepted one has a finite mapping and scale.
 pub fn instrument(bytes: &[u8]) {
     let Ok(text) = str::from_utf8(bytes) else {
         return;
@@ -149,7 +150,7 @@ pub fn configuration(bytes: &[u8]) {
     let _ = (config.faults(), config.solver(), config.site.place());
 }
 
-/// Saved values: as the file's bytes, and as its lines below a header whose checksum is right.
+/// Saved values: as the file's bytes, and as its lines below a header with a valid checksum.
 pub fn values(bytes: &[u8]) {
     let header = "# solaspect: values set by command. crc32 ";
     let headed = [
@@ -164,7 +165,7 @@ pub fn values(bytes: &[u8]) {
     }
 }
 
-/// A journal of refine: as the file's bytes, and as one record whose length and checksum are right.
+/// A journal of refine: as the file's bytes, and as one record with a valid length and checksum.
 pub fn journal(bytes: &[u8]) {
     let magic = b"solasp1\n".as_slice();
     let length = (bytes.len() as u32).to_le_bytes();
@@ -181,7 +182,7 @@ pub fn journal(bytes: &[u8]) {
     }
 }
 
-/// A log of pointings, and of the body's attitude: what is taken gives finite angles at its own times.
+/// A log of pointings, and of the body's attitude: an accepted one gives finite angles at its own times.
 pub fn pointing_log(bytes: &[u8]) {
     let (_folder, path) = file("pointing.csv", bytes);
     let times = [
@@ -211,7 +212,7 @@ pub fn pointing_log(bytes: &[u8]) {
     }
 }
 
-/// A simulated flight that a file describes piece by piece: an accepted one has a place at any time.
+/// A simulated flight that a file describes piece by piece: an accepted one has a position at any time.
 pub fn flight_pieces(bytes: &[u8]) {
     let Ok(text) = str::from_utf8(bytes) else {
         return;
@@ -228,8 +229,8 @@ pub fn flight_pieces(bytes: &[u8]) {
     }
 }
 
-/// A record of a line: read in one piece or in many, it gives the same bursts and the same bad lines. Written again, each
-/// burst is a line.
+/// A recording of a line: read in one piece or in many, it gives the same bursts and the same bad lines. Written again,
+/// each burst is one line.
 pub fn link_log(bytes: &[u8]) {
     let (bursts, whole) = byte_log::read(bytes);
     let mut reader = byte_log::Reader::default();
@@ -253,7 +254,8 @@ pub fn link_log(bytes: &[u8]) {
     assert_eq!(written.len() + skipped, bursts.len());
 }
 
-/// Bytes of a GPS receiver: they come to the same in whatever pieces, and each fix is near the Earth and of the clock's day.
+/// Bytes of a GPS receiver: the result does not depend on how they are split, and each fix is near the Earth and on the
+/// clock's day.
 pub fn nmea(bytes: &[u8]) {
     let now = "2026-11-25T14:28:00Z".parse().expect("a time");
     let mut whole = Nmea::default();
@@ -291,8 +293,8 @@ pub fn nav_toml(bytes: &[u8]) {
     }
 }
 
-/// Tables of IMU, GPS, directions and Sun: as the file's bytes, and as rows below a heading. What is read is in the order of
-/// time; an error names the file.
+/// Tables of IMU, GPS, directions and Sun: as the file's bytes, and as rows below a heading. The rows are returned in the
+/// order of time; an error names the file.
 pub fn tables(bytes: &[u8]) {
     let vectors = "t_s,camera,target,x,y,z,sigma_rad\n".to_owned();
     let headings = [
@@ -330,7 +332,7 @@ pub fn tables(bytes: &[u8]) {
 }
 
 fn file(name: &str, bytes: &[u8]) -> (TempDir, PathBuf) {
-    // In memory where there is such a folder: a fuzzer writes thousands a second.
+    // In memory if possible: a fuzzer writes thousands of files per second.
     let memory = Path::new("/dev/shm");
     let folder = match memory.is_dir() {
         true => TempDir::new_in(memory),

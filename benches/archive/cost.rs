@@ -1,10 +1,10 @@
-//! What a work costs: wall time of a frame, processor time, and bytes.
+//! Cost of a task: wall time per frame, processor time, and bytes.
 
 use nix::sys::resource::{UsageWho, getrusage};
 use nix::sys::time::TimeValLike;
 use std::time::{Duration, Instant};
 
-/// User and system time of this process, or of its children that have ended.
+/// User and system time of this process, or of its terminated children.
 #[derive(Clone, Copy)]
 pub enum Of {
     Ourselves,
@@ -22,20 +22,20 @@ impl Of {
     }
 }
 
-/// What passes over all frames have cost so far.
+/// Accumulated cost of the passes over all frames.
 #[derive(Default)]
 pub struct Cost {
-    /// One for every frame of every pass, or where frames cannot be distinguished, their mean in every pass.
+    /// One value per frame and pass, or the mean of each pass if frames cannot be distinguished.
     wall: Vec<Duration>,
-    /// The mean of a frame in every pass.
+    /// Mean per frame of each pass.
     processor: Vec<Duration>,
-    /// Of the files of one pass.
+    /// Total size of the files of one pass.
     pub file_bytes: u64,
 }
 
 impl Cost {
-    /// Adds a pass over so many frames; `pass` returns the bytes of its files, and notes the wall time of each frame if
-    /// it can measure.
+    /// Adds a pass over a number of frames; `pass` returns the bytes of its files, and records the wall time of each frame
+    /// if it can measure it.
     pub fn add(
         &mut self,
         frames: usize,
@@ -54,12 +54,12 @@ impl Cost {
         Ok(())
     }
 
-    /// Median.
+    /// Median wall time per frame.
     pub fn wall(&self) -> Duration {
         median(&self.wall)
     }
 
-    /// Median.
+    /// Median processor time per frame.
     pub fn processor(&self) -> Duration {
         median(&self.processor)
     }

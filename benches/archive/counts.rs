@@ -1,14 +1,14 @@
-//! Instructions of encoding and decoding a frame, by callgrind.
+//! Instructions for encoding and decoding a frame, counted by callgrind.
 
 use crate::callgrind::instructions;
 use crate::frames::{CONDITIONS, solved};
 use crate::work::{Work, decode, encode, write_all};
 use anyhow::bail;
 
-/// The variable by which this program knows that it is being counted, and in what: the number of the conditions and of the work.
+/// Environment variable that tells this program to run under callgrind, with the numbers of the conditions and of the task.
 pub const COUNTED_VARIABLE: &str = "SOLASPECT_COUNTED_WORK";
 
-/// Frames that are worked on, the first not counted: it finds the library not initialised.
+/// Number of frames; the first is not counted, because it includes the library's initialisation.
 const FRAMES: u64 = 3;
 
 #[inline(never)]
@@ -16,7 +16,7 @@ fn counted<T>(frames: &[T], work: impl Fn(&T) -> anyhow::Result<()>) -> anyhow::
     frames.iter().try_for_each(work)
 }
 
-/// Does what `counted_as` says, for callgrind to count.
+/// Runs the task given by `counted_as`, for callgrind to count.
 pub fn work_through(counted_as: &str) -> anyhow::Result<()> {
     let parts = counted_as.split_once(' ').and_then(|(n, work)| {
         let conditions = CONDITIONS.get(n.parse::<usize>().ok()?)?;
@@ -41,7 +41,7 @@ pub fn work_through(counted_as: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Mean instructions of a frame under the n-th conditions; `work` is its place in [`Work::ALL`].
+/// Mean instructions of a frame under the n-th conditions; `work` is the index in [`Work::ALL`].
 pub fn count(n: usize, work: usize) -> anyhow::Result<u64> {
     let counted_as = format!("{n} {work}");
     let total = instructions("*counts*counted*", COUNTED_VARIABLE, &counted_as)?;

@@ -1,4 +1,4 @@
-//! Solved frames with all that the archive writes beside their pixels.
+//! Solved frames with everything that the archive writes in addition to their pixels.
 
 use anyhow::Context;
 use jiff::{SignedDuration, Timestamp};
@@ -16,7 +16,7 @@ use std::time::Duration;
 
 pub struct Conditions {
     pub name: &'static str,
-    /// 8-bit DN, whatever the depth.
+    /// In 8-bit DN, for any depth.
     noise_dn: f64,
     depth: Depth,
 }
@@ -50,7 +50,7 @@ impl Solved {
     }
 }
 
-/// Frames a quarter of a second apart, each with the Sun elsewhere.
+/// Frames at intervals of 0.25 s, each with the Sun at another position.
 pub fn solved(conditions: &Conditions, count: u64) -> anyhow::Result<Vec<Solved>> {
     let instrument = builtin("demo").context("the demo instrument is built in")?;
     let conditions = simulate::Conditions {

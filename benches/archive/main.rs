@@ -1,7 +1,7 @@
-//! What archiving a frame costs: time, processor time, instructions and bytes, beside `fpack` on the same frames.
+//! Cost of archiving a frame: time, processor time, instructions and bytes, compared with `fpack` on the same frames.
 //!
-//! `cargo bench --bench archive` prints a table for each kind of frame. All works take turns over the same frames, so
-//! that what else the machine does falls on all of them.
+//! `cargo bench --bench archive` prints a table for each kind of frame. All tasks take turns over the same frames, so that
+//! other load on the machine affects all of them.
 
 #[path = "../callgrind.rs"]
 mod callgrind;
@@ -35,7 +35,7 @@ struct Arguments {
 }
 
 fn main() -> anyhow::Result<()> {
-    // callgrind runs this very program.
+    // callgrind runs this same program.
     if let Ok(counted_as) = std::env::var(counts::COUNTED_VARIABLE) {
         return counts::work_through(&counted_as);
     }

@@ -1,4 +1,4 @@
-//! What is done with every frame.
+//! Tasks that are run on every frame.
 
 use crate::cost::{Cost, Of};
 use crate::frames::Solved;
@@ -13,13 +13,13 @@ use std::time::{Duration, Instant};
 
 #[derive(Clone, Copy)]
 pub enum Work {
-    /// To the bytes of a file.
+    /// Encoding to the bytes of a file.
     Encode(Packing),
-    /// To a file on the disk, with its name: encoding, writing, fsync of file and folder, renaming.
+    /// To a named file on the disk: encoding, writing, fsync of file and folder, renaming.
     Store(Compression),
-    /// From a file to the frame, the sum of its data checked.
+    /// From a file to the frame, with its data checksum verified.
     Decode(Compression),
-    /// `fpack` with an option that names its compression: reading and writing files, without fsync.
+    /// `fpack` with the option for its compression: reading and writing files, without fsync.
     Fpack(&'static str, Compression),
     /// `funpack` of our files: reading and writing files, without fsync.
     Funpack(Compression),
@@ -71,7 +71,7 @@ impl Work {
         }
     }
 
-    /// Whether it is done by cfitsio's programs.
+    /// Whether it is run by cfitsio's programs.
     pub fn is_foreign(self) -> bool {
         matches!(self, Self::Fpack(..) | Self::Funpack(_))
     }
@@ -134,14 +134,14 @@ pub fn encode(solved: &Solved, packing: impl Into<Packing>) -> anyhow::Result<Ve
     )?))
 }
 
-/// The frame of a file; how many pixels it has.
+/// Reads the frame of a file; returns its number of pixels.
 #[inline(never)]
 pub fn decode(file: &Path) -> anyhow::Result<usize> {
     let frame = black_box(FitsFile::open(file)?.frame()?);
     Ok(frame.pixels().len())
 }
 
-/// Writes each frame to a file of its own.
+/// Writes each frame to its own file.
 pub fn write_all(
     frames: &[Solved],
     compression: Compression,
@@ -155,7 +155,7 @@ pub fn write_all(
     frames.iter().enumerate().map(write).collect()
 }
 
-/// Does a work on every frame and notes its time; the sum of the bytes that it returns.
+/// Runs a task on every frame and records its time; returns the sum of the bytes.
 fn each<T>(
     frames: &[T],
     wall: &mut Vec<Duration>,
@@ -181,7 +181,7 @@ fn command(program: &str, options: &[&str], files: &[PathBuf]) -> Command {
     command
 }
 
-/// Runs it; `bytes` are those of the packed files.
+/// Runs a command; `bytes` is the size of the packed files.
 fn run(
     mut command: Command,
     files: usize,

@@ -1,4 +1,4 @@
-//! What finding the horizon in a frame costs: instructions, counted by callgrind, and time. Reading the frame is not counted.
+//! Cost of finding the horizon in a frame: instructions, counted by callgrind, and time. Reading the frame is not included.
 //!
 //! `cargo bench --bench horizon` prints a line for each scene, without and with the last frame's nadir.
 
@@ -18,14 +18,15 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
-/// The variable by which this program knows that it is being counted, and in what: the scenes' number, 1 where the last nadir is known, and the frames' folder.
+/// Environment variable that tells this program to run under callgrind, with the scene's number, 1 if the last nadir is
+/// known, and the frames' folder.
 const COUNTED_VARIABLE: &str = "SOLASPECT_COUNTED_HORIZON";
 const SEED: u64 = 1;
-/// Frames of a scene; when counting, the first is only a rehearsal.
+/// Number of frames of a scene; when counting, the first is a warm-up.
 const FRAMES: u64 = 4;
-/// Each frame is timed so often, and the quickest counts.
+/// Number of timings of each frame, of which the fastest counts.
 const PASSES: usize = 20;
-/// From one frame to the next a gondola swings by so much, rad.
+/// Swing of the gondola from one frame to the next, rad.
 const SWING_RAD: f64 = 0.005;
 
 fn scenes() -> [(&'static str, EarthConditions); 3] {
@@ -42,7 +43,7 @@ fn scenes() -> [(&'static str, EarthConditions); 3] {
     ]
 }
 
-/// A frame with what is known of it.
+/// A frame with the prior knowledge of it.
 struct Exposure {
     frame: Frame,
     camera: DirectionCamera,

@@ -1,4 +1,4 @@
-//! What finding the Moon in a frame costs: instructions, counted by callgrind, and time. Reading the frame is not counted.
+//! Cost of finding the Moon in a frame: instructions, counted by callgrind, and time. Reading the frame is not included.
 //!
 //! `cargo bench --bench moon` prints a line for each radius, with radius and phase known and without.
 
@@ -14,15 +14,15 @@ use std::hint::black_box;
 use std::process::ExitCode;
 use std::time::Instant;
 
-/// The variable by which this program knows that it is being counted, and in what: the radius, px, and what is known.
+/// Environment variable that tells this program to run under callgrind, with the radius, px, and the prior knowledge.
 const COUNTED_VARIABLE: &str = "SOLASPECT_COUNTED_MOON";
 const KNOWN: &str = "known";
 const SEED: u64 = 1;
 const FRAMES: u64 = 10;
-/// Each frame is timed so often, and the quickest counts.
+/// Number of timings of each frame, of which the fastest counts.
 const PASSES: usize = 20;
 
-/// Frames of 720 x 578 px, with what is known of each.
+/// Frames of 720 x 578 px, with the prior knowledge of each.
 fn exposures(radius_px: f64, known: &str) -> anyhow::Result<Vec<(Frame, Expected)>> {
     let conditions = MoonConditions::clear(radius_px);
     (0..FRAMES)

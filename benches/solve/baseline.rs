@@ -1,11 +1,11 @@
-//! The committed counts, and what has grown since.
+//! The committed counts, and their growth.
 
 use crate::counts::{Instructions, WORKS};
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Growth of a count that is let pass.
+/// Accepted growth of a count.
 const MOST_GROWTH: f64 = 0.05;
 
 /// One count: a row of the file.
@@ -58,7 +58,7 @@ impl Baseline {
         Ok(())
     }
 
-    /// Refused when some count has grown by more than may pass, or is not in the file.
+    /// Fails if a count has grown by more than accepted, or is not in the file.
     pub fn check(&self, conditions: &str, counted: &Instructions) -> anyhow::Result<()> {
         for (work, instructions) in WORKS.iter().zip(counted.0) {
             let known = |row: &&Row| row.conditions == conditions && row.work == work.name;

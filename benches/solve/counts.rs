@@ -1,4 +1,4 @@
-//! Instructions of a frame, by callgrind.
+//! Instructions of a frame, counted by callgrind.
 
 use crate::flight::{Exposure, Flight};
 use anyhow::{Context, bail};
@@ -12,13 +12,13 @@ use std::fs;
 use std::hint::black_box;
 use std::process::{Command, Stdio};
 
-/// The variable by which this program knows that it is being counted, and under which conditions.
+/// Environment variable that tells this program to run under callgrind, with the number of the conditions.
 pub const CONDITIONS_VARIABLE: &str = "SOLASPECT_COUNTED_CONDITIONS";
 
-/// What is counted.
+/// A task whose instructions are counted.
 pub struct Work {
     pub name: &'static str,
-    /// The function that callgrind searches.
+    /// Name of the function for callgrind.
     function: &'static str,
 }
 
@@ -92,7 +92,8 @@ fn counted_tracking(exposure: &Exposure, flight: &Flight) -> Solution {
     aspect::solve(frame, &flight.instrument, flight.expected, prior)
 }
 
-/// Does every work on every frame, for callgrind to count: each once before, since what is made once a run is no frame's.
+/// Runs every task on every frame, for callgrind to count. Each task is run once before, so that initialisation is not
+/// counted for a frame.
 pub fn work_through(flight: &Flight) {
     for exposure in flight.exposures.iter().take(1) {
         let prior = Some(&exposure.prior);
@@ -107,7 +108,7 @@ pub fn work_through(flight: &Flight) {
     }
 }
 
-/// `None` where a stage fails.
+/// `None` if a stage fails.
 fn by_stages(exposure: &Exposure, flight: &Flight, acquired: &Solution) -> Option<()> {
     let settings = SolverSettings::default();
     let (frame, instrument) = (&exposure.frame, &flight.instrument);
@@ -125,7 +126,7 @@ fn by_stages(exposure: &Exposure, flight: &Flight, acquired: &Solution) -> Optio
 pub struct Instructions(pub [u64; WORKS.len()]);
 
 impl Instructions {
-    /// Runs this program under callgrind, which writes its counts whenever it leaves one of the works' functions.
+    /// Runs this program under callgrind, which writes its counts each time a task's function returns.
     pub fn count(conditions: usize) -> anyhow::Result<Self> {
         let folder = tempfile::tempdir()?;
         let status = Command::new("valgrind")
@@ -159,7 +160,7 @@ impl Instructions {
     }
 }
 
-/// The work after which callgrind wrote a dump, by its number, and the dump's total.
+/// The number of the task after which callgrind wrote a dump, and the dump's total.
 fn work_and_total(dump: &str) -> Option<(usize, u64)> {
     let after = |key: &str| dump.lines().find_map(|line| line.strip_prefix(key));
     let trigger = after("desc: Trigger: --dump-after=")?;

@@ -1,4 +1,4 @@
-//! The frames that are solved: a Sun that moves over the sensor, each frame with what the one before it taught.
+//! The frames to solve: a Sun that moves over the sensor, each frame with the tracking prior from the previous one.
 
 use solaspect::aspect::{self, Expected, Track};
 use solaspect::frame::Frame;
@@ -6,33 +6,33 @@ use solaspect::instrument::{Instrument, builtin};
 use solaspect::simulate::{self, Depth, Noise, RandomScenes, SUN_RADIUS_ARCSEC};
 use solaspect::units::SensorPx;
 
-/// Frames of a flight: at 1.25 MB they outgrow the caches that a frame alone fits; of large ones fewer do, and drawing them
-/// under callgrind takes its time.
+/// Number of frames of a flight: with 1.25 MB each they exceed the caches, which a single frame does not. There are fewer
+/// large ones, because rendering them under callgrind is slow.
 const FRAMES: u64 = 8;
 const LARGE_FRAMES: u64 = 3;
-/// How many of the conditions are held against the committed counts: those of the real camera.
+/// Number of conditions that are compared with the committed counts: those of the real camera.
 pub const CHECKED: usize = 3;
-/// From frame to frame: 0.25 deg/s at 4 frames/s.
+/// Motion from frame to frame: 0.25 deg/s at 4 frames/s.
 const STEP_PX: [f64; 2] = [19.3, 10.7];
 
 pub struct Conditions {
     pub name: &'static str,
     noise_dn: f64,
     depth: Depth,
-    /// Where the Sun starts, px.
+    /// Initial position of the Sun, px.
     start_px: [f64; 2],
     camera: Camera,
 }
 
-/// How the camera differs from the demo instrument's.
+/// Difference of the camera from the demo instrument's.
 #[derive(Clone, Copy)]
 enum Camera {
     Standard,
-    /// Twice as wide and high, what it sees of the same size.
+    /// Twice as wide and high, with the same scale.
     Wider,
-    /// The same behind a lens of twice the focal length: the disc's diameter is doubled, the marks stay.
+    /// The same with a lens of twice the focal length: the disc's diameter is doubled, the marks keep their size.
     Telephoto,
-    /// Twice as wide and high, everything twice as large.
+    /// Twice as wide and high, with everything twice as large in pixels.
     Finer,
 }
 
@@ -105,7 +105,7 @@ impl Camera {
         instrument
     }
 
-    /// Whether the plate's centre moves to the larger sensor's middle.
+    /// Whether the plate's centre moves to the larger sensor's centre.
     fn centred(self) -> bool {
         matches!(self, Self::Telephoto | Self::Finer)
     }
@@ -113,7 +113,7 @@ impl Camera {
 
 pub struct Exposure {
     pub frame: Frame,
-    /// What the frame before it taught.
+    /// Tracking prior from the previous frame.
     pub prior: Track,
 }
 

@@ -1,8 +1,8 @@
-//! What solving a frame costs: instructions, counted by callgrind, and time beside that of copying the frame.
+//! Cost of solving a frame: instructions, counted by callgrind, and time compared with that of copying the frame.
 //!
-//! `cargo bench --bench solve` prints one table. Instructions are the same in every run of one build and hardly differ between
-//! machines of one kind; times are this machine's, now, which is why the copy is timed in the same run. With `-- --check`
-//! the counts are held against the committed ones, which `-- --renew` writes.
+//! `cargo bench --bench solve` prints one table. Instructions are the same in every run of one build and hardly differ
+//! between machines of the same kind; times depend on the machine and its load, so the copy is timed in the same run. With
+//! `-- --check` the counts are compared with the committed ones, which `-- --renew` writes.
 
 mod baseline;
 mod counts;
@@ -30,9 +30,9 @@ struct Arguments {
 }
 
 fn main() -> anyhow::Result<ExitCode> {
-    // As the program does.
+    // As in the program.
     solaspect::memory::keep_freed();
-    // callgrind runs this very program with the number of the conditions.
+    // callgrind runs this same program with the number of the conditions.
     let counted = std::env::var(counts::CONDITIONS_VARIABLE).ok();
     match counted.map(|n| n.parse().map(|n: usize| CONDITIONS.get(n))) {
         None => run(&Arguments::parse())?,

@@ -1,4 +1,4 @@
-//! Time of a frame, beside that of copying it.
+//! Time of a frame, compared with that of copying it.
 
 use crate::flight::{Exposure, Flight};
 use solaspect::aspect;
@@ -7,7 +7,7 @@ use std::fmt;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-/// Passes over all frames, of which the quickest counts: the others were disturbed by what else the machine does.
+/// Number of passes over all frames, of which the fastest counts: the others were disturbed by other load on the machine.
 const PASSES: usize = 25;
 
 /// Time of a frame.
@@ -17,7 +17,7 @@ pub struct Times {
     tracking: Duration,
 }
 
-/// Each pass does one work on all frames in turn: none finds its frame in a cache that another work has filled.
+/// Each pass runs one task on all frames in turn, so that no task finds its frame in a cache filled by another one.
 pub fn measure(flight: &Flight) -> Times {
     let mut copy = flight.exposures.first().map(|e| e.frame.pixels().clone());
     let mut works: [Vec<Duration>; 3] = Default::default();

@@ -1,12 +1,12 @@
-//! A fake GigE Vision camera that sees the simulator's flight: over the real protocol, with nothing attached.
+//! A fake GigE Vision camera with pictures of the simulator's flight: the real protocol, without hardware.
 //!
 //! ```text
 //! fake-camera --interface 127.0.0.1 &
 //! solaspect fly --camera gige:127.0.0.1
 //! ```
 //!
-//! Beside what Aravis's fake has, it has Mono12 (or Mono12p), a pre-amplifier and a thermometer. It takes no longer over an exposure than
-//! over any other; its picture is as bright as the exposure is long.
+//! In addition to the features of Aravis's fake camera it has Mono12 (or Mono12p), a pre-amplifier and a thermometer. All
+//! exposures take the same time; the picture's brightness is proportional to the exposure.
 
 mod fill;
 
@@ -56,7 +56,7 @@ mod register {
     pub const SENSOR_WIDTH: u32 = 0x11c;
 }
 
-/// How often a second the fake checks for a trigger.
+/// Rate at which the fake checks for a trigger.
 const CHECKS_HZ: f64 = 500.0;
 
 fn main() -> anyhow::Result<()> {
@@ -86,7 +86,7 @@ fn main() -> anyhow::Result<()> {
     }
 }
 
-/// The fake's description of itself, with more to it. Features without a meaning to the fake are cells of its memory.
+/// The fake's description of itself, extended. Features that the fake does not use are cells of its memory.
 fn described(packed: bool) -> anyhow::Result<String> {
     let (name, code) = match packed {
         true => ("Mono12p", 0x010c_0047),
@@ -118,7 +118,7 @@ fn described(packed: bool) -> anyhow::Result<String> {
     Ok(text)
 }
 
-/// Pictures one after the other, 12 bits deep.
+/// A sequence of pictures, 12 bits deep.
 fn film(instrument: &Instrument, options: &Options) -> anyhow::Result<Vec<Frame>> {
     let radius_arcsec = sky::sun_angular_radius(options.utc)?;
     let radius_mil = instrument.optics.radius_mil(radius_arcsec);
@@ -143,7 +143,7 @@ fn painter(film: Vec<Frame>) -> Painter {
     })
 }
 
-/// Writes a shot's part of a picture of 12 bits, as bright as the exposure is long.
+/// Writes a shot's part of a 12-bit picture, with a brightness proportional to the exposure.
 fn paint(pixels: &[u16], width: usize, shot: &Shot, bytes: &mut [u8]) {
     const DARK_DN: f64 = 64.0;
     let brighter = f64::from(shot.exposure_us) / EXPOSURE.as_micros() as f64;
@@ -174,7 +174,7 @@ fn paint(pixels: &[u16], width: usize, shot: &Shot, bytes: &mut [u8]) {
     }
 }
 
-/// Two pixels in three bytes, the lowest bit first. A last one without a neighbour is left out.
+/// Packs two pixels into three bytes, the lowest bit first. A last pixel without a neighbour is omitted.
 fn pack(mut pixels: impl Iterator<Item = u16>, line: &mut [u8]) {
     let (groups, _) = line.as_chunks_mut::<3>();
     for group in groups {

@@ -114,7 +114,7 @@ fn print(message: &Message) {
     }
 }
 
-/// The sensors of the telescope that a configuration simulates.
+/// The sensors of the telescope simulated by a configuration.
 fn sensors(path: &Path, gps: Option<&str>) -> anyhow::Result<Sensors> {
     let config = Config::read(path)?;
     let of = |key: &str| format!("{}: {key}", path.display());
@@ -141,7 +141,7 @@ fn sensors(path: &Path, gps: Option<&str>) -> anyhow::Result<Sensors> {
     Ok(Sensors::new(telescope, gps))
 }
 
-/// Writes a line; the controller goes on without a reader.
+/// Writes a line; the controller continues without a reader.
 fn say(mut out: impl Write, line: impl Display) {
     let _ = writeln!(out, "{line}");
 }

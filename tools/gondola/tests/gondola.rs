@@ -19,7 +19,7 @@ const SENDING: LinkState = LinkState {
     sending: true,
 };
 
-/// Runs the program against a flight side that sends an offset a step, on a noisy line with one bit of it wrong.
+/// Runs the program against a flight side that sends one offset per step, on a noisy line with one wrong bit.
 fn converse(line: Line) -> Output {
     let (mut port, far) = SerialPort::pair().unwrap();
     let mut program = Command::new(env!("CARGO_BIN_EXE_gondola"));
@@ -58,7 +58,7 @@ fn converse(line: Line) -> Output {
     child.wait_with_output().unwrap()
 }
 
-/// A service that nobody asks anything.
+/// A service that receives no requests.
 struct Desk;
 
 impl Control for Desk {

@@ -1,4 +1,4 @@
-//! Arguments of Python's functions, each refused by its name.
+//! Arguments of Python's functions; errors name the argument.
 
 use crate::errors::{type_error, value_error};
 use crate::instrument::Instrument;
@@ -80,13 +80,13 @@ pub fn target(value: &Bound<'_, PyAny>) -> PyResult<Target> {
     Ok(Target::Fixed(HelioprojectiveArcsec { x, y }))
 }
 
-/// What the previous frame taught.
+/// The tracking prior from the previous frame.
 pub fn prior<'a, 'py>(value: &'a Bound<'py, PyAny>) -> PyResult<&'a Bound<'py, Track>> {
     let track = value.cast::<Track>();
     track.map_err(|_| type_error("prior", "the track of a Solution", value))
 }
 
-/// Where a pixel saturates, DN.
+/// Saturation value of a pixel, DN.
 pub fn saturation_dn(value: &Bound<'_, PyAny>) -> PyResult<u16> {
     extracted(value, "saturation_dn", "a whole number from 0 to 65535 DN")
 }
@@ -97,7 +97,7 @@ pub fn corner_px(value: &Bound<'_, PyAny>) -> PyResult<(usize, usize)> {
     extracted(value, "corner_px", expected)
 }
 
-/// An argument as the type that it should be.
+/// Converts an argument to the required type.
 fn extracted<'py, T: FromPyObjectOwned<'py>>(
     value: &Bound<'py, PyAny>,
     argument: &str,
@@ -115,7 +115,7 @@ fn extracted<'py, T: FromPyObjectOwned<'py>>(
     })
 }
 
-/// An `Instrument`, the path of its file, or the name of a built-in one; "demo" where none is given.
+/// An `Instrument`, the path of its file, or the name of a built-in one; by default "demo".
 pub fn instrument<'py>(
     py: Python<'py>,
     value: Option<&Bound<'py, PyAny>>,

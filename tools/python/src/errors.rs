@@ -6,7 +6,7 @@ use solaspect::fits::{FileError, Problem};
 use solaspect::instrument::TomlError;
 use std::fmt::Display;
 
-/// What becomes a `SolaspectError`: a message, with the file and the field that it is about.
+/// Content of a `SolaspectError`: a message, with the file and the field concerned.
 pub struct Failure {
     message: String,
     file: Option<String>,
@@ -62,12 +62,12 @@ impl From<Failure> for PyErr {
     }
 }
 
-/// An argument of the right type with a value that cannot be.
+/// The error for an argument of the right type with an invalid value.
 pub fn value_error(argument: &str, problem: impl Display) -> PyErr {
     PyValueError::new_err(format!("{argument}: {problem}"))
 }
 
-/// An argument of a wrong type.
+/// The error for an argument of a wrong type.
 pub fn type_error(argument: &str, expected: &str, found: &Bound<'_, PyAny>) -> PyErr {
     let name = found.get_type().name();
     let name = name.map_or_else(|_| "something else".into(), |name| name.to_string());

@@ -12,12 +12,12 @@ use serde::Serialize;
 pub type Pair<'py> = Bound<'py, PyArray1<f64>>;
 pub type Pairs<'py> = Bound<'py, PyArray2<f64>>;
 
-/// Shape (2,).
+/// An array of shape (2,).
 pub fn pair<'py>(py: Python<'py>, pair: [f64; 2]) -> Pair<'py> {
     PyArray1::from_slice(py, &pair)
 }
 
-/// Shape (n, 2).
+/// An array of shape (n, 2).
 pub fn pairs<'py>(py: Python<'py>, pairs: impl Iterator<Item = [f64; 2]>) -> PyResult<Pairs<'py>> {
     rows(py, pairs.flatten().collect(), 2)
 }
@@ -32,7 +32,7 @@ pub fn rows<T: Element>(
     PyArray1::from_vec(py, numbers).reshape([height, width])
 }
 
-/// Shape (2, 2).
+/// An array of shape (2, 2).
 pub fn matrix<'py>(py: Python<'py>, m: &Matrix2<f64>) -> PyResult<Pairs<'py>> {
     rows(py, vec![m.m11, m.m12, m.m21, m.m22], 2)
 }
@@ -53,7 +53,7 @@ pub fn datetime(py: Python<'_>, utc: Timestamp) -> PyResult<Bound<'_, PyDateTime
     )
 }
 
-/// What JSON would say, as Python's own types.
+/// The JSON form of a value, as Python's own types.
 pub fn as_json<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound<'py, PyAny>> {
     let text = serde_json::to_string(value).map_err(anyhow::Error::from);
     py.import("json")?

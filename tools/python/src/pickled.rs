@@ -1,4 +1,4 @@
-//! Results as bytes, for `pickle`: what one process has solved, another can take.
+//! Results as bytes, for `pickle`: results of one process can be used in another.
 
 use crate::errors::value_error;
 use pyo3::PyResult;
@@ -6,16 +6,16 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use solaspect::provenance::LONG_VERSION;
 
-/// The bytes of a value, for programs of this very build: its version stands before it.
+/// The bytes of a value, preceded by the version: only the same build can read them.
 pub fn bytes(value: &impl Serialize) -> PyResult<Vec<u8>> {
     let bytes = postcard::to_stdvec(&(LONG_VERSION, value));
     bytes.map_err(|cause| value_error("pickle", cause))
 }
 
-/// The value of bytes.
+/// The value from its bytes.
 ///
 /// # Errors
-/// Bytes of another version, or none of a value.
+/// If the bytes are from another version, or invalid.
 pub fn value<T: DeserializeOwned>(bytes: &[u8]) -> PyResult<T> {
     let wrong = |found: &dyn std::fmt::Display| {
         value_error(

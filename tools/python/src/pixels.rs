@@ -9,16 +9,16 @@ use pyo3::prelude::*;
 use solaspect::fits;
 use solaspect::frame::{Frame, FrameInfo, PixelSlice, SharedPixels};
 
-/// The memory of an array that is C-contiguous.
+/// The memory of a C-contiguous array.
 struct ArrayPixels<T> {
     first: *const T,
     count: usize,
-    /// Keeps the memory.
+    /// Keeps the memory alive.
     _array: Py<PyArray2<T>>,
 }
 
-// SAFETY: the memory lives as long as the array that is held, and is only read. That no other thread writes to the array
-// meanwhile is for the caller to see to, as with NumPy's own functions that release the GIL.
+// SAFETY: the memory lives as long as the array held here, and is only read. The caller must ensure that no other thread
+// writes to the array meanwhile, as with NumPy's own functions that release the GIL.
 unsafe impl<T: Sync> Send for ArrayPixels<T> {}
 unsafe impl<T: Sync> Sync for ArrayPixels<T> {}
 
@@ -32,8 +32,8 @@ impl<T: Element> ArrayPixels<T> {
     }
 
     fn slice(&self) -> &[T] {
-        // SAFETY: NumPy says where the array's numbers begin and how many there are, and `contiguous` sees to
-        // it that they are aligned and nothing lies between.
+        // SAFETY: NumPy gives the address and number of the array's elements, and `contiguous` ensures that they are
+        // aligned and without gaps.
         unsafe { std::slice::from_raw_parts(self.first, self.count) }
     }
 }
@@ -50,8 +50,9 @@ impl SharedPixels for ArrayPixels<u16> {
     }
 }
 
-/// A frame of an array's pixels: those of the array itself where it is of uint8 or uint16, C-contiguous and in the machine's byte
-/// order, else of a copy. Integers of other types become uint16; negative, large and floating-point numbers are scaled as those of a file.
+/// A frame of an array's pixels: of the array itself if it is uint8 or uint16, C-contiguous and in the machine's byte
+/// order, otherwise of a copy. Integers of other types become uint16; negative, large and floating-point values are scaled
+/// like those of a file.
 pub fn frame(
     array: &Bound<'_, PyAny>,
     saturation_dn: Option<u16>,
@@ -91,7 +92,7 @@ pub fn frame(
         .map_err(|error| value_error("array", error))
 }
 
-/// Whether whole numbers of any type are pixels as they stand.
+/// Whether integers of any type can be used as pixels unchanged.
 fn are_pixels(array: &Bound<'_, PyAny>) -> PyResult<bool> {
     let numpy = array.py().import("numpy")?;
     let below = numpy.call_method1("less", (array, 0))?;
@@ -100,7 +101,7 @@ fn are_pixels(array: &Bound<'_, PyAny>) -> PyResult<bool> {
     Ok(!bad.call_method0("any")?.is_truthy()?)
 }
 
-/// Any other numbers, as the program reads them from a file; `bits` as BITPIX states them.
+/// Any other values, as the program reads them from a file; `bits` is their BITPIX.
 fn frame_of_values(
     array: &Bound<'_, PyAny>,
     bits: i64,
@@ -119,7 +120,7 @@ fn frame_of_values(
         .map_err(|problem| value_error("array", problem))
 }
 
-/// The array itself where its rows follow each other, aligned and in the machine's byte order, else a copy of which that is true.
+/// The array itself if its rows are contiguous, aligned and in the machine's byte order, otherwise a copy that is.
 fn contiguous<'py, T: Element>(
     array: &Bound<'py, PyAny>,
     dtype: &str,

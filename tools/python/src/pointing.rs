@@ -13,7 +13,7 @@ use solaspect::report;
 use solaspect::sky::Ephemeris;
 use std::path::PathBuf;
 
-/// What of a line of sight has a name in Python.
+/// Values of a line of sight, with their names in Python.
 type Named<T> = (&'static str, fn(&LineOfSight) -> T);
 
 /// The pointing of a refined flight as a function of time.
@@ -121,7 +121,7 @@ impl PointingHistory {
             let values = lines_of_sight
                 .iter()
                 .map(|line_of_sight| line_of_sight.map_or(unknown, value));
-            // Symmetric: the order of rows and columns is the same.
+            // Symmetric, so the order of rows and columns does not matter.
             let numbers = values.flat_map(|matrix| <[f64; 9]>::try_from(matrix.as_slice()));
             found.set_item(name, rows(py, numbers.flatten().collect(), 9)?)?;
         }

@@ -36,7 +36,7 @@ pub fn run(py: Python<'_>, options: Vec<String>) -> PyResult<()> {
         thread::scope(|scope| {
             let work = scope.spawn(work);
             let mut interrupted = None;
-            // Python sees its signals only where it is asked to, and the work does not ask.
+            // Python handles signals only on request, and the work does not check.
             while !work.is_finished() {
                 thread::sleep(POLL);
                 if let Err(error) = Python::attach(|py| py.check_signals()) {
@@ -57,7 +57,7 @@ pub fn run(py: Python<'_>, options: Vec<String>) -> PyResult<()> {
     Ok(())
 }
 
-/// How often Python is asked for its signals.
+/// Interval at which Python's signals are checked.
 const POLL: Duration = Duration::from_millis(20);
 
 /// A time as the program's options take it.
@@ -74,10 +74,10 @@ pub fn place_text(place: &Bound<'_, PyAny>) -> PyResult<String> {
     Ok(format!("{latitude},{longitude},{}", place.height_m))
 }
 
-/// Options as the program reads them.
+/// Parses options as the program does.
 ///
 /// # Errors
-/// An option that the program refuses, by name.
+/// An option that the program rejects, by name.
 pub fn parse<P: Parser>(options: Vec<String>) -> PyResult<P> {
     let words = std::iter::once("solaspect".to_owned()).chain(options);
     P::try_parse_from(words).map_err(|error| {

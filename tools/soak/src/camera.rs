@@ -1,4 +1,4 @@
-//! A camera whose frames were drawn beforehand, so that drawing takes nothing from the service; it fails on command.
+//! A camera with frames drawn in advance, so that drawing takes no time from the service; it fails on command.
 
 use jiff::{SignedDuration, Timestamp};
 use solaspect::camera::{CameraError, Exposure, FrameSource, Take};
@@ -11,20 +11,20 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Frames that are drawn.
+/// Number of frames that are drawn.
 const DRAWN: usize = 48;
 const SEED: u64 = 1;
-/// Frames that wait in the camera's buffers for a computer that is late; more than these are not taken.
+/// Number of frames that the camera's buffers hold for a late computer; further frames are not taken.
 const BUFFERS: u64 = 16;
-/// How long a call hangs.
+/// Duration of a hanging call.
 pub const HANG: Duration = Duration::from_secs(12);
 
-/// What is wrong with a frame that is due.
+/// Fault of a frame that is due.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum CameraFault {
-    /// The camera returns an error in its place.
+    /// The camera returns an error instead of the frame.
     Error,
-    /// The camera says that there is no frame yet.
+    /// The camera reports that there is no frame yet.
     Silence,
     /// The camera's thread panics.
     Panic,
@@ -38,11 +38,11 @@ pub enum CameraFault {
     UnsetClock,
 }
 
-/// What became of the frames that were due. Their sum is the number of frames due.
+/// Counts of the due frames by result. Their sum is the number of frames due.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Frames {
     pub given: u64,
-    /// An error stood in their place.
+    /// Frames replaced by an error.
     pub failed: u64,
     pub not_taken: u64,
 }
@@ -53,7 +53,7 @@ impl Frames {
     }
 }
 
-/// The camera itself, which outlives its thread: it shows the drawn frames there and back again, so that the Sun never
+/// The camera itself, which outlives its thread: it shows the drawn frames forwards and backwards, so that the Sun never
 /// jumps.
 pub struct Ring {
     drawn: Arc<[Frame]>,
@@ -65,10 +65,10 @@ pub struct Ring {
 #[derive(Default)]
 struct State {
     start: Option<Instant>,
-    /// Of the frame that is due next.
+    /// Number of the frame that is due next.
     number: u64,
     fault: Option<CameraFault>,
-    /// Frames that the fault is still to meet.
+    /// Number of frames that the fault will still affect.
     left: u64,
     frames: Frames,
 }
@@ -113,7 +113,7 @@ impl Ring {
         }
     }
 
-    /// The same camera at the begin of another run.
+    /// The same camera at the beginning of another run.
     pub fn again(&self) -> Self {
         Self {
             drawn: Arc::clone(&self.drawn),
@@ -122,7 +122,7 @@ impl Ring {
         }
     }
 
-    /// Memory that the drawn frames take; no camera has them.
+    /// Memory of the drawn frames, which a real camera does not need.
     pub fn drawn_bytes(&self) -> f64 {
         self.drawn.len() as f64 * self.frame_bytes()
     }
@@ -135,7 +135,7 @@ impl Ring {
         bytes as f64
     }
 
-    /// Frames of the whole run.
+    /// Number of frames of the whole run.
     pub fn end(&self) -> u64 {
         self.end
     }
@@ -144,7 +144,7 @@ impl Ring {
         self.state().frames
     }
 
-    /// The next `count` frames meet this fault.
+    /// Applies this fault to the next `count` frames.
     pub fn fail(&self, fault: CameraFault, count: u64) {
         let mut state = self.state();
         (state.fault, state.left) = (Some(fault), count);
@@ -173,7 +173,7 @@ impl Ring {
         Some((number, due.saturating_sub(elapsed)))
     }
 
-    /// What meets the frame that is due now; counts it.
+    /// The fault of the frame that is due now; counts it.
     fn meet(&self) -> Option<CameraFault> {
         let mut state = self.state();
         let fault = state.fault.filter(|_| state.left > 0);
@@ -191,7 +191,7 @@ impl Ring {
         fault
     }
 
-    /// The time of a clock that stood at 1970 when the run began.
+    /// The time of a clock that was at 1970 when the run began.
     fn since_1970(&self) -> Result<Timestamp, jiff::Error> {
         let elapsed = self.state().start.map(|start| start.elapsed());
         Timestamp::UNIX_EPOCH.checked_add(elapsed.unwrap_or_default())
@@ -206,7 +206,7 @@ impl Ring {
     }
 }
 
-/// The camera as one thread has opened it.
+/// The camera as opened by one thread.
 pub struct RingCamera(pub Arc<Ring>);
 
 impl FrameSource for RingCamera {
@@ -251,7 +251,7 @@ fn error(problem: &str) -> CameraError {
     }
 }
 
-/// A frame of a sensor that the instrument does not have.
+/// A frame of a sensor other than the instrument's.
 fn small(frame: &Frame) -> Result<Frame, CameraError> {
     let pixels = Pixels::U8(vec![20; 64 * 48]);
     Frame::new(64, 48, pixels, 255, frame.info.clone())

@@ -1,4 +1,4 @@
-//! The faults, each with what it may cost.
+//! The faults, each with its allowed cost.
 
 use crate::camera::{CameraFault, HANG};
 use crate::line::Habit;
@@ -73,28 +73,28 @@ pub enum Fault {
     Stopped,
 }
 
-/// What a fault may cost. What is not named here may cost nothing.
+/// Allowed cost of a fault. Anything not listed here must not be affected.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cost {
-    /// Frames that were due and not taken, at least and at most.
+    /// Minimum and maximum number of due frames that are not taken.
     pub not_taken: [u64; 2],
-    /// Frames that the camera could not give.
+    /// Number of frames that the camera could not give.
     pub failed: u64,
-    /// Frames of another size.
+    /// Number of frames of another size.
     pub misfits: u64,
-    /// Threads that are started again.
+    /// Number of thread restarts.
     pub restarts: u64,
-    /// How often the line is opened again.
+    /// Number of times the line is reopened.
     pub reopened: u64,
     /// Whether packets may be lost or refused on the line.
     pub packets: bool,
 }
 
-/// How long the process is stopped.
+/// Duration for which the process is stopped.
 const STOP: Duration = Duration::from_secs(12);
-/// How long the watch waits for a thread that hangs.
+/// Time that the watch waits for a hanging thread.
 const PATIENCE_S: f64 = 10.0;
-/// More frames than this are late by less than a camera's buffers hold.
+/// Delays up to this number of frames are absorbed by a camera's buffers.
 const BUFFERED: f64 = 18.0;
 
 impl Fault {
@@ -114,7 +114,7 @@ impl Fault {
         value.map_or(String::new(), |value| value.get_name().to_owned())
     }
 
-    /// How long it lasts.
+    /// Duration of the fault.
     pub fn length(self) -> Duration {
         use Fault::*;
         match self {
@@ -131,7 +131,7 @@ impl Fault {
         }
     }
 
-    /// Frames of the fault's length, for those of the camera.
+    /// Number of frames in the fault's duration, for faults of the camera.
     fn frames(self, rate_hz: f64) -> u64 {
         match self {
             Self::CameraPanic | Self::CameraHangs => 1,
@@ -139,7 +139,7 @@ impl Fault {
         }
     }
 
-    /// What it may cost at so many frames a second.
+    /// Allowed cost at a frame rate, frames/s.
     pub fn cost(self, rate_hz: f64) -> Cost {
         use Fault::*;
         let frames = self.frames(rate_hz);
@@ -151,7 +151,7 @@ impl Fault {
         Cost {
             not_taken: match self {
                 CameraSilent | CameraPanic => [frames; 2],
-                // The watch has another thread take over after ten seconds.
+                // The watch replaces the thread after ten seconds.
                 CameraHangs => between(PATIENCE_S, PATIENCE_S + 1.0),
                 Stopped => between(STOP.as_secs_f64(), STOP.as_secs_f64() + 1.0),
                 _ => [0; 2],
@@ -174,7 +174,7 @@ impl Fault {
         }
     }
 
-    /// Begins it. Where that takes the fault's whole length, it returns at its end.
+    /// Begins the fault. If that takes the fault's whole duration, it returns at its end.
     pub fn begin(self, rig: &Rig) -> anyhow::Result<()> {
         use Fault::*;
         let now = Instant::now();
@@ -245,7 +245,7 @@ impl Fault {
     }
 }
 
-/// Stops this whole process; a child lets it go on.
+/// Stops this whole process; a child process resumes it.
 fn stop_process(time: Duration) -> anyhow::Result<()> {
     let script = "kill -STOP $1; sleep $2; kill -CONT $1";
     let own = std::process::id().to_string();

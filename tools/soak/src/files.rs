@@ -1,22 +1,22 @@
-//! The files of the archives: removed as the run goes on, counted, and read back at its end.
+//! The files of the archives: removed during the run, counted, and read back at its end.
 
 use std::collections::HashMap;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Files that stay on each disk unless all are to be kept.
+/// Number of files that stay on each disk unless all are kept.
 const KEPT_FILES: usize = 500;
 
-/// Which frames have been found in files.
+/// Frames that have been found in files.
 pub struct Files {
     roots: Vec<PathBuf>,
     keep: bool,
-    /// By number of the frame; made at once, so that it does not grow.
+    /// Indexed by frame number; allocated at once, so that it does not grow.
     found: Vec<bool>,
 }
 
-/// Bytes of a disk's logs.
+/// Sizes of a disk's logs, bytes.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct LogBytes {
     pub solutions: u64,
@@ -24,13 +24,13 @@ pub struct LogBytes {
     pub housekeeping: u64,
 }
 
-/// What the logs of a disk hold at the end.
+/// Content of a disk's logs at the end.
 #[derive(Debug, Clone, Default)]
 pub struct LogRows {
     /// Rows of the solution logs, and samples of the telemetry.
     pub solutions: u64,
     pub telemetry: u64,
-    /// How often a frame's number occurs in the solution logs.
+    /// Number of occurrences of each frame number in the solution logs.
     pub frames: HashMap<u64, u64>,
 }
 
@@ -43,7 +43,7 @@ impl Files {
         }
     }
 
-    /// Removes and notes all but the newest files of every archive, unless all are to be kept.
+    /// Records and removes all but the newest files of every archive, unless all are kept.
     pub fn clear(&mut self) -> io::Result<()> {
         match self.keep {
             true => Ok(()),
@@ -51,7 +51,7 @@ impl Files {
         }
     }
 
-    /// Frames that are or were in a file.
+    /// Number of frames that are or were in a file.
     pub fn count(&mut self) -> io::Result<u64> {
         for root in self.roots.clone() {
             for file in fits_files(&root)? {
@@ -61,7 +61,7 @@ impl Files {
         Ok(self.found.iter().filter(|found| **found).count() as u64)
     }
 
-    /// How much each disk's logs hold; nothing of a disk that has gone.
+    /// Size of each disk's logs; 0 for a disk that is gone.
     pub fn logs(&self) -> Vec<LogBytes> {
         self.roots.iter().map(|root| log_bytes(root)).collect()
     }
@@ -77,7 +77,7 @@ impl Files {
             for file in &files[..files.len().saturating_sub(kept)] {
                 self.note(file);
                 match fs::remove_file(file) {
-                    // The disk has just gone: next time.
+                    // The disk has just gone: it is counted next time.
                     Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                     done => done?,
                 }
@@ -99,7 +99,7 @@ fn file_number(file: &Path) -> Option<usize> {
     file.file_stem()?.to_str()?.split('_').nth(2)?.parse().ok()
 }
 
-/// The frames' files under a root, the oldest first; none where the disk has gone.
+/// The frames' files under a root, the oldest first; none if the disk is gone.
 fn fits_files(root: &Path) -> io::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for folder in list(root)? {
@@ -125,7 +125,7 @@ fn begins_with(path: &Path, beginning: &str) -> bool {
     name.starts_with(beginning)
 }
 
-/// The telemetry's folders; the link to the newest is left out.
+/// Whether a path is a folder of telemetry; the link to the newest one is excluded.
 fn is_telemetry(path: &Path) -> bool {
     begins_with(path, "telemetry_")
 }

@@ -1,4 +1,4 @@
-//! What a fault has cost, against what it may cost.
+//! Comparison of a fault's cost with its allowed cost.
 
 use crate::faults::Fault;
 use crate::machine::Sample;
@@ -7,14 +7,14 @@ use solaspect::instrument::Role;
 use solaspect::service::FlightTally;
 use std::time::{Duration, Instant};
 
-/// Everything must be as before within this time.
+/// Time limit for full recovery.
 pub const BACK_WITHIN: Duration = Duration::from_secs(5);
-/// Of the frames due in the last second before the next fault, so many must be solved and sent.
+/// Minimum share of the frames due in the last second before the next fault that must be solved and sent.
 const STEADY: f64 = 0.8;
-/// More pictures than these wait only where the disks have not caught up.
+/// More waiting pictures than this show that the disks have not caught up.
 const FEW: usize = 4;
 
-/// Solutions that may be on their way when the counts are taken; the sums at the end of the run hold exactly.
+/// Number of solutions that may be in transit when the counts are taken; the sums at the end of the run are exact.
 pub const UNDER_WAY: u64 = 1;
 
 /// A fault, with the counts around it.
@@ -22,19 +22,19 @@ pub struct Trial {
     pub fault: Fault,
     pub name: String,
     pub before: Counts,
-    /// When the fault ended.
+    /// Counts at the end of the fault.
     pub end: Counts,
-    /// From then until everything was as before; `None` where it never was.
+    /// Time from then to full recovery; `None` if there was none.
     pub back: Option<Duration>,
-    /// A second before the end.
+    /// Counts one second before the end of the recovery time.
     pub last_second: Counts,
-    /// When the time to recover was over.
+    /// Counts at the end of the recovery time.
     pub after: Counts,
     /// Memory in the last second.
     pub memory: Option<Sample>,
 }
 
-/// What is to grow all the time: its name, and how far it is.
+/// A quantity that must grow continuously: its name and present value.
 type Flow = (String, u64);
 
 impl Counts {
@@ -68,7 +68,7 @@ impl Counts {
         flows
     }
 
-    /// What has not grown since.
+    /// The quantities that have not grown since.
     fn still(&self, since: &Self, fault: Fault) -> Vec<String> {
         let both = self.flows(fault).into_iter().zip(since.flows(fault));
         both.filter(|((_, now), (_, then))| now <= then)
@@ -76,14 +76,14 @@ impl Counts {
             .collect()
     }
 
-    /// Whether everything goes on since the end of a fault, and what had piled up is done.
+    /// Whether all quantities have grown since the end of a fault, and the backlog is done.
     pub fn is_back(&self, end: &Self, fault: Fault) -> bool {
         self.waiting <= FEW && self.still(end, fault).is_empty()
     }
 }
 
 impl Trial {
-    /// Injects a fault, and waits until everything is as before or `rest` has passed.
+    /// Injects a fault, and waits for full recovery or until `rest` has passed.
     pub fn run(rig: &Rig, fault: Fault, rest: Duration) -> anyhow::Result<Self> {
         let before = rig.counts_between_packets();
         let begin = Instant::now();
@@ -124,12 +124,12 @@ impl Trial {
         of(&self.after).saturating_sub(of(&self.before))
     }
 
-    /// Solutions that were sent and never arrived.
+    /// Number of solutions that were sent and never arrived.
     pub fn solutions_lost(&self) -> i64 {
         self.after.missing() as i64 - self.before.missing() as i64
     }
 
-    /// All that is wrong; nothing where the fault has cost what it may.
+    /// All errors; empty if the fault has cost no more than allowed.
     pub fn complaints(&self, rate_hz: f64) -> Vec<String> {
         let mut wrong = self.slow_recovery(rate_hz);
         wrong.extend(self.frames_lost(rate_hz));
@@ -241,7 +241,7 @@ impl Trial {
         let offsets = self.growth(|c| c.heard.offsets.wrong);
         exact.push(("offsets beyond 6 sigma", offsets, 0));
         let mut wrong = differences(&exact);
-        // A process that was stopped has nothing to report of that time.
+        // A stopped process reports nothing for that time.
         let stopped = match self.fault {
             Fault::Stopped => self.fault.length(),
             _ => Duration::ZERO,

@@ -14,28 +14,28 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// How long the thread rests where it does not listen.
+/// Pause of the thread while it does not listen.
 const PAUSE: Duration = Duration::from_millis(10);
-/// How long the answer to "stop tracking" is waited for.
+/// Time limit for the answer to "stop tracking".
 const PATIENCE: Duration = Duration::from_secs(1);
 const WRITE_TIMEOUT: Duration = Duration::from_millis(100);
-/// Between two polls of a flood: about 400 commands or 20,000 bytes of garbage a second.
+/// Number of items between two polls of a flood: about 400 commands or 20,000 bytes of garbage per second.
 const COMMANDS: usize = 8;
 const GARBAGE_BYTES: usize = 400;
-/// Of the packets that the service writes, every so manieth is garbled.
+/// Every n-th packet from the service is garbled.
 const GARBLED: u64 = 4;
-/// Key of a solution, and where it stands in a packet.
+/// Key of a solution, and its position in a packet.
 const SOLUTION: [u8; 2] = 0x1102_u16.to_le_bytes();
 const KEY_AT: std::ops::Range<usize> = 8..10;
 
-/// How the gondola's end behaves.
+/// Behaviour of the gondola's end.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub enum Habit {
     #[default]
     Good,
     /// Reads nothing.
     Deaf,
-    /// Hangs up; it cannot be opened again, for this reason.
+    /// Closes the line, which cannot be opened again, for this reason.
     Closed(io::ErrorKind),
     /// Sends random bytes.
     Garbage,
@@ -43,17 +43,17 @@ pub enum Habit {
     Commands,
     /// Sends commands with wrong checksums.
     WrongChecksums,
-    /// Sends places, every other one on the far side of the Earth.
+    /// Sends places, of which every other one is on the far side of the Earth.
     Jumps,
-    /// Bytes of what it receives are wrong.
+    /// Changes bytes of the received packets.
     Garbled,
-    /// Wants no tracking.
+    /// Requests no tracking.
     NoTracking,
     /// Sends commands that would leave the flight without a Sun or a line.
     Hostile,
 }
 
-/// What has come to the controller, and what it has sent beyond its wish to track.
+/// Packets received by the controller, and packets sent in addition to the tracking requests.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Heard {
     pub solutions: u64,
@@ -61,12 +61,12 @@ pub struct Heard {
     pub offsets: NavigationRun,
     pub results: u64,
     pub faults: Faults,
-    /// Commands, and packets with wrong checksums, that were sent.
+    /// Number of commands, and of packets with wrong checksums, that were sent.
     pub commands: u64,
     pub wrong_checksums: u64,
 }
 
-/// The gondola as the rest of the soak sees it.
+/// The gondola's interface for the rest of the soak test.
 pub struct Gondola {
     shared: Arc<Shared>,
     thread: JoinHandle<Option<SerialPort>>,
@@ -78,7 +78,7 @@ struct Shared {
     heard: Mutex<Heard>,
     /// The far end of a line that the service has just opened.
     opened: Mutex<Option<SerialPort>>,
-    /// To be sent once.
+    /// A message to send once.
     message: Mutex<Option<Message>>,
     garbled_solutions: AtomicU64,
     over: AtomicBool,
@@ -89,7 +89,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Gondola {
-    /// Starts the controller, and gives the service's connection to it.
+    /// Starts the controller, and returns the service's connection to it.
     pub fn start(sensors: Option<Sensors>, judge: Option<Judge>) -> (Self, Connection) {
         let shared = Arc::<Shared>::default();
         let opens = Arc::clone(&shared);
@@ -103,7 +103,7 @@ impl Gondola {
         *lock(&self.shared.habit) = habit;
     }
 
-    /// Sets the age beyond which a solution is outdated, by command.
+    /// Sets, by command, the age beyond which a solution is outdated.
     pub fn set_max_solution_age(&self, age: Duration) {
         *lock(&self.shared.message) = set("3", &age.as_millis().to_string());
     }
@@ -112,12 +112,12 @@ impl Gondola {
         *lock(&self.shared.heard)
     }
 
-    /// Solutions that were garbled on their way.
+    /// Number of solutions that were garbled in transit.
     pub fn garbled_solutions(&self) -> u64 {
         self.shared.garbled_solutions.load(Ordering::Relaxed)
     }
 
-    /// Ends the controller. The port goes back: hanging up first is the service's part.
+    /// Ends the controller. The port is returned: the service must close it first.
     pub fn end(self) -> (Heard, Option<SerialPort>) {
         self.shared.over.store(true, Ordering::Relaxed);
         let port = self.thread.join().unwrap_or_default();
@@ -148,7 +148,7 @@ impl Shared {
     }
 }
 
-/// The service's end, on which bytes go wrong.
+/// The service's end, on which bytes are changed.
 struct NearEnd {
     port: SerialPort,
     shared: Arc<Shared>,
@@ -247,7 +247,7 @@ impl End {
         let Some(mut port) = self.port.take() else {
             return thread::sleep(PAUSE);
         };
-        // A line that is lost comes back as a new one.
+        // A lost line returns as a new one.
         if self.talk(&mut port, habit).is_ok() {
             self.port = Some(port);
         }
@@ -319,13 +319,13 @@ impl End {
 }
 
 fn no_op() -> Option<Message> {
-    // To computer 1.
+    // Addressed to computer 1.
     AspectCommand::new(0x1000, Vec::new())
         .ok()
         .map(Message::Aspect)
 }
 
-/// Values that are allowed, each by itself: a camera that is not there, thresholds that no Sun passes.
+/// Values that are each allowed: a camera that does not exist, thresholds that no Sun reaches.
 fn hostile() -> Vec<Message> {
     let float = order("set_float", &["22", "1"].map(str::to_owned), Computer::One);
     let whole = [("4", "2"), ("24", "225"), ("17", "720")];
@@ -352,7 +352,7 @@ fn place(latitude_deg: f32, longitude_deg: f32) -> Message {
     })
 }
 
-/// Garbage that nobody takes is no loss.
+/// Garbage that is not accepted is not a loss.
 fn ignore_stall(written: Result<(), PortError>) -> Result<(), PortError> {
     match written {
         Err(PortError::Stalled { .. }) => Ok(()),

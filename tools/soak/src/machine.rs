@@ -1,4 +1,4 @@
-//! What a process takes of its machine (Linux).
+//! Resources that a process uses on its machine (Linux).
 
 use anyhow::Context;
 use std::collections::BTreeMap;
@@ -14,7 +14,7 @@ pub fn resident_bytes() -> anyhow::Result<u64> {
     Ok(1024 * number.parse::<u64>().context("/proc/self/status: VmRSS")?)
 }
 
-/// Processor time by the names of threads.
+/// Processor time by thread name.
 pub type ProcessorTimes = BTreeMap<String, Duration>;
 
 /// Processor time that the threads of this process have used.
@@ -36,13 +36,13 @@ pub fn processor_times() -> anyhow::Result<ProcessorTimes> {
 /// The heap, bytes.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Heap {
-    /// In use by the program.
+    /// Memory in use by the program.
     pub live: f64,
-    /// Given back by the program, and kept by the C library for the next request. Part of it may not be resident.
+    /// Memory freed by the program and kept by the C library for the next request. Part of it may not be resident.
     pub kept: f64,
 }
 
-/// The heap of all threads, as the C library counts it.
+/// The heap of all threads, as counted by the C library.
 #[cfg(target_env = "gnu")]
 pub fn heap() -> Heap {
     // SAFETY: mallinfo2 only reads the allocator's own counts, under its own locks, and takes no argument.
@@ -75,7 +75,7 @@ pub struct MemoryLog {
 }
 
 impl MemoryLog {
-    /// A log allocated for so many samples, so that it does not grow itself.
+    /// A log allocated for a number of samples, so that it does not grow itself.
     pub fn new(samples: usize) -> Self {
         Self {
             start: Instant::now(),
@@ -106,8 +106,8 @@ impl MemoryLog {
         &self.samples
     }
 
-    /// Growth of a quantity by least squares, bytes/s, from `settled` on: what is made once is made before that. `None`
-    /// of fewer than ten samples.
+    /// Growth of a quantity by least squares, bytes/s, from `settled` on, when one-time allocations are done. `None` for
+    /// fewer than ten samples.
     pub fn growth(&self, settled: Duration, of: impl Fn(&Sample) -> f64) -> Option<f64> {
         let late = |s: &&Sample| s.time_s >= settled.as_secs_f64();
         let points: Vec<_> = self.samples.iter().filter(late).collect();

@@ -1,6 +1,6 @@
-//! The whole service at full rate: frames drawn beforehand, the real solver, archive and line, a controller at the other
-//! end of a pseudo-terminal, and, where wanted, one fault after the other. Exit code 0 only if nothing was lost but what the
-//! faults may cost, and memory stayed below its limit and flat.
+//! The whole service at full rate: frames drawn in advance, the real solver, archive and line, a controller at the other
+//! end of a pseudo-terminal, and optionally a series of faults. Exit code 0 only if the losses are within the faults'
+//! allowed cost, and memory stayed constant and below its limit.
 
 mod camera;
 mod faults;
@@ -92,7 +92,7 @@ fn main() -> anyhow::Result<ExitCode> {
             .map(|n| temporary.path().join(format!("disk-{n}")))
             .collect();
     }
-    // A flight makes no folder above its archive: that would be on the wrong disk.
+    // A flight does not create folders above its archive, which could be on the wrong disk.
     roots.iter().try_for_each(fs::create_dir_all)?;
     let roots = roots
         .iter()
@@ -162,7 +162,7 @@ fn fly(
     };
     let before = machine::processor_times()?;
     let start = Instant::now();
-    // The sensors speak from now on.
+    // The sensors start to send.
     let navigation = args
         .navigation
         .then(|| navigation::Parts::new(&instrument, now));

@@ -1,4 +1,5 @@
-//! The filter by gyros in the soak: the telescope follows the Sun, which rests on the plate, and its sensors speak in time.
+//! The navigation filter in the soak test: the telescope follows the Sun, which rests on the plate, and its sensors send in
+//! real time.
 
 use crate::report::say;
 use jiff::Timestamp;
@@ -17,15 +18,16 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 const SEED: u64 = 1;
-/// The filter has found the roll after so long.
+/// Time after which the filter has determined the roll.
 const SETTLED: Duration = Duration::from_secs(10);
-/// Errors beyond these are rare, and beyond those wrong with confidence.
+/// Errors above the first limit must be rare; errors above the second are wrong.
 const RARE_SIGMAS: f64 = 3.0;
 const WRONG_SIGMAS: f64 = 6.0;
-/// So long after a fault of the IMU began, or ended, may offsets be wrong: until the next frame, and half a second.
+/// Time after the beginning or end of an IMU fault during which offsets may be wrong: until the next frame, plus half a
+/// second.
 const MENDED: Duration = Duration::from_millis(550);
 
-/// The Sun at one place of the plate.
+/// The Sun at a fixed position of the plate.
 pub fn resting() -> Course {
     let piece = Piece {
         start_s: 0.0,
@@ -46,12 +48,12 @@ pub fn swaying(instrument: &Instrument, now: Timestamp) -> anyhow::Result<Course
     Ok(Trajectory::flight(instrument, radius_mil, SEED)?.into())
 }
 
-/// The telescope that the resting Sun is seen from.
+/// The telescope from which the resting Sun is observed.
 pub fn telescope(instrument: &Instrument, start: Timestamp) -> TelescopeFlight {
     TelescopeFlight::new(resting(), instrument, FORT_SUMNER, start, SEED)
 }
 
-/// What flies, and what speaks to it.
+/// The flying parts, and their sources of data.
 pub struct Parts {
     pub flies: Navigation,
     pub sensors: Sensors,
@@ -81,7 +83,7 @@ impl Parts {
     }
 }
 
-/// Where the IMU is put at fault, in one of the simulator's kinds after the other.
+/// Applies faults to the IMU, the simulator's kinds one after the other.
 #[derive(Clone, Default)]
 pub struct ImuBench {
     shared: Arc<Mutex<Bench>>,
@@ -93,11 +95,11 @@ struct Bench {
     last: Option<Lasting>,
 }
 
-/// A fault of the IMU in time.
+/// A fault of the IMU with its period.
 #[derive(Clone, Copy)]
 struct Lasting {
     fault: &'static ImuFault,
-    /// Of the first sample that it met, and the last.
+    /// Times of the first and the last affected sample.
     met: Option<[Timestamp; 2]>,
     is_over: bool,
 }
@@ -107,7 +109,7 @@ impl ImuBench {
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Begins the next kind.
+    /// Begins the next kind of fault.
     pub fn begin(&self) {
         let mut bench = self.state();
         bench.last = Some(Lasting {
@@ -124,12 +126,12 @@ impl ImuBench {
         }
     }
 
-    /// The kind that began last.
+    /// Name of the kind that began last.
     pub fn name(&self) -> &'static str {
         self.state().last.map_or("", |last| last.fault.name)
     }
 
-    /// What becomes of the IMU's samples.
+    /// The function that modifies the IMU's samples.
     fn corrupt(&self) -> Corrupt {
         let bench = self.clone();
         let mut imu = FaultyImu::new(SEED);
@@ -146,7 +148,7 @@ impl ImuBench {
         })
     }
 
-    /// Whether what is sent of that time may be wrong.
+    /// Whether an offset at that time may be wrong.
     fn excuses(&self, time: Timestamp) -> bool {
         let Some((fault, [first, last])) = self
             .state()
@@ -162,7 +164,7 @@ impl ImuBench {
     }
 }
 
-/// Compares offsets by the gyros with the truth, as they come.
+/// Compares offsets by the gyros with the truth as they arrive.
 pub struct Judge {
     telescope: TelescopeFlight,
     start: Timestamp,
@@ -171,16 +173,16 @@ pub struct Judge {
     run: NavigationRun,
 }
 
-/// What the offsets by the gyros came to.
+/// Statistics of the offsets by the gyros.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct NavigationRun {
     pub received: u64,
     pub judged: u64,
-    /// Offsets of which an axis was wrong by more than 6 sigma, without a fault of the IMU that excuses it; and the largest
-    /// of all errors that nothing excuses, in sigmas.
+    /// Number of offsets with an axis wrong by more than 6 sigma without an IMU fault that excuses it; and the largest of
+    /// all unexcused errors, in sigmas.
     pub wrong: u64,
     pub most_sigmas: f64,
-    /// Of all axes.
+    /// Statistics over all axes.
     beyond_3_sigma: u64,
     sum_arcsec2: f64,
 }

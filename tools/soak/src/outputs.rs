@@ -1,4 +1,5 @@
-//! What outputs cost the controller's line: short flights with and without them in turns, so that both have the same machine.
+//! Effect of outputs on the controller's line: short flights with and without them in turns, so that both have the same
+//! load on the machine.
 
 use crate::camera::Ring;
 use crate::report::say;
@@ -19,14 +20,15 @@ use std::time::Duration;
 
 /// Length of a flight.
 pub const LEG: Duration = Duration::from_secs(20);
-/// Solutions at the begin of a flight that do not count: it finds the Sun.
+/// Number of solutions at the beginning of a flight that do not count, because the Sun is acquired.
 const BEGIN: usize = 52;
-/// How much longer 99 % of a flight's latencies may be with outputs, in the median of the flights: what else the machine does disturbs some of them.
+/// Maximum ratio of the latencies (99 %) with outputs to those without, in the median of the flights: other load on the
+/// machine disturbs some of them.
 const MOST_RATIO: f64 = 1.1;
-/// How long a reader waits for bytes.
+/// Time that a reader waits for bytes.
 const PATIENCE: Duration = Duration::from_millis(100);
 
-/// What the flights are made of.
+/// Parts of the flights.
 pub struct Flights {
     pub instrument: Instrument,
     pub ring: Ring,
@@ -34,22 +36,22 @@ pub struct Flights {
     pub realtime: Option<u8>,
 }
 
-/// Of the flights with or without outputs.
+/// Results of the flights with or without outputs.
 #[derive(Default)]
 struct Sum {
     latencies: Vec<Duration>,
-    /// What 99 % of each flight's latencies are below.
+    /// The 99 % quantile of each flight's latencies.
     of_flights: Vec<Duration>,
-    /// Sent and dropped, by output.
+    /// Numbers of sent and dropped items, by output.
     counts: BTreeMap<String, [u64; 2]>,
     lost: u64,
 }
 
 impl Flights {
-    /// Flies for about this time, prints what was found, and whether the line has not noticed.
+    /// Flies for about this time, prints the results, and returns whether the line was unaffected.
     pub fn compare(&self, time: Duration) -> anyhow::Result<bool> {
         let [mut without, mut with] = [Sum::default(), Sum::default()];
-        // None goes before the other more often.
+        // Neither kind comes first more often.
         let rounds = (time.as_secs() / (4 * LEG.as_secs())).max(1);
         for has_outputs in [false, true, true, false].repeat(rounds as usize) {
             match has_outputs {
@@ -114,7 +116,7 @@ impl Flights {
 }
 
 impl Sum {
-    /// Adds a flight, whose outputs are of these kinds.
+    /// Adds a flight with outputs of these kinds.
     fn add(&mut self, tally: &FlightTally, kinds: &[&str]) {
         let latencies = tally.line.latencies.iter().skip(BEGIN);
         let mut latencies: Vec<Duration> = latencies.copied().collect();
@@ -129,13 +131,13 @@ impl Sum {
     }
 }
 
-/// Programs at the other ends of outputs of all kinds, some of which read nothing.
+/// Programs at the receiving ends of outputs of all kinds, some of which read nothing.
 struct Readers {
     outputs: Outputs,
     kinds: Vec<&'static str>,
     over: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
-    /// Ends that are held open.
+    /// Ends that are kept open.
     _serial: Vec<SerialPort>,
 }
 
@@ -232,7 +234,7 @@ fn connected(address: SocketAddr) -> Option<TcpStream> {
     Some(stream)
 }
 
-/// Reads what has come; a stream that has ended is left alone.
+/// Reads available bytes; a stream that has ended is ignored.
 fn take(stream: &mut TcpStream, buffer: &mut [u8]) {
     match stream.read(buffer) {
         Ok(0) => thread::sleep(PATIENCE),

@@ -1,4 +1,4 @@
-//! What the run came to, as a table and as a verdict.
+//! Results of the run, as a table and as a verdict.
 
 use crate::camera::Frames;
 use crate::faults::Fault;
@@ -13,41 +13,41 @@ use std::fmt;
 use std::io::{self, Write};
 use std::time::Duration;
 
-/// Resident memory that the service may take, beside the frames that its camera has drawn and those that wait.
+/// Maximum resident memory of the service, in addition to the frames drawn in advance and the waiting ones.
 const MOST_BYTES: f64 = 200e6;
-/// Growth of the resident memory that is taken for a leak.
+/// Growth of the resident memory that counts as a leak.
 const LEAK_MB_PER_H: f64 = 1.0;
-/// Runs shorter than this do not show a leak.
+/// Minimum run time that reveals a leak.
 const LEAK_SHOWS: Duration = Duration::from_secs(1800);
-/// What is made once is made by then.
+/// One-time allocations are done by then.
 const SETTLED: Duration = Duration::from_secs(300);
 
-/// Frame to packet, of 99 % (HORACE 2014, requirements of the flight segment).
+/// Maximum latency from frame to packet, for 99 % (HORACE 2014, requirements of the flight segment).
 const MOST_ROLL_LATENCY: Duration = Duration::from_millis(50);
-/// From a sample of the IMU to the offset that rests on it, 99.9 %.
+/// Maximum latency from a sample of the IMU to the offset based on it, for 99.9 %.
 const MOST_OFFSET_LATENCY: Duration = Duration::from_millis(1);
-/// Offsets by the gyros a second, and how long after the start they come at the latest.
+/// Rate of offsets by the gyros, and latest time of the first one after the start.
 const RATE_HZ: u64 = 20;
 const FILTER_BEGINS_S: u64 = 6;
 
-/// One number of a sample, bytes.
+/// One value of a sample, bytes.
 type Quantity = fn(&Sample) -> f64;
 
-/// Prints a line; a reader that has left is no failure.
+/// Prints a line; a reader that has gone is not a failure.
 pub fn say(line: impl fmt::Display) {
     let _ = writeln!(io::stdout().lock(), "{line}");
 }
 
-/// What the faults of a run came to.
+/// Totals of the faults of a run.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Trials {
     pub injected: u64,
     pub failed: u64,
-    /// What they were allowed to cost, and did.
+    /// Sums of allowed and actual costs.
     pub not_taken: u64,
     pub roll_not_taken: u64,
     pub solutions_lost: i64,
-    /// Solutions that may have been under way when their number was taken.
+    /// Number of solutions that may have been in transit when they were counted.
     pub under_way: i64,
 }
 
@@ -58,7 +58,7 @@ impl Trials {
         );
     }
 
-    /// Prints a fault's row, and adds it up.
+    /// Prints a fault's row, and adds it to the totals.
     pub fn add(&mut self, at: Duration, trial: &Trial, rate_hz: f64) {
         let complaints = trial.complaints(rate_hz);
         let back = trial.back.map_or("never".into(), |back| {
@@ -95,39 +95,39 @@ impl Trials {
     }
 }
 
-/// What became of the frames of the horizon.
+/// Counts of the frames of the horizon.
 pub struct RollRun {
-    /// Frames that were due.
+    /// Number of frames that were due.
     pub due: u64,
     pub frames: Frames,
-    /// Frames that are or were in a file.
+    /// Number of frames that are or were in a file.
     pub in_files: u64,
 }
 
-/// A run that is over.
+/// A finished run.
 pub struct Run {
     pub roll: Option<RollRun>,
     pub navigates: bool,
     pub realtime: Option<u8>,
     pub seconds: u64,
-    /// Frames that were due.
+    /// Number of frames that were due.
     pub due: u64,
     pub frames: Frames,
     pub tally: FlightTally,
     pub heard: Heard,
     pub trials: Trials,
     pub rows: Vec<LogRows>,
-    /// Frames that are or were in a file.
+    /// Number of frames that are or were in a file.
     pub in_files: u64,
     pub memory: MemoryLog,
     pub drawn_bytes: f64,
-    /// Of the pictures that may wait for a disk.
+    /// Size of the pictures that may wait for a disk.
     pub queue_bytes: f64,
     pub processor: ProcessorTimes,
 }
 
 impl Run {
-    /// Prints what the run came to, and returns how many things were wrong.
+    /// Prints the results of the run, and returns the number of errors.
     pub fn report(&self) -> u64 {
         say(&self.tally);
         let Heard {
@@ -177,7 +177,7 @@ impl Run {
         wrong.len() as u64
     }
 
-    /// The camera's thread, the controller's and the soak's own (`soak`) are no part of a flight on its machine.
+    /// The threads of the camera, the controller and the soak test itself (`soak`) are not part of a flight.
     fn report_processor(&self) {
         let share = |name: &str, used: Duration| {
             let ms = 1e3 * used.as_secs_f64() / self.frames.given as f64;
@@ -239,7 +239,7 @@ impl Run {
         }
     }
 
-    /// What may be wrong, each with how often it was.
+    /// Possible errors, each with its count.
     fn wrong(&self) -> Vec<(&'static str, i64)> {
         let tally = &self.tally;
         let difference = |a: u64, b: u64| a as i64 - b as i64;
@@ -316,7 +316,7 @@ impl Run {
         wrong
     }
 
-    /// What is wrong with the frames of the horizon: each is given and shows one, and its roll goes out in time.
+    /// Errors with the frames of the horizon: each must be taken and show a horizon, and its roll must be sent in time.
     fn wrong_roll(&self) -> Vec<(&'static str, i64)> {
         let Some(roll) = &self.roll else {
             return Vec::new();
@@ -324,7 +324,7 @@ impl Run {
         let tally = &self.tally;
         let mut latencies: Vec<Duration> = tally.line.roll_latencies.iter().copied().collect();
         let late = quantile(&mut latencies, 0.99).is_none_or(|most| most > MOST_ROLL_LATENCY);
-        // A roll waits for the Sun's next frame, and that for the end of a fault.
+        // A roll waits for the Sun's next frame, which may wait for the end of a fault.
         let late = late && self.trials.injected == 0;
         vec![
             (
@@ -339,7 +339,7 @@ impl Run {
         ]
     }
 
-    /// What is wrong with the offsets by the gyros: none is lost or late, and they are as certain as they say.
+    /// Errors with the offsets by the gyros: none may be lost or late, and their sigmas must be right.
     fn wrong_navigation(&self) -> Vec<(&'static str, i64)> {
         if !self.navigates {
             return Vec::new();
@@ -348,7 +348,7 @@ impl Run {
         let (tally, line) = (&self.tally.navigation, &self.tally.line);
         let mut latencies: Vec<Duration> = line.propagated_latencies.iter().copied().collect();
         let late = quantile(&mut latencies, 0.999).is_none_or(|most| most > MOST_OFFSET_LATENCY);
-        // Among threads of other programs nobody can promise a millisecond.
+        // With other programs' threads on the machine, a millisecond cannot be guaranteed.
         let late = late && self.realtime.is_some();
         let expected = RATE_HZ * self.seconds.saturating_sub(FILTER_BEGINS_S);
         let mut wrong = vec![
@@ -356,7 +356,7 @@ impl Run {
             ("no offsets by the gyros", i64::from(run.judged == 0)),
             ("rows of the navigation lost", tally.rows_lost as i64),
         ];
-        // What else a fault of the line or the IMU costs is its own.
+        // Further costs of a fault of the line or the IMU are counted with that fault.
         if self.trials.injected > 0 {
             return wrong;
         }
@@ -383,7 +383,7 @@ impl Run {
         wrong
     }
 
-    /// What is wrong with the logs: every frame must be in one of them, no frame twice in the same, and no more rows may be
+    /// Errors in the logs: every frame must be in one of them, no frame twice in the same one, and no more rows may be
     /// missing than were refused.
     fn wrong_rows(&self, solved: u64) -> Vec<(&'static str, i64)> {
         let archive = &self.tally.archive;

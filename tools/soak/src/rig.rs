@@ -22,9 +22,9 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
-/// How often the run is checked.
+/// Interval of the checks.
 const CHECK_EVERY: Duration = Duration::from_millis(20);
-/// Snapshots among which the one with the fewest packets under way is taken.
+/// Number of snapshots, of which the one with the fewest packets in transit is used.
 const SNAPSHOTS: usize = 20;
 
 pub struct Rig {
@@ -46,7 +46,7 @@ pub struct Rig {
     number: Cell<u16>,
 }
 
-/// Everything that is counted, at one moment.
+/// All counts at one time.
 #[derive(Debug, Clone)]
 pub struct Counts {
     pub time: Instant,
@@ -62,20 +62,20 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Solutions that were sent and have not arrived.
+    /// Number of solutions that were sent and have not arrived.
     pub fn missing(&self) -> u64 {
         let sent = self.tally.counts.solutions;
         sent.saturating_sub(self.heard.solutions)
     }
 }
 
-/// The camera that sees the horizon.
+/// The camera that observes the horizon.
 pub struct RollParts {
     pub ring: Arc<Ring>,
     pub camera: MountedCamera,
 }
 
-/// What a rig is made of.
+/// The parts of a rig.
 pub struct Parts {
     pub ring: Ring,
     pub instrument: Instrument,
@@ -94,7 +94,7 @@ impl Rig {
     /// Tries to fly a second time on the same archive, and on the same saved values.
     ///
     /// # Errors
-    /// One of them was given.
+    /// If one of them was allowed.
     pub fn start_second(&self) -> anyhow::Result<()> {
         let mut config = Config::default();
         config.link.saved_values = Some(self.values.join("values.toml"));
@@ -126,7 +126,7 @@ impl Rig {
         config.link.saved_values = Some(parts.values.join("values.toml"));
         config.host.realtime_priority = parts.realtime;
         config.outputs = parts.outputs;
-        // Each camera's frames wait for two seconds and more.
+        // Each camera's queue holds more than two seconds of frames.
         config.archive.queue_frames *= 1 + usize::from(parts.roll.is_some());
         let (mut flies, mut sensors, mut imu, mut judge) = (None, None, None, None);
         if let Some(parts) = parts.navigation {
@@ -184,7 +184,7 @@ impl Rig {
         self.disks.len()
     }
 
-    /// A disk, from 0.
+    /// A disk, counted from 0.
     pub fn disk(&self, n: usize) -> &FaultyDisk {
         &self.disks[n].1
     }
@@ -197,12 +197,12 @@ impl Rig {
         &self.ring
     }
 
-    /// Processor time that the threads had used when they were last checked.
+    /// Processor time of the threads at the last check.
     pub fn processor(&self) -> ProcessorTimes {
         self.processor.borrow().clone()
     }
 
-    /// The next `count` frames of the camera meet a fault.
+    /// Applies a fault to the next `count` frames of the camera.
     pub fn fail(&self, fault: CameraFault, count: u64) {
         self.ring.fail(fault, count);
     }
@@ -217,7 +217,7 @@ impl Rig {
         self.imu.as_ref().context("imu: expected --navigation")
     }
 
-    /// A fault's name; of the IMU's, its kind.
+    /// A fault's name; for the IMU's, its kind.
     pub fn name_of(&self, fault: Fault) -> String {
         match (fault, &self.imu) {
             (Fault::Imu, Some(imu)) => format!("imu: {}", imu.name()),
@@ -225,13 +225,13 @@ impl Rig {
         }
     }
 
-    /// A whole number below 1000 that is not the last one.
+    /// An integer below 1000 that differs from the last one.
     pub fn next_number(&self) -> u16 {
         self.number.set((self.number.get() + 1) % 1000);
         self.number.get()
     }
 
-    /// Watches files and memory until then, or until the flight has ended.
+    /// Monitors files and memory until the given time, or until the flight has ended.
     pub fn wait_until(&self, then: Instant) -> anyhow::Result<()> {
         while Instant::now() < then && !self.service.is_finished() {
             self.check(false)?;
@@ -239,7 +239,7 @@ impl Rig {
         Ok(())
     }
 
-    /// One check, and a short sleep. `kept`: the sample of the memory counts for its growth.
+    /// One check, and a short sleep. `kept`: whether the memory sample counts for its growth.
     pub fn check(&self, kept: bool) -> anyhow::Result<()> {
         thread::sleep(CHECK_EVERY);
         if self.checked.get().elapsed() >= Duration::from_secs(1) {
@@ -275,7 +275,7 @@ impl Rig {
         }
     }
 
-    /// The counts at a moment with as few packets under way as may be.
+    /// The counts at a time with as few packets in transit as possible.
     pub fn counts_between_packets(&self) -> Counts {
         let mut best = self.counts();
         for _ in 1..SNAPSHOTS {

@@ -1,18 +1,18 @@
-//! When which fault is injected.
+//! Times at which the faults are injected.
 
 use crate::faults::Fault;
 use std::time::Duration;
 
-/// Before the first fault.
+/// Time before the first fault.
 const LEAD: Duration = Duration::from_secs(5);
-/// After the last fault's recovery.
+/// Time after the last fault's recovery.
 const TAIL: Duration = Duration::from_secs(2);
-/// After each fault: time to recover, and a second as before.
+/// Time after each fault: for recovery, plus a second of normal operation.
 pub const REST: Duration = Duration::from_millis(6300);
-/// Beside that, the counts take so long.
+/// Additional time for taking the counts.
 const COUNTS: Duration = Duration::from_millis(300);
 
-/// Faults in their order, each at a fixed phase of a cycle that repeats as long as the run lasts.
+/// Faults in order, each at a fixed phase of a cycle that repeats for the duration of the run.
 pub struct Schedule {
     faults: Vec<Fault>,
     duration: Duration,
@@ -20,7 +20,7 @@ pub struct Schedule {
 
 impl Schedule {
     /// # Errors
-    /// Where the run is too short for all of them.
+    /// If the run is too short for all of them.
     pub fn new(faults: Vec<Fault>, duration: Duration) -> anyhow::Result<Self> {
         let schedule = Self { faults, duration };
         let needed = (LEAD + schedule.cycle() + TAIL).as_secs() + 1;
@@ -39,7 +39,7 @@ impl Schedule {
             .sum()
     }
 
-    /// The faults with the time of each, from the start of the run, as many as the run has time for.
+    /// The faults with the time of each from the start of the run, as many as fit.
     pub fn times(&self) -> impl Iterator<Item = (Duration, Fault)> {
         let mut at = LEAD;
         let timed = self.faults.iter().cycle().map(move |fault| {

@@ -1,4 +1,4 @@
-//! Standard error into a pipe, whose reader stalls or leaves on command.
+//! Standard error redirected into a pipe, whose reader stalls or leaves on command.
 
 use std::fs::File;
 use std::io::{self, PipeReader, PipeWriter, Read, Write};
@@ -9,10 +9,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// As small as a pipe may be: a reader that stalls is felt soon.
+/// Minimum size of a pipe: a stalled reader takes effect soon.
 const PIPE_BYTES: i32 = 4096;
 
-/// The reader's end, and what standard error was before.
+/// The reader's end, and the original standard error.
 pub struct Stderr {
     before: OwnedFd,
     log: Option<Arc<File>>,
@@ -20,7 +20,7 @@ pub struct Stderr {
 }
 
 impl Stderr {
-    /// Reads standard error from now on; what comes goes to the log file, if there is one.
+    /// Reads standard error from now on; the text goes to the log file, if there is one.
     pub fn capture(log: Option<&Path>) -> io::Result<Self> {
         let stderr = Self {
             before: io::stderr().as_fd().try_clone_to_owned()?,
@@ -31,18 +31,18 @@ impl Stderr {
         Ok(stderr)
     }
 
-    /// Stops reading, or goes on.
+    /// Stops or resumes reading.
     pub fn stall(&self, stalled: bool) {
         self.stalled.store(stalled, Ordering::Relaxed);
     }
 
-    /// Standard error becomes a pipe that nobody reads.
+    /// Makes standard error a pipe without a reader.
     pub fn close(&self) -> io::Result<()> {
         let (_, writer) = io::pipe()?;
         put_in_place(&writer)
     }
 
-    /// Standard error becomes a pipe that is read.
+    /// Makes standard error a pipe with a reader.
     pub fn read(&self) -> io::Result<()> {
         let (reader, writer) = io::pipe()?;
         let bytes = nix::fcntl::FcntlArg::F_SETPIPE_SZ(PIPE_BYTES);
