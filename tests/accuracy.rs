@@ -1,5 +1,5 @@
-//! How near the truth the pipeline comes, condition by condition, and that what it says of its own error is so. The
-//! truth is the simulator's, which `tests/simulation.rs` holds against independent arithmetic.
+//! Accuracy of the pipeline, condition by condition, and calibration of its stated errors. The truth is the simulator's,
+//! which `tests/simulation.rs` compares with independent arithmetic.
 
 use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;

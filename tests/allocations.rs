@@ -1,4 +1,4 @@
-//! What a frame allocates once the program is warm.
+//! Memory allocations per frame after warm-up.
 
 use solaspect::aspect::{Expected, solve};
 use solaspect::instrument::builtin;

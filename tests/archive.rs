@@ -1,4 +1,4 @@
-//! The commands about an archive: what they count when files are lost, cut, changed or renamed.
+//! The archive commands: their counts when files are lost, truncated, changed or renamed.
 
 use crate::common::flight::{self, frames_in};
 use jiff::{SignedDuration, Timestamp};

@@ -1,4 +1,5 @@
-//! `solaspect calibrate camera` finds noise, gain, hot pixels, vignetting and blur, and says what it cannot find.
+//! `solaspect calibrate camera` determines noise, gain, hot pixels, vignetting and blur, and reports what it cannot
+//! determine.
 
 use solaspect::aspect::{self, Expected, Quality};
 use solaspect::calibrate::revision::Revision;

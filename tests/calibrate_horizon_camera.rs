@@ -1,4 +1,4 @@
-//! The optics of a camera that sees the horizon are found by its own frames, and are known as well as the file says.
+//! The optics of a horizon camera are determined from its own frames, with calibrated uncertainties in the file.
 
 use crate::common::refined::{rms, temporary};
 use nalgebra::{UnitVector3, Vector2, Vector3};

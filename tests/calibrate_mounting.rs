@@ -1,4 +1,4 @@
-//! `solaspect calibrate mounting` finds boresight, clocking and plate distance, and says what it cannot find.
+//! `solaspect calibrate mounting` determines boresight, clocking and plate distance, and reports what it cannot determine.
 
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Matrix2, Vector2};

@@ -1,4 +1,5 @@
-//! The roll camera's place on the body is found by known attitude and in flight by the Sun, as well as the file says.
+//! The roll camera's orientation on the body is determined from a known attitude, and in flight from the Sun, with
+//! calibrated uncertainties in the file.
 
 use crate::common::refined::{rms, temporary};
 use jiff::{SignedDuration, Timestamp};

@@ -1,4 +1,4 @@
-//! The cameras that need no camera: their frames, their pace, and what they take of settings.
+//! The cameras without hardware: their frames, their frame rate, and their settings.
 
 use jiff::Timestamp;
 use solaspect::aspect::{self, Expected, Quality};

@@ -1,5 +1,5 @@
-//! Cameras are data: a table in the configuration adds one, two of a role too, and nothing else needs to know. What fly and preflight call an error
-//! is the same.
+//! Cameras are data: a table in the configuration adds one, or a second of a role, without any other change. `fly` and
+//! `preflight` report the same errors.
 
 use crate::common::flight::frames_in;
 use solaspect::aspect::Quality;

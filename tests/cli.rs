@@ -1,4 +1,4 @@
-//! The program as its users meet it: arguments in, lines and exit codes out.
+//! The program from the user's view: arguments in, lines and exit codes out.
 
 use serde_json::Value;
 use std::fs;

@@ -1,4 +1,5 @@
-//! The habits that all commands share: folders of frames, built-in instruments, dates, values of options, and what is said of mistakes.
+//! Conventions shared by all commands: folders of frames, built-in instruments, dates, values of options, and error
+//! messages.
 
 use serde_json::Value;
 use std::fs;

@@ -1,4 +1,4 @@
-//! The ground console: what a browser gets of a flight, who may command it, and that nobody can disturb it.
+//! The ground console: the data for a browser, the authorisation of commands, and robustness against hostile clients.
 
 use jiff::Timestamp;
 use serde_json::{Value, json};

@@ -1,4 +1,4 @@
-//! What a frame's own marks say against the calibration outweighs it: no place is borrowed from a mapping that they contradict.
+//! A frame's own marks outweigh the calibration: no position is computed with a borrowed mapping that they contradict.
 
 use solaspect::aspect::{Expected, Quality, Solution, Stage, solve};
 use solaspect::frame::{Frame, FrameInfo, Pixels};

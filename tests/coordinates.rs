@@ -1,4 +1,4 @@
-//! What a frame's file says of the sky is where the picture shows it: sunspots, the limb, the boresight.
+//! The sky coordinates in a frame's file agree with the picture: sunspots, the limb, the boresight.
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 use solaspect::archive::{Helioprojection, Store, instrument_cards, sky_cards, tables};

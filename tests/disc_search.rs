@@ -1,5 +1,5 @@
-//! That the disc is found in poor frames, whole or cut by the sensor's edge, and that nothing else is taken for it.
-//! The truth is the simulator's. `DISC_SEARCH_FRAMES=2000` asks for as many frames of each kind.
+//! The disc is found in poor frames, whole or cut by the sensor's edge, and nothing else is mistaken for it. The truth is
+//! the simulator's. `DISC_SEARCH_FRAMES=2000` sets the number of frames of each kind.
 
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;

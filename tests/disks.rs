@@ -1,5 +1,5 @@
-//! The archive on one disk and on two, that share the work, fill up, fail, go and come back: no frame is lost while one
-//! of them works, and solving goes on when none does.
+//! The archive on one disk and on two disks that share the work, fill up, fail, disappear and return: no frame is lost
+//! while one of them works, and solving continues if none does.
 
 use crate::common::disk::{Fault, FaultyDisk};
 use crate::common::flight::{self, frames_in, numbers_in};

@@ -1,8 +1,8 @@
-//! What other programs and stored flights rely on stays byte for byte: packets both ways, housekeeping of every layout, and a frame's numbers
-//! as rows, telemetry, JSON and keywords.
+//! Formats that other programs and stored flights depend on stay the same byte for byte: packets in both directions,
+//! housekeeping of every layout, and a frame's values as rows, telemetry, JSON and keywords.
 //!
-//! `tests/data/encoded.txt` holds what was encoded from fixed inputs. With `SOLASPECT_WRITE_DATA` set it is written again: only where a
-//! change of what is on a line or a disk is wanted.
+//! `tests/data/encoded.txt` holds the encoding of fixed inputs. With `SOLASPECT_WRITE_DATA` set it is rewritten: only for
+//! an intended change of the format on a line or a disk.
 
 use jiff::Timestamp;
 use solaspect::archive::disk::LocalDisk;

@@ -1,5 +1,5 @@
-//! Promises of the files: what is written reads back as it was, frames of others are read, and a bad file is one
-//! line that names itself, the field and what was expected there.
+//! Properties of the files: written data read back unchanged, frames of other programs are read, and a bad file gives one
+//! line with its name, the field and what was expected there.
 
 use crate::allocations::counted;
 use crc::{CRC_32_ISO_HDLC, Crc};

@@ -1,5 +1,5 @@
-//! A flight survives what happens to it: a camera that panics, hangs or cannot be opened, a program that is asked to end, a
-//! clock that makes a step.
+//! A flight survives faults: a camera that panics, hangs or cannot be opened, a request to end the program, a step of the
+//! clock.
 
 use crate::common::disk::{Fault, FaultyDisk};
 use crate::common::flight::{dark_frame, frames_in};

@@ -1,5 +1,5 @@
-//! A folder that another program fills: each frame is taken once, when its file is whole, and none is lost or repeated, whatever becomes of writer, thread and
-//! program.
+//! A folder that another program fills: each frame is taken once, when its file is complete, and none is lost or repeated,
+//! whatever happens to writer, thread and program.
 
 use crate::common::flight::{frames_in, numbers_in};
 use crossbeam_channel::unbounded;

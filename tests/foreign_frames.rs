@@ -1,5 +1,5 @@
-//! Promises of frames that other programs wrote: what the Sun's place does not need never costs a frame, what is read of it is right, and
-//! nothing that is not used as it stands goes unsaid.
+//! Properties of reading frames from other programs: values that the Sun's position does not need never cost a frame, the
+//! values that are read are right, and every value that is not used as stored is reported.
 //!
 //! The frame is one of `tests/data/frames`, whose truth is that of an independent generator.
 

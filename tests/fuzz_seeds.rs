@@ -1,4 +1,4 @@
-//! Whatever comes from outside, nothing panics: the kept seeds of the fuzz targets, replayed.
+//! No external input causes a panic: the stored seeds of the fuzz targets, replayed.
 
 #[path = "../fuzz/inputs.rs"]
 mod inputs;

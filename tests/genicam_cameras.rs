@@ -1,5 +1,5 @@
-//! Cameras that Aravis opens, whatever they are attached by, against Aravis's fake device: it is no GigE Vision camera, and has neither
-//! pre-amplifier nor thermometer.
+//! Cameras opened by Aravis, with any interface, tested with Aravis's fake device: it is not a GigE Vision camera, and has
+//! neither pre-amplifier nor thermometer.
 
 use crate::common::camera::{absent, frame, next};
 use crate::common::flight::numbers_in;

@@ -1,4 +1,5 @@
-//! The path of a gondola that rests, swings, slews and steps is known as well as it says, whatever it does next.
+//! The path of a gondola that rests, swings, slews and steps is determined with calibrated uncertainties, whatever it does
+//! next.
 
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};

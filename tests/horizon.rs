@@ -1,4 +1,4 @@
-//! The nadir of simulated frames of the Earth's limb is the one they were made with, and is known as well as it says.
+//! The nadir of simulated frames of the Earth's limb agrees with the true one, with calibrated uncertainties.
 
 use nalgebra::{Matrix3, Rotation3, UnitVector3, Vector3};
 use rayon::prelude::*;

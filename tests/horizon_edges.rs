@@ -1,4 +1,4 @@
-//! What is a limb and what has an edge without being one: an answer says so, and so does the truth of a drawn scene.
+//! Limbs, and edges that are not limbs: the solution distinguishes them, and so does the truth of a drawn scene.
 
 use super::horizon::{camera, picture_of_disc, rocket, solaspect, sphere};
 use nalgebra::{Rotation3, UnitVector3, Vector3};

@@ -1,4 +1,5 @@
-//! How well an edge determines roll and pitch, by height, field, resolution and atmosphere: Braun and Barf 2022, section 4, figures 19 to 22.
+//! Uncertainty of roll and pitch from an edge, by height, field, resolution and atmosphere: Braun and Barf 2022, section 4,
+//! figures 19 to 22.
 
 use nalgebra::{UnitVector3, Vector3};
 use solaspect::geometry::camera::CameraModel;

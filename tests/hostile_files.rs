@@ -1,5 +1,5 @@
-//! Files that are none: what a path may name beside a regular file, and numbers that no instrument has. Each is an error that names file and
-//! reason, and nothing is waited for.
+//! Invalid files: paths that are not regular files, and numbers that are impossible for an instrument. Each is an error
+//! that names file and reason, and nothing blocks.
 
 use crate::common::flight::frames_in;
 use solaspect::config::Config;

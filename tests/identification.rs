@@ -1,5 +1,5 @@
-//! A mark never gets another mark's name. The truth is the drawing, printed with scatter and seen through mappings of
-//! the test's own making; no pixels are involved, so thousands of plates can be read in seconds.
+//! A mark never gets another mark's id. The truth is the drawing, printed with scatter and mapped by the test's own
+//! mappings; no pixels are involved, so thousands of plates can be tested in seconds.
 
 use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector2, Vector3};
 use rand::seq::SliceRandom;

@@ -1,6 +1,6 @@
-//! Imports run in no circle, between the files of the library and between its folders.
+//! Imports are acyclic, between the files of the library and between its folders.
 //!
-//! A file may import from the module that contains it: only imports to the side are counted.
+//! A file may import from the module that contains it: only imports between siblings are counted.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

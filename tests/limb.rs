@@ -1,4 +1,4 @@
-//! The limb of a real Sun is found where its own header says it is; what softens a limb is measured.
+//! The limb of a real Sun is found where its header states it; the softening of a limb is measured.
 
 use solaspect::aspect::{self, Expected, Pipeline, Quality};
 use solaspect::fits;

@@ -1,5 +1,5 @@
-//! The flight service at the end of a serial line: commands, a restart, a line that goes away. The camera sees nothing but
-//! darkness, so that every frame has an error and costs little.
+//! The flight service at the end of a serial line: commands, a restart, a lost line. All frames are dark, so that every
+//! frame has an error and costs little time.
 
 use jiff::Timestamp;
 use solaspect::archive::Store;

@@ -1,4 +1,4 @@
-//! The promises that solaspect keeps, one file for each, linked as one program.
+//! The tests of solaspect's properties, one file for each, linked as one program.
 
 mod common;
 

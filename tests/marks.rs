@@ -1,5 +1,5 @@
-//! Marks are found where they are: every fully lit one, nothing that is none, and their places to the noise. The truth is
-//! the simulator's, which `tests/simulation.rs` holds against independent arithmetic.
+//! Marks are found at their positions: every fully lit one, no false ones, with errors at the level of the noise. The truth
+//! is the simulator's, which `tests/simulation.rs` compares with independent arithmetic.
 
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;

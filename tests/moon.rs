@@ -1,4 +1,4 @@
-//! The Moon's centre in a picture, whatever its phase and however it is turned, as good as it says.
+//! The Moon's centre in a picture, at any phase and orientation, with calibrated uncertainties.
 
 use nalgebra::Vector2;
 use rayon::prelude::*;

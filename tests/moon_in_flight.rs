@@ -1,4 +1,4 @@
-//! The Moon camera in flight: its frames are solved and stored, and requests over the line are answered with what it sees.
+//! The Moon camera in flight: its frames are solved and stored, and requests over the line are answered with the results.
 
 use crate::common::flight::frames_in;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};

@@ -1,4 +1,4 @@
-//! Attitude by gyros: what goes in is checked, what comes out is as good as it says.
+//! Attitude by gyros: the input is checked, and the output has calibrated uncertainties.
 
 use nalgebra::{Matrix3, UnitVector3, Vector3};
 use rayon::prelude::*;

@@ -1,4 +1,5 @@
-//! The filter in flight: frames, an IMU on the controller's line and a GPS receiver of its own, with offsets by the gyros while the Sun is away.
+//! The filter in flight: frames, an IMU on the controller's line and a separate GPS receiver, with offsets by the gyros
+//! while no Sun is visible.
 
 use solaspect::demo::{self, Demo};
 use solaspect::navigation::files::{read_gps, read_imu};

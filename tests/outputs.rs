@@ -1,5 +1,5 @@
-//! What other programs read of a flight: the solutions that it found and the telemetry that it sent, each reader as much as it takes, and none at
-//! the cost of the controller's line.
+//! Outputs of a flight for other programs: the solutions and the telemetry, for each reader as much as it takes, without
+//! any effect on the controller's line.
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};
 use jiff::{SignedDuration, Timestamp};

@@ -1,4 +1,4 @@
-//! A camera and a controller that others write fly with configuration, line and archive.
+//! A camera and a controller implemented by users fly with configuration, line and archive.
 
 use crate::common::flight::frames_in;
 use jiff::Timestamp;

@@ -1,4 +1,4 @@
-//! The gain that `calibrate camera` finds from evenly lit frames is right on average, and its sigma is its error's.
+//! The gain that `calibrate camera` determines from evenly lit frames is unbiased, and its sigma is calibrated.
 
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, Poisson, StandardNormal};

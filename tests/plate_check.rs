@@ -1,4 +1,4 @@
-//! A plate's check before it is made: what it calls safe is read, and what it calls ambiguous is not.
+//! The check of a plate before it is made: safe places are identified, and ambiguous ones are not.
 
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;

@@ -1,5 +1,5 @@
-//! The Sun on the plate gives where the telescope points, by both rules of directions: at the telescope, and at the Sun as the
-//! HEROES flight program had it.
+//! The pointing from the Sun on the plate, by both rules of directions: at the telescope, and at the Sun as in the HEROES
+//! flight program.
 
 use jiff::Timestamp;
 use nalgebra::{Matrix2, Rotation3, UnitVector3, Vector2, Vector3};

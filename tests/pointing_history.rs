@@ -1,5 +1,5 @@
-//! Where a refined flight's telescope pointed at any time: photons come back to where on the Sun they came from, as well as is stated, and
-//! cameras that contradict the gyros are noticed.
+//! The pointing of a refined flight's telescope at any time: photons are mapped to their origin on the Sun with calibrated
+//! uncertainties, and cameras that contradict the gyros are detected.
 
 use crate::common::refined::{Columns, command, refine, rms, summary, temporary};
 use crate::common::sun_picture::SunPicture;

@@ -1,7 +1,7 @@
-//! A frame's file is whole or absent, whenever the power goes.
+//! A frame's file is complete or absent, whenever the power fails.
 //!
-//! Twice over: on a model of a disk that loses what was not brought to it, cut after every single step; and with a
-//! process that is killed, at step boundaries and at random moments, while it writes to a real disk.
+//! Tested in two ways: on a model of a disk that loses data not yet synchronised, cut after every single step; and with a
+//! process that is killed, at step boundaries and at random times, while it writes to a real disk.
 
 use crate::common::disk::{Memory, PausingDisk, Persisted};
 use crate::common::flight::{dark_frame, frames_in};

@@ -1,4 +1,4 @@
-//! What `solaspect preflight` and `solaspect config check` say before a flight.
+//! Reports of `solaspect preflight` and `solaspect config check` before a flight.
 
 use crate::common::disk::{Fault, FaultyDisk};
 use jiff::{Timestamp, civil::Date, tz::Offset};

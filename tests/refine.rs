@@ -1,4 +1,5 @@
-//! A flight refined: what is said of a simulated one, held against its truth, killed and run again, in parts and merged.
+//! Refinement of a simulated flight: the results are compared with its truth, after interruptions and restarts, in parts
+//! and merged.
 
 use crate::common::refined::{Columns, command, quantile, refine, rms, summary, temporary};
 use rand::RngExt;

@@ -1,5 +1,5 @@
-//! What `refine` makes of an archive's files: a frame counts once, times that contradict others sharpen nothing, and what could not be
-//! read is counted.
+//! Handling of an archive's files by `refine`: a frame counts once, contradictory times do not reduce the uncertainty, and
+//! unreadable files are counted.
 
 use crate::common::refined::{Columns, command, refine, summary, temporary};
 use jiff::{SignedDuration, Timestamp};

@@ -1,4 +1,4 @@
-//! A flight refined with its IMU: the attitude at the frames and between them, also while no frame shows the Sun.
+//! Refinement of a flight with its IMU: the attitude at the frames and between them, also while no frame shows the Sun.
 
 use crate::common::refined::{Columns, command, refine, rms, temporary};
 use jiff::Timestamp;

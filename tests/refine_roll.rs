@@ -1,4 +1,5 @@
-//! The roll camera's frames refined: roll and pitch as good as they say, the offsets turned by them, flagged frames with pictures.
+//! Refinement of the roll camera's frames: roll and pitch with calibrated uncertainties, the offsets corrected for them,
+//! flagged frames with pictures.
 
 use crate::common::refined::{Columns, command, refine, rms, temporary};
 use jiff::{SignedDuration, Timestamp};

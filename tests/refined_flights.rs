@@ -1,5 +1,5 @@
-//! A refined history is nowhere worse than its frames, whatever the gondola, its clock and its cameras do; and frames of another
-//! camera are never taken for its own.
+//! A refined history is nowhere worse than its frames, whatever the gondola, its clock and its cameras do; and frames of
+//! another camera are never mistaken for its own.
 
 use crate::common::refined::{Columns, command, refine, rms, summary, temporary};
 use jiff::{SignedDuration, Timestamp};

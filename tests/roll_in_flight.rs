@@ -1,4 +1,5 @@
-//! The roll camera's horizon gives the gondola's roll to the solutions of the Sun, and costs them nothing when it is lost.
+//! The roll camera's horizon provides the gondola's roll to the solutions of the Sun, and does not affect them if it is
+//! lost.
 
 use crate::common::flight::frames_in;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};

@@ -1,4 +1,4 @@
-//! A refinement in parts, from object storage, and of files that cannot be read for now.
+//! A refinement in parts, from object storage, and with temporarily unreadable files.
 
 use crate::common::refined::{Columns, command, refine, temporary};
 use std::fs;

@@ -1,4 +1,4 @@
-//! The Sun's path of a simulated flight keeps its promises.
+//! Properties of the Sun's path of a simulated flight.
 
 use solaspect::instrument::{Instrument, builtin, builtin_names};
 use solaspect::simulate::{FlightScenes, MAX_SLEW_DEG_PER_S, SUN_RADIUS_ARCSEC, Trajectory};

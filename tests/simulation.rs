@@ -1,5 +1,5 @@
-//! Simulated pictures show what their truth says. Truth here comes from moments, brute force and hand arithmetic,
-//! never from the renderer.
+//! Simulated pictures agree with their truth. The test computes it from moments, brute force and hand arithmetic, never
+//! from the renderer.
 
 use nalgebra::Vector2;
 use solaspect::frame::{Frame, Pixels};

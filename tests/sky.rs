@@ -1,4 +1,4 @@
-//! The Sun and the Moon stand, and are turned, as astropy and sunpy say; the Earth as the IERS says.
+//! Positions and orientations of Sun and Moon agree with astropy and sunpy; those of the Earth with the IERS.
 
 use jiff::Timestamp;
 use serde_json::Value;

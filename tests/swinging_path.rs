@@ -1,4 +1,5 @@
-//! The path of a gondola that swings is better than its frames by what a swing leaves free, and as good as it says.
+//! The path of a swinging gondola is more accurate than its frames, as far as the swing model allows, with calibrated
+//! uncertainties.
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};

@@ -1,4 +1,4 @@
-//! What a prior does to a frame's solution: it spares work, and decides nothing.
+//! Effect of a prior on a frame's solution: it saves work, but does not change the result.
 
 use nalgebra::{Matrix2, Vector2};
 use solaspect::aspect::{Adopted, Expected, Mark, Quality, Solution, Track, solve};

@@ -1,4 +1,4 @@
-//! Frames that a file rests on already.
+//! Frames that an existing file is already based on.
 
 use super::scenes::{K1, near, pose_folder, similarity, truth};
 use solaspect::calibrate::plate::{self, Beginning, Counted};

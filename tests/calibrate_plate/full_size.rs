@@ -1,4 +1,4 @@
-//! The numbers that the documentation states, in full size.
+//! The numbers stated in the documentation, in full size.
 
 use super::judged::{errors, lens_difference, seen_often};
 use super::scenes::{K1, calibrate, pose_folder, truth};

@@ -1,4 +1,4 @@
-//! What was measured, held against the truth.
+//! Measurements compared with the truth.
 
 use nalgebra::Vector2;
 use solaspect::calibrate::plate::{Calibration, MeasuredMark};

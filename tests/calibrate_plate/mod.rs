@@ -1,4 +1,4 @@
-//! The plate's calibration against simulated frames of which the truth is known.
+//! The plate's calibration from simulated frames with known truth.
 
 mod counted;
 mod folders;

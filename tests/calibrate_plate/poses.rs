@@ -1,4 +1,4 @@
-//! Poses that nobody named: all frames in one folder.
+//! Unnamed poses: all frames are in one folder.
 
 use super::scenes::{K1, calibrate, near, pose_folder, truth};
 use solaspect::calibrate::plate;

@@ -1,4 +1,4 @@
-//! Simulated frames and observations of a plate that is known.
+//! Simulated frames and observations of a known plate.
 
 use nalgebra::Matrix2;
 use rand::{RngExt, SeedableRng};

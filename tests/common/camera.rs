@@ -1,4 +1,4 @@
-//! What a camera gives, whatever fails before it.
+//! The next exposure of a camera, after any number of errors.
 
 use solaspect::camera::{Exposure, FrameSource, Take};
 use solaspect::frame::Frame;

@@ -1,4 +1,4 @@
-//! Flights in the dark, frame by frame, and what is found of them on a disk.
+//! Flights with dark frames, frame by frame, and the resulting files on a disk.
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use jiff::{SignedDuration, Timestamp};

@@ -1,4 +1,4 @@
-//! What several tests of the archive and the service share.
+//! Shared code of the tests of archive and service.
 #![allow(dead_code, unused_imports)] // Each test takes what it needs.
 
 pub mod camera;

@@ -1,4 +1,4 @@
-//! Refining an archive with the program, and reading what comes out.
+//! Refining an archive with the program, and reading the results.
 
 use solaspect::fits::{self, Table, Values};
 use std::fs;

@@ -1,4 +1,4 @@
-//! The Sun as HMI saw it: photons are drawn from it, and an image of them is laid on it again.
+//! The Sun observed by HMI: photons are drawn from the picture, and an image made from them is compared with it.
 
 use nalgebra::{SMatrix, SVector};
 use rand::RngExt;

@@ -1,4 +1,4 @@
-//! What the command prints, and how fast it is.
+//! The command's output, and its speed.
 
 use super::flight::troubled;
 use super::image_options::WITH_FIELD;

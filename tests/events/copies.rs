@@ -1,4 +1,4 @@
-//! What a copy keeps, and under which names.
+//! Contents and names of copies.
 
 use super::flight::SECONDS;
 use super::lists::*;

@@ -1,4 +1,4 @@
-//! A pointing made by hand: the telescope turns at a constant rate before a Sun that stands still.
+//! A synthetic pointing: the telescope rotates at a constant rate in front of a fixed Sun.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use solaspect::pointing_history::{Basis, PointingHistory, Second, State};

@@ -1,5 +1,5 @@
-//! A known picture of the Sun, from which photons are drawn in an hour of slews and swings, comes back where it was, and its exposure is the
-//! time for which a field was over each pixel.
+//! Photons are drawn from a known picture of the Sun during an hour of slews and swings: the reconstructed image agrees
+//! with it, and its exposure map is the time for which the field covered each pixel.
 
 use super::flight::{ARCSEC, START_S, level};
 use super::lists::*;

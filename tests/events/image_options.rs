@@ -1,4 +1,4 @@
-//! What an image counts where, by its options; and what is refused.
+//! Effect of the image options on the counts; and rejected options.
 
 use super::flight::{ARCSEC, SECONDS, START_S, attitude, troubled, truth_arcsec};
 use super::lists::Key::{Number, Whole};

@@ -1,4 +1,4 @@
-//! Good time intervals are those in which the pointing is valid, too.
+//! Good time intervals are restricted to the times of valid pointing.
 
 use super::copies::parts;
 use super::flight::*;

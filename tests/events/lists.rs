@@ -1,4 +1,4 @@
-//! Event lists, written and read by cfitsio, and what is made of them.
+//! Event lists, written and read by cfitsio, and the lists derived from them.
 
 use super::flight::{
     MIDNIGHT_S, MJD_OF_MIDNIGHT, SECONDS, START_S, attitude, seconds, states, truth_arcsec,

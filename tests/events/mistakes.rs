@@ -1,4 +1,4 @@
-//! Mistakes and garbage: errors that say where, counts that say why, and no copy of half a list.
+//! Invalid input: errors that name the place, counts with reasons, and no copy of half a list.
 
 use super::copies::rich_file;
 use super::flight::*;

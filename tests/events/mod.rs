@@ -1,6 +1,7 @@
-//! Photons are put on the Sun where the telescope's rotation says, as exactly as their sigmas say, and what else an event list holds stays.
+//! Photons are mapped to the Sun by the telescope's rotation, with calibrated sigmas, and the other contents of an event
+//! list are preserved.
 //!
-//! The pointing is made by hand, so that the truth is a product of rotations. Event lists are written and read by cfitsio.
+//! The pointing is synthetic, so that the truth is a product of rotations. Event lists are written and read by cfitsio.
 
 mod command;
 mod copies;

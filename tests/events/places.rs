@@ -1,4 +1,4 @@
-//! Where photons land, and how well that is known.
+//! Positions of photons, and their uncertainty.
 
 use super::flight::*;
 use super::lists::Key::{Number, Text, Whole};

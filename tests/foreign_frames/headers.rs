@@ -1,4 +1,4 @@
-//! Header values of other programs: each where it is used, or warned of.
+//! Header values of other programs: each is either used, or reported in a warning.
 
 use super::*;
 use jiff::Timestamp;

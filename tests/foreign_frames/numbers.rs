@@ -1,4 +1,4 @@
-//! Pixels as other programs store them.
+//! Pixels as stored by other programs.
 
 use super::*;
 

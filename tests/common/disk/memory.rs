@@ -1,4 +1,4 @@
-//! A disk without power.
+//! A model of a disk that loses power.
 
 use solaspect::archive::disk::{Absent, Disk, DiskFile, Entry, EntryKind, Lock, Space};
 use std::collections::BTreeMap;

@@ -1,4 +1,4 @@
-//! Disks to test the archive with, behind the trait of the real one.
+//! Test disks for the archive, which implement the trait of the real disk.
 
 mod faulty;
 mod memory;

@@ -1,4 +1,4 @@
-//! A disk that stops before a step, so that its writer may be killed there.
+//! A disk that stops before a step, so that the writing process can be killed there.
 
 use solaspect::archive::disk::{Absent, Disk, DiskFile, Entry, LocalDisk, Lock, Space};
 use std::io::{self, Write};
