@@ -71,8 +71,8 @@ impl From<io::Error> for Unread {
 /// # Errors
 /// [`Unread::Io`] and [`Unread::Kind`].
 pub fn open_regular(path: &Path) -> Result<File, Unread> {
-    // To open a pipe waits for its writer, and to open a device may do something. What was opened may be another file than what was
-    // checked: it does not wait, and is checked again.
+    // Opening a pipe blocks until it has a writer, and opening a device may have side effects. The opened file may differ
+    // from the checked one: so it is opened without blocking, and checked again.
     check_regular(&std::fs::metadata(path)?)?;
     let flags = OFlag::O_NONBLOCK.bits();
     let file = File::options().read(true).custom_flags(flags).open(path)?;
@@ -80,7 +80,7 @@ pub fn open_regular(path: &Path) -> Result<File, Unread> {
     Ok(file)
 }
 
-/// Opens what a log is read from, from its beginning to its end: a regular file, or a pipe that was named on purpose.
+/// Opens a log for sequential reading: a regular file, or a pipe that was named explicitly.
 ///
 /// # Errors
 /// [`Unread::Io`] and [`Unread::Kind`].
@@ -92,10 +92,10 @@ pub fn open_log(path: &Path) -> Result<File, Unread> {
     Ok(File::open(path)?)
 }
 
-/// The bytes of a log, as [`open_log`] opens it.
+/// The bytes of a log, opened by [`open_log`].
 ///
 /// # Errors
-/// As there.
+/// As [`open_log`].
 pub fn read_log(path: &Path) -> Result<Vec<u8>, Unread> {
     let mut bytes = Vec::new();
     open_log(path)?.read_to_end(&mut bytes)?;
@@ -110,10 +110,10 @@ fn check_regular(metadata: &Metadata) -> Result<(), Unread> {
     }
 }
 
-/// The bytes of a regular file, `most` at most, however long that takes.
+/// The bytes of a regular file, at most `most`, without a time limit.
 ///
 /// # Errors
-/// All of [`Unread`] but [`Unread::Text`] and [`Unread::Silent`].
+/// All of [`Unread`] except [`Unread::Text`] and [`Unread::Silent`].
 pub fn read_patiently(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
     let mut bytes = read_start(path, most.saturating_add(1))?;
     if bytes.len() as u64 > most {
@@ -123,7 +123,7 @@ pub fn read_patiently(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
     Ok(bytes)
 }
 
-/// The first bytes of a regular file, so many at most.
+/// The first bytes of a regular file, at most `most`.
 ///
 /// # Errors
 /// [`Unread::Io`] and [`Unread::Kind`].
@@ -138,7 +138,7 @@ pub fn read_start(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
 /// The bytes of a regular file, at most `most`. If the disk hangs, the read is abandoned on its own thread.
 ///
 /// # Errors
-/// All of [`Unread`] but [`Unread::Text`].
+/// All of [`Unread`] except [`Unread::Text`].
 pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, Unread> {
     let path = path.to_owned();
     within(PATIENCE, move || read_patiently(&path, most))

@@ -17,7 +17,7 @@ const MOST_SPACING_PX: f64 = 40.0;
 const ACROSS: f64 = 8.0;
 const RASTER_LINES: usize = 24;
 /// Quantiles of the pixels: of the dark sky, and the share above the bright level, of which a thousandth may be the Sun. If
-/// the Sun is searched, the share is a part of the Sun's.
+/// the Sun is searched, the share is a fraction of the Sun's area.
 const DARK_SHARE: f64 = 0.02;
 const BRIGHT_SHARE: f64 = 0.005;
 const PART_OF_SPHERE: f64 = 0.25;

@@ -8,7 +8,7 @@
 //! focal_px = [888.97, 888.97]      # fx, fy
 //! kannala_brandt = [1.0, -0.05, 0.01, 0.0, 0.0]   # k1 to k5; unset, the lens makes no distortion
 //! body_from_camera = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]   # three rows
-//! mask_px = [[0, 900, 300, 1080]]  # x0, y0, x1, y1: what the vehicle's own parts hide; x1 and y1 are not hidden
+//! mask_px = [[0, 900, 300, 1080]]  # x0, y0, x1, y1 of the vehicle's own parts; x1 and y1 are excluded
 //! ```
 //!
 //! A number may have its 1-sigma, source and date beside it, as in an instrument's file: `{ value = 1920, source = "...", date = 2026-11-22 }`.
