@@ -94,15 +94,6 @@ impl MarkFit<'_> {
                 moved /= 2.0;
             }
             last_move = moved;
-            if std::env::var_os("DBG").is_some() {
-                eprintln!(
-                    "step {step_number} {:?} moved {:.5} contrast {:.4} even {:.4}",
-                    unknowns[X],
-                    moved.norm(),
-                    unknowns[CONTRAST],
-                    unknowns[3]
-                );
-            }
             let settled = step_number > 0 && moved.norm() < SETTLED_PX;
             let settled = settled.then(|| solve(reduced_chi2));
             step.fixed_rows_mut::<2>(X).copy_from(&moved);
