@@ -182,8 +182,8 @@ pub(super) struct Sky<'a> {
     /// Transformation from north, east, down, in metres, to that frame.
     scaled_from_local: Matrix3<f64>,
     pattern: Pattern,
-    brightness: AlongLimb,
-    height: AlongLimb,
+    /// Relative brightness; height, m.
+    along_limb: AlongLimb,
     sunlight: Option<Sunlight>,
     /// Angle from the nadir to the ground's edge.
     edge_angle_rad: f64,
@@ -203,10 +203,9 @@ impl<'a> Sky<'a> {
         ]);
         let scaled_from_local = Matrix3::from_diagonal(&axes.map(f64::recip)) * local;
         let air = conditions.air;
-        let along = |sigma, purpose| {
-            let random = generator(scene.seed, purpose, scene.weather);
-            AlongLimb::new(sigma, air.length_deg, random)
-        };
+        let random = [Purpose::LimbBrightness, Purpose::LimbHeight]
+            .map(|purpose| generator(scene.seed, purpose, scene.weather));
+        let sigmas = [air.varies_by, air.varies_by_m];
         Self {
             scene,
             place: shape
@@ -214,8 +213,7 @@ impl<'a> Sky<'a> {
                 .component_div(&axes),
             scaled_from_local,
             pattern: Pattern::new(Purpose::Clouds, scene.seed, scene.weather),
-            brightness: along(air.varies_by, Purpose::LimbBrightness),
-            height: along(air.varies_by_m, Purpose::LimbHeight),
+            along_limb: AlongLimb::new(sigmas, air.length_deg, random),
             sunlight: Sunlight::of(scene),
             edge_angle_rad: scene.edge_angle_rad(),
         }
@@ -239,12 +237,13 @@ impl<'a> Sky<'a> {
         if passage.height_m > conditions.air.top_m() {
             return 0.0;
         }
+        let along_limb = self.along_limb.at(ray);
         let air = Air {
-            brightness_dn: conditions.air.brightness_dn * (1.0 + self.brightness.at(ray)),
+            brightness_dn: conditions.air.brightness_dn * (1.0 + along_limb.x),
             ..conditions.air
         };
         let passage = Passage {
-            height_m: passage.height_m - self.height.at(ray),
+            height_m: passage.height_m - along_limb.y,
             ..passage
         };
         let depth = passage.depth(&air);

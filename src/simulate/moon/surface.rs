@@ -4,8 +4,9 @@ use super::{MoonConditions, MoonScene};
 use crate::moon::Shading;
 use crate::simulate::Purpose;
 use crate::simulate::coverage::Footprint;
-use crate::simulate::texture::{Pattern, Random};
+use crate::simulate::texture::{LastCell, Pattern, Random};
 use nalgebra::{Rotation3, Vector2, Vector3};
+use std::array::from_fn;
 
 /// Amplitude of the albedo; number of cells of its largest pattern across the radius; amplitude of value noise in five octaves about its mean of 0.5.
 const ALBEDO: f64 = 0.25;
@@ -123,12 +124,14 @@ impl Ground {
 /// Craters of some sizes: intersections of the sphere with balls at random places in the cells of space. Each is a bowl with a rim.
 struct Craters {
     random: Random,
+    /// The craters around the last cell, for each size.
+    around: [LastCell<[Crater; 8]>; Self::SIZES],
 }
 
 impl Craters {
     /// Cell size of the largest craters, in radii; each further size is half the previous one.
     const CELL: f64 = 0.2;
-    const SIZES: u32 = 3;
+    const SIZES: usize = 3;
     /// Radii of the balls, in cells.
     const RADII: [f64; 2] = [0.25, 0.5];
     /// Depth over radius, so that the ground's rms height is a thousandth of the Moon's radius.
@@ -137,6 +140,7 @@ impl Craters {
     fn new(seed: u64, number: u64) -> Self {
         Self {
             random: Random::new(Purpose::Craters, seed, number),
+            around: from_fn(|_| LastCell::none()),
         }
     }
 
@@ -146,9 +150,8 @@ impl Craters {
         for size in 0..Self::SIZES {
             let cell = Self::CELL / f64::from(1 << size);
             let first = (place / cell).map(|v| (v - 0.5).floor());
-            for n in 0..8 {
-                let offset = Vector3::new(n & 1, n >> 1 & 1, n >> 2 & 1).map(f64::from);
-                let crater = self.crater(&(first + offset), size, cell);
+            let around = || self.craters(&first, size, cell);
+            for crater in self.around[size].value(&first, around) {
                 let (deeper, steeper) = crater.at(place);
                 height += deeper;
                 slope += steeper;
@@ -157,8 +160,16 @@ impl Craters {
         (height, slope)
     }
 
-    fn crater(&self, corner: &Vector3<f64>, size: u32, cell: f64) -> Crater {
-        let draw = |n: u64| self.random.at(corner, 4 * u64::from(size) + n);
+    /// The craters of a cell and of its seven neighbours towards +x, +y and +z.
+    fn craters(&self, first: &Vector3<f64>, size: usize, cell: f64) -> [Crater; 8] {
+        from_fn(|n| {
+            let offset = [n & 1, n >> 1 & 1, n >> 2 & 1].map(|step| step as f64);
+            self.crater(&(first + Vector3::from(offset)), size, cell)
+        })
+    }
+
+    fn crater(&self, corner: &Vector3<f64>, size: usize, cell: f64) -> Crater {
+        let draw = |n: u64| self.random.at(corner, 4 * size as u64 + n);
         let [least, most] = Self::RADII;
         Crater {
             centre: (corner + Vector3::new(draw(0), draw(1), draw(2))) * cell,
@@ -167,6 +178,7 @@ impl Craters {
     }
 }
 
+#[derive(Clone, Copy)]
 struct Crater {
     centre: Vector3<f64>,
     radius: f64,
