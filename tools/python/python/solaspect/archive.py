@@ -111,7 +111,7 @@ class Archive:
             return _image(hdus).data
 
     def header(self, frame: PathLike) -> Header:
-        """A frame's keywords: docs/keywords.md says what they mean."""
+        """A frame's keywords: docs/keywords.md explains them."""
         from astropy.io import fits
 
         with fits.open(self.directory / frame) as hdus:
@@ -177,7 +177,7 @@ class Refined:
         return json.loads((self.directory / "summary.json").read_text(), object_pairs_hook=_with_new_names)
 
     def aspect(self) -> Table:
-        """A row for each frame; what is not known is NaN. `UTC` is an astropy `Time`, masked there. docs/refine-reference.md lists the columns."""
+        """A row for each frame; unknown values are NaN. `UTC` is an astropy `Time`, masked there. docs/refine-reference.md lists the columns."""
         table = self._table("ASPECT")
         table["UTC"] = _times(table["UTC"])
         return table

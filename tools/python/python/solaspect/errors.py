@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class SolaspectError(Exception):
-    """A file, or what it holds, that cannot be used.
+    """A file that cannot be used, by itself or for its content.
 
     Arguments of a wrong type, shape or value are a `TypeError` or `ValueError` that begins with the argument's name.
 

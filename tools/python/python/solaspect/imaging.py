@@ -33,7 +33,7 @@ def image(
     layer: Layer = "counts",
     out: PathLike | None = None,
 ) -> GenericMap:
-    """The image that photons make on the Sun, as `solaspect events --image` writes it; docs/events.md says what counts.
+    """The image that photons make on the Sun, as `solaspect events --image` writes it; docs/events.md states which photons count.
 
     Parameters
     ----------

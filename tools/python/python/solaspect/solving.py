@@ -40,26 +40,26 @@ def solve(
         An `Instrument`, the path of its file, or the name of a built-in one; "demo" if not given. A file is read in every call: for
         many frames load it once.
     time
-        Mid-exposure, with its zone: text ("2013-09-21T18:00:00Z"), a `datetime` with `tzinfo`, or an astropy `Time`. It says how
-        large the Sun is. Without it the radius is free.
+        Mid-exposure, with its zone: text ("2013-09-21T18:00:00Z"), a `datetime` with `tzinfo`, or an astropy `Time`. It gives the
+        Sun's radius; without it the radius is free.
     place
         Latitude (deg), longitude (deg, east positive) and height (m), or an astropy `EarthLocation`. With it and `time` the solution
         has an offset.
     target
         Where the telescope should point, (x, y) in arcsec from the Sun's centre towards solar west and north; the centre if not given.
     prior
-        The `track` of the previous frame's solution: the Sun is searched there first.
+        The `track` of the previous frame's solution: the search starts there.
     saturation_dn
         The value at which a pixel saturates. If not given: 255 for uint8; for uint16 4095, or 65535 if a pixel is brighter.
     corner_px
-        Column and row of the sensor at which the array begins, where only a part of the sensor was read.
+        Column and row of the sensor at which the array begins, if only a part of the sensor was read.
 
     Raises
     ------
     TypeError, ValueError
-        An argument that cannot be, by its name. A frame without a Sun is no error: its `quality` is "none" and `reason` says why.
+        An invalid argument; the message names it. A frame without a Sun is not an error: its `quality` is "none" and `reason` gives the reason.
     SolaspectError
-        An instrument's file that cannot be used.
+        An instrument file that cannot be used.
 
     Examples
     --------
