@@ -39,7 +39,7 @@ fn stderr(output: &Output) -> &str {
     std::str::from_utf8(&output.stderr).unwrap()
 }
 
-/// Frames a quarter of a second apart, from just before the hour on: two folders.
+/// Frames every 0.25 s from 1 s before the hour, so that they fill two folders.
 fn info(number: usize) -> FrameInfo {
     let start: Timestamp = "2013-09-21T17:59:59.000Z".parse().unwrap();
     let since = SignedDuration::from_millis(250 * number as i64);
@@ -50,7 +50,7 @@ fn info(number: usize) -> FrameInfo {
     }
 }
 
-/// A small archive of uneven grey, and its files in order.
+/// A small archive of frames with a grey pattern, and its files in order.
 fn small(compression: Compression) -> (TempDir, Vec<PathBuf>) {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path(), "demo", compression).unwrap();
@@ -68,7 +68,7 @@ fn small(compression: Compression) -> (TempDir, Vec<PathBuf>) {
     (root, files)
 }
 
-/// The report on an archive, whose exit code says whether a file is bad.
+/// The report of `check` on an archive; asserts that the exit code says whether a file is bad or missing.
 fn report(root: &Path) -> Value {
     let output = run(&["check", "--json", text(root)]);
     let report: Value = serde_json::from_str(stdout(&output)).unwrap();
@@ -87,7 +87,7 @@ fn assert_counts(report: &Value, files: usize, bad: usize, gaps: usize) {
     assert_eq!(counts, [files, bad, gaps], "{report}");
 }
 
-/// Asserts that one file is bad, and which, and why.
+/// Asserts which file is first in the list of bad files, and why.
 #[track_caller]
 fn assert_blamed(report: &Value, file: &Path, why: &str) {
     let bad = &report["bad_files"][0];
@@ -136,7 +136,7 @@ fn a_truncated_file_is_bad_wherever_it_ends() {
 fn any_changed_byte_is_bad_in_header_and_data_alike() {
     let (root, files) = small(Compression::Rice);
     let whole = fs::read(&files[2]).unwrap();
-    // Not the step of anything in the file: it meets keywords, values, comments, fill, tiles and their descriptors.
+    // The step of 311 bytes matches no structure of the file: it reaches keywords, values, comments, fill, tiles and their descriptors.
     for at in (0..whole.len()).step_by(311) {
         change(&files[2], |bytes| bytes[at] ^= 0x04);
         let report = report(root.path());
@@ -223,7 +223,7 @@ fn half_written_files_are_counted_and_not_bad() {
     assert_eq!(report["unfinished"], 1);
 }
 
-/// A flight of dark frames to one disk or to two that alternate.
+/// Archives a flight of dark frames on one disk or on two that alternate.
 fn flown(roots: &[&Path]) {
     let open = |root: &&Path| Store::open(root, "demo", Compression::Rice).unwrap();
     let settings = config::Archive {
@@ -372,7 +372,7 @@ fn a_list_has_a_line_for_every_file_the_bad_ones_too() {
     assert!(stdout(&plain).starts_with("20130921T17/demo_20130921T175959.000_00000000.fits  "));
 }
 
-/// A solved frame in an archive, with what the solver said.
+/// A solved frame in an archive, and the solution's record.
 fn solved() -> (TempDir, PathBuf, Record) {
     let root = tempfile::tempdir().unwrap();
     let store = Store::open(root.path(), "demo", Compression::Rice).unwrap();

@@ -19,7 +19,7 @@ use solaspect::units::{Estimate, Place, PlateMil};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// The demo instrument by a rule of directions.
+/// The demo instrument with a given convention of directions.
 fn demo_by(directions: Directions) -> Instrument {
     let mut instrument = builtin("demo").unwrap();
     instrument.mounting.directions = directions;
@@ -37,12 +37,12 @@ fn true_instrument(directions: Directions) -> Instrument {
 
 #[derive(Clone, Copy)]
 struct Scan {
-    /// The rule by which the true instrument sees the Sun.
+    /// Convention of directions of the true instrument.
     directions: Directions,
     start: &'static str,
     count: usize,
     every_s: f64,
-    /// 1 sigma per axis of the Sun on the plate.
+    /// 1 sigma per axis of the Sun's position on the plate.
     noise_mil: f64,
     place: Place,
     seed: u64,
@@ -59,13 +59,13 @@ const TEN_MINUTES: Scan = Scan {
 };
 
 impl Scan {
-    /// The same scan by both rules.
+    /// The same scan with both conventions.
     fn by_both(self) -> [Self; 2] {
         Directions::ALL.map(|directions| Self { directions, ..self })
     }
 
-    /// The instrument that a scan with unknown pointing starts from. Where directions are counted at the telescope the clocking
-    /// relies on the stated centre, so that is right to its sigma of 1 mil.
+    /// The instrument that a scan with unknown pointing starts from. With directions at the telescope the clocking
+    /// relies on the stated centre, so the centre is drawn with its sigma of 1 mil.
     fn stated(&self) -> Instrument {
         let mut stated = demo_by(self.directions);
         let mounting = &mut stated.mounting;
@@ -89,7 +89,7 @@ impl Scan {
             .collect()
     }
 
-    /// Observations by the true instrument, the telescope at each instant where `towards` says.
+    /// Observations by the true instrument, its telescope pointed by `towards` at each instant.
     fn observations(
         &self,
         towards: impl Fn(usize, &SunPosition) -> Horizontal,
@@ -116,14 +116,14 @@ impl Scan {
         suns.iter().enumerate().map(observation).collect()
     }
 
-    /// The telescope where the Sun stands in the middle of the scan.
+    /// The telescope points at the Sun's position in the middle of the scan.
     fn drift(&self) -> Vec<SunObservation> {
         let suns = self.suns();
         let middle = suns[self.count / 2].1;
         self.observations(|_, _| at_sun(&middle))
     }
 
-    /// The telescope on a grid about the Sun.
+    /// The telescope points at a grid about the Sun.
     fn grid(&self) -> Vec<SunObservation> {
         self.grid_of(0.8)
     }
@@ -154,7 +154,7 @@ fn verdict(mounting: &Mounting, name: &str) -> Verdict {
         .verdict
 }
 
-/// Found minus true over the stated sigma.
+/// Estimated minus true value, over the stated sigma.
 fn normalised_error(mounting: &Mounting, unknown: Unknown) -> f64 {
     let truth = true_instrument(mounting.fit.directions);
     let wanted = match unknown {
@@ -329,7 +329,7 @@ fn a_determined_rule_of_directions_is_written_and_another_is_kept() {
             };
             let (_, instrument) = written(&clear.grid());
             assert_eq!(instrument.mounting.directions, clear.directions);
-            // Within a fifth of a degree the rules differ by less than the noise.
+            // Within 0.2 deg the conventions differ by less than the noise.
             let (mounting, instrument) = written(&noisy.grid_of(0.2));
             assert_eq!(instrument.mounting.directions, rule);
             assert_eq!(mounting.directions, None);
@@ -486,7 +486,7 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// Frames of a drift scan by the true instrument.
+/// Frames of a drift scan, simulated with the true instrument.
 fn simulated(folder: &Path, frames: &str, rate: &str) -> PathBuf {
     let truth = folder.join("true.toml");
     let demo = builtin_text("demo").unwrap();

@@ -26,7 +26,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_vec()).unwrap()
 }
 
-/// Answers as an aspect system does, while `act` speaks to the other end.
+/// Runs a responder of the aspect system on a pty while `act` uses the other end.
 fn with_responder(computer: Computer, act: impl FnOnce(&str)) {
     let (mut near, far) = SerialPort::pair().unwrap();
     let over = AtomicBool::new(false);
@@ -53,7 +53,7 @@ fn with_responder(computer: Computer, act: impl FnOnce(&str)) {
                 }
             }
         });
-        // A failed claim must end the other thread, too.
+        // A failed assertion must end the other thread, too.
         let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| act(far.name())));
         over.store(true, Ordering::Relaxed);
         if let Err(failure) = result {
@@ -136,7 +136,7 @@ fn real_packets_are_decoded_from_the_command_line_and_from_files() {
         format!("# a record\n1379786400.5 {hex}\n1379786401.0 00{hex}\n"),
     )
     .unwrap();
-    // To decode means to judge every byte; a record is read as far as it can be.
+    // `decode` judges every byte; `log` reads as much of a record as it can.
     for (command, code) in [("decode", 1), ("log", 0)] {
         let output = link(&[command, log.to_str().unwrap()]);
         let said = text(&output.stdout);
@@ -202,7 +202,7 @@ fn a_line_is_recorded_and_the_record_is_read() {
     assert!(said.contains("no solution, error 8"), "{said}");
 }
 
-/// A record of 20 packets, one a line, with its lines damaged.
+/// A recording of 20 packets, one per line, whose lines are damaged.
 fn damaged(damage: impl Fn(&mut Vec<Vec<u8>>)) -> Vec<u8> {
     let bytes = PACKETS
         .lines()
@@ -215,7 +215,7 @@ fn damaged(damage: impl Fn(&mut Vec<Vec<u8>>)) -> Vec<u8> {
     [byte_log::HEADER.as_bytes(), b"\n", &lines.join(&b'\n')].concat()
 }
 
-/// A way to damage the lines of a record, the packets that are left, and what the warning says.
+/// How to damage the lines of a recording, the number of packets left, and the text of the warning.
 type Damage = (fn(&mut Vec<Vec<u8>>), usize, &'static str);
 
 #[test]

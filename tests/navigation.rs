@@ -25,7 +25,7 @@ const VECTORS: &str =
     "t_s,camera,target,x,y,z,sigma_rad\n0,pyas,nadir,0,1,0,0.001\n0,pyas,sun,0,0,1,1e-6\n";
 const SUN: &str = "t_s,x,y,z\n-1,0,1,0\n1,0,1,0\n";
 
-/// Navigates a small flight, one of whose files has another text.
+/// Navigates a small flight; the file named `changed` has this text instead of its usual one.
 fn navigate(changed: &str, text: &str) -> (Output, tempfile::TempDir) {
     navigate_with(&[], changed, text)
 }
@@ -233,7 +233,7 @@ fn a_bad_row_is_left_out_and_named_and_the_others_are_used() {
     }
 }
 
-/// A simulated flight's folder, navigated after its IMU's numbers were changed.
+/// Navigates a simulated flight after `change` has edited the numbers of each IMU row.
 fn navigate_changed(plan: &FlightPlan, change: impl Fn(&mut [f64])) -> Output {
     let folder = tempfile::tempdir().unwrap();
     plan.fly(3).write(folder.path()).unwrap();
@@ -270,7 +270,7 @@ fn navigate_changed(plan: &FlightPlan, change: impl Fn(&mut [f64])) -> Output {
 fn an_imu_in_other_units_is_a_failure_that_asks_for_them() {
     const G_M_S2: f64 = 9.806_65;
     let rocket = FlightPlan {
-        // From before its cameras see.
+        // Ends before its cameras see their targets.
         duration_s: 200.0,
         ..FlightPlan::rocket()
     };
@@ -298,7 +298,7 @@ fn an_imu_in_other_units_is_a_failure_that_asks_for_them() {
         let said = String::from_utf8_lossy(&good.stderr).into_owned();
         assert!(good.status.success() && !said.contains('?'), "{said}");
         for (name, change, question) in units {
-            // A rocket that coasts feels no gravity.
+            // A coasting rocket measures no gravity.
             if name == "g" && !is_at_rest {
                 continue;
             }
@@ -341,7 +341,7 @@ fn an_attitude_is_the_same_in_all_its_forms() {
             assert_eq!(values.len(), 3);
             for (value, row) in values.iter().zip(&csv[1..]) {
                 let written: f64 = row[n].parse().unwrap();
-                // Places stand to 0.1 mm in the text, velocities to 1 um/s.
+                // The text has positions to 0.1 mm and velocities to 1 um/s.
                 let rounded = match *name {
                     "x_m" | "y_m" | "z_m" => 5.1e-5,
                     "vx_m_s" | "vy_m_s" | "vz_m_s" => 5.1e-7,
@@ -364,7 +364,7 @@ fn an_attitude_is_the_same_in_all_its_forms() {
     assert!(said.contains("epoch_utc: expected a time"), "{said}");
 }
 
-/// A simulated flight as the filter takes it.
+/// A simulated flight in the filter's input types, and its truth.
 fn flight(
     plan: &FlightPlan,
     seed: u64,
@@ -420,7 +420,7 @@ fn flight(
     (flight, flown.truth)
 }
 
-/// The errors of an attitude about the axes of ECEF, rad, with their covariance.
+/// Error of an attitude about the axes of ECEF, rad, with its covariance and the direction of the Sun.
 struct Off {
     t_s: f64,
     error: Vector3<f64>,
@@ -441,13 +441,13 @@ impl Off {
         })
     }
 
-    /// The error's square over its covariance, per axis.
+    /// The squared error normalised by its covariance, per axis.
     fn square(&self) -> f64 {
         let inverse = self.covariance.try_inverse().unwrap();
         self.error.dot(&(inverse * self.error)) / 3.0
     }
 
-    /// Of each axis, how many sigmas it is off.
+    /// Absolute error of each axis in sigmas.
     fn sigmas(&self) -> [f64; 3] {
         let sigmas = self.covariance.diagonal().map(f64::sqrt);
         self.error.component_div(&sigmas).abs().into()
@@ -457,7 +457,7 @@ impl Off {
         self.sigmas().into_iter().fold(0.0, f64::max)
     }
 
-    /// Two angles across the Sun, arcsec.
+    /// Errors about two axes perpendicular to the Sun's direction, arcsec.
     fn across_arcsec(&self) -> [f64; 2] {
         let first = self.sun.cross(&Vector3::z()).normalize();
         let second = self.sun.cross(&first);
@@ -474,7 +474,7 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
-/// What some flights come to: errors of the filter and of the smoother at the samples that `wanted` chooses, and innovations.
+/// Results of flights: errors of the filter and of the smoother at the samples that `wanted` chooses, and innovations.
 struct Flown {
     filtered: Vec<Off>,
     smoothed: Vec<Off>,
@@ -527,7 +527,7 @@ fn fly(
 }
 
 impl Flown {
-    /// The mean square of the filter's and the smoother's errors over their covariance, and the share of axes beyond 3 sigma.
+    /// Mean normalised squared error and share of axes beyond 3 sigma, of the filter and of the smoother.
     fn honesty(&self) -> [(f64, f64); 2] {
         [&self.filtered, &self.smoothed].map(|offs| {
             let count = offs.len() as f64;
@@ -538,7 +538,7 @@ impl Flown {
         })
     }
 
-    /// The normalised innovation squared, per axis, by what was measured.
+    /// The normalised innovation squared per axis, for each source of measurements.
     fn innovations(&self) -> Vec<(Source, f64)> {
         let sources: BTreeSet<Source> = self.innovations.iter().map(|one| one.source).collect();
         let mean = |source: Source| {
@@ -553,7 +553,7 @@ impl Flown {
         sources.into_iter().map(mean).collect()
     }
 
-    /// How alike an innovation and the next of its source are, axis by axis: their correlation, 0 where they are white.
+    /// Correlation of successive innovations of a source, axis by axis; 0 where they are white.
     fn colour(&self, source: Source) -> f64 {
         let own: Vec<&Innovation> = self
             .innovations
@@ -606,22 +606,22 @@ fn each_10_s(t_s: f64) -> bool {
     (t_s / 10.0 - (t_s / 10.0).round()).abs() < 1e-6
 }
 
-/// Within what flights must stay.
+/// Limits of the statistics of flights.
 #[derive(Clone)]
 struct Bounds {
-    /// Mean squares of errors over their covariance.
+    /// Mean normalised squared errors.
     squares: std::ops::Range<f64>,
     /// Share of errors beyond 3 sigma.
     beyond: f64,
     /// Normalised innovations squared.
     innovations: std::ops::Range<f64>,
-    /// Times what is asked of errors.
+    /// Factor on the required errors.
     errors: f64,
-    /// Correlation of an innovation and the next, either way.
+    /// Absolute correlation of successive innovations.
     colour: f64,
 }
 
-/// What is asked, of 200 flights.
+/// Requirement for 200 flights.
 const ASKED: Bounds = Bounds {
     squares: 0.8..1.25,
     beyond: 0.01,
@@ -630,7 +630,7 @@ const ASKED: Bounds = Bounds {
     colour: 0.05,
 };
 
-/// The errors of one flight go together: of so few flights the same holds only within this.
+/// Wider limits for a few flights: the errors within one flight are correlated.
 const OF_FEW: Bounds = Bounds {
     squares: 0.4..1.8,
     beyond: 0.03,
@@ -639,7 +639,7 @@ const OF_FEW: Bounds = Bounds {
     colour: 0.15,
 };
 
-/// Checks what flights come to.
+/// Checks the statistics of flights against the limits.
 fn hold(flown: &Flown, name: &str, bounds: &Bounds) {
     flown.print(name);
     for (square, share) in flown.honesty() {
@@ -663,7 +663,7 @@ fn hold(flown: &Flown, name: &str, bounds: &Bounds) {
     );
 }
 
-/// Checks that innovations are white.
+/// Checks that innovations of the sources `is_white` chooses are white.
 fn hold_white(flown: &Flown, name: &str, bounds: &Bounds, is_white: impl Fn(&Source) -> bool) {
     for (source, _) in flown.innovations() {
         let colour = flown.colour(source);
@@ -672,7 +672,7 @@ fn hold_white(flown: &Flown, name: &str, bounds: &Bounds, is_white: impl Fn(&Sou
     }
 }
 
-/// The largest of three rms, deg.
+/// The largest rms of the three axes, deg.
 fn rms_deg(offs: &[Off], at: impl Fn(f64) -> bool) -> f64 {
     let axis = |n: usize| {
         let errors = offs.iter().filter(|off| at(off.t_s));
@@ -704,7 +704,7 @@ fn rockets(seeds: std::ops::Range<u64>, bounds: &Bounds) {
         (
             "rocket, cameras aligned, correlated errors estimated",
             estimate_all,
-            // Asked are 0.07; the best that this IMU and these vectors allow, by the filter's own covariance, is 0.083.
+            // The requirement is 0.07; the best that this IMU and these vectors allow, by the filter's own covariance, is 0.083.
             0.085,
         ),
     ] {
@@ -728,7 +728,7 @@ fn balloons(seeds: std::ops::Range<u64>, duration_s: f64, bounds: &Bounds) {
         duration_s,
         ..FlightPlan::balloon()
     };
-    // Frames, and the samples just before them.
+    // Frames come at 4 Hz; the samples chosen are those at a frame and the last one before it.
     let quarter = |t_s: f64| (4.0 * t_s - (4.0 * t_s).round()) / 4.0;
     let is_frame = |t_s: f64| quarter(t_s).abs() < 1e-6;
     let is_before = |t_s: f64| (quarter(t_s) + 0.01).abs() < 1e-6;
@@ -759,7 +759,7 @@ fn balloons(seeds: std::ops::Range<u64>, duration_s: f64, bounds: &Bounds) {
     assert!(gap_end < bounds.errors * 1.2 * gyro);
     assert!(about(&flown.filtered) < 0.03 && about(&flown.smoothed) < 0.02);
     hold(&flown, "balloon", bounds);
-    // The nadir's correlated errors are considered.
+    // The nadir's correlated errors are considered, not estimated, so its innovations need not be white.
     hold_white(&flown, "balloon", bounds, |source| {
         !matches!(
             source,
@@ -781,14 +781,14 @@ fn a_balloons_attitude_is_as_good_as_it_says_through_gaps() {
     balloons(0..4, 400.0, &OF_FEW);
 }
 
-/// The rockets of the table of docs/navigation.md.
+/// The rockets in the table of docs/navigation.md.
 #[test]
 #[ignore = "ten minutes; cargo test --release --test promises navigation -- --ignored --nocapture"]
 fn attitudes_of_200_rockets_are_as_good_as_they_say() {
     rockets(0..200, &ASKED);
 }
 
-/// Its balloons.
+/// The balloons in the same table.
 #[test]
 #[ignore = "ten minutes; cargo test --release --test promises navigation -- --ignored --nocapture"]
 fn attitudes_of_200_balloons_are_as_good_as_they_say_through_gaps() {
@@ -834,7 +834,7 @@ fn measurements_that_come_late_give_the_same_answer_and_a_wrong_one_in_a_hundred
     assert!(apart < 1e-4, "{apart}");
 }
 
-/// A flight whose gyro turns at 60 s by an angle that it does not report: the statuses of its rows, and its restarts.
+/// A flight whose gyro reports at 60 s a rotation that did not happen: the statuses of its rows, and its restarts.
 fn turned_unsaid(rad: f64) -> (BTreeSet<&'static str>, u32) {
     let plan = FlightPlan {
         duration_s: 120.0,
@@ -898,7 +898,7 @@ fn in_flight_measurements_that_come_late_are_put_where_they_belong() {
     let (flight, _) = flight(&plan, 4, |_| ());
     let mut offline = None;
     solve(&flight, |row| offline = Some(row));
-    // Each comes up to a second late, as a hash of its number says.
+    // Each measurement comes up to a second late, by a hash of its number.
     let come = |n: usize| flight.measurements[n].t_s() + (n * 7919 % 1000) as f64 / 1000.0;
     let mut order: Vec<usize> = (0..flight.measurements.len()).collect();
     order.sort_by(|a, b| come(*a).total_cmp(&come(*b)));
@@ -921,13 +921,13 @@ fn in_flight_measurements_that_come_late_are_put_where_they_belong() {
     let sigmas = off.dot(&(covariance.try_inverse().unwrap() * off)).sqrt();
     assert!(sigmas < 0.01, "{sigmas}");
     assert_eq!((live.counts().out_of_time, live.restarts()), (0, 0));
-    // What is older than the filter remembers is counted, and changes nothing.
+    // A measurement older than the filter's memory is counted and changes nothing.
     live.measure(flight.measurements[10]);
     assert_eq!(live.counts().out_of_time, 1);
     assert_eq!(live.now().unwrap().attitude.unwrap().0, found);
 }
 
-/// Solves flights with the errors that the filter found compared with those that were drawn, and again with what it has learnt.
+/// Solves flights and compares the estimated constant errors with the drawn ones; then solves again from the calibrated file.
 fn hold_calibrations(plan: &FlightPlan, seeds: std::ops::Range<u64>) {
     let rests = Rests {
         date: "2026-11-22".parse().ok(),
@@ -966,7 +966,7 @@ fn hold_calibrations(plan: &FlightPlan, seeds: std::ops::Range<u64>) {
         let second = summary.constants.unwrap();
         for (n, (constant, value)) in second.values.iter().enumerate() {
             assert!(second.sigma(n) <= 1.01 * found.sigma(n), "{constant:?}");
-            // What the file holds has gone into the cameras' axes, and the biases are begun with.
+            // The file's misalignments are applied to the cameras' axes; its biases are the initial values.
             let from = match constant {
                 Constant::AccelerometerBias => learnt.imu.accelerometer_bias_m_s2,
                 Constant::GyroBias => learnt.imu.gyro_bias_rad_s,
@@ -1027,7 +1027,7 @@ fn a_calibrated_file_is_one_that_the_next_flight_reads() {
         let rows = rests["covariance"].as_array().unwrap();
         assert!(rows.len() == 9 && rows.iter().all(|row| row.as_array().unwrap().len() == 9));
         assert!(rests["program"].is_str());
-        // Nobody knows on which day t_s is 0.
+        // The day on which t_s is 0 is unknown.
         assert!(rests.get("date").is_none(), "{text}");
     }
     assert_eq!(second.matches("[calibration]").count(), 1);

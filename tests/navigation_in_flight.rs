@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// The only file of a folder whose name begins so.
+/// The only file in a folder whose name begins with `begins`.
 fn only(folder: &Path, begins: &str) -> PathBuf {
     let files = fs::read_dir(folder)
         .unwrap()
@@ -33,10 +33,10 @@ fn offsets_go_on_while_the_sun_is_away_and_the_archive_keeps_what_they_rest_on()
     assert!(summary.tally.counts.imu_samples > 1200, "{summary}");
     assert_eq!((navigation.lost_samples, navigation.restarts), (0, 0));
     assert_eq!(navigation.contradicted, 0);
-    // From 60 to 75 % of the run no frame shows the Sun.
+    // Between 60 and 75 % of the run no frame shows the Sun.
     let away = summary.propagated.iter().filter(|one| one.age_s > 0.5);
     assert!(away.count() > 10, "{summary}");
-    // Gyros, Sun and horizon see one vehicle, which rolls.
+    // Gyros, Sun and horizon observe the same rolling vehicle.
     assert!(summary.by_sun.len() > 20, "{summary}");
     for one in summary.propagated.iter().chain(&summary.by_sun) {
         for error_arcsec in one.error_arcsec {

@@ -19,7 +19,7 @@ const ARMS: &str = "arm_length_mil = { value = 90, source = \"Cramer 2014, secti
                     arm_width_mil = { value = 12, source = \"Cramer 2014, section 4.3.1\", date = 2014-05-01 }\n";
 const DOT: &str = "shape = \"dot\"\ndot_diameter_mil = { value = 50, source = \"drawing\" }\n";
 
-/// Places at random, mil, none near another.
+/// Random positions, mil, more than 200 mil from each other.
 fn scattered(count: usize) -> Vec<[f64; 2]> {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(57);
     let mut places: Vec<[f64; 2]> = Vec::new();
@@ -32,7 +32,7 @@ fn scattered(count: usize) -> Vec<[f64; 2]> {
     places
 }
 
-/// Places of a regular grid, mil.
+/// Positions on a regular grid, mil.
 fn grid(step_mil: f64) -> Vec<[f64; 2]> {
     let along = || (-10..=10).map(|n| f64::from(n) * step_mil);
     along().flat_map(|x| along().map(move |y| [x, y])).collect()
@@ -46,7 +46,7 @@ fn table(places: &[[f64; 2]]) -> String {
     text
 }
 
-/// An instrument's file with its table of marks beside it.
+/// An instrument file and its table of marks.
 fn instrument(folder: &Path, places: &[[f64; 2]], change: impl Fn(String) -> String) -> PathBuf {
     fs::create_dir_all(folder.join("drawings")).unwrap();
     fs::write(folder.join("drawings/marks.csv"), table(places)).unwrap();
@@ -63,7 +63,7 @@ fn with_dots(toml: String) -> String {
     changed
 }
 
-/// Solutions of frames that one instrument took, by the file of another, with the distance of each Sun on the plate from its true place, mil.
+/// Solutions of frames taken by one instrument and solved with the file of another, and each Sun's distance from its true position, mil.
 fn solved(taken_by: &Instrument, stated: &Instrument, frames: u64) -> Vec<(Solution, f64)> {
     let scenes = RandomScenes::new(taken_by, &Conditions::of(taken_by), 11).unwrap();
     let expected = Some(Expected {
@@ -118,7 +118,7 @@ fn on_a_regular_grid_the_stated_centre_decides_nothing_whether_it_is_true_or_not
     for change in [|toml: String| toml, with_dots] {
         let file = instrument(folder.path(), &grid(300.0), change);
         let stated = Instrument::read(&file).unwrap();
-        // A camera that was shifted by one period of the grid, and one that was not.
+        // A camera in its stated place, and one shifted by one period of the grid.
         for period in [0.0, 1.0] {
             let mut moved = stated.clone();
             moved.mounting.plate_centre_px.x += period * 300.0 / 5.75;
@@ -143,7 +143,7 @@ fn dots_turned_beyond_what_is_stated_are_never_fine_and_wrong() {
         for (_, off_mil) in fine(&solutions) {
             assert!(*off_mil < 1.0, "{off_mil} mil off at {turned_deg} deg");
         }
-        // Within two of its sigmas all are read that have marks enough.
+        // Within two sigmas of the stated rotation, all frames with enough marks are solved.
         assert!(
             turned_deg > 2.0 || fine(&solutions).count() > 8,
             "{turned_deg} deg"
@@ -184,7 +184,7 @@ fn a_plate_of_ones_own_goes_through_flight_calibration_and_refine() {
         );
         said
     };
-    // The laboratory: frames of two poses, the calibration, the same again.
+    // The laboratory: frames of two poses, the calibration, then the calibration again from its own result.
     let turned = fs::read_to_string(root.join("own.toml")).unwrap();
     let turned = turned.replace("rotation_deg = { value = 0", "rotation_deg = { value = 25");
     fs::write(root.join("turned.toml"), turned).unwrap();
@@ -209,9 +209,9 @@ fn a_plate_of_ones_own_goes_through_flight_calibration_and_refine() {
     );
     let said = run("calibrate plate a b --instrument calibrated.toml --out again.toml");
     assert!(said.contains("its marks begin with the drawing"), "{said}");
-    // The table is in the file: nothing else is needed from here on.
+    // The file contains the table, so the drawing is no longer needed.
     fs::remove_dir_all(root.join("drawings")).unwrap();
-    // The flight, its archive, and what the ground makes of it.
+    // The flight, its archive, and the refinement on the ground.
     let configuration = "[camera]\nsource = \"simulated\"\nrate_hz = 10\ninstrument = \"calibrated.toml\"\n\
                          [archive]\ndirectory = \"archive\"\n";
     fs::write(root.join("flight.toml"), configuration).unwrap();
@@ -322,7 +322,7 @@ fn marks_listed_in_the_file_are_the_drawing_unless_they_are_those_of_2013() {
     };
     let own = listed(&scattered(20));
     assert_eq!((own.pattern(), own.count()), (Pattern::Listed, 20));
-    // Marks (0, 0) and (1, 0) of 2013, measured.
+    // Measured marks (0, 0) and (1, 0) of the plate of 2013.
     let measured = listed(&[[0.2, 0.1], [270.3, 90.1]]);
     assert_eq!(
         (measured.pattern(), measured.count()),

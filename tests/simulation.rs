@@ -40,7 +40,7 @@ fn small_scene(side: usize, parameters: SimilarityParameters) -> Scene {
     }
 }
 
-/// Middle of weights spread over the pixels, and their total.
+/// Centroid of weights given per pixel, and their sum.
 fn centroid(width: usize, weights: impl Iterator<Item = f64>) -> (SensorPx, f64) {
     let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
     for (n, weight) in weights.enumerate() {
@@ -51,7 +51,7 @@ fn centroid(width: usize, weights: impl Iterator<Item = f64>) -> (SensorPx, f64)
     (SensorPx::new(x / sum, y / sum), sum)
 }
 
-/// Light above the background.
+/// The rendered scene minus the background, DN per pixel.
 fn light(scene: &Scene) -> impl Iterator<Item = f64> {
     let background = scene.background_dn;
     render_exact(scene)
@@ -95,14 +95,14 @@ fn a_mark_stands_where_the_truth_says_to_a_thousandth_of_a_pixel() {
         for (dx, dy) in phases() {
             let centre = SensorPx::new(26.0 + dx, 26.0 + dy);
             let mut scene = small_scene(54, view(centre, rotation_deg));
-            // So large a Sun lights the field evenly; no other mark reaches into so small a field.
+            // The Sun is so large that it illuminates the field evenly; no other mark reaches into the field.
             scene.sun = Some(Sun {
                 limb_darkening: 0.0,
                 ..Sun::new(PlateMil::new(0.0, 0.0), 2000.0)
             });
             let (found, dark) = centroid(54, light(&scene).map(|l| 205.0 - l));
             worst = worst.max(found.distance(centre));
-            // Two arms of 90 x 12 mil that share a square of 12 x 12.
+            // The area of two crossed arms, each 90 x 12 mil; their overlap of 12 x 12 mil counts once.
             let area_px = (2.0 * 90.0 * 12.0 - 12.0 * 12.0) / 5.75_f64.powi(2);
             assert!((dark / (0.8 * 205.0 * area_px) - 1.0).abs() < 1e-3);
         }
@@ -111,7 +111,7 @@ fn a_mark_stands_where_the_truth_says_to_a_thousandth_of_a_pixel() {
     assert!(worst < 1e-3, "{worst} px");
 }
 
-/// A scene seen tilted through a distorting lens, with sunspots and a scratch.
+/// A tilted view through a distorting lens, with a sunspot and a scratch.
 fn tilted_scene() -> Scene {
     let lens = Distortion {
         centre: SensorPx::new(647.5, 482.5),
@@ -137,7 +137,7 @@ fn tilted_scene() -> Scene {
     scene
 }
 
-/// The light of the plate at a place, as a physicist writes it down.
+/// Brightness of the plate at a point, DN, directly from the formulas.
 fn light_at(scene: &Scene, near: &[PlateMil], at: PlateMil) -> f64 {
     let sun = scene.sun.as_ref().unwrap();
     let r = at.distance(sun.centre) / sun.radius_mil;
@@ -169,7 +169,7 @@ fn light_at(scene: &Scene, near: &[PlateMil], at: PlateMil) -> f64 {
     light
 }
 
-/// A pixel by brute force: the light at points 1/40 px apart, weighed by the blur and the pixel's square.
+/// A pixel by brute force: brightness at points 1/40 px apart, weighted by the blur and the pixel's square.
 fn pixel_by_brute_force(scene: &Scene, x: usize, y: usize) -> f64 {
     const PER_PX: i32 = 40;
     let reach = 5 * PER_PX;
@@ -327,7 +327,7 @@ fn noise_and_depth_are_as_stated() {
     scene.depth = Depth::Twelve;
     let frame = scene.frame().unwrap();
     let (mean, variance) = mean_and_variance(&values(&frame));
-    // 90 000 pixels: the mean is good to 0.01 DN, the variance to 0.5 %.
+    // 90 000 pixels: 1 sigma of the mean is 0.01 DN, of the variance 0.5 %.
     assert!((mean / 16.0 - 100.0).abs() < 0.05, "{mean}");
     assert!(
         (variance / 256.0 - (9.0 + 100.0 / 25.0)).abs() < 0.3,
@@ -371,7 +371,7 @@ fn blemishes_do_what_their_names_say() {
     });
     scene.blemishes = Blemishes {
         hot_pixels: vec![HotPixel { x: 3, y: 250 }],
-        // Across the whole picture, 20 px below the middle; lit for |x - 128| < 66.
+        // A scratch across the whole picture, 20 px below the middle; illuminated where |x - 128| < 66.
         scratches: vec![Scratch {
             start: PlateMil::new(-700.0, 115.0),
             end: PlateMil::new(700.0, 115.0),
@@ -398,7 +398,7 @@ fn blemishes_do_what_their_names_say() {
     assert_eq!(at(&scene, 228, 28), 34.0);
     assert_eq!(at(&scene, 128, 90), (4.0_f64 + 0.75 * 205.0).round());
     scene.blemishes.vignetting = 0.5;
-    // 40 of 180.3 px from the middle: a loss of 0.5 (40 / 180.3)^2.
+    // At 40 px of 180.3 px from the middle, the loss is 0.5 (40 / 180.3)^2.
     assert!((at(&scene, 167, 127) - (4.0 + 205.0 * (1.0 - 0.5 * 0.0482))).abs() < 1.0);
 }
 
@@ -409,7 +409,7 @@ fn marks_scatter_by_the_stated_rms_and_the_truth_follows_them() {
         let off = plate.position(id).unwrap().vector() - heroes::position(id).vector();
         off.norm_squared() / 2.0
     });
-    // 450 coordinates: the rms is good to 3.3 %.
+    // 450 coordinates: 1 sigma of the rms is 3.3 %.
     let rms = (squares.sum::<f64>() / 225.0).sqrt();
     assert!((rms - 1.0).abs() < 0.15, "{rms}");
     let mut scene = small_scene(240, view(SensorPx::new(120.0, 120.0), 0.0));
@@ -449,7 +449,7 @@ fn random_suns_stand_where_the_conditions_want_them() {
     }
 }
 
-/// The tilted camera's Sun, whole, on a sensor of 1296 x 966 px.
+/// The tilted camera's whole Sun on a sensor of 1296 x 966 px.
 fn with_stray(stray: StrayLight) -> Scene {
     Scene {
         stray,
@@ -481,7 +481,7 @@ fn a_ghost_holds_its_share_of_the_light_where_it_is_shifted_to() {
         "{}",
         ghost_total / total
     );
-    // Pixels are single floats: differences of 1e-5 DN over a million pixels.
+    // Pixels have single precision: errors of 1e-5 DN over a million pixels.
     let error = (at.vector() - centre.vector() - offset_px).norm();
     assert!(error < 0.1, "{error} px");
 }
@@ -526,7 +526,7 @@ fn coma_displaces_its_share_and_keeps_the_centroid_and_the_light() {
         (moments(&scene), moments(&plain));
     assert!(at.distance(before) < 1e-3, "{}", at.distance(before));
     assert!((total / plain_total - 1.0).abs() < 1e-5);
-    // Third moment of 0.9 at -0.15 and 0.1 at 1.35 with variance 2.5^2 more: sum of w (d^3 + 3 d s^2).
+    // Third moment, the sum of w (d^3 + 3 d s^2): weight 0.9 at -0.15 px, and 0.1 at 1.35 px with an added variance of 2.5^2 px^2.
     let expected = 0.9 * (-0.15_f64).powi(3) + 0.1 * (1.35_f64.powi(3) + 3.0 * 1.35 * 6.25);
     assert!(
         (third - plain_third - expected).abs() < 0.1,
@@ -576,7 +576,7 @@ fn gradients_rise_as_far_as_they_say() {
         let n = y as usize * 1296 + x as usize;
         let added = f64::from(with[n] - without[n]);
         let expected = (5.0 + 2.5 * reach).max(0.0);
-        // The nearest pixel is up to 0.7 px away.
+        // The nearest pixel is up to 0.7 px from the point.
         assert!((added - expected).abs() < 0.02, "{reach}: {added}");
     }
 }
@@ -617,7 +617,7 @@ fn the_noise_of_photons_has_the_variance_of_signal_over_gain() {
             electrons_per_dn: Some(4.0),
         };
         let (_, variance) = mean_and_variance(&values(&scene.frame().unwrap()));
-        // Read noise, photons, and the rounding of a step of 1 DN; 90 000 pixels: good to 0.5 %.
+        // Read noise, photon noise and rounding to 1 DN; 90 000 pixels: 1 sigma of the variance is 0.5 %.
         let expected = 1.0 + light_dn / 4.0 + 1.0 / 12.0;
         assert!((variance / expected - 1.0).abs() < 0.02, "{variance}");
     }
@@ -648,10 +648,10 @@ fn the_surface_of_hmi_leaves_the_limb_and_shows_spots() {
         let (middle, rim, beyond) = (ratios(0.0, 0.3), ratios(0.9, 0.97), ratios(1.05, 1.2));
         let median = |of: &[f32]| of[of.len() / 2];
         assert!((median(&middle) - 1.0).abs() < 0.02, "{}", median(&middle));
-        // The real limb darkening at 617 nm is not linear: a few per cent of the light.
+        // The real limb darkening at 617 nm is not linear; the difference is a few per cent.
         assert!((0.97..1.06).contains(&median(&rim)), "{}", median(&rim));
         assert!(beyond.iter().all(|r| (r - 1.0).abs() < 1e-3));
-        // The deepest of its small spots, blurred.
+        // The darkest of its small spots, blurred.
         let deepest = ratios(0.0, 0.93)[0];
         assert!((0.86..0.92).contains(&deepest), "{deepest}");
     }

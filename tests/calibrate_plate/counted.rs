@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 #[test]
 fn no_frame_counts_twice_in_a_file() {
     let (root, truth) = (tempfile::tempdir().unwrap(), truth(1.0, K1, 21));
-    // The camera is moved by so little that the mounting of one pose does for all.
+    // The camera moves so little that the mounting of one pose serves for all.
     let folders: Vec<PathBuf> = [0.0, 0.01, 0.02]
         .into_iter()
         .enumerate()
@@ -34,7 +34,7 @@ fn no_frame_counts_twice_in_a_file() {
     let (first, text) = next(builtin_text("demo").unwrap(), &folders[..2]);
     assert_eq!((first.beginning, first.poses.len()), (Beginning::File, 2));
 
-    // A pose that is known and a new one.
+    // One known pose and one new one.
     let (second, text) = next(&text, &folders[1..]);
     assert_eq!((second.beginning, second.poses.len()), (Beginning::File, 1));
     let set_aside = second
@@ -48,7 +48,7 @@ fn no_frame_counts_twice_in_a_file() {
             .all(|frame| frame.file.starts_with(&folders[2]))
     );
 
-    // All of them, and some of them: the marks begin with the drawing, and the file rests on these alone.
+    // All folders, then one of them: the marks begin with the drawing, and the file rests on the given frames alone.
     let (third, all) = next(&text, &folders);
     assert_eq!(
         (third.beginning, third.poses.len()),

@@ -11,27 +11,27 @@ use solaspect::instrument::{Instrument, builtin};
 use solaspect::units::SensorPx;
 use std::f64::consts::TAU;
 
-/// What the frames' times say of the order in which they were taken.
+/// How the frames' times relate to the order in which they were taken.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Times {
     Ordered,
-    /// All frames have one.
+    /// All frames have the same time.
     Same,
-    /// They start over after the slip, as those of a second run of a program do.
+    /// Times start over after the slip, as in a second run of a program.
     Repeated,
 }
 
-/// A folder of frames of the Sun all over the sensor, taken in an hour.
+/// Frames taken in an hour, the Sun at places all over the sensor.
 struct Folder {
     frames: usize,
     rotation_deg: f64,
-    /// Of the plate's centre from the sensor's middle.
+    /// The plate's centre relative to the sensor's middle.
     shift_px: [f64; 2],
     slip: Option<Slip>,
 }
 
 struct Slip {
-    /// Part of the hour.
+    /// Time of the slip as a fraction of the hour.
     at: f64,
     px: [f64; 2],
 }
@@ -73,7 +73,7 @@ impl Folder {
     }
 }
 
-/// What becomes of the frames of some folders: error over sigma of the marks, the worst mark's, and the frames of each pose.
+/// Result of a calibration: error over sigma (rms) of the marks, the largest of a mark, and the number of frames of each pose.
 fn found(folders: &[Folder], seed: u64, times: Times) -> Result<(f64, f64, Vec<usize>), String> {
     let truth = truth(1.0, K1, 3000 + seed);
     let mut normal = generator(seed);
@@ -92,7 +92,7 @@ fn found(folders: &[Folder], seed: u64, times: Times) -> Result<(f64, f64, Vec<u
     ))
 }
 
-/// Three folders; the camera slipped by a pixel in the first.
+/// Three folders; in the first the camera slipped by 1 px.
 fn three() -> [Folder; 3] {
     let folder = |frames, rotation_deg, shift_px| Folder {
         frames,
@@ -114,7 +114,7 @@ fn three() -> [Folder; 3] {
     ]
 }
 
-/// Two to five folders; in one or two of them the camera slipped, by 0.05 to 5 px, small slips as often as large ones.
+/// Two to five folders; the camera slipped in one or two of them. Slips are log-uniform from 0.05 to 5 px.
 fn drawn(seed: u64) -> Vec<Folder> {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(900 + seed);
     let mut between = |least: f64, most: f64| least + (most - least) * rng.random::<f64>();
@@ -137,7 +137,7 @@ fn drawn(seed: u64) -> Vec<Folder> {
     (0..count).map(&mut folder).collect()
 }
 
-/// A row of the table of so many draws. Whether all are as promised.
+/// Prints a row of the table for this many draws; whether all meet the limits.
 fn row(draws: u64, times: Times) -> bool {
     let all: Vec<_> = (0..draws)
         .map(|seed| found(&drawn(seed), seed, times))

@@ -30,11 +30,11 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
     assert_eq!(fit.choice.lens, [true, false, false, false]);
     assert_eq!(fit.choice.kind.name(), "similarity");
     assert!(fit.separation.by_data());
-    // The frames' centre: what the four poses see.
+    // Within 500 px of the sensor's middle, which the four poses cover.
     let lens = lens_difference(&fit.distortion, &truth.camera.distortion);
     assert!(lens < 0.03, "{lens} px");
 
-    // What is written is what was measured.
+    // The written file contains the measured values.
     let text = builtin_text("demo").unwrap();
     let mut revision = Revision::of(Path::new("demo"), text).unwrap();
     calibration.revise(&mut revision);
@@ -54,7 +54,7 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
     assert!(rounded.abs() < 0.1 * fit.distortion_sigma[0]);
     assert!(written.contains("frames_sha256"));
 
-    // What a few frames more do not show stays as the file has it.
+    // Marks that a later set of few frames does not show keep their values in the file.
     let few = calibrate(&given[..1], &read).unwrap();
     assert!(few.fit.marks.len() < fit.marks.len());
     let mut revision = Revision::of(&path, &written).unwrap();
@@ -67,7 +67,7 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
         assert!(seen_again || same, "{}", mark.id);
     }
 
-    // The same files give the same text, in whatever order the folders come.
+    // The same files give the same result, whatever the order of the folders.
     let mut turned = given.clone();
     turned.reverse();
     let again = calibrate(&turned, &start).unwrap();
@@ -78,7 +78,7 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
 
     let page = plate::html(&calibration, "0123abcd").unwrap();
     assert_eq!(page.matches("<svg").count(), 9);
-    // A certificate: of what, by what, from which frames.
+    // The page names the instrument, the program and the frames.
     let program = PROGRAM;
     for stated in [
         start.name.as_str(),
@@ -97,7 +97,7 @@ fn displaced_marks_and_a_distorting_lens_are_recovered_from_four_poses() {
 #[test]
 fn a_third_of_bad_frames_is_rejected_and_changes_nothing() {
     let (folder, truth) = (tempfile::tempdir().unwrap(), truth(1.0, K1, 1));
-    // Two fifths of each pose: blurred, far too small a Sun, no Sun, and marks that read as others.
+    // Two fifths of each pose are bad: blurred, Sun far too small, no Sun, or marks far from their positions.
     let corrupt = {
         let mut corrupt = truth.clone();
         let mut normal = generator(9);
@@ -177,7 +177,7 @@ fn a_camera_that_never_moved_is_said_not_to_separate_plate_and_lens() {
         "{text}"
     );
     assert!(text.contains("Shift and turn the camera"), "{text}");
-    // The split by priors still is within its sigma.
+    // The split by priors is still within its sigma.
     let off = lens_difference(&calibration.fit.distortion, &truth.camera.distortion);
     assert!(off < 3.0 * calibration.fit.separation.lens_sigma_px);
 }
@@ -239,7 +239,7 @@ fn a_frame_of_the_lit_plate_measures_all_marks_at_once() {
     assert!(rms < 0.15, "{rms} mil");
     assert!((0.7..1.4).contains(&ratio), "{ratio}");
 
-    // Nobody knows when these frames were taken: the file does not say.
+    // The frames have no times, so the file has no date.
     let mut revision = Revision::of(Path::new("demo"), builtin_text("demo").unwrap()).unwrap();
     calibration.revise(&mut revision);
     let (written, _) = revision.finish().unwrap();
@@ -268,7 +268,7 @@ fn marks_that_are_lit_and_never_read_are_listed_as_suspect() {
         suspects.iter().all(|id| displaced.contains(id)),
         "{suspects:?}"
     );
-    // Those that a later pass could read are where they are.
+    // Marks that a later pass could identify are measured at their true positions.
     for id in displaced.iter().filter(|id| !suspects.contains(id)) {
         let mark = calibration.fit.marks.iter().find(|mark| mark.id == *id);
         let mark = mark.unwrap_or_else(|| panic!("{id} is neither measured nor suspect"));

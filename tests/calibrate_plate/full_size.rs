@@ -94,7 +94,7 @@ fn full_size_sets_meet_the_numbers_that_the_documentation_states() {
             let tilted = set.keystone_deg > 0.0;
             let limit = if tilted { 0.12 } else { 0.05 };
             assert!(rms < limit, "{}: {rms} mil", set.name);
-            // A keystone of the plate as a whole is alike to that of the views: two random numbers decide the ratio.
+            // A keystone of the plate as a whole is nearly degenerate with that of the views: two random numbers determine the ratio.
             let calibrated = tilted || (0.8..1.25).contains(&all_ratio);
             assert!(calibrated, "{}: {all_ratio}", set.name);
             assert!(lens < 0.02, "{}: {lens} px", set.name);

@@ -6,7 +6,7 @@ use solaspect::geometry::Distortion;
 use solaspect::instrument::Instrument;
 use solaspect::units::SensorPx;
 
-/// Root mean square error per axis (mil) and error over sigma, the common shift, rotation and scale removed.
+/// Root mean square error per axis (mil) and error over sigma, after removal of the common shift, rotation and scale.
 pub fn errors(marks: &[&MeasuredMark], truth: &Instrument) -> (f64, f64) {
     let axes = 2.0 * marks.len() as f64;
     let left = own_errors(marks, truth);
@@ -15,7 +15,7 @@ pub fn errors(marks: &[&MeasuredMark], truth: &Instrument) -> (f64, f64) {
     ((squares / axes).sqrt(), (normalised / axes).sqrt())
 }
 
-/// The largest error of a mark in an axis over its sigma, the common shift, rotation and scale removed.
+/// The largest error of a mark in an axis over its sigma, after removal of the common shift, rotation and scale.
 pub fn worst(marks: &[&MeasuredMark], truth: &Instrument) -> f64 {
     let left = own_errors(marks, truth);
     sigmas_off(marks, &left).fold(0.0, |worst, sigmas| worst.max(sigmas.abs()))
@@ -27,7 +27,7 @@ fn sigmas_off(marks: &[&MeasuredMark], errors: &[Vector2<f64>]) -> impl Iterator
     pairs.flat_map(|(mark, error)| [error.x / mark.sigma_mil[0], error.y / mark.sigma_mil[1]])
 }
 
-/// The error of each mark, mil, without what all have in common.
+/// Error of each mark, mil, after removal of the common shift, rotation and scale.
 fn own_errors(marks: &[&MeasuredMark], truth: &Instrument) -> Vec<Vector2<f64>> {
     let n = marks.len() as f64;
     let middle = marks

@@ -7,7 +7,7 @@ use solaspect::geometry::Mapping;
 use solaspect::instrument::{Instrument, builtin};
 use std::time::Instant;
 
-/// Of frames of so many poses, all of which are found.
+/// Fits frames of this many poses; asserts that all poses are found.
 fn fit(frames: &[FrameObservation], poses: usize) -> PlateFit {
     let (posed, fit) = plate::fit_frames(frames, &builtin("demo").unwrap()).unwrap();
     assert_eq!(posed.poses.len(), poses);
@@ -18,7 +18,7 @@ fn judged(fit: &PlateFit, truth: &Instrument) -> (f64, f64) {
     errors(&fit.marks.iter().collect::<Vec<&MeasuredMark>>(), truth)
 }
 
-/// Frames that show every mark, four poses in turn.
+/// Frames in which every mark is visible; the four poses take turns.
 fn full_frames(truth: &Instrument, count: usize, seed: u64) -> Vec<FrameObservation> {
     let mut normal = generator(seed);
     let frame = |n: usize| {
@@ -34,7 +34,7 @@ fn generated_measurements_of_every_mark_in_many_frames_are_solved() {
     let truth = truth(1.0, K1, 5);
     let fit = fit(&full_frames(&truth, 200, 6), 4);
     let (rms, ratio) = judged(&fit, &truth);
-    // 0.02 px at 200 observations.
+    // 200 observations of 0.02 px each.
     assert!(rms < 0.012, "{rms}");
     assert!((0.8..1.25).contains(&ratio), "{ratio}");
     assert!(lens_difference(&fit.distortion, &truth.camera.distortion) < 0.005);
@@ -62,7 +62,7 @@ fn a_plate_far_worse_than_its_drawing_states_bends_neither_views_nor_sigmas() {
     assert!(rms < 0.15 && (0.7..1.3).contains(&ratio), "{rms} {ratio}");
 }
 
-/// Error over sigma of many plates: the root of the mean square, and the least and the largest of one plate.
+/// Error over sigma of many plates: root mean square, smallest and largest.
 fn honesty(sigma_of_seed: impl Fn(u64) -> f64, seeds: u64) -> (f64, f64, f64) {
     let ratios: Vec<f64> = (1..=seeds).map(sigma_of_seed).collect();
     let mean_square = ratios.iter().map(|r| r * r).sum::<f64>() / ratios.len() as f64;
@@ -71,7 +71,7 @@ fn honesty(sigma_of_seed: impl Fn(u64) -> f64, seeds: u64) -> (f64, f64, f64) {
     (mean_square.sqrt(), least, most)
 }
 
-/// Error over sigma of a plate of its own, seen in its own noise.
+/// Error over sigma of one plate with marks and noise drawn for this seed.
 fn of_one_plate(seed: u64, k1: f64, (frames, poses): (usize, usize), keystone_deg: f64) -> f64 {
     let truth = truth(1.0, k1, 1000 + seed);
     let frames = sun_frames(&truth, (frames, poses), keystone_deg, seed);

@@ -16,12 +16,12 @@ fn poses_in_one_folder_are_found_and_give_the_same_marks() {
     for (pose, folder) in given.iter().enumerate() {
         for entry in std::fs::read_dir(folder).unwrap() {
             let entry = entry.unwrap();
-            // The poses in turn.
+            // The names interleave the poses.
             let name = format!("{}_{pose}.fits", entry.file_name().to_string_lossy());
             std::fs::copy(entry.path(), together.join(name)).unwrap();
         }
     }
-    // One frame of a pose of its own.
+    // A single frame in another pose.
     let elsewhere = |_: usize, c: &mut solaspect::simulate::Conditions| {
         c.similarity.rotation_deg = 20.0;
     };

@@ -8,7 +8,7 @@ use solaspect::simulate::{Conditions, Depth, RandomScenes, Scene};
 use solaspect::units::PlateMil;
 use std::path::{Path, PathBuf};
 
-/// What the refusal of a set of frames says.
+/// The message with which a set of frames is refused.
 fn refused(given: &[PathBuf]) -> String {
     let start = builtin("demo").unwrap();
     let text = calibrate(given, &start).unwrap_err().to_string();
@@ -16,7 +16,7 @@ fn refused(given: &[PathBuf]) -> String {
     text
 }
 
-/// Writes frames with the Sun wherever it falls, changed in what they say of themselves.
+/// Writes frames whose Sun's centre satisfies `sun`, each scene edited by `change`.
 fn frames(folder: &Path, count: u64, sun: fn(PlateMil) -> bool, change: impl Fn(u64, &mut Scene)) {
     let demo = builtin("demo").unwrap();
     let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 5).unwrap();

@@ -15,14 +15,14 @@ use solaspect::simulate::{Conditions, RandomScenes, keystoned};
 use solaspect::units::{PlateMil, SensorPx};
 use std::path::{Path, PathBuf};
 
-/// Poses of one camera: plate's centre (px), rotation (deg), scale (mil/px).
+/// Poses of one camera: centre of the plate (px), rotation (deg), scale (mil/px).
 pub const POSES: [(f64, f64, f64, f64); 4] = [
     (647.5, 482.5, 0.0, 5.75),
     (690.0, 450.0, 40.0, 5.70),
     (600.0, 520.0, -35.0, 5.80),
     (670.0, 530.0, 80.0, 5.77),
 ];
-/// 1 px at 600 px from the sensor's middle.
+/// Distortion of 1 px at 600 px from the sensor's middle.
 pub const K1: f64 = 1.0 / (600.0 * 600.0 * 600.0);
 
 pub fn generator(seed: u64) -> impl FnMut() -> f64 {
@@ -30,7 +30,7 @@ pub fn generator(seed: u64) -> impl FnMut() -> f64 {
     move || rng.sample(StandardNormal)
 }
 
-/// The demo camera with every mark displaced at random and a lens that distorts.
+/// The demo instrument with every mark displaced at random and a distorting lens.
 pub fn truth(rms_mil: f64, k1: f64, seed: u64) -> Instrument {
     let mut instrument = builtin("demo").unwrap();
     let mut normal = generator(seed);
@@ -57,12 +57,12 @@ pub fn similarity(pose: usize) -> SimilarityParameters {
     }
 }
 
-/// Where the Sun of a calibration frame goes: a region small enough that few frames see each mark often.
+/// Region of the Sun's centres, so small that a few frames show each mark several times.
 pub fn near(plate: PlateMil) -> bool {
     plate.x.abs() < 1300.0 && plate.y.abs() < 1300.0
 }
 
-/// Writes so many frames of a pose into a folder, the Sun where `wanted`, and gives the folder.
+/// Writes frames of a pose, with the Sun's centre where `wanted` allows it, and returns their folder.
 pub fn pose_folder(
     root: &Path,
     pose: usize,
@@ -103,7 +103,7 @@ pub fn calibrate(given: &[PathBuf], start: &Instrument) -> Result<Calibration, R
 /// 1 sigma of a generated observation, px.
 pub const NOISE_PX: f64 = 0.02;
 
-/// A generated frame: the marks that are lit, each seen with noise.
+/// A generated frame: the illuminated marks, observed with noise.
 pub fn observed(
     (number, pose): (usize, usize),
     (truth, mapping): (&Instrument, Mapping),
@@ -128,21 +128,21 @@ pub fn observed(
     }
 }
 
-/// The n-th generated frame of the Sun, which is all over the sensor in the course of many.
+/// The n-th generated frame of the Sun, whose positions cover the sensor over many frames.
 pub fn sun_frame(
     (n, pose): (usize, usize),
     seen_by: (&Instrument, Mapping),
     normal: &mut impl FnMut() -> f64,
 ) -> FrameObservation {
-    /// Marks of which the whole cross is lit.
+    /// A mark this close to the Sun's centre is illuminated as a whole.
     const LIT_PX: f64 = 87.0;
-    // Steps of no period visit every part.
+    // Irrational steps cover the sensor without a period.
     let (x, y) = (0.618_034 * n as f64 % 1.0, 0.754_878 * n as f64 % 1.0);
     let sun = SensorPx::new(96.0 + 1103.0 * x, 96.0 + 773.0 * y);
     observed((n, pose), seen_by, |at| at.distance(sun) < LIT_PX, normal)
 }
 
-/// Generated frames of the Sun all over the sensor, the poses in turn.
+/// Generated frames with the Sun all over the sensor; the poses take turns.
 pub fn sun_frames(
     truth: &Instrument,
     (frames, poses): (usize, usize),

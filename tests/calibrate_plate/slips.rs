@@ -7,10 +7,10 @@ use solaspect::calibrate::plate::{self, FrameObservation, MeasuredMark, PlateFit
 use solaspect::instrument::{Instrument, builtin};
 use solaspect::units::SensorPx;
 
-/// How far the picture of the plate has moved (px) at a share of the pose's duration.
+/// Displacement of the plate's image (px) by the elapsed fraction of the pose's duration.
 type Motion = dyn Fn(f64) -> (f64, f64);
 
-/// Frames of one pose in an hour.
+/// Frames of one pose, taken in an hour.
 fn moving(truth: &Instrument, frames: usize, seed: u64, motion: &Motion) -> Vec<FrameObservation> {
     let first: Timestamp = "2013-09-21T15:00:00Z".parse().unwrap();
     let mut frames = sun_frames(truth, (frames, 1), 0.0, seed);
@@ -26,7 +26,7 @@ fn moving(truth: &Instrument, frames: usize, seed: u64, motion: &Motion) -> Vec<
     frames
 }
 
-/// What becomes of 120 frames in one folder.
+/// Result of 120 frames in one folder.
 struct Found {
     poses: Vec<Pose>,
     fit: PlateFit,
@@ -49,7 +49,7 @@ fn found(seed: u64, motion: &Motion) -> Found {
     }
 }
 
-/// A slip in the middle, by so much.
+/// A slip of `size_px` in the middle of the pose.
 fn slip(size_px: f64) -> impl Fn(f64) -> (f64, f64) {
     move |at| match at < 0.5 {
         true => (0.0, 0.0),
@@ -57,7 +57,7 @@ fn slip(size_px: f64) -> impl Fn(f64) -> (f64, f64) {
     }
 }
 
-/// A slip after a third and another after two thirds, across it.
+/// A slip after a third and another, perpendicular to it, after two thirds.
 fn two_slips(size_px: f64) -> impl Fn(f64) -> (f64, f64) {
     move |at| match (3.0 * at) as u32 {
         0 => (0.0, 0.0),
@@ -70,12 +70,12 @@ fn drift(px_per_h: f64) -> impl Fn(f64) -> (f64, f64) {
     move |at| (0.6 * px_per_h * at, -0.8 * px_per_h * at)
 }
 
-/// A drift that grows evenly, to 1 px/h in an hour.
+/// A drift whose rate grows linearly from 0 to 1 px/h in an hour.
 fn growing(at: f64) -> (f64, f64) {
     (0.5 * at * at, 0.0)
 }
 
-/// A row of the table: error over sigma of all seeds, and the worst mark's. Whether both are as promised.
+/// Prints a row of the table: error over sigma of all seeds, and the worst mark's; whether both meet the limits.
 fn row(name: &str, seeds: u64, motion: &Motion) -> bool {
     let all: Vec<Found> = (1..=seeds).map(|seed| found(seed, motion)).collect();
     let squares: f64 = all.iter().map(|found| found.honesty.powi(2)).sum();
