@@ -23,15 +23,15 @@ use std::fs;
 use std::process::Command;
 
 const SIZE_PX: [usize; 2] = [1920, 1080];
-/// What the camera's file says.
+/// Focal length in the camera's file.
 const FOCAL_PX: f64 = 889.0;
 const K2: f64 = -0.1;
 const FRAMES: u64 = 300;
-/// Cameras that are drawn: in the tests, and for the numbers in the documentation.
+/// Number of drawn cameras in the tests, and for the numbers in the documentation.
 const SMALL: u64 = 16;
 const FULL: u64 = 100;
 
-/// A lens r = f (theta + k2 theta^3), by its own formula.
+/// A lens r = f (theta + k2 theta^3), by this formula.
 #[derive(Debug, Clone, Copy)]
 struct Truth {
     focal_px: f64,
@@ -56,7 +56,7 @@ impl Truth {
     }
 }
 
-/// The camera as its file has it.
+/// The camera as described by its file.
 fn file() -> DirectionCamera {
     let lens = Lens::KannalaBrandt([1.0, K2, 0.0, 0.0, 0.0]);
     DirectionCamera {
@@ -68,7 +68,7 @@ fn file() -> DirectionCamera {
     }
 }
 
-/// From where frames are taken, and how far below the level they point, deg.
+/// Angular radius of the horizon, and range of the camera's roll and pitch, deg.
 #[derive(Debug, Clone, Copy)]
 struct Flight {
     half_angle_deg: f64,
@@ -77,7 +77,7 @@ struct Flight {
     pitches_deg: [f64; 2],
 }
 
-/// From 38 km: the edge at 20 km, known to 1 km.
+/// At 38 km: the edge at 20 km with a sigma of 1 km.
 const BALLOON: Flight = Flight {
     half_angle_deg: 85.69,
     half_angle_sigma_deg: 0.12,
@@ -85,7 +85,7 @@ const BALLOON: Flight = Flight {
     pitches_deg: [-30.0, 20.0],
 };
 
-/// The limbs of a flight as the camera sees them: points every 12 px or so whose noise is 0.1 px each, and 0.3 px that neighbours share.
+/// Limbs of a flight as the camera observes them: points about 12 px apart with independent noise of 0.1 px and correlated noise of 0.3 px.
 fn limbs(truth: &Truth, flight: &Flight, random: &mut Xoshiro256PlusPlus) -> Vec<Limb> {
     let sigma_rad = flight.half_angle_sigma_deg.to_radians();
     let stated = Measured::new(flight.half_angle_deg.to_radians(), sigma_rad);
@@ -148,7 +148,7 @@ fn points(
     points
 }
 
-/// Error over sigma of focal length, centre and k2.
+/// Error over sigma of focal length, centre (two axes) and k2.
 fn errors(found: &Optics, truth: &Truth) -> [f64; 4] {
     let centre = found.camera.principal_point();
     let Lens::KannalaBrandt(k) = found.camera.lens() else {
@@ -222,7 +222,7 @@ fn frames_that_do_not_determine_the_optics_say_what_lacks() {
     assert_eq!(fit(&[], &file()), Err(OpticsError::TooFew(0)));
 }
 
-/// Frames of a flight at 38 km, drawn by a lens of which the file knows little.
+/// Frames of a flight at 38 km, simulated with a lens that differs from the camera's file.
 struct Drawn {
     folder: tempfile::TempDir,
     truth: Truth,
@@ -260,7 +260,7 @@ fn drawn(seed: u64, width_px: usize, frames: u64) -> Drawn {
     Drawn { folder, truth }
 }
 
-/// What the command finds in drawn frames.
+/// Result of the calibration by simulated frames.
 fn calibrated(drawn: &Drawn) -> FromFrames {
     let at = |name: &str| drawn.folder.path().join(name);
     let camera = DirectionCamera::read(&at("cam.toml")).unwrap();

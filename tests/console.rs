@@ -55,7 +55,7 @@ fn local(port: u16) -> SocketAddr {
     (Ipv4Addr::LOCALHOST, port).into()
 }
 
-/// A UDP port of this machine that nobody uses.
+/// An unused UDP port of this machine.
 fn free_port() -> u16 {
     let socket = UdpSocket::bind(local(0)).unwrap();
     socket.local_addr().unwrap().port()
@@ -86,7 +86,7 @@ impl Answer {
     }
 }
 
-/// A request with headers of its own, and its answer.
+/// Sends a request with given headers and returns the answer.
 fn ask(console: SocketAddr, method: &str, path: &str, headers: &str, body: &str) -> Answer {
     let mut stream = TcpStream::connect(console).unwrap();
     stream.set_read_timeout(Some(LONG)).unwrap();
@@ -113,7 +113,7 @@ fn get(console: SocketAddr, path: &str) -> Answer {
     ask(console, "GET", path, &format!("Host: {console}\r\n"), "")
 }
 
-/// A request of the console's own page, with a session's cookie.
+/// A request as the console's own page sends it, with a session's cookie.
 fn post(console: SocketAddr, path: &str, cookie: &str, body: &Value) -> Answer {
     let headers = format!(
         "Host: {console}\r\nOrigin: http://{console}\r\nContent-Type: application/json\r\nCookie: {cookie}\r\n"
@@ -121,7 +121,7 @@ fn post(console: SocketAddr, path: &str, cookie: &str, body: &Value) -> Answer {
     ask(console, "POST", path, &headers, &body.to_string())
 }
 
-/// Logs in; the cookie.
+/// Logs in and returns the cookie.
 fn logged_in(console: SocketAddr) -> String {
     let answer = post(console, "/api/login", "", &json!({"token": TOKEN}));
     assert_eq!(answer.status, 204);
@@ -132,7 +132,7 @@ fn logged_in(console: SocketAddr) -> String {
     cookie.unwrap().split(';').next().unwrap().into()
 }
 
-/// Waits for an answer that is as wanted.
+/// Polls a path until its answer is as wanted.
 fn wait_for(console: SocketAddr, path: &str, mut is_wanted: impl FnMut(&Value) -> bool) -> Value {
     let start = Instant::now();
     loop {
@@ -160,7 +160,7 @@ impl Stream {
         Self(BufReader::new(stream))
     }
 
-    /// The kinds of the events up to one of a kind.
+    /// The kinds of events up to and including the next one of kind `last`.
     fn kinds_until(&mut self, last: &str) -> Vec<String> {
         let mut kinds = Vec::new();
         while kinds.last().is_none_or(|kind| kind != last) {
@@ -322,7 +322,7 @@ fn the_state_is_sent_each_second_also_where_all_but_the_housekeeping_comes() {
     gondola.send(&housekeeping(60)).unwrap();
     let kinds = viewer.kinds_until("housekeeping");
     let states = kinds.iter().filter(|kind| *kind == "state").count();
-    // That of the housekeeping, and at least two in the three seconds before.
+    // One state comes with the housekeeping, and at least two in the three seconds before.
     assert!(states >= 3, "{kinds:?}");
     console.end();
 }
@@ -336,7 +336,7 @@ fn a_picture_is_shown_as_it_arrives_and_solved_when_it_is_whole() {
     let frame = scenes.scene(1).unwrap().frame().unwrap();
     let picture = Picture::new(&frame, 1, Vec::new(), at(0)).unwrap().unwrap();
     let received = |count: usize| move |now: &Value| now["pictures"][0]["received"] == count;
-    // A datagram that does not fit into the queue is lost: no more go out than have come in.
+    // A datagram that does not fit into the queue is lost, so each 100 datagrams wait until the console has received them.
     let send = |parts: std::ops::Range<usize>| {
         for part in parts {
             gondola.send(&picture.part(part).unwrap().encode()).unwrap();
@@ -459,7 +459,7 @@ fn behind_a_proxy_even_viewing_needs_a_login_and_the_cookie_is_for_tls_alone() {
     console.end();
 }
 
-/// A flight program that is ended with the test.
+/// A flight program that is killed at the end of the test.
 struct Fly(Child);
 
 impl Drop for Fly {
@@ -469,7 +469,7 @@ impl Drop for Fly {
     }
 }
 
-/// Sends a command, asked twice where it changes the flight, and waits for its result: the row of the log.
+/// Sends a command, confirmed where it changes the flight, and waits for its row in the log with the result.
 fn sent(console: SocketAddr, cookie: &str, name: &str, values: &[&str]) -> Value {
     let command = json!({"name": name, "values": values});
     let armed = post(console, "/api/commands/arm", cookie, &command).json();
@@ -594,7 +594,7 @@ fn a_viewer_on_a_slow_line_gets_what_fits_it_and_learns_what_is_left_out() {
     }
     let read = start.elapsed().as_secs_f64();
     assert!(report.unwrap()["updates"].as_u64().unwrap() > 100);
-    // What has come is still to be read: all of it must fit the line.
+    // The rest of the received bytes counts, too: all of it must fit the line.
     viewer
         .0
         .get_ref()
@@ -738,7 +738,7 @@ fn consoles_that_relay_in_a_ring_pass_each_datagram_on_once() {
     });
     let (near, far) = (near.unwrap(), far.unwrap());
     let gondola = UdpSocket::bind(local(0)).unwrap();
-    // The second comes when the first would have been round many times.
+    // The second datagram is sent after the first could have looped many times.
     for second in 1..3 {
         gondola.send_to(&housekeeping(second), local(port)).unwrap();
         let back = |now: &Value| now["state"]["line"]["doubled"].as_u64() >= Some(second.into());
@@ -787,7 +787,7 @@ fn a_command_is_signed_for_the_computer_that_it_is_composed_for() {
     console.end();
 }
 
-/// The program with a console, and where it listens.
+/// A console program, and its address.
 fn console_program(
     program: &str,
     source: &str,
@@ -916,7 +916,7 @@ fn the_demo_is_commanded_and_each_of_its_faults_is_shown_and_ends() {
     shown("disk_full");
     press("camera_dead", false);
     press("disk_full", false);
-    // What counts within the last minute ends a minute later: here, that it does not grow any more.
+    // Counts of the last minute fall to zero only a minute later; here it is enough that they no longer grow.
     let counts = |now: &Value| {
         let fields = &now["housekeeping"]["fields"];
         let of = |name: &str| fields[name].as_f64().unwrap();
@@ -959,7 +959,7 @@ fn the_demo_is_commanded_and_each_of_its_faults_is_shown_and_ends() {
     assert!(!summary.contains("nothing was lost"), "{summary}");
 }
 
-/// Memory of a process, bytes.
+/// Resident memory of a process, bytes.
 fn resident(process: &Child) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
     let line = status
@@ -974,7 +974,7 @@ fn resident(process: &Child) -> u64 {
         .unwrap()
 }
 
-/// A recording of hours of housekeeping each second and solutions at 4 Hz.
+/// Writes a recording of `hours` with housekeeping at 1 Hz and solutions at 4 Hz.
 fn record_hours(path: &Path, hours: u32) {
     let mut file = std::io::BufWriter::new(std::fs::File::create(path).unwrap());
     writeln!(file, "{}", byte_log::HEADER).unwrap();
@@ -987,8 +987,8 @@ fn record_hours(path: &Path, hours: u32) {
     }
 }
 
-/// Prints memory and times of a day of a flight, and holds them to what is promised: `SOLASPECT_PROGRAM` names the program of the
-/// release. The page on the console has the numbers.
+/// Prints memory and times for a day of flight and checks them against the stated limits; `SOLASPECT_PROGRAM` names the release
+/// program. The documentation of the console has the numbers.
 #[test]
 #[ignore = "measures memory and time"]
 fn a_day_of_a_flight_fits_150_mb_and_is_drawn_within_150_ms() {

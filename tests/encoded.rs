@@ -113,7 +113,7 @@ fn packets(text: &mut String) {
     }
 }
 
-/// Housekeeping with another value in each field: the first of some that it takes.
+/// Housekeeping with a different value in each field: the first of several candidates that the field accepts.
 fn full() -> Housekeeping {
     let mut values = Vec::new();
     for (n, field) in FIELDS.iter().enumerate() {
@@ -173,7 +173,7 @@ fn nothing() -> Record {
     }
 }
 
-/// A frame of the Sun, one that went nowhere, and one of the Moon.
+/// The log rows of a frame of the Sun, of a dark frame without a solution, and of a frame of the Moon.
 fn rows() -> [LoggedRow; 3] {
     let sun = Record {
         file: "sun/frame.fits".into(),
@@ -263,7 +263,7 @@ fn rows() -> [LoggedRow; 3] {
     ]
 }
 
-/// The files below a folder, by name.
+/// The entries of a folder, sorted by name.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let mut all: Vec<PathBuf> = fs::read_dir(folder)
         .unwrap()

@@ -19,7 +19,7 @@ use tempfile::TempDir;
 
 const FRAMES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/frames/");
 
-/// A folder of its own for a test.
+/// A temporary folder.
 fn folder() -> TempDir {
     tempfile::tempdir().unwrap()
 }
@@ -115,7 +115,7 @@ mod round_trips {
                 let at = random.random_range(0..changed.len());
                 changed[at] ^= 1 << random.random_range(0..8);
                 fs::write(&path, changed).unwrap();
-                // A keyword whose own name is hit guards no more, which the count shows.
+                // A flip in a checksum keyword's own name removes that guard, which the count shows.
                 let sound = check_sums(&path).is_ok_and(|sums| sums.guarded == 3);
                 assert!(!sound, "byte {at}, {compression:?}");
             }
@@ -138,7 +138,7 @@ mod round_trips {
         assert_eq!(number("XPOSURE"), 0.015_001);
         assert_eq!(number("BITDEPTH"), 12.0);
         assert_eq!(number("SATURATE"), 4095.0);
-        // From astropy's EarthLocation for the same latitude, longitude and height.
+        // Computed with astropy's EarthLocation from the same latitude, longitude and height.
         for (name, metres) in [
             ("OBSGEO-X", -1_300_690.005_2),
             ("OBSGEO-Y", -5_132_065.136_0),
@@ -187,7 +187,7 @@ mod round_trips {
         assert_eq!(indices, [-7, 0, i64::MAX]);
         assert_eq!((positions[0], positions[2]), (0.1, -1e300));
         assert!(positions[1].is_nan());
-        // fitsio 0.21 writes one byte too many when it reads texts, so their rows are read as they stand:
+        // fitsio 0.21 writes one byte too many when it reads strings, so their rows are read directly:
         // an integer, a float and seven characters each.
         assert_eq!(hdu.read_key::<String>(&mut file, "TFORM3").unwrap(), "7A");
         let bytes = fs::read(&path).unwrap();
@@ -249,7 +249,7 @@ mod round_trips {
         assert!(!path.exists());
     }
 
-    /// The data of the second HDU: descriptors and tiles of a compressed image.
+    /// The data of the second HDU: tile descriptors and tiles of a compressed image.
     fn tiles(path: &Path) -> Vec<u8> {
         let bytes = fs::read(path).unwrap();
         let headers: Vec<usize> = (0..bytes.len() / 80)
@@ -266,7 +266,7 @@ mod round_trips {
         bytes[start..start + length].to_vec()
     }
 
-    /// The same pixels as cfitsio compresses them.
+    /// The same pixels, compressed by cfitsio.
     fn written_by_cfitsio(folder: &TempDir, frame: &Frame) -> PathBuf {
         use fitsio_sys as sys;
         let path = folder.path().join("cfitsio.fits");
@@ -275,7 +275,7 @@ mod round_trips {
         let mut axes = [frame.width() as std::ffi::c_long, frame.height() as _];
         let count = frame.pixels().len() as i64;
         let (mut file, mut status) = (std::ptr::null_mut(), 0);
-        // SAFETY: the file is open until it is closed, and each pointer lives through its call with the length it is given.
+        // SAFETY: the file is open until `ffclos`, and each pointer lives through its call with the length given to it.
         unsafe {
             sys::ffdkinit(&mut file, name.as_ptr(), &mut status);
             sys::ffcrim(file, 8, 0, std::ptr::null_mut(), &mut status);
@@ -302,7 +302,7 @@ mod round_trips {
         path
     }
 
-    /// Pixels of all roughnesses: rows that are still, noisy, with spikes and wild.
+    /// Pixels of different roughness: constant, slightly noisy, noisy, spiky and random rows.
     fn rough(width: usize, height: usize, top: u16) -> Vec<u16> {
         let wild = noise(3, width * height, top);
         let pixel = |n: usize| {
@@ -331,7 +331,7 @@ mod round_trips {
             let (info, header) = read_info(&path).unwrap();
             assert_eq!(info, frame.info);
             assert_eq!(header.get("BTYPE"), Some(&"Intensity".into()));
-            // Of a file whose data are cut off the headers are still there.
+            // If the data are cut off, the headers can still be read.
             let bytes = fs::read(&path).unwrap();
             fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
             let are_headers_whole = frame.pixels().len() > 1 << 20;
@@ -381,7 +381,7 @@ mod round_trips {
 mod frames_of_others {
     use super::*;
 
-    /// CRC-32 of the pixels (16 bit: low byte first), as astropy reads them.
+    /// CRC-32 of the pixels as astropy reads them (16 bit: low byte first).
     const PIXELS: [(&str, u32); 10] = [
         ("dim/frame_00000.fits", 0x201dcb4b),
         ("disturbed/frame_00000.fits", 0xc3b90b4b),
@@ -479,7 +479,7 @@ mod frames_of_others {
 
     #[test]
     fn a_place_is_read_from_geocentric_metres() {
-        // The position that astropy's EarthLocation gives for this latitude, longitude and height.
+        // The position by astropy's EarthLocation for this latitude, longitude and height.
         let cards = [
             "OBSGEO-X= -1300690.00516486",
             "OBSGEO-Y= -5132065.13600597",
@@ -494,7 +494,7 @@ mod frames_of_others {
 
     #[test]
     fn a_geodetic_place_is_read_on_the_ellipsoid_of_the_standard() {
-        // What wcslib gives for the position above: on the IAU's ellipsoid of 1976 the height is 3 m lower.
+        // The position above by wcslib: on the IAU's ellipsoid of 1976 the height is 3 m lower.
         let cards = [
             "OBSGEO-B= 34.490000",
             "OBSGEO-L= -104.221800",
@@ -577,7 +577,7 @@ mod frames_of_others {
 mod bad_files {
     use super::*;
 
-    /// Reads bytes that make no frame, and returns the error, which is one line that names the file.
+    /// Reads bytes that are no valid frame and returns the error, which is one line with the name of the file.
     fn refusal(bytes: &[u8]) -> String {
         let message = read_bytes(bytes, "bad.fits").unwrap_err();
         assert!(message.contains("bad.fits: "), "{message}");
@@ -664,7 +664,7 @@ mod bad_files {
                 "found 9999 before the end",
             ],
         );
-        // The fill of the last block is no data.
+        // The padding of the last block is not part of the data.
         assert!(read_bytes(&plain[..2880 + 10_000], "a.fits").is_ok());
     }
 
@@ -705,7 +705,7 @@ mod bad_files {
         assert_refused(&data, &["DATASUM: expected data with the sum 7", "0"]);
     }
 
-    /// A sound compressed file with one card replaced.
+    /// A valid compressed file with one card replaced.
     fn compressed_with(keyword: &str, card: &str) -> Vec<u8> {
         let folder = folder();
         let mut bytes = fs::read(written(&folder, &eight_bit(64, 48), Compression::Rice)).unwrap();
@@ -842,7 +842,7 @@ mod bad_files {
             "ZNAME1  = 'BYTEPIX'",
             "ZVAL1   = 1",
         ];
-        // One axis alone counts, so that there is one row of 8 bytes.
+        // Only one axis counts, so there is one row of 8 bytes.
         let mut header = vec![
             "XTENSION= 'BINTABLE'",
             "BITPIX  = 8",
@@ -861,7 +861,7 @@ mod bad_files {
     fn tiles_that_all_share_a_long_stream_are_refused() {
         let mut bytes = compressed_with("DATASUM", "COMMENT");
         let table = table_start(&bytes);
-        // Each of the 48 tiles is the longest that fits into the heap.
+        // Each of the 48 tiles claims the longest stream that fits into the heap.
         let heap = bytes.len() - 2880 - table - 48 * 8;
         for row in 0..48 {
             let descriptor = &mut bytes[table + 8 * row..][..8];
@@ -891,7 +891,7 @@ mod bad_files {
         let last = bytes.len() - 2880;
         bytes[last] ^= 1;
         assert_refused(&bytes, &["DATASUM: expected data with the sum"]);
-        // The first tile's descriptor: a length of 9 bytes.
+        // The first tile's descriptor gets a length of 9 bytes.
         let mut bytes = compressed_with("DATASUM", "COMMENT");
         let table = table_start(&bytes);
         bytes[table..table + 4].copy_from_slice(&[0, 0, 0, 9]);
@@ -901,14 +901,14 @@ mod bad_files {
         );
     }
 
-    /// Where the data of the first extension begin.
+    /// Offset of the first extension's data in the file.
     fn table_start(bytes: &[u8]) -> usize {
         let mut cards = (2880..bytes.len()).step_by(80);
         let end = cards.find(|at| bytes[*at..].starts_with(b"END     "));
         (end.unwrap() + 80).next_multiple_of(2880)
     }
 
-    /// The file without its sums, so that changed data reach the decoder.
+    /// The file without DATASUM cards, so that changed data reach the decoder.
     fn without_sums(file: &[u8]) -> Vec<u8> {
         let mut bytes = file.to_vec();
         for card in bytes.chunks_exact_mut(80) {
@@ -919,7 +919,7 @@ mod bad_files {
         bytes
     }
 
-    /// Bytes that reading may ask for: a picture's row of tiles, one tile and the pixels, of as many pixels as compression can reach.
+    /// Limit on the bytes allocated while reading: a row of tiles, one tile and the pixels, for the largest possible compression ratio.
     fn most_memory(file: &[u8]) -> usize {
         (1 << 20) + file.len() * 1100 * (4 + 4 + 2)
     }
@@ -989,7 +989,7 @@ mod rows_on_demand {
         let table = (2880..bytes.len()).step_by(80);
         let mut ends = table.filter(|at| bytes[*at..].starts_with(b"END     "));
         let descriptors = (ends.next().unwrap() + 80).next_multiple_of(2880);
-        // Row 10 loses what row 20 gains: the sum of all words stays as it is.
+        // Row 10 loses what row 20 gains, so the sum of all words is unchanged.
         for (row, change) in [(10, -40), (20, 40)] {
             let length = &mut bytes[descriptors + 8 * row..][..4];
             let changed = i32::from_be_bytes(length.try_into().unwrap()) + change;
@@ -1013,7 +1013,7 @@ mod rows_on_demand {
 mod tables {
     use super::*;
 
-    /// A file with a binary table named MARKS: rows and bytes of each as the header has it, forms of the columns, further
+    /// A file with a binary table named MARKS: rows and row length as the header states them, forms of the columns, further
     /// cards, data.
     fn file(rows: i64, row_bytes: i64, forms: &[&str], cards: &[&str], data: &[u8]) -> Vec<u8> {
         let mut own: Vec<String> = [
@@ -1162,7 +1162,7 @@ mod tables {
         }
         let none = file(i64::MAX, 0, &[], &[], &[]);
         assert_eq!(columns(&none), []);
-        // With no second axis the size of the file does not bound the rows.
+        // With a single axis the size of the file does not bound the number of rows.
         let mut one_axis = file(1_000_000, 8, &forms, &[], &[0; 8]);
         let at = one_axis
             .windows(10)
@@ -1200,7 +1200,7 @@ mod tables {
     }
 }
 
-/// As [`read_bytes`], but each row when it is first read.
+/// As [`read_bytes`], but each row is read on demand.
 fn read_on_demand(bytes: &[u8], name: &str) -> Result<Frame, String> {
     let folder = folder();
     let path = folder.path().join(name);
@@ -1214,7 +1214,7 @@ fn read_on_demand(bytes: &[u8], name: &str) -> Result<Frame, String> {
     read.map_err(|error| error.to_string())
 }
 
-/// Reads a file of these bytes under this name; an error as its text.
+/// Reads a file with these bytes under this name; an error is returned as its text.
 fn read_bytes(bytes: &[u8], name: &str) -> Result<Frame, String> {
     let folder = folder();
     let path = folder.path().join(name);
@@ -1222,7 +1222,7 @@ fn read_bytes(bytes: &[u8], name: &str) -> Result<Frame, String> {
     read_frame(&path).map_err(|error| error.to_string())
 }
 
-/// A header of these cards and END, in whole blocks. Written by hand, so that bad ones can be made.
+/// A header with these cards and END, padded to whole blocks. Built by hand, so that invalid ones can be made.
 fn header(cards: &[&str]) -> Vec<u8> {
     let mut bytes: Vec<u8> = cards
         .iter()
@@ -1250,7 +1250,7 @@ fn primary(cards: &[&str]) -> Vec<u8> {
     )
 }
 
-/// An HDU with an image, its header beginning with this card.
+/// An HDU with an image; its header begins with the card `first`.
 fn image_hdu(first: &str, bitpix: i32, sides: [i64; 2], cards: &[&str], data: &[u8]) -> Vec<u8> {
     let [bitpix, width, height] = [
         format!("BITPIX  = {bitpix}"),
@@ -1265,7 +1265,7 @@ fn image_extension(bitpix: i32, sides: [i64; 2], cards: &[&str], data: &[u8]) ->
     image_hdu("XTENSION= 'IMAGE   '", bitpix, sides, cards, data)
 }
 
-/// A file with its image in the primary HDU.
+/// A file whose primary HDU has the image.
 fn only_image(bitpix: i32, sides: [i64; 2], cards: &[&str], data: &[u8]) -> Vec<u8> {
     image_hdu("SIMPLE  = T", bitpix, sides, cards, data)
 }

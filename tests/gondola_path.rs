@@ -11,23 +11,23 @@ const SIGMA_MIL: f64 = 0.1;
 /// 0.25 deg/s.
 const SLEW_MIL_PER_S: f64 = 515.0;
 
-/// What the gondola does.
+/// Motion of the gondola during a part of the flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Segment {
     Rest,
     Swing,
-    /// Slews that begin and end within a moment.
+    /// Slews that start and stop instantly.
     Slew,
-    /// One that takes its time.
+    /// A slew that accelerates and decelerates smoothly.
     SmoothSlew,
-    /// From one place to another between two frames.
+    /// Jumps from one position to another between two frames.
     Steps,
-    /// A jolt at every frame.
+    /// A random jolt at every frame.
     Wind,
     Tremble,
-    /// A swing of which three frames of ten are missing.
+    /// A swing in which 30 % of the frames are missing.
     Holes,
-    /// A swing of which three seconds are missing.
+    /// A swing with three seconds of missing frames.
     Gap,
     /// The Sun leaves the sensor and comes back.
     Gone,
@@ -35,12 +35,12 @@ enum Segment {
 
 use Segment::{Gap, Gone, Holes, Rest, Slew, SmoothSlew, Steps, Swing, Tremble, Wind};
 
-/// A moment of a flight: at a frame, or half-way between two.
+/// The truth at a moment: at a frame, or half-way between two.
 struct Truth {
     time_s: f64,
     at_mil: [f64; 2],
     segment: usize,
-    /// Whether there is a frame that shows the Sun.
+    /// Whether a frame shows the Sun at this moment.
     seen: bool,
 }
 
@@ -130,7 +130,7 @@ fn measured(flown: &[Truth], seed: u64) -> Vec<Moment> {
     flown.iter().map(moment).collect()
 }
 
-/// Errors of the path, and over sigma, in both axes.
+/// Errors of the path in both axes, in mil and in sigmas.
 #[derive(Default)]
 struct Errors {
     mil: Vec<f64>,
@@ -161,14 +161,14 @@ fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// The path at each moment.
+/// The smoothed path at each moment.
 fn points(moments: &[Moment]) -> Vec<PathPoint> {
     let times: Vec<f64> = moments.iter().map(|moment| moment.time_s).collect();
     let path = path(moments.iter().copied(), SharedErrors::default()).unwrap();
     path.anywhere(&times).unwrap()
 }
 
-/// Flies the segments and judges each by the truth.
+/// Simulates the segments and compares the path with the truth in each.
 fn judge(segments: &[(Segment, f64)], rate_hz: f64, seed: u64) {
     let flown = flight(segments, rate_hz, seed);
     let moments = measured(&flown, seed + 1);
@@ -189,14 +189,14 @@ fn judge(segments: &[(Segment, f64)], rate_hz: f64, seed: u64) {
         );
         assert!((0.8..1.25).contains(&ratio), "{name}");
         assert!(at_frames.largest_ratio() < 6.0, "{name}");
-        // What a jolt at a frame does to the way between two has no truth.
+        // The motion between a jolt at a frame and the next frame is not defined, so it is not compared.
         assert!(*segment == Wind || between.largest_ratio() < 7.0, "{name}");
         let own = (0..flown.len()).filter(|m| flown[*m].segment == n);
         let own = own.filter_map(|m| Some((moments[m].measured?, flown[m].at_mil)));
         let own: Vec<f64> = own
             .flat_map(|(seen, truth)| [0, 1].map(|axis| seen[axis].place - truth[axis]))
             .collect();
-        // Two axes of 200 frames show which is better.
+        // Comparing the errors with the measurements' own needs two axes of 200 frames.
         assert!(own.len() < 400 || error_mil <= rms(&own), "{name}");
     }
 }

@@ -14,7 +14,7 @@ use solaspect::units::{Measured, Place, SensorPx};
 use std::process::{Command, Output};
 
 const SEED: u64 = 1;
-/// Frames of a scene: in the tests, and for the numbers in the documentation.
+/// Frames per scene in the tests, and for the numbers in the documentation.
 const SMALL: u64 = 24;
 const FULL: u64 = 200;
 
@@ -36,7 +36,7 @@ pub fn camera(conditions: &EarthConditions) -> DirectionCamera {
     }
 }
 
-/// The sphere of a scene, its edge where the scene has it.
+/// The sphere of a scene, with its true edge.
 pub fn sphere(scene: &EarthScene) -> Sphere {
     let exact = |m| Measured::new(m, 0.0);
     let height = exact(scene.conditions.height_m);
@@ -55,7 +55,7 @@ fn solved(scene: &EarthScene) -> Solution {
     )
 }
 
-/// Square of the error over its covariance, in one axis.
+/// Squared error normalised by its covariance, per axis.
 fn error_over_sigma_squared(found: &Direction, truth: &UnitVector3<f64>) -> f64 {
     let off = found.unit.into_inner() - truth.into_inner();
     let covariance = found.covariance_rad2;
@@ -63,7 +63,7 @@ fn error_over_sigma_squared(found: &Direction, truth: &UnitVector3<f64>) -> f64 
     (off.transpose() * inverse * off).x / 2.0
 }
 
-/// How far from the truth the frames of a scene are, deg.
+/// Errors of the frames of a scene, deg.
 #[derive(Debug)]
 struct Errors {
     frames: u64,
@@ -71,12 +71,12 @@ struct Errors {
     roll_rms: f64,
     pitch_rms: f64,
     pitch_mean: f64,
-    /// Root of the mean of e^T C^+ e / 2.
+    /// Square root of the mean of e^T C^+ e / 2.
     over_sigma: f64,
 }
 
 impl Errors {
-    /// Of so many frames, each of which must be found.
+    /// Errors of this many frames; the horizon of each must be found.
     fn of(conditions: &EarthConditions, frames: u64) -> Self {
         let of_frame = |number| {
             let scene = conditions.scene(SEED, number);
@@ -106,7 +106,7 @@ impl Errors {
         }
     }
 
-    /// Of many frames the ratio is 0.8 to 1.25; that of a few may lie off by 2 sigma of such a mean.
+    /// For many frames the ratio must be 0.8 to 1.25; a few frames add 2 sigma of such a mean.
     fn assert_honest(&self) {
         let spread = 1.0 / (self.frames as f64).sqrt();
         let calibrated = 0.8 - spread..1.25 + spread;
@@ -173,7 +173,7 @@ fn errors_of_a_pair_at_full_size() {
     assert_eq!(found_in_the_sky(2_000), 0);
 }
 
-/// How many frames without a horizon are said to have one.
+/// Number of frames without a horizon in which one is found.
 fn found_in_the_sky(frames: u64) -> usize {
     let of = |number: u64| {
         let conditions = EarthConditions {
@@ -196,7 +196,7 @@ fn no_horizon_is_found_where_there_is_none() {
 
 #[test]
 fn the_sun_its_flares_and_a_turning_camera_hide_no_horizon() {
-    // HORACE 2014, table 1.1: success in 30 % of disturbed frames; a radius and a centre within a tenth of the Earth's radius.
+    // HORACE 2014, table 1.1: success in 30 % of disturbed frames; success means radius and centre within a tenth of the Earth's radius.
     const FRAMES: u64 = 10;
     let conditions = EarthConditions {
         sun: true,
@@ -228,11 +228,11 @@ fn a_horizon_that_is_known_is_found_again_near_by_with_the_same_answer() {
             |last| horizon::solve(&HorizonSettings::default(), &frame, &camera, &sphere, last);
         let alone = solve(None).nadir.unwrap();
         let down = alone.direction.unit;
-        // A degree off, as a gondola's swing from one frame to the next.
+        // The previous nadir is off by 1 deg, a gondola's swing between two frames.
         let last = Rotation3::from_euler_angles(0.01, 0.0, 0.014) * down;
         let tracked = solve(Some(&last)).nadir.unwrap().direction.unit;
         squares += (down.angle(&tracked).to_degrees() / alone.sigma_deg()).powi(2);
-        // A wrong one costs time and nothing else.
+        // A wrong previous nadir costs only time.
         let wrong = Rotation3::from_euler_angles(0.0, 0.0, 1.5) * down;
         assert_eq!(solve(Some(&wrong)).nadir.unwrap(), alone);
     }
@@ -245,7 +245,7 @@ fn what_a_mask_hides_moves_no_horizon() {
     let scene = rocket().scene(SEED, 5);
     let frame = scene.frame().unwrap();
     let mut camera = camera(&scene.conditions);
-    // A boom as bright as the limb, before the sky and the Earth.
+    // A boom as bright as the limb, in front of the sky and the Earth.
     let boom = Region::sized(600, 0, 200, 1080);
     let Pixels::U8(pixels) = frame.pixels() else {
         panic!("8 bits")
@@ -325,7 +325,7 @@ fn with_a_place_straight_down_is_the_ellipsoids_normal() {
                 horizon::solve(&HorizonSettings::default(), &frame, &camera, &sphere, None);
             squares += error_over_sigma_squared(&solution.nadir.unwrap().direction, &truth.nadir);
         }
-        // As a sphere's, its curvature would mislead by a tenth of a degree at middle latitudes.
+        // With a sphere, the ellipsoid's curvature would cause an error of 0.1 deg at middle latitudes.
         let over_sigma = (squares / FRAMES as f64).sqrt();
         assert!(
             over_sigma < 1.4,
@@ -348,7 +348,7 @@ fn the_height_of_the_limb_is_found_where_the_edge_curves() {
         let truth = scene.truth();
         let exact = |m| Measured::new(m, 0.0);
         let height = exact(scene.conditions.height_m);
-        // From 10 km below.
+        // The initial height of the edge is 10 km too low.
         let edge = exact(truth.edge_m - 10_000.0);
         let sphere = Sphere::earth(height, edge, Refraction::None).unwrap();
         let camera = camera(&scene.conditions);
@@ -364,7 +364,7 @@ fn the_height_of_the_limb_is_found_where_the_edge_curves() {
     assert!(ratios.iter().all(|ratio| *ratio < 1.4), "{ratios:?}");
 }
 
-/// The turns from a camera that points along the first axis of a body, and from one along the second, to the body's.
+/// Rotations from camera to body: one camera points along the body's first axis, the other along its second.
 fn pair() -> [Rotation3<f64>; 2] {
     [
         Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
@@ -373,7 +373,7 @@ fn pair() -> [Rotation3<f64>; 2] {
     .map(Rotation3::from_matrix_unchecked)
 }
 
-/// What two cameras of one vehicle say of straight down: the errors of both together and of their circles, deg.
+/// Errors of the nadir from two cameras of one vehicle: of the joint solution and of their circles, deg.
 struct PairErrors {
     joint_rms: f64,
     over_sigma: f64,
@@ -381,7 +381,7 @@ struct PairErrors {
 }
 
 impl PairErrors {
-    /// Of scenes that both see, within 20 deg of level.
+    /// Errors in scenes that both cameras observe within 20 deg of level.
     fn of(frames: u64) -> Self {
         const TILT_DEG: f64 = 20.0;
         let conditions = EarthConditions {
@@ -450,7 +450,7 @@ fn two_cameras_give_the_vertical_together_and_their_circles_to_a_degree() {
 
 #[test]
 fn a_circle_succeeds_in_nine_of_ten_clear_frames() {
-    // HORACE 2014, table 1.1, P-S-04.
+    // HORACE 2014, table 1.1, case P-S-04.
     const FRAMES: u64 = 20;
     let succeeds = |number: &u64| {
         let scene = rocket().scene(SEED, *number);
@@ -463,7 +463,7 @@ fn a_circle_succeeds_in_nine_of_ten_clear_frames() {
     assert!(successes >= 18, "{successes} of {FRAMES}");
 }
 
-/// A picture of a disc that is as bright all over, with the noise of 2 DN.
+/// A picture of a uniformly bright disc with noise of 2 DN.
 pub fn picture_of_disc(
     camera: &DirectionCamera,
     centre: &UnitVector3<f64>,
@@ -521,7 +521,7 @@ fn nadir_and_sun_together_are_an_attitude() {
     let scene = rocket().scene(SEED, 2);
     let nadir = solved(&scene).nadir.unwrap().direction;
     let local = scene.local_from_camera();
-    // The Sun as another sensor of the same body sees it, to 0.01 deg.
+    // Another sensor of the same body observes the Sun, with a sigma of 0.01 deg.
     let sun = UnitVector3::new_normalize(Vector3::new(0.4, -0.7, -0.6));
     let off = Rotation3::from_axis_angle(&Vector3::x_axis(), 1e-4);
     let exact = |unit| Direction::new(unit, 0.0);
@@ -623,7 +623,7 @@ fn simulated_frames_are_solved_to_their_truth_from_the_command_line() {
     );
 }
 
-/// Lines of JSON.
+/// Parses standard output as lines of JSON.
 fn answers(output: &Output) -> Vec<serde_json::Value> {
     let text = std::str::from_utf8(&output.stdout).unwrap();
     text.lines()
@@ -670,7 +670,7 @@ fn frames_of_a_pair_are_answered_with_the_nadir_of_their_body() {
         assert!(off.norm() < 2e-4, "{answer}");
         assert!(answer["sigma_body_deg"].as_f64().unwrap() < 0.01);
     }
-    // By circles, and of one camera alone.
+    // The method of circles, and one camera alone.
     let circles = [
         &command[..],
         &["--method", "circle", &frames[0], &frames[1]],
@@ -689,7 +689,7 @@ fn frames_of_a_pair_are_answered_with_the_nadir_of_their_body() {
         (vector(&alone["nadir_body"]) - down).norm() < 4e-4,
         "{alone}"
     );
-    // A mounting that is 3 deg off makes no common cone: each camera answers for itself.
+    // With a mounting that is wrong by 3 deg the cones disagree, and each camera reports its own solution.
     let text = std::fs::read_to_string(&b).unwrap();
     let turned = text.lines().map(|line| match line.starts_with("body") {
         true => "body_from_camera = [[-0.99862953, 0.05233596, 0], [0, 0, 1], [0.05233596, 0.99862953, 0]]",
@@ -710,7 +710,7 @@ fn frames_of_a_pair_are_answered_with_the_nadir_of_their_body() {
             "{answer}"
         );
     }
-    // A camera without a mounting makes no pair.
+    // A camera without a mounting cannot be part of a pair.
     std::fs::write(
         at("plain.toml"),
         std::fs::read_to_string(&a)
@@ -756,7 +756,7 @@ fn a_place_and_a_heading_stand_for_the_height() {
     let answer = &answers(&solved)[0];
     let down = Vector3::new(value(2), value(3), value(4));
     assert!((vector(&answer["nadir"]) - down).norm() < 5e-4, "{answer}");
-    // The edge's height is found, too.
+    // The height of the edge is fitted, too.
     let fitted = solaspect(&[&command[..], &edge, &["--fit-atmosphere", &frame]].concat());
     let answer = &answers(&fitted)[0];
     let off_m = answer["edge_m"].as_f64().unwrap() - value(10);
@@ -764,7 +764,7 @@ fn a_place_and_a_heading_stand_for_the_height() {
         off_m.abs() < 6.0 * answer["edge_sigma_m"].as_f64().unwrap(),
         "{answer}"
     );
-    // A place without a heading is no place.
+    // A place without a heading is refused.
     let refused = solaspect(&[&command[..], &[&frame]].concat());
     assert_eq!(refused.status.code(), Some(2));
 }

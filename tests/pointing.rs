@@ -34,7 +34,7 @@ fn sun(azimuth_deg: f64, elevation_deg: f64, zenith_to_north_deg: f64) -> SunPos
     }
 }
 
-/// A Sun on the plate known to 0.1 mil in each axis.
+/// A Sun's position on the plate with a sigma of 0.1 mil per axis.
 fn on_plate(x: f64, y: f64) -> Estimate<PlateMil> {
     Estimate {
         position: PlateMil::new(x, y),
@@ -54,12 +54,12 @@ fn instrument(
     instrument
 }
 
-/// A roll that a sensor measures without error.
+/// A measured roll without error.
 fn exact_roll(roll_deg: f64) -> Roll {
     Roll::Measured(Measured::new(roll_deg, 0.0))
 }
 
-/// Straight down in the axes of a telescope: along the boresight, right, and across both.
+/// The nadir in the axes of a telescope: along the boresight, to the right, and perpendicular to both.
 fn nadir(roll_deg: f64, elevation_deg: f64) -> UnitVector3<f64> {
     let [(sin_roll, cos_roll), (sin, cos)] =
         [roll_deg, elevation_deg].map(|deg| deg.to_radians().sin_cos());
@@ -72,7 +72,7 @@ fn apart_arcsec(a: Horizontal, b: Horizontal) -> f64 {
     separation_rad(&a, &b).to_degrees() / ARCSEC
 }
 
-/// The numbers of a table below its heading.
+/// The numeric rows of a CSV table, without comments and header.
 fn rows(table: &str) -> Vec<Vec<f64>> {
     let lines = table.lines().filter(|line| !line.starts_with('#'));
     let numbers = |line: &str| line.split(',').map(|n| n.parse().unwrap()).collect();
@@ -110,7 +110,7 @@ fn offsets_by_directions_at_the_telescope_are_those_of_a_plate_fixed_in_it() {
         instrument.mounting.roll_deg.value = row[2];
         let sun = sun(row[0], row[1], 0.0);
         let seen = on_plate(row[6], row[7]);
-        // Straight down as the telescope has it, and as the gondola does from which it is tilted up.
+        // The nadir in the telescope's axes, and the same in a gondola's, from which the telescope is tilted up.
         let nadir = nadir(row[2], row[1] + row[9]);
         let lowered = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.7) * nadir;
         let level = self::instrument(Directions::Telescope, row[3], (row[4], row[5]));
@@ -148,7 +148,7 @@ fn a_rolls_sigma_is_by_how_much_an_error_of_the_nadir_turns_it() {
             panic!("no roll")
         };
         assert!((telescope.value - roll_deg).abs() < 1e-9);
-        // Each axis of the nadir's error by itself.
+        // Perturb the nadir along each axis.
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
         let moved = axes.map(|axis| {
             let across = axis - nadir.into_inner() * nadir.dot(&axis);
@@ -168,12 +168,12 @@ fn a_rolls_sigma_is_by_how_much_an_error_of_the_nadir_turns_it() {
             );
         }
     }
-    // What dips more than a telescope so high can is no roll of it.
+    // The nadir's component to the right, 0.5, exceeds cos(80 deg), so a telescope at this elevation has no roll.
     let level = Direction::new(nadir(30.0, 0.0), SIGMA_RAD);
     assert_eq!(Roll::by_nadir(&level, 80.0), None);
 }
 
-/// Steps of 1 deg around the boresight at an angle from it: where the Sun is seen.
+/// Positions of the Sun on the plate at an angle from the boresight, in steps of 1 deg around it.
 fn around(boresight_mil: PlateMil, angle_deg: f64) -> impl Iterator<Item = PlateMil> {
     let radius_mil = 3000.0 / 0.0254 * angle_deg.to_radians().tan();
     (0..360).map(move |degree| {
@@ -197,7 +197,7 @@ fn the_rules_agree_at_the_boresight_and_differ_by_tens_of_arcsec_a_degree_from_i
         places.map(difference).fold(0.0, f64::max)
     };
     assert!(largest_arcsec(0.0) < 1e-9);
-    // a^2 tan(elevation): at a solar radius and at a degree.
+    // Expected: a^2 tan(elevation), at a solar radius and at 1 deg.
     for (angle_deg, expected_arcsec) in [(955.6 * ARCSEC, 6.09), (1.0, 86.5)] {
         let found_arcsec = largest_arcsec(angle_deg);
         let ratio = found_arcsec / expected_arcsec;
@@ -214,13 +214,13 @@ fn a_roll_turns_the_pointing_about_the_sun_only_where_directions_count_at_the_te
     };
     let at_sun = by(Directions::Sun2013);
     assert_eq!(pointing(2.0, &at_sun), pointing(0.0, &at_sun));
-    // The roll is the clocking the other way round.
+    // A roll equals a clocking of the opposite sign.
     let (level, mut clocked) = (by(Directions::Telescope), by(Directions::Telescope));
     clocked.mounting.clocking_deg.value = -2.0;
     let [rolled, clocked] = [pointing(2.0, &level), pointing(0.0, &clocked)];
     assert!(apart_arcsec(rolled, clocked) < 1e-6);
-    // The plate's +Y is up. The Sun is seen below the boresight, so it stands above; with the right side low, "above" leans
-    // to the right, so the Sun stands to the right of the vertical and the boresight to the left of the Sun.
+    // The plate's +Y is up. The Sun is observed below the boresight, so it is higher than the pointing; with the right side low,
+    // "up" is tilted to the right, so the Sun is to the right of the vertical and the boresight to the left of the Sun.
     let below = PlateMil::new(0.0, -1000.0);
     let [level, rolled] = [0.0, 2.0]
         .map(|roll_deg| solaspect::pointing::pointing(below, exact_roll(roll_deg), &level, &sun));
@@ -235,8 +235,8 @@ fn a_roll_turns_the_pointing_about_the_sun_only_where_directions_count_at_the_te
 
 #[test]
 fn a_target_at_solar_north_lies_where_north_is_turned_to() {
-    // North turned to the right of the zenith by 90 deg: the target lies at larger azimuth, so the telescope,
-    // pointing at the Sun, is short of it. West is then straight down.
+    // North is rotated by 90 deg to the right of the zenith: the target has a larger azimuth, so the telescope,
+    // which points at the Sun, is short of it. West is then straight down.
     let sun = sun(180.0, 0.0, 90.0);
     let north = HelioprojectiveArcsec { x: 0.0, y: 900.0 };
     let west = HelioprojectiveArcsec { x: 900.0, y: 0.0 };
@@ -298,7 +298,7 @@ fn nearer_to_the_zenith_than_to_the_boresight_the_sun_may_have_no_pointing() {
         let seen = around(PlateMil::new(0.0, 0.0), 1.0);
         seen.filter(|at| no_boresight(*at, &sun)).count()
     };
-    // Only up to asin(0.55) = 33.4 deg to both sides of straight above the boresight can it be seen.
+    // The Sun can be observed only within asin(0.55) = 33.4 deg to either side of straight above the boresight.
     assert_eq!(none(sun(70.0, 89.45, 0.0)), 360 - 67);
     assert_eq!(none(sun(70.0, -89.45, 0.0)), 360 - 67);
     let found = pointing(
@@ -310,7 +310,7 @@ fn nearer_to_the_zenith_than_to_the_boresight_the_sun_may_have_no_pointing() {
     let reason = found.unwrap_err().rejected();
     assert_eq!(reason.reason.code, "no_boresight");
     assert!(reason.measured < reason.limit, "{reason:?}");
-    // Wherever it is farther from the zenith there is one.
+    // With the Sun farther from the zenith than from the boresight, a pointing always exists.
     for at in around(PlateMil::new(0.0, 0.0), 1.0) {
         let found = pointing(at, exact_roll(0.0), &instrument, &sun(70.0, 88.99, 0.0)).unwrap();
         assert!(found.elevation_deg <= 90.0, "{found:?}");
@@ -348,7 +348,7 @@ fn a_frame_without_an_offset_says_why_and_keeps_its_quality() {
     assert_eq!(conclude(None, fort_sumner, fixed), (false, None));
     assert_eq!(conclude(Some(utc), "nowhere", fixed), (false, None));
     let reason = |text: &str| (false, Some(format!("pointing: {text}")));
-    // The Sun stands in the zenith of the equator at its noon.
+    // At the equator's noon the Sun is in the zenith.
     for (place, why) in [
         ("0.7,-91.7,0", "too near the zenith for any pointing"),
         ("3.0,-91.7,0", "too near the zenith for azimuths"),
@@ -381,13 +381,13 @@ fn the_sun_behind_the_lens_is_on_no_plate() {
     assert!(matches!(found, Err(PointingError::BehindTheLens { .. })));
 }
 
-/// By how much the pointing moves, across and in elevation, deg.
+/// Displacement of the pointing in cross-elevation and in elevation, deg.
 fn moved_deg(from: Horizontal, to: Horizontal) -> Vector2<f64> {
     let across = (to.azimuth_deg - from.azimuth_deg) * from.elevation_deg.to_radians().cos();
     Vector2::new(across, to.elevation_deg - from.elevation_deg)
 }
 
-/// The covariance of errors, each given as the pointing moved by a small part of it to both sides.
+/// Covariance of independent errors, each given by the pointings at minus and plus `part` sigma of it.
 fn covariance_deg2(moved_by: impl Iterator<Item = [Horizontal; 2]>, part: f64) -> Matrix2<f64> {
     moved_by
         .map(|[less, more]| moved_deg(less, more) / (2.0 * part))
@@ -395,7 +395,7 @@ fn covariance_deg2(moved_by: impl Iterator<Item = [Horizontal; 2]>, part: f64) -
         .sum()
 }
 
-/// An instrument whose calibration is uncertain, a Sun that it sees, and where.
+/// An instrument with an uncertain calibration, a Sun, and its measured position on the plate.
 fn uncertain(directions: Directions) -> (Instrument, SunPosition, Estimate<PlateMil>) {
     let mut instrument = instrument(directions, -32.425, (124.68, -74.64));
     instrument.mounting.boresight_sigma_mil = 2.0;
@@ -413,7 +413,7 @@ const PART: f64 = 1e-3;
 
 #[test]
 fn the_uncertainty_is_the_scatter_that_the_sphere_shows() {
-    // Move the Sun by one sigma along each principal axis of its covariance and measure on the sky.
+    // Displace the Sun along each column of the covariance's Cholesky factor and measure the displacement on the sky.
     for directions in Directions::ALL {
         let (instrument, sun, seen) = uncertain(directions);
         let root = seen.covariance.cholesky().unwrap().l();
@@ -438,7 +438,7 @@ fn the_uncertainty_is_the_scatter_that_the_sphere_shows() {
 
 #[test]
 fn the_calibrations_share_is_the_scatter_of_its_values_and_stands_apart() {
-    // Move each calibrated value by its sigma and measure on the sky.
+    // Displace each calibrated value by a part of its sigma and measure the displacement on the sky.
     for directions in Directions::ALL {
         let (known, sun, seen) = uncertain(directions);
         let moved_by = (0..5).map(|value| {
@@ -462,7 +462,7 @@ fn the_calibrations_share_is_the_scatter_of_its_values_and_stands_apart() {
             "{off}: {} for {expected}",
             found.calibration_deg2
         );
-        // A perfect calibration changes nothing of what the frame says of itself.
+        // A perfect calibration leaves the frame's own covariance unchanged.
         let mut perfect = known.clone();
         perfect.mounting.boresight_sigma_mil = 0.0;
         perfect.mounting.clocking_deg.sigma = 0.0;
@@ -514,7 +514,7 @@ fn the_error_of_a_roll_is_the_calibrations_when_stated_and_the_frames_when_measu
     assert_eq!(measured.calibration_deg2, exact.calibration_deg2);
     let by_measured = measured.covariance_deg2 - exact.covariance_deg2;
     assert!((by_measured - by_stated).norm() < 1e-9 * by_stated.norm());
-    // 0.3 deg at the Sun's angle from the boresight.
+    // Expected: 0.3 deg times the Sun's angle from the boresight.
     let from_boresight = seen.position.vector() - instrument.mounting.boresight_mil.vector();
     let expected_arcsec = 0.3_f64.to_radians() * from_boresight.norm() * 1.7464;
     let found_arcsec = by_stated.trace().sqrt() / ARCSEC;
@@ -567,7 +567,7 @@ proptest! {
             let towards = pointing(at, roll, &instrument, &sun).unwrap();
             let back = sun_on_plate(towards, roll, &instrument, &sun).unwrap();
             prop_assert!(back.distance(at) < 1e-6, "{directions:?}: {back:?}");
-            // On a target where the telescope points there is no offset.
+            // The offset to a target at which the telescope points is zero.
             let target = helioprojective(at, roll, &instrument, &sun).unwrap();
             let none = offset(on_plate(x, y), roll, &instrument, &sun, target).unwrap();
             prop_assert!(none.azimuth_deg.hypot(none.elevation_deg) < 1e-9, "{none:?}");

@@ -32,14 +32,14 @@ fn solaspect(arguments: &[&str], answers: &str) -> Output {
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
     let mut program = command.spawn().unwrap();
-    // A program that has refused reads no answers.
+    // A program that refused its arguments reads no answers, so the write may fail.
     let _ = program.stdin.take().unwrap().write_all(answers.as_bytes());
     program.wait_with_output().unwrap()
 }
 
 const SIMULATED: &str = "[camera]\nsource = \"simulated\"\n";
 
-/// The configuration with the simulator for a camera where it names none.
+/// The configuration; adds the simulator as its camera where it names none.
 fn with_camera(config: &str) -> String {
     match config.contains("source =") {
         true => config.into(),
@@ -48,14 +48,14 @@ fn with_camera(config: &str) -> String {
     }
 }
 
-/// The page of a preflight, as JSON, and whether nothing failed.
+/// The page of a preflight as JSON, and whether all checks passed.
 struct Page {
     passed: bool,
     page: Value,
 }
 
 impl Page {
-    /// Of a configuration, over which the simulated camera, an archive in `folder` and full disks are laid, and of options.
+    /// The page of a configuration, with added settings for the simulated camera, an archive in `folder` and full disks.
     fn of(folder: &TempDir, config: &str, options: &[&str]) -> Self {
         Self::with_answers(folder, config, options, "")
     }
@@ -84,7 +84,7 @@ impl Page {
         }
     }
 
-    /// What was found by a check, as "verdict: found", each on a line.
+    /// Verdict and text of each finding of a check, as lines "verdict: found".
     fn found(&self, check: &str) -> String {
         let checks = self.page["checks"].as_array().unwrap();
         let of_it = checks.iter().filter(|finding| finding["check"] == check);
@@ -93,7 +93,7 @@ impl Page {
         lines.collect()
     }
 
-    /// What is to be done about what a check found.
+    /// Remedy of the first finding of a check.
     fn remedy(&self, check: &str) -> &str {
         let checks = self.page["checks"].as_array().unwrap();
         let of_it = checks.iter().find(|finding| finding["check"] == check);
@@ -208,7 +208,7 @@ fn a_disk_is_judged_by_the_time_that_its_space_is_for() {
     let folder = folder();
     let disk = FaultyDisk::new(LocalDisk);
     disk.set(Some(Fault::Free(50.0)));
-    // 50 MB are free.
+    // 50 % of the simulated disk are 50 MB.
     let finding_at = |bytes_per_s: f64| {
         let demand = Demand {
             rate_hz: bytes_per_s / 100_000.0,
@@ -216,7 +216,7 @@ fn a_disk_is_judged_by_the_time_that_its_space_is_for() {
         };
         check_folder(disk.clone(), folder.path(), &demand).remove(0)
     };
-    // Plenty of space, and 40 files that it may yet take, at 10 a second.
+    // Plenty of space, but only 40 more files, at 10 per second.
     disk.set(Some(Fault::Files(40)));
     let finding = finding_at(1_000_000.0);
     assert_eq!(finding.verdict, Verdict::Fail, "{finding}");
@@ -329,7 +329,7 @@ fn a_port_that_is_not_there_fails_and_is_named() {
     assert!(page.found("link").contains("/nowhere/tty"));
 }
 
-/// The page of a line on which somebody sends these bytes all the time.
+/// The page of a preflight on a serial line where another thread sends these bytes repeatedly.
 fn page_of_a_line(bytes: &[u8], wait: &str) -> Page {
     let (mut near, far) = SerialPort::pair().unwrap();
     let over = AtomicBool::new(false);
@@ -396,7 +396,7 @@ fn a_clock_is_judged_by_what_the_kernel_says_and_by_whether_frames_depend_on_it(
     assert!(unset[1].found.contains("1970-01-01"), "{:?}", unset[1]);
 }
 
-/// The demo instrument, measured today except for what stays from its file.
+/// The demo instrument with today as the date of its measurements.
 fn instrument_of_today(folder: &Path) -> String {
     let today = Offset::UTC.to_datetime(Timestamp::now()).date();
     let file = folder.join("instrument.toml");
@@ -499,13 +499,13 @@ fn a_camera_that_the_program_was_not_built_for_says_which_program_to_take() {
         let text =
             format!("[camera]\nsource = \"{source}\"\ninstrument = \"calibration/demo.toml\"\n");
         let page = Page::of(&folder, &text, &[]);
-        // The clock may fail, too: a real camera's frames would get their times from it.
+        // The clock may fail, too: the times of a real camera's frames would come from it.
         assert_eq!(page.failures()[0], "configuration");
         assert!(page.remedy("configuration").contains("--features gige"));
     }
 }
 
-/// A flight in which the telescope goes up and to the right (`way` 1), or down and to the left (-1), all the time.
+/// A flight whose telescope moves steadily up and to the right (`way` 1), or down and to the left (-1).
 fn flight(folder: &Path, way: f64) -> String {
     let (utc, place) = ("2013-09-21T18:00:00Z", "34.49,-104.2218,38405");
     let sun = Ephemeris::default()
@@ -519,7 +519,7 @@ fn flight(folder: &Path, way: f64) -> String {
         };
         pointing::sun_on_plate(pointing, Roll::Stated, &demo, &sun).unwrap()
     };
-    // From end to end in 10 s.
+    // From one end to the other in 10 s.
     let (start, end) = (on_plate(-0.4 * way), on_plate(0.4 * way));
     let file = folder.join("path.toml");
     let text = format!(
@@ -533,7 +533,7 @@ fn flight(folder: &Path, way: f64) -> String {
     format!("simulated:{}", file.display())
 }
 
-/// A table of the Earth's orientation that holds on any day, so that there are always offsets.
+/// A table of the Earth's orientation valid on any day, so that offsets are always available.
 fn any_day(folder: &Path) -> String {
     let mjd = |date: Date| (date - Date::constant(1858, 11, 17)).get_days();
     let [first, last] = [Date::constant(1973, 1, 2), Date::constant(2099, 1, 1)].map(mjd);

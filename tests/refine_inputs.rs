@@ -18,7 +18,7 @@ use std::time::Duration;
 
 const FRAMES: usize = 48;
 const RATE_HZ: f64 = 4.0;
-/// Of the first frame, behind a whole second.
+/// Time of the first frame after a whole second.
 const BEGINS_S: f64 = 0.07;
 
 fn start() -> Timestamp {
@@ -29,13 +29,13 @@ fn time_s(n: usize) -> f64 {
     BEGINS_S + n as f64 / RATE_HZ
 }
 
-/// Moves by up to 160 mil/s.
+/// Position of the Sun on the plate; it moves at up to 160 mil/s.
 fn sun(time_s: f64) -> PlateMil {
     let swing = |amplitude: f64, period: f64| amplitude * (TAU * time_s / period).sin();
     PlateMil::new(swing(300.0, 12.0), 150.0 + swing(100.0, 9.0))
 }
 
-/// The frames of a flight, made once.
+/// The frames of a flight, simulated once.
 fn frames() -> &'static [Frame] {
     static MADE: OnceLock<Vec<Frame>> = OnceLock::new();
     MADE.get_or_init(|| {
@@ -70,7 +70,7 @@ fn write(path: &Path, frame: &Frame, compression: Compression) {
     fits::write_frame(path, frame, &[], &[], compression).unwrap();
 }
 
-/// Writes the frames with other stamps, several cores at a time.
+/// Writes the frames with changed metadata, in parallel.
 fn write_stamped(folder: &Path, restamp: impl Fn(usize, &mut FrameInfo) + Sync) {
     frames().par_iter().enumerate().for_each(|(n, frame)| {
         let mut frame = frame.clone();
@@ -89,7 +89,7 @@ fn n_of(file: &str) -> usize {
     digits[digits.len() - 5..].parse().unwrap()
 }
 
-/// A flight of which each frame is there once.
+/// A flight with one file per frame, and its refinement; made once.
 fn plain() -> &'static (PathBuf, PathBuf) {
     static MADE: OnceLock<(PathBuf, PathBuf)> = OnceLock::new();
     MADE.get_or_init(|| {
@@ -100,7 +100,7 @@ fn plain() -> &'static (PathBuf, PathBuf) {
     })
 }
 
-/// The same with copies: of a mirroring flight's other disk, of other compression, and under other names.
+/// The same flight with copies: on a second disk (mirroring), with other compression, and under other names. Returns the number of copies.
 fn copied(flight: &Path) -> usize {
     write_stamped(&flight.join("a"), |_, _| {});
     let (whole, names) = (flight.join("b"), flight.join("a"));
@@ -212,7 +212,7 @@ fn frames_without_a_time_keep_their_own_place_on_the_plate() {
     assert_eq!(rows.texts("FILE").len(), FRAMES);
 }
 
-/// The columns' differences from the truth at their own times, over sigma: of the smoothed path, and the most in place.
+/// Normalised errors of the smoothed path at its own times, both axes, and its sigmas in X, mil.
 fn held_to_truth(out: &Path) -> (Vec<f64>, Vec<f64>) {
     let path = Columns::read(out, "SMOOTHED");
     let [t, x, sx] = ["UNIX_S", "SUN_X_MIL", "SIGMA_X_MIL"].map(|name| path.floats(name));
@@ -404,7 +404,7 @@ fn a_flight_of_mirrored_pictures_is_refused() {
     assert!(printed.contains("cannot be identified"), "{printed}");
 }
 
-/// Gives the gain and the times of a file values that no program expects there.
+/// Replaces gain and times in a file's headers by values that cannot be parsed.
 fn respell(path: &Path) {
     let mut bytes = fs::read(path).unwrap();
     for card in bytes.chunks_exact_mut(80) {

@@ -9,14 +9,14 @@ fn radius_mil(instrument: &Instrument) -> f64 {
     instrument.optics.radius_mil(SUN_RADIUS_ARCSEC)
 }
 
-/// Every twentieth of a second from the start to the end.
+/// Times in steps of 0.05 s up to the duration.
 fn moments(duration_s: f64) -> impl Iterator<Item = (f64, Duration)> {
     (0..(duration_s * 20.0) as u32)
         .map(|n| f64::from(n) / 20.0)
         .map(|t| (t, Duration::from_secs_f64(t)))
 }
 
-/// How far the Sun's centre lies inside the sensor's nearest edge, in radii.
+/// Distance of the Sun's centre inwards from the sensor's nearest edge, in solar radii.
 fn depth(seen: SensorPx, radius_px: f64) -> f64 {
     let x = (seen.x + 0.5).min(1295.5 - seen.x);
     let y = (seen.y + 0.5).min(965.5 - seen.y);
