@@ -30,7 +30,7 @@ fn demo() -> Instrument {
     builtin("demo").unwrap()
 }
 
-/// Runs parts of the program in its small size; every demand has to be met.
+/// Runs parts of the accuracy program in its small size and asserts that every demand is met.
 fn demands_are_met(parts: &[&str]) {
     let parts: Vec<String> = parts.iter().map(|name| (*name).into()).collect();
     let program = Program::new(Size::Small, &parts, Figures::Left, None).unwrap();
@@ -150,9 +150,9 @@ fn error_arcsec(solution: &Solution, truth: PlateMil, instrument: &Instrument) -
     Some(found.distance(truth) * instrument.optics.arcsec_per_mil())
 }
 
-/// A frame of `tests/data` and its solution beside the truth.
+/// A frame of `tests/data`, its solution, and the error of its aspect.
 struct Solved {
-    /// Folder or file.
+    /// Name of the folder or file.
     name: String,
     solution: Solution,
     /// `None` without an aspect.
@@ -188,13 +188,13 @@ impl Solved {
         self.solution.quality == quality
     }
 
-    /// Whether there is an aspect within so many of its sigmas.
+    /// Whether there is an aspect with an error of at most this many sigmas.
     fn within(&self, sigmas: f64) -> bool {
         self.error.is_some_and(|error| error.sigmas() <= sigmas)
     }
 }
 
-/// The lines of a table of truth under `tests/data`: their fields, and the place on the plate in two of them.
+/// The rows of a truth table under `tests/data`: fields, and the position on the plate from columns `plate` and `plate + 1`.
 fn truths(table: &str, plate: usize) -> Vec<(Vec<String>, PlateMil)> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/data")
@@ -209,7 +209,7 @@ fn truths(table: &str, plate: usize) -> Vec<(Vec<String>, PlateMil)> {
     text.lines().skip(1).map(line).collect()
 }
 
-/// The frames of some folders under `tests/data/frames`, which an independent generator made.
+/// Solutions of the frames in folders under `tests/data/frames`, which an independent generator made.
 fn independent_frames(folders: &[&str]) -> Vec<Solved> {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/frames");
     let truths = truths("frames/truth.csv", 4);
@@ -229,7 +229,7 @@ fn independent_frames(folders: &[&str]) -> Vec<Solved> {
     solved.collect()
 }
 
-/// Folders of whole frames with a usable Sun, and twice the error that was measured when this was written, arcsec.
+/// Folders of whole frames with a usable Sun, and the maximum error, arcsec: twice the value measured at first.
 const USABLE: [(&str, f64); 7] = [
     ("standard", 0.16),
     ("heroes-layout", 0.24),
@@ -239,9 +239,9 @@ const USABLE: [(&str, f64); 7] = [
     ("saturated", 0.12),
     ("dim", 0.40),
 ];
-/// Folders of frames that need not be fine, and of some without a Sun.
+/// Folders of frames that need not be fine; some have no Sun.
 const UNUSABLE: [&str; 2] = ["partial", "night"];
-/// Folders of windows with an effect that the solver stands.
+/// Folders of windows with an effect that the solver must withstand.
 const WITHSTOOD: [&str; 10] = [
     "gradient",
     "column-smear",
@@ -255,7 +255,7 @@ const WITHSTOOD: [&str; 10] = [
     "all-effects",
 ];
 
-/// Whether normalised errors have an rms that as many values of a Gaussian may have, to 3 sigma.
+/// Whether the rms of the normalised errors is consistent with 1, to 3 sigma of such an rms.
 fn have_honest_sigmas(frames: &[Solved]) -> bool {
     let errors = frames.iter().filter(|f| f.is(Quality::Fine));
     let over_sigma: Vec<f64> = errors.flat_map(|f| f.error.unwrap().over_sigma()).collect();
@@ -306,7 +306,7 @@ fn frames_of_an_independent_generator_without_a_usable_sun_say_so() {
     }
 }
 
-/// Solves the windows of some folders: each is fine, and off by 4 of its sigmas at most.
+/// Solves the windows of these folders; asserts that each is fine and within 4 sigma.
 fn windows_are_within_four_sigma(folders: &[&str]) -> Vec<Solved> {
     let frames = independent_frames(folders);
     assert_eq!(frames.len(), 2 * folders.len());
@@ -364,7 +364,7 @@ fn a_frame_without_sun_has_no_solution_and_says_why() {
     }
 }
 
-/// Two pictures of other parts of the plate.
+/// Two pictures of different parts of the plate.
 fn two_frames(depth: Depth) -> [Frame; 2] {
     let instrument = demo();
     let conditions = Conditions {
@@ -375,7 +375,7 @@ fn two_frames(depth: Depth) -> [Frame; 2] {
     [2, 3].map(|n| scenes.scene(n).unwrap().frame().unwrap())
 }
 
-/// A solution to the last bit.
+/// A text that determines a solution to the last bit.
 fn exactly(solution: &Solution) -> String {
     format!("{solution:?}")
 }
@@ -417,7 +417,7 @@ fn the_same_values_in_wider_pixels_give_the_same_solution() {
     assert_eq!(exactly(&a), exactly(&b));
 }
 
-/// A frame of the demo's size, pixel by pixel.
+/// A frame of the demo's size from a function of (x, y).
 fn frame_of(mut value: impl FnMut(f64, f64) -> f64) -> Frame {
     let (width, height) = (1296, 966);
     let pixel = |n: usize| value((n % width) as f64, (n / width) as f64).clamp(0.0, 255.0) as u8;
@@ -535,7 +535,7 @@ fn two_suns_are_never_solved_as_one_that_is_neither() {
     }
 }
 
-/// Errors over sigmas of the Sun's radius on the sensor, and of scale and rotation there.
+/// Errors over sigma of the Sun's radius on the sensor, and of scale and rotation at the Sun's centre.
 fn errors_over_sigma(scene: &Scene, solution: &Solution) -> [f64; 3] {
     let aspect = solution.aspect.unwrap();
     let sun = scene.truth().sun.unwrap();
@@ -548,8 +548,8 @@ fn errors_over_sigma(scene: &Scene, solution: &Solution) -> [f64; 3] {
     .map(|(found, truth)| (found.value - truth) / found.sigma)
 }
 
-/// A camera and a Sun drawn from what the instrument states: the mapping within its sigmas, the disc within those of focus and of the
-/// limb's definition, 0.1 px.
+/// Draws camera and Sun within the instrument's stated sigmas: the mapping within its sigmas, the disc's radius within those of the focus
+/// and of the limb's definition (0.1 px).
 fn as_stated(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Xoshiro256PlusPlus) {
     displaced(recipe, instrument, rng);
     let focus = instrument.optics.plate_distance_mm;
@@ -558,7 +558,7 @@ fn as_stated(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Xoshiro256P
     recipe.conditions.sun_radius_arcsec *= 1.0 + relative * rng.sample::<f64, _>(StandardNormal);
 }
 
-/// The same, one camera in four tilted by 3 deg, 1 sigma.
+/// As [`as_stated`], but one camera in four is tilted, with a sigma of 3 deg.
 fn some_tilted(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Xoshiro256PlusPlus) {
     as_stated(recipe, instrument, rng);
     let tilt_deg = 3.0 * rng.sample::<f64, _>(StandardNormal);
@@ -567,7 +567,7 @@ fn some_tilted(recipe: &mut Recipe, instrument: &Instrument, rng: &mut Xoshiro25
     }
 }
 
-/// The whole disc, with marks enough for a mapping.
+/// The whole disc, with enough marks for a mapping.
 const WHOLE: View = View::Whole {
     lit_marks: 3..=usize::MAX,
 };
@@ -579,14 +579,14 @@ fn drawn_scene(vary: Vary, view: View, seed: u64) -> Scene {
     recipe.scene(&instrument, seed).unwrap()
 }
 
-/// A frame whose own marks give the mapping.
+/// Errors over sigma of a frame with a mapping by its own marks.
 fn by_its_own_mapping(seed: u64) -> Option<[f64; 3]> {
     let scene = drawn_scene(some_tilted, WHOLE, seed);
     let solution = solve(&scene.frame().unwrap(), &demo(), EXPECTED, None);
     (solution.quality == Quality::Fine).then(|| errors_over_sigma(&scene, &solution))
 }
 
-/// A frame without marks, by the mapping of an earlier frame with the Sun elsewhere.
+/// Errors over sigma of a frame without marks, with the mapping of an earlier frame with the Sun elsewhere.
 fn by_the_mapping_of_the_prior(seed: u64) -> Option<[f64; 3]> {
     let mut scene = drawn_scene(some_tilted, WHOLE, seed);
     let earlier = solve(&scene.frame().unwrap(), &demo(), EXPECTED, None);
@@ -599,7 +599,7 @@ fn by_the_mapping_of_the_prior(seed: u64) -> Option<[f64; 3]> {
     matches!(adopted, Adopted::Prior(_)).then(|| errors_over_sigma(&scene, &solution))
 }
 
-/// A frame without marks, by the calibration, which states no tilt.
+/// Errors over sigma of a frame without marks, with the calibration's mapping, which has no tilt.
 fn by_the_calibration(view: View, seed: u64) -> Option<[f64; 3]> {
     let mut scene = drawn_scene(as_stated, view, seed);
     scene.mark_contrast = 0.0;

@@ -6,7 +6,7 @@ use solaspect::simulate::{Conditions, RandomScenes, SUN_RADIUS_ARCSEC};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-/// Counts for each thread by itself: other tests run beside this one.
+/// An allocator that counts per thread, because other tests run in parallel.
 struct Counting;
 
 thread_local! {
@@ -19,7 +19,7 @@ fn count(bytes: usize) {
     BYTES.set(BYTES.get() + bytes);
 }
 
-// SAFETY: every call is handed on to the system's allocator as it is.
+// SAFETY: every call is forwarded unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size());
@@ -39,7 +39,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Calls of the allocator by this thread, and bytes asked for.
+/// Runs `work`; its result, and the number of allocations and bytes requested by this thread.
 pub fn counted<T>(work: impl FnOnce() -> T) -> (T, [usize; 2]) {
     let before = [CALLS.get(), BYTES.get()];
     let result = work();
@@ -61,7 +61,7 @@ fn a_warm_frame_asks_for_little_memory() {
     let (_, acquiring) = counted(|| solve(&frame, &instrument, expected, None));
     let (_, tracking) = counted(|| solve(&frame, &instrument, expected, track));
     println!("acquiring: {acquiring:?} calls and bytes, tracking: {tracking:?}");
-    // The cutout of the disc, lists of the limb's and the marks' pixels, and short lists along the way.
+    // The cutout of the disc, lists of the pixels of limb and marks, and short temporary lists.
     assert!(tracking[0] < 140 && tracking[1] < 1_700_000, "{tracking:?}");
     assert!(
         acquiring[0] < 360 && acquiring[1] < 3_200_000,

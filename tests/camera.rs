@@ -32,7 +32,7 @@ fn simulated(rate_hz: f64, duration: Option<Duration>) -> SimulatedCamera {
     SimulatedCamera::new(view, &settings, noon(), duration)
 }
 
-/// The next exposure and the times that were announced for it; `None` at the end.
+/// The next exposure and the times announced for it; `None` at the end.
 fn next(camera: &mut dyn FrameSource) -> Option<(Exposure, Vec<Timestamp>)> {
     let mut announced = Vec::new();
     loop {
@@ -51,7 +51,7 @@ fn brightest(frame: &Frame) -> u16 {
     }
 }
 
-/// Mean of the disc's bright part, DN above the background.
+/// Mean of the disc's bright part, DN above background.
 fn disc_dn(frame: &Frame) -> f64 {
     let Pixels::U8(pixels) = frame.pixels() else {
         panic!("not 8 bits");
@@ -193,7 +193,7 @@ fn opened_at(
     camera::open(&source.parse::<Source>().unwrap(), &settings, &around)
 }
 
-/// Where the Sun is smallest, and where it is largest.
+/// Days on which the Sun is smallest and largest.
 #[test]
 fn a_simulated_flight_on_another_day_has_frames_of_that_day_with_its_sun() {
     let instrument = instrument::builtin("demo").unwrap();
@@ -201,7 +201,7 @@ fn a_simulated_flight_on_another_day_has_frames_of_that_day_with_its_sun() {
         let start: Timestamp = start.parse().unwrap();
         let clock = FlightClock::starting(start);
         let mut before = start;
-        // Opened again, as after a fault, it goes on.
+        // A camera reopened, as after a fault, continues.
         for _ in 0..2 {
             let mut camera = opened_at("simulated", 1.0, clock).unwrap();
             let (exposure, _) = next(camera.as_mut()).unwrap();
@@ -215,7 +215,7 @@ fn a_simulated_flight_on_another_day_has_frames_of_that_day_with_its_sun() {
     }
 }
 
-/// Frames of a few pixels, each so many milliseconds after noon, or without a time.
+/// Writes frames of a few pixels, each at a time in milliseconds after noon or without a time.
 fn store(folder: &Path, times_ms: &[Option<i64>]) {
     for (n, time_ms) in times_ms.iter().enumerate() {
         let info = FrameInfo {
@@ -228,7 +228,7 @@ fn store(folder: &Path, times_ms: &[Option<i64>]) {
     }
 }
 
-/// How long a folder takes from its first frame to its last.
+/// Duration of the replay of a folder from its first frame to its last.
 fn replay(folder: &Path, speed: f64, frames: usize) -> Duration {
     let mut camera = opened(&format!("folder:{}", folder.display()), speed).unwrap();
     assert!(next(camera.as_mut()).is_some());
@@ -243,12 +243,12 @@ fn replay(folder: &Path, speed: f64, frames: usize) -> Duration {
 #[test]
 fn a_folder_is_replayed_at_its_own_times_and_faster_by_the_speed() {
     let folder = tempfile::tempdir().unwrap();
-    // A day passes, time runs back, and one frame has no time: ten seconds at most, or the rate.
+    // A day's gap, a time that runs back, and a frame without a time: the wait is at most 10 s, or one period of the rate.
     let times_ms = [Some(0), Some(600), Some(86_400_000), Some(100), None];
     store(folder.path(), &times_ms);
     let alive = replay(folder.path(), 20.0, times_ms.len());
     let expected = Duration::from_millis((600 + 10_000 + 20 + 20) / 20);
-    // It never hurries; how late it is depends on the machine.
+    // The replay is never early; how late it is depends on the machine.
     assert!(alive > expected - Duration::from_millis(20), "{alive:?}");
     assert!(alive < Duration::from_secs(10), "{alive:?}");
 }

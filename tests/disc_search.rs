@@ -15,7 +15,7 @@ use solaspect::units::SensorPx;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-/// Farther from the truth than this a disc is no disc at all.
+/// A disc farther than this from the truth counts as wrong.
 const WRONG_PX: f64 = 4.0;
 
 fn demo() -> Instrument {
@@ -51,7 +51,7 @@ fn search<'a>(
     }
 }
 
-/// The share of the Sun's limb that lies on the sensor.
+/// The fraction of the Sun's limb on the sensor.
 fn limb_on_sensor(sun: &Sun, mapping: &Mapping, scene: &Scene) -> f64 {
     const POINTS: u32 = 720;
     let seen = (0..POINTS).filter(|k| {
@@ -66,14 +66,14 @@ fn limb_on_sensor(sun: &Sun, mapping: &Mapping, scene: &Scene) -> f64 {
     seen.count() as f64 / f64::from(POINTS)
 }
 
-/// Where the sensor cuts the Sun.
+/// The part of the sensor that cuts the Sun.
 #[derive(Clone, Copy)]
 enum Cut {
     Edge,
     Corner,
 }
 
-/// Moves the Sun out over an edge or a corner of the sensor until only a share of its limb is left.
+/// Moves the Sun out over an edge or a corner of the sensor until only this fraction of its limb is left.
 fn cut(scene: &mut Scene, at: Cut, share: f64, rng: &mut Xoshiro256PlusPlus) {
     const MARGIN_PX: f64 = 110.0;
     let (width, height) = (scene.width_px as f64, scene.height_px as f64);
@@ -118,15 +118,15 @@ fn cut(scene: &mut Scene, at: Cut, share: f64, rng: &mut Xoshiro256PlusPlus) {
     scene.sun = Some(moved(near));
 }
 
-/// How much of the Sun a frame shows.
+/// The visible part of the Sun in a frame.
 #[derive(Clone)]
 enum View {
     Whole,
-    /// Cut, with a share of the limb in a range.
+    /// The Sun is cut; the visible fraction of the limb is in a range.
     Part(Cut, Range<f64>),
 }
 
-/// What came of the frames of one kind: errors of the centre, px, of those in which a disc was found.
+/// Result of the frames of one kind: errors of the centre, px, where a disc was found.
 struct Search {
     name: String,
     frames: u64,
@@ -173,7 +173,7 @@ impl Search {
         good as f64 / self.frames as f64
     }
 
-    /// So many within a distance of the truth, and none far from it.
+    /// Asserts that a sufficient fraction is within a distance of the truth, and that no disc is wrong.
     fn keeps(&self, least_share: f64, within_px: f64) {
         let found = self.errors_px.len();
         let quantile = |part: f64| {
@@ -332,7 +332,7 @@ fn where_there_is_no_sun_no_disc_is_found() {
     }
 }
 
-/// A frame of the demo's size, pixel by pixel, with noise of a few DN.
+/// A frame of the demo's size from a function of (x, y), with uniform noise of 0 to 8 DN.
 fn frame_of(value: impl Fn(f64, f64) -> f64) -> Frame {
     let (width, height) = (1296, 966);
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(3);
@@ -403,9 +403,9 @@ fn levels_are_the_frames_own_though_little_of_the_disc_is_seen() {
             for (scene, disc_dn) in [(whole, 160.0..235.0), (part, 90.0..190.0)] {
                 let frame = scene.frame().unwrap();
                 let levels = limb::levels(&frame, &LimbSettings::default()).unwrap();
-                // Digitising adds a variance of 1/12.
+                // Quantisation adds a variance of 1/12.
                 let noise = noise_dn.hypot(0.2887);
-                // Whole numbers as coarse as the noise determine it less well.
+                // Noise comparable to the quantisation step is less well determined.
                 let tolerance = 0.04 + 0.1 / noise_dn;
                 assert!(
                     (levels.background_dn - 4.0).abs() < 0.04 * noise,

@@ -31,13 +31,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Far more than anything here should take.
+/// Timeout of waits, far longer than any step takes.
 const LONG: Duration = Duration::from_secs(60);
 
-/// What a camera does when it is asked for a frame, by the number of the call.
+/// Response of a camera to a call for a frame, by the number of the call.
 type Deed = fn(u64) -> Result<Take, CameraError>;
 
-/// A camera whose calls go on being counted when it is opened again.
+/// A camera whose count of calls continues when it is reopened.
 struct Scripted {
     calls: Arc<AtomicU64>,
     deed: Deed,
@@ -56,7 +56,7 @@ fn taken(number: u64) -> Result<Take, CameraError> {
     Ok(Take::Exposure(Box::new(Exposure { frame, announced })))
 }
 
-/// A camera that can be opened again and again.
+/// A camera that can be reopened any number of times.
 fn scripted(deed: Deed) -> FlightCamera {
     let calls = Arc::new(AtomicU64::new(0));
     FlightCamera {
@@ -95,7 +95,7 @@ fn fly(camera: FlightCamera, root: &Path) -> FlightTally {
     service.join().unwrap()
 }
 
-/// The text of a frame's keyword.
+/// The text of a keyword in a frame's file.
 fn text_of(frame: &Path, keyword: &str) -> String {
     let header = fits::FitsFile::open(frame).unwrap().keywords().unwrap();
     match header.get(keyword) {
@@ -115,7 +115,7 @@ fn an_archive_holds_what_it_was_flown_with_and_every_frame_and_the_ground_name_i
     for exposure_us in [9_000, 12_000] {
         let mut camera = scripted(|call| match call {
             4 => {
-                // Until the second's housekeeping.
+                // Wait for the housekeeping, which is sent each second.
                 std::thread::sleep(Duration::from_millis(1500));
                 Ok(Take::End)
             }
@@ -221,7 +221,7 @@ fn a_camera_that_pauses_between_frames_is_counted_as_silent_for_as_long() {
         }),
         root.path(),
     );
-    // A slow machine may add pauses of its own.
+    // A slow machine may add further pauses.
     assert!(tally.camera.silences >= 1, "{tally}");
     assert!(tally.camera.silent >= Duration::from_millis(1500));
     assert_eq!((tally.counts.taken, tally.restarts), (7, 0));
@@ -240,7 +240,7 @@ fn a_camera_that_dies_within_a_call_of_its_driver_is_silent_though_it_never_says
     });
     let service = Service::start(flight(camera, vec![open(root.path())])).unwrap();
     wait_until("the frames", || frames_in(root.path()).len() == 3);
-    // Longer than three periods; sooner than the thread is taken for one that hangs.
+    // Longer than three periods, but shorter than the time after which a thread counts as hung.
     std::thread::sleep(Duration::from_millis(1500));
     service.stop_within(Duration::from_millis(10));
     wait_until("the flight's end", || service.is_finished());
@@ -268,7 +268,7 @@ fn a_folder_that_pauses_as_its_frames_did_is_not_silent() {
     assert_eq!(tally.lost(), 0, "{tally}");
 }
 
-/// Frames one after the other.
+/// A camera that returns the given frames in order.
 struct Given(VecDeque<Frame>);
 
 impl FrameSource for Given {
@@ -285,7 +285,7 @@ impl FrameSource for Given {
     }
 }
 
-/// The part of a frame from this corner on.
+/// The window of a frame that begins at this corner.
 fn part(frame: &Frame, corner: (usize, usize), size: (usize, usize)) -> Frame {
     let Pixels::U8(pixels) = frame.pixels() else {
         unreachable!()
@@ -312,7 +312,7 @@ fn a_flight_with_the_wrong_cameras_file_says_so_and_borrows_what_it_measured() {
     let with_marks = scene.frame().unwrap();
     scene.mark_contrast = 0.0;
     let without = scene.frame().unwrap();
-    // No more than wait for the solver. When another part of the sensor is read, no frame's mapping is left.
+    // No more frames than fit into the solver's queue. When another window of the sensor is read, no earlier mapping applies.
     let mut frames = VecDeque::from(vec![with_marks; 4]);
     frames.push_back(without.clone());
     frames.push_back(part(&without, (300, 300), (600, 500)));
@@ -343,7 +343,7 @@ fn a_flight_with_the_wrong_cameras_file_says_so_and_borrows_what_it_measured() {
     assert!(tally.to_string().contains(said), "{tally}");
 }
 
-/// Only systemd can restart it: the test needs `NOTIFY_SOCKET`, by which the program knows of it.
+/// Only systemd can restart the program: the test needs `NOTIFY_SOCKET`, by which the program detects systemd.
 #[test]
 #[ignore = "takes 42 s, and NOTIFY_SOCKET must be set"]
 fn a_camera_that_hangs_again_and_again_ends_the_flight_for_systemd_to_begin_anew() {
@@ -427,7 +427,7 @@ fn a_step_of_utc_is_stated_in_the_frames_header_and_counted() {
     assert_eq!(steps, expected);
 }
 
-/// A camera that shows a disc whose light follows the exposure, and records what it was set to.
+/// A camera that shows a disc whose brightness is proportional to the exposure; it records the exposures set.
 struct Lit {
     settings: CameraSettings,
     exposures: Arc<Mutex<Vec<u32>>>,
@@ -504,7 +504,7 @@ fn the_exposure_follows_the_light_where_that_is_wanted_and_commands_set_it_where
         service.join().unwrap();
         let exposures = exposures.lock().unwrap();
         match auto {
-            // 0.8 of full scale is reached at 20.4 ms.
+            // The disc reaches 0.8 of full scale at an exposure of 20.4 ms.
             true => assert!(
                 (19_000..22_000).contains(exposures.last().unwrap()),
                 "{exposures:?}"
@@ -623,7 +623,7 @@ fn asked_to_end_it_finishes_and_ends_well_within_two_seconds() {
     let mut said = String::new();
     child.stdout.unwrap().read_to_string(&mut said).unwrap();
     assert_eq!(status.code(), Some(0), "{said}");
-    // The program's own limit is 1.8 s; the rest is for a machine that has other things to do.
+    // The program's own limit is 1.8 s; the rest allows for a busy machine.
     assert!(took < Duration::from_secs(10), "{took:?}");
     let files = frames_in(root.path());
     assert!(
@@ -645,7 +645,7 @@ fn signal(child: &Child, name: &str) {
 #[test]
 fn a_terminal_that_closes_ends_it_in_order() {
     let root = tempfile::tempdir().unwrap();
-    // Whoever runs the tests may have it ignore the signal.
+    // The process that runs the tests may have set the signal to be ignored.
     let mut child = Command::new("env")
         .args([
             "--default-signal=HUP",
@@ -669,7 +669,7 @@ fn a_terminal_that_closes_ends_it_in_order() {
     assert!(said.contains("frames     "), "{said}");
 }
 
-/// Flies for two seconds with a log of every frame on `stderr`, and gives what it said on standard output.
+/// Flies for two seconds with a log of every frame on `stderr`, and returns the program's standard output.
 fn fly_with_log_on(stderr: impl Into<Stdio>, root: &Path) -> String {
     let arguments = [
         "fly",
@@ -686,7 +686,7 @@ fn fly_with_log_on(stderr: impl Into<Stdio>, root: &Path) -> String {
     let output = output.unwrap().wait_with_output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(0), "{said}");
-    // A machine that has other things to do draws fewer frames.
+    // A busy machine draws fewer frames.
     let files = frames_in(root).len();
     assert!(
         files > 0 && said.contains(&format!("stored     {files}, 0 not")),
@@ -716,12 +716,12 @@ fn a_flight_goes_on_when_its_log_cannot_be_written() {
 fn a_flight_goes_on_when_the_reader_of_its_log_stalls() {
     let root = tempfile::tempdir().unwrap();
     let (_reader, mut writer) = std::io::pipe().unwrap();
-    // As much as a pipe of Linux holds: the first line of the log does not fit.
+    // A Linux pipe holds this many bytes, so the first line of the log does not fit.
     writer.write_all(&[b'\n'; 65_536]).unwrap();
     fly_with_log_on(writer, root.path());
 }
 
-/// A file whose opening never returns, as on a disk that hangs.
+/// Makes a file whose opening blocks forever, as on a hung disk.
 fn hang(path: &Path) {
     nix::unistd::mkfifo(path, nix::sys::stat::Mode::S_IRWXU).unwrap();
 }
@@ -769,7 +769,7 @@ fn after_a_stop_of_the_whole_program_nothing_is_called_hung_and_nothing_is_made_
     .unwrap();
     wait_until("a frame", || !frames_in(root.path()).is_empty());
     signal(&child, "STOP");
-    // Longer than a camera or a solver may be silent.
+    // Longer than the permitted silence of a camera or a solver.
     std::thread::sleep(Duration::from_secs(11));
     signal(&child, "CONT");
     let stored = frames_in(root.path()).len();
@@ -794,7 +794,7 @@ fn after_a_stop_of_the_whole_program_nothing_is_called_hung_and_nothing_is_made_
     assert!(short <= 1, "housekeeping comes in a burst: {times:?}");
 }
 
-/// Frames by number: the same ones again and again, in ordinary and in poor light.
+/// Frames by number, from a repeated list of pictures in ordinary and in poor light.
 fn ordinary_and_poor(number: u64) -> Frame {
     const FRAMES: [&str; 4] = [
         "standard/frame_00000.fits",
@@ -806,13 +806,13 @@ fn ordinary_and_poor(number: u64) -> Frame {
     let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data/frames"));
     let mut frame = fits::read_frame(&folder.join(name)).unwrap();
     frame.info.number = Some(number);
-    // A long exposure, so that solutions are old.
+    // A long exposure, so that solutions are old when they are sent.
     frame.info.exposure = Some(Duration::from_millis(200));
     frame
 }
 
-/// What a short flight comes to whose parameters are set by command before its first frame: settings that the camera was given,
-/// answers, what the line and the archive did. `None` where a value is refused.
+/// Result of a short flight whose parameters are set by command before its first frame: settings given to the camera, solutions,
+/// and counts of the line and the archive. `None` if a value is refused.
 fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
     const FRAMES: u64 = 8;
     const FREE_PERCENT: f64 = 50.0;
@@ -830,11 +830,11 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
     };
     let (near, _far) = SerialPort::pair().unwrap();
     let mut instrument = instrument::builtin("demo").unwrap();
-    // As if the plate's centre had been measured a little wrong.
+    // As if the measured plate centre had a small error.
     instrument.mounting.plate_centre_px.x += 8.0;
     let mut flight = flight(FlightCamera::of_plate(instrument, camera), vec![store]);
     flight.line = Connection::over(near);
-    // A machine that has other things to do makes no solution too old.
+    // On a busy machine, no solution becomes too old.
     flight.config.link.max_solution_age_ms = 30_000;
     let (service, answers) = Service::start_watched(flight).unwrap();
     wait_until("the disk's space", || {
@@ -854,7 +854,7 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
             return None;
         }
     }
-    // A disk is checked each second.
+    // Disks are checked every second.
     let limits = controls.config().archive.space_limits();
     let space = || service.disks()[0].space;
     wait_until("the state of space by the limits that were set", || {
@@ -880,7 +880,7 @@ fn flown_with(settings: &[(u16, f64)]) -> Option<String> {
     ))
 }
 
-/// A camera that takes a frame on demand, and notes what it is set to.
+/// A camera that takes a frame on demand and records its settings.
 struct Prompted {
     number: u64,
     end: u64,
@@ -926,17 +926,17 @@ fn every_parameter_that_a_command_sets_changes_what_the_flight_does() {
             continue;
         };
         if parameter.table() == "navigation" {
-            // This flight has no IMU: a promise of the filter's own shows them (service::navigation).
+            // This flight has no IMU: a test of the filter covers these parameters (service::navigation).
             continue;
         }
         if parameter.key == "link.sending_camera" {
-            // Nor a second camera: see service::line.
+            // This flight has no second camera: see service::line.
             continue;
         }
         let tries: Vec<Vec<(u16, f64)>> = match (parameter.key, parameter.allowed) {
-            // Seen where frames are thinned out.
+            // Has an effect only while frames are thinned out.
             ("archive.store_every", _) => vec![vec![(40, 2.0), (41, 70.0), (42, 60.0)]],
-            // As many as an ordinary frame has, and more than a poor one.
+            // Values between the number of marks in a poor frame and that in an ordinary one.
             ("fiducial.min_marks", _) => vec![vec![(24, 8.0)], vec![(24, 7.0)], vec![(24, 6.0)]],
             ("archive.thin_free_percent", _) => vec![vec![(41, 70.0), (42, 60.0)]],
             ("archive.stop_free_percent", _) => vec![vec![(41, 70.0), (42, 65.0), (43, 60.0)]],
@@ -963,7 +963,7 @@ fn every_parameter_that_a_command_sets_changes_what_the_flight_does() {
     }
 }
 
-/// The limits, and values on the way to them: with some limits no frame would show a Sun, and they are refused.
+/// The limits, and values between them and the default: with some limits no frame would show a Sun, and they are refused.
 fn towards(parameter: &Parameter, limits: [f64; 2]) -> Vec<f64> {
     let default = match parameter.default() {
         Some(config::Value::Number(value)) => value,
@@ -982,7 +982,7 @@ fn alone(number: u16, values: Vec<f64>) -> Vec<Vec<(u16, f64)>> {
         .collect()
 }
 
-/// What a flight of two seconds sends to a service manager that listens at a socket, given to it as `variable`.
+/// The messages that a flight of two seconds sends to a service manager's socket, given to it as `variable`.
 fn sent_to_systemd(socket: &UnixDatagram, variable: &str) -> Vec<String> {
     socket.set_read_timeout(Some(LONG)).unwrap();
     let mut child = solaspect(&["fly", "--camera", "simulated", "--duration", "2s"])

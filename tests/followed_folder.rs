@@ -25,7 +25,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// Far more than anything here should take.
+/// Timeout of waits, far longer than any step takes.
 const LONG: Duration = Duration::from_secs(120);
 
 #[track_caller]
@@ -37,7 +37,7 @@ fn wait_until(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
-/// The file of a frame of a few pixels.
+/// A FITS file of a few pixels with this frame number.
 fn file(number: u64) -> Vec<u8> {
     let info = FrameInfo {
         number: Some(number),
@@ -54,7 +54,7 @@ fn put(folder: &Path, name: &str, bytes: &[u8]) {
     fs::rename(part, folder.join(name)).unwrap();
 }
 
-/// A folder with the frames 0, 1 ... in it, and one who follows it from then on.
+/// A folder that contains the frames 0, 1, ..., followed from then on.
 struct Followed {
     folder: TempDir,
     taken: TakenFiles,
@@ -82,13 +82,13 @@ impl Followed {
         self.folder.path().join(name)
     }
 
-    /// The number of the next frame; its exposure is announced, once.
+    /// Number of the next frame; asserts that its exposure is announced once.
     #[track_caller]
     fn next(&mut self) -> u64 {
         next(&mut self.source)
     }
 
-    /// Whether no frame is left: the next one is what comes last.
+    /// Asserts that no frame is left: a frame added now is the next one.
     #[track_caller]
     fn is_exhausted(&mut self) {
         self.put("zzz.fits", 999);
@@ -137,7 +137,7 @@ fn a_file_that_is_being_written_is_waited_for_and_holds_up_no_other() {
     }
     drop(slow);
     assert_eq!(followed.next(), 1);
-    // One that is closed now and then is no frame before it is whole.
+    // A file that is closed and reopened is no frame until it is complete.
     let (begin, end) = bytes.split_at(bytes.len() / 2);
     fs::write(followed.path("2.fits"), begin).unwrap();
     followed.put("3.fits", 3);
@@ -146,7 +146,7 @@ fn a_file_that_is_being_written_is_waited_for_and_holds_up_no_other() {
     rest.as_mut().unwrap().write_all(end).unwrap();
     drop(rest);
     assert_eq!(followed.next(), 1);
-    // A link is whole, though nobody has written to it.
+    // A hard link is complete, although nothing was written to it.
     fs::hard_link(followed.path("3.fits"), followed.path("4.fits")).unwrap();
     assert_eq!(followed.next(), 3);
     followed.is_exhausted();
@@ -224,7 +224,7 @@ fn folders_that_come_are_followed_with_what_is_in_them_and_renaming_makes_no_new
     fs::copy(outside.path().join("o.fits"), same_disk.join("o.fits")).unwrap();
     fs::rename(&same_disk, followed.path("inside")).unwrap();
     assert_eq!(followed.next(), 20);
-    // A frame that is put aside, a folder with another name, and a name that is used again.
+    // Renaming gives no new frame, of a file or of a folder; a name that is used again does.
     fs::rename(followed.path("0.fits"), followed.path("old.fits")).unwrap();
     fs::rename(deep.join("b.fits"), followed.path("b.fits")).unwrap();
     fs::rename(followed.path("day"), followed.path("yesterday")).unwrap();
@@ -245,7 +245,7 @@ fn more_than_the_kernel_reports_is_found_by_listing_anew() {
     let most = fs::read_to_string("/proc/sys/fs/inotify/max_queued_events").unwrap();
     let most: u64 = most.trim().parse().unwrap();
     followed.put("a.fits", 10);
-    // Like reports that follow each other count once: two files by turns.
+    // The kernel merges identical successive events, so two files alternate.
     for n in 0..=most {
         drop(File::create(followed.path([".x", ".y"][n as usize % 2])).unwrap());
     }
@@ -291,7 +291,7 @@ fn a_folder_that_is_not_there_is_named_and_searched_until_it_is() {
     fs::create_dir(&folder).unwrap();
     put(&folder, "0.fits", &file(0));
     assert_eq!(next_patiently(&mut source), Some(0));
-    // Another one in its place, with a frame of before.
+    // Another folder takes its place; it contains a frame with a known name.
     fs::rename(&folder, above.path().join("gone")).unwrap();
     fs::create_dir(&folder).unwrap();
     put(&folder, "0.fits", &file(0));
@@ -308,7 +308,7 @@ fn settings(rate_hz: f64) -> CameraSettings {
     }
 }
 
-/// Frames of the demo's instrument that are drawn once, and written again and again with other numbers and times.
+/// Frames of the demo instrument, drawn once and written repeatedly with other numbers and times.
 struct Writer {
     drawn: Vec<Frame>,
     folder: PathBuf,
@@ -327,12 +327,12 @@ impl Writer {
         }
     }
 
-    /// Writes the next frame, by renaming it into place.
+    /// Writes the next frame by renaming it into place.
     fn write(&mut self) {
         let of_ring = self.written as usize % self.drawn.len();
         let frame = &mut self.drawn[of_ring];
         frame.info.number = Some(self.written);
-        // A day on which the Sun is as large as it was drawn.
+        // On this day the Sun has the radius with which it was drawn.
         let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
         let since_start = Duration::from_secs_f64(self.written as f64 / 26.0);
         frame.info.mid_exposure = Some(start + since_start);
@@ -351,7 +351,7 @@ impl Writer {
     }
 }
 
-/// Flies with a followed folder, its archive in another.
+/// A flight that follows one folder and archives to another.
 fn flight(folder: &Path, archive: &Path, rate_hz: f64) -> Flight {
     let demo = builtin("demo").unwrap();
     let source: Source = format!("folder:{}?follow", folder.display())
@@ -377,11 +377,11 @@ fn flight(folder: &Path, archive: &Path, rate_hz: f64) -> Flight {
     flight
 }
 
-/// A flight of so many frames at 26 frames/s, that ends when all are solved, and their numbers in the order of the solutions.
+/// Flies this many frames at 26 frames/s until all are solved; the tally and the frames' numbers in the order of the solutions.
 fn flown_at_26_hz(frames: u64) -> (FlightTally, Vec<u64>) {
     let [folder, archive] = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let mut flight = flight(folder.path(), archive.path(), 26.0);
-    // Of the test's own size: a machine that is slow stores late.
+    // The queue is as long as this test needs: a slow machine stores late.
     flight.config.archive.queue_frames = 4 * 26;
     let (service, answers) = Service::start_watched(flight).unwrap();
     let mut writer = Writer::new(folder.path());
@@ -402,7 +402,7 @@ fn flown_at_26_hz(frames: u64) -> (FlightTally, Vec<u64>) {
         let answer = answers.recv_timeout(LONG);
         let answer = answer.unwrap_or_else(|_| panic!("{}", service.tally()));
         let number = answer.exposure.frame.info.number.unwrap();
-        // The writer ends with its last frame.
+        // Fails only after the last frame, when the writer has ended.
         let _ = to_remove.send(number);
         solved.push(number);
     }
@@ -455,7 +455,7 @@ fn a_writer_that_stops_is_a_silent_camera_until_it_goes_on() {
     assert_eq!(numbers_in(archive.path()), [0, 1]);
 }
 
-/// Flies in a process of its own with all that lies in a folder.
+/// Starts the program on all files in a folder.
 fn solaspect_flies(folder: &Path, archive: &Path) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
     let source = format!("folder:{}?follow=all", folder.display());
@@ -471,7 +471,7 @@ fn a_program_that_is_killed_and_started_again_repeats_none_of_them() {
     let mut writer = Writer::new(folder.path());
     let list = archive.path().join("taken_camera.txt");
     let listed = || fs::read_to_string(&list).map_or(0, |list| list.lines().count());
-    // More than may wait for the solver.
+    // More frames than the solver's queue holds.
     for frames in [12, 15] {
         while writer.written < frames {
             writer.write();
@@ -488,7 +488,7 @@ fn a_program_that_is_killed_and_started_again_repeats_none_of_them() {
     }
 }
 
-/// What is wrong with a flight that follows one folder and archives to another.
+/// Errors in the plan of a flight that follows one folder and archives to another.
 fn errors_of(source: &str, archive: &Path) -> Vec<String> {
     let options = Options {
         camera: Some(source.parse().unwrap()),
@@ -529,7 +529,7 @@ fn an_archive_in_the_folder_that_is_followed_is_an_error_and_so_is_no_folder() {
         errors.len() == 1 && errors[0].contains(&expected),
         "{errors:?}"
     );
-    // A real camera's, so that its instrument is to be named.
+    // The frames are a real camera's, so the instrument must be named.
     let options = Options {
         camera: Some(follow("frames").parse().unwrap()),
         ..Options::default()

@@ -25,7 +25,7 @@ fn settings() -> CameraSettings {
     }
 }
 
-/// The device draws a ramp along the diagonal: right and below are alike, and the next pixel of a row is another one.
+/// The device draws a diagonal ramp: the neighbours to the right and below are equal, and neighbours in a row differ.
 fn assert_shows_the_ramp(frame: &Frame) {
     let (width, height) = (frame.width(), frame.height());
     for (x, y) in [
@@ -38,14 +38,14 @@ fn assert_shows_the_ramp(frame: &Frame) {
     }
     let row = frame.row_dn(0, 0..width);
     let steps = row.windows(2).filter(|pair| pair[0] != pair[1]);
-    // A bright one is cut off at full scale for much of its way.
+    // A bright ramp is saturated over a large part of its length.
     assert!(steps.count() > width / 8);
 }
 
 #[test]
 fn the_fake_device_gives_frames_with_their_settings_and_loses_none() {
     let mut camera = GenicamCamera::new(fake(), &settings());
-    // Its ids wrap past 65,535 on the way.
+    // The device's frame ids wrap past 65,535 during this loop.
     for number in 0..150 {
         let exposure = next(&mut camera, &mut Vec::new());
         let info = &exposure.frame.info;
@@ -100,7 +100,7 @@ fn what_a_camera_lacks_is_a_refused_setting_that_is_counted_and_named() {
     };
     let mut camera = GenicamCamera::new(fake(), &wanted);
     let first = frame(&mut camera);
-    // It flies on as it is, and its frames say how that is.
+    // The camera works with its own values, and its frames record them.
     assert_eq!((first.bits(), first.saturation_dn()), (8, 255));
     assert_eq!(first.info.preamp_gain, None);
     assert_eq!(camera.health().refused_settings, 2);
@@ -129,14 +129,14 @@ fn no_camera_but_the_fake_device_itself_is_the_fake_device() {
         let error = absent(&mut GenicamCamera::new(device, &settings()));
         let expected = format!("the camera genicam:{id}: no camera has this serial number or id");
         assert!(error.starts_with(&expected), "{error}");
-        // Nor is it in the list.
+        // The fake device is not in the list either.
         assert!(!error.contains("Fake_1"), "{error}");
     }
     let gige: Source = "gige:Fake_1".parse().unwrap();
     assert!(!gige.is_simulated());
 }
 
-/// What came of a flight of the fake device at the size of the demo's camera.
+/// Tally of a flight of the fake device at the size of the demo's camera.
 fn flown(folder: &Path, rate_hz: u64, seconds: u64) -> FlightTally {
     let file = folder.join("flight.toml");
     let archive = folder.join("archive");
@@ -168,7 +168,7 @@ fn flown(folder: &Path, rate_hz: u64, seconds: u64) -> FlightTally {
     tally
 }
 
-/// Nothing is missing between the camera and the disk.
+/// Asserts that no frame is missing between camera and disk; returns their number.
 fn assert_lost_nothing(tally: &FlightTally, archive: &Path) -> u64 {
     assert_eq!(tally.lost(), 0, "{tally}");
     assert_eq!(tally.camera.health, CameraHealth::default(), "{tally}");
@@ -199,6 +199,6 @@ fn ten_minutes_of_the_fake_device_at_full_rate_lose_nothing() {
     let tally = flown(folder.path(), RATE_HZ, SECONDS);
     println!("{tally}");
     let taken = assert_lost_nothing(&tally, &folder.path().join("archive"));
-    // The camera opens first, and keeps its pace from then on.
+    // The camera needs time to open, then keeps its rate.
     assert!(taken + RATE_HZ >= RATE_HZ * SECONDS, "{taken} frames");
 }

@@ -130,7 +130,7 @@ fn the_truth_calls_lit_what_the_picture_shows_bright_inside_of_the_limb() {
         );
         seen.push(truth.lit);
     }
-    // Day, night and both are among them.
+    // The frames include day, night and both.
     assert!(seen.iter().any(|lit| *lit > 0.9), "{seen:?}");
     assert!(seen.iter().any(|lit| *lit < 0.1), "{seen:?}");
     assert!(seen.iter().any(|lit| (0.1..0.9).contains(lit)), "{seen:?}");

@@ -17,7 +17,7 @@ use tempfile::TempDir;
 
 const LONG: Duration = Duration::from_secs(60);
 
-/// Runs the program; one that does not end is ended, and ends with 124.
+/// Runs the program for at most 60 s; after that it is killed, and the exit code is 124.
 fn solaspect(arguments: &[&str]) -> Output {
     let mut command = Command::new("timeout");
     command.args(["60", env!("CARGO_BIN_EXE_solaspect")]);
@@ -34,7 +34,7 @@ fn said(output: &Output) -> String {
     String::from_utf8_lossy(&both).into_owned()
 }
 
-/// A pipe, a link to a device without an end, and a folder, by what they are.
+/// A pipe, a link to an endless device, and a folder, each with its description in error messages.
 fn impostors(folder: &Path) -> [(PathBuf, &'static str); 3] {
     let [pipe, zero, inner] = ["pipe", "zero", "inner"].map(|name| folder.join(name));
     nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
@@ -105,7 +105,7 @@ fn pipes_and_devices_among_frames_are_errors_of_their_own_lines() {
     }
 }
 
-/// The places of the numbers of a document, as steps from its root; of a list of tables those of the first.
+/// The locations of all numbers in a document, as steps from its root; in an array of tables only those of the first.
 fn numbers(value: &toml::Value) -> Vec<Vec<Step>> {
     let below = |step: Step, value: &toml::Value| {
         let rest = numbers(value).into_iter();
@@ -140,7 +140,7 @@ enum Step {
     Item(usize),
 }
 
-/// The document with another number at a place.
+/// The document with one number replaced.
 fn with_number(document: &toml::Value, place: &[Step], number: f64) -> toml::Value {
     let mut document = document.clone();
     let mut at = &mut document;
@@ -154,7 +154,7 @@ fn with_number(document: &toml::Value, place: &[Step], number: f64) -> toml::Val
     document
 }
 
-/// The key that people know a place by: that of an entry, not of its value or sigma.
+/// The key of an entry as users know it, without `value` or `sigma`.
 fn key_of(place: &[Step]) -> String {
     let keys = place.iter().filter_map(|step| match step {
         Step::Key(key) if key != "value" && key != "sigma" => Some(key.as_str()),
@@ -220,13 +220,13 @@ fn no_number_of_a_file_is_infinite_or_none_and_a_huge_one_ends_too() {
             }
         }
     }
-    // When the path starts over; what a calibration rested on, for people.
+    // `repeat_s` is when the path repeats; `calibration` is information for people.
     let harmless = ["repeat_s", "calibration"];
     huge.retain(|key| !harmless.contains(&key.split('.').next().unwrap()));
     assert_eq!(huge, BTreeSet::new(), "taken as they are");
 }
 
-/// A flight that is ended with the test.
+/// A flight that is killed at the end of the test.
 struct Fly(Child);
 
 impl Drop for Fly {

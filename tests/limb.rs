@@ -10,7 +10,7 @@ use solaspect::simulate::{Conditions, Noise, RandomScenes, SUN_RADIUS_ARCSEC};
 use solaspect::units::Measured;
 use std::path::Path;
 
-/// Centre (first pixel 0) and radius as the header of HMI's picture states them; see tests/data/hmi/README.md.
+/// Centre (first pixel 0) and radius by the header of HMI's picture; see tests/data/hmi/README.md.
 const CENTRE_PX: (f64, f64) = (255.5, 255.5);
 const RADIUS_PX: f64 = 202.910;
 
@@ -29,7 +29,7 @@ fn the_sun_of_hmi_is_found_where_its_header_says() {
     };
     let found = search.anywhere(frame.region()).unwrap();
     let start = Ellipse::from(found);
-    // Neither radius nor roundness is given: 3 % and 0.3 % decide nothing here.
+    // Radius and flattening are unknown here: sigmas of 3 % and 0.3 % do not constrain the fit.
     let anything = OutlinePrior {
         radius_px: Measured::new(RADIUS_PX, 0.03 * RADIUS_PX),
         flatness: 0.003,
@@ -66,7 +66,7 @@ fn the_sun_of_hmi_is_found_where_its_header_says() {
     assert!((disc.mean_radius() - RADIUS_PX).abs() < 0.3);
 }
 
-/// The limb of a simulated frame as the pipeline measures it before any mark is known.
+/// The limb of a simulated frame, measured by the pipeline before any mark is known.
 fn limb_under(change: impl Fn(&mut Conditions), seed: u64) -> (Limb, Quality) {
     let instrument = builtin("demo").unwrap();
     let mut conditions = Conditions::of(&instrument);

@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 
 const LONG: Duration = Duration::from_secs(30);
 
-/// A camera in the dark, at 20 frames/s.
+/// A camera that takes dark frames at 20 frames/s.
 struct Dark {
     instrument: Instrument,
     number: u64,
@@ -73,7 +73,7 @@ fn end(service: Service) -> FlightTally {
     service.join().unwrap()
 }
 
-/// What a command comes to; the same number twice would be two answers to one.
+/// Sends a command and returns its answer. Each command needs its own sequence number, else it would be taken for a repetition.
 fn send(far: &mut dyn BytePort, sequence: u16, name: &str, values: &[&str]) -> Answered {
     let values: Vec<String> = values.iter().map(|v| (*v).into()).collect();
     let message = order(name, &values, Computer::One).unwrap();
@@ -85,7 +85,7 @@ fn every_command_of_the_table_is_answered_and_none_ends_the_flight_but_quit() {
     let (near, mut far) = SerialPort::pair().unwrap();
     let service = fly(Connection::over(near), Config::default());
     for (sequence, row) in (1..).zip(COMMANDS) {
-        // Zeros are a value of most variables, and out of range for some.
+        // Zero is valid for most variables and out of range for some.
         let command = row
             .command(Computer::One, &vec![0; row.variables.len()])
             .unwrap();
@@ -161,11 +161,11 @@ fn solving_goes_on_while_the_line_is_away_and_the_line_comes_back() {
     let folder = tempfile::tempdir().unwrap();
     let device = folder.path().join("controller");
     let name = device.to_str().unwrap().to_owned();
-    // A name that leads to the device of the day, as by-id names do. It does not exist yet.
+    // A symlink to the current device, as by-id names are. It does not exist yet.
     let plug = |device: &Path| {
         let (near, far) = SerialPort::pair().unwrap();
         std::os::unix::fs::symlink(far.name(), device).unwrap();
-        // The service opens the far end by its name; ours is the near one.
+        // The service opens the far end by its name; the test uses the near one.
         (near, far)
     };
     let line = Connection::to(PortAddress::Serial { name }, 115_200, LocalEnd::default());
@@ -186,7 +186,7 @@ fn solving_goes_on_while_the_line_is_away_and_the_line_comes_back() {
     assert_eq!(tally.solver(Role::PitchYaw).unsent, 0);
 }
 
-/// Asks again until somebody listens.
+/// Repeats a command until it is answered.
 fn send_patiently(far: &mut dyn BytePort, sequence: u16, name: &str) -> bool {
     let message = order(name, &[], Computer::One).unwrap();
     let end = Instant::now() + LONG;
@@ -219,7 +219,7 @@ fn over_udp_a_packet_is_a_datagram() {
     let open = |port| UdpPort::open(to_port(port), LocalEnd::default()).unwrap();
     let mut ours = open(9);
     let near = open(ours.local_port().unwrap());
-    // Commands come from another socket than the one that is answered, as those of the ground may.
+    // Commands come from another socket than the one that gets the answers, as commands from the ground may.
     let mut ground = open(near.local_port().unwrap());
     let guard = Guard::new(vec![Peer::any_port_of(Ipv4Addr::LOCALHOST.into())], None);
     let service = fly(Connection::over(near).guarded(guard), Config::default());
@@ -233,7 +233,7 @@ fn over_udp_a_packet_is_a_datagram() {
         if count == 0 {
             continue;
         }
-        // One datagram holds one packet and nothing else.
+        // Each datagram holds exactly one packet.
         let packets = Parser::new(Direction::ToController).feed(&buffer[..count], Duration::ZERO);
         assert_eq!(packets.len(), 1);
         assert_eq!(packets[0].encode().len(), count);
@@ -246,7 +246,7 @@ fn over_udp_a_packet_is_a_datagram() {
     end(service);
 }
 
-/// The rows of the command logs in an archive, by the name of the log, without their times.
+/// The rows of all command logs in an archive, without their times; logs sorted by name.
 fn command_rows(root: &Path) -> Vec<Vec<String>> {
     let entries = std::fs::read_dir(root).unwrap();
     let mut logs: Vec<PathBuf> = entries

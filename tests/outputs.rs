@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 const LONG: Duration = Duration::from_secs(60);
 const FRAMES: u64 = 6;
 
-/// A camera that gives the frames that it is given.
+/// A camera that returns the frames sent to it.
 struct Given(Receiver<Frame>);
 
 impl FrameSource for Given {
@@ -46,7 +46,7 @@ impl FrameSource for Given {
     }
 }
 
-/// A flight with outputs and a line whose far end is read, the camera's frames, and the answers.
+/// A flight with outputs and a line: the far end of the line, the input of the camera, and the answers.
 struct Rig {
     service: Service,
     frames: Sender<Frame>,
@@ -58,7 +58,7 @@ fn fly(outputs: impl IntoIterator<Item = Output>) -> Rig {
     let (near, far) = SerialPort::pair().unwrap();
     let (frames, given) = unbounded();
     let mut config = Config::default();
-    // No test depends on how fast the machine is.
+    // No test depends on the speed of the machine.
     config.link.max_solution_age_ms = 60_000;
     config.outputs = Outputs::from_iter(outputs);
     config.site = FORT_SUMNER.into();
@@ -85,7 +85,7 @@ fn output(to: &str, format: Format) -> Output {
     }
 }
 
-/// A frame of the first seconds of a flight, `picture` of the simulator's.
+/// `picture` as a frame at `number` quarters of a second after the start of a flight.
 fn timed(picture: Frame, number: u64) -> Frame {
     let start: Timestamp = "2013-09-21T18:00:00Z".parse().unwrap();
     let info = FrameInfo {
@@ -118,7 +118,7 @@ fn reader() -> (UdpSocket, String) {
     (socket, to)
 }
 
-/// Of a port that nobody has.
+/// An unused TCP address.
 fn free_address() -> SocketAddr {
     let any = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     any.local_addr().unwrap()
@@ -142,7 +142,7 @@ fn datagram(socket: &UdpSocket) -> Vec<u8> {
     buffer
 }
 
-/// What `solaspect solve` writes of the frame, with the camera and its frame's number in front.
+/// The line that `solaspect solve` writes for the frame, with camera and frame number in front.
 fn expected_line(answer: &Answer) -> String {
     let sun = answer.sun().unwrap();
     let info = &answer.exposure.frame.info;
@@ -156,7 +156,7 @@ fn expected_line(answer: &Answer) -> String {
     )
 }
 
-/// The fields of a sentence whose checksum is right.
+/// The fields of an NMEA sentence; asserts that its checksum is right.
 fn fields(sentence: &str) -> Vec<String> {
     assert!(sentence.len() <= 82, "{sentence}");
     let text = sentence.strip_prefix('$').unwrap();
@@ -226,7 +226,7 @@ fn every_reader_gets_what_the_flight_found_and_the_counts_add_up() {
     }
     assert!(fine >= FRAMES / 2, "{fine} fine");
 
-    // The same housekeeping on the line and as a space packet.
+    // The line and the space packet have the same housekeeping.
     let packet = telemetry(&datagram(&packets));
     assert!(Housekeeping::decode(&packet).is_some());
     let (mut far, mut parser) = (rig.far, Parser::new(Direction::ToController));
@@ -290,7 +290,7 @@ fn readers_that_take_nothing_cost_only_counted_messages() {
     let dropped: Vec<u64> = tally.outputs.iter().map(|output| output.dropped).collect();
     assert!(0 < dropped[0] && dropped[0] < FRAMES, "{tally}");
     assert_eq!(dropped[1..], [FRAMES, 0, FRAMES, 0], "{tally}");
-    // The controller has heard of every frame, and nothing counts as lost.
+    // Every frame was announced and answered on the line, and nothing counts as lost.
     assert_eq!(tally.counts.announced, FRAMES, "{tally}");
     assert_eq!(tally.counts.errors, FRAMES, "{tally}");
     assert_eq!((tally.lost(), tally.restarts), (0, 0), "{tally}");

@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 
 const EXPOSURE: Duration = Duration::from_millis(15);
 
-/// A camera that takes the same few pictures again and again, at its own rate.
+/// A camera that repeats a few pictures at its own rate.
 struct OwnCamera {
     pictures: Vec<Frame>,
     period: Duration,
@@ -79,7 +79,7 @@ struct Heard {
     telemetry: Arc<AtomicU64>,
 }
 
-/// A controller that counts what it hears. It wants tracking from the start.
+/// A controller that counts the messages it receives. It requests tracking from the start.
 struct OwnController {
     to_say: Option<Message>,
     heard: Heard,
@@ -119,7 +119,7 @@ fn planned(folder: &Path, source: &str) -> Plan {
     plan
 }
 
-/// A flight of so many frames, as a program of one's own flies it.
+/// A flight of this many frames, as a user's own program runs it.
 fn flown(folder: &Path, rate_hz: f64, frames: u64) -> (FlightTally, Heard) {
     let plan = planned(folder, "own");
     let mut flight = Flight::of_plan(&plan, Replay::default()).unwrap();
@@ -145,7 +145,7 @@ fn nothing_is_lost(rate_hz: f64, frames: u64) {
         frames_in(&folder.path().join("archive")).len() as u64,
         frames
     );
-    // Before it has started tracking, the controller hears of no exposure.
+    // Exposures are not announced to the controller before tracking starts.
     let solutions = heard.solutions.load(Ordering::Relaxed);
     assert!(solutions >= frames - 1, "{solutions} of {frames}\n{tally}");
     assert!(heard.announced.load(Ordering::Relaxed) >= solutions);

@@ -15,7 +15,7 @@ const LEVEL_DN: f64 = 250.0;
 const READ_DN: f64 = 8.0;
 const GAIN_DN_PER_ELECTRON: f64 = 0.4;
 
-/// A frame of a camera that counts photons as Poisson has it.
+/// A frame with Poisson-distributed photons.
 fn shot(electrons: f64, rng: &mut Xoshiro256PlusPlus) -> Shot {
     let photons = (electrons > 0.0).then(|| Poisson::new(electrons).unwrap());
     let mut pixel = || {
@@ -37,7 +37,7 @@ fn shot(electrons: f64, rng: &mut Xoshiro256PlusPlus) -> Shot {
     }
 }
 
-/// (found - true) / sigma of the gain of one set: four dark frames, two lit ones at each of several exposures.
+/// Normalised error of the gain from one set: four dark frames and two flat ones at each exposure.
 fn normalised_error(exposures: &[f64], seed: u64) -> f64 {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut shots = |electrons: &[f64]| Shots {
@@ -56,7 +56,7 @@ fn normalised_error(exposures: &[f64], seed: u64) -> f64 {
     (gain.found[0] - GAIN_DN_PER_ELECTRON) / gain.sigma
 }
 
-/// Mean and rms of the normalised errors over so many sets.
+/// Mean and rms of the normalised errors over this many sets.
 fn errors(exposures: &[f64], sets: u64) -> (f64, f64) {
     let all = (0..sets).into_par_iter();
     let all: Vec<f64> = all.map(|seed| normalised_error(exposures, seed)).collect();

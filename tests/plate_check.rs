@@ -18,7 +18,7 @@ fn demo() -> Instrument {
     builtin("demo").unwrap()
 }
 
-/// The demo with other marks, mil.
+/// The demo instrument with other marks, mil.
 fn with_marks(places: impl IntoIterator<Item = [f64; 2]>, field_mil: f64) -> Instrument {
     let demo = demo();
     let mark = |(n, [x, y]): (i32, [f64; 2])| {
@@ -46,7 +46,7 @@ fn checked(instrument: &Instrument, places: u64) -> PlateCheck {
     check(instrument, &SolverSettings::default(), &settings)
 }
 
-/// Frames with the Sun at a place, by a camera as it is stated: whether each is fine, and how far off, mil.
+/// Frames with the Sun at a checked place: whether each solution is fine, and its error, mil.
 fn frames(instrument: &Instrument, place: &CheckedPlace, count: u64) -> Vec<(bool, f64)> {
     let at = PlateMil::new(place.x_mil, place.y_mil);
     let frame = |seed| {
@@ -207,7 +207,7 @@ fn a_designed_plate_passes_its_check_and_its_frames_are_read() {
         let found = checked(&designed, 2000);
         assert!(found.passes(), "{found}");
         assert!(found.places.iter().all(|place| place.lit >= 4), "{found}");
-        // The files give the same plate again.
+        // The written files describe the same plate.
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("instrument.toml");
         let text = include_str!("../calibration/demo.toml");
@@ -227,7 +227,7 @@ fn a_designed_plate_passes_its_check_and_its_frames_are_read() {
 #[test]
 fn a_designed_plate_of_as_many_marks_is_at_least_as_good_as_that_of_2013() {
     let heroes = demo();
-    // Others are never lit with the Sun in the field.
+    // Marks beyond this reach are never illuminated with the Sun in the field.
     let sun_mil = heroes.optics.radius_mil(SMALLEST_SUN_ARCSEC);
     let reach_mil = heroes.plate.field_radius_mil + sun_mil - heroes.plate.shape.size_mil();
     let in_reach = |(_, at): &(MarkId, PlateMil)| at.vector().norm() < reach_mil;
@@ -260,7 +260,7 @@ fn another_lens_has_a_camera_that_sees_the_whole_field() {
     assert!(said.contains("to see the whole Sun all over the field"));
     let designed = Instrument::read(&folder.path().join("designed/instrument.toml")).unwrap();
     assert!((designed.optics.radius_mil(MEAN_SUN_ARCSEC) - 183.0).abs() < 1e-6);
-    // The Sun at the edge of the field, towards the sensor's nearest edge.
+    // The Sun is at the edge of the field, in the direction of the sensor's nearest edge.
     let (mapping, sun_px) = (
         designed.nominal_mapping().unwrap(),
         designed.radius_px(977.0),

@@ -41,7 +41,7 @@ fn utc(since: Duration) -> Timestamp {
     start() + SignedDuration::try_from(since).unwrap()
 }
 
-/// A flight with its gondola.
+/// A flight: its gondola's motion, duration and seed.
 #[derive(Clone, Copy)]
 struct Plan {
     gondola: Gondola,
@@ -50,7 +50,7 @@ struct Plan {
 }
 
 impl Plan {
-    /// The demonstration's, without the Sun from 60 to 75 % of it; one without end has slews, and gaps of 45 s.
+    /// The demo's trajectory, in which the Sun is absent from 60 to 75 % of the time; a longer flight has slews, and gaps of 45 s.
     fn course(&self) -> Trajectory {
         const SHORT: Duration = Duration::from_secs(600);
         let instrument = builtin("demo").unwrap();
@@ -100,7 +100,7 @@ impl Plan {
         });
     }
 
-    /// `imu.csv` and `gps.csv`.
+    /// Writes `imu.csv` and `gps.csv`.
     fn write_sensors(&self, folder: &Path) {
         let mut telescope = self.telescope();
         let mut imu = String::from("t_s,fx_m_s2,fy_m_s2,fz_m_s2,wx_rad_s,wy_rad_s,wz_rad_s\n");
@@ -146,7 +146,7 @@ const SHORT: Plan = Plan {
     seed: 3,
 };
 
-/// A short flight with roll camera, IMU and GPS: its files, and what refining it leaves.
+/// A short flight with roll camera, IMU and GPS: the folder of its files, and the output of `refine`.
 fn flight() -> &'static (TempDir, PathBuf) {
     static FLIGHT: OnceLock<(TempDir, PathBuf)> = OnceLock::new();
     FLIGHT.get_or_init(|| {
@@ -166,7 +166,7 @@ fn write(plan: &Plan, root: &Path) {
     fs::write(root.join("CAM.toml"), DEMO_HORIZON).unwrap();
 }
 
-/// Options, the files of which are in a folder.
+/// Options that name the sensor files of a folder.
 fn options(root: &Path) -> Vec<&'static str> {
     let of = [
         ("--imu", "imu.csv"),
@@ -181,17 +181,17 @@ fn options(root: &Path) -> Vec<&'static str> {
     named.collect()
 }
 
-/// A photon put back: its error along the telescope's right and up, and 1 sigma of each, arcsec.
+/// A photon traced back to the Sun: error and 1 sigma along the telescope's right and up axes, arcsec.
 struct PutBack {
     source: &'static str,
     is_valid: bool,
-    /// From the boresight.
+    /// Distance from the boresight.
     away_arcsec: f64,
     error: [f64; 2],
     sigma: [f64; 2],
 }
 
-/// How many times are drawn, and photons at each.
+/// Number of random times, and of photons at each.
 #[derive(Clone, Copy)]
 struct Drawn {
     times: usize,
@@ -203,7 +203,7 @@ const FEW: Drawn = Drawn {
     each: 2,
 };
 
-/// Photons that came from all over the Sun at random times, put back.
+/// Traces back photons from random positions on the Sun at random times.
 fn put_back(plan: &Plan, history: &PointingHistory, drawn: Drawn) -> Vec<PutBack> {
     let (mut telescope, mut ephemeris) = (plan.telescope(), Ephemeris::default());
     let mut random = Xoshiro256PlusPlus::seed_from_u64(plan.seed + 100);
@@ -228,7 +228,7 @@ fn put_back(plan: &Plan, history: &PointingHistory, drawn: Drawn) -> Vec<PutBack
             let (right, up) = (seen.y / seen.x, -seen.z / seen.x);
             let by_pointing = Matrix2x3::new(1.0, 0.0, up, 0.0, 1.0, -right);
             let covariance = by_pointing * line_of_sight.random_arcsec2 * by_pointing.transpose();
-            // Solar west and north as the telescope has them.
+            // Solar west and north in the telescope's axes.
             let (sin, cos) = line_of_sight.north_angle_deg.to_radians().sin_cos();
             let [west, north] = [found.x - from.x, found.y - from.y];
             put_back.push(PutBack {
@@ -243,7 +243,7 @@ fn put_back(plan: &Plan, history: &PointingHistory, drawn: Drawn) -> Vec<PutBack
     put_back
 }
 
-/// Prints and gives the error, arcsec, and the error over sigma, rms of both axes; and the worst.
+/// Prints and returns the rms error (arcsec), the rms of error over sigma, both over both axes, and the largest error over sigma.
 fn judged<'a>(name: &str, photons: impl Iterator<Item = &'a PutBack>) -> [f64; 3] {
     let (mut errors, mut ratios) = (Vec::new(), Vec::new());
     for photon in photons {
@@ -272,7 +272,7 @@ fn photons_come_back_to_where_on_the_sun_they_came_from() {
     let valid = || photons.iter().filter(|photon| photon.is_valid);
     let near = valid().filter(|photon| photon.source == "both" && photon.away_arcsec < 500.0);
     let [error, ratio, _] = judged("near the boresight", near);
-    // The filter has just begun: an hour does better.
+    // The filter has just started; an hour gives smaller errors.
     assert!(error < 0.3 && (0.6..1.25).contains(&ratio));
     let with_sun = valid().filter(|photon| photon.source == "both");
     let [_, ratio, _] = judged("with the Sun", with_sun);
@@ -342,7 +342,7 @@ fn the_report_shows_the_pointing_and_the_time_near_the_target_is_that_of_the_tab
 fn a_horizon_that_contradicts_the_gyros_is_a_finding_and_such_a_pointing_is_not_valid() {
     let (root, _) = flight();
     let out = temporary();
-    // The roll camera sits turned by half a degree against what its file says.
+    // The roll camera is rotated by 0.5 deg with respect to its file.
     let turned = root.path().join("turned.toml");
     fs::write(&turned, turned_horizon(0.5)).unwrap();
     let mut options = options(root.path());
@@ -379,7 +379,7 @@ fn a_horizon_that_contradicts_the_gyros_is_a_finding_and_such_a_pointing_is_not_
 fn gyros_that_slip_are_contradicted_by_the_sun_and_then_no_pointing_is_valid() {
     let (root, _) = flight();
     let out = temporary();
-    // Within the 11th second they leave out 100 arcsec about the telescope's down: to the right. The Sun is there up to the 24th.
+    // During the 11th second the gyros add 100 arcsec about the telescope's down axis, to the right. The Sun is visible until the 24th.
     let slipping = root.path().join("slipping.csv");
     let text = fs::read_to_string(root.path().join("imu.csv")).unwrap();
     let slipped = |(n, line): (usize, &str)| {
@@ -415,7 +415,7 @@ fn gyros_that_slip_are_contradicted_by_the_sun_and_then_no_pointing_is_valid() {
     assert!(during.all(|(_, reason)| reason == "contradicted"));
 }
 
-/// The demonstration's horizon camera, turned about its body's forward axis.
+/// The demo's horizon camera, rotated about the body's forward axis.
 fn turned_horizon(deg: f64) -> String {
     let camera = MountedCamera::parse(Path::new("demo-horizon"), DEMO_HORIZON).unwrap();
     let turn = nalgebra::Rotation3::from_axis_angle(&Vector3::x_axis(), deg.to_radians());
@@ -467,7 +467,7 @@ fn tables_of_any_rate_hold_what_the_states_say() {
     follow_from_them(other.path(), &history);
 }
 
-/// The offsets at a rate are those of the pointing.
+/// Checks that the offsets of the stabilisation table follow from the pointing history.
 fn follow_from_them(folder: &Path, history: &PointingHistory) {
     let table = Columns::of(&folder.join("stabilisation.fits"), "STABILISATION");
     let [times_s, across, up] =
@@ -489,7 +489,7 @@ fn follow_from_them(folder: &Path, history: &PointingHistory) {
         let away_deg = line_of_sight.horizontal.azimuth_deg - sun.azimuth_deg;
         let sine =
             away_deg.to_radians().sin() * line_of_sight.horizontal.elevation_deg.to_radians().cos();
-        // The place is the second's, which GPS has to some metres.
+        // The place is that of the second, known by GPS to a few metres.
         assert!((across[n] - sine.asin().to_degrees()).abs() * 3600.0 < 0.05);
         let above_deg = line_of_sight.horizontal.elevation_deg - sun.elevation_deg;
         assert!((up[n] - above_deg).abs() * 3600.0 < 0.05);
@@ -516,7 +516,7 @@ fn without_gyros_and_horizon_the_suns_own_path_puts_them_back() {
     assert!((0.4..1.25).contains(&ratio), "{ratio}");
 }
 
-/// The Sun's frames that are taken from a flight of an hour: with those in which it is absent a minute of each quarter of an hour.
+/// Whether a frame of the Sun is removed from the hour's flight: one minute in each quarter of an hour, with the gaps already there.
 fn is_taken_away(since: Duration) -> bool {
     (540.0..600.0).contains(&(since.as_secs_f64() % 900.0))
 }
@@ -526,7 +526,7 @@ const HOUR: Plan = Plan {
     ..SHORT
 };
 
-/// The hour's flight, which is kept for the next run.
+/// The flight of an hour, simulated once and kept for the next run.
 fn hour() -> PathBuf {
     let root = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("an-hour-of-photons");
     if !root.join("whole").exists() {
@@ -539,7 +539,7 @@ fn hour() -> PathBuf {
     root
 }
 
-/// Photons of a picture of the Sun: time since the start, and where they came from to the right and up of the true boresight, arcsec.
+/// Photons drawn from a picture of the Sun: time since the start (s), offset right and up of the true boresight (arcsec), detector id.
 fn photons_of(plan: &Plan, picture: &SunPicture, drawn: Drawn) -> Vec<[f64; 4]> {
     let (mut telescope, mut ephemeris) = (plan.telescope(), Ephemeris::default());
     let mut random = Xoshiro256PlusPlus::seed_from_u64(plan.seed + 200);
@@ -641,7 +641,7 @@ fn an_hour_of_photons_comes_back_with_honest_sigmas() {
         let photons = photons(name, archive, options, gondola);
         let valid = || photons.iter().filter(|photon| photon.is_valid);
         judged(&format!("{name}, within 100 arcsec"), valid().filter(near));
-        // Between frames, in slews, the path alone may be off by a little more.
+        // Between frames during slews, the path alone may have slightly larger errors.
         let [_, ratio, worst] = judged(name, valid());
         println!("{} of {} are valid", valid().count(), photons.len());
         assert!((0.4..1.25).contains(&ratio), "{ratio}");

@@ -25,10 +25,10 @@ fn utc(time_s: f64) -> Timestamp {
     start + SignedDuration::from_secs_f64(time_s)
 }
 
-/// A flight over a limb of its own.
+/// A flight with its own simulated limb.
 struct Swinging {
     gondola: SwingingGondola,
-    /// Of the first frame, since the gondola began to swing.
+    /// Time of the first frame since the gondola began to swing.
     begins_s: f64,
 }
 
@@ -69,7 +69,7 @@ fn camera_file(folder: &Path) -> PathBuf {
     path
 }
 
-/// The errors of roll over sigma, and the errors, of one flight's frames: each by itself, and smoothed.
+/// Rms of roll error over sigma, and of the error (deg), over one flight's frames: of single frames, and smoothed.
 fn errors_of_flight(seed: u64, frames: u64) -> [[f64; 2]; 2] {
     let folder = temporary();
     let flight = Swinging::new(seed);
@@ -198,7 +198,7 @@ fn offsets_are_turned_by_the_smoothed_roll_and_flagged_frames_are_shown() {
     let demo = builtin("demo").unwrap();
     let suns = Store::open(&folder.path().join("suns"), "demo", Compression::Rice).unwrap();
     let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 5).unwrap();
-    // The last is far from any frame of the horizon.
+    // The last time is far from any frame of the horizon.
     let times = [0.6, 1.1, 1.9, 3.3, 20.0];
     for (n, time_s) in times.iter().enumerate() {
         let mut frame = scenes.scene(n as u64).unwrap().frame().unwrap();
@@ -233,7 +233,7 @@ fn offsets_are_turned_by_the_smoothed_roll_and_flagged_frames_are_shown() {
     for (n, time_s) in times.iter().take(4).enumerate() {
         let error = body[n] - flight.roll_deg(*time_s);
         assert!(error.abs() < 3.0 * sigma[n], "{n}: {error} {}", sigma[n]);
-        // What the body's second axis dips, seen by a telescope that points up; its pitch of 0.3 deg is left out.
+        // The dip of the body's second axis gives the roll of a telescope tilted up; the pitch of 0.3 deg is neglected.
         let dips = body[n].to_radians().sin() / elevation[n].to_radians().cos();
         let expected = dips.asin().to_degrees();
         assert!(
@@ -280,7 +280,7 @@ fn parts_merge_to_the_same_bytes_though_some_hold_no_frame_of_the_horizon() {
     for (part, out) in (1..).zip(&parts) {
         let shard = format!("{part}/4");
         let more = [&camera[..], &["--shard", &shard]].concat();
-        // The last has no frame at all, and nothing to do.
+        // The last shard has no frame at all.
         refine(folder.path(), out.path(), &more);
         merge.push(out.path().to_str().unwrap());
     }

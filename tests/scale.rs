@@ -32,7 +32,7 @@ fn a_shard_that_was_lost_is_named_and_its_frames_are_solved_by_the_merge() {
     let (folder, archive) = flight();
     let [whole, merged] = ["whole", "merged"].map(|name| folder.path().join(name));
     refine(&archive, &whole, &[]);
-    // What only the second pass needs does not keep a shard from working.
+    // A shard runs without the files that only the second pass needs.
     let more = ["--shard", "1/3", "--imu", "none.csv", "--gps", "none.csv"];
     let printed = refine(&archive, &merged.join("shard_1"), &more);
     let printed = String::from_utf8(printed.stdout).unwrap();
@@ -60,7 +60,7 @@ fn merging_opens_no_frame_that_a_shard_has_solved() {
     let out = |name: &str| folder.path().join(name);
     refine(&archive, &out("whole"), &[]);
     refine(&archive, &out("shard"), &["--shard", "1/1"]);
-    // Frames that are not fine by themselves are solved a second time; the others get another content, but no other size and time.
+    // Frames not fine by themselves are solved again by the merge; the content of the others is replaced, size and time are kept.
     let table = Columns::read(&out("whole"), "ASPECT");
     let names = table.texts("FILE").iter().zip(table.texts("OWN_QUALITY"));
     let fine: Vec<&String> = names

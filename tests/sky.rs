@@ -14,7 +14,7 @@ const FORT_SUMNER: [f64; 3] = [34.49, -104.2218, 38_405.0];
 struct Row {
     utc: Timestamp,
     place: Place,
-    /// The columns from the Sun's azimuth on.
+    /// The columns from the Sun's azimuth onwards.
     values: Vec<f64>,
 }
 
@@ -22,7 +22,7 @@ fn rows(text: &str) -> impl Iterator<Item = &str> {
     text.lines().filter(|line| !line.starts_with('#')).skip(1)
 }
 
-/// Positions from astropy and sunpy, for places and instants of flights and for random ones.
+/// Positions by astropy and sunpy, at places and times of flights and at random ones.
 fn oracle() -> Vec<Row> {
     let texts = [
         include_str!("data/sky.csv"),
@@ -45,7 +45,7 @@ fn oracle() -> Vec<Row> {
     found
 }
 
-/// The largest of the errors stays below the tolerance.
+/// The largest absolute error, to be compared with a tolerance.
 #[derive(Default)]
 struct Worst(f64);
 
@@ -61,12 +61,12 @@ impl Worst {
     }
 }
 
-/// A difference of angles, -180 to 180 deg.
+/// Difference of two angles, from -180 to 180 deg.
 fn turn(found: f64, expected: f64) -> f64 {
     (found - expected + 180.0).rem_euclid(360.0) - 180.0
 }
 
-/// True angle between two directions of azimuth and elevation, arcsec, as long as it is small.
+/// Angle between two nearby directions of (azimuth, elevation), arcsec.
 fn apart_arcsec(found: (f64, f64), expected: (f64, f64)) -> f64 {
     let across = turn(found.0, expected.0) * expected.1.to_radians().cos();
     across.hypot(found.1 - expected.1) * 3600.0
@@ -134,7 +134,7 @@ fn the_moon_is_lit_as_astropy_has_it() {
     for row in oracle().iter().filter(|row| row.values.len() == 14) {
         let moon = ephemeris.moon(row.utc, row.place).unwrap();
         phase.take(moon.phase_angle_deg - row.values[12]);
-        // Near full and new Moon the middle of the limb hardly has a direction.
+        // Near full and new Moon the direction of the bright limb is ill-determined.
         let steadiness = moon.phase_angle_deg.to_radians().sin();
         limb.take(turn(moon.bright_limb_deg, row.values[13]) * steadiness);
         let tilt = moon.zenith_to_bright_limb_deg;
@@ -158,7 +158,7 @@ fn the_earths_clock_is_known_to_a_millisecond() {
         }
     }
     ut1.within(1e-3, "UT1 - UTC, s");
-    // The IERS's own series (Bulletins A and B) differ by so much in those years.
+    // The IERS's own series (Bulletins A and B) differ by this much in those years.
     ut1_before.within(6e-3, "UT1 - UTC before 1990, s");
 }
 
@@ -191,7 +191,7 @@ fn within_a_second_the_sun_moves_without_a_jump() {
         (last.azimuth_deg, last.elevation_deg),
         (next.azimuth_deg, next.elevation_deg),
     );
-    // 15 arcsec/s in 1 us.
+    // The Sun moves at 15 arcsec/s, and the times differ by 1 us.
     assert!(apart < 3e-5, "{apart} arcsec");
 }
 
@@ -232,7 +232,7 @@ fn behind_the_table_the_suns_place_is_known_less_well_day_by_day() {
     let days = ["2027-10-28", "2027-10-30", "2028-02-06", "2030-10-29"];
     let shifts = days.map(|day| shift_arcsec(&format!("{day}T18:00:00Z")));
     assert_eq!(shifts[0], 0.0);
-    // 15 arcsec of the hour angle a second, times the cosine of the declination, which is about -15 deg on these days.
+    // The hour angle changes by 15 arcsec/s; times the cosine of the declination, which is about -15 deg on these days.
     for (shift, sigma_s) in shifts[1..].iter().zip([0.0214, 0.0563, 0.4047]) {
         let expected = 15.0 * sigma_s * 15_f64.to_radians().cos();
         assert!((shift - expected).abs() < 0.02 * expected, "{shifts:?}");
@@ -260,7 +260,7 @@ fn the_moons_phase_is_that_of_the_almanac() {
     assert!(phase("2013-09-19T11:13:00Z").phase_angle_deg < 6.0);
     let quarter = phase("2013-09-12T17:08:00Z");
     assert!((quarter.phase_angle_deg - 90.0).abs() < 2.0);
-    // Waxing: the bright limb is the western one.
+    // The Moon is waxing, so its western limb is bright.
     assert!((quarter.bright_limb_deg - 280.0).abs() < 15.0);
 }
 
@@ -441,14 +441,14 @@ fn the_configuration_may_bring_a_newer_table() {
     );
     let config = file("c.toml", &format!("[sky]\nearth_orientation = {table:?}\n"));
     let at = ["--json", "--config", &config, "--at"];
-    // MJD 65005: UT1 - UTC is 0 there.
+    // At MJD 65005, UT1 - UTC is 0 in this table.
     let inside = [&SKY[..], &at, &["2036-11-08T12:00:00Z"]].concat();
     assert!(json(&inside)["sun"]["azimuth_deg"].is_f64());
     let outside = solaspect(&[&SKY[..], &at, &["2013-09-21T18:00:00Z"]].concat());
     assert_eq!(outside.status.code(), Some(1));
     let text = String::from_utf8(outside.stderr).unwrap();
     assert!(text.contains("from 2036-11-03 on"), "{text}");
-    // MJD 65110, 100 days behind the end.
+    // MJD 65110 is 100 days after the end of the table.
     let behind = [&SKY[..], &at, &["2037-02-21T12:00:00Z"]].concat();
     assert!(json(&behind)["sun"]["azimuth_deg"].is_f64());
     let said = String::from_utf8(solaspect(&behind).stderr).unwrap();
@@ -479,7 +479,7 @@ fn a_target_that_turns_with_the_sun_moves_the_offset() {
     assert!((cross(&fixed) - cross(&now)).abs() < 1e-6);
     let yesterday = offset("epoch_utc = \"2013-09-20T18:00:00Z\"\n");
     let moved = (cross(&yesterday) - cross(&fixed)).hypot(up(&yesterday) - up(&fixed)) * 3600.0;
-    // 13.2 deg of synodic rotation from the disc's centre.
+    // Expected: 13.2 deg of synodic rotation from the disc's centre.
     let expected = 955.6 * 13.2_f64.to_radians().sin();
     assert!((moved / expected - 1.0).abs() < 0.03, "{moved} arcsec");
     let config = folder.path().join("off.toml");
@@ -501,7 +501,7 @@ const FROM_THE_BALLOON: [&str; 4] = [
 fn when_the_moon_can_be_seen_is_one_object_or_a_table() {
     let report = json(&[&FROM_THE_BALLOON[..], &["--step", "10m", "--json"]].concat());
     let number = |key: &str| report[key].as_f64().unwrap();
-    // astropy 6.1: 0.5500 above the limb, 0.5029 also clear of the Sun, 0.4540 for the Sun.
+    // astropy 6.1, as fractions of time: 0.5500 above the limb, 0.5029 also clear of the Sun, 0.4540 for the Sun.
     for (key, expected) in [
         ("above_limb", 0.5500),
         ("seen", 0.5029),
@@ -512,7 +512,7 @@ fn when_the_moon_can_be_seen_is_one_object_or_a_table() {
     let rows = report["by_lit"].as_array().unwrap();
     let time: f64 = rows.iter().map(|row| row["time"].as_f64().unwrap()).sum();
     assert!((time - 1.0).abs() < 1e-9);
-    // A day on which the Moon is nearly full: other lit shares have no time, hence no share of it.
+    // On a day with a nearly full Moon, other illuminated fractions have no time and no share.
     let day = [&FROM_THE_BALLOON[..], &["--days", "1"]].concat();
     let nearly_full = json(&[&day[..], &["--json"]].concat());
     assert_eq!(nearly_full["by_lit"][0]["time"], 0.0);

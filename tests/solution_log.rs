@@ -20,7 +20,7 @@ use crate::common::disk::{Fault, FaultyDisk};
 use solaspect::archive::disk::{Disk, LocalDisk};
 use std::sync::Arc;
 
-/// A row of the log by the names of its columns.
+/// A row of the log, keyed by column name.
 type LogRow = BTreeMap<String, String>;
 
 fn beginning_with(folder: &Path, start: &str) -> Vec<PathBuf> {
@@ -49,7 +49,7 @@ fn log_of(root: &Path) -> Vec<LogRow> {
     read_log(&logs[0])
 }
 
-/// The fields of a dirfile, read as its `format` declares them; the order is that of the declarations.
+/// The fields of a dirfile, read as its `format` declares them, in the order of the declarations.
 fn read_dirfile(folder: &Path) -> Vec<(String, Vec<f64>)> {
     let format = fs::read_to_string(folder.join("format")).unwrap();
     let lines: Vec<Vec<&str>> = format
@@ -90,7 +90,7 @@ fn telemetry_of(root: &Path) -> BTreeMap<String, Vec<f64>> {
     read_dirfile(&folders[0]).into_iter().collect()
 }
 
-/// A keyword as a number; NaN where it is not there.
+/// A keyword as a number; NaN if it is absent.
 fn keyword(header: &Header, name: &str) -> f64 {
     match header.get(name) {
         Some(Value::Float(number)) => *number,
@@ -112,7 +112,7 @@ fn agree(a: f64, b: f64, tolerance: f64) -> bool {
     (a.is_nan() && b.is_nan()) || (a - b).abs() <= tolerance
 }
 
-/// Column of the log, field of the telemetry, keyword of the file, half a unit of the log's last digit.
+/// Corresponding names: column of the log, field of the telemetry, keyword of the file; and half a unit of the log's last digit.
 const SAME: [(&str, &str, &str, f64); 24] = [
     ("sun_x_px", "PIXEL_X", "SUNPX-X", 5e-7),
     ("sun_y_px", "PIXEL_Y", "SUNPX-Y", 5e-7),
@@ -316,7 +316,7 @@ fn a_disk_that_refuses_says_so_and_is_tried_again_with_the_next_row() {
 #[test]
 fn frames_whose_picture_no_disk_took_are_in_the_log() {
     let root = tempfile::tempdir().unwrap();
-    // Where the hours' folders should be.
+    // Files occupy the names of the hours' folders.
     let rolls = root.path().join("roll");
     fs::create_dir(&rolls).unwrap();
     for folder in [root.path(), &rolls] {
@@ -393,7 +393,7 @@ fn local() -> Arc<dyn Disk> {
     Arc::new(LocalDisk)
 }
 
-/// Frames of the logs of a root in the order of their names, and of its dirfiles.
+/// Frame numbers in the logs of a folder, in the order of the logs' names, and in its dirfiles.
 fn frames_of(root: &Path) -> (Vec<String>, Vec<f64>) {
     let logs = beginning_with(root, "solutions_");
     let rows = logs.iter().flat_map(|log| read_log(log));
@@ -441,7 +441,7 @@ fn a_log_whose_file_lost_rows_or_is_gone_is_begun_anew() {
     let away_and_back = || [Some(Fault::Gone), None].map(|fault| disk.set(fault));
     let mut append = |number| {
         let row = dark_row(number);
-        // What was open before the disk went is refused once.
+        // A file that was open before the disk disappeared is refused once.
         let _ = (log.append(&row), dirfile.append(&row));
         log.append(&dark_row(number + 1)).unwrap();
         dirfile.append(&dark_row(number + 1)).unwrap();
@@ -469,7 +469,7 @@ fn open(root: &Path) -> Store {
     Store::open(root, "demo", Compression::Rice).unwrap()
 }
 
-/// The row of a frame that shows nothing.
+/// The row of a dark frame.
 fn dark_row(number: u64) -> LoggedRow {
     let instrument = instrument::builtin("demo").unwrap();
     let frame = dark_frame(&instrument, number);
@@ -480,7 +480,7 @@ fn dark_row(number: u64) -> LoggedRow {
     LoggedRow::new(Some(number), &solution, record)
 }
 
-/// A flight of five frames in the dark.
+/// A flight of five dark frames.
 fn dark_flight(stores: Vec<Store>, queue_frames: usize) -> FlightTally {
     let archive = config::Archive {
         queue_frames,

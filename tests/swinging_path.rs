@@ -7,9 +7,9 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::smoothing::{Measurement, Moment, Path, SharedErrors, path};
 use std::f64::consts::TAU;
 
-/// Of a frame's own place.
+/// Sigma of the independent error of a frame.
 const OWN_SIGMA_MIL: f64 = 0.037;
-/// Of the mapping, alike in frames that are near.
+/// Sigma of the mapping's error, correlated over `MAPPING_S` seconds.
 const MAPPING_SIGMA_MIL: f64 = 0.008;
 const MAPPING_S: f64 = 5.0;
 const RATE_HZ: f64 = 4.0;
@@ -34,7 +34,7 @@ fn time_s(frame: usize) -> f64 {
     frame as f64 / RATE_HZ
 }
 
-/// Swings that nothing damps.
+/// Undamped swings.
 fn sines(time_s: f64) -> Axes {
     let swing =
         |mil: f64, phase: f64, which: usize| mil * (TAU * time_s / PERIODS_S[which] + phase).sin();
@@ -44,12 +44,12 @@ fn sines(time_s: f64) -> Axes {
     ]
 }
 
-/// Pendulums that die away within minutes and that the wind drives.
+/// Pendulums damped within minutes and driven by the wind.
 fn pendulums(seed: u64) -> Vec<Axes> {
     driven(seed, [300.0, 150.0], [0.01, 0.02])
 }
 
-/// Pendulums by their damping times and by how the wind drives them, mil/s^1.5, in many small steps in time.
+/// Pendulums with damping times (s) and wind drive (mil/s^1.5), integrated in small steps.
 fn driven(seed: u64, damping_s: [f64; 2], drive: [f64; 2]) -> Vec<Axes> {
     const STEPS: usize = 250;
     let mut random = Random::new(seed);
@@ -72,7 +72,7 @@ fn driven(seed: u64, damping_s: [f64; 2], drive: [f64; 2]) -> Vec<Axes> {
     flown
 }
 
-/// What the frames measure of a path.
+/// Simulated measurements of a path by the frames.
 fn measured(flown: &[Axes], seed: u64) -> Vec<Moment> {
     let mut random = Random::new(seed);
     let mut mapping = [0, 1].map(|_| random.normal() * MAPPING_SIGMA_MIL);
@@ -103,7 +103,7 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     (sum / f64::from(count)).sqrt()
 }
 
-/// Rms error, mil, and rms of error over sigma, of both axes.
+/// Rms error (mil) and rms error over sigma, over both axes.
 fn errors(path: &Path, flown: &[Axes]) -> (f64, f64) {
     let times: Vec<f64> = (0..flown.len()).map(time_s).collect();
     let points = path.anywhere(&times).unwrap();
@@ -118,7 +118,7 @@ fn errors(path: &Path, flown: &[Axes]) -> (f64, f64) {
     )
 }
 
-/// The same of many flights together.
+/// Rms over several flights of both results of [`errors`].
 fn together(found: &[(f64, f64)]) -> (f64, f64) {
     (
         rms(found.iter().map(|f| f.0)),
@@ -126,10 +126,10 @@ fn together(found: &[(f64, f64)]) -> (f64, f64) {
     )
 }
 
-/// The rms error of a path whose acceleration is a random walk and no more.
+/// Rms error of a path modelled only by a random walk of the acceleration.
 const WITHOUT_SWINGS_MIL: f64 = 0.034;
 
-/// That of a gondola at rest.
+/// Rms error for a gondola at rest.
 const RESTING_MIL: f64 = 0.026;
 
 #[test]

@@ -4,10 +4,10 @@ use solaspect::camera::{Exposure, FrameSource, Take};
 use solaspect::frame::Frame;
 use std::time::{Duration, Instant};
 
-/// Long enough for the slowest machine; nothing is judged by it.
+/// Timeout for the slowest machine; no result depends on it.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The next exposure; errors before it go to the log.
+/// The next exposure; errors before it are appended to `errors`.
 pub fn next(camera: &mut dyn FrameSource, errors: &mut Vec<String>) -> Exposure {
     let begun = Instant::now();
     let mut announced = Vec::new();
@@ -29,7 +29,7 @@ pub fn frame(camera: &mut dyn FrameSource) -> Frame {
     next(camera, &mut Vec::new()).frame
 }
 
-/// The first error of a camera that is not there.
+/// The first error of an absent camera.
 pub fn absent(camera: &mut dyn FrameSource) -> String {
     let begun = Instant::now();
     loop {

@@ -16,7 +16,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// A camera that sees nothing, when its gate opens.
+/// A camera that takes a dark frame for each number it receives.
 struct DarkCamera {
     instrument: Instrument,
     numbers: Receiver<u64>,
@@ -40,7 +40,7 @@ impl FrameSource for DarkCamera {
     }
 }
 
-/// A frame of the n-th quarter second that shows nothing.
+/// A dark frame; its time is `number` quarters of a second after the start.
 pub fn dark_frame(instrument: &Instrument, number: u64) -> Frame {
     let (width, height) = (instrument.camera.width_px, instrument.camera.height_px);
     let start: Timestamp = "2013-09-21T17:59:55.000Z".parse().unwrap();
@@ -53,8 +53,8 @@ pub fn dark_frame(instrument: &Instrument, number: u64) -> Frame {
     Frame::new(width, height, pixels, 255, info).unwrap()
 }
 
-/// A flight of so many dark frames, `pause` after one another. `each` is called before every frame with its number, when all
-/// before it have been solved and offered to the archive, and once more at the end.
+/// Flies `frames` dark frames with a `pause` before each. Calls `each` with the number of every frame before it is taken, when all
+/// earlier ones have been solved and offered to the archive, and once more at the end.
 pub fn dark(
     stores: Vec<Store>,
     archive: config::Archive,
@@ -67,7 +67,7 @@ pub fn dark(
     service.join().unwrap()
 }
 
-/// As [`dark`], of a flight that is asked to end after the last frame, and gives up what is not finished at once.
+/// As [`dark`], but the flight is asked to stop after the last frame and abandons unfinished work at once.
 pub fn dark_asked_to_end(
     stores: Vec<Store>,
     archive: config::Archive,
@@ -81,7 +81,7 @@ pub fn dark_asked_to_end(
     service.join().unwrap()
 }
 
-/// A flight that has solved all its frames, and the camera's end.
+/// A flight that has solved all its frames, and the sender that keeps its camera open.
 fn gated(
     stores: Vec<Store>,
     archive: config::Archive,
@@ -124,7 +124,7 @@ fn gated(
     (service, gate)
 }
 
-/// The frames' files under a folder, by name.
+/// The files of frames under a folder, sorted by name.
 pub fn frames_in(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     let mut folders = vec![folder.to_path_buf()];
@@ -142,7 +142,7 @@ pub fn frames_in(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// The numbers of the frames under a folder, in the order of their names; every file is read and checked.
+/// The numbers of the frames under a folder, in the order of their file names; reads each file and verifies its checksums.
 pub fn numbers_in(folder: &Path) -> Vec<u64> {
     let number = |path: &PathBuf| {
         fits::check_sums(path).unwrap();
@@ -151,7 +151,7 @@ pub fn numbers_in(folder: &Path) -> Vec<u64> {
     frames_in(folder).iter().map(number).collect()
 }
 
-/// Rows of the only solution log under a root.
+/// Number of rows of the only solution log in a folder.
 pub fn rows_in(root: &Path) -> usize {
     let entries = fs::read_dir(root)
         .unwrap()

@@ -7,11 +7,11 @@ use solaspect::fits;
 use solaspect::with_view;
 use std::path::Path;
 
-/// Of the Sun in the picture, px: tests/data/hmi/README.md.
+/// Radius and centre of the Sun in the picture, px: tests/data/hmi/README.md.
 const RADIUS_PX: f64 = 202.910;
 const CENTRE_PX: f64 = 255.5;
 
-/// The picture as a Sun of any radius, dark beyond its limb.
+/// The picture, scaled to a Sun of any radius, dark beyond the limb.
 pub struct SunPicture {
     width: usize,
     light: Vec<f64>,
@@ -35,7 +35,7 @@ impl SunPicture {
         }
     }
 
-    /// Bilinear between its pixels, at a place to solar west and north.
+    /// Brightness at (solar west, solar north) in arcsec, bilinear between pixels.
     pub fn light(&self, [x, y]: [f64; 2]) -> f64 {
         if x.hypot(y) > self.radius_arcsec {
             return 0.0;
@@ -50,7 +50,7 @@ impl SunPicture {
         below * (1.0 - up) + above * up
     }
 
-    /// Where a photon comes from.
+    /// A random origin of a photon, distributed as the brightness.
     pub fn draw(&self, random: &mut Xoshiro256PlusPlus) -> [f64; 2] {
         loop {
             let r = self.radius_arcsec;
@@ -62,28 +62,28 @@ impl SunPicture {
     }
 }
 
-/// An image as an image of the Sun has it: pixels in the plane that touches the sky at the Sun's centre.
+/// An image of the Sun in the tangent plane at the Sun's centre.
 pub struct SunImage {
     pub width: usize,
     pub pixel_arcsec: f64,
-    /// Of the Sun's centre, by the header; the first pixel is 0.
+    /// Position of the Sun's centre by the header; the first pixel is 0.
     pub centre_px: [f64; 2],
     pub counts: Vec<f64>,
     pub exposure_s: Vec<f64>,
 }
 
-/// How an image lies on the picture that its photons came from.
+/// Registration of an image to the picture from which its photons were drawn.
 #[derive(Debug, Clone, Copy)]
 pub struct Registered {
     pub shift_arcsec: [f64; 2],
     pub turn_deg: f64,
     pub scale: f64,
-    /// Of the limb, by itself.
+    /// Centre of the limb, measured independently of the registration.
     pub limb_centre_arcsec: [f64; 2],
 }
 
 impl Registered {
-    /// Registration within 0.2 arcsec and 0.02 deg, the limb's centre within 0.3 arcsec.
+    /// Asserts that the registration is within 0.2 arcsec and 0.02 deg, and the limb's centre within 0.3 arcsec.
     pub fn assert_close(&self) {
         let [shift, limb] = [self.shift_arcsec, self.limb_centre_arcsec].map(|[x, y]| x.hypot(y));
         assert!(shift < 0.2 && limb < 0.3, "{self:?}");
@@ -92,7 +92,7 @@ impl Registered {
     }
 }
 
-/// Light level, shift in x and y, turn and scale.
+/// Brightness scale, shift in x and y (arcsec), rotation (rad) and scale.
 type Lie = SVector<f64, 5>;
 
 impl SunImage {
@@ -101,7 +101,7 @@ impl SunImage {
         [0, 1].map(|axis| (px[axis] - self.centre_px[axis]) * self.pixel_arcsec)
     }
 
-    /// What the picture puts into a pixel.
+    /// Expected counts of a pixel.
     fn expected(&self, picture: &SunPicture, n: usize, lie: &Lie) -> f64 {
         const PARTS: usize = 3;
         let [x, y] = self.place_arcsec(n);
@@ -117,7 +117,7 @@ impl SunImage {
         lie[0] * self.exposure_s[n] * light / (PARTS * PARTS) as f64
     }
 
-    /// Lays the image on the picture, by the least squares of counts over their expected scatter.
+    /// Registers the image to the picture by weighted least squares of the counts.
     pub fn registered(&self, picture: &SunPicture) -> Registered {
         let seen: Vec<usize> = (0..self.counts.len())
             .filter(|n| self.exposure_s[*n] > 0.0)
@@ -126,7 +126,7 @@ impl SunImage {
         let sum = |value: &dyn Fn(usize) -> f64| seen.iter().map(|n| value(*n)).sum::<f64>();
         let light = sum(&|n| self.counts[n]) / sum(&|n| self.expected(picture, n, &none));
         let mut lie = Lie::new(light, 0.0, 0.0, 0.0, 1.0);
-        // The limb is sharp: a derivative is taken over some arcsec.
+        // The limb is sharp, so derivatives are taken over several arcsec.
         let steps = Lie::new(light * 0.01, 2.0, 2.0, 2e-3, 2e-3);
         for _ in 0..6 {
             let mut normal = SMatrix::<f64, 5, 5>::zeros();
@@ -155,8 +155,8 @@ impl SunImage {
         }
     }
 
-    /// The centre of the limb: in each direction the light between two circles, over that inside, is as long as the disc reaches beyond the inner
-    /// one.
+    /// The centre of the limb. In each direction, the mean brightness of a ring across the limb, divided by that of a ring inside, gives the
+    /// distance by which the disc extends beyond the ring's inner radius.
     fn limb_centre_arcsec(&self, radius_arcsec: f64) -> [f64; 2] {
         const SECTORS: usize = 72;
         const INSIDE: f64 = 30.0;

@@ -22,7 +22,7 @@ fn peak_mb() -> f64 {
         / 1024.0
 }
 
-/// How fast it is, and how much memory it takes: `cargo test --test promises -- --ignored --nocapture ten_million`.
+/// Prints speed and memory: `cargo test --test promises -- --ignored --nocapture ten_million`.
 #[test]
 #[ignore = "measures ten million photons, which takes a minute"]
 fn ten_million_photons_take_less_than_a_minute_and_no_more_memory_than_few() {
@@ -49,7 +49,7 @@ fn ten_million_photons_take_less_than_a_minute_and_no_more_memory_than_few() {
     let seconds = start.elapsed().as_secs_f64();
     println!("an image of them in {seconds:.1} s");
     assert!(seconds < 60.0, "{seconds} s");
-    // The list was made in memory; what the run itself takes is counted from here on.
+    // The list was made in this process; reset the peak, so that only the run itself counts.
     fs::write("/proc/self/clear_refs", "5").unwrap();
     let (before_mb, start) = (peak_mb(), Instant::now());
     let placed = bench.place("in.fits", PLAIN, &()).unwrap();

@@ -9,7 +9,7 @@ use std::fs;
 use std::io::Write;
 use std::path::Path;
 
-/// The HDUs of a file: cards and data.
+/// The HDUs of a file, each as its cards and data.
 pub fn parts(path: &Path) -> Vec<(Vec<String>, Vec<u8>)> {
     let bytes = fs::read(path).unwrap();
     let mut file = open_disk_file(path, FileOpenMode::READONLY).unwrap();
@@ -30,7 +30,7 @@ pub fn parts(path: &Path) -> Vec<(Vec<String>, Vec<u8>)> {
     (1..=count).map(&mut part).collect()
 }
 
-/// A list with an image, a table of another kind with a heap, and photons with a heap of their own.
+/// Writes a list whose photons have a heap, between other tables with heaps, and good time intervals.
 pub fn rich_file(path: &Path, photons: &[[f64; 4]]) {
     let heap = |name| Table {
         name,
@@ -60,7 +60,7 @@ pub fn rich_file(path: &Path, photons: &[[f64; 4]]) {
         ("EVENTS", 3, photons.len() as i64),
         ("MORE", 2, 3),
     ] {
-        // fitsio knows no columns of arrays.
+        // fitsio does not support columns of variable-length arrays.
         unsafe {
             sys::ffmnhd(
                 file.as_raw(),
@@ -146,7 +146,7 @@ fn what_is_not_added_stays_byte_for_byte_and_checksums_are_right() {
     }
     has(&solaspect::provenance::sha256_of_file(&bench.at("pointing.fits")).unwrap());
 
-    // Rows are their old bytes with 33 more; the heap follows.
+    // Rows are the old bytes and 33 new ones; the heap follows.
     let row = 8 + 2 + 8 + 8 + 8 + 1 + 3;
     let rows = |data: &[u8], bytes: usize| {
         data.chunks(bytes)
@@ -163,7 +163,7 @@ fn what_is_not_added_stays_byte_for_byte_and_checksums_are_right() {
     let kept = heap(&before[2], row);
     assert!(kept.len() > 1000 && kept == heap(&after[2], row + 33));
 
-    // The second interval ends with the flight, and keeps its other column.
+    // The second interval is cut at the end of the flight; its other column is kept.
     assert_eq!(
         column(&bench.at("out.fits"), "STDGTI01", "WEIGHT"),
         [100.0, 101.0]
@@ -214,7 +214,7 @@ fn names_with_brackets_and_gzipped_lists_are_files_like_others() {
         error.contains("cut.fits.gz: expected a whole gzip file"),
         "{error}"
     );
-    // What stood there stays when a run fails.
+    // A failed run leaves the existing output unchanged.
     assert!(fs::read(bench.at("out.fits")).unwrap() == expected);
 }
 

@@ -11,13 +11,13 @@ pub const SECONDS: usize = 60;
 pub const STATE_HZ: usize = 4;
 pub const ARCSEC: f64 = std::f64::consts::PI / 180.0 / 3600.0;
 
-/// Telescope at the start, its axes as columns: forward to the Sun (x), right to solar west (-y), down against north (-z).
+/// Attitude at the start, with these axes as columns: forward to the Sun (x), right to solar west (-y), down to solar south (-z).
 pub fn level() -> UnitQuaternion<f64> {
     let axes = Matrix3::new(1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0);
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes))
 }
 
-/// In the telescope's axes.
+/// Angular rate in the telescope's axes.
 pub fn rate_rad_s() -> Vector3<f64> {
     Vector3::new(300.0, 20.0, -30.0) * ARCSEC
 }
@@ -28,7 +28,7 @@ pub fn attitude(unix_s: f64) -> UnitQuaternion<f64> {
     level() * begun * turned
 }
 
-/// Where a photon comes from that is so far to the right and up of the boresight: HPX and HPY, arcsec.
+/// Origin (HPX, HPY), arcsec, of a photon seen at this offset right and up of the boresight, arcsec.
 pub fn truth_arcsec(attitude: &UnitQuaternion<f64>, [right, up]: [f64; 2]) -> [f64; 2] {
     let v = attitude * Vector3::new(1.0, right * ARCSEC, -up * ARCSEC).normalize();
     [(-v.y).atan2(v.x), v.z.atan2(v.x.hypot(v.y))].map(|rad| rad / ARCSEC)

@@ -12,16 +12,16 @@ use std::path::Path;
 
 const HOUR_S: f64 = 3600.0;
 const STATE_HZ: usize = 10;
-/// By the ephemeris on that day.
+/// Solar radius by the ephemeris on that day.
 const RADIUS_ARCSEC: f64 = 955.6;
 
-/// A tilted detector whose pixels are 2 arcsec; it sees 1600 arcsec a side.
+/// A rotated detector with pixels of 2 arcsec and a field of 1600 arcsec a side.
 const TILTED: &str = "[[detector]]\nscale_arcsec = 2.0\ncentre = [400.0, 400.0]\nrotation_deg = 33.3\noffset_arcsec = [12.0, -8.0]\n\
                       field = [[0, 800], [0, 800]]\n";
-/// In pixels.
+/// Side of the field, px.
 const FIELD: f64 = 800.0;
 
-/// Six places about the disc, ten minutes each; slews between them take 2 s at the end.
+/// Six positions on and near the disc, ten minutes each; a slew takes the last 2 s.
 fn boresight_arcsec(s: f64) -> [f64; 2] {
     const PLACES: [[f64; 2]; 7] = [
         [0.0, 0.0],
@@ -45,7 +45,7 @@ fn boresight_arcsec(s: f64) -> [f64; 2] {
     })
 }
 
-/// West is -y and north z; the telescope rolls slowly, and swings about its boresight.
+/// The attitude, with west along -y and north along z: the telescope rolls slowly and swings about its boresight.
 fn attitude(s: f64) -> UnitQuaternion<f64> {
     let [x, y] = boresight_arcsec(s).map(|arcsec| arcsec * ARCSEC);
     let towards = Vector3::new(x.cos() * y.cos(), -x.sin() * y.cos(), y.sin());
@@ -59,7 +59,7 @@ fn history() -> PointingHistory {
     let state = |n: usize| {
         let s = n as f64 / STATE_HZ as f64;
         let turned = attitude(s - 1e-3).inverse() * attitude(s + 1e-3);
-        // Each state errs by what it states.
+        // Each state has a random error of its stated sigma.
         let error = Vector3::from_fn(|_, _| 0.2 * ARCSEC * normal(&mut random));
         State {
             unix_s: START_S + s,
@@ -81,7 +81,7 @@ fn history() -> PointingHistory {
     PointingHistory::new(states, (-1..=HOUR_S as i64 + 1).map(second).collect())
 }
 
-/// Where a place about the Sun falls on the detector.
+/// Position on the detector, px, of a direction given in arcsec from the Sun's centre.
 fn on_detector(attitude: &UnitQuaternion<f64>, [x, y]: [f64; 2]) -> [f64; 2] {
     let [x, y] = [x, y].map(|arcsec| arcsec * ARCSEC);
     let towards = Vector3::new(x.cos() * y.cos(), -x.sin() * y.cos(), y.sin());
@@ -134,7 +134,7 @@ fn a_known_picture_of_the_sun_comes_back_where_it_was() {
     let imaged = placed.image.unwrap();
     let is_good = |s: f64| (100.0..=1800.0).contains(&s) || (1801.0..=3500.0).contains(&s);
     let good = photons.iter().filter(|[s, ..]| is_good(*s)).count() as u64;
-    // Of the five slews, which take 2 s, less than 10 s are too fast.
+    // The five slews of 2 s have less than 10 s in which the telescope moves too fast.
     assert!(
         imaged.photons < good && good - imaged.photons < PHOTONS as u64 / 300,
         "{good}, {imaged:?}"
@@ -179,7 +179,7 @@ fn exposure_is_the_live_time_for_which_the_field_was_there() {
         });
         let expected_s = 0.8 * step_s * seen.count() as f64;
         let found_s = image.exposure_s[n];
-        // A pixel that the field's edge passes sees the mean of it.
+        // A pixel crossed by the field's edge has the mean exposure of both sides.
         assert!(
             (found_s - expected_s).abs() < 0.02 * expected_s + 2.0,
             "{place:?}: {found_s}, expected {expected_s}"

@@ -7,7 +7,7 @@ use solaspect::events::{Energies, Field, ImageRequest};
 
 pub const WITH_FIELD: &str = "[[detector]]\nscale_arcsec = 1.0\ncentre = [0, 0]\nrotation_deg = 0\nfield = [[-400, 400], [-400, 400]]\n";
 
-/// The hand-made telescope moves by 2200 arcsec in its minute.
+/// A large field, because the test telescope moves by 2200 arcsec in its minute.
 fn wide(bench: &Bench) -> ImageRequest {
     ImageRequest {
         field: Field {
@@ -22,7 +22,7 @@ fn good() -> Table {
     good_times("GTI", &[[0.0, SECONDS as f64]])
 }
 
-/// The pixel of a place to the west and north.
+/// The image pixel of a position (west, north), arcsec.
 fn pixel(request: &ImageRequest, [x, y]: [f64; 2]) -> [i64; 2] {
     let Field {
         centre_arcsec,
@@ -31,7 +31,7 @@ fn pixel(request: &ImageRequest, [x, y]: [f64; 2]) -> [i64; 2] {
     let along = |at: f64, axis: usize| {
         ((at - centre_arcsec[axis] + size_arcsec[axis] / 2.0) / request.pixel_arcsec).floor() as i64
     };
-    // In the plane that touches the sky at the Sun's centre.
+    // Project to the tangent plane at the Sun's centre.
     let (x, y) = (x * ARCSEC, y * ARCSEC);
     [
         along(x.tan() / ARCSEC, 0),
@@ -75,9 +75,9 @@ fn each_photon_is_in_the_pixel_of_its_place_or_counted_elsewhere() {
     assert!(outside > 500 && unplaced > 100, "{outside} {unplaced}");
     let differ = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>();
     let [counts, invalid] = ["COUNTS", "INVALID"].map(|name| read_image(&request.path, name));
-    // A photon on the edge of two pixels may be in either: the cubic between states errs by some thousandths of an arcsec.
+    // A photon on the edge of two pixels may be in either: the cubic interpolation between states has errors of a few 0.001 arcsec.
     assert!(differ(&counts, &expected[0]) <= 8.0);
-    // In the slew the states' rates are not those of the attitude, and places differ.
+    // In the slew the stated rates contradict the attitudes, so positions differ and only totals are compared.
     let totals = [&invalid, &expected[1]].map(|image| image.iter().sum::<f64>());
     assert!(
         totals[0] > 500.0 && (totals[0] - totals[1]).abs() <= 8.0,
@@ -106,7 +106,7 @@ fn only_photons_of_the_energies_count() {
     let placed = bench
         .image(WITH_FIELD, &[event_table(&photons), good()], &request)
         .unwrap();
-    // Channels run from 0 to 4095, over and over: 200 of each turn.
+    // Channels run from 0 to 4095 repeatedly: 200 of each cycle are in the range.
     let imaged = placed.image.unwrap();
     assert_eq!([imaged.photons, imaged.other_energies], [600, 8400]);
     let energies = Energies {
@@ -164,7 +164,7 @@ fn a_field_is_stated_or_that_of_the_columns() {
         [imaged.photons, imaged.photons + imaged.invalid],
         [inside.count() as u64, 3000]
     );
-    // Whole numbers are pixels: one more in each direction than between the first and the last.
+    // Integer coordinates are pixels: the field is one pixel wider in each direction.
     for (table, area) in [(stated, 399.0 * 199.0), (whole, 400.0 * 200.0)] {
         let found = exposed(table);
         assert!(
@@ -247,7 +247,7 @@ fn what_makes_no_image_is_refused_and_leaves_no_file() {
         "image.fits: good time intervals: expected a time",
     );
     let dead = good().with("DEADC", Number(1.3));
-    // The copy does not need it.
+    // A copy without an image does not need DEADC.
     bench.placed(PLAIN, &[], &[table.clone(), dead.clone()]);
     refused(
         WITH_FIELD,

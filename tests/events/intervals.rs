@@ -88,7 +88,7 @@ fn good_time_intervals_lie_inside_both_and_exposure_is_their_length() {
             );
             lost += u32::from(*valid && inside(*s, &own) && !is_inside);
         }
-        // Only ends in quarters of a second lose time.
+        // Only interval ends rounded to quarters of a second lose time.
         assert!(
             lost < if name == "STDGTI" { 900 } else { 20 },
             "{name}: {lost}"
@@ -103,7 +103,7 @@ fn intervals_without_a_scale_are_in_that_of_the_photons() {
     let list = event_table(&photons)
         .without("TIMESYS")
         .with("TIMESYS", Text("TT"));
-    // Terrestrial time is 67.184 s ahead of UTC: the flight begins at 67.184 s and ends at 127.184 s.
+    // TT is 67.184 s ahead of UTC: the flight begins at 67.184 s and ends at 127.184 s.
     let intervals = good_times("GTI", &[[0.0, 100.0]]);
     bench.placed(PLAIN, &[], &[list, intervals]);
     let ends = ["START", "STOP"].map(|end| since_start(&bench.at("out.fits"), "GTI", end));

@@ -17,13 +17,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// Keywords with their values.
+/// Keywords and their values.
 pub type Keys = Vec<(String, Key)>;
 
 /// Name, form, unit and values of a column.
 pub type Values = (&'static str, &'static str, &'static str, Vec<f64>);
 
-/// Keywords and columns of a table, as cfitsio is to write them.
+/// A table to be written by cfitsio.
 #[derive(Clone)]
 pub struct Table {
     pub name: &'static str,
@@ -149,7 +149,7 @@ pub fn write(path: &Path, primary: &[(String, Key)], tables: &[Table]) {
     tables.iter().for_each(|table| table.put(&mut file));
 }
 
-/// Photons as time since the start, x, y and detector.
+/// A table of photons, each given as time since the start (s), x, y and detector id.
 pub fn event_table(photons: &[[f64; 4]]) -> Table {
     let values = |n: usize| photons.iter().map(|photon| photon[n]).collect::<Vec<f64>>();
     let times = values(0)
@@ -200,10 +200,10 @@ pub fn good_times(name: &'static str, intervals: &[[f64; 2]]) -> Table {
     }
 }
 
-/// A detector whose pixels are arcsec to the right and up of the boresight.
+/// A detector whose coordinates are arcsec right and up of the boresight.
 pub const PLAIN: &str = "[[detector]]\nscale_arcsec = 1.0\ncentre = [0, 0]\nrotation_deg = 0\n";
 
-/// A folder with a refined flight, and what is made of it.
+/// A folder with the output of a refinement, and the results made from it.
 pub struct Bench {
     pub folder: TempDir,
 }
@@ -240,7 +240,7 @@ impl Bench {
         place_photons(files, watch)
     }
 
-    /// Makes an image of a list, and nothing else.
+    /// Writes a list and makes only its image.
     pub fn image(
         &self,
         detectors: &str,
@@ -268,7 +268,7 @@ impl Bench {
         }
     }
 
-    /// Puts the photons of a list on the Sun, and gives the columns.
+    /// Writes a list, traces its photons to the Sun, and reads the new columns.
     pub fn placed(
         &self,
         detectors: &str,
@@ -299,7 +299,7 @@ impl Bench {
     }
 }
 
-/// What cfitsio reads of the new columns.
+/// The new columns as cfitsio reads them.
 pub struct Columns {
     pub hp: Vec<[f64; 2]>,
     pub sigma: Vec<f64>,
@@ -332,21 +332,21 @@ impl Columns {
     }
 }
 
-/// An image of a file as cfitsio reads it: of the primary HDU or an extension.
+/// An image of a file, read by cfitsio: the primary HDU or an extension.
 pub fn read_image(path: &Path, name: &str) -> Vec<f64> {
     let mut file = open_disk_file(path, FileOpenMode::READONLY).unwrap();
     let hdu = file.hdu(name).unwrap();
     hdu.read_image(&mut file).unwrap()
 }
 
-/// A number of the header of an image.
+/// A numeric keyword of an image's header.
 pub fn read_number(path: &Path, name: &str, keyword: &str) -> f64 {
     let mut file = open_disk_file(path, FileOpenMode::READONLY).unwrap();
     let hdu = file.hdu(name).unwrap();
     hdu.read_key(&mut file, keyword).unwrap()
 }
 
-/// All HDUs have right checksums, says cfitsio.
+/// Asserts with cfitsio that the checksums of all HDUs are right.
 pub fn assert_sums(path: &Path) {
     let mut file = open_disk_file(path, FileOpenMode::READONLY).unwrap();
     let (mut count, mut status) = (0, 0);
@@ -390,13 +390,13 @@ pub fn assert_close(found: [f64; 2], expected: [f64; 2], arcsec: f64, what: &str
     );
 }
 
-/// The places of photons whose pixels are arcsec from the boresight.
+/// The true origins of photons on the detector `PLAIN`.
 pub fn plain_truth(photons: &[[f64; 4]]) -> Vec<[f64; 2]> {
     let truth = |[s, x, y, _]: &[f64; 4]| truth_arcsec(&attitude(START_S + s), [*x, *y]);
     photons.iter().map(truth).collect()
 }
 
-/// Times of a column, s since the start.
+/// A column of times, s since the start.
 pub fn since_start(path: &Path, table: &str, name: &str) -> Vec<f64> {
     let times = column(path, table, name).into_iter();
     times.map(|time| time + MIDNIGHT_S - START_S).collect()

@@ -229,7 +229,7 @@ fn damaged_lists_are_errors_or_lists_and_the_copy_is_whole_or_absent() {
         let mut damaged = whole.clone();
         for _ in 0..random.random_range(1..6) {
             let at = random.random_range(0..damaged.len());
-            // Of a card, most often a character that cards have.
+            // In most cases the new byte is a character that occurs in cards.
             damaged[at] = match random.random_range(0..4) {
                 0 => random.random(),
                 1 => b' ',

@@ -28,7 +28,7 @@ fn photons_land_where_the_rotation_says_for_every_turn_mirror_and_offset() {
     assert_eq!((placed.photons, placed.valid), (3000, 3000));
     for ([s, x, y, id], found) in photons.iter().zip(&columns.hp) {
         let (turn_deg, mirrored, offset): (f64, bool, [f64; 2]) = mounted[*id as usize];
-        // In polar coordinates about the module's axis; to the other side, angles run backward.
+        // Polar coordinates about the detector's axis; in a mirrored detector angles have the opposite sense.
         let (dx, dy) = (1.7 * (x - 12.5), 1.7 * (y + 7.0));
         let angle = if mirrored {
             -dy.atan2(dx)
@@ -60,7 +60,7 @@ fn sigma_is_the_scatter_over_pointings_drawn_from_the_covariance() {
         let sum: f64 = (0..draws).map(|_| square(draw(&mut random))).sum();
         (sum / f64::from(2 * draws)).sqrt()
     };
-    // Moved to the right about down, moved up about right, and turned about forward.
+    // Rotate by roll about forward, up about right, and right about down.
     let moved = |covariance: &Matrix3<f64>, random: &mut Xoshiro256PlusPlus| {
         let factor = covariance.cholesky().unwrap().l();
         let [right, up, roll] = (factor * Vector3::from_fn(|_, _| normal(random))).into();
@@ -110,7 +110,7 @@ fn times_of_every_unit_zero_and_scale_give_the_same_places() {
         table
     };
     let days = 86_400.0;
-    // TT is 32.184 s ahead of TAI, TAI 35 s of UTC then (IERS Bulletin C 43).
+    // TT is 32.184 s ahead of TAI, and TAI was 35 s ahead of UTC then (IERS Bulletin C 43).
     let tt_s = 35.0 + 32.184;
     let primary = |keys: &[(&str, Key)]| {
         keys.iter()
@@ -187,7 +187,7 @@ fn times_of_every_unit_zero_and_scale_give_the_same_places() {
         let (placed, columns) = bench.placed(PLAIN, &primary, &[table]);
         assert_eq!(placed.valid, 200, "{what}: {placed:?}");
         for (found, expected) in columns.hp.iter().zip(&truth) {
-            // The telescope turns by 36 arcsec/s: half a millisecond is 0.02 arcsec, with the roll 0.2 arcsec at the field's edge.
+            // The telescope moves at 36 arcsec/s: 0.5 ms are 0.02 arcsec, or with the roll 0.2 arcsec at the edge of the field.
             assert_close(*found, *expected, 0.4, what);
         }
     }
@@ -225,7 +225,7 @@ fn numbers_of_any_form_and_scaling_are_read_as_cfitsio_reads_them() {
             assert_close(*found, expected, 1e-3, form);
         }
     }
-    // cfitsio writes unsigned integers as signed ones with a zero; a null is no position.
+    // cfitsio writes unsigned integers as signed ones with a zero offset; a null gives no position.
     let mut table = event_table(&photons)
         .with("TZERO3", Number(32_768.0))
         .with("TNULL4", Whole(4));
@@ -244,7 +244,7 @@ fn numbers_of_any_form_and_scaling_are_read_as_cfitsio_reads_them() {
 
 #[test]
 fn a_direction_is_taken_in_the_plane_that_touches_the_sky() {
-    // Far from the boresight the plane's angle is the tangent's.
+    // Far from the boresight: the tangent of the angle equals the coordinate in the tangent plane.
     let photons = [[0.0, 20_000.0, 0.0, 1.0]];
     let (_, columns) = Bench::plain().placed(PLAIN, &[], &[event_table(&photons)]);
     let axis = UnitVector3::new_normalize(attitude(START_S) * Vector3::x());

@@ -5,20 +5,20 @@ use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex};
 
-/// What is wrong with a disk.
+/// A fault of a disk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fault {
-    /// It takes no more than so many bytes.
+    /// The disk is full after this many bytes.
     Quota { bytes: usize },
-    /// An operation fails.
+    /// The operation of this name fails.
     Step(&'static str),
-    /// It says that so much is free.
+    /// The disk reports this percentage of free space, of 100 MB.
     Free(f64),
-    /// Plenty of space, but so many files (inodes).
+    /// The disk has ample space but only this many free files (inodes).
     Files(u64),
-    /// It takes no byte and says nothing, until the fault is gone.
+    /// Writes block, without an error, until the fault ends.
     Stuck,
-    /// It is not there. When it is back, what was open before leads nowhere.
+    /// The disk is absent. Files opened before it disappeared stay unusable when it is back.
     Gone,
 }
 
@@ -26,15 +26,15 @@ pub enum Fault {
 struct State {
     fault: Option<Fault>,
     written: usize,
-    /// Frames that wait for the disk.
+    /// Number of writes of frames that had to wait.
     stuck: u64,
-    /// Frames that it refused.
+    /// Number of operations of frames that were refused.
     refused: u64,
-    /// How often the disk has gone.
+    /// Number of times the disk disappeared.
     departures: u64,
 }
 
-/// A disk with a fault that comes and goes.
+/// A disk with faults that can be set and cleared.
 #[derive(Debug)]
 pub struct FaultyDisk {
     disk: Box<dyn Disk>,
@@ -63,7 +63,7 @@ impl FaultyDisk {
         self.shared.changed.notify_all();
     }
 
-    /// Waits until a frame waits for the disk.
+    /// Waits until a write of a frame is blocked.
     pub fn wait_until_stuck(&self) {
         let state = self.shared.state.lock().unwrap();
         let stuck = self
@@ -73,7 +73,7 @@ impl FaultyDisk {
         drop(stuck.unwrap());
     }
 
-    /// Waits until it has refused a step of a frame.
+    /// Waits until an operation of a frame has been refused.
     pub fn wait_until_refused(&self) {
         let state = self.shared.state.lock().unwrap();
         let refused = self
@@ -212,7 +212,7 @@ impl Disk for FaultyDisk {
 struct FaultyFile {
     file: Box<dyn DiskFile>,
     is_frame: bool,
-    /// How often the disk had gone when the file was opened.
+    /// Value of the disk's `departures` when the file was opened.
     departures: u64,
     shared: Arc<Shared>,
 }

@@ -6,16 +6,16 @@ use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-/// A model of a disk that loses what was not brought to it when the power goes.
+/// A model of a disk that loses unsynced data when the power is cut.
 ///
-/// A file's bytes last once the file is synced, a name once its folder is; a name may also last without
-/// that, and then leads to whatever of the bytes has.
+/// A file's bytes are durable once the file is synced, a name once its folder is. A name may also become durable
+/// without a sync; it then refers to the durable bytes of its file.
 #[derive(Debug, Default)]
 pub struct Memory {
     model: Arc<Mutex<Model>>,
 }
 
-/// What a power cut leaves of names that were not synced.
+/// What remains of names that were not synced before a power cut.
 #[derive(Debug, Clone, Copy)]
 pub enum Persisted {
     OnlyWhatWasSynced,
@@ -25,7 +25,7 @@ pub enum Persisted {
 #[derive(Debug, Default)]
 struct Model {
     steps_left: u64,
-    /// The bytes of each file as they are, and as they would last.
+    /// The bytes of each file: current, and durable.
     files: Vec<(Vec<u8>, Vec<u8>)>,
     names: BTreeMap<PathBuf, Node>,
     lasting_names: BTreeMap<PathBuf, Node>,
@@ -38,7 +38,7 @@ enum Node {
 }
 
 impl Memory {
-    /// A disk, mounted at `/disk`, whose power goes after so many steps.
+    /// A disk mounted at `/disk`, whose power is cut after `steps` operations.
     pub fn cut_after(steps: u64) -> Self {
         let mounts = BTreeMap::from([(PathBuf::from("/disk"), Node::Folder)]);
         let model = Model {
@@ -52,7 +52,7 @@ impl Memory {
         }
     }
 
-    /// The files that are found when the power is back.
+    /// The files found after the power cut.
     pub fn files_after_the_cut(&self, persisted: Persisted) -> Vec<(PathBuf, Vec<u8>)> {
         let model = self.model.lock().unwrap();
         let names = match persisted {
@@ -211,7 +211,7 @@ impl Write for MemoryFile {
         model.step()?;
         let file = &mut model.files[self.number];
         file.0.extend_from_slice(bytes);
-        // The system writes on its own, too, but never more than it is asked to: take half.
+        // The system also writes without a sync, at most what it was given: assume half of it.
         file.1 = file.0[..file.0.len() / 2].into();
         Ok(bytes.len())
     }

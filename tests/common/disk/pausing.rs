@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-/// A disk on which the operation of a number waits for ever, and before it says so.
+/// A disk on which the operation with a given number calls `say` and then blocks forever.
 #[derive(Debug)]
 pub struct PausingDisk {
     disk: LocalDisk,
@@ -19,7 +19,7 @@ struct Steps {
 }
 
 impl Steps {
-    /// `None` never pauses.
+    /// Counts an operation; with `None` none blocks.
     fn step(&self) {
         let mut left = self.left.lock().unwrap();
         match &mut *left {
@@ -112,7 +112,7 @@ struct PausingFile {
 }
 
 impl Write for PausingFile {
-    /// In two halves, so that a file may be half there.
+    /// Writes two halves, so that a file may be left half written.
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let (half, rest) = bytes.split_at(bytes.len() / 2);
         self.steps.step();
