@@ -43,7 +43,7 @@ fn hot_pixels() -> Vec<HotPixel> {
     (0..25).map(at).collect()
 }
 
-/// A camera of known noise, gain, hot pixels and vignetting, without light.
+/// A dark scene of a camera with known noise, gain, hot pixels and vignetting.
 fn covered(seed: u64) -> Scene {
     let demo = builtin("demo").unwrap();
     let mut scene = Scene::new(&demo, demo.nominal_mapping().unwrap());
@@ -63,7 +63,7 @@ fn covered(seed: u64) -> Scene {
     scene
 }
 
-/// The same, evenly lit.
+/// The same camera, uniformly illuminated.
 fn lit(peak_dn: f64, seed: u64) -> Scene {
     let mut scene = covered(seed);
     let even = Sun::new(PlateMil::new(0.0, 0.0), 1e5);
@@ -77,7 +77,7 @@ fn lit(peak_dn: f64, seed: u64) -> Scene {
     scene
 }
 
-/// What it says of vignetting at the corner, where `CORNER_LOSS` is lost.
+/// Loss of light at the sensor's corner by the found vignetting; the truth is `CORNER_LOSS`.
 fn corner_loss(instrument: &Instrument) -> f64 {
     let vignetting = instrument.sensor.vignetting.unwrap();
     1.0 - vignetting.share(solaspect::units::SensorPx::new(0.0, 0.0))
@@ -112,7 +112,7 @@ fn dark_and_flat_frames_determine_noise_gain_hot_pixels_and_vignetting() {
     let said = String::from_utf8_lossy(&done.stdout);
     let found = Instrument::read(&new).unwrap();
     let noise = found.sensor.noise.unwrap();
-    // 12 bits: 16 DN to the simulator's one.
+    // With 12 bits, one DN of the simulator is 16 DN.
     assert_eq!(noise.saturation_dn, 4095);
     let near = |value: f64, wanted: f64, part: f64| (value / wanted - 1.0).abs() < part;
     assert!(near(noise.dark_dn.value, 16.0 * LEVEL_DN, 0.002), "{said}");
@@ -143,7 +143,7 @@ fn dark_and_flat_frames_determine_noise_gain_hot_pixels_and_vignetting() {
     assert!(html.contains("Photon transfer") && html.contains("<svg"));
 }
 
-/// Frames of the Sun by a camera of known blemishes; warmer by 1.5 deg C each, blur and scale with it.
+/// Writes frames of the Sun by a camera with known blemishes; each is 1.5 degC warmer, with a larger blur and scale.
 fn sun_frames(folder: &Path, count: u64, conditions: &Conditions) {
     let demo = builtin("demo").unwrap();
     for n in 0..count {
@@ -252,7 +252,7 @@ fn frames_that_determine_nothing_or_do_not_belong_together_are_refused() {
     }
 }
 
-/// The commands of docs/calibration-camera.md.
+/// Runs the commands of docs/calibration-camera.md.
 #[test]
 fn a_camera_is_simulated_calibrated_and_compared_with_its_truth() {
     let folder = tempfile::tempdir().unwrap();
@@ -300,7 +300,7 @@ fn a_camera_is_simulated_calibrated_and_compared_with_its_truth() {
     assert_eq!(mixed.status.code(), Some(2), "{mixed:?}");
 }
 
-/// A frame's row is on the disk when the next frame is begun, however the program ends.
+/// Each frame's row is on disk before the next frame begins, however the program ends.
 #[test]
 fn an_interrupted_simulation_leaves_a_row_for_each_frame() {
     let folder = tempfile::tempdir().unwrap();
@@ -325,7 +325,7 @@ fn an_interrupted_simulation_leaves_a_row_for_each_frame() {
         program.wait().unwrap();
         let truth = std::fs::read_to_string(out.join("truth.csv")).unwrap();
         let rows = truth.lines().count() - 1;
-        // The row of the last frame may not be there yet.
+        // The row of the last frame may still be missing.
         assert!(
             truth.ends_with('\n') && (frames() - 1..=frames()).contains(&rows),
             "{scene:?}: {rows}"
@@ -443,7 +443,7 @@ fn stated_pixels_change_only_the_frames_they_speak_of() {
     });
     assert_eq!(solve(&picture.frame, &other_depth), plain);
 
-    // A column of dim hot pixels along the limb, too dim to saturate.
+    // A column of hot pixels along the limb, too dim to saturate.
     let (x, y) = ((sun.px.x + sun.radius_px) as usize + 2, sun.px.y as usize);
     let hot: Vec<(usize, usize)> = (y - 30..y + 30).map(|y| (x, y)).collect();
     let solaspect::frame::Pixels::U8(mut pixels) = picture.frame.pixels().clone() else {
@@ -461,12 +461,12 @@ fn stated_pixels_change_only_the_frames_they_speak_of() {
     let clean = place(&plain);
     let (unlisted, listed) = (solve(&blemished, &demo), solve(&blemished, &listing));
     assert!(place(&listed).distance(clean) < 0.02);
-    // The limb's robust weights stand such a column by themselves: listing it costs nothing but the pixels.
+    // Robust weights at the limb tolerate such a column: listing it costs no accuracy.
     assert!(place(&listed).distance(clean) <= place(&unlisted).distance(clean) + 0.005);
     assert_ne!(listed, unlisted);
 }
 
-/// Each calibration reads its frames through the same list.
+/// All calibrations read their frames by the same function.
 #[test]
 fn a_frame_that_several_files_hold_counts_once_in_a_calibration() {
     let folder = tempfile::tempdir().unwrap();
@@ -495,7 +495,7 @@ fn a_frame_that_several_files_hold_counts_once_in_a_calibration() {
     write("z.fits", &one, Compression::None);
     let size = (one.width(), one.height());
     picture("dark_1.png", size, pixels(&one));
-    // Frames without structure are no copies of each other.
+    // Identical frames without structure do not count as copies.
     let dark = vec![0; size.0 * size.1];
     picture("lens_cap_1.png", size, dark.clone());
     picture("lens_cap_2.png", size, dark);

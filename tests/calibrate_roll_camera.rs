@@ -24,7 +24,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// Of the body: heading from north over east, pitch and roll, deg.
+/// Attitude of the body: heading from north over east, pitch and roll, deg.
 #[derive(Clone, Copy)]
 struct Attitude {
     heading_deg: f64,
@@ -33,7 +33,7 @@ struct Attitude {
 }
 
 impl Attitude {
-    /// To forward, right, down from north, east, down.
+    /// Rotation from (north, east, down) to (forward, right, down).
     fn body_from_local(&self) -> Rotation3<f64> {
         let about = |axis, deg: f64| Rotation3::from_axis_angle(&axis, deg.to_radians());
         let local_from_body = about(Vector3::z_axis(), self.heading_deg)
@@ -49,7 +49,7 @@ fn local(azimuth_deg: f64, elevation_deg: f64) -> Vector3<f64> {
     Vector3::new(cos_e * cos_a, cos_e * sin_a, -sin_e)
 }
 
-/// A telescope that sweeps over a Sun while the gondola swings.
+/// Attitude of a telescope that sweeps over the Sun while the gondola swings.
 fn sweep(time_s: f64, sun: Horizontal, across_deg: f64) -> Attitude {
     let swing = |deg: f64, period_s: f64| deg * (TAU * time_s / period_s).sin();
     Attitude {
@@ -59,7 +59,7 @@ fn sweep(time_s: f64, sun: Horizontal, across_deg: f64) -> Attitude {
     }
 }
 
-/// The camera points ahead, and down by as much as the telescope points up, or so; `off_deg` turns it about the body's axes.
+/// A camera that points forward and `down_deg` below the telescope's axis; `off_deg` rotates it about the body's axes.
 fn body_from_camera(down_deg: f64, off_deg: [f64; 3]) -> Rotation3<f64> {
     let forward = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
     let down = Rotation3::from_axis_angle(&Vector3::y_axis(), -down_deg.to_radians());
@@ -73,10 +73,10 @@ fn errors(found: &Rotation3<f64>, truth: &Rotation3<f64>, sigmas_deg: [f64; 3]) 
     std::array::from_fn(|n| error[n].to_degrees() / sigmas_deg[n])
 }
 
-/// Ten minutes' observations whose nadirs have an error of their own and one that all share, each across the nadir.
+/// Observations over ten minutes; each nadir has an independent error and one common to all, both perpendicular to the nadir.
 fn observations(seed: u64, truth: &Rotation3<f64>, by_sun: bool) -> Vec<HorizonObservation> {
     const STEP_S: f64 = 0.25;
-    // As frames of 1920 x 1080 px of a limb that varies by 2 % and 100 m.
+    // Values for frames of 1920 x 1080 px and a limb that varies by 2 % in brightness and 100 m in height.
     const OWN_DEG: f64 = 0.0043;
     const SHARED_DEG: f64 = 0.01;
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
@@ -166,13 +166,13 @@ fn a_sun_that_stays_in_one_place_does_not_determine_the_turn_about_it_and_the_er
     assert!(error.contains("sweep over the Sun"), "{error}");
 }
 
-/// A flight whose frames are rendered: the truth of its camera, and its folder.
+/// A simulated flight: its folder, and the true mounting of its camera.
 struct Flown {
     folder: tempfile::TempDir,
     truth: Rotation3<f64>,
 }
 
-/// Takes `count` frames of the horizon over some seconds at a time, a few of them with a cloud of glare; and, if wanted, of the Sun.
+/// Simulates `count` frames of the horizon over `seconds`, with a log of the attitude; if `with_sun`, also frames of the Sun.
 fn fly(seed: u64, count: u64, seconds: f64, width_px: usize, with_sun: bool) -> Flown {
     let folder = temporary();
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
@@ -207,7 +207,7 @@ fn fly(seed: u64, count: u64, seconds: f64, width_px: usize, with_sun: bool) -> 
             };
             let mut attitude = sweep(time_s, towards, 1.0);
             if !with_sun {
-                // Tilted by hand.
+                // Large tilts, as by hand.
                 attitude.roll_deg *= 3.0;
                 attitude.pitch_deg *= 15.0;
             }
@@ -241,12 +241,12 @@ fn fly(seed: u64, count: u64, seconds: f64, width_px: usize, with_sun: bool) -> 
     Flown { folder, truth }
 }
 
-/// The demo's, whose directions are counted at the telescope.
+/// The demo instrument, whose directions are at the telescope.
 fn telescope() -> Instrument {
     builtin("demo").unwrap()
 }
 
-/// Of a camera that sees 94.4 deg.
+/// Focal length of a camera with a field of 94.4 deg.
 fn focal_px(width_px: usize) -> f64 {
     width_px as f64 / 2.0 / 47.2_f64.to_radians().tan()
 }
@@ -304,7 +304,7 @@ fn write_camera(folder: &Path, conditions: &EarthConditions, turn: &Rotation3<f6
     fs::write(folder.join("cam.toml"), text).unwrap();
 }
 
-/// Runs the calibration; the new file's turn with its sigmas.
+/// Runs the calibration; the new mounting and its sigmas, deg.
 fn calibrate(flown: &Flown, more: &[&str]) -> (Rotation3<f64>, [f64; 3]) {
     let at = |name: &str| flown.folder.path().join(name);
     let output = Command::new(env!("CARGO_BIN_EXE_solaspect"))
@@ -361,7 +361,7 @@ fn a_flight_of_ten_minutes_determines_how_the_camera_sits_to_two_hundredths_of_a
     let errors = errors(&turn, &flown.truth, sigmas);
     let off_deg: [f64; 3] = std::array::from_fn(|n| errors[n] * sigmas[n]);
     println!("off by {off_deg:?}, {errors:?} sigmas of {sigmas:?} deg");
-    // The pitch rests on the height of the limb's edge.
+    // The accuracy of the pitch depends on the height of the limb's edge.
     assert!(errors[1].abs() < 3.0, "{errors:?}");
     assert!(
         off_deg[0].abs() < 0.02 && off_deg[2].abs() < 0.02,

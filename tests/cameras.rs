@@ -16,13 +16,13 @@ use std::path::Path;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
-/// A small camera that points along the gondola's first axis, and one to its right.
+/// A small camera along the gondola's first axis, and one to its right.
 const FORWARD: &str = "[camera]\nwidth_px = 480\nheight_px = 270\ncentre_px = [239.5, 134.5]\nfocal_px = [222.2, 222.2]\n\
                        body_from_camera = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]\n";
 const TO_THE_RIGHT: &str = "[camera]\nwidth_px = 400\nheight_px = 300\ncentre_px = [199.5, 149.5]\nfocal_px = [200, 200]\n\
                             body_from_camera = [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]\n";
 
-/// A configuration of three cameras of the plate and two of the horizon, whose files and archive are in a folder.
+/// Configuration of three plate cameras and two roll cameras; files and archive are in `folder`.
 fn configuration(folder: &Path) -> String {
     let at = |name: &str| folder.join(name).display().to_string();
     fs::write(at("forward.toml"), FORWARD).unwrap();
@@ -58,7 +58,7 @@ fn plan_of(folder: &Path, configuration: &str) -> Plan {
     plan
 }
 
-/// What came of a flight: its answers, and the telemetry that the ground heard.
+/// Flies a plan; the answers, and the telemetry received on the ground.
 fn flown(plan: &Plan, duration: Duration) -> (Vec<Answer>, Vec<TelemetryPacket>) {
     let (near, mut far) = SerialPort::pair().unwrap();
     let replay = Replay {
@@ -101,7 +101,7 @@ fn two_cameras_of_a_role_and_a_fifth_need_no_more_than_a_table() {
         let files = frames_in(&folder.path().join("archive").join(label));
         assert_eq!(files.len() as u32, *count, "{label}");
     }
-    // Each roll camera measures the gondola's roll, by its own mounting.
+    // Each roll camera measures the gondola's roll with its own mounting.
     for camera in plan
         .cameras
         .iter()
@@ -126,7 +126,7 @@ fn two_cameras_of_a_role_and_a_fifth_need_no_more_than_a_table() {
         }
         assert!(rolls >= 4, "{rolls} of {}", camera.camera.name);
     }
-    // The ground gets the counts of those that are not in the housekeeping, and of no others.
+    // Counts are sent for exactly those cameras that the housekeeping does not cover.
     let counts = heard
         .iter()
         .filter_map(|packet| CameraCounts::decode(packet).ok());
@@ -146,7 +146,7 @@ fn two_cameras_of_a_role_and_a_fifth_need_no_more_than_a_table() {
     assert!(u64::from(last[&2].fine) <= solved(2) as u64);
 }
 
-/// The demo's instrument with a plate whose marks are listed in a table, with ids that the pattern of 2013 does not have.
+/// The demo instrument with a table of marks, whose ids the pattern of 2013 does not have.
 fn with_listed_plate(folder: &Path) -> String {
     let places = builtin("demo").unwrap().plate;
     let rows: String = places
@@ -187,7 +187,7 @@ fn a_plate_of_another_pattern_sends_its_ids_in_a_message_of_their_own() {
         let ids: Vec<[i32; 2]> = solution.marks.iter().map(|m| [m.id.i, m.id.j]).collect();
         assert_eq!(marks.ids().collect::<Vec<_>>(), ids);
         assert!(ids.iter().all(|[i, j]| *i > 90 && *j < -8990), "{ids:?}");
-        // Housekeeping of the same time is about the same frame.
+        // Housekeeping with the same time describes the same frame.
         let housekeeping = heard.iter().filter(|packet| packet.time() == *time);
         let housekeeping: Vec<_> = housekeeping.filter_map(Housekeeping::decode).collect();
         assert_eq!(housekeeping.len(), 1);
@@ -248,7 +248,7 @@ fn what_preflight_calls_an_error_flies_only_by_force_and_the_log_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).display().to_string();
     fs::create_dir(at("archive")).unwrap();
-    // A camera whose file is not there, and a roll that is never young enough.
+    // A camera whose instrument file is missing, and a maximum age of roll that is too small.
     let config = format!(
         "[camera]\nsource = \"simulated\"\n[roll_camera]\nsource = \"simulated\"\ninstrument = \"/nowhere/roll.toml\"\n\
          [roll]\nmax_age_s = 0.01\n[archive]\ndirectory = {:?}\n",
@@ -273,7 +273,7 @@ fn what_preflight_calls_an_error_flies_only_by_force_and_the_log_says_so() {
     for words in [error, "flies by --force", "roll.max_age_s: expected"] {
         assert!(log.contains(words), "{words} in {log}");
     }
-    // Without the camera that commands speak of nothing flies.
+    // Without the camera that commands refer to, nothing flies.
     let config = "[camera]\nsource = \"simulated\"\ninstrument = \"/nowhere/i.toml\"\n[second_camera]\nsource = \"simulated\"\n";
     fs::write(at("second.toml"), config).unwrap();
     let second = [

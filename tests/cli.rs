@@ -24,7 +24,7 @@ fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// A FITS file of one HDU with the given cards and data.
+/// Writes a FITS file of one HDU with these cards and data.
 fn fits(folder: &Path, name: &str, cards: &[(&str, &str)], data: &[u8]) -> PathBuf {
     let mut bytes = Vec::new();
     for (keyword, value) in cards {
@@ -47,7 +47,7 @@ fn image<'a>(bitpix: &'a str, axes: &[&'a str]) -> Vec<(&'static str, &'a str)> 
     cards
 }
 
-/// Everything that prints, and ends soon.
+/// All commands that print and end soon.
 fn that_print(folder: &Path) -> Vec<Vec<String>> {
     let frame = format!("{FRAMES}/standard/frame_00000.fits");
     let good = folder.join("good.toml");
@@ -85,7 +85,7 @@ fn that_print(folder: &Path) -> Vec<Vec<String>> {
     lines.iter().map(words).collect()
 }
 
-/// Runs a command with this as standard output and standard error: neither ends it by a panic.
+/// Runs a command with `out` as standard output and standard error; asserts that it does not panic.
 fn run_into(words: &[String], out: impl Fn() -> Stdio) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));
     let status = command.args(words).stdout(out()).stderr(out()).status();
@@ -422,7 +422,7 @@ fn simulated_frames_are_solved_to_their_truth() {
             assert!((found - number(column)).abs() < 0.6, "{answer}");
         }
     }
-    // A Sun anywhere on the plate may light too few marks to read.
+    // A Sun at a random place on the plate may illuminate too few marks.
     assert!(fine >= 4, "{answers:?}");
 }
 

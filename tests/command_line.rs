@@ -24,7 +24,7 @@ fn printed(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }
 
-/// The answers of `solve`, without the time that it took.
+/// Results of `solve` without the solve time.
 fn answers(arguments: &[&str]) -> Vec<Value> {
     let output = solaspect(&[&["solve"], arguments].concat());
     let text = printed(&output);

@@ -11,7 +11,7 @@ const EXPECTED: Option<Expected> = Some(Expected {
     radius_arcsec: SUN_RADIUS_ARCSEC,
 });
 
-/// Frames of the demo instrument that are fine as they are, and where the Sun is on the plate.
+/// Frames of the demo instrument that are fine without changes, and the position of the Sun on the plate.
 fn frames() -> Vec<(Frame, PlateMil)> {
     let demo = builtin("demo").unwrap();
     let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 1).unwrap();
@@ -24,7 +24,7 @@ fn frames() -> Vec<(Frame, PlateMil)> {
     frames.filter(fine).collect()
 }
 
-/// The frame with its pixels in another order.
+/// The frame with its pixels rearranged.
 fn reordered(frame: &Frame, place: impl Fn(usize, usize) -> (usize, usize)) -> Frame {
     let (width, height) = (frame.width(), frame.height());
     let Pixels::U8(pixels) = frame.pixels() else {
@@ -67,7 +67,7 @@ fn a_mirrored_picture_is_called_so_and_has_no_place() {
             }
         }
     }
-    // Few marks in a row are their own mirror image.
+    // A short row of marks may be its own mirror image.
     for count in counts {
         assert!(
             count * 10 >= frames.len() * 9,
@@ -87,7 +87,7 @@ fn a_camera_moved_farther_than_it_may_be_has_no_place_by_the_calibration() {
         for (frame, sun) in &frames {
             let solution = solve(frame, &instrument, EXPECTED, None);
             match solution.quality {
-                // Where a tilt of the camera could explain the shift.
+                // A tilt of the camera could explain the shift.
                 Quality::Fine => {
                     let found = solution.aspect.unwrap().sun_plate.position;
                     assert!(found.distance(*sun) < 1.0, "{found:?} {sun:?}");
@@ -99,7 +99,7 @@ fn a_camera_moved_farther_than_it_may_be_has_no_place_by_the_calibration() {
                 }
             }
         }
-        // Few marks in a row do not show where they are.
+        // A short row of marks does not determine its place.
         let all = frames.len();
         assert!(none * 10 >= all * 8, "{none} of {all} at {by_px} px");
     }

@@ -17,7 +17,7 @@ use std::io::Write;
 use std::path::Path;
 use std::time::Duration;
 
-/// World coordinates as a reader of the file has them (FITS 4.0, section 8; Calabretta and Greisen 2002 for TAN).
+/// World coordinates as a reader of the file interprets them (FITS 4.0, section 8; Calabretta and Greisen 2002 for TAN).
 struct Coordinates {
     reference: Vector2<f64>,
     matrix: Matrix2<f64>,
@@ -81,7 +81,7 @@ struct Case {
     spot: HelioprojectiveArcsec,
 }
 
-/// Every case by both rules of directions.
+/// Every case with both conventions of directions.
 fn cases() -> impl Iterator<Item = Case> {
     let by = |case| Directions::ALL.map(|directions| Case { directions, ..case });
     CASES.into_iter().flat_map(by)
@@ -154,7 +154,7 @@ impl Case {
         format!("{}-{}", self.name, self.directions.name())
     }
 
-    /// Where the telescope throws the spot, from the Sun's centre on the plate.
+    /// Position of the spot on the plate, relative to the Sun's centre.
     fn spot_mil(&self) -> Vector2<f64> {
         match self.directions {
             Directions::Sun2013 => self.spot_mil_sun_2013(),
@@ -162,8 +162,8 @@ impl Case {
         }
     }
 
-    /// By the rule of the HEROES flight program alone: towards the bearing -(direction + clocking) from the Sun lies the
-    /// boresight, and what lies on that side of the Sun is seen on that side of it.
+    /// By the convention of the HEROES flight program alone: the boresight is at the bearing -(direction + clocking) from the Sun, and
+    /// a point on that side of the Sun is observed on that side of it.
     fn spot_mil_sun_2013(&self) -> Vector2<f64> {
         let mounting = self.instrument().mounting;
         let to_boresight = std::f64::consts::PI
@@ -173,7 +173,7 @@ impl Case {
         Vector2::new(sin, cos) * self.distance_mil() * self.spot_angle_rad().tan()
     }
 
-    /// By the plate's plane in the telescope: a thing at the position angle D is seen in the direction -(D + 180 deg) - clocking.
+    /// By the plate's plane in the telescope: an object at the position angle D is observed in the direction -(D + 180 deg) - clocking.
     fn spot_mil_telescope(&self) -> Vector2<f64> {
         let (instrument, sun) = (self.instrument(), self.sun());
         let towards = pointing(self.sun_plate, Roll::Stated, &instrument, &sun).unwrap();
@@ -189,7 +189,7 @@ impl Case {
         seen(&spot) - seen(&centre)
     }
 
-    /// From the Sun's centre to its spot, clockwise from the zenith.
+    /// Bearing of the spot from the Sun's centre, clockwise from the zenith.
     fn spot_bearing_rad(&self) -> f64 {
         self.sun().zenith_to_north_deg.to_radians() + self.spot.x.atan2(self.spot.y)
     }
@@ -221,7 +221,7 @@ impl Case {
             .unwrap()
     }
 
-    /// The Sun with its spot on the marks.
+    /// A scene of the Sun with its spot on the plate with its marks.
     fn scene(&self) -> Scene {
         let instrument = self.instrument();
         let mut parameters = instrument.mounting.similarity();
@@ -251,7 +251,7 @@ impl Case {
         (695_700.0 / (self.sun().distance_au * 149_597_870.7)).asin() * ARCSEC_PER_RAD
     }
 
-    /// Solves the frame and archives it; the keywords of the file.
+    /// Solves and archives the frame; returns the keywords of the file.
     fn archived(&self, root: &Path) -> Header {
         let instrument = self.instrument();
         let frame = self.scene().frame().unwrap();
@@ -295,7 +295,7 @@ fn solve(frame: &Frame, instrument: &Instrument) -> Solution {
     )
 }
 
-/// Where the spot is in the pixels: the centroid of what it takes from an evenly bright Sun without marks.
+/// Position of the spot, px: the centroid of the brightness it removes from a uniform Sun without marks.
 fn spot_px(case: &Case) -> SensorPx {
     let mut scene = case.scene();
     scene.mark_contrast = 0.0;
@@ -321,7 +321,7 @@ fn spot_px(case: &Case) -> SensorPx {
     (moment / sum).into()
 }
 
-/// With SOLASPECT_SUNSPOTS set to a folder, the files stay there, with a list of where the spots are.
+/// If SOLASPECT_SUNSPOTS names a folder, the files are kept there, with a list of the spots' positions.
 #[test]
 fn a_sunspot_has_its_helioprojective_place_by_the_files_coordinates() {
     let temporary = tempfile::tempdir().unwrap();
@@ -360,7 +360,7 @@ fn the_limb_is_where_the_coordinates_say_to_a_tenth_of_a_pixel() {
     }
 }
 
-/// An aspect that is known without error.
+/// An aspect without error.
 fn exact_aspect(sun_plate: PlateMil, mapping: &Mapping) -> Aspect {
     let covariance = Matrix2::zeros();
     let sun_px = mapping.to_sensor(sun_plate);

@@ -16,7 +16,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 
 const FRAMES: u64 = 40;
-/// Longer than a disk rests after its first refusals.
+/// Longer than the pause of a disk after its first failures.
 const SLOW: Duration = Duration::from_millis(50);
 
 fn two() -> [TempDir; 2] {
@@ -34,7 +34,7 @@ fn faulty(root: &Path, disk: &Arc<FaultyDisk>) -> Store {
 fn settings(sharing: Sharing) -> config::Archive {
     config::Archive {
         sharing,
-        // Whatever the machine has.
+        // Independent of the machine's free space.
         warn_free_percent: 0.0,
         thin_free_percent: 0.0,
         stop_free_percent: 0.0,
@@ -42,7 +42,7 @@ fn settings(sharing: Sharing) -> config::Archive {
     }
 }
 
-/// Every frame is on exactly one of the disks.
+/// Asserts that every frame is on exactly one of the disks.
 #[track_caller]
 fn assert_each_once(roots: [&Path; 2]) {
     let mut numbers = [numbers_in(roots[0]), numbers_in(roots[1])].concat();
@@ -243,7 +243,7 @@ fn what_a_slow_disk_gives_up_is_what_the_configuration_says() {
         let stores = vec![faulty(root.path(), &disk)];
         let tally = flight::dark(stores, rules, FRAMES, Duration::ZERO, |number| {
             match number {
-                // The first is being written, and waits for the disk.
+                // The first frame is being written and is blocked by the disk.
                 1 => disk.wait_until_stuck(),
                 FRAMES => disk.set(None),
                 _ => {}
@@ -259,7 +259,7 @@ fn what_a_slow_disk_gives_up_is_what_the_configuration_says() {
     }
 }
 
-/// The frames of the only solution log under a root, in its order, and the rows of its housekeeping.
+/// The frame numbers in the only solution log of a folder, in its order, and the number of rows of its housekeeping.
 fn logged_in(root: &Path) -> (Vec<u64>, usize) {
     let entries = fs::read_dir(root).unwrap();
     let paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
@@ -293,7 +293,7 @@ fn a_disk_that_came_back_gets_its_logs_again() {
         |number| match number {
             10 => disk.set(Some(Fault::Gone)),
             20 => disk.set(None),
-            // A second and more of housekeeping, with the disk back.
+            // More than a second of housekeeping with the disk back.
             30 => {
                 noted = logged_in(root.path()).1;
                 std::thread::sleep(Duration::from_millis(2500));
@@ -311,7 +311,7 @@ fn a_disk_that_came_back_gets_its_logs_again() {
     assert_eq!((tally.archive.rows_lost, tally.lost()), (0, 0), "{tally}");
 }
 
-/// A copy of a folder, as of a disk that is mounted again: the same bytes in other files.
+/// A copy of a folder, as if its disk were mounted again: the same bytes in new files.
 fn copy(from: &Path, to: &Path) {
     fs::create_dir(to).unwrap();
     for entry in fs::read_dir(from).unwrap() {
@@ -423,7 +423,7 @@ fn a_second_program_may_not_write_to_an_archive() {
     );
 }
 
-/// A small file system in memory, where this user may mount one.
+/// A small file system in memory, if this user may mount one.
 struct Tmpfs(TempDir);
 
 impl Tmpfs {
@@ -503,7 +503,7 @@ fn a_real_file_system_that_is_unmounted_leaves_the_rest_to_the_other() {
     let kept = numbers_in(roots[1]);
     let lost: Vec<u64> = (0..FRAMES).filter(|n| !kept.contains(n)).collect();
     assert!(!gone.is_empty() && kept.len() >= 20);
-    // One more may have been written between the check and the unmounting.
+    // One more frame may have been written between the check and the unmounting.
     assert!(
         lost.starts_with(&gone) && lost.len() <= gone.len() + 1,
         "{gone:?} {lost:?}"

@@ -20,7 +20,7 @@ const SAMPLE: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
     "/tests/data/frames/standard/frame_00000.fits"
 );
-/// Of the sample, by `truth.csv`.
+/// Centre of the Sun in the sample, by `truth.csv`.
 const SUN_PX: [f64; 2] = [818.513_247, 527.023_529];
 const SIZE: [usize; 2] = [1296, 966];
 
@@ -33,7 +33,7 @@ static PIXELS: LazyLock<Vec<u8>> = LazyLock::new(|| {
     }
 });
 
-/// A header of these cards and END, in whole blocks.
+/// A header of these cards and END, padded to whole blocks.
 fn header(cards: &[String]) -> Vec<u8> {
     let end = "END".to_owned();
     let cards = cards.iter().chain([&end]);
@@ -49,7 +49,7 @@ fn blocks(mut data: Vec<u8>) -> Vec<u8> {
     data
 }
 
-/// An image HDU of these axes; the first card makes it the primary one or an extension.
+/// An image HDU with these axes; the first card makes it primary or an extension.
 fn image(first: &str, bits: i32, axes: &[usize], cards: &[&str], data: Vec<u8>) -> Vec<u8> {
     let mut all = vec![
         first.to_owned(),
@@ -68,7 +68,7 @@ fn image(first: &str, bits: i32, axes: &[usize], cards: &[&str], data: Vec<u8>) 
 const PRIMARY: &str = "SIMPLE  = T";
 const EXTENSION: &str = "XTENSION= 'IMAGE   '";
 
-/// A file with the sample's picture in so many bits, each pixel made of its DN.
+/// A file with the sample's picture; `number` converts each DN to the bytes of a pixel.
 fn sample<const N: usize>(
     bits: i32,
     cards: &[&str],
@@ -78,7 +78,7 @@ fn sample<const N: usize>(
     image(PRIMARY, bits, &SIZE, cards, numbers.collect())
 }
 
-/// Reads a file of these bytes as a camera of the sample's size would have taken it.
+/// Reads a file of these bytes, for a camera of the sample's size.
 fn read(bytes: &[u8], name: &str) -> Frame {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(name);
@@ -86,7 +86,7 @@ fn read(bytes: &[u8], name: &str) -> Frame {
     read_frame_of_size(&path, SIZE).unwrap()
 }
 
-/// How far the Sun's centre is from the truth, px; `None` of a frame that is not fine.
+/// Error of the Sun's centre, px; `None` if the frame is not fine.
 fn error_px(frame: &Frame) -> Option<f64> {
     let seen = DEMO.seen_by(frame).unwrap();
     let expected = frame.info.mid_exposure.and_then(Expected::at);

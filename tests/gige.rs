@@ -19,7 +19,7 @@ fn port() -> MutexGuard<'static, ()> {
     PORT.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A fake camera, killed when it is dropped.
+/// A simulated camera, killed when dropped.
 struct Fake(Child);
 
 impl Fake {
@@ -58,7 +58,7 @@ fn settings() -> CameraSettings {
     }
 }
 
-/// The disc's bright part, as a fraction of full scale.
+/// Brightness of the disc's bright part as a fraction of full scale.
 fn brightness(frame: &Frame) -> f64 {
     let mut sorted: Vec<u16> = match frame.pixels() {
         Pixels::U8(pixels) => pixels.iter().map(|&dn| dn.into()).collect(),
@@ -157,7 +157,7 @@ fn a_camera_that_dies_is_brought_back_with_every_setting() {
     }
     assert!(noticed);
 
-    // The new one knows nothing of the settings of the old one.
+    // The new camera does not have the settings of the previous one.
     let _fake = Fake::start(&["--serial", "SECOND"]);
     let exposure = next(&mut camera, &mut Vec::new());
     assert_settings_hold(&exposure.frame, &wanted);
@@ -170,7 +170,7 @@ fn a_camera_that_dies_is_brought_back_with_every_setting() {
 #[test]
 fn incomplete_frames_are_counted_and_never_given() {
     let _turn = port();
-    // Of 228 packets to a frame: one frame in three arrives whole.
+    // A frame has 228 packets, so one frame in three is complete.
     let _fake = Fake::start(&["--lost", "5"]);
     let mut camera = GenicamCamera::new(at(ADDRESS), &settings());
     let mut errors = Vec::new();
@@ -229,7 +229,7 @@ fn a_camera_that_packs_12_bits_is_read_as_one_that_does_not() {
         ..settings()
     };
     let picture = |options: &[&str]| {
-        // Both see a Sun of the same size: it changes from one second to the next.
+        // Both show a Sun of the same size, which changes from one second to the next.
         let scene = ["--pictures", "1", "--utc", "2013-09-21T18:00:00Z"];
         let _fake = Fake::start(&[options, &scene].concat());
         let mut camera = GenicamCamera::new(at(ADDRESS), &deep);

@@ -10,7 +10,7 @@ use solaspect::report::plot::{Labels, Series, series};
 use solaspect::units::{Measured, SensorPx};
 use std::f64::consts::TAU;
 
-/// A camera that points level, ahead.
+/// Parameters of a level camera that points forward.
 #[derive(Clone, Copy)]
 struct Case {
     height_km: f64,
@@ -26,14 +26,14 @@ const USUAL: Case = Case {
     atmosphere_km: 0.0,
 };
 
-/// The edge's errors, as the paper's figure 18 has them: 1 px, alike over 300 px of a picture of 1080 rows.
+/// Errors of the edge as in the paper's figure 18: 1 px, correlated over 300 px in a picture of 1080 rows.
 const NOISE_PX: f64 = 1.0;
 const ALIKE_ROWS: f64 = 300.0 / 1080.0;
-/// Points of the whole edge, in view or not.
+/// Number of points around the whole edge, in view or not.
 const POINTS: u32 = 4000;
 
 impl Case {
-    /// 1 sigma of roll and pitch, deg; `None` of an edge that is not in view.
+    /// 1 sigma of roll and pitch, deg; `None` if the edge is not in view.
     fn errors_deg(&self) -> Option<[f64; 2]> {
         let width = self.rows * 16.0 / 9.0;
         let focal_px = width / 2.0 / (self.field_deg / 2.0).to_radians().tan();
@@ -75,7 +75,7 @@ impl Case {
     }
 }
 
-/// A figure of the paper: a case for each value on its axis.
+/// Data of a figure of the paper: one case for each value on its axis.
 fn figure(name: &str, axis: &str, values: &[f64], case: impl Fn(f64) -> Case) -> Vec<[f64; 2]> {
     let errors: Vec<[f64; 2]> = values
         .iter()
@@ -106,15 +106,15 @@ fn roll_and_pitch_hardly_depend_on_the_height() {
         height_km,
         ..USUAL
     });
-    // From 50 km on, as the paper has it; roll grows a little better.
+    // From 50 km upwards as in the paper; the error of roll decreases slightly.
     assert!((0.5..1.05).contains(&ratio(&errors[1..], 0)), "{errors:?}");
     assert!((0.6..1.5).contains(&ratio(&errors[1..], 1)), "{errors:?}");
 }
 
 #[test]
 fn a_wider_field_on_as_many_pixels_costs_accuracy() {
-    // The paper has pitch independent of the field and roll best at 118 deg. With errors in pixels, which grow with the field, both fall
-    // behind.
+    // In the paper, pitch does not depend on the field and roll is best at 118 deg. Here errors are in pixels, whose angle grows with the field,
+    // so both get worse.
     let fields = [65.0, 80.0, 94.4, 105.0, 118.0, 130.0, 140.0, 150.0];
     let errors = figure("field", "field across, deg", &fields, |field_deg| Case {
         field_deg,

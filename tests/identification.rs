@@ -19,28 +19,28 @@ use std::f64::consts::TAU;
 
 const SUN_RADIUS_MIL: f64 = 547.19;
 const SCALE_MIL_PER_PX: f64 = 5.75;
-/// Half of a cross from tip to tip.
+/// Half of a cross, from centre to tip.
 const HALF_MARK_MIL: f64 = 45.0;
-/// Depth inside the limb at which a whole cross is lit, the limb's blur included.
+/// Depth inside the limb at which a whole cross is illuminated, including the limb's blur.
 const FULLY_LIT_PX: f64 = 3.0;
-/// Depths between which a cross that the limb cuts comes to be found: 0.16 of them at 9 mil, 0.7 at 15, all from 18 on in
+/// Depths between which crosses cut by the limb are found with increasing probability: 0.16 at 9 mil, 0.7 at 15, 1 from 18 on in
 /// simulated frames.
 const CUT_FOUND_MIL: [f64; 2] = [5.0, 22.0];
-/// Farthest that the limb moves a cross, at the limb.
+/// Largest displacement of a cross by the limb, at the limb.
 const SHIFT_PX: f64 = 4.0;
-/// Contrast of the print.
+/// Contrast of the printed marks.
 const CONTRAST: f64 = 0.7;
 
-/// A camera's view of the plate and the Sun.
+/// Geometry of the plate and the Sun as a camera observes them.
 #[derive(Clone, Copy)]
 struct View {
     mapping: Mapping,
     scale_mil_per_px: f64,
-    /// What the instrument states.
+    /// The plate's centre stated by the instrument.
     plate_centre: SensorPx,
     sun: PlateMil,
     outline: Ellipse,
-    /// The radius that is expected, over the true one.
+    /// Expected radius over true radius.
     radius_error: f64,
     rotation_error_deg: f64,
     sensor_px: [f64; 2],
@@ -58,7 +58,7 @@ impl View {
             )),
             handedness: self.mapping.handedness(),
             plate_centre: self.plate_centre,
-            // The lists' cameras were all moved.
+            // In all lists the camera is displaced.
             plate_centre_sigma_px: 100.0,
             rotation_deg: Measured::new(0.0, 360.0),
             scale_mil_per_px: Measured::new(SCALE_MIL_PER_PX, 0.1 * SCALE_MIL_PER_PX),
@@ -73,7 +73,7 @@ impl View {
         HALF_MARK_MIL / self.scale_mil_per_px
     }
 
-    /// Of the plate's axes against the unit disc's.
+    /// Rotation of the plate's axes with respect to the unit disc's.
     fn rotation_deg(&self) -> f64 {
         let to_sensor = self.mapping.sensor_jacobian(self.sun) * SUN_RADIUS_MIL;
         let inverse_root = self.outline.root().try_inverse().unwrap();
@@ -91,7 +91,7 @@ impl View {
         }
     }
 
-    /// Marks that a camera would see whole or in part, with their depth inside the limb.
+    /// Marks that a camera would see completely or partly, with their depth inside the limb.
     fn lit(&self, plate: &Plate) -> Vec<(MarkId, SensorPx, f64)> {
         let [width, height] = self.sensor_px;
         let half = self.half_mark_px();
@@ -107,7 +107,7 @@ impl View {
     }
 }
 
-/// The picture of a circle on the plate: a conic goes through a homography as M^T C M.
+/// Image of a circle on the plate: a homography transforms a conic to M^T C M.
 fn outline(mapping: &Mapping, centre: PlateMil, radius_mil: f64) -> Ellipse {
     let c = centre.vector();
     let square = c.norm_squared() - radius_mil * radius_mil;
@@ -122,14 +122,14 @@ fn outline(mapping: &Mapping, centre: PlateMil, radius_mil: f64) -> Ellipse {
     Ellipse::new(centre, axes.recompose()).unwrap()
 }
 
-/// A detection and the mark it is in truth; none for a false one.
+/// A detection and its true mark; `None` for a false detection.
 type Labelled = (Detection, Option<MarkId>);
 
 fn read(view: &View, list: &[Labelled], plate: &Plate) -> Result<Vec<(usize, MarkId)>, Unread> {
     let detections: Vec<Detection> = list.iter().map(|(detection, _)| *detection).collect();
     let (prior, settings) = (view.prior(), FiducialSettings::default());
     let found = identify(&detections, &prior, plate, &settings);
-    // What decides early decides as all labellings do.
+    // The early decision agrees with the comparison of all labellings.
     let by_all = identify_with_margin(&detections, &prior, plate, &settings);
     let refused = |unread: Unread| unread.rejected().reason;
     assert_eq!(
@@ -151,7 +151,7 @@ fn fully_lit(list: &[Labelled]) -> Vec<MarkId> {
         .collect()
 }
 
-/// Whether neighbours in both directions are among the marks: what it takes to read both halves of an id.
+/// Whether the marks include neighbours in both directions, which both halves of an id need.
 fn shows_both_codes(marks: &[MarkId]) -> bool {
     let has = |di: i32, dj: i32| {
         let neighbour = |m: &MarkId| MarkId::new(m.i + di, m.j + dj);
@@ -169,7 +169,7 @@ fn demo_plate() -> Plate {
 
 #[test]
 fn every_mark_of_the_pattern_is_read_and_never_misread() {
-    // So large a sensor shows the outermost marks at any rotation.
+    // The sensor is large enough to show the outermost marks at any rotation.
     const SIDE_PX: f64 = 1600.0;
     let plate = demo_plate();
     let middle = SensorPx::new(SIDE_PX / 2.0 - 0.5, SIDE_PX / 2.0 - 0.5);
@@ -235,31 +235,31 @@ fn every_mark_of_the_pattern_is_read_and_never_misread() {
     assert!(accepted as f64 > 0.99 * f64::from(tried));
 }
 
-/// What befalls the lists.
+/// Conditions of the lists.
 #[derive(Clone, Copy)]
 struct World {
-    /// Part of the marks that is found where the limb does not hinder it.
+    /// Fraction of the marks found away from the limb.
     found: f64,
-    /// Most false detections on a disc.
+    /// Largest number of false detections on a disc.
     false_ones: usize,
-    /// Whether the whole disc lies on the sensor.
+    /// Whether the whole disc is on the sensor.
     whole_disc: bool,
 }
 
-/// A tenth of the marks missing, up to two detections that are no marks, the Sun anywhere on the sensor.
+/// A tenth of the marks are missing, up to two detections are false, and the Sun is anywhere on the sensor.
 const HARSH: World = World {
     found: 0.9,
     false_ones: 2,
     whole_disc: false,
 };
-/// Nothing missing, nothing false, the whole disc in view.
+/// No mark is missing, no detection is false, and the whole disc is in view.
 const CLEAN: World = World {
     found: 1.0,
     false_ones: 0,
     whole_disc: true,
 };
 
-/// Draws views and lists of detections as a camera in flight might give.
+/// Draws geometries and lists of detections as a camera in flight might produce.
 struct Draw {
     rng: Xoshiro256PlusPlus,
     plate: Plate,
@@ -289,9 +289,9 @@ impl Draw {
         Vector2::new(angle.cos(), angle.sin()) * distance
     }
 
-    /// Any rotation, either mirror, the plate's centre within 100 px of the instrument's, the scale within 10 % of the
+    /// Any rotation, either handedness, the plate's centre within 100 px of the instrument's, the scale within 10 % of the
     /// nominal, up to 3 deg of keystone; the Sun's radius known to 1 %, its outline to 0.05 px, the arms' rotation to
-    /// 0.3 deg and now and then only to a degree.
+    /// 0.3 deg, or in one of five cases only to 1 deg.
     fn view(&mut self) -> View {
         let nominal = SensorPx::new(647.5, 482.5);
         let scale_mil_per_px = SCALE_MIL_PER_PX * self.rng.random_range(0.9..1.1);
@@ -331,7 +331,7 @@ impl Draw {
         }
     }
 
-    /// The print's marks lie 1 mil rms from the drawing.
+    /// A plate whose marks deviate by 1 mil rms from the drawing.
     fn printed(&mut self) -> Plate {
         let mut printed = self.plate.clone();
         for (id, drawn) in self.plate.clone().marks() {
@@ -351,7 +351,7 @@ impl Draw {
         }
     }
 
-    /// The lit marks with 0.02 to 0.1 px of noise; those that the limb cuts are moved inwards.
+    /// The illuminated marks with noise of 0.02 to 0.1 px; those cut by the limb are displaced inwards.
     fn list(&mut self, view: &View) -> Vec<Labelled> {
         let printed = self.printed();
         let noise_px = self.rng.random_range(0.02..0.1);
@@ -370,7 +370,7 @@ impl Draw {
         for _ in 0..self.rng.random_range(0..=self.world.false_ones) {
             let w = self.within(1.0 - 2.0 / view.outline.mean_radius());
             let at = view.outline.from_disc(w);
-            // One detection per mark length; a spot on a mark is that mark.
+            // There is one detection per mark length; a false one on a mark is that mark.
             let apart = 2.0 * view.half_mark_px();
             let far = |(_, printed)| view.mapping.to_sensor(printed).distance(at.into()) > apart;
             let [width, height] = view.sensor_px;
@@ -383,7 +383,7 @@ impl Draw {
             if free {
                 let depth = -view.outline.excess(at);
                 let mut spot = self.seen(view, at, depth, noise_px);
-                // A third is just like a mark.
+                // One in three is indistinguishable from a mark.
                 if self.rng.random_bool(2.0 / 3.0) {
                     spot.contrast = self.rng.random_range(0.12..1.0);
                     spot.likeness = self.rng.random_range(0.5..1.0);
@@ -396,13 +396,13 @@ impl Draw {
     }
 }
 
-/// What became of many lists.
+/// Statistics of many lists.
 #[derive(Debug, Default)]
 struct Tally {
     lists: usize,
     accepted: usize,
     misread: usize,
-    /// Lists with three fully lit marks, and those of them that show both codes.
+    /// Lists with three fully lit marks, those accepted, and the same for lists that show both codes.
     three: usize,
     three_accepted: usize,
     both_codes: usize,
@@ -469,7 +469,7 @@ fn lists_with_nothing_missing_and_nothing_false_are_read() {
     let tally = Tally::of(10_000, 1859, CLEAN);
     assert_eq!(tally.misread, 0);
     assert!(tally.both_codes_share() > 0.995);
-    // A row of three with one code alone may be the same elsewhere at the pattern's edge.
+    // A row of three marks with only one code may occur twice at the pattern's edge.
     assert!(tally.three_share() > 0.945);
 }
 

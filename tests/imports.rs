@@ -11,12 +11,12 @@ use syn::{Attribute, Item, UseTree, Visibility};
 /// Names of modules from the crate's root down.
 type Module = Vec<String>;
 
-/// What one file says.
+/// Paths and re-exports of one file.
 #[derive(Default)]
 struct File {
     /// Paths that begin with `crate`, `super`, `self` or a name.
     paths: BTreeSet<Vec<String>>,
-    /// What the file re-exports: the name, and the path that it comes from.
+    /// Re-exported names and the paths that they come from.
     exports: BTreeMap<String, Vec<String>>,
 }
 
@@ -50,7 +50,7 @@ fn is_for_tests(attributes: &[Attribute]) -> bool {
     lists.any(|list| list.path.is_ident("cfg") && list.tokens.to_string() == "test")
 }
 
-/// The imported names of a tree, each with its path.
+/// Collects the imported names of a tree, each with its path.
 fn spread(tree: &UseTree, above: &mut Vec<String>, paths: &mut Vec<(String, Vec<String>)>) {
     let with = |last: String| [above.as_slice(), &[last]].concat();
     match tree {
@@ -75,7 +75,7 @@ fn spread(tree: &UseTree, above: &mut Vec<String>, paths: &mut Vec<(String, Vec<
     }
 }
 
-/// The files below a folder, each with the module that it is.
+/// The files under a folder, each with its module path.
 fn sources(root: &Path) -> Vec<(Module, PathBuf)> {
     let mut found = Vec::new();
     let mut folders = vec![root.to_owned()];
@@ -104,7 +104,7 @@ fn sources(root: &Path) -> Vec<(Module, PathBuf)> {
     found
 }
 
-/// The file in which a path ends that stands in `from`.
+/// The file to which a path in `from` leads.
 fn resolve(files: &BTreeMap<Module, File>, from: &Module, path: &[String]) -> Option<Module> {
     let mut at = from.clone();
     let mut rest = path.iter().peekable();
@@ -137,7 +137,7 @@ fn resolve(files: &BTreeMap<Module, File>, from: &Module, path: &[String]) -> Op
     Some(at)
 }
 
-/// The names of modules that stand in a circle of imports.
+/// The nodes that are part of a cycle.
 fn circular<N: Ord + Clone>(edges: &BTreeMap<N, BTreeSet<N>>) -> Vec<N> {
     let reaches_itself = |from: &&N| {
         let (mut seen, mut open) = (BTreeSet::new(), vec![*from]);
@@ -155,14 +155,14 @@ fn circular<N: Ord + Clone>(edges: &BTreeMap<N, BTreeSet<N>>) -> Vec<N> {
     edges.keys().filter(reaches_itself).cloned().collect()
 }
 
-/// Where two modules part: the children of the deepest folder that holds both, each with all that it holds. `None` where one holds the other.
+/// The two children, of the deepest folder that contains both modules, through which they are reached. `None` if one contains the other.
 fn parting(from: &Module, to: &Module) -> Option<(Module, Module)> {
     let shared = from.iter().zip(to).take_while(|(a, b)| a == b).count();
     let child = |module: &Module| module.get(..=shared).map(<[String]>::to_vec);
     child(from).zip(child(to))
 }
 
-/// The imports of every file: the file, and the files that it takes something from.
+/// The imports of every file: its module, and the modules that it imports from.
 fn imports() -> BTreeMap<Module, BTreeSet<Module>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let read = |(module, path): (Module, PathBuf)| {

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 
 const PACKETS: &str = include_str!("data/packets.txt");
 
-/// One line of the packets: its words without `=`, its fields, its bytes.
+/// A line of the packets: words without `=`, fields, and bytes.
 struct Line {
     words: Vec<&'static str>,
     fields: HashMap<&'static str, &'static str>,
@@ -48,7 +48,7 @@ impl Line {
         self.fields[field].parse().unwrap()
     }
 
-    /// A time in seconds and decimals, read without a detour over floating point.
+    /// A time in seconds and decimals, parsed without floating point.
     fn time(&self, field: &str) -> Timestamp {
         let (seconds, decimals) = self.fields[field].split_once('.').unwrap();
         let nanoseconds = format!("{decimals:0<9}").parse().unwrap();
@@ -144,7 +144,7 @@ fn every_real_answer_is_written_and_read_byte_for_byte() {
         .collect();
     assert_eq!(answers.len(), 2);
     for line in answers {
-        // Only the receipt's line gives the time; both were made at once.
+        // Only the acknowledgement of receipt states its time; both packets were made at that time.
         let time = Timestamp::new(1_379_786_400, 250_000_000).unwrap();
         let written = line.telemetry().packet(time).unwrap();
         assert_eq!(written.encode(), line.bytes, "{:?}", line.words);
@@ -205,7 +205,7 @@ fn controls() -> Controls {
     Controls::new(Config::default(), Target::default(), mounting)
 }
 
-/// The flight side of a line, one step at a time: what the service's link thread does.
+/// The flight side of a line, called step by step, as the service's link thread does.
 struct Flight {
     port: SerialPort,
     parser: Parser,
@@ -270,7 +270,7 @@ impl Flight {
     }
 }
 
-/// Frames at 4 Hz, at odd nanoseconds.
+/// Exposures at 4 Hz at times that are no multiples of a microsecond.
 fn exposure_time(frame: i64) -> Timestamp {
     Timestamp::from_nanosecond(i128::from(1_379_786_400_000_499_900 + frame * 250_000_001)).unwrap()
 }
@@ -335,7 +335,7 @@ fn the_ground_sets_the_target_over_a_serial_line_in_spite_of_noise() {
     let variables = vec![(-300_i16).cast_unsigned(), 450];
     let command = Message::Aspect(AspectCommand::new(0x1412, variables).unwrap());
     let packet = command.packet(id::ASPECT, 9).unwrap().encode();
-    // A header that claims 255 bytes, then the good packet.
+    // A header that claims 255 bytes, then the valid packet.
     far.write(&[0x9A, 0xC3, 0x30, 0xFF, 0x9A], LONG).unwrap();
     far.write(&packet, LONG).unwrap();
 

@@ -18,7 +18,7 @@ use solaspect::simulate::{
 use solaspect::units::{PlateMil, SensorPx};
 
 const SCALE_MIL_PER_PX: f64 = 5.75;
-/// 0.55 arcsec at 10.04 arcsec/px.
+/// 0.55 arcsec at 10.04 arcsec/px, px.
 const HALF_ARCSEC_PX: f64 = 0.0548;
 const ROTATIONS_DEG: [f64; 4] = [0.0, 7.0, 30.0, 45.0];
 
@@ -26,10 +26,10 @@ fn demo() -> Instrument {
     builtin("demo").unwrap()
 }
 
-/// A small picture of one mark near its middle, and what a limb fit would know of the light there.
+/// A small picture with one mark near its middle, and the brightness there as a limb fit would give it.
 struct Close {
     scene: Scene,
-    /// Without the mark, row by row, DN above background.
+    /// Brightness without the mark, row by row, DN above background.
     light: Vec<f32>,
     jacobian: Matrix2<f64>,
     mark: SensorPx,
@@ -38,7 +38,7 @@ struct Close {
 impl Close {
     const SIDE: usize = 48;
 
-    /// The mark (0, 0) so deep inside the limb, the Sun's centre in a direction of the plate.
+    /// Mark (0, 0) at this depth inside the limb; the Sun's centre is in this direction on the plate.
     fn new(phase: [f64; 2], rotation_deg: f64, depth_px: f64, sun_direction_deg: f64) -> Self {
         let instrument = demo();
         let middle = Self::SIDE as f64 / 2.0;
@@ -68,7 +68,7 @@ impl Close {
         }
     }
 
-    /// The same behind a wider blur.
+    /// The same with a larger blur.
     fn hazy(self, blur_px: f64) -> Self {
         let scene = Scene {
             blur_px,
@@ -81,7 +81,7 @@ impl Close {
         }
     }
 
-    /// Sixteen sub-pixel phases at each of some rotations.
+    /// Sixteen sub-pixel phases for each rotation.
     fn phases(depth_px: f64, sun_direction_deg: f64) -> Vec<Self> {
         let phase = |n: i32| f64::from(n) / 4.0 - 0.375;
         ROTATIONS_DEG
@@ -100,7 +100,7 @@ impl Close {
         scene.frame().unwrap()
     }
 
-    /// The mark as refined from a start 0.3 px off, in a camera's DN of which so many make one of the 8-bit camera's.
+    /// The mark refined from a start 0.3 px away. The camera has `steps_per_dn` DN per DN of the 8-bit camera.
     fn refined(
         &self,
         frame: &Frame,
@@ -125,7 +125,7 @@ impl Close {
     }
 }
 
-/// The whole frame.
+/// A cutout of the whole frame.
 fn whole(frame: &Frame, background_dn: f64, noise_dn: f64) -> Cutout {
     let region = frame.region();
     let background = Background::even(region, background_dn);
@@ -143,7 +143,7 @@ fn light_without_marks(scene: &Scene) -> Vec<f32> {
     lights.iter().map(|light| light - background).collect()
 }
 
-/// Distances from the truth, px, and their squares in sigma^2 (2 expected).
+/// Distances from the truth, px, and squared errors normalised by the covariance (expectation 2).
 fn errors(depth_px: f64, sun_direction_deg: f64, noise_dn: f64, seeds: u64) -> Vec<(f64, f64)> {
     let cases: Vec<(Close, u64)> = Close::phases(depth_px, sun_direction_deg)
         .into_iter()
@@ -178,7 +178,7 @@ fn ratio(errors: &[(f64, f64)]) -> f64 {
 fn no_sub_pixel_phase_moves_a_mark() {
     for blur_error in [0.8, 1.0, 1.2] {
         for mut close in Close::phases(60.0, 17.0) {
-            // Twelve bits and no noise: what is left is the method's own.
+            // With 12 bits and no noise only the error of the method remains.
             close.scene.depth = Depth::Twelve;
             let frame = close.frame(0.0, 0);
             let mark = close.refined(&frame, 0.05, 16.0, blur_error).unwrap();
@@ -204,7 +204,7 @@ fn a_mark_in_noise_is_as_near_as_its_pixels_allow_and_says_so() {
 
 #[test]
 fn marks_at_and_across_the_limb_stay_within_their_sigma() {
-    // Tips just inside the limb; one arm cut; the middle at the limb.
+    // The tips just inside the limb, one arm cut, the centre at the limb.
     for (depth_px, direction_deg) in [(9.0, 0.0), (8.0, 0.0), (6.0, 45.0), (4.0, 0.0), (0.0, 0.0)] {
         for noise_dn in [1.0, 5.0] {
             let errors = errors(depth_px, direction_deg, noise_dn, 6);
@@ -213,7 +213,7 @@ fn marks_at_and_across_the_limb_stay_within_their_sigma() {
                 (0.85..1.25).contains(&ratio),
                 "{ratio} sigma at {depth_px} px, {noise_dn} DN"
             );
-            // 11.8: 3 sigma in two dimensions.
+            // 11.8 is 3 sigma in two dimensions.
             let beyond = errors.iter().filter(|e| e.1 > 11.8).count();
             assert!(
                 beyond * 50 < errors.len(),
@@ -223,7 +223,7 @@ fn marks_at_and_across_the_limb_stay_within_their_sigma() {
     }
 }
 
-/// Mean error over some seeds at little noise.
+/// Mean error over some seeds with low noise.
 fn mean_error(close: &Close) -> Vector2<f64> {
     const SEEDS: u64 = 40;
     let seen = (0..SEEDS).map(|seed| {
@@ -292,19 +292,19 @@ fn a_place_without_a_mark_gives_none_or_no_contrast() {
     }
 }
 
-/// What a frame's detections are, beside the truth.
+/// Comparison of detections with the truth.
 #[derive(Default)]
 struct Tally {
     fully_lit: usize,
     missed: Vec<(u64, MarkId)>,
-    /// Fully lit, but reported as cut.
+    /// Fully lit marks reported as cut.
     called_cut: usize,
     false_marks: usize,
     rotation_errors_deg: Vec<f64>,
     position_errors_px: Vec<f64>,
 }
 
-/// Frames under conditions that are turned from frame to frame, each with a plate and blemishes of its own.
+/// Detections in frames with different rotations, each with its own plate and blemishes.
 fn tally(frames: u64, change: impl Fn(&mut Conditions) + Sync) -> Tally {
     let outcomes: Vec<_> = (0..frames)
         .into_par_iter()
@@ -326,7 +326,7 @@ fn tally(frames: u64, change: impl Fn(&mut Conditions) + Sync) -> Tally {
     tally
 }
 
-/// The marks found on the true disc, displaced as a first fit of the limb may be, in the light and at the blur that it gives.
+/// Detects marks on the true disc, displaced by the error of a first limb fit, with the fit's brightness and blur.
 fn found(picture: &Picture, instrument: &Instrument, lens_blur_px: f64) -> Detections {
     let sun = picture.truth.sun.unwrap();
     let levels = limb::levels(&picture.frame, &limb::LimbSettings::default()).unwrap();

@@ -27,13 +27,13 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
     (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
 }
 
-/// A disc's error across the bright limb, px, and its length over its sigma, in each axis.
+/// Error of a disc's centre: its component along the direction of the bright limb, px, and error over sigma per axis.
 struct Error {
     across_px: f64,
     over_sigma: f64,
 }
 
-/// The errors of some scenes, all of which show the Moon.
+/// Errors in some scenes; asserts that the Moon is found in each.
 fn errors(conditions: &MoonConditions, scenes: u64, known: Knowledge) -> Vec<Error> {
     let error = |number: u64| {
         let scene = conditions.scene(1, number);
@@ -53,7 +53,7 @@ fn errors(conditions: &MoonConditions, scenes: u64, known: Knowledge) -> Vec<Err
     (0..scenes).into_par_iter().map(error).collect()
 }
 
-/// Rms of the errors across the bright limb, px, and of the errors over their sigmas.
+/// Rms of the error components along the bright limb, px, and rms of error over sigma.
 fn across_and_over_sigma(conditions: &MoonConditions, scenes: u64, known: Knowledge) -> (f64, f64) {
     let errors = errors(conditions, scenes, known);
     let across = rms(errors.iter().map(|e| e.across_px));
@@ -72,7 +72,7 @@ fn lit(radius_px: f64, lit: Range<f64>) -> MoonConditions {
     }
 }
 
-/// A table of lit shares with the largest rms across the bright limb, px, for a known radius and a free one.
+/// Checks rows of lit fraction with the largest rms along the bright limb, px, for a known radius and for a free one.
 fn hold(
     conditions: impl Fn(Range<f64>) -> MoonConditions,
     scenes: u64,
@@ -100,7 +100,7 @@ const SMOOTH: [(Range<f64>, f64, f64); 3] = [
 
 #[test]
 fn a_smooth_moons_centre_is_found_to_a_part_of_a_pixel_at_any_phase() {
-    // 2 sigma of an rms of 80 values.
+    // The limits are widened by 2 sigma of an rms of 80 values.
     hold(
         |range| lit(15.0, range),
         40,
@@ -161,7 +161,7 @@ fn planets_glow_the_suns_glare_and_a_short_exposure_change_little() {
         sun_glare: true,
         ..half_lit()
     };
-    // A third as bright as usual.
+    // A third of the usual brightness.
     let faint = MoonConditions {
         peak_dn: 70.0,
         ..lit(15.0, 0.5..1.0)
@@ -218,7 +218,7 @@ fn a_disc_that_the_picture_cuts_and_one_that_is_over_exposed_are_found() {
     }
 }
 
-/// Which part of the bright limb, a quarter of a turn either way, lies in the picture.
+/// Fraction of the bright limb, 90 deg to either side of its middle, inside the picture.
 fn bright_limb_in_view(scene: &MoonScene) -> f64 {
     let conditions = &scene.conditions;
     let in_view = |n: &i32| {
@@ -264,7 +264,7 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
         let stopped = solve(&MoonSettings::default(), &frame, expected).unwrap_err();
         stopped.rejected.reason.code
     };
-    // A lamp is a whole disc; the ephemeris has a crescent, or another size.
+    // A lamp appears as a full disc; the ephemeris expects a crescent, or another size.
     let lamp = lit(15.0, 0.999..1.0).scene(3, 0);
     let with = |radius_px: f64, phase_deg: f64| Expected {
         radius: Some(Radius::Pixels(Measured::new(radius_px, 0.05))),
@@ -299,7 +299,7 @@ fn what_is_no_moon_of_the_expected_size_and_phase_is_refused() {
     assert_eq!(stopped.rejected.reason, reasons::TOO_BRIGHT);
 }
 
-/// How many of some frames of stars, of lamps and of the unfiltered Sun pass for the Moon, where its size and phase are known.
+/// Number of frames of stars, lamps and the unfiltered Sun that are mistaken for the Moon of known size and phase.
 fn false_moons(frames: u64) -> usize {
     let shown = [Shown::Nothing, Shown::Lamp, Shown::Sun];
     let is_found = |number: &u64| {
@@ -331,7 +331,7 @@ fn solaspect(args: &[&str]) -> Output {
 fn the_command_finds_what_the_simulator_drew_and_where_it_is_in_the_sky() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    // A place and a time at which the Moon is up and half lit.
+    // A place and time at which the Moon is up and half lit.
     let at = "2026-01-10T10:00:00Z";
     let made = solaspect(&[
         "simulate",
@@ -372,14 +372,14 @@ fn the_command_finds_what_the_simulator_drew_and_where_it_is_in_the_sky() {
             .map(|v| v.parse().unwrap_or(f64::NAN))
             .collect();
         let number = |field: &str, n: usize| line[field][n].as_f64().unwrap();
-        // The ephemeris's size and phase are not quite those of the picture.
+        // Size and phase by the ephemeris differ slightly from those of the picture.
         assert!((number("centre_px", 0) - truth[3]).abs() < 1.0, "{line}");
         assert!((number("centre_px", 1) - truth[4]).abs() < 1.0, "{line}");
         let off_deg = (line["bright_limb_deg"].as_f64().unwrap() - truth[9] + 540.0)
             .rem_euclid(360.0)
             - 180.0;
         assert!(off_deg.abs() < 20.0, "{line}");
-        // The ephemeris is sure of the phase.
+        // The phase comes from the ephemeris, with its small sigma.
         assert_eq!(line["phase_angle_sigma_deg"], 0.1, "{line}");
         assert!(line["lit_sigma"].as_f64().unwrap() < 1e-3, "{line}");
         let length = |field: &str| (0..3).map(|n| number(field, n).powi(2)).sum::<f64>();
@@ -406,7 +406,7 @@ fn the_command_finds_what_the_simulator_drew_and_where_it_is_in_the_sky() {
         &frame,
     ]);
     let line: Value = serde_json::from_slice(&local.stdout).unwrap();
-    // The camera points 30 deg up to the east, and its field is 12 deg wide.
+    // The camera points east at an elevation of 30 deg, and its field is 12 deg wide.
     let [east, up] = [0, 2].map(|n| line["direction_local"][n].as_f64().unwrap());
     assert!((up.asin().to_degrees() - 30.0).abs() < 8.0, "{line}");
     assert!(east > 0.8, "{line}");

@@ -19,14 +19,14 @@ use solaspect::simulate::moon::{FollowedMoon, MoonConditions, MoonScene};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Far more than anything here should take.
+/// Timeout of waits, far longer than any step takes.
 const LONG: Duration = Duration::from_secs(60);
 const CAMERA: &str = "[camera]\nwidth_px = 720\nheight_px = 578\ncentre_px = [359.5, 288.5]\nfocal_px = [3300, 3300]\n";
-/// A waning Moon high in the sky of Fort Sumner, and one below its limb.
+/// Times with a waning Moon high above Fort Sumner, and with the Moon below the horizon there.
 const UP: &str = "2013-09-22T10:00:00Z";
 const DOWN: &str = "2013-09-22T22:00:00Z";
 
-/// Gives the frames that it is handed.
+/// A camera that returns the frames sent to it.
 struct Handed(Receiver<Frame>);
 
 impl FrameSource for Handed {
@@ -53,7 +53,7 @@ fn scene(utc: &str) -> MoonScene {
     moon.scene(0, utc.parse().unwrap(), 1.0).unwrap()
 }
 
-/// A scene's frame, taken at a time at no stated place.
+/// A frame of a scene with this time and without a place.
 fn frame(scene: &MoonScene, utc: &str) -> Frame {
     let mut frame = scene.frame().unwrap();
     frame.info.mid_exposure = Some(utc.parse().unwrap());
@@ -62,12 +62,12 @@ fn frame(scene: &MoonScene, utc: &str) -> Frame {
     frame
 }
 
-/// A flight with a Moon camera that is handed its frames, and the controller's end of its line.
+/// A flight with a Moon camera that takes the frames sent to it, and the controller's end of its line.
 struct Night {
     service: Service,
     answers: Receiver<Answer>,
     to_camera: Sender<Frame>,
-    /// Ends the camera of the Sun, which sees nothing.
+    /// Keeps the plate camera open, which takes no frame; dropped to end it.
     _to_sun: Sender<Frame>,
     far: SerialPort,
     sequence: u16,
@@ -92,7 +92,7 @@ impl Night {
         flight.stores = archive.map(open).into_iter().collect();
         flight.line = Connection::over(near);
         flight.config.moon.answer_within_s = answer_within_s;
-        // Every frame is solved by the same place, whether it comes before the request or after it.
+        // Every frame is solved with the same place, whether it comes before or after the request.
         flight.config.site = FORT_SUMNER.into();
         let (service, answers) = Service::start_watched(flight).unwrap();
         Self {
@@ -105,7 +105,7 @@ impl Night {
         }
     }
 
-    /// Asks, with frames that are taken until the answer is there.
+    /// Requests the Moon while the camera repeats `frames` until the answer arrives.
     fn ask_while(&mut self, latitude_deg: f64, frames: &[Frame]) -> Result<MoonOutcome, Answered> {
         let request = MoonRequest {
             latitude_deg,
@@ -174,7 +174,7 @@ fn a_request_for_the_moon_is_answered_by_the_next_picture() {
     let outcome = night.ask(&[frame(&stars, UP)]);
     let code = FIRST_STAGE + 1;
     assert_eq!(outcome, MoonOutcome::NotFound { code });
-    // Near the South Pole the Moon of that time does not rise.
+    // Near the South Pole the Moon does not rise at that time.
     let outcome = night.ask_while(-89.0, &[frame(&up, UP)]);
     let code = BELOW_HORIZON;
     assert_eq!(outcome, Ok(MoonOutcome::NotVisible { code }));

@@ -516,7 +516,7 @@ fn without_gyros_and_horizon_the_suns_own_path_puts_them_back() {
     assert!((0.4..1.25).contains(&ratio), "{ratio}");
 }
 
-/// Whether a frame of the Sun is removed from the hour's flight: one minute in each quarter of an hour, with the gaps already there.
+/// Whether a frame of the Sun is removed from the hour's flight: one minute in each quarter of an hour, which includes the 45 s without the Sun.
 fn is_taken_away(since: Duration) -> bool {
     (540.0..600.0).contains(&(since.as_secs_f64() % 900.0))
 }

@@ -27,7 +27,7 @@ fn frame(number: u64) -> Frame {
 #[test]
 fn after_a_power_cut_at_any_step_every_visible_file_is_whole_and_every_stored_frame_is_there() {
     let root = Path::new("/disk/aspect");
-    // The fifth second of these frames begins another hour's folder.
+    // Frame 20, at 18:00:00, begins another hour's folder.
     let frames = [18, 19, 20].map(frame);
     let mut cut = 0;
     loop {
@@ -68,7 +68,7 @@ fn after_a_power_cut_at_any_step_every_visible_file_is_whole_and_every_stored_fr
     assert!(cut > 15, "{cut} steps for three frames");
 }
 
-/// Not a test: the process that is killed. It stores frames for ever, and names each that is stored.
+/// Not a test but the process to be killed. It stores frames forever and prints the number of each.
 #[test]
 #[ignore = "started by the tests, which kill it"]
 fn writer() {
@@ -89,12 +89,12 @@ fn writer() {
     }
 }
 
-/// When a writer is killed.
+/// Time at which a writer is killed.
 #[derive(Clone, Copy)]
 enum Moment {
-    /// While it waits before this step, counted from the first frame's.
+    /// While it is blocked before this disk operation; operations are counted from the first frame on.
     Step(u64),
-    /// So long after it stored its first frame.
+    /// This long after it stored its first frame.
     After(Duration),
 }
 
@@ -103,7 +103,7 @@ struct Killed {
     stored: Vec<u64>,
 }
 
-/// Lets a writer store frames from `first` on, and kills it.
+/// Starts a writer that stores frames from `first` on, and kills it.
 fn killed(root: &Path, first: u64, moment: Moment) -> Killed {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command
@@ -142,7 +142,7 @@ fn killed(root: &Path, first: u64, moment: Moment) -> Killed {
     }
     child.kill().unwrap();
     child.wait().unwrap();
-    // What it said before it died.
+    // Read what it printed before it was killed.
     while let Some(said) = next_word(&mut lines) {
         if let Said::Stored(number) = said {
             killed.stored.push(number);
@@ -157,7 +157,7 @@ enum Said {
     Stored(u64),
 }
 
-/// What the writer says next; `None` at its end. The harness says things of its own, and the last line may be cut.
+/// The writer's next message; `None` at its end. The test harness prints other lines, and the last line may be incomplete.
 fn next_word(lines: &mut BufReader<ChildStdout>) -> Option<Said> {
     loop {
         let mut line = String::new();
@@ -173,13 +173,13 @@ fn next_word(lines: &mut BufReader<ChildStdout>) -> Option<Said> {
     }
 }
 
-/// What cfitsio says of a file: all sums match, and the pixels unpack.
+/// Reads a file by cfitsio; asserts that all checksums match, and returns the pixels.
 fn cfitsio_reads(path: &Path) -> Vec<u8> {
     let mut file = fitsio::FitsFile::open(path).unwrap();
     for n in 0..2 {
         file.hdu(n).unwrap();
         let (mut data, mut hdu, mut status) = (0, 0, 0);
-        // SAFETY: the handle is open, and the three places outlive the call.
+        // SAFETY: the handle is open, and the three variables outlive the call.
         unsafe { fitsio_sys::ffvcks(file.as_raw(), &mut data, &mut hdu, &mut status) };
         assert_eq!((data, hdu, status), (1, 1, 0), "{}", path.display());
     }
@@ -202,7 +202,7 @@ fn half_written(root: &Path) -> usize {
     count
 }
 
-/// Kills a writer at each of the moments, one run after the other on the same archive, and checks everything after each.
+/// Kills a writer at each moment, run after run on the same archive, and checks the whole archive after each run.
 fn survive(root: &Path, moments: &[Moment]) {
     let mut checked = BTreeSet::new();
     let (mut half, mut swept, mut swept_expected) = (0, 0, 0);
@@ -241,7 +241,7 @@ fn survive(root: &Path, moments: &[Moment]) {
     );
 }
 
-/// Each of the first steps once, then random moments.
+/// The first `steps` disk operations, then random times.
 fn moments(steps: u64, random: usize) -> Vec<Moment> {
     let mut random_number = Xoshiro256PlusPlus::seed_from_u64(5);
     let mut after = || Moment::After(Duration::from_micros(random_number.random_range(0..40_000)));
@@ -256,14 +256,14 @@ fn a_writer_killed_at_any_moment_leaves_whole_files_only() {
     assert!(root.path().join(MARK).is_file());
 }
 
-/// In the folder that `SOLASPECT_KILLED_KEEP` names, for other readers.
+/// Uses the folder named by `SOLASPECT_KILLED_KEEP`, so that other programs can read the files.
 #[test]
 #[ignore = "the full size: 200 kills"]
 fn a_writer_killed_two_hundred_times_leaves_whole_files_only() {
     let temporary = tempfile::tempdir().unwrap();
     let kept = std::env::var_os("SOLASPECT_KILLED_KEEP").map(std::path::PathBuf::from);
     let root = kept.as_deref().unwrap_or(temporary.path());
-    // A writer that is killed at its first step has not made it.
+    // A writer killed at its first operation has not created the folder.
     fs::create_dir_all(root).unwrap();
     survive(root, &moments(40, 160));
 }

@@ -48,27 +48,27 @@ const DEFECTS: [Defect; 5] = [
     Defect::Barred,
 ];
 
-/// A flight: wind, slews, sunset at the end, a mapping that drifts by 2 px with temperature and jumps by 0.5 px once, and
-/// one frame in fifty defective.
+/// A flight with wind, slews, sunset at the end, a mapping that drifts by 2 px with temperature and jumps by 0.5 px once, and
+/// one frame in fifty with a defect.
 struct Plan {
     frames: usize,
     seed: u64,
     instrument: Instrument,
     wind: Vec<[f64; 2]>,
-    /// Hard times instead of defects and sunset.
+    /// Frames with troubles, instead of defects and sunset.
     hard: bool,
-    /// What a degree of the camera's temperature adds to the disc on the plate, as a part of it.
+    /// Relative change of the disc's radius on the plate per degC of the camera's temperature.
     radius_per_degc: f64,
 }
 
-/// What makes a frame hard to solve by itself.
+/// A reason why a frame is hard to solve by itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Trouble {
-    /// What is left of the light, and what the sky adds, DN.
+    /// Remaining fraction of the light, and brightness of the sky, DN.
     Haze(f64, f64),
-    /// What the marks take from the light.
+    /// Contrast of the marks.
     Faint(f64),
-    /// No Sun at all.
+    /// Without the Sun.
     Dark,
 }
 
@@ -103,7 +103,7 @@ impl Plan {
         }
     }
 
-    /// Every third frame has its trouble, and for a while the Sun is cut by the sensor's edge.
+    /// A flight in which every third frame has a trouble, and the Sun leaves the sensor over an edge for a while.
     fn hard(frames: usize, seed: u64) -> Self {
         Self {
             hard: true,
@@ -115,7 +115,7 @@ impl Plan {
         (self.hard && n % 3 == 1).then(|| TROUBLES[n / 3 % TROUBLES.len()])
     }
 
-    /// How far the Sun is out, mil: to the sensor's lower edge and beyond it, there and back, within 16 s.
+    /// Displacement of the Sun over the sensor's lower edge and back within 16 s, mil.
     fn out_mil(&self, n: usize) -> f64 {
         let part = (n as f64 / RATE_HZ - 20.0) / 16.0;
         let out = self.hard && (0.0..1.0).contains(&part);
@@ -164,7 +164,7 @@ impl Plan {
         let swing =
             |amplitude: f64, period: f64, phase: f64| amplitude * (TAU * t / period + phase).sin();
         let [x, y] = self.wind[n];
-        // A slew of 10 s every 25 s, between two places.
+        // A slew of 10 s every 25 s, between two positions.
         let part =
             ((t % 50.0 - 15.0) / 10.0).clamp(0.0, 1.0) - ((t % 50.0 - 40.0) / 10.0).clamp(0.0, 1.0);
         let slewed = (1.0 - (TAU * part / 2.0).cos()) / 2.0;
@@ -178,7 +178,7 @@ impl Plan {
         )
     }
 
-    /// What is left of the light: it goes down over a twentieth of the flight, and then there is none.
+    /// Remaining fraction of the light: it decreases during a twentieth of the flight and is zero at the end.
     fn light(&self, n: usize) -> f64 {
         if self.hard {
             return 1.0;
@@ -245,7 +245,7 @@ impl Plan {
     }
 }
 
-/// A frame whose lines below the middle of the disc were lost.
+/// A frame in which 40 rows below the disc's centre were lost.
 fn barred(frame: Frame, from: usize) -> Frame {
     let Pixels::U8(mut pixels) = frame.pixels().clone() else {
         panic!("8 bit");
@@ -261,7 +261,7 @@ fn time(n: usize) -> jiff::Timestamp {
     start + jiff::SignedDuration::from_millis(250 * n as i64)
 }
 
-/// The small flight, made once for all tests.
+/// The small flight, simulated once for all tests.
 fn flight() -> &'static (Plan, PathBuf) {
     static FLIGHT: OnceLock<(Plan, PathBuf)> = OnceLock::new();
     FLIGHT.get_or_init(|| {
@@ -273,14 +273,14 @@ fn flight() -> &'static (Plan, PathBuf) {
     })
 }
 
-/// How the history compares with the truth.
+/// Errors of the refined history with respect to the truth.
 struct Comparison {
-    /// Radial, arcsec, and over sigma in each axis, of fine rows outside the jump's own frame.
+    /// Radial error, arcsec, and error over sigma in each axis; fine rows except the frame of the jump.
     errors: Vec<f64>,
     ratios: Vec<f64>,
-    /// Errors while the Sun has half of its light at least.
+    /// Radial errors while the Sun has at least half of its light.
     lit_errors: Vec<f64>,
-    /// Of the smoothed path, at frames.
+    /// Errors of the smoothed path at frames.
     smooth_errors: Vec<f64>,
     smooth_ratios: Vec<f64>,
     unflagged: Vec<usize>,
@@ -358,8 +358,8 @@ fn print(name: &str, compared: &Comparison) {
     );
 }
 
-/// Of the fine rows outside the jump's own frame: rms error over sigma of the plate's centre x and y, rotation and scale. The mapping is
-/// one for the whole flight, so neighbouring rows have nearly the same error.
+/// Rms of error over sigma of the plate's centre x and y, rotation and scale, over fine rows except the frame of the jump. The whole flight
+/// has one mapping model, so neighbouring rows have nearly the same error.
 fn mapping_errors_over_sigma(plan: &Plan, table: &Columns) -> [f64; 4] {
     let quantities = [
         ["CENTRE_X_PX", "CENTRE_SIGMA_X_PX"],
@@ -393,7 +393,7 @@ fn a_flight_is_refined_to_its_truth() {
     let compared = compare(plan, out.path());
     print("refined", &compared);
     assert!(compared.errors.len() > plan.frames * 8 / 10);
-    // The setting Sun's last frames, with a quarter of the light and less, are as near as their noise allows and no nearer.
+    // The last frames of the setting Sun have a quarter of the light or less, so their errors are limited by noise.
     assert!(quantile(&compared.lit_errors, 0.997) < 0.35);
     assert!(quantile(&compared.errors, 0.997) < 0.6);
     assert!((0.8..1.25).contains(&rms(&compared.ratios)));
@@ -412,7 +412,7 @@ fn a_flight_is_refined_to_its_truth() {
     assert!((jumps[plan.jump()] - 0.5).abs() < 0.1);
 }
 
-/// A plate that moves away by 6e-5 of its distance per degree, and one that stays: in both the camera's picture follows the temperature.
+/// A plate whose distance grows by 6e-5 per degC, and a fixed one; in both the mapping depends on the temperature.
 #[test]
 fn what_the_temperature_does_to_the_radius_is_determined_only_where_it_does_something() {
     const PER_DEGC: f64 = 6e-5;
@@ -456,15 +456,15 @@ fn frames_that_fail_by_themselves_are_solved_in_a_second_pass() {
         hard.take(&plan, &table, row);
     }
     hard.print();
-    // Faint marks do not matter, and where there is no Sun none is found.
+    // Faint marks do no harm, and no Sun is found where there is none.
     assert_eq!(hard.of_faint.fine, hard.of_faint.all);
     assert!(hard.of_faint.own_fine < hard.of_faint.all / 2);
     assert_eq!(hard.of_dark.placed, 0);
-    // Haze that leaves a twentieth of the light, two sigma of a pixel, is enough.
+    // Haze that leaves a twentieth of the light, two sigma of a pixel's noise, is enough.
     assert_eq!(hard.of_haze.own_placed, 0);
     assert!(hard.of_haze.placed + 1 >= hard.of_haze.all);
     assert_eq!(hard.of_haze.fine, 0);
-    // At the sensor's edge all have their place.
+    // All frames at the sensor's edge have a position.
     assert_eq!(hard.of_edge.placed, hard.of_edge.all);
     for counts in [
         &hard.of_faint,
@@ -480,7 +480,7 @@ fn frames_that_fail_by_themselves_are_solved_in_a_second_pass() {
     }
 }
 
-/// What became of the frames of hard times, by what made them hard.
+/// Results of the frames with troubles, by kind of trouble.
 #[derive(Debug, Default)]
 struct Hard {
     of_faint: Counts,
@@ -497,7 +497,7 @@ struct Counts {
     own_fine: usize,
     placed: usize,
     fine: usize,
-    /// Error over sigma.
+    /// Error over sigma in both axes.
     ratios: Vec<f64>,
 }
 
@@ -555,7 +555,7 @@ fn bytes(out: &Path) -> Vec<Vec<u8>> {
         .into()
 }
 
-/// The journal of a run's frames.
+/// The journal of the frames in a run's output.
 fn journal(out: &Path) -> Option<PathBuf> {
     let entries = fs::read_dir(out).ok()?;
     let mut names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
@@ -563,7 +563,7 @@ fn journal(out: &Path) -> Option<PathBuf> {
     Some(out.join(name))
 }
 
-/// Waits until a run's journal is so long, or the run has ended.
+/// Waits until a run's journal is longer than `bytes`, or the run has ended.
 fn wait_for_journal(out: &Path, bytes: u64, child: &mut Child) {
     for _ in 0..60_000 {
         let journal = journal(out);
@@ -664,13 +664,13 @@ fn since_and_until_choose_by_mid_exposure() {
         .iter()
         .map(|file| number(file))
         .collect();
-    // The time of a file that cannot be read nobody knows.
+    // A file that cannot be read has no known time, so it stays in the table.
     let lost = (0..240).filter(|n| plan.defect(*n) == Some(Defect::Truncated));
     let expected: Vec<usize> = (20..40).chain(lost).collect();
     assert_eq!(numbers, expected);
 }
 
-/// A frame as the HEROES flight program wrote it.
+/// Writes a frame as the HEROES flight program did.
 fn heroes(path: &Path, frame: &Frame, cards: &[(&str, &str)]) {
     let header = |cards: &[(&str, &str)]| {
         let lines = cards
@@ -774,14 +774,14 @@ fn the_files_of_the_heroes_flight_are_read() {
     assert!(arcsec("BORESIGHT_HPLN_ARCSEC").max(arcsec("BORESIGHT_HPLT_ARCSEC")) > 100.0);
 }
 
-/// Memory of this process, kB: VmHWM at its peak, VmRSS now.
+/// Memory of this process, kB: `VmHWM` is the peak, `VmRSS` the current value.
 fn memory_kb(what: &str) -> u64 {
     let status = fs::read_to_string("/proc/self/status").unwrap();
     let line = status.lines().find(|line| line.starts_with(what)).unwrap();
     line.split_whitespace().nth(1).unwrap().parse().unwrap()
 }
 
-/// The records of the small flight that have a disc, up to its jump, in the order of time.
+/// The records of the small flight that have a disc, in order of time; at most as many as there are frames before the jump.
 fn lit_records(plan: &Plan, out: &Path) -> Vec<Record<FrameRecord>> {
     let mut records: Vec<Record<FrameRecord>> = Vec::new();
     Journal::read(&journal(out).unwrap(), |record, _| records.push(record)).unwrap();
@@ -791,8 +791,8 @@ fn lit_records(plan: &Plan, out: &Path) -> Vec<Record<FrameRecord>> {
     records
 }
 
-/// Seven hours of a flight, or as many frames as SOLASPECT_FLIGHT_FRAMES says, from the records of its first half minute there and
-/// back. Alone in its process: `cargo test --test promises -- --ignored a_hundred_thousand --nocapture`.
+/// Seven hours of flight, or SOLASPECT_FLIGHT_FRAMES frames, made by repeating the records of the first half minute forwards and
+/// backwards. Needs its own process: `cargo test --test promises -- --ignored a_hundred_thousand --nocapture`.
 #[test]
 #[ignore = "a minute long, and it measures the process's memory"]
 fn a_hundred_thousand_frames_take_less_than_300_mb() {
@@ -867,7 +867,7 @@ fn a_hundred_thousand_frames_take_less_than_300_mb() {
     assert!(memory_kb("VmHWM") < 3 * frames as u64);
 }
 
-/// An hour at 4 Hz, or as many frames as SOLASPECT_FLIGHT_FRAMES says, made once and kept, as is the journal:
+/// An hour at 4 Hz, or SOLASPECT_FLIGHT_FRAMES frames, simulated once and kept with its journal:
 /// `cargo test --test promises -- --ignored an_hour --nocapture`.
 #[test]
 #[ignore = "an hour of flight takes many minutes to simulate"]
@@ -884,13 +884,13 @@ fn an_hour_of_flight_is_refined_to_its_truth() {
     refine(&archive, &out, &[]);
     let compared = compare(&plan, &out);
     print("an hour", &compared);
-    // Of fourteen thousand frames more than three in a thousand are of the last minutes, by a tenth of the light.
+    // More than 0.3 % of the fourteen thousand frames are in the last minutes, with a tenth of the light.
     assert!(quantile(&compared.lit_errors, 0.997) < 0.35);
     assert!((0.8..1.25).contains(&rms(&compared.ratios)));
     assert!(compared.unflagged.is_empty());
 }
 
-/// An archive of a few frames of the demo, as flown with the instrument and configuration of these texts.
+/// An archive of a few demo frames, flown with this instrument and configuration.
 fn flown_archive(instrument_toml: &str, configuration: &str) -> tempfile::TempDir {
     let root = tempfile::tempdir().unwrap();
     add_flight(root.path(), instrument_toml, configuration, 0);
@@ -941,7 +941,7 @@ fn an_archive_is_refined_with_the_instrument_and_the_configuration_it_was_flown_
     );
     assert_eq!(summary(out.path())["instrument"], "demo");
 
-    // Another sensor is no calibration of this one.
+    // An instrument file of another sensor size is refused.
     fs::write(&file, demo.replacen("value = 1296", "value = 1295", 1)).unwrap();
     let report = ["--instrument", file.to_str().unwrap()];
     let refused = command(root.path(), out.path(), &report).output().unwrap();

@@ -17,7 +17,7 @@ use std::time::Duration;
 const START: &str = "2013-09-21T18:00:00Z";
 const SEED: u64 = 5;
 
-/// What `solaspect demo` flies.
+/// The flight of `solaspect demo`.
 fn telescope(instrument: &Instrument, duration: Duration) -> TelescopeFlight {
     let start: Timestamp = START.parse().unwrap();
     let radius_arcsec = sun_angular_radius(start).unwrap();
@@ -26,20 +26,20 @@ fn telescope(instrument: &Instrument, duration: Duration) -> TelescopeFlight {
     TelescopeFlight::new(course, instrument, FORT_SUMNER, start, SEED).on(Gondola::Swinging)
 }
 
-/// Since the flight began; times count from 1970.
+/// Time since the start of the flight.
 fn since(unix_s: f64) -> Duration {
     let start: Timestamp = START.parse().unwrap();
     Duration::from_secs_f64(unix_s - start.as_second() as f64)
 }
 
-/// The files of an archive's root whose names begin so.
+/// The files in a folder whose names begin with `begins`.
 fn files(folder: &Path, begins: &str) -> Vec<PathBuf> {
     let listed = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap());
     let named = listed.filter(|entry| entry.file_name().to_string_lossy().starts_with(begins));
     named.map(|entry| entry.path()).collect()
 }
 
-/// The numbers of a table's rows, its last column's words left out; rows without numbers are not there.
+/// The numbers of a table's rows, without the last column, which is text; rows with missing numbers are skipped.
 fn numbers(file: &Path) -> Vec<Vec<f64>> {
     let text = fs::read_to_string(file).unwrap();
     let row = |line: &str| {
@@ -50,7 +50,7 @@ fn numbers(file: &Path) -> Vec<Vec<f64>> {
     text.lines().skip(1).filter_map(row).collect()
 }
 
-/// The attitude's error across the Sun, arcsec: of two axes, each with 1 sigma.
+/// Errors of the attitude about two axes perpendicular to the Sun, each with its sigma, arcsec.
 fn across_sun(row: &[f64], truth: &UnitQuaternion<f64>, sun: &Vector3<f64>) -> [[f64; 2]; 2] {
     let found = UnitQuaternion::from_quaternion(Quaternion::new(row[1], row[2], row[3], row[4]));
     let error = (truth * found.inverse()).scaled_axis();
@@ -67,7 +67,7 @@ fn across_sun(row: &[f64], truth: &UnitQuaternion<f64>, sun: &Vector3<f64>) -> [
     })
 }
 
-/// Of the same axes one way and another: the mean square does not grow by more than two of its standard errors.
+/// Asserts that the mean square of `one` exceeds that of `other` by at most two of its standard errors; values are paired.
 fn assert_no_worse(one: &[f64], other: &[f64]) {
     let count = one.len() as f64;
     let pairs = one.iter().zip(other);
@@ -118,7 +118,7 @@ fn between_frames_the_gyros_show_where_the_telescope_points() {
             continue;
         };
         if (row[0] - t_s).abs() > 0.01 {
-            // Before the filter began.
+            // The filter had not started.
             continue;
         }
         let true_place = flown.sun_on_plate(since(*t_s));
@@ -159,7 +159,7 @@ fn between_frames_the_gyros_show_where_the_telescope_points() {
         offsets.len(),
         rms(&ratios)
     );
-    // 14 s at 100 Hz: the Sun is away for 2.1 s.
+    // 14 s at 100 Hz; the Sun is absent for 2.1 s.
     assert!(offsets.len() > 1100 && away > 140, "{away}");
     assert!(most < 5.0, "{most}");
 
@@ -194,7 +194,7 @@ fn between_frames_the_gyros_show_where_the_telescope_points() {
     read_what_a_power_cut_and_a_clock_have_left(archive.path(), [imu, gps], &attitude);
 }
 
-/// The flight's own logs with bad rows: the others give what they gave without these.
+/// With bad rows in the flight's own logs, the other rows give a consistent attitude.
 fn read_what_a_power_cut_and_a_clock_have_left(
     archive: &Path,
     [imu, gps]: [&str; 2],
@@ -207,7 +207,7 @@ fn read_what_a_power_cut_and_a_clock_have_left(
         let (count, zeros) = (lines.len(), "\0".repeat(4096));
         lines[count / 4] += &zeros;
         let (_, cells) = lines[count / 3].split_once(',').unwrap();
-        // A clock of another day, for a row.
+        // One row has a time of another day.
         lines[count / 3] = format!("86400.5,{cells}");
         let number = lines[count / 2]
             .rfind(|c: char| c.is_ascii_digit())
@@ -246,7 +246,7 @@ fn read_what_a_power_cut_and_a_clock_have_left(
     for row in &damaged {
         let same = whole.iter().find(|other| other[0] == row[0]).unwrap();
         let apart: f64 = (1..5).map(|n| (row[n] - same[n]).powi(2)).sum();
-        // An estimate by fewer data differs from that by all by the difference of their variances; five fixes of fourteen are lost.
+        // An estimate from fewer data differs from that from all data by the difference of their variances; five fixes of fourteen are lost.
         let variance = |row: &[f64]| (5..8).map(|n| row[n].powi(2)).sum::<f64>();
         let (own, of_all) = (variance(row), variance(same));
         let sigma = (own - of_all).max(0.0).sqrt().max(0.1 * own.sqrt());
@@ -254,7 +254,7 @@ fn read_what_a_power_cut_and_a_clock_have_left(
     }
 }
 
-/// One flight's files joined wrongly, or of another time.
+/// Files of another time are refused; files of one flight are accepted in any order.
 fn refuse_what_does_not_belong_together(archive: &Path, [imu, gps]: [&str; 2]) {
     let folder = temporary();
     let file = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();

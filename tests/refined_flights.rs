@@ -21,11 +21,11 @@ use std::time::Duration;
 
 const RATE_HZ: f64 = 4.0;
 
-/// A flight at four frames a second, and where its Sun was.
+/// A flight at four frames per second with a known path of the Sun.
 struct Flight {
     scenes: FlightScenes,
     frames: usize,
-    /// By how much UTC is ahead from this frame to that.
+    /// Ranges of frames, and the amount by which their UTC is ahead.
     clock_steps: Vec<(Range<usize>, SignedDuration)>,
     cards: Vec<Card>,
 }
@@ -44,7 +44,7 @@ impl Flight {
         }
     }
 
-    /// As a file says.
+    /// A flight along the pieces of a path file.
     fn of_pieces(pieces: &str, frames: usize, seed: u64) -> Self {
         let pieces = Pieces::parse(Path::new("flight.toml"), pieces).unwrap();
         Self::new(|_, _| pieces.clone().into(), frames, seed)
@@ -79,7 +79,7 @@ impl Flight {
         });
     }
 
-    /// Holds a table's places against the truth, at frames, in segments of so many frames; `frame_of` gives which frame a row is of.
+    /// Errors of a table's positions at frames, in segments of `SEGMENT` frames; `frame_of` returns the frame of a row.
     fn errors(&self, table: &Columns, frame_of: impl Fn(usize) -> Option<usize>) -> Vec<Errors> {
         let segments = self.frames.div_ceil(SEGMENT);
         let mut errors: Vec<Errors> = (0..segments).map(|_| Errors::default()).collect();
@@ -97,7 +97,7 @@ impl Flight {
     }
 }
 
-/// Frames of a segment that is judged by itself.
+/// Number of frames in a segment.
 const SEGMENT: usize = 40;
 
 #[derive(Default)]
@@ -114,7 +114,7 @@ impl Errors {
     }
 }
 
-/// The table's errors, and those of the smoothed path at frames that are fine.
+/// Errors of the table's fine rows, and of the smoothed path at the same frames.
 fn judged(flight: &Flight, out: &Path) -> (Vec<Errors>, Vec<Errors>) {
     let table = Columns::read(out, "ASPECT");
     let number = |row: usize| {
@@ -137,7 +137,7 @@ fn judged(flight: &Flight, out: &Path) -> (Vec<Errors>, Vec<Errors>) {
     )
 }
 
-/// No correct frame is lost, and the smoothed path is as good as it says and no worse than the frames.
+/// Asserts that no fine frame lacks a smoothed position, and that the smoothed path has calibrated sigmas and no larger rms error than the frames.
 fn assert_history(name: &str, flight: &Flight, out: &Path) {
     let (frames, smoothed) = judged(flight, out);
     let all = |errors: &[Errors], of: fn(&Errors) -> &Vec<f64>| -> Vec<f64> {
@@ -167,7 +167,7 @@ fn assert_history(name: &str, flight: &Flight, out: &Path) {
     }
 }
 
-/// A quarter of an hour at four frames a second, of rests, swings, slews and steps, or as many frames as SOLASPECT_FLIGHT_FRAMES says:
+/// A quarter of an hour at four frames per second with rests, swings, slews and steps, or SOLASPECT_FLIGHT_FRAMES frames:
 /// `cargo test --test promises -- --ignored a_quarter --nocapture`.
 #[test]
 #[ignore = "a quarter of an hour of flight takes minutes to simulate"]
@@ -216,7 +216,7 @@ fn a_quarter_of_an_hour_is_nowhere_worse_than_its_frames() {
     }
 }
 
-/// Rests, slews and steps of one to ten seconds each.
+/// Pieces of a path: rests, slews and steps of 1 to 10 s each.
 fn random_pieces(frames: usize, seed: u64) -> String {
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
     let (mut text, mut start_s, mut at) = (String::new(), 0.0, [0.0_f64; 2]);
@@ -306,7 +306,7 @@ fn the_history_of_a_demo_is_nowhere_worse_than_its_frames() {
 fn between_frames_the_offset_is_known_at_the_rate_that_is_asked_for() {
     const ROWS_HZ: f64 = 50.0;
     const FRAMES: usize = 140;
-    // Of 12 s: too long to say what the gondola did.
+    // A gap of 12 s is too long to predict the gondola's motion.
     const GAP: Range<usize> = 60..108;
     let swaying = |instrument: &Instrument, radius_mil| {
         let trajectory = Trajectory::flight(instrument, radius_mil, 41);
@@ -407,7 +407,7 @@ fn a_clock_that_steps_is_reported_and_its_times_are_corrected() {
     );
 }
 
-/// The cards by which a frame names its instrument.
+/// The card with which a frame names its instrument.
 fn named(name: &str) -> Vec<Card> {
     vec![Card::new(&keyword::OBSRVTRY, name)]
 }
@@ -468,7 +468,7 @@ fn frames_are_refined_with_the_instrument_they_name_and_refused_with_another() {
         "{error}"
     );
 
-    // An instrument that nobody has.
+    // An instrument that is not available.
     flight.cards = named("another");
     flight.write(archive.path());
     let output = command(archive.path(), out.path(), &[]).output().unwrap();

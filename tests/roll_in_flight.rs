@@ -24,7 +24,7 @@ use std::process::{Command, Output};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Gives its next frame on demand, and notes the exposures that it is set to, us.
+/// A camera that returns its next frame on demand and records the exposures set, us.
 struct Stepped {
     frames: VecDeque<Frame>,
     go: Receiver<()>,
@@ -56,7 +56,7 @@ impl FrameSource for Stepped {
     }
 }
 
-/// A gondola that rolls by some degrees, over a limb that varies by 2 % and 100 m.
+/// A scene of a rolling gondola over a limb that varies by 2 % in brightness and 100 m in height.
 fn gondola(number: u64) -> EarthScene {
     let conditions = EarthConditions {
         aim: Aim::Horizon { most_roll_deg: 3.0 },
@@ -65,7 +65,7 @@ fn gondola(number: u64) -> EarthScene {
     conditions.scene(7, number)
 }
 
-/// Points along the gondola's first axis.
+/// A roll camera that points along the gondola's first axis.
 fn roll_camera() -> MountedCamera {
     let conditions = gondola(0).conditions;
     let forward = Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
@@ -81,7 +81,7 @@ fn roll_camera() -> MountedCamera {
     }
 }
 
-/// Frames of the Sun on the plate, all of a time.
+/// Frames with the Sun on the plate, all at the same time.
 fn suns(count: usize) -> VecDeque<Frame> {
     let demo = builtin("demo").unwrap();
     let scenes = RandomScenes::new(&demo, &Conditions::of(&demo), 5).unwrap();
@@ -93,13 +93,13 @@ fn suns(count: usize) -> VecDeque<Frame> {
     (0..count as u64).map(frame).collect()
 }
 
-/// A picture that is as bright as can be.
+/// A saturated picture of the same size.
 fn white(like: &Frame) -> Frame {
     let pixels = Pixels::U8(vec![255; like.width() * like.height()]);
     Frame::new(like.width(), like.height(), pixels, 255, like.info.clone()).unwrap()
 }
 
-/// A flight with a roll camera whose cameras take frames on demand.
+/// A flight with a plate camera and a roll camera that take frames on demand.
 struct Stepwise {
     service: Service,
     answers: Receiver<Answer>,
@@ -183,7 +183,7 @@ fn number(path: &Path, keyword: &str) -> Option<f64> {
     }
 }
 
-/// Frames of the horizon that are so far apart determine no rate: until the next one the body's roll is that of the last.
+/// Frames of the horizon this far apart determine no roll rate: until the next frame the body's roll keeps the last value.
 const NO_RATE: Duration = Duration::from_secs(2);
 
 #[test]
@@ -207,7 +207,7 @@ fn the_horizons_roll_turns_offsets_and_is_in_answers_and_files() {
         let sun_roll = roll(&sun).unwrap();
         let turned_deg = sun_roll.value - seen_roll.value;
         assert!(turned_deg.abs() < 0.001, "{turned_deg}");
-        // The telescope stands higher than the horizon camera looks, so that its roll about the boresight is larger.
+        // The telescope has a higher elevation than the horizon camera, so its roll about the boresight is larger.
         let Roll::Measured(about_boresight) = offset(&sun).roll else {
             panic!("{:?}", offset(&sun));
         };
@@ -252,7 +252,7 @@ fn a_horizon_that_is_overexposed_or_old_costs_the_sun_nothing() {
     assert_eq!(offset(&sun).roll, Roll::Stated);
     assert_eq!(roll(&flight.horizon()), None);
     assert!(flight.sun().sun().unwrap().offset.is_some());
-    // The exposure follows the limb's light, and falls at once where there is too much.
+    // The exposure is adjusted to the limb's brightness and is reduced at once when the frame is too bright.
     let falls = |set_us: &[u32]| set_us.last().is_some_and(|us| *us < 15_000);
     let start = Instant::now();
     while !falls(&flight.set_us.lock().unwrap()) {
@@ -293,7 +293,7 @@ fn a_frame_of_another_size_or_from_below_the_limb_is_stored_with_the_reason() {
     for expected in [Some("not_above_the_limb"), Some("wrong_size"), None] {
         let answer = flight.horizon();
         assert_eq!(reason(&answer), expected);
-        // The exposure follows the light of all of them.
+        // Each of them has levels, so the exposure is adjusted by all.
         assert!(answer.solved.levels.is_some());
     }
     let tally = flight.end();
@@ -358,9 +358,9 @@ fn a_flight_of_two_simulated_cameras_measures_the_gondolas_roll() {
         squares += ((of("BODYROLL") - truth_deg) / of("BODYRLSG")).powi(2);
     }
     let ratio = (squares / files.len() as f64).sqrt();
-    // Few places show little of how the limb departs from its sphere, so that a small picture's sigma is careful.
+    // A small picture has few edge points that show how the limb departs from a sphere, so its sigma is conservative.
     assert!((0.2..1.7).contains(&ratio), "{ratio}");
-    // What the roll camera was flown with is in the archive.
+    // The archive has a copy of the roll camera's file.
     let kept = std::fs::read_dir(root.path().join("archive").join("roll")).unwrap();
     let kept = kept.map(|entry| entry.unwrap().path());
     let instrument = kept.filter(|path| path.extension().is_some_and(|e| e == "toml"));
@@ -368,7 +368,7 @@ fn a_flight_of_two_simulated_cameras_measures_the_gondolas_roll() {
         .map(|path| std::fs::read_to_string(path).unwrap())
         .collect();
     assert!(texts.iter().any(|text| text == SMALL_CAMERA));
-    // Its refinement leaves the roll camera's frames alone.
+    // A refinement without the roll camera's file ignores its frames.
     let refined = solaspect(&["refine", &at("archive"), "--out", &at("refined")]);
     assert!(
         refined.status.success(),

@@ -80,7 +80,7 @@ fn a_demonstration_that_is_stopped_ends_in_order() {
     assert_eq!(summary.unwrap().lost(), 0);
 }
 
-/// A line that takes everything.
+/// A port that accepts all bytes.
 struct Sink;
 
 impl BytePort for Sink {

@@ -17,16 +17,16 @@ const EXPECTED: Option<Expected> = Some(Expected {
 struct Flight {
     instrument: Instrument,
     frames: Vec<Frame>,
-    /// Where the Sun's centre is on the plate, frame by frame.
+    /// Position of the Sun's centre on the plate in each frame.
     truth: Vec<PlateMil>,
 }
 
-/// A Sun that moves over the sensor by 20 px a frame, back and forth.
+/// A flight in which the Sun moves back and forth over the sensor by 20 px per frame.
 fn flight(frames: u64) -> Flight {
     flight_within([260.0, 190.0], frames)
 }
 
-/// The same, no farther than this from the plate's centre.
+/// The same, with the Sun within this distance of the plate's centre.
 fn flight_within(reach_px: [f64; 2], frames: u64) -> Flight {
     let instrument = builtin("demo").unwrap();
     let conditions = Conditions {
@@ -58,7 +58,7 @@ impl Flight {
         solve(frame, &self.instrument, EXPECTED, prior)
     }
 
-    /// A prior that sees every mark that the first frame names moved on the plate, or on the sensor.
+    /// A wrong prior: every mark identified in the first frame is displaced on the plate, or on the sensor.
     fn misled(&self, on_plate_mil: [f64; 2], on_sensor_px: [f64; 2]) -> Track {
         let first = self.solve(&self.frames[0], None);
         let plate = &self.instrument.plate;
@@ -85,14 +85,14 @@ impl Flight {
     }
 }
 
-/// How far two solutions are apart, in sigmas of the first.
+/// Distance between two solutions in sigmas of the first.
 fn apart_sigmas(a: &Solution, b: &Solution) -> f64 {
     let [a, b] = [a, b].map(|s| s.aspect.as_ref().unwrap().sun_plate);
     let sigma = (a.covariance.trace() / 2.0).sqrt();
     a.position.distance(b.position) / sigma
 }
 
-/// Root mean square of some errors over sigma, per axis.
+/// Rms of error over sigma, per axis.
 fn rms(ratios: &[Vector2<f64>]) -> f64 {
     let squares: f64 = ratios.iter().map(|ratio| ratio.norm_squared()).sum();
     (squares / (2 * ratios.len()) as f64).sqrt()
@@ -123,7 +123,7 @@ fn a_frame_with_a_prior_is_solved_as_well_as_without_and_nearly_the_same() {
     println!(
         "error over sigma {ratio:.2}, {worse:.3} of the error without a prior, {moved:.2} sigma apart"
     );
-    // Now and then the marks are searched again, whatever the prior knows.
+    // From time to time the marks are searched in spite of the prior.
     assert!((60..79).contains(&short_ways), "{short_ways}");
     assert!((0.8..1.25).contains(&ratio), "{ratio}");
     assert!(worse < 1.1, "{worse}");
@@ -157,7 +157,7 @@ fn a_camera_that_moved_is_seen_anew() {
     }
 }
 
-/// Mean place of the marks that both solutions have, from the Sun's centre, in each of them, px.
+/// Mean position, relative to the Sun's centre, of the marks that both solutions have, for each solution, px.
 fn marks_from_sun_px(solutions: [&Solution; 2]) -> [Vector2<f64>; 2] {
     let common = |a: &&Mark| {
         solutions
@@ -195,7 +195,7 @@ fn coma_is_removed_from_predicted_marks_as_from_detected_ones() {
         compared += 1;
         let [acquired, tracked] = marks_from_sun_px([&acquired, &tracked]);
         let apart_px = (acquired - tracked).norm();
-        // Left in, coma would shift the predicted marks by 0.05 px.
+        // Without the correction, coma would shift the predicted marks by 0.05 px.
         assert!(apart_px < 0.02, "frame {number}: {apart_px} px");
     }
     assert!(compared >= 4, "{compared}");
@@ -225,7 +225,7 @@ fn the_picture_of_a_frame_shows_its_marks_though_they_were_predicted() {
     );
 }
 
-/// What fine frames contradict of an instrument that states one thing of the demo's mounting wrongly.
+/// Quantities of the mounting that fine frames contradict when one is stated wrongly.
 fn contradicted(flight: &Flight, wrongly: fn(&mut Mounting)) -> Vec<Vec<Quantity>> {
     let mut wrong = flight.instrument.clone();
     wrongly(&mut wrong.mounting);
@@ -300,7 +300,7 @@ fn no_calibration_that_is_right_within_three_sigmas_is_contradicted() {
     assert!(fine > 30, "{fine}");
 }
 
-/// A frame of the flight's camera on which the marks are too faint to be found.
+/// A frame of the same camera with marks too faint to be found.
 fn without_marks(flight: &Flight, centre: PlateMil) -> Frame {
     let scenes = RandomScenes::new(&flight.instrument, &Conditions::of(&flight.instrument), 5);
     let mut scene = scenes.unwrap().scene(99).unwrap();
@@ -321,7 +321,7 @@ fn a_frame_without_marks_borrows_what_was_measured_instead_of_what_was_disproved
         .map(|f| flight.solve(f, None))
         .collect();
     for (n, solution) in fine.iter().enumerate() {
-        // Two frames prove nothing; what is proven is reported once.
+        // Two frames are not sufficient; a proven contradiction is reported once.
         let proven = check.note(solution, &stated).len();
         assert_eq!(proven, usize::from(n == 2), "frame {n}");
         assert_eq!(check.corrected(&stated).is_some(), n >= 2);
@@ -341,7 +341,7 @@ fn a_frame_without_marks_borrows_what_was_measured_instead_of_what_was_disproved
         "{}",
         error_sigmas(&corrected)
     );
-    // A file that was mended is believed again.
+    // A corrected file is trusted again.
     for solution in &fine[..3] {
         assert!(check.note(solution, &flight.instrument).is_empty());
     }

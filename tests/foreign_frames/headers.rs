@@ -8,7 +8,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 use std::process::Command;
 
-/// What a good header says: keyword and value.
+/// Keywords and values of a valid header.
 const GOOD: [(&str, &str); 12] = [
     ("DATE-OBS", "'2013-09-21T18:00:00.250'"),
     ("EXPTIME", "0.015"),
@@ -23,27 +23,27 @@ const GOOD: [(&str, &str); 12] = [
     ("OBSGEO-Z", "3613124.979"),
     ("TIMESYS", "'UTC'"),
 ];
-/// The middle of its exposure.
+/// Mid-exposure time of the valid header.
 const MIDDLE: &str = "2013-09-21T18:00:00.2575Z";
 
-/// What a foreign header should give for its time.
+/// Expected time of a foreign header.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Time {
-    /// The good one's, within so many seconds.
+    /// The time of the valid header, within this many seconds.
     Within(f64),
-    /// None, and a reason.
+    /// No time, with a reason.
     None,
 }
 use Time::Within;
 
-/// A value, or several that belong together, as others write them.
+/// One or several related values in foreign notation.
 #[derive(Debug, Clone, Copy)]
 struct Foreign {
-    /// In place of good ones, or beside them; an empty value takes the keyword away.
+    /// Cards that replace valid ones or are added; an empty value removes the keyword.
     cards: &'static [(&'static str, &'static str)],
-    /// The keyword that is warned of; none where the meaning is clear.
+    /// Keyword named in the warning; `None` if the meaning is clear.
     warns: Option<&'static str>,
-    /// None where it says nothing of the time.
+    /// `None` if the value does not affect the time.
     time: Option<Time>,
 }
 
@@ -75,7 +75,7 @@ const fn timed(
     }
 }
 
-/// Values that the Sun's place does not need.
+/// Values that do not affect the Sun's position.
 const VALUES: &[Foreign] = &[
     value("CAMERA", &[("CAMERA", "1")]),
     value("INSTRUME", &[("CAMERA", ""), ("INSTRUME", "12")]),
@@ -130,7 +130,7 @@ const VALUES: &[Foreign] = &[
     value("DETSEC", &[("DETSEC", "'[1:99,1:99]'")]),
 ];
 
-/// Times. Those that are clear are read without a warning.
+/// Times. Unambiguous ones are read without a warning.
 const TIMES: &[Foreign] = &[
     clear(&[("DATE-OBS", "'2013-09-21 18:00:00.250'")], 1e-6),
     clear(&[("DATE-OBS", "'2013-09-21t18:00:00.250'")], 1e-6),
@@ -166,7 +166,7 @@ const TIMES: &[Foreign] = &[
         ],
         1e-6,
     ),
-    // 18:00:00.2575 is 0.75000298 of the day.
+    // 18:00:00.2575 is 0.75000298 of a day.
     clear(&[("DATE-OBS", ""), ("MJD-AVG", "56556.750002980324")], 2e-6),
     clear(&[("DATE-OBS", ""), ("MJD-OBS", "56556.750002893519")], 2e-6),
     clear(&[("DATE-OBS", ""), ("JD", "2456557.2500028935")], 1e-4),
@@ -228,7 +228,7 @@ const TIMES: &[Foreign] = &[
     ),
 ];
 
-/// The header with some foreign values in place of good ones.
+/// The valid header with foreign values in place of its own.
 fn cards(foreign: &[Foreign]) -> Vec<String> {
     let mut values: Vec<(&str, &str)> = GOOD.to_vec();
     for (keyword, value) in foreign.iter().flat_map(|foreign| foreign.cards) {
@@ -249,7 +249,7 @@ fn file(foreign: &[Foreign]) -> Vec<u8> {
     sample(8, &cards, |_, dn| [dn])
 }
 
-/// Holds a frame to what its foreign values should give.
+/// Checks a frame's Sun, warnings and time against its foreign values.
 fn check(foreign: &[Foreign]) {
     let frame = read(&file(foreign), "frame.fits");
     let what = format!("{foreign:?}\n{:?}", frame.info);
@@ -296,7 +296,7 @@ fn three_hundred_headers_with_up_to_five_foreign_values_give_sun_and_time() {
             let Some(next) = VALUES.choose(&mut random) else {
                 break;
             };
-            // Of each keyword one value.
+            // At most one value for each keyword.
             let stated = |cards: &[(&str, &str)]| {
                 let mut used = header.iter().flat_map(|foreign| foreign.cards);
                 used.any(|(keyword, _)| cards.iter().any(|(other, _)| other == keyword))
@@ -322,7 +322,7 @@ fn a_leap_second_is_kept() {
     assert_eq!(text, "2016-12-31T23:59:60.2575Z");
 }
 
-/// What `solve` prints of files, on standard output and on standard error.
+/// Standard output and standard error of `solve` for these files.
 fn solve(files: &[(&str, Vec<u8>)]) -> (Vec<serde_json::Value>, String) {
     let folder = tempfile::tempdir().unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_solaspect"));

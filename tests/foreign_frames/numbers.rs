@@ -76,7 +76,7 @@ fn whole_numbers_that_fit_are_the_pixels_themselves() {
     assert_eq!(*blank.pixels(), Pixels::U8(PIXELS.clone()));
 }
 
-/// Where the limb and marks are: every 401st pixel of the picture, 3,122 in all.
+/// Whether a pixel has no value: every 401st of the picture, 3,122 in all, also at the limb and the marks.
 fn is_hit(n: usize) -> bool {
     n.is_multiple_of(401)
 }
@@ -162,14 +162,14 @@ fn pixels_win_against_a_header_that_contradicts_them() {
     }
 }
 
-/// What cfitsio reads of a file's second HDU.
+/// Pixels of a file's second HDU, read by cfitsio.
 fn read_by_cfitsio(path: &Path) -> Vec<f32> {
     let mut file = fitsio::FitsFile::open(path).unwrap();
     let hdu = file.hdu(1).unwrap();
     hdu.read_image(&mut file).unwrap()
 }
 
-/// Writes numbers as cfitsio compresses them.
+/// Writes values compressed by cfitsio.
 fn write_by_cfitsio(
     path: &Path,
     values: &[f32],
@@ -185,7 +185,7 @@ fn write_by_cfitsio(
     let (mut file, mut status) = (std::ptr::null_mut(), 0);
     let mut values = values.to_vec();
     let nul = -9999.0;
-    // SAFETY: the file is open until it is closed, and each pointer lives through its call with the length it is given.
+    // SAFETY: the file is open until `ffclos`, and each pointer lives through its call with the length given to it.
     unsafe {
         sys::ffdkinit(&mut file, name.as_ptr(), &mut status);
         sys::ffcrim(file, 8, 0, std::ptr::null_mut(), &mut status);
@@ -222,7 +222,7 @@ fn compressed_floats_have_the_values_that_cfitsio_reads() {
         .collect();
     values[1000..1010].fill(-9999.0);
     values[2000..2050].fill(0.0);
-    // A row without noise, which cannot be rounded.
+    // A row without noise, which cannot be quantised.
     values[4000..4160].fill(3.25);
     let (rice, gzip, gzip2) = (sys::RICE_1 as i32, sys::GZIP_1 as i32, sys::GZIP_2 as i32);
     let dithers = [
@@ -239,7 +239,7 @@ fn compressed_floats_have_the_values_that_cfitsio_reads() {
         write_by_cfitsio(&path, &values, SIDES, compression, dither, quantise);
         let expected = read_by_cfitsio(&path);
         let frame = solaspect::fits::read_frame(&path).unwrap();
-        // What cfitsio gives for a pixel without a value is no value either.
+        // Pixels that were written without a value have none, whatever cfitsio returns for them.
         let has_value = |n: usize| !(1000..1010).contains(&n);
         let finite = || {
             let values = expected.iter().copied().enumerate();

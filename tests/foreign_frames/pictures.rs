@@ -67,7 +67,7 @@ fn a_jpeg_gives_the_sun_and_a_warning() {
     );
 }
 
-/// A PNG of one byte a pixel, or less, with or without a palette.
+/// A PNG of at most 8 bits per pixel, with or without a palette.
 fn png(
     depth: png::BitDepth,
     color: png::ColorType,
@@ -115,7 +115,7 @@ fn a_palette_is_applied_and_single_bits_are_dark_or_bright() {
     assert_eq!(fields(&frame.info.warnings), ["picture"]);
 }
 
-/// A TIFF of greyscale pages, each with its orientation.
+/// A TIFF of greyscale pages, each with an orientation.
 fn tiff(pages: &[(&GrayImage, u16)]) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     let mut encoder = TiffEncoder::new(&mut bytes).unwrap();
@@ -136,7 +136,7 @@ fn tiff(pages: &[(&GrayImage, u16)]) -> Vec<u8> {
 fn a_tiff_is_turned_as_its_orientation_says() {
     use image::imageops::{flip_horizontal, flip_vertical, rotate90, rotate180, rotate270};
     let grey = grey();
-    // TIFF 6.0, tag 274: how the first row and column of the file lie in the picture.
+    // TIFF 6.0, tag 274: position of the file's first row and column in the picture.
     for (orientation, stored) in [
         (1, grey.clone()),
         (2, flip_horizontal(&grey)),
@@ -157,7 +157,7 @@ fn a_tiff_is_turned_as_its_orientation_says() {
 #[test]
 fn a_jpeg_and_a_png_are_turned_as_exif_says() {
     let stored = image::imageops::rotate180(&grey());
-    // One entry of EXIF: tag 274, type short, count 1, value 3.
+    // EXIF with one entry: tag 274, type short, count 1, value 3.
     let exif = [
         &b"MM\0\x2a\0\0\0\x08\0\x01"[..],
         &[1, 0x12, 0, 3, 0, 0, 0, 1, 0, 3, 0, 0, 0, 0, 0, 0],

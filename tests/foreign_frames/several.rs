@@ -68,7 +68,7 @@ fn of_several_pictures_the_one_of_the_sensors_size_is_read_and_the_others_are_na
     }
 }
 
-/// The sample's picture from (500, 200) on, 640 x 600 px.
+/// The window of 640 x 600 px at (500, 200) of the sample's picture.
 fn part() -> Vec<u8> {
     let rows = PIXELS.chunks_exact(1296).skip(200).take(600);
     rows.flat_map(|row| &row[500..1140]).copied().collect()
