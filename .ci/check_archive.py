@@ -1,4 +1,4 @@
-"""Every file of an archive opens in astropy without a warning, with right checksums, and holds what it should."""
+"""Checks that astropy opens every file of an archive without a warning, with valid checksums and the expected content."""
 
 import pathlib
 import sys

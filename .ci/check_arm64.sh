@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Holds the package and the tarball of target/package for arm64 against those for this machine: the same files, and of the program the same answers.
-# Under qemu-user, which also runs what the package needs: its libraries for arm64 must be installed.
+# Compares package and tarball of target/package for arm64 with those for this machine: same files, and same results of the program.
+# The arm64 program runs under qemu-user; its shared libraries for arm64 must be installed.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 work=$(mktemp -d)
@@ -17,7 +17,7 @@ diff <(control "$here") <(control arm64)
 apt-get install -s -qq --no-install-recommends "$(package arm64)" | grep '^Inst solaspect:arm64'
 
 say "the same files, but for the program"
-# The programs go to $work/ARCHITECTURE.package and .tarball.
+# Moves the programs to $work/ARCHITECTURE.package and .tarball.
 unpack() {
     dpkg-deb -c "$(package "$1")" | awk '{ print $1, $2, $6 }' | sort > "$work/$1.list"
     dpkg-deb -R "$(package "$1")" "$work/$1"

@@ -1,4 +1,4 @@
-"""Foreign programs find every mark of a plate's artwork where the drawing has it, as large as it is drawn, to 1 um.
+"""Checks with independent programs that every mark of a plate's artwork has the position and size of the drawing, to 1 um.
 
     check_artwork.py PROGRAM FOLDER
 
@@ -34,7 +34,7 @@ SHAPES = {
 
 
 def make_plate(folder, shape, angle_deg):
-    """Writes marks.csv and an instrument's file; the marks are at random places of a disc of 150 mm."""
+    """Writes marks.csv and an instrument's file; the marks are at random positions in a disc of 150 mm diameter."""
     folder.mkdir(parents=True)
     rng = random.Random(5)
     places = []
@@ -62,7 +62,7 @@ def make_plate(folder, shape, angle_deg):
 
 
 def read_svg(path):
-    """Corners of polygons, and centres with diameters of circles, in mm with y upwards. At 25.4 px per inch a px is a mm of the printed page."""
+    """Corners of polygons, and centres and diameters of circles, mm, y upwards. At 25.4 px per inch a px is 1 mm on the printed page."""
     svg = SVG.parse(path, ppi=25.4)
     corner = svg.viewbox.x, svg.viewbox.y
     (group,) = (element for element in svg.elements() if isinstance(element, Group) and element.id == "marks")
@@ -97,7 +97,7 @@ def read_dxf(path):
 
 
 def read_gerber(path, count, clear):
-    """The ground and marks are the first shapes; in the clear tone the marks are cut from the ground."""
+    """Ground and marks, which are the first shapes of the file; in the clear tone the marks are cut from the ground."""
     shapes = [shape for shape in GerberFile.open(path).objects if isinstance(shape, Region | Flash)]
     shapes = shapes[: clear + count]
     dark = [shape.polarity_dark for shape in shapes]
@@ -112,7 +112,7 @@ def read_gerber(path, count, clear):
 
 
 def error_of_cross(corners, centre, angle_deg):
-    """How far the corners of a cross are from those of the drawing at most, mm."""
+    """Largest distance of a corner of a cross from that of the drawing, mm."""
     tip, side = LENGTH_MM / 2, WIDTH_MM / 2
     expected = [(u * s, v * t) for u, v in ((tip, side), (side, tip), (side, side)) for s in (1, -1) for t in (1, -1)]
     turn = math.radians(angle_deg)
@@ -124,7 +124,7 @@ def error_of_cross(corners, centre, angle_deg):
 
 
 def check(path, shapes, marks, clear, angle_deg):
-    """Holds the shapes of a file against the drawing; returns the largest difference of a place or a size, mm."""
+    """Compares the shapes of a file with the drawing; returns the largest difference of a position or size, mm."""
     shapes = list(shapes)
     if clear:
         ground, _ = shapes.pop(0)

@@ -1,6 +1,6 @@
-"""The ground console under attack: slow clients, a hostile archive, frames that are none, forged clocks and keywords.
+"""Attacks the ground console: slow clients, a hostile archive, invalid frames, forged clocks and keywords.
 
-Meanwhile every page answers within a second, and the console's memory stays within 50 MB of what it was.
+During each attack every page must answer within a second, and the console's memory may grow by at most 50 MB.
 
 Usage: check_attacks.py PROGRAM ARCHIVE WORKDIR. Needs nothing but Python.
 """
@@ -33,7 +33,7 @@ def free_port(kind):
 
 
 class Console:
-    """A console of a source, with its log in WORKDIR."""
+    """A console for a data source, with its log in WORKDIR."""
 
     def __init__(self, name, source, *arguments):
         self.port = free_port(socket.SOCK_STREAM)
@@ -64,7 +64,7 @@ class Console:
         return int(status.split("VmRSS:")[1].split()[0]) / 1024
 
     def get(self, path, address="127.0.0.1"):
-        """Status and body, from an address of this machine."""
+        """Status and body of an answer; the request comes from `address`, one of this machine's."""
         begun = time.monotonic()
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20, source_address=(address, 0))
         try:
@@ -76,7 +76,7 @@ class Console:
             self.slowest_s, self.asked = max(self.slowest_s, time.monotonic() - begun), self.asked + 1
 
     def pages(self, *more, address="127.0.0.1"):
-        """Every page answers."""
+        """Asserts that every page answers."""
         for path in ("/", "/plots", "/commands", "/frames", "/api/flight", "/api/now", "/api/frames", "/api/commands", *more):
             status, _ = self.get(path, address)
             assert status == 200, f"{path}: {status}"
@@ -93,7 +93,7 @@ class Console:
 
 
 def hostile_archive():
-    """A copy of an archive whose log names what is none of its frames."""
+    """A copy of an archive whose log names files that are not its frames."""
     archive = WORKDIR / "hostile"
     shutil.copytree(ARCHIVE, archive)
     (WORKDIR / "secret.txt").write_text(SECRET)
@@ -141,7 +141,7 @@ def a_hostile_archive_shows_its_frames_alone():
 
 
 def slow_post(console, address, over):
-    """A request whose body comes byte by byte, and again when it is closed."""
+    """Sends a request with a body of one byte every 3 s, and repeats it when the connection is closed."""
     while not over.is_set():
         try:
             with socket.socket() as client:
@@ -178,7 +178,7 @@ def slow_clients_keep_nobody_out():
 
 
 def retried(ask):
-    """The address of the attack has half of the places, and newcomers push out newcomers."""
+    """Repeats a request from the attacking address: that address gets at most half of the connections, which displace each other."""
     for _ in range(20):
         try:
             return ask()
@@ -203,7 +203,7 @@ def checked(kind, payload, seconds):
 
 
 def housekeeping(seconds, uptime_s):
-    """All zero but for the first layout's fields that a page needs."""
+    """Housekeeping in its first layout; all fields are zero except those that a page needs."""
     payload = bytearray(UPTIME_AT + 4)
     payload[0] = 1
     payload[UPTIME_AT:UPTIME_AT + 4] = struct.pack("<I", uptime_s)
@@ -211,7 +211,7 @@ def housekeeping(seconds, uptime_s):
 
 
 def field_places():
-    """Where the page on the protocol says that a field begins, and where the first layout ends."""
+    """Offsets, from the protocol page, of the uptime and of the end of the first layout."""
     page = pathlib.Path("docs/protocol.md").read_text().splitlines()
     rows = [line.split("|") for line in page if line.startswith("| ") and line.count("|") == 6]
     places = {row[2].strip(" `"): int(row[1]) for row in rows if row[1].strip().isdigit()}

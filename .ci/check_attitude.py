@@ -1,4 +1,4 @@
-"""An attitude that `solaspect navigate --fits --aem` or `refine --imu --aem` has written, read by astropy and by ccsds-ndm: the same numbers as in attitude.csv."""
+"""Checks an attitude of `solaspect navigate --fits --aem` or `refine --imu --aem`, read by astropy and ccsds-ndm, against attitude.csv."""
 
 import csv
 import sys
@@ -15,7 +15,7 @@ with open(folder / "attitude.csv", newline="") as file:
     rows = list(csv.DictReader(file))
 table = Table.read(folder / "attitude.fits", hdu="ATTITUDE")
 assert len(table) == len(rows) > 0
-# As t_s does, numpy counts no leap seconds.
+# Like t_s, numpy does not count leap seconds.
 epoch = np.datetime64(fits.getheader(folder / "attitude.fits")["DATEREF"], "ns")
 with_attitude = [row for row in rows if row["q0"]]
 for name in ("t_s", "q0", "q1", "q2", "q3", "sx_rad", "pxy_rad2"):

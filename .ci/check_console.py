@@ -210,7 +210,7 @@ class Browser:
         self.driver.save_screenshot(str(WORKDIR / f"{name}.png"))
 
 
-# ---- what is promised
+# ---- the checks
 
 
 def every_page_shows_a_live_flight(browser, demo):
@@ -276,7 +276,7 @@ def an_archive_is_replayed(browser, stored):
     browser.says("#mode", "Paused", 30)
     browser.click("#live")
     browser.says("#mode", "^End of the archive$")
-    # Where a frame shows no Sun, there is none on the plate.
+    # A frame without the Sun has no drawing of the plate.
     browser.complains_of_nothing("the replay", but="/api/plate.svg")
     print(f"  replayed at 2x to its end: {rate:.1f} frames/s between two values of the housekeeping")
 
@@ -605,7 +605,7 @@ def fifty_viewers_do_no_harm(browser, demo):
             with contextlib.suppress(TimeoutError):
                 got[number] += len(viewers[number].recv(65536))
 
-    # The first one never reads.
+    # The first viewer never reads.
     readers = [threading.Thread(target=read, args=(number,)) for number in range(1, 51)]
     for reader in readers:
         reader.start()
@@ -772,7 +772,7 @@ def a_bad_line_is_counted(browser, line, flight):
     browser.complains_of_nothing("the bad line")
 
 
-# ---- what nobody should send
+# ---- invalid requests and packets
 
 
 METHODS = ["GET", "POST", "HEAD", "PUT", "DELETE", "OPTIONS", "PATCH", "CONNECT", "get", "\x00", "G\xe9T", ""]

@@ -1,4 +1,4 @@
-"""Compares the descriptions of the link, as foreign programs read them, with what `solaspect link decode` says.
+"""Compares the output of independent programs, which read the descriptions of the link, with that of `solaspect link decode`.
 
     check_descriptions.py PROGRAM KAITAI XTCE XTCE_CCSDS PACKETS WORK
 
@@ -26,7 +26,7 @@ from space_packet_parser.xtce.validation import validate_xtce
 
 warnings.simplefilter("error")
 PROGRAM, KAITAI, XTCE, XTCE_CCSDS, PACKETS, WORK = sys.argv[1:]
-# The newest layout of housekeeping.
+# Number of the newest layout of housekeeping.
 LAYOUTS = max(map(int, re.findall(r'"Housekeeping(\d+)"', Path(XTCE).read_text())))
 sys.path.insert(0, KAITAI)
 from solaspect_link import SolaspectLink  # noqa: E402
@@ -45,7 +45,7 @@ def check(what, found, expected, tolerance=0.0):
 
 
 def decode(source, data):
-    """What the program says of bytes: a list of lines for every packet."""
+    """The program's lines for each packet in the bytes."""
     path = Path(WORK, "bytes.bin")
     path.write_text(data.hex())
     run = subprocess.run([PROGRAM, "link", "decode", "--from", source, path], capture_output=True, text=True, check=True)
@@ -61,7 +61,7 @@ def decode(source, data):
 
 
 class Commands:
-    """Encodes commands by the XTCE."""
+    """Encodes commands as the XTCE describes them."""
 
     def __init__(self, path):
         root = etree.parse(path).getroot()
@@ -83,7 +83,7 @@ class Commands:
         return {a.get("name"): self.types[a.get("argumentTypeRef")] for a in own}
 
     def samples(self, name):
-        """Two values for every argument: ends of its range, where it has one."""
+        """Two values for every argument: the ends of its range, if it has one."""
         def of(kind):
             valid = kind.find(".//x:ValidRange", NS)
             if kind.tag.endswith("BooleanArgumentType"):
@@ -136,7 +136,7 @@ class Commands:
         return bits_of(value.to_bytes(size // 8, order, signed=encoding.get("encoding") == "twosComplement"))
 
     def crc(self, data):
-        """By the XTCE's own words; both reflections are."""
+        """The checksum by the parameters in the XTCE, with both reflections."""
         crc = self.types["checksum"].find(".//x:CRC", NS)
         text = lambda name: int(crc.find(f"x:{name}", NS).text, 16)
         polynomial = int(f"{text('Polynomial'):016b}"[::-1], 2)
@@ -153,7 +153,7 @@ def bits_of(data):
 
 
 def sealed(commands, data):
-    """A packet with its checksum set again."""
+    """A packet with a valid checksum."""
     data = bytearray(data)
     data[6:8] = b"\0\0"
     data[6:8] = commands.crc(data).to_bytes(2, "big")
@@ -161,7 +161,7 @@ def sealed(commands, data):
 
 
 def fly(commands):
-    """What an aspect system says while it is commanded, on the line and in space packets; every read of the table, too."""
+    """The bytes of a commanded flight on the line and in space packets; the commands include every read of the table."""
     log = Path(WORK, "flight.log")
     port = f"udp:127.0.0.1:{FLIGHT_PORT}@{LOG_PORT}"
     record = subprocess.Popen([PROGRAM, "link", "log", "--port", port, "--out", log, "--duration", "14s"])
@@ -196,7 +196,7 @@ def fly(commands):
 
 
 def check_space_packets(commands, definition, flight, space_packets):
-    """Each by its own XTCE as the packet of the line by that of the line, which has been held against the program."""
+    """Compares each space packet by its XTCE with the same packet of the line by the line's XTCE, which was compared with the program."""
     described = XtcePacketDefinition.from_xtce(XTCE_CCSDS)
     kinds = {}
     path = Path(WORK, "telemetry.bin")
@@ -221,7 +221,7 @@ def check_space_packets(commands, definition, flight, space_packets):
         check("ccsds: payload is described", bool(shared) or not payload, True)
         for name in shared:
             check("ccsds: field", bytes(read[name]) if isinstance(read[name], bytes) else read[name], own[name])
-        # Its payload and seconds are those of a packet on the line.
+        # A packet on the line has the same payload and seconds.
         check("ccsds: is on the line", packet[12:] in flight, True)
     check("ccsds: kinds", {0x01, 0x70, 0x82, 0x83, 0xE1} <= set(kinds), True)
 
@@ -251,7 +251,7 @@ PLAIN = {"covariance_xx_px2", "covariance_xy_px2", "covariance_yy_px2"}
 
 
 def numbers(body):
-    """The numbers of a body that the program prints, in its order; seconds and milliseconds as one time."""
+    """The numbers of a body in the order in which the program prints them; seconds and milliseconds form one time."""
     if type(body).__name__ == "PictureSection":
         return [body.camera, body.width, body.height, len(body.pixels), body.first_pixel]
     if type(body).__name__ == "PictureTag":
@@ -263,7 +263,7 @@ def numbers(body):
 
 
 def check_words(body, words):
-    """A body as Kaitai read it, and the program's words for the same bytes."""
+    """Compares a body read by Kaitai with the program's text for the same bytes."""
     name = type(body).__name__
     if name == "Housekeeping":
         return check_housekeeping(body, words)
@@ -301,7 +301,7 @@ def check_result(body, words):
 
 
 def check_command(body, words):
-    """Name, key, and the variables with their units."""
+    """Compares name, key and variables of a command."""
     name, key, rest = re.search(r"(\w+) \((0x[0-9a-f]+)\)(.*)", words).groups()
     check("ksy: command", [body.command.name, body.key], [name, int(key, 16)])
     for variable, number in re.findall(rf"(\w+) {NUMBER}", rest):
@@ -309,7 +309,7 @@ def check_command(body, words):
 
 
 def of_housekeeping(words):
-    """Fields and values of the program's lines."""
+    """Yields fields and values from the program's lines."""
     names = {"Some": lambda value: value, "MarkIds": lambda value: value, "true": 1, "false": 0, "unknown": 0}
     for line in words[1:]:
         name, value = re.match(r"(\w+) ([\w.]+\(.*\)|\[.*\]|\S+)", line).groups()
@@ -320,7 +320,7 @@ def of_housekeeping(words):
 
 
 def same_field(what, name, found, stated):
-    """A field as it travels, and as the program prints it."""
+    """Compares a field's encoded value with the printed one."""
     if name == "ids":
         stated = [0 if mark is None else 16 * (mark[0] + 8) + mark[1] + 8 for mark in stated]
     elif name in ("disk_1", "disk_2", "night"):
@@ -341,7 +341,7 @@ def check_housekeeping(body, words):
 
 
 def check_xtce(definition, packet, body, words):
-    """A packet as space-packet-parser reads it: the program's numbers for housekeeping, else Kaitai's."""
+    """Compares a packet read by space-packet-parser with the program's numbers (housekeeping) or with Kaitai's (others)."""
     root = "TelemetryPacket" if isinstance(packet.body, SolaspectLink.Telemetry) else "CommandPacket"
     read = definition.parse_bytes(packet.data, root_container_name=root)
     head = packet.body
@@ -378,7 +378,7 @@ def check_xtce(definition, packet, body, words):
 
 
 def check_stream(source, data, definition):
-    """All packets of a stream, read by Kaitai, the program and, where its XTCE has them, space-packet-parser."""
+    """Compares all packets of a stream as read by Kaitai, by the program and, if the XTCE has them, by space-packet-parser."""
     stream = KaitaiStream(BytesIO(data))
     packets = (SolaspectLink if source == "aspect" else SolaspectLink.ToAspect)(stream).packets
     said = decode(source, data)
@@ -397,7 +397,7 @@ def check_stream(source, data, definition):
 
 
 def earlier_layouts(commands, data, definition):
-    """Housekeeping cut where earlier layouts ended, by the containers of the XTCE."""
+    """Housekeeping truncated to each layout, with the lengths of the XTCE's containers."""
     packet = next(data[m.start():] for m in re.finditer(b"\x9a\xc3\x70\x30", data))
     payload = packet[16:16 + int.from_bytes(packet[4:6], "little")]
     length, packets = 1, []

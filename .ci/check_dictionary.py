@@ -1,4 +1,4 @@
-"""Loads the dictionary of the link with the ground system of NASA's F Prime, and compares it with the page on the protocol.
+"""Loads the link's dictionary with the ground system of NASA's F Prime, and compares it with the protocol page.
 
     check_dictionary.py DICTIONARY.json docs/protocol.md
 """
@@ -35,7 +35,7 @@ for name in ("tracking_on", "solution", "error", "exposure_start", "propagated",
     kinds = [argument[2]() for argument in event.get_args()]
     assert kinds or name == "tracking_on", name
 
-# An enum of a channel has its names.
+# The enum of a channel has its names.
 quality = channels["solaspect.quality"].get_type_obj()()
 quality.val = "fine"
 assert quality.numeric_value == 2

@@ -1,10 +1,10 @@
-"""What every file of an archive says of the sky, held against sunpy, astropy, solarnet-metadata and the pixels.
+"""Compares the sky keywords of every file of an archive with sunpy, astropy, solarnet-metadata and the pixels.
 
     check_headers.py ARCHIVE SUNSPOTS
 
-ARCHIVE is a demonstration's; SUNSPOTS holds frames of instruments and places of all kinds, each with one spot, and
-sunspots.csv, which says where. Any warning is an error. The limb is measured here, in the pixels, and nothing is
-taken from the solver but the header.
+ARCHIVE is that of a demo; SUNSPOTS has frames of various instruments and places, each with one spot, and
+sunspots.csv with the spots' positions. Any warning is an error. This script measures the limb in the pixels; from the
+solver it uses only the header.
 """
 
 import csv
@@ -29,23 +29,23 @@ from sunpy.coordinates.utils import get_limb_coordinates
 
 PAGE = pathlib.Path(__file__).parent.parent / "docs" / "keywords.md"
 WORLD = ("WCSAXES", "CTYPE1", "CUNIT1", "CRPIX1", "CRVAL1", "CDELT1", "PC1_1", "CD1_1", "CROTA2")
-# The demonstration's optics: limb darkening at 630 nm, blur, and a pixel's own width.
+# Optics of the demo: limb darkening at 630 nm; blur, with the width of a pixel added in quadrature.
 LIMB_DARKENING, BLUR_PX = 0.56, np.hypot(0.9, 1 / 12**0.5)
-# Worst deviations that pass. Where the sensor cuts the disc, few marks are lit and the mapping is known less well.
+# Largest accepted deviations. If the sensor cuts the disc, few marks are illuminated and the mapping is less accurate.
 LIMB_PX, CUT_LIMB_PX, TURN_DEG, SPOT_ARCSEC = 0.1, 0.5, 0.02, 0.5
 REACH_PX = 6.0
-# A Sun that moves faster is smeared by more than a pixel within its exposure: its limb is no sharp edge to measure.
+# A Sun that moves faster is smeared by more than a pixel during the exposure, so its limb is not sharp enough to measure.
 SLEW_DEG_PER_S = 0.25
 
 
 def accepted_remarks():
-    """The remarks that docs/keywords.md explains, as regular expressions."""
+    """Regular expressions of the remarks that docs/keywords.md explains."""
     page = PAGE.read_text().split("## Accepted remarks of validators")[1]
     return [re.compile(r) for r in re.findall(r"^\| `(.+?)` \|", page, re.MULTILINE)]
 
 
 def check_structure(path, accepted):
-    """FITS itself, and SOLARNET. Returns the header beside the pixels."""
+    """Checks conformity with FITS and SOLARNET; returns the header of the HDU with the pixels."""
     with fits.open(path, checksum=True, disable_image_compression=True) as hdus:
         hdus.verify("exception")
     remarks = validate_file(path)
@@ -65,7 +65,7 @@ def off_deg(a, b):
 
 
 def check_observer(path, header, frame):
-    """The observer of the map is where sunpy puts the same place on Earth at the same time."""
+    """Checks that the map's observer has the position that sunpy gives for the same place on Earth and time."""
     time = Time(header["DATE-AVG"])
     metres = [header[f"OBSGEO-{axis}"] * u.m for axis in "XYZ"]
     place = EarthLocation.from_geocentric(*metres)
@@ -74,7 +74,7 @@ def check_observer(path, header, frame):
     assert off_deg(observer.lon.deg, there.lon.deg) < 1e-4, (path, observer, there)
     assert off_deg(observer.lat.deg, there.lat.deg) < 1e-4, (path, observer, there)
     assert abs(observer.radius - there.radius) < 1e-6 * u.AU, (path, observer, there)
-    # The Earth's centre is 0.0025 deg of the Sun's sky away at most.
+    # As seen from the Sun, the observer is at most 0.0025 deg from the Earth's centre.
     earth = get_earth(time)
     assert off_deg(observer.lat.deg, earth.lat.deg) < 0.003, path
     assert off_deg(observer.lat.deg, sun.B0(time).deg) < 0.003, path
@@ -86,14 +86,14 @@ def check_observer(path, header, frame):
 
 
 def axes(azimuth, elevation):
-    """A direction of the sky, and at it the directions to the zenith and clockwise from it; north, east and up."""
+    """A direction in the sky, and at it the tangents towards the zenith and clockwise from it; components north, east, up."""
     (sin_a, cos_a), (sin_e, cos_e) = ((np.sin(v), np.cos(v)) for v in np.radians([azimuth, elevation]))
     at = np.array([cos_e * cos_a, cos_e * sin_a, sin_e])
     return at, np.array([-sin_e * cos_a, -sin_e * sin_a, cos_e]), np.array([-sin_a, cos_a, 0.0])
 
 
 def zenith_turn_deg(header, north):
-    """By how much the zenith's direction turns on the way from the Sun to where the telescope points."""
+    """Rotation of the direction to the zenith along the great circle from the Sun to the telescope's pointing, deg."""
     sun_at, up, clockwise = axes(header["SUN-AZ"], header["SUN-EL"])
     (sin_n, cos_n), (x, y) = (np.sin(north), np.cos(north)), np.radians([header["TARGETX"] / 3600, header["TARGETY"] / 3600])
     west, northward = clockwise * cos_n - up * sin_n, up * cos_n + clockwise * sin_n
@@ -107,12 +107,12 @@ def zenith_turn_deg(header, north):
 
 
 def check_orientation(path, header, frame):
-    """North and west lie where zenith, clocking, lens and a mirrored camera put them. Returns the deviation, deg: the
-    mean of both, for under a keystone the two are no right angle.
+    """Deviation of north and west in the picture from their directions by zenith, clocking, lens and mirrored camera, deg:
+    the mean of both, because they are not perpendicular under a keystone.
 
-    A thing at bearing b from the Sun's centre, clockwise from the zenith, is thrown on the plate in direction
-    180 - b - clocking + roll, clockwise from +Y; the camera sees x fall with X and turns that picture by MAPROT. Where
-    directions on the plate count at the telescope, the zenith is that of the telescope.
+    A point at bearing b from the Sun's centre, clockwise from the zenith, is projected on the plate in direction
+    180 - b - clocking + roll, clockwise from +Y; in the camera x decreases with X, and the picture is rotated by MAPROT.
+    If directions on the plate are at the telescope, the zenith is that of the telescope.
     """
     place = EarthLocation.from_geocentric(*[header[f"OBSGEO-{axis}"] * u.m for axis in "XYZ"])
     north = sun.orientation(place, Time(header["DATE-AVG"])).deg
@@ -133,7 +133,7 @@ def check_orientation(path, header, frame):
 
 
 def edge_level(radius_px):
-    """Light at the true edge of a limb-darkened, blurred disc, as a part of that at its centre."""
+    """Brightness at the true edge of a limb-darkened, blurred disc, as a fraction of that at its centre."""
     step = 0.02
     r = np.arange(radius_px - 20, radius_px + 20, step)
     cosine = np.sqrt(np.clip(1 - (r / radius_px) ** 2, 0, None))
@@ -142,7 +142,7 @@ def edge_level(radius_px):
 
 
 def limb_deviation(data, centre, limb):
-    """Where the edge stands beyond `limb`, px, at each of its points: the outermost crossing of the edge's level."""
+    """Distance of the edge outwards from `limb` at each of its points, px; the edge is the outermost crossing of its level."""
     outward = limb - centre
     radii = np.linalg.norm(outward, axis=1)
     outward /= radii[:, None]
@@ -150,7 +150,7 @@ def limb_deviation(data, centre, limb):
     distance = np.hypot(yx[1] - centre[0], yx[0] - centre[1])
     radius = radii.mean()
     background = np.median(data[(distance > 1.1 * radius) & (distance < 1.6 * radius)])
-    # The plate without marks is the bright part; a disc of 0.6 radii has 0.91 of the centre's light on average.
+    # The bright part is the plate without marks; within 0.6 radii the mean brightness is 0.91 of that at the centre.
     inner = data[distance < 0.6 * radius]
     bright = np.median(inner[inner > 0.5 * np.percentile(inner, 90)]) - background
     mean_cosine = np.sqrt(1 - 0.18)
@@ -170,9 +170,9 @@ def limb_deviation(data, centre, limb):
 
 
 def fit_circle(angle, deviation):
-    """The edge against the limb, px: its radius, its centre, and the worst of both together where the edge is seen.
+    """Deviation of the edge from the limb, px: of the radius, of the centre, and the largest of both together along the edge.
 
-    Marks, scratches and noise are thrown out.
+    Marks, scratches and noise are rejected as outliers.
     """
     seen = np.isfinite(deviation)
     for _ in range(8):
@@ -186,7 +186,7 @@ def fit_circle(angle, deviation):
 
 
 def check_limb(path, header, frame):
-    """The limb that sunpy draws is the limb in the pixels. Returns what `fit_circle` does, and whether the disc is whole."""
+    """Checks that the limb drawn by sunpy is that in the pixels; returns the results of `fit_circle`, and whether the disc is whole."""
     limb = get_limb_coordinates(frame.observer_coordinate, frame.rsun_meters, resolution=720)
     limb = limb.transform_to(frame.coordinate_frame)
     points = np.column_stack(frame.wcs.world_to_pixel(limb))
@@ -204,7 +204,7 @@ def check_limb(path, header, frame):
 
 
 def speed_deg_per_s(header, others):
-    """How fast the Sun moves over the picture, from where it was in the nearest of the other frames."""
+    """Speed of the Sun in the picture, from its position in the other frame nearest in time, deg/s."""
 
     def seconds(other):
         return (Time(other["DATE-AVG"]) - Time(header["DATE-AVG"])).sec
@@ -218,7 +218,7 @@ def speed_deg_per_s(header, others):
 
 
 def check_spots(folder):
-    """A spot is darkest where sunpy expects it by its helioprojective place."""
+    """Checks that sunpy finds each spot's pixels from its helioprojective position."""
     for row in csv.DictReader((folder / "sunspots.csv").read_text().splitlines()):
         (path,) = folder.rglob(f"{row['name']}_*.fits")
         frame = sunpy.map.Map(path)

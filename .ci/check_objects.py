@@ -1,4 +1,4 @@
-"""An archive in object storage: `solaspect refine s3://...` against an S3 server on this machine, through a proxy that counts and disturbs.
+"""Runs `solaspect refine s3://...` on an S3 server on this machine, through a proxy that counts requests and injects faults.
 
 Usage: check_objects.py PROGRAM ARCHIVE WORKDIR. PROGRAM is built with --features object-store. Needs moto[server] and boto3.
 """
@@ -26,14 +26,14 @@ import boto3
 from moto.server import ThreadedMotoServer
 
 PROGRAM, ARCHIVE, WORKDIR = [pathlib.Path(argument).resolve() for argument in sys.argv[1:4]]
-# The report names the archive: folder and prefix have one name.
+# The report names the archive, so folder and prefix have the same name.
 FLIGHT = WORKDIR / "flight"
 EMPTY = WORKDIR / "empty"
 BUCKET, URL = "balloon", "s3://balloon/flight"
 HEADER_BYTES = 65536
-# Objects of a page of the list: enough pages that a list has several.
+# Number of objects on a page of a listing, so small that a listing has several pages.
 PAGE = 100
-# Frames may be under way when the program is killed.
+# Number of frames that may be in transit when the program is killed.
 UNDER_WAY = 16 * len(os.sched_getaffinity(0))
 LIMIT_S = 400
 CUT, CLOSED = "cut in the middle", "closed before the answer"
@@ -46,7 +46,7 @@ def expect(is_so, expected, found):
         raise AssertionError(f"expected {expected}, found {found}")
 
 
-# ---- the way to the storage
+# ---- the proxy
 
 
 @dataclass
@@ -68,13 +68,13 @@ class Request:
         return "list-type=2" in self.target
 
     def range(self):
-        """The first byte that is asked for, and the last; the last is None of a whole object."""
+        """First and last requested byte; the last is None for a whole object."""
         first, _, last = (self.header or "bytes=0-").removeprefix("bytes=").partition("-")
         return int(first), int(last) if last else None
 
 
 class Proxy(ThreadingHTTPServer):
-    """Passes requests on to the storage. `fault` says what goes wrong with a request: None, CUT, CLOSED, or one of REFUSALS."""
+    """Forwards requests to the storage. `fault` returns the fault of a request: None, CUT, CLOSED, or one of REFUSALS."""
 
     daemon_threads = True
     request_queue_size = 256
@@ -95,12 +95,12 @@ class Proxy(ThreadingHTTPServer):
         return request
 
     def whole(self):
-        """How often each frame was asked for as a whole."""
+        """Number of requests for each whole frame."""
         with self.lock:
             return Counter(request.key for request in self.requests if request.is_whole())
 
     def handle_error(self, *arguments):
-        # A program that was killed leaves its connections.
+        # A killed program leaves open connections.
         if not isinstance(sys.exception(), OSError):
             super().handle_error(*arguments)
 
@@ -150,7 +150,7 @@ class Handler(BaseHTTPRequestHandler):
 
 
 def some_fault(_proxy, request):
-    """A fifth of the requests, the same ones in whatever order they come, each at most twice; and each page of the list is cut once."""
+    """Faults for a fifth of the requests, independent of their order, at most two for each; and each page of a listing is cut once."""
     if request.attempt >= 2:
         return None
     if request.is_list() and request.attempt == 0:
@@ -163,7 +163,7 @@ def some_fault(_proxy, request):
 
 
 class Refine:
-    """`solaspect refine`, watched while it runs: it keeps no copy of the frames."""
+    """`solaspect refine`, monitored while it runs: it must keep no copy of the frames."""
 
     most_bytes = checks = 0
 
@@ -186,7 +186,7 @@ class Refine:
             files = [path for path in self.out.rglob("*") if path.is_file()]
             copies += [str(path) for path in files if any(name in path.name for name in NAMES)]
             Refine.most_bytes = max(Refine.most_bytes, sum(path.stat().st_size for path in files))
-        # A file without a name is seen where it is open.
+        # A deleted file is visible among the open ones.
         with contextlib.suppress(OSError):
             links = [os.readlink(link) for link in pathlib.Path(f"/proc/{self.process.pid}/fd").iterdir()]
             copies += [link for link in links if link.endswith("(deleted)")]
@@ -211,7 +211,7 @@ class Refine:
         return self
 
     def tables(self):
-        """All but the journals."""
+        """All output files except the journals."""
         files = [path for path in self.out.rglob("*") if path.is_file() and path.suffix != ".journal"]
         return {str(path.relative_to(self.out)): path.read_bytes() for path in files}
 
@@ -235,12 +235,12 @@ def upload(paths):
     with contextlib.closing(client), ThreadPoolExecutor(8) as pool:
         client.create_bucket(Bucket=BUCKET)
         objects = {key(path): path.read_bytes() for path in paths}
-        # What is no part of the flight: another one, and a folder as consoles of storages make them.
+        # Objects that are not part of the flight: another flight, and a folder object as web consoles of object storage make them.
         objects |= {"flight2/other.fits": b"another flight", "empty/readme.txt": b"no frames", "flight/": b""}
         list(pool.map(lambda name: client.put_object(Bucket=BUCKET, Key=name, Body=objects[name]), objects))
 
 
-# ---- the promises
+# ---- the checks
 
 
 def same_bytes():
@@ -329,7 +329,7 @@ def storage_gone():
 
 
 def unreadable_rows():
-    """The last: the archive is another afterwards."""
+    """Must come last, because it changes the archive."""
     garbage, short, empty, gone = broken = [path for path in PATHS if path.parts[-3] != "roll"][3:19:5]
     garbage.write_bytes(random.Random(4).randbytes(garbage.stat().st_size))
     short.write_bytes(short.read_bytes()[:short.stat().st_size // 2])
@@ -369,7 +369,7 @@ with ENDING:
     upload([path for path in FLIGHT.rglob("*") if path.is_file()])
     folder = Refine("folder", url=FLIGHT).finish()
     clean = Refine("clean").finish()
-    # It waits most of its time, beside the others.
+    # Runs in parallel with the others, because it waits most of the time.
     going = ENDING.enter_context(ThreadPoolExecutor()).submit(Refine("gone", fault=gone_in_the_middle).finish, 1)
     for promise in (same_bytes, ranged_reads, merged_shards, retries, resumed, errors_of_a_person, speed, storage_gone, unreadable_rows, no_copy):
         name = promise.__name__.replace("_", " ")

@@ -1,4 +1,4 @@
-"""A flight's outputs as other programs read them: JSON lines by Python, NMEA sentences by pynmea2, both of the same frames.
+"""Reads a flight's outputs with other programs: JSON lines with Python, NMEA sentences with pynmea2, both for the same frames.
 
     check_outputs.py PROGRAM WORK
 
@@ -25,7 +25,7 @@ def reader(port):
 
 
 def messages(udp):
-    """What has come."""
+    """Yields the messages received so far."""
     udp.setblocking(False)
     with udp:
         while True:

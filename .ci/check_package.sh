@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Installs the Debian package of target/package on this machine, flies it, upgrades it and removes it; unpacks the tarball and flies it
-# with nothing around it. Leaves nothing behind, where neither package nor user solaspect was here before. Needs root.
+# Installs the Debian package of target/package on this machine, flies it, upgrades it and removes it; then unpacks the tarball and flies it
+# with nothing installed. Leaves nothing behind if neither the package nor the user solaspect existed before. Needs root.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -19,13 +19,13 @@ clean_up() {
 trap clean_up EXIT
 
 say() { printf -- '-- %s\n' "$1"; }
-# Machines without documentation leave it out of every package.
+# Minimal machines omit documentation from every package; include it here.
 install_package() {
     apt-get install -y -qq --no-install-recommends -o Dpkg::Options::=--force-confold \
         -o Dpkg::Options::='--path-include=/usr/share/*' "$1"
 }
 as_solaspect() { (cd / && runuser -u solaspect -- "$@"); }
-# The last line of a flight's summary is of no use here: the exit code says whether anything was lost.
+# The exit code says whether anything was lost, so the flight's summary is not checked.
 fly() { as_solaspect solaspect fly --config /etc/solaspect/solaspect.toml --camera simulated --duration 10s; }
 
 deb=$(ls "$PWD"/target/package/solaspect_*_"$(dpkg --print-architecture)".deb)
@@ -68,7 +68,7 @@ fly
 frames() { find /var/lib/solaspect/archive -name '*.fits' | sort; }
 frames > "$work/frames"
 [ -s "$work/frames" ]
-# The next version, whose example has changed, too.
+# The next version, with another example configuration.
 dpkg-deb -R "$deb" "$work/next"
 version=$(dpkg-deb -f "$deb" Version)
 sed -i "s/^Version: .*/Version: $version+next/" "$work/next/DEBIAN/control"

@@ -1,4 +1,4 @@
-"""What `solaspect refine` leaves is what its page says, as astropy reads it without a warning: columns, units, comments, NaN, the
+"""Checks the output of `solaspect refine` against its page, read by astropy without a warning: columns, units, comments, NaN, the
 second table, the summary.
 
     check_refined.py OUT ARCHIVE
@@ -22,20 +22,20 @@ from astropy.utils import iers
 
 PAGE = pathlib.Path(__file__).parent.parent / "docs" / "refine-reference.md"
 MIL = u.def_unit("mil", 25.4 * u.um)
-# No reader may find fault with any HDU.
+# Any warning of a reader is an error.
 warnings.simplefilter("error")
-# What astropy brings along of the Earth's orientation reaches to the demonstration's day.
+# The Earth orientation data bundled with astropy cover the demo's date.
 iers.conf.auto_download = False
 
 
 def stated(name):
-    """The columns of a table with their units and meanings, as the page states them."""
+    """Columns of a table with units and meanings, from the page."""
     section = re.split(r"^##+ ", PAGE.read_text().split(f"### {name}\n")[1], flags=re.MULTILINE)[0]
     return re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|$", section, re.MULTILINE)
 
 
 def in_fits(unit, meaning):
-    """Unit and comment of a column in a FITS file: a unit that FITS does not know stands in the comment."""
+    """Expected unit and comment of a column in a FITS file: a unit that FITS does not define is part of the comment."""
     if not unit:
         return None, meaning
     try:
@@ -46,7 +46,7 @@ def in_fits(unit, meaning):
 
 
 def table(path, name):
-    """A table, each of its columns of the stated name, unit and meaning."""
+    """Reads a table; asserts that its columns have the names, units and meanings of the page."""
     found, header = QTable.read(path, hdu=name), fits.getheader(path, name)
     assert all(Table.read(path, hdu=name)[c].unit == found[c].unit for c in found.colnames)
     columns = [(c, found[c].unit, header[f"TCOMM{n}"]) for n, c in enumerate(found.colnames, 1)]
@@ -56,7 +56,7 @@ def table(path, name):
 
 
 def plain(column):
-    """A column's floats, NaN where nothing is known."""
+    """A column as floats, with NaN for missing values."""
     return np.ma.filled(np.ma.asarray(column, dtype=float), np.nan)
 
 
@@ -65,7 +65,7 @@ def frames_of(archive):
 
 
 def check_roll(out, archive):
-    """The roll camera's table: every frame of it, with the roll in flight and the smoothed one."""
+    """Checks the roll camera's table: it has every frame, with the roll of the frame and the smoothed one."""
     path = out / "roll.fits"
     with fits.open(path, checksum=True) as hdus:
         hdus.verify("exception")
@@ -107,7 +107,7 @@ def check_smoothed(rows, smoothed):
 
 
 def on_the_sun(times, azimuth, elevation, location):
-    """Helioprojective coordinates of directions in the horizon, by sunpy: what it makes of a point as far away as the Sun."""
+    """Helioprojective coordinates, by sunpy, of horizontal directions; sunpy gets points at the distance of the Sun."""
     observer = SkyCoord(location.get_itrs(times))
     distance = observer.transform_to(sunpy.coordinates.HeliographicStonyhurst(obstime=times)).radius
     horizon = AltAz(obstime=times, location=location)
@@ -117,7 +117,7 @@ def on_the_sun(times, azimuth, elevation, location):
 
 
 def check_pointing(out):
-    """The pointing is where sunpy puts the direction in the horizon; times are what astropy reads."""
+    """Checks the pointing against sunpy, from its horizontal direction, and the times against astropy."""
     rows, header = table(out / "aspect.fits", "POINTING"), fits.getheader(out / "aspect.fits", "POINTING")
     assert header["TIMESYS"] == "UTC" and header["TIMEUNIT"] == "s"
     times = Time(header["MJDREF"], plain(rows["TIME"]) / 86400, format="mjd", scale="utc")
@@ -126,7 +126,7 @@ def check_pointing(out):
     valid = np.asarray(rows["VALID"])
     reasons = np.char.strip(np.asarray(rows["INVALID"]).astype(str))
     assert valid.any() and ((reasons == "") == valid).all()
-    # Rows at whole seconds, of which the states give where the Sun is.
+    # Use rows at whole seconds, for which pointing.fits has the Sun's direction.
     seconds = Table.read(out / "pointing.fits", hdu="SECONDS")
     known = np.isfinite(plain(rows["HPLN"])) & np.isin(plain(rows["UNIX_S"]), np.asarray(seconds["UNIX_S"], dtype=float))
     rows, times = rows[known], times[known]
@@ -145,7 +145,7 @@ def check_pointing(out):
 
 
 def horizon_axes(location):
-    """North, east and up in Earth-fixed axes."""
+    """Unit vectors north, east and up in Earth-fixed axes."""
     longitude, latitude = location.lon.rad, location.lat.rad
     up = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
     east = np.stack([-np.sin(longitude), np.cos(longitude), 0 * longitude])
@@ -153,7 +153,7 @@ def horizon_axes(location):
 
 
 def check_same(rows, out):
-    """CSV and summary say the same."""
+    """Checks that CSV and summary agree with the table."""
     with open(out / "aspect.csv", newline="") as file:
         lines = list(csv.DictReader(file))
     assert [line["FILE"] for line in lines] == list(rows["FILE"])

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Check that two files of JSON lines are the same, but for times (`solve_us`) and the last digits of numbers: `.ci/check_same.py ONE OTHER`.
+"""Check that two files of JSON lines agree except for times (`solve_us`) and last digits of numbers: `.ci/check_same.py ONE OTHER`.
 
 The C libraries of amd64 and arm64 round `hypot` differently, by one unit in the last place.
 """
@@ -12,7 +12,7 @@ AGREES = 1e-9
 
 
 def difference(one, other):
-    """The largest difference of two numbers, relative for those above 1; NaN where anything else differs."""
+    """The largest difference of two numbers, relative for numbers above 1; NaN if anything else differs."""
     if isinstance(one, dict) and isinstance(other, dict) and list(one) == list(other):
         pairs = [(one[key], other[key]) for key in one if key != "solve_us"]
     elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):

@@ -1,4 +1,4 @@
-"""Every table and image of every FITS file below some folders is read by astropy without a warning, with the units that FITS knows.
+"""Checks that astropy reads every table and image of the FITS files under some folders without a warning, with units of the FITS standard.
 
     check_units.py FOLDER...
 """
@@ -13,12 +13,12 @@ from astropy.nddata import CCDData
 from astropy.table import QTable, Table
 from astropy.wcs import WCS
 
-# What is missing in a unit, a header or a column is an error here, whatever category it has.
+# Any warning about a unit, a header or a column is an error, whatever its category.
 warnings.simplefilter("error")
 
 
 def check_table(path, hdu):
-    """As Table and as QTable; units are those of the standard, and all others stand in the columns' comments."""
+    """Reads a table as Table and as QTable; returns the number of its units, which must be those of the standard."""
     Table.read(path, hdu=hdu.name)
     found = QTable.read(path, hdu=hdu.name)
     stated = {k: v for k, v in hdu.header.items() if k.startswith("TUNIT")}
@@ -30,7 +30,7 @@ def check_table(path, hdu):
 
 
 def check_image(path, hdu, name):
-    """Its unit, which is one of the standard, and its world coordinates, where it has any."""
+    """Checks an image's unit, which must be one of the standard, and its world coordinates, if it has any."""
     if "BUNIT" in hdu.header:
         u.Unit(hdu.header["BUNIT"], format="fits", parse_strict="raise")
     WCS(hdu.header)
@@ -45,7 +45,7 @@ for folder in sys.argv[1:]:
         files += 1
         with fits.open(path) as hdus:
             for index, hdu in enumerate(hdus):
-                # In older astropy a compressed image is a table, too.
+                # In older versions of astropy a compressed image is also a table.
                 if isinstance(hdu, fits.BinTableHDU) and not isinstance(hdu, fits.CompImageHDU):
                     units += check_table(path, hdu)
                     tables += 1

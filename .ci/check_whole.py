@@ -1,4 +1,4 @@
-"""Every file of a folder is whole: astropy reads all of it without a warning, and all checksums match."""
+"""Checks that every file of a folder is complete: astropy reads all of it without a warning, and all checksums match."""
 
 import pathlib
 import sys
