@@ -1,4 +1,4 @@
-"""The white-light Sun among sunpy's test data, a JPEG 2000 by SDO/HMI, as a FITS file with its own header's truth.
+"""Converts the white-light Sun in sunpy's test data, a JPEG 2000 by SDO/HMI, to a FITS file with the truth of its header.
 
     pip download sunpy==7.0.5 --no-deps
     python continuum.py sunpy-7.0.5-*.whl continuum.fits
@@ -21,7 +21,7 @@ TEXTS = ["CUNIT1", "CUNIT2", "CTYPE1", "CTYPE2", "DATE-OBS", "TELESCOP", "INSTRU
 
 
 def own_header(jp2):
-    """The FITS keywords that the picture carries as XML."""
+    """The FITS keywords in the picture's XML."""
     start, end = jp2.index(b"<meta>"), jp2.index(b"</meta>") + len(b"</meta>")
     keywords = ElementTree.fromstring(jp2[start:end]).find("fits")
     return {keyword.tag.upper(): keyword.text for keyword in keywords}
@@ -29,7 +29,7 @@ def own_header(jp2):
 
 def main(wheel, out):
     jp2 = zipfile.ZipFile(wheel).read(PICTURE)
-    # A picture's first row is its uppermost, a FITS image's its lowest.
+    # The first row is the uppermost in the picture, but the lowest in a FITS image.
     pixels = np.flipud(np.asarray(Image.open(io.BytesIO(jp2))))
     stated = own_header(jp2)
     header = fits.Header()

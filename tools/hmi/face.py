@@ -1,8 +1,8 @@
-"""The disc of HMI's white-light picture as a PNG, which the simulator puts on its Sun.
+"""Cuts out the disc of HMI's white-light picture as a PNG, which is the surface of the simulated Sun.
 
     python face.py tests/data/hmi/continuum.fits src/simulate/hmi.png
 
-Same pixels; the first row is the lowest of the picture, as in the FITS file. Needs numpy, astropy and Pillow.
+The pixels are unchanged; the first row is the lowest of the picture, as in the FITS file. Needs numpy, astropy and Pillow.
 """
 
 import sys
@@ -10,7 +10,7 @@ import sys
 from astropy.io import fits
 from PIL import Image
 
-# The Sun's centre is 255.5, 255.5 (first pixel 0), its radius 202.910 px: the cut-out has the centre in its middle.
+# The Sun's centre is (255.5, 255.5) (first pixel 0), its radius 202.910 px; the cut-out is centred on the Sun.
 FIRST, END = 50, 462
 
 

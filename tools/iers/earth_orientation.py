@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Makes the table of Earth orientation that solaspect carries, or one for `sky.earth_orientation` of a configuration.
+"""Makes the built-in table of Earth orientation of solaspect, or one for `sky.earth_orientation` of a configuration.
 
     python3 -m venv venv && venv/bin/pip install --upgrade astropy-iers-data
     venv/bin/python tools/iers/earth_orientation.py src/sky/earth_orientation.csv
 
-Source: the IERS's finals2000A.all (Bulletin A: measured, then a year of predictions) and list of leap seconds, as the
-package astropy-iers-data carries them. A row every third day keeps the table small; straight lines between them
-err by less than 1 ms (the script measures it). Every day of a leap second has a row of its own, for TAI - UTC
-holds from its row's 0h UTC on.
+Source: the IERS's finals2000A.all (Bulletin A: measured, then a year of predictions) and list of leap seconds, from the
+package astropy-iers-data. A row every third day keeps the table small; the error of linear interpolation is below
+1 ms (the script checks it). Every day of a leap second has its own row, because TAI - UTC holds from its row's 0h
+UTC on.
 """
 
 import sys
@@ -20,7 +20,7 @@ ALLOWED_MS = 1.0
 
 
 def read_leap_seconds(path):
-    """MJD from which TAI - UTC holds, and its value in s."""
+    """(First MJD, TAI - UTC in s) for each interval between leap seconds."""
     rows = [line.split() for line in Path(path).read_text().splitlines() if line.strip() and not line.startswith("#")]
     return [(int(float(row[0])), int(row[4])) for row in rows]
 
@@ -28,8 +28,8 @@ def read_leap_seconds(path):
 def read_finals(path):
     """(MJD, pole x and y in arcsec, UT1 - UTC in s, whether predicted), daily; ReadMe.finals2000A lists the columns.
 
-    The columns are Bulletin A's: since 1995 within 0.5 ms of Bulletin B's and of the C04 series. Before 1990 the three
-    differ by up to 6 ms (0.09 arcsec of azimuth), and A is the smoothest.
+    The columns are those of Bulletin A, since 1995 within 0.5 ms of Bulletin B and of the C04 series. Before 1990 the three
+    differ by up to 6 ms (0.09 arcsec of azimuth), and Bulletin A is the smoothest.
     """
     rows = []
     for line in Path(path).read_text().splitlines():
@@ -40,7 +40,7 @@ def read_finals(path):
 
 
 def interpolated(rows, mjd):
-    """UT1 - TAI at an instant by a straight line, s."""
+    """UT1 - TAI at a time by linear interpolation, s."""
     after = next(n for n, row in enumerate(rows) if row[0] >= mjd)
     b = rows[after]
     a = rows[max(after - 1, 0)]

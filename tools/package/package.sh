@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Makes the Debian package and the tarball, in target/package, for each of the architectures that are given by Debian's names (`amd64`, `arm64`),
-# or for this machine's. Needs dpkg-dev and `cargo install cargo-deb --locked`, and for GigE Vision cameras, which the Debian package can fly,
-# libaravis-dev and libusb-1.0-0-dev. For another architecture than this machine's docs/flight.md has what it needs.
+# Makes the Debian package and the tarball in target/package, for each architecture given by its Debian name (`amd64`, `arm64`), or for this
+# machine's. Needs dpkg-dev, `cargo install cargo-deb --locked`, and libaravis-dev and libusb-1.0-0-dev for GigE Vision cameras, which the
+# Debian package supports. docs/flight.md lists what other architectures need.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 out=target/package
@@ -9,7 +9,7 @@ here=$(dpkg --print-architecture)
 version=$(cargo pkgid | sed 's/.*[#@]//')
 (($#)) || set -- "$here"
 
-# From here on cargo compiles for another architecture than this machine's.
+# Makes cargo compile for another architecture than this machine's.
 cross() {
     local architecture=$1 gnu triple variable file
     gnu=$(dpkg-architecture -A "$architecture" -q DEB_TARGET_GNU_TYPE)
@@ -18,9 +18,9 @@ cross() {
     export CARGO_BUILD_TARGET=$triple
     export "CARGO_TARGET_${variable^^}_LINKER=$gnu-gcc"
     export "PKG_CONFIG_$variable=$gnu-pkg-config"
-    # Debian's compiler, where the usual one has no standard library for this architecture.
+    # Debian's compiler, if the usual one has no standard library for this architecture.
     compgen -G "$(rustc --print target-libdir --target "$triple")/libstd-*" >/dev/null || export RUSTC=/usr/bin/rustc
-    # cfitsio is compiled among its sources, and make would take what lies there from another architecture. These sources are its own.
+    # cfitsio is compiled in its source folder, where make would reuse objects of another architecture, so each architecture has its own sources.
     local home=${CARGO_HOME:-$HOME/.cargo}
     export CARGO_HOME=$PWD/target/cargo-$architecture
     mkdir -p "$CARGO_HOME/registry"
@@ -34,7 +34,7 @@ package() (
     if [ "$architecture" != "$here" ]; then cross "$architecture"; fi
     cargo deb --output "$out/"
 
-    # The tarball's program is linked statically: it runs on any Linux, but without GigE Vision cameras, for Aravis is a shared library.
+    # The tarball's program is linked statically: it runs on any Linux, but without GigE Vision cameras, because Aravis is a shared library.
     cargo rustc --release --bin solaspect -- -C target-feature=+crt-static
     name=solaspect-$version-$(dpkg-architecture -A "$architecture" -q DEB_TARGET_GNU_CPU)-linux
     root=$out/$name

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Makes the oracles of the sky: tests/data/sky_random.csv and tests/data/rotation.csv, by astropy and sunpy.
+"""Makes reference values of the sky by astropy and sunpy: tests/data/sky_random.csv and tests/data/rotation.csv.
 
     python3 -m venv venv && venv/bin/pip install sunpy astropy-iers-data
     venv/bin/python tools/sky_oracles/sky_oracles.py tests/data
@@ -31,7 +31,7 @@ TARGETS = [  # days from the epoch, x and y there
 
 
 def instant(mjd):
-    """An instant that is exact in its written form."""
+    """A time whose written form is exact."""
     return Time(Time(mjd, format="mjd", scale="utc").isot, scale="utc")
 
 
@@ -40,7 +40,7 @@ def sky_row(t, lat, lon, height):
     up, of_date = AltAz(obstime=t, location=place), TETE(obstime=t, location=place)
     the_sun, moon = (get_body(name, t, location=place) for name in ("sun", "moon"))
     sun_up, moon_up = the_sun.transform_to(up), moon.transform_to(up)
-    # The phase is one of places, not of apparent directions: from the barycentre, without aberration.
+    # The phase follows from barycentric positions, without aberration, and not from apparent directions.
     moon_at, sun_at = (body.transform_to(ICRS()).cartesian for body in (moon, the_sun))
     we_are_at = place.get_itrs(t).transform_to(ICRS()).cartesian
     to_sun, to_us = ((there - moon_at).xyz.to_value(u.km) for there in (sun_at, we_are_at))
