@@ -1,4 +1,4 @@
-// Compiles a description for Kaitai Struct to Python, with Kaitai's own compiler; what it prints is an error.
+// Compiles a Kaitai Struct description to Python with Kaitai's compiler; any output is an error.
 //
 //   node .ci/compile_ksy.mjs MODULES KSY OUT
 //

@@ -30,7 +30,7 @@ struct Arguments {
 }
 
 fn main() -> anyhow::Result<ExitCode> {
-    // As in the program.
+    // The same allocator settings as in the program.
     solaspect::memory::keep_freed();
     // callgrind runs this same program with the number of the conditions.
     let counted = std::env::var(counts::CONDITIONS_VARIABLE).ok();

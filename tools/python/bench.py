@@ -1,4 +1,4 @@
-"""What the binding costs beside the library: wall time of 1,000 calls over the solver's own time in them.
+"""Measures the overhead of the binding: wall time of 1,000 calls, divided by the solver's own time in them.
 
     python bench.py [CALLS]
 """

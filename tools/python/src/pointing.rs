@@ -1,4 +1,4 @@
-//! Where the telescope of a refined flight pointed, at many times at once.
+//! Pointing of a refined flight's telescope, for many times in one call.
 
 use crate::errors::Failure;
 use crate::numbers::{Pairs, pairs, rows};

@@ -1,4 +1,4 @@
-//! What a frame gave, stage by stage. Positions are arrays of two numbers; what the frame did not reach is `None`.
+//! Results of a frame, stage by stage. Positions are arrays of two numbers; results of stages not reached are `None`.
 
 use crate::mapping::Mapping;
 use crate::marks::{Detection, Mark};

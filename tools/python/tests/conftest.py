@@ -1,4 +1,4 @@
-"""What the tests share: the program, and a flight that it has made."""
+"""Shared fixtures: the program, and a flight made by it."""
 
 import os
 import pathlib
@@ -11,14 +11,14 @@ from astropy.utils import iers
 import solaspect
 
 matplotlib.use("Agg")
-# What astropy brings along of the Earth's orientation reaches to the demonstration's day.
+# The Earth orientation data bundled with astropy cover the demo's date.
 iers.conf.auto_download = False
 REPOSITORY = pathlib.Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="session")
 def program():
-    """The program that the binding is held against, of the same commit: SOLASPECT_PROGRAM, else the repository's release build."""
+    """The program with which the binding is compared, of the same commit: SOLASPECT_PROGRAM, or the repository's release build."""
     path = pathlib.Path(os.environ.get("SOLASPECT_PROGRAM", REPOSITORY / "target/release/solaspect"))
     assert path.is_file(), f"{path}: build it with `cargo build --release`, or name one in SOLASPECT_PROGRAM"
     return path
@@ -26,7 +26,7 @@ def program():
 
 @pytest.fixture(scope="session")
 def archive_directory(program, tmp_path_factory):
-    """The archive of a demonstration: SOLASPECT_ARCHIVE, else one that is flown now."""
+    """The archive of a demo: SOLASPECT_ARCHIVE, or that of a new flight."""
     if "SOLASPECT_ARCHIVE" in os.environ:
         return pathlib.Path(os.environ["SOLASPECT_ARCHIVE"])
     directory = tmp_path_factory.mktemp("flight") / "archive"
@@ -46,5 +46,5 @@ def refined(archive_directory, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def frame():
-    """A simulated frame of the demo instrument, and the truth."""
+    """A simulated frame of the demo instrument, with its truth."""
     return solaspect.simulate(frames=1, seed=3)[0]

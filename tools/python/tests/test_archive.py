@@ -1,4 +1,4 @@
-"""An archive as tables, times, arrays and maps; refinement and calibration as functions."""
+"""Tests of archives as tables, times, arrays and maps, and of refinement and calibration as functions."""
 
 import _thread
 import csv
@@ -64,7 +64,7 @@ def test_frames_are_arrays_that_solve_as_in_flight(archive):
     path = next(path for path in files if archive.header(path)["QUALITY"] == "fine")
     header = archive.header(path)
     solution = solaspect.solve(archive.array(path), instrument=instrument, time=header["DATE-AVG"] + "Z")
-    # In flight the frame before it was the prior: the same within the noise.
+    # In flight the previous frame was the prior, so results agree only within the noise.
     assert np.hypot(solution.sun_px[0] - header["SUNPX-X"], solution.sun_px[1] - header["SUNPX-Y"]) < 0.1
 
 
@@ -106,7 +106,7 @@ def test_an_interrupted_refinement_ends_and_goes_on(archive, archive_directory, 
     ended = threading.Event()
 
     def interrupt():
-        """As Ctrl-C does, once the journal holds a frame."""
+        """Interrupts the main thread, as Ctrl-C does, when the journal has a frame."""
         while not ended.wait(0.01):
             journals = [path for path in tmp_path.glob("*.journal") if not path.name.startswith("cameras-")]
             if any(path.stat().st_size > FEW_BYTES for path in journals):

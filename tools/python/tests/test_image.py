@@ -1,4 +1,4 @@
-"""Photons as an image of the Sun."""
+"""Tests of images of the Sun made from photons."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt
@@ -21,13 +21,13 @@ field = [[-9000, 9000], [-9000, 9000]]
 
 @pytest.fixture(scope="module")
 def radius(archive):
-    """The Sun's radius as the frames' headers have it."""
+    """The Sun's radius in the frames' headers."""
     headers = (archive.header(path) for path in archive.frames())
     return next(header["RSUN_OBS"] for header in headers if "RSUN_OBS" in header)
 
 
 def on_detector(x, y, pointing):
-    """Arcsec to the telescope's right and up of places about the Sun, in the plane that touches the sky at the boresight."""
+    """Helioprojective positions in the tangent plane at the boresight, arcsec to the telescope's right and up."""
 
     def direction(x, y):
         return np.array([np.cos(y) * np.cos(x), np.cos(y) * np.sin(x), np.sin(y)])
@@ -42,7 +42,7 @@ def on_detector(x, y, pointing):
 
 @pytest.fixture(scope="module")
 def photons(refined, radius, tmp_path_factory):
-    """A million photons of an evenly bright disc, and its detector."""
+    """A million photons of a uniform disc, and their detector."""
     random = np.random.default_rng(5)
     count = 1_000_000
     table = refined.pointing()
@@ -93,7 +93,7 @@ def test_sunpys_limb_lies_on_the_limb(image, radius):
         inside = (turn >= sector) & (turn < sector + np.pi / 12)
         low, high = (radius + np.array([-50, 50])) / 5
         ring = inside & (pixels >= low) & (pixels < high)
-        # The light of a ring over that of the disc: how much of its area the disc covers.
+        # The brightness of a ring over that of the disc is the fraction of the ring's area inside the disc.
         edge = np.sqrt(low**2 + brightness(ring) / level * (high**2 - low**2))
         angles = np.arctan2(*from_centre.T[::-1])
         near = (angles >= sector) & (angles < sector + np.pi / 12)

@@ -1,4 +1,4 @@
-"""Docstrings, stubs and examples are true."""
+"""Tests of docstrings, stubs and examples."""
 
 import ast
 import doctest

@@ -1,4 +1,4 @@
-"""The Python of the pages in docs/python runs, block after block, beside the archive of a flight."""
+"""Runs the Python blocks of the pages in docs/python in order, with the archive of a flight."""
 
 import os
 import pathlib
@@ -14,7 +14,7 @@ BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 def blocks(page):
-    """Each block as compiled code that knows its lines of the page."""
+    """Yields each block as compiled code with the line numbers of the page."""
     text = page.read_text()
     for block in BLOCK.finditer(text):
         lines_before = text[: block.start(1)].count("\n")
@@ -35,7 +35,7 @@ def test_the_page_runs(page, archive_directory, tmp_path, monkeypatch):
     for figure in re.findall(r"^!\[.*\]\((gallery-.*\.png)\)$", page.read_text(), re.MULTILINE):
         assert (tmp_path / figure).stat().st_size > 10_000, figure
         if "SOLASPECT_GALLERY" in os.environ:
-            # What CI keeps, and what the page shows.
+            # Keep the figure that the page shows.
             shutil.copy(tmp_path / figure, pathlib.Path(os.environ["SOLASPECT_GALLERY"]))
 
 

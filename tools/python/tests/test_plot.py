@@ -1,4 +1,4 @@
-"""What a picture shows."""
+"""Tests of the content of plots."""
 
 import matplotlib.pyplot as plt
 import numpy as np

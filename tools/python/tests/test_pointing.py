@@ -1,4 +1,4 @@
-"""Where a refined flight's telescope pointed at any time."""
+"""Tests of the pointing of a refined flight at any time."""
 
 import astropy.units as u
 import matplotlib.pyplot as plt
@@ -20,7 +20,7 @@ def test_the_pointing_at_the_tables_times_is_the_tables(refined):
         ("azimuth", "AZIMUTH", u.deg),
         ("roll", "ROLL", u.deg),
     ):
-        # A time through astropy keeps a microsecond, in which the telescope moves by a thousandth of an arcsecond.
+        # astropy keeps times to 1 us, in which the telescope moves by 0.001 arcsec.
         near = np.abs(getattr(found, name) - table[column].quantity) < 1e-3 * unit
         assert np.array_equal(near, np.isfinite(table[column])), name
     assert np.array_equal(found.valid, table["VALID"])

@@ -1,4 +1,4 @@
-"""The binding gives the program's own answers, bit for bit."""
+"""Tests that the binding gives the program's results bit for bit."""
 
 import csv
 import datetime
@@ -17,7 +17,7 @@ PLACE = (34.49, -104.2218, 38405.0)
 
 
 def mid_exposure(header):
-    """DATE-AVG, else DATE-OBS and half of EXPTIME."""
+    """The mid-exposure time: DATE-AVG, or DATE-OBS plus half of EXPTIME."""
     average = header.get("DATE-AVG")
     text = average or header["DATE-OBS"]
     utc = datetime.datetime.fromisoformat(text[:26]).replace(tzinfo=datetime.timezone.utc)
@@ -25,7 +25,7 @@ def mid_exposure(header):
 
 
 def read(path):
-    """Pixels, time and corner of a frame, as astropy reads them."""
+    """Pixels, time and corner of a frame, read by astropy."""
     with fits.open(path) as hdus:
         [image] = [hdu for hdu in hdus if hdu.is_image and hdu.header["NAXIS"] == 2]
         header = fits.Header(hdus[0].header, copy=True)
@@ -36,7 +36,7 @@ def read(path):
 
 @pytest.fixture(scope="session")
 def answers(program):
-    """The program's answers for all frames, by file."""
+    """The program's results for all frames, by file."""
     command = [program, "solve", "--format", "jsonl", "--place", ",".join(map(str, PLACE)), *FRAMES]
     lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
     return {answer.pop("file"): answer for answer in map(json.loads, lines)}
@@ -66,7 +66,7 @@ def test_every_number_is_that_of_the_program(path, answers):
     for answer in (expected, found):
         assert answer.pop("solve_us") > 0
     assert found == expected
-    # The attributes are the same numbers.
+    # The attributes have the same values.
     assert solution.quality == expected["quality"]
     for name in ("sun_px", "sun_px_sigma", "sun_plate_mil", "sun_plate_sigma_mil"):
         value = getattr(solution, name)
@@ -88,7 +88,7 @@ def test_every_number_is_that_of_the_program(path, answers):
 
 
 def test_the_frames_show_all_that_is_compared(answers):
-    """Else a comparison of nothing with nothing would pass."""
+    """Otherwise the comparison could be empty and pass."""
     assert {answer["quality"] for answer in answers.values()} == {"fine", "coarse", "none"}
     assert sum(answer["offset_deg"] is not None for answer in answers.values()) > 20
 

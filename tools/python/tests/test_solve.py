@@ -1,4 +1,4 @@
-"""Arrays in, solutions out; what cannot be is refused by the argument's name."""
+"""Tests of solutions from arrays, and of errors that name the invalid argument."""
 
 import copy
 import datetime
@@ -20,7 +20,7 @@ PLACE = (34.49, -104.2218, 38405.0)
 
 
 def same(a, b):
-    """Whether two solutions hold the same numbers."""
+    """Whether two solutions have the same numbers."""
     a, b = a.to_dict(), b.to_dict()
     a.pop("solve_us"), b.pop("solve_us")
     return a == b
@@ -130,7 +130,7 @@ def test_a_contiguous_array_is_not_copied(frame):
 
 
 def test_the_gil_is_released(frame):
-    """With a switch interval that never ends, another thread runs only while the solver works."""
+    """With a switch interval of 1000 s, another thread runs only while the solver has released the GIL."""
     seen = threading.Event()
     started = threading.Event()
 
@@ -189,7 +189,7 @@ def test_the_target_moves_the_offset(frame):
         solaspect.solve(frame.array, time=frame.time, place=PLACE, target=target).offset for target in ((0, 0), (300, 0))
     )
     moved = np.hypot(west.cross_elevation_deg - centre.cross_elevation_deg, west.elevation_deg - centre.elevation_deg)
-    # Coordinate differences a degree from the target: true angle only to some hundredths.
+    # Coordinate differences at 1 deg from the target equal the true angle only to a few per cent.
     assert moved * 3600 == pytest.approx(300, rel=0.03)
 
 
@@ -282,7 +282,7 @@ def test_a_solution_pickles_whole(frame):
     assert again.to_dict() == solution.to_dict() and repr(again) == repr(solution)
     assert np.array_equal(again.limb_px, solution.limb_px) and len(again.detections) == len(solution.detections)
     assert np.array_equal(again.mapping.to_plate([[10.0, 20.0]]), solution.mapping.to_plate([[10.0, 20.0]]))
-    # The prior of the next frame, too, and a frame without a Sun.
+    # Also as the prior of the next frame, and for a frame without a Sun.
     prior = [solaspect.solve(frame.array, prior=one.track).to_dict() | {"solve_us": 0} for one in (solution, again)]
     assert prior[0] == prior[1]
     none = copy.deepcopy(solaspect.solve(np.zeros_like(frame.array)))

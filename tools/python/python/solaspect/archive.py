@@ -146,7 +146,7 @@ class Archive:
         return _table(rows, TEXT[kind])
 
 
-# Keys of summaries that earlier versions wrote, still read in 0.2.
+# Keys of summaries written by earlier versions, still read in 0.2.
 _RENAMED = {"odd": "flagged", "second_look": "second_pass", "swings": "swings_mil", "sigmas_raised": "inflation"}
 
 

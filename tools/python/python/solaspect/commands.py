@@ -143,7 +143,7 @@ def simulate(
     options["instrument"] = _instrument(instrument)
     options["utc"] = _native.time_text(utc)
     options["place"] = None if place is None else _native.place_text(place)
-    # The program's folder of frames: nothing is written.
+    # The option names the folder of frames, but nothing is written.
     options["out"] = os.devnull
     return _native.simulate(_options(**options))
 

@@ -179,7 +179,7 @@ def sun_path(pointing: Table, limb: npt.NDArray[np.float64], graticule: list[npt
     valid = np.asarray(pointing["VALID"], dtype=bool)
     angle = np.radians(column("NORTH_ANGLE"))
     right_up, right, up = column("COV_RIGHT_UP"), column("VAR_RIGHT"), column("VAR_UP")
-    # Solar west and north as the telescope has them.
+    # Covariance along solar west and north, rotated from the telescope's axes.
     cos, sin = np.cos(angle), np.sin(angle)
     west = right * cos**2 + up * sin**2 + 2 * right_up * sin * cos
     north = right * sin**2 + up * cos**2 - 2 * right_up * sin * cos

@@ -73,7 +73,7 @@ class Pointing:
         from astropy.coordinates import SkyCoord
         from sunpy.coordinates import Helioprojective
 
-        # sunpy takes observers in a row, and no other array of them.
+        # sunpy accepts only one-dimensional arrays of observers.
         shape = self.hpln.shape
 
         def row(values: Any) -> Any:
@@ -108,7 +108,7 @@ def pointing_at(history: PointingHistory, times: Any, most_sigma: Any, fastest: 
 
     time = Time(times)
     shape = time.shape
-    # To the digits that the states have: a quarter of a microsecond.
+    # To the resolution of the states, a quarter of a microsecond.
     unix_s = np.atleast_1d(np.asarray(time.utc.unix, dtype=float)).ravel()
     found = history.at(
         unix_s,
