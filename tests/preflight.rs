@@ -208,7 +208,7 @@ fn a_disk_is_judged_by_the_time_that_its_space_is_for() {
     let folder = folder();
     let disk = FaultyDisk::new(LocalDisk);
     disk.set(Some(Fault::Free(50.0)));
-    // 50 % of the simulated disk are 50 MB.
+    // 50 % of the simulated disk is 50 MB.
     let finding_at = |bytes_per_s: f64| {
         let demand = Demand {
             rate_hz: bytes_per_s / 100_000.0,
