@@ -270,7 +270,7 @@ fn navigate_changed(plan: &FlightPlan, change: impl Fn(&mut [f64])) -> Output {
 fn an_imu_in_other_units_is_a_failure_that_asks_for_them() {
     const G_M_S2: f64 = 9.806_65;
     let rocket = FlightPlan {
-        // Ends before its cameras see their targets.
+        // From T+60 s to T+260 s; the cameras observe from T+171 s on.
         duration_s: 200.0,
         ..FlightPlan::rocket()
     };
