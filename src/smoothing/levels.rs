@@ -70,9 +70,9 @@ impl Levels<'_> {
                 let measured = measured[self.axis];
                 let variance = measured.variance;
                 // The smoothed position includes this measurement: without it, the residual and its variance are larger by the same factor.
-                let left = (variance - state.seen_variance).max(1e-9 * variance);
+                let left = (variance - state.predicted_variance).max(1e-9 * variance);
                 let factor = variance / left;
-                let chi2 = (measured.place - state.seen).powi(2) * factor / variance;
+                let chi2 = (measured.place - state.predicted).powi(2) * factor / variance;
                 (-(chi2 + (factor * variance).ln()) / 2.0) as f32
             });
             let score = score.filter(|score| score.is_finite());
@@ -120,9 +120,9 @@ fn likeliest_levels(scores: &[Scores]) -> Vec<usize> {
 /// In a gap the gondola may move as before and after it: uses the mean density of the process noise there.
 fn over_gaps(measured: &[Moment], steps: Vec<f64>) -> Vec<f64> {
     let length_s = |n: usize| measured[n].time_s - measured[n - 1].time_s;
-    let usual_s = median((1..measured.len()).map(length_s)).unwrap_or(f64::INFINITY);
+    let median_step_s = median((1..measured.len()).map(length_s)).unwrap_or(f64::INFINITY);
     let step = |n: usize| {
-        if n == 0 || length_s(n) < GAP_STEPS * usual_s {
+        if n == 0 || length_s(n) < GAP_STEPS * median_step_s {
             return steps[n];
         }
         let reach_s = GAP_REACH * length_s(n);

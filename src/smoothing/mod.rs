@@ -16,7 +16,7 @@
 //!
 //! 4. Swings of the gondola are added to the random walk, each with its own frequency, damping time and drive, by maximum likelihood. If they
 //!    improve the likelihood by more than their cost and explain most of the flight, they become part of the axis's motion, and the noise is
-//!    chosen again from the least that suffices with them.
+//!    chosen again from the least that swings_explain with them.
 //!
 //! Too much process noise costs little at a frame, because the position then follows the frame's own; too little gives wrong positions with
 //! small sigmas.
@@ -32,7 +32,7 @@ use crate::estimation::median;
 use levels::Levels;
 use process::{Axis, LONGEST_GAP_S, Moments, Smoothed, Swing};
 use serde::Serialize;
-use swings::{Fit, Found, Stretch};
+use swings::{Fit, Found, Segment};
 
 /// A measured position along an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,7 +64,7 @@ pub struct SharedErrors {
 
 impl SharedErrors {
     /// The correlation of the errors at two times, the earlier one first.
-    fn kept(&self, before_s: f64, now_s: f64) -> f64 {
+    fn correlation(&self, before_s: f64, now_s: f64) -> f64 {
         let jumps = |until_s: f64| self.jumps_s.partition_point(|jump_s| *jump_s <= until_s);
         if self.correlation_s <= 0.0 || jumps(before_s) != jumps(now_s) {
             return 0.0;
@@ -120,7 +120,7 @@ struct Damping {
 const LEAST_NOISE: f64 = 0.1;
 /// The noise that predicts best gives a path whose error from its stiffness equals that from the frames' errors: with this multiple of it
 /// only the latter remain.
-const CAUTION: f64 = 9.0;
+const SAFETY_FACTOR: f64 = 9.0;
 
 /// Swings must explain this part of the flight.
 const CALM_PART: f64 = 0.8;
@@ -180,7 +180,7 @@ impl Path {
 
     /// The same before, after and between measurements: the variance increases with the distance in time. `None` if the filter fails.
     pub fn anywhere(&self, times_s: &[f64]) -> Option<Vec<PathPoint>> {
-        self.points(times_s, Motion::cautious)
+        self.points(times_s, Motion::with_safety_factor)
     }
 
     /// The same with the most likely process noise: for search areas, not for results.
@@ -190,11 +190,11 @@ impl Path {
 
     /// The path at times in order. Errors of the times of neighbours may be correlated: smoothing does not reduce their contribution.
     fn points(&self, times_s: &[f64], noise: fn(&Motion, f64) -> f64) -> Option<Vec<PathPoint>> {
-        let moments = Moments::asked(&self.measured, times_s);
+        let moments = Moments::requested(&self.measured, times_s);
         let along = |axis: usize| {
             let mut found = Vec::with_capacity(times_s.len());
             self.smooth(axis, &moments, noise, |n, state| {
-                if moments.is_asked(n) {
+                if moments.is_requested(n) {
                     found.push([state.place, state.variance, state.speed]);
                 }
             })?;
@@ -255,7 +255,7 @@ impl Path {
         let mut squares = vec![0.0; swings.len()];
         if !swings.is_empty() {
             let moments = Moments::Measured(&self.measured);
-            self.smooth(axis, &moments, Motion::cautious, |_, state| {
+            self.smooth(axis, &moments, Motion::with_safety_factor, |_, state| {
                 let places = squares.iter_mut().zip(state.swings);
                 places.for_each(|(sum, place)| *sum += place.powi(2));
             })?;
@@ -273,14 +273,14 @@ impl Path {
 
 impl Motion {
     /// If the swings suffice, the safety factor is not applied to the remaining process noise.
-    fn cautious(&self, noise: f64) -> f64 {
-        match !self.swings.is_empty() && self.suffices(noise) {
+    fn with_safety_factor(&self, noise: f64) -> f64 {
+        match !self.swings.is_empty() && self.swings_explain(noise) {
             true => noise,
-            false => CAUTION * noise,
+            false => SAFETY_FACTOR * noise,
         }
     }
 
-    fn suffices(&self, noise: f64) -> bool {
+    fn swings_explain(&self, noise: f64) -> bool {
         noise < 1.01 * self.least
     }
 }
@@ -304,7 +304,7 @@ fn motion(measured: &[Moment], axis: usize, shared: &SharedErrors) -> Motion {
         }
     };
     let without = with(Vec::new(), Vec::new(), LEAST_NOISE);
-    let fit = Stretch::of(measured, &without.noise, axis, shared).and_then(|stretch| stretch.fit());
+    let fit = Segment::of(measured, &without.noise, axis, shared).and_then(|segment| segment.fit());
     let Some(Found {
         fit: Fit {
             process_noise,
@@ -330,7 +330,7 @@ fn motion(measured: &[Moment], axis: usize, shared: &SharedErrors) -> Motion {
     let calm = swinging
         .noise
         .iter()
-        .filter(|noise| swinging.suffices(**noise));
+        .filter(|noise| swinging.swings_explain(**noise));
     match calm.count() as f64 > CALM_PART * measured.len() as f64
         && likelihood(&swinging) > likelihood(&without)
     {

@@ -43,9 +43,9 @@ pub(super) const MOST_SWINGS: usize = 3;
 const WITHOUT_SWINGS: usize = 4;
 const SHARED: usize = 3;
 /// Prior of position, speed (unit/s) and acceleration (unit/s^2) before the first frame.
-const FIRST_SIGMA: [f64; 3] = [1e4, 1e3, 1e3];
+const PRIOR_SIGMA: [f64; 3] = [1e4, 1e3, 1e3];
 /// ... and of a swing's displacement.
-const FIRST_SWING: f64 = 1e2;
+const PRIOR_SWING: f64 = 1e2;
 /// In longer gaps the path is not determined.
 pub(super) const LONGEST_GAP_S: f64 = 10.0;
 
@@ -54,34 +54,34 @@ pub(super) enum Moments<'a> {
     /// The measured moments.
     Measured(&'a [Moment]),
     /// With additional times between them at which the motion is evaluated.
-    Asked {
+    Requested {
         measured: &'a [Moment],
         times_s: &'a [f64],
-        order: Vec<Place>,
+        order: Vec<MomentIndex>,
     },
 }
 
 /// Index of a moment, among the measured ones or the additional times.
 #[derive(Clone, Copy)]
-pub(super) enum Place {
+pub(super) enum MomentIndex {
     Measured(u32),
-    Asked(u32),
+    Requested(u32),
 }
 
 impl<'a> Moments<'a> {
     /// Inserts times, which are in order, each after the measurements up to it.
-    pub fn asked(measured: &'a [Moment], times_s: &'a [f64]) -> Self {
+    pub fn requested(measured: &'a [Moment], times_s: &'a [f64]) -> Self {
         let mut order = Vec::with_capacity(measured.len() + times_s.len());
         let mut next = 0;
         for (n, time_s) in (0..).zip(times_s) {
             let until = measured[next..].iter().take_while(|m| m.time_s <= *time_s);
             let until = next + until.count();
-            order.extend((next..until).map(|n| Place::Measured(n as u32)));
-            order.push(Place::Asked(n));
+            order.extend((next..until).map(|n| MomentIndex::Measured(n as u32)));
+            order.push(MomentIndex::Requested(n));
             next = until;
         }
-        order.extend((next..measured.len()).map(|n| Place::Measured(n as u32)));
-        Self::Asked {
+        order.extend((next..measured.len()).map(|n| MomentIndex::Measured(n as u32)));
+        Self::Requested {
             measured,
             times_s,
             order,
@@ -91,25 +91,25 @@ impl<'a> Moments<'a> {
     pub fn len(&self) -> usize {
         match self {
             Self::Measured(measured) => measured.len(),
-            Self::Asked { order, .. } => order.len(),
+            Self::Requested { order, .. } => order.len(),
         }
     }
 
-    pub fn is_asked(&self, n: usize) -> bool {
-        matches!(self, Self::Asked { order, .. } if matches!(order[n], Place::Asked(_)))
+    pub fn is_requested(&self, n: usize) -> bool {
+        matches!(self, Self::Requested { order, .. } if matches!(order[n], MomentIndex::Requested(_)))
     }
 
     /// The measurement at a moment, or the time alone of an additional one.
     fn at(&self, n: usize) -> Result<&'a Moment, f64> {
         match self {
             Self::Measured(measured) => Ok(&measured[n]),
-            Self::Asked {
+            Self::Requested {
                 measured,
                 times_s,
                 order,
             } => match order[n] {
-                Place::Measured(n) => Ok(&measured[n as usize]),
-                Place::Asked(n) => Err(times_s[n as usize]),
+                MomentIndex::Measured(n) => Ok(&measured[n as usize]),
+                MomentIndex::Requested(n) => Err(times_s[n as usize]),
             },
         }
     }
@@ -141,8 +141,8 @@ pub(super) struct Smoothed {
     pub variance: f64,
     pub speed: f64,
     /// Predicted measurement: the position plus the error shared by neighbours.
-    pub seen: f64,
-    pub seen_variance: f64,
+    pub predicted: f64,
+    pub predicted_variance: f64,
     /// Displacement of each swing.
     pub swings: [f64; MOST_SWINGS],
 }
@@ -172,15 +172,15 @@ impl Axis<'_> {
         let place = places::<N>(0.0);
         smooth::<N>(self, |moment, state, _| {
             let variance = |of: &SVector<f64, N>| of.dot(&(state.covariance * of));
-            let seen = places::<N>(self.shared_sigma(moment));
+            let predicted = places::<N>(self.shared_sigma(moment));
             let speeds = (1..N).step_by(2).filter(|n| *n != SHARED);
             let swing = |k: usize| state.mean.get(WITHOUT_SWINGS + 2 * k).copied();
             let smoothed = Smoothed {
                 place: place.dot(&state.mean),
                 variance: variance(&place),
                 speed: speeds.map(|n| state.mean[n]).sum(),
-                seen: seen.dot(&state.mean),
-                seen_variance: variance(&seen),
+                predicted: predicted.dot(&state.mean),
+                predicted_variance: variance(&predicted),
                 swings: std::array::from_fn(|k| swing(k).unwrap_or(0.0)),
             };
             each(moment, &smoothed);
@@ -189,7 +189,7 @@ impl Axis<'_> {
 
     fn shared_sigma(&self, moment: usize) -> f64 {
         let measured = self.moments.measured(moment);
-        measured.map_or(0.0, |seen| seen[self.axis].shared_variance.max(0.0).sqrt())
+        measured.map_or(0.0, |both| both[self.axis].shared_variance.max(0.0).sqrt())
     }
 }
 
@@ -228,11 +228,11 @@ impl<const N: usize> Process<N> for Axis<'_> {
 
     fn initial(&self) -> Gaussian<N> {
         let mut sigma = SVector::<f64, N>::from_element(1.0);
-        sigma.fixed_rows_mut::<3>(0).copy_from_slice(&FIRST_SIGMA);
+        sigma.fixed_rows_mut::<3>(0).copy_from_slice(&PRIOR_SIGMA);
         for (k, swing) in self.swings.iter().enumerate() {
             let at = WITHOUT_SWINGS + 2 * k;
-            sigma[at] = FIRST_SWING;
-            sigma[at + 1] = FIRST_SWING * swing.rate_rad_per_s;
+            sigma[at] = PRIOR_SWING;
+            sigma[at + 1] = PRIOR_SWING * swing.rate_rad_per_s;
         }
         Gaussian::new(SVector::zeros(), &sigma.component_mul(&sigma))
     }
@@ -251,9 +251,9 @@ impl<const N: usize> Process<N> for Axis<'_> {
         noise
             .fixed_view_mut::<3, 3>(0, 0)
             .copy_from(&(walked * density));
-        let kept = self.shared.kept(before, now);
-        transition[(SHARED, SHARED)] = kept;
-        noise[(SHARED, SHARED)] = 1.0 - kept * kept;
+        let correlation = self.shared.correlation(before, now);
+        transition[(SHARED, SHARED)] = correlation;
+        noise[(SHARED, SHARED)] = 1.0 - correlation * correlation;
         for (k, swing) in self.swings.iter().enumerate() {
             let at = WITHOUT_SWINGS + 2 * k;
             let swung = swing.transition(step_s);

@@ -21,7 +21,7 @@ const LEAST_FRAMES: usize = 64;
 const EVENT: f64 = 9.0;
 /// Least gain in likelihood for a swing, in logarithms of the number of frames: 1/2 each for damping and drive, and 3/2 for the rate,
 /// whose error decreases as that number to the power of 3/2 (Djuric 1996).
-const PRICE: f64 = 2.5;
+const SWING_COST: f64 = 2.5;
 /// Peaks of the periodogram that are tried, and their width in bins with a Hann window.
 const PEAKS: usize = 2;
 const PEAK_WIDTH: f64 = 1.5;
@@ -61,7 +61,7 @@ pub(super) struct Found {
 }
 
 /// A uniform stretch of a flight along one axis.
-pub(super) struct Stretch<'a> {
+pub(super) struct Segment<'a> {
     moments: Vec<Moment>,
     axis: usize,
     shared: &'a SharedErrors,
@@ -70,7 +70,7 @@ pub(super) struct Stretch<'a> {
     step_s: f64,
 }
 
-impl<'a> Stretch<'a> {
+impl<'a> Segment<'a> {
     /// Selects the stretch of measured moments with the least number of events, where the process noise without swings is far above the
     /// flight's median. `None` if there are too few frames.
     pub fn of(
@@ -79,11 +79,11 @@ impl<'a> Stretch<'a> {
         axis: usize,
         shared: &'a SharedErrors,
     ) -> Option<Self> {
-        let usual = median(noise)?;
-        let is_event = |noise: f64| noise > EVENT * usual;
+        let median_noise = median(noise)?;
+        let is_event = |noise: f64| noise > EVENT * median_noise;
         let length_s = |n: usize| measured[n].time_s - measured[n - 1].time_s;
-        let usual_s = median((1..measured.len()).map(length_s))?;
-        let every = ((LEAST_STEP_S / usual_s).ceil().max(1.0)) as usize;
+        let median_step_s = median((1..measured.len()).map(length_s))?;
+        let every = ((LEAST_STEP_S / median_step_s).ceil().max(1.0)) as usize;
         let length = (FRAMES * every).min(measured.len());
         let events = |first: &usize| {
             noise[*first..first + length]
@@ -101,20 +101,20 @@ impl<'a> Stretch<'a> {
                 .fold(0.0, f64::max);
             if is_event(most) { most } else { 0.0 }
         };
-        let stretch = Self {
+        let segment = Self {
             moments: thinned().map(|n| measured[n]).collect(),
             axis,
             shared,
             events: thinned().map(event).collect(),
-            step_s: usual_s * every as f64,
+            step_s: median_step_s * every as f64,
         };
-        (stretch.moments.len() >= LEAST_FRAMES && stretch.step_s > 0.0).then_some(stretch)
+        (segment.moments.len() >= LEAST_FRAMES && segment.step_s > 0.0).then_some(segment)
     }
 
-    /// The process of greatest likelihood, where each swing must gain at least its price; without swings if none does.
+    /// The process of greatest likelihood, where each swing must gain at least its cost; without swings if none does.
     pub fn fit(&self) -> Option<Found> {
-        let price = PRICE * (self.moments.len() as f64).ln();
-        let (mut fit, mut likelihood) = self.climb(Fit {
+        let cost = SWING_COST * (self.moments.len() as f64).ln();
+        let (mut fit, mut likelihood) = self.maximise(Fit {
             process_noise: FIRST_NOISE,
             swings: Vec::new(),
         })?;
@@ -124,8 +124,8 @@ impl<'a> Stretch<'a> {
             let Some((_, start)) = starts.max_by(|a, b| a.0.total_cmp(&b.0)) else {
                 break;
             };
-            let (further, gained) = self.climb(start)?;
-            if gained < likelihood + price {
+            let (further, gained) = self.maximise(start)?;
+            if gained < likelihood + cost {
                 break;
             }
             (fit, likelihood) = (further, gained);
@@ -227,7 +227,7 @@ impl<'a> Stretch<'a> {
     }
 
     /// Maximises the likelihood one parameter after the other, with adaptive step sizes.
-    fn climb(&self, start: Fit) -> Option<(Fit, f64)> {
+    fn maximise(&self, start: Fit) -> Option<(Fit, f64)> {
         let mut best = self.log_likelihood(&start)?;
         let mut fit = start;
         let bin = TAU / (self.step_s * self.moments.len() as f64);
