@@ -22,7 +22,7 @@ use crate::link::{
 };
 use crate::navigation;
 use crate::service::{
-    Answer, Flight, FlightCamera, FlightTally, Found, Navigation, Service, quantile,
+    Flight, FlightCamera, FlightTally, Found, Navigation, Service, SolvedFrame, quantile,
 };
 use crate::simulate::controller::{Controller, Report};
 use crate::simulate::earth::SwingingGondola;
@@ -71,8 +71,8 @@ impl Demo {
 
 /// State for the display while the demonstration runs.
 #[derive(Debug, Clone)]
-pub struct Glimpse {
-    pub answer: Answer,
+pub struct Progress {
+    pub frame: SolvedFrame,
     /// The last offset that the controller received.
     pub received: Option<Solution>,
 }
@@ -147,7 +147,7 @@ fn since(start: Timestamp, solution: &Solution) -> Option<Duration> {
 pub fn run(
     demo: &Demo,
     ground: &mut Option<AnyPort>,
-    mut show: impl FnMut(&Glimpse),
+    mut show: impl FnMut(&Progress),
     stopped: impl Fn() -> bool,
 ) -> anyhow::Result<Summary> {
     let instrument = instrument::builtin("demo")?;
@@ -177,8 +177,8 @@ pub fn run(
         faults: faults.clone(),
     };
     let controller = control(far, sensors, &received, &over)?;
-    let (service, answers) = Service::start_watched(flight)?;
-    let mut judge = Judge {
+    let (service, frames) = Service::start_watched(flight)?;
+    let mut errors = TruthErrors {
         truth,
         gondola,
         arcsec_per_mil,
@@ -187,14 +187,14 @@ pub fn run(
         false_suns: 0,
     };
     let mut recent = demo.duration.is_none().then(|| Recent::of(&demo.archive));
-    watch(&service, &answers, stopped, |answer| {
+    watch(&service, &frames, stopped, |frame| {
         recent.iter_mut().for_each(Recent::tidy);
-        if let Found::Nadir(_) = answer.solved.found {
-            return judge.hear_horizon(&answer);
+        if let Found::Nadir(_) = frame.solved.found {
+            return errors.check_horizon(&frame);
         }
-        judge.hear(&answer);
+        errors.check(&frame);
         let received = *received.lock().unwrap_or_else(PoisonError::into_inner);
-        show(&Glimpse { answer, received });
+        show(&Progress { frame, received });
     });
     over.store(true, Ordering::Relaxed);
     let controller = controller.join();
@@ -217,9 +217,9 @@ pub fn run(
         propagated,
         by_sun: by_sun.collect(),
         controller,
-        fine_errors_arcsec: judge.fine_errors_arcsec,
-        roll_errors_deg: judge.roll_errors_deg,
-        false_suns: judge.false_suns,
+        fine_errors_arcsec: errors.fine_errors_arcsec,
+        roll_errors_deg: errors.roll_errors_deg,
+        false_suns: errors.false_suns,
         fault_cost: faults.cost(),
         archive: demo.archive.clone(),
     })
@@ -242,14 +242,14 @@ fn control(
 ) -> io::Result<ControllerThread> {
     let (received, over) = (Arc::clone(received), Arc::clone(over));
     let run = move || {
-        let heard = |message: &Message| {
+        let on_message = |message: &Message| {
             if let Message::Solution(solution) = message {
                 *received.lock().unwrap_or_else(PoisonError::into_inner) = Some(*solution);
             }
         };
         let mut controller = Controller::new().with_sensors(sensors);
         let over = || over.load(Ordering::Relaxed);
-        let report = controller.run(&mut far, over, heard).cloned();
+        let report = controller.run(&mut far, over, on_message).cloned();
         report.map(|report| (report, (far, controller)))
     };
     thread::Builder::new().name("controller".into()).spawn(run)
@@ -352,24 +352,24 @@ fn navigation(gps: Connection, start: Timestamp) -> anyhow::Result<Navigation> {
 
 fn watch(
     service: &Service,
-    answers: &Receiver<Answer>,
+    frames: &Receiver<SolvedFrame>,
     stopped: impl Fn() -> bool,
-    mut take: impl FnMut(Answer),
+    mut take: impl FnMut(SolvedFrame),
 ) {
     loop {
-        match answers.recv_timeout(Duration::from_millis(100)) {
-            Ok(answer) => take(answer),
+        match frames.recv_timeout(Duration::from_millis(100)) {
+            Ok(frame) => take(frame),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return,
         }
-        if stopped() || service.controls().quits() {
+        if stopped() || service.controls().quit_requested() {
             service.stop();
         }
     }
 }
 
-/// Compares answers with the simulator's truth.
-struct Judge {
+/// Compares solved frames with the simulator's truth.
+struct TruthErrors {
     truth: TruthLog,
     gondola: SwingingGondola,
     arcsec_per_mil: f64,
@@ -378,22 +378,22 @@ struct Judge {
     false_suns: u64,
 }
 
-impl Judge {
-    fn hear_horizon(&mut self, answer: &Answer) {
-        let since_start = answer.exposure.frame.info.monotonic;
-        if let Some((roll, since_start)) = answer.solved.roll.zip(since_start) {
+impl TruthErrors {
+    fn check_horizon(&mut self, frame: &SolvedFrame) {
+        let since_start = frame.exposure.frame.info.monotonic;
+        if let Some((roll, since_start)) = frame.solved.roll.zip(since_start) {
             let error_deg = roll.deg.value - self.gondola.roll_deg(since_start);
             self.roll_errors_deg.push(error_deg.abs());
         }
     }
 
-    fn hear(&mut self, answer: &Answer) {
-        let number = answer.exposure.frame.info.number;
-        let Some(aspect) = answer.sun().and_then(|sun| sun.solution.aspect.as_ref()) else {
+    fn check(&mut self, frame: &SolvedFrame) {
+        let number = frame.exposure.frame.info.number;
+        let Some(aspect) = frame.sun().and_then(|sun| sun.solution.aspect.as_ref()) else {
             return;
         };
         match number.and_then(|number| self.truth.of(number)) {
-            Some(Some(sun)) if answer.solved.quality == Quality::Fine => {
+            Some(Some(sun)) if frame.solved.quality == Quality::Fine => {
                 let error_mil = aspect.sun_plate.position.distance(sun.plate);
                 self.fine_errors_arcsec
                     .push(error_mil * self.arcsec_per_mil);

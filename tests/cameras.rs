@@ -7,7 +7,7 @@ use solaspect::instrument::{MountedCamera, Role, builtin, builtin_text};
 use solaspect::link::{BytePort, FrameMarks, Housekeeping, TelemetryPacket};
 use solaspect::link::{CameraCounts, Connection, Direction, Packet, Parser, SerialPort};
 use solaspect::plan::{Options, Plan, Replay};
-use solaspect::service::{Answer, Flight, Service};
+use solaspect::service::{Flight, Service, SolvedFrame};
 use solaspect::simulate::FORT_SUMNER;
 use solaspect::simulate::earth::SwingingGondola;
 use std::collections::BTreeMap;
@@ -59,7 +59,7 @@ fn plan_of(folder: &Path, configuration: &str) -> Plan {
 }
 
 /// Flies a plan; the answers, and the telemetry received on the ground.
-fn flown(plan: &Plan, duration: Duration) -> (Vec<Answer>, Vec<TelemetryPacket>) {
+fn flown(plan: &Plan, duration: Duration) -> (Vec<SolvedFrame>, Vec<TelemetryPacket>) {
     let (near, mut far) = SerialPort::pair().unwrap();
     let replay = Replay {
         duration: Some(duration),
@@ -67,7 +67,7 @@ fn flown(plan: &Plan, duration: Duration) -> (Vec<Answer>, Vec<TelemetryPacket>)
     };
     let mut flight = Flight::of_plan(plan, replay).unwrap();
     flight.line = Connection::over(near);
-    let (service, answers) = Service::start_watched(flight).unwrap();
+    let (service, solved) = Service::start_watched(flight).unwrap();
     let mut parser = Parser::new(Direction::ToController);
     let (mut heard, mut buffer, start) = (Vec::new(), [0; 4096], Instant::now());
     while !service.is_finished() {
@@ -81,18 +81,18 @@ fn flown(plan: &Plan, duration: Duration) -> (Vec<Answer>, Vec<TelemetryPacket>)
     }
     let tally = service.join().unwrap();
     assert_eq!(tally.lost(), 0, "{tally}");
-    (answers.iter().collect(), heard)
+    (solved.iter().collect(), heard)
 }
 
 #[test]
 fn two_cameras_of_a_role_and_a_fifth_need_no_more_than_a_table() {
     let folder = tempfile::tempdir().unwrap();
     let plan = plan(folder.path());
-    let (answers, heard) = flown(&plan, Duration::from_secs(4));
+    let (solved, heard) = flown(&plan, Duration::from_secs(4));
     let mut frames: BTreeMap<String, u32> = BTreeMap::new();
-    for answer in &answers {
+    for frame in &solved {
         *frames
-            .entry(answer.station.camera.label.clone())
+            .entry(frame.station.camera.label.clone())
             .or_default() += 1;
     }
     let labels: Vec<&str> = frames.keys().map(String::as_str).collect();
@@ -109,13 +109,13 @@ fn two_cameras_of_a_role_and_a_fifth_need_no_more_than_a_table() {
     {
         let mounted: &MountedCamera = camera.camera.sees.horizon().unwrap();
         let gondola = SwingingGondola::new(mounted, &FORT_SUMNER, plan.config.simulation.seed);
-        let own = answers
+        let own = solved
             .iter()
             .filter(|a| a.station.camera.name == camera.camera.name);
         let mut rolls = 0;
-        for answer in own {
-            let roll = answer.solved.roll.unwrap().deg;
-            let since_start = answer.exposure.frame.info.monotonic.unwrap();
+        for frame in own {
+            let roll = frame.solved.roll.unwrap().deg;
+            let since_start = frame.exposure.frame.info.monotonic.unwrap();
             let off_deg = roll.value - gondola.roll_deg(since_start);
             assert!(
                 off_deg.abs() < 5.0 * roll.sigma,
@@ -137,10 +137,10 @@ fn two_cameras_of_a_role_and_a_fifth_need_no_more_than_a_table() {
     assert_eq!(of_roll.role, Role::Roll as u16);
     assert!(of_roll.fine >= 1 && of_roll.lost == 0, "{of_roll:?}");
     let solved = |number: u8| {
-        let own = answers
+        let own = solved
             .iter()
-            .filter(move |answer| answer.station.number == number);
-        own.filter(|answer| answer.solved.quality == Quality::Fine)
+            .filter(move |frame| frame.station.number == number);
+        own.filter(|frame| frame.solved.quality == Quality::Fine)
             .count()
     };
     assert!(u64::from(last[&2].fine) <= solved(2) as u64);
@@ -170,7 +170,7 @@ fn a_plate_of_another_pattern_sends_its_ids_in_a_message_of_their_own() {
         with_listed_plate(folder.path()),
     );
     let plan = plan_of(folder.path(), &configuration);
-    let (answers, heard) = flown(&plan, Duration::from_secs(4));
+    let (solved, heard) = flown(&plan, Duration::from_secs(4));
     let marks: Vec<(FrameMarks, (u32, u32))> = heard
         .iter()
         .filter_map(|packet| Some((FrameMarks::decode(packet).ok()?, packet.time())))
@@ -179,11 +179,11 @@ fn a_plate_of_another_pattern_sends_its_ids_in_a_message_of_their_own() {
     let mut read = 0;
     for (marks, time) in &marks {
         assert_eq!(marks.camera, 1, "the other one has the plate of 2013");
-        let answer = answers.iter().find(|answer| {
-            let number = answer.exposure.frame.info.number;
-            answer.station.number == 1 && number == Some(marks.number.into())
+        let frame = solved.iter().find(|frame| {
+            let number = frame.exposure.frame.info.number;
+            frame.station.number == 1 && number == Some(marks.number.into())
         });
-        let solution = &answer.unwrap().sun().unwrap().solution;
+        let solution = &frame.unwrap().sun().unwrap().solution;
         let ids: Vec<[i32; 2]> = solution.marks.iter().map(|m| [m.id.i, m.id.j]).collect();
         assert_eq!(marks.ids().collect::<Vec<_>>(), ids);
         assert!(ids.iter().all(|[i, j]| *i > 90 && *j < -8990), "{ids:?}");

@@ -110,10 +110,10 @@ fn every_command_of_the_table_is_answered_and_none_ends_the_flight_but_quit() {
             };
             assert_eq!(answer.value, expected, "{}", row.name);
         }
-        assert!(!service.controls().quits());
+        assert!(!service.controls().quit_requested());
     }
     assert!(send(&mut far, 1000, "quit", &[]).is_done());
-    assert!(service.controls().quits());
+    assert!(service.controls().quit_requested());
     let tally = end(service);
     assert_eq!(tally.line.commands, COMMANDS.len() as u64);
 }

@@ -13,7 +13,7 @@ use solaspect::link::ground::{Answered, ask_for_moon};
 use solaspect::link::moon::{BELOW_HORIZON, FIRST_STAGE, NO_PICTURE};
 use solaspect::link::{Connection, MoonOutcome, MoonRequest, SerialPort};
 use solaspect::moon::Stage;
-use solaspect::service::{Answer, Flight, FlightCamera, Found, Service};
+use solaspect::service::{Flight, FlightCamera, Found, Service, SolvedFrame};
 use solaspect::simulate::FORT_SUMNER;
 use solaspect::simulate::moon::{FollowedMoon, MoonConditions, MoonScene};
 use std::path::Path;
@@ -65,7 +65,7 @@ fn frame(scene: &MoonScene, utc: &str) -> Frame {
 /// A flight with a Moon camera that takes the frames sent to it, and the controller's end of its line.
 struct Night {
     service: Service,
-    answers: Receiver<Answer>,
+    solved: Receiver<SolvedFrame>,
     to_camera: Sender<Frame>,
     /// Keeps the plate camera open, which takes no frame; dropped to end it.
     _to_sun: Sender<Frame>,
@@ -94,10 +94,10 @@ impl Night {
         flight.config.moon.answer_within_s = answer_within_s;
         // Every frame is solved with the same place, whether it comes before or after the request.
         flight.config.site = FORT_SUMNER.into();
-        let (service, answers) = Service::start_watched(flight).unwrap();
+        let (service, solved) = Service::start_watched(flight).unwrap();
         Self {
             service,
-            answers,
+            solved,
             to_camera,
             _to_sun: to_sun,
             far,
@@ -210,7 +210,7 @@ fn what_the_moon_camera_saw_is_in_files_log_telemetry_and_housekeeping() {
     let mut night = Night::start(Some(root.path()), 60.0);
     let up = scene(UP);
     night.ask(&[frame(&up, UP)]);
-    let solved = night.answers.try_iter().last().unwrap();
+    let solved = night.solved.try_iter().last().unwrap();
     let Found::Moon(found) = &solved.solved.found else {
         panic!("{solved:?}");
     };

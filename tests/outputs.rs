@@ -16,7 +16,7 @@ use solaspect::link::{
 };
 use solaspect::output::Format;
 use solaspect::record::Record;
-use solaspect::service::{Answer, Flight, FlightCamera, Service};
+use solaspect::service::{Flight, FlightCamera, Service, SolvedFrame};
 use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
 use spacepackets::CcsdsPacketReader;
 use std::io::{BufRead, BufReader};
@@ -50,7 +50,7 @@ impl FrameSource for Given {
 struct Rig {
     service: Service,
     frames: Sender<Frame>,
-    answers: Receiver<Answer>,
+    solved: Receiver<SolvedFrame>,
     far: SerialPort,
 }
 
@@ -68,11 +68,11 @@ fn fly(outputs: impl IntoIterator<Item = Output>) -> Rig {
         line: Connection::over(near),
         ..Flight::of(vec![FlightCamera::of_plate(demo, Given(given))])
     };
-    let (service, answers) = Service::start_watched(flight).unwrap();
+    let (service, solved) = Service::start_watched(flight).unwrap();
     Rig {
         service,
         frames,
-        answers,
+        solved,
         far,
     }
 }
@@ -143,13 +143,13 @@ fn datagram(socket: &UdpSocket) -> Vec<u8> {
 }
 
 /// The line that `solaspect solve` writes for the frame, with camera and frame number in front.
-fn expected_line(answer: &Answer) -> String {
-    let sun = answer.sun().unwrap();
-    let info = &answer.exposure.frame.info;
-    let time = Some(answer.solved.solve_time);
+fn expected_line(frame: &SolvedFrame) -> String {
+    let sun = frame.sun().unwrap();
+    let info = &frame.exposure.frame.info;
+    let time = Some(frame.solved.solve_time);
     let record = Record::new("", info.mid_exposure, &sun.solution, sun.offset, time);
     let record = serde_json::to_string(&record).unwrap();
-    let (camera, number) = (&answer.station.camera.name, info.number.unwrap());
+    let (camera, number) = (&frame.station.camera.name, info.number.unwrap());
     format!(
         "{{\"camera\":\"{camera}\",\"frame\":{number},{}\n",
         &record[1..]
@@ -194,8 +194,8 @@ fn every_reader_gets_what_the_flight_found_and_the_counts_add_up() {
     let mut fine = 0;
     for number in 0..FRAMES {
         rig.frames.send(sunny(number)).unwrap();
-        let answer = rig.answers.recv_timeout(LONG).unwrap();
-        let expected = expected_line(&answer);
+        let frame = rig.solved.recv_timeout(LONG).unwrap();
+        let expected = expected_line(&frame);
         assert_eq!(String::from_utf8(datagram(&lines)).unwrap(), expected);
         let mut line = String::new();
         client.read_line(&mut line).unwrap();
@@ -222,7 +222,7 @@ fn every_reader_gets_what_the_flight_found_and_the_counts_add_up() {
                 None => assert_eq!(sentence[field], ""),
             }
         }
-        fine += u64::from(answer.solved.quality == Quality::Fine && offset.is_some());
+        fine += u64::from(frame.solved.quality == Quality::Fine && offset.is_some());
     }
     assert!(fine >= FRAMES / 2, "{fine} fine");
 
@@ -273,7 +273,7 @@ fn readers_that_take_nothing_cost_only_counted_messages() {
     ask(&mut far, &track, 1, LONG).unwrap();
     for number in 0..FRAMES {
         rig.frames.send(dark(number)).unwrap();
-        rig.answers.recv_timeout(LONG).unwrap();
+        rig.solved.recv_timeout(LONG).unwrap();
         while far.read(&mut buffer, Duration::ZERO).unwrap() > 0 {}
     }
     let settled = || {

@@ -14,7 +14,7 @@ use solaspect::frame::{Frame, Pixels, Region};
 use solaspect::instrument::{DirectionCamera, MountedCamera, Role, Sees, builtin};
 use solaspect::pointing::{Offset, Roll};
 use solaspect::reasons::horizon as reasons;
-use solaspect::service::{Answer, Flight, FlightCamera, FlightTally, Service};
+use solaspect::service::{Flight, FlightCamera, FlightTally, Service, SolvedFrame};
 use solaspect::simulate::earth::{Aim, EarthConditions, EarthScene, SwingingGondola};
 use solaspect::simulate::{Conditions, FORT_SUMNER, RandomScenes};
 use solaspect::units::{Measured, Place};
@@ -102,7 +102,7 @@ fn white(like: &Frame) -> Frame {
 /// A flight with a plate camera and a roll camera that take frames on demand.
 struct Stepwise {
     service: Service,
-    answers: Receiver<Answer>,
+    solved: Receiver<SolvedFrame>,
     take: [Sender<()>; 2],
     set_us: Arc<Mutex<Vec<u32>>>,
 }
@@ -133,27 +133,27 @@ impl Stepwise {
         flight.config.roll.max_age_s = max_age_s;
         let roll = flight.config.cameras.named_mut("roll_camera").unwrap();
         roll.auto_exposure = Switch::On;
-        let (service, answers) = Service::start_watched(flight).unwrap();
+        let (service, solved) = Service::start_watched(flight).unwrap();
         Self {
             service,
-            answers,
+            solved,
             take: [to_sun, to_roll],
             set_us,
         }
     }
 
-    fn next(&self, camera: usize) -> Answer {
+    fn next(&self, camera: usize) -> SolvedFrame {
         self.take[camera].send(()).unwrap();
-        let answer = self.answers.recv_timeout(Duration::from_secs(60)).unwrap();
-        assert_eq!(answer.station.index, camera);
-        answer
+        let frame = self.solved.recv_timeout(Duration::from_secs(60)).unwrap();
+        assert_eq!(frame.station.index, camera);
+        frame
     }
 
-    fn sun(&self) -> Answer {
+    fn sun(&self) -> SolvedFrame {
         self.next(0)
     }
 
-    fn horizon(&self) -> Answer {
+    fn horizon(&self) -> SolvedFrame {
         self.next(1)
     }
 
@@ -163,12 +163,12 @@ impl Stepwise {
     }
 }
 
-fn roll(answer: &Answer) -> Option<Measured> {
-    answer.solved.roll.map(|roll| roll.deg)
+fn roll(frame: &SolvedFrame) -> Option<Measured> {
+    frame.solved.roll.map(|roll| roll.deg)
 }
 
-fn offset(answer: &Answer) -> Offset {
-    answer.sun().unwrap().offset.unwrap()
+fn offset(frame: &SolvedFrame) -> Offset {
+    frame.sun().unwrap().offset.unwrap()
 }
 
 fn number(path: &Path, keyword: &str) -> Option<f64> {
@@ -286,15 +286,15 @@ fn a_frame_of_another_size_or_from_below_the_limb_is_stored_with_the_reason() {
     let part = horizon.cropped(Region::sized(640, 300, 640, 780)).unwrap();
     let frames = VecDeque::from([low, part, horizon]);
     let flight = Stepwise::start(frames, 3600.0, Some(root.path()));
-    let reason = |answer: &Answer| {
-        let stopped = answer.solved.stopped;
+    let reason = |frame: &SolvedFrame| {
+        let stopped = frame.solved.stopped;
         stopped.map(|stopped| stopped.rejected.reason.code)
     };
     for expected in [Some("not_above_the_limb"), Some("wrong_size"), None] {
-        let answer = flight.horizon();
-        assert_eq!(reason(&answer), expected);
+        let frame = flight.horizon();
+        assert_eq!(reason(&frame), expected);
         // Each of them has levels, so the exposure is adjusted by all.
-        assert!(answer.solved.levels.is_some());
+        assert!(frame.solved.levels.is_some());
     }
     let tally = flight.end();
     assert_eq!((tally.counts.stored, tally.lost()), (3, 0), "{tally}");

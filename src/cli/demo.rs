@@ -2,7 +2,7 @@
 
 use super::options;
 use super::output::say;
-use crate::demo::{self, Demo, Glimpse};
+use crate::demo::{self, Demo, Progress};
 use crate::log;
 use anyhow::Context;
 use clap::Args;
@@ -55,7 +55,7 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
     let summary = demo::run(
         &demo,
         &mut None,
-        |glimpse| show(line(glimpse)),
+        |progress| show(line(progress)),
         || interrupted.load(std::sync::atomic::Ordering::Relaxed),
     )?;
     show(String::new());
@@ -70,12 +70,12 @@ pub fn run(args: DemoArgs) -> anyhow::Result<ExitCode> {
 }
 
 /// The live line: the frame, its solution, and the offset that the controller received.
-fn line(glimpse: &Glimpse) -> String {
-    let answer = &glimpse.answer;
-    let number = answer.exposure.frame.info.number.unwrap_or_default();
-    let quality = answer.solved.quality.name();
-    let aspect = answer.sun().and_then(|sun| sun.solution.aspect.as_ref());
-    let sun = match (aspect, &answer.solved.stopped) {
+fn line(progress: &Progress) -> String {
+    let frame = &progress.frame;
+    let number = frame.exposure.frame.info.number.unwrap_or_default();
+    let quality = frame.solved.quality.name();
+    let aspect = frame.sun().and_then(|sun| sun.solution.aspect.as_ref());
+    let sun = match (aspect, &frame.solved.stopped) {
         (Some(aspect), _) => {
             let (at, sigma) = (aspect.sun_plate.position, aspect.sun_plate.sigma());
             format!("Sun ({:8.2}, {:8.2}) +- {:.2} mil", at.x, at.y, sigma[0])
@@ -83,7 +83,7 @@ fn line(glimpse: &Glimpse) -> String {
         (None, Some(stopped)) => stopped.to_string(),
         (None, None) => String::new(),
     };
-    let received = glimpse.received.map_or("no offset yet".into(), |offset| {
+    let received = progress.received.map_or("no offset yet".into(), |offset| {
         format!(
             "controller: az {:+.5} el {:+.5} deg",
             offset.azimuth_deg, offset.elevation_deg

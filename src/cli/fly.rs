@@ -43,7 +43,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
         speed: args.speed,
     };
     let mut flight = Flight::of_plan(&plan, replay)?;
-    say_who_flies(&plan, &flight);
+    log_start(&plan, &flight);
     warn_of_remarks(&remarks);
     flight.claim()?;
     flight.open_cameras()?;
@@ -51,7 +51,7 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     let service = Service::start(flight)?;
     let mut live = LiveLine::new();
     let start = Instant::now();
-    let ends_by_request = || interrupted.load(Ordering::Relaxed) || service.controls().quits();
+    let is_stopped = || interrupted.load(Ordering::Relaxed) || service.controls().quit_requested();
     let is_over = || {
         args.duration
             .is_some_and(|duration| start.elapsed() >= duration)
@@ -59,13 +59,13 @@ pub fn run(args: FlyArgs) -> anyhow::Result<ExitCode> {
     while !service.is_finished() {
         std::thread::sleep(Duration::from_millis(20));
         live.renew(&service);
-        if ends_by_request() {
+        if is_stopped() {
             service.stop_within(ENDING);
         } else if is_over() {
             service.stop();
         }
     }
-    let ends_by_request = ends_by_request();
+    let ends_by_request = is_stopped();
     let tally = service.join()?;
     live.end();
     say(&tally)?;
@@ -83,7 +83,7 @@ fn exit_code(tally: &FlightTally, ends_by_request: bool) -> ExitCode {
 }
 
 /// The head of the log: program, plan, and unusual settings.
-fn say_who_flies(plan: &Plan, flight: &Flight) {
+fn log_start(plan: &Plan, flight: &Flight) {
     let (version, commit) = (provenance::VERSION, provenance::COMMIT);
     let configuration_sha256 = provenance::sha256(flight.configuration_toml());
     tracing::info!(version, commit, configuration_sha256, "solaspect flies");

@@ -107,7 +107,7 @@ pub struct Controls(Arc<Shared>);
 struct Shared {
     state: Mutex<State>,
     versions: [AtomicU64; Topic::COUNT],
-    quits: AtomicBool,
+    quit_requested: AtomicBool,
     pictures: [AtomicBool; Role::COUNT],
     /// Wakes the thread that saves values after a change; one message is enough.
     changed: (Sender<()>, Receiver<()>),
@@ -179,7 +179,7 @@ impl Controls {
         Self(Arc::new(Shared {
             state: Mutex::new(state),
             versions: Default::default(),
-            quits: AtomicBool::new(false),
+            quit_requested: AtomicBool::new(false),
             pictures: Default::default(),
             changed: bounded(1),
             notes: bounded(NOTES),
@@ -258,8 +258,8 @@ impl Controls {
     }
 
     /// Whether the ground has ordered the program to end.
-    pub fn quits(&self) -> bool {
-        self.0.quits.load(Ordering::Relaxed)
+    pub fn quit_requested(&self) -> bool {
+        self.0.quit_requested.load(Ordering::Relaxed)
     }
 
     /// Sets the roles of the cameras; before that, there is only a pitch-yaw camera.
@@ -368,11 +368,11 @@ impl Controls {
             latitude_deg: place.latitude_deg as f32,
             longitude_deg: place.longitude_deg as f32,
         };
-        let believed = self.believes(fix);
-        if believed && self.state().own.accepts_gps && self.move_to(fix) == CommandResult::Done {
+        let accepted = self.accepts(fix);
+        if accepted && self.state().own.accepts_gps && self.move_to(fix) == CommandResult::Done {
             self.state().place = Some(place);
         }
-        believed
+        accepted
     }
 
     /// GPS fixes that were rejected as implausible.

@@ -11,7 +11,7 @@ const LIKE: usize = 8;
 
 /// Whether a file with this beginning is a file of saved values, intact or damaged: any other file is neither renamed nor replaced.
 /// A disk may have left such a file empty, or filled with zeros.
-pub fn is_ours(bytes: &[u8]) -> bool {
+pub fn is_values_file(bytes: &[u8]) -> bool {
     if bytes.iter().all(|byte| *byte == 0) {
         return true;
     }
@@ -29,14 +29,14 @@ mod tests {
     fn a_file_of_saved_values_is_known_by_its_head_cut_or_damaged_and_no_other_is() {
         let whole = format!("{HEADER}00000000\n\"store.roll\" = 0\n").into_bytes();
         for length in 0..whole.len() {
-            assert!(is_ours(&whole[..length]), "the first {length} bytes");
+            assert!(is_values_file(&whole[..length]), "the first {length} bytes");
         }
         for bit in 0..8 * whole.len() {
             let mut flipped = whole.clone();
             flipped[bit / 8] ^= 1 << (bit % 8);
-            assert!(is_ours(&flipped), "bit {bit}");
+            assert!(is_values_file(&flipped), "bit {bit}");
         }
-        assert!(is_ours(&[0; 4096]));
+        assert!(is_values_file(&[0; 4096]));
         for other in [
             &b"# the flight's configuration\n[camera]\n"[..],
             b"[camera]\nsource = \"simulated\"\n",
@@ -44,7 +44,7 @@ mod tests {
             b"\xFF\xFE",
             b"x",
         ] {
-            assert!(!is_ours(other), "{}", other.escape_ascii());
+            assert!(!is_values_file(other), "{}", other.escape_ascii());
         }
     }
 }

@@ -5,7 +5,7 @@ use crate::link::{AnyPort, BytePort, PortError, SerialPort};
 use std::time::Duration;
 
 /// Longest wait for the ground to accept data that the controller relays.
-const GROUND_PATIENCE: Duration = Duration::from_millis(5);
+const GROUND_TIMEOUT: Duration = Duration::from_millis(5);
 
 /// The controller's end of the line, with the ground behind it: everything that the controller receives goes to the ground as well, and packets
 /// from the ground go to the aspect system. While the line is cut nothing passes, in either direction.
@@ -27,7 +27,7 @@ impl BytePort for Relayed {
         let count = self.faults.passed(count);
         if let Some(ground) = &mut self.ground {
             // A ground that does not listen loses it.
-            let _ = ground.write(&buffer[..count], GROUND_PATIENCE);
+            let _ = ground.write(&buffer[..count], GROUND_TIMEOUT);
         }
         Ok(count)
     }

@@ -86,7 +86,7 @@ fn values_file(file: &Path, remarks: &mut Remarks) {
             unread.expected(),
             format!("{path}: {}", unread.found()),
         ),
-        Ok(bytes) if !saved::is_ours(&bytes) => {
+        Ok(bytes) if !saved::is_values_file(&bytes) => {
             let expected = "a file of saved values, or none: no other is replaced";
             remarks.error(key, expected, format!("{path}: another file"));
         }

@@ -16,11 +16,11 @@ use crate::plan::{Plan, PlannedCamera, Replay};
 use crate::reasons::horizon::NOT_ABOVE_LIMB;
 use crate::service::messages::UnsolvedFrame;
 use crate::service::solvers::{Solver, solver};
-use crate::service::{Found, SeenRoll, Solved};
+use crate::service::{BodyRoll, Found, Solved};
 use std::time::{Duration, Instant};
 
 /// Time for a camera to be found and to give its first frame.
-const PATIENCE: Duration = Duration::from_secs(15);
+const TIMEOUT: Duration = Duration::from_secs(15);
 /// Longest time of taking frames.
 const LONGEST: Duration = Duration::from_secs(30);
 /// Usual time of taking frames, s.
@@ -79,7 +79,7 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
         let frames = take_frames(trial.source.as_mut(), of_camera.configured.rate_hz);
         Ok::<_, CameraError>((trial, frames))
     };
-    let (trial, frames) = match within(PATIENCE + LONGEST, take) {
+    let (trial, frames) = match within(TIMEOUT + LONGEST, take) {
         Ok(Ok(taken)) => taken,
         Ok(Err(error)) => return vec![Finding::fail(check, error.to_string(), remedy)],
         Err(no_answer) => return vec![Finding::fail(check, no_answer.to_string(), remedy)],
@@ -108,7 +108,7 @@ pub(super) fn check(plan: &Plan, planned: &PlannedCamera) -> Vec<Finding> {
 fn solves(mut trial: Trial, camera: Camera, exposure: Exposure) -> Vec<Finding> {
     let check = format!("{} solves", camera.name);
     let makers = "report this to the program's authors";
-    findings_within(PATIENCE, &check, makers, move || {
+    findings_within(TIMEOUT, &check, makers, move || {
         let Ok(solved) = trial.solve(exposure) else {
             return Vec::new();
         };
@@ -131,7 +131,7 @@ fn take_frames(camera: &mut dyn FrameSource, rate_hz: f64) -> TrialFrames {
     let start = Instant::now();
     let mut first = None;
     while trial.taken < wanted {
-        let limit = if trial.taken == 0 { PATIENCE } else { LONGEST };
+        let limit = if trial.taken == 0 { TIMEOUT } else { LONGEST };
         if start.elapsed() > limit {
             break;
         }
@@ -318,7 +318,7 @@ fn shows(camera: &Camera, solved: &Solved) -> Option<Finding> {
     };
     let doubt = why.map_or(String::new(), |why| format!(" ({why})"));
     let found = format!("{}{doubt}: {found}", solved.quality.name());
-    let is_too_large = |roll: SeenRoll| roll.deg.value.abs() > MOST_ROLL_DEG;
+    let is_too_large = |roll: BodyRoll| roll.deg.value.abs() > MOST_ROLL_DEG;
     Some(match solved.quality {
         _ if camera.role == Role::Roll && solved.roll.is_some_and(is_too_large) => {
             Finding::warn(check, found, "is body_from_camera right?")

@@ -1,6 +1,6 @@
 //! Frames on their way to a solver, and the stations of the cameras that take them.
 
-use super::messages::{Middle, Station, UnsolvedFrame};
+use super::messages::{MidExposure, Station, UnsolvedFrame};
 use crate::archive::Flown;
 use crate::camera::{Camera, Exposure};
 use crate::frame::FrameInfo;
@@ -43,7 +43,7 @@ impl UnsolvedFrame {
     pub fn arrived(exposure: Exposure) -> Self {
         let arrived = Instant::now();
         Self {
-            middle: Middle::of(&exposure.frame.info, arrived),
+            middle: MidExposure::of(&exposure.frame.info, arrived),
             exposure,
             arrived,
         }
@@ -56,7 +56,7 @@ impl UnsolvedFrame {
     }
 }
 
-impl Middle {
+impl MidExposure {
     /// Longest plausible delay of a frame; a longer one means that the clock has stepped.
     const LONGEST_DELAY_S: f64 = 2.0;
 

@@ -1,6 +1,6 @@
 //! The housekeeping of each second, made from the counts and the latest answer.
 
-use super::messages::{Answer, MoonDesk, Recent, SolvedSun};
+use super::messages::{MoonState, Recent, SolvedFrame, SolvedSun};
 use super::shared::Shared;
 use super::tallies::{CameraTallies, Tallies};
 use super::tally::{FlightTally, SolverTally, quantile};
@@ -49,7 +49,7 @@ pub(super) struct SecondReport {
 /// Makes the second's housekeeping.
 pub(super) struct HousekeepingSource {
     controls: Controls,
-    moon_desk: Shared<MoonDesk>,
+    moon_state: Shared<MoonState>,
     /// SHA-256 of the flight's configuration.
     configuration: Digits,
     start: Instant,
@@ -61,12 +61,12 @@ pub(super) struct HousekeepingSource {
 impl HousekeepingSource {
     pub fn new(
         controls: Controls,
-        moon_desk: Shared<MoonDesk>,
+        moon_state: Shared<MoonState>,
         configuration_sha256: &str,
     ) -> Self {
         Self {
             controls,
-            moon_desk,
+            moon_state,
             configuration: Digits::of(configuration_sha256),
             start: Instant::now(),
             ahead: SignedDuration::ZERO,
@@ -82,20 +82,14 @@ impl HousekeepingSource {
         let number = self.controls.config().link.sending_camera;
         let mut recents = recents.into_iter();
         let sending = recents.find(|(camera, _)| u32::from(*camera) == number);
-        let (
-            _,
-            Recent {
-                answer,
-                solve_times,
-            },
-        ) = sending.unwrap_or_default();
-        if let Some(answer) = &answer {
-            self.note_simulated_time(answer);
+        let (_, Recent { frame, solve_times }) = sending.unwrap_or_default();
+        if let Some(frame) = &frame {
+            self.note_simulated_time(frame);
         }
         let housekeeping = Housekeeping::from(Parts {
             count: tally.counts,
-            frame: answer.as_ref().map_or(FrameStatus::default(), frame_status),
-            cameras: self.cameras(tallies, &tally, solve_ms(solve_times, answer.as_ref())),
+            frame: frame.as_ref().map_or(FrameStatus::default(), frame_status),
+            cameras: self.cameras(tallies, &tally, solve_ms(solve_times, frame.as_ref())),
             line: self.line(&tally, events),
             archive: archive_status(tallies, &tally),
             navigation: navigation_status(&tally),
@@ -112,8 +106,8 @@ impl HousekeepingSource {
     }
 
     /// A simulated flight takes the time of its frames, which may begin on any day; its housekeeping uses the same time.
-    fn note_simulated_time(&mut self, answer: &Answer) {
-        let info = &answer.exposure.frame.info;
+    fn note_simulated_time(&mut self, frame: &SolvedFrame) {
+        let info = &frame.exposure.frame.info;
         if let Some(utc) = info.mid_exposure.filter(|_| info.is_simulated()) {
             let ahead = utc.duration_since(Timestamp::now());
             if (ahead - self.ahead).unsigned_abs() > ANOTHER_TIME {
@@ -137,8 +131,8 @@ impl HousekeepingSource {
         };
         let [sun, roll, moon] = [Role::PitchYaw, Role::Roll, Role::Moon].map(first);
         let count = |solver: &SolverTally, quality| saturated(solver.of(quality));
-        let seen = self.moon_desk.lock().seen;
-        let fix = seen.and_then(|seen| match seen.outcome {
+        let result = self.moon_state.lock().result;
+        let fix = result.and_then(|result| match result.outcome {
             MoonOutcome::Found(fix) => Some(fix),
             _ => None,
         });
@@ -173,7 +167,7 @@ impl HousekeepingSource {
             roll_none: count(&roll, Quality::None),
             roll_too_bright: saturated(roll.because(reasons::TOO_BRIGHT)),
             roll_too_dark: saturated(roll.because(reasons::TOO_DARK)),
-            night: seen.and_then(|seen| seen.is_night).map(u8::from),
+            night: result.and_then(|result| result.is_night).map(u8::from),
             moon_found: saturated(moon.frames() - moon.of(Quality::None)),
             moon_none: saturated(moon.of(Quality::None).saturating_sub(hidden)),
             moon_hidden: saturated(hidden),
@@ -242,10 +236,10 @@ fn take_recents(tallies: &Tallies) -> Vec<(u8, Recent)> {
 
 /// The marks of a camera's latest frame, if their ids do not fit into the housekeeping.
 fn frame_marks((camera, recent): &(u8, Recent)) -> Option<FrameMarks> {
-    let answer = recent.answer.as_ref()?;
-    let sun = answer.sun().filter(|sun| !has_plate_of_2013(sun))?;
+    let frame = recent.frame.as_ref()?;
+    let sun = frame.sun().filter(|sun| !has_plate_of_2013(sun))?;
     let ids: Vec<[i32; 2]> = mark_ids(sun).collect();
-    FrameMarks::new((*camera).into(), frame_number(answer), &ids)
+    FrameMarks::new((*camera).into(), frame_number(frame), &ids)
 }
 
 fn has_plate_of_2013(sun: &SolvedSun) -> bool {
@@ -257,8 +251,8 @@ fn mark_ids(sun: &SolvedSun) -> impl Iterator<Item = [i32; 2]> {
     marks.map(|mark| [mark.id.i, mark.id.j])
 }
 
-fn frame_number(answer: &Answer) -> u32 {
-    saturated(answer.exposure.frame.info.number.unwrap_or_default())
+fn frame_number(frame: &SolvedFrame) -> u32 {
+    saturated(frame.exposure.frame.info.number.unwrap_or_default())
 }
 
 /// The counts of a camera that has no fields in the housekeeping; `None` for the first one of a role, which has.
@@ -341,15 +335,15 @@ fn gps_status(tally: &FlightTally) -> GpsStatus {
 }
 
 /// Median solve time since the last packet, ms; that of the latest frame if there was none since.
-fn solve_ms(mut solve_times: Vec<Duration>, answer: Option<&Answer>) -> Option<f32> {
-    let latest = answer.map(|answer| answer.solved.solve_time);
+fn solve_ms(mut solve_times: Vec<Duration>, frame: Option<&SolvedFrame>) -> Option<f32> {
+    let latest = frame.map(|frame| frame.solved.solve_time);
     quantile(&mut solve_times, 0.5).or(latest).map(milliseconds)
 }
 
-fn frame_status(answer: &Answer) -> FrameStatus {
-    let (info, sun) = (&answer.exposure.frame.info, answer.sun());
+fn frame_status(frame: &SolvedFrame) -> FrameStatus {
+    let (info, sun) = (&frame.exposure.frame.info, frame.sun());
     let of_2013 = sun.filter(|sun| has_plate_of_2013(sun));
-    let (solution, levels) = (sun.map(|sun| &sun.solution), answer.solved.levels);
+    let (solution, levels) = (sun.map(|sun| &sun.solution), frame.solved.levels);
     let offset = sun.and_then(|sun| sun.offset.as_ref());
     let marks = solution.map_or(&[][..], |solution| &solution.marks);
     // Aspect and mapping are those of this frame only if both are present.
@@ -363,8 +357,8 @@ fn frame_status(answer: &Answer) -> FrameStatus {
         .map(|(adopted, sun)| (adopted.mapping(), sun));
     let one = |[x, y]: [f64; 2]| ((x * x + y * y) / 2.0).sqrt() as f32;
     FrameStatus {
-        number: frame_number(answer),
-        quality: answer.solved.quality as u8,
+        number: frame_number(frame),
+        quality: frame.solved.quality as u8,
         background_dn: levels.map(|levels| levels.background_dn as f32),
         disc_dn: levels.map(|levels| levels.disc_dn as f32),
         noise_dn: levels.map(|levels| levels.noise_dn as f32),
@@ -388,8 +382,8 @@ fn frame_status(answer: &Answer) -> FrameStatus {
         analogue_gain: info.analogue_gain.map(|gain| gain as f32),
         preamp_gain: info.preamp_gain.map(|gain| gain as f32),
         simulated: info.is_simulated(),
-        roll_deg: answer.solved.roll.map(|roll| roll.deg.value as f32),
-        roll_sigma_deg: answer.solved.roll.map(|roll| roll.deg.sigma as f32),
+        roll_deg: frame.solved.roll.map(|roll| roll.deg.value as f32),
+        roll_sigma_deg: frame.solved.roll.map(|roll| roll.deg.sigma as f32),
     }
 }
 

@@ -5,15 +5,16 @@ use super::flight::{Flight, FlightCamera, Navigation};
 use super::housekeeping::HousekeepingSource;
 use super::line::{self, Line};
 use super::messages::{
-    Answer, Glimpse, Hears, LinkEvent, NavigationRows, Station, TakesSamples, UnsolvedFrame,
+    LatestBrightness, LinkEvent, NavigationRows, ReceivesFrames, ReceivesSamples, SolvedFrame,
+    Station, UnsolvedFrame,
 };
 use super::navigation::{Inputs, Navigator};
 use super::outputs::{self, Outputs};
 use super::priority::Rank;
 use super::shared::Shared;
-use super::shutter::Shutter;
-use super::solvers::{MakeSolver, Memory, Shelf};
-use super::solving::Solving;
+use super::shutter::CameraThread;
+use super::solvers::{MakeSolver, Memory, Results};
+use super::solving::SolverThread;
 use super::tallies::{CameraTallies, Tallies};
 use super::tally::FlightTally;
 use super::watch::{Signals, Watch};
@@ -34,9 +35,9 @@ const UNSOLVED: usize = 8;
 /// Events that may wait for the line.
 const LINK_EVENTS: usize = 256;
 /// Silence after which a camera counts as hung. It shows that it is alive each second, and may take two seconds to be set.
-const CAMERA_PATIENCE: Duration = Duration::from_secs(10);
+const CAMERA_TIMEOUT: Duration = Duration::from_secs(10);
 /// The same for a solver. It takes 0.01 s for a frame.
-const SOLVER_PATIENCE: Duration = Duration::from_secs(5);
+const SOLVER_TIMEOUT: Duration = Duration::from_secs(5);
 /// Rows of the navigation that may wait for the archive: one for each second of its three logs.
 const NAVIGATION_ROWS: usize = 64;
 
@@ -53,8 +54,11 @@ pub struct Service {
     pub(super) signals: Arc<Signals>,
 }
 
-/// Starts the threads of a flight; every answer goes to the watcher, too.
-pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io::Result<Service> {
+/// Starts the threads of a flight; every solved frame goes to the watcher, too.
+pub(super) fn launch(
+    mut flight: Flight,
+    watcher: Option<Sender<SolvedFrame>>,
+) -> io::Result<Service> {
     let cameras = flight.cameras.iter().map(|one| &one.camera);
     let controls = Controls::of_flight(flight.config.clone(), flight.target, cameras);
     let signals = Arc::<Signals>::default();
@@ -63,14 +67,14 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
     let stations = flight.stations(&configuration);
     let counters = Arc::<Counters>::default();
     let stores = std::mem::take(&mut flight.stores);
-    let around = archiver::Surroundings {
+    let context = archiver::ArchiveContext {
         stations: &stations,
         controls: &controls,
         ephemeris: &flight.ephemeris,
         navigation_toml: flight.navigation.as_ref().map(|one| &*one.settings_toml),
         counters: &counters,
     };
-    let (archive, disks) = archiver::start(stores, &around)?;
+    let (archive, disks) = archiver::start(stores, &context)?;
     flight.config.host.hold();
     let (outputs, output_gauges, writers) =
         outputs::start(&flight.config.outputs, &signals.closing)?;
@@ -90,7 +94,7 @@ pub(super) fn launch(mut flight: Flight, watcher: Option<Sender<Answer>>) -> io:
         },
         archive,
         outputs,
-        shelf: Shelf::default(),
+        results: Results::default(),
         inputs: None,
         cameras: Vec::new(),
         solvers: Vec::new(),
@@ -144,11 +148,11 @@ struct Workers {
     archive: Archive,
     outputs: Outputs,
     to_line: Sender<LinkEvent>,
-    watcher: Option<Sender<Answer>>,
+    watcher: Option<Sender<SolvedFrame>>,
     signals: Arc<Signals>,
     tallies: Tallies,
     /// Results of the first camera of each role.
-    shelf: Shelf,
+    results: Results,
     /// The inputs of the navigation filter; `None` without one.
     inputs: Option<Inputs>,
     cameras: Vec<Worker>,
@@ -193,23 +197,23 @@ impl Workers {
         events: Receiver<LinkEvent>,
     ) -> io::Result<Worker> {
         let navigation = self.inputs.clone();
-        let around = line::Surroundings {
+        let context = line::LineContext {
             controls: self.controls.clone(),
             tally: self.tallies.line.clone(),
             counters: Arc::clone(&self.tallies.counters),
-            moon_desk: self.shelf.moon.clone(),
-            navigation: navigation.map(|inputs| Arc::new(inputs) as Arc<dyn TakesSamples>),
+            moon_state: self.results.moon.clone(),
+            navigation: navigation.map(|inputs| Arc::new(inputs) as Arc<dyn ReceivesSamples>),
             outputs: Arc::new(self.outputs.clone()),
         };
         let (host, closing) = (self.host, Arc::clone(&self.signals.closing));
-        // Successive lives of the thread share it: the port outlives a thread that panicked.
+        // Restarts of the thread share it: the port outlives a thread that panicked.
         let connection = Arc::new(Mutex::new(connection));
         Worker::start("link", None, move || {
-            let (around, connection) = (around.clone(), Arc::clone(&connection));
+            let (context, connection) = (context.clone(), Arc::clone(&connection));
             let (events, closing) = (events.clone(), Arc::clone(&closing));
-            host.real_time(Rank::First, move |life| {
+            host.realtime(Rank::First, move |heartbeat| {
                 let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
-                Line::new(&mut connection, around).run(&events, &closing, life);
+                Line::new(&mut connection, context).run(&events, &closing, heartbeat);
             })
         })
     }
@@ -221,7 +225,7 @@ impl Workers {
         (disks, line, outputs): (archiver::Threads, Worker, Vec<Worker>),
         configuration_sha256: &str,
     ) -> Watch {
-        let (controls, moon_desk) = (self.controls.clone(), self.shelf.moon);
+        let (controls, moon_state) = (self.controls.clone(), self.results.moon);
         Watch {
             cameras: self.cameras,
             solvers: self.solvers,
@@ -233,11 +237,11 @@ impl Workers {
             archive: Some(self.archive),
             to_line: self.to_line,
             controls: self.controls,
-            housekeeping: HousekeepingSource::new(controls, moon_desk, configuration_sha256),
+            housekeeping: HousekeepingSource::new(controls, moon_state, configuration_sha256),
             tallies: self.tallies,
             signals: self.signals,
             gave_up: false,
-            landed: None,
+            frames_ended: None,
         }
     }
 
@@ -251,33 +255,33 @@ impl Workers {
             unsolved,
             recent: Shared::default(),
         };
-        let glimpse = Glimpse::default();
-        self.add_solver(&tallies, glimpse.clone())?;
-        self.add_camera(&tallies, glimpse, to_solver, camera)?;
+        let latest = LatestBrightness::default();
+        self.add_solver(&tallies, latest.clone())?;
+        self.add_camera(&tallies, latest, to_solver, camera)?;
         self.tallies.cameras.push(tallies);
         Ok(())
     }
 
-    fn add_solver(&mut self, tallies: &CameraTallies, glimpse: Glimpse) -> io::Result<()> {
+    fn add_solver(&mut self, tallies: &CameraTallies, latest: LatestBrightness) -> io::Result<()> {
         let station = Arc::clone(&tallies.station);
-        let mut hearers: Vec<Arc<dyn Hears>> = Vec::new();
+        let mut receivers: Vec<Arc<dyn ReceivesFrames>> = Vec::new();
         if let Some(inputs) = &self.inputs {
-            hearers.push(Arc::new(inputs.clone()));
+            receivers.push(Arc::new(inputs.clone()));
         }
-        hearers.push(Arc::new(tallies.recent.clone()));
-        hearers.push(Arc::new(self.archive.clone()));
-        hearers.push(Arc::new(self.outputs.clone()));
+        receivers.push(Arc::new(tallies.recent.clone()));
+        receivers.push(Arc::new(self.archive.clone()));
+        receivers.push(Arc::new(self.outputs.clone()));
         if let Some(watcher) = &self.watcher {
-            hearers.push(Arc::new(watcher.clone()));
+            receivers.push(Arc::new(watcher.clone()));
         }
-        let solving = Solving {
+        let solving = SolverThread {
             station: Arc::clone(&station),
             controls: self.controls.clone(),
             frames: tallies.unsolved.clone(),
             cameras_ended: Arc::clone(&self.signals.cameras_ended),
             to_line: self.to_line.clone(),
-            glimpse,
-            hearers,
+            brightness: latest,
+            receivers,
             tally: tallies.solver.clone(),
         };
         let memory = Memory {
@@ -285,11 +289,11 @@ impl Workers {
             ..Memory::default()
         };
         let (host, ephemeris) = (self.host, self.ephemeris.clone());
-        let made = MakeSolver::new(&station, ephemeris, &self.shelf, memory);
+        let made = MakeSolver::new(&station, ephemeris, &self.results, memory);
         let name = format!("solver-{}", station.index + 1);
-        let worker = Worker::start(name, Some(SOLVER_PATIENCE), move || {
+        let worker = Worker::start(name, Some(SOLVER_TIMEOUT), move || {
             let (solving, solver) = (solving.clone(), made.make());
-            host.real_time(Rank::Solver, move |life| solving.run(solver, life))
+            host.realtime(Rank::Solver, move |beat| solving.run(solver, beat))
         })?;
         self.solvers.push(worker);
         Ok(())
@@ -298,16 +302,16 @@ impl Workers {
     fn add_camera(
         &mut self,
         tallies: &CameraTallies,
-        glimpse: Glimpse,
+        latest: LatestBrightness,
         to_solver: Sender<UnsolvedFrame>,
         camera: FlightCamera,
     ) -> io::Result<()> {
-        let shutter = Shutter {
+        let thread = CameraThread {
             station: Arc::clone(&tallies.station),
             controls: self.controls.clone(),
             to_solver,
             to_line: self.to_line.clone(),
-            glimpse,
+            brightness: latest,
             tally: tallies.camera.clone(),
             counters: Arc::clone(&self.tallies.counters),
             silence: tallies.silence.clone(),
@@ -315,9 +319,9 @@ impl Workers {
         };
         let (host, mut source) = (self.host, camera.source);
         let name = format!("camera-{}", tallies.station.index + 1);
-        let worker = Worker::start(name, Some(CAMERA_PATIENCE), move || {
-            let (shutter, source, open) = (shutter.clone(), source.take(), camera.open.clone());
-            host.real_time(Rank::First, move |life| shutter.run(source, open, life))
+        let worker = Worker::start(name, Some(CAMERA_TIMEOUT), move || {
+            let (thread, source, open) = (thread.clone(), source.take(), camera.open.clone());
+            host.realtime(Rank::First, move |beat| thread.run(source, open, beat))
         })?;
         self.cameras.push(worker);
         Ok(())

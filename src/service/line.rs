@@ -9,17 +9,17 @@
 //! 4. A port that is lost is opened again; nothing else waits for it.
 //! 5. Packets that come by wire are accepted. Datagrams pass the [guard](crate::link::guard) first.
 
-mod hearing;
 mod moon;
 mod outcome;
 mod picture;
+mod receive;
 
 use super::messages::{
-    HearsTelemetry, LinkEvent, MoonDesk, Outcome, PropagatedEvent, TakesSamples,
+    LinkEvent, MoonState, Outcome, PropagatedEvent, ReceivesSamples, ReceivesTelemetry,
 };
 use super::shared::Shared;
 use super::tally::{LineTally, note_latency};
-use super::worker::Life;
+use super::worker::Heartbeat;
 use crate::commands::controls::{Controls, Topic};
 use crate::config;
 use crate::link::Counters;
@@ -38,9 +38,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// How long the thread waits for something to send before it checks for received bytes.
-const PATIENCE: Duration = Duration::from_millis(5);
+const TIMEOUT: Duration = Duration::from_millis(5);
 /// The same if a filter takes the IMU's samples, each with its time of arrival.
-const PATIENCE_FOR_SAMPLES: Duration = Duration::from_millis(1);
+const SAMPLE_TIMEOUT: Duration = Duration::from_millis(1);
 /// How long a packet waits for space in the system's buffer. At 115200 baud the system's buffer drains 230 bytes in it.
 const WRITE_TIMEOUT: Duration = Duration::from_millis(20);
 /// Bytes in the system's buffer beyond which the line cannot follow: 45 ms at 115200 baud.
@@ -50,15 +50,15 @@ const OLDEST_OFFSET: Duration = Duration::from_millis(100);
 
 /// Shared state of the link's thread.
 #[derive(Clone)]
-pub(super) struct Surroundings {
+pub(super) struct LineContext {
     pub controls: Controls,
     pub tally: Shared<LineTally>,
     pub counters: Arc<Counters>,
-    pub moon_desk: Shared<MoonDesk>,
+    pub moon_state: Shared<MoonState>,
     /// Receiver of the IMU's samples; `None` without a filter.
-    pub navigation: Option<Arc<dyn TakesSamples>>,
+    pub navigation: Option<Arc<dyn ReceivesSamples>>,
     /// Receivers of the telemetry besides the port.
-    pub outputs: Arc<dyn HearsTelemetry>,
+    pub outputs: Arc<dyn ReceivesTelemetry>,
 }
 
 pub(super) struct Line<'a> {
@@ -70,7 +70,7 @@ pub(super) struct Line<'a> {
     version: u64,
     start: Instant,
     outcomes: u64,
-    unsaid: u64,
+    unsent: u64,
     /// Number of packets that came again.
     repeated: u64,
     stalled: bool,
@@ -82,23 +82,23 @@ pub(super) struct Line<'a> {
     counters: Arc<Counters>,
     /// Arrival of the horizon frame whose roll was sent last.
     last_roll: Option<Instant>,
-    moon_desk: Shared<MoonDesk>,
+    moon_state: Shared<MoonState>,
     moon_requests: MoonRequests,
     /// Receiver of the IMU's samples; `None` without a filter.
-    navigation: Option<Arc<dyn TakesSamples>>,
-    outputs: Arc<dyn HearsTelemetry>,
+    navigation: Option<Arc<dyn ReceivesSamples>>,
+    outputs: Arc<dyn ReceivesTelemetry>,
 }
 
 impl<'a> Line<'a> {
-    pub fn new(connection: &'a mut Connection, around: Surroundings) -> Self {
-        let Surroundings {
+    pub fn new(connection: &'a mut Connection, context: LineContext) -> Self {
+        let LineContext {
             controls,
             tally,
             counters,
-            moon_desk,
+            moon_state,
             navigation,
             outputs,
-        } = around;
+        } = context;
         let version = controls.version(Topic::Link);
         let settings = controls.config().link;
         let computer = Computer::numbered(settings.computer).unwrap_or(Computer::One);
@@ -116,7 +116,7 @@ impl<'a> Line<'a> {
             start: Instant::now(),
             outcomes: 0,
             last_roll: None,
-            unsaid: 0,
+            unsent: 0,
             repeated: 0,
             stalled: false,
             stopping_since: None,
@@ -124,7 +124,7 @@ impl<'a> Line<'a> {
             marks: VecDeque::new(),
             tally,
             counters,
-            moon_desk,
+            moon_state,
             moon_requests: MoonRequests::default(),
             navigation,
             outputs,
@@ -132,21 +132,21 @@ impl<'a> Line<'a> {
     }
 
     /// Sends and receives until the line is to be closed and nothing is left to send.
-    pub fn run(&mut self, events: &Receiver<LinkEvent>, closing: &AtomicBool, life: &Life) {
-        let patience = match self.navigation {
-            Some(_) => PATIENCE_FOR_SAMPLES,
-            None => PATIENCE,
+    pub fn run(&mut self, events: &Receiver<LinkEvent>, closing: &AtomicBool, beat: &Heartbeat) {
+        let timeout = match self.navigation {
+            Some(_) => SAMPLE_TIMEOUT,
+            None => TIMEOUT,
         };
         loop {
-            life.beat();
-            self.revive();
-            match events.recv_timeout(patience) {
-                Ok(event) => self.hear(event, events),
+            beat.beat();
+            self.reopen();
+            match events.recv_timeout(timeout) {
+                Ok(event) => self.process(event, events),
                 Err(_) if closing.load(Ordering::Relaxed) => return,
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(patience),
+                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(timeout),
             }
-            self.listen();
+            self.receive();
             self.answer_moon_requests();
             self.finish_stopping();
             if events.is_empty() {
@@ -165,9 +165,9 @@ impl<'a> Line<'a> {
     }
 
     /// Sends what an event asks for. If the port does not take it, outcomes that still wait are dropped: they would only be older.
-    fn hear(&mut self, event: LinkEvent, events: &Receiver<LinkEvent>) {
+    fn process(&mut self, event: LinkEvent, events: &Receiver<LinkEvent>) {
         self.follow_settings();
-        self.say(event);
+        self.dispatch(event);
         if self.stalled {
             let is_outcome = |event: &LinkEvent| matches!(event, LinkEvent::Outcome(_));
             let outdated = events.try_iter().filter(is_outcome).count();
@@ -177,7 +177,7 @@ impl<'a> Line<'a> {
         }
     }
 
-    fn say(&mut self, event: LinkEvent) {
+    fn dispatch(&mut self, event: LinkEvent) {
         match event {
             LinkEvent::ExposureStarts(exposure) => self.announce(exposure),
             LinkEvent::Outcome(outcome) => self.conclude(&outcome),
@@ -202,11 +202,11 @@ impl<'a> Line<'a> {
     fn send_housekeeping(&mut self, packet: Result<TelemetryPacket, MessageError>) -> bool {
         match packet {
             Ok(packet) => {
-                self.outputs.hear_telemetry(&packet);
+                self.outputs.receive_telemetry(&packet);
                 self.backlog() <= BACKLOG && self.send(&packet.encode())
             }
             Err(error) => {
-                self.note_unsaid(&error, "housekeeping was not sent");
+                self.note_unsent(&error, "housekeeping was not sent");
                 false
             }
         }
@@ -218,10 +218,10 @@ impl<'a> Line<'a> {
         for one in marks {
             match one.packet(time) {
                 Ok(packet) => {
-                    self.outputs.hear_telemetry(&packet);
+                    self.outputs.receive_telemetry(&packet);
                     self.marks.push_back(packet.encode());
                 }
-                Err(error) => self.note_unsaid(&error, "housekeeping was not sent"),
+                Err(error) => self.note_unsent(&error, "housekeeping was not sent"),
             }
         }
     }
@@ -251,7 +251,7 @@ impl<'a> Line<'a> {
                 }
                 return;
             };
-            self.outputs.hear_telemetry(&part);
+            self.outputs.receive_telemetry(&part);
             self.send(&part.encode());
         }
     }
@@ -286,7 +286,7 @@ impl<'a> Line<'a> {
                 }
             }
             Ok(None) => {}
-            Err(error) => self.note_unsaid(&error, "an exposure was not announced"),
+            Err(error) => self.note_unsent(&error, "an exposure was not announced"),
         }
     }
 
@@ -314,7 +314,7 @@ impl<'a> Line<'a> {
                 }
             }
             Ok(None) => {}
-            Err(error) => self.note_unsaid(&error, "a solution was not sent"),
+            Err(error) => self.note_unsent(&error, "a solution was not sent"),
         }
     }
 
@@ -331,7 +331,7 @@ impl<'a> Line<'a> {
                 }
             }
             Ok(None) => {}
-            Err(error) => self.note_unsaid(&error, "an offset by the gyros was not sent"),
+            Err(error) => self.note_unsent(&error, "an offset by the gyros was not sent"),
         }
     }
 
@@ -374,7 +374,7 @@ impl<'a> Line<'a> {
                 self.answer(&packets);
                 self.note_conversation();
             }
-            Err(error) => self.note_unsaid(&error, "a command was not answered"),
+            Err(error) => self.note_unsent(&error, "a command was not answered"),
         }
     }
 
@@ -382,7 +382,7 @@ impl<'a> Line<'a> {
     fn answer(&mut self, packets: &[Vec<u8>]) {
         for packet in packets {
             if let Ok(Packet::Telemetry(packet)) = Packet::decode(Direction::ToController, packet) {
-                self.outputs.hear_telemetry(&packet);
+                self.outputs.receive_telemetry(&packet);
             }
             self.send(packet);
         }
@@ -436,10 +436,10 @@ impl<'a> Line<'a> {
     }
 
     /// Notes a message that no packet can hold: the clock is out of range, and so is every further message.
-    fn note_unsaid(&mut self, error: &MessageError, what: &'static str) {
-        self.unsaid += 1;
-        if worth_a_line(self.unsaid) {
-            tracing::error!(%error, unsaid = self.unsaid, what);
+    fn note_unsent(&mut self, error: &MessageError, what: &'static str) {
+        self.unsent += 1;
+        if worth_a_line(self.unsent) {
+            tracing::error!(%error, unsaid = self.unsent, what);
         }
     }
 
@@ -452,7 +452,7 @@ impl<'a> Line<'a> {
     }
 
     /// Opens a lost port again. State of the old connection is dropped; the controller's settings still hold.
-    fn revive(&mut self) {
+    fn reopen(&mut self) {
         if self.connection.revive(self.start.elapsed()) {
             self.parser.abandon();
             self.responder.forget_all();

@@ -12,7 +12,7 @@ use crate::link::{
     self, Housekeeping, ImuPacket, MoonOutcome, Picture, Propagated, TelemetryPacket,
 };
 use crate::moon;
-use crate::navigation::Target as SeenTarget;
+use crate::navigation::Target as ObservedTarget;
 use crate::navigation::nmea::TimedFix;
 use crate::pointing::{Offset, Target};
 use crate::reasons::Stopped;
@@ -41,22 +41,22 @@ pub struct Station {
 pub struct UnsolvedFrame {
     pub exposure: Exposure,
     pub arrived: Instant,
-    pub middle: Middle,
+    pub middle: MidExposure,
 }
 
 /// The middle of an exposure: by the frame's own time stamp, and by its arrival, which a busy computer delays.
 #[derive(Debug, Clone, Copy)]
-pub struct Middle {
+pub struct MidExposure {
     pub utc: Option<Timestamp>,
     pub by_arrival: Instant,
 }
 
 /// A frame's brightness and its exposure, us; the solver passes them to the camera's thread.
-pub(super) type Glimpse = Shared<Option<(Brightness, u32)>>;
+pub(super) type LatestBrightness = Shared<Option<(Brightness, u32)>>;
 
 /// A solved frame.
 #[derive(Debug, Clone)]
-pub struct Answer {
+pub struct SolvedFrame {
     /// The camera that took the frame.
     pub station: Arc<Station>,
     pub exposure: Arc<Exposure>,
@@ -77,7 +77,7 @@ pub struct Solved {
     pub levels: Option<Levels>,
     /// Brightness for the automatic exposure.
     pub brightness: Brightness,
-    pub roll: Option<SeenRoll>,
+    pub roll: Option<BodyRoll>,
     /// Time that the solver alone took.
     pub solve_time: Duration,
 }
@@ -109,36 +109,36 @@ pub struct SolvedMoon {
 
 /// The body's roll, from this frame of the horizon or from the one nearest in time to this frame of the Sun.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SeenRoll {
+pub struct BodyRoll {
     pub deg: Measured,
     /// Arrival of that frame of the horizon.
     pub arrived: Instant,
 }
 
 /// A receiver of every solved frame.
-pub(super) trait Hears: Send + Sync {
-    fn hear(&self, answer: &Answer);
+pub(super) trait ReceivesFrames: Send + Sync {
+    fn receive(&self, frame: &SolvedFrame);
 }
 
 /// A receiver of every telemetry packet that the line carries.
-pub(super) trait HearsTelemetry: Send + Sync {
-    fn hear_telemetry(&self, packet: &TelemetryPacket);
+pub(super) trait ReceivesTelemetry: Send + Sync {
+    fn receive_telemetry(&self, packet: &TelemetryPacket);
 }
 
 /// A receiver of samples of the IMU.
-pub(super) trait TakesSamples: Send + Sync {
+pub(super) trait ReceivesSamples: Send + Sync {
     /// Takes a packet that was read at the time `read`.
-    fn take_sample(&self, packet: &TelemetryPacket, read: Instant);
+    fn receive_sample(&self, packet: &TelemetryPacket, read: Instant);
 }
 
 /// Latest nadir from the horizon; the solvers of the other cameras read it.
-pub(super) type LatestNadir = Shared<Option<SeenNadir>>;
+pub(super) type LatestNadir = Shared<Option<BodyNadir>>;
 
 /// Nadir in the axes of the body that carries the cameras: forward, right, down.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct SeenNadir {
+pub(super) struct BodyNadir {
     pub direction: Direction,
-    pub at: Middle,
+    pub at: MidExposure,
     /// Arrival of the frame.
     pub arrived: Instant,
     /// Turn rate of the nadir in these axes, from the latest frames.
@@ -150,15 +150,15 @@ pub(super) struct SeenNadir {
 
 /// The line's requests to the Moon camera, and its latest result.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct MoonDesk {
+pub(super) struct MoonState {
     /// The platform's place at the latest request.
-    pub asked_from: Option<Place>,
-    pub seen: Option<SeenMoon>,
+    pub requested_from: Option<Place>,
+    pub result: Option<MoonResult>,
 }
 
 /// Result of the Moon camera's last frame.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct SeenMoon {
+pub(super) struct MoonResult {
     /// Start of its exposure.
     pub began: Instant,
     pub outcome: MoonOutcome,
@@ -169,7 +169,7 @@ pub(super) struct SeenMoon {
 /// A solver's contribution to the next housekeeping.
 #[derive(Debug, Default)]
 pub(super) struct Recent {
-    pub answer: Option<Answer>,
+    pub frame: Option<SolvedFrame>,
     /// Solve times of the frames since the last packet.
     pub solve_times: Vec<Duration>,
 }
@@ -204,10 +204,10 @@ pub(super) struct Outcome {
     /// Arrival of the frame.
     pub arrived: Instant,
     /// Exposure time, if known.
-    pub shutter: Option<Duration>,
+    pub exposure_time: Option<Duration>,
     pub offset: Option<Offset>,
     /// The body's roll, if known.
-    pub roll: Option<SeenRoll>,
+    pub roll: Option<BodyRoll>,
     pub stopped: Option<aspect::Stopped>,
 }
 
@@ -217,15 +217,15 @@ pub(super) enum Input {
     /// A sample, and its reading time.
     Imu(ImuPacket, Instant),
     Fix(TimedFix),
-    Seen(Seen),
+    Direction(ObservedDirection),
 }
 
 /// A direction observed by a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Seen {
+pub(super) struct ObservedDirection {
     /// Number among the flight's cameras, from 0.
     pub camera: usize,
-    pub target: SeenTarget,
+    pub target: ObservedTarget,
     /// Mid-exposure.
     pub utc: Timestamp,
     /// In forward, right and down axes of the telescope or the body that carries the camera; in a Moon camera's own axes.

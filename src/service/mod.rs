@@ -4,7 +4,7 @@
 //!             frames (8)               pictures (queue_frames)
 //!  camera-1 ---------------> solver-1 ------------------------> archive-1, archive-2    frames
 //!     |  ^                     | |  | \_______ rows (10,000) ______> log-1, log-2         log, telemetry, housekeeping
-//!     |  \__ Glimpse __________/ |  |
+//!     |  \__ LatestBrightness _/ |  |
 //!     |                          |  \___ directions __
 //!     |     LinkEvent (256)      |                    v
 //!     +--------------------------+-> link --- IMU --> navigation <--- gps, imu     sensors with lines of their own
@@ -27,7 +27,7 @@
 //! | channel | holds | when it is full |
 //! |---|---|---|
 //! | frames | frames to solve | the frame is lost and counted: a camera does not wait; frames of a folder or the simulator wait for 10 s before |
-//! | Glimpse | brightness of the last frame | the newer value replaces the older |
+//! | LatestBrightness | brightness of the last frame | the newer value replaces the older |
 //! | pictures | solved frames to store | by the rule `archive.overflow` a picture is given up, and counted; solving goes on |
 //! | rows | rows of the log | the row is lost and counted |
 //! | commands | rows of the command log, from link and values to watch (1024), and on among the rows | the row is lost and counted |
@@ -48,7 +48,6 @@
 //! The program's log has a queue and a thread of its own ([`crate::log`]): no thread here waits for standard error. So has the list of files taken
 //! from a folder that is followed ([`crate::camera::TakenFiles`], 4096 names, then lost and counted): no frame waits for its disk.
 
-mod answer;
 mod archiver;
 mod flight;
 mod frames;
@@ -62,6 +61,7 @@ pub mod priority;
 mod shared;
 mod shutter;
 mod silence;
+mod solved_frame;
 pub(crate) mod solvers;
 mod solving;
 mod systemd;
@@ -73,7 +73,7 @@ mod worker;
 pub use archiver::DiskHealth;
 pub use flight::{CameraFactory, ClaimError, Flight, FlightCamera, Navigation, NoOwnCamera};
 pub use launch::Service;
-pub use messages::{Answer, Found, SeenRoll, Solved, SolvedMoon, SolvedSun, Station};
+pub use messages::{BodyRoll, Found, Solved, SolvedFrame, SolvedMoon, SolvedSun, Station};
 pub use tally::{
     ArchiveTally, CameraSolved, CameraTally, FlightTally, LineTally, NavigationTally, OutputTally,
     SolverTally, quantile,
@@ -98,10 +98,10 @@ impl Service {
         launch::launch(flight, None)
     }
 
-    /// Starts the threads of a flight; every answer also goes to the returned receiver.
-    pub fn start_watched(flight: Flight) -> std::io::Result<(Self, Receiver<Answer>)> {
-        let (watcher, answers) = unbounded();
-        Ok((launch::launch(flight, Some(watcher))?, answers))
+    /// Starts the threads of a flight; every solved frame also goes to the returned receiver.
+    pub fn start_watched(flight: Flight) -> std::io::Result<(Self, Receiver<SolvedFrame>)> {
+        let (watcher, frames) = unbounded();
+        Ok((launch::launch(flight, Some(watcher))?, frames))
     }
 
     /// Settings and values that the ground may set.

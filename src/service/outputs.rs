@@ -1,10 +1,10 @@
 //! Outputs for other programs: each has a thread and a queue of its own. No thread waits for one: messages that do not fit into its queue, or
 //! that its reader does not take, are dropped and counted.
 
-use super::messages::{Answer, Found, Hears, HearsTelemetry};
+use super::messages::{Found, ReceivesFrames, ReceivesTelemetry, SolvedFrame};
 use super::priority::normal_priority;
 use super::tally::OutputTally;
-use super::worker::{Life, Worker};
+use super::worker::{Heartbeat, Worker};
 use crate::config;
 use crate::link::TelemetryPacket;
 use crate::log::worth_a_line;
@@ -17,9 +17,9 @@ use std::time::{Duration, Instant};
 /// Messages that may wait for an output: 10 s of one camera at 26 frames/s.
 const WAITING: usize = 256;
 /// How long a thread waits for a message before it checks its readers.
-const PATIENCE: Duration = Duration::from_millis(50);
+const TIMEOUT: Duration = Duration::from_millis(50);
 /// Time after the end for which messages may still wait; then they are dropped.
-const LAST_WORDS: Duration = Duration::from_millis(200);
+const FLUSH_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// The outputs, as a receiver of messages.
 #[derive(Clone, Default)]
@@ -93,13 +93,13 @@ pub(super) fn start(
             None,
             move || {
                 let (messages, closing) = (messages.clone(), Arc::clone(&closing));
-                let mut writing = Writing {
+                let mut writing = OutputThread {
                     endpoint: Endpoint::new(&own.to, baud),
                     encoder: Encoder::new(own.format),
                     counts: Arc::clone(&own),
                     start: Instant::now(),
                 };
-                normal_priority(move |life| writing.run(&messages, &closing, life))
+                normal_priority(move |heartbeat| writing.run(&messages, &closing, heartbeat))
             },
         )?);
         ends.push(Output {
@@ -113,7 +113,7 @@ pub(super) fn start(
 
 impl Outputs {
     /// Hands a message to the outputs that carry it. The message is made only if one does.
-    fn hand_on(&self, carries: impl Fn(Format) -> bool, message: impl FnOnce() -> Message) {
+    fn pass_on(&self, carries: impl Fn(Format) -> bool, message: impl FnOnce() -> Message) {
         if !self.0.iter().any(|output| carries(output.format)) {
             return;
         }
@@ -126,56 +126,56 @@ impl Outputs {
     }
 }
 
-impl Hears for Outputs {
-    fn hear(&self, answer: &Answer) {
-        if matches!(answer.solved.found, Found::Nothing) {
+impl ReceivesFrames for Outputs {
+    fn receive(&self, frame: &SolvedFrame) {
+        if matches!(frame.solved.found, Found::Nothing) {
             return;
         }
-        self.hand_on(Format::carries_solutions, || {
+        self.pass_on(Format::carries_solutions, || {
             Message::Solution(Arc::new(Report {
-                camera: answer.station.camera.name.clone(),
-                number: answer.station.number,
-                row: answer.row(),
+                camera: frame.station.camera.name.clone(),
+                number: frame.station.number,
+                row: frame.row(),
             }))
         });
     }
 }
 
-impl HearsTelemetry for Outputs {
-    fn hear_telemetry(&self, packet: &TelemetryPacket) {
-        self.hand_on(Format::carries_telemetry, || {
+impl ReceivesTelemetry for Outputs {
+    fn receive_telemetry(&self, packet: &TelemetryPacket) {
+        self.pass_on(Format::carries_telemetry, || {
             Message::Telemetry(Arc::new(packet.clone()))
         });
     }
 }
 
-/// One life of an output's thread.
-struct Writing {
+/// State of an output's thread until its next restart.
+struct OutputThread {
     endpoint: Endpoint,
     encoder: Encoder,
     counts: Arc<Counts>,
     start: Instant,
 }
 
-impl Writing {
-    fn run(&mut self, messages: &Receiver<Message>, closing: &AtomicBool, life: &Life) {
+impl OutputThread {
+    fn run(&mut self, messages: &Receiver<Message>, closing: &AtomicBool, heartbeat: &Heartbeat) {
         let mut ended = None;
         self.endpoint.poll(self.start.elapsed());
         loop {
-            life.beat();
-            let message = messages.recv_timeout(PATIENCE);
+            heartbeat.beat();
+            let message = messages.recv_timeout(TIMEOUT);
             // Readers that have connected by now get the message, too.
             self.endpoint.poll(self.start.elapsed());
             if closing.load(Ordering::Relaxed) {
                 ended.get_or_insert_with(Instant::now);
             }
-            let is_late = ended.is_some_and(|ended: Instant| ended.elapsed() > LAST_WORDS);
+            let is_late = ended.is_some_and(|ended: Instant| ended.elapsed() > FLUSH_TIMEOUT);
             match message {
                 Ok(_) if is_late => self.counts.note_dropped(1),
                 Ok(message) => self.write(&message),
                 Err(_) if ended.is_some() => return,
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(PATIENCE),
+                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(TIMEOUT),
             }
         }
     }

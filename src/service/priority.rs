@@ -1,6 +1,6 @@
 //! Real-time scheduling and locked memory, if the configuration asks for them and the computer grants them.
 
-use super::worker::{Job, Life};
+use super::worker::{Heartbeat, Job};
 use crate::config::{Host, Memory};
 use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::sys::resource::{RLIM_INFINITY, Resource, getrlimit};
@@ -46,14 +46,14 @@ pub fn lock_memory() -> Result<(), NotGranted> {
 }
 
 /// Work for a thread of lower priority than all others (nice 10), whatever the configuration asks for.
-pub(super) fn normal_priority(work: impl FnOnce(&Life) + Send + 'static) -> Job {
-    Box::new(move |life| {
+pub(super) fn normal_priority(work: impl FnOnce(&Heartbeat) + Send + 'static) -> Job {
+    Box::new(move |heartbeat| {
         const NICE: libc::c_int = 10;
         // SAFETY: it takes three numbers. On Linux 0 is the calling thread, and each thread has its own priority.
         if unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, NICE) } != 0 {
             tracing::warn!("the thread is scheduled like all others");
         }
-        work(life);
+        work(heartbeat);
     })
 }
 
@@ -78,13 +78,13 @@ impl Rank {
 
 impl Host {
     /// Work for a thread that is scheduled as the configuration asks; a refused request is logged.
-    pub(super) fn real_time(self, rank: Rank, work: impl FnOnce(&Life) + Send + 'static) -> Job {
-        Box::new(move |life| {
+    pub(super) fn realtime(self, rank: Rank, run: impl FnOnce(&Heartbeat) + Send + 'static) -> Job {
+        Box::new(move |heartbeat| {
             let priority = self.realtime_priority.map(|own| rank.above(own));
             if let Some(Err(error)) = priority.map(run_in_real_time) {
                 tracing::warn!(%error, "the thread is scheduled like all others");
             }
-            work(life);
+            run(heartbeat);
         })
     }
 

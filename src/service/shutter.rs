@@ -1,11 +1,11 @@
 //! A camera's thread: it sets the camera, announces each exposure on the line, and hands the frame to the solver.
 
 use super::flight::CameraFactory;
-use super::messages::{Glimpse, LinkEvent, Station, UnsolvedFrame};
+use super::messages::{LatestBrightness, LinkEvent, Station, UnsolvedFrame};
 use super::shared::Shared;
 use super::silence::{self, Silence};
 use super::tally::CameraTally;
-use super::worker::Life;
+use super::worker::Heartbeat;
 use crate::backoff::Backoff;
 use crate::camera::{
     AutoExposure, AutoExposureSettings, CameraError, CameraSettings, FrameSource, Take,
@@ -30,29 +30,29 @@ const HOLD: Duration = Duration::from_secs(10);
 const STEP: SignedDuration = SignedDuration::from_millis(20);
 
 #[derive(Clone)]
-pub(super) struct Shutter {
+pub(super) struct CameraThread {
     pub station: Arc<Station>,
     pub controls: Controls,
     pub to_solver: Sender<UnsolvedFrame>,
     pub to_line: Sender<LinkEvent>,
-    pub glimpse: Glimpse,
+    pub brightness: LatestBrightness,
     pub tally: Shared<CameraTally>,
     pub counters: Arc<Counters>,
     pub silence: Shared<Silence>,
     pub stop: Arc<AtomicBool>,
 }
 
-impl Shutter {
+impl CameraThread {
     /// Takes frames until the source ends or the flight does. Without a source it opens one.
     pub fn run(
         self,
         source: Option<Box<dyn FrameSource>>,
         open: Option<CameraFactory>,
-        life: &Life,
+        heartbeat: &Heartbeat,
     ) {
-        self.take_frames(source, open, life);
+        self.take_frames(source, open, heartbeat);
         // A thread that was replaced leaves the silence to its successor.
-        if !life.is_over() {
+        if !heartbeat.is_replaced() {
             self.silence.lock().end(Instant::now());
         }
     }
@@ -61,29 +61,29 @@ impl Shutter {
         &self,
         source: Option<Box<dyn FrameSource>>,
         open: Option<CameraFactory>,
-        life: &Life,
+        heartbeat: &Heartbeat,
     ) {
         let settings = self.controls.camera(&self.station.camera).settings();
         self.silence.lock().begin(Instant::now(), &settings);
-        let Some(mut source) = source.or_else(|| self.open(open.as_ref()?, life)) else {
+        let Some(mut source) = source.or_else(|| self.open(open.as_ref()?, heartbeat)) else {
             return;
         };
-        let mut dial = Dial::new(&self.controls, &self.station);
+        let mut commanded = CommandedSettings::new(&self.controls, &self.station);
         let mut clock = ClockWatch::default();
         if !source.falls_silent() {
             self.silence.lock().end(Instant::now());
         }
-        while self.goes_on(life) {
-            dial.turn(
+        while self.is_running(heartbeat) {
+            commanded.apply(
                 &self.controls,
                 &self.station,
-                &self.glimpse,
+                &self.brightness,
                 &self.silence,
                 source.as_mut(),
             );
             let mut announce = |start| self.announce(start);
             let taken = source.next(&mut announce);
-            if life.is_over() {
+            if heartbeat.is_replaced() {
                 return;
             }
             self.tally.lock().health = source.health();
@@ -95,9 +95,9 @@ impl Shutter {
                         silence::log(self.station.index + 1, change);
                     }
                     if source.frames_wait() {
-                        self.wait_for_solver(source.falls_silent(), life);
+                        self.wait_for_solver(source.falls_silent(), heartbeat);
                     }
-                    self.hand_on(UnsolvedFrame::arrived(*exposure));
+                    self.pass_on(UnsolvedFrame::arrived(*exposure));
                 }
                 Ok(Take::NotYet) => {}
                 Ok(Take::End) => return,
@@ -109,20 +109,20 @@ impl Shutter {
         }
     }
 
-    fn goes_on(&self, life: &Life) -> bool {
-        life.beat();
-        !(self.stop.load(Ordering::Relaxed) || life.is_over())
+    fn is_running(&self, heartbeat: &Heartbeat) -> bool {
+        heartbeat.beat();
+        !(self.stop.load(Ordering::Relaxed) || heartbeat.is_replaced())
     }
 
-    fn open(&self, open: &CameraFactory, life: &Life) -> Option<Box<dyn FrameSource>> {
+    fn open(&self, open: &CameraFactory, heartbeat: &Heartbeat) -> Option<Box<dyn FrameSource>> {
         let mut waits = Backoff::DEVICE;
-        while self.goes_on(life) {
+        while self.is_running(heartbeat) {
             match open() {
                 Ok(source) => return Some(source),
                 Err(error) => self.note_failure(&error),
             }
             let next = Instant::now() + waits.wait();
-            while Instant::now() < next && self.goes_on(life) {
+            while Instant::now() < next && self.is_running(heartbeat) {
                 thread::sleep(PAUSE);
             }
         }
@@ -145,10 +145,10 @@ impl Shutter {
     }
 
     /// Waits until the solver's queue can take a frame: the frames behind it wait, too, and none is lost.
-    fn wait_for_solver(&self, falls_silent: bool, life: &Life) {
+    fn wait_for_solver(&self, falls_silent: bool, heartbeat: &Heartbeat) {
         let until = Instant::now() + HOLD;
-        while self.to_solver.is_full() && Instant::now() < until && !life.is_over() {
-            life.beat();
+        while self.to_solver.is_full() && Instant::now() < until && !heartbeat.is_replaced() {
+            heartbeat.beat();
             if falls_silent {
                 // The camera does not cause this gap.
                 self.silence.lock().frame(Instant::now());
@@ -157,7 +157,7 @@ impl Shutter {
         }
     }
 
-    fn hand_on(&self, frame: UnsolvedFrame) {
+    fn pass_on(&self, frame: UnsolvedFrame) {
         let full = matches!(self.to_solver.try_send(frame), Err(TrySendError::Full(_)));
         self.counters.taken.count();
         if full {
@@ -180,7 +180,7 @@ impl Shutter {
 }
 
 /// The camera's settings: the commanded ones, and the automatic exposure if it is on.
-struct Dial {
+struct CommandedSettings {
     version: u64,
     settings: CameraSettings,
     auto: Option<(AutoExposureSettings, AutoExposure)>,
@@ -188,7 +188,7 @@ struct Dial {
     set: bool,
 }
 
-impl Dial {
+impl CommandedSettings {
     fn new(controls: &Controls, station: &Station) -> Self {
         let version = controls.version(Topic::Cameras);
         let camera = controls.camera(&station.camera);
@@ -201,11 +201,11 @@ impl Dial {
         }
     }
 
-    fn turn(
+    fn apply(
         &mut self,
         controls: &Controls,
         station: &Station,
-        glimpse: &Glimpse,
+        brightness: &LatestBrightness,
         silence: &Shared<Silence>,
         source: &mut dyn FrameSource,
     ) {
@@ -216,7 +216,7 @@ impl Dial {
             self.set &= self.settings == camera.settings();
             self.settings = camera.settings();
             if !self.set {
-                silence.lock().excuse(Instant::now());
+                silence.lock().expect_pause(Instant::now());
             }
             let wanted = camera.auto_exposure();
             if wanted != self.auto.as_ref().map(|auto| auto.0) {
@@ -224,9 +224,9 @@ impl Dial {
             }
         }
         if let Some((_, auto)) = &mut self.auto
-            && let Some((seen, exposure_us)) = glimpse.lock().take()
+            && let Some((measured, exposure_us)) = brightness.lock().take()
         {
-            let exposure_us = auto.next(seen, exposure_us);
+            let exposure_us = auto.next(measured, exposure_us);
             self.set &= exposure_us == self.settings.exposure_us;
             self.settings.exposure_us = exposure_us;
         }

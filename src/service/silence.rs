@@ -32,7 +32,7 @@ pub(super) enum Change {
     /// The n-th silence has begun, and the time without a frame.
     Silent(u64, Duration),
     /// Frames have come again after the n-th silence, and its duration.
-    Back(u64, Duration),
+    Resumed(u64, Duration),
 }
 
 impl Silence {
@@ -49,7 +49,7 @@ impl Silence {
     }
 
     /// A command is being carried out: frames may pause for that.
-    pub fn excuse(&mut self, now: Instant) {
+    pub fn expect_pause(&mut self, now: Instant) {
         if !self.is_silent {
             self.since = self.since.map(|since| since.max(now + SETTING));
         }
@@ -61,7 +61,7 @@ impl Silence {
         let back = self.is_silent.then(|| {
             let lasted = self.present(now);
             self.ended += lasted;
-            Change::Back(self.count, lasted)
+            Change::Resumed(self.count, lasted)
         });
         self.is_silent = false;
         self.since = Some(now);
@@ -115,7 +115,7 @@ pub(super) fn log(camera: usize, change: Option<Change>) {
             let for_s = gap.as_secs_f64();
             tracing::error!(camera, silences, for_s, "the camera gives no frames");
         }
-        Some(Change::Back(silences, lasted)) if worth_a_line(silences) => {
+        Some(Change::Resumed(silences, lasted)) if worth_a_line(silences) => {
             let after_s = lasted.as_secs_f64();
             tracing::warn!(camera, silences, after_s, "the camera gives frames again");
         }
@@ -162,7 +162,7 @@ mod tests {
         assert_eq!(silence.check(at(5138)), None);
         assert_eq!(silence.total(at(5138)), (1, Duration::from_secs(5)));
         let lasted = Duration::from_secs(6);
-        assert_eq!(silence.frame(at(6138)), Some(Change::Back(1, lasted)));
+        assert_eq!(silence.frame(at(6138)), Some(Change::Resumed(1, lasted)));
         assert_eq!(silence.frame(at(6176)), None);
         assert_eq!(silence.total(at(6300)), (1, lasted));
         silence.check(at(7176));
@@ -190,14 +190,14 @@ mod tests {
         let (at, mut silence) = begun(&at_26_hz());
         assert_eq!(silence.check(at(5_500)), None);
         silence.frame(at(5_500));
-        silence.excuse(at(5_520));
+        silence.expect_pause(at(5_520));
         assert_eq!(silence.check(at(8_020)), None);
         assert!(silence.check(at(8_021)).is_some());
         // A camera that was never there; another thread that tries again does not restart the count.
         let (at, mut silence) = begun(&at_26_hz());
         assert!(silence.check(at(5_501)).is_some());
         silence.begin(at(9_000), &at_26_hz());
-        silence.excuse(at(9_000));
+        silence.expect_pause(at(9_000));
         assert_eq!(silence.total(at(10_000)), (1, Duration::from_secs(5)));
     }
 }

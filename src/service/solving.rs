@@ -1,12 +1,13 @@
-//! A solver's thread: it takes frames, and passes answers to the line and to all receivers.
+//! A solver's thread: it takes frames, and passes solved frames to the line and to all receivers.
 
 use super::messages::{
-    Answer, Found, Glimpse, Hears, LinkEvent, Outcome, Solved, Station, UnsolvedFrame,
+    Found, LatestBrightness, LinkEvent, Outcome, ReceivesFrames, Solved, SolvedFrame, Station,
+    UnsolvedFrame,
 };
 use super::shared::Shared;
 use super::solvers::Solver;
 use super::tally::SolverTally;
-use super::worker::Life;
+use super::worker::Heartbeat;
 use crate::commands::controls::Controls;
 use crate::instrument::WrongSize;
 use crate::link::picture::{Tag, TagValue};
@@ -20,27 +21,27 @@ use std::time::{Duration, Instant};
 use tracing::Level;
 
 /// How long a solver waits for a frame before it shows that it is at work.
-const PATIENCE: Duration = Duration::from_millis(200);
+const TIMEOUT: Duration = Duration::from_millis(200);
 
 /// Shared state of a solver's thread.
 #[derive(Clone)]
-pub(super) struct Solving {
+pub(super) struct SolverThread {
     pub station: Arc<Station>,
     pub controls: Controls,
     pub frames: Receiver<UnsolvedFrame>,
     pub cameras_ended: Arc<AtomicBool>,
     pub to_line: Sender<LinkEvent>,
     /// Brightness of the frames, for the camera's thread.
-    pub glimpse: Glimpse,
-    /// Receivers of the answers, in this order.
-    pub hearers: Vec<Arc<dyn Hears>>,
+    pub brightness: LatestBrightness,
+    /// Receivers of the solved frames, in this order.
+    pub receivers: Vec<Arc<dyn ReceivesFrames>>,
     pub tally: Shared<SolverTally>,
 }
 
-impl Solving {
+impl SolverThread {
     /// Solves until the camera ends, or another thread has taken over.
-    pub fn run(&self, mut solver: Box<dyn Solver>, life: &Life) {
-        while let Some(mut frame) = self.next(life) {
+    pub fn run(&self, mut solver: Box<dyn Solver>, heartbeat: &Heartbeat) {
+        while let Some(mut frame) = self.next(heartbeat) {
             let commanded = self.controls.snapshot();
             let solved = match solver.solve(&mut frame, &commanded) {
                 Ok(solved) => solved,
@@ -49,28 +50,28 @@ impl Solving {
                     continue;
                 }
             };
-            if life.is_over() {
+            if heartbeat.is_replaced() {
                 return;
             }
-            solver.leave(&frame, &solved);
+            solver.share(&frame, &solved);
             self.note(&frame, &solved, solver.as_ref());
             let arrived = frame.arrived;
-            let answer = Answer {
+            let solved_frame = SolvedFrame {
                 station: Arc::clone(&self.station),
                 exposure: Arc::new(frame.exposure),
                 solved: Arc::new(solved),
                 target: commanded.target,
                 to_be_stored: self.controls.stores(self.station.camera.role),
             };
-            self.hand_on(&answer, arrived);
+            self.pass_on(&solved_frame, arrived);
         }
     }
 
     /// The next frame to be solved; `None` when the camera has ended, or another thread has taken over.
-    fn next(&self, life: &Life) -> Option<UnsolvedFrame> {
-        while !life.is_over() {
-            life.beat();
-            match self.frames.recv_timeout(PATIENCE) {
+    fn next(&self, heartbeat: &Heartbeat) -> Option<UnsolvedFrame> {
+        while !heartbeat.is_replaced() {
+            heartbeat.beat();
+            match self.frames.recv_timeout(TIMEOUT) {
                 Ok(frame) => return Some(frame),
                 Err(_) if self.cameras_ended.load(Ordering::Relaxed) => return None,
                 Err(RecvTimeoutError::Timeout) => {}
@@ -105,7 +106,7 @@ impl Solving {
         *frames += 1;
         let frames = *frames;
         drop(tally);
-        let Some((level, words)) = solver.complaint(solved).filter(|_| worth_a_line(frames)) else {
+        let Some((level, words)) = solver.log_entry(solved).filter(|_| worth_a_line(frames)) else {
             return;
         };
         let (measured, limit) = (stopped.rejected.measured, stopped.rejected.limit);
@@ -118,34 +119,34 @@ impl Solving {
     }
 
     /// The line comes first: a solution does not wait for a disk.
-    fn hand_on(&self, answer: &Answer, arrived: Instant) {
-        self.send_to_line(answer, arrived);
+    fn pass_on(&self, frame: &SolvedFrame, arrived: Instant) {
+        self.send_to_line(frame, arrived);
         if self.controls.takes_picture(self.station.camera.role) {
-            self.send_picture(answer);
+            self.send_picture(frame);
         }
-        if let Some(exposure) = answer.exposure.frame.info.exposure {
+        if let Some(exposure) = frame.exposure.frame.info.exposure {
             let exposure_us = exposure.as_micros() as u32;
-            *self.glimpse.lock() = Some((answer.solved.brightness, exposure_us));
+            *self.brightness.lock() = Some((frame.solved.brightness, exposure_us));
         }
-        for hearer in &self.hearers {
-            hearer.hear(answer);
+        for receiver in &self.receivers {
+            receiver.receive(frame);
         }
     }
 
     /// Sends the results of frames of the plate to the controller.
-    fn send_to_line(&self, answer: &Answer, arrived: Instant) {
-        let Found::Sun(sun) = &answer.solved.found else {
+    fn send_to_line(&self, frame: &SolvedFrame, arrived: Instant) {
+        let Found::Sun(sun) = &frame.solved.found else {
             return;
         };
         let outcome = Outcome {
             exposure: link::Exposure {
                 camera: self.station.number.into(),
-                start: answer.exposure.announced,
+                start: frame.exposure.announced,
             },
             arrived,
-            shutter: answer.exposure.frame.info.exposure,
+            exposure_time: frame.exposure.frame.info.exposure,
             offset: sun.offset,
-            roll: answer.solved.roll,
+            roll: frame.solved.roll,
             stopped: sun.solution.stopped,
         };
         let event = LinkEvent::Outcome(Box::new(outcome));
@@ -160,10 +161,10 @@ impl Solving {
     }
 
     /// Sends the pictures that the ground has requested.
-    fn send_picture(&self, answer: &Answer) {
-        let frame = &answer.exposure.frame;
+    fn send_picture(&self, solved: &SolvedFrame) {
+        let frame = &solved.exposure.frame;
         let time = frame.info.mid_exposure.unwrap_or_else(Timestamp::now);
-        match Picture::new(frame, self.station.number, self.tags(answer), time) {
+        match Picture::new(frame, self.station.number, self.tags(solved), time) {
             Ok(Some(picture)) => {
                 // A line that is stuck carries no pictures.
                 let _ = self.to_line.try_send(LinkEvent::Picture(Box::new(picture)));
@@ -174,13 +175,13 @@ impl Solving {
     }
 
     /// Facts of a picture.
-    fn tags(&self, answer: &Answer) -> Vec<Tag> {
+    fn tags(&self, frame: &SolvedFrame) -> Vec<Tag> {
         let tag = |name: &str, value, comment: &str| Tag {
             name: name.into(),
             value,
             comment: comment.into(),
         };
-        let info = &answer.exposure.frame.info;
+        let info = &frame.exposure.frame.info;
         let instrument = TagValue::Text(self.station.camera.label.clone());
         let mut tags = vec![tag("INSTRUME", instrument, "instrument")];
         if let Some(exposure) = info.exposure {

@@ -16,7 +16,7 @@ const VARIABLE: &str = "NOTIFY_SOCKET";
 const EXPECTED: &str =
     "an absolute path of at most 107 bytes, or @NAME for an abstract socket (no vsock)";
 /// Longest wait for a service manager that reads nothing: it must not delay the watch.
-const PATIENCE: Duration = Duration::from_millis(100);
+const TIMEOUT: Duration = Duration::from_millis(100);
 
 pub(super) struct Systemd {
     /// Whether a service manager starts the program again.
@@ -47,7 +47,7 @@ impl Systemd {
             is_there: socket.is_some(),
             address,
             // Twice as often as the service manager requires.
-            every: sd_notify::watchdog_enabled().map(|patience| patience / 2),
+            every: sd_notify::watchdog_enabled().map(|timeout| timeout / 2),
             fed: Instant::now(),
             failed: 0,
         };
@@ -93,7 +93,7 @@ fn address(text: &OsStr) -> Option<SocketAddr> {
 
 fn send(address: &SocketAddr, message: &str) -> io::Result<()> {
     let socket = UnixDatagram::unbound()?;
-    socket.set_write_timeout(Some(PATIENCE))?;
+    socket.set_write_timeout(Some(TIMEOUT))?;
     socket.send_to_addr(message.as_bytes(), address).map(|_| ())
 }
 

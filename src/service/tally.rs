@@ -305,7 +305,7 @@ pub struct NavigationTally {
     /// Counts of the GPS receiver.
     pub gps: GpsCounts,
     /// Directions observed by cameras.
-    pub seen: u64,
+    pub directions: u64,
     /// Measurements that contradict the filter, and measurements that came too late or too early.
     pub refused: u64,
     pub out_of_time: u64,
@@ -343,7 +343,7 @@ impl NavigationTally {
             self.unreadable,
             self.gps.fixes,
             self.gps,
-            self.seen,
+            self.directions,
             self.refused,
             self.out_of_time,
             counts.navigation_lost,

@@ -25,11 +25,11 @@ const STOPPED: Duration = Duration::from_secs(1);
 /// Time for the last frames to be stored before a program that hangs is replaced.
 const ENDING: Duration = Duration::from_millis(1500);
 /// Silence of the line after which recovery is left to systemd: only a new process gets a new port.
-const LINE_PATIENCE: Duration = Duration::from_secs(10);
+const LINE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long the archive waits for the filter's last rows after the last frame.
 const NAVIGATION_ENDING: Duration = Duration::from_millis(500);
 /// How long the line may take to close.
-const HANGING_UP: Duration = Duration::from_millis(300);
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// Shared state of the watch and the rest of the program.
 #[derive(Debug, Default)]
@@ -72,7 +72,7 @@ pub(super) struct Watch {
     /// Whether the flight was ended because its threads could not be restarted any more.
     pub gave_up: bool,
     /// Latest time at which frames were still taken or solved.
-    pub landed: Option<Instant>,
+    pub frames_ended: Option<Instant>,
 }
 
 impl Watch {
@@ -84,18 +84,18 @@ impl Watch {
         loop {
             let now = Instant::now();
             if now - checked > STOPPED {
-                self.excuse(now - checked);
+                self.reset_silence(now - checked);
             }
             checked = now;
             self.note_commands();
             self.note_navigation();
-            if self.is_over(now) {
+            if self.is_finished(now) {
                 break;
             }
-            if !self.line.is_silent_for(LINE_PATIENCE, now) {
+            if !self.line.is_silent_for(LINE_TIMEOUT, now) {
                 systemd.feed();
             }
-            if systemd.is_there && !self.gave_up && self.is_beyond_help(now) {
+            if systemd.is_there && !self.gave_up && self.is_unrecoverable(now) {
                 self.give_up();
             }
             if now >= report_at {
@@ -111,7 +111,7 @@ impl Watch {
         systemd.stopping();
         self.signals.closing.store(true, Ordering::Relaxed);
         let begin = Instant::now();
-        while self.is_hanging_up(Instant::now()) && begin.elapsed() < HANGING_UP {
+        while self.is_closing(Instant::now()) && begin.elapsed() < CLOSE_TIMEOUT {
             thread::sleep(CHECK_EVERY);
         }
         let mut tally = self.tallies.tally();
@@ -124,7 +124,7 @@ impl Watch {
     }
 
     /// Whether the line or an output still has something to send.
-    fn is_hanging_up(&mut self, now: Instant) -> bool {
+    fn is_closing(&mut self, now: Instant) -> bool {
         let writing = worker::check(&mut self.outputs, now);
         self.line.check(now) || writing
     }
@@ -149,19 +149,19 @@ impl Watch {
     }
 
     /// The threads were stopped like the whole program: they did not hang.
-    fn excuse(&self, stopped: Duration) {
+    fn reset_silence(&self, stopped: Duration) {
         let stopped_s = stopped.as_secs_f64();
         tracing::warn!(stopped_s, "the whole program was stopped for a while");
         let workers = self.cameras.iter().chain(&self.solvers);
         let workers = workers.chain(&self.navigation).chain([&self.line]);
         let workers = workers.chain(&self.outputs);
-        workers.for_each(Worker::excuse);
+        workers.for_each(Worker::reset_silence);
     }
 
     /// Whether no camera is left that takes frames and has them solved.
-    fn is_beyond_help(&self, now: Instant) -> bool {
+    fn is_unrecoverable(&self, now: Instant) -> bool {
         let mut pairs = self.cameras.iter().zip(&self.solvers);
-        pairs.all(|(camera, solver)| camera.is_beyond_help(now) || solver.is_beyond_help(now))
+        pairs.all(|(camera, solver)| camera.is_unrecoverable(now) || solver.is_unrecoverable(now))
     }
 
     /// Ends the flight in order: systemd starts a new one.
@@ -174,7 +174,7 @@ impl Watch {
     }
 
     /// Checks all threads; returns whether the work is done and the port is to be closed.
-    fn is_over(&mut self, now: Instant) -> bool {
+    fn is_finished(&mut self, now: Instant) -> bool {
         silence::check(self.tallies.cameras.iter().map(|camera| &camera.silence));
         let taking = worker::check(&mut self.cameras, now);
         if !taking {
@@ -182,11 +182,11 @@ impl Watch {
         }
         let flying = worker::check(&mut self.solvers, now) || taking;
         let navigating = worker::check(&mut self.navigation, now);
-        if flying || self.landed.is_none() {
-            self.landed = Some(now);
+        if flying || self.frames_ended.is_none() {
+            self.frames_ended = Some(now);
         }
-        let is_late = |landed| now > landed + NAVIGATION_ENDING;
-        let navigating = navigating && !self.landed.is_some_and(is_late);
+        let is_late = |frames_ended| now > frames_ended + NAVIGATION_ENDING;
+        let navigating = navigating && !self.frames_ended.is_some_and(is_late);
         if !flying && !navigating {
             // The last rows.
             self.note_navigation();

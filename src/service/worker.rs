@@ -17,21 +17,21 @@ const SOON: Duration = Duration::from_secs(1);
 /// Largest number of replaced threads that still hang; the next one is not replaced.
 const MOST_ABANDONED: usize = 3;
 
-/// One life of a worker: its heartbeat, and whether another has taken its place.
+/// Heartbeat of a started thread, and whether another has taken its place.
 #[derive(Debug)]
-pub(super) struct Life {
+pub(super) struct Heartbeat {
     begin: Instant,
     /// Time of the last heartbeat, ms since `begin`.
     beat_ms: AtomicU64,
-    over: AtomicBool,
+    replaced: AtomicBool,
 }
 
-impl Life {
+impl Heartbeat {
     pub fn new() -> Self {
         Self {
             begin: Instant::now(),
             beat_ms: AtomicU64::new(0),
-            over: AtomicBool::new(false),
+            replaced: AtomicBool::new(false),
         }
     }
 
@@ -42,8 +42,8 @@ impl Life {
     }
 
     /// Whether another thread has taken over; this one must not touch anything any more.
-    pub fn is_over(&self) -> bool {
-        self.over.load(Ordering::Relaxed)
+    pub fn is_replaced(&self) -> bool {
+        self.replaced.load(Ordering::Relaxed)
     }
 
     fn silence(&self, now: Instant) -> Duration {
@@ -52,8 +52,8 @@ impl Life {
     }
 }
 
-/// Work of a thread in one life. It returns when no work is left.
-pub(super) type Job = Box<dyn FnOnce(&Life) + Send>;
+/// Work of a thread between two restarts. It returns when no work is left.
+pub(super) type Job = Box<dyn FnOnce(&Heartbeat) + Send>;
 type Make = Box<dyn FnMut() -> Job + Send>;
 
 /// A thread under watch.
@@ -61,8 +61,8 @@ pub(super) struct Worker {
     name: String,
     /// Silence beyond which another thread takes over; `None` if none may: it would wait for the same disk or
     /// port.
-    patience: Option<Duration>,
-    /// Makes the job of the next life; `None` once the work is done, so that its channels close.
+    timeout: Option<Duration>,
+    /// Makes the job of the next start; `None` once the work is done, so that its channels close.
     make: Option<Make>,
     running: Option<Running>,
     due: Instant,
@@ -74,20 +74,20 @@ pub(super) struct Worker {
 }
 
 struct Running {
-    life: Arc<Life>,
+    heartbeat: Arc<Heartbeat>,
     thread: JoinHandle<()>,
 }
 
 impl Worker {
-    /// Starts the thread. `make` gives the job of its first life and of every further one.
+    /// Starts the thread. `make` gives the job of its first start and of every restart.
     pub fn start(
         name: impl Into<String>,
-        patience: Option<Duration>,
+        timeout: Option<Duration>,
         make: impl FnMut() -> Job + Send + 'static,
     ) -> std::io::Result<Self> {
         let mut worker = Self {
             name: name.into(),
-            patience,
+            timeout,
             make: Some(Box::new(make)),
             running: None,
             due: Instant::now(),
@@ -96,7 +96,7 @@ impl Worker {
             takeovers: 0,
             abandoned: Vec::new(),
         };
-        worker.live()?;
+        worker.start_thread()?;
         Ok(worker)
     }
 
@@ -110,22 +110,22 @@ impl Worker {
         self.takeovers
     }
 
-    /// Whether at `now` the thread had shown no sign of life for longer than `patience`.
-    pub fn is_silent_for(&self, patience: Duration, now: Instant) -> bool {
+    /// Whether at `now` the thread had shown no sign of life for longer than `timeout`.
+    pub fn is_silent_for(&self, timeout: Duration, now: Instant) -> bool {
         let running = self.running.as_ref();
-        running.is_some_and(|running| running.life.silence(now) > patience)
+        running.is_some_and(|running| running.heartbeat.silence(now) > timeout)
     }
 
     /// Whether the thread hangs and is not replaced, because too many before it hang.
-    pub fn is_beyond_help(&self, now: Instant) -> bool {
-        let hangs = |patience| self.is_silent_for(patience, now);
-        self.abandoned.len() >= MOST_ABANDONED && self.patience.is_some_and(hangs)
+    pub fn is_unrecoverable(&self, now: Instant) -> bool {
+        let hangs = |timeout| self.is_silent_for(timeout, now);
+        self.abandoned.len() >= MOST_ABANDONED && self.timeout.is_some_and(hangs)
     }
 
     /// Restarts the count of its silence: the whole program was stopped for a while.
-    pub fn excuse(&self) {
+    pub fn reset_silence(&self) {
         if let Some(running) = &self.running {
-            running.life.beat();
+            running.heartbeat.beat();
         }
     }
 
@@ -135,15 +135,15 @@ impl Worker {
         match &self.running {
             Some(running) if running.thread.is_finished() => self.conclude(),
             Some(running) => {
-                let silence = running.life.silence(now);
+                let silence = running.heartbeat.silence(now);
                 if self.abandoned.len() < MOST_ABANDONED
-                    && self.patience.is_some_and(|patience| silence > patience)
+                    && self.timeout.is_some_and(|timeout| silence > timeout)
                 {
                     self.abandon(silence);
                 }
             }
             None if self.make.is_some() && now >= self.due => {
-                if let Err(error) = self.live() {
+                if let Err(error) = self.start_thread() {
                     tracing::error!(thread = self.name, %error, "a thread cannot be started");
                     self.due = now + self.backoff.wait();
                 }
@@ -153,22 +153,22 @@ impl Worker {
         self.running.is_some() || self.make.is_some()
     }
 
-    fn live(&mut self) -> std::io::Result<()> {
+    fn start_thread(&mut self) -> std::io::Result<()> {
         let Some(make) = &mut self.make else {
             return Ok(());
         };
         let job = make();
-        let life = Arc::new(Life::new());
-        let own = Arc::clone(&life);
+        let heartbeat = Arc::new(Heartbeat::new());
+        let own = Arc::clone(&heartbeat);
         let thread = thread::Builder::new()
             .name(self.name.clone())
             .spawn(move || job(&own))?;
-        self.running = Some(Running { life, thread });
+        self.running = Some(Running { heartbeat, thread });
         Ok(())
     }
 
     fn conclude(&mut self) {
-        let Some(Running { life, thread }) = self.running.take() else {
+        let Some(Running { heartbeat, thread }) = self.running.take() else {
             return;
         };
         match thread.join() {
@@ -181,7 +181,7 @@ impl Worker {
                 let restarts = self.restarts();
                 tracing::error!(thread = self.name, said, restarts, "a thread panicked");
                 self.due = Instant::now();
-                match life.begin.elapsed() < SOON {
+                match heartbeat.begin.elapsed() < SOON {
                     true => self.due += self.backoff.wait(),
                     false => self.backoff.reset(),
                 }
@@ -194,7 +194,7 @@ impl Worker {
         let (silent_ms, takeovers) = (silence.as_millis() as u64, self.takeovers);
         tracing::error!(thread = self.name, silent_ms, takeovers, "a thread hangs");
         if let Some(running) = self.running.take() {
-            running.life.over.store(true, Ordering::Relaxed);
+            running.heartbeat.replaced.store(true, Ordering::Relaxed);
             self.abandoned.push(running.thread);
         }
         self.due = Instant::now();
@@ -233,15 +233,15 @@ mod tests {
     #[test]
     fn a_thread_that_panics_is_started_again_until_its_work_is_done() {
         let (to_do, work) = unbounded();
-        let (say, heard) = unbounded();
+        let (report, reports) = unbounded();
         (0..6).for_each(|n| to_do.send(n).unwrap());
         drop(to_do);
         let mut worker = Worker::start("panicking", None, move || {
-            let (work, say): (Receiver<u32>, _) = (work.clone(), say.clone());
+            let (work, report): (Receiver<u32>, _) = (work.clone(), report.clone());
             Box::new(move |_| {
                 for n in work {
                     assert!(n != 2, "two");
-                    say.send(n).unwrap();
+                    report.send(n).unwrap();
                 }
             })
         })
@@ -249,28 +249,28 @@ mod tests {
         check_until(&mut worker, ended);
         assert_eq!(worker.restarts(), 1);
         // All ends of the channel are gone with the work.
-        assert_eq!(heard.iter().collect::<Vec<_>>(), [0, 1, 3, 4, 5]);
+        assert_eq!(reports.iter().collect::<Vec<_>>(), [0, 1, 3, 4, 5]);
     }
 
     #[test]
     fn a_thread_that_hangs_is_left_alone_and_another_takes_over() {
-        let (say, heard) = unbounded();
-        let mut lives = 0;
-        let patience = Some(Duration::from_secs(2));
-        let mut worker = Worker::start("hanging", patience, move || {
-            lives += 1;
-            let (say, first) = (say.clone(), lives == 1);
-            Box::new(move |life| {
-                while first && !life.is_over() {
+        let (report, reports) = unbounded();
+        let mut starts = 0;
+        let timeout = Some(Duration::from_secs(2));
+        let mut worker = Worker::start("hanging", timeout, move || {
+            starts += 1;
+            let (report, first) = (report.clone(), starts == 1);
+            Box::new(move |heartbeat| {
+                while first && !heartbeat.is_replaced() {
                     thread::yield_now();
                 }
-                say.send(life.is_over()).unwrap();
+                report.send(heartbeat.is_replaced()).unwrap();
             })
         })
         .unwrap();
         check_until(&mut worker, ended);
         assert_eq!(worker.restarts(), 1);
-        let mut both: Vec<bool> = heard.iter().collect();
+        let mut both: Vec<bool> = reports.iter().collect();
         both.sort_unstable();
         assert_eq!(both, [false, true], "the old one learns of it");
     }
@@ -280,8 +280,8 @@ mod tests {
         let (open, gate) = unbounded::<()>();
         let mut worker = Worker::start("slow", Some(Duration::from_millis(1)), move || {
             let gate = gate.clone();
-            Box::new(move |life| {
-                while !life.is_over() {
+            Box::new(move |heartbeat| {
+                while !heartbeat.is_replaced() {
                     thread::yield_now();
                 }
                 drop(gate);
@@ -295,8 +295,8 @@ mod tests {
     #[test]
     fn a_thread_that_always_hangs_is_replaced_three_times_and_then_beyond_help() {
         let (_open, never) = unbounded::<()>();
-        let patience = Duration::from_millis(1);
-        let mut worker = Worker::start("hanging", Some(patience), move || {
+        let timeout = Duration::from_millis(1);
+        let mut worker = Worker::start("hanging", Some(timeout), move || {
             let never = never.clone();
             Box::new(move |_| {
                 let _ = never.recv();
@@ -305,9 +305,9 @@ mod tests {
         .unwrap();
         check_until(&mut worker, |worker, _| worker.takeovers() == 3);
         check_until(&mut worker, |worker, _| {
-            worker.is_beyond_help(Instant::now())
+            worker.is_unrecoverable(Instant::now())
         });
-        let late = Instant::now() + 1000 * patience;
+        let late = Instant::now() + 1000 * timeout;
         assert!(worker.check(late), "the last one is left to its work");
         assert_eq!((worker.takeovers(), worker.restarts()), (3, 3));
     }
@@ -315,18 +315,18 @@ mod tests {
     #[test]
     fn a_thread_is_not_blamed_for_the_time_in_which_the_program_was_stopped() {
         let (open, never) = unbounded::<()>();
-        let patience = Duration::from_millis(1);
-        let mut worker = Worker::start("stopped", Some(patience), move || {
+        let timeout = Duration::from_millis(1);
+        let mut worker = Worker::start("stopped", Some(timeout), move || {
             let never = never.clone();
             Box::new(move |_| {
                 let _ = never.recv();
             })
         })
         .unwrap();
-        thread::sleep(5 * patience);
+        thread::sleep(5 * timeout);
         let now = Instant::now();
-        assert!(worker.is_silent_for(patience, now));
-        worker.excuse();
+        assert!(worker.is_silent_for(timeout, now));
+        worker.reset_silence();
         assert!(worker.check(now) && worker.takeovers() == 0);
         drop(open);
         check_until(&mut worker, ended);
@@ -334,11 +334,11 @@ mod tests {
 
     #[test]
     fn a_thread_that_beats_is_not_taken_for_one_that_hangs() {
-        let patience = Some(Duration::from_secs(2));
-        let mut worker = Worker::start("beating", patience, || {
-            Box::new(|life| {
+        let timeout = Some(Duration::from_secs(2));
+        let mut worker = Worker::start("beating", timeout, || {
+            Box::new(|heartbeat| {
                 for _ in 0..50 {
-                    life.beat();
+                    heartbeat.beat();
                     thread::sleep(Duration::from_millis(50));
                 }
             })

@@ -109,7 +109,7 @@ fn gated(
         let disks = service.disks();
         disks
             .iter()
-            .all(|disk| disk.free_percent.is_some() || disk.resting)
+            .all(|disk| disk.free_percent.is_some() || disk.failing)
     };
     while !was_checked(&service) {
         std::thread::yield_now();

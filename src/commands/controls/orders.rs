@@ -51,7 +51,7 @@ impl Control for Controls {
         let accepted = self.state().own.accepts_gps;
         let reason = match accepted {
             false => Some("GPS is not accepted"),
-            true => (!self.believes(fix)).then_some("not believed"),
+            true => (!self.accepts(fix)).then_some("not believed"),
         };
         if let Some(reason) = reason {
             self.state().reason = Some(reason.into());
@@ -69,7 +69,7 @@ impl Controls {
             // Commands of the conversation itself are executed elsewhere.
             Action::StartSending | Action::StopSending => CommandResult::NotImplemented,
             Action::Quit => {
-                self.0.quits.store(true, Ordering::Relaxed);
+                self.0.quit_requested.store(true, Ordering::Relaxed);
                 CommandResult::Done
             }
             Action::SendPicture(role) => self.want_picture(role),
@@ -100,12 +100,12 @@ impl Controls {
         }
     }
 
-    pub(super) fn believes(&self, fix: GpsFix) -> bool {
+    pub(super) fn accepts(&self, fix: GpsFix) -> bool {
         let mut state = self.state();
-        let believed = state.gps.believes(fix);
+        let accepted = state.gps.accepts(fix);
         let refused = state.gps.refused();
         drop(state);
-        if !believed && worth_a_line(refused) {
+        if !accepted && worth_a_line(refused) {
             let (latitude_deg, longitude_deg) = (fix.latitude_deg, fix.longitude_deg);
             tracing::warn!(
                 latitude_deg,
@@ -114,7 +114,7 @@ impl Controls {
                 "a GPS fix was rejected as implausible"
             );
         }
-        believed
+        accepted
     }
 
     /// Sets keys to received numbers. A number equal to the one that a read returns leaves the value unchanged: it may lie between the

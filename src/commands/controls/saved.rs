@@ -33,7 +33,7 @@ use std::time::{Duration, Instant};
 
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 /// How long the thread waits for a change before it checks whether it must end.
-const PATIENCE: Duration = Duration::from_millis(100);
+const TIMEOUT: Duration = Duration::from_millis(100);
 /// How often the file is rewritten while it holds a short-lived value.
 const REFRESH: Duration = Duration::from_secs(60);
 /// The keys with short-lived values.
@@ -297,7 +297,7 @@ impl ValueSaver {
         let (mut due_at, mut retry) = (None, Backoff::DISK);
         loop {
             let last = ends.load(Ordering::Relaxed);
-            let changed = changes.recv_timeout(PATIENCE).is_ok();
+            let changed = changes.recv_timeout(TIMEOUT).is_ok();
             let due = due_at.is_some_and(|at| Instant::now() >= at || last);
             if changed || due {
                 due_at = match self.save() {

@@ -240,9 +240,9 @@ fn switches_quit_and_pictures_reach_those_who_ask() {
     controls.note_cameras(&[Role::PitchYaw, Role::Roll]);
     assert_eq!(order(&controls, "send_roll_picture", &[]), DONE);
 
-    assert!(!controls.quits());
+    assert!(!controls.quit_requested());
     assert_eq!(order(&controls, "quit", &[]), DONE);
-    assert!(controls.quits());
+    assert!(controls.quit_requested());
 }
 
 #[test]

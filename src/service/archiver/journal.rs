@@ -22,7 +22,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 /// Longest wait of a row for the result of storing its picture.
-pub(super) const FATE_KNOWN: Duration = Duration::from_secs(5);
+pub(super) const STORAGE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Entries of the journal.
 pub(super) enum Entry {
@@ -42,7 +42,7 @@ pub(super) struct RowEntry {
     /// Time at which the row is written without the file's name.
     pub deadline: Instant,
     /// Shared with the same row on its way to the other log.
-    pub fate: Arc<RowFate>,
+    pub report: Arc<RowReport>,
 }
 
 /// Counts of rows by their result, over all logs.
@@ -56,12 +56,12 @@ pub(super) struct RowCounts {
 }
 
 /// Whether a row is in any log. If it is dropped without being marked as kept, the row is in none.
-pub(super) struct RowFate {
+pub(super) struct RowReport {
     kept: AtomicBool,
     counts: Arc<RowCounts>,
 }
 
-impl RowFate {
+impl RowReport {
     pub fn new(counts: &Arc<RowCounts>) -> Self {
         counts.offered.fetch_add(1, Ordering::Relaxed);
         Self {
@@ -77,7 +77,7 @@ impl RowFate {
     }
 }
 
-impl Drop for RowFate {
+impl Drop for RowReport {
     fn drop(&mut self) {
         if self.kept.load(Ordering::Relaxed) {
             return;
@@ -101,18 +101,18 @@ pub(super) struct Journal {
     /// The disk's number on this computer, from 0.
     number: usize,
     /// One per camera.
-    books: Vec<Book>,
+    cameras: Vec<CameraLogs>,
     housekeeping: Log,
     commands: Log,
     /// In the order of [`NavigationLog::ALL`].
     navigation: [Log; NavigationLog::ALL.len()],
     /// Number of the disk's mount in which the files were opened.
-    visit: u64,
+    mount: u64,
     /// Carries no messages; it is closed when the flight ends.
     ended: Receiver<Infallible>,
     tally: Arc<JournalTally>,
     /// Time until which frames may wait for a disk that was away.
-    patience: Instant,
+    wait_until: Instant,
 }
 
 /// First part of the names of a log's files, and its columns; `t_s` counts from 1970, UTC, by the sensors' time stamps.
@@ -131,9 +131,9 @@ fn navigation_log(log: NavigationLog) -> (&'static str, Vec<&'static str>) {
     }
 }
 
-struct Book {
+struct CameraLogs {
     folder: PathBuf,
-    log: SolutionLog,
+    solutions: SolutionLog,
     dirfile: Dirfile,
 }
 
@@ -147,15 +147,15 @@ impl Journal {
         ended: Receiver<Infallible>,
         tally: Arc<JournalTally>,
     ) -> Self {
-        let book = |folder: &PathBuf| {
+        let logs = |folder: &PathBuf| {
             let root = store.root().join(folder);
-            Book {
+            CameraLogs {
                 folder: folder.clone(),
-                log: SolutionLog::new(store.disk(), &root, start),
+                solutions: SolutionLog::new(store.disk(), &root, start),
                 dirfile: Dirfile::new(store.disk(), &root, start),
             }
         };
-        let books = folders.iter().map(book).collect();
+        let cameras = folders.iter().map(logs).collect();
         let name = |field: &Field| match field.unit {
             "" => field.name.to_owned(),
             unit => format!("{} [{unit}]", field.name),
@@ -176,23 +176,23 @@ impl Journal {
                 let columns = columns.into_iter().map(str::to_owned).collect();
                 Log::new(store.disk(), store.root(), name, columns, start)
             }),
-            visit: store.visits(),
+            mount: store.visits(),
             store,
             number,
-            books,
+            cameras,
             ended,
             tally,
-            patience: Instant::now(),
+            wait_until: Instant::now(),
         }
     }
 
     /// Writes entries in their order until no more come. Rows that the disk refuses are retried until the flight ends.
     pub fn run(mut self, entries: &Receiver<Entry>) {
         for mut entry in entries {
-            let mut rests = Backoff::DISK;
+            let mut pauses = Backoff::DISK;
             while let Err(error) = self.write(&mut entry) {
                 self.note_refusal(&error);
-                if self.ended.recv_timeout(rests.wait()) == Err(RecvTimeoutError::Disconnected) {
+                if self.ended.recv_timeout(pauses.wait()) == Err(RecvTimeoutError::Disconnected) {
                     break;
                 }
             }
@@ -209,12 +209,12 @@ impl Journal {
     }
 
     fn write_row(&mut self, entry: &mut RowEntry) -> Result<(), ArchiveError> {
-        if entry.station >= self.books.len() {
+        if entry.station >= self.cameras.len() {
             return Ok(());
         }
         self.enter(entry.station)?;
         if let Some(stored_at) = entry.stored_at.take() {
-            let deadline = entry.deadline.max(self.patience);
+            let deadline = entry.deadline.max(self.wait_until);
             let stored_at = stored_at.recv_deadline(deadline).ok();
             entry.row.on_own_disk = stored_at.as_ref().map(|at| at.disk == self.number);
             entry.row.record.file = stored_at.map_or(String::new(), |at| at.file);
@@ -223,18 +223,18 @@ impl Journal {
         }
         // Also if no picture is stored.
         self.store.put_flight_files()?;
-        let book = &mut self.books[entry.station];
-        book.log.append(&entry.row)?;
-        entry.fate.kept();
-        if let Err(error) = book.dirfile.append(&entry.row) {
+        let logs = &mut self.cameras[entry.station];
+        logs.solutions.append(&entry.row)?;
+        entry.report.kept();
+        if let Err(error) = logs.dirfile.append(&entry.row) {
             self.note_refusal(&error);
         }
         Ok(())
     }
 
     fn enter(&mut self, station: usize) -> Result<(), ArchiveError> {
-        self.store.enter(&self.books[station].folder)?;
-        self.reopen_after_a_mount();
+        self.store.enter(&self.cameras[station].folder)?;
+        self.close_after_mount();
         Ok(())
     }
 
@@ -244,7 +244,7 @@ impl Journal {
         housekeeping: &Housekeeping,
     ) -> Result<(), ArchiveError> {
         self.store.prepare()?;
-        self.reopen_after_a_mount();
+        self.close_after_mount();
         let mut fields = vec![format!("{time:.3}")];
         fields.extend(housekeeping.csv_row());
         self.housekeeping.append(&fields)
@@ -252,14 +252,14 @@ impl Journal {
 
     fn write_command(&mut self, note: &CommandNote) -> Result<(), ArchiveError> {
         self.store.prepare()?;
-        self.reopen_after_a_mount();
+        self.close_after_mount();
         self.commands.append(&note.fields())
     }
 
     /// Writes the rows, and leaves in `rows` those that are not written yet.
     fn write_navigation(&mut self, rows: &mut NavigationRows) -> Result<(), ArchiveError> {
         self.store.prepare()?;
-        self.reopen_after_a_mount();
+        self.close_after_mount();
         let log = &mut self.navigation[rows.log as usize];
         while let Some(row) = rows.rows.front() {
             log.append(row)?;
@@ -269,10 +269,10 @@ impl Journal {
     }
 
     /// Closes the files after a mount, so that the next rows open them again: the old handles are useless.
-    fn reopen_after_a_mount(&mut self) {
-        let visit = self.store.visits();
-        if visit != self.visit {
-            self.visit = visit;
+    fn close_after_mount(&mut self) {
+        let mount = self.store.visits();
+        if mount != self.mount {
+            self.mount = mount;
             self.close();
         }
     }
@@ -281,15 +281,15 @@ impl Journal {
         self.housekeeping.close();
         self.commands.close();
         self.navigation.iter_mut().for_each(Log::close);
-        for book in &mut self.books {
-            book.log.close();
-            book.dirfile.close();
+        for logs in &mut self.cameras {
+            logs.solutions.close();
+            logs.dirfile.close();
         }
     }
 
     fn note_refusal(&mut self, error: &ArchiveError) {
         self.close();
-        self.patience = Instant::now() + FATE_KNOWN;
+        self.wait_until = Instant::now() + STORAGE_TIMEOUT;
         let refused = self.tally.refused.fetch_add(1, Ordering::Relaxed) + 1;
         if worth_a_line(refused) {
             tracing::error!(%error, refused, "a disk refused a row of the log");

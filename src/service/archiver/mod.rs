@@ -1,9 +1,9 @@
 //! The archive in flight: pictures and rows, each disk with two threads of its own.
 //!
 //! ```text
-//!  solver --- hear(answer) ----> Queue (queue_frames) ---> archive-1 ---> disk 1   frames
+//!  solver --- receive(frame) ----> Queue (queue_frames) ---> archive-1 ---> disk 1   frames
 //!     |                            \---------------------> archive-2 ---> disk 2
-//!     |                                                         | Fate: the file's name
+//!     |                                                         | StorageReport: the file's name
 //!     \------- Entry (10,000) ----> log-1 <---------------------/         disk 1   log, telemetry
 //!      \------ Entry (10,000) ----> log-2                                 disk 2
 //! ```
@@ -20,7 +20,7 @@ mod writer;
 
 pub use writer::DiskHealth;
 
-use super::messages::{Answer, Hears, NavigationRows, Station};
+use super::messages::{NavigationRows, ReceivesFrames, SolvedFrame, Station};
 use super::tally::ArchiveTally;
 use super::worker::{self, Job, Worker};
 use crate::archive::{Sharing, Store, navigation_file};
@@ -34,9 +34,9 @@ use crate::record::Upkeep;
 use crate::sky::Ephemeris;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use jiff::Timestamp;
-use journal::{Entry, FATE_KNOWN, Journal, JournalTally, RowCounts, RowEntry, RowFate};
-use picture::{Fate, FrameCounts, StoredAt, StoredPicture};
-use queue::{GivenUp, Queue, Rules};
+use journal::{Entry, Journal, JournalTally, RowCounts, RowEntry, RowReport, STORAGE_TIMEOUT};
+use picture::{FrameCounts, StorageReport, StoredAt, StoredPicture};
+use queue::{Dropped, Queue, Rules};
 use std::convert::Infallible;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -76,7 +76,7 @@ pub(super) struct Gauges {
 pub(super) struct Threads(Vec<Worker>);
 
 /// Inputs of the archive's threads.
-pub(super) struct Surroundings<'f> {
+pub(super) struct ArchiveContext<'f> {
     pub stations: &'f [Arc<Station>],
     pub controls: &'f Controls,
     pub ephemeris: &'f Ephemeris,
@@ -87,15 +87,15 @@ pub(super) struct Surroundings<'f> {
 /// Starts the threads of every disk.
 pub(super) fn start(
     stores: Vec<Store>,
-    around: &Surroundings,
+    context: &ArchiveContext,
 ) -> std::io::Result<(Archive, Threads)> {
-    let settings = around.controls.config().archive;
+    let settings = context.controls.config().archive;
     let queues = queues(&settings, stores.len());
     let mut gauges = Gauges {
         queues: queues.clone(),
         frames: Arc::new(FrameCounts {
             offered: AtomicU64::default(),
-            counters: Arc::clone(around.counters),
+            counters: Arc::clone(context.counters),
         }),
         ..Gauges::default()
     };
@@ -103,11 +103,11 @@ pub(super) fn start(
     let (flying, ended) = bounded(0);
     let start = Timestamp::now();
     for (number, store) in stores.into_iter().enumerate() {
-        for station in around.stations {
+        for station in context.stations {
             let files = station.flown.files(&station.camera.folder, start);
             store.add_flight_files(files);
         }
-        let navigation = around.navigation_toml;
+        let navigation = context.navigation_toml;
         store.add_flight_files(navigation.map(|text| navigation_file(text, start)));
         let (queue, disk) = match settings.sharing {
             Sharing::Alternate => (&queues[0], number),
@@ -122,9 +122,9 @@ pub(super) fn start(
             store: Arc::new(store),
             queue: Arc::clone(queue),
             number,
-            controls: around.controls.clone(),
+            controls: context.controls.clone(),
             clock: None,
-            ephemeris: around.ephemeris.clone(),
+            ephemeris: context.ephemeris.clone(),
             health: Arc::new(Mutex::new(health)),
         };
         let (to_log, entries) = bounded(ROWS);
@@ -133,7 +133,7 @@ pub(super) fn start(
         gauges.entries.push(entries.clone());
         gauges.disks.push(Arc::clone(&writer.health));
         gauges.journals.push(Arc::clone(&tally));
-        let folders = around.stations.iter().map(|s| s.camera.folder.clone());
+        let folders = context.stations.iter().map(|s| s.camera.folder.clone());
         threads.log(&writer, (folders.collect(), start), entries, &ended, &tally)?;
         threads.start(format!("archive-{}", number + 1), move || {
             let writer = writer.clone();
@@ -163,25 +163,25 @@ fn queues(settings: &config::Archive, disks: usize) -> Vec<Arc<Queue<StoredPictu
     }
 }
 
-impl Hears for Archive {
+impl ReceivesFrames for Archive {
     /// Stores a solved frame and its row, if there is space.
-    fn hear(&self, answer: &Answer) {
-        let heard = self.hand_to_disks(answer);
-        let deadline = Instant::now() + FATE_KNOWN;
+    fn receive(&self, frame: &SolvedFrame) {
+        let stored_at = self.queue_picture(frame);
+        let deadline = Instant::now() + STORAGE_TIMEOUT;
         let upkeep = self.gauges.upkeep();
         if self.logs.is_empty() {
             return;
         }
-        let fate = Arc::new(RowFate::new(&self.gauges.rows));
-        for (log, stored_at) in self.logs.iter().zip(heard) {
-            let mut row = answer.row();
+        let report = Arc::new(RowReport::new(&self.gauges.rows));
+        for (log, stored_at) in self.logs.iter().zip(stored_at) {
+            let mut row = frame.row();
             row.upkeep = upkeep;
             let entry = Entry::Row(RowEntry {
-                station: answer.station.index,
+                station: frame.station.index,
                 row: Box::new(row),
                 stored_at,
                 deadline,
-                fate: Arc::clone(&fate),
+                report: Arc::clone(&report),
             });
             self.log(log, entry);
         }
@@ -227,24 +227,24 @@ impl Archive {
     }
 
     /// Queues the picture, if this camera's are stored; returns for each log the receiver of the file's name.
-    fn hand_to_disks(&self, answer: &Answer) -> Vec<Option<Receiver<StoredAt>>> {
-        if !answer.to_be_stored || self.queues.is_empty() {
+    fn queue_picture(&self, frame: &SolvedFrame) -> Vec<Option<Receiver<StoredAt>>> {
+        if !frame.to_be_stored || self.queues.is_empty() {
             return vec![None; self.logs.len()];
         }
-        let (fate, heard) = Fate::new(self.logs.len(), &self.gauges.frames);
-        let picture = StoredPicture::new(answer.clone(), fate);
+        let (report, receivers) = StorageReport::new(self.logs.len(), &self.gauges.frames);
+        let picture = StoredPicture::new(frame.clone(), report);
         for queue in &self.queues {
             match queue.offer(picture.clone()) {
-                GivenUp::ForSpeed(frames) if worth_a_line(frames) => {
+                Dropped::DiskSlow(frames) if worth_a_line(frames) => {
                     tracing::warn!(frames, "the disks cannot follow: pictures are given up");
                 }
-                GivenUp::ForSpace(frames) if worth_a_line(frames) => {
+                Dropped::DiskFull(frames) if worth_a_line(frames) => {
                     tracing::warn!(frames, "the disks are nearly full: pictures are given up");
                 }
                 _ => {}
             }
         }
-        heard.into_iter().map(Some).collect()
+        receivers.into_iter().map(Some).collect()
     }
 
     /// No frame will be offered any more.

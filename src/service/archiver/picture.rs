@@ -2,7 +2,7 @@
 
 use crate::archive::Encoded;
 use crate::link::Counters;
-use crate::service::messages::Answer;
+use crate::service::messages::SolvedFrame;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -10,17 +10,17 @@ use std::sync::{Arc, OnceLock};
 /// A frame that is to be stored. Copies of it share their fate and their bytes.
 #[derive(Clone)]
 pub(super) struct StoredPicture {
-    pub answer: Answer,
-    pub fate: Arc<Fate>,
+    pub frame: SolvedFrame,
+    pub report: Arc<StorageReport>,
     /// The file's bytes, made by the first disk that needs them.
     pub encoded: Arc<OnceLock<Encoded>>,
 }
 
 impl StoredPicture {
-    pub fn new(answer: Answer, fate: Fate) -> Self {
+    pub fn new(frame: SolvedFrame, report: StorageReport) -> Self {
         Self {
-            answer,
-            fate: Arc::new(fate),
+            frame,
+            report: Arc::new(report),
             encoded: Arc::default(),
         }
     }
@@ -43,23 +43,23 @@ pub(super) struct StoredAt {
 }
 
 /// Reports to the logs where a frame is stored. If it is dropped before that, the frame was not stored.
-pub(super) struct Fate {
+pub(super) struct StorageReport {
     stored: AtomicBool,
     to_logs: Vec<Sender<StoredAt>>,
     counts: Arc<FrameCounts>,
 }
 
-impl Fate {
+impl StorageReport {
     /// A fate, and one receiver for each of `logs` logs.
     pub fn new(logs: usize, counts: &Arc<FrameCounts>) -> (Self, Vec<Receiver<StoredAt>>) {
         counts.offered.fetch_add(1, Ordering::Relaxed);
-        let (to_logs, heard) = (0..logs).map(|_| bounded(1)).unzip();
-        let fate = Self {
+        let (to_logs, receivers) = (0..logs).map(|_| bounded(1)).unzip();
+        let report = Self {
             stored: AtomicBool::new(false),
             to_logs,
             counts: Arc::clone(counts),
         };
-        (fate, heard)
+        (report, receivers)
     }
 
     /// Reports that the frame is in this file on this disk; if there are several, only the first is reported.
@@ -76,7 +76,7 @@ impl Fate {
     }
 }
 
-impl Drop for Fate {
+impl Drop for StorageReport {
     fn drop(&mut self) {
         if !self.stored.load(Ordering::Relaxed) {
             self.counts.counters.unstored.count();

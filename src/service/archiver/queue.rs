@@ -35,12 +35,12 @@ pub(super) struct QueueTally {
 
 /// Picture given up when another is queued.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum GivenUp {
+pub(super) enum Dropped {
     Nothing,
     /// This picture or an older one, because the disks cannot follow; with their number so far.
-    ForSpeed(u64),
+    DiskSlow(u64),
     /// This picture, because the disks are nearly full; with their number so far.
-    ForSpace(u64),
+    DiskFull(u64),
 }
 
 /// A picture, and the number of times that disks have refused it.
@@ -88,7 +88,7 @@ enum Activity {
     Writing,
     Waiting,
     /// After a refusal.
-    Resting,
+    Pausing,
     Ended,
 }
 
@@ -123,7 +123,7 @@ impl<P> Queue<P> {
     }
 
     /// Queues the picture, or gives up this or an older one by the rules.
-    pub fn offer(&self, picture: P) -> GivenUp {
+    pub fn offer(&self, picture: P) -> Dropped {
         let waiting = Waiting {
             picture,
             refusals: 0,
@@ -159,11 +159,11 @@ impl<P> Queue<P> {
             if state.closed && (!has_space || state.pictures.is_empty()) {
                 break Taken::Closed;
             }
-            let patience = deadline.saturating_duration_since(Instant::now());
-            if patience.is_zero() {
+            let timeout = deadline.saturating_duration_since(Instant::now());
+            if timeout.is_zero() {
                 break Taken::Nothing;
             }
-            let waited = self.changed.wait_timeout(state, patience);
+            let waited = self.changed.wait_timeout(state, timeout);
             state = waited.unwrap_or_else(PoisonError::into_inner).0;
         };
         state.disks[disk].activity = Activity::Writing;
@@ -176,11 +176,11 @@ impl<P> Queue<P> {
     pub fn give_back(&self, disk: usize, mut waiting: Waiting<P>) {
         waiting.refusals += 1;
         let mut state = self.lock();
-        state.disks[disk].activity = Activity::Resting;
-        let other_works = state.other_works(disk);
+        state.disks[disk].activity = Activity::Pausing;
+        let other_is_working = state.other_is_working(disk);
         if waiting.refusals >= MOST_REFUSALS {
             state.tally.failed += 1;
-        } else if other_works {
+        } else if other_is_working {
             state.pictures.push_front(waiting);
         } else {
             // The disk's next attempt is with another picture: this one may be the cause itself.
@@ -191,20 +191,20 @@ impl<P> Queue<P> {
     }
 
     /// Whether another disk takes pictures from this queue now.
-    pub fn other_works(&self, disk: usize) -> bool {
-        self.lock().other_works(disk)
+    pub fn other_is_working(&self, disk: usize) -> bool {
+        self.lock().other_is_working(disk)
     }
 
     /// Waits until `deadline`, or until the queue is closed; returns whether it is closed.
-    pub fn rest(&self, disk: usize, deadline: Instant) -> bool {
+    pub fn pause(&self, disk: usize, deadline: Instant) -> bool {
         let mut state = self.lock();
-        state.disks[disk].activity = Activity::Resting;
+        state.disks[disk].activity = Activity::Pausing;
         loop {
-            let patience = deadline.saturating_duration_since(Instant::now());
-            if state.closed || patience.is_zero() {
+            let timeout = deadline.saturating_duration_since(Instant::now());
+            if state.closed || timeout.is_zero() {
                 return state.closed;
             }
-            let waited = self.changed.wait_timeout(state, patience);
+            let waited = self.changed.wait_timeout(state, timeout);
             state = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
     }
@@ -235,20 +235,20 @@ impl<P> Queue<P> {
 }
 
 impl<P> State<P> {
-    fn other_works(&self, disk: usize) -> bool {
+    fn other_is_working(&self, disk: usize) -> bool {
         let others = self.disks.iter().enumerate().filter(|(n, _)| *n != disk);
         let mut activities = others.map(|(_, other)| other.activity);
         activities.any(|activity| matches!(activity, Activity::Waiting | Activity::Writing))
     }
 
-    fn offer(&mut self, waiting: Waiting<P>) -> GivenUp {
+    fn offer(&mut self, waiting: Waiting<P>) -> Dropped {
         let rules = self.rules;
         let nth = self.offered.is_multiple_of(rules.every);
         self.offered += 1;
         let space = self.best_space();
         if space == FreeSpace::None || (space == FreeSpace::Scarce && !nth) {
             self.tally.disk_full += 1;
-            return GivenUp::ForSpace(self.tally.disk_full);
+            return Dropped::DiskFull(self.tally.disk_full);
         }
         let full = self.pictures.len() >= rules.bound;
         self.overflowing = full || (self.overflowing && !self.pictures.is_empty());
@@ -265,10 +265,10 @@ impl<P> State<P> {
             self.pictures.push_back(waiting);
         }
         if !gives_up {
-            return GivenUp::Nothing;
+            return Dropped::Nothing;
         }
         self.tally.overflowed += 1;
-        GivenUp::ForSpeed(self.tally.overflowed)
+        Dropped::DiskSlow(self.tally.overflowed)
     }
 
     /// Best state of free space among the disks that take pictures; unknown while none does.
@@ -281,7 +281,7 @@ impl<P> State<P> {
 
     fn next_for(&mut self, disk: usize) -> Option<Waiting<P>> {
         let space = self.disks[disk].space;
-        if space == FreeSpace::None || (!self.closed && self.stands_back(disk)) {
+        if space == FreeSpace::None || (!self.closed && self.yields(disk)) {
             return None;
         }
         self.pictures.pop_front()
@@ -289,7 +289,7 @@ impl<P> State<P> {
 
     /// Whether a disk leaves the next picture to another one: to one that waits, if it took the last itself; and to
     /// one with more space, unless that one cannot follow.
-    fn stands_back(&self, disk: usize) -> bool {
+    fn yields(&self, disk: usize) -> bool {
         let own = self.disks[disk].space;
         let others = self.disks.iter().enumerate();
         others.filter(|&(n, _)| n != disk).any(|(_, other)| {
@@ -300,7 +300,7 @@ impl<P> State<P> {
                     has_more_space || self.last == Some(disk) && other.space > FreeSpace::None
                 }
                 Activity::Writing => has_more_space && 2 * self.pictures.len() < self.rules.bound,
-                Activity::Resting | Activity::Ended => false,
+                Activity::Pausing | Activity::Ended => false,
             }
         })
     }
@@ -504,6 +504,6 @@ mod tests {
         assert_eq!((queue.length(), queue.tally().failed), (3, 0));
         queue.end(1);
         assert_eq!((queue.length(), queue.tally().failed), (0, 3));
-        assert!(queue.rest(0, Instant::now() + Duration::from_secs(60)));
+        assert!(queue.pause(0, Instant::now() + Duration::from_secs(60)));
     }
 }

@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 
 /// Longest pause of a disk if no other takes its frames meanwhile: they wait in memory, which holds some seconds of
 /// them.
-const LONGEST_REST_ALONE: Duration = Duration::from_millis(500);
+const LONGEST_PAUSE_ALONE: Duration = Duration::from_millis(500);
 /// How often a disk's free space is measured.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
 
@@ -38,7 +38,7 @@ pub struct DiskHealth {
     pub free_percent: Option<f64>,
     pub space: FreeSpace,
     /// Whether its last attempt was refused.
-    pub resting: bool,
+    pub failing: bool,
 }
 
 /// A disk's health, shared between its thread and its readers.
@@ -66,21 +66,21 @@ pub(super) struct Writer {
 impl Writer {
     /// Stores pictures until the queue is closed and empty, or the disk refuses one after that.
     pub fn run(mut self) {
-        let mut rests = Backoff::DISK;
+        let mut pauses = Backoff::DISK;
         let mut checked = None;
         let mut outcome = self.store.prepare().map(|()| self.note_swept());
         loop {
             if let Err(error) = outcome {
                 self.note_refusal(&error);
-                let rest = match self.queue.other_works(self.disk) {
-                    true => rests.wait(),
-                    false => rests.wait_at_most(LONGEST_REST_ALONE),
+                let pause = match self.queue.other_is_working(self.disk) {
+                    true => pauses.wait(),
+                    false => pauses.wait_at_most(LONGEST_PAUSE_ALONE),
                 };
-                if self.queue.rest(self.disk, Instant::now() + rest) {
+                if self.queue.pause(self.disk, Instant::now() + pause) {
                     break;
                 }
             } else {
-                rests.reset();
+                pauses.reset();
             }
             if checked.is_none_or(|then: Instant| then.elapsed() >= CHECK_EVERY) {
                 checked = Some(Instant::now());
@@ -89,12 +89,12 @@ impl Writer {
             let deadline = Instant::now() + CHECK_EVERY;
             outcome = match self.queue.take(self.disk, deadline) {
                 Taken::Picture(waiting) => self.keep(waiting),
-                Taken::Nothing if health_of(&self.health).resting => self.store.prepare(),
+                Taken::Nothing if health_of(&self.health).failing => self.store.prepare(),
                 Taken::Nothing => Ok(()),
                 Taken::Closed => break,
             };
             if outcome.is_ok() {
-                health_of(&self.health).resting = false;
+                health_of(&self.health).failing = false;
             }
         }
         self.queue.end(self.disk);
@@ -108,7 +108,7 @@ impl Writer {
                 health_of(&self.health).stored += 1;
                 let file = path.strip_prefix(self.store.root()).unwrap_or(&path);
                 let file = file.display().to_string();
-                waiting.picture.fate.stored(&file, self.number);
+                waiting.picture.report.stored(&file, self.number);
                 self.note_swept();
                 Ok(())
             }
@@ -140,12 +140,12 @@ impl Writer {
     }
 
     fn encode(&mut self, picture: &StoredPicture) -> Result<Encoded, ArchiveError> {
-        let answer = &picture.answer;
-        let (frame, camera) = (&answer.exposure.frame, &answer.station.camera);
-        let mut cards = answer.row().record.cards();
-        cards.extend(answer.station.flown.cards());
+        let solved = &picture.frame;
+        let (frame, camera) = (&solved.exposure.frame, &solved.station.camera);
+        let mut cards = solved.row().record.cards();
+        cards.extend(solved.station.flown.cards());
         let mut columns = Vec::new();
-        if let Some(sun) = answer.sun() {
+        if let Some(sun) = solved.sun() {
             let (solution, instrument) = (&sun.solution, &sun.instrument);
             let roll = sun.offset.map_or(Roll::Stated, |offset| offset.roll);
             cards.extend(instrument_cards(instrument, roll));
@@ -155,7 +155,7 @@ impl Writer {
                 solution,
                 roll,
                 instrument,
-                &answer.target,
+                &solved.target,
                 &mut self.ephemeris,
             ));
             columns = tables(solution);
@@ -209,7 +209,7 @@ impl Writer {
     fn note_refusal(&self, error: &ArchiveError) {
         let mut health = health_of(&self.health);
         health.refused += 1;
-        health.resting = true;
+        health.failing = true;
         if worth_a_line(health.refused) {
             tracing::error!(%error, refused = health.refused, "a disk refused");
         }

@@ -22,7 +22,7 @@ impl MoonRequests {
     /// The requests to be answered now: those with a picture begun since they came, and those that have waited too long.
     fn answers(
         &mut self,
-        seen: Option<(Instant, MoonOutcome)>,
+        result: Option<(Instant, MoonOutcome)>,
         most: Duration,
         now: Instant,
     ) -> Vec<MoonAnswer> {
@@ -31,7 +31,7 @@ impl MoonRequests {
         let mut answers = Vec::new();
         self.0.retain(|request| {
             at += 1;
-            let fresh = seen.filter(|(began, _)| *began >= request.since);
+            let fresh = result.filter(|(began, _)| *began >= request.since);
             let is_late = now.saturating_duration_since(request.since) > most || at <= too_many;
             let outcome = match fresh {
                 Some((_, outcome)) => outcome,
@@ -54,7 +54,7 @@ impl Line<'_> {
         for (sequence, request) in requests {
             self.tally.lock().moon_requests += 1;
             if let Ok(place) = request.place() {
-                self.moon_desk.lock().asked_from = Some(place);
+                self.moon_state.lock().requested_from = Some(place);
             }
             self.moon_requests.0.push_back(Waiting {
                 sequence: *sequence,
@@ -68,15 +68,15 @@ impl Line<'_> {
         if self.moon_requests.0.is_empty() {
             return;
         }
-        let seen = self.moon_desk.lock().seen;
+        let result = self.moon_state.lock().result;
         let most = self.controls.config().moon.answer_within();
-        let seen = seen.map(|seen| (seen.began, seen.outcome));
-        for answer in self.moon_requests.answers(seen, most, Instant::now()) {
+        let result = result.map(|result| (result.began, result.outcome));
+        for answer in self.moon_requests.answers(result, most, Instant::now()) {
             match self.responder.moon(answer) {
                 Ok(packet) => {
                     self.send(&packet);
                 }
-                Err(error) => self.note_unsaid(&error, "a request for the Moon was not answered"),
+                Err(error) => self.note_unsent(&error, "a request for the Moon was not answered"),
             }
         }
     }
@@ -98,11 +98,11 @@ mod tests {
         )
     }
 
-    fn said(answers: Vec<MoonAnswer>) -> Vec<(u16, MoonOutcome)> {
-        let said = answers
+    fn outcomes(answers: Vec<MoonAnswer>) -> Vec<(u16, MoonOutcome)> {
+        let outcomes = answers
             .iter()
             .map(|answer| (answer.request, answer.outcome));
-        said.collect()
+        outcomes.collect()
     }
 
     #[test]
@@ -112,10 +112,10 @@ mod tests {
         let mut requests = waiting(&[after(1), after(2), after(3)]);
         let most = Duration::from_secs(60);
         assert!(requests.answers(None, most, after(4)).is_empty());
-        let seen = Some((after(2), NOT_VISIBLE));
-        let answers = said(requests.answers(seen, most, after(4)));
+        let result = Some((after(2), NOT_VISIBLE));
+        let answers = outcomes(requests.answers(result, most, after(4)));
         assert_eq!(answers, [(1, NOT_VISIBLE), (2, NOT_VISIBLE)]);
-        assert!(requests.answers(seen, most, after(4)).is_empty());
+        assert!(requests.answers(result, most, after(4)).is_empty());
     }
 
     #[test]
@@ -124,10 +124,10 @@ mod tests {
         let after = |s| start + Duration::from_secs(s);
         let mut requests = waiting(&[start, after(5)]);
         let most = Duration::from_secs(4);
-        let answers = said(requests.answers(None, most, after(5)));
+        let answers = outcomes(requests.answers(None, most, after(5)));
         assert_eq!(answers, [(1, NO_PICTURE_CAME)]);
         let mut requests = waiting(&[start; MOST + 2]);
-        let answers = said(requests.answers(None, most, start));
+        let answers = outcomes(requests.answers(None, most, start));
         assert_eq!(answers, [(1, NO_PICTURE_CAME), (2, NO_PICTURE_CAME)]);
     }
 }

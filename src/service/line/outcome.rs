@@ -9,7 +9,7 @@ use std::time::Duration;
 impl Outcome {
     /// Time since mid-exposure.
     pub fn age(&self) -> Duration {
-        self.arrived.elapsed() + self.shutter.unwrap_or_default() / 2
+        self.arrived.elapsed() + self.exposure_time.unwrap_or_default() / 2
     }
 
     pub fn solution(&self) -> Option<Solution> {

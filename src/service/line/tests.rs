@@ -13,7 +13,7 @@ use crate::link::{
     Picture, Seal, SerialPort, Telemetry, id,
 };
 use crate::pointing::{Offset, Roll, Target};
-use crate::service::messages::SeenRoll;
+use crate::service::messages::BodyRoll;
 use crate::service::outputs::Outputs;
 use crate::units::{Measured, Rejected};
 use crossbeam_channel::{Sender, unbounded};
@@ -40,7 +40,7 @@ struct Far {
     parser: Parser,
     start: Instant,
     sequence: u16,
-    heard: Vec<Packet>,
+    read: Vec<Packet>,
     computer: Computer,
 }
 
@@ -71,8 +71,8 @@ fn bench_of(mut connection: Connection, far: SerialPort, controls: Controls) -> 
     let also_closing = Arc::clone(&closing);
     let thread = std::thread::spawn(move || {
         let (tally, counters) = (Shared::default(), Arc::<Counters>::default());
-        let mut line = Line::new(&mut connection, around(controls, &tally, &counters));
-        line.run(&receiver, &also_closing, &Life::new());
+        let mut line = Line::new(&mut connection, shared(controls, &tally, &counters));
+        line.run(&receiver, &also_closing, &Heartbeat::new());
         (tally.copy(), counters.now())
     });
     let far = Far::new(far, computer);
@@ -84,12 +84,12 @@ fn bench_of(mut connection: Connection, far: SerialPort, controls: Controls) -> 
     }
 }
 
-fn around(controls: Controls, tally: &Shared<LineTally>, counters: &Arc<Counters>) -> Surroundings {
-    Surroundings {
+fn shared(controls: Controls, tally: &Shared<LineTally>, counters: &Arc<Counters>) -> LineContext {
+    LineContext {
         controls,
         tally: tally.clone(),
         counters: Arc::clone(counters),
-        moon_desk: Shared::default(),
+        moon_state: Shared::default(),
         navigation: None,
         outputs: Arc::new(Outputs::default()),
     }
@@ -118,7 +118,7 @@ fn solved(exposure: Exposure) -> Outcome {
     Outcome {
         exposure,
         arrived: Instant::now(),
-        shutter: None,
+        exposure_time: None,
         offset: Some(offset(1.5e-5)),
         roll: None,
         stopped: None,
@@ -160,7 +160,7 @@ impl Bench {
         let end = Instant::now() + LONG;
         while !self.events.is_empty() {
             assert!(Instant::now() < end, "the line waits");
-            std::thread::sleep(PATIENCE);
+            std::thread::sleep(TIMEOUT);
         }
     }
 
@@ -186,19 +186,19 @@ impl Far {
             parser: Parser::new(Direction::ToController),
             start: Instant::now(),
             sequence: 0,
-            heard: Vec::new(),
+            read: Vec::new(),
             computer,
         }
     }
 
     fn listen(&mut self) {
         let mut buffer = [0; 4096];
-        let count = self.port.read(&mut buffer, PATIENCE).unwrap();
+        let count = self.port.read(&mut buffer, TIMEOUT).unwrap();
         let now = self.start.elapsed();
-        self.heard.extend(self.parser.feed(&buffer[..count], now));
+        self.read.extend(self.parser.feed(&buffer[..count], now));
     }
 
-    fn say(&mut self, name: &str, values: &[&str]) -> u16 {
+    fn send(&mut self, name: &str, values: &[&str]) -> u16 {
         let values: Vec<String> = values.iter().map(|v| (*v).into()).collect();
         let message = order(name, &values, self.computer).unwrap();
         self.sequence += 1;
@@ -208,7 +208,7 @@ impl Far {
     }
 
     fn answers(&self) -> impl Iterator<Item = Telemetry> {
-        self.heard.iter().filter_map(|packet| match packet {
+        self.read.iter().filter_map(|packet| match packet {
             Packet::Telemetry(packet) => Telemetry::decode(packet).ok(),
             Packet::Command(_) => None,
         })
@@ -216,7 +216,7 @@ impl Far {
 
     /// The result of a command.
     fn ask(&mut self, name: &str, values: &[&str]) -> u16 {
-        let of = self.say(name, values);
+        let of = self.send(name, values);
         self.result(of)
     }
 
@@ -238,7 +238,7 @@ impl Far {
     }
 
     fn messages(&self) -> Vec<Message> {
-        let commands = self.heard.iter().filter_map(|packet| match packet {
+        let commands = self.read.iter().filter_map(|packet| match packet {
             Packet::Command(packet) => Some(Message::decode(packet.payload()).unwrap()),
             Packet::Telemetry(_) => None,
         });
@@ -346,7 +346,7 @@ fn a_solution_is_too_old_by_its_age_since_mid_exposure() {
         bench.starts(exposure(number));
         bench.ends(Outcome {
             arrived,
-            shutter,
+            exposure_time: shutter,
             ..solved(exposure(number))
         });
     }
@@ -392,7 +392,7 @@ fn the_controller_hears_of_one_camera_which_a_command_chooses() {
 
 /// Hands the sending over from one computer to the other; returns the stop, which may be answered later.
 fn hand_over(from: &mut Bench, to: &mut Bench) -> u16 {
-    let stop = from.far.say("stop_sending", &[]);
+    let stop = from.far.send("stop_sending", &[]);
     assert_eq!(to.far.ask("start_sending", &[]), 0);
     stop
 }
@@ -462,7 +462,7 @@ fn a_peer_that_takes_nothing_holds_up_nothing_and_hears_the_newest_afterwards() 
     // The peer reads again. It first reads the bytes that the system held; then the line is as before.
     let end = Instant::now() + LONG;
     for number in many.. {
-        assert!(Instant::now() < end, "nothing new is heard");
+        assert!(Instant::now() < end, "nothing new is received");
         bench.expose(exposure(number));
         (0..20).for_each(|_| bench.far.listen());
         if bench.far.solutions().last() > Some(&exposure(many).start) {
@@ -578,7 +578,7 @@ fn housekeeping_and_a_picture_reach_the_ground_between_solutions() {
         bench.expose(exposure(number));
         number += 1;
         (0..5).for_each(|_| bench.far.listen());
-        for packet in &bench.far.heard {
+        for packet in &bench.far.read {
             let Packet::Telemetry(packet) = packet else {
                 continue;
             };
@@ -595,11 +595,11 @@ fn housekeeping_and_a_picture_reach_the_ground_between_solutions() {
         times(0..number),
         "none was lost or late"
     );
-    let heard = bench.far.heard.iter().find_map(|packet| match packet {
+    let received = bench.far.read.iter().find_map(|packet| match packet {
         Packet::Telemetry(packet) => Housekeeping::decode(packet),
         Packet::Command(_) => None,
     });
-    assert_eq!(heard, Some(housekeeping));
+    assert_eq!(received, Some(housekeeping));
     let (tally, _) = bench.finish();
     assert_eq!((tally.pictures, tally.housekeeping), (1, 1));
 }
@@ -612,17 +612,17 @@ fn marks_wait_until_nothing_else_is_on_the_line_and_the_newest_go() {
     let (tally, counters) = (Shared::default(), Arc::<Counters>::default());
     let mut line = Line::new(
         &mut connection,
-        around(ground_controls(), &tally, &counters),
+        shared(ground_controls(), &tally, &counters),
     );
     let (_, events) = unbounded();
     let marks = |number| FrameMarks::new(1, number, &[[101, 0], [-9999, 5]]).unwrap();
     backlog.store(1, Ordering::Relaxed);
     for second in [1, 2] {
         let time = exposure(second).start;
-        line.hear(LinkEvent::Marks(time, vec![marks(second as u32)]), &events);
+        line.process(LinkEvent::Marks(time, vec![marks(second as u32)]), &events);
         line.send_marks();
     }
-    line.hear(LinkEvent::ExposureStarts(exposure(3)), &events);
+    line.process(LinkEvent::ExposureStarts(exposure(3)), &events);
     backlog.store(0, Ordering::Relaxed);
     (0..2).for_each(|_| line.send_marks());
     let newest = marks(2).packet(exposure(2).start).unwrap().encode();
@@ -697,7 +697,7 @@ fn ground_controls() -> Controls {
 }
 
 /// Result of a line that listens to the ground for these datagrams: numbers of commands answered and datagrams refused, and the answers.
-fn heard(
+fn received(
     controls: &Controls,
     seal: Option<Seal>,
     datagrams: impl IntoIterator<Item = (Vec<u8>, &'static str)>,
@@ -709,8 +709,8 @@ fn heard(
     let guard = Guard::new(vec!["10.0.0.1".parse().unwrap()], seal);
     let mut connection = Connection::over(port).guarded(guard);
     let (tally, counters) = (Shared::default(), Arc::<Counters>::default());
-    let mut line = Line::new(&mut connection, around(controls.clone(), &tally, &counters));
-    (0..turns).for_each(|_| line.listen());
+    let mut line = Line::new(&mut connection, shared(controls.clone(), &tally, &counters));
+    (0..turns).for_each(|_| line.receive());
     let written = written.lock().unwrap().clone();
     let counted = (tally.copy().commands, counters.now().datagrams_refused);
     (counted, written)
@@ -720,7 +720,7 @@ fn heard(
 fn a_datagram_is_carried_out_once_and_only_if_a_peer_sent_it() {
     let controls = ground_controls();
     let set = |sequence, x| command(sequence, "set_target", &[x, "0"]);
-    let (counted, answers) = heard(
+    let (counted, answers) = received(
         &controls,
         None,
         [
@@ -744,10 +744,10 @@ fn with_a_key_a_command_is_signed_and_new_over_a_restart_too() {
     let set = |x| command(1, "set_target", &[x, "0"]);
     let signed = |x, stamp| (key.sign(&set(x), stamp), GROUND);
     let controls = ground_controls();
-    let hear = |datagrams: [_; 2]| heard(&controls, Some(key.clone()), datagrams).0;
-    let counted = hear([(set("100"), GROUND), signed("200", 1000)]);
+    let receive = |datagrams: [_; 2]| received(&controls, Some(key.clone()), datagrams).0;
+    let counted = receive([(set("100"), GROUND), signed("200", 1000)]);
     assert_eq!(counted, (1, 1));
-    let counted = hear([signed("200", 1000), signed("300", 1001)]);
+    let counted = receive([signed("200", 1000), signed("300", 1001)]);
     assert_eq!(counted, (1, 1));
     assert_eq!(controls.config().target.x_arcsec, 300.0);
     assert_eq!(controls.stamp_ns(), 1001);
@@ -768,7 +768,7 @@ fn nothing_that_was_signed_for_the_other_computer_is_carried_out() {
             .towards(Computer::Two)
             .sign(&command(1, name, values), 1000);
         let seal = Some(key.towards(Computer::One));
-        let (counted, answers) = heard(&controls, seal, [(replayed, GROUND)]);
+        let (counted, answers) = received(&controls, seal, [(replayed, GROUND)]);
         assert_eq!(counted, (0, 1), "{name}");
         assert!(answers.is_empty(), "{name}");
     }
@@ -797,7 +797,7 @@ fn a_flood_writes_few_lines_into_the_log_and_every_change_one() {
     let count = |controls: &Controls, packets, (name, values, sender): Flood| {
         lines.store(0, Ordering::Relaxed);
         let flood = (1..packets).map(|n| (command(n, name, values), sender));
-        heard(controls, None, flood);
+        received(controls, None, flood);
         lines.load(Ordering::Relaxed)
     };
     let floods = [
@@ -821,25 +821,25 @@ fn a_flood_writes_few_lines_into_the_log_and_every_change_one() {
     );
     let noise = (1..5000).map(|n: u16| (n.to_le_bytes().repeat(20), GROUND));
     lines.store(0, Ordering::Relaxed);
-    heard(&controls, None, noise);
+    received(&controls, None, noise);
     assert_eq!(lines.load(Ordering::Relaxed), 0, "counted as rejected");
 }
 
 #[test]
 fn a_solution_says_the_roll_where_it_is_known_and_zero_where_it_is_not() {
-    for (roll_deg, said) in [(Some(Measured::new(-2.5, 0.01)), -2.5), (None, 0.0)] {
+    for (roll_deg, sent) in [(Some(Measured::new(-2.5, 0.01)), -2.5), (None, 0.0)] {
         let offset = Offset {
             roll: roll_deg.map_or(Roll::Stated, Roll::Measured),
             ..offset(1.0)
         };
         let outcome = Outcome {
-            roll: roll_deg.map(|deg| SeenRoll {
+            roll: roll_deg.map(|deg| BodyRoll {
                 deg,
                 arrived: Instant::now(),
             }),
             offset: Some(offset),
             ..solved(exposure(0))
         };
-        assert_eq!(outcome.solution().unwrap().roll_deg, said);
+        assert_eq!(outcome.solution().unwrap().roll_deg, sent);
     }
 }

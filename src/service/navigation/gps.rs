@@ -34,14 +34,14 @@ impl Filter<'_> {
         if self.last_fix.replace(timed.utc) == Some(timed.utc) {
             // A receiver that repeats its fix adds nothing.
             let why = timed.utc.to_string();
-            return self.own.tally.lock().refuse_fix(Refusal::Repeated, why);
+            return self.nav.tally.lock().refuse_fix(Refusal::Repeated, why);
         }
-        let t_s = self.since_epoch_s(timed.utc) - self.own.settings.gps.delay_s;
+        let t_s = self.since_epoch_s(timed.utc) - self.nav.settings.gps.delay_s;
         let fix = timed.fix(t_s);
         let off_s = self.live.newest_s().map(|newest_s| t_s - newest_s);
         if let Some(off_s) = off_s.filter(|off_s| off_s.abs() > FIX_WITHIN_S) {
             let why = format!("{}, {off_s:+.1} s from the IMU's clock", timed.utc);
-            return self.own.tally.lock().refuse_fix(Refusal::OutOfTime, why);
+            return self.nav.tally.lock().refuse_fix(Refusal::OutOfTime, why);
         }
         let motion = self.live.now().and_then(|row| row.attitude);
         self.targets.note(Fix {
@@ -50,7 +50,7 @@ impl Filter<'_> {
             ..fix
         });
         self.live.measure(Measurement::Fix(fix));
-        self.keep(NavigationLog::Gps, gps_row(timed.utc, &fix));
+        self.queue_row(NavigationLog::Gps, gps_row(timed.utc, &fix));
     }
 }
 

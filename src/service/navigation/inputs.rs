@@ -4,7 +4,9 @@ use crate::link::{Counters, ImuPacket, TelemetryPacket};
 use crate::log::worth_a_line;
 use crate::navigation::Target;
 use crate::pointing::measured_sun_in_telescope;
-use crate::service::messages::{Answer, Found, Hears, Input, Seen, TakesSamples};
+use crate::service::messages::{
+    Found, Input, ObservedDirection, ReceivesFrames, ReceivesSamples, SolvedFrame,
+};
 use crate::service::shared::Shared;
 use crate::service::tally::NavigationTally;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
@@ -45,8 +47,8 @@ impl Inputs {
     }
 }
 
-impl TakesSamples for Inputs {
-    fn take_sample(&self, packet: &TelemetryPacket, read: Instant) {
+impl ReceivesSamples for Inputs {
+    fn receive_sample(&self, packet: &TelemetryPacket, read: Instant) {
         match ImuPacket::decode(packet) {
             Ok(sample) => self.take(Input::Imu(sample, read)),
             Err(error) => {
@@ -60,25 +62,25 @@ impl TakesSamples for Inputs {
     }
 }
 
-impl Hears for Inputs {
+impl ReceivesFrames for Inputs {
     /// Passes the direction that a frame gives to the filter.
-    fn hear(&self, answer: &Answer) {
-        if let Some(seen) = seen(answer) {
-            self.take(Input::Seen(seen));
+    fn receive(&self, frame: &SolvedFrame) {
+        if let Some(direction) = direction(frame) {
+            self.take(Input::Direction(direction));
         }
     }
 }
 
 /// The direction that a frame gives; `None` if it gives none, or has no time.
-fn seen(answer: &Answer) -> Option<Seen> {
-    let (target, direction) = match &answer.solved.found {
+fn direction(frame: &SolvedFrame) -> Option<ObservedDirection> {
+    let (target, direction) = match &frame.solved.found {
         Found::Sun(sun) => {
             let plate = sun.solution.aspect.as_ref()?.sun_plate;
             let direction = measured_sun_in_telescope(&plate, &sun.instrument);
             (Target::Sun, direction)
         }
         Found::Nadir(solution) => {
-            let camera = answer.station.camera.sees.horizon()?;
+            let camera = frame.station.camera.sees.horizon()?;
             let nadir = solution.nadir.as_ref().ok()?;
             let in_body = nadir.direction.turned(&camera.body_from_camera);
             (Target::Nadir, in_body)
@@ -86,10 +88,10 @@ fn seen(answer: &Answer) -> Option<Seen> {
         Found::Moon(moon) => (Target::Moon, moon.direction?),
         Found::Nothing => return None,
     };
-    Some(Seen {
-        camera: answer.station.index,
+    Some(ObservedDirection {
+        camera: frame.station.index,
         target,
-        utc: answer.exposure.frame.info.mid_exposure?,
+        utc: frame.exposure.frame.info.mid_exposure?,
         direction,
     })
 }

@@ -12,11 +12,13 @@ mod steps;
 
 pub(super) use inputs::Inputs;
 
-use super::messages::{Input, LinkEvent, NavigationLog, NavigationRows, PropagatedEvent, Seen};
+use super::messages::{
+    Input, LinkEvent, NavigationLog, NavigationRows, ObservedDirection, PropagatedEvent,
+};
 use super::priority::Rank;
 use super::shared::Shared;
 use super::tally::NavigationTally;
-use super::worker::{Life, Worker};
+use super::worker::{Heartbeat, Worker};
 use crate::clock::FlightClock;
 use crate::commands::controls::{Controls, Topic};
 use crate::config::{self, Host};
@@ -33,7 +35,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use jiff::{SignedDuration, Timestamp};
 use nalgebra::{Rotation3, Vector3};
 use rows::{imu_row, propagated_row};
-use sensor::{Sensor, Speaks};
+use sensor::{Sensor, SensorKind};
 use sent::propagated;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -42,9 +44,9 @@ use std::time::{Duration, Instant};
 use steps::Steps;
 
 /// How long the filter waits for an input before it shows that it is at work.
-const PATIENCE: Duration = Duration::from_millis(100);
+const TIMEOUT: Duration = Duration::from_millis(100);
 /// Silence after which the filter counts as hung.
-const PATIENT_FOR: Duration = Duration::from_secs(5);
+const HANG_TIMEOUT: Duration = Duration::from_secs(5);
 /// Silence of the IMU after which no earlier state is valid.
 const SILENCE: Duration = Duration::from_secs(1);
 /// Offsets are not sent if this many events wait for the line: frames come first.
@@ -82,47 +84,47 @@ impl Navigator {
         host: Host,
     ) -> std::io::Result<Vec<Worker>> {
         let mut workers = Vec::new();
-        for (speaks, connection) in [(Speaks::Imu, imu), (Speaks::Gps, gps)] {
+        for (kind, connection) in [(SensorKind::Imu, imu), (SensorKind::Gps, gps)] {
             if let Some(connection) = connection {
                 let sensor = Sensor {
                     connection: Arc::new(Mutex::new(connection)),
-                    speaks,
+                    kind,
                     inputs: inputs.clone(),
                     tally: self.tally.clone(),
                     ended: Arc::clone(&self.ended),
                     clock: self.clock,
                 };
-                let listen = move |life: &Life| sensor.run(life);
+                let listen = move |heartbeat: &Heartbeat| sensor.run(heartbeat);
                 // Another thread would wait for the same port.
-                workers.push(real_time(speaks.name(), None, listen, host)?);
+                workers.push(real_time(kind.name(), None, listen, host)?);
             }
         }
         let queue = queue.clone();
-        let filter = move |life: &Life| self.run(&queue, life);
-        workers.push(real_time("navigation", Some(PATIENT_FOR), filter, host)?);
+        let filter = move |heartbeat: &Heartbeat| self.run(&queue, heartbeat);
+        workers.push(real_time("navigation", Some(HANG_TIMEOUT), filter, host)?);
         Ok(workers)
     }
 
     /// Filters until the flight ends, or another thread has taken over.
-    fn run(&self, inputs: &Receiver<Input>, life: &Life) {
+    fn run(&self, inputs: &Receiver<Input>, heartbeat: &Heartbeat) {
         let mut filter = None;
         let mut ending = None;
-        let mut heard = Instant::now();
-        while !life.is_over() {
-            life.beat();
+        let mut last_sample = Instant::now();
+        while !heartbeat.is_replaced() {
+            heartbeat.beat();
             if self.ended.load(Ordering::Relaxed) {
                 // An IMU on the controller's line continues until that is closed.
                 let since = *ending.get_or_insert_with(Instant::now);
-                if since.elapsed() > PATIENCE {
+                if since.elapsed() > TIMEOUT {
                     break;
                 }
             }
-            if heard.elapsed() > SILENCE {
+            if last_sample.elapsed() > SILENCE {
                 clear(&mut self.tally.lock());
             }
-            match inputs.recv_timeout(PATIENCE) {
+            match inputs.recv_timeout(TIMEOUT) {
                 Ok(Input::Imu(sample, read)) => {
-                    heard = Instant::now();
+                    last_sample = Instant::now();
                     let filter = filter.get_or_insert_with(|| Filter::new(self, sample.time));
                     filter.sample(&sample, read);
                 }
@@ -132,12 +134,12 @@ impl Navigator {
                         filter.for_each(|filter: &mut Filter| filter.fix(&fix));
                     }
                 }
-                Ok(Input::Seen(seen)) => filter.iter_mut().for_each(|filter| filter.seen(&seen)),
+                Ok(Input::Direction(one)) => filter.iter_mut().for_each(|f| f.direction(&one)),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
         }
-        filter.iter_mut().for_each(Filter::hand_rows_on);
+        filter.iter_mut().for_each(Filter::send_rows);
     }
 }
 
@@ -149,18 +151,18 @@ fn clear(tally: &mut NavigationTally) {
 
 fn real_time(
     name: &str,
-    patience: Option<Duration>,
-    work: impl Fn(&Life) + Clone + Send + 'static,
+    timeout: Option<Duration>,
+    work: impl Fn(&Heartbeat) + Clone + Send + 'static,
     host: Host,
 ) -> std::io::Result<Worker> {
-    Worker::start(name, patience, move || {
-        host.real_time(Rank::First, work.clone())
+    Worker::start(name, timeout, move || {
+        host.realtime(Rank::First, work.clone())
     })
 }
 
 /// The filter with what it needs to compute offsets.
 struct Filter<'a> {
-    own: &'a Navigator,
+    nav: &'a Navigator,
     live: Live,
     targets: Targets,
     epoch: Timestamp,
@@ -175,27 +177,27 @@ struct Filter<'a> {
     due: Due,
     contradiction: LastingContradiction,
     rows: [VecDeque<Vec<String>>; NavigationLog::ALL.len()],
-    handed_on_s: f64,
+    rows_sent_s: f64,
     /// Number of directions that could not be used because the target's direction is not known.
     unknown: u64,
 }
 
 impl<'a> Filter<'a> {
     /// A filter that waits for its first input; `epoch` is about the first sample's time.
-    fn new(own: &'a Navigator, epoch: Timestamp) -> Self {
-        let settings = &own.settings;
+    fn new(nav: &'a Navigator, epoch: Timestamp) -> Self {
+        let settings = &nav.settings;
         // A camera that does not fly gives no directions, whatever its role.
         let targets = settings.cameras.iter().map(|stated| {
-            let flown = own.cameras.iter().find(|(name, _)| *name == stated.name);
+            let flown = nav.cameras.iter().find(|(name, _)| *name == stated.name);
             flown.map_or(Target::Sun, |(_, role)| Target::of(*role))
         });
         let sees: Vec<_> = targets.map(|target| vec![target]).collect();
         let sky = Sky::Ephemeris {
-            ephemeris: Box::new(own.ephemeris.clone()),
+            ephemeris: Box::new(nav.ephemeris.clone()),
             epoch,
         };
         Self {
-            own,
+            nav,
             live: Live::new(settings.clone(), &sees),
             targets: Targets::new(sky, Vec::new()),
             epoch,
@@ -203,12 +205,12 @@ impl<'a> Filter<'a> {
             last_sample: None,
             steps: Steps::default(),
             last_fix: None,
-            version: own.controls.version(Topic::Other),
-            settings: own.controls.config().navigation,
+            version: nav.controls.version(Topic::Other),
+            settings: nav.controls.config().navigation,
             due: Due::default(),
             contradiction: LastingContradiction::default(),
             rows: Default::default(),
-            handed_on_s: 0.0,
+            rows_sent_s: 0.0,
             unknown: 0,
         }
     }
@@ -219,16 +221,16 @@ impl<'a> Filter<'a> {
 
     fn sample(&mut self, sample: &ImuPacket, read: Instant) {
         let vector = |v: [f32; 3]| Vector3::from(v).cast::<f64>();
-        let t_s = self.since_epoch_s(sample.time) - self.own.settings.imu.delay_s;
-        let felt = ImuSample {
+        let t_s = self.since_epoch_s(sample.time) - self.nav.settings.imu.delay_s;
+        let imu = ImuSample {
             t_s,
             force_m_s2: vector(sample.force_m_s2),
             rate_rad_s: vector(sample.rate_rad_s),
             time_step_s: self.steps.step_s(sample),
         };
         self.count(sample);
-        if let Err(error) = felt.check(&self.own.settings.imu) {
-            let mut tally = self.own.tally.lock();
+        if let Err(error) = imu.check(&self.nav.settings.imu) {
+            let mut tally = self.nav.tally.lock();
             tally.unreadable += 1;
             if worth_a_line(tally.unreadable) {
                 tracing::warn!(%error, "a sample of the IMU is not used");
@@ -236,7 +238,7 @@ impl<'a> Filter<'a> {
             return;
         }
         let before_s = self.live.newest_s();
-        let row = self.live.sample(felt);
+        let row = self.live.sample(imu);
         self.note(row.map(|row| row.status));
         // The filter has ignored the sample, or the packet came twice.
         if self.live.newest_s() != Some(t_s) || before_s == Some(t_s) {
@@ -246,24 +248,24 @@ impl<'a> Filter<'a> {
         if let Some(row) = row.filter(|row| self.due.takes(row.t_s, self.settings.rate_hz)) {
             self.send(&row, read);
         }
-        self.keep(NavigationLog::Imu, imu_row(sample));
-        if !(0.0..ROWS_S).contains(&(t_s - self.handed_on_s)) {
-            self.handed_on_s = t_s;
-            self.hand_rows_on();
+        self.queue_row(NavigationLog::Imu, imu_row(sample));
+        if !(0.0..ROWS_S).contains(&(t_s - self.rows_sent_s)) {
+            self.rows_sent_s = t_s;
+            self.send_rows();
         }
     }
 
     fn count(&mut self, sample: &ImuPacket) {
-        self.own.counters.imu_samples.count();
-        let mut tally = self.own.tally.lock();
+        self.nav.counters.imu_samples.count();
+        let mut tally = self.nav.tally.lock();
         if let Some(last) = self.last_sample.replace(*sample) {
             tally.lost_samples += last.missing_before(sample);
         }
     }
 
     fn note(&mut self, status: Option<Status>) {
-        let (comparison, settings) = (self.live.comparison(), &self.own.settings);
-        let mut tally = self.own.tally.lock();
+        let (comparison, settings) = (self.live.comparison(), &self.nav.settings);
+        let mut tally = self.nav.tally.lock();
         self.contradiction.note(comparison, settings, &mut tally);
         let counts = self.live.counts();
         tally.refused = counts.refused;
@@ -287,14 +289,14 @@ impl<'a> Filter<'a> {
         }
     }
 
-    fn seen(&mut self, seen: &Seen) {
-        let settings = &self.own.settings;
-        let name = self.own.cameras.get(seen.camera).map(|(name, _)| name);
+    fn direction(&mut self, observed: &ObservedDirection) {
+        let settings = &self.nav.settings;
+        let name = self.nav.cameras.get(observed.camera).map(|(name, _)| name);
         let Some(camera) = name.and_then(|name| settings.camera(name)) else {
             return;
         };
-        let t_s = self.since_epoch_s(seen.utc) - settings.cameras[camera].delay_s;
-        let towards = match self.targets.towards(seen.target, t_s) {
+        let t_s = self.since_epoch_s(observed.utc) - settings.cameras[camera].delay_s;
+        let towards = match self.targets.towards(observed.target, t_s) {
             Ok(towards) => towards,
             // The filter has not started yet.
             Err(NoDirection::NoFix) => return,
@@ -306,43 +308,43 @@ impl<'a> Filter<'a> {
                 return;
             }
         };
-        let sigma_rad = settings.sigma_rad(seen.target, &seen.direction);
+        let sigma_rad = settings.sigma_rad(observed.target, &observed.direction);
         self.live
             .measure(Measurement::Direction(DirectionObservation {
                 t_s,
                 camera,
-                target: seen.target,
-                unit: seen.direction.unit,
+                target: observed.target,
+                unit: observed.direction.unit,
                 sigma_rad,
                 towards,
             }));
-        self.own.tally.lock().seen += 1;
+        self.nav.tally.lock().directions += 1;
     }
 
     /// Sends the offset at a row to line and archive.
     fn send(&mut self, row: &NavigationRow, read: Instant) {
         let Some((utc, offset)) = self.offset(row) else {
-            self.own.tally.lock().latest = None;
+            self.nav.tally.lock().latest = None;
             return;
         };
         let age_s = row.t_s - self.live.seen_s();
         self.note_offset(&offset);
-        if self.settings.sends(&offset) && self.own.to_line.len() < MOST_EVENTS {
+        if self.settings.sends(&offset) && self.nav.to_line.len() < MOST_EVENTS {
             let event = PropagatedEvent {
                 propagated: propagated(&offset, utc, age_s),
                 read,
             };
             // A line that is stuck sends nothing; the next offset is better.
-            let _ = self.own.to_line.try_send(LinkEvent::Propagated(event));
+            let _ = self.nav.to_line.try_send(LinkEvent::Propagated(event));
         }
         let row = propagated_row(utc, &offset, age_s, row.status);
-        self.keep(NavigationLog::Propagated, row);
+        self.queue_row(NavigationLog::Propagated, row);
     }
 
     /// The offset at a row and its time; `None` before the start, and if the target cannot be pointed at.
     fn offset(&mut self, row: &NavigationRow) -> Option<(Timestamp, PropagatedOffset)> {
         row.attitude?;
-        let target = self.own.controls.snapshot().target;
+        let target = self.nav.controls.snapshot().target;
         let towards = self.targets.aim(&target, row.t_s).ok()?;
         let offset = offset(row, &self.body_from_telescope, &towards).ok()??;
         let since = SignedDuration::try_from_secs_f64(row.t_s).ok()?;
@@ -350,36 +352,36 @@ impl<'a> Filter<'a> {
     }
 
     fn follow_settings(&mut self) {
-        let version = self.own.controls.version(Topic::Other);
+        let version = self.nav.controls.version(Topic::Other);
         if version != self.version {
             self.version = version;
-            self.settings = self.own.controls.config().navigation;
+            self.settings = self.nav.controls.config().navigation;
         }
     }
 
     fn note_offset(&self, offset: &PropagatedOffset) {
-        let mut tally = self.own.tally.lock();
+        let mut tally = self.nav.tally.lock();
         tally.offsets += 1;
         tally.uncertain += u64::from(offset.sigma_deg > self.settings.max_sigma_deg());
         tally.latest = Some(*offset);
     }
 
-    fn keep(&mut self, log: NavigationLog, row: Vec<String>) {
+    fn queue_row(&mut self, log: NavigationLog, row: Vec<String>) {
         self.rows[log as usize].push_back(row);
     }
 
-    fn hand_rows_on(&mut self) {
+    fn send_rows(&mut self) {
         for (log, rows) in NavigationLog::ALL.into_iter().zip(&mut self.rows) {
             let rows = std::mem::take(rows);
             let count = rows.len() as u64;
             if count > 0
                 && self
-                    .own
+                    .nav
                     .rows
                     .try_send(NavigationRows { log, rows })
                     .is_err()
             {
-                self.own.tally.lock().rows_lost += count;
+                self.nav.tally.lock().rows_lost += count;
             }
         }
     }

@@ -6,29 +6,29 @@ use crate::clock::FlightClock;
 use crate::link::{Connection, Direction, Packet, Parser, PortError};
 use crate::log::worth_a_line;
 use crate::navigation::nmea::{Heard, Nmea};
-use crate::service::messages::{Input, TakesSamples};
+use crate::service::messages::{Input, ReceivesSamples};
 use crate::service::shared::Shared;
 use crate::service::tally::NavigationTally;
-use crate::service::worker::Life;
+use crate::service::worker::Heartbeat;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// How long a thread waits for bytes before it shows that it is at work.
-const PATIENCE: Duration = Duration::from_millis(100);
+const TIMEOUT: Duration = Duration::from_millis(100);
 /// More than the longest datagram.
 const READ_BYTES: usize = 2048;
 
 /// The format of a sensor's data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Speaks {
+pub(super) enum SensorKind {
     /// Telemetry packets of type 0x71.
     Imu,
     /// NMEA 0183.
     Gps,
 }
 
-impl Speaks {
+impl SensorKind {
     /// The name of its thread.
     pub fn name(self) -> &'static str {
         match self {
@@ -38,11 +38,11 @@ impl Speaks {
     }
 }
 
-/// A sensor's thread. Its successive lives share the line: the port outlives a thread that panicked.
+/// A sensor's thread. Restarts of it share the line: the port outlives a thread that panicked.
 #[derive(Clone)]
 pub(super) struct Sensor {
     pub connection: Arc<Mutex<Connection>>,
-    pub speaks: Speaks,
+    pub kind: SensorKind,
     pub inputs: Inputs,
     pub tally: Shared<NavigationTally>,
     pub ended: Arc<AtomicBool>,
@@ -51,46 +51,46 @@ pub(super) struct Sensor {
 
 impl Sensor {
     /// Listens until the flight ends, or another thread has taken over.
-    pub fn run(&self, life: &Life) {
+    pub fn run(&self, heartbeat: &Heartbeat) {
         let mut connection = self
             .connection
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
         let mut packets = Parser::new(Direction::ToAspect);
         let mut sentences = Nmea::default();
-        // Noise bytes of the lives before.
+        // Noise bytes before the last restart.
         let noise_before = self.tally.lock().gps.noise_bytes;
         let start = Instant::now();
         let mut buffer = [0; READ_BYTES];
-        while !life.is_over() && !self.ended.load(Ordering::Relaxed) {
-            life.beat();
+        while !heartbeat.is_replaced() && !self.ended.load(Ordering::Relaxed) {
+            heartbeat.beat();
             connection.revive(start.elapsed());
             let count = match self.read(&mut connection, &mut buffer) {
                 Ok(count) => count,
                 Err(error) => {
-                    tracing::error!(sensor = self.speaks.name(), %error, "a sensor's line is lost");
+                    tracing::error!(sensor = self.kind.name(), %error, "a sensor's line is lost");
                     connection.lose(start.elapsed());
                     continue;
                 }
             };
             let bytes = &buffer[..count];
-            match self.speaks {
-                Speaks::Imu => {
+            match self.kind {
+                SensorKind::Imu => {
                     let read = Instant::now();
                     for packet in packets.feed(bytes, start.elapsed()) {
                         if let Packet::Telemetry(packet) = packet {
-                            self.inputs.take_sample(&packet, read);
+                            self.inputs.receive_sample(&packet, read);
                         }
                     }
                 }
-                Speaks::Gps => {
-                    let heard = sentences.feed(bytes, self.clock.now());
+                SensorKind::Gps => {
+                    let read = sentences.feed(bytes, self.clock.now());
                     let mut tally = self.tally.lock();
-                    heard.iter().for_each(|heard| tally.note_gps(heard));
+                    read.iter().for_each(|one| tally.note_gps(one));
                     tally.note_gps_noise(noise_before + sentences.noise_bytes());
                     drop(tally);
-                    for heard in heard {
-                        if let Heard::Fix(fix) = heard {
+                    for one in read {
+                        if let Heard::Fix(fix) = one {
                             self.inputs.take(Input::Fix(fix));
                         }
                     }
@@ -102,10 +102,10 @@ impl Sensor {
     /// Reads received bytes; of datagrams, only those of the sensor.
     fn read(&self, connection: &mut Connection, buffer: &mut [u8]) -> Result<usize, PortError> {
         let Some(port) = connection.port() else {
-            std::thread::sleep(PATIENCE);
+            std::thread::sleep(TIMEOUT);
             return Ok(0);
         };
-        let count = port.read(buffer, PATIENCE)?;
+        let count = port.read(buffer, TIMEOUT)?;
         let Some(sender) = port.sender() else {
             return Ok(count);
         };

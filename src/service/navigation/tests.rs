@@ -97,9 +97,9 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// A camera's frame at a time since the start.
-fn seen(camera: usize, target: Target, since: Duration, direction: Direction) -> Seen {
+fn seen(camera: usize, target: Target, since: Duration, direction: Direction) -> ObservedDirection {
     let start: Timestamp = START.parse().unwrap();
-    Seen {
+    ObservedDirection {
         camera,
         target,
         utc: start + SignedDuration::try_from(since).unwrap(),
@@ -171,7 +171,7 @@ fn fly_judged(
             late.push_back((n + 4, seen(0, Target::Sun, since, direction)));
         }
         while late.front().is_some_and(|(due, _)| *due <= n) {
-            filter.seen(&late.pop_front().unwrap().1);
+            filter.direction(&late.pop_front().unwrap().1);
         }
         if let Some(sample) = corrupt(n, flown.sample(n).unwrap()) {
             filter.sample(&sample, Instant::now());
@@ -190,19 +190,19 @@ fn fly_judged(
 
 impl Judged {
     /// Compares an offset with the flight's true attitude.
-    fn note(&mut self, said: &Propagated, flown: &mut TelescopeFlight, start: Timestamp) {
-        let judged = JudgedOffset::of(said, flown, start).unwrap();
+    fn note(&mut self, sent: &Propagated, flown: &mut TelescopeFlight, start: Timestamp) {
+        let judged = JudgedOffset::of(sent, flown, start).unwrap();
         for error_arcsec in judged.error_arcsec {
             self.sigmas.push(error_arcsec / judged.sigma_arcsec);
             self.arcsec.push((judged.age_s, error_arcsec));
         }
-        self.roll_deg.push(said.solution.roll_deg);
+        self.roll_deg.push(sent.solution.roll_deg);
         self.offsets += 1;
     }
 }
 
 /// Prints the results, so that a failure can be understood.
-fn say(judged: &Judged, tally: &NavigationTally) {
+fn print(judged: &Judged, tally: &NavigationTally) {
     println!(
         "{} offsets, beyond 3 sigma {:.4}, error/sigma {:.2}; arcsec: {:.2} within 0.4 s, {:.2} after 50 to 60 s, {:.2} after more; roll {:.4} deg; {tally:?}",
         judged.offsets,
@@ -244,7 +244,7 @@ fn fly_all(
         counts.refused += tally.refused;
         counts.out_of_time += tally.out_of_time;
     }
-    say(&all, &counts);
+    print(&all, &counts);
     (all, counts)
 }
 
@@ -297,7 +297,7 @@ fn a_clock_that_steps_and_samples_that_no_vehicle_feels_begin_the_filter_anew_at
         Some(sample)
     };
     let (judged, tally) = fly(90, 3, |_| true, corrupt, as_received);
-    say(&judged, &tally);
+    print(&judged, &tally);
     assert_eq!((tally.unreadable, tally.restarts), (9, 2));
     assert_eq!(tally.status, Some(Status::Aligned));
     assert!(judged.offsets > 1600);
@@ -319,7 +319,7 @@ fn fixes_that_jump_are_stale_or_do_not_come_move_no_offset() {
         _ => Some(fix),
     };
     let (judged, tally) = fly(300, 4, |_| true, |_, sample| Some(sample), receive);
-    say(&judged, &tally);
+    print(&judged, &tally);
     assert!((10..25).contains(&tally.refused), "{tally:?}");
     assert_eq!(tally.gps.refused(Refusal::Repeated), 29);
     assert_eq!(tally.restarts, 0);
@@ -335,7 +335,7 @@ fn fixes_without_velocity_begin_the_filter_and_keep_it() {
         })
     };
     let (judged, tally) = fly(250, 7, with_gaps, |_, sample| Some(sample), receive);
-    say(&judged, &tally);
+    print(&judged, &tally);
     // Until the roll is known their sigma is above the limit.
     assert!(judged.offsets > 4600, "{}", judged.offsets);
     assert!(judged.beyond_3_sigma() < 0.01);
@@ -372,7 +372,7 @@ fn a_packet_of_the_imu_that_comes_twice_is_used_and_logged_once() {
         };
         filter.sample(&sample, Instant::now());
     }
-    filter.hand_rows_on();
+    filter.send_rows();
     let rows: usize = kept.try_iter().map(|rows| rows.rows.len()).sum();
     assert_eq!(rows, 3);
 }
@@ -386,7 +386,7 @@ fn a_clock_that_is_set_back_for_good_silences_no_offset() {
         Some(sample)
     };
     let start: Timestamp = START.parse().unwrap();
-    let is_judged = |said: &Propagated| said.solution.time < start + SignedDuration::from_secs(90);
+    let is_judged = |sent: &Propagated| sent.solution.time < start + SignedDuration::from_secs(90);
     let (judged, tally) = fly_judged(
         60,
         5,

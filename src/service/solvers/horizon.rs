@@ -9,7 +9,7 @@ use crate::horizon::{self, HorizonSettings, Levels, Solution, Stage};
 use crate::instrument::{MountedCamera, WrongSize};
 use crate::pointing::body_roll_deg;
 use crate::reasons::{Stopped, at, horizon as reasons};
-use crate::service::messages::{Found, LatestNadir, SeenNadir, SeenRoll, Solved, UnsolvedFrame};
+use crate::service::messages::{BodyNadir, BodyRoll, Found, LatestNadir, Solved, UnsolvedFrame};
 use crate::units::{Reason, Rejected};
 use nalgebra::UnitVector3;
 use tracing::Level;
@@ -79,7 +79,7 @@ impl Solver for HorizonSolver {
             stopped: solution.reason().map(Stopped::named),
             levels,
             brightness: brightness(&solution, frame.saturation_dn()),
-            roll: in_body.map(|in_body| SeenRoll {
+            roll: in_body.map(|in_body| BodyRoll {
                 deg: body_roll_deg(&in_body),
                 arrived,
             }),
@@ -88,21 +88,21 @@ impl Solver for HorizonSolver {
         })
     }
 
-    fn leave(&mut self, frame: &UnsolvedFrame, solved: &Solved) {
+    fn share(&mut self, frame: &UnsolvedFrame, solved: &Solved) {
         let Found::Nadir(solution) = &solved.found else {
             return;
         };
         if let Ok(nadir) = &solution.nadir {
             let in_body = nadir.direction.turned(&self.camera.body_from_camera);
             let mut latest = self.latest.lock();
-            *latest = Some(SeenNadir {
+            *latest = Some(BodyNadir {
                 arrived: frame.arrived,
-                ..SeenNadir::next(*latest, in_body, frame.middle)
+                ..BodyNadir::next(*latest, in_body, frame.middle)
             });
         }
     }
 
-    fn complaint(&self, solved: &Solved) -> Option<(Level, &'static str)> {
+    fn log_entry(&self, solved: &Solved) -> Option<(Level, &'static str)> {
         (solved.quality == Quality::None).then_some((Level::WARN, "no horizon"))
     }
 }

@@ -5,7 +5,7 @@ mod moon;
 mod nadir;
 mod sun;
 
-use super::messages::{Found, LatestNadir, MoonDesk, Solved, Station, UnsolvedFrame};
+use super::messages::{Found, LatestNadir, MoonState, Solved, Station, UnsolvedFrame};
 use super::shared::Shared;
 use super::tally::SolverTally;
 use crate::aspect::{Quality, Stage};
@@ -32,22 +32,22 @@ pub trait Solver: Send {
     ) -> Result<Solved, WrongSize>;
 
     /// Stores the result of a frame where other solvers read it.
-    fn leave(&mut self, _frame: &UnsolvedFrame, _solved: &Solved) {}
+    fn share(&mut self, _frame: &UnsolvedFrame, _solved: &Solved) {}
 
     /// Log entry, now and then, for a frame that went no further; `None` if that is nothing unusual.
-    fn complaint(&self, _solved: &Solved) -> Option<(Level, &'static str)> {
+    fn log_entry(&self, _solved: &Solved) -> Option<(Level, &'static str)> {
         None
     }
 }
 
 /// Results that solvers share with each other and with the line. Clones share it.
 #[derive(Clone, Default)]
-pub(super) struct Shelf {
+pub(super) struct Results {
     pub nadir: LatestNadir,
-    pub moon: Shared<MoonDesk>,
+    pub moon: Shared<MoonState>,
 }
 
-impl Shelf {
+impl Results {
     /// The part of it that a camera's solver uses. Only the first roll camera gives the roll, and only the first Moon camera answers requests.
     fn of(&self, station: &Station) -> Self {
         match station.camera.role {
@@ -58,26 +58,26 @@ impl Shelf {
     }
 }
 
-/// State of a camera's solver from one life to the next. Clones share it.
+/// State of a camera's solver from one restart to the next. Clones share it.
 #[derive(Clone, Default)]
 pub(super) struct Memory {
     pub calibration: Shared<CalibrationCheck>,
     pub tally: Shared<SolverTally>,
 }
 
-/// Makes the solver of a camera's frames, for successive lives of its thread.
+/// Makes the solver of a camera's frames, at each start of its thread.
 #[derive(Clone)]
 pub(super) struct MakeSolver {
     pub station: Station,
     pub ephemeris: Ephemeris,
-    pub shelf: Shelf,
+    pub results: Results,
     pub memory: Memory,
 }
 
 impl MakeSolver {
-    pub fn new(station: &Station, ephemeris: Ephemeris, shelf: &Shelf, memory: Memory) -> Self {
+    pub fn new(station: &Station, ephemeris: Ephemeris, results: &Results, memory: Memory) -> Self {
         Self {
-            shelf: shelf.of(station),
+            results: results.of(station),
             station: station.clone(),
             ephemeris,
             memory,
@@ -86,12 +86,12 @@ impl MakeSolver {
 
     pub fn make(&self) -> Box<dyn Solver> {
         let Self {
-            ephemeris, shelf, ..
+            ephemeris, results, ..
         } = self.clone();
         match self.station.camera.sees.clone() {
             Sees::Plate(instrument) => Box::new(sun::SunSolver::new(self, *instrument)),
-            Sees::Horizon(camera) => Box::new(horizon::HorizonSolver::new(camera, shelf.nadir)),
-            Sees::Moon(camera) => Box::new(moon::MoonSolver::new(camera, ephemeris, shelf.moon)),
+            Sees::Horizon(camera) => Box::new(horizon::HorizonSolver::new(camera, results.nadir)),
+            Sees::Moon(camera) => Box::new(moon::MoonSolver::new(camera, ephemeris, results.moon)),
             Sees::Unstated => Box::new(Levels),
         }
     }
@@ -100,7 +100,7 @@ impl MakeSolver {
 /// The solver of the frames of a camera that is used alone.
 pub fn solver(camera: &Camera, ephemeris: Ephemeris) -> Box<dyn Solver> {
     let station = Station::alone(camera);
-    MakeSolver::new(&station, ephemeris, &Shelf::default(), Memory::default()).make()
+    MakeSolver::new(&station, ephemeris, &Results::default(), Memory::default()).make()
 }
 
 /// For a camera without a calibration: only the frame's brightness is measured.

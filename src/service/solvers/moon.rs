@@ -13,7 +13,7 @@ use crate::moon::{
     self, Disc, Expected, Levels, MoonSettings, Optics, Shading, Stage, Stopped, bright_dn,
 };
 use crate::reasons::{at, moon as reasons};
-use crate::service::messages::{Found, MoonDesk, SeenMoon, Solved, SolvedMoon, UnsolvedFrame};
+use crate::service::messages::{Found, MoonResult, MoonState, Solved, SolvedMoon, UnsolvedFrame};
 use crate::service::shared::Shared;
 use crate::sky::{Ephemeris, MoonPosition};
 use crate::units::{Place, Rejected};
@@ -23,35 +23,35 @@ use tracing::Level;
 pub(super) struct MoonSolver {
     camera: DirectionCamera,
     ephemeris: Ephemeris,
-    desk: Shared<MoonDesk>,
+    state: Shared<MoonState>,
     /// Whether it was night at the last frame; `None` if its time or place is not known.
     is_night: Option<bool>,
 }
 
 /// Directions of Moon and Sun by the ephemeris, and whether the Moon can be seen.
-struct Heavens {
+struct MoonSky {
     moon: MoonPosition,
     hidden: Option<Rejected>,
     is_night: bool,
 }
 
 impl MoonSolver {
-    pub fn new(camera: DirectionCamera, ephemeris: Ephemeris, desk: Shared<MoonDesk>) -> Self {
+    pub fn new(camera: DirectionCamera, ephemeris: Ephemeris, state: Shared<MoonState>) -> Self {
         Self {
             camera,
             ephemeris,
-            desk,
+            state,
             is_night: None,
         }
     }
 
     /// `None` for dates outside the ephemeris.
-    fn heavens(&mut self, utc: Timestamp, place: Place, snapshot: &Snapshot) -> Option<Heavens> {
+    fn sky(&mut self, utc: Timestamp, place: Place, snapshot: &Snapshot) -> Option<MoonSky> {
         let moon = self.ephemeris.moon(utc, place).ok()?;
         let sun = self.ephemeris.sun(utc, place).ok()?;
         let clear_deg = snapshot.moon.clear_of_sun_deg;
         let near_sun = || moon::near_sun(&moon, &sun, place, clear_deg);
-        Some(Heavens {
+        Some(MoonSky {
             hidden: moon::below_horizon(&moon, place).or_else(near_sun),
             is_night: moon::is_night(&sun, place),
             moon,
@@ -59,7 +59,7 @@ impl MoonSolver {
     }
 
     /// The Moon in a frame. A frame of another size than the camera's, or taken while the Moon cannot be seen, is stored and not searched.
-    fn disc(&self, frame: &Frame, heavens: Option<&Heavens>) -> Result<Disc, Stopped> {
+    fn disc(&self, frame: &Frame, sky: Option<&MoonSky>) -> Result<Disc, Stopped> {
         if let Err(wrong) = self.camera.check(frame) {
             return Err(at(Stage::Light)(Rejected {
                 reason: reasons::WRONG_SIZE,
@@ -67,14 +67,14 @@ impl MoonSolver {
                 limit: wrong.expected_width as f64,
             }));
         }
-        if let Some(hidden) = heavens.and_then(|heavens| heavens.hidden) {
+        if let Some(hidden) = sky.and_then(|sky| sky.hidden) {
             return Err(at(Stage::Sky)(hidden));
         }
         let settings = MoonSettings {
             shading: Shading::LommelSeeliger,
             optics: Optics::Camera(self.camera.lens),
         };
-        let expected = heavens.map_or(Expected::default(), |heavens| Expected::of(&heavens.moon));
+        let expected = sky.map_or(Expected::default(), |sky| Expected::of(&sky.moon));
         moon::solve(&settings, frame, &expected)
     }
 
@@ -120,18 +120,18 @@ impl Solver for MoonSolver {
         frame: &mut UnsolvedFrame,
         commanded: &Snapshot,
     ) -> Result<Solved, WrongSize> {
-        let asked_from = self.desk.lock().asked_from;
+        let requested_from = self.state.lock().requested_from;
         let frame = &mut frame.exposure.frame;
         let info = &mut frame.info;
         // The platform's place has priority; the file states the place on which its answer rests.
-        info.place = asked_from.or(info.place).or(commanded.place);
+        info.place = requested_from.or(info.place).or(commanded.place);
         let known = info.mid_exposure.zip(info.place);
-        let ((heavens, found), solve_time) = timed(|| {
-            let heavens = known.and_then(|(utc, place)| self.heavens(utc, place, commanded));
-            let found = self.disc(frame, heavens.as_ref());
-            (heavens, found)
+        let ((sky, found), solve_time) = timed(|| {
+            let sky = known.and_then(|(utc, place)| self.sky(utc, place, commanded));
+            let found = self.disc(frame, sky.as_ref());
+            (sky, found)
         });
-        self.is_night = heavens.map(|heavens| heavens.is_night);
+        self.is_night = sky.map(|sky| sky.is_night);
         let (levels, brightness) = light(frame, &found);
         let disc = found.as_ref().ok();
         Ok(Solved {
@@ -152,10 +152,10 @@ impl Solver for MoonSolver {
         })
     }
 
-    fn leave(&mut self, frame: &UnsolvedFrame, solved: &Solved) {
+    fn share(&mut self, frame: &UnsolvedFrame, solved: &Solved) {
         if let Found::Moon(moon) = &solved.found {
             let utc = frame.exposure.frame.info.mid_exposure;
-            self.desk.lock().seen = Some(SeenMoon {
+            self.state.lock().result = Some(MoonResult {
                 began: frame.began(),
                 outcome: self.outcome(&moon.found, utc.unwrap_or_else(Timestamp::now)),
                 is_night: self.is_night,
@@ -163,7 +163,7 @@ impl Solver for MoonSolver {
         }
     }
 
-    fn complaint(&self, solved: &Solved) -> Option<(Level, &'static str)> {
+    fn log_entry(&self, solved: &Solved) -> Option<(Level, &'static str)> {
         Some(match solved.stopped?.stage == Stage::Sky.name() {
             true => (Level::INFO, "the Moon cannot be seen"),
             false => (Level::WARN, "no Moon"),

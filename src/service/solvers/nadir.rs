@@ -1,12 +1,12 @@
 //! Nadir between frames of the horizon: it is propagated with the body's turn rate; its uncertainty grows with the time from the frame.
 
 use crate::geometry::attitude::Direction;
-use crate::service::messages::{Middle, SeenNadir};
+use crate::service::messages::{BodyNadir, MidExposure};
 use nalgebra::{Rotation3, Vector3};
 use std::time::Duration;
 
 /// Turn rate of the gondola before any frames have measured it, 1 sigma: 0.5 deg/s.
-const USUAL_RAD_PER_S: f64 = 0.009;
+const DEFAULT_RAD_PER_S: f64 = 0.009;
 /// Frames further apart than this do not determine a rate.
 const RATE_VALID_S: f64 = 1.5;
 /// Time constant of the rate, s.
@@ -14,21 +14,21 @@ const RATE_FOLLOWS_S: f64 = 0.15;
 /// Fraction of the mean prediction error that is kept from frame to frame.
 const ERROR_KEPT: f64 = 0.9;
 
-impl SeenNadir {
+impl BodyNadir {
     /// A direction, without earlier frames that determine its turn rate.
-    fn first(direction: Direction, at: Middle) -> Self {
+    fn first(direction: Direction, at: MidExposure) -> Self {
         Self {
             direction,
             at,
             arrived: at.by_arrival,
             turn_rad_per_s: Vector3::zeros(),
-            error_rad: USUAL_RAD_PER_S,
+            error_rad: DEFAULT_RAD_PER_S,
             after_s: 1.0,
         }
     }
 
     /// The state after the next direction.
-    pub fn next(last: Option<Self>, direction: Direction, at: Middle) -> Self {
+    pub fn next(last: Option<Self>, direction: Direction, at: MidExposure) -> Self {
         let Some(last) = last else {
             return Self::first(direction, at);
         };
@@ -53,7 +53,7 @@ impl SeenNadir {
 
     /// The direction at the middle of another exposure, propagated with the turn rate; its error is increased by that of the prediction.
     /// `None` if the two are too far apart in time.
-    pub fn at(self, moment: &Middle, max_age: Duration) -> Option<Direction> {
+    pub fn at(self, moment: &MidExposure, max_age: Duration) -> Option<Direction> {
         let after_s = self.at.until(moment);
         let near = after_s.abs() <= max_age.as_secs_f64();
         near.then(|| {
@@ -75,7 +75,7 @@ impl SeenNadir {
     /// cover. It is at most the error without any turn.
     fn error_rad(self, after_s: f64) -> f64 {
         let part = after_s.abs() / self.after_s;
-        let still = (self.turn_rad_per_s.norm() + USUAL_RAD_PER_S) * after_s.abs();
+        let still = (self.turn_rad_per_s.norm() + DEFAULT_RAD_PER_S) * after_s.abs();
         (self.error_rad * part.max(part.powi(2))).min(still)
     }
 }
@@ -96,8 +96,8 @@ mod tests {
         0.02 * (std::f64::consts::TAU * time_s / 3.7).sin()
     }
 
-    fn after(start: Instant, time_s: f64) -> Middle {
-        Middle {
+    fn after(start: Instant, time_s: f64) -> MidExposure {
+        MidExposure {
             utc: None,
             by_arrival: start + Duration::from_secs_f64(time_s),
         }
@@ -109,7 +109,7 @@ mod tests {
         let mut seen = None;
         for frame_s in frames_s {
             let direction = down(swing_rad(*frame_s));
-            seen = Some(SeenNadir::next(seen, direction, after(start, *frame_s)));
+            seen = Some(BodyNadir::next(seen, direction, after(start, *frame_s)));
         }
         let found = seen?.at(&after(start, time_s), Duration::from_secs(1))?;
         let error = found.unit.y.asin() - swing_rad(time_s);
@@ -122,7 +122,7 @@ mod tests {
     #[test]
     fn frames_own_times_count_unless_the_clock_has_made_a_step() {
         let start = Instant::now();
-        let middle = |utc_ms: i64, arrived_ms: u64| Middle {
+        let middle = |utc_ms: i64, arrived_ms: u64| MidExposure {
             utc: Some(Timestamp::from_millisecond(utc_ms).unwrap()),
             by_arrival: start + Duration::from_millis(arrived_ms),
         };
@@ -152,11 +152,11 @@ mod tests {
         let sigma = |frames_s: &[f64], time_s| Some(error_and_sigma(frames_s, time_s)?.1);
         let is = |sigma: Option<f64>, expected: f64| (sigma.unwrap() - expected).abs() < 1e-9;
         assert!(is(sigma(&[1.0], 1.0), 0.0));
-        assert!(is(sigma(&[1.0], 1.5), 0.5 * USUAL_RAD_PER_S));
+        assert!(is(sigma(&[1.0], 1.5), 0.5 * DEFAULT_RAD_PER_S));
         // An exposure before the frame is as far away as one after it.
-        assert!(is(sigma(&[1.0], 0.5), 0.5 * USUAL_RAD_PER_S));
+        assert!(is(sigma(&[1.0], 0.5), 0.5 * DEFAULT_RAD_PER_S));
         assert_eq!(sigma(&[1.0], 2.001), None);
         // After a gap the turn rate is unknown.
-        assert!(is(sigma(&[1.0, 1.5, 9.0], 9.5), 0.5 * USUAL_RAD_PER_S));
+        assert!(is(sigma(&[1.0, 1.5, 9.0], 9.5), 0.5 * DEFAULT_RAD_PER_S));
     }
 }

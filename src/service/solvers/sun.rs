@@ -7,7 +7,7 @@ use crate::commands::controls::Snapshot;
 use crate::instrument::{Instrument, WrongSize};
 use crate::pointing;
 use crate::reasons::Stopped;
-use crate::service::messages::{Found, LatestNadir, SeenRoll, Solved, SolvedSun, UnsolvedFrame};
+use crate::service::messages::{BodyRoll, Found, LatestNadir, Solved, SolvedSun, UnsolvedFrame};
 use crate::sky::Ephemeris;
 use jiff::{SignedDuration, Timestamp};
 use std::sync::Arc;
@@ -40,7 +40,7 @@ impl SunSolver {
             stated: instrument,
             is_commanded: made.station.ordinal == 1,
             ephemeris: made.ephemeris.clone(),
-            nadir: made.shelf.nadir.clone(),
+            nadir: made.results.nadir.clone(),
             memory: made.memory.clone(),
             track: None,
             sun: SunSize::default(),
@@ -88,8 +88,8 @@ impl Solver for SunSolver {
         }
         // The file states the place on which its offset and its coordinates rest.
         frame.info.place = frame.info.place.or(commanded.place);
-        let seen = self.nadir.copy();
-        let nadir = seen.and_then(|seen| seen.at(&middle, commanded.roll.max_age()));
+        let latest = self.nadir.copy();
+        let nadir = latest.and_then(|latest| latest.at(&middle, commanded.roll.max_age()));
         let offset = pointing::offset_of(
             &mut solution,
             utc,
@@ -99,9 +99,9 @@ impl Solver for SunSolver {
             &self.instrument,
             &mut self.ephemeris,
         );
-        let roll = nadir.zip(seen).map(|(nadir, seen)| SeenRoll {
+        let roll = nadir.zip(latest).map(|(nadir, latest)| BodyRoll {
             deg: pointing::body_roll_deg(&nadir),
-            arrived: seen.arrived,
+            arrived: latest.arrived,
         });
         Ok(Solved {
             quality: solution.quality,
@@ -119,7 +119,7 @@ impl Solver for SunSolver {
     }
 
     /// Logs once the calibrated quantities that fine frames contradict.
-    fn leave(&mut self, _: &UnsolvedFrame, solved: &Solved) {
+    fn share(&mut self, _: &UnsolvedFrame, solved: &Solved) {
         let Found::Sun(sun) = &solved.found else {
             return;
         };
@@ -136,7 +136,7 @@ impl Solver for SunSolver {
         }
     }
 
-    fn complaint(&self, solved: &Solved) -> Option<(Level, &'static str)> {
+    fn log_entry(&self, solved: &Solved) -> Option<(Level, &'static str)> {
         let stage = solved.stopped?.stage;
         (stage == Stage::Pointing.name()).then_some((Level::WARN, "no offset"))
     }

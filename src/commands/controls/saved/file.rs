@@ -49,7 +49,7 @@ impl SavedValues {
             Err(taken @ SavedError::Taken { .. }) => return Err(taken),
             Err(_) => None,
         };
-        match self.check_ours() {
+        match self.check_content() {
             // In the archive the name is the program's own: another file there costs the saved values, but not the flight.
             Err(foreign @ SavedError::Foreign { .. }) if !self.in_archive => Err(foreign),
             _ => Ok(lock),
@@ -61,7 +61,7 @@ impl SavedValues {
     pub(super) fn lock(&self) -> Result<Lock, SavedError> {
         self.check_archive()?;
         LocalDisk
-            .lock(&self.beside("lock"), Absent::Made)
+            .lock(&self.sibling("lock"), Absent::Made)
             .map_err(|cause| match cause.kind() {
                 ErrorKind::ResourceBusy => SavedError::Taken {
                     path: self.path.clone(),
@@ -72,7 +72,7 @@ impl SavedValues {
 
     /// Whether it is still the lock that was taken: a disk may have been mounted again.
     pub(super) fn is_held_by(&self, lock: &Lock) -> bool {
-        lock.is_of(&self.beside("lock"))
+        lock.is_of(&self.sibling("lock"))
     }
 
     /// Checks that the archive is present: a disk that is not mounted leaves an empty folder, which is not the archive.
@@ -89,7 +89,7 @@ impl SavedValues {
 
     /// # Errors
     /// If the file there is not one of saved values.
-    fn check_ours(&self) -> Result<(), SavedError> {
+    fn check_content(&self) -> Result<(), SavedError> {
         self.bytes().map(drop)
     }
 
@@ -103,7 +103,7 @@ impl SavedValues {
             found,
         };
         match files::read_patiently(&self.path, saved::LARGEST) {
-            Ok(bytes) if saved::is_ours(&bytes) => Ok(Some(bytes)),
+            Ok(bytes) if saved::is_values_file(&bytes) => Ok(Some(bytes)),
             Ok(_) => Err(foreign("another file".into())),
             Err(unread) if unread.is_absent() => Ok(None),
             Err(files::Unread::Io(cause)) => Err(self.failed(cause)),
@@ -117,9 +117,9 @@ impl SavedValues {
     /// If the folder cannot be written, or the file there is not one of saved values.
     pub(super) fn replace(&self, text: &str) -> Result<(), SavedError> {
         self.check_archive()?;
-        self.check_ours()?;
+        self.check_content()?;
         // Not a name that the archive removes as unfinished: it may do so at any time.
-        let new = self.beside("new");
+        let new = self.sibling("new");
         let written = self.write_new(&new, text);
         if written.is_err() {
             let _ = fs::remove_file(&new);
@@ -140,8 +140,8 @@ impl SavedValues {
         File::open(self.folder())?.sync_all()
     }
 
-    /// A file beside it, with a dot before its name and with an ending.
-    fn beside(&self, ending: &str) -> PathBuf {
+    /// A file in the same folder, with a dot before its name and with an ending.
+    fn sibling(&self, ending: &str) -> PathBuf {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
         self.folder().join(format!(".{name}.{ending}"))
     }
@@ -229,7 +229,7 @@ mod tests {
     #[test]
     fn what_an_archive_sweeps_is_never_a_file_that_is_being_saved() {
         let file = SavedValues::at(Path::new("/flight/values.toml"));
-        let new = file.beside("new");
+        let new = file.sibling("new");
         assert_eq!(new, Path::new("/flight/.values.toml.new"));
         assert!(!new.to_string_lossy().ends_with(crate::archive::UNFINISHED));
     }

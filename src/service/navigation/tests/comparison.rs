@@ -99,7 +99,7 @@ fn shown(
     flown: &mut TelescopeFlight,
     since: Duration,
     instrument: &Instrument,
-) -> Seen {
+) -> ObservedDirection {
     let (target, unit, sigma_rad) = match camera {
         HORIZON => {
             let sigma_rad = NADIR_DEG.to_radians();
@@ -163,7 +163,7 @@ fn fly_compared(
             late.push_back((n + LATE, shown));
         }
         while late.front().is_some_and(|(due, _)| *due <= n) {
-            filter.seen(&late.pop_front().unwrap().1);
+            filter.direction(&late.pop_front().unwrap().1);
         }
         filter.sample(&flown.sample(n).unwrap(), Instant::now());
         compared.note(t_s, &filter, &navigator.tally.lock());

@@ -17,7 +17,7 @@ const DATAGRAMS: usize = 64;
 
 impl Line<'_> {
     /// Reads received packets and answers them.
-    pub(super) fn listen(&mut self) {
+    pub(super) fn receive(&mut self) {
         let mut buffer = [0; READ_BYTES];
         for _ in 0..DATAGRAMS {
             let Some(port) = self.connection.port() else {
@@ -28,34 +28,34 @@ impl Line<'_> {
                 Err(error) => return self.lose(&error),
             };
             let Some(sender) = port.sender() else {
-                self.hear_wire(&buffer[..count]);
+                self.receive_bytes(&buffer[..count]);
                 break;
             };
-            self.hear_datagram(&buffer[..count], sender);
+            self.receive_datagram(&buffer[..count], sender);
         }
         self.tally.lock().rejected = self.parser.rejected();
     }
 
-    fn hear_wire(&mut self, bytes: &[u8]) {
+    fn receive_bytes(&mut self, bytes: &[u8]) {
         for packet in self.parser.feed(bytes, self.start.elapsed()) {
             match packet {
                 Packet::Command(packet) => {
                     let sender = self.settings.port.clone();
-                    self.obey(&packet, &sender.unwrap_or_else(|| "line".to_owned()));
+                    self.execute(&packet, &sender.unwrap_or_else(|| "line".to_owned()));
                 }
-                Packet::Telemetry(packet) => self.hear_telemetry(&packet),
+                Packet::Telemetry(packet) => self.receive_telemetry(&packet),
             }
         }
     }
 
     /// Takes samples of the IMU; without a filter they are dropped.
-    fn hear_telemetry(&self, packet: &TelemetryPacket) {
+    fn receive_telemetry(&self, packet: &TelemetryPacket) {
         if let Some(inputs) = &self.navigation {
-            inputs.take_sample(packet, Instant::now());
+            inputs.receive_sample(packet, Instant::now());
         }
     }
 
-    fn hear_datagram(&mut self, datagram: &[u8], sender: SocketAddr) {
+    fn receive_datagram(&mut self, datagram: &[u8], sender: SocketAddr) {
         let guard = self.connection.guard();
         guard.refuse_to(self.controls.stamp_ns());
         let opened = match guard.open(datagram, sender) {
@@ -69,10 +69,10 @@ impl Line<'_> {
             match packet {
                 Packet::Command(packet) => {
                     self.note_stamp();
-                    self.obey_once(packet, sender, opened.is_new);
+                    self.execute_once(packet, sender, opened.is_new);
                 }
                 // A sample that comes again carries nothing new.
-                Packet::Telemetry(packet) if opened.is_new => self.hear_telemetry(&packet),
+                Packet::Telemetry(packet) if opened.is_new => self.receive_telemetry(&packet),
                 Packet::Telemetry(_) => {}
             }
         }
@@ -87,11 +87,11 @@ impl Line<'_> {
     }
 
     /// Executes a packet of a datagram, unless it was executed before.
-    fn obey_once(&mut self, packet: CommandPacket, sender: SocketAddr, is_new: bool) {
+    fn execute_once(&mut self, packet: CommandPacket, sender: SocketAddr, is_new: bool) {
         let now = Instant::now();
         match self.connection.guard().admit(&packet, sender, is_new, now) {
             Ok(None) => {
-                let answers = self.obey(&packet, &sender.to_string());
+                let answers = self.execute(&packet, &sender.to_string());
                 let guard = self.connection.guard();
                 guard.remember(packet, sender, answers, now);
             }
@@ -134,14 +134,14 @@ impl Line<'_> {
     }
 
     /// Executes a packet; returns its answers.
-    fn obey(&mut self, packet: &CommandPacket, sender: &str) -> Vec<Vec<u8>> {
+    fn execute(&mut self, packet: &CommandPacket, sender: &str) -> Vec<Vec<u8>> {
         let now = Timestamp::now();
         match self.responder.handle(packet, now, &mut self.controls) {
             Ok(reply) => {
                 self.tally.lock().commands += reply.commands.len() as u64;
-                for heard in &reply.commands {
-                    let command = CommandInWords::of(heard.key, heard.message.as_ref());
-                    let result = execution_in_words(heard.key, &heard.execution);
+                for executed in &reply.commands {
+                    let command = CommandInWords::of(executed.key, executed.message.as_ref());
+                    let result = execution_in_words(executed.key, &executed.execution);
                     let note = CommandNote::now(sender, command, result);
                     self.controls.note_command(note);
                 }
@@ -153,7 +153,7 @@ impl Line<'_> {
                 reply.packets
             }
             Err(error) => {
-                self.note_unsaid(&error, "a command was not answered");
+                self.note_unsent(&error, "a command was not answered");
                 Vec::new()
             }
         }

@@ -1,12 +1,12 @@
-//! Answer for a solved frame.
+//! A solved frame: its row of the logs, and its result in words.
 
-use super::messages::{Answer, Found, Hears, Recent, Solved, SolvedSun};
+use super::messages::{Found, ReceivesFrames, Recent, Solved, SolvedFrame, SolvedSun};
 use super::shared::Shared;
 use crate::aspect;
 use crate::record::{LoggedRow, Record, RollRecord};
 use crossbeam_channel::Sender;
 
-impl Answer {
+impl SolvedFrame {
     /// Result of a frame of the plate.
     pub fn sun(&self) -> Option<&SolvedSun> {
         match &self.solved.found {
@@ -51,22 +51,22 @@ impl Answer {
     }
 }
 
-impl Hears for Shared<Recent> {
-    fn hear(&self, answer: &Answer) {
+impl ReceivesFrames for Shared<Recent> {
+    fn receive(&self, frame: &SolvedFrame) {
         /// Number of solve times kept: more frames than any camera takes between two packets.
         const MOST: usize = 1000;
         let mut recent = self.lock();
-        recent.answer = Some(answer.clone());
+        recent.frame = Some(frame.clone());
         if recent.solve_times.len() < MOST {
-            recent.solve_times.push(answer.solved.solve_time);
+            recent.solve_times.push(frame.solved.solve_time);
         }
     }
 }
 
-impl Hears for Sender<Answer> {
-    fn hear(&self, answer: &Answer) {
-        // A watcher that has left needs no answer.
-        let _ = self.send(answer.clone());
+impl ReceivesFrames for Sender<SolvedFrame> {
+    fn receive(&self, frame: &SolvedFrame) {
+        // A watcher that has left needs no frame.
+        let _ = self.send(frame.clone());
     }
 }
 
