@@ -4,7 +4,7 @@ use jiff::Timestamp;
 use solaspect::aspect::{self, Expected, Quality};
 use solaspect::camera::{
     self, CameraError, CameraSettings, Exposure, FrameSource, PixelFormat, SimulatedCamera, Source,
-    Surroundings, Take, TakenFiles, View,
+    SourceContext, Take, TakenFiles, View,
 };
 use solaspect::clock::FlightClock;
 use solaspect::fits::{self, Compression};
@@ -178,7 +178,7 @@ fn opened_at(
     clock: FlightClock,
 ) -> Result<Box<dyn FrameSource>, CameraError> {
     let instrument = instrument::builtin("demo").unwrap();
-    let around = Surroundings {
+    let context = SourceContext {
         sees: Sees::Plate(Box::new(instrument)),
         seed: 1,
         clock,
@@ -190,7 +190,7 @@ fn opened_at(
         rate_hz: 50.0,
         ..CameraSettings::default()
     };
-    camera::open(&source.parse::<Source>().unwrap(), &settings, &around)
+    camera::open(&source.parse::<Source>().unwrap(), &settings, &context)
 }
 
 /// Days on which the Sun is smallest and largest.

@@ -7,8 +7,8 @@ use jiff::{SignedDuration, Timestamp};
 use solaspect::archive::Store;
 use solaspect::aspect::Quality;
 use solaspect::camera::{
-    self, Backlog, Camera, CameraSettings, FollowedFolder, FrameSource, Source, Surroundings, Take,
-    TakenFiles,
+    self, Backlog, Camera, CameraSettings, FollowedFolder, FrameSource, Source, SourceContext,
+    Take, TakenFiles,
 };
 use solaspect::fits::{self, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
@@ -358,7 +358,7 @@ fn flight(folder: &Path, archive: &Path, rate_hz: f64) -> Flight {
         .parse()
         .unwrap();
     let camera = Camera::of_plate(demo);
-    let around = Surroundings {
+    let context = SourceContext {
         sees: camera.sees.clone(),
         seed: 1,
         clock: solaspect::clock::FlightClock::default(),
@@ -366,7 +366,7 @@ fn flight(folder: &Path, archive: &Path, rate_hz: f64) -> Flight {
         speed: 1.0,
         taken: TakenFiles::default(),
     };
-    let open = move || camera::open(&source, &settings(rate_hz), &around);
+    let open = move || camera::open(&source, &settings(rate_hz), &context);
     let mut flight = Flight::of(vec![FlightCamera {
         camera,
         source: Some(open().unwrap()),

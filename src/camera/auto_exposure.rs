@@ -95,10 +95,10 @@ impl AutoExposure {
     }
 
     /// The exposure for the frames to come, us, after a frame of `exposure_us`.
-    pub fn next(&mut self, seen: Brightness, exposure_us: u32) -> u32 {
+    pub fn next(&mut self, measured: Brightness, exposure_us: u32) -> u32 {
         let taken_us = f64::from(exposure_us.max(1));
         let set_us = self.set_us.unwrap_or(taken_us);
-        let wanted_us = match seen {
+        let wanted_us = match measured {
             Brightness::Disc { level, .. } if level >= SATURATED => {
                 self.clouded = 0;
                 set_us.min(taken_us / self.settings.max_factor)

@@ -66,7 +66,7 @@ impl FolderCamera {
         let warnings = &frame.info.warnings;
         self.warnings.note(&path.display().to_string(), warnings);
         let time = frame.info.mid_exposure;
-        if self.pace.has_begun() {
+        if self.pace.has_started() {
             let pause = self.pause(time).min(LONGEST_PAUSE);
             self.pace.advance(pause.div_f64(self.speed));
         }

@@ -64,11 +64,11 @@ pub(super) enum Change {
     /// Files in a folder, in the order of their names; it is not known whether they are complete.
     Listed(Vec<(PathBuf, FileState)>),
     /// A file that was created, and may still be written.
-    Begun(PathBuf),
+    Created(PathBuf),
     /// A file that was closed after writing, or renamed into place.
-    Whole(PathBuf),
+    Complete(PathBuf),
     /// A file that was here has been renamed or moved away.
-    Left(PathBuf),
+    Gone(PathBuf),
     /// A file was renamed within the folder.
     Renamed { from: PathBuf, to: PathBuf },
     /// Files whose paths have changed because their folder was renamed.
@@ -77,7 +77,7 @@ pub(super) enum Change {
 
 /// A requested listing.
 #[derive(Debug)]
-enum Wanted {
+enum Request {
     /// Listing of the whole folder, because reports may be missing.
     All,
     /// Listing of a new folder.
@@ -97,7 +97,7 @@ pub(super) struct FolderWatch {
     folders: HashMap<WatchDescriptor, PathBuf>,
     /// Last renaming: the cookie that both of its reports have, and the old name.
     leaving: Option<(u32, PathBuf)>,
-    wanted: VecDeque<Wanted>,
+    queue: VecDeque<Request>,
     listing: Option<Listing>,
     /// Time of the next listing of a folder that is listed repeatedly.
     due: Instant,
@@ -105,7 +105,7 @@ pub(super) struct FolderWatch {
 
 /// A listing in progress.
 struct Listing {
-    wanted: Wanted,
+    request: Request,
     begun: Instant,
     answer: Receiver<Result<Tree, Unlisted>>,
 }
@@ -123,7 +123,7 @@ impl FolderWatch {
     ///
     /// # Errors
     /// If there is no such folder.
-    pub fn begin(root: &Path) -> Result<Self, CameraError> {
+    pub fn start(root: &Path) -> Result<Self, CameraError> {
         let now = Instant::now();
         Ok(Self {
             root: root.into(),
@@ -131,11 +131,11 @@ impl FolderWatch {
             checked: now,
             reports: match is_shared(root) {
                 true => None,
-                false => Reports::begin().map(Arc::new).ok(),
+                false => Reports::start().map(Arc::new).ok(),
             },
             folders: HashMap::new(),
             leaving: None,
-            wanted: VecDeque::from([Wanted::All]),
+            queue: VecDeque::from([Request::All]),
             listing: None,
             due: now,
         })
@@ -145,13 +145,13 @@ impl FolderWatch {
     ///
     /// # Errors
     /// If the folder is gone, or another one is in its place: it must be watched again.
-    pub fn wait(&mut self, patience: Duration) -> Result<Vec<Change>, CameraError> {
+    pub fn wait(&mut self, timeout: Duration) -> Result<Vec<Change>, CameraError> {
         self.check()?;
         if self.listing.is_none() {
             self.list_next()?;
         }
         if let Some(listing) = &self.listing {
-            return match listing.answer.recv_timeout(patience) {
+            return match listing.answer.recv_timeout(timeout) {
                 Ok(tree) => self.listed(tree),
                 Err(RecvTimeoutError::Timeout) => Ok(Vec::new()),
                 Err(RecvTimeoutError::Disconnected) => {
@@ -163,15 +163,12 @@ impl FolderWatch {
             thread::sleep(
                 self.due
                     .saturating_duration_since(Instant::now())
-                    .min(patience),
+                    .min(timeout),
             );
             return Ok(Vec::new());
         };
         let mut changes = Vec::new();
-        for report in reports
-            .read(patience)
-            .map_err(|error| self.problem(error))?
-        {
+        for report in reports.read(timeout).map_err(|error| self.problem(error))? {
             self.interpret(report, &mut changes);
         }
         Ok(changes)
@@ -179,11 +176,11 @@ impl FolderWatch {
 
     /// The same for a folder on which the kernel reports nothing.
     #[cfg(test)]
-    pub fn begin_unreported(root: &Path) -> Result<Self, CameraError> {
+    pub fn start_unreported(root: &Path) -> Result<Self, CameraError> {
         let reports = None;
         Ok(Self {
             reports,
-            ..Self::begin(root)?
+            ..Self::start(root)?
         })
     }
 
@@ -205,15 +202,15 @@ impl FolderWatch {
 
     /// Begins the next requested listing.
     fn list_next(&mut self) -> Result<(), CameraError> {
-        if self.reports.is_none() && self.wanted.is_empty() && Instant::now() >= self.due {
-            self.wanted.push_back(Wanted::All);
+        if self.reports.is_none() && self.queue.is_empty() && Instant::now() >= self.due {
+            self.queue.push_back(Request::All);
         }
-        let Some(wanted) = self.wanted.pop_front() else {
+        let Some(request) = self.queue.pop_front() else {
             return Ok(());
         };
-        let folder = match &wanted {
-            Wanted::All => self.root.clone(),
-            Wanted::New(folder) | Wanted::Moved(folder) => folder.clone(),
+        let folder = match &request {
+            Request::All => self.root.clone(),
+            Request::New(folder) | Request::Moved(folder) => folder.clone(),
         };
         let (give, answer) = bounded(1);
         let reports = self.reports.clone();
@@ -226,7 +223,7 @@ impl FolderWatch {
         spawned.map_err(|error| self.problem(error))?;
         let begun = Instant::now();
         self.listing = Some(Listing {
-            wanted,
+            request,
             begun,
             answer,
         });
@@ -235,13 +232,13 @@ impl FolderWatch {
 
     /// Changes from the result of a listing.
     fn listed(&mut self, tree: Result<Tree, Unlisted>) -> Result<Vec<Change>, CameraError> {
-        let Some(Listing { wanted, begun, .. }) = self.listing.take() else {
+        let Some(Listing { request, begun, .. }) = self.listing.take() else {
             return Ok(Vec::new());
         };
         self.due = Instant::now() + LIST_EVERY.max(LISTING_SHARE * begun.elapsed());
         let tree = match tree {
             Ok(tree) => tree,
-            Err(unlisted) if matches!(wanted, Wanted::All) => {
+            Err(unlisted) if matches!(request, Request::All) => {
                 return Err(self.problem(unlisted.cause));
             }
             // The folder came and went.
@@ -255,9 +252,9 @@ impl FolderWatch {
         }
         self.folders.extend(tree.folders);
         let moved = |files: Vec<(PathBuf, FileState)>| files.into_iter().map(|file| file.0);
-        Ok(vec![match wanted {
-            Wanted::All | Wanted::New(_) => Change::Listed(tree.files),
-            Wanted::Moved(_) => Change::Moved(moved(tree.files).collect()),
+        Ok(vec![match request {
+            Request::All | Request::New(_) => Change::Listed(tree.files),
+            Request::Moved(_) => Change::Moved(moved(tree.files).collect()),
         }])
     }
 
@@ -265,7 +262,7 @@ impl FolderWatch {
         let is = |what| report.mask.contains(what);
         if is(AddWatchFlags::IN_Q_OVERFLOW) {
             tracing::warn!(folder = %self.root.display(), "more happened than the kernel could report: it is listed again");
-            self.wanted = VecDeque::from([Wanted::All]);
+            self.queue = VecDeque::from([Request::All]);
         }
         if is(AddWatchFlags::IN_IGNORED) {
             self.folders.remove(&report.wd);
@@ -284,9 +281,9 @@ impl FolderWatch {
         if is(AddWatchFlags::IN_ISDIR) {
             match came_from.filter(|_| has_come) {
                 _ if fits::is_hidden(&path) => {}
-                Some(from) if !fits::is_hidden(&from) => self.wanted.push_back(Wanted::Moved(path)),
+                Some(from) if !fits::is_hidden(&from) => self.queue.push_back(Request::Moved(path)),
                 _ if has_come || is(AddWatchFlags::IN_CREATE) => {
-                    self.wanted.push_back(Wanted::New(path));
+                    self.queue.push_back(Request::New(path));
                 }
                 _ => {}
             }
@@ -294,9 +291,9 @@ impl FolderWatch {
         }
         changes.push(match came_from {
             Some(from) if has_come => Change::Renamed { from, to: path },
-            _ if has_come || is(AddWatchFlags::IN_CLOSE_WRITE) => Change::Whole(path),
-            _ if is(AddWatchFlags::IN_MOVED_FROM) => Change::Left(path),
-            _ if is(AddWatchFlags::IN_CREATE) => Change::Begun(path),
+            _ if has_come || is(AddWatchFlags::IN_CLOSE_WRITE) => Change::Complete(path),
+            _ if is(AddWatchFlags::IN_MOVED_FROM) => Change::Gone(path),
+            _ if is(AddWatchFlags::IN_CREATE) => Change::Created(path),
             _ => return,
         });
     }
@@ -362,15 +359,15 @@ fn tree(folder: PathBuf, reports: Option<&Reports>) -> Result<Tree, Unlisted> {
 struct Reports(Inotify);
 
 impl Reports {
-    fn begin() -> Result<Self, Errno> {
+    fn start() -> Result<Self, Errno> {
         Inotify::init(InitFlags::IN_CLOEXEC | InitFlags::IN_NONBLOCK).map(Self)
     }
 
     /// Waits for reports, at most for this time.
-    fn read(&self, patience: Duration) -> Result<Vec<InotifyEvent>, Errno> {
+    fn read(&self, timeout: Duration) -> Result<Vec<InotifyEvent>, Errno> {
         let mut waiting = [PollFd::new(self.0.as_raw_fd(), PollFlags::POLLIN)];
-        let patience_ms = i32::try_from(patience.as_millis()).unwrap_or(i32::MAX);
-        match poll(&mut waiting, patience_ms) {
+        let timeout_ms = i32::try_from(timeout.as_millis()).unwrap_or(i32::MAX);
+        match poll(&mut waiting, timeout_ms) {
             Ok(_) | Err(Errno::EINTR) => {}
             Err(error) => return Err(error),
         }

@@ -1,16 +1,16 @@
 //! A folder that another program fills, as a camera: it gives each frame once, as soon as its file is complete.
 //!
 //! ```text
-//! reports of the kernel, listings -> whole ------------> a frame
-//!                                 -> unfinished -> whole
+//! reports of the kernel, listings -> complete ---------> a frame
+//!                                 -> unfinished -> complete
 //! ```
 //!
-//! A file is whole when it has been closed after writing or renamed into place, or has not changed for 1 s, and can be read. The frames come in
-//! the order in which their files became whole; those found at the same time, in the order of their names. A file that cannot be read for 5 s
+//! A file is complete when it has been closed after writing or renamed into place, or has not changed for 1 s, and can be read. The frames come in
+//! the order in which their files became complete; those found at the same time, in the order of their names. A file that cannot be read for 5 s
 //! after its last change is bad: it is reported once as an error. It does not delay the others.
 
 use super::folder_watch::{Change, FileState, FolderWatch, state_of};
-use super::pace::PATIENCE;
+use super::pace::TIMEOUT;
 use super::taken_files::{TakenFiles, name_in_list};
 use super::{CameraError, Exposure, FrameSource, Take};
 use crate::backoff::Backoff;
@@ -24,12 +24,12 @@ use std::time::{Duration, Instant, SystemTime};
 
 /// Time for the first listing of the folder before the flight begins; a longer listing continues during the flight.
 const OPENING: Duration = Duration::from_secs(2);
-/// Time without a change after which a file that was not reported as whole is read.
+/// Time without a change after which a file that was not reported as complete is read.
 const QUIET: Duration = Duration::from_secs(1);
 /// Time after its last change at which a file that cannot be read is bad.
 const GIVE_UP: Duration = Duration::from_secs(5);
 /// How often unfinished files are checked.
-const CHECK_EVERY: Duration = PATIENCE;
+const CHECK_EVERY: Duration = TIMEOUT;
 
 /// Use of the frames that are already in a folder when it is first found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,8 +50,8 @@ pub struct FollowedFolder {
     backoff: Backoff,
     /// Time of the next search for a folder that is missing.
     due: Instant,
-    /// Files believed to be whole, in the order in which they became so.
-    whole: VecDeque<PathBuf>,
+    /// Files believed to be complete, in the order in which they became so.
+    complete: VecDeque<PathBuf>,
     /// Files that may still be written.
     unfinished: BTreeMap<PathBuf, Unfinished>,
     /// Time of the next check of the unfinished files.
@@ -97,15 +97,15 @@ impl FollowedFolder {
             watch: None,
             backoff: Backoff::DEVICE,
             due: now,
-            whole: VecDeque::new(),
+            complete: VecDeque::new(),
             unfinished: BTreeMap::new(),
             check_due: now,
             rewritten: 0,
             warnings: Warnings::default(),
         };
-        while !taken.has_begun() && now.elapsed() < OPENING {
+        while !taken.has_started() && now.elapsed() < OPENING {
             // A missing folder is reported when frames are requested.
-            if followed.follow(PATIENCE).is_err() {
+            if followed.follow(TIMEOUT).is_err() {
                 followed.due = now;
                 break;
             }
@@ -114,13 +114,13 @@ impl FollowedFolder {
     }
 
     /// Waits for events in the folder, and notes them.
-    fn follow(&mut self, patience: Duration) -> Result<(), CameraError> {
+    fn follow(&mut self, timeout: Duration) -> Result<(), CameraError> {
         let wait = self.due.saturating_duration_since(Instant::now());
         if self.watch.is_none() && !wait.is_zero() {
-            std::thread::sleep(wait.min(patience));
+            std::thread::sleep(wait.min(timeout));
             return Ok(());
         }
-        let changes = self.watched().and_then(|watch| watch.wait(patience));
+        let changes = self.watched().and_then(|watch| watch.wait(timeout));
         match changes {
             Ok(changes) => changes.into_iter().for_each(|change| self.note(change)),
             Err(error) => {
@@ -135,7 +135,7 @@ impl FollowedFolder {
     fn watched(&mut self) -> Result<&mut FolderWatch, CameraError> {
         Ok(match self.watch.take() {
             Some(watch) => self.watch.insert(watch),
-            None => self.watch.insert(FolderWatch::begin(&self.folder)?),
+            None => self.watch.insert(FolderWatch::start(&self.folder)?),
         })
     }
 
@@ -151,12 +151,12 @@ impl FollowedFolder {
     fn note(&mut self, change: Change) {
         match change {
             Change::Listed(files) => self.note_listed(files),
-            Change::Begun(file) if self.is_new(&file) => self.begin(file),
-            Change::Begun(_) => {}
-            Change::Whole(file) => self.note_whole(file),
-            Change::Left(file) => self.leave(&file),
+            Change::Created(file) if self.is_new(&file) => self.note_created(file),
+            Change::Created(_) => {}
+            Change::Complete(file) => self.note_complete(file),
+            Change::Gone(file) => self.forget(&file),
             Change::Renamed { from, to } => {
-                self.leave(&from);
+                self.forget(&from);
                 let before = self.name(&from);
                 match self.taken.knows(&before) {
                     true => {
@@ -164,7 +164,7 @@ impl FollowedFolder {
                         self.taken.release(&before);
                         self.taken.record(&self.name(&to), None);
                     }
-                    false => self.note_whole(to),
+                    false => self.note_complete(to),
                 }
             }
             Change::Moved(files) => {
@@ -176,7 +176,7 @@ impl FollowedFolder {
 
     fn note_listed(&mut self, files: Vec<(PathBuf, FileState)>) {
         self.backoff.reset();
-        if !self.taken.has_begun() && self.begins_after(&files) {
+        if !self.taken.has_started() && self.skips_existing(&files) {
             return;
         }
         let is_old = |(_, changed): FileState| {
@@ -185,17 +185,17 @@ impl FollowedFolder {
         };
         for (file, state) in files {
             match self.is_new(&file) {
-                true if is_old(state) => self.whole.push_back(file),
-                true => self.begin(file),
+                true if is_old(state) => self.complete.push_back(file),
+                true => self.note_created(file),
                 false => {}
             }
         }
     }
 
     /// Whether these files, which are in the folder when it is first found, are skipped.
-    fn begins_after(&self, files: &[(PathBuf, FileState)]) -> bool {
+    fn skips_existing(&self, files: &[(PathBuf, FileState)]) -> bool {
         if self.backlog == Backlog::Taken {
-            match self.taken.begin_with_list() {
+            match self.taken.start_with_list() {
                 Ok(()) => return false,
                 Err(error) => {
                     let folder = self.folder.display().to_string();
@@ -204,19 +204,19 @@ impl FollowedFolder {
             }
         }
         let names: Vec<String> = files.iter().map(|(file, _)| self.name(file)).collect();
-        self.taken.begin_after(names.iter().map(String::as_str));
+        self.taken.skip_existing(names.iter().map(String::as_str));
         true
     }
 
-    fn begin(&mut self, file: PathBuf) {
+    fn note_created(&mut self, file: PathBuf) {
         let entry = self.unfinished.entry(file);
         entry.or_insert_with_key(|file| Unfinished::new(file));
     }
 
-    fn note_whole(&mut self, file: PathBuf) {
+    fn note_complete(&mut self, file: PathBuf) {
         if self.is_new(&file) {
             self.unfinished.remove(&file);
-            self.whole.push_back(file);
+            self.complete.push_back(file);
         } else if fits::is_frame_name(&file) {
             self.rewritten += 1;
             if worth_a_line(self.rewritten) {
@@ -231,21 +231,21 @@ impl FollowedFolder {
     }
 
     /// Notes that a file no longer has this name.
-    fn leave(&mut self, file: &Path) {
+    fn forget(&mut self, file: &Path) {
         if fits::is_frame_name(file) {
             self.unfinished.remove(file);
-            self.whole.retain(|other| other != file);
+            self.complete.retain(|other| other != file);
         }
     }
 
-    /// Checks which of the unfinished files may be whole by now.
+    /// Checks which of the unfinished files may be complete by now.
     fn check(&mut self) {
         let now = Instant::now();
         if now < self.check_due {
             return;
         }
         self.check_due = now + CHECK_EVERY;
-        let (taken, folder, whole) = (&self.taken, &self.folder, &mut self.whole);
+        let (taken, folder, complete) = (&self.taken, &self.folder, &mut self.complete);
         self.unfinished.retain(|file, unfinished| {
             let state = state_of(file);
             if state.is_none() || taken.knows(&name_in_list(folder, file)) {
@@ -253,14 +253,14 @@ impl FollowedFolder {
             }
             if state != unfinished.state {
                 *unfinished = Unfinished::new(file);
-            } else if unfinished.is_due() && !whole.contains(file) {
-                whole.push_back(file.clone());
+            } else if unfinished.is_due() && !complete.contains(file) {
+                complete.push_back(file.clone());
             }
             true
         });
     }
 
-    /// Reads a file that is believed to be whole.
+    /// Reads a file that is believed to be complete.
     fn take(&mut self, file: &Path) -> Result<Option<Exposure>, CameraError> {
         let name = self.name(file);
         if !self.taken.claim(&name) {
@@ -301,13 +301,13 @@ impl FollowedFolder {
 impl FrameSource for FollowedFolder {
     /// Reports the start of an exposure when its frame is available.
     fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
-        let patience = match self.whole.is_empty() {
-            true => PATIENCE,
+        let timeout = match self.complete.is_empty() {
+            true => TIMEOUT,
             false => Duration::ZERO,
         };
-        self.follow(patience)?;
+        self.follow(timeout)?;
         self.check();
-        let Some(file) = self.whole.pop_front() else {
+        let Some(file) = self.complete.pop_front() else {
             return Ok(Take::NotYet);
         };
         let Some(exposure) = self.take(&file)? else {
@@ -359,7 +359,7 @@ mod tests {
         fs::write(at("0.fits"), file(0)).unwrap();
         let taken = TakenFiles::default();
         let mut followed = FollowedFolder::open(folder.path(), Backlog::Skipped, &taken);
-        followed.watch = Some(FolderWatch::begin_unreported(folder.path()).unwrap());
+        followed.watch = Some(FolderWatch::start_unreported(folder.path()).unwrap());
         fs::create_dir(at("day")).unwrap();
         fs::write(at("day/1.fits"), file(1)).unwrap();
         assert_eq!(next(&mut followed), 1);

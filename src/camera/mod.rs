@@ -26,7 +26,7 @@ pub use identity::{Camera, give_names};
 pub use mono::MonoFormat;
 pub use settings::{CameraSettings, PixelFormat};
 pub use simulated::{SimulatedCamera, TruthLog, View};
-pub use source::{NoSource, Source, Surroundings, open, simulated_course};
+pub use source::{NoSource, Source, SourceContext, open, simulated_course};
 pub use taken_files::TakenFiles;
 
 use crate::fits::FileError;
@@ -60,7 +60,7 @@ pub enum CameraError {
     #[error(
         "a source \"own\" is a camera that a program of one's own brings; this program brings none"
     )]
-    NotBrought,
+    NotSupplied,
     /// Error of a user's driver: see [`CameraError::own`].
     #[error("the camera: {0}")]
     Own(Box<dyn Error + Send + Sync>),

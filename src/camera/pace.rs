@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 /// Longest wait of a source before it reports that there is no frame yet.
-pub(super) const PATIENCE: Duration = Duration::from_millis(250);
+pub(super) const TIMEOUT: Duration = Duration::from_millis(250);
 
 /// The time at which the next frame is due, counted from the first.
 #[derive(Debug, Default)]
@@ -19,21 +19,21 @@ impl Pace {
     }
 
     /// Whether the first frame has been requested.
-    pub(super) fn has_begun(&self) -> bool {
+    pub(super) fn has_started(&self) -> bool {
         self.start.is_some()
     }
 
     /// Begins to count time, unless it has begun already.
-    pub(super) fn begin(&mut self) -> Instant {
+    pub(super) fn start(&mut self) -> Instant {
         *self.start.get_or_insert_with(Instant::now)
     }
 
-    /// Waits until the next frame is due, at most for [`PATIENCE`]; returns whether it is. A late frame is due at once.
+    /// Waits until the next frame is due, at most for [`TIMEOUT`]; returns whether it is. A late frame is due at once.
     pub(super) fn is_due(&mut self) -> bool {
-        let start = self.begin();
+        let start = self.start();
         let wait = self.due.saturating_sub(start.elapsed());
-        std::thread::sleep(wait.min(PATIENCE));
-        wait <= PATIENCE
+        std::thread::sleep(wait.min(TIMEOUT));
+        wait <= TIMEOUT
     }
 
     /// Makes the next frame due this much later than the present one.

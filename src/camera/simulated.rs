@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// The exposure at which limb and Moon have the simulator's standard brightness.
-const USUAL_EXPOSURE: Duration = Duration::from_millis(15);
+const DEFAULT_EXPOSURE: Duration = Duration::from_millis(15);
 
 /// The truth of all frames so far, by their numbers. It stays with the simulator; the solver never reads it.
 #[derive(Debug, Clone, Default)]
@@ -48,7 +48,7 @@ impl View {
         at: &Moment,
         settings: &CameraSettings,
     ) -> Result<Drawn, CameraError> {
-        let brightness = settings.exposure().as_secs_f64() / USUAL_EXPOSURE.as_secs_f64();
+        let brightness = settings.exposure().as_secs_f64() / DEFAULT_EXPOSURE.as_secs_f64();
         let sky = |frame: Result<Frame, _>| -> Result<Drawn, CameraError> {
             let frame = frame.map_err(SceneError::from)?;
             Ok(Drawn { frame, truth: None })
@@ -168,7 +168,7 @@ impl FrameSource for SimulatedCamera {
         if self.is_over() {
             return Ok(Take::End);
         }
-        self.pace.begin();
+        self.pace.start();
         let drawn = self.drawn.take().unwrap_or_else(|| self.draw());
         if !self.pace.is_due() {
             self.drawn = Some(drawn);

@@ -124,7 +124,7 @@ impl fmt::Display for Source {
 
 /// Inputs of a source besides its settings.
 #[derive(Debug, Clone)]
-pub struct Surroundings {
+pub struct SourceContext {
     pub sees: Sees,
     /// Clock of a simulated flight's frames.
     pub clock: FlightClock,
@@ -145,7 +145,7 @@ pub struct Surroundings {
 pub fn open(
     source: &Source,
     settings: &CameraSettings,
-    around: &Surroundings,
+    context: &SourceContext,
 ) -> Result<Box<dyn FrameSource>, CameraError> {
     let mut camera: Box<dyn FrameSource> = match source {
         #[cfg(feature = "gige")]
@@ -153,13 +153,13 @@ pub fn open(
         #[cfg(not(feature = "gige"))]
         Source::Device(_) => return Err(CameraError::NotBuilt),
         Source::Folder(folder) => {
-            Box::new(FolderCamera::open(folder, settings.rate_hz, around.speed)?)
+            Box::new(FolderCamera::open(folder, settings.rate_hz, context.speed)?)
         }
         Source::Followed(folder, backlog) => {
-            Box::new(FollowedFolder::open(folder, *backlog, &around.taken))
+            Box::new(FollowedFolder::open(folder, *backlog, &context.taken))
         }
-        Source::Simulated(file) => Box::new(simulated(file.as_deref(), settings, around)?),
-        Source::Own => return Err(CameraError::NotBrought),
+        Source::Simulated(file) => Box::new(simulated(file.as_deref(), settings, context)?),
+        Source::Own => return Err(CameraError::NotSupplied),
     };
     camera.apply(settings)?;
     Ok(camera)
@@ -171,20 +171,20 @@ pub fn open(
 fn simulated(
     file: Option<&Path>,
     settings: &CameraSettings,
-    around: &Surroundings,
+    context: &SourceContext,
 ) -> Result<SimulatedCamera, CameraError> {
-    let (now, seed) = (around.clock.now(), around.seed);
+    let (now, seed) = (context.clock.now(), context.seed);
     let of_plate = |instrument: &Instrument| -> Result<SimulatedCamera, CameraError> {
-        let start = around.clock.start().unwrap_or(now);
+        let start = context.clock.start().unwrap_or(now);
         let course = simulated_course(file, instrument, start, seed)?;
         let scenes = FlightScenes::new(instrument, course, radius_mil(instrument, start)?, seed)?;
         let ahead = Duration::try_from(now.duration_since(start)).unwrap_or_default();
         let view = View::Plate(Box::new(scenes));
-        let camera = SimulatedCamera::new(view, settings, start, around.duration);
+        let camera = SimulatedCamera::new(view, settings, start, context.duration);
         Ok(camera.ahead_by(ahead))
     };
-    let of_sky = |view| SimulatedCamera::new(view, settings, now, around.duration);
-    Ok(match &around.sees {
+    let of_sky = |view| SimulatedCamera::new(view, settings, now, context.duration);
+    Ok(match &context.sees {
         Sees::Plate(instrument) => of_plate(instrument)?,
         Sees::Unstated => of_plate(&builtin("demo")?)?,
         Sees::Horizon(camera) => {

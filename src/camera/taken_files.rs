@@ -33,7 +33,7 @@ pub struct TakenFiles(Arc<Mutex<Taken>>);
 #[derive(Debug, Default)]
 struct Taken {
     /// Whether the initial content of the folder has been noted.
-    has_begun: bool,
+    has_started: bool,
     known: HashSet<u64>,
     /// `None` if the names are kept in memory alone.
     list: Option<List>,
@@ -50,28 +50,28 @@ impl TakenFiles {
     }
 
     /// Whether the initial content of the folder has been noted.
-    pub(super) fn has_begun(&self) -> bool {
-        self.lock().has_begun
+    pub(super) fn has_started(&self) -> bool {
+        self.lock().has_started
     }
 
     /// Skips these files: the ones that are in the folder when it is first found.
-    pub(super) fn begin_after<'n>(&self, names: impl IntoIterator<Item = &'n str>) {
+    pub(super) fn skip_existing<'n>(&self, names: impl IntoIterator<Item = &'n str>) {
         let mut taken = self.lock();
         taken.known.extend(names.into_iter().map(hash));
-        taken.has_begun = true;
+        taken.has_started = true;
     }
 
     /// Begins with the files that earlier runs have taken.
     ///
     /// # Errors
     /// If the list cannot be read.
-    pub(super) fn begin_with_list(&self) -> io::Result<()> {
+    pub(super) fn start_with_list(&self) -> io::Result<()> {
         let mut taken = self.lock();
         if let Some(list) = &taken.list {
             let earlier = list.read()?;
             taken.known.extend(earlier);
         }
-        taken.has_begun = true;
+        taken.has_started = true;
         Ok(())
     }
 
@@ -285,7 +285,7 @@ mod tests {
 
     fn again(list: &Path) -> TakenFiles {
         let taken = TakenFiles::kept_in(list);
-        taken.begin_with_list().unwrap();
+        taken.start_with_list().unwrap();
         taken
     }
 
@@ -338,7 +338,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         assert!(
             TakenFiles::kept_in(folder.path())
-                .begin_with_list()
+                .start_with_list()
                 .is_err()
         );
     }

@@ -18,7 +18,7 @@ pub use remarks::{Faulty, Remark, Remarks, Severity};
 use crate::archive::plain;
 use crate::aspect;
 use crate::camera::{
-    self, Camera, CameraError, FrameSource, Source, Surroundings, TakenFiles, give_names,
+    self, Camera, CameraError, FrameSource, Source, SourceContext, TakenFiles, give_names,
 };
 use crate::clock::FlightClock;
 use crate::commands::controls::{Controls, Proof};
@@ -47,7 +47,7 @@ pub struct Options {
 
 impl Options {
     /// Replaces values of the configuration by the stated options.
-    pub fn over(&self, config: &mut Config) {
+    pub fn apply(&self, config: &mut Config) {
         let mut folders = self.archive.iter().cloned();
         if let Some(first) = folders.next() {
             config.archive.directory = Some(first);
@@ -141,7 +141,7 @@ impl Plan {
             config = read;
             errors.into_iter().for_each(|what| remarks.wrong(what));
         }
-        options.over(&mut config);
+        options.apply(&mut config);
         if was_read {
             cross_checks::check(&config, &mut remarks);
         }
@@ -253,7 +253,7 @@ impl Plan {
         replay: Replay,
         taken: TakenFiles,
     ) -> impl Fn() -> Result<Box<dyn FrameSource>, CameraError> + Send + Sync + use<> {
-        let around = Surroundings {
+        let context = SourceContext {
             sees: planned.camera.sees.clone(),
             clock: self.clock,
             seed: self.config.simulation.seed,
@@ -262,7 +262,7 @@ impl Plan {
             taken,
         };
         let (source, settings) = (planned.source.clone(), planned.configured.settings());
-        move || camera::open(&source, &settings, &around)
+        move || camera::open(&source, &settings, &context)
     }
 }
 

@@ -25,7 +25,7 @@ pub struct Remark {
 }
 
 /// Time allowed for a disk: listing a folder with a day's frames may take seconds.
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 const PARAMETERS: &str = "see docs/parameters.md";
 const BUILD: &str = "take a program built with `--features gige`, or another camera";
 
@@ -119,7 +119,7 @@ impl Remarks {
         key: &str,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Option<T> {
-        within(PATIENCE, work)
+        within(TIMEOUT, work)
             .map_err(|none| self.error(key, "a disk that answers", none.to_string()))
             .ok()
     }

@@ -13,7 +13,7 @@ mod open;
 mod opened;
 mod worker;
 
-use super::pace::{PATIENCE, Pace};
+use super::pace::{Pace, TIMEOUT};
 use super::{CameraError, CameraHealth, CameraSettings, Device, Exposure, FrameSource, Take};
 use crate::backoff::Backoff;
 use jiff::Timestamp;
@@ -81,7 +81,7 @@ impl GenicamCamera {
     fn open(&mut self) -> Result<Take, CameraError> {
         let wait = self.due.saturating_duration_since(Instant::now());
         if !wait.is_zero() {
-            std::thread::sleep(wait.min(PATIENCE));
+            std::thread::sleep(wait.min(TIMEOUT));
             return Ok(Take::NotYet);
         }
         let opening = Opening {
@@ -120,7 +120,7 @@ impl GenicamCamera {
         self.await_answer(Phase::Exposing(announced));
     }
 
-    fn hear(&mut self, report: Report) -> Result<Take, CameraError> {
+    fn process(&mut self, report: Report) -> Result<Take, CameraError> {
         match report {
             Report::Ready => {
                 if std::mem::replace(&mut self.was_there, true) {
@@ -159,7 +159,7 @@ impl GenicamCamera {
 impl FrameSource for GenicamCamera {
     fn next(&mut self, starts: &mut dyn FnMut(Timestamp)) -> Result<Take, CameraError> {
         if let Some(report) = self.early.take() {
-            return self.hear(report);
+            return self.process(report);
         }
         if self.link.is_none() {
             return self.open();
@@ -167,9 +167,9 @@ impl FrameSource for GenicamCamera {
         if self.phase == Phase::Idle {
             self.trigger(starts);
         }
-        let report = self.link.as_ref().and_then(|link| link.report(PATIENCE));
+        let report = self.link.as_ref().and_then(|link| link.report(TIMEOUT));
         match report {
-            Some(report) => self.hear(report),
+            Some(report) => self.process(report),
             None if self.phase == Phase::Idle => Ok(Take::NotYet),
             None if self.waiting.elapsed() > HANGS + self.settings.exposure() => {
                 self.give_up();
