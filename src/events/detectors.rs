@@ -182,12 +182,12 @@ fn check_ids(path: &Path, detectors: &[RawDetector]) -> Result<(), TomlError> {
         let expected = "one [[detector]] or more";
         return Err(TomlError::new(path, "detector", expected, "none"));
     }
-    let mut seen = BTreeSet::new();
+    let mut ids = BTreeSet::new();
     for (n, detector) in detectors.iter().enumerate() {
         let field = format!("detector.{n}.id");
         let expected = "an id of its own for each detector";
         match detector.id {
-            Some(id) if !seen.insert(id) => {
+            Some(id) if !ids.insert(id) => {
                 return Err(TomlError::new(path, field, expected, format!("{id} again")));
             }
             None if detectors.len() > 1 => {

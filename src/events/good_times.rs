@@ -1,6 +1,6 @@
 //! Good time intervals: times at which the telescope observed with a valid pointing.
 
-use super::times::{Counted, Keywords};
+use super::times::{Keywords, TimeSystem};
 use crate::fits::{AmendedTable, DiskHdu, FileError, Header, Inward, NumberColumn, Problem};
 
 /// The columns of good time intervals.
@@ -12,7 +12,7 @@ pub struct GoodTimes {
 /// A column with one end of the intervals.
 struct End {
     column: NumberColumn,
-    counted: Counted,
+    times: TimeSystem,
 }
 
 /// Remaining intervals of a table, and their total length before the cut.
@@ -104,16 +104,16 @@ impl GoodTimes {
     ///
     /// # Errors
     /// If the table has no START and STOP, or its keywords are invalid.
-    pub fn of(hdu: &DiskHdu, primary: &DiskHdu, photons: Counted) -> Result<Self, Problem> {
+    pub fn of(hdu: &DiskHdu, primary: &DiskHdu, photons: TimeSystem) -> Result<Self, Problem> {
         let keywords = Keywords {
             own: &hdu.header,
             primary: &primary.header,
         };
-        let counted = keywords.counted(photons.scale)?.unwrap_or(photons);
+        let times = keywords.time_system(photons.scale)?.unwrap_or(photons);
         let end = |name: &str| {
             let column = hdu.column(name)?;
-            let counted = counted.in_unit(&format!("unit of {name}"), column.unit.as_deref())?;
-            Ok(End { column, counted })
+            let times = times.in_unit(&format!("unit of {name}"), column.unit.as_deref())?;
+            Ok(End { column, times })
         };
         Ok(Self {
             start: end("START")?,
@@ -177,7 +177,7 @@ impl End {
     fn read(&self, table: &mut AmendedTable) -> Result<Vec<Option<f64>>, FileError> {
         let mut times = vec![0.0; table.rows()? as usize];
         table.read(&self.column, 1, &mut times)?;
-        let unix_s = |time| self.counted.unix_s(time);
+        let unix_s = |time| self.times.unix_s(time);
         Ok(times.into_iter().map(unix_s).collect())
     }
 
@@ -190,7 +190,7 @@ impl End {
         own_s: f64,
         inward: Inward,
     ) -> Result<(), FileError> {
-        let time = self.counted.time(unix_s).filter(|_| unix_s != own_s);
+        let time = self.times.time(unix_s).filter(|_| unix_s != own_s);
         time.map_or(Ok(()), |time| table.put(&self.column, row, time, inward))
     }
 }

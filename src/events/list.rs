@@ -2,7 +2,7 @@
 
 use super::detectors::Detectors;
 use super::photons::{Measured, PHOTON_COLUMNS};
-use super::times::{Counted, Keywords};
+use super::times::{Keywords, TimeSystem};
 use crate::clock::Scale;
 use crate::columns;
 use crate::files;
@@ -19,7 +19,7 @@ pub struct EventList {
     pub photons: usize,
     pub rows: u64,
     /// Time system of the photons' table.
-    pub counted: Counted,
+    pub times: TimeSystem,
     pub measured: Measured,
 }
 
@@ -48,19 +48,19 @@ impl EventList {
             primary,
         };
         let read = || {
-            let counted = keywords.counted(Scale::Utc)?.ok_or_else(|| {
+            let times = keywords.time_system(Scale::Utc)?.ok_or_else(|| {
                 Problem::field("MJDREF", "a day, here or in MJDREFI and MJDREFF", "none")
             })?;
             refuse_columns(hdu)?;
-            let measured = Measured::of(hdu, detectors, energy, counted)?;
-            Ok((counted, hdu.rows()?, measured))
+            let measured = Measured::of(hdu, detectors, energy, times)?;
+            Ok((times, hdu.rows()?, measured))
         };
-        let (counted, rows, measured) =
+        let (times, rows, measured) =
             read().map_err(|problem: Problem| problem.within(&hdu.name()))?;
         Ok(Self {
             photons,
             rows,
-            counted,
+            times,
             measured,
             file,
         })
@@ -84,7 +84,7 @@ impl EventList {
             primary: &self.primary().header,
         };
         let [start, stop] = ["TSTART", "TSTOP"].map(|keyword| keywords.number(keyword));
-        let unix_s = |time: Option<f64>| self.counted.unix_s(time?);
+        let unix_s = |time: Option<f64>| self.times.unix_s(time?);
         let span = unix_s(start?).zip(unix_s(stop?));
         Ok(span.map(|(start, stop)| [start, stop]))
     }

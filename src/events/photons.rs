@@ -1,7 +1,7 @@
 //! A photon's position on the Sun, with its uncertainty.
 
 use super::detectors::{Detector, Detectors, FromBoresight};
-use super::times::Counted;
+use super::times::TimeSystem;
 use crate::columns::{Column, float, logical};
 use crate::fits::{AmendedTable, DiskHdu, FileError, NumberColumn, Problem};
 use crate::pointing::HelioprojectiveArcsec;
@@ -53,7 +53,7 @@ pub struct Measured {
     y: NumberColumn,
     id: Option<NumberColumn>,
     energy: Option<NumberColumn>,
-    counted: Counted,
+    times: TimeSystem,
 }
 
 /// A photon's row; NaN for missing values.
@@ -75,12 +75,12 @@ impl Measured {
         hdu: &DiskHdu,
         detectors: &Detectors,
         energy: Option<&str>,
-        counted: Counted,
+        times: TimeSystem,
     ) -> Result<Self, Problem> {
         let names = &detectors.columns;
         let time = hdu.column(&names.time)?;
         Ok(Self {
-            counted: counted.in_unit(&format!("unit of {}", time.name), time.unit.as_deref())?,
+            times: times.in_unit(&format!("unit of {}", time.name), time.unit.as_deref())?,
             time,
             x: hdu.column(&names.x)?,
             y: hdu.column(&names.y)?,
@@ -158,7 +158,7 @@ impl Measured {
     fn placed(&self, row: &PhotonRow, detector: &Detector, history: &PointingHistory) -> Photon {
         let located = detector.locate(row.position.into());
         let time = Some(row.time).filter(|time| time.is_finite());
-        let unix_s = time.and_then(|time| self.counted.unix_s(time));
+        let unix_s = time.and_then(|time| self.times.unix_s(time));
         let Some(at) = unix_s else {
             return Photon {
                 unix_s,

@@ -197,7 +197,7 @@ impl Run<'_> {
             let mut table = list.file.amended(hdu, scratch(&self.files))?;
             let headers = [&hdu.header, &list.hdu().header, &list.primary().header];
             let read = || {
-                let times = GoodTimes::of(hdu, list.primary(), list.counted)?;
+                let times = GoodTimes::of(hdu, list.primary(), list.times)?;
                 Ok((times, self.live_fraction(&headers)?))
             };
             let (times, part) = read().map_err(|problem| self.within(hdu, problem))?;
@@ -297,7 +297,7 @@ impl Run<'_> {
     /// Good time intervals of a file without any: between TSTART and TSTOP, or else the first and the last photon.
     fn good_times(&mut self) -> Result<(AmendedTable, Good), FileError> {
         const NAME: &str = "GTI";
-        let (list, counted) = (self.list, self.list.counted);
+        let (list, times) = (self.list, self.list.times);
         let photons = list.hdu();
         let headers = [&photons.header, &list.primary().header];
         let read = || Ok((list.stated_span()?, self.live_fraction(&headers)?));
@@ -308,7 +308,7 @@ impl Run<'_> {
         let mut table = AmendedTable::create(NAME, self.files.events, scratch(&self.files))?;
         let column = |name, meaning| StoredColumn {
             name,
-            unit: counted.unit(),
+            unit: times.unit(),
             meaning,
             form: CellForm::Float,
         };
@@ -327,7 +327,7 @@ impl Run<'_> {
         for (n, part) in (1..).zip(&parts) {
             stored.clear();
             for end in part {
-                stored.float(counted.time(*end));
+                stored.float(times.time(*end));
             }
             table.put_bytes(n, 0, stored.bytes())?;
         }

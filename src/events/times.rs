@@ -28,7 +28,7 @@ const UNITS: [Unit; 7] = [
 
 /// Time system of a table.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Counted {
+pub struct TimeSystem {
     pub scale: Scale,
     /// Time of zero, s since 1970 by a clock of the scale.
     zero_s: f64,
@@ -54,7 +54,7 @@ impl Keywords<'_> {
     ///
     /// # Errors
     /// If a value is not a number, a unit or a scale.
-    pub fn counted(self, unstated: Scale) -> Result<Option<Counted>, Problem> {
+    pub fn time_system(self, unstated: Scale) -> Result<Option<TimeSystem>, Problem> {
         let Some(days) = self.sum(["MJDREF", "MJDREFI", "MJDREFF"])? else {
             return Ok(None);
         };
@@ -66,7 +66,7 @@ impl Keywords<'_> {
             None => self.number("TIMEOFFS")?.unwrap_or_default(),
         };
         let [whole, part] = days;
-        Ok(Some(Counted {
+        Ok(Some(TimeSystem {
             scale: self.scale()?.unwrap_or(unstated),
             zero_s: (whole - MJD_OF_UNIX_EPOCH) * DAY_S + part * DAY_S + zero * unit.s,
             unit,
@@ -127,7 +127,7 @@ impl Unit {
     }
 }
 
-impl Counted {
+impl TimeSystem {
     /// The same for a column that states its own unit.
     pub fn in_unit(self, field: &str, unit: Option<&str>) -> Result<Self, Problem> {
         let unit = unit.map_or(Ok(self.unit), |name| Unit::named(field, name))?;

@@ -67,7 +67,7 @@ pub struct Imaged {
 }
 
 /// Contribution of each detector.
-struct Seen<'a> {
+struct ImagedDetector<'a> {
     /// Ranges of the measured x and y.
     field: [[f64; 2]; 2],
     corners: Corners,
@@ -75,9 +75,9 @@ struct Seen<'a> {
     good: Option<&'a Good>,
 }
 
-impl Seen<'_> {
+impl ImagedDetector<'_> {
     /// Whether a photon was measured within the field and times of the exposure.
-    fn sees(&self, row: &PhotonRow, photon: &Photon) -> bool {
+    fn contains(&self, row: &PhotonRow, photon: &Photon) -> bool {
         let within = |(at, [low, high]): (&f64, &[f64; 2])| (*low..=*high).contains(at);
         let is_good = |good: &Good| photon.unix_s.is_some_and(|at| good.holds(at));
         row.position.iter().zip(&self.field).all(within) && self.good.is_none_or(is_good)
@@ -88,7 +88,7 @@ impl Seen<'_> {
 pub struct Picture<'a> {
     request: &'a ImageRequest,
     grid: Grid,
-    detectors: Vec<Seen<'a>>,
+    detectors: Vec<ImagedDetector<'a>>,
     counts: Vec<i32>,
     invalid: Vec<i32>,
     imaged: Imaged,
@@ -106,9 +106,9 @@ impl<'a> Picture<'a> {
         fields: &[[[f64; 2]; 2]],
         good: &'a [Good],
     ) -> Result<Self, Problem> {
-        let seen = detectors.iter().zip(fields).map(|(detector, [x, y])| {
+        let imaged = detectors.iter().zip(fields).map(|(detector, [x, y])| {
             let corners = [[x[0], y[0]], [x[1], y[0]], [x[1], y[1]], [x[0], y[1]]];
-            Ok(Seen {
+            Ok(ImagedDetector {
                 field: [*x, *y],
                 corners: corners.map(|corner| detector.locate(corner.into())),
                 good: detector.good_times(good)?,
@@ -117,7 +117,7 @@ impl<'a> Picture<'a> {
         Ok(Self {
             request,
             grid,
-            detectors: seen.collect::<Result<_, Problem>>()?,
+            detectors: imaged.collect::<Result<_, Problem>>()?,
             counts: vec![0; grid.pixels()],
             invalid: vec![0; grid.pixels()],
             imaged: Imaged {
@@ -157,7 +157,7 @@ impl<'a> Picture<'a> {
             self.imaged.outside += 1;
             return;
         };
-        let is_usable = photon.invalid.is_none() && self.detectors[detector].sees(row, photon);
+        let is_usable = photon.invalid.is_none() && self.detectors[detector].contains(row, photon);
         if is_usable {
             self.counts[pixel] += 1;
             self.imaged.photons += 1;
@@ -185,7 +185,7 @@ impl<'a> Picture<'a> {
     ) -> Result<(Vec<u8>, Imaged), Problem> {
         let mut live_time = LiveTime::new(&self.grid);
         let mut live_s = 0.0;
-        for Seen { corners, good, .. } in &self.detectors {
+        for ImagedDetector { corners, good, .. } in &self.detectors {
             let Some(good) = good.or(otherwise) else {
                 continue;
             };
@@ -194,8 +194,8 @@ impl<'a> Picture<'a> {
             }
             live_s += good.live_s() / self.detectors.len() as f64;
         }
-        let seen = self.detectors.iter();
-        let all = seen.filter_map(|seen| seen.good.or(otherwise));
+        let detectors = self.detectors.iter();
+        let all = detectors.filter_map(|one| one.good.or(otherwise));
         cards.extend(observation_cards(history, all, live_s)?);
         cards.extend(self.grid.coordinates().cards());
         let image = |name, unit, meaning: &str, samples| {
