@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 /// Age above which there is a warning: the Sun rotates by 7 deg in this time.
 const OLD: SignedDuration = SignedDuration::from_hours(12);
 /// Angle of an observer from the Earth, as seen from the Sun: above the first value there is a warning, above the second no map.
-const ASIDE_DEG: f64 = 5.0;
+const OFF_EARTH_DEG: f64 = 5.0;
 const FAR_DEG: f64 = 20.0;
 /// Greatest relative difference of the radius from that seen from the Earth, if no other observer is named.
 const RADIUS_DIFFERENCE: f64 = 0.05;
@@ -24,7 +24,7 @@ const SAMPLES: usize = 256;
 /// Fractions of the disc's pixels that are darker than black and brighter than white.
 const OUTSIDE: f64 = 0.005;
 /// Distance of black below the darkest part of the disc, as a part of its range, so that the limb is visible.
-const FOOT: f64 = 0.25;
+const BLACK_MARGIN: f64 = 0.25;
 
 /// A solar image with its coordinates.
 #[derive(Debug, Clone)]
@@ -38,7 +38,7 @@ pub struct Context {
     radius_arcsec: f64,
     taken: Option<Timestamp>,
     /// Angle between the observer and the Earth, as seen from the Sun; `None` if the header does not state it.
-    aside_deg: Option<f64>,
+    off_earth_deg: Option<f64>,
     stretch: Stretch,
 }
 
@@ -61,16 +61,16 @@ impl Context {
         let taken = file.info()?.0.mid_exposure;
         let header = file.keywords()?;
         let (size_px, values) = file.values()?;
-        let seen = || {
+        let read = || {
             let earth = taken.and_then(|utc| Ephemeris::default().disc(utc).ok());
-            let aside_deg = aside_deg(&header, earth.as_ref())?;
-            let radius_arcsec = radius_arcsec(&header, earth.as_ref(), aside_deg)?;
+            let off_earth_deg = off_earth_deg(&header, earth.as_ref())?;
+            let radius_arcsec = radius_arcsec(&header, earth.as_ref(), off_earth_deg)?;
             let world = WorldCoordinates::read(&header)?;
             let stretch = Stretch::of_disc(&values, size_px, &world, radius_arcsec)?;
-            Ok((aside_deg, radius_arcsec, world, stretch))
+            Ok((off_earth_deg, radius_arcsec, world, stretch))
         };
-        let seen = seen().map_err(|problem: Problem| problem.in_file(path))?;
-        let (aside_deg, radius_arcsec, world, stretch) = seen;
+        let facts = read().map_err(|problem: Problem| problem.in_file(path))?;
+        let (off_earth_deg, radius_arcsec, world, stretch) = facts;
         Ok(Self {
             path: path.into(),
             size_px,
@@ -78,7 +78,7 @@ impl Context {
             world,
             radius_arcsec,
             taken,
-            aside_deg,
+            off_earth_deg,
             stretch,
         })
     }
@@ -141,7 +141,7 @@ impl Context {
     }
 
     fn with_observer(&self, text: String, is_old: bool) -> Words {
-        match self.aside_deg.filter(|deg| *deg > ASIDE_DEG) {
+        match self.off_earth_deg.filter(|deg| *deg > OFF_EARTH_DEG) {
             Some(deg) => Words {
                 text: format!("{text}, seen {deg:.0} deg aside"),
                 is_warning: true,
@@ -163,7 +163,7 @@ pub struct Words {
 }
 
 /// Angle of the observer from the Earth, from heliographic coordinates: Stonyhurst's, else Carrington's.
-fn aside_deg(header: &Header, earth: Option<&Disc>) -> Result<Option<f64>, Problem> {
+fn off_earth_deg(header: &Header, earth: Option<&Disc>) -> Result<Option<f64>, Problem> {
     let carrington = header.number("CRLN_OBS")?.zip(earth);
     let carrington = carrington.map(|(deg, earth)| ("CRLN_OBS", deg - earth.l0_deg));
     let stonyhurst = header.number("HGLN_OBS")?.map(|deg| ("HGLN_OBS", deg));
@@ -176,23 +176,23 @@ fn aside_deg(header: &Header, earth: Option<&Disc>) -> Result<Option<f64>, Probl
         None => header.number("CRLT_OBS")?.unwrap_or(b0_deg),
     };
     let observer = direction(longitude_deg, latitude_deg);
-    let aside_deg = separation_rad(&observer, &direction(0.0, b0_deg)).to_degrees();
-    if aside_deg > FAR_DEG {
+    let off_earth_deg = separation_rad(&observer, &direction(0.0, b0_deg)).to_degrees();
+    if off_earth_deg > FAR_DEG {
         let expected = format!("an observer within {FAR_DEG} deg of the Earth");
         return Err(Problem::field(
             keyword,
             expected,
-            format!("one at {aside_deg:.0} deg"),
+            format!("one at {off_earth_deg:.0} deg"),
         ));
     }
-    Ok(Some(aside_deg))
+    Ok(Some(off_earth_deg))
 }
 
 /// The Sun's radius as seen by the observer; as from the Earth if the header does not state it.
 fn radius_arcsec(
     header: &Header,
     earth: Option<&Disc>,
-    aside_deg: Option<f64>,
+    off_earth_deg: Option<f64>,
 ) -> Result<f64, Problem> {
     let from_earth = earth.map(Disc::radius_arcsec);
     let radius = header.number("RSUN_OBS")?;
@@ -207,7 +207,7 @@ fn radius_arcsec(
             Err(Problem::field(keyword, expected, arcsec))
         }
         (Some((keyword, arcsec)), Some(earth))
-            if aside_deg.is_none() && (arcsec / earth - 1.0).abs() > RADIUS_DIFFERENCE =>
+            if off_earth_deg.is_none() && (arcsec / earth - 1.0).abs() > RADIUS_DIFFERENCE =>
         {
             let expected = format!("about {earth:.0} arcsec, the Sun's radius from the Earth");
             Err(Problem::field(keyword, expected, arcsec))
@@ -246,8 +246,8 @@ impl Stretch {
         let [Some(low), Some(median), Some(high)] = levels else {
             return Err(Problem::field("pixels", "values on the Sun's disc", "none"));
         };
-        let foot = low - FOOT as f32 * (high - low);
-        let black = if low >= 0.0 { foot.max(0.0) } else { foot };
+        let black = low - BLACK_MARGIN as f32 * (high - low);
+        let black = if low >= 0.0 { black.max(0.0) } else { black };
         let white = if high > black { high } else { black + 1.0 };
         let half = ((median - black) / (white - black)).clamp(0.01, 0.5);
         let power = 0.5f32.ln() / half.ln();

@@ -29,7 +29,7 @@ use crate::sky::{Ephemeris, SkyError};
 use context::Words;
 use image::RgbImage;
 use jiff::Timestamp;
-use picture::{Moment, Painter, Stage};
+use picture::{Layout, Moment, Painter};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -146,22 +146,22 @@ impl Film {
     ) -> Result<Option<Made>, FilmError> {
         let ends_s = flight.pointing.ends_s();
         let all_s = ends_s.map_or(0.0, |[first, last]| last - first);
-        let usual_s = || (all_s / PICTURES).max(flight.frame_step_s);
-        let step_s = self.options.step_s.unwrap_or_else(usual_s);
+        let default_s = || (all_s / PICTURES).max(flight.frame_step_s);
+        let step_s = self.options.step_s.unwrap_or_else(default_s);
         let step_s = step_s.max(LEAST_STEP_S);
         let Some(track) = Track::of(flight.pointing, step_s) else {
             tracing::warn!("there is no film: nothing is known of where the telescope pointed");
             return Ok(None);
         };
-        let stage = self.stage(&track, flight)?;
+        let layout = self.layout(&track, flight)?;
         let destination = match flight.label {
             Some(label) => self.options.destination.of_camera(label),
             None => self.options.destination.clone(),
         };
         let pictures = track.pictures();
-        let mut painter = Painter::new(&track, stage);
+        let mut painter = Painter::new(&track, layout);
         let mut writer = Writer::begin(&destination, painter.size_px(), pictures)?;
-        let mut beside = Beside {
+        let mut frames = FramePictures {
             within_s: step_s.max(2.0 * flight.frame_step_s),
             shown: BTreeMap::new(),
         };
@@ -173,7 +173,7 @@ impl Film {
                 let times_s = some
                     .clone()
                     .map(|n| track.points[track.at_picture(n)].unix_s);
-                beside.prepare(times_s, flight.frames, &painter);
+                frames.prepare(times_s, flight.frames, &painter);
             }
             for number in some {
                 if watch.is_cancelled() {
@@ -181,7 +181,7 @@ impl Film {
                 }
                 let moment = moment(track.at_picture(number), &track, flight)?;
                 let unix_s = track.points[moment.index].unix_s;
-                let frame = beside.frame(unix_s, flight.frames);
+                let frame = frames.frame(unix_s, flight.frames);
                 let picture = painter.picture(&track, &moment, frame);
                 writer.add(&picture)?;
                 watch.step();
@@ -197,7 +197,7 @@ impl Film {
     }
 
     /// Elements common to all pictures; warns of a misleading context.
-    fn stage(&self, track: &Track, flight: &mut Flight<'_>) -> Result<Stage<'_>, SkyError> {
+    fn layout(&self, track: &Track, flight: &mut Flight<'_>) -> Result<Layout<'_>, SkyError> {
         let utc = timestamp(track.middle_s());
         let disc = flight.ephemeris.disc(utc)?;
         let plain = || Words {
@@ -214,13 +214,13 @@ impl Film {
                 words.text
             );
         }
-        Ok(Stage {
+        Ok(Layout {
             title: flight.title.clone(),
             disc,
             target: flight.target.on_disc(utc, &disc).ok(),
             context: self.context.as_ref(),
             words: words.unwrap_or_else(plain),
-            has_beside: self.options.has_frames,
+            shows_frame: self.options.has_frames,
         })
     }
 }
@@ -244,12 +244,12 @@ fn timestamp(unix_s: f64) -> Timestamp {
 }
 
 /// The frames' pictures beside the map.
-struct Beside {
+struct FramePictures {
     within_s: f64,
     shown: BTreeMap<Option<usize>, RgbImage>,
 }
 
-impl Beside {
+impl FramePictures {
     /// Solves the frames needed for pictures at these times, and drops others.
     fn prepare(
         &mut self,
@@ -267,7 +267,7 @@ impl Beside {
         let overlay = |frame: Option<usize>| {
             let none = || Err(format!("no frame within {:.1} s", self.within_s));
             let picture = frame.map_or_else(none, |frame| frames.overlay(frame));
-            (frame, painter.beside(picture))
+            (frame, painter.frame(picture))
         };
         let new: Vec<_> = missing.into_par_iter().map(overlay).collect();
         self.shown.extend(new);

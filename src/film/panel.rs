@@ -11,7 +11,7 @@ use image::{Rgb, RgbImage};
 use rayon::prelude::*;
 
 /// Spacing of the circles of the graticule, deg.
-const APART_DEG: u32 = 15;
+const SPACING_DEG: u32 = 15;
 /// Grey level of the middle of the disc without a context, and of a context's white: the path is visible on it.
 const DISC_GREY: f64 = 170.0;
 const WHITE_GREY: f64 = 215.0;
@@ -86,7 +86,7 @@ impl Panel {
         let sun = sun(&view, disc.radius_arcsec(), context);
         let canvas = Canvas::of_image(&sun, 0);
         let mut panel = Self { view, canvas };
-        for line in graticule(disc, APART_DEG) {
+        for line in graticule(disc, SPACING_DEG) {
             panel.lines(&line, GRATICULE);
         }
         panel.lines(&limb(disc), LIMB);
@@ -103,8 +103,8 @@ impl Panel {
     fn line(&mut self, from: HelioprojectiveArcsec, to: HelioprojectiveArcsec, colour: Colour) {
         let [from, to] = [from, to].map(|place| self.view.px(place));
         let side = f64::from(self.view.side_px);
-        let beside = |a: f64, b: f64| a.max(b) < 0.0 || a.min(b) > side;
-        if !beside(from.x, to.x) && !beside(from.y, to.y) {
+        let outside = |a: f64, b: f64| a.max(b) < 0.0 || a.min(b) > side;
+        if !outside(from.x, to.x) && !outside(from.y, to.y) {
             self.canvas.line(from, to, colour);
         }
     }

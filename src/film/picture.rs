@@ -17,7 +17,7 @@ use jiff::Timestamp;
 pub const MAP_PX: u32 = 720;
 const INSET_PX: u32 = 240;
 /// Width of the picture beside the map.
-const BESIDE_PX: u32 = 740;
+const FRAME_PX: u32 = 740;
 /// Distance from the map's centre to its edge: at least the first number of radii, and up to the extent of the path, but at most the second.
 const REACH_RADII: [f64; 2] = [1.2, 3.0];
 /// There is an inset if this part of the path is within that part of the map's half side from the target.
@@ -38,7 +38,7 @@ const LEGEND: [(&str, Colour); 5] = [
 ];
 
 /// Elements common to all pictures of a film.
-pub struct Stage<'a> {
+pub struct Layout<'a> {
     pub title: String,
     /// The disc in the middle of the film; so is the target.
     pub disc: Disc,
@@ -47,7 +47,7 @@ pub struct Stage<'a> {
     /// Description of the context.
     pub words: Words,
     /// Whether a frame is shown beside the map.
-    pub has_beside: bool,
+    pub shows_frame: bool,
 }
 
 /// Time and target of a picture.
@@ -61,7 +61,7 @@ pub struct Moment {
 
 /// Draws the pictures in order.
 pub struct Painter<'a> {
-    stage: Stage<'a>,
+    layout: Layout<'a>,
     map: Panel,
     /// The inset, with its upper left corner on the map.
     inset: Option<(Panel, [u32; 2])>,
@@ -70,11 +70,11 @@ pub struct Painter<'a> {
 }
 
 impl<'a> Painter<'a> {
-    pub fn new(track: &Track, stage: Stage<'a>) -> Self {
-        let panel = |view| Panel::new(view, &stage.disc, stage.context);
-        let reach = reach_arcsec(track, &stage.disc);
+    pub fn new(track: &Track, layout: Layout<'a>) -> Self {
+        let panel = |view| Panel::new(view, &layout.disc, layout.context);
+        let reach = reach_arcsec(track, &layout.disc);
         let mut map = panel(View::about(HelioprojectiveArcsec::default(), reach, MAP_PX));
-        let inset = stage.target.and_then(|target| {
+        let inset = layout.target.and_then(|target| {
             let reach = inset_reach_arcsec(track, target, reach)?;
             Some((target, View::about(target, reach, INSET_PX)))
         });
@@ -92,7 +92,7 @@ impl<'a> Painter<'a> {
         sign(middle - 10.0, 20.0, "N");
         sign(end - 22.0, middle + 10.0, "W");
         Self {
-            stage,
+            layout,
             map,
             inset,
             settled: 0,
@@ -101,8 +101,8 @@ impl<'a> Painter<'a> {
 
     /// The size of every picture, px.
     pub fn size_px(&self) -> (u32, u32) {
-        let beside = if self.stage.has_beside { BESIDE_PX } else { 0 };
-        (MAP_PX + beside, MAP_PX + LINES * Canvas::LINE_PX)
+        let width = if self.layout.shows_frame { FRAME_PX } else { 0 };
+        (MAP_PX + width, MAP_PX + LINES * Canvas::LINE_PX)
     }
 
     /// The picture of a moment, with the frame beside it; must be called in the order of time.
@@ -110,7 +110,7 @@ impl<'a> Painter<'a> {
         &mut self,
         track: &Track,
         moment: &Moment,
-        beside: Option<&RgbImage>,
+        frame: Option<&RgbImage>,
     ) -> RgbImage {
         let recent = RECENT_PICTURES * track.points_per_picture;
         let settled = moment.index.saturating_sub(recent).max(self.settled);
@@ -136,8 +136,8 @@ impl<'a> Painter<'a> {
         let mut canvas = Canvas::of_image(&whole, LINES);
         self.write(&mut canvas, &track.points[moment.index], moment);
         let mut picture = canvas.into_image();
-        if let Some(beside) = beside {
-            imageops::replace(&mut picture, beside, MAP_PX.into(), 0);
+        if let Some(frame) = frame {
+            imageops::replace(&mut picture, frame, MAP_PX.into(), 0);
         }
         picture
     }
@@ -152,7 +152,7 @@ impl<'a> Painter<'a> {
             None => ("valid".into(), TARGET),
             Some(why) => (format!("not valid: {}", why.name()), BORESIGHT),
         };
-        let time = format!("{}   {validity}   {}", utc_text(utc, 2), self.stage.title);
+        let time = format!("{}   {validity}   {}", utc_text(utc, 2), self.layout.title);
         let at =
             |place: HelioprojectiveArcsec| format!("x {:.1}, y {:.1} arcsec", place.x, place.y);
         let target = moment.target.as_ref();
@@ -172,7 +172,7 @@ impl<'a> Painter<'a> {
             Ok(target) => format!("target {}", at(*target)),
             Err(why) => format!("no target: {why}"),
         };
-        let words = &self.stage.words;
+        let words = &self.layout.words;
         let context = if words.is_warning {
             Colour::ORANGE
         } else {
@@ -191,16 +191,16 @@ impl<'a> Painter<'a> {
     }
 
     /// The picture beside the map: a frame's, or the reason why there is none.
-    pub fn beside(&self, frame: Result<RgbImage, String>) -> RgbImage {
-        let mut place = RgbImage::new(BESIDE_PX, self.size_px().1);
+    pub fn frame(&self, frame: Result<RgbImage, String>) -> RgbImage {
+        let mut place = RgbImage::new(FRAME_PX, self.size_px().1);
         let shown = match frame {
             Ok(frame) => scaled(&frame, place.dimensions()),
             Err(why) => {
-                let lines = why.len() as u32 * Canvas::LETTER_PX / BESIDE_PX + 1;
-                let mut canvas = Canvas::of_image(&RgbImage::new(BESIDE_PX, 0), lines);
+                let lines = why.len() as u32 * Canvas::LETTER_PX / FRAME_PX + 1;
+                let mut canvas = Canvas::of_image(&RgbImage::new(FRAME_PX, 0), lines);
                 let mut rest = why.as_str();
                 for line in 0..lines {
-                    let text = fitting(rest, BESIDE_PX);
+                    let text = fitting(rest, FRAME_PX);
                     canvas.caption(line, text, Colour::ORANGE);
                     rest = &rest[text.len()..];
                 }

@@ -86,7 +86,7 @@ fn part_of(path: &Path) -> io::Result<(NamedTempFile, BufWriter<File>)> {
     Ok((part, file))
 }
 
-fn put_in_place(part: NamedTempFile, path: &Path) -> io::Result<()> {
+fn persist(part: NamedTempFile, path: &Path) -> io::Result<()> {
     part.as_file().sync_all()?;
     part.persist(path)?;
     Ok(())
@@ -201,7 +201,7 @@ impl Gif {
     fn finish(self, path: &Path) -> io::Result<()> {
         let mut file = self.encoder.into_inner().map_err(io::Error::other)?;
         file.flush()?;
-        put_in_place(self.part, path)
+        persist(self.part, path)
     }
 }
 
@@ -264,6 +264,6 @@ impl Apng {
 
     fn finish(self, path: &Path) -> io::Result<()> {
         self.writer.finish()?;
-        put_in_place(self.part, path)
+        persist(self.part, path)
     }
 }
