@@ -500,7 +500,7 @@ fn a_frame_that_several_files_hold_counts_once_in_a_calibration() {
     picture("lens_cap_1.png", size, dark.clone());
     picture("lens_cap_2.png", size, dark);
     let files = observe::list(&[folder.path().into()], observe::Depth::All).unwrap();
-    let observed = observe::over(files, [size.0, size.1], &(), |_, _| ()).unwrap();
+    let observed = observe::each_frame(files, [size.0, size.1], &(), |_, _| ()).unwrap();
     let (once, copies) = (observed.frames, observed.copies);
     let name = |path: &Path| path.file_name().unwrap().to_str().unwrap().to_owned();
     let once: Vec<String> = once.iter().map(|(path, _)| name(path)).collect();

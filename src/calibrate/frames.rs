@@ -98,7 +98,7 @@ pub enum FramesError {
     Region { file: PathBuf, size_px: [usize; 2] },
     /// All of them lack a required fact.
     #[error("{0}")]
-    Lacking(String),
+    Missing(String),
 }
 
 /// Reasons for which frames give no calibration.

@@ -30,7 +30,7 @@ pub struct Provenance {
 
 impl Provenance {
     /// Provenance from the number of frames, their times and files: the method, and the time span.
-    pub fn over(
+    pub fn of_frames(
         name: &'static str,
         done: &str,
         frames: usize,

@@ -7,7 +7,7 @@ use crate::clock::parse_utc;
 use crate::film;
 use crate::observe::{Shard, Span};
 use crate::refine::{
-    self, Counts, Given, Navigation, Options, Refined, RefinedCamera, RollSummary, Summary,
+    self, Counts, Navigation, Options, Overrides, Refined, RefinedCamera, RollSummary, Summary,
 };
 use crate::units::{Place, counted};
 use clap::Args;
@@ -134,7 +134,7 @@ impl RefineArgs {
         let navigation = &self.navigation;
         Options {
             out: self.out.clone(),
-            given: Given {
+            overrides: Overrides {
                 instruments: self.instrument.clone(),
                 roll_camera: self.roll_camera.clone(),
                 configuration: self.config.clone(),

@@ -3,7 +3,7 @@
 use super::copies::{CopiedFrame, Distinct, PixelDigests, distinct, may_be_copied};
 use super::headers::{CameraHeader, CameraHeaders};
 use super::journal::JournalError;
-use super::pass::{Done, Pass, PassError};
+use super::pass::{Pass, PassError, PassRecords};
 use crate::archive::{StoredFile, plain};
 use crate::frame::TakenBy;
 use crate::instrument::Role;
@@ -31,7 +31,7 @@ pub fn cameras(pass: &Pass<'_>, frames: Vec<StoredFile>) -> Result<Cameras, Pass
         Some(shard) => shard.part(frames),
         None => frames,
     };
-    let headers = pass.over(&CameraHeaders, "headers", &frames)?;
+    let headers = pass.run(&CameraHeaders, "headers", &frames)?;
     let frames = by_camera(&headers, each_once(pass, &headers, frames)?)?;
     let mut plate = Vec::new();
     let mut taken: BTreeMap<(Role, usize), Vec<CameraFrames>> = BTreeMap::new();
@@ -61,7 +61,7 @@ pub fn cameras(pass: &Pass<'_>, frames: Vec<StoredFile>) -> Result<Cameras, Pass
 /// The files without copies. A shard does not search for copies: other shards may have the originals.
 fn each_once(
     pass: &Pass<'_>,
-    headers: &Done<CameraHeader>,
+    headers: &PassRecords<CameraHeader>,
     inputs: Vec<StoredFile>,
 ) -> Result<Distinct, PassError> {
     let alike = match pass.shard {
@@ -74,7 +74,7 @@ fn each_once(
             ..Distinct::default()
         });
     }
-    let digests = pass.over(&PixelDigests, "frames compared", &alike)?;
+    let digests = pass.run(&PixelDigests, "frames compared", &alike)?;
     let distinct = distinct(headers, &digests, inputs)?;
     if let Some([first, other]) = distinct.contradicting.first() {
         tracing::warn!(
@@ -118,7 +118,7 @@ impl CameraFrames {
 
 /// The cameras by name, each with its frames.
 fn by_camera(
-    done: &Done<CameraHeader>,
+    done: &PassRecords<CameraHeader>,
     Distinct { inputs, copies, .. }: Distinct,
 ) -> Result<Vec<CameraFrames>, JournalError> {
     let header = |input: &StoredFile| {

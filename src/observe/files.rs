@@ -166,7 +166,7 @@ pub struct Observed<T> {
 
 impl<T> Observed<Result<T, String>> {
     /// Results of the frames, in the order of the files, and rejected files: each with the reason, copies last.
-    pub fn parted(self) -> (Vec<T>, Vec<RejectedFrame>) {
+    pub fn split(self) -> (Vec<T>, Vec<RejectedFrame>) {
         let (mut given, mut rejected) = (Vec::new(), Vec::new());
         for (file, outcome) in self.frames {
             match outcome.flatten() {
@@ -184,7 +184,7 @@ impl<T> Observed<Result<T, String>> {
 ///
 /// # Errors
 /// [`InputError::Cancelled`].
-pub fn over<T: Send>(
+pub fn each_frame<T: Send>(
     files: Vec<PathBuf>,
     size_px: [usize; 2],
     watch: &dyn Watch,
@@ -199,8 +199,8 @@ pub fn over<T: Send>(
         let observed = frame
             .map_err(|error| error.problem.to_string())
             .map(|frame| {
-                let seen = Seen::of(&frame);
-                (seen, observe(file, frame))
+                let facts = FileFacts::of(&frame);
+                (facts, observe(file, frame))
             });
         watch.step();
         Ok(observed)
@@ -208,9 +208,9 @@ pub fn over<T: Send>(
     let observed = files.par_iter().map(one).collect::<Result<Vec<_>, _>>();
     watch.end();
     let observed = observed?;
-    let seen: Vec<Option<&Seen>> = observed.iter().map(|o| Some(&o.as_ref().ok()?.0)).collect();
+    let facts: Vec<_> = observed.iter().map(|o| Some(&o.as_ref().ok()?.0)).collect();
     warn_of(&files, &observed);
-    let first_of = first_of(&files, &seen);
+    let first_of = first_of(&files, &facts);
     let mut all = Observed {
         frames: Vec::new(),
         copies: Vec::new(),
@@ -230,13 +230,13 @@ pub fn over<T: Send>(
 }
 
 /// Identity of a frame, and the unused parts of its file.
-struct Seen {
+struct FileFacts {
     identity: Identity,
     digest: PixelDigest,
     warnings: Vec<Warning>,
 }
 
-impl Seen {
+impl FileFacts {
     fn of(frame: &Frame) -> Self {
         Self {
             identity: Identity::of(&frame.info),
@@ -247,17 +247,17 @@ impl Seen {
 }
 
 /// For each file with a copy, the file of the original frame.
-fn first_of(files: &[PathBuf], seen: &[Option<&Seen>]) -> Vec<Option<usize>> {
-    let read = seen
+fn first_of(files: &[PathBuf], facts: &[Option<&FileFacts>]) -> Vec<Option<usize>> {
+    let read = facts
         .iter()
         .enumerate()
-        .filter_map(|(n, seen)| Some((n, (*seen)?)));
+        .filter_map(|(n, facts)| Some((n, (*facts)?)));
     let (at, compared): (Vec<usize>, Vec<Compared>) = read
-        .map(|(n, seen)| {
+        .map(|(n, facts)| {
             let compared = Compared {
                 path: &files[n],
-                identity: &seen.identity,
-                digest: Some(seen.digest),
+                identity: &facts.identity,
+                digest: Some(facts.digest),
             };
             (n, compared)
         })
@@ -281,11 +281,11 @@ fn first_of(files: &[PathBuf], seen: &[Option<&Seen>]) -> Vec<Option<usize>> {
 }
 
 /// Warns of unused inputs, and counts them.
-fn warn_of<T>(files: &[PathBuf], observed: &[Result<(Seen, T), String>]) {
+fn warn_of<T>(files: &[PathBuf], observed: &[Result<(FileFacts, T), String>]) {
     let (mut warnings, mut unreadable) = (Warnings::default(), Unreadable::default());
     for (file, observed) in files.iter().zip(observed) {
         match observed {
-            Ok((seen, _)) => warnings.note(&file.display().to_string(), &seen.warnings),
+            Ok((facts, _)) => warnings.note(&file.display().to_string(), &facts.warnings),
             Err(error) => unreadable.note(error),
         }
     }
@@ -325,9 +325,9 @@ mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     /// Ends a pass after this many frames.
-    struct Patience(AtomicUsize);
+    struct CancelAfter(AtomicUsize);
 
-    impl Watch for Patience {
+    impl Watch for CancelAfter {
         fn step(&self) {
             let less = |left: usize| Some(left.saturating_sub(1));
             let _ = self
@@ -344,8 +344,8 @@ mod tests {
     fn a_cancelled_pass_ends_at_the_next_frame_and_says_so() {
         let files: Vec<PathBuf> = (0..100).map(|n| format!("{n}.fits").into()).collect();
         let pass = |frames| {
-            let patience = Patience(AtomicUsize::new(frames));
-            over(files.clone(), [8, 8], &patience, |_, _| ())
+            let watch = CancelAfter(AtomicUsize::new(frames));
+            each_frame(files.clone(), [8, 8], &watch, |_, _| ())
         };
         assert!(matches!(pass(10), Err(InputError::Cancelled)));
         // Missing files: one row with the reason for each.

@@ -17,7 +17,7 @@ pub struct CameraHeader {
 pub struct CameraHeaders;
 
 impl Observer for CameraHeaders {
-    type Given = CameraHeader;
+    type Output = CameraHeader;
 
     fn prefix(&self) -> &'static str {
         "cameras-"

@@ -112,7 +112,7 @@ impl Span {
 /// Processing of each frame in a pass.
 pub trait Observer: Sync {
     /// Record of a frame.
-    type Given: Serialize + DeserializeOwned + Clone + Send;
+    type Output: Serialize + DeserializeOwned + Clone + Send;
 
     /// Prefix of the journal's name.
     fn prefix(&self) -> &'static str {
@@ -133,7 +133,7 @@ pub trait Observer: Sync {
         archive: &ArchiveReader,
         input: &StoredFile,
         span: &Span,
-    ) -> Result<Option<Self::Given>, Unsolved>;
+    ) -> Result<Option<Self::Output>, Unsolved>;
 
     /// A hash of the program's version and the settings.
     fn hash(&self) -> u64 {
@@ -166,18 +166,18 @@ impl Pass<'_> {
     /// # Errors
     /// If a journal cannot be used, an object store does not respond, or the watch cancels. Frames that cannot be read are no error, but
     /// a record.
-    pub fn over<O: Observer>(
+    pub fn run<O: Observer>(
         &self,
         observer: &O,
         what: &str,
         inputs: &[StoredFile],
-    ) -> Result<Done<O::Given>, PassError> {
+    ) -> Result<PassRecords<O::Output>, PassError> {
         let name = observer.journal_name();
         let others = self.merge.iter().map(|folder| folder.join(&name));
         let others: Vec<PathBuf> = others.filter(|path| path.is_file()).collect();
-        let mut done = Done::open(&self.out.join(&name), &others)?;
-        let left = inputs.iter().filter(|input| !done.holds(input)).count();
-        self.watch.begin(left, what);
+        let mut done = PassRecords::open(&self.out.join(&name), &others)?;
+        let remaining = inputs.iter().filter(|input| !done.holds(input)).count();
+        self.watch.begin(remaining, what);
         done.add(self, observer, inputs)?;
         self.watch.end();
         self.check()?;
@@ -213,34 +213,34 @@ impl Pass<'_> {
     /// The first folder, if none contains one.
     pub fn expect_journals(&self, observer: &impl Observer) -> Result<(), PassError> {
         let name = observer.journal_name();
-        let lacks = |folder: &&PathBuf| !folder.join(&name).is_file();
-        let lacking: Vec<PassError> = self
+        let is_missing = |folder: &&PathBuf| !folder.join(&name).is_file();
+        let missing: Vec<PassError> = self
             .merge
             .iter()
-            .filter(lacks)
+            .filter(is_missing)
             .map(|folder| PassError::NoJournal {
                 folder: folder.clone(),
                 name: name.clone(),
             })
             .collect();
-        let all = lacking.len() == self.merge.len();
-        for lack in lacking {
+        let all = missing.len() == self.merge.len();
+        for error in missing {
             if all {
-                return Err(lack);
+                return Err(error);
             }
-            tracing::warn!("{lack}: its frames are solved here");
+            tracing::warn!("{error}: its frames are solved here");
         }
         Ok(())
     }
 
-    fn goes_on(&self) -> bool {
+    fn continues(&self) -> bool {
         !self.archive.is_lost() && !self.watch.is_cancelled()
     }
 }
 
 /// Position of the record of each input.
 #[derive(Debug)]
-pub struct Done<T> {
+pub struct PassRecords<T> {
     records: Records<T>,
     /// Positions by the input's key, sorted.
     places: Vec<(u64, Place)>,
@@ -281,7 +281,7 @@ impl Hasher for Fnv {
     }
 }
 
-impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
+impl<T: Serialize + DeserializeOwned + Clone + Send> PassRecords<T> {
     /// Opens the run's own journal and reads those of other runs.
     ///
     /// # Errors
@@ -357,14 +357,14 @@ impl<T: Serialize + DeserializeOwned + Clone + Send> Done<T> {
     fn add(
         &mut self,
         pass: &Pass<'_>,
-        observer: &impl Observer<Given = T>,
+        observer: &impl Observer<Output = T>,
         inputs: &[StoredFile],
     ) -> Result<(), JournalError> {
         let journal = &self.records.0[0];
         let passing = Mutex::new(HashMap::new());
         let new: Vec<(u64, Place)> = inputs
             .par_iter()
-            .filter(|input| place(&self.places, key(input)).is_none() && pass.goes_on())
+            .filter(|input| place(&self.places, key(input)).is_none() && pass.continues())
             .filter_map(|input| {
                 let outcome = observer
                     .observe(pass.archive, input, &pass.span)
@@ -467,7 +467,7 @@ mod tests {
     struct Numbers(Option<fn(String) -> Unsolved>);
 
     impl Observer for Numbers {
-        type Given = u32;
+        type Output = u32;
 
         fn observe(
             &self,
@@ -508,7 +508,7 @@ mod tests {
             std::fs::create_dir(&out).unwrap();
             let outcomes = [Some(error), None].map(|error| {
                 let inputs = std::slice::from_ref(&input);
-                let done = pass(&archive, &out, &()).over(&Numbers(error), "frames", inputs);
+                let done = pass(&archive, &out, &()).run(&Numbers(error), "frames", inputs);
                 done.unwrap().record(&input).unwrap().unwrap().outcome
             });
             assert_eq!(outcomes[0], Err("why".into()));
@@ -540,19 +540,19 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let archive = ArchiveReader::open(folder.path(), folder.path()).unwrap();
         let inputs: Vec<StoredFile> = (0..50).map(|n| input(&format!("{n}.fits"))).collect();
-        let over = |frames: usize| {
+        let run = |frames: usize| {
             let left = AtomicUsize::new(frames);
             let watch = Impatient { left };
             let one_core = rayon::ThreadPoolBuilder::new().num_threads(1).build();
-            let outcome = one_core.unwrap().install(|| {
-                pass(&archive, folder.path(), &watch).over(&Numbers(None), "", &inputs)
-            });
+            let outcome = one_core
+                .unwrap()
+                .install(|| pass(&archive, folder.path(), &watch).run(&Numbers(None), "", &inputs));
             (outcome, frames - watch.left.load(Ordering::Relaxed))
         };
-        let (outcome, observed) = over(20);
+        let (outcome, observed) = run(20);
         assert!(matches!(outcome, Err(PassError::Cancelled)));
         assert_eq!(observed, 20);
-        let (outcome, observed) = over(1000);
+        let (outcome, observed) = run(1000);
         assert_eq!(observed, 30);
         assert_eq!(outcome.unwrap().unreadable(&inputs).unwrap(), 0);
     }

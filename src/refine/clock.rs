@@ -99,7 +99,7 @@ impl Clocks {
         let mut moments: Vec<Moment> = readings.iter().enumerate().filter_map(moment).collect();
         moments.sort_by(|a, b| a.monotonic_s.total_cmp(&b.monotonic_s));
         let mut longest_s = 0.0;
-        for start in starts(&moments) {
+        for start in boots(&moments) {
             let length_s = start[start.len() - 1].monotonic_s - start[0].monotonic_s;
             let drift = clocks.take_start(&start);
             if length_s > longest_s && drift.is_some() {
@@ -159,7 +159,7 @@ fn is_step(pair: &[Moment]) -> bool {
 }
 
 /// Splits moments into boots, in the order of the monotonic clock.
-fn starts(moments: &[Moment]) -> Vec<Vec<Moment>> {
+fn boots(moments: &[Moment]) -> Vec<Vec<Moment>> {
     let mut apart = vec![moments.to_vec()];
     if steps(moments) > most_steps(moments) {
         let mut by_offset = moments.to_vec();
@@ -172,8 +172,8 @@ fn starts(moments: &[Moment]) -> Vec<Vec<Moment>> {
         let following = moments.chunk_by(|a, b| b.monotonic_s - a.monotonic_s < LONGEST_PAUSE_S);
         following.map(<[Moment]>::to_vec).collect::<Vec<_>>()
     };
-    let starts = apart.into_iter().flat_map(pauses);
-    starts
+    let boots = apart.into_iter().flat_map(pauses);
+    boots
         .filter(|moments| steps(moments) <= most_steps(moments))
         .collect()
 }

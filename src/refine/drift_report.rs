@@ -20,7 +20,7 @@ impl Part<'_> {
         let [x, y] = [0, 1].map(|axis| self.over_time(centre(axis)));
         let title = "The plate's centre on the sensor";
         let labels = Labels::over_utc(title, "px since the first frame");
-        let series = [from_first("x", &x), from_first("y", &y)];
+        let series = [relative_to_first("x", &x), relative_to_first("y", &y)];
         self.figure(plot::series(&labels, &series));
         self.temperature(facts.temperature);
     }
@@ -53,7 +53,7 @@ impl Part<'_> {
             "camera's temperature, degC",
             "px since the first frame",
         );
-        let series = [from_first("x", &x), from_first("y", &y)];
+        let series = [relative_to_first("x", &x), relative_to_first("y", &y)];
         self.figure(plot::series(&labels, &series));
     }
 
@@ -87,7 +87,7 @@ impl Part<'_> {
     }
 }
 
-fn from_first(name: &str, points: &[(f64, f64)]) -> Series {
+fn relative_to_first(name: &str, points: &[(f64, f64)]) -> Series {
     let first = points.first().map_or(0.0, |point| point.1);
     Series::dots(name, points.iter().map(|(at, v)| (*at, v - first)))
 }

@@ -12,7 +12,7 @@ use super::drift::{
     Drift, Estimate, MarkObservation, Observations, ProcessNoise, Smoothed, ThermalCoefficients,
 };
 use super::frames::{Frames, middle_of};
-use super::mapping::{FlightMapping, Jump, MappingFacts, Standing, TemperatureDependence};
+use super::mapping::{FlightMapping, Jump, MappingFacts, MarkUse, TemperatureDependence};
 use super::temperature;
 use super::view::{Reference, State};
 use crate::estimation::{Loss, MEDIAN_CHI2_2D, TUKEY_SIGMAS_2D, median};
@@ -24,11 +24,11 @@ use rayon::prelude::*;
 use std::mem;
 
 /// Frames this far from their neighbours' median are set aside, px; the first value is used before the drift is known.
-const ALONE_PX: [f64; 3] = [4.0, 0.3, 0.1];
+const OUTLIER_PX: [f64; 3] = [4.0, 0.3, 0.1];
 /// ... if the distance also exceeds this multiple of their own sigma.
-const ALONE_SIGMAS: f64 = 6.0;
+const OUTLIER_SIGMAS: f64 = 6.0;
 /// Larger displacements, px, are misidentified marks: cameras are not knocked this far and back.
-const MISREAD_PX: f64 = 10.0;
+const MISIDENTIFIED_PX: f64 = 10.0;
 /// Neighbours to each side for that median.
 const NEIGHBOURS: [usize; 3] = [10, 4, 4];
 /// Least significance of a jump against process noise: chi^2 of four degrees of freedom.
@@ -70,17 +70,17 @@ impl FlightMapping {
         let readings: Vec<Option<f64>> = frames.iter().map(|frame| frame.temperature_c).collect();
         let temperature_c = temperature::from_the_middle(times_s, &readings);
         let mut work = Work::new(reference, observations);
-        work.put_aside_at_first()?;
-        work.settle_process_noise();
+        work.reject_first_outliers()?;
+        work.fit_process_noise();
         work.find_jumps()?;
         if let Some(temperature_c) = temperature_c {
-            work.take_temperature(temperature_c)?;
+            work.fit_temperature(temperature_c)?;
         }
-        work.settle_reference()?;
+        work.refine_reference()?;
         for _ in 0..2 {
             let estimates = work.drift().smoothed()?.estimates;
             work.weigh(&estimates);
-            work.settle_process_noise();
+            work.fit_process_noise();
         }
         let smoothed = work.drift().smoothed()?;
         Some(work.finished(smoothed))
@@ -138,24 +138,24 @@ impl Work {
         for mark in self.observations.at(moment) {
             let (picture, slopes) = self.reference.picture(mark.printed);
             information += mark.information();
-            sum += mark.information() * (mark.seen - picture - slopes * state);
+            sum += mark.information() * (mark.observed - picture - slopes * state);
         }
         let covariance = information.try_inverse()?;
         Some((covariance * sum, covariance.trace().max(0.0).sqrt()))
     }
 
     /// Sets isolated frames aside before the drift is known.
-    fn put_aside_at_first(&mut self) -> Option<()> {
-        self.put_aside(None, 0);
-        for stage in 1..ALONE_PX.len() {
+    fn reject_first_outliers(&mut self) -> Option<()> {
+        self.reject_outliers(None, 0);
+        for stage in 1..OUTLIER_PX.len() {
             let estimates = self.drift().smoothed()?.estimates;
-            self.put_aside(Some(&estimates), stage);
+            self.reject_outliers(Some(&estimates), stage);
         }
         Some(())
     }
 
     /// Sets the weight of isolated frames to 0, and that of all others to 1.
-    fn put_aside(&mut self, estimates: Option<&[Estimate]>, stage: usize) {
+    fn reject_outliers(&mut self, estimates: Option<&[Estimate]>, stage: usize) {
         let state = |n: usize| estimates.map_or(State::zeros(), |estimates| estimates[n].state);
         let residuals: Vec<(usize, Vector2<f64>, f64)> = (0..self.observations.len())
             .filter_map(|n| {
@@ -164,7 +164,7 @@ impl Work {
             })
             .collect();
         let reach = NEIGHBOURS[stage];
-        let alone: Vec<(usize, f64, bool)> = residuals
+        let outliers: Vec<(usize, f64, bool)> = residuals
             .par_iter()
             .enumerate()
             .map(|(k, (n, residual, sigma))| {
@@ -172,20 +172,20 @@ impl Work {
                 let middle = |axis: usize| median(near.iter().map(|(_, r, _)| r[axis]));
                 let middle = Vector2::new(middle(0).unwrap_or(0.0), middle(1).unwrap_or(0.0));
                 let away = (residual - middle).norm();
-                let limit = ALONE_PX[stage].max(ALONE_SIGMAS * sigma * self.inflated);
+                let limit = OUTLIER_PX[stage].max(OUTLIER_SIGMAS * sigma * self.inflated);
                 (*n, away, away > limit)
             })
             .collect();
-        for (n, away, alone) in alone {
+        for (n, away, is_outlier) in outliers {
             self.away_px[n] = away;
-            let weight = if alone { 0.0 } else { 1.0 };
+            let weight = if is_outlier { 0.0 } else { 1.0 };
             let marks = self.observations.at_mut(n).iter_mut();
             marks.for_each(|mark| mark.weight = weight);
         }
     }
 
     /// Determines the process noise by maximum likelihood.
-    fn settle_process_noise(&mut self) {
+    fn fit_process_noise(&mut self) {
         let likelihood = |noise: &ProcessNoise| {
             Drift {
                 process_noise: *noise,
@@ -237,17 +237,17 @@ impl Work {
                 self.jumps.remove(at);
                 break;
             }
-            self.settle_process_noise();
+            self.fit_process_noise();
         }
         Some(())
     }
 
     /// Uses the temperature if it explains the marks far better than process noise alone; with less process noise smaller jumps become
     /// significant.
-    fn take_temperature(&mut self, temperature_c: Vec<f64>) -> Option<()> {
+    fn fit_temperature(&mut self, temperature_c: Vec<f64>) -> Option<()> {
         let (noise, without) = (self.process_noise, self.drift().likelihood()?);
         self.temperature_c = Some(temperature_c);
-        self.settle_process_noise();
+        self.fit_process_noise();
         let gain = self.drift().likelihood()? - without;
         self.temperature_gain = Some(gain);
         if gain < LEAST_TEMPERATURE_GAIN {
@@ -303,10 +303,10 @@ impl Work {
     }
 
     /// Sets aside frames that are isolated with the jumps included, and moves the reference to the middle of the flight.
-    fn settle_reference(&mut self) -> Option<()> {
+    fn refine_reference(&mut self) -> Option<()> {
         self.time_jumps()?;
         let estimates = self.drift().smoothed()?.estimates;
-        self.put_aside(Some(&estimates), 2);
+        self.reject_outliers(Some(&estimates), 2);
         self.move_reference(&estimates)
     }
 
@@ -323,7 +323,7 @@ impl Work {
         let reference = self.reference;
         let chi2 = |mark: &MarkObservation, state: &State| {
             let (picture, slopes) = reference.picture(mark.printed);
-            let residual = mark.seen - picture - slopes * state;
+            let residual = mark.observed - picture - slopes * state;
             residual.dot(&(mark.information() * residual))
         };
         let all = estimates.iter().enumerate().flat_map(|(n, estimate)| {
@@ -374,7 +374,7 @@ impl Work {
                 inflation: self.inflated,
                 temperature: self.temperature_dependence(thermal),
             },
-            standing: (0..estimates.len()).map(|n| self.standing(n)).collect(),
+            mark_use: (0..estimates.len()).map(|n| self.mark_use(n)).collect(),
             reference: self.reference,
             estimates,
         }
@@ -395,21 +395,21 @@ impl Work {
             let part = length_s
                 .filter(|length_s| *length_s > 0.0)
                 .map_or(0.5, |length_s| since_s / length_s);
-            if self.standing(n) == Standing::Unmarked {
+            if self.mark_use(n) == MarkUse::Unmarked {
                 estimates[n] = estimates[n].or(&after, part);
             }
         }
     }
 
-    fn standing(&self, n: usize) -> Standing {
+    fn mark_use(&self, n: usize) -> MarkUse {
         match (
             self.observations.at(n).is_empty(),
             self.observations.counts(n),
         ) {
-            (true, _) => Standing::Unmarked,
-            (false, true) => Standing::Agrees,
-            (false, false) if self.away_px[n] > MISREAD_PX => Standing::Misread,
-            (false, false) => Standing::Alone,
+            (true, _) => MarkUse::Unmarked,
+            (false, true) => MarkUse::Agrees,
+            (false, false) if self.away_px[n] > MISIDENTIFIED_PX => MarkUse::WrongIds,
+            (false, false) => MarkUse::Displaced,
         }
     }
 }

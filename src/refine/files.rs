@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 
 /// Files that are named instead of the archive's own.
 #[derive(Debug, Clone, Default)]
-pub struct Given {
+pub struct Overrides {
     /// Instruments, TOML files or names of built-in ones; each camera takes its own.
     pub instruments: Vec<PathBuf>,
     pub roll_camera: Option<PathBuf>,
@@ -26,17 +26,17 @@ pub struct Given {
 pub(super) struct Files<'a> {
     pub archive: &'a Path,
     pub archived: FlownFiles,
-    pub given: &'a Given,
+    pub overrides: &'a Overrides,
 }
 
 impl Files<'_> {
     /// The configuration that is named, else the archive's sections on solver, place and target, else the defaults.
     pub fn configuration(&self) -> anyhow::Result<Config> {
-        let mut config = match &self.given.configuration {
+        let mut config = match &self.overrides.configuration {
             Some(path) => Config::read(path)?,
             None => self.archived_configuration()?,
         };
-        if let Some(place) = self.given.place {
+        if let Some(place) = self.overrides.place {
             config.site = place.into();
         }
         Ok(config)
@@ -81,7 +81,7 @@ impl Files<'_> {
     /// frames name, else the demo.
     fn instrument(&self, camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
         let flown = flown_with(&self.archived, camera);
-        if !self.given.instruments.is_empty() {
+        if !self.overrides.instruments.is_empty() {
             let (instrument, text) = self.given_instrument(camera)?;
             refuse_other_sensor(&instrument, &flown)?;
             return Ok((instrument, text));
@@ -105,7 +105,7 @@ impl Files<'_> {
     /// The first named instrument that a camera's frames do not contradict.
     fn given_instrument(&self, camera: &CameraFrames) -> anyhow::Result<(Instrument, String)> {
         let mut refused = None;
-        for path in &self.given.instruments {
+        for path in &self.overrides.instruments {
             let text = text_of(path)?;
             let instrument = Instrument::parse(path, &text)?;
             match instrument.check_taken_by(&camera.taken_by) {
@@ -126,8 +126,8 @@ impl Files<'_> {
     fn authority(&self) -> FlownFiles {
         let mut archived = self.archived.clone();
         let named = [
-            (self.given.configuration.is_some(), CONFIGURATION),
-            (!self.given.instruments.is_empty(), INSTRUMENT),
+            (self.overrides.configuration.is_some(), CONFIGURATION),
+            (!self.overrides.instruments.is_empty(), INSTRUMENT),
         ];
         for (_, kind) in named.iter().filter(|(is_named, _)| *is_named) {
             archived = archived.without(*kind);
@@ -142,7 +142,7 @@ impl Files<'_> {
         config: &Config,
     ) -> anyhow::Result<Option<RollRecipe>> {
         let mut authority = self.authority();
-        if self.given.roll_camera.is_some() {
+        if self.overrides.roll_camera.is_some() {
             authority = authority.without(INSTRUMENT);
         }
         let mounted = self.roll_camera(camera)?;
@@ -153,7 +153,7 @@ impl Files<'_> {
         &self,
         camera: &CameraFrames,
     ) -> anyhow::Result<Option<(MountedCamera, String)>> {
-        if let Some(path) = &self.given.roll_camera {
+        if let Some(path) = &self.overrides.roll_camera {
             let text = text_of(path)?;
             return Ok(Some((MountedCamera::parse(path, &text)?, text)));
         }

@@ -95,9 +95,9 @@ pub enum FrameFlag {
     /// Much more noise than in the frames before and after.
     Noise,
     /// The plate's position on the sensor differs from that in the frames before and after.
-    Knocked,
+    PlateMoved,
     /// The marks were identified wrongly.
-    Misread,
+    WrongIds,
     /// The Sun's position is off the path between the frames before and after.
     Path,
 }
@@ -110,16 +110,16 @@ impl FrameFlag {
         Self::FewMarks,
         Self::Light,
         Self::Noise,
-        Self::Knocked,
-        Self::Misread,
+        Self::PlateMoved,
+        Self::WrongIds,
         Self::Path,
     ];
 
     /// Whether the flag rejects the Sun's position; otherwise it is only reported.
     fn rejects(self) -> bool {
         match self {
-            Self::Radius | Self::Limb | Self::Path | Self::Knocked => true,
-            Self::Misread | Self::FewMarks | Self::Light | Self::Noise | Self::SecondPass => false,
+            Self::Radius | Self::Limb | Self::Path | Self::PlateMoved => true,
+            Self::WrongIds | Self::FewMarks | Self::Light | Self::Noise | Self::SecondPass => false,
         }
     }
 }
@@ -133,8 +133,8 @@ impl fmt::Display for FrameFlag {
             Self::FewMarks => "far fewer marks were read than are lit",
             Self::Light => "the light is not that of the frames before and after",
             Self::Noise => "more noise than in the frames before and after",
-            Self::Knocked => "the plate stands elsewhere than in the frames before and after",
-            Self::Misread => "the marks were identified wrongly",
+            Self::PlateMoved => "the plate stands elsewhere than in the frames before and after",
+            Self::WrongIds => "the marks were identified wrongly",
             Self::Path => "off the path of the frames before and after",
         })
     }

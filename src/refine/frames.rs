@@ -2,7 +2,7 @@
 
 use super::drift::MarkObservation;
 use super::record::{FrameRecord, Grade, MarkRecord, symmetric, upper};
-use super::timeline::{Entry, Held, Timeline};
+use super::timeline::{Content, Entry, Timeline};
 use crate::aspect::Stage;
 use crate::instrument::Instrument;
 use crate::observe::JournalError;
@@ -67,8 +67,8 @@ impl Frames {
         };
         let mut against = Against::default();
         let read = |n: usize| Ok((n, timeline.entry(n)?));
-        timeline.each(timeline.len(), read, |(n, Entry { file, held })| {
-            let Held::Frame(record) = held else { return };
+        timeline.each(timeline.len(), read, |(n, Entry { file, data })| {
+            let Content::Frame(record) = data else { return };
             against.note(&file, &record);
             if let Some(utc_ns) = timeline.utc_ns(n) {
                 all.add(utc_ns, &record, instrument);
@@ -107,7 +107,7 @@ impl Frames {
 fn observation(mark: &MarkRecord, instrument: &Instrument) -> Option<MarkObservation> {
     let information = symmetric(mark.covariance_px2).try_inverse()?;
     Some(MarkObservation {
-        seen: instrument.camera.distortion.correct(mark.at()).vector(),
+        observed: instrument.camera.distortion.correct(mark.at()).vector(),
         printed: instrument.plate.position(mark.id())?,
         information: upper(&information).map(|part| part as f32),
         weight: 1.0,

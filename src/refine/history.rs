@@ -14,10 +14,10 @@ use super::row::RefinedRow;
 use super::second_pass::solve_again;
 use super::sky::Sky;
 use super::suns::{Flight, Suns};
-use super::timeline::{Entry, Held, Timeline};
+use super::timeline::{Content, Entry, Timeline};
 use crate::geometry::attitude::Direction;
 use crate::instrument::Instrument;
-use crate::observe::{CameraFrames, Done, InputSummary, JournalError, Pass, PassError};
+use crate::observe::{CameraFrames, InputSummary, JournalError, Pass, PassError, PassRecords};
 use crate::sky::Ephemeris;
 use crate::smoothing::{Path, PathPoint};
 use crate::units::{Measured, Place};
@@ -64,7 +64,7 @@ impl History {
     /// # Errors
     /// If a journal cannot be read, the frames are not of the instrument's camera, or the pass is cancelled.
     pub fn new(
-        done: Done<FrameRecord>,
+        done: PassRecords<FrameRecord>,
         camera: CameraFrames,
         recipe: Recipe,
         sky: Sky,
@@ -94,7 +94,7 @@ impl History {
         let mut suns = Suns::find(&flight)?;
         let all: Vec<usize> = (0..flight.frames.len()).collect();
         suns.flags = outliers(&flight, &suns, &all);
-        let path = followed(&flight, &mut suns);
+        let path = follow_path(&flight, &mut suns);
         let again = solve_again(&flight, &suns, &path, pass);
         pass.check()?;
         let path = match again.is_empty() {
@@ -102,8 +102,8 @@ impl History {
             false => {
                 drop(path);
                 let numbers: Vec<usize> = again.iter().map(|(n, _)| *n).collect();
-                for (n, seen) in again {
-                    suns.seen[n] = Some(seen);
+                for (n, mapped) in again {
+                    suns.discs[n] = Some(mapped);
                 }
                 for (n, mut flags) in numbers.iter().zip(outliers(&flight, &suns, &numbers)) {
                     if flight.frames[*n].disc.is_none() {
@@ -111,7 +111,7 @@ impl History {
                     }
                     suns.flags[*n] = flags;
                 }
-                followed(&flight, &mut suns)
+                follow_path(&flight, &mut suns)
             }
         };
         Ok(Self {
@@ -247,10 +247,10 @@ impl History {
             mapping,
             recipe,
         } = &self.flight;
-        let Entry { file, held } = timeline.entry(n)?;
-        let (own, copy_of, error) = match held {
-            Held::Frame(frame) => (Some(*frame), None, None),
-            Held::None { error, copy_of } => (None, copy_of, Some(format!("file: {error}"))),
+        let Entry { file, data } = timeline.entry(n)?;
+        let (own, copy_of, error) = match data {
+            Content::Frame(frame) => (Some(*frame), None, None),
+            Content::None { error, copy_of } => (None, copy_of, Some(format!("file: {error}"))),
         };
         let own_reason = own
             .as_ref()
@@ -289,11 +289,11 @@ impl History {
         row.limb_part = self.suns.limb_part(frame, n);
         row.speed_mil_per_s = timing.sigma_s.and_then(|_| self.path.speed(n));
         row.body_nadir = self.nadirs.get(n).copied().flatten();
-        if let Some(seen) = &self.suns.seen[n] {
-            row.disc = Some(seen.disc);
+        if let Some(mapped) = &self.suns.discs[n] {
+            row.disc = Some(mapped.disc);
             row.mapping = mapping.as_ref().and_then(|mapping| mapping.numbers(n));
             row.jump_px = mapping.as_ref().and_then(|mapping| mapping.own_jump(n));
-            if seen.quality == Grade::Fine && frame.disc.is_some() {
+            if mapped.quality == Grade::Fine && frame.disc.is_some() {
                 row.own_reason.clear();
             }
         }
@@ -303,7 +303,7 @@ impl History {
 }
 
 /// The path of the fine frames; also flags the frames that lie off it.
-fn followed(flight: &Flight, suns: &mut Suns) -> SunPath {
+fn follow_path(flight: &Flight, suns: &mut Suns) -> SunPath {
     let (path, off) = SunPath::follow(flight, suns);
     for n in off {
         suns.flags[n].insert(FrameFlag::Path);

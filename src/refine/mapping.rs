@@ -9,15 +9,15 @@ use serde::Serialize;
 
 /// Use of a frame's marks in the flight's mapping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Standing {
+pub enum MarkUse {
     /// No marks were identified.
     Unmarked,
     /// The marks agree with the flight's mapping.
     Agrees,
     /// The plate's position differs from that in the frames before and after: the camera was knocked, or is about to be.
-    Alone,
+    Displaced,
     /// The marks are misidentified: no knock moves the camera so far.
-    Misread,
+    WrongIds,
 }
 
 /// A sudden change of the mapping.
@@ -67,7 +67,7 @@ pub enum TemperatureDependence {
 pub struct FlightMapping {
     pub(super) reference: Reference,
     pub(super) estimates: Vec<Estimate>,
-    pub standing: Vec<Standing>,
+    pub mark_use: Vec<MarkUse>,
     pub facts: MappingFacts,
 }
 
@@ -109,7 +109,7 @@ impl FlightMapping {
     }
 
     fn jump_at(&self, frame: usize) -> Option<&Jump> {
-        let is_marked = self.standing[frame] != Standing::Unmarked;
+        let is_marked = self.mark_use[frame] != MarkUse::Unmarked;
         let mut jumps = self.facts.jumps.iter().filter(|_| is_marked);
         jumps.find(|jump| (jump.before + 1..=jump.after).contains(&frame))
     }

@@ -83,7 +83,7 @@ pub use attitude::{Attitude, AttitudeFound, Basis, NavigationFile, Wanted, add_a
 pub use clock::ClockStep;
 pub use clock_facts::ClockFacts;
 pub use disc::PlateDisc;
-pub use files::Given;
+pub use files::Overrides;
 pub use flags::{FrameFlag, FrameFlags, Order, TimeFlag};
 pub use history::{History, HistoryError};
 pub use mapping::{Jump, MappingFacts, MappingNumbers, TemperatureDependence};

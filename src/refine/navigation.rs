@@ -44,7 +44,7 @@ impl Navigation {
         archive: &ArchiveReader,
         in_archive: &[String],
     ) -> anyhow::Result<Sensors<'_>> {
-        let mut given = match (&self.settings, in_archive.last()) {
+        let mut file = match (&self.settings, in_archive.last()) {
             (Some(path), _) => NavigationFile::read(path)?,
             // The file name holds the time at which the program was started.
             (None, Some(newest)) => NavigationFile::of(archive.text(newest)?)?,
@@ -54,21 +54,21 @@ impl Navigation {
             ),
         };
         // A flight may have more cameras: their table names end in `_camera`.
-        let cameras = given.settings.cameras.clone();
+        let cameras = file.settings.cameras.clone();
         let further = cameras.iter().map(|camera| camera.name.as_str());
         let further = further.filter(|name| name.ends_with("_camera"));
         let names: Vec<&str> = Role::table_names().into_iter().chain(further).collect();
-        given.settings = given.settings.for_flight(&given.path, &names)?;
-        let epoch = given.settings.epoch_utc;
+        file.settings = file.settings.for_flight(&file.path, &names)?;
+        let epoch = file.settings.epoch_utc;
         Ok(Sensors {
-            epoch: *given
+            epoch: *file
                 .settings
                 .epoch_utc
                 .insert(epoch.unwrap_or(Timestamp::UNIX_EPOCH)),
-            runs: read_imu(&self.imu, &given.settings)?,
-            fixes: read_gps(&self.gps, &given.settings)?,
-            seen: Vec::new(),
-            given,
+            runs: read_imu(&self.imu, &file.settings)?,
+            fixes: read_gps(&self.gps, &file.settings)?,
+            observed: Vec::new(),
+            file,
             of: self,
         })
     }
@@ -85,7 +85,7 @@ pub(super) struct ByGyros {
 }
 
 /// A direction observed in a frame.
-struct Seen {
+struct ObservedDirection {
     t_s: f64,
     camera: usize,
     target: Target,
@@ -95,12 +95,12 @@ struct Seen {
 /// IMU and GPS of a flight, and the directions observed in its frames.
 pub(super) struct Sensors<'a> {
     of: &'a Navigation,
-    given: NavigationFile,
+    file: NavigationFile,
     /// The instant of t_s = 0.
     epoch: Timestamp,
     runs: Vec<Vec<ImuSample>>,
     fixes: Vec<Fix>,
-    seen: Vec<Seen>,
+    observed: Vec<ObservedDirection>,
 }
 
 impl Sensors<'_> {
@@ -130,26 +130,26 @@ impl Sensors<'_> {
     }
 
     /// Records the Sun of a refined frame of the pitch-yaw camera with this ordinal.
-    pub fn see_sun(&mut self, ordinal: usize, row: &RefinedRow, instrument: &Instrument) {
+    pub fn add_sun(&mut self, ordinal: usize, row: &RefinedRow, instrument: &Instrument) {
         let name = Role::PitchYaw.table(ordinal);
         if let Some((utc, sun)) = row.utc().zip(row.sun_at_time()) {
             let direction = measured_sun_in_telescope(&sun, instrument);
-            self.see(name, Target::Sun, utc, direction);
+            self.add(name, Target::Sun, utc, direction);
         }
     }
 
     /// Records the nadir of a frame of the roll camera with this ordinal.
-    pub fn see_nadir(&mut self, ordinal: usize, row: &RollRow) {
+    pub fn add_nadir(&mut self, ordinal: usize, row: &RollRow) {
         if let Some((utc, nadir)) = row.utc().zip(row.nadir_at_time()) {
-            self.see(Role::Roll.table(ordinal), Target::Nadir, utc, nadir);
+            self.add(Role::Roll.table(ordinal), Target::Nadir, utc, nadir);
         }
     }
 
     /// Records a direction; directions of a camera that NAV.toml does not name are ignored.
-    fn see(&mut self, name: Option<&str>, target: Target, utc: Timestamp, direction: Direction) {
-        if let Some(camera) = name.and_then(|name| self.given.settings.camera(name)) {
-            let delay_s = self.given.settings.cameras[camera].delay_s;
-            self.seen.push(Seen {
+    fn add(&mut self, name: Option<&str>, target: Target, utc: Timestamp, direction: Direction) {
+        if let Some(camera) = name.and_then(|name| self.file.settings.camera(name)) {
+            let delay_s = self.file.settings.cameras[camera].delay_s;
+            self.observed.push(ObservedDirection {
                 t_s: utc.duration_since(self.epoch).as_secs_f64() - delay_s,
                 camera,
                 target,
@@ -170,16 +170,16 @@ impl Sensors<'_> {
         let observations = self.observations(&mut targets)?;
         let measurements = Measurement::in_order(observations, &self.fixes);
         let imu = std::mem::take(&mut self.runs);
-        let runs = navigation::Flight::of_runs(&self.given.settings, imu, measurements);
+        let runs = navigation::Flight::of_runs(&self.file.settings, imu, measurements);
         let mut attitude =
             Attitude::solve(&runs, attitude::Basis::WholeFlight, out, &self.of.wanted)?;
         drop(runs);
         attitude.write(Some(self.epoch), true)?;
-        attitude.write_calibrated(&self.given, Some(self.epoch), self.files(archive))?;
+        attitude.write_calibrated(&self.file, Some(self.epoch), self.files(archive))?;
         self.write_offsets(&mut attitude, &mut targets, sky, out)?;
         let (summary, counts) = (&attitude.summary, &attitude.counts);
         let mut page = Page::default();
-        add_attitude(&mut page, &self.given.settings, summary, counts)?;
+        add_attitude(&mut page, &self.file.settings, summary, counts)?;
         let states = match instrument {
             Some(instrument) => self.states(&mut attitude, &mut targets, instrument)?,
             None => States::default(),
@@ -211,9 +211,9 @@ impl Sensors<'_> {
         instrument: &Instrument,
     ) -> anyhow::Result<States> {
         let epoch_s = self.epoch.as_duration().as_secs_f64();
-        let of_body = self.given.settings.body_from_telescope();
-        let seen = self.seen.iter().filter(|seen| seen.target == Target::Sun);
-        let mut suns_s: Vec<f64> = seen.map(|seen| seen.t_s).collect();
+        let of_body = self.file.settings.body_from_telescope();
+        let suns = self.observed.iter().filter(|one| one.target == Target::Sun);
+        let mut suns_s: Vec<f64> = suns.map(|one| one.t_s).collect();
         suns_s.sort_by(f64::total_cmp);
         let mut states = States::default();
         for row in attitude.all_rows()? {
@@ -264,14 +264,14 @@ impl Sensors<'_> {
     /// Refuses a flight without frames during the IMU's samples, for example because its times count from another epoch.
     fn expect_frames(&self) -> anyhow::Result<()> {
         let during = self.during_s()?;
-        let is_during = |seen: &Seen| during.contains(&seen.t_s);
+        let is_during = |one: &ObservedDirection| during.contains(&one.t_s);
         ensure!(
-            self.seen.iter().any(is_during),
+            self.observed.iter().any(is_during),
             "--imu: expected frames that show a direction from {} to {} s since {}, found none of {}",
             during.start(),
             during.end(),
             self.epoch,
-            self.seen.len()
+            self.observed.len()
         );
         Ok(())
     }
@@ -285,22 +285,22 @@ impl Sensors<'_> {
     }
 
     fn observations(&self, targets: &mut Targets) -> anyhow::Result<Vec<DirectionObservation>> {
-        let settings = &self.given.settings;
+        let settings = &self.file.settings;
         let during = self.during_s()?;
         let during = during.start() - LONGEST_S..=*during.end();
         // Frames of another day are not used, so the ephemeris need not cover them.
-        let is_during = |seen: &&Seen| during.contains(&seen.t_s);
-        let observation = |seen: &Seen| {
+        let is_during = |one: &&ObservedDirection| during.contains(&one.t_s);
+        let observation = |one: &ObservedDirection| {
             Ok(DirectionObservation {
-                t_s: seen.t_s,
-                camera: seen.camera,
-                target: seen.target,
-                unit: seen.direction.unit,
-                sigma_rad: settings.sigma_rad(seen.target, &seen.direction),
-                towards: targets.towards(seen.target, seen.t_s)?,
+                t_s: one.t_s,
+                camera: one.camera,
+                target: one.target,
+                unit: one.direction.unit,
+                sigma_rad: settings.sigma_rad(one.target, &one.direction),
+                towards: targets.towards(one.target, one.t_s)?,
             })
         };
-        self.seen
+        self.observed
             .iter()
             .filter(is_during)
             .map(observation)
@@ -314,7 +314,7 @@ impl Sensors<'_> {
         sky: &Sky,
         out: &Path,
     ) -> anyhow::Result<()> {
-        let axes = self.given.settings.body_from_telescope();
+        let axes = self.file.settings.body_from_telescope();
         let offset = |row: &navigation::NavigationRow| {
             let towards = targets.aim(&sky.target, row.t_s).ok()?;
             navigation::offset(row, &axes, &towards).ok()?

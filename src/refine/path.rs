@@ -23,7 +23,7 @@ pub(super) fn is_known(point: &PathPoint) -> bool {
 }
 
 /// Covariance that the uncertainty of the time adds to a moving position, mil^2.
-pub(super) fn moved_mil2(speed_mil_per_s: [f64; 2], time_sigma_s: f64) -> Matrix2<f64> {
+pub(super) fn timing_mil2(speed_mil_per_s: [f64; 2], time_sigma_s: f64) -> Matrix2<f64> {
     let moved = Vector2::from(speed_mil_per_s) * time_sigma_s;
     moved * moved.transpose()
 }
@@ -148,7 +148,7 @@ fn shared_errors(flight: &Flight, suns: &Suns, first_s: f64) -> SharedErrors {
     let facts = &mapping.facts;
     let time = |n: usize| {
         let sun = suns.fine(flight, n)?;
-        suns.seen[n]?;
+        suns.discs[n]?;
         let scale = mapping.numbers(n)?.there.scale_mil_per_px.value;
         let [shift, turn] = facts.process_noise_px.map(|px| (px * scale).powi(2));
         let [x, y] = measurements(flight, suns, n, &sun);
@@ -173,8 +173,8 @@ fn measurements(
 ) -> [Measurement; 2] {
     let jump_px = flight.mapping.as_ref().and_then(|m| m.own_jump(n));
     let (place, all) = (sun.position.vector(), sun.variance());
-    let seen = suns.seen[n].filter(|_| jump_px.is_none());
-    let own = seen.map_or(all, |seen| seen.disc.centre.variance());
+    let mapped = suns.discs[n].filter(|_| jump_px.is_none());
+    let own = mapped.map_or(all, |mapped| mapped.disc.centre.variance());
     [0, 1].map(|axis| Measurement {
         place: place[axis],
         variance: own[axis],
@@ -186,7 +186,7 @@ fn measurements(
 fn is_off(sun: &Estimate<PlateMil>, time_sigma_s: f64, point: &PathPoint) -> bool {
     let off = sun.position.vector() - Vector2::from(point.place);
     let sun = Estimate {
-        covariance: sun.covariance + moved_mil2(point.speed, time_sigma_s),
+        covariance: sun.covariance + timing_mil2(point.speed, time_sigma_s),
         ..*sun
     };
     let [x, y] = sun.variance();

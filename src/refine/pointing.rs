@@ -91,15 +91,15 @@ impl History {
         let mut times_s = times_s(self);
         times_s.retain(|time_s| nearest(&by_gyros.states, |s| s.unix_s, *time_s).is_none());
         let ephemeris = &self.sky().ephemeris;
-        let usual_roll_deg = usual_roll_deg(by_gyros);
-        let all = by_path(self, roll, usual_roll_deg, &times_s)?.and(by_gyros);
+        let mean_roll_deg = mean_roll_deg(by_gyros);
+        let all = by_path(self, roll, mean_roll_deg, &times_s)?.and(by_gyros);
         let seconds = seconds(&all, ephemeris);
         Ok(PointingHistory::new(all.states, seconds))
     }
 }
 
 /// Roll measured by gyros in the flight, deg: its mean, and its scatter as 1 sigma. `None` without gyros.
-fn usual_roll_deg(by_gyros: &States) -> Option<Measured> {
+fn mean_roll_deg(by_gyros: &States) -> Option<Measured> {
     let roll_deg = |slow: &Slow| {
         let state = nearest(&by_gyros.states, |state| state.unix_s, slow.unix_s)?;
         let up = north_east_up(&slow.position_m).column(2).into_owned();
@@ -146,7 +146,7 @@ fn times_s(history: &History) -> Vec<f64> {
 fn by_path(
     history: &History,
     roll: Option<&RollHistory>,
-    usual_roll_deg: Option<Measured>,
+    mean_roll_deg: Option<Measured>,
     times_s: &[f64],
 ) -> Result<States, JournalError> {
     let Some((path, (first_s, _))) = history.path().zip(history.path_times_s()) else {
@@ -162,7 +162,7 @@ fn by_path(
             unix_s: times_s[n],
             point: points[n].filter(is_known)?,
             roll: rolls.as_ref().and_then(|rolls| rolls[n]),
-            usual_roll_deg,
+            mean_roll_deg,
             place: place_before(&places, times_s[n]).or(sky.place)?,
             instrument: history.instrument(),
         })
@@ -197,7 +197,7 @@ struct Moment<'a> {
     point: PathPoint,
     roll: Option<SmoothedRoll>,
     /// Used where the roll is not measured.
-    usual_roll_deg: Option<Measured>,
+    mean_roll_deg: Option<Measured>,
     place: Place,
     instrument: &'a Instrument,
 }
@@ -250,8 +250,8 @@ impl Moment<'_> {
             )
         });
         let roll = roll_by(nadir.as_ref(), sun_on_plate.position, self.instrument, &sun);
-        let roll = match (roll, self.usual_roll_deg) {
-            (Roll::Stated, Some(usual)) => Roll::Measured(usual),
+        let roll = match (roll, self.mean_roll_deg) {
+            (Roll::Stated, Some(mean)) => Roll::Measured(mean),
             (known, _) => known,
         };
         telescope_attitude(&sun_on_plate, roll, self.instrument, &sun).ok()

@@ -5,7 +5,7 @@ use super::report::Part;
 use super::solar_path::{SolarPath, SolarStep};
 use crate::clock::utc_microseconds;
 use crate::pointing::HelioprojectiveArcsec;
-use crate::report::plot::{self, Ellipse, Ground, Labels, Passage, PlotError, Series};
+use crate::report::plot::{self, Ellipse, Ground, Labels, PathPosition, PlotError, Series};
 use crate::report::{graticule, limb};
 use jiff::Timestamp;
 use nalgebra::SymmetricEigen;
@@ -16,7 +16,7 @@ const GRID_DEG: u32 = 15;
 /// Half side of the map of the whole Sun, in solar radii, at least.
 const REACH_RADII: f64 = 1.1;
 /// The map of the path alone spans the path without this fraction at each end, times this margin.
-const REST: f64 = 0.01;
+const TRIMMED: f64 = 0.01;
 const MARGIN: f64 = 1.3;
 /// It is drawn where its side is below this fraction of the first map's; its side is at least this many sigmas of the boresight, and at
 /// least this many arcsec.
@@ -63,18 +63,18 @@ impl Part<'_> {
     }
 
     fn maps(&mut self, path: &SolarPath) {
-        let whole = whole_sun(path);
-        let close = close_up(path, &whole);
+        let full = full_disc(path);
+        let close = close_up(path, &full);
         let caption = caption(path);
         let map = |title: &str, ground: &Ground| {
             let labels = Labels::new(title, WEST, NORTH);
-            plot::path_map(&labels, ground, &passages(path), ellipse(path).as_ref())
+            plot::path_map(&labels, ground, &positions(path), ellipse(path).as_ref())
         };
-        self.figure_with(map("The boresight on the Sun", &whole), &caption);
+        self.figure_with(map("The boresight on the Sun", &full), &caption);
         if let Some(close) = &close {
             self.figure_with(map("The same, closer", close), &caption);
         }
-        let ground = close.as_ref().unwrap_or(&whole);
+        let ground = close.as_ref().unwrap_or(&full);
         let (figure, caption) = dwell(path, ground);
         self.figure_with(figure, &caption);
     }
@@ -101,17 +101,17 @@ impl Part<'_> {
     }
 }
 
-fn passages(path: &SolarPath) -> Vec<Passage> {
-    let passage = |step: &SolarStep| Passage {
+fn positions(path: &SolarPath) -> Vec<PathPosition> {
+    let position = |step: &SolarStep| PathPosition {
         unix_s: step.unix_s,
         at: point(&step.at),
         is_valid: step.is_valid,
     };
-    path.steps.iter().map(passage).collect()
+    path.steps.iter().map(position).collect()
 }
 
 /// The whole disc, and any valid path beyond it.
-fn whole_sun(path: &SolarPath) -> Ground {
+fn full_disc(path: &SolarPath) -> Ground {
     let far = |step: &SolarStep| step.at.x.abs().max(step.at.y.abs());
     let farthest = path.valid().map(far).fold(0.0, f64::max);
     let disc = path.disc.as_ref().map(|(_, disc)| disc);
@@ -133,11 +133,11 @@ fn whole_sun(path: &SolarPath) -> Ground {
 }
 
 /// The path alone, with the target where that is near; none where the path extends over much of the Sun.
-fn close_up(path: &SolarPath, whole: &Ground) -> Option<Ground> {
-    let whole_side = whole.x.end - whole.x.start;
+fn close_up(path: &SolarPath, full: &Ground) -> Option<Ground> {
+    let full_side = full.x.end - full.x.start;
     let [x, y] = [middle_part(path, |at| at.x)?, middle_part(path, |at| at.y)?];
     let with = |span: &Range<f64>, value: fn(&(f64, f64)) -> f64| {
-        let aims = whole.target.iter().map(value);
+        let aims = full.target.iter().map(value);
         aims.fold(span.clone(), |span, v| span.start.min(v)..span.end.max(v))
     };
     let sigma = ellipse(path).map_or(0.0, |ellipse| ellipse.semi_axes[0]);
@@ -152,20 +152,20 @@ fn close_up(path: &SolarPath, whole: &Ground) -> Option<Ground> {
         Ground {
             x: about(&x),
             y: about(&y),
-            ..whole.clone()
+            ..full.clone()
         }
     };
     let with_target = [with(&x, |at| at.0), with(&y, |at| at.1)];
     let mut squares = [with_target, [x, y]].into_iter().map(square);
-    squares.find(|ground| ground.x.end - ground.x.start < CLOSE_PART * whole_side)
+    squares.find(|ground| ground.x.end - ground.x.start < CLOSE_PART * full_side)
 }
 
-/// Span of the valid path along an axis, without the outermost fraction `REST` at each end.
+/// Span of the valid path along an axis, without the outermost fraction `TRIMMED` at each end.
 fn middle_part(path: &SolarPath, axis: fn(&HelioprojectiveArcsec) -> f64) -> Option<Range<f64>> {
     let mut values: Vec<f64> = path.valid().map(|step| axis(&step.at)).collect();
     values.sort_by(f64::total_cmp);
     let last = values.len().checked_sub(1)?;
-    let rest = (REST * last as f64).floor() as usize;
+    let rest = (TRIMMED * last as f64).floor() as usize;
     Some(values[rest]..values[last - rest])
 }
 
@@ -257,26 +257,25 @@ mod tests {
     #[test]
     fn the_first_map_has_the_whole_disc_and_the_second_the_path_and_its_target() {
         let small = path(40.0);
-        let whole = whole_sun(&small);
+        let full = full_disc(&small);
         assert!(
-            whole
-                .outline
+            full.outline
                 .iter()
-                .all(|(x, y)| whole.x.contains(x) && whole.y.contains(y))
+                .all(|(x, y)| full.x.contains(x) && full.y.contains(y))
         );
-        assert!(whole.x.end > 1800.0, "{:?}", whole.x);
-        let close = close_up(&small, &whole).unwrap();
+        assert!(full.x.end > 1800.0, "{:?}", full.x);
+        let close = close_up(&small, &full).unwrap();
         assert!((45.0..60.0).contains(&side(&close)), "{close:?}");
         assert!(close.x.contains(&300.0) && close.y.contains(&-200.0));
         assert_eq!(side(&close), close.y.end - close.y.start);
         let wide = path(3000.0);
-        assert!(close_up(&wide, &whole_sun(&wide)).is_none());
+        assert!(close_up(&wide, &full_disc(&wide)).is_none());
     }
 
     #[test]
     fn a_dwell_map_states_its_cells_and_what_lies_outside() {
         let path = path(40.0);
-        let close = close_up(&path, &whole_sun(&path)).unwrap();
+        let close = close_up(&path, &full_disc(&path)).unwrap();
         let (figure, caption) = dwell(&path, &close);
         assert!(figure.unwrap().contains("Dwell in squares of 2 arcsec"));
         assert!(caption.ends_with("Outside of the map: 1.0 s."), "{caption}");

@@ -120,7 +120,7 @@ impl RadiusDependence {
 fn ratio(flight: &Flight, suns: &Suns, n: usize) -> Option<f64> {
     let frame = &flight.frames[n];
     suns.fine(flight, n).filter(|_| suns.is_sure(frame, n))?;
-    Some(suns.seen[n]?.disc.radius_mil.value / frame.expected_radius_mil?)
+    Some(suns.discs[n]?.disc.radius_mil.value / frame.expected_radius_mil?)
 }
 
 /// Relative slope of the blocks' means; its sigma is inflated for the correlation of successive blocks.

@@ -55,7 +55,7 @@ pub(super) fn plain_toml(text: &str) -> String {
 }
 
 impl Observer for Recipe {
-    type Given = FrameRecord;
+    type Output = FrameRecord;
 
     fn stated(&self) -> String {
         self.stated.join("\n")
@@ -99,14 +99,14 @@ mod tests {
     #[test]
     fn records_are_those_of_the_values_that_were_stated_however_they_were_written() {
         let demo = builtin_text("demo").unwrap();
-        let usual = recipe(demo, |_| {}).journal_name();
+        let default_name = recipe(demo, |_| {}).journal_name();
         let commented = format!("# a remark\n{demo}\n\n# another one\n");
-        assert_eq!(recipe(&commented, |_| {}).journal_name(), usual);
+        assert_eq!(recipe(&commented, |_| {}).journal_name(), default_name);
         let aimed = recipe(demo, |config| config.link.baud += 1);
-        assert_eq!(aimed.journal_name(), usual);
+        assert_eq!(aimed.journal_name(), default_name);
         let other = demo.replacen("name = \"demo\"", "name = \"other\"", 1);
-        assert_ne!(recipe(&other, |_| {}).journal_name(), usual);
+        assert_ne!(recipe(&other, |_| {}).journal_name(), default_name);
         let finer = recipe(demo, |config| config.limb.limb_points += 1);
-        assert_ne!(finer.journal_name(), usual);
+        assert_ne!(finer.journal_name(), default_name);
     }
 }

@@ -3,7 +3,7 @@
 use super::disc::PlateDisc;
 use super::flags::FrameFlags;
 use super::mapping::MappingNumbers;
-use super::path::moved_mil2;
+use super::path::timing_mil2;
 use super::record::{FrameRecord, Grade};
 use super::times::Timing;
 use crate::geometry::attitude::Direction;
@@ -94,7 +94,7 @@ impl RefinedRow {
         const SHORT_S: f64 = 0.01;
         match (self.timing.sigma_s, self.speed_mil_per_s) {
             (Some(sigma_s), Some(speed)) => Some(Estimate {
-                covariance: sun.covariance + moved_mil2(speed, sigma_s),
+                covariance: sun.covariance + timing_mil2(speed, sigma_s),
                 ..sun
             }),
             (Some(sigma_s), None) => (sigma_s < SHORT_S).then_some(sun),

@@ -1,7 +1,7 @@
 //! Refines an archive to its history: `solaspect refine` as a function.
 
 use super::attitude::AttitudeFound;
-use super::files::{Files, Given};
+use super::files::{Files, Overrides};
 use super::films::make_film;
 use super::history::{History, HistoryError};
 use super::navigation::{Navigation, Sensors, ordinal};
@@ -44,7 +44,7 @@ const POINTING_RATE_HZ: f64 = 10.0;
 pub struct Options {
     /// The folder of journal and results; made if missing.
     pub out: PathBuf,
-    pub given: Given,
+    pub overrides: Overrides,
     /// Frames read and solved in parallel; by default one for each core, from an object store eight.
     pub jobs: Option<usize>,
     /// A part of the frames, which are observed only.
@@ -147,12 +147,12 @@ impl Refined {
 pub fn refine(archive: &Path, options: &Options, watch: &dyn Watch) -> anyhow::Result<Refined> {
     let archive = ArchiveReader::open(archive, &options.out)?;
     let cores = available_parallelism().map_or(1, usize::from);
-    let usual = if archive.is_remote() {
+    let default = if archive.is_remote() {
         REMOTE_JOBS * cores
     } else {
         cores
     };
-    let jobs = options.jobs.unwrap_or(usual);
+    let jobs = options.jobs.unwrap_or(default);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(jobs).build()?;
     pool.install(|| {
         Run {
@@ -176,7 +176,7 @@ impl Run<'_> {
         let files = Files {
             archive: archive.name(),
             archived: archive.flown(&listing.flown)?,
-            given: &options.given,
+            overrides: &options.overrides,
         };
         let config = files.configuration()?;
         let navigation = options
@@ -259,26 +259,26 @@ impl Run<'_> {
             ephemeris,
         };
         let (mut refined, mut report) = (Refined::default(), Report::default());
-        refined.notes = left_alone(&cameras, &recipes);
+        refined.notes = ignored_frames(&cameras, &recipes);
         refined.frames = cameras.others.iter().map(|other| other.inputs.len()).sum();
         refined.notes.iter().for_each(|note| report.note(note));
         let (mut roll_rows, mut dips) = (RollRows::default(), Dips::default());
         if let Some((camera, recipe)) = cameras.roll.zip(recipes.roll.as_ref()) {
             let roll_ordinal = ordinal(&camera);
-            let done = pass.over(recipe, "frames", &camera.inputs)?;
+            let done = pass.run(recipe, "frames", &camera.inputs)?;
             let history = RollHistory::new(done, camera, recipe, &pass.span)?;
             let summary = write_roll(pass.out, &history, recipe, |row| {
                 roll_rows.take(row);
-                dips.see(row);
+                dips.add(row);
                 sensors
                     .iter_mut()
-                    .for_each(|sensors| sensors.see_nadir(roll_ordinal, row));
+                    .for_each(|sensors| sensors.add_nadir(roll_ordinal, row));
             })?;
             refined.count(history.len(), history.inputs());
             refined.roll = Some(RefinedRoll { history, summary });
         }
         let is_one = cameras.plate.len() == 1;
-        let mut seen = Vec::new();
+        let mut results = Vec::new();
         for (camera, recipe) in cameras.plate.into_iter().zip(recipes.plate) {
             let (label, ordinal) = (camera.label.clone(), ordinal(&camera));
             let history = self.history(pass, camera, recipe, &sky, refined.roll.as_ref())?;
@@ -291,12 +291,12 @@ impl Run<'_> {
             let written = write_rows(&folder, &history, |row| {
                 rows.take(row);
                 let see = |sensors: &mut Sensors| {
-                    sensors.see_sun(ordinal, row, history.instrument());
+                    sensors.add_sun(ordinal, row, history.instrument());
                 };
                 sensors.iter_mut().for_each(see);
             })?;
             refined.count(history.len(), history.inputs());
-            seen.push(Seen {
+            results.push(CameraResult {
                 label,
                 folder,
                 history,
@@ -308,7 +308,7 @@ impl Run<'_> {
         let mut of_gyros = Page::default();
         if let Some(sensors) = sensors {
             let names = [pass.archive.name(), pass.out];
-            let instrument = seen.first().map(|seen| seen.history.instrument());
+            let instrument = results.first().map(|result| result.history.instrument());
             let by_gyros = sensors.find_attitude(&sky, instrument, names)?;
             (states, differences) = (by_gyros.states, by_gyros.differences);
             of_gyros = by_gyros.page;
@@ -320,8 +320,8 @@ impl Run<'_> {
             differences: &differences,
             dips: &dips,
         };
-        for seen in seen {
-            let camera = self.finish(seen, &others, pass.archive, &mut report)?;
+        for result in results {
+            let camera = self.finish(result, &others, pass.archive, &mut report)?;
             refined.cameras.push(camera);
         }
         if let Some((roll, recipe)) = refined.roll.as_ref().zip(recipes.roll.as_ref()) {
@@ -343,7 +343,7 @@ impl Run<'_> {
         roll: Option<&RefinedRoll>,
     ) -> anyhow::Result<History> {
         pass.expect_journals(&recipe)?;
-        let done = pass.over(&recipe, "frames", &camera.inputs)?;
+        let done = pass.run(&recipe, "frames", &camera.inputs)?;
         let history = History::new(done, camera, recipe, sky.clone(), pass);
         let history = history.map_err(|error| match error {
             HistoryError::Pass(error) => anyhow::Error::from(error),
@@ -358,18 +358,18 @@ impl Run<'_> {
     /// Writes the pointing from a camera's history and the gyros.
     fn finish(
         &self,
-        seen: Seen,
+        result: CameraResult,
         others: &Others<'_>,
         archive: &ArchiveReader,
         report: &mut Report,
     ) -> anyhow::Result<RefinedCamera> {
-        let Seen {
+        let CameraResult {
             label,
             folder,
             history,
             rows,
             written,
-        } = seen;
+        } = result;
         let mut pointing = history.pointing_with(others.roll, others.states)?;
         let compared = Compared::of(others.differences, others.dips, &pointing);
         for finding in compared.iter().flat_map(|compared| &compared.findings) {
@@ -416,7 +416,7 @@ impl Run<'_> {
 }
 
 /// Data of a camera once its rows are written.
-struct Seen {
+struct CameraResult {
     label: Option<String>,
     folder: PathBuf,
     history: History,
@@ -464,7 +464,7 @@ impl Recipes {
 }
 
 /// Frames that are ignored, in words.
-fn left_alone(cameras: &Cameras, recipes: &Recipes) -> Vec<String> {
+fn ignored_frames(cameras: &Cameras, recipes: &Recipes) -> Vec<String> {
     let frames = |camera: &CameraFrames| counted(camera.inputs.len() as u64, "frame");
     let others = cameras.others.iter().map(|camera| {
         let (frames, label) = (frames(camera), &camera.label);
@@ -503,7 +503,7 @@ fn observe_shard(
         pass.expect_journals(recipe)?;
         refined.shard.push(shard_of(pass, shard, camera, recipe)?);
     }
-    refined.notes = left_alone(cameras, recipes);
+    refined.notes = ignored_frames(cameras, recipes);
     refined.unread = pass.archive.unread_files();
     Ok(refined)
 }
@@ -514,7 +514,7 @@ fn shard_of(
     camera: &CameraFrames,
     observer: &impl Observer,
 ) -> anyhow::Result<ShardDone> {
-    let done = pass.over(observer, "frames", &camera.inputs)?;
+    let done = pass.run(observer, "frames", &camera.inputs)?;
     Ok(ShardDone {
         shard,
         label: camera.label.clone(),

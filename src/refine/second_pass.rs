@@ -10,7 +10,7 @@ use super::disc::{self, PlateDisc};
 use super::flags::FrameFlag;
 use super::path::SunPath;
 use super::record::{Grade, PackedPoint};
-use super::suns::{Flight, LEAST_LIMB, LOOSE_RADIUS, Seen, Suns};
+use super::suns::{Flight, LEAST_LIMB, LOOSE_RADIUS, MappedDisc, Suns};
 use crate::archive::ArchiveReader;
 use crate::aspect::{self, SolverSettings};
 use crate::estimation::{median, median_and_scatter};
@@ -57,7 +57,7 @@ const MOST_PLACE_SIGMA_MIL: f64 = 200.0;
 /// Distance between a frame's own disc and the disc of the second pass, 1 sigma.
 const OWN_DISC_SIGMA_MIL: f64 = 5.0;
 /// A frame's own disc is another object if it is this many sigma off the path.
-const OTHER_THING_SIGMAS: f64 = 8.0;
+const OTHER_OBJECT_SIGMAS: f64 = 8.0;
 
 /// Solves again the frames in which disc and marks were not found, or were identified wrongly. Returns in order those that now have another
 /// disc.
@@ -66,24 +66,24 @@ pub(super) fn solve_again(
     suns: &Suns,
     path: &SunPath,
     pass: &Pass<'_>,
-) -> Vec<(usize, Seen)> {
+) -> Vec<(usize, MappedDisc)> {
     let wants = |n: &usize| {
         let own = flight.frames[*n].quality;
-        own != Grade::Fine || suns.flags[*n].contains(FrameFlag::Misread)
+        own != Grade::Fine || suns.flags[*n].contains(FrameFlag::WrongIds)
     };
     let wanted: Vec<usize> = (0..flight.frames.len()).filter(wants).collect();
     pass.watch.begin(wanted.len(), "frames seen again");
     let places = path.places(&wanted);
     let wanted = wanted.par_iter().zip(places);
-    let seen = wanted.filter(|_| !pass.watch.is_cancelled());
-    let seen = seen.filter_map(|(n, by_path)| {
-        let seen = solve(flight, suns, by_path, pass.archive, *n);
+    let solved = wanted.filter(|_| !pass.watch.is_cancelled());
+    let solved = solved.filter_map(|(n, by_path)| {
+        let mapped = solve(flight, suns, by_path, pass.archive, *n);
         pass.watch.step();
-        Some((*n, seen?))
+        Some((*n, mapped?))
     });
-    let seen = seen.collect();
+    let solved = solved.collect();
     pass.watch.end();
-    seen
+    solved
 }
 
 fn solve(
@@ -92,9 +92,9 @@ fn solve(
     by_path: Option<(PlateMil, f64)>,
     archive: &ArchiveReader,
     n: usize,
-) -> Option<Seen> {
+) -> Option<MappedDisc> {
     let mapping = flight.mapping.as_ref()?.at(n)?;
-    let (centre, sigma_mil) = whereabouts(flight, suns, by_path, n, &mapping)?;
+    let (centre, sigma_mil) = predicted_disc(flight, suns, by_path, n, &mapping)?;
     let expected = flight.frames[n].expected_radius_mil?;
     let ratio = suns.known_ratio;
     let known = Known {
@@ -116,12 +116,12 @@ fn solve(
     let radius = Measured::new(known.radius_mil, expected * sigma);
     let disc: PlateDisc = disc::on_plate(found.centre_px, &found.limb, &mapping, radius)?;
     let sigma = sigma_mil.hypot(disc.centre.covariance.trace().sqrt());
-    let near = centre.distance(disc.centre.position) < OTHER_THING_SIGMAS * sigma;
-    flight.seen(n, disc, found.limb_part).filter(|_| near)
+    let near = centre.distance(disc.centre.position) < OTHER_OBJECT_SIGMAS * sigma;
+    flight.mapped(n, disc, found.limb_part).filter(|_| near)
 }
 
 /// Predicted position of a frame's disc, and 1 sigma, mil: from the frame itself, unless the path shows that its disc is another object.
-fn whereabouts(
+fn predicted_disc(
     flight: &Flight,
     suns: &Suns,
     by_path: Option<(PlateMil, f64)>,
@@ -134,7 +134,7 @@ fn whereabouts(
     };
     let own = at.to_plate(own.centre_px);
     let other = by_path.filter(|(place, sigma)| {
-        place.distance(own) > OTHER_THING_SIGMAS * sigma.hypot(OWN_DISC_SIGMA_MIL)
+        place.distance(own) > OTHER_OBJECT_SIGMAS * sigma.hypot(OWN_DISC_SIGMA_MIL)
     });
     // A disc that was rejected would be flagged again.
     other.or((!suns.flags[n].reject()).then_some((own, OWN_DISC_SIGMA_MIL)))

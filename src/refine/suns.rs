@@ -42,7 +42,7 @@ pub(super) struct Flight {
 
 /// A frame's disc, transformed by the flight's mapping.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Seen {
+pub(super) struct MappedDisc {
     pub disc: PlateDisc,
     pub limb_part: f64,
     pub quality: Grade,
@@ -56,8 +56,8 @@ impl Flight {
     }
 
     /// The Sun of a frame, with the covariances of limb and mapping.
-    fn sun(&self, n: usize, seen: &Seen) -> Option<Estimate<PlateMil>> {
-        let centre = seen.disc.centre;
+    fn sun(&self, n: usize, mapped: &MappedDisc) -> Option<Estimate<PlateMil>> {
+        let centre = mapped.disc.centre;
         let by_mapping = self.by_mapping(n, centre.position)?;
         Some(Estimate {
             covariance: centre.covariance * (1.0 + SHARED_LIMB) + by_mapping,
@@ -66,12 +66,12 @@ impl Flight {
     }
 
     /// A disc with its quality by limb and mapping. `None` without a mapping.
-    pub fn seen(&self, n: usize, disc: PlateDisc, limb_part: f64) -> Option<Seen> {
+    pub fn mapped(&self, n: usize, disc: PlateDisc, limb_part: f64) -> Option<MappedDisc> {
         let by_mapping = self.by_mapping(n, disc.centre.position)?;
         let known = by_mapping.trace() < 2.0 * MOST_FINE_SIGMA_MIL.powi(2);
         let jumps = self.mapping.as_ref().and_then(|m| m.own_jump(n)).is_some();
         let fine = limb_part >= LEAST_FINE_LIMB && (known || jumps);
-        Some(Seen {
+        Some(MappedDisc {
             disc,
             limb_part,
             quality: if fine { Grade::Fine } else { Grade::Coarse },
@@ -108,7 +108,7 @@ impl Flight {
 
 /// The Suns of the dated frames, and their flags.
 pub(super) struct Suns {
-    pub seen: Vec<Option<Seen>>,
+    pub discs: Vec<Option<MappedDisc>>,
     /// Suns of frames without a disc through the flight's mapping, from the frame alone.
     own: BTreeMap<usize, Estimate<PlateMil>>,
     pub flags: Vec<FrameFlags>,
@@ -126,7 +126,7 @@ impl Suns {
     pub fn find(flight: &Flight) -> Result<Self, JournalError> {
         let is_whole = |part: f64| part >= LEAST_LIMB;
         let mut found = flight.discs(is_whole, LOOSE_RADIUS)?;
-        hold_to_usual_scatter(found.iter_mut().map(|(_, disc)| disc));
+        scale_to_median_scatter(found.iter_mut().map(|(_, disc)| disc));
         let ratios = found.iter().filter_map(|(n, disc)| {
             Some(disc.radius_mil.value / flight.frames[*n].expected_radius_mil?)
         });
@@ -136,19 +136,19 @@ impl Suns {
         let known_ratio = Measured::new(known.value, known.sigma.max(TIGHT_RADIUS));
         found.extend(flight.discs(|part| !is_whole(part), known_ratio)?);
         let count = flight.frames.len();
-        let mut seen = vec![None; count];
+        let mut discs = vec![None; count];
         for (n, disc) in found {
             let own = flight.frames[n].disc;
-            seen[n] = own.and_then(|own| flight.seen(n, disc, own.limb_part));
+            discs[n] = own.and_then(|own| flight.mapped(n, disc, own.limb_part));
         }
         let mut own = BTreeMap::new();
-        for n in (0..count).filter(|n| seen[*n].is_none() && flight.frames[*n].disc.is_some()) {
+        for n in (0..count).filter(|n| discs[*n].is_none() && flight.frames[*n].disc.is_some()) {
             let disc = flight.timeline.frame(n)?.and_then(|frame| frame.disc);
             own.extend(disc.map(|disc| (n, disc.on_plate())));
         }
         Ok(Self {
             own,
-            seen,
+            discs,
             flags: vec![FrameFlags::default(); count],
             radius_ratio,
             known_ratio,
@@ -157,19 +157,19 @@ impl Suns {
 
     /// A frame's quality: none where a flag rejects it.
     pub fn quality(&self, frame: &Frame, n: usize) -> Grade {
-        match &self.seen[n] {
+        match &self.discs[n] {
             _ if self.flags[n].reject() => Grade::None,
             Some(_) if self.flags[n].contains(FrameFlag::SecondPass) => Grade::Coarse,
-            Some(seen) => seen.quality,
+            Some(mapped) => mapped.quality,
             None => frame.quality,
         }
     }
 
     /// The Sun of a frame; none where a flag rejects it.
     pub fn sun(&self, flight: &Flight, n: usize) -> Option<Estimate<PlateMil>> {
-        match &self.seen[n] {
+        match &self.discs[n] {
             _ if self.flags[n].reject() => None,
-            Some(seen) => flight.sun(n, seen),
+            Some(mapped) => flight.sun(n, mapped),
             None => self.own.get(&n).copied(),
         }
     }
@@ -184,8 +184,8 @@ impl Suns {
 
     /// Visible part of the limb, 0 to 1.
     pub fn limb_part(&self, frame: &Frame, n: usize) -> Option<f64> {
-        let seen = self.seen[n].map(|seen| seen.limb_part);
-        seen.or(frame.disc.map(|disc| disc.limb_part))
+        let part = self.discs[n].map(|mapped| mapped.limb_part);
+        part.or(frame.disc.map(|disc| disc.limb_part))
     }
 
     /// Whether the disc of a fine frame is certainly the Sun: most of the limb was seen, and its radius is not flagged.
@@ -197,14 +197,14 @@ impl Suns {
 
 /// Scales the discs' sigmas down. The points' sigmas are conservative: where a flight's limbs scatter less, its discs are less uncertain by
 /// the same factor.
-fn hold_to_usual_scatter<'a>(discs: impl Iterator<Item = &'a mut PlateDisc>) {
+fn scale_to_median_scatter<'a>(discs: impl Iterator<Item = &'a mut PlateDisc>) {
     let discs: Vec<&mut PlateDisc> = discs.collect();
-    let usual = median(discs.iter().map(|disc| disc.scatter));
-    let Some(usual) = usual.filter(|_| discs.len() >= LEAST_DISCS) else {
+    let median_scatter = median(discs.iter().map(|disc| disc.scatter));
+    let Some(median_scatter) = median_scatter.filter(|_| discs.len() >= LEAST_DISCS) else {
         return;
     };
     for disc in discs.into_iter().filter(|disc| disc.scatter < 1.0) {
-        let scatter = disc.scatter.max(usual).min(1.0);
+        let scatter = disc.scatter.max(median_scatter).min(1.0);
         disc.centre.covariance *= scatter.powi(2);
         disc.radius_mil.sigma *= scatter;
     }

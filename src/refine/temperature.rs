@@ -26,19 +26,19 @@ pub(super) fn from_the_middle(time_s: &[f64], readings: &[Option<f64>]) -> Optio
         return None;
     }
     let knots = knots(&without_slips(&known));
-    let straight: Vec<f64> = straight(&knots, time_s);
-    let even = even(&straight, time_s);
-    let middle = median(&even)?;
-    let most = even.iter().map(|c| (c - middle).abs()).fold(0.0, f64::max);
-    (most > LEAST_CHANGE_C).then(|| even.iter().map(|c| c - middle).collect())
+    let readings: Vec<f64> = interpolated(&knots, time_s);
+    let means = running_mean(&readings, time_s);
+    let middle = median(&means)?;
+    let most = means.iter().map(|c| (c - middle).abs()).fold(0.0, f64::max);
+    (most > LEAST_CHANGE_C).then(|| means.iter().map(|c| c - middle).collect())
 }
 
 fn without_slips(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let near = |n: usize| &known[n.saturating_sub(SLIP)..known.len().min(n + SLIP + 1)];
-    let usual = |n: usize| median(near(n).iter().map(|(_, c)| c));
+    let local = |n: usize| median(near(n).iter().map(|(_, c)| c));
     let points = known.iter().enumerate();
     points
-        .map(|(n, (time_s, c))| (*time_s, usual(n).unwrap_or(*c)))
+        .map(|(n, (time_s, c))| (*time_s, local(n).unwrap_or(*c)))
         .collect()
 }
 
@@ -55,7 +55,7 @@ fn knots(known: &[(f64, f64)]) -> Vec<(f64, f64)> {
 }
 
 /// Linear interpolation between knots; constant before the first and after the last.
-fn straight(knots: &[(f64, f64)], time_s: &[f64]) -> Vec<f64> {
+fn interpolated(knots: &[(f64, f64)], time_s: &[f64]) -> Vec<f64> {
     let at = |time_s: &f64| {
         let next = knots.partition_point(|(t, _)| t <= time_s);
         match (next.checked_sub(1).map(|n| knots[n]), knots.get(next)) {
@@ -69,7 +69,7 @@ fn straight(knots: &[(f64, f64)], time_s: &[f64]) -> Vec<f64> {
 }
 
 /// Running mean over as many values before as after, up to the very ends, so that it leaves a straight line unchanged.
-fn even(values: &[f64], time_s: &[f64]) -> Vec<f64> {
+fn running_mean(values: &[f64], time_s: &[f64]) -> Vec<f64> {
     let count = values.len();
     let steps = time_s.windows(2).map(|pair| pair[1] - pair[0]);
     let step_s = median(steps).filter(|step_s| *step_s > 0.0);

@@ -5,8 +5,8 @@ use super::clock_facts::ClockFacts;
 use super::flags::TimeFlag;
 use super::times::{Stamp, Times, Timing};
 use crate::observe::{
-    CameraFrames, Done, FrameFacts, InputNotes, InputSummary, JournalError, Place, Record, Records,
-    Span,
+    CameraFrames, FrameFacts, InputNotes, InputSummary, JournalError, PassRecords, Place, Record,
+    Records, Span,
 };
 use crate::units::Measured;
 use rayon::prelude::*;
@@ -29,7 +29,7 @@ pub struct Timeline<T> {
     records: Records<T>,
     dated: Vec<DatedFrame>,
     /// Frames without a time and files without a frame, by name.
-    rest: Vec<Rest>,
+    unused: Vec<Unused>,
     /// Inputs that were not used as they stand.
     pub inputs: InputSummary,
     pub clock: ClockFacts,
@@ -45,7 +45,7 @@ struct DatedFrame {
 }
 
 #[derive(Debug, Clone)]
-enum Rest {
+enum Unused {
     Undated {
         file: String,
         place: Place,
@@ -64,11 +64,11 @@ enum Rest {
 /// A file of the timeline and its content.
 pub struct Entry<T> {
     pub file: String,
-    pub held: Held<T>,
+    pub data: Content<T>,
 }
 
 /// Content of a file.
-pub enum Held<T> {
+pub enum Content<T> {
     Frame(Box<T>),
     /// No usable frame, with the reason.
     None {
@@ -82,9 +82,13 @@ impl<T: Dated> Timeline<T> {
     ///
     /// # Errors
     /// If a journal cannot be read.
-    pub fn new(done: Done<T>, camera: CameraFrames, span: &Span) -> Result<Self, JournalError> {
+    pub fn new(
+        done: PassRecords<T>,
+        camera: CameraFrames,
+        span: &Span,
+    ) -> Result<Self, JournalError> {
         let mut notes = InputNotes::default();
-        let (mut stamps, mut stamped, mut rest) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut stamps, mut stamped, mut unused) = (Vec::new(), Vec::new(), Vec::new());
         for (some, first) in camera.inputs.chunks(TOGETHER).zip((0..).step_by(TOGETHER)) {
             let records = some.par_iter().map(|input| done.record(input));
             let records: Vec<Option<Record<T>>> = records.collect::<Result<_, _>>()?;
@@ -106,12 +110,12 @@ impl<T: Dated> Timeline<T> {
                     Err(error) => {
                         notes.unreadable(&error);
                         let file = file.file;
-                        rest.push(Rest::Unread { file, error });
+                        unused.push(Unused::Unread { file, error });
                     }
                 }
             }
         }
-        rest.extend(notes.copies(&camera.copies, span).map(|copy| Rest::Copy {
+        unused.extend(notes.copies(&camera.copies, span).map(|copy| Unused::Copy {
             file: copy.input.file.clone(),
             first: copy.first.clone(),
         }));
@@ -131,7 +135,7 @@ impl<T: Dated> Timeline<T> {
         for ((input, stamp), timing) in stamped.into_iter().zip(&stamps).zip(timings) {
             let input = &camera.inputs[input as usize];
             let Some(place) = done.place(input) else {
-                rest.push(Rest::Unread {
+                unused.push(Unused::Unread {
                     file: input.file.clone(),
                     error: "no record".into(),
                 });
@@ -143,7 +147,7 @@ impl<T: Dated> Timeline<T> {
                     utc_ns,
                     timing: (timing != Timing::default()).then(|| Box::new(timing)),
                 }),
-                None => rest.push(Rest::Undated {
+                None => unused.push(Unused::Undated {
                     file: input.file.clone(),
                     place,
                     timing,
@@ -152,11 +156,11 @@ impl<T: Dated> Timeline<T> {
         }
         // Frames of equal time keep the order of their paths, which is that of the inputs.
         dated.sort_by_key(|frame| frame.utc_ns);
-        rest.sort_by(|a, b| a.file().cmp(b.file()));
+        unused.sort_by(|a, b| a.file().cmp(b.file()));
         Ok(Self {
             records: done.into_records(),
             dated,
-            rest,
+            unused,
             inputs: notes.finish(),
             clock,
         })
@@ -164,7 +168,7 @@ impl<T: Dated> Timeline<T> {
 
     /// Number of files.
     pub fn len(&self) -> usize {
-        self.dated.len() + self.rest.len()
+        self.dated.len() + self.unused.len()
     }
 
     pub fn is_empty(&self) -> bool {
@@ -198,9 +202,9 @@ impl<T: Dated> Timeline<T> {
     pub fn timing(&self, n: usize) -> Timing {
         match self.dated.get(n) {
             Some(frame) => frame.timing.as_deref().copied().unwrap_or_default(),
-            None => match &self.rest[n - self.dated.len()] {
-                Rest::Undated { timing, .. } => *timing,
-                Rest::Unread { .. } | Rest::Copy { .. } => Timing::default(),
+            None => match &self.unused[n - self.dated.len()] {
+                Unused::Undated { timing, .. } => *timing,
+                Unused::Unread { .. } | Unused::Copy { .. } => Timing::default(),
             },
         }
     }
@@ -217,14 +221,14 @@ impl<T: Dated> Timeline<T> {
     pub fn entry(&self, n: usize) -> Result<Entry<T>, JournalError> {
         let none = |file: &String, error: String, copy_of| Entry {
             file: file.clone(),
-            held: Held::None { error, copy_of },
+            data: Content::None { error, copy_of },
         };
         let place = match self.dated.get(n) {
             Some(frame) => frame.place,
-            None => match &self.rest[n - self.dated.len()] {
-                Rest::Undated { place, .. } => *place,
-                Rest::Unread { file, error } => return Ok(none(file, error.clone(), None)),
-                Rest::Copy { file, first } => {
+            None => match &self.unused[n - self.dated.len()] {
+                Unused::Undated { place, .. } => *place,
+                Unused::Unread { file, error } => return Ok(none(file, error.clone(), None)),
+                Unused::Copy { file, first } => {
                     let error = format!("the same frame as {first}");
                     return Ok(none(file, error, Some(first.clone())));
                 }
@@ -234,7 +238,7 @@ impl<T: Dated> Timeline<T> {
         Ok(match outcome {
             Ok(frame) => Entry {
                 file: input.file,
-                held: Held::Frame(Box::new(frame)),
+                data: Content::Frame(Box::new(frame)),
             },
             Err(error) => none(&input.file, error, None),
         })
@@ -245,9 +249,9 @@ impl<T: Dated> Timeline<T> {
     /// # Errors
     /// If a journal cannot be read.
     pub fn frame(&self, n: usize) -> Result<Option<T>, JournalError> {
-        Ok(match self.entry(n)?.held {
-            Held::Frame(frame) => Some(*frame),
-            Held::None { .. } => None,
+        Ok(match self.entry(n)?.data {
+            Content::Frame(frame) => Some(*frame),
+            Content::None { .. } => None,
         })
     }
 
@@ -270,7 +274,7 @@ impl<T: Dated> Timeline<T> {
     }
 }
 
-impl Rest {
+impl Unused {
     fn file(&self) -> &str {
         match self {
             Self::Undated { file, .. } | Self::Unread { file, .. } | Self::Copy { file, .. } => {

@@ -35,7 +35,7 @@ pub(super) struct Dips(Vec<Dip>);
 
 impl Dips {
     /// Records the horizon of a frame.
-    pub fn see(&mut self, row: &RollRow) {
+    pub fn add(&mut self, row: &RollRow) {
         if let Some((unix_s, nadir)) = row.unix_s().zip(row.nadir_at_time()) {
             let sigma = nadir.covariance_rad2.m22.max(0.0).sqrt();
             let rad = Measured::new(nadir.unit.y, sigma);

@@ -20,21 +20,21 @@ pub fn limb(disc: &Disc) -> Vec<HelioprojectiveArcsec> {
     (0..=360 / STEP_DEG).map(at).collect()
 }
 
-/// The visible circles of latitude and meridians, every `apart_deg`, from the equator and the central meridian.
-pub fn graticule(disc: &Disc, apart_deg: u32) -> Vec<Vec<HelioprojectiveArcsec>> {
-    let circles = (apart_deg..180)
-        .step_by(apart_deg as usize)
+/// The visible circles of latitude and meridians, every `spacing_deg`, from the equator and the central meridian.
+pub fn graticule(disc: &Disc, spacing_deg: u32) -> Vec<Vec<HelioprojectiveArcsec>> {
+    let circles = (spacing_deg..180)
+        .step_by(spacing_deg as usize)
         .map(|from_pole_deg| {
             let latitude_deg = f64::from(from_pole_deg) - 90.0;
             let around = (0..=360 / STEP_DEG).map(|n| f64::from(n * STEP_DEG));
-            seen(
+            visible(
                 disc,
                 around.map(|longitude_deg| (latitude_deg, longitude_deg)),
             )
         });
-    let meridians = (0..360).step_by(apart_deg as usize).map(|longitude_deg| {
+    let meridians = (0..360).step_by(spacing_deg as usize).map(|longitude_deg| {
         let up = (0..=180 / STEP_DEG).map(|n| f64::from(n * STEP_DEG) - 90.0);
-        seen(
+        visible(
             disc,
             up.map(|latitude_deg| (latitude_deg, f64::from(longitude_deg))),
         )
@@ -43,7 +43,7 @@ pub fn graticule(disc: &Disc, apart_deg: u32) -> Vec<Vec<HelioprojectiveArcsec>>
 }
 
 /// The visible parts of a line on the sphere. Longitudes count from the meridian behind the Sun, so that a circle is one part.
-fn seen(disc: &Disc, line: impl Iterator<Item = (f64, f64)>) -> Vec<Vec<HelioprojectiveArcsec>> {
+fn visible(disc: &Disc, line: impl Iterator<Item = (f64, f64)>) -> Vec<Vec<HelioprojectiveArcsec>> {
     let epoch = Timestamp::UNIX_EPOCH;
     let places: Vec<Option<HelioprojectiveArcsec>> = line
         .map(|(latitude_deg, longitude_deg)| {

@@ -1,7 +1,7 @@
 //! Frames that an existing file is already based on.
 
 use super::scenes::{K1, near, pose_folder, similarity, truth};
-use solaspect::calibrate::plate::{self, Beginning, Counted};
+use solaspect::calibrate::plate::{self, StartFrom, UsedFrames};
 use solaspect::calibrate::revision::Revision;
 use solaspect::geometry::SimilarityParameters;
 use solaspect::instrument::{Instrument, builtin_text};
@@ -26,17 +26,20 @@ fn no_frame_counts_twice_in_a_file() {
     let next = |text: &str, given: &[PathBuf]| {
         let mut revision = Revision::of(Path::new("a.toml"), text).unwrap();
         let start = Instrument::parse(Path::new("a.toml"), text).unwrap();
-        let counted = Counted::of(&revision);
-        let calibration = plate::calibrate(given, &start, &counted, &()).unwrap();
+        let used_frames = UsedFrames::of(&revision);
+        let calibration = plate::calibrate(given, &start, &used_frames, &()).unwrap();
         calibration.revise(&mut revision);
         (calibration, revision.finish().unwrap().0)
     };
     let (first, text) = next(builtin_text("demo").unwrap(), &folders[..2]);
-    assert_eq!((first.beginning, first.poses.len()), (Beginning::File, 2));
+    assert_eq!((first.start_from, first.poses.len()), (StartFrom::File, 2));
 
     // One known pose and one new one.
     let (second, text) = next(&text, &folders[1..]);
-    assert_eq!((second.beginning, second.poses.len()), (Beginning::File, 1));
+    assert_eq!(
+        (second.start_from, second.poses.len()),
+        (StartFrom::File, 1)
+    );
     let set_aside = second
         .rejected
         .iter()
@@ -51,11 +54,11 @@ fn no_frame_counts_twice_in_a_file() {
     // All folders, then one of them: the marks begin with the drawing, and the file rests on the given frames alone.
     let (third, all) = next(&text, &folders);
     assert_eq!(
-        (third.beginning, third.poses.len()),
-        (Beginning::Drawing, 3)
+        (third.start_from, third.poses.len()),
+        (StartFrom::Drawing, 3)
     );
     let (fourth, some) = next(&text, &folders[..1]);
-    assert_eq!(fourth.beginning, Beginning::Drawing);
+    assert_eq!(fourth.start_from, StartFrom::Drawing);
     let hashes = |text: &str| {
         let (_, list) = text.split_once("frame_hashes = \"").unwrap();
         list.split('"').next().unwrap().split(' ').count()

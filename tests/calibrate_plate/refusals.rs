@@ -1,7 +1,7 @@
 //! Sets of frames that give no calibration.
 
 use super::scenes::calibrate;
-use solaspect::calibrate::plate::{Lack, Refusal};
+use solaspect::calibrate::plate::{MissingCoverage, Refusal};
 use solaspect::fits::{self, Compression};
 use solaspect::instrument::builtin;
 use solaspect::simulate::{Conditions, Depth, RandomScenes, Scene};
@@ -107,7 +107,7 @@ fn a_set_that_gives_no_calibration_is_refused_with_what_to_take_instead() {
 
 #[test]
 fn frames_that_do_not_determine_the_plate_are_named_with_the_parts_to_photograph() {
-    let lack = Lack {
+    let lack = MissingCoverage {
         pose: "folder, pose 2".into(),
         frames: 3,
         marks: 1,

@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::StandardNormal;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use solaspect::calibrate::plate::{
-    self, Calibration, Counted, FrameObservation, MarkObservation, Refusal,
+    self, Calibration, FrameObservation, MarkObservation, Refusal, UsedFrames,
 };
 use solaspect::fits::{self, Compression};
 use solaspect::geometry::{Distortion, Handedness, Mapping, SimilarityParameters};
@@ -97,7 +97,7 @@ pub fn pose_folder(
 }
 
 pub fn calibrate(given: &[PathBuf], start: &Instrument) -> Result<Calibration, Refusal> {
-    plate::calibrate(given, start, &Counted::default(), &())
+    plate::calibrate(given, start, &UsedFrames::default(), &())
 }
 
 /// 1 sigma of a generated observation, px.

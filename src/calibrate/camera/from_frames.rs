@@ -13,7 +13,7 @@ use std::path::PathBuf;
 
 /// Frames and folders of frames, by kind.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Given<'a> {
+pub struct InputFiles<'a> {
     /// Dark frames, at equal exposure.
     pub dark: &'a [PathBuf],
     /// Evenly illuminated frames, two at each of several exposures.
@@ -38,7 +38,7 @@ pub struct FromFrames {
 /// # Errors
 /// If the frames are not the instrument's, or determine nothing.
 pub fn from_frames(
-    given: Given<'_>,
+    given: InputFiles<'_>,
     stated: &Instrument,
     watch: &dyn Watch,
 ) -> Result<FromFrames, CalibrateError<CameraError>> {

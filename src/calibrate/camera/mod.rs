@@ -28,7 +28,7 @@ mod shots;
 mod transfer;
 
 pub use calibration::{CameraCalibration, CameraError, Inputs, calibrate};
-pub use from_frames::{FromFrames, Given, from_frames};
+pub use from_frames::{FromFrames, InputFiles, from_frames};
 pub use light::WrongLight;
 pub use report::page;
 pub use shots::{Shot, Shots, SunShot, load, solve};

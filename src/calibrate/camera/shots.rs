@@ -4,7 +4,7 @@ use crate::aspect::{self, Expected, Quality};
 use crate::calibrate::frames::{FramesError, Setting};
 use crate::frame::Frame;
 use crate::instrument::Instrument;
-use crate::observe::{RejectedFrame, Watch, over};
+use crate::observe::{RejectedFrame, Watch, each_frame};
 use crate::units::SensorPx;
 use std::path::{Path, PathBuf};
 
@@ -117,7 +117,7 @@ pub fn load(
 ) -> Result<(Shots, Vec<RejectedFrame>), FramesError> {
     let keep = kept(files);
     let size_px = instrument.camera.size_px();
-    let observed = over(files.to_vec(), size_px, watch, |file, frame| {
+    let observed = each_frame(files.to_vec(), size_px, watch, |file, frame| {
         let is_kept = keep.iter().any(|kept| *kept == file);
         let check = check_size(&frame, instrument, file);
         check.map(|()| is_kept.then(|| Shot::without_sun(file, frame)))
@@ -160,7 +160,7 @@ pub fn solve(
 ) -> Result<(Shots, Vec<SunShot>, Vec<RejectedFrame>), FramesError> {
     let keep = kept(files);
     let size_px = instrument.camera.size_px();
-    let observed = over(files.to_vec(), size_px, watch, |file, frame| {
+    let observed = each_frame(files.to_vec(), size_px, watch, |file, frame| {
         let is_kept = keep.iter().any(|kept| *kept == file);
         check_size(&frame, instrument, file).map(|()| solve_one(file, frame, instrument, is_kept))
     })?;

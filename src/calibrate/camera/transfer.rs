@@ -13,7 +13,7 @@ use nalgebra::Vector2;
 /// Least span of light, in units of the read noise, that determines a slope.
 const LEAST_SPAN: f64 = 3.0;
 /// Relative noise between neighbours that the plate's grain and the wings of the marks' images may add.
-const GRAIN: f64 = 0.03;
+const GRAIN_NOISE: f64 = 0.03;
 
 /// Light above the dark level (DN) and variance (DN^2), with the number of pixels.
 struct Point {
@@ -80,7 +80,7 @@ pub(super) fn by_suns(
     let mut points: Vec<Point> = suns
         .frames
         .iter()
-        .flat_map(|shot| grain(shot, reach, dark))
+        .flat_map(|shot| noise_in_rings(shot, reach, dark))
         .collect();
     if let Ok(noise) = &dark.noise {
         let pixels = points.iter().map(|p| p.pixels).sum();
@@ -91,11 +91,11 @@ pub(super) fn by_suns(
         });
     }
     let how = "from neighbouring pixels of the Sun's disc between the marks; the plate's grain counts as noise, so at most this";
-    conclude(points, dark, none, how, GRAIN)
+    conclude(points, dark, none, how, GRAIN_NOISE)
 }
 
 /// Light and noise in rings of the disc: difference of a pixel from the mean of its left and right neighbours.
-fn grain(shot: &Shot, mark_reach_px: f64, dark: &Dark) -> Vec<Point> {
+fn noise_in_rings(shot: &Shot, mark_reach_px: f64, dark: &Dark) -> Vec<Point> {
     const RINGS: usize = 6;
     const OUTERMOST: f64 = 0.9;
     let Some((centre, radius)) = shot.disc else {

@@ -4,7 +4,7 @@ use crate::calibrate::parts::{PARTS, named, part};
 use crate::calibrate::roll_camera::Horizons;
 use crate::horizon::{EdgeHeight, EdgeRays, Sphere};
 use crate::instrument::DirectionCamera;
-use crate::observe::{InputError, RejectedFrame, Watch, over};
+use crate::observe::{InputError, RejectedFrame, Watch, each_frame};
 use jiff::Timestamp;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -30,7 +30,7 @@ pub(super) fn collect(
     watch: &dyn Watch,
 ) -> Result<(Vec<Limb>, Vec<RejectedFrame>), InputError> {
     let size_px = horizons.camera.size_px();
-    let observed = over(files.to_vec(), size_px, watch, |file, frame| {
+    let observed = each_frame(files.to_vec(), size_px, watch, |file, frame| {
         let (sphere, solution) = horizons.solved(&frame, height)?;
         match (height, solution.nadir) {
             (EdgeHeight::Given, Err(stopped)) => Err(stopped.to_string()),
@@ -43,7 +43,7 @@ pub(super) fn collect(
             }),
         }
     })?;
-    let (mut limbs, rejected) = observed.parted();
+    let (mut limbs, rejected) = observed.split();
     limbs.sort_by_key(|limb| limb.utc);
     Ok((limbs, rejected))
 }

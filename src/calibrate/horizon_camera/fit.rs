@@ -24,7 +24,7 @@ const LEAST_FRAMES: usize = 30;
 const BLOCKS: usize = 60;
 const MOST_STEPS: usize = 30;
 /// A shorter step ends the fit, in sigmas: points that enter or leave the edge change the solution by less.
-const SETTLED_SIGMAS: f64 = 0.02;
+const CONVERGED_SIGMAS: f64 = 0.02;
 /// Step of the camera's numerical derivatives, relative to the assumed sigma of its file.
 const DIFFERENCE: f64 = 1e-3;
 /// Number of parameters of a frame: its nadir and the shared ones.
@@ -74,7 +74,7 @@ impl Optics {
                     unknown,
                     most,
                     found,
-                    instead: what_would(self),
+                    advice: advice(self),
                 });
             }
         }
@@ -88,14 +88,14 @@ pub enum OpticsError {
     #[error("too few frames: expected at least {LEAST_FRAMES} that show the limb, found {0}")]
     TooFew(usize),
     #[error(
-        "the {} is not determined: expected a sigma of {} at most, found {}; {instead}",
+        "the {} is not determined: expected a sigma of {} at most, found {}; {advice}",
         .unknown.name(), sigma_text(*.most), sigma_text(*.found)
     )]
     NotDetermined {
         unknown: Unknown,
         most: f64,
         found: f64,
-        instead: String,
+        advice: String,
     },
     #[error(
         "no camera fits the frames: expected an edge that is a cone of rays, found none after {MOST_STEPS} steps; check size, focal length and heights"
@@ -120,7 +120,7 @@ pub fn fit(limbs: &[Limb], file: &DirectionCamera) -> Result<Optics, OpticsError
         let solved = sum.solve(&prior, &change).ok_or(OpticsError::NoFit)?;
         let covariance = sandwich(&frames, &solved, &prior.information);
         let sigmas = covariance.diagonal().map(f64::sqrt);
-        if solved.step.component_div(&sigmas).amax() < SETTLED_SIGMAS {
+        if solved.step.component_div(&sigmas).amax() < CONVERGED_SIGMAS {
             return optics(limbs, &stated, change, covariance).ok_or(OpticsError::NoFit);
         }
         change += solved.step;
@@ -143,8 +143,8 @@ fn of_frames(
 ) -> Option<Vec<Normal<UNKNOWNS>>> {
     let cameras = Cameras::new(stated, change)?;
     let frame = |limb: &Limb| {
-        let seen = Seen::by(&cameras.camera, limb, change)?;
-        cameras.normal(&seen).of_last::<2, UNKNOWNS>()
+        let limb = ObservedLimb::by(&cameras.camera, limb, change)?;
+        cameras.normal(&limb).of_last::<2, UNKNOWNS>()
     };
     let frames = limbs.par_iter().map(frame);
     Some(
@@ -155,7 +155,7 @@ fn of_frames(
 }
 
 /// A limb observed with a camera.
-struct Seen {
+struct ObservedLimb {
     /// The Earth's sphere with the common height of the edge.
     sphere: Sphere,
     /// 1 sigma of the half-angle common to all frames: from the edge's height, and from its dependence on the picture's brightness.
@@ -164,15 +164,15 @@ struct Seen {
     nadir: Nadir,
 }
 
-impl Seen {
+impl ObservedLimb {
     /// `None` if the edge does not determine a nadir.
     fn by(camera: &CameraModel, limb: &Limb, change: &Change) -> Option<Self> {
-        let seen = |ray: &EdgeRay| {
+        let with_camera = |ray: &EdgeRay| {
             let unit = camera.ray(ray.at)?;
             Some(EdgeRay { unit, ..*ray })
         };
         let edge = EdgeRays {
-            rays: limb.edge.rays.iter().filter_map(seen).collect(),
+            rays: limb.edge.rays.iter().filter_map(with_camera).collect(),
             sigma_rad: limb.edge.sigma_rad,
         };
         let mut sphere = limb.sphere;
@@ -200,15 +200,15 @@ impl Seen {
     }
 
     /// Angle of a ray inside the edge, rad.
-    fn left_rad(&self, ray: &EdgeRay) -> f64 {
+    fn residual_rad(&self, ray: &EdgeRay) -> f64 {
         let down = self.down();
         self.sphere.half_angle_towards(&ray.unit, down) - ray.angle_from(down).0
     }
 
     /// The point of the edge nearest to a ray.
-    fn foot(&self, ray: &EdgeRay) -> UnitVector3<f64> {
+    fn nearest_edge(&self, ray: &EdgeRay) -> UnitVector3<f64> {
         let inward = self.down().into_inner() - ray.unit.into_inner() * ray.unit.dot(self.down());
-        let (sine, cosine) = self.left_rad(ray).sin_cos();
+        let (sine, cosine) = self.residual_rad(ray).sin_cos();
         UnitVector3::new_normalize(ray.unit.into_inner() * cosine - inward.normalize() * sine)
     }
 }
@@ -216,30 +216,30 @@ impl Seen {
 /// A camera, and variants with each of its unknowns changed by a small step.
 struct Cameras {
     camera: CameraModel,
-    moved: [(CameraModel, f64); UNKNOWNS - 1],
+    varied: [(CameraModel, f64); UNKNOWNS - 1],
 }
 
 impl Cameras {
     fn new(stated: &Stated<'_>, change: &Change) -> Option<Self> {
         let camera = stated.camera(change)?;
-        let mut moved = [(camera, 1.0); UNKNOWNS - 1];
-        for (n, (camera, by)) in moved.iter_mut().enumerate() {
+        let mut varied = [(camera, 1.0); UNKNOWNS - 1];
+        for (n, (camera, by)) in varied.iter_mut().enumerate() {
             *by = DIFFERENCE * Unknown::ALL[n].stated_sigma(stated.file);
             let mut change = *change;
             change[n] += *by;
             *camera = stated.camera(&change)?;
         }
-        Some(Self { camera, moved })
+        Some(Self { camera, varied })
     }
 
     /// The normal equations of a frame, for its nadir and the shared parameters. Rays beyond a lens's limit are ignored.
-    fn normal(&self, seen: &Seen) -> Normal<OF_FRAME> {
+    fn normal(&self, limb: &ObservedLimb) -> Normal<OF_FRAME> {
         let mut normal = Normal::zero();
-        for ray in seen.agreeing() {
-            if let Some(slopes) = self.slopes(seen, ray) {
+        for ray in limb.agreeing() {
+            if let Some(slopes) = self.slopes(limb, ray) {
                 let own_rad = ray.sigma_rad.hypot(ray.of_brightness_rad);
-                let weight = (seen.nadir.scatter * own_rad).powi(-2);
-                normal.add(&slopes, seen.left_rad(ray), weight);
+                let weight = (limb.nadir.scatter * own_rad).powi(-2);
+                normal.add(&slopes, limb.residual_rad(ray), weight);
             }
         }
         normal
@@ -248,21 +248,21 @@ impl Cameras {
     /// Derivatives of a ray's angle from the edge, by the nadir and the shared parameters. They are evaluated at the nearest point of the
     /// edge: at the ray its noise would enter its own derivatives, and a longer focal length would seem better because all angles,
     /// including noise, are smaller with it.
-    fn slopes(&self, seen: &Seen, ray: &EdgeRay) -> Option<SVector<f64, OF_FRAME>> {
-        let foot = EdgeRay {
-            unit: seen.foot(ray),
+    fn slopes(&self, limb: &ObservedLimb, ray: &EdgeRay) -> Option<SVector<f64, OF_FRAME>> {
+        let nearest = EdgeRay {
+            unit: limb.nearest_edge(ray),
             ..*ray
         };
-        let at = self.camera.pixel(&foot.unit)?;
-        let (angle, by_nadir) = foot.angle_from(seen.down());
-        let by_nadir = across(seen.down()).transpose() * by_nadir;
+        let at = self.camera.pixel(&nearest.unit)?;
+        let (angle, by_nadir) = nearest.angle_from(limb.down());
+        let by_nadir = across(limb.down()).transpose() * by_nadir;
         let mut slopes = SVector::<f64, OF_FRAME>::zeros();
         slopes.fixed_rows_mut::<2>(0).copy_from(&by_nadir);
-        for (n, (camera, by)) in self.moved.iter().enumerate() {
+        for (n, (camera, by)) in self.varied.iter().enumerate() {
             let unit = camera.ray(at)?;
-            slopes[2 + n] = (EdgeRay { unit, ..foot }.angle_from(seen.down()).0 - angle) / by;
+            slopes[2 + n] = (EdgeRay { unit, ..nearest }.angle_from(limb.down()).0 - angle) / by;
         }
-        slopes[2 + Unknown::Edge as usize] = -seen.edge_rad;
+        slopes[2 + Unknown::Edge as usize] = -limb.edge_rad;
         Some(slopes)
     }
 }
@@ -296,16 +296,16 @@ fn optics(
 ) -> Option<Optics> {
     let camera = stated.camera(&change)?;
     let (mut squares, mut agreeing, mut points, mut frames) = (0.0, 0, 0, 0);
-    for seen in limbs
+    for limb in limbs
         .iter()
-        .filter_map(|limb| Seen::by(&camera, limb, &change))
+        .filter_map(|limb| ObservedLimb::by(&camera, limb, &change))
     {
         frames += 1;
-        points += seen.rays.len();
-        agreeing += seen.nadir.agreeing();
-        for ray in seen.agreeing() {
+        points += limb.rays.len();
+        agreeing += limb.nadir.agreeing();
+        for ray in limb.agreeing() {
             let px_per_rad = (camera.pixel_jacobian(&ray.unit)? * ray.inward).norm();
-            squares += (px_per_rad * seen.left_rad(ray)).powi(2);
+            squares += (px_per_rad * limb.residual_rad(ray)).powi(2);
         }
     }
     Some(Optics {
@@ -321,7 +321,7 @@ fn optics(
 }
 
 /// Advice on optics that the frames do not determine.
-fn what_would(optics: &Optics) -> String {
+fn advice(optics: &Optics) -> String {
     match &optics.uncrossed[..] {
         [] => "state the camera's height and roll.atmosphere_m with smaller sigmas, or take frames from higher up, where the limb curves more".into(),
         parts => format!(

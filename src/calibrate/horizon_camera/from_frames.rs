@@ -63,7 +63,7 @@ pub fn from_frames(
         if is_same {
             let times = limbs.iter().filter_map(|limb| limb.utc);
             return Ok(FromFrames {
-                provenance: Provenance::over(NAME, DONE, optics.frames, times, &files),
+                provenance: Provenance::of_frames(NAME, DONE, optics.frames, times, &files),
                 optics,
                 rejected,
             });

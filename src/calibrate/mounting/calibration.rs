@@ -83,20 +83,20 @@ fn check_spread(
     if found_mil >= LEAST_MIL {
         return Ok(());
     }
-    let instead = match pointings {
+    let advice = match pointings {
         Pointings::Known => "point at the Sun and half a degree to each side of it",
         Pointings::Fixed => "fix the gondola ahead of the Sun and take frames for 10 minutes",
     };
     Err(MountingError::OnePlace {
         found_mil,
         limit_mil: LEAST_MIL,
-        instead,
+        advice,
     })
 }
 
 /// Refuses a poor fit: the telescope moved, or the pointings are of another night.
 fn check_agreement(fit: &MountingFit, pointings: Pointings) -> Result<(), MountingError> {
-    let (limit_mil, instead) = match pointings {
+    let (limit_mil, advice) = match pointings {
         Pointings::Known => (200.0, "check the clock and the place of the pointings"),
         Pointings::Fixed => (
             30.0,
@@ -109,7 +109,7 @@ fn check_agreement(fit: &MountingFit, pointings: Pointings) -> Result<(), Mounti
     Err(MountingError::NoAgreement {
         found_mil: fit.scatter_mil,
         limit_mil,
-        instead,
+        advice,
     })
 }
 

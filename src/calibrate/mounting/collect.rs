@@ -8,7 +8,7 @@ use crate::fits;
 use crate::frame::Frame;
 use crate::geometry::Handedness;
 use crate::instrument::Instrument;
-use crate::observe::{RejectedFrame, Watch, over};
+use crate::observe::{RejectedFrame, Watch, each_frame};
 use crate::pointing::Horizontal;
 use crate::sky::{Air, Ephemeris, SkyError, SunPosition};
 use crate::units::Place;
@@ -32,7 +32,7 @@ pub struct Frames<'a> {
 
 /// Missing facts of a frame; if all frames lack the same, this is the reason why there is no calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Lack {
+enum Missing {
     Time,
     Place,
     Pointing,
@@ -40,7 +40,7 @@ enum Lack {
 }
 
 /// The reason why a frame gives no observation.
-type Rejection = (Lack, String);
+type Rejection = (Missing, String);
 
 /// Solves the frames; returns their observations in the order of the files, the rejected frames, and the handedness of the camera's view:
 /// as the instrument states, unless the marks can be identified only in the other handedness.
@@ -60,11 +60,11 @@ pub fn collect(
         ..frames.clone()
     };
     let size_px = instrument.camera.size_px();
-    let observed = over(files.to_vec(), size_px, watch, |file, frame| {
+    let observed = each_frame(files.to_vec(), size_px, watch, |file, frame| {
         frames.observe(file, &frame, &mut frames.ephemeris.clone())
     })?;
     let (mut observations, mut rejected) = (Vec::new(), Vec::new());
-    let (mut settings, mut lacks) = (Vec::new(), Vec::new());
+    let (mut settings, mut missing) = (Vec::new(), Vec::new());
     for (file, outcome) in observed.frames {
         let outcome = match outcome {
             Ok(observed) => {
@@ -72,37 +72,37 @@ pub fn collect(
                 settings.push(setting);
                 outcome
             }
-            Err(unread) => Err((Lack::Other, unread)),
+            Err(unread) => Err((Missing::Other, unread)),
         };
         match outcome {
             Ok(observation) => observations.push(observation),
-            Err((lack, reason)) => {
-                lacks.push(lack);
+            Err((fact, reason)) => {
+                missing.push(fact);
                 rejected.push(RejectedFrame::new(file, reason));
             }
         }
     }
     check_settings(&settings, frames.instrument)?;
-    explain(&lacks, &rejected, observations.len())?;
+    explain(&missing, &rejected, observations.len())?;
     rejected.extend(observed.copies);
     Ok((observations, rejected, handedness))
 }
 
 /// The reason why hardly any frame gave an observation, if most of them lack the same fact.
 fn explain(
-    lacks: &[Lack],
+    missing: &[Missing],
     rejected: &[RejectedFrame],
     observations: usize,
 ) -> Result<(), FramesError> {
     /// With fewer observations an explanation is given.
     const FEW: usize = 5;
-    let all = lacks.len() + observations;
-    let most = |lack: Lack| 2 * lacks.iter().filter(|l| **l == lack).count() > all;
-    let lacking = match rejected.first() {
+    let all = missing.len() + observations;
+    let most = |fact: Missing| 2 * missing.iter().filter(|l| **l == fact).count() > all;
+    let reason = match rejected.first() {
         _ if observations >= FEW => return Ok(()),
-        _ if most(Lack::Time) => "frames without time: expected DATE-AVG or DATE-OBS in every frame, found none; take FITS frames with their UTC".into(),
-        _ if most(Lack::Place) => "frames without place: expected OBSGEO-L, -B, -H in every frame, or --place LAT,LON,HEIGHT_M".into(),
-        Some(first) if most(Lack::Pointing) => format!(
+        _ if most(Missing::Time) => "frames without time: expected DATE-AVG or DATE-OBS in every frame, found none; take FITS frames with their UTC".into(),
+        _ if most(Missing::Place) => "frames without place: expected OBSGEO-L, -B, -H in every frame, or --place LAT,LON,HEIGHT_M".into(),
+        Some(first) if most(Missing::Pointing) => format!(
             "frames without pointing: expected pointings at the frames' times, found every frame outside them (the first is {})",
             first.reason
         ),
@@ -110,7 +110,7 @@ fn explain(
         Some(first) => format!("no frame shows the Sun on the plate; the first, {first}"),
         None => "expected frames, found none".into(),
     };
-    Err(FramesError::Lacking(lacking))
+    Err(FramesError::Missing(reason))
 }
 
 /// Handedness of the camera's view: the coded marks can be identified in one handedness only.
@@ -169,20 +169,20 @@ impl Frames<'_> {
         ephemeris: &mut Ephemeris,
     ) -> Result<SunObservation, Rejection> {
         let info = &frame.info;
-        let utc = info.mid_exposure.ok_or((Lack::Time, "no time".into()))?;
+        let utc = info.mid_exposure.ok_or((Missing::Time, "no time".into()))?;
         let place = info.place.or(self.place);
-        let place = place.ok_or((Lack::Place, "no place".into()))?;
+        let place = place.ok_or((Missing::Place, "no place".into()))?;
         let air = self.air.unwrap_or(Air::standard(place.height_m));
         let pointing = self.log.map(|log| log.at(utc)).transpose();
-        let pointing = pointing.map_err(|reason| (Lack::Pointing, reason))?;
+        let pointing = pointing.map_err(|reason| (Missing::Pointing, reason))?;
         let pointing = pointing.map(|p| if self.apparent { p } else { apparent(p, &air) });
         let sun = apparent_sun(ephemeris, utc, place, &air)
-            .map_err(|error| (Lack::Other, error.to_string()))?;
+            .map_err(|error| (Missing::Other, error.to_string()))?;
         let solution = solve(frame, seen);
         let fine = solution.quality == Quality::Fine;
         let aspect = solution.aspect.filter(|_| fine).ok_or_else(|| {
             let why = solution.stopped.map(|stopped| stopped.to_string());
-            (Lack::Other, why.unwrap_or("no Sun".into()))
+            (Missing::Other, why.unwrap_or("no Sun".into()))
         })?;
         Ok(SunObservation {
             file: file.into(),

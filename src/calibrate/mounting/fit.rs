@@ -51,7 +51,7 @@ const START_PASSES: usize = 4;
 /// Greatest number of fits alternating with estimates of the scatter; a median may alternate between two neighbours.
 const SCATTER_PASSES: usize = 15;
 /// A smaller relative change of the scatter counts as converged.
-const SETTLED: f64 = 1e-6;
+const CONVERGED: f64 = 1e-6;
 /// Convergence of the fits, in sigmas of the unknowns: of the first ones, which only find the outliers, and of the last.
 const ROUGH_SIGMAS: f64 = 0.05;
 const FINE_SIGMAS: f64 = 1e-6;
@@ -111,7 +111,7 @@ impl MountingFit {
 
     /// Difference of the sums of squares, another fit's minus this one's, with the better one's sigmas. The square of each observation is
     /// limited, and correlated neighbours count once.
-    pub(super) fn advantage(&self, over: &Self) -> f64 {
+    pub(super) fn chi2_gain(&self, over: &Self) -> f64 {
         const MOST_SQUARE: f64 = 12.25;
         let better = match self.scatter_mil <= over.scatter_mil {
             true => self,
@@ -165,7 +165,7 @@ pub(super) fn fit(
         Directions::Sun2013 => Directions::Telescope,
     };
     let (best, other) = match (by(own), by(other)) {
-        (Ok(own), Ok(other)) if other.advantage(&own) > DISTINGUISHED => (other, Some(own)),
+        (Ok(own), Ok(other)) if other.chi2_gain(&own) > DISTINGUISHED => (other, Some(own)),
         (Ok(own), other) => (own, other.ok()),
         (Err(_), Ok(other)) => (other, None),
         (Err(error), Err(_)) => return Err(error),
@@ -192,19 +192,19 @@ impl Model<'_> {
             scale: Scale::Stated,
             tolerance_sigmas: ROUGH_SIGMAS,
         };
-        fit.start = self.settled(fit, &all)?.parameters;
+        fit.start = self.fit_scatter(fit, &all)?.parameters;
         (fit.loss, fit.tolerance_sigmas) = (Loss::Squares, FINE_SIGMAS);
         let residuals = self.residuals(&fit.start, &all);
         let accepted: Vec<bool> = residuals
             .iter()
             .map(|r| r.normalised() < MOST_SIGMAS)
             .collect();
-        let fitted = self.settled(fit, &accepted)?;
+        let fitted = self.fit_scatter(fit, &accepted)?;
         Ok(self.conclude(&fitted, &accepted))
     }
 
     /// Fits the accepted observations. Their variances include the extra scatter, which depends on the fit.
-    fn settled<const N: usize>(
+    fn fit_scatter<const N: usize>(
         &self,
         mut fit: LeastSquares<N>,
         accepted: &[bool],
@@ -216,9 +216,9 @@ impl Model<'_> {
             let fitted = fit.fit(|values| Some(self.linearised(values, &sigmas, accepted)))?;
             residuals = self.residuals(&fitted.parameters, accepted);
             let mut changes = residuals.iter().zip(&sigmas);
-            let rests = changes.all(|(r, sigma)| (r.sigma_mil / sigma - 1.0).abs() < SETTLED);
+            let converged = changes.all(|(r, sigma)| (r.sigma_mil / sigma - 1.0).abs() < CONVERGED);
             pass += 1;
-            if rests || pass == SCATTER_PASSES {
+            if converged || pass == SCATTER_PASSES {
                 return Ok(fitted);
             }
             fit.start = fitted.parameters;
@@ -249,8 +249,8 @@ impl Model<'_> {
             let [clocking, distance] = self.turned(&start);
             mounting = Vector4::new(centre.x, centre.y, clocking, distance);
             let best = &self.observations[start.best];
-            let seen = best.sun_plate.position.vector() - centre.vector();
-            let front = centre.vector() + self.side.seen(seen);
+            let shift = best.sun_plate.position.vector() - centre.vector();
+            let front = centre.vector() + self.side.view(shift);
             let instrument = self.instrument(mounting.as_slice());
             let sun = &best.sun;
             towards = pointing::pointing(front.into(), Roll::Stated, &instrument, sun).ok()?;

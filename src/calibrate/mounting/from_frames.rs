@@ -18,7 +18,7 @@ use std::path::PathBuf;
 pub struct FromFrames {
     pub mounting: Mounting,
     /// The initial instrument, but with the handedness determined from the marks.
-    pub seen: Instrument,
+    pub oriented: Instrument,
     /// Handedness of the camera's view, if it differs from the instrument's.
     pub other_handedness: Option<Handedness>,
     pub rejected: Vec<RejectedFrame>,
@@ -40,9 +40,9 @@ pub fn from_frames(
         Some(_) => Pointings::Known,
         None => Pointings::Fixed,
     };
-    let mut seen = frames.instrument.clone();
-    seen.mounting.handedness = handedness;
-    let mounting = calibrate(&observations, pointings, &seen)
+    let mut oriented = frames.instrument.clone();
+    oriented.mounting.handedness = handedness;
+    let mounting = calibrate(&observations, pointings, &oriented)
         .map_err(CalibrateError::undetermined(&rejected))?;
     rejected.extend(mounting.rejected.iter().cloned());
     let stated = frames.instrument.mounting.handedness;
@@ -50,7 +50,7 @@ pub fn from_frames(
         provenance: provenance(&mounting, &files),
         other_handedness: Some(handedness).filter(|found| *found != stated),
         mounting,
-        seen,
+        oriented,
         rejected,
     })
 }
@@ -67,7 +67,7 @@ impl FromFrames {
 
     /// For people, without the rejected frames.
     pub fn lines(&self) -> Vec<String> {
-        let mut lines = vec![self.mounting.agreement(&self.seen)];
+        let mut lines = vec![self.mounting.agreement(&self.oriented)];
         lines.extend(self.mounting.quantities.iter().map(ToString::to_string));
         let found = self.other_handedness.map(Handedness::name);
         lines.extend(found.map(|name| format!("handedness: determined by the marks: {name}")));
@@ -78,7 +78,7 @@ impl FromFrames {
     /// If a figure cannot be drawn.
     pub fn page(&self) -> Result<String, PlotError> {
         let source = &self.provenance.source;
-        page(&self.mounting, &self.seen, source, &self.rejected)
+        page(&self.mounting, &self.oriented, source, &self.rejected)
     }
 }
 
@@ -91,5 +91,5 @@ fn provenance(mounting: &Mounting, files: &[PathBuf]) -> Provenance {
     let frames = mounting.fit.accepted();
     let done = format!("mounting calibration, {way}");
     // The Sun's path determines the plate's mounting, not the camera that sees it.
-    Provenance::over("mounting", &done, frames, times, files)
+    Provenance::of_frames("mounting", &done, frames, times, files)
 }

@@ -108,12 +108,12 @@ impl AngleLog {
         let nearest = nearest.min_by(|a, b| away_s(a).total_cmp(&away_s(b)));
         match nearest.filter(|row| away_s(row) <= SAME_TIME_S) {
             Some(row) => Ok((row.1, row.1, 0.0)),
-            None => Err(Self::nothing_about(before, after)),
+            None => Err(Self::gap_reason(before, after)),
         }
     }
 
     /// The reason why the angles are not known between two neighbouring rows, or beyond one.
-    fn nothing_about(before: Option<&AngleRow>, after: Option<&AngleRow>) -> String {
+    fn gap_reason(before: Option<&AngleRow>, after: Option<&AngleRow>) -> String {
         match (before, after) {
             (Some(before), Some(after)) => {
                 let apart_s = seconds(before.0, after.0);

@@ -31,20 +31,20 @@ pub enum MountingError {
         with: &'static str,
     },
     #[error(
-        "all frames in one place: expected the Sun to move over at least {limit_mil} mil of the plate, found {found_mil:.0} mil; {instead}"
+        "all frames in one place: expected the Sun to move over at least {limit_mil} mil of the plate, found {found_mil:.0} mil; {advice}"
     )]
     OnePlace {
         found_mil: f64,
         limit_mil: f64,
-        instead: &'static str,
+        advice: &'static str,
     },
     #[error(
-        "the observations agree with no mounting: expected most of them within {limit_mil} mil of one, found them {found_mil:.0} mil off; {instead}"
+        "the observations agree with no mounting: expected most of them within {limit_mil} mil of one, found them {found_mil:.0} mil off; {advice}"
     )]
     NoAgreement {
         found_mil: f64,
         limit_mil: f64,
-        instead: &'static str,
+        advice: &'static str,
     },
     #[error("no mounting fits the frames: {0}; check times, place and pointings")]
     NoFit(#[from] FitError),

@@ -16,7 +16,7 @@ pub(super) enum Side {
 
 impl Side {
     /// A shift on the plate as seen from this side.
-    pub fn seen(self, shift: Vector2<f64>) -> Vector2<f64> {
+    pub fn view(self, shift: Vector2<f64>) -> Vector2<f64> {
         match self {
             Self::Front => shift,
             Self::Back => Vector2::new(-shift.x, shift.y),
@@ -31,6 +31,6 @@ impl Side {
         sun: &SunPosition,
     ) -> Option<Vector2<f64>> {
         let at = pointing::sun_on_plate(telescope, Roll::Stated, instrument, sun).ok()?;
-        Some(self.seen(at.vector() - instrument.mounting.boresight_mil.vector()))
+        Some(self.view(at.vector() - instrument.mounting.boresight_mil.vector()))
     }
 }

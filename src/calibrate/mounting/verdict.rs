@@ -30,7 +30,7 @@ pub(super) fn mirror(
     let Some(mirrored) = mirrored else {
         return Ok(determined("the observations agree with no mounting".into()));
     };
-    let difference = straight.advantage(mirrored);
+    let difference = straight.chi2_gain(mirrored);
     if difference < -DISTINGUISHED {
         return Err(MountingError::Mirrored {
             for_it: format!("{:.2}", mirrored.scatter_mil),
@@ -120,7 +120,7 @@ pub(super) fn directions(fit: &MountingFit, other: Option<&MountingFit>) -> Cali
     let Some(other) = other else {
         return determined("the observations agree with no mounting".into());
     };
-    if fit.advantage(other) <= DISTINGUISHED {
+    if fit.chi2_gain(other) <= DISTINGUISHED {
         let remark = format!(
             "not determined: the rules \"telescope\" and \"sun-2013\" fit the observations equally well; keeps the instrument's, \"{rule}\". Take \
              frames with known pointing half a degree and more to each side of the Sun"

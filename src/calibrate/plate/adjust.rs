@@ -30,7 +30,7 @@ pub(super) type Drift = [Vector2<f64>; DRIFT];
 pub(super) struct Cell {
     pub mark: usize,
     /// Weighted mean of the observed positions, px.
-    pub seen: Vector2<f64>,
+    pub at_px: Vector2<f64>,
     /// Weighted means of the drift terms: the change of the mean position with each of them.
     pub terms: [Matrix2<f64>; DRIFT],
     /// Inverse of the mean's covariance, px^-2.
@@ -144,7 +144,7 @@ pub(super) struct Problem<'a> {
 
 /// The converged unknowns.
 #[derive(Debug, Clone)]
-pub(super) struct Settled {
+pub(super) struct Adjusted {
     pub state: State,
     /// Covariance of all unknowns; zero for fixed ones.
     covariance: DMatrix<f64>,
@@ -166,7 +166,7 @@ pub(super) enum Unknown {
     Drift(usize, usize, usize),
 }
 
-impl Settled {
+impl Adjusted {
     /// Covariance of all unknowns; zero for fixed ones.
     pub(super) fn covariance(&self) -> &DMatrix<f64> {
         &self.covariance
@@ -204,7 +204,7 @@ fn add_cell(normal: &mut Large, state: &State, pose: usize, cell: &Cell) {
     let drift_px = &state.drift_px[pose];
     let terms = cell.terms.iter().zip(drift_px);
     let drifted: Vector2<f64> = terms.map(|(term, px)| term * px).sum();
-    let residual = cell.seen - p.seen - drifted;
+    let residual = cell.at_px - p.at_px - drifted;
     let of_drift = cell.terms.iter().flat_map(Matrix2::column_iter);
     let lens = p.lens.column_iter().enumerate();
     let place = (mark_index(cell.mark)..).zip(p.place.column_iter());
@@ -238,7 +238,7 @@ const STEPS: usize = 15;
 /// Two marks determine shift, rotation and scale of a view; its other parameters have priors.
 const LEAST_MARKS: usize = 2;
 /// A shorter step has converged: for px, mil and view parameters.
-const SETTLED_STEP: f64 = 1e-6;
+const CONVERGED_STEP: f64 = 1e-6;
 /// Weight of the gauge constraints, far above the information of any observations, mil^-2.
 const GAUGE_WEIGHT: f64 = 1e10;
 /// Prior of each term of a camera's drift, 1 sigma per axis.
@@ -246,7 +246,7 @@ const DRIFT_PRIOR_PX: f64 = 1.0;
 
 impl Problem<'_> {
     /// Adjusts the unknowns from a start. `None` if observations and priors together do not determine them.
-    pub(super) fn settle(&self, start: &State) -> Option<Settled> {
+    pub(super) fn adjust(&self, start: &State) -> Option<Adjusted> {
         let mut state = start.clone();
         for view in &mut state.views {
             *view = view.simplified(self.freedoms.view);
@@ -260,13 +260,13 @@ impl Problem<'_> {
         for _ in 0..STEPS {
             let step = self.solved(&state)?.step;
             state.advance(&step);
-            if step.norm_squared() < SETTLED_STEP.powi(2) {
+            if step.norm_squared() < CONVERGED_STEP.powi(2) {
                 break;
             }
         }
         let covariance = self.solved(&state)?.covariance();
         let priors = self.priors(&state);
-        Some(Settled {
+        Some(Adjusted {
             chi2_prior: priors.iter().map(|p| (p.off / p.sigma).powi(2)).sum(),
             determined: self.determined(&state, &priors, &covariance),
             covariance,
@@ -275,7 +275,7 @@ impl Problem<'_> {
     }
 
     /// Whether an unknown is fixed: not free, or part of a view with too few marks to determine it.
-    fn is_held(&self, unknown: Unknown) -> bool {
+    fn is_fixed(&self, unknown: Unknown) -> bool {
         let is_determined = |pose: usize| self.cells[pose].len() >= LEAST_MARKS;
         let is_free = match unknown {
             Unknown::Lens(term) => self.freedoms.lens[term],
@@ -311,7 +311,7 @@ impl Problem<'_> {
             let weight = Matrix1::new(GAUGE_WEIGHT);
             normal.add(&row, &Vector1::new(-off), &weight);
         }
-        normal.solve(|n| self.is_held(state.unknown(n)))
+        normal.solve(|n| self.is_fixed(state.unknown(n)))
     }
 
     /// Priors of the lens terms, the marks, the views and the drifts, in this order.
@@ -394,7 +394,7 @@ impl Problem<'_> {
         let views = (self.freedoms.view.parameters() * state.views.len()) as f64;
         let is_common = |n: usize| match state.unknown(n) {
             Unknown::View(..) => false,
-            unknown => !self.is_held(unknown),
+            unknown => !self.is_fixed(unknown),
         };
         let common = priors.iter().filter(|prior| is_common(prior.unknown));
         let part = |prior: &Prior| {

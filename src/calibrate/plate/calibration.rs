@@ -1,6 +1,5 @@
 //! Calibrates a plate from files: observes the frames, finds the poses, fits, and checks the result.
 
-use super::counted::Counted;
 use super::fit::{PlateFit, PoseFit, fit};
 use super::measure::{self, measure};
 use super::observation::{FrameObservation, Pose, folder_of, take_blurred};
@@ -8,6 +7,7 @@ use super::poses::{self, Posed};
 use super::refusal::Refusal;
 use super::rest::Shifts;
 use super::suspects::{SuspectMark, suspects};
+use super::used_frames::UsedFrames;
 use crate::fits;
 use crate::instrument::Instrument;
 use crate::observe::{Depth, Hash, InputError, RejectedFrame, Watch, hashes, list, sha256_of};
@@ -22,7 +22,7 @@ use std::path::PathBuf;
 pub struct Calibration {
     /// The initial instrument.
     pub start: Instrument,
-    pub beginning: Beginning,
+    pub start_from: StartFrom,
     /// Poses with their frames.
     pub poses: Vec<Pose>,
     /// Number of frames that could only be identified with the measured plate.
@@ -34,7 +34,7 @@ pub struct Calibration {
     /// Hash over the sorted SHA-256 of the given files, independent of their names and order.
     pub frames_sha256: String,
     /// The frames that the new file is based on.
-    pub counted: Counted,
+    pub used_frames: UsedFrames,
     /// The camera's name stated in the frames.
     pub camera: Option<String>,
     /// The pose nearest to the camera's position in the start's mounting: the others were made for the calibration.
@@ -43,7 +43,7 @@ pub struct Calibration {
 
 /// Initial positions of the marks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Beginning {
+pub enum StartFrom {
     /// Positions in the file.
     File,
     /// Drawn positions, because the file is based on exactly the given frames.
@@ -64,7 +64,7 @@ impl Calibration {
 }
 
 /// Greatest number of times that poses whose frames are not at rest are split.
-const MOST_PARTINGS: usize = 4;
+const MOST_SPLITS: usize = 4;
 /// Passes over the rejected frames after the first: each uses the plate measured by the previous one.
 const LATER_PASSES: usize = 3;
 
@@ -84,17 +84,17 @@ fn files(given: &[PathBuf]) -> Result<Vec<PathBuf>, Refusal> {
 pub fn calibrate(
     given: &[PathBuf],
     start: &Instrument,
-    counted: &Counted,
+    used_frames: &UsedFrames,
     watch: &dyn Watch,
 ) -> Result<Calibration, Refusal> {
-    let Given {
+    let Inputs {
         files,
         start,
-        beginning,
+        start_from,
         known,
         frames_sha256,
-        counted,
-    } = Given::new(files(given)?, start, counted);
+        used_frames,
+    } = Inputs::new(files(given)?, start, used_frames);
     let start = &start;
     let (mut observations, copies) = measure(files, start, watch)?;
     let mut blurred = take_blurred(&mut observations.frames);
@@ -132,8 +132,8 @@ pub fn calibrate(
     Ok(Calibration {
         camera,
         mounted_pose: mounted_pose(&fit, start),
-        beginning,
-        counted,
+        start_from,
+        used_frames,
         suspects: suspects(&posed.poses, &fit, start),
         frames_sha256,
         poses: posed.poses,
@@ -145,46 +145,46 @@ pub fn calibrate(
 }
 
 /// Inputs of a calibration.
-struct Given {
+struct Inputs {
     files: Vec<PathBuf>,
     start: Instrument,
-    beginning: Beginning,
+    start_from: StartFrom,
     /// Frames that the start's file is based on.
     known: Vec<RejectedFrame>,
     frames_sha256: String,
-    counted: Counted,
+    used_frames: UsedFrames,
 }
 
-impl Given {
-    fn new(files: Vec<PathBuf>, start: &Instrument, counted: &Counted) -> Self {
+impl Inputs {
+    fn new(files: Vec<PathBuf>, start: &Instrument, used_frames: &UsedFrames) -> Self {
         let hashes = hashes(&files);
         let frames_sha256 = sha256_of(&hashes);
-        let is_known = |hash: &Option<Hash>| hash.is_some_and(|hash| counted.holds(&hash));
-        let again = counted.are(&frames_sha256) || hashes.iter().all(is_known);
-        let mut given = Self {
+        let is_known = |hash: &Option<Hash>| hash.is_some_and(|hash| used_frames.holds(&hash));
+        let again = used_frames.are(&frames_sha256) || hashes.iter().all(is_known);
+        let mut inputs = Self {
             files: Vec::new(),
             start: start.clone(),
-            beginning: Beginning::File,
+            start_from: StartFrom::File,
             known: Vec::new(),
             frames_sha256,
-            counted: counted.with(hashes.iter().flatten()),
+            used_frames: used_frames.with(hashes.iter().flatten()),
         };
         if again {
-            given.files = files;
-            given.start.plate = start.plate.as_drawn();
-            given.beginning = Beginning::Drawing;
-            given.counted = Counted::default().with(hashes.iter().flatten());
-            return given;
+            inputs.files = files;
+            inputs.start.plate = start.plate.as_drawn();
+            inputs.start_from = StartFrom::Drawing;
+            inputs.used_frames = UsedFrames::default().with(hashes.iter().flatten());
+            return inputs;
         }
         for (file, hash) in files.into_iter().zip(&hashes) {
             match is_known(hash) {
-                true => given
+                true => inputs
                     .known
                     .push(RejectedFrame::new(file, "the file rests on it already")),
-                false => given.files.push(file),
+                false => inputs.files.push(file),
             }
         }
-        given
+        inputs
     }
 }
 
@@ -198,31 +198,31 @@ pub fn fit_frames(
     start: &Instrument,
 ) -> Result<(Posed, PlateFit), Refusal> {
     let found = poses::find(frames, &start.plate)?;
-    let by_time = settle(found.clone(), start, 0);
-    let moving = |settled: &(Posed, PlateFit)| Shifts::of(&settled.1).moving();
+    let by_time = fit_and_split(found.clone(), start, 0);
+    let moving = |fitted: &(Posed, PlateFit)| Shifts::of(&fitted.1).moving();
     let left = by_time.as_ref().map_or(usize::MAX, moving);
     if left == 0 {
         return by_time;
     }
-    match settle(found.joined(), start, MOST_PARTINGS) {
+    match fit_and_split(found.joined(), start, MOST_SPLITS) {
         Ok(by_place) if moving(&by_place) < left => Ok(by_place),
         _ => by_time,
     }
 }
 
-/// Fits the poses. Splits those that are not at rest, up to `partings` times, by the plate's position in their frames, and excludes poses
+/// Fits the poses. Splits those that are not at rest, up to `splits` times, by the plate's position in their frames, and excludes poses
 /// in which at least half of the frames contradict the others.
-fn settle(
+fn fit_and_split(
     mut posed: Posed,
     start: &Instrument,
-    partings: usize,
+    splits: usize,
 ) -> Result<(Posed, PlateFit), Refusal> {
-    let mut parted = 0;
+    let mut split = 0;
     loop {
         let fit = fit(&posed.poses, start)
             .ok_or_else(|| Refusal::undetermined(&posed.poses, &start.plate))?;
-        if parted < partings && posed.part(&fit) {
-            parted += 1;
+        if split < splits && posed.part(&fit) {
+            split += 1;
         } else if posed.reject(&fit)? == 0 {
             return Ok((posed, fit));
         }

@@ -70,7 +70,7 @@ impl Lens {
 
 /// A predicted position on the sensor (px) with its derivatives by the unknowns.
 pub(super) struct Prediction {
-    pub seen: Vector2<f64>,
+    pub at_px: Vector2<f64>,
     pub view: ParameterJacobian,
     pub lens: SMatrix<f64, 2, LENS>,
     pub place: Matrix2<f64>,
@@ -82,7 +82,7 @@ pub(super) fn predict(view: &View, lens: &Lens, at: PlateMil) -> Prediction {
     let distortion = lens.distortion();
     let lens_jacobian = distortion.derivative(ideal.into());
     Prediction {
-        seen: distortion.distort(ideal.into()).vector(),
+        at_px: distortion.distort(ideal.into()).vector(),
         view: lens_jacobian * view.parameter_jacobian(at),
         lens: lens.slopes(ideal),
         place: lens_jacobian * view.jacobian(at),
@@ -114,19 +114,19 @@ mod tests {
         let here = predict(&view(), &lens(), at);
         for n in 0..PARAMETERS {
             let step = Parameters::from_fn(|k, _| if k == n { 1e-5 } else { 0.0 });
-            let seen = |step| predict(&view().advanced(&step), &lens(), at).seen;
+            let seen = |step| predict(&view().advanced(&step), &lens(), at).at_px;
             let slope = (seen(step) - seen(-step)) / 2e-5;
             assert!((slope - here.view.column(n)).norm() < 1e-3, "{n}");
         }
         for n in 0..LENS {
             let mut moved = lens();
             moved.terms[n] += 1e-4;
-            let slope = (predict(&view(), &moved, at).seen - here.seen) / 1e-4;
+            let slope = (predict(&view(), &moved, at).at_px - here.at_px) / 1e-4;
             assert!((slope - here.lens.column(n)).norm() < 1e-6, "{n}");
         }
         for (n, step) in [Vector2::x(), Vector2::y()].into_iter().enumerate() {
             let moved = PlateMil::from(at.vector() + step * 1e-3);
-            let slope = (predict(&view(), &lens(), moved).seen - here.seen) / 1e-3;
+            let slope = (predict(&view(), &lens(), moved).at_px - here.at_px) / 1e-3;
             assert!((slope - here.place.column(n)).norm() < 1e-5);
         }
     }

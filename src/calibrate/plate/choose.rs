@@ -1,13 +1,13 @@
 //! The simplest lens, views and drifts that the observations support.
 
-use super::adjust::{DRIFT, Freedoms, Settled, State};
+use super::adjust::{Adjusted, DRIFT, Freedoms, State};
 use super::camera::LENS;
 use super::robust::Bundle;
 use crate::geometry::MappingKind;
 use nalgebra::Vector2;
 
 /// All parameters free.
-pub(super) const RICHEST: Freedoms = Freedoms {
+pub(super) const ALL_FREE: Freedoms = Freedoms {
     view: MappingKind::Homography,
     lens: [true; LENS],
     marks: true,
@@ -53,13 +53,13 @@ pub struct Separation {
 impl Separation {
     /// Compares the lens's sigma with its value for marks that might be far from their drawn position. Even a lens that needs no terms
     /// might have them: the first is always free here.
-    pub(super) fn of(bundle: &Bundle, settled: &Settled, choice: Choice) -> Self {
+    pub(super) fn of(bundle: &Bundle, solved: &Adjusted, choice: Choice) -> Self {
         const LOOSER: f64 = 10.0;
         let mut freedoms = choice.freedoms();
         freedoms.lens[0] = true;
         let sigma_px = |bundle: &Bundle| {
-            let settled = bundle.settle(&settled.state, freedoms);
-            settled.map_or(f64::INFINITY, |s| corner_sigma_px(&s))
+            let solved = bundle.adjust(&solved.state, freedoms);
+            solved.map_or(f64::INFINITY, |s| corner_sigma_px(&s))
         };
         let mut loose = bundle.clone();
         loose.widen_priors(LOOSER);
@@ -77,9 +77,9 @@ impl Separation {
 }
 
 /// 1 sigma of the lens's displacement at a corner of the sensor, px, the mean of its axes.
-fn corner_sigma_px(settled: &Settled) -> f64 {
-    let slopes = settled.state.lens.slopes(Vector2::zeros());
-    let spread = slopes * settled.lens_covariance() * slopes.transpose();
+fn corner_sigma_px(solved: &Adjusted) -> f64 {
+    let slopes = solved.state.lens.slopes(Vector2::zeros());
+    let spread = slopes * solved.lens_covariance() * slopes.transpose();
     (spread.trace() / 2.0).max(0.0).sqrt()
 }
 
@@ -88,12 +88,12 @@ fn corner_sigma_px(settled: &Settled) -> f64 {
 /// A step is taken if chi^2, with the variances from the richest fit, decreases by more than ln n for each added parameter,
 /// where n is the number of coordinates (Schwarz's criterion, which is the F test at that level). The radial term r^2 is omitted
 /// only if the frames distinguish it from errors of the plate: otherwise the marks would absorb it, with sigmas that do not include it.
-pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settled)> {
+pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Adjusted)> {
     let least_gain = bundle.coordinates().max(1.0).ln().max(LEAST_GAIN);
     let fit = |choice: Choice| {
-        let settled = bundle.settle(richest, choice.freedoms())?;
-        let chi2 = bundle.chi2(&settled.state) + settled.chi2_prior;
-        Some((choice, settled, chi2))
+        let solved = bundle.adjust(richest, choice.freedoms())?;
+        let chi2 = bundle.chi2(&solved.state) + solved.chi2_prior;
+        Some((choice, solved, chi2))
     };
     let parameters = |choice: Choice| {
         let terms = choice.lens.iter().filter(|free| **free).count();
@@ -101,8 +101,8 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
     };
     let mut best = fit(Choice {
         kind: MappingKind::Similarity,
-        lens: RICHEST.lens,
-        drift: RICHEST.drift,
+        lens: ALL_FREE.lens,
+        drift: ALL_FREE.drift,
     })?;
     for kind in [MappingKind::Keystone, MappingKind::Homography] {
         let richer = fit(Choice { kind, ..best.0 });
@@ -134,7 +134,7 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Settle
     Some((best.0, best.1))
 }
 
-type Fitted = (Choice, Settled, f64);
+type Fitted = (Choice, Adjusted, f64);
 
 /// The richer fit, if the decrease of its chi^2 justifies the parameters that it adds.
 fn better(

@@ -1,6 +1,6 @@
 //! The largest correlations of a fit: unknowns that the frames do not separate.
 
-use super::adjust::{Settled, Unknown};
+use super::adjust::{Adjusted, Unknown};
 use super::camera::LENS;
 use crate::geometry::view::PARAMETERS;
 use crate::plate::MarkId;
@@ -64,9 +64,9 @@ impl Parameter {
 }
 
 /// The largest correlations by size: `count` that involve lens or poses, and `count` between different marks.
-pub(super) fn largest(settled: &Settled, ids: &[MarkId], count: usize) -> Vec<Correlation> {
-    let covariance = settled.covariance();
-    let parameter = |n: usize| match settled.state.unknown(n) {
+pub(super) fn largest(solved: &Adjusted, ids: &[MarkId], count: usize) -> Vec<Correlation> {
+    let covariance = solved.covariance();
+    let parameter = |n: usize| match solved.state.unknown(n) {
         Unknown::Lens(term) => Parameter::Lens(term),
         Unknown::Mark(mark, axis) => Parameter::Mark(ids[mark], axis),
         Unknown::View(pose, term) => Parameter::View(pose, term),

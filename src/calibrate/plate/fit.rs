@@ -1,8 +1,8 @@
 //! Fits the plate to the observations: the steps in order.
 
-use super::adjust::{DRIFT, Freedoms, MarkPrior, Settled, State};
+use super::adjust::{Adjusted, DRIFT, Freedoms, MarkPrior, State};
 use super::camera::{LENS, Lens};
-use super::choose::{Choice, RICHEST, Separation, choose};
+use super::choose::{ALL_FREE, Choice, Separation, choose};
 use super::correlations::{Correlation, largest};
 use super::observation::{FrameObservation, Pose};
 use super::robust::{Bundle, Observation};
@@ -112,20 +112,20 @@ impl PlateFit {
 /// Fits plate, lens and poses to the frames' observations. `None` if these do not determine them.
 pub(super) fn fit(poses: &[Pose], start: &Instrument) -> Option<PlateFit> {
     let (mut bundle, ids, first) = gather(poses, start)?;
-    let by_drawing = bundle.by_drawing(&first, RICHEST)?;
-    let rich = bundle.in_full(&by_drawing, RICHEST)?;
+    let by_drawing = bundle.by_drawing(&first, ALL_FREE)?;
+    let rich = bundle.in_full(&by_drawing, ALL_FREE)?;
     let prior_factor = bundle.inflate_priors(&rich);
     let (choice, chosen) = choose(&bundle, &rich.state)?;
-    let settled = bundle.in_full(&chosen.state, choice.freedoms())?;
-    let before = bundle.settle(&first, AS_STATED)?.state;
-    let residuals = residuals(&bundle, &settled, &before, &ids);
+    let solved = bundle.in_full(&chosen.state, choice.freedoms())?;
+    let before = bundle.adjust(&first, AS_STATED)?.state;
+    let residuals = residuals(&bundle, &solved, &before, &ids);
     Some(PlateFit {
-        marks: marks(&bundle, &settled, &ids),
-        distortion: settled.state.lens.distortion(),
-        distortion_sigma: lens_sigmas(&settled),
-        separation: Separation::of(&bundle, &settled, choice),
-        correlations: largest(&settled, &ids, LISTED_CORRELATIONS),
-        poses: pose_fits(&bundle, &settled, choice, poses)?,
+        marks: marks(&bundle, &solved, &ids),
+        distortion: solved.state.lens.distortion(),
+        distortion_sigma: lens_sigmas(&solved),
+        separation: Separation::of(&bundle, &solved, choice),
+        correlations: largest(&solved, &ids, LISTED_CORRELATIONS),
+        poses: pose_fits(&bundle, &solved, choice, poses)?,
         sigma_factor: bundle.variance_factor.sqrt(),
         residual_px: rms_px(&residuals),
         residuals,
@@ -143,21 +143,21 @@ fn gather(poses: &[Pose], start: &Instrument) -> Option<(Bundle, Vec<MarkId>, St
     });
     let views: Vec<View> = views.collect::<Option<_>>()?;
     let frames = || poses.iter().flat_map(|pose| &pose.frames);
-    let seen = frames().flat_map(|frame| &frame.marks);
-    let ids: BTreeSet<MarkId> = seen.map(|mark| mark.id).collect();
+    let marks = frames().flat_map(|frame| &frame.marks);
+    let ids: BTreeSet<MarkId> = marks.map(|mark| mark.id).collect();
     let index: BTreeMap<MarkId, usize> = ids.iter().copied().zip(0..).collect();
     let mut observations = Vec::new();
     let mut frame = 0;
     for (n, pose) in poses.iter().enumerate() {
         let span = Span::of(pose);
-        for seen in &pose.frames {
-            let time = span.zip(seen.utc);
+        for observed in &pose.frames {
+            let time = span.zip(observed.utc);
             let time = time.map_or(0.0, |(span, utc)| span.time(utc));
-            observations.extend(seen.marks.iter().map(|mark| Observation {
+            observations.extend(observed.marks.iter().map(|mark| Observation {
                 frame,
                 pose: n,
                 mark: index[&mark.id],
-                seen: mark.at.vector(),
+                at_px: mark.at.vector(),
                 time,
                 covariance_px2: mark.covariance_px2,
                 weight: 1.0,
@@ -239,16 +239,16 @@ fn disagreeing(poses: &[Pose], bundle: &Bundle) -> Vec<RejectedFrame> {
         .collect()
 }
 
-fn marks(bundle: &Bundle, settled: &Settled, ids: &[MarkId]) -> Vec<MeasuredMark> {
+fn marks(bundle: &Bundle, solved: &Adjusted, ids: &[MarkId]) -> Vec<MeasuredMark> {
     let count = |mark: usize| {
         let counting = |o: &&Observation| o.mark == mark && o.weight > 0.0;
         bundle.observations.iter().filter(counting).count()
     };
     let measured = |(mark, id): (usize, &MarkId)| {
-        let covariance = settled.place_covariance(mark);
+        let covariance = solved.place_covariance(mark);
         bundle.marks[mark].measured.then(|| MeasuredMark {
             id: *id,
-            position: settled.state.places[mark],
+            position: solved.state.places[mark],
             sigma_mil: [0, 1].map(|n| covariance[(n, n)].max(0.0).sqrt()),
             observations: count(mark),
         })
@@ -256,14 +256,14 @@ fn marks(bundle: &Bundle, settled: &Settled, ids: &[MarkId]) -> Vec<MeasuredMark
     ids.iter().enumerate().filter_map(measured).collect()
 }
 
-fn lens_sigmas(settled: &Settled) -> [f64; LENS] {
-    let (covariance, units) = (settled.lens_covariance(), settled.state.lens.units());
+fn lens_sigmas(solved: &Adjusted) -> [f64; LENS] {
+    let (covariance, units) = (solved.lens_covariance(), solved.state.lens.units());
     std::array::from_fn(|n| covariance[(n, n)].max(0.0).sqrt() * units[n])
 }
 
 fn pose_fits(
     bundle: &Bundle,
-    settled: &Settled,
+    solved: &Adjusted,
     choice: Choice,
     poses: &[Pose],
 ) -> Option<Vec<PoseFit>> {
@@ -273,7 +273,7 @@ fn pose_fits(
     }
     let drift = |pose: usize| {
         let span = Span::of(&poses[pose]).filter(|_| choice.drift > 0)?;
-        let (terms, covariance) = (settled.state.drift_px[pose], settled.drift_covariance(pose));
+        let (terms, covariance) = (solved.state.drift_px[pose], solved.drift_covariance(pose));
         // From the first frame to the last, terms of odd degree move the picture by twice their size, the others by nothing.
         Some([0, 1].map(|axis| {
             let odd_terms = || (0..DRIFT).step_by(2);
@@ -284,9 +284,9 @@ fn pose_fits(
             Measured::new(moved / span.half_h, variance.max(0.0).sqrt() / span.half_h)
         }))
     };
-    let distortion = settled.state.lens.distortion();
+    let distortion = solved.state.lens.distortion();
     let fit = |pose: usize| {
-        let (view, covariance) = (&settled.state.views[pose], settled.view_covariance(pose));
+        let (view, covariance) = (&solved.state.views[pose], solved.view_covariance(pose));
         let scale = UNIT_MIL / view.unit_px();
         let centre = covariance.fixed_view::<2, 2>(0, 0).into_owned();
         let relative = relative_sigma(view, &covariance);
@@ -309,14 +309,14 @@ fn relative_sigma(view: &View, covariance: &ParameterCovariance) -> f64 {
     spread.max(0.0).sqrt() / view.unit_px()
 }
 
-fn residuals(bundle: &Bundle, settled: &Settled, before: &State, ids: &[MarkId]) -> Vec<Residual> {
+fn residuals(bundle: &Bundle, solved: &Adjusted, before: &State, ids: &[MarkId]) -> Vec<Residual> {
     let one = |o: &Observation| Residual {
         pose: o.pose,
-        before_px: o.seen - before.predict(o.pose, o.mark).seen,
+        before_px: o.at_px - before.predict(o.pose, o.mark).at_px,
         frame: o.frame,
         id: ids[o.mark],
-        at: o.seen.into(),
-        residual_px: o.at_rest(&settled.state) - settled.state.predict(o.pose, o.mark).seen,
+        at: o.at_px.into(),
+        residual_px: o.at_rest(&solved.state) - solved.state.predict(o.pose, o.mark).at_px,
         stated_px: (o.covariance_px2.trace() / 2.0).max(0.0).sqrt(),
         weight: o.weight,
     };

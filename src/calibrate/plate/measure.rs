@@ -7,7 +7,7 @@ use crate::aspect::{self, Adopted, Expected};
 use crate::calibrate::frames::{Setting, check_settings};
 use crate::frame::Frame;
 use crate::instrument::{Instrument, WrongSize};
-use crate::observe::{InputError, RejectedFrame, Watch, over};
+use crate::observe::{InputError, RejectedFrame, Watch, each_frame};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -38,7 +38,7 @@ pub(super) fn measure(
     instrument: &Instrument,
     watch: &dyn Watch,
 ) -> Result<(Observations, Vec<RejectedFrame>), InputError> {
-    let observed = over(files, instrument.camera.size_px(), watch, |file, frame| {
+    let observed = each_frame(files, instrument.camera.size_px(), watch, |file, frame| {
         read(file, &frame, instrument)
     })?;
     let mut observations = Observations::default();

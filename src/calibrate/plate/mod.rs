@@ -13,7 +13,7 @@
 //! two, and [`Separation`] reports it.
 //!
 //! ```text
-//! counted <- calibration; observation <- refusal, lit <- measure <- poses <- calibration, suspects <- summary, write <- report
+//! used_frames <- calibration; observation <- refusal, lit <- measure <- poses <- calibration, suspects <- summary, write <- report
 //! camera <- adjust <- robust <- choose, correlations <- fit <- rest <- poses; adjust, motion <- slips <- poses; motion <- rest
 //! ```
 
@@ -22,7 +22,6 @@ mod calibration;
 mod camera;
 mod choose;
 mod correlations;
-mod counted;
 mod fit;
 mod lit;
 mod measure;
@@ -36,16 +35,17 @@ mod robust;
 mod slips;
 mod summary;
 mod suspects;
+mod used_frames;
 mod write;
 
-pub use calibration::{Beginning, Calibration, calibrate, fit_frames};
+pub use calibration::{Calibration, StartFrom, calibrate, fit_frames};
 pub use choose::{Choice, Separation};
 pub use correlations::{Correlation, Parameter};
-pub use counted::Counted;
 pub use fit::{LENS_PRIOR_PX, MeasuredMark, PlateFit, PoseFit, Residual};
 pub use observation::{FrameObservation, MarkObservation, Pose};
 pub use poses::Posed;
-pub use refusal::{Lack, Refusal};
+pub use refusal::{MissingCoverage, Refusal};
 pub use report::html;
 pub use summary::summary;
 pub use suspects::SuspectMark;
+pub use used_frames::UsedFrames;

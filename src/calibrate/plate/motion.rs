@@ -30,7 +30,7 @@ impl Displacement {
     }
 
     /// Residual after a motion, in its sigmas.
-    pub fn left_by(&self, motion: &Vector4<f64>) -> Vector2<f64> {
+    pub fn residual(&self, motion: &Vector4<f64>) -> Vector2<f64> {
         (self.moved_px - self.slopes() * motion) / self.sigma_px
     }
 }

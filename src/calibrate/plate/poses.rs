@@ -70,7 +70,7 @@ impl Posed {
         groups.sort_by_key(|(_, group)| group.iter().map(|n| (frames[*n].utc, *n)).min());
         let posed: BTreeSet<usize> = groups.iter().flat_map(|(_, group)| group.clone()).collect();
         let others = (0..frames.len()).filter(|n| !posed.contains(n));
-        self.rejected.extend(others.map(|n| elsewhere(frames[n])));
+        self.rejected.extend(others.map(|n| displaced(frames[n])));
         let pose = |(mapping, group): (Mapping, Vec<usize>)| Pose {
             folder: folder.into(),
             number: None,
@@ -83,7 +83,7 @@ impl Posed {
     }
 }
 
-fn elsewhere(frame: &FrameObservation) -> RejectedFrame {
+fn displaced(frame: &FrameObservation) -> RejectedFrame {
     let reason = "its marks lie elsewhere than those of the other frames of its folder";
     RejectedFrame::new(&frame.file, reason)
 }
@@ -138,18 +138,18 @@ impl Posed {
         let frames = self.poses.iter().flat_map(|pose| &pose.frames);
         let frames: Vec<&FrameObservation> = frames.collect();
         let mut changed = false;
-        let mut parted = Vec::new();
+        let mut split = Vec::new();
         for poses in self.stands() {
             let moving = poses.len() > 1 || shifts.off(poses[0]) > 0;
             let Some(Parts { parts, unassigned }) = moving.then(|| shifts.parts(&poses)).flatten()
             else {
-                parted.extend(poses.iter().map(|n| self.poses[*n].clone()));
+                split.extend(poses.iter().map(|n| self.poses[*n].clone()));
                 continue;
             };
             let own = poses.iter().map(|n| (firsts[*n]..firsts[n + 1]).collect());
             changed |= parts != own.collect::<Vec<Vec<usize>>>();
             let pose = &self.poses[poses[0]];
-            parted.extend(
+            split.extend(
                 parts.iter().map(|part| {
                     pose.with_frames(part.iter().map(|n| frames[*n].clone()).collect())
                 }),
@@ -161,7 +161,7 @@ impl Posed {
                 .map(|n| RejectedFrame::new(&frames[*n].file, reason));
             self.rejected.extend(unassigned);
         }
-        self.poses = parted;
+        self.poses = split;
         self.number();
         changed
     }

@@ -61,13 +61,13 @@ pub enum Refusal {
         agreeing: usize,
         frames: usize,
     },
-    #[error("the frames do not determine the plate: {}", .0.iter().map(Lack::to_string).collect::<Vec<_>>().join("; "))]
-    Undetermined(Vec<Lack>),
+    #[error("the frames do not determine the plate: {}", .0.iter().map(MissingCoverage::to_string).collect::<Vec<_>>().join("; "))]
+    Undetermined(Vec<MissingCoverage>),
 }
 
 /// Coverage missing from a pose's frames.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Lack {
+pub struct MissingCoverage {
     pub pose: String,
     pub frames: usize,
     pub marks: usize,
@@ -75,7 +75,7 @@ pub struct Lack {
     pub unseen: Vec<&'static str>,
 }
 
-impl fmt::Display for Lack {
+impl fmt::Display for MissingCoverage {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [frames, marks] = [(self.frames, "frame"), (self.marks, "mark")]
             .map(|(count, name)| counted(count as u64, name));
@@ -102,20 +102,20 @@ impl Refusal {
             let PlateMil { x, y } = plate.position(id)?;
             Some(part((x / reach + 1.0) / 2.0, (1.0 - y / reach) / 2.0))
         };
-        let lack = |pose: &Pose| {
+        let coverage = |pose: &Pose| {
             let marks = pose.frames.iter().flat_map(|frame| &frame.marks);
             let marks: BTreeSet<MarkId> = marks.map(|mark| mark.id).collect();
             let count = |n: usize| marks.iter().filter(|id| part_of(**id) == Some(n)).count();
-            Lack {
+            MissingCoverage {
                 pose: pose.to_string(),
                 frames: pose.frames.len(),
                 marks: marks.len(),
                 unseen: named(|n| count(n) < LEAST_MARKS),
             }
         };
-        let mut lacks: Vec<Lack> = poses.iter().map(lack).collect();
-        lacks.sort_by_key(|lack| lack.marks);
-        lacks.truncate(LISTED);
-        Self::Undetermined(lacks)
+        let mut missing: Vec<MissingCoverage> = poses.iter().map(coverage).collect();
+        missing.sort_by_key(|coverage| coverage.marks);
+        missing.truncate(LISTED);
+        Self::Undetermined(missing)
     }
 }

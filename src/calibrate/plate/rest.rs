@@ -53,15 +53,15 @@ pub(super) struct Parts {
 
 impl<'a> Shifts<'a> {
     pub fn of(fit: &'a PlateFit) -> Self {
-        let seen: BTreeMap<MarkId, usize> =
+        let counts: BTreeMap<MarkId, usize> =
             fit.marks.iter().map(|m| (m.id, m.observations)).collect();
         let mut frames: Vec<BTreeMap<usize, Vec<Checked>>> = vec![BTreeMap::new(); fit.poses.len()];
         for residual in &fit.residuals {
             let marks = frames[residual.pose].entry(residual.frame).or_default();
-            let seen = seen.get(&residual.id).copied().unwrap_or(0);
-            let by_others = seen.saturating_sub(usize::from(residual.weight > 0.0));
+            let count = counts.get(&residual.id).copied().unwrap_or(0);
+            let by_others = count.saturating_sub(usize::from(residual.weight > 0.0));
             if by_others > 0 {
-                let growth = seen as f64 / by_others as f64;
+                let growth = count as f64 / by_others as f64;
                 marks.push(Checked { residual, growth });
             }
         }
@@ -116,7 +116,7 @@ impl<'a> Shifts<'a> {
                 Some((*frame, shift))
             })
             .collect();
-        let mut parts = parted(&shifts)?;
+        let mut parts = split(&shifts)?;
         let is_assigned = |n: &usize| parts.iter().any(|part| part.contains(n));
         let others = frames().map(|(n, _)| *n).filter(|n| !is_assigned(n));
         let mut unassigned: Vec<usize> = others.collect();
@@ -146,7 +146,7 @@ fn shift(marks: &[Checked], pose_px: impl Fn(&Residual) -> Vector2<f64>) -> Opti
 }
 
 /// Splits frames by the motions that most of them agree with, each to the motion with the smallest residual.
-fn parted(shifts: &BTreeMap<usize, Displacement>) -> Option<Vec<Vec<usize>>> {
+fn split(shifts: &BTreeMap<usize, Displacement>) -> Option<Vec<Vec<usize>>> {
     let (mut rest, mut motions) = (shifts.clone(), Vec::new());
     while let Some(motion) = most_agreed(&rest) {
         let agreeing = agreeing(&rest, &motion, OFF_SIGMAS);
@@ -159,7 +159,7 @@ fn parted(shifts: &BTreeMap<usize, Displacement>) -> Option<Vec<Vec<usize>>> {
     if motions.is_empty() || LEAST_MEAN * motions.len() > shifts.len() {
         return None;
     }
-    let left = |shift: &Displacement, motion: &Vector4<f64>| shift.left_by(motion).norm();
+    let left = |shift: &Displacement, motion: &Vector4<f64>| shift.residual(motion).norm();
     let mut parts: Vec<Vec<usize>> = Vec::new();
     for _ in 0..ROUNDS {
         parts = vec![Vec::new(); motions.len()];
@@ -218,7 +218,7 @@ fn agreeing(
 ) -> Vec<usize> {
     let agree = shifts
         .iter()
-        .filter(|(_, shift)| shift.left_by(motion).norm() < sigmas);
+        .filter(|(_, shift)| shift.residual(motion).norm() < sigmas);
     agree.map(|(n, _)| *n).collect()
 }
 

@@ -9,7 +9,7 @@
 //!
 //! The scale of the residuals is from their own median, not from the sigmas that the frames state.
 
-use super::adjust::{Cell, DRIFT, Freedoms, MarkPrior, Problem, Settled, State, drift_terms};
+use super::adjust::{Adjusted, Cell, DRIFT, Freedoms, MarkPrior, Problem, State, drift_terms};
 use crate::calibrate::numbers::median;
 use crate::estimation::{MEDIAN_LENGTH_2D, QUARTILE_SIGMAS};
 use nalgebra::{Matrix2, Vector2};
@@ -21,7 +21,7 @@ pub(super) struct Observation {
     pub pose: usize,
     /// Index into the marks.
     pub mark: usize,
-    pub seen: Vector2<f64>,
+    pub at_px: Vector2<f64>,
     /// Time within its pose, from -1 to 1; 0 if frames do not state their times.
     pub time: f64,
     pub covariance_px2: Matrix2<f64>,
@@ -32,7 +32,7 @@ pub(super) struct Observation {
 impl Observation {
     /// Observed position with the drift of its pose removed.
     pub(super) fn at_rest(&self, state: &State) -> Vector2<f64> {
-        self.seen - state.drifted(self.pose, self.time)
+        self.at_px - state.drifted(self.pose, self.time)
     }
 }
 
@@ -75,7 +75,7 @@ struct NormalisedResidual {
 #[derive(Debug, Clone, Copy, Default)]
 struct CellSums {
     weight: Matrix2<f64>,
-    seen: Vector2<f64>,
+    at_px: Vector2<f64>,
     terms: [Matrix2<f64>; DRIFT],
     squares: [[Matrix2<f64>; DRIFT]; DRIFT],
     products: [Vector2<f64>; DRIFT],
@@ -84,11 +84,11 @@ struct CellSums {
 impl CellSums {
     fn add(&mut self, weight: Matrix2<f64>, o: &Observation) {
         self.weight += weight;
-        self.seen += weight * o.seen;
+        self.at_px += weight * o.at_px;
         let terms = drift_terms(o.time);
         for (n, a) in terms.into_iter().enumerate() {
             self.terms[n] += weight * a;
-            self.products[n] += weight * o.seen * a;
+            self.products[n] += weight * o.at_px * a;
             for (m, b) in terms.into_iter().enumerate() {
                 self.squares[n][m] += weight * (a * b);
             }
@@ -97,16 +97,16 @@ impl CellSums {
 
     fn cell(&self, mark: usize) -> Option<Cell> {
         let inverse = self.weight.try_inverse()?;
-        let seen = inverse * self.seen;
+        let at_px = inverse * self.at_px;
         let terms = self.terms.map(|term| inverse * term);
         let spread = |n: usize, m: usize| self.squares[n][m] - self.terms[n] * terms[m];
         Some(Cell {
             mark,
-            seen,
+            at_px,
             terms,
             weight: self.weight,
             spread: std::array::from_fn(|n| std::array::from_fn(|m| spread(n, m))),
-            trend: std::array::from_fn(|n| self.products[n] - self.terms[n] * seen),
+            trend: std::array::from_fn(|n| self.products[n] - self.terms[n] * at_px),
         })
     }
 }
@@ -149,7 +149,7 @@ impl Bundle {
     }
 
     /// Adjusts with the current weights.
-    pub(super) fn settle(&self, start: &State, freedoms: Freedoms) -> Option<Settled> {
+    pub(super) fn adjust(&self, start: &State, freedoms: Freedoms) -> Option<Adjusted> {
         let cells = self.cells();
         let problem = Problem {
             cells: &cells,
@@ -157,7 +157,7 @@ impl Bundle {
             lens_sigma_px: self.lens_sigma_px,
             freedoms,
         };
-        problem.settle(start)
+        problem.adjust(start)
     }
 
     /// Step 2: views and lens with drawn marks, and weights that the marks' own displacements do not affect.
@@ -168,7 +168,7 @@ impl Bundle {
         };
         let mut state = start.clone();
         for _ in 0..ROUNDS {
-            state = self.settle(&state, freedoms)?.state;
+            state = self.adjust(&state, freedoms)?.state;
             let off = self.off_mil(&state);
             let own = self.medians(&off);
             let pairs = self.observations.iter().zip(&off);
@@ -185,11 +185,12 @@ impl Bundle {
     fn off_mil(&self, state: &State) -> Vec<Vector2<f64>> {
         let back = self.everywhere(|pose, mark| {
             let p = state.predict(pose, mark);
-            (p.seen, p.place.try_inverse().unwrap_or_else(Matrix2::zeros))
+            let back = p.place.try_inverse();
+            (p.at_px, back.unwrap_or_else(Matrix2::zeros))
         });
         let off = |o: &Observation| {
-            let (seen, back) = back[self.place(o)];
-            back * (o.at_rest(state) - seen)
+            let (predicted, back) = back[self.place(o)];
+            back * (o.at_rest(state) - predicted)
         };
         self.observations.iter().map(off).collect()
     }
@@ -222,13 +223,13 @@ impl Bundle {
     }
 
     /// Step 3: all unknowns, until the weights converge.
-    pub(super) fn in_full(&mut self, start: &State, freedoms: Freedoms) -> Option<Settled> {
+    pub(super) fn in_full(&mut self, start: &State, freedoms: Freedoms) -> Option<Adjusted> {
         let mut state = start.clone();
         for _ in 0..ROUNDS {
             self.note_measured();
-            let settled = self.settle(&state, freedoms)?;
-            state = settled.state.clone();
-            let residuals = self.normalised_residuals(&settled);
+            let solved = self.adjust(&state, freedoms)?;
+            state = solved.state.clone();
+            let residuals = self.normalised_residuals(&solved);
             let scale = self.scale(&residuals);
             self.variance_factor *= scale.powi(2);
             let changed = self.reweigh(|n| residuals[n].size / scale);
@@ -238,16 +239,16 @@ impl Bundle {
             }
         }
         self.note_measured();
-        let settled = self.settle(&state, freedoms)?;
-        self.variance_factor *= self.reduced_chi2(&settled);
-        self.settle(&settled.state, freedoms)
+        let solved = self.adjust(&state, freedoms)?;
+        self.variance_factor *= self.reduced_chi2(&solved);
+        self.adjust(&solved.state, freedoms)
     }
 
     /// Inflates the marks' prior sigma to match their displacements from the drawing; returns the factor.
-    pub(super) fn inflate_priors(&mut self, settled: &Settled) -> f64 {
+    pub(super) fn inflate_priors(&mut self, solved: &Adjusted) -> f64 {
         let off = |(mark, prior): (usize, &MarkPrior)| {
-            let covariance = settled.place_covariance(mark);
-            let off = settled.state.places[mark].vector() - prior.place.vector();
+            let covariance = solved.place_covariance(mark);
+            let off = solved.state.places[mark].vector() - prior.place.vector();
             [0, 1].map(|n| {
                 let variance = prior.sigma_mil[n].powi(2);
                 off[n].abs() / (variance - covariance[(n, n)]).max(0.0).sqrt()
@@ -277,14 +278,14 @@ impl Bundle {
     }
 
     /// Normalised residual of each observation: its variance excludes the part that the observation itself absorbs.
-    fn normalised_residuals(&self, settled: &Settled) -> Vec<NormalisedResidual> {
+    fn normalised_residuals(&self, solved: &Adjusted) -> Vec<NormalisedResidual> {
         let of_mark = self.everywhere(|pose, mark| {
-            let p = settled.state.predict(pose, mark);
-            let spread = p.place * settled.place_covariance(mark) * p.place.transpose();
-            (p.seen, spread)
+            let p = solved.state.predict(pose, mark);
+            let spread = p.place * solved.place_covariance(mark) * p.place.transpose();
+            (p.at_px, spread)
         });
         let normalised = |o: &Observation| {
-            let (seen, spread) = of_mark[self.place(o)];
+            let (predicted, spread) = of_mark[self.place(o)];
             let stated = o.covariance_px2 * self.variance_factor;
             // An observation with weight has moved the mark towards itself; one without has not.
             let variance = stated - spread * (2.0 * o.weight - 1.0);
@@ -293,7 +294,7 @@ impl Bundle {
                 true => variance,
                 false => stated * 0.05,
             };
-            let residual = o.at_rest(&settled.state) - seen;
+            let residual = o.at_rest(&solved.state) - predicted;
             let square = |inverse| residual.dot(&(inverse * residual)).max(0.0);
             NormalisedResidual {
                 size: variance
@@ -315,8 +316,8 @@ impl Bundle {
             counts[o.frame].1 += o.weight;
         }
         for o in &mut self.observations {
-            let (seen, kept) = counts[o.frame];
-            if kept < 0.5 * seen as f64 {
+            let (count, kept) = counts[o.frame];
+            if kept < 0.5 * count as f64 {
                 o.weight = 0.0;
             }
         }
@@ -324,7 +325,7 @@ impl Bundle {
 
     /// Weighted sum of squared residuals over their variances.
     pub(super) fn chi2(&self, state: &State) -> f64 {
-        let predicted = self.everywhere(|pose, mark| state.predict(pose, mark).seen);
+        let predicted = self.everywhere(|pose, mark| state.predict(pose, mark).at_px);
         let one = |o: &Observation| {
             let residual = o.at_rest(state) - predicted[self.place(o)];
             let inverse = o
@@ -342,9 +343,9 @@ impl Bundle {
     }
 
     /// Reduced chi-square, pulled towards 1 if there are few degrees of freedom.
-    fn reduced_chi2(&self, settled: &Settled) -> f64 {
-        let freedom = (self.coordinates() - settled.determined).max(0.0);
-        (self.chi2(&settled.state) + STATED_FREEDOM) / (freedom + STATED_FREEDOM)
+    fn reduced_chi2(&self, solved: &Adjusted) -> f64 {
+        let freedom = (self.coordinates() - solved.determined).max(0.0);
+        (self.chi2(&solved.state) + STATED_FREEDOM) / (freedom + STATED_FREEDOM)
     }
 }
 
@@ -365,7 +366,7 @@ mod tests {
                 frame: 0,
                 pose: 0,
                 mark: 0,
-                seen: Vector2::new(time, 2.0 - time * time),
+                at_px: Vector2::new(time, 2.0 - time * time),
                 time,
                 covariance_px2: Matrix2::identity(),
                 weight: 1.0,
@@ -382,14 +383,14 @@ mod tests {
                 let drifted: Vector2<f64> = (drift_terms(o.time).iter().zip(drift))
                     .map(|(term, px)| px * *term)
                     .sum();
-                let residual = o.seen - place - drifted;
+                let residual = o.at_px - place - drifted;
                 residual.dot(&(weight * residual))
             };
             observations.iter().map(one).sum::<f64>()
         };
         let by_cell = |place: Vector2<f64>, drift: &[Vector2<f64>; DRIFT]| {
             let drifted: Vector2<f64> = cell.terms.iter().zip(drift).map(|(t, px)| t * px).sum();
-            let residual = cell.seen - place - drifted;
+            let residual = cell.at_px - place - drifted;
             let mut chi2 = residual.dot(&(cell.weight * residual));
             for n in 0..DRIFT {
                 chi2 -= 2.0 * cell.trend[n].dot(&drift[n]);

@@ -59,7 +59,7 @@ impl Pair {
 pub(super) fn runs(frames: &[&FrameObservation], of_pose: &[usize]) -> Vec<Vec<usize>> {
     let mut order = of_pose.to_vec();
     order.sort_by_key(|n| (frames[*n].utc, *n));
-    let mut runs = parted(frames, order);
+    let mut runs = split(frames, order);
     for later in 1..runs.len() {
         let both = [runs[later - 1].as_slice(), &runs[later]].concat();
         if let Some(first_after) = slip(frames, &both) {
@@ -71,19 +71,19 @@ pub(super) fn runs(frames: &[&FrameObservation], of_pose: &[usize]) -> Vec<Vec<u
 }
 
 /// Splits frames at the most significant slip, then each part again.
-fn parted(frames: &[&FrameObservation], order: Vec<usize>) -> Vec<Vec<usize>> {
+fn split(frames: &[&FrameObservation], order: Vec<usize>) -> Vec<Vec<usize>> {
     let Some(first_after) = slip(frames, &order) else {
         return vec![order];
     };
     let (before, after) = order.split_at(first_after);
     [before, after]
-        .map(|part| parted(frames, part.to_vec()))
+        .map(|part| split(frames, part.to_vec()))
         .concat()
 }
 
 /// The first frame after the most significant slip, as its index in the order of time.
 fn slip(frames: &[&FrameObservation], order: &[usize]) -> Option<usize> {
-    let pairs = at_rest_but_for_slips(pairs(frames, order)?)?;
+    let pairs = without_drift(pairs(frames, order)?)?;
     let possible = LEAST_FRAMES..(order.len() + 1).saturating_sub(LEAST_FRAMES);
     let moment = |n: &usize| frames[order[n - 1]].utc < frames[order[*n]].utc;
     let found = possible.filter(moment).filter_map(|first_after| {
@@ -132,7 +132,7 @@ fn pairs(frames: &[&FrameObservation], order: &[usize]) -> Option<Vec<Pair>> {
 }
 
 /// The pairs with slow drift removed, their sigmas inflated to the remaining scatter.
-fn at_rest_but_for_slips(mut pairs: Vec<Pair>) -> Option<Vec<Pair>> {
+fn without_drift(mut pairs: Vec<Pair>) -> Option<Vec<Pair>> {
     let slopes = pairs.iter().map(|pair| (&pair.moved, pair.drift_slopes()));
     let drift = motion(slopes).ok()?;
     for pair in &mut pairs {
@@ -146,7 +146,7 @@ fn at_rest_but_for_slips(mut pairs: Vec<Pair>) -> Option<Vec<Pair>> {
 /// this determines on which side of the slip a frame was taken.
 fn explained(pairs: &[&Pair], motion: &Vector4<f64>) -> f64 {
     let cost = |motion: &Vector4<f64>| -> f64 {
-        let sizes = pairs.iter().map(|pair| pair.moved.left_by(motion).norm());
+        let sizes = pairs.iter().map(|pair| pair.moved.residual(motion).norm());
         sizes.map(|size| LOSS.cost(size)).sum()
     };
     cost(&Vector4::zeros()) - cost(motion)

@@ -1,6 +1,6 @@
 //! The result of a calibration as lines of text.
 
-use super::calibration::{Beginning, Calibration};
+use super::calibration::{Calibration, StartFrom};
 use super::fit::{LENS_PRIOR_PX, PlateFit, PoseFit};
 use crate::plate::Plate;
 use crate::units::{SensorPx, counted};
@@ -30,7 +30,7 @@ pub(super) fn used(calibration: &Calibration) -> Vec<String> {
         calibration.rejected.len(),
         counted(calibration.poses.len() as u64, "pose")
     )];
-    if calibration.beginning == Beginning::Drawing {
+    if calibration.start_from == StartFrom::Drawing {
         let line =
             "start      the file rests on these very frames: its marks begin with the drawing";
         lines.push(line.into());

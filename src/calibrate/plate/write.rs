@@ -31,7 +31,7 @@ impl Calibration {
         revision.sign(&provenance.with_source(note));
         let poses = i64::try_from(self.poses.len()).unwrap_or(i64::MAX);
         revision.put("calibration.plate.poses", value(poses));
-        self.counted.list(revision);
+        self.used_frames.list(revision);
         if !self.suspects.is_empty() {
             let ids = self.suspects.iter().map(|mark| id_value(mark.id));
             revision.put(

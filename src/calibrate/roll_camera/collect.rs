@@ -6,7 +6,7 @@ use crate::config;
 use crate::frame::Frame;
 use crate::horizon::{self, EdgeHeight, HorizonSettings, Sphere};
 use crate::instrument::{DirectionCamera, Instrument};
-use crate::observe::{InputError, RejectedFrame, Watch, over};
+use crate::observe::{InputError, RejectedFrame, Watch, each_frame};
 use crate::pointing::{body_nadir, sun_in_telescope};
 use crate::units::{Measured, Place};
 use jiff::Timestamp;
@@ -74,10 +74,10 @@ pub fn collect(
     watch: &dyn Watch,
 ) -> Result<(Vec<Horizon>, Vec<RejectedFrame>), InputError> {
     let size_px = horizons.camera.size_px();
-    let observed = over(files.to_vec(), size_px, watch, |file, frame| {
+    let observed = each_frame(files.to_vec(), size_px, watch, |file, frame| {
         horizons.solve(file, &frame)
     })?;
-    let (mut seen, rejected) = observed.parted();
+    let (mut seen, rejected) = observed.split();
     seen.sort_by_key(|horizon| horizon.utc);
     Ok((seen, rejected))
 }
@@ -131,10 +131,10 @@ fn observations(
         Ok(known) => Ok(HorizonObservation { horizon, known }),
         Err(reason) => Err(RejectedFrame::new(horizon.file, reason)),
     };
-    parted(horizons.into_iter().map(observation).collect())
+    split(horizons.into_iter().map(observation).collect())
 }
 
-fn parted<T>(all: Vec<Result<T, RejectedFrame>>) -> (Vec<T>, Vec<RejectedFrame>) {
+fn split<T>(all: Vec<Result<T, RejectedFrame>>) -> (Vec<T>, Vec<RejectedFrame>) {
     let (mut good, mut bad) = (Vec::new(), Vec::new());
     for one in all {
         match one {

@@ -40,17 +40,17 @@ pub enum TurnError {
     )]
     TooFew { found: usize, wanted: &'static str },
     #[error(
-        "the turn about the body's {axis} axis is not determined: expected a sigma of {LIMIT_DEG} deg at most, found {found_deg:.2} deg; {instead}"
+        "the turn about the body's {axis} axis is not determined: expected a sigma of {LIMIT_DEG} deg at most, found {found_deg:.2} deg; {advice}"
     )]
     NotDetermined {
         axis: &'static str,
         found_deg: f64,
-        instead: &'static str,
+        advice: &'static str,
     },
     #[error(
-        "the turn is not determined: expected frames that determine it about every axis, found an axis that they do not determine; {instead}"
+        "the turn is not determined: expected frames that determine it about every axis, found an axis that they do not determine; {advice}"
     )]
-    Undetermined { instead: &'static str },
+    Undetermined { advice: &'static str },
     #[error("no turn fits the frames: {0}; check times, place and camera")]
     NoFit(FitError),
 }
@@ -59,7 +59,7 @@ impl TurnError {
     fn of(error: FitError, by_sun: bool) -> Self {
         match error {
             FitError::Undetermined => Self::Undetermined {
-                instead: what_would(by_sun),
+                advice: advice(by_sun),
             },
             FitError::NotConverged => Self::NoFit(error),
         }
@@ -91,7 +91,7 @@ pub fn fit(observations: &[HorizonObservation], start: &Rotation3<f64>) -> Resul
         return Err(TurnError::TooFew { found, wanted });
     }
     let (turn, fitted) =
-        settled(observations, start).map_err(|error| TurnError::of(error, by_sun))?;
+        converged(observations, start).map_err(|error| TurnError::of(error, by_sun))?;
     let correlation = correlation(observations, &turn, &fitted.weights);
     let own_rad2 = fitted.covariance * correlation;
     check_determined(&own_rad2, by_sun)?;
@@ -108,7 +108,7 @@ pub fn fit(observations: &[HorizonObservation], start: &Rotation3<f64>) -> Resul
 }
 
 /// The converged rotation, and the last step's fit.
-fn settled(
+fn converged(
     observations: &[HorizonObservation],
     start: &Rotation3<f64>,
 ) -> Result<(Rotation3<f64>, Fitted<3>), FitError> {
@@ -122,8 +122,8 @@ fn settled(
             scale: Scale::Median,
             tolerance_sigmas: 1e-3,
         };
-        let found = fit.fit(|by: &Vector3<f64>| Some(rows(observations, &moved(by, &turn))))?;
-        turn = moved(&found.parameters, &turn);
+        let found = fit.fit(|by: &Vector3<f64>| Some(rows(observations, &rotated(by, &turn))))?;
+        turn = rotated(&found.parameters, &turn);
         fitted = Some(found);
     }
     Ok((turn, fitted.ok_or(FitError::NotConverged)?))
@@ -138,7 +138,7 @@ fn correlation(observations: &[HorizonObservation], turn: &Rotation3<f64>, weigh
             .iter()
             .filter(|(angle, weight)| angle.axis == axis && **weight > LEAST_WEIGHT);
         let residuals: Vec<f64> = taken
-            .map(|(angle, _)| angle.left / angle.sigma_rad)
+            .map(|(angle, _)| angle.residual / angle.sigma_rad)
             .collect();
         correlation_of(&residuals)
     };
@@ -147,7 +147,7 @@ fn correlation(observations: &[HorizonObservation], turn: &Rotation3<f64>, weigh
 }
 
 /// A rotation followed by a small one about the body's axes.
-fn moved(by: &Vector3<f64>, turn: &Rotation3<f64>) -> Rotation3<f64> {
+fn rotated(by: &Vector3<f64>, turn: &Rotation3<f64>) -> Rotation3<f64> {
     Rotation3::new(*by) * turn
 }
 
@@ -155,7 +155,7 @@ fn moved(by: &Vector3<f64>, turn: &Rotation3<f64>) -> Rotation3<f64> {
 fn rows(observations: &[HorizonObservation], turn: &Rotation3<f64>) -> Vec<Linearised<1, 3>> {
     angles(observations, turn)
         .map(|angle| Linearised {
-            residual: Vector1::new(angle.left / angle.sigma_rad),
+            residual: Vector1::new(angle.residual / angle.sigma_rad),
             jacobian: angle.by_turn / angle.sigma_rad,
         })
         .collect()
@@ -173,7 +173,7 @@ enum Axis {
 struct Angle {
     axis: Axis,
     /// Known minus found, rad.
-    left: f64,
+    residual: f64,
     sigma_rad: f64,
     by_turn: RowVector3<f64>,
 }
@@ -186,7 +186,7 @@ fn angles<'a>(
         let found = observation.horizon.nadir.turned(turn);
         let along = |axis: Axis, unit: Vector3<f64>, known: f64| Angle {
             axis,
-            left: known - unit.dot(&found.unit),
+            residual: known - unit.dot(&found.unit),
             sigma_rad: unit.dot(&(found.covariance_rad2 * unit)).max(0.0).sqrt(),
             by_turn: found.unit.cross(&unit).transpose(),
         };
@@ -214,7 +214,7 @@ fn scatter_deg(observations: &[HorizonObservation], turn: &Rotation3<f64>, weigh
     let angles = angles(observations, turn).zip(weights);
     let taken = angles.filter(|(_, weight)| **weight > LEAST_WEIGHT);
     let (sum, count) = taken.fold((0.0, 0.0), |(sum, count), (angle, _)| {
-        (sum + angle.left.powi(2), count + 1.0)
+        (sum + angle.residual.powi(2), count + 1.0)
     });
     (sum / count).sqrt().to_degrees()
 }
@@ -238,7 +238,7 @@ fn sigmas_deg(covariance_rad2: &Matrix3<f64>) -> [f64; 3] {
 }
 
 /// Advice on a rotation that the frames do not determine.
-fn what_would(by_sun: bool) -> &'static str {
+fn advice(by_sun: bool) -> &'static str {
     match by_sun {
         true => {
             "let the telescope sweep over the Sun, half a degree to each side, while the gondola rolls"
@@ -255,7 +255,7 @@ fn check_determined(covariance_rad2: &Matrix3<f64>, by_sun: bool) -> Result<(), 
         Some((axis, found_deg)) if found_deg > LIMIT_DEG => Err(TurnError::NotDetermined {
             axis,
             found_deg,
-            instead: what_would(by_sun),
+            advice: advice(by_sun),
         }),
         _ => Ok(()),
     }

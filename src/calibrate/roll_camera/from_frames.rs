@@ -50,8 +50,8 @@ pub fn from_frames(
             .partition(|file| role_of(file).is_some_and(|(role, _)| role == Role::Roll)),
     };
     if of_horizon.is_empty() {
-        let lacking = "expected frames of the roll camera (named roll_*), found none; with --attitude any name will do";
-        return Err(FramesError::Lacking(lacking.into()).into());
+        let missing = "expected frames of the roll camera (named roll_*), found none; with --attitude any name will do";
+        return Err(FramesError::Missing(missing.into()).into());
     }
     let (seen, mut rejected) = collect(&of_horizon, horizons, watch)?;
     let (observations, more) = match reference {
@@ -69,7 +69,7 @@ pub fn from_frames(
         .iter()
         .map(|observation| observation.horizon.utc);
     Ok(FromFrames {
-        provenance: Provenance::over(NAME, done, turn.taken, times, &files),
+        provenance: Provenance::of_frames(NAME, done, turn.taken, times, &files),
         turn,
         rejected,
         stated,
@@ -104,14 +104,14 @@ fn by_sun(
 ) -> Result<(Vec<HorizonObservation>, Vec<RejectedFrame>), FramesError> {
     let directions = frames.instrument.mounting.directions;
     if directions != Directions::Telescope {
-        return Err(FramesError::Lacking(format!(
+        return Err(FramesError::Missing(format!(
             "mounting.directions: expected \"telescope\" to know the Sun's direction in the telescope's axes, found \"{}\"",
             directions.name()
         )));
     }
     if files.is_empty() {
-        let lacking = "expected frames of the Sun beside those of the roll camera, found none; --attitude gives the body's attitude without them";
-        return Err(FramesError::Lacking(lacking.into()));
+        let missing = "expected frames of the Sun beside those of the roll camera, found none; --attitude gives the body's attitude without them";
+        return Err(FramesError::Missing(missing.into()));
     }
     let (mut suns, mut rejected, _) = mounting::collect(files, frames, watch)?;
     suns.sort_by_key(|sun: &SunObservation| sun.utc);

@@ -1,7 +1,7 @@
 //! `solaspect calibrate camera`: noise, gain, hot pixels, vignetting, blur.
 
 use super::edition::{Edition, print_rejected};
-use crate::calibrate::camera::{self, Given};
+use crate::calibrate::camera::{self, InputFiles};
 use crate::cli::output::say;
 use crate::observe::Watch;
 use clap::Args;
@@ -29,7 +29,7 @@ pub struct CameraArgs {
 
 pub fn run(args: CameraArgs, watch: &dyn Watch) -> anyhow::Result<ExitCode> {
     let (mut revision, stated) = args.edition.open()?;
-    let given = Given {
+    let given = InputFiles {
         dark: args.dark.as_slice(),
         flat: args.flat.as_slice(),
         sun: &args.frames,

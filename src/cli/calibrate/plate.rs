@@ -1,7 +1,7 @@
 //! `solaspect calibrate plate`: the positions of the marks on the actual plate.
 
 use super::edition::Edition;
-use crate::calibrate::plate::{self, Counted};
+use crate::calibrate::plate::{self, UsedFrames};
 use crate::cli::output::say;
 use crate::observe::Watch;
 use clap::Args;
@@ -30,14 +30,14 @@ pub struct PlateArgs {
 
 pub fn run(args: &PlateArgs, watch: &dyn Watch) -> anyhow::Result<ExitCode> {
     let (mut revision, mut start) = args.edition.open()?;
-    let counted = match args.from_drawing {
+    let used_frames = match args.from_drawing {
         true => {
             start.plate = start.plate.as_drawn();
-            Counted::default()
+            UsedFrames::default()
         }
-        false => Counted::of(&revision),
+        false => UsedFrames::of(&revision),
     };
-    let calibration = plate::calibrate(&args.frames, &start, &counted, watch)?;
+    let calibration = plate::calibrate(&args.frames, &start, &used_frames, watch)?;
     calibration.revise(&mut revision);
     let file_sha256 = args.edition.write(&revision)?;
     args.edition

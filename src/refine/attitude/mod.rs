@@ -218,19 +218,19 @@ pub struct AttitudeFound {
 }
 
 impl AttitudeFound {
-    fn is_mostly_refused(&self) -> bool {
+    fn is_mostly_rejected(&self) -> bool {
         self.refused as f64 > MOSTLY * self.measurements as f64
     }
 
     /// Whether rows have an attitude, most measurements agree with it, and the IMU's numbers are in the expected units.
     pub fn is_sound(&self) -> bool {
         let is_found = self.counts.of(Status::Waiting) < self.counts.rows();
-        is_found && !self.is_mostly_refused() && self.suspected_units.is_empty()
+        is_found && !self.is_mostly_rejected() && self.suspected_units.is_empty()
     }
 
     /// Reasons not to trust the attitude, in words.
     pub fn doubts(&self) -> impl Iterator<Item = String> {
-        let mostly = self.is_mostly_refused().then(|| {
+        let mostly = self.is_mostly_rejected().then(|| {
             format!(
                 "{} of {} measurements contradict the gyros and accelerometers: the attitude is not to be trusted",
                 self.refused, self.measurements

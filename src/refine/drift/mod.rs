@@ -153,7 +153,7 @@ impl Drift<'_> {
         let marks = self.observations.at(moment).iter();
         for mark in marks.filter(|mark| mark.weight > 0.0) {
             let (picture, slopes) = self.reference.picture(mark.printed);
-            let residual = mark.seen - picture - slopes * view;
+            let residual = mark.observed - picture - slopes * view;
             let weight = mark.information() * f64::from(mark.weight);
             let weighted = slopes.transpose() * weight;
             information += weighted * slopes;
@@ -165,7 +165,7 @@ impl Drift<'_> {
 }
 
 /// State transition: the coefficients move the view by a change of temperature in degrees.
-fn warmed<const N: usize>(degrees: f64) -> SMatrix<f64, N, N> {
+fn thermal_transition<const N: usize>(degrees: f64) -> SMatrix<f64, N, N> {
     let mut transition = SMatrix::identity();
     for n in STATES..N {
         transition[(n - STATES, n)] = degrees;
@@ -200,7 +200,7 @@ impl<const N: usize> Process<N> for Drift<'_> {
             variances[n] = THERMAL_SIGMA_PX[n - STATES].powi(2);
         }
         Gaussian::new(SVector::zeros(), &variances).predicted(&Step {
-            transition: warmed(self.degrees(0)),
+            transition: thermal_transition(self.degrees(0)),
             noise: SMatrix::zeros(),
         })
     }
@@ -215,7 +215,7 @@ impl<const N: usize> Process<N> for Drift<'_> {
             turn += JUMP_PX[1].powi(2);
         }
         Some(Step {
-            transition: warmed(self.degrees(moment) - self.degrees(moment - 1)),
+            transition: thermal_transition(self.degrees(moment) - self.degrees(moment - 1)),
             noise: SMatrix::from_diagonal(&of_view([shift, turn, shear, 0.0])),
         })
     }
@@ -294,8 +294,8 @@ mod tests {
             walk[0] += noise(0.002);
             walk[1] += noise(0.002);
             let mut state = walk;
-            let mut warmed = state.fixed_rows_mut::<THERMAL>(0);
-            warmed += Vector4::from(px_per_degc) * degrees;
+            let mut thermal_transition = state.fixed_rows_mut::<THERMAL>(0);
+            thermal_transition += Vector4::from(px_per_degc) * degrees;
             let observed = (0..9).filter(|_| seen(n)).map(|k| {
                 let id = MarkId {
                     i: k % 3 - 1,
@@ -306,7 +306,7 @@ mod tests {
                 let error = Vector2::new(noise(MARK_SIGMA_PX), noise(MARK_SIGMA_PX));
                 let information = MARK_SIGMA_PX.powi(-2) as f32;
                 MarkObservation {
-                    seen: view + slopes * state + error,
+                    observed: view + slopes * state + error,
                     printed,
                     information: [information, 0.0, information],
                     weight: 1.0,

@@ -9,7 +9,7 @@ use std::ops::Range;
 #[derive(Debug, Clone, Copy)]
 pub struct MarkObservation {
     /// Position on the ideal sensor, px.
-    pub seen: Vector2<f64>,
+    pub observed: Vector2<f64>,
     /// Position of the mark on the plate.
     pub printed: PlateMil,
     /// Inverse covariance, px^-2: xx, xy, yy. In single precision to save memory.

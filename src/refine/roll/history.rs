@@ -3,12 +3,12 @@
 use super::super::flags::FrameFlag;
 use super::super::path::UNUSUAL_PATH_CHI2;
 use super::super::record::Grade;
-use super::super::timeline::{Entry, Held, Timeline};
-use super::path::{RollPath, Seen, changing};
+use super::super::timeline::{Content, Entry, Timeline};
+use super::path::{RollPath, RollSample, changing};
 use super::row::{RollRow, SmoothedRoll};
 use super::{HorizonRecord, RollRecipe};
 use crate::geometry::attitude::Direction;
-use crate::observe::{CameraFrames, Done, InputSummary, JournalError, Span};
+use crate::observe::{CameraFrames, InputSummary, JournalError, PassRecords, Span};
 use crate::pointing::body_nadir;
 use crate::units::Measured;
 
@@ -32,31 +32,31 @@ impl RollHistory {
     /// # Errors
     /// If a journal cannot be read.
     pub fn new(
-        done: Done<HorizonRecord>,
+        done: PassRecords<HorizonRecord>,
         camera: CameraFrames,
         recipe: &RollRecipe,
         span: &Span,
     ) -> Result<Self, JournalError> {
         let timeline = Timeline::new(done, camera, span)?;
-        let mut seen = Vec::new();
+        let mut used = Vec::new();
         let read = |n: usize| Ok(timeline.frame(n)?.map(|record| (n, record)));
         timeline.each(timeline.dated(), read, |frame| {
-            seen.extend(frame.and_then(|(n, record)| Seen::of(&timeline, n, &record)));
+            used.extend(frame.and_then(|(n, record)| RollSample::of(&timeline, n, &record)));
         })?;
-        let changing = changing(&seen);
+        let changing = changing(&used);
         let max_age_s = recipe.settings.max_age_s;
-        let path = |seen: Vec<Seen>| RollPath::through(seen, changing, max_age_s);
-        let fine: Vec<Seen> = seen
+        let path = |used: Vec<RollSample>| RollPath::through(used, changing, max_age_s);
+        let fine: Vec<RollSample> = used
             .iter()
             .filter(|s| s.quality == Grade::Fine)
             .copied()
             .collect();
-        let off = match fine.len() == seen.len() {
+        let off = match fine.len() == used.len() {
             true => Vec::new(),
-            false => off(path(fine).as_ref(), &seen),
+            false => off_path(path(fine).as_ref(), &used),
         };
-        seen.retain(|seen| off.binary_search(&seen.frame).is_err());
-        let path = path(seen);
+        used.retain(|one| off.binary_search(&one.frame).is_err());
+        let path = path(used);
         let times_s = (0..timeline.dated()).filter_map(|n| timeline.unix_s(n));
         Ok(Self {
             smoothed: smoothed(path.as_ref(), &times_s.collect::<Vec<f64>>()),
@@ -87,10 +87,10 @@ impl RollHistory {
     }
 
     fn row(&self, n: usize) -> Result<RollRow, JournalError> {
-        let Entry { file, held } = self.timeline.entry(n)?;
-        let (own, copy_of, reason) = match held {
-            Held::None { error, copy_of } => (None, copy_of, format!("file: {error}")),
-            Held::Frame(own) => {
+        let Entry { file, data } = self.timeline.entry(n)?;
+        let (own, copy_of, reason) = match data {
+            Content::None { error, copy_of } => (None, copy_of, format!("file: {error}")),
+            Content::Frame(own) => {
                 let reason = own.facts.reason(own.reason.as_deref());
                 (Some(*own), None, reason)
             }
@@ -137,19 +137,19 @@ fn smoothed(path: Option<&RollPath>, times_s: &[f64]) -> Vec<Option<SmoothedRoll
 }
 
 /// The coarse frames that lie off the path of the fine ones.
-fn off(by_fine: Option<&RollPath>, seen: &[Seen]) -> Vec<usize> {
-    let coarse: Vec<&Seen> = seen.iter().filter(|s| s.quality == Grade::Coarse).collect();
-    let times_s: Vec<f64> = coarse.iter().map(|seen| seen.time_s).collect();
+fn off_path(by_fine: Option<&RollPath>, used: &[RollSample]) -> Vec<usize> {
+    let coarse: Vec<&RollSample> = used.iter().filter(|s| s.quality == Grade::Coarse).collect();
+    let times_s: Vec<f64> = coarse.iter().map(|one| one.time_s).collect();
     let expected = smoothed(by_fine, &times_s).into_iter();
-    let is_off = |(seen, expected): (&Seen, Option<SmoothedRoll>)| {
+    let is_off = |(one, expected): (&RollSample, Option<SmoothedRoll>)| {
         let chi2 = |found: Measured, expected: Measured| {
             let sigma = found.sigma.hypot(expected.sigma);
             ((found.value - expected.value) / sigma).powi(2)
         };
-        let ([roll, pitch], expected) = (seen.angles_deg, expected?);
+        let ([roll, pitch], expected) = (one.angles_deg, expected?);
         let off =
             chi2(roll, expected.roll_deg) + chi2(pitch, expected.pitch_deg) > UNUSUAL_PATH_CHI2;
-        off.then_some(seen.frame)
+        off.then_some(one.frame)
     };
     coarse
         .into_iter()

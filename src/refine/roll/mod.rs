@@ -39,7 +39,7 @@ pub struct RollRecipe {
 }
 
 impl Observer for RollRecipe {
-    type Given = HorizonRecord;
+    type Output = HorizonRecord;
 
     fn stated(&self) -> String {
         self.stated.clone()

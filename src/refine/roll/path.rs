@@ -23,7 +23,7 @@ const LEAST_CHANGING: f64 = 0.05;
 /// The body's path through frames.
 #[derive(Debug, Clone)]
 pub(super) struct RollPath {
-    seen: Vec<Seen>,
+    used: Vec<RollSample>,
     changing: [f64; 2],
     max_age_s: f64,
     path: Path,
@@ -31,12 +31,12 @@ pub(super) struct RollPath {
 
 impl RollPath {
     /// Fits frames in the order of time; `changing` is the part of their sigmas that changes between frames. `None` without any.
-    pub fn through(seen: Vec<Seen>, changing: [f64; 2], max_age_s: f64) -> Option<Self> {
-        let first_s = seen.first()?.time_s;
-        let moments = seen.iter().map(|seen| seen.moment(first_s, changing));
+    pub fn through(used: Vec<RollSample>, changing: [f64; 2], max_age_s: f64) -> Option<Self> {
+        let first_s = used.first()?.time_s;
+        let moments = used.iter().map(|one| one.moment(first_s, changing));
         Some(Self {
             path: smoothing::path(moments, SharedErrors::default())?,
-            seen,
+            used,
             changing,
             max_age_s,
         })
@@ -44,7 +44,7 @@ impl RollPath {
 
     /// Roll and pitch of the body at times, s since 1970 and in order; `None` where no frame is near.
     pub fn at(&self, times_s: &[f64]) -> Vec<Option<SmoothedRoll>> {
-        let first_s = self.seen[0].time_s;
+        let first_s = self.used[0].time_s;
         let since: Vec<f64> = times_s.iter().map(|time_s| time_s - first_s).collect();
         let Some(points) = self.path.anywhere(&since) else {
             return vec![None; times_s.len()];
@@ -60,7 +60,7 @@ impl RollPath {
     }
 
     /// A point of the path, with the errors common to neighbours added.
-    fn smoothed(&self, point: &PathPoint, nearest: &Seen) -> SmoothedRoll {
+    fn smoothed(&self, point: &PathPoint, nearest: &RollSample) -> SmoothedRoll {
         let angle = |axis: usize| {
             let changing = point.variance[axis].max(0.0).sqrt() * UNIT_DEG;
             let alike = (1.0 - self.changing[axis].powi(2)).max(0.0).sqrt();
@@ -74,18 +74,18 @@ impl RollPath {
         }
     }
 
-    fn nearest(&self, time_s: f64) -> Option<&Seen> {
-        let next = self.seen.partition_point(|seen| seen.time_s < time_s);
+    fn nearest(&self, time_s: f64) -> Option<&RollSample> {
+        let next = self.used.partition_point(|one| one.time_s < time_s);
         let both = [next.checked_sub(1), Some(next)];
-        let both = both.into_iter().flatten().filter_map(|n| self.seen.get(n));
-        let away = |seen: &&Seen| (seen.time_s - time_s).abs();
+        let both = both.into_iter().flatten().filter_map(|n| self.used.get(n));
+        let away = |one: &&RollSample| (one.time_s - time_s).abs();
         both.min_by(|a, b| away(a).total_cmp(&away(b)))
     }
 }
 
 /// A frame with roll and pitch, at a time of the path.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Seen {
+pub(super) struct RollSample {
     /// Its index among the dated frames.
     pub frame: usize,
     pub quality: Grade,
@@ -94,7 +94,7 @@ pub(super) struct Seen {
     pub angles_deg: [Measured; 2],
 }
 
-impl Seen {
+impl RollSample {
     pub fn of(
         timeline: &Timeline<HorizonRecord>,
         n: usize,
@@ -129,8 +129,8 @@ impl Seen {
 
 /// Part of the stated sigmas that changes between frames, of roll and pitch, from third differences: these suppress slow motion.
 /// All of it if there are too few frames or the motion is too fast.
-pub(super) fn changing(seen: &[Seen]) -> [f64; 2] {
-    let evenly = |four: &&[Seen]| {
+pub(super) fn changing(used: &[RollSample]) -> [f64; 2] {
+    let evenly = |four: &&[RollSample]| {
         let steps = four.windows(2).map(|pair| pair[1].time_s - pair[0].time_s);
         let (least, most) = steps.fold((f64::INFINITY, 0.0_f64), |(least, most), step| {
             (least.min(step), most.max(step))
@@ -138,9 +138,9 @@ pub(super) fn changing(seen: &[Seen]) -> [f64; 2] {
         least > 0.0 && most < EVEN_STEPS * least
     };
     [0, 1].map(|axis| {
-        let difference = |four: &[Seen]| {
+        let difference = |four: &[RollSample]| {
             let weights = [1.0, -3.0, 3.0, -1.0];
-            let angles = four.iter().map(|seen| seen.angles_deg[axis]);
+            let angles = four.iter().map(|one| one.angles_deg[axis]);
             let (sum, variance) = angles
                 .zip(weights)
                 .fold((0.0, 0.0), |(sum, variance), (a, w)| {
@@ -148,7 +148,7 @@ pub(super) fn changing(seen: &[Seen]) -> [f64; 2] {
                 });
             (sum * sum / variance).sqrt()
         };
-        let differences = seen.windows(4).filter(evenly).map(difference);
+        let differences = used.windows(4).filter(evenly).map(difference);
         let differences: Vec<f64> = differences.collect();
         let enough = differences.len() >= LEAST_DIFFERENCES;
         let scatter = median(&differences).filter(|scatter| enough && scatter.is_finite());
@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn a_camera_that_repeats_a_picture_still_has_a_smoothed_roll() {
         // Frames at 4 Hz.
-        let fine = |frame: usize, roll_deg: f64| Seen {
+        let fine = |frame: usize, roll_deg: f64| RollSample {
             frame,
             quality: Grade::Fine,
             time_s: frame as f64 / 4.0,
@@ -174,18 +174,18 @@ mod tests {
         };
         let stuck = (0..200).map(|n| fine(n, 2.0));
         let swings = (200..300).map(|n| fine(n, 2.0 + ((n - 200) as f64 / 9.0).sin()));
-        let seen: Vec<Seen> = stuck.chain(swings).collect();
-        let changing = changing(&seen);
+        let used: Vec<RollSample> = stuck.chain(swings).collect();
+        let changing = changing(&used);
         assert_eq!(changing, [LEAST_CHANGING; 2]);
-        let times_s: Vec<f64> = seen.iter().map(|seen| seen.time_s).collect();
-        let path = RollPath::through(seen.clone(), changing, 1.0).unwrap();
-        for (seen, smoothed) in seen.iter().zip(path.at(&times_s)) {
+        let times_s: Vec<f64> = used.iter().map(|one| one.time_s).collect();
+        let path = RollPath::through(used.clone(), changing, 1.0).unwrap();
+        for (one, smoothed) in used.iter().zip(path.at(&times_s)) {
             let roll = smoothed.unwrap().roll_deg;
             assert!(
-                (roll.value - seen.angles_deg[0].value).abs() < 0.01,
-                "{seen:?}"
+                (roll.value - one.angles_deg[0].value).abs() < 0.01,
+                "{one:?}"
             );
-            assert!(roll.sigma > 0.0099, "{seen:?}");
+            assert!(roll.sigma > 0.0099, "{one:?}");
         }
     }
 }

@@ -70,7 +70,7 @@ fn examine_all(mut frames: Vec<Numbered>) -> Found {
             frames[n].time_s += shift.value;
         }
     }
-    let wrong = wrong(&frames, &rising(&frames));
+    let wrong = wrong(&frames, &longest_rising(&frames));
     let count = wrong.iter().filter(|is_wrong| **is_wrong).count();
     match count as f64 > MOST_WRONG * frames.len() as f64 {
         true => found.shuffled = shuffled(&frames),
@@ -80,7 +80,7 @@ fn examine_all(mut frames: Vec<Numbered>) -> Found {
 }
 
 /// The longest subsequence of rising times.
-fn rising(frames: &[Numbered]) -> Vec<bool> {
+fn longest_rising(frames: &[Numbered]) -> Vec<bool> {
     // For each length, the frame with the earliest time at which a rising sequence of that length ends.
     let mut ends: Vec<usize> = Vec::new();
     let mut before = vec![None; frames.len()];

@@ -99,12 +99,12 @@ impl Times {
             times.warn();
             return times;
         }
-        let twins = twins(stamps);
-        match quantum::spread(stamps, &twins) {
+        let copies = copies(stamps);
+        match quantum::spread(stamps, &copies) {
             Some(spread) => times.spread(stamps, &spread),
             None => times.by_monotonic_clock(stamps),
         }
-        times.by_number(stamps, &twins);
+        times.by_number(stamps, &copies);
         times.shared(stamps);
         times.warn();
         times
@@ -152,7 +152,7 @@ impl Times {
         }
     }
 
-    fn by_number(&mut self, stamps: &[Stamp], twins: &[bool]) {
+    fn by_number(&mut self, stamps: &[Stamp], copies: &[bool]) {
         let first_ns = stamps.iter().filter_map(|stamp| stamp.utc_ns).min();
         let numbered = |(n, stamp): (usize, &Stamp)| {
             let utc_ns = self.timings[n].utc_ns(stamp.utc_ns)?;
@@ -164,7 +164,7 @@ impl Times {
                 is_confirmed: self.clocks.confirmed.get(n) == Some(&true),
             })
         };
-        let frames = stamps.iter().enumerate().filter(|(n, _)| !twins[*n]);
+        let frames = stamps.iter().enumerate().filter(|(n, _)| !copies[*n]);
         let found = counter::examine(frames.filter_map(numbered).collect());
         for (n, correction_s) in found.corrections_s {
             let before_s = self.timings[n]
@@ -226,14 +226,14 @@ fn is_stopped(stamps: &[Stamp]) -> bool {
 }
 
 /// Frames that share number and time with another frame: their order cannot be determined.
-fn twins(stamps: &[Stamp]) -> Vec<bool> {
+fn copies(stamps: &[Stamp]) -> Vec<bool> {
     let key = |stamp: &Stamp| stamp.number.zip(stamp.utc_ns);
     let mut counts: HashMap<(u64, i64), u32> = HashMap::new();
     for key in stamps.iter().filter_map(key) {
         *counts.entry(key).or_default() += 1;
     }
-    let is_twin = |stamp| key(stamp).is_some_and(|key| counts[&key] > 1);
-    stamps.iter().map(is_twin).collect()
+    let is_copy = |stamp| key(stamp).is_some_and(|key| counts[&key] > 1);
+    stamps.iter().map(is_copy).collect()
 }
 
 #[cfg(test)]

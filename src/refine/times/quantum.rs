@@ -50,14 +50,14 @@ struct Ordered {
 }
 
 /// Spreads the frames over steps that hold several of them; `None` if there is no such step. Twins are not placed.
-pub(super) fn spread(stamps: &[Stamp], twins: &[bool]) -> Option<Spread> {
+pub(super) fn spread(stamps: &[Stamp], copies: &[bool]) -> Option<Spread> {
     // The camera stamps either the start of the exposure or its middle.
     let both = [0.5, 0.0].map(|part| Stepped::of(stamps, part));
     let stepped = both.into_iter().flatten();
     let stepped = stepped.max_by_key(|stepped| stepped.step_us)?;
     let line = [Order::Monotonic, Order::Number, Order::Files]
         .into_iter()
-        .find_map(|by| Some((by, stepped.ordered(stamps, twins, by)?)));
+        .find_map(|by| Some((by, stepped.ordered(stamps, copies, by)?)));
     let sharing = stepped.sharing() > LEAST_SHARING;
     let mut spread = Spread {
         step_s: stepped.step_us as f64 / 1e6,
@@ -95,13 +95,13 @@ impl Stepped {
         for pair in stamps.windows(2).filter(|pair| pair[0].0 < pair[1].0) {
             *steps.entry(pair[1].0 - pair[0].0).or_default() += 1;
         }
-        let usual = steps
+        let most_common = steps
             .into_iter()
             .max_by_key(|(step, times)| (*times, *step));
-        let (usual, _) = usual?;
+        let (most_common, _) = most_common?;
         let least = STEPS_US[STEPS_US.len() - 1];
         let mut steps = STEPS_US.to_vec();
-        steps.extend((usual >= least).then_some(usual));
+        steps.extend((most_common >= least).then_some(most_common));
         steps.sort_unstable_by_key(|step| -step);
         let on = |step: &i64| {
             let mut counts = HashMap::<i64, usize>::new();
@@ -126,13 +126,13 @@ impl Stepped {
     }
 
     /// The frames sorted by `by`, and the time per unit of its key, us; `None` if it does not order them.
-    fn ordered(&self, stamps: &[Stamp], twins: &[bool], by: Order) -> Option<(Vec<Ordered>, f64)> {
+    fn ordered(&self, stamps: &[Stamp], copies: &[bool], by: Order) -> Option<(Vec<Ordered>, f64)> {
         let mut keys = 0;
         let mut in_order = [0, 0];
         let mut frames: Vec<Ordered> = Vec::with_capacity(self.stamps.len());
         for group in self.groups() {
             let begin = frames.len();
-            for (stamp_us, n) in group.iter().filter(|(_, n)| !twins[*n]) {
+            for (stamp_us, n) in group.iter().filter(|(_, n)| !copies[*n]) {
                 let key = match by {
                     Order::Monotonic => stamps[*n].monotonic_s,
                     Order::Number => stamps[*n].number.map(|number| number as f64),

@@ -95,7 +95,7 @@ impl Axis {
     }
 
     /// The power of ten omitted in labels of very large or small values.
-    pub(super) fn left_out(&self) -> i32 {
+    pub(super) fn exponent(&self) -> i32 {
         let largest = self.low.abs().max(self.high.abs());
         let is_plain = (1e-2..1e5).contains(&largest);
         match self.scale {
@@ -116,7 +116,7 @@ impl Axis {
     }
 
     fn linear_ticks(&self, about: usize) -> Vec<Tick> {
-        let unit = 10_f64.powi(self.left_out());
+        let unit = 10_f64.powi(self.exponent());
         let step = step(self.high - self.low, about);
         let decimals = decimals(step / unit);
         let tick = |at: f64| Tick {
@@ -331,7 +331,7 @@ mod tests {
         );
         let axis = Axis::exact(0.0, 4e-6);
         assert_eq!(
-            (labels(axis, 4), axis.left_out()),
+            (labels(axis, 4), axis.exponent()),
             (
                 vec!["0".into(), "1".into(), "2".into(), "3".into(), "4".into()],
                 -6

@@ -2,7 +2,7 @@
 
 use super::axis::{Axis, superscript};
 use super::labels::Labels;
-use super::sheet::{Anchor, BESIDE_PX, Entry, Sheet, Stroke, Swatch};
+use super::sheet::{Anchor, Entry, MARGINS_PX, Sheet, Stroke, Swatch};
 use std::ops::Range;
 
 /// A polyline.
@@ -50,7 +50,7 @@ impl Ground {
 
     /// Scale of both axes.
     pub(super) fn px_per_unit(&self) -> f64 {
-        (SIDE_PX - BESIDE_PX) / (self.x.end - self.x.start)
+        (SIDE_PX - MARGINS_PX) / (self.x.end - self.x.start)
     }
 
     pub(super) fn contains(&self, (x, y): (f64, f64)) -> bool {
@@ -179,7 +179,7 @@ impl Scale<'_> {
                 sheet.text((right + 8.0, y + 18.0), Anchor::Start, &date);
             }
         }
-        let power = match self.axis.left_out() {
+        let power = match self.axis.exponent() {
             0 => String::new(),
             power => format!(" \u{d7} 10{}", superscript(power)),
         };

@@ -22,7 +22,7 @@ pub struct Cell {
 }
 
 /// Length that 95 % of the arrows do not exceed, and the greatest length.
-const USUAL_PX: f64 = 36.0;
+const PERCENTILE_95_PX: f64 = 36.0;
 const LONGEST_PX: f64 = 90.0;
 /// Approximate number of cells of a binned field along an axis.
 const CELLS: f64 = 50.0;
@@ -45,12 +45,12 @@ pub fn vector_map(
         .collect();
     lengths.sort_by(f64::total_cmp);
     let longest = *lengths.last().ok_or_else(|| labels.empty())?;
-    let usual = lengths[(lengths.len() - 1) * 19 / 20];
+    let percentile_95 = lengths[(lengths.len() - 1) * 19 / 20];
     let px_per_unit = match longest > 0.0 {
-        true => (LONGEST_PX / longest).min(USUAL_PX / usual.max(1e-300)),
+        true => (LONGEST_PX / longest).min(PERCENTILE_95_PX / percentile_95.max(1e-300)),
         false => 1.0,
     };
-    let shown = round_down(usual.max(longest * 1e-3));
+    let shown = round_down(percentile_95.max(longest * 1e-3));
     let legend = vec![Entry {
         name: format!("{} {unit}", short(shown, 1)),
         swatch: Swatch::Arrow(shown * px_per_unit),

@@ -24,5 +24,5 @@ pub use ground::{Ground, Line};
 pub use histogram::{Density, histogram};
 pub use labels::{Horizontal, Labels, PlotError};
 pub use map::{Arrow, Cell, binned, cell_of, scalar_map, vector_map};
-pub use path_map::{Ellipse, Passage, path_map};
+pub use path_map::{Ellipse, PathPosition, path_map};
 pub use series::{Figure, Mark, Series, series, square, stack};

@@ -10,7 +10,7 @@ use std::fmt::Write;
 
 /// A position of a path at a time, UTC, s since 1970-01-01.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Passage {
+pub struct PathPosition {
     pub unix_s: f64,
     pub at: (f64, f64),
     /// Invalid positions are drawn grey.
@@ -54,10 +54,10 @@ const MARGIN_PX: f64 = 10.0;
 pub fn path_map(
     labels: &Labels,
     ground: &Ground,
-    path: &[Passage],
+    path: &[PathPosition],
     ellipse: Option<&Ellipse>,
 ) -> Result<String, PlotError> {
-    let times = extent(path.iter().map(|passage| passage.unix_s)).ok_or_else(|| labels.empty())?;
+    let times = extent(path.iter().map(|p| p.unix_s)).ok_or_else(|| labels.empty())?;
     let scale = Scale {
         axis: match times {
             (first, last) if first < last => Axis::exact_utc(first, last),
@@ -79,13 +79,13 @@ pub fn path_map(
     Ok(sheet.finish())
 }
 
-fn legend(path: &[Passage], ellipse: Option<(&Ellipse, bool)>) -> Vec<Entry> {
+fn legend(path: &[PathPosition], ellipse: Option<(&Ellipse, bool)>) -> Vec<Entry> {
     let line = |name: String, colour| Entry {
         name,
         swatch: Swatch::Line,
         colour,
     };
-    let invalid = path.iter().any(|passage| !passage.is_valid);
+    let invalid = path.iter().any(|position| !position.is_valid);
     let invalid = invalid.then(|| line("not valid".into(), INVALID));
     let ellipse = ellipse.map(|(Ellipse { name, .. }, is_shown)| match is_shown {
         true => line(format!("{name} (lower left)"), ELLIPSE),
@@ -97,7 +97,7 @@ fn legend(path: &[Passage], ellipse: Option<(&Ellipse, bool)>) -> Vec<Entry> {
 /// Colour index of a piece; none for an invalid part of the path, which is drawn below.
 type Shade = Option<usize>;
 
-fn draw_path(sheet: &mut Sheet, path: &[Passage], times: Axis) {
+fn draw_path(sheet: &mut Sheet, path: &[PathPosition], times: Axis) {
     let mut pieces = pieces(sheet, path, times);
     pieces.sort_by_key(|piece| piece.shade);
     let left = uncovered(pieces);
@@ -118,22 +118,22 @@ fn draw_path(sheet: &mut Sheet, path: &[Passage], times: Axis) {
 }
 
 /// The path in the panel as short pieces of one colour each, in the order of time.
-fn pieces(sheet: &Sheet, path: &[Passage], times: Axis) -> Vec<Piece<Shade>> {
-    let longest = longest_step(path.iter().map(|passage| passage.unix_s));
+fn pieces(sheet: &Sheet, path: &[PathPosition], times: Axis) -> Vec<Piece<Shade>> {
+    let longest = longest_step(path.iter().map(|position| position.unix_s));
     let runs = path.chunk_by(|a, b| b.unix_s - a.unix_s <= longest);
     let panel = sheet.panel();
     let mut pieces = Vec::new();
     for run in runs {
-        let shade = |passage: &Passage| {
-            let part = times.fraction(passage.unix_s);
-            passage
+        let shade = |position: &PathPosition| {
+            let part = times.fraction(position.unix_s);
+            position
                 .is_valid
                 .then_some((part * (SHADES - 1) as f64).round() as usize)
         };
         let last = run.len() - 1;
         let mut pen = (sheet.anywhere(run[0].at), shade(&run[0]));
-        for (n, passage) in run.iter().enumerate().skip(usize::from(last > 0)) {
-            let next = (sheet.anywhere(passage.at), shade(passage));
+        for (n, position) in run.iter().enumerate().skip(usize::from(last > 0)) {
+            let next = (sheet.anywhere(position.at), shade(position));
             let moved_px = (next.0.0 - pen.0.0).hypot(next.0.1 - pen.0.1);
             if moved_px < FINEST_PX && next.1 == pen.1 && n < last {
                 continue;
@@ -178,8 +178,8 @@ mod tests {
         Labels::new("Path", "to solar west, arcsec", "to solar north, arcsec")
     }
 
-    fn passage(n: u32, at: (f64, f64)) -> Passage {
-        Passage {
+    fn position(n: u32, at: (f64, f64)) -> PathPosition {
+        PathPosition {
             unix_s: 1_379_786_400.0 + f64::from(n) * 0.1,
             at,
             is_valid: true,
@@ -202,8 +202,8 @@ mod tests {
     #[test]
     fn later_places_have_other_colours_and_west_is_to_the_right() {
         let ground = Ground::about_zero(100.0);
-        let path: Vec<Passage> = (0..100)
-            .map(|n| passage(n, (f64::from(n) - 50.0, 0.0)))
+        let path: Vec<PathPosition> = (0..100)
+            .map(|n| position(n, (f64::from(n) - 50.0, 0.0)))
             .collect();
         let svg = path_map(&labels(), &ground, &path, None).unwrap();
         let pieces = across(&svg, "stroke-width=\"2\"");
@@ -232,11 +232,11 @@ mod tests {
             target: vec![(3.0, 4.0)],
             ..Ground::over(400.0..600.0, -100.0..100.0)
         };
-        let slew = |n: u32| Passage {
+        let slew = |n: u32| PathPosition {
             is_valid: n < 50,
-            ..passage(n, (f64::from(n) * 10.0, 0.0))
+            ..position(n, (f64::from(n) * 10.0, 0.0))
         };
-        let path: Vec<Passage> = (0..100).map(slew).collect();
+        let path: Vec<PathPosition> = (0..100).map(slew).collect();
         let svg = path_map(&labels(), &ground, &path, None).unwrap();
         assert!(svg.contains("not valid") && !svg.contains(">target<"));
         let grey = across(&svg, &format!("stroke=\"{INVALID}\" stroke-width=\"2\"")).concat();
@@ -257,7 +257,7 @@ mod tests {
             path_map(
                 &labels(),
                 &ground,
-                &[passage(0, (0.0, 0.0))],
+                &[position(0, (0.0, 0.0))],
                 Some(&ellipse),
             )
             .unwrap()
@@ -269,11 +269,11 @@ mod tests {
     #[test]
     fn a_day_of_swings_at_ten_hertz_stays_small() {
         let swing = |period_s: f64, n: u32| (f64::from(n) * 0.628 / period_s).sin();
-        let path: Vec<Passage> = (0..864_000)
+        let path: Vec<PathPosition> = (0..864_000)
             .map(|n| {
                 let drift = 300.0 * swing(80_000.0, n);
                 let at = (drift + 60.0 * swing(9.1, n), 40.0 * swing(5.3, n));
-                passage(n, at)
+                position(n, at)
             })
             .collect();
         for reach in [1100.0, 400.0] {

@@ -237,7 +237,7 @@ fn envelope(sheet: &mut Sheet, series: &Series, colour: &'static str) {
     for run in runs {
         let finite = run.iter().filter(|p| p.0.is_finite() && p.1.is_finite());
         let columns = columns(finite.map(|point| sheet.place(*point)));
-        sheet.path(&upright(&columns), Stroke::solid(colour, 1.0).pale(0.4));
+        sheet.path(&verticals(&columns), Stroke::solid(colour, 1.0).pale(0.4));
         let medians: Vec<(f64, f64)> = columns.iter().map(|c| (c.x, c.median)).collect();
         for piece in super::thin::runs(&medians) {
             sheet.line(&piece, Stroke::solid(colour, 1.0));
@@ -246,7 +246,7 @@ fn envelope(sheet: &mut Sheet, series: &Series, colour: &'static str) {
 }
 
 /// Vertical lines from the least to the greatest value in each column.
-fn upright(columns: &[Column]) -> String {
+fn verticals(columns: &[Column]) -> String {
     use super::sheet::px;
     let one = |c: &Column| format!("M{} {}V{}", px(c.x), px(c.least), px(c.most));
     columns.iter().map(one).collect()

@@ -23,7 +23,7 @@ const LEFT_PX: f64 = 78.0;
 const RIGHT_PX: f64 = 20.0;
 const BELOW_PX: f64 = 50.0;
 /// Horizontal margins of a panel on its sheet.
-pub(super) const BESIDE_PX: f64 = LEFT_PX + RIGHT_PX;
+pub(super) const MARGINS_PX: f64 = LEFT_PX + RIGHT_PX;
 /// Height of a row of the legend.
 const ROW_PX: f64 = 19.0;
 const SWATCH_PX: f64 = 22.0;
@@ -378,7 +378,7 @@ impl Sheet {
     }
 
     fn draw_names(&mut self, labels: &Labels) {
-        let power = |axis: Axis| match axis.left_out() {
+        let power = |axis: Axis| match axis.exponent() {
             0 => String::new(),
             power => format!(" \u{d7} 10{}", superscript(power)),
         };

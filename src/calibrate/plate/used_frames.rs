@@ -12,13 +12,13 @@ const KEY: &str = "calibration.plate.frame_hashes";
 
 /// The frames that a file's marks are based on.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Counted {
+pub struct UsedFrames {
     /// Common hash of all frames of the last calibration; none for older files without it.
     of_all: Option<String>,
     frames: BTreeSet<String>,
 }
 
-impl Counted {
+impl UsedFrames {
     /// The frames listed in an instrument's file.
     pub fn of(revision: &Revision) -> Self {
         let text = |key: &str| revision.get(key).and_then(Item::as_str);
