@@ -103,16 +103,16 @@ impl FramesArgs {
     /// If standard output cannot be written. A file that could not be read gets a line of its own, and makes the run a failure.
     pub fn print<R: OutputRow>(
         &self,
-        solve: impl FnOnce(&mut dyn FnMut(Answer<R>) -> anyhow::Result<()>) -> anyhow::Result<()>,
+        solve: impl FnOnce(&mut dyn FnMut(Outcome<R>) -> anyhow::Result<()>) -> anyhow::Result<()>,
     ) -> anyhow::Result<ExitCode> {
         let mut printer = Printer::new::<R>(self.format)?;
         let progress = self.progress();
         let mut code = ExitCode::SUCCESS;
-        solve(&mut |answer| {
-            if answer.is_err() {
+        solve(&mut |result| {
+            if result.is_err() {
                 code = ExitCode::FAILURE;
             }
-            progress.suspend(|| printer.print(&answer))?;
+            progress.suspend(|| printer.print(&result))?;
             progress.inc(1);
             Ok(())
         })?;
@@ -160,10 +160,10 @@ pub(super) trait OutputRow: Serialize {
 }
 
 /// Answer for a frame, or the file and its error.
-pub(super) type Answer<R> = Result<R, (String, String)>;
+pub(super) type Outcome<R> = Result<R, (String, String)>;
 
 /// The answer for a file that could not be solved. The line already names the file, so the error does not repeat it.
-pub(super) fn bad_file<R>(path: &Path, error: &anyhow::Error) -> Answer<R> {
+pub(super) fn bad_file<R>(path: &Path, error: &anyhow::Error) -> Outcome<R> {
     let name = path.display().to_string();
     let text = format!("{error:#}");
     let text = text.strip_prefix(&format!("{name}: ")).unwrap_or(&text);
@@ -214,16 +214,16 @@ impl Printer {
         Ok(Self { format, csv })
     }
 
-    pub fn print<R: OutputRow>(&mut self, answer: &Answer<R>) -> anyhow::Result<()> {
+    pub fn print<R: OutputRow>(&mut self, result: &Outcome<R>) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
-        match (self.format, answer) {
+        match (self.format, result) {
             (Format::Jsonl, Ok(row)) => writeln!(out, "{}", serde_json::to_string(row)?)?,
             (Format::Jsonl, Err((file, error))) => {
                 writeln!(out, "{}", serde_json::to_string(&BadFile { file, error })?)?;
             }
             (Format::Csv, _) => {
                 drop(out);
-                self.print_csv(answer)?;
+                self.print_csv(result)?;
             }
             (Format::Table, Ok(row)) => {
                 let (file, fields) = row.table_row();
@@ -236,8 +236,8 @@ impl Printer {
         Ok(())
     }
 
-    fn print_csv<R: OutputRow>(&mut self, answer: &Answer<R>) -> anyhow::Result<()> {
-        let (row, error) = match answer {
+    fn print_csv<R: OutputRow>(&mut self, result: &Outcome<R>) -> anyhow::Result<()> {
+        let (row, error) = match result {
             Ok(row) => (row.csv_row(), ""),
             Err((file, error)) => {
                 let mut row = vec![String::new(); R::csv_columns().len()];

@@ -98,7 +98,7 @@ struct DecodeArgs {
     bytes: String,
     /// Sender of the bytes [default: the more plausible one]
     #[arg(long)]
-    from: Option<Speaker>,
+    from: Option<PacketSender>,
 }
 
 /// Record the bytes of a line, or decode a record
@@ -123,7 +123,7 @@ struct LogArgs {
     duration: Option<Duration>,
     /// Sender of the bytes [default: the more plausible one]
     #[arg(long)]
-    from: Option<Speaker>,
+    from: Option<PacketSender>,
 }
 
 /// Print packets and commands as a description that other programs read (docs/protocol.md)
@@ -147,13 +147,13 @@ enum Format {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Speaker {
+enum PacketSender {
     Aspect,
     /// The controller, or the ground
     Controller,
 }
 
-impl Speaker {
+impl PacketSender {
     fn direction(self) -> Direction {
         match self {
             Self::Aspect => Direction::ToController,
@@ -300,9 +300,9 @@ fn record(
 }
 
 /// Prints the packets in the bytes.
-fn print(bursts: &[Burst], from: Option<Speaker>, timed: bool) -> anyhow::Result<Contents> {
+fn print(bursts: &[Burst], from: Option<PacketSender>, timed: bool) -> anyhow::Result<Contents> {
     let likely = || byte_log::likely_direction(bursts);
-    let direction = from.map_or_else(likely, Speaker::direction);
+    let direction = from.map_or_else(likely, PacketSender::direction);
     let found = byte_log::packets(bursts, direction);
     let mut out = io::stdout().lock();
     for (time, packet) in &found.packets {

@@ -1,6 +1,6 @@
 //! `solaspect solve`: one answer per frame.
 
-use super::frames::{Answer, FramesArgs, OutputRow, REMARKS, bad_file};
+use super::frames::{FramesArgs, Outcome, OutputRow, REMARKS, bad_file};
 use super::options;
 use crate::aspect::{self, Expected, Track};
 use crate::calibrate::check::{self, Contradiction, Quantity};
@@ -56,11 +56,11 @@ pub fn run(mut args: SolveArgs) -> anyhow::Result<ExitCode> {
     let mut lack_place = 0;
     let code = args.frames.print::<Line>(|print| {
         let take = |solved: Solved| -> anyhow::Result<()> {
-            if let Ok(line) = &solved.answer {
+            if let Ok(line) = &solved.result {
                 batch.warn_of(&solved.contradictions, &line.record.file, &mut warned);
             }
             lack_place += u64::from(solved.lacks_place);
-            print(solved.answer)
+            print(solved.result)
         };
         batch.solve(args.track, take)
     })?;
@@ -75,7 +75,7 @@ pub fn run(mut args: SolveArgs) -> anyhow::Result<ExitCode> {
 
 /// Result for a file.
 struct Solved {
-    answer: Answer<Line>,
+    result: Outcome<Line>,
     /// Whether only the place is missing for an offset.
     lacks_place: bool,
     track: Option<Track>,
@@ -115,7 +115,7 @@ impl Batch<'_> {
 
     fn solve_file(&self, path: &Path, prior: Option<&Track>) -> Solved {
         self.try_solve(path, prior).unwrap_or_else(|error| Solved {
-            answer: bad_file(path, &error),
+            result: bad_file(path, &error),
             lacks_place: false,
             track: None,
             contradictions: Vec::new(),
@@ -167,7 +167,7 @@ impl Batch<'_> {
         record.reason = record.reason.or_else(untimed).or_else(unplaced);
         Ok(Solved {
             lacks_place: place.is_none() && utc.is_some() && solution.aspect.is_some(),
-            answer: Ok(Line {
+            result: Ok(Line {
                 record,
                 arcsec_per_mil: instrument.optics.arcsec_per_mil(),
             }),

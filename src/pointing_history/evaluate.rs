@@ -113,7 +113,7 @@ impl LineOfSight {
 
 impl Limits {
     /// Sky coordinates of a state, and their validity.
-    pub(super) fn judged(&self, state: State, axes: &Axes) -> Pointed {
+    pub(super) fn pointed(&self, state: State, axes: &Axes) -> Pointed {
         let telescope = state.attitude.to_rotation_matrix().into_inner();
         let sun_from_telescope = axes.sun.tr_mul(&telescope);
         let horizon_from_telescope = axes.horizon.tr_mul(&telescope);

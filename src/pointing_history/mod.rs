@@ -96,7 +96,7 @@ impl PointingHistory {
             return Pointed::unknown(Invalid::Gap);
         }
         match self.seconds.at(unix_s) {
-            Some(second) => limits.judged(state::between(before, after, unix_s), &second),
+            Some(second) => limits.pointed(state::between(before, after, unix_s), &second),
             None => Pointed::unknown(Invalid::Gap),
         }
     }

@@ -6,7 +6,7 @@ use crate::plan::{Plan, PlannedCamera};
 use jiff::{Timestamp, tz::Offset};
 
 /// Quantities that a knock or a transport changes.
-const PERISHABLE: [&str; 5] = [
+const TRANSPORT_SENSITIVE: [&str; 5] = [
     "mounting.boresight_mil",
     "mounting.clocking_deg",
     "mounting.scale_mil_per_px",
@@ -27,8 +27,8 @@ pub(super) fn check(plan: &Plan, camera: &PlannedCamera) -> Vec<Finding> {
 fn age(plan: &Plan, camera: &PlannedCamera, now: Timestamp) -> Finding {
     let check = format!("{} calibration", camera.camera.name);
     let name = &camera.camera.label;
-    let perishable = |key: &str| PERISHABLE.contains(&key);
-    let dates = camera.dates.iter().filter(|dated| perishable(&dated.key));
+    let is_sensitive = |key: &str| TRANSPORT_SENSITIVE.contains(&key);
+    let dates = camera.dates.iter().filter(|dated| is_sensitive(&dated.key));
     let Some(oldest) = dates.min_by_key(|dated| dated.date) else {
         return Finding::warn(
             check,

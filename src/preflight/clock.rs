@@ -10,7 +10,7 @@ use std::time::Duration;
 
 /// Plausible years: a clock that was never set starts in 1970 or 2000.
 const YEARS: std::ops::RangeInclusive<i16> = 2025..=2099;
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 const HOLD_IT: &str = "start a time service (chrony with the gondola's GPS or NTP server) and wait until it holds the clock; \
                        each second that the clock is off moves the Sun by 15 arcsec";
 
@@ -34,7 +34,7 @@ pub fn judge(
     limit_ms: f64,
     times_frames: bool,
 ) -> Vec<Finding> {
-    let objection = match times_frames {
+    let verdict = match times_frames {
         true => Verdict::Fail,
         false => Verdict::Warn,
     };
@@ -46,14 +46,14 @@ pub fn judge(
         ),
         Ok(status) if !status.synchronised => {
             let found = format!("free-running: {}", described(&status));
-            Finding::new("clock", objection, found, HOLD_IT)
+            Finding::new("clock", verdict, found, HOLD_IT)
         }
         Ok(status) if status.max_error_us > limit_ms * 1e3 => {
             let found = format!(
                 "held badly: {}, the limit is {limit_ms} ms",
                 described(&status)
             );
-            Finding::new("clock", objection, found, HOLD_IT)
+            Finding::new("clock", verdict, found, HOLD_IT)
         }
         Ok(status) => Finding::pass("clock", format!("held: {}", described(&status))),
     };
@@ -86,7 +86,7 @@ fn tracking() -> Option<Finding> {
             .stderr(Stdio::null())
             .output()
     };
-    let output = within(PATIENCE, ask).ok()?.ok()?;
+    let output = within(TIMEOUT, ask).ok()?.ok()?;
     follows(&String::from_utf8_lossy(&output.stdout))
 }
 

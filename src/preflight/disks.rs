@@ -12,8 +12,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Size of a frame if no file states it.
-const USUAL_PX: [usize; 2] = [1296, 966];
-const PATIENCE: Duration = Duration::from_secs(20);
+const DEFAULT_PX: [usize; 2] = [1296, 966];
+const TIMEOUT: Duration = Duration::from_secs(20);
 /// Writing is timed for this long, and with at most this many files.
 const TIMED: Duration = Duration::from_millis(500);
 const FILES: u32 = 26;
@@ -41,7 +41,7 @@ impl Demand {
         let archive = &plan.config.archive;
         // A camera whose size no file states is assumed to have the usual one.
         let size = |one: &PlannedCamera| {
-            let [width, height] = one.camera.sees.size_px().unwrap_or(USUAL_PX);
+            let [width, height] = one.camera.sees.size_px().unwrap_or(DEFAULT_PX);
             width * height * one.configured.pixel_format.bytes()
         };
         let rates = plan.cameras.iter().map(|one| one.configured.rate_hz);
@@ -75,12 +75,12 @@ pub(super) fn check(plan: &Plan) -> Vec<Finding> {
     for folder in &folders {
         let (demand, work_folder) = (demand.clone(), folder.clone());
         let check = format!("disk {}", folder.display());
-        findings.extend(findings_within(PATIENCE, &check, SILENT, move || {
+        findings.extend(findings_within(TIMEOUT, &check, SILENT, move || {
             check_folder(Arc::new(LocalDisk), &work_folder, &demand)
         }));
     }
     if let [first, second] = folders.as_slice() {
-        findings.push(apart(first, second));
+        findings.push(separate_devices(first, second));
     }
     findings
 }
@@ -233,7 +233,7 @@ fn write(disk: &dyn Disk, folder: &Path, path: &Path, content: &[u8]) -> io::Res
     disk.sync_folder(folder)
 }
 
-fn apart(first: &Path, second: &Path) -> Finding {
+fn separate_devices(first: &Path, second: &Path) -> Finding {
     let check = "two disks";
     match (device(first), device(second)) {
         (Some(a), Some(b)) if a != b => {

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 /// How long the receiver is observed, besides the time to open its port.
 const GPS: Duration = Duration::from_secs(5);
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 /// Difference from the configured site beyond which a fix belongs to another site.
 const FAR_DEG: f64 = 1.0;
 
@@ -27,7 +27,7 @@ pub(super) fn check(plan: &Plan) -> Finding {
     };
     let baud = plan.config.navigation.gps_baud;
     let clock = plan.clock;
-    let tried = within(PATIENCE + GPS, move || hear_gps(&address, baud, clock));
+    let tried = within(TIMEOUT + GPS, move || read_gps(&address, baud, clock));
     match tried {
         Ok(Ok(receiver)) => receiver.judge(plan.config.site.place()),
         Ok(Err(error)) => Finding::fail("gps", error.to_string(), GPS_PORT),
@@ -46,15 +46,15 @@ struct Receiver {
 }
 
 /// Listens until the first fix.
-fn hear_gps(address: &PortAddress, baud: u32, clock: FlightClock) -> Result<Receiver, PortError> {
+fn read_gps(address: &PortAddress, baud: u32, clock: FlightClock) -> Result<Receiver, PortError> {
     let mut port = address.open(baud, LocalEnd::default())?;
     let (mut sentences, mut receiver) = (Nmea::default(), Receiver::default());
     let mut buffer = [0; 2048];
     let start = Instant::now();
     while start.elapsed() < GPS && receiver.fix.is_none() {
         let count = port.read(&mut buffer, Duration::from_millis(100))?;
-        for heard in sentences.feed(&buffer[..count], clock.now()) {
-            receiver.note(heard);
+        for sentence in sentences.feed(&buffer[..count], clock.now()) {
+            receiver.note(sentence);
         }
     }
     receiver.counts.noise_bytes = sentences.noise_bytes();
@@ -62,9 +62,9 @@ fn hear_gps(address: &PortAddress, baud: u32, clock: FlightClock) -> Result<Rece
 }
 
 impl Receiver {
-    fn note(&mut self, heard: Heard) {
-        self.counts.note(&heard);
-        match heard {
+    fn note(&mut self, sentence: Heard) {
+        self.counts.note(&sentence);
+        match sentence {
             Heard::Fix(fix) => self.fix = self.fix.or(Some(fix)),
             Heard::Refused(refused) => self.refused = Some(refused),
             Heard::Unreadable(why) => self.unreadable = Some(why.to_string()),
@@ -157,8 +157,8 @@ mod tests {
             "GNGGA,142816.00,{place},{quality},12,0.8,38405.0,M,-24.0,M,,"
         )) + &summed(format!("GNRMC,142816.00,A,{place},0.005,,{date},,,A"));
         let (mut sentences, mut receiver) = (Nmea::default(), Receiver::default());
-        let heard = sentences.feed(text.as_bytes(), CLOCK.parse().unwrap());
-        heard.into_iter().for_each(|heard| receiver.note(heard));
+        let read = sentences.feed(text.as_bytes(), CLOCK.parse().unwrap());
+        read.into_iter().for_each(|one| receiver.note(one));
         receiver.judge(Some(Place::new(34.49, -104.2218, 1200.0).unwrap()))
     }
 

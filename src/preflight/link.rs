@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 const CHECK: &str = "link";
 /// Time limit for opening a port.
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 const PLUG: &str = "plug it in, and name it in link.port as it stands in /dev/serial/by-id; the service's user must be in the group \
                     that owns it (dialout)";
 const LISTEN: &str =
@@ -16,7 +16,7 @@ const LISTEN: &str =
 
 /// Counts during the listening time.
 #[derive(Debug, Default, PartialEq)]
-struct Heard {
+struct Received {
     packets: usize,
     refused_bytes: u64,
 }
@@ -32,8 +32,8 @@ pub(super) fn check(plan: &Plan, wait: Option<Duration>) -> Finding {
         let advice = format!("set {}", refused.key);
         return Finding::fail(CHECK, refused.to_string(), &advice);
     }
-    let limit = PATIENCE + wait.unwrap_or_default();
-    let tried = within(limit, move || -> Result<Option<Heard>, PortError> {
+    let limit = TIMEOUT + wait.unwrap_or_default();
+    let tried = within(limit, move || -> Result<Option<Received>, PortError> {
         let mut open = address.open(baud, local)?;
         wait.map(|wait| listen(open.as_mut(), wait)).transpose()
     });
@@ -41,28 +41,28 @@ pub(super) fn check(plan: &Plan, wait: Option<Duration>) -> Finding {
         (Err(no_answer), _) => Finding::fail(CHECK, format!("{port}: {no_answer}"), PLUG),
         (Ok(Err(error)), _) => Finding::fail(CHECK, error.to_string(), PLUG),
         (Ok(Ok(None)), _) => Finding::pass(CHECK, format!("{port} opens; it was not read")),
-        (Ok(Ok(Some(heard))), wait) => judge(&port, &heard, wait.unwrap_or_default()),
+        (Ok(Ok(Some(received))), wait) => judge(&port, &received, wait.unwrap_or_default()),
     }
 }
 
 /// Listens until the first good packet, or for `wait`.
-fn listen(port: &mut dyn BytePort, wait: Duration) -> Result<Heard, PortError> {
+fn listen(port: &mut dyn BytePort, wait: Duration) -> Result<Received, PortError> {
     let mut parser = Parser::new(Direction::ToAspect);
-    let mut heard = Heard::default();
+    let mut received = Received::default();
     let mut buffer = [0; 512];
     let start = Instant::now();
-    while heard.packets == 0 && start.elapsed() < wait {
+    while received.packets == 0 && start.elapsed() < wait {
         let count = port.read(&mut buffer, Duration::from_millis(100))?;
-        heard.packets += parser.feed(&buffer[..count], start.elapsed()).len();
+        received.packets += parser.feed(&buffer[..count], start.elapsed()).len();
     }
-    heard.refused_bytes = parser.rejected().bytes;
-    Ok(heard)
+    received.refused_bytes = parser.rejected().bytes;
+    Ok(received)
 }
 
-fn judge(port: &str, heard: &Heard, wait: Duration) -> Finding {
+fn judge(port: &str, received: &Received, wait: Duration) -> Finding {
     let seconds = wait.as_secs_f64();
-    match heard {
-        Heard {
+    match received {
+        Received {
             packets: 0,
             refused_bytes: 0,
         } => Finding::warn(
@@ -70,7 +70,7 @@ fn judge(port: &str, heard: &Heard, wait: Duration) -> Finding {
             format!("{port} opens; nothing heard in {seconds:.0} s"),
             LISTEN,
         ),
-        Heard {
+        Received {
             packets: 0,
             refused_bytes,
         } => {

@@ -11,10 +11,10 @@ use nalgebra::{Rotation3, Vector3};
 use std::time::{Duration, Instant};
 
 /// Observation time of the IMU at rest, and for a tilt.
-const REST: Duration = Duration::from_secs(3);
-const TILT: Duration = Duration::from_secs(15);
+const REST_TIME: Duration = Duration::from_secs(3);
+const TILT_TIME: Duration = Duration::from_secs(15);
 /// Time limit for opening a port.
-const PATIENCE: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 /// Minimum number of samples that determine a rate.
 const LEAST_SAMPLES: usize = 20;
 /// Minimum rate of samples for offsets by the gyros.
@@ -53,12 +53,12 @@ pub(super) fn check_axes(plan: &Plan, operator: &mut dyn Operator) -> Vec<Findin
 
 /// Samples of the IMU over some time, in the telescope's axes.
 #[derive(Debug, Clone, Default, PartialEq)]
-struct Heard {
+struct ImuSamples {
     samples: Vec<ImuPacket>,
     unreadable: usize,
 }
 
-impl Heard {
+impl ImuSamples {
     fn mean(&self, of: impl Fn(&ImuPacket) -> [f32; 3]) -> Vector3<f64> {
         let vectors = self
             .samples
@@ -95,39 +95,39 @@ impl Heard {
 }
 
 fn at_rest(plan: &Plan) -> Vec<Finding> {
-    let heard = match listen_to_imu(plan, REST) {
-        Ok(heard) => heard,
+    let imu = match read_imu(plan, REST_TIME) {
+        Ok(imu) => imu,
         Err(why) => return vec![Finding::fail("imu", why, IMU_PORT)],
     };
-    let Some(rate_hz) = heard.rate_hz() else {
+    let Some(rate_hz) = imu.rate_hz() else {
         let found = format!(
             "{} samples in {:.0} s",
-            heard.samples.len(),
-            REST.as_secs_f64()
+            imu.samples.len(),
+            REST_TIME.as_secs_f64()
         );
         return vec![Finding::fail("imu", found, IMU_PORT)];
     };
     let site = plan.config.site.place();
     let gravity_m_s2 = site.map_or(GRAVITY_M_S2, |site| gravity_m_s2(&site));
-    let scale = scale(&heard, gravity_m_s2);
-    vec![rate(plan, &heard, rate_hz), scale, rest(&heard)]
+    let scale = scale(&imu, gravity_m_s2);
+    vec![rate(plan, &imu, rate_hz), scale, rest(&imu)]
 }
 
-fn rate(plan: &Plan, heard: &Heard, rate_hz: f64) -> Finding {
-    let off_s = heard.samples.last().map_or(0.0, |last| {
+fn rate(plan: &Plan, imu: &ImuSamples, rate_hz: f64) -> Finding {
+    let off_s = imu.samples.last().map_or(0.0, |last| {
         Timestamp::now().duration_since(last.time).as_secs_f64()
     });
     let found = format!(
         "{rate_hz:.1} samples a second, {} missing, {} unreadable; their clock is {off_s:+.2} s behind this one",
-        heard.missing(),
-        heard.unreadable
+        imu.missing(),
+        imu.unreadable
     );
     let needed = plan.config.navigation.rate_hz.max(LEAST_HZ);
     if rate_hz < needed {
         let expected = format!("expected {needed:.0} samples a second or more");
         return Finding::fail("imu", format!("{found}: {expected}"), IMU_PORT);
     }
-    match heard.missing() > 0 || heard.unreadable > 0 || off_s.abs() > 1.0 {
+    match imu.missing() > 0 || imu.unreadable > 0 || off_s.abs() > 1.0 {
         true => Finding::warn(
             "imu",
             found,
@@ -137,8 +137,8 @@ fn rate(plan: &Plan, heard: &Heard, rate_hz: f64) -> Finding {
     }
 }
 
-fn scale(heard: &Heard, gravity_m_s2: f64) -> Finding {
-    let force = heard.force_m_s2();
+fn scale(imu: &ImuSamples, gravity_m_s2: f64) -> Finding {
+    let force = imu.force_m_s2();
     let off = force.norm() / gravity_m_s2 - 1.0;
     let found = format!(
         "at rest ({:+.3}, {:+.3}, {:+.3}) m/s^2, which is {:+.2} % of gravity off it",
@@ -156,8 +156,8 @@ fn scale(heard: &Heard, gravity_m_s2: f64) -> Finding {
     }
 }
 
-fn rest(heard: &Heard) -> Finding {
-    let rate = heard.mean(|sample| sample.rate_rad_s);
+fn rest(imu: &ImuSamples) -> Finding {
+    let rate = imu.mean(|sample| sample.rate_rad_s);
     let deg_s = rate.map(f64::to_degrees);
     let found = format!(
         "turns by ({:+.4}, {:+.4}, {:+.4}) deg/s",
@@ -196,7 +196,7 @@ impl Tilt {
     }
 
     /// Rotation of the measured vertical in that direction, rad.
-    fn felt_rad(self, before: &Vector3<f64>, after: &Vector3<f64>) -> f64 {
+    fn gravity_tilt_rad(self, before: &Vector3<f64>, after: &Vector3<f64>) -> f64 {
         let angle = |force: &Vector3<f64>| match self {
             Self::ForwardUp => force.x.atan2(-force.z),
             Self::RightLow => (-force.y).atan2(-force.z),
@@ -213,38 +213,38 @@ impl Tilt {
 
     fn check(self, plan: &Plan, operator: &mut dyn Operator) -> Finding {
         let name = self.check_name();
-        let before = match listen_to_imu(plan, REST) {
-            Ok(heard) => heard,
+        let before = match read_imu(plan, REST_TIME) {
+            Ok(imu) => imu,
             Err(why) => return Finding::fail(name, why, IMU_PORT),
         };
         if !operator.is_ready(self.request()) {
             let remedy = "tilt it when asked, so that the signs are known before the flight";
             return Finding::warn(name, "not tested: it was not tilted", remedy);
         }
-        match listen_to_imu(plan, TILT) {
+        match read_imu(plan, TILT_TIME) {
             Ok(after) => self.judge(&before, &after),
             Err(why) => Finding::fail(name, why, IMU_PORT),
         }
     }
 
-    fn judge(self, before: &Heard, after: &Heard) -> Finding {
+    fn judge(self, before: &ImuSamples, after: &ImuSamples) -> Finding {
         let name = self.check_name();
         let rate = before.mean(|sample| sample.rate_rad_s);
         let turned = self.turned_rad(&after.turned_rad(&rate));
-        let last_second = Heard {
+        let last_second = ImuSamples {
             samples: after.samples[after.samples.len().saturating_sub(LEAST_SAMPLES)..].into(),
             unreadable: 0,
         };
-        let felt = self.felt_rad(&before.force_m_s2(), &last_second.force_m_s2());
+        let tilt = self.gravity_tilt_rad(&before.force_m_s2(), &last_second.force_m_s2());
         let found = format!(
             "by the gyros {:+.2} deg, by gravity {:+.2} deg",
             turned.to_degrees(),
-            felt.to_degrees()
+            tilt.to_degrees()
         );
-        let agree = (turned - felt).abs() < TILT_AGREES * felt.abs().max(TILT_RAD);
-        match (felt > TILT_RAD, turned > TILT_RAD) {
+        let agree = (turned - tilt).abs() < TILT_AGREES * tilt.abs().max(TILT_RAD);
+        match (tilt > TILT_RAD, turned > TILT_RAD) {
             (true, true) if agree => Finding::pass(name, found),
-            (false, false) if felt.abs() < TILT_RAD && turned.abs() < TILT_RAD => Finding::fail(
+            (false, false) if tilt.abs() < TILT_RAD && turned.abs() < TILT_RAD => Finding::fail(
                 name,
                 format!("{found}: no tilt beyond doubt"),
                 "tilt it further",
@@ -259,7 +259,7 @@ impl Tilt {
 }
 
 /// Listens on the IMU's line for a time.
-fn listen_to_imu(plan: &Plan, time: Duration) -> Result<Heard, String> {
+fn read_imu(plan: &Plan, time: Duration) -> Result<ImuSamples, String> {
     let navigation = plan.navigation.as_ref().ok_or("no navigation is planned")?;
     // From the IMU's axes to the telescope's: forward, right and down.
     let telescope = navigation.settings.body_from_telescope().inverse();
@@ -269,10 +269,10 @@ fn listen_to_imu(plan: &Plan, time: Duration) -> Result<Heard, String> {
         .or(plan.line.clone())
         .ok_or("neither navigation.imu_port nor link.port is set")?;
     let baud = plan.config.link.baud;
-    let tried = within(PATIENCE + time, move || -> Result<Heard, PortError> {
+    let tried = within(TIMEOUT + time, move || -> Result<ImuSamples, PortError> {
         let mut port = address.open(baud, local)?;
         let mut parser = Parser::new(Direction::ToAspect);
-        let mut heard = Heard::default();
+        let mut imu = ImuSamples::default();
         let mut buffer = [0; 2048];
         let start = Instant::now();
         while start.elapsed() < time {
@@ -280,16 +280,16 @@ fn listen_to_imu(plan: &Plan, time: Duration) -> Result<Heard, String> {
             for packet in parser.feed(&buffer[..count], start.elapsed()) {
                 if let Packet::Telemetry(packet) = packet {
                     match ImuPacket::decode(&packet) {
-                        Ok(sample) => heard.samples.push(turned(sample, &telescope)),
-                        Err(_) => heard.unreadable += 1,
+                        Ok(sample) => imu.samples.push(turned(sample, &telescope)),
+                        Err(_) => imu.unreadable += 1,
                     }
                 }
             }
         }
-        Ok(heard)
+        Ok(imu)
     });
     match tried {
-        Ok(Ok(heard)) => Ok(heard),
+        Ok(Ok(imu)) => Ok(imu),
         Ok(Err(error)) => Err(error.to_string()),
         Err(no_answer) => Err(no_answer.to_string()),
     }
@@ -315,7 +315,7 @@ mod tests {
     use jiff::SignedDuration;
 
     /// Samples of 1.5 s from a body that rotates about an axis by an angle, from rest.
-    fn heard(axis: Vector3<f64>, turned_rad: f64) -> Heard {
+    fn imu(axis: Vector3<f64>, turned_rad: f64) -> ImuSamples {
         let start: Timestamp = "2026-06-01T12:00:00Z".parse().unwrap();
         let up = Vector3::new(0.0, 0.0, -1.0);
         let samples = (0..150).map(|n| {
@@ -329,7 +329,7 @@ mod tests {
                 rate_rad_s: (axis * rate).cast::<f32>().into(),
             }
         });
-        Heard {
+        ImuSamples {
             samples: samples.collect(),
             unreadable: 0,
         }
@@ -337,21 +337,21 @@ mod tests {
 
     #[test]
     fn a_tilt_by_hand_shows_axes_and_signs() {
-        let rest = heard(Vector3::x(), 0.0);
+        let rest = imu(Vector3::x(), 0.0);
         for (tilt, axis) in [
             (Tilt::ForwardUp, Vector3::y()),
             (Tilt::RightLow, Vector3::x()),
         ] {
-            let verdict = |after: &Heard| tilt.judge(&rest, after).verdict;
-            let good = heard(axis, 0.09);
+            let verdict = |after: &ImuSamples| tilt.judge(&rest, after).verdict;
+            let good = imu(axis, 0.09);
             assert_eq!(
                 verdict(&good),
                 Verdict::Pass,
                 "{:?}",
                 tilt.judge(&rest, &good)
             );
-            assert_eq!(verdict(&heard(-axis, 0.09)), Verdict::Fail, "the other way");
-            assert_eq!(verdict(&heard(axis, 0.01)), Verdict::Fail, "hardly");
+            assert_eq!(verdict(&imu(-axis, 0.09)), Verdict::Fail, "the other way");
+            assert_eq!(verdict(&imu(axis, 0.01)), Verdict::Fail, "hardly");
             // Gyros with the wrong sign.
             let mut wrong = good.clone();
             wrong
@@ -365,10 +365,10 @@ mod tests {
     #[test]
     fn gravity_shows_scale_and_sign_of_the_accelerometers() {
         let scaled = |by: f32| {
-            let mut heard = heard(Vector3::x(), 0.0);
-            let forces = heard.samples.iter_mut();
+            let mut imu = imu(Vector3::x(), 0.0);
+            let forces = imu.samples.iter_mut();
             forces.for_each(|s| s.force_m_s2 = s.force_m_s2.map(|force| by * force));
-            scale(&heard, GRAVITY_M_S2).verdict
+            scale(&imu, GRAVITY_M_S2).verdict
         };
         assert_eq!(scaled(1.0), Verdict::Pass);
         assert_eq!(scaled(1.01), Verdict::Warn);
@@ -378,9 +378,9 @@ mod tests {
 
     #[test]
     fn missing_samples_are_counted_by_their_numbers() {
-        let mut heard = heard(Vector3::x(), 0.0);
-        heard.samples.drain(40..45);
-        assert_eq!(heard.missing(), 5);
-        assert!((heard.rate_hz().unwrap() - 96.6).abs() < 0.1);
+        let mut imu = imu(Vector3::x(), 0.0);
+        imu.samples.drain(40..45);
+        assert_eq!(imu.missing(), 5);
+        assert!((imu.rate_hz().unwrap() - 96.6).abs() < 0.1);
     }
 }

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 /// Longest wait for a slew.
 const WATCH: Duration = Duration::from_secs(30);
 /// Time for the camera to be found, and for a call that lasts longer than the watch.
-const PATIENCE: Duration = Duration::from_secs(15);
+const TIMEOUT: Duration = Duration::from_secs(15);
 /// Smallest change that counts as a motion, in degrees and in sigma.
 const MOVED_DEG: f64 = 0.05;
 const MOVED_SIGMA: f64 = 5.0;
@@ -126,7 +126,7 @@ pub(super) fn check(plan: &Plan, operator: &mut dyn Operator) -> Vec<Finding> {
 
 fn check_camera(plan: &Plan, planned: &PlannedCamera, operator: &mut dyn Operator) -> Vec<Finding> {
     let (plan, planned) = (plan.clone(), planned.clone());
-    let opened = within(PATIENCE, move || Trial::open(&plan, &planned));
+    let opened = within(TIMEOUT, move || Trial::open(&plan, &planned));
     let failed = |found: String| vec![Finding::fail("polarity", found, "see the camera")];
     let mut watch = match opened {
         Ok(Ok(watch)) => watch,
@@ -144,7 +144,7 @@ fn check_camera(plan: &Plan, planned: &PlannedCamera, operator: &mut dyn Operato
             ));
             continue;
         }
-        let watched = within(WATCH + PATIENCE, move || {
+        let watched = within(WATCH + TIMEOUT, move || {
             let outcome = follow(&mut watch, axis);
             (watch, outcome)
         });

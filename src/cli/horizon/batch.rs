@@ -3,7 +3,7 @@
 use super::Method;
 use super::pair::matched;
 use super::record::{InBody, Record};
-use crate::cli::frames::{Answer, FramesArgs, bad_file};
+use crate::cli::frames::{FramesArgs, Outcome, bad_file};
 use crate::frame::Frame;
 use crate::horizon::circle::{self, Circle, circle};
 use crate::horizon::{self, HorizonSettings, Nadir, Solution, Sphere, Stopped};
@@ -57,14 +57,14 @@ impl Batch<'_> {
     pub fn solve(
         &self,
         track: bool,
-        mut take: impl FnMut(Answer<Record>) -> anyhow::Result<()>,
+        mut take: impl FnMut(Outcome<Record>) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
         match &self.pair {
             Some(Pair { frames, sphere }) => {
                 let moments = matched(frames.each_ref().map(Vec::as_slice));
                 let solve = |moment: &[Option<PathBuf>; 2]| self.solve_moment(moment, sphere);
                 let take =
-                    |answers: Vec<Answer<Record>>| answers.into_iter().try_for_each(&mut take);
+                    |results: Vec<Outcome<Record>>| results.into_iter().try_for_each(&mut take);
                 self.args.in_order(&moments, solve, take)
             }
             None if track => {
@@ -72,18 +72,18 @@ impl Batch<'_> {
                 self.args.frames.iter().try_for_each(|path| {
                     let solved = self.solve_file(path, 0, last.as_ref());
                     last = solved.as_ref().ok().and_then(Solved::nadir).or(last);
-                    take(answer(path, solved))
+                    take(outcome(path, solved))
                 })
             }
             None => {
-                let solve = |path: &PathBuf| answer(path, self.solve_file(path, 0, None));
+                let solve = |path: &PathBuf| outcome(path, self.solve_file(path, 0, None));
                 self.args.in_order(&self.args.frames, solve, take)
             }
         }
     }
 
     /// Solves the frames of two cameras at one moment, each by itself, and determines the body's attitude from both.
-    fn solve_moment(&self, paths: &[Option<PathBuf>; 2], sphere: &Sphere) -> Vec<Answer<Record>> {
+    fn solve_moment(&self, paths: &[Option<PathBuf>; 2], sphere: &Sphere) -> Vec<Outcome<Record>> {
         let each = paths.iter().zip(0..);
         let mut solved: Vec<(&Path, anyhow::Result<Solved>)> = each
             .filter_map(|(path, camera)| Some((path.as_deref()?, camera)))
@@ -96,7 +96,7 @@ impl Batch<'_> {
         self.join(&mut seen, sphere);
         solved
             .into_iter()
-            .map(|(path, solved)| answer(path, solved))
+            .map(|(path, solved)| outcome(path, solved))
             .collect()
     }
 
@@ -217,7 +217,7 @@ impl Solved {
     }
 }
 
-fn answer(path: &Path, solved: anyhow::Result<Solved>) -> Answer<Record> {
+fn outcome(path: &Path, solved: anyhow::Result<Solved>) -> Outcome<Record> {
     match solved {
         Ok(solved) => Ok(solved.record),
         Err(error) => bad_file(path, &error),

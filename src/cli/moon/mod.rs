@@ -2,7 +2,7 @@
 
 mod record;
 
-use super::frames::{Answer, FramesArgs, bad_file};
+use super::frames::{FramesArgs, Outcome, bad_file};
 use super::options;
 use crate::clock::parse_utc;
 use crate::frame::Frame;
@@ -134,7 +134,7 @@ pub fn run(mut args: MoonArgs) -> anyhow::Result<ExitCode> {
     };
     let frames = &args.frames;
     frames.print::<Record>(|take| {
-        frames.in_order(&frames.frames, |path: &PathBuf| batch.answer(path), take)
+        frames.in_order(&frames.frames, |path: &PathBuf| batch.outcome(path), take)
     })
 }
 
@@ -147,7 +147,7 @@ struct Batch<'a> {
 }
 
 impl Batch<'_> {
-    fn answer(&self, path: &Path) -> Answer<Record> {
+    fn outcome(&self, path: &Path) -> Outcome<Record> {
         self.solve(path).or_else(|error| bad_file(path, &error))
     }
 

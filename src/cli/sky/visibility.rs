@@ -168,10 +168,10 @@ fn report(args: &VisibilityArgs) -> anyhow::Result<Report> {
     let mut ephemeris = options::ephemeris(&options::config(None)?)?;
     let all =
         observations(&mut ephemeris, &vantage(args)?, (args.from, to), step).context("--from")?;
-    Ok(counted(args, &all))
+    Ok(statistics(args, &all))
 }
 
-fn counted(args: &VisibilityArgs, all: &[Observation]) -> Report {
+fn statistics(args: &VisibilityArgs, all: &[Observation]) -> Report {
     let above = |one: &Observation| one.moon_above_limb_deg > 0.0;
     let seen = |one: &Observation| above(one) && one.moon_from_sun_deg > args.clear_of_sun_deg;
     let row = |number: usize| {
