@@ -67,12 +67,12 @@ pub fn correlation_of(values: &[f64]) -> f64 {
     if count < 20 {
         return 1.0;
     }
-    let drowned = 2.0 / (count as f64).sqrt();
+    let noise_level = 2.0 / (count as f64).sqrt();
     let square: f64 = values.iter().map(|v| v * v).sum();
     let at_lag = |lag: usize| {
         let products = values.iter().zip(&values[lag..]).map(|(a, b)| a * b);
         products.sum::<f64>() / square
     };
     let lags = (1..count / 3).map(at_lag);
-    1.0 + 2.0 * lags.take_while(|rho| *rho > drowned).sum::<f64>()
+    1.0 + 2.0 * lags.take_while(|rho| *rho > noise_level).sum::<f64>()
 }

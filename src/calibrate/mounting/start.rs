@@ -35,14 +35,14 @@ pub(super) fn start(
     stated: &Instrument,
     side: Side,
 ) -> Option<Start> {
-    let mut unturned = stated.clone();
-    unturned.mounting.clocking_deg = Measured::new(0.0, 0.0);
-    unturned.mounting.boresight_mil = PlateMil::new(0.0, 0.0);
+    let mut centred = stated.clone();
+    centred.mounting.clocking_deg = Measured::new(0.0, 0.0);
+    centred.mounting.boresight_mil = PlateMil::new(0.0, 0.0);
     let (places, pairs): (Vec<usize>, Vec<Pair>) = observations
         .iter()
         .enumerate()
         .filter_map(|(n, sun)| {
-            let expected = side.shift(telescope(sun), &unturned, &sun.sun)?;
+            let expected = side.shift(telescope(sun), &centred, &sun.sun)?;
             Some((n, (expected, sun.sun_plate.position.vector())))
         })
         .unzip();

@@ -215,12 +215,12 @@ fn add_cell(normal: &mut Large, state: &State, pose: usize, cell: &Cell) {
     normal.add(&slopes, &residual, &cell.weight);
     let index = |term: usize| state.drift_index(pose) + 2 * term;
     for (n, spread) in cell.spread.iter().enumerate() {
-        let mut left = cell.trend[n];
+        let mut gradient = cell.trend[n];
         for (m, spread) in spread.iter().enumerate() {
             normal.add_block([index(n), index(m)], spread);
-            left -= spread * drift_px[m];
+            gradient -= spread * drift_px[m];
         }
-        normal.add_gradient(index(n), &left);
+        normal.add_gradient(index(n), &gradient);
     }
 }
 
@@ -398,8 +398,8 @@ impl Problem<'_> {
         };
         let common = priors.iter().filter(|prior| is_common(prior.unknown));
         let part = |prior: &Prior| {
-            let left = covariance[(prior.unknown, prior.unknown)] / prior.sigma.powi(2);
-            1.0 - left.min(1.0)
+            let share = covariance[(prior.unknown, prior.unknown)] / prior.sigma.powi(2);
+            1.0 - share.min(1.0)
         };
         // The gauge removes four degrees of freedom of the marks.
         let gauge = if self.freedoms.marks { 4.0 } else { 0.0 };

@@ -200,12 +200,12 @@ pub fn fit_frames(
     let found = poses::find(frames, &start.plate)?;
     let by_time = fit_and_split(found.clone(), start, 0);
     let moving = |fitted: &(Posed, PlateFit)| Shifts::of(&fitted.1).moving();
-    let left = by_time.as_ref().map_or(usize::MAX, moving);
-    if left == 0 {
+    let displaced = by_time.as_ref().map_or(usize::MAX, moving);
+    if displaced == 0 {
         return by_time;
     }
     match fit_and_split(found.joined(), start, MOST_SPLITS) {
-        Ok(by_place) if moving(&by_place) < left => Ok(by_place),
+        Ok(by_place) if moving(&by_place) < displaced => Ok(by_place),
         _ => by_time,
     }
 }

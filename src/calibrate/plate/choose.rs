@@ -88,10 +88,10 @@ fn corner_sigma_px(solved: &Adjusted) -> f64 {
 /// A step is taken if chi^2, with the variances from the richest fit, decreases by more than ln n for each added parameter,
 /// where n is the number of coordinates (Schwarz's criterion, which is the F test at that level). The radial term r^2 is omitted
 /// only if the frames distinguish it from errors of the plate: otherwise the marks would absorb it, with sigmas that do not include it.
-pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Adjusted)> {
+pub(super) fn choose(bundle: &Bundle, start: &State) -> Option<(Choice, Adjusted)> {
     let least_gain = bundle.coordinates().max(1.0).ln().max(LEAST_GAIN);
     let fit = |choice: Choice| {
-        let solved = bundle.adjust(richest, choice.freedoms())?;
+        let solved = bundle.adjust(start, choice.freedoms())?;
         let chi2 = bundle.chi2(&solved.state) + solved.chi2_prior;
         Some((choice, solved, chi2))
     };
@@ -105,8 +105,8 @@ pub(super) fn choose(bundle: &Bundle, richest: &State) -> Option<(Choice, Adjust
         drift: ALL_FREE.drift,
     })?;
     for kind in [MappingKind::Keystone, MappingKind::Homography] {
-        let richer = fit(Choice { kind, ..best.0 });
-        best = better(best, richer, least_gain, parameters);
+        let larger = fit(Choice { kind, ..best.0 });
+        best = better(best, larger, least_gain, parameters);
     }
     best = fit(Choice {
         lens: [false; LENS],
@@ -139,16 +139,16 @@ type Fitted = (Choice, Adjusted, f64);
 /// The richer fit, if the decrease of its chi^2 justifies the parameters that it adds.
 fn better(
     simple: Fitted,
-    richer: Option<Fitted>,
+    larger: Option<Fitted>,
     least_gain: f64,
     parameters: impl Fn(Choice) -> usize,
 ) -> Fitted {
-    let gains = |richer: &Fitted| {
-        let added = parameters(richer.0) - parameters(simple.0);
-        (simple.2 - richer.2) / added as f64 > least_gain
+    let gains = |larger: &Fitted| {
+        let added = parameters(larger.0) - parameters(simple.0);
+        (simple.2 - larger.2) / added as f64 > least_gain
     };
-    match richer.filter(gains) {
-        Some(richer) => richer,
+    match larger.filter(gains) {
+        Some(larger) => larger,
         None => simple,
     }
 }

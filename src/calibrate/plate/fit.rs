@@ -113,9 +113,9 @@ impl PlateFit {
 pub(super) fn fit(poses: &[Pose], start: &Instrument) -> Option<PlateFit> {
     let (mut bundle, ids, first) = gather(poses, start)?;
     let by_drawing = bundle.by_drawing(&first, ALL_FREE)?;
-    let rich = bundle.in_full(&by_drawing, ALL_FREE)?;
-    let prior_factor = bundle.inflate_priors(&rich);
-    let (choice, chosen) = choose(&bundle, &rich.state)?;
+    let full = bundle.in_full(&by_drawing, ALL_FREE)?;
+    let prior_factor = bundle.inflate_priors(&full);
+    let (choice, chosen) = choose(&bundle, &full.state)?;
     let solved = bundle.in_full(&chosen.state, choice.freedoms())?;
     let before = bundle.adjust(&first, AS_STATED)?.state;
     let residuals = residuals(&bundle, &solved, &before, &ids);

@@ -119,7 +119,7 @@ impl Posed {
             self.poses[poses[0]].with_frames(frames.collect())
         };
         let mut joined = Self {
-            poses: self.stands().into_iter().map(join).collect(),
+            poses: self.groups().into_iter().map(join).collect(),
             rejected: self.rejected.clone(),
         };
         joined.number();
@@ -139,7 +139,7 @@ impl Posed {
         let frames: Vec<&FrameObservation> = frames.collect();
         let mut changed = false;
         let mut split = Vec::new();
-        for poses in self.stands() {
+        for poses in self.groups() {
             let moving = poses.len() > 1 || shifts.off(poses[0]) > 0;
             let Some(Parts { parts, unassigned }) = moving.then(|| shifts.parts(&poses)).flatten()
             else {
@@ -167,19 +167,19 @@ impl Posed {
     }
 
     /// Groups of poses whose frames agree with one mapping: they differ by slips.
-    fn stands(&self) -> Vec<Vec<usize>> {
-        let mut stands: Vec<Vec<usize>> = Vec::new();
+    fn groups(&self) -> Vec<Vec<usize>> {
+        let mut groups: Vec<Vec<usize>> = Vec::new();
         for (n, pose) in self.poses.iter().enumerate() {
-            let is_same = |stand: &&mut Vec<usize>| {
-                let first = &self.poses[stand[0]];
+            let is_same = |group: &&mut Vec<usize>| {
+                let first = &self.poses[group[0]];
                 first.folder == pose.folder && first.mapping == pose.mapping
             };
-            match stands.iter_mut().find(is_same) {
-                Some(stand) => stand.push(n),
-                None => stands.push(vec![n]),
+            match groups.iter_mut().find(is_same) {
+                Some(group) => group.push(n),
+                None => groups.push(vec![n]),
             }
         }
-        stands
+        groups
     }
 
     /// Rejects the poses in which at least half of the frames disagree with the others. Returns their number.

@@ -69,8 +69,8 @@ impl<'a> Shifts<'a> {
             let shift = from_own_pose(marks).map_or(Vector2::zeros(), |s| s.moved_px);
             let freedom = (1.0 - 1.0 / marks.len().max(2) as f64).sqrt();
             marks.iter().map(move |Checked { residual, growth }| {
-                let left = residual.residual_px * *growth - shift;
-                left.norm() / (residual.stated_px * growth.sqrt() * freedom)
+                let off_px = residual.residual_px * *growth - shift;
+                off_px.norm() / (residual.stated_px * growth.sqrt() * freedom)
             })
         });
         let scatter = (median(within) / MEDIAN_LENGTH_2D).max(1.0);
@@ -159,13 +159,13 @@ fn split(shifts: &BTreeMap<usize, Displacement>) -> Option<Vec<Vec<usize>>> {
     if motions.is_empty() || LEAST_MEAN * motions.len() > shifts.len() {
         return None;
     }
-    let left = |shift: &Displacement, motion: &Vector4<f64>| shift.residual(motion).norm();
+    let distance = |shift: &Displacement, motion: &Vector4<f64>| shift.residual(motion).norm();
     let mut parts: Vec<Vec<usize>> = Vec::new();
     for _ in 0..ROUNDS {
         parts = vec![Vec::new(); motions.len()];
         for (n, shift) in shifts {
-            let lefts = motions.iter().map(|motion| left(shift, motion));
-            let nearest = lefts.enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
+            let distances = motions.iter().map(|motion| distance(shift, motion));
+            let nearest = distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1))?;
             parts[nearest.0].push(*n);
         }
         parts.retain(|part| part.len() >= LEAST_FRAMES);
@@ -173,8 +173,8 @@ fn split(shifts: &BTreeMap<usize, Displacement>) -> Option<Vec<Vec<usize>>> {
         motions = fitted.collect::<Option<_>>()?;
     }
     let off = shifts.values().filter(|shift| {
-        let lefts = motions.iter().map(|motion| left(shift, motion));
-        lefts.fold(f64::INFINITY, f64::min) > OFF_SIGMAS
+        let distances = motions.iter().map(|motion| distance(shift, motion));
+        distances.fold(f64::INFINITY, f64::min) > OFF_SIGMAS
     });
     (off.count() as f64 <= FEW * shifts.len() as f64).then_some(parts)
 }
@@ -195,11 +195,11 @@ fn most_agreed(shifts: &BTreeMap<usize, Displacement>) -> Option<Vector4<f64>> {
         slopes.lu().solve(&moved)
     };
     let tried = frames.len().div_ceil(TRIED).max(1);
-    let alone = frames.iter().step_by(tried).map(of_frame);
+    let single = frames.iter().step_by(tried).map(of_frame);
     let in_pairs = frames.windows(2).step_by(tried).filter_map(of_pair);
     // Such a motion has the errors of its frames: use a wider limit.
     let with = |motion: &Vector4<f64>| agreeing(shifts, motion, 2.0 * OFF_SIGMAS);
-    let mut part = alone
+    let mut part = single
         .chain(in_pairs)
         .map(|motion| with(&motion))
         .max_by_key(Vec::len)?;

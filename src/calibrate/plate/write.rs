@@ -75,7 +75,7 @@ fn distortion(revision: &mut Revision, calibration: &Calibration, provenance: &P
     let held = provenance.remarked("; held, the decentring terms move it");
     let centre = Value::Array(Array::from_iter([lens.centre.x, lens.centre.y]));
     revision.set("camera.distortion.centre_px", centre, None, &held);
-    let uncalled = provenance.remarked("; not called for by the data");
+    let unneeded = provenance.remarked("; not called for by the data");
     let sigma = fit.distortion_sigma;
     let radial = [
         ("2", lens.radial[0], sigma[0]),
@@ -85,13 +85,13 @@ fn distortion(revision: &mut Revision, calibration: &Calibration, provenance: &P
         let key = format!("camera.distortion.radial_per_px{power}");
         match sigma > 0.0 {
             true => revision.set_measured(&key, Measured::new(value, sigma), provenance),
-            false => revision.set(&key, 0.into(), None, &uncalled),
+            false => revision.set(&key, 0.into(), None, &unneeded),
         }
     }
     let key = "camera.distortion.decentring_per_px";
     match sigma[2] > 0.0 {
         true => revision.set_pair(key, lens.decentring, sigma[2].max(sigma[3]), provenance),
-        false => revision.set(key, Value::Array(Array::from_iter([0, 0])), None, &uncalled),
+        false => revision.set(key, Value::Array(Array::from_iter([0, 0])), None, &unneeded),
     }
 }
 
