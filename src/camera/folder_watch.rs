@@ -274,12 +274,12 @@ impl FolderWatch {
         if is(AddWatchFlags::IN_MOVED_FROM) {
             self.leaving = Some((report.cookie, path.clone()));
         }
-        let came_from = self.leaving.as_ref();
-        let came_from = came_from.filter(|(cookie, _)| *cookie == report.cookie);
-        let came_from = came_from.map(|(_, from)| from.clone());
+        let moved_from = self.leaving.as_ref();
+        let moved_from = moved_from.filter(|(cookie, _)| *cookie == report.cookie);
+        let moved_from = moved_from.map(|(_, from)| from.clone());
         let has_come = is(AddWatchFlags::IN_MOVED_TO);
         if is(AddWatchFlags::IN_ISDIR) {
-            match came_from.filter(|_| has_come) {
+            match moved_from.filter(|_| has_come) {
                 _ if fits::is_hidden(&path) => {}
                 Some(from) if !fits::is_hidden(&from) => self.queue.push_back(Request::Moved(path)),
                 _ if has_come || is(AddWatchFlags::IN_CREATE) => {
@@ -289,7 +289,7 @@ impl FolderWatch {
             }
             return;
         }
-        changes.push(match came_from {
+        changes.push(match moved_from {
             Some(from) if has_come => Change::Renamed { from, to: path },
             _ if has_come || is(AddWatchFlags::IN_CLOSE_WRITE) => Change::Complete(path),
             _ if is(AddWatchFlags::IN_MOVED_FROM) => Change::Gone(path),

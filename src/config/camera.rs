@@ -45,12 +45,12 @@ impl Cameras {
 
     /// Adds a camera, sorted by name among the added ones: numbers on the line follow their order.
     pub(super) fn push(&mut self, camera: ConfiguredCamera) {
-        let usual = Role::tables().count();
-        let later = self.0[usual..]
+        let standard = Role::tables().count();
+        let later = self.0[standard..]
             .iter()
             .position(|other| other.name > camera.name);
         self.0
-            .insert(later.map_or(self.0.len(), |at| usual + at), camera);
+            .insert(later.map_or(self.0.len(), |at| standard + at), camera);
     }
 }
 

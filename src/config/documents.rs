@@ -36,9 +36,10 @@ impl Config {
                 }
                 continue;
             }
-            let usual = Role::tables().find(|(usual, _)| *usual == table);
+            let standard = Role::tables().find(|(name, _)| *name == table);
             let camera = self.cameras.named(table).map(|camera| camera.role);
-            let role = camera.filter(|role| usual.is_some_and(|(_, usual)| usual != *role));
+            let role =
+                camera.filter(|role| standard.is_some_and(|(_, standard)| standard != *role));
             text += &self.table_toml(&head(table), table, role, rows);
         }
         let (first, names) = (self.cameras.first(), Role::table_names());

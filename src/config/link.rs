@@ -106,7 +106,7 @@ mod tests {
         link
     }
 
-    fn hears(link: &Link, sender: &str) -> bool {
+    fn accepts(link: &Link, sender: &str) -> bool {
         let mut guard = link.guard().unwrap();
         guard.open(b"bytes", sender.parse().unwrap()).is_ok()
     }
@@ -114,10 +114,10 @@ mod tests {
     #[test]
     fn commands_over_udp_are_taken_of_the_configured_peer_unless_others_are_named() {
         let link = over_udp(|_| {});
-        assert!(hears(&link, "10.0.0.1:4711") && !hears(&link, "10.0.0.2:2000"));
+        assert!(accepts(&link, "10.0.0.1:4711") && !accepts(&link, "10.0.0.2:2000"));
         let link = over_udp(|link| link.udp_peers = Some("10.0.0.2, 10.0.0.3:7".into()));
-        assert!(hears(&link, "10.0.0.2:4711") && hears(&link, "10.0.0.3:7"));
-        assert!(!hears(&link, "10.0.0.1:2000") && !hears(&link, "10.0.0.3:8"));
+        assert!(accepts(&link, "10.0.0.2:4711") && accepts(&link, "10.0.0.3:7"));
+        assert!(!accepts(&link, "10.0.0.1:2000") && !accepts(&link, "10.0.0.3:8"));
     }
 
     #[test]

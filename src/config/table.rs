@@ -26,8 +26,8 @@ macro_rules! row {
     ($home:tt . $field:ident, $unit:literal, $allowed:expr, $documentation:expr) => {
         row!(@ $home.$field, ($unit, $allowed, None, None, $documentation))
     };
-    (@ [$table:ident] . $field:ident, $said:tt) => {
-        row!(= $table.$field, $said,
+    (@ [$table:ident] . $field:ident, $entry:tt) => {
+        row!(= $table.$field, $entry,
             |config, table| config.cameras.named(table)?.$field.value(),
             |config, table, value| {
                 config.cameras.named_mut(table)?.$field = Field::from_value(value)?;
@@ -35,8 +35,8 @@ macro_rules! row {
             }
         )
     };
-    (@ {$table:ident} . $field:ident, $said:tt) => {
-        row!(= $table.$field, $said,
+    (@ {$table:ident} . $field:ident, $entry:tt) => {
+        row!(= $table.$field, $entry,
             |config, table| config.outputs.named(table)?.$field.value(),
             |config, table, value| {
                 config.outputs.named_mut(table)?.$field = Field::from_value(value)?;
@@ -44,8 +44,8 @@ macro_rules! row {
             }
         )
     };
-    (@ $table:ident . $field:ident, $said:tt) => {
-        row!(= $table.$field, $said,
+    (@ $table:ident . $field:ident, $entry:tt) => {
+        row!(= $table.$field, $entry,
             |config, _| config.$table.$field.value(),
             |config, _, value| {
                 config.$table.$field = Field::from_value(value)?;

@@ -27,7 +27,7 @@ pub fn stations(cameras: &[&Camera], configuration: &str) -> Vec<Arc<Station>> {
 
 impl Station {
     /// The station of a camera that is used alone.
-    pub fn alone(camera: &Camera) -> Self {
+    pub fn single(camera: &Camera) -> Self {
         Self {
             index: 0,
             ordinal: 1,

@@ -184,8 +184,8 @@ impl OutputThread {
         let Some(bytes) = self.encoder.encode(message) else {
             return self.counts.note_dropped(1);
         };
-        let went = self.endpoint.send(&bytes, self.start.elapsed());
-        self.counts.sent.fetch_add(went.sent, Ordering::Relaxed);
-        self.counts.note_dropped(went.dropped);
+        let result = self.endpoint.send(&bytes, self.start.elapsed());
+        self.counts.sent.fetch_add(result.sent, Ordering::Relaxed);
+        self.counts.note_dropped(result.dropped);
     }
 }

@@ -1,7 +1,7 @@
 //! The archive in flight: pictures and rows, each disk with two threads of its own.
 //!
 //! ```text
-//!  solver --- receive(frame) ----> Queue (queue_frames) ---> archive-1 ---> disk 1   frames
+//!  solver --- receive(frame) --> Queue (queue_frames) ---> archive-1 ---> disk 1   frames
 //!     |                            \---------------------> archive-2 ---> disk 2
 //!     |                                                         | StorageReport: the file's name
 //!     \------- Entry (10,000) ----> log-1 <---------------------/         disk 1   log, telemetry

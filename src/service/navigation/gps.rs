@@ -56,12 +56,12 @@ impl Filter<'_> {
 
 impl NavigationTally {
     /// Counts the GPS receiver's data, and logs unusable ones.
-    pub(super) fn note_gps(&mut self, heard: &Heard) {
-        let count = self.gps.note(heard);
+    pub(super) fn note_gps(&mut self, sentence: &Heard) {
+        let count = self.gps.note(sentence);
         if !worth_a_line(count) {
             return;
         }
-        match heard {
+        match sentence {
             Heard::Fix(_) => {}
             Heard::Refused(why) => tracing::warn!(count, %why, "a GPS fix is not used"),
             Heard::Unreadable(why) => {

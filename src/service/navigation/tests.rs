@@ -109,12 +109,12 @@ fn seen(camera: usize, target: Target, since: Duration, direction: Direction) ->
 
 /// The fixes of some sentences, all of which must be fixes.
 fn fixes(receiver: &mut Nmea, sentences: &str) -> Vec<TimedFix> {
-    let heard = receiver.feed(sentences.as_bytes(), START.parse().unwrap());
-    let fix = |heard| match heard {
+    let read = receiver.feed(sentences.as_bytes(), START.parse().unwrap());
+    let fix = |sentence| match sentence {
         Heard::Fix(fix) => fix,
         other => panic!("{other:?}"),
     };
-    heard.into_iter().map(fix).collect()
+    read.into_iter().map(fix).collect()
 }
 
 /// Flies the simulated telescope. Frames show the Sun at times for which `is_seen` is true, and are solved 40 ms late; `corrupt` may change

@@ -99,7 +99,7 @@ impl MakeSolver {
 
 /// The solver of the frames of a camera that is used alone.
 pub fn solver(camera: &Camera, ephemeris: Ephemeris) -> Box<dyn Solver> {
-    let station = Station::alone(camera);
+    let station = Station::single(camera);
     MakeSolver::new(&station, ephemeris, &Results::default(), Memory::default()).make()
 }
 
