@@ -104,9 +104,9 @@ impl Report {
             series("pitch, smoothed", Mark::Line, &smoothed(1)).in_hue(1),
         ];
         let in_flight = |row: &Drawn| Some(row.roll_in_flight? - row.smoothed?[0]);
-        let alone = |row: &Drawn| Some(row.own?[0] - row.smoothed?[0]);
+        let by_itself = |row: &Drawn| Some(row.own?[0] - row.smoothed?[0]);
         let differences = [
-            series("frame by itself", Mark::Dots, &alone),
+            series("frame by itself", Mark::Dots, &by_itself),
             series("in flight", Mark::Dots, &in_flight),
         ];
         let titles = ["Roll and pitch of the body", "Roll minus smoothed roll"];

@@ -314,7 +314,7 @@ impl Run<'_> {
             of_gyros = by_gyros.page;
             refined.attitude = Some(by_gyros.found);
         }
-        let others = Others {
+        let others = OtherSensors {
             roll: refined.roll.as_ref().map(|roll| &roll.history),
             states: &states,
             differences: &differences,
@@ -359,7 +359,7 @@ impl Run<'_> {
     fn finish(
         &self,
         result: CameraResult,
-        others: &Others<'_>,
+        others: &OtherSensors<'_>,
         archive: &ArchiveReader,
         report: &mut Report,
     ) -> anyhow::Result<RefinedCamera> {
@@ -425,7 +425,7 @@ struct CameraResult {
 }
 
 /// Other sensors' measurements of the telescope's pointing.
-struct Others<'a> {
+struct OtherSensors<'a> {
     roll: Option<&'a RollHistory>,
     /// States of the pointing, by gyros.
     states: &'a States,

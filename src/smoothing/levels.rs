@@ -94,7 +94,7 @@ fn likeliest_levels(scores: &[Scores]) -> Vec<usize> {
         return Vec::new();
     };
     let mut best = first.map(f64::from);
-    let mut came_from: Vec<[u8; NOISES]> = Vec::with_capacity(later.len());
+    let mut predecessors: Vec<[u8; NOISES]> = Vec::with_capacity(later.len());
     for scores in later {
         let before = best;
         let from = std::array::from_fn(|level| {
@@ -104,12 +104,12 @@ fn likeliest_levels(scores: &[Scores]) -> Vec<usize> {
             best[level] = through(best_from) + f64::from(scores[level]);
             best_from as u8
         });
-        came_from.push(from);
+        predecessors.push(from);
     }
     let last = (0..NOISES).max_by(|a, b| best[*a].total_cmp(&best[*b]));
     let mut level = last.unwrap_or(0);
     let mut levels = vec![level];
-    for from in came_from.iter().rev() {
+    for from in predecessors.iter().rev() {
         level = usize::from(from[level]);
         levels.push(level);
     }

@@ -16,7 +16,7 @@
 //!
 //! 4. Swings of the gondola are added to the random walk, each with its own frequency, damping time and drive, by maximum likelihood. If they
 //!    improve the likelihood by more than their cost and explain most of the flight, they become part of the axis's motion, and the noise is
-//!    chosen again from the least that swings_explain with them.
+//!    chosen again from the least that suffices with them.
 //!
 //! Too much process noise costs little at a frame, because the position then follows the frame's own; too little gives wrong positions with
 //! small sigmas.

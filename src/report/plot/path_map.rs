@@ -131,20 +131,20 @@ fn pieces(sheet: &Sheet, path: &[PathPosition], times: Axis) -> Vec<Piece<Shade>
                 .then_some((part * (SHADES - 1) as f64).round() as usize)
         };
         let last = run.len() - 1;
-        let mut pen = (sheet.anywhere(run[0].at), shade(&run[0]));
+        let mut last_point = (sheet.unclipped(run[0].at), shade(&run[0]));
         for (n, position) in run.iter().enumerate().skip(usize::from(last > 0)) {
-            let next = (sheet.anywhere(position.at), shade(position));
-            let moved_px = (next.0.0 - pen.0.0).hypot(next.0.1 - pen.0.1);
-            if moved_px < FINEST_PX && next.1 == pen.1 && n < last {
+            let next = (sheet.unclipped(position.at), shade(position));
+            let moved_px = (next.0.0 - last_point.0.0).hypot(next.0.1 - last_point.0.1);
+            if moved_px < FINEST_PX && next.1 == last_point.1 && n < last {
                 continue;
             }
-            let part = clip::segment(pen.0, next.0, panel);
+            let part = clip::segment(last_point.0, next.0, panel);
             pieces.extend(part.map(|(from, to)| Piece {
                 from,
                 to,
-                shade: pen.1.and(next.1),
+                shade: last_point.1.and(next.1),
             }));
-            pen = next;
+            last_point = next;
         }
     }
     pieces

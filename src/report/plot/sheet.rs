@@ -186,7 +186,7 @@ impl Sheet {
     }
 
     /// Position of a point on the sheet, without a limit.
-    pub(super) fn anywhere(&self, point: (f64, f64)) -> (f64, f64) {
+    pub(super) fn unclipped(&self, point: (f64, f64)) -> (f64, f64) {
         self.at(self.fraction(point))
     }
 
@@ -202,7 +202,7 @@ impl Sheet {
 
     /// The parts of a line that lie in the panel, as positions on the sheet.
     pub(super) fn parts(&self, line: &[(f64, f64)]) -> Vec<Vec<(f64, f64)>> {
-        let line: Vec<(f64, f64)> = line.iter().map(|point| self.anywhere(*point)).collect();
+        let line: Vec<(f64, f64)> = line.iter().map(|point| self.unclipped(*point)).collect();
         clip::line(&line, self.panel())
     }
 
