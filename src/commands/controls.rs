@@ -12,7 +12,7 @@ pub use proof::Proof;
 pub use saved::{SavedError, SavedValues, ValueSaver, differences, restore};
 
 use super::note::CommandNote;
-use super::setting::{KEPT, LATITUDE, LONGITUDE, Own, SENDING, STAMP, Setting, TRACKING};
+use super::setting::{CommandOnly, KEPT, LATITUDE, LONGITUDE, SENDING, STAMP, Setting, TRACKING};
 use crate::aspect;
 use crate::camera::Camera;
 use crate::config::{self, Config, ConfiguredCamera, Value, by_key};
@@ -121,7 +121,7 @@ struct State {
     config: Config,
     target: Target,
     place: Option<Place>,
-    own: Own,
+    own: CommandOnly,
     gps: Gps,
     /// The instrument's own mounting; `None` if no camera sees a plate.
     stated: Option<Mounting>,
@@ -162,7 +162,7 @@ impl Controls {
     pub fn new(config: Config, target: Target, mounting: impl Into<Option<Mounting>>) -> Self {
         let state = State {
             place: config.site.place(),
-            own: Own::new(),
+            own: CommandOnly::new(),
             gps: Gps::default(),
             origin: Arc::new((config.clone(), target)),
             proof: None,
@@ -446,7 +446,7 @@ impl State {
         let differs = |(key, value): (&String, &Value)| match by_key(key) {
             Some(_) => of_parameter(key, value),
             None if is_kept(key) => None,
-            None if Own::new().is(key, value) => None,
+            None if CommandOnly::new().is(key, value) => None,
             None => Some(format!("{key} = {value} (set by command alone)")),
         };
         self.commanded.iter().filter_map(differs).collect()
@@ -456,8 +456,8 @@ impl State {
         let (config, target) = (*self.origin).clone();
         self.place = config.site.place();
         (self.config, self.target) = (config, target);
-        let own = Own::new();
-        self.own = Own {
+        let own = CommandOnly::new();
+        self.own = CommandOnly {
             sending: self.own.sending,
             tracking: self.own.tracking,
             stamp_ns: self.own.stamp_ns,

@@ -75,7 +75,7 @@ pub(super) const KEPT: [Setting; 5] = [TRACKING, LATITUDE, LONGITUDE, SENDING, S
 
 /// Settings by commands alone. `None` if they have not been set.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Own {
+pub(super) struct CommandOnly {
     pub accepts_gps: bool,
     /// Whether frames are stored, by role.
     pub stores: [bool; Role::COUNT],
@@ -93,13 +93,13 @@ pub(super) struct Own {
 
 /// Field in which a setting is stored.
 enum Field {
-    Switch(fn(&mut Own) -> &mut bool),
-    Sending(fn(&mut Own) -> &mut Option<bool>),
-    Angle(fn(&mut Own) -> &mut Option<f64>),
-    Stamp(fn(&mut Own) -> &mut i64),
+    Switch(fn(&mut CommandOnly) -> &mut bool),
+    Sending(fn(&mut CommandOnly) -> &mut Option<bool>),
+    Angle(fn(&mut CommandOnly) -> &mut Option<f64>),
+    Stamp(fn(&mut CommandOnly) -> &mut i64),
 }
 
-/// The settings in [`Own`].
+/// The settings in [`CommandOnly`].
 const FIELDS: &[(Setting, Field)] = &[
     (ACCEPT_GPS, Field::Switch(|own| &mut own.accepts_gps)),
     (STORE_PITCH_YAW, Field::Switch(|own| &mut own.stores[0])),
@@ -114,7 +114,7 @@ const FIELDS: &[(Setting, Field)] = &[
     (LONGITUDE, Field::Angle(|own| &mut own.longitude_deg)),
 ];
 
-impl Own {
+impl CommandOnly {
     pub fn new() -> Self {
         Self {
             accepts_gps: true,

@@ -37,7 +37,7 @@ pub(super) struct Restarts {
 }
 
 /// Packets to the ground for one second.
-pub(super) struct SecondReport {
+pub(super) struct SecondPackets {
     pub time: Timestamp,
     pub housekeeping: Box<Housekeeping>,
     /// Counts of cameras that have no fields in the housekeeping.
@@ -75,7 +75,7 @@ impl HousekeepingSource {
     }
 
     /// The packets of the next second; `events` is the number of events that wait for the line.
-    pub fn next(&mut self, tallies: &Tallies, restarts: Restarts, events: usize) -> SecondReport {
+    pub fn next(&mut self, tallies: &Tallies, restarts: Restarts, events: usize) -> SecondPackets {
         let tally = tallies.brief();
         let recents = take_recents(tallies);
         let marks = recents.iter().filter_map(frame_marks).collect();
@@ -97,7 +97,7 @@ impl HousekeepingSource {
             system: self.system(&tally, restarts),
         });
         self.before = tally;
-        SecondReport {
+        SecondPackets {
             time: Timestamp::now() + self.ahead,
             housekeeping: Box::new(housekeeping),
             counts: tallies.cameras.iter().filter_map(further).collect(),

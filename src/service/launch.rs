@@ -1,6 +1,7 @@
 //! Starts the threads of a flight, each with the values that it shares with the others.
 
 use super::archiver::{self, Archive};
+use super::camera_thread::CameraThread;
 use super::flight::{Flight, FlightCamera, Navigation};
 use super::housekeeping::HousekeepingSource;
 use super::line::{self, Line};
@@ -12,9 +13,8 @@ use super::navigation::{Inputs, Navigator};
 use super::outputs::{self, Outputs};
 use super::priority::Rank;
 use super::shared::Shared;
-use super::shutter::CameraThread;
-use super::solvers::{MakeSolver, Memory, Results};
-use super::solving::SolverThread;
+use super::solver_thread::SolverThread;
+use super::solvers::{Results, SolverFactory, State};
 use super::tallies::{CameraTallies, Tallies};
 use super::tally::FlightTally;
 use super::watch::{Signals, Watch};
@@ -211,7 +211,7 @@ impl Workers {
         Worker::start("link", None, move || {
             let (context, connection) = (context.clone(), Arc::clone(&connection));
             let (events, closing) = (events.clone(), Arc::clone(&closing));
-            host.realtime(Rank::First, move |heartbeat| {
+            host.realtime(Rank::Higher, move |heartbeat| {
                 let mut connection = connection.lock().unwrap_or_else(PoisonError::into_inner);
                 Line::new(&mut connection, context).run(&events, &closing, heartbeat);
             })
@@ -284,15 +284,15 @@ impl Workers {
             receivers,
             tally: tallies.solver.clone(),
         };
-        let memory = Memory {
+        let state = State {
             tally: tallies.solver.clone(),
-            ..Memory::default()
+            ..State::default()
         };
         let (host, ephemeris) = (self.host, self.ephemeris.clone());
-        let made = MakeSolver::new(&station, ephemeris, &self.results, memory);
+        let factory = SolverFactory::new(&station, ephemeris, &self.results, state);
         let name = format!("solver-{}", station.index + 1);
         let worker = Worker::start(name, Some(SOLVER_TIMEOUT), move || {
-            let (solving, solver) = (solving.clone(), made.make());
+            let (solving, solver) = (solving.clone(), factory.make());
             host.realtime(Rank::Solver, move |beat| solving.run(solver, beat))
         })?;
         self.solvers.push(worker);
@@ -321,7 +321,7 @@ impl Workers {
         let name = format!("camera-{}", tallies.station.index + 1);
         let worker = Worker::start(name, Some(CAMERA_TIMEOUT), move || {
             let (thread, source, open) = (thread.clone(), source.take(), camera.open.clone());
-            host.realtime(Rank::First, move |beat| thread.run(source, open, beat))
+            host.realtime(Rank::Higher, move |beat| thread.run(source, open, beat))
         })?;
         self.cameras.push(worker);
         Ok(())

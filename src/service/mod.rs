@@ -49,6 +49,7 @@
 //! from a folder that is followed ([`crate::camera::TakenFiles`], 4096 names, then lost and counted): no frame waits for its disk.
 
 mod archiver;
+mod camera_thread;
 mod flight;
 mod frames;
 mod housekeeping;
@@ -59,11 +60,10 @@ mod navigation;
 mod outputs;
 pub mod priority;
 mod shared;
-mod shutter;
 mod silence;
 mod solved_frame;
+mod solver_thread;
 pub(crate) mod solvers;
-mod solving;
 mod systemd;
 mod tallies;
 mod tally;

@@ -63,7 +63,7 @@ pub(super) enum Rank {
     /// Solvers, which take milliseconds.
     Solver,
     /// Cameras, link, filter and sensors, which take microseconds and hand on.
-    First,
+    Higher,
 }
 
 impl Rank {
@@ -71,7 +71,7 @@ impl Rank {
         const MOST: u8 = 99;
         match self {
             Self::Solver => priority,
-            Self::First => (priority + 1).min(MOST),
+            Self::Higher => (priority + 1).min(MOST),
         }
     }
 }

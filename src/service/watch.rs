@@ -1,7 +1,7 @@
 //! The watch: it checks every thread, sends housekeeping each second, and feeds systemd's watchdog.
 
 use super::archiver::{self, Archive};
-use super::housekeeping::{HousekeepingSource, Restarts, SecondReport};
+use super::housekeeping::{HousekeepingSource, Restarts, SecondPackets};
 use super::messages::{LinkEvent, NavigationRows};
 use super::shared::Shared;
 use super::silence;
@@ -216,7 +216,7 @@ impl Watch {
         };
         let events = self.to_line.len();
         let report = self.housekeeping.next(&self.tallies, restarts, events);
-        let SecondReport {
+        let SecondPackets {
             time,
             housekeeping,
             counts,

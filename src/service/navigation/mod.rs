@@ -156,7 +156,7 @@ fn real_time(
     host: Host,
 ) -> std::io::Result<Worker> {
     Worker::start(name, timeout, move || {
-        host.realtime(Rank::First, work.clone())
+        host.realtime(Rank::Higher, work.clone())
     })
 }
 

@@ -60,27 +60,27 @@ impl Results {
 
 /// State of a camera's solver from one restart to the next. Clones share it.
 #[derive(Clone, Default)]
-pub(super) struct Memory {
+pub(super) struct State {
     pub calibration: Shared<CalibrationCheck>,
     pub tally: Shared<SolverTally>,
 }
 
 /// Makes the solver of a camera's frames, at each start of its thread.
 #[derive(Clone)]
-pub(super) struct MakeSolver {
+pub(super) struct SolverFactory {
     pub station: Station,
     pub ephemeris: Ephemeris,
     pub results: Results,
-    pub memory: Memory,
+    pub state: State,
 }
 
-impl MakeSolver {
-    pub fn new(station: &Station, ephemeris: Ephemeris, results: &Results, memory: Memory) -> Self {
+impl SolverFactory {
+    pub fn new(station: &Station, ephemeris: Ephemeris, results: &Results, state: State) -> Self {
         Self {
             results: results.of(station),
             station: station.clone(),
             ephemeris,
-            memory,
+            state,
         }
     }
 
@@ -100,7 +100,7 @@ impl MakeSolver {
 /// The solver of the frames of a camera that is used alone.
 pub fn solver(camera: &Camera, ephemeris: Ephemeris) -> Box<dyn Solver> {
     let station = Station::single(camera);
-    MakeSolver::new(&station, ephemeris, &Results::default(), Memory::default()).make()
+    SolverFactory::new(&station, ephemeris, &Results::default(), State::default()).make()
 }
 
 /// For a camera without a calibration: only the frame's brightness is measured.

@@ -1,6 +1,6 @@
 //! The solver of a pitch-yaw camera: it takes a frame of the plate and gives the Sun's place and the offset from the target.
 
-use super::{MakeSolver, Memory, Solver, timed};
+use super::{Solver, SolverFactory, State, timed};
 use crate::aspect::{self, Expected, Stage, Track};
 use crate::camera::Brightness;
 use crate::commands::controls::Snapshot;
@@ -25,23 +25,23 @@ pub(super) struct SunSolver {
     ephemeris: Ephemeris,
     /// Latest result of the first roll camera.
     nadir: LatestNadir,
-    memory: Memory,
+    state: State,
     /// Tracking prior from the last frame.
     track: Option<Track>,
     sun: SunSize,
 }
 
 impl SunSolver {
-    pub fn new(made: &MakeSolver, instrument: Instrument) -> Self {
+    pub fn new(factory: &SolverFactory, instrument: Instrument) -> Self {
         Self {
-            camera: made.station.number,
+            camera: factory.station.number,
             instrument: Arc::new(instrument.clone()),
             mounted: instrument.clone(),
             stated: instrument,
-            is_commanded: made.station.ordinal == 1,
-            ephemeris: made.ephemeris.clone(),
-            nadir: made.results.nadir.clone(),
-            memory: made.memory.clone(),
+            is_commanded: factory.station.ordinal == 1,
+            ephemeris: factory.ephemeris.clone(),
+            nadir: factory.results.nadir.clone(),
+            state: factory.state.clone(),
             track: None,
             sun: SunSize::default(),
         }
@@ -78,7 +78,7 @@ impl Solver for SunSolver {
             // Without a mapping of an earlier frame the calibration's is used, except for quantities that frames have contradicted.
             let corrected = match prior.is_some_and(|prior| prior.registration.is_some()) {
                 true => None,
-                false => self.memory.calibration.lock().corrected(&self.instrument),
+                false => self.state.calibration.lock().corrected(&self.instrument),
             };
             let instrument = corrected.as_ref().unwrap_or(&self.instrument);
             aspect::solve_with(&commanded.solver, frame, instrument, size, prior)
@@ -123,9 +123,9 @@ impl Solver for SunSolver {
         let Found::Sun(sun) = &solved.found else {
             return;
         };
-        let mut calibration = self.memory.calibration.lock();
+        let mut calibration = self.state.calibration.lock();
         let proven = calibration.note(&sun.solution, &self.instrument);
-        let mut tally = self.memory.tally.lock();
+        let mut tally = self.state.tally.lock();
         tally.contradicted = calibration.proven().next().is_some();
         for contradiction in proven {
             let (camera, name) = (self.camera, &self.instrument.name);
