@@ -12,7 +12,7 @@ use solaspect::fits::{self, Compression};
 use solaspect::frame::{Frame, FrameInfo, Pixels};
 use solaspect::geometry::Mapping;
 use solaspect::instrument::{self, Instrument};
-use solaspect::observe::{CameraFrames, Journal, Pass, PassRecords, Record, Span};
+use solaspect::observe::{CameraFrames, Journal, Pass, Record, Recorded, Span};
 use solaspect::pointing::Target;
 use solaspect::provenance;
 use solaspect::refine::{
@@ -820,7 +820,7 @@ fn a_hundred_thousand_frames_take_less_than_300_mb() {
     }
     drop((journal, lit));
     let archive = ArchiveReader::open(archive, out.path()).unwrap();
-    let done = PassRecords::open(&long, &[]).unwrap();
+    let done = Recorded::open(&long, &[]).unwrap();
     let demo = (plan.instrument.clone(), String::new());
     let recipe = Recipe::new(demo, &Config::default(), FlownFiles::default());
     let sky = Sky {

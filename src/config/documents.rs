@@ -38,8 +38,7 @@ impl Config {
             }
             let standard = Role::tables().find(|(name, _)| *name == table);
             let camera = self.cameras.named(table).map(|camera| camera.role);
-            let role =
-                camera.filter(|role| standard.is_some_and(|(_, standard)| standard != *role));
+            let role = camera.filter(|role| standard.is_some_and(|(_, its)| its != *role));
             text += &self.table_toml(&head(table), table, role, rows);
         }
         let (first, names) = (self.cameras.first(), Role::table_names());

@@ -3,7 +3,7 @@
 use super::copies::{CopiedFrame, Distinct, PixelDigests, distinct, may_be_copied};
 use super::headers::{CameraHeader, CameraHeaders};
 use super::journal::JournalError;
-use super::pass::{Pass, PassError, PassRecords};
+use super::pass::{Pass, PassError, Recorded};
 use crate::archive::{StoredFile, plain};
 use crate::frame::TakenBy;
 use crate::instrument::Role;
@@ -61,7 +61,7 @@ pub fn cameras(pass: &Pass<'_>, frames: Vec<StoredFile>) -> Result<Cameras, Pass
 /// The files without copies. A shard does not search for copies: other shards may have the originals.
 fn each_once(
     pass: &Pass<'_>,
-    headers: &PassRecords<CameraHeader>,
+    headers: &Recorded<CameraHeader>,
     inputs: Vec<StoredFile>,
 ) -> Result<Distinct, PassError> {
     let alike = match pass.shard {
@@ -118,7 +118,7 @@ impl CameraFrames {
 
 /// The cameras by name, each with its frames.
 fn by_camera(
-    done: &PassRecords<CameraHeader>,
+    done: &Recorded<CameraHeader>,
     Distinct { inputs, copies, .. }: Distinct,
 ) -> Result<Vec<CameraFrames>, JournalError> {
     let header = |input: &StoredFile| {

@@ -2,7 +2,7 @@
 
 use super::headers::CameraHeader;
 use super::journal::JournalError;
-use super::pass::{Observer, PassRecords, Span, Unsolved};
+use super::pass::{Observer, Recorded, Span, Unsolved};
 use crate::archive::{ArchiveReader, StoredFile};
 use crate::frame::{Compared, Copies, Identity, PixelDigest, may_be_copies};
 use rayon::prelude::*;
@@ -67,7 +67,7 @@ pub struct Distinct {
 /// # Errors
 /// If a journal cannot be read.
 pub(super) fn may_be_copied(
-    headers: &PassRecords<CameraHeader>,
+    headers: &Recorded<CameraHeader>,
     inputs: &[StoredFile],
 ) -> Result<Vec<StoredFile>, JournalError> {
     let identities = identities(headers, inputs)?;
@@ -82,8 +82,8 @@ pub(super) fn may_be_copied(
 /// # Errors
 /// If a journal cannot be read.
 pub(super) fn distinct(
-    headers: &PassRecords<CameraHeader>,
-    digests: &PassRecords<PixelDigest>,
+    headers: &Recorded<CameraHeader>,
+    digests: &Recorded<PixelDigest>,
     inputs: Vec<StoredFile>,
 ) -> Result<Distinct, JournalError> {
     let identities = identities(headers, &inputs)?;
@@ -125,7 +125,7 @@ pub(super) fn distinct(
 }
 
 fn identities(
-    headers: &PassRecords<CameraHeader>,
+    headers: &Recorded<CameraHeader>,
     inputs: &[StoredFile],
 ) -> Result<Vec<Option<Identity>>, JournalError> {
     let identity = |input: &StoredFile| {

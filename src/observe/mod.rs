@@ -1,7 +1,7 @@
 //! One pass over frames: each file is opened once, several at a time, and its result is kept.
 //!
 //! - [`Pass`]: frames of an archive, a folder or an object store. Each result is a [`Record`] in a [`Journal`], appended at once: a run that
-//!   was killed resumes where it stopped, shards of several machines are merged. [`PassRecords`] reads each record again.
+//!   was killed resumes where it stopped, shards of several machines are merged. [`Recorded`] reads each record again.
 //! - [`cameras`]: assigns frames to cameras by a first pass over the headers, without [copies](CopiedFrame) of other frames.
 //! - [`each_frame`]: frames given as files or folders; the results are in memory.
 //! - [`InputSummary`]: inputs that were not used as they stand.
@@ -24,6 +24,6 @@ pub use files::{
 pub use inputs::{FrameFacts, InputNotes, InputSummary};
 pub use journal::{Journal, JournalError, Place, Record};
 pub use pass::{
-    Observer, Pass, PassError, PassRecords, Records, Shard, Span, Unsolved, Watch, hash_of, key,
+    Observer, Pass, PassError, Recorded, Records, Shard, Span, Unsolved, Watch, hash_of, key,
     with_frame,
 };

@@ -171,11 +171,11 @@ impl Pass<'_> {
         observer: &O,
         what: &str,
         inputs: &[StoredFile],
-    ) -> Result<PassRecords<O::Output>, PassError> {
+    ) -> Result<Recorded<O::Output>, PassError> {
         let name = observer.journal_name();
         let others = self.merge.iter().map(|folder| folder.join(&name));
         let others: Vec<PathBuf> = others.filter(|path| path.is_file()).collect();
-        let mut done = PassRecords::open(&self.out.join(&name), &others)?;
+        let mut done = Recorded::open(&self.out.join(&name), &others)?;
         let remaining = inputs.iter().filter(|input| !done.holds(input)).count();
         self.watch.begin(remaining, what);
         done.add(self, observer, inputs)?;
@@ -240,7 +240,7 @@ impl Pass<'_> {
 
 /// Position of the record of each input.
 #[derive(Debug)]
-pub struct PassRecords<T> {
+pub struct Recorded<T> {
     records: Records<T>,
     /// Positions by the input's key, sorted.
     places: Vec<(u64, Place)>,
@@ -281,7 +281,7 @@ impl Hasher for Fnv {
     }
 }
 
-impl<T: Serialize + DeserializeOwned + Clone + Send> PassRecords<T> {
+impl<T: Serialize + DeserializeOwned + Clone + Send> Recorded<T> {
     /// Opens the run's own journal and reads those of other runs.
     ///
     /// # Errors

@@ -17,7 +17,7 @@ use super::suns::{Flight, Suns};
 use super::timeline::{Content, Entry, Timeline};
 use crate::geometry::attitude::Direction;
 use crate::instrument::Instrument;
-use crate::observe::{CameraFrames, InputSummary, JournalError, Pass, PassError, PassRecords};
+use crate::observe::{CameraFrames, InputSummary, JournalError, Pass, PassError, Recorded};
 use crate::sky::Ephemeris;
 use crate::smoothing::{Path, PathPoint};
 use crate::units::{Measured, Place};
@@ -64,7 +64,7 @@ impl History {
     /// # Errors
     /// If a journal cannot be read, the frames are not of the instrument's camera, or the pass is cancelled.
     pub fn new(
-        done: PassRecords<FrameRecord>,
+        done: Recorded<FrameRecord>,
         camera: CameraFrames,
         recipe: Recipe,
         sky: Sky,

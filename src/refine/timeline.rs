@@ -5,7 +5,7 @@ use super::clock_facts::ClockFacts;
 use super::flags::TimeFlag;
 use super::times::{Stamp, Times, Timing};
 use crate::observe::{
-    CameraFrames, FrameFacts, InputNotes, InputSummary, JournalError, PassRecords, Place, Record,
+    CameraFrames, FrameFacts, InputNotes, InputSummary, JournalError, Place, Record, Recorded,
     Records, Span,
 };
 use crate::units::Measured;
@@ -82,11 +82,7 @@ impl<T: Dated> Timeline<T> {
     ///
     /// # Errors
     /// If a journal cannot be read.
-    pub fn new(
-        done: PassRecords<T>,
-        camera: CameraFrames,
-        span: &Span,
-    ) -> Result<Self, JournalError> {
+    pub fn new(done: Recorded<T>, camera: CameraFrames, span: &Span) -> Result<Self, JournalError> {
         let mut notes = InputNotes::default();
         let (mut stamps, mut stamped, mut unused) = (Vec::new(), Vec::new(), Vec::new());
         for (some, first) in camera.inputs.chunks(TOGETHER).zip((0..).step_by(TOGETHER)) {

@@ -54,11 +54,8 @@ pub struct Service {
     pub(super) signals: Arc<Signals>,
 }
 
-/// Starts the threads of a flight; every solved frame goes to the watcher, too.
-pub(super) fn launch(
-    mut flight: Flight,
-    watcher: Option<Sender<SolvedFrame>>,
-) -> io::Result<Service> {
+/// Starts the threads of a flight; every solved frame goes to the sink, too.
+pub(super) fn launch(mut flight: Flight, sink: Option<Sender<SolvedFrame>>) -> io::Result<Service> {
     let cameras = flight.cameras.iter().map(|one| &one.camera);
     let controls = Controls::of_flight(flight.config.clone(), flight.target, cameras);
     let signals = Arc::<Signals>::default();
@@ -84,7 +81,7 @@ pub(super) fn launch(
         controls: controls.clone(),
         ephemeris: flight.ephemeris,
         to_line,
-        watcher,
+        sink,
         signals: Arc::clone(&signals),
         tallies: Tallies {
             counters,
@@ -148,7 +145,7 @@ struct Workers {
     archive: Archive,
     outputs: Outputs,
     to_line: Sender<LinkEvent>,
-    watcher: Option<Sender<SolvedFrame>>,
+    sink: Option<Sender<SolvedFrame>>,
     signals: Arc<Signals>,
     tallies: Tallies,
     /// Results of the first camera of each role.
@@ -271,8 +268,8 @@ impl Workers {
         receivers.push(Arc::new(tallies.recent.clone()));
         receivers.push(Arc::new(self.archive.clone()));
         receivers.push(Arc::new(self.outputs.clone()));
-        if let Some(watcher) = &self.watcher {
-            receivers.push(Arc::new(watcher.clone()));
+        if let Some(sink) = &self.sink {
+            receivers.push(Arc::new(sink.clone()));
         }
         let solving = SolverThread {
             station: Arc::clone(&station),

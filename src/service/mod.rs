@@ -100,8 +100,8 @@ impl Service {
 
     /// Starts the threads of a flight; every solved frame also goes to the returned receiver.
     pub fn start_watched(flight: Flight) -> std::io::Result<(Self, Receiver<SolvedFrame>)> {
-        let (watcher, frames) = unbounded();
-        Ok((launch::launch(flight, Some(watcher))?, frames))
+        let (sink, frames) = unbounded();
+        Ok((launch::launch(flight, Some(sink))?, frames))
     }
 
     /// Settings and values that the ground may set.

@@ -65,7 +65,7 @@ impl ReceivesFrames for Shared<Recent> {
 
 impl ReceivesFrames for Sender<SolvedFrame> {
     fn receive(&self, frame: &SolvedFrame) {
-        // A watcher that has left needs no frame.
+        // A receiver that has left needs no frame.
         let _ = self.send(frame.clone());
     }
 }

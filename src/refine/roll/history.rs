@@ -8,7 +8,7 @@ use super::path::{RollPath, RollSample, changing};
 use super::row::{RollRow, SmoothedRoll};
 use super::{HorizonRecord, RollRecipe};
 use crate::geometry::attitude::Direction;
-use crate::observe::{CameraFrames, InputSummary, JournalError, PassRecords, Span};
+use crate::observe::{CameraFrames, InputSummary, JournalError, Recorded, Span};
 use crate::pointing::body_nadir;
 use crate::units::Measured;
 
@@ -32,7 +32,7 @@ impl RollHistory {
     /// # Errors
     /// If a journal cannot be read.
     pub fn new(
-        done: PassRecords<HorizonRecord>,
+        done: Recorded<HorizonRecord>,
         camera: CameraFrames,
         recipe: &RollRecipe,
         span: &Span,
