@@ -281,6 +281,63 @@ fn a_slew_that_begins_at_once_loses_no_frame_and_leaves_the_path_right() {
     }
 }
 
+/// Sweeps across the sensor's lower edge, of 15 px in an exposure, between rests.
+const SWEEPS: &str = "
+    [[piece]]
+    start_s = 0
+    sun_mil = [300, -150]
+    [[piece]]
+    start_s = 10
+    sun_mil = [-2000, 2450]
+    slew_mil_per_s = [5600, 0]
+    [[piece]]
+    start_s = 10.8
+    sun_mil = [300, 150]
+    [[piece]]
+    start_s = 15
+    sun_mil = [2000, 2500]
+    slew_mil_per_s = [-5700, 100]
+    [[piece]]
+    start_s = 15.8
+    sun_mil = [-200, 150]
+    [[piece]]
+    start_s = 20
+    sun_mil = [-2000, 2550]
+    slew_mil_per_s = [5500, 200]
+    [[piece]]
+    start_s = 20.8
+    sun_mil = [200, -250]
+";
+
+#[test]
+fn a_sun_that_moves_far_during_the_exposure_is_coarse_and_its_sigma_covers_the_error() {
+    let mut moved = 0;
+    for seed in [5, 6] {
+        let flight = Flight::of_pieces(SWEEPS, 100, seed);
+        let (archive, out) = (temporary(), temporary());
+        flight.write(archive.path());
+        refine(archive.path(), out.path(), &[]);
+        let table = Columns::read(out.path(), "ASPECT");
+        let value = |name, row: usize| table.floats(name)[row];
+        for row in 0..flight.frames {
+            let truth = flight.sun(row);
+            let off = [
+                (value("SUN_X_MIL", row) - truth.x) / value("SIGMA_X_MIL", row),
+                (value("SUN_Y_MIL", row) - truth.y) / value("SIGMA_Y_MIL", row),
+            ];
+            let sweeps = truth.y > 2000.0;
+            let quality = &table.texts("QUALITY")[row];
+            println!("{row}: {quality}, off by {off:.2?} sigma");
+            if off[0].is_finite() {
+                moved += usize::from(sweeps);
+                assert_eq!(quality == "fine", !sweeps, "{row}");
+                assert!(off.iter().all(|off| off.abs() < 5.0), "{row}: {off:?}");
+            }
+        }
+    }
+    assert!(moved > 10, "{moved}");
+}
+
 #[test]
 fn the_history_of_a_demo_is_nowhere_worse_than_its_frames() {
     for seed in [1, 2] {

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 /// Incremented with every change of a record's content or computation.
-const JOURNAL_VERSION: u32 = 7;
+const JOURNAL_VERSION: u32 = 8;
 
 /// FNV-1a, the same on every machine and in every release of the compiler.
 pub fn hash_of(bytes: &[u8]) -> u64 {

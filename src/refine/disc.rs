@@ -16,6 +16,18 @@ pub struct PlateDisc {
     pub points: usize,
 }
 
+impl PlateDisc {
+    /// The disc with the covariance of a motion during the exposure, mil^2, added.
+    pub fn with_motion(mut self, by_motion_mil2: Matrix2<f64>) -> Self {
+        self.centre.covariance += by_motion_mil2;
+        self.radius_mil.sigma = self
+            .radius_mil
+            .sigma
+            .hypot((by_motion_mil2.trace() / 2.0).sqrt());
+        self
+    }
+}
+
 /// Fewer points do not determine a circle.
 const LEAST_POINTS: usize = 6;
 /// The rms of normally distributed residuals with the weights of Tukey's loss, which suppresses their tails.

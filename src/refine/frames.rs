@@ -35,6 +35,8 @@ pub(super) struct OwnDisc {
     pub centre_px: SensorPx,
     /// Visible part of the limb, 0 to 1.
     pub limb_part: f64,
+    /// Motion of the Sun's image during the exposure, px, if it exceeds the limit of the limb fit.
+    pub motion_px: Option<f64>,
 }
 
 /// The dated frames of a flight, in the order of time.
@@ -95,6 +97,7 @@ impl Frames {
             disc: record.disc.as_ref().map(|disc| OwnDisc {
                 centre_px: SensorPx::new(disc.centre_px[0], disc.centre_px[1]),
                 limb_part: disc.limb_fraction,
+                motion_px: disc.motion_px,
             }),
             levels_dn: record.levels_dn.map(|levels| levels.map(|dn| dn as f32)),
             marks: record.marks.len() as u16,

@@ -9,6 +9,7 @@ use crate::instrument::Instrument;
 use crate::limb::LimbPoint;
 use crate::observe::FrameFacts;
 use crate::plate::MarkId;
+use crate::reasons::sun;
 use crate::units::{Estimate, PlateMil, SensorPx};
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -68,6 +69,8 @@ pub struct DiscRecord {
     /// Covariance of the position on the plate: xx, xy, yy.
     pub covariance_mil2: [f64; 3],
     pub limb_fraction: f64,
+    /// Motion of the Sun's image during the exposure, px, if it exceeds the limit of the limb fit.
+    pub motion_px: Option<f64>,
     /// The mapping from the ideal sensor (px) to the plate (mil), row by row, where the frame's own marks determined one.
     pub to_plate: Option<[f64; 9]>,
 }
@@ -196,6 +199,11 @@ fn disc(aspect: &Aspect, solution: &Solution) -> DiscRecord {
         on_plate_mil: [plate.position.x, plate.position.y],
         covariance_mil2: upper(&plate.covariance),
         limb_fraction: aspect.limb_fraction,
+        motion_px: solution
+            .stopped
+            .map(|stopped| stopped.rejected)
+            .filter(|rejected| rejected.reason == sun::MOVED)
+            .map(|rejected| rejected.measured),
         to_plate: own.map(|own| {
             let m = own.mapping.matrix();
             std::array::from_fn(|n| m[(n / 3, n % 3)])

@@ -55,6 +55,14 @@ impl Flight {
         Some(mapping.covariance_mil2(n, place, &mapping.at(n)?))
     }
 
+    /// Covariance that a long motion during the exposure adds to a disc, as in the solution of the frame alone, mil^2. `None` if the
+    /// motion is within the limit of the limb fit.
+    fn by_motion(&self, n: usize) -> Option<Matrix2<f64>> {
+        let own = self.frames[n].disc?;
+        let to_plate = self.mapping.as_ref()?.at(n)?.plate_jacobian(own.centre_px);
+        Some(to_plate * to_plate.transpose() * (own.motion_px?.powi(2) / 12.0))
+    }
+
     /// The Sun of a frame, with the covariances of limb and mapping.
     fn sun(&self, n: usize, mapped: &MappedDisc) -> Option<Estimate<PlateMil>> {
         let centre = mapped.disc.centre;
@@ -65,14 +73,15 @@ impl Flight {
         })
     }
 
-    /// A disc with its quality by limb and mapping. `None` without a mapping.
+    /// A disc with its quality by limb, mapping and motion. `None` without a mapping.
     pub fn mapped(&self, n: usize, disc: PlateDisc, limb_part: f64) -> Option<MappedDisc> {
         let by_mapping = self.by_mapping(n, disc.centre.position)?;
         let known = by_mapping.trace() < 2.0 * MOST_FINE_SIGMA_MIL.powi(2);
         let jumps = self.mapping.as_ref().and_then(|m| m.own_jump(n)).is_some();
-        let fine = limb_part >= LEAST_FINE_LIMB && (known || jumps);
+        let by_motion = self.by_motion(n);
+        let fine = limb_part >= LEAST_FINE_LIMB && (known || jumps) && by_motion.is_none();
         Some(MappedDisc {
-            disc,
+            disc: disc.with_motion(by_motion.unwrap_or_default()),
             limb_part,
             quality: if fine { Grade::Fine } else { Grade::Coarse },
         })
