@@ -14,7 +14,8 @@ use super::plate_rows::plate_rows;
 use super::recipe::Recipe;
 use super::report::{MarksReport, Report, RowReport, RunReport};
 use super::rows::{
-    AccuracyRow, DESIGNS, HORIZON, Ideal, MARKS, MARKS_ROW, MOON, PLATES, Run, Size, rows, runs,
+    AccuracyRow, DESIGNS, FIGURES, HORIZON, Ideal, MARKS, MARKS_ROW, MOON, PLATES, ROWS, Run, Size,
+    rows, runs,
 };
 use super::trial::{Bounded, Outcome, Trial, outcomes};
 use crate::aspect::SolverSettings;
@@ -69,7 +70,7 @@ pub enum Figures {
 }
 
 impl Program {
-    /// All parts, or the named ones; with or without the sweeps for the figures. For an instrument other than the demo,
+    /// All parts, or the named ones; the figures' only if they are drawn. For an instrument other than the demo,
     /// only the parts that apply to it: no other plates, no Moon and no horizon, and no limits in arcsec, which are valid
     /// for the demo only.
     pub fn new(
@@ -83,7 +84,7 @@ impl Program {
         }
         let wanted = |name: &str| only.is_empty() || only.iter().any(|o| o == name);
         let is_demo = instrument.is_none();
-        let rows = rows().into_iter().filter(|row| wanted(row.name));
+        let rows = (rows().into_iter()).filter(|row| wanted(ROWS) || wanted(row.name));
         let of_demo = |part: &str, rows: Vec<AccuracyRow>| -> Vec<AccuracyRow> {
             let is_wanted = |row: &AccuracyRow| wanted(part) || wanted(row.name);
             let rows = rows.into_iter();
@@ -112,7 +113,7 @@ impl Program {
                 true => horizon_rows(),
                 false => Vec::new(),
             },
-            sweeps: figures == Figures::Drawn && only.is_empty(),
+            sweeps: figures == Figures::Drawn && wanted(FIGURES),
         })
     }
 
@@ -315,11 +316,11 @@ fn all_rows() -> impl Iterator<Item = AccuracyRow> {
     rows.chain(design_rows())
 }
 
-/// The names of all parts of the program: the rows, the marks, the plates, the designs, the runs, the Moon, the horizon.
+/// The names of all parts of the program, and of its rows and runs.
 pub fn names() -> Vec<&'static str> {
     let rows = all_rows().map(|row| row.name);
     let runs = runs().into_iter().map(|run| run.name);
-    rows.chain([MARKS, PLATES, DESIGNS])
+    rows.chain([ROWS, MARKS, PLATES, DESIGNS, FIGURES])
         .chain(runs)
         .chain([MOON, HORIZON])
         .collect()
@@ -360,6 +361,7 @@ mod tests {
     #[test]
     fn only_what_has_frames_by_seed_gives_a_frame() {
         assert!(Case::new(MARKS, 1, None).is_err());
+        assert!(Case::new(ROWS, 1, None).is_err());
         assert!(Case::new("standard", 1, None).is_ok());
         assert!(Case::new(MOTION, 1, None).is_ok());
     }

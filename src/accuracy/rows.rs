@@ -36,6 +36,10 @@ impl Size {
 
 /// The row whose marks are evaluated one by one.
 pub(super) const MARKS_ROW: &str = "standard";
+/// The name of the part with all rows of the main table.
+pub const ROWS: &str = "rows";
+/// The name of the part that draws the figures.
+pub const FIGURES: &str = "figures";
 /// The name of the part about single marks.
 pub const MARKS: &str = "marks";
 /// The name of the mixed run.
@@ -48,7 +52,6 @@ pub const PLATES: &str = "plates";
 pub const DESIGNS: &str = "designs";
 /// The name of the part about the Moon.
 pub const MOON: &str = "moon";
-
 /// The name of the part about the Earth's limb.
 pub const HORIZON: &str = "horizon";
 

@@ -27,7 +27,7 @@ pub struct AccuracyArgs {
     /// Write a line of CSV for each frame of the rows and runs: quality, error and sigma of the Sun's centre on the plate
     #[arg(long, value_name = "FILE", conflicts_with = "seed")]
     frames: Option<PathBuf>,
-    /// Only this part: a row's name, "marks", "plates", "designs", "mixed", "motion", "moon" or "horizon"; may be given several times
+    /// Only this part: a row's name, "rows", "marks", "plates", "designs", "mixed", "motion", "moon", "horizon" or "figures"; may be given several times
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
     /// Only the frame of this seed, of the one row or run that --only names, in detail; --out keeps it as FITS
