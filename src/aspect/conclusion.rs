@@ -173,7 +173,7 @@ impl Pipeline<'_> {
         // A moving image adds its motion to the uncertainty.
         let moved = match self.check_motion(limb) {
             Ok(()) => 0.0,
-            Err(_) => self.motion_px(limb).powi(2) / 12.0,
+            Err(_) => limb::motion_variance_px2(self.motion_px(limb)),
         };
         let centre = outline.centre_covariance() + Matrix2::identity() * moved;
         let radius_sigma_px = outline.radius_sigma_px().hypot(moved.sqrt());

@@ -11,6 +11,12 @@ const MOTION_LIMB: f64 = 0.7;
 /// A limb softer than the lens's blur by less than this factor counts as equally sharp.
 const HARDLY_SOFTER: f64 = 1.3;
 
+/// Variance that a uniform motion during the exposure adds to a position along it, px^2, from its length: that of a uniform
+/// distribution.
+pub fn motion_variance_px2(motion_px: f64) -> f64 {
+    motion_px.powi(2) / 12.0
+}
+
 /// The disc's blurred light without marks: its outline, and the model of its edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DiscLight {

@@ -28,7 +28,7 @@ pub use background::background;
 pub use edge::LimbPoint;
 pub use fit::{KnownOutline, Limb, LimbFit};
 pub use levels::levels;
-pub use light::DiscLight;
+pub use light::{DiscLight, motion_variance_px2};
 pub use outline::{OutlineFit, OutlinePrior, arc_fraction, fit_outline};
 pub use profile::{Brightness, Profile};
 pub use search::DiscSearch;

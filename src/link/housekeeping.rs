@@ -352,8 +352,8 @@ housekeeping! {
     lost: u32, "", "frames that the camera or the solver lost";
     incomplete: u16, "", "frames that arrived from the camera with parts missing, and were not used";
     reconnects: u16, "", "how often a camera was gone and came back";
-    fine: u32, "", "frames solved finely";
-    coarse: u32, "", "frames solved coarsely";
+    fine: u32, "", "fine frames";
+    coarse: u32, "", "coarse frames";
     none: u32, "", "frames without a Sun";
     stopped_levels: u16, "", "frames that went no further than levels; from 0 again after 65535, as the next six";
     stopped_limb: u16, "", "frames that went no further than limb";
@@ -410,7 +410,7 @@ housekeeping! {
     [cameras]
     solve_ms: Option<f32>, "ms", "time of solving, median of the second";
     [system]
-    clock_offset_us: Option<f32>, "us", "by which the clock is ahead of true time";
+    clock_offset_us: Option<f32>, "us", "offset of the clock: the clock minus true time";
     restarts: u16, "", "threads that were started again";
     takeovers: u16, "", "of these, threads that hung and were replaced";
     [frame]
@@ -441,8 +441,8 @@ housekeeping! {
     roll_deg: Option<f32>, "deg", "roll by the horizon at the latest frame, right side low positive";
     roll_sigma_deg: Option<f32>, "deg", "its 1 sigma";
     [cameras]
-    roll_fine: u32, "", "frames of the horizon solved finely";
-    roll_coarse: u32, "", "frames of the horizon solved coarsely";
+    roll_fine: u32, "", "fine frames of the horizon";
+    roll_coarse: u32, "", "coarse frames of the horizon";
     roll_none: u32, "", "frames without a horizon";
     roll_too_bright: u32, "", "of these, frames that were too bright all over";
     roll_too_dark: u32, "", "of these, frames that were too dark";

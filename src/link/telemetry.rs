@@ -28,9 +28,9 @@ fields! {
     CameraCounts, format!("camera {camera}: {fine} fine, {coarse} coarse, {none} none, {lost} lost") => {
         camera: u16, "", "number of the camera, as in its pictures";
         role: u16, "", "number of its role";
-        fine: u32, "", "frames solved finely";
-        coarse: u32, "", "frames solved coarsely";
-        none: u32, "", "frames that show nothing, or are not solved";
+        fine: u32, "", "fine frames";
+        coarse: u32, "", "coarse frames";
+        none: u32, "", "frames that show nothing, or were not solved";
         lost: u32, "", "frames that the camera or the solver lost";
     }
 

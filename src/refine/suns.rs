@@ -8,6 +8,7 @@ use super::recipe::Recipe;
 use super::record::{FrameRecord, Grade};
 use super::timeline::Timeline;
 use crate::estimation::{median, median_and_scatter};
+use crate::limb::motion_variance_px2;
 use crate::observe::JournalError;
 use crate::units::{Estimate, Measured, PlateMil};
 use nalgebra::Matrix2;
@@ -60,7 +61,7 @@ impl Flight {
     fn by_motion(&self, n: usize) -> Option<Matrix2<f64>> {
         let own = self.frames[n].disc?;
         let to_plate = self.mapping.as_ref()?.at(n)?.plate_jacobian(own.centre_px);
-        Some(to_plate * to_plate.transpose() * (own.motion_px?.powi(2) / 12.0))
+        Some(to_plate * to_plate.transpose() * motion_variance_px2(own.motion_px?))
     }
 
     /// The Sun of a frame, with the covariances of limb and mapping.
